@@ -1,0 +1,102 @@
+//! What a renderer is, whatever it renders on: tiles in, pixels out.
+//!
+//! Nothing here renders, and nothing here knows of leases, servers or files.
+
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+
+use proto::Rect;
+
+/// Renders tiles on one device, with all of it.
+///
+/// What it renders depends on the run alone: every renderer gives the same bits.
+pub trait Renderer: Send + Sync {
+    /// What it renders on: `cpu` or `cuda:0`.
+    fn device(&self) -> String;
+
+    /// Renders one tile. `progress` is told how many rays more are finished, from any
+    /// thread. It looks at `cancel` at least every 50 ms.
+    fn render(
+        &self,
+        run: &TileRun<'_>,
+        cancel: &Cancel,
+        progress: &(dyn Fn(u64) + Sync),
+    ) -> Result<Pixels, RenderError>;
+}
+
+/// A tile to render.
+#[derive(Clone, Copy, Debug)]
+pub struct TileRun<'a> {
+    /// The job it belongs to.
+    pub job: &'a scene::Job,
+    /// The frame, from 0.
+    pub frame: u32,
+    /// The tile's pixels.
+    pub rect: Rect,
+}
+
+/// A rectangle of finished pixels.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Pixels {
+    /// Where they are in the picture.
+    pub rect: Rect,
+    /// One plane for each of [`scene::Image::channels`], row by row from the top.
+    /// R, G and B are scene-linear and premultiplied by A.
+    pub planes: Vec<Vec<f32>>,
+}
+
+impl Pixels {
+    /// As many planes as said, all 0.
+    pub fn zeroed(rect: Rect, planes: usize) -> Self {
+        let length = usize::try_from(rect.pixels()).expect("limits keep a tile's pixels countable");
+        Self { rect, planes: vec![vec![0.0; length]; planes] }
+    }
+}
+
+/// A flag that asks a render to stop; clones share it.
+#[derive(Clone, Debug, Default)]
+pub struct Cancel(Arc<AtomicBool>);
+
+impl Cancel {
+    /// A flag that is down.
+    pub fn new() -> Self {
+        Self::default()
+    }
+
+    /// Raises the flag, for good.
+    pub fn cancel(&self) {
+        self.0.store(true, Ordering::Relaxed);
+    }
+
+    /// Whether the flag is up.
+    pub fn is_cancelled(&self) -> bool {
+        self.0.load(Ordering::Relaxed)
+    }
+}
+
+/// Why there are no pixels.
+#[derive(Debug, thiserror::Error)]
+pub enum RenderError {
+    /// The flag went up.
+    #[error("the render was cancelled")]
+    Cancelled,
+    /// This machine lacks what was asked for.
+    #[error("this machine can't render with {wanted}: {reason}")]
+    Unavailable {
+        /// What was asked for: a SIMD level or a device.
+        wanted: String,
+        /// What is missing, and the cure.
+        reason: String,
+    },
+    /// The threads to render on could not be started.
+    #[error("could not start the rendering threads")]
+    Threads(#[source] rayon::ThreadPoolBuildError),
+    /// The device gave up.
+    #[error("{device} could not render: {reason}")]
+    Device {
+        /// Which device.
+        device: String,
+        /// What it said.
+        reason: String,
+    },
+}
