@@ -1,0 +1,236 @@
+//! A typed client of the users' HTTP API.
+//!
+//! It carries and names; what to show, retry or wait for is its caller's business.
+
+use std::io::Write;
+use std::time::Duration;
+
+use reqwest::header::{CACHE_CONTROL, CONTENT_TYPE};
+use reqwest::{Method, RequestBuilder, Response};
+use serde::de::DeserializeOwned;
+
+use crate::job::{DryRun, JobPage, JobState, JobView};
+use crate::pool::{PoolSize, PoolView, WorkerList};
+use crate::{JobId, Problem};
+
+const CONNECT_TIMEOUT: Duration = Duration::from_secs(10);
+/// No route of the users' API is silent for so long.
+const READ_TIMEOUT: Duration = Duration::from_mins(2);
+/// Most of an unexpected answer that an error quotes, in characters.
+const QUOTED_CHARACTERS: usize = 200;
+
+/// Why the server could not be asked, or what it refused.
+#[derive(Debug, thiserror::Error)]
+pub enum ClientError {
+    /// The server says no, and why.
+    #[error("{}", .0.detail)]
+    Problem(Box<Problem>),
+    /// Nobody listens there.
+    #[error("no server answers at {server}: start one with `sdfarm serve`, or name another with --server")]
+    Unreachable {
+        /// The address that was tried.
+        server: String,
+        /// What the connection said.
+        #[source]
+        source: reqwest::Error,
+    },
+    /// The server's address can't be used.
+    #[error("{server:?} is no server's address: write it as http://HOST:PORT")]
+    Address {
+        /// What was given.
+        server: String,
+    },
+    /// The connection broke, or its other end was silent for too long.
+    #[error("the connection to {server} broke: see the server's log, and try again")]
+    Broken {
+        /// The address.
+        server: String,
+        /// What the connection said.
+        #[source]
+        source: reqwest::Error,
+    },
+    /// Something answers there that does not speak as an sdfarm server does.
+    #[error("{server} answered {status}, but not as an sdfarm server does ({body:?}): check --server")]
+    Foreign {
+        /// The address.
+        server: String,
+        /// The HTTP status.
+        status: u16,
+        /// How the answer begins.
+        body: String,
+    },
+    /// A picture arrived, but could not be written.
+    #[error("could not write the picture")]
+    Write(#[source] std::io::Error),
+}
+
+impl ClientError {
+    /// The problem's stable code, if the server answered with a problem.
+    pub fn code(&self) -> Option<&str> {
+        match self {
+            Self::Problem(problem) => Some(&problem.code),
+            Self::Unreachable { .. }
+            | Self::Address { .. }
+            | Self::Broken { .. }
+            | Self::Foreign { .. }
+            | Self::Write(_) => None,
+        }
+    }
+}
+
+/// A server to talk to.
+#[derive(Clone, Debug)]
+pub struct Client {
+    http: reqwest::Client,
+    server: String,
+}
+
+impl Client {
+    /// A client of the server at `http://HOST:PORT`; nothing is sent yet.
+    pub fn new(server: &str) -> Result<Self, ClientError> {
+        let bad = || ClientError::Address { server: server.to_owned() };
+        let server = server.trim_end_matches('/');
+        let url = reqwest::Url::parse(server).map_err(|_| bad())?;
+        if url.scheme() != "http" || !url.has_host() || url.query().is_some() || url.fragment().is_some() {
+            return Err(bad());
+        }
+        let http = reqwest::Client::builder()
+            .connect_timeout(CONNECT_TIMEOUT)
+            .read_timeout(READ_TIMEOUT)
+            .build()
+            .map_err(|source| ClientError::Broken { server: server.to_owned(), source })?;
+        Ok(Self { http, server: server.to_owned() })
+    }
+
+    /// The server's address, without a slash at its end.
+    pub fn server(&self) -> &str {
+        &self.server
+    }
+
+    /// Hands in a job file. With `no_cache` it is rendered even if its pictures are stored already.
+    pub async fn submit(&self, job: Vec<u8>, no_cache: bool) -> Result<JobView, ClientError> {
+        let request = self.request(Method::POST, "/v1/jobs").header(CONTENT_TYPE, "application/json").body(job);
+        let request = if no_cache { request.header(CACHE_CONTROL, "no-cache") } else { request };
+        self.json(request).await
+    }
+
+    /// Has a job file checked, without handing it in.
+    pub async fn dry_run(&self, job: Vec<u8>) -> Result<DryRun, ClientError> {
+        let request = self.request(Method::POST, "/v1/jobs").query(&[("dry_run", "true")]);
+        self.json(request.header(CONTENT_TYPE, "application/json").body(job)).await
+    }
+
+    /// Where a job stands.
+    pub async fn job(&self, id: JobId) -> Result<JobView, ClientError> {
+        self.json(self.request(Method::GET, &format!("/v1/jobs/{id}"))).await
+    }
+
+    /// A page of jobs, newest first; `cursor` is the `next_cursor` of the page before.
+    pub async fn jobs(
+        &self,
+        state: Option<JobState>,
+        limit: u32,
+        cursor: Option<&str>,
+    ) -> Result<JobPage, ClientError> {
+        let mut request = self.request(Method::GET, "/v1/jobs").query(&[("limit", limit)]);
+        if let Some(state) = state {
+            request = request.query(&[("state", state.name())]);
+        }
+        if let Some(cursor) = cursor {
+            request = request.query(&[("cursor", cursor)]);
+        }
+        self.json(request).await
+    }
+
+    /// Stops a job.
+    pub async fn cancel(&self, id: JobId) -> Result<JobView, ClientError> {
+        self.json(self.request(Method::POST, &format!("/v1/jobs/{id}/cancel"))).await
+    }
+
+    /// Forgets a job that is not running.
+    pub async fn delete(&self, id: JobId) -> Result<(), ClientError> {
+        self.send(self.request(Method::DELETE, &format!("/v1/jobs/{id}"))).await.map(|_| ())
+    }
+
+    /// Writes a frame's stored picture to `out` as it arrives; returns its size in bytes.
+    pub async fn image(&self, id: JobId, frame: u32, out: &mut (dyn Write + Send)) -> Result<u64, ClientError> {
+        let request = self.request(Method::GET, &format!("/v1/jobs/{id}/frames/{frame}/image"));
+        let mut response = self.send(request).await?;
+        let mut size_bytes = 0;
+        while let Some(chunk) = response.chunk().await.map_err(|source| self.broken(source))? {
+            out.write_all(&chunk).map_err(ClientError::Write)?;
+            size_bytes += chunk.len() as u64;
+        }
+        Ok(size_bytes)
+    }
+
+    /// Every worker that is not gone.
+    pub async fn workers(&self) -> Result<WorkerList, ClientError> {
+        self.json(self.request(Method::GET, "/v1/workers")).await
+    }
+
+    /// The local pool.
+    pub async fn pool(&self) -> Result<PoolView, ClientError> {
+        self.json(self.request(Method::GET, "/v1/pool")).await
+    }
+
+    /// Sets how many workers the local pool should have.
+    pub async fn set_pool(&self, size: PoolSize) -> Result<PoolView, ClientError> {
+        self.json(self.request(Method::PUT, "/v1/pool").json(&size)).await
+    }
+
+    fn request(&self, method: Method, path: &str) -> RequestBuilder {
+        self.http.request(method, format!("{}{path}", self.server))
+    }
+
+    async fn json<T: DeserializeOwned>(&self, request: RequestBuilder) -> Result<T, ClientError> {
+        let response = self.send(request).await?;
+        let status = response.status().as_u16();
+        let body = response.bytes().await.map_err(|source| self.broken(source))?;
+        serde_json::from_slice(&body).map_err(|_| self.foreign(status, &body))
+    }
+
+    /// Sends a request; an answer that is no success is an error.
+    async fn send(&self, request: RequestBuilder) -> Result<Response, ClientError> {
+        let response = request.send().await.map_err(|source| {
+            if source.is_connect() {
+                ClientError::Unreachable { server: self.server.clone(), source }
+            } else {
+                self.broken(source)
+            }
+        })?;
+        if response.status().is_success() {
+            return Ok(response);
+        }
+        let status = response.status().as_u16();
+        let body = response.bytes().await.map_err(|source| self.broken(source))?;
+        Err(match serde_json::from_slice(&body) {
+            Ok(problem) => ClientError::Problem(Box::new(problem)),
+            Err(_) => self.foreign(status, &body),
+        })
+    }
+
+    fn broken(&self, source: reqwest::Error) -> ClientError {
+        ClientError::Broken { server: self.server.clone(), source }
+    }
+
+    fn foreign(&self, status: u16, body: &[u8]) -> ClientError {
+        let body = String::from_utf8_lossy(body).chars().take(QUOTED_CHARACTERS).collect();
+        ClientError::Foreign { server: self.server.clone(), status, body }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn only_plain_http_addresses_are_taken() {
+        for good in ["http://127.0.0.1:8080", "http://farm.example:80/", "http://[::1]:9"] {
+            assert!(Client::new(good).is_ok(), "{good}");
+        }
+        for bad in ["", "127.0.0.1:8080", "https://farm.example", "ftp://farm.example", "http://", "http://a?b"] {
+            assert!(matches!(Client::new(bad), Err(ClientError::Address { .. })), "{bad}");
+        }
+    }
+}

@@ -1,0 +1,55 @@
+//! Identifiers: UUIDv7 newtypes, so that one kind is never taken for another
+//! and ids made later sort later.
+
+use std::fmt;
+use std::str::FromStr;
+
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+use uuid::Uuid;
+
+macro_rules! ids {
+    ($($(#[$doc:meta])* $Id:ident),* $(,)?) => { $(
+        $(#[$doc])*
+        #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize, JsonSchema)]
+        #[serde(transparent)]
+        #[schemars(with = "Uuid")]
+        pub struct $Id(Uuid);
+
+        impl $Id {
+            /// A new id, greater than every id this process made before.
+            pub fn new() -> Self {
+                Self(Uuid::now_v7())
+            }
+        }
+
+        impl Default for $Id {
+            fn default() -> Self {
+                Self::new()
+            }
+        }
+
+        impl fmt::Display for $Id {
+            fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+                self.0.fmt(f)
+            }
+        }
+
+        impl FromStr for $Id {
+            type Err = uuid::Error;
+
+            fn from_str(text: &str) -> Result<Self, Self::Err> {
+                Uuid::from_str(text).map(Self)
+            }
+        }
+    )* };
+}
+
+ids![
+    /// A job: what one POST asked for.
+    JobId,
+    /// A worker process, from its start to its end.
+    WorkerId,
+    /// One worker's hold on one tile or stitch.
+    LeaseId,
+];

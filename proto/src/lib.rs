@@ -1,0 +1,17 @@
+//! What the parts of sdfarm say to each other: ids, jobs as users see them,
+//! tiles, the workers' protocol, problems, and a typed client.
+//!
+//! Nothing here renders, stores or decides; it only names and carries.
+
+pub mod client;
+pub mod ids;
+pub mod job;
+pub mod pool;
+pub mod problem;
+pub mod tile;
+pub mod work;
+
+pub use client::{Client, ClientError};
+pub use ids::{JobId, LeaseId, WorkerId};
+pub use problem::Problem;
+pub use tile::Rect;

@@ -1,0 +1,48 @@
+//! Errors as users see them over HTTP: RFC 9457 problem details.
+
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+/// Media type of a [`Problem`].
+pub const PROBLEM_JSON: &str = "application/problem+json";
+
+/// RFC 9457 problem details, with a stable `code` for programs.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+pub struct Problem {
+    /// Where the code is described: `/docs#code`.
+    #[serde(rename = "type")]
+    pub kind: String,
+    /// What sort of problem it is, in words; the same for every problem of one code.
+    pub title: String,
+    /// The HTTP status.
+    pub status: u16,
+    /// Stable name for programs.
+    pub code: String,
+    /// What went wrong this time, and the cure.
+    pub detail: String,
+    /// The faults of a bad job.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub errors: Vec<FaultView>,
+    /// Id of the request, as in the server's log.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub request_id: Option<String>,
+}
+
+/// One fault of a bad job.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+pub struct FaultView {
+    /// JSON pointer (RFC 6901) to the place; an unknown key points at the key, a missing one at its parent.
+    pub pointer: String,
+    /// What is wrong there, and the cure.
+    pub message: String,
+    /// Line in the body, from 1.
+    pub line: u32,
+    /// Column in the line, from 1, in bytes.
+    pub column: u32,
+}
+
+impl From<&scene::Fault> for FaultView {
+    fn from(fault: &scene::Fault) -> Self {
+        Self { pointer: fault.pointer.clone(), message: fault.message.clone(), line: fault.line, column: fault.column }
+    }
+}

@@ -1,0 +1,108 @@
+//! Tiles: how a frame is cut into rectangles that workers lease.
+
+use serde::{Deserialize, Serialize};
+
+/// Tiles start and end on multiples of this many pixels, or at the picture's edge.
+pub const GRID_PX: u32 = 32;
+/// Sample rays in a tile of ordinary size: about a second on one core.
+pub const TILE_RAYS: u64 = 1 << 20;
+/// No frame is cut into more tiles than this.
+pub const MAX_TILES_PER_FRAME: u64 = 1024;
+/// No tile carries more bytes of pixels than this.
+pub const MAX_TILE_BYTES: u64 = 64 << 20;
+
+/// A rectangle of pixels; x to the right, y down, from the picture's top left.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
+pub struct Rect {
+    /// Left edge, in pixels.
+    pub x: u32,
+    /// Top edge, in pixels.
+    pub y: u32,
+    /// Width, in pixels.
+    pub width: u32,
+    /// Height, in pixels.
+    pub height: u32,
+}
+
+impl Rect {
+    /// Number of pixels.
+    pub fn pixels(self) -> u64 {
+        u64::from(self.width) * u64::from(self.height)
+    }
+
+    /// The whole of a picture.
+    pub fn whole(width: u32, height: u32) -> Self {
+        Self { x: 0, y: 0, width, height }
+    }
+}
+
+/// What decides the size of a frame's tiles.
+#[derive(Clone, Copy, Debug)]
+pub struct Tiling {
+    /// Picture width, in pixels.
+    pub width: u32,
+    /// Picture height, in pixels.
+    pub height: u32,
+    /// Rays a pixel.
+    pub samples: u32,
+    /// Bytes of finished data a pixel.
+    pub pixel_bytes: u32,
+    /// Edge that the operator asked for, in pixels; rounded up to the grid.
+    pub edge: Option<u32>,
+}
+
+impl Tiling {
+    /// Cuts a frame into tiles, row by row: squares of [`TILE_RAYS`] rays unless an
+    /// edge was asked for, larger where the frame would otherwise have too many tiles,
+    /// smaller where one would carry too many bytes.
+    pub fn tiles(&self) -> Vec<Rect> {
+        let edge = self.edge_px();
+        let rows = (0..self.height).step_by(edge as usize);
+        rows.flat_map(|y| (0..self.width).step_by(edge as usize).map(move |x| (x, y)))
+            .map(|(x, y)| Rect { x, y, width: edge.min(self.width - x), height: edge.min(self.height - y) })
+            .collect()
+    }
+
+    fn edge_px(&self) -> u32 {
+        let by_rays = ((TILE_RAYS / u64::from(self.samples)) as f64).sqrt() as u32;
+        let fits_bytes = (((MAX_TILE_BYTES / u64::from(self.pixel_bytes)) as f64).sqrt() as u32).max(GRID_PX);
+        let asked = self.edge.unwrap_or(by_rays).max(1);
+        let mut edge = asked.next_multiple_of(GRID_PX).min(fits_bytes / GRID_PX * GRID_PX);
+        while self.count(edge) > MAX_TILES_PER_FRAME {
+            edge += GRID_PX;
+        }
+        edge
+    }
+
+    fn count(&self, edge: u32) -> u64 {
+        u64::from(self.width.div_ceil(edge)) * u64::from(self.height.div_ceil(edge))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn tiling(width: u32, height: u32, samples: u32) -> Tiling {
+        Tiling { width, height, samples, pixel_bytes: 16, edge: None }
+    }
+
+    #[test]
+    fn full_hd_at_four_samples_is_a_handful_of_tiles() {
+        let tiles = tiling(1920, 1080, 4).tiles();
+        assert!((8..=12).contains(&tiles.len()), "{}", tiles.len());
+    }
+
+    #[test]
+    fn tiles_cover_every_pixel_once() {
+        for (width, height, samples) in [(1, 1, 1), (33, 65, 9), (1920, 1080, 4), (16384, 16384, 1), (640, 360, 65536)]
+        {
+            let tiling = tiling(width, height, samples);
+            let tiles = tiling.tiles();
+            assert!(tiles.len() as u64 <= MAX_TILES_PER_FRAME);
+            let pixels: u64 = tiles.iter().map(|tile| tile.pixels()).sum();
+            assert_eq!(pixels, u64::from(width) * u64::from(height));
+            assert!(tiles.iter().all(|tile| tile.x % GRID_PX == 0 && tile.y % GRID_PX == 0));
+        }
+    }
+}
