@@ -3,6 +3,10 @@
 //!
 //! It keeps no state that matters: whatever it holds can be rendered again.
 
+pub mod blob;
+pub mod frame;
+pub mod image;
 pub mod renderer;
+pub mod stitch;
 
 pub use renderer::{Cancel, Pixels, RenderError, Renderer, TileRun};

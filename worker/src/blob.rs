@@ -1,0 +1,187 @@
+//! A tile as bytes: a fixed header, then its planes, each row by row from the top.
+//!
+//! ```text
+//! "sdfb" · version · x · y · width · height · planes      u32, little-endian
+//! planes × height × width                                 f32, little-endian
+//! ```
+//!
+//! Uncompressed, so that a band of rows is read by one seek a plane; a blob lives for
+//! seconds. Nothing here judges the pixels.
+
+use std::io::{self, Read, Seek, SeekFrom, Write};
+use std::ops::Range;
+
+use proto::Rect;
+
+use crate::renderer::Pixels;
+
+const MAGIC: [u8; 4] = *b"sdfb";
+const VERSION: u32 = 1;
+/// Bytes before the first plane.
+pub const HEADER_BYTES: usize = 28;
+/// No tile has more planes: four of colour, and every layer.
+pub const MAX_PLANES: usize = 64;
+/// No picture has more pixels, and so no tile.
+const MAX_PIXELS: u64 = 1 << 28;
+
+/// Size of a tile's blob, in bytes.
+pub fn size_bytes(rect: Rect, planes: usize) -> u64 {
+    HEADER_BYTES as u64 + rect.pixels() * planes as u64 * size_of::<f32>() as u64
+}
+
+/// A tile as bytes.
+pub fn encode(pixels: &Pixels) -> Vec<u8> {
+    let mut bytes = Vec::with_capacity(size_bytes(pixels.rect, pixels.planes.len()) as usize);
+    write(pixels, &mut bytes).expect("writing to memory can't fail");
+    bytes
+}
+
+/// Writes a tile.
+pub fn write(pixels: &Pixels, out: &mut impl Write) -> io::Result<()> {
+    let Rect { x, y, width, height } = pixels.rect;
+    let planes = u32::try_from(pixels.planes.len()).expect("planes are few");
+    out.write_all(&MAGIC)?;
+    for field in [VERSION, x, y, width, height, planes] {
+        out.write_all(&field.to_le_bytes())?;
+    }
+    let mut bytes = Vec::new();
+    for plane in &pixels.planes {
+        for part in plane.chunks(1 << 14) {
+            bytes.clear();
+            bytes.extend(part.iter().flat_map(|sample| sample.to_le_bytes()));
+            out.write_all(&bytes)?;
+        }
+    }
+    Ok(())
+}
+
+/// A blob's key: the BLAKE3 of its bytes, in hex.
+pub fn key(bytes: &[u8]) -> String {
+    blake3::hash(bytes).to_hex().to_string()
+}
+
+/// Reads a blob, whole or a band of rows at a time.
+#[derive(Debug)]
+pub struct Reader<R> {
+    input: R,
+    planes_start: u64,
+    rect: Rect,
+    planes: usize,
+}
+
+impl<R: Read + Seek> Reader<R> {
+    /// Reads the header of the blob that starts at `start`.
+    pub fn open_at(mut input: R, start: u64) -> Result<Self, BlobError> {
+        let mut header = [0; HEADER_BYTES];
+        input.seek(SeekFrom::Start(start))?;
+        input.read_exact(&mut header).map_err(short_is_truncated)?;
+        let (rect, planes) = parse_header(&header)?;
+        Ok(Self { input, planes_start: start + HEADER_BYTES as u64, rect, planes })
+    }
+
+    /// The tile's pixels.
+    pub fn rect(&self) -> Rect {
+        self.rect
+    }
+
+    /// How many planes it has.
+    pub fn planes(&self) -> usize {
+        self.planes
+    }
+
+    /// Reads rows of one plane as bytes, for [`floats_from_bytes`]. Rows are counted
+    /// from the tile's top.
+    ///
+    /// # Panics
+    ///
+    /// If the tile has no such plane or rows.
+    pub fn read_rows(&mut self, plane: usize, rows: Range<u32>, bytes: &mut Vec<u8>) -> Result<(), BlobError> {
+        assert!(plane < self.planes && rows.start <= rows.end && rows.end <= self.rect.height, "a tile's own rows");
+        let row_bytes = u64::from(self.rect.width) * size_of::<f32>() as u64;
+        let skipped = (plane as u64 * u64::from(self.rect.height) + u64::from(rows.start)) * row_bytes;
+        self.input.seek(SeekFrom::Start(self.planes_start + skipped))?;
+        bytes.resize(rows.len() * row_bytes as usize, 0);
+        self.input.read_exact(bytes).map_err(short_is_truncated)
+    }
+}
+
+/// Reads a whole blob, and refuses one that is too long.
+pub fn decode(bytes: &[u8]) -> Result<Pixels, BlobError> {
+    let header = bytes.first_chunk::<HEADER_BYTES>().ok_or(BlobError::Truncated)?;
+    let (rect, planes) = parse_header(header)?;
+    let expected = size_bytes(rect, planes);
+    if (bytes.len() as u64) < expected {
+        return Err(BlobError::Truncated);
+    }
+    if bytes.len() as u64 > expected {
+        return Err(BlobError::TooLong { expected });
+    }
+    let plane_bytes = rect.pixels() as usize * size_of::<f32>();
+    let planes = bytes[HEADER_BYTES..].chunks_exact(plane_bytes);
+    let planes = planes.map(|plane| {
+        let mut samples = vec![0.0; plane_bytes / size_of::<f32>()];
+        floats_from_bytes(plane, &mut samples);
+        samples
+    });
+    Ok(Pixels { rect, planes: planes.collect() })
+}
+
+/// Turns a blob's bytes into as many samples.
+pub fn floats_from_bytes(bytes: &[u8], samples: &mut [f32]) {
+    for (sample, bytes) in samples.iter_mut().zip(bytes.as_chunks::<4>().0) {
+        *sample = f32::from_le_bytes(*bytes);
+    }
+}
+
+fn parse_header(header: &[u8; HEADER_BYTES]) -> Result<(Rect, usize), BlobError> {
+    if header[..4] != MAGIC {
+        return Err(BlobError::NotABlob);
+    }
+    let field = |index: usize| u32::from_le_bytes(header.as_chunks::<4>().0[index]);
+    if field(1) != VERSION {
+        return Err(BlobError::Version(field(1)));
+    }
+    let rect = Rect { x: field(2), y: field(3), width: field(4), height: field(5) };
+    let planes = field(6) as usize;
+    let inside = rect.x.checked_add(rect.width).is_some() && rect.y.checked_add(rect.height).is_some();
+    let countable = rect.pixels() <= MAX_PIXELS && (1..=MAX_PLANES).contains(&planes);
+    if rect.width == 0 || rect.height == 0 || !inside || !countable {
+        return Err(BlobError::Shape { rect, planes });
+    }
+    Ok((rect, planes))
+}
+
+fn short_is_truncated(error: io::Error) -> BlobError {
+    if error.kind() == io::ErrorKind::UnexpectedEof { BlobError::Truncated } else { BlobError::Io(error) }
+}
+
+/// What is wrong with a blob.
+#[derive(Debug, thiserror::Error)]
+pub enum BlobError {
+    /// It starts otherwise.
+    #[error("it is not a tile blob")]
+    NotABlob,
+    /// Another sdfarm wrote it.
+    #[error("its format is version {0}, not {VERSION}")]
+    Version(u32),
+    /// No tile is like this.
+    #[error("its header is damaged: {rect:?} with {planes} planes")]
+    Shape {
+        /// The rectangle it claims.
+        rect: Rect,
+        /// The planes it claims.
+        planes: usize,
+    },
+    /// It ends early.
+    #[error("it is truncated")]
+    Truncated,
+    /// It goes on.
+    #[error("it is longer than its {expected} bytes")]
+    TooLong {
+        /// What its header says.
+        expected: u64,
+    },
+    /// It can't be read.
+    #[error("it could not be read")]
+    Io(#[from] io::Error),
+}

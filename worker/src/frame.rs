@@ -1,0 +1,119 @@
+//! One frame from job to file, here and now: no server, no leases.
+//!
+//! The bytes are those that any farm of workers gives.
+
+use std::fs::File;
+use std::io::{self, BufWriter, Seek, Write};
+use std::path::Path;
+use std::time::{Duration, Instant};
+
+use proto::Rect;
+use proto::tile::Tiling;
+use scene::Job;
+
+use crate::blob;
+use crate::image::{ImageError, Picture};
+use crate::renderer::{Cancel, Pixels, RenderError, Renderer, TileRun};
+use crate::stitch::{Blobs, Source, Tiles};
+
+/// A frame of more data than this goes through a file.
+const MEMORY_BYTES: u64 = 256 << 20;
+
+/// How long a frame took.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct FrameTimes {
+    /// Rendering its tiles.
+    pub render: Duration,
+    /// Stitching, encoding and writing.
+    pub encode: Duration,
+}
+
+/// Renders a frame and writes its picture, in the format the job asks for. Tiles are cut
+/// as a server would cut them, `tile_px` wide if that is given; a frame too large
+/// for memory passes through a nameless file in `scratch`. `progress` is told how many
+/// rays more are finished.
+#[expect(clippy::too_many_arguments, reason = "what, whither, and two ways to watch it; called in one place")]
+pub fn render_frame(
+    renderer: &dyn Renderer,
+    job: &Job,
+    frame: u32,
+    tile_px: Option<u32>,
+    scratch: &Path,
+    out: &mut (impl Write + Seek),
+    cancel: &Cancel,
+    progress: &(dyn Fn(u64) + Sync),
+) -> Result<FrameTimes, FrameError> {
+    let start = Instant::now();
+    let mut source = if frame_bytes(job) <= MEMORY_BYTES { Rendered::Memory(Vec::new()) } else { spill(scratch)? };
+    for rect in tiles(job, tile_px) {
+        let pixels = renderer.render(&TileRun { job, frame, rect }, cancel, progress)?;
+        source.push(pixels).map_err(FrameError::Scratch)?;
+    }
+    let render = start.elapsed();
+    let mut encode = |source: &mut dyn Source| Picture::of(job, frame).write(source, out, cancel);
+    match source {
+        Rendered::Memory(tiles) => encode(&mut Tiles(&tiles))?,
+        Rendered::File(file, places) => {
+            let file = file.into_inner().map_err(|error| FrameError::Scratch(error.into_error()))?;
+            encode(&mut Blobs::new(file, places))?;
+        }
+    }
+    Ok(FrameTimes { render, encode: start.elapsed() - render })
+}
+
+/// The tiles a frame is cut into.
+fn tiles(job: &Job, edge: Option<u32>) -> Vec<Rect> {
+    let image = &job.image;
+    let pixel_bytes = image.pixel_bytes();
+    Tiling { width: image.width, height: image.height, samples: image.samples, pixel_bytes, edge }.tiles()
+}
+
+fn frame_bytes(job: &Job) -> u64 {
+    let image = &job.image;
+    Rect::whole(image.width, image.height).pixels() * u64::from(image.pixel_bytes())
+}
+
+enum Rendered {
+    Memory(Vec<Pixels>),
+    File(BufWriter<File>, Vec<(Rect, u64)>),
+}
+
+fn spill(scratch: &Path) -> Result<Rendered, FrameError> {
+    let file = tempfile::tempfile_in(scratch).map_err(FrameError::Scratch)?;
+    Ok(Rendered::File(BufWriter::with_capacity(1 << 20, file), Vec::new()))
+}
+
+impl Rendered {
+    fn push(&mut self, pixels: Pixels) -> io::Result<()> {
+        match self {
+            Self::Memory(tiles) => tiles.push(pixels),
+            Self::File(file, places) => {
+                let end = places.last().map_or(0, |&(rect, start)| start + blob::size_bytes(rect, pixels.planes.len()));
+                blob::write(&pixels, file)?;
+                places.push((pixels.rect, end));
+            }
+        }
+        Ok(())
+    }
+}
+
+/// Why there is no picture.
+#[derive(Debug, thiserror::Error)]
+pub enum FrameError {
+    /// A tile could not be rendered.
+    #[error(transparent)]
+    Render(#[from] RenderError),
+    /// The picture could not be written.
+    #[error(transparent)]
+    Image(#[from] ImageError),
+    /// The scratch folder could not be used.
+    #[error("could not write to the scratch folder")]
+    Scratch(#[source] io::Error),
+}
+
+impl FrameError {
+    /// Whether it ended because it was asked to.
+    pub fn is_cancelled(&self) -> bool {
+        matches!(self, Self::Render(RenderError::Cancelled) | Self::Image(ImageError::Cancelled))
+    }
+}

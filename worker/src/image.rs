@@ -1,0 +1,107 @@
+//! Pictures as files: what a picture is, and the way to its format's writer.
+//!
+//! The bytes depend on the pixels and the provenance alone, never on tiles, bands or
+//! threads.
+
+pub mod exr;
+pub mod png;
+pub mod provenance;
+
+use std::io::{self, Seek, Write};
+
+use ::scene::{Bits, Format, Job, Precision};
+
+pub use provenance::Provenance;
+
+use crate::renderer::Cancel;
+use crate::stitch::{Source, StitchError};
+
+/// What is to be written, but for the pixels.
+#[derive(Clone, Debug)]
+pub struct Picture {
+    /// Width, in pixels.
+    pub width: u32,
+    /// Height, in pixels.
+    pub height: u32,
+    /// Names of the planes, R G B A first.
+    pub channels: Vec<&'static str>,
+    /// The file format.
+    pub format: Format,
+    /// Bits a channel of a PNG.
+    pub bits: Bits,
+    /// What R G B A are in an EXR.
+    pub precision: Precision,
+    /// Alpha is 1 in every pixel.
+    pub opaque: bool,
+    /// What it is a picture of.
+    pub provenance: Provenance,
+}
+
+impl Picture {
+    /// The picture that a job's frame asks for.
+    pub fn of(job: &Job, frame: u32) -> Self {
+        let image = &job.image;
+        Self {
+            width: image.width,
+            height: image.height,
+            channels: image.channels(),
+            format: image.format,
+            bits: image.bits,
+            precision: image.precision,
+            opaque: is_opaque(job),
+            provenance: Provenance::of(job, frame),
+        }
+    }
+
+    /// Writes the file, pulling its rows from `source` a band at a time.
+    pub fn write(
+        &self,
+        source: &mut dyn Source,
+        out: &mut (impl Write + Seek),
+        cancel: &Cancel,
+    ) -> Result<(), ImageError> {
+        match self.format {
+            Format::Png => png::write(self, source, out, cancel, png::BAND_ROWS),
+            Format::Exr => exr::write(self, source, out, cancel, exr::band_rows(self)),
+        }
+    }
+}
+
+fn is_opaque(job: &Job) -> bool {
+    !matches!(job.scene.background, ::scene::Background::Transparent)
+}
+
+/// Why there is no file.
+#[derive(Debug, thiserror::Error)]
+pub enum ImageError {
+    /// The flag went up.
+    #[error("the picture was cancelled")]
+    Cancelled,
+    /// Its rows can't be had.
+    #[error("could not read the picture's tiles")]
+    Stitch(#[from] StitchError),
+    /// The file can't be written.
+    #[error("could not write the picture")]
+    Io(#[from] io::Error),
+    /// The format can't hold it.
+    #[error("could not encode the picture: {0}")]
+    Format(String),
+}
+
+impl From<::png::EncodingError> for ImageError {
+    fn from(error: ::png::EncodingError) -> Self {
+        match error {
+            ::png::EncodingError::IoError(error) => Self::Io(error),
+            other => Self::Format(other.to_string()),
+        }
+    }
+}
+
+impl From<::exr::error::Error> for ImageError {
+    fn from(error: ::exr::error::Error) -> Self {
+        match error {
+            ::exr::error::Error::Io(error) => Self::Io(error),
+            other => Self::Format(other.to_string()),
+        }
+    }
+}

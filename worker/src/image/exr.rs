@@ -1,0 +1,154 @@
+//! EXR: scene-linear, premultiplied, half or float, layers always float; scan lines in
+//! blocks of 16, each compressed by itself (ZIP).
+//!
+//! Written block by block through the crate's low-level door; the picture is never in
+//! memory. No -0.0 and no NaN reaches a file.
+
+use std::io::{Seek, Write};
+use std::ops::Range;
+
+use ::half::f16;
+use ::half::slice::HalfFloatSliceExt;
+use exr::block::chunk::{Chunk, CompressedBlock, CompressedScanLineBlock, TileCoordinates};
+use exr::block::writer::ChunksWriter;
+use exr::compression::Compression;
+use exr::math::Vec2;
+use exr::meta::BlockDescription;
+use exr::meta::attribute::{AttributeValue, ChannelDescription, LineOrder, SampleType, Text};
+use exr::meta::header::{Header, LayerAttributes};
+use rayon::prelude::*;
+use scene::Precision;
+
+use super::provenance::KEYWORD;
+use super::{ImageError, Picture};
+use crate::renderer::Cancel;
+use crate::stitch::{Band, Source};
+
+/// Rows compressed together.
+const BLOCK_ROWS: u32 = 16;
+/// A band is made of fewer blocks when it would take more memory than this.
+const BAND_BYTES: u64 = 32 << 20;
+
+/// Rows pulled at a time: two blocks for each thread, if memory allows.
+pub fn band_rows(picture: &Picture) -> u32 {
+    let row_bytes = u64::from(picture.width) * picture.channels.len() as u64 * size_of::<f32>() as u64;
+    let fits = (BAND_BYTES / row_bytes) as u32 / BLOCK_ROWS * BLOCK_ROWS;
+    (rayon::current_num_threads() as u32).saturating_mul(2 * BLOCK_ROWS).min(fits).max(BLOCK_ROWS)
+}
+
+/// Writes a picture, pulling so many rows at a time, rounded up to whole blocks.
+pub fn write(
+    picture: &Picture,
+    source: &mut dyn Source,
+    out: &mut (impl Write + Seek),
+    cancel: &Cancel,
+    band_rows: u32,
+) -> Result<(), ImageError> {
+    let channels = Channels::of(picture);
+    let header = channels.header(picture);
+    let band_rows = band_rows.next_multiple_of(BLOCK_ROWS);
+    let mut band = Band::new(picture.width, picture.channels.len());
+    let mut refused = None;
+    let written = exr::block::write(out, [header].into_iter().collect(), true, |meta, file| {
+        let header = &meta.headers[0];
+        for top in (0..picture.height).step_by(band_rows as usize) {
+            let rows = top..top.saturating_add(band_rows).min(picture.height);
+            if let Err(error) = pull(source, rows.clone(), &mut band, cancel) {
+                refused = Some(error);
+                return Err(exr::error::Error::Aborted);
+            }
+            let blocks: Vec<u32> = rows.step_by(BLOCK_ROWS as usize).collect();
+            let chunks = blocks.par_iter().map(|&y| channels.compress(header, &band, y)).collect::<Vec<_>>();
+            for (y, chunk) in blocks.into_iter().zip(chunks) {
+                file.write_chunk((y / BLOCK_ROWS) as usize, chunk?)?;
+            }
+        }
+        Ok(())
+    });
+    match refused {
+        Some(error) => Err(error),
+        None => Ok(written?),
+    }
+}
+
+fn pull(source: &mut dyn Source, rows: Range<u32>, band: &mut Band, cancel: &Cancel) -> Result<(), ImageError> {
+    if cancel.is_cancelled() {
+        return Err(ImageError::Cancelled);
+    }
+    Ok(source.read(rows, band)?)
+}
+
+/// The planes in the order of the file: by name.
+struct Channels(Vec<Channel>);
+
+struct Channel {
+    name: &'static str,
+    plane: usize,
+    sample: SampleType,
+}
+
+impl Channels {
+    fn of(picture: &Picture) -> Self {
+        let colour = match picture.precision {
+            Precision::Half => SampleType::F16,
+            Precision::Float => SampleType::F32,
+        };
+        let planes = picture.channels.iter().enumerate();
+        let mut channels: Vec<_> = planes
+            .map(|(plane, &name)| Channel { name, plane, sample: if plane < 4 { colour } else { SampleType::F32 } })
+            .collect();
+        channels.sort_by_key(|channel| channel.name);
+        Self(channels)
+    }
+
+    fn header(&self, picture: &Picture) -> Header {
+        let size = Vec2(picture.width as usize, picture.height as usize);
+        let channels =
+            self.0.iter().map(|channel| ChannelDescription::new(text(channel.name), channel.sample, false)).collect();
+        let mut attributes = LayerAttributes::default();
+        attributes.other.insert(text(KEYWORD), AttributeValue::Text(text(&picture.provenance.json())));
+        Header::new(text(""), size, channels)
+            .with_encoding(Compression::ZIP16, BlockDescription::ScanLines, LineOrder::Increasing)
+            .with_attributes(attributes)
+    }
+
+    fn compress(&self, header: &Header, band: &Band, top: u32) -> exr::error::Result<Chunk> {
+        let tile = TileCoordinates { tile_index: Vec2(0, (top / BLOCK_ROWS) as usize), level_index: Vec2(0, 0) };
+        let section = header.get_absolute_block_pixel_coordinates(tile)?;
+        let first = (top - band.rows().start) as usize;
+        let mut bytes = Vec::with_capacity(section.size.area() * header.channels.bytes_per_pixel);
+        let mut halves = Vec::new();
+        for row in first..first + section.size.height() {
+            for channel in &self.0 {
+                append(band.row(channel.plane, row), channel.sample, &mut halves, &mut bytes);
+            }
+        }
+        let compressed_pixels_le = header.compression.compress_image_section_to_le(header, bytes, section)?;
+        let block = CompressedScanLineBlock { y_coordinate: section.position.y(), compressed_pixels_le };
+        Ok(Chunk { layer_index: 0, compressed_block: CompressedBlock::ScanLine(block) })
+    }
+}
+
+fn text(ascii: &str) -> Text {
+    Text::new_or_panic(ascii)
+}
+
+/// Appends a row in the machine's byte order, which the crate turns into the file's.
+fn append(row: &[f32], sample: SampleType, halves: &mut Vec<f16>, bytes: &mut Vec<u8>) {
+    match sample {
+        SampleType::F16 => {
+            let clean: Vec<f32> = row.iter().map(|&value| defined(value)).collect();
+            halves.resize(row.len(), f16::ZERO);
+            halves.convert_from_f32_slice(&clean);
+            // A half rounds small negatives to -0.0 again.
+            bytes.extend(halves.iter().flat_map(|&half| if half == f16::ZERO { [0; 2] } else { half.to_ne_bytes() }));
+        }
+        SampleType::F32 => bytes.extend(row.iter().flat_map(|&value| defined(value).to_ne_bytes())),
+        SampleType::U32 => unreachable!("no channel is an integer"),
+    }
+}
+
+/// Without -0.0, and with 0 for what is no number.
+fn defined(value: f32) -> f32 {
+    if value.is_nan() { 0.0 } else { value + 0.0 }
+}

@@ -1,0 +1,133 @@
+//! PNG: 8 or 16 bits, sRGB, straight alpha.
+//!
+//! Compression is fdeflate's, chosen by name: it depends on no other crate's features,
+//! as flate2's levels do. Every row is filtered by Paeth, 3 ms for 1920×1080; the
+//! adaptive choice takes 12 and saves a hundredth.
+
+use std::io::Write;
+
+use png::{BitDepth, ColorType, DeflateCompression, Encoder, Filter, SrgbRenderingIntent};
+use rayon::prelude::*;
+use scene::Bits;
+
+use super::provenance::KEYWORD;
+use super::{ImageError, Picture};
+use crate::renderer::Cancel;
+use crate::stitch::{Band, Source};
+
+/// Rows pulled at a time.
+pub const BAND_ROWS: u32 = 64;
+
+/// Writes a picture, pulling so many rows at a time.
+pub fn write(
+    picture: &Picture,
+    source: &mut dyn Source,
+    out: &mut impl Write,
+    cancel: &Cancel,
+    band_rows: u32,
+) -> Result<(), ImageError> {
+    let layout = Layout { width: picture.width as usize, opaque: picture.opaque, bits: picture.bits };
+    let mut encoder = Encoder::new(out, picture.width, picture.height);
+    encoder.set_color(if picture.opaque { ColorType::Rgb } else { ColorType::Rgba });
+    encoder.set_depth(match picture.bits {
+        Bits::Eight => BitDepth::Eight,
+        Bits::Sixteen => BitDepth::Sixteen,
+    });
+    encoder.set_deflate_compression(DeflateCompression::FdeflateUltraFast);
+    encoder.set_filter(Filter::Paeth);
+    encoder.set_source_srgb(SrgbRenderingIntent::Perceptual);
+    encoder.add_itxt_chunk(KEYWORD.to_owned(), picture.provenance.json())?;
+    let mut header = encoder.write_header()?;
+    let mut stream = header.stream_writer_with_size(CHUNK_BYTES)?;
+
+    let mut band = Band::new(picture.width, picture.channels.len());
+    let mut bytes = Vec::new();
+    for top in (0..picture.height).step_by(band_rows as usize) {
+        if cancel.is_cancelled() {
+            return Err(ImageError::Cancelled);
+        }
+        let rows = top..top.saturating_add(band_rows).min(picture.height);
+        bytes.resize(rows.len() * layout.row_bytes(), 0);
+        source.read(rows, &mut band)?;
+        bytes
+            .par_chunks_exact_mut(layout.row_bytes())
+            .enumerate()
+            .for_each_init(Vec::new, |samples, (row, bytes)| layout.encode_row(&band, row, samples, bytes));
+        stream.write_all(&bytes)?;
+    }
+    stream.finish()?;
+    header.finish()?;
+    Ok(())
+}
+
+/// Bytes of compressed data in a chunk.
+const CHUNK_BYTES: usize = 1 << 16;
+
+#[derive(Clone, Copy)]
+struct Layout {
+    width: usize,
+    opaque: bool,
+    bits: Bits,
+}
+
+impl Layout {
+    fn channels(self) -> usize {
+        if self.opaque { 3 } else { 4 }
+    }
+
+    fn row_bytes(self) -> usize {
+        let sample_bytes = match self.bits {
+            Bits::Eight => 1,
+            Bits::Sixteen => 2,
+        };
+        self.width * self.channels() * sample_bytes
+    }
+
+    fn encode_row(self, band: &Band, row: usize, samples: &mut Vec<f32>, bytes: &mut [u8]) {
+        samples.clear();
+        for colour in 0..3 {
+            let linear = band.row(colour, row);
+            if self.opaque {
+                samples.extend(linear.iter().map(|&value| unit(value)));
+            } else {
+                let pairs = linear.iter().zip(band.row(3, row));
+                samples.extend(pairs.map(|(&value, &alpha)| unit(straight(value, alpha))));
+            }
+        }
+        srgb_in_place(samples);
+        if !self.opaque {
+            samples.extend(band.row(3, row).iter().map(|&alpha| unit(alpha)));
+        }
+        match self.bits {
+            Bits::Eight => self.interleave(samples, bytes, |value| [(value * 255.0 + 0.5) as u8]),
+            Bits::Sixteen => {
+                self.interleave(samples, bytes, |value| ((value * 65535.0 + 0.5) as u16).to_be_bytes());
+            }
+        }
+    }
+
+    fn interleave<const N: usize>(self, planes: &[f32], bytes: &mut [u8], quantise: impl Fn(f32) -> [u8; N]) {
+        let stride = self.channels() * N;
+        for (channel, plane) in planes.chunks_exact(self.width).enumerate() {
+            for (pixel, &value) in bytes.chunks_exact_mut(stride).zip(plane) {
+                pixel[channel * N..][..N].copy_from_slice(&quantise(value));
+            }
+        }
+    }
+}
+
+/// Within 0 and 1; what is no number is 0.
+fn unit(value: f32) -> f32 {
+    value.max(0.0).min(1.0)
+}
+
+fn straight(premultiplied: f32, alpha: f32) -> f32 {
+    if alpha > 0.0 { premultiplied / alpha } else { 0.0 }
+}
+
+/// Stand-in of the IEC 61966-2-1 curve.
+fn srgb_in_place(samples: &mut [f32]) {
+    for value in samples {
+        *value = if *value <= 0.003_130_8 { *value * 12.92 } else { 1.055 * value.powf(1.0 / 2.4) - 0.055 };
+    }
+}

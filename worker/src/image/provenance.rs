@@ -1,0 +1,40 @@
+//! What a picture says of itself: what made it, so that it can be made again.
+//!
+//! No times, no names, no machines: they would make equal pictures differ.
+
+use scene::Job;
+use serde::{Deserialize, Serialize};
+
+/// The name of the PNG chunk and of the EXR attribute.
+pub const KEYWORD: &str = "sdfarm";
+
+/// What a picture was made from.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Provenance {
+    /// BLAKE3 of the canonical scene, in hex.
+    pub scene: String,
+    /// The definition of a picture that it was rendered by.
+    pub picture_version: u32,
+    /// The frame, from 0.
+    pub frame: u32,
+    /// The seed of its samples.
+    pub seed: u32,
+}
+
+impl Provenance {
+    /// The provenance of a job's frame.
+    pub fn of(job: &Job, frame: u32) -> Self {
+        Self {
+            scene: job.scene_hash().to_hex().to_string(),
+            picture_version: scene::PICTURE_VERSION,
+            frame,
+            seed: job.image.seed,
+        }
+    }
+
+    /// As the JSON that is written.
+    pub fn json(&self) -> String {
+        serde_json::to_string(self).expect("strings and numbers are JSON")
+    }
+}

@@ -1,0 +1,174 @@
+//! Puts a picture's tiles together again, a band of whole rows at a time, so that a
+//! picture needs a band of memory and not itself.
+//!
+//! It moves floats and changes none.
+
+use std::io::{Read, Seek};
+use std::ops::Range;
+
+use proto::Rect;
+
+use crate::blob::{self, BlobError};
+use crate::renderer::Pixels;
+
+/// Whole rows of a picture, all its planes.
+#[derive(Debug)]
+pub struct Band {
+    rows: Range<u32>,
+    width: usize,
+    planes: Vec<Vec<f32>>,
+}
+
+impl Band {
+    /// A band for pictures so wide with so many planes; empty until it is read.
+    pub fn new(width: u32, planes: usize) -> Self {
+        Self { rows: 0..0, width: width as usize, planes: vec![Vec::new(); planes] }
+    }
+
+    /// The rows it holds, counted from the picture's top.
+    pub fn rows(&self) -> Range<u32> {
+        self.rows.clone()
+    }
+
+    /// One row of one plane; the row is counted from the band's top.
+    pub fn row(&self, plane: usize, row: usize) -> &[f32] {
+        &self.planes[plane][row * self.width..][..self.width]
+    }
+
+    fn reset(&mut self, rows: Range<u32>) {
+        let length = rows.len() * self.width;
+        for plane in &mut self.planes {
+            plane.resize(length, 0.0);
+        }
+        self.rows = rows;
+    }
+
+    fn row_of_tile(&mut self, plane: usize, rect: Rect, y: u32) -> &mut [f32] {
+        let start = (y - self.rows.start) as usize * self.width + rect.x as usize;
+        &mut self.planes[plane][start..][..rect.width as usize]
+    }
+}
+
+/// Where a picture's rows come from.
+pub trait Source {
+    /// Reads these rows into the band, whatever it held.
+    fn read(&mut self, rows: Range<u32>, band: &mut Band) -> Result<(), StitchError>;
+}
+
+/// Tiles in memory.
+#[derive(Clone, Copy, Debug)]
+pub struct Tiles<'a>(pub &'a [Pixels]);
+
+impl Source for Tiles<'_> {
+    fn read(&mut self, rows: Range<u32>, band: &mut Band) -> Result<(), StitchError> {
+        band.reset(rows);
+        let mut covered = 0;
+        for tile in self.0 {
+            check_shape(band, tile.rect, tile.planes.len())?;
+            let shared = shared_rows(band, tile.rect);
+            covered += shared.len() * tile.rect.width as usize;
+            for (plane, samples) in tile.planes.iter().enumerate() {
+                for y in shared.clone() {
+                    let start = (y - tile.rect.y) as usize * tile.rect.width as usize;
+                    let row = &samples[start..][..tile.rect.width as usize];
+                    band.row_of_tile(plane, tile.rect, y).copy_from_slice(row);
+                }
+            }
+        }
+        check_covered(band, covered)
+    }
+}
+
+/// Tile blobs one behind the other in a file.
+#[derive(Debug)]
+pub struct Blobs<F> {
+    file: F,
+    places: Vec<(Rect, u64)>,
+    bytes: Vec<u8>,
+}
+
+impl<F: Read + Seek> Blobs<F> {
+    /// The blobs of these rectangles, each starting at its place in the file.
+    pub fn new(file: F, places: Vec<(Rect, u64)>) -> Self {
+        Self { file, places, bytes: Vec::new() }
+    }
+}
+
+impl<F: Read + Seek> Source for Blobs<F> {
+    fn read(&mut self, rows: Range<u32>, band: &mut Band) -> Result<(), StitchError> {
+        band.reset(rows);
+        let mut covered = 0;
+        for &(rect, start) in &self.places {
+            let shared = shared_rows(band, rect);
+            if shared.is_empty() {
+                continue;
+            }
+            let unreadable = |source| StitchError::Blob { rect, source };
+            let mut reader = blob::Reader::open_at(&mut self.file, start).map_err(unreadable)?;
+            check_shape(band, reader.rect(), reader.planes())?;
+            if reader.rect() != rect {
+                return Err(StitchError::Rect { expected: rect, found: reader.rect() });
+            }
+            covered += shared.len() * rect.width as usize;
+            for plane in 0..band.planes.len() {
+                let inside = shared.start - rect.y..shared.end - rect.y;
+                reader.read_rows(plane, inside, &mut self.bytes).map_err(unreadable)?;
+                for (y, row) in shared.clone().zip(self.bytes.chunks_exact(rect.width as usize * size_of::<f32>())) {
+                    blob::floats_from_bytes(row, band.row_of_tile(plane, rect, y));
+                }
+            }
+        }
+        check_covered(band, covered)
+    }
+}
+
+fn shared_rows(band: &Band, rect: Rect) -> Range<u32> {
+    let start = band.rows.start.max(rect.y);
+    let end = band.rows.end.min(rect.y.saturating_add(rect.height));
+    start..end.max(start)
+}
+
+fn check_shape(band: &Band, rect: Rect, planes: usize) -> Result<(), StitchError> {
+    let fits = u64::from(rect.x) + u64::from(rect.width) <= band.width as u64;
+    if fits && planes == band.planes.len() { Ok(()) } else { Err(StitchError::Shape { rect, planes }) }
+}
+
+fn check_covered(band: &Band, covered: usize) -> Result<(), StitchError> {
+    if covered == band.rows.len() * band.width { Ok(()) } else { Err(StitchError::Uncovered { rows: band.rows() }) }
+}
+
+/// Why tiles can't be put together.
+#[derive(Debug, thiserror::Error)]
+pub enum StitchError {
+    /// A blob can't be read.
+    #[error("could not read the blob of the tile at {}, {}", rect.x, rect.y)]
+    Blob {
+        /// The tile.
+        rect: Rect,
+        /// Why.
+        #[source]
+        source: BlobError,
+    },
+    /// A blob holds another tile.
+    #[error("the blob of the tile {expected:?} holds {found:?}")]
+    Rect {
+        /// The tile it was named for.
+        expected: Rect,
+        /// What its header says.
+        found: Rect,
+    },
+    /// A tile is no part of this picture.
+    #[error("the tile {rect:?} with {planes} planes does not fit the picture")]
+    Shape {
+        /// The tile.
+        rect: Rect,
+        /// The planes it has.
+        planes: usize,
+    },
+    /// Tiles leave a gap, or overlap.
+    #[error("the tiles do not cover rows {} to {} exactly once", rows.start, rows.end)]
+    Uncovered {
+        /// The rows.
+        rows: Range<u32>,
+    },
+}

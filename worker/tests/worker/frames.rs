@@ -1,0 +1,44 @@
+//! One frame from job to file.
+
+use std::io::Cursor;
+use std::sync::atomic::{AtomicU64, Ordering};
+
+use proto::Rect;
+use scene::Job;
+use worker::Cancel;
+use worker::frame::{FrameError, render_frame};
+use worker::stitch::Tiles;
+
+use crate::fake_renderer::FakeRenderer;
+use crate::pictures::{encode, jobs, tiles};
+
+fn render(job: &Job, tile_px: Option<u32>, cancel: &Cancel, rays: &AtomicU64) -> Result<Vec<u8>, FrameError> {
+    let scratch = tempfile::tempdir().unwrap();
+    let mut out = Cursor::new(Vec::new());
+    let progress = |more| _ = rays.fetch_add(more, Ordering::Relaxed);
+    render_frame(&FakeRenderer, job, 3, tile_px, scratch.path(), &mut out, cancel, &progress)?;
+    Ok(out.into_inner())
+}
+
+#[test]
+fn a_frame_is_the_same_file_whatever_its_tiles() {
+    for job in jobs() {
+        let whole = tiles(&job, &[Rect::whole(job.image.width, job.image.height)]);
+        let expected = encode(&job, &mut Tiles(&whole), 64).unwrap();
+        for tile_px in [None, Some(1), Some(32), Some(96)] {
+            let rays = AtomicU64::new(0);
+            let got = render(&job, tile_px, &Cancel::new(), &rays).unwrap();
+            assert_eq!(got, expected, "{tile_px:?}, {:?}", job.image);
+            let asked = u64::from(job.image.width * job.image.height * job.image.samples);
+            assert_eq!(rays.into_inner(), asked);
+        }
+    }
+}
+
+#[test]
+fn a_cancelled_frame_says_so() {
+    let cancel = Cancel::new();
+    cancel.cancel();
+    let error = render(&jobs()[0], None, &cancel, &AtomicU64::new(0)).unwrap_err();
+    assert!(error.is_cancelled(), "{error:?}");
+}

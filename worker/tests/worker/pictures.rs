@@ -1,0 +1,117 @@
+//! A picture's bytes depend on its pixels alone.
+
+use std::io::Cursor;
+
+use proto::Rect;
+use scene::{Format, Job};
+use worker::blob;
+use worker::image::{ImageError, Picture, exr, png};
+use worker::stitch::{Blobs, Source, StitchError, Tiles};
+use worker::{Cancel, Pixels};
+
+use crate::fake_renderer::{ALL_LAYERS, cut, job, pixels, transparent_job};
+
+/// One of every kind of file.
+pub(crate) fn jobs() -> Vec<Job> {
+    let layers = format!(r#""format": "exr", "precision": "float", "seed": 7, "layers": {ALL_LAYERS}"#);
+    vec![
+        job(203, 131, ""),
+        job(203, 131, r#""bits": 16"#),
+        transparent_job(203, 131, r#""bits": 8"#),
+        transparent_job(203, 131, r#""bits": 16"#),
+        job(203, 131, r#""format": "exr""#),
+        transparent_job(203, 131, &layers),
+        job(1, 1, ""),
+        job(1, 1, r#""format": "exr", "layers": ["depth"]"#),
+    ]
+}
+
+pub(crate) fn tiles(job: &Job, rects: &[Rect]) -> Vec<Pixels> {
+    rects.iter().map(|&rect| pixels(job, 3, rect)).collect()
+}
+
+pub(crate) fn encode(job: &Job, source: &mut dyn Source, band_rows: u32) -> Result<Vec<u8>, ImageError> {
+    let picture = Picture::of(job, 3);
+    let mut out = Cursor::new(Vec::new());
+    match picture.format {
+        Format::Png => png::write(&picture, source, &mut out, &Cancel::new(), band_rows)?,
+        Format::Exr => exr::write(&picture, source, &mut out, &Cancel::new(), band_rows)?,
+    }
+    Ok(out.into_inner())
+}
+
+#[test]
+fn no_tiling_and_no_band_changes_a_byte() {
+    for job in jobs() {
+        let (width, height) = (job.image.width, job.image.height);
+        let whole = tiles(&job, &[Rect::whole(width, height)]);
+        let expected = encode(&job, &mut Tiles(&whole), 64).unwrap();
+        for (tile_width, tile_height) in [(32, 32), (width, 5), (17, height), (64, 23)] {
+            let mut tiles = tiles(&job, &cut(width, height, tile_width, tile_height));
+            tiles.reverse();
+            for band_rows in [1, 7, 64, 1000] {
+                let got = encode(&job, &mut Tiles(&tiles), band_rows).unwrap();
+                assert_eq!(got, expected, "{tile_width}×{tile_height}, {band_rows} rows, {:?}", job.image);
+                let got = encode(&job, &mut in_blobs(&tiles), band_rows).unwrap();
+                assert_eq!(got, expected, "{tile_width}×{tile_height} in blobs, {band_rows} rows, {:?}", job.image);
+            }
+        }
+    }
+}
+
+#[test]
+fn no_number_of_threads_changes_a_byte() {
+    let pool = rayon::ThreadPoolBuilder::new().num_threads(3).build().unwrap();
+    for job in jobs() {
+        let tiles = tiles(&job, &[Rect::whole(job.image.width, job.image.height)]);
+        let mut files = [Cursor::new(Vec::new()), Cursor::new(Vec::new())];
+        let [one, other] = &mut files;
+        Picture::of(&job, 3).write(&mut Tiles(&tiles), one, &Cancel::new()).unwrap();
+        pool.install(|| Picture::of(&job, 3).write(&mut Tiles(&tiles), other, &Cancel::new())).unwrap();
+        assert_eq!(files[0], files[1]);
+    }
+}
+
+#[test]
+fn a_missing_tile_is_told_and_not_painted_over() {
+    for job in jobs() {
+        let mut tiles = tiles(&job, &cut(job.image.width, job.image.height, 32, 32));
+        tiles.pop();
+        let error = encode(&job, &mut Tiles(&tiles), 64).unwrap_err();
+        assert!(matches!(error, ImageError::Stitch(StitchError::Uncovered { .. })), "{error:?}");
+        let error = encode(&job, &mut in_blobs(&tiles), 64).unwrap_err();
+        assert!(matches!(error, ImageError::Stitch(StitchError::Uncovered { .. })), "{error:?}");
+    }
+}
+
+#[test]
+fn a_truncated_blob_is_told() {
+    let job = job(64, 64, "");
+    let tile = pixels(&job, 3, Rect::whole(64, 64));
+    let mut bytes = blob::encode(&tile);
+    bytes.pop();
+    let error = encode(&job, &mut Blobs::new(Cursor::new(bytes), vec![(tile.rect, 0)]), 64).unwrap_err();
+    assert!(matches!(error, ImageError::Stitch(StitchError::Blob { .. })), "{error:?}");
+}
+
+#[test]
+fn a_raised_flag_ends_the_writing() {
+    let cancel = Cancel::new();
+    cancel.cancel();
+    for job in jobs() {
+        let tiles = tiles(&job, &[Rect::whole(job.image.width, job.image.height)]);
+        let mut out = Cursor::new(Vec::new());
+        let error = Picture::of(&job, 3).write(&mut Tiles(&tiles), &mut out, &cancel).unwrap_err();
+        assert!(matches!(error, ImageError::Cancelled), "{error:?}");
+    }
+}
+
+fn in_blobs(tiles: &[Pixels]) -> Blobs<Cursor<Vec<u8>>> {
+    let mut file = b"something before".to_vec();
+    let mut places = Vec::new();
+    for tile in tiles {
+        places.push((tile.rect, file.len() as u64));
+        blob::write(tile, &mut file).unwrap();
+    }
+    Blobs::new(Cursor::new(file), places)
+}

@@ -1,0 +1,198 @@
+//! What other readers find in our files.
+
+use std::io::{Cursor, Write};
+use std::process::{Command, Stdio};
+
+use half::f16;
+use proto::Rect;
+use scene::{Bits, Job, Precision};
+use worker::Pixels;
+use worker::stitch::Tiles;
+
+use crate::fake_renderer::{ALL_LAYERS, job, transparent_job};
+use crate::pictures::{encode, jobs, tiles};
+
+fn whole(job: &Job) -> Pixels {
+    tiles(job, &[Rect::whole(job.image.width, job.image.height)]).remove(0)
+}
+
+fn file(job: &Job, pixels: &Pixels) -> Vec<u8> {
+    encode(job, &mut Tiles(std::slice::from_ref(pixels)), 64).unwrap()
+}
+
+fn pngs() -> impl Iterator<Item = Job> {
+    jobs().into_iter().filter(|job| job.image.format == scene::Format::Png)
+}
+
+fn exrs() -> impl Iterator<Item = Job> {
+    jobs().into_iter().filter(|job| job.image.format == scene::Format::Exr)
+}
+
+struct DecodedPng {
+    info: png::Info<'static>,
+    bytes: Vec<u8>,
+}
+
+fn decode_png(bytes: &[u8]) -> DecodedPng {
+    let mut reader = png::Decoder::new(Cursor::new(bytes)).read_info().unwrap();
+    let mut pixels = vec![0; reader.output_buffer_size().unwrap()];
+    reader.next_frame(&mut pixels).unwrap();
+    reader.finish().unwrap();
+    DecodedPng { info: reader.info().clone(), bytes: pixels }
+}
+
+/// The IEC 61966-2-1 curve, in double.
+fn srgb(linear: f64) -> f64 {
+    if linear <= 0.003_130_8 { 12.92 * linear } else { 1.055 * linear.powf(1.0 / 2.4) - 0.055 }
+}
+
+#[test]
+fn a_png_holds_the_srgb_of_its_pixels() {
+    for job in pngs() {
+        let pixels = whole(&job);
+        let decoded = decode_png(&file(&job, &pixels));
+        let alpha_plane = decoded.info.color_type == png::ColorType::Rgba;
+        let channels = if alpha_plane { 4 } else { 3 };
+        let (wide, top) = match job.image.bits {
+            Bits::Eight => (1, 255.0),
+            Bits::Sixteen => (2, 65535.0),
+        };
+        let samples: Vec<f64> = decoded
+            .bytes
+            .chunks(wide)
+            .map(|bytes| match *bytes {
+                [one] => f64::from(one),
+                [high, low] => f64::from(u16::from_be_bytes([high, low])),
+                _ => unreachable!("one byte or two"),
+            })
+            .collect();
+        assert_eq!(samples.len(), pixels.planes[0].len() * channels);
+        for (index, pixel) in samples.chunks(channels).enumerate() {
+            let alpha = if alpha_plane { f64::from(pixels.planes[3][index]) } else { 1.0 };
+            for channel in 0..3 {
+                let linear = f64::from(pixels.planes[channel][index]) / alpha;
+                let exact = srgb(linear.clamp(0.0, 1.0)) * top;
+                // Half a step of rounding, and single precision before it.
+                assert!((pixel[channel] - exact).abs() <= 0.5 + top * 1e-6, "{} for {exact}", pixel[channel]);
+            }
+            if alpha_plane {
+                assert_eq!(pixel[3], (alpha * top + 0.5).floor());
+            }
+        }
+    }
+}
+
+#[test]
+fn a_png_is_tagged_srgb_and_says_what_made_it() {
+    for job in pngs() {
+        let info = decode_png(&file(&job, &whole(&job))).info;
+        assert!(info.srgb.is_some());
+        let texts: Vec<_> =
+            info.utf8_text.iter().map(|chunk| (chunk.keyword.as_str(), chunk.get_text().unwrap())).collect();
+        assert_eq!(texts, [("sdfarm", expected_provenance(&job))]);
+        assert!(info.uncompressed_latin1_text.is_empty() && info.compressed_latin1_text.is_empty());
+    }
+}
+
+fn expected_provenance(job: &Job) -> String {
+    let (scene, version, seed) = (job.scene_hash().to_hex(), scene::PICTURE_VERSION, job.image.seed);
+    format!(r#"{{"scene":"{scene}","picture_version":{version},"frame":3,"seed":{seed}}}"#)
+}
+
+#[test]
+fn an_independent_reader_sees_the_same_png() {
+    let python = Command::new("python3").arg("--version").stdout(Stdio::null()).status();
+    if !python.is_ok_and(|status| status.success()) {
+        eprintln!("python3 is missing: the independent PNG reader was NOT run");
+        return;
+    }
+    for job in pngs() {
+        let bytes = file(&job, &whole(&job));
+        let mut child = Command::new("python3")
+            .args(["-c", include_str!("read_png.py")])
+            .stdin(Stdio::piped())
+            .stdout(Stdio::piped())
+            .spawn()
+            .unwrap();
+        child.stdin.take().unwrap().write_all(&bytes).unwrap();
+        let output = child.wait_with_output().unwrap();
+        assert!(output.status.success());
+        assert_eq!(output.stdout, decode_png(&bytes).bytes);
+    }
+}
+
+fn decode_exr(bytes: &[u8]) -> exr::image::FlatImage {
+    use exr::prelude::*;
+    read()
+        .no_deep_data()
+        .largest_resolution_level()
+        .all_channels()
+        .all_layers()
+        .all_attributes()
+        .pedantic()
+        .from_buffered(Cursor::new(bytes))
+        .unwrap()
+}
+
+#[test]
+fn an_exr_holds_exactly_its_pixels() {
+    for job in exrs() {
+        let pixels = whole(&job);
+        let image = decode_exr(&file(&job, &pixels));
+        let [layer] = image.layer_data.as_slice() else { panic!("one layer") };
+        let channels = &layer.channel_data.list;
+        assert!(channels.is_sorted_by_key(|channel| channel.name.to_string()));
+        assert_eq!(channels.len(), pixels.planes.len());
+        for (name, plane) in job.image.channels().iter().zip(&pixels.planes) {
+            let channel = channels.iter().find(|channel| channel.name.to_string() == *name).unwrap();
+            let half = ["R", "G", "B", "A"].contains(name) && job.image.precision == Precision::Half;
+            match &channel.sample_data {
+                exr::image::FlatSamples::F16(samples) => {
+                    assert!(half);
+                    assert!(samples.iter().zip(plane).all(|(half, &full)| *half == f16::from_f32(full)));
+                }
+                exr::image::FlatSamples::F32(samples) => {
+                    assert!(!half);
+                    assert!(samples.iter().zip(plane).all(|(a, b)| a.to_bits() == (b + 0.0).to_bits()), "{name}");
+                }
+                exr::image::FlatSamples::U32(_) => panic!("{name} is an integer"),
+            }
+        }
+    }
+}
+
+#[test]
+fn an_exr_says_what_made_it_and_nothing_else() {
+    for job in exrs() {
+        let image = decode_exr(&file(&job, &whole(&job)));
+        let attributes = &image.layer_data[0].attributes;
+        let expected = exr::meta::attribute::AttributeValue::Text(expected_provenance(&job).as_str().into());
+        assert_eq!(attributes.other.iter().collect::<Vec<_>>(), [(&"sdfarm".into(), &expected)]);
+        assert!(image.attributes.other.is_empty());
+    }
+}
+
+#[test]
+fn an_exr_holds_no_negative_zero_and_no_nan() {
+    let layers = format!(r#""format": "exr", "precision": "float", "layers": {ALL_LAYERS}"#);
+    for job in [transparent_job(4, 1, &layers), transparent_job(4, 1, r#""format": "exr""#)] {
+        let planes = vec![vec![-0.0, f32::NAN, -1e-12, 1e9]; job.image.channels().len()];
+        let image = decode_exr(&file(&job, &Pixels { rect: Rect::whole(4, 1), planes }));
+        for channel in &image.layer_data[0].channel_data.list {
+            let bits: Vec<u32> = channel.sample_data.values_as_f32().map(f32::to_bits).collect();
+            let half = matches!(channel.sample_data, exr::image::FlatSamples::F16(_));
+            let [small, large] = if half { [0.0, f32::INFINITY] } else { [-1e-12, 1e9_f32] };
+            assert_eq!(bits, [0, 0, small.to_bits(), large.to_bits()], "{}", channel.name);
+        }
+    }
+}
+
+#[test]
+fn halves_round_to_the_nearest_even() {
+    let job = job(4, 1, r#""format": "exr""#);
+    let step = 1.0 / 1024.0;
+    let row = vec![1.0 + step * 0.5, 1.0 + step * 1.5, 1.0 + step * 0.501, 65519.0];
+    let image = decode_exr(&file(&job, &Pixels { rect: Rect::whole(4, 1), planes: vec![row; 4] }));
+    let values: Vec<f32> = image.layer_data[0].channel_data.list[0].sample_data.values_as_f32().collect();
+    assert_eq!(values, [1.0, 1.0 + step * 2.0, 1.0 + step, 65504.0]);
+}
