@@ -1,14 +1,32 @@
-//! What a picture is: the scene language and its exact arithmetic.
+//! What a picture is: the job and scene language, and the exact arithmetic that turns a scene
+//! into pixels.
+//!
+//! Pure maths: no input or output, no threads, no `unsafe`, no GPU. Every formula is generic over
+//! [`real::Real`] and gives the same bits in each arithmetic.
 
-/// One fault of a job file.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Fault {
-    /// JSON pointer to the place.
-    pub pointer: String,
-    /// What is wrong there, and the cure.
-    pub message: String,
-    /// Line, from 1.
-    pub line: u32,
-    /// Column, from 1, in bytes.
-    pub column: u32,
-}
+pub mod camera;
+pub mod color;
+mod fault;
+pub mod job;
+mod key;
+pub mod lights;
+pub mod limits;
+pub mod march;
+pub mod materials;
+pub mod nodes;
+mod outline;
+mod parse;
+pub mod pixel;
+pub mod real;
+pub mod sampling;
+pub mod scene;
+pub mod values;
+
+pub use fault::{Fault, Refusal};
+pub use job::{Bits, Format, Frames, Image, Job, Layer, Precision};
+pub use parse::{parse, schema};
+pub use pixel::Program;
+pub use scene::Scene;
+
+/// The definition of a picture's bits: raised only when some picture's bits change, never with a release.
+pub const PICTURE_VERSION: u32 = 1;

@@ -1,0 +1,250 @@
+//! A job: a scene, and the pictures wanted of it.
+
+use schemars::JsonSchema;
+use serde::{Deserialize, Deserializer, Serialize};
+
+use crate::limits::{MAX_EDGE_PX, MAX_FRAMES, MAX_SAMPLES};
+use crate::scene::{Background, Scene};
+use crate::values::{FrameRate, whole};
+
+/// What one POSTs.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Job {
+    /// A name for people.
+    #[serde(default = "untitled")]
+    #[schemars(length(max = crate::limits::MAX_NAME_CHARS))]
+    pub name: String,
+    /// What there is to see.
+    pub scene: Scene,
+    /// The pictures' size and file format.
+    pub image: Image,
+    /// How many pictures.
+    #[serde(default)]
+    pub frames: Frames,
+    /// Jobs of higher priority go first.
+    #[serde(default, deserialize_with = "priority")]
+    #[schemars(range(min = -100, max = 100))]
+    pub priority: i32,
+}
+
+/// A picture's size and file format.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Image {
+    /// Width, in pixels.
+    #[serde(deserialize_with = "edge")]
+    #[schemars(range(min = 1, max = MAX_EDGE_PX))]
+    pub width: u32,
+    /// Height, in pixels.
+    #[serde(deserialize_with = "edge")]
+    #[schemars(range(min = 1, max = MAX_EDGE_PX))]
+    pub height: u32,
+    /// Rays a pixel.
+    #[serde(default = "four", deserialize_with = "samples")]
+    #[schemars(range(min = 1, max = MAX_SAMPLES))]
+    pub samples: u32,
+    /// Where in their pixels the rays pass: another seed, another noise.
+    #[serde(default, deserialize_with = "seed")]
+    pub seed: u32,
+    /// File format.
+    #[serde(default)]
+    pub format: Format,
+    /// Bits a channel of a PNG.
+    #[serde(default)]
+    pub bits: Bits,
+    /// Precision of the colour channels of an EXR.
+    #[serde(default)]
+    pub precision: Precision,
+    /// What an EXR holds beside the colours.
+    #[serde(default)]
+    pub layers: Vec<Layer>,
+}
+
+/// A file format.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum Format {
+    /// PNG in sRGB.
+    #[default]
+    Png,
+    /// OpenEXR in linear light.
+    Exr,
+}
+
+/// Bits a channel of a PNG.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Bits {
+    /// 8 bits.
+    #[default]
+    Eight,
+    /// 16 bits.
+    Sixteen,
+}
+
+/// Precision of the colour channels of an EXR.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum Precision {
+    /// 16-bit floating point.
+    #[default]
+    Half,
+    /// 32-bit floating point.
+    Float,
+}
+
+/// What an EXR may hold beside the colours, taken at the pixel's centre.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum Layer {
+    /// `Z`: distance along the ray; infinite where nothing is hit.
+    Depth,
+    /// `N.X N.Y N.Z`: the normal.
+    Normal,
+    /// `P.X P.Y P.Z`: the position.
+    Position,
+    /// `albedo.R albedo.G albedo.B`: the surface's own colour.
+    Albedo,
+    /// `id`: index into the objects; −1 where nothing is hit.
+    Object,
+    /// `steps`: of the march.
+    Steps,
+}
+
+/// How many pictures, and how fast they follow.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields, default)]
+pub struct Frames {
+    /// How many.
+    #[serde(deserialize_with = "frame_count")]
+    #[schemars(range(min = 1, max = MAX_FRAMES))]
+    pub count: u32,
+    /// Frames a second: frame i is at i/fps seconds.
+    pub fps: FrameRate,
+}
+
+impl Default for Frames {
+    fn default() -> Self {
+        Self { count: 1, fps: FrameRate::new(24.0).expect("24 is in range") }
+    }
+}
+
+impl Layer {
+    /// The EXR channels it fills, in the order of its values.
+    pub fn channels(self) -> &'static [&'static str] {
+        match self {
+            Self::Depth => &["Z"],
+            Self::Normal => &["N.X", "N.Y", "N.Z"],
+            Self::Position => &["P.X", "P.Y", "P.Z"],
+            Self::Albedo => &["albedo.R", "albedo.G", "albedo.B"],
+            Self::Object => &["id"],
+            Self::Steps => &["steps"],
+        }
+    }
+}
+
+impl Image {
+    /// The channels of a finished pixel: red, green, blue, alpha, then those of the layers.
+    pub fn channels(&self) -> Vec<&'static str> {
+        let layers = self.layers.iter().flat_map(|layer| layer.channels());
+        ["R", "G", "B", "A"].iter().chain(layers).copied().collect()
+    }
+
+    /// Bytes of a finished pixel, each channel an `f32`.
+    pub fn pixel_bytes(&self) -> u32 {
+        4 * self.channels().len() as u32
+    }
+
+    /// Number of pixels.
+    pub fn pixels(&self) -> u64 {
+        u64::from(self.width) * u64::from(self.height)
+    }
+}
+
+impl Job {
+    /// Camera rays of one frame.
+    pub fn rays_per_frame(&self) -> u64 {
+        self.image.pixels() * u64::from(self.image.samples)
+    }
+
+    /// Whether some pixel may be less than opaque.
+    pub fn is_transparent(&self) -> bool {
+        self.scene.background == Background::Transparent
+    }
+
+    /// What its author should know although it renders.
+    pub fn warnings(&self) -> Vec<String> {
+        let mut warnings = Vec::new();
+        if self.frames.count > 1 {
+            warnings.push(format!(
+                "nothing in the scene moves: the {} frames differ in their sampling noise only",
+                self.frames.count
+            ));
+        }
+        for name in self.scene.unused_materials() {
+            warnings.push(format!("material \"{name}\" is not used"));
+        }
+        warnings
+    }
+}
+
+impl Serialize for Bits {
+    fn serialize<S: serde::Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        serializer.serialize_u32(match self {
+            Self::Eight => 8,
+            Self::Sixteen => 16,
+        })
+    }
+}
+
+impl<'de> Deserialize<'de> for Bits {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        match whole(deserializer, 8, 16, "bits")? {
+            8 => Ok(Self::Eight),
+            16 => Ok(Self::Sixteen),
+            other => Err(serde::de::Error::custom(format_args!("must be 8 or 16 bits, not {other}"))),
+        }
+    }
+}
+
+impl JsonSchema for Bits {
+    fn schema_name() -> std::borrow::Cow<'static, str> {
+        "Bits".into()
+    }
+
+    fn json_schema(_: &mut schemars::SchemaGenerator) -> schemars::Schema {
+        schemars::json_schema!({ "type": "integer", "enum": [8, 16], "description": "Bits a channel of a PNG." })
+    }
+}
+
+fn untitled() -> String {
+    "untitled".to_owned()
+}
+
+fn four() -> u32 {
+    4
+}
+
+fn edge<'de, D: Deserializer<'de>>(deserializer: D) -> Result<u32, D::Error> {
+    whole(deserializer, 1, MAX_EDGE_PX, "pixels")
+}
+
+fn samples<'de, D: Deserializer<'de>>(deserializer: D) -> Result<u32, D::Error> {
+    whole(deserializer, 1, MAX_SAMPLES, "samples")
+}
+
+fn seed<'de, D: Deserializer<'de>>(deserializer: D) -> Result<u32, D::Error> {
+    whole(deserializer, 0, u32::MAX, "as a seed")
+}
+
+fn frame_count<'de, D: Deserializer<'de>>(deserializer: D) -> Result<u32, D::Error> {
+    whole(deserializer, 1, MAX_FRAMES, "frames")
+}
+
+fn priority<'de, D: Deserializer<'de>>(deserializer: D) -> Result<i32, D::Error> {
+    let value = i64::deserialize(deserializer)?;
+    i32::try_from(value)
+        .ok()
+        .filter(|value| (-100..=100).contains(value))
+        .ok_or_else(|| serde::de::Error::custom(format_args!("must be -100 to 100, not {value}")))
+}

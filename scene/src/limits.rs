@@ -1,0 +1,34 @@
+//! How large things may be. Over a limit is an error that names it, never a crash.
+
+/// Bytes of a job file.
+pub const MAX_BODY_BYTES: usize = 8 << 20;
+/// Nesting of JSON arrays and objects, checked before parsing.
+pub const MAX_JSON_DEPTH: usize = 256;
+/// Nesting of nodes.
+pub const MAX_NODE_DEPTH: usize = 64;
+/// Nodes of a scene.
+pub const MAX_NODES: usize = 100_000;
+/// Materials in use in a scene.
+pub const MAX_MATERIALS: usize = 1_024;
+/// Lights of a scene.
+pub const MAX_LIGHTS: usize = 64;
+/// Pixels of a frame.
+pub const MAX_PIXELS: u64 = 1 << 28;
+/// Pixels of a picture's edge.
+pub const MAX_EDGE_PX: u32 = 65_535;
+/// Rays a pixel.
+pub const MAX_SAMPLES: u32 = 65_536;
+/// Frames of a job.
+pub const MAX_FRAMES: u32 = 100_000;
+/// Camera rays of a job.
+pub const MAX_RAYS: u64 = 1 << 44;
+/// Characters of a name.
+pub const MAX_NAME_CHARS: usize = 200;
+/// Steps of one ray.
+pub const MAX_STEPS: u32 = 65_536;
+/// Largest coordinate or length, in scene units.
+pub const MAX_LENGTH: f32 = 1e6;
+/// Smallest size, in scene units.
+pub const MIN_LENGTH: f32 = 1e-6;
+/// Iterations of a fractal.
+pub const MAX_ITERATIONS: u32 = 64;

@@ -1,0 +1,42 @@
+//! Shapes changed in other ways than by moving them.
+
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+use super::transforms::around_child;
+use super::{Child, Node, Sample, Sdf};
+use crate::materials::MaterialUse;
+use crate::real::{Real, Vec3};
+
+/// A shape in a material of its own; the innermost one is seen.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Paint {
+    /// The material: a name from `materials`, or one in place.
+    pub material: MaterialUse,
+    /// The shape.
+    pub child: Child,
+}
+
+impl Sdf for Paint {
+    const EXAMPLE: &str = r##"{
+        "material": { "diffuse": { "kd": "#d9481c" } },
+        "child": { "sphere": { "radius": 1 } }
+    }"##;
+
+    #[inline(always)]
+    fn sample<R: Real, V: Sample<R>>(&self, p: Vec3<R>) -> V {
+        let child: V = self.child.sample(p);
+        child.paint(self.material.slot())
+    }
+
+    fn material(&self) -> Option<&MaterialUse> {
+        Some(&self.material)
+    }
+
+    fn material_mut(&mut self) -> Option<&mut MaterialUse> {
+        Some(&mut self.material)
+    }
+
+    around_child!();
+}

@@ -1,0 +1,229 @@
+//! Shapes with a closed formula. Unless said otherwise each is exact: its value is the Euclidean
+//! distance to the surface, negative inside.
+
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+use super::Primitive;
+use crate::real::{Real, Vec3, vec3};
+use crate::values::{Amount, Coordinate, Direction, Length, Point};
+
+/// A ball around the origin.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Sphere {
+    /// Its radius.
+    pub radius: Length,
+}
+
+impl Primitive for Sphere {
+    const EXAMPLE: &str = r#"{ "radius": 1 }"#;
+
+    #[inline(always)]
+    fn distance<R: Real>(&self, p: Vec3<R>) -> R {
+        p.length() - self.radius.get()
+    }
+}
+
+/// A box around the origin, its edges along the axes.
+///
+/// Inigo Quilez, "Distance functions": <https://iquilezles.org/articles/distfunctions/>.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Box {
+    /// Whole extents along x, y and z.
+    pub size: [Length; 3],
+    /// Radius of its rounded edges, inside `size`.
+    #[serde(default = "nothing")]
+    pub round: Amount,
+}
+
+impl Primitive for Box {
+    const EXAMPLE: &str = r#"{ "size": [1.6, 1, 1.2], "round": 0.1 }"#;
+
+    #[inline(always)]
+    fn distance<R: Real>(&self, p: Vec3<R>) -> R {
+        let half = self.size.map(|edge| edge.get() / 2.0 - self.round.get());
+        let past_face = vec3(p.x.abs() - half[0], p.y.abs() - half[1], p.z.abs() - half[2]);
+        let outside = past_face.map(|c| c.at_least(0.0)).length();
+        let inside = past_face.max_element().at_most(0.0);
+        outside + inside - self.round.get()
+    }
+}
+
+/// Half of space: all that lies behind a plane.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Plane {
+    /// Which way its surface looks; of any length.
+    pub normal: Direction,
+    /// How far the surface lies from the origin, along the normal.
+    pub offset: Coordinate,
+}
+
+impl Primitive for Plane {
+    const EXAMPLE: &str = r#"{ "normal": [0.2, 1, 0.1], "offset": -0.2 }"#;
+
+    #[inline(always)]
+    fn distance<R: Real>(&self, p: Vec3<R>) -> R {
+        p.dot_known(self.normal.unit()) - self.offset.get()
+    }
+}
+
+/// A cylinder around the y axis, its middle at the origin.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Cylinder {
+    /// Its radius.
+    pub radius: Length,
+    /// Its whole height.
+    pub height: Length,
+}
+
+impl Primitive for Cylinder {
+    const EXAMPLE: &str = r#"{ "radius": 0.7, "height": 1.6 }"#;
+
+    #[inline(always)]
+    fn distance<R: Real>(&self, p: Vec3<R>) -> R {
+        let past_side = p.x.square_add(p.z.square()).sqrt() - self.radius.get();
+        let past_cap = p.y.abs() - self.height.get() / 2.0;
+        let (side, cap) = (past_side.at_least(0.0), past_cap.at_least(0.0));
+        side.square_add(cap.square()).sqrt() + past_side.max(past_cap).at_most(0.0)
+    }
+}
+
+/// A cylinder around the y axis, without ends.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct InfiniteCylinder {
+    /// Its radius.
+    pub radius: Length,
+}
+
+impl Primitive for InfiniteCylinder {
+    const EXAMPLE: &str = r#"{ "radius": 0.6 }"#;
+
+    #[inline(always)]
+    fn distance<R: Real>(&self, p: Vec3<R>) -> R {
+        p.x.square_add(p.z.square()).sqrt() - self.radius.get()
+    }
+}
+
+/// A prism along z over an equilateral triangle that points up: base at y = −height/2, apex at y = height.
+///
+/// A bound: the distance to the nearest face's plane, as in Robles, Lee, Yin and Dhar,
+/// "Procedural Rendering with Ray Marching".
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct TriangularPrism {
+    /// Radius of the triangle's circumcircle.
+    pub height: Length,
+    /// Whole length along z.
+    pub length: Length,
+}
+
+impl Primitive for TriangularPrism {
+    const EXAMPLE: &str = r#"{ "height": 0.8, "length": 1.6 }"#;
+
+    #[inline(always)]
+    fn distance<R: Real>(&self, p: Vec3<R>) -> R {
+        const COS_30: f32 = 0.866_025_4;
+        let past_end = p.z.abs() - self.length.get() / 2.0;
+        let slope = p.x.abs() * COS_30 + p.y * 0.5;
+        past_end.max(slope.max(-p.y) - self.height.get() / 2.0)
+    }
+}
+
+/// A pyramid over the unit square on y = 0, its apex at y = height.
+///
+/// The distance to the slanted faces is Inigo Quilez's, "Distance functions":
+/// <https://iquilezles.org/articles/distfunctions/>; the base is added here.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Pyramid {
+    /// Height of its apex.
+    pub height: Length,
+}
+
+impl Primitive for Pyramid {
+    const EXAMPLE: &str = r#"{ "height": 0.9 }"#;
+
+    #[inline(always)]
+    fn distance<R: Real>(&self, p: Vec3<R>) -> R {
+        let height = self.height.get();
+        let slant = height * height + 0.25;
+        // By symmetry, the face that looks towards +x; its base edge runs along z at x = 0.
+        let (x, z) = (p.x.abs(), p.z.abs());
+        let (x, z) = (x.max(z) - 0.5, x.min(z) - 0.5);
+        // Along the edge, up the face, and out of it; the latter two times √slant.
+        let (along, up, out) = (z, p.y * height - x * 0.5, x * height + p.y * 0.5);
+        let past_edge = along.at_least(0.0);
+        let to_base_edge = past_edge.square() * slant + up.square();
+        let share = ((up - z * 0.5) * (1.0 / (slant + 0.25))).at_least(0.0).at_most(1.0);
+        let to_slant_edge = (along + share * 0.5).square() * slant + (up - share * slant).square();
+        let over_face = up.min(-along * slant - up * 0.5).above(0.0);
+        let beside = R::select(over_face, p.y.splat(0.0), to_base_edge.min(to_slant_edge));
+        let to_face = (beside + out.square()) * (1.0 / slant);
+        let to_base = x.at_least(0.0).square_add(z.at_least(0.0).square_add(p.y.square()));
+        let distance = to_face.min(to_base).sqrt();
+        R::select(out.max(-p.y).below(0.0), -distance, distance)
+    }
+}
+
+/// A ring around the y axis.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Torus {
+    /// Radius of the circle in the middle of the tube.
+    pub radius: Length,
+    /// Radius of the tube.
+    pub tube: Length,
+}
+
+impl Primitive for Torus {
+    const EXAMPLE: &str = r#"{ "radius": 0.8, "tube": 0.3 }"#;
+
+    #[inline(always)]
+    fn distance<R: Real>(&self, p: Vec3<R>) -> R {
+        let off_circle = p.x.square_add(p.z.square()).sqrt() - self.radius.get();
+        off_circle.square_add(p.y.square()).sqrt() - self.tube.get()
+    }
+}
+
+/// All points within a radius of the segment between two points.
+///
+/// Inigo Quilez, "Distance functions": <https://iquilezles.org/articles/distfunctions/>.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Capsule {
+    /// One end of the segment.
+    pub a: Point,
+    /// The other end.
+    pub b: Point,
+    /// The radius.
+    pub radius: Length,
+}
+
+impl Primitive for Capsule {
+    const EXAMPLE: &str = r#"{ "a": [-0.7, -0.4, 0], "b": [0.7, 0.5, 0.2], "radius": 0.4 }"#;
+
+    #[inline(always)]
+    fn distance<R: Real>(&self, p: Vec3<R>) -> R {
+        let (a, b) = (self.a.get(), self.b.get());
+        let axis = vec3(b.x - a.x, b.y - a.y, b.z - a.z);
+        // Two ends in one place make a ball: any share of no axis is the same point.
+        let axis_over_square = scaled(axis, 1.0 / axis.length_squared().max(1e-20));
+        let from_a = vec3(p.x - a.x, p.y - a.y, p.z - a.z);
+        let share = from_a.dot_known(axis_over_square).at_least(0.0).at_most(1.0);
+        let nearest = Vec3::splat(p.x, vec3(-axis.x, -axis.y, -axis.z)).mul_add(share, from_a);
+        nearest.length() - self.radius.get()
+    }
+}
+
+fn scaled(v: Vec3<f32>, factor: f32) -> Vec3<f32> {
+    vec3(v.x * factor, v.y * factor, v.z * factor)
+}
+
+fn nothing() -> Amount {
+    Amount::new(0.0).expect("0 is in range")
+}

@@ -1,0 +1,144 @@
+//! What a node gives at a point: a bare distance while marching, with materials once a ray has hit.
+
+use crate::real::Real;
+
+/// What a node gives at a point.
+pub trait Sample<R: Real>: Clone {
+    /// A surface at this distance, wearing whatever its object wears.
+    fn new(distance: R) -> Self;
+
+    /// The distance.
+    fn distance(&self) -> R;
+
+    /// The same surface at another distance.
+    fn at(self, distance: R) -> Self;
+
+    /// Two surfaces made one at `distance`; the second has the share that `second` tells, 0 to 1.
+    fn blend(self, other: Self, distance: R, second: impl FnOnce() -> R) -> Self;
+
+    /// The same surface, wearing a material wherever nothing inside it says otherwise.
+    fn paint(self, slot: u32) -> Self;
+}
+
+/// A bare distance.
+#[derive(Clone, Copy, Debug)]
+pub struct Distance<R>(pub R);
+
+impl<R: Real> Sample<R> for Distance<R> {
+    #[inline(always)]
+    fn new(distance: R) -> Self {
+        Self(distance)
+    }
+
+    #[inline(always)]
+    fn distance(&self) -> R {
+        self.0
+    }
+
+    #[inline(always)]
+    fn at(self, distance: R) -> Self {
+        Self(distance)
+    }
+
+    #[inline(always)]
+    fn blend(self, _: Self, distance: R, _: impl FnOnce() -> R) -> Self {
+        Self(distance)
+    }
+
+    #[inline(always)]
+    fn paint(self, _: u32) -> Self {
+        self
+    }
+}
+
+/// A material's share of a surface.
+#[derive(Clone, Copy, Debug)]
+pub struct Coat<R> {
+    /// The material's slot; `None` is the object's own.
+    pub slot: Option<u32>,
+    /// Its share, 0 to 1.
+    pub share: R,
+}
+
+/// A distance with the materials of the surface.
+#[derive(Clone, Debug)]
+pub struct Painted<R> {
+    distance: R,
+    /// One entry a material; empty where nothing is painted, which is the common case.
+    coats: Vec<Coat<R>>,
+}
+
+impl<R: Real> Painted<R> {
+    /// The materials' shares; empty where nothing is painted.
+    pub fn coats(&self) -> &[Coat<R>] {
+        &self.coats
+    }
+}
+
+impl<R: Real> Sample<R> for Painted<R> {
+    #[inline(always)]
+    fn new(distance: R) -> Self {
+        Self { distance, coats: Vec::new() }
+    }
+
+    #[inline(always)]
+    fn distance(&self) -> R {
+        self.distance
+    }
+
+    #[inline(always)]
+    fn at(self, distance: R) -> Self {
+        Self { distance, ..self }
+    }
+
+    #[inline(always)]
+    fn blend(self, other: Self, distance: R, second: impl FnOnce() -> R) -> Self {
+        if self.coats.is_empty() && other.coats.is_empty() {
+            return Self::new(distance);
+        }
+        let second = second();
+        let first = second.splat(1.0) - second;
+        let explicit = |coats: Vec<Coat<R>>| {
+            if coats.is_empty() { vec![Coat { slot: None, share: second.splat(1.0) }] } else { coats }
+        };
+        let mut coats = explicit(self.coats);
+        for coat in &mut coats {
+            coat.share = coat.share * first;
+        }
+        for coat in explicit(other.coats) {
+            add(&mut coats, Coat { slot: coat.slot, share: coat.share * second });
+        }
+        Self { distance, coats }
+    }
+
+    #[inline(always)]
+    fn paint(self, slot: u32) -> Self {
+        let distance = self.distance;
+        if self.coats.is_empty() {
+            return Self { distance, coats: vec![Coat { slot: Some(slot), share: distance.splat(1.0) }] };
+        }
+        let mut coats = Vec::with_capacity(self.coats.len());
+        for coat in self.coats {
+            add(&mut coats, Coat { slot: coat.slot.or(Some(slot)), share: coat.share });
+        }
+        Self { distance, coats }
+    }
+}
+
+/// Adds a coat to those of the same material, or as a new one.
+#[inline(always)]
+fn add<R: Real>(coats: &mut Vec<Coat<R>>, new: Coat<R>) {
+    for coat in coats.iter_mut() {
+        if coat.slot == new.slot {
+            coat.share = coat.share + new.share;
+            return;
+        }
+    }
+    coats.push(new);
+}
+
+/// 1 where `mask` holds, else 0.
+#[inline(always)]
+pub(super) fn indicator<R: Real>(like: R, mask: R::Mask) -> R {
+    R::select(mask, like.splat(1.0), like.splat(0.0))
+}

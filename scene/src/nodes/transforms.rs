@@ -1,0 +1,90 @@
+//! A shape somewhere else: moved, turned, resized. All keep an exact distance exact.
+
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+use super::{Child, Node, Sample, Sdf};
+use crate::real::{Real, Vec3, vec3};
+use crate::values::{Factor, Point, Rotation};
+
+/// A shape moved.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Translate {
+    /// By how much.
+    pub by: Point,
+    /// The shape.
+    pub child: Child,
+}
+
+/// A shape turned about the fixed x, then y, then z axis.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Rotate {
+    /// Angles about x, y and z.
+    pub degrees: Rotation,
+    /// The shape.
+    pub child: Child,
+}
+
+/// A shape made larger or smaller, evenly.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Scale {
+    /// How many times as large.
+    pub by: Factor,
+    /// The shape.
+    pub child: Child,
+}
+
+macro_rules! around_child {
+    () => {
+        fn children(&self) -> &[Node] {
+            std::slice::from_ref(&self.child)
+        }
+
+        fn children_mut(&mut self) -> &mut [Node] {
+            std::slice::from_mut(&mut self.child)
+        }
+    };
+}
+
+pub(super) use around_child;
+
+impl Sdf for Translate {
+    const EXAMPLE: &str = r#"{ "by": [0.6, 0.3, 0], "child": { "box": { "size": [1, 1, 1] } } }"#;
+
+    #[inline(always)]
+    fn sample<R: Real, V: Sample<R>>(&self, p: Vec3<R>) -> V {
+        let by = self.by.get();
+        self.child.sample(vec3(p.x - by.x, p.y - by.y, p.z - by.z))
+    }
+
+    around_child!();
+}
+
+impl Sdf for Rotate {
+    const EXAMPLE: &str = r#"{ "degrees": [30, 40, 0], "child": { "box": { "size": [1.2, 0.8, 1.6] } } }"#;
+
+    #[inline(always)]
+    fn sample<R: Real, V: Sample<R>>(&self, p: Vec3<R>) -> V {
+        let [x, y, z] = self.degrees.inverse_rows();
+        self.child.sample(vec3(p.dot_known(x), p.dot_known(y), p.dot_known(z)))
+    }
+
+    around_child!();
+}
+
+impl Sdf for Scale {
+    const EXAMPLE: &str = r#"{ "by": 1.4, "child": { "torus": { "radius": 0.6, "tube": 0.2 } } }"#;
+
+    #[inline(always)]
+    fn sample<R: Real, V: Sample<R>>(&self, p: Vec3<R>) -> V {
+        let by = self.by.get();
+        let child: V = self.child.sample(p * p.x.splat(1.0 / by));
+        let distance = child.distance() * by;
+        child.at(distance)
+    }
+
+    around_child!();
+}

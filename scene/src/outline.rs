@@ -1,0 +1,235 @@
+//! A look over a JSON text before and after it is parsed: how deep it nests, whether an object
+//! says a key twice, and where the value of a JSON pointer stands.
+//!
+//! It never judges syntax: where the text is broken it stops, and the parser says why.
+
+use std::collections::HashSet;
+
+/// What is wrong with the outline of a text.
+#[derive(Debug, PartialEq, Eq)]
+pub(crate) struct OutlineFault {
+    /// Byte of the text.
+    pub offset: usize,
+    /// JSON pointer to the place.
+    pub pointer: String,
+    /// Whether it nests too deep, or says a key twice.
+    pub kind: OutlineFaultKind,
+}
+
+/// What may be wrong with the outline of a text.
+#[derive(Debug, PartialEq, Eq)]
+pub(crate) enum OutlineFaultKind {
+    /// Arrays and objects nest deeper than allowed.
+    TooDeep,
+    /// An object says this key twice.
+    DoubledKey(String),
+}
+
+/// An open array or object, and where in it the text stands.
+enum Level {
+    Array { index: usize },
+    Object { key: Option<String>, seen: HashSet<String> },
+}
+
+/// One step of the walk over a text.
+enum Event<'a> {
+    /// A key stands at this offset.
+    Key { offset: usize, key: &'a str },
+    /// A value begins at this offset.
+    Value { offset: usize },
+}
+
+/// Looks for what a parser would not see or not survive.
+pub(crate) fn check(text: &str, max_depth: usize) -> Result<(), OutlineFault> {
+    let mut fault = None;
+    walk(text, |levels, event| {
+        let (offset, kind) = match event {
+            Event::Value { offset } => {
+                if levels.len() <= max_depth {
+                    return true;
+                }
+                (offset, OutlineFaultKind::TooDeep)
+            }
+            Event::Key { offset, key } => {
+                let is_new = match levels.last_mut() {
+                    Some(Level::Object { seen, .. }) => seen.insert(key.to_owned()),
+                    Some(Level::Array { .. }) | None => true,
+                };
+                if is_new {
+                    return true;
+                }
+                (offset, OutlineFaultKind::DoubledKey(key.to_owned()))
+            }
+        };
+        // A pointer to a place thousands of levels down helps nobody.
+        let shown = levels.len().min(max_depth);
+        fault = Some(OutlineFault { offset, pointer: pointer(&levels[..shown]), kind });
+        false
+    });
+    fault.map_or(Ok(()), Err)
+}
+
+/// Where the value that `pointer` points at begins.
+pub(crate) fn locate_value(text: &str, pointer: &str) -> Option<usize> {
+    locate(text, pointer, |event| match event {
+        Event::Key { .. } => None,
+        Event::Value { offset } => Some(*offset),
+    })
+}
+
+/// Where the key of the value that `pointer` points at begins.
+pub(crate) fn locate_key(text: &str, pointer: &str) -> Option<usize> {
+    locate(text, pointer, |event| match event {
+        Event::Key { offset, .. } => Some(*offset),
+        Event::Value { .. } => None,
+    })
+}
+
+fn locate(text: &str, pointer: &str, place: impl Fn(&Event<'_>) -> Option<usize>) -> Option<usize> {
+    let wanted: Vec<String> = pointer.split('/').skip(1).map(unescape).collect();
+    let mut found = None;
+    walk(text, |levels, event| {
+        if points_at(levels, &wanted) {
+            found = place(&event);
+        }
+        found.is_none()
+    });
+    found
+}
+
+fn points_at(levels: &[Level], wanted: &[String]) -> bool {
+    levels.len() == wanted.len()
+        && levels.iter().zip(wanted).rev().all(|(level, wanted)| match level {
+            Level::Array { index } => wanted.parse() == Ok(*index),
+            Level::Object { key, .. } => key.as_ref() == Some(wanted),
+        })
+}
+
+fn pointer(levels: &[Level]) -> String {
+    levels
+        .iter()
+        .map(|level| match level {
+            Level::Array { index } => format!("/{index}"),
+            Level::Object { key, .. } => format!("/{}", escape(key.as_deref().unwrap_or_default())),
+        })
+        .collect()
+}
+
+/// A key as RFC 6901 writes it in a pointer.
+pub(crate) fn escape(key: &str) -> String {
+    key.replace('~', "~0").replace('/', "~1")
+}
+
+fn unescape(part: &str) -> String {
+    part.replace("~1", "/").replace("~0", "~")
+}
+
+/// Walks over a text as long as it makes sense and `visit` returns true.
+fn walk(text: &str, mut visit: impl FnMut(&mut Vec<Level>, Event<'_>) -> bool) {
+    let bytes = text.as_bytes();
+    let mut levels: Vec<Level> = Vec::new();
+    let mut at = 0;
+    while at < bytes.len() {
+        match bytes[at] {
+            b' ' | b'\t' | b'\n' | b'\r' | b':' => at += 1,
+            b',' => {
+                match levels.last_mut() {
+                    Some(Level::Array { index }) => *index += 1,
+                    Some(Level::Object { key, .. }) => *key = None,
+                    None => return,
+                }
+                at += 1;
+            }
+            b']' | b'}' => {
+                levels.pop();
+                at += 1;
+            }
+            b'"' => {
+                let Some(end) = string_end(bytes, at) else { return };
+                let wants_key = matches!(levels.last(), Some(Level::Object { key: None, .. }));
+                let go_on = if wants_key {
+                    let Ok(name) = serde_json::from_str::<String>(&text[at..end]) else { return };
+                    if let Some(Level::Object { key, .. }) = levels.last_mut() {
+                        *key = Some(name.clone());
+                    }
+                    visit(&mut levels, Event::Key { offset: at, key: &name })
+                } else {
+                    visit(&mut levels, Event::Value { offset: at })
+                };
+                if !go_on {
+                    return;
+                }
+                at = end;
+            }
+            opening @ (b'[' | b'{') => {
+                if !visit(&mut levels, Event::Value { offset: at }) {
+                    return;
+                }
+                levels.push(if opening == b'[' {
+                    Level::Array { index: 0 }
+                } else {
+                    Level::Object { key: None, seen: HashSet::new() }
+                });
+                at += 1;
+            }
+            _ => {
+                if !visit(&mut levels, Event::Value { offset: at }) {
+                    return;
+                }
+                at = bytes[at..].iter().position(|byte| b" \t\r\n,]}".contains(byte)).map_or(bytes.len(), |n| at + n);
+            }
+        }
+    }
+}
+
+/// The byte after the string that begins at `start`.
+fn string_end(bytes: &[u8], start: usize) -> Option<usize> {
+    let mut at = start + 1;
+    loop {
+        match bytes.get(at)? {
+            b'"' => return Some(at + 1),
+            b'\\' => at += 2,
+            _ => at += 1,
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn finds_values_by_pointer() {
+        let text = r#"{"a": [1, {"b/c": 22}], "d": "x"}"#;
+        let value = |pointer| locate_value(text, pointer).map(|offset| &text[offset..]);
+        assert!(value("/a/0").unwrap().starts_with("1,"));
+        assert!(value("/a/1/b~1c").unwrap().starts_with("22"));
+        assert!(value("/d").unwrap().starts_with("\"x\""));
+        assert_eq!(value("/e"), None);
+        assert_eq!(value(""), Some(text));
+        assert!(text[locate_key(text, "/a/1/b~1c").unwrap()..].starts_with("\"b/c\""));
+    }
+
+    #[test]
+    fn sees_a_doubled_key_however_it_is_spelled() {
+        let fault = check(r#"{"a": {"b": 1, "\u0062": 2}}"#, 9).unwrap_err();
+        assert_eq!(fault.kind, OutlineFaultKind::DoubledKey("b".into()));
+        assert_eq!(fault.pointer, "/a/b");
+        assert_eq!(fault.offset, 15);
+    }
+
+    #[test]
+    fn sees_deep_nesting_without_recursion() {
+        let deep = "[".repeat(100_000);
+        assert_eq!(check(&deep, 64).unwrap_err().kind, OutlineFaultKind::TooDeep);
+        assert_eq!(check("[[[1]]]", 3), Ok(()));
+        assert_eq!(check("[[[1]]]", 2).unwrap_err().offset, 3);
+    }
+
+    #[test]
+    fn broken_text_is_left_to_the_parser() {
+        for text in ["{", "\"abc", "]]", "{\"a\\", "nul", "[1,,2]"] {
+            assert_eq!(check(text, 8), Ok(()));
+        }
+    }
+}

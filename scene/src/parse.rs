@@ -1,0 +1,195 @@
+//! From the text of a job file to a [`Job`], or to what is wrong with it.
+
+use std::fmt::Write as _;
+
+use schemars::JsonSchema as _;
+use schemars::generate::SchemaSettings;
+use serde::de::IgnoredAny;
+use serde_path_to_error::{Path, Segment};
+
+use crate::fault::{Fault, Refusal};
+use crate::job::{Format, Job};
+use crate::limits::{
+    MAX_JSON_DEPTH, MAX_LIGHTS, MAX_MATERIALS, MAX_NAME_CHARS, MAX_NODE_DEPTH, MAX_NODES, MAX_PIXELS, MAX_RAYS,
+};
+use crate::nodes::Node;
+use crate::outline::{self, OutlineFaultKind};
+use crate::scene::child_steps;
+
+/// No answer lists more faults than this.
+const MAX_FAULTS: usize = 100;
+
+/// Reads a job: strictly, and with the place of every fault.
+pub fn parse(text: &[u8]) -> Result<Job, Refusal> {
+    let text = std::str::from_utf8(text).map_err(|error| not_utf8(text, error.valid_up_to()))?;
+    let outline = outline::check(text, MAX_JSON_DEPTH);
+    if let Err(fault) = &outline
+        && fault.kind == OutlineFaultKind::TooDeep
+    {
+        let message = format!("nests deeper than {MAX_JSON_DEPTH} arrays and objects: nest nodes at most {MAX_NODE_DEPTH} deep");
+        return Err(Refusal::Wrong(vec![Fault::at(text, Some(fault.offset), fault.pointer.clone(), message)]));
+    }
+    serde_json::from_str::<IgnoredAny>(text).map_err(|error| Refusal::NotJson(broken(&error)))?;
+    if let Err(fault) = outline
+        && let OutlineFaultKind::DoubledKey(key) = fault.kind
+    {
+        let message = format!("the key \"{key}\" stands here twice: keep one");
+        return Err(Refusal::Wrong(vec![Fault::at(text, Some(fault.offset), fault.pointer, message)]));
+    }
+    let mut job = form(text).map_err(|fault| Refusal::Wrong(vec![fault]))?;
+    let faults = meaning(&mut job);
+    if faults.is_empty() {
+        return Ok(job);
+    }
+    let place = |(pointer, message)| Fault::of_value(text, pointer, message);
+    Err(Refusal::Wrong(faults.into_iter().take(MAX_FAULTS).map(place).collect()))
+}
+
+/// The JSON Schema (draft 2020-12) of a job file.
+pub fn schema() -> serde_json::Value {
+    let mut generator = SchemaSettings::draft2020_12().into_generator();
+    let mut schema = Job::json_schema(&mut generator).to_value();
+    if let Some(object) = schema.as_object_mut() {
+        object.insert("$schema".into(), "https://json-schema.org/draft/2020-12/schema".into());
+        object.insert("title".into(), "sdfarm job".into());
+        object.insert("$defs".into(), generator.take_definitions(true).into());
+    }
+    schema
+}
+
+fn not_utf8(text: &[u8], offset: usize) -> Refusal {
+    let valid = String::from_utf8_lossy(&text[..offset]);
+    let message = "is not UTF-8: save the file as UTF-8 text";
+    Refusal::NotJson(Fault::at(&valid, Some(valid.len()), String::new(), message))
+}
+
+fn broken(error: &serde_json::Error) -> Fault {
+    Fault {
+        pointer: String::new(),
+        message: without_place(&error.to_string()),
+        line: error.line() as u32,
+        column: error.column().max(1) as u32,
+    }
+}
+
+fn without_place(message: &str) -> String {
+    message.rsplit_once(" at line ").map_or(message, |(message, _)| message).to_owned()
+}
+
+/// Reads the text's form; its first fault otherwise.
+fn form(text: &str) -> Result<Job, Fault> {
+    let mut deserializer = serde_json::Deserializer::from_str(text);
+    deserializer.disable_recursion_limit();
+    serde_path_to_error::deserialize(&mut deserializer).map_err(|error| {
+        let message = without_place(&error.inner().to_string());
+        let pointer = pointer(error.path());
+        if message.starts_with("unknown ") && outline::locate_key(text, &pointer).is_some() {
+            return Fault::of_key(text, pointer, message);
+        }
+        let message = if message == "number out of range" {
+            "is too large: numbers go up to 3.4e38".to_owned()
+        } else {
+            message
+        };
+        // The name of an unknown choice ends the path, but is no key of the text.
+        let place = if message.starts_with("unknown ") { parent(&pointer) } else { &pointer };
+        Fault::of_value(text, place.to_owned(), message)
+    })
+}
+
+fn parent(pointer: &str) -> &str {
+    pointer.rsplit_once('/').map_or("", |(parent, _)| parent)
+}
+
+fn pointer(path: &Path) -> String {
+    path.iter().fold(String::new(), |mut pointer, segment| {
+        match segment {
+            Segment::Seq { index } => write!(pointer, "/{index}"),
+            Segment::Map { key } | Segment::Enum { variant: key } => write!(pointer, "/{}", outline::escape(key)),
+            Segment::Unknown => Ok(()),
+        }
+        .expect("a String takes all that is written");
+        pointer
+    })
+}
+
+/// Pointer and message of every fault of meaning.
+type Faults = Vec<(String, String)>;
+
+/// Looks at what the parts mean together, and gives materials their slots.
+fn meaning(job: &mut Job) -> Faults {
+    let mut faults = Faults::new();
+    let mut fault = |pointer: &str, message: String| faults.push((pointer.to_owned(), message));
+    if job.name.chars().count() > MAX_NAME_CHARS {
+        fault("/name", format!("is longer than {MAX_NAME_CHARS} characters"));
+    }
+    if let Some((key, message)) = job.scene.camera.fault() {
+        fault(&format!("/scene/camera/{key}"), message.to_owned());
+    }
+    if job.scene.lights.len() > MAX_LIGHTS {
+        fault("/scene/lights", format!("has {} lights: use at most {MAX_LIGHTS}", job.scene.lights.len()));
+    }
+    if job.scene.objects.is_empty() {
+        fault("/scene/objects", "is empty: a scene needs an object or more".to_owned());
+    }
+    let mut nodes = 0;
+    for (index, object) in job.scene.objects.iter().enumerate() {
+        tree(&object.shape, &mut format!("/scene/objects/{index}/shape"), 1, &mut nodes, &mut fault);
+    }
+    if nodes > MAX_NODES {
+        fault("/scene/objects", format!("has {nodes} nodes: use at most {MAX_NODES}"));
+    }
+    image(job, &mut fault);
+    for (pointer, name) in job.scene.resolve_materials() {
+        let known: Vec<&str> = job.scene.materials.keys().map(String::as_str).collect();
+        let cure = if known.is_empty() {
+            "define it there, or write a material in place".to_owned()
+        } else {
+            format!("choose one of {}", known.join(", "))
+        };
+        faults.push((format!("/scene{pointer}"), format!("\"{name}\" is not in /scene/materials: {cure}")));
+    }
+    if job.scene.slots().len() > MAX_MATERIALS {
+        let used = job.scene.slots().len();
+        let message = format!("uses {used} materials: use at most {MAX_MATERIALS}; materials with a name count once");
+        faults.push(("/scene/objects".to_owned(), message));
+    }
+    faults
+}
+
+fn tree(node: &Node, pointer: &mut String, depth: usize, nodes: &mut usize, fault: &mut impl FnMut(&str, String)) {
+    *nodes += 1;
+    if depth == MAX_NODE_DEPTH + 1 {
+        fault(pointer, format!("nests {depth} nodes deep: nest at most {MAX_NODE_DEPTH}"));
+    }
+    if node.has_list() && node.children().is_empty() {
+        let name = node.name();
+        fault(&format!("{pointer}/{name}/of"), format!("is empty: {name} needs a shape or more"));
+    }
+    let length = pointer.len();
+    for (child, step) in node.children().iter().zip(child_steps(node)) {
+        pointer.push_str(&step);
+        tree(child, pointer, depth + 1, nodes, fault);
+        pointer.truncate(length);
+    }
+}
+
+fn image(job: &Job, fault: &mut impl FnMut(&str, String)) {
+    let image = &job.image;
+    if image.pixels() > MAX_PIXELS {
+        let pixels = image.pixels();
+        fault("/image", format!("has {pixels} pixels: a frame may have {MAX_PIXELS}; make width or height less"));
+    }
+    let rays = u128::from(job.rays_per_frame()) * u128::from(job.frames.count);
+    if rays > u128::from(MAX_RAYS) {
+        fault("/image", format!("asks for {rays} rays: a job may have {MAX_RAYS}; use fewer pixels, samples or frames"));
+    }
+    if image.format == Format::Png && !image.layers.is_empty() {
+        fault("/image/layers", "a PNG has no layers: set format to \"exr\", or leave layers out".to_owned());
+    }
+    for (index, layer) in image.layers.iter().enumerate() {
+        if image.layers[..index].contains(layer) {
+            fault(&format!("/image/layers/{index}"), "stands here twice: keep one".to_owned());
+        }
+    }
+}

@@ -1,0 +1,318 @@
+//! What one pixel looks like: rays, march, normal, lights, materials. Written once for every back end.
+
+use crate::camera::{Ray, View};
+use crate::job::Job;
+use crate::lights::Incoming;
+use crate::march::{Marched, Reach, Tolerance, march};
+use crate::materials::{Place, Shade};
+use crate::nodes::{Painted, Sample};
+use crate::real::{Flag, Real, Vec3, vec3};
+use crate::sampling::{Jitter, frame_key};
+use crate::scene::{Background, Scene};
+
+/// A frame of a job, ready to be asked for its pixels.
+#[derive(Clone, Debug)]
+pub struct Program<'a> {
+    scene: &'a Scene,
+    /// One over each object's Lipschitz factor; `None` where that is 1.
+    shrink: Vec<Option<f32>>,
+    /// Whether a tree says materials of its own.
+    painted: Vec<bool>,
+    view: View,
+    samples: u32,
+    frame_key: u32,
+    tolerance: Tolerance,
+    /// Half the edge of the tetrahedron that normals are measured on.
+    tap: Tolerance,
+}
+
+/// The colour of a pixel.
+#[derive(Clone, Copy, Debug)]
+pub struct Radiance<R> {
+    /// Linear RGB, premultiplied by alpha.
+    pub color: Vec3<R>,
+    /// Coverage, where the background is transparent; else 1.
+    pub alpha: R,
+    /// How often the scene's distance was evaluated.
+    pub evaluations: R,
+}
+
+/// What the ray through a pixel's centre meets.
+#[derive(Clone, Copy, Debug)]
+pub struct Met<R> {
+    /// Distance along the ray; infinite where nothing is hit.
+    pub depth: R,
+    /// Normal, towards the viewer's side; 0 where nothing is hit.
+    pub normal: Vec3<R>,
+    /// Where; 0 where nothing is hit.
+    pub position: Vec3<R>,
+    /// The surface's own colour; 0 where nothing is hit.
+    pub albedo: Vec3<R>,
+    /// Index of the object; −1 where nothing is hit.
+    pub object: R,
+    /// Steps of the march.
+    pub steps: R,
+}
+
+/// A place on a surface.
+#[derive(Clone, Copy)]
+struct Hit<R> {
+    distance: R,
+    position: Vec3<R>,
+    normal: Vec3<R>,
+}
+
+impl<'a> Program<'a> {
+    /// The picture of one frame, from 0.
+    pub fn new(job: &'a Job, frame: u32) -> Self {
+        let scene = &job.scene;
+        let view = scene.camera.view(job.image.width, job.image.height);
+        let origin = view.origin();
+        let size = origin.x.abs().max(origin.y.abs()).max(origin.z.abs());
+        // A quarter of half a pixel keeps silhouettes; the rest keeps depth and the limits of f32.
+        let tolerance = Tolerance { slope: (0.25 * view.cone()).clamp(2e-6, 2.5e-4), floor: 2e-7 * size + 1e-7 };
+        let tap = Tolerance { slope: (0.5 * view.cone()).max(3e-4), floor: 100.0 * tolerance.floor };
+        Self {
+            scene,
+            shrink: scene.objects.iter().map(|object| object.shape.stretch()).map(shrink).collect(),
+            painted: scene.objects.iter().map(|object| object.shape.is_painted()).collect(),
+            view,
+            samples: job.image.samples,
+            frame_key: frame_key(job.image.seed, frame),
+            tolerance,
+            tap,
+        }
+    }
+
+    /// The distance of the whole scene at `p`, never more than to the nearest surface.
+    pub fn distance<R: Real>(&self, p: Vec3<R>) -> R {
+        p.x.vectorize(
+            #[inline(always)]
+            || {
+                let mut nearest = self.object_distance(0, p);
+                for index in 1..self.scene.objects.len() {
+                    nearest = nearest.min(self.object_distance(index, p));
+                }
+                nearest
+            },
+        )
+    }
+
+    #[inline(always)]
+    fn object_distance<R: Real>(&self, index: usize, p: Vec3<R>) -> R {
+        let distance = self.scene.objects[index].shape.distance(p);
+        match self.shrink[index] {
+            Some(factor) => distance * factor,
+            None => distance,
+        }
+    }
+
+    /// The colour of the pixel in column `x` and row `y`, both whole.
+    #[inline(always)]
+    pub fn pixel<R: Real>(&self, x: R, y: R) -> Radiance<R> {
+        let zero = x.splat(0.0);
+        if self.samples == 1 {
+            return self.radiance(x + 0.5, y + 0.5);
+        }
+        let jitter = Jitter::new(x, y, self.frame_key);
+        let start = (zero, vec3(zero, zero, zero), zero, zero);
+        let (_, color, alpha, evaluations) =
+            R::repeat(self.samples, start, |(sample, color, alpha, evaluations)| {
+                let (jx, jy) = jitter.offset(sample);
+                let seen = self.radiance(x + jx, y + jy);
+                let next = sample + 1.0;
+                let sum = (next, color + seen.color, alpha + seen.alpha, evaluations + seen.evaluations);
+                (next.below(self.samples as f32), sum)
+            });
+        let share = zero.splat(1.0 / self.samples as f32);
+        Radiance { color: color * share, alpha: alpha * share, evaluations }
+    }
+
+    /// What the ray through the centre of the pixel in column `x` and row `y` meets.
+    #[inline(always)]
+    pub fn layers<R: Real>(&self, x: R, y: R) -> Met<R> {
+        let ray = self.view.ray(x + 0.5, y + 0.5);
+        let marched = self.march(&ray);
+        let zero = x.splat(0.0);
+        let nothing = vec3(zero, zero, zero);
+        let missed = (x.splat(f32::INFINITY), nothing, nothing, nothing, zero.splat(-1.0));
+        let (depth, normal, position, albedo, object) = R::when(marched.hit.0, missed, || {
+            let hit = self.hit(&ray, &marched);
+            let place = Place { normal: hit.normal, to_viewer: -ray.direction };
+            let object = self.nearest_object(hit.position);
+            let albedo = self.blend(hit.position, object, |slot| self.scene.slots()[slot].albedo(&place));
+            (hit.distance, hit.normal, hit.position, albedo, object)
+        });
+        Met { depth, normal, position, albedo, object, steps: marched.steps }
+    }
+
+    /// The light along the ray through a point of the picture, in pixels from its top left.
+    #[inline(always)]
+    fn radiance<R: Real>(&self, x: R, y: R) -> Radiance<R> {
+        let ray = self.view.ray(x, y);
+        let marched = self.march(&ray);
+        let (background, alpha) = self.background(&ray);
+        let (color, alpha, evaluations) =
+            R::when(marched.hit.0, (background, alpha, marched.steps), || {
+                let (color, evaluations) = self.surface(&ray, &marched);
+                (color, x.splat(1.0), marched.steps + evaluations)
+            });
+        Radiance { color, alpha, evaluations }
+    }
+
+    #[inline(always)]
+    fn background<R: Real>(&self, ray: &Ray<R>) -> (Vec3<R>, R) {
+        let like = ray.direction.x;
+        let one = like.splat(1.0);
+        match &self.scene.background {
+            Background::Color(color) => (Vec3::splat(like, color.get()), one),
+            Background::Gradient { bottom, top } => {
+                let share = ray.direction.y.mul_add(like.splat(0.5), like.splat(0.5));
+                let (bottom, top) = (bottom.get(), top.get());
+                let rise = vec3(top.x - bottom.x, top.y - bottom.y, top.z - bottom.z);
+                (Vec3::splat(like, rise).mul_add(share, Vec3::splat(like, bottom)), one)
+            }
+            Background::Transparent => {
+                let zero = like.splat(0.0);
+                (vec3(zero, zero, zero), zero)
+            }
+        }
+    }
+
+    #[inline(always)]
+    fn march<R: Real>(&self, ray: &Ray<R>) -> Marched<R> {
+        let like = ray.direction.x;
+        let farthest = like.splat(self.scene.march.max_distance.get());
+        let reach = Reach { farthest, max_steps: self.scene.march.max_steps };
+        let mut marched = march(ray, reach, |t| self.tolerance.at(t), |p| self.distance(p));
+        // Out of steps: a hit if the pixel's cone touches the surface.
+        let touches = marched.gap.lt(marched.distance * self.view.cone()) & marched.distance.lt(farthest);
+        marched.hit = Flag(marched.hit.0 | touches);
+        marched
+    }
+
+    /// Where exactly a march that came near the surface meets it, and the normal there.
+    #[inline(always)]
+    fn hit<R: Real>(&self, ray: &Ray<R>, marched: &Marched<R>) -> Hit<R> {
+        let normal = self.normal(ray.at(marched.distance), self.tap.at(marched.distance));
+        let facing = -normal.dot(ray.direction);
+        // One step of Newton's method along the ray; cautious where it grazes the surface.
+        let distance = (marched.distance + marched.gap / facing.at_least(0.25)).at_least(0.0);
+        let normal = Vec3::select(facing.below(0.0), -normal, normal);
+        Hit { distance, position: ray.at(distance), normal }
+    }
+
+    /// The gradient's direction, from four taps on a tetrahedron.
+    #[inline(always)]
+    fn normal<R: Real>(&self, p: Vec3<R>, size: R) -> Vec3<R> {
+        let tap = |x: R, y: R, z: R| self.distance(vec3(p.x + x, p.y + y, p.z + z));
+        let a = tap(size, -size, -size);
+        let b = tap(-size, -size, size);
+        let c = tap(-size, size, -size);
+        let d = tap(size, size, size);
+        let (ad, bc) = (a + d, b + c);
+        let (ca, db) = (c - a, d - b);
+        // Scaled up, so that the squares of small differences do not vanish.
+        let gradient = vec3(ad - bc, ca + db, (d - c) + (b - a));
+        let largest = gradient.map(R::abs).max_element().at_least(1e-20);
+        (gradient * (size.splat(1.0) / largest)).normalize()
+    }
+
+    /// The colour of a surface, and how many evaluations it cost.
+    #[inline(always)]
+    fn surface<R: Real>(&self, ray: &Ray<R>, marched: &Marched<R>) -> (Vec3<R>, R) {
+        const NORMAL_TAPS: f32 = 4.0;
+        let hit = self.hit(ray, marched);
+        let mut evaluations = ray.direction.x.splat(NORMAL_TAPS);
+        let mut lights = Vec::new();
+        if self.scene.slots().iter().any(Shade::is_lit) {
+            for light in &self.scene.lights {
+                let (mut incoming, distance) = light.arriving(hit.position, self.scene.march.max_distance.get());
+                if light.casts_shadows() {
+                    let (visible, steps) = self.visibility(&hit, incoming.direction, distance);
+                    incoming.radiance = incoming.radiance * visible;
+                    evaluations = evaluations + steps;
+                }
+                lights.push(incoming);
+            }
+        }
+        let place = Place { normal: hit.normal, to_viewer: -ray.direction };
+        let color = self.dress(hit.position, &place, &lights);
+        (color, evaluations)
+    }
+
+    /// 1 where light from `direction` reaches the place, 0 in shadow; and the steps it took to see.
+    #[inline(always)]
+    fn visibility<R: Real>(&self, hit: &Hit<R>, direction: Vec3<R>, farthest: R) -> (R, R) {
+        let zero = farthest.splat(0.0);
+        let faces = hit.normal.dot(direction).above(0.0);
+        R::when(faces, (zero, zero), || {
+            // Off the surface by more than the march was off it.
+            let near = self.tolerance.at(hit.distance);
+            let ray = Ray { origin: hit.normal.mul_add(near * 4.0, hit.position), direction };
+            let reach = Reach { farthest, max_steps: self.scene.march.max_steps };
+            let marched = march(&ray, reach, |t| t.mul_add(t.splat(4e-7), near), |p| self.distance(p));
+            (R::select(marched.hit.0, zero, zero.splat(1.0)), marched.steps)
+        })
+    }
+
+    /// The shaded colour at a hit.
+    #[inline(always)]
+    fn dress<R: Real>(&self, p: Vec3<R>, place: &Place<R>, lights: &[Incoming<R>]) -> Vec3<R> {
+        if let [only] = self.scene.slots() {
+            return only.shade(place, lights);
+        }
+        let object = self.nearest_object(p);
+        self.blend(p, object, |slot| self.scene.slots()[slot].shade(place, lights))
+    }
+
+    /// Index of the nearest object; of the first of several.
+    #[inline(always)]
+    fn nearest_object<R: Real>(&self, p: Vec3<R>) -> R {
+        let mut nearest = self.object_distance(0, p);
+        let mut object = p.x.splat(0.0);
+        for index in 1..self.scene.objects.len() {
+            let distance = self.object_distance(index, p);
+            let nearer = distance.lt(nearest);
+            nearest = R::select(nearer, distance, nearest);
+            object = R::select(nearer, p.x.splat(index as f32), object);
+        }
+        object
+    }
+
+    /// The colours of the materials at `p`, by their shares.
+    #[inline(always)]
+    fn blend<R: Real>(&self, p: Vec3<R>, object: R, color: impl Fn(usize) -> Vec3<R>) -> Vec3<R> {
+        let zero = p.x.splat(0.0);
+        let mut shares = vec![zero; self.scene.slots().len()];
+        for (index, tree) in self.scene.objects.iter().enumerate() {
+            let here = (object - index as f32).abs().below(0.5);
+            let own = tree.material.slot();
+            if self.painted[index] {
+                let sample: Painted<R> = tree.shape.sample(p);
+                for coat in sample.paint(own).coats() {
+                    let share = &mut shares[coat.slot.unwrap_or(own) as usize];
+                    *share = R::select(here, coat.share, zero) + *share;
+                }
+            } else {
+                shares[own as usize] = R::select(here, zero.splat(1.0), shares[own as usize]);
+            }
+        }
+        let black = vec3(zero, zero, zero);
+        shares.into_iter().enumerate().fold(black, |sum, (slot, share)| {
+            let shaded = R::when(share.above(0.0), black, || color(slot));
+            shaded.mul_add(share, sum)
+        })
+    }
+}
+
+fn shrink(stretch: f32) -> Option<f32> {
+    (stretch != 1.0).then(|| 1.0 / stretch)
+}
+
+impl Tolerance {
+    #[inline(always)]
+    fn at<R: Real>(self, distance: R) -> R {
+        distance.mul_add(distance.splat(self.slope), distance.splat(self.floor))
+    }
+}

@@ -1,0 +1,59 @@
+//! Several numbers and conditions that change together: the state of a loop, or what a branch gives.
+
+use super::{Real, Vec3};
+
+/// How to make one part out of two.
+pub trait Join<R: Real> {
+    /// Joins two numbers.
+    fn number(&mut self, a: R, b: R) -> R;
+    /// Joins two conditions.
+    fn mask(&mut self, a: R::Mask, b: R::Mask) -> R::Mask;
+}
+
+/// Any struct of numbers and conditions.
+pub trait Bundle<R: Real>: Copy {
+    /// Joins two bundles part by part, in a fixed order.
+    fn join(self, other: Self, how: &mut impl Join<R>) -> Self;
+}
+
+/// A condition as part of a [`Bundle`].
+#[derive(Clone, Copy, Debug)]
+pub struct Flag<R: Real>(pub R::Mask);
+
+impl<R: Real> Bundle<R> for R {
+    #[inline(always)]
+    fn join(self, other: Self, how: &mut impl Join<R>) -> Self {
+        how.number(self, other)
+    }
+}
+
+impl<R: Real> Bundle<R> for Flag<R> {
+    #[inline(always)]
+    fn join(self, other: Self, how: &mut impl Join<R>) -> Self {
+        Self(how.mask(self.0, other.0))
+    }
+}
+
+impl<R: Real> Bundle<R> for Vec3<R> {
+    #[inline(always)]
+    fn join(self, other: Self, how: &mut impl Join<R>) -> Self {
+        Self {
+            x: how.number(self.x, other.x),
+            y: how.number(self.y, other.y),
+            z: how.number(self.z, other.z),
+        }
+    }
+}
+
+macro_rules! tuples {
+    ($(($($Part:ident $index:tt),+)),+ $(,)?) => { $(
+        impl<R: Real, $($Part: Bundle<R>),+> Bundle<R> for ($($Part,)+) {
+            #[inline(always)]
+            fn join(self, other: Self, how: &mut impl Join<R>) -> Self {
+                ($(self.$index.join(other.$index, how),)+)
+            }
+        }
+    )+ };
+}
+
+tuples![(A 0, B 1), (A 0, B 1, C 2), (A 0, B 1, C 2, D 3), (A 0, B 1, C 2, D 3, E 4), (A 0, B 1, C 2, D 3, E 4, F 5)];

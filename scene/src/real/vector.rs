@@ -1,0 +1,130 @@
+//! Vectors of three numbers.
+
+use std::ops::{Add, Mul, Neg, Sub};
+
+use super::Real;
+
+/// A point, a direction or a colour.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Vec3<R> {
+    /// To the right, or red.
+    pub x: R,
+    /// Up, or green.
+    pub y: R,
+    /// Towards the viewer, or blue.
+    pub z: R,
+}
+
+/// A vector of three numbers.
+#[inline(always)]
+pub const fn vec3<R>(x: R, y: R, z: R) -> Vec3<R> {
+    Vec3 { x, y, z }
+}
+
+impl<R: Real> Vec3<R> {
+    /// The same known vector in every lane of numbers like `like`.
+    #[inline(always)]
+    pub fn splat(like: R, known: Vec3<f32>) -> Self {
+        vec3(like.splat(known.x), like.splat(known.y), like.splat(known.z))
+    }
+
+    /// Applies `f` to each coordinate.
+    #[inline(always)]
+    pub fn map(self, mut f: impl FnMut(R) -> R) -> Self {
+        vec3(f(self.x), f(self.y), f(self.z))
+    }
+
+    /// Scalar product, fused from z to x.
+    #[inline(always)]
+    pub fn dot(self, other: Self) -> R {
+        self.x.mul_add(other.x, self.y.mul_add(other.y, self.z * other.z))
+    }
+
+    /// Scalar product with a known vector.
+    #[inline(always)]
+    pub fn dot_known(self, other: Vec3<f32>) -> R {
+        self.dot(Self::splat(self.x, other))
+    }
+
+    /// Vector product.
+    #[inline(always)]
+    pub fn cross(self, other: Self) -> Self {
+        vec3(
+            self.y.mul_add(other.z, -(self.z * other.y)),
+            self.z.mul_add(other.x, -(self.x * other.z)),
+            self.x.mul_add(other.y, -(self.y * other.x)),
+        )
+    }
+
+    /// Square of the Euclidean length.
+    #[inline(always)]
+    pub fn length_squared(self) -> R {
+        self.x.square_add(self.y.square_add(self.z.square()))
+    }
+
+    /// Euclidean length.
+    #[inline(always)]
+    pub fn length(self) -> R {
+        self.length_squared().sqrt()
+    }
+
+    /// The vector of length 1 in this direction; of a vector shorter than 10⁻¹⁴, nearly 0.
+    #[inline(always)]
+    pub fn normalize(self) -> Self {
+        self * (self.x.splat(1.0) / self.length().at_least(1e-14))
+    }
+
+    /// `self · factor + term`, fused by coordinate: a point along a ray.
+    #[inline(always)]
+    pub fn mul_add(self, factor: R, term: Self) -> Self {
+        vec3(
+            self.x.mul_add(factor, term.x),
+            self.y.mul_add(factor, term.y),
+            self.z.mul_add(factor, term.z),
+        )
+    }
+
+    /// The greatest coordinate.
+    #[inline(always)]
+    pub fn max_element(self) -> R {
+        self.x.max(self.y).max(self.z)
+    }
+
+    /// `yes` where `mask` holds, else `no`.
+    #[inline(always)]
+    pub fn select(mask: R::Mask, yes: Self, no: Self) -> Self {
+        vec3(R::select(mask, yes.x, no.x), R::select(mask, yes.y, no.y), R::select(mask, yes.z, no.z))
+    }
+}
+
+impl<R: Real> Add for Vec3<R> {
+    type Output = Self;
+    #[inline(always)]
+    fn add(self, other: Self) -> Self {
+        vec3(self.x + other.x, self.y + other.y, self.z + other.z)
+    }
+}
+
+impl<R: Real> Sub for Vec3<R> {
+    type Output = Self;
+    #[inline(always)]
+    fn sub(self, other: Self) -> Self {
+        vec3(self.x - other.x, self.y - other.y, self.z - other.z)
+    }
+}
+
+impl<R: Real> Neg for Vec3<R> {
+    type Output = Self;
+    #[inline(always)]
+    fn neg(self) -> Self {
+        vec3(-self.x, -self.y, -self.z)
+    }
+}
+
+impl<R: Real> Mul<R> for Vec3<R> {
+    type Output = Self;
+    #[inline(always)]
+    fn mul(self, factor: R) -> Self {
+        vec3(self.x * factor, self.y * factor, self.z * factor)
+    }
+}

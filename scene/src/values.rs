@@ -1,0 +1,329 @@
+//! Numbers with a meaning: parsed once, right ever after.
+//!
+//! Each type is one kind of number of a job file, with its range in the type and in the schema.
+
+use std::borrow::Cow;
+use std::fmt;
+
+use schemars::{JsonSchema, Schema, SchemaGenerator, json_schema};
+use serde::de::{Error, SeqAccess, Unexpected, Visitor};
+use serde::{Deserialize, Deserializer, Serialize, Serializer};
+
+use crate::limits::{MAX_LENGTH, MIN_LENGTH};
+use crate::real::{Real, Vec3, vec3};
+
+/// Reads any JSON number that is finite as an `f32`.
+struct Finite;
+
+impl Visitor<'_> for Finite {
+    type Value = f32;
+
+    fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str("a number")
+    }
+
+    fn visit_f64<E: Error>(self, value: f64) -> Result<f32, E> {
+        let number = value as f32;
+        if number.is_finite() {
+            // No result depends on the sign of a zero, and no key should either.
+            Ok(number + 0.0)
+        } else {
+            Err(E::custom(format_args!("{value:e} is too large: numbers go up to 3.4e38")))
+        }
+    }
+
+    fn visit_i64<E: Error>(self, value: i64) -> Result<f32, E> {
+        self.visit_f64(value as f64)
+    }
+
+    fn visit_u64<E: Error>(self, value: u64) -> Result<f32, E> {
+        self.visit_f64(value as f64)
+    }
+}
+
+macro_rules! numbers {
+    ($($(#[$doc:meta])* $Name:ident: $holds:expr, $words:literal, $schema:tt;)*) => { $(
+        $(#[$doc])*
+        #[derive(Clone, Copy, Debug, PartialEq, PartialOrd)]
+        pub struct $Name(f32);
+
+        impl $Name {
+            /// The number, if it is in range.
+            pub fn new(value: f32) -> Option<Self> {
+                let holds: fn(f32) -> bool = $holds;
+                holds(value).then_some(Self(value))
+            }
+
+            /// The number.
+            #[inline(always)]
+            pub fn get(self) -> f32 {
+                self.0
+            }
+        }
+
+        impl<'de> Deserialize<'de> for $Name {
+            fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+                let value = deserializer.deserialize_f64(Finite)?;
+                Self::new(value).ok_or_else(|| D::Error::custom(format_args!(concat!("must be ", $words, ", not {}"), value)))
+            }
+        }
+
+        impl Serialize for $Name {
+            fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+                serializer.serialize_f32(self.0)
+            }
+        }
+
+        impl JsonSchema for $Name {
+            fn schema_name() -> Cow<'static, str> {
+                stringify!($Name).into()
+            }
+
+            fn json_schema(_: &mut SchemaGenerator) -> Schema {
+                json_schema!($schema)
+            }
+        }
+    )* };
+}
+
+numbers! {
+    /// A coordinate or an offset, in scene units.
+    Coordinate: |v| v.abs() <= MAX_LENGTH, "within ±1e6",
+        { "type": "number", "minimum": -1e6, "maximum": 1e6, "description": "A coordinate or an offset, in scene units." };
+    /// A size, in scene units.
+    Length: |v| (MIN_LENGTH..=MAX_LENGTH).contains(&v), "a size from 1e-6 to 1e6",
+        { "type": "number", "minimum": 1e-6, "maximum": 1e6, "description": "A size, in scene units." };
+    /// A size that may be nothing, in scene units.
+    Amount: |v| v == 0.0 || (MIN_LENGTH..=MAX_LENGTH).contains(&v), "0, or a size from 1e-6 to 1e6",
+        { "type": "number", "minimum": 0, "maximum": 1e6, "description": "0, or a size from 1e-6 to 1e6, in scene units." };
+    /// A uniform scale.
+    Factor: |v| (1e-6..=1e6).contains(&v), "a factor from 1e-6 to 1e6",
+        { "type": "number", "minimum": 1e-6, "maximum": 1e6, "description": "A uniform scale." };
+    /// An angle, in degrees.
+    Degrees: |v| v.abs() <= 36_000.0, "an angle within ±36000 degrees",
+        { "type": "number", "minimum": -36000, "maximum": 36000, "description": "An angle, in degrees." };
+    /// A vertical field of view, in degrees.
+    FieldOfView: |v| (0.01..=179.0).contains(&v), "a field of view from 0.01 to 179 degrees",
+        { "type": "number", "minimum": 0.01, "maximum": 179, "description": "A vertical field of view, in degrees." };
+    /// How narrow a highlight is: the exponent of Phong's cosine.
+    Shininess: |v| (1.0..=10_000.0).contains(&v), "an exponent from 1 to 10000",
+        { "type": "number", "minimum": 1, "maximum": 10000, "description": "The exponent of Phong's cosine." };
+    /// The power of a fractal.
+    Power: |v| (2.0..=32.0).contains(&v), "a power from 2 to 32",
+        { "type": "number", "minimum": 2, "maximum": 32, "description": "The power of a fractal." };
+    /// One channel of a colour, in linear light.
+    Channel: |v| (0.0..=1e6).contains(&v), "an intensity from 0 to 1e6",
+        { "type": "number", "minimum": 0, "maximum": 1e6, "description": "One channel of a colour, in linear light." };
+    /// Frames a second.
+    FrameRate: |v| (0.001..=1000.0).contains(&v), "a rate from 0.001 to 1000 frames a second",
+        { "type": "number", "minimum": 0.001, "maximum": 1000, "description": "Frames a second." };
+}
+
+/// Reads a whole number of `what` from `low` to `high`.
+pub(crate) fn whole<'de, D: Deserializer<'de>>(d: D, low: u32, high: u32, what: &str) -> Result<u32, D::Error> {
+    let value = i64::deserialize(d)?;
+    u32::try_from(value)
+        .ok()
+        .filter(|value| (low..=high).contains(value))
+        .ok_or_else(|| D::Error::custom(format_args!("must be {low} to {high} {what}, not {value}")))
+}
+
+/// A point or an offset, in scene units.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+pub struct Point(pub Coordinate, pub Coordinate, pub Coordinate);
+
+impl Point {
+    /// Its coordinates.
+    #[inline(always)]
+    pub fn get(self) -> Vec3<f32> {
+        vec3(self.0.get(), self.1.get(), self.2.get())
+    }
+}
+
+/// A direction: three numbers, not all 0, of any length.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Direction {
+    given: [f32; 3],
+    unit: Vec3<f32>,
+}
+
+impl Direction {
+    /// The direction of length 1.
+    #[inline(always)]
+    pub fn unit(self) -> Vec3<f32> {
+        self.unit
+    }
+}
+
+impl<'de> Deserialize<'de> for Direction {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        let Point(x, y, z) = Point::deserialize(deserializer)?;
+        let given = [x.get(), y.get(), z.get()];
+        let largest = given.iter().fold(0.0_f32, |largest, c| largest.max(c.abs()));
+        if largest < MIN_LENGTH {
+            return Err(D::Error::custom("has no length: a direction needs a coordinate that is not 0"));
+        }
+        // Scaled first, so that squares neither overflow nor vanish.
+        let [x, y, z] = given.map(|c| c / largest);
+        Ok(Self { given, unit: vec3(x, y, z).normalize() })
+    }
+}
+
+impl Serialize for Direction {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        self.given.serialize(serializer)
+    }
+}
+
+impl JsonSchema for Direction {
+    fn schema_name() -> Cow<'static, str> {
+        "Direction".into()
+    }
+
+    fn json_schema(generator: &mut SchemaGenerator) -> Schema {
+        let coordinate = generator.subschema_for::<Coordinate>();
+        json_schema!({
+            "type": "array", "items": coordinate, "minItems": 3, "maxItems": 3,
+            "description": "A direction: three numbers, not all 0, of any length."
+        })
+    }
+}
+
+/// A rotation about the fixed x, y and z axes, in this order, in degrees: the matrix Rz·Ry·Rx.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Rotation {
+    degrees: [Degrees; 3],
+    rows: [Vec3<f32>; 3],
+}
+
+impl Rotation {
+    /// The rows of the inverse rotation's matrix: multiplied with a point they turn it back.
+    #[inline(always)]
+    pub fn inverse_rows(self) -> [Vec3<f32>; 3] {
+        self.rows
+    }
+
+    fn new(degrees: [Degrees; 3]) -> Self {
+        let [(sx, cx), (sy, cy), (sz, cz)] = degrees.map(|angle| sin_cos_degrees(angle.get()));
+        // The columns of Rz·Ry·Rx, which are the rows of its inverse.
+        let rows = [
+            vec3(cz * cy, sz * cy, -sy),
+            vec3(cz * sy * sx - sz * cx, sz * sy * sx + cz * cx, cy * sx),
+            vec3(cz * sy * cx + sz * sx, sz * sy * cx - cz * sx, cy * cx),
+        ];
+        Self { degrees, rows }
+    }
+}
+
+/// Sine and cosine of an angle in degrees; exact at quarter turns.
+fn sin_cos_degrees(degrees: f32) -> (f32, f32) {
+    let turned = degrees % 360.0;
+    let quarter = (turned / 90.0).round();
+    let (s, c) = Real::sin_cos((turned - quarter * 90.0) * (std::f32::consts::PI / 180.0));
+    match (quarter as i32).rem_euclid(4) {
+        0 => (s, c),
+        1 => (c, -s),
+        2 => (-s, -c),
+        _ => (-c, s),
+    }
+}
+
+impl<'de> Deserialize<'de> for Rotation {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        <[Degrees; 3]>::deserialize(deserializer).map(Self::new)
+    }
+}
+
+impl Serialize for Rotation {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        self.degrees.serialize(serializer)
+    }
+}
+
+impl JsonSchema for Rotation {
+    fn schema_name() -> Cow<'static, str> {
+        "Rotation".into()
+    }
+
+    fn json_schema(generator: &mut SchemaGenerator) -> Schema {
+        let degrees = generator.subschema_for::<Degrees>();
+        json_schema!({
+            "type": "array", "items": degrees, "minItems": 3, "maxItems": 3,
+            "description": "Angles in degrees about the fixed x, y and z axes, turned in this order."
+        })
+    }
+}
+
+/// A colour in linear light; above 1 is allowed.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Color(Vec3<f32>);
+
+impl Color {
+    /// The colour with these channels.
+    pub const fn new(red: f32, green: f32, blue: f32) -> Self {
+        Self(vec3(red, green, blue))
+    }
+
+    /// Red, green, blue, in linear light.
+    #[inline(always)]
+    pub fn get(self) -> Vec3<f32> {
+        self.0
+    }
+}
+
+/// Reads `[r, g, b]` in linear light or `"#rrggbb"` in sRGB.
+struct ColorVisitor;
+
+impl<'de> Visitor<'de> for ColorVisitor {
+    type Value = Color;
+
+    fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str("a colour: [red, green, blue] in linear light, or \"#rrggbb\" in sRGB")
+    }
+
+    fn visit_str<E: Error>(self, text: &str) -> Result<Color, E> {
+        let wrong = || E::invalid_value(Unexpected::Str(text), &self);
+        let digits = text.strip_prefix('#').filter(|d| d.len() == 6 && d.bytes().all(|b| b.is_ascii_hexdigit()));
+        let code = u32::from_str_radix(digits.ok_or_else(wrong)?, 16).map_err(|_| wrong())?;
+        let channel = |shift: u32| crate::color::linear_from_srgb((code >> shift & 0xff) as f32 / 255.0);
+        Ok(Color::new(channel(16), channel(8), channel(0)))
+    }
+
+    fn visit_seq<A: SeqAccess<'de>>(self, mut channels: A) -> Result<Color, A::Error> {
+        let mut next = |n: usize| channels.next_element::<Channel>()?.ok_or_else(|| A::Error::invalid_length(n, &self));
+        let color = Color::new(next(0)?.get(), next(1)?.get(), next(2)?.get());
+        if channels.next_element::<serde::de::IgnoredAny>()?.is_some() {
+            return Err(A::Error::invalid_length(4, &self));
+        }
+        Ok(color)
+    }
+}
+
+impl<'de> Deserialize<'de> for Color {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        deserializer.deserialize_any(ColorVisitor)
+    }
+}
+
+impl Serialize for Color {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        [self.0.x, self.0.y, self.0.z].serialize(serializer)
+    }
+}
+
+impl JsonSchema for Color {
+    fn schema_name() -> Cow<'static, str> {
+        "Color".into()
+    }
+
+    fn json_schema(generator: &mut SchemaGenerator) -> Schema {
+        let channel = generator.subschema_for::<Channel>();
+        json_schema!({
+            "description": "A colour: red, green, blue in linear light, or \"#rrggbb\" in sRGB.",
+            "anyOf": [
+                { "type": "array", "items": channel, "minItems": 3, "maxItems": 3 },
+                { "type": "string", "pattern": "^#[0-9a-fA-F]{6}$" }
+            ]
+        })
+    }
+}
