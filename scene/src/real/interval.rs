@@ -288,6 +288,10 @@ impl Real for Interval {
         Self::around([Real::ln(self.low), Real::ln(self.high)]).widened()
     }
 
+    fn powf(self, exponent: Self) -> Self {
+        (self.ln() * exponent).exp().widened()
+    }
+
     fn when<T: Bundle<Self>>(mask: Truth, otherwise: T, then: impl FnOnce() -> T) -> T {
         match mask {
             Truth::Yes => then(),

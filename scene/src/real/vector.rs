@@ -97,6 +97,13 @@ impl<R: Real> Vec3<R> {
     }
 }
 
+impl<R> From<Vec3<R>> for [R; 3] {
+    #[inline(always)]
+    fn from(vector: Vec3<R>) -> Self {
+        [vector.x, vector.y, vector.z]
+    }
+}
+
 impl<R: Real> Add for Vec3<R> {
     type Output = Self;
     #[inline(always)]

@@ -1,0 +1,113 @@
+//! Measures this machine: distances of a scene without marching, and whole frames.
+
+use std::time::{Duration, Instant};
+
+use fearless_simd::{Simd as Token, dispatch};
+use proto::Rect;
+use scene::real::vec3;
+use scene::{Job, Program};
+use serde::Serialize;
+
+use crate::cpu::{Packets, REGISTERS};
+use crate::lanes::Lanes;
+use crate::{Cancel, CpuRenderer, RenderError, Renderer, Simd, TileRun};
+
+/// Distances a second, of one core.
+#[derive(Clone, Debug, Serialize)]
+pub struct PointsReport {
+    /// The job's name.
+    pub job: String,
+    /// The vector instructions.
+    pub simd: &'static str,
+    /// Distances of the whole scene a second, on one thread.
+    pub points_per_second: f64,
+}
+
+/// What rendering a frame took.
+#[derive(Clone, Debug, Serialize)]
+pub struct RenderReport {
+    /// The job's name.
+    pub job: String,
+    /// The vector instructions.
+    pub simd: &'static str,
+    /// Threads.
+    pub threads: usize,
+    /// Camera rays of the frame.
+    pub rays: u64,
+    /// Distances of the whole scene evaluated for the frame: marches, normals and shadows.
+    pub evaluations: u64,
+    /// Least time of a run, in milliseconds.
+    pub least_ms: f64,
+    /// Median time of the runs, in milliseconds.
+    pub median_ms: f64,
+    /// Camera rays a second, at the median.
+    pub rays_per_second: f64,
+    /// Evaluations a second, at the median.
+    pub evaluations_per_second: f64,
+}
+
+/// Points that fit the first cache together.
+const POINTS: usize = 1024;
+
+/// Evaluates the scene's distance at points around what the camera looks at, for about `time`, on one thread.
+pub fn points(job: &Job, simd: Simd, time: Duration) -> Result<PointsReport, RenderError> {
+    let packets = Packets::new(simd)?;
+    let program = Program::new(job, 0);
+    let (mut done, start) = (0_u64, Instant::now());
+    while start.elapsed() < time {
+        const ROUNDS: u32 = 64;
+        let sum = dispatch!(packets.level(), token => distances(token, &program, job, ROUNDS));
+        std::hint::black_box(sum);
+        done += u64::from(ROUNDS) * POINTS as u64;
+    }
+    let points_per_second = done as f64 / start.elapsed().as_secs_f64();
+    Ok(PointsReport { job: job.name.clone(), simd: simd.resolved().name(), points_per_second })
+}
+
+#[inline(always)]
+fn distances<S: Token>(token: S, program: &Program<'_>, job: &Job, rounds: u32) -> f32 {
+    let middle = job.scene.camera.look_at.get();
+    let spread = |index: usize, step: u32| (index as u32).wrapping_mul(step) as f32 / u32::MAX as f32 * 4.0 - 2.0;
+    let x: [f32; POINTS] = std::array::from_fn(|index| middle.x + spread(index, 0x9e37_79b9));
+    let y: [f32; POINTS] = std::array::from_fn(|index| middle.y + spread(index, 0xc13f_a9a9));
+    let z: [f32; POINTS] = std::array::from_fn(|index| middle.z + spread(index, 0x91e1_0da5));
+    let mut sum = Lanes::<S, REGISTERS>::from_fn(token, |_| 0.0);
+    let count = Lanes::<S, REGISTERS>::COUNT;
+    for _ in 0..rounds {
+        for at in (0..POINTS).step_by(count) {
+            let load = |numbers: &[f32]| Lanes::<S, REGISTERS>::load(token, &numbers[at..at + count]);
+            sum = sum + program.distance(vec3(load(&x), load(&y), load(&z)));
+        }
+    }
+    let mut last = [0.0; 64];
+    sum.store(&mut last[..count]);
+    last[0]
+}
+
+/// Renders a frame of `job` some times.
+pub fn render(job: &Job, simd: Simd, threads: Option<usize>, runs: usize) -> Result<RenderReport, RenderError> {
+    let renderer = CpuRenderer::new(threads, simd)?;
+    let rect = Rect::whole(job.image.width, job.image.height);
+    let run = TileRun { job, frame: 0, rect };
+    let mut times = Vec::with_capacity(runs);
+    for _ in 0..runs.max(1) {
+        let start = Instant::now();
+        std::hint::black_box(renderer.render(&run, &Cancel::new(), &|_| ())?);
+        times.push(start.elapsed().as_secs_f64());
+    }
+    times.sort_by(f64::total_cmp);
+    let median = times[times.len() / 2];
+    let evaluations = renderer.evaluations(&run);
+    let rays = job.rays_per_frame();
+    Ok(RenderReport {
+        job: job.name.clone(),
+        simd: simd.resolved().name(),
+        threads: renderer.threads(),
+        rays,
+        evaluations,
+        least_ms: times[0] * 1e3,
+        median_ms: median * 1e3,
+        rays_per_second: rays as f64 / median,
+        evaluations_per_second: evaluations as f64 / median,
+    })
+}

@@ -1,0 +1,96 @@
+//! The CPU renderer: rayon over small blocks of a tile, one packet of pixels at a time.
+
+mod packets;
+
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+
+use rayon::prelude::*;
+use rayon::{ThreadPool, ThreadPoolBuilder};
+use scene::Program;
+
+use crate::simd::Simd;
+use crate::{Cancel, Pixels, RenderError, Renderer, TileRun};
+
+pub(crate) use packets::{Packets, REGISTERS};
+
+/// Renders on the cores of this machine.
+#[derive(Clone, Debug)]
+pub struct CpuRenderer {
+    threads: Arc<ThreadPool>,
+    packets: Packets,
+}
+
+impl CpuRenderer {
+    /// Renders with so many threads (all cores if `None`) and these vector instructions.
+    pub fn new(threads: Option<usize>, simd: Simd) -> Result<Self, RenderError> {
+        let packets = Packets::new(simd)?;
+        let threads = ThreadPoolBuilder::new()
+            .num_threads(threads.unwrap_or(0))
+            .thread_name(|index| format!("render-{index}"))
+            .build()
+            .map_err(RenderError::Threads)?;
+        Ok(Self { threads: Arc::new(threads), packets })
+    }
+
+    /// How many threads it renders with.
+    pub fn threads(&self) -> usize {
+        self.threads.current_num_threads()
+    }
+
+    /// How often the scene's distance is evaluated for the pixels of a tile, without its layers.
+    pub fn evaluations(&self, run: &TileRun<'_>) -> u64 {
+        let program = Program::new(run.job, run.frame);
+        let rows = run.rect.y..run.rect.y + run.rect.height;
+        let of_row = |row| self.packets.evaluations(&program, run.rect.x, row, run.rect.width as usize);
+        self.threads.install(|| rows.into_par_iter().map(of_row).sum())
+    }
+}
+
+impl Renderer for CpuRenderer {
+    fn device(&self) -> String {
+        "cpu".to_owned()
+    }
+
+    fn render(
+        &self,
+        run: &TileRun<'_>,
+        cancel: &Cancel,
+        progress: &(dyn Fn(u64) + Sync),
+    ) -> Result<Pixels, RenderError> {
+        let program = Program::new(run.job, run.frame);
+        let image = &run.job.image;
+        let mut pixels = Pixels::zeroed(run.rect, image.channels().len());
+        let height = self.packets.block_rows() as usize;
+        let width = run.rect.width as usize;
+        let stopped = AtomicBool::new(false);
+        self.threads.install(|| {
+            bands(&mut pixels.planes, width * height).into_par_iter().enumerate().for_each(|(index, band)| {
+                if stopped.load(Ordering::Relaxed) || cancel.is_cancelled() {
+                    stopped.store(true, Ordering::Relaxed);
+                    return;
+                }
+                let top = run.rect.y + (index * height) as u32;
+                let rays = band[0].len() as u64 * u64::from(image.samples);
+                if self.packets.band(&program, image, run.rect.x, top, width, band, cancel) {
+                    progress(rays);
+                } else {
+                    stopped.store(true, Ordering::Relaxed);
+                }
+            });
+        });
+        if stopped.into_inner() { Err(RenderError::Cancelled) } else { Ok(pixels) }
+    }
+}
+
+/// Cuts all planes into bands of `length` numbers: one list of slices a band, one slice a plane.
+fn bands(planes: &mut [Vec<f32>], length: usize) -> Vec<Vec<&mut [f32]>> {
+    let count = planes.first().map_or(0, |plane| plane.len().div_ceil(length));
+    let mut bands: Vec<Vec<&mut [f32]>> = (0..count).map(|_| Vec::with_capacity(planes.len())).collect();
+    for plane in planes {
+        for (band, slice) in bands.iter_mut().zip(plane.chunks_mut(length)) {
+            band.push(slice);
+        }
+    }
+    bands
+}

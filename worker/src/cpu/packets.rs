@@ -1,0 +1,142 @@
+//! Packets: a block of neighbouring pixels rendered together, one a lane.
+
+use fearless_simd::{Level, Simd as Token, dispatch};
+use scene::{Image, Layer, Program};
+
+use crate::lanes::Lanes;
+use crate::simd::Simd;
+use crate::{Cancel, RenderError};
+
+/// Registers that a packet fills: more share the cost of walking the scene, fewer keep its pixels alike.
+pub(crate) const REGISTERS: usize = 2;
+
+/// Renders packets with one CPU's vector instructions.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Packets(Level);
+
+/// What all packets of a band share.
+struct Band<'a, 'b> {
+    program: &'a Program<'a>,
+    image: &'a Image,
+    left: u32,
+    top: u32,
+    width: usize,
+    planes: Vec<&'b mut [f32]>,
+}
+
+impl Packets {
+    /// Packets by these instructions, if this CPU has them.
+    pub(crate) fn new(simd: Simd) -> Result<Self, RenderError> {
+        simd.level().map(Self)
+    }
+
+    /// The vector instructions in use.
+    pub(crate) fn level(self) -> Level {
+        self.0
+    }
+
+    /// Rows of a packet's block.
+    pub(crate) fn block_rows(self) -> u32 {
+        dispatch!(self.0, token => block(token).1) as u32
+    }
+
+    /// How often a row of pixels evaluates the scene's distance.
+    pub(crate) fn evaluations(self, program: &Program<'_>, left: u32, row: u32, width: usize) -> u64 {
+        dispatch!(self.0, token => row_evaluations(token, program, left, row, width))
+    }
+
+    /// Renders the rows of a band that starts in column `left` and row `top`; false if cancelled.
+    #[expect(clippy::too_many_arguments, reason = "the parts of one band")]
+    pub(crate) fn band(
+        self,
+        program: &Program<'_>,
+        image: &Image,
+        left: u32,
+        top: u32,
+        width: usize,
+        planes: Vec<&mut [f32]>,
+        cancel: &Cancel,
+    ) -> bool {
+        let mut band = Band { program, image, left, top, width, planes };
+        dispatch!(self.0, token => band.render(token, cancel))
+    }
+}
+
+/// Columns and rows of a packet's block: as square as its lanes allow.
+#[inline(always)]
+fn block<S: Token>(_: S) -> (usize, usize) {
+    let lanes = Lanes::<S, REGISTERS>::COUNT;
+    let columns = 1 << (lanes.ilog2().div_ceil(2));
+    (columns, lanes / columns)
+}
+
+#[inline(always)]
+fn row_evaluations<S: Token>(token: S, program: &Program<'_>, left: u32, row: u32, width: usize) -> u64 {
+    let count = Lanes::<S, REGISTERS>::COUNT;
+    let mut buffer = [0.0; 64];
+    let mut sum = 0;
+    for column in (0..width).step_by(count) {
+        let x = Lanes::<S, REGISTERS>::from_fn(token, |lane| (left as usize + column + lane) as f32);
+        let y = Lanes::<S, REGISTERS>::from_fn(token, |_| row as f32);
+        program.pixel(x, y).evaluations.store(&mut buffer);
+        sum += buffer[..count.min(width - column)].iter().map(|&n| n as u64).sum::<u64>();
+    }
+    sum
+}
+
+impl Band<'_, '_> {
+    #[inline(always)]
+    fn render<S: Token>(&mut self, token: S, cancel: &Cancel) -> bool {
+        let (columns, _) = block(token);
+        for column in (0..self.width).step_by(columns) {
+            if cancel.is_cancelled() {
+                return false;
+            }
+            self.packet(token, column);
+        }
+        true
+    }
+
+    /// Renders the block that starts in `column` of the band.
+    #[inline(always)]
+    fn packet<S: Token>(&mut self, token: S, column: usize) {
+        let (columns, _) = block(token);
+        let rows = self.planes[0].len() / self.width;
+        // Lanes beyond the band's edge repeat its last pixels.
+        let place = |lane: usize| ((column + lane % columns).min(self.width - 1), (lane / columns).min(rows - 1));
+        let x = Lanes::<S, REGISTERS>::from_fn(token, |lane| (self.left as usize + place(lane).0) as f32);
+        let y = Lanes::<S, REGISTERS>::from_fn(token, |lane| (self.top as usize + place(lane).1) as f32);
+        let mut buffer = [0.0; 64];
+        let mut put = |plane: &mut [f32], numbers: Lanes<S, REGISTERS>| {
+            // A file must not tell zeros apart by their sign.
+            (numbers + 0.0).store(&mut buffer);
+            for (lane, &number) in buffer[..Lanes::<S, REGISTERS>::COUNT].iter().enumerate() {
+                let (column, row) = place(lane);
+                plane[row * self.width + column] = number;
+            }
+        };
+        let seen = self.program.pixel(x, y);
+        let color = [seen.color.x, seen.color.y, seen.color.z, seen.alpha];
+        for (plane, numbers) in self.planes.iter_mut().zip(color) {
+            put(plane, numbers);
+        }
+        if self.image.layers.is_empty() {
+            return;
+        }
+        let met = self.program.layers(x, y);
+        let mut planes = self.planes.iter_mut().skip(color.len());
+        for layer in &self.image.layers {
+            let numbers: &[Lanes<S, REGISTERS>] = match layer {
+                Layer::Depth => &[met.depth],
+                Layer::Object => &[met.object],
+                Layer::Steps => &[met.steps],
+                Layer::Normal => &<[_; 3]>::from(met.normal),
+                Layer::Position => &<[_; 3]>::from(met.position),
+                Layer::Albedo => &<[_; 3]>::from(met.albedo),
+            };
+            for (plane, &numbers) in planes.by_ref().zip(numbers) {
+                put(plane, numbers);
+            }
+        }
+    }
+}
