@@ -1,1 +1,112 @@
-//! x
+//! The server of sdfarm: a queue in a database, an HTTP API, a pool of local workers.
+//!
+//! It plans, leases and stores; it never touches a pixel.
+
+mod clock;
+mod config;
+mod farm;
+mod http;
+mod janitor;
+mod jobs;
+mod lock;
+mod pictures;
+mod plan;
+mod pool;
+mod queue;
+mod start;
+mod store;
+
+use std::net::SocketAddr;
+use std::sync::Arc;
+use std::time::Duration;
+
+use tokio::net::TcpListener;
+use tokio::sync::mpsc;
+use tokio_util::sync::CancellationToken;
+
+pub use clock::{Clock, Hand};
+pub use config::Config;
+pub use start::StartError;
+
+use farm::{Farm, Leftovers};
+use lock::FolderLock;
+use store::Store;
+
+/// Workers of the local pool, unless the operator says otherwise.
+const DEFAULT_WORKERS: u32 = 1;
+/// What answers may take after the pool has ended.
+const LAST_ANSWERS: Duration = Duration::from_secs(5);
+
+/// Why a running server ended by itself.
+#[derive(Debug, thiserror::Error)]
+pub enum ServeError {
+    /// The listener failed.
+    #[error("the server can't take connections any more")]
+    Listen(#[source] std::io::Error),
+}
+
+/// A server that has its data folder, its database and its address.
+#[derive(Debug)]
+pub struct Server {
+    listener: TcpListener,
+    address: SocketAddr,
+    farm: Arc<Farm>,
+    store: Arc<Store>,
+    leftovers: mpsc::UnboundedReceiver<Leftovers>,
+    // Let go last of all.
+    lock: FolderLock,
+}
+
+impl Server {
+    /// Takes hold of the data folder, opens the database, puts right what the last server left,
+    /// and binds the address. Local workers start with [`Server::run`].
+    pub async fn start(config: Config) -> Result<Self, StartError> {
+        Self::start_with_clock(config, Clock::system()).await
+    }
+
+    /// The same, under another clock.
+    pub async fn start_with_clock(config: Config, clock: Clock) -> Result<Self, StartError> {
+        start::start(config, clock).await
+    }
+
+    /// Where it listens.
+    pub fn address(&self) -> SocketAddr {
+        self.address
+    }
+
+    /// Serves until `shutdown`, then takes no more jobs, lets local workers finish or hand back
+    /// what they hold, and closes the database.
+    pub async fn run(self, shutdown: CancellationToken) -> Result<(), ServeError> {
+        let Self { listener, address, farm, store, leftovers, lock } = self;
+        let router = http::router(Arc::clone(&farm));
+        let ending = farm.ending.clone();
+        let mut serving = tokio::spawn(async move {
+            axum::serve(listener, router).with_graceful_shutdown(ending.cancelled_owned()).await
+        });
+        let janitor = tokio::spawn(janitor::run(Arc::clone(&farm), leftovers, farm.ending.clone()));
+        let pool = farm.pool.start(&farm.config, address, farm.queue.clone());
+        tracing::info!(%address, "serving");
+        let failed = tokio::select! {
+            () = shutdown.cancelled() => None,
+            ended = &mut serving => Some(ended),
+        };
+        farm.closing.cancel();
+        pool.end(farm.config.grace).await;
+        farm.ending.cancel();
+        let ended = match failed {
+            Some(ended) => Some(ended),
+            None => tokio::time::timeout(LAST_ANSWERS, serving).await.ok(),
+        };
+        if let Err(error) = janitor.await {
+            tracing::error!(%error, "the janitor panicked");
+        }
+        store.close().await;
+        drop(lock);
+        tracing::info!("ended");
+        match ended {
+            Some(Ok(Err(error))) => Err(ServeError::Listen(error)),
+            Some(Err(error)) => Err(ServeError::Listen(std::io::Error::other(error))),
+            Some(Ok(Ok(()))) | None => Ok(()),
+        }
+    }
+}

@@ -1,0 +1,83 @@
+//! What time it is: leases and back-off run on a monotonic clock that starts at 0 with
+//! the server, so that a jump of the wall clock expires nothing; people see the wall clock.
+//!
+//! Nothing else in this crate asks the system for the time of day.
+
+use std::sync::Arc;
+use std::sync::atomic::{AtomicI64, Ordering};
+use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
+
+/// A source of time.
+#[derive(Clone, Debug)]
+pub struct Clock(Source);
+
+#[derive(Clone, Debug)]
+enum Source {
+    System(Instant),
+    Hand(Arc<AtomicI64>),
+}
+
+impl Clock {
+    /// The machine's clocks; its monotonic time starts now.
+    pub fn system() -> Self {
+        Self(Source::System(Instant::now()))
+    }
+
+    /// A clock that moves only by its hand.
+    pub fn by_hand() -> (Self, Hand) {
+        let now_ms = Arc::new(AtomicI64::new(0));
+        (Self(Source::Hand(Arc::clone(&now_ms))), Hand(now_ms))
+    }
+
+    /// Milliseconds since the server started; never falls.
+    pub(crate) fn now_ms(&self) -> i64 {
+        match &self.0 {
+            Source::System(start) => i64::try_from(start.elapsed().as_millis()).unwrap_or(i64::MAX),
+            Source::Hand(now_ms) => now_ms.load(Ordering::SeqCst),
+        }
+    }
+
+    /// Milliseconds since 1970, by the wall clock; for people only.
+    pub(crate) fn wall_ms(&self) -> i64 {
+        match &self.0 {
+            Source::System(_) => SystemTime::now()
+                .duration_since(UNIX_EPOCH)
+                .map_or(0, |age| i64::try_from(age.as_millis()).unwrap_or(i64::MAX)),
+            Source::Hand(now_ms) => now_ms.load(Ordering::SeqCst),
+        }
+    }
+}
+
+/// Moves a clock made by [`Clock::by_hand`].
+#[derive(Clone, Debug)]
+pub struct Hand(Arc<AtomicI64>);
+
+impl Hand {
+    /// Lets time pass.
+    pub fn advance(&self, time: Duration) {
+        self.0.fetch_add(i64::try_from(time.as_millis()).unwrap_or(i64::MAX), Ordering::SeqCst);
+    }
+}
+
+/// A time of [`Clock::wall_ms`] as RFC 3339 in UTC.
+pub(crate) fn rfc3339(wall_ms: i64) -> String {
+    jiff::Timestamp::from_millisecond(wall_ms).unwrap_or_default().to_string()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_clock_by_hand_moves_only_when_told() {
+        let (clock, hand) = Clock::by_hand();
+        assert_eq!(clock.now_ms(), 0);
+        hand.advance(Duration::from_secs(2));
+        assert_eq!(clock.now_ms(), 2000);
+    }
+
+    #[test]
+    fn times_for_people_are_rfc_3339() {
+        assert_eq!(rfc3339(1_767_225_600_000), "2026-01-01T00:00:00Z");
+    }
+}

@@ -1,0 +1,50 @@
+//! What an operator decides about a server.
+
+use std::net::{IpAddr, Ipv4Addr, SocketAddr};
+use std::path::PathBuf;
+use std::time::Duration;
+
+/// What an operator decides about a server. `Config::default()` is what `serve` says without flags.
+#[derive(Clone, Debug)]
+pub struct Config {
+    /// Where to listen; port 0 takes any free one.
+    pub listen: SocketAddr,
+    /// Folder of the database and the pictures; made if it is not there.
+    pub data: PathBuf,
+    /// Local workers; `None` is one.
+    pub workers: Option<u32>,
+    /// `--device` of the local workers.
+    pub device: String,
+    /// `--simd` of the local workers.
+    pub simd: String,
+    /// Edge of a tile, in pixels; `None` sizes tiles by their rays.
+    pub tile_px: Option<u32>,
+    /// Length of a lease.
+    pub lease: Duration,
+    /// Listen beyond loopback although there are no keys.
+    pub insecure: bool,
+    /// Names, without port, that the `Host` header may carry besides loopback's and addresses.
+    pub hosts: Vec<String>,
+    /// The program that local workers run as, with `worker` as first argument.
+    pub worker_program: PathBuf,
+    /// How long local workers may go on with what they hold when the server ends.
+    pub grace: Duration,
+}
+
+impl Default for Config {
+    fn default() -> Self {
+        Self {
+            listen: SocketAddr::new(IpAddr::V4(Ipv4Addr::LOCALHOST), 8080),
+            data: PathBuf::from("sdfarm-data"),
+            workers: None,
+            device: "auto".to_owned(),
+            simd: "auto".to_owned(),
+            tile_px: None,
+            lease: Duration::from_secs(30),
+            insecure: false,
+            hosts: Vec::new(),
+            worker_program: PathBuf::from("sdfarm"),
+            grace: Duration::from_secs(10),
+        }
+    }
+}

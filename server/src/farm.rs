@@ -1,0 +1,177 @@
+//! What the doors share: the queue, the bytes, the pool; and the steps that need more than one of them.
+//!
+//! Nothing here knows about HTTP.
+
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
+
+use proto::work::{Outcome, Report};
+use tokio::sync::mpsc;
+use tokio_util::sync::CancellationToken;
+
+use crate::config::Config;
+use crate::jobs::{JobError, Jobs};
+use crate::pictures::{Kind, Name, PictureError, Pictures};
+use crate::plan::Plan;
+use crate::pool::Pool;
+use crate::queue::{NewJob, Next, Opened, Opening, Queue, Turn, Turned};
+use crate::store::StoreError;
+
+/// Frames of one job that are looked up among stored pictures when it is handed in; the rest
+/// are looked up as they are reached.
+const REUSED_AT_ONCE: u32 = 64;
+
+/// Bytes that may be left over.
+#[derive(Clone, Debug)]
+pub(crate) struct Leftovers {
+    /// Pictures or blobs.
+    pub(crate) kind: Kind,
+    /// Their hashes.
+    pub(crate) hashes: Vec<String>,
+}
+
+/// Numbers since the start, for `/metrics`.
+#[derive(Debug, Default)]
+pub(crate) struct Totals {
+    /// Leases that ran out.
+    pub(crate) expired: AtomicU64,
+    /// Results without effect.
+    pub(crate) fenced: AtomicU64,
+}
+
+/// What the doors share.
+#[derive(Debug)]
+pub(crate) struct Farm {
+    /// What the operator decided.
+    pub(crate) config: Config,
+    /// Jobs, tiles, leases, workers.
+    pub(crate) queue: Queue,
+    /// Pictures and blobs.
+    pub(crate) pictures: Pictures,
+    /// Parsed job files.
+    pub(crate) jobs: Jobs,
+    /// Local workers.
+    pub(crate) pool: Pool,
+    /// Numbers since the start.
+    pub(crate) totals: Totals,
+    /// Where leftover bytes are announced to the janitor.
+    pub(crate) leftovers: mpsc::UnboundedSender<Leftovers>,
+    /// No more jobs are taken.
+    pub(crate) closing: CancellationToken,
+    /// Nobody waits any longer.
+    pub(crate) ending: CancellationToken,
+}
+
+/// Why a worker's turn could not be taken.
+#[derive(Debug, thiserror::Error)]
+pub(crate) enum TurnError {
+    /// The database could not do it.
+    #[error(transparent)]
+    Store(#[from] StoreError),
+    /// The store could not be asked.
+    #[error(transparent)]
+    Pictures(#[from] PictureError),
+}
+
+impl Farm {
+    /// Accepts a job, and stores at once the frames whose pictures are there already.
+    pub(crate) async fn submit(&self, new: NewJob, job: Arc<scene::Job>) -> Result<(), StoreError> {
+        let (plan, fresh, text_bytes) = (new.plan, new.fresh, new.text.len());
+        let number = self.queue.submit(new).await?;
+        self.jobs.keep(number, text_bytes, Arc::clone(&job));
+        if fresh {
+            return Ok(());
+        }
+        for frame in 0..plan.frames.min(REUSED_AT_ONCE) {
+            let opening = opening(number, frame, plan, &job);
+            if !self.queue.has_picture(&opening.picture_key).await?
+                || self.queue.reuse(opening).await? != Opened::Stored
+            {
+                break;
+            }
+        }
+        Ok(())
+    }
+
+    /// Takes a worker's turn up to work or the lack of it; `None` if the worker is not known.
+    pub(crate) async fn turn(&self, mut turn: Turn) -> Result<Option<Turned>, TurnError> {
+        let gate = self.pictures.keep_all().await;
+        self.check_delivered(&mut turn.results).await?;
+        let worker = turn.worker;
+        let again = Turn { results: Vec::new(), ..turn.clone() };
+        let taken = self.queue.turn(turn).await?;
+        drop(gate);
+        let Some(mut turned) = taken else { return Ok(None) };
+        self.count(&turned);
+        self.sweep_later(Kind::Blob, std::mem::take(&mut turned.leftovers));
+        while let Next::Frame { job, frame, plan } = turned.next {
+            let Some(opening) = self.opening(job, frame, plan).await? else {
+                turned.next = Next::Nothing(None);
+                break;
+            };
+            let Some(more) = self.queue.turn(Turn { opening: Some(opening), ..again.clone() }).await? else {
+                tracing::warn!(%worker, "a worker was ended while it claimed");
+                return Ok(None);
+            };
+            self.count(&more);
+            turned.next = more.next;
+            turned.drain |= more.drain;
+            turned.lost.extend(more.lost.iter().filter(|lease| !turned.lost.contains(lease)).copied().collect::<Vec<_>>());
+        }
+        Ok(Some(turned))
+    }
+
+    fn count(&self, turned: &Turned) {
+        self.totals.expired.fetch_add(turned.expired, Ordering::Relaxed);
+        self.totals.fenced.fetch_add(turned.fenced, Ordering::Relaxed);
+    }
+
+    async fn opening(&self, number: i64, frame: u32, plan: Plan) -> Result<Option<Opening>, StoreError> {
+        match self.jobs.get(&self.queue, number).await {
+            Ok(job) => Ok(Some(opening(number, frame, plan, &job))),
+            Err(JobError::Store(error)) => Err(error),
+            Err(error @ (JobError::Gone | JobError::Refused(_) | JobError::Thread)) => {
+                tracing::error!(job = number, %error, "a frame could not be opened");
+                Ok(None)
+            }
+        }
+    }
+
+    /// A result whose bytes are not there is no result: its tile goes back.
+    async fn check_delivered(&self, reports: &mut [Report]) -> Result<(), PictureError> {
+        let mut last: Option<(String, bool)> = None;
+        for report in reports {
+            let (kind, hash, size_bytes) = match &report.outcome {
+                Outcome::Blob { hash, size_bytes } => (Kind::Blob, hash, *size_bytes),
+                Outcome::Picture { hash, size_bytes } => (Kind::Picture, hash, *size_bytes),
+                Outcome::BadBlobs { .. } | Outcome::Failed { .. } | Outcome::HandedBack => continue,
+            };
+            let there = match &last {
+                Some((same, there)) if same == hash => *there,
+                _ => match Name::parse(hash) {
+                    None => false,
+                    Some(name) => self.pictures.size_bytes(kind, &name).await? == Some(size_bytes),
+                },
+            };
+            last = Some((hash.clone(), there));
+            if !there {
+                tracing::warn!(lease = %report.lease, %hash, "a result came without its bytes; its tile goes back");
+                report.outcome = Outcome::HandedBack;
+            }
+        }
+        Ok(())
+    }
+
+    /// Has the janitor remove those of some bytes that nobody needs.
+    pub(crate) fn sweep_later(&self, kind: Kind, hashes: Vec<String>) {
+        if !hashes.is_empty() {
+            // Without a janitor the server is ending; the next one sweeps.
+            drop(self.leftovers.send(Leftovers { kind, hashes }));
+        }
+    }
+}
+
+fn opening(number: i64, frame: u32, plan: Plan, job: &scene::Job) -> Opening {
+    let picture_key = job.picture_key(frame).to_hex().to_string();
+    Opening { job: number, frame, picture_key, tiles: plan.tiles(), samples: plan.samples }
+}

@@ -1,0 +1,88 @@
+//! Who may come in: requests that name this server, from no foreign page; workers with the pool's token.
+
+use std::net::IpAddr;
+use std::sync::Arc;
+
+use axum::extract::{Request, State};
+use axum::http::uri::Authority;
+use axum::http::{HeaderMap, Method, header};
+use axum::middleware::Next;
+use axum::response::{IntoResponse, Response};
+
+use super::error::ApiError;
+use crate::farm::Farm;
+
+/// Refuses requests whose `Host` is not this server (DNS rebinding), and changes asked for by foreign pages.
+pub(super) async fn host_and_origin(State(farm): State<Arc<Farm>>, request: Request, next: Next) -> Response {
+    match check(&farm.config.hosts, &request) {
+        Ok(()) => next.run(request).await,
+        Err(error) => error.into_response(),
+    }
+}
+
+fn check(hosts: &[String], request: &Request) -> Result<(), ApiError> {
+    let named = match request.uri().authority() {
+        Some(authority) => authority.as_str(),
+        None => text(request.headers(), &header::HOST),
+    };
+    if !is_ours(hosts, named) {
+        return Err(ApiError::ForeignHost(named.to_owned()));
+    }
+    if [Method::GET, Method::HEAD, Method::OPTIONS].contains(request.method()) {
+        return Ok(());
+    }
+    let origin = text(request.headers(), &header::ORIGIN);
+    if !origin.is_empty() && origin.strip_prefix("http://").or(origin.strip_prefix("https://")) != Some(named) {
+        return Err(ApiError::ForeignOrigin(origin.to_owned()));
+    }
+    Ok(())
+}
+
+fn text<'a>(headers: &'a HeaderMap, name: &header::HeaderName) -> &'a str {
+    headers.get(name).map_or("", |value| value.to_str().unwrap_or("?"))
+}
+
+/// Addresses can't be rebound, so any of them will do; names have to be known.
+fn is_ours(hosts: &[String], named: &str) -> bool {
+    let Ok(authority) = named.parse::<Authority>() else { return false };
+    let host = authority.host();
+    let bare = host.strip_prefix('[').and_then(|host| host.strip_suffix(']')).unwrap_or(host);
+    bare.parse::<IpAddr>().is_ok()
+        || host.eq_ignore_ascii_case("localhost")
+        || hosts.iter().any(|known| known.eq_ignore_ascii_case(host))
+}
+
+/// Lets in the pool's workers, by their token; while there are no keys and only loopback
+/// can call, others too, if they bring none.
+pub(super) async fn worker_token(State(farm): State<Arc<Farm>>, request: Request, next: Next) -> Response {
+    let allowed = match request.headers().get(header::AUTHORIZATION) {
+        None => farm.config.listen.ip().is_loopback(),
+        Some(value) => value
+            .to_str()
+            .ok()
+            .and_then(|value| value.strip_prefix("Bearer "))
+            .is_some_and(|token| same(token, farm.pool.token())),
+    };
+    if allowed { next.run(request).await } else { ApiError::WrongToken.into_response() }
+}
+
+/// Compares in a time that does not tell where they differ.
+fn same(left: &str, right: &str) -> bool {
+    blake3::hash(left.as_bytes()) == blake3::hash(right.as_bytes())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn addresses_localhost_and_known_names_are_ours() {
+        let hosts = ["farm.example".to_owned()];
+        for ours in ["127.0.0.1:8080", "localhost", "LOCALHOST:1", "[::1]:80", "192.168.1.5:9", "farm.example:8080"] {
+            assert!(is_ours(&hosts, ours), "{ours}");
+        }
+        for foreign in ["", "evil.example", "localhost.evil.example", "127.0.0.1.evil.example:80", "?"] {
+            assert!(!is_ours(&hosts, foreign), "{foreign}");
+        }
+    }
+}

@@ -1,0 +1,253 @@
+//! Every refusal a client can meet, and the only place that knows status codes.
+
+use axum::http::{HeaderValue, StatusCode, header};
+use axum::response::{IntoResponse, Response};
+use proto::job::JobState;
+use proto::problem::FaultView;
+use proto::{JobId, Problem};
+
+use crate::farm::TurnError;
+use crate::jobs::JobError;
+use crate::pictures::PictureError;
+use crate::store::StoreError;
+
+/// Why a request is refused: what went wrong this time, and the cure.
+#[derive(Debug, thiserror::Error)]
+pub(crate) enum ApiError {
+    #[error("the body is not JSON: {}", first(.0))]
+    NotJson(Vec<FaultView>),
+    #[error("the job has {} (see errors): {}", faults(.0), first(.0))]
+    WrongJob(Vec<FaultView>),
+    #[error("the body is not what this route takes: {}", first(.0))]
+    WrongBody(Vec<FaultView>),
+    #[error("the query can't be read: {0}")]
+    WrongQuery(String),
+    #[error("the body has more than {limit_bytes} bytes, the most this route takes")]
+    TooLarge { limit_bytes: u64 },
+    #[error("the content type is {found:?}: send JSON as application/json")]
+    WrongType { found: String },
+    #[error("the body did not arrive whole: {0}")]
+    BrokenBody(String),
+    #[error("there is no job {0}: GET /v1/jobs lists those there are")]
+    UnknownJob(String),
+    #[error("job {job} has no frame {frame}: it has {frames}, from 0")]
+    UnknownFrame { job: JobId, frame: String, frames: u32 },
+    #[error("{}", not_stored(.job, *.frame, *.state))]
+    NotStored { job: JobId, frame: u32, state: JobState },
+    #[error("there is no {method} {path}: /docs lists the routes")]
+    UnknownRoute { method: String, path: String },
+    #[error("{path} does not take {method}: see the Allow header, and /docs")]
+    WrongMethod { method: String, path: String },
+    #[error("job {job} has already {}: nothing is left to cancel", .state.name())]
+    Finished { job: JobId, state: JobState },
+    #[error("job {0} is running: cancel it first, then delete it")]
+    Running(JobId),
+    #[error("the range lies outside of the picture, which has {size_bytes} bytes")]
+    WrongRange { size_bytes: u64 },
+    #[error(
+        "this server is not known as {0:?}: address it as localhost or by its IP address, \
+         or name it with --host when it is started"
+    )]
+    ForeignHost(String),
+    #[error("pages of {0:?} may not change anything here")]
+    ForeignOrigin(String),
+    #[error("this route is for workers that bring the pool's token")]
+    WrongToken,
+    #[error("no worker {0} is known: it was gone for too long, so it has to register again")]
+    UnknownWorker(String),
+    #[error("this worker makes pictures of version {found}, the server wants {wanted}: run the same release of both")]
+    WrongPictureVersion { found: u32, wanted: u32 },
+    #[error("{0:?} is not the BLAKE3 of anything: 64 lower-case hex digits are")]
+    WrongHash(String),
+    #[error("{0}")]
+    WrongBytes(String),
+    #[error("there is no blob {0}")]
+    UnknownBlob(String),
+    #[error("the picture is recorded, but its file is gone from the store: post the job again with Cache-Control: no-cache")]
+    LostPicture,
+    #[error("the server is ending: try again when it is back")]
+    Closing,
+    #[error("the disk is full: make room in the data folder, then try again")]
+    DiskFull,
+    #[error("the database is damaged: stop the server, and restore the data folder from a backup")]
+    DamagedDatabase,
+    #[error("something went wrong in the server; its log has the cause under this request id")]
+    Internal(#[source] Box<dyn std::error::Error + Send + Sync>),
+}
+
+fn first(faults: &[FaultView]) -> String {
+    faults.first().map_or_else(String::new, |fault| {
+        let place = if fault.pointer.is_empty() { String::new() } else { format!("{}: ", fault.pointer) };
+        format!("{place}{} (line {}, column {})", fault.message, fault.line, fault.column)
+    })
+}
+
+fn faults(faults: &[FaultView]) -> String {
+    if faults.len() == 1 { "a fault".to_owned() } else { format!("{} faults", faults.len()) }
+}
+
+fn not_stored(job: &JobId, frame: u32, state: JobState) -> String {
+    if state.is_final() {
+        format!("frame {frame} of job {job} was never stored: the job is {}", state.name())
+    } else {
+        format!("frame {frame} of job {job} is not stored yet: poll GET /v1/jobs/{job} until its state is succeeded")
+    }
+}
+
+impl ApiError {
+    /// Status, stable code, and what sort of problem it is.
+    fn sort(&self) -> (StatusCode, &'static str, &'static str) {
+        match self {
+            Self::NotJson(_) => (StatusCode::BAD_REQUEST, "not_json", "The body is not JSON"),
+            Self::WrongJob(_) => (StatusCode::UNPROCESSABLE_ENTITY, "wrong_job", "The job is not sound"),
+            Self::WrongBody(_) => (StatusCode::UNPROCESSABLE_ENTITY, "wrong_body", "The body is not as it should be"),
+            Self::WrongQuery(_) => (StatusCode::UNPROCESSABLE_ENTITY, "wrong_query", "The query is not as it should be"),
+            Self::TooLarge { .. } => (StatusCode::PAYLOAD_TOO_LARGE, "too_large", "The body is too large"),
+            Self::WrongType { .. } => {
+                (StatusCode::UNSUPPORTED_MEDIA_TYPE, "wrong_content_type", "The content type is not taken")
+            }
+            Self::BrokenBody(_) => (StatusCode::BAD_REQUEST, "broken_body", "The body broke off"),
+            Self::UnknownJob(_) => (StatusCode::NOT_FOUND, "unknown_job", "There is no such job"),
+            Self::UnknownFrame { .. } => (StatusCode::NOT_FOUND, "unknown_frame", "There is no such frame"),
+            Self::NotStored { .. } => (StatusCode::NOT_FOUND, "picture_not_stored", "The picture is not stored"),
+            Self::UnknownRoute { .. } => (StatusCode::NOT_FOUND, "unknown_route", "There is no such route"),
+            Self::WrongMethod { .. } => (StatusCode::METHOD_NOT_ALLOWED, "wrong_method", "The method is not taken"),
+            Self::Finished { .. } => (StatusCode::CONFLICT, "job_finished", "The job has ended"),
+            Self::Running(_) => (StatusCode::CONFLICT, "job_running", "The job is running"),
+            Self::WrongRange { .. } => (StatusCode::RANGE_NOT_SATISFIABLE, "wrong_range", "The range is not there"),
+            Self::ForeignHost(_) => (StatusCode::FORBIDDEN, "foreign_host", "The host is not this server"),
+            Self::ForeignOrigin(_) => (StatusCode::FORBIDDEN, "foreign_origin", "The origin is not this server"),
+            Self::WrongToken => (StatusCode::UNAUTHORIZED, "wrong_token", "The token is not right"),
+            Self::UnknownWorker(_) => (StatusCode::NOT_FOUND, "unknown_worker", "There is no such worker"),
+            Self::WrongPictureVersion { .. } => {
+                (StatusCode::UNPROCESSABLE_ENTITY, "wrong_picture_version", "The worker is of another release")
+            }
+            Self::WrongHash(_) => (StatusCode::UNPROCESSABLE_ENTITY, "wrong_hash", "The name is not a hash"),
+            Self::WrongBytes(_) => (StatusCode::UNPROCESSABLE_ENTITY, "wrong_bytes", "The bytes are not those named"),
+            Self::UnknownBlob(_) => (StatusCode::NOT_FOUND, "unknown_blob", "There is no such blob"),
+            Self::LostPicture => (StatusCode::INTERNAL_SERVER_ERROR, "lost_picture", "The picture's file is gone"),
+            Self::Closing => (StatusCode::SERVICE_UNAVAILABLE, "closing", "The server is ending"),
+            Self::DiskFull => (StatusCode::INSUFFICIENT_STORAGE, "disk_full", "The disk is full"),
+            Self::DamagedDatabase => {
+                (StatusCode::SERVICE_UNAVAILABLE, "damaged_database", "The database is damaged")
+            }
+            Self::Internal(_) => (StatusCode::INTERNAL_SERVER_ERROR, "internal", "The server failed"),
+        }
+    }
+
+    fn problem(&self) -> Problem {
+        let (status, code, title) = self.sort();
+        let errors = match self {
+            Self::NotJson(faults) | Self::WrongJob(faults) | Self::WrongBody(faults) => faults.clone(),
+            _ => Vec::new(),
+        };
+        Problem {
+            kind: format!("/docs#{code}"),
+            title: title.to_owned(),
+            status: status.as_u16(),
+            code: code.to_owned(),
+            detail: self.to_string(),
+            errors,
+            request_id: None,
+        }
+    }
+}
+
+impl IntoResponse for ApiError {
+    /// The problem rides along as an extension; `trace` writes it, with the request's id.
+    fn into_response(self) -> Response {
+        if let Self::Internal(error) = &self {
+            tracing::error!(error = %chain(error.as_ref()), "a request failed");
+        }
+        let problem = self.problem();
+        let mut response = self.sort().0.into_response();
+        match &self {
+            Self::WrongToken => {
+                response.headers_mut().insert(header::WWW_AUTHENTICATE, HeaderValue::from_static("Bearer"));
+            }
+            Self::Closing => {
+                response.headers_mut().insert(header::RETRY_AFTER, HeaderValue::from_static("5"));
+            }
+            Self::WrongRange { size_bytes } => {
+                if let Ok(value) = HeaderValue::from_str(&format!("bytes */{size_bytes}")) {
+                    response.headers_mut().insert(header::CONTENT_RANGE, value);
+                }
+            }
+            _ => {}
+        }
+        response.extensions_mut().insert(problem);
+        response
+    }
+}
+
+/// An error with all its causes, in one line.
+fn chain(error: &(dyn std::error::Error + 'static)) -> String {
+    let mut text = error.to_string();
+    let mut cause = error.source();
+    while let Some(error) = cause {
+        text = format!("{text}: {error}");
+        cause = error.source();
+    }
+    text
+}
+
+impl From<StoreError> for ApiError {
+    fn from(error: StoreError) -> Self {
+        if error.is_full() {
+            tracing::error!(error = %chain(&error), "the disk is full");
+            return Self::DiskFull;
+        }
+        if error.is_damage() {
+            tracing::error!(error = %chain(&error), "the database is damaged");
+            return Self::DamagedDatabase;
+        }
+        match error {
+            StoreError::Closed => Self::Closing,
+            error @ (StoreError::Sql(_) | StoreError::Rows { .. } | StoreError::Value { .. }) => {
+                Self::Internal(Box::new(error))
+            }
+        }
+    }
+}
+
+impl From<PictureError> for ApiError {
+    fn from(error: PictureError) -> Self {
+        if error.is_full() {
+            tracing::error!(error = %chain(&error), "the disk is full");
+            return Self::DiskFull;
+        }
+        match error {
+            PictureError::Mismatch { .. } => Self::WrongBytes(error.to_string()),
+            PictureError::TooLarge { limit_bytes } => Self::TooLarge { limit_bytes },
+            PictureError::Broken(error) => Self::BrokenBody(error.to_string()),
+            error @ PictureError::Store { .. } => Self::Internal(Box::new(error)),
+        }
+    }
+}
+
+impl From<TurnError> for ApiError {
+    fn from(error: TurnError) -> Self {
+        match error {
+            TurnError::Store(error) => error.into(),
+            TurnError::Pictures(error) => error.into(),
+        }
+    }
+}
+
+impl From<JobError> for ApiError {
+    fn from(error: JobError) -> Self {
+        match error {
+            JobError::Store(error) => error.into(),
+            error @ (JobError::Gone | JobError::Refused(_) | JobError::Thread) => Self::Internal(Box::new(error)),
+        }
+    }
+}
+
+impl From<scene::Refusal> for ApiError {
+    fn from(refusal: scene::Refusal) -> Self {
+        match refusal {
+            scene::Refusal::NotJson(fault) => Self::NotJson(vec![(&fault).into()]),
+            scene::Refusal::Wrong(faults) => Self::WrongJob(faults.iter().map(Into::into).collect()),
+        }
+    }
+}

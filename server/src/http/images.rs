@@ -1,0 +1,115 @@
+//! Stored pictures.
+
+use std::sync::Arc;
+
+use axum::body::Body;
+use axum::extract::{Path, State};
+use axum::http::{HeaderMap, HeaderName, HeaderValue, StatusCode, header};
+use axum::response::{IntoResponse, Response};
+use proto::JobId;
+
+use super::error::ApiError;
+use super::jobs::job_id;
+use super::range::{self, Asked};
+use crate::farm::Farm;
+use crate::pictures::{Kind, Name};
+use crate::queue::StoredImage;
+
+/// A frame's picture never changes.
+const IMMUTABLE: &str = "public, max-age=31536000, immutable";
+
+/// Get the picture of a job's first frame.
+#[utoipa::path(
+    get, path = "/v1/jobs/{id}/image", tag = "pictures", operation_id = "get_image",
+    params(("id" = String, Path, description = "The job")),
+    responses(
+        (status = 200, description = "The picture", content((Vec<u8> = "image/png"), (Vec<u8> = "image/x-exr"))),
+        (status = 206, description = "The range asked for"),
+        (status = 304, description = "It is what the client has"),
+        (status = 404, description = "Not stored yet, or no such job", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
+        (status = 416, description = "No such range", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
+    )
+)]
+pub(super) async fn first(
+    State(farm): State<Arc<Farm>>,
+    Path(id): Path<String>,
+    headers: HeaderMap,
+) -> Result<Response, ApiError> {
+    answer(&farm, job_id(&id)?, 0, &headers).await
+}
+
+/// Get the picture of one of a job's frames.
+#[utoipa::path(
+    get, path = "/v1/jobs/{id}/frames/{frame}/image", tag = "pictures", operation_id = "get_frame_image",
+    params(
+        ("id" = String, Path, description = "The job"),
+        ("frame" = u32, Path, description = "The frame, from 0"),
+    ),
+    responses(
+        (status = 200, description = "The picture", content((Vec<u8> = "image/png"), (Vec<u8> = "image/x-exr"))),
+        (status = 206, description = "The range asked for"),
+        (status = 304, description = "It is what the client has"),
+        (status = 404, description = "Not stored yet, or no such frame or job", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
+        (status = 416, description = "No such range", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
+    )
+)]
+pub(super) async fn frame(
+    State(farm): State<Arc<Farm>>,
+    Path((id, frame)): Path<(String, String)>,
+    headers: HeaderMap,
+) -> Result<Response, ApiError> {
+    let job = job_id(&id)?;
+    match frame.parse() {
+        Ok(frame) => answer(&farm, job, frame, &headers).await,
+        Err(_) => match farm.queue.job(job).await? {
+            Some(view) => Err(ApiError::UnknownFrame { job, frame, frames: view.frames.total as u32 }),
+            None => Err(ApiError::UnknownJob(id)),
+        },
+    }
+}
+
+async fn answer(farm: &Farm, job: JobId, frame: u32, headers: &HeaderMap) -> Result<Response, ApiError> {
+    let (hash, size_bytes, media_type) = match farm.queue.image(job, frame).await? {
+        StoredImage::Stored { hash, size_bytes, media_type } => (hash, size_bytes, media_type),
+        StoredImage::NotYet(state) => return Err(ApiError::NotStored { job, frame, state }),
+        StoredImage::NoFrame(frames) => return Err(ApiError::UnknownFrame { job, frame: frame.to_string(), frames }),
+        StoredImage::NoJob => return Err(ApiError::UnknownJob(job.to_string())),
+    };
+    let tag = format!("\"{hash}\"");
+    if headers.get(header::IF_NONE_MATCH).and_then(|value| value.to_str().ok()).is_some_and(|named| range::names(named, &tag))
+    {
+        return Ok(describe(StatusCode::NOT_MODIFIED.into_response(), &tag));
+    }
+    let asked = match headers.get(header::IF_RANGE) {
+        Some(condition) if condition.as_bytes() != tag.as_bytes() => Asked::Whole,
+        Some(_) | None => range::asked(headers.get(header::RANGE).and_then(|value| value.to_str().ok()), size_bytes),
+    };
+    let (status, part) = match asked {
+        Asked::Whole => (StatusCode::OK, None),
+        Asked::Part(part) => (StatusCode::PARTIAL_CONTENT, Some(part)),
+        Asked::Nothing => return Err(ApiError::WrongRange { size_bytes }),
+    };
+    let name = Name::parse(&hash).ok_or(ApiError::LostPicture)?;
+    let found = farm.pictures.get(Kind::Picture, &name, part.clone()).await?;
+    let Some((length_bytes, bytes)) = found else { return Err(ApiError::LostPicture) };
+    let mut response = describe((status, Body::from_stream(bytes)).into_response(), &tag);
+    set(&mut response, header::CONTENT_TYPE, &media_type);
+    set(&mut response, header::CONTENT_LENGTH, &length_bytes.to_string());
+    if let Some(part) = part {
+        set(&mut response, header::CONTENT_RANGE, &format!("bytes {}-{}/{size_bytes}", part.start, part.end - 1));
+    }
+    Ok(response)
+}
+
+fn describe(mut response: Response, tag: &str) -> Response {
+    set(&mut response, header::ETAG, tag);
+    set(&mut response, header::CACHE_CONTROL, IMMUTABLE);
+    set(&mut response, header::ACCEPT_RANGES, "bytes");
+    response
+}
+
+fn set(response: &mut Response, name: HeaderName, value: &str) {
+    if let Ok(value) = HeaderValue::from_str(value) {
+        response.headers_mut().insert(name, value);
+    }
+}

@@ -1,0 +1,202 @@
+//! Jobs: handed in, looked at, cancelled, forgotten.
+
+use std::sync::Arc;
+
+use axum::Json;
+use axum::body::Body;
+use axum::extract::{Path, State};
+use axum::http::{HeaderMap, HeaderValue, StatusCode, Uri, header};
+use axum::response::{IntoResponse, Response};
+use proto::JobId;
+use proto::job::{DryRun, JobPage, JobState, JobView};
+use serde::Deserialize;
+
+use super::body;
+use super::error::ApiError;
+use crate::farm::Farm;
+use crate::pictures::Kind;
+use crate::plan::Plan;
+use crate::queue::{Cancelled, Deleted, NewJob};
+
+/// Jobs on a page, unless the query says otherwise.
+const PAGE: u32 = 100;
+/// Jobs on a page, at most.
+const MAX_PAGE: u32 = 1000;
+
+#[derive(Debug, Deserialize)]
+struct SubmitQuery {
+    #[serde(default)]
+    dry_run: bool,
+}
+
+#[derive(Debug, Deserialize)]
+struct ListQuery {
+    state: Option<JobState>,
+    limit: Option<u32>,
+    cursor: Option<String>,
+}
+
+/// Reads a job's id from a path.
+pub(super) fn job_id(text: &str) -> Result<JobId, ApiError> {
+    text.parse().map_err(|_| ApiError::UnknownJob(text.to_owned()))
+}
+
+/// The media type of a job's pictures.
+fn media_type(image: &scene::Image) -> &'static str {
+    match image.format {
+        scene::Format::Png => "image/png",
+        scene::Format::Exr => "image/x-exr",
+    }
+}
+
+fn has_no_cache(headers: &HeaderMap) -> bool {
+    headers.get_all(header::CACHE_CONTROL).iter().filter_map(|value| value.to_str().ok()).any(|value| {
+        value.split(',').any(|directive| directive.trim().eq_ignore_ascii_case("no-cache"))
+    })
+}
+
+/// Hand in a job.
+///
+/// Answers 201 once the job is on the disk. Pictures that were stored before are not rendered
+/// again, unless the request says `Cache-Control: no-cache`.
+#[utoipa::path(
+    post, path = "/v1/jobs", tag = "jobs", operation_id = "submit_job",
+    params(("dry_run" = Option<bool>, Query, description = "Only check the job: 200 if it is sound")),
+    request_body(content = ref("#/components/schemas/Job"), content_type = "application/json"),
+    responses(
+        (status = 201, description = "Accepted", body = ref("#/components/schemas/JobView"),
+         headers(("Location" = String, description = "The job"))),
+        (status = 200, description = "It is sound (dry run)", body = ref("#/components/schemas/DryRun")),
+        (status = 400, description = "Not JSON", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
+        (status = 413, description = "Too large", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
+        (status = 415, description = "Wrong content type", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
+        (status = 422, description = "Not sound", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
+        (status = 507, description = "Disk full", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
+    )
+)]
+pub(super) async fn submit(
+    State(farm): State<Arc<Farm>>,
+    uri: Uri,
+    headers: HeaderMap,
+    request: Body,
+) -> Result<Response, ApiError> {
+    let query: SubmitQuery = body::read_query(&uri)?;
+    if farm.closing.is_cancelled() && !query.dry_run {
+        return Err(ApiError::Closing);
+    }
+    body::expect_json(&headers)?;
+    let text = body::read(request, scene::limits::MAX_BODY_BYTES).await?;
+    let parsed = farm.jobs.parse(text.clone(), |parsed| parsed.map(|job| (job.warnings(), job))).await?;
+    let (warnings, job) = parsed?;
+    let plan = Plan::of(&job, farm.config.tile_px);
+    if query.dry_run {
+        let (tiles, rays) = (plan.tiles_total(), plan.rays_total());
+        return Ok(Json(DryRun { valid: true, tiles, frames: plan.frames.into(), rays, warnings }).into_response());
+    }
+    let id = JobId::new();
+    let new = NewJob {
+        id,
+        name: job.name.clone(),
+        priority: job.priority,
+        plan,
+        media_type: media_type(&job.image),
+        warnings,
+        fresh: has_no_cache(&headers),
+        text: String::from_utf8(text.into()).map_err(|error| ApiError::Internal(Box::new(error)))?,
+    };
+    farm.submit(new, Arc::new(job)).await?;
+    let view = farm.queue.job(id).await?.ok_or_else(|| ApiError::UnknownJob(id.to_string()))?;
+    let mut response = (StatusCode::CREATED, Json(view)).into_response();
+    if let Ok(location) = HeaderValue::from_str(&format!("/v1/jobs/{id}")) {
+        response.headers_mut().insert(header::LOCATION, location);
+    }
+    Ok(response)
+}
+
+/// List jobs, newest first.
+#[utoipa::path(
+    get, path = "/v1/jobs", tag = "jobs", operation_id = "list_jobs",
+    params(
+        ("state" = Option<String>, Query, description = "Only jobs in this state: queued, running, succeeded, failed, cancelled"),
+        ("limit" = Option<u32>, Query, description = "Jobs on the page", minimum = 1, maximum = 1000),
+        ("cursor" = Option<String>, Query, description = "`next_cursor` of the page before"),
+    ),
+    responses(
+        (status = 200, description = "A page", body = ref("#/components/schemas/JobPage")),
+        (status = 422, description = "Wrong query", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
+    )
+)]
+pub(super) async fn list(State(farm): State<Arc<Farm>>, uri: Uri) -> Result<Json<JobPage>, ApiError> {
+    let query: ListQuery = body::read_query(&uri)?;
+    let limit = query.limit.unwrap_or(PAGE);
+    if !(1..=MAX_PAGE).contains(&limit) {
+        return Err(ApiError::WrongQuery(format!("limit is {limit}, but must be from 1 to {MAX_PAGE}")));
+    }
+    let before = match query.cursor {
+        None => None,
+        Some(cursor) => Some(cursor.parse().map_err(|_| {
+            ApiError::WrongQuery(format!("{cursor:?} is no cursor: pass the next_cursor of the page before"))
+        })?),
+    };
+    Ok(Json(farm.queue.jobs(query.state, limit, before).await?))
+}
+
+/// Look at a job.
+#[utoipa::path(
+    get, path = "/v1/jobs/{id}", tag = "jobs", operation_id = "get_job",
+    params(("id" = String, Path, description = "The job")),
+    responses(
+        (status = 200, description = "The job", body = ref("#/components/schemas/JobView")),
+        (status = 404, description = "No such job", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
+    )
+)]
+pub(super) async fn get(State(farm): State<Arc<Farm>>, Path(id): Path<String>) -> Result<Json<JobView>, ApiError> {
+    view(&farm, job_id(&id)?).await
+}
+
+async fn view(farm: &Farm, id: JobId) -> Result<Json<JobView>, ApiError> {
+    farm.queue.job(id).await?.map(Json).ok_or_else(|| ApiError::UnknownJob(id.to_string()))
+}
+
+/// Cancel a job.
+#[utoipa::path(
+    post, path = "/v1/jobs/{id}/cancel", tag = "jobs", operation_id = "cancel_job",
+    params(("id" = String, Path, description = "The job")),
+    responses(
+        (status = 200, description = "It is cancelled", body = ref("#/components/schemas/JobView")),
+        (status = 404, description = "No such job", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
+        (status = 409, description = "It has ended", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
+    )
+)]
+pub(super) async fn cancel(State(farm): State<Arc<Farm>>, Path(id): Path<String>) -> Result<Json<JobView>, ApiError> {
+    let job = job_id(&id)?;
+    match farm.queue.cancel(job).await? {
+        Cancelled::Done { blobs } => farm.sweep_later(Kind::Blob, blobs),
+        Cancelled::Final(state) => return Err(ApiError::Finished { job, state }),
+        Cancelled::Unknown => return Err(ApiError::UnknownJob(id)),
+    }
+    view(&farm, job).await
+}
+
+/// Forget a job and its pictures.
+#[utoipa::path(
+    delete, path = "/v1/jobs/{id}", tag = "jobs", operation_id = "delete_job",
+    params(("id" = String, Path, description = "The job")),
+    responses(
+        (status = 204, description = "It is forgotten"),
+        (status = 404, description = "No such job", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
+        (status = 409, description = "It is running", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
+    )
+)]
+pub(super) async fn delete(State(farm): State<Arc<Farm>>, Path(id): Path<String>) -> Result<StatusCode, ApiError> {
+    let job = job_id(&id)?;
+    match farm.queue.delete(job).await? {
+        Deleted::Done { pictures, blobs } => {
+            farm.sweep_later(Kind::Picture, pictures);
+            farm.sweep_later(Kind::Blob, blobs);
+            Ok(StatusCode::NO_CONTENT)
+        }
+        Deleted::Running => Err(ApiError::Running(job)),
+        Deleted::Unknown => Err(ApiError::UnknownJob(id)),
+    }
+}

@@ -1,0 +1,135 @@
+//! The API's own description: routes from their handlers, schemas from the types that are sent.
+
+use std::sync::Arc;
+
+use axum::Json;
+use axum::extract::State;
+use axum::http::header;
+use axum::response::{IntoResponse, Response};
+use proto::Problem;
+use proto::job::{DryRun, JobPage, JobView};
+use proto::pool::{PoolSize, PoolView, WorkerList};
+use schemars::generate::SchemaSettings;
+use serde_json::{Map, Value};
+
+/// Where definitions are in the OpenAPI document.
+const COMPONENTS: &str = "#/components/schemas/";
+/// Where they are in a JSON Schema.
+const DEFINITIONS: &str = "#/$defs/";
+
+/// The document, as it is served.
+#[derive(Clone, Debug)]
+pub(super) struct Document(Arc<Value>);
+
+impl Document {
+    /// Completes what the routes say with the schemas they refer to.
+    pub(super) fn new(routes: &utoipa::openapi::OpenApi) -> Self {
+        let mut document = serde_json::to_value(routes).expect("an OpenAPI document is plain JSON");
+        document["info"] = serde_json::json!({
+            "title": "sdfarm",
+            "version": env!("CARGO_PKG_VERSION"),
+            "description": "A render farm for scenes made of signed distance functions.",
+            "license": { "name": "MIT OR Apache-2.0" },
+        });
+        let mut schemas = views();
+        schemas.extend(job_file());
+        document["components"]["schemas"] = Value::Object(schemas);
+        Self(Arc::new(document))
+    }
+
+    /// The document as JSON.
+    #[cfg(test)]
+    pub(super) fn value(&self) -> &Value {
+        &self.0
+    }
+}
+
+/// The schemas of what the server says.
+fn views() -> Map<String, Value> {
+    let settings = SchemaSettings::draft2020_12().with(|settings| settings.definitions_path = "/components/schemas".into());
+    let mut generator = settings.into_generator();
+    generator.subschema_for::<JobView>();
+    generator.subschema_for::<JobPage>();
+    generator.subschema_for::<DryRun>();
+    generator.subschema_for::<WorkerList>();
+    generator.subschema_for::<PoolSize>();
+    generator.subschema_for::<PoolView>();
+    generator.subschema_for::<Problem>();
+    generator.take_definitions(true)
+}
+
+/// The schema of a job file and all it refers to.
+fn job_file() -> Map<String, Value> {
+    let mut schema = scene::schema();
+    let Some(job) = schema.as_object_mut() else { return Map::new() };
+    job.remove("$schema");
+    let mut schemas = match job.remove("$defs") {
+        Some(Value::Object(definitions)) => definitions,
+        _ => Map::new(),
+    };
+    schemas.insert("Job".to_owned(), schema);
+    for definition in schemas.values_mut() {
+        move_references(definition);
+    }
+    schemas
+}
+
+fn move_references(value: &mut Value) {
+    match value {
+        Value::Object(members) => {
+            for (key, member) in members {
+                match member {
+                    Value::String(target) if key == "$ref" => {
+                        if let Some(name) = target.strip_prefix(DEFINITIONS) {
+                            *target = format!("{COMPONENTS}{name}");
+                        }
+                    }
+                    member => move_references(member),
+                }
+            }
+        }
+        Value::Array(members) => members.iter_mut().for_each(move_references),
+        Value::Null | Value::Bool(_) | Value::Number(_) | Value::String(_) => {}
+    }
+}
+
+/// The OpenAPI document.
+pub(super) async fn openapi(State(document): State<Document>) -> Json<Value> {
+    Json(Value::clone(&document.0))
+}
+
+/// The JSON Schema of a job file.
+#[utoipa::path(
+    get, path = "/v1/schema/job", tag = "schemas", operation_id = "job_schema",
+    responses((status = 200, description = "JSON Schema 2020-12", content_type = "application/schema+json"))
+)]
+pub(super) async fn job_schema() -> Response {
+    ([(header::CONTENT_TYPE, "application/schema+json")], scene::schema().to_string()).into_response()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_schemas_of_jobs_and_of_answers_have_no_name_in_common() {
+        let views = views();
+        let shared: Vec<String> = job_file().into_iter().map(|(name, _)| name).filter(|name| views.contains_key(name)).collect();
+        assert_eq!(shared, Vec::<String>::new());
+    }
+
+    #[test]
+    fn every_reference_leads_to_a_schema() {
+        let document = super::super::document();
+        let text = document.value().to_string();
+        let schemas = document.value()["components"]["schemas"].as_object().expect("schemas");
+        let mut count = 0;
+        for rest in text.split("\"$ref\":\"").skip(1) {
+            let target = rest.split('"').next().expect("a reference ends");
+            let name = target.strip_prefix(COMPONENTS).unwrap_or_else(|| panic!("{target} leads out"));
+            assert!(schemas.contains_key(name), "{name} is missing");
+            count += 1;
+        }
+        assert!(count > 30, "only {count} references");
+    }
+}

@@ -1,0 +1,65 @@
+//! Workers and the local pool, as users see and change them.
+
+use std::sync::Arc;
+
+use axum::Json;
+use axum::body::Body;
+use axum::extract::State;
+use axum::http::HeaderMap;
+use proto::pool::{MAX_POOL_WORKERS, PoolSize, PoolView, WorkerList};
+use proto::problem::FaultView;
+
+use super::body;
+use super::error::ApiError;
+use crate::farm::Farm;
+
+/// No honest body of this route is larger.
+const MAX_BYTES: usize = 4096;
+
+/// List the workers.
+#[utoipa::path(
+    get, path = "/v1/workers", tag = "workers", operation_id = "list_workers",
+    responses((status = 200, description = "Every worker that is not gone", body = ref("#/components/schemas/WorkerList")))
+)]
+pub(super) async fn workers(State(farm): State<Arc<Farm>>) -> Result<Json<WorkerList>, ApiError> {
+    Ok(Json(farm.queue.workers().await?))
+}
+
+/// Look at the local pool.
+#[utoipa::path(
+    get, path = "/v1/pool", tag = "workers", operation_id = "get_pool",
+    responses((status = 200, description = "The pool", body = ref("#/components/schemas/PoolView")))
+)]
+pub(super) async fn get(State(farm): State<Arc<Farm>>) -> Result<Json<PoolView>, ApiError> {
+    let ready = farm.queue.pool_ready().await?;
+    Ok(Json(PoolView { workers: farm.pool.wanted(), ready }))
+}
+
+/// Change the number of local workers.
+///
+/// Surplus workers finish what they hold first.
+#[utoipa::path(
+    put, path = "/v1/pool", tag = "workers", operation_id = "resize_pool",
+    request_body(content = ref("#/components/schemas/PoolSize"), content_type = "application/json"),
+    responses(
+        (status = 200, description = "The pool, as it is now", body = ref("#/components/schemas/PoolView")),
+        (status = 422, description = "Not a number of workers from 0 to 256", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
+    )
+)]
+pub(super) async fn put(
+    state: State<Arc<Farm>>,
+    headers: HeaderMap,
+    request: Body,
+) -> Result<Json<PoolView>, ApiError> {
+    let size: PoolSize = body::read_json(&headers, request, MAX_BYTES).await?;
+    if size.workers > MAX_POOL_WORKERS {
+        return Err(ApiError::WrongBody(vec![FaultView {
+            pointer: "/workers".to_owned(),
+            message: format!("{} workers are too many: at most {MAX_POOL_WORKERS}", size.workers),
+            line: 1,
+            column: 1,
+        }]));
+    }
+    state.0.pool.resize(size.workers);
+    get(state).await
+}

@@ -1,0 +1,152 @@
+//! The workers' own protocol, `/v1/worker/`: see `proto::work`. Not for users.
+
+use std::pin::pin;
+use std::sync::Arc;
+use std::time::Duration;
+
+use axum::Json;
+use axum::body::Body;
+use axum::extract::{Path, State};
+use axum::http::{HeaderMap, StatusCode, header};
+use axum::response::{IntoResponse, Response};
+use futures_util::TryStreamExt;
+use proto::work::{Hello, SyncReply, SyncRequest, Welcome};
+use tokio::time::Instant;
+
+use super::body;
+use super::error::ApiError;
+use super::jobs::job_id;
+use crate::farm::Farm;
+use crate::pictures::{Kind, Name};
+use crate::queue::{NewWorker, Next, Turn, Turned};
+
+/// No honest greeting is larger.
+const MAX_HELLO_BYTES: usize = 16 << 10;
+/// Results of the largest frame fit.
+const MAX_SYNC_BYTES: usize = 4 << 20;
+/// Nobody is kept waiting longer.
+const MAX_WAIT: Duration = Duration::from_secs(30);
+/// A worker that drains, and still holds something, is kept waiting so long.
+const DRAINING_WAIT: Duration = Duration::from_millis(250);
+
+/// Takes in a worker.
+pub(super) async fn register(
+    State(farm): State<Arc<Farm>>,
+    headers: HeaderMap,
+    request: Body,
+) -> Result<Json<Welcome>, ApiError> {
+    let hello: Hello = body::read_json(&headers, request, MAX_HELLO_BYTES).await?;
+    if hello.picture_version != scene::PICTURE_VERSION {
+        return Err(ApiError::WrongPictureVersion { found: hello.picture_version, wanted: scene::PICTURE_VERSION });
+    }
+    let label = headers.contains_key(header::AUTHORIZATION).then(|| farm.pool.label(hello.process)).flatten();
+    let pool = label.is_some();
+    let name = label.unwrap_or_else(|| hello.name.clone());
+    let worker = farm.queue.register(NewWorker { hello, pool, name: name.clone() }).await?.worker;
+    tracing::info!(%worker, %name, pool, "a worker registered");
+    Ok(Json(Welcome { worker, lease_ms: farm.queue.lease_ms().unsigned_abs() }))
+}
+
+/// Takes a worker's turn, and waits for something to tell it: a run, the loss of a lease, or to drain.
+///
+/// Results are answered at once. If the client hangs up, the wait ends with its connection.
+pub(super) async fn sync(
+    State(farm): State<Arc<Farm>>,
+    headers: HeaderMap,
+    request: Body,
+) -> Result<Json<SyncReply>, ApiError> {
+    let request: SyncRequest = body::read_json(&headers, request, MAX_SYNC_BYTES).await?;
+    let mut deadline = Instant::now() + longest_wait(&farm, &request);
+    let mut turn = Turn {
+        worker: request.worker,
+        rays_per_second: request.rays_per_second.filter(|rate| rate.is_finite() && *rate > 0.0),
+        holding: request.holding,
+        results: request.results,
+        wants_work: request.wants_work,
+        opening: None,
+    };
+    loop {
+        let bell = farm.queue.bell();
+        let (mut work, mut news) = (pin!(bell.work.notified()), pin!(bell.news.notified()));
+        // From here on no ring is missed.
+        work.as_mut().enable();
+        news.as_mut().enable();
+        let prompt = turn.delivers();
+        let again = Turn { results: Vec::new(), ..turn.clone() };
+        let turned = farm.turn(turn).await?.ok_or_else(|| ApiError::UnknownWorker(again.worker.to_string()))?;
+        let now = Instant::now();
+        if turned.drain && !again.holding.is_empty() {
+            // It may know already; it must not ask without pause while it finishes.
+            deadline = deadline.min(now + DRAINING_WAIT);
+        }
+        let drains = turned.drain && again.holding.is_empty();
+        if prompt || drains || turned.has_news() || now >= deadline || farm.ending.is_cancelled() {
+            return Ok(Json(reply(turned)));
+        }
+        let wake = turned.ready_in().map_or(deadline, |wait| deadline.min(now + wait));
+        tokio::select! {
+            () = &mut work, if again.wants_work => {}
+            () = &mut news => {}
+            () = tokio::time::sleep_until(wake) => {}
+            () = farm.ending.cancelled() => {}
+        }
+        turn = again;
+    }
+}
+
+/// A worker that holds leases is answered in time to renew them.
+fn longest_wait(farm: &Farm, request: &SyncRequest) -> Duration {
+    let asked = Duration::from_millis(request.wait_ms).min(MAX_WAIT);
+    let third = Duration::from_millis(farm.queue.lease_ms().unsigned_abs() / 3);
+    asked.min(third)
+}
+
+fn reply(turned: Turned) -> SyncReply {
+    let run = match turned.next {
+        Next::Run(run) => Some(run),
+        Next::Frame { .. } | Next::Nothing(_) => None,
+    };
+    SyncReply { run, lost: turned.lost, drain: turned.drain }
+}
+
+/// The JSON of a job, as it was posted.
+pub(super) async fn job(State(farm): State<Arc<Farm>>, Path(id): Path<String>) -> Result<Response, ApiError> {
+    let text = farm.queue.file(job_id(&id)?).await?.ok_or(ApiError::UnknownJob(id))?;
+    Ok(([(header::CONTENT_TYPE, "application/json")], text).into_response())
+}
+
+/// Stores a tile's blob.
+pub(super) async fn put_blob(
+    State(farm): State<Arc<Farm>>,
+    Path(hash): Path<String>,
+    request: Body,
+) -> Result<StatusCode, ApiError> {
+    put(&farm, Kind::Blob, hash, request).await
+}
+
+/// Stores a frame's picture; durable when answered.
+pub(super) async fn put_picture(
+    State(farm): State<Arc<Farm>>,
+    Path(hash): Path<String>,
+    request: Body,
+) -> Result<StatusCode, ApiError> {
+    put(&farm, Kind::Picture, hash, request).await
+}
+
+async fn put(farm: &Farm, kind: Kind, hash: String, request: Body) -> Result<StatusCode, ApiError> {
+    let name = Name::parse(&hash).ok_or(ApiError::WrongHash(hash))?;
+    let bytes = request.into_data_stream().map_err(std::io::Error::other);
+    farm.pictures.put(kind, &name, bytes).await?;
+    Ok(StatusCode::NO_CONTENT)
+}
+
+/// A tile's blob.
+pub(super) async fn get_blob(State(farm): State<Arc<Farm>>, Path(hash): Path<String>) -> Result<Response, ApiError> {
+    let Some(name) = Name::parse(&hash) else { return Err(ApiError::WrongHash(hash)) };
+    match farm.pictures.get(Kind::Blob, &name, None).await? {
+        Some((length_bytes, bytes)) => {
+            Ok(([(header::CONTENT_LENGTH, length_bytes)], Body::from_stream(bytes)).into_response())
+        }
+        None => Err(ApiError::UnknownBlob(hash)),
+    }
+}

@@ -1,0 +1,58 @@
+//! Every request has an id: in its log lines, in its answer's header, and in its problem.
+
+use std::time::Instant;
+
+use axum::body::Body;
+use axum::extract::{MatchedPath, Request};
+use axum::http::{HeaderName, HeaderValue, header};
+use axum::middleware::Next;
+use axum::response::Response;
+use proto::Problem;
+use proto::problem::PROBLEM_JSON;
+use tracing::Instrument;
+
+const REQUEST_ID: HeaderName = HeaderName::from_static("x-request-id");
+/// Ids that clients bring may be so long.
+const MAX_ID_CHARACTERS: usize = 64;
+
+/// Gives a request its id, logs it, and writes the body of a problem.
+pub(super) async fn trace(request: Request, next: Next) -> Response {
+    let id = brought_id(&request).unwrap_or_else(|| uuid::Uuid::now_v7().to_string());
+    let method = request.method().clone();
+    let route = request.extensions().get::<MatchedPath>().map_or("", MatchedPath::as_str).to_owned();
+    let span = tracing::info_span!("request", %id, %method, path = %request.uri().path());
+    let start = Instant::now();
+    async move {
+        let mut response = next.run(request).await;
+        let elapsed_ms = start.elapsed().as_secs_f64() * 1e3;
+        if response.status().is_server_error() {
+            tracing::warn!(status = response.status().as_u16(), elapsed_ms, %route, "answered");
+        } else {
+            tracing::debug!(status = response.status().as_u16(), elapsed_ms, %route, "answered");
+        }
+        if let Some(problem) = response.extensions_mut().remove::<Problem>() {
+            write_problem(&mut response, Problem { request_id: Some(id.clone()), ..problem });
+        }
+        if let Ok(value) = HeaderValue::from_str(&id) {
+            response.headers_mut().insert(REQUEST_ID, value);
+        }
+        response
+    }
+    .instrument(span)
+    .await
+}
+
+fn brought_id(request: &Request) -> Option<String> {
+    let id = request.headers().get(REQUEST_ID)?.to_str().ok()?;
+    let is_plain = |byte: u8| byte.is_ascii_alphanumeric() || b"-_.:".contains(&byte);
+    (!id.is_empty() && id.len() <= MAX_ID_CHARACTERS && id.bytes().all(is_plain)).then(|| id.to_owned())
+}
+
+fn write_problem(response: &mut Response, problem: Problem) {
+    let text = serde_json::to_vec(&problem).expect("a problem is plain text and numbers");
+    let headers = response.headers_mut();
+    headers.insert(header::CONTENT_TYPE, HeaderValue::from_static(PROBLEM_JSON));
+    headers.insert(header::CONTENT_LENGTH, HeaderValue::from(text.len()));
+    headers.insert(header::CACHE_CONTROL, HeaderValue::from_static("no-store"));
+    *response.body_mut() = Body::from(text);
+}

@@ -1,0 +1,89 @@
+//! Maintenance: leases that ran out, bytes that nobody needs, rows that matter no more.
+//!
+//! It changes no state itself; it asks the queue and the store to.
+
+use std::sync::Arc;
+use std::time::Duration;
+
+use futures_util::stream::TryStreamExt;
+use tokio::sync::mpsc;
+use tokio_util::sync::CancellationToken;
+
+use crate::farm::{Farm, Leftovers};
+use crate::pictures::Kind;
+use crate::store::StoreError;
+
+/// How often leases are looked through.
+const RESCUE: Duration = Duration::from_secs(1);
+/// How often rows and folders are looked through.
+const TIDY: Duration = Duration::from_secs(600);
+/// Bytes that nobody has reported are kept so long.
+const UNREPORTED: Duration = Duration::from_secs(600);
+/// Names looked up at a time.
+const BATCH: usize = 500;
+
+/// Works until the farm is closed.
+pub(crate) async fn run(farm: Arc<Farm>, mut leftovers: mpsc::UnboundedReceiver<Leftovers>, end: CancellationToken) {
+    let mut rescue = tokio::time::interval(RESCUE);
+    rescue.set_missed_tick_behavior(tokio::time::MissedTickBehavior::Delay);
+    let mut tidy = tokio::time::interval(TIDY);
+    loop {
+        let done = tokio::select! {
+            () = end.cancelled() => return,
+            Some(left) = leftovers.recv() => sweep(&farm, left.kind, &left.hashes).await,
+            _ = rescue.tick() => count_rescued(&farm).await,
+            _ = tidy.tick() => look_through(&farm).await,
+        };
+        if let Err(error) = done {
+            tracing::error!(%error, cause = ?std::error::Error::source(&error), "maintenance could not be done");
+        }
+    }
+}
+
+async fn count_rescued(farm: &Farm) -> Result<(), StoreError> {
+    let count = farm.queue.rescue().await?;
+    farm.totals.expired.fetch_add(count, std::sync::atomic::Ordering::Relaxed);
+    Ok(())
+}
+
+async fn sweep(farm: &Farm, kind: Kind, hashes: &[String]) -> Result<(), StoreError> {
+    let queue = &farm.queue;
+    let count = match kind {
+        Kind::Blob => farm.pictures.sweep(kind, hashes, async |names| queue.unneeded_blobs(&names).await).await?,
+        Kind::Picture => farm.pictures.sweep(kind, hashes, async |names| queue.unneeded_pictures(&names).await).await?,
+    };
+    if count > 0 {
+        tracing::debug!(count, ?kind, "removed bytes that nobody needs");
+    }
+    Ok(())
+}
+
+async fn look_through(farm: &Farm) -> Result<(), StoreError> {
+    farm.queue.tidy().await?;
+    for kind in [Kind::Blob, Kind::Picture] {
+        let names = match old_names(farm, kind).await {
+            Ok(names) => names,
+            Err(error) => {
+                tracing::warn!(%error, ?kind, "a folder could not be listed");
+                continue;
+            }
+        };
+        for batch in names.chunks(BATCH) {
+            sweep(farm, kind, batch).await?;
+        }
+    }
+    Ok(())
+}
+
+async fn old_names(farm: &Farm, kind: Kind) -> object_store::Result<Vec<String>> {
+    let now_seconds = farm.queue.wall_seconds();
+    farm.pictures
+        .list(kind)
+        .try_filter_map(async |meta| {
+            let age_seconds = now_seconds - meta.last_modified.timestamp();
+            let is_old = age_seconds > UNREPORTED.as_secs() as i64;
+            Ok(meta.location.filename().filter(|_| is_old).map(ToOwned::to_owned))
+        })
+        .try_collect()
+        .await
+}

@@ -1,0 +1,103 @@
+//! Parsed job files: parsing on threads with room for deep files, and a few kept at hand.
+//!
+//! What is kept is bounded: jobs that wait are in the database only.
+
+use std::collections::VecDeque;
+use std::sync::{Arc, Mutex};
+
+use tokio::sync::{Semaphore, oneshot};
+
+use crate::queue::Queue;
+use crate::store::StoreError;
+
+/// Stack of a thread that parses.
+const STACK_BYTES: usize = 16 << 20;
+/// Parsed jobs at hand, at most.
+const KEPT_JOBS: usize = 8;
+/// Bytes of their files, at most, unless there is but one.
+const KEPT_BYTES: usize = 8 << 20;
+
+/// Why a job of the queue could not be had.
+#[derive(Debug, thiserror::Error)]
+pub(crate) enum JobError {
+    /// The database could not be read.
+    #[error(transparent)]
+    Store(#[from] StoreError),
+    /// Its file is gone: it was deleted meanwhile.
+    #[error("the job's file is gone")]
+    Gone,
+    /// Its file was accepted once, but is refused now.
+    #[error("the job's file is refused by this version: {0}")]
+    Refused(#[from] scene::Refusal),
+    /// No thread to parse it on.
+    #[error("no thread could be started to parse the job")]
+    Thread,
+}
+
+/// Parses jobs, and keeps a few.
+#[derive(Debug)]
+pub(crate) struct Jobs {
+    kept: Mutex<VecDeque<Kept>>,
+    permits: Semaphore,
+}
+
+#[derive(Debug)]
+struct Kept {
+    number: i64,
+    text_bytes: usize,
+    job: Arc<scene::Job>,
+}
+
+impl Jobs {
+    /// Parses as many files at a time as there are cores.
+    pub(crate) fn new() -> Self {
+        let cores = std::thread::available_parallelism().map_or(1, usize::from);
+        Self { kept: Mutex::default(), permits: Semaphore::new(cores) }
+    }
+
+    /// Parses a job file on a thread of its own, and lets `work` look at the outcome there.
+    pub(crate) async fn parse<T: Send + 'static>(
+        &self,
+        text: bytes::Bytes,
+        work: impl FnOnce(Result<scene::Job, scene::Refusal>) -> T + Send + 'static,
+    ) -> Result<T, JobError> {
+        let _permit = self.permits.acquire().await.map_err(|_| JobError::Thread)?;
+        let (reply, answer) = oneshot::channel();
+        std::thread::Builder::new()
+            .name("parse".to_owned())
+            .stack_size(STACK_BYTES)
+            .spawn(move || drop(reply.send(work(scene::parse(&text)))))
+            .map_err(|_| JobError::Thread)?;
+        answer.await.map_err(|_| JobError::Thread)
+    }
+
+    /// Keeps a job at hand; the ones kept longest give way.
+    pub(crate) fn keep(&self, number: i64, text_bytes: usize, job: Arc<scene::Job>) {
+        let mut kept = self.kept.lock().expect("no holder panics");
+        kept.push_front(Kept { number, text_bytes, job });
+        let mut sum_bytes = 0;
+        let mut count = 0;
+        kept.retain(|job| {
+            sum_bytes += job.text_bytes;
+            count += 1;
+            count == 1 || (count <= KEPT_JOBS && sum_bytes <= KEPT_BYTES)
+        });
+    }
+
+    /// A job of the queue, from those at hand or from the database.
+    pub(crate) async fn get(&self, queue: &Queue, number: i64) -> Result<Arc<scene::Job>, JobError> {
+        if let Some(job) = self.find(number) {
+            return Ok(job);
+        }
+        let text = queue.file_of(number).await?.ok_or(JobError::Gone)?;
+        let text_bytes = text.len();
+        let job = Arc::new(self.parse(text.into(), |parsed| parsed).await??);
+        self.keep(number, text_bytes, Arc::clone(&job));
+        Ok(job)
+    }
+
+    fn find(&self, number: i64) -> Option<Arc<scene::Job>> {
+        let kept = self.kept.lock().expect("no holder panics");
+        kept.iter().find(|kept| kept.number == number).map(|kept| Arc::clone(&kept.job))
+    }
+}

@@ -1,0 +1,59 @@
+//! One server a data folder: an advisory lock on a file in it, held while the server lives
+//! and let go by the system when it dies.
+
+use std::fs::{File, OpenOptions, TryLockError};
+use std::io::{self, Read, Seek, Write};
+use std::path::Path;
+
+/// The hold on a data folder; dropping it lets go.
+#[derive(Debug)]
+pub(crate) struct FolderLock {
+    _file: File,
+}
+
+/// Why a data folder could not be held.
+#[derive(Debug, thiserror::Error)]
+pub(crate) enum LockError {
+    /// Another server holds it.
+    #[error("another server holds it (pid {0})")]
+    Held(String),
+    /// The file could not be opened, read or written.
+    #[error(transparent)]
+    Io(#[from] io::Error),
+}
+
+impl FolderLock {
+    /// Takes hold of `folder` and leaves this process's id in its `lock` file.
+    pub(crate) fn take(folder: &Path) -> Result<Self, LockError> {
+        let path = folder.join("lock");
+        let mut file = OpenOptions::new().create(true).truncate(false).read(true).write(true).open(path)?;
+        match file.try_lock() {
+            Ok(()) => {}
+            Err(TryLockError::WouldBlock) => {
+                let mut holder = String::new();
+                file.read_to_string(&mut holder)?;
+                return Err(LockError::Held(holder.trim().to_owned()));
+            }
+            Err(TryLockError::Error(error)) => return Err(error.into()),
+        }
+        file.set_len(0)?;
+        file.rewind()?;
+        writeln!(file, "{}", std::process::id())?;
+        Ok(Self { _file: file })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_folder_is_held_once_and_names_its_holder() {
+        let folder = tempfile::tempdir().expect("a temporary folder");
+        let held = FolderLock::take(folder.path()).expect("the first takes hold");
+        let refused = FolderLock::take(folder.path()).expect_err("the second is refused").to_string();
+        assert!(refused.contains(&std::process::id().to_string()), "{refused}");
+        drop(held);
+        FolderLock::take(folder.path()).expect("free again");
+    }
+}

@@ -1,0 +1,189 @@
+//! One worker process: how it is started, how it is told things, how it ended.
+
+use std::io;
+use std::os::unix::process::ExitStatusExt;
+use std::path::PathBuf;
+use std::process::{ExitStatus, Stdio};
+use std::sync::{Arc, Mutex};
+use std::time::Duration;
+
+use proto::work::TOKEN_VARIABLE;
+use rustix::process::{Pid, Signal, kill_process};
+use tokio::io::{AsyncBufReadExt, BufReader};
+use tokio::process::{ChildStderr, ChildStdin, Command};
+use tokio::task::JoinSet;
+use tokio::time::Instant;
+
+use crate::queue::Cause;
+
+/// Exit status of a Rust program that panicked.
+const PANICKED: i32 = 101;
+/// Of a worker's last line, at most so many characters are kept.
+const LAST_LINE_CHARACTERS: usize = 300;
+
+/// How workers are started.
+#[derive(Debug)]
+pub(super) struct Launch {
+    pub(super) program: PathBuf,
+    pub(super) server: String,
+    pub(super) device: String,
+    pub(super) simd: String,
+    pub(super) token: String,
+}
+
+/// A running worker process.
+#[derive(Debug)]
+pub(super) struct Child {
+    process: u32,
+    label: String,
+    // Open while the worker should live: it exits when this closes, so a killed server leaves no orphan.
+    input: Option<ChildStdin>,
+    started: Instant,
+    draining: bool,
+}
+
+/// How a worker process ended.
+#[derive(Debug)]
+pub(super) struct Exit {
+    pub(super) process: u32,
+    status: io::Result<ExitStatus>,
+    last_line: String,
+}
+
+impl Child {
+    /// Starts a worker; its end will come out of `exits`.
+    pub(super) fn launch(
+        launch: &Launch,
+        label: String,
+        workers: usize,
+        exits: &mut JoinSet<Exit>,
+    ) -> io::Result<Self> {
+        let cores = std::thread::available_parallelism().map_or(1, usize::from);
+        let threads = (cores / workers.max(1)).max(1);
+        let mut child = Command::new(&launch.program)
+            .args(["worker", "--server", &launch.server, "--pool", "--name", &label])
+            .args(["--device", &launch.device, "--simd", &launch.simd, "--threads", &threads.to_string()])
+            .env(TOKEN_VARIABLE, &launch.token)
+            .stdin(Stdio::piped())
+            .stdout(Stdio::null())
+            .stderr(Stdio::piped())
+            .process_group(0)
+            .kill_on_drop(true)
+            .spawn()?;
+        let process = child.id().ok_or_else(|| io::Error::other("it ended at once"))?;
+        let input = child.stdin.take();
+        let errors = child.stderr.take();
+        let name = label.clone();
+        exits.spawn(async move {
+            let last_line = Arc::new(Mutex::new(String::new()));
+            let log = errors.map(|errors| tokio::spawn(pass_on(errors, name, Arc::clone(&last_line))));
+            let status = child.wait().await;
+            if let Some(log) = log {
+                // A grandchild may hold the pipe open: the worker's own lines are there already.
+                drop(tokio::time::timeout(Duration::from_millis(100), log).await);
+            }
+            let last_line = last_line.lock().expect("no holder panics").clone();
+            Exit { process, status, last_line }
+        });
+        Ok(Self { process, label, input, started: Instant::now(), draining: false })
+    }
+
+    pub(super) fn process(&self) -> u32 {
+        self.process
+    }
+
+    pub(super) fn label(&self) -> &str {
+        &self.label
+    }
+
+    pub(super) fn is_draining(&self) -> bool {
+        self.draining
+    }
+
+    /// It was told to finish; its end is expected.
+    pub(super) fn drain(&mut self) {
+        self.draining = true;
+    }
+
+    pub(super) fn age(&self) -> Duration {
+        self.started.elapsed()
+    }
+
+    /// It ends at once.
+    pub(super) fn close_input(&mut self) {
+        self.input = None;
+    }
+
+    /// It hands back what it holds and ends.
+    pub(super) fn terminate(&self) {
+        self.signal(Signal::TERM);
+    }
+
+    pub(super) fn kill(&self) {
+        self.signal(Signal::KILL);
+    }
+
+    fn signal(&self, signal: Signal) {
+        let Some(process) = i32::try_from(self.process).ok().and_then(Pid::from_raw) else { return };
+        if let Err(error) = kill_process(process, signal) {
+            tracing::debug!(process = self.process, %error, "a worker that has just ended needs no signal");
+        }
+    }
+}
+
+async fn pass_on(errors: ChildStderr, worker: String, last_line: Arc<Mutex<String>>) {
+    let mut lines = BufReader::new(errors).lines();
+    while let Ok(Some(line)) = lines.next_line().await {
+        tracing::info!(worker = %worker, "{line}");
+        *last_line.lock().expect("no holder panics") = line.chars().take(LAST_LINE_CHARACTERS).collect();
+    }
+}
+
+impl Exit {
+    /// Whose fault it was.
+    pub(super) fn cause(&self, draining: bool) -> Cause {
+        let Ok(status) = &self.status else { return Cause::Lost };
+        let crashed = [Signal::SEGV, Signal::ABORT, Signal::BUS].map(Signal::as_raw);
+        if status.code() == Some(PANICKED) || status.signal().is_some_and(|signal| crashed.contains(&signal)) {
+            Cause::Crashed
+        } else if status.success() || draining {
+            Cause::Interrupted
+        } else {
+            Cause::Lost
+        }
+    }
+
+    /// What to say about it.
+    pub(super) fn message(&self) -> String {
+        let how = match &self.status {
+            Ok(status) => status.to_string(),
+            Err(error) => format!("unknown end: {error}"),
+        };
+        if self.last_line.is_empty() {
+            format!("the worker process ended ({how})")
+        } else {
+            format!("the worker process ended ({how}); it last said: {}", self.last_line)
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn cause(raw_status: i32) -> Cause {
+        let status = Ok(ExitStatus::from_raw(raw_status));
+        Exit { process: 1, status, last_line: String::new() }.cause(false)
+    }
+
+    #[test]
+    fn a_crash_is_told_from_a_kill_and_from_an_exit() {
+        assert_eq!(cause(11), Cause::Crashed, "SIGSEGV");
+        assert_eq!(cause(6), Cause::Crashed, "SIGABRT");
+        assert_eq!(cause(7), Cause::Crashed, "SIGBUS");
+        assert_eq!(cause(101 << 8), Cause::Crashed, "a panic");
+        assert_eq!(cause(9), Cause::Lost, "SIGKILL");
+        assert_eq!(cause(1 << 8), Cause::Lost, "exit 1");
+        assert_eq!(cause(0), Cause::Interrupted, "exit 0");
+    }
+}

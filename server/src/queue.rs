@@ -1,0 +1,285 @@
+//! The queue: the only place that changes the state of a job, frame, tile, lease or worker.
+//!
+//! One function is one transition is one statement, and the rows it changed are counted.
+//! `Queue` is the door: it binds the time, runs transitions in the writer, and rings the
+//! bell for what the rest of the farm should know. Nothing here knows about HTTP or files.
+
+mod claim;
+mod deliver;
+mod end;
+mod lease;
+mod open;
+mod recover;
+mod share;
+mod submit;
+mod sync;
+#[cfg(test)]
+mod tests;
+mod view;
+mod workers;
+
+use std::sync::Arc;
+
+use proto::{JobId, WorkerId};
+use sqlx::sqlite::SqliteConnection;
+use tokio::sync::Notify;
+
+use crate::clock::Clock;
+use crate::store::{Durability, Store, StoreError};
+
+pub(crate) use end::{Cancelled, Deleted};
+pub(crate) use lease::Cause;
+pub(crate) use open::{Opened, Opening};
+pub(crate) use recover::Recovered;
+pub(crate) use submit::NewJob;
+pub(crate) use sync::{Next, Turn, Turned};
+pub(crate) use view::StoredImage;
+pub(crate) use workers::{NewWorker, Registered};
+
+/// A transition's answer.
+type Result<T> = std::result::Result<T, StoreError>;
+
+/// When and under what terms a transition happens.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Moment {
+    /// The server's clock.
+    now_ms: i64,
+    /// The wall clock.
+    wall_ms: i64,
+    /// Length of a lease.
+    lease_ms: i64,
+    /// Which boot of the server this is.
+    generation: i64,
+}
+
+/// Rung after the commit of what others wait for.
+#[derive(Debug, Default)]
+pub(crate) struct Bell {
+    /// There may be work.
+    pub(crate) work: Notify,
+    /// A lease was ended from outside, or a worker was told to drain.
+    pub(crate) news: Notify,
+}
+
+/// What a transition should ring for, once it is committed.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub(crate) struct Ring {
+    /// There may be work.
+    work: bool,
+    /// A lease was ended from outside, or a worker was told to drain.
+    news: bool,
+}
+
+impl Ring {
+    const WORK: Self = Self { work: true, news: false };
+    const NEWS: Self = Self { work: false, news: true };
+
+    fn add(&mut self, other: Self) {
+        self.work |= other.work;
+        self.news |= other.news;
+    }
+}
+
+/// The queue.
+#[derive(Clone, Debug)]
+pub(crate) struct Queue {
+    store: Arc<Store>,
+    clock: Clock,
+    lease_ms: i64,
+    generation: i64,
+    bell: Arc<Bell>,
+}
+
+impl Queue {
+    /// The queue of a database, after what the last server left is put right.
+    pub(crate) async fn open(store: Arc<Store>, clock: Clock, lease_ms: i64) -> Result<(Self, Recovered)> {
+        let now_ms = clock.now_ms();
+        let recovered = store
+            .write(Durability::Full, move |connection| {
+                Box::pin(async move { recover::recover(connection, now_ms, lease_ms).await })
+            })
+            .await?;
+        let queue = Self { store, clock, lease_ms, generation: recovered.generation, bell: Arc::default() };
+        Ok((queue, recovered))
+    }
+
+    fn moment(&self) -> Moment {
+        Moment {
+            now_ms: self.clock.now_ms(),
+            wall_ms: self.clock.wall_ms(),
+            lease_ms: self.lease_ms,
+            generation: self.generation,
+        }
+    }
+
+    fn ring(&self, ring: Ring) {
+        if ring.work {
+            self.bell.work.notify_waiters();
+        }
+        if ring.news {
+            self.bell.news.notify_waiters();
+        }
+    }
+
+    /// What rings when there is work or news.
+    pub(crate) fn bell(&self) -> &Bell {
+        &self.bell
+    }
+
+    /// Length of a lease, in milliseconds.
+    pub(crate) fn lease_ms(&self) -> i64 {
+        self.lease_ms
+    }
+
+    /// Accepts a job; durable when it returns.
+    pub(crate) async fn submit(&self, job: NewJob) -> Result<i64> {
+        let moment = self.moment();
+        let number = self
+            .store
+            .write(Durability::Full, move |connection| {
+                Box::pin(async move { submit::submit(connection, &job, moment).await })
+            })
+            .await?;
+        self.ring(Ring::WORK);
+        Ok(number)
+    }
+
+    /// Stores a job's next frame from a picture that is already there; `Opened::Open` means there is none.
+    pub(crate) async fn reuse(&self, opening: Opening) -> Result<Opened> {
+        let moment = self.moment();
+        self.store
+            .write(Durability::Relaxed, move |connection| {
+                Box::pin(async move { open::reuse(connection, &opening, moment).await })
+            })
+            .await
+    }
+
+    /// Whether a picture of this key is stored.
+    pub(crate) async fn has_picture(&self, key: &str) -> Result<bool> {
+        view::has_picture(self.store.readers(), key).await
+    }
+
+    /// One call of a worker: results in, leases renewed, work out.
+    pub(crate) async fn turn(&self, turn: Turn) -> Result<Option<Turned>> {
+        let moment = self.moment();
+        let durability = if turn.delivers() { Durability::Full } else { Durability::Relaxed };
+        let turned = self
+            .store
+            .write(durability, move |connection| Box::pin(async move { sync::turn(connection, turn, moment).await }))
+            .await?;
+        if let Some(turned) = &turned {
+            self.ring(turned.ring);
+        }
+        Ok(turned)
+    }
+
+    /// Ends the leases whose time ran out, and the workers that vanished.
+    pub(crate) async fn rescue(&self) -> Result<u64> {
+        let moment = self.moment();
+        let (count, ring) = self
+            .store
+            .write(Durability::Relaxed, move |connection| {
+                Box::pin(async move { lease::rescue(connection, moment).await })
+            })
+            .await?;
+        self.ring(ring);
+        Ok(count)
+    }
+
+    /// Cancels a job.
+    pub(crate) async fn cancel(&self, job: JobId) -> Result<Cancelled> {
+        let moment = self.moment();
+        let cancelled = self
+            .store
+            .write(Durability::Full, move |connection| {
+                Box::pin(async move { end::cancel(connection, job, moment).await })
+            })
+            .await?;
+        self.ring(Ring::NEWS);
+        Ok(cancelled)
+    }
+
+    /// Forgets a job that is not running.
+    pub(crate) async fn delete(&self, job: JobId) -> Result<Deleted> {
+        self.store
+            .write(Durability::Full, move |connection| Box::pin(async move { end::delete(connection, job).await }))
+            .await
+    }
+
+    /// Takes in a worker.
+    pub(crate) async fn register(&self, worker: NewWorker) -> Result<Registered> {
+        let moment = self.moment();
+        self.store
+            .write(Durability::Relaxed, move |connection| {
+                Box::pin(async move { workers::register(connection, worker, moment).await })
+            })
+            .await
+    }
+
+    /// Tells the pool's worker of this process to finish what it holds; false: it has not registered yet.
+    pub(crate) async fn drain(&self, process: u32) -> Result<bool> {
+        let drained = self
+            .store
+            .write(Durability::Relaxed, move |connection| {
+                Box::pin(async move { workers::drain(connection, process).await })
+            })
+            .await?;
+        self.ring(Ring::NEWS);
+        Ok(drained)
+    }
+
+    /// Ends the pool's worker of a process that has ended, and its leases at once.
+    pub(crate) async fn reaped(&self, process: u32, cause: Cause, message: String) -> Result<Option<WorkerId>> {
+        let moment = self.moment();
+        let (worker, ring) = self
+            .store
+            .write(Durability::Full, move |connection| {
+                Box::pin(async move { workers::reaped(connection, process, cause, &message, moment).await })
+            })
+            .await?;
+        self.ring(ring);
+        Ok(worker)
+    }
+
+    /// Drops the rows of workers that are gone and of leases that matter no more.
+    pub(crate) async fn tidy(&self) -> Result<()> {
+        self.store
+            .write(Durability::Relaxed, move |connection| Box::pin(async move { recover::tidy(connection).await }))
+            .await
+    }
+
+    /// Seconds since 1970, by the wall clock.
+    pub(crate) fn wall_seconds(&self) -> i64 {
+        self.clock.wall_ms() / 1000
+    }
+
+    /// The database, for what only reads.
+    pub(crate) fn readers(&self) -> &sqlx::sqlite::SqlitePool {
+        self.store.readers()
+    }
+}
+
+/// Checks how many rows a transition changed.
+fn counted(what: &'static str, expected: u64, done: &sqlx::sqlite::SqliteQueryResult) -> Result<()> {
+    let changed = done.rows_affected();
+    if changed == expected { Ok(()) } else { Err(StoreError::Rows { what, expected, changed }) }
+}
+
+/// A list of anything with a name, as SQLite's `json_each` reads it.
+fn json_list<T: ToString>(items: impl IntoIterator<Item = T>) -> String {
+    let items: Vec<serde_json::Value> = items.into_iter().map(|item| item.to_string().into()).collect();
+    serde_json::Value::Array(items).to_string()
+}
+
+/// Like [`json_list`], of row ids.
+fn json_numbers(items: impl IntoIterator<Item = i64>) -> String {
+    serde_json::Value::Array(items.into_iter().map(Into::into).collect()).to_string()
+}
+
+/// Reads a column that holds a name of ours.
+fn known<T>(column: &'static str, value: &str, parse: impl FnOnce(&str) -> Option<T>) -> Result<T> {
+    parse(value).ok_or_else(|| StoreError::Value { column, value: value.to_owned() })
+}
+
+/// The connection every transition runs on: the writer's, inside its transaction.
+type Connection = SqliteConnection;

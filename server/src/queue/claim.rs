@@ -1,0 +1,270 @@
+//! Claiming: the next run of tiles, or the next stitch, for one worker.
+//!
+//! The order is priority, job, frame, tile. A job's next frame is opened when none of its
+//! tiles is ready; that needs the frame's key, which the caller computes outside.
+
+use proto::work::{LeasedTile, Part, Run, Work};
+use proto::{JobId, LeaseId, Rect, WorkerId};
+use sqlx::Row;
+use sqlx::sqlite::SqliteRow;
+
+use super::lease::LOST_BEFORE_ALONE;
+use super::share::{self, Frame, Ready};
+use super::{Connection, Moment, Result, counted, end, known};
+use crate::plan::Plan;
+
+/// A job with something to claim, by priority and age. Checked by a test to need no full scan.
+pub(super) const NEXT_JOB: &str =
+    "SELECT number, id, width_px, height_px, samples, pixel_bytes, edge_px, frames_total, frames_opened
+     FROM job
+     WHERE finished_at_ms IS NULL
+       AND (frames_opened < frames_total OR EXISTS (
+            SELECT 1 FROM tile WHERE tile.job = job.number AND tile.state = 'ready' AND tile.not_before_ms <= ?1
+               AND (tile.avoid IS NULL OR tile.avoid <> ?2 OR ?3)))
+     ORDER BY priority DESC, number LIMIT 1";
+
+/// The job's next ready tile.
+pub(super) const NEXT_TILE: &str =
+    "SELECT frame, kind FROM tile
+     WHERE job = ?4 AND state = 'ready' AND not_before_ms <= ?1 AND (avoid IS NULL OR avoid <> ?2 OR ?3)
+     ORDER BY job, frame, position LIMIT 1";
+
+/// The ready tiles of a frame.
+const READY_TILES: &str =
+    "SELECT id, position, x_px, y_px, width_px, height_px, rays, lost FROM tile
+     WHERE job = ?4 AND frame = ?5 AND kind = 'render' AND state = 'ready' AND not_before_ms <= ?1
+       AND (avoid IS NULL OR avoid <> ?2 OR ?3)
+     ORDER BY position";
+
+/// When the first tile that backs off will be ready.
+const NEXT_READY: &str =
+    "SELECT min(not_before_ms) FROM tile WHERE state = 'ready' AND not_before_ms > 0 AND not_before_ms > ?";
+
+/// Who claims.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Claimant {
+    /// The worker.
+    pub(super) worker: WorkerId,
+    /// Its measured camera rays a second.
+    pub(super) rays_per_second: Option<f64>,
+}
+
+/// What a claim found.
+#[derive(Clone, Debug)]
+pub(super) enum Claimed {
+    /// A run, leased.
+    Run(Run),
+    /// This frame has to be opened first.
+    NeedsFrame {
+        /// The job's number.
+        job: i64,
+        /// The frame.
+        frame: u32,
+        /// How its frames are cut.
+        plan: Plan,
+    },
+    /// Nothing now; the first tile that backs off is ready in so many milliseconds.
+    Nothing(Option<i64>),
+}
+
+struct Job {
+    number: i64,
+    id: JobId,
+    plan: Plan,
+    frames_opened: u32,
+}
+
+impl Job {
+    fn read(row: &SqliteRow) -> Result<Self> {
+        let id: String = row.try_get("id")?;
+        Ok(Self {
+            number: row.try_get("number")?,
+            id: known("job.id", &id, |id| id.parse().ok())?,
+            plan: Plan {
+                width_px: row.try_get("width_px")?,
+                height_px: row.try_get("height_px")?,
+                samples: row.try_get("samples")?,
+                pixel_bytes: row.try_get("pixel_bytes")?,
+                edge_px: row.try_get("edge_px")?,
+                frames: row.try_get("frames_total")?,
+            },
+            frames_opened: row.try_get("frames_opened")?,
+        })
+    }
+}
+
+/// How a claim sees tiles: back-off ended, not to be avoided by this worker unless it is the only one.
+struct View {
+    now_ms: i64,
+    worker: String,
+    alone: bool,
+}
+
+/// Claims work for a worker.
+pub(super) async fn claim(connection: &mut Connection, claimant: Claimant, moment: Moment) -> Result<Claimed> {
+    let idle = Workers::count(connection).await?;
+    let view = View { now_ms: moment.now_ms, worker: claimant.worker.to_string(), alone: idle.ready <= 1 };
+    let row = sqlx::query(NEXT_JOB)
+        .bind(view.now_ms)
+        .bind(&view.worker)
+        .bind(view.alone)
+        .fetch_optional(&mut *connection)
+        .await?;
+    let Some(row) = row else {
+        let ready_ms: Option<i64> =
+            sqlx::query_scalar(NEXT_READY).bind(moment.now_ms).fetch_one(connection).await?;
+        return Ok(Claimed::Nothing(ready_ms.map(|ready_ms| ready_ms - moment.now_ms)));
+    };
+    let job = Job::read(&row)?;
+    let next = sqlx::query(NEXT_TILE)
+        .bind(view.now_ms)
+        .bind(&view.worker)
+        .bind(view.alone)
+        .bind(job.number)
+        .fetch_optional(&mut *connection)
+        .await?;
+    let Some(next) = next else {
+        return Ok(Claimed::NeedsFrame { job: job.number, frame: job.frames_opened, plan: job.plan });
+    };
+    let frame: u32 = next.try_get("frame")?;
+    let work = if next.try_get::<String, _>("kind")? == "stitch" {
+        claim_stitch(connection, job.number, frame, &view, moment).await?
+    } else {
+        claim_tiles(connection, &job, frame, &view, claimant, idle.idle, moment).await?
+    };
+    end::start(connection, job.number, moment).await?;
+    Ok(Claimed::Run(Run { job: job.id, frame, work }))
+}
+
+struct Workers {
+    ready: u64,
+    idle: u64,
+}
+
+impl Workers {
+    async fn count(connection: &mut Connection) -> Result<Self> {
+        let row = sqlx::query(
+            "SELECT count(*) AS ready, count(*) FILTER (WHERE NOT EXISTS (
+                 SELECT 1 FROM lease WHERE lease.worker = worker.id AND lease.ended IS NULL)) AS idle
+             FROM worker WHERE state <> 'gone' AND state = 'ready'",
+        )
+        .fetch_one(connection)
+        .await?;
+        Ok(Self { ready: row.try_get("ready")?, idle: row.try_get("idle")? })
+    }
+}
+
+async fn claim_tiles(
+    connection: &mut Connection,
+    job: &Job,
+    frame: u32,
+    view: &View,
+    claimant: Claimant,
+    idle: u64,
+    moment: Moment,
+) -> Result<Work> {
+    let rows = sqlx::query(READY_TILES)
+        .bind(view.now_ms)
+        .bind(&view.worker)
+        .bind(view.alone)
+        .bind(job.number)
+        .bind(frame)
+        .fetch_all(&mut *connection)
+        .await?;
+    let whole = Frame {
+        tiles: job.plan.tiles().len() as u64,
+        rays: job.plan.frame_rays(),
+        size_bytes: job.plan.frame_bytes(),
+    };
+    let ready = rows.iter().map(read_ready).collect::<Result<Vec<_>>>()?;
+    let length = share::run_length(&ready, whole, claimant.rays_per_second, idle);
+    let mut tiles = Vec::with_capacity(length);
+    let mut grants = Vec::with_capacity(length);
+    for row in &rows[..length] {
+        let tile = LeasedTile {
+            lease: LeaseId::new(),
+            index: row.try_get("position")?,
+            rect: Rect {
+                x: row.try_get("x_px")?,
+                y: row.try_get("y_px")?,
+                width: row.try_get("width_px")?,
+                height: row.try_get("height_px")?,
+            },
+        };
+        grants.push((row.try_get("id")?, tile.lease));
+        tiles.push(tile);
+    }
+    grant(connection, &grants, &view.worker, moment).await?;
+    Ok(Work::Render { whole_frame: share::is_whole(length, whole), tiles })
+}
+
+fn read_ready(row: &SqliteRow) -> Result<Ready> {
+    Ok(Ready { rays: row.try_get("rays")?, alone: row.try_get::<i64, _>("lost")? >= LOST_BEFORE_ALONE })
+}
+
+async fn claim_stitch(
+    connection: &mut Connection,
+    job: i64,
+    frame: u32,
+    view: &View,
+    moment: Moment,
+) -> Result<Work> {
+    let tile: i64 = sqlx::query_scalar("SELECT id FROM tile WHERE job = ? AND frame = ? AND position = -1")
+        .bind(job)
+        .bind(frame)
+        .fetch_one(&mut *connection)
+        .await?;
+    let lease = LeaseId::new();
+    grant(connection, &[(tile, lease)], &view.worker, moment).await?;
+    let rows = sqlx::query(
+        "SELECT position, x_px, y_px, width_px, height_px, blob, blob_bytes FROM tile
+         WHERE job = ? AND frame = ? AND kind = 'render' ORDER BY position",
+    )
+    .bind(job)
+    .bind(frame)
+    .fetch_all(connection)
+    .await?;
+    let parts = rows.iter().map(read_part).collect::<Result<Vec<_>>>()?;
+    Ok(Work::Stitch { lease, parts })
+}
+
+fn read_part(row: &SqliteRow) -> Result<Part> {
+    Ok(Part {
+        index: row.try_get("position")?,
+        rect: Rect {
+            x: row.try_get("x_px")?,
+            y: row.try_get("y_px")?,
+            width: row.try_get("width_px")?,
+            height: row.try_get("height_px")?,
+        },
+        hash: row.try_get("blob")?,
+        size_bytes: row.try_get("blob_bytes")?,
+    })
+}
+
+/// Leases tiles to a worker, each under its next epoch.
+async fn grant(connection: &mut Connection, grants: &[(i64, LeaseId)], worker: &str, moment: Moment) -> Result<()> {
+    let tiles = super::json_numbers(grants.iter().map(|(tile, _)| *tile));
+    let leased = sqlx::query(
+        "UPDATE tile SET state = 'leased', epoch = epoch + 1, not_before_ms = 0
+         WHERE state = 'ready' AND id IN (SELECT value FROM json_each(?))",
+    )
+    .bind(tiles)
+    .execute(&mut *connection)
+    .await?;
+    counted("tile: ready to leased", grants.len() as u64, &leased)?;
+    let pairs: Vec<(i64, String)> = grants.iter().map(|(tile, lease)| (*tile, lease.to_string())).collect();
+    let made = sqlx::query(
+        "INSERT INTO lease (id, tile, epoch, worker, generation, granted_ms, expires_ms)
+         SELECT pair.value ->> 1, tile.id, tile.epoch, ?1, ?2, ?3, ?4
+         FROM json_each(?5) AS pair JOIN tile ON tile.id = pair.value ->> 0",
+    )
+    .bind(worker)
+    .bind(moment.generation)
+    .bind(moment.now_ms)
+    .bind(moment.now_ms + moment.lease_ms)
+    .bind(serde_json::json!(pairs).to_string())
+    .execute(connection)
+    .await?;
+    counted("lease: granted", grants.len() as u64, &made)
+}

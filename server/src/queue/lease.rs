@@ -1,0 +1,320 @@
+//! Leases that end without a result: the tile goes back to ready after a while, or, when
+//! its patience is used up, is dead.
+
+use std::time::Duration;
+
+use proto::{LeaseId, WorkerId};
+use sqlx::Row;
+use sqlx::sqlite::SqliteRow;
+
+use super::{Connection, Moment, Result, Ring, counted, end, json_list};
+
+/// Renderer errors that a tile survives.
+const MAX_ERRORS: i64 = 3;
+/// Crashes of its worker that a tile survives.
+const MAX_CRASHES: i64 = 3;
+/// Vanished workers that a tile survives.
+const MAX_LOST: i64 = 50;
+/// A tile that vanished with its worker so often is leased alone.
+pub(super) const LOST_BEFORE_ALONE: i64 = 2;
+/// The longest back-off.
+const MAX_BACK_OFF: Duration = Duration::from_secs(5);
+/// The first back-off; it doubles from there.
+const BACK_OFF: Duration = Duration::from_millis(100);
+
+/// Why a lease ended without a result. Each has a counter of its own.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Cause {
+    /// The renderer said no.
+    Failed,
+    /// The worker crashed by its own fault: the tile may be poison.
+    Crashed,
+    /// The worker vanished, was killed, or did not renew in time.
+    Lost,
+    /// The worker handed the tile back, or never heard of it.
+    Interrupted,
+}
+
+impl Cause {
+    fn name(self) -> &'static str {
+        match self {
+            Self::Failed => "failed",
+            Self::Crashed => "crashed",
+            Self::Lost => "lost",
+            Self::Interrupted => "interrupted",
+        }
+    }
+}
+
+/// How often each thing has happened to a tile.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub(super) struct Counters {
+    errors: i64,
+    crashes: i64,
+    lost: i64,
+    interrupts: i64,
+}
+
+/// What follows for the tile.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Verdict {
+    Ready { delay_ms: i64 },
+    Dead,
+}
+
+impl Counters {
+    fn after(mut self, cause: Cause) -> Self {
+        match cause {
+            Cause::Failed => self.errors += 1,
+            Cause::Crashed => self.crashes += 1,
+            Cause::Lost => self.lost += 1,
+            Cause::Interrupted => self.interrupts += 1,
+        }
+        self
+    }
+
+    /// `jitter` is from 0 to 1.
+    fn verdict(self, cause: Cause, jitter: f64) -> Verdict {
+        if self.errors >= MAX_ERRORS || self.crashes >= MAX_CRASHES || self.lost >= MAX_LOST {
+            return Verdict::Dead;
+        }
+        let steps = match cause {
+            Cause::Failed => self.errors,
+            Cause::Crashed => self.crashes,
+            // Hosts vanish for reasons of their own: the first times cost nothing.
+            Cause::Lost => self.lost - LOST_BEFORE_ALONE,
+            Cause::Interrupted => 0,
+        };
+        if steps <= 0 {
+            return Verdict::Ready { delay_ms: 0 };
+        }
+        let doubled = BACK_OFF * (1 << (steps - 1).min(10));
+        let delay = doubled.min(MAX_BACK_OFF).mul_f64(0.5 + 0.5 * jitter);
+        Verdict::Ready { delay_ms: delay.as_millis() as i64 }
+    }
+}
+
+/// A live lease and its tile.
+#[derive(Clone, Debug)]
+pub(super) struct Held {
+    pub(super) lease: String,
+    pub(super) worker: String,
+    pub(super) tile: i64,
+    pub(super) job: i64,
+    pub(super) frame: u32,
+    pub(super) stitch: bool,
+    pub(super) rays: i64,
+    counters: Counters,
+}
+
+/// The columns of a [`Held`], before a condition.
+macro_rules! held_where {
+    ($condition:literal) => {
+        concat!(
+            "SELECT lease.id AS lease, lease.worker, tile.id AS tile, tile.job, tile.frame, tile.kind, tile.rays,
+                    tile.errors, tile.crashes, tile.lost, tile.interrupts
+             FROM lease JOIN tile ON tile.id = lease.tile WHERE lease.ended IS NULL AND ",
+            $condition
+        )
+    };
+}
+
+impl Held {
+    fn read(row: &SqliteRow) -> Result<Self> {
+        Ok(Self {
+            lease: row.try_get("lease")?,
+            worker: row.try_get("worker")?,
+            tile: row.try_get("tile")?,
+            job: row.try_get("job")?,
+            frame: row.try_get("frame")?,
+            stitch: row.try_get::<String, _>("kind")? == "stitch",
+            rays: row.try_get("rays")?,
+            counters: Counters {
+                errors: row.try_get("errors")?,
+                crashes: row.try_get("crashes")?,
+                lost: row.try_get("lost")?,
+                interrupts: row.try_get("interrupts")?,
+            },
+        })
+    }
+}
+
+/// The live ones of some leases of a worker.
+pub(super) async fn held(connection: &mut Connection, worker: WorkerId, leases: &[LeaseId]) -> Result<Vec<Held>> {
+    let rows = sqlx::query(held_where!("lease.worker = ? AND lease.id IN (SELECT value FROM json_each(?))"))
+        .bind(worker.to_string())
+        .bind(json_list(leases))
+        .fetch_all(connection)
+        .await?;
+    rows.iter().map(Held::read).collect()
+}
+
+/// All live leases of a worker.
+pub(super) async fn held_by(connection: &mut Connection, worker: &str) -> Result<Vec<Held>> {
+    let rows = sqlx::query(held_where!("lease.worker = ?")).bind(worker).fetch_all(connection).await?;
+    rows.iter().map(Held::read).collect()
+}
+
+/// Ends a lease without a result; its tile goes back to ready, or is dead and its job has failed.
+pub(super) async fn give_up(
+    connection: &mut Connection,
+    held: &Held,
+    cause: Cause,
+    message: &str,
+    moment: Moment,
+) -> Result<Ring> {
+    end_lease(connection, &held.lease, cause.name()).await?;
+    let counters = held.counters.after(cause);
+    match counters.verdict(cause, jitter()) {
+        Verdict::Ready { delay_ms } => {
+            let not_before_ms = if delay_ms == 0 { 0 } else { moment.now_ms + delay_ms };
+            let avoid = (cause == Cause::Failed).then_some(held.worker.as_str());
+            put_back(connection, held, counters, not_before_ms, avoid).await?;
+            Ok(Ring::WORK)
+        }
+        Verdict::Dead => {
+            kill(connection, held, counters).await?;
+            let place = if held.stitch { "could not be stitched" } else { "could not be rendered" };
+            let message = format!("frame {} {place}: {message}", held.frame);
+            tracing::warn!(job = held.job, tile = held.tile, %message, "a tile is dead");
+            end::fail(connection, held.job, &message, moment).await?;
+            Ok(Ring::NEWS)
+        }
+    }
+}
+
+/// Ends one live lease.
+pub(super) async fn end_lease(connection: &mut Connection, lease: &str, ended: &str) -> Result<()> {
+    let done = sqlx::query("UPDATE lease SET ended = ? WHERE id = ? AND ended IS NULL")
+        .bind(ended)
+        .bind(lease)
+        .execute(connection)
+        .await?;
+    counted("lease: live to ended", 1, &done)
+}
+
+async fn put_back(
+    connection: &mut Connection,
+    held: &Held,
+    counters: Counters,
+    not_before_ms: i64,
+    avoid: Option<&str>,
+) -> Result<()> {
+    let done = sqlx::query(
+        "UPDATE tile SET state = 'ready', not_before_ms = ?, avoid = coalesce(?, avoid),
+                         errors = ?, crashes = ?, lost = ?, interrupts = ?
+         WHERE id = ? AND state = 'leased'",
+    )
+    .bind(not_before_ms)
+    .bind(avoid)
+    .bind(counters.errors)
+    .bind(counters.crashes)
+    .bind(counters.lost)
+    .bind(counters.interrupts)
+    .bind(held.tile)
+    .execute(connection)
+    .await?;
+    counted("tile: leased to ready", 1, &done)
+}
+
+async fn kill(connection: &mut Connection, held: &Held, counters: Counters) -> Result<()> {
+    let done = sqlx::query(
+        "UPDATE tile SET state = 'dead', errors = ?, crashes = ?, lost = ?, interrupts = ?
+         WHERE id = ? AND state = 'leased'",
+    )
+    .bind(counters.errors)
+    .bind(counters.crashes)
+    .bind(counters.lost)
+    .bind(counters.interrupts)
+    .bind(held.tile)
+    .execute(connection)
+    .await?;
+    counted("tile: leased to dead", 1, &done)
+}
+
+/// Renews a worker's leases; answers those that live.
+pub(super) async fn renew(
+    connection: &mut Connection,
+    worker: WorkerId,
+    leases: &[LeaseId],
+    moment: Moment,
+) -> Result<Vec<String>> {
+    Ok(sqlx::query_scalar(
+        "UPDATE lease SET expires_ms = ? WHERE worker = ? AND ended IS NULL
+         AND id IN (SELECT value FROM json_each(?)) RETURNING id",
+    )
+    .bind(moment.now_ms + moment.lease_ms)
+    .bind(worker.to_string())
+    .bind(json_list(leases))
+    .fetch_all(connection)
+    .await?)
+}
+
+/// Ends the leases whose time ran out, and marks workers from elsewhere that vanished.
+pub(super) async fn rescue(connection: &mut Connection, moment: Moment) -> Result<(u64, Ring)> {
+    let rows = sqlx::query(held_where!("lease.expires_ms <= ?"))
+        .bind(moment.now_ms)
+        .fetch_all(&mut *connection)
+        .await?;
+    let mut ring = Ring::default();
+    let mut count = 0;
+    for row in &rows {
+        let held = Held::read(row)?;
+        if !is_live(connection, &held.lease).await? {
+            continue;
+        }
+        tracing::warn!(lease = %held.lease, worker = %held.worker, job = held.job, "a lease ran out");
+        ring.add(give_up(connection, &held, Cause::Lost, "its workers vanished again and again", moment).await?);
+        count += 1;
+    }
+    sqlx::query("UPDATE worker SET state = 'gone' WHERE state <> 'gone' AND pool = 0 AND seen_ms <= ?")
+        .bind(moment.now_ms - moment.lease_ms)
+        .execute(connection)
+        .await?;
+    Ok((count, ring))
+}
+
+/// A job that failed a moment ago took its other leases along.
+pub(super) async fn is_live(connection: &mut Connection, lease: &str) -> Result<bool> {
+    let live: Option<i64> = sqlx::query_scalar("SELECT 1 FROM lease WHERE id = ? AND ended IS NULL")
+        .bind(lease)
+        .fetch_optional(connection)
+        .await?;
+    Ok(live.is_some())
+}
+
+/// From 0 to 1, different each time.
+fn jitter() -> f64 {
+    f64::from(uuid::Uuid::new_v4().as_fields().0) / f64::from(u32::MAX)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn ends_after(cause: Cause) -> Option<i64> {
+        let mut counters = Counters::default();
+        (1..=1000).find(|_| {
+            counters = counters.after(cause);
+            counters.verdict(cause, 0.5) == Verdict::Dead
+        })
+    }
+
+    #[test]
+    fn each_cause_has_its_own_patience() {
+        assert_eq!(ends_after(Cause::Failed), Some(3));
+        assert_eq!(ends_after(Cause::Crashed), Some(3));
+        assert_eq!(ends_after(Cause::Lost), Some(50));
+        assert_eq!(ends_after(Cause::Interrupted), None);
+    }
+
+    #[test]
+    fn back_off_grows_and_is_bounded() {
+        let lost = |lost| Counters { lost, ..Counters::default() }.verdict(Cause::Lost, 1.0);
+        assert_eq!(lost(1), Verdict::Ready { delay_ms: 0 });
+        assert_eq!(lost(2), Verdict::Ready { delay_ms: 0 });
+        assert_eq!(lost(3), Verdict::Ready { delay_ms: 100 });
+        assert_eq!(lost(4), Verdict::Ready { delay_ms: 200 });
+        assert_eq!(lost(49), Verdict::Ready { delay_ms: 5000 });
+    }
+}

@@ -1,0 +1,88 @@
+//! After a start: what the last server left is put right. And, now and then, rows that
+//! matter no more are dropped.
+
+use sqlx::Row;
+
+use super::{Connection, Result, json_numbers};
+
+/// Ended leases are kept so long, to recognise late results.
+const KEEP_LEASES_MS: u64 = 3_600_000;
+
+/// What the last server left.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Recovered {
+    /// Which boot of the server this is.
+    pub(crate) generation: i64,
+    /// Jobs that are not finished.
+    pub(crate) jobs: i64,
+    /// Leases of the old pool that were ended.
+    pub(crate) leases: i64,
+}
+
+/// The old pool is gone with its server, so its leases end at once; workers from
+/// elsewhere get one more length, counted by the clock that starts now.
+pub(super) async fn recover(connection: &mut Connection, now_ms: i64, lease_ms: i64) -> Result<Recovered> {
+    let generation: i64 =
+        sqlx::query_scalar("UPDATE meta SET value = value + 1 WHERE name = 'boot_generation' RETURNING value")
+            .fetch_one(&mut *connection)
+            .await?;
+    let tiles: Vec<i64> = sqlx::query_scalar(
+        "UPDATE lease SET ended = 'interrupted'
+         WHERE ended IS NULL AND worker IN (SELECT id FROM worker WHERE pool = 1) RETURNING tile",
+    )
+    .fetch_all(&mut *connection)
+    .await?;
+    sqlx::query(
+        "UPDATE tile SET state = 'ready', interrupts = interrupts + 1
+         WHERE state = 'leased' AND id IN (SELECT value FROM json_each(?))",
+    )
+    .bind(json_numbers(tiles.iter().copied()))
+    .execute(&mut *connection)
+    .await?;
+    sqlx::query("UPDATE lease SET granted_ms = ?, expires_ms = ? WHERE ended IS NULL")
+        .bind(now_ms)
+        .bind(now_ms + lease_ms)
+        .execute(&mut *connection)
+        .await?;
+    sqlx::query("UPDATE worker SET state = 'gone' WHERE pool = 1 AND state <> 'gone'").execute(&mut *connection).await?;
+    sqlx::query("UPDATE worker SET seen_ms = ? WHERE state <> 'gone'").bind(now_ms).execute(&mut *connection).await?;
+    sqlx::query("UPDATE tile SET not_before_ms = 0 WHERE state = 'ready' AND not_before_ms > 0")
+        .execute(&mut *connection)
+        .await?;
+    let jobs = sqlx::query("SELECT count(*) AS jobs FROM job WHERE finished_at_ms IS NULL").fetch_one(connection).await?;
+    Ok(Recovered { generation, jobs: jobs.try_get("jobs")?, leases: tiles.len() as i64 })
+}
+
+/// Drops ended leases that are old, or whose worker is gone, and workers that are gone.
+pub(super) async fn tidy(connection: &mut Connection) -> Result<()> {
+    sqlx::query("DELETE FROM lease WHERE ended IS NOT NULL AND id < ?")
+        .bind(oldest_kept(uuid::Uuid::now_v7()))
+        .execute(&mut *connection)
+        .await?;
+    sqlx::query(
+        "DELETE FROM worker WHERE state = 'gone' AND NOT EXISTS (SELECT 1 FROM lease WHERE lease.worker = worker.id)",
+    )
+    .execute(connection)
+    .await?;
+    Ok(())
+}
+
+/// Ids of leases carry their time: the smallest one that is kept.
+fn oldest_kept(now: uuid::Uuid) -> String {
+    let now_ms = now.as_u128() >> 80;
+    let kept_ms = now_ms.saturating_sub(u128::from(KEEP_LEASES_MS));
+    uuid::Uuid::from_u128(kept_ms << 80).to_string()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn leases_of_the_last_hour_are_kept() {
+        let now = uuid::Uuid::now_v7();
+        let oldest = oldest_kept(now);
+        assert!(oldest < now.to_string());
+        assert_eq!((now.as_u128() >> 80) - (oldest.parse::<uuid::Uuid>().expect("an id").as_u128() >> 80), 3_600_000);
+    }
+}

@@ -1,0 +1,108 @@
+//! How much of a frame one worker is given: arithmetic only.
+
+use std::time::Duration;
+
+/// Frames of at most so many rays are given whole to a worker whose speed is not known.
+const SMALL_FRAME_RAYS: u64 = 1 << 22;
+/// What a run of tiles should take.
+const RUN: Duration = Duration::from_secs(1);
+/// A worker given a whole frame keeps at most so much data of it.
+const WHOLE_FRAME_BYTES: u64 = 256 << 20;
+
+/// A ready tile, as far as sharing goes.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Ready {
+    /// Its camera rays.
+    pub(super) rays: u64,
+    /// It vanished with its worker before: lease it alone.
+    pub(super) alone: bool,
+}
+
+/// The frame the tiles are of.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Frame {
+    /// All its tiles, ready or not.
+    pub(super) tiles: u64,
+    /// Their rays.
+    pub(super) rays: u64,
+    /// Bytes of its finished data.
+    pub(super) size_bytes: u64,
+}
+
+/// How many of `ready`, from the first, a worker is given.
+pub(super) fn run_length(ready: &[Ready], frame: Frame, rays_per_second: Option<f64>, idle_workers: u64) -> usize {
+    if ready.first().is_none_or(|tile| tile.alone) {
+        return ready.len().min(1);
+    }
+    let mixable = ready.iter().take_while(|tile| !tile.alone).count();
+    let budget = rays_per_second.map(|rate| (rate * RUN.as_secs_f64()) as u64);
+    if frame.rays <= SMALL_FRAME_RAYS.min(budget.unwrap_or(SMALL_FRAME_RAYS)) {
+        return mixable;
+    }
+    let fair = ready.len().div_ceil(idle_workers.max(1) as usize);
+    let affordable = budget.map_or(1, |budget| {
+        let mut rays = 0;
+        ready
+            .iter()
+            .take_while(|tile| {
+                rays += tile.rays;
+                rays <= budget
+            })
+            .count()
+    });
+    affordable.min(fair).clamp(1, mixable)
+}
+
+/// Whether a run of so many tiles is the whole frame, and small enough for its worker to make the picture.
+pub(super) fn is_whole(run: usize, frame: Frame) -> bool {
+    run as u64 == frame.tiles && frame.size_bytes <= WHOLE_FRAME_BYTES
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const MEGA: u64 = 1 << 20;
+
+    fn tiles(count: usize) -> Vec<Ready> {
+        vec![Ready { rays: MEGA, alone: false }; count]
+    }
+
+    fn frame(tiles: u64) -> Frame {
+        Frame { tiles, rays: tiles * MEGA, size_bytes: tiles * (16 << 20) }
+    }
+
+    #[test]
+    fn an_unknown_worker_gets_a_small_frame_whole_and_one_tile_of_a_large_one() {
+        assert_eq!(run_length(&tiles(4), frame(4), None, 3), 4);
+        assert_eq!(run_length(&tiles(9), frame(9), None, 1), 1);
+    }
+
+    #[test]
+    fn a_run_is_worth_a_second() {
+        assert_eq!(run_length(&tiles(100), frame(100), Some(5.5 * MEGA as f64), 1), 5);
+        assert_eq!(run_length(&tiles(100), frame(100), Some(1.0), 1), 1);
+        assert_eq!(run_length(&tiles(100), frame(100), Some(1e12), 1), 100);
+    }
+
+    #[test]
+    fn idle_workers_share_a_frame() {
+        assert_eq!(run_length(&tiles(9), frame(9), Some(1e12), 3), 3);
+        assert_eq!(run_length(&tiles(2), frame(9), Some(1e12), 3), 1);
+    }
+
+    #[test]
+    fn a_tile_that_vanished_twice_goes_alone() {
+        let mut ready = tiles(4);
+        ready[2].alone = true;
+        assert_eq!(run_length(&ready, frame(4), None, 1), 2);
+        assert_eq!(run_length(&ready[2..], frame(4), None, 1), 1);
+    }
+
+    #[test]
+    fn a_frame_too_large_to_hold_is_not_whole() {
+        assert!(is_whole(16, frame(16)));
+        assert!(!is_whole(15, frame(16)));
+        assert!(!is_whole(17, frame(17)));
+    }
+}

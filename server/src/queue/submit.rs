@@ -1,0 +1,64 @@
+//! Accepting a job: one row and its file; frames and tiles are made when they are reached.
+
+use proto::JobId;
+
+use super::{Connection, Moment, Result};
+use crate::plan::Plan;
+
+/// A job that was found sound.
+#[derive(Clone, Debug)]
+pub(crate) struct NewJob {
+    /// Its id.
+    pub(crate) id: JobId,
+    /// The name its author gave it.
+    pub(crate) name: String,
+    /// Higher goes first.
+    pub(crate) priority: i32,
+    /// How its frames are cut.
+    pub(crate) plan: Plan,
+    /// Media type of its pictures.
+    pub(crate) media_type: &'static str,
+    /// What its author should know although it renders.
+    pub(crate) warnings: Vec<String>,
+    /// Render it even if its pictures are stored.
+    pub(crate) fresh: bool,
+    /// The bytes that were posted.
+    pub(crate) text: String,
+}
+
+/// Who submits while there are no keys.
+const SUBMITTER: &str = "local";
+
+/// Writes a job's row and its file; returns its number.
+pub(super) async fn submit(connection: &mut Connection, job: &NewJob, moment: Moment) -> Result<i64> {
+    let plan = job.plan;
+    let number: i64 = sqlx::query_scalar(
+        "INSERT INTO job (id, name, submitter, priority, state, fresh, width_px, height_px, samples, pixel_bytes,
+                          edge_px, media_type, frames_total, tiles_total, rays_total, warnings, created_at_ms)
+         VALUES (?, ?, ?, ?, 'queued', ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?) RETURNING number",
+    )
+    .bind(job.id.to_string())
+    .bind(&job.name)
+    .bind(SUBMITTER)
+    .bind(job.priority)
+    .bind(job.fresh)
+    .bind(plan.width_px)
+    .bind(plan.height_px)
+    .bind(plan.samples)
+    .bind(plan.pixel_bytes)
+    .bind(plan.edge_px)
+    .bind(job.media_type)
+    .bind(plan.frames)
+    .bind(i64::try_from(plan.tiles_total()).unwrap_or(i64::MAX))
+    .bind(i64::try_from(plan.rays_total()).unwrap_or(i64::MAX))
+    .bind(super::json_list(&job.warnings))
+    .bind(moment.wall_ms)
+    .fetch_one(&mut *connection)
+    .await?;
+    sqlx::query("INSERT INTO job_file (job, text) VALUES (?, ?)")
+        .bind(number)
+        .bind(&job.text)
+        .execute(connection)
+        .await?;
+    Ok(number)
+}

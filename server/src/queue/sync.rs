@@ -1,0 +1,170 @@
+//! A worker's turn: results in, leases renewed, strays handed back, work out; one transaction.
+
+use std::time::Duration;
+
+use proto::work::{Report, Run};
+use proto::{LeaseId, WorkerId};
+
+use super::claim::{self, Claimant, Claimed};
+use super::lease::{self, Cause};
+use super::{Connection, Moment, Opening, Result, Ring, deliver, known, open};
+use crate::plan::Plan;
+
+/// A worker that was granted a lease in an answer it never got hands it back after so long:
+/// what it does not list by then, it does not hold.
+const STRAY_AFTER_MS: i64 = 2000;
+
+/// What a worker says.
+#[derive(Clone, Debug)]
+pub(crate) struct Turn {
+    /// Who.
+    pub(crate) worker: WorkerId,
+    /// Its measured camera rays a second.
+    pub(crate) rays_per_second: Option<f64>,
+    /// The leases it holds.
+    pub(crate) holding: Vec<LeaseId>,
+    /// The leases it has finished with.
+    pub(crate) results: Vec<Report>,
+    /// Whether it wants a run.
+    pub(crate) wants_work: bool,
+    /// The frame that the last turn asked to open.
+    pub(crate) opening: Option<Opening>,
+}
+
+impl Turn {
+    /// It brings results, which must not be forgotten once they are answered.
+    pub(crate) fn delivers(&self) -> bool {
+        !self.results.is_empty()
+    }
+}
+
+/// What a turn came to.
+#[derive(Clone, Debug)]
+pub(crate) struct Turned {
+    /// Leases of the turn that are no longer live.
+    pub(crate) lost: Vec<LeaseId>,
+    /// The worker should finish and exit.
+    pub(crate) drain: bool,
+    /// The work, or what stands before it.
+    pub(crate) next: Next,
+    /// Blobs that may be left over now.
+    pub(crate) leftovers: Vec<String>,
+    /// Leases that were found to have run out.
+    pub(crate) expired: u64,
+    /// Results without effect.
+    pub(crate) fenced: u64,
+    pub(super) ring: Ring,
+}
+
+impl Turned {
+    /// There is something the worker should hear at once.
+    pub(crate) fn has_news(&self) -> bool {
+        !self.lost.is_empty() || matches!(self.next, Next::Run(_))
+    }
+
+    /// If a tile backs off: when it is ready.
+    pub(crate) fn ready_in(&self) -> Option<Duration> {
+        match self.next {
+            Next::Nothing(Some(ready_in_ms)) => Some(Duration::from_millis(ready_in_ms.unsigned_abs())),
+            Next::Nothing(None) | Next::Run(_) | Next::Frame { .. } => None,
+        }
+    }
+}
+
+/// The work, or what stands before it.
+#[derive(Clone, Debug)]
+pub(crate) enum Next {
+    /// A run.
+    Run(Run),
+    /// A frame has to be opened: say so again with its [`Opening`].
+    Frame {
+        /// The job's number.
+        job: i64,
+        /// The frame.
+        frame: u32,
+        /// How its frames are cut.
+        plan: Plan,
+    },
+    /// Nothing for now; if a tile backs off, it is ready in so many milliseconds.
+    Nothing(Option<i64>),
+}
+
+/// Takes a worker's turn; `None` if no such worker is known.
+pub(super) async fn turn(connection: &mut Connection, turn: Turn, moment: Moment) -> Result<Option<Turned>> {
+    let Some(state) = seen(connection, &turn, moment).await? else { return Ok(None) };
+    let (expired, mut ring) = lease::rescue(connection, moment).await?;
+    let delivered = deliver::deliver(connection, turn.worker, &turn.results, moment).await?;
+    ring.add(delivered.ring);
+    let fenced = delivered.lost.len() as u64;
+    let mut lost = delivered.lost;
+    let live = lease::renew(connection, turn.worker, &turn.holding, moment).await?;
+    lost.extend(turn.holding.iter().filter(|lease| !live.contains(&lease.to_string())));
+    ring.add(hand_back_strays(connection, &turn, moment).await?);
+    let next = if turn.wants_work && state == WorkerState::Ready {
+        take_work(connection, &turn, moment).await?
+    } else {
+        Next::Nothing(None)
+    };
+    let drain = state == WorkerState::Draining;
+    Ok(Some(Turned { lost, drain, next, leftovers: delivered.leftovers, expired, fenced, ring }))
+}
+
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum WorkerState {
+    Ready,
+    Draining,
+    Other,
+}
+
+async fn seen(connection: &mut Connection, turn: &Turn, moment: Moment) -> Result<Option<WorkerState>> {
+    let state: Option<String> = sqlx::query_scalar(
+        "UPDATE worker SET seen_ms = ?, rays_per_second = coalesce(?, rays_per_second)
+         WHERE id = ? AND state <> 'gone' RETURNING state",
+    )
+    .bind(moment.now_ms)
+    .bind(turn.rays_per_second)
+    .bind(turn.worker.to_string())
+    .fetch_optional(connection)
+    .await?;
+    let Some(state) = state else { return Ok(None) };
+    known("worker.state", &state, |state| match state {
+        "ready" => Some(WorkerState::Ready),
+        "draining" => Some(WorkerState::Draining),
+        "starting" | "quarantined" => Some(WorkerState::Other),
+        _ => None,
+    })
+    .map(Some)
+}
+
+async fn hand_back_strays(connection: &mut Connection, turn: &Turn, moment: Moment) -> Result<Ring> {
+    let strays: Vec<String> = sqlx::query_scalar(
+        "SELECT id FROM lease WHERE worker = ? AND ended IS NULL AND granted_ms <= ?
+         AND id NOT IN (SELECT value FROM json_each(?))",
+    )
+    .bind(turn.worker.to_string())
+    .bind(moment.now_ms - STRAY_AFTER_MS)
+    .bind(super::json_list(&turn.holding))
+    .fetch_all(&mut *connection)
+    .await?;
+    let mut ring = Ring::default();
+    for stray in strays {
+        let lease: LeaseId = known("lease.id", &stray, |id| id.parse().ok())?;
+        for held in lease::held(connection, turn.worker, &[lease]).await? {
+            tracing::warn!(lease = %stray, worker = %turn.worker, "a worker never heard of its lease");
+            ring.add(lease::give_up(connection, &held, Cause::Interrupted, "its worker forgot it", moment).await?);
+        }
+    }
+    Ok(ring)
+}
+
+async fn take_work(connection: &mut Connection, turn: &Turn, moment: Moment) -> Result<Next> {
+    if let Some(opening) = &turn.opening {
+        open::open(connection, opening, moment).await?;
+    }
+    let claimant = Claimant { worker: turn.worker, rays_per_second: turn.rays_per_second };
+    Ok(match claim::claim(connection, claimant, moment).await? {
+        Claimed::Run(run) => Next::Run(run),
+        Claimed::NeedsFrame { job, frame, plan } => Next::Frame { job, frame, plan },
+        Claimed::Nothing(ready_in_ms) => Next::Nothing(ready_in_ms),
+    })
+}

@@ -1,0 +1,85 @@
+//! Workers: registered, told to drain, found to have ended.
+
+use proto::WorkerId;
+use proto::work::Hello;
+use sqlx::Row;
+
+use super::lease::{self, Cause};
+use super::{Connection, Moment, Result, Ring, counted, known};
+
+/// A worker that says hello.
+#[derive(Clone, Debug)]
+pub(crate) struct NewWorker {
+    /// What it says.
+    pub(crate) hello: Hello,
+    /// It is a child process of this server.
+    pub(crate) pool: bool,
+    /// Its label.
+    pub(crate) name: String,
+}
+
+/// A worker that was taken in.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Registered {
+    /// Its id until it ends.
+    pub(crate) worker: WorkerId,
+}
+
+/// Takes in a worker, ready to work.
+pub(super) async fn register(connection: &mut Connection, new: NewWorker, moment: Moment) -> Result<Registered> {
+    let worker = WorkerId::new();
+    let made = sqlx::query(
+        "INSERT INTO worker (id, name, device, state, pool, process, max_nodes, generation, seen_ms)
+         VALUES (?, ?, ?, 'ready', ?, ?, ?, ?, ?)",
+    )
+    .bind(worker.to_string())
+    .bind(new.name)
+    .bind(new.hello.device)
+    .bind(new.pool)
+    .bind(new.hello.process)
+    .bind(new.hello.max_nodes)
+    .bind(moment.generation)
+    .bind(moment.now_ms)
+    .execute(connection)
+    .await?;
+    counted("worker: registered", 1, &made)?;
+    Ok(Registered { worker })
+}
+
+/// Tells the pool's worker of a process to finish what it holds; false if there is none yet.
+pub(super) async fn drain(connection: &mut Connection, process: u32) -> Result<bool> {
+    let drained = sqlx::query(
+        "UPDATE worker SET state = 'draining' WHERE process = ? AND pool = 1 AND state IN ('starting', 'ready')",
+    )
+    .bind(process)
+    .execute(connection)
+    .await?;
+    Ok(drained.rows_affected() > 0)
+}
+
+/// The process of a pool's worker has ended: so has the worker, and so do its leases.
+pub(super) async fn reaped(
+    connection: &mut Connection,
+    process: u32,
+    cause: Cause,
+    message: &str,
+    moment: Moment,
+) -> Result<(Option<WorkerId>, Ring)> {
+    let rows =
+        sqlx::query("UPDATE worker SET state = 'gone' WHERE process = ? AND pool = 1 AND state <> 'gone' RETURNING id")
+            .bind(process)
+            .fetch_all(&mut *connection)
+            .await?;
+    let mut ring = Ring::default();
+    let mut worker = None;
+    for row in rows {
+        let id: String = row.try_get("id")?;
+        for held in lease::held_by(connection, &id).await? {
+            if lease::is_live(connection, &held.lease).await? {
+                ring.add(lease::give_up(connection, &held, cause, message, moment).await?);
+            }
+        }
+        worker = Some(known("worker.id", &id, |id| id.parse().ok())?);
+    }
+    Ok((worker, ring))
+}

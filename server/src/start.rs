@@ -1,0 +1,139 @@
+//! Starting: everything that can be wrong with a server's surroundings, found before it serves,
+//! and said with its cure.
+
+use std::io;
+use std::net::SocketAddr;
+use std::path::PathBuf;
+use std::sync::Arc;
+
+use tokio::net::TcpListener;
+use tokio::sync::mpsc;
+use tokio_util::sync::CancellationToken;
+
+use crate::clock::Clock;
+use crate::config::Config;
+use crate::farm::{Farm, Totals};
+use crate::jobs::Jobs;
+use crate::lock::{FolderLock, LockError};
+use crate::pictures::Pictures;
+use crate::pool::Pool;
+use crate::queue::Queue;
+use crate::store::{OpenError, Store, StoreError};
+use crate::{DEFAULT_WORKERS, Server};
+
+/// Why a server could not start, and the cure.
+#[derive(Debug, thiserror::Error)]
+pub enum StartError {
+    /// The address is not loopback's, and there are no keys.
+    #[error(
+        "refusing to listen on {0}: it is not a loopback address, and anyone who reaches it could use the farm; \
+         listen on 127.0.0.1, or say --insecure if that is meant"
+    )]
+    Exposed(SocketAddr),
+    /// The data folder can't be used.
+    #[error("the data folder {folder} can't be used: {source}; make it writable, or name another with --data")]
+    DataFolder {
+        /// The folder.
+        folder: PathBuf,
+        /// What the system said.
+        source: io::Error,
+    },
+    /// Another server has the data folder.
+    #[error("data folder {folder} is in use by another server (pid {holder}): stop that one, or name another folder with --data")]
+    InUse {
+        /// The folder.
+        folder: PathBuf,
+        /// The other server's process id.
+        holder: String,
+    },
+    /// The database can't be used.
+    #[error("the database {file} can't be used: {reason}; {cure}")]
+    Database {
+        /// The file.
+        file: PathBuf,
+        /// What is wrong.
+        reason: String,
+        /// What to do.
+        cure: &'static str,
+    },
+    /// The address can't be had.
+    #[error("can't listen on {address}: {source}; stop what listens there, or choose another address with --listen")]
+    Listen {
+        /// The address.
+        address: SocketAddr,
+        /// What the system said.
+        source: io::Error,
+    },
+}
+
+const RESTORE: &str = "restore it from a backup, or move it away to start with an empty farm";
+const MAKE_ROOM: &str = "make room on its disk";
+const MAKE_WRITABLE: &str = "make it and its folder writable, or name another folder with --data";
+const UPGRADE: &str = "it may be of a newer release: run that one";
+
+/// See [`Server::start`].
+pub(crate) async fn start(config: Config, clock: Clock) -> Result<Server, StartError> {
+    if !config.listen.ip().is_loopback() && !config.insecure {
+        return Err(StartError::Exposed(config.listen));
+    }
+    let folder = |source| StartError::DataFolder { folder: config.data.clone(), source };
+    std::fs::create_dir_all(&config.data).map_err(folder)?;
+    let lock = FolderLock::take(&config.data).map_err(|error| match error {
+        LockError::Held(holder) => StartError::InUse { folder: config.data.clone(), holder },
+        LockError::Io(source) => folder(source),
+    })?;
+    let pictures = Pictures::open(&config.data).map_err(folder)?;
+    let listener = TcpListener::bind(config.listen)
+        .await
+        .map_err(|source| StartError::Listen { address: config.listen, source })?;
+    let address = listener.local_addr().map_err(|source| StartError::Listen { address: config.listen, source })?;
+    let file = Store::file(&config.data);
+    let store = Arc::new(Store::open(&config.data).await.map_err(|error| explain(file.clone(), error))?);
+    let lease_ms = i64::try_from(config.lease.as_millis()).unwrap_or(i64::MAX / 4).max(1);
+    let (queue, recovered) = Queue::open(Arc::clone(&store), clock, lease_ms)
+        .await
+        .map_err(|error| explain_store(file, &error))?;
+    tracing::info!(
+        data = %config.data.display(), boot = recovered.generation, unfinished_jobs = recovered.jobs,
+        handed_back = recovered.leases, "opened the data folder"
+    );
+    let (left, leftovers) = mpsc::unbounded_channel();
+    let farm = Arc::new(Farm {
+        queue,
+        pictures,
+        jobs: Jobs::new(),
+        pool: Pool::new(config.workers.unwrap_or(DEFAULT_WORKERS)),
+        totals: Totals::default(),
+        leftovers: left,
+        closing: CancellationToken::new(),
+        ending: CancellationToken::new(),
+        config,
+    });
+    Ok(Server { listener, address, farm, store, leftovers, lock })
+}
+
+fn explain(file: PathBuf, error: OpenError) -> StartError {
+    match error {
+        OpenError::Sql(error) => explain_store(file, &error.into()),
+        OpenError::Migrate(sqlx::migrate::MigrateError::Execute(error)) => explain_store(file, &error.into()),
+        OpenError::Migrate(error) => StartError::Database { file, reason: error.to_string(), cure: UPGRADE },
+        OpenError::Damaged(verdict) => {
+            StartError::Database { file, reason: format!("it is damaged ({verdict})"), cure: RESTORE }
+        }
+    }
+}
+
+fn explain_store(file: PathBuf, error: &StoreError) -> StartError {
+    let reason = match error {
+        StoreError::Sql(error) => error.to_string(),
+        StoreError::Rows { .. } | StoreError::Value { .. } | StoreError::Closed => error.to_string(),
+    };
+    let cure = if error.is_full() {
+        MAKE_ROOM
+    } else if error.is_damage() {
+        RESTORE
+    } else {
+        MAKE_WRITABLE
+    };
+    StartError::Database { file, reason, cure }
+}

@@ -1,0 +1,196 @@
+//! The one connection that writes: a task that commits together what waits together.
+//!
+//! Each operation runs under its own SAVEPOINT, so one that fails takes no other with it.
+//! Nothing is ever delayed in the hope of company: an operation alone is committed alone.
+
+use std::time::Duration;
+
+use futures_util::future::BoxFuture;
+use sqlx::Connection;
+use sqlx::sqlite::SqliteConnection;
+use tokio::sync::{Mutex, mpsc, oneshot};
+use tokio::task::JoinHandle;
+
+use super::StoreError;
+
+/// Operations committed together, at most.
+const GROUP: usize = 256;
+/// Operations that may wait before callers are held back.
+const QUEUE: usize = 1024;
+/// With nothing to write for so long, the log is folded into the file.
+const IDLE: Duration = Duration::from_secs(5);
+
+/// Whether an operation must survive a power cut once it is answered.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Durability {
+    /// It must: the commit is flushed to the disk.
+    Full,
+    /// It need not: the next durable commit takes it along.
+    Relaxed,
+}
+
+/// The writer's door.
+#[derive(Debug)]
+pub(super) struct Writer {
+    operations: std::sync::Mutex<Option<mpsc::Sender<Box<dyn Operation>>>>,
+    task: Mutex<Option<JoinHandle<()>>>,
+}
+
+impl Writer {
+    /// Starts the task that owns `connection`.
+    pub(super) fn start(connection: SqliteConnection) -> Self {
+        let (operations, waiting) = mpsc::channel(QUEUE);
+        let task = tokio::spawn(Task { connection, synchronous: Durability::Full }.run(waiting));
+        Self { operations: std::sync::Mutex::new(Some(operations)), task: Mutex::new(Some(task)) }
+    }
+
+    /// Runs one operation; see [`super::Store::write`].
+    pub(super) async fn write<T, F>(&self, durability: Durability, work: F) -> Result<T, StoreError>
+    where
+        T: Send + 'static,
+        F: for<'c> FnOnce(&'c mut SqliteConnection) -> BoxFuture<'c, Result<T, StoreError>> + Send + 'static,
+    {
+        let sender = self.operations.lock().expect("no holder panics").clone().ok_or(StoreError::Closed)?;
+        let (reply, answer) = oneshot::channel();
+        let waiting = Waiting { durability, work: Some(work), result: None, reply };
+        sender.send(Box::new(waiting)).await.map_err(|_| StoreError::Closed)?;
+        answer.await.map_err(|_| StoreError::Closed)?
+    }
+
+    /// Ends the task when it has done what waits.
+    pub(super) async fn close(&self) {
+        drop(self.operations.lock().expect("no holder panics").take());
+        if let Some(task) = self.task.lock().await.take()
+            && let Err(error) = task.await
+        {
+            tracing::error!(%error, "the database's writer panicked");
+        }
+    }
+}
+
+/// An operation on its way through the writer.
+trait Operation: Send {
+    fn durability(&self) -> Durability;
+    /// Runs it; false: undo it.
+    fn run<'c>(&'c mut self, connection: &'c mut SqliteConnection) -> BoxFuture<'c, bool>;
+    /// Tells its caller, once the transaction has ended.
+    fn answer(self: Box<Self>, committed: Result<(), StoreError>);
+}
+
+struct Waiting<T, F> {
+    durability: Durability,
+    work: Option<F>,
+    result: Option<Result<T, StoreError>>,
+    reply: oneshot::Sender<Result<T, StoreError>>,
+}
+
+impl<T, F> Operation for Waiting<T, F>
+where
+    T: Send,
+    F: for<'c> FnOnce(&'c mut SqliteConnection) -> BoxFuture<'c, Result<T, StoreError>> + Send,
+{
+    fn durability(&self) -> Durability {
+        self.durability
+    }
+
+    fn run<'c>(&'c mut self, connection: &'c mut SqliteConnection) -> BoxFuture<'c, bool> {
+        Box::pin(async move {
+            let work = self.work.take().expect("an operation runs once");
+            let result = work(connection).await;
+            let keep = result.is_ok();
+            self.result = Some(result);
+            keep
+        })
+    }
+
+    fn answer(self: Box<Self>, committed: Result<(), StoreError>) {
+        let result = match (committed, self.result) {
+            (Ok(()), Some(result)) => result,
+            (Ok(()), None) => Err(StoreError::Closed),
+            (Err(_), Some(Err(error))) | (Err(error), _) => Err(error),
+        };
+        // A caller that no longer listens wanted the effect, not the answer.
+        drop(self.reply.send(result));
+    }
+}
+
+struct Task {
+    connection: SqliteConnection,
+    synchronous: Durability,
+}
+
+impl Task {
+    async fn run(mut self, mut waiting: mpsc::Receiver<Box<dyn Operation>>) {
+        let mut folded = true;
+        loop {
+            let first = if folded {
+                waiting.recv().await
+            } else if let Ok(next) = tokio::time::timeout(IDLE, waiting.recv()).await {
+                next
+            } else {
+                self.fold().await;
+                folded = true;
+                continue;
+            };
+            let Some(first) = first else { break };
+            let mut group = vec![first];
+            while group.len() < GROUP
+                && let Ok(next) = waiting.try_recv()
+            {
+                group.push(next);
+            }
+            let committed = self.commit(&mut group).await;
+            for operation in group {
+                operation.answer(committed.clone());
+            }
+            folded = false;
+        }
+        self.fold().await;
+        if let Err(error) = self.connection.close().await {
+            tracing::error!(%error, "the database did not close");
+        }
+    }
+
+    async fn commit(&mut self, group: &mut [Box<dyn Operation>]) -> Result<(), StoreError> {
+        let done = self.transact(group).await;
+        if done.is_err() {
+            // SQLite ends a transaction by itself after some errors; then there is nothing to undo.
+            drop(sqlx::query("ROLLBACK").execute(&mut self.connection).await);
+        }
+        done
+    }
+
+    async fn transact(&mut self, group: &mut [Box<dyn Operation>]) -> Result<(), StoreError> {
+        let durable = group.iter().any(|operation| operation.durability() == Durability::Full);
+        self.synchronise(if durable { Durability::Full } else { Durability::Relaxed }).await?;
+        sqlx::query("BEGIN IMMEDIATE").execute(&mut self.connection).await?;
+        for operation in group {
+            sqlx::query("SAVEPOINT operation").execute(&mut self.connection).await?;
+            if !operation.run(&mut self.connection).await {
+                sqlx::query("ROLLBACK TO operation").execute(&mut self.connection).await?;
+            }
+            sqlx::query("RELEASE operation").execute(&mut self.connection).await?;
+        }
+        sqlx::query("COMMIT").execute(&mut self.connection).await?;
+        Ok(())
+    }
+
+    async fn synchronise(&mut self, durability: Durability) -> Result<(), StoreError> {
+        if self.synchronous == durability {
+            return Ok(());
+        }
+        let pragma = match durability {
+            Durability::Full => "PRAGMA synchronous = FULL",
+            Durability::Relaxed => "PRAGMA synchronous = NORMAL",
+        };
+        sqlx::query(pragma).execute(&mut self.connection).await?;
+        self.synchronous = durability;
+        Ok(())
+    }
+
+    async fn fold(&mut self) {
+        if let Err(error) = sqlx::query("PRAGMA wal_checkpoint(TRUNCATE)").execute(&mut self.connection).await {
+            tracing::warn!(%error, "the database's log could not be folded into its file");
+        }
+    }
+}

@@ -1,0 +1,267 @@
+//! A server on a free port with a folder of its own, and a worker that pretends to render.
+
+use std::net::SocketAddr;
+use std::path::Path;
+use std::time::Duration;
+
+use proto::job::{JobState, JobView};
+use proto::work::{self, Hello, Outcome, Report, Run, SyncReply, SyncRequest, Welcome, Work};
+use proto::{JobId, LeaseId, Problem, WorkerId};
+use reqwest::{Client, Response, StatusCode};
+use serde_json::{Value, json};
+use server::{Clock, Config, Hand, Server};
+use tempfile::TempDir;
+use tokio::task::JoinHandle;
+use tokio_util::sync::CancellationToken;
+
+/// Whatever takes longer has failed.
+const DEADLINE: Duration = Duration::from_secs(60);
+/// Length of a lease in these tests, by the clock in the test's hand.
+pub(crate) const LEASE: Duration = Duration::from_secs(30);
+
+/// Waits for something, but not for ever.
+pub(crate) async fn in_time<T>(work: impl Future<Output = T>) -> T {
+    tokio::time::timeout(DEADLINE, work).await.expect("it takes too long")
+}
+
+/// A running server.
+pub(crate) struct Farm {
+    pub(crate) folder: TempDir,
+    pub(crate) address: SocketAddr,
+    pub(crate) client: Client,
+    pub(crate) hand: Hand,
+    shutdown: CancellationToken,
+    task: JoinHandle<Result<(), server::ServeError>>,
+}
+
+/// The configuration of a server for tests: no local workers, any free port.
+pub(crate) fn config(data: &Path) -> Config {
+    Config {
+        listen: ([127, 0, 0, 1], 0).into(),
+        data: data.to_owned(),
+        workers: Some(0),
+        lease: LEASE,
+        worker_program: "/nonexistent/sdfarm".into(),
+        ..Config::default()
+    }
+}
+
+impl Farm {
+    pub(crate) async fn start() -> Self {
+        Self::start_in(tempfile::tempdir().expect("a temporary folder"), |_| {}).await
+    }
+
+    pub(crate) async fn start_in(folder: TempDir, change: impl FnOnce(&mut Config)) -> Self {
+        let mut config = config(folder.path());
+        change(&mut config);
+        let (clock, hand) = Clock::by_hand();
+        let server = Server::start_with_clock(config, clock).await.expect("the server starts");
+        let address = server.address();
+        let shutdown = CancellationToken::new();
+        let task = tokio::spawn(server.run(shutdown.clone()));
+        Self { folder, address, client: Client::new(), hand, shutdown, task }
+    }
+
+    /// Ends the server gracefully; its folder is left.
+    pub(crate) async fn stop(self) -> TempDir {
+        self.shutdown.cancel();
+        in_time(self.task).await.expect("the server does not panic").expect("the server ends well");
+        self.folder
+    }
+
+    pub(crate) fn url(&self, path: &str) -> String {
+        format!("http://{}{path}", self.address)
+    }
+
+    pub(crate) async fn get(&self, path: &str) -> Response {
+        in_time(self.client.get(self.url(path)).send()).await.expect("the server answers")
+    }
+
+    pub(crate) async fn post(&self, path: &str, body: impl Into<reqwest::Body>) -> Response {
+        in_time(self.client.post(self.url(path)).body(body).send()).await.expect("the server answers")
+    }
+
+    pub(crate) async fn submit(&self, job: &Value) -> JobView {
+        let response = self.post("/v1/jobs", job.to_string()).await;
+        read(response, StatusCode::CREATED).await
+    }
+
+    pub(crate) async fn job(&self, id: JobId) -> JobView {
+        read(self.get(&format!("/v1/jobs/{id}")).await, StatusCode::OK).await
+    }
+
+    pub(crate) async fn worker(&self, name: &str) -> Worker<'_> {
+        Worker::register(self, name).await
+    }
+}
+
+/// Reads an answer that must have this status.
+pub(crate) async fn read<T: serde::de::DeserializeOwned>(response: Response, status: StatusCode) -> T {
+    let actual = response.status();
+    let text = in_time(response.text()).await.expect("the answer has a body");
+    assert_eq!(actual, status, "{text}");
+    serde_json::from_str(&text).unwrap_or_else(|error| panic!("{error}: {text}"))
+}
+
+/// Reads an answer that must be this problem.
+pub(crate) async fn refused(response: Response, status: u16, code: &str) -> Problem {
+    assert_eq!(response.headers()["content-type"], "application/problem+json");
+    let id = response.headers()["x-request-id"].to_str().expect("text").to_owned();
+    let problem: Problem = read(response, StatusCode::from_u16(status).expect("a status")).await;
+    assert_eq!((problem.status, problem.code.as_str()), (status, code), "{problem:?}");
+    assert_eq!(problem.request_id.as_deref(), Some(id.as_str()));
+    assert!(!problem.detail.is_empty() && !problem.detail.ends_with('.'), "{problem:?}");
+    problem
+}
+
+/// A sound job of this size.
+pub(crate) fn job(width: u32, height: u32, samples: u32) -> Value {
+    json!({
+        "name": "test",
+        "scene": {
+            "camera": { "position": [0, 0, 5], "look_at": [0, 0, 0] },
+            "objects": [{ "material": { "normals": {} }, "shape": { "sphere": { "radius": 1 } } }]
+        },
+        "image": { "width": width, "height": height, "samples": samples }
+    })
+}
+
+/// A job of one tile, unlike those of other seeds.
+pub(crate) fn small_job(seed: u32) -> Value {
+    let mut job = job(64, 64, 1);
+    job["image"]["seed"] = seed.into();
+    job
+}
+
+/// A worker that pretends to render.
+pub(crate) struct Worker<'a> {
+    farm: &'a Farm,
+    pub(crate) id: WorkerId,
+    pub(crate) rays_per_second: Option<f64>,
+}
+
+/// What a worker says, besides who it is.
+#[derive(Default)]
+pub(crate) struct Said {
+    pub(crate) holding: Vec<LeaseId>,
+    pub(crate) results: Vec<Report>,
+    pub(crate) wants_work: bool,
+    pub(crate) wait: Duration,
+}
+
+impl<'a> Worker<'a> {
+    async fn register(farm: &'a Farm, name: &str) -> Self {
+        let hello = Hello {
+            name: name.to_owned(),
+            device: "cpu".to_owned(),
+            picture_version: scene::PICTURE_VERSION,
+            max_nodes: None,
+            process: 1,
+        };
+        let welcome: Welcome =
+            read(farm.post(work::REGISTER, serde_json::to_string(&hello).expect("json")).await, StatusCode::OK).await;
+        assert_eq!(welcome.lease_ms, LEASE.as_millis() as u64);
+        Self { farm, id: welcome.worker, rays_per_second: None }
+    }
+
+    pub(crate) async fn try_sync(&self, said: Said) -> Response {
+        let request = SyncRequest {
+            worker: self.id,
+            rays_per_second: self.rays_per_second,
+            holding: said.holding,
+            results: said.results,
+            wants_work: said.wants_work,
+            wait_ms: said.wait.as_millis() as u64,
+        };
+        self.farm.post(work::SYNC, serde_json::to_string(&request).expect("json")).await
+    }
+
+    pub(crate) async fn sync(&self, said: Said) -> SyncReply {
+        read(self.try_sync(said).await, StatusCode::OK).await
+    }
+
+    /// Takes a run if there is one at once.
+    pub(crate) async fn claim(&self) -> Option<Run> {
+        self.sync(Said { wants_work: true, ..Said::default() }).await.run
+    }
+
+    /// Waits for a run.
+    pub(crate) async fn next(&self) -> Run {
+        self.sync(Said { wants_work: true, wait: DEADLINE, ..Said::default() }).await.run.expect("a run in time")
+    }
+
+    pub(crate) async fn report(&self, results: Vec<Report>) -> SyncReply {
+        self.sync(Said { results, ..Said::default() }).await
+    }
+
+    pub(crate) async fn put(&self, path: &str, bytes: Vec<u8>) -> Response {
+        in_time(self.farm.client.put(self.farm.url(path)).body(bytes).send()).await.expect("the server answers")
+    }
+
+    /// Puts a picture and says so for these leases.
+    pub(crate) async fn picture(&self, leases: &[LeaseId], bytes: &[u8]) -> Vec<Report> {
+        let hash = blake3::hash(bytes).to_hex().to_string();
+        let put = self.put(&work::picture_path(&hash), bytes.to_vec()).await;
+        assert_eq!(put.status(), StatusCode::NO_CONTENT);
+        let size_bytes = bytes.len() as u64;
+        leases.iter().map(|&lease| Report { lease, outcome: Outcome::Picture { hash: hash.clone(), size_bytes } }).collect()
+    }
+
+    /// Puts a blob and says so.
+    pub(crate) async fn blob(&self, lease: LeaseId, bytes: &[u8]) -> Report {
+        let hash = blake3::hash(bytes).to_hex().to_string();
+        let put = self.put(&work::blob_path(&hash), bytes.to_vec()).await;
+        assert_eq!(put.status(), StatusCode::NO_CONTENT);
+        Report { lease, outcome: Outcome::Blob { hash, size_bytes: bytes.len() as u64 } }
+    }
+
+    /// Does one run as a good worker does; false if there is none.
+    pub(crate) async fn work_once(&self) -> bool {
+        let Some(run) = self.claim().await else { return false };
+        let results = self.results(&run).await;
+        let reply = self.report(results).await;
+        assert_eq!(reply.lost, []);
+        true
+    }
+
+    /// What a good worker reports of a run.
+    pub(crate) async fn results(&self, run: &Run) -> Vec<Report> {
+        let picture = format!("picture of frame {} of {}", run.frame, run.job);
+        match &run.work {
+            Work::Render { whole_frame: true, .. } | Work::Stitch { .. } => {
+                self.picture(&leases(run), picture.as_bytes()).await
+            }
+            Work::Render { tiles, whole_frame: false } => {
+                let mut results = Vec::new();
+                for tile in tiles {
+                    let bytes = format!("tile {} of {picture}", tile.index);
+                    results.push(self.blob(tile.lease, bytes.as_bytes()).await);
+                }
+                results
+            }
+        }
+    }
+
+    /// Works until nothing is ready.
+    pub(crate) async fn work_off(&self) -> usize {
+        let mut count = 0;
+        while self.work_once().await {
+            count += 1;
+        }
+        count
+    }
+}
+
+/// All leases of a run.
+pub(crate) fn leases(run: &Run) -> Vec<LeaseId> {
+    match &run.work {
+        Work::Render { tiles, .. } => tiles.iter().map(|tile| tile.lease).collect(),
+        Work::Stitch { lease, .. } => vec![*lease],
+    }
+}
+
+/// Asserts the state of a job.
+pub(crate) async fn assert_state(farm: &Farm, id: JobId, state: JobState) {
+    let job = farm.job(id).await;
+    assert_eq!(job.state, state, "{job:?}");
+}
