@@ -60,7 +60,10 @@ impl Camera {
         let (from, to) = (self.position.get(), self.look_at.get());
         let away = vec3(to.x - from.x, to.y - from.y, to.z - from.z);
         if away.length() < 1e-6 {
-            return Some(("look_at", "is where the camera is: move look_at or position, so that there is a direction to look in"));
+            return Some((
+                "look_at",
+                "is where the camera is: move look_at or position, so that there is a direction to look in",
+            ));
         }
         let forward = away.normalize();
         if forward.cross(self.up.unit()).length() < 1e-4 {

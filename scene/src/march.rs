@@ -61,11 +61,16 @@ pub fn march<R: Real>(
 ) -> Marched<R> {
     let zero = reach.farthest.splat(0.0);
     let start = (zero, zero, zero, Flag(zero.below(0.0)));
-    let (distance, gap, steps, hit) = R::repeat(reach.max_steps, start, |(t, _, steps, _)| {
-        let gap = field(ray.at(t));
-        let hit = gap.lt(tolerance(t));
-        let next = R::select(hit, t, t + gap);
-        (!hit & next.lt(reach.farthest), (next, gap, steps + 1.0, Flag(hit)))
-    });
+    let (distance, gap, steps, hit) = R::repeat(
+        reach.max_steps,
+        start,
+        #[inline(always)]
+        |(t, _, steps, _)| {
+            let gap = field(ray.at(t));
+            let hit = gap.lt(tolerance(t));
+            let next = R::select(hit, t, t + gap);
+            (!hit & next.lt(reach.farthest), (next, gap, steps + 1.0, Flag(hit)))
+        },
+    );
     Marched { distance, gap, steps, hit }
 }

@@ -100,7 +100,10 @@ impl Shade for Normals {
 
     #[inline(always)]
     fn albedo<R: Real>(&self, place: &Place<R>) -> Vec3<R> {
-        place.normal.map(|c| c.mul_add(c.splat(0.5), c.splat(0.5)))
+        place.normal.map(
+            #[inline(always)]
+            |c| c.mul_add(c.splat(0.5), c.splat(0.5)),
+        )
     }
 
     fn is_lit(&self) -> bool {
@@ -153,11 +156,7 @@ impl Shade for Diffuse {
                 let highlight = R::select(facing.above(0.0), highlight, like.splat(0.0));
                 let glossy = light.radiance * highlight;
                 let ks = Vec3::splat(like, ks);
-                sum = vec3(
-                    ks.x.mul_add(glossy.x, sum.x),
-                    ks.y.mul_add(glossy.y, sum.y),
-                    ks.z.mul_add(glossy.z, sum.z),
-                );
+                sum = vec3(ks.x.mul_add(glossy.x, sum.x), ks.y.mul_add(glossy.y, sum.y), ks.z.mul_add(glossy.z, sum.z));
             }
         }
         sum

@@ -17,9 +17,7 @@ use serde::{Deserialize, Serialize};
 pub use fractals::Mandelbulb;
 pub use modifiers::Paint;
 pub use operators::{Difference, Intersection, Union};
-pub use primitives::{
-    Box, Capsule, Cylinder, InfiniteCylinder, Plane, Pyramid, Sphere, Torus, TriangularPrism,
-};
+pub use primitives::{Box, Capsule, Cylinder, InfiniteCylinder, Plane, Pyramid, Sphere, Torus, TriangularPrism};
 pub use sample::{Coat, Distance, Painted, Sample};
 pub use transforms::{Rotate, Scale, Translate};
 

@@ -26,7 +26,8 @@ pub fn parse(text: &[u8]) -> Result<Job, Refusal> {
     if let Err(fault) = &outline
         && fault.kind == OutlineFaultKind::TooDeep
     {
-        let message = format!("nests deeper than {MAX_JSON_DEPTH} arrays and objects: nest nodes at most {MAX_NODE_DEPTH} deep");
+        let message =
+            format!("nests deeper than {MAX_JSON_DEPTH} arrays and objects: nest nodes at most {MAX_NODE_DEPTH} deep");
         return Err(Refusal::Wrong(vec![Fault::at(text, Some(fault.offset), fault.pointer.clone(), message)]));
     }
     serde_json::from_str::<IgnoredAny>(text).map_err(|error| Refusal::NotJson(broken(&error)))?;
@@ -86,11 +87,8 @@ fn form(text: &str) -> Result<Job, Fault> {
         if message.starts_with("unknown ") && outline::locate_key(text, &pointer).is_some() {
             return Fault::of_key(text, pointer, message);
         }
-        let message = if message == "number out of range" {
-            "is too large: numbers go up to 3.4e38".to_owned()
-        } else {
-            message
-        };
+        let message =
+            if message == "number out of range" { "is too large: numbers go up to 3.4e38".to_owned() } else { message };
         // The name of an unknown choice ends the path, but is no key of the text.
         let place = if message.starts_with("unknown ") { parent(&pointer) } else { &pointer };
         Fault::of_value(text, place.to_owned(), message)
@@ -182,7 +180,10 @@ fn image(job: &Job, fault: &mut impl FnMut(&str, String)) {
     }
     let rays = u128::from(job.rays_per_frame()) * u128::from(job.frames.count);
     if rays > u128::from(MAX_RAYS) {
-        fault("/image", format!("asks for {rays} rays: a job may have {MAX_RAYS}; use fewer pixels, samples or frames"));
+        fault(
+            "/image",
+            format!("asks for {rays} rays: a job may have {MAX_RAYS}; use fewer pixels, samples or frames"),
+        );
     }
     if image.format == Format::Png && !image.layers.is_empty() {
         fault("/image/layers", "a PNG has no layers: set format to \"exr\", or leave layers out".to_owned());

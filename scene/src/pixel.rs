@@ -116,14 +116,18 @@ impl<'a> Program<'a> {
         }
         let jitter = Jitter::new(x, y, self.frame_key);
         let start = (zero, vec3(zero, zero, zero), zero, zero);
-        let (_, color, alpha, evaluations) =
-            R::repeat(self.samples, start, |(sample, color, alpha, evaluations)| {
+        let (_, color, alpha, evaluations) = R::repeat(
+            self.samples,
+            start,
+            #[inline(always)]
+            |(sample, color, alpha, evaluations)| {
                 let (jx, jy) = jitter.offset(sample);
                 let seen = self.radiance(x + jx, y + jy);
                 let next = sample + 1.0;
                 let sum = (next, color + seen.color, alpha + seen.alpha, evaluations + seen.evaluations);
                 (next.below(self.samples as f32), sum)
-            });
+            },
+        );
         let share = zero.splat(1.0 / self.samples as f32);
         Radiance { color: color * share, alpha: alpha * share, evaluations }
     }
@@ -136,13 +140,23 @@ impl<'a> Program<'a> {
         let zero = x.splat(0.0);
         let nothing = vec3(zero, zero, zero);
         let missed = (x.splat(f32::INFINITY), nothing, nothing, nothing, zero.splat(-1.0));
-        let (depth, normal, position, albedo, object) = R::when(marched.hit.0, missed, || {
-            let hit = self.hit(&ray, &marched);
-            let place = Place { normal: hit.normal, to_viewer: -ray.direction };
-            let object = self.nearest_object(hit.position);
-            let albedo = self.blend(hit.position, object, |slot| self.scene.slots()[slot].albedo(&place));
-            (hit.distance, hit.normal, hit.position, albedo, object)
-        });
+        let (depth, normal, position, albedo, object) = R::when(
+            marched.hit.0,
+            missed,
+            #[inline(always)]
+            || {
+                let hit = self.hit(&ray, &marched);
+                let place = Place { normal: hit.normal, to_viewer: -ray.direction };
+                let object = self.nearest_object(hit.position);
+                let albedo = self.blend(
+                    hit.position,
+                    object,
+                    #[inline(always)]
+                    |slot| self.scene.slots()[slot].albedo(&place),
+                );
+                (hit.distance, hit.normal, hit.position, albedo, object)
+            },
+        );
         Met { depth, normal, position, albedo, object, steps: marched.steps }
     }
 
@@ -152,11 +166,15 @@ impl<'a> Program<'a> {
         let ray = self.view.ray(x, y);
         let marched = self.march(&ray);
         let (background, alpha) = self.background(&ray);
-        let (color, alpha, evaluations) =
-            R::when(marched.hit.0, (background, alpha, marched.steps), || {
+        let (color, alpha, evaluations) = R::when(
+            marched.hit.0,
+            (background, alpha, marched.steps),
+            #[inline(always)]
+            || {
                 let (color, evaluations) = self.surface(&ray, &marched);
                 (color, x.splat(1.0), marched.steps + evaluations)
-            });
+            },
+        );
         Radiance { color, alpha, evaluations }
     }
 
@@ -184,7 +202,14 @@ impl<'a> Program<'a> {
         let like = ray.direction.x;
         let farthest = like.splat(self.scene.march.max_distance.get());
         let reach = Reach { farthest, max_steps: self.scene.march.max_steps };
-        let mut marched = march(ray, reach, |t| self.tolerance.at(t), |p| self.distance(p));
+        let mut marched = march(
+            ray,
+            reach,
+            #[inline(always)]
+            |t| self.tolerance.at(t),
+            #[inline(always)]
+            |p| self.distance(p),
+        );
         // Out of steps: a hit if the pixel's cone touches the surface.
         let touches = marched.gap.lt(marched.distance * self.view.cone()) & marched.distance.lt(farthest);
         marched.hit = Flag(marched.hit.0 | touches);
@@ -205,16 +230,21 @@ impl<'a> Program<'a> {
     /// The gradient's direction, from four taps on a tetrahedron.
     #[inline(always)]
     fn normal<R: Real>(&self, p: Vec3<R>, size: R) -> Vec3<R> {
-        let tap = |x: R, y: R, z: R| self.distance(vec3(p.x + x, p.y + y, p.z + z));
-        let a = tap(size, -size, -size);
-        let b = tap(-size, -size, size);
-        let c = tap(-size, size, -size);
-        let d = tap(size, size, size);
+        let a = self.distance(p + vec3(size, -size, -size));
+        let b = self.distance(p + vec3(-size, -size, size));
+        let c = self.distance(p + vec3(-size, size, -size));
+        let d = self.distance(p + vec3(size, size, size));
         let (ad, bc) = (a + d, b + c);
         let (ca, db) = (c - a, d - b);
         // Scaled up, so that the squares of small differences do not vanish.
         let gradient = vec3(ad - bc, ca + db, (d - c) + (b - a));
-        let largest = gradient.map(R::abs).max_element().at_least(1e-20);
+        let largest = gradient
+            .map(
+                #[inline(always)]
+                |c| c.abs(),
+            )
+            .max_element()
+            .at_least(1e-20);
         (gradient * (size.splat(1.0) / largest)).normalize()
     }
 
@@ -246,14 +276,26 @@ impl<'a> Program<'a> {
     fn visibility<R: Real>(&self, hit: &Hit<R>, direction: Vec3<R>, farthest: R) -> (R, R) {
         let zero = farthest.splat(0.0);
         let faces = hit.normal.dot(direction).above(0.0);
-        R::when(faces, (zero, zero), || {
-            // Off the surface by more than the march was off it.
-            let near = self.tolerance.at(hit.distance);
-            let ray = Ray { origin: hit.normal.mul_add(near * 4.0, hit.position), direction };
-            let reach = Reach { farthest, max_steps: self.scene.march.max_steps };
-            let marched = march(&ray, reach, |t| t.mul_add(t.splat(4e-7), near), |p| self.distance(p));
-            (R::select(marched.hit.0, zero, zero.splat(1.0)), marched.steps)
-        })
+        R::when(
+            faces,
+            (zero, zero),
+            #[inline(always)]
+            || {
+                // Off the surface by more than the march was off it.
+                let near = self.tolerance.at(hit.distance);
+                let ray = Ray { origin: hit.normal.mul_add(near * 4.0, hit.position), direction };
+                let reach = Reach { farthest, max_steps: self.scene.march.max_steps };
+                let marched = march(
+                    &ray,
+                    reach,
+                    #[inline(always)]
+                    |t| t.mul_add(t.splat(4e-7), near),
+                    #[inline(always)]
+                    |p| self.distance(p),
+                );
+                (R::select(marched.hit.0, zero, zero.splat(1.0)), marched.steps)
+            },
+        )
     }
 
     /// The shaded colour at a hit.
@@ -263,7 +305,12 @@ impl<'a> Program<'a> {
             return only.shade(place, lights);
         }
         let object = self.nearest_object(p);
-        self.blend(p, object, |slot| self.scene.slots()[slot].shade(place, lights))
+        self.blend(
+            p,
+            object,
+            #[inline(always)]
+            |slot| self.scene.slots()[slot].shade(place, lights),
+        )
     }
 
     /// Index of the nearest object; of the first of several.
@@ -299,10 +346,17 @@ impl<'a> Program<'a> {
             }
         }
         let black = vec3(zero, zero, zero);
-        shares.into_iter().enumerate().fold(black, |sum, (slot, share)| {
-            let shaded = R::when(share.above(0.0), black, || color(slot));
-            shaded.mul_add(share, sum)
-        })
+        let mut sum = black;
+        for (slot, share) in shares.into_iter().enumerate() {
+            let shaded = R::when(
+                share.above(0.0),
+                black,
+                #[inline(always)]
+                || color(slot),
+            );
+            sum = shaded.mul_add(share, sum);
+        }
+        sum
     }
 }
 

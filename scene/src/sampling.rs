@@ -31,10 +31,8 @@ impl<R: Real> Jitter<R> {
     /// Of the pixel (`x`, `y`), whole numbers below 2²³.
     #[inline(always)]
     pub fn new(x: R, y: R, frame_key: u32) -> Self {
-        let whole = |number: R| (number + 8_388_608.0).to_bits() & 0x007f_ffff;
-        let stir = |word: R::Bits| word * 1_664_525 + 1_013_904_223;
-        let (mut a, mut b) = (stir(whole(x)), stir(whole(y)));
-        let mut c = stir((whole(x) & 0) ^ frame_key);
+        let (mut a, mut b) = (stir::<R>(whole(x)), stir::<R>(whole(y)));
+        let mut c = stir::<R>((whole(x) & 0) ^ frame_key);
         for _ in 0..2 {
             a = a + b * c;
             b = b + c * a;
@@ -47,11 +45,27 @@ impl<R: Real> Jitter<R> {
     /// The offset in the pixel, 0 to 1 without 1, of a sample: a whole number below 2²³.
     #[inline(always)]
     pub fn offset(self, sample: R) -> (R, R) {
-        let sample = (sample + 8_388_608.0).to_bits() & 0x007f_ffff;
-        // 23 bits under the exponent of 1, less 1.
-        let unit = |word: R::Bits| R::from_bits((word >> 9) | 0x3f80_0000) - 1.0;
+        let sample = whole(sample);
         (unit(self.x + sample * STEP_X), unit(self.y + sample * STEP_Y))
     }
+}
+
+/// The integer of a whole number below 2²³.
+#[inline(always)]
+fn whole<R: Real>(number: R) -> R::Bits {
+    (number + 8_388_608.0).to_bits() & 0x007f_ffff
+}
+
+/// One step of a linear congruential generator.
+#[inline(always)]
+fn stir<R: Real>(word: R::Bits) -> R::Bits {
+    word * 1_664_525 + 1_013_904_223
+}
+
+/// A number from 0 to 1, without 1, from the upper 23 bits: put under the exponent of 1, less 1.
+#[inline(always)]
+fn unit<R: Real>(word: R::Bits) -> R {
+    R::from_bits((word >> 9) | 0x3f80_0000) - 1.0
 }
 
 #[cfg(test)]

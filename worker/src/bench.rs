@@ -71,12 +71,19 @@ fn distances<S: Token>(token: S, program: &Program<'_>, job: &Job, rounds: u32) 
     let x: [f32; POINTS] = std::array::from_fn(|index| middle.x + spread(index, 0x9e37_79b9));
     let y: [f32; POINTS] = std::array::from_fn(|index| middle.y + spread(index, 0xc13f_a9a9));
     let z: [f32; POINTS] = std::array::from_fn(|index| middle.z + spread(index, 0x91e1_0da5));
-    let mut sum = Lanes::<S, REGISTERS>::from_fn(token, |_| 0.0);
+    let mut sum = Lanes::<S, REGISTERS>::from_fn(
+        token,
+        #[inline(always)]
+        |_| 0.0,
+    );
     let count = Lanes::<S, REGISTERS>::COUNT;
     for _ in 0..rounds {
         for at in (0..POINTS).step_by(count) {
-            let load = |numbers: &[f32]| Lanes::<S, REGISTERS>::load(token, &numbers[at..at + count]);
-            sum = sum + program.distance(vec3(load(&x), load(&y), load(&z)));
+            let here = at..at + count;
+            let x = Lanes::load(token, &x[here.clone()]);
+            let y = Lanes::load(token, &y[here.clone()]);
+            let z = Lanes::load(token, &z[here]);
+            sum = sum + program.distance(vec3(x, y, z));
         }
     }
     let mut last = [0.0; 64];

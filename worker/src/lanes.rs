@@ -89,8 +89,9 @@ impl<S: Simd, const N: usize> Lanes<S, N> {
         }
     }
 
+    /// The proof that this CPU has the instructions.
     #[inline(always)]
-    fn token(&self) -> S {
+    pub fn token(&self) -> S {
         self.0[0].token()
     }
 }

@@ -12,6 +12,7 @@ pub mod image;
 pub mod lanes;
 pub mod renderer;
 pub mod simd;
+pub mod srgb;
 pub mod stitch;
 
 pub use cpu::CpuRenderer;

@@ -40,20 +40,30 @@ impl Primitive for Mandelbulb {
         let away = p.length();
         let one = away.splat(1.0);
         let bounded = !away.above(ESCAPE_RADIUS);
-        let (_, radius, slope) = R::when(bounded, (p, away, one), || {
-            R::repeat(self.iterations, (p, away, one), |(z, radius, slope)| {
-                let radius = radius.at_least(1e-6);
-                let (sin_theta, cos_theta) = ((z.z / radius).acos() * power).sin_cos();
-                let (sin_phi, cos_phi) = (z.y.atan2(z.x) * power).sin_cos();
-                let growth = radius.powf(radius.splat(power - 1.0));
-                let grown = growth * radius;
-                let turned = vec3(sin_theta * cos_phi, sin_theta * sin_phi, cos_theta);
-                let next = turned.mul_add(grown, p);
-                let slope = (growth * power).mul_add(slope, one).at_most(LARGEST_SLOPE);
-                let radius = next.length();
-                (!radius.above(ESCAPE_RADIUS), (next, radius, slope))
-            })
-        });
+        let (_, radius, slope) = R::when(
+            bounded,
+            (p, away, one),
+            #[inline(always)]
+            || {
+                R::repeat(
+                    self.iterations,
+                    (p, away, one),
+                    #[inline(always)]
+                    |(z, radius, slope)| {
+                        let radius = radius.at_least(1e-6);
+                        let (sin_theta, cos_theta) = ((z.z / radius).acos() * power).sin_cos();
+                        let (sin_phi, cos_phi) = (z.y.atan2(z.x) * power).sin_cos();
+                        let growth = radius.powf(radius.splat(power - 1.0));
+                        let grown = growth * radius;
+                        let turned = vec3(sin_theta * cos_phi, sin_theta * sin_phi, cos_theta);
+                        let next = turned.mul_add(grown, p);
+                        let slope = (growth * power).mul_add(slope, one).at_most(LARGEST_SLOPE);
+                        let radius = next.length();
+                        (!radius.above(ESCAPE_RADIUS), (next, radius, slope))
+                    },
+                )
+            },
+        );
         let radius = radius.at_least(1e-6);
         let estimate = radius.ln() * radius / slope * 0.5;
         R::select(away.above(ESCAPE_RADIUS), estimate.min(away - self.bounding_radius()), estimate)

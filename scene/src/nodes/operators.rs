@@ -55,11 +55,21 @@ pub struct Difference {
 fn least<R: Real, V: Sample<R>>(a: V, b: V, smooth: Amount) -> V {
     let (da, db, smooth) = (a.distance(), b.distance(), smooth.get());
     if smooth == 0.0 {
-        return a.blend(b, da.min(db), || indicator(da, db.lt(da)));
+        return a.blend(
+            b,
+            da.min(db),
+            #[inline(always)]
+            || indicator(da, db.lt(da)),
+        );
     }
     let overlap = overlap(da, db, smooth);
     let distance = overlap.square().mul_add(da.splat(-0.25 / smooth), da.min(db));
-    a.blend(b, distance, || share(overlap, smooth, db.lt(da)))
+    a.blend(
+        b,
+        distance,
+        #[inline(always)]
+        || share(overlap, smooth, db.lt(da)),
+    )
 }
 
 /// The greater of two, melted over `smooth`.
@@ -67,11 +77,27 @@ fn least<R: Real, V: Sample<R>>(a: V, b: V, smooth: Amount) -> V {
 fn greatest<R: Real, V: Sample<R>>(a: V, b: V, smooth: Amount) -> V {
     let (da, db, smooth) = (a.distance(), b.distance(), smooth.get());
     if smooth == 0.0 {
-        return a.blend(b, da.max(db), || indicator(da, da.lt(db)));
+        return a.blend(
+            b,
+            da.max(db),
+            #[inline(always)]
+            || indicator(da, da.lt(db)),
+        );
     }
     let overlap = overlap(da, db, smooth);
     let distance = overlap.square().mul_add(da.splat(0.25 / smooth), da.max(db));
-    a.blend(b, distance, || share(overlap, smooth, da.lt(db)))
+    a.blend(
+        b,
+        distance,
+        #[inline(always)]
+        || share(overlap, smooth, da.lt(db)),
+    )
+}
+
+/// The first without the second.
+#[inline(always)]
+fn cut<R: Real, V: Sample<R>>(a: V, b: V, smooth: Amount) -> V {
+    greatest(a, negated(b), smooth)
 }
 
 /// h = max(k − |a − b|, 0): how far into the seam.
@@ -141,7 +167,7 @@ operator!(
         { "box": { "size": [1.6, 1.6, 1.6] } },
         { "translate": { "by": [0.3, 0.4, 0.5], "child": { "sphere": { "radius": 0.9 } } } }
     ] }"#,
-    |a, b, smooth| greatest(a, negated(b), smooth)
+    cut
 );
 
 fn sharp() -> Amount {

@@ -43,9 +43,19 @@ impl Primitive for Box {
 
     #[inline(always)]
     fn distance<R: Real>(&self, p: Vec3<R>) -> R {
-        let half = self.size.map(|edge| edge.get() / 2.0 - self.round.get());
-        let past_face = vec3(p.x.abs() - half[0], p.y.abs() - half[1], p.z.abs() - half[2]);
-        let outside = past_face.map(|c| c.at_least(0.0)).length();
+        let [x, y, z] = self.size;
+        let (half, round) = (0.5, self.round.get());
+        let past_face = vec3(
+            p.x.abs() - (x.get() * half - round),
+            p.y.abs() - (y.get() * half - round),
+            p.z.abs() - (z.get() * half - round),
+        );
+        let outside = past_face
+            .map(
+                #[inline(always)]
+                |c| c.at_least(0.0),
+            )
+            .length();
         let inside = past_face.max_element().at_most(0.0);
         outside + inside - self.round.get()
     }

@@ -37,11 +37,7 @@ impl<R: Real> Bundle<R> for Flag<R> {
 impl<R: Real> Bundle<R> for Vec3<R> {
     #[inline(always)]
     fn join(self, other: Self, how: &mut impl Join<R>) -> Self {
-        Self {
-            x: how.number(self.x, other.x),
-            y: how.number(self.y, other.y),
-            z: how.number(self.z, other.z),
-        }
+        Self { x: how.number(self.x, other.x), y: how.number(self.y, other.y), z: how.number(self.z, other.z) }
     }
 }
 

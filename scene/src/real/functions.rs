@@ -26,10 +26,8 @@ pub(super) fn sin_cos<R: Real>(x: R) -> (R, R) {
     let r = quarter.mul_add(x.splat(-4.837_512_969_970_703e-4), r);
     let r = quarter.mul_add(x.splat(-7.549_789_948_768_648e-8), r);
     let square = r * r;
-    let sine = (square * r).mul_add(
-        polynomial(square, &[-1.951_529_589_1e-4, 8.332_160_873_6e-3, -1.666_665_461_1e-1]),
-        r,
-    );
+    let sine =
+        (square * r).mul_add(polynomial(square, &[-1.951_529_589_1e-4, 8.332_160_873_6e-3, -1.666_665_461_1e-1]), r);
     let cosine = (square * square).mul_add(
         polynomial(square, &[2.443_315_711_809_948e-5, -1.388_731_625_493_765e-3, 4.166_664_568_298_827e-2]),
         square.mul_add(x.splat(-0.5), x.splat(1.0)),
@@ -160,7 +158,9 @@ mod tests {
 
     fn between(low: f32, high: f32) -> impl Iterator<Item = f32> {
         const STEPS: u32 = 1 << 20;
-        (0..=STEPS).map(move |i| (f64::from(low) + (f64::from(high) - f64::from(low)) * f64::from(i) / f64::from(STEPS)) as f32)
+        (0..=STEPS).map(move |i| {
+            (f64::from(low) + (f64::from(high) - f64::from(low)) * f64::from(i) / f64::from(STEPS)) as f32
+        })
     }
 
     fn check(name: &str, error: f64, bound: f64) {

@@ -77,11 +77,7 @@ impl<R: Real> Vec3<R> {
     /// `self · factor + term`, fused by coordinate: a point along a ray.
     #[inline(always)]
     pub fn mul_add(self, factor: R, term: Self) -> Self {
-        vec3(
-            self.x.mul_add(factor, term.x),
-            self.y.mul_add(factor, term.y),
-            self.z.mul_add(factor, term.z),
-        )
+        vec3(self.x.mul_add(factor, term.x), self.y.mul_add(factor, term.y), self.z.mul_add(factor, term.z))
     }
 
     /// The greatest coordinate.

@@ -76,8 +76,16 @@ fn row_evaluations<S: Token>(token: S, program: &Program<'_>, left: u32, row: u3
     let mut buffer = [0.0; 64];
     let mut sum = 0;
     for column in (0..width).step_by(count) {
-        let x = Lanes::<S, REGISTERS>::from_fn(token, |lane| (left as usize + column + lane) as f32);
-        let y = Lanes::<S, REGISTERS>::from_fn(token, |_| row as f32);
+        let x = Lanes::<S, REGISTERS>::from_fn(
+            token,
+            #[inline(always)]
+            |lane| (left as usize + column + lane) as f32,
+        );
+        let y = Lanes::<S, REGISTERS>::from_fn(
+            token,
+            #[inline(always)]
+            |_| row as f32,
+        );
         program.pixel(x, y).evaluations.store(&mut buffer);
         sum += buffer[..count.min(width - column)].iter().map(|&n| n as u64).sum::<u64>();
     }
@@ -100,31 +108,27 @@ impl Band<'_, '_> {
     /// Renders the block that starts in `column` of the band.
     #[inline(always)]
     fn packet<S: Token>(&mut self, token: S, column: usize) {
-        let (columns, _) = block(token);
-        let rows = self.planes[0].len() / self.width;
-        // Lanes beyond the band's edge repeat its last pixels.
-        let place = |lane: usize| ((column + lane % columns).min(self.width - 1), (lane / columns).min(rows - 1));
-        let x = Lanes::<S, REGISTERS>::from_fn(token, |lane| (self.left as usize + place(lane).0) as f32);
-        let y = Lanes::<S, REGISTERS>::from_fn(token, |lane| (self.top as usize + place(lane).1) as f32);
-        let mut buffer = [0.0; 64];
-        let mut put = |plane: &mut [f32], numbers: Lanes<S, REGISTERS>| {
-            // A file must not tell zeros apart by their sign.
-            (numbers + 0.0).store(&mut buffer);
-            for (lane, &number) in buffer[..Lanes::<S, REGISTERS>::COUNT].iter().enumerate() {
-                let (column, row) = place(lane);
-                plane[row * self.width + column] = number;
-            }
-        };
+        let (left, top) = (self.left as usize, self.top as usize);
+        let x = Lanes::from_fn(
+            token,
+            #[inline(always)]
+            |lane| (left + self.place(token, column, lane).0) as f32,
+        );
+        let y = Lanes::from_fn(
+            token,
+            #[inline(always)]
+            |lane| (top + self.place(token, column, lane).1) as f32,
+        );
         let seen = self.program.pixel(x, y);
         let color = [seen.color.x, seen.color.y, seen.color.z, seen.alpha];
-        for (plane, numbers) in self.planes.iter_mut().zip(color) {
-            put(plane, numbers);
+        for (plane, numbers) in color.into_iter().enumerate() {
+            self.put(plane, column, numbers);
         }
         if self.image.layers.is_empty() {
             return;
         }
         let met = self.program.layers(x, y);
-        let mut planes = self.planes.iter_mut().skip(color.len());
+        let mut plane = color.len();
         for layer in &self.image.layers {
             let numbers: &[Lanes<S, REGISTERS>] = match layer {
                 Layer::Depth => &[met.depth],
@@ -134,9 +138,30 @@ impl Band<'_, '_> {
                 Layer::Position => &<[_; 3]>::from(met.position),
                 Layer::Albedo => &<[_; 3]>::from(met.albedo),
             };
-            for (plane, &numbers) in planes.by_ref().zip(numbers) {
-                put(plane, numbers);
+            for &numbers in numbers {
+                self.put(plane, column, numbers);
+                plane += 1;
             }
+        }
+    }
+
+    /// Column and row in the band of a packet's lane. Lanes beyond the band's edge repeat its last pixels.
+    #[inline(always)]
+    fn place<S: Token>(&self, token: S, column: usize, lane: usize) -> (usize, usize) {
+        let (columns, _) = block(token);
+        let rows = self.planes[0].len() / self.width;
+        ((column + lane % columns).min(self.width - 1), (lane / columns).min(rows - 1))
+    }
+
+    /// Writes the numbers of a packet that starts in `column` of the band.
+    #[inline(always)]
+    fn put<S: Token>(&mut self, plane: usize, column: usize, numbers: Lanes<S, REGISTERS>) {
+        let mut buffer = [0.0; 64];
+        // A file must not tell zeros apart by their sign.
+        (numbers + 0.0).store(&mut buffer);
+        for (lane, &number) in buffer[..Lanes::<S, REGISTERS>::COUNT].iter().enumerate() {
+            let (x, y) = self.place(numbers.token(), column, lane);
+            self.planes[plane][y * self.width + x] = number;
         }
     }
 }

@@ -94,7 +94,7 @@ impl Layout {
                 samples.extend(pairs.map(|(&value, &alpha)| unit(straight(value, alpha))));
             }
         }
-        srgb_in_place(samples);
+        crate::srgb::encode(samples);
         if !self.opaque {
             samples.extend(band.row(3, row).iter().map(|&alpha| unit(alpha)));
         }
@@ -118,16 +118,9 @@ impl Layout {
 
 /// Within 0 and 1; what is no number is 0.
 fn unit(value: f32) -> f32 {
-    value.max(0.0).min(1.0)
+    if value.is_nan() { 0.0 } else { value.clamp(0.0, 1.0) }
 }
 
 fn straight(premultiplied: f32, alpha: f32) -> f32 {
     if alpha > 0.0 { premultiplied / alpha } else { 0.0 }
-}
-
-/// Stand-in of the IEC 61966-2-1 curve.
-fn srgb_in_place(samples: &mut [f32]) {
-    for value in samples {
-        *value = if *value <= 0.003_130_8 { *value * 12.92 } else { 1.055 * value.powf(1.0 / 2.4) - 0.055 };
-    }
 }
