@@ -50,6 +50,7 @@ pub fn render_frame(
         source.push(pixels).map_err(FrameError::Scratch)?;
     }
     let render = start.elapsed();
+    let start = Instant::now();
     let mut encode = |source: &mut dyn Source| Picture::of(job, frame).write(source, out, cancel);
     match source {
         Rendered::Memory(tiles) => encode(&mut Tiles(&tiles))?,
@@ -58,7 +59,7 @@ pub fn render_frame(
             encode(&mut Blobs::new(file, places))?;
         }
     }
-    Ok(FrameTimes { render, encode: start.elapsed() - render })
+    Ok(FrameTimes { render, encode: start.elapsed() })
 }
 
 /// The tiles a frame is cut into.

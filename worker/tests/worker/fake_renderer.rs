@@ -40,7 +40,7 @@ pub(crate) fn sample(plane: usize, x: u32, y: u32, frame: u32) -> f32 {
 
 /// Whether the fake scene is hit: rays beside it have no depth.
 fn is_hit(x: u32, y: u32) -> bool {
-    (x / 16 + y / 16) % 3 != 0
+    !(x / 16 + y / 16).is_multiple_of(3)
 }
 
 pub(crate) fn pixels(job: &Job, frame: u32, rect: Rect) -> Pixels {

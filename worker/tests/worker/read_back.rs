@@ -42,6 +42,7 @@ fn decode_png(bytes: &[u8]) -> DecodedPng {
 }
 
 /// The IEC 61966-2-1 curve, in double.
+#[expect(clippy::disallowed_methods, reason = "what is tested is not to be tested by itself")]
 fn srgb(linear: f64) -> f64 {
     if linear <= 0.003_130_8 { 12.92 * linear } else { 1.055 * linear.powf(1.0 / 2.4) - 0.055 }
 }
@@ -69,11 +70,11 @@ fn a_png_holds_the_srgb_of_its_pixels() {
         assert_eq!(samples.len(), pixels.planes[0].len() * channels);
         for (index, pixel) in samples.chunks(channels).enumerate() {
             let alpha = if alpha_plane { f64::from(pixels.planes[3][index]) } else { 1.0 };
-            for channel in 0..3 {
-                let linear = f64::from(pixels.planes[channel][index]) / alpha;
+            for (value, plane) in pixel[..3].iter().zip(&pixels.planes) {
+                let linear = f64::from(plane[index]) / alpha;
                 let exact = srgb(linear.clamp(0.0, 1.0)) * top;
                 // Half a step of rounding, and single precision before it.
-                assert!((pixel[channel] - exact).abs() <= 0.5 + top * 1e-6, "{} for {exact}", pixel[channel]);
+                assert!((value - exact).abs() <= 0.5 + top * 1e-6, "{value} for {exact}");
             }
             if alpha_plane {
                 assert_eq!(pixel[3], (alpha * top + 0.5).floor());

@@ -1,0 +1,146 @@
+//! Works for a server: registers, takes runs of tiles, renders and delivers them, until
+//! it is told to stop.
+//!
+//! It keeps nothing that matters: ended at any instant, all it held is leased again.
+
+mod back_off;
+mod bench;
+mod deliver;
+mod jobs;
+mod link;
+mod session;
+mod stitching;
+
+use std::io::Read;
+use std::path::PathBuf;
+use std::sync::Arc;
+use std::time::Duration;
+
+use proto::work::{Hello, Welcome};
+use tokio_util::sync::CancellationToken;
+
+use crate::renderer::Renderer;
+use back_off::BackOff;
+use link::{Link, LinkError};
+use session::{Ending, Session};
+
+/// How an agent works.
+#[derive(Clone, Debug)]
+pub struct AgentConfig {
+    /// The server's address: `http://127.0.0.1:8080`.
+    pub server: String,
+    /// A label for people.
+    pub name: String,
+    /// What the server knows its workers by.
+    pub token: Option<String>,
+    /// Largest scene to take, in nodes; `None` for any.
+    pub max_nodes: Option<u32>,
+    /// Where data that does not fit in memory goes, in files without names.
+    pub scratch: PathBuf,
+    /// After a shutdown, how long to go on with what is held before it is handed back.
+    pub grace: Duration,
+    /// End the process at once when standard input closes: whoever started it is gone.
+    pub exit_on_stdin_close: bool,
+}
+
+impl AgentConfig {
+    /// An agent of this name for this server, otherwise ordinary.
+    pub fn new(server: impl Into<String>, name: impl Into<String>) -> Self {
+        Self {
+            server: server.into(),
+            name: name.into(),
+            token: None,
+            max_nodes: None,
+            scratch: std::env::temp_dir(),
+            grace: Duration::from_secs(8),
+            exit_on_stdin_close: false,
+        }
+    }
+}
+
+/// Works until the server says drain or `shutdown` is cancelled; then finishes or hands
+/// back what it holds. A server that is away is waited for.
+pub async fn run(
+    config: AgentConfig,
+    renderer: Arc<dyn Renderer>,
+    shutdown: CancellationToken,
+) -> Result<(), AgentError> {
+    if config.exit_on_stdin_close {
+        std::thread::spawn(exit_when_stdin_closes);
+    }
+    let link = Arc::new(Link::new(&config.server, config.token.clone())?);
+    loop {
+        let registered = tokio::select! {
+            registered = register(&link, &config, &*renderer) => registered?,
+            () = shutdown.cancelled() => return Ok(()),
+        };
+        let session = Session::new(&config, registered, link.clone(), renderer.clone());
+        match session.work(&shutdown).await.map_err(|error| refused(&config, &error))? {
+            Ending::Drained => return Ok(()),
+            Ending::Unknown => tracing::warn!("the server no longer knows this worker; registering again"),
+        }
+    }
+}
+
+async fn register(link: &Link, config: &AgentConfig, renderer: &dyn Renderer) -> Result<Welcome, AgentError> {
+    let hello = Hello {
+        name: config.name.clone(),
+        device: renderer.device(),
+        picture_version: scene::PICTURE_VERSION,
+        max_nodes: config.max_nodes,
+        process: std::process::id(),
+    };
+    let mut back_off = BackOff::new(Duration::from_millis(50), Duration::from_secs(2));
+    loop {
+        match link.register(&hello).await {
+            Ok(welcome) => {
+                tracing::info!(worker = %welcome.worker, server = config.server, device = hello.device, "registered");
+                return Ok(welcome);
+            }
+            Err(error) if error.is_passing() => {
+                tracing::debug!(error = %error, "the server can't be reached yet");
+                back_off.pause().await;
+            }
+            Err(error) => return Err(refused(config, &error)),
+        }
+    }
+}
+
+fn refused(config: &AgentConfig, error: &LinkError) -> AgentError {
+    AgentError::Refused { server: config.server.clone(), reason: error.to_string() }
+}
+
+fn exit_when_stdin_closes() {
+    let mut unread = [0; 256];
+    let mut input = std::io::stdin().lock();
+    loop {
+        match input.read(&mut unread) {
+            Ok(0) => std::process::exit(0),
+            Ok(_) => {}
+            Err(error) if error.kind() == std::io::ErrorKind::Interrupted => {}
+            Err(_) => std::process::exit(0),
+        }
+    }
+}
+
+/// Why an agent ended by itself.
+#[derive(Debug, thiserror::Error)]
+pub enum AgentError {
+    /// No server can be there.
+    #[error("{server:?} is not a server's address, such as http://127.0.0.1:8080")]
+    Address {
+        /// What was given.
+        server: String,
+    },
+    /// HTTP can't be spoken here.
+    #[error("could not prepare to call the server")]
+    Client(#[source] reqwest::Error),
+    /// The server does not want this worker.
+    #[error("the server {server} refused this worker: {reason}")]
+    Refused {
+        /// The server.
+        server: String,
+        /// What it said.
+        reason: String,
+    },
+}

@@ -1,0 +1,163 @@
+//! The calls a worker makes: one function each. Nothing here retries or decides.
+
+use std::fs::File;
+use std::io::{self, Seek};
+use std::time::Duration;
+
+use bytes::Bytes;
+use proto::work::{self, Hello, SyncReply, SyncRequest, Welcome};
+use proto::{JobId, Problem};
+use reqwest::{Body, Client, Method, RequestBuilder, Response, StatusCode, Url, header};
+use serde::de::DeserializeOwned;
+use tokio_util::io::ReaderStream;
+
+use super::AgentError;
+
+/// For an answer that nothing delays.
+const SHORT_TIMEOUT: Duration = Duration::from_secs(10);
+/// For bytes, however slow the wire.
+const TRANSFER_TIMEOUT: Duration = Duration::from_mins(10);
+
+/// A server to call.
+#[derive(Debug)]
+pub(super) struct Link {
+    client: Client,
+    server: String,
+    token: Option<String>,
+}
+
+impl Link {
+    pub(super) fn new(server: &str, token: Option<String>) -> Result<Self, AgentError> {
+        if !Url::parse(server).is_ok_and(|url| url.scheme() == "http" && url.has_host()) {
+            return Err(AgentError::Address { server: server.to_owned() });
+        }
+        let client = Client::builder().no_proxy().connect_timeout(SHORT_TIMEOUT).build().map_err(AgentError::Client)?;
+        Ok(Self { client, server: server.trim_end_matches('/').to_owned(), token })
+    }
+
+    pub(super) async fn register(&self, hello: &Hello) -> Result<Welcome, LinkError> {
+        read_json(self.request(Method::POST, work::REGISTER, SHORT_TIMEOUT).json(hello)).await
+    }
+
+    pub(super) async fn sync(&self, sync: &SyncRequest, timeout: Duration) -> Result<SyncReply, LinkError> {
+        read_json(self.request(Method::POST, work::SYNC, timeout).json(sync)).await
+    }
+
+    pub(super) async fn job(&self, job: JobId) -> Result<Bytes, LinkError> {
+        let request = self.request(Method::GET, &work::job_path(job), TRANSFER_TIMEOUT);
+        Ok(send(request).await?.bytes().await?)
+    }
+
+    pub(super) async fn put_blob(&self, hash: &str, bytes: Bytes) -> Result<(), LinkError> {
+        let request = self.request(Method::PUT, &work::blob_path(hash), TRANSFER_TIMEOUT);
+        send(request.body(bytes)).await.map(drop)
+    }
+
+    /// Fetches a blob, or `None` where there are no more bytes than `size_bytes` but other ones.
+    pub(super) async fn blob(&self, hash: &str, size_bytes: u64) -> Result<Option<Vec<u8>>, LinkError> {
+        let mut response = send(self.request(Method::GET, &work::blob_path(hash), TRANSFER_TIMEOUT)).await?;
+        let mut bytes = Vec::new();
+        while let Some(chunk) = response.chunk().await? {
+            if (bytes.len() + chunk.len()) as u64 > size_bytes {
+                return Ok(None);
+            }
+            bytes.extend_from_slice(&chunk);
+        }
+        Ok((bytes.len() as u64 == size_bytes).then_some(bytes))
+    }
+
+    pub(super) async fn put_picture(&self, hash: &str, file: &File, size_bytes: u64) -> Result<(), LinkError> {
+        let mut file = file.try_clone()?;
+        file.rewind()?;
+        let stream = ReaderStream::with_capacity(tokio::fs::File::from_std(file), 1 << 18);
+        let request = self
+            .request(Method::PUT, &work::picture_path(hash), TRANSFER_TIMEOUT)
+            .header(header::CONTENT_LENGTH, size_bytes)
+            .body(Body::wrap_stream(stream));
+        send(request).await.map(drop)
+    }
+
+    fn request(&self, method: Method, path: &str, timeout: Duration) -> RequestBuilder {
+        let request = self.client.request(method, format!("{}{path}", self.server)).timeout(timeout);
+        match &self.token {
+            Some(token) => request.bearer_auth(token),
+            None => request,
+        }
+    }
+}
+
+async fn read_json<T: DeserializeOwned>(request: RequestBuilder) -> Result<T, LinkError> {
+    let body = send(request).await?.bytes().await?;
+    serde_json::from_slice(&body).map_err(LinkError::Garbled)
+}
+
+async fn send(request: RequestBuilder) -> Result<Response, LinkError> {
+    let response = request.send().await?;
+    let status = response.status();
+    if status.is_success() {
+        return Ok(response);
+    }
+    let body = response.bytes().await.unwrap_or_default();
+    let detail = match serde_json::from_slice::<Problem>(&body) {
+        Ok(problem) => problem.detail,
+        Err(_) => status.to_string(),
+    };
+    Err(LinkError::Answered { status, detail })
+}
+
+/// Why a call came to nothing.
+#[derive(Debug, thiserror::Error)]
+pub(super) enum LinkError {
+    /// No answer.
+    #[error("the server can't be reached: {0}")]
+    Unreachable(#[from] reqwest::Error),
+    /// Another answer than the one hoped for.
+    #[error("{detail}")]
+    Answered {
+        /// The status.
+        status: StatusCode,
+        /// Why, in the server's words.
+        detail: String,
+    },
+    /// An answer that means nothing.
+    #[error("the server's answer can't be read: {0}")]
+    Garbled(#[source] serde_json::Error),
+    /// The file to send can't be read.
+    #[error("the file to send can't be read: {0}")]
+    File(#[from] io::Error),
+}
+
+impl LinkError {
+    /// Whether the same call may do better a little later.
+    pub(super) fn is_passing(&self) -> bool {
+        match self {
+            Self::Unreachable(_) => true,
+            Self::Answered { status, .. } => {
+                status.is_server_error()
+                    || [StatusCode::REQUEST_TIMEOUT, StatusCode::TOO_MANY_REQUESTS].contains(status)
+            }
+            Self::Garbled(_) | Self::File(_) => false,
+        }
+    }
+
+    /// Whether the server is away or coming up, rather than unwilling.
+    pub(super) fn is_absence(&self) -> bool {
+        match self {
+            Self::Unreachable(_) => true,
+            Self::Answered { status, .. } => {
+                [StatusCode::SERVICE_UNAVAILABLE, StatusCode::BAD_GATEWAY, StatusCode::GATEWAY_TIMEOUT].contains(status)
+            }
+            Self::Garbled(_) | Self::File(_) => false,
+        }
+    }
+
+    /// Whether what was asked for, or whoever asked, is not known there.
+    pub(super) fn is_not_found(&self) -> bool {
+        matches!(self, Self::Answered { status, .. } if [StatusCode::NOT_FOUND, StatusCode::GONE].contains(status))
+    }
+
+    /// Whether the server has moved on: what this is about is no longer ours.
+    pub(super) fn is_conflict(&self) -> bool {
+        matches!(self, Self::Answered { status, .. } if *status == StatusCode::CONFLICT)
+    }
+}

@@ -1,0 +1,333 @@
+//! A worker's talk with its server, from registration to the end: renews what is held,
+//! hands in results, takes new runs, and drops what is lost. Renders nothing itself.
+
+use std::collections::HashMap;
+use std::pin::Pin;
+use std::sync::Arc;
+use std::time::Duration;
+
+use proto::LeaseId;
+use proto::work::{Outcome, Report, Run, SyncReply, SyncRequest, Welcome};
+use tokio::sync::mpsc::{self, UnboundedReceiver, UnboundedSender};
+use tokio::task::{JoinError, JoinSet};
+use tokio::time::{Instant, sleep_until};
+use tokio_util::sync::CancellationToken;
+
+use super::AgentConfig;
+use super::back_off::BackOff;
+use super::bench::{Bench, Event, Hold, leases};
+use super::link::{Link, LinkError};
+use crate::renderer::Renderer;
+
+/// Runs held at a time: one renders while the other is delivered.
+const MAX_RUNS: usize = 2;
+/// How long a call may take beyond what the server was asked to wait.
+const CALL_MARGIN: Duration = Duration::from_secs(10);
+/// The least time from one waiting call to the next.
+const PAUSE: Duration = Duration::from_millis(50);
+/// How long the last call of all may take.
+const FAREWELL: Duration = Duration::from_secs(2);
+
+/// Why a session is over.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Ending {
+    /// It was told to stop, and holds nothing.
+    Drained,
+    /// The server does not know this worker, or no longer.
+    Unknown,
+}
+
+/// The state of the talk.
+pub(super) struct Session {
+    link: Arc<Link>,
+    welcome: Welcome,
+    lease: Duration,
+    grace: Duration,
+    bench: Arc<Bench>,
+    events: UnboundedReceiver<Event>,
+    /// Kept so that `events` never closes.
+    _events: UnboundedSender<Event>,
+    runs: JoinSet<()>,
+    /// Runs whose rendering is not over.
+    rendering: usize,
+    holds: HashMap<LeaseId, Hold>,
+    outbox: Vec<Report>,
+    rays_per_second: Option<f64>,
+    draining: bool,
+    /// Nothing is ready: ask again when something has changed here.
+    asked: bool,
+    /// When the last call began that the server answered.
+    last_renewal: Instant,
+    /// No heartbeat is due before.
+    heartbeat_at: Instant,
+    /// No call is made before: the last one failed.
+    retry_at: Instant,
+    retries: BackOff,
+    /// No work is wanted before: the server could not store the last.
+    work_at: Instant,
+    refusals: BackOff,
+}
+
+struct Call {
+    request: SyncRequest,
+    start: Instant,
+    answer: Pin<Box<dyn Future<Output = Result<SyncReply, LinkError>> + Send>>,
+}
+
+impl Call {
+    /// Whether it may be dropped: it brings nothing, and nothing can be lost with its answer.
+    fn is_heartbeat(&self) -> bool {
+        self.request.results.is_empty() && !self.request.wants_work
+    }
+}
+
+impl Session {
+    pub(super) fn new(config: &AgentConfig, welcome: Welcome, link: Arc<Link>, renderer: Arc<dyn Renderer>) -> Self {
+        let (sender, events) = mpsc::unbounded_channel();
+        let now = Instant::now();
+        Self {
+            lease: Duration::from_millis(welcome.lease_ms),
+            welcome,
+            grace: config.grace,
+            bench: Arc::new(Bench::new(link.clone(), renderer, config.scratch.clone(), sender.clone())),
+            link,
+            events,
+            _events: sender,
+            runs: JoinSet::new(),
+            rendering: 0,
+            holds: HashMap::new(),
+            outbox: Vec::new(),
+            rays_per_second: None,
+            draining: false,
+            asked: false,
+            last_renewal: now,
+            heartbeat_at: now,
+            retry_at: now,
+            retries: BackOff::new(Duration::from_millis(50), Duration::from_secs(2)),
+            work_at: now,
+            refusals: BackOff::new(Duration::from_secs(1), Duration::from_secs(30)),
+        }
+    }
+
+    /// Talks until the worker is drained or unknown; an error is the server's refusal.
+    pub(super) async fn work(mut self, shutdown: &CancellationToken) -> Result<Ending, LinkError> {
+        let mut call: Option<Call> = None;
+        let mut hand_back_at: Option<Instant> = None;
+        let ending = loop {
+            if self.is_done() {
+                break Ok(Ending::Drained);
+            }
+            if call.is_none() {
+                call = self.due_call();
+            }
+            let (holding, is_quiet) = (!self.holds.is_empty(), call.is_none());
+            let (next_at, give_up_at) = (self.next_instant(), self.give_up_at());
+            tokio::select! {
+                (answered, answer) = answered(&mut call) => match answer {
+                    Ok(reply) => self.hear(&answered, reply),
+                    Err(error) if error.is_not_found() => break Ok(Ending::Unknown),
+                    Err(error) if error.is_passing() => self.miss(answered, &error),
+                    Err(error) => break Err(error),
+                },
+                Some(event) = self.events.recv() => {
+                    self.absorb(event);
+                    call = call.filter(|call| !call.is_heartbeat());
+                }
+                Some(ended) = self.runs.join_next() => {
+                    self.end_run(ended);
+                    call = call.filter(|call| !call.is_heartbeat());
+                }
+                () = sleep_until(next_at), if is_quiet => {}
+                () = sleep_until(give_up_at), if holding => {
+                    tracing::warn!(leases = self.holds.len(), "could not renew the leases in time; stopping their work");
+                    self.recall(call.take());
+                    self.hand_back();
+                }
+                () = shutdown.cancelled(), if hand_back_at.is_none() => {
+                    self.draining = true;
+                    hand_back_at = Some(Instant::now() + self.grace);
+                    // A wish for work that is still unheard is taken back.
+                    call = call.filter(|call| !call.request.wants_work || !call.request.results.is_empty());
+                }
+                () = sleep_until(hand_back_at.unwrap_or(next_at)), if hand_back_at.is_some() => {
+                    self.hand_back();
+                    break Ok(Ending::Drained);
+                }
+            }
+        };
+        if let Ok(Ending::Drained) = ending {
+            self.recall(call);
+            self.farewell().await;
+        }
+        for hold in self.holds.values() {
+            hold.drop_it();
+        }
+        ending
+    }
+
+    fn is_done(&self) -> bool {
+        self.draining && self.holds.is_empty() && self.outbox.is_empty() && self.runs.is_empty()
+    }
+
+    /// The call to make now, if any.
+    fn due_call(&mut self) -> Option<Call> {
+        let now = Instant::now();
+        if now < self.retry_at {
+            return None;
+        }
+        let idle = self.holds.is_empty();
+        let room = self.rendering == 0 && self.runs.len() < MAX_RUNS && (idle || !self.asked);
+        let wants_work = room && !self.draining && now >= self.work_at;
+        if !wants_work && self.outbox.is_empty() && now < self.heartbeat_at {
+            return None;
+        }
+        let wait = match (wants_work, self.outbox.is_empty()) {
+            (true, _) if idle => self.lease / 3,
+            (false, true) => self.lease / 6,
+            (true, _) | (false, false) => Duration::ZERO,
+        };
+        let request = SyncRequest {
+            worker: self.welcome.worker,
+            rays_per_second: self.rays_per_second,
+            holding: self.holds.keys().copied().collect(),
+            results: std::mem::take(&mut self.outbox),
+            wants_work,
+            wait_ms: wait.as_millis() as u64,
+        };
+        self.heartbeat_at = now + wait;
+        Some(self.call(request, wait + CALL_MARGIN))
+    }
+
+    fn call(&self, request: SyncRequest, timeout: Duration) -> Call {
+        let (link, sent) = (self.link.clone(), request.clone());
+        Call { request, start: Instant::now(), answer: Box::pin(async move { link.sync(&sent, timeout).await }) }
+    }
+
+    /// When the next call may become due by itself.
+    fn next_instant(&self) -> Instant {
+        let due = if self.outbox.is_empty() { self.heartbeat_at } else { self.retry_at };
+        let work = if self.work_at > Instant::now() { self.work_at } else { due };
+        due.min(work).max(self.retry_at)
+    }
+
+    /// When the leases that are held can no longer be trusted.
+    fn give_up_at(&self) -> Instant {
+        self.last_renewal + self.lease * 2 / 3
+    }
+
+    fn hear(&mut self, call: &Call, reply: SyncReply) {
+        self.last_renewal = call.start;
+        self.retries.reset();
+        if !reply.lost.is_empty() {
+            self.heartbeat_at = Instant::now();
+        } else if reply.run.is_none() && call.request.wait_ms > 0 {
+            // A server that does not wait is not to be asked without pause.
+            self.retry_at = call.start + PAUSE;
+        }
+        for lease in &reply.lost {
+            if let Some(hold) = self.holds.remove(lease) {
+                tracing::info!(%lease, "lease lost; dropping its work");
+                hold.drop_it();
+            }
+        }
+        if reply.drain && !self.draining {
+            tracing::info!("told to drain");
+            self.draining = true;
+        }
+        self.asked = call.request.wants_work && reply.run.is_none();
+        if let Some(run) = reply.run {
+            self.take(run);
+        }
+    }
+
+    fn miss(&mut self, call: Call, error: &LinkError) {
+        tracing::debug!(%error, "a sync failed");
+        self.recall(Some(call));
+        self.retry_at = Instant::now() + self.retries.next();
+        self.heartbeat_at = self.retry_at;
+    }
+
+    /// Takes back the results of a call that may not have been heard.
+    fn recall(&mut self, call: Option<Call>) {
+        if let Some(call) = call {
+            self.outbox.splice(..0, call.request.results);
+        }
+    }
+
+    fn take(&mut self, run: Run) {
+        let holds: Vec<Hold> = leases(&run).map(Hold::new).collect();
+        if self.draining {
+            self.outbox.extend(holds.iter().map(|hold| hold.report(Outcome::HandedBack)));
+            return;
+        }
+        self.holds.extend(holds.iter().map(|hold| (hold.lease, hold.clone())));
+        self.rendering += 1;
+        self.runs.spawn(self.bench.clone().run(run, holds));
+    }
+
+    fn absorb(&mut self, event: Event) {
+        self.asked = false;
+        match event {
+            Event::Finished(reports) => {
+                // Of a lease that was lost meanwhile nobody wants to hear.
+                let wanted = reports.into_iter().filter(|report| self.holds.remove(&report.lease).is_some());
+                self.outbox.extend(wanted);
+            }
+            Event::Rendered => self.rendering -= 1,
+            Event::Speed(now) => {
+                self.rays_per_second = Some(self.rays_per_second.map_or(now, |before| f64::midpoint(before, now)));
+            }
+            Event::Stored => self.refusals.reset(),
+            Event::NotStored => self.work_at = Instant::now() + self.refusals.next(),
+        }
+    }
+
+    fn end_run(&mut self, ended: Result<(), JoinError>) {
+        self.asked = false;
+        if let Err(error) = ended {
+            tracing::error!(%error, "a run ended in a panic");
+        }
+        if self.runs.is_empty() {
+            // Whatever is still held then, nobody works on.
+            self.hand_back();
+            self.rendering = 0;
+        }
+    }
+
+    /// Stops all work and gives back what is held.
+    fn hand_back(&mut self) {
+        while let Ok(event) = self.events.try_recv() {
+            self.absorb(event);
+        }
+        for (_, hold) in self.holds.drain() {
+            hold.drop_it();
+            self.outbox.push(hold.report(Outcome::HandedBack));
+        }
+    }
+
+    /// The last call: what is still to be told. The server may be gone as well.
+    async fn farewell(&mut self) {
+        let request = SyncRequest {
+            worker: self.welcome.worker,
+            rays_per_second: self.rays_per_second,
+            holding: Vec::new(),
+            results: std::mem::take(&mut self.outbox),
+            wants_work: false,
+            wait_ms: 0,
+        };
+        if let Err(error) = self.link.sync(&request, FAREWELL).await {
+            tracing::debug!(%error, "the last sync failed; what was held will be leased again");
+        }
+    }
+}
+
+/// Waits for a call's answer; for ever where there is no call.
+async fn answered(call: &mut Option<Call>) -> (Call, Result<SyncReply, LinkError>) {
+    match call {
+        Some(open) => {
+            let answer = open.answer.as_mut().await;
+            (call.take().expect("it is open"), answer)
+        }
+        None => std::future::pending().await,
+    }
+}

@@ -1,0 +1,95 @@
+//! An agent against a server that plays the protocol.
+
+mod delivery;
+mod leases;
+mod registration;
+
+use std::sync::Arc;
+use std::time::Duration;
+
+use proto::JobId;
+use scene::Job;
+use tokio_util::sync::CancellationToken;
+use worker::agent::{self, AgentConfig, AgentError};
+use worker::{Cancel, Pixels, RenderError, Renderer, TileRun};
+
+use crate::fake_renderer::{FakeRenderer, job_text};
+use crate::fake_server::FakeServer;
+
+/// An agent in a thread of its own.
+struct Agent {
+    thread: Option<std::thread::JoinHandle<Result<(), AgentError>>>,
+    shutdown: CancellationToken,
+    _scratch: tempfile::TempDir,
+}
+
+impl Agent {
+    fn start(server: &FakeServer, renderer: impl Renderer + 'static) -> Self {
+        Self::with_grace(server, renderer, Duration::from_secs(60))
+    }
+
+    fn with_grace(server: &FakeServer, renderer: impl Renderer + 'static, grace: Duration) -> Self {
+        let scratch = tempfile::tempdir().unwrap();
+        let config =
+            AgentConfig { scratch: scratch.path().to_owned(), grace, ..AgentConfig::new(server.url(), "tester") };
+        let shutdown = CancellationToken::new();
+        let token = shutdown.clone();
+        let thread = std::thread::spawn(move || {
+            let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().unwrap();
+            runtime.block_on(agent::run(config, Arc::new(renderer), token))
+        });
+        Self { thread: Some(thread), shutdown, _scratch: scratch }
+    }
+
+    /// Waits until it has ended by itself.
+    fn ended(&mut self) -> Result<(), AgentError> {
+        self.thread.take().expect("it is waited for once").join().expect("the agent does not panic")
+    }
+
+    fn stop(&mut self) -> Result<(), AgentError> {
+        self.shutdown.cancel();
+        self.ended()
+    }
+}
+
+impl Drop for Agent {
+    fn drop(&mut self) {
+        self.shutdown.cancel();
+    }
+}
+
+/// Does something before it renders, or instead.
+struct Acting<F>(F);
+
+impl<F> Renderer for Acting<F>
+where
+    F: Fn(&TileRun<'_>, &Cancel) -> Result<(), RenderError> + Send + Sync,
+{
+    fn device(&self) -> String {
+        "acting".to_owned()
+    }
+
+    fn render(
+        &self,
+        run: &TileRun<'_>,
+        cancel: &Cancel,
+        progress: &(dyn Fn(u64) + Sync),
+    ) -> Result<Pixels, RenderError> {
+        (self.0)(run, cancel)?;
+        FakeRenderer.render(run, &Cancel::new(), progress)
+    }
+}
+
+/// Goes on until it is cancelled.
+fn until_cancelled(cancel: &Cancel) -> RenderError {
+    while !cancel.is_cancelled() {
+        std::thread::yield_now();
+    }
+    RenderError::Cancelled
+}
+
+fn add_job(server: &FakeServer, width: u32, height: u32, image: &str) -> (JobId, Job) {
+    let text = job_text(width, height, image, "");
+    let job = scene::parse(text.as_bytes()).unwrap();
+    (server.change(|farm| farm.add_job(text)), job)
+}

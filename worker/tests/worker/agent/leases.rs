@@ -1,0 +1,179 @@
+//! Leases: renewed while work goes on, let go when they are lost.
+
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
+use std::time::Duration;
+
+use proto::Rect;
+use proto::work::Outcome;
+use worker::{Cancel, TileRun};
+
+use super::{Acting, Agent, add_job, until_cancelled};
+use crate::fake_renderer::{FakeRenderer, cut};
+use crate::fake_server::FakeServer;
+
+const TILE: Rect = Rect { x: 0, y: 0, width: 32, height: 32 };
+
+/// Hangs in tiles that do not start at the left edge.
+fn hangs_beside_the_edge(run: &TileRun<'_>, cancel: &Cancel) -> Result<(), worker::RenderError> {
+    if run.rect.x == 0 { Ok(()) } else { Err(until_cancelled(cancel)) }
+}
+
+#[test]
+fn leases_are_renewed_while_a_tile_renders() {
+    let server = FakeServer::start(600);
+    let go = Arc::new(AtomicBool::new(false));
+    let gate = go.clone();
+    let renderer = Acting(move |_: &TileRun<'_>, cancel: &Cancel| {
+        while !gate.load(Ordering::Relaxed) {
+            assert!(!cancel.is_cancelled(), "a renewed lease is not given up");
+            std::thread::yield_now();
+        }
+        Ok(())
+    });
+    let mut agent = Agent::start(&server, renderer);
+    let (id, _) = add_job(&server, 64, 32, "");
+    let leases = server.change(|farm| farm.give(id, &cut(64, 32, 32, 32), false));
+    server.until("both leases were renewed twenty times", |farm| {
+        let renewals = farm.syncs.iter().filter(|sync| leases.iter().all(|lease| sync.holding.contains(lease)));
+        (renewals.count() >= 20).then_some(())
+    });
+    go.store(true, Ordering::Relaxed);
+    assert!(matches!(server.outcomes(&leases)[..], [Outcome::Blob { .. }, Outcome::Blob { .. }]));
+    agent.stop().unwrap();
+}
+
+#[test]
+fn a_lost_lease_cancels_its_render_and_no_other() {
+    let server = FakeServer::start(30_000);
+    let mut agent = Agent::start(&server, Acting(hangs_beside_the_edge));
+    let (id, _) = add_job(&server, 64, 64, "");
+    for whole_frame in [false, true] {
+        let leases = server.change(|farm| farm.give(id, &cut(64, 64, 32, 64), whole_frame));
+        server.until("the tiles are leased and a heartbeat waits", |farm| {
+            let held = farm.syncs.last().is_some_and(|sync| sync.holding.contains(&leases[1]));
+            held.then_some(())
+        });
+        server.change(|farm| farm.live.remove(&leases[1]));
+        assert!(matches!(server.outcomes(&leases[..1])[..], [Outcome::Blob { .. }]));
+        let next = server.change(|farm| farm.give(id, &[TILE], false));
+        assert!(matches!(server.outcomes(&next)[..], [Outcome::Blob { .. }]));
+        let silent = server
+            .change(|farm| farm.syncs.iter().flat_map(|sync| &sync.results).all(|report| report.lease != leases[1]));
+        assert!(silent, "nothing is said of a lease that is lost");
+    }
+    agent.stop().unwrap();
+}
+
+#[test]
+fn a_worker_that_is_cut_off_stops_by_itself() {
+    let mut server = FakeServer::start(900);
+    let cancelled = Arc::new(AtomicUsize::new(0));
+    let count = cancelled.clone();
+    let renderer = Acting(move |_: &TileRun<'_>, cancel: &Cancel| {
+        let error = until_cancelled(cancel);
+        count.fetch_add(1, Ordering::Relaxed);
+        Err(error)
+    });
+    let mut agent = Agent::start(&server, renderer);
+    let (id, _) = add_job(&server, 32, 32, "");
+    let leases = server.change(|farm| farm.give(id, &[TILE], false));
+    server.until("the tile is leased", |farm| farm.live.contains(&leases[0]).then_some(()));
+    server.kill();
+    while cancelled.load(Ordering::Relaxed) == 0 {
+        std::thread::yield_now();
+    }
+    server.up();
+    assert!(matches!(server.outcomes(&leases)[..], [Outcome::HandedBack]));
+    agent.stop().unwrap();
+}
+
+#[test]
+fn a_restart_of_the_server_costs_no_result() {
+    let mut server = FakeServer::start(30_000);
+    let go = Arc::new(AtomicBool::new(false));
+    let gate = go.clone();
+    let renderer = Acting(move |_: &TileRun<'_>, _: &Cancel| {
+        while !gate.load(Ordering::Relaxed) {
+            std::thread::yield_now();
+        }
+        Ok(())
+    });
+    let mut agent = Agent::start(&server, renderer);
+    let (id, _) = add_job(&server, 64, 32, "");
+    for whole_frame in [false, true] {
+        go.store(false, Ordering::Relaxed);
+        let leases = server.change(|farm| farm.give(id, &cut(64, 32, 32, 32), whole_frame));
+        server.until("the tiles are leased", |farm| farm.live.contains(&leases[0]).then_some(()));
+        server.kill();
+        go.store(true, Ordering::Relaxed);
+        server.up();
+        let outcomes = server.outcomes(&leases);
+        let stored = |outcome| matches!(outcome, &(Outcome::Blob { .. } | Outcome::Picture { .. }));
+        assert!(outcomes.iter().all(stored), "{outcomes:?}");
+    }
+    assert_eq!(server.change(|farm| farm.hellos.len()), 1);
+    agent.stop().unwrap();
+}
+
+#[test]
+fn a_drained_worker_finishes_what_it_holds_and_ends() {
+    let server = FakeServer::start(30_000);
+    let go = Arc::new(AtomicBool::new(false));
+    let gate = go.clone();
+    let renderer = Acting(move |_: &TileRun<'_>, _: &Cancel| {
+        while !gate.load(Ordering::Relaxed) {
+            std::thread::yield_now();
+        }
+        Ok(())
+    });
+    let mut agent = Agent::start(&server, renderer);
+    let (id, _) = add_job(&server, 64, 32, "");
+    let leases = server.change(|farm| farm.give(id, &cut(64, 32, 32, 32), false));
+    server.until("the tiles are leased", |farm| farm.live.contains(&leases[0]).then_some(()));
+    server.change(|farm| farm.drain = true);
+    go.store(true, Ordering::Relaxed);
+    agent.ended().unwrap();
+    assert!(matches!(server.outcomes(&leases)[..], [Outcome::Blob { .. }, Outcome::Blob { .. }]));
+}
+
+#[test]
+fn a_worker_that_is_shut_down_hands_back_what_would_take_too_long() {
+    let server = FakeServer::start(30_000);
+    let mut agent = Agent::with_grace(&server, Acting(hangs_beside_the_edge), Duration::ZERO);
+    let (id, _) = add_job(&server, 96, 32, "");
+    let leases = server.change(|farm| farm.give(id, &cut(96, 32, 32, 32), false));
+    assert!(matches!(server.outcomes(&leases[..1])[..], [Outcome::Blob { .. }]));
+    agent.stop().unwrap();
+    let outcomes = server.outcomes(&leases);
+    assert!(matches!(outcomes[1..], [Outcome::HandedBack, Outcome::HandedBack]), "{outcomes:?}");
+}
+
+#[test]
+fn a_worker_that_is_shut_down_finishes_what_ends_in_time() {
+    let server = FakeServer::start(30_000);
+    let go = Arc::new(AtomicBool::new(false));
+    let gate = go.clone();
+    let renderer = Acting(move |_: &TileRun<'_>, _: &Cancel| {
+        while !gate.load(Ordering::Relaxed) {
+            std::thread::yield_now();
+        }
+        Ok(())
+    });
+    let mut agent = Agent::start(&server, renderer);
+    let (id, _) = add_job(&server, 32, 32, "");
+    let leases = server.change(|farm| farm.give(id, &[TILE], true));
+    server.until("the tile is leased", |farm| farm.live.contains(&leases[0]).then_some(()));
+    agent.shutdown.cancel();
+    go.store(true, Ordering::Relaxed);
+    agent.ended().unwrap();
+    assert!(matches!(server.outcomes(&leases)[..], [Outcome::Picture { .. }]));
+}
+
+#[test]
+fn an_idle_worker_ends_at_once() {
+    let server = FakeServer::start(30_000);
+    let mut agent = Agent::start(&server, FakeRenderer);
+    server.until("the worker waits for work", |farm| (farm.waiting > 0).then_some(()));
+    agent.stop().unwrap();
+}

@@ -1,0 +1,63 @@
+//! How a worker and its server meet.
+
+use axum::http::StatusCode;
+use proto::Rect;
+use proto::work::Outcome;
+use worker::agent::{AgentConfig, AgentError, run};
+
+use super::{Agent, add_job};
+use crate::fake_renderer::FakeRenderer;
+use crate::fake_server::FakeServer;
+
+#[test]
+fn a_server_that_is_not_there_yet_is_waited_for() {
+    let mut server = FakeServer::down(30_000);
+    let mut agent = Agent::start(&server, FakeRenderer);
+    server.up();
+    let hello = server.until("the worker registers", |farm| farm.hellos.pop());
+    assert_eq!((hello.name.as_str(), hello.device.as_str()), ("tester", "fake"));
+    assert_eq!(hello.picture_version, scene::PICTURE_VERSION);
+    assert_eq!(hello.process, std::process::id());
+    agent.stop().unwrap();
+}
+
+#[test]
+fn a_refusal_ends_the_worker_in_the_servers_words() {
+    let server = FakeServer::start(30_000);
+    let problem =
+        r#"{"type": "/docs#x", "title": "x", "status": 409, "code": "x", "detail": "the picture version is 2"}"#;
+    for (status, body, said) in [
+        (StatusCode::CONFLICT, problem, "the picture version is 2"),
+        (StatusCode::UNAUTHORIZED, "", "401 Unauthorized"),
+    ] {
+        server.change(|farm| farm.refusal = Some((status, body.to_owned())));
+        let error = Agent::start(&server, FakeRenderer).ended().unwrap_err();
+        let expected = format!("the server {} refused this worker: {said}", server.url());
+        assert_eq!(error.to_string(), expected);
+    }
+}
+
+#[test]
+fn a_worker_that_the_server_forgot_registers_again() {
+    let server = FakeServer::start(30_000);
+    let mut agent = Agent::start(&server, FakeRenderer);
+    server.until("the worker waits for work", |farm| (farm.waiting > 0).then_some(()));
+    let (id, _) = add_job(&server, 32, 32, "");
+    let leases = server.change(|farm| {
+        farm.workers.clear();
+        farm.give(id, &[Rect::whole(32, 32)], false)
+    });
+    server.until("it registers again", |farm| (farm.hellos.len() == 2).then_some(()));
+    let next = server.change(|farm| farm.give(id, &[Rect::whole(32, 32)], false));
+    assert!(matches!(server.outcomes(&next)[..], [Outcome::Blob { .. }]));
+    drop(leases);
+    agent.stop().unwrap();
+}
+
+#[tokio::test]
+async fn an_address_that_is_none_is_refused() {
+    for server in ["", "farm", "https://farm", "http://", "file:///tmp"] {
+        let ended = run(AgentConfig::new(server, "x"), std::sync::Arc::new(FakeRenderer), Default::default()).await;
+        assert!(matches!(ended, Err(AgentError::Address { .. })), "{server}");
+    }
+}

@@ -1,0 +1,262 @@
+//! A server that plays the workers' protocol from memory, and can be stopped like a
+//! killed process and started again at the same address.
+
+use std::collections::{HashMap, HashSet, VecDeque};
+use std::net::{SocketAddr, TcpListener};
+use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
+use std::time::{Duration, Instant};
+
+use axum::body::Bytes;
+use axum::extract::{DefaultBodyLimit, Path, State};
+use axum::http::StatusCode;
+use axum::response::{IntoResponse, Response};
+use axum::routing::{get, post, put};
+use axum::{Json, Router};
+use proto::work::{self, Hello, LeasedTile, Outcome, Report, Run, SyncReply, SyncRequest, Welcome, Work};
+use proto::{JobId, LeaseId, Rect, WorkerId};
+use tokio::runtime::Runtime;
+use tokio::sync::Notify;
+
+/// Long enough for the slowest machine; a test that waits so long has failed.
+const DEADLINE: Duration = Duration::from_secs(60);
+
+/// What the server knows and has seen.
+#[derive(Default)]
+pub(crate) struct Farm {
+    pub(crate) lease_ms: u64,
+    pub(crate) jobs: HashMap<JobId, String>,
+    pub(crate) queue: VecDeque<Run>,
+    pub(crate) live: HashSet<LeaseId>,
+    pub(crate) drain: bool,
+    /// Status and body to answer registrations with.
+    pub(crate) refusal: Option<(StatusCode, String)>,
+    /// Status to answer so many PUTs with.
+    pub(crate) put_refusals: VecDeque<StatusCode>,
+    pub(crate) hellos: Vec<Hello>,
+    pub(crate) workers: HashSet<WorkerId>,
+    pub(crate) syncs: Vec<SyncRequest>,
+    pub(crate) reports: Vec<Report>,
+    pub(crate) blobs: HashMap<String, Vec<u8>>,
+    pub(crate) pictures: HashMap<String, Vec<u8>>,
+    pub(crate) jobs_read: usize,
+    pub(crate) waiting: usize,
+}
+
+impl Farm {
+    /// Queues a run; answers its leases.
+    pub(crate) fn give(&mut self, job: JobId, rects: &[Rect], whole_frame: bool) -> Vec<LeaseId> {
+        let tiles: Vec<LeasedTile> =
+            (0..).zip(rects).map(|(index, &rect)| LeasedTile { lease: LeaseId::new(), index, rect }).collect();
+        let leases = tiles.iter().map(|tile| tile.lease).collect();
+        self.queue.push_back(Run { job, frame: 3, work: Work::Render { tiles, whole_frame } });
+        leases
+    }
+
+    pub(crate) fn add_job(&mut self, text: String) -> JobId {
+        let id = JobId::new();
+        self.jobs.insert(id, text);
+        id
+    }
+
+    /// What became of a lease, if it is known.
+    pub(crate) fn outcome(&self, lease: LeaseId) -> Option<&Outcome> {
+        self.reports.iter().find(|report| report.lease == lease).map(|report| &report.outcome)
+    }
+
+    fn lost(&self, sync: &SyncRequest) -> Vec<LeaseId> {
+        sync.holding.iter().copied().filter(|lease| !self.live.contains(lease)).collect()
+    }
+}
+
+#[derive(Clone, Default)]
+struct Shared {
+    farm: Arc<(Mutex<Farm>, Condvar)>,
+    bell: Arc<Notify>,
+}
+
+impl Shared {
+    fn farm(&self) -> MutexGuard<'_, Farm> {
+        self.farm.0.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Changes the farm, and tells everyone.
+    fn change<T>(&self, change: impl FnOnce(&mut Farm) -> T) -> T {
+        let changed = change(&mut self.farm());
+        self.farm.1.notify_all();
+        self.bell.notify_waiters();
+        changed
+    }
+}
+
+/// The server.
+pub(crate) struct FakeServer {
+    shared: Shared,
+    address: SocketAddr,
+    runtime: Option<Runtime>,
+}
+
+impl FakeServer {
+    /// A server that is not there yet, but whose address is known.
+    pub(crate) fn down(lease_ms: u64) -> Self {
+        let shared = Shared::default();
+        shared.farm().lease_ms = lease_ms;
+        let address = TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap();
+        Self { shared, address, runtime: None }
+    }
+
+    pub(crate) fn start(lease_ms: u64) -> Self {
+        let mut server = Self::down(lease_ms);
+        server.up();
+        server
+    }
+
+    pub(crate) fn up(&mut self) {
+        let runtime = tokio::runtime::Builder::new_multi_thread().worker_threads(1).enable_all().build().unwrap();
+        let app = router(self.shared.clone());
+        let listener = runtime.block_on(tokio::net::TcpListener::bind(self.address)).unwrap();
+        runtime.spawn(async move { axum::serve(listener, app).await });
+        self.runtime = Some(runtime);
+    }
+
+    /// Like a killed process: every connection is cut.
+    pub(crate) fn kill(&mut self) {
+        if let Some(runtime) = self.runtime.take() {
+            runtime.shutdown_timeout(DEADLINE);
+        }
+    }
+
+    pub(crate) fn url(&self) -> String {
+        format!("http://{}", self.address)
+    }
+
+    pub(crate) fn change<T>(&self, change: impl FnOnce(&mut Farm) -> T) -> T {
+        self.shared.change(change)
+    }
+
+    /// Waits until the farm is as wanted, and answers what the condition finds.
+    pub(crate) fn until<T>(&self, what: &str, mut condition: impl FnMut(&mut Farm) -> Option<T>) -> T {
+        let end = Instant::now() + DEADLINE;
+        let mut farm = self.shared.farm();
+        loop {
+            if let Some(found) = condition(&mut farm) {
+                return found;
+            }
+            let left = end.saturating_duration_since(Instant::now());
+            assert!(!left.is_zero(), "waited in vain until {what}; reports: {:?}", farm.reports);
+            farm = self.shared.farm.1.wait_timeout(farm, left).unwrap().0;
+        }
+    }
+
+    /// Waits until all these leases are reported, and answers how.
+    pub(crate) fn outcomes(&self, leases: &[LeaseId]) -> Vec<Outcome> {
+        self.until("all leases are reported", |farm| leases.iter().map(|&lease| farm.outcome(lease).cloned()).collect())
+    }
+}
+
+impl Drop for FakeServer {
+    fn drop(&mut self) {
+        if let Some(runtime) = self.runtime.take() {
+            runtime.shutdown_background();
+        }
+    }
+}
+
+fn router(shared: Shared) -> Router {
+    Router::new()
+        .route(work::REGISTER, post(register))
+        .route(work::SYNC, post(sync))
+        .route("/v1/worker/jobs/{job}", get(read_job))
+        .route("/v1/worker/blobs/{hash}", put(put_blob).get(read_blob))
+        .route("/v1/worker/pictures/{hash}", put(put_picture))
+        .layer(DefaultBodyLimit::disable())
+        .with_state(shared)
+}
+
+async fn register(State(shared): State<Shared>, Json(hello): Json<Hello>) -> Response {
+    shared.change(|farm| {
+        if let Some((status, body)) = &farm.refusal {
+            return (*status, body.clone()).into_response();
+        }
+        farm.hellos.push(hello);
+        let worker = WorkerId::new();
+        farm.workers.insert(worker);
+        Json(Welcome { worker, lease_ms: farm.lease_ms }).into_response()
+    })
+}
+
+async fn sync(State(shared): State<Shared>, Json(sync): Json<SyncRequest>) -> Response {
+    let known = shared.change(|farm| {
+        for report in &sync.results {
+            if farm.live.remove(&report.lease) {
+                farm.reports.push(report.clone());
+            }
+        }
+        farm.syncs.push(sync.clone());
+        farm.workers.contains(&sync.worker)
+    });
+    if !known {
+        return StatusCode::NOT_FOUND.into_response();
+    }
+    let end = tokio::time::Instant::now() + Duration::from_millis(sync.wait_ms);
+    loop {
+        let rung = shared.bell.notified();
+        tokio::pin!(rung);
+        rung.as_mut().enable();
+        if let Some(reply) = answer(&shared, &sync) {
+            return Json(reply).into_response();
+        }
+        // Told to the test alone: the bell would wake this very call.
+        shared.farm().waiting += 1;
+        shared.farm.1.notify_all();
+        if tokio::time::timeout_at(end, rung).await.is_err() {
+            return Json(SyncReply { run: None, lost: Vec::new(), drain: false }).into_response();
+        }
+    }
+}
+
+/// What there is to say at once.
+fn answer(shared: &Shared, sync: &SyncRequest) -> Option<SyncReply> {
+    let mut farm = shared.farm();
+    let lost = farm.lost(sync);
+    let run = if sync.wants_work && !farm.drain { farm.queue.pop_front() } else { None };
+    match run.as_ref().map(|run| &run.work) {
+        Some(Work::Render { tiles, .. }) => farm.live.extend(tiles.iter().map(|tile| tile.lease)),
+        Some(Work::Stitch { lease, .. }) => _ = farm.live.insert(*lease),
+        None => {}
+    }
+    let drain = farm.drain;
+    (run.is_some() || !lost.is_empty() || drain).then_some(SyncReply { run, lost, drain })
+}
+
+async fn read_job(State(shared): State<Shared>, Path(job): Path<JobId>) -> Response {
+    shared.change(|farm| {
+        farm.jobs_read += 1;
+        farm.jobs.get(&job).cloned().ok_or(StatusCode::NOT_FOUND).into_response()
+    })
+}
+
+async fn put_blob(State(shared): State<Shared>, Path(hash): Path<String>, bytes: Bytes) -> StatusCode {
+    assert_eq!(blake3::hash(&bytes).to_hex().as_str(), hash);
+    shared.change(|farm| match farm.put_refusals.pop_front() {
+        Some(status) => status,
+        None => {
+            farm.blobs.insert(hash, bytes.into());
+            StatusCode::CREATED
+        }
+    })
+}
+
+async fn read_blob(State(shared): State<Shared>, Path(hash): Path<String>) -> Response {
+    shared.change(|farm| farm.blobs.get(&hash).cloned().ok_or(StatusCode::NOT_FOUND).into_response())
+}
+
+async fn put_picture(State(shared): State<Shared>, Path(hash): Path<String>, bytes: Bytes) -> StatusCode {
+    assert_eq!(blake3::hash(&bytes).to_hex().as_str(), hash);
+    shared.change(|farm| match farm.put_refusals.pop_front() {
+        Some(status) => status,
+        None => {
+            farm.pictures.insert(hash, bytes.into());
+            StatusCode::CREATED
+        }
+    })
+}
