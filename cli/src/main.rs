@@ -1,2 +1,77 @@
-//! x
-fn main() {}
+//! The one binary of sdfarm: reads the command line, starts logs, and turns what went
+//! wrong into words on stderr and an exit code (0 done, 1 failed, 2 wrong use or bad input).
+//!
+//! What the commands do is in `commands`; nothing here renders or serves.
+
+mod arguments;
+mod commands;
+mod failure;
+mod follow;
+mod job_file;
+mod logs;
+mod output_file;
+mod progress;
+mod shipped;
+mod signals;
+mod terminal;
+
+use std::process::ExitCode;
+
+use clap::Parser;
+
+use crate::commands::Command;
+
+const EXAMPLES: &str = "\
+Examples:
+  sdfarm demo                               a picture from nothing, in one command
+  sdfarm render scenes/csg.json -o csg.png  without a server
+  sdfarm serve                              a farm at http://127.0.0.1:8080, its API at /docs
+  sdfarm submit scenes/csg.json --wait -o csg.png
+  sdfarm pool 4                             four workers on this machine
+
+Every flag can be given as a variable: --listen as SDFARM_LISTEN, and so on.
+Exit codes: 0 done, 1 failed, 2 wrong use or bad input.";
+
+/// A render farm for scenes made of signed distance functions.
+#[derive(Debug, Parser)]
+#[command(name = "sdfarm", version, after_help = EXAMPLES)]
+struct Sdfarm {
+    #[command(flatten)]
+    logs: logs::Logs,
+    #[command(subcommand)]
+    command: Command,
+}
+
+fn main() -> ExitCode {
+    let sdfarm = Sdfarm::parse();
+    let done = sdfarm.logs.start(sdfarm.command.is_long_lived()).and_then(|()| sdfarm.command.run());
+    match done {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(error) => ExitCode::from(failure::report(&error)),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use clap::CommandFactory;
+
+    #[test]
+    fn command_line_is_sound() {
+        super::Sdfarm::command().debug_assert();
+    }
+
+    #[test]
+    fn every_flag_doubles_as_a_variable() {
+        for command in super::Sdfarm::command().get_subcommands() {
+            for argument in command.get_arguments().filter(|argument| argument.get_long().is_some()) {
+                let long = argument.get_long().expect("filtered above");
+                if ["help", "version"].contains(&long) || argument.is_hide_set() {
+                    continue;
+                }
+                let want = format!("SDFARM_{}", long.replace('-', "_").to_uppercase());
+                let got = argument.get_env().map(|name| name.to_string_lossy().into_owned());
+                assert_eq!(got.as_deref(), Some(want.as_str()), "--{long} of {}", command.get_name());
+            }
+        }
+    }
+}

@@ -1,0 +1,100 @@
+//! The commands: one module each, with its arguments and what it does.
+
+mod bench;
+mod cancel;
+mod check;
+mod demo;
+mod fetch;
+mod jobs;
+mod pool;
+mod render;
+mod schema;
+mod selftest;
+mod serve;
+mod submit;
+mod watch;
+mod worker;
+
+use std::future::Future;
+
+use anyhow::Context;
+use clap::Subcommand;
+
+use crate::signals::Signals;
+
+/// What to do.
+#[derive(Debug, Subcommand)]
+pub(crate) enum Command {
+    /// Run the farm: the HTTP API, the queue, and workers on this machine.
+    Serve(serve::Arguments),
+    /// Render for a server, until it or you say stop.
+    Worker(worker::Arguments),
+    /// Render a picture here and now, without a server.
+    Render(render::Arguments),
+    /// Hand in a job to a server.
+    Submit(submit::Arguments),
+    /// Follow a job until it is finished.
+    Watch(watch::Arguments),
+    /// Save a stored picture of a job.
+    Fetch(fetch::Arguments),
+    /// List jobs, newest first.
+    Jobs(jobs::Arguments),
+    /// Stop a job.
+    Cancel(cancel::Arguments),
+    /// Show the server's own workers, or set how many there should be.
+    Pool(pool::Arguments),
+    /// Check a job file: every fault, with its line and column.
+    Check(check::Arguments),
+    /// Print the JSON Schema of a job file.
+    Schema(schema::Arguments),
+    /// Measure how fast this machine renders.
+    Bench(bench::Arguments),
+    /// Check that this machine renders the right bits.
+    Selftest(selftest::Arguments),
+    /// Start a farm, render a shipped scene on it, save the picture, and stop.
+    Demo(demo::Arguments),
+}
+
+impl Command {
+    /// Whether it runs until told to stop.
+    pub(crate) fn is_long_lived(&self) -> bool {
+        matches!(self, Self::Serve(_) | Self::Worker(_))
+    }
+
+    /// Does it.
+    pub(crate) fn run(self) -> anyhow::Result<()> {
+        match self {
+            Self::Serve(arguments) => run_async(serve::run(arguments)),
+            Self::Worker(arguments) => run_async(worker::run(arguments)),
+            Self::Render(arguments) => render::run(&arguments),
+            Self::Submit(arguments) => run_async(interruptible(submit::run(arguments))),
+            Self::Watch(arguments) => run_async(interruptible(watch::run(arguments))),
+            Self::Fetch(arguments) => run_async(interruptible(fetch::run(arguments))),
+            Self::Jobs(arguments) => run_async(interruptible(jobs::run(arguments))),
+            Self::Cancel(arguments) => run_async(interruptible(cancel::run(arguments))),
+            Self::Pool(arguments) => run_async(interruptible(pool::run(arguments))),
+            Self::Check(arguments) => check::run(&arguments),
+            Self::Schema(arguments) => schema::run(&arguments),
+            Self::Bench(arguments) => bench::run(&arguments),
+            Self::Selftest(arguments) => selftest::run(&arguments),
+            Self::Demo(arguments) => run_async(demo::run(arguments)),
+        }
+    }
+}
+
+fn run_async(work: impl Future<Output = anyhow::Result<()>>) -> anyhow::Result<()> {
+    let runtime = tokio::runtime::Builder::new_multi_thread()
+        .enable_all()
+        .build()
+        .context("could not start the threads that wait for the network")?;
+    runtime.block_on(work)
+}
+
+/// Runs work that Ctrl-C may drop at any moment: its temporary files go with it.
+async fn interruptible(work: impl Future<Output = anyhow::Result<()>>) -> anyhow::Result<()> {
+    let mut signals = Signals::catch()?;
+    tokio::select! {
+        done = work => done,
+        () = signals.next() => anyhow::bail!("interrupted"),
+    }
+}

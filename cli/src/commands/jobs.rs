@@ -1,0 +1,50 @@
+//! `sdfarm jobs`: lists jobs, newest first.
+
+use clap::Args;
+use clap::builder::{PossibleValuesParser, TypedValueParser};
+use proto::job::JobState;
+
+use crate::arguments::ServerArguments;
+use crate::follow;
+use crate::terminal::{note, say};
+
+/// Arguments of `jobs`.
+#[derive(Debug, Args)]
+pub(crate) struct Arguments {
+    #[command(flatten)]
+    server: ServerArguments,
+    /// Only jobs in this state.
+    #[arg(long, env = "SDFARM_STATE", value_parser = state_parser())]
+    state: Option<JobState>,
+    /// Most jobs to list.
+    #[arg(long, value_name = "N", env = "SDFARM_LIMIT", default_value_t = 20, value_parser = clap::value_parser!(u32).range(1..=1000))]
+    limit: u32,
+    /// Go on after an earlier list, which said where.
+    #[arg(long, env = "SDFARM_CURSOR")]
+    cursor: Option<String>,
+    /// Print the server's answer as JSON.
+    #[arg(long, env = "SDFARM_JSON", value_parser = clap::builder::FalseyValueParser::new(), action = clap::ArgAction::SetTrue)]
+    json: bool,
+}
+
+/// Lists them.
+pub(crate) async fn run(arguments: Arguments) -> anyhow::Result<()> {
+    let client = arguments.server.client()?;
+    let page = client.jobs(arguments.state, arguments.limit, arguments.cursor.as_deref()).await?;
+    if arguments.json {
+        return say(&serde_json::to_string_pretty(&page)?);
+    }
+    for job in &page.jobs {
+        say(&follow::line(job))?;
+    }
+    if let Some(cursor) = page.next_cursor {
+        note(&format!("more: sdfarm jobs --cursor {cursor}"));
+    }
+    Ok(())
+}
+
+fn state_parser() -> impl TypedValueParser<Value = JobState> {
+    PossibleValuesParser::new(JobState::ALL.map(JobState::name)).map(|name| {
+        JobState::ALL.into_iter().find(|state| state.name() == name).expect("the parser lets only these names pass")
+    })
+}

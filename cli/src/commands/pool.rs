@@ -1,0 +1,27 @@
+//! `sdfarm pool`: the workers that the server runs on its own machine.
+
+use clap::Args;
+use proto::pool::{MAX_POOL_WORKERS, PoolSize};
+
+use crate::arguments::ServerArguments;
+use crate::terminal::say;
+
+/// Arguments of `pool`.
+#[derive(Debug, Args)]
+pub(crate) struct Arguments {
+    /// How many workers there should be [default: leave it as it is].
+    #[arg(value_name = "N", value_parser = clap::value_parser!(u32).range(0..=i64::from(MAX_POOL_WORKERS)))]
+    workers: Option<u32>,
+    #[command(flatten)]
+    server: ServerArguments,
+}
+
+/// Shows or sets it.
+pub(crate) async fn run(arguments: Arguments) -> anyhow::Result<()> {
+    let client = arguments.server.client()?;
+    let pool = match arguments.workers {
+        Some(workers) => client.set_pool(PoolSize { workers }).await?,
+        None => client.pool().await?,
+    };
+    say(&format!("{} workers wanted, {} ready", pool.workers, pool.ready))
+}

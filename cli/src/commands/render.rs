@@ -1,0 +1,180 @@
+//! `sdfarm render`: a picture here and now, without a server.
+
+use std::io::{BufWriter, Write};
+use std::path::{Path, PathBuf};
+use std::sync::{Arc, Mutex};
+
+use anyhow::Context;
+use clap::Args;
+use scene::Job;
+use serde::Serialize;
+use tokio::runtime::Runtime;
+use worker::frame::{FrameTimes, render_frame};
+use worker::{Cancel, Renderer};
+
+use crate::arguments::RendererArguments;
+use crate::failure::Misuse;
+use crate::job_file::JobFile;
+use crate::output_file::{OutputFile, check_layers, format_of};
+use crate::progress::Progress;
+use crate::signals::Signals;
+use crate::terminal::note;
+
+/// Arguments of `render`.
+#[derive(Debug, Args)]
+pub(crate) struct Arguments {
+    /// The job file; - for standard input.
+    job: String,
+    /// Where to write the picture: .png or .exr decides the format; - for standard output, in the job's format.
+    #[arg(long, short, value_name = "FILE", env = "SDFARM_OUTPUT")]
+    output: String,
+    /// Which frame, from 0.
+    #[arg(long, value_name = "N", env = "SDFARM_FRAME", default_value_t = 0)]
+    frame: u32,
+    #[command(flatten)]
+    renderer: RendererArguments,
+    /// Edge of the tiles it renders at a time, in pixels; the picture is the same with each.
+    #[arg(long, value_name = "PIXELS", env = "SDFARM_TILE", value_parser = clap::value_parser!(u32).range(1..))]
+    tile: Option<u32>,
+    /// Print the summary as JSON, and no progress.
+    #[arg(long, env = "SDFARM_JSON", value_parser = clap::builder::FalseyValueParser::new(), action = clap::ArgAction::SetTrue)]
+    json: bool,
+}
+
+/// What was done, for people and for programs.
+#[derive(Debug, Serialize)]
+struct Summary<'a> {
+    output: &'a str,
+    frame: u32,
+    width: u32,
+    height: u32,
+    samples: u32,
+    device: String,
+    render_ms: f64,
+    encode_ms: f64,
+}
+
+/// Renders it.
+pub(crate) fn run(arguments: &Arguments) -> anyhow::Result<()> {
+    let mut job = JobFile::read(&arguments.job)?.parse()?;
+    if let Some(format) = format_of(&arguments.output)? {
+        job.image.format = format;
+    }
+    check_layers(&job)?;
+    check_frame(&job, arguments.frame)?;
+    let renderer = arguments.renderer.renderer()?;
+    let cancel = Cancel::new();
+    let stopper = Stopper::start(&cancel)?;
+    let mut output = OutputFile::create(&arguments.output)?;
+    stopper.remove_in_haste(Some(output.temporary_path()));
+    let progress = if arguments.json { Progress::silent() } else { Progress::new(&job.name, rays(&job)) };
+
+    let times = render(&renderer, &job, arguments, &mut output, &cancel, &progress);
+    progress.finish();
+    if cancel.is_cancelled() {
+        anyhow::bail!("interrupted: nothing was written");
+    }
+    let times = times?;
+    // From here on the file is complete: nothing is removed any more.
+    stopper.remove_in_haste(None);
+    output.commit()?;
+
+    let summary = Summary {
+        output: &arguments.output,
+        frame: arguments.frame,
+        width: job.image.width,
+        height: job.image.height,
+        samples: job.image.samples,
+        device: renderer.device(),
+        render_ms: times.render.as_secs_f64() * 1e3,
+        encode_ms: times.encode.as_secs_f64() * 1e3,
+    };
+    if arguments.json {
+        note(&serde_json::to_string(&summary)?)
+    } else {
+        note(&summary.words())
+    }
+    Ok(())
+}
+
+impl Summary<'_> {
+    fn words(&self) -> String {
+        let Self { output, width, height, samples, device, render_ms, encode_ms, .. } = self;
+        let output = if *output == "-" { "standard output" } else { output };
+        format!(
+            "wrote {output}: {width}×{height}, {samples} samples, on {device}: \
+             rendered in {render_ms:.1} ms, encoded in {encode_ms:.1} ms"
+        )
+    }
+}
+
+fn render(
+    renderer: &dyn Renderer,
+    job: &Job,
+    arguments: &Arguments,
+    output: &mut OutputFile,
+    cancel: &Cancel,
+    progress: &Progress,
+) -> anyhow::Result<FrameTimes> {
+    // A large frame passes through a nameless file where its picture will be: there must be room there anyway.
+    let scratch = output.folder().to_owned();
+    let context = || format!("could not render {} to {}", arguments.job, arguments.output);
+    let mut writer = BufWriter::new(output.file());
+    let times = render_frame(renderer, job, arguments.frame, arguments.tile, &scratch, &mut writer, cancel, &|rays| {
+        progress.add(rays)
+    })
+    .with_context(context)?;
+    writer.flush().with_context(context)?;
+    Ok(times)
+}
+
+/// Refuses a frame that the job does not have.
+pub(crate) fn check_frame(job: &Job, frame: u32) -> anyhow::Result<()> {
+    let count = job.frames.count;
+    if frame < count {
+        return Ok(());
+    }
+    Err(Misuse(format!("there is no frame {frame}: {} has frames 0 to {}", job.name, count - 1)).into())
+}
+
+fn rays(job: &Job) -> u64 {
+    u64::from(job.image.width) * u64::from(job.image.height) * u64::from(job.image.samples)
+}
+
+/// Turns the first signal into a cancel; the second removes the temporary file and ends the process.
+struct Stopper {
+    temporary: Arc<Mutex<Option<PathBuf>>>,
+    _runtime: Runtime,
+}
+
+impl Stopper {
+    fn start(cancel: &Cancel) -> anyhow::Result<Self> {
+        let runtime = tokio::runtime::Builder::new_multi_thread()
+            .worker_threads(1)
+            .enable_all()
+            .build()
+            .context("could not start the thread that waits for signals")?;
+        let temporary = Arc::new(Mutex::new(None::<PathBuf>));
+        let (cancel, in_haste) = (cancel.clone(), Arc::clone(&temporary));
+        let entered = runtime.enter();
+        let mut signals = Signals::catch()?;
+        drop(entered);
+        runtime.spawn(async move {
+            signals.next().await;
+            cancel.cancel();
+            signals.next().await;
+            if let Some(path) = in_haste.lock().ok().and_then(|mut path| path.take()) {
+                // It may be gone already: then there is nothing to remove.
+                let _ = std::fs::remove_file(path);
+            }
+            std::process::exit(1);
+        });
+        Ok(Self { temporary, _runtime: runtime })
+    }
+
+    fn remove_in_haste(&self, path: Option<&Path>) {
+        if let Ok(mut temporary) = self.temporary.lock() {
+            *temporary = path.map(Path::to_owned);
+        }
+    }
+}

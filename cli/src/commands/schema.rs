@@ -1,0 +1,14 @@
+//! `sdfarm schema`: the JSON Schema of a job file, for editors and generators.
+
+use clap::Args;
+
+use crate::terminal::say;
+
+/// Arguments of `schema`: none.
+#[derive(Debug, Args)]
+pub(crate) struct Arguments {}
+
+/// Prints it.
+pub(crate) fn run(_: &Arguments) -> anyhow::Result<()> {
+    say(&serde_json::to_string_pretty(&scene::schema())?)
+}

@@ -1,0 +1,90 @@
+//! `sdfarm serve`: the farm.
+
+use std::net::SocketAddr;
+use std::path::PathBuf;
+use std::time::Duration;
+
+use anyhow::Context;
+use clap::{Args, ValueEnum};
+use proto::pool::MAX_POOL_WORKERS;
+use server::{Config, Server};
+use tokio_util::sync::CancellationToken;
+use worker::{CpuRenderer, Simd};
+
+use crate::arguments::{Device, simd_parser};
+use crate::signals::Signals;
+use crate::terminal::say;
+
+/// Arguments of `serve`.
+#[derive(Debug, Args)]
+pub(crate) struct Arguments {
+    /// Where to listen; port 0 takes any free one.
+    #[arg(long, value_name = "ADDRESS:PORT", env = "SDFARM_LISTEN", default_value = "127.0.0.1:8080")]
+    listen: SocketAddr,
+    /// Folder of the database and the pictures; made if it is not there.
+    #[arg(long, value_name = "FOLDER", env = "SDFARM_DATA", default_value = "./sdfarm-data")]
+    data: PathBuf,
+    /// Workers on this machine [default: one, with every core].
+    #[arg(long, value_name = "N", env = "SDFARM_WORKERS", value_parser = clap::value_parser!(u32).range(0..=i64::from(MAX_POOL_WORKERS)))]
+    workers: Option<u32>,
+    /// What they render on.
+    #[arg(long, env = "SDFARM_DEVICE", default_value = "auto")]
+    device: Device,
+    /// Vector instructions they use; the pictures are the same with each.
+    #[arg(long, env = "SDFARM_SIMD", default_value = "auto", value_parser = simd_parser())]
+    simd: Simd,
+    /// Edge of a tile, in pixels [default: about a second of work].
+    #[arg(long, value_name = "PIXELS", env = "SDFARM_TILE", value_parser = clap::value_parser!(u32).range(1..))]
+    tile: Option<u32>,
+    /// How long a worker may be silent before its tiles are leased to others.
+    #[arg(long, value_name = "SECONDS", env = "SDFARM_LEASE_SECONDS", default_value_t = 30, value_parser = clap::value_parser!(u64).range(1..=3600))]
+    lease_seconds: u64,
+    /// Listen beyond loopback although there are no keys: whoever reaches the port may use the farm.
+    #[arg(long, env = "SDFARM_INSECURE", value_parser = clap::builder::FalseyValueParser::new(), action = clap::ArgAction::SetTrue)]
+    insecure: bool,
+    /// Names under which this server may be addressed, besides loopback's and addresses.
+    #[arg(long, value_name = "NAME", env = "SDFARM_HOST", value_delimiter = ',')]
+    host: Vec<String>,
+}
+
+impl Arguments {
+    fn config(self) -> anyhow::Result<Config> {
+        Ok(Config {
+            listen: self.listen,
+            data: self.data,
+            workers: self.workers,
+            device: name(self.device),
+            simd: self.simd.to_string(),
+            tile_px: self.tile,
+            lease: Duration::from_secs(self.lease_seconds),
+            insecure: self.insecure,
+            hosts: self.host,
+            worker_program: own_program()?,
+            ..Config::default()
+        })
+    }
+}
+
+/// Serves until SIGINT or SIGTERM.
+pub(crate) async fn run(arguments: Arguments) -> anyhow::Result<()> {
+    arguments.device.check()?;
+    // What no worker could do is told here, not by each of them.
+    CpuRenderer::new(Some(1), arguments.simd)?;
+    let signals = Signals::catch()?;
+    let shutdown = CancellationToken::new();
+    let server = Server::start(arguments.config()?).await?;
+    let address = server.address();
+    say(&format!("sdfarm serves http://{address} (its API: http://{address}/docs)"))?;
+    signals.stop_gracefully(shutdown.clone());
+    server.run(shutdown).await?;
+    Ok(())
+}
+
+/// This very program, which local workers run as.
+pub(crate) fn own_program() -> anyhow::Result<PathBuf> {
+    std::env::current_exe().context("could not find this program's own file, which local workers run as")
+}
+
+fn name(device: Device) -> String {
+    device.to_possible_value().expect("no device is hidden").get_name().to_owned()
+}

@@ -1,0 +1,71 @@
+//! `sdfarm submit`: hands in a job, and waits for it if asked to.
+
+use clap::Args;
+use scene::{Format, Job};
+
+use crate::arguments::ServerArguments;
+use crate::failure::Misuse;
+use crate::follow;
+use crate::job_file::JobFile;
+use crate::output_file::format_of;
+use crate::terminal::{note, say};
+
+/// Arguments of `submit`.
+#[derive(Debug, Args)]
+pub(crate) struct Arguments {
+    /// The job file; - for standard input.
+    job: String,
+    #[command(flatten)]
+    server: ServerArguments,
+    /// Wait until the job is finished.
+    #[arg(long, env = "SDFARM_WAIT", value_parser = clap::builder::FalseyValueParser::new(), action = clap::ArgAction::SetTrue)]
+    wait: bool,
+    /// Save the picture of frame 0 here when the job has succeeded; - for standard output.
+    #[arg(long, short, value_name = "FILE", env = "SDFARM_OUTPUT", requires = "wait")]
+    output: Option<String>,
+    /// Render it anew even if its pictures are stored already.
+    #[arg(long, env = "SDFARM_NO_CACHE", value_parser = clap::builder::FalseyValueParser::new(), action = clap::ArgAction::SetTrue)]
+    no_cache: bool,
+}
+
+/// Hands it in.
+pub(crate) async fn run(arguments: Arguments) -> anyhow::Result<()> {
+    let file = JobFile::read(&arguments.job)?;
+    if let Some(output) = &arguments.output {
+        check_output(&file.parse()?, output)?;
+    }
+    let client = arguments.server.client()?;
+    let job = client.submit(file.text.clone(), arguments.no_cache).await.map_err(|error| file.refused(error))?;
+    for warning in &job.warnings {
+        note(&format!("{}: warning: {warning}", file.name));
+    }
+    // Standard output is the picture's where it was asked for there.
+    if arguments.output.as_deref() == Some("-") {
+        note(&job.id.to_string())
+    } else {
+        say(&job.id.to_string())?
+    }
+    if arguments.wait {
+        follow::until_done(&client, job.id).await?;
+    }
+    match &arguments.output {
+        Some(output) => follow::fetch(&client, job.id, 0, output).await,
+        None => Ok(()),
+    }
+}
+
+/// A farm stores what the job asks for: the file's name must not say otherwise.
+fn check_output(job: &Job, output: &str) -> anyhow::Result<()> {
+    let asked = job.image.format;
+    match format_of(output)? {
+        Some(named) if named != asked => Err(Misuse(format!(
+            "the job asks for {} and {output} is named otherwise: rename the file, or set image.format",
+            match asked {
+                Format::Png => "png",
+                Format::Exr => "exr",
+            }
+        ))
+        .into()),
+        Some(_) | None => Ok(()),
+    }
+}

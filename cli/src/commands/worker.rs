@@ -1,0 +1,49 @@
+//! `sdfarm worker`: renders for a server.
+
+use std::sync::Arc;
+
+use clap::Args;
+use proto::work::TOKEN_VARIABLE;
+use tokio_util::sync::CancellationToken;
+use worker::agent::{self, AgentConfig};
+
+use crate::arguments::RendererArguments;
+use crate::signals::Signals;
+
+/// Arguments of `worker`.
+#[derive(Debug, Args)]
+pub(crate) struct Arguments {
+    /// Address of the server.
+    #[arg(long, value_name = "URL", env = "SDFARM_SERVER", default_value = crate::arguments::DEFAULT_SERVER)]
+    server: String,
+    #[command(flatten)]
+    renderer: RendererArguments,
+    /// A label for people [default: this host's name and the process id].
+    #[arg(long, env = "SDFARM_NAME")]
+    name: Option<String>,
+    /// Run as a child of a server: end when standard input does.
+    #[arg(long, hide = true)]
+    pool: bool,
+}
+
+/// Renders until told to stop.
+pub(crate) async fn run(arguments: Arguments) -> anyhow::Result<()> {
+    let signals = Signals::catch()?;
+    let shutdown = CancellationToken::new();
+    let renderer = Arc::new(arguments.renderer.renderer()?);
+    let config = AgentConfig {
+        token: std::env::var(TOKEN_VARIABLE).ok(),
+        // A killed server leaves no worker behind: its end of the pipe closes, whatever killed it.
+        exit_on_stdin_close: arguments.pool,
+        ..AgentConfig::new(arguments.server, arguments.name.unwrap_or_else(own_name))
+    };
+    signals.stop_gracefully(shutdown.clone());
+    agent::run(config, renderer, shutdown).await?;
+    Ok(())
+}
+
+fn own_name() -> String {
+    let host = std::fs::read_to_string("/proc/sys/kernel/hostname").unwrap_or_default();
+    let host = host.trim();
+    format!("{}-{}", if host.is_empty() { "worker" } else { host }, std::process::id())
+}

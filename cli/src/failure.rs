@@ -1,0 +1,80 @@
+//! What went wrong, as words on standard error and as an exit code.
+
+use proto::problem::FaultView;
+use proto::{ClientError, Problem};
+
+use crate::terminal::note;
+
+const FAILED: u8 = 1;
+const WRONG: u8 = 2;
+
+/// Wrong use: a flag or a file that can't be meant. The message names the cure.
+#[derive(Debug, thiserror::Error)]
+#[error("{0}")]
+pub(crate) struct Misuse(pub(crate) String);
+
+/// A job file that is not one.
+#[derive(Debug, thiserror::Error)]
+#[error("{} {}: nothing was rendered; mend the file and try again", .file, count(.faults.len()))]
+pub(crate) struct BadJob {
+    /// The file, as the user named it.
+    pub(crate) file: String,
+    /// Its faults.
+    pub(crate) faults: Vec<FaultView>,
+}
+
+fn count(faults: usize) -> String {
+    if faults == 1 { "has a fault".to_owned() } else { format!("has {faults} faults") }
+}
+
+/// Tells the user on standard error, and returns the process's exit code.
+pub(crate) fn report(error: &anyhow::Error) -> u8 {
+    if let Some(bad) = error.downcast_ref::<BadJob>() {
+        for fault in &bad.faults {
+            note(&line(&bad.file, fault));
+        }
+    }
+    note(&format!("error: {}", words(error)));
+    exit_code(error)
+}
+
+/// One fault as compilers print it: `FILE:LINE:COLUMN: pointer: message`.
+fn line(file: &str, fault: &FaultView) -> String {
+    let FaultView { pointer, message, line, column } = fault;
+    let place = if pointer.is_empty() { String::new() } else { format!("{pointer}: ") };
+    format!("{file}:{line}:{column}: {place}{message}")
+}
+
+/// The error and its causes in one line. Of an HTTP client's long chain only the root is told.
+fn words(error: &anyhow::Error) -> String {
+    let mut words = String::new();
+    let mut after_client = false;
+    for cause in error.chain() {
+        let text = if after_client { error.root_cause().to_string() } else { cause.to_string() };
+        if words.is_empty() {
+            words = text;
+        } else if !words.contains(&text) {
+            words = format!("{words}: {text}");
+        }
+        if after_client {
+            break;
+        }
+        after_client = cause.is::<ClientError>();
+    }
+    words
+}
+
+fn exit_code(error: &anyhow::Error) -> u8 {
+    if error.is::<Misuse>() || error.is::<BadJob>() {
+        return WRONG;
+    }
+    match error.downcast_ref::<ClientError>() {
+        Some(ClientError::Address { .. }) => WRONG,
+        Some(ClientError::Problem(problem)) if is_bad_input(problem) => WRONG,
+        Some(_) | None => FAILED,
+    }
+}
+
+fn is_bad_input(problem: &Problem) -> bool {
+    matches!(problem.status, 400 | 413 | 415 | 422)
+}

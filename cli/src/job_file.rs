@@ -1,0 +1,60 @@
+//! Job files: reading one, and telling every fault with its line and column.
+
+use std::fs::File;
+use std::io::Read;
+
+use proto::ClientError;
+use proto::problem::FaultView;
+use scene::{Job, Refusal};
+
+use crate::failure::{BadJob, Misuse};
+
+/// A job file's text.
+#[derive(Debug)]
+pub(crate) struct JobFile {
+    /// The file, as the user named it.
+    pub(crate) name: String,
+    /// What is in it.
+    pub(crate) text: Vec<u8>,
+}
+
+impl JobFile {
+    /// Reads a file, or standard input for `-`.
+    pub(crate) fn read(path: &str) -> anyhow::Result<Self> {
+        let name = if path == "-" { "<stdin>" } else { path }.to_owned();
+        let limit = scene::limits::MAX_BODY_BYTES;
+        let mut text = Vec::new();
+        let bounded = limit as u64 + 1;
+        let read = if path == "-" {
+            std::io::stdin().lock().take(bounded).read_to_end(&mut text)
+        } else {
+            File::open(path).and_then(|file| file.take(bounded).read_to_end(&mut text))
+        };
+        read.map_err(|error| Misuse(format!("could not read the job file {name}: {error}")))?;
+        if text.len() > limit {
+            return Err(Misuse(format!("{name} is larger than a job file may be: {} MiB", limit >> 20)).into());
+        }
+        Ok(Self { name, text })
+    }
+
+    /// The job it holds.
+    pub(crate) fn parse(&self) -> anyhow::Result<Job> {
+        scene::parse(&self.text).map_err(|refusal| {
+            let faults = match &refusal {
+                Refusal::NotJson(fault) => vec![FaultView::from(fault)],
+                Refusal::Wrong(faults) => faults.iter().map(FaultView::from).collect(),
+            };
+            BadJob { file: self.name.clone(), faults }.into()
+        })
+    }
+
+    /// Gives a server's refusal of this file the file's name.
+    pub(crate) fn refused(&self, error: ClientError) -> anyhow::Error {
+        match error {
+            ClientError::Problem(problem) if !problem.errors.is_empty() => {
+                BadJob { file: self.name.clone(), faults: problem.errors }.into()
+            }
+            other => anyhow::Error::new(other).context(format!("could not submit {}", self.name)),
+        }
+    }
+}

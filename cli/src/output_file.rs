@@ -1,0 +1,193 @@
+//! Pictures written to files: whole or not at all.
+//!
+//! Bytes go to a temporary file beside the target, which takes the target's name only
+//! when it is complete and on the disk. A pipe or a device gets a copy of the whole.
+
+use std::fs::{self, File, Permissions};
+use std::io::{self, Read};
+use std::os::unix::fs::PermissionsExt;
+use std::path::{Path, PathBuf};
+
+use anyhow::Context;
+use scene::{Format, Job};
+use tempfile::NamedTempFile;
+
+use crate::failure::Misuse;
+use crate::terminal::write_bytes;
+
+/// What a new file may be, before the process's mask.
+const MODE: u32 = 0o666;
+const COPIED_BYTES: usize = 1 << 20;
+
+#[derive(Debug)]
+enum Target {
+    Standard,
+    /// Something that is there and can't be replaced: a pipe, a device.
+    Special(PathBuf),
+    Regular(PathBuf),
+}
+
+/// A file being made.
+#[derive(Debug)]
+pub(crate) struct OutputFile {
+    name: String,
+    temporary: NamedTempFile,
+    target: Target,
+}
+
+impl OutputFile {
+    /// Prepares to write `path`, or standard output for `-`.
+    pub(crate) fn create(path: &str) -> anyhow::Result<Self> {
+        let target = target(path)?;
+        let folder = match &target {
+            Target::Standard | Target::Special(_) => std::env::temp_dir(),
+            Target::Regular(path) => folder_of(path).to_owned(),
+        };
+        if !folder.is_dir() {
+            return Err(Misuse(format!("there is no folder {}: make it first", folder.display())).into());
+        }
+        let temporary = tempfile::Builder::new()
+            .prefix(".sdfarm-")
+            .suffix(".part")
+            .permissions(Permissions::from_mode(MODE))
+            .tempfile_in(&folder)
+            .with_context(|| format!("could not write to the folder {}", folder.display()))?;
+        Ok(Self { name: path.to_owned(), temporary, target })
+    }
+
+    /// The bytes go here.
+    pub(crate) fn file(&mut self) -> &mut File {
+        self.temporary.as_file_mut()
+    }
+
+    /// The temporary file, for whoever must remove it in haste.
+    pub(crate) fn temporary_path(&self) -> &Path {
+        self.temporary.path()
+    }
+
+    /// The folder it is made in.
+    pub(crate) fn folder(&self) -> &Path {
+        folder_of(self.temporary.path())
+    }
+
+    /// Makes the file appear: all of its bytes, under its name, on the disk.
+    pub(crate) fn commit(self) -> anyhow::Result<()> {
+        let Self { name, temporary, target } = self;
+        let context = || format!("could not write {name}: free some space there, or write elsewhere");
+        match target {
+            Target::Standard => copy(&temporary, &mut |bytes| write_bytes(bytes)),
+            Target::Special(path) => {
+                let mut file = File::options().write(true).open(path).with_context(context)?;
+                copy(&temporary, &mut |bytes| io::Write::write_all(&mut file, bytes).with_context(context))
+            }
+            Target::Regular(path) => {
+                temporary.as_file().sync_all().with_context(context)?;
+                temporary.persist(&path).map_err(|error| error.error).with_context(context)?;
+                File::open(folder_of(&path)).and_then(|folder| folder.sync_all()).with_context(context)
+            }
+        }
+    }
+}
+
+/// The picture format a file's extension names; `None` for `-`, which has none.
+pub(crate) fn format_of(path: &str) -> anyhow::Result<Option<Format>> {
+    if path == "-" {
+        return Ok(None);
+    }
+    let extension = Path::new(path).extension().map(|extension| extension.to_string_lossy().to_lowercase());
+    match extension.as_deref() {
+        Some("png") => Ok(Some(Format::Png)),
+        Some("exr") => Ok(Some(Format::Exr)),
+        Some(_) | None => Err(Misuse(format!("{path:?} names no picture format: end it in .png or .exr")).into()),
+    }
+}
+
+/// Refuses a picture whose format can't hold what the job asks for.
+pub(crate) fn check_layers(job: &Job) -> anyhow::Result<()> {
+    match job.image.format {
+        Format::Png if !job.image.layers.is_empty() => {
+            Err(Misuse("a PNG holds no layers: write to an .exr file, or take image.layers out of the job".to_owned())
+                .into())
+        }
+        Format::Png | Format::Exr => Ok(()),
+    }
+}
+
+fn target(path: &str) -> anyhow::Result<Target> {
+    if path == "-" {
+        return Ok(Target::Standard);
+    }
+    let wrong = |reason: String| anyhow::Error::new(Misuse(format!("could not write {path}: {reason}")));
+    match fs::metadata(path) {
+        Err(error) if error.kind() == io::ErrorKind::NotFound => Ok(Target::Regular(PathBuf::from(path))),
+        Err(error) => Err(wrong(error.to_string())),
+        Ok(there) if there.is_dir() => Err(wrong("it is a folder; name a file in it".to_owned())),
+        // Through a symbolic link, to what it points at.
+        Ok(there) if there.is_file() => {
+            Ok(Target::Regular(fs::canonicalize(path).map_err(|error| wrong(error.to_string()))?))
+        }
+        Ok(_) => Ok(Target::Special(PathBuf::from(path))),
+    }
+}
+
+fn folder_of(path: &Path) -> &Path {
+    match path.parent() {
+        Some(folder) if folder != Path::new("") => folder,
+        Some(_) | None => Path::new("."),
+    }
+}
+
+fn copy(from: &NamedTempFile, to: &mut dyn FnMut(&[u8]) -> anyhow::Result<()>) -> anyhow::Result<()> {
+    let mut whole = from.reopen().context("could not read back the picture")?;
+    let mut buffer = vec![0; COPIED_BYTES];
+    loop {
+        match whole.read(&mut buffer).context("could not read back the picture")? {
+            0 => return Ok(()),
+            length => to(&buffer[..length])?,
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::io::Write;
+
+    use super::*;
+
+    #[test]
+    fn file_appears_whole_and_an_abandoned_one_leaves_nothing() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let path = folder.path().join("a.png");
+        let name = path.to_str().expect("a plain name");
+
+        let mut abandoned = OutputFile::create(name).expect("created");
+        abandoned.file().write_all(b"half").expect("written");
+        drop(abandoned);
+        assert_eq!(fs::read_dir(folder.path()).expect("read").count(), 0);
+
+        let mut whole = OutputFile::create(name).expect("created");
+        whole.file().write_all(b"whole").expect("written");
+        assert!(!path.exists());
+        whole.commit().expect("committed");
+        assert_eq!(fs::read(&path).expect("read"), b"whole");
+        assert_eq!(fs::read_dir(folder.path()).expect("read").count(), 1);
+    }
+
+    #[test]
+    fn extension_names_the_format() {
+        assert_eq!(format_of("a/b.PNG").expect("known"), Some(Format::Png));
+        assert_eq!(format_of("b.exr").expect("known"), Some(Format::Exr));
+        assert_eq!(format_of("-").expect("standard output"), None);
+        for bad in ["b", "b.jpg", ".png/b"] {
+            assert!(format_of(bad).expect_err(bad).is::<Misuse>());
+        }
+    }
+
+    #[test]
+    fn device_is_written_to_and_not_replaced() {
+        let mut file = OutputFile::create("/dev/null").expect("created");
+        file.file().write_all(b"gone").expect("written");
+        file.commit().expect("committed");
+        assert!(!fs::metadata("/dev/null").expect("there").is_file());
+    }
+}

@@ -1,0 +1,82 @@
+//! Progress on standard error: a bar on a terminal, else a plain line now and then.
+
+use std::io::IsTerminal;
+use std::sync::Mutex;
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::time::{Duration, Instant};
+
+use indicatif::{ProgressBar, ProgressStyle};
+
+use crate::terminal::note;
+
+/// Time between plain lines; what is done sooner prints none.
+const LINE_INTERVAL: Duration = Duration::from_secs(5);
+const BAR: &str = "{msg} [{bar:32}] {percent:>3} %  {elapsed} elapsed, {eta} left";
+
+/// How far something is, for the eyes of a user.
+#[derive(Debug)]
+pub(crate) struct Progress {
+    shown: Shown,
+    done: AtomicU64,
+    total: u64,
+}
+
+#[derive(Debug)]
+enum Shown {
+    Bar(ProgressBar),
+    Lines { label: String, last: Mutex<Instant> },
+    Nothing,
+}
+
+impl Progress {
+    /// Progress of `total` units, under a label.
+    pub(crate) fn new(label: &str, total: u64) -> Self {
+        let shown = if std::io::stderr().is_terminal() {
+            let style = ProgressStyle::with_template(BAR).expect("the template above is one").progress_chars("=> ");
+            Shown::Bar(ProgressBar::new(total).with_style(style).with_message(label.to_owned()))
+        } else {
+            Shown::Lines { label: label.to_owned(), last: Mutex::new(Instant::now()) }
+        };
+        Self { shown, done: AtomicU64::new(0), total }
+    }
+
+    /// Counts, and shows nothing.
+    pub(crate) fn silent() -> Self {
+        Self { shown: Shown::Nothing, done: AtomicU64::new(0), total: 0 }
+    }
+
+    /// So many units more are done.
+    pub(crate) fn add(&self, units: u64) {
+        let done = self.done.fetch_add(units, Ordering::Relaxed) + units;
+        self.show(done);
+    }
+
+    /// So many units are done in all.
+    pub(crate) fn set(&self, units: u64) {
+        self.done.store(units, Ordering::Relaxed);
+        self.show(units);
+    }
+
+    /// Clears the bar, whatever became of the work.
+    pub(crate) fn finish(&self) {
+        match &self.shown {
+            Shown::Bar(bar) => bar.finish_and_clear(),
+            Shown::Lines { .. } | Shown::Nothing => {}
+        }
+    }
+
+    fn show(&self, done: u64) {
+        match &self.shown {
+            Shown::Bar(bar) => bar.set_position(done),
+            Shown::Lines { label, last } => {
+                // Whoever finds the lock taken leaves the line to its holder.
+                let Ok(mut last) = last.try_lock() else { return };
+                if last.elapsed() >= LINE_INTERVAL {
+                    *last = Instant::now();
+                    note(&format!("{label}: {} %", done.saturating_mul(100) / self.total.max(1)));
+                }
+            }
+            Shown::Nothing => {}
+        }
+    }
+}

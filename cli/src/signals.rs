@@ -1,0 +1,41 @@
+//! The signals that ask a process to stop: Ctrl-C and SIGTERM.
+
+use anyhow::Context;
+use tokio::signal::unix::{Signal, SignalKind, signal};
+use tokio_util::sync::CancellationToken;
+
+use crate::terminal::note;
+
+/// Both signals, caught: from here on they no longer end the process by themselves.
+#[derive(Debug)]
+pub(crate) struct Signals {
+    interrupt: Signal,
+    terminate: Signal,
+}
+
+impl Signals {
+    /// Catches them; within a runtime.
+    pub(crate) fn catch() -> anyhow::Result<Self> {
+        let catch = |kind| signal(kind).context("could not catch signals");
+        Ok(Self { interrupt: catch(SignalKind::interrupt())?, terminate: catch(SignalKind::terminate())? })
+    }
+
+    /// Returns when one comes.
+    pub(crate) async fn next(&mut self) {
+        tokio::select! {
+            _ = self.interrupt.recv() => {}
+            _ = self.terminate.recv() => {}
+        }
+    }
+
+    /// Has the first one ask for an orderly end and the second end the process at once.
+    pub(crate) fn stop_gracefully(mut self, shutdown: CancellationToken) {
+        tokio::spawn(async move {
+            self.next().await;
+            note("stopping when what is at hand is finished or handed back; once more stops at once");
+            shutdown.cancel();
+            self.next().await;
+            std::process::exit(1);
+        });
+    }
+}

@@ -1,0 +1,27 @@
+//! Lines to standard output and standard error.
+//!
+//! A reader that has gone away (`sdfarm jobs | head -1`) is no error, and never a panic.
+
+use std::io::{ErrorKind, Write};
+
+use anyhow::Context;
+
+/// Prints a result to standard output.
+pub(crate) fn say(text: &str) -> anyhow::Result<()> {
+    write_bytes(format!("{text}\n").as_bytes())
+}
+
+/// Writes bytes to standard output.
+pub(crate) fn write_bytes(bytes: &[u8]) -> anyhow::Result<()> {
+    let mut out = std::io::stdout().lock();
+    match out.write_all(bytes).and_then(|()| out.flush()) {
+        Err(error) if error.kind() != ErrorKind::BrokenPipe => Err(error).context("could not write to standard output"),
+        Ok(()) | Err(_) => Ok(()),
+    }
+}
+
+/// Prints a remark to standard error.
+pub(crate) fn note(text: &str) {
+    // Where standard error is closed there is nobody to tell.
+    let _ = writeln!(std::io::stderr().lock(), "{text}");
+}

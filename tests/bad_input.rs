@@ -1,0 +1,355 @@
+//! Bad jobs, table-driven: each is refused over HTTP with its status, pointer, line, column
+//! and cure, and by `sdfarm check` with exit code 2; the server lives on.
+
+use serde_json::Value;
+
+use crate::jobs;
+use crate::support::{Farm, finish, sdfarm, text};
+
+/// Stands in a case's text where the fault should be told to be.
+const MARK: char = '¤';
+
+const SOUND: &str = r#"{
+  "scene": {
+    "camera": { "position": [0, 0, 5], "look_at": [0, 0, 0] },
+    "materials": { "clay": { "diffuse": {} } },
+    "objects": [
+      { "material": "clay", "shape": { "sphere": { "radius": 1 } } }
+    ]
+  },
+  "image": { "width": 32, "height": 32 }
+}"#;
+
+/// A bad job.
+struct Case {
+    name: &'static str,
+    text: Vec<u8>,
+    status: u16,
+    /// Of the first fault; `None` where there need be no fault.
+    fault: Option<Place>,
+    /// Words of the message that name the cure or the limit.
+    says: &'static str,
+}
+
+struct Place {
+    pointer: &'static str,
+    /// `None` where the place is nobody's promise.
+    at: Option<(u64, u64)>,
+}
+
+/// The sound job with one thing replaced; the mark says where the fault is.
+fn changed(name: &'static str, from: &str, to: &str, pointer: &'static str, says: &'static str) -> Case {
+    assert_eq!(SOUND.matches(from).count(), 1, "{name}: {from:?} must be in the sound job once");
+    written(name, &SOUND.replacen(from, to, 1), 422, pointer, says)
+}
+
+fn written(name: &'static str, marked: &str, status: u16, pointer: &'static str, says: &'static str) -> Case {
+    let offset = marked.find(MARK).unwrap_or_else(|| panic!("{name}: no mark"));
+    let before = &marked[..offset];
+    let line = before.matches('\n').count() + 1;
+    let column = before.len() - before.rfind('\n').map_or(0, |newline| newline + 1) + 1;
+    let at = Some((line as u64, column as u64));
+    Case { name, text: marked.replacen(MARK, "", 1).into_bytes(), status, fault: Some(Place { pointer, at }), says }
+}
+
+/// The sound job with a node in the sphere's place.
+fn with_shape(shape: &str) -> String {
+    SOUND.replacen(r#"{ "sphere": { "radius": 1 } }"#, shape, 1)
+}
+
+fn nested(depth: usize) -> String {
+    let open = r#"{"translate": {"by": [0,0,0], "child": "#.repeat(depth - 1);
+    with_shape(&format!(r#"{open}{{"sphere": {{"radius": 1}}}}{}"#, "}}".repeat(depth - 1)))
+}
+
+fn wide(nodes: usize) -> String {
+    let spheres = vec![r#"{"sphere":{"radius":1}}"#; nodes - 1].join(",");
+    with_shape(&format!(r#"{{"union": {{"of": [{spheres}]}}}}"#))
+}
+
+fn large(name: &'static str, text: String, pointer: Option<&'static str>, status: u16, says: &'static str) -> Case {
+    Case { name, text: text.into_bytes(), status, fault: pointer.map(|pointer| Place { pointer, at: None }), says }
+}
+
+const OBJECT: &str = "/scene/objects/0";
+const RADIUS: &str = "/scene/objects/0/shape/sphere/radius";
+const LOOK_AT: &str = r#""look_at": [0, 0, 0]"#;
+const SPHERE: &str = r#"{ "sphere": { "radius": 1 } }"#;
+
+fn wrong_form() -> Vec<Case> {
+    vec![
+        changed(
+            "unknown key",
+            r#""radius": 1"#,
+            r#""radius": 1, ¤"colour": 2"#,
+            "/scene/objects/0/shape/sphere/colour",
+            "radius",
+        ),
+        changed("unknown node", r#""sphere""#, r#"¤"spere""#, "/scene/objects/0/shape/spere", "sphere"),
+        changed("duplicate key", r#""radius": 1"#, r#""radius": 1, ¤"radius": 2"#, RADIUS, "once"),
+        changed(
+            "duplicate key spelled otherwise",
+            r#""radius": 1"#,
+            r#""radius": 1, ¤"r\u0061dius": 2"#,
+            RADIUS,
+            "once",
+        ),
+        changed("missing key", r#"{ "width": 32, "height": 32 }"#, r#"¤{ "width": 32 }"#, "/image", "height"),
+        changed("wrong type", r#""radius": 1"#, r#""radius": ¤"one""#, RADIUS, "number"),
+        changed("null", r#""radius": 1"#, r#""radius": ¤null"#, RADIUS, "number"),
+        changed("too few numbers", r#""look_at": [0, 0, 0]"#, r#""look_at": ¤[0, 0]"#, "/scene/camera/look_at", "3"),
+        changed("negative radius", r#""radius": 1"#, r#""radius": ¤-1"#, RADIUS, "0"),
+        changed("radius of zero", r#""radius": 1"#, r#""radius": ¤0"#, RADIUS, "0"),
+        changed("too large for f32", r#""radius": 1"#, r#""radius": ¤1e39"#, RADIUS, "too large"),
+        changed("samples of zero", r#""height": 32"#, r#""height": 32, "samples": ¤0"#, "/image/samples", "1"),
+        changed("picture of no width", r#""width": 32"#, r#""width": ¤0"#, "/image/width", "1"),
+        changed(
+            "picture of 2^31 pixels",
+            r#""width": 32, "height": 32"#,
+            r#""width": ¤2147483648, "height": 1"#,
+            "/image/width",
+            "65535",
+        ),
+        changed("half a sample", r#""height": 32"#, r#""height": 32, "samples": ¤1.5"#, "/image/samples", "integer"),
+        changed("unknown format", r#""height": 32"#, r#""height": 32, "format": ¤"jpg""#, "/image/format", "png"),
+        changed("fov of 0", LOOK_AT, r#""look_at": [0, 0, 0], "fov": ¤0"#, "/scene/camera/fov", "180"),
+        changed("fov of 180", LOOK_AT, r#""look_at": [0, 0, 0], "fov": ¤180"#, "/scene/camera/fov", "180"),
+        changed("priority beyond its range", r#""image""#, r#""priority": ¤101, "image""#, "/priority", "100"),
+        changed(
+            "coordinate beyond a million",
+            r#""position": [0, 0, 5]"#,
+            r#""position": [0, 0, ¤1e7]"#,
+            "/scene/camera/position/2",
+            "1e6",
+        ),
+    ]
+}
+
+fn wrong_meaning() -> Vec<Case> {
+    vec![
+        changed(
+            "direction of no length",
+            r#""materials""#,
+            r#""lights": [{ "directional": { "direction": ¤[0, 0, 0], "color": [1, 1, 1] } }], "materials""#,
+            "/scene/lights/0/directional/direction",
+            "length",
+        ),
+        changed(
+            "normal of no length",
+            SPHERE,
+            r#"{ "plane": { "normal": ¤[0, 0, 0], "offset": 0 } }"#,
+            "/scene/objects/0/shape/plane/normal",
+            "length",
+        ),
+        changed("look_at is the position", LOOK_AT, r#""look_at": ¤[0, 0, 5]"#, "/scene/camera/look_at", "position"),
+        changed("up along the view", LOOK_AT, r#""look_at": [0, 0, 0], "up": ¤[0, 0, 2]"#, "/scene/camera/up", "view"),
+        changed("up of no length", LOOK_AT, r#""look_at": [0, 0, 0], "up": ¤[0, 0, 0]"#, "/scene/camera/up", "length"),
+        changed(
+            "unknown material",
+            r#""material": "clay""#,
+            r#""material": ¤"play""#,
+            "/scene/objects/0/material",
+            "clay",
+        ),
+        changed("nothing united", SPHERE, r#"{ "union": { "of": ¤[] } }"#, "/scene/objects/0/shape/union/of", "one"),
+        changed("layers in a PNG", r#""height": 32"#, r#""height": 32, "layers": ¤["depth"]"#, "/image/layers", "exr"),
+        written(
+            "no objects",
+            &SOUND.replacen(r#""objects": ["#, r#""objects": ¤["#, 1).replacen(
+                r#"{ "material": "clay", "shape": { "sphere": { "radius": 1 } } }"#,
+                "",
+                1,
+            ),
+            422,
+            "/scene/objects",
+            "one",
+        ),
+    ]
+}
+
+fn not_json() -> Vec<Case> {
+    let cut = &SOUND[..SOUND.find("\"shape\"").expect("in the sound job")];
+    let mut bytes = SOUND.as_bytes().to_vec();
+    bytes[20] = 0xff;
+    vec![
+        written("NaN", &SOUND.replacen(r#""radius": 1"#, r#""radius": ¤NaN"#, 1), 400, "", "JSON"),
+        Case {
+            name: "1e999",
+            text: SOUND.replacen(r#""radius": 1"#, r#""radius": 1e999"#, 1).into_bytes(),
+            status: 422,
+            fault: Some(Place { pointer: RADIUS, at: None }),
+            says: "too large",
+        },
+        large("truncated JSON", cut.to_owned(), Some(""), 400, "end"),
+        large("nothing at all", String::new(), Some(""), 400, "end"),
+        large("more after the job", format!("{SOUND} {{}}"), Some(""), 400, "trailing"),
+        Case {
+            name: "invalid UTF-8",
+            text: bytes,
+            status: 400,
+            fault: Some(Place { pointer: "", at: None }),
+            says: "UTF-8",
+        },
+    ]
+}
+
+fn too_much() -> Vec<Case> {
+    vec![
+        large("nodes 65 deep", nested(65), Some(OBJECT), 422, "64"),
+        large("nodes 5,000 deep", nested(5000), Some(OBJECT), 422, "64"),
+        large("arrays 100,000 deep", "[".repeat(100_000), None, 422, "256"),
+        large("100,001 nodes", wide(100_001), Some(""), 422, "100000"),
+    ]
+}
+
+fn cases() -> Vec<Case> {
+    [wrong_form(), wrong_meaning(), not_json(), too_much()].into_iter().flatten().collect()
+}
+
+/// What is wrong with how a fault was told, if anything.
+fn misfit(case: &Case, pointer: &str, message: &str, line: u64, column: u64) -> Option<String> {
+    let place = case.fault.as_ref()?;
+    // What is no JSON has no places but the whole; without a promised place the subtree will do.
+    let is_exact = place.at.is_some() || case.status == 400;
+    if pointer != place.pointer && (is_exact || !pointer.starts_with(place.pointer)) {
+        return Some(format!("points at {pointer:?}, not {:?}", place.pointer));
+    }
+    if place.at.is_some_and(|at| at != (line, column)) {
+        return Some(format!("is at {line}:{column}, not {:?}", place.at));
+    }
+    if line == 0 || column == 0 {
+        return Some("lines and columns count from 1".to_owned());
+    }
+    (!message.contains(case.says)).then(|| format!("says {message:?} and not {:?}", case.says))
+}
+
+#[test]
+fn bad_jobs_are_refused_over_http_with_place_and_cure() {
+    let farm = Farm::start(&["--workers", "0"]);
+    assert_eq!(farm.post(SOUND).status, 201, "the sound job is sound");
+    let mut wrong = Vec::new();
+    for case in cases() {
+        let answer = farm.send("POST", "/v1/jobs", &[("content-type", "application/json")], case.text.clone());
+        if answer.status != case.status || answer.header("content-type") != "application/problem+json" {
+            wrong.push(format!("{}: {} {}", case.name, answer.status, answer.text()));
+            continue;
+        }
+        let problem = answer.json();
+        let fault = &problem["errors"][0];
+        let (pointer, message) = (fault["pointer"].as_str(), fault["message"].as_str());
+        let (line, column) = (fault["line"].as_u64(), fault["column"].as_u64());
+        let misfit = match (pointer, message, line, column) {
+            (Some(pointer), Some(message), Some(line), Some(column)) => misfit(&case, pointer, message, line, column),
+            _ => Some(format!("no whole fault: {problem}")),
+        };
+        wrong.extend(misfit.map(|misfit| format!("{}: {misfit}", case.name)));
+    }
+    assert!(wrong.is_empty(), "{} cases:\n{}", wrong.len(), wrong.join("\n"));
+    assert_eq!(farm.get("/livez").status, 200);
+    assert_eq!(farm.get("/v1/jobs").json()["jobs"].as_array().map(Vec::len), Some(1), "only the sound job is there");
+}
+
+#[test]
+fn bad_jobs_are_refused_on_the_command_line_with_place_and_cure() {
+    let mut wrong = Vec::new();
+    for case in cases() {
+        let output = finish(sdfarm(&["check", "-"]), &case.text);
+        let told = text(&output.stderr);
+        let place =
+            case.fault.as_ref().and_then(|place| place.at).map(|(line, column)| format!("<stdin>:{line}:{column}: "));
+        let is_right = output.status.code() == Some(2)
+            && told.lines().last().is_some_and(|line| line.starts_with("error: "))
+            && place.is_none_or(|place| told.contains(&place))
+            && told.contains(case.says)
+            && !told.contains("panicked");
+        if !is_right {
+            wrong.push(format!("{}: {:?}: {told}", case.name, output.status.code()));
+        }
+    }
+    assert!(wrong.is_empty(), "{} cases:\n{}", wrong.len(), wrong.join("\n"));
+}
+
+#[test]
+fn every_fault_of_meaning_is_told_at_once() {
+    let job = SOUND.replacen(r#""material": "clay""#, r#""material": "play""#, 1);
+    let job = job.replacen(LOOK_AT, r#""look_at": [0, 0, 5]"#, 1);
+    let output = finish(sdfarm(&["check", "-"]), job.as_bytes());
+    let told = text(&output.stderr);
+    assert_eq!(output.status.code(), Some(2));
+    assert!(told.contains("/scene/camera/look_at") && told.contains("/scene/objects/0/material"), "{told}");
+}
+
+#[test]
+fn body_over_the_limit_is_too_large() {
+    let farm = Farm::start(&["--workers", "0"]);
+    let padded = format!("{SOUND}{}", " ".repeat(9 << 20));
+    let problem = farm.post(&padded).problem(413, "too_large");
+    assert!(problem["detail"].as_str().is_some_and(|detail| detail.contains("8 MiB")), "{problem}");
+    let output = finish(sdfarm(&["check", "-"]), padded.as_bytes());
+    assert_eq!(output.status.code(), Some(2));
+    assert!(text(&output.stderr).contains("8 MiB"), "{}", text(&output.stderr));
+}
+
+#[test]
+fn wrong_content_type_is_refused_and_none_is_json() {
+    let farm = Farm::start(&["--workers", "0"]);
+    let send = |headers: &[(&str, &str)]| farm.send("POST", "/v1/jobs", headers, SOUND.as_bytes().to_vec());
+    let problem = send(&[("content-type", "text/plain")]).problem(415, "wrong_content_type");
+    assert!(problem["detail"].as_str().is_some_and(|detail| detail.contains("application/json")), "{problem}");
+    assert_eq!(send(&[]).status, 201);
+    assert_eq!(send(&[("content-type", "application/json; charset=utf-8")]).status, 201);
+}
+
+#[test]
+fn what_is_not_there_is_not_found() {
+    let farm = Farm::start(&["--workers", "0"]);
+    let unknown = "/v1/jobs/01890000-0000-7000-8000-000000000000";
+    farm.get(unknown).problem(404, "unknown_job");
+    farm.get(&format!("{unknown}/image")).problem(404, "unknown_job");
+    farm.send("POST", &format!("{unknown}/cancel"), &[], Vec::new()).problem(404, "unknown_job");
+    farm.send("DELETE", unknown, &[], Vec::new()).problem(404, "unknown_job");
+    let malformed = farm.get("/v1/jobs/seven");
+    assert!([400, 404].contains(&malformed.status), "{}", malformed.text());
+    assert_eq!(malformed.header("content-type"), "application/problem+json");
+
+    let id = farm.accept(&jobs::quick().to_string());
+    let absent = farm.get(&format!("/v1/jobs/{id}/image")).problem(404, "picture_not_stored");
+    assert!(absent["detail"].as_str().is_some_and(|detail| detail.contains("queued")), "{absent}");
+    farm.get(&format!("/v1/jobs/{id}/frames/7/image")).problem(404, "unknown_frame");
+    let wrong_method = farm.send("PATCH", "/v1/pool", &[], Vec::new());
+    assert_eq!((wrong_method.status, wrong_method.header("content-type")), (405, "application/problem+json"));
+}
+
+#[test]
+fn impossible_pools_are_refused_with_the_range() {
+    let farm = Farm::start(&["--workers", "0"]);
+    for body in [r#"{"workers": -1}"#, r#"{"workers": 10000}"#, r#"{"workers": 257}"#, r#"{"workers": 1.5}"#, "{}", "7"]
+    {
+        let headers = [("content-type", "application/json")];
+        let answer = farm.send("PUT", "/v1/pool", &headers, body.as_bytes().to_vec());
+        assert_eq!((answer.status, answer.header("content-type")), (422, "application/problem+json"), "{body}");
+        if body.contains("0") || body.contains('-') {
+            assert!(answer.text().contains("256"), "{body}: {}", answer.text());
+        }
+    }
+    for size in ["-1", "10000"] {
+        let output = crate::support::run(&["pool", "--server", &farm.address, size]);
+        assert_eq!(output.status.code(), Some(2), "{}", text(&output.stderr));
+    }
+    assert_eq!(farm.get("/v1/pool").json()["workers"], Value::from(0));
+}
+
+#[test]
+fn foreign_host_is_refused() {
+    let farm = Farm::start(&["--workers", "0"]);
+    for host in ["evil.example", "evil.example:8080", "127.0.0.1.evil.example"] {
+        let answer = farm.send("GET", "/v1/jobs", &[("host", host)], Vec::new());
+        assert!((400..500).contains(&answer.status), "{host}: {}", answer.status);
+        assert_eq!(answer.header("content-type"), "application/problem+json");
+        assert!(answer.text().contains("Host"), "{}", answer.text());
+    }
+    let port = farm.address.rsplit(':').next().expect("a port");
+    for host in [format!("localhost:{port}"), format!("127.0.0.1:{port}"), format!("[::1]:{port}")] {
+        assert_eq!(farm.send("GET", "/v1/jobs", &[("host", &host)], Vec::new()).status, 200, "{host}");
+    }
+}

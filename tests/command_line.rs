@@ -1,0 +1,218 @@
+//! The command line as its users meet it: what is printed where, what is written, exit codes.
+
+use std::fs;
+use std::path::Path;
+use std::process::{Output, Stdio};
+
+use rustix::process::Signal;
+use serde_json::Value;
+
+use crate::jobs;
+use crate::support::{Farm, eventually, finish, run, sdfarm, send_signal, succeed, text, wait};
+
+/// A folder with `job.json` in it.
+fn folder_with(job: &Value) -> tempfile::TempDir {
+    let folder = tempfile::tempdir().expect("a folder");
+    fs::write(folder.path().join("job.json"), job.to_string()).expect("written");
+    folder
+}
+
+fn run_in(folder: &Path, arguments: &[&str]) -> Output {
+    let mut command = sdfarm(arguments);
+    command.current_dir(folder);
+    finish(command, b"")
+}
+
+fn names_in(folder: &Path) -> Vec<String> {
+    let entries = fs::read_dir(folder).expect("readable").flatten();
+    let mut names: Vec<String> = entries.map(|entry| entry.file_name().to_string_lossy().into_owned()).collect();
+    names.sort();
+    names
+}
+
+fn assert_misuse(output: &Output, says: &str) {
+    let told = text(&output.stderr);
+    assert_eq!(output.status.code(), Some(2), "{told}");
+    assert!(told.contains("error: ") && told.contains(says) && !told.contains("panicked"), "{told}");
+}
+
+#[test]
+fn extension_decides_the_format_of_a_rendered_picture() {
+    let folder = folder_with(&jobs::quick());
+    for (name, magic) in [("a.png", b"\x89PNG".as_slice()), ("a.exr", &[0x76, 0x2f, 0x31, 0x01])] {
+        let output = run_in(folder.path(), &["render", "job.json", "-o", name]);
+        assert!(output.status.success(), "{}", text(&output.stderr));
+        assert!(fs::read(folder.path().join(name)).expect("written").starts_with(magic));
+        assert!(output.stdout.is_empty() && text(&output.stderr).contains("rendered in"));
+    }
+    assert_eq!(names_in(folder.path()), ["a.exr", "a.png", "job.json"], "nothing else is left");
+    assert_misuse(&run_in(folder.path(), &["render", "job.json", "-o", "a.jpg"]), ".png or .exr");
+    assert_misuse(&run_in(folder.path(), &["render", "job.json", "-o", "a.png", "--frame", "1"]), "no frame 1");
+    assert_misuse(&run_in(folder.path(), &["render", "job.json", "-o", "absent/a.png"]), "make it first");
+    assert_misuse(&run_in(folder.path(), &["render", "absent.json", "-o", "a.png"]), "absent.json");
+    assert_misuse(&run_in(folder.path(), &["render", "job.json", "-o", "a.png", "--device", "cuda"]), "CPU");
+}
+
+#[test]
+fn layers_do_not_go_into_a_png() {
+    let folder = folder_with(&jobs::as_exr(&jobs::quick()));
+    assert_misuse(&run_in(folder.path(), &["render", "job.json", "-o", "a.png"]), "layers");
+    assert_eq!(names_in(folder.path()), ["job.json"]);
+}
+
+#[test]
+fn dash_is_standard_input_and_standard_output() {
+    let job = jobs::quick();
+    let folder = folder_with(&job);
+    assert!(run_in(folder.path(), &["render", "job.json", "-o", "a.png"]).status.success());
+    let piped = finish(sdfarm(&["render", "-", "-o", "-"]), job.to_string().as_bytes());
+    assert!(piped.status.success(), "{}", text(&piped.stderr));
+    assert!(piped.stdout == fs::read(folder.path().join("a.png")).expect("written"));
+}
+
+#[test]
+fn summary_of_a_render_is_json_where_asked_for() {
+    let folder = folder_with(&jobs::quick());
+    let output = run_in(folder.path(), &["render", "job.json", "-o", "a.png", "--json"]);
+    let summary: Value = serde_json::from_slice(&output.stderr).expect("only JSON");
+    assert_eq!((&summary["width"], &summary["output"]), (&Value::from(96), &Value::from("a.png")));
+    assert!(summary["render_ms"].as_f64().is_some_and(|ms| ms > 0.0) && summary["encode_ms"].is_f64(), "{summary}");
+}
+
+#[test]
+fn interrupted_render_leaves_no_file_and_keeps_the_old_one() {
+    for signal in [Signal::INT, Signal::TERM] {
+        let folder = folder_with(&jobs::endless());
+        fs::write(folder.path().join("a.png"), "old").expect("written");
+        let mut command = sdfarm(&["render", "job.json", "-o", "a.png"]);
+        let mut child = command.current_dir(folder.path()).stderr(Stdio::null()).spawn().expect("starts");
+        eventually("it has begun to write", || (names_in(folder.path()).len() == 3).then_some(()));
+        send_signal(child.id(), signal);
+        assert_eq!(wait(&mut child).code(), Some(1));
+        assert_eq!(names_in(folder.path()), ["a.png", "job.json"]);
+        assert_eq!(fs::read(folder.path().join("a.png")).expect("there"), b"old");
+    }
+}
+
+#[test]
+fn check_tells_a_sound_job_from_a_bad_one() {
+    let folder = folder_with(&jobs::quick());
+    assert!(succeed(&["check", folder.path().join("job.json").to_str().expect("plain")]).contains("sound"));
+    fs::write(folder.path().join("bad.json"), "{\n  \"scene\": 7 }").expect("written");
+    let bad = run_in(folder.path(), &["check", "bad.json"]);
+    assert_misuse(&bad, "bad.json:2:");
+}
+
+#[test]
+fn shipped_jobs_are_sound() {
+    for (name, _) in jobs::shipped() {
+        let path = crate::support::root().join(format!("scenes/{name}.json"));
+        succeed(&["check", path.to_str().expect("plain")]);
+    }
+}
+
+#[test]
+fn client_commands_take_a_job_from_hand_in_to_picture() {
+    let farm = Farm::start(&["--workers", "1"]);
+    let job = jobs::quick();
+    let folder = folder_with(&job);
+    let on_farm = |arguments: &[&str]| {
+        let output = run_in(folder.path(), &[arguments, &["--server", &farm.address]].concat());
+        assert!(output.status.success(), "{arguments:?}: {}", text(&output.stderr));
+        text(&output.stdout).trim().to_owned()
+    };
+    let id = on_farm(&["submit", "job.json", "--wait", "-o", "waited.png"]);
+    assert!(on_farm(&["watch", &id]).contains("succeeded"));
+    on_farm(&["fetch", &id, "-o", "fetched.png"]);
+    let waited = fs::read(folder.path().join("waited.png")).expect("written");
+    assert!(waited == fs::read(folder.path().join("fetched.png")).expect("written") && waited == farm.picture(&id));
+    assert!(on_farm(&["jobs"]).contains(&id));
+    assert_eq!(on_farm(&["pool", "0"]), "0 workers wanted, 0 ready");
+    let queued = on_farm(&["submit", "job.json", "--no-cache"]);
+    assert!(on_farm(&["jobs", "--state", "queued"]).contains(&queued));
+    assert!(on_farm(&["cancel", &queued]).contains("cancelled"));
+    let watched = run_in(folder.path(), &["watch", &queued, "--server", &farm.address]);
+    assert_eq!(watched.status.code(), Some(1));
+    assert!(text(&watched.stderr).contains("was cancelled"));
+    assert_misuse(
+        &run_in(folder.path(), &["submit", "job.json", "--wait", "-o", "a.exr", "--server", &farm.address]),
+        "png",
+    );
+}
+
+#[test]
+fn submitted_bad_job_is_told_with_the_files_name() {
+    let farm = Farm::start(&["--workers", "0"]);
+    let mut job = jobs::quick();
+    job["image"]["samples"] = Value::from(0);
+    let folder = folder_with(&job);
+    let output = run_in(folder.path(), &["submit", "job.json", "--server", &farm.address]);
+    assert_misuse(&output, "job.json:1:");
+    assert!(text(&output.stderr).contains("/image/samples"));
+}
+
+#[test]
+fn flags_can_be_given_as_variables_and_flags_win() {
+    let farm = Farm::start(&["--workers", "0"]);
+    let mut command = sdfarm(&["pool"]);
+    command.env("SDFARM_SERVER", &farm.address);
+    assert!(finish(command, b"").status.success());
+    let mut command = sdfarm(&["pool", "--server", &farm.address]);
+    command.env("SDFARM_SERVER", "http://127.0.0.1:1");
+    assert!(finish(command, b"").status.success());
+    let mut command = sdfarm(&["pool"]);
+    command.env("SDFARM_SERVER", "nowhere");
+    assert_misuse(&finish(command, b""), "http://HOST:PORT");
+}
+
+#[test]
+fn wrong_use_is_exit_code_two_and_help_is_zero() {
+    for arguments in
+        [&["rendr"][..], &[], &["render"], &["pool", "x"], &["fetch", "x", "-o", "a"], &["serve", "--simd", "mmx"]]
+    {
+        let output = run(arguments);
+        assert_eq!(output.status.code(), Some(2), "{arguments:?}: {}", text(&output.stderr));
+    }
+    assert!(succeed(&["--help"]).contains("sdfarm demo"));
+    for command in [
+        "serve", "worker", "render", "submit", "watch", "fetch", "jobs", "cancel", "pool", "check", "schema", "bench",
+        "selftest", "demo",
+    ] {
+        assert!(succeed(&[command, "--help"]).contains("Usage: sdfarm"), "{command}");
+    }
+}
+
+#[test]
+fn demo_leaves_a_picture_and_nothing_else() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let first = run_in(folder.path(), &["demo", "--scene", "csg"]);
+    assert!(first.status.success(), "{}", text(&first.stderr));
+    assert_eq!(names_in(folder.path()), ["csg.png"]);
+    let picture = fs::read(folder.path().join("csg.png")).expect("there");
+    assert!(picture.starts_with(b"\x89PNG"));
+
+    fs::write(folder.path().join("csg.png"), "somebody's own").expect("written");
+    assert!(run_in(folder.path(), &["demo", "--scene", "csg"]).status.success());
+    assert_eq!(names_in(folder.path()), ["csg-2.png", "csg.png"]);
+    assert_eq!(fs::read(folder.path().join("csg.png")).expect("there"), b"somebody's own");
+    assert!(fs::read(folder.path().join("csg-2.png")).expect("there") == picture);
+    assert_misuse(&run_in(folder.path(), &["demo", "--scene", "absent"]), "csg");
+    assert!(succeed(&["demo", "--list"]).lines().any(|name| name == "csg"));
+}
+
+#[test]
+fn selftest_finds_every_level_equal() {
+    let table = succeed(&["selftest", "--device", "cpu"]);
+    assert!(table.contains("equal") && !table.contains("differ"), "{table}");
+}
+
+#[test]
+fn logs_are_json_where_asked_for() {
+    let farm = Farm::start(&["--workers", "0", "--log", "json"]);
+    assert_eq!(farm.get("/v1/jobs").status, 200);
+    let log = farm.log();
+    assert!(!log.is_empty());
+    for line in log.lines() {
+        assert!(serde_json::from_str::<Value>(line).is_ok(), "{line}");
+    }
+}

@@ -1,0 +1,87 @@
+//! Reads EXR files with two readers that know nothing of each other: the exr crate, and the
+//! OpenEXR library through its Python package, where that is installed.
+
+use std::collections::BTreeMap;
+use std::path::Path;
+use std::process::Command;
+
+use exr::prelude::{FlatSamples, read_first_flat_layer_from_file};
+use serde_json::Value;
+
+use crate::support::{root, text};
+
+/// Prints each channel's name, type and values, as hex.
+const READER: &str = r#"
+import sys, OpenEXR
+part = OpenEXR.File(sys.argv[1], separate_channels=True).parts[0]
+for name in sorted(part.channels):
+    pixels = part.channels[name].pixels
+    print(name, pixels.dtype, pixels.tobytes().hex())
+"#;
+
+/// Channels' raw values, by name.
+type Channels = BTreeMap<String, (&'static str, Vec<u8>)>;
+
+/// Checks that a float EXR of this job has the contract's channels, and that the readers agree.
+pub(crate) fn check(path: &Path, job: &Value) {
+    let name = path.display();
+    let ours = by_exr(path);
+    let names: Vec<&str> = ours.keys().map(String::as_str).collect();
+    assert_eq!(names, wanted_names(), "{name}");
+    let pixels = job["image"]["width"].as_u64().expect("a width") * job["image"]["height"].as_u64().expect("a height");
+    for (channel, (kind, bytes)) in &ours {
+        assert_eq!((*kind, bytes.len() as u64), ("float32", pixels * 4), "{name}: {channel}");
+    }
+    match by_openexr(path) {
+        Some(theirs) => assert!(ours == theirs, "{name}: the readers disagree"),
+        None => eprintln!("skipped: no Python with OpenEXR to read {name} a second time"),
+    }
+}
+
+fn wanted_names() -> Vec<&'static str> {
+    let mut names = vec![
+        "R", "G", "B", "A", "Z", "N.X", "N.Y", "N.Z", "P.X", "P.Y", "P.Z", "albedo.R", "albedo.G", "albedo.B", "id",
+        "steps",
+    ];
+    names.sort_unstable();
+    names
+}
+
+fn by_exr(path: &Path) -> Channels {
+    let image = read_first_flat_layer_from_file(path).expect("the exr crate reads it");
+    let channels = image.layer_data.channel_data.list.into_iter().map(|channel| {
+        let values = match channel.sample_data {
+            FlatSamples::F32(values) => ("float32", values.iter().flat_map(|value| value.to_le_bytes()).collect()),
+            FlatSamples::F16(values) => ("float16", values.iter().flat_map(|value| value.to_le_bytes()).collect()),
+            FlatSamples::U32(values) => ("uint32", values.iter().flat_map(|value| value.to_le_bytes()).collect()),
+        };
+        (channel.name.to_string(), values)
+    });
+    channels.collect()
+}
+
+fn by_openexr(path: &Path) -> Option<Channels> {
+    let mut python = Command::new("python3");
+    python.env("PYTHONPATH", root().join(".whl")).args(["-c", READER]).arg(path);
+    let output = python.output().ok()?;
+    if text(&output.stderr).contains("ModuleNotFoundError") {
+        return None;
+    }
+    assert!(output.status.success(), "OpenEXR can't read {}: {}", path.display(), text(&output.stderr));
+    let lines = text(&output.stdout);
+    Some(lines.lines().map(channel).collect())
+}
+
+fn channel(line: &str) -> (String, (&'static str, Vec<u8>)) {
+    let mut words = line.split(' ');
+    let (name, kind, hex) = (words.next(), words.next(), words.next());
+    let kind = match kind {
+        Some("float32") => "float32",
+        Some("float16") => "float16",
+        _ => "uint32",
+    };
+    let digit = |byte: u8| (byte as char).to_digit(16).expect("hex") as u8;
+    let bytes =
+        hex.expect("values").as_bytes().chunks_exact(2).map(|pair| digit(pair[0]) << 4 | digit(pair[1])).collect();
+    (name.expect("a name").to_owned(), (kind, bytes))
+}

@@ -1,0 +1,181 @@
+//! What a machine can do to a server: a taken port or folder, a full disk, a damaged database.
+//! Each ends in exit code 1 or a problem, with the place and the cure, and never in a panic.
+
+use std::fs;
+use std::net::TcpListener;
+use std::path::Path;
+use std::process::{Command, Output};
+
+use crate::jobs;
+use crate::support::{Farm, PROGRAM, clean, eventually, finish, run, sdfarm, text};
+
+/// Tries to serve, which must fail with exit code 1; returns what it says.
+fn cannot_serve(data: &Path, arguments: &[&str]) -> String {
+    let mut command = sdfarm(&["serve", "--workers", "0", "--data"]);
+    command.arg(data).args(arguments);
+    failed(&finish(command, b""), 1)
+}
+
+/// What a failed command says: one line that names the fault, and no panic.
+fn failed(output: &Output, code: i32) -> String {
+    let told = text(&output.stderr);
+    assert_eq!(output.status.code(), Some(code), "{told}");
+    assert!(!told.contains("panicked"), "{told}");
+    assert!(told.lines().any(|line| line.starts_with("error: ")), "{told}");
+    told
+}
+
+#[test]
+fn busy_port_is_named_with_the_cure() {
+    let holder = TcpListener::bind("127.0.0.1:0").expect("a free port");
+    let address = holder.local_addr().expect("bound").to_string();
+    let folder = tempfile::tempdir().expect("a folder");
+    let told = cannot_serve(&folder.path().join("data"), &["--listen", &address]);
+    assert!(told.contains(&address) && told.contains("--listen"), "{told}");
+}
+
+#[test]
+fn data_folder_of_another_server_is_refused() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let farm = Farm::start_on(folder.path(), &["--workers", "0"]);
+    let told = cannot_serve(&folder.path().join("data"), &["--listen", "127.0.0.1:0"]);
+    assert!(told.contains("--data") && told.contains(&farm.process().to_string()), "{told}");
+    assert_eq!(farm.get("/livez").status, 200);
+}
+
+#[test]
+fn file_in_place_of_the_data_folder_is_refused() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let data = folder.path().join("data");
+    fs::write(&data, "no folder").expect("written");
+    let told = cannot_serve(&data, &["--listen", "127.0.0.1:0"]);
+    assert!(told.contains("--data") && told.contains(data.to_str().expect("plain")), "{told}");
+    assert_eq!(fs::read(&data).expect("still there"), b"no folder");
+}
+
+#[test]
+fn read_only_data_folder_is_refused() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let data = folder.path().join("data");
+    fs::create_dir(&data).expect("made");
+    let Some(_mounted) = Mount::new(&data, "ro") else {
+        return eprintln!("skipped: a read-only folder needs a mount, which this user may not make");
+    };
+    let told = cannot_serve(&data, &["--listen", "127.0.0.1:0"]);
+    assert!(told.contains("--data") && told.contains(data.to_str().expect("plain")), "{told}");
+}
+
+#[test]
+fn damaged_database_is_refused_and_left_as_it_is() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let farm = Farm::start_on(folder.path(), &["--workers", "0"]);
+    farm.accept(&jobs::quick().to_string());
+    assert!(farm.terminate().success());
+    let data = folder.path().join("data");
+    let database = fs::read_dir(&data)
+        .expect("readable")
+        .flatten()
+        .map(|entry| entry.path())
+        .find(|path| fs::read(path).is_ok_and(|bytes| bytes.starts_with(b"SQLite format 3")))
+        .expect("a SQLite database");
+    let sound = fs::read(&database).expect("readable");
+    for (name, from, to) in [("its first page", 0, 100), ("its header", 16, 40), ("a page in the middle", 4096, 12288)]
+    {
+        let mut bytes = sound.clone();
+        let to = to.min(bytes.len());
+        bytes[from..to].fill(0x5a);
+        fs::write(&database, &bytes).expect("written");
+        let told = cannot_serve(&data, &["--listen", "127.0.0.1:0"]);
+        let says_so = told.contains("damaged") && told.contains(database.to_str().expect("plain"));
+        assert!(says_so, "{name} overwritten: {told}");
+        assert!(fs::read(&database).expect("readable") == bytes, "{name} overwritten: the file was changed");
+    }
+    fs::write(&database, sound).expect("written");
+    assert_eq!(Farm::start_on(folder.path(), &["--workers", "0"]).get("/v1/jobs").status, 200);
+}
+
+#[test]
+fn listening_beyond_loopback_is_refused_unless_said() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let told = cannot_serve(&folder.path().join("data"), &["--listen", "0.0.0.0:0"]);
+    assert!(told.contains("--insecure"), "{told}");
+}
+
+#[test]
+fn server_on_a_full_disk_answers_with_a_problem_and_recovers() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let data = folder.path().join("data");
+    fs::create_dir(&data).expect("made");
+    let Some(_mounted) = Mount::new(&data, "size=4m") else {
+        return eprintln!("skipped: a small disk needs a mount, which this user may not make");
+    };
+    let farm = Farm::start_on(folder.path(), &["--workers", "1"]);
+    let ballast = data.join("ballast");
+    fill(&ballast);
+    let refused = (0..1000u64)
+        .map(|seed| farm.post(&jobs::seeded(&jobs::quick(), seed).to_string()))
+        .find(|answer| answer.status != 201);
+    let refused = refused.expect("a full disk takes no thousand jobs");
+    assert!((500..600).contains(&refused.status), "{} {}", refused.status, refused.text());
+    assert_eq!(refused.header("content-type"), "application/problem+json");
+    assert_eq!(farm.get("/livez").status, 200);
+
+    fs::remove_file(&ballast).expect("ours");
+    let accepted = eventually("jobs are taken again", || {
+        let answer = farm.post(&jobs::seeded(&jobs::quick(), 5000).to_string());
+        (answer.status == 201).then(|| answer.json()["id"].as_str().expect("an id").to_owned())
+    });
+    farm.succeeded(&accepted);
+}
+
+/// Writes zeros until the disk is full.
+fn fill(path: &Path) {
+    use std::io::Write;
+    let mut file = fs::File::create(path).expect("made");
+    for size in [65536, 512] {
+        while file.write_all(&vec![0; size]).is_ok() {}
+    }
+}
+
+#[test]
+fn picture_that_does_not_fit_is_not_left_half_written() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let job = folder.path().join("job.json");
+    fs::write(&job, jobs::as_exr(&jobs::quick()).to_string()).expect("written");
+    let picture = folder.path().join("picture.exr");
+    // Files of 4 KiB at most; with the signal ignored, a write beyond that is an error as on a full disk.
+    let script = r#"trap '' XFSZ; ulimit -f 8; exec "$0" render "$1" -o "$2""#;
+    let mut command = Command::new("sh");
+    clean(&mut command).args(["-c", script, PROGRAM]).arg(&job).arg(&picture);
+    let told = failed(&finish(command, b""), 1);
+    assert!(told.contains(picture.to_str().expect("plain")), "{told}");
+    let left: Vec<_> =
+        fs::read_dir(folder.path()).expect("readable").flatten().map(|entry| entry.file_name()).collect();
+    assert_eq!(left, ["job.json"], "nothing but the job is left");
+}
+
+#[test]
+fn absent_server_is_named_with_the_cure() {
+    let free = TcpListener::bind("127.0.0.1:0").expect("a free port").local_addr().expect("bound");
+    let told = failed(&run(&["jobs", "--server", &format!("http://{free}")]), 1);
+    assert!(told.contains("sdfarm serve") && told.contains(&free.to_string()), "{told}");
+}
+
+/// A small or read-only file system, while it lives.
+struct Mount<'a>(&'a Path);
+
+impl<'a> Mount<'a> {
+    fn new(at: &'a Path, options: &str) -> Option<Self> {
+        let mut command = Command::new("mount");
+        command.args(["-t", "tmpfs", "-o", options, "tmpfs"]).arg(at);
+        let is_mounted = command.output().is_ok_and(|output| output.status.success());
+        is_mounted.then_some(Self(at))
+    }
+}
+
+impl Drop for Mount<'_> {
+    fn drop(&mut self) {
+        // Lazily: the server under test may still hold files there.
+        let _ = Command::new("umount").arg("-l").arg(self.0).output();
+    }
+}

@@ -1,0 +1,96 @@
+//! Job files for the tests: the shipped ones, and small ones made of them.
+
+use std::path::Path;
+use std::{fs, io};
+
+use serde_json::{Value, json};
+
+use crate::support::root;
+
+/// Every layer an EXR may have.
+pub(crate) const LAYERS: [&str; 6] = ["depth", "normal", "position", "albedo", "object", "steps"];
+
+/// Every job file in scenes/, by its path without `.json`.
+pub(crate) fn shipped() -> Vec<(String, Value)> {
+    let mut jobs = Vec::new();
+    collect(&root().join("scenes"), "", &mut jobs).expect("scenes/ is readable");
+    jobs.sort_by(|(left, _), (right, _)| left.cmp(right));
+    assert!(jobs.len() >= 3, "scenes/ holds job files");
+    jobs
+}
+
+fn collect(folder: &Path, prefix: &str, jobs: &mut Vec<(String, Value)>) -> io::Result<()> {
+    for entry in fs::read_dir(folder)? {
+        let (path, name) = {
+            let entry = entry?;
+            (entry.path(), entry.file_name().to_string_lossy().into_owned())
+        };
+        if path.is_dir() {
+            collect(&path, &format!("{prefix}{name}/"), jobs)?;
+        } else if let Some(stem) = name.strip_suffix(".json") {
+            let job = serde_json::from_slice(&fs::read(&path)?).unwrap_or_else(|error| panic!("{name}: {error}"));
+            jobs.push((format!("{prefix}{stem}"), job));
+        }
+    }
+    Ok(())
+}
+
+/// A shipped job.
+pub(crate) fn named(name: &str) -> Value {
+    let text = fs::read(root().join(format!("scenes/{name}.json"))).expect("a shipped job");
+    serde_json::from_slice(&text).expect("a shipped job is JSON")
+}
+
+/// The job at another size, of the same shape.
+pub(crate) fn sized(job: &Value, width: u64, samples: u64) -> Value {
+    let mut job = job.clone();
+    let image = &mut job["image"];
+    let (old_width, old_height) = (number(&image["width"]), number(&image["height"]));
+    image["height"] = json!((old_height * width / old_width).max(1));
+    image["width"] = json!(width);
+    image["samples"] = json!(samples);
+    job
+}
+
+/// The job as a PNG.
+pub(crate) fn as_png(job: &Value) -> Value {
+    let mut job = job.clone();
+    let image = job["image"].as_object_mut().expect("a job has an image");
+    image.insert("format".to_owned(), json!("png"));
+    for key in ["layers", "precision"] {
+        image.remove(key);
+    }
+    job
+}
+
+/// The job as a float EXR with every layer.
+pub(crate) fn as_exr(job: &Value) -> Value {
+    let mut job = job.clone();
+    let image = job["image"].as_object_mut().expect("a job has an image");
+    image.remove("bits");
+    image.insert("format".to_owned(), json!("exr"));
+    image.insert("precision".to_owned(), json!("float"));
+    image.insert("layers".to_owned(), json!(LAYERS));
+    job
+}
+
+/// The job with another seed: other bytes, the same work.
+pub(crate) fn seeded(job: &Value, seed: u64) -> Value {
+    let mut job = job.clone();
+    job["image"]["seed"] = json!(seed);
+    job
+}
+
+/// A job that takes a moment.
+pub(crate) fn quick() -> Value {
+    as_png(&sized(&named("csg"), 96, 2))
+}
+
+/// A job that no machine finishes within a test.
+pub(crate) fn endless() -> Value {
+    as_png(&sized(&named("mandelbulb"), 3840, 1024))
+}
+
+fn number(value: &Value) -> u64 {
+    value.as_u64().expect("a whole number")
+}

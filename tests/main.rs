@@ -1,0 +1,14 @@
+//! Process-level tests: the real binary, over HTTP and on the command line.
+//!
+//! They see only what a user sees; what is inside is tested beside the code.
+
+mod api;
+mod bad_input;
+mod command_line;
+mod exr_reader;
+mod faults;
+mod jobs;
+mod kills;
+mod same_bits;
+mod support;
+mod tidy;

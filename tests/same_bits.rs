@@ -1,0 +1,159 @@
+//! Same bits everywhere: every shipped job, as PNG and as float EXR with all layers, over SIMD
+//! levels, tile sizes, workers, `render` and `serve`, and from run to run.
+//!
+//! Small by default; `SDFARM_FULL_SIZE=1` takes the jobs as they are shipped.
+
+use std::fs;
+use std::sync::OnceLock;
+
+use serde_json::Value;
+
+use crate::exr_reader;
+use crate::jobs;
+use crate::support::{Farm, finish, sdfarm, text};
+
+const WIDTH_PX: u64 = 192;
+const SAMPLES: u64 = 2;
+
+/// A job to compare, with the picture that scalar code makes of it in one piece.
+struct Specimen {
+    name: String,
+    extension: &'static str,
+    job: Value,
+    want: Vec<u8>,
+}
+
+/// Renders with `render`; `Err` holds what it says.
+fn render(job: &Value, extension: &str, flags: &[&str]) -> Result<Vec<u8>, String> {
+    let folder = tempfile::tempdir().expect("a folder");
+    let path = folder.path().join(format!("picture.{extension}"));
+    let mut command = sdfarm(&["render", "-", "-o"]);
+    command.arg(&path).args(flags);
+    let output = finish(command, job.to_string().as_bytes());
+    if output.status.success() { Ok(fs::read(path).expect("a picture")) } else { Err(text(&output.stderr)) }
+}
+
+fn specimens() -> &'static [Specimen] {
+    static SPECIMENS: OnceLock<Vec<Specimen>> = OnceLock::new();
+    SPECIMENS.get_or_init(|| {
+        let is_full_size = std::env::var_os("SDFARM_FULL_SIZE").is_some_and(|wanted| wanted == "1");
+        let mut specimens = Vec::new();
+        for (name, job) in jobs::shipped() {
+            let job = if is_full_size { job } else { jobs::sized(&job, WIDTH_PX, SAMPLES) };
+            for (extension, job) in [("png", jobs::as_png(&job)), ("exr", jobs::as_exr(&job))] {
+                let want = render(&job, extension, &["--simd", "scalar", "--tile", "65535"])
+                    .unwrap_or_else(|told| panic!("{name}: {told}"));
+                specimens.push(Specimen { name: name.clone(), extension, job, want });
+            }
+        }
+        specimens
+    })
+}
+
+/// Every specimen comes out the same with these flags of `render`.
+fn assert_same(flags: &[&str]) {
+    let mut wrong = Vec::new();
+    for Specimen { name, extension, job, want } in specimens() {
+        match render(job, extension, flags) {
+            Ok(got) if got == *want => {}
+            Ok(_) => wrong.push(format!("{name}.{extension} differs")),
+            Err(told) => wrong.push(format!("{name}.{extension}: {told}")),
+        }
+    }
+    assert!(wrong.is_empty(), "{flags:?}:\n{}", wrong.join("\n"));
+}
+
+/// The same, at a SIMD level that this machine may lack.
+fn assert_same_at(level: &str) {
+    match render(&jobs::quick(), "png", &["--simd", level]) {
+        Ok(_) => assert_same(&["--simd", level]),
+        Err(told) => {
+            assert!(told.contains("can't render with"), "{told}");
+            eprintln!("skipped: this machine has no {level}");
+        }
+    }
+}
+
+#[test]
+fn scalar_code_gives_the_same_bits_twice() {
+    assert_same(&["--simd", "scalar"]);
+}
+
+#[test]
+fn sse42_gives_the_bits_of_scalar_code() {
+    assert_same_at("sse4.2");
+}
+
+#[test]
+fn avx2_gives_the_bits_of_scalar_code() {
+    assert_same_at("avx2");
+}
+
+#[test]
+fn avx512_gives_the_bits_of_scalar_code() {
+    assert_same_at("avx512");
+}
+
+#[test]
+fn best_level_gives_the_bits_of_scalar_code_with_any_number_of_threads() {
+    assert_same(&[]);
+    assert_same(&["--threads", "1"]);
+    assert_same(&["--threads", "3"]);
+}
+
+#[test]
+fn tiles_of_any_size_make_the_same_picture() {
+    assert_same(&["--tile", "32"]);
+    assert_same(&["--tile", "256"]);
+    assert_same(&["--tile", "65535"]);
+}
+
+/// Every specimen comes out the same from a farm with 1, 2 and 3 workers.
+fn assert_farm_same(flags: &[&str]) {
+    let farm = Farm::start(&[&["--workers", "1"], flags].concat());
+    let mut wrong = Vec::new();
+    for workers in 1..=3 {
+        farm.set_pool(workers);
+        let headers = [("content-type", "application/json"), ("cache-control", "no-cache")];
+        let post = |job: &Value| {
+            let answer = farm.send("POST", "/v1/jobs", &headers, job.to_string().into_bytes());
+            assert_eq!(answer.status, 201, "{}", answer.text());
+            answer.json()["id"].as_str().expect("an id").to_owned()
+        };
+        let ids: Vec<String> = specimens().iter().map(|specimen| post(&specimen.job)).collect();
+        for (Specimen { name, extension, want, .. }, id) in specimens().iter().zip(&ids) {
+            farm.succeeded(id);
+            if farm.picture(id) != *want {
+                wrong.push(format!("{name}.{extension} from {workers} workers differs"));
+            }
+        }
+    }
+    assert!(wrong.is_empty(), "serve {flags:?}:\n{}", wrong.join("\n"));
+}
+
+#[test]
+fn farm_of_one_two_or_three_workers_makes_what_render_makes() {
+    assert_farm_same(&[]);
+}
+
+#[test]
+fn farm_that_stitches_small_tiles_makes_what_render_makes() {
+    assert_farm_same(&["--tile", "32"]);
+}
+
+#[test]
+fn farm_of_scalar_workers_makes_what_render_makes() {
+    assert_farm_same(&["--tile", "256", "--simd", "scalar"]);
+}
+
+#[test]
+fn pictures_hold_what_two_readers_read_alike() {
+    let folder = tempfile::tempdir().expect("a folder");
+    for Specimen { name, extension, job, want } in specimens() {
+        if *extension == "exr" {
+            let path = folder.path().join(format!("{}.exr", name.replace('/', "-")));
+            fs::write(&path, want).expect("written");
+            exr_reader::check(&path, job);
+        }
+    }
+}

@@ -1,0 +1,343 @@
+//! What the tests share: running the binary, talking HTTP to it, waiting with a deadline.
+//!
+//! Whatever is started here is killed at drop, and nothing waits for ever.
+
+use std::fs;
+use std::io::{BufRead, BufReader, Read, Write};
+use std::path::{Path, PathBuf};
+use std::process::{Child, Command, ExitStatus, Output, Stdio};
+use std::sync::OnceLock;
+use std::time::{Duration, Instant};
+
+use rustix::process::{Pid, Signal, kill_process};
+use serde_json::Value;
+use tempfile::TempDir;
+
+/// The binary under test.
+pub(crate) const PROGRAM: &str = env!("CARGO_BIN_EXE_sdfarm");
+/// Longer than anything here takes on a slow machine.
+pub(crate) const DEADLINE: Duration = Duration::from_mins(2);
+const POLL_INTERVAL: Duration = Duration::from_millis(5);
+
+/// Asks again and again until there is an answer; panics when the deadline passes.
+pub(crate) fn eventually<T>(what: &str, mut ask: impl FnMut() -> Option<T>) -> T {
+    let start = Instant::now();
+    loop {
+        if let Some(answer) = ask() {
+            return answer;
+        }
+        assert!(start.elapsed() < DEADLINE, "not within {DEADLINE:?}: {what}");
+        std::thread::sleep(POLL_INTERVAL);
+    }
+}
+
+/// The project's root.
+pub(crate) fn root() -> &'static Path {
+    Path::new(env!("CARGO_MANIFEST_DIR")).parent().expect("cli/ lies in the root")
+}
+
+/// The program, without any variable that would set one of its flags.
+pub(crate) fn sdfarm(arguments: &[&str]) -> Command {
+    let mut command = Command::new(PROGRAM);
+    clean(&mut command).args(arguments);
+    command
+}
+
+/// Takes away every variable that would set a flag of the program.
+pub(crate) fn clean(command: &mut Command) -> &mut Command {
+    for (name, _) in std::env::vars_os().filter(|(name, _)| name.to_string_lossy().starts_with("SDFARM_")) {
+        command.env_remove(name);
+    }
+    command
+}
+
+/// Runs a command to its end, within the deadline.
+pub(crate) fn finish(mut command: Command, input: &[u8]) -> Output {
+    let mut child = command
+        .stdin(Stdio::piped())
+        .stdout(Stdio::piped())
+        .stderr(Stdio::piped())
+        .spawn()
+        .expect("the program starts");
+    let mut stdin = child.stdin.take().expect("piped");
+    let input = input.to_owned();
+    // A program that refuses its input may close it early.
+    let writer = std::thread::spawn(move || drop(stdin.write_all(&input)));
+    let stdout = drain(child.stdout.take().expect("piped"));
+    let stderr = drain(child.stderr.take().expect("piped"));
+    let status = wait(&mut child);
+    writer.join().expect("written");
+    Output { status, stdout: stdout.join().expect("read"), stderr: stderr.join().expect("read") }
+}
+
+/// Runs `sdfarm` to its end.
+pub(crate) fn run(arguments: &[&str]) -> Output {
+    finish(sdfarm(arguments), b"")
+}
+
+/// Runs `sdfarm`, which must succeed; returns its standard output.
+pub(crate) fn succeed(arguments: &[&str]) -> String {
+    let output = run(arguments);
+    assert!(output.status.success(), "sdfarm {arguments:?}: {}", text(&output.stderr));
+    text(&output.stdout)
+}
+
+/// Waits for a child, within the deadline; one that outstays it is killed.
+pub(crate) fn wait(child: &mut Child) -> ExitStatus {
+    let start = Instant::now();
+    loop {
+        if let Some(status) = child.try_wait().expect("a child of ours") {
+            return status;
+        }
+        if start.elapsed() > DEADLINE {
+            child.kill().expect("a child of ours");
+            panic!("process {} did not end within {DEADLINE:?}", child.id());
+        }
+        std::thread::sleep(POLL_INTERVAL);
+    }
+}
+
+fn drain(mut from: impl Read + Send + 'static) -> std::thread::JoinHandle<Vec<u8>> {
+    std::thread::spawn(move || {
+        let mut bytes = Vec::new();
+        from.read_to_end(&mut bytes).expect("readable");
+        bytes
+    })
+}
+
+/// Bytes as text, for messages.
+pub(crate) fn text(bytes: &[u8]) -> String {
+    String::from_utf8_lossy(bytes).into_owned()
+}
+
+/// Sends a signal to a process; one that is gone already is no fault.
+pub(crate) fn send_signal(process: u32, signal: Signal) {
+    let process = Pid::from_raw(process.cast_signed()).expect("no process has id 0");
+    // It may have ended since its id was read.
+    let _ = kill_process(process, signal);
+}
+
+/// Whether a process is there and no zombie.
+pub(crate) fn is_alive(process: u32) -> bool {
+    status_field(process, 0).is_some_and(|state| state != "Z" && state != "X")
+}
+
+/// Processes whose parent this one is.
+pub(crate) fn children(parent: u32) -> Vec<u32> {
+    let processes = fs::read_dir("/proc").expect("Linux has /proc").flatten();
+    let ids = processes.filter_map(|entry| entry.file_name().to_str()?.parse().ok());
+    ids.filter(|&process| is_alive(process) && status_field(process, 1) == Some(parent.to_string())).collect()
+}
+
+/// A field of `/proc/ID/stat` after the name: 0 the state, 1 the parent.
+fn status_field(process: u32, field: usize) -> Option<String> {
+    let stat = fs::read_to_string(format!("/proc/{process}/stat")).ok()?;
+    let (_, after_name) = stat.rsplit_once(')')?;
+    after_name.split_whitespace().nth(field).map(str::to_owned)
+}
+
+/// A server of our own, on a free port.
+pub(crate) struct Farm {
+    child: Child,
+    /// `http://127.0.0.1:PORT`.
+    pub(crate) address: String,
+    log: PathBuf,
+    folder: Option<TempDir>,
+}
+
+impl Farm {
+    /// Starts one on a fresh folder.
+    pub(crate) fn start(arguments: &[&str]) -> Self {
+        let folder = tempfile::tempdir().expect("a folder");
+        let mut farm = Self::start_on(folder.path(), arguments);
+        farm.folder = Some(folder);
+        farm
+    }
+
+    /// Starts one on `FOLDER/data`, logging to `FOLDER/log`, and waits until it says that it serves.
+    pub(crate) fn start_on(folder: &Path, arguments: &[&str]) -> Self {
+        let log = folder.join("log");
+        let data = folder.join("data");
+        let mut command = sdfarm(&["serve", "--listen", "127.0.0.1:0", "--data"]);
+        command.arg(data).args(arguments);
+        let log_file = fs::File::options().create(true).append(true).open(&log).expect("a log");
+        let mut child =
+            command.stdin(Stdio::null()).stdout(Stdio::piped()).stderr(log_file).spawn().expect("the program starts");
+        let mut out = BufReader::new(child.stdout.take().expect("piped"));
+        let (sender, receiver) = std::sync::mpsc::channel();
+        std::thread::spawn(move || {
+            let mut line = String::new();
+            // The end of the output is an empty line, which names no address.
+            let _ = out.read_line(&mut line);
+            let _ = sender.send(line);
+            let _ = std::io::copy(&mut out, &mut std::io::sink());
+        });
+        let line = receiver.recv_timeout(DEADLINE).expect("the server says something");
+        let address = line.split_whitespace().find(|word| word.starts_with("http://"));
+        let Some(address) = address.map(str::to_owned) else {
+            // Reaped before the panic, so that nothing outlives the test.
+            let _ = child.kill();
+            let _ = child.wait();
+            panic!("the server does not say where it serves: {line:?}; {}", read_log(&log));
+        };
+        Self { child, address, log, folder: None }
+    }
+
+    /// Its process id.
+    pub(crate) fn process(&self) -> u32 {
+        self.child.id()
+    }
+
+    /// Its workers' process ids.
+    pub(crate) fn workers(&self) -> Vec<u32> {
+        children(self.process())
+    }
+
+    /// What it has logged.
+    pub(crate) fn log(&self) -> String {
+        read_log(&self.log)
+    }
+
+    /// Asks it to end, and waits until it has.
+    pub(crate) fn terminate(mut self) -> ExitStatus {
+        send_signal(self.process(), Signal::TERM);
+        wait(&mut self.child)
+    }
+
+    /// Kills it on the spot; returns the workers it had.
+    pub(crate) fn kill(mut self) -> Vec<u32> {
+        let workers = self.workers();
+        self.child.kill().expect("a child of ours");
+        wait(&mut self.child);
+        workers
+    }
+
+    /// Gets a path.
+    pub(crate) fn get(&self, path: &str) -> Answer {
+        self.send("GET", path, &[], Vec::new())
+    }
+
+    /// Posts a job.
+    pub(crate) fn post(&self, job: &str) -> Answer {
+        self.send("POST", "/v1/jobs", &[("content-type", "application/json")], job.as_bytes().to_vec())
+    }
+
+    /// Posts a job that must be accepted; returns its id.
+    pub(crate) fn accept(&self, job: &str) -> String {
+        let answer = self.post(job);
+        assert_eq!(answer.status, 201, "{}", answer.text());
+        answer.json()["id"].as_str().expect("a job has an id").to_owned()
+    }
+
+    /// Waits until a job is succeeded; any other end fails the test. Returns its view.
+    pub(crate) fn succeeded(&self, id: &str) -> Value {
+        let job = eventually(&format!("job {id} ends"), || {
+            let job = self.get(&format!("/v1/jobs/{id}")).json();
+            (!["queued", "running"].contains(&job["state"].as_str().expect("a state"))).then_some(job)
+        });
+        assert_eq!(job["state"], "succeeded", "{job}\n{}", self.log());
+        job
+    }
+
+    /// The stored picture of frame 0.
+    pub(crate) fn picture(&self, id: &str) -> Vec<u8> {
+        let answer = self.get(&format!("/v1/jobs/{id}/frames/0/image"));
+        assert_eq!(answer.status, 200, "{}", answer.text());
+        answer.body
+    }
+
+    /// Sets the pool's size and waits until so many workers are ready.
+    pub(crate) fn set_pool(&self, workers: u32) {
+        let body = format!("{{\"workers\": {workers}}}").into_bytes();
+        let answer = self.send("PUT", "/v1/pool", &[("content-type", "application/json")], body);
+        assert_eq!(answer.status, 200, "{}", answer.text());
+        self.ready(workers);
+    }
+
+    /// Waits until so many workers take work.
+    pub(crate) fn ready(&self, workers: u32) {
+        eventually(&format!("{workers} workers are ready"), || {
+            let pool = self.get("/v1/pool").json();
+            (pool["ready"] == workers && pool["workers"] == workers).then_some(())
+        });
+    }
+
+    /// Sends any request.
+    pub(crate) fn send(&self, method: &str, path: &str, headers: &[(&str, &str)], body: Vec<u8>) -> Answer {
+        send(&self.address, method, path, headers, body)
+    }
+}
+
+impl Drop for Farm {
+    fn drop(&mut self) {
+        let workers = self.workers();
+        // Both fail only where it has ended already.
+        let _ = self.child.kill();
+        let _ = self.child.wait();
+        for worker in workers {
+            send_signal(worker, Signal::KILL);
+        }
+    }
+}
+
+fn read_log(log: &Path) -> String {
+    fs::read_to_string(log).unwrap_or_default()
+}
+
+/// An HTTP answer.
+pub(crate) struct Answer {
+    /// The status.
+    pub(crate) status: u16,
+    /// The headers.
+    pub(crate) headers: reqwest::header::HeaderMap,
+    /// The body.
+    pub(crate) body: Vec<u8>,
+}
+
+impl Answer {
+    /// The body as JSON.
+    pub(crate) fn json(&self) -> Value {
+        serde_json::from_slice(&self.body).unwrap_or_else(|error| panic!("{error}: {}", self.text()))
+    }
+
+    /// The body as text.
+    pub(crate) fn text(&self) -> String {
+        text(&self.body)
+    }
+
+    /// A header, or "".
+    pub(crate) fn header(&self, name: &str) -> &str {
+        self.headers.get(name).map_or("", |value| value.to_str().expect("plain text"))
+    }
+
+    /// The body as a problem with this status and code.
+    pub(crate) fn problem(&self, status: u16, code: &str) -> Value {
+        assert_eq!(self.status, status, "{}", self.text());
+        assert_eq!(self.header("content-type"), "application/problem+json", "{}", self.text());
+        let problem = self.json();
+        assert_eq!(problem["status"], status, "{problem}");
+        assert_eq!(problem["code"], code, "{problem}");
+        assert!(!problem["detail"].as_str().expect("words").is_empty(), "{problem}");
+        problem
+    }
+}
+
+/// Sends a request to any address.
+pub(crate) fn send(address: &str, method: &str, path: &str, headers: &[(&str, &str)], body: Vec<u8>) -> Answer {
+    static RUNTIME: OnceLock<(tokio::runtime::Runtime, reqwest::Client)> = OnceLock::new();
+    let (runtime, client) = RUNTIME.get_or_init(|| {
+        let runtime = tokio::runtime::Builder::new_multi_thread().worker_threads(2).enable_all().build();
+        (runtime.expect("threads"), reqwest::Client::new())
+    });
+    let method = method.parse().expect("a method");
+    let mut request = client.request(method, format!("{address}{path}")).timeout(DEADLINE).body(body);
+    for (name, value) in headers {
+        request = request.header(*name, *value);
+    }
+    runtime.block_on(async {
+        let answer = request.send().await.unwrap_or_else(|error| panic!("{path}: {error:?}"));
+        let (status, headers) = (answer.status().as_u16(), answer.headers().clone());
+        let body = answer.bytes().await.unwrap_or_else(|error| panic!("{path}: {error:?}")).to_vec();
+        Answer { status, headers, body }
+    })
+}
