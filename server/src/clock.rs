@@ -20,7 +20,7 @@ enum Source {
 impl Clock {
     /// The machine's clocks; its monotonic time starts now.
     pub fn system() -> Self {
-        Self(Source::System(Instant::now()))
+        Self(Source::System(instant().into_std()))
     }
 
     /// A clock that moves only by its hand.
@@ -40,12 +40,22 @@ impl Clock {
     /// Milliseconds since 1970, by the wall clock; for people only.
     pub(crate) fn wall_ms(&self) -> i64 {
         match &self.0 {
-            Source::System(_) => SystemTime::now()
-                .duration_since(UNIX_EPOCH)
-                .map_or(0, |age| i64::try_from(age.as_millis()).unwrap_or(i64::MAX)),
+            Source::System(_) => time_of_day_ms(),
             Source::Hand(now_ms) => now_ms.load(Ordering::SeqCst),
         }
     }
+}
+
+/// The machine's time, for waits and for timing what was done; nothing is decided by it.
+#[expect(clippy::disallowed_methods, reason = "this is where the machine is asked")]
+pub(crate) fn instant() -> tokio::time::Instant {
+    tokio::time::Instant::now()
+}
+
+#[expect(clippy::disallowed_methods, reason = "this is where the machine is asked")]
+fn time_of_day_ms() -> i64 {
+    let age = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
+    i64::try_from(age.as_millis()).unwrap_or(i64::MAX)
 }
 
 /// Moves a clock made by [`Clock::by_hand`].

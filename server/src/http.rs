@@ -87,6 +87,7 @@ async fn wrong_method(request: Request) -> ApiError {
     ApiError::WrongMethod { method: request.method().to_string(), path: request.uri().path().to_owned() }
 }
 
+#[expect(clippy::needless_pass_by_value, reason = "this is how the layer calls it")]
 fn panicked(panic: Box<dyn Any + Send>) -> Response {
     let text = panic.downcast_ref::<String>().map(String::as_str).or_else(|| panic.downcast_ref::<&str>().copied());
     ApiError::Internal(text.unwrap_or("a handler panicked").into()).into_response()

@@ -16,9 +16,9 @@ use crate::store::StoreError;
 /// How often leases are looked through.
 const RESCUE: Duration = Duration::from_secs(1);
 /// How often rows and folders are looked through.
-const TIDY: Duration = Duration::from_secs(600);
+const TIDY: Duration = Duration::from_mins(10);
 /// Bytes that nobody has reported are kept so long.
-const UNREPORTED: Duration = Duration::from_secs(600);
+const UNREPORTED: Duration = Duration::from_mins(10);
 /// Names looked up at a time.
 const BATCH: usize = 500;
 
@@ -81,7 +81,7 @@ async fn old_names(farm: &Farm, kind: Kind) -> object_store::Result<Vec<String>>
         .list(kind)
         .try_filter_map(async |meta| {
             let age_seconds = now_seconds - meta.last_modified.timestamp();
-            let is_old = age_seconds > UNREPORTED.as_secs() as i64;
+            let is_old = age_seconds > UNREPORTED.as_secs().cast_signed();
             Ok(meta.location.filename().filter(|_| is_old).map(ToOwned::to_owned))
         })
         .try_collect()

@@ -205,12 +205,11 @@ impl Pictures {
         upload: &mut Option<Box<dyn object_store::MultipartUpload>>,
         part: Bytes,
     ) -> Result<(), PictureError> {
-        let started = match upload {
-            Some(started) => started,
-            None => {
-                let begun = self.store(kind).put_multipart(&path(kind, name)).await;
-                upload.insert(begun.map_err(failed("write", kind, name))?)
-            }
+        let started = if let Some(started) = upload {
+            started
+        } else {
+            let begun = self.store(kind).put_multipart(&path(kind, name)).await;
+            upload.insert(begun.map_err(failed("write", kind, name))?)
         };
         started.put_part(part.into()).await.map_err(failed("write", kind, name))
     }

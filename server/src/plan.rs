@@ -77,8 +77,7 @@ mod tests {
 
     #[test]
     fn tiles_carry_all_the_rays_of_a_frame() {
-        let plan =
-            Plan { width_px: 1920, height_px: 1080, samples: 4, pixel_bytes: 16, edge_px: Some(256), frames: 3 };
+        let plan = Plan { width_px: 1920, height_px: 1080, samples: 4, pixel_bytes: 16, edge_px: Some(256), frames: 3 };
         let rays: u64 = plan.tiles().into_iter().map(|rect| plan.rays(rect)).sum();
         assert_eq!(rays, plan.frame_rays());
         assert_eq!(plan.rays_total(), 3 * rays);

@@ -13,6 +13,7 @@ use tokio::sync::{mpsc, watch};
 use tokio::task::{JoinHandle, JoinSet};
 use tokio::time::Instant;
 
+use crate::clock::instant;
 use crate::config::Config;
 use crate::queue::{Cause, Queue};
 use child::{Child, Exit, Launch};
@@ -125,11 +126,8 @@ impl Supervision {
 fn reachable(address: SocketAddr) -> SocketAddr {
     let mut address = address;
     if address.ip().is_unspecified() {
-        let loopback = if address.is_ipv4() {
-            std::net::Ipv4Addr::LOCALHOST.into()
-        } else {
-            std::net::Ipv6Addr::LOCALHOST.into()
-        };
+        let loopback =
+            if address.is_ipv4() { std::net::Ipv4Addr::LOCALHOST.into() } else { std::net::Ipv6Addr::LOCALHOST.into() };
         address.set_ip(loopback);
     }
     address
@@ -260,12 +258,12 @@ impl Supervisor {
         let Some(steps) = self.early_deaths.checked_sub(EARLY_DEATHS_FREE) else { return };
         let wait = (BACK_OFF * (1 << steps.min(10))).min(MAX_BACK_OFF);
         tracing::error!(?wait, "workers die as soon as they start; see their messages above");
-        self.hold_until = Some(Instant::now() + wait);
+        self.hold_until = Some(instant() + wait);
     }
 
     /// Drains everyone; who does not end in time is told to hand back, then killed.
     async fn end(mut self, grace: Duration) {
-        let start = Instant::now();
+        let start = instant();
         for index in 0..self.children.len() {
             if !self.children[index].is_draining() {
                 self.drain(index).await;

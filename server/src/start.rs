@@ -39,7 +39,9 @@ pub enum StartError {
         source: io::Error,
     },
     /// Another server has the data folder.
-    #[error("data folder {folder} is in use by another server (pid {holder}): stop that one, or name another folder with --data")]
+    #[error(
+        "data folder {folder} is in use by another server (pid {holder}): stop that one, or name another folder with --data"
+    )]
     InUse {
         /// The folder.
         folder: PathBuf,
@@ -90,9 +92,8 @@ pub(crate) async fn start(config: Config, clock: Clock) -> Result<Server, StartE
     let file = Store::file(&config.data);
     let store = Arc::new(Store::open(&config.data).await.map_err(|error| explain(file.clone(), error))?);
     let lease_ms = i64::try_from(config.lease.as_millis()).unwrap_or(i64::MAX / 4).max(1);
-    let (queue, recovered) = Queue::open(Arc::clone(&store), clock, lease_ms)
-        .await
-        .map_err(|error| explain_store(file, &error))?;
+    let (queue, recovered) =
+        Queue::open(Arc::clone(&store), clock, lease_ms).await.map_err(|error| explain_store(file, &error))?;
     tracing::info!(
         data = %config.data.display(), boot = recovered.generation, unfinished_jobs = recovered.jobs,
         handed_back = recovered.leases, "opened the data folder"

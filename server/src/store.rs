@@ -15,8 +15,8 @@ use sqlx::sqlite::{
     SqliteConnectOptions, SqliteConnection, SqliteJournalMode, SqlitePool, SqlitePoolOptions, SqliteSynchronous,
 };
 
-use writer::Writer;
 pub(crate) use writer::Durability;
+use writer::Writer;
 
 /// Connections that read at the same time.
 const READERS: u32 = 4;

@@ -1,8 +1,8 @@
 //! The server through its HTTP door, with workers that only pretend to render.
 
 mod api {
-    pub(crate) mod harness;
     mod bad_input;
+    pub(crate) mod harness;
     mod images;
     mod jobs;
     mod leases;

@@ -18,8 +18,8 @@ pub(super) fn expect_json(headers: &HeaderMap) -> Result<(), ApiError> {
     let Some(value) = headers.get(header::CONTENT_TYPE) else { return Ok(()) };
     let found = value.to_str().unwrap_or("?");
     let media_type = found.split(';').next().unwrap_or_default().trim().to_ascii_lowercase();
-    let is_json = media_type == "application/json"
-        || (media_type.starts_with("application/") && media_type.ends_with("+json"));
+    let is_json =
+        media_type == "application/json" || (media_type.starts_with("application/") && media_type.ends_with("+json"));
     if is_json { Ok(()) } else { Err(ApiError::WrongType { found: found.to_owned() }) }
 }
 
@@ -63,7 +63,7 @@ pub(super) async fn read_json<T: DeserializeOwned>(
 fn refuse(error: &serde_path_to_error::Error<serde_json::Error>) -> ApiError {
     let inner = error.inner();
     if inner.is_data() {
-        let pointer: String = error.path().iter().map(|segment| format!("/{segment}")).collect();
+        let pointer = error.path().iter().fold(String::new(), |pointer, segment| format!("{pointer}/{segment}"));
         ApiError::WrongBody(vec![fault(pointer, inner)])
     } else {
         ApiError::NotJson(vec![fault(String::new(), inner)])

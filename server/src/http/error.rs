@@ -63,7 +63,9 @@ pub(crate) enum ApiError {
     WrongBytes(String),
     #[error("there is no blob {0}")]
     UnknownBlob(String),
-    #[error("the picture is recorded, but its file is gone from the store: post the job again with Cache-Control: no-cache")]
+    #[error(
+        "the picture is recorded, but its file is gone from the store: post the job again with Cache-Control: no-cache"
+    )]
     LostPicture,
     #[error("the server is ending: try again when it is back")]
     Closing,
@@ -101,7 +103,9 @@ impl ApiError {
             Self::NotJson(_) => (StatusCode::BAD_REQUEST, "not_json", "The body is not JSON"),
             Self::WrongJob(_) => (StatusCode::UNPROCESSABLE_ENTITY, "wrong_job", "The job is not sound"),
             Self::WrongBody(_) => (StatusCode::UNPROCESSABLE_ENTITY, "wrong_body", "The body is not as it should be"),
-            Self::WrongQuery(_) => (StatusCode::UNPROCESSABLE_ENTITY, "wrong_query", "The query is not as it should be"),
+            Self::WrongQuery(_) => {
+                (StatusCode::UNPROCESSABLE_ENTITY, "wrong_query", "The query is not as it should be")
+            }
             Self::TooLarge { .. } => (StatusCode::PAYLOAD_TOO_LARGE, "too_large", "The body is too large"),
             Self::WrongType { .. } => {
                 (StatusCode::UNSUPPORTED_MEDIA_TYPE, "wrong_content_type", "The content type is not taken")
@@ -128,9 +132,7 @@ impl ApiError {
             Self::LostPicture => (StatusCode::INTERNAL_SERVER_ERROR, "lost_picture", "The picture's file is gone"),
             Self::Closing => (StatusCode::SERVICE_UNAVAILABLE, "closing", "The server is ending"),
             Self::DiskFull => (StatusCode::INSUFFICIENT_STORAGE, "disk_full", "The disk is full"),
-            Self::DamagedDatabase => {
-                (StatusCode::SERVICE_UNAVAILABLE, "damaged_database", "The database is damaged")
-            }
+            Self::DamagedDatabase => (StatusCode::SERVICE_UNAVAILABLE, "damaged_database", "The database is damaged"),
             Self::Internal(_) => (StatusCode::INTERNAL_SERVER_ERROR, "internal", "The server failed"),
         }
     }

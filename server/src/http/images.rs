@@ -76,7 +76,10 @@ async fn answer(farm: &Farm, job: JobId, frame: u32, headers: &HeaderMap) -> Res
         StoredImage::NoJob => return Err(ApiError::UnknownJob(job.to_string())),
     };
     let tag = format!("\"{hash}\"");
-    if headers.get(header::IF_NONE_MATCH).and_then(|value| value.to_str().ok()).is_some_and(|named| range::names(named, &tag))
+    if headers
+        .get(header::IF_NONE_MATCH)
+        .and_then(|value| value.to_str().ok())
+        .is_some_and(|named| range::names(named, &tag))
     {
         return Ok(describe(StatusCode::NOT_MODIFIED.into_response(), &tag));
     }

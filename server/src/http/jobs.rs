@@ -50,9 +50,11 @@ fn media_type(image: &scene::Image) -> &'static str {
 }
 
 fn has_no_cache(headers: &HeaderMap) -> bool {
-    headers.get_all(header::CACHE_CONTROL).iter().filter_map(|value| value.to_str().ok()).any(|value| {
-        value.split(',').any(|directive| directive.trim().eq_ignore_ascii_case("no-cache"))
-    })
+    headers
+        .get_all(header::CACHE_CONTROL)
+        .iter()
+        .filter_map(|value| value.to_str().ok())
+        .any(|value| value.split(',').any(|directive| directive.trim().eq_ignore_ascii_case("no-cache")))
 }
 
 /// Hand in a job.

@@ -12,7 +12,7 @@ use proto::pool::{PoolSize, PoolView, WorkerList};
 use schemars::generate::SchemaSettings;
 use serde_json::{Map, Value};
 
-/// Where definitions are in the OpenAPI document.
+/// Where definitions are in the document.
 const COMPONENTS: &str = "#/components/schemas/";
 /// Where they are in a JSON Schema.
 const DEFINITIONS: &str = "#/$defs/";
@@ -46,7 +46,8 @@ impl Document {
 
 /// The schemas of what the server says.
 fn views() -> Map<String, Value> {
-    let settings = SchemaSettings::draft2020_12().with(|settings| settings.definitions_path = "/components/schemas".into());
+    let settings =
+        SchemaSettings::draft2020_12().with(|settings| settings.definitions_path = "/components/schemas".into());
     let mut generator = settings.into_generator();
     generator.subschema_for::<JobView>();
     generator.subschema_for::<JobPage>();
@@ -93,7 +94,7 @@ fn move_references(value: &mut Value) {
     }
 }
 
-/// The OpenAPI document.
+/// The document.
 pub(super) async fn openapi(State(document): State<Document>) -> Json<Value> {
     Json(Value::clone(&document.0))
 }
@@ -114,7 +115,8 @@ mod tests {
     #[test]
     fn the_schemas_of_jobs_and_of_answers_have_no_name_in_common() {
         let views = views();
-        let shared: Vec<String> = job_file().into_iter().map(|(name, _)| name).filter(|name| views.contains_key(name)).collect();
+        let shared: Vec<String> =
+            job_file().into_iter().map(|(name, _)| name).filter(|name| views.contains_key(name)).collect();
         assert_eq!(shared, Vec::<String>::new());
     }
 

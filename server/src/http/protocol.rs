@@ -11,11 +11,11 @@ use axum::http::{HeaderMap, StatusCode, header};
 use axum::response::{IntoResponse, Response};
 use futures_util::TryStreamExt;
 use proto::work::{Hello, SyncReply, SyncRequest, Welcome};
-use tokio::time::Instant;
 
 use super::body;
 use super::error::ApiError;
 use super::jobs::job_id;
+use crate::clock::instant;
 use crate::farm::Farm;
 use crate::pictures::{Kind, Name};
 use crate::queue::{NewWorker, Next, Turn, Turned};
@@ -56,7 +56,7 @@ pub(super) async fn sync(
     request: Body,
 ) -> Result<Json<SyncReply>, ApiError> {
     let request: SyncRequest = body::read_json(&headers, request, MAX_SYNC_BYTES).await?;
-    let mut deadline = Instant::now() + longest_wait(&farm, &request);
+    let mut deadline = instant() + longest_wait(&farm, &request);
     let mut turn = Turn {
         worker: request.worker,
         rays_per_second: request.rays_per_second.filter(|rate| rate.is_finite() && *rate > 0.0),
@@ -74,7 +74,7 @@ pub(super) async fn sync(
         let prompt = turn.delivers();
         let again = Turn { results: Vec::new(), ..turn.clone() };
         let turned = farm.turn(turn).await?.ok_or_else(|| ApiError::UnknownWorker(again.worker.to_string()))?;
-        let now = Instant::now();
+        let now = instant();
         if turned.drain && !again.holding.is_empty() {
             // It may know already; it must not ask without pause while it finishes.
             deadline = deadline.min(now + DRAINING_WAIT);

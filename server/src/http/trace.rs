@@ -1,7 +1,5 @@
 //! Every request has an id: in its log lines, in its answer's header, and in its problem.
 
-use std::time::Instant;
-
 use axum::body::Body;
 use axum::extract::{MatchedPath, Request};
 use axum::http::{HeaderName, HeaderValue, header};
@@ -10,6 +8,8 @@ use axum::response::Response;
 use proto::Problem;
 use proto::problem::PROBLEM_JSON;
 use tracing::Instrument;
+
+use crate::clock::instant;
 
 const REQUEST_ID: HeaderName = HeaderName::from_static("x-request-id");
 /// Ids that clients bring may be so long.
@@ -21,7 +21,7 @@ pub(super) async fn trace(request: Request, next: Next) -> Response {
     let method = request.method().clone();
     let route = request.extensions().get::<MatchedPath>().map_or("", MatchedPath::as_str).to_owned();
     let span = tracing::info_span!("request", %id, %method, path = %request.uri().path());
-    let start = Instant::now();
+    let start = instant();
     async move {
         let mut response = next.run(request).await;
         let elapsed_ms = start.elapsed().as_secs_f64() * 1e3;
@@ -31,7 +31,7 @@ pub(super) async fn trace(request: Request, next: Next) -> Response {
             tracing::debug!(status = response.status().as_u16(), elapsed_ms, %route, "answered");
         }
         if let Some(problem) = response.extensions_mut().remove::<Problem>() {
-            write_problem(&mut response, Problem { request_id: Some(id.clone()), ..problem });
+            write_problem(&mut response, &Problem { request_id: Some(id.clone()), ..problem });
         }
         if let Ok(value) = HeaderValue::from_str(&id) {
             response.headers_mut().insert(REQUEST_ID, value);
@@ -48,8 +48,8 @@ fn brought_id(request: &Request) -> Option<String> {
     (!id.is_empty() && id.len() <= MAX_ID_CHARACTERS && id.bytes().all(is_plain)).then(|| id.to_owned())
 }
 
-fn write_problem(response: &mut Response, problem: Problem) {
-    let text = serde_json::to_vec(&problem).expect("a problem is plain text and numbers");
+fn write_problem(response: &mut Response, problem: &Problem) {
+    let text = serde_json::to_vec(problem).expect("a problem is plain text and numbers");
     let headers = response.headers_mut();
     headers.insert(header::CONTENT_TYPE, HeaderValue::from_static(PROBLEM_JSON));
     headers.insert(header::CONTENT_LENGTH, HeaderValue::from(text.len()));

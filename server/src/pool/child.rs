@@ -14,6 +14,7 @@ use tokio::process::{ChildStderr, ChildStdin, Command};
 use tokio::task::JoinSet;
 use tokio::time::Instant;
 
+use crate::clock::instant;
 use crate::queue::Cause;
 
 /// Exit status of a Rust program that panicked.
@@ -85,7 +86,7 @@ impl Child {
             let last_line = last_line.lock().expect("no holder panics").clone();
             Exit { process, status, last_line }
         });
-        Ok(Self { process, label, input, started: Instant::now(), draining: false })
+        Ok(Self { process, label, input, started: instant(), draining: false })
     }
 
     pub(super) fn process(&self) -> u32 {

@@ -14,24 +14,13 @@ use super::{Connection, Moment, Result, counted, end, known};
 use crate::plan::Plan;
 
 /// A job with something to claim, by priority and age. Checked by a test to need no full scan.
-pub(super) const NEXT_JOB: &str =
-    "SELECT number, id, width_px, height_px, samples, pixel_bytes, edge_px, frames_total, frames_opened
-     FROM job
-     WHERE finished_at_ms IS NULL
-       AND (frames_opened < frames_total OR EXISTS (
-            SELECT 1 FROM tile WHERE tile.job = job.number AND tile.state = 'ready' AND tile.not_before_ms <= ?1
-               AND (tile.avoid IS NULL OR tile.avoid <> ?2 OR ?3)))
-     ORDER BY priority DESC, number LIMIT 1";
+const NEXT_JOB: &str = include_str!("next_job.sql");
 
 /// The job's next ready tile.
-pub(super) const NEXT_TILE: &str =
-    "SELECT frame, kind FROM tile
-     WHERE job = ?4 AND state = 'ready' AND not_before_ms <= ?1 AND (avoid IS NULL OR avoid <> ?2 OR ?3)
-     ORDER BY job, frame, position LIMIT 1";
+const NEXT_TILE: &str = include_str!("next_tile.sql");
 
 /// The ready tiles of a frame.
-const READY_TILES: &str =
-    "SELECT id, position, x_px, y_px, width_px, height_px, rays, lost FROM tile
+const READY_TILES: &str = "SELECT id, position, x_px, y_px, width_px, height_px, rays, lost FROM tile
      WHERE job = ?4 AND frame = ?5 AND kind = 'render' AND state = 'ready' AND not_before_ms <= ?1
        AND (avoid IS NULL OR avoid <> ?2 OR ?3)
      ORDER BY position";
@@ -111,8 +100,7 @@ pub(super) async fn claim(connection: &mut Connection, claimant: Claimant, momen
         .fetch_optional(&mut *connection)
         .await?;
     let Some(row) = row else {
-        let ready_ms: Option<i64> =
-            sqlx::query_scalar(NEXT_READY).bind(moment.now_ms).fetch_one(connection).await?;
+        let ready_ms: Option<i64> = sqlx::query_scalar(NEXT_READY).bind(moment.now_ms).fetch_one(connection).await?;
         return Ok(Claimed::Nothing(ready_ms.map(|ready_ms| ready_ms - moment.now_ms)));
     };
     let job = Job::read(&row)?;
@@ -171,11 +159,8 @@ async fn claim_tiles(
         .bind(frame)
         .fetch_all(&mut *connection)
         .await?;
-    let whole = Frame {
-        tiles: job.plan.tiles().len() as u64,
-        rays: job.plan.frame_rays(),
-        size_bytes: job.plan.frame_bytes(),
-    };
+    let whole =
+        Frame { tiles: job.plan.tiles().len() as u64, rays: job.plan.frame_rays(), size_bytes: job.plan.frame_bytes() };
     let ready = rows.iter().map(read_ready).collect::<Result<Vec<_>>>()?;
     let length = share::run_length(&ready, whole, claimant.rays_per_second, idle);
     let mut tiles = Vec::with_capacity(length);
@@ -202,13 +187,7 @@ fn read_ready(row: &SqliteRow) -> Result<Ready> {
     Ok(Ready { rays: row.try_get("rays")?, alone: row.try_get::<i64, _>("lost")? >= LOST_BEFORE_ALONE })
 }
 
-async fn claim_stitch(
-    connection: &mut Connection,
-    job: i64,
-    frame: u32,
-    view: &View,
-    moment: Moment,
-) -> Result<Work> {
+async fn claim_stitch(connection: &mut Connection, job: i64, frame: u32, view: &View, moment: Moment) -> Result<Work> {
     let tile: i64 = sqlx::query_scalar("SELECT id FROM tile WHERE job = ? AND frame = ? AND position = -1")
         .bind(job)
         .bind(frame)

@@ -98,12 +98,13 @@ async fn compare(connection: &mut Connection, report: &Report) -> Result<()> {
 /// A tile is done; the last one of a frame makes its stitch.
 async fn finish_tile(connection: &mut Connection, held: &Held, hash: &str, size_bytes: u64) -> Result<Ring> {
     lease::end_lease(connection, &held.lease, "done").await?;
-    let done = sqlx::query("UPDATE tile SET state = 'done', blob = ?, blob_bytes = ? WHERE id = ? AND state = 'leased'")
-        .bind(hash)
-        .bind(size_bytes as i64)
-        .bind(held.tile)
-        .execute(&mut *connection)
-        .await?;
+    let done =
+        sqlx::query("UPDATE tile SET state = 'done', blob = ?, blob_bytes = ? WHERE id = ? AND state = 'leased'")
+            .bind(hash)
+            .bind(size_bytes as i64)
+            .bind(held.tile)
+            .execute(&mut *connection)
+            .await?;
     counted("tile: leased to done", 1, &done)?;
     end::progress(connection, held.job, end::Progress { tiles: 1, rays: held.rays, frames: 0 }).await?;
     let complete: bool = sqlx::query_scalar(
@@ -277,19 +278,17 @@ async fn store_frame(
 }
 
 async fn finish_all(connection: &mut Connection, held: &[Held]) -> Result<()> {
-    let ended = sqlx::query(
-        "UPDATE lease SET ended = 'done' WHERE ended IS NULL AND id IN (SELECT value FROM json_each(?))",
-    )
-    .bind(super::json_list(held.iter().map(|held| &held.lease)))
-    .execute(&mut *connection)
-    .await?;
+    let ended =
+        sqlx::query("UPDATE lease SET ended = 'done' WHERE ended IS NULL AND id IN (SELECT value FROM json_each(?))")
+            .bind(super::json_list(held.iter().map(|held| &held.lease)))
+            .execute(&mut *connection)
+            .await?;
     counted("lease: live to ended", held.len() as u64, &ended)?;
-    let done = sqlx::query(
-        "UPDATE tile SET state = 'done' WHERE state = 'leased' AND id IN (SELECT value FROM json_each(?))",
-    )
-    .bind(super::json_numbers(held.iter().map(|held| held.tile)))
-    .execute(connection)
-    .await?;
+    let done =
+        sqlx::query("UPDATE tile SET state = 'done' WHERE state = 'leased' AND id IN (SELECT value FROM json_each(?))")
+            .bind(super::json_numbers(held.iter().map(|held| held.tile)))
+            .execute(connection)
+            .await?;
     counted("tile: leased to done", held.len() as u64, &done)
 }
 

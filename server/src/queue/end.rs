@@ -120,8 +120,10 @@ pub(super) async fn cancel(connection: &mut Connection, id: JobId, moment: Momen
         void_rest(connection, job).await?;
         return Ok(Cancelled::Done { blobs: blobs(connection, job).await? });
     }
-    let state: Option<String> =
-        sqlx::query_scalar("SELECT state FROM job WHERE id = ?").bind(id.to_string()).fetch_optional(connection).await?;
+    let state: Option<String> = sqlx::query_scalar("SELECT state FROM job WHERE id = ?")
+        .bind(id.to_string())
+        .fetch_optional(connection)
+        .await?;
     state.map_or(Ok(Cancelled::Unknown), |name| job_state(&name).map(Cancelled::Final))
 }
 

@@ -252,10 +252,8 @@ pub(super) async fn renew(
 
 /// Ends the leases whose time ran out, and marks workers from elsewhere that vanished.
 pub(super) async fn rescue(connection: &mut Connection, moment: Moment) -> Result<(u64, Ring)> {
-    let rows = sqlx::query(held_where!("lease.expires_ms <= ?"))
-        .bind(moment.now_ms)
-        .fetch_all(&mut *connection)
-        .await?;
+    let rows =
+        sqlx::query(held_where!("lease.expires_ms <= ?")).bind(moment.now_ms).fetch_all(&mut *connection).await?;
     let mut ring = Ring::default();
     let mut count = 0;
     for row in &rows {

@@ -101,10 +101,11 @@ pub(super) async fn reuse(connection: &mut Connection, opening: &Opening, moment
 }
 
 async fn advance(connection: &mut Connection, opening: &Opening) -> Result<()> {
-    let advanced = sqlx::query("UPDATE job SET frames_opened = frames_opened + 1 WHERE number = ? AND frames_opened = ?")
-        .bind(opening.job)
-        .bind(opening.frame)
-        .execute(connection)
-        .await?;
+    let advanced =
+        sqlx::query("UPDATE job SET frames_opened = frames_opened + 1 WHERE number = ? AND frames_opened = ?")
+            .bind(opening.job)
+            .bind(opening.frame)
+            .execute(connection)
+            .await?;
     counted("job: next frame", 1, &advanced)
 }

@@ -44,12 +44,15 @@ pub(super) async fn recover(connection: &mut Connection, now_ms: i64, lease_ms: 
         .bind(now_ms + lease_ms)
         .execute(&mut *connection)
         .await?;
-    sqlx::query("UPDATE worker SET state = 'gone' WHERE pool = 1 AND state <> 'gone'").execute(&mut *connection).await?;
+    sqlx::query("UPDATE worker SET state = 'gone' WHERE pool = 1 AND state <> 'gone'")
+        .execute(&mut *connection)
+        .await?;
     sqlx::query("UPDATE worker SET seen_ms = ? WHERE state <> 'gone'").bind(now_ms).execute(&mut *connection).await?;
     sqlx::query("UPDATE tile SET not_before_ms = 0 WHERE state = 'ready' AND not_before_ms > 0")
         .execute(&mut *connection)
         .await?;
-    let jobs = sqlx::query("SELECT count(*) AS jobs FROM job WHERE finished_at_ms IS NULL").fetch_one(connection).await?;
+    let jobs =
+        sqlx::query("SELECT count(*) AS jobs FROM job WHERE finished_at_ms IS NULL").fetch_one(connection).await?;
     Ok(Recovered { generation, jobs: jobs.try_get("jobs")?, leases: tiles.len() as i64 })
 }
 

@@ -1,8 +1,8 @@
 //! What users see: read-only, through the reading connections.
 
+use proto::JobId;
 use proto::job::{Count, JobPage, JobState, JobView};
 use proto::pool::{WorkerList, WorkerState, WorkerView};
-use proto::JobId;
 use sqlx::Row;
 use sqlx::sqlite::{SqlitePool, SqliteRow};
 
@@ -78,7 +78,9 @@ fn read_job(row: &SqliteRow, wall_ms: i64) -> Result<JobView> {
         created_at: rfc3339(row.try_get("created_at_ms")?),
         started_at: started_at_ms.map(rfc3339),
         finished_at: row.try_get::<Option<i64>, _>("finished_at_ms")?.map(rfc3339),
-        eta_seconds: started_at_ms.filter(|_| state == JobState::Running).and_then(|start| eta(start, wall_ms, progress)),
+        eta_seconds: started_at_ms
+            .filter(|_| state == JobState::Running)
+            .and_then(|start| eta(start, wall_ms, progress)),
     })
 }
 

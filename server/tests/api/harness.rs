@@ -204,7 +204,10 @@ impl<'a> Worker<'a> {
         let put = self.put(&work::picture_path(&hash), bytes.to_vec()).await;
         assert_eq!(put.status(), StatusCode::NO_CONTENT);
         let size_bytes = bytes.len() as u64;
-        leases.iter().map(|&lease| Report { lease, outcome: Outcome::Picture { hash: hash.clone(), size_bytes } }).collect()
+        leases
+            .iter()
+            .map(|&lease| Report { lease, outcome: Outcome::Picture { hash: hash.clone(), size_bytes } })
+            .collect()
     }
 
     /// Puts a blob and says so.

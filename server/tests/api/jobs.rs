@@ -193,7 +193,8 @@ async fn cancelling_ends_the_leases_and_tells_their_worker_at_once() {
     let posted = farm.submit(&small_job(1)).await;
     let worker = farm.worker("one").await;
     let held = leases(&worker.claim().await.expect("work"));
-    let waiting = worker.sync(Said { holding: held.clone(), wait: std::time::Duration::from_secs(9), ..Said::default() });
+    let waiting =
+        worker.sync(Said { holding: held.clone(), wait: std::time::Duration::from_secs(9), ..Said::default() });
     let cancel_path = format!("/v1/jobs/{}/cancel", posted.id);
     let cancel = farm.post(&cancel_path, "");
     let (reply, cancelled) = tokio::join!(waiting, cancel);
@@ -219,9 +220,8 @@ async fn a_deleted_job_is_gone_with_the_picture_only_it_had() {
     let running = farm.submit(&small_job(2)).await;
     let run = worker.claim().await.expect("work");
 
-    let delete = async |id| {
-        in_time(farm.client.delete(farm.url(&format!("/v1/jobs/{id}"))).send()).await.expect("an answer")
-    };
+    let delete =
+        async |id| in_time(farm.client.delete(farm.url(&format!("/v1/jobs/{id}"))).send()).await.expect("an answer");
     refused(delete(running.id).await, 409, "job_running").await;
     assert_eq!(delete(kept.id).await.status(), StatusCode::NO_CONTENT);
     refused(delete(kept.id).await, 404, "unknown_job").await;

@@ -1,1 +1,280 @@
-//! leases
+//! Leases: what counts, what does not, and what becomes of tiles whose worker let them down.
+
+use std::time::Duration;
+
+use proto::job::JobState;
+use proto::pool::WorkerList;
+use proto::work::{Outcome, Report, SyncReply, Work};
+use reqwest::StatusCode;
+
+use super::harness::{Farm, LEASE, Said, assert_state, in_time, job, leases, read, refused, small_job};
+
+fn failed(lease: proto::LeaseId, message: &str) -> Report {
+    Report { lease, outcome: Outcome::Failed { message: message.to_owned() } }
+}
+
+#[tokio::test]
+async fn a_result_under_an_expired_lease_has_no_effect() {
+    let farm = Farm::start().await;
+    let posted = farm.submit(&small_job(1)).await;
+    let slow = farm.worker("slow").await;
+    let held = leases(&slow.claim().await.expect("work"));
+    farm.hand.advance(LEASE);
+    let quick = farm.worker("quick").await;
+    let again = quick.claim().await.expect("the tile is ready again");
+    let late = slow.picture(&held, b"late").await;
+    refused(slow.try_sync(Said { results: late, ..Said::default() }).await, 404, "unknown_worker").await;
+    assert_state(&farm, posted.id, JobState::Running).await;
+    quick.report(quick.results(&again).await).await;
+    let image = farm.get(&format!("/v1/jobs/{}/image", posted.id)).await;
+    assert_eq!(in_time(image.text()).await.expect("text"), format!("picture of frame 0 of {}", posted.id));
+    farm.stop().await;
+}
+
+#[tokio::test]
+async fn a_renewed_lease_does_not_expire() {
+    let farm = Farm::start().await;
+    let posted = farm.submit(&small_job(1)).await;
+    let worker = farm.worker("steady").await;
+    let run = worker.claim().await.expect("work");
+    for _ in 0..4 {
+        farm.hand.advance(LEASE / 2);
+        assert_eq!(worker.sync(Said { holding: leases(&run), ..Said::default() }).await.lost, []);
+    }
+    assert_eq!(worker.report(worker.results(&run).await).await.lost, []);
+    assert_state(&farm, posted.id, JobState::Succeeded).await;
+    farm.stop().await;
+}
+
+#[tokio::test]
+async fn a_lease_its_worker_never_heard_of_goes_back() {
+    let farm = Farm::start().await;
+    farm.submit(&small_job(1)).await;
+    let worker = farm.worker("deaf").await;
+    let unheard = leases(&worker.claim().await.expect("work"));
+    assert!(worker.claim().await.is_none(), "it may be on its way");
+    farm.hand.advance(Duration::from_secs(3));
+    let heard = leases(&worker.claim().await.expect("the tile again"));
+    assert_ne!(heard, unheard);
+    farm.stop().await;
+}
+
+#[tokio::test]
+async fn a_result_delivered_twice_counts_once() {
+    let farm = Farm::start().await;
+    let posted = farm.submit(&job(1920, 1080, 4)).await;
+    let worker = farm.worker("twice").await;
+    let run = worker.claim().await.expect("work");
+    let results = worker.results(&run).await;
+    assert_eq!(worker.report(results.clone()).await.lost, []);
+    let done = farm.job(posted.id).await;
+    assert_eq!(worker.report(results.clone()).await.lost, leases(&run));
+    let other = worker.blob(leases(&run)[0], b"another result").await;
+    assert_eq!(worker.report(vec![other]).await.lost, [leases(&run)[0]]);
+    assert_eq!(farm.job(posted.id).await.tiles, done.tiles);
+    let metrics = in_time(farm.get("/metrics").await.text()).await.expect("text");
+    assert!(metrics.contains("sdfarm_results_fenced_total 2"), "{metrics}");
+    farm.stop().await;
+}
+
+#[tokio::test]
+async fn three_errors_kill_a_tile_and_its_job_says_why() {
+    let farm = Farm::start().await;
+    let posted = farm.submit(&job(1920, 1080, 4)).await;
+    let worker = farm.worker("one").await;
+    let other = worker.claim().await.expect("work");
+    for _ in 0..3 {
+        let held = loop {
+            farm.hand.advance(Duration::from_secs(6));
+            let said = Said { wants_work: true, holding: leases(&other), ..Said::default() };
+            let run = worker.sync(said).await.run.expect("work");
+            match &run.work {
+                Work::Render { tiles, .. } if tiles[0].index == 1 => break leases(&run),
+                _ => panic!("{run:?}"),
+            }
+        };
+        let results = vec![failed(held[0], "the scene has no inside")];
+        let said = Said { results, holding: leases(&other), ..Said::default() };
+        worker.sync(said).await;
+    }
+    let failed = farm.job(posted.id).await;
+    assert_eq!(failed.state, JobState::Failed);
+    assert_eq!(failed.errors, ["frame 0 could not be rendered: the scene has no inside"]);
+    let reply = worker.sync(Said { holding: leases(&other), ..Said::default() }).await;
+    assert_eq!(reply.lost, leases(&other), "the job's other tiles are void");
+    assert!(worker.claim().await.is_none());
+    farm.stop().await;
+}
+
+#[tokio::test]
+async fn a_tile_that_failed_goes_to_another_worker_first() {
+    let farm = Farm::start().await;
+    farm.submit(&small_job(1)).await;
+    let (bad, good) = (farm.worker("bad").await, farm.worker("good").await);
+    let held = leases(&bad.claim().await.expect("work"));
+    bad.report(vec![failed(held[0], "no")]).await;
+    farm.hand.advance(Duration::from_secs(6));
+    assert!(bad.claim().await.is_none());
+    assert!(good.claim().await.is_some());
+    farm.stop().await;
+}
+
+#[tokio::test]
+async fn handing_back_costs_nothing_however_often() {
+    let farm = Farm::start().await;
+    let posted = farm.submit(&small_job(1)).await;
+    let worker = farm.worker("unsteady").await;
+    for _ in 0..60 {
+        let held = leases(&worker.claim().await.expect("the tile is ready at once"));
+        worker.report(vec![Report { lease: held[0], outcome: Outcome::HandedBack }]).await;
+    }
+    worker.work_off().await;
+    assert_state(&farm, posted.id, JobState::Succeeded).await;
+    farm.stop().await;
+}
+
+#[tokio::test]
+async fn fifty_vanished_workers_kill_a_tile() {
+    let farm = Farm::start().await;
+    let posted = farm.submit(&small_job(1)).await;
+    for number in 0..50 {
+        let worker = farm.worker(&format!("mayfly-{number}")).await;
+        if worker.claim().await.is_none() {
+            farm.hand.advance(Duration::from_secs(6));
+            assert!(worker.claim().await.is_some(), "after {number} and the back-off");
+        }
+        farm.hand.advance(LEASE);
+    }
+    let last = farm.worker("last").await;
+    assert!(last.claim().await.is_none());
+    let failed = farm.job(posted.id).await;
+    assert_eq!(failed.state, JobState::Failed);
+    assert_eq!(failed.errors, ["frame 0 could not be rendered: its workers vanished again and again"]);
+    farm.stop().await;
+}
+
+#[tokio::test]
+async fn damaged_blobs_are_rendered_again_and_progress_does_not_fall() {
+    let farm = Farm::start().await;
+    let posted = farm.submit(&job(1920, 1080, 4)).await;
+    let worker = farm.worker("one").await;
+    let stitch = loop {
+        let run = worker.claim().await.expect("work");
+        if matches!(run.work, Work::Stitch { .. }) {
+            break run;
+        }
+        worker.report(worker.results(&run).await).await;
+    };
+    let bad = Report { lease: leases(&stitch)[0], outcome: Outcome::BadBlobs { tiles: vec![1, 3] } };
+    worker.report(vec![bad]).await;
+    let reopened = farm.job(posted.id).await;
+    assert_eq!(reopened.tiles.done, reopened.tiles.total - 2);
+    assert_eq!(reopened.progress, 1.0);
+    let mut again = Vec::new();
+    while let Some(run) = worker.claim().await {
+        match &run.work {
+            Work::Render { tiles, whole_frame } => {
+                assert!(!whole_frame);
+                again.extend(tiles.iter().map(|tile| tile.index));
+            }
+            Work::Stitch { parts, .. } => assert_eq!(parts.len() as u64, posted.tiles.total),
+        }
+        worker.report(worker.results(&run).await).await;
+    }
+    assert_eq!(again, [1, 3]);
+    assert_state(&farm, posted.id, JobState::Succeeded).await;
+    farm.stop().await;
+}
+
+#[tokio::test]
+async fn a_result_without_its_bytes_is_no_result() {
+    let farm = Farm::start().await;
+    let posted = farm.submit(&small_job(1)).await;
+    let worker = farm.worker("hollow").await;
+    let run = worker.claim().await.expect("work");
+    let hash = blake3::hash(b"never put").to_hex().to_string();
+    let outcome = Outcome::Picture { hash, size_bytes: 9 };
+    worker.report(vec![Report { lease: leases(&run)[0], outcome }]).await;
+    assert_state(&farm, posted.id, JobState::Running).await;
+    assert_eq!(worker.work_off().await, 1);
+    assert_state(&farm, posted.id, JobState::Succeeded).await;
+    farm.stop().await;
+}
+
+#[tokio::test]
+async fn idle_workers_share_a_large_frame() {
+    let farm = Farm::start().await;
+    let posted = farm.submit(&job(1920, 1080, 4)).await;
+    let (mut one, mut two) = (farm.worker("one").await, farm.worker("two").await);
+    one.rays_per_second = Some(1e9);
+    two.rays_per_second = Some(1e9);
+    let first = one.claim().await.expect("work");
+    let second = two.claim().await.expect("work");
+    assert_eq!(leases(&first).len() as u64, posted.tiles.total.div_ceil(2));
+    assert_eq!((leases(&first).len() + leases(&second).len()) as u64, posted.tiles.total);
+    one.report(one.results(&first).await).await;
+    two.report(two.results(&second).await).await;
+    assert!(matches!(one.claim().await.expect("the stitch").work, Work::Stitch { .. }));
+    farm.stop().await;
+}
+
+#[tokio::test]
+async fn a_fast_worker_alone_takes_the_frame_whole() {
+    let farm = Farm::start().await;
+    let posted = farm.submit(&job(1920, 1080, 4)).await;
+    let mut worker = farm.worker("fast").await;
+    worker.rays_per_second = Some(1e9);
+    let run = worker.claim().await.expect("work");
+    assert!(matches!(&run.work, Work::Render { whole_frame: true, .. }), "{run:?}");
+    worker.report(worker.results(&run).await).await;
+    let done = farm.job(posted.id).await;
+    assert_eq!(done.state, JobState::Succeeded);
+    assert_eq!(done.tiles.done, done.tiles.total);
+    farm.stop().await;
+}
+
+#[tokio::test]
+async fn part_of_a_whole_frame_is_not_taken_for_the_whole() {
+    let farm = Farm::start().await;
+    let posted = farm.submit(&job(1920, 1080, 4)).await;
+    let mut worker = farm.worker("fast").await;
+    worker.rays_per_second = Some(1e9);
+    let held = leases(&worker.claim().await.expect("work"));
+    let mut results = worker.picture(&held[1..], b"half a picture").await;
+    results.push(Report { lease: held[0], outcome: Outcome::HandedBack });
+    worker.report(results).await;
+    let open = farm.job(posted.id).await;
+    assert_eq!((open.state, open.tiles.done), (JobState::Running, 0));
+    worker.work_off().await;
+    assert_state(&farm, posted.id, JobState::Succeeded).await;
+    farm.stop().await;
+}
+
+#[tokio::test]
+async fn a_waiting_worker_hears_of_new_work_at_once() {
+    let farm = Farm::start().await;
+    let worker = farm.worker("waiting").await;
+    let submitted = async {
+        // The worker's call is on its way or waiting already; either way it must not wait out its time.
+        farm.submit(&small_job(1)).await
+    };
+    let (run, posted) = tokio::join!(worker.next(), submitted);
+    assert_eq!(run.job, posted.id);
+    farm.stop().await;
+}
+
+#[tokio::test]
+async fn workers_are_listed_with_what_they_hold() {
+    let farm = Farm::start().await;
+    farm.submit(&small_job(1)).await;
+    let mut worker = farm.worker("lister").await;
+    worker.rays_per_second = Some(5e6);
+    worker.claim().await.expect("work");
+    let list: WorkerList = read(farm.get("/v1/workers").await, StatusCode::OK).await;
+    let [listed] = list.workers.as_slice() else { panic!("{list:?}") };
+    assert_eq!((listed.id, listed.name.as_str(), listed.device.as_str()), (worker.id, "lister", "cpu"));
+    assert_eq!((listed.leases, listed.rays_per_second), (1, Some(5e6)));
+    let held: SyncReply = worker.sync(Said::default()).await;
+    assert!(!held.drain);
+    farm.stop().await;
+}

@@ -1,0 +1,7 @@
+SELECT number, id, width_px, height_px, samples, pixel_bytes, edge_px, frames_total, frames_opened
+ FROM job
+ WHERE finished_at_ms IS NULL
+   AND (frames_opened < frames_total OR EXISTS (
+        SELECT 1 FROM tile WHERE tile.job = job.number AND tile.state = 'ready' AND tile.not_before_ms <= ?1
+           AND (tile.avoid IS NULL OR tile.avoid <> ?2 OR ?3)))
+ ORDER BY priority DESC, number LIMIT 1
