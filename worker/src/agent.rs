@@ -4,12 +4,12 @@
 //! It keeps nothing that matters: ended at any instant, all it held is leased again.
 
 mod back_off;
-mod bench;
 mod deliver;
 mod jobs;
 mod link;
 mod session;
 mod stitching;
+mod workbench;
 
 use std::io::Read;
 use std::path::PathBuf;

@@ -14,8 +14,8 @@ use scene::Job;
 use tokio::task::{JoinError, spawn_blocking};
 
 use super::back_off::BackOff;
-use super::bench::{Bench, Event, Hold, chain, panic_message};
 use super::link::LinkError;
+use super::workbench::{Event, Hold, Workbench, chain, panic_message};
 use crate::blob;
 use crate::image::{ImageError, Picture};
 use crate::renderer::{Cancel, Pixels};
@@ -57,7 +57,7 @@ pub(super) fn encode(
     Ok(Encoded { file, hash: hasher.finalize().to_hex().to_string(), size_bytes })
 }
 
-impl Bench {
+impl Workbench {
     /// Delivers a tile as a blob.
     pub(super) async fn deliver_blob(self: Arc<Self>, pixels: Pixels, hold: Hold) {
         let encoded = spawn_blocking(move || {
@@ -146,6 +146,7 @@ impl Bench {
     }
 }
 
-async fn nobody_waits(holds: &[Hold]) {
+/// Waits until all these leases are dropped.
+pub(super) async fn nobody_waits(holds: &[Hold]) {
     join_all(holds.iter().map(|hold| hold.dropped.cancelled())).await;
 }

@@ -15,8 +15,8 @@ use tokio_util::sync::CancellationToken;
 
 use super::AgentConfig;
 use super::back_off::BackOff;
-use super::bench::{Bench, Event, Hold, leases};
 use super::link::{Link, LinkError};
+use super::workbench::{Event, Hold, Workbench, leases};
 use crate::renderer::Renderer;
 
 /// Runs held at a time: one renders while the other is delivered.
@@ -43,7 +43,7 @@ pub(super) struct Session {
     welcome: Welcome,
     lease: Duration,
     grace: Duration,
-    bench: Arc<Bench>,
+    workbench: Arc<Workbench>,
     events: UnboundedReceiver<Event>,
     /// Kept so that `events` never closes.
     _events: UnboundedSender<Event>,
@@ -89,7 +89,7 @@ impl Session {
             lease: Duration::from_millis(welcome.lease_ms),
             welcome,
             grace: config.grace,
-            bench: Arc::new(Bench::new(link.clone(), renderer, config.scratch.clone(), sender.clone())),
+            workbench: Arc::new(Workbench::new(link.clone(), renderer, config.scratch.clone(), sender.clone())),
             link,
             events,
             _events: sender,
@@ -181,10 +181,12 @@ impl Session {
         if !wants_work && self.outbox.is_empty() && now < self.heartbeat_at {
             return None;
         }
-        let wait = match (wants_work, self.outbox.is_empty()) {
-            (true, _) if idle => self.lease / 3,
-            (false, true) => self.lease / 6,
-            (true, _) | (false, false) => Duration::ZERO,
+        // Results are answered at once, so that their loss is noticed.
+        let wait = match (self.outbox.is_empty(), wants_work) {
+            (true, true) if idle => self.lease / 3,
+            (true, false) if now < self.work_at => (self.lease / 6).min(self.work_at - now),
+            (true, false) => self.lease / 6,
+            (true, true) | (false, _) => Duration::ZERO,
         };
         let request = SyncRequest {
             worker: self.welcome.worker,
@@ -262,7 +264,7 @@ impl Session {
         }
         self.holds.extend(holds.iter().map(|hold| (hold.lease, hold.clone())));
         self.rendering += 1;
-        self.runs.spawn(self.bench.clone().run(run, holds));
+        self.runs.spawn(self.workbench.clone().run(run, holds));
     }
 
     fn absorb(&mut self, event: Event) {

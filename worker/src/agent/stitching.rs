@@ -11,13 +11,13 @@ use scene::Job;
 use tokio::task::spawn_blocking;
 
 use super::back_off::BackOff;
-use super::bench::{Bench, Event, Hold};
 use super::deliver::encode;
 use super::link::LinkError;
+use super::workbench::{Event, Hold, Workbench};
 use crate::blob;
 use crate::stitch::Blobs;
 
-impl Bench {
+impl Workbench {
     /// Stitches a frame and delivers its picture.
     pub(super) async fn stitch(&self, job: &Arc<Job>, frame: u32, parts: &[Part], hold: &Hold) {
         let fetched = tokio::select! {

@@ -4,7 +4,7 @@ mod delivery;
 mod leases;
 mod registration;
 
-use std::sync::Arc;
+use std::sync::{Arc, Condvar, Mutex};
 use std::time::Duration;
 
 use proto::JobId;
@@ -80,12 +80,41 @@ where
     }
 }
 
-/// Goes on until it is cancelled.
+/// Goes on until it is cancelled, which it looks for as often as a renderer should.
 fn until_cancelled(cancel: &Cancel) -> RenderError {
     while !cancel.is_cancelled() {
-        std::thread::yield_now();
+        std::thread::park_timeout(Duration::from_millis(1));
     }
     RenderError::Cancelled
+}
+
+/// Something that happens once, and can be waited for.
+#[derive(Clone, Default)]
+struct Happening(Arc<(Mutex<bool>, Condvar)>);
+
+impl Happening {
+    fn happen(&self) {
+        *self.0.0.lock().unwrap() = true;
+        self.0.1.notify_all();
+    }
+
+    fn wait(&self) {
+        let deadline = Duration::from_secs(60);
+        let happened = self.0.0.lock().unwrap();
+        let (happened, _) = self.0.1.wait_timeout_while(happened, deadline, |happened| !*happened).unwrap();
+        assert!(*happened, "it never happened");
+    }
+}
+
+/// A renderer that says when it has begun, and waits for `go`.
+fn gated(begun: &Happening, go: &Happening) -> impl Renderer + use<> {
+    let (begun, go) = (begun.clone(), go.clone());
+    Acting(move |_: &TileRun<'_>, cancel: &Cancel| {
+        begun.happen();
+        go.wait();
+        assert!(!cancel.is_cancelled(), "nothing was lost");
+        Ok(())
+    })
 }
 
 fn add_job(server: &FakeServer, width: u32, height: u32, image: &str) -> (JobId, Job) {

@@ -1,14 +1,12 @@
 //! Leases: renewed while work goes on, let go when they are lost.
 
-use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::time::Duration;
 
 use proto::Rect;
 use proto::work::Outcome;
 use worker::{Cancel, TileRun};
 
-use super::{Acting, Agent, add_job, until_cancelled};
+use super::{Acting, Agent, Happening, add_job, gated, until_cancelled};
 use crate::fake_renderer::{FakeRenderer, cut};
 use crate::fake_server::FakeServer;
 
@@ -22,23 +20,15 @@ fn hangs_beside_the_edge(run: &TileRun<'_>, cancel: &Cancel) -> Result<(), worke
 #[test]
 fn leases_are_renewed_while_a_tile_renders() {
     let server = FakeServer::start(600);
-    let go = Arc::new(AtomicBool::new(false));
-    let gate = go.clone();
-    let renderer = Acting(move |_: &TileRun<'_>, cancel: &Cancel| {
-        while !gate.load(Ordering::Relaxed) {
-            assert!(!cancel.is_cancelled(), "a renewed lease is not given up");
-            std::thread::yield_now();
-        }
-        Ok(())
-    });
-    let mut agent = Agent::start(&server, renderer);
+    let (begun, go) = (Happening::default(), Happening::default());
+    let mut agent = Agent::start(&server, gated(&begun, &go));
     let (id, _) = add_job(&server, 64, 32, "");
     let leases = server.change(|farm| farm.give(id, &cut(64, 32, 32, 32), false));
     server.until("both leases were renewed twenty times", |farm| {
         let renewals = farm.syncs.iter().filter(|sync| leases.iter().all(|lease| sync.holding.contains(lease)));
         (renewals.count() >= 20).then_some(())
     });
-    go.store(true, Ordering::Relaxed);
+    go.happen();
     assert!(matches!(server.outcomes(&leases)[..], [Outcome::Blob { .. }, Outcome::Blob { .. }]));
     agent.stop().unwrap();
 }
@@ -68,21 +58,20 @@ fn a_lost_lease_cancels_its_render_and_no_other() {
 #[test]
 fn a_worker_that_is_cut_off_stops_by_itself() {
     let mut server = FakeServer::start(900);
-    let cancelled = Arc::new(AtomicUsize::new(0));
-    let count = cancelled.clone();
+    let (begun, cancelled) = (Happening::default(), Happening::default());
+    let (begins, ends) = (begun.clone(), cancelled.clone());
     let renderer = Acting(move |_: &TileRun<'_>, cancel: &Cancel| {
+        begins.happen();
         let error = until_cancelled(cancel);
-        count.fetch_add(1, Ordering::Relaxed);
+        ends.happen();
         Err(error)
     });
     let mut agent = Agent::start(&server, renderer);
     let (id, _) = add_job(&server, 32, 32, "");
     let leases = server.change(|farm| farm.give(id, &[TILE], false));
-    server.until("the tile is leased", |farm| farm.live.contains(&leases[0]).then_some(()));
+    begun.wait();
     server.kill();
-    while cancelled.load(Ordering::Relaxed) == 0 {
-        std::thread::yield_now();
-    }
+    cancelled.wait();
     server.up();
     assert!(matches!(server.outcomes(&leases)[..], [Outcome::HandedBack]));
     agent.stop().unwrap();
@@ -90,49 +79,34 @@ fn a_worker_that_is_cut_off_stops_by_itself() {
 
 #[test]
 fn a_restart_of_the_server_costs_no_result() {
-    let mut server = FakeServer::start(30_000);
-    let go = Arc::new(AtomicBool::new(false));
-    let gate = go.clone();
-    let renderer = Acting(move |_: &TileRun<'_>, _: &Cancel| {
-        while !gate.load(Ordering::Relaxed) {
-            std::thread::yield_now();
-        }
-        Ok(())
-    });
-    let mut agent = Agent::start(&server, renderer);
-    let (id, _) = add_job(&server, 64, 32, "");
     for whole_frame in [false, true] {
-        go.store(false, Ordering::Relaxed);
+        let mut server = FakeServer::start(30_000);
+        let (begun, go) = (Happening::default(), Happening::default());
+        let mut agent = Agent::start(&server, gated(&begun, &go));
+        let (id, _) = add_job(&server, 64, 32, "");
         let leases = server.change(|farm| farm.give(id, &cut(64, 32, 32, 32), whole_frame));
-        server.until("the tiles are leased", |farm| farm.live.contains(&leases[0]).then_some(()));
+        begun.wait();
         server.kill();
-        go.store(true, Ordering::Relaxed);
+        go.happen();
         server.up();
         let outcomes = server.outcomes(&leases);
         let stored = |outcome| matches!(outcome, &(Outcome::Blob { .. } | Outcome::Picture { .. }));
         assert!(outcomes.iter().all(stored), "{outcomes:?}");
+        assert_eq!(server.change(|farm| farm.hellos.len()), 1);
+        agent.stop().unwrap();
     }
-    assert_eq!(server.change(|farm| farm.hellos.len()), 1);
-    agent.stop().unwrap();
 }
 
 #[test]
 fn a_drained_worker_finishes_what_it_holds_and_ends() {
     let server = FakeServer::start(30_000);
-    let go = Arc::new(AtomicBool::new(false));
-    let gate = go.clone();
-    let renderer = Acting(move |_: &TileRun<'_>, _: &Cancel| {
-        while !gate.load(Ordering::Relaxed) {
-            std::thread::yield_now();
-        }
-        Ok(())
-    });
-    let mut agent = Agent::start(&server, renderer);
+    let (begun, go) = (Happening::default(), Happening::default());
+    let mut agent = Agent::start(&server, gated(&begun, &go));
     let (id, _) = add_job(&server, 64, 32, "");
     let leases = server.change(|farm| farm.give(id, &cut(64, 32, 32, 32), false));
-    server.until("the tiles are leased", |farm| farm.live.contains(&leases[0]).then_some(()));
+    begun.wait();
     server.change(|farm| farm.drain = true);
-    go.store(true, Ordering::Relaxed);
+    go.happen();
     agent.ended().unwrap();
     assert!(matches!(server.outcomes(&leases)[..], [Outcome::Blob { .. }, Outcome::Blob { .. }]));
 }
@@ -152,20 +126,13 @@ fn a_worker_that_is_shut_down_hands_back_what_would_take_too_long() {
 #[test]
 fn a_worker_that_is_shut_down_finishes_what_ends_in_time() {
     let server = FakeServer::start(30_000);
-    let go = Arc::new(AtomicBool::new(false));
-    let gate = go.clone();
-    let renderer = Acting(move |_: &TileRun<'_>, _: &Cancel| {
-        while !gate.load(Ordering::Relaxed) {
-            std::thread::yield_now();
-        }
-        Ok(())
-    });
-    let mut agent = Agent::start(&server, renderer);
+    let (begun, go) = (Happening::default(), Happening::default());
+    let mut agent = Agent::start(&server, gated(&begun, &go));
     let (id, _) = add_job(&server, 32, 32, "");
     let leases = server.change(|farm| farm.give(id, &[TILE], true));
-    server.until("the tile is leased", |farm| farm.live.contains(&leases[0]).then_some(()));
+    begun.wait();
     agent.shutdown.cancel();
-    go.store(true, Ordering::Relaxed);
+    go.happen();
     agent.ended().unwrap();
     assert!(matches!(server.outcomes(&leases)[..], [Outcome::Picture { .. }]));
 }

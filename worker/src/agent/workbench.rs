@@ -4,16 +4,18 @@
 use std::any::Any;
 use std::path::PathBuf;
 use std::sync::Arc;
-use std::time::Instant;
+use std::time::{Duration, Instant};
 
-use proto::LeaseId;
 use proto::work::{LeasedTile, Outcome, Report, Run, Work};
+use proto::{JobId, LeaseId};
 use scene::Job;
 use tokio::sync::Semaphore;
 use tokio::sync::mpsc::UnboundedSender;
 use tokio::task::{JoinError, JoinSet, spawn_blocking};
 use tokio_util::sync::CancellationToken;
 
+use super::back_off::BackOff;
+use super::deliver::nobody_waits;
 use super::jobs::{JobError, Jobs};
 use super::link::Link;
 use crate::renderer::{Cancel, Pixels, RenderError, Renderer, TileRun};
@@ -73,7 +75,7 @@ pub(super) fn leases(run: &Run) -> impl Iterator<Item = LeaseId> {
 }
 
 /// A device, and the way to the server.
-pub(super) struct Bench {
+pub(super) struct Workbench {
     pub(super) link: Arc<Link>,
     pub(super) scratch: PathBuf,
     renderer: Arc<dyn Renderer>,
@@ -82,7 +84,7 @@ pub(super) struct Bench {
     events: UnboundedSender<Event>,
 }
 
-impl Bench {
+impl Workbench {
     pub(super) fn new(
         link: Arc<Link>,
         renderer: Arc<dyn Renderer>,
@@ -94,7 +96,11 @@ impl Bench {
 
     /// Works off a run; every lease ends in a report, unless it was dropped.
     pub(super) async fn run(self: Arc<Self>, run: Run, holds: Vec<Hold>) {
-        let job = match self.jobs.get(&self.link, run.job).await {
+        let job = tokio::select! {
+            job = self.job(run.job) => job,
+            () = nobody_waits(&holds) => return self.tell(Event::Rendered),
+        };
+        let job = match job {
             Ok(job) => job,
             Err(error) => {
                 self.tell(Event::Rendered);
@@ -105,6 +111,17 @@ impl Bench {
             Work::Stitch { parts, .. } => self.stitch(&job, run.frame, &parts, &holds[0]).await,
             Work::Render { tiles, whole_frame: true } => self.render_whole(job, run.frame, &tiles, &holds).await,
             Work::Render { tiles, whole_frame: false } => self.render_tiles(job, run.frame, &tiles, &holds).await,
+        }
+    }
+
+    /// A job, as soon as the server is there to give it.
+    async fn job(&self, id: JobId) -> Result<Arc<Job>, JobError> {
+        let mut back_off = BackOff::new(Duration::from_millis(50), Duration::from_secs(2));
+        loop {
+            match self.jobs.get(&self.link, id).await {
+                Err(JobError::Link(error)) if error.is_absence() => back_off.pause().await,
+                job => return job,
+            }
         }
     }
 
