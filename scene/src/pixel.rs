@@ -11,6 +11,9 @@ use crate::sampling::{Jitter, frame_key};
 use crate::scene::{Background, Scene};
 
 /// A frame of a job, ready to be asked for its pixels.
+///
+/// Its larger steps enter through [`Real::vectorize`] instead of being inlined into one another:
+/// for thirty lanes a call costs little, and code for each instruction set is made once.
 #[derive(Clone, Debug)]
 pub struct Program<'a> {
     scene: &'a Scene,
@@ -108,74 +111,86 @@ impl<'a> Program<'a> {
     }
 
     /// The colour of the pixel in column `x` and row `y`, both whole.
-    #[inline(always)]
     pub fn pixel<R: Real>(&self, x: R, y: R) -> Radiance<R> {
-        let zero = x.splat(0.0);
-        if self.samples == 1 {
-            return self.radiance(x + 0.5, y + 0.5);
-        }
-        let jitter = Jitter::new(x, y, self.frame_key);
-        let start = (zero, vec3(zero, zero, zero), zero, zero);
-        let (_, color, alpha, evaluations) = R::repeat(
-            self.samples,
-            start,
+        x.vectorize(
             #[inline(always)]
-            |(sample, color, alpha, evaluations)| {
-                let (jx, jy) = jitter.offset(sample);
-                let seen = self.radiance(x + jx, y + jy);
-                let next = sample + 1.0;
-                let sum = (next, color + seen.color, alpha + seen.alpha, evaluations + seen.evaluations);
-                (next.below(self.samples as f32), sum)
+            || {
+                let zero = x.splat(0.0);
+                if self.samples == 1 {
+                    return self.radiance(x + 0.5, y + 0.5);
+                }
+                let jitter = Jitter::new(x, y, self.frame_key);
+                let start = (zero, vec3(zero, zero, zero), zero, zero);
+                let (_, color, alpha, evaluations) = R::repeat(
+                    self.samples,
+                    start,
+                    #[inline(always)]
+                    |(sample, color, alpha, evaluations)| {
+                        let (jx, jy) = jitter.offset(sample);
+                        let seen = self.radiance(x + jx, y + jy);
+                        let next = sample + 1.0;
+                        let sum = (next, color + seen.color, alpha + seen.alpha, evaluations + seen.evaluations);
+                        (next.below(self.samples as f32), sum)
+                    },
+                );
+                let share = zero.splat(1.0 / self.samples as f32);
+                Radiance { color: color * share, alpha: alpha * share, evaluations }
             },
-        );
-        let share = zero.splat(1.0 / self.samples as f32);
-        Radiance { color: color * share, alpha: alpha * share, evaluations }
+        )
     }
 
     /// What the ray through the centre of the pixel in column `x` and row `y` meets.
-    #[inline(always)]
     pub fn layers<R: Real>(&self, x: R, y: R) -> Met<R> {
-        let ray = self.view.ray(x + 0.5, y + 0.5);
-        let marched = self.march(&ray);
-        let zero = x.splat(0.0);
-        let nothing = vec3(zero, zero, zero);
-        let missed = (x.splat(f32::INFINITY), nothing, nothing, nothing, zero.splat(-1.0));
-        let (depth, normal, position, albedo, object) = R::when(
-            marched.hit.0,
-            missed,
+        x.vectorize(
             #[inline(always)]
             || {
-                let hit = self.hit(&ray, &marched);
-                let place = Place { normal: hit.normal, to_viewer: -ray.direction };
-                let object = self.nearest_object(hit.position);
-                let albedo = self.blend(
-                    hit.position,
-                    object,
+                let ray = self.view.ray(x + 0.5, y + 0.5);
+                let marched = self.march(&ray);
+                let zero = x.splat(0.0);
+                let nothing = vec3(zero, zero, zero);
+                let missed = (x.splat(f32::INFINITY), nothing, nothing, nothing, zero.splat(-1.0));
+                let (depth, normal, position, albedo, object) = R::when(
+                    marched.hit.0,
+                    missed,
                     #[inline(always)]
-                    |slot| self.scene.slots()[slot].albedo(&place),
+                    || {
+                        let hit = self.hit(&ray, &marched);
+                        let place = Place { normal: hit.normal, to_viewer: -ray.direction };
+                        let object = self.nearest_object(hit.position);
+                        let albedo = self.blend(
+                            hit.position,
+                            object,
+                            #[inline(always)]
+                            |slot| self.scene.slots()[slot].albedo(&place),
+                        );
+                        (hit.distance, hit.normal, hit.position, albedo, object)
+                    },
                 );
-                (hit.distance, hit.normal, hit.position, albedo, object)
+                Met { depth, normal, position, albedo, object, steps: marched.steps }
             },
-        );
-        Met { depth, normal, position, albedo, object, steps: marched.steps }
+        )
     }
 
     /// The light along the ray through a point of the picture, in pixels from its top left.
-    #[inline(always)]
     fn radiance<R: Real>(&self, x: R, y: R) -> Radiance<R> {
-        let ray = self.view.ray(x, y);
-        let marched = self.march(&ray);
-        let (background, alpha) = self.background(&ray);
-        let (color, alpha, evaluations) = R::when(
-            marched.hit.0,
-            (background, alpha, marched.steps),
+        x.vectorize(
             #[inline(always)]
             || {
-                let (color, evaluations) = self.surface(&ray, &marched);
-                (color, x.splat(1.0), marched.steps + evaluations)
+                let ray = self.view.ray(x, y);
+                let marched = self.march(&ray);
+                let (background, alpha) = self.background(&ray);
+                let (color, alpha, evaluations) = R::when(
+                    marched.hit.0,
+                    (background, alpha, marched.steps),
+                    #[inline(always)]
+                    || {
+                        let (color, evaluations) = self.surface(&ray, &marched);
+                        (color, x.splat(1.0), marched.steps + evaluations)
+                    },
+                );
+                Radiance { color, alpha, evaluations }
             },
-        );
-        Radiance { color, alpha, evaluations }
+        )
     }
 
     #[inline(always)]
@@ -197,34 +212,42 @@ impl<'a> Program<'a> {
         }
     }
 
-    #[inline(always)]
     fn march<R: Real>(&self, ray: &Ray<R>) -> Marched<R> {
-        let like = ray.direction.x;
-        let farthest = like.splat(self.scene.march.max_distance.get());
-        let reach = Reach { farthest, max_steps: self.scene.march.max_steps };
-        let mut marched = march(
-            ray,
-            reach,
+        ray.direction.x.vectorize(
             #[inline(always)]
-            |t| self.tolerance.at(t),
-            #[inline(always)]
-            |p| self.distance(p),
-        );
-        // Out of steps: a hit if the pixel's cone touches the surface.
-        let touches = marched.gap.lt(marched.distance * self.view.cone()) & marched.distance.lt(farthest);
-        marched.hit = Flag(marched.hit.0 | touches);
-        marched
+            || {
+                let like = ray.direction.x;
+                let farthest = like.splat(self.scene.march.max_distance.get());
+                let reach = Reach { farthest, max_steps: self.scene.march.max_steps };
+                let mut marched = march(
+                    ray,
+                    reach,
+                    #[inline(always)]
+                    |t| self.tolerance.at(t),
+                    #[inline(always)]
+                    |p| self.distance(p),
+                );
+                // Out of steps: a hit if the pixel's cone touches the surface.
+                let touches = marched.gap.lt(marched.distance * self.view.cone()) & marched.distance.lt(farthest);
+                marched.hit = Flag(marched.hit.0 | touches);
+                marched
+            },
+        )
     }
 
     /// Where exactly a march that came near the surface meets it, and the normal there.
-    #[inline(always)]
     fn hit<R: Real>(&self, ray: &Ray<R>, marched: &Marched<R>) -> Hit<R> {
-        let normal = self.normal(ray.at(marched.distance), self.tap.at(marched.distance));
-        let facing = -normal.dot(ray.direction);
-        // One step of Newton's method along the ray; cautious where it grazes the surface.
-        let distance = (marched.distance + marched.gap / facing.at_least(0.25)).at_least(0.0);
-        let normal = Vec3::select(facing.below(0.0), -normal, normal);
-        Hit { distance, position: ray.at(distance), normal }
+        marched.distance.vectorize(
+            #[inline(always)]
+            || {
+                let normal = self.normal(ray.at(marched.distance), self.tap.at(marched.distance));
+                let facing = -normal.dot(ray.direction);
+                // One step of Newton's method along the ray; cautious where it grazes the surface.
+                let distance = (marched.distance + marched.gap / facing.at_least(0.25)).at_least(0.0);
+                let normal = Vec3::select(facing.below(0.0), -normal, normal);
+                Hit { distance, position: ray.at(distance), normal }
+            },
+        )
     }
 
     /// The gradient's direction, from four taps on a tetrahedron.
@@ -272,44 +295,52 @@ impl<'a> Program<'a> {
     }
 
     /// 1 where light from `direction` reaches the place, 0 in shadow; and the steps it took to see.
-    #[inline(always)]
     fn visibility<R: Real>(&self, hit: &Hit<R>, direction: Vec3<R>, farthest: R) -> (R, R) {
-        let zero = farthest.splat(0.0);
-        let faces = hit.normal.dot(direction).above(0.0);
-        R::when(
-            faces,
-            (zero, zero),
+        farthest.vectorize(
             #[inline(always)]
             || {
-                // Off the surface by more than the march was off it.
-                let near = self.tolerance.at(hit.distance);
-                let ray = Ray { origin: hit.normal.mul_add(near * 4.0, hit.position), direction };
-                let reach = Reach { farthest, max_steps: self.scene.march.max_steps };
-                let marched = march(
-                    &ray,
-                    reach,
+                let zero = farthest.splat(0.0);
+                let faces = hit.normal.dot(direction).above(0.0);
+                R::when(
+                    faces,
+                    (zero, zero),
                     #[inline(always)]
-                    |t| t.mul_add(t.splat(4e-7), near),
-                    #[inline(always)]
-                    |p| self.distance(p),
-                );
-                (R::select(marched.hit.0, zero, zero.splat(1.0)), marched.steps)
+                    || {
+                        // Off the surface by more than the march was off it.
+                        let near = self.tolerance.at(hit.distance);
+                        let ray = Ray { origin: hit.normal.mul_add(near * 4.0, hit.position), direction };
+                        let reach = Reach { farthest, max_steps: self.scene.march.max_steps };
+                        let marched = march(
+                            &ray,
+                            reach,
+                            #[inline(always)]
+                            |t| t.mul_add(t.splat(4e-7), near),
+                            #[inline(always)]
+                            |p| self.distance(p),
+                        );
+                        (R::select(marched.hit.0, zero, zero.splat(1.0)), marched.steps)
+                    },
+                )
             },
         )
     }
 
     /// The shaded colour at a hit.
-    #[inline(always)]
     fn dress<R: Real>(&self, p: Vec3<R>, place: &Place<R>, lights: &[Incoming<R>]) -> Vec3<R> {
-        if let [only] = self.scene.slots() {
-            return only.shade(place, lights);
-        }
-        let object = self.nearest_object(p);
-        self.blend(
-            p,
-            object,
+        p.x.vectorize(
             #[inline(always)]
-            |slot| self.scene.slots()[slot].shade(place, lights),
+            || {
+                if let [only] = self.scene.slots() {
+                    return only.shade(place, lights);
+                }
+                let object = self.nearest_object(p);
+                self.blend(
+                    p,
+                    object,
+                    #[inline(always)]
+                    |slot| self.scene.slots()[slot].shade(place, lights),
+                )
+            },
         )
     }
 

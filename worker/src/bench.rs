@@ -2,14 +2,15 @@
 
 use std::time::{Duration, Instant};
 
-use fearless_simd::{Simd as Token, dispatch};
+use fearless_simd::Simd as Token;
 use proto::Rect;
 use scene::real::vec3;
 use scene::{Job, Program};
 use serde::Serialize;
 
-use crate::cpu::{Packets, REGISTERS};
+use crate::cpu::Packets;
 use crate::lanes::Lanes;
+use crate::simd::with_instructions;
 use crate::{Cancel, CpuRenderer, RenderError, Renderer, Simd, TileRun};
 
 /// Distances a second, of one core.
@@ -56,7 +57,7 @@ pub fn points(job: &Job, simd: Simd, time: Duration) -> Result<PointsReport, Ren
     let (mut done, start) = (0_u64, Instant::now());
     while start.elapsed() < time {
         const ROUNDS: u32 = 64;
-        let sum = dispatch!(packets.level(), token => distances(token, &program, job, ROUNDS));
+        let sum = with_instructions!(packets.level(), token, N => distances::<_, N>(token, &program, job, ROUNDS));
         std::hint::black_box(sum);
         done += u64::from(ROUNDS) * POINTS as u64;
     }
@@ -65,18 +66,18 @@ pub fn points(job: &Job, simd: Simd, time: Duration) -> Result<PointsReport, Ren
 }
 
 #[inline(always)]
-fn distances<S: Token>(token: S, program: &Program<'_>, job: &Job, rounds: u32) -> f32 {
+fn distances<S: Token, const N: usize>(token: S, program: &Program<'_>, job: &Job, rounds: u32) -> f32 {
     let middle = job.scene.camera.look_at.get();
     let spread = |index: usize, step: u32| (index as u32).wrapping_mul(step) as f32 / u32::MAX as f32 * 4.0 - 2.0;
     let x: [f32; POINTS] = std::array::from_fn(|index| middle.x + spread(index, 0x9e37_79b9));
     let y: [f32; POINTS] = std::array::from_fn(|index| middle.y + spread(index, 0xc13f_a9a9));
     let z: [f32; POINTS] = std::array::from_fn(|index| middle.z + spread(index, 0x91e1_0da5));
-    let mut sum = Lanes::<S, REGISTERS>::from_fn(
+    let mut sum = Lanes::<S, N>::from_fn(
         token,
         #[inline(always)]
         |_| 0.0,
     );
-    let count = Lanes::<S, REGISTERS>::COUNT;
+    let count = Lanes::<S, N>::COUNT;
     for _ in 0..rounds {
         for at in (0..POINTS).step_by(count) {
             let here = at..at + count;

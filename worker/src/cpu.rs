@@ -12,7 +12,7 @@ use scene::Program;
 use crate::simd::Simd;
 use crate::{Cancel, Pixels, RenderError, Renderer, TileRun};
 
-pub(crate) use packets::{Packets, REGISTERS};
+pub(crate) use packets::Packets;
 
 /// Renders on the cores of this machine.
 #[derive(Clone, Debug)]

@@ -7,6 +7,7 @@ use std::cell::Cell;
 use std::fmt;
 use std::ops::{Add, BitAnd, BitOr, BitXor, Div, Mul, Neg, Not, Shl, Shr, Sub};
 
+use fearless_simd::Level;
 use fearless_simd::prelude::*;
 use scene::real::{Bits, Bundle, Join, Real, SQRT_FLOOR};
 
@@ -216,6 +217,31 @@ impl<S: Simd, const N: usize> fmt::Debug for LaneBits<S, N> {
     }
 }
 
+/// Whether a fused operation takes many instructions here; known when the code is made.
+#[inline(always)]
+fn lacks_fused_instructions<S: Simd>(token: S) -> bool {
+    match token.level() {
+        #[cfg(any(target_arch = "x86", target_arch = "x86_64"))]
+        Level::Sse2(_) | Level::Sse4_2(_) => true,
+        Level::Fallback(_) => true,
+        _ => false,
+    }
+}
+
+/// A fused operation as a call: its many instructions in every formula would be too much code.
+#[inline(never)]
+fn fused_in_software<S: Simd, const N: usize>(mut a: Lanes<S, N>, b: Lanes<S, N>, c: Lanes<S, N>) -> Lanes<S, N> {
+    a.token().vectorize(
+        #[inline(always)]
+        || {
+            for n in 0..N {
+                a.0[n] = a.0[n].mul_add_precise(b.0[n], c.0[n]);
+            }
+            a
+        },
+    )
+}
+
 /// Takes the first bundle's parts where the mask holds.
 struct Choose<S: Simd, const N: usize>(LaneMask<S, N>);
 
@@ -242,6 +268,9 @@ impl<S: Simd, const N: usize> Real for Lanes<S, N> {
 
     #[inline(always)]
     fn mul_add(mut self, factor: Self, term: Self) -> Self {
+        if lacks_fused_instructions(self.token()) {
+            return fused_in_software(self, factor, term);
+        }
         for n in 0..N {
             self.0[n] = self.0[n].mul_add_precise(factor.0[n], term.0[n]);
         }

@@ -79,6 +79,33 @@ impl fmt::Display for Simd {
     }
 }
 
+/// Runs `$body` as code for the instructions of a [`Level`], with their token and with how many
+/// registers a packet fills: more share the cost of walking the scene, fewer keep its pixels alike.
+macro_rules! with_instructions {
+    ($level:expr, $token:ident, $REGISTERS:ident => $body:expr) => {
+        match $level {
+            #[cfg(any(target_arch = "x86", target_arch = "x86_64"))]
+            fearless_simd::Level::Avx512($token) => $crate::simd::with_instructions!(@run $token, $REGISTERS, 2, $body),
+            #[cfg(any(target_arch = "x86", target_arch = "x86_64"))]
+            fearless_simd::Level::Avx2($token) => $crate::simd::with_instructions!(@run $token, $REGISTERS, 2, $body),
+            #[cfg(any(target_arch = "x86", target_arch = "x86_64"))]
+            fearless_simd::Level::Sse4_2($token) => $crate::simd::with_instructions!(@run $token, $REGISTERS, 2, $body),
+            #[cfg(target_arch = "aarch64")]
+            fearless_simd::Level::Neon($token) => $crate::simd::with_instructions!(@run $token, $REGISTERS, 4, $body),
+            _ => {
+                let $token = fearless_simd::Fallback::new();
+                $crate::simd::with_instructions!(@run $token, $REGISTERS, 1, $body)
+            }
+        }
+    };
+    (@run $token:ident, $REGISTERS:ident, $registers:literal, $body:expr) => {{
+        const $REGISTERS: usize = $registers;
+        fearless_simd::Simd::vectorize($token, #[inline(always)] || $body)
+    }};
+}
+
+pub(crate) use with_instructions;
+
 /// A name that is no SIMD level.
 #[derive(Debug, thiserror::Error)]
 #[error("\"{0}\" is no SIMD level: use auto, avx512, avx2, sse4.2 or scalar")]

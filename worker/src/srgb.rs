@@ -1,23 +1,23 @@
 //! Linear light to sRGB for whole rows, by the widest vectors of this CPU; the bits are those of
 //! [`scene::color::srgb_from_linear`], whatever the vectors.
 
-use fearless_simd::{Level, Simd as Token, dispatch};
+use fearless_simd::{Level, Simd as Token};
 use scene::color::srgb_from_linear;
 
 use crate::lanes::Lanes;
+use crate::simd::with_instructions;
 
 /// Turns linear light into sRGB values, 0 to 1, in place.
 pub fn encode(values: &mut [f32]) {
-    dispatch!(Level::new(), token => encode_with(token, values));
+    with_instructions!(Level::new(), token, N => encode_with::<_, N>(token, values));
 }
 
 #[inline(always)]
-fn encode_with<S: Token>(token: S, values: &mut [f32]) {
-    const REGISTERS: usize = 2;
-    let count = Lanes::<S, REGISTERS>::COUNT;
+fn encode_with<S: Token, const N: usize>(token: S, values: &mut [f32]) {
+    let count = Lanes::<S, N>::COUNT;
     let mut chunks = values.chunks_exact_mut(count);
     for chunk in &mut chunks {
-        srgb_from_linear(Lanes::<S, REGISTERS>::load(token, chunk)).store(chunk);
+        srgb_from_linear(Lanes::<S, N>::load(token, chunk)).store(chunk);
     }
     for value in chunks.into_remainder() {
         *value = srgb_from_linear(*value);

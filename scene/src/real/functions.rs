@@ -2,7 +2,8 @@
 //!
 //! Polynomials and range reductions are those of Stephen L. Moshier's Cephes Mathematical
 //! Library, single precision (<https://www.netlib.org/cephes/>), evaluated here with fused
-//! operations. The errors in the docs of [`Real`] are measured by this module's tests.
+//! operations. Each is compiled once for each instruction set, hence [`Real::vectorize`], and called.
+//! The errors in the docs of [`Real`] are measured by this module's tests.
 
 use std::f32::consts::{FRAC_2_PI, FRAC_PI_2, FRAC_PI_4, LOG2_E, PI};
 
@@ -18,92 +19,123 @@ fn polynomial<R: Real>(x: R, coefficients: &[f32]) -> R {
     sum
 }
 
-#[inline(always)]
 pub(super) fn sin_cos<R: Real>(x: R) -> (R, R) {
-    let quarter = (x * FRAC_2_PI + 0.5).floor();
-    // π/2 in three parts; the first two have trailing zeros, so that their products are exact.
-    let r = quarter.mul_add(x.splat(-1.570_312_5), x);
-    let r = quarter.mul_add(x.splat(-4.837_512_969_970_703e-4), r);
-    let r = quarter.mul_add(x.splat(-7.549_789_948_768_648e-8), r);
-    let square = r * r;
-    let sine =
-        (square * r).mul_add(polynomial(square, &[-1.951_529_589_1e-4, 8.332_160_873_6e-3, -1.666_665_461_1e-1]), r);
-    let cosine = (square * square).mul_add(
-        polynomial(square, &[2.443_315_711_809_948e-5, -1.388_731_625_493_765e-3, 4.166_664_568_298_827e-2]),
-        square.mul_add(x.splat(-0.5), x.splat(1.0)),
-    );
-    let half = (quarter * 0.5).floor();
-    let odd = quarter.mul_add(x.splat(1.0), half * -2.0).above(0.5);
-    let lower = half.mul_add(x.splat(1.0), (half * 0.5).floor() * -2.0).above(0.5);
-    let (s, c) = (R::select(odd, cosine, sine), R::select(odd, -sine, cosine));
-    (R::select(lower, -s, s), R::select(lower, -c, c))
+    x.vectorize(
+        #[inline(always)]
+        || {
+            let quarter = (x * FRAC_2_PI + 0.5).floor();
+            // π/2 in three parts; the first two have trailing zeros, so that their products are exact.
+            let r = quarter.mul_add(x.splat(-1.570_312_5), x);
+            let r = quarter.mul_add(x.splat(-4.837_512_969_970_703e-4), r);
+            let r = quarter.mul_add(x.splat(-7.549_789_948_768_648e-8), r);
+            let square = r * r;
+            let sine = (square * r)
+                .mul_add(polynomial(square, &[-1.951_529_589_1e-4, 8.332_160_873_6e-3, -1.666_665_461_1e-1]), r);
+            let cosine = (square * square).mul_add(
+                polynomial(square, &[2.443_315_711_809_948e-5, -1.388_731_625_493_765e-3, 4.166_664_568_298_827e-2]),
+                square.mul_add(x.splat(-0.5), x.splat(1.0)),
+            );
+            let half = (quarter * 0.5).floor();
+            let odd = quarter.mul_add(x.splat(1.0), half * -2.0).above(0.5);
+            let lower = half.mul_add(x.splat(1.0), (half * 0.5).floor() * -2.0).above(0.5);
+            let (s, c) = (R::select(odd, cosine, sine), R::select(odd, -sine, cosine));
+            (R::select(lower, -s, s), R::select(lower, -c, c))
+        },
+    )
 }
 
-#[inline(always)]
 pub(super) fn acos<R: Real>(x: R) -> R {
-    let size = x.abs().at_most(1.0);
-    let large = size.above(0.5);
-    let square = R::select(large, (x.splat(1.0) - size) * 0.5, size * size);
-    let root = R::select(large, square.sqrt(), size);
-    let sine = (square * root).mul_add(
-        polynomial(
-            square,
-            &[4.216_319_904_8e-2, 2.418_131_104_9e-2, 4.547_002_599_8e-2, 7.495_300_268_6e-2, 1.666_675_242_2e-1],
-        ),
-        root,
-    );
-    let of_size = R::select(large, sine * 2.0, x.splat(FRAC_PI_2) - sine);
-    R::select(x.below(0.0), x.splat(PI) - of_size, of_size)
+    x.vectorize(
+        #[inline(always)]
+        || {
+            let size = x.abs().at_most(1.0);
+            let large = size.above(0.5);
+            let square = R::select(large, (x.splat(1.0) - size) * 0.5, size * size);
+            let root = R::select(large, square.sqrt(), size);
+            let sine = (square * root).mul_add(
+                polynomial(
+                    square,
+                    &[
+                        4.216_319_904_8e-2,
+                        2.418_131_104_9e-2,
+                        4.547_002_599_8e-2,
+                        7.495_300_268_6e-2,
+                        1.666_675_242_2e-1,
+                    ],
+                ),
+                root,
+            );
+            let of_size = R::select(large, sine * 2.0, x.splat(FRAC_PI_2) - sine);
+            R::select(x.below(0.0), x.splat(PI) - of_size, of_size)
+        },
+    )
 }
 
-#[inline(always)]
 pub(super) fn atan2<R: Real>(y: R, x: R) -> R {
-    let (across, along) = (y.abs(), x.abs());
-    let steep = along.lt(across);
-    let ratio = along.min(across) / along.max(across).at_least(f32::MIN_POSITIVE);
-    // Above tan(π/8), measure from π/4.
-    let far = ratio.above(0.414_213_57);
-    let r = R::select(far, (ratio - 1.0) / (ratio + 1.0), ratio);
-    let square = r * r;
-    let part = (square * r).mul_add(
-        polynomial(square, &[8.053_744_495_38e-2, -1.387_768_560_32e-1, 1.997_771_064_78e-1, -3.333_294_915_39e-1]),
-        r,
-    );
-    let angle = R::select(far, part + FRAC_PI_4, part);
-    let angle = R::select(steep, x.splat(FRAC_PI_2) - angle, angle);
-    let angle = R::select(x.below(0.0), x.splat(PI) - angle, angle);
-    R::select(y.below(0.0), -angle, angle)
+    x.vectorize(
+        #[inline(always)]
+        || {
+            let (across, along) = (y.abs(), x.abs());
+            let steep = along.lt(across);
+            let ratio = along.min(across) / along.max(across).at_least(f32::MIN_POSITIVE);
+            // Above tan(π/8), measure from π/4.
+            let far = ratio.above(0.414_213_57);
+            let r = R::select(far, (ratio - 1.0) / (ratio + 1.0), ratio);
+            let square = r * r;
+            let part = (square * r).mul_add(
+                polynomial(
+                    square,
+                    &[8.053_744_495_38e-2, -1.387_768_560_32e-1, 1.997_771_064_78e-1, -3.333_294_915_39e-1],
+                ),
+                r,
+            );
+            let angle = R::select(far, part + FRAC_PI_4, part);
+            let angle = R::select(steep, x.splat(FRAC_PI_2) - angle, angle);
+            let angle = R::select(x.below(0.0), x.splat(PI) - angle, angle);
+            R::select(y.below(0.0), -angle, angle)
+        },
+    )
 }
 
-#[inline(always)]
 pub(super) fn exp<R: Real>(x: R) -> R {
-    let x = x.at_least(-87.0).at_most(88.0);
-    let power = (x * LOG2_E + 0.5).floor();
-    // ln 2 in two parts.
-    let r = power.mul_add(x.splat(-0.693_359_375), x);
-    let r = power.mul_add(x.splat(2.121_944_4e-4), r);
-    let tail = polynomial(
-        r,
-        &[1.987_569_15e-4, 1.398_199_950_7e-3, 8.333_451_907_3e-3, 4.166_579_589_4e-2, 1.666_666_545_9e-1, 0.5],
-    );
-    let fraction = (r * r).mul_add(tail, r) + 1.0;
-    // 2^power: its biased exponent, counted in the low bits of a number of 24 bits, moved into place.
-    let scale = R::from_bits((power + (8_388_608.0 + 127.0)).to_bits() << 23);
-    fraction * scale
+    x.vectorize(
+        #[inline(always)]
+        || {
+            let x = x.at_least(-87.0).at_most(88.0);
+            let power = (x * LOG2_E + 0.5).floor();
+            // ln 2 in two parts.
+            let r = power.mul_add(x.splat(-0.693_359_375), x);
+            let r = power.mul_add(x.splat(2.121_944_4e-4), r);
+            let tail = polynomial(
+                r,
+                &[1.987_569_15e-4, 1.398_199_950_7e-3, 8.333_451_907_3e-3, 4.166_579_589_4e-2, 1.666_666_545_9e-1, 0.5],
+            );
+            let fraction = (r * r).mul_add(tail, r) + 1.0;
+            // 2^power: its biased exponent, counted in the low bits of a number of 24 bits, moved into place.
+            let scale = R::from_bits((power + (8_388_608.0 + 127.0)).to_bits() << 23);
+            fraction * scale
+        },
+    )
 }
 
-#[inline(always)]
 pub(super) fn ln<R: Real>(x: R) -> R {
-    ln_in_parts(x).0
+    x.vectorize(
+        #[inline(always)]
+        || ln_in_parts(x).0,
+    )
 }
 
-#[inline(always)]
 pub(super) fn powf<R: Real>(x: R, exponent: R) -> R {
-    let (high, low) = ln_in_parts(x);
-    let product = high * exponent;
-    let lost = low.mul_add(exponent, high.mul_add(exponent, -product));
-    let power = exp(product);
-    power.mul_add(lost, power)
+    x.vectorize(
+        #[inline(always)]
+        || {
+            let (high, low) = ln_in_parts(x);
+            let product = high * exponent;
+            let lost = low.mul_add(exponent, high.mul_add(exponent, -product));
+            let power = exp(product);
+            power.mul_add(lost, power)
+        },
+    )
 }
 
 /// The logarithm as a sum of two numbers, the second much smaller.

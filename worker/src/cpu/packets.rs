@@ -1,14 +1,11 @@
 //! Packets: a block of neighbouring pixels rendered together, one a lane.
 
-use fearless_simd::{Level, Simd as Token, dispatch};
+use fearless_simd::{Level, Simd as Token};
 use scene::{Image, Layer, Program};
 
 use crate::lanes::Lanes;
-use crate::simd::Simd;
+use crate::simd::{Simd, with_instructions};
 use crate::{Cancel, RenderError};
-
-/// Registers that a packet fills: more share the cost of walking the scene, fewer keep its pixels alike.
-pub(crate) const REGISTERS: usize = 2;
 
 /// Renders packets with one CPU's vector instructions.
 #[derive(Clone, Copy, Debug)]
@@ -37,12 +34,12 @@ impl Packets {
 
     /// Rows of a packet's block.
     pub(crate) fn block_rows(self) -> u32 {
-        dispatch!(self.0, token => block(token).1) as u32
+        with_instructions!(self.0, token, N => block::<_, N>(token).1) as u32
     }
 
     /// How often a row of pixels evaluates the scene's distance.
     pub(crate) fn evaluations(self, program: &Program<'_>, left: u32, row: u32, width: usize) -> u64 {
-        dispatch!(self.0, token => row_evaluations(token, program, left, row, width))
+        with_instructions!(self.0, token, N => row_evaluations::<_, N>(token, program, left, row, width))
     }
 
     /// Renders the rows of a band that starts in column `left` and row `top`; false if cancelled.
@@ -58,30 +55,36 @@ impl Packets {
         cancel: &Cancel,
     ) -> bool {
         let mut band = Band { program, image, left, top, width, planes };
-        dispatch!(self.0, token => band.render(token, cancel))
+        with_instructions!(self.0, token, N => band.render::<_, N>(token, cancel))
     }
 }
 
 /// Columns and rows of a packet's block: as square as its lanes allow.
 #[inline(always)]
-fn block<S: Token>(_: S) -> (usize, usize) {
-    let lanes = Lanes::<S, REGISTERS>::COUNT;
+fn block<S: Token, const N: usize>(_: S) -> (usize, usize) {
+    let lanes = Lanes::<S, N>::COUNT;
     let columns = 1 << (lanes.ilog2().div_ceil(2));
     (columns, lanes / columns)
 }
 
 #[inline(always)]
-fn row_evaluations<S: Token>(token: S, program: &Program<'_>, left: u32, row: u32, width: usize) -> u64 {
-    let count = Lanes::<S, REGISTERS>::COUNT;
+fn row_evaluations<S: Token, const N: usize>(
+    token: S,
+    program: &Program<'_>,
+    left: u32,
+    row: u32,
+    width: usize,
+) -> u64 {
+    let count = Lanes::<S, N>::COUNT;
     let mut buffer = [0.0; 64];
     let mut sum = 0;
     for column in (0..width).step_by(count) {
-        let x = Lanes::<S, REGISTERS>::from_fn(
+        let x = Lanes::<S, N>::from_fn(
             token,
             #[inline(always)]
             |lane| (left as usize + column + lane) as f32,
         );
-        let y = Lanes::<S, REGISTERS>::from_fn(
+        let y = Lanes::<S, N>::from_fn(
             token,
             #[inline(always)]
             |_| row as f32,
@@ -94,30 +97,30 @@ fn row_evaluations<S: Token>(token: S, program: &Program<'_>, left: u32, row: u3
 
 impl Band<'_, '_> {
     #[inline(always)]
-    fn render<S: Token>(&mut self, token: S, cancel: &Cancel) -> bool {
-        let (columns, _) = block(token);
+    fn render<S: Token, const N: usize>(&mut self, token: S, cancel: &Cancel) -> bool {
+        let (columns, _) = block::<_, N>(token);
         for column in (0..self.width).step_by(columns) {
             if cancel.is_cancelled() {
                 return false;
             }
-            self.packet(token, column);
+            self.packet::<_, N>(token, column);
         }
         true
     }
 
     /// Renders the block that starts in `column` of the band.
     #[inline(always)]
-    fn packet<S: Token>(&mut self, token: S, column: usize) {
+    fn packet<S: Token, const N: usize>(&mut self, token: S, column: usize) {
         let (left, top) = (self.left as usize, self.top as usize);
-        let x = Lanes::from_fn(
+        let x = Lanes::<S, N>::from_fn(
             token,
             #[inline(always)]
-            |lane| (left + self.place(token, column, lane).0) as f32,
+            |lane| (left + self.place::<_, N>(token, column, lane).0) as f32,
         );
-        let y = Lanes::from_fn(
+        let y = Lanes::<S, N>::from_fn(
             token,
             #[inline(always)]
-            |lane| (top + self.place(token, column, lane).1) as f32,
+            |lane| (top + self.place::<_, N>(token, column, lane).1) as f32,
         );
         let seen = self.program.pixel(x, y);
         let color = [seen.color.x, seen.color.y, seen.color.z, seen.alpha];
@@ -130,7 +133,7 @@ impl Band<'_, '_> {
         let met = self.program.layers(x, y);
         let mut plane = color.len();
         for layer in &self.image.layers {
-            let numbers: &[Lanes<S, REGISTERS>] = match layer {
+            let numbers: &[Lanes<S, N>] = match layer {
                 Layer::Depth => &[met.depth],
                 Layer::Object => &[met.object],
                 Layer::Steps => &[met.steps],
@@ -147,20 +150,20 @@ impl Band<'_, '_> {
 
     /// Column and row in the band of a packet's lane. Lanes beyond the band's edge repeat its last pixels.
     #[inline(always)]
-    fn place<S: Token>(&self, token: S, column: usize, lane: usize) -> (usize, usize) {
-        let (columns, _) = block(token);
+    fn place<S: Token, const N: usize>(&self, token: S, column: usize, lane: usize) -> (usize, usize) {
+        let (columns, _) = block::<_, N>(token);
         let rows = self.planes[0].len() / self.width;
         ((column + lane % columns).min(self.width - 1), (lane / columns).min(rows - 1))
     }
 
     /// Writes the numbers of a packet that starts in `column` of the band.
     #[inline(always)]
-    fn put<S: Token>(&mut self, plane: usize, column: usize, numbers: Lanes<S, REGISTERS>) {
+    fn put<S: Token, const N: usize>(&mut self, plane: usize, column: usize, numbers: Lanes<S, N>) {
         let mut buffer = [0.0; 64];
         // A file must not tell zeros apart by their sign.
         (numbers + 0.0).store(&mut buffer);
-        for (lane, &number) in buffer[..Lanes::<S, REGISTERS>::COUNT].iter().enumerate() {
-            let (x, y) = self.place(numbers.token(), column, lane);
+        for (lane, &number) in buffer[..Lanes::<S, N>::COUNT].iter().enumerate() {
+            let (x, y) = self.place::<_, N>(numbers.token(), column, lane);
             self.planes[plane][y * self.width + x] = number;
         }
     }
