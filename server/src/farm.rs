@@ -132,7 +132,12 @@ impl Farm {
         match self.jobs.get(&self.queue, number).await {
             Ok(job) => Ok(Some(opening(number, frame, plan, &job))),
             Err(JobError::Store(error)) => Err(error),
-            Err(error @ (JobError::Gone | JobError::Refused(_) | JobError::Thread)) => {
+            Err(error @ JobError::Refused(_)) => {
+                tracing::error!(job = number, %error, "a job that was accepted once is refused now");
+                self.queue.refuse(number, error.to_string()).await?;
+                Ok(None)
+            }
+            Err(error @ (JobError::Gone | JobError::Thread)) => {
                 tracing::error!(job = number, %error, "a frame could not be opened");
                 Ok(None)
             }

@@ -199,6 +199,18 @@ impl Queue {
         Ok(cancelled)
     }
 
+    /// Fails a job whose file can't be read any more.
+    pub(crate) async fn refuse(&self, job: i64, message: String) -> Result<()> {
+        let moment = self.moment();
+        self.store
+            .write(Durability::Full, move |connection| {
+                Box::pin(async move { end::refuse(connection, job, &message, moment).await })
+            })
+            .await?;
+        self.ring(Ring { work: true, news: true });
+        Ok(())
+    }
+
     /// Forgets a job that is not running.
     pub(crate) async fn delete(&self, job: JobId) -> Result<Deleted> {
         self.store

@@ -106,6 +106,19 @@ pub(super) async fn fail(connection: &mut Connection, job: i64, message: &str, m
     void_rest(connection, job).await
 }
 
+/// A frame of a job can't be opened: the job has failed, if it has not ended anyway.
+pub(super) async fn refuse(connection: &mut Connection, job: i64, message: &str, moment: Moment) -> Result<()> {
+    sqlx::query(
+        "UPDATE job SET state = 'failed', error = ?, finished_at_ms = ? WHERE number = ? AND finished_at_ms IS NULL",
+    )
+    .bind(message)
+    .bind(moment.wall_ms)
+    .bind(job)
+    .execute(&mut *connection)
+    .await?;
+    void_rest(connection, job).await
+}
+
 /// Cancels a job that has not ended.
 pub(super) async fn cancel(connection: &mut Connection, id: JobId, moment: Moment) -> Result<Cancelled> {
     let cancelled: Option<i64> = sqlx::query_scalar(

@@ -28,18 +28,8 @@ impl Bench {
     }
 
     async fn submit(&self, frames: u32) -> JobId {
-        let id = JobId::new();
-        let plan = Plan { width_px: 128, height_px: 96, samples: 1, pixel_bytes: 16, edge_px: Some(32), frames };
-        let new = NewJob {
-            id,
-            name: String::new(),
-            priority: 0,
-            plan,
-            media_type: "image/png",
-            warnings: Vec::new(),
-            fresh: true,
-            text: "{}".to_owned(),
-        };
+        let new = new_job(frames);
+        let id = new.id;
         self.queue.submit(new).await.expect("accepted");
         id
     }
@@ -84,6 +74,19 @@ impl Bench {
             let wrong: i64 = sqlx::query_scalar(query).fetch_one(self.queue.readers()).await.expect("counts");
             assert_eq!(wrong, 0, "{query}");
         }
+    }
+}
+
+fn new_job(frames: u32) -> NewJob {
+    NewJob {
+        id: JobId::new(),
+        name: String::new(),
+        priority: 0,
+        plan: Plan { width_px: 128, height_px: 96, samples: 1, pixel_bytes: 16, edge_px: Some(32), frames },
+        media_type: "image/png",
+        warnings: Vec::new(),
+        fresh: true,
+        text: "{}".to_owned(),
     }
 }
 
@@ -187,4 +190,47 @@ async fn counters_are_those_of_the_tiles_whatever_happens() {
     for seed in 0..20 {
         random_sequence(seed).await;
     }
+}
+
+#[tokio::test]
+async fn a_full_disk_refuses_a_job_and_room_on_it_takes_the_next() {
+    let bench = Bench::new().await;
+    let worker = bench.worker().await;
+    let limit = async |statement: &'static str| {
+        bench
+            .queue
+            .store
+            .write(crate::store::Durability::Relaxed, move |connection| {
+                Box::pin(async move {
+                    sqlx::query(statement).execute(connection).await?;
+                    Ok(())
+                })
+            })
+            .await
+            .expect("sets the limit");
+    };
+    limit("PRAGMA max_page_count = 1").await;
+    let mut new = new_job(1);
+    new.text = " ".repeat(1 << 20);
+    let refused = bench.queue.submit(new.clone()).await.expect_err("there is no room");
+    assert!(refused.is_full(), "{refused:?}");
+    limit("PRAGMA max_page_count = 1000000").await;
+    bench.queue.submit(new).await.expect("there is room");
+    let said = Turn { wants_work: true, ..turn(worker) };
+    assert!(matches!(bench.turn(said).await.expect("known").next, Next::Run(_)));
+    bench.check().await;
+}
+
+#[tokio::test]
+async fn an_operation_that_fails_takes_no_other_with_it() {
+    let bench = Bench::new().await;
+    let good = (0..20).map(|_| bench.queue.submit(new_job(1)));
+    let taken = new_job(1);
+    bench.queue.submit(taken.clone()).await.expect("accepted");
+    let bad = (0..20).map(|_| bench.queue.submit(taken.clone()));
+    let (good, bad) =
+        tokio::join!(futures_util::future::join_all(good), futures_util::future::join_all(bad));
+    assert!(good.iter().all(Result::is_ok), "{good:?}");
+    assert!(bad.iter().all(Result::is_err), "an id is taken once");
+    assert_eq!(bench.queue.jobs(None, 1000, None).await.expect("lists").jobs.len(), 21);
 }

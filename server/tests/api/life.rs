@@ -227,3 +227,25 @@ async fn a_worker_program_that_is_not_there_does_not_stop_the_server() {
     assert_eq!(pool, PoolView { workers: 2, ready: 0 });
     farm.stop().await;
 }
+
+#[tokio::test]
+async fn a_store_that_fails_costs_a_retry_and_leaves_no_half_picture() {
+    let farm = Farm::start().await;
+    let posted = farm.submit(&small_job(1)).await;
+    let worker = farm.worker("one").await;
+    let run = worker.claim().await.expect("work");
+    let folder = farm.folder.path().join("pictures");
+    std::fs::remove_dir(&folder).expect("is empty");
+    std::fs::write(&folder, "in the way").expect("writes");
+    let hash = blake3::hash(b"a picture").to_hex().to_string();
+    let put = worker.put(&work::picture_path(&hash), b"a picture".to_vec()).await;
+    refused(put, 500, "internal").await;
+    let handed_back =
+        proto::work::Report { lease: leases(&run)[0], outcome: proto::work::Outcome::HandedBack };
+    worker.report(vec![handed_back]).await;
+    std::fs::remove_file(&folder).expect("removes");
+    std::fs::create_dir(&folder).expect("makes");
+    worker.work_off().await;
+    assert_state(&farm, posted.id, JobState::Succeeded).await;
+    farm.stop().await;
+}
