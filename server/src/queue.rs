@@ -277,7 +277,12 @@ fn counted(what: &'static str, expected: u64, done: &sqlx::sqlite::SqliteQueryRe
     if changed == expected { Ok(()) } else { Err(StoreError::Rows { what, expected, changed }) }
 }
 
-/// A list of anything with a name, as SQLite's `json_each` reads it.
+/// A number of rows, as the database counts.
+fn rows(count: usize) -> i64 {
+    (count as u64).cast_signed()
+}
+
+/// A list of anything with a name, as `json_each` reads it.
 fn json_list<T: ToString>(items: impl IntoIterator<Item = T>) -> String {
     let items: Vec<serde_json::Value> = items.into_iter().map(|item| item.to_string().into()).collect();
     serde_json::Value::Array(items).to_string()

@@ -115,8 +115,9 @@ pub(crate) async fn start(config: Config, clock: Clock) -> Result<Server, StartE
 
 fn explain(file: PathBuf, error: OpenError) -> StartError {
     match error {
-        OpenError::Sql(error) => explain_store(file, &error.into()),
-        OpenError::Migrate(sqlx::migrate::MigrateError::Execute(error)) => explain_store(file, &error.into()),
+        OpenError::Sql(error) | OpenError::Migrate(sqlx::migrate::MigrateError::Execute(error)) => {
+            explain_store(file, &error.into())
+        }
         OpenError::Migrate(error) => StartError::Database { file, reason: error.to_string(), cure: UPGRADE },
         OpenError::Damaged(verdict) => {
             StartError::Database { file, reason: format!("it is damaged ({verdict})"), cure: RESTORE }

@@ -28,7 +28,7 @@ static MIGRATIONS: sqlx::migrate::Migrator = sqlx::migrate!("../migrations");
 /// Why the database could not be read or written.
 #[derive(Clone, Debug, thiserror::Error)]
 pub(crate) enum StoreError {
-    /// SQLite said no.
+    /// The engine said no.
     #[error("the database could not do it")]
     Sql(#[source] Arc<sqlx::Error>),
     /// A statement touched another number of rows than its transition means to.
@@ -71,7 +71,7 @@ impl StoreError {
         matches!(self.code(), Some(11 | 26))
     }
 
-    /// SQLite's primary result code.
+    /// The engine's primary result code.
     fn code(&self) -> Option<i32> {
         let Self::Sql(error) = self else { return None };
         error.as_database_error()?.code()?.parse::<i32>().ok().map(|code| code & 0xff)

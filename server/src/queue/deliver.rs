@@ -10,7 +10,7 @@ use proto::{LeaseId, WorkerId};
 use sqlx::Row;
 
 use super::lease::{self, Cause, Held};
-use super::{Connection, Moment, Result, Ring, counted, end};
+use super::{Connection, Moment, Result, Ring, counted, end, rows};
 use crate::store::StoreError;
 
 /// What came of some results.
@@ -101,7 +101,7 @@ async fn finish_tile(connection: &mut Connection, held: &Held, hash: &str, size_
     let done =
         sqlx::query("UPDATE tile SET state = 'done', blob = ?, blob_bytes = ? WHERE id = ? AND state = 'leased'")
             .bind(hash)
-            .bind(size_bytes as i64)
+            .bind(size_bytes.cast_signed())
             .bind(held.tile)
             .execute(&mut *connection)
             .await?;
@@ -163,7 +163,7 @@ async fn reopen(connection: &mut Connection, held: &Held, positions: &[u32], mom
         .execute(&mut *connection)
         .await?;
     counted("tile: stitch void", 1, &void)?;
-    let count = rays.len() as i64;
+    let count = rows(rays.len());
     let open = sqlx::query(
         "UPDATE frame SET state = 'open', tiles_done = tiles_done - ? WHERE job = ? AND number = ? AND state = 'stitching'",
     )
@@ -229,7 +229,7 @@ async fn covers(connection: &mut Connection, job: i64, frame: u32, tiles: usize)
             .bind(frame)
             .fetch_optional(connection)
             .await?;
-    Ok(total == Some(tiles as i64))
+    Ok(total == Some(rows(tiles)))
 }
 
 struct Picture<'a> {
@@ -253,7 +253,7 @@ async fn store_frame(
          WHERE job = ?3 AND number = ?4 AND state = ?5 RETURNING picture_key",
     )
     .bind(picture.hash)
-    .bind(picture.size_bytes as i64)
+    .bind(picture.size_bytes.cast_signed())
     .bind(picture.job)
     .bind(picture.frame)
     .bind(if stitched { "stitching" } else { "open" })
@@ -261,7 +261,7 @@ async fn store_frame(
     .await?;
     let key = key.ok_or(StoreError::Rows { what: "frame: to stored", expected: 1, changed: 0 })?;
     remember(connection, picture, &key, moment).await?;
-    let (tiles, rays) = if stitched { (0, 0) } else { (held.len() as i64, held.iter().map(|held| held.rays).sum()) };
+    let (tiles, rays) = if stitched { (0, 0) } else { (rows(held.len()), held.iter().map(|held| held.rays).sum()) };
     end::progress(connection, picture.job, end::Progress { tiles, rays, frames: 1 }).await?;
     end::succeed_if_stored(connection, picture.job, moment).await?;
     if stitched {
@@ -300,7 +300,7 @@ async fn remember(connection: &mut Connection, picture: &Picture<'_>, key: &str,
     )
     .bind(key)
     .bind(picture.hash)
-    .bind(picture.size_bytes as i64)
+    .bind(picture.size_bytes.cast_signed())
     .bind(moment.wall_ms)
     .bind(picture.job)
     .execute(&mut *connection)

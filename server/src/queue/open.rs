@@ -3,7 +3,7 @@
 
 use proto::Rect;
 
-use super::{Connection, Moment, Result, counted, end};
+use super::{Connection, Moment, Result, counted, end, rows};
 
 /// What is needed to open a frame.
 #[derive(Clone, Debug)]
@@ -42,7 +42,7 @@ pub(super) async fn open(connection: &mut Connection, opening: &Opening, moment:
         .bind(opening.job)
         .bind(opening.frame)
         .bind(&opening.picture_key)
-        .bind(opening.tiles.len() as i64)
+        .bind(rows(opening.tiles.len()))
         .execute(&mut *connection)
         .await?;
     make_tiles(connection, opening).await?;
@@ -85,7 +85,7 @@ pub(super) async fn reuse(connection: &mut Connection, opening: &Opening, moment
     )
     .bind(opening.job)
     .bind(opening.frame)
-    .bind(opening.tiles.len() as i64)
+    .bind(rows(opening.tiles.len()))
     .bind(&opening.picture_key)
     .execute(&mut *connection)
     .await?;
@@ -94,7 +94,7 @@ pub(super) async fn reuse(connection: &mut Connection, opening: &Opening, moment
     }
     advance(connection, opening).await?;
     let rays: u64 = opening.tiles.iter().map(|rect| rect.pixels() * u64::from(opening.samples)).sum();
-    let counters = end::Progress { tiles: opening.tiles.len() as i64, rays: rays as i64, frames: 1 };
+    let counters = end::Progress { tiles: rows(opening.tiles.len()), rays: rays.cast_signed(), frames: 1 };
     end::progress(connection, opening.job, counters).await?;
     end::succeed_if_stored(connection, opening.job, moment).await?;
     Ok(Opened::Stored)

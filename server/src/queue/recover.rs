@@ -3,7 +3,7 @@
 
 use sqlx::Row;
 
-use super::{Connection, Result, json_numbers};
+use super::{Connection, Result, json_numbers, rows};
 
 /// Ended leases are kept so long, to recognise late results.
 const KEEP_LEASES_MS: u64 = 3_600_000;
@@ -53,7 +53,7 @@ pub(super) async fn recover(connection: &mut Connection, now_ms: i64, lease_ms: 
         .await?;
     let jobs =
         sqlx::query("SELECT count(*) AS jobs FROM job WHERE finished_at_ms IS NULL").fetch_one(connection).await?;
-    Ok(Recovered { generation, jobs: jobs.try_get("jobs")?, leases: tiles.len() as i64 })
+    Ok(Recovered { generation, jobs: jobs.try_get("jobs")?, leases: rows(tiles.len()) })
 }
 
 /// Drops ended leases that are old, or whose worker is gone, and workers that are gone.

@@ -15,7 +15,7 @@ use tokio::task::JoinHandle;
 use tokio_util::sync::CancellationToken;
 
 /// Whatever takes longer has failed.
-const DEADLINE: Duration = Duration::from_secs(60);
+const DEADLINE: Duration = Duration::from_mins(1);
 /// Length of a lease in these tests, by the clock in the test's hand.
 pub(crate) const LEASE: Duration = Duration::from_secs(30);
 

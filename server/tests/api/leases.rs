@@ -84,15 +84,11 @@ async fn three_errors_kill_a_tile_and_its_job_says_why() {
     let worker = farm.worker("one").await;
     let other = worker.claim().await.expect("work");
     for _ in 0..3 {
-        let held = loop {
-            farm.hand.advance(Duration::from_secs(6));
-            let said = Said { wants_work: true, holding: leases(&other), ..Said::default() };
-            let run = worker.sync(said).await.run.expect("work");
-            match &run.work {
-                Work::Render { tiles, .. } if tiles[0].index == 1 => break leases(&run),
-                _ => panic!("{run:?}"),
-            }
-        };
+        farm.hand.advance(Duration::from_secs(6));
+        let said = Said { wants_work: true, holding: leases(&other), ..Said::default() };
+        let run = worker.sync(said).await.run.expect("work");
+        assert!(matches!(&run.work, Work::Render { tiles, .. } if tiles[0].index == 1), "{run:?}");
+        let held = leases(&run);
         let results = vec![failed(held[0], "the scene has no inside")];
         let said = Said { results, holding: leases(&other), ..Said::default() };
         worker.sync(said).await;

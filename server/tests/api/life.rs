@@ -17,7 +17,7 @@ use super::harness::{Farm, Said, assert_state, config, in_time, leases, read, re
 async fn start_error(data: &Path, change: impl FnOnce(&mut server::Config)) -> StartError {
     let mut config = config(data);
     change(&mut config);
-    Server::start(config).await.err().expect("the server must not start")
+    Server::start(config).await.expect_err("the server must not start")
 }
 
 #[tokio::test]
@@ -240,8 +240,7 @@ async fn a_store_that_fails_costs_a_retry_and_leaves_no_half_picture() {
     let hash = blake3::hash(b"a picture").to_hex().to_string();
     let put = worker.put(&work::picture_path(&hash), b"a picture".to_vec()).await;
     refused(put, 500, "internal").await;
-    let handed_back =
-        proto::work::Report { lease: leases(&run)[0], outcome: proto::work::Outcome::HandedBack };
+    let handed_back = work::Report { lease: leases(&run)[0], outcome: work::Outcome::HandedBack };
     worker.report(vec![handed_back]).await;
     std::fs::remove_file(&folder).expect("removes");
     std::fs::create_dir(&folder).expect("makes");
