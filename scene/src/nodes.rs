@@ -62,6 +62,11 @@ pub trait Sdf {
     fn stretch(&self) -> f32 {
         self.children().iter().map(Node::stretch).fold(1.0, f32::max)
     }
+
+    /// Whether some distance in it is an estimate, which no Lipschitz factor bounds everywhere.
+    fn is_estimate(&self) -> bool {
+        self.children().iter().any(Node::is_estimate)
+    }
 }
 
 /// A node without children: its distance says it all.
@@ -76,6 +81,12 @@ pub trait Primitive {
     fn stretch(&self) -> f32 {
         1.0
     }
+
+    /// Whether the distance is an estimate, which no Lipschitz factor bounds everywhere;
+    /// then a step of distance/stretch still passes no surface.
+    fn is_estimate(&self) -> bool {
+        false
+    }
 }
 
 impl<P: Primitive> Sdf for P {
@@ -88,6 +99,10 @@ impl<P: Primitive> Sdf for P {
 
     fn stretch(&self) -> f32 {
         Primitive::stretch(self)
+    }
+
+    fn is_estimate(&self) -> bool {
+        Primitive::is_estimate(self)
     }
 }
 
@@ -150,6 +165,13 @@ macro_rules! nodes {
             pub fn stretch(&self) -> f32 {
                 match self {
                     $(Self::$Kind(node) => Sdf::stretch(node)),*
+                }
+            }
+
+            /// Whether some distance in it is an estimate, which no Lipschitz factor bounds everywhere.
+            pub fn is_estimate(&self) -> bool {
+                match self {
+                    $(Self::$Kind(node) => Sdf::is_estimate(node)),*
                 }
             }
 

@@ -68,6 +68,10 @@ impl Primitive for Mandelbulb {
         let estimate = radius.ln() * radius / slope * 0.5;
         R::select(away.above(ESCAPE_RADIUS), estimate.min(away - self.bounding_radius()), estimate)
     }
+
+    fn is_estimate(&self) -> bool {
+        true
+    }
 }
 
 impl Mandelbulb {

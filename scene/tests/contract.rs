@@ -1,0 +1,139 @@
+//! What every node promises, tested on each node's own example: nothing here names a node.
+
+use scene::nodes::{Example, Node};
+use scene::real::{Interval, Real, Truth, Vec3, vec3};
+
+/// A small generator with a fixed start: failures repeat.
+struct Random(u32);
+
+impl Random {
+    fn next(&mut self, low: f32, high: f32) -> f32 {
+        self.0 = self.0.wrapping_mul(747_796_405).wrapping_add(2_891_336_453);
+        let word = ((self.0 >> ((self.0 >> 28) + 4)) ^ self.0).wrapping_mul(277_803_737);
+        low + (high - low) * (((word >> 22) ^ word) >> 8) as f32 / (1 << 24) as f32
+    }
+
+    fn point(&mut self, reach: f32) -> Vec3<f32> {
+        vec3(self.next(-reach, reach), self.next(-reach, reach), self.next(-reach, reach))
+    }
+
+    fn direction(&mut self) -> Vec3<f32> {
+        loop {
+            let v = self.point(1.0);
+            if (0.01..=1.0).contains(&v.length()) {
+                return v.normalize();
+            }
+        }
+    }
+}
+
+fn each_node(mut check: impl FnMut(&str, &Node)) {
+    for Example { kind, node } in Node::examples() {
+        check(kind, &serde_json::from_str(&node).expect("an example is a node"));
+    }
+}
+
+#[test]
+fn a_node_survives_the_way_through_json() {
+    each_node(|kind, node| {
+        let text = serde_json::to_string(node).unwrap();
+        assert_eq!(&serde_json::from_str::<Node>(&text).unwrap(), node, "{kind}");
+    });
+}
+
+#[test]
+fn the_schema_describes_every_node_and_each_of_its_keys() {
+    let schema = scene::schema();
+    for Example { kind, node } in Node::examples() {
+        let definition = &schema["$defs"][kind];
+        assert!(definition["description"].is_string(), "{kind} has no description");
+        assert_eq!(definition["additionalProperties"], false, "{kind} takes unknown keys");
+        let node: serde_json::Value = serde_json::from_str(&node).unwrap();
+        let (_, value) = node.as_object().unwrap().iter().next().unwrap();
+        for key in value.as_object().unwrap().keys() {
+            assert!(definition["properties"][key]["description"].is_string(), "{kind}.{key} has no description");
+        }
+    }
+}
+
+#[test]
+fn distances_are_finite_everywhere() {
+    each_node(|kind, node| {
+        let mut random = Random(1);
+        for reach in [0.0, 1e-6, 1.0, 10.0, 1e3, 1e6] {
+            for _ in 0..2_000 {
+                let p = random.point(reach);
+                assert!(node.distance(p).is_finite(), "{kind} at {p:?}");
+            }
+        }
+    });
+}
+
+#[test]
+fn an_interval_contains_every_distance_inside_its_box() {
+    each_node(|kind, node| {
+        let mut random = Random(2);
+        for round in 0..2_000 {
+            let (corner, edge) = (random.point(2.5), [2.0, 0.5, 0.05, 1e-3][round % 4]);
+            let ends = |low: f32| Interval::new(low, low + edge);
+            let range: Interval = node.distance(vec3(ends(corner.x), ends(corner.y), ends(corner.z)));
+            for _ in 0..16 {
+                let within = |low: f32, random: &mut Random| random.next(low, low + edge).clamp(low, low + edge);
+                let p =
+                    vec3(within(corner.x, &mut random), within(corner.y, &mut random), within(corner.z, &mut random));
+                let d = node.distance(p);
+                assert!(range.contains(d), "{kind}: {d} at {p:?} is not in {range:?}");
+            }
+        }
+    });
+}
+
+#[test]
+fn no_step_passes_a_surface() {
+    each_node(|kind, node| {
+        let mut random = Random(3);
+        let mut steps = 0;
+        while steps < 20_000 {
+            let p = random.point(3.0);
+            let step = node.distance(p) / node.stretch();
+            if step <= 0.0 {
+                continue;
+            }
+            let q = random.direction().mul_add(step * random.next(0.0, 0.999), p);
+            let d = node.distance(q);
+            assert!(d > -1e-5, "{kind}: a step of {step} from {p:?} may reach {q:?}, which is {d} inside");
+            steps += 1;
+        }
+    });
+}
+
+#[test]
+fn distances_change_no_faster_than_the_stretch_says() {
+    each_node(|kind, node| {
+        let mut random = Random(4);
+        for _ in 0..100_000 {
+            let (p, size) = (random.point(2.5), random.next(0.0, 1.0));
+            let q = random.direction().mul_add(size * size * size, p);
+            let (dp, dq) = (node.distance(p), node.distance(q));
+            // A fractal's estimate is none of a distance's kind inside and at its fringe;
+            // what counts there is that no step passes it.
+            if node.is_estimate() {
+                continue;
+            }
+            let apart = vec3(p.x - q.x, p.y - q.y, p.z - q.z).length();
+            let rounding = 8.0 * f32::EPSILON * 4.0;
+            assert!((dp - dq).abs() <= node.stretch() * apart + rounding, "{kind}: {dp} at {p:?}, {dq} at {q:?}");
+        }
+    });
+}
+
+#[test]
+fn conditions_over_boxes_follow_three_valued_logic() {
+    let box_of = |low, high| Interval::new(low, high);
+    assert_eq!(box_of(0.0, 1.0).lt(box_of(2.0, 3.0)), Truth::Yes);
+    assert_eq!(box_of(2.0, 3.0).lt(box_of(0.0, 1.0)), Truth::No);
+    assert_eq!(box_of(0.0, 2.0).lt(box_of(1.0, 3.0)), Truth::Maybe);
+    assert_eq!(Truth::Maybe & Truth::No, Truth::No);
+    assert_eq!(Truth::Maybe | Truth::Yes, Truth::Yes);
+    assert_eq!(!Truth::Maybe, Truth::Maybe);
+}

@@ -1,0 +1,107 @@
+//! Every vector width gives the bits of the scalar reference: for each node alone, and for whole
+//! pixels of scenes that use everything. Nothing here names a node.
+
+use proto::Rect;
+use scene::nodes::Node;
+use scene::{Image, Job, Layer, Program};
+use worker::{Cancel, CpuRenderer, Renderer, Simd, TileRun};
+
+/// Each level that this CPU has; says aloud which it has not.
+fn levels() -> impl Iterator<Item = Simd> {
+    Simd::LEVELS.into_iter().filter(|level| {
+        let available = level.is_available();
+        if !available {
+            println!("skipped: this CPU has no {level}");
+        }
+        available
+    })
+}
+
+fn job(node: &str) -> Job {
+    let text = format!(
+        r#"{{ "scene": {{ "camera": {{ "position": [1.5, 1.4, 3.2], "look_at": [0, 0, 0] }},
+            "background": "transparent",
+            "lights": [{{ "directional": {{ "direction": [0.6, 0.7, 0.5] }} }},
+                       {{ "point": {{ "position": [-2, 2, 2], "color": [3, 2, 1] }} }}],
+            "objects": [{{ "shape": {node}, "material": {{ "diffuse": {{ "ks": [0.4, 0.4, 0.4] }} }} }},
+                        {{ "shape": {{ "plane": {{ "normal": [0, 1, 0], "offset": -1.5 }} }},
+                           "material": {{ "normals": {{}} }} }}] }},
+          "image": {{ "width": 37, "height": 29, "samples": 3, "format": "exr", "precision": "float",
+                     "layers": ["depth", "normal", "position", "albedo", "object", "steps"] }} }}"#
+    );
+    scene::parse(text.as_bytes()).unwrap()
+}
+
+/// The pixel by plain `f32`, channel by channel.
+fn reference(program: &Program<'_>, image: &Image, x: u32, y: u32) -> Vec<f32> {
+    let seen = program.pixel(x as f32, y as f32);
+    let met = program.layers(x as f32, y as f32);
+    let mut channels = vec![seen.color.x, seen.color.y, seen.color.z, seen.alpha];
+    for layer in &image.layers {
+        match layer {
+            Layer::Depth => channels.push(met.depth),
+            Layer::Normal => channels.extend(<[f32; 3]>::from(met.normal)),
+            Layer::Position => channels.extend(<[f32; 3]>::from(met.position)),
+            Layer::Albedo => channels.extend(<[f32; 3]>::from(met.albedo)),
+            Layer::Object => channels.push(met.object),
+            Layer::Steps => channels.push(met.steps),
+        }
+    }
+    channels
+}
+
+#[test]
+fn every_width_gives_the_reference_bits_for_every_node() {
+    for example in Node::examples() {
+        let job = job(&example.node);
+        let program = Program::new(&job, 0);
+        let rect = Rect::whole(job.image.width, job.image.height);
+        for simd in levels() {
+            let renderer = CpuRenderer::new(Some(1), simd).unwrap();
+            let run = TileRun { job: &job, frame: 0, rect };
+            let pixels = renderer.render(&run, &Cancel::new(), &|_| ()).unwrap();
+            for (x, y) in (0..rect.height).flat_map(|y| (0..rect.width).map(move |x| (x, y))) {
+                let want = reference(&program, &job.image, x, y);
+                for (plane, want) in pixels.planes.iter().zip(want) {
+                    let got = plane[(y * rect.width + x) as usize];
+                    let kind = example.kind;
+                    assert!(!got.is_nan(), "{kind} by {simd} at ({x}, {y}) is no number");
+                    assert_eq!(
+                        got.to_bits(),
+                        (want + 0.0).to_bits(),
+                        "{kind} by {simd} at ({x}, {y}): {got} for {want}"
+                    );
+                }
+            }
+        }
+    }
+}
+
+#[test]
+fn a_tile_has_the_bits_of_its_part_of_the_picture() {
+    let example = Node::examples().swap_remove(0);
+    let job = job(&example.node);
+    let renderer = CpuRenderer::new(Some(2), Simd::Auto).unwrap();
+    let render = |rect| renderer.render(&TileRun { job: &job, frame: 0, rect }, &Cancel::new(), &|_| ()).unwrap();
+    let whole = render(Rect::whole(job.image.width, job.image.height));
+    for part in [Rect { x: 32, y: 0, width: 5, height: 29 }, Rect { x: 0, y: 19, width: 37, height: 3 }] {
+        let tile = render(part);
+        for (plane, want) in tile.planes.iter().zip(&whole.planes) {
+            for (index, got) in plane.iter().enumerate() {
+                let (x, y) =
+                    (part.x as usize + index % part.width as usize, part.y as usize + index / part.width as usize);
+                assert_eq!(got.to_bits(), want[y * job.image.width as usize + x].to_bits());
+            }
+        }
+    }
+}
+
+#[test]
+fn a_raised_flag_stops_a_render() {
+    let job = job(&Node::examples().swap_remove(0).node);
+    let renderer = CpuRenderer::new(Some(1), Simd::Auto).unwrap();
+    let cancel = Cancel::new();
+    cancel.cancel();
+    let run = TileRun { job: &job, frame: 0, rect: Rect::whole(37, 29) };
+    assert!(matches!(renderer.render(&run, &cancel, &|_| ()), Err(worker::RenderError::Cancelled)));
+}
