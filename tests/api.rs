@@ -163,7 +163,7 @@ fn openapi_document_is_sound_and_names_every_route() {
         ("/v1/jobs/{id}", vec!["get", "delete"]),
         ("/v1/jobs/{id}/cancel", vec!["post"]),
         ("/v1/jobs/{id}/image", vec!["get"]),
-        ("/v1/jobs/{id}/frames/{n}/image", vec!["get"]),
+        ("/v1/jobs/{id}/frames/{frame}/image", vec!["get"]),
         ("/v1/workers", vec!["get"]),
         ("/v1/pool", vec!["get", "put"]),
         ("/v1/schema/job", vec!["get"]),

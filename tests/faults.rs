@@ -86,7 +86,7 @@ fn damaged_database_is_refused_and_left_as_it_is() {
         bytes[from..to].fill(0x5a);
         fs::write(&database, &bytes).expect("written");
         let told = cannot_serve(&data, &["--listen", "127.0.0.1:0"]);
-        let says_so = told.contains("damaged") && told.contains(database.to_str().expect("plain"));
+        let says_so = told.contains("backup") && told.contains(database.to_str().expect("plain"));
         assert!(says_so, "{name} overwritten: {told}");
         assert!(fs::read(&database).expect("readable") == bytes, "{name} overwritten: the file was changed");
     }

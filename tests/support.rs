@@ -231,10 +231,16 @@ impl Farm {
 
     /// Waits until a job is succeeded; any other end fails the test. Returns its view.
     pub(crate) fn succeeded(&self, id: &str) -> Value {
-        let job = eventually(&format!("job {id} ends"), || {
+        let start = Instant::now();
+        let job = loop {
             let job = self.get(&format!("/v1/jobs/{id}")).json();
-            (!["queued", "running"].contains(&job["state"].as_str().expect("a state"))).then_some(job)
-        });
+            if !["queued", "running"].contains(&job["state"].as_str().expect("a state")) {
+                break job;
+            }
+            let workers = || self.get("/v1/workers").text();
+            assert!(start.elapsed() < DEADLINE, "does not end: {job}\n{}\n{}", workers(), self.log());
+            std::thread::sleep(POLL_INTERVAL);
+        };
         assert_eq!(job["state"], "succeeded", "{job}\n{}", self.log());
         job
     }

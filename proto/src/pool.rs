@@ -1,7 +1,10 @@
 //! Workers and the local pool as users see them over HTTP.
 
+use std::fmt;
+
 use schemars::JsonSchema;
-use serde::{Deserialize, Serialize};
+use serde::de::{Error, Unexpected, Visitor};
+use serde::{Deserialize, Deserializer, Serialize};
 
 use crate::WorkerId;
 
@@ -54,7 +57,28 @@ pub struct WorkerList {
 pub struct PoolSize {
     /// Workers wanted, 0 to 256.
     #[schemars(range(max = MAX_POOL_WORKERS))]
+    #[serde(deserialize_with = "workers")]
     pub workers: u32,
+}
+
+/// Reads a number of workers; whatever else there is, is told the range.
+fn workers<'de, D: Deserializer<'de>>(deserializer: D) -> Result<u32, D::Error> {
+    deserializer.deserialize_u64(Workers)
+}
+
+struct Workers;
+
+impl Visitor<'_> for Workers {
+    type Value = u32;
+
+    fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "a whole number from 0 to {MAX_POOL_WORKERS}")
+    }
+
+    fn visit_u64<E: Error>(self, value: u64) -> Result<u32, E> {
+        let workers = u32::try_from(value).ok().filter(|workers| *workers <= MAX_POOL_WORKERS);
+        workers.ok_or_else(|| E::invalid_value(Unexpected::Unsigned(value), &self))
+    }
 }
 
 /// The local pool.

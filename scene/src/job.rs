@@ -5,7 +5,7 @@ use serde::{Deserialize, Deserializer, Serialize};
 
 use crate::limits::{MAX_EDGE_PX, MAX_FRAMES, MAX_SAMPLES};
 use crate::scene::{Background, Scene};
-use crate::values::{FrameRate, whole};
+use crate::values::{FrameRate, integer, whole};
 
 /// What one POSTs.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
@@ -242,7 +242,7 @@ fn frame_count<'de, D: Deserializer<'de>>(deserializer: D) -> Result<u32, D::Err
 }
 
 fn priority<'de, D: Deserializer<'de>>(deserializer: D) -> Result<i32, D::Error> {
-    let value = i64::deserialize(deserializer)?;
+    let value = integer(deserializer)?;
     i32::try_from(value)
         .ok()
         .filter(|value| (-100..=100).contains(value))

@@ -84,15 +84,27 @@ fn form(text: &str) -> Result<Job, Fault> {
     serde_path_to_error::deserialize(&mut deserializer).map_err(|error| {
         let message = without_place(&error.inner().to_string());
         let pointer = pointer(error.path());
+        if let Some(name) = unknown_choice(&message) {
+            let key = format!("{pointer}/{}", outline::escape(name));
+            if outline::locate_key(text, &key).is_some() {
+                return Fault::of_key(text, key, message);
+            }
+            // Where the path ends in the choice itself, the text has no such place.
+            let place = if outline::locate_value(text, &pointer).is_some() { &pointer } else { parent(&pointer) };
+            return Fault::of_value(text, place.to_owned(), message);
+        }
         if message.starts_with("unknown ") && outline::locate_key(text, &pointer).is_some() {
             return Fault::of_key(text, pointer, message);
         }
         let message =
             if message == "number out of range" { "is too large: numbers go up to 3.4e38".to_owned() } else { message };
-        // The name of an unknown choice ends the path, but is no key of the text.
-        let place = if message.starts_with("unknown ") { parent(&pointer) } else { &pointer };
-        Fault::of_value(text, place.to_owned(), message)
+        Fault::of_value(text, pointer, message)
     })
+}
+
+/// The name in serde's words about a choice that there is not.
+fn unknown_choice(message: &str) -> Option<&str> {
+    message.strip_prefix("unknown variant `")?.split_once('`').map(|(name, _)| name)
 }
 
 fn parent(pointer: &str) -> &str {

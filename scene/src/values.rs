@@ -119,9 +119,34 @@ numbers! {
         { "type": "number", "minimum": 0.001, "maximum": 1000, "description": "Frames a second." };
 }
 
+/// Reads any whole number that JSON can hold.
+struct Whole;
+
+impl Visitor<'_> for Whole {
+    type Value = i64;
+
+    fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str("a whole number")
+    }
+
+    fn visit_i64<E: Error>(self, value: i64) -> Result<i64, E> {
+        Ok(value)
+    }
+
+    fn visit_u64<E: Error>(self, value: u64) -> Result<i64, E> {
+        // Whatever is larger is out of every range.
+        Ok(i64::try_from(value).unwrap_or(i64::MAX))
+    }
+}
+
+/// Reads a whole number.
+pub(crate) fn integer<'de, D: Deserializer<'de>>(d: D) -> Result<i64, D::Error> {
+    d.deserialize_i64(Whole)
+}
+
 /// Reads a whole number of `what` from `low` to `high`.
 pub(crate) fn whole<'de, D: Deserializer<'de>>(d: D, low: u32, high: u32, what: &str) -> Result<u32, D::Error> {
-    let value = i64::deserialize(d)?;
+    let value = integer(d)?;
     u32::try_from(value)
         .ok()
         .filter(|value| (low..=high).contains(value))
