@@ -274,3 +274,25 @@ async fn workers_are_listed_with_what_they_hold() {
     assert!(!held.drain);
     farm.stop().await;
 }
+
+#[tokio::test]
+async fn a_worker_that_has_delivered_hears_of_the_next_job_at_once() {
+    let farm = Farm::start().await;
+    let worker = farm.worker("steady").await;
+    for seed in 0..3 {
+        let waiting = worker.next();
+        let submitted = async {
+            // By then the worker's call waits at the server.
+            for _ in 0..20 {
+                assert_eq!(farm.get("/v1/workers").await.status(), StatusCode::OK);
+            }
+            farm.submit(&small_job(seed)).await
+        };
+        let (run, posted) = tokio::join!(waiting, submitted);
+        assert_eq!(run.job, posted.id);
+        let results = worker.results(&run).await;
+        let said = Said { results, wants_work: true, ..Said::default() };
+        assert!(worker.sync(said).await.run.is_none());
+    }
+    farm.stop().await;
+}
