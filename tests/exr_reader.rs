@@ -11,13 +11,13 @@ use serde_json::Value;
 use crate::support::{root, text};
 
 /// Prints each channel's name, type and values, as hex.
-const READER: &str = r#"
+const READER: &str = r"
 import sys, OpenEXR
 part = OpenEXR.File(sys.argv[1], separate_channels=True).parts[0]
 for name in sorted(part.channels):
     pixels = part.channels[name].pixels
     print(name, pixels.dtype, pixels.tobytes().hex())
-"#;
+";
 
 /// Channels' raw values, by name.
 type Channels = BTreeMap<String, (&'static str, Vec<u8>)>;

@@ -17,6 +17,8 @@ pub struct Config {
     pub device: String,
     /// `--simd` of the local workers.
     pub simd: String,
+    /// Threads that CPU workers share; `None` is one for each core.
+    pub threads: Option<usize>,
     /// Edge of a tile, in pixels; `None` sizes tiles by their rays.
     pub tile_px: Option<u32>,
     /// Length of a lease.
@@ -39,6 +41,7 @@ impl Default for Config {
             workers: None,
             device: "auto".to_owned(),
             simd: "auto".to_owned(),
+            threads: None,
             tile_px: None,
             lease: Duration::from_secs(30),
             insecure: false,

@@ -73,6 +73,7 @@ impl Pool {
             server: format!("http://{}", reachable(address)),
             device: config.device.clone(),
             simd: config.simd.clone(),
+            threads: config.threads,
             token: self.token.clone(),
         };
         let supervisor = Supervisor {

@@ -1,16 +1,127 @@
-//! `sdfarm bench`: how fast this machine renders.
+//! `sdfarm bench`: how fast this machine renders, at each SIMD level it has.
 
+use std::path::Path;
+use std::time::Duration;
+
+use anyhow::Context;
 use clap::Args;
+use clap::builder::{PossibleValuesParser, TypedValueParser};
+use scene::Job;
+use serde::Serialize;
+use worker::bench::{PointsReport, RenderReport, points, render};
+use worker::{RenderError, Simd};
+
+use crate::arguments::MAX_THREADS;
+use crate::job_file::JobFile;
+use crate::shipped;
+use crate::terminal::{note, say};
+
+const DEFAULT_JOBS: [&str; 3] = ["csg", "five-spheres", "mandelbulb"];
+const EVERY_LEVEL: [Simd; 4] = [Simd::Scalar, Simd::Sse42, Simd::Avx2, Simd::Avx512];
 
 /// Arguments of `bench`.
 #[derive(Debug, Args)]
 pub(crate) struct Arguments {
-    /// Job files, or names of shipped scenes.
+    /// Job files, or names of shipped scenes [default: csg five-spheres mandelbulb].
     #[arg(value_name = "JOB")]
     jobs: Vec<String>,
+    /// Vector instructions to measure.
+    #[arg(long, env = "SDFARM_SIMD", default_value = "auto", value_parser = levels_parser())]
+    simd: Levels,
+    /// Measure distances a second only, and render nothing.
+    #[arg(long, env = "SDFARM_POINTS", value_parser = clap::builder::FalseyValueParser::new(), action = clap::ArgAction::SetTrue)]
+    points: bool,
+    /// Threads that render [default: one for each core].
+    #[arg(long, value_name = "N", env = "SDFARM_THREADS", value_parser = clap::value_parser!(u32).range(1..=i64::from(MAX_THREADS)))]
+    threads: Option<u32>,
+    /// Times that each frame is rendered.
+    #[arg(long, value_name = "N", env = "SDFARM_RUNS", default_value_t = 3, value_parser = clap::value_parser!(u32).range(1..=1000))]
+    runs: u32,
+    /// How long distances are measured, each time.
+    #[arg(long, value_name = "SECONDS", env = "SDFARM_SECONDS", default_value_t = 1, value_parser = clap::value_parser!(u64).range(1..=60))]
+    seconds: u64,
+    /// Print JSON.
+    #[arg(long, env = "SDFARM_JSON", value_parser = clap::builder::FalseyValueParser::new(), action = clap::ArgAction::SetTrue)]
+    json: bool,
+}
+
+/// The levels to measure.
+#[derive(Clone, Debug)]
+struct Levels(Vec<Simd>);
+
+/// Everything measured.
+#[derive(Debug, Default, Serialize)]
+struct Reports {
+    points: Vec<PointsReport>,
+    renders: Vec<RenderReport>,
 }
 
 /// Measures it.
 pub(crate) fn run(arguments: &Arguments) -> anyhow::Result<()> {
-    anyhow::bail!("nothing measures {:?} yet", arguments.jobs)
+    let names = DEFAULT_JOBS.map(str::to_owned);
+    let names = if arguments.jobs.is_empty() { names.as_slice() } else { &arguments.jobs };
+    let jobs = names.iter().map(|name| read(name)).collect::<anyhow::Result<Vec<Job>>>()?;
+    let mut reports = Reports::default();
+    for job in &jobs {
+        for &level in &arguments.simd.0 {
+            match measure(job, level, arguments, &mut reports) {
+                Ok(()) => {}
+                Err(error @ RenderError::Unavailable { .. }) if arguments.simd.0.len() > 1 => {
+                    note(&format!("skipped: {error}"));
+                }
+                Err(error) => return Err(error.into()),
+            }
+        }
+    }
+    if arguments.json {
+        return say(&serde_json::to_string_pretty(&reports)?);
+    }
+    table(&reports)
+}
+
+/// A file of this name, else the shipped scene.
+fn read(name: &str) -> anyhow::Result<Job> {
+    if name == "-" || Path::new(name).exists() {
+        return JobFile::read(name)?.parse();
+    }
+    scene::parse(&shipped::job_file(name)?).with_context(|| format!("the shipped scene {name} is damaged"))
+}
+
+fn measure(job: &Job, level: Simd, arguments: &Arguments, reports: &mut Reports) -> Result<(), RenderError> {
+    reports.points.push(points(job, level, Duration::from_secs(arguments.seconds))?);
+    if !arguments.points {
+        let threads = arguments.threads.map(|threads| threads as usize);
+        reports.renders.push(render(job, level, threads, arguments.runs as usize)?);
+    }
+    Ok(())
+}
+
+fn table(reports: &Reports) -> anyhow::Result<()> {
+    say("distances without marching, one thread")?;
+    say(&format!("{:<20} {:<8} {:>14}", "job", "simd", "M points/s"))?;
+    for PointsReport { job, simd, points_per_second } in &reports.points {
+        say(&format!("{job:<20} {simd:<8} {:>14.1}", points_per_second / 1e6))?;
+    }
+    if reports.renders.is_empty() {
+        return Ok(());
+    }
+    say("\nframes as their jobs ask for them, rendered and not encoded")?;
+    let heads = ["median ms", "least ms", "M rays/s", "M evaluations/s"];
+    let [median, least, rays, evaluations] = heads;
+    say(&format!("{:<20} {:<8} {:>7} {median:>10} {least:>10} {rays:>9} {evaluations:>15}", "job", "simd", "threads"))?;
+    for report in &reports.renders {
+        let RenderReport { job, simd, threads, median_ms, least_ms, .. } = report;
+        let (rays, evaluations) = (report.rays_per_second / 1e6, report.evaluations_per_second / 1e6);
+        say(&format!(
+            "{job:<20} {simd:<8} {threads:>7} {median_ms:>10.1} {least_ms:>10.1} {rays:>9.2} {evaluations:>15.1}"
+        ))?;
+    }
+    Ok(())
+}
+
+fn levels_parser() -> impl TypedValueParser<Value = Levels> {
+    PossibleValuesParser::new(["all", "auto", "avx512", "avx2", "sse4.2", "scalar"]).map(|name| match name.as_str() {
+        "all" => Levels(EVERY_LEVEL.to_vec()),
+        level => Levels(vec![level.parse().expect("the list above holds the levels' names")]),
+    })
 }

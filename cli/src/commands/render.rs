@@ -90,9 +90,9 @@ pub(crate) fn run(arguments: &Arguments) -> anyhow::Result<()> {
         encode_ms: times.encode.as_secs_f64() * 1e3,
     };
     if arguments.json {
-        note(&serde_json::to_string(&summary)?)
+        note(&serde_json::to_string(&summary)?);
     } else {
-        note(&summary.words())
+        note(&summary.words());
     }
     Ok(())
 }
@@ -121,7 +121,7 @@ fn render(
     let context = || format!("could not render {} to {}", arguments.job, arguments.output);
     let mut writer = BufWriter::new(output.file());
     let times = render_frame(renderer, job, arguments.frame, arguments.tile, &scratch, &mut writer, cancel, &|rays| {
-        progress.add(rays)
+        progress.add(rays);
     })
     .with_context(context)?;
     writer.flush().with_context(context)?;

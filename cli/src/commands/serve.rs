@@ -11,7 +11,7 @@ use server::{Config, Server};
 use tokio_util::sync::CancellationToken;
 use worker::{CpuRenderer, Simd};
 
-use crate::arguments::{Device, simd_parser};
+use crate::arguments::{Device, MAX_THREADS, simd_parser};
 use crate::signals::Signals;
 use crate::terminal::say;
 
@@ -33,6 +33,9 @@ pub(crate) struct Arguments {
     /// Vector instructions they use; the pictures are the same with each.
     #[arg(long, env = "SDFARM_SIMD", default_value = "auto", value_parser = simd_parser())]
     simd: Simd,
+    /// Threads that CPU workers share [default: one for each core].
+    #[arg(long, value_name = "N", env = "SDFARM_THREADS", value_parser = clap::value_parser!(u32).range(1..=i64::from(MAX_THREADS)))]
+    threads: Option<u32>,
     /// Edge of a tile, in pixels [default: about a second of work].
     #[arg(long, value_name = "PIXELS", env = "SDFARM_TILE", value_parser = clap::value_parser!(u32).range(1..))]
     tile: Option<u32>,
@@ -55,6 +58,7 @@ impl Arguments {
             workers: self.workers,
             device: name(self.device),
             simd: self.simd.to_string(),
+            threads: self.threads.map(|threads| threads as usize),
             tile_px: self.tile,
             lease: Duration::from_secs(self.lease_seconds),
             insecure: self.insecure,

@@ -41,9 +41,9 @@ pub(crate) async fn run(arguments: Arguments) -> anyhow::Result<()> {
     }
     // Standard output is the picture's where it was asked for there.
     if arguments.output.as_deref() == Some("-") {
-        note(&job.id.to_string())
+        note(&job.id.to_string());
     } else {
-        say(&job.id.to_string())?
+        say(&job.id.to_string())?;
     }
     if arguments.wait {
         follow::until_done(&client, job.id).await?;

@@ -29,6 +29,7 @@ pub(super) struct Launch {
     pub(super) server: String,
     pub(super) device: String,
     pub(super) simd: String,
+    pub(super) threads: Option<usize>,
     pub(super) token: String,
 }
 
@@ -59,8 +60,8 @@ impl Child {
         workers: usize,
         exits: &mut JoinSet<Exit>,
     ) -> io::Result<Self> {
-        let cores = std::thread::available_parallelism().map_or(1, usize::from);
-        let threads = (cores / workers.max(1)).max(1);
+        let shared = launch.threads.unwrap_or_else(|| std::thread::available_parallelism().map_or(1, usize::from));
+        let threads = (shared / workers.max(1)).max(1);
         let mut child = Command::new(&launch.program)
             .args(["worker", "--server", &launch.server, "--pool", "--name", &label])
             .args(["--device", &launch.device, "--simd", &launch.simd, "--threads", &threads.to_string()])
