@@ -66,7 +66,7 @@ fn list(faults: &[Fault]) -> String {
 /// Line and column, both from 1, of a byte of `text`.
 fn line_and_column(text: &str, offset: usize) -> (u32, u32) {
     let before = &text.as_bytes()[..offset.min(text.len())];
-    let line = before.iter().filter(|&&byte| byte == b'\n').count() + 1;
+    let line = before.split(|&byte| byte == b'\n').count();
     let column = before.iter().rev().take_while(|&&byte| byte != b'\n').count() + 1;
     (line as u32, column as u32)
 }

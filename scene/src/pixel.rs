@@ -252,6 +252,10 @@ impl<'a> Program<'a> {
 
     /// The gradient's direction, from four taps on a tetrahedron.
     #[inline(always)]
+    #[expect(
+        clippy::redundant_closure_for_method_calls,
+        reason = "a closure can be inlined always, a method named can't"
+    )]
     fn normal<R: Real>(&self, p: Vec3<R>, size: R) -> Vec3<R> {
         let a = self.distance(p + vec3(size, -size, -size));
         let b = self.distance(p + vec3(-size, -size, size));

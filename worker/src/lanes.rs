@@ -29,6 +29,7 @@ impl Live {
     }
 
     #[inline(always)]
+    #[expect(clippy::unused_self, reason = "lanes are set only while there is someone to set them back")]
     fn set(&self, lanes: u64) {
         LIVE.set(lanes);
     }
@@ -201,7 +202,7 @@ impl<S: Simd, const N: usize> Neg for Lanes<S, N> {
 
 impl<S: Simd, const N: usize> fmt::Debug for Lanes<S, N> {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.debug_list().entries(self.0.iter().flat_map(|register| register.as_slice())).finish()
+        f.debug_list().entries(self.0.iter().flat_map(SimdBase::as_slice)).finish()
     }
 }
 
@@ -213,7 +214,7 @@ impl<S: Simd, const N: usize> fmt::Debug for LaneMask<S, N> {
 
 impl<S: Simd, const N: usize> fmt::Debug for LaneBits<S, N> {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.debug_list().entries(self.0.iter().flat_map(|register| register.as_slice())).finish()
+        f.debug_list().entries(self.0.iter().flat_map(SimdBase::as_slice)).finish()
     }
 }
 

@@ -214,7 +214,7 @@ mod tests {
             let (y, x) = (f64::from(angle).sin() as f32 * 3.0, f64::from(angle).cos() as f32 * 3.0);
             (Real::atan2(y, x), f64::from(y).atan2(f64::from(x)))
         };
-        check("atan2", largest_error(between(-3.141, 3.141), turn, 0.0), ATAN2_ULP);
+        check("atan2", largest_error(between(-PI, PI), turn, 0.0), ATAN2_ULP);
         let power = |x: f32| (Real::powf(x, 7.0), f64::from(x).powi(7));
         check("powf", largest_error(between(0.01, 2.0), power, 0.0), POWF_ULP);
     }

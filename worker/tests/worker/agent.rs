@@ -25,7 +25,7 @@ struct Agent {
 
 impl Agent {
     fn start(server: &FakeServer, renderer: impl Renderer + 'static) -> Self {
-        Self::with_grace(server, renderer, Duration::from_secs(60))
+        Self::with_grace(server, renderer, Duration::from_mins(1))
     }
 
     fn with_grace(server: &FakeServer, renderer: impl Renderer + 'static, grace: Duration) -> Self {
@@ -99,7 +99,7 @@ impl Happening {
     }
 
     fn wait(&self) {
-        let deadline = Duration::from_secs(60);
+        let deadline = Duration::from_mins(1);
         let happened = self.0.0.lock().unwrap();
         let (happened, _) = self.0.1.wait_timeout_while(happened, deadline, |happened| !*happened).unwrap();
         assert!(*happened, "it never happened");

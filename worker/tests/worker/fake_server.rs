@@ -238,12 +238,12 @@ async fn read_job(State(shared): State<Shared>, Path(job): Path<JobId>) -> Respo
 
 async fn put_blob(State(shared): State<Shared>, Path(hash): Path<String>, bytes: Bytes) -> StatusCode {
     assert_eq!(blake3::hash(&bytes).to_hex().as_str(), hash);
-    shared.change(|farm| match farm.put_refusals.pop_front() {
-        Some(status) => status,
-        None => {
-            farm.blobs.insert(hash, bytes.into());
-            StatusCode::CREATED
+    shared.change(|farm| {
+        if let Some(status) = farm.put_refusals.pop_front() {
+            return status;
         }
+        farm.blobs.insert(hash, bytes.into());
+        StatusCode::CREATED
     })
 }
 
@@ -253,11 +253,11 @@ async fn read_blob(State(shared): State<Shared>, Path(hash): Path<String>) -> Re
 
 async fn put_picture(State(shared): State<Shared>, Path(hash): Path<String>, bytes: Bytes) -> StatusCode {
     assert_eq!(blake3::hash(&bytes).to_hex().as_str(), hash);
-    shared.change(|farm| match farm.put_refusals.pop_front() {
-        Some(status) => status,
-        None => {
-            farm.pictures.insert(hash, bytes.into());
-            StatusCode::CREATED
+    shared.change(|farm| {
+        if let Some(status) = farm.put_refusals.pop_front() {
+            return status;
         }
+        farm.pictures.insert(hash, bytes.into());
+        StatusCode::CREATED
     })
 }

@@ -3,6 +3,7 @@
 use axum::http::StatusCode;
 use proto::Rect;
 use proto::work::Outcome;
+use tokio_util::sync::CancellationToken;
 use worker::agent::{AgentConfig, AgentError, run};
 
 use super::{Agent, add_job};
@@ -57,7 +58,8 @@ fn a_worker_that_the_server_forgot_registers_again() {
 #[tokio::test]
 async fn an_address_that_is_none_is_refused() {
     for server in ["", "farm", "https://farm", "http://", "file:///tmp"] {
-        let ended = run(AgentConfig::new(server, "x"), std::sync::Arc::new(FakeRenderer), Default::default()).await;
+        let ended =
+            run(AgentConfig::new(server, "x"), std::sync::Arc::new(FakeRenderer), CancellationToken::default()).await;
         assert!(matches!(ended, Err(AgentError::Address { .. })), "{server}");
     }
 }
