@@ -216,3 +216,24 @@ fn logs_are_json_where_asked_for() {
         assert!(serde_json::from_str::<Value>(line).is_ok(), "{line}");
     }
 }
+
+#[test]
+fn bench_measures_every_level_of_this_machine() {
+    let folder = folder_with(&jobs::quick());
+    let output = run_in(folder.path(), &["bench", "job.json", "--simd", "all", "--runs", "1", "--json"]);
+    assert!(output.status.success(), "{}", text(&output.stderr));
+    let reports: Value = serde_json::from_slice(&output.stdout).expect("JSON");
+    for (kind, figure) in [("points", "points_per_second"), ("renders", "rays_per_second")] {
+        let reports = reports[kind].as_array().expect("reports");
+        assert_eq!(reports[0]["simd"], "scalar");
+        assert!(reports.iter().all(|report| report[figure].as_f64().is_some_and(|figure| figure > 0.0)), "{reports:?}");
+    }
+    let evaluations: Vec<u64> = reports["renders"]
+        .as_array()
+        .expect("reports")
+        .iter()
+        .map(|report| report["evaluations"].as_u64().expect("a count"))
+        .collect();
+    assert!(evaluations.windows(2).all(|pair| pair[0] == pair[1]), "the same work at each level: {evaluations:?}");
+    assert_misuse(&run_in(folder.path(), &["bench", "absent"]), "csg");
+}

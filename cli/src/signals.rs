@@ -4,8 +4,6 @@ use anyhow::Context;
 use tokio::signal::unix::{Signal, SignalKind, signal};
 use tokio_util::sync::CancellationToken;
 
-use crate::terminal::note;
-
 /// Both signals, caught: from here on they no longer end the process by themselves.
 #[derive(Debug)]
 pub(crate) struct Signals {
@@ -32,7 +30,7 @@ impl Signals {
     pub(crate) fn stop_gracefully(mut self, shutdown: CancellationToken) {
         tokio::spawn(async move {
             self.next().await;
-            note("stopping when what is at hand is finished or handed back; once more stops at once");
+            tracing::info!("stopping when what is at hand is finished or handed back; once more stops at once");
             shutdown.cancel();
             self.next().await;
             std::process::exit(1);

@@ -91,6 +91,7 @@ async fn register(link: &Link, config: &AgentConfig, renderer: &dyn Renderer) ->
         process: std::process::id(),
     };
     let mut back_off = BackOff::new(Duration::from_millis(50), Duration::from_secs(2));
+    let mut is_told = false;
     loop {
         match link.register(&hello).await {
             Ok(welcome) => {
@@ -98,7 +99,10 @@ async fn register(link: &Link, config: &AgentConfig, renderer: &dyn Renderer) ->
                 return Ok(welcome);
             }
             Err(error) if error.is_passing() => {
-                tracing::debug!(error = %error, "the server can't be reached yet");
+                if !is_told {
+                    tracing::warn!(error = %error, server = config.server, "waiting for a server; start one with `sdfarm serve`, or name another with --server");
+                    is_told = true;
+                }
                 back_off.pause().await;
             }
             Err(error) => return Err(refused(config, &error)),
