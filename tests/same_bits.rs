@@ -4,6 +4,7 @@
 //! Small by default; `SDFARM_FULL_SIZE=1` takes the jobs as they are shipped.
 
 use std::fs;
+use std::process::{Child, Stdio};
 use std::sync::OnceLock;
 
 use serde_json::Value;
@@ -14,6 +15,8 @@ use crate::support::{Farm, finish, sdfarm, text};
 
 const WIDTH_PX: u64 = 192;
 const SAMPLES: u64 = 2;
+/// Jobs that scalar code does not take long for.
+const MIXED: [&str; 3] = ["csg", "five-spheres", "paper/csg"];
 
 /// A job to compare, with the picture that scalar code makes of it in one piece.
 struct Specimen {
@@ -75,11 +78,6 @@ fn assert_same_at(level: &str) {
 }
 
 #[test]
-fn scalar_code_gives_the_same_bits_twice() {
-    assert_same(&["--simd", "scalar"]);
-}
-
-#[test]
 fn sse42_gives_the_bits_of_scalar_code() {
     assert_same_at("sse4.2");
 }
@@ -95,7 +93,8 @@ fn avx512_gives_the_bits_of_scalar_code() {
 }
 
 #[test]
-fn best_level_gives_the_bits_of_scalar_code_with_any_number_of_threads() {
+fn best_level_gives_the_bits_of_scalar_code_run_after_run_with_any_number_of_threads() {
+    assert_same(&[]);
     assert_same(&[]);
     assert_same(&["--threads", "1"]);
     assert_same(&["--threads", "3"]);
@@ -108,42 +107,72 @@ fn tiles_of_any_size_make_the_same_picture() {
     assert_same(&["--tile", "65535"]);
 }
 
-/// Every specimen comes out the same from a farm with 1, 2 and 3 workers.
-fn assert_farm_same(flags: &[&str]) {
-    let farm = Farm::start(&[&["--workers", "1"], flags].concat());
+/// These specimens come out the same from a farm as it stands.
+fn assert_farm_same(farm: &Farm, specimens: &[&Specimen]) {
+    let headers = [("content-type", "application/json"), ("cache-control", "no-cache")];
+    let post = |job: &Value| {
+        let answer = farm.send("POST", "/v1/jobs", &headers, job.to_string().into_bytes());
+        assert_eq!(answer.status, 201, "{}", answer.text());
+        answer.json()["id"].as_str().expect("an id").to_owned()
+    };
+    let ids: Vec<String> = specimens.iter().map(|specimen| post(&specimen.job)).collect();
     let mut wrong = Vec::new();
-    for workers in 1..=3 {
-        farm.set_pool(workers);
-        let headers = [("content-type", "application/json"), ("cache-control", "no-cache")];
-        let post = |job: &Value| {
-            let answer = farm.send("POST", "/v1/jobs", &headers, job.to_string().into_bytes());
-            assert_eq!(answer.status, 201, "{}", answer.text());
-            answer.json()["id"].as_str().expect("an id").to_owned()
-        };
-        let ids: Vec<String> = specimens().iter().map(|specimen| post(&specimen.job)).collect();
-        for (Specimen { name, extension, want, .. }, id) in specimens().iter().zip(&ids) {
-            farm.succeeded(id);
-            if farm.picture(id) != *want {
-                wrong.push(format!("{name}.{extension} from {workers} workers differs"));
-            }
+    for (Specimen { name, extension, want, .. }, id) in specimens.iter().zip(&ids) {
+        farm.succeeded(id);
+        if farm.picture(id) != *want {
+            wrong.push(format!("{name}.{extension} differs"));
         }
     }
-    assert!(wrong.is_empty(), "serve {flags:?}:\n{}", wrong.join("\n"));
+    assert!(wrong.is_empty(), "{}", wrong.join("\n"));
 }
 
 #[test]
 fn farm_of_one_two_or_three_workers_makes_what_render_makes() {
-    assert_farm_same(&[]);
+    let every: Vec<&Specimen> = specimens().iter().collect();
+    let farm = Farm::start(&["--workers", "1"]);
+    for workers in 1..=3 {
+        farm.set_pool(workers);
+        assert_farm_same(&farm, &every);
+    }
 }
 
 #[test]
 fn farm_that_stitches_small_tiles_makes_what_render_makes() {
-    assert_farm_same(&["--tile", "32"]);
+    let every: Vec<&Specimen> = specimens().iter().collect();
+    for (workers, tile) in [("2", "32"), ("3", "256")] {
+        let farm = Farm::start(&["--workers", workers, "--tile", tile]);
+        assert_farm_same(&farm, &every);
+    }
 }
 
 #[test]
-fn farm_of_scalar_workers_makes_what_render_makes() {
-    assert_farm_same(&["--tile", "256", "--simd", "scalar"]);
+fn workers_of_different_instruction_sets_share_a_frame() {
+    let is_quick = |specimen: &&Specimen| MIXED.contains(&specimen.name.as_str());
+    let quick: Vec<&Specimen> = specimens().iter().filter(is_quick).collect();
+    assert_eq!(quick.len(), 2 * MIXED.len());
+    let farm = Farm::start(&["--workers", "0", "--tile", "32"]);
+    let _workers = ["scalar", "auto"].map(|level| Worker::start(&farm, level));
+    farm.joined(2);
+    assert_farm_same(&farm, &quick);
+}
+
+/// A worker that is no child of its server's.
+struct Worker(Child);
+
+impl Worker {
+    fn start(farm: &Farm, level: &str) -> Self {
+        let mut command = sdfarm(&["worker", "--server", &farm.address, "--threads", "1", "--simd", level]);
+        command.stdin(Stdio::null()).stdout(Stdio::null()).stderr(Stdio::null());
+        Self(command.spawn().expect("the program starts"))
+    }
+}
+
+impl Drop for Worker {
+    fn drop(&mut self) {
+        // Both fail only where it has ended already.
+        let _ = self.0.kill();
+        let _ = self.0.wait();
+    }
 }
 
 #[test]

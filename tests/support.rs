@@ -268,6 +268,15 @@ impl Farm {
         });
     }
 
+    /// Waits until so many workers, whoever started them, take work.
+    pub(crate) fn joined(&self, workers: usize) {
+        eventually(&format!("{workers} workers have joined"), || {
+            let list = self.get("/v1/workers").json();
+            let list = list["workers"].as_array().expect("workers");
+            (list.iter().filter(|worker| worker["state"] == "ready").count() == workers).then_some(())
+        });
+    }
+
     /// Sends any request.
     pub(crate) fn send(&self, method: &str, path: &str, headers: &[(&str, &str)], body: Vec<u8>) -> Answer {
         send(&self.address, method, path, headers, body)
