@@ -6,8 +6,7 @@ use axum::Json;
 use axum::body::Body;
 use axum::extract::State;
 use axum::http::HeaderMap;
-use proto::pool::{MAX_POOL_WORKERS, PoolSize, PoolView, WorkerList};
-use proto::problem::FaultView;
+use proto::pool::{PoolSize, PoolView, WorkerList};
 
 use super::body;
 use super::error::ApiError;
@@ -52,14 +51,6 @@ pub(super) async fn put(
     request: Body,
 ) -> Result<Json<PoolView>, ApiError> {
     let size: PoolSize = body::read_json(&headers, request, MAX_BYTES).await?;
-    if size.workers > MAX_POOL_WORKERS {
-        return Err(ApiError::WrongBody(vec![FaultView {
-            pointer: "/workers".to_owned(),
-            message: format!("{} workers are too many: at most {MAX_POOL_WORKERS}", size.workers),
-            line: 1,
-            column: 1,
-        }]));
-    }
     state.0.pool.resize(size.workers);
     get(state).await
 }
