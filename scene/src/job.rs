@@ -4,6 +4,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Deserializer, Serialize};
 
 use crate::limits::{MAX_EDGE_PX, MAX_FRAMES, MAX_SAMPLES};
+use crate::nodes::Node;
 use crate::scene::{Background, Scene};
 use crate::values::{FrameRate, integer, whole};
 
@@ -167,6 +168,14 @@ impl Job {
         self.image.pixels() * u64::from(self.image.samples)
     }
 
+    /// Nodes of all object trees.
+    pub fn nodes(&self) -> u32 {
+        fn of(node: &Node) -> u32 {
+            1 + node.children().iter().map(of).sum::<u32>()
+        }
+        self.scene.objects.iter().map(|object| of(&object.shape)).sum()
+    }
+
     /// Whether some pixel may be less than opaque.
     pub fn is_transparent(&self) -> bool {
         self.scene.background == Background::Transparent
@@ -247,4 +256,25 @@ fn priority<'de, D: Deserializer<'de>>(deserializer: D) -> Result<i32, D::Error>
         .ok()
         .filter(|value| (-100..=100).contains(value))
         .ok_or_else(|| serde::de::Error::custom(format_args!("must be -100 to 100, not {value}")))
+}
+
+#[cfg(test)]
+mod tests {
+    #[test]
+    fn nodes_are_counted_in_every_tree_at_every_depth() {
+        let text = br#"{
+            "scene": {
+                "camera": { "position": [0, 0, 5], "look_at": [0, 0, 0] },
+                "objects": [
+                    { "shape": { "sphere": { "radius": 1 } } },
+                    { "shape": { "union": { "of": [
+                        { "sphere": { "radius": 1 } },
+                        { "translate": { "by": [1, 0, 0], "child": { "sphere": { "radius": 1 } } } }
+                    ] } } }
+                ]
+            },
+            "image": { "width": 8, "height": 8 }
+        }"#;
+        assert_eq!(crate::parse(text).expect("a sound job").nodes(), 5);
+    }
 }
