@@ -33,8 +33,6 @@ pub struct AgentConfig {
     pub name: String,
     /// What the server knows its workers by.
     pub token: Option<String>,
-    /// Largest scene to take, in nodes; `None` for any.
-    pub max_nodes: Option<u32>,
     /// Where data that does not fit in memory goes, in files without names.
     pub scratch: PathBuf,
     /// After a shutdown, how long to go on with what is held before it is handed back.
@@ -50,7 +48,6 @@ impl AgentConfig {
             server: server.into(),
             name: name.into(),
             token: None,
-            max_nodes: None,
             scratch: std::env::temp_dir(),
             grace: Duration::from_secs(8),
             exit_on_stdin_close: false,
@@ -87,7 +84,7 @@ async fn register(link: &Link, config: &AgentConfig, renderer: &dyn Renderer) ->
         name: config.name.clone(),
         device: renderer.device(),
         picture_version: scene::PICTURE_VERSION,
-        max_nodes: config.max_nodes,
+        max_nodes: renderer.max_nodes(),
         process: std::process::id(),
     };
     let mut back_off = BackOff::new(Duration::from_millis(50), Duration::from_secs(2));
@@ -145,6 +142,12 @@ pub enum AgentError {
         /// The server.
         server: String,
         /// What it said.
+        reason: String,
+    },
+    /// The device is lost; what was held is handed back.
+    #[error("the device will render no more: {reason}")]
+    Retired {
+        /// What became of it.
         reason: String,
     },
 }

@@ -22,6 +22,31 @@ pub trait Renderer: Send + Sync {
         cancel: &Cancel,
         progress: &(dyn Fn(u64) + Sync),
     ) -> Result<Pixels, RenderError>;
+
+    /// Renders tiles of one job and frame, in their order; all of them, or none.
+    fn render_all(
+        &self,
+        runs: &[TileRun<'_>],
+        cancel: &Cancel,
+        progress: &(dyn Fn(u64) + Sync),
+    ) -> Result<Vec<Pixels>, RenderError> {
+        runs.iter().map(|run| self.render(run, cancel, progress)).collect()
+    }
+
+    /// How many tiles it likes to be given at a time, at least 1.
+    fn batch(&self) -> usize {
+        1
+    }
+
+    /// The largest scene it takes, in nodes; `None` for any.
+    fn max_nodes(&self) -> Option<u32> {
+        None
+    }
+
+    /// Why it will never render again, if its device is lost.
+    fn retired(&self) -> Option<String> {
+        None
+    }
 }
 
 /// A tile to render.
