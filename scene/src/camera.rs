@@ -3,7 +3,7 @@
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use crate::real::{Real, Vec3, vec3};
+use crate::real::{Real, Vec3, bundle, vec3};
 use crate::values::{Direction, FieldOfView, Point};
 
 /// A pinhole camera.
@@ -45,6 +45,8 @@ pub struct Ray<R> {
     /// Where it goes; of length 1.
     pub direction: Vec3<R>,
 }
+
+bundle!(Ray { origin, direction });
 
 impl<R: Real> Ray<R> {
     /// The point at a distance.
@@ -96,11 +98,11 @@ impl View {
     /// The ray through the point (`x`, `y`) of the picture, in pixels from its top left.
     #[inline(always)]
     pub fn ray<R: Real>(&self, x: R, y: R) -> Ray<R> {
-        let across = x.mul_add(x.splat(self.scale.0), x.splat(-1.0));
-        let upwards = y.mul_add(y.splat(self.scale.1), y.splat(1.0));
-        let middle = Vec3::splat(x, self.forward);
-        let direction = Vec3::splat(x, self.right).mul_add(across, Vec3::splat(x, self.up).mul_add(upwards, middle));
-        Ray { origin: Vec3::splat(x, self.origin), direction: direction.normalize() }
+        let across = x.mul_add(x.given(self.scale.0), x.splat(-1.0));
+        let upwards = y.mul_add(y.given(self.scale.1), y.splat(1.0));
+        let middle = Vec3::given(x, self.forward);
+        let direction = Vec3::given(x, self.right).mul_add(across, Vec3::given(x, self.up).mul_add(upwards, middle));
+        Ray { origin: Vec3::given(x, self.origin), direction: direction.normalize() }
     }
 
     /// Half a pixel's height at distance 1 from the camera.

@@ -4,6 +4,7 @@
 //! Pure maths: no input or output, no threads, no `unsafe`, no GPU. Every formula is generic over
 //! [`real::Real`] and gives the same bits in each arithmetic.
 
+pub mod bounds;
 pub mod camera;
 pub mod color;
 mod fault;
@@ -29,4 +30,4 @@ pub use pixel::Program;
 pub use scene::{Background, Scene};
 
 /// The definition of a picture's bits: raised only when some picture's bits change, never with a release.
-pub const PICTURE_VERSION: u32 = 1;
+pub const PICTURE_VERSION: u32 = 2;

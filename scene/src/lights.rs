@@ -57,18 +57,18 @@ impl Light {
     /// How the light arrives at `p` with nothing in its way, and how far it has come
     /// (at most `farthest`, for light from far away).
     #[inline(always)]
-    pub fn arriving<R: Real>(&self, p: Vec3<R>, farthest: f32) -> (Incoming<R>, R) {
+    pub fn arriving<R: Real>(&self, p: Vec3<R>, farthest: R) -> (Incoming<R>, R) {
         match self {
             Self::Directional(light) => {
-                let direction = Vec3::splat(p.x, light.direction.unit());
-                let radiance = Vec3::splat(p.x, light.color.get());
-                (Incoming { direction, radiance }, p.x.splat(farthest))
+                let direction = Vec3::given(p.x, light.direction.unit());
+                let radiance = Vec3::given(p.x, light.color.get());
+                (Incoming { direction, radiance }, farthest)
             }
             Self::Point(light) => {
-                let towards = Vec3::splat(p.x, light.position.get()) - p;
+                let towards = Vec3::given(p.x, light.position.get()) - p;
                 let distance = towards.length().at_least(1e-6);
                 let per_distance = p.x.splat(1.0) / distance;
-                let radiance = Vec3::splat(p.x, light.color.get()) * per_distance.square();
+                let radiance = Vec3::given(p.x, light.color.get()) * per_distance.square();
                 (Incoming { direction: towards * per_distance, radiance }, distance)
             }
         }

@@ -5,7 +5,7 @@
 //! surfaces", The Visual Computer 12, 1996.
 
 use crate::camera::Ray;
-use crate::real::{Bundle, Flag, Join, Real};
+use crate::real::{Flag, Real, bundle};
 
 /// How near is near enough: `slope · t + floor` at distance t.
 #[derive(Clone, Copy, Debug)]
@@ -16,9 +16,11 @@ pub struct Tolerance {
     pub floor: f32,
 }
 
-/// Where a march ends if it does not hit.
+/// Where a march starts, and where it ends if it does not hit.
 #[derive(Clone, Copy, Debug)]
 pub struct Reach<R> {
+    /// Distance at which it starts.
+    pub nearest: R,
     /// Distance at which the ray misses.
     pub farthest: R,
     /// Steps after which it gives up.
@@ -38,17 +40,7 @@ pub struct Marched<R: Real> {
     pub hit: Flag<R>,
 }
 
-impl<R: Real> Bundle<R> for Marched<R> {
-    #[inline(always)]
-    fn join(self, other: Self, how: &mut impl Join<R>) -> Self {
-        Self {
-            distance: self.distance.join(other.distance, how),
-            gap: self.gap.join(other.gap, how),
-            steps: self.steps.join(other.steps, how),
-            hit: self.hit.join(other.hit, how),
-        }
-    }
-}
+bundle!(Marched { distance, gap, steps, hit });
 
 /// Marches along `ray` through `field`, which never tells more than the distance to its surface.
 /// `tolerance` is what is near enough at a distance along the ray.
@@ -60,7 +52,7 @@ pub fn march<R: Real>(
     field: impl Fn(crate::real::Vec3<R>) -> R,
 ) -> Marched<R> {
     let zero = reach.farthest.splat(0.0);
-    let start = (zero, zero, zero, Flag(zero.below(0.0)));
+    let start = (reach.nearest, zero, zero, Flag(zero.below(0.0)));
     let (distance, gap, steps, hit) = R::repeat(
         reach.max_steps,
         start,

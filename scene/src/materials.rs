@@ -79,7 +79,7 @@ impl Shade for Flat {
 
     #[inline(always)]
     fn albedo<R: Real>(&self, place: &Place<R>) -> Vec3<R> {
-        Vec3::splat(place.normal.x, self.color.get())
+        Vec3::given(place.normal.x, self.color.get())
     }
 
     fn is_lit(&self) -> bool {
@@ -138,9 +138,9 @@ impl Shade for Diffuse {
     #[inline(always)]
     fn shade<R: Real>(&self, place: &Place<R>, lights: &[Incoming<R>]) -> Vec3<R> {
         let like = place.normal.x;
-        let (kd, ks) = (Vec3::splat(like, self.kd.get()), self.ks.get());
+        let (kd, ks) = (Vec3::given(like, self.kd.get()), self.ks.get());
         let (ka, la) = (self.ka.unwrap_or(self.kd).get(), self.ambient.get());
-        let mut sum = Vec3::splat(like, vec3(ka.x * la.x, ka.y * la.y, ka.z * la.z));
+        let mut sum = Vec3::given(like, vec3(ka.x * la.x, ka.y * la.y, ka.z * la.z));
         for light in lights {
             let facing = place.normal.dot(light.direction).at_least(0.0);
             let scattered = light.radiance * facing;
@@ -152,10 +152,10 @@ impl Shade for Diffuse {
             if ks != vec3(0.0, 0.0, 0.0) {
                 let mirrored = place.normal.mul_add(facing + facing, -light.direction);
                 let towards = mirrored.dot(place.to_viewer).at_least(0.0);
-                let highlight = towards.powf(like.splat(self.shininess.get()));
+                let highlight = towards.powf(like.given(self.shininess.get()));
                 let highlight = R::select(facing.above(0.0), highlight, like.splat(0.0));
                 let glossy = light.radiance * highlight;
-                let ks = Vec3::splat(like, ks);
+                let ks = Vec3::given(like, ks);
                 sum = vec3(ks.x.mul_add(glossy.x, sum.x), ks.y.mul_add(glossy.y, sum.y), ks.z.mul_add(glossy.z, sum.z));
             }
         }
@@ -164,7 +164,7 @@ impl Shade for Diffuse {
 
     #[inline(always)]
     fn albedo<R: Real>(&self, place: &Place<R>) -> Vec3<R> {
-        Vec3::splat(place.normal.x, self.kd.get())
+        Vec3::given(place.normal.x, self.kd.get())
     }
 
     fn is_lit(&self) -> bool {

@@ -21,6 +21,7 @@ pub use primitives::{Box, Capsule, Cylinder, InfiniteCylinder, Plane, Pyramid, S
 pub use sample::{Coat, Distance, Painted, Sample};
 pub use transforms::{Rotate, Scale, Translate};
 
+use crate::bounds::Bounds;
 use crate::materials::MaterialUse;
 use crate::real::{Real, Vec3};
 
@@ -67,6 +68,9 @@ pub trait Sdf {
     fn is_estimate(&self) -> bool {
         self.children().iter().any(Node::is_estimate)
     }
+
+    /// A box that holds every point whose distance is at most `level`, which is not below 0.
+    fn bounds(&self, level: f32) -> Bounds;
 }
 
 /// A node without children: its distance says it all.
@@ -76,6 +80,9 @@ pub trait Primitive {
 
     /// The signed distance from `p` to the surface, negative inside.
     fn distance<R: Real>(&self, p: Vec3<R>) -> R;
+
+    /// A box that holds every point whose distance is at most `level`, which is not below 0.
+    fn bounds(&self, level: f32) -> Bounds;
 
     /// A Lipschitz factor: |d(p) − d(q)| ≤ stretch · |p − q|.
     fn stretch(&self) -> f32 {
@@ -104,6 +111,10 @@ impl<P: Primitive> Sdf for P {
     fn is_estimate(&self) -> bool {
         Primitive::is_estimate(self)
     }
+
+    fn bounds(&self, level: f32) -> Bounds {
+        Primitive::bounds(self, level)
+    }
 }
 
 macro_rules! nodes {
@@ -118,7 +129,8 @@ macro_rules! nodes {
         impl Node {
             /// The signed distance at `p`, with materials where `V` keeps them.
             pub fn sample<R: Real, V: Sample<R>>(&self, p: Vec3<R>) -> V {
-                p.x.vectorize(
+                p.x.named(
+                    self.kind(),
                     #[inline(always)]
                     || match self {
                         $(Self::$Kind(node) => node.sample(p)),*
@@ -175,11 +187,24 @@ macro_rules! nodes {
                 }
             }
 
+            /// Its type.
+            #[inline(always)]
+            fn kind(&self) -> &'static str {
+                match self {
+                    $(Self::$Kind(_) => stringify!($Kind)),*
+                }
+            }
+
             /// Its name in JSON.
             pub fn name(&self) -> String {
-                snake_case(match self {
-                    $(Self::$Kind(_) => stringify!($Kind)),*
-                })
+                snake_case(self.kind())
+            }
+
+            /// A box that holds every point whose distance is at most `level`, which is not below 0.
+            pub fn bounds(&self, level: f32) -> Bounds {
+                match self {
+                    $(Self::$Kind(node) => Sdf::bounds(node, level)),*
+                }
             }
 
             /// Each kind's example, as a user would write the whole node.

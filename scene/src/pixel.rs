@@ -1,18 +1,19 @@
 //! What one pixel looks like: rays, march, normal, lights, materials. Written once for every back end.
 
+use crate::bounds::Bounds;
 use crate::camera::{Ray, View};
 use crate::job::Job;
 use crate::lights::Incoming;
 use crate::march::{Marched, Reach, Tolerance, march};
 use crate::materials::{Place, Shade};
 use crate::nodes::{Painted, Sample};
-use crate::real::{Flag, Real, Vec3, vec3};
+use crate::real::{Flag, Real, Vec3, bundle, vec3};
 use crate::sampling::{Jitter, frame_key};
 use crate::scene::{Background, Scene};
 
 /// A frame of a job, ready to be asked for its pixels.
 ///
-/// Its larger steps enter through [`Real::vectorize`] instead of being inlined into one another:
+/// Its larger steps enter through [`Real::shared`] instead of being inlined into one another:
 /// for thirty lanes a call costs little, and code for each instruction set is made once.
 #[derive(Clone, Debug)]
 pub struct Program<'a> {
@@ -21,6 +22,8 @@ pub struct Program<'a> {
     shrink: Vec<Option<f32>>,
     /// Whether a tree says materials of its own.
     painted: Vec<bool>,
+    /// Holds all there is to see.
+    bounds: Bounds,
     view: View,
     samples: u32,
     frame_key: u32,
@@ -65,6 +68,9 @@ struct Hit<R> {
     normal: Vec3<R>,
 }
 
+bundle!(Radiance { color, alpha, evaluations });
+bundle!(Hit { distance, position, normal });
+
 impl<'a> Program<'a> {
     /// The picture of one frame, from 0.
     pub fn new(job: &'a Job, frame: u32) -> Self {
@@ -75,8 +81,11 @@ impl<'a> Program<'a> {
         // A quarter of half a pixel keeps silhouettes; the rest keeps depth and the limits of f32.
         let tolerance = Tolerance { slope: (0.25 * view.cone()).clamp(2e-6, 2.5e-4), floor: 2e-7 * size + 1e-7 };
         let tap = Tolerance { slope: (0.5 * view.cone()).max(3e-4), floor: 100.0 * tolerance.floor };
+        let shapes = scene.objects.iter().map(|object| object.shape.bounds(0.0));
+        let bounds = shapes.reduce(Bounds::hull).expect("a scene has one object or more");
         Self {
             scene,
+            bounds: bounds.with_margin(origin),
             shrink: scene.objects.iter().map(|object| object.shape.stretch()).map(shrink).collect(),
             painted: scene.objects.iter().map(|object| object.shape.is_painted()).collect(),
             view,
@@ -89,9 +98,11 @@ impl<'a> Program<'a> {
 
     /// The distance of the whole scene at `p`, never more than to the nearest surface.
     pub fn distance<R: Real>(&self, p: Vec3<R>) -> R {
-        p.x.vectorize(
+        p.x.shared(
+            "distance",
+            p,
             #[inline(always)]
-            || {
+            |p| {
                 let mut nearest = self.object_distance(0, p);
                 for index in 1..self.scene.objects.len() {
                     nearest = nearest.min(self.object_distance(index, p));
@@ -105,38 +116,57 @@ impl<'a> Program<'a> {
     fn object_distance<R: Real>(&self, index: usize, p: Vec3<R>) -> R {
         let distance = self.scene.objects[index].shape.distance(p);
         match self.shrink[index] {
-            Some(factor) => distance * factor,
+            Some(factor) => distance * distance.given(factor),
             None => distance,
         }
     }
 
     /// The colour of the pixel in column `x` and row `y`, both whole.
+    #[inline(always)]
     pub fn pixel<R: Real>(&self, x: R, y: R) -> Radiance<R> {
+        let zero = x.splat(0.0);
+        let nothing = Radiance { color: vec3(zero, zero, zero), alpha: zero, evaluations: zero };
+        self.mean(self.accumulate(x, y, zero, x.splat(self.samples as f32), nothing))
+    }
+
+    /// `sum` and the light of more of a pixel's samples: from `first`, until before `end`, which is
+    /// above `first`. Sums of parts, in order, have the same bits as one sum of all.
+    pub fn accumulate<R: Real>(&self, x: R, y: R, first: R, end: R, sum: Radiance<R>) -> Radiance<R> {
         x.vectorize(
             #[inline(always)]
             || {
-                let zero = x.splat(0.0);
+                let add = |sum: Radiance<R>, seen: Radiance<R>| Radiance {
+                    color: sum.color + seen.color,
+                    alpha: sum.alpha + seen.alpha,
+                    evaluations: sum.evaluations + seen.evaluations,
+                };
                 if self.samples == 1 {
-                    return self.radiance(x + 0.5, y + 0.5);
+                    return add(sum, self.radiance(x + 0.5, y + 0.5));
                 }
                 let jitter = Jitter::new(x, y, self.frame_key);
-                let start = (zero, vec3(zero, zero, zero), zero, zero);
-                let (_, color, alpha, evaluations) = R::repeat(
+                let (_, sum) = R::repeat(
                     self.samples,
-                    start,
+                    (first, sum),
                     #[inline(always)]
-                    |(sample, color, alpha, evaluations)| {
+                    |(sample, sum)| {
                         let (jx, jy) = jitter.offset(sample);
-                        let seen = self.radiance(x + jx, y + jy);
                         let next = sample + 1.0;
-                        let sum = (next, color + seen.color, alpha + seen.alpha, evaluations + seen.evaluations);
-                        (next.below(self.samples as f32), sum)
+                        (next.lt(end), (next, add(sum, self.radiance(x + jx, y + jy))))
                     },
                 );
-                let share = zero.splat(1.0 / self.samples as f32);
-                Radiance { color: color * share, alpha: alpha * share, evaluations }
+                sum
             },
         )
+    }
+
+    /// The colour of a pixel whose samples are all in `sum`.
+    #[inline(always)]
+    pub fn mean<R: Real>(&self, sum: Radiance<R>) -> Radiance<R> {
+        if self.samples == 1 {
+            return sum;
+        }
+        let share = sum.alpha.given(1.0 / self.samples as f32);
+        Radiance { color: sum.color * share, alpha: sum.alpha * share, evaluations: sum.evaluations }
     }
 
     /// What the ray through the centre of the pixel in column `x` and row `y` meets.
@@ -198,12 +228,12 @@ impl<'a> Program<'a> {
         let like = ray.direction.x;
         let one = like.splat(1.0);
         match &self.scene.background {
-            Background::Color(color) => (Vec3::splat(like, color.get()), one),
+            Background::Color(color) => (Vec3::given(like, color.get()), one),
             Background::Gradient { bottom, top } => {
                 let share = ray.direction.y.mul_add(like.splat(0.5), like.splat(0.5));
                 let (bottom, top) = (bottom.get(), top.get());
                 let rise = vec3(top.x - bottom.x, top.y - bottom.y, top.z - bottom.z);
-                (Vec3::splat(like, rise).mul_add(share, Vec3::splat(like, bottom)), one)
+                (Vec3::given(like, rise).mul_add(share, Vec3::given(like, bottom)), one)
             }
             Background::Transparent => {
                 let zero = like.splat(0.0);
@@ -213,33 +243,47 @@ impl<'a> Program<'a> {
     }
 
     fn march<R: Real>(&self, ray: &Ray<R>) -> Marched<R> {
-        ray.direction.x.vectorize(
+        ray.direction.x.shared(
+            "march",
+            *ray,
             #[inline(always)]
-            || {
-                let like = ray.direction.x;
-                let farthest = like.splat(self.scene.march.max_distance.get());
-                let reach = Reach { farthest, max_steps: self.scene.march.max_steps };
-                let mut marched = march(
-                    ray,
-                    reach,
+            |ray| {
+                let zero = ray.direction.x.splat(0.0);
+                let farthest = zero.given(self.scene.march.max_distance.get());
+                let (nearest, farthest) = self.bounds.along(&ray, farthest);
+                let missed = Marched { distance: farthest, gap: farthest, steps: zero, hit: Flag(zero.below(0.0)) };
+                R::when(
+                    nearest.lt(farthest),
+                    missed,
                     #[inline(always)]
-                    |t| self.tolerance.at(t),
-                    #[inline(always)]
-                    |p| self.distance(p),
-                );
-                // Out of steps: a hit if the pixel's cone touches the surface.
-                let touches = marched.gap.lt(marched.distance * self.view.cone()) & marched.distance.lt(farthest);
-                marched.hit = Flag(marched.hit.0 | touches);
-                marched
+                    || {
+                        let reach = Reach { nearest, farthest, max_steps: self.scene.march.max_steps };
+                        let mut marched = march(
+                            &ray,
+                            reach,
+                            #[inline(always)]
+                            |t| self.tolerance.at(t),
+                            #[inline(always)]
+                            |p| self.distance(p),
+                        );
+                        // Out of steps: a hit if the pixel's cone touches the surface.
+                        let cone = zero.given(self.view.cone());
+                        let touches = marched.gap.lt(marched.distance * cone) & marched.distance.lt(farthest);
+                        marched.hit = Flag(marched.hit.0 | touches);
+                        marched
+                    },
+                )
             },
         )
     }
 
     /// Where exactly a march that came near the surface meets it, and the normal there.
     fn hit<R: Real>(&self, ray: &Ray<R>, marched: &Marched<R>) -> Hit<R> {
-        marched.distance.vectorize(
+        marched.distance.shared(
+            "hit",
+            (*ray, *marched),
             #[inline(always)]
-            || {
+            |(ray, marched)| {
                 let normal = self.normal(ray.at(marched.distance), self.tap.at(marched.distance));
                 let facing = -normal.dot(ray.direction);
                 // One step of Newton's method along the ray; cautious where it grazes the surface.
@@ -284,7 +328,8 @@ impl<'a> Program<'a> {
         let mut lights = Vec::new();
         if self.scene.slots().iter().any(Shade::is_lit) {
             for light in &self.scene.lights {
-                let (mut incoming, distance) = light.arriving(hit.position, self.scene.march.max_distance.get());
+                let farthest = evaluations.given(self.scene.march.max_distance.get());
+                let (mut incoming, distance) = light.arriving(hit.position, farthest);
                 if light.casts_shadows() {
                     let (visible, steps) = self.visibility(&hit, incoming.direction, distance);
                     incoming.radiance = incoming.radiance * visible;
@@ -300,29 +345,39 @@ impl<'a> Program<'a> {
 
     /// 1 where light from `direction` reaches the place, 0 in shadow; and the steps it took to see.
     fn visibility<R: Real>(&self, hit: &Hit<R>, direction: Vec3<R>, farthest: R) -> (R, R) {
-        farthest.vectorize(
+        farthest.shared(
+            "visibility",
+            (*hit, direction, farthest),
             #[inline(always)]
-            || {
-                let zero = farthest.splat(0.0);
+            |(hit, direction, farthest)| {
+                let (zero, one) = (farthest.splat(0.0), farthest.splat(1.0));
+                // Off the surface by more than the march was off it.
+                let near = self.tolerance.at(hit.distance);
+                let ray = Ray { origin: hit.normal.mul_add(near * 4.0, hit.position), direction };
+                let (nearest, farthest) = self.bounds.along(&ray, farthest);
                 let faces = hit.normal.dot(direction).above(0.0);
                 R::when(
                     faces,
                     (zero, zero),
                     #[inline(always)]
                     || {
-                        // Off the surface by more than the march was off it.
-                        let near = self.tolerance.at(hit.distance);
-                        let ray = Ray { origin: hit.normal.mul_add(near * 4.0, hit.position), direction };
-                        let reach = Reach { farthest, max_steps: self.scene.march.max_steps };
-                        let marched = march(
-                            &ray,
-                            reach,
+                        R::when(
+                            nearest.lt(farthest),
+                            (one, zero),
                             #[inline(always)]
-                            |t| t.mul_add(t.splat(4e-7), near),
-                            #[inline(always)]
-                            |p| self.distance(p),
-                        );
-                        (R::select(marched.hit.0, zero, zero.splat(1.0)), marched.steps)
+                            || {
+                                let reach = Reach { nearest, farthest, max_steps: self.scene.march.max_steps };
+                                let marched = march(
+                                    &ray,
+                                    reach,
+                                    #[inline(always)]
+                                    |t| t.mul_add(t.splat(4e-7), near),
+                                    #[inline(always)]
+                                    |p| self.distance(p),
+                                );
+                                (R::select(marched.hit.0, zero, one), marched.steps)
+                            },
+                        )
                     },
                 )
             },
@@ -402,6 +457,6 @@ fn shrink(stretch: f32) -> Option<f32> {
 impl Tolerance {
     #[inline(always)]
     fn at<R: Real>(self, distance: R) -> R {
-        distance.mul_add(distance.splat(self.slope), distance.splat(self.floor))
+        distance.mul_add(distance.given(self.slope), distance.given(self.floor))
     }
 }

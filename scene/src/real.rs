@@ -16,6 +16,7 @@ mod vector;
 use std::fmt::Debug;
 use std::ops::{Add, BitAnd, BitOr, BitXor, Div, Mul, Neg, Not, Shl, Shr, Sub};
 
+pub(crate) use bundle::bundle;
 pub use bundle::{Bundle, Flag, Join};
 pub use interval::{Interval, IntervalBits, Truth};
 pub use vector::{Vec3, vec3};
@@ -48,6 +49,7 @@ pub trait Bits:
 /// A number: one, a vector of them, a range of them, or a symbol for one.
 pub trait Real:
     Copy
+    + 'static
     + Debug
     + Add<Output = Self>
     + Sub<Output = Self>
@@ -66,6 +68,20 @@ pub trait Real:
 
     /// `value` in every lane of a number like this one.
     fn splat(self, value: f32) -> Self;
+
+    /// `value`, a number of the scene, in every lane: data to a compiled formula, where what is
+    /// splatted is code.
+    #[inline(always)]
+    fn given(self, value: f32) -> Self {
+        self.splat(value)
+    }
+
+    /// `word`, data as [`Real::given`] has it.
+    #[inline(always)]
+    #[expect(clippy::erasing_op, reason = "lanes of 0 are made of other lanes")]
+    fn given_bits(self, word: u32) -> Self::Bits {
+        (self.to_bits() & 0) ^ word
+    }
 
     /// `self · factor + term`, rounded once.
     fn mul_add(self, factor: Self, term: Self) -> Self;
@@ -102,6 +118,29 @@ pub trait Real:
     #[inline(always)]
     fn vectorize<T>(self, f: impl FnOnce() -> T) -> T {
         f()
+    }
+
+    /// A step of a picture that its formula takes in several places, called `name` in no other
+    /// sense: what it needs comes as `arguments`, what else `step` holds is the scene's.
+    #[inline(always)]
+    fn shared<A: Bundle<Self>, T: Bundle<Self>>(
+        self,
+        name: &'static str,
+        arguments: A,
+        step: impl FnOnce(A) -> T,
+    ) -> T {
+        let _ = name;
+        self.vectorize(
+            #[inline(always)]
+            || step(arguments),
+        )
+    }
+
+    /// Runs `f`, the formula of a node of this name.
+    #[inline(always)]
+    fn named<T>(self, name: &'static str, f: impl FnOnce() -> T) -> T {
+        let _ = name;
+        self.vectorize(f)
     }
 
     /// Multiplication by itself.

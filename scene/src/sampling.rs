@@ -30,10 +30,9 @@ pub struct Jitter<R: Real> {
 impl<R: Real> Jitter<R> {
     /// Of the pixel (`x`, `y`), whole numbers below 2²³.
     #[inline(always)]
-    #[expect(clippy::erasing_op, reason = "lanes of 0 are made of other lanes")]
     pub fn new(x: R, y: R, frame_key: u32) -> Self {
         let (mut a, mut b) = (stir::<R>(whole(x)), stir::<R>(whole(y)));
-        let mut c = stir::<R>((whole(x) & 0) ^ frame_key);
+        let mut c = stir::<R>(x.given_bits(frame_key));
         for _ in 0..2 {
             a = a + b * c;
             b = b + c * a;

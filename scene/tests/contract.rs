@@ -137,3 +137,25 @@ fn conditions_over_boxes_follow_three_valued_logic() {
     assert_eq!(Truth::Maybe | Truth::Yes, Truth::Yes);
     assert_eq!(!Truth::Maybe, Truth::Maybe);
 }
+
+#[test]
+fn bounds_hold_every_point_near_the_shape() {
+    each_node(|name, node| {
+        let mut random = Random(11);
+        for level in [0.0, 0.1, 0.7] {
+            let bounds = node.bounds(level);
+            for _ in 0..20_000 {
+                let p = random.point(3.0);
+                let inside = [
+                    (p.x, bounds.low.x, bounds.high.x),
+                    (p.y, bounds.low.y, bounds.high.y),
+                    (p.z, bounds.low.z, bounds.high.z),
+                ]
+                .iter()
+                .all(|&(c, low, high)| (low - 1e-5..=high + 1e-5).contains(&c));
+                let distance = node.distance(p);
+                assert!(inside || distance > level, "{name} is {distance} away from {p:?}, outside {bounds:?}");
+            }
+        }
+    });
+}

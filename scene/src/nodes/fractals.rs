@@ -4,6 +4,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::Primitive;
+use crate::bounds::Bounds;
 use crate::limits::MAX_ITERATIONS;
 use crate::real::{Real, Vec3, vec3};
 use crate::values::Power;
@@ -36,9 +37,9 @@ impl Primitive for Mandelbulb {
 
     #[inline(always)]
     fn distance<R: Real>(&self, p: Vec3<R>) -> R {
-        let power = self.power.get();
         let away = p.length();
         let one = away.splat(1.0);
+        let power = away.given(self.power.get());
         let bounded = !away.above(ESCAPE_RADIUS);
         let (_, radius, slope) = R::when(
             bounded,
@@ -51,12 +52,10 @@ impl Primitive for Mandelbulb {
                     #[inline(always)]
                     |(z, radius, slope)| {
                         let radius = radius.at_least(1e-6);
-                        let (sin_theta, cos_theta) = ((z.z / radius).acos() * power).sin_cos();
-                        let (sin_phi, cos_phi) = (z.y.atan2(z.x) * power).sin_cos();
-                        let growth = radius.powf(radius.splat(power - 1.0));
-                        let grown = growth * radius;
-                        let turned = vec3(sin_theta * cos_phi, sin_theta * sin_phi, cos_theta);
-                        let next = turned.mul_add(grown, p);
+                        let (next, growth) = match whole(self.power) {
+                            Some(whole) => turned_by_products(z, radius, whole, p),
+                            None => turned_by_angles(z, radius, power, p),
+                        };
                         let slope = (growth * power).mul_add(slope, one).at_most(LARGEST_SLOPE);
                         let radius = next.length();
                         (!radius.above(ESCAPE_RADIUS), (next, radius, slope))
@@ -72,6 +71,13 @@ impl Primitive for Mandelbulb {
     fn is_estimate(&self) -> bool {
         true
     }
+
+    fn bounds(&self, level: f32) -> Bounds {
+        // Inside the ball of escape the estimate says little about how far the surface is.
+        let ball = self.bounding_radius();
+        let radius = if level > 0.0 { (ball + level).max(ESCAPE_RADIUS) } else { ball };
+        Bounds::symmetric(radius, radius, radius)
+    }
 }
 
 impl Mandelbulb {
@@ -80,7 +86,89 @@ impl Mandelbulb {
     }
 }
 
+/// The power, if it is a whole number: then its formula is code, not data.
+fn whole(power: Power) -> Option<u32> {
+    (power.get() % 1.0 == 0.0).then_some(power.get() as u32)
+}
+
+/// zⁿ + p and rⁿ⁻¹ for any power n.
+#[inline(always)]
+fn turned_by_angles<R: Real>(z: Vec3<R>, radius: R, power: R, p: Vec3<R>) -> (Vec3<R>, R) {
+    let (sin_theta, cos_theta) = ((z.z / radius).acos() * power).sin_cos();
+    let (sin_phi, cos_phi) = (z.y.atan2(z.x) * power).sin_cos();
+    let growth = radius.powf(power - 1.0);
+    let turned = vec3(sin_theta * cos_phi, sin_theta * sin_phi, cos_theta);
+    (turned.mul_add(growth * radius, p), growth)
+}
+
+/// The same for a whole power, which needs no angles: (z + iρ)ⁿ is rⁿ(cos nθ + i sin nθ), and
+/// the unit number (x + iy)/ρ to the power n is cos nφ + i sin nφ, by de Moivre's formula.
+#[inline(always)]
+fn turned_by_products<R: Real>(z: Vec3<R>, radius: R, power: u32, p: Vec3<R>) -> (Vec3<R>, R) {
+    let from_axis = z.x.square_add(z.y.square()).sqrt();
+    let per_axis = z.x.splat(1.0) / from_axis.at_least(1e-12);
+    let (along, across) = complex_power((z.z, from_axis), power);
+    let (cosine, sine) = complex_power((z.x * per_axis, z.y * per_axis), power);
+    let next = vec3(across.mul_add(cosine, p.x), across.mul_add(sine, p.y), along + p.z);
+    let growth = by_squares(
+        radius,
+        power - 1,
+        #[inline(always)]
+        |a: R, b: R| a * b,
+    );
+    (next, growth)
+}
+
+/// The real and imaginary parts of a + bi to a whole power, 1 or more.
+#[inline(always)]
+fn complex_power<R: Real>(number: (R, R), power: u32) -> (R, R) {
+    by_squares(
+        number,
+        power,
+        #[inline(always)]
+        |(a, b): (R, R), (c, d): (R, R)| (a.mul_add(c, -(b * d)), a.mul_add(d, b * c)),
+    )
+}
+
+/// The product of `power` times `base`, 1 or more, by repeated squaring.
+#[inline(always)]
+fn by_squares<T: Copy>(base: T, power: u32, product: impl Fn(T, T) -> T) -> T {
+    let mut result = base;
+    for bit in (0..power.ilog2()).rev() {
+        result = product(result, result);
+        if power >> bit & 1 == 1 {
+            result = product(result, base);
+        }
+    }
+    result
+}
+
 /// Reads a number of iterations that is in range.
 fn iterations<'de, D: serde::Deserializer<'de>>(deserializer: D) -> Result<u32, D::Error> {
     crate::values::whole(deserializer, 1, MAX_ITERATIONS, "iterations")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn products_turn_as_far_as_angles() {
+        for power in [2_u32, 3, 5, 8, 13] {
+            for step in 0..200 {
+                let turn = |speed: f32| Real::sin(speed * step as f32);
+                let z = vec3(turn(1.3), turn(2.1), turn(0.7));
+                let p = vec3(turn(0.4), turn(3.1), turn(1.9));
+                let (radius, exponent) = (z.length(), power as f32);
+                if radius < 0.1 {
+                    continue;
+                }
+                let (got, got_growth) = turned_by_products(z, radius, power, p);
+                let (want, want_growth) = turned_by_angles(z, radius, exponent, p);
+                let error = (got - want).length();
+                assert!(error < 3e-6 * exponent * want_growth.max(1.0), "power {power} of {z:?}: {error}");
+                assert!((got_growth - want_growth).abs() < 1e-5 * want_growth, "power {power} of {z:?}");
+            }
+        }
+    }
 }

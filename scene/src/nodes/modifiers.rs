@@ -5,6 +5,7 @@ use serde::{Deserialize, Serialize};
 
 use super::transforms::around_child;
 use super::{Child, Node, Sample, Sdf};
+use crate::bounds::Bounds;
 use crate::materials::MaterialUse;
 use crate::real::{Real, Vec3};
 
@@ -39,4 +40,8 @@ impl Sdf for Paint {
     }
 
     around_child!();
+
+    fn bounds(&self, level: f32) -> Bounds {
+        self.child.bounds(level)
+    }
 }

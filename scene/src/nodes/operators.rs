@@ -11,6 +11,7 @@ use serde::{Deserialize, Serialize};
 
 use super::sample::indicator;
 use super::{Node, Sample, Sdf};
+use crate::bounds::Bounds;
 use crate::real::{Real, Vec3};
 use crate::values::Amount;
 
@@ -63,7 +64,7 @@ fn least<R: Real, V: Sample<R>>(a: V, b: V, smooth: Amount) -> V {
         );
     }
     let overlap = overlap(da, db, smooth);
-    let distance = overlap.square().mul_add(da.splat(-0.25 / smooth), da.min(db));
+    let distance = overlap.square().mul_add(da.given(-0.25 / smooth), da.min(db));
     a.blend(
         b,
         distance,
@@ -85,7 +86,7 @@ fn greatest<R: Real, V: Sample<R>>(a: V, b: V, smooth: Amount) -> V {
         );
     }
     let overlap = overlap(da, db, smooth);
-    let distance = overlap.square().mul_add(da.splat(0.25 / smooth), da.max(db));
+    let distance = overlap.square().mul_add(da.given(0.25 / smooth), da.max(db));
     a.blend(
         b,
         distance,
@@ -103,13 +104,13 @@ fn cut<R: Real, V: Sample<R>>(a: V, b: V, smooth: Amount) -> V {
 /// h = max(k − |a − b|, 0): how far into the seam.
 #[inline(always)]
 fn overlap<R: Real>(a: R, b: R, smooth: f32) -> R {
-    (a.splat(smooth) - (a - b).abs()).at_least(0.0)
+    (a.given(smooth) - (a - b).abs()).at_least(0.0)
 }
 
 /// The second child's share where it wins or loses: the loser has ½(h/k)².
 #[inline(always)]
 fn share<R: Real>(overlap: R, smooth: f32, second_wins: R::Mask) -> R {
-    let loser = overlap.square() * (0.5 / (smooth * smooth));
+    let loser = overlap.square() * overlap.given(0.5 / (smooth * smooth));
     R::select(second_wins, loser.splat(1.0) - loser, loser)
 }
 
@@ -120,7 +121,7 @@ fn negated<R: Real, V: Sample<R>>(v: V) -> V {
 }
 
 macro_rules! operator {
-    ($Kind:ident, $example:literal, $join:expr) => {
+    ($Kind:ident, $example:literal, $join:expr, $bounds:expr) => {
         impl Sdf for $Kind {
             const EXAMPLE: &'static str = $example;
             const HAS_LIST: bool = true;
@@ -132,6 +133,14 @@ macro_rules! operator {
                     joined = $join(joined, other.sample(p), self.smooth);
                 }
                 joined
+            }
+
+            fn bounds(&self, level: f32) -> Bounds {
+                // Each seam bulges by a quarter of its width at most.
+                let bulge = self.smooth.get() * 0.25 * (self.of.len() - 1) as f32;
+                let mut of = self.of.iter().map(|shape| shape.bounds(level + bulge));
+                let first = of.next().expect("a list has one shape or more");
+                of.fold(first, $bounds)
             }
 
             fn children(&self) -> &[Node] {
@@ -151,7 +160,8 @@ operator!(
         { "sphere": { "radius": 0.7 } },
         { "translate": { "by": [0.8, 0.3, 0], "child": { "box": { "size": [0.9, 0.9, 0.9] } } } }
     ] }"#,
-    least
+    least,
+    Bounds::hull
 );
 operator!(
     Intersection,
@@ -159,7 +169,8 @@ operator!(
         { "sphere": { "radius": 1 } },
         { "box": { "size": [1.5, 1.5, 1.5] } }
     ] }"#,
-    greatest
+    greatest,
+    Bounds::overlap
 );
 operator!(
     Difference,
@@ -167,7 +178,8 @@ operator!(
         { "box": { "size": [1.6, 1.6, 1.6] } },
         { "translate": { "by": [0.3, 0.4, 0.5], "child": { "sphere": { "radius": 0.9 } } } }
     ] }"#,
-    cut
+    cut,
+    |first, _| first
 );
 
 fn sharp() -> Amount {

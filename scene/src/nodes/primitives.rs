@@ -5,6 +5,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::Primitive;
+use crate::bounds::Bounds;
 use crate::real::{Real, Vec3, vec3};
 use crate::values::{Amount, Coordinate, Direction, Length, Point};
 
@@ -21,7 +22,12 @@ impl Primitive for Sphere {
 
     #[inline(always)]
     fn distance<R: Real>(&self, p: Vec3<R>) -> R {
-        p.length() - self.radius.get()
+        p.length() - p.x.given(self.radius.get())
+    }
+
+    fn bounds(&self, level: f32) -> Bounds {
+        let radius = self.radius.get();
+        Bounds::symmetric(radius, radius, radius).widened(level)
     }
 }
 
@@ -46,9 +52,9 @@ impl Primitive for Box {
         let [x, y, z] = self.size;
         let (half, round) = (0.5, self.round.get());
         let past_face = vec3(
-            p.x.abs() - (x.get() * half - round),
-            p.y.abs() - (y.get() * half - round),
-            p.z.abs() - (z.get() * half - round),
+            p.x.abs() - p.x.given(x.get() * half - round),
+            p.y.abs() - p.x.given(y.get() * half - round),
+            p.z.abs() - p.x.given(z.get() * half - round),
         );
         let outside = past_face
             .map(
@@ -57,7 +63,12 @@ impl Primitive for Box {
             )
             .length();
         let inside = past_face.max_element().at_most(0.0);
-        outside + inside - self.round.get()
+        outside + inside - p.x.given(round)
+    }
+
+    fn bounds(&self, level: f32) -> Bounds {
+        let [x, y, z] = self.size;
+        Bounds::symmetric(x.get() / 2.0, y.get() / 2.0, z.get() / 2.0).widened(level)
     }
 }
 
@@ -76,7 +87,16 @@ impl Primitive for Plane {
 
     #[inline(always)]
     fn distance<R: Real>(&self, p: Vec3<R>) -> R {
-        p.dot_known(self.normal.unit()) - self.offset.get()
+        p.dot_known(self.normal.unit()) - p.x.given(self.offset.get())
+    }
+
+    fn bounds(&self, level: f32) -> Bounds {
+        let farthest = self.offset.get() + level;
+        // Behind a plane across an axis, that coordinate has an end.
+        let low = |slope: f32| if slope == -1.0 { -farthest } else { f32::NEG_INFINITY };
+        let high = |slope: f32| if slope == 1.0 { farthest } else { f32::INFINITY };
+        let normal = self.normal.unit();
+        Bounds { low: normal.map(low), high: normal.map(high) }
     }
 }
 
@@ -95,10 +115,15 @@ impl Primitive for Cylinder {
 
     #[inline(always)]
     fn distance<R: Real>(&self, p: Vec3<R>) -> R {
-        let past_side = p.x.square_add(p.z.square()).sqrt() - self.radius.get();
-        let past_cap = p.y.abs() - self.height.get() / 2.0;
+        let past_side = p.x.square_add(p.z.square()).sqrt() - p.x.given(self.radius.get());
+        let past_cap = p.y.abs() - p.x.given(self.height.get() / 2.0);
         let (side, cap) = (past_side.at_least(0.0), past_cap.at_least(0.0));
         side.square_add(cap.square()).sqrt() + past_side.max(past_cap).at_most(0.0)
+    }
+
+    fn bounds(&self, level: f32) -> Bounds {
+        let radius = self.radius.get();
+        Bounds::symmetric(radius, self.height.get() / 2.0, radius).widened(level)
     }
 }
 
@@ -115,7 +140,12 @@ impl Primitive for InfiniteCylinder {
 
     #[inline(always)]
     fn distance<R: Real>(&self, p: Vec3<R>) -> R {
-        p.x.square_add(p.z.square()).sqrt() - self.radius.get()
+        p.x.square_add(p.z.square()).sqrt() - p.x.given(self.radius.get())
+    }
+
+    fn bounds(&self, level: f32) -> Bounds {
+        let radius = self.radius.get();
+        Bounds::symmetric(radius, f32::INFINITY, radius).widened(level)
     }
 }
 
@@ -138,9 +168,15 @@ impl Primitive for TriangularPrism {
     #[inline(always)]
     fn distance<R: Real>(&self, p: Vec3<R>) -> R {
         const COS_30: f32 = 0.866_025_4;
-        let past_end = p.z.abs() - self.length.get() / 2.0;
+        let past_end = p.z.abs() - p.x.given(self.length.get() / 2.0);
         let slope = p.x.abs() * COS_30 + p.y * 0.5;
-        past_end.max(slope.max(-p.y) - self.height.get() / 2.0)
+        past_end.max(slope.max(-p.y) - p.x.given(self.height.get() / 2.0))
+    }
+
+    fn bounds(&self, level: f32) -> Bounds {
+        // Further out, the triangle is a larger one; none of its corners is further away than its apex.
+        let apex = self.height.get() + 2.0 * level;
+        Bounds::symmetric(apex, apex, self.length.get() / 2.0 + level)
     }
 }
 
@@ -160,8 +196,9 @@ impl Primitive for Pyramid {
 
     #[inline(always)]
     fn distance<R: Real>(&self, p: Vec3<R>) -> R {
-        let height = self.height.get();
-        let slant = height * height + 0.25;
+        let slant = self.height.get() * self.height.get() + 0.25;
+        let (over_slant, over_base) = (p.x.given(1.0 / slant), p.x.given(1.0 / (slant + 0.25)));
+        let (height, slant) = (p.x.given(self.height.get()), p.x.given(slant));
         // By symmetry, the face that looks towards +x; its base edge runs along z at x = 0.
         let (x, z) = (p.x.abs(), p.z.abs());
         let (x, z) = (x.max(z) - 0.5, x.min(z) - 0.5);
@@ -169,14 +206,18 @@ impl Primitive for Pyramid {
         let (along, up, out) = (z, p.y * height - x * 0.5, x * height + p.y * 0.5);
         let past_edge = along.at_least(0.0);
         let to_base_edge = past_edge.square() * slant + up.square();
-        let share = ((up - z * 0.5) * (1.0 / (slant + 0.25))).at_least(0.0).at_most(1.0);
+        let share = ((up - z * 0.5) * over_base).at_least(0.0).at_most(1.0);
         let to_slant_edge = (along + share * 0.5).square() * slant + (up - share * slant).square();
         let over_face = up.min(-along * slant - up * 0.5).above(0.0);
         let beside = R::select(over_face, p.y.splat(0.0), to_base_edge.min(to_slant_edge));
-        let to_face = (beside + out.square()) * (1.0 / slant);
+        let to_face = (beside + out.square()) * over_slant;
         let to_base = x.at_least(0.0).square_add(z.at_least(0.0).square_add(p.y.square()));
         let distance = to_face.min(to_base).sqrt();
         R::select(out.max(-p.y).below(0.0), -distance, distance)
+    }
+
+    fn bounds(&self, level: f32) -> Bounds {
+        Bounds { low: vec3(-0.5, 0.0, -0.5), high: vec3(0.5, self.height.get(), 0.5) }.widened(level)
     }
 }
 
@@ -195,8 +236,13 @@ impl Primitive for Torus {
 
     #[inline(always)]
     fn distance<R: Real>(&self, p: Vec3<R>) -> R {
-        let off_circle = p.x.square_add(p.z.square()).sqrt() - self.radius.get();
-        off_circle.square_add(p.y.square()).sqrt() - self.tube.get()
+        let off_circle = p.x.square_add(p.z.square()).sqrt() - p.x.given(self.radius.get());
+        off_circle.square_add(p.y.square()).sqrt() - p.x.given(self.tube.get())
+    }
+
+    fn bounds(&self, level: f32) -> Bounds {
+        let (across, up) = (self.radius.get() + self.tube.get(), self.tube.get());
+        Bounds::symmetric(across, up, across).widened(level)
     }
 }
 
@@ -223,10 +269,15 @@ impl Primitive for Capsule {
         let axis = vec3(b.x - a.x, b.y - a.y, b.z - a.z);
         // Two ends in one place make a ball: any share of no axis is the same point.
         let axis_over_square = scaled(axis, 1.0 / axis.length_squared().max(1e-20));
-        let from_a = vec3(p.x - a.x, p.y - a.y, p.z - a.z);
+        let from_a = p - Vec3::given(p.x, a);
         let share = from_a.dot_known(axis_over_square).at_least(0.0).at_most(1.0);
-        let nearest = Vec3::splat(p.x, vec3(-axis.x, -axis.y, -axis.z)).mul_add(share, from_a);
-        nearest.length() - self.radius.get()
+        let nearest = Vec3::given(p.x, vec3(-axis.x, -axis.y, -axis.z)).mul_add(share, from_a);
+        nearest.length() - p.x.given(self.radius.get())
+    }
+
+    fn bounds(&self, level: f32) -> Bounds {
+        let (a, b) = (self.a.get(), self.b.get());
+        Bounds { low: a, high: a }.hull(Bounds { low: b, high: b }).widened(self.radius.get() + level)
     }
 }
 

@@ -4,6 +4,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::{Child, Node, Sample, Sdf};
+use crate::bounds::Bounds;
 use crate::real::{Real, Vec3, vec3};
 use crate::values::{Factor, Point, Rotation};
 
@@ -57,10 +58,14 @@ impl Sdf for Translate {
     #[inline(always)]
     fn sample<R: Real, V: Sample<R>>(&self, p: Vec3<R>) -> V {
         let by = self.by.get();
-        self.child.sample(vec3(p.x - by.x, p.y - by.y, p.z - by.z))
+        self.child.sample(p - Vec3::given(p.x, by))
     }
 
     around_child!();
+
+    fn bounds(&self, level: f32) -> Bounds {
+        self.child.bounds(level).moved(self.by.get())
+    }
 }
 
 impl Sdf for Rotate {
@@ -73,6 +78,10 @@ impl Sdf for Rotate {
     }
 
     around_child!();
+
+    fn bounds(&self, level: f32) -> Bounds {
+        self.child.bounds(level).turned(self.degrees.inverse_rows())
+    }
 }
 
 impl Sdf for Scale {
@@ -81,10 +90,14 @@ impl Sdf for Scale {
     #[inline(always)]
     fn sample<R: Real, V: Sample<R>>(&self, p: Vec3<R>) -> V {
         let by = self.by.get();
-        let child: V = self.child.sample(p * p.x.splat(1.0 / by));
-        let distance = child.distance() * by;
+        let child: V = self.child.sample(p * p.x.given(1.0 / by));
+        let distance = child.distance() * p.x.given(by);
         child.at(distance)
     }
 
     around_child!();
+
+    fn bounds(&self, level: f32) -> Bounds {
+        self.child.bounds(level / self.by.get()).scaled(self.by.get())
+    }
 }

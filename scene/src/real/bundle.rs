@@ -11,7 +11,7 @@ pub trait Join<R: Real> {
 }
 
 /// Any struct of numbers and conditions.
-pub trait Bundle<R: Real>: Copy {
+pub trait Bundle<R: Real>: Copy + 'static {
     /// Joins two bundles part by part, in a fixed order.
     fn join(self, other: Self, how: &mut impl Join<R>) -> Self;
 }
@@ -34,12 +34,21 @@ impl<R: Real> Bundle<R> for Flag<R> {
     }
 }
 
-impl<R: Real> Bundle<R> for Vec3<R> {
-    #[inline(always)]
-    fn join(self, other: Self, how: &mut impl Join<R>) -> Self {
-        Self { x: how.number(self.x, other.x), y: how.number(self.y, other.y), z: how.number(self.z, other.z) }
-    }
+/// Makes a [`Bundle`] of a struct whose fields are bundles.
+macro_rules! bundle {
+    ($Struct:ident { $($field:ident),+ }) => {
+        impl<R: $crate::real::Real> $crate::real::Bundle<R> for $Struct<R> {
+            #[inline(always)]
+            fn join(self, other: Self, how: &mut impl $crate::real::Join<R>) -> Self {
+                Self { $($field: self.$field.join(other.$field, how)),+ }
+            }
+        }
+    };
 }
+
+pub(crate) use bundle;
+
+bundle!(Vec3 { x, y, z });
 
 macro_rules! tuples {
     ($(($($Part:ident $index:tt),+)),+ $(,)?) => { $(

@@ -2,7 +2,7 @@
 //!
 //! Polynomials and range reductions are those of Stephen L. Moshier's Cephes Mathematical
 //! Library, single precision (<https://www.netlib.org/cephes/>), evaluated here with fused
-//! operations. Each is compiled once for each instruction set, hence [`Real::vectorize`], and called.
+//! operations. Each is compiled once, hence [`Real::shared`], and called.
 //! The errors in the docs of [`Real`] are measured by this module's tests.
 
 use std::f32::consts::{FRAC_2_PI, FRAC_PI_2, FRAC_PI_4, LOG2_E, PI};
@@ -20,9 +20,11 @@ fn polynomial<R: Real>(x: R, coefficients: &[f32]) -> R {
 }
 
 pub(super) fn sin_cos<R: Real>(x: R) -> (R, R) {
-    x.vectorize(
+    x.shared(
+        "sin_cos",
+        x,
         #[inline(always)]
-        || {
+        |x| {
             let quarter = (x * FRAC_2_PI + 0.5).floor();
             // π/2 in three parts; the first two have trailing zeros, so that their products are exact.
             let r = quarter.mul_add(x.splat(-1.570_312_5), x);
@@ -45,9 +47,11 @@ pub(super) fn sin_cos<R: Real>(x: R) -> (R, R) {
 }
 
 pub(super) fn acos<R: Real>(x: R) -> R {
-    x.vectorize(
+    x.shared(
+        "acos",
+        x,
         #[inline(always)]
-        || {
+        |x| {
             let size = x.abs().at_most(1.0);
             let large = size.above(0.5);
             let square = R::select(large, (x.splat(1.0) - size) * 0.5, size * size);
@@ -72,9 +76,11 @@ pub(super) fn acos<R: Real>(x: R) -> R {
 }
 
 pub(super) fn atan2<R: Real>(y: R, x: R) -> R {
-    x.vectorize(
+    x.shared(
+        "atan2",
+        (y, x),
         #[inline(always)]
-        || {
+        |(y, x)| {
             let (across, along) = (y.abs(), x.abs());
             let steep = along.lt(across);
             let ratio = along.min(across) / along.max(across).at_least(f32::MIN_POSITIVE);
@@ -98,9 +104,11 @@ pub(super) fn atan2<R: Real>(y: R, x: R) -> R {
 }
 
 pub(super) fn exp<R: Real>(x: R) -> R {
-    x.vectorize(
+    x.shared(
+        "exp",
+        x,
         #[inline(always)]
-        || {
+        |x| {
             let x = x.at_least(-87.0).at_most(88.0);
             let power = (x * LOG2_E + 0.5).floor();
             // ln 2 in two parts.
@@ -119,16 +127,20 @@ pub(super) fn exp<R: Real>(x: R) -> R {
 }
 
 pub(super) fn ln<R: Real>(x: R) -> R {
-    x.vectorize(
+    x.shared(
+        "ln",
+        x,
         #[inline(always)]
-        || ln_in_parts(x).0,
+        |x| ln_in_parts(x).0,
     )
 }
 
 pub(super) fn powf<R: Real>(x: R, exponent: R) -> R {
-    x.vectorize(
+    x.shared(
+        "powf",
+        (x, exponent),
         #[inline(always)]
-        || {
+        |(x, exponent)| {
             let (high, low) = ln_in_parts(x);
             let product = high * exponent;
             let lost = low.mul_add(exponent, high.mul_add(exponent, -product));

@@ -22,10 +22,10 @@ pub const fn vec3<R>(x: R, y: R, z: R) -> Vec3<R> {
 }
 
 impl<R: Real> Vec3<R> {
-    /// The same known vector in every lane of numbers like `like`.
+    /// A vector of the scene in every lane of numbers like `like`.
     #[inline(always)]
-    pub fn splat(like: R, known: Vec3<f32>) -> Self {
-        vec3(like.splat(known.x), like.splat(known.y), like.splat(known.z))
+    pub fn given(like: R, vector: Vec3<f32>) -> Self {
+        vec3(like.given(vector.x), like.given(vector.y), like.given(vector.z))
     }
 
     /// Applies `f` to each coordinate.
@@ -40,10 +40,10 @@ impl<R: Real> Vec3<R> {
         self.x.mul_add(other.x, self.y.mul_add(other.y, self.z * other.z))
     }
 
-    /// Scalar product with a known vector.
+    /// Scalar product with a vector of the scene.
     #[inline(always)]
     pub fn dot_known(self, other: Vec3<f32>) -> R {
-        self.dot(Self::splat(self.x, other))
+        self.dot(Self::given(self.x, other))
     }
 
     /// Vector product.

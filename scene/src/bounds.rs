@@ -1,0 +1,111 @@
+//! Boxes that hold shapes: where a ray need not look.
+//!
+//! A box is made from a shape's numbers alone, in plain `f32`; it is widened by far more than
+//! rounding before a ray is cut by it, so that a surface is never outside.
+
+use crate::camera::Ray;
+use crate::real::{Real, Vec3, vec3};
+
+/// A box along the axes; a side may be infinitely far away.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Bounds {
+    /// Its least coordinates.
+    pub low: Vec3<f32>,
+    /// Its greatest coordinates.
+    pub high: Vec3<f32>,
+}
+
+impl Bounds {
+    /// All of space.
+    pub const EVERYWHERE: Self = {
+        const FAR: f32 = f32::INFINITY;
+        Self { low: vec3(-FAR, -FAR, -FAR), high: vec3(FAR, FAR, FAR) }
+    };
+
+    /// The box around the origin that reaches so far along each axis.
+    pub fn symmetric(x: f32, y: f32, z: f32) -> Self {
+        Self { low: vec3(-x, -y, -z), high: vec3(x, y, z) }
+    }
+
+    /// The least box that holds both.
+    pub fn hull(self, other: Self) -> Self {
+        Self { low: zip(self.low, other.low, f32::min), high: zip(self.high, other.high, f32::max) }
+    }
+
+    /// What is in both.
+    pub fn overlap(self, other: Self) -> Self {
+        Self { low: zip(self.low, other.low, f32::max), high: zip(self.high, other.high, f32::min) }
+    }
+
+    /// The box with each side further out by `margin`.
+    pub fn widened(self, margin: f32) -> Self {
+        let Self { low, high } = self;
+        Self { low: low.map(|c| c - margin), high: high.map(|c| c + margin) }
+    }
+
+    /// The box moved.
+    pub fn moved(self, by: Vec3<f32>) -> Self {
+        Self { low: zip(self.low, by, |c, by| c + by), high: zip(self.high, by, |c, by| c + by) }
+    }
+
+    /// The box made `factor` times as large about the origin.
+    pub fn scaled(self, factor: f32) -> Self {
+        let Self { low, high } = self;
+        Self { low: low.map(|c| c * factor), high: high.map(|c| c * factor) }
+    }
+
+    /// A box around this one turned by the matrix of these columns.
+    pub fn turned(self, columns: [Vec3<f32>; 3]) -> Self {
+        let ends = [(self.low.x, self.high.x), (self.low.y, self.high.y), (self.low.z, self.high.z)];
+        let mut turned = Self { low: vec3(0.0, 0.0, 0.0), high: vec3(0.0, 0.0, 0.0) };
+        for (column, (low, high)) in columns.into_iter().zip(ends) {
+            let least = column.map(|c| product(c, low).min(product(c, high)));
+            let most = column.map(|c| product(c, low).max(product(c, high)));
+            turned = Self { low: zip(turned.low, least, |a, b| a + b), high: zip(turned.high, most, |a, b| a + b) };
+        }
+        turned
+    }
+
+    /// The box widened by a share of its size and of how far away it and `origin` are, so that no
+    /// rounding on the way of a ray from there puts a surface outside.
+    pub fn with_margin(self, origin: Vec3<f32>) -> Self {
+        const OF_SIZE: f32 = 1e-3;
+        const OF_DISTANCE: f32 = 1e-5;
+        let finite = |c: f32| if c.is_finite() { c.abs() } else { 0.0 };
+        let far = [self.low, self.high, origin].map(|v| v.map(finite).max_element()).into_iter().fold(0.0, f32::max);
+        let size = zip(self.high, self.low, |high, low| finite(high - low)).max_element();
+        self.widened(OF_SIZE * size + OF_DISTANCE * far)
+    }
+
+    /// Where a ray enters the box, at least 0, and where it leaves it, at most `farthest`; a ray
+    /// that misses it leaves before it enters.
+    #[inline(always)]
+    pub fn along<R: Real>(&self, ray: &Ray<R>, farthest: R) -> (R, R) {
+        let (low, high) = (Vec3::given(farthest, self.low), Vec3::given(farthest, self.high));
+        let zero = farthest.splat(0.0);
+        let (x_in, x_out) = between(low.x, high.x, ray.origin.x, ray.direction.x);
+        let (y_in, y_out) = between(low.y, high.y, ray.origin.y, ray.direction.y);
+        let (z_in, z_out) = between(low.z, high.z, ray.origin.z, ray.direction.z);
+        (x_in.max(y_in).max(z_in.max(zero)), x_out.min(y_out).min(z_out.min(farthest)))
+    }
+}
+
+/// Where a coordinate that starts at `origin` and grows by `slope` lies between two ends.
+#[inline(always)]
+fn between<R: Real>(low: R, high: R, origin: R, slope: R) -> (R, R) {
+    // As good as none, but with a quotient.
+    const LEVEL: f32 = 1e-12;
+    let slope = R::select(slope.abs().below(LEVEL), slope.splat(LEVEL), slope);
+    let per_slope = slope.splat(1.0) / slope;
+    let (a, b) = ((low - origin) * per_slope, (high - origin) * per_slope);
+    (a.min(b), a.max(b))
+}
+
+fn zip(a: Vec3<f32>, b: Vec3<f32>, f: impl Fn(f32, f32) -> f32) -> Vec3<f32> {
+    vec3(f(a.x, b.x), f(a.y, b.y), f(a.z, b.z))
+}
+
+/// A product in which nothing times infinity is nothing.
+fn product(a: f32, b: f32) -> f32 {
+    if a == 0.0 { 0.0 } else { a * b }
+}
