@@ -14,6 +14,9 @@ pub const REGISTER: &str = "/v1/worker/register";
 pub const SYNC: &str = "/v1/worker/sync";
 /// Environment variable through which the pool hands its children their token.
 pub const TOKEN_VARIABLE: &str = "SDFARM_WORKER_TOKEN";
+/// Exit code of a worker whose device can't render: no driver, a bad card, a failed self-test. Starting it
+/// again would not help, so the pool does not.
+pub const UNFIT_DEVICE: u8 = 3;
 
 /// Where a job's file is read: `GET`, the JSON that was posted.
 pub fn job_path(job: JobId) -> String {
@@ -40,7 +43,7 @@ pub struct Hello {
     pub device: String,
     /// The definition of a picture it was built with; a server refuses another.
     pub picture_version: u32,
-    /// Largest scene it takes, in nodes; `None` for any.
+    /// Largest scene it renders, in nodes; `None` for any. It is offered no larger one, but stitches of any.
     pub max_nodes: Option<u32>,
     /// Process id, which the local pool knows its children by.
     pub process: u32,

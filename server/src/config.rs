@@ -4,6 +4,8 @@ use std::net::{IpAddr, Ipv4Addr, SocketAddr};
 use std::path::PathBuf;
 use std::time::Duration;
 
+use proto::pool::MAX_POOL_WORKERS;
+
 /// What an operator decides about a server. `Config::default()` is what `serve` says without flags.
 #[derive(Clone, Debug)]
 pub struct Config {
@@ -11,10 +13,10 @@ pub struct Config {
     pub listen: SocketAddr,
     /// Folder of the database and the pictures; made if it is not there.
     pub data: PathBuf,
-    /// Local workers; `None` is one.
+    /// Local workers; `None` is one for each of `devices`.
     pub workers: Option<u32>,
-    /// `--device` of the local workers.
-    pub device: String,
+    /// What the local workers take for `--device`, in turn: `["cpu"]`, or one for each GPU. Empty is `["auto"]`.
+    pub devices: Vec<String>,
     /// `--simd` of the local workers.
     pub simd: String,
     /// Threads that CPU workers share; `None` is one for each core.
@@ -33,13 +35,21 @@ pub struct Config {
     pub grace: Duration,
 }
 
+impl Config {
+    /// Workers that the pool starts with.
+    pub(crate) fn pool_workers(&self) -> u32 {
+        let one_for_each = || u32::try_from(self.devices.len()).unwrap_or(MAX_POOL_WORKERS).clamp(1, MAX_POOL_WORKERS);
+        self.workers.unwrap_or_else(one_for_each)
+    }
+}
+
 impl Default for Config {
     fn default() -> Self {
         Self {
             listen: SocketAddr::new(IpAddr::V4(Ipv4Addr::LOCALHOST), 8080),
             data: PathBuf::from("sdfarm-data"),
             workers: None,
-            device: "auto".to_owned(),
+            devices: vec!["auto".to_owned()],
             simd: "auto".to_owned(),
             threads: None,
             tile_px: None,

@@ -32,8 +32,6 @@ use farm::{Farm, Leftovers};
 use lock::FolderLock;
 use store::Store;
 
-/// Workers of the local pool, unless the operator says otherwise.
-const DEFAULT_WORKERS: u32 = 1;
 /// What answers may take after the pool has ended.
 const LAST_ANSWERS: Duration = Duration::from_secs(5);
 

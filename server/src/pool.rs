@@ -1,10 +1,12 @@
 //! The local pool: worker processes, children of this server, kept at the number asked for.
 //!
-//! A child's end is seen at once, ends its leases, and has another take its place. A child
-//! that is one too many finishes what it holds first.
+//! A child's end is seen at once, ends its leases, and has another take its place, on the same
+//! device. A child that is one too many finishes what it holds first. A place whose device can't
+//! render stays empty until the pool is sized anew.
 
 mod child;
 
+use std::collections::BTreeSet;
 use std::net::SocketAddr;
 use std::path::PathBuf;
 use std::time::Duration;
@@ -71,7 +73,7 @@ impl Pool {
         let launch = Launch {
             program: config.worker_program.clone(),
             server: format!("http://{}", reachable(address)),
-            device: config.device.clone(),
+            devices: config.devices.clone(),
             simd: config.simd.clone(),
             threads: config.threads,
             token: self.token.clone(),
@@ -82,6 +84,7 @@ impl Pool {
             wanted: waiting.wanted,
             processes: waiting.processes,
             children: Vec::new(),
+            retired: BTreeSet::new(),
             exits: JoinSet::new(),
             labels: 0,
             early_deaths: 0,
@@ -140,6 +143,7 @@ struct Supervisor {
     wanted: watch::Receiver<u32>,
     processes: watch::Sender<Vec<(u32, String)>>,
     children: Vec<Child>,
+    retired: BTreeSet<usize>,
     exits: JoinSet<Exit>,
     labels: u32,
     early_deaths: u32,
@@ -149,7 +153,7 @@ struct Supervisor {
 impl Supervisor {
     async fn run(mut self, mut ending: mpsc::Receiver<Duration>) {
         let grace = loop {
-            let wanted = *self.wanted.borrow_and_update();
+            let wanted = *self.wanted.borrow();
             self.adjust(wanted as usize).await;
             let held = self.hold_until;
             tokio::select! {
@@ -159,6 +163,7 @@ impl Supervisor {
                         break Duration::ZERO;
                     }
                     self.hold_until = None;
+                    self.retired.clear();
                 }
                 Some(exit) = self.exits.join_next() => self.reaped(exit).await,
                 () = sleep_until(held), if held.is_some() => self.hold_until = None,
@@ -167,31 +172,30 @@ impl Supervisor {
         self.end(grace).await;
     }
 
-    /// Starts what is missing, and drains what is too much, the newest first.
+    /// Drains who is too much, those in the last places, and starts who is missing.
     async fn adjust(&mut self, wanted: usize) {
-        let staying = self.children.iter().filter(|child| !child.is_draining()).count();
-        if staying > wanted {
-            for index in (0..self.children.len()).rev() {
-                let staying = self.children.iter().filter(|child| !child.is_draining()).count();
-                if staying > wanted && !self.children[index].is_draining() {
-                    self.drain(index).await;
-                }
+        for index in 0..self.children.len() {
+            if self.children[index].place() >= wanted && !self.children[index].is_draining() {
+                self.drain(index).await;
             }
         }
-        for _ in staying..wanted {
+        for place in 0..wanted {
             if self.hold_until.is_some() {
                 return;
             }
-            self.launch(wanted);
+            let held = self.children.iter().any(|child| child.place() == place && !child.is_draining());
+            if !held && !self.retired.contains(&place) {
+                self.launch(place, wanted);
+            }
         }
     }
 
-    fn launch(&mut self, wanted: usize) {
+    fn launch(&mut self, place: usize, wanted: usize) {
         self.labels += 1;
         let label = format!("pool-{}", self.labels);
-        match Child::launch(&self.launch, label.clone(), wanted, &mut self.exits) {
+        match Child::launch(&self.launch, label.clone(), place, wanted, &mut self.exits) {
             Ok(child) => {
-                tracing::info!(worker = %label, process = child.process(), "started a worker");
+                tracing::info!(worker = %label, process = child.process(), device = child.device(), "started a worker");
                 self.children.push(child);
                 self.announce();
             }
@@ -240,7 +244,13 @@ impl Supervisor {
         self.announce();
         let cause = exit.cause(child.is_draining());
         let message = exit.message();
-        if cause == Cause::Interrupted {
+        let unfit = exit.is_unfit() && !child.is_draining();
+        if unfit {
+            tracing::error!(
+                worker = child.label(), device = child.device(), %message,
+                "a worker's device can't render: its place in the pool stays empty until the pool is sized anew (sdfarm pool N)"
+            );
+        } else if cause == Cause::Interrupted {
             tracing::info!(worker = child.label(), process = exit.process, "a worker ended");
         } else {
             tracing::warn!(worker = child.label(), process = exit.process, %message, "a worker died");
@@ -248,7 +258,9 @@ impl Supervisor {
         if let Err(error) = self.queue.reaped(exit.process, cause, message).await {
             tracing::error!(%error, process = exit.process, "a dead worker's leases could not be ended; they will run out");
         }
-        if !child.is_draining() {
+        if unfit {
+            self.retired.insert(child.place());
+        } else if !child.is_draining() {
             self.early_deaths = if child.age() < EARLY { self.early_deaths + 1 } else { 0 };
             self.hold();
         }

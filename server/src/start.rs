@@ -10,6 +10,7 @@ use tokio::net::TcpListener;
 use tokio::sync::mpsc;
 use tokio_util::sync::CancellationToken;
 
+use crate::Server;
 use crate::clock::Clock;
 use crate::config::Config;
 use crate::farm::{Farm, Totals};
@@ -19,7 +20,6 @@ use crate::pictures::Pictures;
 use crate::pool::Pool;
 use crate::queue::Queue;
 use crate::store::{OpenError, Store, StoreError};
-use crate::{DEFAULT_WORKERS, Server};
 
 /// Why a server could not start, and the cure.
 #[derive(Debug, thiserror::Error)]
@@ -103,7 +103,7 @@ pub(crate) async fn start(config: Config, clock: Clock) -> Result<Server, StartE
         queue,
         pictures,
         jobs: Jobs::new(),
-        pool: Pool::new(config.workers.unwrap_or(DEFAULT_WORKERS)),
+        pool: Pool::new(config.pool_workers()),
         totals: Totals::default(),
         leftovers: left,
         closing: CancellationToken::new(),

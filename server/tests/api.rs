@@ -8,4 +8,6 @@ mod api {
     mod leases;
     mod life;
     mod load;
+    mod nodes;
+    mod pool;
 }

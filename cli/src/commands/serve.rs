@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use std::time::Duration;
 
 use anyhow::Context;
-use clap::{Args, ValueEnum};
+use clap::Args;
 use proto::pool::MAX_POOL_WORKERS;
 use server::{Config, Server};
 use tokio_util::sync::CancellationToken;
@@ -24,10 +24,10 @@ pub(crate) struct Arguments {
     /// Folder of the database and the pictures; made if it is not there.
     #[arg(long, value_name = "FOLDER", env = "SDFARM_DATA", default_value = "./sdfarm-data")]
     data: PathBuf,
-    /// Workers on this machine [default: one, with every core].
+    /// Workers on this machine [default: one a GPU, else one with every core].
     #[arg(long, value_name = "N", env = "SDFARM_WORKERS", value_parser = clap::value_parser!(u32).range(0..=i64::from(MAX_POOL_WORKERS)))]
     workers: Option<u32>,
-    /// What they render on.
+    /// What they render on; with several GPUs the workers take them in turn.
     #[arg(long, env = "SDFARM_DEVICE", default_value = "auto")]
     device: Device,
     /// Vector instructions they use; the pictures are the same with each.
@@ -56,7 +56,7 @@ impl Arguments {
             listen: self.listen,
             data: self.data,
             workers: self.workers,
-            device: name(self.device),
+            devices: devices(self.device),
             simd: self.simd.to_string(),
             threads: self.threads.map(|threads| threads as usize),
             tile_px: self.tile,
@@ -89,6 +89,16 @@ pub(crate) fn own_program() -> anyhow::Result<PathBuf> {
     std::env::current_exe().context("could not find this program's own file, which local workers run as")
 }
 
-fn name(device: Device) -> String {
-    device.to_possible_value().expect("no device is hidden").get_name().to_owned()
+/// What the local workers render on, in turn: each GPU, else the processor.
+fn devices(device: Device) -> Vec<String> {
+    let gpus = match device {
+        Device::Auto | Device::Cuda => gpus(),
+        Device::Cpu => 0,
+    };
+    if gpus == 0 { vec!["cpu".to_owned()] } else { (0..gpus).map(|gpu| format!("cuda:{gpu}")).collect() }
+}
+
+/// GPUs of this machine that a worker can render on.
+fn gpus() -> usize {
+    0
 }

@@ -100,6 +100,7 @@ pub(super) async fn submit(
         id,
         name: job.name.clone(),
         priority: job.priority,
+        nodes: job.nodes(),
         plan,
         media_type: media_type(&job.image),
         warnings,

@@ -7,7 +7,7 @@ use std::process::{ExitStatus, Stdio};
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
-use proto::work::TOKEN_VARIABLE;
+use proto::work::{TOKEN_VARIABLE, UNFIT_DEVICE};
 use rustix::process::{Pid, Signal, kill_process};
 use tokio::io::{AsyncBufReadExt, BufReader};
 use tokio::process::{ChildStderr, ChildStdin, Command};
@@ -27,10 +27,17 @@ const LAST_LINE_CHARACTERS: usize = 300;
 pub(super) struct Launch {
     pub(super) program: PathBuf,
     pub(super) server: String,
-    pub(super) device: String,
+    pub(super) devices: Vec<String>,
     pub(super) simd: String,
     pub(super) threads: Option<usize>,
     pub(super) token: String,
+}
+
+impl Launch {
+    /// What the worker in a place of the pool renders on: each place keeps its device.
+    fn device(&self, place: usize) -> &str {
+        self.devices.get(place % self.devices.len().max(1)).map_or("auto", String::as_str)
+    }
 }
 
 /// A running worker process.
@@ -38,6 +45,8 @@ pub(super) struct Launch {
 pub(super) struct Child {
     process: u32,
     label: String,
+    place: usize,
+    device: String,
     // Open while the worker should live: it exits when this closes, so a killed server leaves no orphan.
     input: Option<ChildStdin>,
     started: Instant,
@@ -53,18 +62,20 @@ pub(super) struct Exit {
 }
 
 impl Child {
-    /// Starts a worker; its end will come out of `exits`.
+    /// Starts a worker in a place of the pool; its end will come out of `exits`.
     pub(super) fn launch(
         launch: &Launch,
         label: String,
+        place: usize,
         workers: usize,
         exits: &mut JoinSet<Exit>,
     ) -> io::Result<Self> {
         let shared = launch.threads.unwrap_or_else(|| std::thread::available_parallelism().map_or(1, usize::from));
         let threads = (shared / workers.max(1)).max(1);
+        let device = launch.device(place).to_owned();
         let mut child = Command::new(&launch.program)
             .args(["worker", "--server", &launch.server, "--pool", "--name", &label])
-            .args(["--device", &launch.device, "--simd", &launch.simd, "--threads", &threads.to_string()])
+            .args(["--device", &device, "--simd", &launch.simd, "--threads", &threads.to_string()])
             .env(TOKEN_VARIABLE, &launch.token)
             .stdin(Stdio::piped())
             .stdout(Stdio::null())
@@ -87,7 +98,7 @@ impl Child {
             let last_line = last_line.lock().expect("no holder panics").clone();
             Exit { process, status, last_line }
         });
-        Ok(Self { process, label, input, started: instant(), draining: false })
+        Ok(Self { process, label, place, device, input, started: instant(), draining: false })
     }
 
     pub(super) fn process(&self) -> u32 {
@@ -96,6 +107,16 @@ impl Child {
 
     pub(super) fn label(&self) -> &str {
         &self.label
+    }
+
+    /// Its place in the pool, from 0.
+    pub(super) fn place(&self) -> usize {
+        self.place
+    }
+
+    /// What it renders on.
+    pub(super) fn device(&self) -> &str {
+        &self.device
     }
 
     pub(super) fn is_draining(&self) -> bool {
@@ -153,6 +174,11 @@ impl Exit {
         } else {
             Cause::Lost
         }
+    }
+
+    /// Its device can't render: starting it again would not help.
+    pub(super) fn is_unfit(&self) -> bool {
+        self.status.as_ref().is_ok_and(|status| status.code() == Some(UNFIT_DEVICE.into()))
     }
 
     /// What to say about it.

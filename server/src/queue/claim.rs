@@ -1,12 +1,14 @@
 //! Claiming: the next run of tiles, or the next stitch, for one worker.
 //!
-//! The order is priority, job, frame, tile. A job's next frame is opened when none of its
+//! The order is priority, job, frame, tile, among the jobs whose scene this worker renders; a stitch
+//! is for anyone. A job's next frame is opened when none of its
 //! tiles is ready; that needs the frame's key, which the caller computes outside.
 
 use proto::work::{LeasedTile, Part, Run, Work};
 use proto::{JobId, LeaseId, Rect, WorkerId};
-use sqlx::Row;
-use sqlx::sqlite::SqliteRow;
+use sqlx::query::Query;
+use sqlx::sqlite::{SqliteArguments, SqliteRow};
+use sqlx::{Row, Sqlite};
 
 use super::lease::LOST_BEFORE_ALONE;
 use super::share::{self, Frame, Ready};
@@ -21,13 +23,16 @@ const NEXT_TILE: &str = include_str!("next_tile.sql");
 
 /// The ready tiles of a frame.
 const READY_TILES: &str = "SELECT id, position, x_px, y_px, width_px, height_px, rays, lost FROM tile
-     WHERE job = ?4 AND frame = ?5 AND kind = 'render' AND state = 'ready' AND not_before_ms <= ?1
-       AND (avoid IS NULL OR avoid <> ?2 OR ?3)
+     WHERE job = ?5 AND frame = ?7 AND kind = 'render' AND state = 'ready' AND not_before_ms <= ?1
+       AND (avoid IS NULL OR avoid <> ?2 OR ?6 > ?3)
      ORDER BY position";
 
 /// When the first tile that backs off will be ready.
 const NEXT_READY: &str =
     "SELECT min(not_before_ms) FROM tile WHERE state = 'ready' AND not_before_ms > 0 AND not_before_ms > ?";
+
+/// The `max_nodes` of a worker that takes any scene.
+pub(super) const ANY_NODES: i64 = i64::MAX;
 
 /// Who claims.
 #[derive(Clone, Copy, Debug)]
@@ -36,6 +41,8 @@ pub(super) struct Claimant {
     pub(super) worker: WorkerId,
     /// Its measured camera rays a second.
     pub(super) rays_per_second: Option<f64>,
+    /// Largest scene it renders, in nodes.
+    pub(super) max_nodes: i64,
 }
 
 /// What a claim found.
@@ -61,6 +68,7 @@ struct Job {
     id: JobId,
     plan: Plan,
     frames_opened: u32,
+    nodes: i64,
 }
 
 impl Job {
@@ -78,39 +86,40 @@ impl Job {
                 frames: row.try_get("frames_total")?,
             },
             frames_opened: row.try_get("frames_opened")?,
+            nodes: row.try_get("nodes")?,
         })
     }
 }
 
-/// How a claim sees tiles: back-off ended, not to be avoided by this worker unless it is the only one.
+/// How a claim sees tiles: back-off ended, small enough a scene, not to be avoided by this worker
+/// unless no other would take them.
 struct View {
     now_ms: i64,
     worker: String,
-    alone: bool,
+    /// Largest scene that some other worker renders, in nodes; -1 if there is no other.
+    others_max_nodes: i64,
+    /// Largest scene that this worker renders, in nodes.
+    max_nodes: i64,
+}
+
+impl View {
+    /// The statement with the parameters ?1 to ?4, which all of a claim's statements share.
+    fn bind(&self, statement: &'static str) -> Query<'_, Sqlite, SqliteArguments> {
+        sqlx::query(statement).bind(self.now_ms).bind(&self.worker).bind(self.others_max_nodes).bind(self.max_nodes)
+    }
 }
 
 /// Claims work for a worker.
 pub(super) async fn claim(connection: &mut Connection, claimant: Claimant, moment: Moment) -> Result<Claimed> {
-    let idle = Workers::count(connection).await?;
-    let view = View { now_ms: moment.now_ms, worker: claimant.worker.to_string(), alone: idle.ready <= 1 };
-    let row = sqlx::query(NEXT_JOB)
-        .bind(view.now_ms)
-        .bind(&view.worker)
-        .bind(view.alone)
-        .fetch_optional(&mut *connection)
-        .await?;
-    let Some(row) = row else {
+    let worker = claimant.worker.to_string();
+    let others_max_nodes = others_max_nodes(connection, &worker).await?;
+    let view = View { now_ms: moment.now_ms, worker, others_max_nodes, max_nodes: claimant.max_nodes };
+    let Some(row) = view.bind(NEXT_JOB).fetch_optional(&mut *connection).await? else {
         let ready_ms: Option<i64> = sqlx::query_scalar(NEXT_READY).bind(moment.now_ms).fetch_one(connection).await?;
         return Ok(Claimed::Nothing(ready_ms.map(|ready_ms| ready_ms - moment.now_ms)));
     };
     let job = Job::read(&row)?;
-    let next = sqlx::query(NEXT_TILE)
-        .bind(view.now_ms)
-        .bind(&view.worker)
-        .bind(view.alone)
-        .bind(job.number)
-        .fetch_optional(&mut *connection)
-        .await?;
+    let next = view.bind(NEXT_TILE).bind(job.number).bind(job.nodes).fetch_optional(&mut *connection).await?;
     let Some(next) = next else {
         return Ok(Claimed::NeedsFrame { job: job.number, frame: job.frames_opened, plan: job.plan });
     };
@@ -118,28 +127,36 @@ pub(super) async fn claim(connection: &mut Connection, claimant: Claimant, momen
     let work = if next.try_get::<String, _>("kind")? == "stitch" {
         claim_stitch(connection, job.number, frame, &view, moment).await?
     } else {
-        claim_tiles(connection, &job, frame, &view, claimant, idle.idle, moment).await?
+        claim_tiles(connection, &job, frame, &view, claimant, moment).await?
     };
     end::start(connection, job.number, moment).await?;
     Ok(Claimed::Run(Run { job: job.id, frame, work }))
 }
 
-struct Workers {
-    ready: u64,
-    idle: u64,
+/// The largest scene that a ready worker other than this one renders, in nodes; -1 if there is none.
+async fn others_max_nodes(connection: &mut Connection, worker: &str) -> Result<i64> {
+    Ok(sqlx::query_scalar(
+        "SELECT coalesce(max(coalesce(max_nodes, ?)), -1) FROM worker
+         WHERE state <> 'gone' AND state = 'ready' AND id <> ?",
+    )
+    .bind(ANY_NODES)
+    .bind(worker)
+    .fetch_one(connection)
+    .await?)
 }
 
-impl Workers {
-    async fn count(connection: &mut Connection) -> Result<Self> {
-        let row = sqlx::query(
-            "SELECT count(*) AS ready, count(*) FILTER (WHERE NOT EXISTS (
-                 SELECT 1 FROM lease WHERE lease.worker = worker.id AND lease.ended IS NULL)) AS idle
-             FROM worker WHERE state <> 'gone' AND state = 'ready'",
-        )
-        .fetch_one(connection)
-        .await?;
-        Ok(Self { ready: row.try_get("ready")?, idle: row.try_get("idle")? })
-    }
+/// Ready workers that hold nothing, and render scenes of so many nodes.
+async fn idle_workers(connection: &mut Connection, nodes: i64) -> Result<u64> {
+    let idle: i64 = sqlx::query_scalar(
+        "SELECT count(*) FROM worker
+         WHERE state <> 'gone' AND state = 'ready' AND coalesce(max_nodes, ?1) >= ?2
+           AND NOT EXISTS (SELECT 1 FROM lease WHERE lease.worker = worker.id AND lease.ended IS NULL)",
+    )
+    .bind(ANY_NODES)
+    .bind(nodes)
+    .fetch_one(connection)
+    .await?;
+    Ok(idle.unsigned_abs())
 }
 
 async fn claim_tiles(
@@ -148,17 +165,10 @@ async fn claim_tiles(
     frame: u32,
     view: &View,
     claimant: Claimant,
-    idle: u64,
     moment: Moment,
 ) -> Result<Work> {
-    let rows = sqlx::query(READY_TILES)
-        .bind(view.now_ms)
-        .bind(&view.worker)
-        .bind(view.alone)
-        .bind(job.number)
-        .bind(frame)
-        .fetch_all(&mut *connection)
-        .await?;
+    let idle = idle_workers(connection, job.nodes).await?;
+    let rows = view.bind(READY_TILES).bind(job.number).bind(job.nodes).bind(frame).fetch_all(&mut *connection).await?;
     let whole =
         Frame { tiles: job.plan.tiles().len() as u64, rays: job.plan.frame_rays(), size_bytes: job.plan.frame_bytes() };
     let ready = rows.iter().map(read_ready).collect::<Result<Vec<_>>>()?;

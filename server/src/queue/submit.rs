@@ -14,6 +14,8 @@ pub(crate) struct NewJob {
     pub(crate) name: String,
     /// Higher goes first.
     pub(crate) priority: i32,
+    /// Nodes of its scene; 0 if not known.
+    pub(crate) nodes: u32,
     /// How its frames are cut.
     pub(crate) plan: Plan,
     /// Media type of its pictures.
@@ -34,8 +36,9 @@ pub(super) async fn submit(connection: &mut Connection, job: &NewJob, moment: Mo
     let plan = job.plan;
     let number: i64 = sqlx::query_scalar(
         "INSERT INTO job (id, name, submitter, priority, state, fresh, width_px, height_px, samples, pixel_bytes,
-                          edge_px, media_type, frames_total, tiles_total, rays_total, warnings, created_at_ms)
-         VALUES (?, ?, ?, ?, 'queued', ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?) RETURNING number",
+                          edge_px, media_type, frames_total, tiles_total, rays_total, warnings, nodes,
+                          created_at_ms)
+         VALUES (?, ?, ?, ?, 'queued', ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?) RETURNING number",
     )
     .bind(job.id.to_string())
     .bind(&job.name)
@@ -52,6 +55,7 @@ pub(super) async fn submit(connection: &mut Connection, job: &NewJob, moment: Mo
     .bind(i64::try_from(plan.tiles_total()).unwrap_or(i64::MAX))
     .bind(i64::try_from(plan.rays_total()).unwrap_or(i64::MAX))
     .bind(super::json_list(&job.warnings))
+    .bind(job.nodes)
     .bind(moment.wall_ms)
     .fetch_one(&mut *connection)
     .await?;

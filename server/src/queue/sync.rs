@@ -4,6 +4,7 @@ use std::time::Duration;
 
 use proto::work::{Report, Run};
 use proto::{LeaseId, WorkerId};
+use sqlx::Row;
 
 use super::claim::{self, Claimant, Claimed};
 use super::lease::{self, Cause};
@@ -91,7 +92,7 @@ pub(crate) enum Next {
 
 /// Takes a worker's turn; `None` if no such worker is known.
 pub(super) async fn turn(connection: &mut Connection, turn: Turn, moment: Moment) -> Result<Option<Turned>> {
-    let Some(state) = seen(connection, &turn, moment).await? else { return Ok(None) };
+    let Some(worker) = seen(connection, &turn, moment).await? else { return Ok(None) };
     let (expired, mut ring) = lease::rescue(connection, moment).await?;
     let delivered = deliver::deliver(connection, turn.worker, &turn.results, moment).await?;
     ring.add(delivered.ring);
@@ -100,12 +101,12 @@ pub(super) async fn turn(connection: &mut Connection, turn: Turn, moment: Moment
     let live = lease::renew(connection, turn.worker, &turn.holding, moment).await?;
     lost.extend(turn.holding.iter().filter(|lease| !live.contains(&lease.to_string())));
     ring.add(hand_back_strays(connection, &turn, moment).await?);
-    let next = if turn.wants_work && state == WorkerState::Ready {
-        take_work(connection, &turn, moment).await?
+    let next = if turn.wants_work && worker.state == WorkerState::Ready {
+        take_work(connection, &turn, worker.max_nodes, moment).await?
     } else {
         Next::Nothing(None)
     };
-    let drain = state == WorkerState::Draining;
+    let drain = worker.state == WorkerState::Draining;
     Ok(Some(Turned { lost, drain, next, leftovers: delivered.leftovers, expired, fenced, ring }))
 }
 
@@ -116,24 +117,31 @@ enum WorkerState {
     Other,
 }
 
-async fn seen(connection: &mut Connection, turn: &Turn, moment: Moment) -> Result<Option<WorkerState>> {
-    let state: Option<String> = sqlx::query_scalar(
+/// What a turn has to know of its worker.
+struct Seen {
+    state: WorkerState,
+    max_nodes: i64,
+}
+
+async fn seen(connection: &mut Connection, turn: &Turn, moment: Moment) -> Result<Option<Seen>> {
+    let row = sqlx::query(
         "UPDATE worker SET seen_ms = ?, rays_per_second = coalesce(?, rays_per_second)
-         WHERE id = ? AND state <> 'gone' RETURNING state",
+         WHERE id = ? AND state <> 'gone' RETURNING state, coalesce(max_nodes, ?) AS max_nodes",
     )
     .bind(moment.now_ms)
     .bind(turn.rays_per_second)
     .bind(turn.worker.to_string())
+    .bind(claim::ANY_NODES)
     .fetch_optional(connection)
     .await?;
-    let Some(state) = state else { return Ok(None) };
-    known("worker.state", &state, |state| match state {
+    let Some(row) = row else { return Ok(None) };
+    let state = known("worker.state", &row.try_get::<String, _>("state")?, |state| match state {
         "ready" => Some(WorkerState::Ready),
         "draining" => Some(WorkerState::Draining),
         "starting" | "quarantined" => Some(WorkerState::Other),
         _ => None,
-    })
-    .map(Some)
+    })?;
+    Ok(Some(Seen { state, max_nodes: row.try_get("max_nodes")? }))
 }
 
 async fn hand_back_strays(connection: &mut Connection, turn: &Turn, moment: Moment) -> Result<Ring> {
@@ -157,11 +165,11 @@ async fn hand_back_strays(connection: &mut Connection, turn: &Turn, moment: Mome
     Ok(ring)
 }
 
-async fn take_work(connection: &mut Connection, turn: &Turn, moment: Moment) -> Result<Next> {
+async fn take_work(connection: &mut Connection, turn: &Turn, max_nodes: i64, moment: Moment) -> Result<Next> {
     if let Some(opening) = &turn.opening {
         open::open(connection, opening, moment).await?;
     }
-    let claimant = Claimant { worker: turn.worker, rays_per_second: turn.rays_per_second };
+    let claimant = Claimant { worker: turn.worker, rays_per_second: turn.rays_per_second, max_nodes };
     Ok(match claim::claim(connection, claimant, moment).await? {
         Claimed::Run(run) => Next::Run(run),
         Claimed::NeedsFrame { job, frame, plan } => Next::Frame { job, frame, plan },

@@ -27,16 +27,15 @@ impl Bench {
         Self { queue, hand, _folder: folder }
     }
 
-    async fn submit(&self, frames: u32) -> JobId {
-        let new = new_job(frames);
+    async fn submit(&self, frames: u32, nodes: u32) -> JobId {
+        let new = NewJob { nodes, ..new_job(frames) };
         let id = new.id;
         self.queue.submit(new).await.expect("accepted");
         id
     }
 
-    async fn worker(&self) -> WorkerId {
-        let hello =
-            Hello { name: String::new(), device: "cpu".to_owned(), picture_version: 1, max_nodes: None, process: 1 };
+    async fn worker(&self, max_nodes: Option<u32>) -> WorkerId {
+        let hello = Hello { name: String::new(), device: "cpu".to_owned(), picture_version: 1, max_nodes, process: 1 };
         let new = NewWorker { hello, pool: false, name: "test".to_owned() };
         self.queue.register(new).await.expect("registered").worker
     }
@@ -82,6 +81,7 @@ fn new_job(frames: u32) -> NewJob {
         id: JobId::new(),
         name: String::new(),
         priority: 0,
+        nodes: 1,
         plan: Plan { width_px: 128, height_px: 96, samples: 1, pixel_bytes: 16, edge_px: Some(32), frames },
         media_type: "image/png",
         warnings: Vec::new(),
@@ -97,6 +97,8 @@ fn turn(worker: WorkerId) -> Turn {
 #[tokio::test]
 async fn a_claim_reads_no_table_from_end_to_end() {
     let bench = Bench::new().await;
+    // Of what is left to do, and of stitches that are ready: both are short, or ordered as they are read.
+    let indexed = ["USING INDEX job_by_turn", "USING INDEX tile_stitch"];
     for statement in [
         concat!("EXPLAIN QUERY PLAN ", include_str!("next_job.sql")),
         concat!("EXPLAIN QUERY PLAN ", include_str!("next_tile.sql")),
@@ -104,8 +106,9 @@ async fn a_claim_reads_no_table_from_end_to_end() {
         let rows = sqlx::query(statement).fetch_all(bench.queue.readers()).await.expect("explains");
         let plan: Vec<String> = rows.iter().map(|row| row.get::<String, _>("detail")).collect();
         for step in &plan {
-            let orderly =
-                step.starts_with("SEARCH") || step.contains("USING INDEX job_by_turn") || step.contains("SUBQUERY");
+            let orderly = step.starts_with("SEARCH")
+                || indexed.iter().any(|index| step.ends_with(index))
+                || ["SUBQUERY", "BLOOM FILTER"].iter().any(|word| step.contains(word));
             assert!(orderly, "{step} in {plan:?}");
         }
         assert!(plan.iter().any(|step| step.contains("tile_ready")), "{plan:?}");
@@ -137,13 +140,20 @@ fn outcome(dice: &mut Dice, stitch: bool, whole: bool) -> Outcome {
 async fn random_sequence(seed: u64) {
     let bench = Bench::new().await;
     let mut dice = Dice(seed);
-    let workers = [bench.worker().await, bench.worker().await];
+    let workers = [bench.worker(None).await, bench.worker(Some(500)).await];
     let mut held: Vec<(WorkerId, proto::work::Run)> = Vec::new();
-    let mut jobs = Vec::new();
+    let (mut jobs, mut too_large) = (Vec::new(), Vec::new());
     for _ in 0..60 {
         let worker = workers[dice.roll(2) as usize];
         match dice.roll(10) {
-            0 => jobs.push(bench.submit(1 + dice.roll(2) as u32).await),
+            0 => {
+                let (frames, large) = (1 + dice.roll(2) as u32, dice.roll(2) == 0);
+                let job = bench.submit(frames, if large { 501 } else { 500 }).await;
+                jobs.push(job);
+                if large {
+                    too_large.push(job);
+                }
+            }
             1 if !jobs.is_empty() => {
                 let job = jobs[dice.roll(jobs.len() as u64) as usize];
                 bench.queue.cancel(job).await.expect("an answer");
@@ -158,6 +168,8 @@ async fn random_sequence(seed: u64) {
                 let holding = held.iter().filter(|(who, _)| *who == worker).flat_map(|(_, run)| leases(run)).collect();
                 let said = Turn { wants_work: true, rays_per_second, holding, ..turn(worker) };
                 if let Some(Next::Run(run)) = bench.turn(said).await.map(|turned| turned.next) {
+                    let renders = matches!(run.work, Work::Render { .. });
+                    assert!(!(worker == workers[1] && renders && too_large.contains(&run.job)), "{run:?}");
                     held.push((worker, run));
                 }
             }
@@ -195,7 +207,7 @@ async fn counters_are_those_of_the_tiles_whatever_happens() {
 #[tokio::test]
 async fn a_full_disk_refuses_a_job_and_room_on_it_takes_the_next() {
     let bench = Bench::new().await;
-    let worker = bench.worker().await;
+    let worker = bench.worker(None).await;
     let limit = async |statement: &'static str| {
         bench
             .queue
@@ -232,4 +244,14 @@ async fn an_operation_that_fails_takes_no_other_with_it() {
     assert!(good.iter().all(Result::is_ok), "{good:?}");
     assert!(bad.iter().all(Result::is_err), "an id is taken once");
     assert_eq!(bench.queue.jobs(None, 1000, None).await.expect("lists").jobs.len(), 21);
+}
+
+#[tokio::test]
+async fn a_job_whose_nodes_are_not_known_is_for_any_worker() {
+    let bench = Bench::new().await;
+    let worker = bench.worker(Some(1)).await;
+    let job = bench.submit(1, 0).await;
+    let said = Turn { wants_work: true, ..turn(worker) };
+    let Next::Run(run) = bench.turn(said).await.expect("known").next else { panic!("there is work") };
+    assert_eq!(run.job, job);
 }

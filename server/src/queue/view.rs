@@ -14,7 +14,13 @@ macro_rules! jobs_where {
     ($condition:literal) => {
         concat!(
             "SELECT number, id, name, state, frames_total, frames_stored, tiles_total, tiles_done, rays_total, rays_peak,
-                    warnings, error, created_at_ms, started_at_ms, finished_at_ms FROM job WHERE ",
+                    warnings, error, created_at_ms, started_at_ms, finished_at_ms, nodes,
+                    finished_at_ms IS NULL AND (frames_opened < frames_total OR EXISTS (
+                        SELECT 1 FROM tile WHERE tile.job = job.number AND tile.state = 'ready' AND kind = 'render'))
+                    AS waits,
+                    (SELECT max(coalesce(max_nodes, 9223372036854775807)) FROM worker
+                     WHERE state <> 'gone' AND state IN ('starting', 'ready')) AS farm_max_nodes
+             FROM job WHERE ",
             $condition
         )
     };
@@ -62,6 +68,8 @@ fn read_job(row: &SqliteRow, wall_ms: i64) -> Result<JobView> {
     let id: String = row.try_get("id")?;
     let state = end::job_state(&row.try_get::<String, _>("state")?)?;
     let warnings: String = row.try_get("warnings")?;
+    let mut warnings: Vec<String> = known("job.warnings", &warnings, |text| serde_json::from_str(text).ok())?;
+    warnings.extend(too_large(row)?);
     let started_at_ms: Option<i64> = row.try_get("started_at_ms")?;
     let rays_total: i64 = row.try_get("rays_total")?;
     let progress = row.try_get::<i64, _>("rays_peak")? as f64 / rays_total as f64;
@@ -74,7 +82,7 @@ fn read_job(row: &SqliteRow, wall_ms: i64) -> Result<JobView> {
         tiles: Count { done: row.try_get("tiles_done")?, total: row.try_get("tiles_total")? },
         frames: Count { done: row.try_get("frames_stored")?, total: row.try_get("frames_total")? },
         errors: error.into_iter().collect(),
-        warnings: known("job.warnings", &warnings, |text| serde_json::from_str(text).ok())?,
+        warnings,
         created_at: rfc3339(row.try_get("created_at_ms")?),
         started_at: started_at_ms.map(rfc3339),
         finished_at: row.try_get::<Option<i64>, _>("finished_at_ms")?.map(rfc3339),
@@ -82,6 +90,19 @@ fn read_job(row: &SqliteRow, wall_ms: i64) -> Result<JobView> {
             .filter(|_| state == JobState::Running)
             .and_then(|start| eta(start, wall_ms, progress)),
     })
+}
+
+/// What to say of a job that waits for a worker which this farm has not got: one for scenes as large as its own.
+fn too_large(row: &SqliteRow) -> Result<Option<String>> {
+    let nodes: i64 = row.try_get("nodes")?;
+    let farm_max_nodes: Option<i64> = row.try_get("farm_max_nodes")?;
+    let waits: bool = row.try_get("waits")?;
+    Ok(farm_max_nodes.filter(|max_nodes| waits && *max_nodes < nodes).map(|max_nodes| {
+        format!(
+            "no worker of this farm takes scenes of more than {max_nodes} nodes, and this one has {nodes}: \
+             start a CPU worker (`sdfarm worker --device cpu`)"
+        )
+    }))
 }
 
 /// Seconds left, if the rest goes as fast as what is done.

@@ -91,7 +91,12 @@ impl Farm {
     }
 
     pub(crate) async fn worker(&self, name: &str) -> Worker<'_> {
-        Worker::register(self, name).await
+        Worker::register(self, name, None).await
+    }
+
+    /// A worker that renders no scene of more nodes.
+    pub(crate) async fn small_worker(&self, name: &str, max_nodes: u32) -> Worker<'_> {
+        Worker::register(self, name, Some(max_nodes)).await
     }
 }
 
@@ -150,12 +155,12 @@ pub(crate) struct Said {
 }
 
 impl<'a> Worker<'a> {
-    async fn register(farm: &'a Farm, name: &str) -> Self {
+    async fn register(farm: &'a Farm, name: &str, max_nodes: Option<u32>) -> Self {
         let hello = Hello {
             name: name.to_owned(),
             device: "cpu".to_owned(),
             picture_version: scene::PICTURE_VERSION,
-            max_nodes: None,
+            max_nodes,
             process: 1,
         };
         let welcome: Welcome =

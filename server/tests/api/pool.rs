@@ -1,0 +1,201 @@
+//! The pool: as many processes as were asked for, each on the device of its place.
+
+use std::os::unix::fs::PermissionsExt;
+use std::path::Path;
+use std::time::Duration;
+
+use proto::job::JobState;
+use proto::pool::{PoolView, WorkerList};
+use proto::work::{self, Hello, Welcome};
+use reqwest::StatusCode;
+use serde_json::json;
+
+use super::harness::{Farm, Said, assert_state, in_time, leases, read, refused, small_job};
+
+/// A program that says who it is, and lives until its input ends, unless its device is `cuda:9`, which can't render.
+fn stand_in(folder: &Path) -> std::path::PathBuf {
+    let program = folder.join("stand-in");
+    let text = "#!/bin/sh\nmkdir -p \"$(dirname \"$0\")/started\"\n\
+                printf '%s %s' \"$SDFARM_WORKER_TOKEN\" \"$*\" > \"$(dirname \"$0\")/started/.$$\"\n\
+                mv \"$(dirname \"$0\")/started/.$$\" \"$(dirname \"$0\")/started/$$\"\n\
+                case \"$*\" in *'--device cuda:9 '*) echo 'no such card' >&2; exit 3;; esac\nexec cat\n";
+    std::fs::write(&program, text).expect("writes");
+    std::fs::set_permissions(&program, std::fs::Permissions::from_mode(0o755)).expect("may be run");
+    program
+}
+
+/// Waits until something is so.
+async fn until<T>(mut look: impl FnMut() -> Option<T>) -> T {
+    in_time(async {
+        loop {
+            if let Some(found) = look() {
+                return found;
+            }
+            tokio::task::yield_now().await;
+        }
+    })
+    .await
+}
+
+/// The processes that have started, with what they said.
+fn started(folder: &Path) -> Vec<(u32, String)> {
+    let Ok(entries) = std::fs::read_dir(folder.join("started")) else { return Vec::new() };
+    entries
+        .filter_map(|entry| {
+            let path = entry.ok()?.path();
+            Some((path.file_name()?.to_str()?.parse().ok()?, std::fs::read_to_string(path).ok()?))
+        })
+        .collect()
+}
+
+/// The started processes on a device, whether they live or not.
+fn on_device(folder: &Path, device: &str) -> Vec<(u32, String)> {
+    let flag = format!("--device {device} ");
+    started(folder).into_iter().filter(|(_, said)| said.contains(&flag)).collect()
+}
+
+/// Registers as a started process would.
+async fn register(farm: &Farm, process: u32, said: &str) -> Welcome {
+    let token = said.split(' ').next().expect("a token");
+    let hello = Hello {
+        name: "whatever".to_owned(),
+        device: "cpu".to_owned(),
+        picture_version: scene::PICTURE_VERSION,
+        max_nodes: None,
+        process,
+    };
+    let request = farm.client.post(farm.url(work::REGISTER)).bearer_auth(token).json(&hello);
+    read(in_time(request.send()).await.expect("an answer"), StatusCode::OK).await
+}
+
+fn kill(process: u32) {
+    let killed = std::process::Command::new("kill").args(["-9", &process.to_string()]).status().expect("kill runs");
+    assert!(killed.success());
+}
+
+async fn resize(farm: &Farm, workers: u32) -> PoolView {
+    let put = farm.client.put(farm.url("/v1/pool")).json(&json!({ "workers": workers })).send();
+    read(in_time(put).await.expect("an answer"), StatusCode::OK).await
+}
+
+fn lives(process: u32) -> bool {
+    Path::new(&format!("/proc/{process}")).exists()
+}
+
+#[tokio::test]
+async fn the_pool_grows_shrinks_replaces_its_dead_and_leaves_no_orphan() {
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let programs = tempfile::tempdir().expect("a temporary folder");
+    let program = stand_in(programs.path());
+    let farm = Farm::start_in(folder, |config| {
+        config.workers = Some(1);
+        config.worker_program = program;
+        config.grace = Duration::from_secs(3);
+    })
+    .await;
+    let (process, said) = until(|| started(programs.path()).pop()).await;
+    assert!(said.contains("worker --server http://127.0.0.1:") && said.contains("--pool"), "{said}");
+
+    // The test speaks for the process.
+    let welcome = register(&farm, process, &said).await;
+    let list: WorkerList = read(farm.get("/v1/workers").await, StatusCode::OK).await;
+    assert_eq!(list.workers[0].name, "pool-1");
+    let pool: PoolView = read(farm.get("/v1/pool").await, StatusCode::OK).await;
+    assert_eq!(pool, PoolView { workers: 1, ready: 1 });
+
+    // Its death is noticed at once, by a clock that stands still.
+    let posted = farm.submit(&small_job(1)).await;
+    let mut child = farm.worker("helper").await;
+    let helper = child.id;
+    child.id = welcome.worker;
+    let held = leases(&child.claim().await.expect("work"));
+    child.id = helper;
+    kill(process);
+    let again = child.next().await;
+    assert_eq!(again.job, posted.id);
+    assert_ne!(leases(&again), held);
+    child.report(child.results(&again).await).await;
+    assert_state(&farm, posted.id, JobState::Succeeded).await;
+    child.id = welcome.worker;
+    refused(child.try_sync(Said::default()).await, 404, "unknown_worker").await;
+
+    // Another took its place; more come when asked for, and go again.
+    assert_eq!(resize(&farm, 3).await.workers, 3);
+    until(|| (started(programs.path()).len() == 4).then_some(())).await;
+    let alive = || started(programs.path()).iter().filter(|(process, _)| lives(*process)).count();
+    until(|| (alive() == 3).then_some(())).await;
+    resize(&farm, 1).await;
+    until(|| (alive() == 1).then_some(())).await;
+    farm.stop().await;
+    assert_eq!(alive(), 0);
+}
+
+#[tokio::test]
+async fn each_device_has_a_worker_and_its_replacement_has_the_same() {
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let programs = tempfile::tempdir().expect("a temporary folder");
+    let program = stand_in(programs.path());
+    let farm = Farm::start_in(folder, |config| {
+        config.workers = None;
+        config.devices = vec!["cuda:0".to_owned(), "cuda:1".to_owned()];
+        config.worker_program = program;
+    })
+    .await;
+    let on = |device| on_device(programs.path(), device);
+    until(|| (on("cuda:0").len() == 1 && on("cuda:1").len() == 1).then_some(())).await;
+    kill(on("cuda:0")[0].0);
+    until(|| (on("cuda:0").len() == 2).then_some(())).await;
+    kill(on("cuda:1")[0].0);
+    until(|| (on("cuda:1").len() == 2).then_some(())).await;
+    // More workers than devices take them in turn, and the last to come go first.
+    assert_eq!(resize(&farm, 4).await.workers, 4);
+    until(|| (on("cuda:0").len() == 3 && on("cuda:1").len() == 3).then_some(())).await;
+    resize(&farm, 1).await;
+    let alive = |device| on(device).iter().filter(|(process, _)| lives(*process)).count();
+    until(|| (alive("cuda:0") == 1 && alive("cuda:1") == 0).then_some(())).await;
+    farm.stop().await;
+    assert_eq!(started(programs.path()).len(), 6);
+}
+
+#[tokio::test]
+async fn a_device_that_can_not_render_is_left_alone_until_the_pool_is_sized_anew() {
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let programs = tempfile::tempdir().expect("a temporary folder");
+    let program = stand_in(programs.path());
+    let farm = Farm::start_in(folder, |config| {
+        config.workers = None;
+        config.devices = vec!["cuda:9".to_owned(), "cuda:0".to_owned()];
+        config.worker_program = program;
+    })
+    .await;
+    let on = |device| on_device(programs.path(), device);
+    let (bad, _) = until(|| on("cuda:9").pop()).await;
+    let (mut process, mut said) = until(|| on("cuda:0").pop()).await;
+    until(|| (!lives(bad)).then_some(())).await;
+
+    // The other place is filled again and again; at each time the bad one could have been, too.
+    for replacements in 1..=3 {
+        let before = on("cuda:0");
+        kill(process);
+        (process, said) = until(|| on("cuda:0").into_iter().find(|found| !before.contains(found))).await;
+        assert_eq!((on("cuda:0").len(), on("cuda:9").len()), (1 + replacements, 1));
+    }
+    register(&farm, process, &said).await;
+    let pool: PoolView = read(farm.get("/v1/pool").await, StatusCode::OK).await;
+    assert_eq!(pool, PoolView { workers: 2, ready: 1 });
+
+    // Who asks again, even for the same number, has it tried again.
+    resize(&farm, 2).await;
+    until(|| (on("cuda:9").len() == 2).then_some(())).await;
+    assert!(lives(process));
+    farm.stop().await;
+}
+
+#[tokio::test]
+async fn a_worker_program_that_is_not_there_does_not_stop_the_server() {
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let farm = Farm::start_in(folder, |config| config.workers = Some(2)).await;
+    let pool: PoolView = read(farm.get("/v1/pool").await, StatusCode::OK).await;
+    assert_eq!(pool, PoolView { workers: 2, ready: 0 });
+    farm.stop().await;
+}
