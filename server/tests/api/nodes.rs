@@ -75,6 +75,24 @@ async fn any_worker_stitches_but_opens_no_frame_of_a_large_scene() {
 }
 
 #[tokio::test]
+async fn a_stitch_of_a_later_frame_goes_past_the_tiles_of_an_earlier_one() {
+    let farm = Farm::start().await;
+    let mut two_frames = with_nodes(job(1920, 1080, 4), 501);
+    two_frames["frames"] = json!({ "count": 2 });
+    let posted = farm.submit(&two_frames).await;
+    let (any, small) = (farm.worker("any").await, farm.small_worker("small", MAX_NODES).await);
+    let first = leases(&any.claim().await.expect("work"))[0];
+    for _ in 1..posted.tiles.total {
+        assert!(any.work_once().await);
+    }
+    any.report(vec![Report { lease: first, outcome: Outcome::HandedBack }]).await;
+    let run = small.claim().await.expect("a stitch");
+    assert!(matches!(run.work, Work::Stitch { .. }) && run.frame == 1, "{run:?}");
+    assert!(small.claim().await.is_none());
+    farm.stop().await;
+}
+
+#[tokio::test]
 async fn a_large_frame_is_not_kept_for_workers_that_do_not_render_it() {
     let farm = Farm::start().await;
     farm.submit(&with_nodes(job(1920, 1080, 4), 501)).await;
