@@ -7,6 +7,7 @@ mod back_off;
 mod deliver;
 mod jobs;
 mod link;
+mod rendering;
 mod session;
 mod stitching;
 mod workbench;
@@ -19,6 +20,7 @@ use std::time::Duration;
 use proto::work::{Hello, Welcome};
 use tokio_util::sync::CancellationToken;
 
+use crate::image::Encoders;
 use crate::renderer::Renderer;
 use back_off::BackOff;
 use link::{Link, LinkError};
@@ -65,15 +67,17 @@ pub async fn run(
     if config.exit_on_stdin_close {
         std::thread::spawn(exit_when_stdin_closes);
     }
+    let encoders = Encoders::new(renderer.encoders()).map_err(AgentError::Encoders)?;
     let link = Arc::new(Link::new(&config.server, config.token.clone())?);
     loop {
         let registered = tokio::select! {
             registered = register(&link, &config, &*renderer) => registered?,
             () = shutdown.cancelled() => return Ok(()),
         };
-        let session = Session::new(&config, registered, link.clone(), renderer.clone());
+        let session = Session::new(&config, registered, link.clone(), renderer.clone(), encoders.clone());
         match session.work(&shutdown).await.map_err(|error| refused(&config, &error))? {
             Ending::Drained => return Ok(()),
+            Ending::Retired(reason) => return Err(AgentError::Retired { reason }),
             Ending::Unknown => tracing::warn!("the server no longer knows this worker; registering again"),
         }
     }
@@ -136,6 +140,9 @@ pub enum AgentError {
     /// HTTP can't be spoken here.
     #[error("could not prepare to call the server")]
     Client(#[source] reqwest::Error),
+    /// The threads to encode on could not be started.
+    #[error("could not start the encoding threads")]
+    Encoders(#[source] rayon::ThreadPoolBuildError),
     /// The server does not want this worker.
     #[error("the server {server} refused this worker: {reason}")]
     Refused {

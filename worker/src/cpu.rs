@@ -52,6 +52,10 @@ impl Renderer for CpuRenderer {
         "cpu".to_owned()
     }
 
+    fn encoders(&self) -> usize {
+        self.threads()
+    }
+
     fn render(
         &self,
         run: &TileRun<'_>,

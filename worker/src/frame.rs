@@ -12,8 +12,8 @@ use proto::tile::Tiling;
 use scene::Job;
 
 use crate::blob;
-use crate::image::{ImageError, Picture};
-use crate::renderer::{Cancel, Pixels, RenderError, Renderer, TileRun};
+use crate::image::{Encoders, ImageError, Picture};
+use crate::renderer::{Cancel, Pixels, RenderError, Renderer, TileRun, chunk_length};
 use crate::stitch::{Blobs, Source, Tiles};
 
 /// A frame of more data than this goes through a file.
@@ -39,19 +39,24 @@ pub fn render_frame(
     frame: u32,
     tile_px: Option<u32>,
     scratch: &Path,
-    out: &mut (impl Write + Seek),
+    out: &mut (impl Write + Seek + Send),
     cancel: &Cancel,
     progress: &(dyn Fn(u64) + Sync),
 ) -> Result<FrameTimes, FrameError> {
     let start = Instant::now();
     let mut source = if frame_bytes(job) <= MEMORY_BYTES { Rendered::Memory(Vec::new()) } else { spill(scratch)? };
-    for rect in tiles(job, tile_px) {
-        let pixels = renderer.render(&TileRun { job, frame, rect }, cancel, progress)?;
-        source.push(pixels).map_err(FrameError::Scratch)?;
+    let rects = tiles(job, tile_px);
+    for chunk in rects.chunks(chunk_length(renderer, job, rects.iter().copied())) {
+        let runs: Vec<TileRun<'_>> = chunk.iter().map(|&rect| TileRun { job, frame, rect }).collect();
+        for pixels in renderer.render_all(&runs, cancel, progress)? {
+            source.push(pixels).map_err(FrameError::Scratch)?;
+        }
     }
     let render = start.elapsed();
     let start = Instant::now();
-    let mut encode = |source: &mut dyn Source| Picture::of(job, frame).write(source, out, cancel);
+    let encoders = Encoders::new(renderer.encoders()).map_err(RenderError::Threads)?;
+    let mut encode =
+        |source: &mut (dyn Source + Send)| encoders.run(|| Picture::of(job, frame).write(source, out, cancel));
     match source {
         Rendered::Memory(tiles) => encode(&mut Tiles(&tiles))?,
         Rendered::File(file, places) => {

@@ -3,6 +3,7 @@
 //! The bytes depend on the pixels and the provenance alone, never on tiles, bands or
 //! threads.
 
+pub mod encoders;
 pub mod exr;
 pub mod png;
 pub mod provenance;
@@ -11,6 +12,7 @@ use std::io::{self, Seek, Write};
 
 use ::scene::{Bits, Format, Job, Precision};
 
+pub use encoders::Encoders;
 pub use provenance::Provenance;
 
 use crate::renderer::Cancel;

@@ -38,6 +38,16 @@ pub trait Renderer: Send + Sync {
         1
     }
 
+    /// How many threads may encode what it renders, at least 1.
+    fn encoders(&self) -> usize {
+        std::thread::available_parallelism().map_or(1, usize::from)
+    }
+
+    /// Takes back pixels that are not needed any more, to render into their memory again.
+    fn recycle(&self, pixels: Vec<Pixels>) {
+        drop(pixels);
+    }
+
     /// The largest scene it takes, in nodes; `None` for any.
     fn max_nodes(&self) -> Option<u32> {
         None
@@ -47,6 +57,16 @@ pub trait Renderer: Send + Sync {
     fn retired(&self) -> Option<String> {
         None
     }
+}
+
+/// The most data of tiles that are rendered at a time, if they are more than one.
+const CHUNK_BYTES: u64 = 256 << 20;
+
+/// How many of these tiles a renderer is given at a time: what it likes, if memory allows.
+pub(crate) fn chunk_length(renderer: &dyn Renderer, job: &scene::Job, rects: impl Iterator<Item = Rect>) -> usize {
+    let largest_bytes = rects.map(|rect| rect.pixels()).max().unwrap_or(1) * u64::from(job.image.pixel_bytes());
+    let fitting = usize::try_from(CHUNK_BYTES / largest_bytes.max(1)).unwrap_or(usize::MAX);
+    renderer.batch().min(fitting).max(1)
 }
 
 /// A tile to render.

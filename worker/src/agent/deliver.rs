@@ -1,37 +1,48 @@
 //! Brings blobs and pictures to the server. A server that is away is waited for, as long
 //! as anybody wants the result; one that can't store is left alone for a while.
 
-use std::fs::File;
 use std::io::{BufWriter, Read, Seek};
 use std::path::Path;
 use std::sync::Arc;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use bytes::Bytes;
-use futures_util::future::join_all;
 use proto::work::Outcome;
 use scene::Job;
+use tempfile::SpooledData;
 use tokio::task::{JoinError, spawn_blocking};
 
 use super::back_off::BackOff;
-use super::link::LinkError;
-use super::workbench::{Event, Hold, Workbench, chain, panic_message};
+use super::link::{Content, LinkError};
+use super::rendering::{Rendered, milliseconds};
+use super::workbench::{Event, Frame, Hold, Stop, Workbench, chain, nobody_waits, panic_message};
 use crate::blob;
 use crate::image::{ImageError, Picture};
 use crate::renderer::{Cancel, Pixels};
 use crate::stitch::{Source, Tiles};
 
-/// A picture in a nameless file.
+/// A picture of more bytes than this goes through a file.
+const MEMORY_BYTES: usize = 32 << 20;
+
+/// A picture's file, in memory or without a name.
 pub(super) struct Encoded {
-    file: File,
+    content: Content,
     hash: String,
     size_bytes: u64,
+    took: Duration,
 }
 
 /// What became of the encoding of a picture on a thread of its own.
 pub(super) type Encoding = Result<Result<Encoded, ImageError>, JoinError>;
 
-/// Encodes a picture into a nameless file in `scratch`.
+/// What delivering a picture took.
+pub(super) struct Delivered {
+    pub(super) encode_ms: f64,
+    pub(super) put_ms: f64,
+    pub(super) size_bytes: u64,
+}
+
+/// Encodes a picture, into a nameless file in `scratch` if it is large.
 pub(super) fn encode(
     job: &Job,
     frame: u32,
@@ -39,36 +50,51 @@ pub(super) fn encode(
     scratch: &Path,
     cancel: &Cancel,
 ) -> Result<Encoded, ImageError> {
-    let mut out = BufWriter::with_capacity(1 << 18, tempfile::tempfile_in(scratch)?);
+    let start = Instant::now();
+    let mut out = BufWriter::with_capacity(1 << 18, tempfile::spooled_tempfile_in(MEMORY_BYTES, scratch));
     Picture::of(job, frame).write(source, &mut out, cancel)?;
-    let mut file = out.into_inner().map_err(std::io::IntoInnerError::into_error)?;
+    let (content, hash, size_bytes) = match out.into_inner().map_err(std::io::IntoInnerError::into_error)?.into_inner()
+    {
+        SpooledData::InMemory(bytes) => {
+            let bytes = Bytes::from(bytes.into_inner());
+            let (hash, size_bytes) = (blob::key(&bytes), bytes.len() as u64);
+            (Content::Memory(bytes), hash, size_bytes)
+        }
+        SpooledData::OnDisk(mut file) => {
+            let (hash, size_bytes) = hash_all(&mut file)?;
+            (Content::File(file), hash, size_bytes)
+        }
+    };
+    Ok(Encoded { content, hash, size_bytes, took: start.elapsed() })
+}
+
+fn hash_all(file: &mut (impl Read + Seek)) -> std::io::Result<(String, u64)> {
     file.rewind()?;
     let mut hasher = blake3::Hasher::new();
     let mut bytes = vec![0; 1 << 18];
-    let mut size_bytes = 0;
     loop {
         let read = file.read(&mut bytes)?;
         if read == 0 {
-            break;
+            return Ok((hasher.finalize().to_hex().to_string(), hasher.count()));
         }
         hasher.update(&bytes[..read]);
-        size_bytes += read as u64;
     }
-    Ok(Encoded { file, hash: hasher.finalize().to_hex().to_string(), size_bytes })
 }
 
 impl Workbench {
     /// Delivers a tile as a blob.
-    pub(super) async fn deliver_blob(self: Arc<Self>, pixels: Pixels, hold: Hold) {
+    pub(super) async fn deliver_blob(self: Arc<Self>, rendered: Rendered) {
+        let (renderer, Rendered { pixels, hold }) = (self.renderer.clone(), rendered);
         let encoded = spawn_blocking(move || {
             let bytes = blob::encode(&pixels);
+            renderer.recycle(vec![pixels]);
             (blob::key(&bytes), Bytes::from(bytes))
         });
         let (hash, bytes) = match encoded.await {
             Ok(encoded) => encoded,
             Err(panic) => {
                 let message = panic_message("packing the tile", panic);
-                return self.finish(&[hold], &Outcome::Failed { message });
+                return self.finish([&hold], &Outcome::Failed { message });
             }
         };
         let size_bytes = bytes.len() as u64;
@@ -77,43 +103,64 @@ impl Workbench {
             () = hold.dropped.cancelled() => {}
             stored = put => {
                 let outcome = stored.err().unwrap_or_else(|| Outcome::Blob { hash: hash.clone(), size_bytes });
-                self.finish(std::slice::from_ref(&hold), &outcome);
+                self.finish([&hold], &outcome);
             }
         }
     }
 
     /// Encodes a whole frame, and delivers its picture for all its leases.
-    pub(super) async fn deliver_frame(&self, job: Arc<Job>, frame: u32, tiles: Vec<Pixels>, holds: &[Hold]) {
-        let (scratch, cancel) = (self.scratch.clone(), Cancel::new());
-        let raised = cancel.clone();
-        let encoding = spawn_blocking(move || encode(&job, frame, &mut Tiles(&tiles), &scratch, &raised));
-        tokio::select! {
-            () = nobody_waits(holds) => cancel.cancel(),
-            encoded = encoding => self.deliver_picture(encoded, holds).await,
+    pub(super) async fn deliver_frame(&self, frame: &Frame, rendered: Vec<Rendered>, render: Duration) {
+        let pairs = rendered.into_iter().map(|Rendered { pixels, hold }| (pixels, hold));
+        let (tiles, holds): (Vec<Pixels>, Vec<Hold>) = pairs.unzip();
+        let stop = Stop::default();
+        let (encoders, renderer, scratch) = (self.encoders.clone(), self.renderer.clone(), self.scratch.clone());
+        let (job, number, cancel) = (frame.job.clone(), frame.number, stop.0.clone());
+        let encoding = spawn_blocking(move || {
+            let encoded = encoders.run(|| encode(&job, number, &mut Tiles(&tiles), &scratch, &cancel));
+            renderer.recycle(tiles);
+            encoded
+        });
+        let encoded = tokio::select! {
+            () = nobody_waits(&holds) => return,
+            encoded = encoding => encoded,
+        };
+        if let Some(Delivered { encode_ms, put_ms, size_bytes }) = self.deliver_picture(encoded, &holds).await {
+            let (job, tiles, render_ms) = (frame.id, holds.len(), milliseconds(render));
+            tracing::debug!(%job, frame = number, tiles, size_bytes, render_ms, encode_ms, put_ms, "a picture is put");
         }
     }
 
-    /// Delivers a picture for the leases that it settles.
-    pub(super) async fn deliver_picture(&self, encoded: Encoding, holds: &[Hold]) {
-        let Encoded { file, hash, size_bytes } = match encoded.map_err(|panic| panic_message("the encoder", panic)) {
-            Ok(Ok(picture)) => picture,
-            Ok(Err(ImageError::Cancelled)) => return,
+    /// Delivers a picture for the leases that it settles; `None` if that failed, which is reported.
+    pub(super) async fn deliver_picture(&self, encoded: Encoding, holds: &[Hold]) -> Option<Delivered> {
+        let encoded = encoded.map_err(|panic| panic_message("the encoder", panic));
+        let failed = match encoded {
+            Ok(Ok(picture)) => return self.put(picture, holds).await,
+            Ok(Err(ImageError::Cancelled)) => return None,
             Ok(Err(ImageError::Io(error))) => {
                 // This machine's disk is no fault of the tile's.
                 tracing::warn!(%error, "could not write a picture to the scratch folder");
                 self.tell(Event::NotStored);
-                return self.finish(holds, &Outcome::HandedBack);
+                Outcome::HandedBack
             }
-            Ok(Err(error)) => return self.finish(holds, &Outcome::Failed { message: chain(&error) }),
-            Err(message) => return self.finish(holds, &Outcome::Failed { message }),
+            Ok(Err(error)) => Outcome::Failed { message: chain(&error) },
+            Err(message) => Outcome::Failed { message },
         };
-        tokio::select! {
-            () = nobody_waits(holds) => {}
-            stored = self.until_stored(|| self.link.put_picture(&hash, &file, size_bytes)) => {
-                let outcome = stored.err().unwrap_or_else(|| Outcome::Picture { hash: hash.clone(), size_bytes });
-                self.finish(holds, &outcome);
-            }
-        }
+        self.finish(holds, &failed);
+        None
+    }
+
+    async fn put(&self, picture: Encoded, holds: &[Hold]) -> Option<Delivered> {
+        let Encoded { content, hash, size_bytes, took } = picture;
+        let start = Instant::now();
+        let stored = tokio::select! {
+            () = nobody_waits(holds) => return None,
+            stored = self.until_stored(|| self.link.put_picture(&hash, &content, size_bytes)) => stored,
+        };
+        let put = start.elapsed();
+        let outcome = stored.err().unwrap_or_else(|| Outcome::Picture { hash: hash.clone(), size_bytes });
+        self.finish(holds, &outcome);
+        let is_put = matches!(outcome, Outcome::Picture { .. });
+        is_put.then(|| Delivered { encode_ms: milliseconds(took), put_ms: milliseconds(put), size_bytes })
     }
 
     /// Calls until the server took it; where that is hopeless, says what to report instead.
@@ -144,9 +191,4 @@ impl Workbench {
             return Err(Outcome::HandedBack);
         }
     }
-}
-
-/// Waits until all these leases are dropped.
-pub(super) async fn nobody_waits(holds: &[Hold]) {
-    join_all(holds.iter().map(|hold| hold.dropped.cancelled())).await;
 }

@@ -18,6 +18,15 @@ const SHORT_TIMEOUT: Duration = Duration::from_secs(10);
 /// For bytes, however slow the wire.
 const TRANSFER_TIMEOUT: Duration = Duration::from_mins(10);
 
+/// The bytes of a picture.
+#[derive(Debug)]
+pub(super) enum Content {
+    /// In memory.
+    Memory(Bytes),
+    /// In a nameless file.
+    File(File),
+}
+
 /// A server to call.
 #[derive(Debug)]
 pub(super) struct Link {
@@ -66,15 +75,17 @@ impl Link {
         Ok((bytes.len() as u64 == size_bytes).then_some(bytes))
     }
 
-    pub(super) async fn put_picture(&self, hash: &str, file: &File, size_bytes: u64) -> Result<(), LinkError> {
-        let mut file = file.try_clone()?;
-        file.rewind()?;
-        let stream = ReaderStream::with_capacity(tokio::fs::File::from_std(file), 1 << 18);
-        let request = self
-            .request(Method::PUT, &work::picture_path(hash), TRANSFER_TIMEOUT)
-            .header(header::CONTENT_LENGTH, size_bytes)
-            .body(Body::wrap_stream(stream));
-        send(request).await.map(drop)
+    pub(super) async fn put_picture(&self, hash: &str, content: &Content, size_bytes: u64) -> Result<(), LinkError> {
+        let body = match content {
+            Content::Memory(bytes) => Body::from(bytes.clone()),
+            Content::File(file) => {
+                let mut file = file.try_clone()?;
+                file.rewind()?;
+                Body::wrap_stream(ReaderStream::with_capacity(tokio::fs::File::from_std(file), 1 << 18))
+            }
+        };
+        let request = self.request(Method::PUT, &work::picture_path(hash), TRANSFER_TIMEOUT);
+        send(request.header(header::CONTENT_LENGTH, size_bytes).body(body)).await.map(drop)
     }
 
     fn request(&self, method: Method, path: &str, timeout: Duration) -> RequestBuilder {

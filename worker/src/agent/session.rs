@@ -16,11 +16,14 @@ use tokio_util::sync::CancellationToken;
 use super::AgentConfig;
 use super::back_off::BackOff;
 use super::link::{Link, LinkError};
+use super::rendering::milliseconds;
 use super::workbench::{Event, Hold, Workbench, leases};
+use crate::image::Encoders;
 use crate::renderer::Renderer;
 
-/// Runs held at a time: one renders while the other is delivered.
-const MAX_RUNS: usize = 2;
+/// A run that had the device no longer is short: the next is asked for while one renders, so
+/// that the device need not wait for the server. Of longer ones none is hoarded.
+const SHORT_RUN: Duration = Duration::from_millis(50);
 /// How long a call may take beyond what the server was asked to wait.
 const CALL_MARGIN: Duration = Duration::from_secs(10);
 /// The least time from one waiting call to the next.
@@ -29,12 +32,14 @@ const PAUSE: Duration = Duration::from_millis(50);
 const FAREWELL: Duration = Duration::from_secs(2);
 
 /// Why a session is over.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq, Eq)]
 pub(super) enum Ending {
     /// It was told to stop, and holds nothing.
     Drained,
     /// The server does not know this worker, or no longer.
     Unknown,
+    /// The device is lost, for this reason; nothing is held any more.
+    Retired(String),
 }
 
 /// The state of the talk.
@@ -50,6 +55,10 @@ pub(super) struct Session {
     runs: JoinSet<()>,
     /// Runs whose rendering is not over.
     rendering: usize,
+    /// The last run was short.
+    is_quick: bool,
+    /// Why the device is lost, if it is.
+    retired: Option<String>,
     holds: HashMap<LeaseId, Hold>,
     outbox: Vec<Report>,
     rays_per_second: Option<f64>,
@@ -82,19 +91,28 @@ impl Call {
 }
 
 impl Session {
-    pub(super) fn new(config: &AgentConfig, welcome: Welcome, link: Arc<Link>, renderer: Arc<dyn Renderer>) -> Self {
+    pub(super) fn new(
+        config: &AgentConfig,
+        welcome: Welcome,
+        link: Arc<Link>,
+        renderer: Arc<dyn Renderer>,
+        encoders: Encoders,
+    ) -> Self {
         let (sender, events) = mpsc::unbounded_channel();
+        let workbench = Workbench::new(link.clone(), renderer, encoders, config.scratch.clone(), sender.clone());
         let now = Instant::now();
         Self {
             lease: Duration::from_millis(welcome.lease_ms),
             welcome,
             grace: config.grace,
-            workbench: Arc::new(Workbench::new(link.clone(), renderer, config.scratch.clone(), sender.clone())),
+            workbench: Arc::new(workbench),
             link,
             events,
             _events: sender,
             runs: JoinSet::new(),
             rendering: 0,
+            is_quick: false,
+            retired: None,
             holds: HashMap::new(),
             outbox: Vec::new(),
             rays_per_second: None,
@@ -114,6 +132,10 @@ impl Session {
         let mut call: Option<Call> = None;
         let mut hand_back_at: Option<Instant> = None;
         let ending = loop {
+            if let Some(reason) = self.retired.take() {
+                self.hand_back();
+                break Ok(Ending::Retired(reason));
+            }
             if self.is_done() {
                 break Ok(Ending::Drained);
             }
@@ -155,12 +177,12 @@ impl Session {
                 }
             }
         };
-        if let Ok(Ending::Drained) = ending {
+        if let Ok(Ending::Drained | Ending::Retired(_)) = ending {
             self.recall(call);
             self.farewell().await;
         }
         for hold in self.holds.values() {
-            hold.drop_it();
+            hold.dropped.cancel();
         }
         ending
     }
@@ -176,8 +198,7 @@ impl Session {
             return None;
         }
         let idle = self.holds.is_empty();
-        let room = self.rendering == 0 && self.runs.len() < MAX_RUNS && (idle || !self.asked);
-        let wants_work = room && !self.draining && now >= self.work_at;
+        let wants_work = self.has_room() && (idle || !self.asked) && !self.draining && now >= self.work_at;
         if !wants_work && self.outbox.is_empty() && now < self.heartbeat_at {
             return None;
         }
@@ -200,6 +221,13 @@ impl Session {
         Some(self.call(request, wait + CALL_MARGIN))
     }
 
+    /// Whether one more run would be worked off soon.
+    fn has_room(&self) -> bool {
+        let rendering = if self.is_quick { 2 } else { 1 };
+        let delivering = self.runs.len().saturating_sub(self.rendering);
+        self.rendering < rendering && delivering < self.workbench.deliveries()
+    }
+
     fn call(&self, request: SyncRequest, timeout: Duration) -> Call {
         let (link, sent) = (self.link.clone(), request.clone());
         Call { request, start: Instant::now(), answer: Box::pin(async move { link.sync(&sent, timeout).await }) }
@@ -218,6 +246,9 @@ impl Session {
     }
 
     fn hear(&mut self, call: &Call, reply: SyncReply) {
+        let sync_ms = milliseconds(call.start.elapsed());
+        let (results, wait_ms, has_run) = (call.request.results.len(), call.request.wait_ms, reply.run.is_some());
+        tracing::debug!(results, wait_ms, has_run, sync_ms, "synced");
         self.last_renewal = call.start;
         self.retries.reset();
         if !reply.lost.is_empty() {
@@ -229,7 +260,7 @@ impl Session {
         for lease in &reply.lost {
             if let Some(hold) = self.holds.remove(lease) {
                 tracing::info!(%lease, "lease lost; dropping its work");
-                hold.drop_it();
+                hold.dropped.cancel();
             }
         }
         if reply.drain && !self.draining {
@@ -275,7 +306,11 @@ impl Session {
                 let wanted = reports.into_iter().filter(|report| self.holds.remove(&report.lease).is_some());
                 self.outbox.extend(wanted);
             }
-            Event::Rendered => self.rendering -= 1,
+            Event::Rendered(render) => {
+                self.rendering = self.rendering.saturating_sub(1);
+                self.is_quick = render.map_or(self.is_quick, |render| render < SHORT_RUN);
+            }
+            Event::Retired(reason) => self.retired = Some(reason),
             Event::Speed(now) => {
                 self.rays_per_second = Some(self.rays_per_second.map_or(now, |before| f64::midpoint(before, now)));
             }
@@ -302,7 +337,7 @@ impl Session {
             self.absorb(event);
         }
         for (_, hold) in self.holds.drain() {
-            hold.drop_it();
+            hold.dropped.cancel();
             self.outbox.push(hold.report(Outcome::HandedBack));
         }
     }

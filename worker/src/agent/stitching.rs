@@ -2,8 +2,7 @@
 
 use std::fs::File;
 use std::io::Write;
-use std::sync::Arc;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use proto::Rect;
 use proto::work::{Outcome, Part};
@@ -11,34 +10,47 @@ use scene::Job;
 use tokio::task::spawn_blocking;
 
 use super::back_off::BackOff;
-use super::deliver::encode;
+use super::deliver::{Delivered, encode};
 use super::link::LinkError;
-use super::workbench::{Event, Hold, Workbench};
+use super::rendering::milliseconds;
+use super::workbench::{Event, Frame, Hold, Stop, Workbench};
 use crate::blob;
 use crate::stitch::Blobs;
 
 impl Workbench {
     /// Stitches a frame and delivers its picture.
-    pub(super) async fn stitch(&self, job: &Arc<Job>, frame: u32, parts: &[Part], hold: &Hold) {
+    pub(super) async fn stitch(&self, frame: &Frame, parts: &[Part], hold: &Hold) {
+        let start = Instant::now();
         let fetched = tokio::select! {
-            fetched = self.fetch(job, parts) => fetched,
-            () = hold.dropped.cancelled() => return self.tell(Event::Rendered),
+            fetched = self.fetch(&frame.job, parts) => fetched,
+            () = hold.dropped.cancelled() => return self.tell(Event::Rendered(None)),
         };
         let (file, places) = match fetched {
             Ok(fetched) => fetched,
             Err(outcome) => {
-                self.tell(Event::Rendered);
+                self.tell(Event::Rendered(None));
                 if let Outcome::HandedBack = outcome {
                     self.tell(Event::NotStored);
                 }
-                return self.finish(std::slice::from_ref(hold), &outcome);
+                return self.finish([hold], &outcome);
             }
         };
-        let (job, scratch, cancel) = (job.clone(), self.scratch.clone(), hold.cancel.clone());
-        let encoding = spawn_blocking(move || encode(&job, frame, &mut Blobs::new(file, places), &scratch, &cancel));
-        let encoded = encoding.await;
-        self.tell(Event::Rendered);
-        self.deliver_picture(encoded, std::slice::from_ref(hold)).await;
+        let fetch_ms = milliseconds(start.elapsed());
+        let (stop, encoders, scratch) = (Stop::default(), self.encoders.clone(), self.scratch.clone());
+        let (job, number, cancel) = (frame.job.clone(), frame.number, stop.0.clone());
+        let encoding = spawn_blocking(move || {
+            encoders.run(|| encode(&job, number, &mut Blobs::new(file, places), &scratch, &cancel))
+        });
+        let encoded = tokio::select! {
+            () = hold.dropped.cancelled() => return self.tell(Event::Rendered(None)),
+            encoded = encoding => encoded,
+        };
+        self.tell(Event::Rendered(Some(start.elapsed())));
+        let delivered = self.deliver_picture(encoded, std::slice::from_ref(hold)).await;
+        if let Some(Delivered { encode_ms, put_ms, size_bytes }) = delivered {
+            let (job, tiles) = (frame.id, parts.len());
+            tracing::debug!(%job, frame = number, tiles, size_bytes, fetch_ms, encode_ms, put_ms, "a picture is put");
+        }
     }
 
     /// Fetches all blobs into one nameless file; or says what to report instead.

@@ -1,35 +1,40 @@
-//! Where runs are worked off: rendered one after another on the device, delivered
+//! Where runs are worked off: one after another on the device, encoded and delivered
 //! meanwhile. It knows leases only as things that may be dropped.
 
 use std::any::Any;
 use std::path::PathBuf;
 use std::sync::Arc;
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
-use proto::work::{LeasedTile, Outcome, Report, Run, Work};
+use proto::work::{Outcome, Report, Run, Work};
 use proto::{JobId, LeaseId};
 use scene::Job;
 use tokio::sync::Semaphore;
 use tokio::sync::mpsc::UnboundedSender;
-use tokio::task::{JoinError, JoinSet, spawn_blocking};
+use tokio::task::JoinError;
 use tokio_util::sync::CancellationToken;
 
 use super::back_off::BackOff;
-use super::deliver::nobody_waits;
 use super::jobs::{JobError, Jobs};
 use super::link::Link;
-use crate::renderer::{Cancel, Pixels, RenderError, Renderer, TileRun};
+use super::rendering::Place;
+use crate::image::Encoders;
+use crate::renderer::{Cancel, Renderer};
 
-/// Tiles being delivered while the next one renders.
-const MAX_DELIVERIES: usize = 2;
+/// The most runs, or tiles of a run, that are delivered at a time.
+const MAX_DELIVERIES: usize = 8;
+/// The most data of pixels there may be, being rendered or delivered, in KiB.
+pub(super) const MEMORY_KIB: u32 = 1 << 20;
 
 /// What a session hears from its runs.
 #[derive(Debug)]
 pub(super) enum Event {
     /// Leases are finished with, together.
     Finished(Vec<Report>),
-    /// A run needs the device no more.
-    Rendered,
+    /// A run needs the device no more; it had it for so long, if at all.
+    Rendered(Option<Duration>),
+    /// The device is lost, for this reason.
+    Retired(String),
     /// A tile was rendered at so many camera rays a second.
     Speed(f64),
     /// The server stored something.
@@ -43,26 +48,46 @@ pub(super) enum Event {
 pub(super) struct Hold {
     /// Which one.
     pub(super) lease: LeaseId,
-    /// Stops its render.
-    pub(super) cancel: Cancel,
     /// Cancelled when nobody waits for its result any more.
     pub(super) dropped: CancellationToken,
 }
 
 impl Hold {
     pub(super) fn new(lease: LeaseId) -> Self {
-        Self { lease, cancel: Cancel::new(), dropped: CancellationToken::new() }
-    }
-
-    /// Stops whatever is done for it.
-    pub(super) fn drop_it(&self) {
-        self.cancel.cancel();
-        self.dropped.cancel();
+        Self { lease, dropped: CancellationToken::new() }
     }
 
     pub(super) fn report(&self, outcome: Outcome) -> Report {
         Report { lease: self.lease, outcome }
     }
+}
+
+/// Waits until all these leases are dropped.
+pub(super) async fn nobody_waits(holds: &[Hold]) {
+    for hold in holds {
+        hold.dropped.cancelled().await;
+    }
+}
+
+/// Stops what was given its flag when it goes out of scope, however that comes about.
+#[derive(Debug, Default)]
+pub(super) struct Stop(pub(super) Cancel);
+
+impl Drop for Stop {
+    fn drop(&mut self) {
+        self.0.cancel();
+    }
+}
+
+/// A frame that is worked on.
+#[derive(Clone, Debug)]
+pub(super) struct Frame {
+    /// Its job's id.
+    pub(super) id: JobId,
+    /// Its job.
+    pub(super) job: Arc<Job>,
+    /// Its number in the job.
+    pub(super) number: u32,
 }
 
 /// The leases of a run, in its order.
@@ -78,8 +103,11 @@ pub(super) fn leases(run: &Run) -> impl Iterator<Item = LeaseId> {
 pub(super) struct Workbench {
     pub(super) link: Arc<Link>,
     pub(super) scratch: PathBuf,
-    renderer: Arc<dyn Renderer>,
-    device: Semaphore,
+    pub(super) renderer: Arc<dyn Renderer>,
+    pub(super) encoders: Encoders,
+    pub(super) device: Semaphore,
+    /// Permits for KiB of pixels.
+    pub(super) memory: Semaphore,
     jobs: Jobs,
     events: UnboundedSender<Event>,
 }
@@ -88,29 +116,44 @@ impl Workbench {
     pub(super) fn new(
         link: Arc<Link>,
         renderer: Arc<dyn Renderer>,
+        encoders: Encoders,
         scratch: PathBuf,
         events: UnboundedSender<Event>,
     ) -> Self {
-        Self { link, scratch, renderer, device: Semaphore::new(1), jobs: Jobs::default(), events }
+        let (device, memory) = (Semaphore::new(1), Semaphore::new(MEMORY_KIB as usize));
+        Self { link, scratch, renderer, encoders, device, memory, jobs: Jobs::default(), events }
+    }
+
+    /// How many runs, or tiles of a run, may be delivered at a time.
+    pub(super) fn deliveries(&self) -> usize {
+        self.encoders.count().clamp(2, MAX_DELIVERIES)
     }
 
     /// Works off a run; every lease ends in a report, unless it was dropped.
     pub(super) async fn run(self: Arc<Self>, run: Run, holds: Vec<Hold>) {
         let job = tokio::select! {
             job = self.job(run.job) => job,
-            () = nobody_waits(&holds) => return self.tell(Event::Rendered),
+            () = nobody_waits(&holds) => return self.tell(Event::Rendered(None)),
         };
         let job = match job {
             Ok(job) => job,
             Err(error) => {
-                self.tell(Event::Rendered);
+                self.tell(Event::Rendered(None));
                 return self.give_up(&holds, &error);
             }
         };
+        let frame = Frame { id: run.job, job, number: run.frame };
         match run.work {
-            Work::Stitch { parts, .. } => self.stitch(&job, run.frame, &parts, &holds[0]).await,
-            Work::Render { tiles, whole_frame: true } => self.render_whole(job, run.frame, &tiles, &holds).await,
-            Work::Render { tiles, whole_frame: false } => self.render_tiles(job, run.frame, &tiles, &holds).await,
+            Work::Stitch { parts, .. } => self.stitch(&frame, &parts, &holds[0]).await,
+            Work::Render { tiles, whole_frame } => {
+                let rects = tiles.iter().map(|tile| tile.rect);
+                let places: Vec<Place> = rects.zip(holds).map(|(rect, hold)| Place { rect, hold }).collect();
+                if whole_frame {
+                    self.render_whole(frame, &places).await
+                } else {
+                    self.render_tiles(frame, &places).await
+                }
+            }
         }
     }
 
@@ -131,8 +174,8 @@ impl Workbench {
     }
 
     /// Ends leases in the same way, and all at once.
-    pub(super) fn finish(&self, holds: &[Hold], outcome: &Outcome) {
-        self.tell(Event::Finished(holds.iter().map(|hold| hold.report(outcome.clone())).collect()));
+    pub(super) fn finish<'a>(&self, holds: impl IntoIterator<Item = &'a Hold>, outcome: &Outcome) {
+        self.tell(Event::Finished(holds.into_iter().map(|hold| hold.report(outcome.clone())).collect()));
     }
 
     fn give_up(&self, holds: &[Hold], error: &JobError) {
@@ -146,67 +189,6 @@ impl Workbench {
                 self.finish(holds, &Outcome::Failed { message: error.to_string() });
             }
         }
-    }
-
-    /// Renders tiles, each delivered as a blob while the next renders.
-    async fn render_tiles(self: &Arc<Self>, job: Arc<Job>, frame: u32, tiles: &[LeasedTile], holds: &[Hold]) {
-        let device = self.device.acquire().await.expect("the semaphore is never closed");
-        let mut deliveries = JoinSet::new();
-        for (tile, hold) in tiles.iter().zip(holds) {
-            let Some(pixels) = self.render(&job, frame, *tile, hold).await else { continue };
-            while deliveries.len() >= MAX_DELIVERIES {
-                deliveries.join_next().await;
-            }
-            deliveries.spawn(self.clone().deliver_blob(pixels, hold.clone()));
-        }
-        drop(device);
-        self.tell(Event::Rendered);
-        while deliveries.join_next().await.is_some() {}
-    }
-
-    /// Renders a whole frame and delivers its picture. If some tile failed or was dropped,
-    /// the others are delivered as blobs.
-    async fn render_whole(self: &Arc<Self>, job: Arc<Job>, frame: u32, tiles: &[LeasedTile], holds: &[Hold]) {
-        let device = self.device.acquire().await.expect("the semaphore is never closed");
-        let mut rendered = Vec::new();
-        for (tile, hold) in tiles.iter().zip(holds) {
-            if let Some(pixels) = self.render(&job, frame, *tile, hold).await {
-                rendered.push((pixels, hold.clone()));
-            }
-        }
-        drop(device);
-        self.tell(Event::Rendered);
-        if rendered.len() == tiles.len() {
-            let (tiles, holds): (Vec<Pixels>, Vec<Hold>) = rendered.into_iter().unzip();
-            return self.deliver_frame(job, frame, tiles, &holds).await;
-        }
-        for (pixels, hold) in rendered {
-            self.clone().deliver_blob(pixels, hold).await;
-        }
-    }
-
-    /// Renders a tile; `None` if it was dropped or failed, which is then reported.
-    async fn render(&self, job: &Arc<Job>, frame: u32, tile: LeasedTile, hold: &Hold) -> Option<Pixels> {
-        if hold.dropped.is_cancelled() {
-            return None;
-        }
-        let (renderer, job, cancel) = (self.renderer.clone(), job.clone(), hold.cancel.clone());
-        let rays = tile.rect.pixels() as f64 * f64::from(job.image.samples);
-        let start = Instant::now();
-        let rendered =
-            spawn_blocking(move || renderer.render(&TileRun { job: &job, frame, rect: tile.rect }, &cancel, &|_| {}));
-        let message = match rendered.await {
-            Ok(Ok(pixels)) => {
-                self.tell(Event::Speed(rays / start.elapsed().as_secs_f64().max(1e-6)));
-                return Some(pixels);
-            }
-            Ok(Err(RenderError::Cancelled)) if hold.cancel.is_cancelled() => return None,
-            Ok(Err(error)) => chain(&error),
-            Err(panic) => panic_message("the renderer", panic),
-        };
-        tracing::warn!(message, lease = %hold.lease, "a tile could not be rendered");
-        self.finish(std::slice::from_ref(hold), &Outcome::Failed { message });
-        None
     }
 }
 

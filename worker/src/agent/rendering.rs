@@ -1,0 +1,182 @@
+//! Render runs: tiles through the device, as many at a time as it likes, and on to be
+//! delivered while the next ones render. It knows the server only as a place for results.
+
+use std::sync::Arc;
+use std::time::{Duration, Instant};
+
+use proto::Rect;
+use proto::work::Outcome;
+use scene::Job;
+use tokio::sync::SemaphorePermit;
+use tokio::task::{JoinSet, spawn_blocking};
+
+use super::workbench::{Event, Frame, Hold, MEMORY_KIB, Stop, Workbench, chain, nobody_waits, panic_message};
+use crate::renderer::{Pixels, RenderError, TileRun, chunk_length};
+
+/// A run of tiles holds on to so much memory at most: what is rendered, and what is delivered.
+const TILES_KIB: u64 = 512 << 10;
+
+/// A tile to render, and for whom.
+#[derive(Clone, Debug)]
+pub(super) struct Place {
+    /// Its pixels.
+    pub(super) rect: Rect,
+    /// The hold on it.
+    pub(super) hold: Hold,
+}
+
+/// A finished tile.
+#[derive(Debug)]
+pub(super) struct Rendered {
+    /// Its pixels.
+    pub(super) pixels: Pixels,
+    /// The hold on it.
+    pub(super) hold: Hold,
+}
+
+/// What came of giving tiles to the device.
+enum Launched {
+    Pixels(Vec<Pixels>),
+    /// Nobody waited for them any more.
+    Dropped,
+    /// It said no.
+    Refused(String),
+}
+
+impl Workbench {
+    /// Renders tiles, each delivered as a blob while the next ones render.
+    pub(super) async fn render_tiles(self: &Arc<Self>, frame: Frame, places: &[Place]) {
+        let memory = self.reserve(&frame.job, places).await;
+        let mut device = Some(self.device.acquire().await.expect("the semaphore is never closed"));
+        let (start, mut deliveries) = (Instant::now(), JoinSet::new());
+        let mut chunks = self.chunks(&frame.job, places).peekable();
+        while let Some(chunk) = chunks.next() {
+            let rendered = self.render_chunk(&frame, chunk).await;
+            if chunks.peek().is_none() {
+                device = None;
+                self.tell(Event::Rendered(Some(start.elapsed())));
+            }
+            for rendered in rendered {
+                while deliveries.len() >= self.deliveries() {
+                    deliveries.join_next().await;
+                }
+                deliveries.spawn(self.clone().deliver_blob(rendered));
+            }
+        }
+        debug_assert!(device.is_none(), "a run has a tile");
+        let render_ms = milliseconds(start.elapsed());
+        while deliveries.join_next().await.is_some() {}
+        let total_ms = milliseconds(start.elapsed());
+        tracing::debug!(job = %frame.id, frame = frame.number, tiles = places.len(), render_ms, total_ms, "tiles are done");
+        drop(memory);
+    }
+
+    /// Renders a whole frame and delivers its picture. If some tile failed or was dropped,
+    /// the others are delivered as blobs.
+    pub(super) async fn render_whole(self: &Arc<Self>, frame: Frame, places: &[Place]) {
+        let memory = self.reserve(&frame.job, places).await;
+        let device = self.device.acquire().await.expect("the semaphore is never closed");
+        let (start, mut rendered) = (Instant::now(), Vec::with_capacity(places.len()));
+        for chunk in self.chunks(&frame.job, places) {
+            rendered.extend(self.render_chunk(&frame, chunk).await);
+        }
+        drop(device);
+        let render = start.elapsed();
+        self.tell(Event::Rendered(Some(render)));
+        if rendered.len() == places.len() {
+            self.deliver_frame(&frame, rendered, render).await;
+        } else {
+            for rendered in rendered {
+                self.clone().deliver_blob(rendered).await;
+            }
+        }
+        drop(memory);
+    }
+
+    /// Waits until there is memory for a run's pixels.
+    async fn reserve(&self, job: &Job, places: &[Place]) -> SemaphorePermit<'_> {
+        let pixels: u64 = places.iter().map(|place| place.rect.pixels()).sum();
+        let kib = (pixels * u64::from(job.image.pixel_bytes())).div_ceil(1 << 10).min(TILES_KIB);
+        let kib = u32::try_from(kib).expect("it is at most that").min(MEMORY_KIB);
+        self.memory.acquire_many(kib).await.expect("the semaphore is never closed")
+    }
+
+    fn chunks<'a>(&self, job: &Job, places: &'a [Place]) -> std::slice::Chunks<'a, Place> {
+        places.chunks(chunk_length(&*self.renderer, job, places.iter().map(|place| place.rect)))
+    }
+
+    /// Renders tiles together, without those that were dropped or failed; failures are reported.
+    async fn render_chunk(&self, frame: &Frame, chunk: &[Place]) -> Vec<Rendered> {
+        let wanted: Vec<Place> = chunk.iter().filter(|place| !place.hold.dropped.is_cancelled()).cloned().collect();
+        if wanted.is_empty() || self.is_retired() {
+            return Vec::new();
+        }
+        let message = match self.launch(frame, &wanted).await {
+            Launched::Pixels(pixels) => {
+                let pairs = pixels.into_iter().zip(wanted);
+                return pairs.map(|(pixels, Place { hold, .. })| Rendered { pixels, hold }).collect();
+            }
+            Launched::Dropped => return Vec::new(),
+            Launched::Refused(message) => message,
+        };
+        if self.is_retired() {
+            return Vec::new();
+        }
+        let [Place { hold, .. }] = &wanted[..] else {
+            // Which of them is at fault shows when each is rendered by itself.
+            tracing::debug!(message, tiles = wanted.len(), "tiles could not be rendered together");
+            let mut rendered = Vec::with_capacity(wanted.len());
+            for place in &wanted {
+                rendered.extend(Box::pin(self.render_chunk(frame, std::slice::from_ref(place))).await);
+            }
+            return rendered;
+        };
+        tracing::warn!(message, lease = %hold.lease, "a tile could not be rendered");
+        self.finish([hold], &Outcome::Failed { message });
+        Vec::new()
+    }
+
+    /// Whether the device is lost, which is then told.
+    fn is_retired(&self) -> bool {
+        let Some(reason) = self.renderer.retired() else { return false };
+        self.tell(Event::Retired(reason));
+        true
+    }
+
+    /// Gives tiles to the device, until nobody waits for any of them.
+    async fn launch(&self, frame: &Frame, places: &[Place]) -> Launched {
+        let (rects, holds): (Vec<Rect>, Vec<Hold>) =
+            places.iter().map(|Place { rect, hold }| (*rect, hold.clone())).unzip();
+        let rays = rects.iter().map(|rect| rect.pixels()).sum::<u64>() as f64 * f64::from(frame.job.image.samples);
+        let stop = Stop::default();
+        let (renderer, job, number, cancel) = (self.renderer.clone(), frame.job.clone(), frame.number, stop.0.clone());
+        let start = Instant::now();
+        let mut rendering = spawn_blocking(move || {
+            let runs: Vec<TileRun<'_>> = rects.iter().map(|&rect| TileRun { job: &job, frame: number, rect }).collect();
+            let rendered = renderer.render_all(&runs, &cancel, &|_| {})?;
+            assert_eq!(rendered.len(), runs.len(), "a renderer renders all tiles or none");
+            Ok(rendered)
+        });
+        let rendered = tokio::select! {
+            rendered = &mut rendering => rendered,
+            () = nobody_waits(&holds) => {
+                stop.0.cancel();
+                rendering.await
+            }
+        };
+        match rendered {
+            Ok(Ok(pixels)) => {
+                self.tell(Event::Speed(rays / start.elapsed().as_secs_f64().max(1e-6)));
+                Launched::Pixels(pixels)
+            }
+            Ok(Err(RenderError::Cancelled)) if stop.0.is_cancelled() => Launched::Dropped,
+            Ok(Err(error)) => Launched::Refused(chain(&error)),
+            Err(panic) => Launched::Refused(panic_message("the renderer", panic)),
+        }
+    }
+}
+
+/// A time as logs give it.
+pub(super) fn milliseconds(time: Duration) -> f64 {
+    (time.as_secs_f64() * 1e4).round() / 10.0
+}

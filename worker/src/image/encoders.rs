@@ -1,0 +1,28 @@
+//! The threads that pictures are encoded on: as many as their renderer may use, so that a
+//! worker held to some threads keeps to them.
+
+use std::sync::Arc;
+
+use rayon::{ThreadPool, ThreadPoolBuildError, ThreadPoolBuilder};
+
+/// Threads for encoding; clones share them.
+#[derive(Clone, Debug)]
+pub struct Encoders(Arc<ThreadPool>);
+
+impl Encoders {
+    /// So many threads, at least one.
+    pub fn new(threads: usize) -> Result<Self, ThreadPoolBuildError> {
+        let builder = ThreadPoolBuilder::new().num_threads(threads.max(1));
+        Ok(Self(Arc::new(builder.thread_name(|index| format!("encode-{index}")).build()?)))
+    }
+
+    /// How many they are.
+    pub fn count(&self) -> usize {
+        self.0.current_num_threads()
+    }
+
+    /// Does something with these threads and no others.
+    pub fn run<T: Send>(&self, work: impl FnOnce() -> T + Send) -> T {
+        self.0.install(work)
+    }
+}
