@@ -7,6 +7,7 @@ pub mod agent;
 pub mod bench;
 pub mod blob;
 pub mod cpu;
+pub mod cuda;
 pub mod frame;
 pub mod image;
 pub mod lanes;
@@ -14,6 +15,7 @@ pub mod renderer;
 pub mod simd;
 pub mod srgb;
 pub mod stitch;
+pub mod tape;
 
 pub use cpu::CpuRenderer;
 pub use renderer::{Cancel, Pixels, RenderError, Renderer, TileRun};

@@ -1,0 +1,5 @@
+//! Renders on an NVIDIA GPU.
+
+mod source;
+
+pub use source::Source;

@@ -1,0 +1,150 @@
+// What stands around the steps of a picture: arithmetic that is exact to the bit, and the way from
+// a thread to its pixel. No formula of a picture is written here.
+//
+// The host's compiler takes the same text; its arithmetic is the C library's, which is exact too.
+
+#ifdef __CUDACC_RTC__
+
+#define STEP static __device__ __forceinline__
+#define CALLED_STEP static __device__ __noinline__
+
+// Constant memory holds 64 KiB.
+#if NUMBERS <= 16384
+extern "C" __constant__ float k[NUMBERS];
+#else
+extern "C" __device__ float k[NUMBERS];
+#endif
+
+STEP unsigned bits_of(float x) { return __float_as_uint(x); }
+STEP float number_of(unsigned bits) { return __uint_as_float(bits); }
+STEP float fused(float a, float b, float c) { return __fmaf_rn(a, b, c); }
+
+// Correctly rounded for x from 1e-28 to 1e37, without a branch: the approximate reciprocal root,
+// and one step of Newton's method whose error is computed exactly (Peter Markstein, "IA-64 and
+// Elementary Functions", 2000). Below, 0 by definition.
+STEP float root(float x) {
+    float r;
+    asm("rsqrt.approx.ftz.f32 %0, %1;" : "=f"(r) : "f"(x));
+    const float g = x * r, h = 0.5f * r;
+    return x < 1e-28f ? 0.0f : fused(fused(-g, g, x), h, g);
+}
+
+// Correctly rounded where the divisor's size is from 2^-100 to 2^100 and neither the quotient nor
+// a/2^24 is below 2^-126, or a is 0; in the same way.
+STEP float quotient(float a, float b) {
+    float r;
+    asm("rcp.approx.ftz.f32 %0, %1;" : "=f"(r) : "f"(b));
+    r = fused(r, fused(-b, r, 1.0f), r);
+    const float q = a * r;
+    return fused(fused(-b, q, a), r, q);
+}
+
+STEP float least(float a, float b) { return fminf(a, b); }
+STEP float greatest(float a, float b) { return fmaxf(a, b); }
+STEP float absolute(float x) { return fabsf(x); }
+STEP float floored(float x) { return floorf(x); }
+
+#else
+
+#include <math.h>
+#include <string.h>
+
+#define STEP static inline
+#define CALLED_STEP static
+#define __global__
+#define __restrict__
+
+struct Index { unsigned x, y, z; };
+static Index blockIdx, blockDim, threadIdx;
+static float k[NUMBERS];
+
+STEP unsigned bits_of(float x) { unsigned bits; memcpy(&bits, &x, 4); return bits; }
+STEP float number_of(unsigned bits) { float x; memcpy(&x, &bits, 4); return x; }
+STEP float fused(float a, float b, float c) { return fmaf(a, b, c); }
+STEP float root(float x) { return x < 1e-28f ? 0.0f : sqrtf(x); }
+STEP float quotient(float a, float b) { return a / b; }
+STEP float least(float a, float b) { return b < a ? b : a; }
+STEP float greatest(float a, float b) { return a < b ? b : a; }
+STEP float absolute(float x) { return fabsf(x); }
+STEP float floored(float x) { return floorf(x); }
+
+#endif
+
+// ---- the picture ----
+
+// A rectangle of pixels, its blocks of threads and its place in the result.
+struct Tile {
+    unsigned x, y, width, height;
+    // Blocks of all tiles before it; blocks in a row of its own.
+    unsigned first_block, columns;
+    // Its first number in the result; its planes follow one another.
+    unsigned long long start;
+};
+
+struct Pixel {
+    float x, y;
+    // Its place in the result, and from one plane to the next.
+    unsigned long long place, stride;
+    bool is_inside;
+};
+
+STEP Pixel pixel_of(const Tile* tiles, unsigned tile_count, unsigned first_block) {
+    const unsigned block = first_block + blockIdx.x;
+    // The last tile that starts at this block or before it.
+    unsigned low = 0, high = tile_count;
+    while (high - low > 1) {
+        const unsigned middle = (low + high) / 2;
+        if (tiles[middle].first_block <= block) low = middle;
+        else high = middle;
+    }
+    const Tile tile = tiles[low];
+    const unsigned own = block - tile.first_block;
+    const unsigned column = own % tile.columns * blockDim.x + threadIdx.x;
+    const unsigned row = own / tile.columns * blockDim.y + threadIdx.y;
+    Pixel pixel;
+    pixel.x = (float)(tile.x + column);
+    pixel.y = (float)(tile.y + row);
+    pixel.stride = (unsigned long long)tile.width * tile.height;
+    pixel.place = tile.start + (unsigned long long)row * tile.width + column;
+    pixel.is_inside = column < tile.width && row < tile.height;
+    return pixel;
+}
+
+// Adds the samples from `first` until before `end` to what `out` holds (nothing, if `first` is 0).
+extern "C" __global__ void render(const Tile* __restrict__ tiles, unsigned tile_count, unsigned first_block,
+                                  float first, float end, unsigned is_last, float* __restrict__ out) {
+    const Pixel pixel = pixel_of(tiles, tile_count, first_block);
+    if (!pixel.is_inside) return;
+    float* red = out + pixel.place;
+    float* green = red + pixel.stride;
+    float* blue = green + pixel.stride;
+    float* alpha = blue + pixel.stride;
+    const bool is_first = first == 0.0f;
+    const accumulate_result sum =
+        step_accumulate(pixel.x, pixel.y, first, end, is_first ? 0.0f : *red, is_first ? 0.0f : *green,
+                        is_first ? 0.0f : *blue, is_first ? 0.0f : *alpha);
+    if (!is_last) {
+        *red = sum.f0;
+        *green = sum.f1;
+        *blue = sum.f2;
+        *alpha = sum.f3;
+        return;
+    }
+    const mean_result mean = step_mean(sum.f0, sum.f1, sum.f2, sum.f3);
+    // A file must not tell zeros apart by their sign.
+    *red = mean.f0 + 0.0f;
+    *green = mean.f1 + 0.0f;
+    *blue = mean.f2 + 0.0f;
+    *alpha = mean.f3 + 0.0f;
+}
+
+#ifdef LAYER_PLANES
+// Writes the planes behind the colour's.
+extern "C" __global__ void layers(const Tile* __restrict__ tiles, unsigned tile_count, unsigned first_block,
+                                  float* __restrict__ out) {
+    const Pixel pixel = pixel_of(tiles, tile_count, first_block);
+    if (!pixel.is_inside) return;
+    const layers_result seen = step_layers(pixel.x, pixel.y);
+    write_layers(seen, out + pixel.place + 4 * pixel.stride, pixel.stride);
+}
+#endif

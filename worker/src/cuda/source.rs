@@ -1,0 +1,87 @@
+//! A picture's program as text: its steps, recorded and printed, inside `kernel.cu`.
+
+use std::fmt::Write;
+
+use scene::pixel::{Met, Radiance};
+use scene::real::{Real, vec3};
+use scene::{Image, Job, Layer, Program};
+
+use crate::tape::{Expr, Tape, record};
+
+const FRAME: &str = include_str!("kernel.cu");
+const PLACE: &str = "// ---- the picture ----\n";
+
+/// What a GPU is given to render a frame.
+#[derive(Clone, Debug)]
+pub struct Source {
+    /// The program; the same for all frames and all numbers of a scene's shape.
+    pub text: String,
+    /// The frame's numbers, which the program calls `k`, by their bits.
+    pub parameters: Vec<u32>,
+    /// How many statements the picture's steps have.
+    pub statements: usize,
+}
+
+impl Source {
+    /// The program of a frame of a job.
+    pub fn new(job: &Job, frame: u32) -> Self {
+        let tape = picture(&Program::new(job, frame), &job.image);
+        let steps = tape.text();
+        let (before, after) = FRAME.split_once(PLACE).expect("kernel.cu has a place for the picture");
+        let numbers = tape.parameters().len().max(1);
+        let (has_layers, write_layers) = layers(&job.image);
+        Self {
+            text: format!("#define NUMBERS {numbers}\n{has_layers}{before}{}{write_layers}{after}", steps.code),
+            parameters: tape.parameters().to_vec(),
+            statements: steps.statements,
+        }
+    }
+
+    /// The steps of the picture alone, for people.
+    pub fn steps(job: &Job, frame: u32) -> String {
+        picture(&Program::new(job, frame), &job.image).text().code
+    }
+}
+
+fn picture(program: &Program<'_>, image: &Image) -> Tape {
+    let sum = |[r, g, b, alpha]: [Expr; 4]| Radiance { color: vec3(r, g, b), alpha, evaluations: alpha.splat(0.0) };
+    let planes = |light: Radiance<Expr>| vec![light.color.x, light.color.y, light.color.z, light.alpha];
+    record(|recording| {
+        recording.entry("accumulate", |[x, y, first, end, r, g, b, alpha]| {
+            planes(program.accumulate(x, y, first, end, sum([r, g, b, alpha])))
+        });
+        recording.entry("mean", |all| planes(program.mean(sum(all))));
+        if !image.layers.is_empty() {
+            recording.entry("layers", |[x, y]| {
+                let met = program.layers(x, y);
+                image.layers.iter().flat_map(|&layer| numbers(&met, layer)).collect()
+            });
+        }
+    })
+}
+
+/// The numbers of a layer, one a channel.
+fn numbers(met: &Met<Expr>, layer: Layer) -> Vec<Expr> {
+    match layer {
+        Layer::Depth => vec![met.depth],
+        Layer::Object => vec![met.object],
+        Layer::Steps => vec![met.steps],
+        Layer::Normal => <[_; 3]>::from(met.normal).to_vec(),
+        Layer::Position => <[_; 3]>::from(met.position).to_vec(),
+        Layer::Albedo => <[_; 3]>::from(met.albedo).to_vec(),
+    }
+}
+
+/// Text before and behind the steps, where the job asks for layers: that it does, and how they are written.
+fn layers(image: &Image) -> (String, String) {
+    let count: usize = image.layers.iter().map(|layer| layer.channels().len()).sum();
+    if count == 0 {
+        return (String::new(), String::new());
+    }
+    let mut writer =
+        "STEP void write_layers(const layers_result& seen, float* out, unsigned long long stride) {\n".to_owned();
+    for plane in 0..count {
+        let _ = writeln!(writer, "    out[{plane} * stride] = seen.f{plane} + 0.0f;");
+    }
+    (format!("#define LAYER_PLANES {count}\n"), writer + "}\n\n")
+}

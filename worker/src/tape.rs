@@ -1,0 +1,171 @@
+//! A formula as a list of instructions: what [`scene::real::Real`] is when nobody wants its value
+//! yet. Recording a formula runs it once on symbols; text for a compiler is printed from the tape.
+//!
+//! The tape is typed and in static single assignment: each value is defined once, before it is
+//! used, in a block that encloses all its uses. Nothing here knows of GPUs.
+
+mod expression;
+mod live;
+mod recorder;
+mod text;
+
+pub use expression::{Condition, Expr, Word};
+pub use recorder::{Recording, record};
+pub use text::Text;
+
+/// A value of the tape.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub struct Id(u32);
+
+/// What a value is.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub enum Kind {
+    /// An IEEE-754 binary32.
+    Number,
+    /// True or false.
+    Condition,
+    /// An unsigned integer of 32 bits.
+    Word,
+}
+
+/// How a value comes to be.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub enum Operation {
+    /// A number of the formula, by its bits: code.
+    Literal(u32),
+    /// A number of the scene, by its place in [`Tape::parameters`]: data.
+    Parameter(u32),
+    /// What a function is called with.
+    Argument,
+    /// What a function call gave.
+    Returned,
+    /// What a `when` or a `repeat` assigns.
+    Variable,
+    /// Sum.
+    Add,
+    /// Difference.
+    Subtract,
+    /// Product.
+    Multiply,
+    /// Quotient.
+    Divide,
+    /// Fused product and sum.
+    MultiplyAdd,
+    /// The lesser.
+    Least,
+    /// The greater.
+    Greatest,
+    /// The opposite.
+    Negate,
+    /// Size without sign.
+    Absolute,
+    /// Whole part, downwards.
+    Floor,
+    /// Square root.
+    Root,
+    /// Whether the first is less than the second.
+    Less,
+    /// Both.
+    And,
+    /// One or both.
+    Or,
+    /// The other one.
+    Not,
+    /// The second where the first holds, else the third.
+    Select,
+    /// The bits of a number.
+    ToBits,
+    /// The number with these bits.
+    FromBits,
+    /// Sum of words.
+    AddWords,
+    /// Product of words.
+    MultiplyWords,
+    /// Bits in one but not both.
+    Xor,
+    /// Bits in both.
+    AndWords,
+    /// Bits in any.
+    OrWords,
+    /// Bits moved up.
+    ShiftUp,
+    /// Bits moved down.
+    ShiftDown,
+}
+
+impl Operation {
+    /// Whether it needs no code: it is written where it is used.
+    fn is_constant(self) -> bool {
+        matches!(self, Self::Literal(_) | Self::Parameter(_))
+    }
+
+    /// Whether its two operands may change places.
+    fn is_symmetric(self) -> bool {
+        matches!(
+            self,
+            Self::Add
+                | Self::Multiply
+                | Self::And
+                | Self::Or
+                | Self::AddWords
+                | Self::MultiplyWords
+                | Self::Xor
+                | Self::AndWords
+                | Self::OrWords
+        )
+    }
+}
+
+/// A value's definition.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub struct Definition {
+    kind: Kind,
+    operation: Operation,
+    operands: [Option<Id>; 3],
+}
+
+/// One step of a block.
+#[derive(Clone, Debug)]
+enum Statement {
+    /// Computes a value.
+    Define(Id),
+    /// What follows is the formula of a node of this name.
+    Note(&'static str),
+    /// Calls a function.
+    Call { function: usize, arguments: Vec<Id>, returned: Vec<Id> },
+    /// Assigns `then` to the variables where the condition holds, else `otherwise`.
+    When { condition: Id, variables: Vec<Id>, otherwise: Vec<Id>, body: Vec<Statement>, then: Vec<Id> },
+    /// Assigns `start` to the variables, then runs the body and assigns `next`, while `again` holds.
+    Repeat { limit: u32, variables: Vec<Id>, start: Vec<Id>, body: Vec<Statement>, next: Vec<Id>, again: Id },
+}
+
+/// A step of the formula that is called by name.
+#[derive(Clone, Debug)]
+struct Function {
+    name: &'static str,
+    arguments: Vec<Id>,
+    body: Vec<Statement>,
+    results: Vec<Id>,
+    /// Whether others than this tape call it: then all its arguments and results stay.
+    is_entry: bool,
+}
+
+/// A recorded formula.
+#[derive(Clone, Debug, Default)]
+pub struct Tape {
+    definitions: Vec<Definition>,
+    /// Callees before their callers.
+    functions: Vec<Function>,
+    parameters: Vec<u32>,
+}
+
+impl Tape {
+    /// The numbers of the scene, by their bits, in the order of their use.
+    pub fn parameters(&self) -> &[u32] {
+        &self.parameters
+    }
+
+    fn definition(&self, id: Id) -> Definition {
+        self.definitions[id.0 as usize]
+    }
+}

@@ -1,0 +1,100 @@
+//! Which values of a tape something depends on; the others are not printed.
+
+use super::{Function, Id, Statement, Tape};
+
+/// What of a tape is needed.
+pub(super) struct Live {
+    values: Vec<bool>,
+}
+
+impl Live {
+    /// Finds what the tape's entries depend on.
+    pub(super) fn of(tape: &Tape) -> Self {
+        let all = |function: &Function| function.results.clone();
+        // What each function needs of its arguments, callees first, as if all its results were wanted.
+        let mut needs = Self { values: vec![false; tape.definitions.len()] };
+        for function in &tape.functions {
+            needs.mark(tape, function, all(function), &|id, needs| needs.has(id));
+        }
+        // What is wanted, callers first.
+        let mut live = Self { values: vec![false; tape.definitions.len()] };
+        for (index, function) in tape.functions.iter().enumerate().rev() {
+            let wanted = if function.is_entry { all(function) } else { live.wanted_of(tape, index) };
+            live.mark(tape, function, wanted, &|id, _| needs.has(id));
+        }
+        live
+    }
+
+    /// Whether the value is needed.
+    pub(super) fn has(&self, id: Id) -> bool {
+        self.values[id.0 as usize]
+    }
+
+    /// Results of a function that some call of it needs.
+    fn wanted_of(&self, tape: &Tape, callee: usize) -> Vec<Id> {
+        let results = &tape.functions[callee].results;
+        let mut wanted = vec![false; results.len()];
+        for function in &tape.functions[callee + 1..] {
+            each_statement(&function.body, &mut |statement| {
+                if let Statement::Call { function, returned, .. } = statement
+                    && *function == callee
+                {
+                    returned.iter().zip(&mut wanted).for_each(|(id, wanted)| *wanted |= self.has(*id));
+                }
+            });
+        }
+        results.iter().zip(wanted).filter_map(|(id, wanted)| wanted.then_some(*id)).collect()
+    }
+
+    /// Marks what `wanted` values of a function depend on. `needs` tells whether a callee looks at an argument.
+    fn mark(&mut self, tape: &Tape, function: &Function, wanted: Vec<Id>, needs: &dyn Fn(Id, &Self) -> bool) {
+        let sources = self.sources(tape, function, needs);
+        let mut open = wanted;
+        while let Some(id) = open.pop() {
+            if std::mem::replace(&mut self.values[id.0 as usize], true) {
+                continue;
+            }
+            open.extend(tape.definition(id).operands.into_iter().flatten());
+            if let Ok(place) = sources.binary_search_by_key(&id, |(id, _)| *id) {
+                open.extend(&sources[place].1);
+            }
+        }
+    }
+
+    /// What variables and returned values of a function come from, sorted.
+    fn sources(&self, tape: &Tape, function: &Function, needs: &dyn Fn(Id, &Self) -> bool) -> Vec<(Id, Vec<Id>)> {
+        let mut sources = Vec::new();
+        each_statement(&function.body, &mut |statement| match statement {
+            Statement::Define(_) | Statement::Note(_) => {}
+            Statement::Call { function, arguments, returned } => {
+                let formal = &tape.functions[*function].arguments;
+                let used = formal.iter().zip(arguments).filter(|(formal, _)| needs(**formal, self));
+                let used: Vec<Id> = used.map(|(_, actual)| *actual).collect();
+                sources.extend(returned.iter().map(|id| (*id, used.clone())));
+            }
+            Statement::When { condition, variables, otherwise, then, .. } => {
+                for ((id, otherwise), then) in variables.iter().zip(otherwise).zip(then) {
+                    sources.push((*id, vec![*condition, *otherwise, *then]));
+                }
+            }
+            Statement::Repeat { variables, start, next, again, .. } => {
+                for ((id, start), next) in variables.iter().zip(start).zip(next) {
+                    sources.push((*id, vec![*again, *start, *next]));
+                }
+            }
+        });
+        sources.sort_unstable_by_key(|(id, _)| *id);
+        sources
+    }
+}
+
+/// Shows every statement, also those in inner blocks.
+fn each_statement<'a>(block: &'a [Statement], see: &mut impl FnMut(&'a Statement)) {
+    for statement in block {
+        see(statement);
+        match statement {
+            Statement::Define(_) | Statement::Note(_) | Statement::Call { .. } => {}
+            Statement::When { body, .. } | Statement::Repeat { body, .. } => each_statement(body, see),
+        }
+    }
+}

@@ -1,0 +1,268 @@
+//! Builds a tape while a formula runs on symbols.
+//!
+//! Numbers are handles of four bytes that operators consume, so the tape under construction
+//! belongs to the thread, and not to the numbers.
+
+use std::any::Any;
+use std::cell::RefCell;
+use std::collections::HashMap;
+
+use scene::real::{Bundle, Join};
+
+use super::{Condition, Definition, Expr, Function, Id, Kind, Operation, Statement, Tape};
+
+thread_local! {
+    static RECORDER: RefCell<Option<Recorder>> = const { RefCell::new(None) };
+}
+
+/// The tape under construction.
+#[derive(Default)]
+struct Recorder {
+    tape: Tape,
+    /// Functions begun and not ended, the innermost last.
+    open: Vec<OpenFunction>,
+    shared: HashMap<&'static str, Shared>,
+    /// Which open function made a value, counted from the first ever begun.
+    owners: Vec<u32>,
+    begun: u32,
+}
+
+struct OpenFunction {
+    number: u32,
+    arguments: Vec<Id>,
+    blocks: Vec<OpenBlock>,
+}
+
+/// Statements, and which value each definition already has in them.
+#[derive(Default)]
+struct OpenBlock {
+    statements: Vec<Statement>,
+    known: HashMap<Definition, Id>,
+}
+
+/// A function to call again.
+struct Shared {
+    function: usize,
+    /// A bundle of the type that it gives.
+    example: Box<dyn Any>,
+}
+
+/// Proof that a recording is under way on this thread.
+#[derive(Debug)]
+pub struct Recording(());
+
+/// Records what `formulas` asks for.
+pub fn record(formulas: impl FnOnce(&Recording)) -> Tape {
+    let outer = RECORDER.replace(Some(Recorder::default()));
+    formulas(&Recording(()));
+    let recorder = RECORDER.replace(outer).expect("nothing else ends a recording");
+    recorder.tape
+}
+
+impl Recording {
+    /// Records a function that the text's reader calls.
+    #[expect(clippy::unused_self, reason = "it proves that a tape is being recorded")]
+    pub fn entry<const N: usize>(&self, name: &'static str, formula: impl FnOnce([Expr; N]) -> Vec<Expr>) {
+        begin();
+        let arguments = std::array::from_fn(|_| Expr(argument(Kind::Number)));
+        let results = formula(arguments).into_iter().map(|number| number.0).collect();
+        end(name, results, true);
+    }
+}
+
+fn with<T>(act: impl FnOnce(&mut Recorder) -> T) -> T {
+    RECORDER.with_borrow_mut(|recorder| act(recorder.as_mut().expect("symbols are only used while recording")))
+}
+
+impl Recorder {
+    fn function(&mut self) -> &mut OpenFunction {
+        self.open.last_mut().expect("symbols are only used in a function")
+    }
+
+    fn block(&mut self) -> &mut OpenBlock {
+        self.function().blocks.last_mut().expect("a function has a block until it ends")
+    }
+
+    fn new_value(&mut self, kind: Kind, operation: Operation, operands: [Option<Id>; 3]) -> Id {
+        let id = Id(self.tape.definitions.len() as u32);
+        self.tape.definitions.push(Definition { kind, operation, operands });
+        let owner = self.function().number;
+        self.owners.push(owner);
+        id
+    }
+
+    /// Stops a formula that uses a value of another function than the one being recorded.
+    fn check(&mut self, id: Id) {
+        let is_own = self.owners[id.0 as usize] == self.function().number;
+        assert!(
+            is_own || self.tape.definition(id).operation.is_constant(),
+            "a shared step used a number that it was not given"
+        );
+    }
+}
+
+/// The value of an operation: an earlier one if it is the same.
+pub(super) fn define(kind: Kind, operation: Operation, operands: &[Id]) -> Id {
+    with(|recorder| {
+        let mut all = [None; 3];
+        for (place, &operand) in all.iter_mut().zip(operands) {
+            recorder.check(operand);
+            *place = Some(operand);
+        }
+        if operation.is_symmetric() && all[1] < all[0] {
+            all.swap(0, 1);
+        }
+        let definition = Definition { kind, operation, operands: all };
+        let known = recorder.function().blocks.iter().find_map(|block| block.known.get(&definition).copied());
+        known.unwrap_or_else(|| {
+            let id = recorder.new_value(kind, operation, all);
+            let block = recorder.block();
+            block.known.insert(definition, id);
+            if !operation.is_constant() {
+                block.statements.push(Statement::Define(id));
+            }
+            id
+        })
+    })
+}
+
+/// A number of the scene, by its bits.
+pub(super) fn parameter(kind: Kind, bits: u32) -> Id {
+    with(|recorder| {
+        let place = recorder.tape.parameters.len() as u32;
+        recorder.tape.parameters.push(bits);
+        recorder.new_value(kind, Operation::Parameter(place), [None; 3])
+    })
+}
+
+pub(super) fn note(name: &'static str) {
+    with(|recorder| recorder.block().statements.push(Statement::Note(name)));
+}
+
+fn fresh(kind: Kind, operation: Operation) -> Id {
+    with(|recorder| recorder.new_value(kind, operation, [None; 3]))
+}
+
+fn argument(kind: Kind) -> Id {
+    let id = fresh(kind, Operation::Argument);
+    with(|recorder| recorder.function().arguments.push(id));
+    id
+}
+
+fn begin() {
+    with(|recorder| {
+        let number = recorder.begun;
+        recorder.begun += 1;
+        recorder.open.push(OpenFunction { number, arguments: Vec::new(), blocks: vec![OpenBlock::default()] });
+    });
+}
+
+fn end(name: &'static str, results: Vec<Id>, is_entry: bool) -> usize {
+    with(|recorder| {
+        results.iter().for_each(|&id| recorder.check(id));
+        let OpenFunction { arguments, mut blocks, .. } = recorder.open.pop().expect("a function was begun");
+        let body = blocks.pop().expect("a function has a block until it ends").statements;
+        recorder.tape.functions.push(Function { name, arguments, body, results, is_entry });
+        recorder.tape.functions.len() - 1
+    })
+}
+
+/// Records what `inside` does as a block of its own.
+fn block<T>(inside: impl FnOnce() -> T) -> (T, Vec<Statement>) {
+    with(|recorder| recorder.function().blocks.push(OpenBlock::default()));
+    let value = inside();
+    let block = with(|recorder| recorder.function().blocks.pop()).expect("it was opened above");
+    (value, block.statements)
+}
+
+fn push(statement: Statement) {
+    with(|recorder| recorder.block().statements.push(statement));
+}
+
+/// Lists the parts of a bundle.
+struct Parts(Vec<Id>);
+
+impl Join<Expr> for Parts {
+    fn number(&mut self, a: Expr, _: Expr) -> Expr {
+        self.0.push(a.0);
+        a
+    }
+
+    fn mask(&mut self, a: Condition, _: Condition) -> Condition {
+        self.0.push(a.0);
+        a
+    }
+}
+
+/// Makes a bundle of new values.
+struct Renew<F>(F);
+
+impl<F: FnMut(Kind) -> Id> Join<Expr> for Renew<F> {
+    fn number(&mut self, _: Expr, _: Expr) -> Expr {
+        Expr((self.0)(Kind::Number))
+    }
+
+    fn mask(&mut self, _: Condition, _: Condition) -> Condition {
+        Condition((self.0)(Kind::Condition))
+    }
+}
+
+fn parts<T: Bundle<Expr>>(bundle: T) -> Vec<Id> {
+    let mut parts = Parts(Vec::new());
+    bundle.join(bundle, &mut parts);
+    parts.0
+}
+
+fn renewed<T: Bundle<Expr>>(example: T, operation: Operation) -> T {
+    example.join(example, &mut Renew(|kind| fresh(kind, operation)))
+}
+
+pub(super) fn when<T: Bundle<Expr>>(condition: Condition, otherwise: T, then: impl FnOnce() -> T) -> T {
+    let (then, body) = block(then);
+    let variables = renewed(otherwise, Operation::Variable);
+    push(Statement::When {
+        condition: condition.0,
+        variables: parts(variables),
+        otherwise: parts(otherwise),
+        body,
+        then: parts(then),
+    });
+    variables
+}
+
+pub(super) fn repeat<T: Bundle<Expr>>(limit: u32, start: T, step: impl FnOnce(T) -> (Condition, T)) -> T {
+    let variables = renewed(start, Operation::Variable);
+    let ((again, next), body) = block(|| step(variables));
+    push(Statement::Repeat {
+        limit,
+        variables: parts(variables),
+        start: parts(start),
+        body,
+        next: parts(next),
+        again: again.0,
+    });
+    variables
+}
+
+pub(super) fn shared<A: Bundle<Expr>, T: Bundle<Expr>>(
+    name: &'static str,
+    arguments: A,
+    step: impl FnOnce(A) -> T,
+) -> T {
+    let known = with(|recorder| {
+        let shared = recorder.shared.get(name)?;
+        let example = shared.example.downcast_ref::<T>().expect("a step of one name has one type");
+        Some((shared.function, *example))
+    });
+    let (function, example) = known.unwrap_or_else(|| {
+        begin();
+        let formal = arguments.join(arguments, &mut Renew(argument));
+        let result = step(formal);
+        let function = end(name, parts(result), false);
+        with(|recorder| recorder.shared.insert(name, Shared { function, example: Box::new(result) }));
+        (function, result)
+    });
+    let result = renewed(example, Operation::Returned);
+    push(Statement::Call { function, arguments: parts(arguments), returned: parts(result) });
+    result
+}
