@@ -1,5 +1,431 @@
-//! Renders on an NVIDIA GPU.
+//! Renders on an NVIDIA GPU: the picture's formulas as CUDA C, compiled at run time, run a thread
+//! a pixel. The pixels are those of every other renderer, to the bit.
+//!
+//! Only `cuda/device.rs` and `cuda/compiler.rs` are unsafe; no formula of a picture is written here.
 
+mod cache;
+mod compiler;
+mod device;
+mod plan;
 mod source;
+mod trouble;
 
+use std::collections::{HashMap, VecDeque};
+use std::path::{Path, PathBuf};
+use std::sync::{Arc, Mutex, PoisonError};
+use std::time::{Duration, Instant};
+
+use proto::Rect;
+use rayon::prelude::*;
+use scene::{Image, Job};
+
+use crate::renderer::{Cancel, Pixels, RenderError, Renderer, TileRun};
+use crate::{CpuRenderer, Simd};
+use cache::{Cache, Kept};
+use device::{Buffer, Device, Launched, Loaded};
+use plan::{Cost, Launches};
+
+pub use compiler::Compiler;
+pub use device::{Resources, Shape};
 pub use source::Source;
+pub use trouble::Trouble;
+
+/// The largest scene that straight-line code is made for, in nodes.
+pub const MAX_NODES: u32 = 500;
+/// Shapes of blocks that are tried for each program.
+pub const SHAPES: [Shape; 5] = [
+    Shape { columns: 8, rows: 8 },
+    Shape { columns: 16, rows: 8 },
+    Shape { columns: 16, rows: 16 },
+    Shape { columns: 32, rows: 8 },
+    Shape { columns: 128, rows: 1 },
+];
+/// Pixels that are on the GPU and on their way back at a time, in numbers.
+const BUFFER_NUMBERS: usize = 64 << 20;
+/// Programs kept on the GPU.
+const MAX_PROGRAMS: usize = 64;
+/// What the self-test renders: a bit of everything.
+const SELF_TEST: &str = include_str!("cuda/self_test.json");
+
+/// How many GPUs this machine has; why none, if it has none that can be used.
+pub fn devices() -> Result<usize, RenderError> {
+    match device::count() {
+        Ok(0) => Err(unavailable("cuda", &Trouble::NoDevice)),
+        Ok(count) => Ok(count),
+        Err(trouble) => Err(unavailable("cuda", &trouble)),
+    }
+}
+
+/// The folder where compiled programs are kept unless another is named: the user's cache.
+pub fn default_cache_folder() -> Option<PathBuf> {
+    let absolute = |name| std::env::var_os(name).map(PathBuf::from).filter(|path| path.is_absolute());
+    let cache = absolute("XDG_CACHE_HOME").or_else(|| absolute("HOME").map(|home| home.join(".cache")))?;
+    Some(cache.join("sdfarm").join("kernels"))
+}
+
+/// Renders on one GPU.
+#[derive(Debug)]
+pub struct CudaRenderer {
+    name: String,
+    device: Device,
+    compiler: Compiler,
+    cache: Cache,
+    /// One shape for all programs, instead of the fastest for each.
+    shape: Option<Shape>,
+    programs: Mutex<HashMap<blake3::Hash, Arc<Program>>>,
+    /// Held while a frame's launches are made: they share the programs' numbers.
+    launching: Mutex<()>,
+    buffers: Mutex<Vec<Buffer>>,
+    lost: Mutex<Option<String>>,
+    /// Kernel times since the start.
+    kernel_time: Mutex<Duration>,
+}
+
+/// A program on the GPU, and what is known of it.
+#[derive(Debug)]
+struct Program {
+    loaded: Loaded,
+    shape: Shape,
+    known: Mutex<Known>,
+}
+
+#[derive(Debug, Default)]
+struct Known {
+    cost: Cost,
+    /// The numbers that the program now has.
+    numbers: Option<Vec<u32>>,
+}
+
+/// Tiles whose pixels are on their way.
+struct Underway {
+    rects: Vec<Rect>,
+    buffer: Buffer,
+}
+
+/// How a program came to be, and what it is like.
+#[derive(Clone, Copy, Debug)]
+pub struct Compiled {
+    /// Printing, compiling (or reading) and loading it.
+    pub time: Duration,
+    /// Whether its machine code was there already.
+    pub was_kept: bool,
+    /// The shape of its blocks.
+    pub shape: Shape,
+    /// What it takes.
+    pub resources: Resources,
+}
+
+impl CudaRenderer {
+    /// Takes the GPU of this number, and proves that it renders the right bits. Compiled programs
+    /// are kept in `cache`; blocks have `shape`, or the one that is fastest.
+    pub fn new(ordinal: usize, cache: Option<&Path>, shape: Option<Shape>) -> Result<Self, RenderError> {
+        let name = format!("cuda:{ordinal}");
+        let refused = |trouble: Trouble| unavailable(&name, &trouble);
+        let device = Device::open(ordinal).map_err(refused)?;
+        let compiler = Compiler::find().map_err(refused)?;
+        tracing::debug!(device = name, gpu = device.name, compiler = compiler.version, "found a GPU");
+        let renderer = Self {
+            name: name.clone(),
+            device,
+            compiler,
+            cache: Cache::new(cache),
+            shape,
+            programs: Mutex::default(),
+            launching: Mutex::default(),
+            buffers: Mutex::default(),
+            lost: Mutex::default(),
+            kernel_time: Mutex::default(),
+        };
+        renderer.prove().map_err(refused)?;
+        Ok(renderer)
+    }
+
+    /// What the GPU's maker calls it.
+    pub fn gpu(&self) -> &str {
+        &self.device.name
+    }
+
+    /// The most operations on `f32` a second that the GPU could do, a fused one counted twice.
+    pub fn peak_flops(&self) -> f64 {
+        let lanes = if matches!(self.device.architecture, 75 | 80) { 64.0 } else { 128.0 };
+        2.0 * lanes * f64::from(self.device.multiprocessors) * f64::from(self.device.clock_khz) * 1e3
+    }
+
+    /// Time that kernels have taken since the last time this was asked.
+    pub fn take_kernel_time(&self) -> Duration {
+        std::mem::take(&mut *lock(&self.kernel_time))
+    }
+
+    /// Makes the program of a job ready, and tells what it took.
+    pub fn prepare(&self, job: &Job) -> Result<Compiled, RenderError> {
+        let start = Instant::now();
+        let (program, was_kept) = self.program(&Source::new(job, 0), None).map_err(|trouble| self.failed(&trouble))?;
+        let time = start.elapsed();
+        let resources =
+            self.device.resources(&program.loaded, program.shape).map_err(|trouble| self.failed(&trouble))?;
+        Ok(Compiled { time, was_kept, shape: program.shape, resources })
+    }
+
+    /// Forgets the programs on the GPU; those on disk stay.
+    pub fn forget(&self) {
+        lock(&self.programs).clear();
+    }
+
+    /// Renders the self-test and compares it with the CPU's.
+    fn prove(&self) -> Result<(), Trouble> {
+        let job = scene::parse(SELF_TEST.as_bytes()).expect("the self-test is a job");
+        let run = TileRun { job: &job, frame: 0, rect: Rect::whole(job.image.width, job.image.height) };
+        let mut got = Vec::new();
+        self.render_groups(&[run], &Cancel::new(), &|_| {}, &mut got)?;
+        let cpu = CpuRenderer::new(None, Simd::Auto).and_then(|cpu| cpu.render(&run, &Cancel::new(), &|_| {}));
+        let Ok(want) = cpu else { return Err(Trouble::Cancelled) };
+        let bits = |pixels: &Pixels| pixels.planes.iter().flatten().map(|value| value.to_bits()).collect::<Vec<_>>();
+        let (got, want) = (bits(&got[0]), bits(&want));
+        let differing = got.iter().zip(&want).filter(|(got, want)| got != want).count();
+        if differing == 0 { Ok(()) } else { Err(Trouble::WrongBits { differing, values: want.len() }) }
+    }
+
+    /// The program of some text, made if need be; whether its machine code was there already.
+    fn program(&self, source: &Source, sample: Option<&TileRun<'_>>) -> Result<(Arc<Program>, bool), Trouble> {
+        let key = Cache::key(&source.text, self.device.architecture, &self.compiler.version);
+        if let Some(program) = lock(&self.programs).get(&key) {
+            return Ok((program.clone(), true));
+        }
+        let kept = self.cache.get(key);
+        let was_kept = kept.is_some();
+        let program = match kept {
+            Some(Kept { code, shape }) => {
+                Program { loaded: self.device.load(&code)?, shape: self.shape.unwrap_or(shape), known: Mutex::default() }
+            }
+            None => {
+                let code = self
+                    .compiler
+                    .compile(&source.text, self.device.architecture)
+                    .map_err(|trouble| compiler::keep(trouble, &source.text, self.cache.folder()))?;
+                let loaded = self.device.load(&code)?;
+                let shape = match (self.shape, sample) {
+                    (Some(shape), _) => shape,
+                    (None, Some(run)) => self.fastest_shape(&loaded, source, run)?,
+                    (None, None) => SHAPES[0],
+                };
+                if self.shape.is_none() && sample.is_some() {
+                    self.cache.put(key, &Kept { code, shape });
+                }
+                Program { loaded, shape, known: Mutex::default() }
+            }
+        };
+        let program = Arc::new(program);
+        let mut programs = lock(&self.programs);
+        if programs.len() >= MAX_PROGRAMS {
+            programs.clear();
+        }
+        programs.insert(key, program.clone());
+        Ok((program, was_kept))
+    }
+
+    /// Renders a piece of a tile with each shape of blocks.
+    fn fastest_shape(&self, loaded: &Loaded, source: &Source, run: &TileRun<'_>) -> Result<Shape, Trouble> {
+        const EDGE: u32 = 384;
+        const RUNS: usize = 3;
+        let (rect, image) = (run.rect, &run.job.image);
+        let (width, height) = (rect.width.min(EDGE), rect.height.min(EDGE));
+        let (x, y) = (rect.x + (rect.width - width) / 2, rect.y + (rect.height - height) / 2);
+        let piece = Rect { x, y, width, height };
+        let planes = image.channels().len();
+        let mut buffer = self.device.buffer(piece.pixels() as usize * planes)?;
+        self.device.set_numbers(loaded, &source.parameters)?;
+        let mut best = (f64::INFINITY, SHAPES[0]);
+        for shape in SHAPES {
+            let (tiles, blocks) = plan::lay_out(&[piece], planes, shape);
+            let tiles = self.device.tiles(&tiles)?;
+            let end_sample = image.samples.min(2);
+            let part = device::Part { first_block: 0, blocks, first_sample: 0, end_sample, is_last: true };
+            let mut least = f64::INFINITY;
+            for _ in 0..RUNS {
+                least = least.min(self.device.launch(loaded, shape, &tiles, part, &mut buffer)?.wait()?);
+            }
+            tracing::debug!(columns = shape.columns, rows = shape.rows, ms = least, "tried a shape of blocks");
+            if least < best.0 {
+                best = (least, shape);
+            }
+        }
+        Ok(best.1)
+    }
+
+    /// Renders tiles, as many at a time as the buffers hold; one lot is copied while the next renders.
+    fn render_groups(
+        &self,
+        runs: &[TileRun<'_>],
+        cancel: &Cancel,
+        progress: &(dyn Fn(u64) + Sync),
+        finished: &mut Vec<Pixels>,
+    ) -> Result<(), Trouble> {
+        let Some(first) = runs.first() else { return Ok(()) };
+        let nodes = first.job.nodes();
+        if nodes > MAX_NODES {
+            return Err(Trouble::TooLarge { nodes, most: MAX_NODES });
+        }
+        let source = Source::new(first.job, first.frame);
+        let planes = first.job.image.channels().len();
+        let numbers = |run: &TileRun<'_>| run.rect.pixels() as usize * planes;
+        let mut underway: Option<Underway> = None;
+        let mut rest = runs;
+        while !rest.is_empty() {
+            let mut total = 0;
+            let fitting = rest.iter().take_while(|run| {
+                total += numbers(run);
+                total <= BUFFER_NUMBERS
+            });
+            let (group, others) = rest.split_at(fitting.count().max(1));
+            rest = others;
+            let next = self.start(&source, group, cancel);
+            if let Some(before) = underway.take() {
+                finished.extend(self.finish(before, &first.job.image, progress)?);
+            }
+            underway = Some(next?);
+        }
+        if let Some(last) = underway {
+            finished.extend(self.finish(last, &first.job.image, progress)?);
+        }
+        Ok(())
+    }
+
+    /// Launches the render of some tiles and the copy of their pixels.
+    fn start(&self, source: &Source, runs: &[TileRun<'_>], cancel: &Cancel) -> Result<Underway, Trouble> {
+        let image = &runs[0].job.image;
+        let rects: Vec<Rect> = runs.iter().map(|run| run.rect).collect();
+        let planes = image.channels().len();
+        let numbers = rects.iter().map(|rect| rect.pixels() as usize).sum::<usize>() * planes;
+        let _launching = lock(&self.launching);
+        let (program, _) = self.program(source, runs.get(runs.len() / 2))?;
+        let mut buffer = self.take_buffer(numbers)?;
+        let mut known = lock(&program.known);
+        if known.numbers.as_ref() != Some(&source.parameters) {
+            self.device.set_numbers(&program.loaded, &source.parameters)?;
+            known.numbers = Some(source.parameters.clone());
+        }
+        let (tiles, blocks) = plan::lay_out(&rects, planes, program.shape);
+        let tiles = self.device.tiles(&tiles)?;
+        let wave = self.device.multiprocessors * (2048 / program.shape.threads());
+        let mut launches = Launches::new(blocks, image.samples, wave);
+        let mut flying: VecDeque<(device::Part, Launched)> = VecDeque::new();
+        loop {
+            let part = if cancel.is_cancelled() { None } else { launches.next(&known.cost) };
+            if let Some(part) = part {
+                flying.push_back((part, self.device.launch(&program.loaded, program.shape, &tiles, part, &mut buffer)?));
+            }
+            // One runs while the next waits its turn.
+            if flying.len() == 2 || part.is_none() {
+                let Some((part, launched)) = flying.pop_front() else { break };
+                let ms = launched.wait()?;
+                known.cost.learn(part, ms);
+                *lock(&self.kernel_time) += Duration::from_secs_f64(ms / 1e3);
+            }
+        }
+        if cancel.is_cancelled() {
+            lock(&self.buffers).push(buffer);
+            return Err(Trouble::Cancelled);
+        }
+        self.device.fetch(&mut buffer, numbers)?;
+        Ok(Underway { rects, buffer })
+    }
+
+    /// Waits for pixels, and hands them out.
+    fn finish(
+        &self,
+        underway: Underway,
+        image: &Image,
+        progress: &(dyn Fn(u64) + Sync),
+    ) -> Result<Vec<Pixels>, Trouble> {
+        let Underway { rects, buffer } = underway;
+        let planes = image.channels().len();
+        let mut rest = self.device.fetched(&buffer)?;
+        let parts: Vec<(Rect, &[f32])> = rects
+            .into_iter()
+            .map(|rect| {
+                let (own, others) = rest.split_at(rect.pixels() as usize * planes);
+                rest = others;
+                (rect, own)
+            })
+            .collect();
+        let finished = parts
+            .into_par_iter()
+            .map(|(rect, numbers)| {
+                let planes = numbers.par_chunks(rect.pixels() as usize).map(<[f32]>::to_vec).collect();
+                progress(rect.pixels() * u64::from(image.samples));
+                Pixels { rect, planes }
+            })
+            .collect();
+        lock(&self.buffers).push(buffer);
+        Ok(finished)
+    }
+
+    /// A buffer that is large enough; smaller ones are let go.
+    fn take_buffer(&self, numbers: usize) -> Result<Buffer, Trouble> {
+        let mut buffers = lock(&self.buffers);
+        buffers.retain(|buffer| buffer.numbers() >= numbers);
+        match buffers.pop() {
+            Some(buffer) => Ok(buffer),
+            None => self.device.buffer(numbers),
+        }
+    }
+
+    /// Notes a lost GPU; the trouble as a render's error.
+    fn failed(&self, trouble: &Trouble) -> RenderError {
+        if trouble.is_lost() {
+            *lock(&self.lost) = Some(format!("{}: {trouble}", self.name));
+        }
+        match trouble {
+            Trouble::Cancelled => RenderError::Cancelled,
+            _ => RenderError::Device { device: self.name.clone(), reason: trouble.to_string() },
+        }
+    }
+}
+
+impl Renderer for CudaRenderer {
+    fn device(&self) -> String {
+        self.name.clone()
+    }
+
+    fn render(
+        &self,
+        run: &TileRun<'_>,
+        cancel: &Cancel,
+        progress: &(dyn Fn(u64) + Sync),
+    ) -> Result<Pixels, RenderError> {
+        let mut finished = self.render_all(std::slice::from_ref(run), cancel, progress)?;
+        Ok(finished.pop().expect("a render gives every tile it was asked for"))
+    }
+
+    fn render_all(
+        &self,
+        runs: &[TileRun<'_>],
+        cancel: &Cancel,
+        progress: &(dyn Fn(u64) + Sync),
+    ) -> Result<Vec<Pixels>, RenderError> {
+        let mut finished = Vec::with_capacity(runs.len());
+        let rendered = self.render_groups(runs, cancel, progress, &mut finished);
+        rendered.map(|()| finished).map_err(|trouble| self.failed(&trouble))
+    }
+
+    fn batch(&self) -> usize {
+        1024
+    }
+
+    fn max_nodes(&self) -> Option<u32> {
+        Some(MAX_NODES)
+    }
+
+    fn retired(&self) -> Option<String> {
+        lock(&self.lost).clone()
+    }
+}
+
+fn unavailable(wanted: &str, trouble: &Trouble) -> RenderError {
+    RenderError::Unavailable { wanted: format!("--device {wanted}"), reason: trouble.to_string() }
+}
+
+/// What a mutex holds; a panic elsewhere leaves nothing here half done.
+fn lock<T>(mutex: &Mutex<T>) -> std::sync::MutexGuard<'_, T> {
+    mutex.lock().unwrap_or_else(PoisonError::into_inner)
+}

@@ -10,9 +10,9 @@
 
 // Constant memory holds 64 KiB.
 #if NUMBERS <= 16384
-extern "C" __constant__ float k[NUMBERS];
+__constant__ float k[NUMBERS];
 #else
-extern "C" __device__ float k[NUMBERS];
+__device__ float k[NUMBERS];
 #endif
 
 STEP unsigned bits_of(float x) { return __float_as_uint(x); }

@@ -1,0 +1,131 @@
+//! CUDA's run-time compiler: text in, machine code for one architecture out. Needs no GPU.
+//!
+//! cudarc panics where a library or a function of it is missing; so that is looked up first.
+
+#![expect(unsafe_code, reason = "the compiler is a C library, found at run time")]
+
+use std::ffi::{CString, c_char};
+use std::path::Path;
+use std::sync::OnceLock;
+
+use cudarc::nvrtc::result::NvrtcError;
+use cudarc::nvrtc::{result, sys};
+
+use super::trouble::Trouble;
+
+/// Every function that is called here.
+const FUNCTIONS: [&str; 11] = [
+    "nvrtcVersion",
+    "nvrtcGetNumSupportedArchs",
+    "nvrtcGetSupportedArchs",
+    "nvrtcCreateProgram",
+    "nvrtcCompileProgram",
+    "nvrtcGetProgramLogSize",
+    "nvrtcGetProgramLog",
+    "nvrtcGetCUBINSize",
+    "nvrtcGetCUBIN",
+    "nvrtcDestroyProgram",
+    "nvrtcGetErrorString",
+];
+
+/// Nothing may be contracted, flushed or approximated but where the text says so.
+const OPTIONS: [&str; 3] = ["--fmad=false", "--std=c++17", "--diag-suppress=177"];
+
+/// The compiler of this machine.
+#[derive(Clone, Debug)]
+pub struct Compiler {
+    /// Its version: 13.0.
+    pub version: String,
+    architectures: Vec<u32>,
+}
+
+impl Compiler {
+    /// Looks for it.
+    pub fn find() -> Result<Self, Trouble> {
+        static LACKS: OnceLock<Option<&str>> = OnceLock::new();
+        // SAFETY: loading a library runs its initialisers; NVRTC's only set up its own state.
+        if !unsafe { sys::is_culib_present() } {
+            return Err(Trouble::NoCompiler);
+        }
+        let lacks = LACKS.get_or_init(|| {
+            // SAFETY: the library is there, so this does not panic; the symbols are only looked up, never called.
+            FUNCTIONS.into_iter().find(|name| unsafe { sys::culib().get::<*const ()>(name.as_bytes()) }.is_err())
+        });
+        if let Some(missing) = lacks {
+            return Err(Trouble::OldCompiler { missing });
+        }
+        let (mut major, mut minor, mut count) = (0, 0, 0);
+        // SAFETY: both functions write the integers they are given, and their presence was checked.
+        unsafe {
+            check(sys::nvrtcVersion(&raw mut major, &raw mut minor))?;
+            check(sys::nvrtcGetNumSupportedArchs(&raw mut count))?;
+        }
+        let mut architectures = vec![0; usize::try_from(count).unwrap_or(0)];
+        // SAFETY: the list has room for as many as the compiler said it supports.
+        unsafe { check(sys::nvrtcGetSupportedArchs(architectures.as_mut_ptr())) }?;
+        let architectures = architectures.into_iter().filter_map(|number| u32::try_from(number).ok()).collect();
+        Ok(Self { version: format!("{major}.{minor}"), architectures })
+    }
+
+    /// Compiles a program for an architecture: 90 for compute capability 9.0.
+    pub fn compile(&self, text: &str, architecture: u32) -> Result<Vec<u8>, Trouble> {
+        if !self.architectures.contains(&architecture) {
+            return Err(Trouble::UnknownArchitecture { version: self.version.clone(), architecture });
+        }
+        let text = CString::new(text).expect("a program has no byte 0 in it");
+        let program = Program(result::create_program(&text, Some(c"scene.cu")).map_err(refused)?);
+        let mut options = vec![format!("--gpu-architecture=sm_{architecture}")];
+        options.extend(OPTIONS.map(str::to_owned));
+        // SAFETY: the program was created above and is destroyed only when it is dropped.
+        match unsafe { result::compile_program(program.0, &options) } {
+            Ok(()) => program.machine_code(),
+            Err(_) => Err(Trouble::Compile { log: program.log(), kept: None }),
+        }
+    }
+}
+
+/// A program of the compiler's.
+struct Program(sys::nvrtcProgram);
+
+impl Drop for Program {
+    fn drop(&mut self) {
+        // SAFETY: it was created by the compiler, and nobody uses it any more. There is no cure for a failure.
+        unsafe { result::destroy_program(self.0) }.unwrap_or_default();
+    }
+}
+
+impl Program {
+    fn log(&self) -> String {
+        // SAFETY: the program is alive.
+        let log = unsafe { result::get_program_log(self.0) }.unwrap_or_default();
+        let bytes: Vec<u8> = log.into_iter().map(|letter| letter as u8).take_while(|&letter| letter != 0).collect();
+        String::from_utf8_lossy(&bytes).trim().to_owned()
+    }
+
+    fn machine_code(&self) -> Result<Vec<u8>, Trouble> {
+        let mut length = 0;
+        // SAFETY: the program is alive and compiled, and the function writes one integer.
+        unsafe { check(sys::nvrtcGetCUBINSize(self.0, &raw mut length)) }?;
+        let mut code = vec![0_u8; length];
+        // SAFETY: there is room for as many bytes as the compiler just said it writes.
+        unsafe { check(sys::nvrtcGetCUBIN(self.0, code.as_mut_ptr().cast::<c_char>())) }?;
+        Ok(code)
+    }
+}
+
+/// Writes a program that was refused beside what the compiler said of it.
+pub(super) fn keep(trouble: Trouble, text: &str, folder: Option<&Path>) -> Trouble {
+    let Trouble::Compile { log, .. } = trouble else { return trouble };
+    let path = folder.map(|folder| folder.join(format!("refused-{}.cu", &blake3::hash(text.as_bytes()).to_hex()[..16])));
+    let commented: String = log.lines().map(|line| format!("// {line}\n")).collect();
+    let kept = path.filter(|path| std::fs::write(path, format!("{text}\n{commented}")).is_ok());
+    Trouble::Compile { log, kept }
+}
+
+fn check(code: sys::nvrtcResult) -> Result<(), Trouble> {
+    code.result().map_err(refused)
+}
+
+fn refused(error: NvrtcError) -> Trouble {
+    Trouble::Compile { log: format!("{:?}", error.0), kept: None }
+}

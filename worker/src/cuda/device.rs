@@ -1,0 +1,332 @@
+//! One GPU: memory, programs and launches, as safe functions.
+//!
+//! cudarc panics where a library or a function of it is missing; so that is looked up first.
+
+#![expect(unsafe_code, reason = "a GPU's driver is a C library, and its programs see raw memory")]
+
+use std::sync::{Arc, OnceLock};
+
+use cudarc::driver::sys::{self, CUdevice_attribute, CUevent_flags};
+use cudarc::driver::{
+    CudaContext, CudaEvent, CudaFunction, CudaModule, CudaSlice, CudaStream, DeviceRepr, LaunchConfig, PinnedHostSlice,
+    PushKernelArg, result,
+};
+use cudarc::nvrtc::Ptx;
+
+use super::trouble::Trouble;
+
+/// Every function of the driver that is called, by cudarc for us.
+const FUNCTIONS: [&str; 38] = [
+    "cuInit",
+    "cuDriverGetVersion",
+    "cuGetErrorName",
+    "cuGetErrorString",
+    "cuDeviceGetCount",
+    "cuDeviceGet",
+    "cuDeviceGetName",
+    "cuDeviceGetAttribute",
+    "cuDevicePrimaryCtxRetain",
+    "cuDevicePrimaryCtxRelease_v2",
+    "cuCtxGetCurrent",
+    "cuCtxSetCurrent",
+    "cuCtxSynchronize",
+    "cuStreamCreate",
+    "cuStreamDestroy_v2",
+    "cuStreamSynchronize",
+    "cuStreamWaitEvent",
+    "cuEventCreate",
+    "cuEventDestroy_v2",
+    "cuEventRecord",
+    "cuEventSynchronize",
+    "cuEventElapsedTime_v2",
+    "cuMemAllocAsync",
+    "cuMemAlloc_v2",
+    "cuMemFreeAsync",
+    "cuMemFree_v2",
+    "cuMemHostAlloc",
+    "cuMemFreeHost",
+    "cuMemcpyHtoDAsync_v2",
+    "cuMemcpyDtoHAsync_v2",
+    "cuModuleLoadData",
+    "cuModuleUnload",
+    "cuModuleGetFunction",
+    "cuModuleGetGlobal_v2",
+    "cuFuncGetAttribute",
+    "cuLaunchKernel",
+    "cuOccupancyMaxActiveBlocksPerMultiprocessorWithFlags",
+    "cuMemGetInfo_v2",
+];
+
+/// Threads of a block: columns and rows.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Shape {
+    /// Threads side by side.
+    pub columns: u32,
+    /// Threads one below the other.
+    pub rows: u32,
+}
+
+impl Shape {
+    /// Threads of the block.
+    pub fn threads(self) -> u32 {
+        self.columns * self.rows
+    }
+}
+
+/// A rectangle of pixels, as `kernel.cu` has it.
+#[derive(Clone, Copy, Debug)]
+#[repr(C)]
+pub(super) struct DeviceTile {
+    pub(super) x: u32,
+    pub(super) y: u32,
+    pub(super) width: u32,
+    pub(super) height: u32,
+    pub(super) first_block: u32,
+    pub(super) columns: u32,
+    pub(super) start: u64,
+}
+
+// SAFETY: it is plain integers in the order and with the padding that C gives them.
+unsafe impl DeviceRepr for DeviceTile {}
+
+/// A GPU.
+#[derive(Debug)]
+pub(super) struct Device {
+    context: Arc<CudaContext>,
+    compute: Arc<CudaStream>,
+    copies: Arc<CudaStream>,
+    /// What its maker calls it.
+    pub(super) name: String,
+    /// Major and minor compute capability: 90.
+    pub(super) architecture: u32,
+    pub(super) multiprocessors: u32,
+    pub(super) clock_khz: u32,
+}
+
+/// A scene's program on a GPU.
+#[derive(Debug)]
+pub(super) struct Loaded {
+    module: Arc<CudaModule>,
+    render: CudaFunction,
+    layers: Option<CudaFunction>,
+}
+
+/// What the compiler made of a program.
+#[derive(Clone, Copy, Debug)]
+pub struct Resources {
+    /// Registers a thread.
+    pub registers: u32,
+    /// Bytes a thread keeps in memory for want of registers.
+    pub local_bytes: u32,
+    /// Share of a multiprocessor's threads that may be resident, for blocks of some shape.
+    pub occupancy: f64,
+}
+
+/// Pixels on the GPU, and where they are copied to.
+#[derive(Debug)]
+pub(super) struct Buffer {
+    device: CudaSlice<f32>,
+    host: PinnedHostSlice<f32>,
+}
+
+/// Blocks and samples of one launch.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Part {
+    pub(super) first_block: u32,
+    pub(super) blocks: u32,
+    pub(super) first_sample: u32,
+    pub(super) end_sample: u32,
+    pub(super) is_last: bool,
+}
+
+/// A launch under way.
+#[derive(Debug)]
+pub(super) struct Launched {
+    start: CudaEvent,
+    end: CudaEvent,
+}
+
+impl Launched {
+    /// Waits for its end; how long it took, in milliseconds.
+    pub(super) fn wait(&self) -> Result<f64, Trouble> {
+        self.start.elapsed_ms(&self.end).map(f64::from).map_err(Trouble::of("render on the GPU"))
+    }
+}
+
+/// How many GPUs there are; an error where there is no driver that can be used.
+pub(super) fn count() -> Result<usize, Trouble> {
+    static LACKS: OnceLock<Option<&str>> = OnceLock::new();
+    // SAFETY: loading the driver's library runs its initialisers, which only set up its own state.
+    if !unsafe { sys::is_culib_present() } {
+        return Err(Trouble::NoDriver);
+    }
+    let lacks = LACKS.get_or_init(|| {
+        // SAFETY: the library is there, so this does not panic; the symbols are only looked up, never called.
+        FUNCTIONS.into_iter().find(|name| unsafe { sys::culib().get::<*const ()>(name.as_bytes()) }.is_err())
+    });
+    if let Some(missing) = lacks {
+        return Err(Trouble::OldDriver { version: version(), missing });
+    }
+    match result::init().and_then(|()| result::device::get_count()) {
+        Ok(count) => Ok(usize::try_from(count).unwrap_or(0)),
+        Err(error) if error.0 == sys::CUresult::CUDA_ERROR_NO_DEVICE => Ok(0),
+        Err(error) => Err(Trouble::of("start the NVIDIA driver")(error)),
+    }
+}
+
+/// The CUDA version that the driver speaks; any driver can tell.
+fn version() -> String {
+    let mut version = 0;
+    // SAFETY: the library is there, and every release of it has this function, which writes one integer.
+    let known = unsafe { sys::culib().get::<*const ()>(b"cuDriverGetVersion") }.is_ok()
+        && unsafe { sys::cuDriverGetVersion(&raw mut version) } == sys::CUresult::CUDA_SUCCESS;
+    if known { format!("{}.{}", version / 1000, version % 1000 / 10) } else { "of an unknown version".to_owned() }
+}
+
+impl Device {
+    /// Takes the GPU of this number.
+    pub(super) fn open(ordinal: usize) -> Result<Self, Trouble> {
+        let count = count()?;
+        if count == 0 {
+            return Err(Trouble::NoDevice);
+        }
+        if ordinal >= count {
+            return Err(Trouble::NoSuchDevice { ordinal, count });
+        }
+        let open = || {
+            let context = CudaContext::new(ordinal)?;
+            let (major, minor) = context.compute_capability()?;
+            let number = |attribute| context.attribute(attribute).map(|number| u32::try_from(number).unwrap_or(0));
+            Ok(Self {
+                compute: context.new_stream()?,
+                copies: context.new_stream()?,
+                name: context.name()?,
+                architecture: u32::try_from(major * 10 + minor).unwrap_or(0),
+                multiprocessors: number(CUdevice_attribute::CU_DEVICE_ATTRIBUTE_MULTIPROCESSOR_COUNT)?,
+                clock_khz: number(CUdevice_attribute::CU_DEVICE_ATTRIBUTE_CLOCK_RATE)?,
+                context,
+            })
+        };
+        open().map_err(Trouble::of("open the GPU"))
+    }
+
+    /// Loads machine code.
+    pub(super) fn load(&self, code: &[u8]) -> Result<Loaded, Trouble> {
+        let load = || {
+            let module = self.context.load_module(Ptx::from_binary(code.to_vec()))?;
+            let render = module.load_function("render")?;
+            Ok(Loaded { render, layers: module.load_function("layers").ok(), module })
+        };
+        load().map_err(Trouble::of("load the scene's program"))
+    }
+
+    /// Room for so many numbers, here and there.
+    pub(super) fn buffer(&self, numbers: usize) -> Result<Buffer, Trouble> {
+        // SAFETY: both are memory without a value yet; the device's is written by a kernel before it
+        // is copied, and of the host's only the part that was copied to is read.
+        let allocate = || unsafe {
+            let host = self.context.alloc_pinned_with_flags(numbers, 0)?;
+            Ok(Buffer { device: self.compute.alloc(numbers)?, host })
+        };
+        allocate().map_err(|error: cudarc::driver::DriverError| match error.0 {
+            sys::CUresult::CUDA_ERROR_OUT_OF_MEMORY => Trouble::OutOfMemory { bytes: numbers * size_of::<f32>() },
+            _ => Trouble::of("find memory on the GPU")(error),
+        })
+    }
+
+    /// Gives a program its numbers: whatever is launched after this sees them, whatever was launched before does not.
+    pub(super) fn set_numbers(&self, program: &Loaded, bits: &[u32]) -> Result<(), Trouble> {
+        let set = || {
+            let bytes: Vec<u8> = bits.iter().flat_map(|bits| bits.to_ne_bytes()).collect();
+            let mut place = program.module.get_global("k", &self.compute)?;
+            self.compute.memcpy_htod(&bytes, &mut place)
+        };
+        if bits.is_empty() { Ok(()) } else { set().map_err(Trouble::of("give the scene's numbers to the GPU")) }
+    }
+
+    /// Puts a list of tiles on the GPU.
+    pub(super) fn tiles(&self, tiles: &[DeviceTile]) -> Result<CudaSlice<DeviceTile>, Trouble> {
+        self.compute.clone_htod(tiles).map_err(Trouble::of("give tiles to the GPU"))
+    }
+
+    /// Starts the part of a render; `blocks` of `tiles` in all fit into the buffer.
+    pub(super) fn launch(
+        &self,
+        program: &Loaded,
+        shape: Shape,
+        tiles: &CudaSlice<DeviceTile>,
+        part: Part,
+        out: &mut Buffer,
+    ) -> Result<Launched, Trouble> {
+        let config = LaunchConfig {
+            grid_dim: (part.blocks, 1, 1),
+            block_dim: (shape.columns, shape.rows, 1),
+            shared_mem_bytes: 0,
+        };
+        let count = tiles.len() as u32;
+        let (first, end, is_last) = (part.first_sample as f32, part.end_sample as f32, u32::from(part.is_last));
+        let event = || self.compute.record_event(Some(CUevent_flags::CU_EVENT_DEFAULT));
+        let mut launch = || {
+            let start = event()?;
+            let mut render = self.compute.launch_builder(&program.render);
+            render.arg(tiles).arg(&count).arg(&part.first_block);
+            render.arg(&first).arg(&end).arg(&is_last).arg(&mut out.device);
+            // SAFETY: the arguments are those of `render` in kernel.cu, in number, order and type. It
+            // writes only pixels of the tiles, whose places the caller laid out inside the buffer.
+            unsafe { render.launch(config) }?;
+            if let Some(layers) = program.layers.as_ref().filter(|_| part.is_last) {
+                let mut render = self.compute.launch_builder(layers);
+                render.arg(tiles).arg(&count).arg(&part.first_block).arg(&mut out.device);
+                // SAFETY: as above, for `layers`.
+                unsafe { render.launch(config) }?;
+            }
+            Ok(Launched { start, end: event()? })
+        };
+        launch().map_err(Trouble::of("start a render on the GPU"))
+    }
+
+    /// Starts to copy the first numbers of a buffer back, once all that was launched has written them.
+    pub(super) fn fetch(&self, buffer: &mut Buffer, numbers: usize) -> Result<(), Trouble> {
+        let mut fetch = || {
+            let source = buffer.device.slice(..numbers);
+            self.copies.memcpy_dtoh(&source, &mut buffer.host.as_mut_slice()?[..numbers])
+        };
+        fetch().map_err(Trouble::of("copy pixels from the GPU"))
+    }
+
+    /// Waits for copies; the numbers of a buffer.
+    pub(super) fn fetched<'a>(&self, buffer: &'a Buffer) -> Result<&'a [f32], Trouble> {
+        let wait = || {
+            self.copies.synchronize()?;
+            buffer.host.as_slice()
+        };
+        wait().map_err(Trouble::of("copy pixels from the GPU"))
+    }
+
+    /// Waits until nothing runs any more.
+    pub(super) fn settle(&self) -> Result<(), Trouble> {
+        let wait = || self.compute.synchronize().and_then(|()| self.copies.synchronize());
+        wait().map_err(Trouble::of("wait for the GPU"))
+    }
+
+    /// What a program takes, and how full blocks of a shape keep the GPU.
+    pub(super) fn resources(&self, program: &Loaded, shape: Shape) -> Result<Resources, Trouble> {
+        let look = || {
+            let threads = shape.threads();
+            let blocks = program.render.occupancy_max_active_blocks_per_multiprocessor(threads, 0, None)?;
+            let most = self.context.attribute(CUdevice_attribute::CU_DEVICE_ATTRIBUTE_MAX_THREADS_PER_MULTIPROCESSOR)?;
+            Ok(Resources {
+                registers: u32::try_from(program.render.num_regs()?).unwrap_or(0),
+                local_bytes: u32::try_from(program.render.local_size_bytes()?).unwrap_or(0),
+                occupancy: f64::from(blocks * threads) / f64::from(most.max(1)),
+            })
+        };
+        look().map_err(Trouble::of("ask the GPU about the scene's program"))
+    }
+}
+
+impl Buffer {
+    pub(super) fn numbers(&self) -> usize {
+        self.host.len()
+    }
+}

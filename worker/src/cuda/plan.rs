@@ -1,0 +1,156 @@
+//! How a render is cut into launches: each short enough to be cancelled after, and long enough to
+//! keep a GPU busy. Pure arithmetic.
+
+use super::device::{DeviceTile, Part, Shape};
+use proto::Rect;
+
+/// How long a launch should take, in milliseconds; two are under way at a time.
+const LAUNCH_MS: f64 = 12.0;
+/// How many times as much as the one before a launch may render while little is known.
+const GROWTH: f64 = 6.0;
+/// Samples of the first launch of all.
+const FIRST_SAMPLES: u32 = 4;
+
+/// Tiles laid out for blocks of a shape, their pixels one behind the other; how many blocks they take.
+pub(super) fn lay_out(rects: &[Rect], planes: usize, shape: Shape) -> (Vec<DeviceTile>, u32) {
+    let (mut first_block, mut start) = (0, 0);
+    let tiles = rects
+        .iter()
+        .map(|rect| {
+            let columns = rect.width.div_ceil(shape.columns);
+            let tile = DeviceTile { x: rect.x, y: rect.y, width: rect.width, height: rect.height, first_block, columns, start };
+            first_block += columns * rect.height.div_ceil(shape.rows);
+            start += rect.pixels() * planes as u64;
+            tile
+        })
+        .collect();
+    (tiles, first_block)
+}
+
+/// What rendering costs with some program on some GPU, as far as is known.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct Cost {
+    /// Milliseconds for one sample of all pixels of a block.
+    block_sample_ms: Option<f64>,
+    /// Block samples of the largest launch so far.
+    largest: f64,
+}
+
+impl Cost {
+    /// Learns what a launch took.
+    pub(super) fn learn(&mut self, part: Part, ms: f64) {
+        let units = part.units();
+        let now = ms / units;
+        // What was dear once may come again; it is forgotten slowly.
+        self.block_sample_ms = Some(self.block_sample_ms.map_or(now, |before| now.max(0.8 * before)));
+        self.largest = self.largest.max(units);
+    }
+
+    /// How many block samples the next launch should have.
+    fn budget(&self, wave: u32) -> f64 {
+        let first = f64::from(wave) * f64::from(FIRST_SAMPLES);
+        self.block_sample_ms.map_or(first, |ms| (LAUNCH_MS / ms).min(GROWTH * self.largest.max(first)))
+    }
+}
+
+/// The launches of a render, one after another.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Launches {
+    blocks: u32,
+    samples: u32,
+    /// Blocks that fill the GPU once.
+    wave: u32,
+    /// The blocks under way, and the sample that they have come to.
+    first_block: u32,
+    end_block: u32,
+    sample: u32,
+}
+
+impl Part {
+    fn units(self) -> f64 {
+        f64::from(self.blocks) * f64::from(self.end_sample - self.first_sample)
+    }
+}
+
+impl Launches {
+    pub(super) fn new(blocks: u32, samples: u32, wave: u32) -> Self {
+        Self { blocks, samples, wave: wave.max(1), first_block: 0, end_block: 0, sample: 0 }
+    }
+
+    /// The next launch, if any is left.
+    pub(super) fn next(&mut self, cost: &Cost) -> Option<Part> {
+        if self.sample == 0 {
+            if self.first_block == self.blocks {
+                return None;
+            }
+            // All samples of some blocks, at least as many as fill the GPU.
+            let fitting = (cost.budget(self.wave) / f64::from(self.samples)) as u32;
+            self.end_block = self.first_block.saturating_add(fitting.max(self.wave)).min(self.blocks);
+        }
+        let blocks = self.end_block - self.first_block;
+        let fitting = (cost.budget(self.wave) / f64::from(blocks)) as u32;
+        let end_sample = self.sample.saturating_add(fitting.max(1)).min(self.samples);
+        let is_last = end_sample == self.samples;
+        let part = Part { first_block: self.first_block, blocks, first_sample: self.sample, end_sample, is_last };
+        self.sample = if is_last { 0 } else { end_sample };
+        if is_last {
+            self.first_block = self.end_block;
+        }
+        Some(part)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Runs all launches of a GPU on which a block sample takes `ms`; the longest launch.
+    fn longest_launch(blocks: u32, samples: u32, ms: impl Fn(u32) -> f64) -> f64 {
+        let mut cost = Cost::default();
+        let mut launches = Launches::new(blocks, samples, 1000);
+        let mut rendered = vec![0; blocks as usize];
+        let mut longest = 0.0_f64;
+        while let Some(part) = launches.next(&cost) {
+            let mut took = 0.0;
+            for block in part.first_block..part.first_block + part.blocks {
+                assert_eq!(rendered[block as usize], part.first_sample, "samples come in order");
+                rendered[block as usize] = part.end_sample;
+                took += ms(block) * f64::from(part.end_sample - part.first_sample);
+            }
+            assert_eq!(part.is_last, part.end_sample == samples);
+            cost.learn(part, took);
+            longest = longest.max(took);
+        }
+        assert!(rendered.iter().all(|&done| done == samples), "every sample of every block is rendered");
+        longest
+    }
+
+    #[test]
+    fn every_sample_is_rendered_once_and_in_order() {
+        for (blocks, samples) in [(1, 1), (7, 65_536), (8_100, 4), (500_000, 1), (3_000, 1_000)] {
+            assert!(longest_launch(blocks, samples, |_| 1e-5) <= 50.0);
+        }
+    }
+
+    #[test]
+    fn a_picture_that_turns_dear_is_cut_finer() {
+        let sky_then_fractal = |block: u32| if block < 30_000 { 2e-6 } else { 4e-5 };
+        assert!(longest_launch(60_000, 256, sky_then_fractal) <= 50.0);
+    }
+
+    #[test]
+    fn a_known_program_is_launched_whole() {
+        let mut cost = Cost::default();
+        cost.learn(Part { first_block: 0, blocks: 8_100, first_sample: 0, end_sample: 4, is_last: true }, 1.0);
+        let part = Launches::new(8_100, 4, 1056).next(&cost).expect("there is work");
+        assert_eq!((part.blocks, part.end_sample, part.is_last), (8_100, 4, true));
+    }
+
+    #[test]
+    fn tiles_follow_one_another_in_blocks_and_numbers() {
+        let rects = [Rect { x: 0, y: 0, width: 33, height: 9 }, Rect { x: 64, y: 32, width: 32, height: 32 }];
+        let (tiles, blocks) = lay_out(&rects, 5, Shape { columns: 16, rows: 8 });
+        assert_eq!((tiles[0].columns, tiles[1].first_block, tiles[1].start), (3, 6, 33 * 9 * 5));
+        assert_eq!(blocks, 6 + 8);
+    }
+}
