@@ -64,7 +64,7 @@ const CHUNK_BYTES: u64 = 256 << 20;
 
 /// How many of these tiles a renderer is given at a time: what it likes, if memory allows.
 pub(crate) fn chunk_length(renderer: &dyn Renderer, job: &scene::Job, rects: impl Iterator<Item = Rect>) -> usize {
-    let largest_bytes = rects.map(|rect| rect.pixels()).max().unwrap_or(1) * u64::from(job.image.pixel_bytes());
+    let largest_bytes = rects.map(Rect::pixels).max().unwrap_or(1) * u64::from(job.image.pixel_bytes());
     let fitting = usize::try_from(CHUNK_BYTES / largest_bytes.max(1)).unwrap_or(usize::MAX);
     renderer.batch().min(fitting).max(1)
 }

@@ -217,7 +217,8 @@ impl Session {
             wants_work,
             wait_ms: wait.as_millis() as u64,
         };
-        self.heartbeat_at = now + wait;
+        // A call that waits is opened only when nothing else is said for a moment.
+        self.heartbeat_at = now + wait.max(PAUSE);
         Some(self.call(request, wait + CALL_MARGIN))
     }
 
@@ -269,6 +270,8 @@ impl Session {
         }
         self.asked = call.request.wants_work && reply.run.is_none();
         if let Some(run) = reply.run {
+            // From soon on a waiting call is open, through which its loss would be heard of.
+            self.heartbeat_at = self.heartbeat_at.min(Instant::now() + PAUSE);
             self.take(run);
         }
     }

@@ -149,9 +149,9 @@ impl Workbench {
                 let rects = tiles.iter().map(|tile| tile.rect);
                 let places: Vec<Place> = rects.zip(holds).map(|(rect, hold)| Place { rect, hold }).collect();
                 if whole_frame {
-                    self.render_whole(frame, &places).await
+                    self.render_whole(frame, &places).await;
                 } else {
-                    self.render_tiles(frame, &places).await
+                    self.render_tiles(frame, &places).await;
                 }
             }
         }

@@ -2,6 +2,7 @@
 
 mod delivery;
 mod leases;
+mod pipeline;
 mod registration;
 
 use std::sync::{Arc, Condvar, Mutex};

@@ -32,6 +32,10 @@ pub(crate) struct Farm {
     pub(crate) refusal: Option<(StatusCode, String)>,
     /// Status to answer so many PUTs with.
     pub(crate) put_refusals: VecDeque<StatusCode>,
+    /// PUTs of pictures wait while this is set.
+    pub(crate) hold_puts: bool,
+    /// Pictures that wait.
+    pub(crate) putting: usize,
     pub(crate) hellos: Vec<Hello>,
     pub(crate) workers: HashSet<WorkerId>,
     pub(crate) syncs: Vec<SyncRequest>,
@@ -253,7 +257,18 @@ async fn read_blob(State(shared): State<Shared>, Path(hash): Path<String>) -> Re
 
 async fn put_picture(State(shared): State<Shared>, Path(hash): Path<String>, bytes: Bytes) -> StatusCode {
     assert_eq!(blake3::hash(&bytes).to_hex().as_str(), hash);
+    shared.change(|farm| farm.putting += 1);
+    loop {
+        let rung = shared.bell.notified();
+        tokio::pin!(rung);
+        rung.as_mut().enable();
+        if !shared.farm().hold_puts {
+            break;
+        }
+        rung.await;
+    }
     shared.change(|farm| {
+        farm.putting -= 1;
         if let Some(status) = farm.put_refusals.pop_front() {
             return status;
         }

@@ -1,0 +1,259 @@
+//! Several tiles at a time on the device, several pictures at a time on their way, and a
+//! device that is lost.
+
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, Mutex};
+
+use proto::work::Outcome;
+use proto::{JobId, LeaseId, Rect};
+use worker::agent::AgentError;
+use worker::{Cancel, Pixels, RenderError, Renderer, TileRun};
+
+use super::{Agent, Happening, add_job, gated, until_cancelled};
+use crate::fake_renderer::{FakeRenderer, cut};
+use crate::fake_server::FakeServer;
+
+const TILE: Rect = Rect { x: 0, y: 0, width: 32, height: 32 };
+const BATCH: usize = 4;
+const ENCODERS: usize = 4;
+
+/// Does something before it renders tiles together, or instead.
+struct Together<F>(F);
+
+impl<F> Renderer for Together<F>
+where
+    F: Fn(&[TileRun<'_>], &Cancel) -> Result<(), RenderError> + Send + Sync,
+{
+    fn device(&self) -> String {
+        "together".to_owned()
+    }
+
+    fn render(&self, _: &TileRun<'_>, _: &Cancel, _: &(dyn Fn(u64) + Sync)) -> Result<Pixels, RenderError> {
+        panic!("it renders together")
+    }
+
+    fn render_all(
+        &self,
+        runs: &[TileRun<'_>],
+        cancel: &Cancel,
+        progress: &(dyn Fn(u64) + Sync),
+    ) -> Result<Vec<Pixels>, RenderError> {
+        (self.0)(runs, cancel)?;
+        runs.iter().map(|run| FakeRenderer.render(run, &Cancel::new(), progress)).collect()
+    }
+
+    fn batch(&self) -> usize {
+        BATCH
+    }
+
+    fn encoders(&self) -> usize {
+        ENCODERS
+    }
+
+    fn max_nodes(&self) -> Option<u32> {
+        Some(500)
+    }
+}
+
+/// Fails as a lost card does, from the first tile at or beside x = 32 on.
+#[derive(Default)]
+struct Failing {
+    is_lost: AtomicBool,
+}
+
+impl Renderer for Failing {
+    fn device(&self) -> String {
+        "failing".to_owned()
+    }
+
+    fn render(&self, run: &TileRun<'_>, _: &Cancel, more: &(dyn Fn(u64) + Sync)) -> Result<Pixels, RenderError> {
+        if run.rect.x < 32 {
+            return FakeRenderer.render(run, &Cancel::new(), more);
+        }
+        self.is_lost.store(true, Ordering::Relaxed);
+        Err(RenderError::Device { device: self.device(), reason: "error 79".to_owned() })
+    }
+
+    fn retired(&self) -> Option<String> {
+        self.is_lost.load(Ordering::Relaxed).then(|| "it fell off the bus".to_owned())
+    }
+}
+
+fn give(server: &FakeServer, id: JobId) -> Vec<LeaseId> {
+    server.change(|farm| farm.give(id, &[TILE], true))
+}
+
+fn is_picture(outcome: &Outcome) -> bool {
+    matches!(outcome, Outcome::Picture { .. })
+}
+
+#[test]
+fn tiles_are_rendered_together_and_a_lost_one_stops_no_other() {
+    let server = FakeServer::start(30_000);
+    let (begun, go, counts) = (Happening::default(), Happening::default(), Arc::new(Mutex::new(Vec::new())));
+    let (begins, goes, seen) = (begun.clone(), go.clone(), counts.clone());
+    let mut agent = Agent::start(
+        &server,
+        Together(move |runs: &[TileRun<'_>], cancel: &Cancel| {
+            seen.lock().unwrap().push(runs.len());
+            begins.happen();
+            goes.wait();
+            assert!(!cancel.is_cancelled(), "somebody waits for a tile of this chunk");
+            Ok(())
+        }),
+    );
+    let (id, _) = add_job(&server, 96, 96, "");
+    let mut leases = server.change(|farm| farm.give(id, &cut(96, 96, 32, 32), false));
+    begun.wait();
+    server.change(|farm| {
+        farm.live.remove(&leases[1]);
+        farm.live.remove(&leases[4]);
+    });
+    server.until("the worker knows what is lost", |farm| {
+        farm.syncs.last().is_some_and(|sync| sync.holding.len() == 7).then_some(())
+    });
+    go.happen();
+    leases.remove(4);
+    leases.remove(1);
+    let outcomes = server.outcomes(&leases);
+    assert!(outcomes.iter().all(|outcome| matches!(outcome, Outcome::Blob { .. })), "{outcomes:?}");
+    assert_eq!(*counts.lock().unwrap(), [4, 3, 1], "nine tiles by fours, one of the second chunk lost before it began");
+    agent.stop().unwrap();
+}
+
+#[test]
+fn tiles_that_nobody_waits_for_are_cancelled_together() {
+    let server = FakeServer::start(30_000);
+    let hangs = |runs: &[TileRun<'_>], cancel: &Cancel| {
+        if runs.len() > 1 { Err(until_cancelled(cancel)) } else { Ok(()) }
+    };
+    let mut agent = Agent::start(&server, Together(hangs));
+    let ((id, _), (small, _)) = (add_job(&server, 96, 32, ""), add_job(&server, 32, 32, ""));
+    for whole_frame in [false, true] {
+        let leases = server.change(|farm| farm.give(id, &cut(96, 32, 32, 32), whole_frame));
+        server.until("the tiles are held", |farm| {
+            farm.syncs.last().is_some_and(|sync| sync.holding.len() == leases.len()).then_some(())
+        });
+        server.change(|farm| leases.iter().for_each(|lease| _ = farm.live.remove(lease)));
+        let next = give(&server, small);
+        assert!(server.outcomes(&next).iter().all(is_picture));
+    }
+    agent.stop().unwrap();
+}
+
+#[test]
+fn a_tile_that_fails_among_others_fails_alone() {
+    let server = FakeServer::start(30_000);
+    let fails = |runs: &[TileRun<'_>], _: &Cancel| {
+        let is_bad = runs.iter().any(|run| run.rect.x == 32);
+        let error = || RenderError::Device { device: "the card".to_owned(), reason: "no".to_owned() };
+        if is_bad { Err(error()) } else { Ok(()) }
+    };
+    let mut agent = Agent::start(&server, Together(fails));
+    let (id, _) = add_job(&server, 96, 32, "");
+    for whole_frame in [false, true] {
+        let leases = server.change(|farm| farm.give(id, &cut(96, 32, 32, 32), whole_frame));
+        let outcomes = server.outcomes(&leases);
+        let [Outcome::Blob { .. }, Outcome::Failed { message }, Outcome::Blob { .. }] = &outcomes[..] else {
+            panic!("{outcomes:?}")
+        };
+        assert_eq!(message, "the card could not render: no");
+    }
+    agent.stop().unwrap();
+}
+
+#[test]
+fn a_worker_whose_device_is_lost_hands_everything_back_and_ends() {
+    for whole_frame in [false, true] {
+        let server = FakeServer::start(30_000);
+        server.change(|farm| farm.hold_puts = true);
+        let mut agent = Agent::start(&server, Failing::default());
+        let ((id, _), (small, _)) = (add_job(&server, 96, 32, ""), add_job(&server, 32, 32, ""));
+        let delivered = give(&server, small);
+        server.until("a picture is on its way", |farm| (farm.putting == 1).then_some(()));
+        let leases = server.change(|farm| farm.give(id, &cut(96, 32, 32, 32), whole_frame));
+        let error = agent.ended().unwrap_err();
+        assert!(matches!(&error, AgentError::Retired { reason } if reason == "it fell off the bus"), "{error:?}");
+        let outcomes = server.outcomes(&[delivered, leases].concat());
+        // The first tile of the second run may have arrived before the second one was tried.
+        let is_harmless = |outcome| matches!(outcome, &(Outcome::HandedBack | Outcome::Blob { .. }));
+        assert!(outcomes.iter().all(is_harmless), "{outcomes:?}");
+        assert!(matches!(outcomes[2..], [Outcome::HandedBack, Outcome::HandedBack]), "{outcomes:?}");
+    }
+}
+
+#[test]
+fn one_short_run_is_asked_for_ahead_and_no_more() {
+    let server = FakeServer::start(30_000);
+    let (begun, go, count) = (Happening::default(), Happening::default(), Arc::new(Mutex::new(0)));
+    let (begins, goes) = (begun.clone(), go.clone());
+    let mut agent = Agent::start(
+        &server,
+        Together(move |_: &[TileRun<'_>], _: &Cancel| {
+            let mut count = count.lock().unwrap();
+            *count += 1;
+            if *count > 1 {
+                begins.happen();
+                goes.wait();
+            }
+            Ok(())
+        }),
+    );
+    let (id, _) = add_job(&server, 32, 32, "");
+    assert!(server.outcomes(&give(&server, id)).iter().all(is_picture));
+    let leases = [give(&server, id), give(&server, id), give(&server, id)].concat();
+    begun.wait();
+    server.until("the worker holds two runs, and wants no third", |farm| {
+        let sync = farm.syncs.last()?;
+        (sync.holding.len() == 2 && !sync.wants_work).then_some(())
+    });
+    assert_eq!(server.change(|farm| farm.queue.len()), 1);
+    go.happen();
+    assert!(server.outcomes(&leases).iter().all(is_picture));
+    agent.stop().unwrap();
+}
+
+#[test]
+fn nothing_is_asked_for_ahead_before_runs_are_known_to_be_short() {
+    let server = FakeServer::start(30_000);
+    let (begun, go) = (Happening::default(), Happening::default());
+    let mut agent = Agent::start(&server, gated(&begun, &go));
+    let (id, _) = add_job(&server, 32, 32, "");
+    let leases = [give(&server, id), give(&server, id)].concat();
+    begun.wait();
+    server.until("the worker renews its lease, and wants no more", |farm| {
+        let sync = farm.syncs.last()?;
+        (sync.holding.len() == 1 && !sync.wants_work).then_some(())
+    });
+    assert_eq!(server.change(|farm| farm.queue.len()), 1);
+    go.happen();
+    assert!(server.outcomes(&leases).iter().all(is_picture));
+    agent.stop().unwrap();
+}
+
+#[test]
+fn pictures_are_on_their_way_while_others_render() {
+    let server = FakeServer::start(30_000);
+    server.change(|farm| farm.hold_puts = true);
+    let mut agent = Agent::start(&server, Together(|_: &[TileRun<'_>], _: &Cancel| Ok(())));
+    let (id, _) = add_job(&server, 32, 32, "");
+    let leases: Vec<LeaseId> = (0..20).flat_map(|_| give(&server, id)).collect();
+    server.until("one picture for each encoder is on its way, and no more is wanted", |farm| {
+        let sync = farm.syncs.last()?;
+        (farm.putting >= ENCODERS && sync.holding.len() == farm.putting && !sync.wants_work).then_some(())
+    });
+    let (putting, waiting) = server.change(|farm| (farm.putting, farm.queue.len()));
+    assert!(putting <= ENCODERS + 1 && putting + waiting == leases.len(), "{putting} on their way, {waiting} wait");
+    server.change(|farm| farm.hold_puts = false);
+    assert!(server.outcomes(&leases).iter().all(is_picture));
+    agent.stop().unwrap();
+}
+
+#[test]
+fn a_renderers_limits_are_told_to_the_server() {
+    let server = FakeServer::start(30_000);
+    let mut agent = Agent::start(&server, Together(|_: &[TileRun<'_>], _: &Cancel| Ok(())));
+    let hello = server.until("the worker registers", |farm| farm.hellos.pop());
+    assert_eq!(hello.max_nodes, Some(500));
+    agent.stop().unwrap();
+}
