@@ -1,18 +1,21 @@
 //! Flags that several commands share.
 
-use clap::builder::{PossibleValuesParser, TypedValueParser};
-use clap::{Args, ValueEnum};
-use proto::Client;
-use worker::{CpuRenderer, Simd};
+use std::path::PathBuf;
+use std::str::FromStr;
+use std::sync::Arc;
 
-use crate::failure::Misuse;
+use clap::Args;
+use clap::builder::{PossibleValuesParser, TypedValueParser};
+use proto::Client;
+use worker::cuda::{CudaRenderer, Shape};
+use worker::{CpuRenderer, RenderError, Renderer, Simd};
+
+use crate::terminal::note;
 
 /// What `--server` is unless said.
 pub(crate) const DEFAULT_SERVER: &str = "http://127.0.0.1:8080";
 /// Most threads one renderer starts.
 pub(crate) const MAX_THREADS: u32 = 4096;
-
-const NO_GPU: &str = "this build renders on CPUs only: leave --device out, or say --device cpu";
 
 /// The server that a client command talks to.
 #[derive(Debug, Args)]
@@ -30,30 +33,36 @@ impl ServerArguments {
 }
 
 /// What to render on.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Device {
     /// The best there is.
     Auto,
     /// The processor.
     Cpu,
-    /// An NVIDIA GPU.
-    Cuda,
+    /// An NVIDIA GPU: the one of this number, or the first.
+    Cuda(Option<usize>),
 }
 
-impl Device {
-    /// Refuses a device that this build can't render on.
-    pub(crate) fn check(self) -> anyhow::Result<()> {
-        match self {
-            Self::Auto | Self::Cpu => Ok(()),
-            Self::Cuda => Err(Misuse(NO_GPU.to_owned()).into()),
+impl FromStr for Device {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        let ordinal = |number: &str| number.parse().map(|number| Self::Cuda(Some(number)));
+        match text {
+            "auto" => Ok(Self::Auto),
+            "cpu" => Ok(Self::Cpu),
+            "cuda" => Ok(Self::Cuda(None)),
+            _ => text.strip_prefix("cuda:").and_then(|number| ordinal(number).ok()).ok_or_else(|| {
+                "say auto, cpu, cuda (the first GPU) or cuda:N (the GPU of this number, from 0)".to_owned()
+            }),
         }
     }
 }
 
 /// What a command that renders renders on.
-#[derive(Clone, Copy, Debug, Args)]
+#[derive(Clone, Debug, Args)]
 pub(crate) struct RendererArguments {
-    /// What to render on.
+    /// What to render on: auto, cpu, cuda or cuda:N.
     #[arg(long, env = "SDFARM_DEVICE", default_value = "auto")]
     pub(crate) device: Device,
     /// Threads of a CPU renderer [default: one for each core].
@@ -62,13 +71,44 @@ pub(crate) struct RendererArguments {
     /// Vector instructions of a CPU renderer; the picture is the same with each.
     #[arg(long, env = "SDFARM_SIMD", default_value = "auto", value_parser = simd_parser())]
     pub(crate) simd: Simd,
+    #[command(flatten)]
+    pub(crate) cuda: CudaArguments,
+}
+
+/// How a GPU renders.
+#[derive(Clone, Debug, Args)]
+pub(crate) struct CudaArguments {
+    /// Threads of a GPU's blocks, such as 16x8 [default: the fastest for each scene]; the picture is the same with each.
+    #[arg(long, value_name = "COLUMNSxROWS", env = "SDFARM_BLOCK")]
+    block: Option<Shape>,
+    /// Folder where scenes compiled for a GPU are kept [default: in the user's cache].
+    #[arg(long, value_name = "FOLDER", env = "SDFARM_CACHE")]
+    cache: Option<PathBuf>,
+}
+
+impl CudaArguments {
+    /// Starts the GPU of this number.
+    pub(crate) fn renderer(&self, ordinal: usize) -> Result<CudaRenderer, RenderError> {
+        let cache = self.cache.clone().or_else(worker::cuda::default_cache_folder);
+        CudaRenderer::new(ordinal, cache.as_deref(), self.block)
+    }
 }
 
 impl RendererArguments {
-    /// Starts the renderer.
-    pub(crate) fn renderer(&self) -> anyhow::Result<CpuRenderer> {
-        self.device.check()?;
-        Ok(CpuRenderer::new(self.threads.map(|threads| threads as usize), self.simd)?)
+    /// Starts the renderer. Whatever there is will do, if nothing was asked for: a GPU first.
+    pub(crate) fn renderer(&self) -> Result<Arc<dyn Renderer>, RenderError> {
+        let ordinal = match self.device {
+            Device::Cpu => None,
+            Device::Cuda(ordinal) => Some(ordinal.unwrap_or(0)),
+            Device::Auto => worker::cuda::devices().is_ok().then_some(0),
+        };
+        match ordinal.map(|ordinal| self.cuda.renderer(ordinal)) {
+            Some(Ok(gpu)) => return Ok(Arc::new(gpu)),
+            Some(Err(error)) if self.device != Device::Auto => return Err(error),
+            Some(Err(error)) => note(&format!("rendering on the CPU: {error}")),
+            None => {}
+        }
+        Ok(Arc::new(CpuRenderer::new(self.threads.map(|threads| threads as usize), self.simd)?))
     }
 }
 

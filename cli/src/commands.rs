@@ -4,6 +4,7 @@ mod bench;
 mod cancel;
 mod check;
 mod demo;
+mod explain;
 mod fetch;
 mod jobs;
 mod pool;
@@ -47,6 +48,8 @@ pub(crate) enum Command {
     Check(check::Arguments),
     /// Print the JSON Schema of a job file.
     Schema(schema::Arguments),
+    /// Tell what becomes of a job: its size, and the program that a GPU is given.
+    Explain(explain::Arguments),
     /// Measure how fast this machine renders.
     Bench(bench::Arguments),
     /// Check that this machine renders the right bits.
@@ -75,6 +78,7 @@ impl Command {
             Self::Pool(arguments) => run_async(interruptible(pool::run(arguments))),
             Self::Check(arguments) => check::run(&arguments),
             Self::Schema(arguments) => schema::run(&arguments),
+            Self::Explain(arguments) => explain::run(&arguments),
             Self::Bench(arguments) => bench::run(&arguments),
             Self::Selftest(arguments) => selftest::run(&arguments),
             Self::Demo(arguments) => run_async(demo::run(arguments)),

@@ -7,11 +7,17 @@ use crate::terminal::note;
 
 const FAILED: u8 = 1;
 const WRONG: u8 = 2;
+const NO_DEVICE: u8 = 3;
 
 /// Wrong use: a flag or a file that can't be meant. The message names the cure.
 #[derive(Debug, thiserror::Error)]
 #[error("{0}")]
 pub(crate) struct Misuse(pub(crate) String);
+
+/// A worker's device does not render, and will not: there is no sense in starting it again.
+#[derive(Debug, thiserror::Error)]
+#[error("{0}")]
+pub(crate) struct NoDevice(pub(crate) anyhow::Error);
 
 /// A job file that is not one.
 #[derive(Debug, thiserror::Error)]
@@ -67,6 +73,9 @@ fn words(error: &anyhow::Error) -> String {
 fn exit_code(error: &anyhow::Error) -> u8 {
     if error.is::<Misuse>() || error.is::<BadJob>() {
         return WRONG;
+    }
+    if error.is::<NoDevice>() {
+        return NO_DEVICE;
     }
     match error.downcast_ref::<ClientError>() {
         Some(ClientError::Address { .. }) => WRONG,

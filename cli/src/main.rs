@@ -1,5 +1,5 @@
 //! The one binary of sdfarm: reads the command line, starts logs, and turns what went
-//! wrong into words on stderr and an exit code (0 done, 1 failed, 2 wrong use or bad input).
+//! wrong into words on stderr and an exit code (0 done, 1 failed, 2 wrong use or bad input, 3 a worker's device does not render).
 //!
 //! What the commands do is in `commands`; nothing here renders or serves.
 
@@ -30,7 +30,7 @@ Examples:
   sdfarm pool 4                             four workers on this machine
 
 Every flag can be given as a variable: --listen as SDFARM_LISTEN, and so on.
-Exit codes: 0 done, 1 failed, 2 wrong use or bad input.";
+Exit codes: 0 done, 1 failed, 2 wrong use or bad input; of a worker, 3: its device does not render.";
 
 /// A render farm for scenes made of signed distance functions.
 #[derive(Debug, Parser)]

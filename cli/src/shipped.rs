@@ -8,6 +8,7 @@ use crate::failure::Misuse;
 #[folder = "../scenes"]
 #[include = "*.json"]
 #[include = "paper/*.json"]
+#[include = "hashes.txt"]
 struct Scenes;
 
 /// Names of the shipped scenes, sorted: `csg`, `paper/primitives`.
@@ -16,6 +17,14 @@ pub(crate) fn names() -> Vec<String> {
         Scenes::iter().filter_map(|file| file.strip_suffix(".json").map(str::to_owned)).collect();
     names.sort();
     names
+}
+
+/// The hash of one's pixels at full size, with every layer.
+pub(crate) fn hash(name: &str) -> Option<String> {
+    let hashes = Scenes::get("hashes.txt")?;
+    let hashes = std::str::from_utf8(&hashes.data).ok()?;
+    let mut lines = hashes.lines().filter_map(|line| line.split_once(' '));
+    lines.find(|(_, scene)| *scene == name).map(|(hash, _)| hash.to_owned())
 }
 
 /// The job file of one.

@@ -9,6 +9,7 @@ use scene::{Job, Program};
 use serde::Serialize;
 
 use crate::cpu::Packets;
+use crate::cuda::{CudaRenderer, Source};
 use crate::lanes::Lanes;
 use crate::simd::with_instructions;
 use crate::{Cancel, CpuRenderer, RenderError, Renderer, Simd, TileRun};
@@ -45,6 +46,87 @@ pub struct RenderReport {
     pub rays_per_second: f64,
     /// Evaluations a second, at the median.
     pub evaluations_per_second: f64,
+}
+
+/// What rendering a frame took on a GPU.
+#[derive(Clone, Debug, Serialize)]
+pub struct GpuReport {
+    /// The job's name.
+    pub job: String,
+    /// What the GPU's maker calls it.
+    pub gpu: String,
+    /// Printing, compiling and loading the scene's program, in milliseconds; `None` where it was kept on disk.
+    pub compile_ms: Option<f64>,
+    /// Printing and loading it once it is kept, in milliseconds.
+    pub load_ms: f64,
+    /// Threads of a block: 16x8.
+    pub block: String,
+    /// Registers a thread.
+    pub registers: u32,
+    /// Bytes a thread keeps in memory for want of registers.
+    pub local_bytes: u32,
+    /// Share of the GPU's threads that may be resident.
+    pub occupancy: f64,
+    /// Median time of the frame's kernels, in milliseconds.
+    pub kernel_ms: f64,
+    /// Least time of the frame's kernels, in milliseconds.
+    pub least_kernel_ms: f64,
+    /// Median time until the pixels are in this process's memory, in milliseconds.
+    pub median_ms: f64,
+    /// Camera rays a second, in kernels.
+    pub rays_per_second: f64,
+    /// Distances of the whole scene evaluated for the frame.
+    pub evaluations: u64,
+    /// Distances a second, in kernels.
+    pub evaluations_per_second: f64,
+    /// Share of the GPU's most operations a second that go into distances, where their number is fixed.
+    pub peak_share: Option<f64>,
+}
+
+/// Renders a frame of `job` some times on a GPU; `cpu` counts what that takes.
+pub fn render_on_gpu(job: &Job, gpu: &CudaRenderer, cpu: &CpuRenderer, runs: usize) -> Result<GpuReport, RenderError> {
+    let run = TileRun { job, frame: 0, rect: Rect::whole(job.image.width, job.image.height) };
+    let source_time = Instant::now();
+    let source = Source::new(job, 0);
+    let source_time = source_time.elapsed();
+    gpu.forget();
+    let first = gpu.prepare(&run)?;
+    gpu.forget();
+    let again = gpu.prepare(&run)?;
+    let (mut kernels, mut walls) = (Vec::new(), Vec::new());
+    // The first run only warms up.
+    for round in 0..=runs.max(1) {
+        gpu.take_kernel_time();
+        let start = Instant::now();
+        std::hint::black_box(gpu.render(&run, &Cancel::new(), &|_| ())?);
+        if round > 0 {
+            walls.push(start.elapsed().as_secs_f64());
+            kernels.push(gpu.take_kernel_time().as_secs_f64());
+        }
+    }
+    kernels.sort_by(f64::total_cmp);
+    walls.sort_by(f64::total_cmp);
+    let (kernel, wall) = (kernels[kernels.len() / 2], walls[walls.len() / 2]);
+    let evaluations = cpu.evaluations(&run);
+    let rate = evaluations as f64 / kernel;
+    let ms = |time: Duration| (time + source_time).as_secs_f64() * 1e3;
+    Ok(GpuReport {
+        job: job.name.clone(),
+        gpu: gpu.gpu().to_owned(),
+        compile_ms: (!first.was_kept).then(|| ms(first.time)),
+        load_ms: ms(again.time),
+        block: again.shape.to_string(),
+        registers: again.resources.registers,
+        local_bytes: again.resources.local_bytes,
+        occupancy: again.resources.occupancy,
+        kernel_ms: kernel * 1e3,
+        least_kernel_ms: kernels[0] * 1e3,
+        median_ms: wall * 1e3,
+        rays_per_second: job.rays_per_frame() as f64 / kernel,
+        evaluations,
+        evaluations_per_second: rate,
+        peak_share: source.distance_operations.map(|each| rate * each as f64 / gpu.peak_flops()),
+    })
 }
 
 /// Points that fit the first cache together.

@@ -17,7 +17,7 @@ use std::time::{Duration, Instant};
 
 use proto::Rect;
 use rayon::prelude::*;
-use scene::{Image, Job};
+use scene::Image;
 
 use crate::renderer::{Cancel, Pixels, RenderError, Renderer, TileRun};
 use crate::{CpuRenderer, Simd};
@@ -105,7 +105,7 @@ struct Underway {
 /// How a program came to be, and what it is like.
 #[derive(Clone, Copy, Debug)]
 pub struct Compiled {
-    /// Printing, compiling (or reading) and loading it.
+    /// Compiling (or reading) it, loading it, and finding its shape of blocks.
     pub time: Duration,
     /// Whether its machine code was there already.
     pub was_kept: bool,
@@ -156,10 +156,11 @@ impl CudaRenderer {
         std::mem::take(&mut *lock(&self.kernel_time))
     }
 
-    /// Makes the program of a job ready, and tells what it took.
-    pub fn prepare(&self, job: &Job) -> Result<Compiled, RenderError> {
+    /// Makes the program of a tile ready, and tells what that took.
+    pub fn prepare(&self, run: &TileRun<'_>) -> Result<Compiled, RenderError> {
+        let source = Source::new(run.job, run.frame);
         let start = Instant::now();
-        let (program, was_kept) = self.program(&Source::new(job, 0), None).map_err(|trouble| self.failed(&trouble))?;
+        let (program, was_kept) = self.program(&source, run).map_err(|trouble| self.failed(&trouble))?;
         let time = start.elapsed();
         let resources =
             self.device.resources(&program.loaded, program.shape).map_err(|trouble| self.failed(&trouble))?;
@@ -186,7 +187,7 @@ impl CudaRenderer {
     }
 
     /// The program of some text, made if need be; whether its machine code was there already.
-    fn program(&self, source: &Source, sample: Option<&TileRun<'_>>) -> Result<(Arc<Program>, bool), Trouble> {
+    fn program(&self, source: &Source, sample: &TileRun<'_>) -> Result<(Arc<Program>, bool), Trouble> {
         let key = Cache::key(&source.text, self.device.architecture, &self.compiler.version);
         if let Some(program) = lock(&self.programs).get(&key) {
             return Ok((program.clone(), true));
@@ -194,24 +195,20 @@ impl CudaRenderer {
         let kept = self.cache.get(key);
         let was_kept = kept.is_some();
         let program = match kept {
-            Some(Kept { code, shape }) => {
-                Program { loaded: self.device.load(&code)?, shape: self.shape.unwrap_or(shape), known: Mutex::default() }
-            }
+            Some(Kept { code, shape }) => Program {
+                loaded: self.device.load(&code)?,
+                shape: self.shape.unwrap_or(shape),
+                known: Mutex::default(),
+            },
             None => {
                 let code = self
                     .compiler
                     .compile(&source.text, self.device.architecture)
                     .map_err(|trouble| compiler::keep(trouble, &source.text, self.cache.folder()))?;
                 let loaded = self.device.load(&code)?;
-                let shape = match (self.shape, sample) {
-                    (Some(shape), _) => shape,
-                    (None, Some(run)) => self.fastest_shape(&loaded, source, run)?,
-                    (None, None) => SHAPES[0],
-                };
-                if self.shape.is_none() && sample.is_some() {
-                    self.cache.put(key, &Kept { code, shape });
-                }
-                Program { loaded, shape, known: Mutex::default() }
+                let shape = self.fastest_shape(&loaded, source, sample)?;
+                self.cache.put(key, &Kept { code, shape });
+                Program { loaded, shape: self.shape.unwrap_or(shape), known: Mutex::default() }
             }
         };
         let program = Arc::new(program);
@@ -297,7 +294,7 @@ impl CudaRenderer {
         let planes = image.channels().len();
         let numbers = rects.iter().map(|rect| rect.pixels() as usize).sum::<usize>() * planes;
         let _launching = lock(&self.launching);
-        let (program, _) = self.program(source, runs.get(runs.len() / 2))?;
+        let (program, _) = self.program(source, &runs[runs.len() / 2])?;
         let mut buffer = self.take_buffer(numbers)?;
         let mut known = lock(&program.known);
         if known.numbers.as_ref() != Some(&source.parameters) {
@@ -312,7 +309,8 @@ impl CudaRenderer {
         loop {
             let part = if cancel.is_cancelled() { None } else { launches.next(&known.cost) };
             if let Some(part) = part {
-                flying.push_back((part, self.device.launch(&program.loaded, program.shape, &tiles, part, &mut buffer)?));
+                flying
+                    .push_back((part, self.device.launch(&program.loaded, program.shape, &tiles, part, &mut buffer)?));
             }
             // One runs while the next waits its turn.
             if flying.len() == 2 || part.is_none() {

@@ -99,6 +99,37 @@ impl Operation {
         matches!(self, Self::Literal(_) | Self::Parameter(_))
     }
 
+    /// See [`Tape::operations`].
+    fn cost(self) -> u64 {
+        match self {
+            Self::Add | Self::Subtract | Self::Multiply | Self::Least | Self::Greatest | Self::Floor => 1,
+            Self::MultiplyAdd => 2,
+            Self::Root => 7,
+            Self::Divide => 10,
+            Self::Literal(_)
+            | Self::Parameter(_)
+            | Self::Argument
+            | Self::Returned
+            | Self::Variable
+            | Self::Negate
+            | Self::Absolute
+            | Self::Less
+            | Self::And
+            | Self::Or
+            | Self::Not
+            | Self::Select
+            | Self::ToBits
+            | Self::FromBits
+            | Self::AddWords
+            | Self::MultiplyWords
+            | Self::Xor
+            | Self::AndWords
+            | Self::OrWords
+            | Self::ShiftUp
+            | Self::ShiftDown => 0,
+        }
+    }
+
     /// Whether its two operands may change places.
     fn is_symmetric(self) -> bool {
         matches!(
@@ -163,6 +194,19 @@ impl Tape {
     /// The numbers of the scene, by their bits, in the order of their use.
     pub fn parameters(&self) -> &[u32] {
         &self.parameters
+    }
+
+    /// Operations on numbers that one call of a step takes, a fused one counted twice, a root as 7
+    /// and a quotient as 10 (what they are made of on a GPU); `None` if it has loops or branches.
+    pub fn operations(&self, step: &str) -> Option<u64> {
+        let function = self.functions.iter().find(|function| function.name == step)?;
+        let of_statement = |statement: &Statement| match statement {
+            Statement::Define(id) => Some(self.definition(*id).operation.cost()),
+            Statement::Note(_) => Some(0),
+            Statement::Call { function, .. } => self.operations(self.functions[*function].name),
+            Statement::When { .. } | Statement::Repeat { .. } => None,
+        };
+        function.body.iter().map(of_statement).sum()
     }
 
     fn definition(&self, id: Id) -> Definition {

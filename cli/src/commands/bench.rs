@@ -8,10 +8,10 @@ use clap::Args;
 use clap::builder::{PossibleValuesParser, TypedValueParser};
 use scene::Job;
 use serde::Serialize;
-use worker::bench::{PointsReport, RenderReport, points, render};
-use worker::{RenderError, Simd};
+use worker::bench::{GpuReport, PointsReport, RenderReport, points, render, render_on_gpu};
+use worker::{CpuRenderer, RenderError, Simd};
 
-use crate::arguments::MAX_THREADS;
+use crate::arguments::{CudaArguments, Device, MAX_THREADS};
 use crate::job_file::JobFile;
 use crate::shipped;
 use crate::terminal::{note, say};
@@ -31,6 +31,11 @@ pub(crate) struct Arguments {
     /// Measure distances a second only, and render nothing.
     #[arg(long, env = "SDFARM_POINTS", value_parser = clap::builder::FalseyValueParser::new(), action = clap::ArgAction::SetTrue)]
     points: bool,
+    /// What to measure: cpu, or cuda or cuda:N for a GPU.
+    #[arg(long, env = "SDFARM_DEVICE", default_value = "cpu")]
+    device: Device,
+    #[command(flatten)]
+    cuda: CudaArguments,
     /// Threads that render [default: one for each core].
     #[arg(long, value_name = "N", env = "SDFARM_THREADS", value_parser = clap::value_parser!(u32).range(1..=i64::from(MAX_THREADS)))]
     threads: Option<u32>,
@@ -54,6 +59,7 @@ struct Levels(Vec<Simd>);
 struct Reports {
     points: Vec<PointsReport>,
     renders: Vec<RenderReport>,
+    gpu_renders: Vec<GpuReport>,
 }
 
 /// Measures it.
@@ -62,6 +68,13 @@ pub(crate) fn run(arguments: &Arguments) -> anyhow::Result<()> {
     let names = if arguments.jobs.is_empty() { names.as_slice() } else { &arguments.jobs };
     let jobs = names.iter().map(|name| read(name)).collect::<anyhow::Result<Vec<Job>>>()?;
     let mut reports = Reports::default();
+    if let Device::Cuda(ordinal) = arguments.device {
+        let (gpu, cpu) = (arguments.cuda.renderer(ordinal.unwrap_or(0))?, CpuRenderer::new(None, Simd::Auto)?);
+        for job in &jobs {
+            reports.gpu_renders.push(render_on_gpu(job, &gpu, &cpu, arguments.runs as usize)?);
+        }
+        return if arguments.json { say(&serde_json::to_string_pretty(&reports)?) } else { gpu_table(&reports) };
+    }
     for job in &jobs {
         for &level in &arguments.simd.0 {
             match measure(job, level, arguments, &mut reports) {
@@ -92,6 +105,31 @@ fn measure(job: &Job, level: Simd, arguments: &Arguments, reports: &mut Reports)
     if !arguments.points {
         let threads = arguments.threads.map(|threads| threads as usize);
         reports.renders.push(render(job, level, threads, arguments.runs as usize)?);
+    }
+    Ok(())
+}
+
+fn gpu_table(reports: &Reports) -> anyhow::Result<()> {
+    for report in &reports.gpu_renders {
+        let GpuReport { job, gpu, block, registers, local_bytes, occupancy, .. } = report;
+        let compiled = report.compile_ms.map_or("was kept".to_owned(), |ms| format!("{ms:.1} ms"));
+        let share = report.peak_share.map_or_else(|| "-".to_owned(), |share| format!("{:.1} %", share * 100.0));
+        say(&format!("{job} on {gpu}"))?;
+        say(&format!("  program       compiled {compiled}, loaded {:.1} ms", report.load_ms))?;
+        say(&format!(
+            "  resources     blocks {block}, {registers} registers, {local_bytes} bytes spilled, occupancy {:.0} %",
+            occupancy * 100.0
+        ))?;
+        say(&format!(
+            "  frame         kernels {:.3} ms (least {:.3}), pixels here after {:.2} ms",
+            report.kernel_ms, report.least_kernel_ms, report.median_ms
+        ))?;
+        say(&format!(
+            "  rates         {:.2} G rays/s, {:.1} M evaluations, {:.1} G evaluations/s, {share} of the fp32 peak\n",
+            report.rays_per_second / 1e9,
+            report.evaluations as f64 / 1e6,
+            report.evaluations_per_second / 1e9
+        ))?;
     }
     Ok(())
 }

@@ -69,7 +69,7 @@ pub(crate) fn run(arguments: &Arguments) -> anyhow::Result<()> {
     stopper.remove_in_haste(Some(output.temporary_path()));
     let progress = if arguments.json { Progress::silent() } else { Progress::new(&job.name, rays(&job)) };
 
-    let times = render(&renderer, &job, arguments, &mut output, &cancel, &progress);
+    let times = render(&*renderer, &job, arguments, &mut output, &cancel, &progress);
     progress.finish();
     if cancel.is_cancelled() {
         anyhow::bail!("interrupted: nothing was written");

@@ -1,72 +1,178 @@
-//! `sdfarm selftest`: whether this machine renders the right bits, at every SIMD level it has.
+//! `sdfarm selftest`: whether this machine renders the right bits.
 
 use std::time::Instant;
 
 use anyhow::Context;
-use clap::Args;
-use proto::Rect;
+use clap::{Args, ValueEnum};
+use proto::tile::Tiling;
 use scene::{Image, Job, Layer};
 use worker::{Cancel, CpuRenderer, Pixels, RenderError, Renderer, Simd, TileRun};
 
-use crate::arguments::Device;
+use crate::arguments::{Device, RendererArguments};
 use crate::shipped;
 use crate::terminal::say;
 
-const SCENES: [&str; 3] = ["csg", "five-spheres", "mandelbulb"];
 const LEVELS: [Simd; 4] = [Simd::Scalar, Simd::Sse42, Simd::Avx2, Simd::Avx512];
-const WIDTH_PX: u32 = 96;
-const SAMPLES: u32 = 2;
+const LAYERS: [Layer; 6] = [Layer::Depth, Layer::Normal, Layer::Position, Layer::Albedo, Layer::Object, Layer::Steps];
 
 /// Arguments of `selftest`.
 #[derive(Debug, Args)]
 pub(crate) struct Arguments {
-    /// What to test.
-    #[arg(long, env = "SDFARM_DEVICE", default_value = "cpu")]
-    device: Device,
+    /// Names of shipped scenes [default: all; three of them for --against levels].
+    #[arg(value_name = "SCENE")]
+    scenes: Vec<String>,
+    /// What the pixels must equal [default: levels on a CPU, hashes on a GPU].
+    #[arg(long, env = "SDFARM_AGAINST")]
+    against: Option<Against>,
+    /// Edge of the tiles it renders, in pixels [default: as a server would cut them].
+    #[arg(long, value_name = "PIXELS", env = "SDFARM_TILE", value_parser = clap::value_parser!(u32).range(1..))]
+    tile: Option<u32>,
+    /// Print the hashes of the pixels instead of comparing them, as scenes/hashes.txt holds them.
+    #[arg(long, hide = true)]
+    print: bool,
+    #[command(flatten)]
+    renderer: RendererArguments,
 }
 
-/// Renders small pictures at every level and compares them with the scalar one, bit by bit.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+enum Against {
+    /// Small pictures, rendered at every SIMD level that this CPU has.
+    Levels,
+    /// Full-size pictures, by the hashes that come with this program.
+    Hashes,
+    /// Full-size pictures, rendered by this machine's CPU.
+    Cpu,
+}
+
+/// Renders shipped scenes and compares every bit.
 pub(crate) fn run(arguments: &Arguments) -> anyhow::Result<()> {
-    arguments.device.check()?;
-    let mut wrong = 0;
-    say(&format!("{:<14} {:<8} {:>9}  bits", "scene", "level", "ms"))?;
-    for name in SCENES {
-        let job = small(scene::parse(&shipped::job_file(name)?).context("a shipped scene is damaged")?);
-        let mut reference: Option<Pixels> = None;
-        for level in LEVELS {
-            let (verdict, ms) = match render(&job, level) {
-                Ok((pixels, ms)) => {
-                    let differing = reference.as_ref().map_or(0, |reference| differing(reference, &pixels));
-                    wrong += differing;
-                    reference.get_or_insert(pixels);
-                    (if differing == 0 { "equal".to_owned() } else { format!("{differing} values differ") }, ms)
-                }
-                Err(RenderError::Unavailable { .. }) => ("not on this machine".to_owned(), 0.0),
-                Err(other) => return Err(other.into()),
-            };
-            say(&format!("{name:<14} {:<8} {ms:>9.1}  {verdict}", level.to_string()))?;
-        }
-    }
-    anyhow::ensure!(wrong == 0, "this machine does not render the right bits: let it render for no farm");
+    let against = arguments.against.unwrap_or(match arguments.renderer.device {
+        Device::Cpu | Device::Auto => Against::Levels,
+        Device::Cuda(_) => Against::Hashes,
+    });
+    let differing = match against {
+        Against::Levels if !arguments.print => compare_levels(arguments)?,
+        _ => compare_whole(arguments, against)?,
+    };
+    anyhow::ensure!(differing == 0, "this machine does not render the right bits: let it render for no farm");
     Ok(())
 }
 
-/// The job in a size that takes a moment, with every layer.
-fn small(job: Job) -> Job {
-    let height = (job.image.height * WIDTH_PX / job.image.width).max(1);
-    let layers = vec![Layer::Depth, Layer::Normal, Layer::Position, Layer::Albedo, Layer::Object, Layer::Steps];
-    Job { image: Image { width: WIDTH_PX, height, samples: SAMPLES, layers, ..job.image }, ..job }
+/// Renders full-size pictures; how many of them differ.
+fn compare_whole(arguments: &Arguments, against: Against) -> anyhow::Result<usize> {
+    let renderer = arguments.renderer.renderer()?;
+    let cpu = CpuRenderer::new(None, Simd::Auto)?;
+    let all = shipped::names();
+    let names = if arguments.scenes.is_empty() { &all } else { &arguments.scenes };
+    let mut differing = 0;
+    for name in names {
+        let job = with_layers(job(name)?, None);
+        let start = Instant::now();
+        let tiles = render(&*renderer, &job, arguments.tile)?;
+        let ms = start.elapsed().as_secs_f64() * 1e3;
+        if arguments.print {
+            say(&format!("{} {name}", hash(&job, &tiles)))?;
+            continue;
+        }
+        let (bytes, wrong) = match against {
+            Against::Cpu => compared(&tiles, &render(&cpu, &job, arguments.tile)?),
+            Against::Hashes | Against::Levels => {
+                let bytes = job.image.pixels() * u64::from(job.image.pixel_bytes());
+                (bytes, u64::from(shipped::hash(name).as_deref() != Some(hash(&job, &tiles).as_str())) * bytes)
+            }
+        };
+        differing += usize::from(wrong != 0);
+        let verdict = match (wrong, against) {
+            (0, _) => "equal".to_owned(),
+            (_, Against::Cpu) => format!("{wrong} BYTES DIFFER"),
+            (_, Against::Hashes | Against::Levels) => "DIFFERENT".to_owned(),
+        };
+        let device = renderer.device();
+        say(&format!("{name:<22} {device:<8} {ms:>9.1} ms {:>8.1} MB  {verdict}", bytes as f64 / 1e6))?;
+    }
+    Ok(differing)
 }
 
-fn render(job: &Job, level: Simd) -> Result<(Pixels, f64), RenderError> {
-    let renderer = CpuRenderer::new(None, level)?;
-    let run = TileRun { job, frame: 0, rect: Rect::whole(job.image.width, job.image.height) };
-    let start = Instant::now();
-    let pixels = renderer.render(&run, &Cancel::new(), &|_| {})?;
-    Ok((pixels, start.elapsed().as_secs_f64() * 1e3))
+/// Renders small pictures at every level and compares them with the scalar one; how many values differ.
+fn compare_levels(arguments: &Arguments) -> anyhow::Result<usize> {
+    let few = ["csg", "five-spheres", "mandelbulb"].map(str::to_owned);
+    let names = if arguments.scenes.is_empty() { few.as_slice() } else { &arguments.scenes };
+    let mut wrong = 0;
+    say(&format!("{:<22} {:<8} {:>9}  bits", "scene", "level", "ms"))?;
+    for name in names {
+        let job = with_layers(job(name)?, Some(96));
+        let mut reference: Option<Vec<Pixels>> = None;
+        for level in LEVELS {
+            let start = Instant::now();
+            let rendered = CpuRenderer::new(None, level).and_then(|renderer| render(&renderer, &job, None));
+            let ms = start.elapsed().as_secs_f64() * 1e3;
+            let verdict = match rendered {
+                Ok(tiles) => {
+                    let (_, differing) = reference.as_ref().map_or((0, 0), |reference| compared(&tiles, reference));
+                    wrong += differing as usize;
+                    reference.get_or_insert(tiles);
+                    if differing == 0 { "equal".to_owned() } else { format!("{differing} bytes differ") }
+                }
+                Err(RenderError::Unavailable { .. }) => "not on this machine".to_owned(),
+                Err(other) => return Err(other.into()),
+            };
+            say(&format!("{name:<22} {:<8} {ms:>9.1}  {verdict}", level.to_string()))?;
+        }
+    }
+    Ok(wrong)
 }
 
-fn differing(want: &Pixels, got: &Pixels) -> usize {
-    let bits = |pixels: &Pixels| pixels.planes.iter().flatten().map(|value| value.to_bits()).collect::<Vec<_>>();
-    bits(want).iter().zip(bits(got)).filter(|(want, got)| **want != *got).count()
+fn job(name: &str) -> anyhow::Result<Job> {
+    scene::parse(&shipped::job_file(name)?).context("a shipped scene is damaged")
+}
+
+/// The job with every layer; in a size that takes a moment, if a width is given.
+fn with_layers(job: Job, width: Option<u32>) -> Job {
+    let layers = LAYERS.to_vec();
+    let image = match width {
+        None => Image { layers, ..job.image },
+        Some(width) => {
+            let height = (job.image.height * width / job.image.width).max(1);
+            Image { layers, width, height, samples: 2, ..job.image }
+        }
+    };
+    Job { image, ..job }
+}
+
+fn render(renderer: &dyn Renderer, job: &Job, edge: Option<u32>) -> Result<Vec<Pixels>, RenderError> {
+    let image = &job.image;
+    let (width, height, samples, pixel_bytes) = (image.width, image.height, image.samples, image.pixel_bytes());
+    let rects = Tiling { width, height, samples, pixel_bytes, edge }.tiles();
+    let runs: Vec<TileRun<'_>> = rects.into_iter().map(|rect| TileRun { job, frame: 0, rect }).collect();
+    renderer.render_all(&runs, &Cancel::new(), &|_| {})
+}
+
+/// How many bytes there are, and how many differ.
+fn compared(got: &[Pixels], want: &[Pixels]) -> (u64, u64) {
+    let bytes = |tiles: &[Pixels]| {
+        let values = tiles.iter().flat_map(|tile| tile.planes.iter().flatten());
+        values.flat_map(|value| value.to_le_bytes()).collect::<Vec<u8>>()
+    };
+    let (got, want) = (bytes(got), bytes(want));
+    let differing = got.iter().zip(&want).filter(|(got, want)| got != want).count();
+    (got.len() as u64, (differing + got.len().abs_diff(want.len())) as u64)
+}
+
+/// A hash of all pixels that does not depend on how they were cut into tiles.
+fn hash(job: &Job, tiles: &[Pixels]) -> String {
+    let (width, length) = (job.image.width as usize, job.image.pixels() as usize);
+    let mut hasher = blake3::Hasher::new();
+    for plane in 0..job.image.channels().len() {
+        let mut whole = vec![0; length * size_of::<f32>()];
+        for tile in tiles {
+            let rows = tile.planes[plane].chunks_exact(tile.rect.width as usize);
+            for (y, row) in (tile.rect.y as usize..).zip(rows) {
+                let start = (y * width + tile.rect.x as usize) * size_of::<f32>();
+                let place = whole[start..].chunks_exact_mut(size_of::<f32>());
+                place.zip(row).for_each(|(bytes, value)| bytes.copy_from_slice(&value.to_le_bytes()));
+            }
+        }
+        hasher.update(&whole);
+    }
+    hasher.finalize().to_hex()[..32].to_owned()
 }

@@ -9,7 +9,7 @@ use clap::Args;
 use proto::pool::MAX_POOL_WORKERS;
 use server::{Config, Server};
 use tokio_util::sync::CancellationToken;
-use worker::{CpuRenderer, Simd};
+use worker::{CpuRenderer, RenderError, Simd};
 
 use crate::arguments::{Device, MAX_THREADS, simd_parser};
 use crate::signals::Signals;
@@ -27,7 +27,7 @@ pub(crate) struct Arguments {
     /// Workers on this machine [default: one a GPU, else one with every core].
     #[arg(long, value_name = "N", env = "SDFARM_WORKERS", value_parser = clap::value_parser!(u32).range(0..=i64::from(MAX_POOL_WORKERS)))]
     workers: Option<u32>,
-    /// What they render on; with several GPUs the workers take them in turn.
+    /// What they render on: auto, cpu, cuda or cuda:N; with several GPUs the workers take them in turn.
     #[arg(long, env = "SDFARM_DEVICE", default_value = "auto")]
     device: Device,
     /// Vector instructions they use; the pictures are the same with each.
@@ -56,7 +56,7 @@ impl Arguments {
             listen: self.listen,
             data: self.data,
             workers: self.workers,
-            devices: devices(self.device),
+            devices: devices(self.device)?,
             simd: self.simd.to_string(),
             threads: self.threads.map(|threads| threads as usize),
             tile_px: self.tile,
@@ -71,7 +71,6 @@ impl Arguments {
 
 /// Serves until SIGINT or SIGTERM.
 pub(crate) async fn run(arguments: Arguments) -> anyhow::Result<()> {
-    arguments.device.check()?;
     // What no worker could do is told here, not by each of them.
     CpuRenderer::new(Some(1), arguments.simd)?;
     let signals = Signals::catch()?;
@@ -90,15 +89,13 @@ pub(crate) fn own_program() -> anyhow::Result<PathBuf> {
 }
 
 /// What the local workers render on, in turn: each GPU, else the processor.
-fn devices(device: Device) -> Vec<String> {
-    let gpus = match device {
-        Device::Auto | Device::Cuda => gpus(),
-        Device::Cpu => 0,
-    };
-    if gpus == 0 { vec!["cpu".to_owned()] } else { (0..gpus).map(|gpu| format!("cuda:{gpu}")).collect() }
-}
-
-/// GPUs of this machine that a worker can render on.
-fn gpus() -> usize {
-    0
+fn devices(device: Device) -> Result<Vec<String>, RenderError> {
+    let cpu = || vec!["cpu".to_owned()];
+    let each = |count: usize| (0..count).map(|gpu| format!("cuda:{gpu}")).collect();
+    match device {
+        Device::Cpu => Ok(cpu()),
+        Device::Auto => Ok(worker::cuda::devices().map_or_else(|_| cpu(), each)),
+        Device::Cuda(None) => worker::cuda::devices().map(each),
+        Device::Cuda(Some(gpu)) => worker::cuda::devices().map(|_| vec![format!("cuda:{gpu}")]),
+    }
 }

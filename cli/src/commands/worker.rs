@@ -1,13 +1,12 @@
 //! `sdfarm worker`: renders for a server.
 
-use std::sync::Arc;
-
 use clap::Args;
 use proto::work::TOKEN_VARIABLE;
 use tokio_util::sync::CancellationToken;
-use worker::agent::{self, AgentConfig};
+use worker::agent::{self, AgentConfig, AgentError};
 
 use crate::arguments::RendererArguments;
+use crate::failure::NoDevice;
 use crate::signals::Signals;
 
 /// Arguments of `worker`.
@@ -30,7 +29,7 @@ pub(crate) struct Arguments {
 pub(crate) async fn run(arguments: Arguments) -> anyhow::Result<()> {
     let signals = Signals::catch()?;
     let shutdown = CancellationToken::new();
-    let renderer = Arc::new(arguments.renderer.renderer()?);
+    let renderer = arguments.renderer.renderer().map_err(|error| NoDevice(error.into()))?;
     let config = AgentConfig {
         token: std::env::var(TOKEN_VARIABLE).ok(),
         // A killed server leaves no worker behind: its end of the pipe closes, whatever killed it.
@@ -38,8 +37,10 @@ pub(crate) async fn run(arguments: Arguments) -> anyhow::Result<()> {
         ..AgentConfig::new(arguments.server, arguments.name.unwrap_or_else(own_name))
     };
     signals.stop_gracefully(shutdown.clone());
-    agent::run(config, renderer, shutdown).await?;
-    Ok(())
+    match agent::run(config, renderer, shutdown).await {
+        Err(retired @ AgentError::Retired { .. }) => Err(NoDevice(retired.into()).into()),
+        ended => Ok(ended?),
+    }
 }
 
 fn own_name() -> String {

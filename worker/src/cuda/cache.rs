@@ -98,7 +98,10 @@ mod tests {
         assert_eq!((kept.code, kept.shape), (vec![1, 2, 3], shape));
         let path = cache.path(key).expect("there is a folder");
         let mut bytes = std::fs::read(&path).expect("it can be read");
-        for damaged in [bytes[..20].to_vec(), { bytes[41] ^= 1; bytes.clone() }] {
+        for damaged in [bytes[..20].to_vec(), {
+            bytes[41] ^= 1;
+            bytes.clone()
+        }] {
             std::fs::write(&path, damaged).expect("it can be written");
             assert!(cache.get(key).is_none());
         }

@@ -116,7 +116,8 @@ impl Program {
 /// Writes a program that was refused beside what the compiler said of it.
 pub(super) fn keep(trouble: Trouble, text: &str, folder: Option<&Path>) -> Trouble {
     let Trouble::Compile { log, .. } = trouble else { return trouble };
-    let path = folder.map(|folder| folder.join(format!("refused-{}.cu", &blake3::hash(text.as_bytes()).to_hex()[..16])));
+    let path =
+        folder.map(|folder| folder.join(format!("refused-{}.cu", &blake3::hash(text.as_bytes()).to_hex()[..16])));
     let commented: String = log.lines().map(|line| format!("// {line}\n")).collect();
     let kept = path.filter(|path| std::fs::write(path, format!("{text}\n{commented}")).is_ok());
     Trouble::Compile { log, kept }

@@ -16,7 +16,7 @@ use cudarc::nvrtc::Ptx;
 use super::trouble::Trouble;
 
 /// Every function of the driver that is called, by cudarc for us.
-const FUNCTIONS: [&str; 38] = [
+const FUNCTIONS: [&str; 37] = [
     "cuInit",
     "cuDriverGetVersion",
     "cuGetErrorName",
@@ -29,7 +29,6 @@ const FUNCTIONS: [&str; 38] = [
     "cuDevicePrimaryCtxRelease_v2",
     "cuCtxGetCurrent",
     "cuCtxSetCurrent",
-    "cuCtxSynchronize",
     "cuStreamCreate",
     "cuStreamDestroy_v2",
     "cuStreamSynchronize",
@@ -64,6 +63,28 @@ pub struct Shape {
     pub columns: u32,
     /// Threads one below the other.
     pub rows: u32,
+}
+
+/// Text that is no shape of blocks.
+#[derive(Debug, thiserror::Error)]
+#[error("say columns x rows of threads, such as 16x8, at most 1024 in all")]
+pub struct NoShape;
+
+impl std::str::FromStr for Shape {
+    type Err = NoShape;
+
+    fn from_str(text: &str) -> Result<Self, NoShape> {
+        let (columns, rows) = text.split_once('x').ok_or(NoShape)?;
+        let number = |text: &str| text.parse().ok().filter(|number| (1..=1024).contains(number));
+        let shape = Self { columns: number(columns).ok_or(NoShape)?, rows: number(rows).ok_or(NoShape)? };
+        if shape.threads() <= 1024 { Ok(shape) } else { Err(NoShape) }
+    }
+}
+
+impl std::fmt::Display for Shape {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        write!(f, "{}x{}", self.columns, self.rows)
+    }
 }
 
 impl Shape {
@@ -303,18 +324,13 @@ impl Device {
         wait().map_err(Trouble::of("copy pixels from the GPU"))
     }
 
-    /// Waits until nothing runs any more.
-    pub(super) fn settle(&self) -> Result<(), Trouble> {
-        let wait = || self.compute.synchronize().and_then(|()| self.copies.synchronize());
-        wait().map_err(Trouble::of("wait for the GPU"))
-    }
-
     /// What a program takes, and how full blocks of a shape keep the GPU.
     pub(super) fn resources(&self, program: &Loaded, shape: Shape) -> Result<Resources, Trouble> {
         let look = || {
             let threads = shape.threads();
             let blocks = program.render.occupancy_max_active_blocks_per_multiprocessor(threads, 0, None)?;
-            let most = self.context.attribute(CUdevice_attribute::CU_DEVICE_ATTRIBUTE_MAX_THREADS_PER_MULTIPROCESSOR)?;
+            let most =
+                self.context.attribute(CUdevice_attribute::CU_DEVICE_ATTRIBUTE_MAX_THREADS_PER_MULTIPROCESSOR)?;
             Ok(Resources {
                 registers: u32::try_from(program.render.num_regs()?).unwrap_or(0),
                 local_bytes: u32::try_from(program.render.local_size_bytes()?).unwrap_or(0),

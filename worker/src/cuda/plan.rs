@@ -18,7 +18,15 @@ pub(super) fn lay_out(rects: &[Rect], planes: usize, shape: Shape) -> (Vec<Devic
         .iter()
         .map(|rect| {
             let columns = rect.width.div_ceil(shape.columns);
-            let tile = DeviceTile { x: rect.x, y: rect.y, width: rect.width, height: rect.height, first_block, columns, start };
+            let tile = DeviceTile {
+                x: rect.x,
+                y: rect.y,
+                width: rect.width,
+                height: rect.height,
+                first_block,
+                columns,
+                start,
+            };
             first_block += columns * rect.height.div_ceil(shape.rows);
             start += rect.pixels() * planes as u64;
             tile

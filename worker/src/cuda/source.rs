@@ -20,6 +20,8 @@ pub struct Source {
     pub parameters: Vec<u32>,
     /// How many statements the picture's steps have.
     pub statements: usize,
+    /// Operations on numbers for one distance of the scene, where that is a fixed number.
+    pub distance_operations: Option<u64>,
 }
 
 impl Source {
@@ -34,12 +36,8 @@ impl Source {
             text: format!("#define NUMBERS {numbers}\n{has_layers}{before}{}{write_layers}{after}", steps.code),
             parameters: tape.parameters().to_vec(),
             statements: steps.statements,
+            distance_operations: tape.operations("distance"),
         }
-    }
-
-    /// The steps of the picture alone, for people.
-    pub fn steps(job: &Job, frame: u32) -> String {
-        picture(&Program::new(job, frame), &job.image).text().code
     }
 }
 

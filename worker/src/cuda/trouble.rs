@@ -31,7 +31,9 @@ pub enum Trouble {
         count: usize,
     },
     /// There is no run-time compiler.
-    #[error("CUDA's run-time compiler is missing (libnvrtc): install the package cuda-nvrtc, or put its folder on LD_LIBRARY_PATH")]
+    #[error(
+        "CUDA's run-time compiler is missing (libnvrtc): install the package cuda-nvrtc, or put its folder on LD_LIBRARY_PATH"
+    )]
     NoCompiler,
     /// The compiler lacks something.
     #[error("CUDA's run-time compiler is too old: it lacks {missing}; install cuda-nvrtc 12 or newer")]
@@ -40,7 +42,9 @@ pub enum Trouble {
         missing: &'static str,
     },
     /// The compiler does not know this GPU.
-    #[error("CUDA's run-time compiler {version} can't compile for this GPU (sm_{architecture}): install a newer cuda-nvrtc")]
+    #[error(
+        "CUDA's run-time compiler {version} can't compile for this GPU (sm_{architecture}): install a newer cuda-nvrtc"
+    )]
     UnknownArchitecture {
         /// The compiler's version: 12.4.
         version: String,
@@ -64,13 +68,17 @@ pub enum Trouble {
         most: u32,
     },
     /// The GPU has not enough memory.
-    #[error("the GPU is out of memory for {bytes} bytes of pixels: close what else uses it, or render smaller tiles (--tile)")]
+    #[error(
+        "the GPU is out of memory for {bytes} bytes of pixels: close what else uses it, or render smaller tiles (--tile)"
+    )]
     OutOfMemory {
         /// What was asked for.
         bytes: usize,
     },
     /// It renders, and not the right bits.
-    #[error("the GPU renders wrong bits: {differing} of {values} values of the self-test differ; let it render for no farm")]
+    #[error(
+        "the GPU renders wrong bits: {differing} of {values} values of the self-test differ; let it render for no farm"
+    )]
     WrongBits {
         /// Values that differ.
         differing: usize,
