@@ -55,11 +55,12 @@ impl Picture {
         }
     }
 
-    /// Writes the file, pulling its rows from `source` a band at a time.
+    /// Writes the file, pulling its rows from `source` a band at a time, on the threads of the
+    /// pool it is called on.
     pub fn write(
         &self,
         source: &mut dyn Source,
-        out: &mut (impl Write + Seek),
+        out: &mut (impl Write + Seek + Send),
         cancel: &Cancel,
     ) -> Result<(), ImageError> {
         match self.format {

@@ -50,7 +50,7 @@ impl Band {
 }
 
 /// Where a picture's rows come from.
-pub trait Source {
+pub trait Source: Send {
     /// Reads these rows into the band, whatever it held.
     fn read(&mut self, rows: Range<u32>, band: &mut Band) -> Result<(), StitchError>;
 }
@@ -94,7 +94,7 @@ impl<F: Read + Seek> Blobs<F> {
     }
 }
 
-impl<F: Read + Seek> Source for Blobs<F> {
+impl<F: Read + Seek + Send> Source for Blobs<F> {
     fn read(&mut self, rows: Range<u32>, band: &mut Band) -> Result<(), StitchError> {
         band.reset(rows);
         let mut covered = 0;

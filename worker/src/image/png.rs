@@ -1,10 +1,14 @@
 //! PNG: 8 or 16 bits, sRGB, straight alpha.
 //!
+//! Rows are made in parallel, a band at a time; meanwhile the band before is compressed, in
+//! order: that takes 3 to 5 ms for 1920×1080, the rest 10 by all threads together.
+//!
 //! Compression is fdeflate's, chosen by name: it depends on no other crate's features,
 //! as flate2's levels do. Every row is filtered by Paeth, 3 ms for 1920×1080; the
 //! adaptive choice takes 12 and saves a hundredth.
 
 use std::io::Write;
+use std::ops::Range;
 
 use png::{BitDepth, ColorType, DeflateCompression, Encoder, Filter, SrgbRenderingIntent};
 use rayon::prelude::*;
@@ -13,7 +17,7 @@ use scene::Bits;
 use super::provenance::KEYWORD;
 use super::{ImageError, Picture};
 use crate::renderer::Cancel;
-use crate::stitch::{Band, Source};
+use crate::stitch::{Band, Source, StitchError};
 
 /// Rows pulled at a time.
 pub const BAND_ROWS: u32 = 64;
@@ -22,7 +26,7 @@ pub const BAND_ROWS: u32 = 64;
 pub fn write(
     picture: &Picture,
     source: &mut dyn Source,
-    out: &mut impl Write,
+    out: &mut (impl Write + Send),
     cancel: &Cancel,
     band_rows: u32,
 ) -> Result<(), ImageError> {
@@ -40,28 +44,58 @@ pub fn write(
     let mut header = encoder.write_header()?;
     let mut stream = header.stream_writer_with_size(CHUNK_BYTES)?;
 
-    let mut band = Band::new(picture.width, picture.channels.len());
-    let mut bytes = Vec::new();
-    for top in (0..picture.height).step_by(band_rows as usize) {
+    let mut rows = Rows { layout, source, band: Band::new(picture.width, picture.channels.len()) };
+    let (mut ready, mut next) = (Vec::new(), Vec::new());
+    let mut bands = bands(picture.height, band_rows);
+    rows.encode(bands.next(), &mut ready)?;
+    while !ready.is_empty() {
         if cancel.is_cancelled() {
             return Err(ImageError::Cancelled);
         }
-        let rows = top..top.saturating_add(band_rows).min(picture.height);
-        bytes.resize(rows.len() * layout.row_bytes(), 0);
-        source.read(rows, &mut band)?;
-        bytes
-            .par_chunks_exact_mut(layout.row_bytes())
-            .enumerate()
-            .for_each_init(Vec::new, |samples, (row, bytes)| layout.encode_row(&band, row, samples, bytes));
-        stream.write_all(&bytes)?;
+        let (written, encoded) = rayon::join(|| stream.write_all(&ready), || rows.encode(bands.next(), &mut next));
+        written?;
+        encoded?;
+        std::mem::swap(&mut ready, &mut next);
     }
     stream.finish()?;
     header.finish()?;
     Ok(())
 }
 
+fn bands(height: u32, band_rows: u32) -> impl Iterator<Item = Range<u32>> + Send {
+    (0..height).step_by(band_rows as usize).map(move |top| top..top.saturating_add(band_rows).min(height))
+}
+
+/// A picture's rows on their way to bytes.
+struct Rows<'a> {
+    layout: Layout,
+    source: &'a mut dyn Source,
+    band: Band,
+}
+
+impl Rows<'_> {
+    /// The bytes of these rows; none if there are no more rows.
+    fn encode(&mut self, rows: Option<Range<u32>>, bytes: &mut Vec<u8>) -> Result<(), StitchError> {
+        let Some(rows) = rows else {
+            bytes.clear();
+            return Ok(());
+        };
+        let Self { layout, source, band } = self;
+        bytes.resize(rows.len() * layout.row_bytes(), 0);
+        source.read(rows, band)?;
+        bytes
+            .par_chunks_exact_mut(layout.row_bytes())
+            .enumerate()
+            .for_each_init(Vec::new, |samples, (row, bytes)| layout.encode_row(band, row, samples, bytes));
+        Ok(())
+    }
+}
+
 /// Bytes of compressed data in a chunk.
 const CHUNK_BYTES: usize = 1 << 16;
+
+/// Values of a row that are rounded at a time.
+const BLOCK: usize = 256;
 
 #[derive(Clone, Copy)]
 struct Layout {
@@ -108,9 +142,16 @@ impl Layout {
 
     fn interleave<const N: usize>(self, planes: &[f32], bytes: &mut [u8], quantise: impl Fn(f32) -> [u8; N]) {
         let stride = self.channels() * N;
+        let mut quantised = [[0; N]; BLOCK];
         for (channel, plane) in planes.chunks_exact(self.width).enumerate() {
-            for (pixel, &value) in bytes.chunks_exact_mut(stride).zip(plane) {
-                pixel[channel * N..][..N].copy_from_slice(&quantise(value));
+            // Rounding by itself is done in vectors; moving to every third place is not.
+            for (values, pixels) in plane.chunks(BLOCK).zip(bytes.chunks_mut(BLOCK * stride)) {
+                for (to, &value) in quantised.iter_mut().zip(values) {
+                    *to = quantise(value);
+                }
+                for (pixel, value) in pixels.chunks_exact_mut(stride).zip(&quantised) {
+                    pixel[channel * N..][..N].copy_from_slice(value);
+                }
             }
         }
     }
