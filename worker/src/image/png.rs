@@ -133,9 +133,9 @@ impl Layout {
             samples.extend(band.row(3, row).iter().map(|&alpha| unit(alpha)));
         }
         match self.bits {
-            Bits::Eight => self.interleave(samples, bytes, |value| [(value * 255.0 + 0.5) as u8]),
+            Bits::Eight => self.interleave(samples, bytes, |value| [whole(value * 255.0 + 0.5) as u8]),
             Bits::Sixteen => {
-                self.interleave(samples, bytes, |value| ((value * 65535.0 + 0.5) as u16).to_be_bytes());
+                self.interleave(samples, bytes, |value| (whole(value * 65535.0 + 0.5) as u16).to_be_bytes());
             }
         }
     }
@@ -162,6 +162,31 @@ fn unit(value: f32) -> f32 {
     if value.is_nan() { 0.0 } else { value.clamp(0.0, 1.0) }
 }
 
+/// The whole part of a number of 0 to 2²², in the low 22 bits: as a cast gives it, but in vectors.
+fn whole(value: f32) -> u32 {
+    const SHIFT: f32 = 8_388_608.0;
+    let nearest = value + SHIFT;
+    nearest.to_bits() - u32::from(nearest - SHIFT > value)
+}
+
 fn straight(premultiplied: f32, alpha: f32) -> f32 {
     if alpha > 0.0 { premultiplied / alpha } else { 0.0 }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn whole_parts_are_those_of_a_cast() {
+        for bits in (0..256.0_f32.to_bits()).step_by(97) {
+            let value = f32::from_bits(bits);
+            assert_eq!(whole(value) as u8, value as u8, "{value}");
+        }
+        for twentieths in 0..20 * 65536 {
+            let value = twentieths as f32 / 20.0;
+            let around = [value.next_down().max(0.0), value, value.next_up().min(65535.9)];
+            assert!(around.iter().all(|&value| whole(value) as u16 == value as u16), "{value}");
+        }
+    }
 }
