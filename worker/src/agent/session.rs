@@ -302,7 +302,8 @@ impl Session {
     }
 
     fn absorb(&mut self, event: Event) {
-        self.asked = false;
+        // What makes no room and hands in nothing makes no work ready.
+        self.asked &= matches!(event, Event::Speed(_) | Event::Stored);
         match event {
             Event::Finished(reports) => {
                 // Of a lease that was lost meanwhile nobody wants to hear.
