@@ -35,7 +35,7 @@ impl Random {
 
 /// A job of some seconds and many tiles.
 fn long_job(seed: u64) -> Value {
-    jobs::seeded(&jobs::as_png(&jobs::sized(&jobs::named("mandelbulb"), 640, 16)), seed)
+    jobs::seeded(&jobs::as_png(&jobs::sized(&jobs::named("mandelbulb"), 640, 96)), seed)
 }
 
 fn rendered_here(job: &Value) -> Vec<u8> {

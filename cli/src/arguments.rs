@@ -35,8 +35,8 @@ impl ServerArguments {
 /// What to render on.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Device {
-    /// The best there is.
-    Auto,
+    /// The best there is: the GPU of this number, or the first; the processor where that can't render.
+    Auto(Option<usize>),
     /// The processor.
     Cpu,
     /// An NVIDIA GPU: the one of this number, or the first.
@@ -47,14 +47,15 @@ impl FromStr for Device {
     type Err = String;
 
     fn from_str(text: &str) -> Result<Self, String> {
-        let ordinal = |number: &str| number.parse().map(|number| Self::Cuda(Some(number)));
-        match text {
-            "auto" => Ok(Self::Auto),
-            "cpu" => Ok(Self::Cpu),
-            "cuda" => Ok(Self::Cuda(None)),
-            _ => text.strip_prefix("cuda:").and_then(|number| ordinal(number).ok()).ok_or_else(|| {
-                "say auto, cpu, cuda (the first GPU) or cuda:N (the GPU of this number, from 0)".to_owned()
-            }),
+        let (kind, ordinal) = match text.split_once(':') {
+            Some((kind, number)) => (kind, Some(number.parse())),
+            None => (text, None),
+        };
+        match (kind, ordinal.transpose()) {
+            ("auto", Ok(ordinal)) => Ok(Self::Auto(ordinal)),
+            ("cpu", Ok(None)) => Ok(Self::Cpu),
+            ("cuda", Ok(ordinal)) => Ok(Self::Cuda(ordinal)),
+            _ => Err("say auto, cpu, cuda (the first GPU) or cuda:N (the GPU of this number, from 0)".to_owned()),
         }
     }
 }
@@ -65,7 +66,7 @@ pub(crate) struct RendererArguments {
     /// What to render on: auto, cpu, cuda or cuda:N.
     #[arg(long, env = "SDFARM_DEVICE", default_value = "auto")]
     pub(crate) device: Device,
-    /// Threads of a CPU renderer [default: one for each core].
+    /// Threads that render on a CPU and encode [default: one for each core].
     #[arg(long, value_name = "N", env = "SDFARM_THREADS", value_parser = clap::value_parser!(u32).range(1..=i64::from(MAX_THREADS)))]
     pub(crate) threads: Option<u32>,
     /// Vector instructions of a CPU renderer; the picture is the same with each.
@@ -100,12 +101,14 @@ impl RendererArguments {
         let ordinal = match self.device {
             Device::Cpu => None,
             Device::Cuda(ordinal) => Some(ordinal.unwrap_or(0)),
-            Device::Auto => worker::cuda::devices().is_ok().then_some(0),
+            Device::Auto(ordinal) => worker::cuda::devices().is_ok().then_some(ordinal.unwrap_or(0)),
         };
         match ordinal.map(|ordinal| self.cuda.renderer(ordinal)) {
-            Some(Ok(gpu)) => return Ok(Arc::new(gpu)),
-            Some(Err(error)) if self.device != Device::Auto => return Err(error),
-            Some(Err(error)) => note(&format!("rendering on the CPU: {error}")),
+            Some(Ok(gpu)) => return Ok(Arc::new(gpu.with_encoders(self.threads.map(|threads| threads as usize)))),
+            Some(Err(error)) if matches!(self.device, Device::Auto(_)) => {
+                note(&format!("rendering on the CPU: {error}"))
+            }
+            Some(Err(error)) => return Err(error),
             None => {}
         }
         Ok(Arc::new(CpuRenderer::new(self.threads.map(|threads| threads as usize), self.simd)?))

@@ -1,13 +1,13 @@
 //! What went wrong, as words on standard error and as an exit code.
 
 use proto::problem::FaultView;
+use proto::work::UNFIT_DEVICE;
 use proto::{ClientError, Problem};
 
 use crate::terminal::note;
 
 const FAILED: u8 = 1;
 const WRONG: u8 = 2;
-const NO_DEVICE: u8 = 3;
 
 /// Wrong use: a flag or a file that can't be meant. The message names the cure.
 #[derive(Debug, thiserror::Error)]
@@ -75,7 +75,7 @@ fn exit_code(error: &anyhow::Error) -> u8 {
         return WRONG;
     }
     if error.is::<NoDevice>() {
-        return NO_DEVICE;
+        return UNFIT_DEVICE;
     }
     match error.downcast_ref::<ClientError>() {
         Some(ClientError::Address { .. }) => WRONG,

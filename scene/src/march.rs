@@ -42,8 +42,18 @@ pub struct Marched<R: Real> {
 
 bundle!(Marched { distance, gap, steps, hit });
 
+/// How far a step goes, in radii of the sphere around its start. 1.25 to 1.4 save a seventh of the
+/// steps of the shipped scenes; more makes too many steps go back.
+const RELAXATION: f32 = 1.3;
+/// What a step that went no further than its sphere has gone past it: less than any distance.
+const NOT_PAST: f32 = -1e30;
+
 /// Marches along `ray` through `field`, which never tells more than the distance to its surface.
 /// `tolerance` is what is near enough at a distance along the ray.
+///
+/// Steps go past the end of the sphere around their start. If the sphere around their end does not
+/// reach back to it, they are taken back to it: Benjamin Keinert et al., "Enhanced sphere tracing",
+/// Smart Tools and Apps for Graphics, 2014.
 #[inline(always)]
 pub fn march<R: Real>(
     ray: &Ray<R>,
@@ -52,16 +62,23 @@ pub fn march<R: Real>(
     field: impl Fn(crate::real::Vec3<R>) -> R,
 ) -> Marched<R> {
     let zero = reach.farthest.splat(0.0);
-    let start = (reach.nearest, zero, zero, Flag(zero.below(0.0)));
-    let (distance, gap, steps, hit) = R::repeat(
+    let not_past = zero.splat(NOT_PAST);
+    let start = (reach.nearest, not_past, zero, zero, Flag(zero.below(0.0)));
+    let (distance, _, gap, steps, hit) = R::repeat(
         reach.max_steps,
         start,
         #[inline(always)]
-        |(t, _, steps, _)| {
+        |(t, past, _, steps, _)| {
             let gap = field(ray.at(t));
-            let hit = gap.lt(tolerance(t));
-            let next = R::select(hit, t, t + gap);
-            (!hit & next.lt(reach.farthest), (next, gap, steps + 1.0, Flag(hit)))
+            let is_torn = gap.lt(past);
+            let hit = gap.lt(tolerance(t)) & !is_torn;
+            let (end, further) = (t + gap, gap * (RELAXATION - 1.0));
+            // The last step must see all that is left of the ray.
+            let goes_past = (end + further).lt(reach.farthest) & !is_torn;
+            let ahead = R::select(goes_past, end + further, R::select(is_torn, t - past, end));
+            let next = R::select(hit, t, ahead);
+            let past = R::select(goes_past, further, not_past);
+            (!hit & next.lt(reach.farthest), (next, past, gap, steps + 1.0, Flag(hit)))
         },
     );
     Marched { distance, gap, steps, hit }

@@ -42,6 +42,8 @@ pub const SHAPES: [Shape; 5] = [
 ];
 /// Pixels that are on the GPU and on their way back at a time, in numbers.
 const BUFFER_NUMBERS: usize = 64 << 20;
+/// Planes whose memory is kept for the next ones.
+const MAX_SPARE_PLANES: usize = 64;
 /// Programs kept on the GPU.
 const MAX_PROGRAMS: usize = 64;
 /// What the self-test renders: a bit of everything.
@@ -77,6 +79,9 @@ pub struct CudaRenderer {
     launching: Mutex<()>,
     buffers: Mutex<Vec<Buffer>>,
     lost: Mutex<Option<String>>,
+    /// Memory of pixels that are not needed any more.
+    spare: Mutex<Vec<Vec<f32>>>,
+    encoders: Option<usize>,
     /// Kernel times since the start.
     kernel_time: Mutex<Duration>,
 }
@@ -134,10 +139,17 @@ impl CudaRenderer {
             launching: Mutex::default(),
             buffers: Mutex::default(),
             lost: Mutex::default(),
+            spare: Mutex::default(),
+            encoders: None,
             kernel_time: Mutex::default(),
         };
         renderer.prove().map_err(refused)?;
         Ok(renderer)
+    }
+
+    /// Lets so many threads encode what it renders; all cores if `None`.
+    pub fn with_encoders(self, encoders: Option<usize>) -> Self {
+        Self { encoders, ..self }
     }
 
     /// What the GPU's maker calls it.
@@ -220,33 +232,49 @@ impl CudaRenderer {
         Ok((program, was_kept))
     }
 
-    /// Renders a piece of a tile with each shape of blocks.
+    /// Renders a piece of a tile with each shape of blocks, one large enough for its time to mean something.
     fn fastest_shape(&self, loaded: &Loaded, source: &Source, run: &TileRun<'_>) -> Result<Shape, Trouble> {
-        const EDGE: u32 = 384;
-        const RUNS: usize = 3;
-        let (rect, image) = (run.rect, &run.job.image);
-        let (width, height) = (rect.width.min(EDGE), rect.height.min(EDGE));
-        let (x, y) = (rect.x + (rect.width - width) / 2, rect.y + (rect.height - height) / 2);
-        let piece = Rect { x, y, width, height };
-        let planes = image.channels().len();
-        let mut buffer = self.device.buffer(piece.pixels() as usize * planes)?;
+        const ENOUGH_MS: f64 = 0.5;
+        const ROUNDS: usize = 3;
         self.device.set_numbers(loaded, &source.parameters)?;
-        let mut best = (f64::INFINITY, SHAPES[0]);
-        for shape in SHAPES {
-            let (tiles, blocks) = plan::lay_out(&[piece], planes, shape);
-            let tiles = self.device.tiles(&tiles)?;
-            let end_sample = image.samples.min(2);
-            let part = device::Part { first_block: 0, blocks, first_sample: 0, end_sample, is_last: true };
-            let mut least = f64::INFINITY;
-            for _ in 0..RUNS {
-                least = least.min(self.device.launch(loaded, shape, &tiles, part, &mut buffer)?.wait()?);
+        let mut best = [f64::INFINITY; SHAPES.len()];
+        let mut edge = 128;
+        loop {
+            let (width, height) = (run.rect.width.min(edge), run.rect.height.min(edge));
+            let (x, y) = (run.rect.x + (run.rect.width - width) / 2, run.rect.y + (run.rect.height - height) / 2);
+            let piece = Rect { x, y, width, height };
+            let mut buffer = self.device.buffer(piece.pixels() as usize * run.job.image.channels().len())?;
+            // Once to warm up, and to see whether it is enough.
+            let ms = self.trial(loaded, SHAPES[0], piece, run, &mut buffer)?;
+            if ms < ENOUGH_MS && piece != run.rect {
+                edge *= 2;
+                continue;
             }
-            tracing::debug!(columns = shape.columns, rows = shape.rows, ms = least, "tried a shape of blocks");
-            if least < best.0 {
-                best = (least, shape);
+            for _ in 0..ROUNDS {
+                for (best, shape) in best.iter_mut().zip(SHAPES) {
+                    *best = best.min(self.trial(loaded, shape, piece, run, &mut buffer)?);
+                }
             }
+            tracing::debug!(?best, edge, "tried every shape of blocks");
+            let fastest = (0..SHAPES.len()).min_by(|&a, &b| best[a].total_cmp(&best[b]));
+            return Ok(SHAPES[fastest.unwrap_or(0)]);
         }
-        Ok(best.1)
+    }
+
+    /// How long a piece takes with some shape of blocks, in milliseconds.
+    fn trial(
+        &self,
+        loaded: &Loaded,
+        shape: Shape,
+        piece: Rect,
+        run: &TileRun<'_>,
+        buffer: &mut Buffer,
+    ) -> Result<f64, Trouble> {
+        let (tiles, blocks) = plan::lay_out(&[piece], run.job.image.channels().len(), shape);
+        let tiles = self.device.tiles(&tiles)?;
+        let end_sample = run.job.image.samples.min(4);
+        let part = device::Part { first_block: 0, blocks, first_sample: 0, end_sample, is_last: true };
+        self.device.launch(loaded, shape, &tiles, part, buffer)?.wait()
     }
 
     /// Renders tiles, as many at a time as the buffers hold; one lot is copied while the next renders.
@@ -349,7 +377,7 @@ impl CudaRenderer {
         let finished = parts
             .into_par_iter()
             .map(|(rect, numbers)| {
-                let planes = numbers.par_chunks(rect.pixels() as usize).map(<[f32]>::to_vec).collect();
+                let planes = numbers.par_chunks(rect.pixels() as usize).map(|plane| self.kept(plane)).collect();
                 progress(rect.pixels() * u64::from(image.samples));
                 Pixels { rect, planes }
             })
@@ -366,6 +394,19 @@ impl CudaRenderer {
             Some(buffer) => Ok(buffer),
             None => self.device.buffer(numbers),
         }
+    }
+
+    /// A copy of a plane, in memory that was used before if there is any: new memory costs more than the copy.
+    fn kept(&self, plane: &[f32]) -> Vec<f32> {
+        let spare = {
+            let mut spare = lock(&self.spare);
+            let place = spare.iter().position(|old| old.capacity() >= plane.len());
+            place.map(|place| spare.swap_remove(place))
+        };
+        let mut copy = spare.unwrap_or_default();
+        copy.clear();
+        copy.extend_from_slice(plane);
+        copy
     }
 
     /// Notes a lost GPU; the trouble as a render's error.
@@ -408,6 +449,18 @@ impl Renderer for CudaRenderer {
 
     fn batch(&self) -> usize {
         1024
+    }
+
+    fn encoders(&self) -> usize {
+        self.encoders.unwrap_or_else(|| std::thread::available_parallelism().map_or(1, usize::from))
+    }
+
+    fn recycle(&self, pixels: Vec<Pixels>) {
+        let mut spare = lock(&self.spare);
+        let old = pixels.into_iter().flat_map(|pixels| pixels.planes);
+        spare.extend(old);
+        let excess = spare.len().saturating_sub(MAX_SPARE_PLANES);
+        spare.drain(..excess);
     }
 
     fn max_nodes(&self) -> Option<u32> {

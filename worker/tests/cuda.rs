@@ -4,10 +4,13 @@
 use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
+use std::time::Instant;
 
 use proto::Rect;
+use scene::real::Real;
 use scene::{Image, Job, Layer};
-use worker::cuda::Source;
+use worker::cuda::{Compiler, Source};
+use worker::tape::{Expr, record};
 use worker::{Cancel, CpuRenderer, Pixels, Renderer, Simd, TileRun};
 
 /// Runs the kernels on the host, a thread after another: reads `k`, the planes, a tile and the
@@ -59,9 +62,9 @@ fn small(path: &Path) -> Job {
     Job { image: Image { width: 60, height: 40, samples: 3, layers, ..job.image }, ..job }
 }
 
-fn compile_on_host(source: &Source, folder: &Path) -> PathBuf {
+fn compile_text(source: &str, folder: &Path) -> PathBuf {
     let (text, program) = (folder.join("kernel.cpp"), folder.join("kernel"));
-    std::fs::write(&text, format!("{}{HOST_MAIN}", source.text)).expect("a scratch folder can be written");
+    std::fs::write(&text, source).expect("a scratch folder can be written");
     let compiler = std::env::var("CXX").unwrap_or_else(|_| "c++".to_owned());
     let compiled = Command::new(&compiler)
         .args(["-std=c++17", "-O1", "-ffp-contract=off", "-o"])
@@ -74,7 +77,7 @@ fn compile_on_host(source: &Source, folder: &Path) -> PathBuf {
 
 fn render_on_host(job: &Job, folder: &Path) -> Pixels {
     let source = Source::new(job, 0);
-    let program = compile_on_host(&source, folder);
+    let program = compile_text(&format!("{}{HOST_MAIN}", source.text), folder);
     let planes = job.image.channels().len();
     let Image { width, height, samples, .. } = job.image;
     let mut input: Vec<u8> = source.parameters.iter().flat_map(|bits| bits.to_ne_bytes()).collect();
@@ -110,4 +113,91 @@ fn the_text_compiled_by_the_host_renders_the_same_bits() {
             assert_eq!(differing, 0, "{} of {} differs in {differing} of {} pixels", plane, path.display(), want.len());
         }
     }
+}
+
+#[test]
+fn the_run_time_compiler_takes_every_scene() {
+    let compiler = match Compiler::find() {
+        Ok(compiler) => compiler,
+        Err(missing) => return println!("skipped: no scene was compiled for a GPU: {missing}"),
+    };
+    for path in scenes() {
+        let job = scene::parse(&std::fs::read(&path).expect("a scene can be read")).expect("a shipped scene is right");
+        let source = Source::new(&job, 0);
+        for architecture in [75, 90] {
+            let start = Instant::now();
+            let code = compiler.compile(&source.text, architecture);
+            let code = code.unwrap_or_else(|trouble| panic!("{} for sm_{architecture}: {trouble}", path.display()));
+            assert!(code.starts_with(b"\x7fELF"), "machine code is an ELF file");
+            println!("{}: sm_{architecture} in {:.3} s", path.display(), start.elapsed().as_secs_f64());
+        }
+    }
+}
+
+#[test]
+fn a_program_that_is_none_is_refused_with_the_compilers_words() {
+    let compiler = match Compiler::find() {
+        Ok(compiler) => compiler,
+        Err(missing) => return println!("skipped: nothing could be refused: {missing}"),
+    };
+    let refusal = compiler.compile("this is no program", 90).expect_err("it is none").to_string();
+    assert!(refusal.contains("error") && refusal.contains("scene.cu"), "{refusal}");
+    let unknown = compiler.compile("", 12).expect_err("no such architecture").to_string();
+    assert!(unknown.contains("sm_12") && unknown.contains("newer"), "{unknown}");
+}
+
+/// Every number of a JSON value that is no count, made a little larger.
+fn nudge(value: &mut serde_json::Value) {
+    match value {
+        serde_json::Value::Number(number) => {
+            // Whole powers, counts of iterations and the like are structure; so is nothing at all.
+            if let Some(number) = number.as_f64().filter(|number| number.fract() != 0.0) {
+                *value = (number * 1.015_625).into();
+            }
+        }
+        serde_json::Value::Array(items) => items.iter_mut().for_each(nudge),
+        serde_json::Value::Object(entries) => entries.values_mut().for_each(nudge),
+        serde_json::Value::Null | serde_json::Value::Bool(_) | serde_json::Value::String(_) => {}
+    }
+}
+
+#[test]
+fn no_number_of_a_scene_is_in_its_text() {
+    for path in scenes() {
+        let file = std::fs::read(&path).expect("a scene can be read");
+        let mut changed: serde_json::Value = serde_json::from_slice(&file).expect("a scene is JSON");
+        nudge(&mut changed["scene"]);
+        let before = Source::new(&scene::parse(&file).expect("a shipped scene is right"), 0);
+        let after = scene::parse(changed.to_string().as_bytes()).expect("a little larger is in range");
+        let after = Source::new(&after, 3);
+        assert_ne!(before.parameters, after.parameters, "{} has other numbers now", path.display());
+        assert!(before.text == after.text, "numbers of {} are in its text", path.display());
+    }
+}
+
+#[test]
+fn loop_states_change_together_and_unused_values_are_not_printed() {
+    let tape = record(|recording| {
+        recording.entry("swap", |[a, b, count]: [Expr; 3]| {
+            let zero = a.splat(0.0);
+            let unused = (a + b).sqrt();
+            let (a, b, _, _) = Real::repeat(100, (a, b, zero, unused), |(a, b, n, unused)| {
+                let next = n + 1.0;
+                (next.lt(count), (b, a, next, unused * 2.0))
+            });
+            vec![a, b]
+        });
+    });
+    let text = tape.text().code;
+    assert!(!text.contains("root") && !text.contains("* 2.0f"), "{text}");
+    let main = r#"
+#include <stdio.h>
+int main() {
+    const swap_result odd = step_swap(1, 2, 3), even = step_swap(1, 2, 4);
+    return !(odd.f0 == 2 && odd.f1 == 1 && even.f0 == 1 && even.f1 == 2);
+}
+"#;
+    let folder = tempfile::tempdir().expect("a scratch folder");
+    let program = compile_text(&format!("#define STEP static\n{text}{main}"), folder.path());
+    assert!(Command::new(program).status().expect("it runs").success(), "{text}");
 }

@@ -1,5 +1,7 @@
 //! `sdfarm bench`: how fast this machine renders, at each SIMD level it has.
 
+mod farm;
+
 use std::path::Path;
 use std::time::Duration;
 
@@ -12,6 +14,9 @@ use worker::bench::{GpuReport, PointsReport, RenderReport, points, render, rende
 use worker::{CpuRenderer, RenderError, Simd};
 
 use crate::arguments::{CudaArguments, Device, MAX_THREADS};
+use crate::commands::bench::farm::FarmReport;
+use crate::commands::run_async;
+use crate::commands::serve::devices;
 use crate::job_file::JobFile;
 use crate::shipped;
 use crate::terminal::{note, say};
@@ -45,6 +50,12 @@ pub(crate) struct Arguments {
     /// How long distances are measured, each time.
     #[arg(long, value_name = "SECONDS", env = "SDFARM_SECONDS", default_value_t = 1, value_parser = clap::value_parser!(u64).range(1..=60))]
     seconds: u64,
+    /// Measure a whole farm with such workers: from POST to the stored picture, and frames a second.
+    #[arg(long, env = "SDFARM_FARM", value_parser = clap::builder::FalseyValueParser::new(), action = clap::ArgAction::SetTrue)]
+    farm: bool,
+    /// Frames of the animation that --farm measures.
+    #[arg(long, value_name = "N", env = "SDFARM_FRAMES", default_value_t = 120, value_parser = clap::value_parser!(u32).range(1..=10_000))]
+    frames: u32,
     /// Print JSON.
     #[arg(long, env = "SDFARM_JSON", value_parser = clap::builder::FalseyValueParser::new(), action = clap::ArgAction::SetTrue)]
     json: bool,
@@ -60,6 +71,7 @@ struct Reports {
     points: Vec<PointsReport>,
     renders: Vec<RenderReport>,
     gpu_renders: Vec<GpuReport>,
+    farms: Vec<FarmReport>,
 }
 
 /// Measures it.
@@ -68,6 +80,16 @@ pub(crate) fn run(arguments: &Arguments) -> anyhow::Result<()> {
     let names = if arguments.jobs.is_empty() { names.as_slice() } else { &arguments.jobs };
     let jobs = names.iter().map(|name| read(name)).collect::<anyhow::Result<Vec<Job>>>()?;
     let mut reports = Reports::default();
+    if arguments.farm {
+        for (name, job) in names.iter().zip(&jobs) {
+            let text = text(name)?;
+            let devices = devices(arguments.device)?;
+            let measured = farm::measure(&text, devices, arguments.runs as usize, arguments.frames);
+            let report = run_async(measured).with_context(|| format!("could not measure a farm with {}", job.name))?;
+            reports.farms.push(report);
+        }
+        return if arguments.json { say(&serde_json::to_string_pretty(&reports)?) } else { farm_table(&reports) };
+    }
     if let Device::Cuda(ordinal) = arguments.device {
         let (gpu, cpu) = (arguments.cuda.renderer(ordinal.unwrap_or(0))?, CpuRenderer::new(None, Simd::Auto)?);
         for job in &jobs {
@@ -98,6 +120,25 @@ fn read(name: &str) -> anyhow::Result<Job> {
         return JobFile::read(name)?.parse();
     }
     scene::parse(&shipped::job_file(name)?).with_context(|| format!("the shipped scene {name} is damaged"))
+}
+
+/// The same as text.
+fn text(name: &str) -> anyhow::Result<Vec<u8>> {
+    if Path::new(name).exists() {
+        return std::fs::read(name).with_context(|| format!("could not read {name}"));
+    }
+    shipped::job_file(name)
+}
+
+fn farm_table(reports: &Reports) -> anyhow::Result<()> {
+    for FarmReport { job, devices, jobs, latency_ms: [least, median, greatest], frames, frames_per_second } in
+        &reports.farms
+    {
+        say(&format!("{job} on a farm of {}", devices.join(", ")))?;
+        say(&format!("  POST to stored   median {median:.1} ms ({least:.1} to {greatest:.1}) of {jobs} jobs"))?;
+        say(&format!("  animation        {frames} frames, {frames_per_second:.1} stored a second"))?;
+    }
+    Ok(())
 }
 
 fn measure(job: &Job, level: Simd, arguments: &Arguments, reports: &mut Reports) -> Result<(), RenderError> {

@@ -47,7 +47,7 @@ enum Against {
 /// Renders shipped scenes and compares every bit.
 pub(crate) fn run(arguments: &Arguments) -> anyhow::Result<()> {
     let against = arguments.against.unwrap_or(match arguments.renderer.device {
-        Device::Cpu | Device::Auto => Against::Levels,
+        Device::Cpu | Device::Auto(_) => Against::Levels,
         Device::Cuda(_) => Against::Hashes,
     });
     let differing = match against {

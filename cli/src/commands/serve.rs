@@ -89,13 +89,14 @@ pub(crate) fn own_program() -> anyhow::Result<PathBuf> {
 }
 
 /// What the local workers render on, in turn: each GPU, else the processor.
-fn devices(device: Device) -> Result<Vec<String>, RenderError> {
+pub(crate) fn devices(device: Device) -> Result<Vec<String>, RenderError> {
     let cpu = || vec!["cpu".to_owned()];
-    let each = |count: usize| (0..count).map(|gpu| format!("cuda:{gpu}")).collect();
+    let each = |kind: &str, count: usize| (0..count).map(|gpu| format!("{kind}:{gpu}")).collect();
     match device {
         Device::Cpu => Ok(cpu()),
-        Device::Auto => Ok(worker::cuda::devices().map_or_else(|_| cpu(), each)),
-        Device::Cuda(None) => worker::cuda::devices().map(each),
+        Device::Auto(None) => Ok(worker::cuda::devices().map_or_else(|_| cpu(), |count| each("auto", count))),
+        Device::Auto(Some(gpu)) => Ok(vec![format!("auto:{gpu}")]),
+        Device::Cuda(None) => worker::cuda::devices().map(|count| each("cuda", count)),
         Device::Cuda(Some(gpu)) => worker::cuda::devices().map(|_| vec![format!("cuda:{gpu}")]),
     }
 }

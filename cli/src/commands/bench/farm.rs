@@ -1,0 +1,103 @@
+//! Measures a whole farm: from POST to the stored picture, and frames a second of an animation.
+
+use std::time::{Duration, Instant};
+
+use anyhow::Context;
+use proto::job::JobState;
+use proto::{Client, JobId};
+use serde::Serialize;
+use server::{Config, Server};
+use tokio_util::sync::CancellationToken;
+
+use crate::commands::serve::own_program;
+
+/// How often a job is asked for while it is measured.
+const PAUSE: Duration = Duration::from_millis(1);
+/// Jobs before the first that counts.
+const WARM_UP: usize = 3;
+/// How long workers may take to start: a GPU's self-test is compiled the first time.
+const START: Duration = Duration::from_mins(1);
+
+/// What a farm took.
+#[derive(Clone, Debug, Serialize)]
+pub(crate) struct FarmReport {
+    /// The job's name.
+    pub(crate) job: String,
+    /// What its workers render on.
+    pub(crate) devices: Vec<String>,
+    /// Jobs measured one after another.
+    pub(crate) jobs: usize,
+    /// From POST to `succeeded`, in milliseconds: least, median, greatest.
+    pub(crate) latency_ms: [f64; 3],
+    /// Frames of the animation.
+    pub(crate) frames: u32,
+    /// Its frames stored a second.
+    pub(crate) frames_per_second: f64,
+}
+
+/// Starts a farm in a fresh folder, and hands it a job many times, then once with many frames.
+pub(crate) async fn measure(text: &[u8], devices: Vec<String>, jobs: usize, frames: u32) -> anyhow::Result<FarmReport> {
+    let data = tempfile::tempdir().context("could not make a folder for the farm: free some space there")?;
+    let config = Config {
+        listen: ([127, 0, 0, 1], 0).into(),
+        data: data.path().to_owned(),
+        worker_program: own_program()?,
+        devices,
+        ..Config::default()
+    };
+    let server = Server::start(config).await?;
+    let client = Client::new(&format!("http://{}", server.address()))?;
+    let shutdown = CancellationToken::new();
+    let serving = tokio::spawn(server.run(shutdown.clone()));
+    let measured = farm(&client, text, jobs.max(1), frames).await;
+    shutdown.cancel();
+    serving.await.context("the farm stopped in disorder")??;
+    measured
+}
+
+async fn farm(client: &Client, text: &[u8], jobs: usize, frames: u32) -> anyhow::Result<FarmReport> {
+    let start = Instant::now();
+    while client.pool().await?.ready == 0 {
+        anyhow::ensure!(start.elapsed() < START, "no worker was ready after {} s", START.as_secs());
+        tokio::time::sleep(PAUSE).await;
+    }
+    let mut devices: Vec<String> = client.workers().await?.workers.into_iter().map(|worker| worker.device).collect();
+    devices.sort();
+    let mut latencies = Vec::with_capacity(jobs);
+    for round in 0..jobs + WARM_UP {
+        let start = Instant::now();
+        let id = client.submit(text.to_vec(), true).await?.id;
+        until_stored(client, id).await?;
+        if round >= WARM_UP {
+            latencies.push(start.elapsed().as_secs_f64() * 1e3);
+        }
+    }
+    latencies.sort_by(f64::total_cmp);
+    let mut animation: serde_json::Value = serde_json::from_slice(text).context("the job is no JSON")?;
+    animation["frames"] = serde_json::json!({ "count": frames });
+    let start = Instant::now();
+    let job = client.submit(animation.to_string().into_bytes(), true).await?;
+    until_stored(client, job.id).await?;
+    let seconds = start.elapsed().as_secs_f64();
+    Ok(FarmReport {
+        job: job.name,
+        devices,
+        jobs,
+        latency_ms: [latencies[0], latencies[latencies.len() / 2], latencies[latencies.len() - 1]],
+        frames,
+        frames_per_second: f64::from(frames) / seconds,
+    })
+}
+
+async fn until_stored(client: &Client, id: JobId) -> anyhow::Result<()> {
+    loop {
+        let job = client.job(id).await?;
+        match job.state {
+            JobState::Succeeded => return Ok(()),
+            JobState::Failed | JobState::Cancelled => {
+                anyhow::bail!("job {id} did not succeed: {}", job.errors.join("; "))
+            }
+            JobState::Queued | JobState::Running => tokio::time::sleep(PAUSE).await,
+        }
+    }
+}
