@@ -16,7 +16,7 @@ use cudarc::nvrtc::Ptx;
 use super::trouble::Trouble;
 
 /// Every function of the driver that is called, by cudarc for us.
-const FUNCTIONS: [&str; 37] = [
+const FUNCTIONS: [&str; 38] = [
     "cuInit",
     "cuDriverGetVersion",
     "cuGetErrorName",
@@ -29,6 +29,7 @@ const FUNCTIONS: [&str; 37] = [
     "cuDevicePrimaryCtxRelease_v2",
     "cuCtxGetCurrent",
     "cuCtxSetCurrent",
+    "cuCtxSynchronize",
     "cuStreamCreate",
     "cuStreamDestroy_v2",
     "cuStreamSynchronize",

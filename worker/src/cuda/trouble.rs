@@ -12,7 +12,7 @@ pub enum Trouble {
     #[error("no NVIDIA driver is installed here (libcuda is missing): install one, or render with --device cpu")]
     NoDriver,
     /// The driver lacks something.
-    #[error("the NVIDIA driver is too old: it speaks CUDA {version} and lacks {missing}; install driver 525 or newer")]
+    #[error("the NVIDIA driver is too old: it speaks CUDA {version} and lacks {missing}; install driver 570 or newer")]
     OldDriver {
         /// The CUDA version it speaks: 12.4.
         version: String,
