@@ -50,7 +50,7 @@ fn extension_decides_the_format_of_a_rendered_picture() {
     assert_misuse(&run_in(folder.path(), &["render", "job.json", "-o", "a.png", "--frame", "1"]), "no frame 1");
     assert_misuse(&run_in(folder.path(), &["render", "job.json", "-o", "absent/a.png"]), "make it first");
     assert_misuse(&run_in(folder.path(), &["render", "absent.json", "-o", "a.png"]), "absent.json");
-    assert_misuse(&run_in(folder.path(), &["render", "job.json", "-o", "a.png", "--device", "cuda"]), "CPU");
+    assert_misuse(&run_in(folder.path(), &["render", "job.json", "-o", "a.png", "--device", "gpu"]), "cuda:N");
 }
 
 #[test]

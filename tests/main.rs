@@ -5,6 +5,7 @@
 mod api;
 mod bad_input;
 mod command_line;
+mod cuda;
 mod exr_reader;
 mod faults;
 mod jobs;

@@ -156,10 +156,13 @@ impl Farm {
 
     /// Starts one on `FOLDER/data`, logging to `FOLDER/log`, and waits until it says that it serves.
     pub(crate) fn start_on(folder: &Path, arguments: &[&str]) -> Self {
+        Self::start_by(sdfarm(&["serve"]), folder, arguments)
+    }
+
+    /// The same by a command that has its own environment.
+    pub(crate) fn start_by(mut command: Command, folder: &Path, arguments: &[&str]) -> Self {
         let log = folder.join("log");
-        let data = folder.join("data");
-        let mut command = sdfarm(&["serve", "--listen", "127.0.0.1:0", "--data"]);
-        command.arg(data).args(arguments);
+        command.args(["--listen", "127.0.0.1:0", "--data"]).arg(folder.join("data")).args(arguments);
         let log_file = fs::File::options().create(true).append(true).open(&log).expect("a log");
         let mut child =
             command.stdin(Stdio::null()).stdout(Stdio::piped()).stderr(log_file).spawn().expect("the program starts");

@@ -1,0 +1,359 @@
+//! The way to a GPU and back, without one: the real binary with stand-ins for NVIDIA's driver and
+//! run-time compiler (`fake_cuda/`), and what it says where they are missing, old or broken.
+//!
+//! What is rendered there is the program that a GPU would get, so it must have the CPU's bytes.
+
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::process::{Command, Output};
+use std::sync::OnceLock;
+
+use serde_json::{Value, json};
+
+use crate::jobs;
+use crate::support::{finish, sdfarm, text};
+
+mod farm;
+
+const DRIVER: &str = "libcuda.so";
+const COMPILER: &str = "libnvrtc.so";
+/// The stand-ins' sources.
+const SOURCES: [(&str, &str); 2] =
+    [(DRIVER, include_str!("fake_cuda/driver.cpp")), (COMPILER, include_str!("fake_cuda/nvrtc.cpp"))];
+
+/// The folder of the stand-ins, each in a folder of its name; they are built once.
+fn stand_ins() -> &'static Path {
+    static FOLDER: OnceLock<PathBuf> = OnceLock::new();
+    FOLDER.get_or_init(|| {
+        let folder = Path::new(env!("CARGO_TARGET_TMPDIR")).join("fake_cuda");
+        // There is none before the first time.
+        let _ = fs::remove_dir_all(&folder);
+        for (library, source) in SOURCES {
+            fs::create_dir_all(folder.join(library)).expect("a folder");
+            let (compiler, text_path) = (std::env::var("CXX"), folder.join(format!("{library}.cpp")));
+            fs::write(&text_path, source).expect("written");
+            let compiled = Command::new(compiler.as_deref().unwrap_or("c++"))
+                .args(["-std=c++17", "-O1", "-fPIC", "-shared", "-o"])
+                .args([folder.join(library).join(library), text_path])
+                .arg("-ldl")
+                .output()
+                .expect("a C++ compiler is installed");
+            assert!(compiled.status.success(), "{}", text(&compiled.stderr));
+        }
+        folder
+    })
+}
+
+/// A stand-in that lacks a function, as an older release would: its name is struck out of a copy.
+fn without(function: &str, library: &str, folder: &Path) {
+    let mut bytes = fs::read(stand_ins().join(library).join(library)).expect("it was built");
+    let name = format!("\0{function}\0").into_bytes();
+    let places: Vec<usize> =
+        bytes.windows(name.len()).enumerate().filter(|(_, part)| *part == name).map(|(at, _)| at).collect();
+    assert!(!places.is_empty(), "{library} has no {function}");
+    for at in places {
+        bytes[at + 1] = b'-';
+    }
+    fs::write(folder.join(library), bytes).expect("written");
+}
+
+/// The functions that a stand-in has.
+fn functions(source: &str) -> impl Iterator<Item = &str> {
+    source.lines().filter_map(|line| {
+        let (kind, rest) = line.split_once(' ')?;
+        let (name, _) = rest.trim_start_matches("char* ").split_once('(')?;
+        (["Result", "const"].contains(&kind) && (name.starts_with("cu") || name.starts_with("nvrtc"))).then_some(name)
+    })
+}
+
+/// The program on a machine that has these libraries.
+fn with(libraries: &[&Path], arguments: &[&str]) -> Command {
+    let mut command = sdfarm(arguments);
+    command.env("LD_LIBRARY_PATH", std::env::join_paths(libraries).expect("plain"));
+    command.env("SDFARM_CACHE", stand_ins().join("cache"));
+    for name in ["FAKE_CUDA", "FAKE_NVRTC", "FAKE_NVRTC_COUNT"] {
+        command.env_remove(name);
+    }
+    command
+}
+
+/// The program on a machine with a sound GPU.
+fn with_gpu(arguments: &[&str]) -> Command {
+    with(&[&stand_ins().join(DRIVER), &stand_ins().join(COMPILER)], arguments)
+}
+
+/// The program on a machine with a GPU that plays a fault.
+fn with_fault(fault: &str, arguments: &[&str]) -> Command {
+    let mut command = with_gpu(arguments);
+    command.env("FAKE_CUDA", fault);
+    command
+}
+
+/// Whether the real thing is installed here, whatever version its name has behind it.
+fn is_installed(library: &str) -> bool {
+    let versions = (1..=20).map(|version| format!(".{version}"));
+    std::iter::once(String::new()).chain(versions).any(|version| {
+        // The loader complains of a library that it can't find.
+        let probe = Command::new("true")
+            .env("LD_PRELOAD", format!("{library}{version}"))
+            .env_remove("LD_LIBRARY_PATH")
+            .output();
+        probe.expect("coreutils are installed").stderr.is_empty()
+    })
+}
+
+/// A job of 64 x 48 pixels, of a shipped scene.
+fn small(name: &str) -> Value {
+    let mut job = jobs::sized(&jobs::named(name), 64, 3);
+    job["image"]["height"] = json!(48);
+    job
+}
+
+/// A scene of many spheres.
+fn of_nodes(spheres: usize) -> Value {
+    let mut job = jobs::as_png(&small("csg"));
+    let sphere = |number: usize| json!({ "translate": { "by": [number % 20, number / 20, 0], "child": { "sphere": { "radius": 0.3 } } } });
+    job["scene"]["objects"] = json!([{ "shape": { "union": { "of": (0..spheres).map(sphere).collect::<Vec<_>>() } } }]);
+    job
+}
+
+/// Renders a job, given as text, to a file of its format; the picture, or what was said instead.
+fn render(mut command: Command, job: &Value) -> Result<Vec<u8>, String> {
+    let extension = job["image"]["format"].as_str().unwrap_or("png");
+    let folder = tempfile::tempdir().expect("a folder");
+    let path = folder.path().join(format!("picture.{extension}"));
+    command.arg("-o").arg(&path);
+    let output = finish(command, job.to_string().as_bytes());
+    let told = told(&output);
+    if output.status.success() {
+        return Ok(fs::read(path).expect("a picture"));
+    }
+    assert_eq!(output.status.code(), Some(1), "{told}");
+    Err(told)
+}
+
+fn render_on_cpu(job: &Value) -> Vec<u8> {
+    render(sdfarm(&["render", "-", "--device", "cpu"]), job).expect("a CPU renders it")
+}
+
+/// What the program said, which is never a panic.
+fn told(output: &Output) -> String {
+    let told = text(&output.stderr);
+    assert!(!told.contains("panicked"), "{told}");
+    told
+}
+
+/// Asserts that a render fails and says these words.
+fn assert_refused(command: Command, job: &Value, says: &[&str]) {
+    let told = render(command, job).expect_err("it can't be rendered");
+    for words in says {
+        assert!(told.contains(words), "{words:?} is not in: {told}");
+    }
+}
+
+const ON_GPU: [&str; 4] = ["render", "-", "--device", "cuda"];
+
+#[test]
+fn machine_without_a_driver_says_so_and_names_the_cure() {
+    if is_installed("libcuda.so") {
+        return eprintln!("skipped: this machine has a driver");
+    }
+    let folder = tempfile::tempdir().expect("a folder");
+    let data = folder.path().join("data");
+    let data = data.to_str().expect("plain");
+    let commands: [(&[&str], i32); 5] = [
+        (&["render", "-", "-o", "-"], 1),
+        (&["serve", "--listen", "127.0.0.1:0", "--data", data], 1),
+        (&["worker", "--server", "http://127.0.0.1:1"], 3),
+        (&["bench", "csg"], 1),
+        (&["selftest"], 1),
+    ];
+    for (arguments, code) in commands {
+        let output =
+            finish(with(&[], &[arguments, &["--device", "cuda"]].concat()), jobs::quick().to_string().as_bytes());
+        let told = told(&output);
+        assert_eq!(output.status.code(), Some(code), "{arguments:?}: {told}");
+        assert!(told.contains("no NVIDIA driver") && told.contains("--device cpu"), "{arguments:?}: {told}");
+        assert!(output.stdout.is_empty(), "{arguments:?}");
+    }
+    assert!(!Path::new(data).exists(), "a farm that does not start leaves nothing");
+}
+
+#[test]
+fn auto_is_the_cpu_where_there_is_no_driver_and_says_nothing_of_it() {
+    if is_installed("libcuda.so") {
+        return eprintln!("skipped: this machine has a driver");
+    }
+    let job = jobs::quick();
+    let output = finish(with(&[], &["render", "-", "-o", "-", "--device", "auto"]), job.to_string().as_bytes());
+    assert!(output.status.success() && output.stdout == render_on_cpu(&job), "{}", told(&output));
+    assert!(!told(&output).contains("CPU"), "{}", told(&output));
+}
+
+#[test]
+fn every_fault_of_a_machine_has_its_words() {
+    let faults: [(&str, &str, &[&str]); 6] = [
+        ("no_device", "cuda", &["finds no GPU", "nvidia-smi", "--device cpu"]),
+        ("", "cuda:7", &["--device cuda:7", "no GPU 7", "there are 1, counted from 0"]),
+        (
+            "init_fails",
+            "cuda",
+            &["start the NVIDIA driver", "CUDA_ERROR_SYSTEM_DRIVER_MISMATCH", "unsupported display driver"],
+        ),
+        ("newer", "cuda", &["13.0 can't compile for this GPU (sm_120)", "newer cuda-nvrtc"]),
+        ("wrong_bits", "cuda", &["--device cuda:0", "wrong bits: 1 of 98304 values", "for no farm"]),
+        ("memory:1000", "cuda", &["out of memory for 393216 bytes"]),
+    ];
+    for (fault, device, says) in faults {
+        assert_refused(with_fault(fault, &["render", "-", "--device", device]), &jobs::quick(), says);
+        let worker = finish(with_fault(fault, &["worker", "--server", "http://127.0.0.1:1", "--device", device]), b"");
+        assert_eq!(worker.status.code(), Some(3), "{fault}: {}", told(&worker));
+        assert!(told(&worker).contains(says[0]), "{fault}: {}", told(&worker));
+    }
+}
+
+#[test]
+fn library_that_lacks_any_function_is_too_old_and_no_panic() {
+    let folder = tempfile::tempdir().expect("a folder");
+    for (library, source) in SOURCES {
+        let names: Vec<&str> = functions(source).collect();
+        assert!(names.len() > 10, "{names:?}");
+        for name in names {
+            without(name, library, folder.path());
+            let folders = [folder.path(), &stand_ins().join(DRIVER), &stand_ins().join(COMPILER)];
+            assert_refused(with(&folders, &ON_GPU), &jobs::quick(), &["is too old", &format!("lacks {name}; install")]);
+        }
+        fs::remove_file(folder.path().join(library)).expect("written before");
+    }
+}
+
+#[test]
+fn driver_without_the_compiler_says_so() {
+    if is_installed("libnvrtc.so") {
+        return eprintln!("skipped: this machine has CUDA's run-time compiler");
+    }
+    let says = ["run-time compiler is missing", "cuda-nvrtc", "LD_LIBRARY_PATH"];
+    assert_refused(with(&[&stand_ins().join(DRIVER)], &ON_GPU), &jobs::quick(), &says);
+}
+
+#[test]
+fn auto_goes_on_with_the_cpu_where_the_gpu_is_bad_and_says_why() {
+    let job = jobs::quick();
+    let output = finish(with_fault("wrong_bits", &["render", "-", "-o", "-"]), job.to_string().as_bytes());
+    assert!(output.status.success() && output.stdout == render_on_cpu(&job), "{}", told(&output));
+    assert!(
+        told(&output).contains("rendering on the CPU: ") && told(&output).contains("wrong bits"),
+        "{}",
+        told(&output)
+    );
+}
+
+#[test]
+fn gpu_gives_the_cpus_bytes_with_any_blocks_and_any_tiles() {
+    let pictures = [
+        jobs::as_png(&small("csg")),
+        jobs::as_exr(&small("csg")),
+        jobs::as_exr(&small("five-spheres")),
+        jobs::as_png(&small("mandelbulb")),
+        jobs::as_exr(&small("paper/smoothing")),
+        jobs::as_exr(&small("dice")),
+    ];
+    let flags: [&[&str]; 5] =
+        [&[], &["--tile", "32"], &["--block", "128x1"], &["--block", "16x16", "--tile", "32"], &["--block", "7x3"]];
+    for job in pictures {
+        let want = render_on_cpu(&job);
+        for flags in flags {
+            let got = render(with_gpu(&[&ON_GPU, flags].concat()), &job);
+            let is_same = got.as_ref().is_ok_and(|got| *got == want);
+            assert!(is_same, "{} differs with {flags:?}: {:?}", job["name"], got.err());
+        }
+    }
+}
+
+#[test]
+fn compiled_program_is_kept_and_a_damaged_one_is_compiled_again() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let (cache, count) = (folder.path().join("cache"), folder.path().join("count"));
+    let (job, moved) = (jobs::as_png(&small("csg")), {
+        let mut job = jobs::as_png(&jobs::sized(&small("csg"), 96, 3));
+        job["scene"]["camera"]["position"] = json!([0.1, 0.4, 4]);
+        job
+    });
+    let compiled = |job: &Value, what: &str| {
+        let _ = fs::remove_file(&count);
+        let mut command = with_gpu(&[&ON_GPU[..], &["--cache", cache.to_str().expect("plain")]].concat());
+        command.env("FAKE_NVRTC_COUNT", &count);
+        assert!(render(command, job).expect("a picture") == render_on_cpu(job), "{what}");
+        fs::read_to_string(&count).map_or(0, |lines| lines.lines().count())
+    };
+    let kept = || fs::read_dir(&cache).expect("it was made").map(|entry| entry.expect("readable").path());
+    assert_eq!(compiled(&job, "new"), 2, "the self-test's and the scene's");
+    assert_eq!(kept().count(), 2);
+    assert_eq!(compiled(&job, "kept"), 0);
+    assert_eq!(compiled(&moved, "of the same shape"), 0, "other numbers need no other program");
+    for path in kept() {
+        let mut bytes = fs::read(&path).expect("readable");
+        let middle = bytes.len() / 2;
+        bytes[middle] ^= 1;
+        fs::write(&path, bytes).expect("writable");
+    }
+    assert_eq!(compiled(&job, "damaged"), 2);
+    assert_eq!(compiled(&job, "mended"), 0);
+}
+
+#[test]
+fn refused_program_is_kept_for_whoever_looks_into_it() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let cache = folder.path().to_str().expect("plain");
+    let with_cache = |fault: &str| {
+        let mut command = with_gpu(&[&ON_GPU[..], &["--cache", cache]].concat());
+        command.env("FAKE_NVRTC", fault);
+        command
+    };
+    let kept = |told: &str| {
+        let (_, path) = told.split_once("kept as ").expect("a path");
+        let (path, _) = path.split_once(')').expect("its end");
+        fs::read_to_string(path).expect("the program's text")
+    };
+    // First the self-test's, then a scene's, with the self-test's kept from a good day.
+    let told = render(with_cache("refuse"), &jobs::quick()).expect_err("it is refused");
+    assert!(
+        told.contains("--device cuda:0: the scene's program could not be compiled")
+            && told.contains("as the test asks for"),
+        "{told}"
+    );
+    assert!(kept(&told).contains("void render("));
+    render(with_cache(""), &jobs::as_png(&small("dice"))).expect("the compiler takes it");
+    let told = render(with_cache("refuse"), &jobs::quick()).expect_err("it is refused");
+    assert!(told.contains("cuda:0 could not render: the scene's program could not be compiled"), "{told}");
+    assert!(kept(&told).ends_with("// scene.cu(1): error: refused, as the test asks for\n"));
+}
+
+#[test]
+fn scene_that_is_too_large_for_a_gpu_is_told_so() {
+    assert_refused(with_gpu(&ON_GPU), &of_nodes(251), &["has 503 nodes", "takes at most 500", "--device cpu"]);
+}
+
+#[test]
+fn picture_that_is_too_large_for_the_memory_is_told_so() {
+    let job = jobs::as_png(&jobs::sized(&jobs::named("csg"), 640, 1));
+    assert_refused(with_fault("memory:2000000", &ON_GPU), &job, &["out of memory for 3686400 bytes", "--tile"]);
+}
+
+#[test]
+fn bench_measures_a_gpu() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let path = folder.path().join("job.json");
+    fs::write(&path, jobs::as_png(&small("csg")).to_string()).expect("written");
+    let arguments = ["bench", path.to_str().expect("plain"), "--device", "cuda", "--runs", "1", "--json"];
+    let output = finish(with_gpu(&arguments), b"");
+    assert!(output.status.success(), "{}", told(&output));
+    let reports: Value = serde_json::from_slice(&output.stdout).expect("JSON");
+    let report = &reports["gpu_renders"][0];
+    assert_eq!(
+        (&report["gpu"], &report["registers"], &report["occupancy"]),
+        (&json!("Fake GPU"), &json!(64), &json!(0.5))
+    );
+    assert!(report["kernel_ms"].as_f64().is_some_and(|ms| ms > 0.0), "{report}");
+    assert!(report["evaluations"].as_u64().is_some_and(|evaluations| evaluations > 64 * 48 * 3), "{report}");
+}

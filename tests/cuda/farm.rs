@@ -1,0 +1,120 @@
+//! Farms with a GPU: its pictures, a frame shared with a CPU, and what becomes of the work of one that fails.
+
+use std::fs;
+use std::path::Path;
+use std::process::{Child, Command, Stdio};
+
+use serde_json::Value;
+
+use super::{ON_GPU, of_nodes, render, render_on_cpu, small, with_fault, with_gpu};
+use crate::jobs;
+use crate::support::{Farm, eventually, sdfarm, wait};
+
+/// Longer than any test: a lease that had to run out would fail it.
+const FARM: [&str; 6] = ["--workers", "0", "--device", "cpu", "--lease-seconds", "3600"];
+
+/// A worker that nobody reaps but the test.
+struct Worker(Child);
+
+impl Worker {
+    fn start(mut command: Command, farm: &Farm, log: &Path) -> Self {
+        let log = fs::File::create(log).expect("a log");
+        command.args(["--server", &farm.address]).stdin(Stdio::null()).stderr(log);
+        Self(command.spawn().expect("the program starts"))
+    }
+}
+
+impl Drop for Worker {
+    fn drop(&mut self) {
+        // Both fail only where it has ended already.
+        let _ = self.0.kill();
+        let _ = self.0.wait();
+    }
+}
+
+/// More rays than a worker is given at once while its speed is unknown.
+fn long_job(seed: u64) -> Value {
+    jobs::seeded(&jobs::as_png(&jobs::sized(&jobs::named("csg"), 640, 20)), seed)
+}
+
+fn view(farm: &Farm, id: &str) -> Value {
+    farm.get(&format!("/v1/jobs/{id}")).json()
+}
+
+fn workers(farm: &Farm) -> Vec<Value> {
+    farm.get("/v1/workers").json()["workers"].as_array().expect("workers").clone()
+}
+
+#[test]
+fn pool_of_a_gpu_gives_the_cpus_bytes_and_says_what_it_can_not_render() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let farm = Farm::start_by(with_gpu(&["serve"]), folder.path(), &["--workers", "1", "--device", "cuda"]);
+    farm.ready(1);
+    assert_eq!(workers(&farm)[0]["device"], "cuda:0");
+    for job in [jobs::as_png(&small("csg")), jobs::as_exr(&small("csg")), jobs::as_exr(&small("dice"))] {
+        let id = farm.accept(&job.to_string());
+        farm.succeeded(&id);
+        assert!(farm.picture(&id) == render_on_cpu(&job), "{}: other bytes than a CPU's", job["name"]);
+    }
+    let job = of_nodes(251);
+    let id = farm.accept(&job.to_string());
+    assert!(view(&farm, &id)["warnings"].to_string().contains("CPU"), "{}", view(&farm, &id));
+    let _cpu = Worker::start(sdfarm(&["worker", "--device", "cpu"]), &farm, &folder.path().join("cpu"));
+    farm.succeeded(&id);
+    assert!(farm.picture(&id) == render_on_cpu(&job));
+}
+
+#[test]
+fn gpu_and_cpu_share_a_frame_and_nobody_sees_the_seams() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let farm = Farm::start_on(folder.path(), &[&FARM[..], &["--tile", "32"]].concat());
+    let job = long_job(1);
+    // The program is made before, so that each is at it at once.
+    render(with_gpu(&ON_GPU), &jobs::sized(&job, 64, 1)).expect("a GPU renders it");
+    let _gpu = Worker::start(with_gpu(&["worker", "--device", "cuda"]), &farm, &folder.path().join("gpu"));
+    let _cpu = Worker::start(sdfarm(&["worker", "--device", "cpu"]), &farm, &folder.path().join("cpu"));
+    farm.joined(2);
+    let id = farm.accept(&job.to_string());
+    farm.succeeded(&id);
+    assert!(farm.picture(&id) == render_on_cpu(&job), "other bytes than a CPU's");
+    for worker in workers(&farm) {
+        assert!(worker["rays_per_second"].is_number(), "it rendered a share: {worker}");
+    }
+}
+
+#[test]
+fn gpu_lost_in_the_middle_of_a_job_retires_its_worker_and_costs_no_tile() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let farm = Farm::start_on(folder.path(), &[&FARM[..], &["--tile", "32"]].concat());
+    let (sign, log) = (folder.path().join("sign"), folder.path().join("gpu"));
+    let gpu = with_fault(&format!("lost_when:{}", sign.display()), &["worker", "--device", "cuda"]);
+    let mut gpu = Worker::start(gpu, &farm, &log);
+    farm.joined(1);
+    let job = long_job(2);
+    let id = farm.accept(&job.to_string());
+    let done = || view(&farm, &id)["tiles"]["done"].as_u64().expect("a count");
+    eventually("the GPU has rendered some tiles", || (done() > 0).then_some(()));
+    fs::write(&sign, "").expect("written");
+    assert_eq!(wait(&mut gpu.0).code(), Some(3), "{}", fs::read_to_string(&log).expect("a log"));
+    let told = fs::read_to_string(&log).expect("a log");
+    assert!(told.contains("CUDA_ERROR_LAUNCH_FAILED") && !told.contains("panicked"), "{told}");
+    let left = view(&farm, &id);
+    assert!(left["state"] == "running" && left["tiles"]["done"].as_u64() < left["tiles"]["total"].as_u64(), "{left}");
+    farm.set_pool(1);
+    farm.succeeded(&id);
+    assert!(farm.picture(&id) == render_on_cpu(&job), "other bytes than a CPU's");
+}
+
+#[test]
+fn pool_keeps_a_bad_gpu_out_and_the_farm_up() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let serve = with_fault("wrong_bits", &["serve"]);
+    let farm = Farm::start_by(serve, folder.path(), &["--workers", "1", "--device", "cuda"]);
+    eventually("the pool heard of it", || farm.log().contains("a worker's device can't render").then_some(()));
+    assert!(farm.log().contains("wrong bits") && !farm.log().contains("panicked"), "{}", farm.log());
+    let job = jobs::quick();
+    let id = farm.accept(&job.to_string());
+    let _cpu = Worker::start(sdfarm(&["worker", "--device", "cpu"]), &farm, &folder.path().join("cpu"));
+    farm.succeeded(&id);
+    assert!(farm.picture(&id) == render_on_cpu(&job));
+}

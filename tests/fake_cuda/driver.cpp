@@ -1,0 +1,226 @@
+// A stand-in for NVIDIA's driver (libcuda) with one GPU, for machines without one: its memory is
+// the host's, its programs are the shared objects that nvrtc.cpp makes, and whatever is asked of a
+// stream happens at once. So the way to the GPU and back is the real one, but for the hardware.
+//
+// FAKE_CUDA, read at each call, is a fault to play:
+//   no_device      the driver finds no GPU
+//   init_fails     the driver does not start
+//   newer          the GPU is newer than the compiler
+//   memory:BYTES   the GPU has not as much memory for one piece
+//   wrong_bits     a bit of whatever is copied from the GPU is wrong
+//   lost_when:FILE the GPU fails at the first launch after the file was made, and for good
+
+#include <atomic>
+#include <chrono>
+#include <cstdio>
+#include <cstdlib>
+#include <cstring>
+#include <mutex>
+#include <string>
+
+#include <dlfcn.h>
+#include <sys/mman.h>
+#include <unistd.h>
+
+enum Result {
+    SUCCESS = 0,
+    INVALID_VALUE = 1,
+    OUT_OF_MEMORY = 2,
+    NO_DEVICE = 100,
+    INVALID_DEVICE = 101,
+    INVALID_IMAGE = 200,
+    NOT_FOUND = 500,
+    LAUNCH_FAILED = 719,
+    SYSTEM_DRIVER_MISMATCH = 803,
+};
+
+static const struct {
+    Result result;
+    const char *name, *text;
+} ERRORS[] = {
+    {SUCCESS, "CUDA_SUCCESS", "no error"},
+    {INVALID_VALUE, "CUDA_ERROR_INVALID_VALUE", "invalid argument"},
+    {OUT_OF_MEMORY, "CUDA_ERROR_OUT_OF_MEMORY", "out of memory"},
+    {NO_DEVICE, "CUDA_ERROR_NO_DEVICE", "no CUDA-capable device is detected"},
+    {INVALID_DEVICE, "CUDA_ERROR_INVALID_DEVICE", "invalid device ordinal"},
+    {INVALID_IMAGE, "CUDA_ERROR_INVALID_IMAGE", "device kernel image is invalid"},
+    {NOT_FOUND, "CUDA_ERROR_NOT_FOUND", "named symbol not found"},
+    {LAUNCH_FAILED, "CUDA_ERROR_LAUNCH_FAILED", "unspecified launch failure"},
+    {SYSTEM_DRIVER_MISMATCH, "CUDA_ERROR_SYSTEM_DRIVER_MISMATCH",
+     "system has unsupported display driver / cuda driver combination"},
+};
+
+// A kernel with all its threads, as nvrtc.cpp makes it.
+using Kernel = void (*)(void** arguments, const unsigned* grid, const unsigned* block);
+using Clock = std::chrono::steady_clock;
+
+struct Module {
+    void* library;
+    // Open as long as the library is: the loader knows it by this number.
+    int file;
+};
+
+struct Event {
+    Clock::time_point time;
+};
+
+static std::atomic<bool> is_lost;
+static thread_local void* current_context;
+// Anything that is not null will do as a context or a stream.
+static int something;
+
+// What FAKE_CUDA says behind `fault`; null if it names another fault, or none.
+static const char* played(const char* fault) {
+    const char* script = std::getenv("FAKE_CUDA");
+    const size_t length = std::strlen(fault);
+    return script && std::strncmp(script, fault, length) == 0 ? script + length : nullptr;
+}
+
+// After a fault of the GPU every call says so.
+static Result state() { return is_lost ? LAUNCH_FAILED : SUCCESS; }
+
+static Result allocate(void** place, size_t size) {
+    const char* memory = played("memory:");
+    if (memory && size > std::strtoull(memory, nullptr, 10)) return OUT_OF_MEMORY;
+    *place = std::malloc(size);
+    return *place ? state() : OUT_OF_MEMORY;
+}
+
+extern "C" {
+
+Result cuInit(unsigned) {
+    if (played("init_fails")) return SYSTEM_DRIVER_MISMATCH;
+    return played("no_device") ? NO_DEVICE : SUCCESS;
+}
+
+Result cuDriverGetVersion(int* version) { return *version = 13000, SUCCESS; }
+
+Result cuGetErrorName(Result result, const char** name) {
+    for (const auto& error : ERRORS)
+        if (error.result == result) return *name = error.name, SUCCESS;
+    return INVALID_VALUE;
+}
+
+Result cuGetErrorString(Result result, const char** text) {
+    for (const auto& error : ERRORS)
+        if (error.result == result) return *text = error.text, SUCCESS;
+    return INVALID_VALUE;
+}
+
+Result cuDeviceGetCount(int* count) { return *count = 1, SUCCESS; }
+Result cuDeviceGet(int* device, int ordinal) { return *device = ordinal, ordinal == 0 ? SUCCESS : INVALID_DEVICE; }
+Result cuDeviceGetName(char* name, int size, int) { return std::snprintf(name, size, "Fake GPU"), SUCCESS; }
+
+// The attributes by their numbers in cuda.h. Few multiprocessors make many launches of a small picture.
+Result cuDeviceGetAttribute(int* value, int attribute, int) {
+    switch (attribute) {
+        case 13: return *value = 1'000'000, SUCCESS;  // the clock's rate, in kHz
+        case 16: return *value = 1, SUCCESS;          // multiprocessors
+        case 39: return *value = 2048, SUCCESS;       // threads of a multiprocessor
+        case 75: return *value = played("newer") ? 12 : 9, SUCCESS;  // compute capability
+        case 76: return *value = 0, SUCCESS;          // and behind its point
+        case 115: return *value = 1, SUCCESS;         // whether memory comes from pools
+        default: return INVALID_VALUE;
+    }
+}
+
+Result cuDevicePrimaryCtxRetain(void** context, int) { return *context = &something, SUCCESS; }
+Result cuDevicePrimaryCtxRelease_v2(int) { return SUCCESS; }
+Result cuCtxGetCurrent(void** context) { return *context = current_context, SUCCESS; }
+Result cuCtxSetCurrent(void* context) { return current_context = context, SUCCESS; }
+Result cuCtxSynchronize() { return state(); }
+
+Result cuStreamCreate(void** stream, unsigned) { return *stream = &something, state(); }
+Result cuStreamDestroy_v2(void*) { return SUCCESS; }
+Result cuStreamSynchronize(void*) { return state(); }
+Result cuStreamWaitEvent(void*, Event*, unsigned) { return state(); }
+
+Result cuEventCreate(Event** event, unsigned) { return *event = new Event, state(); }
+Result cuEventDestroy_v2(Event* event) { return delete event, SUCCESS; }
+Result cuEventRecord(Event* event, void*) { return event->time = Clock::now(), SUCCESS; }
+Result cuEventSynchronize(Event*) { return state(); }
+
+Result cuEventElapsedTime_v2(float* ms, Event* start, Event* end) {
+    *ms = std::chrono::duration<float, std::milli>(end->time - start->time).count();
+    return state();
+}
+
+Result cuMemAllocAsync(void** place, size_t size, void*) { return allocate(place, size); }
+Result cuMemAlloc_v2(void** place, size_t size) { return allocate(place, size); }
+Result cuMemFreeAsync(void* place, void*) { return std::free(place), state(); }
+Result cuMemFree_v2(void* place) { return std::free(place), state(); }
+Result cuMemHostAlloc(void** place, size_t size, unsigned) { return (*place = std::malloc(size)) ? state() : OUT_OF_MEMORY; }
+Result cuMemFreeHost(void* place) { return std::free(place), state(); }
+Result cuMemGetInfo_v2(size_t* free, size_t* total) { return *free = *total = size_t{1} << 34, state(); }
+
+Result cuMemcpyHtoDAsync_v2(void* to, const void* from, size_t size, void*) {
+    return std::memcpy(to, from, size), state();
+}
+
+Result cuMemcpyDtoHAsync_v2(void* to, const void* from, size_t size, void*) {
+    std::memcpy(to, from, size);
+    if (played("wrong_bits") && size > 0) *static_cast<unsigned char*>(to) ^= 1;
+    return state();
+}
+
+// The image is the length of a shared object, and the object.
+Result cuModuleLoadData(Module** module, const void* image) {
+    size_t length;
+    std::memcpy(&length, image, sizeof length);
+    const int file = memfd_create("module", MFD_CLOEXEC);
+    const bool is_written = write(file, static_cast<const char*>(image) + sizeof length, length) == ssize_t(length);
+    const std::string path = "/proc/self/fd/" + std::to_string(file);
+    void* library = is_written ? dlopen(path.c_str(), RTLD_NOW | RTLD_LOCAL) : nullptr;
+    if (!library) return close(file), INVALID_IMAGE;
+    *module = new Module{library, file};
+    return state();
+}
+
+Result cuModuleUnload(Module* module) {
+    dlclose(module->library);
+    close(module->file);
+    delete module;
+    return state();
+}
+
+Result cuModuleGetFunction(void** function, Module* module, const char* name) {
+    *function = dlsym(module->library, (std::string("run_") + name).c_str());
+    return *function ? state() : NOT_FOUND;
+}
+
+Result cuModuleGetGlobal_v2(void** place, size_t* size, Module* module, const char* name) {
+    const auto* found = static_cast<void**>(dlsym(module->library, (std::string("place_of_") + name).c_str()));
+    const auto* length = static_cast<size_t*>(dlsym(module->library, (std::string("size_of_") + name).c_str()));
+    if (!found || !length) return NOT_FOUND;
+    *place = *found;
+    *size = *length;
+    return state();
+}
+
+Result cuFuncGetAttribute(int* value, int attribute, void*) {
+    switch (attribute) {
+        case 3: return *value = 0, SUCCESS;   // local bytes
+        case 4: return *value = 64, SUCCESS;  // registers
+        default: return INVALID_VALUE;
+    }
+}
+
+Result cuOccupancyMaxActiveBlocksPerMultiprocessorWithFlags(int* blocks, void*, int threads, size_t, unsigned) {
+    return *blocks = 1024 / threads, SUCCESS;
+}
+
+// As on a real GPU, a launch that fails is heard of later.
+Result cuLaunchKernel(Kernel kernel, unsigned columns, unsigned rows, unsigned layers, unsigned width,
+                      unsigned height, unsigned depth, unsigned, void*, void** arguments, void**) {
+    if (is_lost) return LAUNCH_FAILED;
+    const char* sign = played("lost_when:");
+    if (sign && access(sign, F_OK) == 0) return is_lost = true, SUCCESS;
+    const unsigned grid[] = {columns, rows, layers}, block[] = {width, height, depth};
+    // A program's place in the grid is one variable, for whichever thread launches it.
+    static std::mutex one_at_a_time;
+    const std::lock_guard<std::mutex> guard(one_at_a_time);
+    kernel(arguments, grid, block);
+    return SUCCESS;
+}
+
+}
