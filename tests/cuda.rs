@@ -341,6 +341,13 @@ fn picture_that_is_too_large_for_the_memory_is_told_so() {
 }
 
 #[test]
+fn smaller_tiles_fit_into_less_memory() {
+    let job = jobs::as_png(&jobs::sized(&jobs::named("csg"), 640, 1));
+    let got = render(with_fault("memory:2000000", &[&ON_GPU[..], &["--tile", "64"]].concat()), &job);
+    assert!(got.expect("the cure cures") == render_on_cpu(&job));
+}
+
+#[test]
 fn bench_measures_a_gpu() {
     let folder = tempfile::tempdir().expect("a folder");
     let path = folder.path().join("job.json");

@@ -295,19 +295,25 @@ impl CudaRenderer {
         let numbers = |run: &TileRun<'_>| run.rect.pixels() as usize * planes;
         let mut underway: Option<Underway> = None;
         let mut rest = runs;
+        let mut most = BUFFER_NUMBERS;
         while !rest.is_empty() {
             let mut total = 0;
             let fitting = rest.iter().take_while(|run| {
                 total += numbers(run);
-                total <= BUFFER_NUMBERS
+                total <= most
             });
             let (group, others) = rest.split_at(fitting.count().max(1));
-            rest = others;
             let next = self.start(&source, group, cancel);
             if let Some(before) = underway.take() {
                 finished.extend(self.finish(before, &first.job.image, progress)?);
             }
+            if group.len() > 1 && matches!(next, Err(Trouble::OutOfMemory { .. })) {
+                // Tiles that do not fit together may fit one after another.
+                most = group.iter().map(numbers).sum::<usize>() / 2;
+                continue;
+            }
             underway = Some(next?);
+            rest = others;
         }
         if let Some(last) = underway {
             finished.extend(self.finish(last, &first.job.image, progress)?);
