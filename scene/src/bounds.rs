@@ -77,6 +77,22 @@ impl Bounds {
         self.widened(OF_SIZE * size + OF_DISTANCE * far)
     }
 
+    /// Whether it has an end in every direction.
+    pub fn is_finite(self) -> bool {
+        [self.low, self.high].into_iter().all(|corner| corner.x.is_finite() && corner.y.is_finite() && corner.z.is_finite())
+    }
+
+    /// No more than the distance from `p` to anything in the box: its greatest part along an axis,
+    /// less a hundredth of the box's size.
+    #[inline(always)]
+    pub fn distance_below<R: Real>(&self, p: Vec3<R>) -> R {
+        let half = zip(self.high, self.low, |high, low| (high - low) * 0.5);
+        let middle = zip(self.high, self.low, |high, low| (high + low) * 0.5);
+        let half = half.map(|c| c + 0.02 * half.max_element());
+        let away = p - Vec3::given(p.x, middle);
+        (vec3(away.x.abs(), away.y.abs(), away.z.abs()) - Vec3::given(p.x, half)).max_element()
+    }
+
     /// Where a ray enters the box, at least 0, and where it leaves it, at most `farthest`; a ray
     /// that misses it leaves before it enters.
     #[inline(always)]

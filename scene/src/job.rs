@@ -4,7 +4,6 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Deserializer, Serialize};
 
 use crate::limits::{MAX_EDGE_PX, MAX_FRAMES, MAX_SAMPLES};
-use crate::nodes::Node;
 use crate::scene::{Background, Scene};
 use crate::values::{FrameRate, integer, whole};
 
@@ -170,10 +169,7 @@ impl Job {
 
     /// Nodes of all object trees.
     pub fn nodes(&self) -> u32 {
-        fn of(node: &Node) -> u32 {
-            1 + node.children().iter().map(of).sum::<u32>()
-        }
-        self.scene.objects.iter().map(|object| of(&object.shape)).sum()
+        self.scene.objects.iter().map(|object| object.shape.count()).sum()
     }
 
     /// Whether some pixel may be less than opaque.

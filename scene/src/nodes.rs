@@ -8,6 +8,7 @@ mod fractals;
 mod modifiers;
 mod operators;
 mod primitives;
+mod runs;
 mod sample;
 mod transforms;
 
@@ -47,6 +48,11 @@ pub trait Sdf {
     /// The same, to be changed.
     fn children_mut(&mut self) -> &mut [Node] {
         &mut []
+    }
+
+    /// Finds what makes it faster to look at, in it and in the nodes inside.
+    fn prepare(&mut self) {
+        self.children_mut().iter_mut().for_each(Node::prepare);
     }
 
     /// The material it says, if it says one.
@@ -152,6 +158,13 @@ macro_rules! nodes {
                 }
             }
 
+            /// Finds what makes it faster to look at.
+            pub(crate) fn prepare(&mut self) {
+                match self {
+                    $(Self::$Kind(node) => Sdf::prepare(node)),*
+                }
+            }
+
             /// The material it says, if it says one.
             fn material(&self) -> Option<&MaterialUse> {
                 match self {
@@ -254,6 +267,11 @@ impl Node {
             *material = material.canonical();
         }
         self.children_mut().iter_mut().for_each(Self::name_materials_by_slot);
+    }
+
+    /// How many nodes it has, itself included.
+    pub fn count(&self) -> u32 {
+        1 + self.children().iter().map(Self::count).sum::<u32>()
     }
 
     /// Whether any node in it says a material of its own.

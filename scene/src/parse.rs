@@ -150,6 +150,7 @@ fn meaning(job: &mut Job) -> Faults {
         fault("/scene/objects", format!("has {nodes} nodes: use at most {MAX_NODES}"));
     }
     image(job, &mut fault);
+    job.scene.prepare();
     for (pointer, name) in job.scene.resolve_materials() {
         let known: Vec<&str> = job.scene.materials.keys().map(String::as_str).collect();
         let cure = if known.is_empty() {

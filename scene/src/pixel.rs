@@ -7,7 +7,7 @@ use crate::lights::Incoming;
 use crate::march::{Marched, Reach, Tolerance, march};
 use crate::materials::{Place, Shade};
 use crate::nodes::{Painted, Sample};
-use crate::real::{Flag, Real, Vec3, bundle, vec3};
+use crate::real::{Bundle, Flag, Real, Vec3, bundle, vec3};
 use crate::sampling::{Jitter, frame_key};
 use crate::scene::{Background, Scene};
 
@@ -22,6 +22,10 @@ pub struct Program<'a> {
     shrink: Vec<Option<f32>>,
     /// Whether a tree says materials of its own.
     painted: Vec<bool>,
+    /// Boxes of objects that need not be looked at from far away.
+    boxes: Vec<Option<Bounds>>,
+    /// Whether its distance is so long that all who ask for it share one that also names the object.
+    is_long: bool,
     /// Holds all there is to see.
     bounds: Bounds,
     view: View,
@@ -31,6 +35,9 @@ pub struct Program<'a> {
     /// Half the edge of the tetrahedron that normals are measured on.
     tap: Tolerance,
 }
+
+/// From so many nodes on, one formula for the distance and another for the nearest object would be too much text.
+const LONG_SCENE_NODES: u32 = 32;
 
 /// The colour of a pixel.
 #[derive(Clone, Copy, Debug)]
@@ -85,6 +92,8 @@ impl<'a> Program<'a> {
         let bounds = shapes.reduce(Bounds::hull).expect("a scene has one object or more");
         Self {
             scene,
+            boxes: scene.objects.iter().map(|object| object.shape.skipping_bounds()).collect(),
+            is_long: job.nodes() >= LONG_SCENE_NODES,
             bounds: bounds.with_margin(origin),
             shrink: scene.objects.iter().map(|object| object.shape.stretch()).map(shrink).collect(),
             painted: scene.objects.iter().map(|object| object.shape.is_painted()).collect(),
@@ -98,6 +107,9 @@ impl<'a> Program<'a> {
 
     /// The distance of the whole scene at `p`, never more than to the nearest surface.
     pub fn distance<R: Real>(&self, p: Vec3<R>) -> R {
+        if self.is_long {
+            return self.nearest(p).0;
+        }
         p.x.shared(
             "distance",
             p,
@@ -105,11 +117,62 @@ impl<'a> Program<'a> {
             |p| {
                 let mut nearest = self.object_distance(0, p);
                 for index in 1..self.scene.objects.len() {
-                    nearest = nearest.min(self.object_distance(index, p));
+                    nearest = self.unless_beyond(
+                        index,
+                        p,
+                        nearest,
+                        nearest,
+                        #[inline(always)]
+                        || nearest.min(self.object_distance(index, p)),
+                    );
                 }
                 nearest
             },
         )
+    }
+
+    /// The same, and the index of the nearest object; of the first of several.
+    fn nearest<R: Real>(&self, p: Vec3<R>) -> (R, R) {
+        p.x.shared(
+            "nearest",
+            p,
+            #[inline(always)]
+            |p| {
+                let mut nearest = (self.object_distance(0, p), p.x.splat(0.0));
+                for index in 1..self.scene.objects.len() {
+                    nearest = self.unless_beyond(
+                        index,
+                        p,
+                        nearest.0,
+                        nearest,
+                        #[inline(always)]
+                        || {
+                            let distance = self.object_distance(index, p);
+                            let nearer = distance.lt(nearest.0);
+                            let object = R::select(nearer, p.x.splat(index as f32), nearest.1);
+                            (nearest.0.min(distance), object)
+                        },
+                    );
+                }
+                nearest
+            },
+        )
+    }
+
+    /// What an object makes of what was found before it, unless its box is further away than that.
+    #[inline(always)]
+    fn unless_beyond<R: Real, T: Bundle<R>>(
+        &self,
+        index: usize,
+        p: Vec3<R>,
+        nearest: R,
+        before: T,
+        with_object: impl FnOnce() -> T,
+    ) -> T {
+        match &self.boxes[index] {
+            Some(bounds) => R::when(bounds.distance_below(p).lt(nearest), before, with_object),
+            None => with_object(),
+        }
     }
 
     #[inline(always)]
@@ -186,7 +249,7 @@ impl<'a> Program<'a> {
                     || {
                         let hit = self.hit(&ray, &marched);
                         let place = Place { normal: hit.normal, to_viewer: -ray.direction };
-                        let object = self.nearest_object(hit.position);
+                        let object = self.nearest(hit.position).1;
                         let albedo = self.blend(
                             hit.position,
                             object,
@@ -392,7 +455,7 @@ impl<'a> Program<'a> {
                 if let [only] = self.scene.slots() {
                     return only.shade(place, lights);
                 }
-                let object = self.nearest_object(p);
+                let object = self.nearest(p).1;
                 self.blend(
                     p,
                     object,
@@ -401,20 +464,6 @@ impl<'a> Program<'a> {
                 )
             },
         )
-    }
-
-    /// Index of the nearest object; of the first of several.
-    #[inline(always)]
-    fn nearest_object<R: Real>(&self, p: Vec3<R>) -> R {
-        let mut nearest = self.object_distance(0, p);
-        let mut object = p.x.splat(0.0);
-        for index in 1..self.scene.objects.len() {
-            let distance = self.object_distance(index, p);
-            let nearer = distance.lt(nearest);
-            nearest = R::select(nearer, distance, nearest);
-            object = R::select(nearer, p.x.splat(index as f32), object);
-        }
-        object
     }
 
     /// The colours of the materials at `p`, by their shares.

@@ -105,6 +105,11 @@ impl Scene {
         self.unused.iter().map(String::as_str)
     }
 
+    /// Finds what makes its objects faster to look at.
+    pub(crate) fn prepare(&mut self) {
+        self.objects.iter_mut().for_each(|object| object.shape.prepare());
+    }
+
     /// Gives every use of a material its slot; reports each unknown name with its JSON pointer in the scene.
     pub(crate) fn resolve_materials(&mut self) -> Vec<(String, String)> {
         let mut resolver =

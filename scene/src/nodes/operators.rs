@@ -9,6 +9,7 @@
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
+use super::runs::{Run, Runs};
 use super::sample::indicator;
 use super::{Node, Sample, Sdf};
 use crate::bounds::Bounds;
@@ -25,6 +26,9 @@ pub struct Union {
     /// Width of the melted seam; 0 is sharp.
     #[serde(default = "sharp")]
     pub smooth: Amount,
+    /// Which shapes need not be looked at.
+    #[serde(skip)]
+    pub runs: Runs,
 }
 
 /// What is in all of the shapes.
@@ -120,67 +124,136 @@ fn negated<R: Real, V: Sample<R>>(v: V) -> V {
     v.at(distance)
 }
 
-macro_rules! operator {
-    ($Kind:ident, $example:literal, $join:expr, $bounds:expr) => {
-        impl Sdf for $Kind {
-            const EXAMPLE: &'static str = $example;
-            const HAS_LIST: bool = true;
+/// All shapes joined, one after another.
+#[inline(always)]
+fn joined<R: Real, V: Sample<R>>(of: &[Node], p: Vec3<R>, join: impl Fn(V, V) -> V) -> V {
+    let mut sum: V = of[0].sample(p);
+    for other in &of[1..] {
+        sum = join(sum, other.sample(p));
+    }
+    sum
+}
 
-            #[inline(always)]
-            fn sample<R: Real, V: Sample<R>>(&self, p: Vec3<R>) -> V {
-                let mut joined: V = self.of[0].sample(p);
-                for other in &self.of[1..] {
-                    joined = $join(joined, other.sample(p), self.smooth);
-                }
-                joined
-            }
+macro_rules! around_list {
+    ($join_bounds:expr) => {
+        const HAS_LIST: bool = true;
 
-            fn bounds(&self, level: f32) -> Bounds {
-                // Each seam bulges by a quarter of its width at most.
-                let bulge = self.smooth.get() * 0.25 * (self.of.len() - 1) as f32;
-                let mut of = self.of.iter().map(|shape| shape.bounds(level + bulge));
-                let first = of.next().expect("a list has one shape or more");
-                of.fold(first, $bounds)
-            }
+        fn bounds(&self, level: f32) -> Bounds {
+            // Each seam bulges by a quarter of its width at most.
+            let bulge = self.smooth.get() * 0.25 * (self.of.len() - 1) as f32;
+            let mut of = self.of.iter().map(|shape| shape.bounds(level + bulge));
+            let first = of.next().expect("a list has one shape or more");
+            of.fold(first, $join_bounds)
+        }
 
-            fn children(&self) -> &[Node] {
-                &self.of
-            }
+        fn children(&self) -> &[Node] {
+            &self.of
+        }
 
-            fn children_mut(&mut self) -> &mut [Node] {
-                &mut self.of
-            }
+        fn children_mut(&mut self) -> &mut [Node] {
+            &mut self.of
         }
     };
 }
 
-operator!(
-    Union,
-    r#"{ "smooth": 0.3, "of": [
+impl Sdf for Union {
+    const EXAMPLE: &'static str = r#"{ "smooth": 0.3, "of": [
         { "sphere": { "radius": 0.7 } },
         { "translate": { "by": [0.8, 0.3, 0], "child": { "box": { "size": [0.9, 0.9, 0.9] } } } }
-    ] }"#,
-    least,
-    Bounds::hull
-);
-operator!(
-    Intersection,
-    r#"{ "smooth": 0.1, "of": [
+    ] }"#;
+
+    #[inline(always)]
+    fn sample<R: Real, V: Sample<R>>(&self, p: Vec3<R>) -> V {
+        match &self.runs.0 {
+            Some(all) => self.join_run(all, self.of[0].sample(p), p),
+            None => joined(
+                &self.of,
+                p,
+                #[inline(always)]
+                |a, b| least(a, b, self.smooth),
+            ),
+        }
+    }
+
+    fn prepare(&mut self) {
+        self.of.iter_mut().for_each(Node::prepare);
+        self.runs = Runs::of(&self.of);
+    }
+
+    around_list!(Bounds::hull);
+}
+
+impl Union {
+    /// What was found so far and the shapes of a run, if it can be near enough to matter: what is
+    /// further away than the seam is wide leaves the least distance as it is.
+    fn join_run<R: Real, V: Sample<R>>(&self, run: &Run, sum: V, p: Vec3<R>) -> V {
+        p.x.vectorize(
+            #[inline(always)]
+            || match &run.bounds {
+                Some(bounds) => {
+                    let beyond = bounds.distance_below(p);
+                    let beyond = if self.smooth.get() == 0.0 { beyond } else { beyond - p.x.given(self.smooth.get()) };
+                    sum.unless_beyond(
+                        beyond,
+                        #[inline(always)]
+                        |sum| self.join_shapes(run, sum, p),
+                    )
+                }
+                None => self.join_shapes(run, sum, p),
+            },
+        )
+    }
+
+    #[inline(always)]
+    fn join_shapes<R: Real, V: Sample<R>>(&self, run: &Run, sum: V, p: Vec3<R>) -> V {
+        if let Some([first, second]) = run.halves.as_deref() {
+            return self.join_run(second, self.join_run(first, sum, p), p);
+        }
+        let mut sum = sum;
+        for shape in &self.of[run.shapes.clone()] {
+            sum = least(sum, shape.sample(p), self.smooth);
+        }
+        sum
+    }
+}
+
+impl Sdf for Intersection {
+    const EXAMPLE: &'static str = r#"{ "smooth": 0.1, "of": [
         { "sphere": { "radius": 1 } },
         { "box": { "size": [1.5, 1.5, 1.5] } }
-    ] }"#,
-    greatest,
-    Bounds::overlap
-);
-operator!(
-    Difference,
-    r#"{ "smooth": 0.05, "of": [
+    ] }"#;
+
+    #[inline(always)]
+    fn sample<R: Real, V: Sample<R>>(&self, p: Vec3<R>) -> V {
+        joined(
+            &self.of,
+            p,
+            #[inline(always)]
+            |a, b| greatest(a, b, self.smooth),
+        )
+    }
+
+    around_list!(Bounds::overlap);
+}
+
+impl Sdf for Difference {
+    const EXAMPLE: &'static str = r#"{ "smooth": 0.05, "of": [
         { "box": { "size": [1.6, 1.6, 1.6] } },
         { "translate": { "by": [0.3, 0.4, 0.5], "child": { "sphere": { "radius": 0.9 } } } }
-    ] }"#,
-    cut,
-    |first, _| first
-);
+    ] }"#;
+
+    #[inline(always)]
+    fn sample<R: Real, V: Sample<R>>(&self, p: Vec3<R>) -> V {
+        joined(
+            &self.of,
+            p,
+            #[inline(always)]
+            |a, b| cut(a, b, self.smooth),
+        )
+    }
+
+    around_list!(|first, _| first);
+}
 
 fn sharp() -> Amount {
     Amount::new(0.0).expect("0 is in range")

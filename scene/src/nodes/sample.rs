@@ -16,6 +16,9 @@ pub trait Sample<R: Real>: Clone {
     /// Two surfaces made one at `distance`; the second has the share that `second` tells, 0 to 1.
     fn blend(self, other: Self, distance: R, second: impl FnOnce() -> R) -> Self;
 
+    /// What `join` makes of it and of what is at least `beyond` away, unless that is further than it.
+    fn unless_beyond(self, beyond: R, join: impl FnOnce(Self) -> Self) -> Self;
+
     /// The same surface, wearing a material wherever nothing inside it says otherwise.
     fn paint(self, slot: u32) -> Self;
 }
@@ -43,6 +46,16 @@ impl<R: Real> Sample<R> for Distance<R> {
     #[inline(always)]
     fn blend(self, _: Self, distance: R, _: impl FnOnce() -> R) -> Self {
         Self(distance)
+    }
+
+    #[inline(always)]
+    fn unless_beyond(self, beyond: R, join: impl FnOnce(Self) -> Self) -> Self {
+        Self(R::when(
+            beyond.lt(self.0),
+            self.0,
+            #[inline(always)]
+            || join(self).0,
+        ))
     }
 
     #[inline(always)]
@@ -109,6 +122,11 @@ impl<R: Real> Sample<R> for Painted<R> {
             add(&mut coats, Coat { slot: coat.slot, share: coat.share * second });
         }
         Self { distance, coats }
+    }
+
+    #[inline(always)]
+    fn unless_beyond(self, _: R, join: impl FnOnce(Self) -> Self) -> Self {
+        join(self)
     }
 
     #[inline(always)]

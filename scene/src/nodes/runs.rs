@@ -1,0 +1,61 @@
+//! Boxes around runs of a union's shapes: a run that is further away than what has been found
+//! need not be looked at.
+//!
+//! A skipped run leaves the least distance as it is, which is never more than the distance to its
+//! shapes: no ray passes a surface. Every arithmetic skips alike, so the bits stay the same.
+
+use std::ops::Range;
+
+use super::Node;
+use crate::bounds::Bounds;
+
+/// A run of fewer nodes is not worth a box.
+pub(crate) const RUN_NODES: u32 = 8;
+
+/// A run of shapes and, if it is long, its two halves.
+#[derive(Clone, Debug)]
+pub(super) struct Run {
+    pub(super) shapes: Range<usize>,
+    /// A box that holds them, if that is worth a look.
+    pub(super) bounds: Option<Bounds>,
+    pub(super) halves: Option<Box<[Run; 2]>>,
+}
+
+/// The runs of a list; none until they have been found. They say nothing that the list does not.
+#[derive(Clone, Debug, Default)]
+pub struct Runs(pub(super) Option<Run>);
+
+impl PartialEq for Runs {
+    fn eq(&self, _: &Self) -> bool {
+        true
+    }
+}
+
+impl Runs {
+    /// The runs of all shapes but the first.
+    pub(super) fn of(shapes: &[Node]) -> Self {
+        Self((shapes.len() > 1).then(|| run(shapes, 1..shapes.len())))
+    }
+}
+
+fn run(shapes: &[Node], range: Range<usize>) -> Run {
+    let own = &shapes[range.clone()];
+    let nodes: u32 = own.iter().map(Node::count).sum();
+    let bounds = own.iter().map(worthwhile_bounds).reduce(|a, b| Some(a?.hull(b?))).flatten();
+    let middle = range.start + range.len() / 2;
+    let is_long = range.len() > 1 && nodes >= 2 * RUN_NODES;
+    let halves = is_long.then(|| Box::new([run(shapes, range.start..middle), run(shapes, middle..range.end)]));
+    Run { shapes: range, bounds: bounds.filter(|_| nodes >= RUN_NODES), halves }
+}
+
+/// A shape's box, if it has an end in every direction.
+fn worthwhile_bounds(shape: &Node) -> Option<Bounds> {
+    Some(shape.bounds(0.0)).filter(|bounds| bounds.is_finite())
+}
+
+impl Node {
+    /// The box that a ray near this object is held against, if it is worth it.
+    pub(crate) fn skipping_bounds(&self) -> Option<Bounds> {
+        worthwhile_bounds(self).filter(|_| self.count() >= RUN_NODES)
+    }
+}
