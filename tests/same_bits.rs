@@ -11,7 +11,7 @@ use serde_json::Value;
 
 use crate::exr_reader;
 use crate::jobs;
-use crate::support::{Farm, finish, sdfarm, text};
+use crate::support::{Farm, finish, sdfarm, succeed, text};
 
 const WIDTH_PX: u64 = 192;
 const SAMPLES: u64 = 2;
@@ -185,4 +185,22 @@ fn pictures_hold_what_two_readers_read_alike() {
             exr_reader::check(&path, job);
         }
     }
+}
+
+#[test]
+fn every_shipped_scene_at_full_size_has_the_hash_that_is_kept() {
+    let told = succeed(&["selftest", "--device", "cpu", "--against", "hashes"]);
+    assert_eq!(told.lines().filter(|line| line.ends_with("equal")).count(), jobs::shipped().len(), "{told}");
+}
+
+#[test]
+fn every_shipped_scene_has_the_scalar_bits_at_every_level() {
+    let names: Vec<String> = jobs::shipped().into_iter().map(|(name, _)| name).collect();
+    let mut arguments = vec!["selftest", "--device", "cpu", "--against", "levels"];
+    arguments.extend(names.iter().map(String::as_str));
+    let told = succeed(&arguments);
+    assert!(
+        told.lines().filter(|line| line.ends_with("equal")).count() >= names.len() && !told.contains("differ"),
+        "{told}"
+    );
 }

@@ -106,7 +106,7 @@ impl RendererArguments {
         match ordinal.map(|ordinal| self.cuda.renderer(ordinal)) {
             Some(Ok(gpu)) => return Ok(Arc::new(gpu.with_encoders(self.threads.map(|threads| threads as usize)))),
             Some(Err(error)) if matches!(self.device, Device::Auto(_)) => {
-                note(&format!("rendering on the CPU: {error}"))
+                note(&format!("rendering on the CPU: {error}"));
             }
             Some(Err(error)) => return Err(error),
             None => {}

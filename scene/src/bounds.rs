@@ -79,7 +79,9 @@ impl Bounds {
 
     /// Whether it has an end in every direction.
     pub fn is_finite(self) -> bool {
-        [self.low, self.high].into_iter().all(|corner| corner.x.is_finite() && corner.y.is_finite() && corner.z.is_finite())
+        [self.low, self.high]
+            .into_iter()
+            .all(|corner| corner.x.is_finite() && corner.y.is_finite() && corner.z.is_finite())
     }
 
     /// No more than the distance from `p` to anything in the box: its greatest part along an axis,

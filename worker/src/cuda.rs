@@ -204,25 +204,22 @@ impl CudaRenderer {
         if let Some(program) = lock(&self.programs).get(&key) {
             return Ok((program.clone(), true));
         }
-        let kept = self.cache.get(key);
+        // What was kept and can't be loaded, by another driver say, is made again.
+        let kept = self.cache.get(key).and_then(|kept| Some((self.device.load(&kept.code).ok()?, kept.shape)));
         let was_kept = kept.is_some();
-        let program = match kept {
-            Some(Kept { code, shape }) => Program {
-                loaded: self.device.load(&code)?,
-                shape: self.shape.unwrap_or(shape),
-                known: Mutex::default(),
-            },
-            None => {
-                let code = self
-                    .compiler
-                    .compile(&source.text, self.device.architecture)
-                    .map_err(|trouble| compiler::keep(trouble, &source.text, self.cache.folder()))?;
-                let loaded = self.device.load(&code)?;
-                let shape = self.fastest_shape(&loaded, source, sample)?;
-                self.cache.put(key, &Kept { code, shape });
-                Program { loaded, shape: self.shape.unwrap_or(shape), known: Mutex::default() }
-            }
+        let (loaded, shape) = if let Some(kept) = kept {
+            kept
+        } else {
+            let code = self
+                .compiler
+                .compile(&source.text, self.device.architecture)
+                .map_err(|trouble| compiler::keep(trouble, &source.text, self.cache.folder()))?;
+            let loaded = self.device.load(&code)?;
+            let shape = self.fastest_shape(&loaded, source, sample)?;
+            self.cache.put(key, &Kept { code, shape });
+            (loaded, shape)
         };
+        let program = Program { loaded, shape: self.shape.unwrap_or(shape), known: Mutex::default() };
         let program = Arc::new(program);
         let mut programs = lock(&self.programs);
         if programs.len() >= MAX_PROGRAMS {

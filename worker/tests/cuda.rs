@@ -15,7 +15,7 @@ use worker::{Cancel, CpuRenderer, Pixels, Renderer, Simd, TileRun};
 
 /// Runs the kernels on the host, a thread after another: reads `k`, the planes, a tile and the
 /// samples; renders in two parts, so that sums are taken up again; writes the planes.
-const HOST_MAIN: &str = r#"
+const HOST_MAIN: &str = r"
 #include <stdio.h>
 #include <stdlib.h>
 int main() {
@@ -38,7 +38,7 @@ int main() {
                 }
     return fwrite(out, 4, numbers, stdout) == numbers ? 0 : 1;
 }
-"#;
+";
 
 fn scenes() -> Vec<PathBuf> {
     let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("../scenes");
@@ -190,13 +190,13 @@ fn loop_states_change_together_and_unused_values_are_not_printed() {
     });
     let text = tape.text().code;
     assert!(!text.contains("root") && !text.contains("* 2.0f"), "{text}");
-    let main = r#"
+    let main = r"
 #include <stdio.h>
 int main() {
     const swap_result odd = step_swap(1, 2, 3), even = step_swap(1, 2, 4);
     return !(odd.f0 == 2 && odd.f1 == 1 && even.f0 == 1 && even.f1 == 2);
 }
-"#;
+";
     let folder = tempfile::tempdir().expect("a scratch folder");
     let program = compile_text(&format!("#define STEP static\n{text}{main}"), folder.path());
     assert!(Command::new(program).status().expect("it runs").success(), "{text}");

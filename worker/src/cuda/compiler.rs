@@ -118,8 +118,8 @@ pub(super) fn keep(trouble: Trouble, text: &str, folder: Option<&Path>) -> Troub
     let Trouble::Compile { log, .. } = trouble else { return trouble };
     let path =
         folder.map(|folder| folder.join(format!("refused-{}.cu", &blake3::hash(text.as_bytes()).to_hex()[..16])));
-    let commented: String = log.lines().map(|line| format!("// {line}\n")).collect();
-    let kept = path.filter(|path| std::fs::write(path, format!("{text}\n{commented}")).is_ok());
+    let commented = log.lines().collect::<Vec<_>>().join("\n// ");
+    let kept = path.filter(|path| std::fs::write(path, format!("{text}\n// {commented}\n")).is_ok());
     Trouble::Compile { log, kept }
 }
 

@@ -61,7 +61,6 @@ pub fn record(formulas: impl FnOnce(&Recording)) -> Tape {
 
 impl Recording {
     /// Records a function that the text's reader calls.
-    #[expect(clippy::unused_self, reason = "it proves that a tape is being recorded")]
     pub fn entry<const N: usize>(&self, name: &'static str, formula: impl FnOnce([Expr; N]) -> Vec<Expr>) {
         begin();
         let arguments = std::array::from_fn(|_| Expr(argument(Kind::Number)));
@@ -159,7 +158,9 @@ fn begin() {
 
 fn end(name: &'static str, results: Vec<Id>, is_entry: bool) -> usize {
     with(|recorder| {
-        results.iter().for_each(|&id| recorder.check(id));
+        for &id in &results {
+            recorder.check(id);
+        }
         let OpenFunction { arguments, mut blocks, .. } = recorder.open.pop().expect("a function was begun");
         let body = blocks.pop().expect("a function has a block until it ends").statements;
         recorder.tape.functions.push(Function { name, arguments, body, results, is_entry });
