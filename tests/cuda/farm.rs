@@ -10,8 +10,7 @@ use super::{ON_GPU, of_nodes, render, render_on_cpu, small, with_fault, with_gpu
 use crate::jobs;
 use crate::support::{Farm, eventually, sdfarm, wait};
 
-/// Longer than any test: a lease that had to run out would fail it.
-const FARM: [&str; 6] = ["--workers", "0", "--device", "cpu", "--lease-seconds", "3600"];
+const FARM: [&str; 6] = ["--workers", "0", "--device", "cpu", "--tile", "32"];
 
 /// A worker that nobody reaps but the test.
 struct Worker(Child);
@@ -67,7 +66,7 @@ fn pool_of_a_gpu_gives_the_cpus_bytes_and_says_what_it_can_not_render() {
 #[test]
 fn gpu_and_cpu_share_a_frame_and_nobody_sees_the_seams() {
     let folder = tempfile::tempdir().expect("a folder");
-    let farm = Farm::start_on(folder.path(), &[&FARM[..], &["--tile", "32"]].concat());
+    let farm = Farm::start_on(folder.path(), &FARM);
     let job = long_job(1);
     // The program is made before, so that each is at it at once.
     render(with_gpu(&ON_GPU), &jobs::sized(&job, 64, 1)).expect("a GPU renders it");
@@ -85,7 +84,8 @@ fn gpu_and_cpu_share_a_frame_and_nobody_sees_the_seams() {
 #[test]
 fn gpu_lost_in_the_middle_of_a_job_retires_its_worker_and_costs_no_tile() {
     let folder = tempfile::tempdir().expect("a folder");
-    let farm = Farm::start_on(folder.path(), &[&FARM[..], &["--tile", "32"]].concat());
+    // What is offered to a worker while it retires comes back when its lease ends.
+    let farm = Farm::start_on(folder.path(), &[&FARM[..], &["--lease-seconds", "2"]].concat());
     let (sign, log) = (folder.path().join("sign"), folder.path().join("gpu"));
     let gpu = with_fault(&format!("lost_when:{}", sign.display()), &["worker", "--device", "cuda"]);
     let mut gpu = Worker::start(gpu, &farm, &log);
@@ -115,6 +115,19 @@ fn pool_keeps_a_bad_gpu_out_and_the_farm_up() {
     let job = jobs::quick();
     let id = farm.accept(&job.to_string());
     let _cpu = Worker::start(sdfarm(&["worker", "--device", "cpu"]), &farm, &folder.path().join("cpu"));
+    farm.succeeded(&id);
+    assert!(farm.picture(&id) == render_on_cpu(&job));
+}
+
+#[test]
+fn pool_left_to_choose_takes_the_cpu_where_the_gpu_is_bad() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let farm = Farm::start_by(with_fault("wrong_bits", &["serve"]), folder.path(), &[]);
+    farm.ready(1);
+    assert_eq!(workers(&farm)[0]["device"], "cpu");
+    eventually("it says why", || farm.log().contains("wrong bits").then_some(()));
+    let job = jobs::quick();
+    let id = farm.accept(&job.to_string());
     farm.succeeded(&id);
     assert!(farm.picture(&id) == render_on_cpu(&job));
 }
