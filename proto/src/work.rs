@@ -74,6 +74,9 @@ pub struct SyncRequest {
     pub wants_work: bool,
     /// How long the server may wait for something to say, in milliseconds.
     pub wait_ms: u64,
+    /// It ends now: whatever it still holds, or was given in an answer it never heard, is handed back.
+    #[serde(default)]
+    pub leaving: bool,
 }
 
 /// What became of one lease.

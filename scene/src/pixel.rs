@@ -1,13 +1,16 @@
 //! What one pixel looks like: rays, march, normal, lights, materials. Written once for every back end.
 
+mod nearest;
+
 use crate::bounds::Bounds;
 use crate::camera::{Ray, View};
 use crate::job::Job;
 use crate::lights::Incoming;
+use crate::limits::MAX_SAMPLES;
 use crate::march::{Marched, Reach, Tolerance, march};
 use crate::materials::{Place, Shade};
 use crate::nodes::{Painted, Sample};
-use crate::real::{Bundle, Flag, Real, Vec3, bundle, vec3};
+use crate::real::{Flag, Real, Vec3, bundle, vec3};
 use crate::sampling::{Jitter, frame_key};
 use crate::scene::{Background, Scene};
 
@@ -105,85 +108,6 @@ impl<'a> Program<'a> {
         }
     }
 
-    /// The distance of the whole scene at `p`, never more than to the nearest surface.
-    pub fn distance<R: Real>(&self, p: Vec3<R>) -> R {
-        if self.is_long {
-            return self.nearest(p).0;
-        }
-        p.x.shared(
-            "distance",
-            p,
-            #[inline(always)]
-            |p| {
-                let mut nearest = self.object_distance(0, p);
-                for index in 1..self.scene.objects.len() {
-                    nearest = self.unless_beyond(
-                        index,
-                        p,
-                        nearest,
-                        nearest,
-                        #[inline(always)]
-                        || nearest.min(self.object_distance(index, p)),
-                    );
-                }
-                nearest
-            },
-        )
-    }
-
-    /// The same, and the index of the nearest object; of the first of several.
-    fn nearest<R: Real>(&self, p: Vec3<R>) -> (R, R) {
-        p.x.shared(
-            "nearest",
-            p,
-            #[inline(always)]
-            |p| {
-                let mut nearest = (self.object_distance(0, p), p.x.splat(0.0));
-                for index in 1..self.scene.objects.len() {
-                    nearest = self.unless_beyond(
-                        index,
-                        p,
-                        nearest.0,
-                        nearest,
-                        #[inline(always)]
-                        || {
-                            let distance = self.object_distance(index, p);
-                            let nearer = distance.lt(nearest.0);
-                            let object = R::select(nearer, p.x.splat(index as f32), nearest.1);
-                            (nearest.0.min(distance), object)
-                        },
-                    );
-                }
-                nearest
-            },
-        )
-    }
-
-    /// What an object makes of what was found before it, unless its box is further away than that.
-    #[inline(always)]
-    fn unless_beyond<R: Real, T: Bundle<R>>(
-        &self,
-        index: usize,
-        p: Vec3<R>,
-        nearest: R,
-        before: T,
-        with_object: impl FnOnce() -> T,
-    ) -> T {
-        match &self.boxes[index] {
-            Some(bounds) => R::when(bounds.distance_below(p).lt(nearest), before, with_object),
-            None => with_object(),
-        }
-    }
-
-    #[inline(always)]
-    fn object_distance<R: Real>(&self, index: usize, p: Vec3<R>) -> R {
-        let distance = self.scene.objects[index].shape.distance(p);
-        match self.shrink[index] {
-            Some(factor) => distance * distance.given(factor),
-            None => distance,
-        }
-    }
-
     /// The colour of the pixel in column `x` and row `y`, both whole.
     #[inline(always)]
     pub fn pixel<R: Real>(&self, x: R, y: R) -> Radiance<R> {
@@ -208,7 +132,7 @@ impl<'a> Program<'a> {
                 }
                 let jitter = Jitter::new(x, y, self.frame_key);
                 let (_, sum) = R::repeat(
-                    self.samples,
+                    MAX_SAMPLES,
                     (first, sum),
                     #[inline(always)]
                     |(sample, sum)| {

@@ -33,7 +33,7 @@ impl Drop for Worker {
 
 /// More rays than a worker is given at once while its speed is unknown.
 fn long_job(seed: u64) -> Value {
-    jobs::seeded(&jobs::as_png(&jobs::sized(&jobs::named("csg"), 640, 20)), seed)
+    jobs::seeded(&jobs::as_exr(&jobs::sized(&jobs::named("csg"), 640, 20)), seed)
 }
 
 fn view(farm: &Farm, id: &str) -> Value {
@@ -84,8 +84,8 @@ fn gpu_and_cpu_share_a_frame_and_nobody_sees_the_seams() {
 #[test]
 fn gpu_lost_in_the_middle_of_a_job_retires_its_worker_and_costs_no_tile() {
     let folder = tempfile::tempdir().expect("a folder");
-    // What is offered to a worker while it retires comes back when its lease ends.
-    let farm = Farm::start_on(folder.path(), &[&FARM[..], &["--lease-seconds", "2"]].concat());
+    // No lease runs out: what the worker holds, and what it is offered while it retires, it hands back.
+    let farm = Farm::start_on(folder.path(), &[&FARM[..], &["--lease-seconds", "3600"]].concat());
     let (sign, log) = (folder.path().join("sign"), folder.path().join("gpu"));
     let gpu = with_fault(&format!("lost_when:{}", sign.display()), &["worker", "--device", "cuda"]);
     let mut gpu = Worker::start(gpu, &farm, &log);
@@ -98,6 +98,7 @@ fn gpu_lost_in_the_middle_of_a_job_retires_its_worker_and_costs_no_tile() {
     assert_eq!(wait(&mut gpu.0).code(), Some(3), "{}", fs::read_to_string(&log).expect("a log"));
     let told = fs::read_to_string(&log).expect("a log");
     assert!(told.contains("CUDA_ERROR_LAUNCH_FAILED") && !told.contains("panicked"), "{told}");
+    assert!(workers(&farm).is_empty(), "it has said goodbye");
     let left = view(&farm, &id);
     assert!(left["state"] == "running" && left["tiles"]["done"].as_u64() < left["tiles"]["total"].as_u64(), "{left}");
     farm.set_pool(1);

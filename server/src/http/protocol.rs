@@ -63,6 +63,7 @@ pub(super) async fn sync(
         holding: request.holding,
         results: request.results,
         wants_work: request.wants_work,
+        leaving: request.leaving,
         opening: None,
     };
     loop {

@@ -8,7 +8,7 @@ use sqlx::Row;
 
 use super::claim::{self, Claimant, Claimed};
 use super::lease::{self, Cause};
-use super::{Connection, Moment, Opening, Result, Ring, deliver, known, open};
+use super::{Connection, Moment, Opening, Result, Ring, deliver, known, open, workers};
 use crate::plan::Plan;
 
 /// A worker that was granted a lease in an answer it never got hands it back after so long:
@@ -28,6 +28,8 @@ pub(crate) struct Turn {
     pub(crate) results: Vec<Report>,
     /// Whether it wants a run.
     pub(crate) wants_work: bool,
+    /// It ends now.
+    pub(crate) leaving: bool,
     /// The frame that the last turn asked to open.
     pub(crate) opening: Option<Opening>,
 }
@@ -101,12 +103,15 @@ pub(super) async fn turn(connection: &mut Connection, turn: Turn, moment: Moment
     let live = lease::renew(connection, turn.worker, &turn.holding, moment).await?;
     lost.extend(turn.holding.iter().filter(|lease| !live.contains(&lease.to_string())));
     ring.add(hand_back_strays(connection, &turn, moment).await?);
-    let next = if turn.wants_work && worker.state == WorkerState::Ready {
+    if turn.leaving {
+        ring.add(workers::left(connection, turn.worker, moment).await?);
+    }
+    let next = if turn.wants_work && !turn.leaving && worker.state == WorkerState::Ready {
         take_work(connection, &turn, worker.max_nodes, moment).await?
     } else {
         Next::Nothing(None)
     };
-    let drain = worker.state == WorkerState::Draining;
+    let drain = turn.leaving || worker.state == WorkerState::Draining;
     Ok(Some(Turned { lost, drain, next, leftovers: delivered.leftovers, expired, fenced, ring }))
 }
 

@@ -91,7 +91,15 @@ fn new_job(frames: u32) -> NewJob {
 }
 
 fn turn(worker: WorkerId) -> Turn {
-    Turn { worker, rays_per_second: None, holding: Vec::new(), results: Vec::new(), wants_work: false, opening: None }
+    Turn {
+        worker,
+        rays_per_second: None,
+        holding: Vec::new(),
+        results: Vec::new(),
+        wants_work: false,
+        leaving: false,
+        opening: None,
+    }
 }
 
 #[tokio::test]

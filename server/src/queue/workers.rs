@@ -74,12 +74,35 @@ pub(super) async fn reaped(
     let mut worker = None;
     for row in rows {
         let id: String = row.try_get("id")?;
-        for held in lease::held_by(connection, &id).await? {
-            if lease::is_live(connection, &held.lease).await? {
-                ring.add(lease::give_up(connection, &held, cause, message, moment).await?);
-            }
-        }
+        ring.add(end_leases(connection, &id, cause, message, moment).await?);
         worker = Some(known("worker.id", &id, |id| id.parse().ok())?);
     }
     Ok((worker, ring))
+}
+
+/// A worker has said goodbye: it is gone, and whatever it was given since it knew is ready again.
+pub(super) async fn left(connection: &mut Connection, worker: WorkerId, moment: Moment) -> Result<Ring> {
+    let id = worker.to_string();
+    let gone = sqlx::query("UPDATE worker SET state = 'gone' WHERE id = ? AND state <> 'gone'")
+        .bind(&id)
+        .execute(&mut *connection)
+        .await?;
+    counted("worker: gone", 1, &gone)?;
+    end_leases(connection, &id, Cause::Interrupted, "its worker ended", moment).await
+}
+
+async fn end_leases(
+    connection: &mut Connection,
+    worker: &str,
+    cause: Cause,
+    message: &str,
+    moment: Moment,
+) -> Result<Ring> {
+    let mut ring = Ring::default();
+    for held in lease::held_by(connection, worker).await? {
+        if lease::is_live(connection, &held.lease).await? {
+            ring.add(lease::give_up(connection, &held, cause, message, moment).await?);
+        }
+    }
+    Ok(ring)
 }

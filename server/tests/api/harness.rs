@@ -177,6 +177,7 @@ impl<'a> Worker<'a> {
             results: said.results,
             wants_work: said.wants_work,
             wait_ms: said.wait.as_millis() as u64,
+            leaving: false,
         };
         self.farm.post(work::SYNC, serde_json::to_string(&request).expect("json")).await
     }

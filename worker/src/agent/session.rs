@@ -216,6 +216,7 @@ impl Session {
             results: std::mem::take(&mut self.outbox),
             wants_work,
             wait_ms: wait.as_millis() as u64,
+            leaving: false,
         };
         // A call that waits is opened only when nothing else is said for a moment.
         self.heartbeat_at = now + wait.max(PAUSE);
@@ -355,6 +356,7 @@ impl Session {
             results: std::mem::take(&mut self.outbox),
             wants_work: false,
             wait_ms: 0,
+            leaving: true,
         };
         if let Err(error) = self.link.sync(&request, FAREWELL).await {
             tracing::debug!(%error, "the last sync failed; what was held will be leased again");

@@ -1,0 +1,85 @@
+//! The distance of a whole scene, and which object is the nearest.
+
+use super::Program;
+use crate::real::{Bundle, Real, Vec3};
+
+impl Program<'_> {
+    /// The distance of the whole scene at `p`, never more than to the nearest surface.
+    pub fn distance<R: Real>(&self, p: Vec3<R>) -> R {
+        if self.is_long {
+            return self.nearest(p).0;
+        }
+        p.x.shared(
+            "distance",
+            p,
+            #[inline(always)]
+            |p| {
+                let mut nearest = self.object_distance(0, p);
+                for index in 1..self.scene.objects.len() {
+                    nearest = self.unless_beyond(
+                        index,
+                        p,
+                        nearest,
+                        nearest,
+                        #[inline(always)]
+                        || nearest.min(self.object_distance(index, p)),
+                    );
+                }
+                nearest
+            },
+        )
+    }
+
+    /// The same, and the index of the nearest object; of the first of several.
+    pub(super) fn nearest<R: Real>(&self, p: Vec3<R>) -> (R, R) {
+        p.x.shared(
+            "nearest",
+            p,
+            #[inline(always)]
+            |p| {
+                let mut nearest = (self.object_distance(0, p), p.x.splat(0.0));
+                for index in 1..self.scene.objects.len() {
+                    nearest = self.unless_beyond(
+                        index,
+                        p,
+                        nearest.0,
+                        nearest,
+                        #[inline(always)]
+                        || {
+                            let distance = self.object_distance(index, p);
+                            let nearer = distance.lt(nearest.0);
+                            let object = R::select(nearer, p.x.splat(index as f32), nearest.1);
+                            (nearest.0.min(distance), object)
+                        },
+                    );
+                }
+                nearest
+            },
+        )
+    }
+
+    /// What an object makes of what was found before it, unless its box is further away than that.
+    #[inline(always)]
+    fn unless_beyond<R: Real, T: Bundle<R>>(
+        &self,
+        index: usize,
+        p: Vec3<R>,
+        nearest: R,
+        before: T,
+        with_object: impl FnOnce() -> T,
+    ) -> T {
+        match &self.boxes[index] {
+            Some(bounds) => R::when(bounds.distance_below(p).lt(nearest), before, with_object),
+            None => with_object(),
+        }
+    }
+
+    #[inline(always)]
+    fn object_distance<R: Real>(&self, index: usize, p: Vec3<R>) -> R {
+        let distance = self.scene.objects[index].shape.distance(p);
+        match self.shrink[index] {
+            Some(factor) => distance * distance.given(factor),
+            None => distance,
+        }
+    }
+}
