@@ -71,6 +71,8 @@ pub struct GpuReport {
     pub kernel_ms: f64,
     /// Least time of the frame's kernels, in milliseconds.
     pub least_kernel_ms: f64,
+    /// The longest of their launches, after each of which a render can be cancelled, in milliseconds.
+    pub longest_launch_ms: f64,
     /// Median time until the pixels are in this process's memory, in milliseconds.
     pub median_ms: f64,
     /// Camera rays a second, in kernels.
@@ -93,15 +95,17 @@ pub fn render_on_gpu(job: &Job, gpu: &CudaRenderer, cpu: &CpuRenderer, runs: usi
     let first = gpu.prepare(&run)?;
     gpu.forget();
     let again = gpu.prepare(&run)?;
-    let (mut kernels, mut walls) = (Vec::new(), Vec::new());
+    let (mut kernels, mut walls, mut longest_launch_ms) = (Vec::new(), Vec::new(), 0.0_f64);
     // The first run only warms up.
     for round in 0..=runs.max(1) {
-        gpu.take_kernel_time();
+        gpu.take_kernel_times();
         let start = Instant::now();
         std::hint::black_box(gpu.render(&run, &Cancel::new(), &|_| ())?);
         if round > 0 {
             walls.push(start.elapsed().as_secs_f64());
-            kernels.push(gpu.take_kernel_time().as_secs_f64());
+            let times = gpu.take_kernel_times();
+            kernels.push(times.total_ms / 1e3);
+            longest_launch_ms = times.longest_ms.max(longest_launch_ms);
         }
     }
     kernels.sort_by(f64::total_cmp);
@@ -121,6 +125,7 @@ pub fn render_on_gpu(job: &Job, gpu: &CudaRenderer, cpu: &CpuRenderer, runs: usi
         occupancy: again.resources.occupancy,
         kernel_ms: kernel * 1e3,
         least_kernel_ms: kernels[0] * 1e3,
+        longest_launch_ms,
         median_ms: wall * 1e3,
         rays_per_second: job.rays_per_frame() as f64 / kernel,
         evaluations,

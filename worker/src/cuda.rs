@@ -27,6 +27,7 @@ use plan::{Cost, Launches};
 
 pub use compiler::Compiler;
 pub use device::{Resources, Shape};
+pub use plan::KernelTimes;
 pub use source::Source;
 pub use trouble::Trouble;
 
@@ -42,8 +43,8 @@ pub const SHAPES: [Shape; 5] = [
 ];
 /// Pixels that are on the GPU and on their way back at a time, in numbers.
 const BUFFER_NUMBERS: usize = 64 << 20;
-/// Planes whose memory is kept for the next ones.
-const MAX_SPARE_PLANES: usize = 64;
+/// Memory of planes that is kept for the next ones, in numbers.
+const MAX_SPARE_NUMBERS: usize = 128 << 20;
 /// Programs kept on the GPU.
 const MAX_PROGRAMS: usize = 64;
 /// What the self-test renders: a bit of everything.
@@ -82,8 +83,7 @@ pub struct CudaRenderer {
     /// Memory of pixels that are not needed any more.
     spare: Mutex<Vec<Vec<f32>>>,
     encoders: Option<usize>,
-    /// Kernel times since the start.
-    kernel_time: Mutex<Duration>,
+    kernels: Mutex<KernelTimes>,
 }
 
 /// A program on the GPU, and what is known of it.
@@ -141,7 +141,7 @@ impl CudaRenderer {
             lost: Mutex::default(),
             spare: Mutex::default(),
             encoders: None,
-            kernel_time: Mutex::default(),
+            kernels: Mutex::default(),
         };
         renderer.prove().map_err(refused)?;
         Ok(renderer)
@@ -164,8 +164,8 @@ impl CudaRenderer {
     }
 
     /// Time that kernels have taken since the last time this was asked.
-    pub fn take_kernel_time(&self) -> Duration {
-        std::mem::take(&mut *lock(&self.kernel_time))
+    pub fn take_kernel_times(&self) -> KernelTimes {
+        std::mem::take(&mut *lock(&self.kernels))
     }
 
     /// Makes the program of a tile ready, and tells what that took.
@@ -267,11 +267,11 @@ impl CudaRenderer {
         run: &TileRun<'_>,
         buffer: &mut Buffer,
     ) -> Result<f64, Trouble> {
-        let (tiles, blocks) = plan::lay_out(&[piece], run.job.image.channels().len(), shape);
-        let tiles = self.device.tiles(&tiles)?;
+        let layout = plan::lay_out(&[piece], run.job.image.channels().len(), shape);
+        let laid_out = self.device.lay_out(&layout)?;
         let end_sample = run.job.image.samples.min(4);
-        let part = device::Part { first_block: 0, blocks, first_sample: 0, end_sample, is_last: true };
-        self.device.launch(loaded, shape, &tiles, part, buffer)?.wait()
+        let part = device::Part { first_block: 0, blocks: layout.blocks, first_sample: 0, end_sample, is_last: true };
+        self.device.launch(loaded, shape, &laid_out, part, buffer)?.wait()
     }
 
     /// Renders tiles, as many at a time as the buffers hold; one lot is copied while the next renders.
@@ -329,26 +329,27 @@ impl CudaRenderer {
         let mut buffer = self.take_buffer(numbers)?;
         let mut known = lock(&program.known);
         if known.numbers.as_ref() != Some(&source.parameters) {
+            known.numbers = None;
             self.device.set_numbers(&program.loaded, &source.parameters)?;
             known.numbers = Some(source.parameters.clone());
         }
-        let (tiles, blocks) = plan::lay_out(&rects, planes, program.shape);
-        let tiles = self.device.tiles(&tiles)?;
+        let layout = plan::lay_out(&rects, planes, program.shape);
+        let laid_out = self.device.lay_out(&layout)?;
         let wave = self.device.multiprocessors * (2048 / program.shape.threads());
-        let mut launches = Launches::new(blocks, image.samples, wave);
+        let mut launches = Launches::new(layout.blocks, image.samples, wave);
         let mut flying: VecDeque<(device::Part, Launched)> = VecDeque::new();
         loop {
             let part = if cancel.is_cancelled() { None } else { launches.next(&known.cost) };
             if let Some(part) = part {
-                flying
-                    .push_back((part, self.device.launch(&program.loaded, program.shape, &tiles, part, &mut buffer)?));
+                let launched = self.device.launch(&program.loaded, program.shape, &laid_out, part, &mut buffer)?;
+                flying.push_back((part, launched));
             }
             // One runs while the next waits its turn.
             if flying.len() == 2 || part.is_none() {
                 let Some((part, launched)) = flying.pop_front() else { break };
                 let ms = launched.wait()?;
                 known.cost.learn(part, ms);
-                *lock(&self.kernel_time) += Duration::from_secs_f64(ms / 1e3);
+                lock(&self.kernels).add(ms);
             }
         }
         if cancel.is_cancelled() {
@@ -460,10 +461,14 @@ impl Renderer for CudaRenderer {
 
     fn recycle(&self, pixels: Vec<Pixels>) {
         let mut spare = lock(&self.spare);
-        let old = pixels.into_iter().flat_map(|pixels| pixels.planes);
-        spare.extend(old);
-        let excess = spare.len().saturating_sub(MAX_SPARE_PLANES);
-        spare.drain(..excess);
+        let mut numbers: usize = spare.iter().map(Vec::capacity).sum();
+        for plane in pixels.into_iter().flat_map(|pixels| pixels.planes) {
+            numbers += plane.capacity();
+            if numbers > MAX_SPARE_NUMBERS {
+                break;
+            }
+            spare.push(plane);
+        }
     }
 
     fn max_nodes(&self) -> Option<u32> {

@@ -162,8 +162,8 @@ fn gpu_table(reports: &Reports) -> anyhow::Result<()> {
             occupancy * 100.0
         ))?;
         say(&format!(
-            "  frame         kernels {:.3} ms (least {:.3}), pixels here after {:.2} ms",
-            report.kernel_ms, report.least_kernel_ms, report.median_ms
+            "  frame         kernels {:.3} ms (least {:.3}), longest launch {:.2} ms, pixels here after {:.2} ms",
+            report.kernel_ms, report.least_kernel_ms, report.longest_launch_ms, report.median_ms
         ))?;
         say(&format!(
             "  rates         {:.2} G rays/s, {:.1} M evaluations, {:.1} G evaluations/s, {share} of the fp32 peak\n",

@@ -159,6 +159,19 @@ async fn idle_workers(connection: &mut Connection, nodes: i64) -> Result<u64> {
     Ok(idle.unsigned_abs())
 }
 
+/// Camera rays a second of the fastest other ready worker that renders scenes of so many nodes.
+async fn fastest_other(connection: &mut Connection, worker: &str, nodes: i64) -> Result<Option<f64>> {
+    Ok(sqlx::query_scalar(
+        "SELECT max(rays_per_second) FROM worker
+         WHERE state <> 'gone' AND state = 'ready' AND coalesce(max_nodes, ?1) >= ?2 AND id <> ?3",
+    )
+    .bind(ANY_NODES)
+    .bind(nodes)
+    .bind(worker)
+    .fetch_one(connection)
+    .await?)
+}
+
 async fn claim_tiles(
     connection: &mut Connection,
     job: &Job,
@@ -169,10 +182,16 @@ async fn claim_tiles(
 ) -> Result<Work> {
     let idle = idle_workers(connection, job.nodes).await?;
     let rows = view.bind(READY_TILES).bind(job.number).bind(job.nodes).bind(frame).fetch_all(&mut *connection).await?;
-    let whole =
-        Frame { tiles: job.plan.tiles().len() as u64, rays: job.plan.frame_rays(), size_bytes: job.plan.frame_bytes() };
+    let frames_behind = job.plan.frames.saturating_sub(job.frames_opened);
+    let whole = Frame {
+        tiles: job.plan.tiles().len() as u64,
+        rays: job.plan.frame_rays(),
+        size_bytes: job.plan.frame_bytes(),
+        rays_behind: u64::from(frames_behind) * job.plan.frame_rays(),
+    };
     let ready = rows.iter().map(read_ready).collect::<Result<Vec<_>>>()?;
-    let length = share::run_length(&ready, whole, claimant.rays_per_second, idle);
+    let fastest = fastest_other(connection, &view.worker, job.nodes).await?;
+    let length = share::run_length(&ready, whole, claimant.rays_per_second, idle, fastest);
     let mut tiles = Vec::with_capacity(length);
     let mut grants = Vec::with_capacity(length);
     for row in &rows[..length] {

@@ -6,6 +6,8 @@ use std::time::Duration;
 const SMALL_FRAME_RAYS: u64 = 1 << 22;
 /// What a run of tiles should take.
 const RUN: Duration = Duration::from_secs(1);
+/// A run that takes no longer than this is nobody's loss.
+const SHORT_RUN: Duration = Duration::from_millis(50);
 /// A worker given a whole frame keeps at most so much data of it.
 const WHOLE_FRAME_BYTES: u64 = 256 << 20;
 
@@ -27,15 +29,26 @@ pub(super) struct Frame {
     pub(super) rays: u64,
     /// Bytes of its finished data.
     pub(super) size_bytes: u64,
+    /// Camera rays of the job's frames that nobody has begun.
+    pub(super) rays_behind: u64,
 }
 
-/// How many of `ready`, from the first, a worker is given.
-pub(super) fn run_length(ready: &[Ready], frame: Frame, rays_per_second: Option<f64>, idle_workers: u64) -> usize {
+/// How many of `ready`, from the first, a worker is given. It keeps them for no longer than the
+/// fastest of the others would take for all that is left of the job.
+pub(super) fn run_length(
+    ready: &[Ready],
+    frame: Frame,
+    rays_per_second: Option<f64>,
+    idle_workers: u64,
+    fastest_other: Option<f64>,
+) -> usize {
     if ready.first().is_none_or(|tile| tile.alone) {
         return ready.len().min(1);
     }
     let mixable = ready.iter().take_while(|tile| !tile.alone).count();
-    let budget = rays_per_second.map(|rate| (rate * RUN.as_secs_f64()) as u64);
+    let left = ready.iter().map(|tile| tile.rays).sum::<u64>() + frame.rays_behind;
+    let by_other = fastest_other.map_or(f64::INFINITY, |rate| (left as f64 / rate).max(SHORT_RUN.as_secs_f64()));
+    let budget = rays_per_second.map(|rate| (rate * RUN.as_secs_f64().min(by_other)) as u64);
     if frame.rays <= SMALL_FRAME_RAYS.min(budget.unwrap_or(SMALL_FRAME_RAYS)) {
         return mixable;
     }
@@ -69,34 +82,48 @@ mod tests {
     }
 
     fn frame(tiles: u64) -> Frame {
-        Frame { tiles, rays: tiles * MEGA, size_bytes: tiles * (16 << 20) }
+        Frame { tiles, rays: tiles * MEGA, size_bytes: tiles * (16 << 20), rays_behind: 0 }
     }
 
     #[test]
     fn an_unknown_worker_gets_a_small_frame_whole_and_one_tile_of_a_large_one() {
-        assert_eq!(run_length(&tiles(4), frame(4), None, 3), 4);
-        assert_eq!(run_length(&tiles(9), frame(9), None, 1), 1);
+        assert_eq!(run_length(&tiles(4), frame(4), None, 3, None), 4);
+        assert_eq!(run_length(&tiles(9), frame(9), None, 1, None), 1);
     }
 
     #[test]
     fn a_run_is_worth_a_second() {
-        assert_eq!(run_length(&tiles(100), frame(100), Some(5.5 * MEGA as f64), 1), 5);
-        assert_eq!(run_length(&tiles(100), frame(100), Some(1.0), 1), 1);
-        assert_eq!(run_length(&tiles(100), frame(100), Some(1e12), 1), 100);
+        assert_eq!(run_length(&tiles(100), frame(100), Some(5.5 * MEGA as f64), 1, None), 5);
+        assert_eq!(run_length(&tiles(100), frame(100), Some(1.0), 1, None), 1);
+        assert_eq!(run_length(&tiles(100), frame(100), Some(1e12), 1, None), 100);
+    }
+
+    #[test]
+    fn a_slow_worker_keeps_no_more_than_a_fast_one_needs_for_all() {
+        let (slow, fast) = (20.0 * MEGA as f64, 400.0 * MEGA as f64);
+        // The fast one would take a quarter of a second for all.
+        assert_eq!(run_length(&tiles(100), frame(100), Some(slow), 1, Some(fast)), 5);
+        assert_eq!(run_length(&tiles(100), frame(100), Some(fast), 1, Some(slow)), 100);
+        assert_eq!(run_length(&tiles(100), frame(100), Some(fast), 1, Some(fast)), 100);
+        // Of an animation it takes as much as it would alone, until little is left.
+        let animation = Frame { rays_behind: 1000 * MEGA, ..frame(100) };
+        assert_eq!(run_length(&tiles(100), animation, Some(slow), 1, Some(fast)), 20);
+        // Something short is always worth it.
+        assert_eq!(run_length(&tiles(8), frame(100), Some(slow), 1, Some(fast)), 1);
     }
 
     #[test]
     fn idle_workers_share_a_frame() {
-        assert_eq!(run_length(&tiles(9), frame(9), Some(1e12), 3), 3);
-        assert_eq!(run_length(&tiles(2), frame(9), Some(1e12), 3), 1);
+        assert_eq!(run_length(&tiles(9), frame(9), Some(1e12), 3, None), 3);
+        assert_eq!(run_length(&tiles(2), frame(9), Some(1e12), 3, None), 1);
     }
 
     #[test]
     fn a_tile_that_vanished_twice_goes_alone() {
         let mut ready = tiles(4);
         ready[2].alone = true;
-        assert_eq!(run_length(&ready, frame(4), None, 1), 2);
-        assert_eq!(run_length(&ready[2..], frame(4), None, 1), 1);
+        assert_eq!(run_length(&ready, frame(4), None, 1, None), 2);
+        assert_eq!(run_length(&ready[2..], frame(4), None, 1, None), 1);
     }
 
     #[test]

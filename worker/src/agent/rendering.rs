@@ -166,7 +166,7 @@ impl Workbench {
         };
         match rendered {
             Ok(Ok(pixels)) => {
-                self.tell(Event::Speed(rays / start.elapsed().as_secs_f64().max(1e-6)));
+                self.tell(Event::Speed { rays, seconds: start.elapsed().as_secs_f64().max(1e-6) });
                 Launched::Pixels(pixels)
             }
             Ok(Err(RenderError::Cancelled)) if stop.0.is_cancelled() => Launched::Dropped,

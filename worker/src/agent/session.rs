@@ -61,7 +61,7 @@ pub(super) struct Session {
     retired: Option<String>,
     holds: HashMap<LeaseId, Hold>,
     outbox: Vec<Report>,
-    rays_per_second: Option<f64>,
+    speed: Speed,
     draining: bool,
     /// Nothing is ready: ask again when something has changed here.
     asked: bool,
@@ -75,6 +75,27 @@ pub(super) struct Session {
     /// No work is wanted before: the server could not store the last.
     work_at: Instant,
     refusals: BackOff,
+}
+
+/// Rays and the time they took, of which the older counts less and less.
+#[derive(Clone, Copy, Debug, Default)]
+struct Speed {
+    rays: f64,
+    seconds: f64,
+}
+
+impl Speed {
+    /// What is older than about so long hardly counts.
+    const MEMORY_SECONDS: f64 = 4.0;
+
+    fn learn(&mut self, rays: f64, seconds: f64) {
+        let fade = (1.0 - seconds / Self::MEMORY_SECONDS).max(0.0);
+        *self = Self { rays: self.rays * fade + rays, seconds: self.seconds * fade + seconds };
+    }
+
+    fn rays_per_second(self) -> Option<f64> {
+        (self.seconds > 0.0).then(|| self.rays / self.seconds)
+    }
 }
 
 struct Call {
@@ -115,7 +136,7 @@ impl Session {
             retired: None,
             holds: HashMap::new(),
             outbox: Vec::new(),
-            rays_per_second: None,
+            speed: Speed::default(),
             draining: false,
             asked: false,
             last_renewal: now,
@@ -211,7 +232,7 @@ impl Session {
         };
         let request = SyncRequest {
             worker: self.welcome.worker,
-            rays_per_second: self.rays_per_second,
+            rays_per_second: self.speed.rays_per_second(),
             holding: self.holds.keys().copied().collect(),
             results: std::mem::take(&mut self.outbox),
             wants_work,
@@ -304,7 +325,7 @@ impl Session {
 
     fn absorb(&mut self, event: Event) {
         // What makes no room and hands in nothing makes no work ready.
-        self.asked &= matches!(event, Event::Speed(_) | Event::Stored);
+        self.asked &= matches!(event, Event::Speed { .. } | Event::Stored);
         match event {
             Event::Finished(reports) => {
                 // Of a lease that was lost meanwhile nobody wants to hear.
@@ -316,9 +337,7 @@ impl Session {
                 self.is_quick = render.map_or(self.is_quick, |render| render < SHORT_RUN);
             }
             Event::Retired(reason) => self.retired = Some(reason),
-            Event::Speed(now) => {
-                self.rays_per_second = Some(self.rays_per_second.map_or(now, |before| f64::midpoint(before, now)));
-            }
+            Event::Speed { rays, seconds } => self.speed.learn(rays, seconds),
             Event::Stored => self.refusals.reset(),
             Event::NotStored => self.work_at = Instant::now() + self.refusals.next(),
         }
@@ -351,7 +370,7 @@ impl Session {
     async fn farewell(&mut self) {
         let request = SyncRequest {
             worker: self.welcome.worker,
-            rays_per_second: self.rays_per_second,
+            rays_per_second: self.speed.rays_per_second(),
             holding: Vec::new(),
             results: std::mem::take(&mut self.outbox),
             wants_work: false,

@@ -35,8 +35,8 @@ pub(super) enum Event {
     Rendered(Option<Duration>),
     /// The device is lost, for this reason.
     Retired(String),
-    /// A tile was rendered at so many camera rays a second.
-    Speed(f64),
+    /// So many camera rays were rendered in so many seconds.
+    Speed { rays: f64, seconds: f64 },
     /// The server stored something.
     Stored,
     /// The server could not store something.

@@ -13,6 +13,7 @@ use cudarc::driver::{
 };
 use cudarc::nvrtc::Ptx;
 
+use super::plan::Layout;
 use super::trouble::Trouble;
 
 /// Every function of the driver that is called, by cudarc for us.
@@ -110,6 +111,26 @@ pub(super) struct DeviceTile {
 
 // SAFETY: it is plain integers in the order and with the padding that C gives them.
 unsafe impl DeviceRepr for DeviceTile {}
+
+/// The order in which launches take blocks, as `kernel.cu` has it.
+#[derive(Clone, Copy, Debug)]
+#[repr(C)]
+struct Order {
+    first: u32,
+    stride: u32,
+    blocks: u32,
+}
+
+// SAFETY: as above.
+unsafe impl DeviceRepr for Order {}
+
+/// A layout whose tiles are on the GPU.
+#[derive(Debug)]
+pub(super) struct LaidOut {
+    tiles: CudaSlice<DeviceTile>,
+    stride: u32,
+    blocks: u32,
+}
 
 /// A GPU.
 #[derive(Debug)]
@@ -266,17 +287,18 @@ impl Device {
         if bits.is_empty() { Ok(()) } else { set().map_err(Trouble::of("give the scene's numbers to the GPU")) }
     }
 
-    /// Puts a list of tiles on the GPU.
-    pub(super) fn tiles(&self, tiles: &[DeviceTile]) -> Result<CudaSlice<DeviceTile>, Trouble> {
-        self.compute.clone_htod(tiles).map_err(Trouble::of("give tiles to the GPU"))
+    /// Puts the tiles of a layout on the GPU.
+    pub(super) fn lay_out(&self, layout: &Layout) -> Result<LaidOut, Trouble> {
+        let tiles = self.compute.clone_htod(&layout.tiles).map_err(Trouble::of("give tiles to the GPU"))?;
+        Ok(LaidOut { tiles, stride: layout.stride, blocks: layout.blocks })
     }
 
-    /// Starts the part of a render; `blocks` of `tiles` in all fit into the buffer.
+    /// Starts a part of a render; all pixels of the layout fit into the buffer.
     pub(super) fn launch(
         &self,
         program: &Loaded,
         shape: Shape,
-        tiles: &CudaSlice<DeviceTile>,
+        layout: &LaidOut,
         part: Part,
         out: &mut Buffer,
     ) -> Result<Launched, Trouble> {
@@ -285,20 +307,21 @@ impl Device {
             block_dim: (shape.columns, shape.rows, 1),
             shared_mem_bytes: 0,
         };
-        let count = tiles.len() as u32;
+        let (tiles, count) = (&layout.tiles, layout.tiles.len() as u32);
+        let order = Order { first: part.first_block, stride: layout.stride, blocks: layout.blocks };
         let (first, end, is_last) = (part.first_sample as f32, part.end_sample as f32, u32::from(part.is_last));
         let event = || self.compute.record_event(Some(CUevent_flags::CU_EVENT_DEFAULT));
         let mut launch = || {
             let start = event()?;
             let mut render = self.compute.launch_builder(&program.render);
-            render.arg(tiles).arg(&count).arg(&part.first_block);
+            render.arg(tiles).arg(&count).arg(&order);
             render.arg(&first).arg(&end).arg(&is_last).arg(&mut out.device);
             // SAFETY: the arguments are those of `render` in kernel.cu, in number, order and type. It
             // writes only pixels of the tiles, whose places the caller laid out inside the buffer.
             unsafe { render.launch(config) }?;
             if let Some(layers) = program.layers.as_ref().filter(|_| part.is_last) {
                 let mut render = self.compute.launch_builder(layers);
-                render.arg(tiles).arg(&count).arg(&part.first_block).arg(&mut out.device);
+                render.arg(tiles).arg(&count).arg(&order).arg(&mut out.device);
                 // SAFETY: as above, for `layers`.
                 unsafe { render.launch(config) }?;
             }

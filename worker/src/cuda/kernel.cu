@@ -88,8 +88,13 @@ struct Pixel {
     bool is_inside;
 };
 
-STEP Pixel pixel_of(const Tile* tiles, unsigned tile_count, unsigned first_block) {
-    const unsigned block = first_block + blockIdx.x;
+// Each launch takes blocks from all over the picture, so that all launches are about as dear.
+struct Order {
+    unsigned first, stride, blocks;
+};
+
+STEP Pixel pixel_of(const Tile* tiles, unsigned tile_count, Order order) {
+    const unsigned block = (unsigned)((unsigned long long)(order.first + blockIdx.x) * order.stride % order.blocks);
     // The last tile that starts at this block or before it.
     unsigned low = 0, high = tile_count;
     while (high - low > 1) {
@@ -111,9 +116,9 @@ STEP Pixel pixel_of(const Tile* tiles, unsigned tile_count, unsigned first_block
 }
 
 // Adds the samples from `first` until before `end` to what `out` holds (nothing, if `first` is 0).
-extern "C" __global__ void render(const Tile* __restrict__ tiles, unsigned tile_count, unsigned first_block,
-                                  float first, float end, unsigned is_last, float* __restrict__ out) {
-    const Pixel pixel = pixel_of(tiles, tile_count, first_block);
+extern "C" __global__ void render(const Tile* __restrict__ tiles, unsigned tile_count, Order order, float first,
+                                  float end, unsigned is_last, float* __restrict__ out) {
+    const Pixel pixel = pixel_of(tiles, tile_count, order);
     if (!pixel.is_inside) return;
     float* red = out + pixel.place;
     float* green = red + pixel.stride;
@@ -140,9 +145,9 @@ extern "C" __global__ void render(const Tile* __restrict__ tiles, unsigned tile_
 
 #ifdef LAYER_PLANES
 // Writes the planes behind the colour's.
-extern "C" __global__ void layers(const Tile* __restrict__ tiles, unsigned tile_count, unsigned first_block,
+extern "C" __global__ void layers(const Tile* __restrict__ tiles, unsigned tile_count, Order order,
                                   float* __restrict__ out) {
-    const Pixel pixel = pixel_of(tiles, tile_count, first_block);
+    const Pixel pixel = pixel_of(tiles, tile_count, order);
     if (!pixel.is_inside) return;
     const layers_result seen = step_layers(pixel.x, pixel.y);
     write_layers(seen, out + pixel.place + 4 * pixel.stride, pixel.stride);

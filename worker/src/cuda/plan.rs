@@ -11,8 +11,19 @@ const GROWTH: f64 = 6.0;
 /// Samples of the first launch of all.
 const FIRST_SAMPLES: u32 = 4;
 
-/// Tiles laid out for blocks of a shape, their pixels one behind the other; how many blocks they take.
-pub(super) fn lay_out(rects: &[Rect], planes: usize, shape: Shape) -> (Vec<DeviceTile>, u32) {
+/// Tiles laid out for blocks of some shape, their pixels one behind the other.
+#[derive(Clone, Debug)]
+pub(super) struct Layout {
+    pub(super) tiles: Vec<DeviceTile>,
+    /// How many blocks they take.
+    pub(super) blocks: u32,
+    /// From one block to the next that is launched, counted around: neighbours are far apart, so
+    /// that no launch is dearer than another because of what is to be seen there.
+    pub(super) stride: u32,
+}
+
+/// Lays out tiles.
+pub(super) fn lay_out(rects: &[Rect], planes: usize, shape: Shape) -> Layout {
     let (mut first_block, mut start) = (0, 0);
     let tiles = rects
         .iter()
@@ -32,7 +43,21 @@ pub(super) fn lay_out(rects: &[Rect], planes: usize, shape: Shape) -> (Vec<Devic
             tile
         })
         .collect();
-    (tiles, first_block)
+    Layout { tiles, blocks: first_block, stride: stride(first_block) }
+}
+
+/// A number near the golden section of `blocks` that has no factor in common with it.
+fn stride(blocks: u32) -> u32 {
+    const GOLDEN_SECTION: f64 = 0.618_034;
+    let common = |a: u32, b: u32| {
+        let (mut a, mut b) = (a, b);
+        while b != 0 {
+            (a, b) = (b, a % b);
+        }
+        a
+    };
+    let near = ((f64::from(blocks) * GOLDEN_SECTION) as u32).max(1);
+    (near..=blocks).find(|&stride| common(stride, blocks) == 1).unwrap_or(1)
 }
 
 /// What rendering costs with some program on some GPU, as far as is known.
@@ -58,6 +83,22 @@ impl Cost {
     fn budget(&self, wave: u32) -> f64 {
         let first = f64::from(wave) * f64::from(FIRST_SAMPLES);
         self.block_sample_ms.map_or(first, |ms| (LAUNCH_MS / ms).min(GROWTH * self.largest.max(first)))
+    }
+}
+
+/// Time that launches took, in milliseconds.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct KernelTimes {
+    /// All together.
+    pub total_ms: f64,
+    /// The longest.
+    pub longest_ms: f64,
+}
+
+impl KernelTimes {
+    pub(super) fn add(&mut self, ms: f64) {
+        self.total_ms += ms;
+        self.longest_ms = self.longest_ms.max(ms);
     }
 }
 
@@ -112,15 +153,16 @@ impl Launches {
 mod tests {
     use super::*;
 
-    /// Runs all launches of a GPU on which a block sample takes `ms`; the longest launch.
+    /// Runs all launches of a GPU on which a sample of a block takes `ms`; the longest launch.
     fn longest_launch(blocks: u32, samples: u32, ms: impl Fn(u32) -> f64) -> f64 {
+        let order = |place: u32| (u64::from(place) * u64::from(stride(blocks)) % u64::from(blocks)) as u32;
         let mut cost = Cost::default();
         let mut launches = Launches::new(blocks, samples, 1000);
         let mut rendered = vec![0; blocks as usize];
         let mut longest = 0.0_f64;
         while let Some(part) = launches.next(&cost) {
             let mut took = 0.0;
-            for block in part.first_block..part.first_block + part.blocks {
+            for block in (part.first_block..part.first_block + part.blocks).map(order) {
                 assert_eq!(rendered[block as usize], part.first_sample, "samples come in order");
                 rendered[block as usize] = part.end_sample;
                 took += ms(block) * f64::from(part.end_sample - part.first_sample);
@@ -141,7 +183,7 @@ mod tests {
     }
 
     #[test]
-    fn a_picture_that_turns_dear_is_cut_finer() {
+    fn a_picture_that_is_dear_in_one_place_is_cut_evenly() {
         let sky_then_fractal = |block: u32| if block < 30_000 { 2e-6 } else { 4e-5 };
         assert!(longest_launch(60_000, 256, sky_then_fractal) <= 50.0);
     }
@@ -157,7 +199,7 @@ mod tests {
     #[test]
     fn tiles_follow_one_another_in_blocks_and_numbers() {
         let rects = [Rect { x: 0, y: 0, width: 33, height: 9 }, Rect { x: 64, y: 32, width: 32, height: 32 }];
-        let (tiles, blocks) = lay_out(&rects, 5, Shape { columns: 16, rows: 8 });
+        let Layout { tiles, blocks, .. } = lay_out(&rects, 5, Shape { columns: 16, rows: 8 });
         assert_eq!((tiles[0].columns, tiles[1].first_block, tiles[1].start), (3, 6, 33 * 9 * 5));
         assert_eq!(blocks, 6 + 8);
     }
