@@ -3,15 +3,20 @@
 //! A picture is flushed to the disk before anyone hears of it; a tile blob is not, since
 //! losing it costs a re-render. What is in them is nobody's business here.
 
-use std::io;
+use std::io::{self, SeekFrom};
 use std::path::Path as FolderPath;
 
 use bytes::{Bytes, BytesMut};
+use futures_util::future::TryFutureExt;
 use futures_util::stream::{BoxStream, Stream, StreamExt, TryStreamExt};
 use object_store::local::LocalFileSystem;
 use object_store::path::Path;
-use object_store::{GetOptions, GetRange, ObjectMeta, ObjectStore, ObjectStoreExt, PutPayload};
+use object_store::{
+    GetOptions, GetRange, GetResult, GetResultPayload, ObjectMeta, ObjectStore, ObjectStoreExt, PutPayload,
+};
+use tokio::io::{AsyncReadExt, AsyncSeekExt};
 use tokio::sync::RwLock;
+use tokio_util::io::ReaderStream;
 
 /// Bytes written at a time.
 const PART_BYTES: usize = 1 << 20;
@@ -232,7 +237,7 @@ impl Pictures {
     ) -> Result<Option<(u64, BoxStream<'static, object_store::Result<Bytes>>)>, PictureError> {
         let options = GetOptions { range: range.map(GetRange::Bounded), ..GetOptions::default() };
         match self.store(kind).get_opts(&path(kind, name), options).await {
-            Ok(found) => Ok(Some((found.range.end - found.range.start, found.into_stream()))),
+            Ok(found) => Ok(Some((found.range.end - found.range.start, stream(found)))),
             Err(object_store::Error::NotFound { .. }) => Ok(None),
             Err(error) => Err(failed("read", kind, name)(error)),
         }
@@ -292,6 +297,26 @@ async fn finish(
 
 fn path(kind: Kind, name: &Name) -> Path {
     Path::from(format!("{}/{}", kind.folder(), name.as_str()))
+}
+
+/// The bytes that were found, in pieces large enough for a file's reader: the store's own are of
+/// 8 KiB, each read on another thread, which takes a second for a frame's tiles.
+fn stream(found: GetResult) -> BoxStream<'static, object_store::Result<Bytes>> {
+    const PIECE_BYTES: usize = 256 << 10;
+    let range = found.range.clone();
+    let unreadable = |error: io::Error| object_store::Error::Generic { store: "file", source: error.into() };
+    match found.payload {
+        GetResultPayload::File(file, _) => {
+            let mut file = tokio::fs::File::from_std(file);
+            let opened = async move {
+                file.seek(SeekFrom::Start(range.start)).await.map_err(unreadable)?;
+                let bytes = ReaderStream::with_capacity(file.take(range.end - range.start), PIECE_BYTES);
+                Ok(bytes.map_err(unreadable))
+            };
+            opened.try_flatten_stream().boxed()
+        }
+        GetResultPayload::Stream(bytes) => bytes,
+    }
 }
 
 fn failed(action: &'static str, kind: Kind, name: &Name) -> impl FnOnce(object_store::Error) -> PictureError {

@@ -92,9 +92,9 @@ pub fn render_on_gpu(job: &Job, gpu: &CudaRenderer, cpu: &CpuRenderer, runs: usi
     let source = Source::new(job, 0);
     let source_time = source_time.elapsed();
     gpu.forget();
-    let first = gpu.prepare(&run)?;
+    let first = gpu.compile(&run)?;
     gpu.forget();
-    let again = gpu.prepare(&run)?;
+    let again = gpu.compile(&run)?;
     let (mut kernels, mut walls, mut longest_launch_ms) = (Vec::new(), Vec::new(), 0.0_f64);
     // The first run only warms up.
     for round in 0..=runs.max(1) {

@@ -84,6 +84,8 @@ pub struct CudaRenderer {
     spare: Mutex<Vec<Vec<f32>>>,
     encoders: Option<usize>,
     kernels: Mutex<KernelTimes>,
+    /// Time that went into making programs.
+    setup_time: Mutex<Duration>,
 }
 
 /// A program on the GPU, and what is known of it.
@@ -142,6 +144,7 @@ impl CudaRenderer {
             spare: Mutex::default(),
             encoders: None,
             kernels: Mutex::default(),
+            setup_time: Mutex::default(),
         };
         renderer.prove().map_err(refused)?;
         Ok(renderer)
@@ -169,7 +172,7 @@ impl CudaRenderer {
     }
 
     /// Makes the program of a tile ready, and tells what that took.
-    pub fn prepare(&self, run: &TileRun<'_>) -> Result<Compiled, RenderError> {
+    pub fn compile(&self, run: &TileRun<'_>) -> Result<Compiled, RenderError> {
         let source = Source::new(run.job, run.frame);
         let start = Instant::now();
         let (program, was_kept) = self.program(&source, run).map_err(|trouble| self.failed(&trouble))?;
@@ -204,6 +207,7 @@ impl CudaRenderer {
         if let Some(program) = lock(&self.programs).get(&key) {
             return Ok((program.clone(), true));
         }
+        let start = Instant::now();
         // What was kept and can't be loaded, by another driver say, is made again.
         let kept = self.cache.get(key).and_then(|kept| Some((self.device.load(&kept.code).ok()?, kept.shape)));
         let was_kept = kept.is_some();
@@ -226,6 +230,7 @@ impl CudaRenderer {
             programs.clear();
         }
         programs.insert(key, program.clone());
+        *lock(&self.setup_time) += start.elapsed();
         Ok((program, was_kept))
     }
 
@@ -449,6 +454,10 @@ impl Renderer for CudaRenderer {
         let mut finished = Vec::with_capacity(runs.len());
         let rendered = self.render_groups(runs, cancel, progress, &mut finished);
         rendered.map(|()| finished).map_err(|trouble| self.failed(&trouble))
+    }
+
+    fn take_setup_time(&self) -> Duration {
+        std::mem::take(&mut *lock(&self.setup_time))
     }
 
     fn batch(&self) -> usize {

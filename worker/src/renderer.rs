@@ -4,6 +4,7 @@
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::Duration;
 
 use proto::Rect;
 
@@ -31,6 +32,12 @@ pub trait Renderer: Send + Sync {
         progress: &(dyn Fn(u64) + Sync),
     ) -> Result<Vec<Pixels>, RenderError> {
         runs.iter().map(|run| self.render(run, cancel, progress)).collect()
+    }
+
+    /// Time since the last time this was asked that went into getting ready for a scene, and says
+    /// nothing of how fast it renders.
+    fn take_setup_time(&self) -> Duration {
+        Duration::ZERO
     }
 
     /// How many tiles it likes to be given at a time, at least 1.

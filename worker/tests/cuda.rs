@@ -31,9 +31,9 @@ int main() {
         for (blockIdx.x = 0; blockIdx.x < blocks; ++blockIdx.x)
             for (threadIdx.y = 0; threadIdx.y < 4; ++threadIdx.y)
                 for (threadIdx.x = 0; threadIdx.x < 8; ++threadIdx.x) {
-                    render(&tile, 1, {0, 1, blocks}, part ? middle : 0, part ? samples : middle, part, out);
+                    render(&tile, 1, {0, 1, blocks, 1}, part ? middle : 0, part ? samples : middle, part, out);
 #ifdef LAYER_PLANES
-                    if (part) layers(&tile, 1, {0, 1, blocks}, out);
+                    if (part) layers(&tile, 1, {0, 1, blocks, 1}, out);
 #endif
                 }
     return fwrite(out, 4, numbers, stdout) == numbers ? 0 : 1;

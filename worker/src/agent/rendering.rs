@@ -166,7 +166,8 @@ impl Workbench {
         };
         match rendered {
             Ok(Ok(pixels)) => {
-                self.tell(Event::Speed { rays, seconds: start.elapsed().as_secs_f64().max(1e-6) });
+                let spent = start.elapsed().saturating_sub(self.renderer.take_setup_time());
+                self.tell(Event::Speed { rays, seconds: spent.as_secs_f64().max(1e-6) });
                 Launched::Pixels(pixels)
             }
             Ok(Err(RenderError::Cancelled)) if stop.0.is_cancelled() => Launched::Dropped,

@@ -87,6 +87,8 @@ struct Speed {
 impl Speed {
     /// What is older than about so long hardly counts.
     const MEMORY_SECONDS: f64 = 4.0;
+    /// As if it had spent so long for nothing: a short first measurement is not trusted with much.
+    const DOUBT_SECONDS: f64 = 0.05;
 
     fn learn(&mut self, rays: f64, seconds: f64) {
         let fade = (1.0 - seconds / Self::MEMORY_SECONDS).max(0.0);
@@ -94,7 +96,7 @@ impl Speed {
     }
 
     fn rays_per_second(self) -> Option<f64> {
-        (self.seconds > 0.0).then(|| self.rays / self.seconds)
+        (self.seconds > 0.0).then(|| self.rays / (self.seconds + Self::DOUBT_SECONDS))
     }
 }
 

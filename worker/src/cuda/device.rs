@@ -13,7 +13,7 @@ use cudarc::driver::{
 };
 use cudarc::nvrtc::Ptx;
 
-use super::plan::Layout;
+use super::plan::{GROUP, Layout};
 use super::trouble::Trouble;
 
 /// Every function of the driver that is called, by cudarc for us.
@@ -118,7 +118,8 @@ unsafe impl DeviceRepr for DeviceTile {}
 struct Order {
     first: u32,
     stride: u32,
-    blocks: u32,
+    groups: u32,
+    group: u32,
 }
 
 // SAFETY: as above.
@@ -129,7 +130,7 @@ unsafe impl DeviceRepr for Order {}
 pub(super) struct LaidOut {
     tiles: CudaSlice<DeviceTile>,
     stride: u32,
-    blocks: u32,
+    groups: u32,
 }
 
 /// A GPU.
@@ -290,7 +291,7 @@ impl Device {
     /// Puts the tiles of a layout on the GPU.
     pub(super) fn lay_out(&self, layout: &Layout) -> Result<LaidOut, Trouble> {
         let tiles = self.compute.clone_htod(&layout.tiles).map_err(Trouble::of("give tiles to the GPU"))?;
-        Ok(LaidOut { tiles, stride: layout.stride, blocks: layout.blocks })
+        Ok(LaidOut { tiles, stride: layout.stride, groups: layout.groups })
     }
 
     /// Starts a part of a render; all pixels of the layout fit into the buffer.
@@ -308,7 +309,7 @@ impl Device {
             shared_mem_bytes: 0,
         };
         let (tiles, count) = (&layout.tiles, layout.tiles.len() as u32);
-        let order = Order { first: part.first_block, stride: layout.stride, blocks: layout.blocks };
+        let order = Order { first: part.first_block, stride: layout.stride, groups: layout.groups, group: GROUP };
         let (first, end, is_last) = (part.first_sample as f32, part.end_sample as f32, u32::from(part.is_last));
         let event = || self.compute.record_event(Some(CUevent_flags::CU_EVENT_DEFAULT));
         let mut launch = || {

@@ -88,13 +88,16 @@ struct Pixel {
     bool is_inside;
 };
 
-// Each launch takes blocks from all over the picture, so that all launches are about as dear.
+// Each launch takes groups of blocks from all over the picture, so that all launches are about as
+// dear; the blocks of a group are neighbours, and do much the same.
 struct Order {
-    unsigned first, stride, blocks;
+    unsigned first, stride, groups, group;
 };
 
 STEP Pixel pixel_of(const Tile* tiles, unsigned tile_count, Order order) {
-    const unsigned block = (unsigned)((unsigned long long)(order.first + blockIdx.x) * order.stride % order.blocks);
+    const unsigned turn = order.first + blockIdx.x;
+    const unsigned group = (unsigned)((unsigned long long)(turn / order.group) * order.stride % order.groups);
+    const unsigned block = group * order.group + turn % order.group;
     // The last tile that starts at this block or before it.
     unsigned low = 0, high = tile_count;
     while (high - low > 1) {
@@ -111,6 +114,7 @@ STEP Pixel pixel_of(const Tile* tiles, unsigned tile_count, Order order) {
     pixel.y = (float)(tile.y + row);
     pixel.stride = (unsigned long long)tile.width * tile.height;
     pixel.place = tile.start + (unsigned long long)row * tile.width + column;
+    // The last group may have blocks that are in no tile.
     pixel.is_inside = column < tile.width && row < tile.height;
     return pixel;
 }

@@ -8,6 +8,8 @@ use proto::Rect;
 const LAUNCH_MS: f64 = 12.0;
 /// How many times as much as the one before a launch may render while little is known.
 const GROWTH: f64 = 6.0;
+/// Blocks side by side that are launched together.
+pub(super) const GROUP: u32 = 64;
 /// Samples of the first launch of all.
 const FIRST_SAMPLES: u32 = 4;
 
@@ -15,10 +17,11 @@ const FIRST_SAMPLES: u32 = 4;
 #[derive(Clone, Debug)]
 pub(super) struct Layout {
     pub(super) tiles: Vec<DeviceTile>,
-    /// How many blocks they take.
+    /// How many blocks they take, rounded up to whole groups.
     pub(super) blocks: u32,
-    /// From one block to the next that is launched, counted around: neighbours are far apart, so
-    /// that no launch is dearer than another because of what is to be seen there.
+    pub(super) groups: u32,
+    /// From one group to the next that is launched, counted around: they are far apart, so that no
+    /// launch is dearer than another because of what is to be seen there.
     pub(super) stride: u32,
 }
 
@@ -43,11 +46,12 @@ pub(super) fn lay_out(rects: &[Rect], planes: usize, shape: Shape) -> Layout {
             tile
         })
         .collect();
-    Layout { tiles, blocks: first_block, stride: stride(first_block) }
+    let groups = first_block.div_ceil(GROUP);
+    Layout { tiles, blocks: groups * GROUP, groups, stride: stride(groups) }
 }
 
-/// A number near the golden section of `blocks` that has no factor in common with it.
-fn stride(blocks: u32) -> u32 {
+/// A number near the golden section of `groups` that has no factor in common with it.
+fn stride(groups: u32) -> u32 {
     const GOLDEN_SECTION: f64 = 0.618_034;
     let common = |a: u32, b: u32| {
         let (mut a, mut b) = (a, b);
@@ -56,8 +60,8 @@ fn stride(blocks: u32) -> u32 {
         }
         a
     };
-    let near = ((f64::from(blocks) * GOLDEN_SECTION) as u32).max(1);
-    (near..=blocks).find(|&stride| common(stride, blocks) == 1).unwrap_or(1)
+    let near = ((f64::from(groups) * GOLDEN_SECTION) as u32).max(1);
+    (near..=groups).find(|&stride| common(stride, groups) == 1).unwrap_or(1)
 }
 
 /// What rendering costs with some program on some GPU, as far as is known.
@@ -155,7 +159,9 @@ mod tests {
 
     /// Runs all launches of a GPU on which a sample of a block takes `ms`; the longest launch.
     fn longest_launch(blocks: u32, samples: u32, ms: impl Fn(u32) -> f64) -> f64 {
-        let order = |place: u32| (u64::from(place) * u64::from(stride(blocks)) % u64::from(blocks)) as u32;
+        let blocks = blocks.next_multiple_of(GROUP);
+        let (groups, stride) = (u64::from(blocks / GROUP), u64::from(stride(blocks / GROUP)));
+        let order = |turn: u32| (u64::from(turn / GROUP) * stride % groups) as u32 * GROUP + turn % GROUP;
         let mut cost = Cost::default();
         let mut launches = Launches::new(blocks, samples, 1000);
         let mut rendered = vec![0; blocks as usize];
@@ -201,6 +207,6 @@ mod tests {
         let rects = [Rect { x: 0, y: 0, width: 33, height: 9 }, Rect { x: 64, y: 32, width: 32, height: 32 }];
         let Layout { tiles, blocks, .. } = lay_out(&rects, 5, Shape { columns: 16, rows: 8 });
         assert_eq!((tiles[0].columns, tiles[1].first_block, tiles[1].start), (3, 6, 33 * 9 * 5));
-        assert_eq!(blocks, 6 + 8);
+        assert_eq!(blocks, GROUP, "6 and 8 blocks are less than a group");
     }
 }
