@@ -272,7 +272,7 @@ impl CudaRenderer {
         run: &TileRun<'_>,
         buffer: &mut Buffer,
     ) -> Result<f64, Trouble> {
-        let layout = plan::lay_out(&[piece], run.job.image.channels().len(), shape);
+        let layout = plan::lay_out(&[piece], run.job.image.channels().len(), shape).in_rows();
         let laid_out = self.device.lay_out(&layout)?;
         let end_sample = run.job.image.samples.min(4);
         let part = device::Part { first_block: 0, blocks: layout.blocks, first_sample: 0, end_sample, is_last: true };
@@ -338,7 +338,7 @@ impl CudaRenderer {
             self.device.set_numbers(&program.loaded, &source.parameters)?;
             known.numbers = Some(source.parameters.clone());
         }
-        let layout = plan::lay_out(&rects, planes, program.shape);
+        let layout = plan::lay_out(&rects, planes, program.shape).ordered(&known.cost, image.samples);
         let laid_out = self.device.lay_out(&layout)?;
         let wave = self.device.multiprocessors * (2048 / program.shape.threads());
         let mut launches = Launches::new(layout.blocks, image.samples, wave);

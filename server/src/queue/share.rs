@@ -6,7 +6,7 @@ use std::time::Duration;
 const SMALL_FRAME_RAYS: u64 = 1 << 22;
 /// What a run of tiles should take.
 const RUN: Duration = Duration::from_secs(1);
-/// A run that takes no longer than this is nobody's loss.
+/// A run that takes no longer than this is nobody's loss, and a frame that does is not worth sharing.
 const SHORT_RUN: Duration = Duration::from_millis(50);
 /// A worker given a whole frame keeps at most so much data of it.
 const WHOLE_FRAME_BYTES: u64 = 256 << 20;
@@ -49,7 +49,8 @@ pub(super) fn run_length(
     let left = ready.iter().map(|tile| tile.rays).sum::<u64>() + frame.rays_behind;
     let by_other = fastest_other.map_or(f64::INFINITY, |rate| (left as f64 / rate).max(SHORT_RUN.as_secs_f64()));
     let budget = rays_per_second.map(|rate| (rate * RUN.as_secs_f64().min(by_other)) as u64);
-    if frame.rays <= SMALL_FRAME_RAYS.min(budget.unwrap_or(SMALL_FRAME_RAYS)) {
+    let soon = rays_per_second.map_or(0, |rate| (rate * SHORT_RUN.as_secs_f64()) as u64);
+    if frame.rays <= SMALL_FRAME_RAYS.min(budget.unwrap_or(SMALL_FRAME_RAYS)).max(soon) {
         return mixable;
     }
     let fair = ready.len().div_ceil(idle_workers.max(1) as usize);
@@ -114,8 +115,9 @@ mod tests {
 
     #[test]
     fn idle_workers_share_a_frame() {
-        assert_eq!(run_length(&tiles(9), frame(9), Some(1e12), 3, None), 3);
-        assert_eq!(run_length(&tiles(2), frame(9), Some(1e12), 3, None), 1);
+        assert_eq!(run_length(&tiles(9), frame(9), Some(100.0 * MEGA as f64), 3, None), 3);
+        assert_eq!(run_length(&tiles(2), frame(9), Some(100.0 * MEGA as f64), 3, None), 1);
+        assert_eq!(run_length(&tiles(9), frame(9), Some(1e12), 3, None), 9, "it is done before another is asked");
     }
 
     #[test]

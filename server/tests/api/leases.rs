@@ -202,8 +202,8 @@ async fn idle_workers_share_a_large_frame() {
     let farm = Farm::start().await;
     let posted = farm.submit(&job(1920, 1080, 4)).await;
     let (mut one, mut two) = (farm.worker("one").await, farm.worker("two").await);
-    one.rays_per_second = Some(1e9);
-    two.rays_per_second = Some(1e9);
+    one.rays_per_second = Some(2e7);
+    two.rays_per_second = Some(3e7);
     let first = one.claim().await.expect("work");
     let second = two.claim().await.expect("work");
     assert_eq!(leases(&first).len() as u64, posted.tiles.total.div_ceil(2));
@@ -211,6 +211,20 @@ async fn idle_workers_share_a_large_frame() {
     one.report(one.results(&first).await).await;
     two.report(two.results(&second).await).await;
     assert!(matches!(one.claim().await.expect("the stitch").work, Work::Stitch { .. }));
+    farm.stop().await;
+}
+
+#[tokio::test]
+async fn a_worker_that_needs_a_moment_for_a_frame_shares_it_with_nobody() {
+    let farm = Farm::start().await;
+    let posted = farm.submit(&job(1920, 1080, 4)).await;
+    let (mut one, mut two) = (farm.worker("one").await, farm.worker("two").await);
+    one.rays_per_second = Some(1e9);
+    two.rays_per_second = Some(1e9);
+    let run = one.claim().await.expect("work");
+    assert!(matches!(&run.work, Work::Render { whole_frame: true, .. }), "{run:?}");
+    assert_eq!(leases(&run).len() as u64, posted.tiles.total);
+    assert!(two.claim().await.is_none(), "nothing is left");
     farm.stop().await;
 }
 

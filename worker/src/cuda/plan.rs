@@ -50,6 +50,18 @@ pub(super) fn lay_out(rects: &[Rect], planes: usize, shape: Shape) -> Layout {
     Layout { tiles, blocks: groups * GROUP, groups, stride: stride(groups) }
 }
 
+impl Layout {
+    /// The order of rows if there will be one launch: blocks that do the same then run together.
+    pub(super) fn ordered(self, cost: &Cost, samples: u32) -> Self {
+        if cost.is_one_launch(self.blocks, samples) { self.in_rows() } else { self }
+    }
+
+    /// The order of rows.
+    pub(super) fn in_rows(self) -> Self {
+        Self { stride: 1, ..self }
+    }
+}
+
 /// A number near the golden section of `groups` that has no factor in common with it.
 fn stride(groups: u32) -> u32 {
     const GOLDEN_SECTION: f64 = 0.618_034;
@@ -81,6 +93,12 @@ impl Cost {
         // What was dear once may come again; it is forgotten slowly.
         self.block_sample_ms = Some(self.block_sample_ms.map_or(now, |before| now.max(0.8 * before)));
         self.largest = self.largest.max(units);
+    }
+
+    /// Whether so many blocks are known to take no more than one launch.
+    fn is_one_launch(&self, blocks: u32, samples: u32) -> bool {
+        let units = f64::from(blocks) * f64::from(samples);
+        self.block_sample_ms.is_some_and(|ms| units * ms <= LAUNCH_MS && units <= GROWTH * self.largest)
     }
 
     /// How many block samples the next launch should have.
