@@ -57,8 +57,12 @@ pub(crate) async fn measure(text: &[u8], devices: Vec<String>, jobs: usize, fram
 
 async fn farm(client: &Client, text: &[u8], jobs: usize, frames: u32) -> anyhow::Result<FarmReport> {
     let start = Instant::now();
-    while client.pool().await?.ready == 0 {
-        anyhow::ensure!(start.elapsed() < START, "no worker was ready after {} s", START.as_secs());
+    loop {
+        let pool = client.pool().await?;
+        if pool.ready > 0 && pool.ready >= pool.workers {
+            break;
+        }
+        anyhow::ensure!(start.elapsed() < START, "not every worker was ready after {} s", START.as_secs());
         tokio::time::sleep(PAUSE).await;
     }
     let mut devices: Vec<String> = client.workers().await?.workers.into_iter().map(|worker| worker.device).collect();
