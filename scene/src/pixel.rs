@@ -25,7 +25,7 @@ pub struct Program<'a> {
     shrink: Vec<Option<f32>>,
     /// Whether a tree says materials of its own.
     painted: Vec<bool>,
-    /// Boxes of objects that need not be looked at from far away.
+    /// Boxes of objects that need not be looked at from far away; empty if there are none.
     boxes: Vec<Option<Bounds>>,
     /// Whether its distance is so long that all who ask for it share one that also names the object.
     is_long: bool,
@@ -91,11 +91,12 @@ impl<'a> Program<'a> {
         // A quarter of half a pixel keeps silhouettes; the rest keeps depth and the limits of f32.
         let tolerance = Tolerance { slope: (0.25 * view.cone()).clamp(2e-6, 2.5e-4), floor: 2e-7 * size + 1e-7 };
         let tap = Tolerance { slope: (0.5 * view.cone()).max(3e-4), floor: 100.0 * tolerance.floor };
+        let boxes: Vec<Option<Bounds>> = scene.objects.iter().map(|object| object.shape.skipping_bounds()).collect();
         let shapes = scene.objects.iter().map(|object| object.shape.bounds(0.0));
         let bounds = shapes.reduce(Bounds::hull).expect("a scene has one object or more");
         Self {
             scene,
-            boxes: scene.objects.iter().map(|object| object.shape.skipping_bounds()).collect(),
+            boxes: if boxes.iter().all(Option::is_none) { Vec::new() } else { boxes },
             is_long: job.nodes() >= LONG_SCENE_NODES,
             bounds: bounds.with_margin(origin),
             shrink: scene.objects.iter().map(|object| object.shape.stretch()).map(shrink).collect(),

@@ -23,7 +23,7 @@ pub(super) struct Run {
 
 /// The runs of a list; none until they have been found. They say nothing that the list does not.
 #[derive(Clone, Debug, Default)]
-pub struct Runs(pub(super) Option<Run>);
+pub struct Runs(pub(super) Option<Box<Run>>);
 
 impl PartialEq for Runs {
     fn eq(&self, _: &Self) -> bool {
@@ -32,9 +32,17 @@ impl PartialEq for Runs {
 }
 
 impl Runs {
-    /// The runs of all shapes but the first.
+    /// The runs of all shapes but the first; none where no run is worth a look.
     pub(super) fn of(shapes: &[Node]) -> Self {
-        Self((shapes.len() > 1).then(|| run(shapes, 1..shapes.len())))
+        let all = (shapes.len() > 1).then(|| run(shapes, 1..shapes.len()));
+        // In a box of its own, so that nodes stay small.
+        Self(all.filter(Run::has_bounds).map(Box::new))
+    }
+}
+
+impl Run {
+    fn has_bounds(&self) -> bool {
+        self.bounds.is_some() || self.halves.iter().flat_map(|halves| halves.iter()).any(Self::has_bounds)
     }
 }
 

@@ -5,10 +5,33 @@ use crate::real::{Bundle, Real, Vec3};
 
 impl Program<'_> {
     /// The distance of the whole scene at `p`, never more than to the nearest surface.
+    #[inline(always)]
     pub fn distance<R: Real>(&self, p: Vec3<R>) -> R {
         if self.is_long {
-            return self.nearest(p).0;
+            self.nearest(p).0
+        } else if self.boxes.is_empty() {
+            self.distance_to_all(p)
+        } else {
+            self.distance_past_boxes(p)
         }
+    }
+
+    fn distance_to_all<R: Real>(&self, p: Vec3<R>) -> R {
+        p.x.shared(
+            "distance",
+            p,
+            #[inline(always)]
+            |p| {
+                let mut nearest = self.object_distance(0, p);
+                for index in 1..self.scene.objects.len() {
+                    nearest = nearest.min(self.object_distance(index, p));
+                }
+                nearest
+            },
+        )
+    }
+
+    fn distance_past_boxes<R: Real>(&self, p: Vec3<R>) -> R {
         p.x.shared(
             "distance",
             p,
@@ -68,7 +91,7 @@ impl Program<'_> {
         before: T,
         with_object: impl FnOnce() -> T,
     ) -> T {
-        match &self.boxes[index] {
+        match self.boxes.get(index).and_then(Option::as_ref) {
             Some(bounds) => R::when(bounds.distance_below(p).lt(nearest), before, with_object),
             None => with_object(),
         }
