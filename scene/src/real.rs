@@ -120,8 +120,8 @@ pub trait Real:
         f()
     }
 
-    /// A step of a picture that its formula takes in several places, called `name` in no other
-    /// sense: what it needs comes as `arguments`, what else `step` holds is the scene's.
+    /// A step that a picture's formula takes in several places. A name stands for one step: all
+    /// numbers that differ from call to call come as `arguments`, and `step` holds only the scene.
     #[inline(always)]
     fn shared<A: Bundle<Self>, T: Bundle<Self>>(
         self,
