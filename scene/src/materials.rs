@@ -10,28 +10,73 @@ use serde::de::{MapAccess, Visitor, value::MapAccessDeserializer};
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
 
 use crate::lights::Incoming;
-use crate::real::{Real, Vec3, vec3};
+use crate::real::{Flag, Real, Vec3, bundle, vec3};
 use crate::values::{Color, Shininess};
 
 /// What a material needs to know of the place it colours.
 #[derive(Clone, Copy, Debug)]
-pub struct Place<R> {
+pub struct Place<R: Real> {
     /// The surface's normal, of length 1, towards the viewer's side.
     pub normal: Vec3<R>,
     /// The direction to the viewer, of length 1.
     pub to_viewer: Vec3<R>,
+    /// The point as textures see it: in the space of the `paint` that says the material, else in the scene's.
+    pub point: Vec3<R>,
+    /// The normal in that space.
+    pub own_normal: Vec3<R>,
+    /// Distance from the camera, along the ray.
+    pub distance: R,
+    /// Whether the surface is seen from inside its shape.
+    pub inside: Flag<R>,
 }
+
+/// The light that arrives at a place.
+#[derive(Clone, Debug, Default)]
+pub struct Lighting<R> {
+    /// Light from single directions.
+    pub lights: Vec<Incoming<R>>,
+    /// Light from all around, as a white matt surface would send it back; `None` where there is none.
+    pub surrounding: Option<Vec3<R>>,
+    /// How open the place is to light from all around, 0 to 1; `None` where nobody asks.
+    pub openness: Option<R>,
+}
+
+/// How a surface sends a ray on, beside what it scatters of the lights.
+#[derive(Clone, Copy, Debug)]
+pub struct Finish<R> {
+    /// Share of the light that is mirrored when it arrives along the normal, by channel (Fresnel's F0).
+    pub mirrored: Vec3<R>,
+    /// Roughness, 0 to 1: the square root of the GGX model's α.
+    pub roughness: R,
+    /// Share of the light that is not mirrored which goes through, by channel.
+    pub passed: Vec3<R>,
+    /// Index of refraction inside over that outside.
+    pub ior: R,
+}
+
+bundle!(Finish { mirrored, roughness, passed, ior });
 
 /// What a material means.
 pub trait Shade {
     /// The light that leaves the surface towards the viewer, linear RGB.
-    fn shade<R: Real>(&self, place: &Place<R>, lights: &[Incoming<R>]) -> Vec3<R>;
+    fn shade<R: Real>(&self, place: &Place<R>, light: &Lighting<R>) -> Vec3<R>;
 
     /// The surface's own colour, without light: the `albedo` layer.
     fn albedo<R: Real>(&self, place: &Place<R>) -> Vec3<R>;
 
     /// Whether `shade` looks at the lights at all.
     fn is_lit(&self) -> bool;
+
+    /// How it sends rays on; `None` if it never does.
+    fn finish<R: Real>(&self, place: &Place<R>) -> Option<Finish<R>> {
+        let _ = place;
+        None
+    }
+
+    /// Whether it looks at `Place::own_normal`, which is dear to find.
+    fn needs_own_normal(&self) -> bool {
+        false
+    }
 }
 
 macro_rules! materials {
@@ -45,8 +90,8 @@ macro_rules! materials {
 
         impl Shade for Material {
             #[inline(always)]
-            fn shade<R: Real>(&self, place: &Place<R>, lights: &[Incoming<R>]) -> Vec3<R> {
-                match self { $(Self::$Kind(material) => material.shade(place, lights)),* }
+            fn shade<R: Real>(&self, place: &Place<R>, light: &Lighting<R>) -> Vec3<R> {
+                match self { $(Self::$Kind(material) => material.shade(place, light)),* }
             }
 
             #[inline(always)]
@@ -56,6 +101,15 @@ macro_rules! materials {
 
             fn is_lit(&self) -> bool {
                 match self { $(Self::$Kind(material) => material.is_lit()),* }
+            }
+
+            #[inline(always)]
+            fn finish<R: Real>(&self, place: &Place<R>) -> Option<Finish<R>> {
+                match self { $(Self::$Kind(material) => material.finish(place)),* }
+            }
+
+            fn needs_own_normal(&self) -> bool {
+                match self { $(Self::$Kind(material) => material.needs_own_normal()),* }
             }
         }
     };
@@ -73,7 +127,7 @@ pub struct Flat {
 
 impl Shade for Flat {
     #[inline(always)]
-    fn shade<R: Real>(&self, place: &Place<R>, _: &[Incoming<R>]) -> Vec3<R> {
+    fn shade<R: Real>(&self, place: &Place<R>, _: &Lighting<R>) -> Vec3<R> {
         self.albedo(place)
     }
 
@@ -94,7 +148,7 @@ pub struct Normals {}
 
 impl Shade for Normals {
     #[inline(always)]
-    fn shade<R: Real>(&self, place: &Place<R>, _: &[Incoming<R>]) -> Vec3<R> {
+    fn shade<R: Real>(&self, place: &Place<R>, _: &Lighting<R>) -> Vec3<R> {
         self.albedo(place)
     }
 
@@ -136,12 +190,18 @@ pub struct Diffuse {
 
 impl Shade for Diffuse {
     #[inline(always)]
-    fn shade<R: Real>(&self, place: &Place<R>, lights: &[Incoming<R>]) -> Vec3<R> {
+    fn shade<R: Real>(&self, place: &Place<R>, light: &Lighting<R>) -> Vec3<R> {
         let like = place.normal.x;
         let (kd, ks) = (Vec3::given(like, self.kd.get()), self.ks.get());
         let (ka, la) = (self.ka.unwrap_or(self.kd).get(), self.ambient.get());
         let mut sum = Vec3::given(like, vec3(ka.x * la.x, ka.y * la.y, ka.z * la.z));
-        for light in lights {
+        if let Some(openness) = light.openness {
+            sum = sum * openness;
+        }
+        if let Some(around) = light.surrounding {
+            sum = vec3(kd.x.mul_add(around.x, sum.x), kd.y.mul_add(around.y, sum.y), kd.z.mul_add(around.z, sum.z));
+        }
+        for light in &light.lights {
             let facing = place.normal.dot(light.direction).at_least(0.0);
             let scattered = light.radiance * facing;
             sum = vec3(

@@ -29,10 +29,40 @@ use crate::real::{Real, Vec3};
 /// A node inside another.
 pub type Child = std::boxed::Box<Node>;
 
+/// How a node's value relates to the Euclidean distance to its surface, best first.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub enum Exactness {
+    /// It is the distance.
+    Exact,
+    /// Over its Lipschitz factor it is never more than the distance.
+    Bound,
+    /// An estimate, which no Lipschitz factor bounds everywhere; a step of value/stretch still passes no surface.
+    Estimate,
+}
+
+/// What is wrong with the numbers of a node taken together.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct NodeFault {
+    /// Where in the node: a key, or a path of keys and places such as `points/2`.
+    pub place: String,
+    /// What is wrong and what to do about it, as it reads behind the place.
+    pub message: String,
+}
+
+impl NodeFault {
+    /// A fault at a place of the node.
+    pub fn new(place: impl Into<String>, message: impl Into<String>) -> Self {
+        Self { place: place.into(), message: message.into() }
+    }
+}
+
 /// What a node means.
 pub trait Sdf {
     /// A small valid value, as a user would write it: the picture in docs/nodes.md and the contract tests use it.
     const EXAMPLE: &'static str;
+
+    /// Further values that take other ways through the formula, drawn and tested like the first.
+    const MORE: &'static [&'static str] = &[];
 
     /// The signed distance at `p`, negative inside, with materials where `V` keeps them.
     fn sample<R: Real, V: Sample<R>>(&self, p: Vec3<R>) -> V;
@@ -70,9 +100,14 @@ pub trait Sdf {
         self.children().iter().map(Node::stretch).fold(1.0, f32::max)
     }
 
-    /// Whether some distance in it is an estimate, which no Lipschitz factor bounds everywhere.
-    fn is_estimate(&self) -> bool {
-        self.children().iter().any(Node::is_estimate)
+    /// What its value is worth: as much as the worst of the nodes inside.
+    fn exactness(&self) -> Exactness {
+        self.children().iter().map(Node::exactness).fold(Exactness::Exact, Exactness::max)
+    }
+
+    /// What is wrong with its numbers taken together, if anything; each alone is in range.
+    fn fault(&self) -> Option<NodeFault> {
+        None
     }
 
     /// A box that holds every point whose distance is at most `level`, which is not below 0.
@@ -83,6 +118,9 @@ pub trait Sdf {
 pub trait Primitive {
     /// A small valid value, as a user would write it.
     const EXAMPLE: &'static str;
+
+    /// Further values that take other ways through the formula.
+    const MORE: &'static [&'static str] = &[];
 
     /// The signed distance from `p` to the surface, negative inside.
     fn distance<R: Real>(&self, p: Vec3<R>) -> R;
@@ -95,15 +133,20 @@ pub trait Primitive {
         1.0
     }
 
-    /// Whether the distance is an estimate, which no Lipschitz factor bounds everywhere;
-    /// then a step of distance/stretch still passes no surface.
-    fn is_estimate(&self) -> bool {
-        false
+    /// What its value is worth.
+    fn exactness(&self) -> Exactness {
+        Exactness::Exact
+    }
+
+    /// What is wrong with its numbers taken together, if anything; each alone is in range.
+    fn fault(&self) -> Option<NodeFault> {
+        None
     }
 }
 
 impl<P: Primitive> Sdf for P {
     const EXAMPLE: &'static str = <P as Primitive>::EXAMPLE;
+    const MORE: &'static [&'static str] = <P as Primitive>::MORE;
 
     #[inline(always)]
     fn sample<R: Real, V: Sample<R>>(&self, p: Vec3<R>) -> V {
@@ -114,8 +157,12 @@ impl<P: Primitive> Sdf for P {
         Primitive::stretch(self)
     }
 
-    fn is_estimate(&self) -> bool {
-        Primitive::is_estimate(self)
+    fn exactness(&self) -> Exactness {
+        Primitive::exactness(self)
+    }
+
+    fn fault(&self) -> Option<NodeFault> {
+        Primitive::fault(self)
     }
 
     fn bounds(&self, level: f32) -> Bounds {
@@ -123,8 +170,13 @@ impl<P: Primitive> Sdf for P {
     }
 }
 
+/// The list: nodes that are `inlined` into what looks at them, since a call would cost as much as
+/// they do, and nodes that are `called`.
 macro_rules! nodes {
-    ($($Kind:ident),* $(,)?) => {
+    (inlined: [$($Inlined:ident),* $(,)?], called: [$($Called:ident),* $(,)?]) => {
+        nodes!(@ [$($Inlined),*] [$($Called),*] $($Inlined,)* $($Called),*);
+    };
+    (@ [$($Inlined:ident),*] [$($Called:ident),*] $($Kind:ident),* $(,)?) => {
         /// A shape: one node of the scene's tree, keyed by its name.
         #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
         #[serde(rename_all = "snake_case")]
@@ -139,7 +191,11 @@ macro_rules! nodes {
                     self.kind(),
                     #[inline(always)]
                     || match self {
-                        $(Self::$Kind(node) => node.sample(p)),*
+                        $(Self::$Inlined(node) => node.sample(p),)*
+                        $(Self::$Called(node) => p.x.vectorize(
+                            #[inline(always)]
+                            || node.sample(p),
+                        ),)*
                     },
                 )
             }
@@ -193,10 +249,17 @@ macro_rules! nodes {
                 }
             }
 
-            /// Whether some distance in it is an estimate, which no Lipschitz factor bounds everywhere.
-            pub fn is_estimate(&self) -> bool {
+            /// What its value is worth.
+            pub fn exactness(&self) -> Exactness {
                 match self {
-                    $(Self::$Kind(node) => Sdf::is_estimate(node)),*
+                    $(Self::$Kind(node) => Sdf::exactness(node)),*
+                }
+            }
+
+            /// What is wrong with its numbers taken together, if anything.
+            pub(crate) fn fault(&self) -> Option<NodeFault> {
+                match self {
+                    $(Self::$Kind(node) => Sdf::fault(node)),*
                 }
             }
 
@@ -220,35 +283,44 @@ macro_rules! nodes {
                 }
             }
 
-            /// Each kind's example, as a user would write the whole node.
+            /// Each kind's examples, as a user would write the whole node.
             pub fn examples() -> Vec<Example> {
-                vec![$(Example {
-                    kind: stringify!($Kind),
-                    node: format!("{{ \"{}\": {} }}", snake_case(stringify!($Kind)), <$Kind as Sdf>::EXAMPLE),
-                }),*]
+                let mut examples = Vec::new();
+                $(
+                    let of_kind = std::iter::once(&<$Kind as Sdf>::EXAMPLE).chain(<$Kind as Sdf>::MORE);
+                    examples.extend(of_kind.enumerate().map(|(number, value)| Example {
+                        kind: stringify!($Kind),
+                        number,
+                        node: format!("{{ \"{}\": {value} }}", snake_case(stringify!($Kind))),
+                    }));
+                )*
+                examples
             }
         }
     };
 }
 
 nodes![
-    Sphere,
-    Box,
-    Plane,
-    Cylinder,
-    InfiniteCylinder,
-    TriangularPrism,
-    Pyramid,
-    Torus,
-    Capsule,
-    Mandelbulb,
-    Union,
-    Intersection,
-    Difference,
-    Translate,
-    Rotate,
-    Scale,
-    Paint,
+    inlined: [
+        Sphere,
+        Box,
+        Plane,
+        Cylinder,
+        InfiniteCylinder,
+        TriangularPrism,
+        Pyramid,
+        Torus,
+        Capsule,
+        Mandelbulb,
+        Union,
+        Intersection,
+        Difference,
+        Translate,
+        Rotate,
+        Scale,
+        Paint,
+    ],
+    called: []
 ];
 
 /// A node to look at and to test with.
@@ -256,6 +328,8 @@ nodes![
 pub struct Example {
     /// The node's type.
     pub kind: &'static str,
+    /// Its place among the examples of its type, from 0.
+    pub number: usize,
     /// Its JSON.
     pub node: String,
 }

@@ -12,7 +12,7 @@ use crate::job::{Format, Job};
 use crate::limits::{
     MAX_JSON_DEPTH, MAX_LIGHTS, MAX_MATERIALS, MAX_NAME_CHARS, MAX_NODE_DEPTH, MAX_NODES, MAX_PIXELS, MAX_RAYS,
 };
-use crate::nodes::Node;
+use crate::nodes::{Node, NodeFault};
 use crate::outline::{self, OutlineFaultKind};
 use crate::scene::child_steps;
 
@@ -176,6 +176,9 @@ fn tree(node: &Node, pointer: &mut String, depth: usize, nodes: &mut usize, faul
     if node.has_list() && node.children().is_empty() {
         let name = node.name();
         fault(&format!("{pointer}/{name}/of"), format!("is empty: {name} needs a shape or more"));
+    }
+    if let Some(NodeFault { place, message }) = node.fault() {
+        fault(&format!("{pointer}/{}/{place}", node.name()), message);
     }
     let length = pointer.len();
     for (child, step) in node.children().iter().zip(child_steps(node)) {

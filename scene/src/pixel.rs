@@ -5,10 +5,9 @@ mod nearest;
 use crate::bounds::Bounds;
 use crate::camera::{Ray, View};
 use crate::job::Job;
-use crate::lights::Incoming;
 use crate::limits::MAX_SAMPLES;
 use crate::march::{Marched, Reach, Tolerance, march};
-use crate::materials::{Place, Shade};
+use crate::materials::{Lighting, Place, Shade};
 use crate::nodes::{Painted, Sample};
 use crate::real::{Flag, Real, Vec3, bundle, vec3};
 use crate::sampling::{Jitter, frame_key};
@@ -72,14 +71,30 @@ pub struct Met<R> {
 
 /// A place on a surface.
 #[derive(Clone, Copy)]
-struct Hit<R> {
+struct Hit<R: Real> {
     distance: R,
     position: Vec3<R>,
     normal: Vec3<R>,
+    /// Whether the surface is seen from inside.
+    inside: Flag<R>,
 }
 
 bundle!(Radiance { color, alpha, evaluations });
-bundle!(Hit { distance, position, normal });
+bundle!(Hit { distance, position, normal, inside });
+
+impl<R: Real> Place<R> {
+    #[inline(always)]
+    fn of(hit: &Hit<R>, ray: &Ray<R>) -> Self {
+        Self {
+            normal: hit.normal,
+            to_viewer: -ray.direction,
+            point: hit.position,
+            own_normal: hit.normal,
+            distance: hit.distance,
+            inside: hit.inside,
+        }
+    }
+}
 
 impl<'a> Program<'a> {
     /// The picture of one frame, from 0.
@@ -173,7 +188,7 @@ impl<'a> Program<'a> {
                     #[inline(always)]
                     || {
                         let hit = self.hit(&ray, &marched);
-                        let place = Place { normal: hit.normal, to_viewer: -ray.direction };
+                        let place = Place::of(&hit, &ray);
                         let object = self.nearest(hit.position).1;
                         let albedo = self.blend(
                             hit.position,
@@ -276,8 +291,9 @@ impl<'a> Program<'a> {
                 let facing = -normal.dot(ray.direction);
                 // One step of Newton's method along the ray; cautious where it grazes the surface.
                 let distance = (marched.distance + marched.gap / facing.at_least(0.25)).at_least(0.0);
-                let normal = Vec3::select(facing.below(0.0), -normal, normal);
-                Hit { distance, position: ray.at(distance), normal }
+                let inside = facing.below(0.0);
+                let normal = Vec3::select(inside, -normal, normal);
+                Hit { distance, position: ray.at(distance), normal, inside: Flag(inside) }
             },
         )
     }
@@ -313,21 +329,21 @@ impl<'a> Program<'a> {
         const NORMAL_TAPS: f32 = 4.0;
         let hit = self.hit(ray, marched);
         let mut evaluations = ray.direction.x.splat(NORMAL_TAPS);
-        let mut lights = Vec::new();
+        let mut light = Lighting { lights: Vec::new(), surrounding: None, openness: None };
         if self.scene.slots().iter().any(Shade::is_lit) {
-            for light in &self.scene.lights {
+            for source in &self.scene.lights {
                 let farthest = evaluations.given(self.scene.march.max_distance.get());
-                let (mut incoming, distance) = light.arriving(hit.position, farthest);
-                if light.casts_shadows() {
+                let (mut incoming, distance) = source.arriving(hit.position, farthest);
+                if source.casts_shadows() {
                     let (visible, steps) = self.visibility(&hit, incoming.direction, distance);
                     incoming.radiance = incoming.radiance * visible;
                     evaluations = evaluations + steps;
                 }
-                lights.push(incoming);
+                light.lights.push(incoming);
             }
         }
-        let place = Place { normal: hit.normal, to_viewer: -ray.direction };
-        let color = self.dress(hit.position, &place, &lights);
+        let place = Place::of(&hit, ray);
+        let color = self.dress(hit.position, &place, &light);
         (color, evaluations)
     }
 
@@ -373,19 +389,19 @@ impl<'a> Program<'a> {
     }
 
     /// The shaded colour at a hit.
-    fn dress<R: Real>(&self, p: Vec3<R>, place: &Place<R>, lights: &[Incoming<R>]) -> Vec3<R> {
+    fn dress<R: Real>(&self, p: Vec3<R>, place: &Place<R>, light: &Lighting<R>) -> Vec3<R> {
         p.x.vectorize(
             #[inline(always)]
             || {
                 if let [only] = self.scene.slots() {
-                    return only.shade(place, lights);
+                    return only.shade(place, light);
                 }
                 let object = self.nearest(p).1;
                 self.blend(
                     p,
                     object,
                     #[inline(always)]
-                    |slot| self.scene.slots()[slot].shade(place, lights),
+                    |slot| self.scene.slots()[slot].shade(place, light),
                 )
             },
         )
@@ -401,7 +417,7 @@ impl<'a> Program<'a> {
             let own = tree.material.slot();
             if self.painted[index] {
                 let sample: Painted<R> = tree.shape.sample(p);
-                for coat in sample.paint(own).coats() {
+                for coat in sample.paint(own, p).coats() {
                     let share = &mut shares[coat.slot.unwrap_or(own) as usize];
                     *share = R::select(here, coat.share, zero) + *share;
                 }

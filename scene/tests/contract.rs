@@ -1,6 +1,6 @@
 //! What every node promises, tested on each node's own example: nothing here names a node.
 
-use scene::nodes::{Example, Node};
+use scene::nodes::{Exactness, Example, Node};
 use scene::real::{Interval, Real, Truth, Vec3, vec3};
 
 /// A small generator with a fixed start: failures repeat.
@@ -28,8 +28,8 @@ impl Random {
 }
 
 fn each_node(mut check: impl FnMut(&str, &Node)) {
-    for Example { kind, node } in Node::examples() {
-        check(kind, &serde_json::from_str(&node).expect("an example is a node"));
+    for Example { kind, number, node } in Node::examples() {
+        check(&format!("{kind} {number}"), &serde_json::from_str(&node).expect("an example is a node"));
     }
 }
 
@@ -44,7 +44,7 @@ fn a_node_survives_the_way_through_json() {
 #[test]
 fn the_schema_describes_every_node_and_each_of_its_keys() {
     let schema = scene::schema();
-    for Example { kind, node } in Node::examples() {
+    for Example { kind, node, .. } in Node::examples() {
         let definition = &schema["$defs"][kind];
         assert!(definition["description"].is_string(), "{kind} has no description");
         assert_eq!(definition["additionalProperties"], false, "{kind} takes unknown keys");
@@ -110,19 +110,67 @@ fn no_step_passes_a_surface() {
 #[test]
 fn distances_change_no_faster_than_the_stretch_says() {
     each_node(|kind, node| {
+        // An estimate is none of a distance's kind inside and at the fringe of a fractal;
+        // what counts there is that no step passes it.
+        if node.exactness() == Exactness::Estimate {
+            return;
+        }
         let mut random = Random(4);
         for _ in 0..100_000 {
             let (p, size) = (random.point(2.5), random.next(0.0, 1.0));
             let q = random.direction().mul_add(size * size * size, p);
             let (dp, dq) = (node.distance(p), node.distance(q));
-            // A fractal's estimate is none of a distance's kind inside and at its fringe;
-            // what counts there is that no step passes it.
-            if node.is_estimate() {
-                continue;
-            }
             let apart = vec3(p.x - q.x, p.y - q.y, p.z - q.z).length();
             let rounding = 8.0 * f32::EPSILON * 4.0;
             assert!((dp - dq).abs() <= node.stretch() * apart + rounding, "{kind}: {dp} at {p:?}, {dq} at {q:?}");
+        }
+    });
+}
+
+/// How far from the surface one is after going to where a value says it is, by the best of some
+/// gradients around `p`: at a ridge of the distance a single one says nothing.
+fn miss(node: &Node, p: Vec3<f32>, random: &mut Random) -> f32 {
+    let distance = node.distance(p);
+    let mut least = f32::INFINITY;
+    for tried in 0..24 {
+        let size = [1e-3, 4e-3, 2e-2][tried % 3];
+        let near = if tried < 3 { p } else { random.direction().mul_add(size, p) };
+        let slope = |step: Vec3<f32>| node.distance(near + step) - node.distance(near - step);
+        let gradient = vec3(slope(vec3(size, 0.0, 0.0)), slope(vec3(0.0, size, 0.0)), slope(vec3(0.0, 0.0, size)));
+        if gradient.length() > 0.0 {
+            let foot = gradient.normalize().mul_add(-distance, p);
+            least = least.min(node.distance(foot).abs());
+        }
+    }
+    least
+}
+
+#[test]
+fn an_exact_distance_reaches_the_surface_and_no_shorter_one_does() {
+    each_node(|kind, node| {
+        if node.exactness() != Exactness::Exact {
+            return;
+        }
+        assert!(node.stretch() <= 1.0, "{kind} is exact: a distance has a Lipschitz factor of 1");
+        let mut random = Random(5);
+        for _ in 0..3_000 {
+            let p = random.point(2.0);
+            let mut miss = miss(node, p, &mut random);
+            // Where many directions are as near, look for the best of them.
+            let distance = node.distance(p);
+            let mut best = random.direction();
+            for round in 0..4_000 {
+                if miss <= 1e-3 {
+                    break;
+                }
+                let spread = [1.0, 0.3, 0.1, 0.03][round % 4];
+                let direction = (best + random.direction() * spread).normalize();
+                let there = node.distance(direction.mul_add(distance.abs(), p)).abs();
+                if there < miss {
+                    (miss, best) = (there, direction);
+                }
+            }
+            assert!(miss <= 1e-3, "{kind}: {distance} at {p:?}, but {miss} is left from there to the surface");
         }
     });
 }

@@ -5,7 +5,7 @@ use std::fmt::Write as _;
 use std::io::Cursor;
 use std::path::{Path, PathBuf};
 
-use scene::nodes::{Example, Node, snake_case};
+use scene::nodes::{Exactness, Example, Node, snake_case};
 use serde_json::Value;
 use worker::{Cancel, CpuRenderer, Simd};
 
@@ -54,11 +54,38 @@ fn kind(schema: &Value, property: &Value) -> String {
     format!("{name}{range}")
 }
 
+fn file(example: &Example) -> String {
+    match example.number {
+        0 => format!("pictures/nodes/{}.png", snake_case(example.kind)),
+        number => format!("pictures/nodes/{}-{}.png", snake_case(example.kind), number + 1),
+    }
+}
+
+fn shown(example: &Example) -> String {
+    let value: Value = serde_json::from_str(&example.node).expect("an example is JSON");
+    let json = serde_json::to_string(&value).expect("JSON");
+    format!("\n![{}]({})\n\n```json\n{json}\n```\n", snake_case(example.kind), file(example))
+}
+
+/// What the node's value is worth, and its Lipschitz factor.
+fn worth(example: &Example) -> String {
+    let node: Node = serde_json::from_str(&example.node).expect("an example is a node");
+    let worth = match node.exactness() {
+        Exactness::Exact => "exact",
+        Exactness::Bound => "a bound",
+        Exactness::Estimate => "an estimate",
+    };
+    format!("Distance: {worth}; Lipschitz factor of the example: {:.3}.", node.stretch())
+}
+
 fn section(schema: &Value, example: &Example) -> String {
+    if example.number > 0 {
+        return shown(example);
+    }
     let name = snake_case(example.kind);
     let definition = &schema["$defs"][example.kind];
     let description = definition["description"].as_str().expect("every node is described");
-    let mut text = format!("\n## {name}\n\n{description}\n\n![{name}](pictures/nodes/{name}.png)\n\n");
+    let mut text = format!("\n## {name}\n\n{description}\n\n{}\n\n", worth(example));
     let required: Vec<&str> =
         definition["required"].as_array().into_iter().flatten().filter_map(Value::as_str).collect();
     text.push_str("| key | type | default | meaning |\n|---|---|---|---|\n");
@@ -68,9 +95,7 @@ fn section(schema: &Value, example: &Example) -> String {
         let meaning = property["description"].as_str().unwrap_or_default();
         writeln!(text, "| `{key}` | {} | {default} | {meaning} |", kind(schema, property)).expect("a String takes all");
     }
-    let value: Value = serde_json::from_str(&example.node).expect("an example is JSON");
-    writeln!(text, "\n```json\n{}\n```", serde_json::to_string(&value).expect("JSON")).expect("a String takes all");
-    text
+    text + &shown(example)
 }
 
 #[test]
@@ -79,8 +104,7 @@ fn the_page_of_nodes_is_what_the_nodes_say() {
     let page = Node::examples().iter().fold(HEAD.to_owned(), |page, example| page + &section(&schema, example));
     let mut files = vec![(docs().join("nodes.md"), page.into_bytes())];
     for example in Node::examples() {
-        let file = format!("pictures/nodes/{}.png", snake_case(example.kind));
-        files.push((docs().join(file), picture(&example.node)));
+        files.push((docs().join(file(&example)), picture(&example.node)));
     }
     let write = std::env::var_os("SDFARM_WRITE_DOCS").is_some();
     for (path, want) in files {

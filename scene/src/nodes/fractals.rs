@@ -3,7 +3,7 @@
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use super::Primitive;
+use super::{Exactness, Primitive};
 use crate::bounds::Bounds;
 use crate::limits::MAX_ITERATIONS;
 use crate::real::{Real, Vec3, vec3};
@@ -68,8 +68,8 @@ impl Primitive for Mandelbulb {
         R::select(away.above(ESCAPE_RADIUS), estimate.min(away - self.bounding_radius()), estimate)
     }
 
-    fn is_estimate(&self) -> bool {
-        true
+    fn exactness(&self) -> Exactness {
+        Exactness::Estimate
     }
 
     fn bounds(&self, level: f32) -> Bounds {

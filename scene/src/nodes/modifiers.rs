@@ -28,7 +28,7 @@ impl Sdf for Paint {
     #[inline(always)]
     fn sample<R: Real, V: Sample<R>>(&self, p: Vec3<R>) -> V {
         let child: V = self.child.sample(p);
-        child.paint(self.material.slot())
+        child.paint(self.material.slot(), p)
     }
 
     fn material(&self) -> Option<&MaterialUse> {

@@ -11,7 +11,7 @@ use serde::{Deserialize, Serialize};
 
 use super::runs::{Run, Runs};
 use super::sample::indicator;
-use super::{Node, Sample, Sdf};
+use super::{Exactness, Node, Sample, Sdf};
 use crate::bounds::Bounds;
 use crate::real::{Real, Vec3};
 use crate::values::Amount;
@@ -144,6 +144,10 @@ macro_rules! around_list {
             let mut of = self.of.iter().map(|shape| shape.bounds(level + bulge));
             let first = of.next().expect("a list has one shape or more");
             of.fold(first, $join_bounds)
+        }
+
+        fn exactness(&self) -> Exactness {
+            self.of.iter().map(Node::exactness).fold(Exactness::Bound, Exactness::max)
         }
 
         fn children(&self) -> &[Node] {

@@ -4,7 +4,7 @@
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use super::Primitive;
+use super::{Exactness, Primitive};
 use crate::bounds::Bounds;
 use crate::real::{Real, Vec3, vec3};
 use crate::values::{Amount, Coordinate, Direction, Length, Point};
@@ -171,6 +171,10 @@ impl Primitive for TriangularPrism {
         let past_end = p.z.abs() - p.x.given(self.length.get() / 2.0);
         let slope = p.x.abs() * COS_30 + p.y * 0.5;
         past_end.max(slope.max(-p.y) - p.x.given(self.height.get() / 2.0))
+    }
+
+    fn exactness(&self) -> Exactness {
+        Exactness::Bound
     }
 
     fn bounds(&self, level: f32) -> Bounds {

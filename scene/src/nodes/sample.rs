@@ -1,6 +1,6 @@
 //! What a node gives at a point: a bare distance while marching, with materials once a ray has hit.
 
-use crate::real::Real;
+use crate::real::{Real, Vec3, vec3};
 
 /// What a node gives at a point.
 pub trait Sample<R: Real>: Clone {
@@ -19,8 +19,9 @@ pub trait Sample<R: Real>: Clone {
     /// What `join` makes of it and of what is at least `beyond` away, unless that is further than it.
     fn unless_beyond(self, beyond: R, join: impl FnOnce(Self) -> Self) -> Self;
 
-    /// The same surface, wearing a material wherever nothing inside it says otherwise.
-    fn paint(self, slot: u32) -> Self;
+    /// The same surface, wearing a material wherever nothing inside it says otherwise; `p` is where
+    /// the material's textures see the point.
+    fn paint(self, slot: u32, p: Vec3<R>) -> Self;
 }
 
 /// A bare distance.
@@ -59,7 +60,7 @@ impl<R: Real> Sample<R> for Distance<R> {
     }
 
     #[inline(always)]
-    fn paint(self, _: u32) -> Self {
+    fn paint(self, _: u32, _: Vec3<R>) -> Self {
         self
     }
 }
@@ -71,6 +72,8 @@ pub struct Coat<R> {
     pub slot: Option<u32>,
     /// Its share, 0 to 1.
     pub share: R,
+    /// Where its textures see the point; of a material in several places, that of the greatest share.
+    pub place: Vec3<R>,
 }
 
 /// A distance with the materials of the surface.
@@ -111,15 +114,16 @@ impl<R: Real> Sample<R> for Painted<R> {
         }
         let second = second();
         let first = second.splat(1.0) - second;
+        let nowhere = vec3(second.splat(0.0), second.splat(0.0), second.splat(0.0));
         let explicit = |coats: Vec<Coat<R>>| {
-            if coats.is_empty() { vec![Coat { slot: None, share: second.splat(1.0) }] } else { coats }
+            if coats.is_empty() { vec![Coat { slot: None, share: second.splat(1.0), place: nowhere }] } else { coats }
         };
         let mut coats = explicit(self.coats);
         for coat in &mut coats {
             coat.share = coat.share * first;
         }
         for coat in explicit(other.coats) {
-            add(&mut coats, Coat { slot: coat.slot, share: coat.share * second });
+            add(&mut coats, Coat { share: coat.share * second, ..coat });
         }
         Self { distance, coats }
     }
@@ -130,14 +134,15 @@ impl<R: Real> Sample<R> for Painted<R> {
     }
 
     #[inline(always)]
-    fn paint(self, slot: u32) -> Self {
+    fn paint(self, slot: u32, p: Vec3<R>) -> Self {
         let distance = self.distance;
         if self.coats.is_empty() {
-            return Self { distance, coats: vec![Coat { slot: Some(slot), share: distance.splat(1.0) }] };
+            return Self { distance, coats: vec![Coat { slot: Some(slot), share: distance.splat(1.0), place: p }] };
         }
         let mut coats = Vec::with_capacity(self.coats.len());
         for coat in self.coats {
-            add(&mut coats, Coat { slot: coat.slot.or(Some(slot)), share: coat.share });
+            let place = if coat.slot.is_none() { p } else { coat.place };
+            add(&mut coats, Coat { slot: coat.slot.or(Some(slot)), place, ..coat });
         }
         Self { distance, coats }
     }
@@ -148,6 +153,7 @@ impl<R: Real> Sample<R> for Painted<R> {
 fn add<R: Real>(coats: &mut Vec<Coat<R>>, new: Coat<R>) {
     for coat in coats.iter_mut() {
         if coat.slot == new.slot {
+            coat.place = Vec3::select(coat.share.lt(new.share), new.place, coat.place);
             coat.share = coat.share + new.share;
             return;
         }
