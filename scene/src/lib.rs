@@ -15,6 +15,7 @@ pub mod limits;
 pub mod march;
 pub mod materials;
 pub mod nodes;
+pub mod noise;
 mod outline;
 mod parse;
 pub mod pixel;

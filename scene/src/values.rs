@@ -114,9 +114,23 @@ numbers! {
     /// One channel of a colour, in linear light.
     Channel: |v| (0.0..=1e6).contains(&v), "an intensity from 0 to 1e6",
         { "type": "number", "minimum": 0, "maximum": 1e6, "description": "One channel of a colour, in linear light." };
+    /// How many times finer each octave of a noise is than the one before.
+    Lacunarity: |v| (1.0..=4.0).contains(&v), "a lacunarity from 1 to 4",
+        { "type": "number", "minimum": 1, "maximum": 4, "description": "How many times finer each octave of a noise is than the one before." };
+    /// How many times as strong each octave of a noise is as the one before.
+    Gain: |v| (0.0..=1.0).contains(&v), "a gain from 0 to 1",
+        { "type": "number", "minimum": 0, "maximum": 1, "description": "How many times as strong each octave of a noise is as the one before." };
     /// Frames a second.
     FrameRate: |v| (0.001..=1000.0).contains(&v), "a rate from 0.001 to 1000 frames a second",
         { "type": "number", "minimum": 0.001, "maximum": 1000, "description": "Frames a second." };
+}
+
+impl Amount {
+    /// Whether it is nothing in every frame: then what it would do may be left out.
+    #[inline(always)]
+    pub fn is_zero(self) -> bool {
+        self.0 == 0.0
+    }
 }
 
 /// Reads any whole number that JSON can hold.
