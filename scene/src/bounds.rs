@@ -22,6 +22,12 @@ impl Bounds {
         Self { low: vec3(-FAR, -FAR, -FAR), high: vec3(FAR, FAR, FAR) }
     };
 
+    /// No point at all.
+    pub const NOWHERE: Self = {
+        const FAR: f32 = 1e9;
+        Self { low: vec3(FAR, FAR, FAR), high: vec3(-FAR, -FAR, -FAR) }
+    };
+
     /// The box around the origin that reaches so far along each axis.
     pub fn symmetric(x: f32, y: f32, z: f32) -> Self {
         Self { low: vec3(-x, -y, -z), high: vec3(x, y, z) }
@@ -75,6 +81,11 @@ impl Bounds {
         let far = [self.low, self.high, origin].map(|v| v.map(finite).max_element()).into_iter().fold(0.0, f32::max);
         let size = zip(self.high, self.low, |high, low| finite(high - low)).max_element();
         self.widened(OF_SIZE * size + OF_DISTANCE * far)
+    }
+
+    /// The distance between its farthest corners.
+    pub fn diagonal(self) -> f32 {
+        zip(self.high, self.low, |high, low| high - low).length()
     }
 
     /// Whether it has an end in every direction.

@@ -4,7 +4,8 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Deserializer, Serialize};
 
 use crate::limits::{MAX_EDGE_PX, MAX_FRAMES, MAX_SAMPLES};
-use crate::scene::{Background, Scene};
+use crate::scene::Scene;
+use crate::sky::Background;
 use crate::values::{FrameRate, integer, whole};
 
 /// What one POSTs.

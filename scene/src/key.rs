@@ -5,7 +5,8 @@ use serde::Serialize;
 use crate::PICTURE_VERSION;
 use crate::job::{Bits, Format, Job, Layer, Precision};
 use crate::materials::Material;
-use crate::scene::{Background, March, Object, Scene};
+use crate::scene::{March, Object, Scene};
+use crate::sky::Background;
 
 /// A scene without names, defaults filled in: equal for scenes that look the same.
 #[derive(Serialize)]

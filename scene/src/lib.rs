@@ -22,13 +22,16 @@ pub mod pixel;
 pub mod real;
 pub mod sampling;
 pub mod scene;
+pub mod sky;
+pub mod surroundings;
 pub mod values;
 
 pub use fault::{Fault, Refusal};
 pub use job::{Bits, Format, Frames, Image, Job, Layer, Precision};
 pub use parse::{parse, schema};
 pub use pixel::Program;
-pub use scene::{Background, Scene};
+pub use scene::Scene;
+pub use sky::Background;
 
 /// The definition of a picture's bits: raised only when some picture's bits change, never with a release.
 pub const PICTURE_VERSION: u32 = 2;

@@ -26,6 +26,12 @@ pub const MAX_RAYS: u64 = 1 << 44;
 pub const MAX_NAME_CHARS: usize = 200;
 /// Steps of one ray.
 pub const MAX_STEPS: u32 = 65_536;
+/// Steps of a ray through a cloud or a volume.
+pub const MAX_MEDIUM_STEPS: u32 = 1_024;
+/// Steps of a ray through a volume towards a light.
+pub const MAX_LIGHT_STEPS: u32 = 64;
+/// Times that a ray is mirrored or refracted.
+pub const MAX_BOUNCES: u32 = 32;
 /// Largest coordinate or length, in scene units.
 pub const MAX_LENGTH: f32 = 1e6;
 /// Smallest size, in scene units.

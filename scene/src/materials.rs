@@ -2,6 +2,8 @@
 //!
 //! Like a node, a material is one documented struct, one `impl` of [`Shade`] and one word in the list.
 
+mod volume;
+
 use std::borrow::Cow;
 use std::collections::BTreeMap;
 
@@ -12,6 +14,9 @@ use serde::{Deserialize, Deserializer, Serialize, Serializer};
 use crate::lights::Incoming;
 use crate::real::{Flag, Real, Vec3, bundle, vec3};
 use crate::values::{Color, Shininess};
+
+pub(crate) use volume::Filling;
+pub use volume::{Clouds, Volume};
 
 /// What a material needs to know of the place it colours.
 #[derive(Clone, Copy, Debug)]
@@ -73,6 +78,26 @@ pub trait Shade {
         None
     }
 
+    /// Whether `finish` ever sends a ray on.
+    fn sends_on(&self) -> bool {
+        false
+    }
+
+    /// Whether a ray may get inside the shape.
+    fn lets_through(&self) -> bool {
+        false
+    }
+
+    /// Whether it fills an object instead of covering it.
+    fn is_medium(&self) -> bool {
+        false
+    }
+
+    /// Whether it looks at `Place::point`.
+    fn is_textured(&self) -> bool {
+        false
+    }
+
     /// Whether it looks at `Place::own_normal`, which is dear to find.
     fn needs_own_normal(&self) -> bool {
         false
@@ -108,6 +133,22 @@ macro_rules! materials {
                 match self { $(Self::$Kind(material) => material.finish(place)),* }
             }
 
+            fn sends_on(&self) -> bool {
+                match self { $(Self::$Kind(material) => material.sends_on()),* }
+            }
+
+            fn lets_through(&self) -> bool {
+                match self { $(Self::$Kind(material) => material.lets_through()),* }
+            }
+
+            fn is_medium(&self) -> bool {
+                match self { $(Self::$Kind(material) => material.is_medium()),* }
+            }
+
+            fn is_textured(&self) -> bool {
+                match self { $(Self::$Kind(material) => material.is_textured()),* }
+            }
+
             fn needs_own_normal(&self) -> bool {
                 match self { $(Self::$Kind(material) => material.needs_own_normal()),* }
             }
@@ -115,7 +156,7 @@ macro_rules! materials {
     };
 }
 
-materials![Flat, Normals, Diffuse];
+materials![Flat, Normals, Diffuse, Clouds, Volume];
 
 /// One colour, whatever the light.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
@@ -234,6 +275,10 @@ impl Shade for Diffuse {
 
 fn default_kd() -> Color {
     Color::new(0.8, 0.8, 0.8)
+}
+
+fn white() -> Color {
+    Color::new(1.0, 1.0, 1.0)
 }
 
 fn black() -> Color {

@@ -222,7 +222,7 @@ macro_rules! nodes {
             }
 
             /// The material it says, if it says one.
-            fn material(&self) -> Option<&MaterialUse> {
+            pub(crate) fn material(&self) -> Option<&MaterialUse> {
                 match self {
                     $(Self::$Kind(node) => node.material()),*
                 }

@@ -160,6 +160,7 @@ fn meaning(job: &mut Job) -> Faults {
         };
         faults.push((format!("/scene{pointer}"), format!("\"{name}\" is not in /scene/materials: {cure}")));
     }
+    faults.extend(job.scene.faults().into_iter().map(|(pointer, message)| (format!("/scene{pointer}"), message)));
     if job.scene.slots().len() > MAX_MATERIALS {
         let used = job.scene.slots().len();
         let message = format!("uses {used} materials: use at most {MAX_MATERIALS}; materials with a name count once");

@@ -1,17 +1,23 @@
 //! What one pixel looks like: rays, march, normal, lights, materials. Written once for every back end.
 
+mod dress;
+mod lighting;
+mod media;
 mod nearest;
+mod path;
 
 use crate::bounds::Bounds;
 use crate::camera::{Ray, View};
 use crate::job::Job;
 use crate::limits::MAX_SAMPLES;
 use crate::march::{Marched, Reach, Tolerance, march};
-use crate::materials::{Lighting, Place, Shade};
-use crate::nodes::{Painted, Sample};
+use crate::materials::{Material, Place, Shade};
 use crate::real::{Flag, Real, Vec3, bundle, vec3};
-use crate::sampling::{Jitter, frame_key};
-use crate::scene::{Background, Scene};
+use crate::sampling::{Dice, Jitter, frame_key};
+use crate::scene::Scene;
+use crate::sky::Background;
+use dress::Clothes;
+use media::Media;
 
 /// A frame of a job, ready to be asked for its pixels.
 ///
@@ -22,8 +28,14 @@ pub struct Program<'a> {
     scene: &'a Scene,
     /// One over each object's Lipschitz factor; `None` where that is 1.
     shrink: Vec<Option<f32>>,
-    /// Whether a tree says materials of its own.
-    painted: Vec<bool>,
+    /// The objects that are surfaces, by index; the others are clouds and volumes.
+    surfaces: Vec<usize>,
+    clothes: Clothes,
+    media: Option<Media<'a>>,
+    /// Whether rays go on from some surface.
+    sends_on: bool,
+    /// Whether rays go through some surface.
+    lets_through: bool,
     /// Boxes of objects that need not be looked at from far away; empty if there are none.
     boxes: Vec<Option<Bounds>>,
     /// Whether its distance is so long that all who ask for it share one that also names the object.
@@ -106,16 +118,25 @@ impl<'a> Program<'a> {
         // A quarter of half a pixel keeps silhouettes; the rest keeps depth and the limits of f32.
         let tolerance = Tolerance { slope: (0.25 * view.cone()).clamp(2e-6, 2.5e-4), floor: 2e-7 * size + 1e-7 };
         let tap = Tolerance { slope: (0.5 * view.cone()).max(3e-4), floor: 100.0 * tolerance.floor };
+        let clothes = Clothes::new(scene);
+        let is_worn = |of: fn(&Material) -> bool| clothes.slots().any(|slot| of(&scene.slots()[slot]));
+        let (sends_on, lets_through) = (is_worn(Shade::sends_on), is_worn(Shade::lets_through));
+        let surfaces: Vec<usize> =
+            (0..scene.objects.len()).filter(|&index| !scene.material_of(index).is_medium()).collect();
         let boxes: Vec<Option<Bounds>> = scene.objects.iter().map(|object| object.shape.skipping_bounds()).collect();
-        let shapes = scene.objects.iter().map(|object| object.shape.bounds(0.0));
-        let bounds = shapes.reduce(Bounds::hull).expect("a scene has one object or more");
+        let shapes = surfaces.iter().map(|&index| scene.objects[index].shape.bounds(0.0));
+        let bounds = shapes.reduce(Bounds::hull).unwrap_or(Bounds::NOWHERE);
         Self {
             scene,
             boxes: if boxes.iter().all(Option::is_none) { Vec::new() } else { boxes },
             is_long: job.nodes() >= LONG_SCENE_NODES,
             bounds: bounds.with_margin(origin),
             shrink: scene.objects.iter().map(|object| object.shape.stretch()).map(shrink).collect(),
-            painted: scene.objects.iter().map(|object| object.shape.is_painted()).collect(),
+            media: Media::new(scene, origin),
+            sends_on,
+            lets_through,
+            clothes,
+            surfaces,
             view,
             samples: job.image.samples,
             frame_key: frame_key(job.image.seed, frame),
@@ -143,8 +164,10 @@ impl<'a> Program<'a> {
                     alpha: sum.alpha + seen.alpha,
                     evaluations: sum.evaluations + seen.evaluations,
                 };
+                let zero = x.splat(0.0);
+                let dice = Dice { x, y, sample: zero, bounce: zero, frame_key: self.frame_key };
                 if self.samples == 1 {
-                    return add(sum, self.radiance(x + 0.5, y + 0.5));
+                    return add(sum, self.radiance(x + 0.5, y + 0.5, &dice));
                 }
                 let jitter = Jitter::new(x, y, self.frame_key);
                 let (_, sum) = R::repeat(
@@ -154,7 +177,8 @@ impl<'a> Program<'a> {
                     |(sample, sum)| {
                         let (jx, jy) = jitter.offset(sample);
                         let next = sample + 1.0;
-                        (next.lt(end), (next, add(sum, self.radiance(x + jx, y + jy))))
+                        let seen = self.radiance(x + jx, y + jy, &Dice { sample, ..dice });
+                        (next.lt(end), (next, add(sum, seen)))
                     },
                 );
                 sum
@@ -188,14 +212,8 @@ impl<'a> Program<'a> {
                     #[inline(always)]
                     || {
                         let hit = self.hit(&ray, &marched);
-                        let place = Place::of(&hit, &ray);
                         let object = self.nearest(hit.position).1;
-                        let albedo = self.blend(
-                            hit.position,
-                            object,
-                            #[inline(always)]
-                            |slot| self.scene.slots()[slot].albedo(&place),
-                        );
+                        let albedo = self.albedo(&hit, &ray, object);
                         (hit.distance, hit.normal, hit.position, albedo, object)
                     },
                 );
@@ -205,19 +223,22 @@ impl<'a> Program<'a> {
     }
 
     /// The light along the ray through a point of the picture, in pixels from its top left.
-    fn radiance<R: Real>(&self, x: R, y: R) -> Radiance<R> {
+    fn radiance<R: Real>(&self, x: R, y: R, dice: &Dice<R>) -> Radiance<R> {
         x.vectorize(
             #[inline(always)]
             || {
                 let ray = self.view.ray(x, y);
+                if self.sends_on || self.media.is_some() || self.scene.fog.is_some() {
+                    return self.path(&ray, dice);
+                }
                 let marched = self.march(&ray);
-                let (background, alpha) = self.background(&ray);
+                let (background, alpha) = self.background(ray.direction);
                 let (color, alpha, evaluations) = R::when(
                     marched.hit.0,
                     (background, alpha, marched.steps),
                     #[inline(always)]
                     || {
-                        let (color, evaluations) = self.surface(&ray, &marched);
+                        let (color, evaluations) = self.surface(&ray, &marched, dice);
                         (color, x.splat(1.0), marched.steps + evaluations)
                     },
                 );
@@ -226,23 +247,11 @@ impl<'a> Program<'a> {
         )
     }
 
+    /// What is seen where nothing is, and its alpha.
     #[inline(always)]
-    fn background<R: Real>(&self, ray: &Ray<R>) -> (Vec3<R>, R) {
-        let like = ray.direction.x;
-        let one = like.splat(1.0);
-        match &self.scene.background {
-            Background::Color(color) => (Vec3::given(like, color.get()), one),
-            Background::Gradient { bottom, top } => {
-                let share = ray.direction.y.mul_add(like.splat(0.5), like.splat(0.5));
-                let (bottom, top) = (bottom.get(), top.get());
-                let rise = vec3(top.x - bottom.x, top.y - bottom.y, top.z - bottom.z);
-                (Vec3::given(like, rise).mul_add(share, Vec3::given(like, bottom)), one)
-            }
-            Background::Transparent => {
-                let zero = like.splat(0.0);
-                (vec3(zero, zero, zero), zero)
-            }
-        }
+    fn background<R: Real>(&self, direction: Vec3<R>) -> (Vec3<R>, R) {
+        let alpha = if self.scene.background == Background::Transparent { 0.0 } else { 1.0 };
+        (self.scene.background.toward(direction), direction.x.splat(alpha))
     }
 
     fn march<R: Real>(&self, ray: &Ray<R>) -> Marched<R> {
@@ -267,7 +276,7 @@ impl<'a> Program<'a> {
                             #[inline(always)]
                             |t| self.tolerance.at(t),
                             #[inline(always)]
-                            |p| self.distance(p),
+                            |p| self.gap(p),
                         );
                         // Out of steps: a hit if the pixel's cone touches the surface.
                         let cone = zero.given(self.view.cone());
@@ -280,6 +289,13 @@ impl<'a> Program<'a> {
         )
     }
 
+    /// The distance to the nearest surface, from inside too where rays get there.
+    #[inline(always)]
+    fn gap<R: Real>(&self, p: Vec3<R>) -> R {
+        let distance = self.distance(p);
+        if self.lets_through { distance.abs() } else { distance }
+    }
+
     /// Where exactly a march that came near the surface meets it, and the normal there.
     fn hit<R: Real>(&self, ray: &Ray<R>, marched: &Marched<R>) -> Hit<R> {
         marched.distance.shared(
@@ -289,8 +305,9 @@ impl<'a> Program<'a> {
             |(ray, marched)| {
                 let normal = self.normal(ray.at(marched.distance), self.tap.at(marched.distance));
                 let facing = -normal.dot(ray.direction);
+                let steepness = if self.lets_through { facing.abs() } else { facing };
                 // One step of Newton's method along the ray; cautious where it grazes the surface.
-                let distance = (marched.distance + marched.gap / facing.at_least(0.25)).at_least(0.0);
+                let distance = (marched.distance + marched.gap / steepness.at_least(0.25)).at_least(0.0);
                 let inside = facing.below(0.0);
                 let normal = Vec3::select(inside, -normal, normal);
                 Hit { distance, position: ray.at(distance), normal, inside: Flag(inside) }
@@ -321,122 +338,6 @@ impl<'a> Program<'a> {
             .max_element()
             .at_least(1e-20);
         (gradient * (size.splat(1.0) / largest)).normalize()
-    }
-
-    /// The colour of a surface, and how many evaluations it cost.
-    #[inline(always)]
-    fn surface<R: Real>(&self, ray: &Ray<R>, marched: &Marched<R>) -> (Vec3<R>, R) {
-        const NORMAL_TAPS: f32 = 4.0;
-        let hit = self.hit(ray, marched);
-        let mut evaluations = ray.direction.x.splat(NORMAL_TAPS);
-        let mut light = Lighting { lights: Vec::new(), surrounding: None, openness: None };
-        if self.scene.slots().iter().any(Shade::is_lit) {
-            for source in &self.scene.lights {
-                let farthest = evaluations.given(self.scene.march.max_distance.get());
-                let (mut incoming, distance) = source.arriving(hit.position, farthest);
-                if source.casts_shadows() {
-                    let (visible, steps) = self.visibility(&hit, incoming.direction, distance);
-                    incoming.radiance = incoming.radiance * visible;
-                    evaluations = evaluations + steps;
-                }
-                light.lights.push(incoming);
-            }
-        }
-        let place = Place::of(&hit, ray);
-        let color = self.dress(hit.position, &place, &light);
-        (color, evaluations)
-    }
-
-    /// 1 where light from `direction` reaches the place, 0 in shadow; and the steps it took to see.
-    fn visibility<R: Real>(&self, hit: &Hit<R>, direction: Vec3<R>, farthest: R) -> (R, R) {
-        farthest.shared(
-            "visibility",
-            (*hit, direction, farthest),
-            #[inline(always)]
-            |(hit, direction, farthest)| {
-                let (zero, one) = (farthest.splat(0.0), farthest.splat(1.0));
-                // Off the surface by more than the march was off it.
-                let near = self.tolerance.at(hit.distance);
-                let ray = Ray { origin: hit.normal.mul_add(near * 4.0, hit.position), direction };
-                let (nearest, farthest) = self.bounds.along(&ray, farthest);
-                let faces = hit.normal.dot(direction).above(0.0);
-                R::when(
-                    faces,
-                    (zero, zero),
-                    #[inline(always)]
-                    || {
-                        R::when(
-                            nearest.lt(farthest),
-                            (one, zero),
-                            #[inline(always)]
-                            || {
-                                let reach = Reach { nearest, farthest, max_steps: self.scene.march.max_steps };
-                                let marched = march(
-                                    &ray,
-                                    reach,
-                                    #[inline(always)]
-                                    |t| t.mul_add(t.splat(4e-7), near),
-                                    #[inline(always)]
-                                    |p| self.distance(p),
-                                );
-                                (R::select(marched.hit.0, zero, one), marched.steps)
-                            },
-                        )
-                    },
-                )
-            },
-        )
-    }
-
-    /// The shaded colour at a hit.
-    fn dress<R: Real>(&self, p: Vec3<R>, place: &Place<R>, light: &Lighting<R>) -> Vec3<R> {
-        p.x.vectorize(
-            #[inline(always)]
-            || {
-                if let [only] = self.scene.slots() {
-                    return only.shade(place, light);
-                }
-                let object = self.nearest(p).1;
-                self.blend(
-                    p,
-                    object,
-                    #[inline(always)]
-                    |slot| self.scene.slots()[slot].shade(place, light),
-                )
-            },
-        )
-    }
-
-    /// The colours of the materials at `p`, by their shares.
-    #[inline(always)]
-    fn blend<R: Real>(&self, p: Vec3<R>, object: R, color: impl Fn(usize) -> Vec3<R>) -> Vec3<R> {
-        let zero = p.x.splat(0.0);
-        let mut shares = vec![zero; self.scene.slots().len()];
-        for (index, tree) in self.scene.objects.iter().enumerate() {
-            let here = (object - index as f32).abs().below(0.5);
-            let own = tree.material.slot();
-            if self.painted[index] {
-                let sample: Painted<R> = tree.shape.sample(p);
-                for coat in sample.paint(own, p).coats() {
-                    let share = &mut shares[coat.slot.unwrap_or(own) as usize];
-                    *share = R::select(here, coat.share, zero) + *share;
-                }
-            } else {
-                shares[own as usize] = R::select(here, zero.splat(1.0), shares[own as usize]);
-            }
-        }
-        let black = vec3(zero, zero, zero);
-        let mut sum = black;
-        for (slot, share) in shares.into_iter().enumerate() {
-            let shaded = R::when(
-                share.above(0.0),
-                black,
-                #[inline(always)]
-                || color(slot),
-            );
-            sum = shaded.mul_add(share, sum);
-        }
-        sum
     }
 }
 

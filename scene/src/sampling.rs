@@ -3,6 +3,10 @@
 //! Each pixel has a hashed start, and its samples step from there along the R2 sequence, so that
 //! any number of them is spread evenly: Martin Roberts, "The unreasonable effectiveness of
 //! quasirandom sequences", <https://extremelearning.com.au/unreasonable-effectiveness-of-quasirandom-sequences/>.
+//! What else is chosen by chance (a point of a light, a mirrored direction) has a pair of numbers of
+//! its own, stepping along the square roots of two primes, so that all pairs are spread evenly together:
+//! R. D. Richtmyer, "The evaluation of definite integrals, and a quasi-Monte-Carlo method based on the
+//! properties of algebraic numbers", Los Alamos LA-1342, 1951.
 //! The hash is pcg3d: Mark Jarzynski and Marc Olano, "Hash functions for GPU rendering",
 //! Journal of Computer Graphics Techniques 9(3), 2020, <https://jcgt.org/published/0009/03/02/>.
 
@@ -11,6 +15,26 @@ use crate::real::Real;
 /// 2³² times the R2 sequence's steps, 1/ρ and 1/ρ² for the plastic number ρ.
 const STEP_X: u32 = 0xc13f_a9a9;
 const STEP_Y: u32 = 0x91e1_0da5;
+
+/// 2³² times the fractions of the square roots of the first primes, two to a pair of numbers.
+const ROOT_STEPS: [(u32, u32); 16] = [
+    (0x6a09_e667, 0xbb67_ae85),
+    (0x3c6e_f372, 0xa54f_f53a),
+    (0x510e_527f, 0x9b05_688c),
+    (0x1f83_d9ab, 0x5be0_cd19),
+    (0xcbbb_9d5d, 0x629a_292a),
+    (0x9159_015a, 0x152f_ecd8),
+    (0x6733_2667, 0x8eb4_4a87),
+    (0xdb0c_2e0d, 0x47b5_481d),
+    (0xae5f_9156, 0xcf6c_85d3),
+    (0x2f73_477d, 0x6d18_26ca),
+    (0x8b43_d457, 0xe360_b596),
+    (0x1c45_6002, 0x6f19_6331),
+    (0xd94e_beb1, 0x0cc4_a611),
+    (0x261d_c1f2, 0x5815_a7be),
+    (0x70b7_ed67, 0xa151_3c69),
+    (0x44f9_3635, 0x720d_cdfd),
+];
 
 /// One number for all pixels of a frame.
 pub fn frame_key(seed: u32, frame: u32) -> u32 {
@@ -45,8 +69,39 @@ impl<R: Real> Jitter<R> {
     /// The offset in the pixel, 0 to 1 without 1, of a sample: a whole number below 2²³.
     #[inline(always)]
     pub fn offset(self, sample: R) -> (R, R) {
+        self.stepped(sample, (STEP_X, STEP_Y))
+    }
+
+    #[inline(always)]
+    fn stepped(self, sample: R, (step_x, step_y): (u32, u32)) -> (R, R) {
         let sample = whole(sample);
-        (unit(self.x + sample * STEP_X), unit(self.y + sample * STEP_Y))
+        (unit(self.x + sample * step_x), unit(self.y + sample * step_y))
+    }
+}
+
+/// Pairs of numbers by chance for one sample of one pixel.
+#[derive(Clone, Copy, Debug)]
+pub struct Dice<R> {
+    /// Column of the pixel, whole.
+    pub x: R,
+    /// Row of the pixel, whole.
+    pub y: R,
+    /// The sample, whole.
+    pub sample: R,
+    /// How often the ray has been sent on, whole.
+    pub bounce: R,
+    /// See [`frame_key`].
+    pub frame_key: u32,
+}
+
+impl<R: Real> Dice<R> {
+    /// Two numbers, 0 to 1 without 1, for one purpose: each has a number of its own.
+    #[inline(always)]
+    pub fn pair(&self, purpose: u32) -> (R, R) {
+        let key = frame_key(self.frame_key, purpose.wrapping_add(1));
+        // Bounces move the pixel by more than any picture is wide.
+        let start = Jitter::new(self.bounce.mul_add(self.bounce.splat(65_536.0), self.x), self.y, key);
+        start.stepped(self.sample, ROOT_STEPS[purpose as usize % ROOT_STEPS.len()])
     }
 }
 
@@ -83,6 +138,20 @@ mod tests {
                 cells[(jx * 4.0) as usize + 4 * (jy * 4.0) as usize] += 1;
             }
             assert!(cells.iter().all(|&n| (12..=20).contains(&n)), "{cells:?}");
+        }
+    }
+
+    #[test]
+    fn pairs_for_two_purposes_are_spread_evenly_together() {
+        let dice = |sample: f32| Dice { x: 3.0, y: 5.0, sample, bounce: 0.0, frame_key: frame_key(0, 0) };
+        for (one, other) in [(0, 1), (0, 5), (2, 7)] {
+            let mut cells = [0; 256];
+            for sample in 0..4096 {
+                let ((a, b), (c, d)) = (dice(sample as f32).pair(one), dice(sample as f32).pair(other));
+                let cell = [a, b, c, d].iter().fold(0, |cell, &u| 4 * cell + (u * 4.0) as usize);
+                cells[cell] += 1;
+            }
+            assert!(cells.iter().all(|&n| (8..=26).contains(&n)), "{one} and {other}: {cells:?}");
         }
     }
 

@@ -7,10 +7,12 @@ use serde::{Deserialize, Deserializer, Serialize};
 
 use crate::camera::Camera;
 use crate::lights::{Light, default_lights};
-use crate::limits::MAX_STEPS;
-use crate::materials::{Material, MaterialUse};
+use crate::limits::{MAX_BOUNCES, MAX_STEPS};
+use crate::materials::{Material, MaterialUse, Shade};
 use crate::nodes::Node;
-use crate::values::{Color, Length, whole};
+use crate::sky::{Background, Day};
+use crate::surroundings::{AmbientOcclusion, Fog};
+use crate::values::{Length, whole};
 
 /// What there is to see.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
@@ -24,6 +26,12 @@ pub struct Scene {
     /// The lights; an empty list is darkness.
     #[serde(default = "default_lights")]
     pub lights: Vec<Light>,
+    /// Fog; none when absent.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub fog: Option<Fog>,
+    /// Darker corners in light from all around; none when absent.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub ambient_occlusion: Option<AmbientOcclusion>,
     /// Materials by name.
     #[serde(default)]
     pub materials: BTreeMap<String, Material>,
@@ -52,29 +60,6 @@ pub struct Object {
     pub shape: Node,
 }
 
-/// What is seen where nothing is.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
-#[serde(rename_all = "snake_case", deny_unknown_fields)]
-pub enum Background {
-    /// One colour.
-    Color(Color),
-    /// From `bottom` to `top` by t = (dir.y + 1)/2 of the ray's direction.
-    Gradient {
-        /// Straight down.
-        bottom: Color,
-        /// Straight up.
-        top: Color,
-    },
-    /// Nothing: alpha is 0 there.
-    Transparent,
-}
-
-impl Default for Background {
-    fn default() -> Self {
-        Self::Gradient { bottom: Color::new(1.0, 1.0, 1.0), top: Color::new(0.5, 0.7, 1.0) }
-    }
-}
-
 /// How far and how long rays march.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
@@ -85,11 +70,15 @@ pub struct March {
     #[serde(deserialize_with = "max_steps")]
     #[schemars(range(min = 1, max = MAX_STEPS))]
     pub max_steps: u32,
+    /// How often a ray is mirrored or refracted at most; what would come after is taken from the background.
+    #[serde(deserialize_with = "max_bounces")]
+    #[schemars(range(min = 0, max = MAX_BOUNCES))]
+    pub max_bounces: u32,
 }
 
 impl Default for March {
     fn default() -> Self {
-        Self { max_distance: Length::new(1000.0).expect("1000 is in range"), max_steps: 512 }
+        Self { max_distance: Length::new(1000.0).expect("1000 is in range"), max_steps: 512, max_bounces: 4 }
     }
 }
 
@@ -100,6 +89,11 @@ impl Scene {
         &self.slots
     }
 
+    /// The material that an object says.
+    pub(crate) fn material_of(&self, object: usize) -> &Material {
+        &self.slots[self.objects[object].material.slot() as usize]
+    }
+
     /// Names of materials that no object and no node uses.
     pub(crate) fn unused_materials(&self) -> impl Iterator<Item = &str> {
         self.unused.iter().map(String::as_str)
@@ -108,6 +102,41 @@ impl Scene {
     /// Finds what makes its objects faster to look at.
     pub(crate) fn prepare(&mut self) {
         self.objects.iter_mut().for_each(|object| object.shape.prepare());
+        self.background.prepare();
+        self.lights.iter_mut().for_each(Light::prepare);
+    }
+
+    /// What lights, sky and materials mean wrongly together: JSON pointers in the scene, and why.
+    pub(crate) fn faults(&self) -> Vec<(String, String)> {
+        let mut faults = Vec::new();
+        if let Some(message) = self.background.day().and_then(Day::fault) {
+            faults.push(("/background/day/sun".to_owned(), message.to_owned()));
+        }
+        for (index, light) in self.lights.iter().enumerate() {
+            if let Some((place, message)) = light.fault(&self.background) {
+                faults.push((format!("/lights/{index}/{place}"), message.to_owned()));
+            }
+        }
+        for (index, object) in self.objects.iter().enumerate() {
+            self.filled_paints(&object.shape, &mut format!("/objects/{index}/shape"), &mut faults);
+        }
+        faults
+    }
+
+    /// Finds paints of what fills a whole object.
+    fn filled_paints(&self, node: &Node, pointer: &mut String, faults: &mut Vec<(String, String)>) {
+        let material = node.material().and_then(|material| self.slots.get(material.slot() as usize));
+        if material.is_some_and(Shade::is_medium) {
+            let message =
+                "fills a whole object and can't be painted on a part of one: make the part an object of its own";
+            faults.push((format!("{pointer}/{}/material", node.name()), message.to_owned()));
+        }
+        let length = pointer.len();
+        for (child, step) in node.children().iter().zip(child_steps(node)) {
+            pointer.push_str(&step);
+            self.filled_paints(child, pointer, faults);
+            pointer.truncate(length);
+        }
     }
 
     /// Gives every use of a material its slot; reports each unknown name with its JSON pointer in the scene.
@@ -170,4 +199,8 @@ fn grey() -> MaterialUse {
 
 fn max_steps<'de, D: Deserializer<'de>>(deserializer: D) -> Result<u32, D::Error> {
     whole(deserializer, 1, MAX_STEPS, "steps")
+}
+
+fn max_bounces<'de, D: Deserializer<'de>>(deserializer: D) -> Result<u32, D::Error> {
+    whole(deserializer, 0, MAX_BOUNCES, "bounces")
 }

@@ -59,6 +59,12 @@ macro_rules! numbers {
             pub fn get(self) -> f32 {
                 self.0
             }
+
+            /// Whether it is 0 in every frame: then a formula may leave it out.
+            #[inline(always)]
+            pub fn is_zero(self) -> bool {
+                self.0 == 0.0
+            }
         }
 
         impl<'de> Deserialize<'de> for $Name {
@@ -120,17 +126,27 @@ numbers! {
     /// How many times as strong each octave of a noise is as the one before.
     Gain: |v| (0.0..=1.0).contains(&v), "a gain from 0 to 1",
         { "type": "number", "minimum": 0, "maximum": 1, "description": "How many times as strong each octave of a noise is as the one before." };
+    /// A share of something.
+    Share: |v| (0.0..=1.0).contains(&v), "a share from 0 to 1",
+        { "type": "number", "minimum": 0, "maximum": 1, "description": "A share of something." };
+    /// How bright something is beside what it is by itself.
+    Strength: |v| (0.0..=1e6).contains(&v), "a strength from 0 to 1e6",
+        { "type": "number", "minimum": 0, "maximum": 1e6, "description": "How bright something is beside what it is by itself." };
+    /// How much of the light is lost on one scene unit: the extinction coefficient.
+    Density: |v| (0.0..=1e6).contains(&v), "a density from 0 to 1e6",
+        { "type": "number", "minimum": 0, "maximum": 1e6, "description": "The extinction coefficient, per scene unit." };
+    /// Whether light is scattered onwards (above 0) or back: the mean cosine g.
+    Anisotropy: |v| (-0.95..=0.95).contains(&v), "a mean cosine from -0.95 to 0.95",
+        { "type": "number", "minimum": -0.95, "maximum": 0.95, "description": "The mean cosine g of scattered light: above 0 onwards, below 0 back." };
+    /// The whole angle of a cone, in degrees.
+    Aperture: |v| (0.0..=180.0).contains(&v), "an angle from 0 to 180 degrees",
+        { "type": "number", "minimum": 0, "maximum": 180, "description": "The whole angle of a cone, in degrees." };
+    /// How hazy the air is.
+    Turbidity: |v| (2.0..=10.0).contains(&v), "a turbidity from 2 to 10",
+        { "type": "number", "minimum": 2, "maximum": 10, "description": "How hazy the air is: 2 is clear, 10 is thick haze." };
     /// Frames a second.
     FrameRate: |v| (0.001..=1000.0).contains(&v), "a rate from 0.001 to 1000 frames a second",
         { "type": "number", "minimum": 0.001, "maximum": 1000, "description": "Frames a second." };
-}
-
-impl Amount {
-    /// Whether it is nothing in every frame: then what it would do may be left out.
-    #[inline(always)]
-    pub fn is_zero(self) -> bool {
-        self.0 == 0.0
-    }
 }
 
 /// Reads any whole number that JSON can hold.

@@ -3,6 +3,9 @@
 use super::Program;
 use crate::real::{Bundle, Real, Vec3};
 
+/// How far away a surface is where there is none.
+const NOWHERE: f32 = 1e9;
+
 impl Program<'_> {
     /// The distance of the whole scene at `p`, never more than to the nearest surface.
     #[inline(always)]
@@ -22,8 +25,9 @@ impl Program<'_> {
             p,
             #[inline(always)]
             |p| {
-                let mut nearest = self.object_distance(0, p);
-                for index in 1..self.scene.objects.len() {
+                let Some((&first, others)) = self.surfaces.split_first() else { return p.x.splat(NOWHERE) };
+                let mut nearest = self.object_distance(first, p);
+                for &index in others {
                     nearest = nearest.min(self.object_distance(index, p));
                 }
                 nearest
@@ -37,8 +41,9 @@ impl Program<'_> {
             p,
             #[inline(always)]
             |p| {
-                let mut nearest = self.object_distance(0, p);
-                for index in 1..self.scene.objects.len() {
+                let Some((&first, others)) = self.surfaces.split_first() else { return p.x.splat(NOWHERE) };
+                let mut nearest = self.object_distance(first, p);
+                for &index in others {
                     nearest = self.unless_beyond(
                         index,
                         p,
@@ -60,8 +65,11 @@ impl Program<'_> {
             p,
             #[inline(always)]
             |p| {
-                let mut nearest = (self.object_distance(0, p), p.x.splat(0.0));
-                for index in 1..self.scene.objects.len() {
+                let Some((&first, others)) = self.surfaces.split_first() else {
+                    return (p.x.splat(NOWHERE), p.x.splat(-1.0));
+                };
+                let mut nearest = (self.object_distance(first, p), p.x.splat(first as f32));
+                for &index in others {
                     nearest = self.unless_beyond(
                         index,
                         p,
@@ -98,7 +106,7 @@ impl Program<'_> {
     }
 
     #[inline(always)]
-    fn object_distance<R: Real>(&self, index: usize, p: Vec3<R>) -> R {
+    pub(super) fn object_distance<R: Real>(&self, index: usize, p: Vec3<R>) -> R {
         let distance = self.scene.objects[index].shape.distance(p);
         match self.shrink[index] {
             Some(factor) => distance * distance.given(factor),

@@ -1,0 +1,99 @@
+//! Lights with a place and a shape.
+
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+use super::{Incoming, across, around, white, yes};
+use crate::real::{Real, Vec3};
+use crate::values::{Aperture, Color, Direction, Length, Point, Share};
+
+/// Light from a point within a cone; its strength falls as 1/d².
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct SpotLight {
+    /// Where it is.
+    pub position: Point,
+    /// Where it shines to; of any length.
+    pub direction: Direction,
+    /// The cone's whole angle, in degrees.
+    #[serde(default = "forty_degrees")]
+    pub angle: Aperture,
+    /// Share of the cone, from its edge inwards, over which the light fades in.
+    #[serde(default = "a_fifth")]
+    pub softness: Share,
+    /// Its colour, and its strength at a distance of 1.
+    #[serde(default = "white")]
+    pub color: Color,
+    /// Whether things cast shadows in it.
+    #[serde(default = "yes")]
+    pub shadow: bool,
+}
+
+/// Light from a ball. It lights what is far away as a point light of the same colour does, and its
+/// shadows have soft edges. The ball itself is not seen.
+///
+/// Peter Shirley, Changyaw Wang, Kurt Zimmerman, "Monte Carlo techniques for direct lighting
+/// calculations", ACM Transactions on Graphics 15(1), 1996: directions in the cone that it fills.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct SphereLight {
+    /// Its middle.
+    pub position: Point,
+    /// Its radius.
+    pub radius: Length,
+    /// Its colour, and its strength at a distance of 1 from a point that shines as much.
+    #[serde(default = "white")]
+    pub color: Color,
+    /// Whether things cast shadows in it.
+    #[serde(default = "yes")]
+    pub shadow: bool,
+}
+
+impl SpotLight {
+    #[inline(always)]
+    pub(super) fn arriving<R: Real>(&self, p: Vec3<R>) -> (Incoming<R>, R) {
+        let towards = Vec3::given(p.x, self.position.get()) - p;
+        let distance = towards.length().at_least(1e-6);
+        let per_distance = p.x.splat(1.0) / distance;
+        let direction = towards * per_distance;
+        let half = self.angle.get() * (std::f32::consts::PI / 360.0);
+        let (edge, full) = (Real::cos(half), Real::cos(half * (1.0 - self.softness.get())));
+        let inside = -direction.dot_known(self.direction.unit());
+        let share = (inside - p.x.given(edge)) * p.x.given(1.0 / (full - edge).max(1e-6));
+        let share = share.at_least(0.0).at_most(1.0);
+        let fade = share.square() * (share.splat(3.0) - share * 2.0);
+        let radiance = Vec3::given(p.x, self.color.get()) * (per_distance.square() * fade);
+        (Incoming { direction, radiance }, distance)
+    }
+}
+
+impl SphereLight {
+    #[inline(always)]
+    pub(super) fn arriving<R: Real>(&self, p: Vec3<R>, (u, v): (R, R)) -> (Incoming<R>, R) {
+        let one = p.x.splat(1.0);
+        let radius = p.x.given(self.radius.get());
+        let towards = Vec3::given(p.x, self.position.get()) - p;
+        // Inside the ball light comes from all of a half space.
+        let distance = towards.length().max(radius);
+        let per_distance = one / distance;
+        let axis = (towards * per_distance).normalize();
+        let sine = (radius * per_distance).at_most(1.0);
+        let versine_of_edge = sine.square() / (one + (one - sine.square()).sqrt());
+        let (right, up) = across(axis);
+        let direction = around(axis, right, up, u * versine_of_edge, v);
+        let along = direction.dot(towards);
+        let to_surface = along - (radius.square() - (distance.square() - along.square())).sqrt();
+        // Its radiance is colour/r², over 2π·versine of solid angle, and π is left out of lights.
+        let strength = versine_of_edge * 2.0 * p.x.given(1.0 / (self.radius.get() * self.radius.get()).max(1e-20));
+        let radiance = Vec3::given(p.x, self.color.get()) * strength;
+        (Incoming { direction, radiance }, to_surface.at_least(1e-6))
+    }
+}
+
+fn forty_degrees() -> Aperture {
+    Aperture::new(40.0).expect("40 is in range")
+}
+
+fn a_fifth() -> Share {
+    Share::new(0.2).expect("0.2 is in range")
+}

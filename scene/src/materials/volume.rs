@@ -1,0 +1,342 @@
+//! What fills a shape instead of covering it: clouds and volumes.
+
+use schemars::JsonSchema;
+use serde::{Deserialize, Deserializer, Serialize};
+
+use super::{Finish, Lighting, Material, Place, Shade};
+use crate::limits::{MAX_LIGHT_STEPS, MAX_MEDIUM_STEPS};
+use crate::noise::Noise;
+use crate::real::{Real, Vec3, vec3};
+use crate::values::{Amount, Anisotropy, Color, Density, Share, whole};
+
+/// Clouds as Robles, Lee, Yin and Dhar draw them, "Procedural Rendering with Ray Marching": noise on a
+/// surface, or summed along the ray inside the shape.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Clouds {
+    /// How thick they are where; its range is mapped to 0 to 1.
+    pub noise: Noise,
+    /// Whether the noise lies on the surface or fills the shape.
+    #[serde(default)]
+    pub mapping: Mapping,
+    /// Their colour. On a surface it is lit as that of `diffuse`.
+    #[serde(default = "super::white")]
+    pub color: Color,
+    /// Inside a shape: the extinction coefficient where the noise is 1, per scene unit.
+    #[serde(default = "thick")]
+    pub density: Density,
+    /// Noise below this is clear air.
+    #[serde(default = "none")]
+    pub threshold: Share,
+    /// Inside a shape: steps of a ray from corner to corner of its bounds.
+    #[serde(default = "thirty_two", deserialize_with = "steps")]
+    #[schemars(range(min = 1, max = MAX_MEDIUM_STEPS))]
+    pub steps: u32,
+}
+
+/// Where clouds are.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum Mapping {
+    /// On the surface.
+    Surface,
+    /// Inside the shape.
+    #[default]
+    Depth,
+}
+
+/// Fills an object with what scatters and dims light: smoke, mist, lit clouds.
+///
+/// Light falls off as Beer and Lambert say and is scattered once, by the phase function of L. G. Henyey and
+/// J. L. Greenstein, "Diffuse radiation in the galaxy", Astrophysical Journal 93, 1941. Further orders are
+/// approximated as in Magnus Wrenninge et al., "Oz: the great and volumetric", SIGGRAPH 2013 talks: each has
+/// half the light of the one before, through half the depth, scattered half as much onwards.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Volume {
+    /// The extinction coefficient where it is thickest, per scene unit.
+    pub density: Density,
+    /// How thick it is where; even when absent.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub noise: Option<Noise>,
+    /// Share of the noise's range that is filled.
+    #[serde(default = "half")]
+    pub coverage: Share,
+    /// How far from its shape's surface it is at its thickest, in scene units.
+    #[serde(default = "sharp")]
+    pub edge: Amount,
+    /// Share of the light that is scattered and not swallowed, by channel.
+    #[serde(default = "super::white")]
+    pub albedo: Color,
+    /// Whether light is scattered onwards (above 0) or back.
+    #[serde(default = "evenly")]
+    pub anisotropy: Anisotropy,
+    /// Orders of scattering: 1 is exact, more are approximated and brighter.
+    #[serde(default = "one", deserialize_with = "orders")]
+    #[schemars(range(min = 1, max = MAX_ORDERS))]
+    pub orders: u32,
+    /// Light it sends out by itself.
+    #[serde(default = "super::black")]
+    pub emission: Color,
+    /// Steps of a ray from corner to corner of its shape's bounds.
+    #[serde(default = "forty_eight", deserialize_with = "steps")]
+    #[schemars(range(min = 1, max = MAX_MEDIUM_STEPS))]
+    pub steps: u32,
+    /// Steps of a ray towards a light.
+    #[serde(default = "eight", deserialize_with = "light_steps")]
+    #[schemars(range(min = 1, max = MAX_LIGHT_STEPS))]
+    pub light_steps: u32,
+}
+
+const MAX_ORDERS: u32 = 8;
+
+/// What fills an object.
+#[derive(Clone, Copy, Debug)]
+pub(crate) enum Filling<'a> {
+    Clouds(&'a Clouds),
+    Volume(&'a Volume),
+}
+
+impl Material {
+    /// What it fills an object with, if it does.
+    pub(crate) fn filling(&self) -> Option<Filling<'_>> {
+        match self {
+            Self::Clouds(clouds) if clouds.mapping == Mapping::Depth => Some(Filling::Clouds(clouds)),
+            Self::Volume(volume) => Some(Filling::Volume(volume)),
+            _ => None,
+        }
+    }
+}
+
+impl Filling<'_> {
+    pub(crate) fn steps(&self) -> u32 {
+        match self {
+            Self::Clouds(clouds) => clouds.steps,
+            Self::Volume(volume) => volume.steps,
+        }
+    }
+
+    pub(crate) fn light_steps(&self) -> u32 {
+        match self {
+            Self::Clouds(_) => 1,
+            Self::Volume(volume) => volume.light_steps,
+        }
+    }
+
+    /// The extinction coefficient at a point so deep inside.
+    #[inline(always)]
+    pub(crate) fn extinction<R: Real>(&self, p: Vec3<R>, depth: R) -> R {
+        match self {
+            Self::Clouds(clouds) => clouds.thickness(p) * p.x.given(clouds.density.get()),
+            Self::Volume(volume) => volume.extinction(p, depth),
+        }
+    }
+
+    /// The light it sends out for each unit of extinction.
+    #[inline(always)]
+    pub(crate) fn glow<R: Real>(&self, like: R) -> Vec3<R> {
+        match self {
+            Self::Clouds(clouds) => Vec3::given(like, clouds.color.get()),
+            Self::Volume(volume) => Vec3::given(like, volume.emission.get()),
+        }
+    }
+
+    /// The volume that scatters light, if it does.
+    pub(crate) fn scatters(&self) -> Option<&Volume> {
+        match self {
+            Self::Clouds(_) => None,
+            Self::Volume(volume) => Some(volume),
+        }
+    }
+}
+
+/// A noise's value at `p` over its range, 0 to 1.
+#[inline(always)]
+fn of_range<R: Real>(noise: &Noise, p: Vec3<R>) -> R {
+    let (low, high) = noise.range();
+    let per_range = 1.0 / (high - low).max(1e-6);
+    noise.value(p).mul_add(p.x.given(per_range), p.x.given(-low * per_range)).at_least(0.0).at_most(1.0)
+}
+
+/// What of a share is above a threshold, 0 to 1.
+#[inline(always)]
+fn above<R: Real>(share: R, threshold: f32) -> R {
+    let per_rest = 1.0 / (1.0 - threshold).max(1e-3);
+    share.mul_add(share.given(per_rest), share.given(-threshold * per_rest)).at_least(0.0)
+}
+
+impl Clouds {
+    /// How thick they are at `p`, 0 to 1.
+    #[inline(always)]
+    fn thickness<R: Real>(&self, p: Vec3<R>) -> R {
+        above(of_range(&self.noise, p), self.threshold.get())
+    }
+}
+
+impl Shade for Clouds {
+    #[inline(always)]
+    fn shade<R: Real>(&self, place: &Place<R>, light: &Lighting<R>) -> Vec3<R> {
+        const AMBIENT: f32 = 0.1;
+        let like = place.distance;
+        let ambient = light.openness.map_or(like.splat(AMBIENT), |openness| openness * AMBIENT);
+        let mut sum = vec3(ambient, ambient, ambient);
+        if let Some(around) = light.surrounding {
+            sum = sum + around;
+        }
+        for light in &light.lights {
+            let facing = place.normal.dot(light.direction).at_least(0.0);
+            sum = light.radiance.mul_add(facing, sum);
+        }
+        sum.mul_each(Vec3::given(like, self.color.get())) * self.cover(place)
+    }
+
+    #[inline(always)]
+    fn albedo<R: Real>(&self, place: &Place<R>) -> Vec3<R> {
+        Vec3::given(place.distance, self.color.get())
+    }
+
+    fn is_lit(&self) -> bool {
+        true
+    }
+
+    #[inline(always)]
+    fn finish<R: Real>(&self, place: &Place<R>) -> Option<Finish<R>> {
+        let (zero, one) = (place.distance.splat(0.0), place.distance.splat(1.0));
+        let passed = one - self.cover(place);
+        Some(Finish {
+            mirrored: vec3(zero, zero, zero),
+            roughness: zero,
+            passed: vec3(passed, passed, passed),
+            ior: one,
+        })
+    }
+
+    fn sends_on(&self) -> bool {
+        true
+    }
+
+    fn lets_through(&self) -> bool {
+        true
+    }
+
+    fn is_medium(&self) -> bool {
+        self.mapping == Mapping::Depth
+    }
+
+    fn is_textured(&self) -> bool {
+        true
+    }
+}
+
+impl Clouds {
+    /// The share of a surface that is cloud; none where it is seen from inside.
+    #[inline(always)]
+    fn cover<R: Real>(&self, place: &Place<R>) -> R {
+        R::select(place.inside.0, place.distance.splat(0.0), self.thickness(place.point).at_most(1.0))
+    }
+}
+
+impl Volume {
+    #[inline(always)]
+    fn extinction<R: Real>(&self, p: Vec3<R>, depth: R) -> R {
+        let mut thick = p.x.given(self.density.get());
+        if !self.edge.is_zero() {
+            thick = thick * (depth * p.x.given(1.0 / self.edge.get().max(1e-6))).at_least(0.0).at_most(1.0);
+        }
+        match &self.noise {
+            None => thick,
+            Some(noise) => above(of_range(noise, p), 1.0 - self.coverage.get()) * thick,
+        }
+    }
+
+    /// The share of a light's colour that is scattered along its way by an angle of this cosine,
+    /// through this optical depth. The light's colour is over π, and the phase function over 4π.
+    #[inline(always)]
+    pub(crate) fn phase<R: Real>(&self, cosine: R, depth: R) -> R {
+        let mut sum = cosine.splat(0.0);
+        let mut share = 1.0;
+        for _ in 0..self.orders {
+            let g = self.anisotropy.get() * share;
+            let below = (cosine * cosine.given(-2.0 * g) + cosine.given(1.0 + g * g)).at_least(1e-4);
+            let phase = cosine.given(0.25 * (1.0 - g * g)) / (below * below.sqrt());
+            let left = (-(depth * share)).exp() * share;
+            sum = phase.mul_add(left, sum);
+            share *= 0.5;
+        }
+        sum
+    }
+
+    /// The share of the light that is scattered.
+    #[inline(always)]
+    pub(crate) fn scattered<R: Real>(&self, like: R) -> Vec3<R> {
+        Vec3::given(like, self.albedo.get())
+    }
+}
+
+impl Shade for Volume {
+    #[inline(always)]
+    fn shade<R: Real>(&self, place: &Place<R>, _: &Lighting<R>) -> Vec3<R> {
+        Vec3::given(place.distance, self.emission.get())
+    }
+
+    #[inline(always)]
+    fn albedo<R: Real>(&self, place: &Place<R>) -> Vec3<R> {
+        Vec3::given(place.distance, self.albedo.get())
+    }
+
+    fn is_lit(&self) -> bool {
+        false
+    }
+
+    fn is_medium(&self) -> bool {
+        true
+    }
+}
+
+fn thick() -> Density {
+    Density::new(2.0).expect("2 is in range")
+}
+
+fn none() -> Share {
+    Share::new(0.0).expect("0 is in range")
+}
+
+fn half() -> Share {
+    Share::new(0.5).expect("0.5 is in range")
+}
+
+fn sharp() -> Amount {
+    Amount::new(0.0).expect("0 is in range")
+}
+
+fn evenly() -> Anisotropy {
+    Anisotropy::new(0.0).expect("0 is in range")
+}
+
+fn one() -> u32 {
+    1
+}
+
+fn eight() -> u32 {
+    8
+}
+
+fn thirty_two() -> u32 {
+    32
+}
+
+fn forty_eight() -> u32 {
+    48
+}
+
+fn steps<'de, D: Deserializer<'de>>(deserializer: D) -> Result<u32, D::Error> {
+    whole(deserializer, 1, MAX_MEDIUM_STEPS, "steps")
+}
+
+fn light_steps<'de, D: Deserializer<'de>>(deserializer: D) -> Result<u32, D::Error> {
+    whole(deserializer, 1, MAX_LIGHT_STEPS, "steps")
+}
+
+fn orders<'de, D: Deserializer<'de>>(deserializer: D) -> Result<u32, D::Error> {
+    whole(deserializer, 1, MAX_ORDERS, "orders")
+}

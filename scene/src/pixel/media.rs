@@ -1,0 +1,292 @@
+//! Clouds and volumes: what a ray gathers and loses inside shapes that are filled, not bounded.
+//!
+//! The light that is lost on the way falls as Beer and Lambert say; what is scattered towards the
+//! viewer is scattered once, and comes straight from the lights.
+
+use super::Program;
+use super::lighting::arriving_in_air;
+use crate::bounds::Bounds;
+use crate::camera::Ray;
+use crate::lights::Light;
+use crate::materials::Filling;
+use crate::real::{Real, Vec3, bundle, vec3};
+use crate::sampling::Dice;
+use crate::scene::Scene;
+
+/// The filled objects of a scene.
+#[derive(Clone, Debug)]
+pub(super) struct Media<'a> {
+    all: Vec<Medium<'a>>,
+    /// Holds all of them.
+    bounds: Bounds,
+    /// Steps of a ray through the air at most.
+    max_steps: u32,
+    /// Steps of a ray of light at most.
+    light_steps: u32,
+}
+
+/// A filled object.
+#[derive(Clone, Debug)]
+struct Medium<'a> {
+    object: usize,
+    filling: Filling<'a>,
+    /// Length of a step inside.
+    step: f32,
+}
+
+/// What a ray has gathered on its way through the air.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Crossed<R> {
+    /// Light scattered towards the viewer.
+    pub(super) color: Vec3<R>,
+    /// Share of the light from the far end that is left.
+    pub(super) transmittance: R,
+    pub(super) evaluations: R,
+}
+
+bundle!(Crossed { color, transmittance, evaluations });
+
+/// What fills a point of space.
+struct Stuff<R> {
+    /// The extinction coefficient.
+    extinction: R,
+    /// The extinction times the colour that is sent to the viewer.
+    sent: Vec3<R>,
+}
+
+/// So little is left that nobody sees what is behind.
+const OPAQUE: f32 = 1.0 / 256.0;
+/// Steps outside of all shapes, on the way to one of them.
+const OUTSIDE_STEPS: u32 = 96;
+
+impl<'a> Media<'a> {
+    /// The filled objects, if there are any; `origin` is where the camera is.
+    pub(super) fn new(scene: &'a Scene, origin: Vec3<f32>) -> Option<Self> {
+        let mut all = Vec::new();
+        let mut bounds = Bounds::NOWHERE;
+        let (mut max_steps, mut light_steps) = (0, 0);
+        for (object, tree) in scene.objects.iter().enumerate() {
+            let Some(filling) = scene.material_of(object).filling() else { continue };
+            let own = tree.shape.bounds(0.0);
+            let within = if own.is_finite() { own.diagonal() } else { scene.march.max_distance.get() };
+            all.push(Medium { object, step: within / filling.steps() as f32, filling });
+            bounds = if all.len() == 1 { own } else { bounds.hull(own) };
+            max_steps += filling.steps();
+            light_steps = light_steps.max(filling.light_steps());
+        }
+        (!all.is_empty()).then(|| Self { all, bounds: bounds.with_margin(origin), max_steps, light_steps })
+    }
+}
+
+impl Program<'_> {
+    /// What a ray gathers until `farthest`.
+    pub(super) fn cross<R: Real>(&self, media: &Media<'_>, ray: &Ray<R>, farthest: R, dice: &Dice<R>) -> Crossed<R> {
+        farthest.vectorize(
+            #[inline(always)]
+            || {
+                let (zero, one) = (farthest.splat(0.0), farthest.splat(1.0));
+                let nothing = Crossed { color: vec3(zero, zero, zero), transmittance: one, evaluations: zero };
+                let (near, far) = media.bounds.along(ray, farthest);
+                R::when(
+                    near.lt(far),
+                    nothing,
+                    #[inline(always)]
+                    || {
+                        let (_, jitter) = dice.pair(super::lighting::CHOICE);
+                        let (_, crossed) = R::repeat(
+                            media.max_steps + OUTSIDE_STEPS,
+                            (near, nothing),
+                            #[inline(always)]
+                            |(t, crossed)| {
+                                let (step, crossed) = self.air_step(media, ray, t, jitter, &crossed, dice);
+                                let next = t + step;
+                                (next.lt(far) & crossed.transmittance.above(OPAQUE), (next, crossed))
+                            },
+                        );
+                        crossed
+                    },
+                )
+            },
+        )
+    }
+
+    /// The length of a step from `t` on a ray, and what has been gathered at its end.
+    #[inline(always)]
+    fn air_step<R: Real>(
+        &self,
+        media: &Media<'_>,
+        ray: &Ray<R>,
+        t: R,
+        jitter: R,
+        crossed: &Crossed<R>,
+        dice: &Dice<R>,
+    ) -> (R, Crossed<R>) {
+        let p = ray.at(t);
+        let (mut outside, mut inside_step) = (t.splat(1e9), t.splat(1e9));
+        let mut depths = Vec::with_capacity(media.all.len());
+        for medium in &media.all {
+            let distance = self.object_distance(medium.object, p);
+            let step = t.given(medium.step);
+            inside_step = inside_step.min(R::select(distance.below(0.0), step, inside_step));
+            // Into the shape by a part of a step that differs from ray to ray, or its rim would show.
+            outside = outside.min(R::select(distance.below(0.0), outside, jitter.mul_add(step, distance)));
+            depths.push(-distance);
+        }
+        let is_inside = inside_step.below(1e9);
+        let step = R::select(is_inside, inside_step.min(outside), outside).at_least(1e-6);
+        let here = Crossed { evaluations: crossed.evaluations + 1.0, ..*crossed };
+        let crossed = R::when(
+            is_inside,
+            here,
+            #[inline(always)]
+            || {
+                let stuff = self.stuff(media, p, &depths, ray.direction, dice);
+                let left = (-(stuff.extinction * step)).exp();
+                let share = (left.splat(1.0) - left) * here.transmittance / stuff.extinction.at_least(1e-9);
+                Crossed {
+                    color: stuff.sent.mul_add(share, here.color),
+                    transmittance: here.transmittance * left,
+                    evaluations: here.evaluations,
+                }
+            },
+        );
+        (step, crossed)
+    }
+
+    /// What fills `p`, so deep inside each medium, and what it sends against `direction`.
+    #[inline(always)]
+    fn stuff<R: Real>(
+        &self,
+        media: &Media<'_>,
+        p: Vec3<R>,
+        depths: &[R],
+        direction: Vec3<R>,
+        dice: &Dice<R>,
+    ) -> Stuff<R> {
+        let zero = p.x.splat(0.0);
+        let black = vec3(zero, zero, zero);
+        let mut stuff = Stuff { extinction: zero, sent: black };
+        let mut scattering = Vec::new();
+        for (medium, &depth) in media.all.iter().zip(depths) {
+            let extinction = medium.filling.extinction(p, depth);
+            stuff.extinction = stuff.extinction + extinction;
+            stuff.sent = medium.filling.glow(p.x).mul_add(extinction, stuff.sent);
+            if let Some(volume) = medium.filling.scatters() {
+                scattering.push((volume, extinction));
+            }
+        }
+        if scattering.is_empty() {
+            return stuff;
+        }
+        let thick = scattering.iter().fold(zero, |sum, (_, extinction)| sum + *extinction).above(1e-6);
+        let sent = stuff.sent;
+        stuff.sent = R::when(
+            thick,
+            sent,
+            #[inline(always)]
+            || {
+                let mut sent = sent;
+                for (source, incoming, distance) in arriving_in_air(self, p, dice) {
+                    let lit = self.light_in_air(media, source, p, incoming.direction, distance);
+                    let cosine = direction.dot(incoming.direction);
+                    for (volume, extinction) in &scattering {
+                        let phase = volume.phase(cosine, lit);
+                        sent = incoming.radiance.mul_each(volume.scattered(p.x)).mul_add(phase * *extinction, sent);
+                    }
+                }
+                for source in &self.scene.lights {
+                    let Light::Sky(sky) = source else { continue };
+                    let from = sky.from.as_ref().unwrap_or(&self.scene.background);
+                    let (up, down) = (vec3(zero, zero.splat(1.0), zero), vec3(zero, zero.splat(-1.0), zero));
+                    let mean = (from.toward(up) + from.toward(down)) * zero.given(0.5 * sky.strength.get());
+                    for (volume, extinction) in &scattering {
+                        sent = mean.mul_each(volume.scattered(p.x)).mul_add(*extinction, sent);
+                    }
+                }
+                sent
+            },
+        );
+        stuff
+    }
+
+    /// How much stands between a light and `p`: the optical depth, or so much that nothing comes through.
+    #[inline(always)]
+    fn light_in_air<R: Real>(
+        &self,
+        media: &Media<'_>,
+        source: &Light,
+        p: Vec3<R>,
+        direction: Vec3<R>,
+        distance: R,
+    ) -> R {
+        const SHADOW: f32 = 80.0;
+        if !source.casts_shadows() {
+            return p.x.splat(0.0);
+        }
+        let ray = Ray { origin: p, direction };
+        let depth = self.optical_depth(media, &ray, distance);
+        if self.surfaces.is_empty() {
+            return depth;
+        }
+        let near = p.x.given(self.tolerance.floor) + p.x.given(self.tolerance.slope);
+        let (visible, _) = self.clear(&ray, near, distance);
+        depth + (visible.splat(1.0) - visible) * SHADOW
+    }
+
+    /// The share of the light that comes along a ray through the air.
+    #[inline(always)]
+    pub(super) fn transmittance<R: Real>(&self, media: &Media<'_>, ray: &Ray<R>, farthest: R, all: R) -> R {
+        (-self.optical_depth(media, ray, farthest)).exp() * all
+    }
+
+    /// The integral of the extinction along a ray until `farthest`.
+    fn optical_depth<R: Real>(&self, media: &Media<'_>, ray: &Ray<R>, farthest: R) -> R {
+        farthest.shared(
+            "optical_depth",
+            (*ray, farthest),
+            #[inline(always)]
+            |(ray, farthest)| {
+                let zero = farthest.splat(0.0);
+                let (near, far) = media.bounds.along(&ray, farthest);
+                R::when(
+                    near.lt(far),
+                    zero,
+                    #[inline(always)]
+                    || {
+                        let step = (far - near) * zero.splat(1.0 / media.light_steps as f32);
+                        let start = step.mul_add(zero.splat(0.5), near);
+                        let (_, _, sum) = R::repeat(
+                            media.light_steps,
+                            (start, zero, zero),
+                            #[inline(always)]
+                            |(t, count, sum)| {
+                                let here = self.extinction(media, ray.at(t));
+                                let sum = here.mul_add(step, sum);
+                                (sum.below(20.0), (t + step, count + 1.0, sum))
+                            },
+                        );
+                        sum
+                    },
+                )
+            },
+        )
+    }
+
+    /// The extinction of all that fills `p`.
+    #[inline(always)]
+    fn extinction<R: Real>(&self, media: &Media<'_>, p: Vec3<R>) -> R {
+        let zero = p.x.splat(0.0);
+        let mut sum = zero;
+        for medium in &media.all {
+            let depth = -self.object_distance(medium.object, p);
+            let own = R::when(
+                depth.above(0.0),
+                zero,
+                #[inline(always)]
+                || medium.filling.extinction(p, depth),
+            );
+            sum = sum + own;
+        }
+        sum
+    }
+}

@@ -1,0 +1,316 @@
+//! A ray on its way: what it meets, and how it goes on where surfaces mirror it or let it through.
+
+use super::lighting::{CHOICE, NORMAL_TAPS, SCATTERING};
+use super::{Hit, Program, Radiance};
+use crate::camera::Ray;
+use crate::lights::across;
+use crate::march::{Marched, Reach, march};
+use crate::materials::Finish;
+use crate::real::{Flag, Real, Vec3, bundle, vec3};
+use crate::sampling::Dice;
+
+/// A ray that has been sent on some times.
+#[derive(Clone, Copy)]
+struct Path<R: Real> {
+    ray: Ray<R>,
+    /// How near is near enough where it starts.
+    near: R,
+    /// How far it has come.
+    travelled: R,
+    /// The share of what it meets that reaches the camera.
+    throughput: Vec3<R>,
+    color: Vec3<R>,
+    /// The share of what lies straight behind that reaches the camera.
+    see_through: R,
+    evaluations: R,
+    bounce: R,
+    going: Flag<R>,
+}
+
+bundle!(Path { ray, near, travelled, throughput, color, see_through, evaluations, bounce, going });
+
+/// Where a ray goes on, and the share of what it meets then.
+#[derive(Clone, Copy)]
+struct Onward<R: Real> {
+    direction: Vec3<R>,
+    weight: Vec3<R>,
+    /// Whether it goes to the other side of the surface.
+    through: Flag<R>,
+}
+
+/// Less than this of what a ray meets would not be seen.
+const FAINT: f32 = 1.0 / 512.0;
+
+impl Program<'_> {
+    /// The light along a ray from the camera.
+    #[inline(always)]
+    pub(super) fn path<R: Real>(&self, ray: &Ray<R>, dice: &Dice<R>) -> Radiance<R> {
+        let (zero, one) = (dice.x.splat(0.0), dice.x.splat(1.0));
+        let start = Path {
+            ray: *ray,
+            near: zero.given(self.tolerance.floor),
+            travelled: zero,
+            throughput: vec3(one, one, one),
+            color: vec3(zero, zero, zero),
+            see_through: one,
+            evaluations: zero,
+            bounce: zero,
+            going: Flag(zero.below(1.0)),
+        };
+        let end = if self.sends_on {
+            R::repeat(
+                self.scene.march.max_bounces + 1,
+                start,
+                #[inline(always)]
+                |path| {
+                    let next = self.segment(path, dice);
+                    (next.going.0, next)
+                },
+            )
+        } else {
+            self.segment(start, dice)
+        };
+        // What would be met after the last bounce is taken to be the background.
+        let rest = end.throughput.mul_each(self.background(end.ray.direction).0);
+        let color = Vec3::select(end.going.0, end.color + rest, end.color);
+        let alpha = self.background(end.ray.direction).1;
+        let alpha = end.see_through.mul_add(alpha - 1.0, one);
+        Radiance { color, alpha, evaluations: end.evaluations }
+    }
+
+    /// A path until it meets the next surface, and on from there.
+    fn segment<R: Real>(&self, path: Path<R>, dice: &Dice<R>) -> Path<R> {
+        path.near.vectorize(
+            #[inline(always)]
+            || {
+                let dice = Dice { bounce: path.bounce, ..*dice };
+                let marched = self.march_on(&path.ray, path.near);
+                let mut path = path;
+                path.evaluations = path.evaluations + marched.steps;
+                self.cross_air(&mut path, &marched, &dice);
+                let (background, _) = self.background(path.ray.direction);
+                let missed = Path {
+                    color: path.color + path.throughput.mul_each(background),
+                    going: Flag(path.near.below(0.0)),
+                    ..path
+                };
+                R::when(
+                    marched.hit.0,
+                    missed,
+                    #[inline(always)]
+                    || self.meet(path, &marched, &dice),
+                )
+            },
+        )
+    }
+
+    /// Clouds, volumes and fog between the start of a ray and where it ends.
+    #[inline(always)]
+    fn cross_air<R: Real>(&self, path: &mut Path<R>, marched: &Marched<R>, dice: &Dice<R>) {
+        let farthest = path.near.given(self.scene.march.max_distance.get());
+        let length = R::select(marched.hit.0, marched.distance, farthest);
+        if let Some(fog) = &self.scene.fog {
+            let clear = fog.transmittance(&path.ray, length);
+            let color = match &fog.color {
+                Some(color) => Vec3::given(length, color.get()),
+                None => self.background(path.ray.direction).0,
+            };
+            path.color = path.color + path.throughput.mul_each(color) * (clear.splat(1.0) - clear);
+            path.throughput = path.throughput * clear;
+            path.see_through = path.see_through * clear;
+        }
+        if let Some(media) = &self.media {
+            let crossed = self.cross(media, &path.ray, length, dice);
+            path.color = path.color + path.throughput.mul_each(crossed.color);
+            path.throughput = path.throughput * crossed.transmittance;
+            path.see_through = path.see_through * crossed.transmittance;
+            path.evaluations = path.evaluations + crossed.evaluations;
+        }
+    }
+
+    /// A path at the surface it has met.
+    #[inline(always)]
+    fn meet<R: Real>(&self, path: Path<R>, marched: &Marched<R>, dice: &Dice<R>) -> Path<R> {
+        let zero = path.near.splat(0.0);
+        let met = self.hit(&path.ray, marched);
+        let hit = Hit { distance: met.distance + path.travelled, ..met };
+        let (light, evaluations) = self.lighting(&hit, dice);
+        let evaluations = path.evaluations + evaluations + NORMAL_TAPS;
+        if !self.sends_on {
+            let color = path.color + path.throughput.mul_each(self.dress(&hit, &path.ray, &light));
+            return Path { color, evaluations, see_through: zero, going: Flag(zero.above(0.0)), ..path };
+        }
+        let (seen, finish) = self.dress_and_finish(&hit, &path.ray, &light);
+        let color = path.color + path.throughput.mul_each(seen);
+        let onward = self.send_on(&hit, -path.ray.direction, &finish, dice);
+        let near = self.tolerance.at(hit.distance);
+        let side = R::select(onward.through.0, near * -4.0, near * 4.0);
+        let ray = Ray { origin: hit.normal.mul_add(side, hit.position), direction: onward.direction };
+        let throughput = path.throughput.mul_each(onward.weight);
+        // What goes straight through leaves the background behind it to be seen.
+        let straight = onward.through.0 & (finish.ior - 1.0).abs().below(1e-4);
+        let see_through = R::select(straight, path.see_through * onward.weight.mean(), zero);
+        Path {
+            ray,
+            near,
+            travelled: hit.distance,
+            throughput,
+            color,
+            see_through,
+            evaluations,
+            bounce: path.bounce + 1.0,
+            going: Flag(throughput.max_element().above(FAINT)),
+        }
+    }
+
+    /// Where a ray goes on from a surface: mirrored, or through it where that is what its numbers choose.
+    ///
+    /// Bruce Walter et al., "Microfacet models for refraction through rough surfaces", EGSR 2007; a visible
+    /// normal is chosen as in Jonathan Dupuy and Anis Benyoub, "Sampling visible GGX normals with
+    /// spherical caps", High-Performance Graphics 2023.
+    #[inline(always)]
+    fn send_on<R: Real>(&self, hit: &Hit<R>, to_viewer: Vec3<R>, finish: &Finish<R>, dice: &Dice<R>) -> Onward<R> {
+        let (zero, one) = (hit.distance.splat(0.0), hit.distance.splat(1.0));
+        let frame = Frame::around(hit.normal);
+        let viewer = frame.local(to_viewer);
+        let viewer = vec3(viewer.x, viewer.y, viewer.z.at_least(1e-3));
+        let alpha = finish.roughness.square();
+        let facet = visible_normal(viewer, alpha, dice.pair(SCATTERING));
+        let cosine = facet.dot(viewer).at_least(1e-4);
+        let mirrored = facet.mul_add(cosine + cosine, -viewer);
+        let ratio = R::select(hit.inside.0, finish.ior, one / finish.ior.at_least(1e-3));
+        let beyond = ratio.square() * (one - cosine.square());
+        let cosine_beyond = (one - beyond).sqrt();
+        let steep = R::select(finish.ior.above(1.0) & hit.inside.0, cosine_beyond, cosine);
+        let reflected = fresnel(finish.mirrored, steep);
+        let masked = shadowed(viewer.z, mirrored.z, alpha);
+        if !self.lets_through {
+            let weight = reflected * R::select(mirrored.z.above(1e-4), masked, zero);
+            return Onward { direction: frame.world(mirrored).normalize(), weight, through: Flag(zero.above(0.0)) };
+        }
+        let total = beyond.above(1.0) & finish.passed.max_element().above(0.0);
+        let reflected = Vec3::select(total, vec3(one, one, one), reflected);
+        let passed = vec3(one - reflected.x, one - reflected.y, one - reflected.z).mul_each(finish.passed);
+        let (of_mirror, of_passage) = (reflected.mean(), passed.mean());
+        let likely = of_mirror / (of_mirror + of_passage).at_least(1e-6);
+        // Rarely chosen ways would be noise.
+        let likely = R::select(likely.below(0.01), zero, likely);
+        let (choice, _) = dice.pair(CHOICE);
+        let mirrors = choice.lt(likely) | of_passage.below(1e-6);
+        let refracted = facet.mul_add(ratio.mul_add(cosine, -cosine_beyond), viewer * -ratio);
+        let through = passed * (one / (one - likely).at_least(1e-3));
+        let back = reflected * (R::select(mirrored.z.above(1e-4), masked, zero) / likely.at_least(1e-3));
+        let direction = Vec3::select(mirrors, mirrored, refracted);
+        Onward {
+            direction: frame.world(direction).normalize(),
+            weight: Vec3::select(mirrors, back, through),
+            through: Flag(!mirrors),
+        }
+    }
+
+    /// Marches on from a surface, or from the camera. `near` is how near is near enough at the start.
+    fn march_on<R: Real>(&self, ray: &Ray<R>, near: R) -> Marched<R> {
+        near.shared(
+            "march_on",
+            (*ray, near),
+            #[inline(always)]
+            |(ray, near)| {
+                let zero = near.splat(0.0);
+                let farthest = zero.given(self.scene.march.max_distance.get());
+                let (nearest, farthest) = self.bounds.along(&ray, farthest);
+                let missed = Marched { distance: farthest, gap: farthest, steps: zero, hit: Flag(zero.below(0.0)) };
+                R::when(
+                    nearest.lt(farthest),
+                    missed,
+                    #[inline(always)]
+                    || {
+                        let reach = Reach { nearest, farthest, max_steps: self.scene.march.max_steps };
+                        let slope = zero.given(self.tolerance.slope);
+                        let mut marched = march(
+                            &ray,
+                            reach,
+                            #[inline(always)]
+                            |t| t.mul_add(slope, near),
+                            #[inline(always)]
+                            |p| self.gap(p),
+                        );
+                        let cone = zero.given(self.view.cone());
+                        let touches = marched.gap.lt(marched.distance * cone) & marched.distance.lt(farthest);
+                        marched.hit = Flag(marched.hit.0 | touches);
+                        marched
+                    },
+                )
+            },
+        )
+    }
+}
+
+/// A facet's normal as a viewer above the surface sees it, in a frame whose z is the surface's normal.
+#[inline(always)]
+fn visible_normal<R: Real>(viewer: Vec3<R>, alpha: R, (u, v): (R, R)) -> Vec3<R> {
+    let one = alpha.splat(1.0);
+    let stretched = vec3(viewer.x * alpha, viewer.y * alpha, viewer.z).normalize();
+    let (sine, cosine) = (u * std::f32::consts::TAU).sin_cos();
+    let height = (one - v).mul_add(one + stretched.z, -stretched.z);
+    let away = (one - height.square()).sqrt();
+    let half = vec3(away * cosine, away * sine, height) + stretched;
+    vec3(half.x * alpha, half.y * alpha, half.z.at_least(1e-6)).normalize()
+}
+
+/// Schlick's approximation of Fresnel's equations; what mirrors next to nothing does so at every angle.
+///
+/// Christophe Schlick, "An inexpensive BRDF model for physically-based rendering", Eurographics 1994.
+#[inline(always)]
+fn fresnel<R: Real>(head_on: Vec3<R>, cosine: R) -> Vec3<R> {
+    let grazing = (head_on.max_element() * 50.0).at_most(1.0);
+    let rest = (cosine.splat(1.0) - cosine).at_least(0.0);
+    let power = rest.square().square() * rest;
+    head_on.map(
+        #[inline(always)]
+        |channel| (grazing - channel).at_least(0.0).mul_add(power, channel),
+    )
+}
+
+/// The share of visible facets whose mirrored light is not hidden by others: G2/G1 of Smith's
+/// height-correlated masking and shadowing.
+#[inline(always)]
+fn shadowed<R: Real>(viewer: R, light: R, alpha: R) -> R {
+    let one = alpha.splat(1.0);
+    let (of_viewer, of_light) = (hidden(viewer, alpha), hidden(light, alpha));
+    (one + of_viewer) / (one + of_viewer + of_light)
+}
+
+/// Smith's Λ of the GGX distribution for a direction of this cosine.
+#[inline(always)]
+fn hidden<R: Real>(cosine: R, alpha: R) -> R {
+    let one = alpha.splat(1.0);
+    let square = cosine.square().at_least(1e-6).at_most(1.0);
+    let tangent = (one - square) / square;
+    (alpha.square().mul_add(tangent, one).sqrt() - 1.0) * 0.5
+}
+
+/// A frame around a normal.
+#[derive(Clone, Copy)]
+struct Frame<R> {
+    right: Vec3<R>,
+    up: Vec3<R>,
+    normal: Vec3<R>,
+}
+
+impl<R: Real> Frame<R> {
+    #[inline(always)]
+    fn around(normal: Vec3<R>) -> Self {
+        let (right, up) = across(normal);
+        Self { right, up, normal }
+    }
+
+    #[inline(always)]
+    fn local(&self, v: Vec3<R>) -> Vec3<R> {
+        vec3(v.dot(self.right), v.dot(self.up), v.dot(self.normal))
+    }
+
+    #[inline(always)]
+    fn world(&self, v: Vec3<R>) -> Vec3<R> {
+        self.normal.mul_add(v.z, self.up.mul_add(v.y, self.right * v.x))
+    }
+}

@@ -1,0 +1,293 @@
+//! The sky: a colour for every direction that meets nothing.
+
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+use crate::real::{Real, Vec3, vec3};
+use crate::values::{Color, Direction, Strength, Turbidity};
+
+/// What is seen where nothing is.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case", deny_unknown_fields)]
+pub enum Background {
+    /// One colour.
+    Color(Color),
+    /// From `bottom` to `top` by t = (dir.y + 1)/2 of the ray's direction.
+    Gradient {
+        /// Straight down.
+        bottom: Color,
+        /// Straight up.
+        top: Color,
+    },
+    /// A clear sky by day. See [`Day`].
+    Day(Day),
+    /// Nothing: alpha is 0 there.
+    Transparent,
+}
+
+impl Default for Background {
+    fn default() -> Self {
+        Self::Gradient { bottom: Color::new(1.0, 1.0, 1.0), top: Color::new(0.5, 0.7, 1.0) }
+    }
+}
+
+impl Background {
+    /// Linear RGB seen towards `direction`, of length 1; black where nothing is.
+    #[inline(always)]
+    pub fn toward<R: Real>(&self, direction: Vec3<R>) -> Vec3<R> {
+        let like = direction.x;
+        match self {
+            Self::Color(color) => Vec3::given(like, color.get()),
+            Self::Gradient { .. } => self.even_toward(direction.y, 0.5),
+            Self::Day(day) => day.toward(direction),
+            Self::Transparent => vec3(like.splat(0.0), like.splat(0.0), like.splat(0.0)),
+        }
+    }
+
+    /// The gradient at ½ + `share` · `height`.
+    #[inline(always)]
+    fn even_toward<R: Real>(&self, height: R, share: f32) -> Vec3<R> {
+        let Self::Gradient { bottom, top } = self else { return self.toward(vec3(height, height, height)) };
+        let share = height.mul_add(height.splat(share), height.splat(0.5));
+        let (bottom, top) = (bottom.get(), top.get());
+        let rise = vec3(top.x - bottom.x, top.y - bottom.y, top.z - bottom.z);
+        Vec3::given(height, rise).mul_add(share, Vec3::given(height, bottom))
+    }
+
+    /// The mean of all it sends to a surface with this normal, weighted by the cosine; `None` where
+    /// that has no closed form. Of a gradient's t it is ½ + n.y/3.
+    #[inline(always)]
+    pub fn mean_over<R: Real>(&self, normal: Vec3<R>) -> Option<Vec3<R>> {
+        match self {
+            Self::Color(_) | Self::Transparent => Some(self.toward(normal)),
+            Self::Gradient { .. } => Some(self.even_toward(normal.y, 1.0 / 3.0)),
+            Self::Day(_) => None,
+        }
+    }
+
+    /// The day it shows, if it does.
+    pub(crate) fn day(&self) -> Option<&Day> {
+        match self {
+            Self::Day(day) => Some(day),
+            Self::Color(_) | Self::Gradient { .. } | Self::Transparent => None,
+        }
+    }
+
+    /// Finds what all directions share.
+    pub(crate) fn prepare(&mut self) {
+        if let Self::Day(day) = self {
+            day.model = Model::of(day);
+        }
+    }
+}
+
+/// A clear sky by day, lit by the sun; the ground below the horizon. The sun itself is not seen: let
+/// the light `sun` shine.
+///
+/// A. J. Preetham, Peter Shirley, Brian Smits, "A practical analytic model for daylight", SIGGRAPH 1999.
+/// A radiance of 1 stands for 32 kcd/m².
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Day {
+    /// Towards the sun; not below the horizon.
+    pub sun: Direction,
+    /// How hazy the air is: 2 is clear, 6 is hazy.
+    #[serde(default = "clear")]
+    pub turbidity: Turbidity,
+    /// The colour of the ground.
+    #[serde(default = "earth")]
+    pub ground: Color,
+    /// How bright all of it is.
+    #[serde(default = "full")]
+    pub strength: Strength,
+    /// What all directions share.
+    #[serde(skip)]
+    model: Model,
+}
+
+/// The numbers of a [`Day`].
+#[derive(Clone, Debug, Default, PartialEq)]
+struct Model {
+    /// Perez' A to E of the luminance Y and the chromaticities x and y.
+    perez: [[f32; 5]; 3],
+    /// Y, x and y at the zenith over the formula's value there.
+    zenith: [f32; 3],
+    ground: [f32; 3],
+    sun_color: [f32; 3],
+}
+
+/// Radiance for one kcd/m².
+const PER_KILOCANDELA: f32 = 1.0 / 32.0;
+
+impl Day {
+    /// What is wrong with it, if anything.
+    pub(crate) fn fault(&self) -> Option<&'static str> {
+        (self.sun.unit().y < 0.0).then_some("is below the horizon: give the sun's direction a y of 0 or more")
+    }
+
+    /// The light of the sun on a surface that faces it, after its way through the air.
+    pub(crate) fn sun_color(&self) -> Vec3<f32> {
+        let [red, green, blue] = self.model.sun_color;
+        vec3(red, green, blue)
+    }
+
+    fn toward<R: Real>(&self, direction: Vec3<R>) -> Vec3<R> {
+        direction.x.vectorize(
+            #[inline(always)]
+            || {
+                let like = direction.x;
+                let cosine = direction.dot_known(self.sun.unit());
+                let angle = cosine.acos();
+                let per_height = like.splat(1.0) / direction.y.at_least(0.01);
+                let value = |channel: usize| {
+                    let [a, b, c, d, e] = self.model.perez[channel].map(
+                        #[inline(always)]
+                        |number| like.given(number),
+                    );
+                    let by_height = a.mul_add((b * per_height).exp(), like.splat(1.0));
+                    let by_angle = e.mul_add(cosine.square(), c.mul_add((d * angle).exp(), like.splat(1.0)));
+                    by_height * by_angle * like.given(self.model.zenith[channel])
+                };
+                let (luminance, x, y) = (value(0), value(1), value(2));
+                let per_y = luminance / y.at_least(1e-3);
+                let (big_x, big_z) = (x * per_y, (like.splat(1.0) - x - y) * per_y);
+                // XYZ to linear sRGB: IEC 61966-2-1.
+                let sky = vec3(
+                    big_x * 3.240_97 - luminance * 1.537_383 - big_z * 0.498_611,
+                    luminance * 1.875_968 - big_x * 0.969_244 + big_z * 0.041_555,
+                    big_x * 0.055_63 - luminance * 0.203_977 + big_z * 1.056_972,
+                );
+                let sky = sky.map(
+                    #[inline(always)]
+                    |channel| channel.at_least(0.0),
+                );
+                let [red, green, blue] = self.model.ground;
+                let ground = Vec3::given(like, vec3(red, green, blue));
+                let below = (-direction.y * 12.0).at_least(0.0).at_most(1.0);
+                (ground - sky).mul_add(below, sky)
+            },
+        )
+    }
+}
+
+impl Model {
+    fn of(day: &Day) -> Self {
+        let t = day.turbidity.get();
+        let sun = day.sun.unit();
+        let strength = day.strength.get() * PER_KILOCANDELA;
+        let angle = Real::acos(sun.y.max(0.0));
+        let perez = [
+            [
+                0.1787 * t - 1.4630,
+                -0.3554 * t + 0.4275,
+                -0.0227 * t + 5.3251,
+                0.1206 * t - 2.5771,
+                -0.0670 * t + 0.3703,
+            ],
+            [
+                -0.0193 * t - 0.2592,
+                -0.0665 * t + 0.0008,
+                -0.0004 * t + 0.2125,
+                -0.0641 * t - 0.8989,
+                -0.0033 * t + 0.0452,
+            ],
+            [
+                -0.0167 * t - 0.2608,
+                -0.0950 * t + 0.0092,
+                -0.0079 * t + 0.2102,
+                -0.0441 * t - 1.6537,
+                -0.0109 * t + 0.0529,
+            ],
+        ];
+        let chi = (4.0 / 9.0 - t / 120.0) * (std::f32::consts::PI - 2.0 * angle);
+        let (sine, cosine) = Real::sin_cos(chi);
+        let luminance = ((4.0453 * t - 4.9710) * sine / cosine - 0.2155 * t + 2.4192).max(0.05) * strength;
+        let cubic = |[a, b, c, d]: [f32; 4]| ((a * angle + b) * angle + c) * angle + d;
+        let chromaticity = |rows: [[f32; 4]; 3]| (cubic(rows[0]) * t + cubic(rows[1])) * t + cubic(rows[2]);
+        let x = chromaticity([
+            [0.00166, -0.00375, 0.00209, 0.0],
+            [-0.02903, 0.06377, -0.03202, 0.00394],
+            [0.11693, -0.21196, 0.06052, 0.25886],
+        ]);
+        let y = chromaticity([
+            [0.00275, -0.00610, 0.00317, 0.0],
+            [-0.04214, 0.08970, -0.04153, 0.00516],
+            [0.15346, -0.26756, 0.06670, 0.26688],
+        ]);
+        let at_zenith = perez.map(|[a, b, c, d, e]| {
+            let cosine = sun.y.max(0.0);
+            (1.0 + a * Real::exp(b)) * (1.0 + c * Real::exp(d * angle) + e * cosine * cosine)
+        });
+        let zenith = [luminance / at_zenith[0], x / at_zenith[1], y / at_zenith[2]];
+        let sun_color = transmitted(t, angle).map(|channel| channel * SUN_KILOCANDELAS * strength);
+        let albedo: [f32; 3] = day.ground.get().into();
+        let ground = std::array::from_fn(|i| albedo[i] * (sun_color[i] * sun.y.max(0.0) + luminance));
+        Self { perez, zenith, ground, sun_color }
+    }
+}
+
+/// The sun's illuminance above the air, 128 klx, over π.
+const SUN_KILOCANDELAS: f32 = 40.7;
+
+/// What the air lets through of the sun's red, green and blue: Rayleigh's scattering and Ångström's
+/// haze, as in the appendix of Preetham et al.
+fn transmitted(turbidity: f32, angle: f32) -> [f32; 3] {
+    const WAVELENGTHS_UM: [f32; 3] = [0.615, 0.545, 0.465];
+    let degrees = angle * (180.0 / std::f32::consts::PI);
+    let mass = 1.0 / (Real::cos(angle) + 0.15 * Real::powf(93.885 - degrees, -1.253));
+    let haze = 0.046_08 * turbidity - 0.045_86;
+    WAVELENGTHS_UM.map(|wavelength| {
+        let scattered = 0.008_735 * Real::powf(wavelength, -4.08) + haze * Real::powf(wavelength, -1.3);
+        Real::exp(-mass * scattered)
+    })
+}
+
+fn clear() -> Turbidity {
+    Turbidity::new(2.5).expect("2.5 is in range")
+}
+
+fn earth() -> Color {
+    Color::new(0.25, 0.23, 0.2)
+}
+
+fn full() -> Strength {
+    Strength::new(1.0).expect("1 is in range")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn day(sun: &str) -> Background {
+        let mut sky: Background = serde_json::from_str(&format!(r#"{{ "day": {{ "sun": {sun} }} }}"#)).unwrap();
+        sky.prepare();
+        sky
+    }
+
+    #[test]
+    fn noon_is_blue_above_and_the_evening_sun_is_red() {
+        let noon = day("[0.2, 1, 0]").toward(vec3(-0.3_f32, 0.9, 0.0).normalize());
+        assert!(noon.z > 1.5 * noon.x && noon.x > 0.02, "{noon:?}");
+        let high = day("[0, 1, 0]").day().unwrap().sun_color();
+        let low = day("[1, 0.05, 0]").day().unwrap().sun_color();
+        assert!(low.x > 3.0 * low.z && high.x < 1.5 * high.z, "{low:?} {high:?}");
+    }
+
+    #[test]
+    fn a_gradients_mean_is_that_of_many_directions() {
+        let sky = Background::default();
+        let normal = vec3(0.48_f32, 0.6, 0.64);
+        let mean = sky.mean_over(normal).unwrap();
+        let (mut sum, mut weight) = (vec3(0.0, 0.0, 0.0), 0.0);
+        for step in 0..40_000 {
+            let (height, turn) = ((step as f32 + 0.5) / 20_000.0 - 1.0, step as f32 * 2.399_963);
+            let (s, c) = Real::sin_cos(turn % std::f32::consts::TAU);
+            let across = Real::sqrt(1.0 - height * height);
+            let direction = vec3(across * c, height, across * s);
+            let cosine = direction.dot(normal).max(0.0);
+            sum = sky.toward(direction).mul_add(cosine, sum);
+            weight += cosine;
+        }
+        assert!((sum.x / weight - mean.x).abs() < 2e-3, "{} {}", sum.x / weight, mean.x);
+    }
+}
