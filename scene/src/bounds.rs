@@ -88,6 +88,13 @@ impl Bounds {
         zip(self.high, self.low, |high, low| high - low).length()
     }
 
+    /// The box with ends far beyond all coordinates where it has none.
+    pub(crate) fn ended(self) -> Self {
+        const BEYOND: f32 = 1e12;
+        let ended = |c: f32| c.clamp(-BEYOND, BEYOND);
+        Self { low: self.low.map(ended), high: self.high.map(ended) }
+    }
+
     /// Whether it has an end in every direction.
     pub fn is_finite(self) -> bool {
         [self.low, self.high]

@@ -3,10 +3,12 @@
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
+use crate::job::Frames;
+use crate::march::Tolerance;
 use crate::real::{Real, Vec3, bundle, vec3};
-use crate::values::{Direction, FieldOfView, Point};
+use crate::values::{Direction, FieldOfView, Length, Point, Turns, sin_cos_degrees};
 
-/// A pinhole camera.
+/// Where the scene is seen from, and how.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Camera {
@@ -17,24 +19,70 @@ pub struct Camera {
     /// A direction that is up in the picture; not along the view.
     #[serde(default = "upwards")]
     pub up: Direction,
-    /// The vertical field of view.
-    #[serde(default = "forty_degrees")]
-    pub fov: FieldOfView,
+    /// The vertical field of view of a perspective, 40 degrees when absent.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub fov: Option<FieldOfView>,
+    /// How space becomes a picture.
+    #[serde(default, skip_serializing_if = "Projection::is_perspective")]
+    pub projection: Projection,
+    /// Carries it around what it looks at, over the frames of the job.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub turntable: Option<Turntable>,
+}
+
+/// How space becomes a picture.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum Projection {
+    /// A pinhole: what is further away is smaller.
+    #[default]
+    Perspective,
+    /// Along parallel rays from a plane through the camera: no size changes with distance.
+    Orthographic(Orthographic),
+    /// All around the camera, 360 by 180 degrees: longitude across, latitude down (equirectangular);
+    /// what it looks at is in the middle.
+    Panorama,
+}
+
+impl Projection {
+    #[expect(clippy::trivially_copy_pass_by_ref, reason = "serde hands a reference")]
+    fn is_perspective(&self) -> bool {
+        *self == Self::Perspective
+    }
+}
+
+/// A view along parallel rays.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Orthographic {
+    /// From the bottom of the picture to its top, in scene units.
+    pub height: Length,
+}
+
+/// A camera's way around what it looks at, about the direction that is up.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Turntable {
+    /// Turns over all frames, counter-clockwise from above: frame i is i/count of them on the way.
+    #[serde(default = "once")]
+    pub turns: Turns,
 }
 
 /// A camera in front of a picture of some size, ready to make rays.
 #[derive(Clone, Copy, Debug)]
 pub struct View {
+    projection: Projection,
     origin: Vec3<f32>,
     forward: Vec3<f32>,
-    /// To the right, by the distance of half the picture's width.
+    /// To the right, by the distance of half the picture's width; of length 1 in a panorama.
     right: Vec3<f32>,
-    /// Up, by the distance of half the picture's height.
+    /// Up, by the distance of half the picture's height; of length 1 in a panorama.
     up: Vec3<f32>,
     /// 2/width and −2/height.
     scale: (f32, f32),
-    /// Half a pixel's height at distance 1.
-    cone: f32,
+    footprint: Tolerance,
+    /// What numbers around the camera are right to, in scene units.
+    precision: f32,
 }
 
 /// A half line.
@@ -71,7 +119,35 @@ impl Camera {
         if forward.cross(self.up.unit()).length() < 1e-4 {
             return Some(("up", "points along the view: choose an up that is not along look_at - position"));
         }
-        None
+        match (self.fov, self.projection) {
+            (Some(_), Projection::Orthographic(_)) => {
+                Some(("fov", "means nothing in an orthographic picture: leave it out, and choose its height"))
+            }
+            (Some(_), Projection::Panorama) => {
+                Some(("fov", "means nothing in a panorama, which sees all: leave it out"))
+            }
+            (None, _) | (Some(_), Projection::Perspective) => None,
+        }
+    }
+
+    /// Says what was left open, so that cameras that see the same are equal.
+    pub(crate) fn complete(&mut self) {
+        if self.projection == Projection::Perspective {
+            self.fov.get_or_insert_with(forty_degrees);
+        }
+    }
+
+    /// Goes where the turntable has carried it in a frame, and steps off; whether there was one.
+    pub(crate) fn turn(&mut self, frame: u32, frames: &Frames) -> bool {
+        let Some(Turntable { turns }) = self.turntable.take() else { return false };
+        let share = f64::from(frame) / f64::from(frames.count);
+        let degrees = (360.0 * f64::from(turns.get()) * share % 360.0) as f32;
+        if degrees != 0.0 {
+            let middle = self.look_at.get();
+            let moved = turned(self.position.get() - middle, self.up.unit(), degrees) + middle;
+            self.position = Point::nearest(moved);
+        }
+        true
     }
 
     /// The camera in front of a picture.
@@ -80,16 +156,33 @@ impl Camera {
         let forward = vec3(to.x - origin.x, to.y - origin.y, to.z - origin.z).normalize();
         let right = forward.cross(self.up.unit()).normalize();
         let up = right.cross(forward);
-        let (sine, cosine) = Real::sin_cos(self.fov.get() * (std::f32::consts::PI / 360.0));
-        let tangent = sine / cosine;
-        let aspect = width as f32 / height as f32;
+        let (width, height) = (width as f32, height as f32);
+        let aspect = width / height;
+        // Half the picture's extents, and half a pixel's height at distance 1 and at any.
+        let (half_width, half_height, slope, floor) = match self.projection {
+            Projection::Perspective => {
+                let fov = self.fov.unwrap_or_else(forty_degrees);
+                let (sine, cosine) = Real::sin_cos(fov.get() * (std::f32::consts::PI / 360.0));
+                let tangent = sine / cosine;
+                (aspect * tangent, tangent, tangent / height, 0.0)
+            }
+            Projection::Orthographic(Orthographic { height: whole }) => {
+                let half = whole.get() * 0.5;
+                (aspect * half, half, 0.0, half / height)
+            }
+            Projection::Panorama => (1.0, 1.0, std::f32::consts::FRAC_PI_2 / height, 0.0),
+        };
+        let spread = if floor > 0.0 { half_width.max(half_height) } else { 0.0 };
+        let size = origin.x.abs().max(origin.y.abs()).max(origin.z.abs()) + spread;
         View {
+            projection: self.projection,
             origin,
             forward,
-            right: scaled(right, aspect * tangent),
-            up: scaled(up, tangent),
-            scale: (2.0 / width as f32, -2.0 / height as f32),
-            cone: tangent / height as f32,
+            right: scaled(right, half_width),
+            up: scaled(up, half_height),
+            scale: (2.0 / width, -2.0 / height),
+            footprint: Tolerance { slope, floor },
+            precision: 2e-7 * size + 1e-7,
         }
     }
 }
@@ -100,20 +193,59 @@ impl View {
     pub fn ray<R: Real>(&self, x: R, y: R) -> Ray<R> {
         let across = x.mul_add(x.given(self.scale.0), x.splat(-1.0));
         let upwards = y.mul_add(y.given(self.scale.1), y.splat(1.0));
-        let middle = Vec3::given(x, self.forward);
-        let direction = Vec3::given(x, self.right).mul_add(across, Vec3::given(x, self.up).mul_add(upwards, middle));
-        Ray { origin: Vec3::given(x, self.origin), direction: direction.normalize() }
+        let (right, up, forward) = (Vec3::given(x, self.right), Vec3::given(x, self.up), Vec3::given(x, self.forward));
+        let origin = Vec3::given(x, self.origin);
+        match self.projection {
+            Projection::Perspective => {
+                let direction = right.mul_add(across, up.mul_add(upwards, forward));
+                Ray { origin, direction: direction.normalize() }
+            }
+            Projection::Orthographic(_) => {
+                Ray { origin: right.mul_add(across, up.mul_add(upwards, origin)), direction: forward }
+            }
+            Projection::Panorama => {
+                let (east, ahead) = (across * std::f32::consts::PI).sin_cos();
+                let (above, level) = (upwards * std::f32::consts::FRAC_PI_2).sin_cos();
+                let around = right.mul_add(east, forward * ahead);
+                Ray { origin, direction: around.mul_add(level, up * above).normalize() }
+            }
+        }
     }
 
-    /// Half a pixel's height at distance 1 from the camera.
-    pub fn cone(&self) -> f32 {
-        self.cone
+    /// Half a pixel's height, by the distance along a ray.
+    pub fn footprint(&self) -> Tolerance {
+        self.footprint
+    }
+
+    /// How near a surface a ray must come: a quarter of half a pixel keeps silhouettes; the rest
+    /// keeps depth and the limits of `f32`.
+    pub fn tolerance(&self) -> Tolerance {
+        let Tolerance { slope, floor } = self.footprint;
+        // Parallel rays: no more than a part of what the picture shows.
+        let shown = self.up.length();
+        let floor = (0.25 * floor).min(5e-4 * shown) + self.precision;
+        Tolerance { slope: (0.25 * slope).clamp(2e-6, 2.5e-4), floor }
+    }
+
+    /// Half the edge of the tetrahedron that normals are measured on: half of half a pixel, and far
+    /// above the limits of `f32`.
+    pub fn tap(&self) -> Tolerance {
+        let Tolerance { slope, floor } = self.footprint;
+        let least = if floor > 0.0 { 2e-5 } else { 3e-4 };
+        Tolerance { slope: (0.5 * slope).max(least), floor: (0.5 * floor).max(100.0 * self.precision) }
     }
 
     /// Where the camera is.
     pub fn origin(&self) -> Vec3<f32> {
         self.origin
     }
+}
+
+/// A vector turned about an axis of length 1, by Olinde Rodrigues' formula:
+/// <https://en.wikipedia.org/wiki/Rodrigues%27_rotation_formula>.
+fn turned(v: Vec3<f32>, axis: Vec3<f32>, degrees: f32) -> Vec3<f32> {
+    let (sine, cosine) = sin_cos_degrees(degrees);
+    v * cosine + axis.cross(v) * sine + axis * (axis.dot(v) * (1.0 - cosine))
 }
 
 fn scaled(v: Vec3<f32>, factor: f32) -> Vec3<f32> {
@@ -124,6 +256,10 @@ fn upwards() -> Direction {
     serde_json::from_str("[0, 1, 0]").expect("a direction")
 }
 
+fn once() -> Turns {
+    Turns::new(1.0).expect("1 is in range")
+}
+
 fn forty_degrees() -> FieldOfView {
     FieldOfView::new(40.0).expect("40 is in range")
 }
@@ -132,16 +268,79 @@ fn forty_degrees() -> FieldOfView {
 mod tests {
     use super::*;
 
+    fn view(camera: &str, width: u32, height: u32) -> View {
+        serde_json::from_str::<Camera>(camera).unwrap().view(width, height)
+    }
+
+    fn is_near(got: Vec3<f32>, want: [f32; 3]) -> bool {
+        (got - vec3(want[0], want[1], want[2])).length() < 1e-6
+    }
+
     #[test]
     fn the_middle_looks_forward_and_the_edge_at_half_the_field_of_view() {
-        let camera: Camera =
-            serde_json::from_str(r#"{ "position": [0, 0, 5], "look_at": [0, 0, 0], "fov": 90 }"#).unwrap();
-        let view = camera.view(200, 100);
-        let middle = view.ray(100.0_f32, 50.0).direction;
-        assert!((middle.z + 1.0).abs() < 1e-6 && middle.x.abs() < 1e-6 && middle.y.abs() < 1e-6);
+        let view = view(r#"{ "position": [0, 0, 5], "look_at": [0, 0, 0], "fov": 90 }"#, 200, 100);
+        assert!(is_near(view.ray(100.0_f32, 50.0).direction, [0.0, 0.0, -1.0]));
         let top = view.ray(100.0_f32, 0.0).direction;
         assert!((top.y - top.z.abs()).abs() < 1e-6 && top.y > 0.0);
         let right = view.ray(200.0_f32, 50.0).direction;
         assert!((right.x - 2.0 * right.z.abs()).abs() < 1e-6 && right.x > 0.0);
+        // Half of one of 100 pixels that are 2 high together at distance 1.
+        assert_eq!((view.footprint().slope * 100.0 - 1.0).abs() < 1e-6, view.footprint().floor == 0.0);
+    }
+
+    #[test]
+    fn orthographic_rays_are_parallel_and_start_in_a_plane_of_the_given_height() {
+        let camera =
+            r#"{ "position": [1, 2, 5], "look_at": [1, 2, 0], "projection": { "orthographic": { "height": 3 } } }"#;
+        let view = view(camera, 200, 100);
+        for (x, y, origin) in [
+            (100.0_f32, 50.0, [1.0, 2.0, 5.0]),
+            (100.0, 0.0, [1.0, 3.5, 5.0]),
+            (200.0, 100.0, [4.0, 0.5, 5.0]),
+            (0.0, 50.0, [-2.0, 2.0, 5.0]),
+        ] {
+            let ray = view.ray(x, y);
+            assert!(is_near(ray.origin, origin) && is_near(ray.direction, [0.0, 0.0, -1.0]), "{x}, {y}: {ray:?}");
+        }
+        let footprint = view.footprint();
+        assert!(footprint.slope == 0.0 && (footprint.floor - 0.015).abs() < 1e-8, "{footprint:?}");
+    }
+
+    #[test]
+    fn a_panorama_sees_each_direction_where_a_map_has_it() {
+        let view = view(r#"{ "position": [0, 1, 0], "look_at": [0, 1, -2], "projection": "panorama" }"#, 400, 200);
+        for (x, y, direction) in [
+            (200.0_f32, 100.0, [0.0, 0.0, -1.0]),
+            (300.0, 100.0, [1.0, 0.0, 0.0]),
+            (100.0, 100.0, [-1.0, 0.0, 0.0]),
+            (0.0, 100.0, [0.0, 0.0, 1.0]),
+            (400.0, 100.0, [0.0, 0.0, 1.0]),
+            (37.0, 0.0, [0.0, 1.0, 0.0]),
+            (222.0, 200.0, [0.0, -1.0, 0.0]),
+            (250.0, 50.0, [0.5, 0.5_f32.sqrt(), -0.5]),
+        ] {
+            let ray = view.ray(x, y);
+            assert!(is_near(ray.direction, direction) && is_near(ray.origin, [0.0, 1.0, 0.0]), "{x}, {y}: {ray:?}");
+        }
+    }
+
+    #[test]
+    fn a_turntable_goes_around_what_it_looks_at() {
+        let camera: Camera = serde_json::from_str(
+            r#"{ "position": [1, 3, 5], "look_at": [1, 2, 0], "up": [0, 2, 0], "turntable": { "turns": -2 } }"#,
+        )
+        .unwrap();
+        let frames = Frames { count: 16, ..Frames::default() };
+        let position = |frame| {
+            let mut camera = camera.clone();
+            assert!(camera.turn(frame, &frames) && camera.turntable.is_none());
+            camera.position.get()
+        };
+        for (frame, want) in [(0, [1.0, 3.0, 5.0]), (2, [-4.0, 3.0, 0.0]), (4, [1.0, 3.0, -5.0]), (8, [1.0, 3.0, 5.0])]
+        {
+            assert!(is_near(position(frame), want), "frame {frame}: {:?}", position(frame));
+        }
+        let slanted = (position(1) - vec3(1.0, 3.0, 0.0)).length();
+        assert!((slanted - 5.0).abs() < 1e-5, "{slanted}");
     }
 }

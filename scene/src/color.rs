@@ -1,6 +1,53 @@
-//! sRGB and linear light: IEC 61966-2-1.
+//! From light to what is shown: exposure, tone map, and sRGB (IEC 61966-2-1).
 
+use crate::job::{Image, ToneMap};
 use crate::real::Real;
+
+/// How a picture shows light.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Grade {
+    /// What light is multiplied by.
+    exposure: f32,
+    tone_map: ToneMap,
+}
+
+impl Grade {
+    /// That of an image.
+    pub fn of(image: &Image) -> Self {
+        Self { exposure: power_of_two(image.exposure.get()), tone_map: image.tone_map }
+    }
+
+    /// What is shown for a channel's linear light.
+    #[inline(always)]
+    pub fn apply<R: Real>(self, linear: R) -> R {
+        let exposed = linear * linear.given(self.exposure);
+        match self.tone_map {
+            ToneMap::None => exposed,
+            ToneMap::Filmic => filmic(exposed),
+        }
+    }
+}
+
+/// 2 to a power within ±120; exact for whole ones.
+fn power_of_two(power: f32) -> f32 {
+    let whole = power.floor();
+    let exponent = (127.0 + whole) as u32;
+    f32::from_bits(exponent << 23) * Real::powf(2.0_f32, power - whole)
+}
+
+/// A film's answer to a channel of linear light, 0 to 1, itself linear.
+///
+/// Krzysztof Narkowicz, "ACES Filmic Tone Mapping Curve", 2016, a fit to the Academy's curve:
+/// <https://knarkowicz.wordpress.com/2016/01/06/aces-filmic-tone-mapping-curve/>.
+#[inline(always)]
+pub fn filmic<R: Real>(linear: R) -> R {
+    // Far above where it reaches 1, and so that no square overflows.
+    const BRIGHTEST: f32 = 1e4;
+    let x = linear.at_least(0.0).at_most(BRIGHTEST);
+    let over = x * x.mul_add(x.splat(2.51), x.splat(0.03));
+    let under = x.mul_add(x.mul_add(x.splat(2.43), x.splat(0.59)), x.splat(0.14));
+    (over / under).at_most(1.0)
+}
 
 /// An sRGB value, 0 to 1, from linear light, which is clamped to 0 to 1 first.
 #[inline(always)]
@@ -28,6 +75,27 @@ mod tests {
             let back = srgb_from_linear(linear_from_srgb(srgb)) * 255.0 + 0.5;
             assert_eq!(back.floor() as u8, value);
         }
+    }
+
+    #[test]
+    fn a_whole_stop_is_exactly_a_factor_of_two_and_others_lie_between() {
+        for (stops, factor) in [(-20.0, 1.0 / 1_048_576.0), (-1.0, 0.5), (0.0, 1.0), (3.0, 8.0), (20.0, 1_048_576.0)] {
+            assert_eq!(power_of_two(stops), factor);
+        }
+        assert!((power_of_two(0.5) / 2.0_f32.sqrt() - 1.0).abs() < 1e-6);
+        assert!((power_of_two(-2.5) * 32.0_f32.sqrt() - 1.0).abs() < 1e-6);
+    }
+
+    #[test]
+    fn the_filmic_curve_rises_from_0_to_1_and_has_its_authors_values() {
+        assert_eq!(filmic(0.0_f32), 0.0);
+        assert_eq!(filmic(-1.0_f32), 0.0);
+        // (2.51 + 0.03)/(2.43 + 0.59 + 0.14), and the same for 0.18.
+        assert!((filmic(1.0_f32) - 0.803_797_5).abs() < 1e-6);
+        assert!((filmic(0.18_f32) - 0.266_898_9).abs() < 1e-6);
+        assert!([10.0_f32, 1e6, f32::MAX, f32::INFINITY].iter().all(|&bright| filmic(bright) == 1.0));
+        let values: Vec<f32> = (0..2_000).map(|step| filmic(step as f32 * 0.005)).collect();
+        assert!(values.windows(2).all(|pair| pair[0] <= pair[1]));
     }
 
     #[test]

@@ -4,9 +4,10 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Deserializer, Serialize};
 
 use crate::limits::{MAX_EDGE_PX, MAX_FRAMES, MAX_SAMPLES};
+use crate::motion::Motion;
 use crate::scene::Scene;
 use crate::sky::Background;
-use crate::values::{FrameRate, integer, whole};
+use crate::values::{FrameRate, Stops, integer, whole};
 
 /// What one POSTs.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
@@ -27,6 +28,9 @@ pub struct Job {
     #[serde(default, deserialize_with = "priority")]
     #[schemars(range(min = -100, max = 100))]
     pub priority: i32,
+    /// What moves in it; `None` if every frame shows the same.
+    #[serde(skip)]
+    pub motion: Option<Motion>,
 }
 
 /// A picture's size and file format.
@@ -60,6 +64,12 @@ pub struct Image {
     /// What an EXR holds beside the colours.
     #[serde(default)]
     pub layers: Vec<Layer>,
+    /// How much brighter a PNG is than the light of the scene, in stops.
+    #[serde(default = "as_it_is")]
+    pub exposure: Stops,
+    /// How a PNG shows light that is too bright for it.
+    #[serde(default)]
+    pub tone_map: ToneMap,
 }
 
 /// A file format.
@@ -92,6 +102,17 @@ pub enum Precision {
     Half,
     /// 32-bit floating point.
     Float,
+}
+
+/// How light becomes what a screen can show, channel by channel.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum ToneMap {
+    /// What is above 1 is shown as 1.
+    #[default]
+    None,
+    /// A film's curve: shadows a little deeper, highlights that fade to white.
+    Filmic,
 }
 
 /// What an EXR may hold beside the colours, taken at the pixel's centre.
@@ -130,6 +151,13 @@ impl Default for Frames {
     }
 }
 
+impl Frames {
+    /// When a frame is, in seconds.
+    pub(crate) fn seconds(&self, frame: u32) -> f64 {
+        f64::from(frame) / f64::from(self.fps.get())
+    }
+}
+
 impl Layer {
     /// The EXR channels it fills, in the order of its values.
     pub fn channels(self) -> &'static [&'static str] {
@@ -154,6 +182,11 @@ impl Image {
     /// Bytes of a finished pixel, each channel an `f32`.
     pub fn pixel_bytes(&self) -> u32 {
         4 * self.channels().len() as u32
+    }
+
+    /// Whether a picture shows other light than the scene's.
+    pub fn is_graded(&self) -> bool {
+        self.exposure.get() != 0.0 || self.exposure.is_moving() || self.tone_map != ToneMap::None
     }
 
     /// Number of pixels.
@@ -181,11 +214,14 @@ impl Job {
     /// What its author should know although it renders.
     pub fn warnings(&self) -> Vec<String> {
         let mut warnings = Vec::new();
-        if self.frames.count > 1 {
+        if self.frames.count > 1 && !self.is_moving() {
             warnings.push(format!(
                 "nothing in the scene moves: the {} frames differ in their sampling noise only",
                 self.frames.count
             ));
+        }
+        if self.frames.count == 1 && self.is_moving() {
+            warnings.push("the scene moves, but the job has one frame: set frames.count to see more of it".to_owned());
         }
         for name in self.scene.unused_materials() {
             warnings.push(format!("material \"{name}\" is not used"));
@@ -225,6 +261,10 @@ impl JsonSchema for Bits {
 
 fn untitled() -> String {
     "untitled".to_owned()
+}
+
+fn as_it_is() -> Stops {
+    Stops::new(0.0).expect("0 is in range")
 }
 
 fn four() -> u32 {

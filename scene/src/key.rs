@@ -3,10 +3,12 @@
 use serde::Serialize;
 
 use crate::PICTURE_VERSION;
-use crate::job::{Bits, Format, Job, Layer, Precision};
+use crate::job::{Bits, Format, Job, Layer, Precision, ToneMap};
 use crate::materials::Material;
+use crate::motion::{Motion, Still};
 use crate::scene::{March, Object, Scene};
 use crate::sky::Background;
+use crate::values::Stops;
 
 /// A scene without names, defaults filled in: equal for scenes that look the same.
 #[derive(Serialize)]
@@ -37,6 +39,8 @@ struct CanonicalPicture {
     format: Format,
     bits: Option<Bits>,
     precision: Option<Precision>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    graded: Option<(Stops, ToneMap)>,
 }
 
 fn hash(value: &impl Serialize) -> blake3::Hash {
@@ -64,38 +68,50 @@ impl Scene {
 }
 
 impl Job {
-    /// Of the scene alone, as provenance in its pictures.
+    /// Of all that decides the bytes of a frame's picture.
+    pub fn picture_key(&self, frame: u32) -> blake3::Hash {
+        match self.at(frame) {
+            Ok(still) => still.picture_key(),
+            // No frame but this one of this text can be refused so, and it gets no picture.
+            Err(refusal) => hash(&(self.motion.as_ref().map(Motion::text), frame, refusal.to_string())),
+        }
+    }
+}
+
+impl Still<'_> {
+    /// Of the scene alone, as provenance in its picture.
     pub fn scene_hash(&self) -> blake3::Hash {
-        hash(&self.scene.canonical())
+        hash(&self.job().scene.canonical())
     }
 
-    /// Of all that decides the pixels of a frame.
-    pub fn pixels_key(&self, frame: u32) -> blake3::Hash {
-        let image = &self.image;
+    /// Of all that decides its pixels.
+    pub fn pixels_key(&self) -> blake3::Hash {
+        let image = &self.job().image;
         hash(&CanonicalPixels {
             version: PICTURE_VERSION,
-            scene: self.scene.canonical(),
+            scene: self.job().scene.canonical(),
             width: image.width,
             height: image.height,
             samples: image.samples,
             seed: image.seed,
-            frame,
+            frame: self.frame(),
             layers: &image.layers,
         })
     }
 
-    /// Of all that decides the bytes of a frame's picture.
-    pub fn picture_key(&self, frame: u32) -> blake3::Hash {
-        let image = &self.image;
+    /// Of all that decides the bytes of its picture.
+    pub fn picture_key(&self) -> blake3::Hash {
+        let image = &self.job().image;
         let (bits, precision) = match image.format {
             Format::Png => (Some(image.bits), None),
             Format::Exr => (None, Some(image.precision)),
         };
         hash(&CanonicalPicture {
-            pixels: self.pixels_key(frame).to_hex().to_string(),
+            pixels: self.pixels_key().to_hex().to_string(),
             format: image.format,
             bits,
             precision,
+            graded: image.is_graded().then_some((image.exposure, image.tone_map)),
         })
     }
 }
@@ -129,8 +145,13 @@ mod tests {
         assert_ne!(first.picture_key(0), job(red, "a", 1.5, 4).picture_key(0));
         assert_ne!(first.picture_key(0), job(red, "a", 1.0, 5).picture_key(0));
         let mut other = first.clone();
+        other.image.tone_map = ToneMap::Filmic;
+        assert_ne!(first.picture_key(0), other.picture_key(0));
+        assert_eq!(first.at(0).unwrap().pixels_key(), other.at(0).unwrap().pixels_key());
+        let mut other = first.clone();
         other.image.format = Format::Exr;
         assert_ne!(first.picture_key(0), other.picture_key(0));
-        assert_eq!(first.pixels_key(0), other.pixels_key(0));
+        let pixels_key = |job: &Job| job.at(0).unwrap().pixels_key();
+        assert_eq!(pixels_key(&first), pixels_key(&other));
     }
 }

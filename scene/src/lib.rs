@@ -14,6 +14,7 @@ pub mod lights;
 pub mod limits;
 pub mod march;
 pub mod materials;
+mod motion;
 pub mod nodes;
 pub mod noise;
 mod outline;
@@ -27,7 +28,8 @@ pub mod surroundings;
 pub mod values;
 
 pub use fault::{Fault, Refusal};
-pub use job::{Bits, Format, Frames, Image, Job, Layer, Precision};
+pub use job::{Bits, Format, Frames, Image, Job, Layer, Precision, ToneMap};
+pub use motion::{Motion, Still};
 pub use parse::{parse, schema};
 pub use pixel::Program;
 pub use scene::Scene;

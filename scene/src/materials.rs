@@ -250,7 +250,7 @@ impl Shade for Diffuse {
                 kd.y.mul_add(scattered.y, sum.y),
                 kd.z.mul_add(scattered.z, sum.z),
             );
-            if ks != vec3(0.0, 0.0, 0.0) {
+            if !self.ks.is_black() {
                 let mirrored = place.normal.mul_add(facing + facing, -light.direction);
                 let towards = mirrored.dot(place.to_viewer).at_least(0.0);
                 let highlight = towards.powf(like.given(self.shininess.get()));

@@ -80,9 +80,10 @@ pub trait Sdf {
         &mut []
     }
 
-    /// Finds what makes it faster to look at, in it and in the nodes inside.
-    fn prepare(&mut self) {
-        self.children_mut().iter_mut().for_each(Node::prepare);
+    /// Finds what makes it faster to look at, in it and in the nodes inside. Where the job `moves`,
+    /// what is found must have the same form in all frames.
+    fn prepare(&mut self, moves: bool) {
+        self.children_mut().iter_mut().for_each(|child| child.prepare(moves));
     }
 
     /// The material it says, if it says one.
@@ -214,10 +215,10 @@ macro_rules! nodes {
                 }
             }
 
-            /// Finds what makes it faster to look at.
-            pub(crate) fn prepare(&mut self) {
+            /// Finds what makes it faster to look at, in the same form for all frames if the job `moves`.
+            pub(crate) fn prepare(&mut self, moves: bool) {
                 match self {
-                    $(Self::$Kind(node) => Sdf::prepare(node)),*
+                    $(Self::$Kind(node) => Sdf::prepare(node, moves)),*
                 }
             }
 

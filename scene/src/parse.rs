@@ -8,13 +8,15 @@ use serde::de::IgnoredAny;
 use serde_path_to_error::{Path, Segment};
 
 use crate::fault::{Fault, Refusal};
-use crate::job::{Format, Job};
+use crate::job::{Format, Frames, Job, ToneMap};
 use crate::limits::{
     MAX_JSON_DEPTH, MAX_LIGHTS, MAX_MATERIALS, MAX_NAME_CHARS, MAX_NODE_DEPTH, MAX_NODES, MAX_PIXELS, MAX_RAYS,
 };
+use crate::motion::{Motion, frames_to_check};
 use crate::nodes::{Node, NodeFault};
 use crate::outline::{self, OutlineFaultKind};
 use crate::scene::child_steps;
+use crate::values::track::Reading;
 
 /// No answer lists more faults than this.
 const MAX_FAULTS: usize = 100;
@@ -37,12 +39,49 @@ pub fn parse(text: &[u8]) -> Result<Job, Refusal> {
         let message = format!("the key \"{key}\" stands here twice: keep one");
         return Err(Refusal::Wrong(vec![Fault::at(text, Some(fault.offset), fault.pointer, message)]));
     }
-    let mut job = form(text).map_err(|fault| Refusal::Wrong(vec![fault]))?;
-    let faults = meaning(&mut job);
-    if faults.is_empty() {
-        return Ok(job);
+    let Read { mut job, moves, key_seconds } = read(text, 0, None)?;
+    if moves {
+        for frame in frames_to_check(&job.frames, &key_seconds, text.len()) {
+            at(text, frame, &job.frames)?;
+        }
+        job.motion = Some(Motion::of(text));
     }
-    let place = |(pointer, message)| Fault::of_value(text, pointer, message);
+    Ok(job)
+}
+
+/// Reads the text of a job that moves as it stands in a frame.
+pub(crate) fn at(text: &str, frame: u32, frames: &Frames) -> Result<Job, Refusal> {
+    read(text, frame, Some(frames)).map(|read| read.job)
+}
+
+/// A job as it stands in a frame.
+struct Read {
+    job: Job,
+    /// Whether frames differ in more than their sampling noise.
+    moves: bool,
+    /// The times of all keys.
+    key_seconds: Vec<f64>,
+}
+
+/// Reads a sound text's job as it stands in a frame, which needs its `frames` unless it is the first.
+fn read(text: &str, frame: u32, frames: Option<&Frames>) -> Result<Read, Refusal> {
+    let seconds = frames.map_or(0.0, |frames| frames.seconds(frame));
+    let in_frame = |mut fault: Fault| {
+        if frame > 0 {
+            let _ = write!(fault.message, " (in frame {frame}, at {seconds} seconds)");
+        }
+        fault
+    };
+    let reading = Reading::at(seconds);
+    let mut job = form(text).map_err(|fault| Refusal::Wrong(vec![in_frame(fault)]))?;
+    let key_seconds = reading.end();
+    let turns = job.scene.camera.turn(frame, &job.frames);
+    let moves = turns || !key_seconds.is_empty();
+    let faults = meaning(&mut job, moves);
+    if faults.is_empty() {
+        return Ok(Read { job, moves, key_seconds });
+    }
+    let place = |(pointer, message)| in_frame(Fault::of_value(text, pointer, message));
     Err(Refusal::Wrong(faults.into_iter().take(MAX_FAULTS).map(place).collect()))
 }
 
@@ -126,8 +165,8 @@ fn pointer(path: &Path) -> String {
 /// Pointer and message of every fault of meaning.
 type Faults = Vec<(String, String)>;
 
-/// Looks at what the parts mean together, and gives materials their slots.
-fn meaning(job: &mut Job) -> Faults {
+/// Looks at what the parts mean together, and makes the scene ready to be rendered.
+fn meaning(job: &mut Job, moves: bool) -> Faults {
     let mut faults = Faults::new();
     let mut fault = |pointer: &str, message: String| faults.push((pointer.to_owned(), message));
     if job.name.chars().count() > MAX_NAME_CHARS {
@@ -136,6 +175,7 @@ fn meaning(job: &mut Job) -> Faults {
     if let Some((key, message)) = job.scene.camera.fault() {
         fault(&format!("/scene/camera/{key}"), message.to_owned());
     }
+    job.scene.camera.complete();
     if job.scene.lights.len() > MAX_LIGHTS {
         fault("/scene/lights", format!("has {} lights: use at most {MAX_LIGHTS}", job.scene.lights.len()));
     }
@@ -150,7 +190,7 @@ fn meaning(job: &mut Job) -> Faults {
         fault("/scene/objects", format!("has {nodes} nodes: use at most {MAX_NODES}"));
     }
     image(job, &mut fault);
-    job.scene.prepare();
+    job.scene.prepare(moves);
     for (pointer, name) in job.scene.resolve_materials() {
         let known: Vec<&str> = job.scene.materials.keys().map(String::as_str).collect();
         let cure = if known.is_empty() {
@@ -204,6 +244,10 @@ fn image(job: &Job, fault: &mut impl FnMut(&str, String)) {
     }
     if image.format == Format::Png && !image.layers.is_empty() {
         fault("/image/layers", "a PNG has no layers: set format to \"exr\", or leave layers out".to_owned());
+    }
+    if image.format == Format::Exr && image.is_graded() {
+        let key = if image.tone_map == ToneMap::None { "exposure" } else { "tone_map" };
+        fault(&format!("/image/{key}"), format!("an EXR stays linear: leave {key} out, or set format to \"png\""));
     }
     for (index, layer) in image.layers.iter().enumerate() {
         if image.layers[..index].contains(layer) {

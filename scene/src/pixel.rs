@@ -8,10 +8,10 @@ mod path;
 
 use crate::bounds::Bounds;
 use crate::camera::{Ray, View};
-use crate::job::Job;
 use crate::limits::MAX_SAMPLES;
 use crate::march::{Marched, Reach, Tolerance, march};
 use crate::materials::{Material, Place, Shade};
+use crate::motion::Still;
 use crate::real::{Flag, Real, Vec3, bundle, vec3};
 use crate::sampling::{Dice, Jitter, frame_key};
 use crate::scene::Scene;
@@ -109,39 +109,36 @@ impl<R: Real> Place<R> {
 }
 
 impl<'a> Program<'a> {
-    /// The picture of one frame, from 0.
-    pub fn new(job: &'a Job, frame: u32) -> Self {
+    /// The picture of one frame.
+    pub fn new(still: &'a Still<'_>) -> Self {
+        let (job, moves) = (still.job(), still.job().is_moving());
         let scene = &job.scene;
         let view = scene.camera.view(job.image.width, job.image.height);
-        let origin = view.origin();
-        let size = origin.x.abs().max(origin.y.abs()).max(origin.z.abs());
-        // A quarter of half a pixel keeps silhouettes; the rest keeps depth and the limits of f32.
-        let tolerance = Tolerance { slope: (0.25 * view.cone()).clamp(2e-6, 2.5e-4), floor: 2e-7 * size + 1e-7 };
-        let tap = Tolerance { slope: (0.5 * view.cone()).max(3e-4), floor: 100.0 * tolerance.floor };
         let clothes = Clothes::new(scene);
         let is_worn = |of: fn(&Material) -> bool| clothes.slots().any(|slot| of(&scene.slots()[slot]));
         let (sends_on, lets_through) = (is_worn(Shade::sends_on), is_worn(Shade::lets_through));
         let surfaces: Vec<usize> =
             (0..scene.objects.len()).filter(|&index| !scene.material_of(index).is_medium()).collect();
-        let boxes: Vec<Option<Bounds>> = scene.objects.iter().map(|object| object.shape.skipping_bounds()).collect();
+        let boxes: Vec<Option<Bounds>> =
+            scene.objects.iter().map(|object| object.shape.skipping_bounds(moves)).collect();
         let shapes = surfaces.iter().map(|&index| scene.objects[index].shape.bounds(0.0));
         let bounds = shapes.reduce(Bounds::hull).unwrap_or(Bounds::NOWHERE);
         Self {
             scene,
             boxes: if boxes.iter().all(Option::is_none) { Vec::new() } else { boxes },
             is_long: job.nodes() >= LONG_SCENE_NODES,
-            bounds: bounds.with_margin(origin),
-            shrink: scene.objects.iter().map(|object| object.shape.stretch()).map(shrink).collect(),
-            media: Media::new(scene, origin),
+            bounds: bounds.with_margin(view.origin()),
+            shrink: scene.objects.iter().map(|object| shrink(object.shape.stretch(), moves)).collect(),
+            media: Media::new(scene, view.origin()),
             sends_on,
             lets_through,
             clothes,
             surfaces,
+            tolerance: view.tolerance(),
+            tap: view.tap(),
             view,
             samples: job.image.samples,
-            frame_key: frame_key(job.image.seed, frame),
-            tolerance,
-            tap,
+            frame_key: frame_key(job.image.seed, still.frame()),
         }
     }
 
@@ -278,9 +275,9 @@ impl<'a> Program<'a> {
                             #[inline(always)]
                             |p| self.gap(p),
                         );
-                        // Out of steps: a hit if the pixel's cone touches the surface.
-                        let cone = zero.given(self.view.cone());
-                        let touches = marched.gap.lt(marched.distance * cone) & marched.distance.lt(farthest);
+                        // Out of steps: a hit if what the pixel sees touches the surface.
+                        let seen = self.view.footprint().at(marched.distance);
+                        let touches = marched.gap.lt(seen) & marched.distance.lt(farthest);
                         marched.hit = Flag(marched.hit.0 | touches);
                         marched
                     },
@@ -341,8 +338,9 @@ impl<'a> Program<'a> {
     }
 }
 
-fn shrink(stretch: f32) -> Option<f32> {
-    (stretch != 1.0).then(|| 1.0 / stretch)
+/// What an object's distance is multiplied by: nothing if it is 1, but in all frames alike.
+fn shrink(stretch: f32, moves: bool) -> Option<f32> {
+    (stretch != 1.0 || moves).then(|| 1.0 / stretch)
 }
 
 impl Tolerance {

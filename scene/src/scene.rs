@@ -99,9 +99,9 @@ impl Scene {
         self.unused.iter().map(String::as_str)
     }
 
-    /// Finds what makes its objects faster to look at.
-    pub(crate) fn prepare(&mut self) {
-        self.objects.iter_mut().for_each(|object| object.shape.prepare());
+    /// Finds what makes its objects faster to look at; `moves` is whether frames differ in their numbers.
+    pub(crate) fn prepare(&mut self, moves: bool) {
+        self.objects.iter_mut().for_each(|object| object.shape.prepare(moves));
         self.background.prepare();
         self.lights.iter_mut().for_each(Light::prepare);
     }

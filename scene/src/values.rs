@@ -1,82 +1,52 @@
 //! Numbers with a meaning: parsed once, right ever after.
 //!
 //! Each type is one kind of number of a job file, with its range in the type and in the schema.
+//! A number may be a [`track`]: then it is read as it stands at one time, and knows that it moves.
+//! What chooses code by a number must ask that too, since all frames share one compiled program.
+
+pub(crate) mod track;
 
 use std::borrow::Cow;
 use std::fmt;
 
 use schemars::{JsonSchema, Schema, SchemaGenerator, json_schema};
-use serde::de::{Error, SeqAccess, Unexpected, Visitor};
+use serde::de::{Error, MapAccess, SeqAccess, Unexpected, Visitor};
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
 
 use crate::limits::{MAX_LENGTH, MIN_LENGTH};
 use crate::real::{Real, Vec3, vec3};
 
-/// Reads any JSON number that is finite as an `f32`.
-struct Finite;
-
-impl Visitor<'_> for Finite {
-    type Value = f32;
-
-    fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str("a number")
-    }
-
-    fn visit_f64<E: Error>(self, value: f64) -> Result<f32, E> {
-        let number = value as f32;
-        if number.is_finite() {
-            // No result depends on the sign of a zero, and no key should either.
-            Ok(number + 0.0)
-        } else {
-            Err(E::custom(format_args!("{value:e} is too large: numbers go up to 3.4e38")))
-        }
-    }
-
-    fn visit_i64<E: Error>(self, value: i64) -> Result<f32, E> {
-        self.visit_f64(value as f64)
-    }
-
-    fn visit_u64<E: Error>(self, value: u64) -> Result<f32, E> {
-        self.visit_f64(value as f64)
-    }
-}
-
+/// A kind of number that may move.
 macro_rules! numbers {
     ($($(#[$doc:meta])* $Name:ident: $holds:expr, $words:literal, $schema:tt;)*) => { $(
-        $(#[$doc])*
-        #[derive(Clone, Copy, Debug, PartialEq, PartialOrd)]
-        pub struct $Name(f32);
-
-        impl $Name {
-            /// The number, if it is in range.
-            pub fn new(value: f32) -> Option<Self> {
-                let holds: fn(f32) -> bool = $holds;
-                holds(value).then_some(Self(value))
-            }
-
-            /// The number.
-            #[inline(always)]
-            pub fn get(self) -> f32 {
-                self.0
-            }
-
-            /// Whether it is 0 in every frame: then a formula may leave it out.
-            #[inline(always)]
-            pub fn is_zero(self) -> bool {
-                self.0 == 0.0
-            }
-        }
+        number_type! { $(#[$doc])* $Name: $holds, $words }
 
         impl<'de> Deserialize<'de> for $Name {
             fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
-                let value = deserializer.deserialize_f64(Finite)?;
-                Self::new(value).ok_or_else(|| D::Error::custom(format_args!(concat!("must be ", $words, ", not {}"), value)))
+                track::read(deserializer)
             }
         }
 
-        impl Serialize for $Name {
-            fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
-                serializer.serialize_f32(self.0)
+        impl JsonSchema for $Name {
+            fn schema_name() -> Cow<'static, str> {
+                stringify!($Name).into()
+            }
+
+            fn json_schema(generator: &mut SchemaGenerator) -> Schema {
+                track::or_track(json_schema!($schema), generator)
+            }
+        }
+    )* };
+}
+
+/// A kind of number that is the same in all frames.
+macro_rules! still_numbers {
+    ($($(#[$doc:meta])* $Name:ident: $holds:expr, $words:literal, $schema:tt;)*) => { $(
+        number_type! { $(#[$doc])* $Name: $holds, $words }
+
+        impl<'de> Deserialize<'de> for $Name {
+            fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+                track::read_still(deserializer)
             }
         }
 
@@ -90,6 +60,78 @@ macro_rules! numbers {
             }
         }
     )* };
+}
+
+/// A number and whether it moves. Two are equal if the numbers are.
+macro_rules! number_type {
+    ($(#[$doc:meta])* $Name:ident: $holds:expr, $words:literal) => {
+        $(#[$doc])*
+        #[derive(Clone, Copy, Debug)]
+        pub struct $Name {
+            value: f32,
+            moves: bool,
+        }
+
+        impl $Name {
+            /// The number, if it is in range.
+            pub fn new(value: f32) -> Option<Self> {
+                let holds: fn(f32) -> bool = $holds;
+                holds(value).then_some(Self { value, moves: false })
+            }
+
+            /// The number.
+            #[inline(always)]
+            pub fn get(self) -> f32 {
+                self.value
+            }
+
+            /// Whether it is another one in other frames: then no code may be chosen by it.
+            #[inline(always)]
+            pub fn is_moving(self) -> bool {
+                self.moves
+            }
+
+            /// Whether it is 0 in every frame: then a formula may leave it out.
+            #[inline(always)]
+            pub fn is_zero(self) -> bool {
+                self.value == 0.0 && !self.moves
+            }
+        }
+
+        impl track::Ranged for $Name {
+            const WORDS: &'static str = $words;
+
+            fn ranged(value: f32) -> Option<Self> {
+                Self::new(value)
+            }
+
+            fn value(self) -> f32 {
+                self.value
+            }
+
+            fn moving(self) -> Self {
+                Self { moves: true, ..self }
+            }
+        }
+
+        impl PartialEq for $Name {
+            fn eq(&self, other: &Self) -> bool {
+                self.value == other.value
+            }
+        }
+
+        impl PartialOrd for $Name {
+            fn partial_cmp(&self, other: &Self) -> Option<std::cmp::Ordering> {
+                self.value.partial_cmp(&other.value)
+            }
+        }
+
+        impl Serialize for $Name {
+            fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+                track::write(self.value, self.moves, serializer)
+            }
+        }
+    };
 }
 
 numbers! {
@@ -108,6 +150,12 @@ numbers! {
     /// An angle, in degrees.
     Degrees: |v| v.abs() <= 36_000.0, "an angle within ±36000 degrees",
         { "type": "number", "minimum": -36000, "maximum": 36000, "description": "An angle, in degrees." };
+    /// Turns of a turntable.
+    Turns: |v| v.abs() <= 1000.0, "a number of turns within ±1000",
+        { "type": "number", "minimum": -1000, "maximum": 1000, "description": "Turns, counter-clockwise from above." };
+    /// Exposure: the power of 2 that light is multiplied by.
+    Stops: |v| v.abs() <= 20.0, "an exposure within ±20 stops",
+        { "type": "number", "minimum": -20, "maximum": 20, "description": "Exposure in stops: n more is 2ⁿ times as bright." };
     /// A vertical field of view, in degrees.
     FieldOfView: |v| (0.01..=179.0).contains(&v), "a field of view from 0.01 to 179 degrees",
         { "type": "number", "minimum": 0.01, "maximum": 179, "description": "A vertical field of view, in degrees." };
@@ -144,6 +192,9 @@ numbers! {
     /// How hazy the air is.
     Turbidity: |v| (2.0..=10.0).contains(&v), "a turbidity from 2 to 10",
         { "type": "number", "minimum": 2, "maximum": 10, "description": "How hazy the air is: 2 is clear, 10 is thick haze." };
+}
+
+still_numbers! {
     /// Frames a second.
     FrameRate: |v| (0.001..=1000.0).contains(&v), "a rate from 0.001 to 1000 frames a second",
         { "type": "number", "minimum": 0.001, "maximum": 1000, "description": "Frames a second." };
@@ -152,7 +203,7 @@ numbers! {
 /// Reads any whole number that JSON can hold.
 struct Whole;
 
-impl Visitor<'_> for Whole {
+impl<'de> Visitor<'de> for Whole {
     type Value = i64;
 
     fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
@@ -167,11 +218,15 @@ impl Visitor<'_> for Whole {
         // Whatever is larger is out of every range.
         Ok(i64::try_from(value).unwrap_or(i64::MAX))
     }
+
+    fn visit_map<A: MapAccess<'de>>(self, _: A) -> Result<i64, A::Error> {
+        Err(A::Error::custom("is a count, which can't be a track: write one whole number for all frames"))
+    }
 }
 
 /// Reads a whole number.
 pub(crate) fn integer<'de, D: Deserializer<'de>>(d: D) -> Result<i64, D::Error> {
-    d.deserialize_i64(Whole)
+    d.deserialize_any(Whole)
 }
 
 /// Reads a whole number of `what` from `low` to `high`.
@@ -193,12 +248,24 @@ impl Point {
     pub fn get(self) -> Vec3<f32> {
         vec3(self.0.get(), self.1.get(), self.2.get())
     }
+
+    /// The point in range that is nearest to another.
+    pub(crate) fn nearest(p: Vec3<f32>) -> Self {
+        let [x, y, z] = <[f32; 3]>::from(p);
+        let coordinate = |c: f32| Coordinate { value: c.clamp(-MAX_LENGTH, MAX_LENGTH), moves: false };
+        Self(coordinate(x), coordinate(y), coordinate(z))
+    }
+
+    /// Whether any of them moves.
+    pub fn is_moving(self) -> bool {
+        self.0.is_moving() || self.1.is_moving() || self.2.is_moving()
+    }
 }
 
 /// A direction: three numbers, not all 0, of any length.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Direction {
-    given: [f32; 3],
+    given: Point,
     unit: Vec3<f32>,
 }
 
@@ -208,18 +275,23 @@ impl Direction {
     pub fn unit(self) -> Vec3<f32> {
         self.unit
     }
+
+    /// Whether any of its numbers moves.
+    pub fn is_moving(self) -> bool {
+        self.given.is_moving()
+    }
 }
 
 impl<'de> Deserialize<'de> for Direction {
     fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
-        let Point(x, y, z) = Point::deserialize(deserializer)?;
-        let given = [x.get(), y.get(), z.get()];
-        let largest = given.iter().fold(0.0_f32, |largest, c| largest.max(c.abs()));
+        let given = Point::deserialize(deserializer)?;
+        let numbers = <[f32; 3]>::from(given.get());
+        let largest = numbers.iter().fold(0.0_f32, |largest, c| largest.max(c.abs()));
         if largest < MIN_LENGTH {
             return Err(D::Error::custom("has no length: a direction needs a coordinate that is not 0"));
         }
         // Scaled first, so that squares neither overflow nor vanish.
-        let [x, y, z] = given.map(|c| c / largest);
+        let [x, y, z] = numbers.map(|c| c / largest);
         Ok(Self { given, unit: vec3(x, y, z).normalize() })
     }
 }
@@ -258,6 +330,11 @@ impl Rotation {
         self.rows
     }
 
+    /// Whether any of its angles moves.
+    pub fn is_moving(self) -> bool {
+        self.degrees.iter().any(|angle| angle.is_moving())
+    }
+
     fn new(degrees: [Degrees; 3]) -> Self {
         let [(sx, cx), (sy, cy), (sz, cz)] = degrees.map(|angle| sin_cos_degrees(angle.get()));
         // The columns of Rz·Ry·Rx, which are the rows of its inverse.
@@ -271,7 +348,7 @@ impl Rotation {
 }
 
 /// Sine and cosine of an angle in degrees; exact at quarter turns.
-fn sin_cos_degrees(degrees: f32) -> (f32, f32) {
+pub(crate) fn sin_cos_degrees(degrees: f32) -> (f32, f32) {
     let turned = degrees % 360.0;
     let quarter = (turned / 90.0).round();
     let (s, c) = Real::sin_cos((turned - quarter * 90.0) * (std::f32::consts::PI / 180.0));
@@ -309,20 +386,41 @@ impl JsonSchema for Rotation {
     }
 }
 
-/// A colour in linear light; above 1 is allowed.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Color(Vec3<f32>);
+/// A colour in linear light; above 1 is allowed. Two are equal if their channels are.
+#[derive(Clone, Copy, Debug)]
+pub struct Color {
+    light: Vec3<f32>,
+    moves: bool,
+}
 
 impl Color {
     /// The colour with these channels.
     pub const fn new(red: f32, green: f32, blue: f32) -> Self {
-        Self(vec3(red, green, blue))
+        Self { light: vec3(red, green, blue), moves: false }
     }
 
     /// Red, green, blue, in linear light.
     #[inline(always)]
     pub fn get(self) -> Vec3<f32> {
-        self.0
+        self.light
+    }
+
+    /// Whether any of its channels moves.
+    #[inline(always)]
+    pub fn is_moving(self) -> bool {
+        self.moves
+    }
+
+    /// Whether it is black in every frame: then what it would colour may be left out.
+    #[inline(always)]
+    pub fn is_black(self) -> bool {
+        self.light == vec3(0.0, 0.0, 0.0) && !self.moves
+    }
+}
+
+impl PartialEq for Color {
+    fn eq(&self, other: &Self) -> bool {
+        self.light == other.light
     }
 }
 
@@ -346,7 +444,9 @@ impl<'de> Visitor<'de> for ColorVisitor {
 
     fn visit_seq<A: SeqAccess<'de>>(self, mut channels: A) -> Result<Color, A::Error> {
         let mut next = |n: usize| channels.next_element::<Channel>()?.ok_or_else(|| A::Error::invalid_length(n, &self));
-        let color = Color::new(next(0)?.get(), next(1)?.get(), next(2)?.get());
+        let [red, green, blue] = [next(0)?, next(1)?, next(2)?];
+        let moves = red.is_moving() || green.is_moving() || blue.is_moving();
+        let color = Color { moves, ..Color::new(red.get(), green.get(), blue.get()) };
         if channels.next_element::<serde::de::IgnoredAny>()?.is_some() {
             return Err(A::Error::invalid_length(4, &self));
         }
@@ -362,7 +462,8 @@ impl<'de> Deserialize<'de> for Color {
 
 impl Serialize for Color {
     fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
-        [self.0.x, self.0.y, self.0.z].serialize(serializer)
+        let channel = |value| Channel { value, moves: self.moves };
+        [channel(self.light.x), channel(self.light.y), channel(self.light.z)].serialize(serializer)
     }
 }
 

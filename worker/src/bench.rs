@@ -89,7 +89,7 @@ pub struct GpuReport {
 pub fn render_on_gpu(job: &Job, gpu: &CudaRenderer, cpu: &CpuRenderer, runs: usize) -> Result<GpuReport, RenderError> {
     let run = TileRun { job, frame: 0, rect: Rect::whole(job.image.width, job.image.height) };
     let source_time = Instant::now();
-    let source = Source::new(job, 0);
+    let source = Source::new(&job.at(0)?);
     let source_time = source_time.elapsed();
     gpu.forget();
     let first = gpu.compile(&run)?;
@@ -111,7 +111,7 @@ pub fn render_on_gpu(job: &Job, gpu: &CudaRenderer, cpu: &CpuRenderer, runs: usi
     kernels.sort_by(f64::total_cmp);
     walls.sort_by(f64::total_cmp);
     let (kernel, wall) = (kernels[kernels.len() / 2], walls[walls.len() / 2]);
-    let evaluations = cpu.evaluations(&run);
+    let evaluations = cpu.evaluations(&run)?;
     let rate = evaluations as f64 / kernel;
     let ms = |time: Duration| (time + source_time).as_secs_f64() * 1e3;
     Ok(GpuReport {
@@ -140,7 +140,8 @@ const POINTS: usize = 1024;
 /// Evaluates the scene's distance at points around what the camera looks at, for about `time`, on one thread.
 pub fn points(job: &Job, simd: Simd, time: Duration) -> Result<PointsReport, RenderError> {
     let packets = Packets::new(simd)?;
-    let program = Program::new(job, 0);
+    let still = job.at(0)?;
+    let program = Program::new(&still);
     let (mut done, start) = (0_u64, Instant::now());
     while start.elapsed() < time {
         const ROUNDS: u32 = 64;
@@ -192,7 +193,7 @@ pub fn render(job: &Job, simd: Simd, threads: Option<usize>, runs: usize) -> Res
     }
     times.sort_by(f64::total_cmp);
     let median = times[times.len() / 2];
-    let evaluations = renderer.evaluations(&run);
+    let evaluations = renderer.evaluations(&run)?;
     let rays = job.rays_per_frame();
     Ok(RenderReport {
         job: job.name.clone(),

@@ -39,11 +39,12 @@ impl CpuRenderer {
     }
 
     /// How often the scene's distance is evaluated for the pixels of a tile, without its layers.
-    pub fn evaluations(&self, run: &TileRun<'_>) -> u64 {
-        let program = Program::new(run.job, run.frame);
+    pub fn evaluations(&self, run: &TileRun<'_>) -> Result<u64, RenderError> {
+        let still = run.job.at(run.frame)?;
+        let program = Program::new(&still);
         let rows = run.rect.y..run.rect.y + run.rect.height;
         let of_row = |row| self.packets.evaluations(&program, run.rect.x, row, run.rect.width as usize);
-        self.threads.install(|| rows.into_par_iter().map(of_row).sum())
+        Ok(self.threads.install(|| rows.into_par_iter().map(of_row).sum()))
     }
 }
 
@@ -62,7 +63,8 @@ impl Renderer for CpuRenderer {
         cancel: &Cancel,
         progress: &(dyn Fn(u64) + Sync),
     ) -> Result<Pixels, RenderError> {
-        let program = Program::new(run.job, run.frame);
+        let still = run.job.at(run.frame)?;
+        let program = Program::new(&still);
         let image = &run.job.image;
         let mut pixels = Pixels::zeroed(run.rect, image.channels().len());
         let height = self.packets.block_rows() as usize;

@@ -173,7 +173,7 @@ impl CudaRenderer {
 
     /// Makes the program of a tile ready, and tells what that took.
     pub fn compile(&self, run: &TileRun<'_>) -> Result<Compiled, RenderError> {
-        let source = Source::new(run.job, run.frame);
+        let source = Source::new(&run.job.at(run.frame)?);
         let start = Instant::now();
         let (program, was_kept) = self.program(&source, run).map_err(|trouble| self.failed(&trouble))?;
         let time = start.elapsed();
@@ -292,7 +292,7 @@ impl CudaRenderer {
         if nodes > MAX_NODES {
             return Err(Trouble::TooLarge { nodes, most: MAX_NODES });
         }
-        let source = Source::new(first.job, first.frame);
+        let source = Source::new(&first.job.at(first.frame)?);
         let planes = first.job.image.channels().len();
         let numbers = |run: &TileRun<'_>| run.rect.pixels() as usize * planes;
         let mut underway: Option<Underway> = None;
@@ -425,6 +425,7 @@ impl CudaRenderer {
         }
         match trouble {
             Trouble::Cancelled => RenderError::Cancelled,
+            Trouble::Frame(refusal) => RenderError::Frame(refusal.clone()),
             _ => RenderError::Device { device: self.name.clone(), reason: trouble.to_string() },
         }
     }

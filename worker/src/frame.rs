@@ -55,8 +55,8 @@ pub fn render_frame(
     let render = start.elapsed();
     let start = Instant::now();
     let encoders = Encoders::new(renderer.encoders()).map_err(RenderError::Threads)?;
-    let mut encode =
-        |source: &mut (dyn Source + Send)| encoders.run(|| Picture::of(job, frame).write(source, out, cancel));
+    let picture = Picture::of(&job.at(frame).map_err(ImageError::from)?);
+    let mut encode = |source: &mut (dyn Source + Send)| encoders.run(|| picture.write(source, out, cancel));
     match source {
         Rendered::Memory(tiles) => encode(&mut Tiles(&tiles))?,
         Rendered::File(file, places) => {

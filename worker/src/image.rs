@@ -10,7 +10,8 @@ pub mod provenance;
 
 use std::io::{self, Seek, Write};
 
-use ::scene::{Bits, Format, Job, Precision};
+use ::scene::color::Grade;
+use ::scene::{Bits, Format, Precision, Still};
 
 pub use encoders::Encoders;
 pub use provenance::Provenance;
@@ -33,6 +34,8 @@ pub struct Picture {
     pub bits: Bits,
     /// What R G B A are in an EXR.
     pub precision: Precision,
+    /// How light is shown in a PNG.
+    pub grade: Grade,
     /// Alpha is 1 in every pixel.
     pub opaque: bool,
     /// What it is a picture of.
@@ -41,8 +44,8 @@ pub struct Picture {
 
 impl Picture {
     /// The picture that a job's frame asks for.
-    pub fn of(job: &Job, frame: u32) -> Self {
-        let image = &job.image;
+    pub fn of(still: &Still<'_>) -> Self {
+        let image = &still.job().image;
         Self {
             width: image.width,
             height: image.height,
@@ -50,8 +53,9 @@ impl Picture {
             format: image.format,
             bits: image.bits,
             precision: image.precision,
-            opaque: is_opaque(job),
-            provenance: Provenance::of(job, frame),
+            grade: Grade::of(image),
+            opaque: !still.job().is_transparent(),
+            provenance: Provenance::of(still),
         }
     }
 
@@ -70,10 +74,6 @@ impl Picture {
     }
 }
 
-fn is_opaque(job: &Job) -> bool {
-    !matches!(job.scene.background, ::scene::Background::Transparent)
-}
-
 /// Why there is no file.
 #[derive(Debug, thiserror::Error)]
 pub enum ImageError {
@@ -86,6 +86,9 @@ pub enum ImageError {
     /// The file can't be written.
     #[error("could not write the picture")]
     Io(#[from] io::Error),
+    /// The job is not sound in this frame.
+    #[error("the job has no picture in this frame")]
+    Frame(#[from] ::scene::Refusal),
     /// The format can't hold it.
     #[error("could not encode the picture: {0}")]
     Format(String),

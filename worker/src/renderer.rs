@@ -143,6 +143,9 @@ pub enum RenderError {
     /// The threads to render on could not be started.
     #[error("could not start the rendering threads")]
     Threads(#[source] rayon::ThreadPoolBuildError),
+    /// The job is not sound in this frame.
+    #[error("the job can't be rendered in this frame")]
+    Frame(#[from] scene::Refusal),
     /// The device gave up.
     #[error("{device} could not render: {reason}")]
     Device {

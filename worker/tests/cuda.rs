@@ -76,7 +76,7 @@ fn compile_text(source: &str, folder: &Path) -> PathBuf {
 }
 
 fn render_on_host(job: &Job, folder: &Path) -> Pixels {
-    let source = Source::new(job, 0);
+    let source = Source::new(&job.at(0).expect("a shipped scene is right"));
     let program = compile_text(&format!("{}{HOST_MAIN}", source.text), folder);
     let planes = job.image.channels().len();
     let Image { width, height, samples, .. } = job.image;
@@ -123,7 +123,7 @@ fn the_run_time_compiler_takes_every_scene() {
     };
     for path in scenes() {
         let job = scene::parse(&std::fs::read(&path).expect("a scene can be read")).expect("a shipped scene is right");
-        let source = Source::new(&job, 0);
+        let source = Source::new(&job.at(0).expect("a shipped scene is right"));
         for architecture in [75, 90] {
             let start = Instant::now();
             let code = compiler.compile(&source.text, architecture);
@@ -167,9 +167,10 @@ fn no_number_of_a_scene_is_in_its_text() {
         let file = std::fs::read(&path).expect("a scene can be read");
         let mut changed: serde_json::Value = serde_json::from_slice(&file).expect("a scene is JSON");
         nudge(&mut changed["scene"]);
-        let before = Source::new(&scene::parse(&file).expect("a shipped scene is right"), 0);
+        let before = scene::parse(&file).expect("a shipped scene is right");
+        let before = Source::new(&before.at(0).expect("nothing moves in it"));
         let after = scene::parse(changed.to_string().as_bytes()).expect("a little larger is in range");
-        let after = Source::new(&after, 3);
+        let after = Source::new(&after.at(3).expect("nothing moves in it"));
         assert_ne!(before.parameters, after.parameters, "{} has other numbers now", path.display());
         assert!(before.text == after.text, "numbers of {} are in its text", path.display());
     }

@@ -54,7 +54,8 @@ fn reference(program: &Program<'_>, image: &Image, x: u32, y: u32) -> Vec<f32> {
 fn every_width_gives_the_reference_bits_for_every_node() {
     for example in Node::examples() {
         let job = job(&example.node);
-        let program = Program::new(&job, 0);
+        let still = job.at(0).unwrap();
+        let program = Program::new(&still);
         let rect = Rect::whole(job.image.width, job.image.height);
         for simd in levels() {
             let renderer = CpuRenderer::new(Some(1), simd).unwrap();

@@ -65,7 +65,7 @@ impl Primitive for Mandelbulb {
         );
         let radius = radius.at_least(1e-6);
         let estimate = radius.ln() * radius / slope * 0.5;
-        R::select(away.above(ESCAPE_RADIUS), estimate.min(away - self.bounding_radius()), estimate)
+        R::select(away.above(ESCAPE_RADIUS), estimate.min(away - away.given(self.bounding_radius())), estimate)
     }
 
     fn exactness(&self) -> Exactness {
@@ -86,9 +86,9 @@ impl Mandelbulb {
     }
 }
 
-/// The power, if it is a whole number: then its formula is code, not data.
+/// The power, if it is a whole number in all frames: then its formula is code, not data.
 fn whole(power: Power) -> Option<u32> {
-    (power.get() % 1.0 == 0.0).then_some(power.get() as u32)
+    (power.get() % 1.0 == 0.0 && !power.is_moving()).then_some(power.get() as u32)
 }
 
 /// zⁿ + p and rⁿ⁻¹ for any power n.

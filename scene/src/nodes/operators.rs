@@ -58,8 +58,8 @@ pub struct Difference {
 /// The lesser of two, melted over `smooth`.
 #[inline(always)]
 fn least<R: Real, V: Sample<R>>(a: V, b: V, smooth: Amount) -> V {
-    let (da, db, smooth) = (a.distance(), b.distance(), smooth.get());
-    if smooth == 0.0 {
+    let (da, db) = (a.distance(), b.distance());
+    if smooth.is_zero() {
         return a.blend(
             b,
             da.min(db),
@@ -68,7 +68,7 @@ fn least<R: Real, V: Sample<R>>(a: V, b: V, smooth: Amount) -> V {
         );
     }
     let overlap = overlap(da, db, smooth);
-    let distance = overlap.square().mul_add(da.given(-0.25 / smooth), da.min(db));
+    let distance = overlap.square().mul_add(da.given(-0.25 * per(smooth.get())), da.min(db));
     a.blend(
         b,
         distance,
@@ -80,8 +80,8 @@ fn least<R: Real, V: Sample<R>>(a: V, b: V, smooth: Amount) -> V {
 /// The greater of two, melted over `smooth`.
 #[inline(always)]
 fn greatest<R: Real, V: Sample<R>>(a: V, b: V, smooth: Amount) -> V {
-    let (da, db, smooth) = (a.distance(), b.distance(), smooth.get());
-    if smooth == 0.0 {
+    let (da, db) = (a.distance(), b.distance());
+    if smooth.is_zero() {
         return a.blend(
             b,
             da.max(db),
@@ -90,7 +90,7 @@ fn greatest<R: Real, V: Sample<R>>(a: V, b: V, smooth: Amount) -> V {
         );
     }
     let overlap = overlap(da, db, smooth);
-    let distance = overlap.square().mul_add(da.given(0.25 / smooth), da.max(db));
+    let distance = overlap.square().mul_add(da.given(0.25 * per(smooth.get())), da.max(db));
     a.blend(
         b,
         distance,
@@ -107,14 +107,20 @@ fn cut<R: Real, V: Sample<R>>(a: V, b: V, smooth: Amount) -> V {
 
 /// h = max(k − |a − b|, 0): how far into the seam.
 #[inline(always)]
-fn overlap<R: Real>(a: R, b: R, smooth: f32) -> R {
-    (a.given(smooth) - (a - b).abs()).at_least(0.0)
+fn overlap<R: Real>(a: R, b: R, smooth: Amount) -> R {
+    (a.given(smooth.get()) - (a - b).abs()).at_least(0.0)
+}
+
+/// One over a seam's width or its square; 0 where a seam that moves has none, since then nothing is in it.
+#[inline(always)]
+fn per(width: f32) -> f32 {
+    if width == 0.0 { 0.0 } else { 1.0 / width }
 }
 
 /// The second child's share where it wins or loses: the loser has ½(h/k)².
 #[inline(always)]
-fn share<R: Real>(overlap: R, smooth: f32, second_wins: R::Mask) -> R {
-    let loser = overlap.square() * overlap.given(0.5 / (smooth * smooth));
+fn share<R: Real>(overlap: R, smooth: Amount, second_wins: R::Mask) -> R {
+    let loser = overlap.square() * overlap.given(0.5 * per(smooth.get() * smooth.get()));
     R::select(second_wins, loser.splat(1.0) - loser, loser)
 }
 
@@ -179,9 +185,9 @@ impl Sdf for Union {
         }
     }
 
-    fn prepare(&mut self) {
-        self.of.iter_mut().for_each(Node::prepare);
-        self.runs = Runs::of(&self.of);
+    fn prepare(&mut self, moves: bool) {
+        self.of.iter_mut().for_each(|shape| shape.prepare(moves));
+        self.runs = Runs::of(&self.of, moves);
     }
 
     around_list!(Bounds::hull);
@@ -196,7 +202,7 @@ impl Union {
             || match &run.bounds {
                 Some(bounds) => {
                     let beyond = bounds.distance_below(p);
-                    let beyond = if self.smooth.get() == 0.0 { beyond } else { beyond - p.x.given(self.smooth.get()) };
+                    let beyond = if self.smooth.is_zero() { beyond } else { beyond - p.x.given(self.smooth.get()) };
                     sum.unless_beyond(
                         beyond,
                         #[inline(always)]

@@ -33,8 +33,8 @@ impl PartialEq for Runs {
 
 impl Runs {
     /// The runs of all shapes but the first; none where no run is worth a look.
-    pub(super) fn of(shapes: &[Node]) -> Self {
-        let all = (shapes.len() > 1).then(|| run(shapes, 1..shapes.len()));
+    pub(super) fn of(shapes: &[Node], moves: bool) -> Self {
+        let all = (shapes.len() > 1).then(|| run(shapes, 1..shapes.len(), moves));
         // In a box of its own, so that nodes stay small.
         Self(all.filter(Run::has_bounds).map(Box::new))
     }
@@ -46,24 +46,27 @@ impl Run {
     }
 }
 
-fn run(shapes: &[Node], range: Range<usize>) -> Run {
+fn run(shapes: &[Node], range: Range<usize>, moves: bool) -> Run {
     let own = &shapes[range.clone()];
     let nodes: u32 = own.iter().map(Node::count).sum();
-    let bounds = own.iter().map(worthwhile_bounds).reduce(|a, b| Some(a?.hull(b?))).flatten();
+    let bounds = own.iter().map(|shape| worthwhile_bounds(shape, moves)).reduce(|a, b| Some(a?.hull(b?))).flatten();
     let middle = range.start + range.len() / 2;
     let is_long = range.len() > 1 && nodes >= 2 * RUN_NODES;
-    let halves = is_long.then(|| Box::new([run(shapes, range.start..middle), run(shapes, middle..range.end)]));
+    let halves =
+        is_long.then(|| Box::new([range.start..middle, middle..range.end].map(|half| run(shapes, half, moves))));
     Run { shapes: range, bounds: bounds.filter(|_| nodes >= RUN_NODES), halves }
 }
 
-/// A shape's box, if it has an end in every direction.
-fn worthwhile_bounds(shape: &Node) -> Option<Bounds> {
-    Some(shape.bounds(0.0)).filter(|bounds| bounds.is_finite())
+/// A shape's box, if it has an end in every direction. Where the job moves there is one in any case:
+/// what has no end in one frame, a tilted plane say, may have one in the next.
+fn worthwhile_bounds(shape: &Node, moves: bool) -> Option<Bounds> {
+    let bounds = shape.bounds(0.0);
+    if moves { Some(bounds.ended()) } else { Some(bounds).filter(|bounds| bounds.is_finite()) }
 }
 
 impl Node {
     /// The box that a ray near this object is held against, if it is worth it.
-    pub(crate) fn skipping_bounds(&self) -> Option<Bounds> {
-        worthwhile_bounds(self).filter(|_| self.count() >= RUN_NODES)
+    pub(crate) fn skipping_bounds(&self, moves: bool) -> Option<Bounds> {
+        worthwhile_bounds(self, moves).filter(|_| self.count() >= RUN_NODES)
     }
 }

@@ -234,8 +234,8 @@ impl Program<'_> {
                             #[inline(always)]
                             |p| self.gap(p),
                         );
-                        let cone = zero.given(self.view.cone());
-                        let touches = marched.gap.lt(marched.distance * cone) & marched.distance.lt(farthest);
+                        let seen = self.view.footprint().at(marched.distance);
+                        let touches = marched.gap.lt(seen) & marched.distance.lt(farthest);
                         marched.hit = Flag(marched.hit.0 | touches);
                         marched
                     },

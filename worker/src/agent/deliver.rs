@@ -52,7 +52,7 @@ pub(super) fn encode(
 ) -> Result<Encoded, ImageError> {
     let start = Instant::now();
     let mut out = BufWriter::with_capacity(1 << 18, tempfile::spooled_tempfile_in(MEMORY_BYTES, scratch));
-    Picture::of(job, frame).write(source, &mut out, cancel)?;
+    Picture::of(&job.at(frame).map_err(ImageError::from)?).write(source, &mut out, cancel)?;
     let (content, hash, size_bytes) = match out.into_inner().map_err(std::io::IntoInnerError::into_error)?.into_inner()
     {
         SpooledData::InMemory(bytes) => {

@@ -4,7 +4,7 @@ use std::fmt::Write;
 
 use scene::pixel::{Met, Radiance};
 use scene::real::{Real, vec3};
-use scene::{Image, Job, Layer, Program};
+use scene::{Image, Layer, Program, Still};
 
 use crate::tape::{Expr, Tape, record};
 
@@ -26,12 +26,13 @@ pub struct Source {
 
 impl Source {
     /// The program of a frame of a job.
-    pub fn new(job: &Job, frame: u32) -> Self {
-        let tape = picture(&Program::new(job, frame), &job.image);
+    pub fn new(still: &Still<'_>) -> Self {
+        let image = &still.job().image;
+        let tape = picture(&Program::new(still), image);
         let steps = tape.text();
         let (before, after) = FRAME.split_once(PLACE).expect("kernel.cu has a place for the picture");
         let numbers = tape.parameters().len().max(1);
-        let (has_layers, write_layers) = layers(&job.image);
+        let (has_layers, write_layers) = layers(image);
         Self {
             text: format!("#define NUMBERS {numbers}\n{has_layers}{before}{}{write_layers}{after}", steps.code),
             parameters: tape.parameters().to_vec(),

@@ -97,6 +97,9 @@ pub enum Trouble {
         /// Whether the GPU will not work for this process again.
         is_lost: bool,
     },
+    /// The job is not sound in this frame.
+    #[error("the job can't be rendered in this frame")]
+    Frame(#[from] scene::Refusal),
     /// The render was asked to stop.
     #[error("the render was cancelled")]
     Cancelled,

@@ -13,6 +13,7 @@ use std::ops::Range;
 use png::{BitDepth, ColorType, DeflateCompression, Encoder, Filter, SrgbRenderingIntent};
 use rayon::prelude::*;
 use scene::Bits;
+use scene::color::Grade;
 
 use super::provenance::KEYWORD;
 use super::{ImageError, Picture};
@@ -30,7 +31,8 @@ pub fn write(
     cancel: &Cancel,
     band_rows: u32,
 ) -> Result<(), ImageError> {
-    let layout = Layout { width: picture.width as usize, opaque: picture.opaque, bits: picture.bits };
+    let Picture { opaque, bits, grade, .. } = *picture;
+    let layout = Layout { width: picture.width as usize, opaque, bits, grade };
     let mut encoder = Encoder::new(out, picture.width, picture.height);
     encoder.set_color(if picture.opaque { ColorType::Rgb } else { ColorType::Rgba });
     encoder.set_depth(match picture.bits {
@@ -102,6 +104,7 @@ struct Layout {
     width: usize,
     opaque: bool,
     bits: Bits,
+    grade: Grade,
 }
 
 impl Layout {
@@ -122,13 +125,13 @@ impl Layout {
         for colour in 0..3 {
             let linear = band.row(colour, row);
             if self.opaque {
-                samples.extend(linear.iter().map(|&value| unit(value)));
+                samples.extend(linear.iter().map(|&value| light(value)));
             } else {
                 let pairs = linear.iter().zip(band.row(3, row));
-                samples.extend(pairs.map(|(&value, &alpha)| unit(straight(value, alpha))));
+                samples.extend(pairs.map(|(&value, &alpha)| light(straight(value, alpha))));
             }
         }
-        crate::srgb::encode(samples);
+        crate::srgb::encode(samples, self.grade);
         if !self.opaque {
             samples.extend(band.row(3, row).iter().map(|&alpha| unit(alpha)));
         }
@@ -155,6 +158,11 @@ impl Layout {
             }
         }
     }
+}
+
+/// Light; what is no number is none.
+fn light(value: f32) -> f32 {
+    if value.is_nan() { 0.0 } else { value }
 }
 
 /// Within 0 and 1; what is no number is 0.

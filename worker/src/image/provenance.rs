@@ -2,7 +2,7 @@
 //!
 //! No times, no names, no machines: they would make equal pictures differ.
 
-use scene::Job;
+use scene::Still;
 use serde::{Deserialize, Serialize};
 
 /// The name of the PNG chunk and of the EXR attribute.
@@ -24,12 +24,12 @@ pub struct Provenance {
 
 impl Provenance {
     /// The provenance of a job's frame.
-    pub fn of(job: &Job, frame: u32) -> Self {
+    pub fn of(still: &Still<'_>) -> Self {
         Self {
-            scene: job.scene_hash().to_hex().to_string(),
+            scene: still.scene_hash().to_hex().to_string(),
             picture_version: scene::PICTURE_VERSION,
-            frame,
-            seed: job.image.seed,
+            frame: still.frame(),
+            seed: still.job().image.seed,
         }
     }
 

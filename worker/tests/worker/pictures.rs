@@ -31,7 +31,7 @@ pub(crate) fn tiles(job: &Job, rects: &[Rect]) -> Vec<Pixels> {
 }
 
 pub(crate) fn encode(job: &Job, source: &mut dyn Source, band_rows: u32) -> Result<Vec<u8>, ImageError> {
-    let picture = Picture::of(job, 3);
+    let picture = Picture::of(&job.at(3).unwrap());
     let mut out = Cursor::new(Vec::new());
     match picture.format {
         Format::Png => png::write(&picture, source, &mut out, &Cancel::new(), band_rows)?,
@@ -66,8 +66,8 @@ fn no_number_of_threads_changes_a_byte() {
         let tiles = tiles(&job, &[Rect::whole(job.image.width, job.image.height)]);
         let mut files = [Cursor::new(Vec::new()), Cursor::new(Vec::new())];
         let [one, other] = &mut files;
-        Picture::of(&job, 3).write(&mut Tiles(&tiles), one, &Cancel::new()).unwrap();
-        pool.install(|| Picture::of(&job, 3).write(&mut Tiles(&tiles), other, &Cancel::new())).unwrap();
+        Picture::of(&job.at(3).unwrap()).write(&mut Tiles(&tiles), one, &Cancel::new()).unwrap();
+        pool.install(|| Picture::of(&job.at(3).unwrap()).write(&mut Tiles(&tiles), other, &Cancel::new())).unwrap();
         assert_eq!(files[0], files[1]);
     }
 }
@@ -101,7 +101,7 @@ fn a_raised_flag_ends_the_writing() {
     for job in jobs() {
         let tiles = tiles(&job, &[Rect::whole(job.image.width, job.image.height)]);
         let mut out = Cursor::new(Vec::new());
-        let error = Picture::of(&job, 3).write(&mut Tiles(&tiles), &mut out, &cancel).unwrap_err();
+        let error = Picture::of(&job.at(3).unwrap()).write(&mut Tiles(&tiles), &mut out, &cancel).unwrap_err();
         assert!(matches!(error, ImageError::Cancelled), "{error:?}");
     }
 }
@@ -129,7 +129,7 @@ fn the_bytes_of_a_picture_are_pinned() {
     ];
     for (job, expected) in pinned {
         let provenance = Provenance { scene: "0".repeat(64), picture_version: 1, frame: 0, seed: 0 };
-        let picture = Picture { provenance, ..Picture::of(&job, 0) };
+        let picture = Picture { provenance, ..Picture::of(&job.at(0).unwrap()) };
         let tiles = tiles(&job, &[Rect::whole(70, 50)]);
         let mut out = Cursor::new(Vec::new());
         picture.write(&mut Tiles(&tiles), &mut out, &Cancel::new()).unwrap();

@@ -96,7 +96,8 @@ fn a_png_is_tagged_srgb_and_says_what_made_it() {
 }
 
 fn expected_provenance(job: &Job) -> String {
-    let (scene, version, seed) = (job.scene_hash().to_hex(), scene::PICTURE_VERSION, job.image.seed);
+    let hash = job.at(0).unwrap().scene_hash();
+    let (scene, version, seed) = (hash.to_hex(), scene::PICTURE_VERSION, job.image.seed);
     format!(r#"{{"scene":"{scene}","picture_version":{version},"frame":3,"seed":{seed}}}"#)
 }
 
