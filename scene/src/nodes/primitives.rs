@@ -4,7 +4,7 @@
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use super::{Exactness, Primitive};
+use super::{Exactness, NodeFault, Primitive};
 use crate::bounds::Bounds;
 use crate::real::{Real, Vec3, vec3};
 use crate::values::{Amount, Coordinate, Direction, Length, Point};
@@ -64,6 +64,16 @@ impl Primitive for Box {
             .length();
         let inside = past_face.max_element().at_most(0.0);
         outside + inside - p.x.given(round)
+    }
+
+    fn fault(&self) -> Option<NodeFault> {
+        let most = self.size.into_iter().map(Length::get).fold(f32::MAX, f32::min) / 2.0;
+        (self.round.get() > most).then(|| {
+            NodeFault::new(
+                "round",
+                format!("must be at most half the least size, inside which it rounds: make round {most} or less"),
+            )
+        })
     }
 
     fn bounds(&self, level: f32) -> Bounds {
@@ -244,6 +254,10 @@ impl Primitive for Torus {
         off_circle.square_add(p.y.square()).sqrt() - p.x.given(self.tube.get())
     }
 
+    fn fault(&self) -> Option<NodeFault> {
+        swallowed_hole("tube", self.tube.get(), "radius", self.radius.get())
+    }
+
     fn bounds(&self, level: f32) -> Bounds {
         let (across, up) = (self.radius.get() + self.tube.get(), self.tube.get());
         Bounds::symmetric(across, up, across).widened(level)
@@ -283,6 +297,16 @@ impl Primitive for Capsule {
         let (a, b) = (self.a.get(), self.b.get());
         Bounds { low: a, high: a }.hull(Bounds { low: b, high: b }).widened(self.radius.get() + level)
     }
+}
+
+/// Says that a ring is so thick that its hole is gone: `thick` must be less than `limit`.
+fn swallowed_hole(place: &str, thick: f32, limit_name: &str, limit: f32) -> Option<NodeFault> {
+    (thick >= limit).then(|| {
+        NodeFault::new(
+            place,
+            format!("must be less than {limit_name}, or the ring has no hole: make {place} less than {limit}"),
+        )
+    })
 }
 
 fn scaled(v: Vec3<f32>, factor: f32) -> Vec3<f32> {
