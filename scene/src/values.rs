@@ -102,6 +102,15 @@ numbers! {
     /// An angle, in degrees.
     Degrees: |v| v.abs() <= 36_000.0, "an angle within ±36000 degrees",
         { "type": "number", "minimum": -36000, "maximum": 36000, "description": "An angle, in degrees." };
+    /// The angle between the axis of a cone and its side, in degrees.
+    ConeAngle: |v| (0.1..=89.9).contains(&v), "an angle from 0.1 to 89.9 degrees",
+        { "type": "number", "minimum": 0.1, "maximum": 89.9, "description": "The angle between the axis of a cone and its side, in degrees." };
+    /// Half an aperture, in degrees.
+    HalfAperture: |v| (0.1..=179.9).contains(&v), "half an aperture from 0.1 to 179.9 degrees",
+        { "type": "number", "minimum": 0.1, "maximum": 179.9, "description": "Half an aperture, in degrees." };
+    /// The length of an arc, in degrees.
+    Arc: |v| (0.1..=360.0).contains(&v), "an arc from 0.1 to 360 degrees",
+        { "type": "number", "minimum": 0.1, "maximum": 360, "description": "The length of an arc, in degrees." };
     /// A vertical field of view, in degrees.
     FieldOfView: |v| (0.01..=179.0).contains(&v), "a field of view from 0.01 to 179 degrees",
         { "type": "number", "minimum": 0.01, "maximum": 179, "description": "A vertical field of view, in degrees." };
@@ -241,7 +250,7 @@ impl Rotation {
 }
 
 /// Sine and cosine of an angle in degrees; exact at quarter turns.
-fn sin_cos_degrees(degrees: f32) -> (f32, f32) {
+pub(crate) fn sin_cos_degrees(degrees: f32) -> (f32, f32) {
     let turned = degrees % 360.0;
     let quarter = (turned / 90.0).round();
     let (s, c) = Real::sin_cos((turned - quarter * 90.0) * (std::f32::consts::PI / 180.0));

@@ -1,8 +1,22 @@
 //! Shapes with a closed formula. Unless said otherwise each is exact: its value is the Euclidean
 //! distance to the surface, negative inside.
 
+mod cones;
+mod curves;
+mod cut;
+mod rings;
+mod round;
+mod sheets;
+
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
+
+pub use cones::{CappedCone, Cone, InfiniteCone, RoundCone, SolidAngle};
+pub use curves::BezierTube;
+pub use cut::{CutHollowSphere, CutSphere, DeathStar};
+pub use rings::{CappedTorus, Horseshoe, Link, U};
+pub use round::{Ellipsoid, RoundedCylinder, Vesica};
+pub use sheets::{Quad, Triangle};
 
 use super::{Exactness, NodeFault, Primitive};
 use crate::bounds::Bounds;
@@ -297,6 +311,18 @@ impl Primitive for Capsule {
         let (a, b) = (self.a.get(), self.b.get());
         Bounds { low: a, high: a }.hull(Bounds { low: b, high: b }).widened(self.radius.get() + level)
     }
+}
+
+/// How far a point is away from the y axis.
+#[inline(always)]
+fn away_from_axis<R: Real>(p: Vec3<R>) -> R {
+    length_of(p.x, p.z)
+}
+
+/// The length of a vector in the plane.
+#[inline(always)]
+fn length_of<R: Real>(x: R, y: R) -> R {
+    x.square_add(y.square()).sqrt()
 }
 
 /// Says that a ring is so thick that its hole is gone: `thick` must be less than `limit`.
