@@ -7,6 +7,7 @@
 mod fractals;
 mod modifiers;
 mod operators;
+mod prepared;
 mod primitives;
 mod runs;
 mod sample;
@@ -18,6 +19,7 @@ use serde::{Deserialize, Serialize};
 pub use fractals::Mandelbulb;
 pub use modifiers::Paint;
 pub use operators::{Difference, Intersection, Union};
+pub use prepared::{Prepare, Prepared};
 pub use primitives::{
     BezierTube, Box, CappedCone, CappedTorus, Capsule, Cone, CutHollowSphere, CutSphere, Cylinder, DeathStar,
     Ellipsoid, Horseshoe, InfiniteCone, InfiniteCylinder, Link, Plane, Pyramid, Quad, RoundCone, RoundedCylinder,

@@ -5,7 +5,7 @@ use serde::{Deserialize, Serialize};
 
 use super::{away_from_axis, length_of};
 use crate::bounds::Bounds;
-use crate::nodes::{NodeFault, Primitive};
+use crate::nodes::{NodeFault, Prepare, Prepared, Primitive};
 use crate::real::{Real, Vec3, vec3};
 use crate::values::{Amount, ConeAngle, HalfAperture, Length, sin_cos_degrees};
 
@@ -101,10 +101,22 @@ fn to_capped_cone<R: Real>(p: Vec3<R>, bottom: f32, top: f32, height: f32) -> R 
 
 /// A cone without a base: its apex at the origin, opening downwards for ever.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
-#[serde(deny_unknown_fields)]
-pub struct InfiniteCone {
+#[serde(rename = "InfiniteCone", deny_unknown_fields)]
+pub struct GivenInfiniteCone {
     /// Half its aperture: the angle between the axis and the side.
     pub degrees: ConeAngle,
+}
+
+/// [`GivenInfiniteCone`], ready to be looked at.
+pub type InfiniteCone = Prepared<GivenInfiniteCone>;
+
+impl Prepare for GivenInfiniteCone {
+    /// Sine and cosine of the angle.
+    type Ready = (f32, f32);
+
+    fn ready(&self) -> (f32, f32) {
+        sin_cos_degrees(self.degrees.get())
+    }
 }
 
 impl Primitive for InfiniteCone {
@@ -112,7 +124,7 @@ impl Primitive for InfiniteCone {
 
     #[inline(always)]
     fn distance<R: Real>(&self, p: Vec3<R>) -> R {
-        let (sine, cosine) = sin_cos_degrees(self.degrees.get());
+        let (sine, cosine) = *self.ready();
         let across = away_from_axis(p);
         let (sine, cosine) = (across.given(sine), across.given(cosine));
         let down_side = across.mul_add(sine, -(p.y * cosine));
@@ -144,7 +156,7 @@ pub struct RoundCone {
 impl Primitive for RoundCone {
     const EXAMPLE: &str = r#"{ "bottom_radius": 0.7, "top_radius": 0.3, "height": 2 }"#;
 
-    const MORE: &[&str] = &[r#"{ "bottom_radius": 0.3, "top_radius": 0.6, "height": 1.2 }"#];
+    const MORE: &[&str] = &[r#"{ "bottom_radius": 0.3, "top_radius": 0.6, "height": 1.7 }"#];
 
     #[inline(always)]
     fn distance<R: Real>(&self, p: Vec3<R>) -> R {
@@ -182,12 +194,24 @@ impl Primitive for RoundCone {
 ///
 /// Inigo Quilez, "Distance functions": <https://iquilezles.org/articles/distfunctions/>.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
-#[serde(deny_unknown_fields)]
-pub struct SolidAngle {
+#[serde(rename = "SolidAngle", deny_unknown_fields)]
+pub struct GivenSolidAngle {
     /// Half its aperture: the angle between the axis and the side. Above 90 it is a ball with a cone cut out.
     pub degrees: HalfAperture,
     /// Radius of the ball.
     pub radius: Length,
+}
+
+/// [`GivenSolidAngle`], ready to be looked at.
+pub type SolidAngle = Prepared<GivenSolidAngle>;
+
+impl Prepare for GivenSolidAngle {
+    /// Sine and cosine of the angle.
+    type Ready = (f32, f32);
+
+    fn ready(&self) -> (f32, f32) {
+        sin_cos_degrees(self.degrees.get())
+    }
 }
 
 impl Primitive for SolidAngle {
@@ -197,7 +221,7 @@ impl Primitive for SolidAngle {
 
     #[inline(always)]
     fn distance<R: Real>(&self, p: Vec3<R>) -> R {
-        let (sine, cosine) = sin_cos_degrees(self.degrees.get());
+        let (sine, cosine) = *self.ready();
         let across = away_from_axis(p);
         let (sine, cosine, radius) = (across.given(sine), across.given(cosine), across.given(self.radius.get()));
         let past_ball = p.length() - radius;
@@ -209,7 +233,7 @@ impl Primitive for SolidAngle {
 
     fn bounds(&self, level: f32) -> Bounds {
         let radius = self.radius.get();
-        let (sine, cosine) = sin_cos_degrees(self.degrees.get());
+        let (sine, cosine) = *self.ready();
         let across = if cosine < 0.0 { radius } else { radius * sine };
         let low = (radius * cosine).min(0.0);
         Bounds { low: vec3(-across, low, -across), high: vec3(across, radius, across) }.widened(level)

@@ -5,7 +5,7 @@ use serde::{Deserialize, Serialize};
 
 use super::{length_of, swallowed_hole};
 use crate::bounds::Bounds;
-use crate::nodes::{Exactness, NodeFault, Primitive};
+use crate::nodes::{Exactness, NodeFault, Prepare, Prepared, Primitive};
 use crate::real::{Real, Vec3, vec3};
 use crate::values::{Amount, Arc, Length, sin_cos_degrees};
 
@@ -13,8 +13,8 @@ use crate::values::{Amount, Arc, Length, sin_cos_degrees};
 ///
 /// Inigo Quilez, "Distance functions": <https://iquilezles.org/articles/distfunctions/>.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
-#[serde(deny_unknown_fields)]
-pub struct CappedTorus {
+#[serde(rename = "CappedTorus", deny_unknown_fields)]
+pub struct GivenCappedTorus {
     /// Radius of the circle in the middle of the tube.
     pub radius: Length,
     /// Radius of the tube.
@@ -23,9 +23,14 @@ pub struct CappedTorus {
     pub degrees: Arc,
 }
 
-impl CappedTorus {
+/// [`GivenCappedTorus`], ready to be looked at.
+pub type CappedTorus = Prepared<GivenCappedTorus>;
+
+impl Prepare for GivenCappedTorus {
     /// Where the arc ends, at x above 0: its x and z.
-    fn end(&self) -> (f32, f32) {
+    type Ready = (f32, f32);
+
+    fn ready(&self) -> (f32, f32) {
         let (sine, cosine) = sin_cos_degrees(self.degrees.get() / 2.0);
         (sine * self.radius.get(), cosine * self.radius.get())
     }
@@ -42,7 +47,7 @@ impl Primitive for CappedTorus {
 
     #[inline(always)]
     fn distance<R: Real>(&self, p: Vec3<R>) -> R {
-        let (end_x, end_z) = self.end();
+        let (end_x, end_z) = *self.ready();
         let (end_x, end_z) = (p.x.given(end_x), p.x.given(end_z));
         let x = p.x.abs();
         let past_end = (p.z * end_x).lt(x * end_z);
@@ -54,7 +59,7 @@ impl Primitive for CappedTorus {
 
     fn exactness(&self) -> Exactness {
         // Where the two ends have grown together, the inside is deeper than the formula says.
-        let (end_x, end_z) = self.end();
+        let (end_x, end_z) = *self.ready();
         let apart = end_z >= 0.0 || end_x >= self.tube.get() || self.degrees.get() == 360.0;
         if apart { Exactness::Exact } else { Exactness::Bound }
     }
@@ -65,7 +70,7 @@ impl Primitive for CappedTorus {
 
     fn bounds(&self, level: f32) -> Bounds {
         let radius = self.radius.get();
-        let (end_x, end_z) = self.end();
+        let (end_x, end_z) = *self.ready();
         let across = if end_z < 0.0 { radius } else { end_x };
         Bounds { low: vec3(-across, 0.0, end_z), high: vec3(across, 0.0, radius) }.widened(self.tube.get() + level)
     }
@@ -125,8 +130,8 @@ impl Primitive for Link {
 ///
 /// Inigo Quilez, "Distance functions": <https://iquilezles.org/articles/distfunctions/>.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
-#[serde(deny_unknown_fields)]
-pub struct Horseshoe {
+#[serde(rename = "Horseshoe", deny_unknown_fields)]
+pub struct GivenHorseshoe {
     /// Radius of the arc, to the middle of the band.
     pub radius: Length,
     /// The whole arc, from leg to leg.
@@ -139,6 +144,23 @@ pub struct Horseshoe {
     pub thickness: Length,
 }
 
+/// [`GivenHorseshoe`], ready to be looked at.
+pub type Horseshoe = Prepared<GivenHorseshoe>;
+
+impl Prepare for GivenHorseshoe {
+    type Ready = Band;
+
+    fn ready(&self) -> Band {
+        Band {
+            radius: self.radius.get(),
+            turn: sin_cos_degrees(self.degrees.get() / 2.0),
+            leg: self.leg.get(),
+            width: self.width.get(),
+            thickness: self.thickness.get(),
+        }
+    }
+}
+
 impl Primitive for Horseshoe {
     const EXAMPLE: &str = r#"{ "radius": 0.7, "degrees": 230, "leg": 0.35, "width": 0.3, "thickness": 0.25 }"#;
 
@@ -149,27 +171,15 @@ impl Primitive for Horseshoe {
 
     #[inline(always)]
     fn distance<R: Real>(&self, p: Vec3<R>) -> R {
-        self.band().distance(p)
+        self.ready().distance(p)
     }
 
     fn fault(&self) -> Option<NodeFault> {
-        self.band().fault()
+        self.ready().fault()
     }
 
     fn bounds(&self, level: f32) -> Bounds {
-        self.band().bounds(level)
-    }
-}
-
-impl Horseshoe {
-    fn band(&self) -> Band {
-        Band {
-            radius: self.radius.get(),
-            turn: sin_cos_degrees(self.degrees.get() / 2.0),
-            leg: self.leg.get(),
-            width: self.width.get(),
-            thickness: self.thickness.get(),
-        }
+        self.ready().bounds(level)
     }
 }
 
@@ -219,7 +229,8 @@ impl U {
 }
 
 /// A bent band: what [`Horseshoe`] and [`U`] are.
-struct Band {
+#[derive(Clone, Debug)]
+pub struct Band {
     radius: f32,
     /// Sine and cosine of half the arc.
     turn: (f32, f32),

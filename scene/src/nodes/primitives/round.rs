@@ -5,7 +5,7 @@ use serde::{Deserialize, Serialize};
 
 use super::{away_from_axis, length_of};
 use crate::bounds::Bounds;
-use crate::nodes::{NodeFault, Primitive};
+use crate::nodes::{NodeFault, Prepare, Prepared, Primitive};
 use crate::real::{Real, Vec3, vec3};
 use crate::values::{Amount, Length, Point};
 
@@ -64,16 +64,42 @@ impl Primitive for RoundedCylinder {
 /// touches the ellipsoid and has that point's normal n: no such plane is further away than the surface, and an error of n counts
 /// by its square.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
-#[serde(deny_unknown_fields)]
-pub struct Ellipsoid {
+#[serde(rename = "Ellipsoid", deny_unknown_fields)]
+pub struct GivenEllipsoid {
     /// Half its extents along x, y and z.
     pub radii: [Length; 3],
 }
+
+/// [`GivenEllipsoid`], ready to be looked at.
+pub type Ellipsoid = Prepared<GivenEllipsoid>;
 
 /// Newton's steps at most; few points near the middle of a flat ellipsoid need so many.
 const ELLIPSOID_STEPS: u32 = 12;
 /// How far √Σ(xᵢ/rᵢ)² may be from 1: its square is what is left of an error.
 const ELLIPSOID_TOLERANCE: f32 = 2e-4;
+
+/// An ellipsoid's radii as parts of the largest, so that no square is out of range.
+#[derive(Clone, Debug)]
+pub struct Radii {
+    largest: f32,
+    radius: Vec3<f32>,
+    over_radius: Vec3<f32>,
+    /// radius² − least².
+    past_least: Vec3<f32>,
+}
+
+impl Prepare for GivenEllipsoid {
+    type Ready = Radii;
+
+    fn ready(&self) -> Radii {
+        let [x, y, z] = self.radii.map(Length::get);
+        let (largest, least) = (x.max(y).max(z), x.min(y).min(z));
+        let radius = vec3(x, y, z).map(|c| c / largest);
+        let least = least / largest;
+        let past_least = radius.map(|c| (c - least) * (c + least));
+        Radii { largest, radius, over_radius: radius.map(|c| 1.0 / c), past_least }
+    }
+}
 
 impl Primitive for Ellipsoid {
     const EXAMPLE: &str = r#"{ "radii": [1.1, 0.6, 0.8] }"#;
@@ -82,16 +108,11 @@ impl Primitive for Ellipsoid {
 
     #[inline(always)]
     fn distance<R: Real>(&self, p: Vec3<R>) -> R {
-        // As parts of the largest radius, so that no square is out of range.
-        let radii = self.radii.map(Length::get);
-        let (largest, least) = (radii.into_iter().fold(0.0, f32::max), radii.into_iter().fold(f32::MAX, f32::min));
-        let part = |f: fn(f32, f32) -> f32| {
-            let [x, y, z] = radii.map(|radius| f(radius / largest, least / largest));
-            Vec3::given(p.x, vec3(x, y, z))
-        };
-        let radius = part(|radius, _| radius);
-        let over_radius = part(|radius, _| 1.0 / radius);
-        let past_least = part(|radius, least| (radius - least) * (radius + least));
+        let Radii { largest, radius, over_radius, past_least } = *self.ready();
+        let [radius, over_radius, past_least] = [radius, over_radius, past_least].map(
+            #[inline(always)]
+            |vector| Vec3::given(p.x, vector),
+        );
         let place = vec3(p.x.abs(), p.y.abs(), p.z.abs()) * p.x.given(1.0 / largest);
         // A point on a plane of symmetry may have its nearest ones to both sides: look from one of them.
         let reach = times(
@@ -164,8 +185,6 @@ impl Vesica {
 
 impl Primitive for Vesica {
     const EXAMPLE: &str = r#"{ "a": [-0.5, -0.9, 0], "b": [0.5, 0.9, 0.2], "radius": 0.45 }"#;
-
-    const MORE: &[&str] = &[r#"{ "a": [0, -0.8, 0], "b": [0, 0.8, 0], "radius": 0.8 }"#];
 
     #[inline(always)]
     fn distance<R: Real>(&self, p: Vec3<R>) -> R {

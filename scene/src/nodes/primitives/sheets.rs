@@ -4,7 +4,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use crate::bounds::Bounds;
-use crate::nodes::{NodeFault, Primitive};
+use crate::nodes::{NodeFault, Prepare, Prepared, Primitive};
 use crate::real::{Real, Vec3};
 use crate::values::{Length, Point};
 
@@ -12,8 +12,8 @@ use crate::values::{Length, Point};
 ///
 /// Inigo Quilez, "Distance functions": <https://iquilezles.org/articles/distfunctions/>.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
-#[serde(deny_unknown_fields)]
-pub struct Triangle {
+#[serde(rename = "Triangle", deny_unknown_fields)]
+pub struct GivenTriangle {
     /// One corner.
     pub a: Point,
     /// The next corner.
@@ -24,26 +24,28 @@ pub struct Triangle {
     pub radius: Length,
 }
 
-impl Triangle {
-    fn face(&self) -> Face<3> {
-        let corners = [self.a, self.b, self.c].map(Point::get);
-        let [a, b, c] = corners;
-        Face { corners, normal: direction((b - a).cross(c - a)) }
+/// [`GivenTriangle`], ready to be looked at.
+pub type Triangle = Prepared<GivenTriangle>;
+
+impl Prepare for GivenTriangle {
+    type Ready = Face<3>;
+
+    fn ready(&self) -> Face<3> {
+        let [a, b, c] = [self.a, self.b, self.c].map(Point::get);
+        Face::new([a, b, c], direction((b - a).cross(c - a)))
     }
 }
 
 impl Primitive for Triangle {
     const EXAMPLE: &str = r#"{ "a": [-1, -0.6, 0.3], "b": [0.9, -0.7, 0.1], "c": [0.1, 0.9, -0.4], "radius": 0.1 }"#;
 
-    const MORE: &[&str] = &[r#"{ "a": [-0.8, 0, 0], "b": [0.8, 0, 0], "c": [0.4, 0, 0], "radius": 0.3 }"#];
-
     #[inline(always)]
     fn distance<R: Real>(&self, p: Vec3<R>) -> R {
-        self.face().distance(p) - p.x.given(self.radius.get())
+        self.ready().distance(p) - p.x.given(self.radius.get())
     }
 
     fn bounds(&self, level: f32) -> Bounds {
-        self.face().bounds().widened(self.radius.get() + level)
+        self.ready().bounds().widened(self.radius.get() + level)
     }
 }
 
@@ -51,8 +53,8 @@ impl Primitive for Triangle {
 ///
 /// Inigo Quilez, "Distance functions": <https://iquilezles.org/articles/distfunctions/>.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
-#[serde(deny_unknown_fields)]
-pub struct Quad {
+#[serde(rename = "Quad", deny_unknown_fields)]
+pub struct GivenQuad {
     /// One corner.
     pub a: Point,
     /// The second corner.
@@ -65,11 +67,14 @@ pub struct Quad {
     pub radius: Length,
 }
 
+/// [`GivenQuad`], ready to be looked at.
+pub type Quad = Prepared<GivenQuad>;
+
 /// How far a corner may lie off the plane of the four, as a part of the larger diagonal: no more than
 /// what rounding coordinates to a few digits does. It is then put on that plane.
 const FLATNESS: f32 = 1e-3;
 
-impl Quad {
+impl GivenQuad {
     /// The normal of the plane through the middles of its sides, and how far above it the corners
     /// a and c lie; b and d lie as far below.
     fn plane(&self) -> (Vec3<f32>, f32) {
@@ -78,13 +83,54 @@ impl Quad {
         (normal, ((a - b) + (c - d)).dot(normal) * 0.25)
     }
 
-    fn face(&self) -> Face<4> {
+    /// The longer diagonal.
+    fn size(&self) -> f32 {
+        let [a, b, c, d] = [self.a, self.b, self.c, self.d].map(Point::get);
+        (c - a).length().max((d - b).length())
+    }
+
+    /// Says that the corners are not in one plane.
+    fn bent(&self) -> Option<NodeFault> {
+        let [a, b, c, d] = [self.a, self.b, self.c, self.d].map(Point::get);
+        (self.plane().1.abs() > FLATNESS * self.size()).then(|| {
+            let normal = direction((b - a).cross(c - a));
+            let Vec3 { x, y, z } = normal.mul_add((a - d).dot(normal), d);
+            let message = format!(
+                "is not in one plane with a, b and c: put it at [{x}, {y}, {z}], or make two triangles of the four"
+            );
+            NodeFault::new("d", message)
+        })
+    }
+
+    /// Says that the outline turns to the left in one place and to the right in another.
+    fn turned_back(&self) -> Option<NodeFault> {
+        let corners = [self.a, self.b, self.c, self.d].map(Point::get);
+        let turns = [3, 0, 1, 2].map(|before| {
+            let [before, here, after] = [before, before + 1, before + 2].map(|place| corners[place % 4]);
+            (here - before).cross(after - here)
+        });
+        let sharpest = turns.into_iter().fold(turns[0], |a, b| if b.length() > a.length() { b } else { a });
+        let least = -FLATNESS * self.size() * self.size();
+        let back = turns.into_iter().position(|turn| turn.dot(direction(sharpest)) < least);
+        back.map(|corner| {
+            NodeFault::new(
+                ["a", "b", "c", "d"][corner],
+                "makes the outline turn back: order the corners around a convex face, or make two triangles of them",
+            )
+        })
+    }
+}
+
+impl Prepare for GivenQuad {
+    type Ready = Face<4>;
+
+    fn ready(&self) -> Face<4> {
         let (normal, above) = self.plane();
         let mut corners = [self.a, self.b, self.c, self.d].map(Point::get);
         for (corner, side) in corners.iter_mut().zip([-1.0, 1.0, -1.0, 1.0]) {
             *corner = normal.mul_add(side * above, *corner);
         }
-        Face { corners, normal }
+        Face::new(corners, normal)
     }
 }
 
@@ -95,73 +141,68 @@ impl Primitive for Quad {
 
     #[inline(always)]
     fn distance<R: Real>(&self, p: Vec3<R>) -> R {
-        self.face().distance(p) - p.x.given(self.radius.get())
+        self.ready().distance(p) - p.x.given(self.radius.get())
     }
 
     fn fault(&self) -> Option<NodeFault> {
-        let (normal, above) = self.plane();
-        let [a, b, c, d] = [self.a, self.b, self.c, self.d].map(Point::get);
-        let size = (c - a).length().max((d - b).length());
-        if above.abs() > FLATNESS * size {
-            // Moving one corner along the normal moves the middle plane, too.
-            let moved = normal.mul_add(4.0 * above, d);
-            return Some(NodeFault::new(
-                "d",
-                format!(
-                    "is not in one plane with a, b and c: put it at [{}, {}, {}], or make two triangles of the four",
-                    moved.x, moved.y, moved.z
-                ),
-            ));
-        }
-        let corners = [a, b, c, d];
-        let turns_back = (0..4).find(|&index| {
-            let [before, here, after] = [index, index + 1, index + 2].map(|place| corners[place % 4]);
-            (here - before).cross(after - here).dot(normal) < -FLATNESS * size * size
-        });
-        turns_back.map(|index| {
-            let place = ["b", "c", "d", "a"][index];
-            NodeFault::new(
-                place,
-                "makes the outline turn back: order the corners around a convex face, or make two triangles of them",
-            )
-        })
+        self.bent().or_else(|| self.turned_back())
     }
 
     fn bounds(&self, level: f32) -> Bounds {
-        self.face().bounds().widened(self.radius.get() + level)
+        self.ready().bounds().widened(self.radius.get() + level)
     }
 }
 
 /// A flat convex face, its corners in order around the normal.
-struct Face<const N: usize> {
-    corners: [Vec3<f32>; N],
+#[derive(Clone, Debug)]
+pub struct Face<const N: usize> {
     /// Of length 1; 0 if the corners are in a line.
     normal: Vec3<f32>,
+    sides: [Side; N],
+}
+
+/// A side of a face.
+#[derive(Clone, Copy, Debug)]
+struct Side {
+    start: Vec3<f32>,
+    /// From its end back to its start.
+    back: Vec3<f32>,
+    /// The way to its end over the square of its length.
+    over_square: Vec3<f32>,
+    /// Of length 1, in the face's plane, to where the face is.
+    inwards: Vec3<f32>,
 }
 
 impl<const N: usize> Face<N> {
-    /// The distance to the face: to its plane where it is straight above or below, else to its nearest edge.
+    fn new(corners: [Vec3<f32>; N], normal: Vec3<f32>) -> Self {
+        let side = |index: usize| {
+            let start = corners[index];
+            let way = corners[(index + 1) % N] - start;
+            let over_square = way * (1.0 / way.length_squared().max(1e-20));
+            Side { start, back: -way, over_square, inwards: normal.cross(direction(way)) }
+        };
+        Self { normal, sides: std::array::from_fn(side) }
+    }
+
+    /// The distance to the face: to its plane where it is straight above or below, else to its nearest side.
     #[inline(always)]
     fn distance<R: Real>(&self, p: Vec3<R>) -> R {
-        let height = (p - Vec3::given(p.x, self.corners[0])).dot_known(self.normal);
-        // How far inside of the nearest side of the outline, seen along the normal.
+        let height = (p - Vec3::given(p.x, self.sides[0].start)).dot_known(self.normal);
+        // How far inside of the nearest side, seen along the normal.
         let mut inside = p.x.splat(f32::MAX);
-        let mut to_edge = p.x.splat(f32::MAX);
-        for index in 0..N {
-            let corner = self.corners[index];
-            let edge = self.corners[(index + 1) % N] - corner;
-            let from_corner = p - Vec3::given(p.x, corner);
-            inside = inside.min(from_corner.dot_known(self.normal.cross(direction(edge))));
-            let share =
-                from_corner.dot_known(edge * (1.0 / edge.length_squared().max(1e-20))).at_least(0.0).at_most(1.0);
-            let nearest = Vec3::given(p.x, -edge).mul_add(share, from_corner);
-            to_edge = to_edge.min(nearest.length_squared());
+        let mut to_side = p.x.splat(f32::MAX);
+        for side in &self.sides {
+            let from_start = p - Vec3::given(p.x, side.start);
+            inside = inside.min(from_start.dot_known(side.inwards));
+            let share = from_start.dot_known(side.over_square).at_least(0.0).at_most(1.0);
+            let nearest = Vec3::given(p.x, side.back).mul_add(share, from_start);
+            to_side = to_side.min(nearest.length_squared());
         }
-        R::select(inside.above(0.0), height.square(), to_edge).sqrt()
+        R::select(inside.above(0.0), height.square(), to_side).sqrt()
     }
 
     fn bounds(&self) -> Bounds {
-        let boxes = self.corners.map(|corner| Bounds { low: corner, high: corner });
+        let boxes = self.sides.map(|side| Bounds { low: side.start, high: side.start });
         boxes.into_iter().fold(boxes[0], Bounds::hull)
     }
 }
