@@ -179,8 +179,8 @@ fn a_bezier_tube_is_as_far_away_as_the_nearest_of_many_points_of_its_curve() {
             let p = random.point(2.0);
             let want = least(|t| length(minus(p, curve([a, b, c], t)))) - 0.1;
             let got = distance(&node, p);
-            // A sample's gap is below a thousandth; where p is near the curve it shows.
-            assert!((got - want).abs() < 1e-3, "{a:?} {b:?} {c:?}: {got}, not {want}, at {p:?}");
+            // A sample is never nearer than the curve; where p is near the curve, the samples' gaps show.
+            assert!(got < want + 1e-5 && got > want - 2e-3, "{a:?} {b:?} {c:?}: {got}, not {want}, at {p:?}");
         }
     }
 }

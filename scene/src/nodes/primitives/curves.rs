@@ -33,7 +33,7 @@ pub struct GivenBezierTube {
 pub type BezierTube = Prepared<GivenBezierTube>;
 
 /// Newton's steps at most: enough for 10⁻⁵ of the curve's length on the sharpest bend.
-const NEWTON_STEPS: u32 = 12;
+const NEWTON_STEPS: u32 = 16;
 /// A step so short, in the curve's t, is the last one: what is left of the error counts by its square.
 const LAST_STEP: f32 = 1e-4;
 
@@ -130,11 +130,9 @@ impl Primitive for BezierTube {
         let vertex = p.x.given(curve.vertex);
         let from_p = Vec3::given(p.x, self.a.get()) - p;
         // The slope of half the squared distance, over the square of the curve's size.
-        let [third, second, first] = curve.cubic.map(
-            #[inline(always)]
-            |coefficient| p.x.given(coefficient),
-        );
-        let first = from_p.dot_known(curve.bend_over_size) + first;
+        let [third, second, first] = curve.cubic;
+        let (third, second) = (p.x.given(third), p.x.given(second));
+        let first = from_p.dot_known(curve.bend_over_size) + p.x.given(first);
         let constant = from_p.dot_known(curve.slope_over_size);
         let cubic = Cubic { third, second, first, constant };
         let last = R::repeat(

@@ -108,11 +108,9 @@ impl Primitive for Ellipsoid {
 
     #[inline(always)]
     fn distance<R: Real>(&self, p: Vec3<R>) -> R {
-        let Radii { largest, radius, over_radius, past_least } = *self.ready();
-        let [radius, over_radius, past_least] = [radius, over_radius, past_least].map(
-            #[inline(always)]
-            |vector| Vec3::given(p.x, vector),
-        );
+        let &Radii { largest, radius, over_radius, past_least } = self.ready();
+        let (radius, over_radius) = (Vec3::given(p.x, radius), Vec3::given(p.x, over_radius));
+        let past_least = Vec3::given(p.x, past_least);
         let place = vec3(p.x.abs(), p.y.abs(), p.z.abs()) * p.x.given(1.0 / largest);
         // A point on a plane of symmetry may have its nearest ones to both sides: look from one of them.
         let reach = times(
@@ -122,7 +120,8 @@ impl Primitive for Ellipsoid {
                 |c| c.at_least(1e-6),
             ),
         );
-        let start = (reach - past_least).max_element();
+        // No further than the root: for one coordinate alone, and for all as if on the largest ball.
+        let start = (reach - past_least).max_element().max(reach.length() - past_least.max_element());
         let t = R::repeat(
             ELLIPSOID_STEPS,
             start,
