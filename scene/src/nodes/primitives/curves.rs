@@ -11,11 +11,11 @@ use crate::values::{Length, Point};
 /// All points within a radius of a quadratic Bézier curve.
 ///
 /// The squared distance to the point at t is a polynomial of degree four, whose slope is a cubic; see Inigo
-/// Quilez, "Quadratic Bézier SDF": <https://www.shadertoy.com/view/ldj3Wd>. The roots of that cubic are found
-/// here by Newton's method and not by Cardano's formula, which loses all digits where the curve is nearly straight: the cubic turns where the
-/// parabola has its vertex; after that it is convex, so that steps from t = 1 run down to its last root and never past it,
-/// and before that, by symmetry, steps from t = 0 run up to its first. The nearest point is one of the two, since a root between
-/// them is a point of greatest distance.
+/// Quilez, "2D distance functions": <https://iquilezles.org/articles/distfunctions2d/>. Its roots are found
+/// here by Newton's method and not by Cardano's formula, which loses its digits where the curve is nearly
+/// straight. The cubic turns where the parabola has its vertex. After that it is convex, so that steps from
+/// t = 1 run down to its last root and never past it; before that, by symmetry, steps from t = 0 run up
+/// to its first. The nearest point is one of the two, since a root between them is a point of greatest distance.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename = "BezierTube", deny_unknown_fields)]
 pub struct GivenBezierTube {

@@ -60,9 +60,9 @@ impl Primitive for RoundedCylinder {
 /// <https://www.geometrictools.com/Documentation/DistancePointEllipseEllipsoid.pdf>. Of Σ(xᵢ/rᵢ)² = 1 the
 /// inverse root is nearly linear in t and concave, so that Newton's method closes in from below and never
 /// overshoots: Jorge Moré and Danny Sorensen, "Computing a Trust Region Step", SIAM Journal on
-/// Scientific and Statistical Computing 4(3), 1983. The value is the distance p·n − √Σ(rᵢnᵢ)² to the plane that
-/// touches the ellipsoid and has that point's normal n: no such plane is further away than the surface, and an error of n counts
-/// by its square.
+/// Scientific and Statistical Computing 4(3), 1983. With the normal n found there, the value is
+/// p·n − √Σ(rᵢnᵢ)², the distance to the plane that touches the ellipsoid with that normal: no such plane
+/// is further away than the surface, and an error of n counts by its square.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename = "Ellipsoid", deny_unknown_fields)]
 pub struct GivenEllipsoid {
