@@ -7,6 +7,7 @@
 mod fractals;
 mod modifiers;
 mod operators;
+mod prepared;
 mod primitives;
 mod runs;
 mod sample;
@@ -18,7 +19,12 @@ use serde::{Deserialize, Serialize};
 pub use fractals::Mandelbulb;
 pub use modifiers::Paint;
 pub use operators::{Difference, Intersection, Union};
-pub use primitives::{Box, Capsule, Cylinder, InfiniteCylinder, Plane, Pyramid, Sphere, Torus, TriangularPrism};
+pub use prepared::{Prepare, Prepared};
+pub use primitives::{
+    BezierTube, Box, CappedCone, CappedTorus, Capsule, Cone, CutHollowSphere, CutSphere, Cylinder, DeathStar,
+    Ellipsoid, Horseshoe, InfiniteCone, InfiniteCylinder, Link, Plane, Pyramid, Quad, RoundCone, RoundedCylinder,
+    SolidAngle, Sphere, Torus, Triangle, TriangularPrism, U, Vesica,
+};
 pub use sample::{Coat, Distance, Painted, Sample};
 pub use transforms::{Rotate, Scale, Translate};
 
@@ -321,7 +327,26 @@ nodes![
         Scale,
         Paint,
     ],
-    called: []
+    called: [
+        CappedTorus,
+        Link,
+        Cone,
+        InfiniteCone,
+        CappedCone,
+        RoundCone,
+        RoundedCylinder,
+        CutSphere,
+        CutHollowSphere,
+        DeathStar,
+        Ellipsoid,
+        Vesica,
+        SolidAngle,
+        Horseshoe,
+        U,
+        Triangle,
+        Quad,
+        BezierTube,
+    ]
 ];
 
 /// A node to look at and to test with.

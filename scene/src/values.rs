@@ -156,6 +156,15 @@ numbers! {
     /// Exposure: the power of 2 that light is multiplied by.
     Stops: |v| v.abs() <= 20.0, "an exposure within ±20 stops",
         { "type": "number", "minimum": -20, "maximum": 20, "description": "Exposure in stops: n more is 2ⁿ times as bright." };
+    /// The angle between the axis of a cone and its side, in degrees.
+    ConeAngle: |v| (0.1..=89.9).contains(&v), "an angle from 0.1 to 89.9 degrees",
+        { "type": "number", "minimum": 0.1, "maximum": 89.9, "description": "The angle between the axis of a cone and its side, in degrees." };
+    /// Half an aperture, in degrees.
+    HalfAperture: |v| (0.1..=179.9).contains(&v), "half an aperture from 0.1 to 179.9 degrees",
+        { "type": "number", "minimum": 0.1, "maximum": 179.9, "description": "Half an aperture, in degrees." };
+    /// The length of an arc, in degrees.
+    Arc: |v| (0.1..=360.0).contains(&v), "an arc from 0.1 to 360 degrees",
+        { "type": "number", "minimum": 0.1, "maximum": 360, "description": "The length of an arc, in degrees." };
     /// A vertical field of view, in degrees.
     FieldOfView: |v| (0.01..=179.0).contains(&v), "a field of view from 0.01 to 179 degrees",
         { "type": "number", "minimum": 0.01, "maximum": 179, "description": "A vertical field of view, in degrees." };

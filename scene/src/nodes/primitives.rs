@@ -1,10 +1,24 @@
 //! Shapes with a closed formula. Unless said otherwise each is exact: its value is the Euclidean
 //! distance to the surface, negative inside.
 
+mod cones;
+mod curves;
+mod cut;
+mod rings;
+mod round;
+mod sheets;
+
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use super::{Exactness, Primitive};
+pub use cones::{CappedCone, Cone, InfiniteCone, RoundCone, SolidAngle};
+pub use curves::BezierTube;
+pub use cut::{CutHollowSphere, CutSphere, DeathStar};
+pub use rings::{CappedTorus, Horseshoe, Link, U};
+pub use round::{Ellipsoid, RoundedCylinder, Vesica};
+pub use sheets::{Quad, Triangle};
+
+use super::{Exactness, NodeFault, Primitive};
 use crate::bounds::Bounds;
 use crate::real::{Real, Vec3, vec3};
 use crate::values::{Amount, Coordinate, Direction, Length, Point};
@@ -64,6 +78,16 @@ impl Primitive for Box {
             .length();
         let inside = past_face.max_element().at_most(0.0);
         outside + inside - p.x.given(round)
+    }
+
+    fn fault(&self) -> Option<NodeFault> {
+        let most = self.size.into_iter().map(Length::get).fold(f32::MAX, f32::min) / 2.0;
+        (self.round.get() > most).then(|| {
+            NodeFault::new(
+                "round",
+                format!("must be at most half the least size, inside which it rounds: make round {most} or less"),
+            )
+        })
     }
 
     fn bounds(&self, level: f32) -> Bounds {
@@ -244,6 +268,10 @@ impl Primitive for Torus {
         off_circle.square_add(p.y.square()).sqrt() - p.x.given(self.tube.get())
     }
 
+    fn fault(&self) -> Option<NodeFault> {
+        swallowed_hole("tube", self.tube.get(), "radius", self.radius.get())
+    }
+
     fn bounds(&self, level: f32) -> Bounds {
         let (across, up) = (self.radius.get() + self.tube.get(), self.tube.get());
         Bounds::symmetric(across, up, across).widened(level)
@@ -283,6 +311,28 @@ impl Primitive for Capsule {
         let (a, b) = (self.a.get(), self.b.get());
         Bounds { low: a, high: a }.hull(Bounds { low: b, high: b }).widened(self.radius.get() + level)
     }
+}
+
+/// How far a point is away from the y axis.
+#[inline(always)]
+fn away_from_axis<R: Real>(p: Vec3<R>) -> R {
+    length_of(p.x, p.z)
+}
+
+/// The length of a vector in the plane.
+#[inline(always)]
+fn length_of<R: Real>(x: R, y: R) -> R {
+    x.square_add(y.square()).sqrt()
+}
+
+/// Says that a ring is so thick that its hole is gone: `thick` must be less than `limit`.
+fn swallowed_hole(place: &str, thick: f32, limit_name: &str, limit: f32) -> Option<NodeFault> {
+    (thick >= limit).then(|| {
+        NodeFault::new(
+            place,
+            format!("must be less than {limit_name}, or the ring has no hole: make {place} less than {limit}"),
+        )
+    })
 }
 
 fn scaled(v: Vec3<f32>, factor: f32) -> Vec3<f32> {

@@ -1,0 +1,241 @@
+//! Solids around the y axis with a straight side: cones and what is cut from them. All are exact.
+
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+use super::{away_from_axis, length_of};
+use crate::bounds::Bounds;
+use crate::nodes::{NodeFault, Prepare, Prepared, Primitive};
+use crate::real::{Real, Vec3, vec3};
+use crate::values::{Amount, ConeAngle, HalfAperture, Length, sin_cos_degrees};
+
+/// A cone around the y axis, its middle at the origin: the base at y = −height/2, the apex at y = height/2.
+///
+/// Inigo Quilez, "Distance functions": <https://iquilezles.org/articles/distfunctions/>.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Cone {
+    /// Radius of the base.
+    pub radius: Length,
+    /// Its whole height.
+    pub height: Length,
+}
+
+impl Primitive for Cone {
+    const EXAMPLE: &str = r#"{ "radius": 0.8, "height": 1.8 }"#;
+
+    #[inline(always)]
+    fn distance<R: Real>(&self, p: Vec3<R>) -> R {
+        to_capped_cone(p, self.radius.get(), 0.0, self.height.get())
+    }
+
+    fn bounds(&self, level: f32) -> Bounds {
+        let radius = self.radius.get();
+        Bounds::symmetric(radius, self.height.get() / 2.0, radius).widened(level)
+    }
+}
+
+/// A cone without its tip, around the y axis, its middle at the origin.
+///
+/// Inigo Quilez, "Distance functions": <https://iquilezles.org/articles/distfunctions/>.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct CappedCone {
+    /// Radius at y = −height/2.
+    pub bottom_radius: Amount,
+    /// Radius at y = height/2.
+    pub top_radius: Amount,
+    /// Its whole height.
+    pub height: Length,
+}
+
+impl Primitive for CappedCone {
+    const EXAMPLE: &str = r#"{ "bottom_radius": 0.9, "top_radius": 0.4, "height": 1.4 }"#;
+
+    const MORE: &[&str] = &[r#"{ "bottom_radius": 0, "top_radius": 0.8, "height": 1.2 }"#];
+
+    #[inline(always)]
+    fn distance<R: Real>(&self, p: Vec3<R>) -> R {
+        to_capped_cone(p, self.bottom_radius.get(), self.top_radius.get(), self.height.get())
+    }
+
+    fn fault(&self) -> Option<NodeFault> {
+        let (bottom, top) = (self.bottom_radius.get(), self.top_radius.get());
+        (bottom.max(top) == 0.0).then(|| {
+            NodeFault::new(
+                "bottom_radius",
+                "and top_radius are both 0, which leaves nothing: make one of them larger than 0",
+            )
+        })
+    }
+
+    fn bounds(&self, level: f32) -> Bounds {
+        let radius = self.bottom_radius.get().max(self.top_radius.get());
+        Bounds::symmetric(radius, self.height.get() / 2.0, radius).widened(level)
+    }
+}
+
+/// The distance to a cone between two discs around the y axis: the lesser of those to a disc and to the side.
+#[inline(always)]
+fn to_capped_cone<R: Real>(p: Vec3<R>, bottom: f32, top: f32, height: f32) -> R {
+    let half = height / 2.0;
+    // In the half plane of (away from the axis, up), the side runs from (bottom, −half) by `side`.
+    let side = (top - bottom, height);
+    let per_square = 1.0 / (side.0 * side.0 + side.1 * side.1);
+    let across = away_from_axis(p);
+    let radius = R::select(p.y.below(0.0), across.given(bottom), across.given(top));
+    let (past_disc, past_cap) = ((across - radius).at_least(0.0), p.y.abs() - across.given(half));
+    let from_bottom = (across - across.given(bottom), p.y + across.given(half));
+    let share = from_bottom
+        .0
+        .mul_add(across.given(side.0 * per_square), from_bottom.1 * across.given(side.1 * per_square))
+        .at_least(0.0)
+        .at_most(1.0);
+    let off_side = share.mul_add(across.given(-side.0), from_bottom.0);
+    let up_side = share.mul_add(across.given(-side.1), from_bottom.1);
+    let to_disc = past_disc.square_add(past_cap.square());
+    let to_side = off_side.square_add(up_side.square());
+    let distance = to_disc.min(to_side).sqrt();
+    R::select(off_side.below(0.0) & past_cap.below(0.0), -distance, distance)
+}
+
+/// A cone without a base: its apex at the origin, opening downwards for ever.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename = "InfiniteCone", deny_unknown_fields)]
+pub struct GivenInfiniteCone {
+    /// Half its aperture: the angle between the axis and the side.
+    pub degrees: ConeAngle,
+}
+
+/// [`GivenInfiniteCone`], ready to be looked at.
+pub type InfiniteCone = Prepared<GivenInfiniteCone>;
+
+impl Prepare for GivenInfiniteCone {
+    /// Sine and cosine of the angle.
+    type Ready = (f32, f32);
+
+    fn ready(&self) -> (f32, f32) {
+        sin_cos_degrees(self.degrees.get())
+    }
+}
+
+impl Primitive for InfiniteCone {
+    const EXAMPLE: &str = r#"{ "degrees": 30 }"#;
+
+    #[inline(always)]
+    fn distance<R: Real>(&self, p: Vec3<R>) -> R {
+        let (sine, cosine) = *self.ready();
+        let across = away_from_axis(p);
+        let (sine, cosine) = (across.given(sine), across.given(cosine));
+        let down_side = across.mul_add(sine, -(p.y * cosine));
+        let off_side = across.mul_add(cosine, p.y * sine);
+        R::select(down_side.above(0.0), off_side, p.length())
+    }
+
+    fn bounds(&self, level: f32) -> Bounds {
+        Bounds { high: vec3(f32::INFINITY, level, f32::INFINITY), ..Bounds::EVERYWHERE }
+    }
+}
+
+/// Two balls on the y axis and the cone that touches both; the middle of its height is at the origin.
+///
+/// Each point between the ends of the axis has a ball whose radius grows evenly; the value is the
+/// least distance to any of them. The shape is Inigo Quilez's, "Distance functions":
+/// <https://iquilezles.org/articles/distfunctions/>.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct RoundCone {
+    /// Radius of the lower ball.
+    pub bottom_radius: Length,
+    /// Radius of the upper ball.
+    pub top_radius: Length,
+    /// Its whole height, the balls' included.
+    pub height: Length,
+}
+
+impl Primitive for RoundCone {
+    const EXAMPLE: &str = r#"{ "bottom_radius": 0.7, "top_radius": 0.3, "height": 2 }"#;
+
+    const MORE: &[&str] = &[r#"{ "bottom_radius": 0.3, "top_radius": 0.6, "height": 1.7 }"#];
+
+    #[inline(always)]
+    fn distance<R: Real>(&self, p: Vec3<R>) -> R {
+        let (bottom, top, height) = (self.bottom_radius.get(), self.top_radius.get(), self.height.get());
+        let apart = (height - bottom - top).max(0.0);
+        // How fast the radius grows along the axis: the sine of the angle between axis and side.
+        let growth = ((top - bottom) / apart.max(1e-12)).clamp(-1.0, 1.0);
+        let slope = growth / Real::sqrt((1.0 - growth) * (1.0 + growth)).max(1e-6);
+        let across = away_from_axis(p);
+        let up = p.y + across.given(height / 2.0 - bottom);
+        let along = across.mul_add(across.given(slope), up).at_least(0.0).min(across.given(apart));
+        let to_center = length_of(across, up - along);
+        along.mul_add(across.given(-growth), to_center - across.given(bottom))
+    }
+
+    fn fault(&self) -> Option<NodeFault> {
+        let least = 2.0 * self.bottom_radius.get().max(self.top_radius.get());
+        (self.height.get() < least).then(|| {
+            NodeFault::new(
+                "height",
+                format!(
+                    "must be at least twice the larger radius, or that ball sticks out: make height {least} or more"
+                ),
+            )
+        })
+    }
+
+    fn bounds(&self, level: f32) -> Bounds {
+        let radius = self.bottom_radius.get().max(self.top_radius.get());
+        Bounds::symmetric(radius, self.height.get() / 2.0, radius).widened(level)
+    }
+}
+
+/// What a cone with its apex at the origin, opening upwards, cuts out of a ball around it.
+///
+/// Inigo Quilez, "Distance functions": <https://iquilezles.org/articles/distfunctions/>.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename = "SolidAngle", deny_unknown_fields)]
+pub struct GivenSolidAngle {
+    /// Half its aperture: the angle between the axis and the side. Above 90 it is a ball with a cone cut out.
+    pub degrees: HalfAperture,
+    /// Radius of the ball.
+    pub radius: Length,
+}
+
+/// [`GivenSolidAngle`], ready to be looked at.
+pub type SolidAngle = Prepared<GivenSolidAngle>;
+
+impl Prepare for GivenSolidAngle {
+    /// Sine and cosine of the angle.
+    type Ready = (f32, f32);
+
+    fn ready(&self) -> (f32, f32) {
+        sin_cos_degrees(self.degrees.get())
+    }
+}
+
+impl Primitive for SolidAngle {
+    const EXAMPLE: &str = r#"{ "degrees": 40, "radius": 1.1 }"#;
+
+    const MORE: &[&str] = &[r#"{ "degrees": 130, "radius": 0.9 }"#];
+
+    #[inline(always)]
+    fn distance<R: Real>(&self, p: Vec3<R>) -> R {
+        let (sine, cosine) = *self.ready();
+        let across = away_from_axis(p);
+        let (sine, cosine, radius) = (across.given(sine), across.given(cosine), across.given(self.radius.get()));
+        let past_ball = p.length() - radius;
+        let along = across.mul_add(sine, p.y * cosine).at_least(0.0).min(radius);
+        let to_side = length_of(across - sine * along, p.y - cosine * along);
+        let outside = across.mul_add(cosine, -(p.y * sine)).above(0.0);
+        past_ball.max(R::select(outside, to_side, -to_side))
+    }
+
+    fn bounds(&self, level: f32) -> Bounds {
+        let radius = self.radius.get();
+        let (sine, cosine) = *self.ready();
+        let across = if cosine < 0.0 { radius } else { radius * sine };
+        let low = (radius * cosine).min(0.0);
+        Bounds { low: vec3(-across, low, -across), high: vec3(across, radius, across) }.widened(level)
+    }
+}

@@ -1,0 +1,179 @@
+//! Tubes along curves.
+
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+use crate::bounds::Bounds;
+use crate::nodes::{Exactness, Prepare, Prepared, Primitive};
+use crate::real::{Real, Vec3, vec3};
+use crate::values::{Length, Point};
+
+/// All points within a radius of a quadratic Bézier curve.
+///
+/// The squared distance to the point at t is a polynomial of degree four, whose slope is a cubic; see Inigo
+/// Quilez, "2D distance functions": <https://iquilezles.org/articles/distfunctions2d/>. Its roots are found
+/// here by Newton's method and not by Cardano's formula, which loses its digits where the curve is nearly
+/// straight. The cubic turns where the parabola has its vertex. After that it is convex, so that steps from
+/// t = 1 run down to its last root and never past it; before that, by symmetry, steps from t = 0 run up
+/// to its first. The nearest point is one of the two, since a root between them is a point of greatest distance.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename = "BezierTube", deny_unknown_fields)]
+pub struct GivenBezierTube {
+    /// Where the curve starts.
+    pub a: Point,
+    /// Whereto it leaves from `a`, and whence it comes to `c`.
+    pub b: Point,
+    /// Where it ends.
+    pub c: Point,
+    /// The radius.
+    pub radius: Length,
+}
+
+/// [`GivenBezierTube`], ready to be looked at.
+pub type BezierTube = Prepared<GivenBezierTube>;
+
+/// Newton's steps at most: enough for 10⁻⁵ of the curve's length on the sharpest bend.
+const NEWTON_STEPS: u32 = 16;
+/// A step so short, in the curve's t, is the last one: what is left of the error counts by its square.
+const LAST_STEP: f32 = 1e-4;
+
+/// The curve a + t·slope + t²·bend, and what its formula takes from it.
+#[derive(Clone, Debug)]
+pub struct Curve {
+    slope: Vec3<f32>,
+    bend: Vec3<f32>,
+    /// The t where the parabola has its vertex, or the end next to it.
+    vertex: f32,
+    /// Slope and twice the bend, over the square of the curve's size.
+    slope_over_size: Vec3<f32>,
+    bend_over_size: Vec3<f32>,
+    /// The cubic's known coefficients: of t³, of t², and a part of that of t.
+    cubic: [f32; 3],
+}
+
+impl Prepare for GivenBezierTube {
+    type Ready = Curve;
+
+    fn ready(&self) -> Curve {
+        let [a, b, c] = [self.a, self.b, self.c].map(Point::get);
+        let (slope, bend) = ((b - a) * 2.0, (a - b) + (c - b));
+        let (along, bends) = (slope.length_squared(), bend.length_squared());
+        let over_size = 1.0 / (along + bends).max(1e-20);
+        Curve {
+            slope,
+            bend,
+            vertex: vertex(slope, bend),
+            slope_over_size: slope * over_size,
+            bend_over_size: bend * (2.0 * over_size),
+            cubic: [2.0 * bends, 3.0 * slope.dot(bend), along].map(|coefficient| coefficient * over_size),
+        }
+    }
+}
+
+/// The t where the parabola has its vertex, or the end next to it.
+fn vertex(slope: Vec3<f32>, bend: Vec3<f32>) -> f32 {
+    let (against, twice) = (-slope.dot(bend), 2.0 * bend.length_squared());
+    if against <= 0.0 {
+        0.0
+    } else if against >= twice {
+        1.0
+    } else {
+        against / twice
+    }
+}
+
+impl Curve {
+    /// Its least radius of curvature: |v|³/|v × v′|, least at the vertex; infinite for a line.
+    fn least_bend_radius(&self) -> f32 {
+        let velocity = self.slope + self.bend * (2.0 * self.vertex);
+        let turn = self.slope.cross(self.bend).length() * 2.0;
+        let speed = velocity.length();
+        // A curve in a line may turn back on itself: still a line.
+        let straight = turn <= 1e-6 * (self.slope.length_squared() + self.bend.length_squared());
+        if straight { f32::INFINITY } else { speed * speed * speed / turn }
+    }
+}
+
+/// third·t³ + second·t² + first·t + constant.
+struct Cubic<R> {
+    third: R,
+    second: R,
+    first: R,
+    constant: R,
+}
+
+impl<R: Real> Cubic<R> {
+    /// Its value, and one over how fast it rises; where it does not rise, a step by the latter leaves the curve.
+    #[inline(always)]
+    fn newton(&self, t: R) -> (R, R) {
+        let value = self.third.mul_add(t, self.second).mul_add(t, self.first).mul_add(t, self.constant);
+        let rise = (self.third * 3.0).mul_add(t, self.second * 2.0).mul_add(t, self.first);
+        (value, t.splat(1.0) / rise.at_least(1e-7))
+    }
+}
+
+/// The squared distance to the curve's point at t, from a point that sees its start at `from_p`.
+#[inline(always)]
+fn square_to<R: Real>(from_p: Vec3<R>, curve: &Curve, t: R) -> R {
+    let (slope, bend) = (Vec3::given(t, curve.slope), Vec3::given(t, curve.bend));
+    bend.mul_add(t, slope).mul_add(t, from_p).length_squared()
+}
+
+impl Primitive for BezierTube {
+    const EXAMPLE: &str = r#"{ "a": [-1, -0.7, 0.2], "b": [0, 1.8, -0.5], "c": [0.9, -0.6, 0.3], "radius": 0.2 }"#;
+
+    const MORE: &[&str] = &[r#"{ "a": [-0.7, -0.8, 0], "b": [2, 0, 0], "c": [-0.7, 0.8, 0], "radius": 0.2 }"#];
+
+    #[inline(always)]
+    fn distance<R: Real>(&self, p: Vec3<R>) -> R {
+        let curve = self.ready();
+        let vertex = p.x.given(curve.vertex);
+        let from_p = Vec3::given(p.x, self.a.get()) - p;
+        // The slope of half the squared distance, over the square of the curve's size.
+        let [third, second, first] = curve.cubic;
+        let (third, second) = (p.x.given(third), p.x.given(second));
+        let first = from_p.dot_known(curve.bend_over_size) + p.x.given(first);
+        let constant = from_p.dot_known(curve.slope_over_size);
+        let cubic = Cubic { third, second, first, constant };
+        let last = R::repeat(
+            NEWTON_STEPS,
+            p.x.splat(1.0),
+            #[inline(always)]
+            |t| {
+                let (value, over_rise) = cubic.newton(t);
+                let next = (t - value.at_least(0.0) * over_rise).max(vertex);
+                ((t - next).above(LAST_STEP), next)
+            },
+        );
+        let first = R::repeat(
+            NEWTON_STEPS,
+            p.x.splat(0.0),
+            #[inline(always)]
+            |t| {
+                let (value, over_rise) = cubic.newton(t);
+                let next = (t - value.at_most(0.0) * over_rise).min(vertex);
+                ((next - t).above(LAST_STEP), next)
+            },
+        );
+        let nearest = square_to(from_p, curve, first).min(square_to(from_p, curve, last));
+        nearest.sqrt() - p.x.given(self.radius.get())
+    }
+
+    fn exactness(&self) -> Exactness {
+        // Where a bend is sharper than the tube is thick, the inside is deeper than the formula says.
+        if self.ready().least_bend_radius() >= self.radius.get() { Exactness::Exact } else { Exactness::Bound }
+    }
+
+    fn bounds(&self, level: f32) -> Bounds {
+        let (a, c) = (self.a.get(), self.c.get());
+        let &Curve { slope, bend, .. } = self.ready();
+        // Along an axis, the curve goes furthest where it stands still.
+        let furthest = |a: f32, slope: f32, bend: f32| {
+            let t = if bend == 0.0 { 0.0 } else { (-slope / (2.0 * bend)).clamp(0.0, 1.0) };
+            a + t * (slope + t * bend)
+        };
+        let turn = vec3(furthest(a.x, slope.x, bend.x), furthest(a.y, slope.y, bend.y), furthest(a.z, slope.z, bend.z));
+        let at = |corner: Vec3<f32>| Bounds { low: corner, high: corner };
+        at(a).hull(at(c)).hull(at(turn)).widened(self.radius.get() + level)
+    }
+}

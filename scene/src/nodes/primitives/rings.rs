@@ -1,0 +1,284 @@
+//! Rings, open and closed: a tube or a band along an arc.
+
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+use super::{length_of, swallowed_hole};
+use crate::bounds::Bounds;
+use crate::nodes::{Exactness, NodeFault, Prepare, Prepared, Primitive};
+use crate::real::{Real, Vec3, vec3};
+use crate::values::{Amount, Arc, Length, sin_cos_degrees};
+
+/// A part of a ring around the y axis, with round ends. The middle of its arc looks along +z.
+///
+/// Inigo Quilez, "Distance functions": <https://iquilezles.org/articles/distfunctions/>.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename = "CappedTorus", deny_unknown_fields)]
+pub struct GivenCappedTorus {
+    /// Radius of the circle in the middle of the tube.
+    pub radius: Length,
+    /// Radius of the tube.
+    pub tube: Length,
+    /// The whole arc, from end to end.
+    pub degrees: Arc,
+}
+
+/// [`GivenCappedTorus`], ready to be looked at.
+pub type CappedTorus = Prepared<GivenCappedTorus>;
+
+impl Prepare for GivenCappedTorus {
+    /// Where the arc ends, at x above 0: its x and z.
+    type Ready = (f32, f32);
+
+    fn ready(&self) -> (f32, f32) {
+        let (sine, cosine) = sin_cos_degrees(self.degrees.get() / 2.0);
+        (sine * self.radius.get(), cosine * self.radius.get())
+    }
+}
+
+impl Primitive for CappedTorus {
+    const EXAMPLE: &str = r#"{ "radius": 0.85, "tube": 0.22, "degrees": 250 }"#;
+
+    const MORE: &[&str] = &[
+        r#"{ "radius": 0.9, "tube": 0.15, "degrees": 100 }"#,
+        r#"{ "radius": 0.8, "tube": 0.3, "degrees": 345 }"#,
+        r#"{ "radius": 0.8, "tube": 0.2, "degrees": 360 }"#,
+    ];
+
+    #[inline(always)]
+    fn distance<R: Real>(&self, p: Vec3<R>) -> R {
+        let (end_x, end_z) = *self.ready();
+        let (end_x, end_z) = (p.x.given(end_x), p.x.given(end_z));
+        let x = p.x.abs();
+        let past_end = (p.z * end_x).lt(x * end_z);
+        let off_circle = length_of(x, p.z) - p.x.given(self.radius.get());
+        let to_end = (x - end_x).square_add((p.z - end_z).square());
+        let in_plane = R::select(past_end, to_end, off_circle.square());
+        p.y.square_add(in_plane).sqrt() - p.x.given(self.tube.get())
+    }
+
+    fn exactness(&self) -> Exactness {
+        // Where the two ends have grown together, the inside is deeper than the formula says.
+        let (end_x, end_z) = *self.ready();
+        let apart = end_z >= 0.0 || end_x >= self.tube.get() || self.degrees.get() == 360.0;
+        if apart { Exactness::Exact } else { Exactness::Bound }
+    }
+
+    fn fault(&self) -> Option<NodeFault> {
+        swallowed_hole("tube", self.tube.get(), "radius", self.radius.get())
+    }
+
+    fn bounds(&self, level: f32) -> Bounds {
+        let radius = self.radius.get();
+        let (end_x, end_z) = *self.ready();
+        let across = if end_z < 0.0 { radius } else { end_x };
+        Bounds { low: vec3(-across, 0.0, end_z), high: vec3(across, 0.0, radius) }.widened(self.tube.get() + level)
+    }
+}
+
+/// A link of a chain in the plane z = 0: a ring drawn out along y.
+///
+/// Inigo Quilez, "Distance functions": <https://iquilezles.org/articles/distfunctions/>.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Link {
+    /// Its whole height.
+    pub height: Length,
+    /// Radius of its bends, to the middle of the tube.
+    pub radius: Length,
+    /// Radius of the tube.
+    pub tube: Length,
+}
+
+impl Link {
+    /// Half the length of its straight sides.
+    fn half_side(&self) -> f32 {
+        (self.height.get() / 2.0 - self.radius.get() - self.tube.get()).max(0.0)
+    }
+}
+
+impl Primitive for Link {
+    const EXAMPLE: &str = r#"{ "height": 2.1, "radius": 0.45, "tube": 0.16 }"#;
+
+    #[inline(always)]
+    fn distance<R: Real>(&self, p: Vec3<R>) -> R {
+        let past_side = (p.y.abs() - p.x.given(self.half_side())).at_least(0.0);
+        let off_line = length_of(p.x, past_side) - p.x.given(self.radius.get());
+        length_of(off_line, p.z) - p.x.given(self.tube.get())
+    }
+
+    fn fault(&self) -> Option<NodeFault> {
+        let least = 2.0 * (self.radius.get() + self.tube.get());
+        swallowed_hole("tube", self.tube.get(), "radius", self.radius.get()).or_else(|| {
+            (self.height.get() < least).then(|| {
+                NodeFault::new(
+                    "height",
+                    format!("must leave room for two bends of radius and tube: make height {least} or more"),
+                )
+            })
+        })
+    }
+
+    fn bounds(&self, level: f32) -> Bounds {
+        let (radius, tube) = (self.radius.get(), self.tube.get());
+        Bounds::symmetric(radius + tube, self.half_side() + radius + tube, tube).widened(level)
+    }
+}
+
+/// A band in the plane z = 0 that follows an arc around the origin and then goes straight on, with
+/// round ends. The arc's middle is at the bottom, its legs go up.
+///
+/// Inigo Quilez, "Distance functions": <https://iquilezles.org/articles/distfunctions/>.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename = "Horseshoe", deny_unknown_fields)]
+pub struct GivenHorseshoe {
+    /// Radius of the arc, to the middle of the band.
+    pub radius: Length,
+    /// The whole arc, from leg to leg.
+    pub degrees: Arc,
+    /// Length of the straight legs, to the middle of their round ends.
+    pub leg: Amount,
+    /// Whole width of the band, across its way.
+    pub width: Length,
+    /// Whole extent along z.
+    pub thickness: Length,
+}
+
+/// [`GivenHorseshoe`], ready to be looked at.
+pub type Horseshoe = Prepared<GivenHorseshoe>;
+
+impl Prepare for GivenHorseshoe {
+    type Ready = Band;
+
+    fn ready(&self) -> Band {
+        Band {
+            radius: self.radius.get(),
+            turn: sin_cos_degrees(self.degrees.get() / 2.0),
+            leg: self.leg.get(),
+            width: self.width.get(),
+            thickness: self.thickness.get(),
+        }
+    }
+}
+
+impl Primitive for Horseshoe {
+    const EXAMPLE: &str = r#"{ "radius": 0.7, "degrees": 230, "leg": 0.35, "width": 0.3, "thickness": 0.25 }"#;
+
+    const MORE: &[&str] = &[
+        r#"{ "radius": 0.9, "degrees": 80, "leg": 0.4, "width": 0.2, "thickness": 0.6 }"#,
+        r#"{ "radius": 0.9, "degrees": 300, "leg": 0, "width": 0.3, "thickness": 0.1 }"#,
+    ];
+
+    #[inline(always)]
+    fn distance<R: Real>(&self, p: Vec3<R>) -> R {
+        self.ready().distance(p)
+    }
+
+    fn fault(&self) -> Option<NodeFault> {
+        self.ready().fault()
+    }
+
+    fn bounds(&self, level: f32) -> Bounds {
+        self.ready().bounds(level)
+    }
+}
+
+/// A band in the plane z = 0, bent like the letter: half a circle around the origin, and two legs that go up.
+///
+/// Inigo Quilez, "Distance functions": <https://iquilezles.org/articles/distfunctions/>.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct U {
+    /// Radius of the bend, to the middle of the band.
+    pub radius: Length,
+    /// Length of the straight legs, to the middle of their round ends.
+    pub leg: Amount,
+    /// Whole width of the band, across its way.
+    pub width: Length,
+    /// Whole extent along z.
+    pub thickness: Length,
+}
+
+impl Primitive for U {
+    const EXAMPLE: &str = r#"{ "radius": 0.55, "leg": 0.8, "width": 0.28, "thickness": 0.4 }"#;
+
+    #[inline(always)]
+    fn distance<R: Real>(&self, p: Vec3<R>) -> R {
+        self.band().distance(p)
+    }
+
+    fn fault(&self) -> Option<NodeFault> {
+        self.band().fault()
+    }
+
+    fn bounds(&self, level: f32) -> Bounds {
+        self.band().bounds(level)
+    }
+}
+
+impl U {
+    fn band(&self) -> Band {
+        Band {
+            radius: self.radius.get(),
+            turn: (1.0, 0.0),
+            leg: self.leg.get(),
+            width: self.width.get(),
+            thickness: self.thickness.get(),
+        }
+    }
+}
+
+/// A bent band: what [`Horseshoe`] and [`U`] are.
+#[derive(Clone, Debug)]
+pub struct Band {
+    radius: f32,
+    /// Sine and cosine of half the arc.
+    turn: (f32, f32),
+    leg: f32,
+    width: f32,
+    thickness: f32,
+}
+
+impl Band {
+    /// Where a leg ends, at x above 0: its x and y.
+    fn end(&self) -> (f32, f32) {
+        let (sine, cosine) = self.turn;
+        (self.radius * sine + self.leg * cosine, self.leg * sine - self.radius * cosine)
+    }
+
+    #[inline(always)]
+    fn distance<R: Real>(&self, p: Vec3<R>) -> R {
+        let (sine, cosine) = (p.x.given(self.turn.0), p.x.given(self.turn.1));
+        let (radius, x) = (p.x.given(self.radius), p.x.abs());
+        // Along a leg, from where the arc ends, and away from the origin.
+        let along = x.mul_add(cosine, p.y * sine);
+        let out = x.mul_add(sine, -(p.y * cosine));
+        let on_leg = along.above(0.0);
+        let past_end = (along - p.x.given(self.leg)).at_least(0.0);
+        let to_leg = past_end.square_add((out - radius).square());
+        let to_center = x.square_add(p.y.square());
+        let length = R::select(on_leg, to_leg, to_center).sqrt();
+        let to_line = (length - R::select(on_leg, p.x.splat(0.0), radius)).abs();
+        let past_side = to_line - p.x.given(self.width / 2.0);
+        let past_face = p.z.abs() - p.x.given(self.thickness / 2.0);
+        length_of(past_side.at_least(0.0), past_face.at_least(0.0)) + past_side.max(past_face).at_most(0.0)
+    }
+
+    fn fault(&self) -> Option<NodeFault> {
+        let meets = self.turn.1 < 0.0 && self.end().0 < self.width / 2.0;
+        swallowed_hole("width", self.width, "twice the radius", 2.0 * self.radius).or_else(|| {
+            meets.then(|| {
+                NodeFault::new("leg", "runs into the other one: make degrees, leg or width less, or radius larger")
+            })
+        })
+    }
+
+    fn bounds(&self, level: f32) -> Bounds {
+        let (end_x, end_y) = self.end();
+        let arc_x = if self.turn.1 < 0.0 { self.radius } else { self.radius * self.turn.0 };
+        let across = arc_x.max(end_x) + self.width / 2.0;
+        let (low, high) = (-self.radius - self.width / 2.0, end_y.max(-self.radius * self.turn.1) + self.width / 2.0);
+        let half = self.thickness / 2.0;
+        Bounds { low: vec3(-across, low, -half), high: vec3(across, high, half) }.widened(level)
+    }
+}
