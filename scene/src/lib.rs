@@ -18,6 +18,7 @@ pub mod nodes;
 mod outline;
 mod parse;
 pub mod pixel;
+pub mod profiles;
 pub mod real;
 pub mod sampling;
 pub mod scene;

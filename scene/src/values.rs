@@ -102,6 +102,9 @@ numbers! {
     /// An angle, in degrees.
     Degrees: |v| v.abs() <= 36_000.0, "an angle within ±36000 degrees",
         { "type": "number", "minimum": -36000, "maximum": 36000, "description": "An angle, in degrees." };
+    /// A part of a whole turn, in degrees.
+    Turn: |v| (0.01..=360.0).contains(&v), "an angle from 0.01 to 360 degrees",
+        { "type": "number", "minimum": 0.01, "maximum": 360, "description": "A part of a whole turn, in degrees." };
     /// A vertical field of view, in degrees.
     FieldOfView: |v| (0.01..=179.0).contains(&v), "a field of view from 0.01 to 179 degrees",
         { "type": "number", "minimum": 0.01, "maximum": 179, "description": "A vertical field of view, in degrees." };
@@ -241,7 +244,7 @@ impl Rotation {
 }
 
 /// Sine and cosine of an angle in degrees; exact at quarter turns.
-fn sin_cos_degrees(degrees: f32) -> (f32, f32) {
+pub(crate) fn sin_cos_degrees(degrees: f32) -> (f32, f32) {
     let turned = degrees % 360.0;
     let quarter = (turned / 90.0).round();
     let (s, c) = Real::sin_cos((turned - quarter * 90.0) * (std::f32::consts::PI / 180.0));
