@@ -4,18 +4,24 @@
 //! [`Planar`], and one word in the list below. Its examples are examples of `extrude` and
 //! `revolve`, so the contract tests and the pictures of docs/nodes.md follow from those.
 
+mod edge;
+mod lettering;
 mod polygon;
+mod quadratic;
 mod regular;
 mod simple;
 mod strokes;
+mod text;
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
+pub use lettering::{Lettering, NoLettering};
 pub use polygon::{Points, Polygon, WrongCount};
 pub use regular::{RegularPolygon, Star};
 pub use simple::{Circle, Rectangle};
-pub use strokes::Arc;
+pub use strokes::{Arc, Bezier};
+pub use text::Text;
 
 use crate::nodes::{Exactness, NodeFault, snake_case};
 use crate::real::Real;
@@ -178,7 +184,7 @@ macro_rules! profiles {
     };
 }
 
-profiles![Circle, Rectangle, RegularPolygon, Star, Polygon, Arc];
+profiles![Circle, Rectangle, RegularPolygon, Star, Polygon, Arc, Bezier, Text];
 
 impl Profile {
     /// Its name in JSON.

@@ -30,13 +30,13 @@ fn the_schema_describes_every_profile_and_each_of_its_keys() {
 
 #[test]
 fn a_circle_as_large_as_an_exact_distance_says_touches_the_outline() {
-    const TURNS: u16 = 4_000;
+    const TURNS: u16 = 1_000;
     for (kind, json) in Profile::examples() {
         let profile = profile(&json);
         if profile.exactness() != Exactness::Exact {
             continue;
         }
-        for (x, y) in places(400) {
+        for (x, y) in places(150) {
             let distance: f32 = profile.distance(x, y);
             let around = (0..TURNS).map(|turn| {
                 let (s, c) = (f32::from(turn) / f32::from(TURNS) * std::f32::consts::TAU).sin_cos();
@@ -156,4 +156,69 @@ fn sweeps_that_cannot_be_say_where_and_what_to_do() {
     for (shape, (place, message)) in cases {
         assert_eq!(fault(shape), (place.to_owned(), message.to_owned()));
     }
+}
+
+fn text(string: &str) -> Profile {
+    profile(&format!(r#"{{ "text": {{ "string": "{string}", "size": 1 }} }}"#))
+}
+
+#[test]
+fn a_capital_i_is_the_rectangle_that_the_font_says() {
+    // 385 by 1493 of the font's 2048 units, half a unit left of the middle.
+    let size = [385.0 / 2048.0, 1493.0 / 2048.0];
+    let rectangle = profile(&serde_json::json!({ "rectangle": { "size": size } }).to_string());
+    let letter = text("I");
+    for (x, y) in places(1_000) {
+        let (got, want): (f32, f32) = (letter.distance(x, y), rectangle.distance(x + 0.5 / 2048.0, y));
+        assert!((got - want).abs() < 1e-5, "{got}, not {want} at {x}, {y}");
+    }
+}
+
+#[test]
+fn holes_of_letters_are_outside() {
+    for string in ["O", "0", "D", "Q", "©", "4"] {
+        let letter = text(string);
+        let crossed = (-100_i16..100).map(|n| letter.distance(f32::from(n) * 0.01, 0.031) < 0.0);
+        let changes = crossed.clone().zip(crossed.skip(1)).filter(|(here, there)| here != there).count();
+        assert!(changes >= 4 && changes % 2 == 0, "{string} has {changes} sides");
+    }
+}
+
+#[test]
+fn letters_that_fit_together_stand_nearer() {
+    let width = |string: &str| {
+        let extent = text(string).extent(0.0);
+        extent.high[0] - extent.low[0]
+    };
+    assert!(width("AV") < width("A") + width("V"));
+    assert!(width("HH") > width("H") + width("H"));
+}
+
+#[test]
+fn a_text_that_cannot_be_set_says_why() {
+    let cases = [
+        ("東", "has '東', which the font lacks: it has Latin letters, digits, punctuation and arrows"),
+        ("two\\nlines", "has '\\n', which the font lacks: it has Latin letters, digits, punctuation and arrows"),
+        (" ", "shows nothing: write a letter or more"),
+        (&"l".repeat(65), "has 65 characters: use at most 64"),
+        (&"®".repeat(60), "has outlines of 4947 lines and curves: use fewer letters, for at most 2000"),
+    ];
+    for (string, message) in cases {
+        let shape = format!(
+            r#"{{ "extrude": {{ "profile": {{ "text": {{ "string": "{string}", "size": 1 }} }}, "height": 1 }} }}"#
+        );
+        assert_eq!(fault(&shape), ("extrude/profile/text/string".to_owned(), message.to_owned()));
+    }
+}
+
+#[test]
+fn a_long_text_counts_as_many_nodes() {
+    let node = |string: &str| -> scene::nodes::Node {
+        let shape = format!(
+            r#"{{ "extrude": {{ "profile": {{ "text": {{ "string": "{string}", "size": 1 }} }}, "height": 1 }} }}"#
+        );
+        serde_json::from_str(&shape).expect("it is a node")
+    };
+    assert_eq!(node("I").count(), 2);
+    assert!(node("Sphere tracing").count() > 100);
 }

@@ -85,14 +85,15 @@ impl Primitive for Extrude {
 impl Primitive for Revolve {
     const EXAMPLE: &str = r#"{ "profile": { "star": { "points": 5, "outer": 0.5, "inner": 0.25 } }, "offset": 0.7 }"#;
 
-    fn examples() -> Vec<String> {
-        // Away from the axis, and cut by it.
-        let offsets = [0.7, 0.2];
-        let profiles = Profile::examples().into_iter();
-        let pairs = profiles.flat_map(|(_, profile)| offsets.map(|offset| (profile.clone(), offset)));
-        let of_profiles = pairs.map(|(profile, offset)| format!(r#"{{ "profile": {profile}, "offset": {offset} }}"#));
-        std::iter::once(Self::EXAMPLE.to_owned()).chain(of_profiles).collect()
-    }
+    const MORE: &'static [&'static str] = &[
+        r#"{ "profile": { "polygon": { "points": [[0, -1.1], [0.7, -1], [0.85, -0.5], [0.3, 0.3], [0.25, 0.7], [0.5, 1], [0.4, 1.05],
+            [0.1, 0.7], [0.15, 0.2], [0.7, -0.55], [0.6, -0.85], [0, -0.95]] } } }"#,
+        r#"{ "profile": { "bezier": { "points": [[-0.1, -0.6], [0.9, -0.7], [0.5, 0.5]], "thickness": 0.12 } }, "offset": 0.3 }"#,
+        r#"{ "profile": { "regular_polygon": { "sides": 5, "radius": 1 } } }"#,
+        r#"{ "profile": { "arc": { "radius": 0.8, "degrees": 220, "thickness": 0.2 } } }"#,
+        r#"{ "profile": { "circle": { "radius": 0.7 } }, "offset": -0.25 }"#,
+        r#"{ "profile": { "text": { "string": "S", "size": 0.9 } }, "offset": 0.6 }"#,
+    ];
 
     #[inline(always)]
     fn distance<R: Real>(&self, p: Vec3<R>) -> R {

@@ -5,6 +5,7 @@ use std::borrow::Cow;
 use schemars::{JsonSchema, Schema, SchemaGenerator, json_schema};
 use serde::{Deserialize, Serialize};
 
+use super::edge::Edge;
 use super::{Extent, Planar, Spot};
 use crate::nodes::NodeFault;
 use crate::real::Real;
@@ -32,15 +33,6 @@ pub struct Polygon {
 pub struct Points {
     spots: Vec<Spot>,
     edges: Vec<Edge>,
-}
-
-/// An edge from one corner to the next.
-#[derive(Clone, Copy, Debug, PartialEq)]
-struct Edge {
-    from: [f32; 2],
-    to: [f32; 2],
-    /// One over the square of its length.
-    over_square: f32,
 }
 
 /// Why some points are no polygon: there are so many.
@@ -78,42 +70,6 @@ impl JsonSchema for Points {
             "type": "array", "items": spot, "minItems": MIN_POINTS, "maxItems": MAX_POINTS,
             "description": "The corners of a polygon, in the order of a walk around it."
         })
-    }
-}
-
-impl Edge {
-    fn new(from: [f32; 2], to: [f32; 2]) -> Self {
-        let (x, y) = (to[0] - from[0], to[1] - from[1]);
-        Self { from, to, over_square: 1.0 / (x * x + y * y).max(1e-30) }
-    }
-
-    /// The nearer of what was found so far and this edge, as the square of the distance, and a sign
-    /// that changes with each edge that a ray to the right crosses.
-    #[inline(always)]
-    fn pass<R: Real>(&self, x: R, y: R, (nearest, sign): (R, R)) -> (R, R) {
-        let Self { from, to, over_square } = *self;
-        x.shared(
-            "polygon_edge",
-            (
-                (x, y),
-                (nearest, sign),
-                (x.given(from[0]), x.given(from[1])),
-                (x.given(to[0] - from[0]), x.given(to[1] - from[1])),
-                (x.given(over_square), x.given(to[1])),
-            ),
-            #[inline(always)]
-            |((x, y), (nearest, sign), (from_x, from_y), (along_x, along_y), (over_square, to_y))| {
-                let (off_x, off_y) = (x - from_x, y - from_y);
-                let share = (off_x.mul_add(along_x, off_y * along_y) * over_square).at_least(0.0).at_most(1.0);
-                let (to_edge_x, to_edge_y) = (off_x - share * along_x, off_y - share * along_y);
-                let square = to_edge_x.square_add(to_edge_y.square());
-                // It is crossed upwards with the point on its left, or downwards with it on its right.
-                let (is_from_above, is_to_above) = (y.lt(from_y), y.lt(to_y));
-                let is_left = (along_y * off_x).lt(along_x * off_y);
-                let is_crossed = (!is_from_above & is_to_above & is_left) | (is_from_above & !is_to_above & !is_left);
-                (nearest.min(square), R::select(is_crossed, -sign, sign))
-            },
-        )
     }
 }
 
