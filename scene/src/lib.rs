@@ -20,6 +20,7 @@ pub mod noise;
 mod outline;
 mod parse;
 pub mod pixel;
+pub mod profiles;
 pub mod real;
 pub mod sampling;
 pub mod scene;

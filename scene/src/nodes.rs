@@ -11,6 +11,7 @@ mod prepared;
 mod primitives;
 mod runs;
 mod sample;
+mod sweeps;
 mod transforms;
 
 use schemars::JsonSchema;
@@ -26,6 +27,7 @@ pub use primitives::{
     SolidAngle, Sphere, Torus, Triangle, TriangularPrism, U, Vesica,
 };
 pub use sample::{Coat, Distance, Painted, Sample};
+pub use sweeps::{Extrude, Revolve};
 pub use transforms::{Rotate, Scale, Translate};
 
 use crate::bounds::Bounds;
@@ -69,6 +71,11 @@ pub trait Sdf {
 
     /// Further values that take other ways through the formula, drawn and tested like the first.
     const MORE: &'static [&'static str] = &[];
+
+    /// All values to be drawn and tested.
+    fn examples() -> Vec<String> {
+        std::iter::once(&Self::EXAMPLE).chain(Self::MORE).map(ToString::to_string).collect()
+    }
 
     /// The signed distance at `p`, negative inside, with materials where `V` keeps them.
     fn sample<R: Real, V: Sample<R>>(&self, p: Vec3<R>) -> V;
@@ -119,6 +126,11 @@ pub trait Sdf {
 
     /// A box that holds every point whose distance is at most `level`, which is not below 0.
     fn bounds(&self, level: f32) -> Bounds;
+
+    /// How many nodes it is as much work as, those inside not counted.
+    fn weight(&self) -> u32 {
+        1
+    }
 }
 
 /// A node without children: its distance says it all.
@@ -128,6 +140,11 @@ pub trait Primitive {
 
     /// Further values that take other ways through the formula.
     const MORE: &'static [&'static str] = &[];
+
+    /// All values to be drawn and tested.
+    fn examples() -> Vec<String> {
+        std::iter::once(&Self::EXAMPLE).chain(Self::MORE).map(ToString::to_string).collect()
+    }
 
     /// The signed distance from `p` to the surface, negative inside.
     fn distance<R: Real>(&self, p: Vec3<R>) -> R;
@@ -149,11 +166,20 @@ pub trait Primitive {
     fn fault(&self) -> Option<NodeFault> {
         None
     }
+
+    /// How many nodes it is as much work as.
+    fn weight(&self) -> u32 {
+        1
+    }
 }
 
 impl<P: Primitive> Sdf for P {
     const EXAMPLE: &'static str = <P as Primitive>::EXAMPLE;
     const MORE: &'static [&'static str] = <P as Primitive>::MORE;
+
+    fn examples() -> Vec<String> {
+        <P as Primitive>::examples()
+    }
 
     #[inline(always)]
     fn sample<R: Real, V: Sample<R>>(&self, p: Vec3<R>) -> V {
@@ -174,6 +200,10 @@ impl<P: Primitive> Sdf for P {
 
     fn bounds(&self, level: f32) -> Bounds {
         Primitive::bounds(self, level)
+    }
+
+    fn weight(&self) -> u32 {
+        Primitive::weight(self)
     }
 }
 
@@ -290,11 +320,18 @@ macro_rules! nodes {
                 }
             }
 
+            /// How many nodes it is as much work as, those inside not counted.
+            fn weight(&self) -> u32 {
+                match self {
+                    $(Self::$Kind(node) => Sdf::weight(node)),*
+                }
+            }
+
             /// Each kind's examples, as a user would write the whole node.
             pub fn examples() -> Vec<Example> {
                 let mut examples = Vec::new();
                 $(
-                    let of_kind = std::iter::once(&<$Kind as Sdf>::EXAMPLE).chain(<$Kind as Sdf>::MORE);
+                    let of_kind = <$Kind as Sdf>::examples().into_iter();
                     examples.extend(of_kind.enumerate().map(|(number, value)| Example {
                         kind: stringify!($Kind),
                         number,
@@ -347,6 +384,7 @@ nodes![
         Quad,
         BezierTube,
     ]
+    called: [Extrude, Revolve]
 ];
 
 /// A node to look at and to test with.
@@ -369,9 +407,9 @@ impl Node {
         self.children_mut().iter_mut().for_each(Self::name_materials_by_slot);
     }
 
-    /// How many nodes it has, itself included.
+    /// How many nodes it is as much work as: how many it has, itself included, where none is large.
     pub fn count(&self) -> u32 {
-        1 + self.children().iter().map(Self::count).sum::<u32>()
+        self.weight() + self.children().iter().map(Self::count).sum::<u32>()
     }
 
     /// Whether any node in it says a material of its own.

@@ -165,6 +165,9 @@ numbers! {
     /// The length of an arc, in degrees.
     Arc: |v| (0.1..=360.0).contains(&v), "an arc from 0.1 to 360 degrees",
         { "type": "number", "minimum": 0.1, "maximum": 360, "description": "The length of an arc, in degrees." };
+    /// A part of a whole turn, in degrees.
+    Turn: |v| (0.01..=360.0).contains(&v), "an angle from 0.01 to 360 degrees",
+        { "type": "number", "minimum": 0.01, "maximum": 360, "description": "A part of a whole turn, in degrees." };
     /// A vertical field of view, in degrees.
     FieldOfView: |v| (0.01..=179.0).contains(&v), "a field of view from 0.01 to 179 degrees",
         { "type": "number", "minimum": 0.01, "maximum": 179, "description": "A vertical field of view, in degrees." };

@@ -1,0 +1,142 @@
+//! Solids swept by a flat profile: along z, or around y.
+
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+use super::{Exactness, NodeFault, Primitive};
+use crate::bounds::Bounds;
+use crate::profiles::Profile;
+use crate::real::{Real, Vec3, vec3};
+use crate::values::{Amount, Coordinate, Length};
+
+/// A flat profile given a height along z, its middle at z = 0.
+///
+/// Inigo Quilez, "Distance functions": <https://iquilezles.org/articles/distfunctions/>. Where
+/// `round` is not 0 it is a bound: near rounded edges that meet, the distance is an under-estimate.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Extrude {
+    /// The profile, in the plane of x and y.
+    pub profile: Profile,
+    /// Whole height along z.
+    pub height: Length,
+    /// Radius of the rounded edges around both ends, inside the sharp solid.
+    #[serde(default = "sharp")]
+    pub round: Amount,
+}
+
+/// A flat profile turned about the y axis.
+///
+/// Inigo Quilez, "Distance functions": <https://iquilezles.org/articles/distfunctions/>. What of
+/// the profile comes to lie beyond the axis is cut away; the distance is then a bound, unless the
+/// profile is its own mirror image there.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Revolve {
+    /// The profile: its y is the axis, its x leads away from it.
+    pub profile: Profile,
+    /// How far the profile's origin lies from the axis.
+    #[serde(default = "on_axis")]
+    pub offset: Coordinate,
+}
+
+impl Primitive for Extrude {
+    const EXAMPLE: &str =
+        r#"{ "profile": { "star": { "points": 5, "outer": 1.1, "inner": 0.55 } }, "height": 0.6, "round": 0.1 }"#;
+
+    fn examples() -> Vec<String> {
+        let profiles = Profile::examples().into_iter();
+        let of_profiles = profiles.map(|(_, profile)| format!(r#"{{ "profile": {profile}, "height": 0.6 }}"#));
+        std::iter::once(Self::EXAMPLE.to_owned()).chain(of_profiles).collect()
+    }
+
+    #[inline(always)]
+    fn distance<R: Real>(&self, p: Vec3<R>) -> R {
+        let round = self.round.get();
+        let past_outline = self.profile.distance(p.x, p.y) + p.x.given(round);
+        let past_end = p.z.abs() - p.x.given(self.height.get() / 2.0 - round);
+        let (out, up) = (past_outline.at_least(0.0), past_end.at_least(0.0));
+        out.square_add(up.square()).sqrt() + past_outline.max(past_end).at_most(0.0) - p.x.given(round)
+    }
+
+    fn exactness(&self) -> Exactness {
+        let worst_rounding = if self.round.get() == 0.0 { Exactness::Exact } else { Exactness::Bound };
+        self.profile.exactness().max(worst_rounding)
+    }
+
+    fn fault(&self) -> Option<NodeFault> {
+        let most = self.height.get() / 2.0;
+        let message = format!("must be at most half of the height: make round {most} or less");
+        let round = (self.round.get() > most).then(|| NodeFault::new("round", message));
+        of_profile(&self.profile).or(round)
+    }
+
+    fn bounds(&self, level: f32) -> Bounds {
+        let (extent, up) = (self.profile.extent(level), self.height.get() / 2.0 + level);
+        let ([low_x, low_y], [high_x, high_y]) = (extent.low, extent.high);
+        Bounds { low: vec3(low_x, low_y, -up), high: vec3(high_x, high_y, up) }
+    }
+
+    fn weight(&self) -> u32 {
+        self.profile.weight()
+    }
+}
+
+impl Primitive for Revolve {
+    const EXAMPLE: &str = r#"{ "profile": { "star": { "points": 5, "outer": 0.5, "inner": 0.25 } }, "offset": 0.7 }"#;
+
+    const MORE: &'static [&'static str] = &[
+        r#"{ "profile": { "polygon": { "points": [[0, -1.1], [0.7, -1], [0.85, -0.5], [0.3, 0.3], [0.25, 0.7], [0.5, 1], [0.4, 1.05],
+            [0.1, 0.7], [0.15, 0.2], [0.7, -0.55], [0.6, -0.85], [0, -0.95]] } } }"#,
+        r#"{ "profile": { "bezier": { "points": [[-0.1, -0.6], [0.9, -0.7], [0.5, 0.5]], "thickness": 0.12 } }, "offset": 0.3 }"#,
+        r#"{ "profile": { "regular_polygon": { "sides": 5, "radius": 1 } } }"#,
+        r#"{ "profile": { "arc": { "radius": 0.8, "degrees": 220, "thickness": 0.2 } } }"#,
+        r#"{ "profile": { "circle": { "radius": 0.7 } }, "offset": -0.25 }"#,
+        r#"{ "profile": { "text": { "string": "S", "size": 0.9 } }, "offset": 0.6 }"#,
+    ];
+
+    #[inline(always)]
+    fn distance<R: Real>(&self, p: Vec3<R>) -> R {
+        let from_axis = p.x.square_add(p.z.square()).sqrt();
+        self.profile.distance(from_axis - p.x.given(self.offset.get()), p.y)
+    }
+
+    fn exactness(&self) -> Exactness {
+        let offset = self.offset.get();
+        let is_whole = self.profile.extent(0.0).low[0] + offset >= 0.0 || (offset == 0.0 && self.profile.is_mirrored());
+        let worst_cut = if is_whole { Exactness::Exact } else { Exactness::Bound };
+        self.profile.exactness().max(worst_cut)
+    }
+
+    fn fault(&self) -> Option<NodeFault> {
+        let reach = self.profile.extent(0.0).high[0];
+        let message =
+            format!("puts the profile beyond the axis, where nothing is turned: make offset more than {}", -reach);
+        let beyond = (self.offset.get() + reach <= 0.0).then(|| NodeFault::new("offset", message));
+        of_profile(&self.profile).or(beyond)
+    }
+
+    fn bounds(&self, level: f32) -> Bounds {
+        let extent = self.profile.extent(level);
+        let across = (extent.high[0] + self.offset.get()).max(0.0);
+        Bounds { low: vec3(-across, extent.low[1], -across), high: vec3(across, extent.high[1], across) }
+    }
+
+    fn weight(&self) -> u32 {
+        self.profile.weight()
+    }
+}
+
+/// What is wrong with the profile, placed in the node around it.
+fn of_profile(profile: &Profile) -> Option<NodeFault> {
+    let NodeFault { place, message } = profile.fault()?;
+    Some(NodeFault::new(format!("profile/{}/{place}", profile.name()), message))
+}
+
+fn sharp() -> Amount {
+    Amount::new(0.0).expect("0 is in range")
+}
+
+fn on_axis() -> Coordinate {
+    Coordinate::new(0.0).expect("0 is in range")
+}

@@ -1,0 +1,198 @@
+//! Flat shapes in the plane of x and y: what `extrude` gives a height and `revolve` turns about an axis.
+//!
+//! A profile is one documented struct in a file of its family under `profiles/`, one `impl` of
+//! [`Planar`], and one word in the list below. Its examples are examples of `extrude` and
+//! `revolve`, so the contract tests and the pictures of docs/nodes.md follow from those.
+
+mod edge;
+mod lettering;
+mod polygon;
+mod quadratic;
+mod regular;
+mod simple;
+mod strokes;
+mod text;
+
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+pub use lettering::{Lettering, NoLettering};
+pub use polygon::{Points, Polygon, WrongCount};
+pub use regular::{RegularPolygon, Star};
+pub use simple::{Circle, Rectangle};
+pub use strokes::{Arc, Bezier};
+pub use text::Text;
+
+use crate::nodes::{Exactness, NodeFault, snake_case};
+use crate::real::Real;
+use crate::values::{Amount, Coordinate};
+
+/// A point or an offset in the plane, in scene units.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+pub struct Spot(pub Coordinate, pub Coordinate);
+
+impl Spot {
+    /// Its coordinates.
+    #[inline(always)]
+    pub fn get(self) -> [f32; 2] {
+        [self.0.get(), self.1.get()]
+    }
+}
+
+/// A rectangle along the axes, in scene units.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Extent {
+    /// Its least coordinates.
+    pub low: [f32; 2],
+    /// Its greatest coordinates.
+    pub high: [f32; 2],
+}
+
+impl Extent {
+    /// The rectangle around the origin that reaches so far along each axis.
+    pub fn symmetric(x: f32, y: f32) -> Self {
+        Self { low: [-x, -y], high: [x, y] }
+    }
+
+    /// The least rectangle that holds some points, of which there is one or more.
+    pub fn around(points: impl IntoIterator<Item = [f32; 2]>) -> Self {
+        let empty = Self { low: [f32::INFINITY; 2], high: [f32::NEG_INFINITY; 2] };
+        points.into_iter().fold(empty, |extent, point| extent.hull(Self { low: point, high: point }))
+    }
+
+    /// The least rectangle that holds both.
+    pub fn hull(self, other: Self) -> Self {
+        let axis = |f: fn(f32, f32) -> f32, a: [f32; 2], b: [f32; 2]| [f(a[0], b[0]), f(a[1], b[1])];
+        Self { low: axis(f32::min, self.low, other.low), high: axis(f32::max, self.high, other.high) }
+    }
+
+    /// The rectangle with each side further out by `margin`.
+    pub fn widened(self, margin: f32) -> Self {
+        Self { low: self.low.map(|c| c - margin), high: self.high.map(|c| c + margin) }
+    }
+}
+
+/// What a profile means. Its value has a Lipschitz factor of 1.
+pub trait Planar {
+    /// A small valid value, as a user would write it.
+    const EXAMPLE: &'static str;
+
+    /// Further values that take other ways through the formula.
+    const MORE: &'static [&'static str] = &[];
+
+    /// Whether it is its own mirror image about the y axis.
+    const IS_MIRRORED: bool = false;
+
+    /// The signed distance from (`x`, `y`) to the outline, negative inside.
+    fn distance<R: Real>(&self, x: R, y: R) -> R;
+
+    /// A rectangle that holds every point whose distance is at most `level`, which is not below 0.
+    fn extent(&self, level: f32) -> Extent;
+
+    /// What its value is worth.
+    fn exactness(&self) -> Exactness {
+        Exactness::Exact
+    }
+
+    /// What is wrong with its numbers taken together, if anything; each alone is in range.
+    fn fault(&self) -> Option<NodeFault> {
+        None
+    }
+
+    /// How many nodes it is as much work as.
+    fn weight(&self) -> u32 {
+        1
+    }
+}
+
+macro_rules! profiles {
+    ($($Kind:ident),* $(,)?) => {
+        /// A flat shape in the plane of x and y, keyed by its name.
+        #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+        #[serde(rename_all = "snake_case")]
+        pub enum Profile {
+            $(#[doc = concat!("See [`", stringify!($Kind), "`].")] $Kind($Kind)),*
+        }
+
+        impl Profile {
+            /// The signed distance from (`x`, `y`) to the outline, negative inside.
+            pub fn distance<R: Real>(&self, x: R, y: R) -> R {
+                x.named(
+                    self.kind(),
+                    #[inline(always)]
+                    || match self {
+                        $(Self::$Kind(profile) => profile.distance(x, y)),*
+                    },
+                )
+            }
+
+            /// Its type.
+            #[inline(always)]
+            fn kind(&self) -> &'static str {
+                match self {
+                    $(Self::$Kind(_) => stringify!($Kind)),*
+                }
+            }
+
+            /// Whether it is its own mirror image about the y axis.
+            pub fn is_mirrored(&self) -> bool {
+                match self {
+                    $(Self::$Kind(_) => $Kind::IS_MIRRORED),*
+                }
+            }
+
+            /// A rectangle that holds every point whose distance is at most `level`, which is not below 0.
+            pub fn extent(&self, level: f32) -> Extent {
+                match self {
+                    $(Self::$Kind(profile) => profile.extent(level)),*
+                }
+            }
+
+            /// What its value is worth.
+            pub fn exactness(&self) -> Exactness {
+                match self {
+                    $(Self::$Kind(profile) => profile.exactness()),*
+                }
+            }
+
+            /// What is wrong with its numbers taken together, if anything.
+            pub(crate) fn fault(&self) -> Option<NodeFault> {
+                match self {
+                    $(Self::$Kind(profile) => profile.fault()),*
+                }
+            }
+
+            /// How many nodes it is as much work as.
+            pub(crate) fn weight(&self) -> u32 {
+                match self {
+                    $(Self::$Kind(profile) => profile.weight()),*
+                }
+            }
+
+            /// Each kind's examples: its type, and the whole profile as a user would write it.
+            pub fn examples() -> Vec<(&'static str, String)> {
+                let mut examples = Vec::new();
+                $(
+                    let of_kind = std::iter::once(&$Kind::EXAMPLE).chain($Kind::MORE);
+                    examples.extend(of_kind.map(|value| {
+                        (stringify!($Kind), format!("{{ \"{}\": {value} }}", snake_case(stringify!($Kind))))
+                    }));
+                )*
+                examples
+            }
+        }
+    };
+}
+
+profiles![Circle, Rectangle, RegularPolygon, Star, Polygon, Arc, Bezier, Text];
+
+impl Profile {
+    /// Its name in JSON.
+    pub fn name(&self) -> String {
+        snake_case(self.kind())
+    }
+}
+
+fn nothing() -> Amount {
+    Amount::new(0.0).expect("0 is in range")
+}

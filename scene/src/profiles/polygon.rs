@@ -1,0 +1,159 @@
+//! A polygon of any points.
+
+use std::borrow::Cow;
+
+use schemars::{JsonSchema, Schema, SchemaGenerator, json_schema};
+use serde::{Deserialize, Serialize};
+
+use super::edge::Edge;
+use super::{Extent, Planar, Spot};
+use crate::nodes::NodeFault;
+use crate::real::Real;
+
+/// Fewest points of a polygon.
+const MIN_POINTS: usize = 3;
+/// Most points of a polygon.
+const MAX_POINTS: usize = 256;
+/// Further than anything is, squared, and yet a number.
+const FAR: f32 = 1e30;
+
+/// A polygon given by its corners. It need not be convex, and either way round will do.
+///
+/// Inigo Quilez, "2D distance functions": <https://iquilezles.org/articles/distfunctions2d/>.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Polygon {
+    /// Its corners, 3 to 256 of them, in the order of a walk around it.
+    pub points: Points,
+}
+
+/// The corners of a polygon, and the edges between them.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(try_from = "Vec<Spot>", into = "Vec<Spot>")]
+pub struct Points {
+    spots: Vec<Spot>,
+    edges: Vec<Edge>,
+}
+
+/// Why some points are no polygon: there are so many.
+#[derive(Debug, thiserror::Error)]
+#[error("has {0} points: a polygon has {MIN_POINTS} to {MAX_POINTS}")]
+pub struct WrongCount(usize);
+
+impl TryFrom<Vec<Spot>> for Points {
+    type Error = WrongCount;
+
+    fn try_from(spots: Vec<Spot>) -> Result<Self, WrongCount> {
+        if !(MIN_POINTS..=MAX_POINTS).contains(&spots.len()) {
+            return Err(WrongCount(spots.len()));
+        }
+        let ends = spots.iter().zip(spots.iter().cycle().skip(1));
+        let edges = ends.map(|(from, to)| Edge::new(from.get(), to.get())).collect();
+        Ok(Self { spots, edges })
+    }
+}
+
+impl From<Points> for Vec<Spot> {
+    fn from(points: Points) -> Self {
+        points.spots
+    }
+}
+
+impl JsonSchema for Points {
+    fn schema_name() -> Cow<'static, str> {
+        "Points".into()
+    }
+
+    fn json_schema(generator: &mut SchemaGenerator) -> Schema {
+        let spot = generator.subschema_for::<Spot>();
+        json_schema!({
+            "type": "array", "items": spot, "minItems": MIN_POINTS, "maxItems": MAX_POINTS,
+            "description": "The corners of a polygon, in the order of a walk around it."
+        })
+    }
+}
+
+impl Planar for Polygon {
+    const EXAMPLE: &str = r#"{ "points": [[-0.9, -0.8], [0.9, -0.8], [0.9, -0.3], [0.3, -0.3], [0.3, 0.9], [-0.3, 0.9], [-0.3, -0.3], [-0.9, -0.3]] }"#;
+    const MORE: &'static [&'static str] = &[
+        r#"{ "points": [[0, 1], [1, -0.2], [0.1, 0.2], [-0.8, -0.9], [-0.5, 0.3]] }"#,
+        r#"{ "points": [[0.2, -0.6], [0.9, 0.1], [0.7, 0.8]] }"#,
+    ];
+
+    #[inline(always)]
+    fn distance<R: Real>(&self, x: R, y: R) -> R {
+        let mut found = (x.splat(FAR), x.splat(1.0));
+        for edge in &self.points.edges {
+            found = edge.pass(x, y, found);
+        }
+        let (nearest, sign) = found;
+        sign * nearest.sqrt()
+    }
+
+    fn extent(&self, level: f32) -> Extent {
+        Extent::around(self.points.edges.iter().map(|edge| edge.from)).widened(level)
+    }
+
+    fn fault(&self) -> Option<NodeFault> {
+        let edges = &self.points.edges;
+        let count = edges.len();
+        let (number, message) = (0..count).find_map(|number| doubled(edges, number)).or_else(|| {
+            (0..count).find_map(|number| (0..number).find_map(|earlier| crossing(edges, earlier, number)))
+        })?;
+        Some(NodeFault::new(format!("points/{number}"), message))
+    }
+
+    fn weight(&self) -> u32 {
+        (self.points.edges.len() / 4).max(1) as u32
+    }
+}
+
+/// A fault of a corner that stands in the place of an earlier one.
+fn doubled(edges: &[Edge], number: usize) -> Option<(usize, String)> {
+    let earlier = (0..number).find(|&earlier| edges[earlier].from == edges[number].from)?;
+    Some((number, format!("is the same point as points/{earlier}: remove or move one of them")))
+}
+
+/// A fault of an edge that touches an earlier one elsewhere than where one ends and the other starts.
+fn crossing(edges: &[Edge], earlier: usize, number: usize) -> Option<(usize, String)> {
+    let (a, b) = (edges[earlier], edges[number]);
+    let count = edges.len();
+    if a.to == b.from || b.to == a.from {
+        // Neighbours meet in one corner, unless the second goes back along the first.
+        let (corner, before, after) = if a.to == b.from { (a.to, a.from, b.to) } else { (b.to, b.from, a.to) };
+        let goes_back = turn(before, corner, after) == 0.0 && !is_between(corner, before, after);
+        let back = format!("goes back along the edge before it: remove or move points/{number}");
+        return goes_back.then_some((number, back));
+    }
+    let next = (number + 1) % count;
+    let cure = "put the points in the order of a walk around the shape";
+    let message = format!(
+        "begins an edge, to points/{next}, that crosses the one from points/{earlier} to points/{}: {cure}",
+        earlier + 1
+    );
+    do_touch(a, b).then_some((number, message))
+}
+
+/// Whether two edges have a point in common.
+fn do_touch(a: Edge, b: Edge) -> bool {
+    let sides = |edge: Edge, other: Edge| [turn(edge.from, edge.to, other.from), turn(edge.from, edge.to, other.to)];
+    let ([p, q], [r, s]) = (sides(a, b), sides(b, a));
+    if p * q < 0.0 && r * s < 0.0 {
+        return true;
+    }
+    (p == 0.0 && is_between(b.from, a.from, a.to))
+        || (q == 0.0 && is_between(b.to, a.from, a.to))
+        || (r == 0.0 && is_between(a.from, b.from, b.to))
+        || (s == 0.0 && is_between(a.to, b.from, b.to))
+}
+
+/// Above 0 where the way from `a` by `b` to `c` turns left, below 0 where right, 0 where it does not turn.
+fn turn(a: [f32; 2], b: [f32; 2], c: [f32; 2]) -> f64 {
+    let along = |axis: usize, to: [f32; 2]| f64::from(to[axis]) - f64::from(a[axis]);
+    along(0, b) * along(1, c) - along(1, b) * along(0, c)
+}
+
+/// Whether `point`, which is on the line through `a` and `b`, lies between them or on one.
+fn is_between(point: [f32; 2], a: [f32; 2], b: [f32; 2]) -> bool {
+    (0..2).all(|axis| (a[axis].min(b[axis])..=a[axis].max(b[axis])).contains(&point[axis]))
+}

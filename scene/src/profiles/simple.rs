@@ -1,0 +1,71 @@
+//! Profiles with a short closed formula. Each is exact.
+
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+use super::{Extent, Planar};
+use crate::nodes::NodeFault;
+use crate::real::Real;
+use crate::values::{Amount, Length};
+
+/// A disc around the origin.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Circle {
+    /// Its radius.
+    pub radius: Length,
+}
+
+impl Planar for Circle {
+    const EXAMPLE: &str = r#"{ "radius": 0.9 }"#;
+    const IS_MIRRORED: bool = true;
+
+    #[inline(always)]
+    fn distance<R: Real>(&self, x: R, y: R) -> R {
+        x.square_add(y.square()).sqrt() - x.given(self.radius.get())
+    }
+
+    fn extent(&self, level: f32) -> Extent {
+        Extent::symmetric(self.radius.get(), self.radius.get()).widened(level)
+    }
+}
+
+/// A rectangle around the origin, its sides along the axes.
+///
+/// Inigo Quilez, "2D distance functions": <https://iquilezles.org/articles/distfunctions2d/>.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Rectangle {
+    /// Whole extents along x and y.
+    pub size: [Length; 2],
+    /// Radius of its rounded corners, inside `size`.
+    #[serde(default = "super::nothing")]
+    pub round: Amount,
+}
+
+impl Planar for Rectangle {
+    const EXAMPLE: &str = r#"{ "size": [1.8, 1.2], "round": 0.25 }"#;
+    const MORE: &'static [&'static str] = &[r#"{ "size": [0.5, 1.1] }"#];
+    const IS_MIRRORED: bool = true;
+
+    #[inline(always)]
+    fn distance<R: Real>(&self, x: R, y: R) -> R {
+        let ([width, height], round) = (self.size, self.round.get());
+        let past_side = x.abs() - x.given(width.get() / 2.0 - round);
+        let past_top = y.abs() - x.given(height.get() / 2.0 - round);
+        let (right, up) = (past_side.at_least(0.0), past_top.at_least(0.0));
+        right.square_add(up.square()).sqrt() + past_side.max(past_top).at_most(0.0) - x.given(round)
+    }
+
+    fn extent(&self, level: f32) -> Extent {
+        let [width, height] = self.size;
+        Extent::symmetric(width.get() / 2.0, height.get() / 2.0).widened(level)
+    }
+
+    fn fault(&self) -> Option<NodeFault> {
+        let [width, height] = self.size;
+        let most = width.get().min(height.get()) / 2.0;
+        let message = format!("must be at most half of the shorter side: make round {most} or less");
+        (self.round.get() > most).then(|| NodeFault::new("round", message))
+    }
+}

@@ -1,0 +1,120 @@
+//! Profiles that are a line of some thickness, with round ends.
+
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+use super::quadratic::{HalfParabola, Quadratic};
+use super::{Extent, Planar, Spot};
+use crate::nodes::Exactness;
+use crate::real::Real;
+use crate::values::{Length, Turn, sin_cos_degrees};
+
+/// A part of a ring around the origin with round ends, its middle at the top.
+///
+/// Inigo Quilez, "2D distance functions": <https://iquilezles.org/articles/distfunctions2d/>.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Arc {
+    /// Radius of the line in its middle.
+    pub radius: Length,
+    /// The angle between its ends, seen from the origin.
+    pub degrees: Turn,
+    /// How thick it is.
+    pub thickness: Length,
+}
+
+impl Planar for Arc {
+    const EXAMPLE: &str = r#"{ "radius": 0.8, "degrees": 250, "thickness": 0.4 }"#;
+    const MORE: &'static [&'static str] = &[
+        r#"{ "radius": 1, "degrees": 60, "thickness": 0.3 }"#,
+        r#"{ "radius": 0.8, "degrees": 340, "thickness": 0.5 }"#,
+        r#"{ "radius": 0.7, "degrees": 360, "thickness": 0.2 }"#,
+    ];
+    const IS_MIRRORED: bool = true;
+
+    #[inline(always)]
+    fn distance<R: Real>(&self, x: R, y: R) -> R {
+        let (s, c) = sin_cos_degrees(self.degrees.get() / 2.0);
+        let radius = self.radius.get();
+        let across = x.abs();
+        let (from_end_x, from_end_y) = (across - x.given(s * radius), y - x.given(c * radius));
+        let from_end = from_end_x.square_add(from_end_y.square()).sqrt();
+        let from_ring = (across.square_add(y.square()).sqrt() - x.given(radius)).abs();
+        let is_past_end = (y * x.given(s)).lt(across * x.given(c));
+        R::select(is_past_end, from_end, from_ring) - x.given(self.thickness.get() / 2.0)
+    }
+
+    fn extent(&self, level: f32) -> Extent {
+        let (s, c) = sin_cos_degrees(self.degrees.get() / 2.0);
+        let radius = self.radius.get();
+        let across = if c < 0.0 { radius } else { radius * s };
+        Extent { low: [-across, radius * c], high: [across, radius] }.widened(self.thickness.get() / 2.0 + level)
+    }
+
+    fn exactness(&self) -> Exactness {
+        // Inside, the distance to the middle line tells that to the outline, unless the line's own
+        // ends, or both sides of its circle, come nearer to each other than it is thick.
+        let (s, c) = sin_cos_degrees(self.degrees.get() / 2.0);
+        let (radius, half) = (self.radius.get(), self.thickness.get() / 2.0);
+        let is_closed = s == 0.0;
+        if half <= radius && (c >= 0.0 || is_closed || radius * s >= half) {
+            Exactness::Exact
+        } else {
+            Exactness::Bound
+        }
+    }
+}
+
+/// A curve between two points, drawn towards a third, with round ends: a quadratic Bézier curve.
+///
+/// The distance is that to the two halves of its parabola, each by Newton's method from the end at
+/// which it cannot miss.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Bezier {
+    /// Its start, the point it is drawn towards, and its end.
+    pub points: [Spot; 3],
+    /// How thick it is.
+    pub thickness: Length,
+}
+
+impl Bezier {
+    fn curve(&self) -> Quadratic {
+        let [from, control, to] = self.points.map(Spot::get);
+        Quadratic { from, control, to }
+    }
+}
+
+impl Planar for Bezier {
+    const EXAMPLE: &str = r#"{ "points": [[-0.9, -0.7], [0, 1.8], [0.9, -0.7]], "thickness": 0.3 }"#;
+    const MORE: &'static [&'static str] = &[
+        r#"{ "points": [[-1, -0.4], [-0.4, 0.9], [1, 0.5]], "thickness": 0.2 }"#,
+        r#"{ "points": [[-0.9, -0.5], [0, 0], [0.9, 0.5]], "thickness": 0.4 }"#,
+        r#"{ "points": [[-0.3, -0.8], [0.1, 2.4], [0.3, -0.6]], "thickness": 0.5 }"#,
+    ];
+
+    #[inline(always)]
+    fn distance<R: Real>(&self, x: R, y: R) -> R {
+        let curve = self.curve();
+        let [first, second] = curve.split(curve.vertex()).map(HalfParabola::new);
+        // Further than anything is, squared, and yet a number.
+        let nearest = second.nearer(x, y, first.nearer(x, y, x.splat(1e30)));
+        nearest.sqrt() - x.given(self.thickness.get() / 2.0)
+    }
+
+    fn extent(&self, level: f32) -> Extent {
+        self.curve().extent().widened(self.thickness.get() / 2.0 + level)
+    }
+
+    fn exactness(&self) -> Exactness {
+        // Inside, the distance to the curve tells that to the outline as long as no circle of the
+        // thickness touches the curve twice; a parabola turns by less than half a turn, so none does
+        // that is not larger than its least circle of curvature.
+        let is_slack = self.thickness.get() / 2.0 <= self.curve().least_radius();
+        if is_slack { Exactness::Exact } else { Exactness::Bound }
+    }
+
+    fn weight(&self) -> u32 {
+        2
+    }
+}

@@ -1,0 +1,104 @@
+//! A line of text.
+
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+use super::edge::Found;
+use super::lettering::{Letter, Lettering, Piece};
+use super::{Extent, Planar};
+use crate::nodes::Exactness;
+use crate::real::Real;
+use crate::values::Length;
+
+/// A line of bold text without serifs, its middle at the origin: half of its length along x, and
+/// half of a capital's height along y.
+///
+/// It is exact unless letters stand so near to each other that one is above the other.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Text {
+    /// What it says, up to 64 characters: Latin letters, digits, punctuation and arrows.
+    pub string: Lettering,
+    /// Size of the font: capitals are 0.73 of it high.
+    pub size: Length,
+}
+
+impl Letter {
+    /// The square of a distance that some point of the outline has.
+    #[inline(always)]
+    fn square_at_most<R: Real>(&self, x: R, y: R) -> R {
+        let [anchor_x, anchor_y] = self.anchor;
+        (x - x.given(anchor_x)).square_add((y - x.given(anchor_y)).square())
+    }
+
+    /// The square of a distance that no point of the outline is nearer than.
+    #[inline(always)]
+    fn square_at_least<R: Real>(&self, x: R, y: R) -> R {
+        // By far more than rounding, so that a letter that may matter is looked at.
+        const MARGIN: f32 = 1e-4;
+        let Extent { low, high } = self.extent.widened(MARGIN);
+        let beyond_x = (x.given(low[0]) - x).max(x - x.given(high[0])).at_least(0.0);
+        let beyond_y = (x.given(low[1]) - y).max(y - x.given(high[1])).at_least(0.0);
+        beyond_x.square_add(beyond_y.square())
+    }
+
+    /// What was found so far, and this letter. Outside of its extent a ray to the right crosses its
+    /// closed outline an even number of times, so one that is too far away can be left out.
+    #[inline(always)]
+    fn pass<R: Real>(&self, x: R, y: R, found: Found<R>) -> Found<R> {
+        R::when(
+            self.square_at_least(x, y).lt(found.0),
+            found,
+            #[inline(always)]
+            || {
+                let mut found = found;
+                for piece in &self.pieces {
+                    found = match piece {
+                        Piece::Line(edge) => edge.pass(x, y, found),
+                        Piece::Curve(curve) => curve.pass(x, y, found),
+                    };
+                }
+                found
+            },
+        )
+    }
+}
+
+impl Planar for Text {
+    const EXAMPLE: &str = r#"{ "string": "sdf", "size": 1 }"#;
+    const MORE: &'static [&'static str] = &[r#"{ "string": "AV&Q8", "size": 0.6 }"#];
+
+    #[inline(always)]
+    fn distance<R: Real>(&self, x: R, y: R) -> R {
+        let size = self.size.get();
+        let (x, y) = (x * x.given(1.0 / size), y * x.given(1.0 / size));
+        let mut nearest = x.splat(1e30);
+        for letter in self.string.letters() {
+            nearest = nearest.min(letter.square_at_most(x, y));
+        }
+        let mut found = (nearest, x.splat(1.0));
+        for letter in self.string.letters() {
+            found = letter.pass(x, y, found);
+        }
+        let (nearest, sign) = found;
+        sign * nearest.sqrt() * x.given(size)
+    }
+
+    fn extent(&self, level: f32) -> Extent {
+        let size = self.size.get();
+        let letters = self.string.letters().iter();
+        let corners = letters.flat_map(|letter| [letter.extent.low, letter.extent.high]);
+        Extent::around(corners.map(|corner| corner.map(|c| c * size))).widened(level)
+    }
+
+    fn exactness(&self) -> Exactness {
+        let letters = self.string.letters();
+        let is_apart = letters.windows(2).all(|pair| pair[0].extent.high[0] < pair[1].extent.low[0]);
+        if is_apart { Exactness::Exact } else { Exactness::Bound }
+    }
+
+    fn weight(&self) -> u32 {
+        let pieces: usize = self.string.letters().iter().map(|letter| letter.pieces.len()).sum();
+        (pieces / 2).max(1) as u32
+    }
+}

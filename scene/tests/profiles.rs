@@ -1,0 +1,224 @@
+//! Profiles: what every one of them promises in the plane, and what is wrong with some polygons.
+
+use scene::nodes::Exactness;
+use scene::profiles::Profile;
+
+fn profile(json: &str) -> Profile {
+    serde_json::from_str(json).expect("it is a profile")
+}
+
+/// Points all over a square of edge 4, in no pattern.
+fn places(count: u32) -> impl Iterator<Item = (f32, f32)> {
+    let scattered = |n: u32, share: f64| ((f64::from(n) * share).fract() * 4.0 - 2.0) as f32;
+    (1..=count).map(move |n| (scattered(n, 0.754_877_666_246_692_7), scattered(n, 0.569_840_290_998_053_2)))
+}
+
+#[test]
+fn the_schema_describes_every_profile_and_each_of_its_keys() {
+    let schema = scene::schema();
+    for (kind, json) in Profile::examples() {
+        let definition = &schema["$defs"][kind];
+        assert!(definition["description"].is_string(), "{kind} has no description");
+        assert_eq!(definition["additionalProperties"], false, "{kind} takes unknown keys");
+        let json: serde_json::Value = serde_json::from_str(&json).unwrap();
+        let (_, value) = json.as_object().unwrap().iter().next().unwrap();
+        for key in value.as_object().unwrap().keys() {
+            assert!(definition["properties"][key]["description"].is_string(), "{kind}.{key} has no description");
+        }
+    }
+}
+
+#[test]
+fn a_circle_as_large_as_an_exact_distance_says_touches_the_outline() {
+    const TURNS: u16 = 1_000;
+    for (kind, json) in Profile::examples() {
+        let profile = profile(&json);
+        if profile.exactness() != Exactness::Exact {
+            continue;
+        }
+        for (x, y) in places(150) {
+            let distance: f32 = profile.distance(x, y);
+            let around = (0..TURNS).map(|turn| {
+                let (s, c) = (f32::from(turn) / f32::from(TURNS) * std::f32::consts::TAU).sin_cos();
+                profile.distance(x + c * distance.abs(), y + s * distance.abs())
+            });
+            let least = around.map(|there| there * distance.signum()).fold(f32::INFINITY, f32::min);
+            // Between two of the directions tried, an outline's corner is missed by as much.
+            let spacing = distance.abs() * std::f32::consts::PI / f32::from(TURNS);
+            assert!(least.abs() <= spacing + 1e-5, "{kind}: {distance} at {x}, {y}, {least} is left");
+        }
+    }
+}
+
+#[test]
+fn a_mirrored_profile_is_its_own_mirror_image() {
+    for (kind, json) in Profile::examples() {
+        let profile = profile(&json);
+        let is_same = places(500).all(|(x, y)| profile.distance(x, y) == profile.distance(-x, y));
+        assert!(is_same || !profile.is_mirrored(), "{kind} {json}");
+    }
+}
+
+/// The polygon whose corners lie at these distances, evenly around the origin from the top on.
+fn polygon_around(distances: impl Iterator<Item = f32> + Clone) -> Profile {
+    let count = distances.clone().count() as f32;
+    let corners: Vec<[f32; 2]> = distances
+        .enumerate()
+        .map(|(corner, distance)| {
+            let (s, c) = (corner as f32 / count * std::f32::consts::TAU).sin_cos();
+            [s * distance, c * distance]
+        })
+        .collect();
+    profile(&serde_json::json!({ "polygon": { "points": corners } }).to_string())
+}
+
+fn assert_same(a: &Profile, b: &Profile) {
+    for (x, y) in places(3_000) {
+        let (here, there): (f32, f32) = (a.distance(x, y), b.distance(x, y));
+        assert!((here - there).abs() <= 2e-6, "{here} and {there} at {x}, {y} of {a:?}");
+    }
+}
+
+#[test]
+fn regular_polygons_and_stars_are_the_polygons_of_their_corners() {
+    for count in [3, 4, 5, 6, 7, 8, 11, 16, 33, 64] {
+        let regular = profile(&format!(r#"{{ "regular_polygon": {{ "sides": {count}, "radius": 0.9 }} }}"#));
+        assert_same(&regular, &polygon_around(std::iter::repeat_n(0.9, count)));
+        let star = profile(&format!(r#"{{ "star": {{ "points": {count}, "outer": 1.1, "inner": 0.6 }} }}"#));
+        assert_same(&star, &polygon_around(std::iter::repeat_n([1.1, 0.6], count).flatten()));
+    }
+}
+
+#[test]
+fn a_polygon_is_the_same_either_way_round() {
+    let points = [[0.0, 1.0], [1.0, -0.2], [0.1, 0.2], [-0.8, -0.9], [-0.5, 0.3]];
+    let mut reversed = points;
+    reversed.reverse();
+    let polygon = |points: [[f64; 2]; 5]| profile(&serde_json::json!({ "polygon": { "points": points } }).to_string());
+    assert_same(&polygon(points), &polygon(reversed));
+}
+
+/// The pointer and the message of what is wrong with a scene of this one shape.
+fn fault(shape: &str) -> (String, String) {
+    let text = format!(
+        r#"{{ "scene": {{ "camera": {{ "position": [0, 0, 4], "look_at": [0, 0, 0], "fov": 40 }},
+            "objects": [{{ "shape": {shape} }}] }}, "image": {{ "width": 32, "height": 32 }} }}"#
+    );
+    match scene::parse(text.as_bytes()).expect_err("it is wrong") {
+        scene::Refusal::Wrong(mut faults) => {
+            let fault = faults.remove(0);
+            let within = fault.pointer.strip_prefix("/scene/objects/0/shape/").expect("it is in the shape");
+            (within.to_owned(), fault.message)
+        }
+        other @ scene::Refusal::NotJson(_) => panic!("{other}"),
+    }
+}
+
+fn polygon_fault(points: &str) -> (String, String) {
+    let (place, message) =
+        fault(&format!(r#"{{ "extrude": {{ "profile": {{ "polygon": {{ "points": {points} }} }}, "height": 1 }} }}"#));
+    (place.strip_prefix("extrude/profile/polygon/").expect("it is in the polygon").to_owned(), message)
+}
+
+#[test]
+fn a_polygon_that_is_none_says_where_and_what_to_do() {
+    let cases = [
+        ("[[0, 0], [1, 0]]", "points", "has 2 points: a polygon has 3 to 256"),
+        ("[[0, 0], [1, 0], [1, 1], [1, 1]]", "points/3", "is the same point as points/2"),
+        ("[[0, 0], [1, 0], [1, 1], [0, 0]]", "points/3", "is the same point as points/0"),
+        ("[[0, 0], [1, 1], [1, 0], [0, 1]]", "points/2", "crosses the one from points/0 to points/1"),
+        ("[[0, 0], [2, 0], [2, 2], [1, 0], [0, 2]]", "points/2", "crosses the one from points/0 to points/1"),
+        ("[[0, 0], [2, 0], [1, 0], [1, 1]]", "points/1", "goes back along the edge before it"),
+    ];
+    for (points, place, words) in cases {
+        let (at, message) = polygon_fault(points);
+        assert_eq!(at, place, "{points}: {message}");
+        assert!(message.contains(words), "{points}: {message}");
+    }
+}
+
+#[test]
+fn sweeps_that_cannot_be_say_where_and_what_to_do() {
+    let cases = [
+        (
+            r#"{ "extrude": { "profile": { "circle": { "radius": 1 } }, "height": 0.5, "round": 0.3 } }"#,
+            ("extrude/round", "must be at most half of the height: make round 0.25 or less"),
+        ),
+        (
+            r#"{ "revolve": { "profile": { "circle": { "radius": 1 } }, "offset": -1.5 } }"#,
+            ("revolve/offset", "puts the profile beyond the axis, where nothing is turned: make offset more than -1"),
+        ),
+        (
+            r#"{ "revolve": { "profile": { "rectangle": { "size": [1, 2], "round": 0.6 } } } }"#,
+            ("revolve/profile/rectangle/round", "must be at most half of the shorter side: make round 0.5 or less"),
+        ),
+    ];
+    for (shape, (place, message)) in cases {
+        assert_eq!(fault(shape), (place.to_owned(), message.to_owned()));
+    }
+}
+
+fn text(string: &str) -> Profile {
+    profile(&format!(r#"{{ "text": {{ "string": "{string}", "size": 1 }} }}"#))
+}
+
+#[test]
+fn a_capital_i_is_the_rectangle_that_the_font_says() {
+    // 385 by 1493 of the font's 2048 units, half a unit left of the middle.
+    let size = [385.0 / 2048.0, 1493.0 / 2048.0];
+    let rectangle = profile(&serde_json::json!({ "rectangle": { "size": size } }).to_string());
+    let letter = text("I");
+    for (x, y) in places(1_000) {
+        let (got, want): (f32, f32) = (letter.distance(x, y), rectangle.distance(x + 0.5 / 2048.0, y));
+        assert!((got - want).abs() < 1e-5, "{got}, not {want} at {x}, {y}");
+    }
+}
+
+#[test]
+fn holes_of_letters_are_outside() {
+    for string in ["O", "0", "D", "Q", "©", "4"] {
+        let letter = text(string);
+        let crossed = (-100_i16..100).map(|n| letter.distance(f32::from(n) * 0.01, 0.031) < 0.0);
+        let changes = crossed.clone().zip(crossed.skip(1)).filter(|(here, there)| here != there).count();
+        assert!(changes >= 4 && changes % 2 == 0, "{string} has {changes} sides");
+    }
+}
+
+#[test]
+fn letters_that_fit_together_stand_nearer() {
+    let width = |string: &str| {
+        let extent = text(string).extent(0.0);
+        extent.high[0] - extent.low[0]
+    };
+    assert!(width("AV") < width("A") + width("V"));
+    assert!(width("HH") > width("H") + width("H"));
+}
+
+#[test]
+fn a_text_that_cannot_be_set_says_why() {
+    let cases = [
+        ("東", "has '東', which the font lacks: it has Latin letters, digits, punctuation and arrows"),
+        ("two\\nlines", "has '\\n', which the font lacks: it has Latin letters, digits, punctuation and arrows"),
+        (" ", "shows nothing: write a letter or more"),
+        (&"l".repeat(65), "has 65 characters: use at most 64"),
+        (&"®".repeat(60), "has outlines of 4947 lines and curves: use fewer letters, for at most 2000"),
+    ];
+    for (string, message) in cases {
+        let shape = format!(
+            r#"{{ "extrude": {{ "profile": {{ "text": {{ "string": "{string}", "size": 1 }} }}, "height": 1 }} }}"#
+        );
+        assert_eq!(fault(&shape), ("extrude/profile/text/string".to_owned(), message.to_owned()));
+    }
+}
+
+#[test]
+fn a_long_text_counts_as_many_nodes() {
+    let node = |string: &str| -> scene::nodes::Node {
+        let shape = format!(
+            r#"{{ "extrude": {{ "profile": {{ "text": {{ "string": "{string}", "size": 1 }} }}, "height": 1 }} }}"#
+        );
+        serde_json::from_str(&shape).expect("it is a node")
+    };
+    assert_eq!(node("I").count(), 2);
+    assert!(node("Sphere tracing").count() > 100);
+}
