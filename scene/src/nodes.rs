@@ -18,7 +18,11 @@ use serde::{Deserialize, Serialize};
 pub use fractals::Mandelbulb;
 pub use modifiers::Paint;
 pub use operators::{Difference, Intersection, Union};
-pub use primitives::{Box, Capsule, Cylinder, InfiniteCylinder, Plane, Pyramid, Sphere, Torus, TriangularPrism};
+pub use primitives::{
+    Box, BoxFrame, Capsule, Cylinder, Diamond, Dodecahedron, Gyroid, HexagonalPrism, Icosahedron, InfiniteCylinder,
+    OctagonalPrism, Octahedron, Plane, Pyramid, RegularPyramid, Rhombus, SchwarzP, Sides, Sphere, Tetrahedron, Torus,
+    TriangularPrism,
+};
 pub use sample::{Coat, Distance, Painted, Sample};
 pub use transforms::{Rotate, Scale, Translate};
 
@@ -320,7 +324,20 @@ nodes![
         Scale,
         Paint,
     ],
-    called: []
+    called: [
+        BoxFrame,
+        Rhombus,
+        HexagonalPrism,
+        OctagonalPrism,
+        RegularPyramid,
+        Tetrahedron,
+        Octahedron,
+        Dodecahedron,
+        Icosahedron,
+        Gyroid,
+        SchwarzP,
+        Diamond,
+    ]
 ];
 
 /// A node to look at and to test with.
