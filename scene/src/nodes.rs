@@ -31,6 +31,10 @@ pub use primitives::{
     BezierTube, Box, CappedCone, CappedTorus, Capsule, Cone, CutHollowSphere, CutSphere, Cylinder, DeathStar,
     Ellipsoid, Horseshoe, InfiniteCone, InfiniteCylinder, Link, Plane, Pyramid, Quad, RoundCone, RoundedCylinder,
     SolidAngle, Sphere, Torus, Triangle, TriangularPrism, U, Vesica,
+pub use primitives::{
+    Box, BoxFrame, Capsule, Cylinder, Diamond, Dodecahedron, Gyroid, HexagonalPrism, Icosahedron, InfiniteCylinder,
+    OctagonalPrism, Octahedron, Plane, Pyramid, RegularPyramid, Rhombus, SchwarzP, Sides, Sphere, Tetrahedron, Torus,
+    TriangularPrism,
 };
 pub use sample::{Coat, Distance, Painted, Sample};
 pub use sweeps::{Extrude, Revolve};
@@ -408,6 +412,19 @@ nodes![
     ]
     called: [Extrude, Revolve]
     called: [Displace, Warp, HeightField]
+        BoxFrame,
+        Rhombus,
+        HexagonalPrism,
+        OctagonalPrism,
+        RegularPyramid,
+        Tetrahedron,
+        Octahedron,
+        Dodecahedron,
+        Icosahedron,
+        Gyroid,
+        SchwarzP,
+        Diamond,
+    ]
 ];
 
 /// A node to look at and to test with.

@@ -7,6 +7,12 @@ mod cut;
 mod rings;
 mod round;
 mod sheets;
+mod frames;
+mod periodic;
+mod polyhedra;
+mod regular;
+mod sides;
+mod slopes;
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -19,6 +25,14 @@ pub use round::{Ellipsoid, RoundedCylinder, Vesica};
 pub use sheets::{Quad, Triangle};
 
 use super::{Exactness, NodeFault, Primitive};
+pub use frames::{BoxFrame, Rhombus};
+pub use periodic::{Diamond, Gyroid, SchwarzP};
+pub use polyhedra::{Dodecahedron, Icosahedron, Octahedron, Tetrahedron};
+pub use regular::{HexagonalPrism, OctagonalPrism, RegularPyramid};
+pub use sides::Sides;
+
+use self::slopes::Slope;
+use super::{Exactness, Primitive};
 use crate::bounds::Bounds;
 use crate::real::{Real, Vec3, vec3};
 use crate::values::{Amount, Coordinate, Direction, Length, Point};
@@ -208,7 +222,7 @@ impl Primitive for TriangularPrism {
     }
 }
 
-/// A pyramid over the unit square on y = 0, its apex at y = height.
+/// A pyramid over a rectangle on y = 0, its apex at y = height.
 ///
 /// The distance to the slanted faces is Inigo Quilez's, "Distance functions":
 /// <https://iquilezles.org/articles/distfunctions/>; the base is added here.
@@ -217,13 +231,23 @@ impl Primitive for TriangularPrism {
 pub struct Pyramid {
     /// Height of its apex.
     pub height: Length,
+    /// Whole extents of its base along x and z; the unit square when absent.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub base: Option<[Length; 2]>,
 }
 
 impl Primitive for Pyramid {
     const EXAMPLE: &str = r#"{ "height": 0.9 }"#;
+    const MORE: &[&str] = &[r#"{ "height": 0.7, "base": [1.8, 0.9] }"#];
 
     #[inline(always)]
     fn distance<R: Real>(&self, p: Vec3<R>) -> R {
+        if let Some(base) = self.base {
+            return p.x.vectorize(
+                #[inline(always)]
+                || over_rectangle(p, base.map(Length::get), self.height.get()),
+            );
+        }
         let slant = self.height.get() * self.height.get() + 0.25;
         let (over_slant, over_base) = (p.x.given(1.0 / slant), p.x.given(1.0 / (slant + 0.25)));
         let (height, slant) = (p.x.given(self.height.get()), p.x.given(slant));
@@ -245,8 +269,25 @@ impl Primitive for Pyramid {
     }
 
     fn bounds(&self, level: f32) -> Bounds {
-        Bounds { low: vec3(-0.5, 0.0, -0.5), high: vec3(0.5, self.height.get(), 0.5) }.widened(level)
+        let [x, z] = self.base.map_or([0.5; 2], |base| base.map(|extent| extent.get() / 2.0));
+        Bounds { low: vec3(-x, 0.0, -z), high: vec3(x, self.height.get(), z) }.widened(level)
     }
+}
+
+/// The distance to a pyramid over a rectangle of these whole extents along x and z.
+#[inline(always)]
+fn over_rectangle<R: Real>(p: Vec3<R>, base: [f32; 2], height: f32) -> R {
+    let [half_x, half_z] = base.map(
+        #[inline(always)]
+        |extent| extent * 0.5,
+    );
+    let (x, z) = (p.x.abs(), p.z.abs());
+    let (to_side, past_side) = Slope::new(half_x, half_z, height).reach(x, z, p.y);
+    let (to_front, past_front) = Slope::new(half_z, half_x, height).reach(z, x, p.y);
+    let (past_x, past_z) = ((x - p.x.given(half_x)).at_least(0.0), (z - p.x.given(half_z)).at_least(0.0));
+    let to_base = past_x.square_add(past_z.square_add(p.y.square()));
+    let distance = to_side.min(to_front).min(to_base).sqrt();
+    R::select(past_side.max(past_front).max(-p.y).below(0.0), -distance, distance)
 }
 
 /// A ring around the y axis.

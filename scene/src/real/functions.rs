@@ -5,7 +5,7 @@
 //! operations. Each is compiled once, hence [`Real::shared`], and called.
 //! The errors in the docs of [`Real`] are measured by this module's tests.
 
-use std::f32::consts::{FRAC_2_PI, FRAC_PI_2, FRAC_PI_4, LOG2_E, PI};
+use std::f32::consts::{FRAC_2_PI, FRAC_PI_2, FRAC_PI_4, LOG2_E, PI, TAU};
 
 use super::Real;
 
@@ -30,20 +30,40 @@ pub(super) fn sin_cos<R: Real>(x: R) -> (R, R) {
             let r = quarter.mul_add(x.splat(-1.570_312_5), x);
             let r = quarter.mul_add(x.splat(-4.837_512_969_970_703e-4), r);
             let r = quarter.mul_add(x.splat(-7.549_789_948_768_648e-8), r);
-            let square = r * r;
-            let sine = (square * r)
-                .mul_add(polynomial(square, &[-1.951_529_589_1e-4, 8.332_160_873_6e-3, -1.666_665_461_1e-1]), r);
-            let cosine = (square * square).mul_add(
-                polynomial(square, &[2.443_315_711_809_948e-5, -1.388_731_625_493_765e-3, 4.166_664_568_298_827e-2]),
-                square.mul_add(x.splat(-0.5), x.splat(1.0)),
-            );
-            let half = (quarter * 0.5).floor();
-            let odd = quarter.mul_add(x.splat(1.0), half * -2.0).above(0.5);
-            let lower = half.mul_add(x.splat(1.0), (half * 0.5).floor() * -2.0).above(0.5);
-            let (s, c) = (R::select(odd, cosine, sine), R::select(odd, -sine, cosine));
-            (R::select(lower, -s, s), R::select(lower, -c, c))
+            quarter_turned(quarter, r)
         },
     )
+}
+
+pub(super) fn sin_cos_turns<R: Real>(turns: R) -> (R, R) {
+    turns.shared(
+        "sin_cos_turns",
+        turns,
+        #[inline(always)]
+        |turns| {
+            let quarter = (turns * 4.0 + 0.5).floor();
+            // What is left is exact, and at most an eighth of a turn.
+            let rest = quarter.mul_add(turns.splat(-0.25), turns);
+            quarter_turned(quarter, rest * TAU)
+        },
+    )
+}
+
+/// Sine and cosine of a number of quarter turns and `r`, which is at most an eighth of a turn.
+#[inline(always)]
+fn quarter_turned<R: Real>(quarter: R, r: R) -> (R, R) {
+    let square = r * r;
+    let sine =
+        (square * r).mul_add(polynomial(square, &[-1.951_529_589_1e-4, 8.332_160_873_6e-3, -1.666_665_461_1e-1]), r);
+    let cosine = (square * square).mul_add(
+        polynomial(square, &[2.443_315_711_809_948e-5, -1.388_731_625_493_765e-3, 4.166_664_568_298_827e-2]),
+        square.mul_add(r.splat(-0.5), r.splat(1.0)),
+    );
+    let half = (quarter * 0.5).floor();
+    let odd = quarter.mul_add(r.splat(1.0), half * -2.0).above(0.5);
+    let lower = half.mul_add(r.splat(1.0), (half * 0.5).floor() * -2.0).above(0.5);
+    let (s, c) = (R::select(odd, cosine, sine), R::select(odd, -sine, cosine));
+    (R::select(lower, -s, s), R::select(lower, -c, c))
 }
 
 pub(super) fn acos<R: Real>(x: R) -> R {
@@ -217,6 +237,10 @@ mod tests {
         let wide = || between(-1e4, 1e4).chain(between(-7.0, 7.0));
         check("sin", largest_error(wide(), |x| (Real::sin(x), f64::from(x).sin()), 1.0), SIN_ULP);
         check("cos", largest_error(wide(), |x| (Real::cos(x), f64::from(x).cos()), 1.0), SIN_ULP);
+        let turns = || between(-1e3, 1e3).chain(between(-1.0, 1.0));
+        let angle = |x: f32| f64::from(x) * std::f64::consts::TAU;
+        check("sin of turns", largest_error(turns(), |x| (x.sin_cos_turns().0, angle(x).sin()), 1.0), TURNS_ULP);
+        check("cos of turns", largest_error(turns(), |x| (x.sin_cos_turns().1, angle(x).cos()), 1.0), TURNS_ULP);
         check("acos", largest_error(between(-1.0, 1.0), |x| (Real::acos(x), f64::from(x).acos()), 0.0), ACOS_ULP);
         check("exp", largest_error(between(-87.0, 88.0), |x| (Real::exp(x), f64::from(x).exp()), 0.0), EXP_ULP);
         let small = (1..0x7f80).map(|i| f32::from_bits(i << 16)).filter(|x| x.is_normal());
@@ -232,6 +256,7 @@ mod tests {
     }
 
     const SIN_ULP: f64 = 0.8;
+    const TURNS_ULP: f64 = 0.9;
     const ACOS_ULP: f64 = 1.3;
     const EXP_ULP: f64 = 1.0;
     const LN_ULP: f64 = 0.9;

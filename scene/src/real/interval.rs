@@ -264,6 +264,10 @@ impl Real for Interval {
         (all, all)
     }
 
+    fn sin_cos_turns(self) -> (Self, Self) {
+        self.sin_cos()
+    }
+
     fn sin(self) -> Self {
         self.sin_cos().0
     }

@@ -1,0 +1,259 @@
+//! Regular polyhedra around the origin, all exact.
+//!
+//! The mirrors of a polyhedron cut space into equal wedges with their tips at its middle. Each
+//! wedge holds a corner, the middle of an edge and the middle of a face, and what is nearest to a
+//! point of a wedge is in that wedge too (H. S. M. Coxeter, "Regular Polytopes", chapter V). So
+//! points are folded into one wedge by reflections, as in Mikael Christensen, "Folding space",
+//! <http://blog.hvidtfeldts.net/index.php/2011/08/distance-estimated-3d-fractals-iii-folding-space/>,
+//! and the distance is that to one face along one of its edges. The order of the mirrors is that of a
+//! reduced word of the group's longest element, which takes every wedge to the first.
+
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+use super::super::Primitive;
+use crate::bounds::Bounds;
+use crate::real::{Real, Vec3, vec3};
+use crate::values::Length;
+
+/// A polyhedron of four triangles: it stands on one of them, a corner on the +y axis.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Tetrahedron {
+    /// From the origin to its corners.
+    pub radius: Length,
+}
+
+/// A polyhedron of eight triangles, its corners on the axes.
+///
+/// As Inigo Quilez's, "Distance functions": <https://iquilezles.org/articles/distfunctions/>.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Octahedron {
+    /// From the origin to its corners.
+    pub radius: Length,
+}
+
+/// A polyhedron of twelve pentagons; the axes go through the middles of edges.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Dodecahedron {
+    /// From the origin to its corners.
+    pub radius: Length,
+}
+
+/// A polyhedron of twenty triangles; the axes go through the middles of edges.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Icosahedron {
+    /// From the origin to its corners.
+    pub radius: Length,
+}
+
+/// The golden ratio φ = (1 + √5)/2.
+const GOLDEN: f32 = 1.618_034;
+/// √½.
+const ROOT_OF_HALF: f32 = 0.707_106_77;
+/// √⅓.
+const ROOT_OF_THIRD: f32 = 0.577_350_26;
+
+impl Primitive for Tetrahedron {
+    const EXAMPLE: &str = r#"{ "radius": 1.1 }"#;
+
+    #[inline(always)]
+    fn distance<R: Real>(&self, p: Vec3<R>) -> R {
+        // Of the base, seen from its middle: its edges are √2/3 of the radius away, and half of one is √(2/3) of it.
+        const TO_EDGE: f32 = 0.471_404_52;
+        const HALF_EDGE: f32 = 0.816_496_6;
+        let p = fold_tetrahedron(p);
+        let radius = self.radius.get();
+        let before = -p.y - p.x.given(radius / 3.0);
+        let past_edge = p.z - p.x.given(radius * TO_EDGE);
+        beside_edge(before, past_edge, p.x - p.x.given(radius * HALF_EDGE))
+    }
+
+    fn bounds(&self, level: f32) -> Bounds {
+        // The base's corners are 2√2/3 of the radius from the axis.
+        let (radius, across) = (self.radius.get(), self.radius.get() * 0.942_809_1);
+        Bounds { low: vec3(-across, -radius / 3.0, -across), high: vec3(across, radius, across) }.widened(level)
+    }
+}
+
+impl Primitive for Octahedron {
+    const EXAMPLE: &str = r#"{ "radius": 1.1 }"#;
+
+    #[inline(always)]
+    fn distance<R: Real>(&self, p: Vec3<R>) -> R {
+        let (x, y, z) = (p.x.abs(), p.y.abs(), p.z.abs());
+        let least = x.min(y).min(z);
+        let most = x.max(y).max(z);
+        let middle = x.min(y).max(x.max(y).min(z));
+        let radius = p.x.given(self.radius.get());
+        // The nearest edge joins the corners of the two greater coordinates.
+        let over = middle + (most - radius);
+        let past_edge = (over - least * 2.0) * (ROOT_OF_HALF * ROOT_OF_THIRD);
+        let past_end = ((most - middle) - radius) * ROOT_OF_HALF;
+        beside_edge((over + least) * ROOT_OF_THIRD, past_edge, past_end)
+    }
+
+    fn bounds(&self, level: f32) -> Bounds {
+        let radius = self.radius.get();
+        Bounds::symmetric(radius, radius, radius).widened(level)
+    }
+}
+
+impl Primitive for Dodecahedron {
+    const EXAMPLE: &str = r#"{ "radius": 1.1 }"#;
+
+    #[inline(always)]
+    fn distance<R: Real>(&self, p: Vec3<R>) -> R {
+        // A corner is along (1, 0, φ²), a face's middle along (0, 1, φ).
+        const TO_EDGE: f32 = 0.934_172_4;
+        const HALF_EDGE: f32 = 0.356_822_1;
+        const NORMAL: (f32, f32) = (0.525_731_1, 0.850_650_8);
+        let p = fold_icosahedron(p);
+        let radius = self.radius.get();
+        let from_edge = p.z - p.x.given(radius * TO_EDGE);
+        beside_face(NORMAL, p.y, from_edge, p.x - p.x.given(radius * HALF_EDGE))
+    }
+
+    fn bounds(&self, level: f32) -> Bounds {
+        // The middles of edges on the axes are as far out as any corner's coordinate.
+        let reach = self.radius.get() * 0.934_172_4;
+        Bounds::symmetric(reach, reach, reach).widened(level)
+    }
+}
+
+impl Primitive for Icosahedron {
+    const EXAMPLE: &str = r#"{ "radius": 1.1 }"#;
+
+    #[inline(always)]
+    fn distance<R: Real>(&self, p: Vec3<R>) -> R {
+        // A corner is along (0, 1, φ), a face's middle along (1, 0, φ²).
+        const TO_EDGE: f32 = 0.850_650_8;
+        const HALF_EDGE: f32 = 0.525_731_1;
+        const NORMAL: (f32, f32) = (0.356_822_1, 0.934_172_4);
+        let p = fold_icosahedron(p);
+        let radius = self.radius.get();
+        let from_edge = p.z - p.x.given(radius * TO_EDGE);
+        beside_face(NORMAL, p.x, from_edge, p.y - p.x.given(radius * HALF_EDGE))
+    }
+
+    fn bounds(&self, level: f32) -> Bounds {
+        // The middles of edges on the axes are as far out as any corner's coordinate.
+        let reach = self.radius.get() * 0.850_650_8;
+        Bounds::symmetric(reach, reach, reach).widened(level)
+    }
+}
+
+/// The distance to a face, by how far a point is from the middle of its edge: `across` and `up`,
+/// in which `normal` tells which way the face looks; `past_end` is how far past the edge's end.
+#[inline(always)]
+fn beside_face<R: Real>(normal: (f32, f32), across: R, up: R, past_end: R) -> R {
+    let (normal_across, normal_up) = (up.splat(normal.0), up.splat(normal.1));
+    let before = across.mul_add(normal_across, up * normal_up);
+    let past_edge = up.mul_add(normal_across, -(across * normal_up));
+    beside_edge(before, past_edge, past_end)
+}
+
+/// The distance to a face: `before` its plane where the point is over it, else to its edge or corner.
+#[inline(always)]
+fn beside_edge<R: Real>(before: R, past_edge: R, past_end: R) -> R {
+    let to_edge = before.square_add(past_edge.square_add(past_end.at_least(0.0).square())).sqrt();
+    R::select(past_edge.above(0.0), to_edge, before)
+}
+
+/// Mirrors what is behind a plane through the origin.
+#[inline(always)]
+fn mirror<R: Real>(p: (R, R), normal: (f32, f32)) -> (R, R) {
+    let (a, b) = p;
+    let behind = a.mul_add(a.splat(normal.0), b * normal.1).at_most(0.0);
+    (behind.mul_add(a.splat(-2.0 * normal.0), a), behind.mul_add(a.splat(-2.0 * normal.1), b))
+}
+
+/// Folds space into the wedge of the face below, the edge of it across +z, and the end of that at +x.
+#[inline(always)]
+fn fold_tetrahedron<R: Real>(p: Vec3<R>) -> Vec3<R> {
+    // Mirrors: x = 0, one through the y axis and the end of the edge, one through the whole edge.
+    const THROUGH_END: (f32, f32) = (-0.5, 0.866_025_4);
+    const THROUGH_EDGE: (f32, f32) = (-0.816_496_6, -ROOT_OF_THIRD);
+    let (x, z) = mirror((p.x.abs(), p.z), THROUGH_END);
+    let x = x.abs();
+    let (y, z) = mirror((p.y, z), THROUGH_EDGE);
+    let (x, z) = mirror((x, z), THROUGH_END);
+    vec3(x.abs(), y, z)
+}
+
+/// Folds space into the wedge between (0, 0, 1), (0, 1, φ) and (1, 0, φ²).
+#[inline(always)]
+fn fold_icosahedron<R: Real>(p: Vec3<R>) -> Vec3<R> {
+    p.x.shared(
+        "fold_icosahedron",
+        p,
+        #[inline(always)]
+        |p: Vec3<R>| {
+            // Mirrors: x = 0, y = 0, and the plane through the wedge's corners off the z axis. z = 0 is a
+            // mirror of the group too: with it, three rounds do what takes five without.
+            let p = mirror_icosahedron(vec3(p.x.abs(), p.y.abs(), p.z.abs()));
+            let p = mirror_icosahedron(vec3(p.x.abs(), p.y.abs(), p.z));
+            mirror_icosahedron(vec3(p.x.abs(), p.y.abs(), p.z))
+        },
+    )
+}
+
+#[inline(always)]
+fn mirror_icosahedron<R: Real>(p: Vec3<R>) -> Vec3<R> {
+    const NORMAL: Vec3<f32> = vec3(-0.5 * GOLDEN, -0.5, 0.5 / GOLDEN);
+    let like = p.x;
+    let twice =
+        like.mul_add(like.splat(-2.0 * NORMAL.x), p.y.mul_add(like.splat(-2.0 * NORMAL.y), p.z * (-2.0 * NORMAL.z)));
+    let behind = twice.at_least(0.0);
+    vec3(
+        behind.mul_add(like.splat(NORMAL.x), p.x),
+        behind.mul_add(like.splat(NORMAL.y), p.y),
+        behind.mul_add(like.splat(NORMAL.z), p.z),
+    )
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn turned(step: u16) -> Vec3<f32> {
+        let turn = |speed: f32| Real::sin(speed * f32::from(step));
+        vec3(turn(1.3), turn(2.1), turn(0.7))
+    }
+
+    #[test]
+    fn every_point_is_folded_into_the_wedge() {
+        for step in 0..20_000 {
+            let p = turned(step);
+            let folded = fold_icosahedron(p);
+            assert!((folded.length() - p.length()).abs() < 2e-6, "{p:?} to {folded:?}");
+            let beside = folded.z - GOLDEN * (GOLDEN * folded.x + folded.y);
+            assert!(folded.x.min(folded.y).min(beside) > -4e-6, "{p:?} to {folded:?}");
+            let folded = fold_tetrahedron(p);
+            assert!((folded.length() - p.length()).abs() < 2e-6, "{p:?} to {folded:?}");
+            let (end, edge) = (folded.z * 3.0_f32.sqrt() - folded.x, -folded.y * 2.0_f32.sqrt() - folded.z);
+            assert!(folded.x.min(end).min(edge) > -4e-6, "{p:?} to {folded:?}");
+        }
+    }
+
+    #[test]
+    fn corners_and_middles_of_faces_are_where_coxeter_has_them() {
+        let radius = Length::new(1.0).expect("a length");
+        let (icosahedron, dodecahedron) = (Icosahedron { radius }, Dodecahedron { radius });
+        let tetrahedron = Tetrahedron { radius };
+        for (x, y, z) in [(0.0, 1.0, GOLDEN), (1.0, -GOLDEN, 0.0), (-GOLDEN, 0.0, 1.0)] {
+            let axis = vec3(x, y, z).normalize();
+            assert!((icosahedron.distance(axis + axis) - 1.0).abs() < 1e-6);
+            // The inscribed ball of a dodecahedron has √((5 + 2√5)/15) of the radius.
+            assert!((dodecahedron.distance(axis) - (1.0 - 0.794_654_5)).abs() < 1e-6);
+        }
+        let corner = vec3(ROOT_OF_THIRD, -ROOT_OF_THIRD, ROOT_OF_THIRD);
+        assert!((dodecahedron.distance(corner + corner) - 1.0).abs() < 1e-6);
+        assert!((icosahedron.distance(vec3(0.0, 0.0, 0.0)) + 0.794_654_5).abs() < 1e-6);
+        assert!((tetrahedron.distance(vec3(0.0, 0.0, 0.0)) + 1.0 / 3.0).abs() < 1e-6);
+        assert!((tetrahedron.distance(vec3(0.0, 3.0, 0.0)) - 2.0).abs() < 1e-6);
+    }
+}

@@ -1,0 +1,51 @@
+//! The slanted faces of pyramids.
+
+use crate::real::Real;
+
+/// A slanted face of a pyramid: a triangle from an edge of the base to the apex, in directions of its own.
+///
+/// The base is on y = 0 and the apex above its middle. A point is told by how far out from the
+/// axis it is, how far along the edge from the edge's middle, and how high.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Slope {
+    /// From the axis to the base's edge.
+    inradius: f32,
+    /// Half of that edge.
+    half_edge: f32,
+    /// Length of the slanted edge, from a corner to the apex.
+    slant: f32,
+    /// Which way the face looks, out and up.
+    normal: (f32, f32),
+    /// Which way its slanted edge looks, within the face: along and up the face.
+    side: (f32, f32),
+}
+
+impl Slope {
+    /// A face of a pyramid of this height.
+    pub(super) fn new(inradius: f32, half_edge: f32, height: f32) -> Self {
+        let rise = Real::sqrt(inradius * inradius + height * height);
+        let slant = Real::sqrt(half_edge * half_edge + rise * rise);
+        let normal = (height / rise, inradius / rise);
+        let side = (rise / slant, half_edge / slant);
+        Self { inradius, half_edge, slant, normal, side }
+    }
+
+    /// The square of the distance to the triangle, for points beside the half of it where `along` is
+    /// positive, and how far the point is before its plane. Below the edge of the base it is the
+    /// distance to the corner at most: the base is nearer there.
+    #[inline(always)]
+    pub(super) fn reach<R: Real>(&self, out: R, along: R, height: R) -> (R, R) {
+        let (across, up) = (out.given(self.normal.0), out.given(self.normal.1));
+        let from_edge = out - out.given(self.inradius);
+        let before = from_edge.mul_add(across, height * up);
+        let climbed = height.mul_add(across, -(from_edge * up));
+        let from_corner = along - out.given(self.half_edge);
+        let (sideways, upwards) = (out.given(self.side.0), out.given(self.side.1));
+        let past_slant = from_corner.mul_add(sideways, climbed * upwards);
+        let along_slant = climbed.mul_add(sideways, -(from_corner * upwards));
+        let past_end = along_slant - along_slant.at_least(0.0).min(out.given(self.slant));
+        let to_slant = past_slant.square_add(past_end.square());
+        let is_beside = past_slant.max(-climbed).above(0.0);
+        (before.square_add(R::select(is_beside, to_slant, out.splat(0.0))), before)
+    }
+}

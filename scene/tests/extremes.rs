@@ -1,0 +1,187 @@
+//! What every node does with its numbers at the ends of their ranges, by the schema: nothing here names a node.
+
+use std::panic::{AssertUnwindSafe, catch_unwind};
+
+use scene::Refusal;
+use scene::nodes::{Example, Node};
+use scene::real::{Vec3, vec3};
+use serde_json::{Number, Value, json};
+
+/// A number of an example, by its place, and the ends of its range.
+struct Place {
+    pointer: String,
+    ends: Vec<Number>,
+}
+
+/// What a schema says, past references.
+fn resolved<'s>(root: &'s Value, schema: &'s Value) -> &'s Value {
+    match schema["$ref"].as_str() {
+        Some(reference) => resolved(root, root.pointer(reference.trim_start_matches('#')).expect("a definition")),
+        None => schema,
+    }
+}
+
+/// The schemas that may describe a value: all alternatives, and what stands beside them.
+fn alternatives<'s>(root: &'s Value, schema: &'s Value) -> Vec<&'s Value> {
+    let schema = resolved(root, schema);
+    let choices = ["oneOf", "anyOf", "allOf"].into_iter().filter_map(|key| schema[key].as_array()).flatten();
+    std::iter::once(schema).chain(choices.flat_map(|choice| alternatives(root, choice))).collect()
+}
+
+/// The places of all numbers in `value`, which the schemas describe.
+fn places(root: &Value, schemas: &[&Value], value: &Value, pointer: &str, found: &mut Vec<Place>) {
+    let within = |schemas: Vec<&Value>| -> Vec<Value> { schemas.into_iter().cloned().collect() };
+    match value {
+        Value::Object(map) => {
+            for (key, inner) in map {
+                let inner_schemas = within(
+                    schemas
+                        .iter()
+                        .filter(|schema| map.keys().all(|key| schema["properties"].get(key).is_some()))
+                        .flat_map(|schema| alternatives(root, &schema["properties"][key]))
+                        .collect(),
+                );
+                let inner_schemas: Vec<&Value> = inner_schemas.iter().collect();
+                places(root, &inner_schemas, inner, &format!("{pointer}/{key}"), found);
+            }
+        }
+        Value::Array(list) => {
+            for (index, inner) in list.iter().enumerate() {
+                let of_item = |schema: &&Value| match schema["prefixItems"].get(index) {
+                    Some(item) => item.clone(),
+                    None => schema["items"].clone(),
+                };
+                let items: Vec<Value> = schemas.iter().map(of_item).filter(Value::is_object).collect();
+                let inner_schemas: Vec<&Value> = items.iter().flat_map(|item| alternatives(root, item)).collect();
+                places(root, &inner_schemas, inner, &format!("{pointer}/{index}"), found);
+            }
+        }
+        Value::Number(_) => {
+            let ends = schemas.iter().find_map(|schema| ends(schema)).unwrap_or_default();
+            found.push(Place { pointer: pointer.to_owned(), ends });
+        }
+        Value::Null | Value::Bool(_) | Value::String(_) => {}
+    }
+}
+
+/// The least and the greatest number that a schema allows, and 0 where it lies between.
+fn ends(schema: &Value) -> Option<Vec<Number>> {
+    let kind = schema["type"].as_str()?;
+    let largest_word = json!(u32::MAX);
+    let largest = match (&schema["maximum"], schema["format"].as_str()) {
+        (Value::Null, Some("uint32")) => &largest_word,
+        (given, _) => given,
+    };
+    let (Value::Number(low), Value::Number(high)) = (&schema["minimum"], largest) else {
+        return None;
+    };
+    // Whole numbers may come as 1.0 from the schema, which JSON would not take for one.
+    let whole = |number: &Number| match (kind, number.as_f64()) {
+        ("integer", Some(value)) => Number::from(value as i64),
+        _ => number.clone(),
+    };
+    let zero = (low.as_f64()? <= 0.0 && high.as_f64()? >= 0.0).then(|| Number::from(0));
+    Some([Some(whole(low)), Some(whole(high)), zero].into_iter().flatten().collect())
+}
+
+/// Points all over space, near the origin and far from it.
+fn points() -> impl Iterator<Item = Vec3<f32>> {
+    let mut word = 1_u32;
+    let mut next = move |reach: f32| {
+        word = word.wrapping_mul(747_796_405).wrapping_add(2_891_336_453);
+        let mixed = ((word >> ((word >> 28) + 4)) ^ word).wrapping_mul(277_803_737);
+        reach * ((((mixed >> 22) ^ mixed) >> 8) as f32 / (1 << 23) as f32 - 1.0)
+    };
+    let reaches = [0.0, 1e-6, 1e-3, 0.1, 1.0, 3.0, 100.0, 1e3, 1e5, 1e6];
+    (0..2_000).map(move |round| {
+        let reach = reaches[round % reaches.len()];
+        vec3(next(reach), next(reach), next(reach))
+    })
+}
+
+/// What is wrong with a node of these numbers, if it is neither refused for a reason nor finite everywhere.
+fn wrong_with(node: &Value) -> Option<String> {
+    let job = json!({
+        "scene": { "camera": { "position": [0, 0, 5], "look_at": [0, 0, 0] }, "objects": [{ "shape": node }] },
+        "image": { "width": 1, "height": 1 }
+    });
+    let shape = match scene::parse(job.to_string().as_bytes()) {
+        Ok(job) => job.scene.objects[0].shape.clone(),
+        Err(Refusal::NotJson(fault)) => return Some(format!("is no JSON: {fault}")),
+        Err(Refusal::Wrong(faults)) => {
+            let stray = faults.iter().find(|fault| {
+                !fault.pointer.starts_with("/scene/objects/0/shape") || fault.message.split(' ').count() < 3
+            });
+            return stray.map(|fault| format!("is refused without saying what to do: {fault}"));
+        }
+    };
+    if !(shape.stretch().is_finite() && shape.stretch() > 0.0) {
+        return Some(format!("has a Lipschitz factor of {}", shape.stretch()));
+    }
+    let bounds = shape.bounds(0.5);
+    let sides: [[f32; 3]; 2] = [bounds.low.into(), bounds.high.into()];
+    if sides.as_flattened().iter().any(|side| side.is_nan()) {
+        return Some(format!("has the bounds {bounds:?}"));
+    }
+    points().find_map(|p| {
+        let distance = shape.distance(p);
+        (!distance.is_finite()).then(|| format!("is {distance} at {p:?}"))
+    })
+}
+
+/// What is wrong with an example when some of its numbers are changed.
+fn wrong_with_changes(example: &Value, changes: &[(&str, &Number)]) -> Option<String> {
+    let mut changed = example.clone();
+    for &(pointer, number) in changes {
+        *changed.pointer_mut(pointer).expect("a place of the example") = Value::Number(number.clone());
+    }
+    let reason = catch_unwind(AssertUnwindSafe(|| wrong_with(&changed))).unwrap_or(Some("panics".to_owned()))?;
+    let changes: Vec<String> = changes.iter().map(|(pointer, number)| format!("{pointer} = {number}")).collect();
+    Some(format!("with {} {reason}", changes.join(" and ")))
+}
+
+/// The places of an example's numbers, each of which has a range.
+fn places_of(example: &Value) -> Vec<Place> {
+    let schema = scene::schema();
+    let mut found = Vec::new();
+    places(&schema, &alternatives(&schema, &schema["$defs"]["Node"]), example, "", &mut found);
+    for Place { pointer, ends } in &found {
+        assert!(!ends.is_empty(), "the schema gives {pointer} of {example} no range");
+    }
+    found
+}
+
+fn each_example(mut check: impl FnMut(&Value, &[Place]) -> Vec<String>) {
+    let mut wrong = Vec::new();
+    for Example { kind, number, node } in Node::examples() {
+        let example: Value = serde_json::from_str(&node).expect("an example is JSON");
+        let found = check(&example, &places_of(&example));
+        wrong.extend(found.into_iter().map(|reason| format!("{kind} {number} {reason}")));
+    }
+    assert!(wrong.is_empty(), "{} cases are wrong:\n{}", wrong.len(), wrong.join("\n"));
+}
+
+#[test]
+fn a_number_at_an_end_of_its_range_is_refused_for_a_reason_or_gives_finite_distances() {
+    each_example(|example, places| {
+        let changes = places.iter().flat_map(|place| place.ends.iter().map(|end| (place.pointer.as_str(), end)));
+        changes.filter_map(|change| wrong_with_changes(example, &[change])).collect()
+    });
+}
+
+#[test]
+fn two_numbers_at_the_ends_of_their_ranges_are_refused_for_a_reason_or_give_finite_distances() {
+    each_example(|example, places| {
+        let mut wrong = Vec::new();
+        for (index, first) in places.iter().enumerate() {
+            for second in &places[index + 1..] {
+                for (one, other) in first.ends.iter().flat_map(|one| second.ends.iter().map(move |other| (one, other)))
+                {
+                    let changes = [(first.pointer.as_str(), one), (second.pointer.as_str(), other)];
+                    wrong.extend(wrong_with_changes(example, &changes));
+                }
+            }
+        }
+        wrong
+    });
+}
