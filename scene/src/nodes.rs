@@ -16,8 +16,10 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 pub use fractals::Mandelbulb;
-pub use modifiers::Paint;
-pub use operators::{Difference, Intersection, Union};
+pub use modifiers::{Bend, Copies, Elongate, Mirror, Onion, Paint, PolarRepeat, Repeat, Round, Stretch, Taper, Twist};
+pub use operators::{
+    Chamfer, Columns, Difference, Engrave, Groove, Intersection, Join, Morph, Stairs, Tongue, Union, Xor,
+};
 pub use primitives::{Box, Capsule, Cylinder, InfiniteCylinder, Plane, Pyramid, Sphere, Torus, TriangularPrism};
 pub use sample::{Coat, Distance, Painted, Sample};
 pub use transforms::{Rotate, Scale, Translate};
@@ -251,9 +253,11 @@ macro_rules! nodes {
 
             /// What its value is worth.
             pub fn exactness(&self) -> Exactness {
-                match self {
+                // Without a box around it, LLVM 22 at level 2 takes what the node inside says for never
+                // exact, and "exact or a bound, whichever is worse" comes out as exact.
+                std::hint::black_box(match self {
                     $(Self::$Kind(node) => Sdf::exactness(node)),*
-                }
+                })
             }
 
             /// What is wrong with its numbers taken together, if anything.
@@ -320,7 +324,26 @@ nodes![
         Scale,
         Paint,
     ],
-    called: []
+    called: [
+        Xor,
+        Chamfer,
+        Stairs,
+        Columns,
+        Engrave,
+        Groove,
+        Tongue,
+        Morph,
+        Round,
+        Onion,
+        Elongate,
+        Stretch,
+        Repeat,
+        PolarRepeat,
+        Mirror,
+        Twist,
+        Bend,
+        Taper,
+    ]
 ];
 
 /// A node to look at and to test with.
