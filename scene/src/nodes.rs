@@ -36,6 +36,11 @@ pub use primitives::{
     OctagonalPrism, Octahedron, Plane, Pyramid, RegularPyramid, Rhombus, SchwarzP, Sides, Sphere, Tetrahedron, Torus,
     TriangularPrism,
 };
+pub use modifiers::{Bend, Copies, Elongate, Mirror, Onion, Paint, PolarRepeat, Repeat, Round, Stretch, Taper, Twist};
+pub use operators::{
+    Chamfer, Columns, Difference, Engrave, Groove, Intersection, Join, Morph, Stairs, Tongue, Union, Xor,
+};
+pub use primitives::{Box, Capsule, Cylinder, InfiniteCylinder, Plane, Pyramid, Sphere, Torus, TriangularPrism};
 pub use sample::{Coat, Distance, Painted, Sample};
 pub use sweeps::{Extrude, Revolve};
 pub use per_axis::PerAxis;
@@ -314,9 +319,11 @@ macro_rules! nodes {
 
             /// What its value is worth.
             pub fn exactness(&self) -> Exactness {
-                match self {
+                // Without a box around it, LLVM 22 at level 2 takes what the node inside says for never
+                // exact, and "exact or a bound, whichever is worse" comes out as exact.
+                std::hint::black_box(match self {
                     $(Self::$Kind(node) => Sdf::exactness(node)),*
-                }
+                })
             }
 
             /// What is wrong with its numbers taken together, if anything.
@@ -424,6 +431,24 @@ nodes![
         Gyroid,
         SchwarzP,
         Diamond,
+        Xor,
+        Chamfer,
+        Stairs,
+        Columns,
+        Engrave,
+        Groove,
+        Tongue,
+        Morph,
+        Round,
+        Onion,
+        Elongate,
+        Stretch,
+        Repeat,
+        PolarRepeat,
+        Mirror,
+        Twist,
+        Bend,
+        Taper,
     ]
 ];
 

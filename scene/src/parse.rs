@@ -182,15 +182,18 @@ fn meaning(job: &mut Job, moves: bool) -> Faults {
     if job.scene.objects.is_empty() {
         fault("/scene/objects", "is empty: a scene needs an object or more".to_owned());
     }
-    let mut nodes = 0;
+    let (mut nodes, mut is_sound) = (0, true);
     for (index, object) in job.scene.objects.iter().enumerate() {
-        tree(&object.shape, &mut format!("/scene/objects/{index}/shape"), 1, &mut nodes, &mut fault);
+        is_sound &= tree(&object.shape, &mut format!("/scene/objects/{index}/shape"), 1, &mut nodes, &mut fault);
     }
     if nodes > MAX_NODES {
         fault("/scene/objects", format!("has {nodes} nodes: use at most {MAX_NODES}"));
     }
     image(job, &mut fault);
     job.scene.prepare(moves);
+    if is_sound {
+        job.scene.prepare();
+    }
     for (pointer, name) in job.scene.resolve_materials() {
         let known: Vec<&str> = job.scene.materials.keys().map(String::as_str).collect();
         let cure = if known.is_empty() {
@@ -209,23 +212,37 @@ fn meaning(job: &mut Job, moves: bool) -> Faults {
     faults
 }
 
-fn tree(node: &Node, pointer: &mut String, depth: usize, nodes: &mut usize, fault: &mut impl FnMut(&str, String)) {
+/// Looks at a node and at all in it; says whether they are sound, so that they may be asked for their
+/// bounds. What is wrong inside a node is told first: only of sound shapes can it say what is wrong with them.
+fn tree(
+    node: &Node,
+    pointer: &mut String,
+    depth: usize,
+    nodes: &mut usize,
+    fault: &mut impl FnMut(&str, String),
+) -> bool {
     *nodes += 1;
     if depth == MAX_NODE_DEPTH + 1 {
         fault(pointer, format!("nests {depth} nodes deep: nest at most {MAX_NODE_DEPTH}"));
     }
-    if node.has_list() && node.children().is_empty() {
-        let name = node.name();
-        fault(&format!("{pointer}/{name}/of"), format!("is empty: {name} needs a shape or more"));
-    }
-    if let Some(NodeFault { place, message }) = node.fault() {
-        fault(&format!("{pointer}/{}/{place}", node.name()), message);
-    }
+    let mut is_sound = true;
     let length = pointer.len();
     for (child, step) in node.children().iter().zip(child_steps(node)) {
         pointer.push_str(&step);
-        tree(child, pointer, depth + 1, nodes, fault);
+        is_sound &= tree(child, pointer, depth + 1, nodes, fault);
         pointer.truncate(length);
+    }
+    let name = node.name();
+    if node.has_list() && node.children().is_empty() {
+        fault(&format!("{pointer}/{name}/of"), format!("is empty: {name} needs a shape or more"));
+        return false;
+    }
+    match is_sound.then(|| node.fault()).flatten() {
+        Some(NodeFault { place, message }) => {
+            fault(&format!("{pointer}/{name}/{place}"), message);
+            false
+        }
+        None => is_sound,
     }
 }
 

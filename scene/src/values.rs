@@ -144,6 +144,12 @@ numbers! {
     /// A size that may be nothing, in scene units.
     Amount: |v| v == 0.0 || (MIN_LENGTH..=MAX_LENGTH).contains(&v), "0, or a size from 1e-6 to 1e6",
         { "type": "number", "minimum": 0, "maximum": 1e6, "description": "0, or a size from 1e-6 to 1e6, in scene units." };
+    /// The distance from copy to copy, in scene units.
+    Spacing: |v| (MIN_LENGTH..=MAX_LENGTH).contains(&v), "a distance from 1e-6 to 1e6, or null along an axis without copies",
+        { "type": "number", "minimum": 1e-6, "maximum": 1e6, "description": "The distance from copy to copy, in scene units." };
+    /// A share of something.
+    Share: |v| (0.0..=1.0).contains(&v), "a share from 0 to 1",
+        { "type": "number", "minimum": 0, "maximum": 1, "description": "A share of something." };
     /// A uniform scale.
     Factor: |v| (1e-6..=1e6).contains(&v), "a factor from 1e-6 to 1e6",
         { "type": "number", "minimum": 1e-6, "maximum": 1e6, "description": "A uniform scale." };

@@ -1,7 +1,27 @@
 //! Shapes changed in other ways than by moving them.
 
+mod bend;
+mod cached;
+mod copies;
+mod lengthening;
+mod mirror;
+mod polar_repeat;
+mod repeat;
+mod taper;
+mod thickness;
+mod twist;
+
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
+
+pub use bend::Bend;
+pub use lengthening::{Elongate, Stretch};
+pub use mirror::Mirror;
+pub use polar_repeat::PolarRepeat;
+pub use repeat::{Copies, Repeat};
+pub use taper::Taper;
+pub use thickness::{Onion, Round};
+pub use twist::Twist;
 
 use super::transforms::around_child;
 use super::{Child, Node, Sample, Sdf};

@@ -6,8 +6,16 @@
 //!
 //! All are bounds: exact where one child alone is near.
 
+mod joins;
+mod reliefs;
+mod xor;
+
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
+
+pub use joins::{Chamfer, Columns, Join, Stairs};
+pub use reliefs::{Engrave, Groove, Morph, Tongue};
+pub use xor::Xor;
 
 use super::runs::{Run, Runs};
 use super::sample::indicator;

@@ -1,5 +1,6 @@
 //! What a node gives at a point: a bare distance while marching, with materials once a ray has hit.
 
+use super::Node;
 use crate::real::{Real, Vec3, vec3};
 
 /// What a node gives at a point.
@@ -18,6 +19,9 @@ pub trait Sample<R: Real>: Clone {
 
     /// What `join` makes of it and of what is at least `beyond` away, unless that is further than it.
     fn unless_beyond(self, beyond: R, join: impl FnOnce(Self) -> Self) -> Self;
+
+    /// The surface of `node` as `place` sees it, where its distance is known already.
+    fn found(node: &Node, place: Vec3<R>, distance: R) -> Self;
 
     /// The same surface, wearing a material wherever nothing inside it says otherwise; `p` is where
     /// the material's textures see the point.
@@ -57,6 +61,11 @@ impl<R: Real> Sample<R> for Distance<R> {
             #[inline(always)]
             || join(self).0,
         ))
+    }
+
+    #[inline(always)]
+    fn found(_: &Node, _: Vec3<R>, distance: R) -> Self {
+        Self(distance)
     }
 
     #[inline(always)]
@@ -131,6 +140,11 @@ impl<R: Real> Sample<R> for Painted<R> {
     #[inline(always)]
     fn unless_beyond(self, _: R, join: impl FnOnce(Self) -> Self) -> Self {
         join(self)
+    }
+
+    #[inline(always)]
+    fn found(node: &Node, place: Vec3<R>, distance: R) -> Self {
+        node.sample::<R, Self>(place).at(distance)
     }
 
     #[inline(always)]

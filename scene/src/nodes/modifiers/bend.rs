@@ -1,0 +1,171 @@
+//! A shape bent upwards: the x axis becomes a circle through the origin.
+//!
+//! With a curvature of k radians a unit the circle's centre is (0, 1/k). A point at the angle a from
+//! straight down, r from the centre, is where (a/k, 1/k − r) was: points at the same height r are drawn
+//! apart by 1/(k·r), and by nothing upwards. So with the shape below y, all of it is further than 1/k − y
+//! from the centre, and L = (1 + g)/(1 − k·y), or 1, is a Lipschitz factor for every r ≥ (1/k − y)/(1 + g).
+//!
+//! What is left is the half-plane above the centre, where the ends of the angle meet: with `beyond`, no
+//! more than the distance to what holds the bent shape, and s, the distance to that half-plane, the value is
+//! max(L·beyond, min(d, L·g·s)). At the half-plane, and nearer to the centre than said, it is L·beyond, on
+//! both sides alike; in the shape s is not 0, so that the surface stays where it is.
+
+use std::f32::consts::{FRAC_PI_2, PI};
+
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+use super::cached::Cached;
+use super::copies::ended;
+use super::twist::fault_unless_bounded;
+use crate::bounds::Bounds;
+use crate::nodes::transforms::around_child;
+use crate::nodes::{Child, Exactness, Node, NodeFault, Sample, Sdf};
+use crate::real::{Real, Vec3, vec3};
+use crate::values::Degrees;
+
+/// g: how far the factor holds beyond the shape, and how soon the half-plane is felt.
+const GUARD: f32 = 0.125;
+/// How near to the circle's centre the shape may come, as a share of the radius.
+const LEAST_RADIUS: f32 = 0.1;
+/// A curvature as good as none, in radians a unit.
+const STRAIGHT: f32 = 1e-6;
+
+/// A shape bent in the plane of x and y: its x axis becomes a circle through the origin, its ends going up.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Bend {
+    /// How far the direction turns for each scene unit along x; below 0 the ends go down.
+    pub degrees_per_unit: Degrees,
+    /// The shape, which has an end along x and y and does not reach the circle's centre.
+    pub child: Child,
+    /// What follows from these.
+    #[serde(skip)]
+    #[schemars(skip)]
+    arc: Cached<Arc>,
+}
+
+/// A piece of a ring that holds the bent shape. Up is towards the circle's centre.
+#[derive(Clone, Debug)]
+struct Arc {
+    /// −1 if the shape is bent down.
+    up: f32,
+    curvature: f32,
+    /// How high the shape is before it is bent.
+    low: f32,
+    high: f32,
+    /// Middle and half of its extent along z.
+    middle_z: f32,
+    half_z: f32,
+    /// Sine and cosine of the angle at its end.
+    end: (f32, f32),
+    /// How far it reaches along x, and how high, when bent.
+    reach: f32,
+    top: f32,
+    stretch: f32,
+}
+
+impl Bend {
+    #[inline(always)]
+    fn arc(&self) -> &Arc {
+        self.arc.get(|| {
+            let Bounds { low, high } = ended(self.child.bounds(0.0));
+            let curvature = self.degrees_per_unit.get().to_radians();
+            let up = if curvature < 0.0 { -1.0 } else { 1.0 };
+            let curvature = curvature.abs().max(STRAIGHT);
+            let (low_y, high_y) = if up < 0.0 { (-high.y, -low.y) } else { (low.y, high.y) };
+            let angle = (curvature * low.x.abs().max(high.x.abs())).min(PI);
+            let (sin, cos) = Real::sin_cos(angle);
+            // (1 − cos a)/k, by half the angle, since a may be next to nothing.
+            let half_sin = Real::sin(0.5 * angle);
+            let rise = 2.0 * half_sin * half_sin / curvature;
+            let widest = if angle < FRAC_PI_2 { sin } else { 1.0 };
+            let nearest = (1.0 - curvature * high_y).max(0.5 * LEAST_RADIUS);
+            let stretch = self.child.stretch() * ((1.0 + GUARD) / nearest).max(1.0) * (1.0 + 1e-6);
+            Arc {
+                up,
+                curvature,
+                low: low_y,
+                high: high_y,
+                middle_z: 0.5 * (low.z + high.z),
+                half_z: 0.5 * (high.z - low.z),
+                end: (sin, cos),
+                reach: widest / curvature - low_y * widest,
+                top: rise + (low_y * cos).max(high_y * cos),
+                stretch,
+            }
+        })
+    }
+}
+
+impl Sdf for Bend {
+    const EXAMPLE: &'static str = r#"{ "degrees_per_unit": 70, "child": {
+        "box": { "size": [2.2, 0.4, 0.7], "round": 0.05 }
+    } }"#;
+    const MORE: &'static [&'static str] = &[
+        r#"{ "degrees_per_unit": -100, "child": { "translate": { "by": [0.2, 0.1, 0], "child": {
+            "capsule": { "a": [-1.3, 0, 0], "b": [1.3, 0, 0], "radius": 0.15 }
+        } } } }"#,
+        r#"{ "degrees_per_unit": 0, "child": { "box": { "size": [1.6, 0.4, 0.7] } } }"#,
+    ];
+
+    #[inline(always)]
+    fn sample<R: Real, V: Sample<R>>(&self, p: Vec3<R>) -> V {
+        let Arc { up, curvature, low, high, middle_z, half_z, end: (sin, cos), reach, top, stretch } = *self.arc();
+        let (x, y) = (p.x, p.y * p.x.given(up));
+        // All in radii of the circle, seen from its centre.
+        let (across, down) = (x * p.x.given(curvature), y.mul_add(p.x.given(-curvature), p.x.given(1.0)));
+        let away = across.square_add(down.square()).sqrt();
+        // 1/k − r, in a way that stays right where k is next to nothing.
+        let height = (y + y - x.square_add(y.square()) * p.x.given(curvature)) / (away + 1.0);
+        let along = across.atan2(down) * p.x.given(1.0 / curvature);
+        let child: V = self.child.sample(vec3(along, height * p.x.given(up), p.z));
+        let past_end = x.abs().mul_add(p.x.given(cos), y.mul_add(p.x.given(sin), p.x.given(-sin / curvature)));
+        let beyond = (p.x.given(low) - height)
+            .max(height - p.x.given(high))
+            .max((p.z - p.x.given(middle_z)).abs() - p.x.given(half_z))
+            .max(past_end)
+            .max(x.abs() - p.x.given(reach))
+            .max(y - p.x.given(top));
+        let to_half_plane = R::select(down.below(0.0), across.abs(), away) * p.x.given(stretch * GUARD / curvature);
+        let distance = child.distance().min(to_half_plane).max(beyond * p.x.given(stretch));
+        child.at(distance)
+    }
+
+    around_child!();
+
+    fn stretch(&self) -> f32 {
+        self.arc().stretch
+    }
+
+    fn exactness(&self) -> Exactness {
+        self.child.exactness().max(Exactness::Bound)
+    }
+
+    fn fault(&self) -> Option<NodeFault> {
+        if let Some(fault) = fault_unless_bounded(&self.child, &['x', 'y'], "where a bend would wind it up") {
+            return Some(fault);
+        }
+        let Bounds { low, high } = self.child.bounds(0.0);
+        let degrees = self.degrees_per_unit.get();
+        let far = low.x.abs().max(high.x.abs());
+        let high = if degrees < 0.0 { -low.y } else { high.y };
+        let most =
+            (180.0 / far).min(if high > 0.0 { ((1.0 - LEAST_RADIUS) / high).to_degrees() } else { f32::INFINITY });
+        if degrees.abs() < most {
+            return None;
+        }
+        let message = format!(
+            "bends the shape until it meets itself: of a shape that reaches to x = {far} and y = {high}, \
+             make it less than {most}, or make the shape smaller"
+        );
+        Some(NodeFault::new("degrees_per_unit", message))
+    }
+
+    fn bounds(&self, level: f32) -> Bounds {
+        let Arc { up, low, middle_z, half_z, reach, top, stretch, .. } = *self.arc();
+        let (low, high) = if up < 0.0 { (-top, -low) } else { (low, top) };
+        let bounds = Bounds { low: vec3(-reach, low, middle_z - half_z), high: vec3(reach, high, middle_z + half_z) };
+        bounds.widened(level / stretch)
+    }
+}

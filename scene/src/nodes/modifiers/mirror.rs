@@ -1,0 +1,119 @@
+//! A shape together with its image in a plane.
+
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+use super::cached::Cached;
+use super::copies::{Original, ended};
+use crate::bounds::Bounds;
+use crate::nodes::transforms::around_child;
+use crate::nodes::{Child, Exactness, Node, Sample, Sdf};
+use crate::real::{Real, Vec3, vec3};
+use crate::values::{Coordinate, Direction};
+
+/// A shape together with its image in a plane, on whichever side of it the shape is, or across it.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Mirror {
+    /// A direction at right angles to the plane, of any length.
+    pub normal: Direction,
+    /// How far along the normal the plane is from the origin.
+    #[serde(default = "nothing")]
+    pub offset: Coordinate,
+    /// The shape.
+    pub child: Child,
+    /// What follows from these.
+    #[serde(skip)]
+    #[schemars(skip)]
+    sides: Cached<Sides>,
+}
+
+/// On which sides of the plane the shape is.
+#[derive(Clone, Debug)]
+struct Sides {
+    /// The side of its box's middle: −1 or 1.
+    main: f32,
+    /// Whether its box lies on that side alone and does not touch the plane.
+    is_apart: bool,
+    bounds: Bounds,
+}
+
+impl Mirror {
+    #[inline(always)]
+    fn sides(&self) -> &Sides {
+        self.sides.get(|| {
+            let bounds = ended(self.child.bounds(0.0));
+            let normal = self.normal.unit();
+            let half = (bounds.high - bounds.low) * 0.5;
+            let middle = Vec3::dot(normal, (bounds.high + bounds.low) * 0.5) - self.offset.get();
+            let reach = Vec3::dot(normal.map(f32::abs), half);
+            // A box that touches is taken as one that crosses, and so is what rounding cannot tell from it.
+            let is_apart = middle.abs() > reach * (1.0 + 1e-6);
+            Sides { main: if middle < 0.0 { -1.0 } else { 1.0 }, is_apart, bounds }
+        })
+    }
+}
+
+impl Sdf for Mirror {
+    const EXAMPLE: &'static str = r#"{ "normal": [1, 0, 0], "child": {
+        "capsule": { "a": [0.9, -0.7, 0], "b": [-0.2, 0.6, 0], "radius": 0.25 }
+    } }"#;
+    const MORE: &'static [&'static str] = &[
+        r#"{ "normal": [1, 2, 0], "offset": -0.1, "child": {
+            "translate": { "by": [-0.5, -0.4, 0], "child": { "box": { "size": [0.5, 0.3, 0.9] } } }
+        } }"#,
+        r#"{ "normal": [0, 0, 1], "child": { "mirror": { "normal": [1, 0, 0], "child": {
+            "translate": { "by": [0.6, 0, 0.5], "child": { "torus": { "radius": 0.3, "tube": 0.1 } } }
+        } } } }"#,
+    ];
+
+    #[inline(always)]
+    fn sample<R: Real, V: Sample<R>>(&self, p: Vec3<R>) -> V {
+        let Sides { main, is_apart, ref bounds } = *self.sides();
+        let original = Original::new(&self.child, bounds);
+        // Along the normal of the side where the shape is: the image of a point there is further away.
+        let normal = self.normal.unit() * main;
+        let offset = self.offset.get() * main;
+        let copies = p.x.given(if is_apart { 1.0 } else { 2.0 });
+        let folded = Vec3::given(p.x, normal).mul_add(height(p, normal, offset).at_most(0.0) * -2.0, p);
+        let (_, _, nearest) = R::repeat(
+            2,
+            (p.x.splat(1.0), folded, Original::none(p)),
+            #[inline(always)]
+            |(looked_at, place, nearest)| {
+                let nearest = original.nearer(place, nearest);
+                let image = Vec3::given(p.x, normal).mul_add(height(place, normal, offset) * -2.0, place);
+                (looked_at.lt(copies), (looked_at + 1.0, image, nearest))
+            },
+        );
+        original.sample(nearest)
+    }
+
+    around_child!();
+
+    fn exactness(&self) -> Exactness {
+        let child = self.child.exactness();
+        if self.sides().is_apart { child } else { child.max(Exactness::Bound) }
+    }
+
+    fn bounds(&self, level: f32) -> Bounds {
+        let (child, normal) = (self.child.bounds(level), self.normal.unit());
+        let column = |axis: Vec3<f32>, along: f32| axis - normal * (2.0 * along);
+        let image = child.turned([
+            column(vec3(1.0, 0.0, 0.0), normal.x),
+            column(vec3(0.0, 1.0, 0.0), normal.y),
+            column(vec3(0.0, 0.0, 1.0), normal.z),
+        ]);
+        child.hull(image.moved(normal * (2.0 * self.offset.get())))
+    }
+}
+
+/// How far a point is above a plane.
+#[inline(always)]
+fn height<R: Real>(p: Vec3<R>, normal: Vec3<f32>, offset: f32) -> R {
+    p.dot_known(normal) - p.x.given(offset)
+}
+
+fn nothing() -> Coordinate {
+    Coordinate::new(0.0).expect("0 is in range")
+}

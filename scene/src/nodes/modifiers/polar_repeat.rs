@@ -1,0 +1,153 @@
+//! Copies in a ring, right across its sectors.
+//!
+//! For each point of a shape the nearest of its copies is the one at the nearest angle. So the copies
+//! that may be the nearest are those within half the shape's own angle and half a sector: two if the
+//! shape fits its sector, all if it reaches around the axis.
+
+use std::f32::consts::{PI, TAU};
+
+use schemars::JsonSchema;
+use serde::{Deserialize, Deserializer, Serialize};
+
+use super::cached::Cached;
+use super::copies::{Original, ended, nearest_whole, within_reach};
+use crate::bounds::Bounds;
+use crate::nodes::transforms::around_child;
+use crate::nodes::{Child, Exactness, Node, NodeFault, Sample, Sdf};
+use crate::real::{Real, Vec3, vec3};
+use crate::values::whole;
+
+/// Copies of a ring.
+const MAX_COPIES: u32 = 10_000;
+/// Copies that are looked at for one point.
+const MAX_LOOKED_AT: u32 = 64;
+
+/// Copies of a shape in a ring about the y axis, one of them where the shape is.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct PolarRepeat {
+    /// How many copies, evenly around the axis.
+    #[serde(deserialize_with = "copies")]
+    #[schemars(range(min = 1, max = MAX_COPIES))]
+    pub count: u32,
+    /// The shape, moved away from the axis.
+    pub child: Child,
+    /// What follows from these.
+    #[serde(skip)]
+    #[schemars(skip)]
+    ring: Cached<Ring>,
+}
+
+/// The shape's place in the ring.
+#[derive(Clone, Debug)]
+struct Ring {
+    /// The angle of its middle, in radians from x to z.
+    middle: f32,
+    /// How wide it is, in radians.
+    width: f32,
+    /// How many copies may be the nearest.
+    reach: f32,
+    bounds: Bounds,
+}
+
+impl PolarRepeat {
+    fn sector(&self) -> f32 {
+        TAU / self.count as f32
+    }
+
+    #[inline(always)]
+    fn ring(&self) -> &Ring {
+        self.ring.get(|| {
+            let bounds = ended(self.child.bounds(0.0));
+            let (middle, width) = angles(bounds);
+            let reach = within_reach(width, self.sector()).min(self.count as f32);
+            Ring { middle, width, reach, bounds }
+        })
+    }
+}
+
+/// The angle of a box's middle about the y axis, and how wide it is seen from there.
+fn angles(Bounds { low, high }: Bounds) -> (f32, f32) {
+    if low.x <= 0.0 && high.x >= 0.0 && low.z <= 0.0 && high.z >= 0.0 {
+        return (0.0, TAU);
+    }
+    // Between finite ends, so that there is a middle; a box off the axis is less than half a turn wide.
+    let (x, z) = (0.5 * (low.x + high.x), 0.5 * (low.z + high.z));
+    let from_middle =
+        |(corner_x, corner_z): (f32, f32)| Real::atan2(x * corner_z - z * corner_x, x * corner_x + z * corner_z);
+    let corners = [(low.x, low.z), (low.x, high.z), (high.x, low.z), (high.x, high.z)].map(from_middle);
+    let least = corners.into_iter().fold(PI, f32::min);
+    let most = corners.into_iter().fold(-PI, f32::max);
+    (Real::atan2(z, x) + 0.5 * (least + most), most - least)
+}
+
+impl Sdf for PolarRepeat {
+    const EXAMPLE: &'static str = r#"{ "count": 9, "child": {
+        "translate": { "by": [0.85, 0, 0], "child": { "box": { "size": [0.4, 0.9, 0.2], "round": 0.05 } } }
+    } }"#;
+    const MORE: &'static [&'static str] = &[
+        r#"{ "count": 7, "child": { "capsule": { "a": [0.4, -0.5, -0.5], "b": [0.7, 0.5, 0.6], "radius": 0.12 } } }"#,
+        r#"{ "count": 3, "child": { "box": { "size": [2, 0.3, 0.2] } } }"#,
+        r#"{ "count": 24, "child": { "translate": { "by": [-0.7, 0.1, 0.6], "child": { "sphere": { "radius": 0.1 } } } } }"#,
+    ];
+
+    #[inline(always)]
+    fn sample<R: Real, V: Sample<R>>(&self, p: Vec3<R>) -> V {
+        let (sector, Ring { middle, reach, bounds, .. }) = (self.sector(), self.ring());
+        let original = Original::new(&self.child, bounds);
+        let angle = p.z.atan2(p.x);
+        let (near, side) = nearest_whole((angle - angle.given(*middle)) * angle.given(1.0 / sector));
+        let first = side.mul_add(angle.given(-((reach - 1.0) * 0.5).floor()), near);
+        // From here on, each copy is one sector further to that side.
+        let (sin, cos) = (first * angle.given(sector)).sin_cos();
+        let place = vec3(p.x.mul_add(cos, p.z * sin), p.y, p.z.mul_add(cos, -(p.x * sin)));
+        let (sin, cos) = Real::sin_cos(sector);
+        let (sin, cos) = (side * angle.given(sin), angle.given(cos));
+        let (_, _, nearest) = R::repeat(
+            MAX_LOOKED_AT,
+            (angle.splat(1.0), place, Original::none(p)),
+            #[inline(always)]
+            |(looked_at, place, nearest)| {
+                let nearest = original.nearer(place, nearest);
+                let next = vec3(place.x.mul_add(cos, place.z * sin), place.y, place.z.mul_add(cos, -(place.x * sin)));
+                (looked_at.lt(angle.given(*reach)), (looked_at + 1.0, next, nearest))
+            },
+        );
+        original.sample(nearest)
+    }
+
+    around_child!();
+
+    fn exactness(&self) -> Exactness {
+        match self.child.exactness() {
+            Exactness::Exact if self.count == 1 || self.ring().width < self.sector() => Exactness::Exact,
+            Exactness::Exact => Exactness::Bound,
+            child @ (Exactness::Bound | Exactness::Estimate) if self.ring().reach == self.count as f32 => child,
+            // Where other copies come to be looked at, the value may leap: less than the distance it stays.
+            Exactness::Bound | Exactness::Estimate => Exactness::Estimate,
+        }
+    }
+
+    fn fault(&self) -> Option<NodeFault> {
+        let reach = self.ring().reach;
+        let fault = || {
+            let message = format!(
+                "makes {reach} copies reach over one another, where {MAX_LOOKED_AT} may: make it less, \
+                 or move the shape away from the y axis"
+            );
+            NodeFault::new("count", message)
+        };
+        (reach > MAX_LOOKED_AT as f32).then(fault)
+    }
+
+    fn bounds(&self, level: f32) -> Bounds {
+        let Bounds { low, high } = self.child.bounds(level);
+        let (x, z) = (low.x.abs().max(high.x.abs()), low.z.abs().max(high.z.abs()));
+        let radius = Real::sqrt(x * x + z * z);
+        Bounds { low: vec3(-radius, low.y, -radius), high: vec3(radius, high.y, radius) }
+    }
+}
+
+fn copies<'de, D: Deserializer<'de>>(deserializer: D) -> Result<u32, D::Error> {
+    whole(deserializer, 1, MAX_COPIES, "copies")
+}

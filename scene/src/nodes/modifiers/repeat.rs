@@ -1,0 +1,234 @@
+//! Copies on a grid, right across its cells: Inigo Quilez, "Domain repetition",
+//! <https://iquilezles.org/articles/sdfrepetition/>.
+//!
+//! Along each axis the copies that may be the nearest are looked at: two if the shape fits its cell,
+//! more if it reaches into others. Copies that are not looked at are further away.
+
+use schemars::JsonSchema;
+use serde::{Deserialize, Deserializer, Serialize};
+
+use super::cached::Cached;
+use super::copies::{Original, ended, nearest_whole, within_reach};
+use crate::bounds::Bounds;
+use crate::nodes::transforms::around_child;
+use crate::nodes::{Child, Exactness, Node, NodeFault, Sample, Sdf};
+use crate::real::{Bundle, Real, Vec3, vec3};
+use crate::values::{Spacing, whole};
+
+/// Cells that a shape may be wide.
+const MAX_CELLS: f32 = 4.0;
+/// Copies along an axis that are looked at for one point.
+const MAX_LOOKED_AT: u32 = 5;
+/// Copies along an axis.
+const MAX_COPIES: u32 = 1_000_000;
+
+/// Copies of a shape on a grid, without end or so many along each axis.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Repeat {
+    /// The distance from copy to copy along x, y and z; null where it is not repeated.
+    pub cell: [Option<Spacing>; 3],
+    /// How many copies along x, y and z, all together centred where the shape is; null where they have no end.
+    #[serde(default)]
+    pub count: [Option<Copies>; 3],
+    /// The shape, at most four cells wide.
+    pub child: Child,
+    /// What follows from these.
+    #[serde(skip)]
+    #[schemars(skip)]
+    grid: Cached<Grid>,
+}
+
+/// How many copies along an axis.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, JsonSchema)]
+pub struct Copies(#[schemars(range(min = 1, max = MAX_COPIES))] u32);
+
+impl<'de> Deserialize<'de> for Copies {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        whole(deserializer, 1, MAX_COPIES, "copies").map(Self)
+    }
+}
+
+/// The axes along which there are copies, and a box that holds the shape.
+#[derive(Clone, Debug)]
+struct Grid {
+    axes: [Option<Axis>; 3],
+    bounds: Bounds,
+}
+
+/// Copies along an axis.
+#[derive(Clone, Copy, Debug)]
+struct Axis {
+    cell: f32,
+    /// The middle of the shape.
+    middle: f32,
+    /// How wide the shape is.
+    width: f32,
+    /// A copy's place, in cells, is this more than a whole number: ½ if an even number straddles the middle.
+    shift: f32,
+    /// The whole numbers of the last copies on either side, if they have an end.
+    ends: Option<(f32, f32)>,
+    /// How many copies are looked at.
+    looked_at: f32,
+}
+
+impl Axis {
+    fn new(cell: f32, count: Option<Copies>, low: f32, high: f32) -> Self {
+        let count = count.map(|Copies(count)| count);
+        let width = high - low;
+        let looked_at = within_reach(width, cell).min(MAX_LOOKED_AT as f32);
+        let half = count.map(|count| (count / 2) as f32);
+        let is_even = count.is_some_and(|count| count % 2 == 0);
+        Self {
+            cell,
+            middle: 0.5 * (low + high),
+            width,
+            shift: if is_even { 0.5 } else { 0.0 },
+            ends: half.map(|half| (-half, if is_even { half - 1.0 } else { half })),
+            looked_at: if count == Some(1) { 1.0 } else { looked_at },
+        }
+    }
+
+    /// Where the first and the last copy are.
+    fn reach(&self) -> (f32, f32) {
+        let place = |end: f32| (end + self.shift) * self.cell;
+        self.ends.map_or((-f32::INFINITY, f32::INFINITY), |(first, last)| (place(first), place(last)))
+    }
+}
+
+/// Goes through the copies along an axis that may be the nearest, each with the coordinate `c` as it sees it.
+#[inline(always)]
+fn along<R: Real, T: Bundle<R>>(axis: Option<&Axis>, c: R, found: T, mut visit: impl FnMut(R, T) -> T) -> T {
+    let Some(axis) = axis else {
+        return visit(c, found);
+    };
+    let (near, side) =
+        nearest_whole(c.mul_add(c.given(1.0 / axis.cell), c.given(-axis.middle / axis.cell - axis.shift)));
+    let first = side.mul_add(c.given(-((axis.looked_at - 1.0) * 0.5).floor()), near);
+    let (_, _, found) = R::repeat(
+        MAX_LOOKED_AT,
+        (first, c.splat(1.0), found),
+        #[inline(always)]
+        |(number, looked_at, found)| {
+            let copy = match axis.ends {
+                Some((low, high)) => number.max(c.given(low)).min(c.given(high)),
+                None => number,
+            };
+            let found = visit((copy + c.given(axis.shift)).mul_add(c.given(-axis.cell), c), found);
+            (looked_at.lt(c.given(axis.looked_at)), (number + side, looked_at + 1.0, found))
+        },
+    );
+    found
+}
+
+impl Repeat {
+    #[inline(always)]
+    fn grid(&self) -> &Grid {
+        self.grid.get(|| {
+            let bounds = ended(self.child.bounds(0.0));
+            let ends = [(bounds.low.x, bounds.high.x), (bounds.low.y, bounds.high.y), (bounds.low.z, bounds.high.z)];
+            let axis = |index: usize| {
+                let (low, high) = ends[index];
+                self.cell[index].map(|cell| Axis::new(cell.get(), self.count[index], low, high))
+            };
+            Grid { axes: [axis(0), axis(1), axis(2)], bounds }
+        })
+    }
+}
+
+impl Sdf for Repeat {
+    const EXAMPLE: &'static str = r#"{ "cell": [0.6, 0.6, 0.6], "count": [3, 2, 3], "child": {
+        "box": { "size": [0.4, 0.4, 0.4], "round": 0.05 }
+    } }"#;
+    const MORE: &'static [&'static str] = &[
+        r#"{ "cell": [0.8, null, 0.8], "child": { "cylinder": { "radius": 0.25, "height": 1.4 } } }"#,
+        r#"{ "cell": [0.5, null, null], "count": [4, null, null], "child": {
+            "capsule": { "a": [-0.5, -0.6, 0], "b": [0.5, 0.6, 0.2], "radius": 0.1 }
+        } }"#,
+        r#"{ "cell": [0.7, 0.6, 0.5], "count": [3, null, null], "child": { "translate": { "by": [0.3, 0.1, 0],
+            "child": { "rotate": { "degrees": [20, 30, 40], "child": { "torus": { "radius": 0.2, "tube": 0.05 } } } }
+        } } }"#,
+    ];
+
+    #[inline(always)]
+    fn sample<R: Real, V: Sample<R>>(&self, p: Vec3<R>) -> V {
+        let Grid { axes: [x_axis, y_axis, z_axis], bounds } = self.grid();
+        let original = Original::new(&self.child, bounds);
+        let nearest = along(
+            x_axis.as_ref(),
+            p.x,
+            Original::none(p),
+            #[inline(always)]
+            |x, found| {
+                along(
+                    y_axis.as_ref(),
+                    p.y,
+                    found,
+                    #[inline(always)]
+                    |y, found| {
+                        along(
+                            z_axis.as_ref(),
+                            p.z,
+                            found,
+                            #[inline(always)]
+                            |z, found| original.nearer(vec3(x, y, z), found),
+                        )
+                    },
+                )
+            },
+        );
+        original.sample(nearest)
+    }
+
+    around_child!();
+
+    fn exactness(&self) -> Exactness {
+        match self.child.exactness() {
+            Exactness::Exact if self.grid().axes.iter().flatten().all(|axis| axis.width < axis.cell) => {
+                Exactness::Exact
+            }
+            Exactness::Exact => Exactness::Bound,
+            // Where other copies come to be looked at, the value may leap: less than the distance it stays.
+            Exactness::Bound | Exactness::Estimate => Exactness::Estimate,
+        }
+    }
+
+    fn fault(&self) -> Option<NodeFault> {
+        if self.cell.iter().all(Option::is_none) {
+            return Some(NodeFault::new("cell", "repeats along no axis: give x, y or z a distance from copy to copy"));
+        }
+        let bounds = self.child.bounds(0.0);
+        let widths = [bounds.high.x - bounds.low.x, bounds.high.y - bounds.low.y, bounds.high.z - bounds.low.z];
+        for (index, (cell, name)) in self.cell.iter().zip(["x", "y", "z"]).enumerate() {
+            let (place, width) = (format!("cell/{index}"), widths[index]);
+            let Some(cell) = cell.map(Spacing::get) else {
+                if self.count[index].is_some() {
+                    let message =
+                        format!("counts copies along {name}, which is not repeated: give it a cell, or null here");
+                    return Some(NodeFault::new(format!("count/{index}"), message));
+                }
+                continue;
+            };
+            if !width.is_finite() {
+                let message = format!(
+                    "repeats a shape along {name} that has no end there: use null, or bound the shape by an intersection"
+                );
+                return Some(NodeFault::new(place, message));
+            }
+            if width > MAX_CELLS * cell {
+                let message = format!(
+                    "must be at least a quarter of the shape's width along {name}, which is {width}: make it {} or more",
+                    width / MAX_CELLS
+                );
+                return Some(NodeFault::new(place, message));
+            }
+        }
+        None
+    }
+
+    fn bounds(&self, level: f32) -> Bounds {
+        let child = self.child.bounds(level);
+        let [x, y, z] = self.grid().axes.map(|axis| axis.map_or((0.0, 0.0), |axis| axis.reach()));
+        child.moved(vec3(x.0, y.0, z.0)).hull(child.moved(vec3(x.1, y.1, z.1)))
+    }
+}

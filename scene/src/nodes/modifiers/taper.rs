@@ -1,0 +1,136 @@
+//! A shape made narrower or wider upwards.
+//!
+//! With f(y) the factor of the cross-section, the value is f·d(x/f, y, z/f). Where the shape's radius
+//! about the y axis is at most r, f times the map's derivative is the matrix (1, r·f'; 0, f) of the
+//! directions outwards and up, whose greatest singular value is a Lipschitz factor; d itself, held to
+//! ±r/2, adds f'·r/2. Outside the frustum that holds the shape the shape is asked at the nearest
+//! point of its own cylinder, and the distance to the frustum, times the factor, takes over.
+
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+use super::cached::Cached;
+use super::copies::ended;
+use super::twist::{fault_unless_bounded, radius_about_y};
+use crate::bounds::Bounds;
+use crate::nodes::transforms::around_child;
+use crate::nodes::{Child, Exactness, Node, NodeFault, Sample, Sdf};
+use crate::real::{Real, Vec3, vec3};
+use crate::values::{Coordinate, Factor};
+
+/// A shape whose width along x and z is multiplied by a factor that goes evenly from one at `bottom` to
+/// another at `top`, and stays as it is beyond.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Taper {
+    /// The y at which the factor is `bottom_factor`.
+    pub bottom: Coordinate,
+    /// The y at which the factor is `top_factor`.
+    pub top: Coordinate,
+    /// How many times as wide the shape is at the bottom.
+    #[serde(default = "one")]
+    pub bottom_factor: Factor,
+    /// How many times as wide the shape is at the top.
+    pub top_factor: Factor,
+    /// The shape, which has an end along x and z.
+    pub child: Child,
+    /// What follows from these.
+    #[serde(skip)]
+    #[schemars(skip)]
+    frustum: Cached<Frustum>,
+}
+
+/// A frustum that holds the shape.
+#[derive(Clone, Debug)]
+struct Frustum {
+    /// Of the shape as it is without a taper.
+    radius: f32,
+    low: f32,
+    high: f32,
+    /// How much the factor grows for each unit upwards.
+    slope: f32,
+    /// One over the greatest factor, if that is above 1: what the value is multiplied by.
+    shrink: f32,
+    /// The Lipschitz factor.
+    stretch: f32,
+}
+
+impl Taper {
+    #[inline(always)]
+    fn frustum(&self) -> &Frustum {
+        self.frustum.get(|| {
+            let bounds = ended(self.child.bounds(0.0));
+            let radius = radius_about_y(bounds);
+            let (bottom, top) = (self.bottom_factor.get(), self.top_factor.get());
+            let slope = (top - bottom) / (self.top.get() - self.bottom.get()).max(1e-6);
+            let widest = bottom.max(top);
+            let shrink = 1.0 / widest.max(1.0);
+            let shear = radius * slope.abs();
+            let squares = 1.0 + shear * shear + widest * widest;
+            let root = Real::sqrt((squares * squares - 4.0 * widest * widest).max(0.0));
+            let drawn_apart = Real::sqrt(0.5 * (squares + root));
+            let child = self.child.stretch();
+            let stretch = (child * drawn_apart + 0.5 * shear) * shrink * (1.0 + 1e-6);
+            Frustum { radius, low: bounds.low.y, high: bounds.high.y, slope, shrink, stretch }
+        })
+    }
+}
+
+impl Sdf for Taper {
+    const EXAMPLE: &'static str = r#"{ "bottom": -0.9, "top": 0.9, "top_factor": 0.3, "child": {
+        "box": { "size": [1.4, 1.8, 1.4], "round": 0.05 }
+    } }"#;
+    const MORE: &'static [&'static str] =
+        &[r#"{ "bottom": -0.5, "top": 0.6, "bottom_factor": 0.4, "top_factor": 1.5, "child": {
+        "translate": { "by": [0.1, 0, 0], "child": { "cylinder": { "radius": 0.5, "height": 1.9 } } }
+    } }"#];
+
+    #[inline(always)]
+    fn sample<R: Real, V: Sample<R>>(&self, p: Vec3<R>) -> V {
+        let Frustum { radius, low, high, slope, shrink, stretch } = *self.frustum();
+        let (bottom, top) = (self.bottom_factor.get(), self.top_factor.get());
+        let y = p.y.max(p.x.given(low)).min(p.x.given(high));
+        let factor = (y - p.x.given(self.bottom.get())).mul_add(p.x.given(slope), p.x.given(bottom));
+        let factor = factor.max(p.x.given(bottom.min(top))).min(p.x.given(bottom.max(top)));
+        let away = p.x.square_add(p.z.square()).sqrt();
+        let inwards = p.x.splat(1.0) / factor.max(away * p.x.given(1.0 / radius));
+        let child: V = self.child.sample(vec3(p.x * inwards, y, p.z * inwards));
+        let held =
+            child.distance().max(p.x.given(-0.5 * radius)).min(p.x.given(0.5 * radius)) * (factor * p.x.given(shrink));
+        let slant = radius * slope;
+        let beyond = (away - factor * p.x.given(radius)) * p.x.given(1.0 / Real::sqrt(1.0 + slant * slant));
+        let beyond = beyond.max(p.y - p.x.given(high)).max(p.x.given(low) - p.y);
+        child.at(held.max(beyond * p.x.given(stretch)))
+    }
+
+    around_child!();
+
+    fn stretch(&self) -> f32 {
+        self.frustum().stretch
+    }
+
+    fn exactness(&self) -> Exactness {
+        self.child.exactness().max(Exactness::Bound)
+    }
+
+    fn fault(&self) -> Option<NodeFault> {
+        if self.top.get() - self.bottom.get() < 1e-6 {
+            let message = format!("must be above bottom: make top more than {}", self.bottom.get());
+            return Some(NodeFault::new("top", message));
+        }
+        fault_unless_bounded(&self.child, &['x', 'z'], "where a taper would move it without limit")
+    }
+
+    fn bounds(&self, level: f32) -> Bounds {
+        let Frustum { radius, low, high, slope, stretch, .. } = *self.frustum();
+        let beyond = level / stretch;
+        let slant = radius * slope;
+        let radius = radius * self.bottom_factor.get().max(self.top_factor.get());
+        let radius = radius + beyond * Real::sqrt(1.0 + slant * slant);
+        Bounds { low: vec3(-radius, low - beyond, -radius), high: vec3(radius, high + beyond, radius) }
+    }
+}
+
+fn one() -> Factor {
+    Factor::new(1.0).expect("1 is in range")
+}

@@ -1,0 +1,77 @@
+//! Shapes made thicker or hollow: surfaces at a distance from another.
+
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+use crate::bounds::Bounds;
+use crate::nodes::transforms::around_child;
+use crate::nodes::{Child, Exactness, Node, Sample, Sdf};
+use crate::real::{Real, Vec3};
+use crate::values::{Amount, Length};
+
+/// A shape grown by a radius on all sides, its outer edges rounded by it.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Round {
+    /// By how much it grows.
+    pub radius: Amount,
+    /// The shape.
+    pub child: Child,
+}
+
+/// A shape's surface as a wall, hollow inside.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Onion {
+    /// Whole thickness of the wall, half of it on either side of the shape's surface.
+    pub thickness: Length,
+    /// The shape.
+    pub child: Child,
+}
+
+/// A surface at a distance from another: the value stays below the distance inside a hollow edge.
+macro_rules! at_a_distance {
+    ($self:ident, $grown:expr) => {
+        around_child!();
+
+        fn exactness(&self) -> Exactness {
+            self.child.exactness().max(Exactness::Bound)
+        }
+
+        fn bounds(&$self, level: f32) -> Bounds {
+            $self.child.bounds(level + $grown)
+        }
+    };
+}
+
+impl Sdf for Round {
+    const EXAMPLE: &'static str = r#"{ "radius": 0.2, "child": { "pyramid": { "height": 0.9 } } }"#;
+
+    #[inline(always)]
+    fn sample<R: Real, V: Sample<R>>(&self, p: Vec3<R>) -> V {
+        let child: V = self.child.sample(p);
+        let distance = child.distance() - p.x.given(self.radius.get());
+        child.at(distance)
+    }
+
+    at_a_distance!(self, self.radius.get());
+}
+
+impl Sdf for Onion {
+    const EXAMPLE: &'static str = r#"{ "thickness": 0.12, "child": { "difference": { "of": [
+        { "sphere": { "radius": 1 } },
+        { "translate": { "by": [0.3, 1, 0.7], "child": { "box": { "size": [1.8, 1.4, 1.4] } } } }
+    ] } } }"#;
+    const MORE: &'static [&'static str] = &[
+        r#"{ "thickness": 0.1, "child": { "onion": { "thickness": 0.3, "child": { "torus": { "radius": 0.7, "tube": 0.3 } } } } }"#,
+    ];
+
+    #[inline(always)]
+    fn sample<R: Real, V: Sample<R>>(&self, p: Vec3<R>) -> V {
+        let child: V = self.child.sample(p);
+        let distance = child.distance().abs() - p.x.given(0.5 * self.thickness.get());
+        child.at(distance)
+    }
+
+    at_a_distance!(self, 0.5 * self.thickness.get());
+}

@@ -1,0 +1,123 @@
+//! A shape wound about the y axis.
+//!
+//! A twist of k radians a unit shears what is r from the axis by k·r, which draws points apart by up to
+//! (k·r + √(k²r² + 4))/2, the greatest singular value of that shear. So the shape is asked only inside
+//! the cylinder that holds it, at the nearest point there; further out the distance to the cylinder,
+//! times that factor, takes over. Both change no faster than the factor says, and so does the greater.
+
+use std::f32::consts::TAU;
+
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+use super::cached::Cached;
+use super::copies::ended;
+use crate::bounds::Bounds;
+use crate::nodes::transforms::around_child;
+use crate::nodes::{Child, Exactness, Node, NodeFault, Sample, Sdf};
+use crate::real::{Real, Vec3, vec3};
+use crate::values::Degrees;
+
+/// A shape wound about the y axis: what is higher is turned further, from z to x.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Twist {
+    /// By how much a point is turned for each scene unit that it is above the origin.
+    pub degrees_per_unit: Degrees,
+    /// The shape, which has an end along x and z.
+    pub child: Child,
+    /// What follows from these.
+    #[serde(skip)]
+    #[schemars(skip)]
+    cylinder: Cached<Cylinder>,
+}
+
+/// A cylinder that holds the shape.
+#[derive(Clone, Debug)]
+struct Cylinder {
+    radius: f32,
+    low: f32,
+    high: f32,
+    /// The Lipschitz factor inside.
+    stretch: f32,
+}
+
+impl Twist {
+    #[inline(always)]
+    fn cylinder(&self) -> &Cylinder {
+        self.cylinder.get(|| {
+            let bounds = ended(self.child.bounds(0.0));
+            let radius = radius_about_y(bounds);
+            let shear = radius * self.degrees_per_unit.get().to_radians().abs();
+            let drawn_apart = 0.5 * (shear + Real::sqrt(shear * shear + 4.0));
+            // A little more than rounding could take away.
+            let stretch = self.child.stretch() * drawn_apart * (1.0 + 1e-6);
+            Cylinder { radius, low: bounds.low.y, high: bounds.high.y, stretch }
+        })
+    }
+}
+
+/// The radius of a cylinder about the y axis that holds a box; not 0.
+pub(super) fn radius_about_y(Bounds { low, high }: Bounds) -> f32 {
+    let (x, z) = (low.x.abs().max(high.x.abs()), low.z.abs().max(high.z.abs()));
+    Real::sqrt(x * x + z * z).max(1e-6)
+}
+
+/// What is wrong with a shape that has no end along an axis, if it is one of `axes`.
+pub(super) fn fault_unless_bounded(child: &Node, axes: &[char], what: &str) -> Option<NodeFault> {
+    let Bounds { low, high } = child.bounds(0.0);
+    let endless = axes.iter().find(|axis| {
+        let (low, high) = match axis {
+            'x' => (low.x, high.x),
+            'y' => (low.y, high.y),
+            _ => (low.z, high.z),
+        };
+        !(low.is_finite() && high.is_finite())
+    })?;
+    let message = format!("has no end along {endless}, {what}: bound it by an intersection, inside");
+    Some(NodeFault::new("child", message))
+}
+
+impl Sdf for Twist {
+    const EXAMPLE: &'static str = r#"{ "degrees_per_unit": 60, "child": {
+        "box": { "size": [0.9, 1.9, 0.9], "round": 0.05 }
+    } }"#;
+    const MORE: &'static [&'static str] = &[r#"{ "degrees_per_unit": -90, "child": { "union": { "of": [
+        { "translate": { "by": [0.35, 0, 0], "child": { "cylinder": { "radius": 0.2, "height": 1.9 } } } },
+        { "translate": { "by": [-0.35, 0, 0], "child": { "cylinder": { "radius": 0.2, "height": 1.9 } } } }
+    ] } } }"#];
+
+    #[inline(always)]
+    fn sample<R: Real, V: Sample<R>>(&self, p: Vec3<R>) -> V {
+        let Cylinder { radius, low, high, stretch } = *self.cylinder();
+        let away = p.x.square_add(p.z.square()).sqrt();
+        let y = p.y.max(p.x.given(low)).min(p.x.given(high));
+        let inwards = p.x.given(radius) / away.max(p.x.given(radius));
+        let turns = y * p.x.given(self.degrees_per_unit.get() / 360.0);
+        let (sin, cos) = ((turns - turns.floor()) * TAU).sin_cos();
+        let (x, z) = (p.x * inwards, p.z * inwards);
+        let child: V = self.child.sample(vec3(x.mul_add(cos, -(z * sin)), y, x.mul_add(sin, z * cos)));
+        let beyond = (away - p.x.given(radius)).max(p.y - p.x.given(high)).max(p.x.given(low) - p.y);
+        let distance = child.distance().max(beyond * p.x.given(stretch));
+        child.at(distance)
+    }
+
+    around_child!();
+
+    fn stretch(&self) -> f32 {
+        self.cylinder().stretch
+    }
+
+    fn exactness(&self) -> Exactness {
+        self.child.exactness().max(Exactness::Bound)
+    }
+
+    fn fault(&self) -> Option<NodeFault> {
+        fault_unless_bounded(&self.child, &['x', 'z'], "where a twist would wind it without limit")
+    }
+
+    fn bounds(&self, level: f32) -> Bounds {
+        let Cylinder { radius, low, high, stretch } = *self.cylinder();
+        Bounds { low: vec3(-radius, low, -radius), high: vec3(radius, high, radius) }.widened(level / stretch)
+    }
+}
