@@ -15,7 +15,10 @@ mod transforms;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-pub use fractals::Mandelbulb;
+pub use fractals::{
+    ApollonianGasket, KaleidoscopicFolds, KaleidoscopicIfs, Mandelbox, MandelbrotRelief, Mandelbulb, MengerSponge,
+    QuaternionJulia, Sierpinski,
+};
 pub use modifiers::Paint;
 pub use operators::{Difference, Intersection, Union};
 pub use primitives::{Box, Capsule, Cylinder, InfiniteCylinder, Plane, Pyramid, Sphere, Torus, TriangularPrism};
@@ -320,7 +323,15 @@ nodes![
         Scale,
         Paint,
     ],
-    called: []
+    called: [
+        ApollonianGasket,
+        KaleidoscopicIfs,
+        Mandelbox,
+        MandelbrotRelief,
+        MengerSponge,
+        QuaternionJulia,
+        Sierpinski,
+    ]
 ];
 
 /// A node to look at and to test with.
