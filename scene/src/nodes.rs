@@ -24,6 +24,10 @@ use serde::{Deserialize, Serialize};
 
 pub use displace::{Bumps, Displace, Sine};
 pub use fractals::Mandelbulb;
+pub use fractals::{
+    ApollonianGasket, KaleidoscopicFolds, KaleidoscopicIfs, Mandelbox, MandelbrotRelief, Mandelbulb, MengerSponge,
+    QuaternionJulia, Sierpinski,
+};
 pub use modifiers::Paint;
 pub use operators::{Difference, Intersection, Union};
 pub use prepared::{Prepare, Prepared};
@@ -449,6 +453,13 @@ nodes![
         Twist,
         Bend,
         Taper,
+        ApollonianGasket,
+        KaleidoscopicIfs,
+        Mandelbox,
+        MandelbrotRelief,
+        MengerSponge,
+        QuaternionJulia,
+        Sierpinski,
     ]
 ];
 

@@ -183,6 +183,12 @@ numbers! {
     /// The power of a fractal.
     Power: |v| (2.0..=32.0).contains(&v), "a power from 2 to 32",
         { "type": "number", "minimum": 2, "maximum": 32, "description": "The power of a fractal." };
+    /// How much an iteration of a kaleidoscopic system grows.
+    GrowthFactor: |v| (1.05..=8.0).contains(&v), "a factor from 1.05 to 8",
+        { "type": "number", "minimum": 1.05, "maximum": 8, "description": "How much each iteration grows." };
+    /// The scale of a Mandelbox.
+    MandelboxScale: |v| (1.05..=4.0).contains(&v.abs()), "a scale from 1.05 to 4 or from -4 to -1.05",
+        { "type": "number", "anyOf": [{ "minimum": 1.05, "maximum": 4 }, { "minimum": -4, "maximum": -1.05 }], "description": "The scale of a Mandelbox." };
     /// One channel of a colour, in linear light.
     Channel: |v| (0.0..=1e6).contains(&v), "an intensity from 0 to 1e6",
         { "type": "number", "minimum": 0, "maximum": 1e6, "description": "One channel of a colour, in linear light." };

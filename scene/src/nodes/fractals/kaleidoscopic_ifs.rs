@@ -1,0 +1,131 @@
+//! Kaleidoscopic iterated function systems.
+
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+use super::{folds, iterations};
+use crate::bounds::Bounds;
+use crate::limits::MAX_ITERATIONS;
+use crate::nodes::{Exactness, NodeFault, Primitive};
+use crate::real::{Real, Vec3, vec3};
+use crate::values::{GrowthFactor, Point, Rotation};
+
+/// A kaleidoscopic iterated function system: turn, fold, turn, and grow about a point, again and again.
+///
+/// Knighty's, <http://www.fractalforums.com/sierpinski-gasket/kaleidoscopic-(escape-time-ifs)/>, as in
+/// Mikael Christensen, "Distance Estimated 3D Fractals", part III:
+/// <http://blog.hvidtfeldts.net/index.php/2011/08/distance-estimated-3d-fractals-iii-folding-space/>.
+/// What is left at the end are balls as large as the ball that holds it all, over scaleⁿ. A bound: every
+/// step but the growth keeps lengths.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct KaleidoscopicIfs {
+    /// Where space is folded.
+    pub folds: KaleidoscopicFolds,
+    /// How much each iteration grows: 2 and 3 give the classical shapes.
+    pub scale: GrowthFactor,
+    /// The point that stays in its place. The ball around the origin through it holds the shape.
+    pub offset: Point,
+    /// A rotation before the folds.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub turn_before: Option<Rotation>,
+    /// A rotation after the folds.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub turn_after: Option<Rotation>,
+    /// How often all of it is done.
+    #[schemars(range(min = 1, max = MAX_ITERATIONS))]
+    #[serde(deserialize_with = "iterations")]
+    pub iterations: u32,
+}
+
+/// The planes in which a kaleidoscopic system folds space.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum KaleidoscopicFolds {
+    /// The mirrors between a corner of a tetrahedron and the others: with offset (1, 1, 1), Sierpiński's tetrahedron.
+    Tetrahedral,
+    /// All mirrors of a cube: with offset (1, 0, 0), Sierpiński's octahedron.
+    Octahedral,
+    /// The same and one between the middle and the end of an edge: with scale 3 and offset (1, 1, 1), Menger's sponge.
+    MengerLike,
+}
+
+impl Primitive for KaleidoscopicIfs {
+    const EXAMPLE: &str = r#"{ "folds": "menger_like", "scale": 3, "offset": [0.66, 0.66, 0.66],
+        "turn_before": [0, 0, 12], "turn_after": [8, 0, 0], "iterations": 8 }"#;
+    const MORE: &[&str] = &[
+        r#"{ "folds": "tetrahedral", "scale": 2, "offset": [0.65, 0.65, 0.65], "turn_before": [0, 20, 0], "iterations": 12 }"#,
+        r#"{ "folds": "octahedral", "scale": 2, "offset": [1.1, 0, 0], "turn_after": [15, 0, 25], "iterations": 12 }"#,
+        r#"{ "folds": "menger_like", "scale": 3, "offset": [0.66, 0.66, 0.66], "iterations": 64 }"#,
+    ];
+
+    #[inline(always)]
+    fn distance<R: Real>(&self, p: Vec3<R>) -> R {
+        let offset = self.offset.get();
+        let scale = self.scale.get();
+        // Space stays as it is, and the step of each iteration shrinks: nothing grows out of range.
+        let share = (scale - 1.0) / scale;
+        let step = Vec3::given(p.x, offset.map(|c| c * share));
+        let shrink = p.x.given(1.0 / scale);
+        let (place, size) = R::repeat(
+            self.iterations,
+            (p, p.x.splat(1.0)),
+            #[inline(always)]
+            |(place, size)| {
+                let place = turned(place, self.turn_before);
+                let place = match self.folds {
+                    KaleidoscopicFolds::Tetrahedral => folds::tetrahedral(place),
+                    KaleidoscopicFolds::Octahedral | KaleidoscopicFolds::MengerLike => folds::octahedral(place),
+                };
+                let place = turned(place, self.turn_after);
+                let step = step * size;
+                let place = match self.folds {
+                    KaleidoscopicFolds::Tetrahedral | KaleidoscopicFolds::Octahedral => place - step,
+                    KaleidoscopicFolds::MengerLike => {
+                        let mirror = step.z * 0.5;
+                        vec3(place.x - step.x, place.y - step.y, mirror - (place.z - mirror).abs())
+                    }
+                };
+                // Balls smaller than this are smaller than f32 sees.
+                let size = size * shrink;
+                (size.above(1e-9), (place, size))
+            },
+        );
+        size.mul_add(-p.x.given(self.reach()), place.length())
+    }
+
+    fn exactness(&self) -> Exactness {
+        Exactness::Bound
+    }
+
+    fn fault(&self) -> Option<NodeFault> {
+        let is_nothing = self.offset.get().map(f32::abs).max_element() < 1e-6;
+        is_nothing.then(|| NodeFault::new("offset", "has no length, so the shape has no size: make a coordinate 1"))
+    }
+
+    fn bounds(&self, level: f32) -> Bounds {
+        // A step grows a length by scale and takes |offset|·(scale − 1): beyond |offset| nothing comes back.
+        let reach = self.reach() + level;
+        Bounds::symmetric(reach, reach, reach)
+    }
+}
+
+impl KaleidoscopicIfs {
+    /// Radius of the ball that holds it.
+    #[inline(always)]
+    fn reach(&self) -> f32 {
+        self.offset.get().length()
+    }
+}
+
+/// The point turned, if it is to be.
+#[inline(always)]
+fn turned<R: Real>(p: Vec3<R>, rotation: Option<Rotation>) -> Vec3<R> {
+    match rotation {
+        Some(rotation) => {
+            let [x, y, z] = rotation.inverse_rows();
+            vec3(p.dot_known(x), p.dot_known(y), p.dot_known(z))
+        }
+        None => p,
+    }
+}

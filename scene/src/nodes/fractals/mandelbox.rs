@@ -1,0 +1,142 @@
+//! The Mandelbox.
+
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+use super::{LARGEST_SLOPE, distance_from_box, held_to_hull, iterations};
+use crate::bounds::Bounds;
+use crate::limits::MAX_ITERATIONS;
+use crate::nodes::{Exactness, NodeFault, Primitive};
+use crate::real::{Real, Vec3, vec3};
+use crate::values::{Length, MandelboxScale};
+
+/// The Mandelbox: fold at the sides of a cube, turn inside out at a sphere, grow, add the point.
+///
+/// Tom Lowe's, <https://sites.google.com/site/mandelbox/what-is-a-mandelbox>; the distance estimate by a
+/// running derivative is that of Buddhi and Rrrola, as in Mikael Christensen, "Distance Estimated 3D
+/// Fractals", part VI: <http://blog.hvidtfeldts.net/index.php/2011/11/distance-estimated-3d-fractals-vi-the-mandelbox/>.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Mandelbox {
+    /// Edge of the cube that holds it. All other lengths are in the formula's own units.
+    pub size: Length,
+    /// How much each iteration grows: 2 and −1.5 are the best known.
+    pub scale: MandelboxScale,
+    /// How often the formula is applied at most: the finer the deeper.
+    #[schemars(range(min = 1, max = MAX_ITERATIONS))]
+    #[serde(deserialize_with = "iterations")]
+    pub iterations: u32,
+    /// Where coordinates are folded back.
+    #[serde(default = "one")]
+    pub fold: Length,
+    /// Inside a ball of this radius the sphere fold is a plain growth.
+    #[serde(default = "half")]
+    pub min_radius: Length,
+    /// Radius of the sphere that turns inside out what is between it and the inner ball.
+    #[serde(default = "one")]
+    pub fixed_radius: Length,
+}
+
+/// Where a point has escaped, in folds.
+const ESCAPE_RADIUS: f32 = 40.0;
+/// Where a point that has not escaped is on the surface, in folds.
+const SURFACE_RADIUS: f32 = 2.0;
+/// How near to the cube the estimate counts, in half edges.
+const MARGIN: f32 = 0.25;
+
+impl Primitive for Mandelbox {
+    const EXAMPLE: &str = r#"{ "size": 1.36, "scale": 2, "iterations": 10 }"#;
+    const MORE: &[&str] = &[
+        r#"{ "size": 1.3, "scale": -1.5, "iterations": 12 }"#,
+        r#"{ "size": 1.3, "scale": 3, "iterations": 8, "min_radius": 0.25, "fold": 0.9 }"#,
+    ];
+
+    #[inline(always)]
+    fn distance<R: Real>(&self, p: Vec3<R>) -> R {
+        let half = self.size.get() * 0.5;
+        let from_cube = distance_from_box(p, vec3(half, half, half));
+        held_to_hull(
+            from_cube,
+            MARGIN * half,
+            #[inline(always)]
+            || self.estimate(p),
+        )
+    }
+
+    fn exactness(&self) -> Exactness {
+        Exactness::Estimate
+    }
+
+    fn fault(&self) -> Option<NodeFault> {
+        let (least, fixed, fold) = (self.min_radius.get(), self.fixed_radius.get(), self.fold.get());
+        if least > fixed {
+            let cure = format!("must not be more than fixed_radius: make min_radius {fixed} or less");
+            return Some(NodeFault::new("min_radius", cure));
+        }
+        if fixed > 100.0 * least {
+            let cure = format!("is less than a hundredth of fixed_radius: make min_radius {} or more", fixed * 0.01);
+            return Some(NodeFault::new("min_radius", cure));
+        }
+        let is_near = (0.01 * fold..=100.0 * fold).contains(&fixed);
+        (!is_near).then(|| {
+            let cure = format!("must be from a hundredth of fold to a hundred times as much: make fixed_radius {fold}");
+            NodeFault::new("fixed_radius", cure)
+        })
+    }
+
+    fn bounds(&self, level: f32) -> Bounds {
+        let half = self.size.get() * 0.5;
+        Bounds::symmetric(half, half, half).widened(level)
+    }
+}
+
+impl Mandelbox {
+    #[inline(always)]
+    fn estimate<R: Real>(&self, p: Vec3<R>) -> R {
+        let (scale, fold) = (self.scale.get(), self.fold.get());
+        // In units of the fold, so that no number is far from 1.
+        let unit = self.size.get() * 0.5 / self.half_edge();
+        let (least, fixed) = (self.min_radius.get() / fold, self.fixed_radius.get() / fold);
+        let (least, fixed) = (p.x.given(least * least), p.x.given(fixed * fixed));
+        let (growth, slope_growth) = (fixed * p.x.given(scale), fixed * p.x.given(scale.abs()));
+        let start = p * p.x.given(1.0 / unit);
+        let one = p.x.splat(1.0);
+        let (_, squared, slope) = R::repeat(
+            self.iterations,
+            (start, one, one),
+            #[inline(always)]
+            |(z, _, slope)| {
+                let folded = z.map(
+                    #[inline(always)]
+                    |c| c.at_least(-1.0).at_most(1.0).mul_add(c.splat(2.0), -c),
+                );
+                let inverse = one / folded.length_squared().max(least).min(fixed);
+                let z = folded.mul_add(inverse * growth, start);
+                let slope = (inverse * slope_growth).mul_add(slope, one).at_most(LARGEST_SLOPE);
+                let squared = z.length_squared();
+                (squared.below(ESCAPE_RADIUS * ESCAPE_RADIUS), (z, squared, slope))
+            },
+        );
+        (squared.sqrt() - SURFACE_RADIUS) / slope * p.x.given(unit)
+    }
+
+    /// Half the edge of the cube that holds it, in folds.
+    ///
+    /// Let x be one coordinate of the orbit, a that of the point, both in folds, and s the scale. For
+    /// s > 1 and a = 2(s + 1)/(s − 1) + e the second step makes x < −2 and the third x ≥ a + s(s − 1)e,
+    /// and so on, faster and faster, as no fold makes a length less than growth makes it more. For s < −1
+    /// and a = 2 + e each step makes x − 2 at least |s| times as much.
+    #[inline(always)]
+    fn half_edge(&self) -> f32 {
+        let scale = self.scale.get();
+        if scale > 0.0 { 2.0 * (scale + 1.0) / (scale - 1.0) } else { 2.0 }
+    }
+}
+
+fn one() -> Length {
+    Length::new(1.0).expect("1 is in range")
+}
+
+fn half() -> Length {
+    Length::new(0.5).expect("0.5 is in range")
+}

@@ -1,0 +1,144 @@
+//! The Mandelbrot set as a relief.
+
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+use super::{distance_from_box, held_to_hull, iterations};
+use crate::bounds::Bounds;
+use crate::limits::MAX_ITERATIONS;
+use crate::nodes::{Exactness, NodeFault, Primitive};
+use crate::real::{Real, Vec3, vec3};
+use crate::values::{Coordinate, Length};
+
+/// A square piece of the Mandelbrot set as a slab that stands on the plane y = 0: seen from above with
+/// −z up the page, real numbers run along x and imaginary ones up.
+///
+/// The distance in the plane is estimated from the potential G and its slope: it is at least
+/// (1 − e⁻²ᴳ)/(4·|G′|), hence at least ½·G/((1 + 2·G)·|G′|), with G = ln |z|/2ⁿ and |G′| = |z′|/(|z|·2ⁿ).
+/// What is solid after N iterations is where G is at most ln E/2ᴺ, so that much is taken from G.
+/// John Milnor, "Self-similarity and hairiness in the Mandelbrot set", 1989, and Inigo Quilez, "Distance to
+/// fractals": <https://iquilezles.org/articles/distancefractals/>.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct MandelbrotRelief {
+    /// Edge of the square, in scene units.
+    pub size: Length,
+    /// How high it stands, in scene units.
+    pub height: Length,
+    /// The complex number in its middle: real and imaginary part, within ±2.
+    #[serde(default = "middle_of_the_set")]
+    pub center: [Coordinate; 2],
+    /// Edge of the square in the complex plane, from 0.0001 to 8: the smaller the closer.
+    #[serde(default = "width_of_the_set")]
+    pub width: Length,
+    /// How often z → z² + c is applied at most: the finer the deeper.
+    #[schemars(range(min = 1, max = MAX_ITERATIONS))]
+    #[serde(deserialize_with = "iterations")]
+    pub iterations: u32,
+}
+
+/// Square of the radius where a point has escaped; large, so that the potential is near its limit.
+const ESCAPE_SQUARED: f32 = 256.0;
+/// Logarithm of that radius.
+const ESCAPE_LOGARITHM: f32 = 2.772_588_7;
+/// Keeps the square of a derivative within what a quotient may have below it.
+const LARGEST_SLOPE: f32 = 1e14;
+/// How near to its box the estimate counts, in widths.
+const MARGIN: f32 = 0.25;
+
+impl Primitive for MandelbrotRelief {
+    const EXAMPLE: &str = r#"{ "size": 1.8, "height": 0.3, "center": [-0.65, 0], "width": 2.6, "iterations": 40 }"#;
+    const MORE: &[&str] = &[
+        r#"{ "size": 1.6, "height": 0.2, "center": [-0.745, 0.113], "width": 0.05, "iterations": 64 }"#,
+        r#"{ "size": 1.6, "height": 0.5, "iterations": 6 }"#,
+    ];
+
+    #[inline(always)]
+    fn distance<R: Real>(&self, p: Vec3<R>) -> R {
+        let (half, half_height) = (self.size.get() * 0.5, self.height.get() * 0.5);
+        let p = vec3(p.x, p.y - p.x.given(half_height), p.z);
+        held_to_hull(
+            distance_from_box(p, vec3(half, half_height, half)),
+            MARGIN * self.size.get(),
+            #[inline(always)]
+            || {
+                let across = self.in_the_plane(p.x, p.z);
+                let along = p.y.abs() - p.x.given(half_height);
+                let outside = across.at_least(0.0).square_add(along.at_least(0.0).square()).sqrt();
+                outside + across.max(along).at_most(0.0)
+            },
+        )
+    }
+
+    fn exactness(&self) -> Exactness {
+        Exactness::Estimate
+    }
+
+    fn fault(&self) -> Option<NodeFault> {
+        let [real, imaginary] = self.center.map(Coordinate::get);
+        if real.abs().max(imaginary.abs()) > 2.0 {
+            return Some(NodeFault::new("center", "is far from the set: make both numbers within ±2"));
+        }
+        let is_near = (1e-4..=8.0).contains(&self.width.get());
+        (!is_near).then(|| NodeFault::new("width", "must be from 0.0001 to 8: make it 3 to see the whole set"))
+    }
+
+    fn bounds(&self, level: f32) -> Bounds {
+        let (half, height) = (self.size.get() * 0.5, self.height.get());
+        Bounds { low: vec3(-half, 0.0, -half), high: vec3(half, height, half) }.widened(level)
+    }
+}
+
+impl MandelbrotRelief {
+    /// No more than the distance to the set in the plane, in scene units; little below 0 inside.
+    #[inline(always)]
+    fn in_the_plane<R: Real>(&self, x: R, z: R) -> R {
+        let [real, imaginary] = self.center.map(Coordinate::get);
+        let unit = x.given(self.width.get() / self.size.get());
+        let (cx, cy) = (x.mul_add(unit, x.given(real)), x.given(imaginary) - z * unit);
+        let one = x.splat(1.0);
+        // What has not escaped by the last iteration is the solid: its potential is up to ln E/2ᴺ.
+        let level = x.given(ESCAPE_LOGARITHM * halved(self.iterations));
+        let start = ((cx, cy), (one, one.splat(0.0)), cx.square_add(cy.square()), level, one);
+        let (_, (dx, dy), squared, level, share) = R::repeat(
+            self.iterations,
+            start,
+            #[inline(always)]
+            |((a, b), (da, db), _, level, share)| {
+                let (twice_a, twice_b) = (a * 2.0, b * 2.0);
+                let next_da = twice_a.mul_add(da, one - twice_b * db);
+                let next_db = twice_a.mul_add(db, twice_b * da);
+                let (a, b) = (a.square_add(cx - b.square()), twice_a.mul_add(b, cy));
+                let squared = a.square_add(b.square());
+                let slope = (limited(next_da), limited(next_db));
+                (squared.below(ESCAPE_SQUARED), ((a, b), slope, squared, level * 2.0, share * 0.5))
+            },
+        );
+        let squared = squared.at_least(1e-12);
+        // Both in units of this iteration's share of the potential.
+        let above = squared.ln() * 0.5 - level;
+        let slope = dx.square_add(dy.square()).at_least(1.0);
+        let bound = above / (share * above.at_least(0.0) * 2.0 + 1.0);
+        (squared / slope).sqrt() * bound * (x.given(self.size.get() / self.width.get()) * 0.5)
+    }
+}
+
+/// 1/2ⁿ.
+#[inline(always)]
+fn halved(times: u32) -> f32 {
+    1.0 / (1_u64 << times.min(63)) as f32
+}
+
+/// A part of a derivative, kept where its square is a number.
+#[inline(always)]
+fn limited<R: Real>(slope: R) -> R {
+    slope.at_most(LARGEST_SLOPE).at_least(-LARGEST_SLOPE)
+}
+
+fn middle_of_the_set() -> [Coordinate; 2] {
+    [-0.75, 0.0].map(|c| Coordinate::new(c).expect("it is in range"))
+}
+
+fn width_of_the_set() -> Length {
+    Length::new(3.0).expect("3 is in range")
+}

@@ -1,0 +1,256 @@
+//! The Mandelbulb and its Julia sets.
+
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+use super::{LARGEST_SLOPE, held_to_hull, iterations};
+use crate::bounds::Bounds;
+use crate::limits::MAX_ITERATIONS;
+use crate::nodes::{Exactness, NodeFault, Primitive};
+use crate::real::{Real, Vec3, vec3};
+use crate::values::{Point, Power};
+
+/// The Mandelbulb: z → zⁿ + p in polar coordinates about the z axis.
+///
+/// Daniel White and Paul Nylander's formula; the distance estimate is ½·ln r·r/dr with dr → n·rⁿ⁻¹·dr + 1,
+/// as in Mikael Christensen, "Distance Estimated 3D Fractals", part V:
+/// <http://blog.hvidtfeldts.net/index.php/2011/09/distance-estimated-3d-fractals-v-the-mandelbulb-different-de-approximations/>.
+/// Far away, where the estimate grows faster than the distance, it is held to the distance from the
+/// ball of radius 1.5 that holds every bulb of power 3 or more (of radius 2 for lower powers). Near its
+/// poles, where orbits part faster around the axis than dr says, the estimate may be more than the distance to
+/// a thin piece; that of the Julia sets counts this in.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Mandelbulb {
+    /// The power n.
+    pub power: Power,
+    /// How often the formula is applied at most: the finer the deeper.
+    #[schemars(range(min = 1, max = MAX_ITERATIONS))]
+    #[serde(deserialize_with = "iterations")]
+    pub iterations: u32,
+    /// A constant to add in place of the point, no longer than 1.5: the Julia set that belongs to it.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub julia: Option<Point>,
+}
+
+/// Where a point has escaped.
+const ESCAPE_RADIUS: f32 = 2.0;
+/// Where an orbit of a Julia set has escaped; its power of 32 still has a square.
+const JULIA_ESCAPE_RADIUS: f32 = 3.0;
+/// Logarithm of that radius.
+const JULIA_ESCAPE_LOGARITHM: f32 = 1.098_612_3;
+/// How near to the ball that holds a Julia set the estimate counts.
+const MARGIN: f32 = 0.25;
+/// A constant this long keeps every Julia set well within the escape radius.
+const LONGEST_CONSTANT: f32 = 1.5;
+
+impl Primitive for Mandelbulb {
+    const EXAMPLE: &str = r#"{ "power": 8, "iterations": 8 }"#;
+    const MORE: &[&str] = &[
+        r#"{ "power": 8, "iterations": 8, "julia": [0.45, 0.35, 0.5] }"#,
+        r#"{ "power": 3, "iterations": 12, "julia": [-0.4, 0.1, 0.6] }"#,
+    ];
+
+    #[inline(always)]
+    fn distance<R: Real>(&self, p: Vec3<R>) -> R {
+        match self.julia {
+            Some(constant) => held_to_hull(
+                p.length() - p.x.given(self.bounding_radius()),
+                MARGIN,
+                #[inline(always)]
+                || self.of_julia_set(p, Vec3::given(p.x, constant.get())),
+            ),
+            None => self.of_bulb(p),
+        }
+    }
+
+    fn exactness(&self) -> Exactness {
+        Exactness::Estimate
+    }
+
+    fn fault(&self) -> Option<NodeFault> {
+        if self.julia.is_some() && whole(self.power).is_none() {
+            let cure =
+                format!("must be a whole number for a Julia set, or space tears: make it {}", self.power.get().round());
+            return Some(NodeFault::new("power", cure));
+        }
+        let is_long = self.julia.is_some_and(|constant| constant.get().length() > LONGEST_CONSTANT);
+        is_long.then(|| {
+            let cure = "is longer than 1.5, which leaves nothing but dust: make the sum of its squares 2.25 or less";
+            NodeFault::new("julia", cure)
+        })
+    }
+
+    fn bounds(&self, level: f32) -> Bounds {
+        // Inside the ball of escape the estimate says little about how far the surface is.
+        let ball = self.bounding_radius();
+        let radius = if level > 0.0 { (ball + level).max(ESCAPE_RADIUS) } else { ball };
+        Bounds::symmetric(radius, radius, radius)
+    }
+}
+
+impl Mandelbulb {
+    #[inline(always)]
+    fn of_bulb<R: Real>(&self, p: Vec3<R>) -> R {
+        let away = p.length();
+        let one = away.splat(1.0);
+        let power = away.given(self.power.get());
+        let bounded = !away.above(ESCAPE_RADIUS);
+        let (_, radius, slope) = R::when(
+            bounded,
+            (p, away, one),
+            #[inline(always)]
+            || {
+                R::repeat(
+                    self.iterations,
+                    (p, away, one),
+                    #[inline(always)]
+                    |(z, radius, slope)| {
+                        let radius = radius.at_least(1e-6);
+                        let (next, growth) = match whole(self.power) {
+                            Some(whole) => {
+                                let Turned { next, growth, .. } = turned_by_products(z, radius, whole, p);
+                                (next, growth)
+                            }
+                            None => turned_by_angles(z, radius, power, p),
+                        };
+                        let slope = (growth * power).mul_add(slope, one).at_most(LARGEST_SLOPE);
+                        let radius = next.length();
+                        (!radius.above(ESCAPE_RADIUS), (next, radius, slope))
+                    },
+                )
+            },
+        );
+        let radius = radius.at_least(1e-6);
+        let estimate = radius.ln() * radius / slope * 0.5;
+        R::select(away.above(ESCAPE_RADIUS), estimate.min(away - self.bounding_radius()), estimate)
+    }
+
+    /// The estimate for a Julia set. Orbits part by at most n·rⁿ⁻¹ along a meridian, and around the axis
+    /// as much as they come away from it.
+    #[inline(always)]
+    fn of_julia_set<R: Real>(&self, p: Vec3<R>, constant: Vec3<R>) -> R {
+        let one = p.x.splat(1.0);
+        let whole = self.power.get() as u32;
+        let power = one.given(self.power.get());
+        // What has not escaped by the last iteration is the solid: its potential is up to ln E/nᴺ.
+        let share = Real::powf(self.power.get(), -(self.iterations as f32));
+        let level = one.given(JULIA_ESCAPE_LOGARITHM * share);
+        let (_, radius, slope, level) = R::repeat(
+            self.iterations,
+            (p, p.length(), one, level),
+            #[inline(always)]
+            |(z, radius, slope, level)| {
+                let radius = radius.at_least(1e-6);
+                let Turned { next, growth, around } = turned_by_products(z, radius, whole, constant);
+                // At 0 orbits do not part, but near it they do.
+                let slope = (growth.max(around) * power * slope).at_least(1.0).at_most(LARGEST_SLOPE);
+                let radius = next.length();
+                (!radius.above(JULIA_ESCAPE_RADIUS), (next, radius, slope, level * power))
+            },
+        );
+        let radius = radius.at_least(1e-6);
+        (radius.ln() - level) * radius / slope * 0.5
+    }
+
+    /// Beyond the radius R where Rⁿ − |c| = R orbits only grow; in a Julia set |c| is at most 1.5.
+    fn bounding_radius(&self) -> f32 {
+        match self.julia {
+            _ if self.power.get() >= 3.0 => 1.5,
+            Some(_) => 1.85,
+            None => 2.0,
+        }
+    }
+}
+
+/// The power, if it is a whole number: then its formula is code, not data.
+fn whole(power: Power) -> Option<u32> {
+    (power.get() % 1.0 == 0.0).then_some(power.get() as u32)
+}
+
+/// zⁿ + p and rⁿ⁻¹ for any power n.
+#[inline(always)]
+fn turned_by_angles<R: Real>(z: Vec3<R>, radius: R, power: R, p: Vec3<R>) -> (Vec3<R>, R) {
+    let (sin_theta, cos_theta) = ((z.z / radius).acos() * power).sin_cos();
+    let (sin_phi, cos_phi) = (z.y.atan2(z.x) * power).sin_cos();
+    let growth = radius.powf(power - 1.0);
+    let turned = vec3(sin_theta * cos_phi, sin_theta * sin_phi, cos_theta);
+    (turned.mul_add(growth * radius, p), growth)
+}
+
+/// A point turned by products.
+struct Turned<R> {
+    /// zⁿ + p.
+    next: Vec3<R>,
+    /// rⁿ⁻¹.
+    growth: R,
+    /// How many times as far from the axis zⁿ is as z.
+    around: R,
+}
+
+/// The same for a whole power, which needs no angles: (z + iρ)ⁿ is rⁿ(cos nθ + i sin nθ), and
+/// the unit number (x + iy)/ρ to the power n is cos nφ + i sin nφ, by de Moivre's formula.
+#[inline(always)]
+fn turned_by_products<R: Real>(z: Vec3<R>, radius: R, power: u32, p: Vec3<R>) -> Turned<R> {
+    let from_axis = z.x.square_add(z.y.square()).sqrt();
+    let per_axis = z.x.splat(1.0) / from_axis.at_least(1e-12);
+    let (along, across) = complex_power((z.z, from_axis), power);
+    let (cosine, sine) = complex_power((z.x * per_axis, z.y * per_axis), power);
+    let next = vec3(across.mul_add(cosine, p.x), across.mul_add(sine, p.y), along + p.z);
+    let growth = by_squares(
+        radius,
+        power - 1,
+        #[inline(always)]
+        |a: R, b: R| a * b,
+    );
+    Turned { next, growth, around: (across * per_axis).abs() }
+}
+
+/// The real and imaginary parts of a + bi to a whole power, 1 or more.
+#[inline(always)]
+fn complex_power<R: Real>(number: (R, R), power: u32) -> (R, R) {
+    by_squares(
+        number,
+        power,
+        #[inline(always)]
+        |(a, b): (R, R), (c, d): (R, R)| (a.mul_add(c, -(b * d)), a.mul_add(d, b * c)),
+    )
+}
+
+/// The product of `power` times `base`, 1 or more, by repeated squaring.
+#[inline(always)]
+fn by_squares<T: Copy>(base: T, power: u32, product: impl Fn(T, T) -> T) -> T {
+    let mut result = base;
+    for bit in (0..power.ilog2()).rev() {
+        result = product(result, result);
+        if power >> bit & 1 == 1 {
+            result = product(result, base);
+        }
+    }
+    result
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn products_turn_as_far_as_angles() {
+        for power in [2_u32, 3, 5, 8, 13] {
+            for step in 0..200 {
+                let turn = |speed: f32| Real::sin(speed * step as f32);
+                let z = vec3(turn(1.3), turn(2.1), turn(0.7));
+                let p = vec3(turn(0.4), turn(3.1), turn(1.9));
+                let (radius, exponent) = (z.length(), power as f32);
+                if radius < 0.1 {
+                    continue;
+                }
+                let got = turned_by_products(z, radius, power, p);
+                let (want, want_growth) = turned_by_angles(z, radius, exponent, p);
+                let error = (got.next - want).length();
+                assert!(error < 3e-6 * exponent * want_growth.max(1.0), "power {power} of {z:?}: {error}");
+                assert!((got.growth - want_growth).abs() < 1e-5 * want_growth, "power {power} of {z:?}");
+            }
+        }
+    }
+}

@@ -1,0 +1,69 @@
+//! The Menger sponge.
+
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+use super::{distance_from_box, folds, iterations};
+use crate::bounds::Bounds;
+use crate::limits::MAX_ITERATIONS;
+use crate::nodes::{Exactness, Primitive};
+use crate::real::{Real, Vec3, vec3};
+use crate::values::Length;
+
+/// The Menger sponge: a cube from which crosses of square bars are taken, smaller and smaller ones.
+///
+/// After Inigo Quilez, "Menger fractal": <https://iquilezles.org/articles/menger/>; cells are found
+/// by reflections, which leave no seams. A bound: the greatest of the distances to the cube and into
+/// the bars, each of which grows no faster than space.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct MengerSponge {
+    /// The cube's edge.
+    pub size: Length,
+    /// How many sizes of bars are taken away.
+    #[schemars(range(min = 1, max = MAX_ITERATIONS))]
+    #[serde(deserialize_with = "iterations")]
+    pub iterations: u32,
+}
+
+impl Primitive for MengerSponge {
+    const EXAMPLE: &str = r#"{ "size": 1.36, "iterations": 4 }"#;
+    const MORE: &[&str] = &[r#"{ "size": 1.3, "iterations": 1 }"#, r#"{ "size": 1.3, "iterations": 64 }"#];
+
+    #[inline(always)]
+    fn distance<R: Real>(&self, p: Vec3<R>) -> R {
+        let half = self.size.get() * 0.5;
+        let cube = distance_from_box(p, vec3(half, half, half));
+        let place = vec3(p.x.abs(), p.y.abs(), p.z.abs());
+        // Bars are a third of their cell wide: `third` is the width, half of it the greatest depth.
+        let third = p.x.given(self.size.get() / 3.0);
+        let (_, _, distance) = R::repeat(
+            self.iterations,
+            (place, third, cube),
+            #[inline(always)]
+            |(place, third, distance)| {
+                // In a bar along an axis both other coordinates are small.
+                let bars = third.mul_add(third.splat(0.5), -folds::middle(place));
+                let distance = distance.max(bars);
+                // To the middle of the nearest of three cells in a row.
+                let place = place.map(
+                    #[inline(always)]
+                    |c| c.min((c - third).abs()),
+                );
+                let third = third * (1.0 / 3.0);
+                // Where smaller bars cannot reach as far, they do not matter.
+                (distance.lt(third * 0.5), (place, third, distance))
+            },
+        );
+        distance
+    }
+
+    fn exactness(&self) -> Exactness {
+        Exactness::Bound
+    }
+
+    fn bounds(&self, level: f32) -> Bounds {
+        let half = self.size.get() * 0.5;
+        Bounds::symmetric(half, half, half).widened(level)
+    }
+}
