@@ -16,6 +16,7 @@ pub mod march;
 pub mod materials;
 mod motion;
 pub mod nodes;
+pub mod noise;
 mod outline;
 mod parse;
 pub mod pixel;

@@ -162,6 +162,12 @@ numbers! {
     /// One channel of a colour, in linear light.
     Channel: |v| (0.0..=1e6).contains(&v), "an intensity from 0 to 1e6",
         { "type": "number", "minimum": 0, "maximum": 1e6, "description": "One channel of a colour, in linear light." };
+    /// How many times finer each octave of a noise is than the one before.
+    Lacunarity: |v| (1.0..=4.0).contains(&v), "a lacunarity from 1 to 4",
+        { "type": "number", "minimum": 1, "maximum": 4, "description": "How many times finer each octave of a noise is than the one before." };
+    /// How many times as strong each octave of a noise is as the one before.
+    Gain: |v| (0.0..=1.0).contains(&v), "a gain from 0 to 1",
+        { "type": "number", "minimum": 0, "maximum": 1, "description": "How many times as strong each octave of a noise is as the one before." };
 }
 
 still_numbers! {

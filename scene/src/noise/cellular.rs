@@ -1,0 +1,61 @@
+//! Cellular noise: how far the nearest of points are that are strewn one to a cell.
+//!
+//! Steven Worley, "A cellular texture basis function", SIGGRAPH 1996, <https://doi.org/10.1145/237170.237267>.
+
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+use super::lattice::{Index, cell};
+use crate::real::{Real, Vec3, vec3};
+
+/// What is told of the nearest points.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum Feature {
+    /// The distance to the nearest point, in cells, at most 1.
+    #[default]
+    F1,
+    /// How much further the second one is: 0 on the walls between cells.
+    F2MinusF1,
+}
+
+/// The squares of the distances to the nearest and the second point, each at most 1. Whatever is nearer
+/// than 1 lies in the cell or one of the 26 around it, hence no step where a further cell takes over.
+#[inline(always)]
+fn nearest_two<R: Real>(p: Vec3<R>, seed: R) -> (R, R) {
+    p.x.shared(
+        "cellular",
+        (p, seed),
+        #[inline(always)]
+        |(p, seed)| {
+            let (corner, fraction) = cell(p);
+            let (mut first, mut second) = (seed.splat(1.0), seed.splat(1.0));
+            for place in 0..27_u8 {
+                let step = [place % 3, place / 3 % 3, place / 9].map(|n| f32::from(n) - 1.0);
+                let step = vec3(seed.splat(step[0]), seed.splat(step[1]), seed.splat(step[2]));
+                let word = Index::new(corner + step, seed).stirred_word();
+                let point = vec3(
+                    R::from_bits((word >> 9) | 0x3f80_0000),
+                    R::from_bits(((word << 1) & 0x007f_ffff) | 0x3f80_0000),
+                    R::from_bits(((word << 11) & 0x007f_ffff) | 0x3f80_0000),
+                );
+                let from = fraction - step;
+                let away = vec3(from.x + 1.0, from.y + 1.0, from.z + 1.0) - point;
+                let distance = away.length_squared();
+                second = second.min(first.max(distance));
+                first = first.min(distance);
+            }
+            (first, second)
+        },
+    )
+}
+
+/// Cellular noise, 0 to 1.
+#[inline(always)]
+pub(super) fn cellular<R: Real>(p: Vec3<R>, seed: R, feature: Feature) -> R {
+    let (first, second) = nearest_two(p, seed);
+    match feature {
+        Feature::F1 => first.sqrt(),
+        Feature::F2MinusF1 => second.sqrt() - first.sqrt(),
+    }
+}

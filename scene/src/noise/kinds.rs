@@ -1,0 +1,230 @@
+//! The list of noises: what a user writes, and the formula each stands for.
+
+use schemars::JsonSchema;
+use serde::{Deserialize, Deserializer, Serialize};
+
+use super::cellular::{Feature, cellular};
+use super::gardner::{FEWEST_WAVES, MOST_WAVES, gardner};
+use super::layers::{Fractal, Layers, MAX_OCTAVES};
+use super::{Basis, gradient};
+use crate::real::{Real, Vec3};
+use crate::values::{Amount, Factor, Gain, Lacunarity, whole};
+
+/// Makes each kind's struct, of what all kinds have and what it alone has, and the choice among them.
+macro_rules! noises {
+    ($(
+        $(#[$doc:meta])* $Kind:ident { $($(#[$about:meta])* $field:ident: $Type:ty),* $(,)? }
+    )*) => {
+        $(
+            $(#[$doc])*
+            #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+            #[serde(deny_unknown_fields)]
+            pub struct $Kind {
+                $($(#[$about])* pub $field: $Type,)*
+                /// How many cells or waves there are in a scene unit.
+                #[serde(default = "one")]
+                pub scale: Factor,
+                /// Which of the noises of this kind it is.
+                #[serde(default, deserialize_with = "seed")]
+                pub seed: u32,
+                /// How many octaves are summed, each finer than the one before.
+                #[serde(default = "one_octave", deserialize_with = "octaves")]
+                #[schemars(range(min = 1, max = MAX_OCTAVES))]
+                pub octaves: u32,
+                /// How many times finer each octave is than the one before.
+                #[serde(default = "double")]
+                pub lacunarity: Lacunarity,
+                /// How many times as strong each octave is as the one before.
+                #[serde(default = "half")]
+                pub gain: Gain,
+                /// What each octave adds to the sum.
+                #[serde(default)]
+                pub fractal: Fractal,
+                /// How far the noise is shifted by another of its kind, in its own cells or waves.
+                #[serde(default = "nothing")]
+                pub warp: Amount,
+            }
+
+            impl $Kind {
+                /// How its octaves are put together.
+                #[inline(always)]
+                pub(super) fn layers(&self) -> Layers {
+                    Layers {
+                        scale: self.scale.get(),
+                        seed: self.seed,
+                        octaves: self.octaves,
+                        lacunarity: self.lacunarity.get(),
+                        gain: self.gain.get(),
+                        fractal: self.fractal,
+                        warp: self.warp,
+                    }
+                }
+            }
+        )*
+
+        /// Random numbers that change smoothly over space: keyed by its kind.
+        #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+        #[serde(rename_all = "snake_case")]
+        pub enum Noise {
+            $(#[doc = concat!("See [`", stringify!($Kind), "`].")] $Kind($Kind)),*
+        }
+
+        impl Noise {
+            /// Its least and greatest value.
+            pub fn range(&self) -> (f32, f32) {
+                match self {
+                    $(Self::$Kind(noise) => noise.layers().range(noise)),*
+                }
+            }
+
+            /// Its Lipschitz factor: |n(p) − n(q)| ≤ lipschitz · |p − q|, p and q in scene units.
+            pub fn lipschitz(&self) -> f32 {
+                match self {
+                    $(Self::$Kind(noise) => noise.layers().lipschitz(noise)),*
+                }
+            }
+
+            /// Another noise for each salt.
+            #[inline(always)]
+            pub(super) fn salted<R: Real>(&self, p: Vec3<R>, salt: u32) -> R {
+                p.x.vectorize(
+                    #[inline(always)]
+                    || match self {
+                        $(Self::$Kind(noise) => noise.layers().sum(noise, p, salt)),*
+                    },
+                )
+            }
+        }
+    };
+}
+
+noises! {
+    /// Perlin's gradient noise: smooth hills and hollows, 0 at the corners of its cells.
+    Perlin {}
+
+    /// Value noise: random values at the corners of cells, smoothly mixed; softer and blockier than Perlin's.
+    Value {}
+
+    /// Simplex noise: like Perlin's, on a lattice of tetrahedra that shows its axes less.
+    Simplex {}
+
+    /// Worley's cellular noise: how far the nearest of points is that are strewn one to a cell.
+    Cellular {
+        /// What is told of the nearest points.
+        #[serde(default)]
+        feature: Feature,
+    }
+
+    /// Gardner's noise: a product of two sums of sine waves that bend each other; clouds and trees of 1985.
+    Gardner {
+        /// How many waves are in each sum.
+        #[serde(default = "five_waves", deserialize_with = "waves")]
+        #[schemars(range(min = FEWEST_WAVES, max = MOST_WAVES))]
+        waves: u32,
+    }
+}
+
+impl Basis for Perlin {
+    const RANGE: (f32, f32) = (-1.036_354, 1.036_354);
+
+    #[inline(always)]
+    fn at<R: Real>(&self, p: Vec3<R>, seed: R) -> R {
+        gradient::perlin(p, seed)
+    }
+
+    fn lipschitz(&self) -> f32 {
+        gradient::PERLIN_LIPSCHITZ
+    }
+}
+
+impl Basis for Value {
+    const RANGE: (f32, f32) = (-1.0, 1.0);
+
+    #[inline(always)]
+    fn at<R: Real>(&self, p: Vec3<R>, seed: R) -> R {
+        gradient::value(p, seed)
+    }
+
+    fn lipschitz(&self) -> f32 {
+        gradient::VALUE_LIPSCHITZ
+    }
+}
+
+impl Basis for Simplex {
+    const RANGE: (f32, f32) = (-1.0, 1.0);
+
+    #[inline(always)]
+    fn at<R: Real>(&self, p: Vec3<R>, seed: R) -> R {
+        gradient::simplex(p, seed)
+    }
+
+    fn lipschitz(&self) -> f32 {
+        gradient::SIMPLEX_LIPSCHITZ
+    }
+}
+
+impl Basis for Cellular {
+    const RANGE: (f32, f32) = (0.0, 1.0);
+
+    #[inline(always)]
+    fn at<R: Real>(&self, p: Vec3<R>, seed: R) -> R {
+        cellular(p, seed, self.feature)
+    }
+
+    fn lipschitz(&self) -> f32 {
+        // A distance changes as fast as one goes.
+        match self.feature {
+            Feature::F1 => 1.0,
+            Feature::F2MinusF1 => 2.0,
+        }
+    }
+}
+
+impl Basis for Gardner {
+    const RANGE: (f32, f32) = (0.0, 1.0);
+
+    #[inline(always)]
+    fn at<R: Real>(&self, p: Vec3<R>, seed: R) -> R {
+        gardner(p, seed, self.waves)
+    }
+
+    fn lipschitz(&self) -> f32 {
+        super::gardner::lipschitz(self.waves)
+    }
+}
+
+fn one() -> Factor {
+    Factor::new(1.0).expect("1 is in range")
+}
+
+fn double() -> Lacunarity {
+    Lacunarity::new(2.0).expect("2 is in range")
+}
+
+fn half() -> Gain {
+    Gain::new(0.5).expect("0.5 is in range")
+}
+
+fn nothing() -> Amount {
+    Amount::new(0.0).expect("0 is in range")
+}
+
+fn one_octave() -> u32 {
+    1
+}
+
+fn five_waves() -> u32 {
+    5
+}
+
+fn seed<'de, D: Deserializer<'de>>(deserializer: D) -> Result<u32, D::Error> {
+    whole(deserializer, 0, u32::MAX, "as a seed")
+}
+
+fn octaves<'de, D: Deserializer<'de>>(deserializer: D) -> Result<u32, D::Error> {
+    whole(deserializer, 1, MAX_OCTAVES, "octaves")
+}
+
+fn waves<'de, D: Deserializer<'de>>(deserializer: D) -> Result<u32, D::Error> {
+    whole(deserializer, FEWEST_WAVES, MOST_WAVES, "waves")
+}

@@ -1,0 +1,174 @@
+//! What noises on a lattice have in common: a point's cell, and a random word for each of its corners.
+//!
+//! The hash multiplies each index by an odd constant, joins them and stirs once: a short form of
+//! those in Mark Jarzynski and Marc Olano, "Hash functions for GPU rendering", Journal of Computer
+//! Graphics Techniques 9(3), 2020, <https://jcgt.org/published/0009/03/02/>.
+
+use crate::real::{Real, Vec3, vec3};
+
+/// Cells further out than this are all the same along an axis: an `f32` has hardly a fraction left there.
+const FARTHEST_CELL: f32 = 4_194_303.0;
+/// Puts a whole number of up to ±2²² into the low bits of an `f32`.
+const TO_WHOLE: f32 = 12_582_912.0;
+
+/// The odd constants of x, y and z.
+const X_STEP: u32 = 0x8da6_b343;
+const Y_STEP: u32 = 0xd816_3841;
+const Z_STEP: u32 = 0xcb1a_b31f;
+
+/// The index along each axis of a point's cell, or of a corner, as it enters the hash.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Index<R: Real> {
+    x: R::Bits,
+    y: R::Bits,
+    z: R::Bits,
+}
+
+/// The least corner of the cell of `p`, in whole numbers, and where `p` is from there, 0 to 1 along each axis.
+#[inline(always)]
+pub(super) fn cell<R: Real>(p: Vec3<R>) -> (Vec3<R>, Vec3<R>) {
+    let p = p.map(
+        #[inline(always)]
+        |c| c.at_least(-FARTHEST_CELL).at_most(FARTHEST_CELL),
+    );
+    let corner = vec3(p.x.floor(), p.y.floor(), p.z.floor());
+    (corner, p - corner)
+}
+
+impl<R: Real> Index<R> {
+    /// Of the corner at whole numbers up to ±2²², with `seed` from [`seed_number`].
+    #[inline(always)]
+    pub(super) fn new(corner: Vec3<R>, seed: R) -> Self {
+        Self {
+            x: ((corner.x + TO_WHOLE).to_bits() * X_STEP) ^ seed.to_bits(),
+            y: (corner.y + TO_WHOLE).to_bits() * Y_STEP,
+            z: (corner.z + TO_WHOLE).to_bits() * Z_STEP,
+        }
+    }
+
+    /// Both indices along each axis of the cell that starts at `corner`.
+    #[inline(always)]
+    pub(super) fn pair(corner: Vec3<R>, seed: R) -> [Self; 2] {
+        let seed = seed.to_bits();
+        let x = (corner.x + TO_WHOLE).to_bits() * X_STEP;
+        let y = (corner.y + TO_WHOLE).to_bits() * Y_STEP;
+        let z = (corner.z + TO_WHOLE).to_bits() * Z_STEP;
+        [Self { x: x ^ seed, y, z }, Self { x: (x + X_STEP) ^ seed, y: y + Y_STEP, z: z + Z_STEP }]
+    }
+
+    /// A random word: its upper bits are the best.
+    #[inline(always)]
+    pub(super) fn word(self) -> R::Bits {
+        Self::word_of(self.x, self.y, self.z)
+    }
+
+    #[inline(always)]
+    fn word_of(x: R::Bits, y: R::Bits, z: R::Bits) -> R::Bits {
+        let word = x ^ y ^ z;
+        (word ^ (word >> 15)) * 0x27d4_eb2d
+    }
+
+    /// A random word whose bits are all as good (Chris Wellons, "Prospecting for hash functions",
+    /// <https://nullprogram.com/blog/2018/07/31/>).
+    #[inline(always)]
+    pub(super) fn stirred_word(self) -> R::Bits {
+        let word = self.x ^ self.y ^ self.z;
+        let word = (word ^ (word >> 16)) * 0x7feb_352d;
+        let word = (word ^ (word >> 15)) * 0x846c_a68b;
+        word ^ (word >> 16)
+    }
+}
+
+/// The words of a cell's eight corners; x changes fastest.
+#[inline(always)]
+pub(super) fn corner_words<R: Real>([low, high]: [Index<R>; 2]) -> [R::Bits; 8] {
+    let word = Index::<R>::word_of;
+    [
+        word(low.x, low.y, low.z),
+        word(high.x, low.y, low.z),
+        word(low.x, high.y, low.z),
+        word(high.x, high.y, low.z),
+        word(low.x, low.y, high.z),
+        word(high.x, low.y, high.z),
+        word(low.x, high.y, high.z),
+        word(high.x, high.y, high.z),
+    ]
+}
+
+/// A seed as a number that may be handed on: one whose bits are random, but finite, normal and not 0.
+pub(super) fn seed_number(seed: u32, salt: u32) -> f32 {
+    f32::from_bits((crate::sampling::frame_key(seed, salt) & 0xbfff_ffff) | 0x2000_0000)
+}
+
+/// A number from 1 to 2, without 2, from the upper 23 bits of a word.
+#[inline(always)]
+pub(super) fn one_to_two<R: Real>(word: R::Bits) -> R {
+    R::from_bits((word >> 9) | 0x3f80_0000)
+}
+
+/// `number`, negated if the sign bit of `word` is set.
+#[inline(always)]
+pub(super) fn with_sign<R: Real>(number: R, word: R::Bits) -> R {
+    R::from_bits(number.to_bits() ^ (word & 0x8000_0000))
+}
+
+/// The product of `v` with one of the twelve directions to the middles of a cube's edges, (±1, ±1, 0)
+/// and so on, which a random word chooses: Ken Perlin's gradients.
+#[inline(always)]
+pub(super) fn along_gradient<R: Real>(v: Vec3<R>, word: R::Bits) -> R {
+    let third = R::from_bits(((word >> 7) & 0x007f_ffff) | 0x3f80_0000);
+    let first = R::select(third.below(5.0 / 3.0), v.x, v.y);
+    let second = R::select(third.below(4.0 / 3.0), v.y, v.z);
+    with_sign(first, word) + with_sign(second, word << 1)
+}
+
+/// t³(6t² − 15t + 10): from 0 to 1 with no slope and no curvature at either end (Perlin 2002).
+#[inline(always)]
+fn fade<R: Real>(t: R) -> R {
+    let curve = t.mul_add(t.mul_add(t.splat(6.0), t.splat(-15.0)), t.splat(10.0));
+    t * t * t * curve
+}
+
+#[inline(always)]
+fn mix<R: Real>(a: R, b: R, t: R) -> R {
+    t.mul_add(b - a, a)
+}
+
+/// The values of a cell's corners, x changing fastest, mixed by how near `fraction` is to each.
+#[inline(always)]
+pub(super) fn between_corners<R: Real>(corners: [R; 8], fraction: Vec3<R>) -> R {
+    let Vec3 { x, y, z } = fraction.map(
+        #[inline(always)]
+        |t| fade(t),
+    );
+    let [a, b, c, d, e, f, g, h] = corners;
+    let near = mix(mix(a, b, x), mix(c, d, x), y);
+    let far = mix(mix(e, f, x), mix(g, h, x), y);
+    mix(near, far, z)
+}
+
+/// The vectors from a cell's eight corners to the point at `fraction`.
+#[inline(always)]
+pub(super) fn from_corners<R: Real>(low: Vec3<R>) -> [Vec3<R>; 8] {
+    let high = low.map(
+        #[inline(always)]
+        |c| c - 1.0,
+    );
+    [
+        low,
+        vec3(high.x, low.y, low.z),
+        vec3(low.x, high.y, low.z),
+        vec3(high.x, high.y, low.z),
+        vec3(low.x, low.y, high.z),
+        vec3(high.x, low.y, high.z),
+        vec3(low.x, high.y, high.z),
+        high,
+    ]
+}
+
+/// Where an octave starts in its cells, so that the corners of several do not fall together.
+pub(super) fn offset(seed: u32, salt: u32) -> Vec3<f32> {
+    let word = crate::sampling::frame_key(seed, !salt);
+    let part = |places: u32| (word >> places & 0x3ff) as f32 / 1024.0;
+    vec3(part(0), part(10), part(20))
+}

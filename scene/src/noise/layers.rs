@@ -1,0 +1,143 @@
+//! Octaves of a noise put together: F. Kenton Musgrave's fractal sums (Ebert et al., "Texturing and Modeling: A
+//! Procedural Approach", 3rd edition, 2003, chapter 16), and domain warping (Inigo Quilez,
+//! <https://iquilezles.org/articles/warp/>).
+//!
+//! The weights of the octaves are 1, gain, gain² … over their sum, so the range does not grow with their number.
+
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+use super::Basis;
+use super::lattice::{offset, seed_number};
+use crate::real::{Real, Vec3, vec3};
+use crate::values::Amount;
+
+/// Most octaves of a noise.
+pub(super) const MAX_OCTAVES: u32 = 12;
+/// Seeds of an octave and those of the warp differ by this salt.
+const WARP_SALT: u32 = 8;
+
+/// What each octave adds to the sum.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum Fractal {
+    /// The noise as it is: fractional Brownian motion.
+    #[default]
+    Fbm,
+    /// How far the noise is from the middle of its range, 0 to 1: creases where it passes the middle.
+    Turbulence,
+    /// 1 less that: sharp ridges there.
+    Ridged,
+}
+
+/// How the octaves of a noise are put together.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Layers {
+    pub(super) scale: f32,
+    pub(super) seed: u32,
+    pub(super) octaves: u32,
+    pub(super) lacunarity: f32,
+    pub(super) gain: f32,
+    pub(super) fractal: Fractal,
+    pub(super) warp: Amount,
+}
+
+/// One octave: how much finer than the first, and its share of the sum.
+struct Octave {
+    frequency: f32,
+    weight: f32,
+    seed: u32,
+}
+
+impl Layers {
+    /// The octaves, coarsest first.
+    #[inline(always)]
+    fn octaves(self, salt: u32) -> impl Iterator<Item = Octave> {
+        let mut sum = 0.0;
+        let mut weight = 1.0;
+        for _ in 0..self.octaves {
+            sum += weight;
+            weight *= self.gain;
+        }
+        let first = Octave { frequency: 1.0, weight: 1.0 / sum, seed: salt << 8 };
+        std::iter::successors(
+            Some(first),
+            #[inline(always)]
+            move |octave| {
+                Some(Octave {
+                    frequency: octave.frequency * self.lacunarity,
+                    weight: octave.weight * self.gain,
+                    seed: octave.seed + 1,
+                })
+            },
+        )
+        .take(self.octaves as usize)
+    }
+
+    /// The sum at `p`.
+    #[inline(always)]
+    pub(super) fn sum<R: Real, B: Basis>(self, basis: &B, p: Vec3<R>, salt: u32) -> R {
+        let like = p.x;
+        let (low, high) = B::RANGE;
+        let mut p = p * like.given(self.scale);
+        if !self.warp.is_zero() {
+            let [x, y, z] = [1, 2, 3].map(
+                #[inline(always)]
+                |axis| octave_at(self.seed, (salt + WARP_SALT + axis) << 8, 1.0, basis, p) - (low + high) * 0.5,
+            );
+            p = vec3(x, y, z).mul_add(like.given(self.warp.get()), p);
+        }
+        let mut sum = like.splat(0.0);
+        for Octave { frequency, weight, seed } in self.octaves(salt) {
+            let noise = octave_at(self.seed, seed, frequency, basis, p);
+            let term = match self.fractal {
+                Fractal::Fbm => noise,
+                Fractal::Turbulence => from_middle::<R, B>(noise),
+                Fractal::Ridged => like.splat(1.0) - from_middle::<R, B>(noise),
+            };
+            sum = term.mul_add(like.given(weight), sum);
+        }
+        // The range holds to the last bit, and where nothing is known of a cell's random words.
+        let (low, high) = self.range(basis);
+        sum.at_least(low).at_most(high)
+    }
+
+    /// The least and the greatest sum.
+    #[inline(always)]
+    pub(super) fn range<B: Basis>(self, _: &B) -> (f32, f32) {
+        match self.fractal {
+            Fractal::Fbm => B::RANGE,
+            Fractal::Turbulence | Fractal::Ridged => (0.0, 1.0),
+        }
+    }
+
+    /// The sum's Lipschitz factor: each octave's is that of the basis times its frequency and weight. The
+    /// warp adds three noises of one octave, whose Jacobian has no norm above √3 times their factor.
+    pub(super) fn lipschitz<B: Basis>(self, basis: &B) -> f32 {
+        // More than all that rounding adds.
+        const MARGIN: f32 = 1.000_1;
+        let (low, high) = B::RANGE;
+        let folded = match self.fractal {
+            Fractal::Fbm => 1.0,
+            Fractal::Turbulence | Fractal::Ridged => 2.0 / (high - low),
+        };
+        let of_octaves: f32 = self.octaves(0).map(|octave| octave.frequency * octave.weight).sum();
+        let warped = 1.0 + self.warp.get() * Real::sqrt(3.0_f32) * basis.lipschitz();
+        basis.lipschitz() * folded * of_octaves * warped * self.scale * MARGIN
+    }
+}
+
+/// How far a noise is from the middle of its range, 0 to 1.
+#[inline(always)]
+fn from_middle<R: Real, B: Basis>(noise: R) -> R {
+    let (low, high) = B::RANGE;
+    noise.mul_add(noise.splat(2.0 / (high - low)), noise.splat((low + high) / (low - high))).abs()
+}
+
+/// A noise of one octave, with a seed and a place of its own.
+#[inline(always)]
+fn octave_at<R: Real, B: Basis>(seed: u32, salt: u32, frequency: f32, basis: &B, p: Vec3<R>) -> R {
+    let like = p.x;
+    let p = p.mul_add(like.given(frequency), Vec3::given(like, offset(seed, salt)));
+    basis.at(p, like.given(seed_number(seed, salt)))
+}
