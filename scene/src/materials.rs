@@ -6,14 +6,27 @@ mod volume;
 
 use std::borrow::Cow;
 use std::collections::BTreeMap;
+mod diffuse;
+mod material_use;
+pub mod microfacet;
+mod plain;
+mod surface;
+pub mod texture;
+mod tint;
 
-use schemars::{JsonSchema, Schema, SchemaGenerator, json_schema};
-use serde::de::{MapAccess, Visitor, value::MapAccessDeserializer};
-use serde::{Deserialize, Deserializer, Serialize, Serializer};
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+pub use diffuse::Diffuse;
+pub use material_use::MaterialUse;
+pub use plain::{Flat, Normals};
+pub use surface::Surface;
+pub use texture::Texture;
+pub use tint::{Level, Parameter, Tint, Varied};
 
 use crate::lights::Incoming;
-use crate::real::{Flag, Real, Vec3, bundle, vec3};
-use crate::values::{Color, Shininess};
+use crate::nodes::snake_case;
+use crate::real::{Flag, Real, Vec3, bundle};
 
 pub(crate) use volume::Filling;
 pub use volume::{Clouds, Volume};
@@ -96,11 +109,48 @@ pub trait Shade {
     /// Whether it looks at `Place::point`.
     fn is_textured(&self) -> bool {
         false
+    /// The textures that its parameters have.
+    fn textures(&self) -> Vec<&Texture> {
+        Vec::new()
     }
 
     /// Whether it looks at `Place::own_normal`, which is dear to find.
     fn needs_own_normal(&self) -> bool {
-        false
+        self.textures().into_iter().any(Texture::needs_own_normal)
+    }
+}
+
+/// What a material or a texture shows of itself.
+pub trait Exemplary {
+    /// A small valid value, as a user would write it: the picture in docs/materials.md and the contract tests use it.
+    const EXAMPLE: &'static str;
+
+    /// Further values that take other ways through the formula, drawn and tested like the first.
+    const MORE: &'static [&'static str] = &[];
+}
+
+/// A material or a texture to look at and to test with.
+#[derive(Clone, Debug)]
+pub struct Example {
+    /// Its type, as in the schema.
+    pub kind: &'static str,
+    /// Its name in JSON.
+    pub name: String,
+    /// Its place among the examples of its type, from 0.
+    pub number: usize,
+    /// Its JSON.
+    pub json: String,
+}
+
+impl Example {
+    /// The examples of one type, each under its name.
+    fn of<E: Exemplary>(kind: &'static str, name: &str) -> impl Iterator<Item = Self> {
+        std::iter::once(&E::EXAMPLE).chain(E::MORE).enumerate().map(move |(number, value)| Self {
+            kind,
+            name: name.to_owned(),
+            number,
+            json: format!("{{ \"{name}\": {value} }}"),
+        })
     }
 }
 
@@ -147,10 +197,21 @@ macro_rules! materials {
 
             fn is_textured(&self) -> bool {
                 match self { $(Self::$Kind(material) => material.is_textured()),* }
+            fn textures(&self) -> Vec<&Texture> {
+                match self { $(Self::$Kind(material) => material.textures()),* }
             }
 
             fn needs_own_normal(&self) -> bool {
                 match self { $(Self::$Kind(material) => material.needs_own_normal()),* }
+            }
+        }
+
+        impl Material {
+            /// Each kind's examples, as a user would write the whole material.
+            pub fn examples() -> Vec<Example> {
+                let mut examples = Vec::new();
+                $(examples.extend(Example::of::<$Kind>(stringify!($Kind), &snake_case(stringify!($Kind))));)*
+                examples
             }
         }
     };
@@ -387,3 +448,4 @@ impl JsonSchema for MaterialUse {
         })
     }
 }
+materials![Flat, Normals, Diffuse, Surface];
