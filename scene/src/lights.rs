@@ -10,7 +10,8 @@ use serde::{Deserialize, Serialize};
 
 pub use shaped::{SphereLight, SpotLight};
 
-use crate::real::{Real, Vec3, vec3};
+use crate::materials::microfacet::frame;
+use crate::real::{Real, Vec3};
 use crate::sky::{Background, Day};
 use crate::values::{Aperture, Color, Direction, Point, Strength};
 
@@ -195,7 +196,7 @@ fn wide<R: Real>(like: R, axis: Vec3<f32>, angle: Aperture, pair: impl FnOnce() 
     let half = Real::sin(angle.get() * (std::f32::consts::PI / 720.0));
     // 1 − cos θ, evenly from 0 to 1 − cos(angle/2) = 2 sin²(angle/4).
     let versine = u * like.given(2.0 * half * half);
-    let (right, up) = across(axis);
+    let (right, up) = frame(axis);
     around(Vec3::given(like, axis), Vec3::given(like, right), Vec3::given(like, up), versine, v)
 }
 
@@ -206,19 +207,6 @@ pub(crate) fn around<R: Real>(axis: Vec3<R>, right: Vec3<R>, up: Vec3<R>, versin
     let away = (versine * (versine.splat(2.0) - versine)).sqrt();
     let along = axis.mul_add(versine.splat(1.0) - versine, right * (away * cosine));
     up.mul_add(away * sine, along)
-}
-
-/// Two directions that make a frame with this one.
-///
-/// Tom Duff et al., "Building an orthonormal basis, revisited", Journal of Computer Graphics Techniques 6(1), 2017.
-#[inline(always)]
-pub(crate) fn across<R: Real>(axis: Vec3<R>) -> (Vec3<R>, Vec3<R>) {
-    let (one, zero) = (axis.z.splat(1.0), axis.z.splat(0.0));
-    let sign = R::select(axis.z.lt(zero), -one, one);
-    let a = -one / (sign + axis.z);
-    let b = axis.x * axis.y * a;
-    let right = vec3((sign * axis.x.square()).mul_add(a, one), sign * b, -sign * axis.x);
-    (right, vec3(b, axis.y.square().mul_add(a, sign), -axis.y))
 }
 
 /// The lights of a scene that names none.

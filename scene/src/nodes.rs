@@ -8,8 +8,8 @@ mod displace;
 mod fractals;
 mod modifiers;
 mod operators;
-mod prepared;
 mod per_axis;
+mod prepared;
 mod primitives;
 mod relief;
 mod runs;
@@ -23,34 +23,25 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 pub use displace::{Bumps, Displace, Sine};
-pub use fractals::Mandelbulb;
 pub use fractals::{
     ApollonianGasket, KaleidoscopicFolds, KaleidoscopicIfs, Mandelbox, MandelbrotRelief, Mandelbulb, MengerSponge,
     QuaternionJulia, Sierpinski,
-};
-pub use modifiers::Paint;
-pub use operators::{Difference, Intersection, Union};
-pub use prepared::{Prepare, Prepared};
-pub use primitives::{
-    BezierTube, Box, CappedCone, CappedTorus, Capsule, Cone, CutHollowSphere, CutSphere, Cylinder, DeathStar,
-    Ellipsoid, Horseshoe, InfiniteCone, InfiniteCylinder, Link, Plane, Pyramid, Quad, RoundCone, RoundedCylinder,
-    SolidAngle, Sphere, Torus, Triangle, TriangularPrism, U, Vesica,
-pub use primitives::{
-    Box, BoxFrame, Capsule, Cylinder, Diamond, Dodecahedron, Gyroid, HexagonalPrism, Icosahedron, InfiniteCylinder,
-    OctagonalPrism, Octahedron, Plane, Pyramid, RegularPyramid, Rhombus, SchwarzP, Sides, Sphere, Tetrahedron, Torus,
-    TriangularPrism,
 };
 pub use modifiers::{Bend, Copies, Elongate, Mirror, Onion, Paint, PolarRepeat, Repeat, Round, Stretch, Taper, Twist};
 pub use operators::{
     Chamfer, Columns, Difference, Engrave, Groove, Intersection, Join, Morph, Stairs, Tongue, Union, Xor,
 };
-pub use primitives::{Box, Capsule, Cylinder, InfiniteCylinder, Plane, Pyramid, Sphere, Torus, TriangularPrism};
-pub use sample::{Coat, Distance, Painted, Sample};
-pub use sweeps::{Extrude, Revolve};
 pub use per_axis::PerAxis;
-pub use primitives::{Box, Capsule, Cylinder, InfiniteCylinder, Plane, Pyramid, Sphere, Torus, TriangularPrism};
+pub use prepared::{Prepare, Prepared};
+pub use primitives::{
+    BezierTube, Box, BoxFrame, CappedCone, CappedTorus, Capsule, Cone, CutHollowSphere, CutSphere, Cylinder, DeathStar,
+    Diamond, Dodecahedron, Ellipsoid, Gyroid, HexagonalPrism, Horseshoe, Icosahedron, InfiniteCone, InfiniteCylinder,
+    Link, OctagonalPrism, Octahedron, Plane, Pyramid, Quad, RegularPyramid, Rhombus, RoundCone, RoundedCylinder,
+    SchwarzP, Sides, SolidAngle, Sphere, Tetrahedron, Torus, Triangle, TriangularPrism, U, Vesica,
+};
 pub use relief::FoundRelief;
 pub use sample::{Coat, Distance, Painted, Sample};
+pub use sweeps::{Extrude, Revolve};
 pub use terrain::HeightField;
 pub use transforms::{Rotate, Scale, Translate};
 pub use warp::Warp;
@@ -420,9 +411,6 @@ nodes![
         Triangle,
         Quad,
         BezierTube,
-    ]
-    called: [Extrude, Revolve]
-    called: [Displace, Warp, HeightField]
         BoxFrame,
         Rhombus,
         HexagonalPrism,
@@ -435,6 +423,9 @@ nodes![
         Gyroid,
         SchwarzP,
         Diamond,
+        Extrude,
+        Revolve,
+        HeightField,
         Xor,
         Chamfer,
         Stairs,
@@ -453,6 +444,8 @@ nodes![
         Twist,
         Bend,
         Taper,
+        Displace,
+        Warp,
         ApollonianGasket,
         KaleidoscopicIfs,
         Mandelbox,

@@ -190,9 +190,8 @@ fn meaning(job: &mut Job, moves: bool) -> Faults {
         fault("/scene/objects", format!("has {nodes} nodes: use at most {MAX_NODES}"));
     }
     image(job, &mut fault);
-    job.scene.prepare(moves);
     if is_sound {
-        job.scene.prepare();
+        job.scene.prepare(moves);
     }
     for (pointer, name) in job.scene.resolve_materials() {
         let known: Vec<&str> = job.scene.materials.keys().map(String::as_str).collect();

@@ -180,9 +180,6 @@ numbers! {
     /// How narrow a highlight is: the exponent of Phong's cosine.
     Shininess: |v| (1.0..=10_000.0).contains(&v), "an exponent from 1 to 10000",
         { "type": "number", "minimum": 1, "maximum": 10000, "description": "The exponent of Phong's cosine." };
-    /// A share of something.
-    Share: |v| (0.0..=1.0).contains(&v), "a share from 0 to 1",
-        { "type": "number", "minimum": 0, "maximum": 1, "description": "A share of something." };
     /// How much slower light is inside than outside.
     RefractiveIndex: |v| (1.0..=4.0).contains(&v), "an index of refraction from 1 to 4",
         { "type": "number", "minimum": 1, "maximum": 4, "description": "An index of refraction: air 1, water 1.33, glass 1.5, diamond 2.42." };
@@ -204,9 +201,6 @@ numbers! {
     /// How many times as strong each octave of a noise is as the one before.
     Gain: |v| (0.0..=1.0).contains(&v), "a gain from 0 to 1",
         { "type": "number", "minimum": 0, "maximum": 1, "description": "How many times as strong each octave of a noise is as the one before." };
-    /// A share of something.
-    Share: |v| (0.0..=1.0).contains(&v), "a share from 0 to 1",
-        { "type": "number", "minimum": 0, "maximum": 1, "description": "A share of something." };
     /// How bright something is beside what it is by itself.
     Strength: |v| (0.0..=1e6).contains(&v), "a strength from 0 to 1e6",
         { "type": "number", "minimum": 0, "maximum": 1e6, "description": "How bright something is beside what it is by itself." };
@@ -228,14 +222,6 @@ still_numbers! {
     /// Frames a second.
     FrameRate: |v| (0.001..=1000.0).contains(&v), "a rate from 0.001 to 1000 frames a second",
         { "type": "number", "minimum": 0.001, "maximum": 1000, "description": "Frames a second." };
-}
-
-impl Amount {
-    /// Whether it is nothing in every frame: then what it would do may be left out.
-    #[inline(always)]
-    pub fn is_zero(self) -> bool {
-        self.value == 0.0 && !self.moves
-    }
 }
 
 /// Reads any whole number that JSON can hold.

@@ -159,7 +159,6 @@ fn an_exact_distance_reaches_the_surface_and_no_shorter_one_does() {
             // Where many directions are as near, look for the best of them.
             let distance = node.distance(p);
             let (mut nearest, mut best) = (f32::INFINITY, random.direction());
-            let (mut best, mut least) = (random.direction(), f32::INFINITY);
             for round in 0..4_000 {
                 if miss <= 1e-3 {
                     break;
@@ -170,9 +169,6 @@ fn an_exact_distance_reaches_the_surface_and_no_shorter_one_does() {
                 if there < nearest {
                     (nearest, best) = (there, direction);
                     miss = miss.min(there);
-                if there < least {
-                    (least, best) = (there, direction);
-                    miss = miss.min(least);
                 }
             }
             assert!(miss <= 1e-3, "{kind}: {distance} at {p:?}, but {miss} is left from there to the surface");

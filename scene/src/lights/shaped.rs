@@ -3,7 +3,8 @@
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use super::{Incoming, across, around, white, yes};
+use super::{Incoming, around, white, yes};
+use crate::materials::microfacet::frame;
 use crate::real::{Real, Vec3};
 use crate::values::{Aperture, Color, Direction, Length, Point, Share};
 
@@ -79,7 +80,7 @@ impl SphereLight {
         let axis = (towards * per_distance).normalize();
         let sine = (radius * per_distance).at_most(1.0);
         let versine_of_edge = sine.square() / (one + (one - sine.square()).sqrt());
-        let (right, up) = across(axis);
+        let (right, up) = frame(axis);
         let direction = around(axis, right, up, u * versine_of_edge, v);
         let along = direction.dot(towards);
         let to_surface = along - (radius.square() - (distance.square() - along.square())).sqrt();

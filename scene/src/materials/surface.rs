@@ -299,6 +299,14 @@ impl Shade for Surface {
         Some(Finish { mirrored, roughness, passed, ior })
     }
 
+    fn sends_on(&self) -> bool {
+        true
+    }
+
+    fn lets_through(&self) -> bool {
+        !self.transmission.is_zero()
+    }
+
     fn textures(&self) -> Vec<&Texture> {
         let Self { base_color, metallic, roughness, ior, emission, clearcoat, clearcoat_roughness, transmission } =
             self;

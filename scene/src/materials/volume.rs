@@ -3,7 +3,7 @@
 use schemars::JsonSchema;
 use serde::{Deserialize, Deserializer, Serialize};
 
-use super::{Finish, Lighting, Material, Place, Shade};
+use super::{Exemplary, Finish, Lighting, Material, Place, Shade};
 use crate::limits::{MAX_LIGHT_STEPS, MAX_MEDIUM_STEPS};
 use crate::noise::Noise;
 use crate::real::{Real, Vec3, vec3};
@@ -20,7 +20,7 @@ pub struct Clouds {
     #[serde(default)]
     pub mapping: Mapping,
     /// Their colour. On a surface it is lit as that of `diffuse`.
-    #[serde(default = "super::white")]
+    #[serde(default = "white")]
     pub color: Color,
     /// Inside a shape: the extinction coefficient where the noise is 1, per scene unit.
     #[serde(default = "thick")]
@@ -66,7 +66,7 @@ pub struct Volume {
     #[serde(default = "sharp")]
     pub edge: Amount,
     /// Share of the light that is scattered and not swallowed, by channel.
-    #[serde(default = "super::white")]
+    #[serde(default = "white")]
     pub albedo: Color,
     /// Whether light is scattered onwards (above 0) or back.
     #[serde(default = "evenly")]
@@ -76,7 +76,7 @@ pub struct Volume {
     #[schemars(range(min = 1, max = MAX_ORDERS))]
     pub orders: u32,
     /// Light it sends out by itself.
-    #[serde(default = "super::black")]
+    #[serde(default = "black")]
     pub emission: Color,
     /// Steps of a ray from corner to corner of its shape's bounds.
     #[serde(default = "forty_eight", deserialize_with = "steps")]
@@ -106,6 +106,24 @@ impl Material {
             _ => None,
         }
     }
+}
+
+impl Exemplary for Clouds {
+    const EXAMPLE: &'static str =
+        r#"{ "noise": { "perlin": { "scale": 2, "octaves": 4 } }, "density": 6, "threshold": 0.35 }"#;
+    const MORE: &'static [&'static str] = &[
+        r#"{ "noise": { "perlin": { "scale": 2, "octaves": 4 } }, "mapping": "surface", "threshold": 0.4 }"#,
+        r#"{ "noise": { "gardner": {} }, "density": 4 }"#,
+        r#"{ "noise": { "gardner": {} }, "mapping": "surface" }"#,
+    ];
+}
+
+impl Exemplary for Volume {
+    const EXAMPLE: &'static str = r#"{ "density": 14, "noise": { "perlin": { "scale": 2, "octaves": 4 } }, "edge": 0.3, "anisotropy": 0.3, "orders": 4 }"#;
+    const MORE: &'static [&'static str] = &[
+        r#"{ "density": 1.5, "albedo": [0.9, 0.5, 0.3] }"#,
+        r#"{ "density": 2, "edge": 0.5, "emission": [1.5, 0.4, 0.1] }"#,
+    ];
 }
 
 impl Filling<'_> {
@@ -187,7 +205,7 @@ impl Shade for Clouds {
             let facing = place.normal.dot(light.direction).at_least(0.0);
             sum = light.radiance.mul_add(facing, sum);
         }
-        sum.mul_each(Vec3::given(like, self.color.get())) * self.cover(place)
+        sum.by_channel(Vec3::given(like, self.color.get())) * self.cover(place)
     }
 
     #[inline(always)]
@@ -291,6 +309,14 @@ impl Shade for Volume {
     fn is_medium(&self) -> bool {
         true
     }
+}
+
+fn white() -> Color {
+    Color::new(1.0, 1.0, 1.0)
+}
+
+fn black() -> Color {
+    Color::new(0.0, 0.0, 0.0)
 }
 
 fn thick() -> Density {

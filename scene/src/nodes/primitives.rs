@@ -4,13 +4,13 @@
 mod cones;
 mod curves;
 mod cut;
-mod rings;
-mod round;
-mod sheets;
 mod frames;
 mod periodic;
 mod polyhedra;
 mod regular;
+mod rings;
+mod round;
+mod sheets;
 mod sides;
 mod slopes;
 
@@ -24,7 +24,6 @@ pub use rings::{CappedTorus, Horseshoe, Link, U};
 pub use round::{Ellipsoid, RoundedCylinder, Vesica};
 pub use sheets::{Quad, Triangle};
 
-use super::{Exactness, NodeFault, Primitive};
 pub use frames::{BoxFrame, Rhombus};
 pub use periodic::{Diamond, Gyroid, SchwarzP};
 pub use polyhedra::{Dodecahedron, Icosahedron, Octahedron, Tetrahedron};
@@ -32,7 +31,7 @@ pub use regular::{HexagonalPrism, OctagonalPrism, RegularPyramid};
 pub use sides::Sides;
 
 use self::slopes::Slope;
-use super::{Exactness, Primitive};
+use super::{Exactness, NodeFault, Primitive};
 use crate::bounds::Bounds;
 use crate::real::{Real, Vec3, vec3};
 use crate::values::{Amount, Coordinate, Direction, Length, Point};

@@ -2,8 +2,9 @@
 
 use super::{Hit, Program};
 use crate::camera::Ray;
-use crate::lights::{Incoming, Light, across};
+use crate::lights::{Incoming, Light};
 use crate::march::{Marched, Reach, march};
+use crate::materials::microfacet::frame;
 use crate::materials::{Lighting, Shade};
 use crate::real::{Real, Vec3};
 use crate::sampling::Dice;
@@ -157,7 +158,7 @@ impl Program<'_> {
 /// A direction around a normal, as likely as its cosine: a point of the unit disc, raised to the half sphere.
 #[inline(always)]
 fn by_cosine<R: Real>(normal: Vec3<R>, (u, v): (R, R)) -> Vec3<R> {
-    let (right, up) = across(normal);
+    let (right, up) = frame(normal);
     let (sine, cosine) = (v * std::f32::consts::TAU).sin_cos();
     let away = u.sqrt();
     let height = (u.splat(1.0) - u).sqrt();

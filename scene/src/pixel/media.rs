@@ -191,7 +191,7 @@ impl Program<'_> {
                     let cosine = direction.dot(incoming.direction);
                     for (volume, extinction) in &scattering {
                         let phase = volume.phase(cosine, lit);
-                        sent = incoming.radiance.mul_each(volume.scattered(p.x)).mul_add(phase * *extinction, sent);
+                        sent = incoming.radiance.by_channel(volume.scattered(p.x)).mul_add(phase * *extinction, sent);
                     }
                 }
                 for source in &self.scene.lights {
@@ -200,7 +200,7 @@ impl Program<'_> {
                     let (up, down) = (vec3(zero, zero.splat(1.0), zero), vec3(zero, zero.splat(-1.0), zero));
                     let mean = (from.toward(up) + from.toward(down)) * zero.given(0.5 * sky.strength.get());
                     for (volume, extinction) in &scattering {
-                        sent = mean.mul_each(volume.scattered(p.x)).mul_add(*extinction, sent);
+                        sent = mean.by_channel(volume.scattered(p.x)).mul_add(*extinction, sent);
                     }
                 }
                 sent

@@ -3,9 +3,9 @@
 use super::lighting::{CHOICE, NORMAL_TAPS, SCATTERING};
 use super::{Hit, Program, Radiance};
 use crate::camera::Ray;
-use crate::lights::across;
 use crate::march::{Marched, Reach, march};
 use crate::materials::Finish;
+use crate::materials::microfacet::{alpha, frame, grazing, sample_visible_normal, shadowing};
 use crate::real::{Flag, Real, Vec3, bundle, vec3};
 use crate::sampling::Dice;
 
@@ -71,7 +71,7 @@ impl Program<'_> {
             self.segment(start, dice)
         };
         // What would be met after the last bounce is taken to be the background.
-        let rest = end.throughput.mul_each(self.background(end.ray.direction).0);
+        let rest = end.throughput.by_channel(self.background(end.ray.direction).0);
         let color = Vec3::select(end.going.0, end.color + rest, end.color);
         let alpha = self.background(end.ray.direction).1;
         let alpha = end.see_through.mul_add(alpha - 1.0, one);
@@ -90,7 +90,7 @@ impl Program<'_> {
                 self.cross_air(&mut path, &marched, &dice);
                 let (background, _) = self.background(path.ray.direction);
                 let missed = Path {
-                    color: path.color + path.throughput.mul_each(background),
+                    color: path.color + path.throughput.by_channel(background),
                     going: Flag(path.near.below(0.0)),
                     ..path
                 };
@@ -115,13 +115,13 @@ impl Program<'_> {
                 Some(color) => Vec3::given(length, color.get()),
                 None => self.background(path.ray.direction).0,
             };
-            path.color = path.color + path.throughput.mul_each(color) * (clear.splat(1.0) - clear);
+            path.color = path.color + path.throughput.by_channel(color) * (clear.splat(1.0) - clear);
             path.throughput = path.throughput * clear;
             path.see_through = path.see_through * clear;
         }
         if let Some(media) = &self.media {
             let crossed = self.cross(media, &path.ray, length, dice);
-            path.color = path.color + path.throughput.mul_each(crossed.color);
+            path.color = path.color + path.throughput.by_channel(crossed.color);
             path.throughput = path.throughput * crossed.transmittance;
             path.see_through = path.see_through * crossed.transmittance;
             path.evaluations = path.evaluations + crossed.evaluations;
@@ -137,16 +137,16 @@ impl Program<'_> {
         let (light, evaluations) = self.lighting(&hit, dice);
         let evaluations = path.evaluations + evaluations + NORMAL_TAPS;
         if !self.sends_on {
-            let color = path.color + path.throughput.mul_each(self.dress(&hit, &path.ray, &light));
+            let color = path.color + path.throughput.by_channel(self.dress(&hit, &path.ray, &light));
             return Path { color, evaluations, see_through: zero, going: Flag(zero.above(0.0)), ..path };
         }
         let (seen, finish) = self.dress_and_finish(&hit, &path.ray, &light);
-        let color = path.color + path.throughput.mul_each(seen);
+        let color = path.color + path.throughput.by_channel(seen);
         let onward = self.send_on(&hit, -path.ray.direction, &finish, dice);
         let near = self.tolerance.at(hit.distance);
         let side = R::select(onward.through.0, near * -4.0, near * 4.0);
         let ray = Ray { origin: hit.normal.mul_add(side, hit.position), direction: onward.direction };
-        let throughput = path.throughput.mul_each(onward.weight);
+        let throughput = path.throughput.by_channel(onward.weight);
         // What goes straight through leaves the background behind it to be seen.
         let straight = onward.through.0 & (finish.ior - 1.0).abs().below(1e-4);
         let see_through = R::select(straight, path.see_through * onward.weight.mean(), zero);
@@ -165,17 +165,16 @@ impl Program<'_> {
 
     /// Where a ray goes on from a surface: mirrored, or through it where that is what its numbers choose.
     ///
-    /// Bruce Walter et al., "Microfacet models for refraction through rough surfaces", EGSR 2007; a visible
-    /// normal is chosen as in Jonathan Dupuy and Anis Benyoub, "Sampling visible GGX normals with
-    /// spherical caps", High-Performance Graphics 2023.
+    /// Bruce Walter et al., "Microfacet models for refraction through rough surfaces", EGSR 2007.
     #[inline(always)]
     fn send_on<R: Real>(&self, hit: &Hit<R>, to_viewer: Vec3<R>, finish: &Finish<R>, dice: &Dice<R>) -> Onward<R> {
         let (zero, one) = (hit.distance.splat(0.0), hit.distance.splat(1.0));
         let frame = Frame::around(hit.normal);
         let viewer = frame.local(to_viewer);
         let viewer = vec3(viewer.x, viewer.y, viewer.z.at_least(1e-3));
-        let alpha = finish.roughness.square();
-        let facet = visible_normal(viewer, alpha, dice.pair(SCATTERING));
+        let alpha = alpha(finish.roughness);
+        let (u, v) = dice.pair(SCATTERING);
+        let facet = sample_visible_normal(viewer, alpha, u, v);
         let cosine = facet.dot(viewer).at_least(1e-4);
         let mirrored = facet.mul_add(cosine + cosine, -viewer);
         let ratio = R::select(hit.inside.0, finish.ior, one / finish.ior.at_least(1e-3));
@@ -183,14 +182,14 @@ impl Program<'_> {
         let cosine_beyond = (one - beyond).sqrt();
         let steep = R::select(finish.ior.above(1.0) & hit.inside.0, cosine_beyond, cosine);
         let reflected = fresnel(finish.mirrored, steep);
-        let masked = shadowed(viewer.z, mirrored.z, alpha);
+        let masked = shadowing(alpha, mirrored.z, viewer.z);
         if !self.lets_through {
             let weight = reflected * R::select(mirrored.z.above(1e-4), masked, zero);
             return Onward { direction: frame.world(mirrored).normalize(), weight, through: Flag(zero.above(0.0)) };
         }
         let total = beyond.above(1.0) & finish.passed.max_element().above(0.0);
         let reflected = Vec3::select(total, vec3(one, one, one), reflected);
-        let passed = vec3(one - reflected.x, one - reflected.y, one - reflected.z).mul_each(finish.passed);
+        let passed = vec3(one - reflected.x, one - reflected.y, one - reflected.z).by_channel(finish.passed);
         let (of_mirror, of_passage) = (reflected.mean(), passed.mean());
         let likely = of_mirror / (of_mirror + of_passage).at_least(1e-6);
         // Rarely chosen ways would be noise.
@@ -245,48 +244,17 @@ impl Program<'_> {
     }
 }
 
-/// A facet's normal as a viewer above the surface sees it, in a frame whose z is the surface's normal.
-#[inline(always)]
-fn visible_normal<R: Real>(viewer: Vec3<R>, alpha: R, (u, v): (R, R)) -> Vec3<R> {
-    let one = alpha.splat(1.0);
-    let stretched = vec3(viewer.x * alpha, viewer.y * alpha, viewer.z).normalize();
-    let (sine, cosine) = (u * std::f32::consts::TAU).sin_cos();
-    let height = (one - v).mul_add(one + stretched.z, -stretched.z);
-    let away = (one - height.square()).sqrt();
-    let half = vec3(away * cosine, away * sine, height) + stretched;
-    vec3(half.x * alpha, half.y * alpha, half.z.at_least(1e-6)).normalize()
-}
-
 /// Schlick's approximation of Fresnel's equations; what mirrors next to nothing does so at every angle.
 ///
-/// Christophe Schlick, "An inexpensive BRDF model for physically-based rendering", Eurographics 1994.
+/// Sébastien Lagarde, "Memo on Fresnel equations", 2013: <https://seblagarde.wordpress.com/2013/04/29/memo-on-fresnel-equations/>.
 #[inline(always)]
 fn fresnel<R: Real>(head_on: Vec3<R>, cosine: R) -> Vec3<R> {
-    let grazing = (head_on.max_element() * 50.0).at_most(1.0);
-    let rest = (cosine.splat(1.0) - cosine).at_least(0.0);
-    let power = rest.square().square() * rest;
+    let most = (head_on.max_element() * 50.0).at_most(1.0);
+    let rise = grazing(cosine);
     head_on.map(
         #[inline(always)]
-        |channel| (grazing - channel).at_least(0.0).mul_add(power, channel),
+        |channel| (most - channel).at_least(0.0).mul_add(rise, channel),
     )
-}
-
-/// The share of visible facets whose mirrored light is not hidden by others: G2/G1 of Smith's
-/// height-correlated masking and shadowing.
-#[inline(always)]
-fn shadowed<R: Real>(viewer: R, light: R, alpha: R) -> R {
-    let one = alpha.splat(1.0);
-    let (of_viewer, of_light) = (hidden(viewer, alpha), hidden(light, alpha));
-    (one + of_viewer) / (one + of_viewer + of_light)
-}
-
-/// Smith's Λ of the GGX distribution for a direction of this cosine.
-#[inline(always)]
-fn hidden<R: Real>(cosine: R, alpha: R) -> R {
-    let one = alpha.splat(1.0);
-    let square = cosine.square().at_least(1e-6).at_most(1.0);
-    let tangent = (one - square) / square;
-    (alpha.square().mul_add(tangent, one).sqrt() - 1.0) * 0.5
 }
 
 /// A frame around a normal.
@@ -300,7 +268,7 @@ struct Frame<R> {
 impl<R: Real> Frame<R> {
     #[inline(always)]
     fn around(normal: Vec3<R>) -> Self {
-        let (right, up) = across(normal);
+        let (right, up) = frame(normal);
         Self { right, up, normal }
     }
 

@@ -80,16 +80,12 @@ impl<R: Real> Vec3<R> {
         vec3(self.x.mul_add(factor, term.x), self.y.mul_add(factor, term.y), self.z.mul_add(factor, term.z))
     }
 
-    /// Coordinate by coordinate product: one colour seen through another.
-    #[inline(always)]
-    pub fn mul_each(self, other: Self) -> Self {
-        vec3(self.x * other.x, self.y * other.y, self.z * other.z)
-    }
-
     /// The mean of the coordinates.
     #[inline(always)]
     pub fn mean(self) -> R {
         (self.x + self.y + self.z) * (1.0 / 3.0)
+    }
+
     /// Each coordinate times the other vector's: light through a filter.
     #[inline(always)]
     pub fn by_channel(self, other: Self) -> Self {

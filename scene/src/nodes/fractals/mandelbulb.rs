@@ -165,7 +165,7 @@ impl Mandelbulb {
 
 /// The power, if it is a whole number: then its formula is code, not data.
 fn whole(power: Power) -> Option<u32> {
-    (power.get() % 1.0 == 0.0).then_some(power.get() as u32)
+    (power.get() % 1.0 == 0.0 && !power.is_moving()).then_some(power.get() as u32)
 }
 
 /// zⁿ + p and rⁿ⁻¹ for any power n.
