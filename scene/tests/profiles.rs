@@ -244,6 +244,6 @@ fn a_long_text_counts_as_many_nodes() {
         );
         serde_json::from_str(&shape).expect("it is a node")
     };
-    assert_eq!(node("I").count(), 2);
+    assert_eq!(node("I").count(), 4);
     assert!(node("Sphere tracing").count() > 100);
 }

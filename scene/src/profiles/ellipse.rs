@@ -59,7 +59,8 @@ impl Planar for Ellipse {
             },
         );
         // From the nearest point it is (s − b²) times the ellipse's normal there.
-        let normal = (along / (s + eccentric)).square_add((across / s).square()).sqrt();
+        let one = s.splat(1.0);
+        let normal = (along * (one / (s + eccentric))).square_add((across * (one / s)).square()).sqrt();
         (s - x.given(b * b)) * normal
     }
 
