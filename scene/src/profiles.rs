@@ -5,6 +5,7 @@
 //! `revolve`, so the contract tests and the pictures of docs/nodes.md follow from those.
 
 mod edge;
+mod ellipse;
 mod lettering;
 mod polygon;
 mod quadratic;
@@ -16,6 +17,7 @@ mod text;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
+pub use ellipse::Ellipse;
 pub use lettering::{Lettering, NoLettering};
 pub use polygon::{Points, Polygon, WrongCount};
 pub use regular::{RegularPolygon, Star};
@@ -184,7 +186,7 @@ macro_rules! profiles {
     };
 }
 
-profiles![Circle, Rectangle, RegularPolygon, Star, Polygon, Arc, Bezier, Text];
+profiles![Circle, Ellipse, Rectangle, RegularPolygon, Star, Polygon, Arc, Bezier, Text];
 
 impl Profile {
     /// Its name in JSON.

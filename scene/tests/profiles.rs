@@ -90,6 +90,31 @@ fn regular_polygons_and_stars_are_the_polygons_of_their_corners() {
 }
 
 #[test]
+fn an_ellipse_is_where_its_curve_is() {
+    for (width, height) in [(2.0, 1.0), (0.02, 1.8), (1.0, 1.0), (1.0, 0.99)] {
+        let ellipse = profile(&format!(r#"{{ "ellipse": {{ "size": [{width}, {height}] }} }}"#));
+        // A quarter of it, by tangents of half the angle.
+        let curve: Vec<(f64, f64)> = (0..=10_000)
+            .map(|step| f64::from(step) / 10_000.0)
+            .map(|t| ((1.0 - t * t) / (1.0 + t * t) * width / 2.0, t / (1.0 + t * t) * height))
+            .collect();
+        // On the axes and at the centres of curvature, too, where the nearest point is not one alone.
+        let cusp = ((width * width - height * height) / (2.0 * width)) as f32;
+        let special = [(0.0, 0.0), (cusp, 0.0), (cusp * 0.99, 1e-7), (0.3, 0.0), (0.0, 0.3), (1e-8, -1e-8)];
+        for (x, y) in places(200).chain(special) {
+            let (px, py) = (f64::from(x).abs(), f64::from(y).abs());
+            let nearest = curve.iter().map(|(cx, cy)| (px - cx).hypot(py - cy)).fold(f64::INFINITY, f64::min);
+            let (share_x, share_y) = (2.0 * px / width, 2.0 * py / height);
+            let is_inside = share_x * share_x + share_y * share_y < 1.0;
+            let (want, got) = (if is_inside { -nearest } else { nearest }, f64::from(ellipse.distance(x, y)));
+            // The curve's points are at most 2e-4 apart, so it is never further than 1e-4 from one.
+            let missed = (nearest * nearest + 1e-4 * 1e-4).sqrt() - nearest;
+            assert!((got - want).abs() <= missed + 3e-6, "{got}, not {want}, at {x}, {y} of {width} by {height}");
+        }
+    }
+}
+
+#[test]
 fn a_polygon_is_the_same_either_way_round() {
     let points = [[0.0, 1.0], [1.0, -0.2], [0.1, 0.2], [-0.8, -0.9], [-0.5, 0.3]];
     let mut reversed = points;
@@ -219,6 +244,6 @@ fn a_long_text_counts_as_many_nodes() {
         );
         serde_json::from_str(&shape).expect("it is a node")
     };
-    assert_eq!(node("I").count(), 2);
+    assert_eq!(node("I").count(), 4);
     assert!(node("Sphere tracing").count() > 100);
 }

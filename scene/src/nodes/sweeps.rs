@@ -11,8 +11,9 @@ use crate::values::{Amount, Coordinate, Length};
 
 /// A flat profile given a height along z, its middle at z = 0.
 ///
-/// Inigo Quilez, "Distance functions": <https://iquilezles.org/articles/distfunctions/>. Where
-/// `round` is not 0 it is a bound: near rounded edges that meet, the distance is an under-estimate.
+/// Inigo Quilez, "Distance functions": <https://iquilezles.org/articles/distfunctions/>. It is as
+/// exact as the profile where `round` is 0. With rounded edges it is a bound: near the profile's
+/// corners the distance is an under-estimate.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Extrude {
@@ -59,6 +60,8 @@ impl Primitive for Extrude {
         out.square_add(up.square()).sqrt() + past_outline.max(past_end).at_most(0.0) - p.x.given(round)
     }
 
+    // Its factor is 1, rounded or not: it is a norm of two numbers of which one changes with x and y
+    // alone and the other with z alone, neither faster than the point moves.
     fn exactness(&self) -> Exactness {
         let worst_rounding = if self.round.get() == 0.0 { Exactness::Exact } else { Exactness::Bound };
         self.profile.exactness().max(worst_rounding)

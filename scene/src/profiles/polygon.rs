@@ -104,7 +104,7 @@ impl Planar for Polygon {
     }
 
     fn weight(&self) -> u32 {
-        (self.points.edges.len() / 4).max(1) as u32
+        self.points.edges.len() as u32 / 2
     }
 }
 
