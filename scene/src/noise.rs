@@ -22,7 +22,7 @@ trait Basis {
     /// Its least and greatest value.
     const RANGE: (f32, f32);
 
-    /// Its value at `p`; `seed` is a [`lattice::seed_number`].
+    /// Its value at `p`; `seed` is a seed of [`lattice::start`].
     fn at<R: Real>(&self, p: Vec3<R>, seed: R) -> R;
 
     /// Its Lipschitz factor.

@@ -163,7 +163,7 @@ mod tests {
         let text =
             r#"{ "by": { "sine": { "frequency": 9 } }, "amplitude": 0.05, "child": { "sphere": { "radius": 1.25 } } }"#;
         let node: Displace = serde_json::from_str(text).unwrap();
-        for step in 0..100 {
+        for step in 1..100 {
             let turn = |speed: f32| Real::sin(speed * step as f32);
             let p = vec3(turn(1.3), turn(2.1), turn(0.7)).normalize() * 1.25;
             let want: f32 = 0.05 * Real::sin(9.0 * p.x) * Real::sin(9.0 * p.y) * Real::sin(9.0 * p.z);

@@ -104,3 +104,98 @@ pub(super) fn simplex<R: Real>(p: Vec3<R>, seed: R) -> R {
         },
     )
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// The most that any of the twelve gradients makes of `v`: its two largest parts.
+    fn most(v: Vec3<f32>) -> f32 {
+        let Vec3 { x, y, z } = vec3(v.x.abs(), v.y.abs(), v.z.abs());
+        x + y + z - x.min(y).min(z)
+    }
+
+    /// A corner's or a simplex point's weight, that weight's gradient, and the way from there.
+    type Part = (f32, Vec3<f32>, Vec3<f32>);
+
+    fn cube_parts(p: Vec3<f32>) -> Vec<Part> {
+        let fade = |t: f32| t * t * t * (t * (t * 6.0 - 15.0) + 10.0);
+        let slope = |t: f32| 30.0 * t * t * (t - 1.0) * (t - 1.0);
+        let along =
+            |t: f32, high: bool| if high { (fade(t), slope(t), t - 1.0) } else { (1.0 - fade(t), -slope(t), t) };
+        (0..8)
+            .map(|corner| {
+                let ((wx, sx, dx), (wy, sy, dy), (wz, sz, dz)) =
+                    (along(p.x, corner & 1 > 0), along(p.y, corner & 2 > 0), along(p.z, corner & 4 > 0));
+                (wx * wy * wz, vec3(sx * wy * wz, wx * sy * wz, wx * wy * sz), vec3(dx, dy, dz))
+            })
+            .collect()
+    }
+
+    /// For skewed coordinates in falling order; the other simplices are this one with the axes swapped.
+    fn simplex_parts(p: Vec3<f32>) -> Vec<Part> {
+        let mut f = [p.x, p.y, p.z];
+        f.sort_by(|a, b| b.total_cmp(a));
+        (0..4)
+            .map(|steps| {
+                let [x, y, z] = [0, 1, 2].map(|axis| f[axis] - if axis < steps { 1.0 } else { 0.0 });
+                let skew = (x + y + z) / 6.0;
+                let away = vec3(x - skew, y - skew, z - skew);
+                let near = (0.5 - away.length_squared()).max(0.0) * SIMPLEX_SCALE.sqrt().sqrt();
+                let slope = -8.0 * near * near * near * SIMPLEX_SCALE.sqrt().sqrt();
+                (near * near * near * near, away * slope, away)
+            })
+            .collect()
+    }
+
+    /// The greatest value and slope that can be drawn, by a search from many places.
+    fn search(parts: fn(Vec3<f32>) -> Vec<Part>, score: impl Fn(&[Part], Vec3<f32>) -> f32) -> f32 {
+        let mut state = 1_u32;
+        let mut random = || {
+            state = state.wrapping_mul(747_796_405).wrapping_add(2_891_336_453);
+            let word = ((state >> ((state >> 28) + 4)) ^ state).wrapping_mul(277_803_737);
+            (((word >> 22) ^ word) >> 8) as f32 / (1 << 23) as f32 - 1.0
+        };
+        let mut point = move |size: f32| vec3(random(), random(), random()) * size;
+        let mut greatest = 0.0_f32;
+        for _ in 0..60 {
+            let (mut p, mut u, mut best) = (point(0.5) + vec3(0.5, 0.5, 0.5), point(1.0), 0.0);
+            for round in 0..2_000 {
+                let size = [0.3, 0.1, 0.03, 0.01, 0.003][round / 400];
+                let there = (p + point(size)).map(|c| c.clamp(0.0, 1.0));
+                let along = (u + point(size)).normalize();
+                let found = score(&parts(there), along);
+                if found > best {
+                    (p, u, best) = (there, along, found);
+                }
+            }
+            greatest = greatest.max(best);
+        }
+        greatest
+    }
+
+    fn value(parts: &[Part], _: Vec3<f32>) -> f32 {
+        parts.iter().map(|&(weight, _, away)| weight * most(away)).sum()
+    }
+
+    fn slope(parts: &[Part], u: Vec3<f32>) -> f32 {
+        parts.iter().map(|&(weight, change, away)| most(u * weight + away * u.dot(change))).sum()
+    }
+
+    fn slope_of_values(parts: &[Part], u: Vec3<f32>) -> f32 {
+        parts.iter().map(|&(_, change, _)| u.dot(change).abs()).sum()
+    }
+
+    #[test]
+    fn no_draw_of_gradients_exceeds_the_ranges_and_the_lipschitz_factors() {
+        for (name, found, said) in [
+            ("perlin's range", search(cube_parts, value), 1.036_354),
+            ("perlin's slope", search(cube_parts, slope), PERLIN_LIPSCHITZ),
+            ("value noise's slope", search(cube_parts, slope_of_values), VALUE_LIPSCHITZ),
+            ("simplex noise's range", search(simplex_parts, value), 1.0),
+            ("simplex noise's slope", search(simplex_parts, slope), SIMPLEX_LIPSCHITZ),
+        ] {
+            assert!((0.999..1.000_01).contains(&(found / said)), "{name}: {found} was found, {said} is said");
+        }
+    }
+}

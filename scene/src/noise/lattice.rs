@@ -36,7 +36,7 @@ pub(super) fn cell<R: Real>(p: Vec3<R>) -> (Vec3<R>, Vec3<R>) {
 }
 
 impl<R: Real> Index<R> {
-    /// Of the corner at whole numbers up to ±2²², with `seed` from [`seed_number`].
+    /// Of the corner at whole numbers up to ±2²², with `seed` from [`start`].
     #[inline(always)]
     pub(super) fn new(corner: Vec3<R>, seed: R) -> Self {
         Self {
@@ -95,9 +95,14 @@ pub(super) fn corner_words<R: Real>([low, high]: [Index<R>; 2]) -> [R::Bits; 8] 
     ]
 }
 
-/// A seed as a number that may be handed on: one whose bits are random, but finite, normal and not 0.
-pub(super) fn seed_number(seed: u32, salt: u32) -> f32 {
-    f32::from_bits((crate::sampling::frame_key(seed, salt) & 0xbfff_ffff) | 0x2000_0000)
+/// The seed of an octave as a number that may be handed on, whose bits are random but which is finite, normal
+/// and not 0; and where the octave starts in its cells, so that the corners of several do not fall together.
+#[inline(always)]
+pub(super) fn start(seed: u32, salt: u32) -> (f32, Vec3<f32>) {
+    let word = crate::sampling::frame_key(seed, salt);
+    let places = word.wrapping_mul(0x9e37_79b9);
+    let part = |low: u32| (places >> low & 0x3ff) as f32 / 1024.0;
+    (f32::from_bits((word & 0xbfff_ffff) | 0x2000_0000), vec3(part(2), part(12), part(22)))
 }
 
 /// A number from 1 to 2, without 2, from the upper 23 bits of a word.
@@ -164,11 +169,4 @@ pub(super) fn from_corners<R: Real>(low: Vec3<R>) -> [Vec3<R>; 8] {
         vec3(low.x, high.y, high.z),
         high,
     ]
-}
-
-/// Where an octave starts in its cells, so that the corners of several do not fall together.
-pub(super) fn offset(seed: u32, salt: u32) -> Vec3<f32> {
-    let word = crate::sampling::frame_key(seed, !salt);
-    let part = |places: u32| (word >> places & 0x3ff) as f32 / 1024.0;
-    vec3(part(0), part(10), part(20))
 }

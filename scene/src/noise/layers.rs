@@ -8,7 +8,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::Basis;
-use super::lattice::{offset, seed_number};
+use super::lattice::start;
 use crate::real::{Real, Vec3, vec3};
 use crate::values::Amount;
 
@@ -138,6 +138,6 @@ fn from_middle<R: Real, B: Basis>(noise: R) -> R {
 #[inline(always)]
 fn octave_at<R: Real, B: Basis>(seed: u32, salt: u32, frequency: f32, basis: &B, p: Vec3<R>) -> R {
     let like = p.x;
-    let p = p.mul_add(like.given(frequency), Vec3::given(like, offset(seed, salt)));
-    basis.at(p, like.given(seed_number(seed, salt)))
+    let (seed, offset) = start(seed, salt);
+    basis.at(p.mul_add(like.given(frequency), Vec3::given(like, offset)), like.given(seed))
 }
