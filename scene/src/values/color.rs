@@ -1,0 +1,109 @@
+//! Colours: three channels of linear light, or a string in sRGB.
+
+use std::borrow::Cow;
+use std::fmt;
+
+use schemars::{JsonSchema, Schema, SchemaGenerator, json_schema};
+use serde::de::{Error, SeqAccess, Unexpected, Visitor};
+use serde::{Deserialize, Deserializer, Serialize, Serializer};
+
+use super::Channel;
+use crate::real::{Vec3, vec3};
+
+/// A colour in linear light; above 1 is allowed. Two are equal if their channels are.
+#[derive(Clone, Copy, Debug)]
+pub struct Color {
+    light: Vec3<f32>,
+    moves: bool,
+}
+
+impl Color {
+    /// The colour with these channels.
+    pub const fn new(red: f32, green: f32, blue: f32) -> Self {
+        Self { light: vec3(red, green, blue), moves: false }
+    }
+
+    /// Red, green, blue, in linear light.
+    #[inline(always)]
+    pub fn get(self) -> Vec3<f32> {
+        self.light
+    }
+
+    /// Whether any of its channels moves.
+    #[inline(always)]
+    pub fn is_moving(self) -> bool {
+        self.moves
+    }
+
+    /// Whether it is black in every frame: then what it would colour may be left out.
+    #[inline(always)]
+    pub fn is_black(self) -> bool {
+        self.light == vec3(0.0, 0.0, 0.0) && !self.moves
+    }
+}
+
+impl PartialEq for Color {
+    fn eq(&self, other: &Self) -> bool {
+        self.light == other.light
+    }
+}
+
+/// Reads `[r, g, b]` in linear light or `"#rrggbb"` in sRGB.
+struct ColorVisitor;
+
+impl<'de> Visitor<'de> for ColorVisitor {
+    type Value = Color;
+
+    fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str("a colour: [red, green, blue] in linear light, or \"#rrggbb\" in sRGB")
+    }
+
+    fn visit_str<E: Error>(self, text: &str) -> Result<Color, E> {
+        let wrong = || E::invalid_value(Unexpected::Str(text), &self);
+        let digits = text.strip_prefix('#').filter(|d| d.len() == 6 && d.bytes().all(|b| b.is_ascii_hexdigit()));
+        let code = u32::from_str_radix(digits.ok_or_else(wrong)?, 16).map_err(|_| wrong())?;
+        let channel = |shift: u32| crate::color::linear_from_srgb((code >> shift & 0xff) as f32 / 255.0);
+        Ok(Color::new(channel(16), channel(8), channel(0)))
+    }
+
+    fn visit_seq<A: SeqAccess<'de>>(self, mut channels: A) -> Result<Color, A::Error> {
+        let mut next = |n: usize| channels.next_element::<Channel>()?.ok_or_else(|| A::Error::invalid_length(n, &self));
+        let [red, green, blue] = [next(0)?, next(1)?, next(2)?];
+        let moves = red.is_moving() || green.is_moving() || blue.is_moving();
+        let color = Color { moves, ..Color::new(red.get(), green.get(), blue.get()) };
+        if channels.next_element::<serde::de::IgnoredAny>()?.is_some() {
+            return Err(A::Error::invalid_length(4, &self));
+        }
+        Ok(color)
+    }
+}
+
+impl<'de> Deserialize<'de> for Color {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        deserializer.deserialize_any(ColorVisitor)
+    }
+}
+
+impl Serialize for Color {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        let channel = |value| Channel { value, moves: self.moves };
+        [channel(self.light.x), channel(self.light.y), channel(self.light.z)].serialize(serializer)
+    }
+}
+
+impl JsonSchema for Color {
+    fn schema_name() -> Cow<'static, str> {
+        "Color".into()
+    }
+
+    fn json_schema(generator: &mut SchemaGenerator) -> Schema {
+        let channel = generator.subschema_for::<Channel>();
+        json_schema!({
+            "description": "A colour: red, green, blue in linear light, or \"#rrggbb\" in sRGB.",
+            "anyOf": [
+                { "type": "array", "items": channel, "minItems": 3, "maxItems": 3 },
+                { "type": "string", "pattern": "^#[0-9a-fA-F]{6}$" }
+            ]
+        })
+    }
+}
