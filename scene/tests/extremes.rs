@@ -29,59 +29,48 @@ fn alternatives<'s>(root: &'s Value, schema: &'s Value) -> Vec<&'s Value> {
 }
 
 /// The places of all numbers in `value`, which the schemas describe.
-fn places(root: &Value, schemas: &[&Value], value: &Value, pointer: &str, found: &mut Vec<Place>) {
-    let within = |schemas: Vec<&Value>| -> Vec<Value> { schemas.into_iter().cloned().collect() };
+fn places<'s>(root: &'s Value, schemas: &[&'s Value], value: &Value, pointer: &str, found: &mut Vec<Place>) {
     match value {
         Value::Object(map) => {
+            // Of a choice, what has all of the value's keys.
+            let fits = |schema: &&&Value| map.keys().all(|key| schema["properties"].get(key).is_some());
             for (key, inner) in map {
-                let inner_schemas = within(
-                    schemas
-                        .iter()
-                        .filter(|schema| map.keys().all(|key| schema["properties"].get(key).is_some()))
-                        .flat_map(|schema| alternatives(root, &schema["properties"][key]))
-                        .collect(),
-                );
-                let inner_schemas: Vec<&Value> = inner_schemas.iter().collect();
+                let of_key = |schema: &&'s Value| alternatives(root, &schema["properties"][key]);
+                let inner_schemas: Vec<&Value> = schemas.iter().filter(fits).flat_map(of_key).collect();
                 places(root, &inner_schemas, inner, &format!("{pointer}/{key}"), found);
             }
         }
         Value::Array(list) => {
             for (index, inner) in list.iter().enumerate() {
-                let of_item = |schema: &&Value| match schema["prefixItems"].get(index) {
-                    Some(item) => item.clone(),
-                    None => schema["items"].clone(),
-                };
-                let items: Vec<Value> = schemas.iter().map(of_item).filter(Value::is_object).collect();
-                let inner_schemas: Vec<&Value> = items.iter().flat_map(|item| alternatives(root, item)).collect();
+                let of_item = |schema: &&'s Value| schema["prefixItems"].get(index).or(schema.get("items"));
+                let items = schemas.iter().filter_map(of_item);
+                let inner_schemas: Vec<&Value> = items.flat_map(|item| alternatives(root, item)).collect();
                 places(root, &inner_schemas, inner, &format!("{pointer}/{index}"), found);
             }
         }
-        Value::Number(_) => {
-            let ends = schemas.iter().find_map(|schema| ends(schema)).unwrap_or_default();
-            found.push(Place { pointer: pointer.to_owned(), ends });
-        }
+        Value::Number(_) => found.push(Place { pointer: pointer.to_owned(), ends: ends(schemas) }),
         Value::Null | Value::Bool(_) | Value::String(_) => {}
     }
 }
 
-/// The least and the greatest number that a schema allows, and 0 where it lies between.
-fn ends(schema: &Value) -> Option<Vec<Number>> {
-    let kind = schema["type"].as_str()?;
+/// The least and the greatest number of each range that schemas allow, and 0 where it lies between.
+fn ends(schemas: &[&Value]) -> Vec<Number> {
+    let is_whole = schemas.iter().any(|schema| schema["type"] == "integer");
     let largest_word = json!(u32::MAX);
-    let largest = match (&schema["maximum"], schema["format"].as_str()) {
-        (Value::Null, Some("uint32")) => &largest_word,
-        (given, _) => given,
-    };
-    let (Value::Number(low), Value::Number(high)) = (&schema["minimum"], largest) else {
-        return None;
-    };
-    // Whole numbers may come as 1.0 from the schema, which JSON would not take for one.
-    let whole = |number: &Number| match (kind, number.as_f64()) {
-        ("integer", Some(value)) => Number::from(value as i64),
-        _ => number.clone(),
-    };
-    let zero = (low.as_f64()? <= 0.0 && high.as_f64()? >= 0.0).then(|| Number::from(0));
-    Some([Some(whole(low)), Some(whole(high)), zero].into_iter().flatten().collect())
+    let mut found = Vec::new();
+    for schema in schemas {
+        let largest = match (&schema["maximum"], schema["format"].as_str()) {
+            (Value::Null, Some("uint32")) => &largest_word,
+            (given, _) => given,
+        };
+        if let (Some(low), Some(high)) = (schema["minimum"].as_f64(), largest.as_f64()) {
+            let zero = (low <= 0.0 && 0.0 <= high).then_some(0.0);
+            found.extend([Some(low), Some(high), zero].into_iter().flatten());
+        }
+    }
+    // JSON takes no 1.0 for a whole number.
+    let number = |end: f64| if is_whole { Some(Number::from(end as i64)) } else { Number::from_f64(end) };
+    found.into_iter().filter_map(number).collect()
 }
 
 /// Points all over space, near the origin and far from it.

@@ -5,14 +5,17 @@ use std::fmt::Write as _;
 use std::io::Cursor;
 use std::path::{Path, PathBuf};
 
+use scene::bounds::Bounds;
 use scene::nodes::{Exactness, Example, Node, snake_case};
+use scene::real::vec3;
 use serde_json::Value;
 use worker::{Cancel, CpuRenderer, Simd};
 
 const HEAD: &str = "# Nodes
 
 Everything that has a distance. Each is keyed by its name; each picture shows the JSON below it, in grey
-on a floor unless it says a material itself. This page is made from the code:
+on a floor unless it says a material itself. What goes on all around the camera is shown within a ball.
+This page is made from the code:
 `SDFARM_WRITE_DOCS=1 cargo test -p worker --test docs`.
 ";
 
@@ -20,7 +23,22 @@ fn docs() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("../docs")
 }
 
+/// The shape to draw: of one that goes on all around the camera, what is in a ball.
+fn in_view(node: &str) -> String {
+    let shape: Node = serde_json::from_str(node).expect("an example is a node");
+    let mut above = (0..4_096).map(|place| {
+        let step = |digit: u32| ((place >> digit) % 16) as f32;
+        vec3(step(0) * 0.4 - 3.0, step(4) * 0.4 + 5.0, step(8) * 0.4 - 3.0)
+    });
+    if shape.bounds(0.0) == Bounds::EVERYWHERE && above.any(|p| shape.distance(p) < 0.0) {
+        format!(r#"{{ "intersection": {{ "of": [{{ "sphere": {{ "radius": 1.25 }} }}, {node}] }} }}"#)
+    } else {
+        node.to_owned()
+    }
+}
+
 fn picture(node: &str) -> Vec<u8> {
+    let node = in_view(node);
     let text = format!(
         r#"{{ "scene": {{ "camera": {{ "position": [2.6, 2.1, 3.9], "look_at": [0, -0.1, 0], "fov": 36 }},
             "lights": [{{ "directional": {{ "direction": [-0.4, 0.9, 0.6], "color": [0.9, 0.88, 0.85] }} }},

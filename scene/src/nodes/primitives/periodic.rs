@@ -1,9 +1,9 @@
 //! Triply periodic minimal surfaces: they repeat along all three axes and divide space into two
 //! mazes of the same kind.
 //!
-//! Each is taken as where a sum f of products of sines and cosines is 0, as in Alan H. Schoen,
-//! "Infinite periodic minimal surfaces without self-intersections", NASA TN D-5541, 1970, has their
-//! symmetries, and James T. Hoffman's pages, <https://minimalsurfaces.blog/home/repository/triply-periodic/>.
+//! Each is taken as where a sum f of products of sines and cosines is 0, the usual approximation to the
+//! surface itself; for the surfaces see Alan H. Schoen, "Infinite periodic minimal surfaces without
+//! self-intersections", NASA TN D-5541, 1970.
 //! With angles of 2π a cell, f over its largest gradient is a bound of the distance. For all three
 //! that gradient has length √3, which each proves; it is reached, so no smaller number would do.
 
