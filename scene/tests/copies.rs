@@ -107,11 +107,10 @@ fn materials_pass_through_copies_and_stay_with_their_shape() {
             "translate": { "by": [0, 0.3, 0], "child": { "sphere": { "radius": 0.2 } } } } } },
         { "translate": { "by": [0, -0.3, 0], "child": { "sphere": { "radius": 0.2 } } } }
     ] } }"#;
+    let moved = format!(r#"{{ "translate": {{ "by": [1, 0, 0], "child": {child} }} }}"#);
     let around = [
         format!(r#"{{ "repeat": {{ "cell": [0.5, null, 0.5], "child": {child} }} }}"#),
-        format!(
-            r#"{{ "polar_repeat": {{ "count": 5, "child": {{ "translate": {{ "by": [1, 0, 0], "child": {child} }} }} }} }}"#
-        ),
+        format!(r#"{{ "polar_repeat": {{ "count": 5, "child": {moved} }} }}"#),
         format!(r#"{{ "mirror": {{ "normal": [1, 0, 1], "child": {child} }} }}"#),
         format!(r#"{{ "twist": {{ "degrees_per_unit": 90, "child": {child} }} }}"#),
         format!(r#"{{ "bend": {{ "degrees_per_unit": 90, "child": {child} }} }}"#),
@@ -149,85 +148,58 @@ fn fault(shape: &str) -> (String, String) {
     }
 }
 
+fn assert_fault(shape: &str, place: &str, words: &str) {
+    let (pointer, message) = fault(shape);
+    assert_eq!(pointer, place, "{message}");
+    assert!(message.contains(words), "{message}");
+}
+
+const SPHERE: &str = r#"{ "sphere": { "radius": 1 } }"#;
+const PLANE: &str = r#"{ "plane": { "normal": [0, 1, 0], "offset": 0 } }"#;
+
 #[test]
-fn a_shape_that_a_modifier_cannot_do_with_is_told_with_the_cure() {
-    let sphere = r#"{ "sphere": { "radius": 1 } }"#;
-    let plane = r#"{ "plane": { "normal": [0, 1, 0], "offset": 0 } }"#;
+fn copies_that_cannot_be_made_are_told_with_the_cure() {
     let cases = [
-        (
-            format!(r#"{{ "repeat": {{ "cell": [0, null, null], "child": {sphere} }} }}"#),
-            "repeat/cell/0",
-            "null along an axis",
-        ),
-        (
-            format!(r#"{{ "repeat": {{ "cell": [null, null, null], "child": {sphere} }} }}"#),
-            "repeat/cell",
-            "give x, y or z",
-        ),
-        (
-            format!(r#"{{ "repeat": {{ "cell": [1, 0.1, 1], "child": {sphere} }} }}"#),
-            "repeat/cell/1",
-            "make it 0.5 or more",
-        ),
-        (
-            format!(r#"{{ "repeat": {{ "cell": [1, 1, 1], "child": {plane} }} }}"#),
-            "repeat/cell/0",
-            "by an intersection",
-        ),
-        (
-            format!(r#"{{ "repeat": {{ "cell": [1, null, 1], "count": [2, 2, 2], "child": {sphere} }} }}"#),
-            "repeat/count/1",
-            "give it a cell",
-        ),
-        (
-            format!(r#"{{ "polar_repeat": {{ "count": 65, "child": {sphere} }} }}"#),
-            "polar_repeat/count",
-            "away from the y axis",
-        ),
-        (
-            format!(r#"{{ "twist": {{ "degrees_per_unit": 9, "child": {plane} }} }}"#),
-            "twist/child",
-            "by an intersection",
-        ),
-        (format!(r#"{{ "bend": {{ "degrees_per_unit": 9, "child": {plane} }} }}"#), "bend/child", "by an intersection"),
-        (
-            format!(r#"{{ "bend": {{ "degrees_per_unit": 200, "child": {sphere} }} }}"#),
-            "bend/degrees_per_unit",
-            "less than 51.5",
-        ),
-        (
-            format!(r#"{{ "taper": {{ "bottom": 1, "top": 1, "top_factor": 2, "child": {sphere} }} }}"#),
-            "taper/top",
-            "make top more than 1",
-        ),
-        (format!(r#"{{ "engrave": {{ "depth": 0.1, "of": [{sphere}] }} }}"#), "engrave/of", "exactly 2"),
-        (
-            format!(r#"{{ "morph": {{ "amount": 0.5, "of": [{sphere}, {sphere}, {plane}] }} }}"#),
-            "morph/of",
-            "has 3 shapes",
-        ),
-        (
-            r#"{ "twist": { "degrees_per_unit": 9, "child": { "morph": { "amount": 0, "of": [] } } } }"#.into(),
-            "twist/child/morph/of",
-            "is empty",
-        ),
-        (
-            format!(r#"{{ "union": {{ "of": [{sphere}, {{ "xor": {{ "of": [] }} }}] }} }}"#),
-            "union/of/1/xor/of",
-            "is empty",
-        ),
+        (r#""repeat": { "cell": [0, null, null]"#, SPHERE, "repeat/cell/0", "null along an axis"),
+        (r#""repeat": { "cell": [null, null, null]"#, SPHERE, "repeat/cell", "give x, y or z"),
+        (r#""repeat": { "cell": [1, 0.1, 1]"#, SPHERE, "repeat/cell/1", "make it 0.5 or more"),
+        (r#""repeat": { "cell": [1, 1, 1]"#, PLANE, "repeat/cell/0", "by an intersection"),
+        (r#""repeat": { "cell": [1, null, 1], "count": [2, 2, 2]"#, SPHERE, "repeat/count/1", "give it a cell"),
+        (r#""polar_repeat": { "count": 65"#, SPHERE, "polar_repeat/count", "away from the y axis"),
     ];
-    for (shape, place, words) in cases {
-        let (pointer, message) = fault(&shape);
-        assert_eq!(pointer, place, "{message}");
-        assert!(message.contains(words), "{message}");
+    for (start, child, place, words) in cases {
+        assert_fault(&format!(r#"{{ {start}, "child": {child} }} }}"#), place, words);
     }
 }
 
 #[test]
+fn a_shape_that_cannot_be_deformed_is_told_with_the_cure() {
+    let cases = [
+        (r#""twist": { "degrees_per_unit": 9"#, PLANE, "twist/child", "by an intersection"),
+        (r#""bend": { "degrees_per_unit": 9"#, PLANE, "bend/child", "by an intersection"),
+        (r#""bend": { "degrees_per_unit": 200"#, SPHERE, "bend/degrees_per_unit", "less than 51.5"),
+        (r#""taper": { "bottom": 1, "top": 1, "top_factor": 2"#, SPHERE, "taper/top", "make top more than 1"),
+    ];
+    for (start, child, place, words) in cases {
+        assert_fault(&format!(r#"{{ {start}, "child": {child} }} }}"#), place, words);
+    }
+}
+
+#[test]
+fn a_list_of_too_few_or_too_many_shapes_is_told_with_the_number() {
+    let engraved = format!(r#"{{ "engrave": {{ "depth": 0.1, "of": [{SPHERE}] }} }}"#);
+    assert_fault(&engraved, "engrave/of", "has 1 shape: engrave takes exactly 2");
+    let morphed = format!(r#"{{ "morph": {{ "amount": 0.5, "of": [{SPHERE}, {SPHERE}, {PLANE}] }} }}"#);
+    assert_fault(&morphed, "morph/of", "has 3 shapes: morph takes exactly 2");
+    let twisted = r#"{ "twist": { "degrees_per_unit": 9, "child": { "morph": { "amount": 0, "of": [] } } } }"#;
+    assert_fault(twisted, "twist/child/morph/of", "is empty");
+    let united = format!(r#"{{ "union": {{ "of": [{SPHERE}, {{ "xor": {{ "of": [] }} }}] }} }}"#);
+    assert_fault(&united, "union/of/1/xor/of", "is empty");
+}
+
+#[test]
 fn factors_multiply_through_nested_modifiers() {
-    let sphere = r#"{ "sphere": { "radius": 1 } }"#;
-    let twisted = format!(r#"{{ "twist": {{ "degrees_per_unit": 60, "child": {sphere} }} }}"#);
+    let twisted = format!(r#"{{ "twist": {{ "degrees_per_unit": 60, "child": {SPHERE} }} }}"#);
     let twice = format!(r#"{{ "twist": {{ "degrees_per_unit": 60, "child": {twisted} }} }}"#);
     let around = |name: &str, child: &str| node(&format!(r#"{{ "{name}": {child} }}"#)).stretch();
     // A box around the sphere has a radius of √2: k·r = √2·π/3.
@@ -240,7 +212,7 @@ fn factors_multiply_through_nested_modifiers() {
     for (name, rest) in [("round", r#""radius": 0.1"#), ("stretch", r#""by": [1, 2, 3]"#), ("scale", r#""by": 2"#)] {
         assert_eq!(around(name, &format!(r#"{{ {rest}, "child": {twice} }}"#)), node(&twice).stretch(), "{name}");
     }
-    let half = around("chamfer", &format!(r#"{{ "kind": "union", "size": 0.1, "of": [{twisted}, {sphere}] }}"#));
+    let half = around("chamfer", &format!(r#"{{ "kind": "union", "size": 0.1, "of": [{twisted}, {SPHERE}] }}"#));
     assert!((half - factor.max((factor + 1.0) * std::f32::consts::FRAC_1_SQRT_2)).abs() < 1e-5);
 }
 
@@ -254,5 +226,44 @@ fn a_bend_keeps_lengths_along_the_axis_and_heights() {
         let inside = (height.abs() - 0.2).max(-0.1);
         assert_eq!(bent.distance(p) < -1e-6, inside < -1e-6, "{height}: {}", bent.distance(p));
         assert_eq!(bent.distance(p) > 1e-6, inside > 1e-6, "{height}: {}", bent.distance(p));
+    }
+}
+
+#[test]
+fn the_least_and_the_greatest_numbers_give_finite_distances() {
+    let tiny = r#"{ "sphere": { "radius": 1e-6 } }"#;
+    let huge = r#"{ "box": { "size": [1e6, 1e6, 1e6] } }"#;
+    let texts = [
+        format!(r#""repeat": {{ "cell": [1e-6, 1e-6, 1e-6], "child": {tiny} }}"#),
+        format!(r#""repeat": {{ "cell": [1e6, null, 1e6], "count": [1000000, null, 1], "child": {huge} }}"#),
+        format!(r#""repeat": {{ "cell": [1e6, 1e6, 1e6], "child": {tiny} }}"#),
+        format!(
+            r#""polar_repeat": {{ "count": 10000, "child": {{ "translate": {{ "by": [1e6, 0, 0], "child": {tiny} }} }} }}"#
+        ),
+        format!(r#""polar_repeat": {{ "count": 64, "child": {huge} }}"#),
+        format!(r#""mirror": {{ "normal": [1e-6, 1e6, 0], "offset": 1e6, "child": {huge} }}"#),
+        format!(r#""twist": {{ "degrees_per_unit": 36000, "child": {huge} }}"#),
+        format!(r#""twist": {{ "degrees_per_unit": -1e-30, "child": {tiny} }}"#),
+        format!(r#""bend": {{ "degrees_per_unit": 36000, "child": {tiny} }}"#),
+        format!(r#""bend": {{ "degrees_per_unit": -1e-5, "child": {huge} }}"#),
+        format!(r#""bend": {{ "degrees_per_unit": 1e-30, "child": {tiny} }}"#),
+        format!(
+            r#""taper": {{ "bottom": 0, "top": 1e-6, "bottom_factor": 1e-6, "top_factor": 1e6, "child": {huge} }}"#
+        ),
+        format!(
+            r#""taper": {{ "bottom": -1e6, "top": 1e6, "bottom_factor": 1e6, "top_factor": 1e-6, "child": {tiny} }}"#
+        ),
+        format!(r#""stretch": {{ "by": [1e-6, 1, 1e6], "child": {huge} }}"#),
+        format!(r#""elongate": {{ "by": [0, 1e-6, 1e6], "child": {huge} }}"#),
+        format!(r#""stairs": {{ "kind": "difference", "size": 1e-6, "steps": 64, "of": [{huge}, {tiny}] }}"#),
+        format!(r#""columns": {{ "kind": "union", "size": 1e-6, "columns": 64, "of": [{huge}, {tiny}] }}"#),
+        format!(r#""chamfer": {{ "kind": "intersection", "size": 1e6, "of": [{huge}, {tiny}] }}"#),
+    ];
+    for text in texts {
+        let node = node(&format!("{{ {text} }}"));
+        assert!(node.stretch().is_finite(), "{text}");
+        for reach in [0.0, 1e-6, 1e-3, 1.0, 1e3, 1e6] {
+            each_point(reach, |p| assert!(node.distance(p).is_finite(), "{text} at {p:?}"));
+        }
     }
 }

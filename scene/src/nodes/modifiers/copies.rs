@@ -16,7 +16,21 @@ const FAR: f32 = 1e7;
 /// The nearest copy so far: its distance, and where its shape sees the point.
 pub(super) type Nearest<R> = (R, Vec3<R>);
 
-/// A shape that has copies, and a box that holds it.
+/// A box that holds a shape and, if it is worth a look, says which copies are too far away.
+#[derive(Clone, Debug)]
+pub(super) struct Held {
+    pub(super) bounds: Bounds,
+    is_looked_at: bool,
+}
+
+impl Held {
+    /// The box around a shape.
+    pub(super) fn new(shape: &Node) -> Self {
+        Self { bounds: ended(shape.bounds(0.0)), is_looked_at: shape.count() >= BOX_NODES }
+    }
+}
+
+/// A shape that has copies, and the box that holds it, if that is worth a look.
 pub(super) struct Original<'a> {
     shape: &'a Node,
     bounds: Option<&'a Bounds>,
@@ -24,8 +38,8 @@ pub(super) struct Original<'a> {
 
 impl<'a> Original<'a> {
     #[inline(always)]
-    pub(super) fn new(shape: &'a Node, bounds: &'a Bounds) -> Self {
-        Self { shape, bounds: (shape.count() >= BOX_NODES).then_some(bounds) }
+    pub(super) fn new(shape: &'a Node, held: &'a Held) -> Self {
+        Self { shape, bounds: held.is_looked_at.then_some(&held.bounds) }
     }
 
     /// Before any copy has been looked at.

@@ -4,7 +4,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::cached::Cached;
-use super::copies::{Original, ended};
+use super::copies::{Held, Original};
 use crate::bounds::Bounds;
 use crate::nodes::transforms::around_child;
 use crate::nodes::{Child, Exactness, Node, Sample, Sdf};
@@ -35,21 +35,22 @@ struct Sides {
     main: f32,
     /// Whether its box lies on that side alone and does not touch the plane.
     is_apart: bool,
-    bounds: Bounds,
+    held: Held,
 }
 
 impl Mirror {
     #[inline(always)]
     fn sides(&self) -> &Sides {
         self.sides.get(|| {
-            let bounds = ended(self.child.bounds(0.0));
+            let held = Held::new(&self.child);
+            let bounds = held.bounds;
             let normal = self.normal.unit();
             let half = (bounds.high - bounds.low) * 0.5;
             let middle = Vec3::dot(normal, (bounds.high + bounds.low) * 0.5) - self.offset.get();
             let reach = Vec3::dot(normal.map(f32::abs), half);
             // A box that touches is taken as one that crosses, and so is what rounding cannot tell from it.
             let is_apart = middle.abs() > reach * (1.0 + 1e-6);
-            Sides { main: if middle < 0.0 { -1.0 } else { 1.0 }, is_apart, bounds }
+            Sides { main: if middle < 0.0 { -1.0 } else { 1.0 }, is_apart, held }
         })
     }
 }
@@ -69,8 +70,8 @@ impl Sdf for Mirror {
 
     #[inline(always)]
     fn sample<R: Real, V: Sample<R>>(&self, p: Vec3<R>) -> V {
-        let Sides { main, is_apart, ref bounds } = *self.sides();
-        let original = Original::new(&self.child, bounds);
+        let Sides { main, is_apart, ref held } = *self.sides();
+        let original = Original::new(&self.child, held);
         // Along the normal of the side where the shape is: the image of a point there is further away.
         let normal = self.normal.unit() * main;
         let offset = self.offset.get() * main;

@@ -10,7 +10,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Deserializer, Serialize};
 
 use super::cached::Cached;
-use super::copies::{Original, ended, nearest_whole, within_reach};
+use super::copies::{Held, Original, nearest_whole, within_reach};
 use crate::bounds::Bounds;
 use crate::nodes::transforms::around_child;
 use crate::nodes::{Child, Exactness, Node, NodeFault, Sample, Sdf};
@@ -47,7 +47,9 @@ struct Ring {
     width: f32,
     /// How many copies may be the nearest.
     reach: f32,
-    bounds: Bounds,
+    /// Sine and cosine of a sector.
+    turn: (f32, f32),
+    held: Held,
 }
 
 impl PolarRepeat {
@@ -58,10 +60,10 @@ impl PolarRepeat {
     #[inline(always)]
     fn ring(&self) -> &Ring {
         self.ring.get(|| {
-            let bounds = ended(self.child.bounds(0.0));
-            let (middle, width) = angles(bounds);
+            let held = Held::new(&self.child);
+            let (middle, width) = angles(held.bounds);
             let reach = within_reach(width, self.sector()).min(self.count as f32);
-            Ring { middle, width, reach, bounds }
+            Ring { middle, width, reach, turn: Real::sin_cos(self.sector()), held }
         })
     }
 }
@@ -88,21 +90,22 @@ impl Sdf for PolarRepeat {
     const MORE: &'static [&'static str] = &[
         r#"{ "count": 7, "child": { "capsule": { "a": [0.4, -0.5, -0.5], "b": [0.7, 0.5, 0.6], "radius": 0.12 } } }"#,
         r#"{ "count": 3, "child": { "box": { "size": [2, 0.3, 0.2] } } }"#,
-        r#"{ "count": 24, "child": { "translate": { "by": [-0.7, 0.1, 0.6], "child": { "sphere": { "radius": 0.1 } } } } }"#,
+        r#"{ "count": 24, "child": { "translate": { "by": [-0.7, 0.1, 0.6], "child": {
+            "sphere": { "radius": 0.1 }
+        } } } }"#,
     ];
 
     #[inline(always)]
     fn sample<R: Real, V: Sample<R>>(&self, p: Vec3<R>) -> V {
-        let (sector, Ring { middle, reach, bounds, .. }) = (self.sector(), self.ring());
-        let original = Original::new(&self.child, bounds);
+        let (sector, Ring { middle, reach, turn, held, .. }) = (self.sector(), self.ring());
+        let original = Original::new(&self.child, held);
         let angle = p.z.atan2(p.x);
         let (near, side) = nearest_whole((angle - angle.given(*middle)) * angle.given(1.0 / sector));
         let first = side.mul_add(angle.given(-((reach - 1.0) * 0.5).floor()), near);
         // From here on, each copy is one sector further to that side.
         let (sin, cos) = (first * angle.given(sector)).sin_cos();
         let place = vec3(p.x.mul_add(cos, p.z * sin), p.y, p.z.mul_add(cos, -(p.x * sin)));
-        let (sin, cos) = Real::sin_cos(sector);
-        let (sin, cos) = (side * angle.given(sin), angle.given(cos));
+        let (sin, cos) = (side * angle.given(turn.0), angle.given(turn.1));
         let (_, _, nearest) = R::repeat(
             MAX_LOOKED_AT,
             (angle.splat(1.0), place, Original::none(p)),

@@ -8,7 +8,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Deserializer, Serialize};
 
 use super::cached::Cached;
-use super::copies::{Original, ended, nearest_whole, within_reach};
+use super::copies::{Held, Original, nearest_whole, within_reach};
 use crate::bounds::Bounds;
 use crate::nodes::transforms::around_child;
 use crate::nodes::{Child, Exactness, Node, NodeFault, Sample, Sdf};
@@ -53,7 +53,7 @@ impl<'de> Deserialize<'de> for Copies {
 #[derive(Clone, Debug)]
 struct Grid {
     axes: [Option<Axis>; 3],
-    bounds: Bounds,
+    held: Held,
 }
 
 /// Copies along an axis.
@@ -125,13 +125,14 @@ impl Repeat {
     #[inline(always)]
     fn grid(&self) -> &Grid {
         self.grid.get(|| {
-            let bounds = ended(self.child.bounds(0.0));
+            let held = Held::new(&self.child);
+            let bounds = held.bounds;
             let ends = [(bounds.low.x, bounds.high.x), (bounds.low.y, bounds.high.y), (bounds.low.z, bounds.high.z)];
             let axis = |index: usize| {
                 let (low, high) = ends[index];
                 self.cell[index].map(|cell| Axis::new(cell.get(), self.count[index], low, high))
             };
-            Grid { axes: [axis(0), axis(1), axis(2)], bounds }
+            Grid { axes: [axis(0), axis(1), axis(2)], held }
         })
     }
 }
@@ -152,8 +153,8 @@ impl Sdf for Repeat {
 
     #[inline(always)]
     fn sample<R: Real, V: Sample<R>>(&self, p: Vec3<R>) -> V {
-        let Grid { axes: [x_axis, y_axis, z_axis], bounds } = self.grid();
-        let original = Original::new(&self.child, bounds);
+        let Grid { axes: [x_axis, y_axis, z_axis], held } = self.grid();
+        let original = Original::new(&self.child, held);
         let nearest = along(
             x_axis.as_ref(),
             p.x,
@@ -211,13 +212,15 @@ impl Sdf for Repeat {
             };
             if !width.is_finite() {
                 let message = format!(
-                    "repeats a shape along {name} that has no end there: use null, or bound the shape by an intersection"
+                    "repeats a shape along {name} that has no end there: use null, \
+                     or bound the shape by an intersection"
                 );
                 return Some(NodeFault::new(place, message));
             }
             if width > MAX_CELLS * cell {
                 let message = format!(
-                    "must be at least a quarter of the shape's width along {name}, which is {width}: make it {} or more",
+                    "must be at least a quarter of the shape's width along {name}, which is {width}: \
+                     make it {} or more",
                     width / MAX_CELLS
                 );
                 return Some(NodeFault::new(place, message));

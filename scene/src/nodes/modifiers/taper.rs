@@ -2,8 +2,8 @@
 //!
 //! With f(y) the factor of the cross-section, the value is f·d(x/f, y, z/f). Where the shape's radius
 //! about the y axis is at most r, f times the map's derivative is the matrix (1, r·f'; 0, f) of the
-//! directions outwards and up, whose greatest singular value is a Lipschitz factor; d itself, held to
-//! ±r/2, adds f'·r/2. Outside the frustum that holds the shape the shape is asked at the nearest
+//! directions outwards and up, whose greatest singular value, ½(√((1+f)² + r²f'²) + √((1−f)² + r²f'²)),
+//! is a Lipschitz factor; d itself, held to ±r/2, adds f'·r/2. Outside the frustum that holds the shape the shape is asked at the nearest
 //! point of its own cylinder, and the distance to the frustum, times the factor, takes over.
 
 use schemars::JsonSchema;
@@ -49,6 +49,8 @@ struct Frustum {
     high: f32,
     /// How much the factor grows for each unit upwards.
     slope: f32,
+    /// Cosine of the angle between its side and the y axis: how far the side is for each unit across.
+    slant: f32,
     /// One over the greatest factor, if that is above 1: what the value is multiplied by.
     shrink: f32,
     /// The Lipschitz factor.
@@ -66,12 +68,12 @@ impl Taper {
             let widest = bottom.max(top);
             let shrink = 1.0 / widest.max(1.0);
             let shear = radius * slope.abs();
-            let squares = 1.0 + shear * shear + widest * widest;
-            let root = Real::sqrt((squares * squares - 4.0 * widest * widest).max(0.0));
-            let drawn_apart = Real::sqrt(0.5 * (squares + root));
+            let beside = |widest: f32| Real::sqrt((1.0 + widest) * (1.0 + widest) + shear * shear);
+            let drawn_apart = 0.5 * (beside(widest) + beside(-widest));
             let child = self.child.stretch();
             let stretch = (child * drawn_apart + 0.5 * shear) * shrink * (1.0 + 1e-6);
-            Frustum { radius, low: bounds.low.y, high: bounds.high.y, slope, shrink, stretch }
+            let slant = 1.0 / Real::sqrt(1.0 + shear * shear);
+            Frustum { radius, low: bounds.low.y, high: bounds.high.y, slope, slant, shrink, stretch }
         })
     }
 }
@@ -87,7 +89,7 @@ impl Sdf for Taper {
 
     #[inline(always)]
     fn sample<R: Real, V: Sample<R>>(&self, p: Vec3<R>) -> V {
-        let Frustum { radius, low, high, slope, shrink, stretch } = *self.frustum();
+        let Frustum { radius, low, high, slope, slant, shrink, stretch } = *self.frustum();
         let (bottom, top) = (self.bottom_factor.get(), self.top_factor.get());
         let y = p.y.max(p.x.given(low)).min(p.x.given(high));
         let factor = (y - p.x.given(self.bottom.get())).mul_add(p.x.given(slope), p.x.given(bottom));
@@ -97,8 +99,7 @@ impl Sdf for Taper {
         let child: V = self.child.sample(vec3(p.x * inwards, y, p.z * inwards));
         let held =
             child.distance().max(p.x.given(-0.5 * radius)).min(p.x.given(0.5 * radius)) * (factor * p.x.given(shrink));
-        let slant = radius * slope;
-        let beyond = (away - factor * p.x.given(radius)) * p.x.given(1.0 / Real::sqrt(1.0 + slant * slant));
+        let beyond = (away - factor * p.x.given(radius)) * p.x.given(slant);
         let beyond = beyond.max(p.y - p.x.given(high)).max(p.x.given(low) - p.y);
         child.at(held.max(beyond * p.x.given(stretch)))
     }
@@ -122,11 +123,10 @@ impl Sdf for Taper {
     }
 
     fn bounds(&self, level: f32) -> Bounds {
-        let Frustum { radius, low, high, slope, stretch, .. } = *self.frustum();
+        let Frustum { radius, low, high, slant, stretch, .. } = *self.frustum();
         let beyond = level / stretch;
-        let slant = radius * slope;
         let radius = radius * self.bottom_factor.get().max(self.top_factor.get());
-        let radius = radius + beyond * Real::sqrt(1.0 + slant * slant);
+        let radius = radius + beyond / slant;
         Bounds { low: vec3(-radius, low - beyond, -radius), high: vec3(radius, high + beyond, radius) }
     }
 }

@@ -62,9 +62,9 @@ impl Sdf for Onion {
         { "sphere": { "radius": 1 } },
         { "translate": { "by": [0.3, 1, 0.7], "child": { "box": { "size": [1.8, 1.4, 1.4] } } } }
     ] } } }"#;
-    const MORE: &'static [&'static str] = &[
-        r#"{ "thickness": 0.1, "child": { "onion": { "thickness": 0.3, "child": { "torus": { "radius": 0.7, "tube": 0.3 } } } } }"#,
-    ];
+    const MORE: &'static [&'static str] = &[r#"{ "thickness": 0.1, "child": { "onion": { "thickness": 0.3, "child": {
+        "torus": { "radius": 0.7, "tube": 0.3 }
+    } } } }"#];
 
     #[inline(always)]
     fn sample<R: Real, V: Sample<R>>(&self, p: Vec3<R>) -> V {
