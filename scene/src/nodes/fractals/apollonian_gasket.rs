@@ -48,7 +48,7 @@ const MARGIN: f32 = 0.25;
 const NOWHERE: f32 = 1e3;
 
 impl Primitive for ApollonianGasket {
-    const EXAMPLE: &str = r#"{ "radius": 1.15, "iterations": 8 }"#;
+    const EXAMPLE: &str = r#"{ "radius": 1.15, "iterations": 4 }"#;
     const MORE: &[&str] = &[r#"{ "radius": 1, "iterations": 1 }"#, r#"{ "radius": 1, "iterations": 64 }"#];
 
     #[inline(always)]

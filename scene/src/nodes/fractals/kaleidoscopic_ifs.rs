@@ -129,3 +129,44 @@ fn turned<R: Real>(p: Vec3<R>, rotation: Option<Rotation>) -> Vec3<R> {
         None => p,
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::nodes::Node;
+
+    /// Checks that a system's balls hold all of a classical shape, and reach out of it by no more than their size.
+    fn check(system: &str, shape: &str, ball: f32) {
+        let [system, shape]: [Node; 2] = [system, shape].map(|text| serde_json::from_str(text).unwrap());
+        let turn = |speed: f32, step: u32| Real::sin(speed * step as f32);
+        let mut inside = 0;
+        for step in 0..100_000 {
+            let p = vec3(turn(1.3, step), turn(2.1, step), turn(0.7, step));
+            let (value, known) = (system.distance(p), shape.distance(p));
+            if known < 0.0 {
+                inside += 1;
+                assert!(value < 1e-6, "{p:?} is in the shape, but {value} away from the system's balls");
+            }
+            assert!(value > 0.0 || known <= ball, "{p:?} is in a ball, but {known} away from the shape");
+        }
+        assert!(inside > 1_000, "only {inside} points are inside");
+    }
+
+    #[test]
+    fn mirrors_of_a_cube_make_the_menger_sponge() {
+        check(
+            r#"{ "kaleidoscopic_ifs": { "folds": "menger_like", "scale": 3, "offset": [0.9, 0.9, 0.9], "iterations": 3 } }"#,
+            r#"{ "menger_sponge": { "size": 1.8, "iterations": 3 } }"#,
+            0.9 * 1.733 / 27.0,
+        );
+    }
+
+    #[test]
+    fn mirrors_of_a_tetrahedron_make_the_sierpinski_tetrahedron() {
+        check(
+            r#"{ "kaleidoscopic_ifs": { "folds": "tetrahedral", "scale": 2, "offset": [0.9, 0.9, 0.9], "iterations": 3 } }"#,
+            r#"{ "sierpinski": { "size": 1.8, "iterations": 3 } }"#,
+            0.9 * 1.733 / 8.0,
+        );
+    }
+}

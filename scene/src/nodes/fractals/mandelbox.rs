@@ -140,3 +140,37 @@ fn one() -> Length {
 fn half() -> Length {
     Length::new(0.5).expect("0.5 is in range")
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Whether a point's orbit, in folds and twice as precise, leaves for good.
+    fn escapes(p: [f64; 3], scale: f64) -> bool {
+        let mut z = p;
+        for _ in 0..400 {
+            let folded = z.map(|c| 2.0 * c.clamp(-1.0, 1.0) - c);
+            let factor = scale / folded.iter().map(|c| c * c).sum::<f64>().clamp(0.25, 1.0);
+            z = [0, 1, 2].map(|axis| folded[axis] * factor + p[axis]);
+            if z.iter().any(|c| c.abs() > 1e6) {
+                return true;
+            }
+        }
+        false
+    }
+
+    #[test]
+    fn nothing_is_outside_the_cube() {
+        for scale in [-3.0_f32, -2.0, -1.5, -1.1, 1.2, 1.5, 2.0, 3.0, 4.0] {
+            let mandelbox: Mandelbox =
+                serde_json::from_str(&format!(r#"{{ "size": 1, "scale": {scale}, "iterations": 9 }}"#)).unwrap();
+            let half = f64::from(mandelbox.half_edge());
+            let turn = |speed: f32, step: u32| f64::from(Real::sin(speed * step as f32)) * half;
+            for step in 0..2_000 {
+                let (y, z) = (turn(2.1, step), turn(0.7, step));
+                let x = half * (1.001 + 0.01 * f64::from(step % 100));
+                assert!(escapes([x, y, z], scale.into()), "({x}, {y}, {z}) stays with scale {scale}");
+            }
+        }
+    }
+}

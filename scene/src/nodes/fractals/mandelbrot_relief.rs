@@ -142,3 +142,30 @@ fn middle_of_the_set() -> [Coordinate; 2] {
 fn width_of_the_set() -> Length {
     Length::new(3.0).expect("3 is in range")
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_has_not_escaped_is_solid() {
+        let relief: MandelbrotRelief = serde_json::from_str(r#"{ "size": 3, "height": 1, "iterations": 20 }"#).unwrap();
+        let mut counts = [0, 0];
+        for (row, column) in (0..300).flat_map(|row| (0..300).map(move |column| (row, column))) {
+            let (x, z) = (column as f32 * 0.01 - 1.495, row as f32 * 0.01 - 1.495);
+            let (cx, cy) = (f64::from(x) - 0.75, f64::from(-z));
+            let (mut a, mut b) = (cx, cy);
+            for _ in 0..20 {
+                if a * a + b * b < 256.0 {
+                    (a, b) = (a * a - b * b + cx, 2.0 * a * b + cy);
+                }
+            }
+            let is_solid = a * a + b * b < 256.0;
+            let value = relief.distance(vec3(x, 0.5, z));
+            // A point on the edge is on either side by rounding.
+            assert!((value < 0.0) == is_solid || value.abs() < 1e-6, "{value} at {cx} + {cy}i");
+            counts[usize::from(is_solid)] += 1;
+        }
+        assert!(counts.iter().all(|count| *count > 10_000), "{counts:?} are outside and solid");
+    }
+}

@@ -47,8 +47,8 @@ const LONGEST_CONSTANT: f32 = 1.5;
 impl Primitive for Mandelbulb {
     const EXAMPLE: &str = r#"{ "power": 8, "iterations": 8 }"#;
     const MORE: &[&str] = &[
-        r#"{ "power": 8, "iterations": 8, "julia": [0.45, 0.35, 0.5] }"#,
-        r#"{ "power": 3, "iterations": 12, "julia": [-0.4, 0.1, 0.6] }"#,
+        r#"{ "power": 8, "iterations": 4, "julia": [-0.8, 0.3, 0.3] }"#,
+        r#"{ "power": 3, "iterations": 6, "julia": [-0.4, 0.1, 0.6] }"#,
     ];
 
     #[inline(always)]
