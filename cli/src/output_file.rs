@@ -103,7 +103,7 @@ pub(crate) fn format_of(path: &str) -> anyhow::Result<Option<Format>> {
 }
 
 /// Refuses a picture whose format can't hold what the job asks for.
-pub(crate) fn check_layers(job: &Job) -> anyhow::Result<()> {
+pub(crate) fn check_format(job: &Job) -> anyhow::Result<()> {
     match job.image.format {
         Format::Png if !job.image.layers.is_empty() => {
             Err(Misuse("a PNG holds no layers: write to an .exr file, or take image.layers out of the job".to_owned())

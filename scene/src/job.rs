@@ -3,6 +3,7 @@
 use schemars::JsonSchema;
 use serde::{Deserialize, Deserializer, Serialize};
 
+use crate::camera::Projection;
 use crate::limits::{MAX_EDGE_PX, MAX_FRAMES, MAX_SAMPLES};
 use crate::motion::Motion;
 use crate::scene::{Background, Scene};
@@ -221,6 +222,12 @@ impl Job {
         }
         if self.frames.count == 1 && self.is_moving() {
             warnings.push("the scene moves, but the job has one frame: set frames.count to see more of it".to_owned());
+        }
+        let Image { width, height, .. } = self.image;
+        if self.scene.camera.projection == Projection::Panorama && width != height.saturating_mul(2) {
+            warnings.push(format!(
+                "a panorama is 360 by 180 degrees, and {width}×{height} stretches it: make width twice height"
+            ));
         }
         for name in self.scene.unused_materials() {
             warnings.push(format!("material \"{name}\" is not used"));

@@ -83,7 +83,8 @@ impl Farm {
             return Ok(());
         }
         for frame in 0..plan.frames.min(REUSED_AT_ONCE) {
-            let opening = opening(number, frame, plan, &job);
+            // Without a thread to read the job on, the frame is opened like any other.
+            let Ok(opening) = self.opening_of(number, frame, plan, &job).await else { break };
             if !self.queue.has_picture(&opening.picture_key).await?
                 || self.queue.reuse(opening).await? != Opened::Stored
             {
@@ -129,8 +130,12 @@ impl Farm {
     }
 
     async fn opening(&self, number: i64, frame: u32, plan: Plan) -> Result<Option<Opening>, StoreError> {
-        match self.jobs.get(&self.queue, number).await {
-            Ok(job) => Ok(Some(opening(number, frame, plan, &job))),
+        let opening = match self.jobs.get(&self.queue, number).await {
+            Ok(job) => self.opening_of(number, frame, plan, &job).await,
+            Err(error) => Err(error),
+        };
+        match opening {
+            Ok(opening) => Ok(Some(opening)),
             Err(JobError::Store(error)) => Err(error),
             Err(error @ JobError::Refused(_)) => {
                 tracing::error!(job = number, %error, "a job that was accepted once is refused now");
@@ -142,6 +147,17 @@ impl Farm {
                 Ok(None)
             }
         }
+    }
+
+    async fn opening_of(
+        &self,
+        number: i64,
+        frame: u32,
+        plan: Plan,
+        job: &Arc<scene::Job>,
+    ) -> Result<Opening, JobError> {
+        let picture_key = self.jobs.picture_key(job, frame).await?;
+        Ok(Opening { job: number, frame, picture_key, tiles: plan.tiles(), samples: plan.samples })
     }
 
     /// A result whose bytes are not there is no result: its tile goes back.
@@ -176,9 +192,4 @@ impl Farm {
             drop(self.leftovers.send(Leftovers { kind, hashes }));
         }
     }
-}
-
-fn opening(number: i64, frame: u32, plan: Plan, job: &scene::Job) -> Opening {
-    let picture_key = job.picture_key(frame).to_hex().to_string();
-    Opening { job: number, frame, picture_key, tiles: plan.tiles(), samples: plan.samples }
 }

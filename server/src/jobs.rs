@@ -61,12 +61,23 @@ impl Jobs {
         text: bytes::Bytes,
         work: impl FnOnce(Result<scene::Job, scene::Refusal>) -> T + Send + 'static,
     ) -> Result<T, JobError> {
+        self.on_thread(move || work(scene::parse(&text))).await
+    }
+
+    /// What a frame's picture is known by; a job that moves is read again for that.
+    pub(crate) async fn picture_key(&self, job: &Arc<scene::Job>, frame: u32) -> Result<String, JobError> {
+        let (moves, job) = (job.is_moving(), Arc::clone(job));
+        let key = move || job.picture_key(frame).to_hex().to_string();
+        if moves { self.on_thread(key).await } else { Ok(key()) }
+    }
+
+    async fn on_thread<T: Send + 'static>(&self, work: impl FnOnce() -> T + Send + 'static) -> Result<T, JobError> {
         let _permit = self.permits.acquire().await.map_err(|_| JobError::Thread)?;
         let (reply, answer) = oneshot::channel();
         std::thread::Builder::new()
             .name("parse".to_owned())
             .stack_size(STACK_BYTES)
-            .spawn(move || drop(reply.send(work(scene::parse(&text)))))
+            .spawn(move || drop(reply.send(work())))
             .map_err(|_| JobError::Thread)?;
         answer.await.map_err(|_| JobError::Thread)
     }

@@ -18,8 +18,13 @@ fn levels() -> impl Iterator<Item = Simd> {
 }
 
 fn job(node: &str) -> Job {
+    job_seen_by(node, "")
+}
+
+/// The job with more said of its camera.
+fn job_seen_by(node: &str, camera: &str) -> Job {
     let text = format!(
-        r#"{{ "scene": {{ "camera": {{ "position": [1.5, 1.4, 3.2], "look_at": [0, 0, 0] }},
+        r#"{{ "scene": {{ "camera": {{ "position": [1.5, 1.4, 3.2], "look_at": [0, 0, 0]{camera} }},
             "background": "transparent",
             "lights": [{{ "directional": {{ "direction": [0.6, 0.7, 0.5] }} }},
                        {{ "point": {{ "position": [-2, 2, 2], "color": [3, 2, 1] }} }}],
@@ -50,31 +55,44 @@ fn reference(program: &Program<'_>, image: &Image, x: u32, y: u32) -> Vec<f32> {
     channels
 }
 
+/// Renders a job at every width and compares it with the reference.
+fn compare(name: &str, job: &Job) {
+    let still = job.at(0).unwrap();
+    let program = Program::new(&still);
+    let rect = Rect::whole(job.image.width, job.image.height);
+    for simd in levels() {
+        let renderer = CpuRenderer::new(Some(1), simd).unwrap();
+        let run = TileRun { job, frame: 0, rect };
+        let pixels = renderer.render(&run, &Cancel::new(), &|_| ()).unwrap();
+        for (x, y) in (0..rect.height).flat_map(|y| (0..rect.width).map(move |x| (x, y))) {
+            let want = reference(&program, &job.image, x, y);
+            for (plane, want) in pixels.planes.iter().zip(want) {
+                let got = plane[(y * rect.width + x) as usize];
+                assert!(!got.is_nan(), "{name} by {simd} at ({x}, {y}) is no number");
+                assert_eq!(got.to_bits(), (want + 0.0).to_bits(), "{name} by {simd} at ({x}, {y}): {got} for {want}");
+            }
+        }
+    }
+}
+
 #[test]
 fn every_width_gives_the_reference_bits_for_every_node() {
     for example in Node::examples() {
-        let job = job(&example.node);
-        let still = job.at(0).unwrap();
-        let program = Program::new(&still);
-        let rect = Rect::whole(job.image.width, job.image.height);
-        for simd in levels() {
-            let renderer = CpuRenderer::new(Some(1), simd).unwrap();
-            let run = TileRun { job: &job, frame: 0, rect };
-            let pixels = renderer.render(&run, &Cancel::new(), &|_| ()).unwrap();
-            for (x, y) in (0..rect.height).flat_map(|y| (0..rect.width).map(move |x| (x, y))) {
-                let want = reference(&program, &job.image, x, y);
-                for (plane, want) in pixels.planes.iter().zip(want) {
-                    let got = plane[(y * rect.width + x) as usize];
-                    let kind = example.kind;
-                    assert!(!got.is_nan(), "{kind} by {simd} at ({x}, {y}) is no number");
-                    assert_eq!(
-                        got.to_bits(),
-                        (want + 0.0).to_bits(),
-                        "{kind} by {simd} at ({x}, {y}): {got} for {want}"
-                    );
-                }
-            }
-        }
+        compare(example.kind, &job(&example.node));
+    }
+}
+
+#[test]
+fn every_width_gives_the_reference_bits_for_every_camera() {
+    let node = Node::examples().swap_remove(0).node;
+    for projection in [r#"{ "orthographic": { "height": 3 } }"#, r#""panorama""#] {
+        let job = job_seen_by(&node, &format!(r#", "projection": {projection}"#));
+        compare(projection, &job);
+        let renderer = CpuRenderer::new(Some(1), Simd::Auto).unwrap();
+        let run = TileRun { job: &job, frame: 0, rect: Rect::whole(job.image.width, job.image.height) };
+        let object = job.image.channels().iter().position(|&channel| channel == "id").unwrap();
+        let seen = renderer.render(&run, &Cancel::new(), &|_| ()).unwrap().planes.swap_remove(object);
+        assert!([0.0, 1.0].iter().all(|id| seen.contains(id)), "{projection} sees both objects");
     }
 }
 

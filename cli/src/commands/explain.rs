@@ -24,7 +24,7 @@ pub(crate) struct Arguments {
 pub(crate) fn run(arguments: &Arguments) -> anyhow::Result<()> {
     let job = JobFile::read(&arguments.job)?.parse()?;
     check_frame(&job, arguments.frame)?;
-    let source = Source::new(&job, arguments.frame);
+    let source = Source::new(&job.at(arguments.frame)?);
     if arguments.cuda {
         return say(source.text.trim_end());
     }

@@ -15,7 +15,7 @@ use worker::{Cancel, Renderer};
 use crate::arguments::RendererArguments;
 use crate::failure::Misuse;
 use crate::job_file::JobFile;
-use crate::output_file::{OutputFile, check_layers, format_of};
+use crate::output_file::{OutputFile, check_format, format_of};
 use crate::progress::Progress;
 use crate::signals::Signals;
 use crate::terminal::note;
@@ -60,7 +60,7 @@ pub(crate) fn run(arguments: &Arguments) -> anyhow::Result<()> {
     if let Some(format) = format_of(&arguments.output)? {
         job.image.format = format;
     }
-    check_layers(&job)?;
+    check_format(&job)?;
     check_frame(&job, arguments.frame)?;
     let renderer = arguments.renderer.renderer()?;
     let cancel = Cancel::new();

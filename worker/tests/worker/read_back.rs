@@ -5,7 +5,8 @@ use std::process::{Command, Stdio};
 
 use half::f16;
 use proto::Rect;
-use scene::{Bits, Job, Precision};
+use scene::values::Stops;
+use scene::{Bits, Image, Job, Precision, ToneMap};
 use worker::Pixels;
 use worker::stitch::Tiles;
 
@@ -47,9 +48,28 @@ fn srgb(linear: f64) -> f64 {
     if linear <= 0.003_130_8 { 12.92 * linear } else { 1.055 * linear.powf(1.0 / 2.4) - 0.055 }
 }
 
+/// A graded PNG of each kind: two stops brighter and filmic, or half a stop darker alone.
+fn graded() -> impl Iterator<Item = Job> {
+    pngs().flat_map(|job| {
+        let filmic = Image { exposure: Stops::new(2.0).unwrap(), tone_map: ToneMap::Filmic, ..job.image.clone() };
+        let darker = Image { exposure: Stops::new(-0.5).unwrap(), ..job.image.clone() };
+        [filmic, darker].map(|image| Job { image, ..job.clone() })
+    })
+}
+
+/// What an image shows for linear light, in double.
+#[expect(clippy::disallowed_methods, reason = "what is tested is not to be tested by itself")]
+fn shown(image: &Image, linear: f64) -> f64 {
+    let x = linear * f64::from(image.exposure.get()).exp2();
+    match image.tone_map {
+        ToneMap::None => x,
+        ToneMap::Filmic => x * (2.51 * x + 0.03) / (x * (2.43 * x + 0.59) + 0.14),
+    }
+}
+
 #[test]
-fn a_png_holds_the_srgb_of_its_pixels() {
-    for job in pngs() {
+fn a_png_holds_the_srgb_of_its_pixels_as_they_are_to_be_shown() {
+    for job in pngs().chain(graded()) {
         let pixels = whole(&job);
         let decoded = decode_png(&file(&job, &pixels));
         let alpha_plane = decoded.info.color_type == png::ColorType::Rgba;
@@ -71,7 +91,7 @@ fn a_png_holds_the_srgb_of_its_pixels() {
         for (index, pixel) in samples.chunks(channels).enumerate() {
             let alpha = if alpha_plane { f64::from(pixels.planes[3][index]) } else { 1.0 };
             for (value, plane) in pixel[..3].iter().zip(&pixels.planes) {
-                let linear = f64::from(plane[index]) / alpha;
+                let linear = shown(&job.image, f64::from(plane[index]) / alpha);
                 let exact = srgb(linear.clamp(0.0, 1.0)) * top;
                 // Half a step of rounding, and single precision before it.
                 assert!((value - exact).abs() <= 0.5 + top * 1e-6, "{value} for {exact}");
