@@ -4,23 +4,33 @@
 //! [`Primitive`] or [`Sdf`], and one word in the list below. Parsing, schema, evaluation in every
 //! arithmetic, the contract tests and its picture in docs/nodes.md follow from those.
 
+mod displace;
 mod fractals;
 mod modifiers;
 mod operators;
+mod per_axis;
 mod primitives;
+mod relief;
 mod runs;
 mod sample;
+mod terrain;
 mod transforms;
+mod warp;
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
+pub use displace::{Bumps, Displace, Sine};
 pub use fractals::Mandelbulb;
 pub use modifiers::Paint;
 pub use operators::{Difference, Intersection, Union};
+pub use per_axis::PerAxis;
 pub use primitives::{Box, Capsule, Cylinder, InfiniteCylinder, Plane, Pyramid, Sphere, Torus, TriangularPrism};
+pub use relief::FoundRelief;
 pub use sample::{Coat, Distance, Painted, Sample};
+pub use terrain::HeightField;
 pub use transforms::{Rotate, Scale, Translate};
+pub use warp::Warp;
 
 use crate::bounds::Bounds;
 use crate::materials::MaterialUse;
@@ -38,6 +48,16 @@ pub enum Exactness {
     Bound,
     /// An estimate, which no Lipschitz factor bounds everywhere; a step of value/stretch still passes no surface.
     Estimate,
+}
+
+impl Exactness {
+    /// What is left of it when a formula around it gives a bound.
+    pub(crate) fn at_best_bound(self) -> Self {
+        match self {
+            Self::Exact | Self::Bound => Self::Bound,
+            Self::Estimate => Self::Estimate,
+        }
+    }
 }
 
 /// What is wrong with the numbers of a node taken together.
@@ -321,7 +341,7 @@ nodes![
         Scale,
         Paint,
     ],
-    called: []
+    called: [Displace, Warp, HeightField]
 ];
 
 /// A node to look at and to test with.

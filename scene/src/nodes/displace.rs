@@ -1,0 +1,174 @@
+//! Shapes with bumps: waves or noise added to the distance.
+
+use std::f32::consts::TAU;
+
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+use super::per_axis::PerAxis;
+use super::relief::STEEPEST;
+use super::relief::{FoundRelief, Relief};
+use super::transforms::around_child;
+use super::{Child, Exactness, Node, Sample, Sdf};
+use crate::bounds::Bounds;
+use crate::noise::Noise;
+use crate::real::{Real, Vec3};
+use crate::values::Coordinate;
+
+/// A shape with bumps: amplitude · bumps is added to its distance, so where that is negative the surface
+/// rises.
+///
+/// A Lipschitz factor is the child's plus |amplitude| times that of the bumps.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Displace {
+    /// The bumps.
+    pub by: Bumps,
+    /// What the bumps are multiplied with.
+    pub amplitude: Coordinate,
+    /// The shape.
+    pub child: Child,
+    /// Where the bumps need not be looked at.
+    #[serde(skip)]
+    pub relief: FoundRelief,
+}
+
+/// What may be added to a distance: keyed by its kind.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum Bumps {
+    /// Waves along all axes: sin(φx)·sin(φy)·sin(φz).
+    Sine(Sine),
+    /// A noise.
+    Noise(Noise),
+}
+
+/// Waves along all axes: sin(φx)·sin(φy)·sin(φz).
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Sine {
+    /// φ, in radians a scene unit: one number, or one for each axis.
+    pub frequency: PerAxis,
+}
+
+impl Sine {
+    #[inline(always)]
+    fn value<R: Real>(&self, p: Vec3<R>) -> R {
+        let frequency = self.frequency.get();
+        let sine = wave(p.x, frequency.x) * wave(p.y, frequency.y);
+        sine * wave(p.z, frequency.z)
+    }
+
+    /// The greatest frequency: with sᵢ, cᵢ the sines and cosines, the square of the gradient is
+    /// Σ φᵢ²·cᵢ²·Πsⱼ² ≤ max φ² · Σ (1 − sᵢ²)·Πsⱼ², and that last sum is at most 1, as it is the chance that just
+    /// one of three independent things fails.
+    fn lipschitz(&self) -> f32 {
+        let Vec3 { x, y, z } = self.frequency.get();
+        x.abs().max(y.abs()).max(z.abs())
+    }
+}
+
+/// sin(φ·c), where a sine is good to any angle: less its whole turns.
+#[inline(always)]
+fn wave<R: Real>(c: R, frequency: f32) -> R {
+    let turns = c * c.given(frequency / TAU);
+    ((turns - (turns + 0.5).floor()) * TAU).sin()
+}
+
+impl Bumps {
+    #[inline(always)]
+    fn value<R: Real>(&self, p: Vec3<R>) -> R {
+        match self {
+            Self::Sine(sine) => sine.value(p),
+            Self::Noise(noise) => noise.value(p),
+        }
+    }
+
+    fn range(&self) -> (f32, f32) {
+        match self {
+            Self::Sine(_) => (-1.0, 1.0),
+            Self::Noise(noise) => noise.range(),
+        }
+    }
+
+    fn lipschitz(&self) -> f32 {
+        match self {
+            Self::Sine(sine) => sine.lipschitz(),
+            Self::Noise(noise) => noise.lipschitz(),
+        }
+    }
+}
+
+impl Displace {
+    fn relief(&self) -> Relief {
+        let amplitude = self.amplitude.get();
+        let (low, high) = self.by.range();
+        let steepening = amplitude.abs() * self.by.lipschitz() / self.child.stretch();
+        Relief::new([low * amplitude, high * amplitude], steepening)
+    }
+}
+
+impl Sdf for Displace {
+    const EXAMPLE: &str = r#"{ "by": { "noise": { "perlin": { "scale": 5 } } }, "amplitude": -0.1,
+        "child": { "sphere": { "radius": 1 } } }"#;
+    const MORE: &[&str] = &[
+        r#"{ "by": { "sine": { "frequency": 9 } }, "amplitude": 0.05, "child": { "sphere": { "radius": 1.1 } } }"#,
+        r#"{ "by": { "sine": { "frequency": [20, 0.7, 0.7] } }, "amplitude": -0.2,
+            "child": { "torus": { "radius": 0.8, "tube": 0.3 } } }"#,
+        r#"{ "by": { "noise": { "cellular": { "scale": 4, "feature": "f2_minus_f1" } } }, "amplitude": -0.15,
+            "child": { "sphere": { "radius": 1 } } }"#,
+        r#"{ "by": { "noise": { "perlin": { "scale": 2, "octaves": 4, "fractal": "ridged" } } }, "amplitude": -0.2,
+            "child": { "box": { "size": [1.3, 1.3, 1.3], "round": 0.1 } } }"#,
+    ];
+
+    #[inline(always)]
+    fn sample<R: Real, V: Sample<R>>(&self, p: Vec3<R>) -> V {
+        let child: V = self.child.sample(p);
+        let relief = self.relief.0.unwrap_or_else(|| self.relief());
+        let distance = relief.added(
+            child.distance(),
+            #[inline(always)]
+            || self.by.value(p) * p.x.given(self.amplitude.get()),
+        );
+        child.at(distance)
+    }
+
+    around_child!();
+
+    fn prepare(&mut self) {
+        self.child.prepare();
+        self.relief = FoundRelief(Some(self.relief()));
+    }
+
+    fn stretch(&self) -> f32 {
+        (self.child.stretch() + self.amplitude.get().abs() * self.by.lipschitz()).min(STEEPEST)
+    }
+
+    fn exactness(&self) -> Exactness {
+        self.child.exactness().at_best_bound()
+    }
+
+    fn bounds(&self, level: f32) -> Bounds {
+        self.child.bounds(self.relief().level(level))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::real::vec3;
+
+    #[test]
+    fn bumps_are_where_the_formula_says() {
+        let text =
+            r#"{ "by": { "sine": { "frequency": 9 } }, "amplitude": 0.05, "child": { "sphere": { "radius": 1.25 } } }"#;
+        let node: Displace = serde_json::from_str(text).unwrap();
+        for step in 0..100 {
+            let turn = |speed: f32| Real::sin(speed * step as f32);
+            let p = vec3(turn(1.3), turn(2.1), turn(0.7)).normalize() * 1.25;
+            let want: f32 = 0.05 * Real::sin(9.0 * p.x) * Real::sin(9.0 * p.y) * Real::sin(9.0 * p.z);
+            let got = node.sample::<f32, super::super::Distance<f32>>(p).distance();
+            assert!((got - want).abs() < 1e-6, "{got} at {p:?} should be {want}");
+        }
+    }
+}

@@ -1,0 +1,61 @@
+//! A shape in a space that noise has bent.
+
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+use super::relief::STEEPEST;
+use super::transforms::around_child;
+use super::{Child, Exactness, Node, Sample, Sdf};
+use crate::bounds::Bounds;
+use crate::noise::Noise;
+use crate::real::{Real, Vec3};
+use crate::values::Coordinate;
+
+/// A shape looked at with each point shifted by three noises: domain warping, as in Inigo Quilez,
+/// <https://iquilezles.org/articles/warp/>. The noises are the given one with three seeds, each less the
+/// middle of its range.
+///
+/// The shift has no greater Lipschitz factor than |amplitude|·√3 times that of the noise.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Warp {
+    /// The noise.
+    pub noise: Noise,
+    /// What the noises are multiplied with.
+    pub amplitude: Coordinate,
+    /// The shape.
+    pub child: Child,
+}
+
+impl Sdf for Warp {
+    const EXAMPLE: &str = r#"{ "noise": { "perlin": { "scale": 2 } }, "amplitude": 0.25,
+        "child": { "box": { "size": [1.2, 1.2, 1.2] } } }"#;
+    const MORE: &[&str] = &[r#"{ "noise": { "value": { "scale": 1.5, "octaves": 2, "seed": 3 } }, "amplitude": 0.2,
+        "child": { "torus": { "radius": 0.8, "tube": 0.25 } } }"#];
+
+    #[inline(always)]
+    fn sample<R: Real, V: Sample<R>>(&self, p: Vec3<R>) -> V {
+        let (low, high) = self.noise.range();
+        let shift = self.noise.vector(p).map(
+            #[inline(always)]
+            |c| c - (low + high) * 0.5,
+        );
+        self.child.sample(shift.mul_add(p.x.given(self.amplitude.get()), p))
+    }
+
+    around_child!();
+
+    fn stretch(&self) -> f32 {
+        let shift = self.amplitude.get().abs() * Real::sqrt(3.0_f32) * self.noise.lipschitz();
+        (self.child.stretch() * (1.0 + shift)).min(STEEPEST)
+    }
+
+    fn exactness(&self) -> Exactness {
+        self.child.exactness().at_best_bound()
+    }
+
+    fn bounds(&self, level: f32) -> Bounds {
+        let (low, high) = self.noise.range();
+        self.child.bounds(level).widened(self.amplitude.get().abs() * (high - low) * 0.5)
+    }
+}
