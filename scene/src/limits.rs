@@ -40,3 +40,7 @@ pub const MAX_KEY_SECONDS: f64 = 1e9;
 pub const MAX_CHECKED_BYTES: u64 = 64 << 20;
 /// Frames of a longer one that are.
 pub const MIN_CHECKED_FRAMES: u32 = 16;
+/// Textures in the colours of textures.
+pub const MAX_TEXTURE_DEPTH: usize = 4;
+/// Stops of a ramp of colours.
+pub const MAX_RAMP_STOPS: usize = 32;

@@ -156,6 +156,12 @@ numbers! {
     /// How narrow a highlight is: the exponent of Phong's cosine.
     Shininess: |v| (1.0..=10_000.0).contains(&v), "an exponent from 1 to 10000",
         { "type": "number", "minimum": 1, "maximum": 10000, "description": "The exponent of Phong's cosine." };
+    /// A share of something.
+    Share: |v| (0.0..=1.0).contains(&v), "a share from 0 to 1",
+        { "type": "number", "minimum": 0, "maximum": 1, "description": "A share of something." };
+    /// How much slower light is inside than outside.
+    RefractiveIndex: |v| (1.0..=4.0).contains(&v), "an index of refraction from 1 to 4",
+        { "type": "number", "minimum": 1, "maximum": 4, "description": "An index of refraction: air 1, water 1.33, glass 1.5, diamond 2.42." };
     /// The power of a fractal.
     Power: |v| (2.0..=32.0).contains(&v), "a power from 2 to 32",
         { "type": "number", "minimum": 2, "maximum": 32, "description": "The power of a fractal." };

@@ -80,6 +80,18 @@ impl<R: Real> Vec3<R> {
         vec3(self.x.mul_add(factor, term.x), self.y.mul_add(factor, term.y), self.z.mul_add(factor, term.z))
     }
 
+    /// Each coordinate times the other vector's: light through a filter.
+    #[inline(always)]
+    pub fn by_channel(self, other: Self) -> Self {
+        vec3(self.x * other.x, self.y * other.y, self.z * other.z)
+    }
+
+    /// `self` times `factor` plus `term`, each coordinate by itself, fused.
+    #[inline(always)]
+    pub fn mul_add_by_channel(self, factor: Self, term: Self) -> Self {
+        vec3(self.x.mul_add(factor.x, term.x), self.y.mul_add(factor.y, term.y), self.z.mul_add(factor.z, term.z))
+    }
+
     /// The greatest coordinate.
     #[inline(always)]
     pub fn max_element(self) -> R {

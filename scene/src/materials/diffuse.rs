@@ -1,0 +1,118 @@
+//! The paper's matt material with a highlight.
+
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+use super::{Exemplary, Level, Lighting, Place, Shade, Texture, Tint};
+use crate::real::{Real, Vec3, vec3};
+use crate::values::Shininess;
+
+/// Phong's model: ka·ambient + Σ lights: kd·le·(N·L) + ks·le·(R·E)^shininess, on both sides.
+///
+/// Bui Tuong Phong, "Illumination for computer generated pictures", CACM 18(6), 1975.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Diffuse {
+    /// Colour of scattered light.
+    #[serde(default = "default_kd")]
+    pub kd: Tint,
+    /// Colour of the highlight.
+    #[serde(default = "Tint::black")]
+    pub ks: Tint,
+    /// Colour of ambient light's answer; as `kd` when absent.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub ka: Option<Tint>,
+    /// Ambient light.
+    #[serde(default = "default_ambient")]
+    pub ambient: Tint,
+    /// How narrow the highlight is.
+    #[serde(default = "default_shininess")]
+    pub shininess: Level<Shininess>,
+}
+
+impl Diffuse {
+    /// What the material answers to ambient light, given its `kd` here.
+    #[inline(always)]
+    fn ambient<R: Real>(&self, place: &Place<R>, kd: Vec3<R>) -> Vec3<R> {
+        let answer = self.ka.as_ref().unwrap_or(&self.kd);
+        if let (Some(ka), Some(la)) = (answer.plain(), self.ambient.plain()) {
+            let (ka, la) = (ka.get(), la.get());
+            return Vec3::given(place.normal.x, vec3(ka.x * la.x, ka.y * la.y, ka.z * la.z));
+        }
+        let ka = self.ka.as_ref().map_or(kd, |ka| ka.at(place));
+        ka.by_channel(self.ambient.at(place))
+    }
+}
+
+impl Exemplary for Diffuse {
+    const EXAMPLE: &'static str = r##"{ "kd": "#4f7fb8", "ks": [0.3, 0.3, 0.3], "shininess": 40 }"##;
+    const MORE: &'static [&'static str] = &[
+        r##"{ "kd": { "checker": { "cell": 0.4, "colors": ["#b5432f", "#e8dcc0"] } }, "ka": [0.5, 0.5, 0.6],
+              "ambient": [0.2, 0.2, 0.2] }"##,
+        r##"{ "kd": "#2d2f38",
+              "ks": { "stripes": { "direction": [1, 1, 0], "width": 0.2, "colors": ["#000000", "#d0d0c0"] } },
+              "ambient": { "gradient": { "by": { "normal": { "direction": [0, 1, 0] } },
+                                         "ramp": [[0, [0.05, 0.03, 0.02]], [1, [0.3, 0.4, 0.6]]] } },
+              "shininess": { "low": 4, "high": 90, "by": { "checker": { "cell": 0.6 } } } }"##,
+    ];
+}
+
+impl Shade for Diffuse {
+    #[inline(always)]
+    fn shade<R: Real>(&self, place: &Place<R>, light: &Lighting<R>) -> Vec3<R> {
+        let like = place.normal.x;
+        let kd = self.kd.at(place);
+        let gloss = (!self.ks.is_black()).then(
+            #[inline(always)]
+            || (self.ks.at(place), self.shininess.at(place)),
+        );
+        let mut sum = self.ambient(place, kd);
+        if let Some(openness) = light.openness {
+            sum = sum * openness;
+        }
+        if let Some(around) = light.surrounding {
+            sum = kd.mul_add_by_channel(around, sum);
+        }
+        for light in &light.lights {
+            let facing = place.normal.dot(light.direction).at_least(0.0);
+            let scattered = light.radiance * facing;
+            sum = kd.mul_add_by_channel(scattered, sum);
+            if let Some((ks, shininess)) = gloss {
+                let mirrored = place.normal.mul_add(facing + facing, -light.direction);
+                let towards = mirrored.dot(place.to_viewer).at_least(0.0);
+                let highlight = towards.powf(shininess);
+                let highlight = R::select(facing.above(0.0), highlight, like.splat(0.0));
+                let glossy = light.radiance * highlight;
+                sum = ks.mul_add_by_channel(glossy, sum);
+            }
+        }
+        sum
+    }
+
+    #[inline(always)]
+    fn albedo<R: Real>(&self, place: &Place<R>) -> Vec3<R> {
+        self.kd.at(place)
+    }
+
+    fn is_lit(&self) -> bool {
+        true
+    }
+
+    fn textures(&self) -> Vec<&Texture> {
+        let Self { kd, ks, ka, ambient, shininess } = self;
+        let tints = [Some(kd), Some(ks), ka.as_ref(), Some(ambient)].into_iter().flatten();
+        tints.filter_map(Tint::texture).chain(shininess.texture()).collect()
+    }
+}
+
+fn default_kd() -> Tint {
+    Tint::plain_of(0.8, 0.8, 0.8)
+}
+
+fn default_ambient() -> Tint {
+    Tint::plain_of(0.1, 0.1, 0.1)
+}
+
+fn default_shininess() -> Level<Shininess> {
+    Level::Plain(Shininess::new(16.0).expect("16 is in range"))
+}

@@ -1,0 +1,71 @@
+//! Materials that look at no light.
+
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+use super::{Exemplary, Lighting, Place, Shade, Texture, Tint};
+use crate::real::{Real, Vec3};
+
+/// One colour, whatever the light.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Flat {
+    /// The colour.
+    pub color: Tint,
+}
+
+impl Exemplary for Flat {
+    const EXAMPLE: &'static str = r##"{ "color": "#e07a3c" }"##;
+    const MORE: &'static [&'static str] = &[r##"{ "color": { "gradient": {
+        "by": { "position": { "from": [0, -1, 0], "to": [0, 1, 0] } },
+        "ramp": [[0, "#26304f"], [0.5, "#c8506a"], [1, "#ffd9a0"]]
+    } } }"##];
+}
+
+impl Shade for Flat {
+    #[inline(always)]
+    fn shade<R: Real>(&self, place: &Place<R>, _: &Lighting<R>) -> Vec3<R> {
+        self.albedo(place)
+    }
+
+    #[inline(always)]
+    fn albedo<R: Real>(&self, place: &Place<R>) -> Vec3<R> {
+        self.color.at(place)
+    }
+
+    fn is_lit(&self) -> bool {
+        false
+    }
+
+    fn textures(&self) -> Vec<&Texture> {
+        self.color.texture().into_iter().collect()
+    }
+}
+
+/// The normal N as a colour: (N + 1)/2.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Normals {}
+
+impl Exemplary for Normals {
+    const EXAMPLE: &'static str = "{}";
+}
+
+impl Shade for Normals {
+    #[inline(always)]
+    fn shade<R: Real>(&self, place: &Place<R>, _: &Lighting<R>) -> Vec3<R> {
+        self.albedo(place)
+    }
+
+    #[inline(always)]
+    fn albedo<R: Real>(&self, place: &Place<R>) -> Vec3<R> {
+        place.normal.map(
+            #[inline(always)]
+            |c| c.mul_add(c.splat(0.5), c.splat(0.5)),
+        )
+    }
+
+    fn is_lit(&self) -> bool {
+        false
+    }
+}

@@ -1,0 +1,124 @@
+//! Textures: what gives a colour at every place. They are solid: most ask only for the point, none needs a mapping.
+//!
+//! A texture is one documented struct, an `impl` of [`Pattern`] and of [`super::Exemplary`], and one word in the list.
+
+mod bands;
+mod bricks;
+mod checker;
+mod gradient;
+mod ramp;
+mod wave;
+
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+pub use bands::Stripes;
+pub use bricks::Bricks;
+pub use checker::{Axes, Checker};
+pub use gradient::{Gradient, GradientBy};
+pub use ramp::{Ramp, Stop};
+
+use super::{Example, Place, Tint};
+use crate::nodes::snake_case;
+use crate::real::{Real, Vec3};
+
+/// What a texture means.
+pub trait Pattern {
+    /// The colour at a place, linear RGB.
+    fn color<R: Real>(&self, place: &Place<R>) -> Vec3<R>;
+
+    /// Its colours, which may be textures.
+    fn tints(&self) -> Vec<&Tint>;
+
+    /// Whether it looks at `Place::own_normal` itself.
+    fn looks_at_own_normal(&self) -> bool {
+        false
+    }
+}
+
+macro_rules! textures {
+    ($($Kind:ident),* $(,)?) => {
+        /// A colour at every place: keyed by its name.
+        #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+        #[serde(rename_all = "snake_case")]
+        pub enum Texture {
+            $(#[doc = concat!("See [`", stringify!($Kind), "`].")] $Kind($Kind)),*
+        }
+
+        impl Texture {
+            /// The colour at a place, linear RGB.
+            pub fn at<R: Real>(&self, place: &Place<R>) -> Vec3<R> {
+                place.point.x.vectorize(
+                    #[inline(always)]
+                    || match self { $(Self::$Kind(texture) => texture.color(place)),* },
+                )
+            }
+
+            /// Its colours, which may be textures.
+            fn tints(&self) -> Vec<&Tint> {
+                match self { $(Self::$Kind(texture) => texture.tints()),* }
+            }
+
+            /// Whether it looks at `Place::own_normal` itself.
+            fn looks_at_own_normal(&self) -> bool {
+                match self { $(Self::$Kind(texture) => texture.looks_at_own_normal()),* }
+            }
+
+            /// The names of all textures in JSON.
+            pub fn names() -> Vec<String> {
+                vec![$(snake_case(stringify!($Kind))),*]
+            }
+
+            /// Each kind's examples, as a user would write the whole texture.
+            pub fn examples() -> Vec<Example> {
+                let mut examples = Vec::new();
+                $(examples.extend(Example::of::<$Kind>(stringify!($Kind), &snake_case(stringify!($Kind))));)*
+                examples
+            }
+        }
+    };
+}
+
+textures![Checker, Stripes, Gradient, Bricks];
+
+impl Texture {
+    /// How deep textures nest in it, itself included.
+    pub fn depth(&self) -> usize {
+        let inside = self.tints().into_iter().filter_map(Tint::texture);
+        1 + inside.map(Self::depth).max().unwrap_or(0)
+    }
+
+    /// Whether it, or a texture in it, looks at `Place::own_normal`.
+    pub fn needs_own_normal(&self) -> bool {
+        self.looks_at_own_normal() || self.tints().into_iter().filter_map(Tint::texture).any(Self::needs_own_normal)
+    }
+}
+
+/// Black and white: the colours of textures that name none.
+fn black_and_white() -> [Tint; 2] {
+    [Tint::black(), Tint::white()]
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::real::{Flag, vec3};
+
+    /// A place on a face that looks at the viewer.
+    pub(super) fn at(x: f32, y: f32, z: f32) -> Place<f32> {
+        let facing = vec3(0.0, 0.0, 1.0);
+        let point = vec3(x, y, z);
+        Place { normal: facing, to_viewer: facing, point, own_normal: facing, distance: 4.0, inside: Flag(false) }
+    }
+
+    #[test]
+    fn textures_in_textures_are_counted_and_asked_for_the_normal() {
+        let texture: Texture = serde_json::from_str(
+            r#"{ "checker": { "cell": 1, "colors": [[0, 0, 0],
+                 { "stripes": { "width": 1, "colors": [{ "bricks": {} }, [1, 1, 1]] } }] } }"#,
+        )
+        .unwrap();
+        assert_eq!(texture.depth(), 3);
+        assert!(texture.needs_own_normal());
+    }
+}

@@ -1,0 +1,175 @@
+//! Bricks or tiles with mortar between them, on every side of a body.
+
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+use super::Pattern;
+use super::checker::sharp;
+use super::wave::step;
+use crate::materials::tint::mix_colors;
+use crate::materials::{Exemplary, Place, Tint};
+use crate::real::{Real, Vec3};
+use crate::values::{Amount, Length, Share};
+
+/// Bricks in rows with mortar between them; tiles where rows do not move.
+///
+/// The flat pattern is laid along all three axes and blended by the normal: triplanar mapping
+/// (Ryan Geiss, "Generating complex procedural terrains using the GPU", GPU Gems 3, 2007, chapter 1,
+/// <https://developer.nvidia.com/gpugems/gpugems3/part-i-geometry/chapter-1-generating-complex-procedural-terrains-using-gpu>).
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Bricks {
+    /// Width and height of a brick with its mortar.
+    #[serde(default = "default_size")]
+    pub size: [Length; 2],
+    /// Width of the mortar.
+    #[serde(default = "default_mortar")]
+    pub mortar: Amount,
+    /// How far a row moves against the one below, as a share of a brick's width.
+    #[serde(default = "half")]
+    pub shift: Share,
+    /// Each brick has a colour between these two.
+    #[serde(default = "default_colors")]
+    pub colors: [Tint; 2],
+    /// Colour of the mortar.
+    #[serde(default = "default_mortar_color")]
+    pub mortar_color: Tint,
+    /// Width of the transition from brick to mortar.
+    #[serde(default = "sharp")]
+    pub softness: Amount,
+}
+
+impl Exemplary for Bricks {
+    const EXAMPLE: &'static str = r#"{ "size": [0.5, 0.2], "mortar": 0.03, "softness": 0.01 }"#;
+    const MORE: &'static [&'static str] = &[r##"{ "size": [0.3, 0.3], "shift": 0, "mortar": 0.02,
+        "colors": ["#2f6f8f", "#8cc7c1"], "mortar_color": "#f2f0e6" }"##];
+}
+
+/// What the flat pattern shows.
+type Laid<R> = (R, R);
+
+impl Bricks {
+    /// At a point of the plane: 1 in a brick and 0 in mortar; and where between its two colours the brick's is.
+    #[inline(always)]
+    fn laid<R: Real>(&self, across: R, up: R, plane: u32) -> Laid<R> {
+        let (width, height) = (self.size[0].get(), self.size[1].get());
+        let v = up * up.given(1.0 / height);
+        let row = v.floor();
+        let u = row.mul_add(row.given(self.shift.get()), across * across.given(1.0 / width));
+        let column = u.floor();
+        // Distances to the nearest side and to the nearest of top and bottom.
+        let side = ((u - column - 0.5).abs() - 0.5) * u.given(-width);
+        let end = ((v - row - 0.5).abs() - 0.5) * v.given(-height);
+        let inside = side.min(end) - side.given(0.5 * self.mortar.get());
+        (step(inside, self.softness.get()), random(column, row, plane))
+    }
+}
+
+/// A number from 0 to 1 for each brick of a plane.
+///
+/// The hash is Chris Wellons' lowbias32, "Prospecting for hash functions", 2018,
+/// <https://nullprogram.com/blog/2018/07/31/>.
+#[inline(always)]
+fn random<R: Real>(column: R, row: R, plane: u32) -> R {
+    /// 1.5·2²³: added to a whole number of up to seven digits, it leaves it in the low bits.
+    const WHOLE: f32 = 12_582_912.0;
+    let word = (column + WHOLE).to_bits() * 0x9e37_79b1 + (row + WHOLE).to_bits() * 0x85eb_ca77 + plane;
+    let word = (word ^ (word >> 16)) * 0x7feb_352d;
+    let word = (word ^ (word >> 15)) * 0x846c_a68b;
+    let word = word ^ (word >> 16);
+    R::from_bits((word >> 9) | 0x3f80_0000) - 1.0
+}
+
+impl Pattern for Bricks {
+    #[inline(always)]
+    fn color<R: Real>(&self, place: &Place<R>) -> Vec3<R> {
+        let p = place.point;
+        // A face that is turned away by more than 73° shows nothing of a plane.
+        let weights = place.own_normal.map(
+            #[inline(always)]
+            |n| (n.abs() - 0.3).at_least(0.0).square(),
+        );
+        let whole = (weights.x + weights.y + weights.z).at_least(1e-6);
+        let mut sum = (p.x.splat(0.0), p.x.splat(0.0));
+        for (plane, weight, across, up) in
+            [(1, weights.x, p.z, p.y), (2, weights.y, p.x, p.z), (3, weights.z, p.x, p.y)]
+        {
+            sum = R::when(
+                weight.above(0.0),
+                sum,
+                #[inline(always)]
+                || {
+                    let (brick, color) = self.laid(across, up, plane);
+                    (brick.mul_add(weight, sum.0), color.mul_add(weight, sum.1))
+                },
+            );
+        }
+        let brick = mix_colors(self.colors[0].at(place), self.colors[1].at(place), (sum.1 / whole).at_most(1.0));
+        mix_colors(self.mortar_color.at(place), brick, (sum.0 / whole).at_most(1.0))
+    }
+
+    fn tints(&self) -> Vec<&Tint> {
+        self.colors.iter().chain([&self.mortar_color]).collect()
+    }
+
+    fn looks_at_own_normal(&self) -> bool {
+        true
+    }
+}
+
+fn default_size() -> [Length; 2] {
+    [0.5, 0.2].map(|edge| Length::new(edge).expect("a size in range"))
+}
+
+fn default_mortar() -> Amount {
+    Amount::new(0.03).expect("a size in range")
+}
+
+fn half() -> Share {
+    Share::new(0.5).expect("0.5 is in range")
+}
+
+fn default_colors() -> [Tint; 2] {
+    [Tint::plain_of(0.25, 0.05, 0.03), Tint::plain_of(0.45, 0.14, 0.07)]
+}
+
+fn default_mortar_color() -> Tint {
+    Tint::plain_of(0.5, 0.48, 0.44)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::materials::texture::tests::at;
+    use crate::real::vec3;
+
+    const WALL: &str =
+        r#"{ "size": [1, 0.5], "mortar": 0.1, "colors": [[1, 0, 0], [1, 1, 0]], "mortar_color": [0, 0, 1] }"#;
+
+    fn wall(x: f32, y: f32) -> Vec3<f32> {
+        let bricks: Bricks = serde_json::from_str(WALL).unwrap();
+        bricks.color(&Place { own_normal: vec3(0.0, 0.0, 1.0), ..at(x, y, 0.3) })
+    }
+
+    #[test]
+    fn mortar_lies_between_bricks_and_rows_move() {
+        let mortar = |x, y| wall(x, y).z;
+        assert_eq!(
+            [mortar(0.5, 0.25), mortar(0.94, 0.25), mortar(0.97, 0.25), mortar(1.03, 0.25)],
+            [0.0, 0.0, 1.0, 1.0]
+        );
+        assert_eq!(
+            [mortar(0.25, 0.48), mortar(0.25, 0.75), mortar(0.5, 0.75), mortar(1.0, 0.75)],
+            [1.0, 0.0, 1.0, 0.0]
+        );
+    }
+
+    #[test]
+    fn a_brick_has_one_colour_and_its_neighbours_have_others() {
+        assert_eq!(wall(0.2, 0.2).y, wall(0.8, 0.4).y);
+        let colors: Vec<f32> = (0..50).map(|column| wall(column as f32 + 0.5, 0.25).y).collect();
+        let mean = colors.iter().sum::<f32>() / 50.0;
+        assert!((mean - 0.5).abs() < 0.15, "{mean}");
+        assert!(colors.windows(2).all(|pair| pair[0] != pair[1]));
+    }
+}

@@ -1,0 +1,115 @@
+//! Cubes or squares of two colours by turns.
+
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+use super::wave::{bands, edge};
+use super::{Pattern, black_and_white};
+use crate::materials::tint::mix_colors;
+use crate::materials::{Exemplary, Place, Tint};
+use crate::real::{Real, Vec3};
+use crate::values::{Amount, Length};
+
+/// Cubes of two colours by turns, or squares where only two axes count.
+///
+/// A flat face that lies in a border between cubes shows both colours: leave its axis out, or move the cubes.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Checker {
+    /// Edge of a cube or square; corners lie at multiples of it.
+    pub cell: Length,
+    /// The two colours.
+    #[serde(default = "black_and_white")]
+    pub colors: [Tint; 2],
+    /// Width of the transition at a border.
+    #[serde(default = "sharp")]
+    pub softness: Amount,
+    /// The axes along which colours change.
+    #[serde(default)]
+    pub axes: Axes,
+}
+
+/// Axes along which a pattern changes.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum Axes {
+    /// All three: cubes.
+    #[default]
+    Xyz,
+    /// Squares on the floor.
+    Xz,
+    /// Squares on a wall that faces z.
+    Xy,
+    /// Squares on a wall that faces x.
+    Yz,
+}
+
+impl Exemplary for Checker {
+    const EXAMPLE: &'static str = r##"{ "cell": 0.35, "colors": ["#2b3a55", "#e9e2d0"] }"##;
+    const MORE: &'static [&'static str] = &[
+        r##"{ "cell": 0.5, "softness": 0.2, "axes": "xz", "colors": ["#7a2330", "#f0c987"] }"##,
+        r##"{ "cell": 0.6, "axes": "xy", "colors": ["#d9d4c7",
+              { "checker": { "cell": 0.1, "axes": "xy", "colors": ["#3d6b66", "#9cc5b0"] } }] }"##,
+        r##"{ "cell": 0.4, "axes": "yz", "colors": ["#444444", "#cc8844"] }"##,
+    ];
+}
+
+impl Checker {
+    /// Which kind of cell a coordinate lies in: 1 or −1, and between on a border.
+    #[inline(always)]
+    fn side<R: Real>(&self, x: R) -> R {
+        edge(bands(x, self.cell.get()), self.softness.get())
+    }
+}
+
+impl Pattern for Checker {
+    #[inline(always)]
+    fn color<R: Real>(&self, place: &Place<R>) -> Vec3<R> {
+        let p = place.point;
+        let sides = match self.axes {
+            Axes::Xyz => self.side(p.x) * self.side(p.y) * self.side(p.z),
+            Axes::Xz => self.side(p.x) * self.side(p.z),
+            Axes::Xy => self.side(p.x) * self.side(p.y),
+            Axes::Yz => self.side(p.y) * self.side(p.z),
+        };
+        let [first, second] = [&self.colors[0], &self.colors[1]].map(
+            #[inline(always)]
+            |tint| tint.at(place),
+        );
+        mix_colors(first, second, sides.mul_add(sides.splat(-0.5), sides.splat(0.5)))
+    }
+
+    fn tints(&self) -> Vec<&Tint> {
+        self.colors.iter().collect()
+    }
+}
+
+pub(super) fn sharp() -> Amount {
+    Amount::new(0.0).expect("0 is in range")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::materials::texture::tests::at;
+
+    #[test]
+    fn colours_change_from_cube_to_cube() {
+        let checker: Checker = serde_json::from_str(r#"{ "cell": 0.5 }"#).unwrap();
+        let brightness = |x: f32, y: f32, z: f32| checker.color(&at(x, y, z)).x;
+        assert_eq!(brightness(0.25, 0.25, 0.25), 0.0);
+        assert_eq!(brightness(0.75, 0.25, 0.25), 1.0);
+        assert_eq!(brightness(0.75, 0.75, 0.25), 0.0);
+        assert_eq!(brightness(-0.25, 0.25, 0.25), 1.0);
+        assert_eq!(brightness(1.25, 0.75, -0.25), 0.0);
+    }
+
+    #[test]
+    fn a_soft_border_goes_evenly_over_its_width() {
+        let checker: Checker = serde_json::from_str(r#"{ "cell": 1, "softness": 0.2, "axes": "xz" }"#).unwrap();
+        let brightness = |x: f32| checker.color(&at(x, 7.3, 0.5)).x;
+        for (x, want) in [(0.5, 0.0), (0.89, 0.0), (0.95, 0.25), (1.0, 0.5), (1.05, 0.75), (1.11, 1.0)] {
+            assert!((brightness(x) - want).abs() < 1e-5, "{} at {x}", brightness(x));
+        }
+    }
+}

@@ -1,0 +1,168 @@
+//! A ramp of colours by where a place is, or how it lies.
+
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+use super::{Pattern, Ramp};
+use crate::materials::{Exemplary, Place, Tint};
+use crate::real::{Real, Vec3, vec3};
+use crate::values::{Amount, Direction, Point};
+
+/// A ramp of colours by position, normal, distance or angle of view.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Gradient {
+    /// What decides.
+    pub by: GradientBy,
+    /// The colours.
+    #[serde(default = "Ramp::grey")]
+    pub ramp: Ramp,
+}
+
+/// What a gradient goes by.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case", deny_unknown_fields)]
+pub enum GradientBy {
+    /// The way from one point to another.
+    Position {
+        /// Where the ramp starts.
+        from: Point,
+        /// Where it ends.
+        to: Point,
+    },
+    /// The distance from a point.
+    Radius {
+        /// The point.
+        #[serde(default = "origin")]
+        center: Point,
+        /// Distance where the ramp starts.
+        #[serde(default = "nothing")]
+        from: Amount,
+        /// Distance where it ends.
+        to: Amount,
+    },
+    /// The normal: the ramp starts where it points away from a direction and ends where it points along it.
+    Normal {
+        /// The direction; of any length.
+        direction: Direction,
+    },
+    /// The distance from the camera, along the ray.
+    Distance {
+        /// Distance where the ramp starts.
+        from: Amount,
+        /// Distance where it ends.
+        to: Amount,
+    },
+    /// The angle of view: the ramp starts where the surface is seen edge on and ends where it faces the viewer.
+    Facing {},
+}
+
+impl Exemplary for Gradient {
+    const EXAMPLE: &'static str = r##"{ "by": { "position": { "from": [0, -1, 0], "to": [0, 1, 0] } },
+        "ramp": [[0, "#20304a"], [0.45, "#b9545c"], [0.7, "#f2b36b"], [1, "#fff2c8"]] }"##;
+    const MORE: &'static [&'static str] = &[
+        r##"{ "by": { "normal": { "direction": [0, 1, 0] } },
+              "ramp": [[0, "#3a2c22"], [0.6, "#7b5a3c"], [0.75, "#f5f7fa"], [1, "#ffffff"]] }"##,
+        r##"{ "by": { "radius": { "center": [0.5, 0.4, 0.7], "from": 0.2, "to": 1.2 } },
+              "ramp": [[0, "#fff6d0"], [0.5, "#e05a2a"], [1, "#38141f"]] }"##,
+        r##"{ "by": { "distance": { "from": 4, "to": 6 } }, "ramp": [[0, "#f0e0b0"], [1, "#204060"]] }"##,
+        r##"{ "by": { "facing": {} }, "ramp": [[0, "#bfe8ff"], [0.5, "#2d5f9e"], [1, "#0d1b33"]] }"##,
+    ];
+}
+
+/// How steeply a share rises between two distances, which may be in either order.
+fn slope(from: f32, to: f32) -> f32 {
+    let way = to - from;
+    if way < 0.0 { 1.0 / way.min(-1e-6) } else { 1.0 / way.max(1e-6) }
+}
+
+/// 0 where `x` is `from`, 1 where it is `to`.
+#[inline(always)]
+fn between<R: Real>(x: R, from: Amount, to: Amount) -> R {
+    (x - x.given(from.get())) * x.given(slope(from.get(), to.get()))
+}
+
+impl GradientBy {
+    /// The place on the ramp.
+    #[inline(always)]
+    fn share<R: Real>(&self, place: &Place<R>) -> R {
+        let like = place.normal.x;
+        match self {
+            Self::Position { from, to } => {
+                let (from, to) = (from.get(), to.get());
+                let way = vec3(to.x - from.x, to.y - from.y, to.z - from.z);
+                let scale = 1.0 / way.length_squared().max(1e-12);
+                let way = vec3(way.x * scale, way.y * scale, way.z * scale);
+                (place.point - Vec3::given(like, from)).dot_known(way)
+            }
+            Self::Radius { center, from, to } => {
+                between((place.point - Vec3::given(like, center.get())).length(), *from, *to)
+            }
+            Self::Normal { direction } => {
+                place.own_normal.dot_known(direction.unit()).mul_add(like.splat(0.5), like.splat(0.5))
+            }
+            Self::Distance { from, to } => between(place.distance, *from, *to),
+            Self::Facing {} => place.normal.dot(place.to_viewer),
+        }
+    }
+}
+
+impl Pattern for Gradient {
+    #[inline(always)]
+    fn color<R: Real>(&self, place: &Place<R>) -> Vec3<R> {
+        self.ramp.at(self.by.share(place), place)
+    }
+
+    fn tints(&self) -> Vec<&Tint> {
+        self.ramp.tints().collect()
+    }
+
+    fn looks_at_own_normal(&self) -> bool {
+        matches!(self.by, GradientBy::Normal { .. })
+    }
+}
+
+fn origin() -> Point {
+    serde_json::from_str("[0, 0, 0]").expect("a point")
+}
+
+fn nothing() -> Amount {
+    Amount::new(0.0).expect("0 is in range")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::materials::texture::tests::at;
+
+    fn brightness(by: &str, place: &Place<f32>) -> f32 {
+        let gradient: Gradient = serde_json::from_str(&format!(r#"{{ "by": {by} }}"#)).unwrap();
+        gradient.color(place).x
+    }
+
+    #[test]
+    fn each_kind_goes_from_its_start_to_its_end() {
+        let position = r#"{ "position": { "from": [1, 0, 0], "to": [3, 0, 0] } }"#;
+        assert!((brightness(position, &at(1.5, 9.0, 9.0)) - 0.25).abs() < 1e-6);
+        let radius = r#"{ "radius": { "from": 1, "to": 3 } }"#;
+        assert!((brightness(radius, &at(0.0, 0.0, -2.5)) - 0.75).abs() < 1e-6);
+        let normal = |x, y| {
+            brightness(
+                r#"{ "normal": { "direction": [0, 2, 0] } }"#,
+                &Place { own_normal: vec3(x, y, 0.0), ..at(0.0, 0.0, 0.0) },
+            )
+        };
+        assert_eq!([normal(0.0, -1.0), normal(1.0, 0.0), normal(0.0, 1.0)], [0.0, 0.5, 1.0]);
+        let distance = r#"{ "distance": { "from": 6, "to": 2 } }"#;
+        assert!((brightness(distance, &Place { distance: 3.0, ..at(0.0, 0.0, 0.0) }) - 0.75).abs() < 1e-6);
+        let side = Place { to_viewer: vec3(1.0, 0.0, 0.0), ..at(0.0, 0.0, 0.0) };
+        assert_eq!(brightness(r#"{ "facing": {} }"#, &side), 0.0);
+    }
+
+    #[test]
+    fn a_way_of_no_length_has_one_colour_on_each_side() {
+        let distance = r#"{ "distance": { "from": 2, "to": 2 } }"#;
+        let away = |distance_away| brightness(distance, &Place { distance: distance_away, ..at(0.0, 0.0, 0.0) });
+        assert_eq!([away(1.9), away(2.1)], [0.0, 1.0]);
+    }
+}

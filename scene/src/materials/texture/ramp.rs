@@ -1,0 +1,143 @@
+//! A ramp of colours: what turns a number into a colour.
+
+use std::borrow::Cow;
+use std::fmt;
+
+use schemars::{JsonSchema, Schema, SchemaGenerator, json_schema};
+use serde::de::{DeserializeSeed, Error, SeqAccess, Visitor};
+use serde::{Deserialize, Deserializer, Serialize};
+
+use crate::limits::MAX_RAMP_STOPS;
+use crate::materials::tint::mix_colors;
+use crate::materials::{Place, Tint};
+use crate::real::{Real, Vec3};
+use crate::values::Share;
+
+/// The narrowest way from a stop to the next: two stops in one place make an edge of this width.
+const MIN_STEP: f32 = 1e-6;
+
+/// Colours at numbers from 0 to 1, in order, and straight ways between them.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Ramp(Vec<Stop>);
+
+/// A colour on a ramp: `[place, colour]`.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+pub struct Stop(pub Share, pub Tint);
+
+impl Ramp {
+    /// From black to white.
+    pub(super) fn grey() -> Self {
+        let end = |place, color| Stop(Share::new(place).expect("an end of the range"), color);
+        Self(vec![end(0.0, Tint::black()), end(1.0, Tint::white())])
+    }
+
+    /// The colour at `share`; before the first stop that one's, behind the last that one's.
+    #[inline(always)]
+    pub fn at<R: Real>(&self, share: R, place: &Place<R>) -> Vec3<R> {
+        let mut color = self.0[0].1.at(place);
+        for pair in self.0.windows(2) {
+            let (from, to) = (pair[0].0.get(), pair[1].0.get());
+            let slope = 1.0 / (to - from).max(MIN_STEP);
+            let way = ((share - share.given(from)) * share.given(slope)).at_least(0.0).at_most(1.0);
+            color = mix_colors(color, pair[1].1.at(place), way);
+        }
+        color
+    }
+
+    /// Its colours, which may be textures.
+    pub(super) fn tints(&self) -> impl Iterator<Item = &Tint> {
+        self.0.iter().map(|Stop(_, tint)| tint)
+    }
+}
+
+/// Reads a stop that may not be before another.
+struct NextStop<'a>(Option<&'a Stop>);
+
+impl<'de> DeserializeSeed<'de> for NextStop<'_> {
+    type Value = Stop;
+
+    fn deserialize<D: Deserializer<'de>>(self, deserializer: D) -> Result<Stop, D::Error> {
+        let stop = Stop::deserialize(deserializer)?;
+        match self.0 {
+            Some(before) if stop.0.get() < before.0.get() => Err(D::Error::custom(format_args!(
+                "is at {}, before the stop at {} that it follows: put stops in order, from 0 to 1",
+                stop.0.get(),
+                before.0.get()
+            ))),
+            _ => Ok(stop),
+        }
+    }
+}
+
+/// Reads the stops of a ramp.
+struct RampVisitor;
+
+impl<'de> Visitor<'de> for RampVisitor {
+    type Value = Ramp;
+
+    fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str("a ramp: [[0, colour], …, [1, colour]]")
+    }
+
+    fn visit_seq<A: SeqAccess<'de>>(self, mut list: A) -> Result<Ramp, A::Error> {
+        let mut stops: Vec<Stop> = Vec::new();
+        while let Some(stop) = list.next_element_seed(NextStop(stops.last()))? {
+            stops.push(stop);
+            if stops.len() > MAX_RAMP_STOPS {
+                let message = format_args!("has more than {MAX_RAMP_STOPS} stops: leave some out");
+                return Err(A::Error::custom(message));
+            }
+        }
+        if stops.len() < 2 {
+            let count = stops.len();
+            let message = format_args!("has {count} of at least 2 stops: for one colour write it without a texture");
+            return Err(A::Error::custom(message));
+        }
+        Ok(Ramp(stops))
+    }
+}
+
+impl<'de> Deserialize<'de> for Ramp {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        deserializer.deserialize_seq(RampVisitor)
+    }
+}
+
+impl JsonSchema for Ramp {
+    fn schema_name() -> Cow<'static, str> {
+        "Ramp".into()
+    }
+
+    fn json_schema(generator: &mut SchemaGenerator) -> Schema {
+        let stop = generator.subschema_for::<Stop>();
+        json_schema!({
+            "type": "array", "items": stop, "minItems": 2, "maxItems": MAX_RAMP_STOPS,
+            "description": "Colours at numbers from 0 to 1, in order: [[0, colour], …, [1, colour]]."
+        })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::materials::texture::tests::at;
+
+    fn reds(ramp: &str, shares: &[f32]) -> Vec<f32> {
+        let ramp: Ramp = serde_json::from_str(ramp).unwrap();
+        shares.iter().map(|&share| ramp.at(share, &at(0.0, 0.0, 0.0)).x).collect()
+    }
+
+    #[test]
+    fn a_ramp_passes_through_its_stops_and_ends_with_them() {
+        let ramp = "[[0.2, [1, 0, 0]], [0.4, [3, 0, 0]], [0.8, [0, 0, 0]]]";
+        assert_eq!(reds(ramp, &[-7.0, 0.2, 0.4, 0.8, 9.0]), [1.0, 1.0, 3.0, 0.0, 0.0]);
+        let between = reds(ramp, &[0.3, 0.6]);
+        assert!((between[0] - 2.0).abs() < 1e-6 && (between[1] - 1.5).abs() < 1e-6, "{between:?}");
+    }
+
+    #[test]
+    fn two_stops_in_one_place_make_an_edge() {
+        let ramp = "[[0, [1, 0, 0]], [0.5, [1, 0, 0]], [0.5, [0, 0, 0]], [1, [0, 0, 0]]]";
+        assert_eq!(reds(ramp, &[0.49, 0.51]), [1.0, 0.0]);
+    }
+}

@@ -1,0 +1,301 @@
+//! Parameters of materials: each is one value, or a texture that gives one at every place.
+
+use std::borrow::Cow;
+use std::fmt;
+use std::marker::PhantomData;
+
+use schemars::{JsonSchema, Schema, SchemaGenerator, json_schema};
+use serde::de::value::{MapAccessDeserializer, SeqAccessDeserializer, StrDeserializer, StringDeserializer};
+use serde::de::{DeserializeSeed, Error, MapAccess, SeqAccess, Visitor};
+use serde::{Deserialize, Deserializer, Serialize, Serializer};
+
+use super::Place;
+use super::texture::Texture;
+use crate::limits::MAX_TEXTURE_DEPTH;
+use crate::real::{Real, Vec3, vec3};
+use crate::values::{Color, RefractiveIndex, Share, Shininess};
+
+/// A colour: one for all places, or a texture's.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Tint {
+    /// One colour.
+    Plain(Color),
+    /// A texture's.
+    Textured(Box<Texture>),
+}
+
+impl Tint {
+    /// One colour for all places: red, green, blue in linear light.
+    pub const fn plain_of(red: f32, green: f32, blue: f32) -> Self {
+        Self::Plain(Color::new(red, green, blue))
+    }
+
+    /// Black everywhere.
+    pub const fn black() -> Self {
+        Self::plain_of(0.0, 0.0, 0.0)
+    }
+
+    /// White everywhere.
+    pub const fn white() -> Self {
+        Self::plain_of(1.0, 1.0, 1.0)
+    }
+
+    /// The colour, where it is one for all places.
+    #[inline(always)]
+    pub fn plain(&self) -> Option<Color> {
+        match self {
+            Self::Plain(color) => Some(*color),
+            Self::Textured(_) => None,
+        }
+    }
+
+    /// The texture, where it is one.
+    pub fn texture(&self) -> Option<&Texture> {
+        match self {
+            Self::Plain(_) => None,
+            Self::Textured(texture) => Some(texture),
+        }
+    }
+
+    /// Whether it is black everywhere: then a formula may leave it out.
+    #[inline(always)]
+    pub fn is_black(&self) -> bool {
+        self.plain().is_some_and(|color| color.get() == vec3(0.0, 0.0, 0.0))
+    }
+
+    /// The colour at a place.
+    #[inline(always)]
+    pub fn at<R: Real>(&self, place: &Place<R>) -> Vec3<R> {
+        match self {
+            Self::Plain(color) => Vec3::given(place.normal.x, color.get()),
+            Self::Textured(texture) => texture.at(place),
+        }
+    }
+}
+
+/// Reads a colour as [`Color`] does, or a texture; faults inside keep their place.
+struct TintVisitor;
+
+impl<'de> Visitor<'de> for TintVisitor {
+    type Value = Tint;
+
+    fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str("a colour: [red, green, blue] in linear light, \"#rrggbb\" in sRGB, or a texture")
+    }
+
+    fn visit_str<E: Error>(self, text: &str) -> Result<Tint, E> {
+        Color::deserialize(StrDeserializer::new(text)).map(Tint::Plain)
+    }
+
+    fn visit_seq<A: SeqAccess<'de>>(self, channels: A) -> Result<Tint, A::Error> {
+        Color::deserialize(SeqAccessDeserializer::new(channels)).map(Tint::Plain)
+    }
+
+    fn visit_map<A: MapAccess<'de>>(self, map: A) -> Result<Tint, A::Error> {
+        let texture = Texture::deserialize(MapAccessDeserializer::new(map))?;
+        let depth = texture.depth();
+        if depth > MAX_TEXTURE_DEPTH {
+            let message = format_args!("nests textures {depth} deep: nest at most {MAX_TEXTURE_DEPTH}");
+            return Err(A::Error::custom(message));
+        }
+        Ok(Tint::Textured(Box::new(texture)))
+    }
+}
+
+impl<'de> Deserialize<'de> for Tint {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        deserializer.deserialize_any(TintVisitor)
+    }
+}
+
+impl Serialize for Tint {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        match self {
+            Self::Plain(color) => color.serialize(serializer),
+            Self::Textured(texture) => texture.serialize(serializer),
+        }
+    }
+}
+
+impl JsonSchema for Tint {
+    fn schema_name() -> Cow<'static, str> {
+        "Tint".into()
+    }
+
+    fn json_schema(generator: &mut SchemaGenerator) -> Schema {
+        let (color, texture) = (generator.subschema_for::<Color>(), generator.subschema_for::<Texture>());
+        json_schema!({ "description": "A colour, or a texture that gives one at every place.", "anyOf": [color, texture] })
+    }
+}
+
+/// A kind of number that a texture may vary.
+pub trait Parameter: Copy + fmt::Debug + PartialEq + Serialize + JsonSchema + for<'de> Deserialize<'de> {
+    /// The number.
+    fn number(self) -> f32;
+}
+
+macro_rules! parameters {
+    ($($Number:ident),*) => { $(
+        impl Parameter for $Number {
+            #[inline(always)]
+            fn number(self) -> f32 {
+                self.get()
+            }
+        }
+    )* };
+}
+
+parameters![Share, Shininess, RefractiveIndex];
+
+/// A number: one for all places, or one that a texture varies.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Level<N> {
+    /// One number.
+    Plain(N),
+    /// A texture's.
+    Varied(Box<Varied<N>>),
+}
+
+/// A number that a texture varies: `low` where it is black, `high` where it is white, by luminance between.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields, bound(deserialize = "N: Parameter", serialize = "N: Parameter"))]
+pub struct Varied<N> {
+    /// The number where the texture is black.
+    pub low: N,
+    /// The number where the texture is white.
+    pub high: N,
+    /// The texture.
+    pub by: Tint,
+}
+
+impl<N: Parameter> Level<N> {
+    /// The texture, where there is one.
+    pub fn texture(&self) -> Option<&Texture> {
+        match self {
+            Self::Plain(_) => None,
+            Self::Varied(varied) => varied.by.texture(),
+        }
+    }
+
+    /// Whether it is 0 everywhere: then a formula may leave out what it would do.
+    #[inline(always)]
+    pub fn is_zero(&self) -> bool {
+        matches!(self, Self::Plain(number) if number.number() == 0.0)
+    }
+
+    /// The number at a place.
+    #[inline(always)]
+    pub fn at<R: Real>(&self, place: &Place<R>) -> R {
+        let like = place.normal.x;
+        match self {
+            Self::Plain(number) => like.given(number.number()),
+            Self::Varied(varied) => {
+                let color = varied.by.at(place);
+                // Luminance of linear light: ITU-R BT.709.
+                let luminance = color.dot(vec3(like.splat(0.2126), like.splat(0.7152), like.splat(0.0722)));
+                let (low, high) = (like.given(varied.low.number()), like.given(varied.high.number()));
+                mix(low, high, luminance.at_most(1.0))
+            }
+        }
+    }
+}
+
+/// `from` where `share` is 0, `to` where it is 1: exactly so, and never below 0 between numbers that are not.
+#[inline(always)]
+pub(super) fn mix<R: Real>(from: R, to: R, share: R) -> R {
+    to.mul_add(share, from * (share.splat(1.0) - share))
+}
+
+/// The same for colours.
+#[inline(always)]
+pub(super) fn mix_colors<R: Real>(from: Vec3<R>, to: Vec3<R>, share: R) -> Vec3<R> {
+    to.mul_add(share, from * (share.splat(1.0) - share))
+}
+
+/// Reads a number, or what varies one.
+struct LevelVisitor<N>(PhantomData<N>);
+
+impl<'de, N: Parameter> Visitor<'de> for LevelVisitor<N> {
+    type Value = Level<N>;
+
+    fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str("a number, or {\"low\": number, \"high\": number, \"by\": texture}")
+    }
+
+    fn visit_f64<E: Error>(self, value: f64) -> Result<Level<N>, E> {
+        N::deserialize(serde::de::value::F64Deserializer::new(value)).map(Level::Plain)
+    }
+
+    fn visit_i64<E: Error>(self, value: i64) -> Result<Level<N>, E> {
+        self.visit_f64(value as f64)
+    }
+
+    fn visit_u64<E: Error>(self, value: u64) -> Result<Level<N>, E> {
+        self.visit_f64(value as f64)
+    }
+
+    fn visit_map<A: MapAccess<'de>>(self, mut map: A) -> Result<Level<N>, A::Error> {
+        let first = map.next_key::<String>()?;
+        let name = first.as_deref().unwrap_or_default();
+        if Texture::names().iter().any(|texture| texture == name) {
+            let message = format_args!(
+                "a texture gives a colour: to vary a number by it, write {{\"low\": …, \"high\": …, \"by\": {{\"{name}\": …}}}}"
+            );
+            return Err(A::Error::custom(message));
+        }
+        // A track of keys is a number too.
+        let is_number = matches!(name, "keys" | "ease");
+        let map = MapAccessDeserializer::new(Replayed { first, rest: map });
+        if is_number {
+            return N::deserialize(map).map(Level::Plain);
+        }
+        Varied::deserialize(map).map(|varied| Level::Varied(Box::new(varied)))
+    }
+}
+
+/// A map whose first key was read already.
+struct Replayed<A> {
+    first: Option<String>,
+    rest: A,
+}
+
+impl<'de, A: MapAccess<'de>> MapAccess<'de> for Replayed<A> {
+    type Error = A::Error;
+
+    fn next_key_seed<K: DeserializeSeed<'de>>(&mut self, seed: K) -> Result<Option<K::Value>, A::Error> {
+        match self.first.take() {
+            Some(first) => seed.deserialize(StringDeserializer::new(first)).map(Some),
+            None => self.rest.next_key_seed(seed),
+        }
+    }
+
+    fn next_value_seed<V: DeserializeSeed<'de>>(&mut self, seed: V) -> Result<V::Value, A::Error> {
+        self.rest.next_value_seed(seed)
+    }
+}
+
+impl<'de, N: Parameter> Deserialize<'de> for Level<N> {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        deserializer.deserialize_any(LevelVisitor(PhantomData))
+    }
+}
+
+impl<N: Parameter> Serialize for Level<N> {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        match self {
+            Self::Plain(number) => number.serialize(serializer),
+            Self::Varied(varied) => varied.serialize(serializer),
+        }
+    }
+}
+
+impl<N: Parameter> JsonSchema for Level<N> {
+    fn schema_name() -> Cow<'static, str> {
+        format!("{}Level", N::schema_name()).into()
+    }
+
+    fn json_schema(generator: &mut SchemaGenerator) -> Schema {
+        let (number, varied) = (generator.subschema_for::<N>(), generator.subschema_for::<Varied<N>>());
+        json_schema!({ "description": "A number, or one that a texture varies.", "anyOf": [number, varied] })
+    }
+}
