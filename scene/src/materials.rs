@@ -4,7 +4,9 @@
 
 mod diffuse;
 mod material_use;
+pub mod microfacet;
 mod plain;
+mod surface;
 pub mod texture;
 mod tint;
 
@@ -14,6 +16,7 @@ use serde::{Deserialize, Serialize};
 pub use diffuse::Diffuse;
 pub use material_use::MaterialUse;
 pub use plain::{Flat, Normals};
+pub use surface::Surface;
 pub use texture::Texture;
 pub use tint::{Level, Parameter, Tint, Varied};
 
@@ -175,4 +178,4 @@ macro_rules! materials {
     };
 }
 
-materials![Flat, Normals, Diffuse];
+materials![Flat, Normals, Diffuse, Surface];

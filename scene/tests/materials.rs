@@ -1,0 +1,241 @@
+//! What every material and every texture promises, tested on each one's own examples: nothing here names one.
+
+use scene::lights::Incoming;
+use scene::materials::{Example, Lighting, Material, Place, Shade, Texture};
+use scene::real::{Flag, Vec3, vec3};
+use serde::Serialize;
+use serde::de::DeserializeOwned;
+
+/// A small generator with a fixed start: failures repeat.
+struct Random(u32);
+
+impl Random {
+    fn next(&mut self, low: f32, high: f32) -> f32 {
+        self.0 = self.0.wrapping_mul(747_796_405).wrapping_add(2_891_336_453);
+        let word = ((self.0 >> ((self.0 >> 28) + 4)) ^ self.0).wrapping_mul(277_803_737);
+        low + (high - low) * (((word >> 22) ^ word) >> 8) as f32 / (1 << 24) as f32
+    }
+
+    fn point(&mut self, reach: f32) -> Vec3<f32> {
+        vec3(self.next(-reach, reach), self.next(-reach, reach), self.next(-reach, reach))
+    }
+
+    fn direction(&mut self) -> Vec3<f32> {
+        loop {
+            let v = self.point(1.0);
+            if (0.01..=1.0).contains(&v.length()) {
+                return v.normalize();
+            }
+        }
+    }
+
+    /// A place anywhere, seen from the side its normal is on, often edge on.
+    fn place(&mut self, reach: f32) -> Place<f32> {
+        let normal = self.direction();
+        let mut to_viewer = self.direction();
+        let facing = normal.dot(to_viewer);
+        if facing < 0.0 {
+            to_viewer = -to_viewer;
+        }
+        if self.next(0.0, 1.0) < 0.3 {
+            to_viewer = normal.mul_add(-facing.abs() * self.next(0.99, 1.0), to_viewer).normalize();
+        }
+        Place {
+            normal,
+            to_viewer,
+            point: self.point(reach),
+            own_normal: self.direction(),
+            distance: self.next(0.0, reach),
+            inside: Flag(self.next(0.0, 1.0) < 0.5),
+        }
+    }
+
+    fn light(&mut self) -> Incoming<f32> {
+        let brightness = self.next(0.0, 10.0);
+        Incoming { direction: self.direction(), radiance: vec3(brightness, 1.0, 0.0) }
+    }
+}
+
+fn parsed<T: DeserializeOwned>(example: &Example) -> T {
+    serde_json::from_str(&example.json).unwrap_or_else(|error| panic!("{} {}: {error}", example.kind, example.number))
+}
+
+fn each_material(mut check: impl FnMut(&str, &Material)) {
+    for example in Material::examples() {
+        check(&format!("{} {}", example.kind, example.number), &parsed(&example));
+    }
+}
+
+fn each_texture(mut check: impl FnMut(&str, &Texture)) {
+    for example in Texture::examples() {
+        check(&format!("{} {}", example.kind, example.number), &parsed(&example));
+    }
+}
+
+fn assert_survives_json<T: Serialize + DeserializeOwned + PartialEq + std::fmt::Debug>(kind: &str, value: &T) {
+    let text = serde_json::to_string(value).unwrap();
+    assert_eq!(&serde_json::from_str::<T>(&text).unwrap(), value, "{kind}");
+}
+
+fn assert_finite(kind: &str, color: Vec3<f32>, place: &Place<f32>) {
+    let is_light = |c: f32| c.is_finite() && c >= 0.0;
+    assert!(is_light(color.x) && is_light(color.y) && is_light(color.z), "{kind} is {color:?} at {place:?}");
+}
+
+#[test]
+fn materials_and_textures_survive_the_way_through_json() {
+    each_material(assert_survives_json);
+    each_texture(assert_survives_json);
+}
+
+#[test]
+fn the_schema_describes_every_material_and_texture_and_each_of_their_keys() {
+    let schema = scene::schema();
+    for Example { kind, json, .. } in Material::examples().into_iter().chain(Texture::examples()) {
+        let definition = &schema["$defs"][kind];
+        assert!(definition["description"].is_string(), "{kind} has no description");
+        assert_eq!(definition["additionalProperties"], false, "{kind} takes unknown keys");
+        let value: serde_json::Value = serde_json::from_str(&json).unwrap();
+        let (_, value) = value.as_object().unwrap().iter().next().unwrap();
+        for key in value.as_object().unwrap().keys() {
+            assert!(definition["properties"][key].is_object(), "{kind}.{key} is not in the schema");
+        }
+        for (key, property) in definition["properties"].as_object().into_iter().flatten() {
+            assert!(property["description"].is_string(), "{kind}.{key} has no description");
+        }
+    }
+}
+
+#[test]
+fn textures_are_finite_and_never_negative() {
+    each_texture(|kind, texture| {
+        let mut random = Random(1);
+        for reach in [0.0, 1e-6, 1.0, 10.0, 1e3, 1e6] {
+            for _ in 0..2_000 {
+                let place = random.place(reach);
+                assert_finite(kind, texture.at(&place), &place);
+            }
+        }
+    });
+}
+
+#[test]
+fn shaded_light_is_finite_and_never_negative() {
+    each_material(|kind, material| {
+        let mut random = Random(2);
+        for reach in [0.0, 1e-6, 1.0, 10.0, 1e3, 1e6] {
+            for round in 0..1_000 {
+                let place = random.place(reach);
+                let light = Lighting {
+                    lights: (0..round % 3).map(|_| random.light()).collect(),
+                    surrounding: (round % 2 == 0).then(|| vec3(1.0, 0.5, 0.0)),
+                    openness: (round % 5 == 0).then(|| random.next(0.0, 1.0)),
+                };
+                assert_finite(kind, material.shade(&place, &light), &place);
+                assert_finite(kind, material.albedo(&place), &place);
+            }
+        }
+    });
+}
+
+#[test]
+fn what_a_material_sends_on_is_no_more_than_arrives() {
+    each_material(|kind, material| {
+        let mut random = Random(3);
+        for _ in 0..2_000 {
+            let place = random.place(3.0);
+            let Some(finish) = material.finish(&place) else { return };
+            assert!((0.0..=1.000_001).contains(&finish.roughness), "{kind} has a roughness of {}", finish.roughness);
+            assert!(finish.ior.is_finite() && finish.ior >= 1.0, "{kind} has an index of refraction of {}", finish.ior);
+            for (mirrored, passed) in <[f32; 3]>::from(finish.mirrored).into_iter().zip(<[f32; 3]>::from(finish.passed))
+            {
+                assert!((0.0..=1.000_001).contains(&mirrored), "{kind} mirrors {mirrored}");
+                assert!((0.0..=1.000_001).contains(&passed), "{kind} lets {passed} through");
+            }
+        }
+    });
+}
+
+#[test]
+fn who_needs_no_own_normal_does_not_look_at_it() {
+    let mut random = Random(4);
+    let mut pairs = || {
+        let place = random.place(3.0);
+        (place, Place { own_normal: random.direction(), ..place })
+    };
+    each_texture(|kind, texture| {
+        let differs = (0..500).map(|_| pairs()).any(|(one, other)| texture.at(&one) != texture.at(&other));
+        assert_eq!(differs, texture.needs_own_normal(), "{kind}");
+    });
+    each_material(|kind, material| {
+        let light = Lighting { surrounding: Some(vec3(1.0, 1.0, 1.0)), openness: None, lights: Vec::new() };
+        let shade = |place: &Place<f32>| material.shade(place, &light);
+        let differs = (0..500).map(|_| pairs()).any(|(one, other)| shade(&one) != shade(&other));
+        assert!(!differs || material.needs_own_normal(), "{kind}");
+    });
+}
+
+#[test]
+fn materials_that_look_at_no_light_have_the_same_colour_in_any() {
+    each_material(|kind, material| {
+        let mut random = Random(5);
+        let mut differs = false;
+        for _ in 0..200 {
+            let place = random.place(3.0);
+            let lit = Lighting { lights: vec![random.light()], surrounding: None, openness: None };
+            differs |= material.shade(&place, &lit) != material.shade(&place, &Lighting::default());
+        }
+        assert_eq!(differs, material.is_lit(), "{kind}");
+    });
+}
+
+/// The pointer and the message of the only fault of a job whose first material is this.
+fn fault(material: &str) -> (String, String) {
+    let text = format!(
+        r#"{{ "scene": {{ "camera": {{ "position": [0, 0, 5], "look_at": [0, 0, 0] }}, "materials": {{ "m": {material} }},
+              "objects": [{{ "shape": {{ "sphere": {{ "radius": 1 }} }}, "material": "m" }}] }},
+            "image": {{ "width": 8, "height": 8 }} }}"#
+    );
+    match scene::parse(text.as_bytes()) {
+        Err(scene::Refusal::Wrong(faults)) if faults.len() == 1 => {
+            let fault = &faults[0];
+            assert!(fault.line > 0 && fault.column > 1, "{fault} has no place");
+            (fault.pointer.clone(), fault.message.clone())
+        }
+        other => panic!("{material} gives {other:?}"),
+    }
+}
+
+#[test]
+fn a_wrong_texture_is_refused_where_it_is_wrong_and_with_a_cure() {
+    let flat = |texture: &str| format!(r#"{{ "flat": {{ "color": {texture} }} }}"#);
+    let ramp = |stops: &str| flat(&format!(r#"{{ "gradient": {{ "by": {{ "facing": {{}} }}, "ramp": {stops} }} }}"#));
+    let many: Vec<String> = (0..33).map(|stop| format!("[{}, [0, 0, 0]]", f64::from(stop) / 32.0)).collect();
+    let mut nested = "[0, 0, 0]".to_owned();
+    for _ in 0..5 {
+        nested = format!(r#"{{ "stripes": {{ "width": 1, "colors": [[1, 1, 1], {nested}] }} }}"#);
+    }
+    let metallic = |value: &str| format!(r#"{{ "surface": {{ "metallic": {value} }} }}"#);
+    let cases = [
+        (ramp("[[0.5, [0, 0, 0]], [0.2, [1, 1, 1]]]"), "/flat/color/gradient/ramp/1", "put stops in order"),
+        (ramp("[[0.5, [0, 0, 0]]]"), "/flat/color/gradient/ramp", "at least 2 stops"),
+        (ramp(&format!("[{}]", many.join(", "))), "/flat/color/gradient/ramp", "more than 32 stops"),
+        (ramp("[[0, [0, 0, 0]], [1.5, [1, 1, 1]]]"), "/flat/color/gradient/ramp/1/0", "a share from 0 to 1"),
+        (ramp(r##"[[0, [0, 0, 0]], [1, "#12"]]"##), "/flat/color/gradient/ramp/1/1", "a colour"),
+        (flat(r#"{ "checker": { "cell": 0 } }"#), "/flat/color/checker/cell", "a size from 1e-6"),
+        (flat(r#"{ "checker": { "cell": 1, "colour": 1 } }"#), "/flat/color/checker/colour", "expected one of `cell`"),
+        (flat(r#"{ "chequer": { "cell": 1 } }"#), "/flat/color/chequer", "expected one of `"),
+        (flat("[1, 2]"), "/flat/color", "a colour"),
+        (flat("7"), "/flat/color", "or a texture"),
+        (flat(&nested), "/flat/color", "nest at most 4"),
+        (metallic("2"), "/surface/metallic", "a share from 0 to 1"),
+        (metallic(r#"{ "bricks": {} }"#), "/surface/metallic", r#"{"low": …, "high": …, "by": {"bricks": …}}"#),
+        (metallic(r#"{ "low": 0, "high": 2, "by": { "bricks": {} } }"#), "/surface/metallic/high", "from 0 to 1"),
+        (metallic(r#"{ "low": 0, "by": { "bricks": {} } }"#), "/surface/metallic", "missing field `high`"),
+    ];
+    for (material, pointer, message) in cases {
+        let (got, words) = fault(&material);
+        assert_eq!(got, format!("/scene/materials/m{pointer}"), "{material}: {words}");
+        assert!(words.contains(message), "{material}: {words}");
+    }
+}
