@@ -5,6 +5,7 @@ use scene::materials::{Example, Lighting, Material, Place, Shade, Texture};
 use scene::real::{Flag, Vec3, vec3};
 use serde::Serialize;
 use serde::de::DeserializeOwned;
+use serde_json::{Value, json};
 
 /// A small generator with a fixed start: failures repeat.
 struct Random(u32);
@@ -95,7 +96,7 @@ fn the_schema_describes_every_material_and_texture_and_each_of_their_keys() {
         let definition = &schema["$defs"][kind];
         assert!(definition["description"].is_string(), "{kind} has no description");
         assert_eq!(definition["additionalProperties"], false, "{kind} takes unknown keys");
-        let value: serde_json::Value = serde_json::from_str(&json).unwrap();
+        let value: Value = serde_json::from_str(&json).unwrap();
         let (_, value) = value.as_object().unwrap().iter().next().unwrap();
         for key in value.as_object().unwrap().keys() {
             assert!(definition["properties"][key].is_object(), "{kind}.{key} is not in the schema");
@@ -237,5 +238,53 @@ fn a_wrong_texture_is_refused_where_it_is_wrong_and_with_a_cure() {
         let (got, words) = fault(&material);
         assert_eq!(got, format!("/scene/materials/m{pointer}"), "{material}: {words}");
         assert!(words.contains(message), "{material}: {words}");
+    }
+}
+
+/// The JSON pointers of all numbers in a value.
+fn numbers(value: &Value, pointer: &str, found: &mut Vec<String>) {
+    match value {
+        Value::Number(_) => found.push(pointer.to_owned()),
+        Value::Array(items) => {
+            items.iter().enumerate().for_each(|(index, item)| numbers(item, &format!("{pointer}/{index}"), found));
+        }
+        Value::Object(entries) => {
+            entries.iter().for_each(|(key, entry)| numbers(entry, &format!("{pointer}/{key}"), found));
+        }
+        Value::Null | Value::Bool(_) | Value::String(_) => {}
+    }
+}
+
+#[test]
+fn a_number_of_a_material_or_a_texture_that_moves_gives_the_colour_of_one_that_does_not() {
+    // A texture is seen through the material that is nothing else.
+    let textures = Texture::examples()
+        .into_iter()
+        .map(|example| Example { json: format!(r#"{{ "flat": {{ "color": {} }} }}"#, example.json), ..example });
+    for example in Material::examples().into_iter().chain(textures) {
+        let value: Value = serde_json::from_str(&example.json).unwrap();
+        let still: Material = parsed(&example);
+        let mut found = Vec::new();
+        numbers(&value, "", &mut found);
+        for pointer in found {
+            let mut changed = value.clone();
+            let number = changed.pointer_mut(&pointer).unwrap();
+            *number = json!({ "keys": [[0, number.clone()]] });
+            let moving: Material = match serde_json::from_value(changed) {
+                Ok(moving) => moving,
+                Err(error) => {
+                    assert!(error.to_string().contains("is a count"), "{} {pointer}: {error}", example.kind);
+                    continue;
+                }
+            };
+            let mut random = Random(6);
+            for _ in 0..100 {
+                let place = random.place(2.0);
+                let light = Lighting { lights: vec![random.light()], surrounding: None, openness: None };
+                let (got, want) = (moving.shade(&place, &light), still.shade(&place, &light));
+                let off = (got - want).length();
+                assert!(off <= 1e-4 * want.length().max(1.0), "{} {pointer}: {got:?} for {want:?}", example.kind);
+            }
+        }
     }
 }

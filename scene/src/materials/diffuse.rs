@@ -39,7 +39,10 @@ impl Diffuse {
             let (ka, la) = (ka.get(), la.get());
             return Vec3::given(place.normal.x, vec3(ka.x * la.x, ka.y * la.y, ka.z * la.z));
         }
-        let ka = self.ka.as_ref().map_or(kd, |ka| ka.at(place));
+        let ka = match &self.ka {
+            Some(ka) => ka.at(place),
+            None => kd,
+        };
         ka.by_channel(self.ambient.at(place))
     }
 }
@@ -62,10 +65,7 @@ impl Shade for Diffuse {
     fn shade<R: Real>(&self, place: &Place<R>, light: &Lighting<R>) -> Vec3<R> {
         let like = place.normal.x;
         let kd = self.kd.at(place);
-        let gloss = (!self.ks.is_black()).then(
-            #[inline(always)]
-            || (self.ks.at(place), self.shininess.at(place)),
-        );
+        let gloss = if self.ks.is_black() { None } else { Some((self.ks.at(place), self.shininess.at(place))) };
         let mut sum = self.ambient(place, kd);
         if let Some(openness) = light.openness {
             sum = sum * openness;

@@ -134,10 +134,10 @@ impl Surface {
 
     #[inline(always)]
     fn coat<R: Real>(&self, place: &Place<R>) -> Option<Coat<R>> {
-        (!self.clearcoat.is_zero()).then(
-            #[inline(always)]
-            || Coat { amount: self.clearcoat.at(place), alpha: alpha(self.clearcoat_roughness.at(place)) },
-        )
+        if self.clearcoat.is_zero() {
+            return None;
+        }
+        Some(Coat { amount: self.clearcoat.at(place), alpha: alpha(self.clearcoat_roughness.at(place)) })
     }
 
     #[inline(always)]
@@ -180,11 +180,10 @@ impl<R: Real> Layers<R> {
     #[inline(always)]
     fn passed(&self, grazing: R) -> R {
         let border = grazing.splat(1.0) - grazing;
-        self.coat.map_or(
-            border,
-            #[inline(always)]
-            |coat| border * coat.passed(grazing),
-        )
+        match self.coat {
+            None => border,
+            Some(coat) => border * coat.passed(grazing),
+        }
     }
 
     /// Light from all around, sent back by the body.

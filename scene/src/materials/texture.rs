@@ -1,11 +1,12 @@
 //! Textures: what gives a colour at every place. They are solid: most ask only for the point, none needs a mapping.
 //!
-//! A texture is one documented struct, an `impl` of [`Pattern`] and of [`super::Exemplary`], and one word in the list.
+//! A texture is one documented struct, an `impl` of [`Pattern`] and of [`super::Exemplary`], and one entry in the list.
 
 mod bands;
 mod bricks;
 mod checker;
 mod gradient;
+mod noisy;
 mod ramp;
 mod wave;
 
@@ -16,6 +17,7 @@ pub use bands::Stripes;
 pub use bricks::Bricks;
 pub use checker::{Axes, Checker};
 pub use gradient::{Gradient, GradientBy};
+pub use noisy::{Marble, NoiseRamp, Wood};
 pub use ramp::{Ramp, Stop};
 
 use super::{Example, Place, Tint};
@@ -36,13 +38,14 @@ pub trait Pattern {
     }
 }
 
+/// The list: each texture's name, and its struct.
 macro_rules! textures {
-    ($($Kind:ident),* $(,)?) => {
+    ($($Kind:ident: $Struct:ident),* $(,)?) => {
         /// A colour at every place: keyed by its name.
         #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
         #[serde(rename_all = "snake_case")]
         pub enum Texture {
-            $(#[doc = concat!("See [`", stringify!($Kind), "`].")] $Kind($Kind)),*
+            $(#[doc = concat!("See [`", stringify!($Struct), "`].")] $Kind($Struct)),*
         }
 
         impl Texture {
@@ -72,14 +75,22 @@ macro_rules! textures {
             /// Each kind's examples, as a user would write the whole texture.
             pub fn examples() -> Vec<Example> {
                 let mut examples = Vec::new();
-                $(examples.extend(Example::of::<$Kind>(stringify!($Kind), &snake_case(stringify!($Kind))));)*
+                $(examples.extend(Example::of::<$Struct>(stringify!($Struct), &snake_case(stringify!($Kind))));)*
                 examples
             }
         }
     };
 }
 
-textures![Checker, Stripes, Gradient, Bricks];
+textures![
+    Noise: NoiseRamp,
+    Marble: Marble,
+    Wood: Wood,
+    Checker: Checker,
+    Stripes: Stripes,
+    Bricks: Bricks,
+    Gradient: Gradient,
+];
 
 impl Texture {
     /// How deep textures nest in it, itself included.

@@ -60,7 +60,7 @@ impl Tint {
     /// Whether it is black everywhere: then a formula may leave it out.
     #[inline(always)]
     pub fn is_black(&self) -> bool {
-        self.plain().is_some_and(|color| color.get() == vec3(0.0, 0.0, 0.0))
+        matches!(self, Self::Plain(color) if color.is_black())
     }
 
     /// The colour at a place.
@@ -132,6 +132,9 @@ impl JsonSchema for Tint {
 pub trait Parameter: Copy + fmt::Debug + PartialEq + Serialize + JsonSchema + for<'de> Deserialize<'de> {
     /// The number.
     fn number(self) -> f32;
+
+    /// Whether it is 0 in every frame.
+    fn is_zero(self) -> bool;
 }
 
 macro_rules! parameters {
@@ -140,6 +143,11 @@ macro_rules! parameters {
             #[inline(always)]
             fn number(self) -> f32 {
                 self.get()
+            }
+
+            #[inline(always)]
+            fn is_zero(self) -> bool {
+                self.get() == 0.0 && !self.is_moving()
             }
         }
     )* };
@@ -180,7 +188,7 @@ impl<N: Parameter> Level<N> {
     /// Whether it is 0 everywhere: then a formula may leave out what it would do.
     #[inline(always)]
     pub fn is_zero(&self) -> bool {
-        matches!(self, Self::Plain(number) if number.number() == 0.0)
+        matches!(self, Self::Plain(number) if number.is_zero())
     }
 
     /// The number at a place.

@@ -72,10 +72,7 @@ impl Pattern for Checker {
             Axes::Xy => self.side(p.x) * self.side(p.y),
             Axes::Yz => self.side(p.y) * self.side(p.z),
         };
-        let [first, second] = [&self.colors[0], &self.colors[1]].map(
-            #[inline(always)]
-            |tint| tint.at(place),
-        );
+        let (first, second) = (self.colors[0].at(place), self.colors[1].at(place));
         mix_colors(first, second, sides.mul_add(sides.splat(-0.5), sides.splat(0.5)))
     }
 

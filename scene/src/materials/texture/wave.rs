@@ -26,3 +26,11 @@ pub(super) fn step<R: Real>(distance: R, softness: f32) -> R {
     let slope = distance.given(1.0 / softness.max(MIN_LENGTH));
     distance.mul_add(slope, distance.splat(0.5)).at_least(0.0).at_most(1.0)
 }
+
+/// From 0 at whole turns to 1 at half turns and back, smoothly: within 0.01 of (1 − cos 2πx)/2, at any size of x.
+#[inline(always)]
+pub(super) fn swing<R: Real>(turns: R) -> R {
+    let part = turns - turns.floor();
+    let rise = part.splat(1.0) - (part + part - 1.0).abs();
+    rise.square() * rise.mul_add(rise.splat(-2.0), rise.splat(3.0))
+}
