@@ -135,8 +135,8 @@ impl Sdf for Displace {
 
     around_child!();
 
-    fn prepare(&mut self) {
-        self.child.prepare();
+    fn prepare(&mut self, moves: bool) {
+        self.child.prepare(moves);
         self.relief = FoundRelief(Some(self.relief()));
     }
 
