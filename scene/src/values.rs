@@ -4,6 +4,7 @@
 //! A number may be a [`track`]: then it is read as it stands at one time, and knows that it moves.
 //! What chooses code by a number must ask that too, since all frames share one compiled program.
 
+mod replayed;
 pub(crate) mod track;
 
 use std::borrow::Cow;
@@ -15,6 +16,8 @@ use serde::{Deserialize, Deserializer, Serialize, Serializer};
 
 use crate::limits::{MAX_LENGTH, MIN_LENGTH};
 use crate::real::{Real, Vec3, vec3};
+
+pub(crate) use replayed::Replayed;
 
 /// A kind of number that may move.
 macro_rules! numbers {
@@ -441,6 +444,12 @@ impl<'de> Visitor<'de> for ColorVisitor {
             return Err(A::Error::invalid_length(4, &self));
         }
         Ok(color)
+    }
+
+    fn visit_map<A: MapAccess<'de>>(self, _: A) -> Result<Color, A::Error> {
+        Err(A::Error::custom(
+            "takes no texture: write [red, green, blue], where a channel may be a track; a material's colours take textures",
+        ))
     }
 }
 
