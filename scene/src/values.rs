@@ -5,6 +5,7 @@
 //! What chooses code by a number must ask that too, since all frames share one compiled program.
 
 mod color;
+mod replayed;
 pub(crate) mod track;
 
 use std::borrow::Cow;
@@ -18,6 +19,8 @@ pub use color::Color;
 
 use crate::limits::{MAX_LENGTH, MIN_LENGTH};
 use crate::real::{Real, Vec3, vec3};
+
+pub(crate) use replayed::Replayed;
 
 /// A kind of number that may move.
 macro_rules! numbers {

@@ -241,6 +241,27 @@ fn a_wrong_texture_is_refused_where_it_is_wrong_and_with_a_cure() {
     }
 }
 
+#[test]
+fn a_texture_where_none_can_be_is_refused_with_a_cure() {
+    let sphere = |radius: &str, color: &str| {
+        let text = format!(
+            r#"{{ "scene": {{ "camera": {{ "position": [0, 0, 5], "look_at": [0, 0, 0] }}, "background": {{ "color": {color} }},
+                  "objects": [{{ "shape": {{ "sphere": {{ "radius": {radius} }} }} }}] }},
+                "image": {{ "width": 8, "height": 8 }} }}"#
+        );
+        scene::parse(text.as_bytes()).map_err(|refusal| refusal.to_string())
+    };
+    let texture = r#"{ "checker": { "cell": 1 } }"#;
+    assert!(sphere("1", "[0, 0, 0]").is_ok());
+    for (job, pointer) in [
+        (sphere(texture, "[0, 0, 0]"), "/scene/objects/0/shape/sphere/radius: "),
+        (sphere("1", texture), "/scene/background/color: "),
+    ] {
+        let words = job.expect_err("a texture stands where none can be");
+        assert!(words.contains(&format!("{pointer}takes no texture: write ")), "{words}");
+    }
+}
+
 /// The JSON pointers of all numbers in a value.
 fn numbers(value: &Value, pointer: &str, found: &mut Vec<String>) {
     match value {

@@ -1,7 +1,8 @@
-//! Every vector width gives the bits of the scalar reference: for each node alone, and for whole
-//! pixels of scenes that use everything. Nothing here names a node.
+//! Every vector width gives the bits of the scalar reference: for each node, material and texture alone,
+//! and for whole pixels of scenes that use everything. Nothing here names one.
 
 use proto::Rect;
+use scene::materials::{Material, Texture};
 use scene::nodes::Node;
 use scene::{Image, Job, Layer, Program};
 use worker::{Cancel, CpuRenderer, Renderer, Simd, TileRun};
@@ -79,6 +80,31 @@ fn compare(name: &str, job: &Job) {
 fn every_width_gives_the_reference_bits_for_every_node() {
     for example in Node::examples() {
         compare(example.kind, &job(&example.node));
+    }
+}
+
+/// A material on a turned ball that melts into a box.
+fn melting(material: &str) -> String {
+    format!(
+        r#"{{ "union": {{ "smooth": 0.4, "of": [
+             {{ "rotate": {{ "degrees": [20, 30, 10],
+                "child": {{ "paint": {{ "material": {material}, "child": {{ "sphere": {{ "radius": 1 }} }} }} }} }} }},
+             {{ "translate": {{ "by": [0.9, -0.5, 0], "child": {{ "box": {{ "size": [1, 1, 1] }} }} }} }} ] }} }}"#
+    )
+}
+
+#[test]
+fn every_width_gives_the_reference_bits_for_every_material() {
+    for example in Material::examples() {
+        compare(example.kind, &job(&melting(&example.json)));
+    }
+}
+
+#[test]
+fn every_width_gives_the_reference_bits_for_every_texture() {
+    for example in Texture::examples() {
+        let material = format!(r#"{{ "diffuse": {{ "kd": {} }} }}"#, example.json);
+        compare(example.kind, &job(&melting(&material)));
     }
 }
 

@@ -67,9 +67,9 @@ macro_rules! textures {
                 match self { $(Self::$Kind(texture) => texture.looks_at_own_normal()),* }
             }
 
-            /// The names of all textures in JSON.
-            pub fn names() -> Vec<String> {
-                vec![$(snake_case(stringify!($Kind))),*]
+            /// Whether a texture has this name in JSON.
+            pub(crate) fn is_name(name: &str) -> bool {
+                [$(snake_case(stringify!($Kind))),*].iter().any(|known| known == name)
             }
 
             /// Each kind's examples, as a user would write the whole texture.

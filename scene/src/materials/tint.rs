@@ -5,15 +5,15 @@ use std::fmt;
 use std::marker::PhantomData;
 
 use schemars::{JsonSchema, Schema, SchemaGenerator, json_schema};
-use serde::de::value::{MapAccessDeserializer, SeqAccessDeserializer, StrDeserializer, StringDeserializer};
-use serde::de::{DeserializeSeed, Error, MapAccess, SeqAccess, Visitor};
+use serde::de::value::{F64Deserializer, MapAccessDeserializer, SeqAccessDeserializer, StrDeserializer};
+use serde::de::{Error, MapAccess, SeqAccess, Visitor};
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
 
 use super::Place;
 use super::texture::Texture;
 use crate::limits::MAX_TEXTURE_DEPTH;
 use crate::real::{Real, Vec3, vec3};
-use crate::values::{Color, RefractiveIndex, Share, Shininess};
+use crate::values::{Color, RefractiveIndex, Replayed, Share, Shininess};
 
 /// A colour: one for all places, or a texture's.
 #[derive(Clone, Debug, PartialEq)]
@@ -231,7 +231,7 @@ impl<'de, N: Parameter> Visitor<'de> for LevelVisitor<N> {
     }
 
     fn visit_f64<E: Error>(self, value: f64) -> Result<Level<N>, E> {
-        N::deserialize(serde::de::value::F64Deserializer::new(value)).map(Level::Plain)
+        N::deserialize(F64Deserializer::new(value)).map(Level::Plain)
     }
 
     fn visit_i64<E: Error>(self, value: i64) -> Result<Level<N>, E> {
@@ -245,7 +245,7 @@ impl<'de, N: Parameter> Visitor<'de> for LevelVisitor<N> {
     fn visit_map<A: MapAccess<'de>>(self, mut map: A) -> Result<Level<N>, A::Error> {
         let first = map.next_key::<String>()?;
         let name = first.as_deref().unwrap_or_default();
-        if Texture::names().iter().any(|texture| texture == name) {
+        if Texture::is_name(name) {
             let message = format_args!(
                 "a texture gives a colour: to vary a number by it, write {{\"low\": …, \"high\": …, \"by\": {{\"{name}\": …}}}}"
             );
@@ -253,32 +253,11 @@ impl<'de, N: Parameter> Visitor<'de> for LevelVisitor<N> {
         }
         // A track of keys is a number too.
         let is_number = matches!(name, "keys" | "ease");
-        let map = MapAccessDeserializer::new(Replayed { first, rest: map });
+        let map = MapAccessDeserializer::new(Replayed::new(first, map));
         if is_number {
             return N::deserialize(map).map(Level::Plain);
         }
         Varied::deserialize(map).map(|varied| Level::Varied(Box::new(varied)))
-    }
-}
-
-/// A map whose first key was read already.
-struct Replayed<A> {
-    first: Option<String>,
-    rest: A,
-}
-
-impl<'de, A: MapAccess<'de>> MapAccess<'de> for Replayed<A> {
-    type Error = A::Error;
-
-    fn next_key_seed<K: DeserializeSeed<'de>>(&mut self, seed: K) -> Result<Option<K::Value>, A::Error> {
-        match self.first.take() {
-            Some(first) => seed.deserialize(StringDeserializer::new(first)).map(Some),
-            None => self.rest.next_key_seed(seed),
-        }
-    }
-
-    fn next_value_seed<V: DeserializeSeed<'de>>(&mut self, seed: V) -> Result<V::Value, A::Error> {
-        self.rest.next_value_seed(seed)
     }
 }
 

@@ -4,7 +4,7 @@ use std::borrow::Cow;
 use std::fmt;
 
 use schemars::{JsonSchema, Schema, SchemaGenerator, json_schema};
-use serde::de::{Error, SeqAccess, Unexpected, Visitor};
+use serde::de::{Error, MapAccess, SeqAccess, Unexpected, Visitor};
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
 
 use super::Channel;
@@ -75,6 +75,12 @@ impl<'de> Visitor<'de> for ColorVisitor {
             return Err(A::Error::invalid_length(4, &self));
         }
         Ok(color)
+    }
+
+    fn visit_map<A: MapAccess<'de>>(self, _: A) -> Result<Color, A::Error> {
+        Err(A::Error::custom(
+            "takes no texture: write [red, green, blue], where a channel may be a track; a material's colours take textures",
+        ))
     }
 }
 

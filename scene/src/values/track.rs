@@ -18,7 +18,9 @@ use serde::ser::SerializeStruct;
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
 
 use self::keys::Keys;
+use super::Replayed;
 use crate::limits::{MAX_KEY_SECONDS, MAX_KEYS};
+use crate::materials::Texture;
 
 /// The time that tracks are read for, and what was seen of them.
 #[derive(Debug)]
@@ -133,8 +135,14 @@ impl<'de, T: Ranged> Visitor<'de> for NumberOrTrack<T> {
 
     visit_numbers!(T);
 
-    fn visit_map<A: MapAccess<'de>>(self, map: A) -> Result<T, A::Error> {
-        let Track::<T> { keys, ease } = Track::deserialize(MapAccessDeserializer::new(map))?;
+    fn visit_map<A: MapAccess<'de>>(self, mut map: A) -> Result<T, A::Error> {
+        let first = map.next_key::<String>()?;
+        if first.as_deref().is_some_and(Texture::is_name) {
+            return Err(A::Error::custom(
+                "takes no texture: write a number or a track; a material's numbers take textures",
+            ));
+        }
+        let Track::<T> { keys, ease } = Track::deserialize(MapAccessDeserializer::new(Replayed::new(first, map)))?;
         Ok(keys.between(ease).moving())
     }
 }

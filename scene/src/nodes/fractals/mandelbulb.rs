@@ -123,7 +123,7 @@ impl Mandelbulb {
         );
         let radius = radius.at_least(1e-6);
         let estimate = radius.ln() * radius / slope * 0.5;
-        R::select(away.above(ESCAPE_RADIUS), estimate.min(away - self.bounding_radius()), estimate)
+        R::select(away.above(ESCAPE_RADIUS), estimate.min(away - away.given(self.bounding_radius())), estimate)
     }
 
     /// The estimate for a Julia set. Orbits part by at most n·rⁿ⁻¹ along a meridian, and around the axis

@@ -1,0 +1,82 @@
+//! What the schema says, as a reader would say it.
+
+use std::fmt::Write as _;
+
+use serde_json::Value;
+
+fn referred(property: &Value) -> Option<&str> {
+    property["$ref"].as_str().and_then(|reference| reference.rsplit('/').next())
+}
+
+/// The name of a property's type, with its range.
+fn kind(schema: &Value, property: &Value) -> String {
+    let name = referred(property);
+    let resolved = name.map_or(property, |name| &schema["$defs"][name]);
+    if let Some(choices) = resolved["anyOf"].as_array()
+        && choices.iter().all(|choice| choice["$ref"].is_string())
+    {
+        let kinds: Vec<String> = choices.iter().map(|choice| kind(schema, choice)).collect();
+        return kinds.join(" or ");
+    }
+    if resolved["type"] == "array" && name.is_none() && resolved["items"].is_object() {
+        return format!("array of {}", kind(schema, &resolved["items"]));
+    }
+    let range = match (&resolved["minimum"], &resolved["maximum"]) {
+        (Value::Null, _) | (_, Value::Null) => String::new(),
+        (low, high) => format!(", {low} to {high}"),
+    };
+    let name = name.or_else(|| resolved["type"].as_str()).unwrap_or("value");
+    format!("{name}{range}")
+}
+
+/// What the schema says of a type.
+pub(crate) fn description<'a>(schema: &'a Value, name: &str) -> &'a str {
+    schema["$defs"][name]["description"].as_str().unwrap_or_else(|| panic!("{name} is not described"))
+}
+
+/// The keys of a type, a row each; nothing if it has none.
+pub(crate) fn table(schema: &Value, definition: &Value) -> String {
+    if definition["properties"].as_object().is_none_or(serde_json::Map::is_empty) {
+        return String::new();
+    }
+    let required: Vec<&str> =
+        definition["required"].as_array().into_iter().flatten().filter_map(Value::as_str).collect();
+    let mut text = "| key | type | default | meaning |\n|---|---|---|---|\n".to_owned();
+    for (key, property) in definition["properties"].as_object().into_iter().flatten() {
+        let default =
+            if required.contains(&key.as_str()) { "required".to_owned() } else { property["default"].to_string() };
+        let meaning = property["description"].as_str().unwrap_or_default();
+        writeln!(text, "| `{key}` | {} | {default} | {meaning} |", kind(schema, property)).expect("a String takes all");
+    }
+    text
+}
+
+/// A section on a type that others are made of: its choices, or its keys.
+pub(crate) fn part(schema: &Value, name: &str) -> String {
+    let definition = &schema["$defs"][name];
+    let mut text = format!("\n## {name}\n\n{}\n\n", description(schema, name));
+    let Some(choices) = definition["oneOf"].as_array() else {
+        return text + &table(schema, definition);
+    };
+    for choice in choices {
+        let meaning = choice["description"].as_str().unwrap_or_default();
+        if let Some(word) = choice["const"].as_str() {
+            writeln!(text, "- `\"{word}\"`: {meaning}").expect("a String takes all");
+        }
+        for (key, value) in choice["properties"].as_object().into_iter().flatten() {
+            let keys: Vec<String> = value["properties"]
+                .as_object()
+                .into_iter()
+                .flatten()
+                .map(|(key, property)| {
+                    let meaning = property["description"].as_str().unwrap_or_default();
+                    format!("  - `{key}` ({}): {meaning}\n", kind(schema, property))
+                })
+                .collect();
+            // A choice that is a type of its own is described there.
+            let own = referred(value).map_or(meaning, |name| description(schema, name));
+            write!(text, "- `{key}`: {own}\n{}", keys.concat()).expect("a String takes all");
+        }
+    }
+    text
+}
