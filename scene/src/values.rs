@@ -175,7 +175,7 @@ numbers! {
     HalfAperture: |v| (0.1..=179.9).contains(&v), "half an aperture from 0.1 to 179.9 degrees",
         { "type": "number", "minimum": 0.1, "maximum": 179.9, "description": "Half an aperture, in degrees." };
     /// The length of an arc, in degrees.
-    Arc: |v| (0.1..=360.0).contains(&v), "an arc from 0.1 to 360 degrees",
+    ArcLength: |v| (0.1..=360.0).contains(&v), "an arc from 0.1 to 360 degrees",
         { "type": "number", "minimum": 0.1, "maximum": 360, "description": "The length of an arc, in degrees." };
     /// A part of a whole turn, in degrees.
     Turn: |v| (0.01..=360.0).contains(&v), "an angle from 0.01 to 360 degrees",
@@ -197,7 +197,7 @@ numbers! {
         { "type": "number", "minimum": 1.05, "maximum": 8, "description": "How much each iteration grows." };
     /// The scale of a Mandelbox.
     MandelboxScale: |v| (1.05..=4.0).contains(&v.abs()), "a scale from 1.05 to 4 or from -4 to -1.05",
-        { "type": "number", "anyOf": [{ "minimum": 1.05, "maximum": 4 }, { "minimum": -4, "maximum": -1.05 }], "description": "The scale of a Mandelbox." };
+        { "type": "number", "minimum": -4, "maximum": 4, "not": { "type": "number", "exclusiveMinimum": -1.05, "exclusiveMaximum": 1.05 }, "description": "The scale of a Mandelbox." };
     /// One channel of a colour, in linear light.
     Channel: |v| (0.0..=1e6).contains(&v), "an intensity from 0 to 1e6",
         { "type": "number", "minimum": 0, "maximum": 1e6, "description": "One channel of a colour, in linear light." };

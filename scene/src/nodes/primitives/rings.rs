@@ -7,7 +7,7 @@ use super::{length_of, swallowed_hole};
 use crate::bounds::Bounds;
 use crate::nodes::{Exactness, NodeFault, Prepare, Prepared, Primitive};
 use crate::real::{Real, Vec3, vec3};
-use crate::values::{Amount, Arc, Length, sin_cos_degrees};
+use crate::values::{Amount, ArcLength, Length, sin_cos_degrees};
 
 /// A part of a ring around the y axis, with round ends. The middle of its arc looks along +z.
 ///
@@ -20,7 +20,7 @@ pub struct GivenCappedTorus {
     /// Radius of the tube.
     pub tube: Length,
     /// The whole arc, from end to end.
-    pub degrees: Arc,
+    pub degrees: ArcLength,
 }
 
 /// [`GivenCappedTorus`], ready to be looked at.
@@ -135,7 +135,7 @@ pub struct GivenHorseshoe {
     /// Radius of the arc, to the middle of the band.
     pub radius: Length,
     /// The whole arc, from leg to leg.
-    pub degrees: Arc,
+    pub degrees: ArcLength,
     /// Length of the straight legs, to the middle of their round ends.
     pub leg: Amount,
     /// Whole width of the band, across its way.
