@@ -237,3 +237,26 @@ fn bench_measures_every_level_of_this_machine() {
     assert!(evaluations.windows(2).all(|pair| pair[0] == pair[1]), "the same work at each level: {evaluations:?}");
     assert_misuse(&run_in(folder.path(), &["bench", "absent"]), "csg");
 }
+
+#[test]
+fn bench_paper_sets_this_machine_beside_the_published_table() {
+    let arguments = ["bench", "paper", "--device", "cpu", "--runs", "1", "--resolutions"];
+    let folder = tempfile::tempdir().expect("a folder");
+    let output = run_in(folder.path(), &[&arguments[..], &["16,32", "--json"]].concat());
+    let told = text(&output.stderr);
+    assert!(output.status.success() && told.contains("GPU is skipped"), "{told}");
+    let table: Value = serde_json::from_slice(&output.stdout).expect("JSON");
+    let rows = table["rows"].as_array().expect("rows");
+    assert_eq!(rows.len(), 10, "two resolutions, five shapes of blocks each");
+    for row in rows {
+        let ratio = row["serial_ms"].as_f64().expect("ms") / row["simd_ms"].as_f64().expect("ms");
+        assert!(ratio > 0.0 && (row["simd_speed_up"].as_f64().expect("ratio") / ratio - 1.0).abs() < 1e-9, "{row}");
+        assert!(row["gpu"].is_null() && row["published"].is_null(), "nobody published this size: {row}");
+    }
+    let output = run_in(folder.path(), &[&arguments[..], &["256", "--block", "8x8"]].concat());
+    let table = text(&output.stdout);
+    let rows: Vec<&str> = table.lines().filter(|line| line.starts_with("256² 8x8")).collect();
+    assert_eq!(rows.len(), 2, "what is measured, and what was published: {table}");
+    assert!(rows[1].contains("1092") && rows[1].contains("4.40"), "{table}");
+    assert_misuse(&run_in(folder.path(), &["bench", "paper", "--resolutions", "1"]), "16");
+}

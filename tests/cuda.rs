@@ -388,3 +388,50 @@ fn bench_measures_a_gpu() {
     assert!(report["kernel_ms"].as_f64().is_some_and(|ms| ms > 0.0), "{report}");
     assert!(report["evaluations"].as_u64().is_some_and(|evaluations| evaluations > 64 * 48 * 3), "{report}");
 }
+
+/// Stands in for Nsight Compute: tells of one launch in blocks of the shape that was asked for.
+const NCU: &str = r#"#!/bin/sh
+while [ $# -gt 0 ]; do
+    case "$1" in --log-file) log=$2 ;; --block) block=$2 ;; esac
+    shift
+done
+echo '"ID","Block Size","Grid Size","Metric Name","Metric Value"' > "$log"
+for figure in sm__warps_active.avg.pct_of_peak_sustained_active,40.5 smsp__thread_inst_executed_per_inst_executed.ratio,21.7; do
+    echo "\"0\",\"(${block%x*}, ${block#*x}, 1)\",\"(64, 1, 1)\",\"${figure%,*}\",\"${figure#*,}\"" >> "$log"
+done
+"#;
+
+#[cfg(unix)]
+#[test]
+fn bench_paper_measures_a_gpu_and_what_a_profiler_counts() {
+    use std::os::unix::fs::PermissionsExt;
+
+    let folder = tempfile::tempdir().expect("a folder");
+    let profiler = folder.path().join("ncu");
+    let arguments = ["bench", "paper", "--device", "cuda", "--runs", "1", "--resolutions", "16", "--json"];
+    let mut path = vec![folder.path().to_owned()];
+    path.extend(std::env::split_paths(&std::env::var_os("PATH").expect("there is one")));
+    let rows = |script: &str| {
+        fs::write(&profiler, script).expect("written");
+        fs::set_permissions(&profiler, fs::Permissions::from_mode(0o755)).expect("may be run");
+        let mut command = with_gpu(&arguments);
+        command.env("PATH", std::env::join_paths(&path).expect("plain"));
+        let output = finish(command, b"");
+        assert!(output.status.success(), "{}", told(&output));
+        let table: Value = serde_json::from_slice(&output.stdout).expect("JSON");
+        assert_eq!(table["gpu"], "Fake GPU");
+        (table["rows"].as_array().expect("rows").clone(), told(&output))
+    };
+    let (without, told) = rows("#!/bin/sh\nexit 9\n");
+    assert!(told.contains("ncu counted nothing") && told.matches("ncu").count() == 1, "asked once: {told}");
+    let (with, _) = rows(NCU);
+    assert_eq!((with.len(), without.len()), (5, 5));
+    for (with, without) in with.iter().zip(&without) {
+        let gpu = &with["gpu"];
+        assert!(gpu["kernel_ms"].as_f64().is_some_and(|ms| ms > 0.0) && gpu["registers"] == json!(64), "{gpu}");
+        assert_eq!(gpu["theoretical_occupancy_percent"], json!(50.0));
+        assert_eq!((&gpu["achieved_occupancy_percent"], &gpu["active_lanes"]), (&json!(40.5), &json!(21.7)));
+        assert!(gpu["branch_efficiency_percent"].is_null(), "it was not told: {gpu}");
+        assert!(without["gpu"]["achieved_occupancy_percent"].is_null(), "{without}");
+    }
+}

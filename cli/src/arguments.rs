@@ -1,6 +1,6 @@
 //! Flags that several commands share.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::str::FromStr;
 use std::sync::Arc;
 
@@ -88,6 +88,21 @@ pub(crate) struct CudaArguments {
 }
 
 impl CudaArguments {
+    /// The same, in blocks of this shape.
+    pub(crate) fn in_blocks(&self, shape: Shape) -> Self {
+        Self { block: Some(shape), ..self.clone() }
+    }
+
+    /// The shape of blocks, if one was named.
+    pub(crate) fn block(&self) -> Option<Shape> {
+        self.block
+    }
+
+    /// The folder where compiled scenes are kept, if one was named.
+    pub(crate) fn cache(&self) -> Option<&Path> {
+        self.cache.as_deref()
+    }
+
     /// Starts the GPU of this number.
     pub(crate) fn renderer(&self, ordinal: usize) -> Result<CudaRenderer, RenderError> {
         let cache = self.cache.clone().or_else(worker::cuda::default_cache_folder);

@@ -1,13 +1,14 @@
 //! `sdfarm bench`: how fast this machine renders, at each SIMD level it has.
 
 mod farm;
+mod paper;
 
 use std::path::Path;
 use std::time::Duration;
 
 use anyhow::Context;
-use clap::Args;
 use clap::builder::{PossibleValuesParser, TypedValueParser};
+use clap::{Args, Subcommand};
 use scene::Job;
 use serde::Serialize;
 use worker::bench::{GpuReport, PointsReport, RenderReport, points, render, render_on_gpu};
@@ -26,7 +27,10 @@ const EVERY_LEVEL: [Simd; 4] = [Simd::Scalar, Simd::Sse42, Simd::Avx2, Simd::Avx
 
 /// Arguments of `bench`.
 #[derive(Debug, Args)]
+#[command(args_conflicts_with_subcommands = true)]
 pub(crate) struct Arguments {
+    #[command(subcommand)]
+    table: Option<Tables>,
     /// Job files, or names of shipped scenes [default: csg five-spheres mandelbulb].
     #[arg(value_name = "JOB")]
     jobs: Vec<String>,
@@ -61,6 +65,13 @@ pub(crate) struct Arguments {
     json: bool,
 }
 
+/// Tables that are measured as a whole.
+#[derive(Debug, Subcommand)]
+enum Tables {
+    /// The paper's Table 1 on this machine, beside the published figures.
+    Paper(paper::Arguments),
+}
+
 /// The levels to measure.
 #[derive(Clone, Debug)]
 struct Levels(Vec<Simd>);
@@ -76,6 +87,9 @@ struct Reports {
 
 /// Measures it.
 pub(crate) fn run(arguments: &Arguments) -> anyhow::Result<()> {
+    if let Some(Tables::Paper(arguments)) = &arguments.table {
+        return paper::run(arguments);
+    }
     let names = DEFAULT_JOBS.map(str::to_owned);
     let names = if arguments.jobs.is_empty() { names.as_slice() } else { &arguments.jobs };
     let jobs = names.iter().map(|name| read(name)).collect::<anyhow::Result<Vec<Job>>>()?;

@@ -1,0 +1,217 @@
+//! `sdfarm bench paper`: the paper's Table 1 on this machine, beside what was published.
+//!
+//! Robles, Lee, Yin and Dhar, "Procedural Rendering with Ray Marching", USC CSCI 580, 2022.
+
+mod profile;
+mod published;
+mod table;
+
+use std::path::PathBuf;
+
+use anyhow::Context;
+use clap::Args;
+use scene::Job;
+use serde::Serialize;
+use worker::bench::{GpuReport, RenderReport, render, render_on_gpu};
+use worker::cuda::Shape;
+use worker::{CpuRenderer, Simd};
+
+use crate::arguments::{Device, RendererArguments};
+use crate::shipped;
+use crate::terminal::{note, say};
+use profile::Profile;
+use published::{Published, published};
+
+/// The scene of Table 1.
+const SCENE: &str = "paper/five-spheres";
+/// Camera rays a pixel, as in Table 1.
+const SAMPLES: u32 = 8;
+/// Blocks of threads, as in Table 1.
+const BLOCKS: [Shape; 5] = [
+    Shape { columns: 8, rows: 8 },
+    Shape { columns: 16, rows: 16 },
+    Shape { columns: 32, rows: 8 },
+    Shape { columns: 128, rows: 1 },
+    Shape { columns: 256, rows: 1 },
+];
+
+/// Arguments of `bench paper`.
+#[derive(Debug, Args)]
+pub(crate) struct Arguments {
+    #[command(flatten)]
+    renderer: RendererArguments,
+    /// Edges of the square pictures, in pixels.
+    #[arg(long, value_name = "PIXELS", env = "SDFARM_RESOLUTIONS", value_delimiter = ',', default_value = "256,512,1024", value_parser = clap::value_parser!(u32).range(16..=8192))]
+    resolutions: Vec<u32>,
+    /// Times that each frame is rendered; on one thread once.
+    #[arg(long, value_name = "N", env = "SDFARM_RUNS", default_value_t = 5, value_parser = clap::value_parser!(u32).range(1..=1000))]
+    runs: u32,
+    /// Print JSON.
+    #[arg(long, env = "SDFARM_JSON", value_parser = clap::builder::FalseyValueParser::new(), action = clap::ArgAction::SetTrue)]
+    json: bool,
+}
+
+/// The whole table.
+#[derive(Debug, Serialize)]
+struct Table {
+    scene: &'static str,
+    samples: u32,
+    /// What the GPU's maker calls it; `None` where there is none.
+    gpu: Option<String>,
+    simd: &'static str,
+    threads: usize,
+    rows: Vec<Row>,
+}
+
+/// A resolution and a block.
+#[derive(Debug, Serialize)]
+struct Row {
+    /// Pixels along an edge.
+    resolution: u32,
+    /// Threads of a block: 16x8.
+    block: String,
+    /// On one thread without vector instructions, in milliseconds.
+    serial_ms: f64,
+    /// On all threads with them, in milliseconds: the median.
+    simd_ms: f64,
+    simd_speed_up: f64,
+    gpu: Option<GpuRow>,
+    /// The paper's figures, where it has this row.
+    published: Option<Published>,
+}
+
+/// What a GPU did.
+#[derive(Debug, Serialize)]
+struct GpuRow {
+    /// Median time of the kernels, in milliseconds.
+    kernel_ms: f64,
+    /// How many times as fast as one thread without vector instructions.
+    speed_up: f64,
+    /// How many times as fast as the paper's program on an H200, if this is one.
+    over_the_papers_program: Option<f64>,
+    registers: u32,
+    theoretical_occupancy_percent: f64,
+    #[serde(flatten)]
+    profile: Profile,
+}
+
+/// Measures it.
+pub(crate) fn run(arguments: &Arguments) -> anyhow::Result<()> {
+    let mut gpu = Gpu::find(arguments)?;
+    let blocks = arguments.renderer.cuda.block().map_or(BLOCKS.to_vec(), |block| vec![block]);
+    let (mut rows, mut cpu) = (Vec::new(), None);
+    for &resolution in &arguments.resolutions {
+        let (text, job) = job(resolution)?;
+        let serial = render(&job, Simd::Scalar, Some(1), 1)?;
+        let threads = arguments.renderer.threads.map(|threads| threads as usize);
+        let simd = render(&job, arguments.renderer.simd, threads, arguments.runs as usize)?;
+        for &block in &blocks {
+            let report = gpu.as_mut().map(|gpu| gpu.measure(&text, &job, block)).transpose()?;
+            rows.push(Row::new(resolution, block, &serial, &simd, report));
+        }
+        cpu = Some(simd);
+    }
+    let cpu = cpu.context("no resolution was asked for: name one, such as --resolutions 256")?;
+    let gpu = gpu.map(|gpu| gpu.name);
+    let table = Table { scene: SCENE, samples: SAMPLES, gpu, simd: cpu.simd, threads: cpu.threads, rows };
+    if arguments.json { say(&serde_json::to_string_pretty(&table)?) } else { table::say_all(&table) }
+}
+
+/// The scene at this size, as text and read.
+fn job(resolution: u32) -> anyhow::Result<(String, Job)> {
+    let damaged = || format!("the shipped scene {SCENE} is damaged");
+    let mut job: serde_json::Value = serde_json::from_slice(&shipped::job_file(SCENE)?).with_context(damaged)?;
+    job["image"] = serde_json::json!({ "width": resolution, "height": resolution, "samples": SAMPLES });
+    let text = job.to_string();
+    let job = scene::parse(text.as_bytes()).with_context(damaged)?;
+    Ok((text, job))
+}
+
+/// The GPU to measure.
+struct Gpu<'a> {
+    arguments: &'a Arguments,
+    ordinal: usize,
+    name: String,
+    /// Counts the work of a frame.
+    counter: CpuRenderer,
+    /// Holds what is profiled; `None` once that failed.
+    profiled: Option<tempfile::TempDir>,
+}
+
+impl<'a> Gpu<'a> {
+    /// The one that was asked for, or any; says so where there is none.
+    fn find(arguments: &'a Arguments) -> anyhow::Result<Option<Self>> {
+        let ordinal = match arguments.renderer.device {
+            Device::Cpu => {
+                note("the GPU is skipped, as --device cpu asks for");
+                return Ok(None);
+            }
+            Device::Cuda(ordinal) => ordinal,
+            Device::Auto(ordinal) => {
+                if let Err(error) = worker::cuda::devices() {
+                    note(&format!("the GPU is skipped: {error}"));
+                    return Ok(None);
+                }
+                ordinal
+            }
+        };
+        let ordinal = ordinal.unwrap_or(0);
+        let name = arguments.renderer.cuda.renderer(ordinal)?.gpu().to_owned();
+        let counter = CpuRenderer::new(None, Simd::Auto)?;
+        let folder = tempfile::tempdir().context("could not make a folder for profiles: free some space there")?;
+        Ok(Some(Self { arguments, ordinal, name, counter, profiled: Some(folder) }))
+    }
+
+    fn measure(&mut self, text: &str, job: &Job, block: Shape) -> anyhow::Result<(GpuReport, Profile)> {
+        let renderer = self.arguments.renderer.cuda.in_blocks(block).renderer(self.ordinal)?;
+        let report = render_on_gpu(job, &renderer, &self.counter, self.arguments.runs as usize)?;
+        drop(renderer);
+        Ok((report, self.profile(text, block)?))
+    }
+
+    /// What `ncu` counts; nothing where it is not there or may not.
+    fn profile(&mut self, text: &str, block: Shape) -> anyhow::Result<Profile> {
+        let Some(folder) = &self.profiled else { return Ok(Profile::default()) };
+        let path: PathBuf = folder.path().join("job.json");
+        std::fs::write(&path, text).with_context(|| format!("could not write {}", path.display()))?;
+        let device = format!("cuda:{}", self.ordinal);
+        match profile::profile(&path, &device, block, self.arguments.renderer.cuda.cache()) {
+            Ok(counted) => Ok(counted),
+            Err(why) => {
+                note(&format!("achieved occupancy, branches and lanes are skipped: {why}"));
+                self.profiled = None;
+                Ok(Profile::default())
+            }
+        }
+    }
+}
+
+impl Row {
+    fn new(
+        resolution: u32,
+        block: Shape,
+        serial: &RenderReport,
+        simd: &RenderReport,
+        gpu: Option<(GpuReport, Profile)>,
+    ) -> Self {
+        let published = published(resolution, block);
+        Self {
+            resolution,
+            block: block.to_string(),
+            serial_ms: serial.median_ms,
+            simd_ms: simd.median_ms,
+            simd_speed_up: serial.median_ms / simd.median_ms,
+            gpu: gpu.map(|(report, profile)| GpuRow {
+                kernel_ms: report.kernel_ms,
+                speed_up: serial.median_ms / report.kernel_ms,
+                over_the_papers_program: published
+                    .filter(|_| report.gpu.contains("H200"))
+                    .map(|published| published.h200_ms / report.kernel_ms),
+                registers: report.registers,
+                theoretical_occupancy_percent: report.occupancy * 100.0,
+                profile,
+            }),
+            published,
+        }
+    }
+}
