@@ -95,6 +95,14 @@ impl Bounds {
         Self { low: self.low.map(ended), high: self.high.map(ended) }
     }
 
+    /// Whether a point is in it.
+    pub(crate) fn holds(self, p: Vec3<f32>) -> bool {
+        let between = |low: f32, c: f32, high: f32| low <= c && c <= high;
+        between(self.low.x, p.x, self.high.x)
+            && between(self.low.y, p.y, self.high.y)
+            && between(self.low.z, p.z, self.high.z)
+    }
+
     /// Whether it has an end in every direction.
     pub fn is_finite(self) -> bool {
         [self.low, self.high]

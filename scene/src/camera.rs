@@ -1,5 +1,7 @@
 //! From a point of the picture to a ray.
 
+mod sight;
+
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 

@@ -3,12 +3,12 @@
 use schemars::JsonSchema;
 use serde::{Deserialize, Deserializer, Serialize};
 
-use crate::camera::Projection;
 use crate::limits::{MAX_EDGE_PX, MAX_FRAMES, MAX_SAMPLES};
 use crate::motion::Motion;
 use crate::scene::Scene;
 use crate::sky::Background;
 use crate::values::{FrameRate, Stops, integer, whole};
+use crate::warnings;
 
 /// What one POSTs.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
@@ -52,6 +52,7 @@ pub struct Image {
     pub samples: u32,
     /// Where in their pixels the rays pass: another seed, another noise.
     #[serde(default, deserialize_with = "seed")]
+    #[schemars(range(min = 0, max = u32::MAX))]
     pub seed: u32,
     /// File format.
     #[serde(default)]
@@ -64,6 +65,7 @@ pub struct Image {
     pub precision: Precision,
     /// What an EXR holds beside the colours.
     #[serde(default)]
+    #[schemars(extend("uniqueItems" = true))]
     pub layers: Vec<Layer>,
     /// How much brighter a PNG is than the light of the scene, in stops.
     #[serde(default = "as_it_is")]
@@ -212,28 +214,9 @@ impl Job {
         self.scene.background == Background::Transparent
     }
 
-    /// What its author should know although it renders.
+    /// What its author should know although it renders. Looks at some rays of it, which takes milliseconds.
     pub fn warnings(&self) -> Vec<String> {
-        let mut warnings = Vec::new();
-        if self.frames.count > 1 && !self.is_moving() {
-            warnings.push(format!(
-                "nothing in the scene moves: the {} frames differ in their sampling noise only",
-                self.frames.count
-            ));
-        }
-        if self.frames.count == 1 && self.is_moving() {
-            warnings.push("the scene moves, but the job has one frame: set frames.count to see more of it".to_owned());
-        }
-        let Image { width, height, .. } = self.image;
-        if self.scene.camera.projection == Projection::Panorama && width != height.saturating_mul(2) {
-            warnings.push(format!(
-                "a panorama is 360 by 180 degrees, and {width}×{height} stretches it: make width twice height"
-            ));
-        }
-        for name in self.scene.unused_materials() {
-            warnings.push(format!("material \"{name}\" is not used"));
-        }
-        warnings
+        warnings::of(self)
     }
 }
 

@@ -27,6 +27,7 @@ pub mod scene;
 pub mod sky;
 pub mod surroundings;
 pub mod values;
+mod warnings;
 
 pub use fault::{Fault, Refusal};
 pub use job::{Bits, Format, Frames, Image, Job, Layer, Precision, ToneMap};

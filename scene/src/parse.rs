@@ -1,5 +1,8 @@
 //! From the text of a job file to a [`Job`], or to what is wrong with it.
 
+mod lists;
+mod wording;
+
 use std::fmt::Write as _;
 
 use schemars::JsonSchema as _;
@@ -31,6 +34,10 @@ pub fn parse(text: &[u8]) -> Result<Job, Refusal> {
         let message =
             format!("nests deeper than {MAX_JSON_DEPTH} arrays and objects: nest nodes at most {MAX_NODE_DEPTH} deep");
         return Err(Refusal::Wrong(vec![Fault::at(text, Some(fault.offset), fault.pointer.clone(), message)]));
+    }
+    if text.starts_with('\u{feff}') {
+        let message = "begins with a byte order mark: save the file as UTF-8 without one";
+        return Err(Refusal::NotJson(Fault::at(text, Some(0), String::new(), message)));
     }
     serde_json::from_str::<IgnoredAny>(text).map_err(|error| Refusal::NotJson(broken(&error)))?;
     if let Err(fault) = outline
@@ -75,6 +82,12 @@ fn read(text: &str, frame: u32, frames: Option<&Frames>) -> Result<Read, Refusal
     let reading = Reading::at(seconds);
     let mut job = form(text).map_err(|fault| Refusal::Wrong(vec![in_frame(fault)]))?;
     let key_seconds = reading.end();
+    if frames.is_none()
+        && let Some(pointer) = lists::in_place_of_object(text, &job)
+    {
+        let message = "must be an object, not a list: write each value behind its key";
+        return Err(Refusal::Wrong(vec![Fault::of_value(text, pointer, message)]));
+    }
     let turns = job.scene.camera.turn(frame, &job.frames);
     let moves = turns || !key_seconds.is_empty();
     let faults = meaning(&mut job, moves);
@@ -135,8 +148,7 @@ fn form(text: &str) -> Result<Job, Fault> {
         if message.starts_with("unknown ") && outline::locate_key(text, &pointer).is_some() {
             return Fault::of_key(text, pointer, message);
         }
-        let message =
-            if message == "number out of range" { "is too large: numbers go up to 3.4e38".to_owned() } else { message };
+        let (pointer, message) = wording::reworded(text, pointer, message);
         Fault::of_value(text, pointer, message)
     })
 }

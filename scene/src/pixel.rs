@@ -5,6 +5,7 @@ mod lighting;
 mod media;
 mod nearest;
 mod path;
+mod probe;
 
 use crate::bounds::Bounds;
 use crate::camera::{Ray, View};

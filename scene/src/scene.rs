@@ -7,7 +7,7 @@ use serde::{Deserialize, Deserializer, Serialize};
 
 use crate::camera::Camera;
 use crate::lights::{Light, default_lights};
-use crate::limits::{MAX_BOUNCES, MAX_STEPS};
+use crate::limits::{MAX_BOUNCES, MAX_LIGHTS, MAX_STEPS};
 use crate::materials::{Material, MaterialUse, Shade};
 use crate::nodes::Node;
 use crate::sky::{Background, Day};
@@ -25,6 +25,7 @@ pub struct Scene {
     pub background: Background,
     /// The lights; an empty list is darkness.
     #[serde(default = "default_lights")]
+    #[schemars(length(max = MAX_LIGHTS))]
     pub lights: Vec<Light>,
     /// Fog; none when absent.
     #[serde(default, skip_serializing_if = "Option::is_none")]

@@ -249,6 +249,13 @@ impl<'de> Visitor<'de> for Whole {
         Ok(i64::try_from(value).unwrap_or(i64::MAX))
     }
 
+    fn visit_f64<E: Error>(self, value: f64) -> Result<i64, E> {
+        if value.fract() == 0.0 {
+            return Ok(value as i64);
+        }
+        Err(E::custom(format_args!("must be a whole number, not {value}")))
+    }
+
     fn visit_map<A: MapAccess<'de>>(self, _: A) -> Result<i64, A::Error> {
         Err(A::Error::custom("is a count, which can't be a track: write one whole number for all frames"))
     }

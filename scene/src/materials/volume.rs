@@ -134,6 +134,14 @@ impl Filling<'_> {
         }
     }
 
+    /// The extinction coefficient where it is thickest.
+    pub(crate) fn density(&self) -> f32 {
+        match self {
+            Self::Clouds(clouds) => clouds.density.get(),
+            Self::Volume(volume) => volume.density.get(),
+        }
+    }
+
     pub(crate) fn light_steps(&self) -> u32 {
         match self {
             Self::Clouds(_) => 1,

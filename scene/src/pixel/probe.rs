@@ -1,0 +1,52 @@
+//! What becomes of some rays of a picture, found in plain numbers before anything is rendered.
+
+use super::Program;
+use crate::march::{Reach, march};
+
+/// Rays that are looked at, at most.
+const RAYS: u32 = 256;
+/// Fewer rays tell nothing.
+const LEAST_RAYS: u32 = 64;
+/// Evaluations of one node that all rays may take together: some milliseconds.
+const NODE_EVALUATIONS: u32 = 400_000;
+
+impl Program<'_> {
+    /// The share of the picture's rays that run out of steps before they come near enough to a surface to
+    /// show it, as some rays tell; `None` where looking at them would take too long. `nodes` is how many nodes
+    /// it takes to know a distance.
+    pub(crate) fn share_out_of_steps(&self, width: u32, height: u32, nodes: u32) -> Option<f32> {
+        let max_steps = self.scene.march.max_steps;
+        let mut left = NODE_EVALUATIONS / nodes.max(1);
+        let (mut rays, mut out) = (0, 0);
+        for number in 0..RAYS {
+            let (across, down) = spread(number);
+            let ray = self.view.ray(across * width as f32, down * height as f32);
+            let (nearest, farthest) = self.bounds.along(&ray, self.scene.march.max_distance.get());
+            rays += 1;
+            if nearest >= farthest {
+                continue;
+            }
+            let reach = Reach { nearest, farthest, max_steps: max_steps.min(left) };
+            let marched = march(&ray, reach, |t| self.tolerance.at(t), |p| self.gap(p));
+            left -= (marched.steps as u32).min(left);
+            let seen: f32 = self.view.footprint().at(marched.distance);
+            if marched.hit.0 || marched.distance >= farthest || marched.gap < seen {
+                continue;
+            }
+            if reach.max_steps < max_steps {
+                rays -= 1;
+                break;
+            }
+            out += 1;
+        }
+        (rays >= LEAST_RAYS).then(|| out as f32 / rays as f32)
+    }
+}
+
+/// Places spread evenly over a square, however many they are, by the plastic number: Martin Roberts, "The
+/// unreasonable effectiveness of quasirandom sequences", <https://extremelearning.com.au/unreasonable-effectiveness-of-quasirandom-sequences/>.
+fn spread(number: u32) -> (f32, f32) {
+    const STEPS: (f64, f64) = (0.754_877_666_246_693, 0.569_840_290_998_053);
+    let along = |step: f64| ((f64::from(number) + 0.5) * step).fract() as f32;
+    (along(STEPS.0), along(STEPS.1))
+}

@@ -1,0 +1,108 @@
+//! What the author of a job should know although it renders: scenes that are legal and look wrong.
+//!
+//! Nothing here takes long, whatever the job: rays are counted, and frames are three at most.
+
+mod sight;
+mod stuff;
+
+use crate::camera::Projection;
+use crate::job::{Image, Job};
+use crate::motion::Still;
+
+/// What a warning is about: a job is warned of each thing once.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Kind {
+    /// The camera is inside something.
+    Inside,
+    /// Nothing is in view.
+    NothingInView,
+    /// Rays run out of steps.
+    Steps,
+    /// A shape makes steps small.
+    Steep,
+    /// Lights shine for nothing, or nothing shines.
+    Light,
+    /// A volume is too thick for its steps.
+    Thick,
+    /// Rays end inside glass.
+    Bounces,
+}
+
+/// Of one frame.
+#[derive(Debug)]
+struct Warning {
+    kind: Kind,
+    text: String,
+}
+
+/// All warnings of a job.
+pub(crate) fn of(job: &Job) -> Vec<String> {
+    let mut warnings = of_the_whole(job);
+    let last = job.frames.count - 1;
+    let frames = if job.is_moving() { vec![0, last / 2, last] } else { vec![0] };
+    let mut told: Vec<(u32, Warning)> = Vec::new();
+    let mut without_view = 0;
+    for &frame in &frames {
+        let Ok(still) = job.at(frame) else { continue };
+        for warning in of_frame(&still) {
+            without_view += usize::from(warning.kind == Kind::NothingInView);
+            if told.iter().all(|(_, known)| known.kind != warning.kind) {
+                told.push((frame, warning));
+            }
+        }
+    }
+    // What comes into view, or leaves it, may well do so.
+    told.retain(|(_, warning)| warning.kind != Kind::NothingInView || without_view == frames.len());
+    warnings.extend(told.into_iter().map(|(frame, Warning { kind, text })| {
+        let is_of_all = kind == Kind::NothingInView || !job.is_moving();
+        if is_of_all { text } else { format!("{text} (in frame {frame})") }
+    }));
+    warnings
+}
+
+fn of_the_whole(job: &Job) -> Vec<String> {
+    let mut warnings = Vec::new();
+    if job.frames.count > 1 && !job.is_moving() {
+        warnings.push(format!(
+            "nothing in the scene moves: the {} frames differ in their sampling noise only",
+            job.frames.count
+        ));
+    }
+    if job.frames.count == 1 && job.is_moving() {
+        warnings.push("the scene moves, but the job has one frame: set frames.count to see more of it".to_owned());
+    }
+    let Image { width, height, .. } = job.image;
+    if job.scene.camera.projection == Projection::Panorama && width != height.saturating_mul(2) {
+        warnings.push(format!(
+            "a panorama is 360 by 180 degrees, and {width}×{height} stretches it: make width twice height"
+        ));
+    }
+    for name in job.scene.unused_materials() {
+        warnings.push(format!("material \"{name}\" is not used"));
+    }
+    warnings
+}
+
+fn of_frame(still: &Still<'_>) -> Vec<Warning> {
+    let scene = &still.job().scene;
+    let seen = sight::of(still);
+    let known = [
+        (Kind::Steep, stuff::steep(scene)),
+        (Kind::Light, stuff::light(scene)),
+        (Kind::Thick, stuff::thick(scene)),
+        (Kind::Bounces, stuff::bounces(scene)),
+    ];
+    let known = known.into_iter().filter_map(|(kind, text)| Some(Warning { kind, text: text? }));
+    seen.into_iter().chain(known).collect()
+}
+
+/// "object 3", or "objects 3, 5 and 7 others".
+fn objects(indices: &[usize]) -> String {
+    match indices {
+        [only] => format!("object {only}"),
+        [one, other] => format!("objects {one} and {other}"),
+        [one, other, third] => format!("objects {one}, {other} and {third}"),
+        [one, other, rest @ ..] => format!("objects {one}, {other} and {} others", rest.len()),
+        [] => String::new(),
+    }
+}

@@ -1,0 +1,144 @@
+//! Shapes, materials and lights that do not go together.
+
+use super::objects;
+use crate::lights::{Light, default_lights};
+use crate::limits::MAX_MEDIUM_STEPS;
+use crate::materials::{Material, Shade};
+use crate::nodes::Node;
+use crate::scene::{Scene, child_steps};
+
+/// Steps that are a smaller part of the distance than one over this are worth a word.
+const STEEPEST: f32 = 20.0;
+/// So much of a volume must not be crossed in one step: of light, a 3000th is left.
+const MOST_DEPTH_OF_STEP: f32 = 8.0;
+/// Bounces that it takes to get into a body and out of it again.
+const THROUGH: u32 = 2;
+
+/// Objects that make steps tiny.
+pub(super) fn steep(scene: &Scene) -> Option<String> {
+    let stretches: Vec<f32> = scene.objects.iter().map(|object| object.shape.stretch()).collect();
+    let steep: Vec<usize> = (0..stretches.len()).filter(|&index| stretches[index] > STEEPEST).collect();
+    let steepest = steep.iter().copied().reduce(|a, b| if stretches[b] > stretches[a] { b } else { a })?;
+    let mut pointer = format!("/scene/objects/{steepest}/shape");
+    let cure = cure(&cause(&scene.objects[steepest].shape, &mut pointer).name());
+    let others = if steep.len() > 1 { format!(" (so are those of {})", objects(&steep)) } else { String::new() };
+    Some(format!(
+        "steps near {pointer} are 1/{:.0} of the distance{others}, and rendering is slow: {cure}",
+        stretches[steepest]
+    ))
+}
+
+/// The node that most of a tree's steepness comes from, and its place.
+fn cause<'a>(node: &'a Node, pointer: &mut String) -> &'a Node {
+    let own = node.stretch();
+    let children = node.children().iter().zip(child_steps(node));
+    match children.reduce(|a, b| if b.0.stretch() > a.0.stretch() { b } else { a }) {
+        Some((child, step)) if child.stretch() > 0.5 * own => {
+            pointer.push_str(&step);
+            cause(child, pointer)
+        }
+        _ => {
+            pointer.push('/');
+            pointer.push_str(&node.name());
+            node
+        }
+    }
+}
+
+fn cure(name: &str) -> &'static str {
+    match name {
+        "displace" | "warp" => "lower its amplitude, frequency, scale or octaves",
+        "height_field" => "lower its height, or the scale or octaves of its noise",
+        "twist" => "lower degrees_per_unit, or make its child narrower",
+        "bend" => "bend it less, or make its child thinner",
+        "taper" => "taper it less",
+        _ => "change it less, or over a greater length",
+    }
+}
+
+/// Lights that shine for nothing, and scenes that want light.
+pub(super) fn light(scene: &Scene) -> Option<String> {
+    let used = scene.slots();
+    if !scene.lights.is_empty() && scene.lights != default_lights() && !used.iter().any(looks_at_lights) {
+        return Some(
+            "the lights light nothing, for no material in use looks at them: choose diffuse or surface, or leave lights out"
+                .to_owned(),
+        );
+    }
+    let shines = scene.lights.iter().any(|light| !is_dark(light));
+    if !shines && used.iter().any(is_black_without_light) {
+        let lack = if scene.lights.is_empty() { "there is no light" } else { "all lights are black" };
+        return Some(format!("{lack}, and materials want some: add one to scene.lights, or leave lights out"));
+    }
+    None
+}
+
+fn looks_at_lights(material: &Material) -> bool {
+    match material {
+        Material::Clouds(clouds) => !clouds.is_medium(),
+        Material::Volume(volume) => !volume.albedo.is_black(),
+        Material::Flat(_) | Material::Normals(_) | Material::Diffuse(_) | Material::Surface(_) => material.is_lit(),
+    }
+}
+
+/// Whether next to nothing is seen of it in the dark.
+fn is_black_without_light(material: &Material) -> bool {
+    const FAINT: f32 = 0.1;
+    match material {
+        Material::Flat(_) | Material::Normals(_) => false,
+        Material::Diffuse(diffuse) => {
+            diffuse.ambient.plain().is_some_and(|ambient| ambient.get().max_element() <= FAINT && !ambient.is_moving())
+        }
+        Material::Surface(surface) => {
+            surface.emission.is_black() && surface.metallic.is_zero() && surface.transmission.is_zero()
+        }
+        Material::Clouds(clouds) => !clouds.is_medium(),
+        Material::Volume(volume) => volume.emission.is_black(),
+    }
+}
+
+fn is_dark(light: &Light) -> bool {
+    match light {
+        Light::Directional(light) => light.color.is_black(),
+        Light::Point(light) => light.color.is_black(),
+        Light::Spot(light) => light.color.is_black(),
+        Light::Sphere(light) => light.color.is_black(),
+        Light::Sun(light) => light.strength.is_zero(),
+        Light::Sky(light) => light.strength.is_zero(),
+    }
+}
+
+/// Clouds and volumes that are too thick for their steps.
+pub(super) fn thick(scene: &Scene) -> Option<String> {
+    let depths = scene.objects.iter().enumerate().filter_map(|(index, object)| {
+        let filling = scene.material_of(index).filling()?;
+        let bounds = object.shape.bounds(0.0);
+        let length = if bounds.is_finite() { bounds.diagonal() } else { scene.march.max_distance.get() };
+        let depth = filling.density() * length;
+        (depth > MOST_DEPTH_OF_STEP * filling.steps() as f32).then_some((index, depth, filling.steps()))
+    });
+    let thick: Vec<(usize, f32, u32)> = depths.collect();
+    let &(_, depth, steps) = thick.first()?;
+    let indices: Vec<usize> = thick.iter().map(|&(index, ..)| index).collect();
+    let enough = (depth / MOST_DEPTH_OF_STEP).ceil();
+    let cure = if enough <= MAX_MEDIUM_STEPS as f32 {
+        format!("raise its steps to {enough} or more, or lower its density")
+    } else {
+        "lower its density, or make it smaller".to_owned()
+    };
+    Some(format!(
+        "what fills {} is too thick for its {steps} steps: one goes {:.0} times as deep as light does (density × step): {cure}",
+        objects(&indices),
+        depth / steps as f32
+    ))
+}
+
+/// Glass that no ray gets through.
+pub(super) fn bounces(scene: &Scene) -> Option<String> {
+    let lets_through = |material: &&Material| material.lets_through() && !material.is_medium();
+    scene.slots().iter().find(lets_through)?;
+    let most = scene.march.max_bounces;
+    (most < THROUGH).then(|| {
+        format!("rays end inside of glass, for march.max_bounces is {most}, and a body takes {THROUGH}: raise it")
+    })
+}

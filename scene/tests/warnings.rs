@@ -1,0 +1,240 @@
+//! Scenes that are legal and look wrong say so; the shipped ones have nothing to say.
+
+use std::path::{Path, PathBuf};
+
+use scene::Job;
+
+fn job(text: &str) -> Job {
+    scene::parse(text.as_bytes()).unwrap_or_else(|refusal| panic!("{refusal}\n{text}"))
+}
+
+/// A job of some objects: `scene` is what stands in its scene beside the camera, `more` what stands behind its image.
+fn seen_from(camera: &str, scene: &str, more: &str) -> Job {
+    job(&format!(
+        r#"{{ "scene": {{ "camera": {{ {camera} }}, {scene} }}, "image": {{ "width": 64, "height": 48 }}{more} }}"#
+    ))
+}
+
+const CAMERA: &str = r#""position": [0, 0, 5], "look_at": [0, 0, 0]"#;
+const SPHERE: &str = r#"{ "shape": { "sphere": { "radius": 1 } } }"#;
+
+fn of(scene: &str) -> Vec<String> {
+    seen_from(CAMERA, scene, "").warnings()
+}
+
+fn of_objects(objects: &str) -> Vec<String> {
+    of(&format!(r#""objects": [{objects}]"#))
+}
+
+fn filled(material: &str, more: &str) -> Vec<String> {
+    of(&format!(r#""objects": [{{ "material": {material}, "shape": {{ "sphere": {{ "radius": 1 }} }} }}]{more}"#))
+}
+
+#[track_caller]
+fn one(warnings: &[String], words: &[&str]) {
+    assert_eq!(warnings.len(), 1, "{warnings:?}");
+    for word in words {
+        assert!(warnings[0].contains(word), "{} does not say {word:?}", warnings[0]);
+    }
+}
+
+#[track_caller]
+fn none(warnings: &[String]) {
+    assert_eq!(warnings, [""; 0]);
+}
+
+fn job_files(folder: &Path, found: &mut Vec<PathBuf>) {
+    for entry in std::fs::read_dir(folder).unwrap() {
+        let path = entry.unwrap().path();
+        if path.is_dir() {
+            job_files(&path, found);
+        } else if path.extension().is_some_and(|extension| extension == "json") {
+            found.push(path);
+        }
+    }
+}
+
+#[test]
+fn shipped_scenes_have_no_warnings() {
+    let mut files = Vec::new();
+    job_files(&Path::new(env!("CARGO_MANIFEST_DIR")).join("../scenes"), &mut files);
+    assert!(files.len() > 10, "{files:?}");
+    let told: Vec<String> = files
+        .iter()
+        .flat_map(|file| {
+            let warnings = job(&std::fs::read_to_string(file).unwrap()).warnings();
+            warnings.into_iter().map(|warning| format!("{}: {warning}", file.display()))
+        })
+        .collect();
+    assert!(told.is_empty(), "{}", told.join("\n"));
+}
+
+#[test]
+fn camera_inside_what_is_opaque_is_told_and_inside_glass_or_mist_is_not() {
+    let around = |material: &str| {
+        let large = format!(r#"{{ "material": {material}, "shape": {{ "sphere": {{ "radius": 9 }} }} }}"#);
+        of_objects(&format!("{SPHERE}, {large}"))
+    };
+    one(&around(r#"{ "diffuse": {} }"#), &["camera is inside object 1", "camera.position"]);
+    none(&around(r#"{ "surface": { "transmission": 1 } }"#));
+    none(&around(r#"{ "volume": { "density": 0.1 } }"#));
+    let painted = r#"{ "shape": { "paint": { "material": { "surface": { "transmission": 1 } },
+        "child": { "sphere": { "radius": 9 } } } } }"#;
+    none(&of_objects(painted));
+    let room = r#"{ "shape": { "onion": { "thickness": 1, "child": { "sphere": { "radius": 9 } } } } }"#;
+    none(&of_objects(room));
+    one(&of_objects(r#"{ "shape": { "plane": { "normal": [0, 1, 0], "offset": 2 } } }"#), &["inside object 0"]);
+}
+
+#[test]
+fn orthographic_picture_that_starts_inside_something_is_told() {
+    let of = |height: f32| {
+        let camera = format!(
+            r#""position": [0, 4, 5], "look_at": [0, 0, 0], "projection": {{ "orthographic": {{ "height": {height} }} }}"#
+        );
+        let floor = r#"{ "shape": { "plane": { "normal": [0, 1, 0], "offset": 0 } } }"#;
+        seen_from(&camera, &format!(r#""objects": [{SPHERE}, {floor}]"#), "").warnings()
+    };
+    none(&of(3.0));
+    one(&of(30.0), &["starts inside object 1", "back"]);
+}
+
+#[test]
+fn nothing_in_view_is_told_for_every_projection() {
+    let at = |x: f32, y: f32, z: f32| {
+        format!(
+            r#""objects": [{{ "shape": {{ "translate": {{ "by": [{x}, {y}, {z}],
+               "child": {{ "sphere": {{ "radius": 1 }} }} }} }} }}]"#
+        )
+    };
+    let cameras = [
+        CAMERA.to_owned(),
+        format!(r#"{CAMERA}, "projection": {{ "orthographic": {{ "height": 4 }} }}"#),
+        format!(r#"{CAMERA}, "up": [1, 1, 0], "fov": 120"#),
+    ];
+    for camera in &cameras {
+        let of = |x, y, z| seen_from(camera, &at(x, y, z), "").warnings();
+        none(&of(0.0, 0.0, 0.0));
+        none(&of(1.0, -1.0, 0.0));
+        one(&of(0.0, 0.0, 50.0), &["outside of the view", "look_at"]);
+        one(&of(90.0, 0.0, 1.0), &["outside of the view"]);
+        one(&of(0.0, -90.0, 1.0), &["outside of the view"]);
+        one(&of(0.0, 0.0, -2000.0), &["max_distance", "1000"]);
+        assert!(of(0.0, 0.0, -990.0).is_empty());
+    }
+    let panorama = |x| {
+        let camera = format!(r#"{CAMERA}, "projection": "panorama""#);
+        let text = format!(
+            r#"{{ "scene": {{ "camera": {{ {camera} }}, {} }}, "image": {{ "width": 64, "height": 32 }} }}"#,
+            at(x, 0.0, 50.0)
+        );
+        job(&text).warnings()
+    };
+    none(&panorama(0.0));
+    one(&panorama(5000.0), &["max_distance"]);
+}
+
+#[test]
+fn floor_is_out_of_view_only_from_above_the_horizon() {
+    let floor = r#""objects": [{ "shape": { "plane": { "normal": [0, 1, 0], "offset": 0 } } }],
+        "fog": { "density": 0.1 }"#;
+    let towards = |y: f32| {
+        let camera = format!(r#""position": [0, 1, 0], "look_at": [3, {y}, 4], "fov": 40"#);
+        seen_from(&camera, floor, "").warnings()
+    };
+    none(&towards(1.0));
+    none(&towards(2.5));
+    one(&towards(5.0), &["outside of the view"]);
+}
+
+#[test]
+fn what_comes_into_view_later_is_no_matter() {
+    let moving = |last: f32| {
+        let objects = format!(
+            r#""objects": [{{ "shape": {{ "translate": {{ "by": [{{ "keys": [[0, 90], [1, {last}]] }}, 0, 0],
+               "child": {{ "sphere": {{ "radius": 1 }} }} }} }} }}]"#
+        );
+        seen_from(CAMERA, &objects, r#", "frames": { "count": 11, "fps": 10 }"#).warnings()
+    };
+    none(&moving(0.0));
+    one(&moving(80.0), &["outside of the view"]);
+}
+
+#[test]
+fn frame_that_is_wrong_is_named() {
+    let camera = r#""position": [0, 0, { "keys": [[0, 5], [1, 0.5]] }], "look_at": [0, 0, -9]"#;
+    let objects = format!(r#""objects": [{SPHERE}]"#);
+    let warnings = seen_from(camera, &objects, r#", "frames": { "count": 11, "fps": 10 }"#).warnings();
+    one(&warnings, &["inside object 0", "(in frame 10)"]);
+}
+
+#[test]
+fn rays_that_run_out_of_steps_are_told_with_their_share() {
+    let gyroid = |steps: u32| {
+        of(&format!(
+            r#""march": {{ "max_steps": {steps} }}, "objects": [{{ "shape": {{ "intersection": {{ "of": [
+               {{ "gyroid": {{ "cell": 0.5, "thickness": 0.05 }} }}, {{ "sphere": {{ "radius": 1.5 }} }}] }} }} }}]"#
+        ))
+    };
+    none(&gyroid(512));
+    one(&gyroid(6), &[" % of the rays", "raise march.max_steps above 6"]);
+}
+
+#[test]
+fn many_nodes_are_not_probed() {
+    let sphere = r#"{ "sphere": { "radius": 1 } }"#;
+    let many = vec![sphere; 60_000].join(",");
+    none(&of(&format!(
+        r#""march": {{ "max_steps": 7 }}, "objects": [{{ "shape": {{ "union": {{ "of": [{many}] }} }} }}]"#
+    )));
+}
+
+#[test]
+fn steps_that_a_shape_makes_tiny_are_told_with_their_cause() {
+    let displaced = |amplitude: f32| {
+        of_objects(&format!(
+            r#"{SPHERE}, {{ "shape": {{ "union": {{ "of": [{{ "sphere": {{ "radius": 1 }} }},
+               {{ "translate": {{ "by": [1, 0, 0], "child": {{ "displace": {{ "amplitude": {amplitude},
+                  "by": {{ "sine": {{ "frequency": 90 }} }}, "child": {{ "sphere": {{ "radius": 1 }} }} }} }} }} }}] }} }} }}"#
+        ))
+    };
+    none(&displaced(0.1));
+    one(&displaced(0.4), &["/scene/objects/1/shape/union/of/1/translate/child/displace", "1/37", "amplitude"]);
+}
+
+#[test]
+fn lights_without_use_and_scenes_without_light_are_told() {
+    let flat = r##"{ "flat": { "color": "#808080" } }"##;
+    let lit = r#", "lights": [{ "point": { "position": [0, 9, 0] } }]"#;
+    none(&filled(flat, ""));
+    none(&filled(flat, r#", "lights": []"#));
+    one(&filled(flat, lit), &["lights light nothing"]);
+    none(&filled(r#"{ "diffuse": {} }"#, lit));
+    one(&filled(r#"{ "diffuse": {} }"#, r#", "lights": []"#), &["there is no light"]);
+    none(&filled(r#"{ "diffuse": { "ambient": [1, 1, 1] } }"#, r#", "lights": []"#));
+    none(&filled(r#"{ "surface": { "metallic": 1 } }"#, r#", "lights": []"#));
+    let black = r#", "lights": [{ "point": { "position": [0, 9, 0], "color": [0, 0, 0] } }]"#;
+    one(&filled(r#"{ "surface": {} }"#, black), &["all lights are black"]);
+}
+
+#[test]
+fn volume_too_thick_for_its_steps_is_told_with_enough_steps() {
+    let volume = |density: f32| filled(&format!(r#"{{ "volume": {{ "density": {density} }} }}"#), "");
+    none(&volume(20.0));
+    // 500 × the diagonal of a cube of 2, over 8.
+    one(&volume(500.0), &["fills object 0", "48 steps", "raise its steps to 217"]);
+    one(&volume(1e5), &["lower its density"]);
+    one(&filled(r#"{ "clouds": { "noise": { "perlin": {} }, "density": 500, "steps": 8 } }"#, ""), &["object 0"]);
+}
+
+#[test]
+fn glass_wants_two_bounces() {
+    let glass = |bounces: u32| {
+        let march = format!(r#", "march": {{ "max_bounces": {bounces} }}"#);
+        filled(r#"{ "surface": { "transmission": 1 } }"#, &march)
+    };
+    none(&glass(2));
+    one(&glass(1), &["inside of glass", "max_bounces is 1"]);
+    one(&glass(0), &["max_bounces is 0"]);
+    none(&filled(r#"{ "surface": { "metallic": 1 } }"#, r#", "march": { "max_bounces": 0 }"#));
+}
