@@ -2,7 +2,7 @@
 //! and for whole pixels of scenes that use everything. Nothing here names one.
 
 use proto::Rect;
-use scene::materials::{Material, Texture};
+use scene::materials::{Material, Shade, Texture};
 use scene::nodes::Node;
 use scene::{Image, Job, Layer, Program};
 use worker::{Cancel, CpuRenderer, Renderer, Simd, TileRun};
@@ -24,12 +24,18 @@ fn job(node: &str) -> Job {
 
 /// The job with more said of its camera.
 fn job_seen_by(node: &str, camera: &str) -> Job {
+    let grey = r#"{ "diffuse": { "ks": [0.4, 0.4, 0.4] } }"#;
+    job_of(&format!(r#"{{ "shape": {node}, "material": {grey} }}"#), camera)
+}
+
+/// The job of an object over a floor.
+fn job_of(object: &str, camera: &str) -> Job {
     let text = format!(
         r#"{{ "scene": {{ "camera": {{ "position": [1.5, 1.4, 3.2], "look_at": [0, 0, 0]{camera} }},
             "background": "transparent",
             "lights": [{{ "directional": {{ "direction": [0.6, 0.7, 0.5] }} }},
                        {{ "point": {{ "position": [-2, 2, 2], "color": [3, 2, 1] }} }}],
-            "objects": [{{ "shape": {node}, "material": {{ "diffuse": {{ "ks": [0.4, 0.4, 0.4] }} }} }},
+            "objects": [{object},
                         {{ "shape": {{ "plane": {{ "normal": [0, 1, 0], "offset": -1.5 }} }},
                            "material": {{ "normals": {{}} }} }}] }},
           "image": {{ "width": 37, "height": 29, "samples": 3, "format": "exr", "precision": "float",
@@ -96,7 +102,14 @@ fn melting(material: &str) -> String {
 #[test]
 fn every_width_gives_the_reference_bits_for_every_material() {
     for example in Material::examples() {
-        compare(example.kind, &job(&melting(&example.json)));
+        let material: Material = serde_json::from_str(&example.json).unwrap();
+        // What fills a shape fills a whole object.
+        let job = if material.is_medium() {
+            job_of(&format!(r#"{{ "material": {}, "shape": {{ "sphere": {{ "radius": 1 }} }} }}"#, example.json), "")
+        } else {
+            job(&melting(&example.json))
+        };
+        compare(example.kind, &job);
     }
 }
 

@@ -1,12 +1,16 @@
-//! docs/nodes.md, docs/materials.md and their pictures, made from the code itself. A stale page fails here;
+//! docs/nodes.md, docs/materials.md, docs/gallery.md and their pictures, made from the code and the shipped
+//! scenes. A stale page fails here;
 //! `SDFARM_WRITE_DOCS=1 cargo test -p worker --test docs` writes it anew.
 
+mod gallery;
 mod materials;
 mod nodes;
 mod picture;
 mod schema;
 
 use std::path::Path;
+
+use scene::Job;
 
 /// The text of a page and the pictures on it.
 struct Page {
@@ -20,8 +24,8 @@ struct Page {
 struct Picture {
     /// Its place under docs/.
     file: String,
-    /// The objects of its scene, as JSON, over a floor.
-    objects: String,
+    /// What it is rendered of.
+    job: Job,
 }
 
 /// Writes the page's files where that is asked for; fails on one that is not as it should be.
@@ -29,7 +33,7 @@ fn assert_fresh(page: Page) {
     let docs = Path::new(env!("CARGO_MANIFEST_DIR")).join("../docs");
     let write = std::env::var_os("SDFARM_WRITE_DOCS").is_some();
     let text = std::iter::once((page.name.to_owned(), page.text.into_bytes()));
-    let pictures = page.pictures.into_iter().map(|picture| (picture.file, picture::render(&picture.objects)));
+    let pictures = page.pictures.into_iter().map(|picture| (picture.file, picture::render(&picture.job)));
     for (name, want) in text.chain(pictures) {
         let path = docs.join(name);
         if write {
@@ -63,4 +67,9 @@ fn the_page_of_nodes_is_what_the_nodes_say() {
 #[test]
 fn the_page_of_materials_is_what_materials_and_textures_say() {
     assert_fresh(materials::page());
+}
+
+#[test]
+fn the_gallery_is_what_the_shipped_scenes_look_like() {
+    assert_fresh(gallery::page());
 }

@@ -3,6 +3,7 @@
 use scene::materials::{Example, Material, Texture};
 use serde_json::Value;
 
+use crate::picture::on_a_floor;
 use crate::schema::{description, part, table};
 use crate::{Page, Picture, file, shown};
 
@@ -49,7 +50,7 @@ fn add(page: &mut Page, schema: &Value, folder: &str, examples: &[Example], mate
     for example in examples {
         let file = file(folder, &example.name, example.number);
         page.text += &section(schema, example, &file);
-        page.pictures.push(Picture { file, objects: ball_and_box(&material(&example.json)) });
+        page.pictures.push(Picture { file, job: on_a_floor(&ball_and_box(&material(&example.json))) });
     }
 }
 

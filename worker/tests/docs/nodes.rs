@@ -5,6 +5,7 @@ use scene::nodes::{Exactness, Example, Node, snake_case};
 use scene::real::vec3;
 use serde_json::Value;
 
+use crate::picture::on_a_floor;
 use crate::schema::{description, table};
 use crate::{Page, Picture, file, shown};
 
@@ -61,7 +62,7 @@ pub(crate) fn page() -> Page {
             r#"{{ "shape": {}, "material": {{ "diffuse": {{ "kd": [0.62, 0.64, 0.68], "ks": [0.12, 0.12, 0.12], "shininess": 30 }} }} }}"#,
             in_view(&example.node)
         );
-        page.pictures.push(Picture { file, objects });
+        page.pictures.push(Picture { file, job: on_a_floor(&objects) });
     }
     page
 }

@@ -2,10 +2,11 @@
 
 use std::io::Cursor;
 
+use scene::Job;
 use worker::{Cancel, CpuRenderer, Simd};
 
-/// A PNG of some objects on a floor.
-pub(crate) fn render(objects: &str) -> Vec<u8> {
+/// A job of some objects, as JSON, on a floor.
+pub(crate) fn on_a_floor(objects: &str) -> Job {
     let text = format!(
         r#"{{ "scene": {{ "camera": {{ "position": [2.6, 2.1, 3.9], "look_at": [0, -0.1, 0], "fov": 36 }},
             "lights": [{{ "directional": {{ "direction": [-0.4, 0.9, 0.6], "color": [0.9, 0.88, 0.85] }} }},
@@ -15,11 +16,15 @@ pub(crate) fn render(objects: &str) -> Vec<u8> {
                            "material": {{ "diffuse": {{ "kd": [0.42, 0.45, 0.5] }} }} }}] }},
           "image": {{ "width": 240, "height": 180, "samples": 16 }} }}"#
     );
-    let job = scene::parse(text.as_bytes()).expect("an example makes a job");
+    scene::parse(text.as_bytes()).expect("an example makes a job")
+}
+
+/// A PNG of a job's first frame.
+pub(crate) fn render(job: &Job) -> Vec<u8> {
     let renderer = CpuRenderer::new(None, Simd::Auto).expect("this CPU renders");
     let mut file = Cursor::new(Vec::new());
     let scratch = std::env::temp_dir();
-    worker::frame::render_frame(&renderer, &job, 0, None, &scratch, &mut file, &Cancel::new(), &|_| ())
+    worker::frame::render_frame(&renderer, job, 0, None, &scratch, &mut file, &Cancel::new(), &|_| ())
         .expect("a small picture renders");
     file.into_inner()
 }

@@ -1,0 +1,58 @@
+//! The page of shipped scenes.
+
+use std::fmt::Write as _;
+use std::path::{Path, PathBuf};
+
+use scene::{Image, Job};
+
+use crate::{Page, Picture};
+
+const HEAD: &str = "# Gallery
+
+The scenes that come with sdfarm, drawn small: `sdfarm render scenes/NAME.json -o NAME.png` renders one in full. This
+page is made from them: `SDFARM_WRITE_DOCS=1 cargo test -p worker --test docs`.
+";
+
+const WIDTH: u32 = 400;
+const MOST_SAMPLES: u32 = 12;
+
+fn jobs(folder: &Path) -> Vec<(String, Job)> {
+    let entries = std::fs::read_dir(folder).expect("there are scenes");
+    let mut files: Vec<PathBuf> = entries.map(|entry| entry.expect("a folder can be read").path()).collect();
+    files.retain(|file| file.extension().is_some_and(|extension| extension == "json"));
+    files.sort();
+    let job = |file: PathBuf| {
+        let name = file.file_stem().expect("a file has a name").to_string_lossy().into_owned();
+        let text = std::fs::read(&file).expect("a scene can be read");
+        (name, scene::parse(&text).expect("a shipped scene is right"))
+    };
+    files.into_iter().map(job).collect()
+}
+
+/// The job as the page shows it.
+fn small(job: Job) -> Job {
+    let height = (WIDTH * job.image.height).div_ceil(job.image.width);
+    let samples = job.image.samples.min(MOST_SAMPLES);
+    Job { image: Image { width: WIDTH, height, samples, ..job.image }, ..job }
+}
+
+pub(crate) fn page() -> Page {
+    let scenes = Path::new(env!("CARGO_MANIFEST_DIR")).join("../scenes");
+    let mut page = Page { name: "gallery.md", text: HEAD.to_owned(), pictures: Vec::new() };
+    for (heading, folder) in [("", ""), ("\n# Of the paper\n", "paper/")] {
+        page.text += heading;
+        for (name, job) in jobs(&scenes.join(folder)) {
+            let file = format!("pictures/gallery/{folder}{name}.png");
+            let Image { width, height, samples, .. } = job.image;
+            let frames = if job.frames.count > 1 { format!(", {} frames", job.frames.count) } else { String::new() };
+            write!(
+                page.text,
+                "\n## [{name}](../scenes/{folder}{name}.json)\n\n{} nodes, {width}×{height} × {samples}{frames}\n\n![{name}]({file})\n",
+                job.nodes()
+            )
+            .expect("a String takes all");
+            page.pictures.push(Picture { file, job: small(job) });
+        }
+    }
+    page
+}
