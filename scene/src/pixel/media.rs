@@ -143,8 +143,17 @@ impl Program<'_> {
                 let stuff = self.stuff(media, p, &depths, ray.direction, dice);
                 let left = (-(stuff.extinction * step)).exp();
                 let share = (left.splat(1.0) - left) * here.transmittance / stuff.extinction.at_least(1e-9);
+                let sent = stuff.sent * share;
+                let sent = match &self.scene.fog {
+                    None => sent,
+                    Some(fog) => {
+                        let clear = fog.transmittance(ray, t);
+                        let veiled = (clear.splat(1.0) - clear) * share * stuff.extinction;
+                        self.fog_color(fog, ray.direction).mul_add(veiled, sent * clear)
+                    }
+                };
                 Crossed {
-                    color: stuff.sent.mul_add(share, here.color),
+                    color: here.color + sent,
                     transmittance: here.transmittance * left,
                     evaluations: here.evaluations,
                 }

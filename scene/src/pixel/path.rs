@@ -8,6 +8,7 @@ use crate::materials::Finish;
 use crate::materials::microfacet::{alpha, frame, grazing, sample_visible_normal, shadowing};
 use crate::real::{Flag, Real, Vec3, bundle, vec3};
 use crate::sampling::Dice;
+use crate::surroundings::Fog;
 
 /// A ray that has been sent on some times.
 #[derive(Clone, Copy)]
@@ -38,6 +39,9 @@ struct Onward<R: Real> {
     through: Flag<R>,
 }
 
+/// What is met by a ray that was sent on counts as this bright at most: a sharp highlight that few rays meet
+/// would leave specks.
+const MOST_INDIRECT: f32 = 6.0;
 /// Less than this of what a ray meets would not be seen.
 const FAINT: f32 = 1.0 / 512.0;
 
@@ -109,22 +113,28 @@ impl Program<'_> {
     fn cross_air<R: Real>(&self, path: &mut Path<R>, marched: &Marched<R>, dice: &Dice<R>) {
         let farthest = path.near.given(self.scene.march.max_distance.get());
         let length = R::select(marched.hit.0, marched.distance, farthest);
-        if let Some(fog) = &self.scene.fog {
-            let clear = fog.transmittance(&path.ray, length);
-            let color = match &fog.color {
-                Some(color) => Vec3::given(length, color.get()),
-                None => self.background(path.ray.direction).0,
-            };
-            path.color = path.color + path.throughput.by_channel(color) * (clear.splat(1.0) - clear);
-            path.throughput = path.throughput * clear;
-            path.see_through = path.see_through * clear;
-        }
         if let Some(media) = &self.media {
             let crossed = self.cross(media, &path.ray, length, dice);
             path.color = path.color + path.throughput.by_channel(crossed.color);
             path.throughput = path.throughput * crossed.transmittance;
             path.see_through = path.see_through * crossed.transmittance;
             path.evaluations = path.evaluations + crossed.evaluations;
+        }
+        if let Some(fog) = &self.scene.fog {
+            let clear = fog.transmittance(&path.ray, length);
+            let color = self.fog_color(fog, path.ray.direction);
+            path.color = path.color + path.throughput.by_channel(color) * (clear.splat(1.0) - clear);
+            path.throughput = path.throughput * clear;
+            path.see_through = path.see_through * clear;
+        }
+    }
+
+    /// What fog shows in a direction.
+    #[inline(always)]
+    pub(super) fn fog_color<R: Real>(&self, fog: &Fog, direction: Vec3<R>) -> Vec3<R> {
+        match &fog.color {
+            Some(color) => Vec3::given(direction.x, color.get()),
+            None => self.background(direction).0,
         }
     }
 
@@ -141,6 +151,7 @@ impl Program<'_> {
             return Path { color, evaluations, see_through: zero, going: Flag(zero.above(0.0)), ..path };
         }
         let (seen, finish) = self.dress_and_finish(&hit, &path.ray, &light);
+        let seen = Vec3::select(path.bounce.above(0.5), held(seen), seen);
         let color = path.color + path.throughput.by_channel(seen);
         let onward = self.send_on(&hit, -path.ray.direction, &finish, dice);
         let near = self.tolerance.at(hit.distance);
@@ -242,6 +253,13 @@ impl Program<'_> {
             },
         )
     }
+}
+
+/// A colour no brighter than [`MOST_INDIRECT`], in the same hue.
+#[inline(always)]
+fn held<R: Real>(color: Vec3<R>) -> Vec3<R> {
+    let brightest = color.max_element().at_least(MOST_INDIRECT);
+    color * (brightest.splat(MOST_INDIRECT) / brightest)
 }
 
 /// Schlick's approximation of Fresnel's equations; what mirrors next to nothing does so at every angle.
