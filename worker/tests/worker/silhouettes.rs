@@ -19,6 +19,8 @@ const NEAR: f64 = 1e-4;
 const FAR: f64 = 1000.0;
 
 type Point = [f64; 3];
+/// A figure's name, its field of view if not its own, and its distance.
+type Figure = (&'static str, Option<f64>, fn(Point) -> f64);
 
 fn less(a: Point, b: Point) -> Point {
     [a[0] - b[0], a[1] - b[1], a[2] - b[2]]
@@ -166,7 +168,7 @@ fn figure(name: &str, fov: Option<f64>) -> Value {
 
 #[test]
 fn silhouettes_are_those_of_the_papers_march_to_half_a_pixel() {
-    let figures: [(&str, Option<f64>, fn(Point) -> f64); 3] =
+    let figures: [Figure; 3] =
         [("teaser", Some(90.0), teaser), ("clouds", None, clouds), ("mandelbulb", None, mandelbulb)];
     for (name, fov, distance) in figures {
         let job = figure(name, fov);
