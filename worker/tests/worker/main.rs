@@ -7,3 +7,4 @@ mod fake_server;
 mod frames;
 mod pictures;
 mod read_back;
+mod silhouettes;
