@@ -39,7 +39,8 @@ struct Warning {
 pub(crate) fn of(job: &Job) -> Vec<String> {
     let mut warnings = of_the_whole(job);
     let last = job.frames.count - 1;
-    let frames = if job.is_moving() { vec![0, last / 2, last] } else { vec![0] };
+    let mut frames = if job.is_moving() { vec![0, last / 2, last] } else { vec![0] };
+    frames.dedup();
     let mut told: Vec<(u32, Warning)> = Vec::new();
     let mut without_view = 0;
     for &frame in &frames {
