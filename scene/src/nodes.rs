@@ -18,6 +18,7 @@ mod sweeps;
 mod terrain;
 mod transforms;
 mod warp;
+mod work;
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};

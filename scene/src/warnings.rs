@@ -20,6 +20,8 @@ enum Kind {
     Steps,
     /// A shape makes steps small.
     Steep,
+    /// A look at the scene takes long.
+    Work,
     /// Lights shine for nothing, or nothing shines.
     Light,
     /// A volume is too thick for its steps.
@@ -88,6 +90,7 @@ fn of_frame(still: &Still<'_>) -> Vec<Warning> {
     let scene = &still.job().scene;
     let seen = sight::of(still);
     let known = [
+        (Kind::Work, stuff::work(scene)),
         (Kind::Steep, stuff::steep(scene)),
         (Kind::Light, stuff::light(scene)),
         (Kind::Thick, stuff::thick(scene)),
