@@ -1,6 +1,9 @@
 //! Bad jobs, table-driven: each is refused over HTTP with its status, pointer, line, column
 //! and cure, and by `sdfarm check` with exit code 2; the server lives on.
 
+mod language;
+mod motion;
+
 use serde_json::Value;
 
 use crate::jobs;
@@ -32,24 +35,30 @@ struct Case {
 }
 
 struct Place {
-    pointer: &'static str,
+    pointer: String,
     /// `None` where the place is nobody's promise.
     at: Option<(u64, u64)>,
 }
 
 /// The sound job with one thing replaced; the mark says where the fault is.
-fn changed(name: &'static str, from: &str, to: &str, pointer: &'static str, says: &'static str) -> Case {
+fn changed(name: &'static str, from: &str, to: &str, pointer: &str, says: &'static str) -> Case {
     assert_eq!(SOUND.matches(from).count(), 1, "{name}: {from:?} must be in the sound job once");
     written(name, &SOUND.replacen(from, to, 1), 422, pointer, says)
 }
 
-fn written(name: &'static str, marked: &str, status: u16, pointer: &'static str, says: &'static str) -> Case {
+fn written(name: &'static str, marked: &str, status: u16, pointer: &str, says: &'static str) -> Case {
     let offset = marked.find(MARK).unwrap_or_else(|| panic!("{name}: no mark"));
     let before = &marked[..offset];
     let line = before.matches('\n').count() + 1;
     let column = before.len() - before.rfind('\n').map_or(0, |newline| newline + 1) + 1;
     let at = Some((line as u64, column as u64));
-    Case { name, text: marked.replacen(MARK, "", 1).into_bytes(), status, fault: Some(Place { pointer, at }), says }
+    Case {
+        name,
+        text: marked.replacen(MARK, "", 1).into_bytes(),
+        status,
+        fault: Some(Place { pointer: pointer.to_owned(), at }),
+        says,
+    }
 }
 
 /// The sound job with a node in the sphere's place.
@@ -68,7 +77,13 @@ fn wide(nodes: usize) -> String {
 }
 
 fn large(name: &'static str, text: String, pointer: Option<&'static str>, status: u16, says: &'static str) -> Case {
-    Case { name, text: text.into_bytes(), status, fault: pointer.map(|pointer| Place { pointer, at: None }), says }
+    Case {
+        name,
+        text: text.into_bytes(),
+        status,
+        fault: pointer.map(|pointer| Place { pointer: pointer.to_owned(), at: None }),
+        says,
+    }
 }
 
 const OBJECT: &str = "/scene/objects/0";
@@ -131,107 +146,6 @@ fn wrong_form() -> Vec<Case> {
     ]
 }
 
-fn wrong_motion() -> Vec<Case> {
-    let radius = r#""radius": 1"#;
-    vec![
-        changed(
-            "track with times out of order",
-            radius,
-            r#""radius": { "keys": [[0, 1], [2, 3], [¤1, 2]] }"#,
-            "/scene/objects/0/shape/sphere/radius/keys/2/0",
-            "in the order of time",
-        ),
-        changed(
-            "track without keys",
-            radius,
-            r#""radius": { "keys": ¤[] }"#,
-            "/scene/objects/0/shape/sphere/radius/keys",
-            "a key or more",
-        ),
-        changed(
-            "key beyond the range of what it moves",
-            radius,
-            r#""radius": { "keys": [[0, 1], [1, ¤-2]] }"#,
-            "/scene/objects/0/shape/sphere/radius/keys/1/1",
-            "from 1e-6",
-        ),
-        changed(
-            "ease that there is not",
-            radius,
-            r#""radius": { "keys": [[0, 1]], "ease": ¤"bounce" }"#,
-            "/scene/objects/0/shape/sphere/radius/ease",
-            "smooth",
-        ),
-        changed(
-            "track on a count",
-            r#""height": 32"#,
-            r#""height": 32, "samples": ¤{ "keys": [[0, 1], [1, 4]] }"#,
-            "/image/samples",
-            "one whole number",
-        ),
-        changed(
-            "track on the frame rate",
-            r#""image""#,
-            r#""frames": { "count": 2, "fps": ¤{ "keys": [[0, 24]] } }, "image""#,
-            "/frames/fps",
-            "a number",
-        ),
-        written(
-            "camera that passes through what it looks at",
-            &SOUND.replacen(LOOK_AT, r#""look_at": ¤[0, 0, { "keys": [[0, 0], [1, 10]] }]"#, 1).replacen(
-                r#""image""#,
-                r#""frames": { "count": 24 }, "image""#,
-                1,
-            ),
-            422,
-            "/scene/camera/look_at",
-            "in frame 12",
-        ),
-        changed(
-            "orthographic picture of no height",
-            LOOK_AT,
-            r#""look_at": [0, 0, 0], "projection": { "orthographic": { "height": ¤0 } }"#,
-            "/scene/camera/projection/orthographic/height",
-            "from 1e-6",
-        ),
-        changed(
-            "field of view of a panorama",
-            LOOK_AT,
-            r#""look_at": [0, 0, 0], "fov": ¤40, "projection": "panorama""#,
-            "/scene/camera/fov",
-            "leave it out",
-        ),
-        changed(
-            "unknown projection",
-            LOOK_AT,
-            r#""look_at": [0, 0, 0], "projection": ¤"fisheye""#,
-            "/scene/camera/projection",
-            "panorama",
-        ),
-        changed(
-            "exposure of an EXR",
-            r#""height": 32"#,
-            r#""height": 32, "format": "exr", "exposure": ¤1"#,
-            "/image/exposure",
-            "leave exposure out",
-        ),
-        changed(
-            "tone map of an EXR",
-            r#""height": 32"#,
-            r#""height": 32, "format": "exr", "tone_map": ¤"filmic""#,
-            "/image/tone_map",
-            "leave tone_map out",
-        ),
-        changed(
-            "exposure out of range",
-            r#""height": 32"#,
-            r#""height": 32, "exposure": ¤21"#,
-            "/image/exposure",
-            "20 stops",
-        ),
-    ]
-}
-
 fn wrong_meaning() -> Vec<Case> {
     vec![
         changed(
@@ -290,17 +204,18 @@ fn not_json() -> Vec<Case> {
             name: "1e999",
             text: SOUND.replacen(r#""radius": 1"#, r#""radius": 1e999"#, 1).into_bytes(),
             status: 422,
-            fault: Some(Place { pointer: RADIUS, at: None }),
+            fault: Some(Place { pointer: RADIUS.to_owned(), at: None }),
             says: "too large",
         },
         large("truncated JSON", cut.to_owned(), Some(""), 400, "EOF"),
+        large("byte order mark", format!("\u{feff}{SOUND}"), Some(""), 400, "byte order mark"),
         large("nothing at all", String::new(), Some(""), 400, "EOF"),
         large("more after the job", format!("{SOUND} {{}}"), Some(""), 400, "trailing"),
         Case {
             name: "invalid UTF-8",
             text: bytes,
             status: 400,
-            fault: Some(Place { pointer: "", at: None }),
+            fault: Some(Place { pointer: String::new(), at: None }),
             says: "UTF-8",
         },
     ]
@@ -316,7 +231,10 @@ fn too_much() -> Vec<Case> {
 }
 
 fn cases() -> Vec<Case> {
-    [wrong_form(), wrong_motion(), wrong_meaning(), not_json(), too_much()].into_iter().flatten().collect()
+    [wrong_form(), motion::cases(), wrong_meaning(), language::cases(), not_json(), too_much()]
+        .into_iter()
+        .flatten()
+        .collect()
 }
 
 /// What is wrong with how a fault was told, if anything.
@@ -324,7 +242,7 @@ fn misfit(case: &Case, pointer: &str, message: &str, line: u64, column: u64) -> 
     let place = case.fault.as_ref()?;
     // What is no JSON has no places but the whole; without a promised place the subtree will do.
     let is_exact = place.at.is_some() || case.status == 400;
-    if pointer != place.pointer && (is_exact || !pointer.starts_with(place.pointer)) {
+    if pointer != place.pointer && (is_exact || !pointer.starts_with(&place.pointer)) {
         return Some(format!("points at {pointer:?}, not {:?}", place.pointer));
     }
     if place.at.is_some_and(|at| at != (line, column)) {
@@ -390,6 +308,27 @@ fn every_fault_of_meaning_is_told_at_once() {
     let told = text(&output.stderr);
     assert_eq!(output.status.code(), Some(2));
     assert!(told.contains("/scene/camera/look_at") && told.contains("/scene/objects/0/material"), "{told}");
+}
+
+#[test]
+fn frame_beyond_the_end_is_refused_with_those_there_are() {
+    let output = finish(sdfarm(&["render", "-", "--frame", "1", "--output", "-"]), SOUND.as_bytes());
+    assert_eq!(output.status.code(), Some(2), "{}", text(&output.stderr));
+    assert!(text(&output.stderr).contains("frames 0 to 0"), "{}", text(&output.stderr));
+}
+
+#[test]
+fn scene_that_is_legal_and_looks_wrong_is_accepted_with_a_warning() {
+    let farm = Farm::start(&["--workers", "0"]);
+    let inside = SOUND.replacen("[0, 0, 5]", "[0, 0, 0.5]", 1);
+    let warns = |value: &Value| value["warnings"][0].as_str().is_some_and(|text| text.contains("inside object 0"));
+    let headers = [("content-type", "application/json")];
+    let dry = farm.send("POST", "/v1/jobs?dry_run=true", &headers, inside.as_bytes().to_vec());
+    assert!(dry.status == 200 && warns(&dry.json()), "{}", dry.text());
+    let id = farm.accept(&inside);
+    assert!(warns(&farm.get(&format!("/v1/jobs/{id}")).json()));
+    let output = finish(sdfarm(&["check", "-"]), inside.as_bytes());
+    assert!(output.status.success() && text(&output.stderr).contains("warning: the camera is inside object 0"));
 }
 
 #[test]

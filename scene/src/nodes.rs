@@ -19,6 +19,7 @@ mod sweeps;
 mod terrain;
 mod transforms;
 mod warp;
+mod work;
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};

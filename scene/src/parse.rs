@@ -141,6 +141,9 @@ fn form(text: &str) -> Result<Job, Fault> {
             if outline::locate_key(text, &key).is_some() {
                 return Fault::of_key(text, key, message);
             }
+            if last(&pointer) == outline::escape(name) && outline::locate_key(text, &pointer).is_some() {
+                return Fault::of_key(text, pointer, message);
+            }
             // Where the path ends in the choice itself, the text has no such place.
             let place = if outline::locate_value(text, &pointer).is_some() { &pointer } else { parent(&pointer) };
             return Fault::of_value(text, place.to_owned(), message);
@@ -160,6 +163,10 @@ fn unknown_choice(message: &str) -> Option<&str> {
 
 fn parent(pointer: &str) -> &str {
     pointer.rsplit_once('/').map_or("", |(parent, _)| parent)
+}
+
+fn last(pointer: &str) -> &str {
+    pointer.rsplit_once('/').map_or("", |(_, last)| last)
 }
 
 fn pointer(path: &Path) -> String {

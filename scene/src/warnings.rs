@@ -20,6 +20,8 @@ enum Kind {
     Steps,
     /// A shape makes steps small.
     Steep,
+    /// A look at the scene takes long.
+    Work,
     /// Lights shine for nothing, or nothing shines.
     Light,
     /// A volume is too thick for its steps.
@@ -39,7 +41,8 @@ struct Warning {
 pub(crate) fn of(job: &Job) -> Vec<String> {
     let mut warnings = of_the_whole(job);
     let last = job.frames.count - 1;
-    let frames = if job.is_moving() { vec![0, last / 2, last] } else { vec![0] };
+    let mut frames = if job.is_moving() { vec![0, last / 2, last] } else { vec![0] };
+    frames.dedup();
     let mut told: Vec<(u32, Warning)> = Vec::new();
     let mut without_view = 0;
     for &frame in &frames {
@@ -87,6 +90,7 @@ fn of_frame(still: &Still<'_>) -> Vec<Warning> {
     let scene = &still.job().scene;
     let seen = sight::of(still);
     let known = [
+        (Kind::Work, stuff::work(scene)),
         (Kind::Steep, stuff::steep(scene)),
         (Kind::Light, stuff::light(scene)),
         (Kind::Thick, stuff::thick(scene)),

@@ -190,6 +190,16 @@ fn many_nodes_are_not_probed() {
 }
 
 #[test]
+fn copies_of_copies_without_end_are_told_and_not_looked_at() {
+    let nested = |depth: usize| {
+        let open = r#"{ "polar_repeat": { "count": 5, "child": "#.repeat(depth);
+        of_objects(&format!(r#"{{ "shape": {open}{{ "sphere": {{ "radius": 1 }} }}{} }}"#, " } }".repeat(depth)))
+    };
+    none(&nested(2));
+    one(&nested(63), &["each look at object 0", "fewer copies"]);
+}
+
+#[test]
 fn steps_that_a_shape_makes_tiny_are_told_with_their_cause() {
     let displaced = |amplitude: f32| {
         of_objects(&format!(

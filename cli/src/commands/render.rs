@@ -52,16 +52,22 @@ struct Summary<'a> {
     device: String,
     render_ms: f64,
     encode_ms: f64,
+    warnings: Vec<String>,
 }
 
 /// Renders it.
 pub(crate) fn run(arguments: &Arguments) -> anyhow::Result<()> {
-    let mut job = JobFile::read(&arguments.job)?.parse()?;
+    let file = JobFile::read(&arguments.job)?;
+    let mut job = file.parse()?;
     if let Some(format) = format_of(&arguments.output)? {
         job.image.format = format;
     }
     check_format(&job)?;
     check_frame(&job, arguments.frame)?;
+    let warnings = job.warnings();
+    if !arguments.json {
+        warnings.iter().for_each(|warning| note(&format!("{}: warning: {warning}", file.name)));
+    }
     let renderer = arguments.renderer.renderer()?;
     let cancel = Cancel::new();
     let stopper = Stopper::start(&cancel)?;
@@ -88,6 +94,7 @@ pub(crate) fn run(arguments: &Arguments) -> anyhow::Result<()> {
         device: renderer.device(),
         render_ms: times.render.as_secs_f64() * 1e3,
         encode_ms: times.encode.as_secs_f64() * 1e3,
+        warnings,
     };
     if arguments.json {
         note(&serde_json::to_string(&summary)?);

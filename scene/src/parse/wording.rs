@@ -2,7 +2,7 @@
 
 use serde_json::Value;
 
-use super::parent;
+use super::{last, parent};
 use crate::outline;
 
 /// The place and the fault, given where serde found it and what serde says; `text` is sound JSON.
@@ -28,10 +28,6 @@ pub(super) fn reworded(text: &str, pointer: String, message: String) -> (String,
             (pointer, message)
         }
     }
-}
-
-fn last(pointer: &str) -> &str {
-    pointer.rsplit_once('/').map_or("", |(_, last)| last)
 }
 
 /// What is wrong with a value where serde says only that it expected something else: it wants an object of one

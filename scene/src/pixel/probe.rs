@@ -8,17 +8,20 @@ const RAYS: u32 = 256;
 /// Fewer rays tell nothing.
 const LEAST_RAYS: u32 = 64;
 /// Evaluations of one node that all rays may take together: some milliseconds.
-const NODE_EVALUATIONS: u32 = 400_000;
+const NODE_EVALUATIONS: f32 = 400_000.0;
 
 impl Program<'_> {
     /// The share of the picture's rays that run out of steps before they come near enough to a surface to
-    /// show it, as some rays tell; `None` where looking at them would take too long. `nodes` is how many nodes
-    /// it takes to know a distance.
-    pub(crate) fn share_out_of_steps(&self, width: u32, height: u32, nodes: u32) -> Option<f32> {
+    /// show it, as some rays tell; `None` where looking at them would take too long. `work` is how many
+    /// simple nodes it takes to know a distance.
+    pub(crate) fn share_out_of_steps(&self, width: u32, height: u32, work: f32) -> Option<f32> {
         let max_steps = self.scene.march.max_steps;
-        let mut left = NODE_EVALUATIONS / nodes.max(1);
+        let mut left = (NODE_EVALUATIONS / work.max(1.0)) as u32;
         let (mut rays, mut out) = (0, 0);
         for number in 0..RAYS {
+            if left == 0 {
+                break;
+            }
             let (across, down) = spread(number);
             let ray = self.view.ray(across * width as f32, down * height as f32);
             let (nearest, farthest) = self.bounds.along(&ray, self.scene.march.max_distance.get());

@@ -12,6 +12,8 @@ use crate::scene::Scene;
 
 /// More rays than this must not run out of steps.
 const MOST_OUT_OF_STEPS: f32 = 0.01;
+/// What takes more simple nodes to look at is not looked at.
+const MOST_WORK: f32 = 200_000.0;
 /// Places of an orthographic picture, along an edge of it, that may be inside something.
 const PLACES: u32 = 5;
 
@@ -22,11 +24,15 @@ pub(super) fn of(still: &Still<'_>) -> Option<Warning> {
     if let Some(text) = nothing_in_view(&job.scene, &view) {
         return Some(Warning { kind: Kind::NothingInView, text });
     }
+    let work: f32 = job.scene.objects.iter().map(|object| object.shape.work()).sum();
+    if work > MOST_WORK {
+        return None;
+    }
     if let Some(text) = inside(job, &view) {
         return Some(Warning { kind: Kind::Inside, text });
     }
     let program = Program::new(still);
-    let share = program.share_out_of_steps(job.image.width, job.image.height, job.nodes())?;
+    let share = program.share_out_of_steps(job.image.width, job.image.height, work)?;
     (share > MOST_OUT_OF_STEPS).then(|| Warning { kind: Kind::Steps, text: out_of_steps(&job.scene, share) })
 }
 

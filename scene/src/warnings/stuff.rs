@@ -9,10 +9,25 @@ use crate::scene::{Scene, child_steps};
 
 /// Steps that are a smaller part of the distance than one over this are worth a word.
 const STEEPEST: f32 = 20.0;
+/// More nodes at a look are worth a word.
+const MOST_WORK: f32 = 1e6;
 /// So much of a volume must not be crossed in one step: of light, a 3000th is left.
 const MOST_DEPTH_OF_STEP: f32 = 8.0;
 /// Bounces that it takes to get into a body and out of it again.
 const THROUGH: u32 = 2;
+
+/// Copies of copies that take too long.
+pub(super) fn work(scene: &Scene) -> Option<String> {
+    let works: Vec<f32> = scene.objects.iter().map(|object| object.shape.work()).collect();
+    let heavy: Vec<usize> = (0..works.len()).filter(|&index| works[index] > MOST_WORK).collect();
+    if heavy.is_empty() {
+        return None;
+    }
+    Some(format!(
+        "each look at {} takes more than {MOST_WORK:e} nodes, copies and all, and rendering may not end: repeat what is smaller than its cell, and fewer copies of copies",
+        objects(&heavy)
+    ))
+}
 
 /// Objects that make steps tiny.
 pub(super) fn steep(scene: &Scene) -> Option<String> {
@@ -22,10 +37,9 @@ pub(super) fn steep(scene: &Scene) -> Option<String> {
     let mut pointer = format!("/scene/objects/{steepest}/shape");
     let cure = cure(&cause(&scene.objects[steepest].shape, &mut pointer).name());
     let others = if steep.len() > 1 { format!(" (so are those of {})", objects(&steep)) } else { String::new() };
-    Some(format!(
-        "steps near {pointer} are 1/{:.0} of the distance{others}, and rendering is slow: {cure}",
-        stretches[steepest]
-    ))
+    let stretch = stretches[steepest];
+    let part = if stretch < 1e6 { format!("1/{stretch:.0}") } else { "less than a millionth".to_owned() };
+    Some(format!("steps near {pointer} are {part} of the distance{others}, and rendering is slow: {cure}"))
 }
 
 /// The node that most of a tree's steepness comes from, and its place.

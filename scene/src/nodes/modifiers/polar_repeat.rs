@@ -57,6 +57,11 @@ impl PolarRepeat {
         TAU / self.count as f32
     }
 
+    /// How often it looks at its child, at most.
+    pub(in crate::nodes) fn looks(&self) -> f32 {
+        self.ring().reach
+    }
+
     #[inline(always)]
     fn ring(&self) -> &Ring {
         self.ring.get(|| {

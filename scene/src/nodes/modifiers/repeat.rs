@@ -122,6 +122,11 @@ fn along<R: Real, T: Bundle<R>>(axis: Option<&Axis>, c: R, found: T, mut visit: 
 }
 
 impl Repeat {
+    /// How often it looks at its child, at most.
+    pub(in crate::nodes) fn looks(&self) -> f32 {
+        self.grid().axes.iter().flatten().map(|axis| axis.looked_at).product()
+    }
+
     #[inline(always)]
     fn grid(&self) -> &Grid {
         self.grid.get(|| {
