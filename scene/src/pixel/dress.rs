@@ -184,8 +184,7 @@ impl Program<'_> {
             }
             let coats = self.coats(index, p);
             // How the normal's own space sees a short way along it.
-            let further =
-                self.clothes.needs_own_normal.then(|| self.coats(index, hit.normal.mul_add(self.reach(p), p)));
+            let further = self.clothes.needs_own_normal.then(|| self.coats(index, hit.normal.mul_add(reach(p), p)));
             for (number, coat) in coats.iter().enumerate() {
                 let Some(place) = place_of(coat.slot.unwrap_or(own)) else { continue };
                 let worn = &mut all[place];
@@ -209,11 +208,11 @@ impl Program<'_> {
         let sample: Painted<R> = tree.shape.sample(p);
         sample.paint(tree.material.slot(), p).coats().to_vec()
     }
+}
 
-    /// How far along a normal one goes to see it from another space.
-    #[inline(always)]
-    fn reach<R: Real>(&self, p: Vec3<R>) -> R {
-        let size = vec3(p.x.abs(), p.y.abs(), p.z.abs()).max_element();
-        (size + 1.0) * 1e-2
-    }
+/// How far along a normal one goes to see it from another space.
+#[inline(always)]
+fn reach<R: Real>(p: Vec3<R>) -> R {
+    let size = vec3(p.x.abs(), p.y.abs(), p.z.abs()).max_element();
+    (size + 1.0) * 1e-2
 }

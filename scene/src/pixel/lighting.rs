@@ -50,7 +50,7 @@ impl Program<'_> {
                 }
                 light.lights.push(incoming);
             } else if let Light::Sky(_) = source {
-                let (around, steps) = self.from_around(source, hit, light.openness, pair);
+                let (around, steps) = self.sky_light(source, hit, light.openness, pair);
                 evaluations = evaluations + steps;
                 light.surrounding = Some(light.surrounding.map_or(around, |sum| sum + around));
             }
@@ -71,7 +71,7 @@ impl Program<'_> {
 
     /// Light from all around, and the steps it took to see what hides it.
     #[inline(always)]
-    fn from_around<R: Real>(
+    fn sky_light<R: Real>(
         &self,
         source: &Light,
         hit: &Hit<R>,
