@@ -39,8 +39,8 @@ fn section(schema: &Value, example: &Example, file: &str) -> String {
 fn ball_and_box(material: &str) -> String {
     format!(
         r#"{{ "material": {material}, "shape": {{ "union": {{ "of": [
-             {{ "translate": {{ "by": [-0.85, -0.47, 0.05], "child": {{ "sphere": {{ "radius": 0.78 }} }} }} }},
-             {{ "translate": {{ "by": [0.75, -0.65, -0.42],
+             {{ "translate": {{ "by": [-0.85, -0.45, 0.05], "child": {{ "sphere": {{ "radius": 0.78 }} }} }} }},
+             {{ "translate": {{ "by": [0.75, -0.63, -0.42],
                 "child": {{ "box": {{ "size": [1.2, 1.2, 1.2], "round": 0.06 }} }} }} }} ] }} }} }}"#
     )
 }
