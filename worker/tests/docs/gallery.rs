@@ -3,7 +3,7 @@
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 
-use scene::{Image, Job};
+use scene::{Format, Image, Job};
 
 use crate::{Page, Picture};
 
@@ -33,7 +33,8 @@ fn jobs(folder: &Path) -> Vec<(String, Job)> {
 fn small(job: Job) -> Job {
     let height = (WIDTH * job.image.height).div_ceil(job.image.width);
     let samples = job.image.samples.min(MOST_SAMPLES);
-    Job { image: Image { width: WIDTH, height, samples, ..job.image }, ..job }
+    let image = Image { width: WIDTH, height, samples, format: Format::Png, layers: Vec::new(), ..job.image };
+    Job { image, ..job }
 }
 
 pub(crate) fn page() -> Page {
