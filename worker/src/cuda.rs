@@ -209,7 +209,8 @@ impl CudaRenderer {
         }
         let start = Instant::now();
         // What was kept and can't be loaded, by another driver say, is made again.
-        let kept = self.cache.get(key).and_then(|kept| Some((self.device.load(&kept.code).ok()?, kept.shape)));
+        let load = |code: &[u8]| self.device.load(code, !sample.job.image.layers.is_empty());
+        let kept = self.cache.get(key).and_then(|kept| Some((load(&kept.code).ok()?, kept.shape)));
         let was_kept = kept.is_some();
         let (loaded, shape) = if let Some(kept) = kept {
             kept
@@ -218,13 +219,12 @@ impl CudaRenderer {
                 .compiler
                 .compile(&source.text, self.device.architecture)
                 .map_err(|trouble| compiler::keep(trouble, &source.text, self.cache.folder()))?;
-            let loaded = self.device.load(&code)?;
+            let loaded = load(&code)?;
             let shape = self.fastest_shape(&loaded, source, sample)?;
             self.cache.put(key, &Kept { code, shape });
             (loaded, shape)
         };
-        let program = Program { loaded, shape: self.shape.unwrap_or(shape), known: Mutex::default() };
-        let program = Arc::new(program);
+        let program = Arc::new(Program { loaded, shape: self.shape.unwrap_or(shape), known: Mutex::default() });
         let mut programs = lock(&self.programs);
         if programs.len() >= MAX_PROGRAMS {
             programs.clear();

@@ -254,12 +254,12 @@ impl Device {
         open().map_err(Trouble::of("open the GPU"))
     }
 
-    /// Loads machine code.
-    pub(super) fn load(&self, code: &[u8]) -> Result<Loaded, Trouble> {
+    /// Loads machine code, of a program that has layers or has none.
+    pub(super) fn load(&self, code: &[u8], has_layers: bool) -> Result<Loaded, Trouble> {
         let load = || {
             let module = self.context.load_module(Ptx::from_binary(code.to_vec()))?;
             let render = module.load_function("render")?;
-            Ok(Loaded { render, layers: module.load_function("layers").ok(), module })
+            Ok(Loaded { render, layers: has_layers.then(|| module.load_function("layers")).transpose()?, module })
         };
         load().map_err(Trouble::of("load the scene's program"))
     }
