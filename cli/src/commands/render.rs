@@ -66,7 +66,9 @@ pub(crate) fn run(arguments: &Arguments) -> anyhow::Result<()> {
     check_frame(&job, arguments.frame)?;
     let warnings = job.warnings();
     if !arguments.json {
-        warnings.iter().for_each(|warning| note(&format!("{}: warning: {warning}", file.name)));
+        for warning in &warnings {
+            note(&format!("{}: warning: {warning}", file.name));
+        }
     }
     let renderer = arguments.renderer.renderer()?;
     let cancel = Cancel::new();

@@ -1,4 +1,4 @@
-//! A line of text.
+//! A line of text in the embedded font, as an outline.
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};

@@ -1,4 +1,4 @@
-//! The Mandelbox.
+//! The Mandelbox: space folded at planes and at a ball.
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
