@@ -1,7 +1,7 @@
 //! Noise: random numbers that change smoothly over space, for displaced shapes, textures and clouds.
 //!
-//! A noise is one kind of [`Basis`], one to twelve octaves of which are summed. Each kind's range and
-//! Lipschitz factor are proved where the factor stands; those of the sum follow from them in [`Layers`].
+//! A noise is one kind of `Basis`, one to twelve octaves of which are summed. Each kind's range and
+//! Lipschitz factor are proved where the factor stands; those of the sum follow from them in `Layers`.
 //! It depends on the seed and the place alone, and has the same bits everywhere.
 
 mod cellular;

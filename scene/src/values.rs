@@ -1,7 +1,7 @@
 //! Numbers with a meaning: parsed once, right ever after.
 //!
 //! Each type is one kind of number of a job file, with its range in the type and in the schema.
-//! A number may be a [`track`]: then it is read as it stands at one time, and knows that it moves.
+//! A number may be a `track`: then it is read as it stands at one time, and knows that it moves.
 //! What chooses code by a number must ask that too, since all frames share one compiled program.
 
 mod color;

@@ -107,7 +107,7 @@ pub struct GivenInfiniteCone {
     pub degrees: ConeAngle,
 }
 
-/// [`GivenInfiniteCone`], ready to be looked at.
+/// `GivenInfiniteCone`, ready to be looked at.
 pub type InfiniteCone = Prepared<GivenInfiniteCone>;
 
 impl Prepare for GivenInfiniteCone {
@@ -202,7 +202,7 @@ pub struct GivenSolidAngle {
     pub radius: Length,
 }
 
-/// [`GivenSolidAngle`], ready to be looked at.
+/// `GivenSolidAngle`, ready to be looked at.
 pub type SolidAngle = Prepared<GivenSolidAngle>;
 
 impl Prepare for GivenSolidAngle {

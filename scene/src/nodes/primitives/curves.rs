@@ -29,7 +29,7 @@ pub struct GivenBezierTube {
     pub radius: Length,
 }
 
-/// [`GivenBezierTube`], ready to be looked at.
+/// `GivenBezierTube`, ready to be looked at.
 pub type BezierTube = Prepared<GivenBezierTube>;
 
 /// Newton's steps at most: enough for 10⁻⁵ of the curve's length on the sharpest bend.

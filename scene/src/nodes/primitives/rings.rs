@@ -23,7 +23,7 @@ pub struct GivenCappedTorus {
     pub degrees: ArcLength,
 }
 
-/// [`GivenCappedTorus`], ready to be looked at.
+/// `GivenCappedTorus`, ready to be looked at.
 pub type CappedTorus = Prepared<GivenCappedTorus>;
 
 impl Prepare for GivenCappedTorus {
@@ -144,7 +144,7 @@ pub struct GivenHorseshoe {
     pub thickness: Length,
 }
 
-/// [`GivenHorseshoe`], ready to be looked at.
+/// `GivenHorseshoe`, ready to be looked at.
 pub type Horseshoe = Prepared<GivenHorseshoe>;
 
 impl Prepare for GivenHorseshoe {

@@ -70,7 +70,7 @@ pub struct GivenEllipsoid {
     pub radii: [Length; 3],
 }
 
-/// [`GivenEllipsoid`], ready to be looked at.
+/// `GivenEllipsoid`, ready to be looked at.
 pub type Ellipsoid = Prepared<GivenEllipsoid>;
 
 /// Newton's steps at most; few points near the middle of a flat ellipsoid need so many.

@@ -24,7 +24,7 @@ pub struct GivenTriangle {
     pub radius: Length,
 }
 
-/// [`GivenTriangle`], ready to be looked at.
+/// `GivenTriangle`, ready to be looked at.
 pub type Triangle = Prepared<GivenTriangle>;
 
 impl Prepare for GivenTriangle {
@@ -67,7 +67,7 @@ pub struct GivenQuad {
     pub radius: Length,
 }
 
-/// [`GivenQuad`], ready to be looked at.
+/// `GivenQuad`, ready to be looked at.
 pub type Quad = Prepared<GivenQuad>;
 
 /// How far a corner may lie off the plane of the four, as a part of the larger diagonal: no more than
