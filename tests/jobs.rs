@@ -67,7 +67,9 @@ pub(crate) fn as_png(job: &Value) -> Value {
 pub(crate) fn as_exr(job: &Value) -> Value {
     let mut job = job.clone();
     let image = job["image"].as_object_mut().expect("a job has an image");
-    image.remove("bits");
+    for key in ["bits", "exposure", "tone_map"] {
+        image.remove(key);
+    }
     image.insert("format".to_owned(), json!("exr"));
     image.insert("precision".to_owned(), json!("float"));
     image.insert("layers".to_owned(), json!(LAYERS));

@@ -189,18 +189,16 @@ fn pictures_hold_what_two_readers_read_alike() {
 
 #[test]
 fn every_shipped_scene_at_full_size_has_the_hash_that_is_kept() {
-    let told = succeed(&["selftest", "--device", "cpu", "--against", "hashes"]);
-    assert_eq!(told.lines().filter(|line| line.ends_with("equal")).count(), jobs::shipped().len(), "{told}");
+    for (name, _) in jobs::shipped() {
+        let told = succeed(&["selftest", "--device", "cpu", "--against", "hashes", &name]);
+        assert_eq!(told.lines().filter(|line| line.ends_with("equal")).count(), 1, "{told}");
+    }
 }
 
 #[test]
 fn every_shipped_scene_has_the_scalar_bits_at_every_level() {
-    let names: Vec<String> = jobs::shipped().into_iter().map(|(name, _)| name).collect();
-    let mut arguments = vec!["selftest", "--device", "cpu", "--against", "levels"];
-    arguments.extend(names.iter().map(String::as_str));
-    let told = succeed(&arguments);
-    assert!(
-        told.lines().filter(|line| line.ends_with("equal")).count() >= names.len() && !told.contains("differ"),
-        "{told}"
-    );
+    for (name, _) in jobs::shipped() {
+        let told = succeed(&["selftest", "--device", "cpu", "--against", "levels", &name]);
+        assert!(told.contains("equal") && !told.contains("differ"), "{told}");
+    }
 }

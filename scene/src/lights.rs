@@ -11,7 +11,7 @@ use serde::{Deserialize, Serialize};
 pub use shaped::{SphereLight, SpotLight};
 
 use crate::materials::microfacet::frame;
-use crate::real::{Real, Vec3};
+use crate::real::{Real, Vec3, bundle};
 use crate::sky::{Background, Day};
 use crate::values::{Aperture, Color, Direction, Point, Strength};
 
@@ -105,6 +105,8 @@ pub struct Incoming<R> {
     /// Its linear RGB there; 0 in shadow.
     pub radiance: Vec3<R>,
 }
+
+bundle!(Incoming { direction, radiance });
 
 impl Light {
     /// How the light arrives at `p` with nothing in its way, and how far it has come

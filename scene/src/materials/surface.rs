@@ -7,7 +7,7 @@ use super::microfacet::{alpha, distribution, grazing, reflectance_at_normal, vis
 use super::tint::mix;
 use super::{Exemplary, Finish, Level, Lighting, Place, Shade, Texture, Tint};
 use crate::lights::Incoming;
-use crate::real::{Real, Vec3, vec3};
+use crate::real::{Real, Vec3, bundle, vec3};
 use crate::values::{RefractiveIndex, Share};
 
 /// A physically based surface: a matt body under a border that mirrors, or metal; under a clear coat if it has one.
@@ -58,6 +58,8 @@ struct Coat<R> {
     alpha: R,
 }
 
+bundle!(Coat { amount, alpha });
+
 impl<R: Real> Coat<R> {
     /// Share of the light that it mirrors, given the cosine's [`grazing`] part.
     #[inline(always)]
@@ -88,6 +90,8 @@ struct Layers<R: Real> {
     alpha: R,
     coat: Option<Coat<R>>,
 }
+
+bundle!(Layers { to_viewer, normal, facing, viewer_grazing, at_normal, body, alpha, coat });
 
 impl Surface {
     #[inline(always)]
@@ -197,9 +201,19 @@ impl<R: Real> Layers<R> {
         self.body.by_channel(light) * (self.passed(self.viewer_grazing) * share)
     }
 
-    /// Light from one direction, sent back to the viewer.
+    /// Light from one direction, sent back to the viewer: one step for all surfaces and lights.
     #[inline(always)]
-    fn answer(&self, light: &Incoming<R>) -> Vec3<R> {
+    fn answer(self, light: Incoming<R>) -> Vec3<R> {
+        self.facing.shared(
+            if self.coat.is_some() { "coated_surface" } else { "surface" },
+            (self, light),
+            #[inline(always)]
+            |(layers, light)| layers.reflected(&light),
+        )
+    }
+
+    #[inline(always)]
+    fn reflected(&self, light: &Incoming<R>) -> Vec3<R> {
         let like = self.facing;
         let towards = self.normal.dot(light.direction).at_least(0.0);
         let half = (light.direction + self.to_viewer).normalize();
@@ -263,7 +277,7 @@ impl Shade for Surface {
         if let Some(around) = light.surrounding {
             sum = sum + layers.around(around);
         }
-        for light in &light.lights {
+        for &light in &light.lights {
             sum = sum + layers.answer(light);
         }
         sum

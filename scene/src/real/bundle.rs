@@ -50,6 +50,17 @@ pub(crate) use bundle;
 
 bundle!(Vec3 { x, y, z });
 
+/// What a scene's structure has or has not: never one with and one without.
+impl<R: Real, T: Bundle<R>> Bundle<R> for Option<T> {
+    #[inline(always)]
+    fn join(self, other: Self, how: &mut impl Join<R>) -> Self {
+        match (self, other) {
+            (Some(a), Some(b)) => Some(a.join(b, how)),
+            (alone, _) => alone,
+        }
+    }
+}
+
 macro_rules! tuples {
     ($(($($Part:ident $index:tt),+)),+ $(,)?) => { $(
         impl<R: Real, $($Part: Bundle<R>),+> Bundle<R> for ($($Part,)+) {

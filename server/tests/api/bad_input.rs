@@ -173,6 +173,8 @@ async fn the_api_describes_itself_from_its_own_server() {
     let page = in_time(page.text()).await.expect("text");
     assert!(!page.contains("//cdn") && !page.contains("https://"), "{page}");
     let schema: serde_json::Value = read(farm.get("/v1/schema/job").await, StatusCode::OK).await;
-    assert_eq!(schema, scene::schema());
+    // As text and back: a reader may round a fraction otherwise than the writer.
+    let known: serde_json::Value = serde_json::from_str(&scene::schema().to_string()).expect("JSON");
+    assert_eq!(schema, known);
     farm.stop().await;
 }

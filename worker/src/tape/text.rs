@@ -9,8 +9,8 @@ use scene::nodes::snake_case;
 use super::live::Live;
 use super::{Definition, Function, Id, Kind, Operation, Statement, Tape};
 
-/// A step this long that is called from several places stays a function of its own.
-const LONG_STEP: usize = 400;
+/// A step that would add so many statements by being written out where it is called stays a function of its own.
+const MOST_COPIED: usize = 2500;
 
 /// C text of a tape.
 #[derive(Clone, Debug)]
@@ -27,6 +27,8 @@ impl Tape {
         let live = Live::of(self);
         let calls = self.calls(&live);
         let mut text = Text { code: String::new(), statements: 0 };
+        // Statements that each function adds where it is called.
+        let mut lengths = vec![0; self.functions.len()];
         for (index, function) in self.functions.iter().enumerate() {
             if function.results.iter().any(|&id| live.has(id)) {
                 let mut printer = Printer {
@@ -35,11 +37,14 @@ impl Tape {
                     names: HashMap::new(),
                     code: String::new(),
                     statements: 0,
+                    lengths: &lengths,
+                    copied: 0,
                     note: None,
                 };
-                printer.function(function, calls[index]);
+                let added = printer.function(function, calls[index]);
                 text.code += &printer.code;
                 text.statements += printer.statements;
+                lengths[index] = added;
             }
         }
         text
@@ -73,12 +78,17 @@ struct Printer<'a> {
     names: HashMap<Id, String>,
     code: String,
     statements: usize,
+    /// Statements that each earlier function adds where it is called.
+    lengths: &'a [usize],
+    /// Statements of functions that are written out here.
+    copied: usize,
     /// The node whose formula follows, if anything does.
     note: Option<&'static str>,
 }
 
 impl Printer<'_> {
-    fn function(&mut self, function: &Function, calls: usize) {
+    /// Prints a function; how many statements it adds where it is called.
+    fn function(&mut self, function: &Function, calls: usize) -> usize {
         let is_entry = function.is_entry;
         let arguments = function.arguments.iter().filter(|&&id| is_entry || self.live.has(id));
         let arguments: Vec<String> = arguments
@@ -95,13 +105,16 @@ impl Printer<'_> {
         let fields: Vec<String> =
             results.iter().enumerate().map(|(place, &id)| format!("{} f{place};", self.kind(id))).collect();
         let values: Vec<String> = results.iter().map(|&id| self.operand(id)).collect();
-        let linkage = if calls > 1 && self.statements > LONG_STEP { "CALLED_STEP" } else { "STEP" };
+        let length = self.statements + self.copied;
+        let is_called = length * calls.saturating_sub(1) > MOST_COPIED;
+        let linkage = if is_called { "CALLED_STEP" } else { "STEP" };
         self.code = format!(
             "struct {name}_result {{ {} }};\n{linkage} {name}_result step_{name}({}) {{\n{body}    return {{ {} }};\n}}\n\n",
             fields.join(" "),
             arguments.join(", "),
             values.join(", "),
         );
+        if is_called { 1 } else { length }
     }
 
     fn kind(&self, id: Id) -> &'static str {
@@ -184,6 +197,7 @@ impl Printer<'_> {
         for (place, (_, &id)) in fields.enumerate() {
             self.names.insert(id, format!("{result}.f{place}"));
         }
+        self.copied += self.lengths[function];
         self.line(depth, &format!("const {0}_result {result} = step_{0}({1});", callee.name, actual.join(", ")));
     }
 

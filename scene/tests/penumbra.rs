@@ -1,0 +1,92 @@
+//! Soft shadows against geometry: how much of a light is seen past a straight edge.
+
+#![expect(clippy::disallowed_methods, reason = "what is expected is computed in f64 by std's functions")]
+
+use std::f64::consts::PI;
+
+use scene::{Job, Program};
+
+/// Surfaces count as met within a part of a pixel: pixels are small beside the penumbra.
+const WIDTH_PX: u32 = 1280;
+const STRIDE_PX: usize = 32;
+/// Rows that see the same.
+const ROWS: u32 = 8;
+/// How high above the floor the edge is, in scene units.
+const EDGE: f64 = 2.0;
+/// Width of the picture, in scene units.
+const SEEN: f64 = 1.2;
+
+/// A floor seen from under a slab that covers x < 0, lit from above.
+fn job(light: &str, samples: u32) -> Job {
+    let text = format!(
+        r#"{{ "scene": {{
+            "camera": {{ "position": [0, 1.5, 0], "look_at": [0, 0, 0], "up": [0, 0, -1],
+                "projection": {{ "orthographic": {{ "height": {} }} }} }},
+            "lights": [{light}],
+            "materials": {{ "white": {{ "diffuse": {{ "kd": [1, 1, 1], "ambient": [0, 0, 0] }} }} }},
+            "objects": [
+                {{ "material": "white", "shape": {{ "plane": {{ "normal": [0, 1, 0], "offset": 0 }} }} }},
+                {{ "material": "white", "shape": {{ "translate": {{ "by": [-10, {}, 0],
+                    "child": {{ "box": {{ "size": [20, 0.01, 40] }} }} }} }} }} ] }},
+        "image": {{ "width": {WIDTH_PX}, "height": {ROWS}, "samples": {samples} }} }}"#,
+        SEEN * f64::from(ROWS) / f64::from(WIDTH_PX),
+        EDGE + 0.005,
+    );
+    scene::parse(text.as_bytes()).unwrap_or_else(|fault| panic!("{fault:?}"))
+}
+
+/// Where values were taken in x, and the light on the floor there, as the mean of the rows.
+fn floor(light: &str, samples: u32) -> Vec<(f64, f64)> {
+    let job = job(light, samples);
+    let still = job.at(0).expect("a still job");
+    let program = Program::new(&still);
+    (0..WIDTH_PX)
+        .step_by(STRIDE_PX)
+        .map(|x| {
+            let place = (f64::from(x) + 0.5) / f64::from(WIDTH_PX) - 0.5;
+            let light = (0..ROWS).map(|y| f64::from(program.pixel(x as f32, y as f32).color.y));
+            (place * SEEN, light.sum::<f64>() / f64::from(ROWS))
+        })
+        .collect()
+}
+
+/// The share of a disc of radius 1 on one side of a line at `s` from its middle.
+fn share_of_disc(s: f64) -> f64 {
+    let s = s.clamp(-1.0, 1.0);
+    1.0 - (s.acos() - s * (1.0 - s * s).sqrt()) / PI
+}
+
+/// The greatest difference, as a share of the whole light, from the share of a disc past a line;
+/// `reach` is how far from the shadow's middle the penumbra goes.
+fn difference(light: &str, samples: u32, reach: f64) -> f64 {
+    let floor = floor(light, samples);
+    // Where the penumbra ends: further on, a light that has a place is further away.
+    let (_, whole) = *floor.iter().find(|(x, _)| *x > reach).expect("a place in full light");
+    assert!(whole > 0.1 && floor[0].1 == 0.0, "from light to shadow: {floor:?}");
+    let differences = floor.iter().map(|(x, light)| (light / whole - share_of_disc(x / reach)).abs());
+    differences.fold(0.0, f64::max)
+}
+
+/// The difference falls as the root of the number of samples: four standard deviations of so many yes or no
+/// are the bound, and the picture's own exactness.
+fn assert_converges(light: &str, reach: f64) {
+    for samples in [16, 256, 4096] {
+        let deviation = (0.25 / f64::from(samples * ROWS)).sqrt();
+        let difference = difference(light, samples, reach);
+        assert!(difference < 4.0 * deviation + 0.002, "{samples} samples: {difference}");
+    }
+}
+
+#[test]
+fn a_wide_sun_casts_the_penumbra_of_its_disc() {
+    let half_angle: f64 = 5.0;
+    let light = r#"{ "directional": { "direction": [0, 1, 0], "angle": 10, "color": [1, 1, 1] } }"#;
+    assert_converges(light, EDGE * half_angle.to_radians().tan());
+}
+
+#[test]
+fn a_ball_of_light_casts_the_penumbra_of_its_disc() {
+    // The edge is half as far from the floor as from the light: its image on the light moves twice as far as the floor.
+    let light = r#"{ "sphere": { "position": [0, 6, 0], "radius": 0.4, "color": [36, 36, 36] } }"#;
+    assert_converges(light, 0.4 * EDGE / (6.0 - EDGE));
+}
