@@ -258,31 +258,40 @@ impl<'a> Program<'a> {
             *ray,
             #[inline(always)]
             |ray| {
-                let zero = ray.direction.x.splat(0.0);
-                let farthest = zero.given(self.scene.march.max_distance.get());
-                let (nearest, farthest) = self.bounds.along(&ray, farthest);
-                let missed = Marched { distance: farthest, gap: farthest, steps: zero, hit: Flag(zero.below(0.0)) };
-                R::when(
-                    nearest.lt(farthest),
-                    missed,
+                self.march_within(
+                    &ray,
                     #[inline(always)]
-                    || {
-                        let reach = Reach { nearest, farthest, max_steps: self.scene.march.max_steps };
-                        let mut marched = march(
-                            &ray,
-                            reach,
-                            #[inline(always)]
-                            |t| self.tolerance.at(t),
-                            #[inline(always)]
-                            |p| self.gap(p),
-                        );
-                        // Out of steps: a hit if what the pixel sees touches the surface.
-                        let seen = self.view.footprint().at(marched.distance);
-                        let touches = marched.gap.lt(seen) & marched.distance.lt(farthest);
-                        marched.hit = Flag(marched.hit.0 | touches);
-                        marched
-                    },
+                    |t| self.tolerance.at(t),
                 )
+            },
+        )
+    }
+
+    /// Marches within the scene's bounds; `tolerance` is what is near enough at a distance along the ray.
+    #[inline(always)]
+    fn march_within<R: Real>(&self, ray: &Ray<R>, tolerance: impl Fn(R) -> R) -> Marched<R> {
+        let zero = ray.direction.x.splat(0.0);
+        let farthest = zero.given(self.scene.march.max_distance.get());
+        let (nearest, farthest) = self.bounds.along(ray, farthest);
+        let missed = Marched { distance: farthest, gap: farthest, steps: zero, hit: Flag(zero.below(0.0)) };
+        R::when(
+            nearest.lt(farthest),
+            missed,
+            #[inline(always)]
+            || {
+                let reach = Reach { nearest, farthest, max_steps: self.scene.march.max_steps };
+                let mut marched = march(
+                    ray,
+                    reach,
+                    tolerance,
+                    #[inline(always)]
+                    |p| self.gap(p),
+                );
+                // Out of steps: a hit if what the pixel sees touches the surface.
+                let seen = self.view.footprint().at(marched.distance);
+                let touches = marched.gap.lt(seen) & marched.distance.lt(farthest);
+                marched.hit = Flag(marched.hit.0 | touches);
+                marched
             },
         )
     }

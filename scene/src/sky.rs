@@ -38,20 +38,10 @@ impl Background {
         let like = direction.x;
         match self {
             Self::Color(color) => Vec3::given(like, color.get()),
-            Self::Gradient { .. } => self.even_toward(direction.y, 0.5),
+            Self::Gradient { bottom, top } => between(bottom, top, direction.y, 0.5),
             Self::Day(day) => day.toward(direction),
             Self::Transparent => vec3(like.splat(0.0), like.splat(0.0), like.splat(0.0)),
         }
-    }
-
-    /// The gradient at ½ + `share` · `height`.
-    #[inline(always)]
-    fn even_toward<R: Real>(&self, height: R, share: f32) -> Vec3<R> {
-        let Self::Gradient { bottom, top } = self else { return self.toward(vec3(height, height, height)) };
-        let share = height.mul_add(height.splat(share), height.splat(0.5));
-        let (bottom, top) = (bottom.get(), top.get());
-        let rise = vec3(top.x - bottom.x, top.y - bottom.y, top.z - bottom.z);
-        Vec3::given(height, rise).mul_add(share, Vec3::given(height, bottom))
     }
 
     /// The mean of all it sends to a surface with this normal, weighted by the cosine; `None` where
@@ -60,7 +50,7 @@ impl Background {
     pub fn mean_over<R: Real>(&self, normal: Vec3<R>) -> Option<Vec3<R>> {
         match self {
             Self::Color(_) | Self::Transparent => Some(self.toward(normal)),
-            Self::Gradient { .. } => Some(self.even_toward(normal.y, 1.0 / 3.0)),
+            Self::Gradient { bottom, top } => Some(between(bottom, top, normal.y, 1.0 / 3.0)),
             Self::Day(_) => None,
         }
     }
@@ -79,6 +69,15 @@ impl Background {
             day.model = Model::of(day);
         }
     }
+}
+
+/// A gradient at ½ + `share` · `height`.
+#[inline(always)]
+fn between<R: Real>(bottom: &Color, top: &Color, height: R, share: f32) -> Vec3<R> {
+    let share = height.mul_add(height.splat(share), height.splat(0.5));
+    let (bottom, top) = (bottom.get(), top.get());
+    let rise = vec3(top.x - bottom.x, top.y - bottom.y, top.z - bottom.z);
+    Vec3::given(height, rise).mul_add(share, Vec3::given(height, bottom))
 }
 
 /// A clear sky by day, lit by the sun; the ground below the horizon. The sun itself is not seen: let

@@ -2,7 +2,7 @@
 
 use super::{Hit, Program};
 use crate::camera::Ray;
-use crate::lights::{Incoming, Light};
+use crate::lights::{Incoming, Light, SkyLight};
 use crate::march::{Marched, Reach, march};
 use crate::materials::microfacet::frame;
 use crate::materials::{Lighting, Shade};
@@ -49,8 +49,8 @@ impl Program<'_> {
                     evaluations = evaluations + steps;
                 }
                 light.lights.push(incoming);
-            } else if let Light::Sky(_) = source {
-                let (around, steps) = self.sky_light(source, hit, light.openness, pair);
+            } else if let Light::Sky(sky) = source {
+                let (around, steps) = self.sky_light(sky, hit, light.openness, pair);
                 evaluations = evaluations + steps;
                 light.surrounding = Some(light.surrounding.map_or(around, |sum| sum + around));
             }
@@ -73,12 +73,11 @@ impl Program<'_> {
     #[inline(always)]
     fn sky_light<R: Real>(
         &self,
-        source: &Light,
+        sky: &SkyLight,
         hit: &Hit<R>,
         openness: Option<R>,
         pair: impl FnOnce() -> (R, R),
     ) -> (Vec3<R>, R) {
-        let Light::Sky(sky) = source else { return (hit.normal, hit.distance) };
         let from = sky.from.as_ref().unwrap_or(&self.scene.background);
         let strength = hit.distance.given(sky.strength.get());
         if !sky.shadow
@@ -104,7 +103,7 @@ impl Program<'_> {
             (*hit, direction, farthest),
             #[inline(always)]
             |(hit, direction, farthest)| {
-                let (zero, one) = (farthest.splat(0.0), farthest.splat(1.0));
+                let zero = farthest.splat(0.0);
                 // Off the surface by more than the march was off it.
                 let near = self.tolerance.at(hit.distance);
                 let ray = Ray { origin: hit.normal.mul_add(near * 4.0, hit.position), direction };
@@ -121,7 +120,7 @@ impl Program<'_> {
                                 visible.above(0.0),
                                 (visible, steps),
                                 #[inline(always)]
-                                || (self.transmittance(media, &ray, farthest, one), steps),
+                                || (self.transmittance(media, &ray, farthest), steps),
                             ),
                         }
                     },

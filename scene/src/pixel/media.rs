@@ -244,8 +244,8 @@ impl Program<'_> {
 
     /// The share of the light that comes along a ray through the air.
     #[inline(always)]
-    pub(super) fn transmittance<R: Real>(&self, media: &Media<'_>, ray: &Ray<R>, farthest: R, all: R) -> R {
-        (-self.optical_depth(media, ray, farthest)).exp() * all
+    pub(super) fn transmittance<R: Real>(&self, media: &Media<'_>, ray: &Ray<R>, farthest: R) -> R {
+        (-self.optical_depth(media, ray, farthest)).exp()
     }
 
     /// The integral of the extinction along a ray until `farthest`.
@@ -264,14 +264,14 @@ impl Program<'_> {
                     || {
                         let step = (far - near) * zero.splat(1.0 / media.light_steps as f32);
                         let start = step.mul_add(zero.splat(0.5), near);
-                        let (_, _, sum) = R::repeat(
+                        let (_, sum) = R::repeat(
                             media.light_steps,
-                            (start, zero, zero),
+                            (start, zero),
                             #[inline(always)]
-                            |(t, count, sum)| {
+                            |(t, sum)| {
                                 let here = self.extinction(media, ray.at(t));
                                 let sum = here.mul_add(step, sum);
-                                (sum.below(20.0), (t + step, count + 1.0, sum))
+                                (sum.below(20.0), (t + step, sum))
                             },
                         );
                         sum

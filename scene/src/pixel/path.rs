@@ -3,7 +3,7 @@
 use super::lighting::{CHOICE, NORMAL_TAPS, SCATTERING};
 use super::{Hit, Program, Radiance};
 use crate::camera::Ray;
-use crate::march::{Marched, Reach, march};
+use crate::march::Marched;
 use crate::materials::Finish;
 use crate::materials::microfacet::{alpha, frame, grazing, sample_visible_normal, shadowing};
 use crate::real::{Flag, Real, Vec3, bundle, vec3};
@@ -225,30 +225,11 @@ impl Program<'_> {
             (*ray, near),
             #[inline(always)]
             |(ray, near)| {
-                let zero = near.splat(0.0);
-                let farthest = zero.given(self.scene.march.max_distance.get());
-                let (nearest, farthest) = self.bounds.along(&ray, farthest);
-                let missed = Marched { distance: farthest, gap: farthest, steps: zero, hit: Flag(zero.below(0.0)) };
-                R::when(
-                    nearest.lt(farthest),
-                    missed,
+                let slope = near.given(self.tolerance.slope);
+                self.march_within(
+                    &ray,
                     #[inline(always)]
-                    || {
-                        let reach = Reach { nearest, farthest, max_steps: self.scene.march.max_steps };
-                        let slope = zero.given(self.tolerance.slope);
-                        let mut marched = march(
-                            &ray,
-                            reach,
-                            #[inline(always)]
-                            |t| t.mul_add(slope, near),
-                            #[inline(always)]
-                            |p| self.gap(p),
-                        );
-                        let seen = self.view.footprint().at(marched.distance);
-                        let touches = marched.gap.lt(seen) & marched.distance.lt(farthest);
-                        marched.hit = Flag(marched.hit.0 | touches);
-                        marched
-                    },
+                    |t| t.mul_add(slope, near),
                 )
             },
         )
