@@ -6,7 +6,7 @@ use std::sync::Arc;
 
 use clap::Args;
 use clap::builder::{PossibleValuesParser, TypedValueParser};
-use proto::Client;
+use proto::{Access, Client, ClientError, Secret};
 use worker::cuda::{CudaRenderer, Shape};
 use worker::{CpuRenderer, RenderError, Renderer, Simd};
 
@@ -23,12 +23,37 @@ pub(crate) struct ServerArguments {
     /// Address of the server.
     #[arg(long, value_name = "URL", env = "SDFARM_SERVER", default_value = DEFAULT_SERVER)]
     server: String,
+    #[command(flatten)]
+    access: AccessArguments,
 }
 
 impl ServerArguments {
     /// A client of that server.
     pub(crate) fn client(&self) -> anyhow::Result<Client> {
-        Ok(Client::new(&self.server)?)
+        Ok(Client::with_access(&self.server, self.access.access()?)?)
+    }
+}
+
+/// How the server is called.
+#[derive(Clone, Debug, Args)]
+pub(crate) struct AccessArguments {
+    /// Key to bring, as `sdfarm key new` printed it; better given as a variable, which no list of processes shows.
+    #[arg(long, value_name = "KEY", env = "SDFARM_KEY", hide_env_values = true)]
+    key: Option<Secret>,
+    /// Certificates of the authority that vouches for an https server [default: the system's].
+    #[arg(long, value_name = "FILE", env = "SDFARM_CA")]
+    ca: Option<PathBuf>,
+}
+
+impl AccessArguments {
+    /// The same as the client takes it.
+    pub(crate) fn access(&self) -> Result<Access, ClientError> {
+        Ok(Access::new(self.key.clone(), self.ca.as_deref())?)
+    }
+
+    /// The same, with another key.
+    pub(crate) fn with_key(&self, key: Secret) -> Result<Access, ClientError> {
+        Ok(Access::new(Some(key), self.ca.as_deref())?)
     }
 }
 

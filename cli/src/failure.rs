@@ -78,7 +78,7 @@ fn exit_code(error: &anyhow::Error) -> u8 {
         return UNFIT_DEVICE;
     }
     match error.downcast_ref::<ClientError>() {
-        Some(ClientError::Address { .. }) => WRONG,
+        Some(ClientError::Access(_)) => WRONG,
         Some(ClientError::Problem(problem)) if is_bad_input(problem) => WRONG,
         Some(_) | None => FAILED,
     }

@@ -9,6 +9,7 @@ use reqwest::header::{CACHE_CONTROL, CONTENT_TYPE};
 use reqwest::{Method, RequestBuilder, Response};
 use serde::de::DeserializeOwned;
 
+use crate::access::{Access, AccessError, server_url};
 use crate::job::{DryRun, JobPage, JobState, JobView};
 use crate::pool::{PoolSize, PoolView, WorkerList};
 use crate::{JobId, Problem};
@@ -34,12 +35,9 @@ pub enum ClientError {
         #[source]
         source: reqwest::Error,
     },
-    /// The server's address can't be used.
-    #[error("{server:?} is no server's address: write it as http://HOST:PORT")]
-    Address {
-        /// What was given.
-        server: String,
-    },
+    /// The server's address, the key or the authority can't be used.
+    #[error(transparent)]
+    Access(#[from] AccessError),
     /// The connection broke, or its other end was silent for too long.
     #[error("the connection to {server} broke: see the server's log, and try again")]
     Broken {
@@ -70,7 +68,7 @@ impl ClientError {
         match self {
             Self::Problem(problem) => Some(&problem.code),
             Self::Unreachable { .. }
-            | Self::Address { .. }
+            | Self::Access(_)
             | Self::Broken { .. }
             | Self::Foreign { .. }
             | Self::Write(_) => None,
@@ -83,23 +81,26 @@ impl ClientError {
 pub struct Client {
     http: reqwest::Client,
     server: String,
+    access: Access,
 }
 
 impl Client {
-    /// A client of the server at `http://HOST:PORT`; nothing is sent yet.
+    /// A client, without key, of the server at `http://HOST:PORT`; nothing is sent yet.
     pub fn new(server: &str) -> Result<Self, ClientError> {
-        let bad = || ClientError::Address { server: server.to_owned() };
+        Self::with_access(server, Access::default())
+    }
+
+    /// A client of the server at `http://HOST:PORT` or `https://HOST:PORT`; nothing is sent yet.
+    pub fn with_access(server: &str, access: Access) -> Result<Self, ClientError> {
+        let url = server_url(server)?;
         let server = server.trim_end_matches('/');
-        let url = reqwest::Url::parse(server).map_err(|_| bad())?;
-        if url.scheme() != "http" || !url.has_host() || url.query().is_some() || url.fragment().is_some() {
-            return Err(bad());
-        }
-        let http = reqwest::Client::builder()
+        let http = access
+            .client(&url)
             .connect_timeout(CONNECT_TIMEOUT)
             .read_timeout(READ_TIMEOUT)
             .build()
             .map_err(|source| ClientError::Broken { server: server.to_owned(), source })?;
-        Ok(Self { http, server: server.to_owned() })
+        Ok(Self { http, server: server.to_owned(), access })
     }
 
     /// The server's address, without a slash at its end.
@@ -180,7 +181,7 @@ impl Client {
     }
 
     fn request(&self, method: Method, path: &str) -> RequestBuilder {
-        self.http.request(method, format!("{}{path}", self.server))
+        self.access.sign(self.http.request(method, format!("{}{path}", self.server)))
     }
 
     async fn json<T: DeserializeOwned>(&self, request: RequestBuilder) -> Result<T, ClientError> {
@@ -217,20 +218,5 @@ impl Client {
     fn foreign(&self, status: u16, body: &[u8]) -> ClientError {
         let body = String::from_utf8_lossy(body).chars().take(QUOTED_CHARACTERS).collect();
         ClientError::Foreign { server: self.server.clone(), status, body }
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn only_plain_http_addresses_are_taken() {
-        for good in ["http://127.0.0.1:8080", "http://farm.example:80/", "http://[::1]:9"] {
-            assert!(Client::new(good).is_ok(), "{good}");
-        }
-        for bad in ["", "127.0.0.1:8080", "https://farm.example", "ftp://farm.example", "http://", "http://a?b"] {
-            assert!(matches!(Client::new(bad), Err(ClientError::Address { .. })), "{bad}");
-        }
     }
 }

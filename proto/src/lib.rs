@@ -3,6 +3,7 @@
 //!
 //! Nothing here renders, stores or decides; it only names and carries.
 
+pub mod access;
 pub mod client;
 pub mod ids;
 pub mod job;
@@ -11,6 +12,7 @@ pub mod problem;
 pub mod tile;
 pub mod work;
 
+pub use access::{Access, AccessError, Secret};
 pub use client::{Client, ClientError};
 pub use ids::{JobId, LeaseId, WorkerId};
 pub use problem::Problem;

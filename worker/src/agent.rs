@@ -18,6 +18,7 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use proto::work::{Hello, Welcome};
+use proto::{Access, AccessError};
 use tokio_util::sync::CancellationToken;
 
 use crate::image::Encoders;
@@ -33,8 +34,8 @@ pub struct AgentConfig {
     pub server: String,
     /// A label for people.
     pub name: String,
-    /// What the server knows its workers by.
-    pub token: Option<String>,
+    /// What the server knows its workers by, and what it is known by.
+    pub access: Access,
     /// Where data that does not fit in memory goes, in files without names.
     pub scratch: PathBuf,
     /// After a shutdown, how long to go on with what is held before it is handed back.
@@ -49,7 +50,7 @@ impl AgentConfig {
         Self {
             server: server.into(),
             name: name.into(),
-            token: None,
+            access: Access::default(),
             scratch: std::env::temp_dir(),
             grace: Duration::from_secs(8),
             exit_on_stdin_close: false,
@@ -68,7 +69,7 @@ pub async fn run(
         std::thread::spawn(exit_when_stdin_closes);
     }
     let encoders = Encoders::new(renderer.encoders()).map_err(AgentError::Encoders)?;
-    let link = Arc::new(Link::new(&config.server, config.token.clone())?);
+    let link = Arc::new(Link::new(&config.server, config.access.clone())?);
     loop {
         let registered = tokio::select! {
             registered = register(&link, &config, &*renderer) => registered?,
@@ -132,11 +133,8 @@ fn exit_when_stdin_closes() {
 #[derive(Debug, thiserror::Error)]
 pub enum AgentError {
     /// No server can be there.
-    #[error("{server:?} is not a server's address, such as http://127.0.0.1:8080")]
-    Address {
-        /// What was given.
-        server: String,
-    },
+    #[error(transparent)]
+    Access(#[from] AccessError),
     /// HTTP can't be spoken here.
     #[error("could not prepare to call the server")]
     Client(#[source] reqwest::Error),

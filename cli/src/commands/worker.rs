@@ -5,7 +5,7 @@ use proto::work::TOKEN_VARIABLE;
 use tokio_util::sync::CancellationToken;
 use worker::agent::{self, AgentConfig, AgentError};
 
-use crate::arguments::RendererArguments;
+use crate::arguments::{AccessArguments, RendererArguments};
 use crate::failure::NoDevice;
 use crate::signals::Signals;
 
@@ -15,6 +15,8 @@ pub(crate) struct Arguments {
     /// Address of the server.
     #[arg(long, value_name = "URL", env = "SDFARM_SERVER", default_value = crate::arguments::DEFAULT_SERVER)]
     server: String,
+    #[command(flatten)]
+    access: AccessArguments,
     #[command(flatten)]
     renderer: RendererArguments,
     /// A label for people [default: this host's name and the process id].
@@ -30,8 +32,13 @@ pub(crate) async fn run(arguments: Arguments) -> anyhow::Result<()> {
     let signals = Signals::catch()?;
     let shutdown = CancellationToken::new();
     let renderer = arguments.renderer.renderer().map_err(|error| NoDevice(error.into()))?;
+    // The pool's children bring its token; a key in the server's surroundings is not theirs.
+    let access = match std::env::var(TOKEN_VARIABLE) {
+        Ok(token) => arguments.access.with_key(token.into())?,
+        Err(_) => arguments.access.access()?,
+    };
     let config = AgentConfig {
-        token: std::env::var(TOKEN_VARIABLE).ok(),
+        access,
         // A killed server leaves no worker behind: its end of the pipe closes, whatever killed it.
         exit_on_stdin_close: arguments.pool,
         ..AgentConfig::new(arguments.server, arguments.name.unwrap_or_else(own_name))

@@ -4,6 +4,7 @@ use std::net::SocketAddr;
 use std::path::Path;
 use std::time::Duration;
 
+use proto::access::client_builder;
 use proto::job::{JobState, JobView};
 use proto::work::{self, Hello, Outcome, Report, Run, SyncReply, SyncRequest, Welcome, Work};
 use proto::{JobId, LeaseId, Problem, WorkerId};
@@ -59,7 +60,7 @@ impl Farm {
         let address = server.address();
         let shutdown = CancellationToken::new();
         let task = tokio::spawn(server.run(shutdown.clone()));
-        Self { folder, address, client: Client::new(), hand, shutdown, task }
+        Self { folder, address, client: client_builder().build().expect("a client"), hand, shutdown, task }
     }
 
     /// Ends the server gracefully; its folder is left.

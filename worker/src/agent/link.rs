@@ -5,9 +5,10 @@ use std::io::{self, Seek};
 use std::time::Duration;
 
 use bytes::Bytes;
+use proto::access::server_url;
 use proto::work::{self, Hello, SyncReply, SyncRequest, Welcome};
-use proto::{JobId, Problem};
-use reqwest::{Body, Client, Method, RequestBuilder, Response, StatusCode, Url, header};
+use proto::{Access, JobId, Problem};
+use reqwest::{Body, Client, Method, RequestBuilder, Response, StatusCode, header};
 use serde::de::DeserializeOwned;
 use tokio_util::io::ReaderStream;
 
@@ -32,16 +33,14 @@ pub(super) enum Content {
 pub(super) struct Link {
     client: Client,
     server: String,
-    token: Option<String>,
+    access: Access,
 }
 
 impl Link {
-    pub(super) fn new(server: &str, token: Option<String>) -> Result<Self, AgentError> {
-        if !Url::parse(server).is_ok_and(|url| url.scheme() == "http" && url.has_host()) {
-            return Err(AgentError::Address { server: server.to_owned() });
-        }
-        let client = Client::builder().no_proxy().connect_timeout(SHORT_TIMEOUT).build().map_err(AgentError::Client)?;
-        Ok(Self { client, server: server.trim_end_matches('/').to_owned(), token })
+    pub(super) fn new(server: &str, access: Access) -> Result<Self, AgentError> {
+        let builder = access.client(&server_url(server)?);
+        let client = builder.no_proxy().connect_timeout(SHORT_TIMEOUT).build().map_err(AgentError::Client)?;
+        Ok(Self { client, server: server.trim_end_matches('/').to_owned(), access })
     }
 
     pub(super) async fn register(&self, hello: &Hello) -> Result<Welcome, LinkError> {
@@ -90,10 +89,7 @@ impl Link {
 
     fn request(&self, method: Method, path: &str, timeout: Duration) -> RequestBuilder {
         let request = self.client.request(method, format!("{}{path}", self.server)).timeout(timeout);
-        match &self.token {
-            Some(token) => request.bearer_auth(token),
-            None => request,
-        }
+        self.access.sign(request)
     }
 }
 
