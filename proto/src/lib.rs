@@ -10,6 +10,7 @@ pub mod job;
 pub mod pool;
 pub mod problem;
 pub mod tile;
+pub mod trace;
 pub mod work;
 
 pub use access::{Access, AccessError, Secret};

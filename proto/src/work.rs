@@ -77,6 +77,59 @@ pub struct SyncRequest {
     /// It ends now: whatever it still holds, or was given in an answer it never heard, is handed back.
     #[serde(default)]
     pub leaving: bool,
+    /// What it has measured since its last call, for the server's metrics; nothing is decided by it.
+    #[serde(default)]
+    pub measured: Measured,
+}
+
+/// Most [`Timing`]s that one call brings; what is more is forgotten.
+pub const MAX_TIMINGS: usize = 1000;
+
+/// What a worker has measured since its last call.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Measured {
+    /// How long things took.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub timings: Vec<Timing>,
+    /// The memory of its device, if that is not the machine's own.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub memory: Option<DeviceMemory>,
+}
+
+/// How long one thing took.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Timing {
+    /// What was done.
+    pub phase: Phase,
+    /// How long it took, in milliseconds.
+    pub took_ms: f64,
+    /// Camera rays that were rendered; 0 of everything else.
+    #[serde(default)]
+    pub rays: u64,
+}
+
+/// A part of a worker's work.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Phase {
+    /// Rendering tiles.
+    Render,
+    /// Making a file of a picture.
+    Encode,
+    /// Bringing a blob or a picture to the server.
+    Deliver,
+}
+
+/// Memory of a device that has its own.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct DeviceMemory {
+    /// In use, by anyone.
+    pub used_bytes: u64,
+    /// There is.
+    pub total_bytes: u64,
 }
 
 /// What became of one lease.
@@ -130,6 +183,9 @@ pub struct SyncReply {
     pub lost: Vec<LeaseId>,
     /// Finish what is held, then exit.
     pub drain: bool,
+    /// Which trace the run belongs to: a W3C `traceparent`.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub trace: Option<String>,
 }
 
 /// Work of one frame, leased together.

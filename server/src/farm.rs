@@ -16,6 +16,7 @@ use crate::plan::Plan;
 use crate::pool::Pool;
 use crate::queue::{NewJob, Next, Opened, Opening, Queue, Turn, Turned};
 use crate::store::StoreError;
+use crate::watch::Watch;
 
 /// Frames of one job that are looked up among stored pictures when it is handed in; the rest
 /// are looked up as they are reached.
@@ -37,6 +38,10 @@ pub(crate) struct Totals {
     pub(crate) expired: AtomicU64,
     /// Results without effect.
     pub(crate) fenced: AtomicU64,
+    /// Tiles that two workers rendered differently.
+    pub(crate) nondeterministic: AtomicU64,
+    /// Attempts to deliver a webhook that failed.
+    pub(crate) webhook_failures: AtomicU64,
 }
 
 /// What the doors share.
@@ -54,6 +59,8 @@ pub(crate) struct Farm {
     pub(crate) pool: Pool,
     /// Numbers since the start.
     pub(crate) totals: Totals,
+    /// What operators can ask.
+    pub(crate) watch: Watch,
     /// Where leftover bytes are announced to the janitor.
     pub(crate) leftovers: mpsc::UnboundedSender<Leftovers>,
     /// No more jobs are taken.

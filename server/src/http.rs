@@ -12,6 +12,7 @@ mod pool;
 mod protocol;
 mod range;
 mod trace;
+mod traces;
 
 use std::any::Any;
 use std::sync::Arc;
@@ -69,8 +70,8 @@ pub(crate) fn router(farm: Arc<Farm>) -> axum::Router {
         .fallback(unknown_route)
         .method_not_allowed_fallback(wrong_method)
         .layer(CatchPanicLayer::custom(panicked))
-        .layer(middleware::from_fn_with_state(farm, door::host_and_origin))
-        .layer(middleware::from_fn(trace::trace))
+        .layer(middleware::from_fn_with_state(Arc::clone(&farm), door::host_and_origin))
+        .layer(middleware::from_fn_with_state(farm, trace::trace))
 }
 
 /// The document that the router serves.

@@ -15,6 +15,7 @@ mod pool;
 mod queue;
 mod start;
 mod store;
+mod watch;
 
 use std::net::SocketAddr;
 use std::sync::Arc;

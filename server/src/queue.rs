@@ -5,6 +5,7 @@
 //! bell for what the rest of the farm should know. Nothing here knows about HTTP or files.
 
 mod claim;
+mod counts;
 mod deliver;
 mod end;
 mod lease;
@@ -15,6 +16,7 @@ mod submit;
 mod sync;
 #[cfg(test)]
 mod tests;
+mod traces;
 mod view;
 mod workers;
 
@@ -27,6 +29,7 @@ use tokio::sync::Notify;
 use crate::clock::Clock;
 use crate::store::{Durability, Store, StoreError};
 
+pub(crate) use counts::Counts;
 pub(crate) use end::{Cancelled, Deleted};
 pub(crate) use lease::Cause;
 pub(crate) use open::{Opened, Opening};

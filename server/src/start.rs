@@ -20,6 +20,7 @@ use crate::pictures::Pictures;
 use crate::pool::Pool;
 use crate::queue::Queue;
 use crate::store::{OpenError, Store, StoreError};
+use crate::watch::Watch;
 
 /// Why a server could not start, and the cure.
 #[derive(Debug, thiserror::Error)]
@@ -105,6 +106,7 @@ pub(crate) async fn start(config: Config, clock: Clock) -> Result<Server, StartE
         jobs: Jobs::new(),
         pool: Pool::new(config.pool_workers()),
         totals: Totals::default(),
+        watch: Watch::new(config.data.clone(), &store),
         leftovers: left,
         closing: CancellationToken::new(),
         ending: CancellationToken::new(),

@@ -15,8 +15,8 @@ use sqlx::sqlite::{
     SqliteConnectOptions, SqliteConnection, SqliteJournalMode, SqlitePool, SqlitePoolOptions, SqliteSynchronous,
 };
 
-pub(crate) use writer::Durability;
 use writer::Writer;
+pub(crate) use writer::{CommitTimes, Durability};
 
 /// Connections that read at the same time.
 const READERS: u32 = 4;
@@ -97,6 +97,7 @@ pub(crate) enum OpenError {
 pub(crate) struct Store {
     writer: Writer,
     readers: SqlitePool,
+    commits: CommitTimes,
 }
 
 impl Store {
@@ -130,7 +131,8 @@ impl Store {
             .test_before_acquire(false)
             .connect_with(options.read_only(true).create_if_missing(false))
             .await?;
-        Ok(Self { writer: Writer::start(connection), readers })
+        let commits = CommitTimes::default();
+        Ok(Self { writer: Writer::start(connection, commits.clone()), readers, commits })
     }
 
     /// Runs `operation` in a transaction of the writer's and answers when it is committed.
@@ -140,6 +142,11 @@ impl Store {
         F: for<'c> FnOnce(&'c mut SqliteConnection) -> BoxFuture<'c, Result<T, StoreError>> + Send + 'static,
     {
         self.writer.write(durability, operation).await
+    }
+
+    /// What commits take.
+    pub(crate) fn commits(&self) -> &CommitTimes {
+        &self.commits
     }
 
     /// The connections that read.

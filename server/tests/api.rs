@@ -10,4 +10,5 @@ mod api {
     mod load;
     mod nodes;
     mod pool;
+    mod watch;
 }

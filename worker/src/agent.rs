@@ -7,6 +7,7 @@ mod back_off;
 mod deliver;
 mod jobs;
 mod link;
+mod measuring;
 mod rendering;
 mod session;
 mod stitching;

@@ -10,9 +10,11 @@ use axum::response::{IntoResponse, Response};
 use proto::JobId;
 use proto::job::{DryRun, JobPage, JobState, JobView};
 use serde::Deserialize;
+use tracing::Instrument;
 
 use super::body;
 use super::error::ApiError;
+use super::traces;
 use crate::farm::Farm;
 use crate::pictures::Kind;
 use crate::plan::Plan;
@@ -107,7 +109,8 @@ pub(super) async fn submit(
         fresh: has_no_cache(&headers),
         text: String::from_utf8(text.into()).map_err(|error| ApiError::Internal(Box::new(error)))?,
     };
-    farm.submit(new, Arc::new(job)).await?;
+    traces::keep(&farm, id, &headers).await?;
+    farm.submit(new, Arc::new(job)).instrument(tracing::info_span!("submit", job = %id)).await?;
     let view = farm.queue.job(id).await?.ok_or_else(|| ApiError::UnknownJob(id.to_string()))?;
     let mut response = (StatusCode::CREATED, Json(view)).into_response();
     if let Ok(location) = HeaderValue::from_str(&format!("/v1/jobs/{id}")) {

@@ -10,11 +10,14 @@ use axum::extract::{Path, State};
 use axum::http::{HeaderMap, StatusCode, header};
 use axum::response::{IntoResponse, Response};
 use futures_util::TryStreamExt;
+use proto::WorkerId;
 use proto::work::{Hello, SyncReply, SyncRequest, Welcome};
+use tracing::Instrument;
 
 use super::body;
 use super::error::ApiError;
 use super::jobs::job_id;
+use super::traces;
 use crate::clock::instant;
 use crate::farm::Farm;
 use crate::pictures::{Kind, Name};
@@ -40,9 +43,10 @@ pub(super) async fn register(
         return Err(ApiError::WrongPictureVersion { found: hello.picture_version, wanted: scene::PICTURE_VERSION });
     }
     let label = headers.contains_key(header::AUTHORIZATION).then(|| farm.pool.label(hello.process)).flatten();
-    let pool = label.is_some();
+    let (pool, device) = (label.is_some(), hello.device.clone());
     let name = label.unwrap_or_else(|| hello.name.clone());
     let worker = farm.queue.register(NewWorker { hello, pool, name: name.clone() }).await?.worker;
+    farm.watch.registered(worker, &name, &device);
     tracing::info!(%worker, %name, pool, "a worker registered");
     Ok(Json(Welcome { worker, lease_ms: farm.queue.lease_ms().unsigned_abs() }))
 }
@@ -56,6 +60,7 @@ pub(super) async fn sync(
     request: Body,
 ) -> Result<Json<SyncReply>, ApiError> {
     let request: SyncRequest = body::read_json(&headers, request, MAX_SYNC_BYTES).await?;
+    farm.watch.measured(request.worker, &request.measured);
     let mut deadline = instant() + longest_wait(&farm, &request);
     let mut turn = Turn {
         worker: request.worker,
@@ -74,15 +79,19 @@ pub(super) async fn sync(
         news.as_mut().enable();
         let prompt = turn.delivers();
         let again = Turn { results: Vec::new(), ..turn.clone() };
+        let begun = instant();
         let turned = farm.turn(turn).await?.ok_or_else(|| ApiError::UnknownWorker(again.worker.to_string()))?;
         let now = instant();
+        if again.wants_work {
+            farm.watch.metrics.claimed(now - begun);
+        }
         if turned.drain && !again.holding.is_empty() {
             // It may know already; it must not ask without pause while it finishes.
             deadline = deadline.min(now + DRAINING_WAIT);
         }
         let drains = turned.drain && again.holding.is_empty();
         if prompt || drains || turned.has_news() || now >= deadline || farm.ending.is_cancelled() {
-            return Ok(Json(reply(turned)));
+            return Ok(Json(reply(&farm, again.worker, turned).await));
         }
         let wake = turned.ready_in().map_or(deadline, |wait| deadline.min(now + wait));
         tokio::select! {
@@ -102,12 +111,16 @@ fn longest_wait(farm: &Farm, request: &SyncRequest) -> Duration {
     asked.min(third)
 }
 
-fn reply(turned: Turned) -> SyncReply {
+async fn reply(farm: &Farm, worker: WorkerId, turned: Turned) -> SyncReply {
     let run = match turned.next {
         Next::Run(run) => Some(run),
         Next::Frame { .. } | Next::Nothing(_) => None,
     };
-    SyncReply { run, lost: turned.lost, drain: turned.drain }
+    let trace = match &run {
+        Some(run) => traces::of_run(farm, worker, run).await,
+        None => None,
+    };
+    SyncReply { run, lost: turned.lost, drain: turned.drain, trace }
 }
 
 /// The JSON of a job, as it was posted.
@@ -135,9 +148,10 @@ pub(super) async fn put_picture(
 }
 
 async fn put(farm: &Farm, kind: Kind, hash: String, request: Body) -> Result<StatusCode, ApiError> {
-    let name = Name::parse(&hash).ok_or(ApiError::WrongHash(hash))?;
+    let name = Name::parse(&hash).ok_or_else(|| ApiError::WrongHash(hash.clone()))?;
     let bytes = request.into_data_stream().map_err(std::io::Error::other);
-    farm.pictures.put(kind, &name, bytes).await?;
+    let span = tracing::info_span!("store", ?kind, %hash);
+    farm.pictures.put(kind, &name, bytes).instrument(span).await?;
     Ok(StatusCode::NO_CONTENT)
 }
 

@@ -1,30 +1,37 @@
 //! Every request has an id: in its log lines, in its answer's header, and in its problem.
 
+use std::sync::Arc;
+
 use axum::body::Body;
-use axum::extract::{MatchedPath, Request};
+use axum::extract::{MatchedPath, Request, State};
 use axum::http::{HeaderName, HeaderValue, header};
 use axum::middleware::Next;
 use axum::response::Response;
-use proto::Problem;
 use proto::problem::PROBLEM_JSON;
-use tracing::Instrument;
+use proto::{JobId, Problem};
+use tracing::field::Empty;
+use tracing::{Instrument, Span};
 
+use super::traces;
 use crate::clock::instant;
+use crate::farm::Farm;
 
 const REQUEST_ID: HeaderName = HeaderName::from_static("x-request-id");
 /// Ids that clients bring may be so long.
 const MAX_ID_CHARACTERS: usize = 64;
 
 /// Gives a request its id, logs it, and writes the body of a problem.
-pub(super) async fn trace(request: Request, next: Next) -> Response {
+pub(super) async fn trace(State(farm): State<Arc<Farm>>, request: Request, next: Next) -> Response {
     let id = brought_id(&request).unwrap_or_else(|| uuid::Uuid::now_v7().to_string());
     let method = request.method().clone();
     let route = request.extensions().get::<MatchedPath>().map_or("", MatchedPath::as_str).to_owned();
-    let span = tracing::info_span!("request", %id, %method, path = %request.uri().path());
+    let span = span_of(&request, &id, &route);
+    traces::continue_from(&span, request.headers());
     let start = instant();
     async move {
         let mut response = next.run(request).await;
         let elapsed_ms = start.elapsed().as_secs_f64() * 1e3;
+        farm.watch.metrics.answered(&route, method.as_str(), response.status().as_u16(), start.elapsed());
         if response.status().is_server_error() {
             tracing::warn!(status = response.status().as_u16(), elapsed_ms, %route, "answered");
         } else {
@@ -40,6 +47,21 @@ pub(super) async fn trace(request: Request, next: Next) -> Response {
     }
     .instrument(span)
     .await
+}
+
+/// What asks again and again has a span of another name, which is not worth a trace.
+fn span_of(request: &Request, id: &str, route: &str) -> Span {
+    let (method, path) = (request.method(), request.uri().path());
+    let asks_again = [proto::work::SYNC, "/livez", "/readyz", "/metrics"].contains(&route);
+    let span = if asks_again {
+        tracing::info_span!("poll", request_id = %id, %method, %path, job = Empty)
+    } else {
+        tracing::info_span!("request", request_id = %id, %method, %path, job = Empty)
+    };
+    if let Some(job) = path.strip_prefix("/v1/jobs/").and_then(|rest| rest.split('/').next()?.parse::<JobId>().ok()) {
+        span.record("job", tracing::field::display(job));
+    }
+    span
 }
 
 fn brought_id(request: &Request) -> Option<String> {

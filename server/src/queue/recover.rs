@@ -71,7 +71,7 @@ pub(super) async fn tidy(connection: &mut Connection) -> Result<()> {
 }
 
 /// Ids of leases carry their time: the smallest one that is kept.
-fn oldest_kept(now: uuid::Uuid) -> String {
+pub(super) fn oldest_kept(now: uuid::Uuid) -> String {
     let now_ms = now.as_u128() >> 80;
     let kept_ms = now_ms.saturating_sub(u128::from(KEEP_LEASES_MS));
     uuid::Uuid::from_u128(kept_ms << 80).to_string()

@@ -46,17 +46,6 @@ pub(crate) enum StoredImage {
     NoJob,
 }
 
-/// Counts for `/metrics`.
-#[derive(Clone, Debug, Default)]
-pub(crate) struct Metrics {
-    /// Jobs by state.
-    pub(crate) jobs: Vec<(String, i64)>,
-    /// Tiles by state.
-    pub(crate) tiles: Vec<(String, i64)>,
-    /// Workers by state.
-    pub(crate) workers: Vec<(String, i64)>,
-}
-
 /// Whether a picture of this key is stored.
 pub(super) async fn has_picture(readers: &SqlitePool, key: &str) -> Result<bool> {
     let found: Option<i64> =
@@ -220,20 +209,6 @@ impl Queue {
         .bind(super::json_list(hashes))
         .fetch_all(self.readers())
         .await?)
-    }
-
-    /// Counts for `/metrics`.
-    pub(crate) async fn metrics(&self) -> Result<Metrics> {
-        Ok(Metrics {
-            jobs: self.count("SELECT state, count(*) AS number FROM job GROUP BY state").await?,
-            tiles: self.count("SELECT state, count(*) AS number FROM tile GROUP BY state").await?,
-            workers: self.count("SELECT state, count(*) AS number FROM worker GROUP BY state").await?,
-        })
-    }
-
-    async fn count(&self, query: &'static str) -> Result<Vec<(String, i64)>> {
-        let rows = sqlx::query(query).fetch_all(self.readers()).await?;
-        rows.iter().map(|row| Ok((row.try_get("state")?, row.try_get("number")?))).collect()
     }
 
     /// Whether the database answers.

@@ -6,12 +6,15 @@
 use std::time::Duration;
 
 use futures_util::future::BoxFuture;
+use prometheus_client::metrics::histogram::Histogram;
 use sqlx::Connection;
 use sqlx::sqlite::SqliteConnection;
 use tokio::sync::{Mutex, mpsc, oneshot};
 use tokio::task::JoinHandle;
 
 use super::StoreError;
+use crate::clock::instant;
+use crate::watch::{counts, seconds};
 
 /// Operations committed together, at most.
 const GROUP: usize = 256;
@@ -29,6 +32,21 @@ pub(crate) enum Durability {
     Relaxed,
 }
 
+/// What commits take.
+#[derive(Clone, Debug)]
+pub(crate) struct CommitTimes {
+    /// Time of each.
+    pub(crate) seconds: Histogram,
+    /// Operations that each took along.
+    pub(crate) operations: Histogram,
+}
+
+impl Default for CommitTimes {
+    fn default() -> Self {
+        Self { seconds: seconds(), operations: counts() }
+    }
+}
+
 /// The writer's door.
 #[derive(Debug)]
 pub(super) struct Writer {
@@ -38,9 +56,9 @@ pub(super) struct Writer {
 
 impl Writer {
     /// Starts the task that owns `connection`.
-    pub(super) fn start(connection: SqliteConnection) -> Self {
+    pub(super) fn start(connection: SqliteConnection, times: CommitTimes) -> Self {
         let (operations, waiting) = mpsc::channel(QUEUE);
-        let task = tokio::spawn(Task { connection, synchronous: Durability::Full }.run(waiting));
+        let task = tokio::spawn(Task { connection, synchronous: Durability::Full, times }.run(waiting));
         Self { operations: std::sync::Mutex::new(Some(operations)), task: Mutex::new(Some(task)) }
     }
 
@@ -117,6 +135,7 @@ where
 struct Task {
     connection: SqliteConnection,
     synchronous: Durability,
+    times: CommitTimes,
 }
 
 impl Task {
@@ -152,7 +171,10 @@ impl Task {
     }
 
     async fn commit(&mut self, group: &mut [Box<dyn Operation>]) -> Result<(), StoreError> {
+        let begun = instant();
         let done = self.transact(group).await;
+        self.times.seconds.observe(begun.elapsed().as_secs_f64());
+        self.times.operations.observe(group.len() as f64);
         if done.is_err() {
             // SQLite ends a transaction by itself after some errors; then there is nothing to undo.
             drop(sqlx::query("ROLLBACK").execute(&mut self.connection).await);

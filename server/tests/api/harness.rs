@@ -6,7 +6,7 @@ use std::time::Duration;
 
 use proto::access::client_builder;
 use proto::job::{JobState, JobView};
-use proto::work::{self, Hello, Outcome, Report, Run, SyncReply, SyncRequest, Welcome, Work};
+use proto::work::{self, Hello, Measured, Outcome, Report, Run, SyncReply, SyncRequest, Welcome, Work};
 use proto::{JobId, LeaseId, Problem, WorkerId};
 use reqwest::{Client, Response, StatusCode};
 use serde_json::{Value, json};
@@ -153,6 +153,7 @@ pub(crate) struct Said {
     pub(crate) results: Vec<Report>,
     pub(crate) wants_work: bool,
     pub(crate) wait: Duration,
+    pub(crate) measured: Measured,
 }
 
 impl<'a> Worker<'a> {
@@ -179,6 +180,7 @@ impl<'a> Worker<'a> {
             wants_work: said.wants_work,
             wait_ms: said.wait.as_millis() as u64,
             leaving: false,
+            measured: said.measured,
         };
         self.farm.post(work::SYNC, serde_json::to_string(&request).expect("json")).await
     }

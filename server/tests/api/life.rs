@@ -107,9 +107,9 @@ async fn health_names_the_workers_and_metrics_count() {
     assert_eq!((&ready["status"], &ready["workers"]), (&json!("ready"), &json!(["one"])));
     let text = in_time(farm.get("/metrics").await.text()).await.expect("text");
     for line in [
-        "sdfarm_jobs{state=\"running\"} 1",
-        "sdfarm_tiles{state=\"leased\"} 1",
-        "sdfarm_workers{state=\"ready\"} 1",
+        "sdfarm_jobs{state=\"running\"} 1.0",
+        "sdfarm_tiles{state=\"leased\"} 1.0",
+        "sdfarm_workers{state=\"ready\"} 1.0",
         "sdfarm_leases_expired_total 0",
     ] {
         assert!(text.lines().any(|found| found == line), "{line} in {text}");

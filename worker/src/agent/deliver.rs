@@ -7,10 +7,11 @@ use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use bytes::Bytes;
-use proto::work::Outcome;
+use proto::work::{Outcome, Phase};
 use scene::Job;
 use tempfile::SpooledData;
 use tokio::task::{JoinError, spawn_blocking};
+use tracing::Instrument;
 
 use super::back_off::BackOff;
 use super::link::{Content, LinkError};
@@ -85,6 +86,7 @@ impl Workbench {
     /// Delivers a tile as a blob.
     pub(super) async fn deliver_blob(self: Arc<Self>, rendered: Rendered) {
         let (renderer, Rendered { pixels, hold }) = (self.renderer.clone(), rendered);
+        let begun = Instant::now();
         let encoded = spawn_blocking(move || {
             let bytes = blob::encode(&pixels);
             renderer.recycle(vec![pixels]);
@@ -97,8 +99,10 @@ impl Workbench {
                 return self.finish([&hold], &Outcome::Failed { message });
             }
         };
+        self.tell(Event::Took { phase: Phase::Encode, took: begun.elapsed(), rays: 0 });
         let size_bytes = bytes.len() as u64;
         let put = self.until_stored(|| self.link.put_blob(&hash, bytes.clone()));
+        let put = put.instrument(tracing::info_span!("deliver", size_bytes));
         tokio::select! {
             () = hold.dropped.cancelled() => {}
             stored = put => {
@@ -122,7 +126,7 @@ impl Workbench {
         });
         let encoded = tokio::select! {
             () = nobody_waits(&holds) => return,
-            encoded = encoding => encoded,
+            encoded = encoding.instrument(tracing::info_span!("encode")) => encoded,
         };
         if let Some(Delivered { encode_ms, put_ms, size_bytes }) = self.deliver_picture(encoded, &holds).await {
             let (job, tiles, render_ms) = (frame.id, holds.len(), milliseconds(render));
@@ -151,10 +155,12 @@ impl Workbench {
 
     async fn put(&self, picture: Encoded, holds: &[Hold]) -> Option<Delivered> {
         let Encoded { content, hash, size_bytes, took } = picture;
+        self.tell(Event::Took { phase: Phase::Encode, took, rays: 0 });
         let start = Instant::now();
+        let put = self.until_stored(|| self.link.put_picture(&hash, &content, size_bytes));
         let stored = tokio::select! {
             () = nobody_waits(holds) => return None,
-            stored = self.until_stored(|| self.link.put_picture(&hash, &content, size_bytes)) => stored,
+            stored = put.instrument(tracing::info_span!("deliver", size_bytes)) => stored,
         };
         let put = start.elapsed();
         let outcome = stored.err().unwrap_or_else(|| Outcome::Picture { hash: hash.clone(), size_bytes });
@@ -168,10 +174,12 @@ impl Workbench {
     where
         F: Future<Output = Result<(), LinkError>>,
     {
+        let begun = Instant::now();
         let mut back_off = BackOff::new(Duration::from_millis(50), Duration::from_secs(2));
         loop {
             let error = match put().await {
                 Ok(()) => {
+                    self.tell(Event::Took { phase: Phase::Deliver, took: begun.elapsed(), rays: 0 });
                     self.tell(Event::Stored);
                     return Ok(());
                 }

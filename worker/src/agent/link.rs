@@ -89,7 +89,10 @@ impl Link {
 
     fn request(&self, method: Method, path: &str, timeout: Duration) -> RequestBuilder {
         let request = self.client.request(method, format!("{}{path}", self.server)).timeout(timeout);
-        self.access.sign(request)
+        self.access.sign(match proto::trace::current() {
+            Some(trace) => request.header(proto::trace::TRACEPARENT, trace),
+            None => request,
+        })
     }
 }
 

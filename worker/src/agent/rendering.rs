@@ -5,10 +5,11 @@ use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use proto::Rect;
-use proto::work::Outcome;
+use proto::work::{Outcome, Phase};
 use scene::Job;
 use tokio::sync::SemaphorePermit;
 use tokio::task::{JoinSet, spawn_blocking};
+use tracing::Instrument;
 
 use super::workbench::{Event, Frame, Hold, MEMORY_KIB, Stop, Workbench, chain, nobody_waits, panic_message};
 use crate::renderer::{Pixels, RenderError, TileRun, chunk_length};
@@ -60,7 +61,8 @@ impl Workbench {
                 while deliveries.len() >= self.deliveries() {
                     deliveries.join_next().await;
                 }
-                deliveries.spawn(self.clone().deliver_blob(rendered));
+                let span = tracing::info_span!("tile", tile = rendered.hold.tile);
+                deliveries.spawn(self.clone().deliver_blob(rendered).instrument(span));
             }
         }
         debug_assert!(device.is_none(), "a run has a tile");
@@ -87,7 +89,8 @@ impl Workbench {
             self.deliver_frame(&frame, rendered, render).await;
         } else {
             for rendered in rendered {
-                self.clone().deliver_blob(rendered).await;
+                let span = tracing::info_span!("tile", tile = rendered.hold.tile);
+                self.clone().deliver_blob(rendered).instrument(span).await;
             }
         }
         drop(memory);
@@ -111,7 +114,8 @@ impl Workbench {
         if wanted.is_empty() || self.is_retired() {
             return Vec::new();
         }
-        let message = match self.launch(frame, &wanted).await {
+        let span = tracing::info_span!("render", tile = wanted[0].hold.tile, tiles = wanted.len());
+        let message = match self.launch(frame, &wanted).instrument(span).await {
             Launched::Pixels(pixels) => {
                 let pairs = pixels.into_iter().zip(wanted);
                 return pairs.map(|(pixels, Place { hold, .. })| Rendered { pixels, hold }).collect();
@@ -131,7 +135,7 @@ impl Workbench {
             }
             return rendered;
         };
-        tracing::warn!(message, lease = %hold.lease, "a tile could not be rendered");
+        tracing::warn!(message, tile = hold.tile, lease = %hold.lease, "a tile could not be rendered");
         self.finish([hold], &Outcome::Failed { message });
         Vec::new()
     }
@@ -168,6 +172,7 @@ impl Workbench {
             Ok(Ok(pixels)) => {
                 let spent = start.elapsed().saturating_sub(self.renderer.take_setup_time());
                 self.tell(Event::Speed { rays, seconds: spent.as_secs_f64().max(1e-6) });
+                self.tell(Event::Took { phase: Phase::Render, took: spent, rays: rays as u64 });
                 Launched::Pixels(pixels)
             }
             Ok(Err(RenderError::Cancelled)) if stop.0.is_cancelled() => Launched::Dropped,

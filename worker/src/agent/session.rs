@@ -12,10 +12,12 @@ use tokio::sync::mpsc::{self, UnboundedReceiver, UnboundedSender};
 use tokio::task::{JoinError, JoinSet};
 use tokio::time::{Instant, sleep_until};
 use tokio_util::sync::CancellationToken;
+use tracing::Instrument;
 
 use super::AgentConfig;
 use super::back_off::BackOff;
 use super::link::{Link, LinkError};
+use super::measuring::Measurements;
 use super::rendering::milliseconds;
 use super::workbench::{Event, Hold, Workbench, leases};
 use crate::image::Encoders;
@@ -62,6 +64,7 @@ pub(super) struct Session {
     holds: HashMap<LeaseId, Hold>,
     outbox: Vec<Report>,
     speed: Speed,
+    measurements: Measurements,
     draining: bool,
     /// Nothing is ready: ask again when something has changed here.
     asked: bool,
@@ -122,6 +125,7 @@ impl Session {
         encoders: Encoders,
     ) -> Self {
         let (sender, events) = mpsc::unbounded_channel();
+        let measurements = Measurements::new(&renderer.device());
         let workbench = Workbench::new(link.clone(), renderer, encoders, config.scratch.clone(), sender.clone());
         let now = Instant::now();
         Self {
@@ -139,6 +143,7 @@ impl Session {
             holds: HashMap::new(),
             outbox: Vec::new(),
             speed: Speed::default(),
+            measurements,
             draining: false,
             asked: false,
             last_renewal: now,
@@ -240,6 +245,7 @@ impl Session {
             wants_work,
             wait_ms: wait.as_millis() as u64,
             leaving: false,
+            measured: self.measurements.take(),
         };
         // A call that waits is opened only when nothing else is said for a moment.
         self.heartbeat_at = now + wait.max(PAUSE);
@@ -296,7 +302,7 @@ impl Session {
         if let Some(run) = reply.run {
             // From soon on a waiting call is open, through which its loss would be heard of.
             self.heartbeat_at = self.heartbeat_at.min(Instant::now() + PAUSE);
-            self.take(run);
+            self.take(run, reply.trace);
         }
     }
 
@@ -314,20 +320,24 @@ impl Session {
         }
     }
 
-    fn take(&mut self, run: Run) {
-        let holds: Vec<Hold> = leases(&run).map(Hold::new).collect();
+    fn take(&mut self, run: Run, trace: Option<String>) {
+        let holds: Vec<Hold> = leases(&run).map(|(lease, tile)| Hold::new(lease, tile)).collect();
         if self.draining {
             self.outbox.extend(holds.iter().map(|hold| hold.report(Outcome::HandedBack)));
             return;
         }
         self.holds.extend(holds.iter().map(|hold| (hold.lease, hold.clone())));
         self.rendering += 1;
-        self.runs.spawn(self.workbench.clone().run(run, holds));
+        let span = tracing::info_span!("run", job = %run.job, frame = run.frame, worker = %self.welcome.worker);
+        if let Some(trace) = trace {
+            proto::trace::adopt(&span, &trace);
+        }
+        self.runs.spawn(self.workbench.clone().run(run, holds).instrument(span));
     }
 
     fn absorb(&mut self, event: Event) {
         // What makes no room and hands in nothing makes no work ready.
-        self.asked &= matches!(event, Event::Speed { .. } | Event::Stored);
+        self.asked &= matches!(event, Event::Speed { .. } | Event::Took { .. } | Event::Stored);
         match event {
             Event::Finished(reports) => {
                 // Of a lease that was lost meanwhile nobody wants to hear.
@@ -340,6 +350,7 @@ impl Session {
             }
             Event::Retired(reason) => self.retired = Some(reason),
             Event::Speed { rays, seconds } => self.speed.learn(rays, seconds),
+            Event::Took { phase, took, rays } => self.measurements.add(phase, took, rays),
             Event::Stored => self.refusals.reset(),
             Event::NotStored => self.work_at = Instant::now() + self.refusals.next(),
         }
@@ -378,6 +389,7 @@ impl Session {
             wants_work: false,
             wait_ms: 0,
             leaving: true,
+            measured: self.measurements.take(),
         };
         if let Err(error) = self.link.sync(&request, FAREWELL).await {
             tracing::debug!(%error, "the last sync failed; what was held will be leased again");

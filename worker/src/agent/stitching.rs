@@ -8,6 +8,7 @@ use proto::Rect;
 use proto::work::{Outcome, Part};
 use scene::Job;
 use tokio::task::spawn_blocking;
+use tracing::Instrument;
 
 use super::back_off::BackOff;
 use super::deliver::{Delivered, encode};
@@ -43,7 +44,7 @@ impl Workbench {
         });
         let encoded = tokio::select! {
             () = hold.dropped.cancelled() => return self.tell(Event::Rendered(None)),
-            encoded = encoding => encoded,
+            encoded = encoding.instrument(tracing::info_span!("encode")) => encoded,
         };
         self.tell(Event::Rendered(Some(start.elapsed())));
         let delivered = self.deliver_picture(encoded, std::slice::from_ref(hold)).await;

@@ -6,7 +6,7 @@ use std::path::PathBuf;
 use std::sync::Arc;
 use std::time::Duration;
 
-use proto::work::{Outcome, Report, Run, Work};
+use proto::work::{Outcome, Phase, Report, Run, Work};
 use proto::{JobId, LeaseId};
 use scene::Job;
 use tokio::sync::Semaphore;
@@ -37,6 +37,8 @@ pub(super) enum Event {
     Retired(String),
     /// So many camera rays were rendered in so many seconds.
     Speed { rays: f64, seconds: f64 },
+    /// A part of the work took so long; of rendering, so many camera rays.
+    Took { phase: Phase, took: Duration, rays: u64 },
     /// The server stored something.
     Stored,
     /// The server could not store something.
@@ -48,13 +50,15 @@ pub(super) enum Event {
 pub(super) struct Hold {
     /// Which one.
     pub(super) lease: LeaseId,
+    /// The tile's index in its frame; none of a stitch.
+    pub(super) tile: Option<u32>,
     /// Cancelled when nobody waits for its result any more.
     pub(super) dropped: CancellationToken,
 }
 
 impl Hold {
-    pub(super) fn new(lease: LeaseId) -> Self {
-        Self { lease, dropped: CancellationToken::new() }
+    pub(super) fn new(lease: LeaseId, tile: Option<u32>) -> Self {
+        Self { lease, tile, dropped: CancellationToken::new() }
     }
 
     pub(super) fn report(&self, outcome: Outcome) -> Report {
@@ -90,11 +94,11 @@ pub(super) struct Frame {
     pub(super) number: u32,
 }
 
-/// The leases of a run, in its order.
-pub(super) fn leases(run: &Run) -> impl Iterator<Item = LeaseId> {
-    let leases: Vec<LeaseId> = match &run.work {
-        Work::Render { tiles, .. } => tiles.iter().map(|tile| tile.lease).collect(),
-        Work::Stitch { lease, .. } => vec![*lease],
+/// The leases of a run and the indices of their tiles, in its order.
+pub(super) fn leases(run: &Run) -> impl Iterator<Item = (LeaseId, Option<u32>)> {
+    let leases: Vec<(LeaseId, Option<u32>)> = match &run.work {
+        Work::Render { tiles, .. } => tiles.iter().map(|tile| (tile.lease, Some(tile.index))).collect(),
+        Work::Stitch { lease, .. } => vec![(*lease, None)],
     };
     leases.into_iter()
 }

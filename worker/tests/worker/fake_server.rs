@@ -213,7 +213,7 @@ async fn sync(State(shared): State<Shared>, Json(sync): Json<SyncRequest>) -> Re
         shared.farm().waiting += 1;
         shared.farm.1.notify_all();
         if tokio::time::timeout_at(end, rung).await.is_err() {
-            return Json(SyncReply { run: None, lost: Vec::new(), drain: false }).into_response();
+            return Json(SyncReply { run: None, lost: Vec::new(), drain: false, trace: None }).into_response();
         }
     }
 }
@@ -230,7 +230,7 @@ fn answer(shared: &Shared, sync: &SyncRequest) -> Option<SyncReply> {
     }
     let drain = farm.drain;
     shared.farm.1.notify_all();
-    (run.is_some() || !lost.is_empty() || drain).then_some(SyncReply { run, lost, drain })
+    (run.is_some() || !lost.is_empty() || drain).then_some(SyncReply { run, lost, drain, trace: None })
 }
 
 async fn read_job(State(shared): State<Shared>, Path(job): Path<JobId>) -> Response {

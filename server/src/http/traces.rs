@@ -1,0 +1,50 @@
+//! Traces through the farm: from the request that hands in a job, by way of its leases, to the workers and back.
+//!
+//! Only what a trace shows is decided here; a farm without traces does the same work.
+
+use axum::http::HeaderMap;
+use proto::work::{Run, Work};
+use proto::{JobId, WorkerId, trace};
+use tracing::Span;
+
+use crate::farm::Farm;
+use crate::store::StoreError;
+
+/// Makes a request's span continue the trace that the request names, if it does.
+pub(super) fn continue_from(span: &Span, headers: &HeaderMap) {
+    if let Some(traceparent) = brought(headers) {
+        trace::adopt(span, traceparent);
+    }
+}
+
+/// Keeps the current trace with a job that is about to be accepted; or the one that its request names, for workers
+/// that tell where this server does not.
+pub(super) async fn keep(farm: &Farm, job: JobId, headers: &HeaderMap) -> Result<(), StoreError> {
+    let named = || brought(headers).filter(|traceparent| trace::is_sound(traceparent)).map(ToOwned::to_owned);
+    match trace::current().or_else(named) {
+        Some(traceparent) => farm.queue.keep_trace(job, traceparent).await,
+        None => Ok(()),
+    }
+}
+
+/// What a worker's run continues: a span of its own, below the one that handed in the job.
+pub(super) async fn of_run(farm: &Farm, worker: WorkerId, run: &Run) -> Option<String> {
+    let kept = match farm.watch.trace_of(farm, run.job).await {
+        Ok(kept) => kept?,
+        Err(error) => {
+            tracing::warn!(%error, job = %run.job, "the trace of a job could not be read");
+            return None;
+        }
+    };
+    let tiles = match &run.work {
+        Work::Render { tiles, .. } => tiles.len(),
+        Work::Stitch { parts, .. } => parts.len(),
+    };
+    let span = tracing::info_span!("lease", job = %run.job, frame = run.frame, %worker, tiles);
+    trace::adopt(&span, &kept);
+    Some(trace::of(&span).unwrap_or(kept))
+}
+
+fn brought(headers: &HeaderMap) -> Option<&str> {
+    headers.get(trace::TRACEPARENT)?.to_str().ok()
+}

@@ -1,0 +1,93 @@
+//! What the machine says of this process, its disk and its files.
+//!
+//! A question that the machine does not answer is answered with nothing.
+
+use std::fs;
+use std::path::Path;
+
+/// Of `/proc/self/stat`, where times are in hundredths of a second on every Linux.
+const TICKS_PER_SECOND: f64 = 100.0;
+
+/// What the machine says of this process.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub(crate) struct Process {
+    /// Memory that is in use.
+    pub(crate) resident_bytes: u64,
+    /// Time on any processor.
+    pub(crate) cpu_seconds: f64,
+    /// Files and connections that are open.
+    pub(crate) open_files: u64,
+    /// How many there may be.
+    pub(crate) max_files: u64,
+}
+
+/// Room on the disk of a folder.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub(crate) struct Disk {
+    /// What is free, to ordinary users.
+    pub(crate) free_bytes: u64,
+    /// What there is.
+    pub(crate) total_bytes: u64,
+}
+
+/// Asks about this process.
+pub(crate) fn process() -> Process {
+    let stat = fs::read_to_string("/proc/self/stat").unwrap_or_default();
+    let status = fs::read_to_string("/proc/self/status").unwrap_or_default();
+    Process {
+        resident_bytes: resident_kib(&status).unwrap_or(0) << 10,
+        cpu_seconds: cpu_ticks(&stat).unwrap_or(0) as f64 / TICKS_PER_SECOND,
+        open_files: fs::read_dir("/proc/self/fd").map_or(0, |files| files.count() as u64),
+        max_files: rustix::process::getrlimit(rustix::process::Resource::Nofile).current.unwrap_or(u64::MAX),
+    }
+}
+
+/// Time in user and kernel mode: fields 14 and 15, counted after the name, which may hold anything.
+fn cpu_ticks(stat: &str) -> Option<u64> {
+    let (_, after_name) = stat.rsplit_once(')')?;
+    let mut fields = after_name.split_whitespace().skip(11);
+    Some(fields.next()?.parse::<u64>().ok()? + fields.next()?.parse::<u64>().ok()?)
+}
+
+fn resident_kib(status: &str) -> Option<u64> {
+    status.lines().find_map(|line| line.strip_prefix("VmRSS:"))?.trim().strip_suffix("kB")?.trim().parse().ok()
+}
+
+/// Asks about the disk of a folder.
+pub(crate) fn disk(folder: &Path) -> Disk {
+    rustix::fs::statvfs(folder).map_or(Disk::default(), |disk| Disk {
+        free_bytes: disk.f_bavail * disk.f_frsize,
+        total_bytes: disk.f_blocks * disk.f_frsize,
+    })
+}
+
+/// The size of a file; 0 if it is not there.
+pub(crate) fn file_bytes(file: &Path) -> u64 {
+    fs::metadata(file).map_or(0, |metadata| metadata.len())
+}
+
+/// The sizes of a folder's files, together.
+pub(crate) fn folder_bytes(folder: &Path) -> u64 {
+    let Ok(entries) = fs::read_dir(folder) else { return 0 };
+    entries.flatten().filter_map(|entry| entry.metadata().ok()).map(|metadata| metadata.len()).sum()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_time_of_a_process_is_read_after_its_name() {
+        let stat = "7 (a) b) (c) S 1 7 7 0 -1 4194560 100 0 0 0 250 50 0 0 20 0 1 0 5 6 7";
+        assert_eq!(cpu_ticks(stat), Some(300));
+        assert_eq!(cpu_ticks("7 (sdfarm"), None);
+    }
+
+    #[test]
+    fn this_process_has_memory_and_files_and_a_disk() {
+        let process = process();
+        assert!(process.resident_bytes > 1 << 20 && process.open_files > 2, "{process:?}");
+        let disk = disk(&std::env::temp_dir());
+        assert!(disk.free_bytes <= disk.total_bytes && disk.total_bytes > 0, "{disk:?}");
+    }
+}
