@@ -1,0 +1,121 @@
+"""Checks what the engine would read, without an engine: the compose model, and that it is as safe as it says.
+
+Run from anywhere: python3 docker/check.py. It needs PyYAML. Prints what is wrong and exits with 1, or says what it saw.
+"""
+
+import pathlib
+import re
+import sys
+
+import yaml
+
+ROOT = pathlib.Path(__file__).resolve().parent.parent
+FOLDER = ROOT / "docker"
+
+# Of the compose specification, what this file may use: a misspelt key is found here.
+TOP = {"name", "services", "volumes", "x-hardened"}
+SERVICE = {
+    "restart", "read_only", "cap_drop", "security_opt", "tmpfs", "pids_limit", "logging", "image", "build", "user",
+    "command", "environment", "ports", "volumes", "stop_grace_period", "healthcheck", "depends_on", "deploy", "profiles",
+}
+NESTED = {
+    "build": {"context", "dockerfile"},
+    "healthcheck": {"test", "interval", "timeout", "retries", "start_period"},
+    "deploy": {"replicas", "resources"},
+    "logging": {"driver", "options"},
+}
+DURATION = re.compile(r"\d+(ms|s|m|h)")
+
+
+def faults_of_service(name, service, model):
+    def wrong(text):
+        return f"{name}: {text}"
+
+    for key in service.keys() - SERVICE:
+        yield wrong(f"unknown key {key}")
+    for key, known in NESTED.items():
+        for inner in service.get(key, {}).keys() - known:
+            yield wrong(f"unknown key {key}.{inner}")
+    if service.get("read_only") is not True:
+        yield wrong("its root is writable")
+    if service.get("cap_drop") != ["ALL"] or "no-new-privileges:true" not in service.get("security_opt", []):
+        yield wrong("it keeps rights that it does not need")
+    if service.get("user", "0").split(":")[0] in ("0", "root"):
+        yield wrong("it runs as root")
+    check = service.get("healthcheck", {})
+    if not check.get("test") or check["test"][0] != "CMD":
+        yield wrong("it has no health check without a shell")
+    for key in ("interval", "timeout", "start_period"):
+        if key in check and not DURATION.fullmatch(check[key]):
+            yield wrong(f"healthcheck.{key} is no duration")
+    for port in service.get("ports", []):
+        if not re.fullmatch(r"127\.0\.0\.1:\d+:\d+", port):
+            yield wrong(f"port {port} is open to other machines")
+    for volume in service.get("volumes", []):
+        source, target = volume.split(":")[:2]
+        if not target.startswith("/"):
+            yield wrong(f"volume {volume} has no place")
+        if source.startswith("."):
+            if not (FOLDER / source).exists():
+                yield wrong(f"{source} is not there")
+        elif source not in model["volumes"]:
+            yield wrong(f"volume {source} is not declared")
+    for other, how in service.get("depends_on", {}).items():
+        if "healthcheck" not in model["services"].get(other, {}) or how != {"condition": "service_healthy"}:
+            yield wrong(f"it waits for {other}, whose health nobody checks")
+    build = service.get("build")
+    if build and not (FOLDER / build["context"] / build["dockerfile"]).is_file():
+        yield wrong(f"{build['dockerfile']} is not there")
+    if not build and ":" not in service["image"] and not built(service["image"], model):
+        yield wrong(f"image {service['image']} has no version")
+    for variable, value in service.get("environment", {}).items():
+        if not isinstance(value, str):
+            yield wrong(f"{variable} is no text")
+        if variable.startswith("SDFARM_") and variable not in variables():
+            yield wrong(f"the program knows no {variable}")
+
+
+def built(image, model):
+    return any(other["image"] == image and "build" in other for other in model["services"].values())
+
+
+def variables():
+    sources = (ROOT / "cli" / "src").rglob("*.rs")
+    return {name for source in sources for name in re.findall(r'"(SDFARM_[A-Z_]+)"', source.read_text())}
+
+
+def faults_of_image(path):
+    lines = [line.strip() for line in path.read_text().splitlines()]
+    stages = [line for line in lines if line.startswith("FROM ")]
+    for stage in stages:
+        if not re.fullmatch(r"FROM \S+:[\w.-]*\d[\w.-]*( AS \w+)?", stage):
+            yield f"{path.name}: {stage!r} names no version"
+    last = lines[lines.index(stages[-1]):]
+    if not any(re.fullmatch(r"USER \d+:\d+", line) and not line.startswith("USER 0") for line in last):
+        yield f"{path.name}: it runs as root"
+    if not any(line.startswith("HEALTHCHECK ") for line in last):
+        yield f"{path.name}: nobody checks its health"
+    for name in re.findall(r"\b(SDFARM_[A-Z_]+)=", "\n".join(last)):
+        if name not in variables():
+            yield f"{path.name}: the program knows no {name}"
+
+
+def faults():
+    model = yaml.safe_load((FOLDER / "compose.yml").read_text())
+    for key in model.keys() - TOP:
+        yield f"compose.yml: unknown key {key}"
+    for name, service in model["services"].items():
+        yield from faults_of_service(name, service, model)
+    for path in sorted(FOLDER.glob("Dockerfile*")):
+        yield from faults_of_image(path)
+    ignored = (ROOT / ".dockerignore").read_text().split()
+    members = re.search(r"members = \[(.*?)\]", (ROOT / "Cargo.toml").read_text()).group(1)
+    for folder in [*re.findall(r'"(\w+)"', members), "migrations", "scenes", "tests", "Cargo.lock"]:
+        if f"!{folder}" not in ignored:
+            yield f".dockerignore: {folder} does not reach the build"
+
+
+if __name__ == "__main__":
+    found = list(faults())
+    print("\n".join(found) if found else "the compose model and the images are sound")
+    sys.exit(1 if found else 0)
