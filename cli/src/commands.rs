@@ -3,12 +3,15 @@
 mod bench;
 mod cancel;
 mod check;
+mod delete;
 mod demo;
 mod explain;
 mod fetch;
 mod jobs;
 mod pool;
+mod priority;
 mod render;
+mod retry;
 mod schema;
 mod selftest;
 mod serve;
@@ -42,6 +45,12 @@ pub(crate) enum Command {
     Jobs(jobs::Arguments),
     /// Stop a job.
     Cancel(cancel::Arguments),
+    /// Have the dead tiles of a failed job rendered again.
+    Retry(retry::Arguments),
+    /// Move a job before or behind others.
+    Priority(priority::Arguments),
+    /// Forget a job and its pictures, or tell what that would take along.
+    Delete(delete::Arguments),
     /// Show the server's own workers, or set how many there should be.
     Pool(pool::Arguments),
     /// Check a job file: every fault, with its line and column.
@@ -75,6 +84,9 @@ impl Command {
             Self::Fetch(arguments) => run_async(interruptible(fetch::run(arguments))),
             Self::Jobs(arguments) => run_async(interruptible(jobs::run(arguments))),
             Self::Cancel(arguments) => run_async(interruptible(cancel::run(arguments))),
+            Self::Retry(arguments) => run_async(interruptible(retry::run(arguments))),
+            Self::Priority(arguments) => run_async(interruptible(priority::run(arguments))),
+            Self::Delete(arguments) => run_async(interruptible(delete::run(arguments))),
             Self::Pool(arguments) => run_async(interruptible(pool::run(arguments))),
             Self::Check(arguments) => check::run(&arguments),
             Self::Schema(arguments) => schema::run(&arguments),

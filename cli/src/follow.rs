@@ -3,6 +3,7 @@
 use std::time::{Duration, Instant};
 
 use anyhow::Context;
+use proto::event::JobEvent;
 use proto::job::{JobState, JobView};
 use proto::{Client, ClientError, JobId};
 
@@ -19,23 +20,12 @@ const STEPS: f64 = 10_000.0;
 
 /// Waits until the job has succeeded; a job that failed or was cancelled is an error.
 pub(crate) async fn until_done(client: &Client, id: JobId) -> anyhow::Result<JobView> {
-    let mut job = client.job(id).await?;
+    let job = client.job(id).await?;
     let progress = Progress::new(&job.name, STEPS as u64);
-    let mut wait = FIRST_WAIT;
-    let mut seen = Instant::now();
-    while !job.state.is_final() {
-        progress.set((job.progress * STEPS) as u64);
-        tokio::time::sleep(wait).await;
-        wait = (wait * 3 / 2).min(LONGEST_WAIT);
-        match client.job(id).await {
-            Ok(now) => {
-                job = now;
-                seen = Instant::now();
-            }
-            Err(ClientError::Unreachable { .. } | ClientError::Broken { .. }) if seen.elapsed() < PATIENCE => {}
-            Err(other) => return Err(other.into()),
-        }
-    }
+    let job = match Following::new(client, id).until_final(&progress, job).await {
+        Err(ClientError::Foreign { .. }) => poll(client, id, &progress).await?,
+        followed => followed?,
+    };
     progress.finish();
     match job.state {
         JobState::Succeeded => Ok(job),
@@ -44,7 +34,91 @@ pub(crate) async fn until_done(client: &Client, id: JobId) -> anyhow::Result<Job
             anyhow::bail!("job {id} failed: {reason}")
         }
         JobState::Cancelled => anyhow::bail!("job {id} was cancelled"),
-        JobState::Queued | JobState::Running => unreachable!("the loop ends at final states"),
+        JobState::Queued | JobState::Running => unreachable!("following ends at final states"),
+    }
+}
+
+/// Following by events; it comes back by itself when the server does.
+struct Following<'a> {
+    client: &'a Client,
+    id: JobId,
+    last_id: Option<String>,
+    heard: Instant,
+}
+
+impl<'a> Following<'a> {
+    fn new(client: &'a Client, id: JobId) -> Self {
+        Self { client, id, last_id: None, heard: Instant::now() }
+    }
+
+    async fn until_final(&mut self, progress: &Progress, mut job: JobView) -> Result<JobView, ClientError> {
+        let mut wait = FIRST_WAIT;
+        while !job.state.is_final() {
+            match self.listen(progress).await {
+                Ok(()) => wait = FIRST_WAIT,
+                Err(error) if is_away(&error) && self.heard.elapsed() < PATIENCE => {}
+                // Something on the way, or an older server, has no events.
+                Err(error) if error.code() == Some("unknown_route") => {
+                    return poll(self.client, self.id, progress).await;
+                }
+                Err(other) => return Err(other),
+            }
+            match self.client.job(self.id).await {
+                Ok(now) => {
+                    job = now;
+                    self.heard = Instant::now();
+                    progress.set((job.progress * STEPS) as u64);
+                }
+                Err(error) if is_away(&error) && self.heard.elapsed() < PATIENCE => {}
+                Err(other) => return Err(other),
+            }
+            if !job.state.is_final() {
+                tokio::time::sleep(wait).await;
+                wait = (wait * 3 / 2).min(LONGEST_WAIT);
+            }
+        }
+        Ok(job)
+    }
+
+    /// Shows what is told, until the stream ends.
+    async fn listen(&mut self, progress: &Progress) -> Result<(), ClientError> {
+        let Some(mut events) = self.client.events(self.id, self.last_id.as_deref()).await? else { return Ok(()) };
+        loop {
+            let event = events.next().await;
+            self.last_id = events.last_id().map(ToOwned::to_owned);
+            self.heard = Instant::now();
+            let share = match event? {
+                None => return Ok(()),
+                Some(JobEvent::Progress(event)) => event.progress,
+                Some(JobEvent::Snapshot(snapshot)) => snapshot.progress,
+                Some(JobEvent::State(event)) if event.state == JobState::Succeeded => 1.0,
+                Some(JobEvent::State(_) | JobEvent::Tile(_) | JobEvent::Frame(_)) => continue,
+            };
+            progress.set((share * STEPS) as u64);
+        }
+    }
+}
+
+fn is_away(error: &ClientError) -> bool {
+    matches!(error, ClientError::Unreachable { .. } | ClientError::Broken { .. }) || error.code() == Some("closing")
+}
+
+/// Asks now and then.
+async fn poll(client: &Client, id: JobId, progress: &Progress) -> Result<JobView, ClientError> {
+    let mut wait = FIRST_WAIT;
+    let mut heard = Instant::now();
+    loop {
+        match client.job(id).await {
+            Ok(job) if job.state.is_final() => return Ok(job),
+            Ok(job) => {
+                progress.set((job.progress * STEPS) as u64);
+                heard = Instant::now();
+            }
+            Err(error) if is_away(&error) && heard.elapsed() < PATIENCE => {}
+            Err(other) => return Err(other),
+        }
+        tokio::time::sleep(wait).await;
+        wait = (wait * 3 / 2).min(LONGEST_WAIT);
     }
 }
 

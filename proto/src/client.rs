@@ -2,6 +2,8 @@
 //!
 //! It carries and names; what to show, retry or wait for is its caller's business.
 
+mod jobs;
+
 use std::io::Write;
 use std::time::Duration;
 
@@ -13,6 +15,8 @@ use crate::access::{Access, AccessError, server_url};
 use crate::job::{DryRun, JobPage, JobState, JobView};
 use crate::pool::{PoolSize, PoolView, WorkerList};
 use crate::{JobId, Problem};
+
+pub use jobs::{Events, Submission};
 
 const CONNECT_TIMEOUT: Duration = Duration::from_secs(10);
 /// No route of the users' API is silent for so long.

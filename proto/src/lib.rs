@@ -4,7 +4,9 @@
 //! Nothing here renders, stores or decides; it only names and carries.
 
 pub mod access;
+pub mod change;
 pub mod client;
+pub mod event;
 pub mod ids;
 pub mod job;
 pub mod pool;

@@ -10,6 +10,7 @@ use tokio::sync::mpsc;
 use tokio_util::sync::CancellationToken;
 
 use crate::config::Config;
+use crate::events::Events;
 use crate::jobs::{JobError, Jobs};
 use crate::pictures::{Kind, Name, PictureError, Pictures};
 use crate::plan::Plan;
@@ -51,6 +52,8 @@ pub(crate) struct Farm {
     pub(crate) config: Config,
     /// Jobs, tiles, leases, workers.
     pub(crate) queue: Queue,
+    /// What tells followers.
+    pub(crate) events: Events,
     /// Pictures and blobs.
     pub(crate) pictures: Pictures,
     /// Parsed job files.

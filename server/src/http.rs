@@ -2,8 +2,10 @@
 //! and answer; nothing is decided about jobs here.
 
 mod body;
+mod change;
 mod door;
 mod error;
+mod events;
 mod health;
 mod images;
 mod jobs;
@@ -34,8 +36,10 @@ use openapi::Document;
 fn users() -> OpenApiRouter<Arc<Farm>> {
     OpenApiRouter::new()
         .routes(routes!(jobs::submit, jobs::list))
-        .routes(routes!(jobs::get, jobs::delete))
+        .routes(routes!(jobs::get, change::patch, change::delete))
         .routes(routes!(jobs::cancel))
+        .routes(routes!(change::retry))
+        .routes(routes!(events::follow))
         .routes(routes!(images::first))
         .routes(routes!(images::frame))
         .routes(routes!(pool::workers))

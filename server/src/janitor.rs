@@ -61,6 +61,7 @@ async fn sweep(farm: &Farm, kind: Kind, hashes: &[String]) -> Result<(), StoreEr
 async fn look_through(farm: &Farm) -> Result<(), StoreError> {
     farm.queue.tidy().await?;
     farm.queue.drop_traces().await?;
+    farm.queue.prune_events().await?;
     for kind in [Kind::Blob, Kind::Picture] {
         let names = match old_names(farm, kind).await {
             Ok(names) => names,

@@ -4,6 +4,7 @@
 
 mod clock;
 mod config;
+mod events;
 mod farm;
 mod http;
 mod janitor;
@@ -83,6 +84,10 @@ impl Server {
             axum::serve(listener, router).with_graceful_shutdown(ending.cancelled_owned()).await
         });
         let janitor = tokio::spawn(janitor::run(Arc::clone(&farm), leftovers, farm.ending.clone()));
+        let telling = tokio::spawn({
+            let farm = Arc::clone(&farm);
+            async move { farm.events.run(farm.ending.clone()).await }
+        });
         let pool = farm.pool.start(&farm.config, address, farm.queue.clone());
         tracing::info!(%address, "serving");
         let failed = tokio::select! {
@@ -96,8 +101,10 @@ impl Server {
             Some(ended) => Some(ended),
             None => tokio::time::timeout(LAST_ANSWERS, serving).await.ok(),
         };
-        if let Err(error) = janitor.await {
-            tracing::error!(%error, "the janitor panicked");
+        for (task, name) in [(janitor, "the janitor"), (telling, "what tells followers")] {
+            if let Err(error) = task.await {
+                tracing::error!(%error, "{name} panicked");
+            }
         }
         store.close().await;
         drop(lock);

@@ -4,10 +4,12 @@
 //! `Queue` is the door: it binds the time, runs transitions in the writer, and rings the
 //! bell for what the rest of the farm should know. Nothing here knows about HTTP or files.
 
+mod change;
 mod claim;
 mod counts;
 mod deliver;
 mod end;
+mod events;
 mod lease;
 mod open;
 mod recover;
@@ -29,8 +31,10 @@ use tokio::sync::Notify;
 use crate::clock::Clock;
 use crate::store::{Durability, Store, StoreError};
 
+pub(crate) use change::Changed;
 pub(crate) use counts::Counts;
 pub(crate) use end::{Cancelled, Deleted};
+pub(crate) use events::Event;
 pub(crate) use lease::Cause;
 pub(crate) use open::{Opened, Opening};
 pub(crate) use recover::Recovered;
@@ -266,6 +270,11 @@ impl Queue {
     /// Seconds since 1970, by the wall clock.
     pub(crate) fn wall_seconds(&self) -> i64 {
         self.clock.wall_ms() / 1000
+    }
+
+    /// What rings after every commit.
+    pub(crate) fn commits(&self) -> tokio::sync::watch::Receiver<()> {
+        self.store.bell()
     }
 
     /// The database, for what only reads.

@@ -13,6 +13,7 @@ use tokio_util::sync::CancellationToken;
 use crate::Server;
 use crate::clock::Clock;
 use crate::config::Config;
+use crate::events::Events;
 use crate::farm::{Farm, Totals};
 use crate::jobs::Jobs;
 use crate::lock::{FolderLock, LockError};
@@ -101,6 +102,7 @@ pub(crate) async fn start(config: Config, clock: Clock) -> Result<Server, StartE
     );
     let (left, leftovers) = mpsc::unbounded_channel();
     let farm = Arc::new(Farm {
+        events: Events::new(queue.clone()),
         queue,
         pictures,
         jobs: Jobs::new(),

@@ -149,6 +149,11 @@ impl Store {
         &self.commits
     }
 
+    /// What rings after every commit.
+    pub(crate) fn bell(&self) -> tokio::sync::watch::Receiver<()> {
+        self.writer.bell()
+    }
+
     /// The connections that read.
     pub(crate) fn readers(&self) -> &SqlitePool {
         &self.readers

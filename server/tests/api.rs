@@ -2,6 +2,8 @@
 
 mod api {
     mod bad_input;
+    mod change;
+    mod events;
     pub(crate) mod harness;
     mod images;
     mod jobs;

@@ -38,8 +38,10 @@ pub(crate) enum ApiError {
     UnknownRoute { method: String, path: String },
     #[error("{path} does not take {method}: see the Allow header, and /docs")]
     WrongMethod { method: String, path: String },
-    #[error("job {job} has already {}: nothing is left to cancel", .state.name())]
+    #[error("job {job} has ended (it is {}): nothing of it can be changed any more", .state.name())]
     Finished { job: JobId, state: JobState },
+    #[error("none of the tiles of job {job}, which is {}, is dead: only a failed job is retried", .state.name())]
+    NothingDead { job: JobId, state: JobState },
     #[error("job {0} is running: cancel it first, then delete it")]
     Running(JobId),
     #[error("the range lies outside of the picture, which has {size_bytes} bytes")]
@@ -117,6 +119,7 @@ impl ApiError {
             Self::UnknownRoute { .. } => (StatusCode::NOT_FOUND, "unknown_route", "There is no such route"),
             Self::WrongMethod { .. } => (StatusCode::METHOD_NOT_ALLOWED, "wrong_method", "The method is not taken"),
             Self::Finished { .. } => (StatusCode::CONFLICT, "job_finished", "The job has ended"),
+            Self::NothingDead { .. } => (StatusCode::CONFLICT, "nothing_dead", "There is nothing to retry"),
             Self::Running(_) => (StatusCode::CONFLICT, "job_running", "The job is running"),
             Self::WrongRange { .. } => (StatusCode::RANGE_NOT_SATISFIABLE, "wrong_range", "The range is not there"),
             Self::ForeignHost(_) => (StatusCode::FORBIDDEN, "foreign_host", "The host is not this server"),

@@ -18,7 +18,7 @@ use super::traces;
 use crate::farm::Farm;
 use crate::pictures::Kind;
 use crate::plan::Plan;
-use crate::queue::{Cancelled, Deleted, NewJob};
+use crate::queue::{Cancelled, NewJob};
 
 /// Jobs on a page, unless the query says otherwise.
 const PAGE: u32 = 100;
@@ -160,7 +160,8 @@ pub(super) async fn get(State(farm): State<Arc<Farm>>, Path(id): Path<String>) -
     view(&farm, job_id(&id)?).await
 }
 
-async fn view(farm: &Farm, id: JobId) -> Result<Json<JobView>, ApiError> {
+/// A job as it is now.
+pub(super) async fn view(farm: &Farm, id: JobId) -> Result<Json<JobView>, ApiError> {
     farm.queue.job(id).await?.map(Json).ok_or_else(|| ApiError::UnknownJob(id.to_string()))
 }
 
@@ -182,27 +183,4 @@ pub(super) async fn cancel(State(farm): State<Arc<Farm>>, Path(id): Path<String>
         Cancelled::Unknown => return Err(ApiError::UnknownJob(id)),
     }
     view(&farm, job).await
-}
-
-/// Forget a job and its pictures.
-#[utoipa::path(
-    delete, path = "/v1/jobs/{id}", tag = "jobs", operation_id = "delete_job",
-    params(("id" = String, Path, description = "The job")),
-    responses(
-        (status = 204, description = "It is forgotten"),
-        (status = 404, description = "No such job", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
-        (status = 409, description = "It is running", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
-    )
-)]
-pub(super) async fn delete(State(farm): State<Arc<Farm>>, Path(id): Path<String>) -> Result<StatusCode, ApiError> {
-    let job = job_id(&id)?;
-    match farm.queue.delete(job).await? {
-        Deleted::Done { pictures, blobs } => {
-            farm.sweep_later(Kind::Picture, pictures);
-            farm.sweep_later(Kind::Blob, blobs);
-            Ok(StatusCode::NO_CONTENT)
-        }
-        Deleted::Running => Err(ApiError::Running(job)),
-        Deleted::Unknown => Err(ApiError::UnknownJob(id)),
-    }
 }

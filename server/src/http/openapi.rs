@@ -7,6 +7,7 @@ use axum::extract::State;
 use axum::http::header;
 use axum::response::{IntoResponse, Response};
 use proto::Problem;
+use proto::change::{DeletePreview, JobPatch};
 use proto::job::{DryRun, JobPage, JobView};
 use proto::pool::{PoolSize, PoolView, WorkerList};
 use schemars::generate::SchemaSettings;
@@ -52,6 +53,8 @@ fn views() -> Map<String, Value> {
     generator.subschema_for::<JobView>();
     generator.subschema_for::<JobPage>();
     generator.subschema_for::<DryRun>();
+    generator.subschema_for::<DeletePreview>();
+    generator.subschema_for::<JobPatch>();
     generator.subschema_for::<WorkerList>();
     generator.subschema_for::<PoolSize>();
     generator.subschema_for::<PoolView>();

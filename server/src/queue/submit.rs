@@ -28,6 +28,24 @@ pub(crate) struct NewJob {
     pub(crate) text: String,
 }
 
+#[cfg(test)]
+impl NewJob {
+    /// A job of one tile that is rendered anew.
+    pub(crate) fn example() -> Self {
+        Self {
+            id: JobId::new(),
+            name: "example".to_owned(),
+            priority: 0,
+            nodes: 1,
+            plan: Plan { width_px: 64, height_px: 64, samples: 1, pixel_bytes: 16, edge_px: Some(64), frames: 1 },
+            media_type: "image/png",
+            warnings: Vec::new(),
+            fresh: true,
+            text: "{}".to_owned(),
+        }
+    }
+}
+
 /// Who submits while there are no keys.
 const SUBMITTER: &str = "local";
 

@@ -9,7 +9,7 @@ use futures_util::future::BoxFuture;
 use prometheus_client::metrics::histogram::Histogram;
 use sqlx::Connection;
 use sqlx::sqlite::SqliteConnection;
-use tokio::sync::{Mutex, mpsc, oneshot};
+use tokio::sync::{Mutex, mpsc, oneshot, watch};
 use tokio::task::JoinHandle;
 
 use super::StoreError;
@@ -52,14 +52,17 @@ impl Default for CommitTimes {
 pub(super) struct Writer {
     operations: std::sync::Mutex<Option<mpsc::Sender<Box<dyn Operation>>>>,
     task: Mutex<Option<JoinHandle<()>>>,
+    bell: watch::Sender<()>,
 }
 
 impl Writer {
     /// Starts the task that owns `connection`.
     pub(super) fn start(connection: SqliteConnection, times: CommitTimes) -> Self {
         let (operations, waiting) = mpsc::channel(QUEUE);
-        let task = tokio::spawn(Task { connection, synchronous: Durability::Full, times }.run(waiting));
-        Self { operations: std::sync::Mutex::new(Some(operations)), task: Mutex::new(Some(task)) }
+        let bell = watch::Sender::new(());
+        let task = Task { connection, synchronous: Durability::Full, times, bell: bell.clone() };
+        let task = tokio::spawn(task.run(waiting));
+        Self { operations: std::sync::Mutex::new(Some(operations)), task: Mutex::new(Some(task)), bell }
     }
 
     /// Runs one operation; see [`super::Store::write`].
@@ -73,6 +76,11 @@ impl Writer {
         let waiting = Waiting { durability, work: Some(work), result: None, reply };
         sender.send(Box::new(waiting)).await.map_err(|_| StoreError::Closed)?;
         answer.await.map_err(|_| StoreError::Closed)?
+    }
+
+    /// What rings after every commit.
+    pub(super) fn bell(&self) -> watch::Receiver<()> {
+        self.bell.subscribe()
     }
 
     /// Ends the task when it has done what waits.
@@ -136,6 +144,7 @@ struct Task {
     connection: SqliteConnection,
     synchronous: Durability,
     times: CommitTimes,
+    bell: watch::Sender<()>,
 }
 
 impl Task {
@@ -159,6 +168,7 @@ impl Task {
                 group.push(next);
             }
             let committed = self.commit(&mut group).await;
+            self.bell.send_replace(());
             for operation in group {
                 operation.answer(committed.clone());
             }

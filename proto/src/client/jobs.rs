@@ -1,0 +1,136 @@
+//! The client's ways with one job: handing it in safely, following it, changing it, fetching its frames.
+
+use std::io::Write;
+
+use reqwest::header::{ACCEPT, CACHE_CONTROL, CONTENT_TYPE, HeaderValue};
+use reqwest::{Method, Response, StatusCode};
+
+use super::{Client, ClientError};
+use crate::JobId;
+use crate::change::{DeletePreview, FramePage, JobPatch};
+use crate::event::{JobEvent, Lines, Message};
+use crate::job::JobView;
+
+/// How a job is handed in.
+#[derive(Clone, Debug, Default)]
+pub struct Submission {
+    /// Render it even if its pictures are stored already.
+    pub no_cache: bool,
+    /// A name for this very wish: handed in again under it, it is the same job.
+    pub idempotency_key: Option<String>,
+    /// Who is told when it has ended.
+    pub webhooks: Vec<String>,
+}
+
+/// A job's events, as they come.
+#[derive(Debug)]
+pub struct Events {
+    client: Client,
+    response: Response,
+    lines: Lines,
+    ready: std::collections::VecDeque<Message>,
+    last_id: Option<String>,
+}
+
+impl Events {
+    /// The next event that this version knows; `None` when the server has ended the stream.
+    pub async fn next(&mut self) -> Result<Option<JobEvent>, ClientError> {
+        loop {
+            while let Some(message) = self.ready.pop_front() {
+                if message.id.is_some() {
+                    self.last_id = message.id;
+                }
+                if let Some(event) = JobEvent::read(&message.event, &message.data) {
+                    return Ok(Some(event));
+                }
+            }
+            let chunk = self.response.chunk().await.map_err(|source| self.client.broken(source))?;
+            let Some(chunk) = chunk else { return Ok(None) };
+            self.ready.extend(self.lines.push(&chunk));
+        }
+    }
+
+    /// The id of the last event: what to resume after.
+    pub fn last_id(&self) -> Option<&str> {
+        self.last_id.as_deref()
+    }
+}
+
+impl Client {
+    /// Hands in a job file.
+    pub async fn submit_with(&self, job: Vec<u8>, how: &Submission) -> Result<JobView, ClientError> {
+        let mut request = self.request(Method::POST, "/v1/jobs").header(CONTENT_TYPE, "application/json").body(job);
+        if how.no_cache {
+            request = request.header(CACHE_CONTROL, "no-cache");
+        }
+        if let Some(key) = &how.idempotency_key {
+            request = request.header("idempotency-key", key);
+        }
+        for webhook in &how.webhooks {
+            request = request.query(&[("webhook", webhook)]);
+        }
+        self.json(request).await
+    }
+
+    /// A job's events, from the first or after one; `None` if nothing will follow that one.
+    pub async fn events(&self, id: JobId, after: Option<&str>) -> Result<Option<Events>, ClientError> {
+        let mut request =
+            self.request(Method::GET, &format!("/v1/jobs/{id}/events")).header(ACCEPT, "text/event-stream");
+        if let Some(after) = after {
+            request = request.header("last-event-id", after);
+        }
+        let response = self.send(request).await?;
+        if response.status() == StatusCode::NO_CONTENT {
+            return Ok(None);
+        }
+        let kind = response.headers().get(CONTENT_TYPE).map(HeaderValue::as_bytes);
+        if !kind.is_some_and(|kind| kind.starts_with(b"text/event-stream")) {
+            return Err(self.foreign(response.status().as_u16(), b"no event stream"));
+        }
+        Ok(Some(Events {
+            client: self.clone(),
+            response,
+            lines: Lines::default(),
+            ready: std::collections::VecDeque::new(),
+            last_id: after.map(ToOwned::to_owned),
+        }))
+    }
+
+    /// Has a failed job's dead tiles rendered again.
+    pub async fn retry(&self, id: JobId) -> Result<JobView, ClientError> {
+        self.json(self.request(Method::POST, &format!("/v1/jobs/{id}/retry"))).await
+    }
+
+    /// Changes a job.
+    pub async fn patch(&self, id: JobId, patch: &JobPatch) -> Result<JobView, ClientError> {
+        self.json(self.request(Method::PATCH, &format!("/v1/jobs/{id}")).json(patch)).await
+    }
+
+    /// What deleting a job would take along.
+    pub async fn delete_preview(&self, id: JobId) -> Result<DeletePreview, ClientError> {
+        self.json(self.request(Method::DELETE, &format!("/v1/jobs/{id}")).query(&[("dry_run", "true")])).await
+    }
+
+    /// A page of a job's frames; `cursor` is the `next_cursor` of the page before.
+    pub async fn frames(&self, id: JobId, cursor: Option<&str>) -> Result<FramePage, ClientError> {
+        let request = self.request(Method::GET, &format!("/v1/jobs/{id}/frames")).query(&[("limit", "1000")]);
+        self.json(match cursor {
+            Some(cursor) => request.query(&[("cursor", cursor)]),
+            None => request,
+        })
+        .await
+    }
+
+    /// Writes all of a job's pictures to `out` as one ZIP archive; returns its size in bytes.
+    pub async fn archive(&self, id: JobId, partial: bool, out: &mut (dyn Write + Send)) -> Result<u64, ClientError> {
+        let request = self.request(Method::GET, &format!("/v1/jobs/{id}/frames.zip"));
+        let request = if partial { request.query(&[("partial", "true")]) } else { request };
+        let mut response = self.send(request).await?;
+        let mut size_bytes = 0;
+        while let Some(chunk) = response.chunk().await.map_err(|source| self.broken(source))? {
+            out.write_all(&chunk).map_err(ClientError::Write)?;
+            size_bytes += chunk.len() as u64;
+        }
+        Ok(size_bytes)
+    }
+}

@@ -1,0 +1,191 @@
+//! What happens to a job, as `GET /v1/jobs/{id}/events` tells it, and how its text is read.
+//!
+//! It names and reads; whom to tell and when to stop is decided elsewhere.
+
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+use crate::job::{Count, JobState};
+
+/// A job has reached a state.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+pub struct StateEvent {
+    /// The state.
+    pub state: JobState,
+    /// What went wrong, in words.
+    pub errors: Vec<String>,
+    /// When: RFC 3339, UTC.
+    pub at: String,
+}
+
+/// Another hundredth of a job's rays is rendered.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+pub struct ProgressEvent {
+    /// Share of its rays that are rendered, 0 to 1; never falls.
+    pub progress: f64,
+    /// Tiles of all frames.
+    pub tiles: Count,
+}
+
+/// A tile is rendered, or has to be rendered again.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+pub struct TileEvent {
+    /// The frame, from 0.
+    pub frame: u32,
+    /// Left edge, in pixels.
+    pub x: u32,
+    /// Upper edge, in pixels.
+    pub y: u32,
+    /// Width, in pixels.
+    pub width: u32,
+    /// Height, in pixels.
+    pub height: u32,
+    /// False: its pixels were lost, and it will be rendered again.
+    pub done: bool,
+}
+
+/// A frame's picture is stored.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+pub struct FrameEvent {
+    /// The frame, from 0.
+    pub frame: u32,
+    /// BLAKE3 of the picture's bytes, in hex.
+    pub picture: String,
+    /// Size of the picture.
+    pub size_bytes: u64,
+    /// The picture's address on this server.
+    pub image: String,
+}
+
+/// Where a job stands; told first where events that were missed are kept no longer.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+pub struct Snapshot {
+    /// The job's state.
+    pub state: JobState,
+    /// What went wrong, in words.
+    pub errors: Vec<String>,
+    /// Share of its rays that are rendered, 0 to 1.
+    pub progress: f64,
+    /// Tiles of all frames.
+    pub tiles: Count,
+    /// Frames; one is done when its picture is stored.
+    pub frames: Count,
+    /// The frames whose pictures are stored: first and last of each run.
+    pub stored: Vec<[u32; 2]>,
+    /// The rendered tiles of frames that are not stored.
+    pub rectangles: Vec<TileEvent>,
+}
+
+/// One of them.
+#[derive(Clone, Debug, PartialEq)]
+pub enum JobEvent {
+    /// The job has reached a state.
+    State(StateEvent),
+    /// Another hundredth is rendered.
+    Progress(ProgressEvent),
+    /// A tile is rendered.
+    Tile(TileEvent),
+    /// A frame is stored.
+    Frame(FrameEvent),
+    /// Where the job stands.
+    Snapshot(Snapshot),
+}
+
+impl JobEvent {
+    /// Reads an event; `None` if this version does not know it.
+    pub fn read(name: &str, data: &str) -> Option<Self> {
+        match name {
+            "state" => serde_json::from_str(data).map(Self::State).ok(),
+            "progress" => serde_json::from_str(data).map(Self::Progress).ok(),
+            "tile" => serde_json::from_str(data).map(Self::Tile).ok(),
+            "frame" => serde_json::from_str(data).map(Self::Frame).ok(),
+            "snapshot" => serde_json::from_str(data).map(Self::Snapshot).ok(),
+            _ => None,
+        }
+    }
+}
+
+/// One event as it came.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct Message {
+    /// Its id: what to resume after.
+    pub id: Option<String>,
+    /// Its name.
+    pub event: String,
+    /// What it says.
+    pub data: String,
+}
+
+/// Takes a stream of server-sent events apart, as the HTML standard says, piece by piece.
+#[derive(Debug, Default)]
+pub struct Lines {
+    rest: Vec<u8>,
+    begun: Message,
+}
+
+impl Lines {
+    /// The events that are whole with these bytes.
+    pub fn push(&mut self, bytes: &[u8]) -> Vec<Message> {
+        self.rest.extend_from_slice(bytes);
+        let mut whole = Vec::new();
+        let mut start = 0;
+        while let Some(length) = self.rest[start..].iter().position(|byte| *byte == b'\n') {
+            let line = String::from_utf8_lossy(&self.rest[start..start + length]).into_owned();
+            start += length + 1;
+            if let Some(message) = self.line(line.trim_end_matches('\r')) {
+                whole.push(message);
+            }
+        }
+        self.rest.drain(..start);
+        whole
+    }
+
+    fn line(&mut self, line: &str) -> Option<Message> {
+        if line.is_empty() {
+            let message = std::mem::take(&mut self.begun);
+            return (!message.data.is_empty()).then_some(message);
+        }
+        let (field, value) = line.split_once(':').unwrap_or((line, ""));
+        let value = value.strip_prefix(' ').unwrap_or(value);
+        match field {
+            "id" => self.begun.id = Some(value.to_owned()),
+            "event" => value.clone_into(&mut self.begun.event),
+            "data" => {
+                if !self.begun.data.is_empty() {
+                    self.begun.data.push('\n');
+                }
+                self.begun.data.push_str(value);
+            }
+            _ => {}
+        }
+        None
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn events_are_read_however_their_bytes_are_cut() {
+        let text = ": a comment\n\nid: 7\nevent: tile\ndata: {\"frame\":0,\ndata: \"x\":1}\n\nretry: 5\n\nid: 8\r\ndata:x\r\n\r\n";
+        let wanted = vec![
+            Message { id: Some("7".into()), event: "tile".into(), data: "{\"frame\":0,\n\"x\":1}".into() },
+            Message { id: Some("8".into()), event: String::new(), data: "x".into() },
+        ];
+        for size in 1..text.len() {
+            let mut lines = Lines::default();
+            let read: Vec<Message> = text.as_bytes().chunks(size).flat_map(|piece| lines.push(piece)).collect();
+            assert_eq!(read, wanted, "in pieces of {size}");
+        }
+    }
+
+    #[test]
+    fn events_of_later_versions_are_passed_over() {
+        assert_eq!(JobEvent::read("weather", "{}"), None);
+        let data = r#"{"state":"failed","errors":["no"],"at":"2026-01-01T00:00:00Z","more":1}"#;
+        assert!(
+            matches!(JobEvent::read("state", data), Some(JobEvent::State(event)) if event.state == JobState::Failed)
+        );
+    }
+}

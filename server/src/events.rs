@@ -1,0 +1,192 @@
+//! Telling followers what happens to their jobs: one task reads new events once, however many follow.
+//!
+//! A follower keeps no more than the number of the last event it was told. What is newer it gets from
+//! its job's short list of recent events, or, if it fell behind that, from the database, a page at a time.
+
+mod follower;
+#[cfg(test)]
+mod tests;
+
+use std::collections::{HashMap, VecDeque};
+use std::sync::{Arc, Mutex, Weak};
+use std::time::Duration;
+
+use bytes::Bytes;
+use tokio::sync::watch;
+use tokio_util::sync::CancellationToken;
+
+use crate::clock::instant;
+use crate::queue::{Event, Queue};
+use crate::store::StoreError;
+
+pub(crate) use follower::{Follower, Start};
+
+/// Recent events kept at hand for a job that someone follows.
+const RECENT: usize = 1024;
+/// Events read at a time.
+const PAGE: u32 = 512;
+/// New events are looked for so often, at most: what comes in between is told together.
+const PAUSE: Duration = Duration::from_millis(20);
+
+/// An event as it goes over the wire.
+#[derive(Clone, Debug)]
+struct Told {
+    number: i64,
+    is_final: bool,
+    text: Bytes,
+}
+
+impl Told {
+    fn new(event: &Event) -> Self {
+        let text = told(event.number, &event.kind, &event.body);
+        Self { number: event.number, is_final: event.is_final(), text }
+    }
+}
+
+/// An event in the form of the HTML standard's event streams.
+fn told(number: i64, kind: &str, body: &str) -> Bytes {
+    format!("id: {number}\nevent: {kind}\ndata: {body}\n\n").into()
+}
+
+/// A job that someone follows.
+#[derive(Debug)]
+pub(crate) struct Topic {
+    job: i64,
+    recent: Mutex<Recent>,
+    bell: watch::Sender<()>,
+}
+
+#[derive(Debug)]
+struct Recent {
+    /// All of the job's events after this number that were read are in the list.
+    from: i64,
+    list: VecDeque<Told>,
+}
+
+impl Topic {
+    /// What rings when there may be news of the job.
+    pub(crate) fn bell(&self) -> watch::Receiver<()> {
+        self.bell.subscribe()
+    }
+
+    fn push(&self, event: &Event) {
+        let mut recent = self.recent.lock().expect("no holder panics");
+        let last = recent.list.back().map_or(recent.from, |told| told.number);
+        if event.number <= last {
+            return;
+        }
+        recent.list.push_back(Told::new(event));
+        if recent.list.len() > RECENT
+            && let Some(oldest) = recent.list.pop_front()
+        {
+            recent.from = oldest.number;
+        }
+    }
+
+    /// The events after this one, if the list reaches back to it; else from where it does.
+    fn after(&self, number: i64) -> Result<Vec<Told>, i64> {
+        let recent = self.recent.lock().expect("no holder panics");
+        if number < recent.from {
+            return Err(recent.from);
+        }
+        let known = recent.list.partition_point(|told| told.number <= number);
+        Ok(recent.list.range(known..).cloned().collect())
+    }
+}
+
+/// The jobs that are followed, and how far events were read for them.
+#[derive(Debug, Default)]
+struct Followed {
+    position: i64,
+    topics: HashMap<i64, Weak<Topic>>,
+}
+
+/// What tells followers.
+#[derive(Debug)]
+pub(crate) struct Events {
+    queue: Queue,
+    followed: Mutex<Followed>,
+    wanted: watch::Sender<()>,
+}
+
+impl Events {
+    /// Tells of this queue's jobs.
+    pub(crate) fn new(queue: Queue) -> Self {
+        Self { queue, followed: Mutex::default(), wanted: watch::Sender::new(()) }
+    }
+
+    /// A job's topic: the one there is, or a new one that knows every event from now on.
+    pub(crate) async fn topic(&self, job: i64) -> Result<Arc<Topic>, StoreError> {
+        if let Some(topic) = self.followed.lock().expect("no holder panics").topics.get(&job).and_then(Weak::upgrade) {
+            return Ok(topic);
+        }
+        let newest = self.queue.newest_event().await?;
+        let mut followed = self.followed.lock().expect("no holder panics");
+        if let Some(topic) = followed.topics.get(&job).and_then(Weak::upgrade) {
+            return Ok(topic);
+        }
+        followed.topics.retain(|_, topic| topic.strong_count() > 0);
+        if followed.topics.is_empty() {
+            followed.position = followed.position.max(newest);
+        }
+        let recent = Recent { from: followed.position, list: VecDeque::new() };
+        let topic = Arc::new(Topic { job, recent: Mutex::new(recent), bell: watch::Sender::new(()) });
+        followed.topics.insert(job, Arc::downgrade(&topic));
+        drop(followed);
+        // What was committed since `newest` was read has rung already.
+        self.wanted.send_replace(());
+        Ok(topic)
+    }
+
+    /// Reads and tells until the farm is closed.
+    pub(crate) async fn run(&self, end: CancellationToken) {
+        let mut commits = self.queue.commits();
+        let mut wanted = self.wanted.subscribe();
+        loop {
+            tokio::select! {
+                () = end.cancelled() => return,
+                changed = commits.changed() => if changed.is_err() { return },
+                changed = wanted.changed() => if changed.is_err() { return },
+            }
+            let started = instant();
+            if let Err(error) = self.tell().await {
+                tracing::error!(%error, "events could not be read");
+            }
+            tokio::time::sleep_until(started + PAUSE).await;
+        }
+    }
+
+    /// Tells everything that is new.
+    async fn tell(&self) -> Result<(), StoreError> {
+        loop {
+            let position = {
+                let mut followed = self.followed.lock().expect("no holder panics");
+                followed.topics.retain(|_, topic| topic.strong_count() > 0);
+                if followed.topics.is_empty() {
+                    return Ok(());
+                }
+                followed.position
+            };
+            let events = self.queue.events_after(position, PAGE).await?;
+            let Some(last) = events.last() else { return Ok(()) };
+            let is_last_page = events.len() < PAGE as usize;
+            let mut rung: HashMap<i64, Arc<Topic>> = HashMap::new();
+            {
+                let mut followed = self.followed.lock().expect("no holder panics");
+                for event in &events {
+                    if let Some(topic) = followed.topics.get(&event.job).and_then(Weak::upgrade) {
+                        topic.push(event);
+                        rung.insert(event.job, topic);
+                    }
+                }
+                followed.position = followed.position.max(last.number);
+            }
+            for topic in rung.values() {
+                topic.bell.send_replace(());
+            }
+            if is_last_page {
+                return Ok(());
+            }
+        }
+    }
+}

@@ -1,0 +1,125 @@
+//! What can't be seen through the door in a short time: old events are dropped, and slow followers lose none.
+
+use proto::JobId;
+use proto::event::{Lines, Message, Snapshot};
+use proto::job::JobState;
+use tokio_util::sync::CancellationToken;
+
+use super::{Events, Follower, RECENT, Start};
+use crate::clock::{Clock, Hand};
+use crate::queue::{NewJob, Queue};
+use crate::store::{Durability, Store};
+
+struct Bench {
+    queue: Queue,
+    events: Events,
+    hand: Hand,
+    store: std::sync::Arc<Store>,
+    _folder: tempfile::TempDir,
+}
+
+impl Bench {
+    async fn new() -> Self {
+        let folder = tempfile::tempdir().expect("a temporary folder");
+        let store = std::sync::Arc::new(Store::open(folder.path()).await.expect("opens"));
+        let (clock, hand) = Clock::by_hand();
+        let (queue, _) = Queue::open(std::sync::Arc::clone(&store), clock, 1000).await.expect("opens");
+        Self { events: Events::new(queue.clone()), queue, hand, store, _folder: folder }
+    }
+
+    async fn submit(&self) -> JobId {
+        let new = NewJob::example();
+        let id = new.id;
+        self.queue.submit(new).await.expect("accepted");
+        id
+    }
+
+    /// Happenings as the triggers write them, many at a time.
+    async fn happen(&self, job: i64, count: usize) {
+        self.store
+            .write(Durability::Relaxed, move |connection| {
+                Box::pin(async move {
+                    let list = serde_json::json!((0..count).collect::<Vec<_>>()).to_string();
+                    sqlx::query(
+                        "INSERT INTO outbox (job, kind, body) SELECT ?, 'tile', value FROM json_each(?) ORDER BY key",
+                    )
+                    .bind(job)
+                    .bind(list)
+                    .execute(connection)
+                    .await?;
+                    Ok(())
+                })
+            })
+            .await
+            .expect("written");
+    }
+
+    async fn follow(&self, job: JobId, after: Option<i64>) -> Option<Box<Follower>> {
+        match Follower::start(&self.events, job, after, CancellationToken::new()).await.expect("reads") {
+            Start::Follow(follower) => Some(follower),
+            Start::Over | Start::Unknown => None,
+        }
+    }
+}
+
+/// What a follower is told, up to this many events.
+async fn told(follower: &mut Follower, count: usize) -> Vec<Message> {
+    let (mut lines, mut messages) = (Lines::default(), Vec::new());
+    while messages.len() < count
+        && let Some(bytes) = follower.next().await.expect("reads")
+    {
+        messages.extend(lines.push(&bytes));
+    }
+    messages
+}
+
+#[tokio::test]
+async fn a_follower_that_falls_behind_what_is_at_hand_misses_nothing() {
+    let bench = Bench::new().await;
+    let id = bench.submit().await;
+    let job = bench.queue.followed(id).await.expect("reads").expect("there").job;
+    let mut slow = bench.follow(id, None).await.expect("a job");
+    let mut quick = bench.follow(id, None).await.expect("a job");
+    assert_eq!(told(&mut quick, 1).await[0].event, "state");
+    for _ in 0..3 {
+        bench.happen(job, RECENT).await;
+        bench.events.tell().await.expect("tells");
+        assert_eq!(told(&mut quick, RECENT).await.len(), RECENT);
+    }
+    let all = told(&mut slow, 3 * RECENT + 1).await;
+    let bodies: Vec<usize> = all[1..].iter().map(|message| message.data.parse().expect("a number")).collect();
+    assert_eq!(bodies, (0..3 * RECENT).map(|number| number % RECENT).collect::<Vec<_>>());
+}
+
+#[tokio::test]
+async fn events_of_a_job_that_ended_a_day_ago_are_dropped_and_a_snapshot_stands_for_them() {
+    let bench = Bench::new().await;
+    let (old, open) = (bench.submit().await, bench.submit().await);
+    bench.queue.cancel(old).await.expect("cancels");
+    bench.hand.advance(std::time::Duration::from_hours(23));
+    assert_eq!(bench.queue.prune_events().await.expect("prunes"), 0);
+    bench.hand.advance(std::time::Duration::from_hours(2));
+    assert_eq!(bench.queue.prune_events().await.expect("prunes"), 1, "one job's");
+    let mut follower = bench.follow(old, None).await.expect("a snapshot");
+    let story = told(&mut follower, usize::MAX).await;
+    let snapshot: Snapshot = serde_json::from_str(&story[0].data).expect("a snapshot");
+    assert_eq!((story.len(), snapshot.state), (1, JobState::Cancelled));
+    let after = story[0].id.as_ref().and_then(|id| id.parse().ok());
+    assert!(bench.follow(old, after).await.is_none(), "nothing follows the snapshot");
+    let mut follower = bench.follow(open, None).await.expect("its events are kept");
+    assert_eq!(told(&mut follower, 1).await[0].event, "state");
+}
+
+#[tokio::test]
+async fn the_oldest_events_give_way_where_there_are_too_many() {
+    let bench = Bench::new().await;
+    let id = bench.submit().await;
+    let job = bench.queue.followed(id).await.expect("reads").expect("there").job;
+    bench.happen(job, 100).await;
+    let dropped = bench.queue.prune_surplus(10).await.expect("prunes");
+    assert_eq!(dropped, 91);
+    let mut follower = bench.follow(id, Some(50)).await.expect("a snapshot");
+    assert_eq!(told(&mut follower, 1).await[0].event, "snapshot");
+    let mut follower = bench.follow(id, Some(91)).await.expect("nothing was missed");
+    assert_eq!(told(&mut follower, 10).await.len(), 10);
+}

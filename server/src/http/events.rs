@@ -1,0 +1,88 @@
+//! A job's events as a stream that a browser's `EventSource`, curl and `sdfarm watch` read.
+
+use std::sync::Arc;
+
+use axum::body::Body;
+use axum::extract::{Path, State};
+use axum::http::{HeaderMap, HeaderValue, StatusCode, Uri, header};
+use axum::response::{IntoResponse, Response};
+use futures_util::stream;
+use serde::Deserialize;
+
+use super::body;
+use super::error::ApiError;
+use super::jobs::job_id;
+use crate::events::{Follower, Start};
+use crate::farm::Farm;
+
+/// The header that browsers send when they come back.
+const LAST_EVENT_ID: &str = "last-event-id";
+
+#[derive(Debug, Deserialize)]
+struct EventsQuery {
+    last_event_id: Option<String>,
+}
+
+/// Follow a job.
+///
+/// Events `state`, `progress`, `tile` and `frame`, each with an id that grows. With `Last-Event-ID` those after it
+/// are told, none left out and none twice; where they are kept no longer, a `snapshot` comes first. The stream
+/// ends after the job has.
+#[utoipa::path(
+    get, path = "/v1/jobs/{id}/events", tag = "jobs", operation_id = "follow_job",
+    params(
+        ("id" = String, Path, description = "The job"),
+        ("last_event_id" = Option<String>, Query, description = "As the header, for those who can't send it"),
+        ("Last-Event-ID" = Option<String>, Header, description = "The last event that was read"),
+    ),
+    responses(
+        (status = 200, description = "Events, as they happen", body = String, content_type = "text/event-stream"),
+        (status = 204, description = "The job has ended, and nothing follows that event"),
+        (status = 404, description = "No such job", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
+        (status = 422, description = "The id is none that was told", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
+    )
+)]
+pub(super) async fn follow(
+    State(farm): State<Arc<Farm>>,
+    Path(id): Path<String>,
+    uri: Uri,
+    headers: HeaderMap,
+) -> Result<Response, ApiError> {
+    let job = job_id(&id)?;
+    let query: EventsQuery = body::read_query(&uri)?;
+    let header = headers.get(LAST_EVENT_ID).map(|value| value.to_str().unwrap_or("?").to_owned());
+    let after =
+        header.or(query.last_event_id).filter(|text| !text.is_empty()).map(|text| event_id(&text)).transpose()?;
+    match Follower::start(&farm.events, job, after, farm.ending.clone()).await? {
+        Start::Follow(follower) => Ok(streamed(*follower)),
+        Start::Over => Ok(StatusCode::NO_CONTENT.into_response()),
+        Start::Unknown => Err(ApiError::UnknownJob(id)),
+    }
+}
+
+fn event_id(text: &str) -> Result<i64, ApiError> {
+    text.trim().parse().ok().filter(|number| *number >= 0).ok_or_else(|| {
+        ApiError::WrongQuery(format!("{text:?} is no event's id: pass the last id that was read, or none"))
+    })
+}
+
+fn streamed(follower: Follower) -> Response {
+    let bytes = stream::unfold(Some(follower), async |follower| {
+        let mut follower = follower?;
+        match follower.next().await {
+            Ok(Some(bytes)) => Some((Ok(bytes), Some(follower))),
+            Ok(None) => None,
+            Err(error) => {
+                tracing::error!(%error, "a job could not be followed any further");
+                Some((Err(error), None))
+            }
+        }
+    });
+    let mut response = Body::from_stream(bytes).into_response();
+    let headers = response.headers_mut();
+    headers.insert(header::CONTENT_TYPE, HeaderValue::from_static("text/event-stream"));
+    headers.insert(header::CACHE_CONTROL, HeaderValue::from_static("no-store"));
+    // Proxies that collect answers would hold events back.
+    headers.insert("x-accel-buffering", HeaderValue::from_static("no"));
+    response
+}

@@ -1,0 +1,275 @@
+//! A job's events: read in order, summed up where they are kept no longer, and dropped when they are old.
+//!
+//! They are written by the triggers of migration 0005, with the change itself, and by nothing else.
+
+use proto::JobId;
+use proto::event::{Snapshot, TileEvent};
+use proto::job::{Count, JobState};
+use sqlx::Row;
+use sqlx::sqlite::SqliteRow;
+
+use super::{Connection, Queue, Result, end};
+use crate::store::Durability;
+
+/// Events of ended jobs are kept so long.
+const KEEP_MS: i64 = 24 * 3_600_000;
+/// Events kept in all, at most; a job that runs for days drops its first.
+const MAX_EVENTS: i64 = 500_000;
+/// Jobs whose events are dropped in one transaction.
+const JOBS_AT_ONCE: i64 = 100;
+/// Events dropped in one transaction, of jobs that still run.
+const EVENTS_AT_ONCE: i64 = 5_000;
+/// Rectangles that a snapshot tells, at most.
+const MAX_RECTANGLES: i64 = 20_000;
+
+/// An event, as it is told.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(crate) struct Event {
+    /// Its number: events that happened later have greater ones.
+    pub(crate) number: i64,
+    /// The job's number.
+    pub(crate) job: i64,
+    /// What sort of event it is.
+    pub(crate) kind: String,
+    /// The job's state, if it is of that sort.
+    pub(crate) state: Option<JobState>,
+    /// What it says, as JSON.
+    pub(crate) body: String,
+}
+
+impl Event {
+    /// Nothing follows it, unless the job is retried.
+    pub(crate) fn is_final(&self) -> bool {
+        self.state.is_some_and(JobState::is_final)
+    }
+
+    fn read(row: &SqliteRow) -> Result<Self> {
+        let state: Option<String> = row.try_get("state")?;
+        Ok(Self {
+            number: row.try_get("number")?,
+            job: row.try_get("job")?,
+            kind: row.try_get("kind")?,
+            state: state.map(|state| end::job_state(&state)).transpose()?,
+            body: row.try_get("body")?,
+        })
+    }
+}
+
+/// What a follower has to know of a job before its first event.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) struct Followed {
+    /// The job's number.
+    pub(crate) job: i64,
+    /// Nothing will change any more.
+    pub(crate) ended: bool,
+    /// Its events up to this number are kept no longer.
+    pub(crate) pruned: i64,
+    /// No event has a greater number yet.
+    pub(crate) newest: i64,
+}
+
+/// Numbers that were given, whether their rows are still there or not.
+const NEWEST: &str = "SELECT coalesce((SELECT seq FROM sqlite_sequence WHERE name = 'outbox'), 0)";
+
+impl Queue {
+    /// What a follower has to know of a job.
+    pub(crate) async fn followed(&self, id: JobId) -> Result<Option<Followed>> {
+        let row = sqlx::query(
+            "SELECT number, finished_at_ms IS NOT NULL AS ended, events_pruned,
+                    coalesce((SELECT seq FROM sqlite_sequence WHERE name = 'outbox'), 0) AS newest
+             FROM job WHERE id = ?",
+        )
+        .bind(id.to_string())
+        .fetch_optional(self.readers())
+        .await?;
+        row.map(|row| {
+            Ok(Followed {
+                job: row.try_get("number")?,
+                ended: row.try_get("ended")?,
+                pruned: row.try_get("events_pruned")?,
+                newest: row.try_get("newest")?,
+            })
+        })
+        .transpose()
+    }
+
+    /// Whether a job is there, and if it has ended.
+    pub(crate) async fn has_ended(&self, job: i64) -> Result<Option<bool>> {
+        Ok(sqlx::query_scalar("SELECT finished_at_ms IS NOT NULL FROM job WHERE number = ?")
+            .bind(job)
+            .fetch_optional(self.readers())
+            .await?)
+    }
+
+    /// The number of the newest event.
+    pub(crate) async fn newest_event(&self) -> Result<i64> {
+        Ok(sqlx::query_scalar(NEWEST).fetch_one(self.readers()).await?)
+    }
+
+    /// The next events of all jobs.
+    pub(crate) async fn events_after(&self, number: i64, limit: u32) -> Result<Vec<Event>> {
+        let rows =
+            sqlx::query("SELECT number, job, kind, state, body FROM outbox WHERE number > ? ORDER BY number LIMIT ?")
+                .bind(number)
+                .bind(limit)
+                .fetch_all(self.readers())
+                .await?;
+        rows.iter().map(Event::read).collect()
+    }
+
+    /// The next events of a job.
+    pub(crate) async fn job_events_after(&self, job: i64, number: i64, limit: u32) -> Result<Vec<Event>> {
+        let rows = sqlx::query(
+            "SELECT number, job, kind, state, body FROM outbox WHERE job = ? AND number > ? ORDER BY number LIMIT ?",
+        )
+        .bind(job)
+        .bind(number)
+        .bind(limit)
+        .fetch_all(self.readers())
+        .await?;
+        rows.iter().map(Event::read).collect()
+    }
+
+    /// Where a job stands, and the number of the last event that is in it; all as of one moment.
+    pub(crate) async fn snapshot(&self, job: i64) -> Result<Option<(i64, Snapshot)>> {
+        let mut reading = self.readers().begin().await?;
+        let row = sqlx::query(
+            "SELECT state, error, rays_peak, rays_total, tiles_done, tiles_total, frames_stored, frames_total
+             FROM job WHERE number = ?",
+        )
+        .bind(job)
+        .fetch_optional(&mut *reading)
+        .await?;
+        let Some(row) = row else { return Ok(None) };
+        let newest: i64 = sqlx::query_scalar(NEWEST).fetch_one(&mut *reading).await?;
+        let numbers: Vec<u32> =
+            sqlx::query_scalar("SELECT number FROM frame WHERE job = ? AND state = 'stored' ORDER BY number")
+                .bind(job)
+                .fetch_all(&mut *reading)
+                .await?;
+        let tiles = sqlx::query(
+            "SELECT tile.frame, tile.x_px, tile.y_px, tile.width_px, tile.height_px
+             FROM frame CROSS JOIN tile ON tile.job = frame.job AND tile.frame = frame.number
+             WHERE frame.job = ? AND frame.state <> 'stored' AND tile.kind = 'render' AND tile.state = 'done'
+             ORDER BY frame.number, tile.position LIMIT ?",
+        )
+        .bind(job)
+        .bind(MAX_RECTANGLES)
+        .fetch_all(&mut *reading)
+        .await?;
+        reading.commit().await?;
+        let error: Option<String> = row.try_get("error")?;
+        let snapshot = Snapshot {
+            state: end::job_state(&row.try_get::<String, _>("state")?)?,
+            errors: error.into_iter().collect(),
+            progress: row.try_get::<i64, _>("rays_peak")? as f64 / row.try_get::<i64, _>("rays_total")? as f64,
+            tiles: Count { done: row.try_get("tiles_done")?, total: row.try_get("tiles_total")? },
+            frames: Count { done: row.try_get("frames_stored")?, total: row.try_get("frames_total")? },
+            stored: runs(&numbers),
+            rectangles: tiles.iter().map(rectangle).collect::<Result<_>>()?,
+        };
+        Ok(Some((newest, snapshot)))
+    }
+
+    /// Drops events of jobs that ended long ago, and the oldest where there are too many; returns how many.
+    pub(crate) async fn prune_events(&self) -> Result<u64> {
+        let ended_before_ms = self.clock.wall_ms() - KEEP_MS;
+        let mut count = 0;
+        loop {
+            let dropped = self
+                .store
+                .write(Durability::Relaxed, move |connection| {
+                    Box::pin(async move { prune(connection, ended_before_ms).await })
+                })
+                .await?;
+            count += dropped;
+            if dropped == 0 {
+                return Ok(count);
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+impl Queue {
+    /// Drops the oldest events beyond the newest `keep`.
+    pub(crate) async fn prune_surplus(&self, keep: i64) -> Result<u64> {
+        self.store
+            .write(Durability::Relaxed, move |connection| {
+                Box::pin(async move { prune_surplus(connection, keep).await })
+            })
+            .await
+    }
+}
+
+fn rectangle(row: &SqliteRow) -> Result<TileEvent> {
+    Ok(TileEvent {
+        frame: row.try_get("frame")?,
+        x: row.try_get("x_px")?,
+        y: row.try_get("y_px")?,
+        width: row.try_get("width_px")?,
+        height: row.try_get("height_px")?,
+        done: true,
+    })
+}
+
+/// First and last of each run of numbers that follow each other.
+fn runs(numbers: &[u32]) -> Vec<[u32; 2]> {
+    let mut runs: Vec<[u32; 2]> = Vec::new();
+    for &number in numbers {
+        match runs.last_mut() {
+            Some([_, last]) if *last + 1 == number => *last = number,
+            Some(_) | None => runs.push([number, number]),
+        }
+    }
+    runs
+}
+
+async fn prune(connection: &mut Connection, ended_before_ms: i64) -> Result<u64> {
+    let jobs: Vec<i64> = sqlx::query_scalar(
+        "UPDATE job SET events_kept = 0,
+                        events_pruned = coalesce((SELECT max(number) FROM outbox WHERE outbox.job = job.number), events_pruned)
+         WHERE number IN (SELECT number FROM job
+                          WHERE events_kept = 1 AND finished_at_ms IS NOT NULL AND finished_at_ms < ? LIMIT ?)
+         RETURNING number",
+    )
+    .bind(ended_before_ms)
+    .bind(JOBS_AT_ONCE)
+    .fetch_all(&mut *connection)
+    .await?;
+    if !jobs.is_empty() {
+        sqlx::query("DELETE FROM outbox WHERE job IN (SELECT value FROM json_each(?))")
+            .bind(super::json_numbers(jobs.iter().copied()))
+            .execute(connection)
+            .await?;
+        return Ok(jobs.len() as u64);
+    }
+    prune_surplus(connection, MAX_EVENTS).await
+}
+
+/// Drops the oldest events beyond the newest `keep`.
+async fn prune_surplus(connection: &mut Connection, keep: i64) -> Result<u64> {
+    let (oldest, newest): (Option<i64>, i64) =
+        sqlx::query_as("SELECT (SELECT min(number) FROM outbox), coalesce((SELECT max(number) FROM outbox), 0)")
+            .fetch_one(&mut *connection)
+            .await?;
+    let Some(oldest) = oldest.filter(|oldest| newest - oldest >= keep) else { return Ok(0) };
+    let last = (oldest + EVENTS_AT_ONCE - 1).min(newest - keep);
+    sqlx::query("UPDATE job SET events_pruned = ?1 WHERE number IN (SELECT job FROM outbox WHERE number <= ?1)")
+        .bind(last)
+        .execute(&mut *connection)
+        .await?;
+    let dropped = sqlx::query("DELETE FROM outbox WHERE number <= ?").bind(last).execute(connection).await?;
+    Ok(dropped.rows_affected())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn runs_are_told_by_first_and_last() {
+        assert_eq!(runs(&[]), Vec::<[u32; 2]>::new());
+        assert_eq!(runs(&[0, 1, 2, 5, 7, 8]), [[0, 2], [5, 5], [7, 8]]);
+    }
+}
