@@ -8,6 +8,7 @@ mod demo;
 mod explain;
 mod fetch;
 mod jobs;
+mod pause;
 mod pool;
 mod priority;
 mod render;
@@ -51,6 +52,10 @@ pub(crate) enum Command {
     Priority(priority::Arguments),
     /// Forget a job and its pictures, or tell what that would take along.
     Delete(delete::Arguments),
+    /// Let nothing more of a job, or of the farm, be started; what is started goes on.
+    Pause(pause::Arguments),
+    /// Let a paused job, or the paused farm, go on.
+    Resume(pause::Arguments),
     /// Show the server's own workers, or set how many there should be.
     Pool(pool::Arguments),
     /// Check a job file: every fault, with its line and column.
@@ -87,6 +92,8 @@ impl Command {
             Self::Retry(arguments) => run_async(interruptible(retry::run(arguments))),
             Self::Priority(arguments) => run_async(interruptible(priority::run(arguments))),
             Self::Delete(arguments) => run_async(interruptible(delete::run(arguments))),
+            Self::Pause(arguments) => run_async(interruptible(pause::run(arguments, true))),
+            Self::Resume(arguments) => run_async(interruptible(pause::run(arguments, false))),
             Self::Pool(arguments) => run_async(interruptible(pool::run(arguments))),
             Self::Check(arguments) => check::run(&arguments),
             Self::Schema(arguments) => schema::run(&arguments),

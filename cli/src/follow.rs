@@ -138,5 +138,6 @@ pub(crate) async fn fetch(client: &Client, id: JobId, frame: u32, path: &str) ->
 /// What there is to say of a job in one line.
 pub(crate) fn line(job: &JobView) -> String {
     let percent = (job.progress * 100.0).floor();
-    format!("{}  {:<9}  {percent:>3} %  {}  {}", job.id, job.state.name(), job.created_at, job.name)
+    let paused = if job.paused { "  (paused)" } else { "" };
+    format!("{}  {:<9}  {percent:>3} %  {}  {}{paused}", job.id, job.state.name(), job.created_at, job.name)
 }

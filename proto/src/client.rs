@@ -12,6 +12,7 @@ use reqwest::{Method, RequestBuilder, Response};
 use serde::de::DeserializeOwned;
 
 use crate::access::{Access, AccessError, server_url};
+use crate::farm::FarmView;
 use crate::job::{DryRun, JobPage, JobState, JobView};
 use crate::pool::{PoolSize, PoolView, WorkerList};
 use crate::{JobId, Problem};
@@ -150,6 +151,31 @@ impl Client {
     /// Stops a job.
     pub async fn cancel(&self, id: JobId) -> Result<JobView, ClientError> {
         self.json(self.request(Method::POST, &format!("/v1/jobs/{id}/cancel"))).await
+    }
+
+    /// Lets nothing more of a job be leased until it is resumed.
+    pub async fn pause(&self, id: JobId) -> Result<JobView, ClientError> {
+        self.json(self.request(Method::POST, &format!("/v1/jobs/{id}/pause"))).await
+    }
+
+    /// Lets a paused job go on.
+    pub async fn resume(&self, id: JobId) -> Result<JobView, ClientError> {
+        self.json(self.request(Method::POST, &format!("/v1/jobs/{id}/resume"))).await
+    }
+
+    /// The farm as a whole.
+    pub async fn farm(&self) -> Result<FarmView, ClientError> {
+        self.json(self.request(Method::GET, "/v1/farm")).await
+    }
+
+    /// Lets nothing more be leased until the farm is resumed.
+    pub async fn pause_farm(&self) -> Result<FarmView, ClientError> {
+        self.json(self.request(Method::POST, "/v1/farm/pause")).await
+    }
+
+    /// Lets a paused farm go on.
+    pub async fn resume_farm(&self) -> Result<FarmView, ClientError> {
+        self.json(self.request(Method::POST, "/v1/farm/resume")).await
     }
 
     /// Forgets a job that is not running.

@@ -63,6 +63,9 @@ pub struct JobView {
     pub name: String,
     /// Where it stands.
     pub state: JobState,
+    /// Nothing of it is leased until it is resumed; what is leased already goes on.
+    #[serde(default)]
+    pub paused: bool,
     /// Share of its rays that are rendered, 0 to 1; never falls.
     pub progress: f64,
     /// Tiles of all frames.

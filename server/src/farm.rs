@@ -137,6 +137,7 @@ impl Farm {
     fn count(&self, turned: &Turned) {
         self.totals.expired.fetch_add(turned.expired, Ordering::Relaxed);
         self.totals.fenced.fetch_add(turned.fenced, Ordering::Relaxed);
+        self.totals.nondeterministic.fetch_add(turned.nondeterministic, Ordering::Relaxed);
     }
 
     async fn opening(&self, number: i64, frame: u32, plan: Plan) -> Result<Option<Opening>, StoreError> {

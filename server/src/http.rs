@@ -6,6 +6,7 @@ mod change;
 mod door;
 mod error;
 mod events;
+mod farm;
 mod health;
 mod images;
 mod jobs;
@@ -40,6 +41,11 @@ fn users() -> OpenApiRouter<Arc<Farm>> {
         .routes(routes!(jobs::cancel))
         .routes(routes!(change::retry))
         .routes(routes!(events::follow))
+        .routes(routes!(farm::pause_job))
+        .routes(routes!(farm::resume_job))
+        .routes(routes!(farm::get))
+        .routes(routes!(farm::pause))
+        .routes(routes!(farm::resume))
         .routes(routes!(images::first))
         .routes(routes!(images::frame))
         .routes(routes!(pool::workers))

@@ -12,5 +12,6 @@ mod api {
     mod load;
     mod nodes;
     mod pool;
+    mod queue;
     mod watch;
 }

@@ -25,6 +25,9 @@ const PAGE: u32 = 100;
 /// Jobs on a page, at most.
 const MAX_PAGE: u32 = 1000;
 
+/// Who submits while there are no keys.
+const SUBMITTER: &str = "local";
+
 #[derive(Debug, Deserialize)]
 struct SubmitQuery {
     #[serde(default)]
@@ -101,6 +104,7 @@ pub(super) async fn submit(
     let new = NewJob {
         id,
         name: job.name.clone(),
+        submitter: SUBMITTER.to_owned(),
         priority: job.priority,
         nodes: job.nodes(),
         plan,

@@ -8,6 +8,7 @@ use axum::http::header;
 use axum::response::{IntoResponse, Response};
 use proto::Problem;
 use proto::change::{DeletePreview, JobPatch};
+use proto::farm::FarmView;
 use proto::job::{DryRun, JobPage, JobView};
 use proto::pool::{PoolSize, PoolView, WorkerList};
 use schemars::generate::SchemaSettings;
@@ -55,6 +56,7 @@ fn views() -> Map<String, Value> {
     generator.subschema_for::<DryRun>();
     generator.subschema_for::<DeletePreview>();
     generator.subschema_for::<JobPatch>();
+    generator.subschema_for::<FarmView>();
     generator.subschema_for::<WorkerList>();
     generator.subschema_for::<PoolSize>();
     generator.subschema_for::<PoolView>();

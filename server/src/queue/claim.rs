@@ -1,7 +1,7 @@
 //! Claiming: the next run of tiles, or the next stitch, for one worker.
 //!
-//! The order is priority, job, frame, tile, among the jobs whose scene this worker renders; a stitch
-//! is for anyone. A job's next frame is opened when none of its
+//! The order is priority, the submitter served least (see `fair`), job, frame, tile, among the jobs whose
+//! scene this worker renders; a stitch is for anyone. A job's next frame is opened when none of its
 //! tiles is ready; that needs the frame's key, which the caller computes outside.
 
 use proto::work::{LeasedTile, Part, Run, Work};
@@ -12,7 +12,8 @@ use sqlx::{Row, Sqlite};
 
 use super::lease::LOST_BEFORE_ALONE;
 use super::share::{self, Frame, Ready};
-use super::{Connection, Moment, Result, counted, end, known};
+use super::straggler::{self, Straggling};
+use super::{Connection, Moment, Result, counted, end, fair, known, pause};
 use crate::plan::Plan;
 
 /// A job with something to claim, by priority and age. Checked by a test to need no full scan.
@@ -45,6 +46,9 @@ pub(super) struct Claimant {
     pub(super) max_nodes: i64,
 }
 
+/// Tiles and the leases they are to be held by.
+pub(super) type Grants = Vec<(i64, LeaseId)>;
+
 /// What a claim found.
 #[derive(Clone, Debug)]
 pub(super) enum Claimed {
@@ -63,12 +67,14 @@ pub(super) enum Claimed {
     Nothing(Option<i64>),
 }
 
-struct Job {
-    number: i64,
-    id: JobId,
+/// A job that may be leased.
+pub(super) struct Job {
+    pub(super) number: i64,
+    pub(super) id: JobId,
     plan: Plan,
     frames_opened: u32,
     nodes: i64,
+    share: fair::Share,
 }
 
 impl Job {
@@ -87,15 +93,16 @@ impl Job {
             },
             frames_opened: row.try_get("frames_opened")?,
             nodes: row.try_get("nodes")?,
+            share: fair::Share { submitter: row.try_get("submitter")?, priority: row.try_get("priority")? },
         })
     }
 }
 
 /// How a claim sees tiles: back-off ended, small enough a scene, not to be avoided by this worker
 /// unless no other would take them.
-struct View {
+pub(super) struct View {
     now_ms: i64,
-    worker: String,
+    pub(super) worker: String,
     /// Largest scene that some other worker renders, in nodes; -1 if there is no other.
     others_max_nodes: i64,
     /// Largest scene that this worker renders, in nodes.
@@ -104,19 +111,21 @@ struct View {
 
 impl View {
     /// The statement with the parameters ?1 to ?4, which all of a claim's statements share.
-    fn bind(&self, statement: &'static str) -> Query<'_, Sqlite, SqliteArguments> {
+    pub(super) fn bind(&self, statement: &'static str) -> Query<'_, Sqlite, SqliteArguments> {
         sqlx::query(statement).bind(self.now_ms).bind(&self.worker).bind(self.others_max_nodes).bind(self.max_nodes)
     }
 }
 
 /// Claims work for a worker.
 pub(super) async fn claim(connection: &mut Connection, claimant: Claimant, moment: Moment) -> Result<Claimed> {
+    if pause::is_farm_paused(connection).await? {
+        return Ok(Claimed::Nothing(None));
+    }
     let worker = claimant.worker.to_string();
     let others_max_nodes = others_max_nodes(connection, &worker).await?;
     let view = View { now_ms: moment.now_ms, worker, others_max_nodes, max_nodes: claimant.max_nodes };
     let Some(row) = view.bind(NEXT_JOB).fetch_optional(&mut *connection).await? else {
-        let ready_ms: Option<i64> = sqlx::query_scalar(NEXT_READY).bind(moment.now_ms).fetch_one(connection).await?;
-        return Ok(Claimed::Nothing(ready_ms.map(|ready_ms| ready_ms - moment.now_ms)));
+        return claim_straggler(connection, &view, claimant, moment).await;
     };
     let job = Job::read(&row)?;
     let next = view.bind(NEXT_TILE).bind(job.number).bind(job.nodes).fetch_optional(&mut *connection).await?;
@@ -125,12 +134,52 @@ pub(super) async fn claim(connection: &mut Connection, claimant: Claimant, momen
     };
     let frame: u32 = next.try_get("frame")?;
     let work = if next.try_get::<String, _>("kind")? == "stitch" {
-        claim_stitch(connection, job.number, frame, &view, moment).await?
+        let (tile, lease) = (stitch_tile(connection, job.number, frame).await?, LeaseId::new());
+        grant(connection, &[(tile, lease)], &view.worker, moment).await?;
+        stitch_work(connection, job.number, frame, lease).await?
     } else {
         claim_tiles(connection, &job, frame, &view, claimant, moment).await?
     };
     end::start(connection, job.number, moment).await?;
     Ok(Claimed::Run(Run { job: job.id, frame, work }))
+}
+
+/// Nothing is ready: perhaps something takes too long.
+async fn claim_straggler(
+    connection: &mut Connection,
+    view: &View,
+    claimant: Claimant,
+    moment: Moment,
+) -> Result<Claimed> {
+    let again_ms = match straggler::claim(connection, view, claimant, moment).await? {
+        Straggling::Run(run) => return Ok(Claimed::Run(run)),
+        Straggling::Nothing(again_ms) => again_ms,
+    };
+    let ready_ms: Option<i64> = sqlx::query_scalar(NEXT_READY).bind(moment.now_ms).fetch_one(connection).await?;
+    Ok(Claimed::Nothing(again_ms.into_iter().chain(ready_ms.map(|ready_ms| ready_ms - moment.now_ms)).min()))
+}
+
+/// A job by its number.
+pub(super) async fn job(connection: &mut Connection, number: i64) -> Result<Job> {
+    let row = sqlx::query(
+        "SELECT number, id, width_px, height_px, samples, pixel_bytes, edge_px, frames_total, frames_opened, nodes,
+                submitter, priority FROM job WHERE number = ?",
+    )
+    .bind(number)
+    .fetch_one(connection)
+    .await?;
+    Job::read(&row)
+}
+
+/// A job's frames, as far as sharing goes.
+pub(super) fn whole_frame(job: &Job) -> Frame {
+    let frames_behind = job.plan.frames.saturating_sub(job.frames_opened);
+    Frame {
+        tiles: job.plan.tiles().len() as u64,
+        rays: job.plan.frame_rays(),
+        size_bytes: job.plan.frame_bytes(),
+        rays_behind: u64::from(frames_behind) * job.plan.frame_rays(),
+    }
 }
 
 /// The largest scene that a ready worker other than this one renders, in nodes; -1 if there is none.
@@ -182,19 +231,22 @@ async fn claim_tiles(
 ) -> Result<Work> {
     let idle = idle_workers(connection, job.nodes).await?;
     let rows = view.bind(READY_TILES).bind(job.number).bind(job.nodes).bind(frame).fetch_all(&mut *connection).await?;
-    let frames_behind = job.plan.frames.saturating_sub(job.frames_opened);
-    let whole = Frame {
-        tiles: job.plan.tiles().len() as u64,
-        rays: job.plan.frame_rays(),
-        size_bytes: job.plan.frame_bytes(),
-        rays_behind: u64::from(frames_behind) * job.plan.frame_rays(),
-    };
+    let whole = whole_frame(job);
     let ready = rows.iter().map(read_ready).collect::<Result<Vec<_>>>()?;
     let fastest = fastest_other(connection, &view.worker, job.nodes).await?;
     let length = share::run_length(&ready, whole, claimant.rays_per_second, idle, fastest);
-    let mut tiles = Vec::with_capacity(length);
-    let mut grants = Vec::with_capacity(length);
-    for row in &rows[..length] {
+    let (tiles, grants) = leased_tiles(&rows[..length])?;
+    grant(connection, &grants, &view.worker, moment).await?;
+    let rays = ready[..length].iter().map(|tile| tile.rays).sum();
+    fair::charge(connection, &job.share, rays, claimant.rays_per_second.or(fastest)).await?;
+    Ok(Work::Render { whole_frame: share::is_whole(length, whole), tiles })
+}
+
+/// New leases on tiles, as the worker is told and as they are granted.
+pub(super) fn leased_tiles(rows: &[SqliteRow]) -> Result<(Vec<LeasedTile>, Grants)> {
+    let mut tiles = Vec::with_capacity(rows.len());
+    let mut grants = Vec::with_capacity(rows.len());
+    for row in rows {
         let tile = LeasedTile {
             lease: LeaseId::new(),
             index: row.try_get("position")?,
@@ -208,22 +260,25 @@ async fn claim_tiles(
         grants.push((row.try_get("id")?, tile.lease));
         tiles.push(tile);
     }
-    grant(connection, &grants, &view.worker, moment).await?;
-    Ok(Work::Render { whole_frame: share::is_whole(length, whole), tiles })
+    Ok((tiles, grants))
 }
 
-fn read_ready(row: &SqliteRow) -> Result<Ready> {
+/// A tile, as far as sharing goes.
+pub(super) fn read_ready(row: &SqliteRow) -> Result<Ready> {
     Ok(Ready { rays: row.try_get("rays")?, alone: row.try_get::<i64, _>("lost")? >= LOST_BEFORE_ALONE })
 }
 
-async fn claim_stitch(connection: &mut Connection, job: i64, frame: u32, view: &View, moment: Moment) -> Result<Work> {
-    let tile: i64 = sqlx::query_scalar("SELECT id FROM tile WHERE job = ? AND frame = ? AND position = -1")
+/// The stitch of a frame.
+pub(super) async fn stitch_tile(connection: &mut Connection, job: i64, frame: u32) -> Result<i64> {
+    Ok(sqlx::query_scalar("SELECT id FROM tile WHERE job = ? AND frame = ? AND position = -1")
         .bind(job)
         .bind(frame)
-        .fetch_one(&mut *connection)
-        .await?;
-    let lease = LeaseId::new();
-    grant(connection, &[(tile, lease)], &view.worker, moment).await?;
+        .fetch_one(connection)
+        .await?)
+}
+
+/// What a stitch is made of.
+pub(super) async fn stitch_work(connection: &mut Connection, job: i64, frame: u32, lease: LeaseId) -> Result<Work> {
     let rows = sqlx::query(
         "SELECT position, x_px, y_px, width_px, height_px, blob, blob_bytes FROM tile
          WHERE job = ? AND frame = ? AND kind = 'render' ORDER BY position",
@@ -261,6 +316,16 @@ async fn grant(connection: &mut Connection, grants: &[(i64, LeaseId)], worker: &
     .execute(&mut *connection)
     .await?;
     counted("tile: ready to leased", grants.len() as u64, &leased)?;
+    make_leases(connection, grants, worker, moment).await
+}
+
+/// Writes the leases of tiles that are leased now.
+pub(super) async fn make_leases(
+    connection: &mut Connection,
+    grants: &[(i64, LeaseId)],
+    worker: &str,
+    moment: Moment,
+) -> Result<()> {
     let pairs: Vec<(i64, String)> = grants.iter().map(|(tile, lease)| (*tile, lease.to_string())).collect();
     let made = sqlx::query(
         "INSERT INTO lease (id, tile, epoch, worker, generation, granted_ms, expires_ms)

@@ -5,6 +5,7 @@ use proto::job::JobState;
 use sqlx::Row;
 
 use super::{Connection, Moment, Result, counted, known};
+use crate::store::StoreError;
 
 /// What a job's counters move by.
 #[derive(Clone, Copy, Debug)]
@@ -62,20 +63,20 @@ pub(super) async fn start(connection: &mut Connection, job: i64, moment: Moment)
     Ok(())
 }
 
-/// Moves a job's counters with its tiles.
-pub(super) async fn progress(connection: &mut Connection, job: i64, by: Progress) -> Result<()> {
-    let moved = sqlx::query(
+/// Moves a job's counters with its tiles; answers how many of them are done.
+pub(super) async fn progress(connection: &mut Connection, job: i64, by: Progress) -> Result<i64> {
+    let done: Option<i64> = sqlx::query_scalar(
         "UPDATE job SET tiles_done = tiles_done + ?1, rays_done = rays_done + ?2, frames_stored = frames_stored + ?3,
                         rays_peak = max(rays_peak, rays_done + ?2)
-         WHERE number = ?4",
+         WHERE number = ?4 RETURNING tiles_done",
     )
     .bind(by.tiles)
     .bind(by.rays)
     .bind(by.frames)
     .bind(job)
-    .execute(connection)
+    .fetch_optional(connection)
     .await?;
-    counted("job: counters", 1, &moved)
+    done.ok_or(StoreError::Rows { what: "job: counters", expected: 1, changed: 0 })
 }
 
 /// A job whose frames are all stored has succeeded.

@@ -7,7 +7,7 @@ use proto::{LeaseId, WorkerId};
 use sqlx::Row;
 use sqlx::sqlite::SqliteRow;
 
-use super::{Connection, Moment, Result, Ring, counted, end, json_list};
+use super::{Connection, Moment, Result, Ring, counted, end, json_list, strike};
 
 /// Renderer errors that a tile survives.
 const MAX_ERRORS: i64 = 3;
@@ -104,6 +104,7 @@ pub(super) struct Held {
     pub(super) frame: u32,
     pub(super) stitch: bool,
     pub(super) rays: i64,
+    pub(super) granted_ms: i64,
     counters: Counters,
 }
 
@@ -112,7 +113,7 @@ macro_rules! held_where {
     ($condition:literal) => {
         concat!(
             "SELECT lease.id AS lease, lease.worker, tile.id AS tile, tile.job, tile.frame, tile.kind, tile.rays,
-                    tile.errors, tile.crashes, tile.lost, tile.interrupts
+                    lease.granted_ms, tile.errors, tile.crashes, tile.lost, tile.interrupts
              FROM lease JOIN tile ON tile.id = lease.tile WHERE lease.ended IS NULL AND ",
             $condition
         )
@@ -129,6 +130,7 @@ impl Held {
             frame: row.try_get("frame")?,
             stitch: row.try_get::<String, _>("kind")? == "stitch",
             rays: row.try_get("rays")?,
+            granted_ms: row.try_get("granted_ms")?,
             counters: Counters {
                 errors: row.try_get("errors")?,
                 crashes: row.try_get("crashes")?,
@@ -149,13 +151,22 @@ pub(super) async fn held(connection: &mut Connection, worker: WorkerId, leases: 
     rows.iter().map(Held::read).collect()
 }
 
-/// All live leases of a worker.
-pub(super) async fn held_by(connection: &mut Connection, worker: &str) -> Result<Vec<Held>> {
-    let rows = sqlx::query(held_where!("lease.worker = ?")).bind(worker).fetch_all(connection).await?;
-    rows.iter().map(Held::read).collect()
+/// The live leases of a worker.
+pub(super) async fn held_by(connection: &mut Connection, worker: &str) -> Result<Vec<String>> {
+    Ok(sqlx::query_scalar("SELECT id FROM lease WHERE worker = ? AND ended IS NULL")
+        .bind(worker)
+        .fetch_all(connection)
+        .await?)
 }
 
-/// Ends a lease without a result; its tile goes back to ready, or is dead and its job has failed.
+/// One lease, if it is live.
+pub(super) async fn live(connection: &mut Connection, lease: &str) -> Result<Option<Held>> {
+    let row = sqlx::query(held_where!("lease.id = ?")).bind(lease).fetch_optional(connection).await?;
+    row.as_ref().map(Held::read).transpose()
+}
+
+/// Ends a lease without a result; its tile goes back to ready, or is dead and its job has failed. A tile
+/// that another worker holds as well stays with that one.
 pub(super) async fn give_up(
     connection: &mut Connection,
     held: &Held,
@@ -164,12 +175,19 @@ pub(super) async fn give_up(
     moment: Moment,
 ) -> Result<Ring> {
     end_lease(connection, &held.lease, cause.name()).await?;
+    if cause == Cause::Failed {
+        strike::note(connection, &held.worker, held.job, moment).await?;
+    }
     let counters = held.counters.after(cause);
+    if is_leased(connection, held.tile).await? {
+        count(connection, held, counters).await?;
+        return Ok(Ring::default());
+    }
     match counters.verdict(cause, jitter()) {
         Verdict::Ready { delay_ms } => {
             let not_before_ms = if delay_ms == 0 { 0 } else { moment.now_ms + delay_ms };
-            let avoid = (cause == Cause::Failed).then_some(held.worker.as_str());
-            put_back(connection, held, counters, not_before_ms, avoid).await?;
+            let avoids = cause == Cause::Failed && !strike::bars_another(connection, held, moment).await?;
+            put_back(connection, held, counters, not_before_ms, avoids.then_some(held.worker.as_str())).await?;
             Ok(Ring::WORK)
         }
         Verdict::Dead => {
@@ -181,6 +199,25 @@ pub(super) async fn give_up(
             Ok(Ring::NEWS)
         }
     }
+}
+
+/// Whether a tile has a live lease.
+async fn is_leased(connection: &mut Connection, tile: i64) -> Result<bool> {
+    let live: Option<i64> = sqlx::query_scalar("SELECT 1 FROM lease WHERE tile = ? AND ended IS NULL LIMIT 1")
+        .bind(tile)
+        .fetch_optional(connection)
+        .await?;
+    Ok(live.is_some())
+}
+
+/// Ends the other leases of tiles that are done: their workers came second.
+pub(super) async fn void_others(connection: &mut Connection, tiles: impl IntoIterator<Item = i64>) -> Result<Ring> {
+    let void =
+        sqlx::query("UPDATE lease SET ended = 'void' WHERE ended IS NULL AND tile IN (SELECT value FROM json_each(?))")
+            .bind(super::json_numbers(tiles))
+            .execute(connection)
+            .await?;
+    Ok(if void.rows_affected() > 0 { Ring::NEWS } else { Ring::default() })
 }
 
 /// Ends one live lease.
@@ -215,6 +252,21 @@ async fn put_back(
     .execute(connection)
     .await?;
     counted("tile: leased to ready", 1, &done)
+}
+
+/// Counts what happened to a tile that stays leased.
+async fn count(connection: &mut Connection, held: &Held, counters: Counters) -> Result<()> {
+    let done = sqlx::query(
+        "UPDATE tile SET errors = ?, crashes = ?, lost = ?, interrupts = ? WHERE id = ? AND state = 'leased'",
+    )
+    .bind(counters.errors)
+    .bind(counters.crashes)
+    .bind(counters.lost)
+    .bind(counters.interrupts)
+    .bind(held.tile)
+    .execute(connection)
+    .await?;
+    counted("tile: counted", 1, &done)
 }
 
 async fn kill(connection: &mut Connection, held: &Held, counters: Counters) -> Result<()> {
@@ -252,16 +304,17 @@ pub(super) async fn renew(
 
 /// Ends the leases whose time ran out, and marks workers from elsewhere that vanished.
 pub(super) async fn rescue(connection: &mut Connection, moment: Moment) -> Result<(u64, Ring)> {
-    let rows =
-        sqlx::query(held_where!("lease.expires_ms <= ?")).bind(moment.now_ms).fetch_all(&mut *connection).await?;
+    let expired: Vec<String> =
+        sqlx::query_scalar("SELECT id FROM lease WHERE ended IS NULL AND expires_ms <= ? ORDER BY expires_ms")
+            .bind(moment.now_ms)
+            .fetch_all(&mut *connection)
+            .await?;
     let mut ring = Ring::default();
     let mut count = 0;
-    for row in &rows {
-        let held = Held::read(row)?;
-        if !is_live(connection, &held.lease).await? {
-            continue;
-        }
-        tracing::warn!(lease = %held.lease, worker = %held.worker, job = held.job, "a lease ran out");
+    for lease in &expired {
+        // A job that failed a moment ago took its other leases along.
+        let Some(held) = live(connection, lease).await? else { continue };
+        tracing::warn!(%lease, worker = %held.worker, job = held.job, "a lease ran out");
         ring.add(give_up(connection, &held, Cause::Lost, "its workers vanished again and again", moment).await?);
         count += 1;
     }
@@ -270,15 +323,6 @@ pub(super) async fn rescue(connection: &mut Connection, moment: Moment) -> Resul
         .execute(connection)
         .await?;
     Ok((count, ring))
-}
-
-/// A job that failed a moment ago took its other leases along.
-pub(super) async fn is_live(connection: &mut Connection, lease: &str) -> Result<bool> {
-    let live: Option<i64> = sqlx::query_scalar("SELECT 1 FROM lease WHERE id = ? AND ended IS NULL")
-        .bind(lease)
-        .fetch_optional(connection)
-        .await?;
-    Ok(live.is_some())
 }
 
 /// From 0 to 1, different each time.

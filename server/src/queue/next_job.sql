@@ -1,10 +1,17 @@
-SELECT number, id, width_px, height_px, samples, pixel_bytes, edge_px, frames_total, frames_opened, nodes
- FROM job
- WHERE finished_at_ms IS NULL
+SELECT number, id, width_px, height_px, samples, pixel_bytes, edge_px, frames_total, frames_opened, nodes,
+       job.submitter, job.priority
+ FROM share CROSS JOIN job ON job.submitter = share.submitter AND job.priority = share.priority
+ WHERE share.jobs > 0 AND finished_at_ms IS NULL AND paused = 0
    AND (nodes <= ?4 OR number IN (SELECT stitch.job FROM tile AS stitch
         WHERE stitch.state = 'ready' AND stitch.kind = 'stitch' AND stitch.not_before_ms <= ?1
           AND (stitch.avoid IS NULL OR stitch.avoid <> ?2 OR ?3 < 0)))
    AND (frames_opened < frames_total OR EXISTS (
         SELECT 1 FROM tile WHERE tile.job = job.number AND tile.state = 'ready' AND tile.not_before_ms <= ?1
            AND (tile.avoid IS NULL OR tile.avoid <> ?2 OR iif(tile.kind = 'stitch', 0, job.nodes) > ?3)))
- ORDER BY priority DESC, number LIMIT 1
+   AND NOT (EXISTS (SELECT 1 FROM strike WHERE strike.job = job.number AND strike.worker = ?2 AND until_ms > ?1)
+        AND EXISTS (SELECT 1 FROM worker AS other
+            WHERE other.state <> 'gone' AND other.state = 'ready' AND other.id <> ?2
+              AND coalesce(other.max_nodes, job.nodes) >= job.nodes
+              AND NOT EXISTS (SELECT 1 FROM strike
+                  WHERE strike.job = job.number AND strike.worker = other.id AND until_ms > ?1)))
+ ORDER BY share.priority DESC, share.served_us, share.submitter, job.number LIMIT 1

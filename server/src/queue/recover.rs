@@ -3,7 +3,7 @@
 
 use sqlx::Row;
 
-use super::{Connection, Result, json_numbers, rows};
+use super::{Connection, Result, fair, json_numbers, rows, strike};
 
 /// Ended leases are kept so long, to recognise late results.
 const KEEP_LEASES_MS: u64 = 3_600_000;
@@ -34,7 +34,8 @@ pub(super) async fn recover(connection: &mut Connection, now_ms: i64, lease_ms: 
     .await?;
     sqlx::query(
         "UPDATE tile SET state = 'ready', interrupts = interrupts + 1
-         WHERE state = 'leased' AND id IN (SELECT value FROM json_each(?))",
+         WHERE state = 'leased' AND id IN (SELECT value FROM json_each(?))
+           AND NOT EXISTS (SELECT 1 FROM lease WHERE lease.tile = tile.id AND ended IS NULL)",
     )
     .bind(json_numbers(tiles.iter().copied()))
     .execute(&mut *connection)
@@ -51,6 +52,7 @@ pub(super) async fn recover(connection: &mut Connection, now_ms: i64, lease_ms: 
     sqlx::query("UPDATE tile SET not_before_ms = 0 WHERE state = 'ready' AND not_before_ms > 0")
         .execute(&mut *connection)
         .await?;
+    strike::recover(connection, now_ms).await?;
     let jobs =
         sqlx::query("SELECT count(*) AS jobs FROM job WHERE finished_at_ms IS NULL").fetch_one(connection).await?;
     Ok(Recovered { generation, jobs: jobs.try_get("jobs")?, leases: rows(tiles.len()) })
@@ -65,9 +67,9 @@ pub(super) async fn tidy(connection: &mut Connection) -> Result<()> {
     sqlx::query(
         "DELETE FROM worker WHERE state = 'gone' AND NOT EXISTS (SELECT 1 FROM lease WHERE lease.worker = worker.id)",
     )
-    .execute(connection)
+    .execute(&mut *connection)
     .await?;
-    Ok(())
+    fair::tidy(connection).await
 }
 
 /// Ids of leases carry their time: the smallest one that is kept.

@@ -12,6 +12,8 @@ pub(crate) struct NewJob {
     pub(crate) id: JobId,
     /// The name its author gave it.
     pub(crate) name: String,
+    /// Who hands it in: shares are fair between submitters.
+    pub(crate) submitter: String,
     /// Higher goes first.
     pub(crate) priority: i32,
     /// Nodes of its scene; 0 if not known.
@@ -35,6 +37,7 @@ impl NewJob {
         Self {
             id: JobId::new(),
             name: "example".to_owned(),
+            submitter: "local".to_owned(),
             priority: 0,
             nodes: 1,
             plan: Plan { width_px: 64, height_px: 64, samples: 1, pixel_bytes: 16, edge_px: Some(64), frames: 1 },
@@ -45,9 +48,6 @@ impl NewJob {
         }
     }
 }
-
-/// Who submits while there are no keys.
-const SUBMITTER: &str = "local";
 
 /// Writes a job's row and its file; returns its number.
 pub(super) async fn submit(connection: &mut Connection, job: &NewJob, moment: Moment) -> Result<i64> {
@@ -60,7 +60,7 @@ pub(super) async fn submit(connection: &mut Connection, job: &NewJob, moment: Mo
     )
     .bind(job.id.to_string())
     .bind(&job.name)
-    .bind(SUBMITTER)
+    .bind(&job.submitter)
     .bind(job.priority)
     .bind(job.fresh)
     .bind(plan.width_px)

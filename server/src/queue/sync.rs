@@ -56,6 +56,8 @@ pub(crate) struct Turned {
     pub(crate) expired: u64,
     /// Results without effect.
     pub(crate) fenced: u64,
+    /// Results that differ from the first of the same tile.
+    pub(crate) nondeterministic: u64,
     pub(super) ring: Ring,
 }
 
@@ -98,7 +100,7 @@ pub(super) async fn turn(connection: &mut Connection, turn: Turn, moment: Moment
     let (expired, mut ring) = lease::rescue(connection, moment).await?;
     let delivered = deliver::deliver(connection, turn.worker, &turn.results, moment).await?;
     ring.add(delivered.ring);
-    let fenced = delivered.lost.len() as u64;
+    let (fenced, nondeterministic) = (delivered.lost.len() as u64, delivered.nondeterministic);
     let mut lost = delivered.lost;
     let live = lease::renew(connection, turn.worker, &turn.holding, moment).await?;
     lost.extend(turn.holding.iter().filter(|lease| !live.contains(&lease.to_string())));
@@ -112,7 +114,7 @@ pub(super) async fn turn(connection: &mut Connection, turn: Turn, moment: Moment
         Next::Nothing(None)
     };
     let drain = turn.leaving || worker.state == WorkerState::Draining;
-    Ok(Some(Turned { lost, drain, next, leftovers: delivered.leftovers, expired, fenced, ring }))
+    Ok(Some(Turned { lost, drain, next, leftovers: delivered.leftovers, expired, fenced, nondeterministic, ring }))
 }
 
 #[derive(Clone, Copy, PartialEq, Eq)]

@@ -1,6 +1,8 @@
 //! What can't be seen through the door: that the statements of a claim use indexes, and that a
 //! job's counters are those of its tiles whatever happens.
 
+mod fair;
+
 use proto::work::{Hello, Outcome, Report, Work};
 use proto::{JobId, WorkerId};
 use sqlx::Row;
@@ -65,8 +67,16 @@ impl Bench {
             "SELECT count(*) FROM frame WHERE tiles_done <> (
                  SELECT count(*) FROM tile WHERE tile.job = frame.job AND tile.frame = frame.number
                  AND kind = 'render' AND state = 'done')",
-            "SELECT count(*) FROM tile WHERE (state = 'leased') <> (
+            "SELECT count(*) FROM tile WHERE (state = 'leased') <> EXISTS (
+                 SELECT 1 FROM lease WHERE lease.tile = tile.id AND ended IS NULL)",
+            "SELECT count(*) FROM tile WHERE (
+                 SELECT count(*) FROM lease WHERE lease.tile = tile.id AND ended IS NULL) > 2",
+            "SELECT count(*) FROM tile WHERE (
+                 SELECT count(DISTINCT worker) FROM lease WHERE lease.tile = tile.id AND ended IS NULL) <> (
                  SELECT count(*) FROM lease WHERE lease.tile = tile.id AND ended IS NULL)",
+            "SELECT count(*) FROM share WHERE jobs <> (
+                 SELECT count(*) FROM job WHERE job.submitter = share.submitter AND job.priority = share.priority
+                 AND finished_at_ms IS NULL AND paused = 0)",
             "SELECT count(*) FROM job WHERE finished_at_ms IS NOT NULL AND EXISTS (
                  SELECT 1 FROM tile WHERE tile.job = job.number AND state IN ('ready', 'leased'))",
         ] {
@@ -80,6 +90,7 @@ fn new_job(frames: u32) -> NewJob {
     NewJob {
         id: JobId::new(),
         name: String::new(),
+        submitter: "local".to_owned(),
         priority: 0,
         nodes: 1,
         plan: Plan { width_px: 128, height_px: 96, samples: 1, pixel_bytes: 16, edge_px: Some(32), frames },
@@ -106,7 +117,7 @@ fn turn(worker: WorkerId) -> Turn {
 async fn a_claim_reads_no_table_from_end_to_end() {
     let bench = Bench::new().await;
     // Of what is left to do, and of stitches that are ready: both are short, or ordered as they are read.
-    let indexed = ["USING INDEX job_by_turn", "USING INDEX tile_stitch"];
+    let indexed = ["USING INDEX share_by_turn", "USING INDEX worker_present", "USING INDEX tile_stitch"];
     for statement in [
         concat!("EXPLAIN QUERY PLAN ", include_str!("next_job.sql")),
         concat!("EXPLAIN QUERY PLAN ", include_str!("next_tile.sql")),

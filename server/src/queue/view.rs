@@ -14,7 +14,7 @@ macro_rules! jobs_where {
     ($condition:literal) => {
         concat!(
             "SELECT number, id, name, state, frames_total, frames_stored, tiles_total, tiles_done, rays_total, rays_peak,
-                    warnings, error, created_at_ms, started_at_ms, finished_at_ms, nodes,
+                    paused, warnings, error, created_at_ms, started_at_ms, finished_at_ms, nodes,
                     finished_at_ms IS NULL AND (frames_opened < frames_total OR EXISTS (
                         SELECT 1 FROM tile WHERE tile.job = job.number AND tile.state = 'ready' AND kind = 'render'))
                     AS waits,
@@ -63,10 +63,12 @@ fn read_job(row: &SqliteRow, wall_ms: i64) -> Result<JobView> {
     let rays_total: i64 = row.try_get("rays_total")?;
     let progress = row.try_get::<i64, _>("rays_peak")? as f64 / rays_total as f64;
     let error: Option<String> = row.try_get("error")?;
+    let paused = row.try_get("paused")?;
     Ok(JobView {
         id: known("job.id", &id, |id| id.parse().ok())?,
         name: row.try_get("name")?,
         state,
+        paused,
         progress,
         tiles: Count { done: row.try_get("tiles_done")?, total: row.try_get("tiles_total")? },
         frames: Count { done: row.try_get("frames_stored")?, total: row.try_get("frames_total")? },
@@ -76,7 +78,7 @@ fn read_job(row: &SqliteRow, wall_ms: i64) -> Result<JobView> {
         started_at: started_at_ms.map(rfc3339),
         finished_at: row.try_get::<Option<i64>, _>("finished_at_ms")?.map(rfc3339),
         eta_seconds: started_at_ms
-            .filter(|_| state == JobState::Running)
+            .filter(|_| state == JobState::Running && !paused)
             .and_then(|start| eta(start, wall_ms, progress)),
     })
 }

@@ -49,7 +49,8 @@ pub(super) async fn register(connection: &mut Connection, new: NewWorker, moment
 /// Tells the pool's worker of a process to finish what it holds; false if there is none yet.
 pub(super) async fn drain(connection: &mut Connection, process: u32) -> Result<bool> {
     let drained = sqlx::query(
-        "UPDATE worker SET state = 'draining' WHERE process = ? AND pool = 1 AND state IN ('starting', 'ready')",
+        "UPDATE worker SET state = 'draining' WHERE process = ? AND pool = 1
+         AND state IN ('starting', 'ready', 'quarantined')",
     )
     .bind(process)
     .execute(connection)
@@ -99,8 +100,8 @@ async fn end_leases(
     moment: Moment,
 ) -> Result<Ring> {
     let mut ring = Ring::default();
-    for held in lease::held_by(connection, worker).await? {
-        if lease::is_live(connection, &held.lease).await? {
+    for lease in lease::held_by(connection, worker).await? {
+        if let Some(held) = lease::live(connection, &lease).await? {
             ring.add(lease::give_up(connection, &held, cause, message, moment).await?);
         }
     }

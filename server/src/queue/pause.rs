@@ -1,0 +1,71 @@
+//! Pausing a job or the farm: nothing new is leased, and what is leased goes on.
+
+use proto::JobId;
+use proto::job::JobState;
+
+use super::{Connection, Queue, Result, Ring, counted, end};
+use crate::store::Durability;
+
+/// What became of a wish to pause or resume a job.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Paused {
+    /// It is as was wished.
+    Done,
+    /// It had ended before.
+    Final(JobState),
+    /// There is no such job.
+    Unknown,
+}
+
+/// Whether the whole farm is paused.
+pub(super) async fn is_farm_paused(connection: &mut Connection) -> Result<bool> {
+    Ok(sqlx::query_scalar("SELECT value <> 0 FROM meta WHERE name = 'paused'").fetch_one(connection).await?)
+}
+
+async fn pause_job(connection: &mut Connection, id: JobId, paused: bool) -> Result<Paused> {
+    let changed = sqlx::query("UPDATE job SET paused = ? WHERE id = ? AND finished_at_ms IS NULL")
+        .bind(paused)
+        .bind(id.to_string())
+        .execute(&mut *connection)
+        .await?;
+    if changed.rows_affected() > 0 {
+        return Ok(Paused::Done);
+    }
+    let state: Option<String> = sqlx::query_scalar("SELECT state FROM job WHERE id = ?")
+        .bind(id.to_string())
+        .fetch_optional(connection)
+        .await?;
+    state.map_or(Ok(Paused::Unknown), |name| end::job_state(&name).map(Paused::Final))
+}
+
+async fn pause_farm(connection: &mut Connection, paused: bool) -> Result<()> {
+    let changed =
+        sqlx::query("UPDATE meta SET value = ? WHERE name = 'paused'").bind(paused).execute(connection).await?;
+    counted("meta: paused", 1, &changed)
+}
+
+impl Queue {
+    /// Pauses or resumes a job that has not ended.
+    pub(crate) async fn pause(&self, job: JobId, paused: bool) -> Result<Paused> {
+        let done =
+            self.store.write(Durability::Full, move |connection| Box::pin(pause_job(connection, job, paused))).await?;
+        if !paused {
+            self.ring(Ring::WORK);
+        }
+        Ok(done)
+    }
+
+    /// Pauses or resumes the farm.
+    pub(crate) async fn pause_all(&self, paused: bool) -> Result<()> {
+        self.store.write(Durability::Full, move |connection| Box::pin(pause_farm(connection, paused))).await?;
+        if !paused {
+            self.ring(Ring::WORK);
+        }
+        Ok(())
+    }
+
+    /// Whether the farm is paused.
+    pub(crate) async fn is_paused(&self) -> Result<bool> {
+        Ok(sqlx::query_scalar("SELECT value <> 0 FROM meta WHERE name = 'paused'").fetch_one(self.readers()).await?)
+    }
+}

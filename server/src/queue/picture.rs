@@ -1,0 +1,166 @@
+//! Pictures: of a frame's stitch, or of every tile of a frame at once.
+//!
+//! The picture's bytes are durable before its row is written here; whoever comes second has no effect.
+
+use std::collections::BTreeMap;
+
+use proto::{LeaseId, WorkerId};
+use sqlx::Row;
+
+use super::deliver::{Delivered, note_pace};
+use super::lease::{self, Cause, Held};
+use super::{Connection, Moment, Result, Ring, counted, end, rows};
+use crate::store::StoreError;
+
+/// A frame's picture: for its stitch, or for every tile of the frame at once.
+pub(super) async fn take(
+    connection: &mut Connection,
+    worker: WorkerId,
+    leases: &[LeaseId],
+    hash: &str,
+    size_bytes: u64,
+    moment: Moment,
+    delivered: &mut Delivered,
+) -> Result<()> {
+    let held = lease::held(connection, worker, leases).await?;
+    let live: Vec<&str> = held.iter().map(|held| held.lease.as_str()).collect();
+    for lease in leases.iter().filter(|lease| !live.contains(&lease.to_string().as_str())) {
+        delivered.lost.push(*lease);
+        delivered.nondeterministic += compare(connection, *lease, hash).await?;
+    }
+    let mut frames: BTreeMap<(i64, u32), Vec<Held>> = BTreeMap::new();
+    for held in held {
+        frames.entry((held.job, held.frame)).or_default().push(held);
+    }
+    for ((job, frame), held) in frames {
+        let stitched = matches!(held.as_slice(), [held] if held.stitch);
+        if stitched || covers(connection, job, frame, held.len()).await? {
+            let picture = Picture { job, frame, hash, size_bytes };
+            store_frame(connection, &held, stitched, &picture, moment, delivered).await?;
+            continue;
+        }
+        for held in held {
+            let message = "its worker delivered a picture without holding the whole frame";
+            let ring = lease::give_up(connection, &held, Cause::Interrupted, message, moment).await?;
+            delivered.ring.add(ring);
+        }
+    }
+    Ok(())
+}
+
+/// Whether so many leased tiles are all of a frame.
+async fn covers(connection: &mut Connection, job: i64, frame: u32, tiles: usize) -> Result<bool> {
+    let total: Option<i64> =
+        sqlx::query_scalar("SELECT tiles_total FROM frame WHERE job = ? AND number = ? AND state = 'open'")
+            .bind(job)
+            .bind(frame)
+            .fetch_optional(connection)
+            .await?;
+    Ok(total == Some(rows(tiles)))
+}
+
+struct Picture<'a> {
+    job: i64,
+    frame: u32,
+    hash: &'a str,
+    size_bytes: u64,
+}
+
+async fn store_frame(
+    connection: &mut Connection,
+    held: &[Held],
+    stitched: bool,
+    picture: &Picture<'_>,
+    moment: Moment,
+    delivered: &mut Delivered,
+) -> Result<()> {
+    delivered.ring.add(finish_all(connection, held).await?);
+    let key: Option<String> = sqlx::query_scalar(
+        "UPDATE frame SET state = 'stored', picture = ?1, size_bytes = ?2, tiles_done = tiles_total
+         WHERE job = ?3 AND number = ?4 AND state = ?5 RETURNING picture_key",
+    )
+    .bind(picture.hash)
+    .bind(picture.size_bytes.cast_signed())
+    .bind(picture.job)
+    .bind(picture.frame)
+    .bind(if stitched { "stitching" } else { "open" })
+    .fetch_optional(&mut *connection)
+    .await?;
+    let key = key.ok_or(StoreError::Rows { what: "frame: to stored", expected: 1, changed: 0 })?;
+    delivered.nondeterministic += remember(connection, picture, &key, moment).await?;
+    let (tiles, rays) = if stitched { (0, 0) } else { (rows(held.len()), held.iter().map(|held| held.rays).sum()) };
+    let number = end::progress(connection, picture.job, end::Progress { tiles, rays, frames: 1 }).await?;
+    if !stitched {
+        note_pace(connection, held, number, moment).await?;
+    }
+    end::succeed_if_stored(connection, picture.job, moment).await?;
+    if stitched {
+        let blobs = sqlx::query("SELECT DISTINCT blob FROM tile WHERE job = ? AND frame = ? AND blob IS NOT NULL")
+            .bind(picture.job)
+            .bind(picture.frame)
+            .fetch_all(connection)
+            .await?;
+        for row in blobs {
+            delivered.leftovers.push(row.try_get("blob")?);
+        }
+    }
+    Ok(())
+}
+
+async fn finish_all(connection: &mut Connection, held: &[Held]) -> Result<Ring> {
+    let ended =
+        sqlx::query("UPDATE lease SET ended = 'done' WHERE ended IS NULL AND id IN (SELECT value FROM json_each(?))")
+            .bind(super::json_list(held.iter().map(|held| &held.lease)))
+            .execute(&mut *connection)
+            .await?;
+    counted("lease: live to ended", held.len() as u64, &ended)?;
+    let done =
+        sqlx::query("UPDATE tile SET state = 'done' WHERE state = 'leased' AND id IN (SELECT value FROM json_each(?))")
+            .bind(super::json_numbers(held.iter().map(|held| held.tile)))
+            .execute(&mut *connection)
+            .await?;
+    counted("tile: leased to done", held.len() as u64, &done)?;
+    lease::void_others(connection, held.iter().map(|held| held.tile)).await
+}
+
+/// A late picture has no effect, but it must be the same as the first; how many are not.
+async fn compare(connection: &mut Connection, lease: LeaseId, hash: &str) -> Result<u64> {
+    let first: Option<Option<String>> = sqlx::query_scalar(
+        "SELECT frame.picture FROM lease JOIN tile ON tile.id = lease.tile
+         JOIN frame ON frame.job = tile.job AND frame.number = tile.frame WHERE lease.id = ?",
+    )
+    .bind(lease.to_string())
+    .fetch_optional(connection)
+    .await?;
+    let Some(first) = first.flatten().filter(|first| first != hash) else { return Ok(0) };
+    tracing::error!(
+        code = "nondeterministic_tile", %lease, %first, second = hash,
+        "two workers rendered one frame differently; the first result stays"
+    );
+    Ok(1)
+}
+
+/// Lets later jobs have the picture; the first one of a key stays. How many differ from it.
+async fn remember(connection: &mut Connection, picture: &Picture<'_>, key: &str, moment: Moment) -> Result<u64> {
+    sqlx::query(
+        "INSERT INTO picture (key, hash, size_bytes, media_type, stored_at_ms)
+         SELECT ?1, ?2, ?3, media_type, ?4 FROM job WHERE number = ?5 ON CONFLICT (key) DO NOTHING",
+    )
+    .bind(key)
+    .bind(picture.hash)
+    .bind(picture.size_bytes.cast_signed())
+    .bind(moment.wall_ms)
+    .bind(picture.job)
+    .execute(&mut *connection)
+    .await?;
+    let first: String =
+        sqlx::query_scalar("SELECT hash FROM picture WHERE key = ?").bind(key).fetch_one(connection).await?;
+    if first == picture.hash {
+        return Ok(0);
+    }
+    tracing::error!(
+        code = "nondeterministic_picture", job = picture.job, frame = picture.frame, %first,
+        second = picture.hash, "one picture was rendered in two ways; later jobs are shown the first"
+    );
+    Ok(1)
+}

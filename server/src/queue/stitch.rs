@@ -1,0 +1,82 @@
+//! Stitches: made when a frame's last tile is done, undone when its blobs prove damaged.
+
+use super::lease::{self, Cause, Held};
+use super::{Connection, Moment, Result, Ring, counted, end, rows};
+
+/// A frame's last tile is done: its picture can be made.
+pub(super) async fn begin(connection: &mut Connection, job: i64, frame: u32) -> Result<()> {
+    let stitching = sqlx::query("UPDATE frame SET state = 'stitching' WHERE job = ? AND number = ? AND state = 'open'")
+        .bind(job)
+        .bind(frame)
+        .execute(&mut *connection)
+        .await?;
+    counted("frame: open to stitching", 1, &stitching)?;
+    let made = sqlx::query(
+        "INSERT INTO tile (job, frame, kind, position, x_px, y_px, width_px, height_px, rays, state)
+         SELECT number, ?2, 'stitch', -1, 0, 0, width_px, height_px, 0, 'ready' FROM job WHERE number = ?1
+         ON CONFLICT (job, frame, position) DO UPDATE SET state = 'ready' WHERE state = 'void'",
+    )
+    .bind(job)
+    .bind(frame)
+    .execute(connection)
+    .await?;
+    counted("tile: stitch made", 1, &made)
+}
+
+/// The stitch found blobs missing or damaged: those tiles are rendered again, then stitched anew.
+pub(super) async fn reopen(
+    connection: &mut Connection,
+    held: &Held,
+    positions: &[u32],
+    moment: Moment,
+) -> Result<Ring> {
+    let mut ring =
+        lease::give_up(connection, held, Cause::Lost, "its blobs were damaged again and again", moment).await?;
+    if !is_stitching(connection, held).await? {
+        return Ok(ring);
+    }
+    let rays: Vec<i64> = sqlx::query_scalar(
+        "UPDATE tile SET state = 'ready', blob = NULL, blob_bytes = NULL
+         WHERE job = ? AND frame = ? AND kind = 'render' AND state = 'done'
+           AND position IN (SELECT value FROM json_each(?)) RETURNING rays",
+    )
+    .bind(held.job)
+    .bind(held.frame)
+    .bind(super::json_numbers(positions.iter().map(|position| i64::from(*position))))
+    .fetch_all(&mut *connection)
+    .await?;
+    if rays.is_empty() {
+        return Ok(ring);
+    }
+    ring.add(Ring::WORK);
+    ring.add(lease::void_others(connection, [held.tile]).await?);
+    tracing::warn!(job = held.job, frame = held.frame, tiles = rays.len(), "blobs are damaged; rendering them again");
+    let void = sqlx::query("UPDATE tile SET state = 'void' WHERE id = ? AND state IN ('ready', 'leased')")
+        .bind(held.tile)
+        .execute(&mut *connection)
+        .await?;
+    counted("tile: stitch void", 1, &void)?;
+    let count = rows(rays.len());
+    let open = sqlx::query(
+        "UPDATE frame SET state = 'open', tiles_done = tiles_done - ? WHERE job = ? AND number = ? AND state = 'stitching'",
+    )
+    .bind(count)
+    .bind(held.job)
+    .bind(held.frame)
+    .execute(&mut *connection)
+    .await?;
+    counted("frame: stitching to open", 1, &open)?;
+    let back = end::Progress { tiles: -count, rays: -rays.iter().sum::<i64>(), frames: 0 };
+    end::progress(connection, held.job, back).await?;
+    Ok(ring)
+}
+
+async fn is_stitching(connection: &mut Connection, held: &Held) -> Result<bool> {
+    let stitching: Option<bool> =
+        sqlx::query_scalar("SELECT state = 'stitching' FROM frame WHERE job = ? AND number = ?")
+            .bind(held.job)
+            .bind(held.frame)
+            .fetch_optional(connection)
+            .await?;
+    Ok(stitching == Some(true))
+}

@@ -1,0 +1,135 @@
+//! Stragglers: when nothing is ready, tiles that take far longer than others of their job are leased
+//! once more, without ending the first lease. The first commit wins; `deliver` voids the other lease.
+
+use std::collections::HashMap;
+
+use proto::LeaseId;
+use proto::work::{Run, Work};
+use sqlx::Row;
+
+use super::claim::{self, Claimant, View};
+use super::{Connection, Moment, Result, counted, pace, rows, share};
+
+/// A lease that is older than so many times the job's median delivery is a straggler's.
+const MEDIANS: i64 = 3;
+/// No tile straggles before.
+const MIN_AGE_MS: i64 = 500;
+/// No stitch straggles before: its time says nothing about its tiles'.
+const MIN_STITCH_AGE_MS: i64 = 10_000;
+/// A job of which nothing was delivered yet is looked at again after so long.
+const UNKNOWN_PACE_MS: i64 = 1000;
+/// So many of the oldest leases are looked at.
+const LOOKED_AT: i64 = 256;
+
+/// The oldest leases of other workers that this one could help with, each the only one of its tile.
+const OLDEST: &str = include_str!("oldest_leases.sql");
+
+/// The tiles of a frame that one worker alone has held for long.
+const HELD_TILES: &str = "SELECT tile.id, position, x_px, y_px, width_px, height_px, rays, lost
+     FROM lease JOIN tile ON tile.id = lease.tile
+     WHERE lease.worker = ? AND lease.ended IS NULL AND lease.granted_ms <= ?
+       AND tile.job = ? AND tile.frame = ? AND tile.kind = 'render'
+       AND NOT EXISTS (SELECT 1 FROM lease AS other
+           WHERE other.tile = tile.id AND other.ended IS NULL AND other.id <> lease.id)
+     ORDER BY position";
+
+/// What there is to help with.
+pub(super) enum Straggling {
+    /// A run, leased once more.
+    Run(Run),
+    /// Nothing now; it is worth looking again in so many milliseconds.
+    Nothing(Option<i64>),
+}
+
+struct Old {
+    job: i64,
+    frame: u32,
+    stitch: bool,
+    worker: String,
+    granted_ms: i64,
+}
+
+/// Leases the oldest straggler once more.
+pub(super) async fn claim(
+    connection: &mut Connection,
+    view: &View,
+    claimant: Claimant,
+    moment: Moment,
+) -> Result<Straggling> {
+    let found = view.bind(OLDEST).bind(LOOKED_AT).fetch_all(&mut *connection).await?;
+    let mut patience: HashMap<i64, Option<i64>> = HashMap::new();
+    let mut again_ms: Option<i64> = None;
+    for row in &found {
+        let old = Old {
+            job: row.try_get("job")?,
+            frame: row.try_get("frame")?,
+            stitch: row.try_get::<String, _>("kind")? == "stitch",
+            worker: row.try_get("worker")?,
+            granted_ms: row.try_get("granted_ms")?,
+        };
+        let median_ms = match patience.get(&old.job) {
+            Some(known) => *known,
+            None => *patience.entry(old.job).or_insert(pace::median_ms(connection, old.job).await?),
+        };
+        let least_ms = if old.stitch { MIN_STITCH_AGE_MS } else { MIN_AGE_MS };
+        let left_ms = match median_ms {
+            Some(median_ms) => old.granted_ms + (MEDIANS * median_ms).max(least_ms) - moment.now_ms,
+            None => UNKNOWN_PACE_MS,
+        };
+        if left_ms > 0 {
+            again_ms = Some(again_ms.map_or(left_ms, |again_ms| again_ms.min(left_ms)));
+            continue;
+        }
+        tracing::info!(job = old.job, frame = old.frame, holder = %old.worker, "a straggler is leased once more");
+        return Ok(Straggling::Run(lease_again(connection, &old, view, claimant, moment).await?));
+    }
+    Ok(Straggling::Nothing(again_ms))
+}
+
+async fn lease_again(
+    connection: &mut Connection,
+    old: &Old,
+    view: &View,
+    claimant: Claimant,
+    moment: Moment,
+) -> Result<Run> {
+    let job = claim::job(connection, old.job).await?;
+    if old.stitch {
+        let tile = claim::stitch_tile(connection, job.number, old.frame).await?;
+        let lease = LeaseId::new();
+        grant(connection, &[(tile, lease)], view, moment).await?;
+        let work = claim::stitch_work(connection, job.number, old.frame, lease).await?;
+        return Ok(Run { job: job.id, frame: old.frame, work });
+    }
+    let held = sqlx::query(HELD_TILES)
+        .bind(&old.worker)
+        .bind(old.granted_ms)
+        .bind(old.job)
+        .bind(old.frame)
+        .fetch_all(&mut *connection)
+        .await?;
+    let whole = claim::whole_frame(&job);
+    let length = if share::is_whole(held.len(), whole) {
+        // Its holder makes a picture of it; so must whoever helps, or neither is done before the other.
+        held.len()
+    } else {
+        let ready = held.iter().map(claim::read_ready).collect::<Result<Vec<_>>>()?;
+        share::run_length(&ready, whole, claimant.rays_per_second, 1, None)
+    };
+    let (tiles, grants) = claim::leased_tiles(&held[..length])?;
+    grant(connection, &grants, view, moment).await?;
+    let work = Work::Render { whole_frame: share::is_whole(length, whole), tiles };
+    Ok(Run { job: job.id, frame: old.frame, work })
+}
+
+/// Leases tiles that are leased already, each under its next epoch.
+async fn grant(connection: &mut Connection, grants: &[(i64, LeaseId)], view: &View, moment: Moment) -> Result<()> {
+    let again = sqlx::query(
+        "UPDATE tile SET epoch = epoch + 1 WHERE state = 'leased' AND id IN (SELECT value FROM json_each(?))",
+    )
+    .bind(super::json_numbers(grants.iter().map(|(tile, _)| *tile)))
+    .execute(&mut *connection)
+    .await?;
+    counted("tile: leased once more", rows(grants.len()).unsigned_abs(), &again)?;
+    claim::make_leases(connection, grants, &view.worker, moment).await
+}

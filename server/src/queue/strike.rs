@@ -1,0 +1,83 @@
+//! Workers that fail: one that errs again and again in a job is kept from it for a while, and
+//! one that does so in many jobs is quarantined. It decides about workers, never about tiles.
+//!
+//! Both hold only while another worker is there for the work: a farm of one never stops by itself.
+
+use super::lease::Held;
+use super::{Connection, Moment, Result};
+
+/// Errors of a worker in one job, from which on it is not offered the job.
+const ERRORS_BEFORE_BAR: i64 = 3;
+/// For so long.
+const BAR_MS: i64 = 3_600_000;
+/// A worker that is kept from so many jobs is quarantined. Jobs that failed as a whole do not count: those
+/// failed on every worker.
+const BARS_BEFORE_QUARANTINE: i64 = 3;
+
+/// Notes a worker's error in a job.
+pub(super) async fn note(connection: &mut Connection, worker: &str, job: i64, moment: Moment) -> Result<()> {
+    let errors: i64 = sqlx::query_scalar(
+        "INSERT INTO strike (job, worker, errors, until_ms) VALUES (?1, ?2, 1, NULL)
+         ON CONFLICT (job, worker) DO UPDATE SET
+             errors = iif(until_ms <= ?3, 1, errors + 1),
+             until_ms = iif(iif(until_ms <= ?3, 1, errors + 1) >= ?4, ?3 + ?5, NULL)
+         RETURNING errors",
+    )
+    .bind(job)
+    .bind(worker)
+    .bind(moment.now_ms)
+    .bind(ERRORS_BEFORE_BAR)
+    .bind(BAR_MS)
+    .fetch_one(&mut *connection)
+    .await?;
+    if errors != ERRORS_BEFORE_BAR {
+        return Ok(());
+    }
+    tracing::warn!(worker, job, errors, "a worker erred too often in a job; others are offered it first");
+    quarantine(connection, worker, moment).await
+}
+
+/// Takes no more results for granted of a worker that is kept from many jobs.
+async fn quarantine(connection: &mut Connection, worker: &str, moment: Moment) -> Result<()> {
+    let quarantined = sqlx::query(
+        "UPDATE worker SET state = 'quarantined' WHERE id = ?1 AND state = 'ready'
+         AND (SELECT count(*) FROM strike JOIN job ON job.number = strike.job
+              WHERE strike.worker = ?1 AND until_ms > ?2 AND job.state <> 'failed') >= ?3
+         AND EXISTS (SELECT 1 FROM worker AS other
+              WHERE other.state <> 'gone' AND other.state = 'ready' AND other.id <> ?1)",
+    )
+    .bind(worker)
+    .bind(moment.now_ms)
+    .bind(BARS_BEFORE_QUARANTINE)
+    .execute(connection)
+    .await?;
+    if quarantined.rows_affected() > 0 {
+        tracing::error!(
+            code = "worker_quarantined",
+            worker,
+            "a worker erred in too many jobs and gets no more work: check its device, then start it again"
+        );
+    }
+    Ok(())
+}
+
+/// Whether a worker other than the lease's is kept from its job: then the tile must not avoid this one.
+pub(super) async fn bars_another(connection: &mut Connection, held: &Held, moment: Moment) -> Result<bool> {
+    let barred: Option<i64> =
+        sqlx::query_scalar("SELECT 1 FROM strike WHERE job = ? AND worker <> ? AND until_ms > ? LIMIT 1")
+            .bind(held.job)
+            .bind(&held.worker)
+            .bind(moment.now_ms)
+            .fetch_optional(connection)
+            .await?;
+    Ok(barred.is_some())
+}
+
+/// After a start the clock is another: whoever was kept from a job is kept from it for the whole time again.
+pub(super) async fn recover(connection: &mut Connection, now_ms: i64) -> Result<()> {
+    sqlx::query("UPDATE strike SET until_ms = ? WHERE until_ms IS NOT NULL")
+        .bind(now_ms + BAR_MS)
+        .execute(connection)
+        .await?;
+    Ok(())
+}

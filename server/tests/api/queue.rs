@@ -1,0 +1,255 @@
+//! The queue through its door: pauses, stragglers, workers that fail.
+
+use std::time::Duration;
+
+use proto::farm::FarmView;
+use proto::job::{JobState, JobView};
+use proto::pool::{WorkerList, WorkerState};
+use proto::work::{Outcome, Report, Work};
+use reqwest::StatusCode;
+
+use super::harness::{Farm, LEASE, Said, Worker, assert_state, in_time, job, leases, read, refused, small_job};
+
+/// Three tiles, each beyond what a worker of unknown speed takes along.
+fn three_tiles(seed: u32) -> serde_json::Value {
+    let mut three = job(3072, 1024, 2);
+    three["image"]["seed"] = seed.into();
+    three
+}
+
+fn failed(lease: proto::LeaseId) -> Vec<Report> {
+    vec![Report { lease, outcome: Outcome::Failed { message: "no".to_owned() } }]
+}
+
+async fn metric(farm: &Farm, name: &str) -> String {
+    let metrics = in_time(farm.get("/metrics").await.text()).await.expect("text");
+    let line = metrics.lines().find(|line| line.starts_with(&format!("{name} "))).expect("the metric");
+    line.rsplit(' ').next().expect("a value").to_owned()
+}
+
+#[tokio::test]
+async fn a_paused_job_finishes_what_is_leased_and_starts_nothing() {
+    let farm = Farm::start().await;
+    let posted = farm.submit(&three_tiles(1)).await;
+    let worker = farm.worker("one").await;
+    let run = worker.claim().await.expect("work");
+    let path = |verb: &str| format!("/v1/jobs/{}/{verb}", posted.id);
+    let paused: JobView = read(farm.post(&path("pause"), "").await, StatusCode::OK).await;
+    assert!(paused.paused && paused.state == JobState::Running && paused.eta_seconds.is_none(), "{paused:?}");
+    assert!(worker.sync(Said { holding: leases(&run), ..Said::default() }).await.lost.is_empty());
+    worker.report(worker.results(&run).await).await;
+    assert_eq!(farm.job(posted.id).await.tiles.done, leases(&run).len() as u64);
+    assert!(worker.claim().await.is_none());
+    let again: JobView = read(farm.post(&path("pause"), "").await, StatusCode::OK).await;
+    assert!(again.paused);
+    let waiting = worker.next();
+    let resumed = async { read::<JobView>(farm.post(&path("resume"), "").await, StatusCode::OK).await };
+    let (run, resumed) = tokio::join!(waiting, resumed);
+    assert!(!resumed.paused);
+    worker.report(worker.results(&run).await).await;
+    worker.work_off().await;
+    assert_state(&farm, posted.id, JobState::Succeeded).await;
+    refused(farm.post(&path("pause"), "").await, 409, "job_finished").await;
+    refused(farm.post(&path("resume"), "").await, 409, "job_finished").await;
+    refused(farm.post("/v1/jobs/0/pause", "").await, 404, "unknown_job").await;
+    farm.stop().await;
+}
+
+#[tokio::test]
+async fn a_paused_farm_stays_paused_over_a_restart() {
+    let farm = Farm::start().await;
+    let posted = farm.submit(&small_job(1)).await;
+    let view: FarmView = read(farm.post("/v1/farm/pause", "").await, StatusCode::OK).await;
+    assert!(view.paused);
+    assert!(farm.worker("one").await.claim().await.is_none());
+    let farm = Farm::start_in(farm.stop().await, |_| {}).await;
+    let view: FarmView = read(farm.get("/v1/farm").await, StatusCode::OK).await;
+    assert!(view.paused);
+    let worker = farm.worker("two").await;
+    assert!(worker.claim().await.is_none());
+    let view: FarmView = read(farm.post("/v1/farm/resume", "").await, StatusCode::OK).await;
+    assert!(!view.paused);
+    worker.work_off().await;
+    assert_state(&farm, posted.id, JobState::Succeeded).await;
+    farm.stop().await;
+}
+
+/// Leaves one tile of a job to `slow`, does the others by `quick`, a moment each, and waits until it straggles.
+async fn straggle(farm: &Farm, slow: &Worker<'_>, quick: &Worker<'_>) -> (JobView, proto::work::Run) {
+    let posted = farm.submit(&three_tiles(1)).await;
+    let held = slow.claim().await.expect("work");
+    assert_eq!(leases(&held).len(), 1);
+    for _ in 1..posted.tiles.total {
+        let run = quick.claim().await.expect("work");
+        farm.hand.advance(Duration::from_millis(400 / posted.tiles.total));
+        quick.report(quick.results(&run).await).await;
+        slow.sync(Said { holding: leases(&held), ..Said::default() }).await;
+    }
+    assert!(quick.claim().await.is_none(), "nothing is ready, and it is not late yet");
+    farm.hand.advance(Duration::from_millis(500));
+    (posted, held)
+}
+
+#[tokio::test]
+async fn a_straggler_is_leased_once_more_and_the_first_result_counts() {
+    let farm = Farm::start().await;
+    let (slow, quick, third) = (farm.worker("slow").await, farm.worker("quick").await, farm.worker("third").await);
+    let (posted, held) = straggle(&farm, &slow, &quick).await;
+    let again = quick.claim().await.expect("the straggler");
+    let index = |run: &proto::work::Run| match &run.work {
+        Work::Render { tiles, .. } => tiles.iter().map(|tile| tile.index).collect::<Vec<_>>(),
+        Work::Stitch { .. } => panic!("{run:?}"),
+    };
+    assert_eq!(index(&again), index(&held));
+    assert!(third.claim().await.is_none(), "it is leased twice at most");
+    assert!(slow.sync(Said { holding: leases(&held), ..Said::default() }).await.lost.is_empty(), "both may finish");
+    assert_eq!(quick.report(quick.results(&again).await).await.lost, []);
+    let told = slow.sync(Said { holding: leases(&held), ..Said::default() }).await;
+    assert_eq!(told.lost, leases(&held));
+    let late = slow.blob(leases(&held)[0], b"not the same").await;
+    assert_eq!(slow.report(vec![late]).await.lost, leases(&held));
+    assert_eq!(metric(&farm, "sdfarm_nondeterministic_tiles_total").await, "1");
+    let tiles = farm.job(posted.id).await.tiles;
+    assert_eq!(tiles.done, tiles.total);
+    quick.work_off().await;
+    assert_state(&farm, posted.id, JobState::Succeeded).await;
+    farm.stop().await;
+}
+
+#[tokio::test]
+async fn one_of_two_leases_given_up_leaves_the_tile_with_the_other() {
+    let farm = Farm::start().await;
+    let (slow, quick) = (farm.worker("slow").await, farm.worker("quick").await);
+    let (posted, held) = straggle(&farm, &slow, &quick).await;
+    let again = quick.claim().await.expect("the straggler");
+    slow.report(failed(leases(&held)[0])).await;
+    assert!(slow.claim().await.is_none(), "the other lease still lives");
+    assert_eq!(quick.report(quick.results(&again).await).await.lost, []);
+    quick.work_off().await;
+    assert_state(&farm, posted.id, JobState::Succeeded).await;
+    farm.stop().await;
+}
+
+#[tokio::test]
+async fn a_straggler_that_answers_first_voids_the_second_lease() {
+    let farm = Farm::start().await;
+    let (slow, quick) = (farm.worker("slow").await, farm.worker("quick").await);
+    let (posted, held) = straggle(&farm, &slow, &quick).await;
+    let again = quick.claim().await.expect("the straggler");
+    assert_eq!(slow.report(slow.results(&held).await).await.lost, []);
+    let told = quick.sync(Said { holding: leases(&again), ..Said::default() }).await;
+    assert_eq!(told.lost, leases(&again));
+    quick.work_off().await;
+    assert_state(&farm, posted.id, JobState::Succeeded).await;
+    assert_eq!(metric(&farm, "sdfarm_nondeterministic_tiles_total").await, "0");
+    farm.stop().await;
+}
+
+#[tokio::test]
+async fn a_whole_frame_that_straggles_is_leased_whole() {
+    let farm = Farm::start().await;
+    let mut animation = small_job(1);
+    animation["frames"] = serde_json::json!({ "count": 3 });
+    let posted = farm.submit(&animation).await;
+    let (slow, quick) = (farm.worker("slow").await, farm.worker("quick").await);
+    let held = slow.claim().await.expect("work");
+    for _ in 0..2 {
+        let run = quick.claim().await.expect("work");
+        farm.hand.advance(Duration::from_millis(100));
+        quick.report(quick.results(&run).await).await;
+    }
+    farm.hand.advance(Duration::from_secs(1));
+    let again = quick.claim().await.expect("the frame that straggles");
+    assert_eq!(again.frame, held.frame);
+    assert!(matches!(again.work, Work::Render { whole_frame: true, .. }), "{again:?}");
+    assert_eq!(slow.report(slow.results(&held).await).await.lost, []);
+    assert_state(&farm, posted.id, JobState::Succeeded).await;
+    assert_eq!(quick.report(quick.results(&again).await).await.lost, leases(&again));
+    assert_eq!(metric(&farm, "sdfarm_nondeterministic_tiles_total").await, "0");
+    farm.stop().await;
+}
+
+#[tokio::test]
+async fn a_worker_that_errs_thrice_in_a_job_is_not_offered_it_for_an_hour() {
+    let farm = Farm::start().await;
+    let posted = farm.submit(&job(4096, 4096, 4)).await;
+    let (bad, good) = (farm.worker("bad").await, farm.worker("good").await);
+    for _ in 0..3 {
+        let run = bad.claim().await.expect("work");
+        bad.report(failed(leases(&run)[0])).await;
+    }
+    assert!(bad.claim().await.is_none(), "there are tiles left, but not for this one");
+    let other = farm.submit(&small_job(1)).await;
+    let run = bad.claim().await.expect("another job");
+    assert_eq!(run.job, other.id);
+    bad.report(bad.results(&run).await).await;
+    let run = good.claim().await.expect("the job goes on");
+    assert_eq!(run.job, posted.id);
+    for _ in 0..=(3600 / (LEASE.as_secs() / 2)) {
+        farm.hand.advance(LEASE / 2);
+        bad.sync(Said::default()).await;
+        good.sync(Said { holding: leases(&run), ..Said::default() }).await;
+    }
+    assert_eq!(bad.claim().await.expect("after an hour").job, posted.id);
+    farm.stop().await;
+}
+
+#[tokio::test]
+async fn a_job_is_never_left_without_any_worker() {
+    let farm = Farm::start().await;
+    let posted = farm.submit(&job(4096, 4096, 4)).await;
+    let workers = [farm.worker("one").await, farm.worker("two").await];
+    for round in 0..60 {
+        farm.hand.advance(Duration::from_secs(6));
+        for worker in &workers {
+            if let Some(run) = worker.claim().await {
+                worker.report(failed(leases(&run)[0])).await;
+            }
+        }
+        if farm.job(posted.id).await.state == JobState::Failed {
+            assert!(round > 0);
+            return drop(farm.stop().await);
+        }
+    }
+    panic!("a scene that no worker renders must fail: {:?}", farm.job(posted.id).await);
+}
+
+#[tokio::test]
+async fn a_worker_that_errs_in_many_jobs_is_quarantined() {
+    let farm = Farm::start().await;
+    let (bad, good) = (farm.worker("bad").await, farm.worker("good").await);
+    for seed in 0..3 {
+        let mut large = job(4096, 4096, 4);
+        large["image"]["seed"] = seed.into();
+        large["priority"] = (-seed).into();
+        farm.submit(&large).await;
+    }
+    for _ in 0..9 {
+        let run = bad.claim().await.expect("work");
+        bad.report(failed(leases(&run)[0])).await;
+    }
+    assert!(bad.claim().await.is_none());
+    let list: WorkerList = read(farm.get("/v1/workers").await, StatusCode::OK).await;
+    let state = |id| list.workers.iter().find(|worker| worker.id == id).expect("listed").state;
+    assert_eq!((state(bad.id), state(good.id)), (WorkerState::Quarantined, WorkerState::Ready));
+    assert!(good.claim().await.is_some());
+    farm.submit(&small_job(1)).await;
+    assert!(bad.claim().await.is_none(), "it gets no more work at all");
+    farm.stop().await;
+}
+
+#[tokio::test]
+async fn a_tile_that_vanished_twice_is_leased_alone() {
+    let farm = Farm::start().await;
+    farm.submit(&job(1920, 1080, 4)).await;
+    for name in ["first", "second"] {
+        let mut worker = farm.worker(name).await;
+        worker.rays_per_second = Some(1e9);
+        assert!(leases(&worker.claim().await.expect("work")).len() > 1);
+        farm.hand.advance(LEASE);
+    }
+    let mut third = farm.worker("third").await;
+    third.rays_per_second = Some(1e9);
+    assert_eq!(leases(&third.claim().await.expect("work")).len(), 1);
+    farm.stop().await;
+}
