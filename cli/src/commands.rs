@@ -16,6 +16,7 @@ mod retry;
 mod schema;
 mod selftest;
 mod serve;
+mod soak;
 mod submit;
 mod watch;
 mod worker;
@@ -68,6 +69,8 @@ pub(crate) enum Command {
     Bench(bench::Arguments),
     /// Check that this machine renders the right bits.
     Selftest(selftest::Arguments),
+    /// Prove a farm on this machine: work it, kill it again and again, and check that nothing is lost or changed.
+    Soak(soak::Arguments),
     /// Start a farm, render a shipped scene on it, save the picture, and stop.
     Demo(demo::Arguments),
 }
@@ -100,6 +103,7 @@ impl Command {
             Self::Explain(arguments) => explain::run(&arguments),
             Self::Bench(arguments) => bench::run(&arguments),
             Self::Selftest(arguments) => selftest::run(&arguments),
+            Self::Soak(arguments) => run_async(soak::run(arguments)),
             Self::Demo(arguments) => run_async(demo::run(arguments)),
         }
     }

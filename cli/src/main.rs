@@ -18,8 +18,10 @@ mod terminal;
 use std::process::ExitCode;
 
 use clap::Parser;
+use proto::fail;
 
 use crate::commands::Command;
+use crate::failure::Misuse;
 
 const EXAMPLES: &str = "\
 Examples:
@@ -38,17 +40,30 @@ Exit codes: 0 done, 1 failed, 2 wrong use or bad input; of a worker, 3: its devi
 struct Sdfarm {
     #[command(flatten)]
     logs: logs::Logs,
+    /// Let `SDFARM_FAIL_POINTS` strike this process and its children: for proofs, see docs/proof.md.
+    #[arg(long, hide = true, global = true)]
+    allow_fail_points: bool,
     #[command(subcommand)]
     command: Command,
 }
 
 fn main() -> ExitCode {
     let sdfarm = Sdfarm::parse();
-    let done = sdfarm.logs.start(sdfarm.command.is_long_lived()).and_then(|()| sdfarm.command.run());
+    let done = arm(sdfarm.allow_fail_points)
+        .and_then(|()| sdfarm.logs.start(sdfarm.command.is_long_lived()))
+        .and_then(|()| sdfarm.command.run());
     match done {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => ExitCode::from(failure::report(&error)),
     }
+}
+
+fn arm(is_allowed: bool) -> anyhow::Result<()> {
+    if !is_allowed {
+        return Ok(());
+    }
+    let list = std::env::var(fail::VARIABLE).unwrap_or_default();
+    fail::arm(&list).map_err(|wrong| Misuse(format!("{}: {wrong}", fail::VARIABLE)).into())
 }
 
 #[cfg(test)]

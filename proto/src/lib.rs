@@ -7,6 +7,7 @@ pub mod access;
 pub mod change;
 pub mod client;
 pub mod event;
+pub mod fail;
 pub mod farm;
 pub mod ids;
 pub mod job;

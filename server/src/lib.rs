@@ -2,6 +2,7 @@
 //!
 //! It plans, leases and stores; it never touches a pixel.
 
+mod audit;
 mod clock;
 mod config;
 mod events;
@@ -26,6 +27,7 @@ use tokio::net::TcpListener;
 use tokio::sync::mpsc;
 use tokio_util::sync::CancellationToken;
 
+pub use audit::{Audit, AuditError, DoneTile, audit};
 pub use clock::{Clock, Hand};
 pub use config::Config;
 pub use start::StartError;

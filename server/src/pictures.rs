@@ -14,6 +14,7 @@ use object_store::path::Path;
 use object_store::{
     GetOptions, GetRange, GetResult, GetResultPayload, ObjectMeta, ObjectStore, ObjectStoreExt, PutPayload,
 };
+use proto::fail::{self, Point};
 use tokio::io::{AsyncReadExt, AsyncSeekExt};
 use tokio::sync::RwLock;
 use tokio_util::io::ReaderStream;
@@ -167,6 +168,7 @@ impl Pictures {
         let mut size_bytes = 0;
         let mut upload: Option<Box<dyn object_store::MultipartUpload>> = None;
         let taken = async {
+            fail::pass(Point::StorePut).map_err(struck_down).map_err(failed("write", kind, name))?;
             while let Some(chunk) = bytes.try_next().await.map_err(PictureError::Broken)? {
                 size_bytes += chunk.len() as u64;
                 if size_bytes > kind.max_bytes() {
@@ -235,6 +237,7 @@ impl Pictures {
         name: &Name,
         range: Option<std::ops::Range<u64>>,
     ) -> Result<Option<(u64, BoxStream<'static, object_store::Result<Bytes>>)>, PictureError> {
+        fail::pass(Point::StoreGet).map_err(struck_down).map_err(failed("read", kind, name))?;
         let options = GetOptions { range: range.map(GetRange::Bounded), ..GetOptions::default() };
         match self.store(kind).get_opts(&path(kind, name), options).await {
             Ok(found) => Ok(Some((found.range.end - found.range.start, stream(found)))),
@@ -262,6 +265,7 @@ impl Pictures {
         let mut count = 0;
         for name in unneeded(names.to_vec()).await? {
             let Some(name) = Name::parse(&name) else { continue };
+            fail::pass_by(Point::Sweeping);
             match self.store(kind).delete(&path(kind, &name)).await {
                 Ok(()) => count += 1,
                 Err(object_store::Error::NotFound { .. }) => {}
@@ -317,6 +321,11 @@ fn stream(found: GetResult) -> BoxStream<'static, object_store::Result<Bytes>> {
         }
         GetResultPayload::Stream(bytes) => bytes,
     }
+}
+
+/// The error of a store that a fail point struck.
+fn struck_down(struck: fail::Struck) -> object_store::Error {
+    object_store::Error::Generic { store: "file", source: struck.into() }
 }
 
 fn failed(action: &'static str, kind: Kind, name: &Name) -> impl FnOnce(object_store::Error) -> PictureError {

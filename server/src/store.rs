@@ -10,6 +10,7 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use futures_util::future::BoxFuture;
+use proto::fail::{self, Point};
 use sqlx::ConnectOptions;
 use sqlx::sqlite::{
     SqliteConnectOptions, SqliteConnection, SqliteJournalMode, SqlitePool, SqlitePoolOptions, SqliteSynchronous,
@@ -125,7 +126,9 @@ impl Store {
                 return Err(OpenError::Damaged(verdict));
             }
         }
+        fail::pass_by(Point::Migrating);
         MIGRATIONS.run(&mut connection).await?;
+        fail::pass_by(Point::Migrated);
         let readers = SqlitePoolOptions::new()
             .max_connections(READERS)
             .test_before_acquire(false)

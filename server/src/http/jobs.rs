@@ -8,6 +8,7 @@ use axum::extract::{Path, State};
 use axum::http::{HeaderMap, HeaderValue, StatusCode, Uri, header};
 use axum::response::{IntoResponse, Response};
 use proto::JobId;
+use proto::fail::{self, Point};
 use proto::job::{DryRun, JobPage, JobState, JobView};
 use serde::Deserialize;
 use tracing::Instrument;
@@ -115,6 +116,7 @@ pub(super) async fn submit(
     };
     traces::keep(&farm, id, &headers).await?;
     farm.submit(new, Arc::new(job)).instrument(tracing::info_span!("submit", job = %id)).await?;
+    fail::pass_by(Point::SubmitCommitted);
     let view = farm.queue.job(id).await?.ok_or_else(|| ApiError::UnknownJob(id.to_string()))?;
     let mut response = (StatusCode::CREATED, Json(view)).into_response();
     if let Ok(location) = HeaderValue::from_str(&format!("/v1/jobs/{id}")) {

@@ -11,6 +11,7 @@ use axum::http::{HeaderMap, StatusCode, header};
 use axum::response::{IntoResponse, Response};
 use futures_util::TryStreamExt;
 use proto::WorkerId;
+use proto::fail::{self, Point};
 use proto::work::{Hello, SyncReply, SyncRequest, Welcome};
 use tracing::Instrument;
 
@@ -113,7 +114,10 @@ fn longest_wait(farm: &Farm, request: &SyncRequest) -> Duration {
 
 async fn reply(farm: &Farm, worker: WorkerId, turned: Turned) -> SyncReply {
     let run = match turned.next {
-        Next::Run(run) => Some(run),
+        Next::Run(run) => {
+            fail::pass_by(Point::Claimed);
+            Some(run)
+        }
         Next::Frame { .. } | Next::Nothing(_) => None,
     };
     let trace = match &run {
@@ -152,6 +156,10 @@ async fn put(farm: &Farm, kind: Kind, hash: String, request: Body) -> Result<Sta
     let bytes = request.into_data_stream().map_err(std::io::Error::other);
     let span = tracing::info_span!("store", ?kind, %hash);
     farm.pictures.put(kind, &name, bytes).instrument(span).await?;
+    fail::pass_by(match kind {
+        Kind::Blob => Point::BlobStored,
+        Kind::Picture => Point::PictureStored,
+    });
     Ok(StatusCode::NO_CONTENT)
 }
 

@@ -74,6 +74,7 @@ impl Child {
         let threads = (shared / workers.max(1)).max(1);
         let device = launch.device(place).to_owned();
         let mut child = Command::new(&launch.program)
+            .args(proto::fail::is_armed().then_some(proto::fail::FLAG))
             .args(["worker", "--server", &launch.server, "--pool", "--name", &label])
             .args(["--device", &device, "--simd", &launch.simd, "--threads", &threads.to_string()])
             .env(TOKEN_VARIABLE, &launch.token)

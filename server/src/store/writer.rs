@@ -7,6 +7,7 @@ use std::time::Duration;
 
 use futures_util::future::BoxFuture;
 use prometheus_client::metrics::histogram::Histogram;
+use proto::fail::{self, Point};
 use sqlx::Connection;
 use sqlx::sqlite::SqliteConnection;
 use tokio::sync::{Mutex, mpsc, oneshot, watch};
@@ -122,7 +123,10 @@ where
     fn run<'c>(&'c mut self, connection: &'c mut SqliteConnection) -> BoxFuture<'c, bool> {
         Box::pin(async move {
             let work = self.work.take().expect("an operation runs once");
-            let result = work(connection).await;
+            let result = match fail::pass(Point::DatabaseWrite) {
+                Ok(()) => work(connection).await,
+                Err(struck) => Err(struck_down(struck)),
+            };
             let keep = result.is_ok();
             self.result = Some(result);
             keep
@@ -169,6 +173,7 @@ impl Task {
             }
             let committed = self.commit(&mut group).await;
             self.bell.send_replace(());
+            fail::pass_by(Point::GroupCommitted);
             for operation in group {
                 operation.answer(committed.clone());
             }
@@ -203,6 +208,7 @@ impl Task {
             }
             sqlx::query("RELEASE operation").execute(&mut self.connection).await?;
         }
+        fail::pass(Point::DatabaseCommit).map_err(struck_down)?;
         sqlx::query("COMMIT").execute(&mut self.connection).await?;
         Ok(())
     }
@@ -225,4 +231,9 @@ impl Task {
             tracing::warn!(%error, "the database's log could not be folded into its file");
         }
     }
+}
+
+/// The error of a write that a fail point struck.
+fn struck_down(struck: fail::Struck) -> StoreError {
+    sqlx::Error::Io(std::io::Error::other(struck)).into()
 }

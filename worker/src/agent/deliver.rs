@@ -7,6 +7,7 @@ use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use bytes::Bytes;
+use proto::fail::{self, Point};
 use proto::work::{Outcome, Phase};
 use scene::Job;
 use tempfile::SpooledData;
@@ -107,6 +108,7 @@ impl Workbench {
             () = hold.dropped.cancelled() => {}
             stored = put => {
                 let outcome = stored.err().unwrap_or_else(|| Outcome::Blob { hash: hash.clone(), size_bytes });
+                fail::pass_by(Point::BlobPut);
                 self.finish([&hold], &outcome);
             }
         }
@@ -164,6 +166,7 @@ impl Workbench {
         };
         let put = start.elapsed();
         let outcome = stored.err().unwrap_or_else(|| Outcome::Picture { hash: hash.clone(), size_bytes });
+        fail::pass_by(Point::PicturePut);
         self.finish(holds, &outcome);
         let is_put = matches!(outcome, Outcome::Picture { .. });
         is_put.then(|| Delivered { encode_ms: milliseconds(took), put_ms: milliseconds(put), size_bytes })

@@ -5,6 +5,7 @@ use std::io::Write;
 use std::time::{Duration, Instant};
 
 use proto::Rect;
+use proto::fail::{self, Point};
 use proto::work::{Outcome, Part};
 use scene::Job;
 use tokio::task::spawn_blocking;
@@ -36,6 +37,7 @@ impl Workbench {
                 return self.finish([hold], &outcome);
             }
         };
+        fail::pass_by(Point::Stitching);
         let fetch_ms = milliseconds(start.elapsed());
         let (stop, encoders, scratch) = (Stop::default(), self.encoders.clone(), self.scratch.clone());
         let (job, number, cancel) = (frame.job.clone(), frame.number, stop.0.clone());

@@ -1,0 +1,87 @@
+//! `sdfarm soak`: works a farm of its own hard, kills it again and again, and checks after each kill that nothing
+//! was lost, doubled or changed. A proof for one's own machine.
+//!
+//! It sees what users see, and the farm's books (`server::audit`); it never helps the farm.
+
+mod catalogue;
+mod chance;
+mod kills;
+mod probe;
+mod processes;
+mod server;
+mod tally;
+
+use std::path::PathBuf;
+use std::time::Duration;
+
+use anyhow::Context;
+use clap::Args;
+
+use crate::signals::Signals;
+use crate::terminal::{note, say};
+use kills::Plan;
+
+/// Minutes of a soak for which nothing else was said.
+const USUAL_MINUTES: u32 = 2;
+
+/// Arguments of `soak`.
+#[derive(Debug, Args)]
+pub(crate) struct Arguments {
+    /// Kill workers and the server at random instants and at the named points between two steps.
+    #[arg(long, env = "SDFARM_KILL", value_parser = clap::builder::FalseyValueParser::new(), action = clap::ArgAction::SetTrue)]
+    kill: bool,
+    /// How long, if no number of kills is given [default: 2].
+    #[arg(long, value_name = "N", env = "SDFARM_MINUTES", value_parser = clap::value_parser!(u32).range(1..=10_000), conflicts_with_all = ["worker_kills", "server_kills"])]
+    minutes: Option<u32>,
+    /// Kill so many workers, however long that takes.
+    #[arg(long, value_name = "N", env = "SDFARM_WORKER_KILLS", requires = "kill")]
+    worker_kills: Option<u32>,
+    /// Kill the server so many times, however long that takes.
+    #[arg(long, value_name = "N", env = "SDFARM_SERVER_KILLS", requires = "kill")]
+    server_kills: Option<u32>,
+    /// Chooses jobs, victims and instants.
+    #[arg(long, value_name = "N", env = "SDFARM_SEED", default_value_t = 1)]
+    seed: u64,
+    /// Workers of the farm.
+    #[arg(long, value_name = "N", env = "SDFARM_WORKERS", default_value_t = 3, value_parser = clap::value_parser!(u32).range(1..=64))]
+    workers: u32,
+    /// Data folder of the farm, which is kept; a fresh one is made and removed unless said.
+    #[arg(long, value_name = "FOLDER", env = "SDFARM_DATA")]
+    data: Option<PathBuf>,
+}
+
+impl Arguments {
+    fn plan(&self) -> Plan {
+        let minutes = |minutes: u32| Some(Duration::from_secs(60 * u64::from(minutes)));
+        let (worker_kills, server_kills, time) = match (self.worker_kills, self.server_kills) {
+            (None, None) => (u32::MAX, u32::MAX, minutes(self.minutes.unwrap_or(USUAL_MINUTES))),
+            (workers, servers) => (workers.unwrap_or(0), servers.unwrap_or(0), None),
+        };
+        Plan { kill: self.kill, worker_kills, server_kills, time, workers: self.workers, seed: self.seed }
+    }
+}
+
+/// Soaks, and fails if anything was amiss.
+pub(crate) async fn run(arguments: Arguments) -> anyhow::Result<()> {
+    let mut signals = Signals::catch()?;
+    let temporary = tempfile::tempdir().context("could not make a folder for the farm: free some space there")?;
+    let data = arguments.data.clone().unwrap_or_else(|| temporary.path().join("data"));
+    std::fs::create_dir_all(&data).with_context(|| format!("could not make {}", data.display()))?;
+    note("rendering what the pictures must be");
+    let (seed, plan) = (arguments.seed, arguments.plan());
+    let tasks = tokio::task::spawn_blocking(move || catalogue::tasks(seed, None)).await.context("that panicked")??;
+    let tally = tokio::select! {
+        tally = kills::soak(&plan, &tasks, &data) => tally?,
+        () = signals.next() => anyhow::bail!("interrupted"),
+    };
+    say(&tally.table())?;
+    if tally.breaches.is_empty() {
+        return Ok(());
+    }
+    let log = std::fs::read_to_string(data.join("soak.log")).unwrap_or_default();
+    let lines: Vec<&str> = log.lines().collect();
+    for line in &lines[lines.len().saturating_sub(40)..] {
+        note(line);
+    }
+    anyhow::bail!("the farm did not keep its word: {}", tally.breaches.join("; "))
+}

@@ -1,0 +1,321 @@
+//! The soak itself: life after life of a server, each ended by a kill, and what is checked in between.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::path::Path;
+use std::sync::Arc;
+use std::sync::atomic::Ordering;
+use std::time::{Duration, Instant};
+
+use anyhow::Context;
+use proto::job::JobState;
+use proto::{ClientError, JobId};
+use server::{DoneTile, audit};
+
+use super::catalogue::Task;
+use super::chance::Chance;
+use super::processes;
+use super::server::{LOOK, Launch, Said, Server};
+use super::tally::Tally;
+use crate::terminal::note;
+
+/// A server must be ready by then.
+const READY_LIMIT: Duration = Duration::from_secs(2);
+/// Unfinished jobs that are kept in the queue.
+const QUEUED: usize = 4;
+/// The longest pause before a kill.
+const PAUSE: Duration = Duration::from_millis(400);
+/// A fail point that did not strike by then is not waited for.
+const STRIKE: Duration = Duration::from_secs(2);
+/// What is left at the end must be finished by then.
+const LAST_JOBS: Duration = Duration::from_mins(5);
+/// Workers killed in a life of the server, where no number was given.
+const WORKERS_A_SERVER: u64 = 3;
+/// Workers killed in a life of the server, once it is killed no more.
+const WORKERS_LAST: u64 = 20;
+/// Where the server is killed, besides at random instants.
+const SERVER_POINTS: [&str; 9] = [
+    "migrating",
+    "migrated",
+    "submit_committed",
+    "claimed",
+    "group_committed",
+    "blob_stored",
+    "picture_stored",
+    "sweeping",
+    "database_commit",
+];
+/// Where workers are.
+const WORKER_POINTS: [&str; 3] = ["blob_put", "picture_put", "stitching"];
+
+/// What to do.
+#[derive(Clone, Debug)]
+pub(super) struct Plan {
+    /// Kill anything at all.
+    pub(super) kill: bool,
+    /// Workers to kill.
+    pub(super) worker_kills: u32,
+    /// Servers to kill.
+    pub(super) server_kills: u32,
+    /// Stop after this time.
+    pub(super) time: Option<Duration>,
+    /// Workers of the pool.
+    pub(super) workers: u32,
+    /// Chooses everything.
+    pub(super) seed: u64,
+}
+
+/// The soak under way.
+struct Soak<'a> {
+    plan: &'a Plan,
+    tasks: &'a [Task],
+    data: &'a Path,
+    chance: Chance,
+    said: Arc<Said>,
+    start: Instant,
+    accepted: BTreeSet<JobId>,
+    /// Jobs that were accepted and are not checked yet, with their task.
+    waiting: BTreeMap<JobId, usize>,
+    done: BTreeMap<i64, DoneTile>,
+    tally: Tally,
+    next_task: usize,
+}
+
+/// Works and kills until the plan is fulfilled, then lets everything finish.
+pub(super) async fn soak(plan: &Plan, tasks: &[Task], data: &Path) -> anyhow::Result<Tally> {
+    let mut soak = Soak {
+        plan,
+        tasks,
+        data,
+        chance: Chance::new(plan.seed),
+        said: Arc::default(),
+        start: Instant::now(),
+        accepted: BTreeSet::new(),
+        waiting: BTreeMap::new(),
+        done: BTreeMap::new(),
+        tally: Tally::default(),
+        next_task: 0,
+    };
+    let mut told = 0;
+    while !soak.is_fulfilled() && soak.tally.breaches.is_empty() {
+        soak.life().await?;
+        soak.count_strikes();
+        let kills = soak.tally.all_server_kills();
+        if kills >= told + 10 {
+            told = kills;
+            note(&format!("{} workers and {kills} servers killed", soak.tally.all_worker_kills()));
+        }
+    }
+    soak.finish().await?;
+    soak.tally.took = soak.start.elapsed();
+    Ok(soak.tally)
+}
+
+impl Soak<'_> {
+    fn is_fulfilled(&self) -> bool {
+        let is_over = self.plan.time.is_some_and(|time| self.start.elapsed() >= time);
+        is_over || (self.workers_left() == 0 && self.servers_left() == 0)
+    }
+
+    fn workers_left(&self) -> u64 {
+        u64::from(self.plan.worker_kills).saturating_sub(self.tally.all_worker_kills())
+    }
+
+    fn servers_left(&self) -> u64 {
+        u64::from(self.plan.server_kills).saturating_sub(self.tally.all_server_kills())
+    }
+
+    /// A server from its start to its end.
+    async fn life(&mut self) -> anyhow::Result<()> {
+        let (points, strikes_server) = self.choose_points();
+        let Some(mut server) = self.start(&points).await? else { return Ok(()) };
+        let last = Instant::now() + STRIKE;
+        for _ in 0..self.kills_in_a_life() {
+            self.hand_in(&mut server).await?;
+            tokio::time::sleep(self.chance.pause(PAUSE)).await;
+            if server.has_ended()? {
+                break;
+            }
+            if let Some(victim) = self.chance.pick(server.workers()) {
+                processes::kill(victim);
+                self.tally.worker_kills += 1;
+            }
+        }
+        self.hand_in(&mut server).await?;
+        if !self.plan.kill {
+            tokio::time::sleep(STRIKE).await;
+            return self.end(server).await;
+        }
+        tokio::time::sleep(self.chance.pause(PAUSE)).await;
+        while strikes_server && Instant::now() < last && !server.has_ended()? {
+            tokio::time::sleep(LOOK).await;
+        }
+        if self.servers_left() == 0 {
+            return self.end(server).await;
+        }
+        if !server.has_ended()? {
+            self.tally.server_kills += 1;
+        }
+        let orphans = server.kill().await?;
+        if orphans > 0 {
+            self.tally.breach(format!("{orphans} workers outlived their server"));
+        }
+        Ok(())
+    }
+
+    fn kills_in_a_life(&self) -> u64 {
+        match (self.plan.kill, self.servers_left()) {
+            (false, _) => 0,
+            (true, 0) => self.workers_left().min(WORKERS_LAST),
+            (true, servers) if self.plan.time.is_none() => self.workers_left().div_ceil(servers),
+            (true, _) => WORKERS_A_SERVER,
+        }
+    }
+
+    /// What should strike in the next life, and whether it is the server.
+    fn choose_points(&mut self) -> (String, bool) {
+        let (points, most, is_server) = match self.chance.below(4) {
+            0 => (&SERVER_POINTS[..], 8, true),
+            1 => (&WORKER_POINTS[..], 4, false),
+            _ => return (String::new(), false),
+        };
+        if !self.plan.kill || (is_server && self.servers_left() == 0) || (!is_server && self.workers_left() == 0) {
+            return (String::new(), false);
+        }
+        // A worker gets past the point at least once, else it would never get anything done.
+        let pass = if is_server { 1 } else { 2 } + self.chance.below(most);
+        (self.chance.pick(points).map_or_else(String::new, |point| format!("{point}=kill@{pass}")), is_server)
+    }
+
+    /// Starts a server and checks what the last one left; `None` if it was struck at its start.
+    async fn start(&mut self, fail_points: &str) -> anyhow::Result<Option<Server>> {
+        let launch = Launch { data: self.data, workers: self.plan.workers, flags: &[], fail_points };
+        let Some(server) = Server::start(&launch, &self.said).await? else { return Ok(None) };
+        self.tally.slowest_ready = self.tally.slowest_ready.max(server.ready);
+        self.tally.ready = (self.tally.ready.0 + server.ready, self.tally.ready.1 + 1);
+        if server.ready > READY_LIMIT {
+            self.tally.breach(format!("a server was ready after {:?} only", server.ready));
+        }
+        self.audit().await?;
+        Ok(Some(server))
+    }
+
+    async fn audit(&mut self) -> anyhow::Result<()> {
+        let found = audit(self.data).await?;
+        self.tally.audits += 1;
+        for breach in found.breaches {
+            self.tally.breach(breach);
+        }
+        let lost = self.accepted.difference(&found.jobs).count();
+        if lost > 0 {
+            self.tally.breach(format!("{lost} jobs that were answered with 201 are gone"));
+        }
+        for (tile, was) in &self.done {
+            match found.done.get(tile) {
+                None => self.tally.breach(format!("tile {tile} was done, and is not any more")),
+                Some(is) if is != was => self.tally.breach(format!("tile {tile} was done, and was leased again")),
+                Some(_) => {}
+            }
+        }
+        self.tally.tiles = found.done.len();
+        self.done = found.done;
+        Ok(())
+    }
+
+    /// Checks the jobs that have ended, and keeps some in the queue. A server that dies meanwhile is no breach.
+    async fn hand_in(&mut self, server: &mut Server) -> anyhow::Result<()> {
+        server.look_at_workers();
+        for (id, task) in self.waiting.clone() {
+            match self.look_at(server, id, task).await {
+                Ok(true) => drop(self.waiting.remove(&id)),
+                Ok(false) => {}
+                Err(ClientError::Problem(problem)) => self.tally.breach(format!("job {id}: {}", problem.detail)),
+                Err(_) => return Ok(()),
+            }
+        }
+        while self.waiting.len() < QUEUED {
+            let task = self.next_task % self.tasks.len();
+            self.next_task += 1;
+            match server.client.submit(self.tasks[task].text.clone(), true).await {
+                Ok(job) => {
+                    self.tally.accepted += 1;
+                    self.accepted.insert(job.id);
+                    self.waiting.insert(job.id, task);
+                }
+                Err(ClientError::Problem(problem)) => {
+                    self.tally.breach(format!("a sound job was refused: {}", problem.detail));
+                    return Ok(());
+                }
+                Err(_) => {
+                    self.tally.unanswered += 1;
+                    return Ok(());
+                }
+            }
+        }
+        Ok(())
+    }
+
+    /// Whether a job is finished; then its pictures are what they must be, or that is a breach.
+    async fn look_at(&mut self, server: &Server, id: JobId, task: usize) -> Result<bool, ClientError> {
+        let job = server.client.job(id).await?;
+        match job.state {
+            JobState::Queued | JobState::Running => return Ok(false),
+            JobState::Failed | JobState::Cancelled => {
+                self.tally.breach(format!("job {id} is {}: {}", job.state.name(), job.errors.join("; ")));
+                return Ok(true);
+            }
+            JobState::Succeeded => {}
+        }
+        for (frame, wanted) in self.tasks[task].pictures.iter().enumerate() {
+            let mut picture = Vec::new();
+            server.client.image(id, frame as u32, &mut picture).await?;
+            self.tally.pictures += 1;
+            if blake3::hash(&picture) != *wanted {
+                self.tally.breach(format!("frame {frame} of job {id} is not as an undisturbed render makes it"));
+            }
+        }
+        self.tally.succeeded += 1;
+        Ok(true)
+    }
+
+    async fn end(&mut self, server: Server) -> anyhow::Result<()> {
+        if !server.terminate().await? {
+            self.tally.breach("a server that was asked to end did not end in order".to_owned());
+        }
+        Ok(())
+    }
+
+    fn count_strikes(&mut self) {
+        self.tally.struck_workers = self.said.struck_workers.load(Ordering::Relaxed);
+        self.tally.struck_servers = self.said.struck_servers.load(Ordering::Relaxed);
+    }
+
+    /// Lets everything that was accepted finish, on a server that nothing disturbs.
+    async fn finish(&mut self) -> anyhow::Result<()> {
+        let mut server = self.start("").await?.context("a server ended as soon as it was started")?;
+        let start = Instant::now();
+        while !self.waiting.is_empty() && start.elapsed() < LAST_JOBS {
+            for (id, task) in self.waiting.clone() {
+                if self.look_at(&server, id, task).await? {
+                    self.waiting.remove(&id);
+                }
+            }
+            anyhow::ensure!(!server.has_ended()?, "the last server ended by itself");
+            tokio::time::sleep(LOOK).await;
+        }
+        if !self.waiting.is_empty() {
+            self.tally.breach(format!("{} jobs did not end within {LAST_JOBS:?}", self.waiting.len()));
+        }
+        self.audit().await?;
+        self.end(server).await?;
+        for (count, what) in [
+            (self.said.panics.load(Ordering::Relaxed), "panics"),
+            (self.said.differences.load(Ordering::Relaxed), "tiles or pictures that came out differently"),
+        ] {
+            if count > 0 {
+                self.tally.breach(format!("{count} {what}"));
+            }
+        }
+        self.count_strikes();
+        Ok(())
+    }
+}

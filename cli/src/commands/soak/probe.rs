@@ -1,0 +1,28 @@
+//! The plainest of requests: one path on a connection of its own, and nothing of the answer but its status.
+//!
+//! A soak measures with it what a health check of an operator's would see.
+
+use std::time::Duration;
+
+use tokio::io::{AsyncReadExt, AsyncWriteExt};
+use tokio::net::TcpStream;
+
+/// Whoever is silent for longer is not there.
+const PATIENCE: Duration = Duration::from_secs(5);
+/// `HTTP/1.1 200`
+const STATUS_LINE_BYTES: usize = 12;
+
+/// The status of `GET path`; `None` if there is no answer.
+pub(super) async fn status(address: &str, path: &str) -> Option<u16> {
+    let host = address.strip_prefix("http://")?;
+    let request = format!("GET {path} HTTP/1.1\r\nhost: {host}\r\nconnection: close\r\n\r\n");
+    let asked = async {
+        let mut connection = TcpStream::connect(host).await?;
+        connection.write_all(request.as_bytes()).await?;
+        let mut line = [0; STATUS_LINE_BYTES];
+        connection.read_exact(&mut line).await?;
+        std::io::Result::Ok(line)
+    };
+    let line = tokio::time::timeout(PATIENCE, asked).await.ok()?.ok()?;
+    std::str::from_utf8(&line[9..]).ok()?.parse().ok()
+}

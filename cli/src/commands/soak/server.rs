@@ -1,0 +1,209 @@
+//! The server under test: a process of its own, started, watched and killed.
+
+use std::fs::File;
+use std::io::{BufRead, BufReader, Write};
+use std::path::Path;
+use std::process::{Child, ChildStderr, Command, Stdio};
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::{Arc, mpsc};
+use std::time::{Duration, Instant};
+
+use anyhow::Context;
+use proto::{Client, fail};
+
+use super::{probe, processes};
+use crate::commands::serve::own_program;
+
+/// A server that is not ready by then never will be.
+const START: Duration = Duration::from_secs(30);
+/// Between two looks at something.
+pub(super) const LOOK: Duration = Duration::from_millis(2);
+/// Children of a killed server have so long to notice.
+const ORPHANED: Duration = Duration::from_secs(5);
+
+/// What the servers of a soak wrote to standard error.
+#[derive(Debug, Default)]
+pub(super) struct Said {
+    /// Panics.
+    pub(super) panics: AtomicU64,
+    /// Tiles or pictures that came out differently the second time.
+    pub(super) differences: AtomicU64,
+    /// Workers that a fail point killed.
+    pub(super) struck_workers: AtomicU64,
+    /// Servers that a fail point killed.
+    pub(super) struck_servers: AtomicU64,
+}
+
+/// A running server.
+#[derive(Debug)]
+pub(super) struct Server {
+    child: Owned,
+    workers: Vec<u32>,
+    /// Talks to it.
+    pub(super) client: Client,
+    /// From its start to its first `ready`.
+    pub(super) ready: Duration,
+}
+
+/// How to start one.
+#[derive(Debug)]
+pub(super) struct Launch<'a> {
+    /// Its data folder.
+    pub(super) data: &'a Path,
+    /// Workers of its pool.
+    pub(super) workers: u32,
+    /// More flags.
+    pub(super) flags: &'a [&'a str],
+    /// What should strike it or its workers; "" for nothing.
+    pub(super) fail_points: &'a str,
+}
+
+impl Server {
+    /// Starts one and waits until it is ready; `None` if a fail point killed it first.
+    pub(super) async fn start(launch: &Launch<'_>, said: &Arc<Said>) -> anyhow::Result<Option<Self>> {
+        let start = Instant::now();
+        let mut child = Owned(spawn(launch)?);
+        let errors = child.0.stderr.take().context("the server has no standard error")?;
+        let log = File::options()
+            .create(true)
+            .append(true)
+            .open(launch.data.join("soak.log"))
+            .context("could not open the log in the data folder")?;
+        let said = Arc::clone(said);
+        std::thread::spawn(move || listen(errors, log, &said));
+        let Some(address) = address(&mut child.0)? else {
+            child.0.wait().context("could not wait for the server")?;
+            return Ok(None);
+        };
+        let client = Client::new(&address)?;
+        let mut server = Self { child, workers: Vec::new(), client, ready: Duration::ZERO };
+        while probe::status(&address, "/readyz").await != Some(200) {
+            if server.has_ended()? {
+                return Ok(None);
+            }
+            anyhow::ensure!(start.elapsed() < START, "the server was not ready after {} s", START.as_secs());
+            tokio::time::sleep(LOOK).await;
+        }
+        server.ready = start.elapsed();
+        Ok(Some(server))
+    }
+
+    /// Its process id.
+    pub(super) fn process(&self) -> u32 {
+        self.child.0.id()
+    }
+
+    /// Its workers' process ids, when they were last looked at.
+    pub(super) fn workers(&self) -> &[u32] {
+        &self.workers
+    }
+
+    /// Looks at its workers: a dead server has none any more, whoever lives on.
+    pub(super) fn look_at_workers(&mut self) {
+        let workers = processes::children(self.process());
+        if !workers.is_empty() {
+            self.workers = workers;
+        }
+    }
+
+    /// Whether it is gone.
+    pub(super) fn has_ended(&mut self) -> anyhow::Result<bool> {
+        Ok(self.child.0.try_wait().context("could not look after the server")?.is_some())
+    }
+
+    /// Kills it, or finds it dead; returns how many of its workers outlived it for too long.
+    pub(super) async fn kill(mut self) -> anyhow::Result<usize> {
+        self.look_at_workers();
+        // One that has ended already, and was waited for, may have left its number to another process.
+        if !self.has_ended()? {
+            processes::kill(self.process());
+        }
+        self.child.0.wait().context("could not wait for the server")?;
+        Ok(orphans(&self.workers).await)
+    }
+
+    /// Asks it to end; whether it did so in order.
+    pub(super) async fn terminate(mut self) -> anyhow::Result<bool> {
+        let process = i32::try_from(self.process()).ok().and_then(rustix::process::Pid::from_raw);
+        let process = process.context("the server has no process id")?;
+        rustix::process::kill_process(process, rustix::process::Signal::TERM).context("could not ask it to end")?;
+        let start = Instant::now();
+        while start.elapsed() < START {
+            if let Some(status) = self.child.0.try_wait().context("could not look after the server")? {
+                return Ok(status.success());
+            }
+            tokio::time::sleep(LOOK).await;
+        }
+        Ok(false)
+    }
+}
+
+/// A process that does not outlive what is done with it.
+#[derive(Debug)]
+struct Owned(Child);
+
+impl Drop for Owned {
+    fn drop(&mut self) {
+        // Both fail only where it has ended already.
+        let _ = self.0.kill();
+        let _ = self.0.wait();
+    }
+}
+
+fn spawn(launch: &Launch<'_>) -> anyhow::Result<Child> {
+    let mut command = Command::new(own_program()?);
+    for (name, _) in std::env::vars_os().filter(|(name, _)| name.to_string_lossy().starts_with("SDFARM_")) {
+        command.env_remove(name);
+    }
+    command.args(["serve", "--listen", "127.0.0.1:0", "--device", "cpu", "--tile", "64", "--data"]).arg(launch.data);
+    command.args(["--workers", &launch.workers.to_string()]).args(launch.flags);
+    if !launch.fail_points.is_empty() {
+        command.arg(fail::FLAG).env(fail::VARIABLE, launch.fail_points);
+    }
+    command.stdin(Stdio::null()).stdout(Stdio::piped()).stderr(Stdio::piped());
+    command.spawn().context("could not start a server")
+}
+
+/// Where it says that it serves; `None` if it ends before.
+fn address(child: &mut Child) -> anyhow::Result<Option<String>> {
+    let mut output = BufReader::new(child.stdout.take().context("the server has no standard output")?);
+    let (sender, receiver) = mpsc::channel();
+    std::thread::spawn(move || {
+        let mut line = String::new();
+        // The end of the output is an empty line, which names no address.
+        let _ = output.read_line(&mut line);
+        let _ = sender.send(line);
+        let _ = std::io::copy(&mut output, &mut std::io::sink());
+    });
+    let line = receiver.recv_timeout(START).context("the server said nothing")?;
+    Ok(line.split_whitespace().find(|word| word.starts_with("http://")).map(str::to_owned))
+}
+
+fn listen(errors: ChildStderr, mut log: File, said: &Said) {
+    for line in BufReader::new(errors).lines().map_while(Result::ok) {
+        // A log that can't be written is no reason to stop counting.
+        let _ = writeln!(log, "{line}");
+        let count = |counter: &AtomicU64| counter.fetch_add(1, Ordering::Relaxed);
+        if line.contains("panicked at") {
+            count(&said.panics);
+        }
+        if line.contains("nondeterministic_") {
+            count(&said.differences);
+        }
+        if line.contains(fail::MARK) && line.contains(": kill") && !line.contains("it last said") {
+            count(if line.starts_with(fail::MARK) { &said.struck_servers } else { &said.struck_workers });
+        }
+    }
+}
+
+/// How many of these processes live on for too long.
+async fn orphans(workers: &[u32]) -> usize {
+    let start = Instant::now();
+    loop {
+        let alive = workers.iter().filter(|&&worker| processes::is_alive(worker)).count();
+        if alive == 0 || start.elapsed() > ORPHANED {
+            return alive;
+        }
+        tokio::time::sleep(LOOK).await;
+    }
+}

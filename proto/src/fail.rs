@@ -1,0 +1,222 @@
+//! Named fail points: places where a process can be told to die, to err or to dawdle, so that a proof can hit
+//! the instant between two steps that chance would seldom hit.
+//!
+//! They are in every build, since a farm should be proved with the binary that operators run; unarmed, passing
+//! one is a load of one atomic. Only the program's own hidden flag arms them, once: a stray variable does nothing.
+//! Nothing here knows what its points stand between.
+
+use std::fmt;
+use std::str::FromStr;
+use std::sync::OnceLock;
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::time::Duration;
+
+/// Environment variable that says what happens where, read once the hidden flag allows it.
+pub const VARIABLE: &str = "SDFARM_FAIL_POINTS";
+/// The hidden flag.
+pub const FLAG: &str = "--allow-fail-points";
+/// What a process writes to standard error when a point strikes, before the point's name.
+pub const MARK: &str = "fail point";
+
+macro_rules! points {
+    ($($(#[doc = $doc:literal])+ $point:ident = $name:literal,)+) => {
+        /// A place in the program.
+        #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+        pub enum Point { $($(#[doc = $doc])+ $point,)+ }
+
+        impl Point {
+            /// Every point.
+            pub const ALL: &[Self] = &[$(Self::$point),+];
+
+            /// Its name in [`VARIABLE`].
+            pub fn name(self) -> &'static str {
+                match self { $(Self::$point => $name,)+ }
+            }
+        }
+    };
+}
+
+points! {
+    /// Server: the database is open, its tables are not brought up to date.
+    Migrating = "migrating",
+    /// Server: the tables are up to date, what the last server left is not put right.
+    Migrated = "migrated",
+    /// Server: a job is committed, its 201 is not sent.
+    SubmitCommitted = "submit_committed",
+    /// Server: a run is leased and committed, its worker has not heard of it.
+    Claimed = "claimed",
+    /// Server: a group is committed, nobody is answered.
+    GroupCommitted = "group_committed",
+    /// Server: a tile's blob is in the store, its worker has not heard so.
+    BlobStored = "blob_stored",
+    /// Server: a picture is flushed to the disk, no row shows it.
+    PictureStored = "picture_stored",
+    /// Server: leftover bytes are known to be unneeded, and still there.
+    Sweeping = "sweeping",
+    /// Server: one operation on the database begins.
+    DatabaseWrite = "database_write",
+    /// Server: a group of operations is about to be committed.
+    DatabaseCommit = "database_commit",
+    /// Server: bytes are about to be stored.
+    StorePut = "store_put",
+    /// Server: stored bytes are about to be read.
+    StoreGet = "store_get",
+    /// Worker: a blob is put, its tile is not reported.
+    BlobPut = "blob_put",
+    /// Worker: a picture is put, it is not reported.
+    PicturePut = "picture_put",
+    /// Worker: a frame's blobs are fetched, its picture is not made.
+    Stitching = "stitching",
+}
+
+/// What happens at a point.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Action {
+    /// The process kills itself, as `kill -9` would.
+    Kill,
+    /// The step fails.
+    Err,
+    /// The step takes longer.
+    Slow(Duration),
+}
+
+/// What is to happen where.
+#[derive(Debug)]
+struct Trap {
+    point: Point,
+    action: Action,
+    /// Which pass it strikes at, from 1; `None` for each.
+    pass: Option<u64>,
+    passes: AtomicU64,
+}
+
+/// The fail point that struck.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("{MARK} {} struck", .0.name())]
+pub struct Struck(pub Point);
+
+/// What [`VARIABLE`] holds is no list of fail points.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[error(
+    "{part:?} is no fail point: write NAME=kill, NAME=error or NAME=slow:MILLISECONDS, then @N for the N-th pass alone; names are {}",
+    names()
+)]
+pub struct WrongPoints {
+    /// The part that can't be read.
+    part: String,
+}
+
+fn names() -> String {
+    Point::ALL.iter().map(|point| point.name()).collect::<Vec<_>>().join(", ")
+}
+
+static TRAPS: OnceLock<Vec<Trap>> = OnceLock::new();
+
+/// Arms the points of a list such as `submit_committed=kill@3,store_put=slow:50`, for the rest of the process's life.
+pub fn arm(list: &str) -> Result<(), WrongPoints> {
+    let parts = list.split(',').map(str::trim).filter(|part| !part.is_empty());
+    let traps = parts.map(str::parse).collect::<Result<Vec<Trap>, _>>()?;
+    // A second list would be a second flag, which the command line does not take.
+    let _ = TRAPS.set(traps);
+    Ok(())
+}
+
+/// Whether this process may be hit; its children then may be, too.
+pub fn is_armed() -> bool {
+    TRAPS.get().is_some()
+}
+
+/// Passes a point.
+pub fn pass(point: Point) -> Result<(), Struck> {
+    match TRAPS.get() {
+        None => Ok(()),
+        Some(traps) => traps.iter().filter(|trap| trap.point == point).try_for_each(Trap::pass),
+    }
+}
+
+/// Passes a point where nothing can fail: only a kill or a delay has an effect.
+pub fn pass_by(point: Point) {
+    // An error is for steps that can fail.
+    let _ = pass(point);
+}
+
+impl Trap {
+    fn pass(&self) -> Result<(), Struck> {
+        let pass = self.passes.fetch_add(1, Ordering::Relaxed) + 1;
+        if self.pass.is_some_and(|wanted| wanted != pass) {
+            return Ok(());
+        }
+        eprintln!("{MARK} {} strikes at pass {pass}: {}", self.point.name(), self.action);
+        match self.action {
+            Action::Kill => loop {
+                // Whatever it answers, there is no way on from here.
+                let _ = rustix::process::kill_process(rustix::process::getpid(), rustix::process::Signal::KILL);
+            },
+            Action::Err => Err(Struck(self.point)),
+            Action::Slow(delay) => {
+                std::thread::sleep(delay);
+                Ok(())
+            }
+        }
+    }
+}
+
+impl fmt::Display for Action {
+    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Kill => formatter.write_str("kill"),
+            Self::Err => formatter.write_str("error"),
+            Self::Slow(delay) => write!(formatter, "slow:{}", delay.as_millis()),
+        }
+    }
+}
+
+impl FromStr for Trap {
+    type Err = WrongPoints;
+
+    fn from_str(part: &str) -> Result<Self, WrongPoints> {
+        let wrong = || WrongPoints { part: part.to_owned() };
+        let (name, rest) = part.split_once('=').ok_or_else(wrong)?;
+        let (action, pass) = match rest.split_once('@') {
+            Some((action, pass)) => (action, Some(pass.parse().map_err(|_| wrong())?)),
+            None => (rest, None),
+        };
+        let action = match action.split_once(':') {
+            None if action == "kill" => Action::Kill,
+            None if action == "error" => Action::Err,
+            Some(("slow", delay_ms)) => Action::Slow(Duration::from_millis(delay_ms.parse().map_err(|_| wrong())?)),
+            _ => return Err(wrong()),
+        };
+        let point = Point::ALL.iter().find(|point| point.name() == name).copied().ok_or_else(wrong)?;
+        Ok(Self { point, action, pass, passes: AtomicU64::new(0) })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn each_action_is_read_and_written_alike() {
+        for text in ["kill", "error", "slow:50"] {
+            let trap: Trap = format!("claimed={text}@7").parse().expect("sound");
+            assert_eq!((trap.point, trap.pass, trap.action.to_string().as_str()), (Point::Claimed, Some(7), text));
+        }
+    }
+
+    #[test]
+    fn what_is_no_point_is_refused_with_the_names() {
+        for bad in ["claimed", "claimed=", "nowhere=kill", "claimed=kill@x", "claimed=slow", "claimed=slow:x", "=kill"]
+        {
+            let refused = bad.parse::<Trap>().expect_err(bad).to_string();
+            assert!(refused.contains("submit_committed"), "{refused}");
+        }
+    }
+
+    #[test]
+    fn a_trap_strikes_at_its_pass_alone() {
+        let trap: Trap = "store_put=error@2".parse().expect("sound");
+        let struck: Vec<bool> = (0..4).map(|_| trap.pass().is_err()).collect();
+        assert_eq!(struck, [false, true, false, false]);
+    }
+}
