@@ -1,5 +1,6 @@
 //! The commands: one module each, with its arguments and what it does.
 
+mod audit;
 mod bench;
 mod cancel;
 mod check;
@@ -8,6 +9,7 @@ mod demo;
 mod explain;
 mod fetch;
 mod jobs;
+mod key;
 mod pause;
 mod pool;
 mod priority;
@@ -59,6 +61,10 @@ pub(crate) enum Command {
     Resume(pause::Arguments),
     /// Show the server's own workers, or set how many there should be.
     Pool(pool::Arguments),
+    /// Make, list and revoke keys.
+    Key(key::Arguments),
+    /// List who did what.
+    Audit(audit::Arguments),
     /// Check a job file: every fault, with its line and column.
     Check(check::Arguments),
     /// Print the JSON Schema of a job file.
@@ -98,6 +104,8 @@ impl Command {
             Self::Pause(arguments) => run_async(interruptible(pause::run(arguments, true))),
             Self::Resume(arguments) => run_async(interruptible(pause::run(arguments, false))),
             Self::Pool(arguments) => run_async(interruptible(pool::run(arguments))),
+            Self::Key(arguments) => run_async(key::run(arguments)),
+            Self::Audit(arguments) => run_async(interruptible(audit::run(arguments))),
             Self::Check(arguments) => check::run(&arguments),
             Self::Schema(arguments) => schema::run(&arguments),
             Self::Explain(arguments) => explain::run(&arguments),

@@ -6,8 +6,12 @@ use std::fmt;
 use std::path::{Path, PathBuf};
 use std::str::FromStr;
 use std::sync::Once;
+use std::time::Duration;
 
 use reqwest::{Certificate, ClientBuilder, RequestBuilder, Url};
+
+/// A connection that is not used for so long is closed by its client: sooner than by any server of ours.
+const IDLE: Duration = Duration::from_secs(15);
 
 /// A key or token; it shows itself to nobody who does not ask for it by name.
 #[derive(Clone, PartialEq, Eq)]
@@ -128,7 +132,7 @@ pub fn client_builder() -> ClientBuilder {
     static CHOSEN: Once = Once::new();
     // Fails only where another part of the process has chosen already, which is as good.
     CHOSEN.call_once(|| drop(rustls::crypto::ring::default_provider().install_default()));
-    reqwest::Client::builder()
+    reqwest::Client::builder().pool_idle_timeout(IDLE)
 }
 
 #[cfg(test)]

@@ -14,6 +14,7 @@ use serde::de::DeserializeOwned;
 use crate::access::{Access, AccessError, server_url};
 use crate::farm::FarmView;
 use crate::job::{DryRun, JobPage, JobState, JobView};
+use crate::key::AuditPage;
 use crate::pool::{PoolSize, PoolView, WorkerList};
 use crate::{JobId, Problem};
 
@@ -208,6 +209,16 @@ impl Client {
     /// Sets how many workers the local pool should have.
     pub async fn set_pool(&self, size: PoolSize) -> Result<PoolView, ClientError> {
         self.json(self.request(Method::PUT, "/v1/pool").json(&size)).await
+    }
+
+    /// A page of the audit log, newest first; `cursor` is the `next_cursor` of the page before.
+    pub async fn audit(&self, limit: u32, cursor: Option<&str>) -> Result<AuditPage, ClientError> {
+        let request = self.request(Method::GET, "/v1/audit").query(&[("limit", limit)]);
+        self.json(match cursor {
+            Some(cursor) => request.query(&[("cursor", cursor)]),
+            None => request,
+        })
+        .await
     }
 
     fn request(&self, method: Method, path: &str) -> RequestBuilder {

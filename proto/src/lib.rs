@@ -11,6 +11,7 @@ pub mod fail;
 pub mod farm;
 pub mod ids;
 pub mod job;
+pub mod key;
 pub mod pool;
 pub mod problem;
 pub mod tile;

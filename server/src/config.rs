@@ -6,6 +6,9 @@ use std::time::Duration;
 
 use proto::pool::MAX_POOL_WORKERS;
 
+/// Unfinished jobs that a farm takes, unless its operator says otherwise.
+pub const MAX_QUEUED_JOBS: u32 = 100_000;
+
 /// What an operator decides about a server. `Config::default()` is what `serve` says without flags.
 #[derive(Clone, Debug)]
 pub struct Config {
@@ -27,6 +30,8 @@ pub struct Config {
     pub lease: Duration,
     /// Listen beyond loopback although there are no keys.
     pub insecure: bool,
+    /// Unfinished jobs that the farm takes.
+    pub max_queued_jobs: u32,
     /// Names, without port, that the `Host` header may carry besides loopback's and addresses.
     pub hosts: Vec<String>,
     /// The program that local workers run as, with `worker` as first argument.
@@ -55,6 +60,7 @@ impl Default for Config {
             tile_px: None,
             lease: Duration::from_secs(30),
             insecure: false,
+            max_queued_jobs: MAX_QUEUED_JOBS,
             hosts: Vec::new(),
             worker_program: PathBuf::from("sdfarm"),
             grace: Duration::from_secs(10),

@@ -10,6 +10,7 @@ use tokio::sync::mpsc;
 use tokio_util::sync::CancellationToken;
 
 use crate::config::Config;
+use crate::doors::Doors;
 use crate::events::Events;
 use crate::jobs::{JobError, Jobs};
 use crate::pictures::{Kind, Name, PictureError, Pictures};
@@ -58,6 +59,8 @@ pub(crate) struct Farm {
     pub(crate) pictures: Pictures,
     /// Parsed job files.
     pub(crate) jobs: Jobs,
+    /// Who may come in, and what is remembered of it.
+    pub(crate) doors: Doors,
     /// Local workers.
     pub(crate) pool: Pool,
     /// Numbers since the start.

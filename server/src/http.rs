@@ -1,7 +1,9 @@
 //! The HTTP door: the whole API on one screen. Handlers read what was sent, ask the farm,
 //! and answer; nothing is decided about jobs here.
 
+mod audit;
 mod body;
+mod caller;
 mod change;
 mod door;
 mod error;
@@ -10,10 +12,13 @@ mod farm;
 mod health;
 mod images;
 mod jobs;
+mod keys;
 mod openapi;
 mod pool;
 mod protocol;
+mod quota;
 mod range;
+mod rules;
 mod trace;
 mod traces;
 
@@ -50,6 +55,9 @@ fn users() -> OpenApiRouter<Arc<Farm>> {
         .routes(routes!(images::frame))
         .routes(routes!(pool::workers))
         .routes(routes!(pool::get, pool::put))
+        .routes(routes!(keys::list, keys::make))
+        .routes(routes!(keys::revoke))
+        .routes(routes!(audit::list))
         .routes(routes!(openapi::job_schema))
         .routes(routes!(health::livez))
         .routes(routes!(health::readyz))
@@ -57,14 +65,13 @@ fn users() -> OpenApiRouter<Arc<Farm>> {
 }
 
 /// The workers' routes: see `proto::work`.
-fn workers(farm: &Arc<Farm>) -> axum::Router<Arc<Farm>> {
+fn workers() -> axum::Router<Arc<Farm>> {
     axum::Router::new()
         .route(proto::work::REGISTER, post(protocol::register))
         .route(proto::work::SYNC, post(protocol::sync))
         .route("/v1/worker/jobs/{id}", get(protocol::job))
         .route("/v1/worker/blobs/{hash}", put(protocol::put_blob).get(protocol::get_blob))
         .route("/v1/worker/pictures/{hash}", put(protocol::put_picture))
-        .route_layer(middleware::from_fn_with_state(Arc::clone(farm), door::worker_token))
 }
 
 /// The whole API.
@@ -73,14 +80,16 @@ pub(crate) fn router(farm: Arc<Farm>) -> axum::Router {
     let document = Document::new(&described);
     let pages = SwaggerUi::new("/docs").config(Config::from("/openapi.json").validator_url("none"));
     users
-        .merge(workers(&farm))
+        .merge(workers())
         .with_state(Arc::clone(&farm))
         .route("/openapi.json", get(openapi::openapi).with_state(document))
         .merge(pages)
         .fallback(unknown_route)
         .method_not_allowed_fallback(wrong_method)
         .layer(CatchPanicLayer::custom(panicked))
+        .layer(middleware::from_fn_with_state(Arc::clone(&farm), caller::identify))
         .layer(middleware::from_fn_with_state(Arc::clone(&farm), door::host_and_origin))
+        .layer(middleware::from_fn_with_state(Arc::clone(&farm), audit::tell))
         .layer(middleware::from_fn_with_state(farm, trace::trace))
 }
 

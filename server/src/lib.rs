@@ -5,11 +5,14 @@
 mod audit;
 mod clock;
 mod config;
+mod deeds;
+mod doors;
 mod events;
 mod farm;
 mod http;
 mod janitor;
 mod jobs;
+mod keys;
 mod lock;
 mod pictures;
 mod plan;
@@ -29,7 +32,8 @@ use tokio_util::sync::CancellationToken;
 
 pub use audit::{Audit, AuditError, DoneTile, audit};
 pub use clock::{Clock, Hand};
-pub use config::Config;
+pub use config::{Config, MAX_QUEUED_JOBS};
+pub use keys::{KeyFolder, KeyFolderError};
 pub use start::StartError;
 
 use farm::{Farm, Leftovers};
@@ -90,6 +94,8 @@ impl Server {
             let farm = Arc::clone(&farm);
             async move { farm.events.run(farm.ending.clone()).await }
         });
+        let doors = farm.clone();
+        let doors = tokio::spawn(async move { doors.doors.run(doors.ending.clone()).await });
         let pool = farm.pool.start(&farm.config, address, farm.queue.clone());
         tracing::info!(%address, "serving");
         let failed = tokio::select! {
@@ -107,6 +113,9 @@ impl Server {
             if let Err(error) = task.await {
                 tracing::error!(%error, "{name} panicked");
             }
+        }
+        if let Err(error) = doors.await {
+            tracing::error!(%error, "the doors' keeper panicked");
         }
         store.close().await;
         drop(lock);

@@ -4,6 +4,7 @@
 //! `Queue` is the door: it binds the time, runs transitions in the writer, and rings the
 //! bell for what the rest of the farm should know. Nothing here knows about HTTP or files.
 
+mod backlog;
 mod change;
 mod claim;
 mod counts;

@@ -13,6 +13,7 @@ use tokio_util::sync::CancellationToken;
 use crate::Server;
 use crate::clock::Clock;
 use crate::config::Config;
+use crate::doors::Doors;
 use crate::events::Events;
 use crate::farm::{Farm, Totals};
 use crate::jobs::Jobs;
@@ -28,8 +29,9 @@ use crate::watch::Watch;
 pub enum StartError {
     /// The address is not loopback's, and there are no keys.
     #[error(
-        "refusing to listen on {0}: it is not a loopback address, and anyone who reaches it could use the farm; \
-         listen on 127.0.0.1, or say --insecure if that is meant"
+        "refusing to listen on {0}: it is not a loopback address, there are no keys, and anyone who reaches it could \
+         use the farm; make a key (sdfarm key new NAME --scope admin --data FOLDER), listen on 127.0.0.1, or say \
+         --insecure if that is meant"
     )]
     Exposed(SocketAddr),
     /// The data folder can't be used.
@@ -77,9 +79,6 @@ const UPGRADE: &str = "it may be of a newer release: run that one";
 
 /// See [`Server::start`].
 pub(crate) async fn start(config: Config, clock: Clock) -> Result<Server, StartError> {
-    if !config.listen.ip().is_loopback() && !config.insecure {
-        return Err(StartError::Exposed(config.listen));
-    }
     let folder = |source| StartError::DataFolder { folder: config.data.clone(), source };
     std::fs::create_dir_all(&config.data).map_err(folder)?;
     let lock = FolderLock::take(&config.data).map_err(|error| match error {
@@ -94,6 +93,12 @@ pub(crate) async fn start(config: Config, clock: Clock) -> Result<Server, StartE
     let file = Store::file(&config.data);
     let store = Arc::new(Store::open(&config.data).await.map_err(|error| explain(file.clone(), error))?);
     let lease_ms = i64::try_from(config.lease.as_millis()).unwrap_or(i64::MAX / 4).max(1);
+    let doors =
+        Doors::open(Arc::clone(&store), clock.clone()).await.map_err(|error| explain_store(file.clone(), &error))?;
+    if !address.ip().is_loopback() && !config.insecure && doors.keys.live() == 0 {
+        store.close().await;
+        return Err(StartError::Exposed(config.listen));
+    }
     let (queue, recovered) =
         Queue::open(Arc::clone(&store), clock, lease_ms).await.map_err(|error| explain_store(file, &error))?;
     tracing::info!(
@@ -106,6 +111,7 @@ pub(crate) async fn start(config: Config, clock: Clock) -> Result<Server, StartE
         queue,
         pictures,
         jobs: Jobs::new(),
+        doors,
         pool: Pool::new(config.pool_workers()),
         totals: Totals::default(),
         watch: Watch::new(config.data.clone(), &store),

@@ -3,6 +3,7 @@
 //!
 //! No statement about jobs, tiles or leases is here: those are `queue`'s.
 
+mod beside;
 mod writer;
 
 use std::path::{Path, PathBuf};

@@ -7,6 +7,7 @@ mod api {
     pub(crate) mod harness;
     mod images;
     mod jobs;
+    pub(crate) mod keys;
     mod leases;
     mod life;
     mod load;

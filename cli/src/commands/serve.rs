@@ -7,13 +7,16 @@ use std::time::Duration;
 use anyhow::Context;
 use clap::Args;
 use proto::pool::MAX_POOL_WORKERS;
-use server::{Config, Server};
+use server::{Config, MAX_QUEUED_JOBS, Server};
 use tokio_util::sync::CancellationToken;
 use worker::{CpuRenderer, RenderError, Simd};
 
 use crate::arguments::{Device, MAX_THREADS, simd_parser};
 use crate::signals::Signals;
 use crate::terminal::say;
+
+/// Most unfinished jobs that a farm may be told to take: the sum of their rays fits a counter.
+const MOST_QUEUED_JOBS: u32 = 250_000;
 
 /// Arguments of `serve`.
 #[derive(Debug, Args)]
@@ -42,6 +45,9 @@ pub(crate) struct Arguments {
     /// How long a worker may be silent before its tiles are leased to others.
     #[arg(long, value_name = "SECONDS", env = "SDFARM_LEASE_SECONDS", default_value_t = 30, value_parser = clap::value_parser!(u64).range(1..=3600))]
     lease_seconds: u64,
+    /// Unfinished jobs that the farm takes before it says that its queue is full.
+    #[arg(long, value_name = "N", env = "SDFARM_MAX_QUEUED_JOBS", default_value_t = MAX_QUEUED_JOBS, value_parser = clap::value_parser!(u32).range(1..=i64::from(MOST_QUEUED_JOBS)))]
+    max_queued_jobs: u32,
     /// Listen beyond loopback although there are no keys: whoever reaches the port may use the farm.
     #[arg(long, env = "SDFARM_INSECURE", value_parser = clap::builder::FalseyValueParser::new(), action = clap::ArgAction::SetTrue)]
     insecure: bool,
@@ -62,6 +68,7 @@ impl Arguments {
             tile_px: self.tile,
             lease: Duration::from_secs(self.lease_seconds),
             insecure: self.insecure,
+            max_queued_jobs: self.max_queued_jobs,
             hosts: self.host,
             worker_program: own_program()?,
             ..Config::default()

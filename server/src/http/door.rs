@@ -1,4 +1,6 @@
-//! Who may come in: requests that name this server, from no foreign page; workers with the pool's token.
+//! Which requests are meant for this server: those that name it, and come from no foreign page.
+//!
+//! Who calls is `caller`'s business.
 
 use std::net::IpAddr;
 use std::sync::Arc;
@@ -50,25 +52,6 @@ fn is_ours(hosts: &[String], named: &str) -> bool {
     bare.parse::<IpAddr>().is_ok()
         || host.eq_ignore_ascii_case("localhost")
         || hosts.iter().any(|known| known.eq_ignore_ascii_case(host))
-}
-
-/// Lets in the pool's workers, by their token; while there are no keys and only loopback
-/// can call, others too, if they bring none.
-pub(super) async fn worker_token(State(farm): State<Arc<Farm>>, request: Request, next: Next) -> Response {
-    let allowed = match request.headers().get(header::AUTHORIZATION) {
-        None => farm.config.listen.ip().is_loopback(),
-        Some(value) => value
-            .to_str()
-            .ok()
-            .and_then(|value| value.strip_prefix("Bearer "))
-            .is_some_and(|token| same(token, farm.pool.token())),
-    };
-    if allowed { next.run(request).await } else { ApiError::WrongToken.into_response() }
-}
-
-/// Compares in a time that does not tell where they differ.
-fn same(left: &str, right: &str) -> bool {
-    blake3::hash(left.as_bytes()) == blake3::hash(right.as_bytes())
 }
 
 #[cfg(test)]

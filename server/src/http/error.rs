@@ -3,11 +3,13 @@
 use axum::http::{HeaderValue, StatusCode, header};
 use axum::response::{IntoResponse, Response};
 use proto::job::JobState;
+use proto::key::Scope;
 use proto::problem::FaultView;
 use proto::{JobId, Problem};
 
 use crate::farm::TurnError;
 use crate::jobs::JobError;
+use crate::keys::KeyError;
 use crate::pictures::PictureError;
 use crate::store::StoreError;
 
@@ -55,6 +57,31 @@ pub(crate) enum ApiError {
     ForeignOrigin(String),
     #[error("this route is for workers that bring the pool's token")]
     WrongToken,
+    #[error(
+        "this farm asks for a key: send it as Authorization: Bearer KEY, or give it to sdfarm by SDFARM_KEY; \
+         `sdfarm key new NAME --scope …` makes one on the server's machine"
+    )]
+    MissingKey,
+    #[error("no such key is known here: give it as `sdfarm key new` printed it, to the server that it was made for")]
+    UnknownKey,
+    #[error("this key has expired: ask the farm's administrator for another")]
+    ExpiredKey,
+    #[error("this key was revoked, or has just expired: ask the farm's administrator for another")]
+    EndedKey,
+    #[error("this needs a key of scope {}, which the key of {name} has not", .scope.name())]
+    MissingScope { scope: Scope, name: String },
+    #[error("more than {per_second} requests a second: try again in {retry_seconds} s")]
+    TooManyRequests { per_second: u32, retry_seconds: u64 },
+    #[error("{limit} jobs are unfinished, the most this farm takes: try again when some are done")]
+    QueueFull { limit: i64 },
+    #[error("{name} may have {limit} {what}: try again when some are done, or cancel some")]
+    Quota { name: String, what: &'static str, limit: i64 },
+    #[error(transparent)]
+    WrongKey(KeyError),
+    #[error(transparent)]
+    KeyConflict(KeyError),
+    #[error(transparent)]
+    NoKey(KeyError),
     #[error("no worker {0} is known: it was gone for too long, so it has to register again")]
     UnknownWorker(String),
     #[error("this worker makes pictures of version {found}, the server wants {wanted}: run the same release of both")]
@@ -125,6 +152,19 @@ impl ApiError {
             Self::ForeignHost(_) => (StatusCode::FORBIDDEN, "foreign_host", "The host is not this server"),
             Self::ForeignOrigin(_) => (StatusCode::FORBIDDEN, "foreign_origin", "The origin is not this server"),
             Self::WrongToken => (StatusCode::UNAUTHORIZED, "wrong_token", "The token is not right"),
+            Self::MissingKey => (StatusCode::UNAUTHORIZED, "missing_key", "A key is needed"),
+            Self::UnknownKey => (StatusCode::UNAUTHORIZED, "unknown_key", "The key is not known"),
+            Self::ExpiredKey => (StatusCode::UNAUTHORIZED, "expired_key", "The key has expired"),
+            Self::EndedKey => (StatusCode::UNAUTHORIZED, "revoked_key", "The key was revoked"),
+            Self::MissingScope { .. } => (StatusCode::FORBIDDEN, "missing_scope", "The key does not allow this"),
+            Self::TooManyRequests { .. } => {
+                (StatusCode::TOO_MANY_REQUESTS, "too_many_requests", "Requests come too fast")
+            }
+            Self::QueueFull { .. } => (StatusCode::TOO_MANY_REQUESTS, "queue_full", "The queue is full"),
+            Self::Quota { .. } => (StatusCode::TOO_MANY_REQUESTS, "quota", "The submitter's quota is used up"),
+            Self::WrongKey(_) => (StatusCode::UNPROCESSABLE_ENTITY, "wrong_key", "The key can't be made"),
+            Self::KeyConflict(_) => (StatusCode::CONFLICT, "too_many_keys", "There are too many keys"),
+            Self::NoKey(_) => (StatusCode::NOT_FOUND, "no_such_key", "There is no such key"),
             Self::UnknownWorker(_) => (StatusCode::NOT_FOUND, "unknown_worker", "There is no such worker"),
             Self::WrongPictureVersion { .. } => {
                 (StatusCode::UNPROCESSABLE_ENTITY, "wrong_picture_version", "The worker is of another release")
@@ -167,8 +207,24 @@ impl IntoResponse for ApiError {
         let problem = self.problem();
         let mut response = self.sort().0.into_response();
         match &self {
-            Self::WrongToken => {
+            Self::WrongToken | Self::MissingKey => {
                 response.headers_mut().insert(header::WWW_AUTHENTICATE, HeaderValue::from_static("Bearer"));
+            }
+            Self::UnknownKey | Self::ExpiredKey | Self::EndedKey => {
+                let value = HeaderValue::from_static("Bearer error=\"invalid_token\"");
+                response.headers_mut().insert(header::WWW_AUTHENTICATE, value);
+            }
+            Self::MissingScope { scope, .. } => {
+                let value = format!("Bearer error=\"insufficient_scope\", scope=\"{}\"", scope.name());
+                if let Ok(value) = HeaderValue::from_str(&value) {
+                    response.headers_mut().insert(header::WWW_AUTHENTICATE, value);
+                }
+            }
+            Self::TooManyRequests { retry_seconds, .. } => {
+                response.headers_mut().insert(header::RETRY_AFTER, HeaderValue::from(*retry_seconds));
+            }
+            Self::QueueFull { .. } | Self::Quota { .. } => {
+                response.headers_mut().insert(header::RETRY_AFTER, HeaderValue::from_static("10"));
             }
             Self::Closing => {
                 response.headers_mut().insert(header::RETRY_AFTER, HeaderValue::from_static("5"));
@@ -211,6 +267,18 @@ impl From<StoreError> for ApiError {
             error @ (StoreError::Sql(_) | StoreError::Rows { .. } | StoreError::Value { .. }) => {
                 Self::Internal(Box::new(error))
             }
+        }
+    }
+}
+
+impl From<KeyError> for ApiError {
+    fn from(error: KeyError) -> Self {
+        match error {
+            KeyError::Store(error) => error.into(),
+            error @ KeyError::Random(_) => Self::Internal(Box::new(error)),
+            error @ (KeyError::Name(_) | KeyError::NoScope | KeyError::Limit { .. }) => Self::WrongKey(error),
+            error @ (KeyError::BothTaken { .. } | KeyError::TooMany) => Self::KeyConflict(error),
+            error @ KeyError::Unknown(_) => Self::NoKey(error),
         }
     }
 }

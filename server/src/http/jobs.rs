@@ -14,7 +14,9 @@ use serde::Deserialize;
 use tracing::Instrument;
 
 use super::body;
+use super::caller::Caller;
 use super::error::ApiError;
+use super::quota;
 use super::traces;
 use crate::farm::Farm;
 use crate::pictures::Kind;
@@ -25,9 +27,6 @@ use crate::queue::{Cancelled, NewJob};
 const PAGE: u32 = 100;
 /// Jobs on a page, at most.
 const MAX_PAGE: u32 = 1000;
-
-/// Who submits while there are no keys.
-const SUBMITTER: &str = "local";
 
 #[derive(Debug, Deserialize)]
 struct SubmitQuery {
@@ -79,11 +78,13 @@ fn has_no_cache(headers: &HeaderMap) -> bool {
         (status = 413, description = "Too large", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
         (status = 415, description = "Wrong content type", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
         (status = 422, description = "Not sound", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
+        (status = 429, description = "The queue is full, the submitter's quota is used up, or requests come too fast: see Retry-After", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
         (status = 507, description = "Disk full", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
     )
 )]
 pub(super) async fn submit(
     State(farm): State<Arc<Farm>>,
+    caller: Caller,
     uri: Uri,
     headers: HeaderMap,
     request: Body,
@@ -91,6 +92,9 @@ pub(super) async fn submit(
     let query: SubmitQuery = body::read_query(&uri)?;
     if farm.closing.is_cancelled() && !query.dry_run {
         return Err(ApiError::Closing);
+    }
+    if !query.dry_run {
+        quota::check_jobs(&farm, &caller).await?;
     }
     body::expect_json(&headers)?;
     let text = body::read(request, scene::limits::MAX_BODY_BYTES).await?;
@@ -101,11 +105,12 @@ pub(super) async fn submit(
         let (tiles, rays) = (plan.tiles_total(), plan.rays_total());
         return Ok(Json(DryRun { valid: true, tiles, frames: plan.frames.into(), rays, warnings }).into_response());
     }
+    quota::check_rays(&farm, &caller, plan.rays_total()).await?;
     let id = JobId::new();
     let new = NewJob {
         id,
         name: job.name.clone(),
-        submitter: SUBMITTER.to_owned(),
+        submitter: caller.name().to_owned(),
         priority: job.priority,
         nodes: job.nodes(),
         plan,

@@ -10,6 +10,7 @@ use proto::Problem;
 use proto::change::{DeletePreview, JobPatch};
 use proto::farm::FarmView;
 use proto::job::{DryRun, JobPage, JobView};
+use proto::key::{AuditPage, IssuedKey, KeyList, NewKey};
 use proto::pool::{PoolSize, PoolView, WorkerList};
 use schemars::generate::SchemaSettings;
 use serde_json::{Map, Value};
@@ -60,6 +61,10 @@ fn views() -> Map<String, Value> {
     generator.subschema_for::<WorkerList>();
     generator.subschema_for::<PoolSize>();
     generator.subschema_for::<PoolView>();
+    generator.subschema_for::<NewKey>();
+    generator.subschema_for::<IssuedKey>();
+    generator.subschema_for::<KeyList>();
+    generator.subschema_for::<AuditPage>();
     generator.subschema_for::<Problem>();
     generator.take_definitions(true)
 }

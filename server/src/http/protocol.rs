@@ -16,6 +16,7 @@ use proto::work::{Hello, SyncReply, SyncRequest, Welcome};
 use tracing::Instrument;
 
 use super::body;
+use super::caller::Caller;
 use super::error::ApiError;
 use super::jobs::job_id;
 use super::traces;
@@ -36,6 +37,7 @@ const DRAINING_WAIT: Duration = Duration::from_millis(250);
 /// Takes in a worker.
 pub(super) async fn register(
     State(farm): State<Arc<Farm>>,
+    caller: Caller,
     headers: HeaderMap,
     request: Body,
 ) -> Result<Json<Welcome>, ApiError> {
@@ -43,7 +45,7 @@ pub(super) async fn register(
     if hello.picture_version != scene::PICTURE_VERSION {
         return Err(ApiError::WrongPictureVersion { found: hello.picture_version, wanted: scene::PICTURE_VERSION });
     }
-    let label = headers.contains_key(header::AUTHORIZATION).then(|| farm.pool.label(hello.process)).flatten();
+    let label = matches!(caller, Caller::Pool).then(|| farm.pool.label(hello.process)).flatten();
     let (pool, device) = (label.is_some(), hello.device.clone());
     let name = label.unwrap_or_else(|| hello.name.clone());
     let worker = farm.queue.register(NewWorker { hello, pool, name: name.clone() }).await?.worker;

@@ -20,9 +20,14 @@ const REQUEST_ID: HeaderName = HeaderName::from_static("x-request-id");
 /// Ids that clients bring may be so long.
 const MAX_ID_CHARACTERS: usize = 64;
 
+/// A request's id, for those who write it down.
+#[derive(Clone, Debug)]
+pub(super) struct RequestId(pub(super) String);
+
 /// Gives a request its id, logs it, and writes the body of a problem.
-pub(super) async fn trace(State(farm): State<Arc<Farm>>, request: Request, next: Next) -> Response {
+pub(super) async fn trace(State(farm): State<Arc<Farm>>, mut request: Request, next: Next) -> Response {
     let id = brought_id(&request).unwrap_or_else(|| uuid::Uuid::now_v7().to_string());
+    request.extensions_mut().insert(RequestId(id.clone()));
     let method = request.method().clone();
     let route = request.extensions().get::<MatchedPath>().map_or("", MatchedPath::as_str).to_owned();
     let span = span_of(&request, &id, &route);

@@ -12,7 +12,7 @@ pub(crate) struct NewJob {
     pub(crate) id: JobId,
     /// The name its author gave it.
     pub(crate) name: String,
-    /// Who hands it in: shares are fair between submitters.
+    /// Who hands it in, a key's name or `local` while there are no keys: shares are fair between submitters.
     pub(crate) submitter: String,
     /// Higher goes first.
     pub(crate) priority: i32,

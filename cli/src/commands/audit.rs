@@ -1,0 +1,48 @@
+//! `sdfarm audit`: who did what, newest first; needs a key of scope admin where there are keys.
+
+use clap::Args;
+use proto::key::AuditEntry;
+
+use crate::arguments::ServerArguments;
+use crate::terminal::{note, say};
+
+/// Arguments of `audit`.
+#[derive(Debug, Args)]
+pub(crate) struct Arguments {
+    #[command(flatten)]
+    server: ServerArguments,
+    /// Most entries to list.
+    #[arg(long, value_name = "N", env = "SDFARM_LIMIT", default_value_t = 50, value_parser = clap::value_parser!(u32).range(1..=1000))]
+    limit: u32,
+    /// Go on after an earlier list, which said where.
+    #[arg(long, env = "SDFARM_CURSOR")]
+    cursor: Option<String>,
+    /// Print the server's answer as JSON.
+    #[arg(long, env = "SDFARM_JSON", value_parser = clap::builder::FalseyValueParser::new(), action = clap::ArgAction::SetTrue)]
+    json: bool,
+}
+
+/// Lists the entries.
+pub(crate) async fn run(arguments: Arguments) -> anyhow::Result<()> {
+    let client = arguments.server.client()?;
+    let page = client.audit(arguments.limit, arguments.cursor.as_deref()).await?;
+    if arguments.json {
+        return say(&serde_json::to_string_pretty(&page)?);
+    }
+    for entry in &page.entries {
+        say(&line(entry))?;
+    }
+    if let Some(cursor) = page.next_cursor {
+        note(&format!("more: sdfarm audit --cursor {cursor}"));
+    }
+    Ok(())
+}
+
+fn line(entry: &AuditEntry) -> String {
+    let AuditEntry { at, who, address, method, route, status, .. } = entry;
+    let mut line = format!("{at}  {who}  {address}  {method} {route}  {status}");
+    for extra in [entry.code.clone(), entry.job.map(|job| job.to_string())].into_iter().flatten() {
+        line = format!("{line}  {extra}");
+    }
+    if entry.times > 1 { format!("{line}  ×{}", entry.times) } else { line }
+}

@@ -1,0 +1,194 @@
+//! `sdfarm key`: makes, lists and revokes keys, on the data folder itself, whether a server runs on it or not.
+
+use std::path::PathBuf;
+use std::str::FromStr;
+use std::time::Duration;
+
+use clap::builder::{PossibleValuesParser, TypedValueParser};
+use clap::{Args, Subcommand};
+use proto::key::{KeyState, KeyView, NewKey, Scope};
+use server::{KeyFolder, KeyFolderError};
+
+use crate::failure::Misuse;
+use crate::terminal::{note, say};
+
+/// Arguments of `key`.
+#[derive(Debug, Args)]
+pub(crate) struct Arguments {
+    #[command(subcommand)]
+    what: What,
+}
+
+#[derive(Debug, Subcommand)]
+enum What {
+    /// Make a key, and print its secret: the only time it is shown.
+    New(New),
+    /// List the keys, newest first.
+    List(List),
+    /// Revoke a key by its id, or all keys of a name; a running server knows within a second.
+    Revoke(Revoke),
+}
+
+/// The folder that the keys are of.
+#[derive(Debug, Args)]
+struct Folder {
+    /// Folder of the server's database and pictures.
+    #[arg(long, value_name = "FOLDER", env = "SDFARM_DATA", default_value = "./sdfarm-data")]
+    data: PathBuf,
+}
+
+#[derive(Debug, Args)]
+struct New {
+    /// Whose key it is; jobs handed in with it are this name's.
+    name: String,
+    /// What it allows; may be given several times, or as a list with commas.
+    #[arg(long, value_name = "SCOPE", env = "SDFARM_SCOPE", required = true, value_delimiter = ',', value_parser = scope_parser())]
+    scope: Vec<Scope>,
+    /// When it expires, counted from now, as 12h, 90d or 52w [default: never].
+    #[arg(long, value_name = "TIME", env = "SDFARM_EXPIRES")]
+    expires: Option<Life>,
+    /// Unfinished jobs that its name may have.
+    #[arg(long, value_name = "N", env = "SDFARM_MAX_JOBS")]
+    max_jobs: Option<u32>,
+    /// Camera rays that the unfinished jobs of its name may have together.
+    #[arg(long, value_name = "N", env = "SDFARM_MAX_RAYS")]
+    max_rays: Option<u64>,
+    /// Requests a second that it may make [default: 1000].
+    #[arg(long, value_name = "N", env = "SDFARM_RATE")]
+    rate: Option<u32>,
+    #[command(flatten)]
+    folder: Folder,
+}
+
+#[derive(Debug, Args)]
+struct List {
+    #[command(flatten)]
+    folder: Folder,
+    /// Print them as JSON.
+    #[arg(long, env = "SDFARM_JSON", value_parser = clap::builder::FalseyValueParser::new(), action = clap::ArgAction::SetTrue)]
+    json: bool,
+}
+
+#[derive(Debug, Args)]
+struct Revoke {
+    /// A key's id, or a name.
+    #[arg(value_name = "ID|NAME")]
+    which: String,
+    #[command(flatten)]
+    folder: Folder,
+}
+
+/// How long a key lives.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+struct Life(Duration);
+
+impl FromStr for Life {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        let wrong = || format!("{text:?} is no time: write it as 30m, 12h, 90d or 52w");
+        let unit = text.chars().last().ok_or_else(wrong)?;
+        let seconds = match unit {
+            'm' => 60,
+            'h' => 3600,
+            'd' => 86_400,
+            'w' => 7 * 86_400,
+            _ => return Err(wrong()),
+        };
+        let count: u64 = text[..text.len() - 1].parse().map_err(|_| wrong())?;
+        let seconds = count.checked_mul(seconds).filter(|&seconds| seconds > 0).ok_or_else(wrong)?;
+        Ok(Self(Duration::from_secs(seconds)))
+    }
+}
+
+/// Makes, lists or revokes.
+pub(crate) async fn run(arguments: Arguments) -> anyhow::Result<()> {
+    match arguments.what {
+        What::New(new) => make(new).await,
+        What::List(list) => show(list).await,
+        What::Revoke(revoke) => end(revoke).await,
+    }
+}
+
+async fn make(new: New) -> anyhow::Result<()> {
+    let mut folder = KeyFolder::open_or_make(&new.folder.data).await?;
+    let order = NewKey {
+        name: new.name,
+        scopes: new.scope,
+        expires_in_seconds: new.expires.map(|life| life.0.as_secs()),
+        max_jobs: new.max_jobs,
+        max_rays: new.max_rays,
+        requests_per_second: new.rate,
+    };
+    let issued = folder.make(order).await.map_err(misuse)?;
+    folder.close().await?;
+    note(&format!("{}; the secret is shown this once: give it to its bearer as SDFARM_KEY", line(&issued.key)));
+    say(&issued.secret)
+}
+
+async fn show(list: List) -> anyhow::Result<()> {
+    let mut folder = KeyFolder::open(&list.folder.data).await?;
+    let keys = folder.list().await?;
+    folder.close().await?;
+    if list.json {
+        return say(&serde_json::to_string_pretty(&keys)?);
+    }
+    if keys.is_empty() {
+        note("there are no keys: whoever reaches the server may use it");
+    }
+    keys.iter().try_for_each(|key| say(&line(key)))
+}
+
+async fn end(revoke: Revoke) -> anyhow::Result<()> {
+    let mut folder = KeyFolder::open(&revoke.folder.data).await?;
+    let keys = folder.revoke(&revoke.which).await?;
+    folder.close().await?;
+    keys.iter().try_for_each(|key| say(&line(key)))
+}
+
+/// One key in a line.
+fn line(key: &KeyView) -> String {
+    let state = match key.state {
+        KeyState::Live => "live",
+        KeyState::Expired => "expired",
+        KeyState::Revoked => "revoked",
+    };
+    let scopes: Vec<&str> = key.scopes.iter().map(|scope| scope.name()).collect();
+    let mut line = format!("{}  {state:7}  {}  {}  made {}", key.id, key.name, scopes.join(","), key.created_at);
+    if let Some(expires) = &key.expires_at {
+        line = format!("{line}  expires {expires}");
+    }
+    match &key.last_used_at {
+        Some(used) => format!("{line}  used {used}"),
+        None => line,
+    }
+}
+
+/// What is refused was wrong use; what failed is not.
+fn misuse(error: KeyFolderError) -> anyhow::Error {
+    match error {
+        KeyFolderError::Refused(reason) => Misuse(reason).into(),
+        error @ KeyFolderError::Folder { .. } => error.into(),
+    }
+}
+
+fn scope_parser() -> impl TypedValueParser<Value = Scope> {
+    PossibleValuesParser::new(Scope::ALL.map(Scope::name)).map(|name| {
+        Scope::ALL.into_iter().find(|scope| scope.name() == name).expect("the parser lets only these names pass")
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn lives_are_read_with_their_unit() {
+        for (text, hours) in [("12h", 12), ("90d", 90 * 24), ("2w", 14 * 24), ("120m", 2)] {
+            assert_eq!(text.parse(), Ok(Life(Duration::from_hours(hours))), "{text}");
+        }
+        for wrong in ["", "d", "90", "0d", "-1d", "1.5d", "99999999999999999w", "5é"] {
+            assert!(wrong.parse::<Life>().is_err(), "{wrong}");
+        }
+    }
+}

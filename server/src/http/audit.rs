@@ -1,0 +1,107 @@
+//! What the audit log is told: every change and every refusal; and its pages, for administrators.
+//!
+//! Workers' turns are not deeds of people: of theirs only registrations and refusals are told.
+
+use std::sync::Arc;
+
+use axum::Json;
+use axum::extract::rejection::RawPathParamsRejection;
+use axum::extract::{MatchedPath, RawPathParams, Request, State};
+use axum::http::{Method, StatusCode, Uri, header};
+use axum::middleware::Next;
+use axum::response::Response;
+use proto::key::AuditPage;
+use proto::{JobId, Problem};
+use serde::Deserialize;
+
+use super::body;
+use super::caller::{Caller, Peer};
+use super::error::ApiError;
+use super::trace::RequestId;
+use crate::deeds::Deed;
+use crate::farm::Farm;
+
+/// Entries on a page, unless the query says otherwise.
+const PAGE: u32 = 100;
+/// Entries on a page, at most.
+const MAX_PAGE: u32 = 1000;
+/// Characters of a path that is no route's.
+const MAX_PATH_CHARACTERS: usize = 200;
+
+/// Tells the audit log what came of a request.
+pub(super) async fn tell(
+    State(farm): State<Arc<Farm>>,
+    parameters: Result<RawPathParams, RawPathParamsRejection>,
+    request: Request,
+    next: Next,
+) -> Response {
+    let extensions = request.extensions();
+    let route = extensions.get::<MatchedPath>().map(|route| route.as_str().to_owned());
+    let address = extensions.get::<Peer>().map_or_else(|| "-".to_owned(), |peer| peer.0.to_string());
+    let request_id = extensions.get::<RequestId>().map_or_else(String::new, |id| id.0.clone());
+    let method = request.method().clone();
+    let path = request.uri().path().chars().take(MAX_PATH_CHARACTERS).collect();
+    let named = parameters.ok().and_then(|parameters| {
+        parameters.iter().find(|(name, _)| *name == "id").and_then(|(_, id)| id.parse::<JobId>().ok())
+    });
+    let response = next.run(request).await;
+    let changes = ![Method::GET, Method::HEAD, Method::OPTIONS].contains(&method) && is_told(route.as_deref());
+    if changes || is_refusal(response.status()) {
+        let caller = response.extensions().get::<Caller>().cloned().unwrap_or(Caller::Nobody);
+        farm.doors.audit.note(Deed {
+            who: caller.name().to_owned(),
+            key: caller.key().map(|key| key.id().to_owned()),
+            address,
+            method: method.to_string(),
+            route: route.unwrap_or(path),
+            job: named.or_else(|| made(&response)),
+            status: response.status().as_u16(),
+            code: response.extensions().get::<Problem>().map(|problem| problem.code.clone()),
+            request_id,
+        });
+    }
+    response
+}
+
+/// Whether changes by this route are told; what is no route changes nothing.
+fn is_told(route: Option<&str>) -> bool {
+    route.is_some_and(|route| !route.starts_with("/v1/worker/") || route == proto::work::REGISTER)
+}
+
+fn is_refusal(status: StatusCode) -> bool {
+    [StatusCode::UNAUTHORIZED, StatusCode::FORBIDDEN, StatusCode::TOO_MANY_REQUESTS].contains(&status)
+}
+
+/// The job that an answer says was made.
+fn made(response: &Response) -> Option<JobId> {
+    response.headers().get(header::LOCATION)?.to_str().ok()?.strip_prefix("/v1/jobs/")?.parse().ok()
+}
+
+#[derive(Debug, Deserialize)]
+struct PageQuery {
+    limit: Option<u32>,
+    cursor: Option<i64>,
+}
+
+/// See who did what.
+///
+/// Every change and every refusal, newest first; the newest 100,000 are kept.
+#[utoipa::path(
+    get, path = "/v1/audit", tag = "doors", operation_id = "audit",
+    params(
+        ("limit" = Option<u32>, Query, description = "Most entries, 1 to 1000"),
+        ("cursor" = Option<String>, Query, description = "The `next_cursor` of the page before"),
+    ),
+    responses(
+        (status = 200, description = "A page", body = ref("#/components/schemas/AuditPage")),
+        (status = 422, description = "A query that can't be", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
+    )
+)]
+pub(super) async fn list(State(farm): State<Arc<Farm>>, uri: Uri) -> Result<Json<AuditPage>, ApiError> {
+    let query: PageQuery = body::read_query(&uri)?;
+    let limit = query.limit.unwrap_or(PAGE);
+    if !(1..=MAX_PAGE).contains(&limit) {
+        return Err(ApiError::WrongQuery(format!("limit is {limit}: say 1 to {MAX_PAGE}")));
+    }
+    Ok(Json(farm.doors.audit.page(query.cursor, limit).await?))
+}

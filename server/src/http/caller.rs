@@ -1,0 +1,197 @@
+//! Who calls: nobody comes past here without what the route asks for.
+//!
+//! What a route asks for is in `rules`; what became of a request is told to the audit log by `audit`.
+
+use std::net::IpAddr;
+use std::sync::Arc;
+
+use axum::body::Body;
+use axum::extract::{FromRequestParts, MatchedPath, RawPathParams, Request, State};
+use axum::http::{HeaderMap, header};
+use axum::middleware::Next;
+use axum::response::{IntoResponse, Response};
+use futures_util::StreamExt;
+use proto::JobId;
+use proto::key::Scope;
+
+use super::error::ApiError;
+use super::rules::{Need, need};
+use crate::doors::{Pace, Refusal};
+use crate::farm::Farm;
+use crate::keys::{Found, Key, same};
+
+/// Who submits while there are no keys.
+const LOCAL: &str = "local";
+
+/// Where a request comes from.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Peer(pub(crate) IpAddr);
+
+/// Who calls; an extension of every request, and of its answer.
+#[derive(Clone, Debug)]
+pub(crate) enum Caller {
+    /// Nobody known, on a route that is open to all, or refused.
+    Nobody,
+    /// Whoever reaches a farm without keys.
+    Local,
+    /// One of the server's own workers.
+    Pool,
+    /// The bearer of a live key.
+    Key(Arc<Key>),
+}
+
+impl Caller {
+    /// Under whose name jobs are handed in.
+    pub(crate) fn name(&self) -> &str {
+        match self {
+            Self::Nobody => "-",
+            Self::Local => LOCAL,
+            Self::Pool => "pool",
+            Self::Key(key) => key.name(),
+        }
+    }
+
+    /// The key, if it is one.
+    pub(crate) fn key(&self) -> Option<&Arc<Key>> {
+        match self {
+            Self::Key(key) => Some(key),
+            Self::Nobody | Self::Local | Self::Pool => None,
+        }
+    }
+}
+
+/// Lets a request in, or says why not; one that waits under a key ends with it.
+pub(super) async fn identify(
+    State(farm): State<Arc<Farm>>,
+    parameters: Result<RawPathParams, axum::extract::rejection::RawPathParamsRejection>,
+    mut request: Request,
+    next: Next,
+) -> Response {
+    let route = request.extensions().get::<MatchedPath>().map_or("", MatchedPath::as_str);
+    let need = need(request.method(), route);
+    let peer = request.extensions().get::<Peer>().map(|peer| peer.0);
+    let caller = match caller(&farm, need, peer, request.headers()) {
+        Ok(caller) => caller,
+        Err(error) => return refuse(&farm, peer, Caller::Nobody, error),
+    };
+    let job = parameters.ok().and_then(|parameters| {
+        parameters.iter().find(|(name, _)| *name == "id").and_then(|(_, id)| id.parse::<JobId>().ok())
+    });
+    if let Err(error) = authorise(&farm, need, &caller, job).await {
+        return refuse(&farm, peer, caller, error);
+    }
+    let pace = match farm.doors.admit(caller.key().map(|key| &**key), peer, matches!(caller, Caller::Local)) {
+        Ok(pace) => pace,
+        Err(refusal) => return with_caller(ApiError::from(refusal).into_response(), caller),
+    };
+    request.extensions_mut().insert(caller.clone());
+    let Some(key) = caller.key() else { return with_caller(next.run(request).await, caller) };
+    let response = tokio::select! {
+        response = next.run(request) => response,
+        () = key.ended().cancelled() => ApiError::EndedKey.into_response(),
+    };
+    let response = until_ended(with_pace(response, pace), key);
+    with_caller(response, caller)
+}
+
+fn with_caller(mut response: Response, caller: Caller) -> Response {
+    response.extensions_mut().insert(caller);
+    response
+}
+
+/// Refuses, and more curtly who tries again and again.
+fn refuse(farm: &Farm, peer: Option<IpAddr>, caller: Caller, error: ApiError) -> Response {
+    let error = match farm.doors.count_refusal(peer) {
+        Ok(()) => error,
+        Err(refusal) => refusal.into(),
+    };
+    with_caller(error.into_response(), caller)
+}
+
+/// Who brings this request.
+fn caller(farm: &Farm, need: Need, peer: Option<IpAddr>, headers: &HeaderMap) -> Result<Caller, ApiError> {
+    let keys = &farm.doors.keys;
+    let bearer = headers.get(header::AUTHORIZATION).map(|value| {
+        let text = value.to_str().unwrap_or_default();
+        text.split_once(' ')
+            .filter(|(scheme, _)| scheme.eq_ignore_ascii_case("bearer"))
+            .map_or("", |(_, key)| key.trim())
+    });
+    let is_workers = need == Need::Scope(Scope::Worker);
+    if is_workers && bearer.is_some_and(|token| same(token, farm.pool.token())) {
+        return Ok(Caller::Pool);
+    }
+    if !keys.are_wanted() {
+        // Without keys the server listens where only this machine reaches it, or was told that anyone may.
+        return if is_workers && bearer.is_some() { Err(ApiError::WrongToken) } else { Ok(Caller::Local) };
+    }
+    if need == Need::Nothing {
+        return Ok(Caller::Nobody);
+    }
+    match bearer {
+        None => Err(ApiError::MissingKey),
+        Some(secret) => match keys.find(secret) {
+            Found::Live(key) => Ok(Caller::Key(key)),
+            Found::Expired => Err(ApiError::ExpiredKey),
+            Found::Revoked => Err(ApiError::EndedKey),
+            Found::Unknown => {
+                tracing::debug!(?peer, "an unknown key was brought");
+                Err(ApiError::UnknownKey)
+            }
+        },
+    }
+}
+
+/// Whether the caller may do this.
+async fn authorise(farm: &Farm, need: Need, caller: &Caller, job: Option<JobId>) -> Result<(), ApiError> {
+    let Caller::Key(key) = caller else { return Ok(()) };
+    let scope = match need {
+        Need::Nothing => return Ok(()),
+        Need::Scope(scope) | Need::OwnJob(scope) => scope,
+    };
+    if key.scopes().allow(scope) {
+        return Ok(());
+    }
+    if matches!(need, Need::OwnJob(_)) && key.scopes().allow(Scope::Submit) {
+        let Some(job) = job else { return Ok(()) };
+        // Of a job that is not there the handler says so.
+        if farm.queue.submitter(job).await?.is_none_or(|submitter| submitter == key.name()) {
+            return Ok(());
+        }
+    }
+    Err(ApiError::MissingScope { scope, name: key.name().to_owned() })
+}
+
+/// Says how many requests are left.
+fn with_pace(mut response: Response, pace: Option<Pace>) -> Response {
+    if let Some(pace) = pace {
+        for (name, value) in pace.headers() {
+            response.headers_mut().insert(name, value);
+        }
+    }
+    response
+}
+
+/// Ends an answer of unknown length, such as a stream of events, with the key.
+fn until_ended(response: Response, key: &Key) -> Response {
+    use axum::body::HttpBody;
+    if response.body().size_hint().exact().is_some() {
+        return response;
+    }
+    let ended = key.ended().clone().cancelled_owned();
+    response.map(|body| Body::from_stream(body.into_data_stream().take_until(ended)))
+}
+
+impl<S: Sync> FromRequestParts<S> for Caller {
+    type Rejection = std::convert::Infallible;
+
+    async fn from_request_parts(parts: &mut axum::http::request::Parts, _state: &S) -> Result<Self, Self::Rejection> {
+        Ok(parts.extensions.get().cloned().unwrap_or(Self::Nobody))
+    }
+}
+
+impl From<Refusal> for ApiError {
+    fn from(refusal: Refusal) -> Self {
+        Self::TooManyRequests { per_second: refusal.per_second, retry_seconds: refusal.retry_seconds }
+    }
+}

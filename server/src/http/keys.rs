@@ -1,0 +1,70 @@
+//! Keys, for administrators: made, listed, revoked. `sdfarm key` does the same on the data folder.
+
+use std::sync::Arc;
+
+use axum::Json;
+use axum::body::Body;
+use axum::extract::{Path, State};
+use axum::http::{HeaderMap, HeaderValue, StatusCode, header};
+use axum::response::{IntoResponse, Response};
+use proto::key::{KeyList, NewKey};
+
+use super::body;
+use super::error::ApiError;
+use crate::farm::Farm;
+
+/// No honest body of this route is larger.
+const MAX_BYTES: usize = 16 << 10;
+
+/// List the keys.
+#[utoipa::path(
+    get, path = "/v1/keys", tag = "doors", operation_id = "list_keys",
+    responses((status = 200, description = "Every key, newest first, without secrets", body = ref("#/components/schemas/KeyList")))
+)]
+pub(super) async fn list(State(farm): State<Arc<Farm>>) -> Json<KeyList> {
+    Json(KeyList { keys: farm.doors.keys.list() })
+}
+
+/// Make a key.
+///
+/// The answer holds its secret, which nobody can show again. Two keys of one name may be live, so that the new one
+/// can be put in the old one's place. The first key of a farm closes it to everyone without one, and is best made by
+/// `sdfarm key new`.
+#[utoipa::path(
+    post, path = "/v1/keys", tag = "doors", operation_id = "make_key",
+    request_body(content = ref("#/components/schemas/NewKey"), content_type = "application/json"),
+    responses(
+        (status = 201, description = "Made", body = ref("#/components/schemas/IssuedKey")),
+        (status = 400, description = "Not JSON", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
+        (status = 409, description = "The name has two live keys, or there are too many keys", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
+        (status = 413, description = "Too large", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
+        (status = 415, description = "Wrong content type", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
+        (status = 422, description = "Not a key that can be", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
+    )
+)]
+pub(super) async fn make(
+    State(farm): State<Arc<Farm>>,
+    headers: HeaderMap,
+    request: Body,
+) -> Result<Response, ApiError> {
+    let new: NewKey = body::read_json(&headers, request, MAX_BYTES).await?;
+    let issued = farm.doors.keys.make(new).await?;
+    let mut response = (StatusCode::CREATED, Json(issued)).into_response();
+    response.headers_mut().insert(header::CACHE_CONTROL, HeaderValue::from_static("no-store"));
+    Ok(response)
+}
+
+/// Revoke a key.
+///
+/// Whoever waits under it is told at once.
+#[utoipa::path(
+    delete, path = "/v1/keys/{id}", tag = "doors", operation_id = "revoke_key",
+    params(("id" = String, Path, description = "A key's id, or a name: then all its keys")),
+    responses(
+        (status = 200, description = "The keys that are revoked now", body = ref("#/components/schemas/KeyList")),
+        (status = 404, description = "No such key, or revoked already", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
+    )
+)]
+pub(super) async fn revoke(State(farm): State<Arc<Farm>>, Path(id): Path<String>) -> Result<Json<KeyList>, ApiError> {
+    Ok(Json(KeyList { keys: farm.doors.keys.revoke(&id).await? }))
+}

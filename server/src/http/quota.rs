@@ -1,0 +1,31 @@
+//! Whether there is room for one more job: of all together, and of its submitter.
+//!
+//! Jobs that are handed in at the same moment may go over a limit together, by no more than their number.
+
+use super::caller::Caller;
+use super::error::ApiError;
+use crate::farm::Farm;
+
+/// Refuses a job before its body is read, if its submitter or everyone has too many.
+pub(super) async fn check_jobs(farm: &Farm, caller: &Caller) -> Result<(), ApiError> {
+    let limit = i64::from(farm.config.max_queued_jobs);
+    if farm.queue.backlog().await?.jobs >= limit {
+        return Err(ApiError::QueueFull { limit });
+    }
+    if let Some(limit) = caller.key().and_then(|key| key.max_jobs())
+        && farm.queue.backlog_of(caller.name()).await?.jobs >= limit
+    {
+        return Err(ApiError::Quota { name: caller.name().to_owned(), what: "unfinished jobs", limit });
+    }
+    Ok(())
+}
+
+/// Refuses a job of so many rays, if its submitter would have too many.
+pub(super) async fn check_rays(farm: &Farm, caller: &Caller, rays: u64) -> Result<(), ApiError> {
+    let Some(limit) = caller.key().and_then(|key| key.max_rays()) else { return Ok(()) };
+    let waiting = farm.queue.backlog_of(caller.name()).await?.rays;
+    if waiting.saturating_add_unsigned(rays) > limit {
+        return Err(ApiError::Quota { name: caller.name().to_owned(), what: "rays of unfinished jobs", limit });
+    }
+    Ok(())
+}

@@ -1,0 +1,242 @@
+//! One key: what it lets its bearer do, until when, and how often.
+
+use std::num::NonZeroU32;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicI64, Ordering};
+
+use governor::clock::DefaultClock;
+use governor::middleware::StateInformationMiddleware;
+use governor::state::{InMemoryState, NotKeyed};
+use governor::{Quota, RateLimiter};
+use proto::key::{KeyState, KeyView, NewKey, Scope};
+use subtle::ConstantTimeEq;
+use tokio_util::sync::CancellationToken;
+
+use super::{KeyError, MAX_LIFE_SECONDS, MAX_NAME_CHARACTERS, RESERVED};
+use crate::clock::rfc3339;
+
+/// The most requests a second that a key may be given.
+const MAX_REQUESTS_PER_SECOND: u32 = 100_000;
+/// Requests a second of a key that says nothing about it.
+pub(crate) const REQUESTS_PER_SECOND: u32 = 1000;
+/// No key was ever used at this time.
+const NEVER: i64 = i64::MIN;
+
+/// What counts one caller's requests.
+pub(crate) type Limiter = RateLimiter<NotKeyed, InMemoryState, DefaultClock, StateInformationMiddleware>;
+
+/// A set of scopes, each at its place in [`Scope::ALL`].
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub(crate) struct Scopes([bool; Scope::ALL.len()]);
+
+impl Scopes {
+    /// Whether they allow what this scope does; `admin` allows everything.
+    pub(crate) fn allow(self, scope: Scope) -> bool {
+        self.has(scope) || self.has(Scope::Admin)
+    }
+
+    /// The scopes that these tests hold for.
+    pub(super) fn of(has: impl Fn(Scope) -> bool) -> Self {
+        Self(Scope::ALL.map(has))
+    }
+
+    /// Whether this very one is among them.
+    pub(super) fn has(self, scope: Scope) -> bool {
+        self.names().contains(&scope)
+    }
+
+    fn names(self) -> Vec<Scope> {
+        Scope::ALL.into_iter().zip(self.0).filter_map(|(scope, has)| has.then_some(scope)).collect()
+    }
+}
+
+/// A key that was asked for, and may be made.
+#[derive(Clone, Debug)]
+pub(super) struct Order {
+    pub(super) name: String,
+    pub(super) scopes: Scopes,
+    pub(super) max_jobs: Option<u32>,
+    pub(super) max_rays: Option<i64>,
+    pub(super) requests_per_second: Option<u32>,
+    pub(super) created_at_ms: i64,
+    pub(super) expires_at_ms: Option<i64>,
+}
+
+impl Order {
+    /// Checks what was asked for.
+    pub(super) fn check(new: NewKey, now_ms: i64) -> Result<Self, KeyError> {
+        let is_plain = |byte: u8| byte.is_ascii_alphanumeric() || b"-_.".contains(&byte);
+        let length = new.name.len();
+        if length == 0
+            || length > MAX_NAME_CHARACTERS
+            || !new.name.bytes().all(is_plain)
+            || RESERVED.contains(&&*new.name)
+        {
+            return Err(KeyError::Name(new.name));
+        }
+        if new.scopes.is_empty() {
+            return Err(KeyError::NoScope);
+        }
+        within("the life in seconds", new.expires_in_seconds, MAX_LIFE_SECONDS)?;
+        within("the number of jobs", new.max_jobs.map(u64::from), u32::MAX.into())?;
+        within("the number of rays", new.max_rays, i64::MAX.unsigned_abs())?;
+        within("the requests a second", new.requests_per_second.map(u64::from), MAX_REQUESTS_PER_SECOND.into())?;
+        Ok(Self {
+            scopes: Scopes::of(|scope| new.scopes.contains(&scope)),
+            name: new.name,
+            max_jobs: new.max_jobs,
+            max_rays: new.max_rays.map(u64::cast_signed),
+            requests_per_second: new.requests_per_second,
+            created_at_ms: now_ms,
+            expires_at_ms: new.expires_in_seconds.map(|seconds| now_ms + (seconds * 1000).cast_signed()),
+        })
+    }
+}
+
+fn within(what: &'static str, found: Option<u64>, most: u64) -> Result<(), KeyError> {
+    match found {
+        Some(found) if found == 0 || found > most => Err(KeyError::Limit { what, found, most }),
+        Some(_) | None => Ok(()),
+    }
+}
+
+/// A key as the table has it.
+#[derive(Clone, Debug)]
+pub(super) struct Row {
+    pub(super) number: i64,
+    pub(super) id: String,
+    pub(super) name: String,
+    pub(super) digest: [u8; 32],
+    pub(super) scopes: Scopes,
+    pub(super) max_jobs: Option<i64>,
+    pub(super) max_rays: Option<i64>,
+    pub(super) requests_per_second: Option<u32>,
+    pub(super) created_at_ms: i64,
+    pub(super) expires_at_ms: Option<i64>,
+    pub(super) revoked_at_ms: Option<i64>,
+    pub(super) last_used_at_ms: Option<i64>,
+}
+
+/// A key, and what goes on under it.
+#[derive(Debug)]
+pub(crate) struct Key {
+    row: Row,
+    ongoing: Arc<Ongoing>,
+}
+
+/// What outlives a reading of the table.
+#[derive(Debug)]
+struct Ongoing {
+    ended: CancellationToken,
+    limiter: Limiter,
+    used_ms: AtomicI64,
+}
+
+impl Key {
+    /// The key of a row; `known` is the same key, as it was read before.
+    pub(super) fn new(row: Row, known: Option<&Self>) -> Self {
+        let ongoing = known.map_or_else(
+            || {
+                let rate = row.requests_per_second.and_then(NonZeroU32::new);
+                let rate = rate.unwrap_or(NonZeroU32::new(REQUESTS_PER_SECOND).unwrap_or(NonZeroU32::MIN));
+                Arc::new(Ongoing {
+                    ended: CancellationToken::new(),
+                    limiter: RateLimiter::direct(Quota::per_second(rate)).with_middleware(),
+                    used_ms: AtomicI64::new(NEVER),
+                })
+            },
+            |known| Arc::clone(&known.ongoing),
+        );
+        Self { row, ongoing }
+    }
+
+    pub(super) fn number(&self) -> i64 {
+        self.row.number
+    }
+
+    pub(super) fn has(&self, digest: &[u8; 32]) -> bool {
+        self.row.digest.ct_eq(digest).into()
+    }
+
+    pub(super) fn is_revoked(&self) -> bool {
+        self.row.revoked_at_ms.is_some()
+    }
+
+    pub(super) fn is_live(&self, now_ms: i64) -> bool {
+        !self.is_revoked() && self.row.expires_at_ms.is_none_or(|end_ms| now_ms < end_ms)
+    }
+
+    pub(super) fn end_if_over(&self, now_ms: i64) {
+        if !self.is_live(now_ms) {
+            self.ongoing.ended.cancel();
+        }
+    }
+
+    pub(super) fn used(&self, now_ms: i64) {
+        self.ongoing.used_ms.fetch_max(now_ms, Ordering::Relaxed);
+    }
+
+    /// When it was last used since the server started.
+    pub(super) fn last_used_ms(&self) -> Option<i64> {
+        let used_ms = self.ongoing.used_ms.load(Ordering::Relaxed);
+        (used_ms != NEVER).then_some(used_ms)
+    }
+
+    /// Its id, for people.
+    pub(crate) fn id(&self) -> &str {
+        &self.row.id
+    }
+
+    /// Whose it is.
+    pub(crate) fn name(&self) -> &str {
+        &self.row.name
+    }
+
+    /// What it lets its bearer do.
+    pub(crate) fn scopes(&self) -> Scopes {
+        self.row.scopes
+    }
+
+    /// Unfinished jobs that its name may have.
+    pub(crate) fn max_jobs(&self) -> Option<i64> {
+        self.row.max_jobs
+    }
+
+    /// Rays that the unfinished jobs of its name may have together.
+    pub(crate) fn max_rays(&self) -> Option<i64> {
+        self.row.max_rays
+    }
+
+    /// Cancelled when it lets nobody in any longer.
+    pub(crate) fn ended(&self) -> &CancellationToken {
+        &self.ongoing.ended
+    }
+
+    /// What counts its requests.
+    pub(crate) fn limiter(&self) -> &Limiter {
+        &self.ongoing.limiter
+    }
+
+    /// What people see of it.
+    pub(super) fn view(&self, now_ms: i64) -> KeyView {
+        let row = &self.row;
+        let state = match (self.is_revoked(), self.is_live(now_ms)) {
+            (true, _) => KeyState::Revoked,
+            (false, true) => KeyState::Live,
+            (false, false) => KeyState::Expired,
+        };
+        KeyView {
+            id: row.id.clone(),
+            name: row.name.clone(),
+            state,
+            scopes: row.scopes.names(),
+            max_jobs: row.max_jobs.and_then(|jobs| u32::try_from(jobs).ok()),
+            max_rays: row.max_rays.map(i64::unsigned_abs),
+            requests_per_second: row.requests_per_second,
+            created_at: rfc3339(row.created_at_ms),
+            expires_at: row.expires_at_ms.map(rfc3339),
+            revoked_at: row.revoked_at_ms.map(rfc3339),
+            last_used_at: self.last_used_ms().max(row.last_used_at_ms).map(rfc3339),
+        }
+    }
+}

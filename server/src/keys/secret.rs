@@ -1,0 +1,58 @@
+//! Secrets: made of random bits, kept as their hash, compared in constant time.
+
+use base64::Engine;
+use base64::engine::general_purpose::URL_SAFE_NO_PAD;
+use sha2::{Digest, Sha256};
+use subtle::ConstantTimeEq;
+
+use super::KeyError;
+
+/// How a key begins, so that people and scanners of repositories know it for one.
+const PREFIX: &str = "sdf_";
+/// Random bytes of a key.
+const SECRET_BYTES: usize = 32;
+/// Random bytes of a key's id.
+const ID_BYTES: usize = 6;
+
+/// A new secret; it has no `Debug`, so that no log can show it.
+pub(super) struct Issue {
+    pub(super) id: String,
+    pub(super) secret: String,
+    pub(super) digest: [u8; 32],
+}
+
+/// Makes a secret and an id.
+pub(super) fn issue() -> Result<Issue, KeyError> {
+    let mut bits = [0; SECRET_BYTES];
+    getrandom::fill(&mut bits).map_err(KeyError::Random)?;
+    let mut id = [0; ID_BYTES];
+    getrandom::fill(&mut id).map_err(KeyError::Random)?;
+    let secret = format!("{PREFIX}{}", URL_SAFE_NO_PAD.encode(bits));
+    let id = id.iter().fold("key_".to_owned(), |text, byte| format!("{text}{byte:02x}"));
+    Ok(Issue { id, digest: digest(&secret), secret })
+}
+
+/// What is kept of a secret.
+pub(super) fn digest(secret: &str) -> [u8; 32] {
+    Sha256::digest(secret.as_bytes()).into()
+}
+
+/// Compares two secrets in a time that does not tell where they differ.
+pub(crate) fn same(left: &str, right: &str) -> bool {
+    digest(left).ct_eq(&digest(right)).into()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn secrets_have_256_bits_and_are_never_the_same() {
+        let (one, two) = (issue().expect("random bits"), issue().expect("random bits"));
+        assert_ne!(one.secret, two.secret);
+        assert_ne!(one.id, two.id);
+        assert_eq!(one.secret.len(), PREFIX.len() + 43);
+        assert_eq!(one.digest, digest(&one.secret));
+        assert!(same(&one.secret, &one.secret.clone()) && !same(&one.secret, &two.secret));
+    }
+}

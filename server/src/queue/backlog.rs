@@ -1,0 +1,42 @@
+//! What waits, of whom: the counters that quotas are held against, kept by triggers of the tables.
+
+use proto::JobId;
+
+use super::{Queue, Result};
+
+/// Unfinished jobs, and their rays.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub(crate) struct Backlog {
+    /// Jobs.
+    pub(crate) jobs: i64,
+    /// Camera rays of those jobs, rendered or not.
+    pub(crate) rays: i64,
+}
+
+/// The row that counts everyone's; no key has this name.
+const EVERYONE: &str = "*";
+
+impl Queue {
+    /// What waits of a submitter.
+    pub(crate) async fn backlog_of(&self, submitter: &str) -> Result<Backlog> {
+        let row: Option<(i64, i64)> = sqlx::query_as("SELECT jobs, rays FROM backlog WHERE submitter = ?")
+            .bind(submitter)
+            .fetch_optional(self.readers())
+            .await?;
+        Ok(row.map_or_else(Backlog::default, |(jobs, rays)| Backlog { jobs, rays }))
+    }
+
+    /// What waits of all.
+    pub(crate) async fn backlog(&self) -> Result<Backlog> {
+        self.backlog_of(EVERYONE).await
+    }
+
+    /// Who handed in a job; `None` if there is no such job.
+    pub(crate) async fn submitter(&self, job: JobId) -> Result<Option<String>> {
+        let submitter = sqlx::query_scalar("SELECT submitter FROM job WHERE id = ?")
+            .bind(job.to_string())
+            .fetch_optional(self.readers())
+            .await?;
+        Ok(submitter)
+    }
+}

@@ -1,0 +1,308 @@
+//! Keys: who comes in with which, how long, and what is remembered of it.
+
+use std::time::Duration;
+
+use proto::key::{AuditPage, IssuedKey, KeyList, KeyState, NewKey, Scope};
+use proto::work;
+use reqwest::header::AUTHORIZATION;
+use reqwest::{Method, Response, StatusCode};
+use serde_json::{Value, json};
+use server::KeyFolder;
+
+use super::harness::{Farm, config, in_time, read, refused, small_job};
+
+/// A key to make, otherwise ordinary.
+pub(crate) fn new_key(name: &str, scopes: &[Scope]) -> NewKey {
+    NewKey {
+        name: name.to_owned(),
+        scopes: scopes.to_vec(),
+        expires_in_seconds: None,
+        max_jobs: None,
+        max_rays: None,
+        requests_per_second: None,
+    }
+}
+
+/// A farm that has one key, of an administrator.
+pub(crate) async fn locked_farm() -> (Farm, String) {
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let mut keys = KeyFolder::open_or_make(folder.path()).await.expect("a folder of keys");
+    let admin = keys.make(new_key("root", &[Scope::Admin])).await.expect("a key").secret;
+    keys.close().await.expect("closes");
+    (Farm::start_in(folder, |_| {}).await, admin)
+}
+
+/// Sends a request with a key.
+pub(crate) async fn send(
+    farm: &Farm,
+    key: &str,
+    method: Method,
+    path: &str,
+    body: impl Into<reqwest::Body>,
+) -> Response {
+    let request = farm.client.request(method, farm.url(path)).header(AUTHORIZATION, format!("Bearer {key}")).body(body);
+    in_time(request.send()).await.expect("the server answers")
+}
+
+/// Makes a key over HTTP.
+pub(crate) async fn make(farm: &Farm, admin: &str, new: &NewKey) -> IssuedKey {
+    let body = serde_json::to_string(new).expect("JSON");
+    read(send(farm, admin, Method::POST, "/v1/keys", body).await, StatusCode::CREATED).await
+}
+
+#[tokio::test]
+async fn farm_with_a_key_lets_nobody_in_without_one() {
+    let (farm, admin) = locked_farm().await;
+    let none = farm.get("/v1/jobs").await;
+    assert_eq!(none.headers()["www-authenticate"], "Bearer");
+    refused(none, 401, "missing_key").await;
+    for (key, code) in [("nonsense", "unknown_key"), ("", "unknown_key"), (&*format!("{admin}x"), "unknown_key")] {
+        let answer = send(&farm, key, Method::GET, "/v1/jobs", "").await;
+        assert_eq!(answer.headers()["www-authenticate"], "Bearer error=\"invalid_token\"");
+        refused(answer, 401, code).await;
+    }
+    assert_eq!(send(&farm, &admin, Method::GET, "/v1/jobs", "").await.status(), StatusCode::OK);
+    for open in ["/livez", "/readyz", "/docs/", "/openapi.json", "/v1/schema/job"] {
+        assert_eq!(farm.get(open).await.status(), StatusCode::OK, "{open}");
+    }
+    refused(farm.post(work::REGISTER, "{}").await, 401, "missing_key").await;
+    farm.stop().await;
+}
+
+#[tokio::test]
+async fn submitter_sees_and_ends_its_own_jobs_only() {
+    let (farm, admin) = locked_farm().await;
+    let anna = make(&farm, &admin, &new_key("anna", &[Scope::Submit])).await.secret;
+    let bert = make(&farm, &admin, &new_key("bert", &[Scope::Submit, Scope::Read])).await.secret;
+    let job: Value =
+        read(send(&farm, &anna, Method::POST, "/v1/jobs", small_job(1).to_string()).await, StatusCode::CREATED).await;
+    let path = format!("/v1/jobs/{}", job["id"].as_str().expect("an id"));
+    assert_eq!(send(&farm, &anna, Method::GET, &path, "").await.status(), StatusCode::OK);
+    assert_eq!(send(&farm, &bert, Method::GET, &path, "").await.status(), StatusCode::OK);
+    let denied = send(&farm, &bert, Method::POST, &format!("{path}/cancel"), "").await;
+    assert_eq!(denied.headers()["www-authenticate"], "Bearer error=\"insufficient_scope\", scope=\"admin\"");
+    refused(denied, 403, "missing_scope").await;
+    refused(send(&farm, &anna, Method::GET, "/v1/jobs", "").await, 403, "missing_scope").await;
+    assert_eq!(send(&farm, &anna, Method::POST, &format!("{path}/cancel"), "").await.status(), StatusCode::OK);
+    assert_eq!(send(&farm, &anna, Method::DELETE, &path, "").await.status(), StatusCode::NO_CONTENT);
+    farm.stop().await;
+}
+
+#[tokio::test]
+async fn key_is_rotated_without_a_gap_and_a_third_is_refused() {
+    let (farm, admin) = locked_farm().await;
+    let old = make(&farm, &admin, &new_key("anna", &[Scope::Read])).await;
+    let new = make(&farm, &admin, &new_key("anna", &[Scope::Read])).await;
+    let body = serde_json::to_string(&new_key("anna", &[Scope::Read])).expect("JSON");
+    let third = refused(send(&farm, &admin, Method::POST, "/v1/keys", body.clone()).await, 409, "too_many_keys").await;
+    assert!(third.detail.contains("sdfarm key revoke"), "{third:?}");
+    for secret in [&old.secret, &new.secret] {
+        assert_eq!(send(&farm, secret, Method::GET, "/v1/jobs", "").await.status(), StatusCode::OK);
+    }
+    let path = format!("/v1/keys/{}", old.key.id);
+    let revoked: KeyList = read(send(&farm, &admin, Method::DELETE, &path, "").await, StatusCode::OK).await;
+    assert_eq!(
+        revoked.keys.iter().map(|key| (&key.id, key.state)).collect::<Vec<_>>(),
+        [(&old.key.id, KeyState::Revoked)]
+    );
+    refused(send(&farm, &old.secret, Method::GET, "/v1/jobs", "").await, 401, "revoked_key").await;
+    assert_eq!(send(&farm, &new.secret, Method::GET, "/v1/jobs", "").await.status(), StatusCode::OK);
+    refused(send(&farm, &admin, Method::DELETE, &path, "").await, 404, "no_such_key").await;
+    assert_eq!(send(&farm, &admin, Method::POST, "/v1/keys", body).await.status(), StatusCode::CREATED);
+    farm.stop().await;
+}
+
+#[tokio::test]
+async fn key_expires_by_the_clock() {
+    let (farm, admin) = locked_farm().await;
+    let hour = NewKey { expires_in_seconds: Some(3600), ..new_key("anna", &[Scope::Read]) };
+    let key = make(&farm, &admin, &hour).await.secret;
+    assert_eq!(send(&farm, &key, Method::GET, "/v1/jobs", "").await.status(), StatusCode::OK);
+    farm.hand.advance(Duration::from_hours(1));
+    refused(send(&farm, &key, Method::GET, "/v1/jobs", "").await, 401, "expired_key").await;
+    farm.stop().await;
+}
+
+#[tokio::test]
+async fn revoked_worker_is_told_while_it_waits() {
+    let (farm, admin) = locked_farm().await;
+    let key = make(&farm, &admin, &new_key("host-7", &[Scope::Worker])).await;
+    let hello = json!({"name": "w", "device": "cpu", "picture_version": scene::PICTURE_VERSION, "max_nodes": null, "process": 1});
+    let welcome: work::Welcome =
+        read(send(&farm, &key.secret, Method::POST, work::REGISTER, hello.to_string()).await, StatusCode::OK).await;
+    let wait = json!({"worker": welcome.worker, "rays_per_second": null, "holding": [], "results": [],
+        "wants_work": true, "wait_ms": 30_000});
+    let waiting = send(&farm, &key.secret, Method::POST, work::SYNC, wait.to_string());
+    let revoke = async {
+        // Made beside the server, as the command line does; the server has to notice by itself.
+        let mut keys = KeyFolder::open(farm.folder.path()).await.expect("the folder is there");
+        let revoked = keys.revoke("host-7").await.expect("it is live");
+        keys.close().await.expect("closes");
+        assert_eq!(revoked.len(), 1);
+    };
+    let (answer, ()) = tokio::join!(waiting, revoke);
+    refused(answer, 401, "revoked_key").await;
+    refused(send(&farm, &key.secret, Method::POST, work::SYNC, wait.to_string()).await, 401, "revoked_key").await;
+    farm.stop().await;
+}
+
+#[tokio::test]
+async fn keys_of_the_folder_open_the_running_server() {
+    let farm = Farm::start().await;
+    assert_eq!(farm.get("/v1/jobs").await.status(), StatusCode::OK);
+    let mut keys = KeyFolder::open(farm.folder.path()).await.expect("the folder is there");
+    let secret = keys.make(new_key("anna", &[Scope::Read])).await.expect("a key").secret;
+    in_time(async {
+        while farm.get("/v1/jobs").await.status() != StatusCode::UNAUTHORIZED {
+            tokio::task::yield_now().await;
+        }
+    })
+    .await;
+    assert_eq!(send(&farm, &secret, Method::GET, "/v1/jobs", "").await.status(), StatusCode::OK);
+    keys.revoke("anna").await.expect("it is live");
+    keys.close().await.expect("closes");
+    // A farm that had a key is not opened to all by the loss of the last.
+    in_time(async {
+        while send(&farm, &secret, Method::GET, "/v1/jobs", "").await.status() != StatusCode::UNAUTHORIZED {
+            tokio::task::yield_now().await;
+        }
+    })
+    .await;
+    refused(farm.get("/v1/jobs").await, 401, "missing_key").await;
+    farm.stop().await;
+}
+
+#[tokio::test]
+async fn keys_that_can_not_be_are_refused_with_the_cure() {
+    let (farm, admin) = locked_farm().await;
+    for (body, code) in [
+        (json!({"name": "", "scopes": ["read"]}), "wrong_key"),
+        (json!({"name": "a b", "scopes": ["read"]}), "wrong_key"),
+        (json!({"name": "local", "scopes": ["read"]}), "wrong_key"),
+        (json!({"name": "*", "scopes": ["read"]}), "wrong_key"),
+        (json!({"name": "x".repeat(65), "scopes": ["read"]}), "wrong_key"),
+        (json!({"name": "anna", "scopes": []}), "wrong_key"),
+        (json!({"name": "anna", "scopes": ["read"], "expires_in_seconds": 0}), "wrong_key"),
+        (json!({"name": "anna", "scopes": ["read"], "expires_in_seconds": u64::MAX}), "wrong_key"),
+        (json!({"name": "anna", "scopes": ["read"], "requests_per_second": 0}), "wrong_key"),
+        (json!({"name": "anna", "scopes": ["root"]}), "wrong_body"),
+        (json!({"name": "anna"}), "wrong_body"),
+        (json!({"name": "anna", "scopes": ["read"], "color": 1}), "wrong_body"),
+    ] {
+        refused(send(&farm, &admin, Method::POST, "/v1/keys", body.to_string()).await, 422, code).await;
+    }
+    farm.stop().await;
+}
+
+#[tokio::test]
+async fn quotas_and_rates_are_held_and_say_when_to_come_again() {
+    let (farm, admin) = locked_farm().await;
+    let key = NewKey { max_jobs: Some(2), ..new_key("anna", &[Scope::Submit]) };
+    let anna = make(&farm, &admin, &key).await.secret;
+    let submit = async |key: &str, job: Value| send(&farm, key, Method::POST, "/v1/jobs", job.to_string()).await;
+    let first: Value = read(submit(&anna, small_job(1)).await, StatusCode::CREATED).await;
+    assert_eq!(submit(&anna, small_job(2)).await.status(), StatusCode::CREATED);
+    let full = submit(&anna, small_job(3)).await;
+    assert_eq!(full.headers()["retry-after"], "10");
+    refused(full, 429, "quota").await;
+    assert_eq!(submit(&admin, small_job(3)).await.status(), StatusCode::CREATED);
+    let cancel = format!("/v1/jobs/{}/cancel", first["id"].as_str().expect("an id"));
+    assert_eq!(send(&farm, &anna, Method::POST, &cancel, "").await.status(), StatusCode::OK);
+    assert_eq!(submit(&anna, small_job(3)).await.status(), StatusCode::CREATED);
+
+    let key = NewKey { max_rays: Some(5000), ..new_key("bert", &[Scope::Submit]) };
+    let bert = make(&farm, &admin, &key).await.secret;
+    assert_eq!(submit(&bert, small_job(1)).await.status(), StatusCode::CREATED);
+    refused(submit(&bert, small_job(2)).await, 429, "quota").await;
+
+    let key = NewKey { requests_per_second: Some(1), ..new_key("carl", &[Scope::Read]) };
+    let carl = make(&farm, &admin, &key).await.secret;
+    let first = send(&farm, &carl, Method::GET, "/v1/jobs", "").await;
+    assert_eq!(first.headers()["ratelimit-policy"], "\"requests\";q=1;w=1");
+    // A machine that stands still for a second between two of these has earned its next request.
+    let mut limited = None;
+    for _ in 0..50 {
+        let answer = send(&farm, &carl, Method::GET, "/v1/jobs", "").await;
+        if answer.status() == StatusCode::TOO_MANY_REQUESTS {
+            limited = Some(answer);
+            break;
+        }
+    }
+    let limited = limited.expect("the second request of a second is one too many");
+    assert_eq!(limited.headers()["retry-after"], "1");
+    refused(limited, 429, "too_many_requests").await;
+    farm.stop().await;
+}
+
+#[tokio::test]
+async fn full_queue_is_refused_before_the_body_is_read() {
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let farm = Farm::start_in(folder, |config| config.max_queued_jobs = 1).await;
+    farm.submit(&small_job(1)).await;
+    let full = farm.post("/v1/jobs", "not even JSON").await;
+    assert_eq!(full.headers()["retry-after"], "10");
+    refused(full, 429, "queue_full").await;
+    farm.worker("one").await.work_off().await;
+    farm.submit(&small_job(2)).await;
+    farm.stop().await;
+}
+
+#[tokio::test]
+async fn audit_log_says_who_did_what_and_who_was_refused() {
+    let (farm, admin) = locked_farm().await;
+    let anna = make(&farm, &admin, &new_key("anna", &[Scope::Submit])).await;
+    let job: Value =
+        read(send(&farm, &anna.secret, Method::POST, "/v1/jobs", small_job(1).to_string()).await, StatusCode::CREATED)
+            .await;
+    refused(send(&farm, &anna.secret, Method::PUT, "/v1/pool", "{}").await, 403, "missing_scope").await;
+    refused(farm.get("/v1/jobs").await, 401, "missing_key").await;
+    refused(send(&farm, &anna.secret, Method::GET, "/v1/audit", "").await, 403, "missing_scope").await;
+    let page: AuditPage = in_time(async {
+        loop {
+            let page: AuditPage = read(send(&farm, &admin, Method::GET, "/v1/audit", "").await, StatusCode::OK).await;
+            if page.entries.len() >= 5 {
+                return page;
+            }
+            tokio::task::yield_now().await;
+        }
+    })
+    .await;
+    let told: Vec<_> = page
+        .entries
+        .iter()
+        .rev()
+        .map(|entry| (&*entry.who, &*entry.method, &*entry.route, entry.status, entry.code.as_deref()))
+        .collect();
+    assert_eq!(
+        told,
+        [
+            ("root", "POST", "/v1/keys", 201, None),
+            ("anna", "POST", "/v1/jobs", 201, None),
+            ("anna", "PUT", "/v1/pool", 403, Some("missing_scope")),
+            ("-", "GET", "/v1/jobs", 401, Some("missing_key")),
+            ("anna", "GET", "/v1/audit", 403, Some("missing_scope")),
+        ]
+    );
+    let submit = &page.entries[3];
+    assert_eq!(submit.job.map(|id| id.to_string()).as_deref(), job["id"].as_str());
+    assert_eq!((submit.key.as_deref(), submit.times), (Some(&*anna.key.id), 1));
+    let one: AuditPage = read(send(&farm, &admin, Method::GET, "/v1/audit?limit=1", "").await, StatusCode::OK).await;
+    assert_eq!((one.entries.len(), one.next_cursor.is_some()), (1, true));
+    farm.stop().await;
+}
+
+#[tokio::test]
+async fn exposed_address_is_refused_until_there_is_a_key() {
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let exposed = || {
+        let mut config = config(folder.path());
+        config.listen = ([0, 0, 0, 0], 0).into();
+        server::Server::start(config)
+    };
+    let error = exposed().await.expect_err("there is no key").to_string();
+    assert!(error.contains("sdfarm key new") && error.contains("--insecure"), "{error}");
+    let mut keys = KeyFolder::open(folder.path()).await.expect("a folder of keys");
+    keys.make(new_key("root", &[Scope::Admin])).await.expect("a key");
+    keys.close().await.expect("closes");
+    exposed().await.expect("there is a key");
+}
