@@ -8,16 +8,20 @@ mod delete;
 mod demo;
 mod explain;
 mod fetch;
+mod gc;
 mod jobs;
 mod key;
+mod link;
 mod pause;
 mod pool;
+mod preview;
 mod priority;
 mod render;
 mod retry;
 mod schema;
 mod selftest;
 mod serve;
+mod sketch;
 mod soak;
 mod submit;
 mod watch;
@@ -45,6 +49,12 @@ pub(crate) enum Command {
     Watch(watch::Arguments),
     /// Save a stored picture of a job.
     Fetch(fetch::Arguments),
+    /// Save what is finished of a picture so far.
+    Preview(preview::Arguments),
+    /// Sign a link to a picture, for those who have no key.
+    Link(link::Arguments),
+    /// Remove the jobs that need not be kept, or tell which those are.
+    Gc(gc::Arguments),
     /// List jobs, newest first.
     Jobs(jobs::Arguments),
     /// Stop a job.
@@ -79,6 +89,9 @@ pub(crate) enum Command {
     Soak(soak::Arguments),
     /// Start a farm, render a shipped scene on it, save the picture, and stop.
     Demo(demo::Arguments),
+    /// Draw what a server asks for.
+    #[command(hide = true)]
+    Sketch,
 }
 
 impl Command {
@@ -96,6 +109,9 @@ impl Command {
             Self::Submit(arguments) => run_async(interruptible(submit::run(arguments))),
             Self::Watch(arguments) => run_async(interruptible(watch::run(arguments))),
             Self::Fetch(arguments) => run_async(interruptible(fetch::run(arguments))),
+            Self::Preview(arguments) => run_async(interruptible(preview::run(arguments))),
+            Self::Link(arguments) => run_async(interruptible(link::run(arguments))),
+            Self::Gc(arguments) => run_async(interruptible(gc::run(arguments))),
             Self::Jobs(arguments) => run_async(interruptible(jobs::run(arguments))),
             Self::Cancel(arguments) => run_async(interruptible(cancel::run(arguments))),
             Self::Retry(arguments) => run_async(interruptible(retry::run(arguments))),
@@ -113,6 +129,7 @@ impl Command {
             Self::Selftest(arguments) => selftest::run(&arguments),
             Self::Soak(arguments) => run_async(soak::run(arguments)),
             Self::Demo(arguments) => run_async(demo::run(arguments)),
+            Self::Sketch => sketch::run(),
         }
     }
 }

@@ -13,6 +13,8 @@ mod output_file;
 mod progress;
 mod shipped;
 mod signals;
+mod size;
+mod sketch;
 mod terminal;
 
 use std::process::ExitCode;

@@ -3,6 +3,7 @@
 //! It carries and names; what to show, retry or wait for is its caller's business.
 
 mod jobs;
+mod pictures;
 
 use std::io::Write;
 use std::time::Duration;
@@ -186,7 +187,10 @@ impl Client {
 
     /// Writes a frame's stored picture to `out` as it arrives; returns its size in bytes.
     pub async fn image(&self, id: JobId, frame: u32, out: &mut (dyn Write + Send)) -> Result<u64, ClientError> {
-        let request = self.request(Method::GET, &format!("/v1/jobs/{id}/frames/{frame}/image"));
+        self.save(self.request(Method::GET, &format!("/v1/jobs/{id}/frames/{frame}/image")), out).await
+    }
+
+    async fn save(&self, request: RequestBuilder, out: &mut (dyn Write + Send)) -> Result<u64, ClientError> {
         let mut response = self.send(request).await?;
         let mut size_bytes = 0;
         while let Some(chunk) = response.chunk().await.map_err(|source| self.broken(source))? {

@@ -4,6 +4,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use crate::JobId;
+use crate::sketch::Estimate;
 
 /// Where a job stands.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
@@ -106,6 +107,9 @@ pub struct DryRun {
     pub frames: u64,
     /// Camera rays it would trace.
     pub rays: u64,
+    /// What it would take; null if that could not be found out.
+    #[serde(default)]
+    pub estimate: Option<Estimate>,
     /// What its author should know although it would render.
     pub warnings: Vec<String>,
 }

@@ -36,6 +36,10 @@ pub struct Config {
     pub hosts: Vec<String>,
     /// The program that local workers run as, with `worker` as first argument.
     pub worker_program: PathBuf,
+    /// How long finished jobs are kept that do not say so themselves; `None` is for ever.
+    pub keep_jobs: Option<Duration>,
+    /// Bytes of pictures and tiles above which the jobs that finished first go; `None` is no limit.
+    pub max_store_bytes: Option<u64>,
     /// How long local workers may go on with what they hold when the server ends.
     pub grace: Duration,
 }
@@ -45,6 +49,11 @@ impl Config {
     pub(crate) fn pool_workers(&self) -> u32 {
         let one_for_each = || u32::try_from(self.devices.len()).unwrap_or(MAX_POOL_WORKERS).clamp(1, MAX_POOL_WORKERS);
         self.workers.unwrap_or_else(one_for_each)
+    }
+
+    /// Threads that the pool's CPU workers share.
+    pub(crate) fn cpu_threads(&self) -> usize {
+        self.threads.unwrap_or_else(|| std::thread::available_parallelism().map_or(1, usize::from))
     }
 }
 
@@ -63,6 +72,8 @@ impl Default for Config {
             max_queued_jobs: MAX_QUEUED_JOBS,
             hosts: Vec::new(),
             worker_program: PathBuf::from("sdfarm"),
+            keep_jobs: None,
+            max_store_bytes: None,
             grace: Duration::from_secs(10),
         }
     }

@@ -14,8 +14,8 @@ use governor::state::keyed::DefaultKeyedStateStore;
 use governor::{Quota, RateLimiter};
 use tokio_util::sync::CancellationToken;
 
-use crate::deeds::Audit;
 use crate::clock::Clock;
+use crate::deeds::Audit;
 use crate::keys::{Key, Keys};
 use crate::store::{Store, StoreError};
 

@@ -13,10 +13,12 @@ use crate::config::Config;
 use crate::doors::Doors;
 use crate::events::Events;
 use crate::jobs::{JobError, Jobs};
+use crate::links::Links;
 use crate::pictures::{Kind, Name, PictureError, Pictures};
 use crate::plan::Plan;
 use crate::pool::Pool;
 use crate::queue::{NewJob, Next, Opened, Opening, Queue, Turn, Turned};
+use crate::sketches::Sketches;
 use crate::store::StoreError;
 use crate::watch::Watch;
 
@@ -63,6 +65,10 @@ pub(crate) struct Farm {
     pub(crate) doors: Doors,
     /// Local workers.
     pub(crate) pool: Pool,
+    /// Children that draw previews.
+    pub(crate) sketches: Sketches,
+    /// Signatures of links.
+    pub(crate) links: Links,
     /// Numbers since the start.
     pub(crate) totals: Totals,
     /// What operators can ask.

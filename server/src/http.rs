@@ -13,11 +13,14 @@ mod health;
 mod images;
 mod jobs;
 mod keys;
+mod links;
 mod openapi;
 mod pool;
+mod previews;
 mod protocol;
 mod quota;
 mod range;
+mod retention;
 mod rules;
 mod trace;
 mod traces;
@@ -53,6 +56,12 @@ fn users() -> OpenApiRouter<Arc<Farm>> {
         .routes(routes!(farm::resume))
         .routes(routes!(images::first))
         .routes(routes!(images::frame))
+        .routes(routes!(previews::preview))
+        .routes(routes!(previews::thumbnail))
+        .routes(routes!(links::sign))
+        // Needs no key: the link's signature is the permission.
+        .routes(routes!(links::follow))
+        .routes(routes!(retention::collect))
         .routes(routes!(pool::workers))
         .routes(routes!(pool::get, pool::put))
         .routes(routes!(keys::list, keys::make))

@@ -11,6 +11,7 @@ use tokio_util::sync::CancellationToken;
 
 use crate::farm::{Farm, Leftovers};
 use crate::pictures::Kind;
+use crate::retention;
 use crate::store::StoreError;
 
 /// How often leases are looked through.
@@ -62,6 +63,12 @@ async fn look_through(farm: &Farm) -> Result<(), StoreError> {
     farm.queue.tidy().await?;
     farm.queue.drop_traces().await?;
     farm.queue.prune_events().await?;
+    if let Err(error) = retention::collect_all(farm).await {
+        tracing::error!(%error, cause = ?std::error::Error::source(&error), "old jobs could not be removed");
+    }
+    if let Err(error) = farm.sketches.tidy() {
+        tracing::warn!(%error, "old previews could not be removed");
+    }
     for kind in [Kind::Blob, Kind::Picture] {
         let names = match old_names(farm, kind).await {
             Ok(names) => names,

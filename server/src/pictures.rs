@@ -4,7 +4,7 @@
 //! losing it costs a re-render. What is in them is nobody's business here.
 
 use std::io::{self, SeekFrom};
-use std::path::Path as FolderPath;
+use std::path::{Path as FolderPath, PathBuf};
 
 use bytes::{Bytes, BytesMut};
 use futures_util::future::TryFutureExt;
@@ -41,6 +41,11 @@ impl Kind {
             Self::Picture => "pictures",
             Self::Blob => "tiles",
         }
+    }
+
+    /// The file of a name in a data folder.
+    pub(crate) fn file(self, data: &FolderPath, name: &str) -> PathBuf {
+        data.join(self.folder()).join(name)
     }
 
     /// The most bytes one may have.

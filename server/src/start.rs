@@ -17,10 +17,12 @@ use crate::doors::Doors;
 use crate::events::Events;
 use crate::farm::{Farm, Totals};
 use crate::jobs::Jobs;
+use crate::links::Links;
 use crate::lock::{FolderLock, LockError};
 use crate::pictures::Pictures;
 use crate::pool::Pool;
 use crate::queue::Queue;
+use crate::sketches::Sketches;
 use crate::store::{OpenError, Store, StoreError};
 use crate::watch::Watch;
 
@@ -86,6 +88,8 @@ pub(crate) async fn start(config: Config, clock: Clock) -> Result<Server, StartE
         LockError::Io(source) => folder(source),
     })?;
     let pictures = Pictures::open(&config.data).map_err(folder)?;
+    let links = Links::open(&config.data).map_err(folder)?;
+    let sketches = Sketches::open(&config.data, &config.worker_program).map_err(folder)?;
     let listener = TcpListener::bind(config.listen)
         .await
         .map_err(|source| StartError::Listen { address: config.listen, source })?;
@@ -113,6 +117,8 @@ pub(crate) async fn start(config: Config, clock: Clock) -> Result<Server, StartE
         jobs: Jobs::new(),
         doors,
         pool: Pool::new(config.pool_workers()),
+        sketches,
+        links,
         totals: Totals::default(),
         watch: Watch::new(config.data.clone(), &store),
         leftovers: left,

@@ -10,9 +10,12 @@ mod api {
     pub(crate) mod keys;
     mod leases;
     mod life;
+    mod links;
     mod load;
     mod nodes;
     mod pool;
+    mod previews;
     mod queue;
+    mod retention;
     mod watch;
 }

@@ -6,6 +6,7 @@ use std::time::Duration;
 
 use anyhow::Context;
 use clap::Args;
+use proto::Keep;
 use proto::pool::MAX_POOL_WORKERS;
 use server::{Config, MAX_QUEUED_JOBS, Server};
 use tokio_util::sync::CancellationToken;
@@ -13,6 +14,7 @@ use worker::{CpuRenderer, RenderError, Simd};
 
 use crate::arguments::{Device, MAX_THREADS, simd_parser};
 use crate::signals::Signals;
+use crate::size::Size;
 use crate::terminal::say;
 
 /// Most unfinished jobs that a farm may be told to take: the sum of their rays fits a counter.
@@ -48,6 +50,12 @@ pub(crate) struct Arguments {
     /// Unfinished jobs that the farm takes before it says that its queue is full.
     #[arg(long, value_name = "N", env = "SDFARM_MAX_QUEUED_JOBS", default_value_t = MAX_QUEUED_JOBS, value_parser = clap::value_parser!(u32).range(1..=i64::from(MOST_QUEUED_JOBS)))]
     max_queued_jobs: u32,
+    /// How long finished jobs are kept that do not say so themselves: 36h, 30d, forever.
+    #[arg(long, value_name = "AGE", env = "SDFARM_KEEP_JOBS", default_value = "forever")]
+    keep_jobs: Keep,
+    /// Size of pictures and tiles above which the jobs that finished first are removed: 500MB, 20GiB [default: none].
+    #[arg(long, value_name = "SIZE", env = "SDFARM_MAX_STORE")]
+    max_store: Option<Size>,
     /// Listen beyond loopback although there are no keys: whoever reaches the port may use the farm.
     #[arg(long, env = "SDFARM_INSECURE", value_parser = clap::builder::FalseyValueParser::new(), action = clap::ArgAction::SetTrue)]
     insecure: bool,
@@ -70,6 +78,11 @@ impl Arguments {
             insecure: self.insecure,
             max_queued_jobs: self.max_queued_jobs,
             hosts: self.host,
+            keep_jobs: match self.keep_jobs {
+                Keep::Forever => None,
+                Keep::For(time) => Some(time),
+            },
+            max_store_bytes: self.max_store.map(|Size(bytes)| bytes),
             worker_program: own_program()?,
             ..Config::default()
         })

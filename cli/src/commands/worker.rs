@@ -1,13 +1,18 @@
 //! `sdfarm worker`: renders for a server.
 
+use anyhow::Context;
 use clap::Args;
 use proto::work::TOKEN_VARIABLE;
+use rustix::process::nice;
 use tokio_util::sync::CancellationToken;
 use worker::agent::{self, AgentConfig, AgentError};
 
 use crate::arguments::{AccessArguments, RendererArguments};
 use crate::failure::NoDevice;
 use crate::signals::Signals;
+
+/// How far a server's own workers give way to it.
+const POOL_NICENESS: i32 = 10;
 
 /// Arguments of `worker`.
 #[derive(Debug, Args)]
@@ -29,6 +34,10 @@ pub(crate) struct Arguments {
 
 /// Renders until told to stop.
 pub(crate) async fn run(arguments: Arguments) -> anyhow::Result<()> {
+    if arguments.pool {
+        // Threads that render are started from here, and give way to the server and to previews.
+        nice(POOL_NICENESS).context("could not give way to the server")?;
+    }
     let signals = Signals::catch()?;
     let shutdown = CancellationToken::new();
     let renderer = arguments.renderer.renderer().map_err(|error| NoDevice(error.into()))?;

@@ -11,6 +11,8 @@ use crate::farm::TurnError;
 use crate::jobs::JobError;
 use crate::keys::KeyError;
 use crate::pictures::PictureError;
+use crate::retention::RetentionError;
+use crate::sketches::SketchError;
 use crate::store::StoreError;
 
 /// Why a request is refused: what went wrong this time, and the cure.
@@ -96,6 +98,12 @@ pub(crate) enum ApiError {
         "the picture is recorded, but its file is gone from the store: post the job again with Cache-Control: no-cache"
     )]
     LostPicture,
+    #[error("the link has expired ({0}): ask for another")]
+    LinkExpired(String),
+    #[error("the signature is not this link's: follow the link as it was given, or ask for another")]
+    WrongSignature,
+    #[error(transparent)]
+    NoSketch(SketchError),
     #[error("the server is ending: try again when it is back")]
     Closing,
     #[error("the disk is full: make room in the data folder, then try again")]
@@ -173,6 +181,9 @@ impl ApiError {
             Self::WrongBytes(_) => (StatusCode::UNPROCESSABLE_ENTITY, "wrong_bytes", "The bytes are not those named"),
             Self::UnknownBlob(_) => (StatusCode::NOT_FOUND, "unknown_blob", "There is no such blob"),
             Self::LostPicture => (StatusCode::INTERNAL_SERVER_ERROR, "lost_picture", "The picture's file is gone"),
+            Self::LinkExpired(_) => (StatusCode::GONE, "link_expired", "The link has expired"),
+            Self::WrongSignature => (StatusCode::FORBIDDEN, "wrong_signature", "The signature is not right"),
+            Self::NoSketch(_) => (StatusCode::SERVICE_UNAVAILABLE, "no_preview", "The preview can't be drawn"),
             Self::Closing => (StatusCode::SERVICE_UNAVAILABLE, "closing", "The server is ending"),
             Self::DiskFull => (StatusCode::INSUFFICIENT_STORAGE, "disk_full", "The disk is full"),
             Self::DamagedDatabase => (StatusCode::SERVICE_UNAVAILABLE, "damaged_database", "The database is damaged"),
@@ -226,7 +237,7 @@ impl IntoResponse for ApiError {
             Self::QueueFull { .. } | Self::Quota { .. } => {
                 response.headers_mut().insert(header::RETRY_AFTER, HeaderValue::from_static("10"));
             }
-            Self::Closing => {
+            Self::Closing | Self::NoSketch(_) => {
                 response.headers_mut().insert(header::RETRY_AFTER, HeaderValue::from_static("5"));
             }
             Self::WrongRange { size_bytes } => {
@@ -303,6 +314,22 @@ impl From<TurnError> for ApiError {
         match error {
             TurnError::Store(error) => error.into(),
             TurnError::Pictures(error) => error.into(),
+        }
+    }
+}
+
+impl From<SketchError> for ApiError {
+    fn from(error: SketchError) -> Self {
+        tracing::warn!(%error, "a preview could not be drawn");
+        Self::NoSketch(error)
+    }
+}
+
+impl From<RetentionError> for ApiError {
+    fn from(error: RetentionError) -> Self {
+        match error {
+            RetentionError::Store(error) => error.into(),
+            error @ RetentionError::Size(_) => Self::Internal(Box::new(error)),
         }
     }
 }

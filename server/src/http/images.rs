@@ -16,7 +16,7 @@ use crate::pictures::{Kind, Name};
 use crate::queue::StoredImage;
 
 /// A frame's picture never changes.
-const IMMUTABLE: &str = "public, max-age=31536000, immutable";
+pub(super) const IMMUTABLE: &str = "public, max-age=31536000, immutable";
 
 /// Get the picture of a job's first frame.
 #[utoipa::path(
@@ -58,17 +58,26 @@ pub(super) async fn frame(
     Path((id, frame)): Path<(String, String)>,
     headers: HeaderMap,
 ) -> Result<Response, ApiError> {
-    let job = job_id(&id)?;
+    let (job, frame) = frame_of(&farm, &id, &frame).await?;
+    answer(&farm, job, frame, &headers).await
+}
+
+/// Reads a job's id and a frame's number from a path.
+pub(super) async fn frame_of(farm: &Farm, id: &str, frame: &str) -> Result<(JobId, u32), ApiError> {
+    let job = job_id(id)?;
     match frame.parse() {
-        Ok(frame) => answer(&farm, job, frame, &headers).await,
+        Ok(number) => Ok((job, number)),
         Err(_) => match farm.queue.job(job).await? {
-            Some(view) => Err(ApiError::UnknownFrame { job, frame, frames: view.frames.total as u32 }),
-            None => Err(ApiError::UnknownJob(id)),
+            Some(view) => {
+                Err(ApiError::UnknownFrame { job, frame: frame.to_owned(), frames: view.frames.total as u32 })
+            }
+            None => Err(ApiError::UnknownJob(id.to_owned())),
         },
     }
 }
 
-async fn answer(farm: &Farm, job: JobId, frame: u32, headers: &HeaderMap) -> Result<Response, ApiError> {
+/// A frame's stored picture.
+pub(super) async fn answer(farm: &Farm, job: JobId, frame: u32, headers: &HeaderMap) -> Result<Response, ApiError> {
     let (hash, size_bytes, media_type) = match farm.queue.image(job, frame).await? {
         StoredImage::Stored { hash, size_bytes, media_type } => (hash, size_bytes, media_type),
         StoredImage::NotYet(state) => return Err(ApiError::NotStored { job, frame, state }),
@@ -111,7 +120,7 @@ fn describe(mut response: Response, tag: &str) -> Response {
     response
 }
 
-fn set(response: &mut Response, name: HeaderName, value: &str) {
+pub(super) fn set(response: &mut Response, name: HeaderName, value: &str) {
     if let Ok(value) = HeaderValue::from_str(value) {
         response.headers_mut().insert(name, value);
     }

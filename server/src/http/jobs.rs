@@ -7,9 +7,9 @@ use axum::body::Body;
 use axum::extract::{Path, State};
 use axum::http::{HeaderMap, HeaderValue, StatusCode, Uri, header};
 use axum::response::{IntoResponse, Response};
-use proto::JobId;
 use proto::fail::{self, Point};
 use proto::job::{DryRun, JobPage, JobState, JobView};
+use proto::{JobId, Keep};
 use serde::Deserialize;
 use tracing::Instrument;
 
@@ -18,6 +18,7 @@ use super::caller::Caller;
 use super::error::ApiError;
 use super::quota;
 use super::traces;
+use crate::estimate;
 use crate::farm::Farm;
 use crate::pictures::Kind;
 use crate::plan::Plan;
@@ -32,6 +33,7 @@ const MAX_PAGE: u32 = 1000;
 struct SubmitQuery {
     #[serde(default)]
     dry_run: bool,
+    keep: Option<String>,
 }
 
 #[derive(Debug, Deserialize)]
@@ -68,7 +70,10 @@ fn has_no_cache(headers: &HeaderMap) -> bool {
 /// again, unless the request says `Cache-Control: no-cache`.
 #[utoipa::path(
     post, path = "/v1/jobs", tag = "jobs", operation_id = "submit_job",
-    params(("dry_run" = Option<bool>, Query, description = "Only check the job: 200 if it is sound")),
+    params(
+        ("dry_run" = Option<bool>, Query, description = "Only check the job, and say what it would take: 200 if it is sound"),
+        ("keep" = Option<String>, Query, description = "How long it is kept once it has finished: 36h, 7d, forever; else as the server was told"),
+    ),
     request_body(content = ref("#/components/schemas/Job"), content_type = "application/json"),
     responses(
         (status = 201, description = "Accepted", body = ref("#/components/schemas/JobView"),
@@ -96,6 +101,10 @@ pub(super) async fn submit(
     if !query.dry_run {
         quota::check_jobs(&farm, &caller).await?;
     }
+    let keep: Option<Keep> = match query.keep.as_deref().map(str::parse).transpose() {
+        Ok(keep) => keep,
+        Err(error) => return Err(ApiError::WrongQuery(format!("keep: {error}"))),
+    };
     body::expect_json(&headers)?;
     let text = body::read(request, scene::limits::MAX_BODY_BYTES).await?;
     let parsed = farm.jobs.parse(text.clone(), |parsed| parsed.map(|job| (job.warnings(), job))).await?;
@@ -103,7 +112,9 @@ pub(super) async fn submit(
     let plan = Plan::of(&job, farm.config.tile_px);
     if query.dry_run {
         let (tiles, rays) = (plan.tiles_total(), plan.rays_total());
-        return Ok(Json(DryRun { valid: true, tiles, frames: plan.frames.into(), rays, warnings }).into_response());
+        let estimate = estimate::estimate(&farm, file_text(text)?, plan).await;
+        let frames = plan.frames.into();
+        return Ok(Json(DryRun { valid: true, tiles, frames, rays, estimate, warnings }).into_response());
     }
     quota::check_rays(&farm, &caller, plan.rays_total()).await?;
     let id = JobId::new();
@@ -117,7 +128,8 @@ pub(super) async fn submit(
         media_type: media_type(&job.image),
         warnings,
         fresh: has_no_cache(&headers),
-        text: String::from_utf8(text.into()).map_err(|error| ApiError::Internal(Box::new(error)))?,
+        keep,
+        text: file_text(text)?,
     };
     traces::keep(&farm, id, &headers).await?;
     farm.submit(new, Arc::new(job)).instrument(tracing::info_span!("submit", job = %id)).await?;
@@ -128,6 +140,11 @@ pub(super) async fn submit(
         response.headers_mut().insert(header::LOCATION, location);
     }
     Ok(response)
+}
+
+/// The text of a job file that was read.
+fn file_text(text: bytes::Bytes) -> Result<String, ApiError> {
+    String::from_utf8(text.into()).map_err(|error| ApiError::Internal(Box::new(error)))
 }
 
 /// List jobs, newest first.

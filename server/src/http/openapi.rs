@@ -11,7 +11,9 @@ use proto::change::{DeletePreview, JobPatch};
 use proto::farm::FarmView;
 use proto::job::{DryRun, JobPage, JobView};
 use proto::key::{AuditPage, IssuedKey, KeyList, NewKey};
+use proto::link::{LinkRequest, LinkView};
 use proto::pool::{PoolSize, PoolView, WorkerList};
+use proto::retention::Collection;
 use schemars::generate::SchemaSettings;
 use serde_json::{Map, Value};
 
@@ -58,6 +60,9 @@ fn views() -> Map<String, Value> {
     generator.subschema_for::<DeletePreview>();
     generator.subschema_for::<JobPatch>();
     generator.subschema_for::<FarmView>();
+    generator.subschema_for::<LinkRequest>();
+    generator.subschema_for::<LinkView>();
+    generator.subschema_for::<Collection>();
     generator.subschema_for::<WorkerList>();
     generator.subschema_for::<PoolSize>();
     generator.subschema_for::<PoolView>();

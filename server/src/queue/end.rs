@@ -164,7 +164,12 @@ pub(super) async fn delete(connection: &mut Connection, id: JobId) -> Result<Del
     if job_state(&row.try_get::<String, _>("state")?)? == JobState::Running {
         return Ok(Deleted::Running);
     }
-    let job: i64 = row.try_get("number")?;
+    let (pictures, blobs) = forget(connection, row.try_get("number")?).await?;
+    Ok(Deleted::Done { pictures, blobs })
+}
+
+/// Removes a job with all its rows; returns the hashes of its pictures and blobs, which may be left over.
+pub(super) async fn forget(connection: &mut Connection, job: i64) -> Result<(Vec<String>, Vec<String>)> {
     let pictures: Vec<String> =
         sqlx::query_scalar("SELECT DISTINCT picture FROM frame WHERE job = ? AND picture IS NOT NULL")
             .bind(job)
@@ -180,7 +185,7 @@ pub(super) async fn delete(connection: &mut Connection, id: JobId) -> Result<Del
     .bind(super::json_list(&pictures))
     .execute(connection)
     .await?;
-    Ok(Deleted::Done { pictures, blobs })
+    Ok((pictures, blobs))
 }
 
 async fn blobs(connection: &mut Connection, job: i64) -> Result<Vec<String>> {

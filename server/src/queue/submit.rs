@@ -1,8 +1,8 @@
 //! Accepting a job: one row and its file; frames and tiles are made when they are reached.
 
-use proto::JobId;
+use proto::{JobId, Keep};
 
-use super::{Connection, Moment, Result};
+use super::{Connection, Moment, Result, retention};
 use crate::plan::Plan;
 
 /// A job that was found sound.
@@ -26,6 +26,8 @@ pub(crate) struct NewJob {
     pub(crate) warnings: Vec<String>,
     /// Render it even if its pictures are stored.
     pub(crate) fresh: bool,
+    /// How long it is kept; `None` is as the server was told.
+    pub(crate) keep: Option<Keep>,
     /// The bytes that were posted.
     pub(crate) text: String,
 }
@@ -44,6 +46,7 @@ impl NewJob {
             media_type: "image/png",
             warnings: Vec::new(),
             fresh: true,
+            keep: None,
             text: "{}".to_owned(),
         }
     }
@@ -80,7 +83,10 @@ pub(super) async fn submit(connection: &mut Connection, job: &NewJob, moment: Mo
     sqlx::query("INSERT INTO job_file (job, text) VALUES (?, ?)")
         .bind(number)
         .bind(&job.text)
-        .execute(connection)
+        .execute(&mut *connection)
         .await?;
+    if let Some(keep) = job.keep {
+        retention::keep(connection, number, keep).await?;
+    }
     Ok(number)
 }

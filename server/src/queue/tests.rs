@@ -97,6 +97,7 @@ fn new_job(frames: u32) -> NewJob {
         media_type: "image/png",
         warnings: Vec::new(),
         fresh: true,
+        keep: None,
         text: "{}".to_owned(),
     }
 }

@@ -1,0 +1,55 @@
+//! `sdfarm gc`: has a server remove the jobs that need not be kept, or tells which those are.
+
+use clap::Args;
+use proto::retention::Collection;
+
+use crate::arguments::ServerArguments;
+use crate::terminal::{note, say};
+
+/// Arguments of `gc`.
+#[derive(Debug, Args)]
+pub(crate) struct Arguments {
+    #[command(flatten)]
+    server: ServerArguments,
+    /// Remove nothing, only tell what would go.
+    #[arg(long, env = "SDFARM_DRY_RUN", value_parser = clap::builder::FalseyValueParser::new(), action = clap::ArgAction::SetTrue)]
+    dry_run: bool,
+    /// Print the server's answer as JSON.
+    #[arg(long, env = "SDFARM_JSON", value_parser = clap::builder::FalseyValueParser::new(), action = clap::ArgAction::SetTrue)]
+    json: bool,
+}
+
+/// Does it, until nothing is left to remove.
+pub(crate) async fn run(arguments: Arguments) -> anyhow::Result<()> {
+    let client = arguments.server.client()?;
+    loop {
+        let collection = client.collect(arguments.dry_run).await?;
+        if arguments.json {
+            say(&serde_json::to_string_pretty(&collection)?)?;
+        } else {
+            tell(&collection)?;
+        }
+        if arguments.dry_run || !collection.more {
+            return Ok(());
+        }
+    }
+}
+
+fn tell(collection: &Collection) -> anyhow::Result<()> {
+    let Collection { dry_run, store_bytes, max_store_bytes, freed_bytes, jobs, more } = collection;
+    for job in jobs {
+        say(&format!(
+            "{}  {}  {:<4}  {:>12} bytes  {}",
+            job.id,
+            job.finished_at,
+            job.reason.name(),
+            job.freed_bytes,
+            job.name
+        ))?;
+    }
+    let limit = max_store_bytes.map_or_else(|| "no limit".to_owned(), |bytes| format!("at most {bytes}"));
+    let (verb, rest) =
+        (if *dry_run { "would free" } else { "freed" }, if *more { ", and there may be more" } else { "" });
+    note(&format!("{} jobs {verb} {freed_bytes} of {store_bytes} bytes ({limit}){rest}", jobs.len()));
+    Ok(())
+}

@@ -1,0 +1,48 @@
+//! `sdfarm link`: has a server sign a link to a picture, which whoever has it can follow until it expires.
+
+use anyhow::Context;
+use clap::Args;
+use proto::link::{LinkRequest, MAX_LINK_SECONDS, Shown};
+use proto::{JobId, Keep};
+
+use crate::arguments::ServerArguments;
+use crate::failure::Misuse;
+use crate::terminal::{note, say};
+
+/// Arguments of `link`.
+#[derive(Debug, Args)]
+pub(crate) struct Arguments {
+    /// The job's id.
+    id: JobId,
+    #[command(flatten)]
+    server: ServerArguments,
+    /// Which frame, from 0.
+    #[arg(long, value_name = "N", env = "SDFARM_FRAME", default_value_t = 0)]
+    frame: u32,
+    /// How long it is valid: 30m, 36h, 7d; at most 366d.
+    #[arg(long, value_name = "AGE", env = "SDFARM_EXPIRES", default_value = "7d")]
+    expires: Keep,
+    /// Show what is finished so far instead of the stored picture.
+    #[arg(long, env = "SDFARM_PREVIEW", value_parser = clap::builder::FalseyValueParser::new(), action = clap::ArgAction::SetTrue)]
+    preview: bool,
+}
+
+/// Prints it.
+pub(crate) async fn run(arguments: Arguments) -> anyhow::Result<()> {
+    let Arguments { id, server, frame, expires, preview } = arguments;
+    let seconds = match expires {
+        Keep::For(time) => u32::try_from(time.as_secs()).ok(),
+        Keep::Forever => None,
+    };
+    let expires_in_seconds = seconds
+        .filter(|seconds| (1..=MAX_LINK_SECONDS).contains(seconds))
+        .ok_or_else(|| Misuse(format!("a link can't be valid for {expires}: say 1s to 366d")))?;
+    let shows = if preview { Shown::Preview } else { Shown::Image };
+    let client = server.client()?;
+    let link = client
+        .link(id, frame, &LinkRequest { expires_in_seconds, shows })
+        .await
+        .with_context(|| format!("could not have a link to frame {frame} of job {id} signed"))?;
+    note(&format!("valid until {}", link.expires_at));
+    say(&format!("{}{}", client.server(), link.url))
+}

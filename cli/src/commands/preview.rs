@@ -1,0 +1,43 @@
+//! `sdfarm preview`: saves what is finished of a frame so far.
+
+use anyhow::Context;
+use clap::Args;
+use proto::JobId;
+
+use crate::arguments::ServerArguments;
+use crate::output_file::OutputFile;
+use crate::terminal::note;
+
+/// Arguments of `preview`.
+#[derive(Debug, Args)]
+pub(crate) struct Arguments {
+    /// The job's id.
+    id: JobId,
+    #[command(flatten)]
+    server: ServerArguments,
+    /// Where to save the preview, a PNG; - for standard output.
+    #[arg(long, short, value_name = "FILE", env = "SDFARM_OUTPUT")]
+    output: String,
+    /// Which frame, from 0.
+    #[arg(long, value_name = "N", env = "SDFARM_FRAME", default_value_t = 0)]
+    frame: u32,
+    /// How wide it is at most, in pixels [default: 960].
+    #[arg(long, value_name = "PIXELS", env = "SDFARM_WIDTH", value_parser = clap::value_parser!(u32).range(1..))]
+    width: Option<u32>,
+}
+
+/// Saves it.
+pub(crate) async fn run(arguments: Arguments) -> anyhow::Result<()> {
+    let Arguments { id, server, output: path, frame, width } = arguments;
+    let client = server.client()?;
+    let mut output = OutputFile::create(&path)?;
+    let size_bytes = client
+        .preview(id, frame, width, output.file())
+        .await
+        .with_context(|| format!("could not fetch a preview of frame {frame} of job {id}"))?;
+    output.commit()?;
+    if path != "-" {
+        note(&format!("wrote {path}: {size_bytes} bytes"));
+    }
+    Ok(())
+}

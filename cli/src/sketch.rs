@@ -1,0 +1,28 @@
+//! What a server's children do: previews drawn, thumbnails scaled down, samples of jobs rendered.
+//!
+//! Nothing here talks to a server; what is to be done comes in, a picture or a sample goes out.
+
+mod canvas;
+mod coarse;
+mod sample;
+mod stored;
+mod unfinished;
+
+use proto::sketch::Sketch;
+
+pub(crate) use sample::sample;
+
+/// Does what is asked; returns the bytes of the answer.
+pub(crate) fn answer(sketch: &Sketch) -> anyhow::Result<Vec<u8>> {
+    match sketch {
+        Sketch::Unfinished { job, frame, width_px, tiles, coarse, coarse_ms } => {
+            let job = scene::parse(job.as_bytes())?;
+            unfinished::draw(&job, *frame, *width_px, tiles, &coarse::Kept { file: coarse, limit_ms: *coarse_ms })
+        }
+        Sketch::Stored { file, width_px } => stored::draw(file, *width_px),
+        Sketch::Sample { job, threads, render_ms } => {
+            let job = scene::parse(job.as_bytes())?;
+            Ok(serde_json::to_vec(&sample(&job, *threads, *render_ms)?)?)
+        }
+    }
+}

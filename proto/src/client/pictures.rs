@@ -1,0 +1,37 @@
+//! The client's routes for previews, links and retention.
+
+use std::io::Write;
+
+use reqwest::Method;
+
+use super::{Client, ClientError};
+use crate::JobId;
+use crate::link::{LinkRequest, LinkView};
+use crate::retention::Collection;
+
+impl Client {
+    /// Writes a PNG of what is finished of a frame to `out`; returns its size in bytes.
+    pub async fn preview(
+        &self,
+        id: JobId,
+        frame: u32,
+        width_px: Option<u32>,
+        out: &mut (dyn Write + Send),
+    ) -> Result<u64, ClientError> {
+        let mut request = self.request(Method::GET, &format!("/v1/jobs/{id}/frames/{frame}/preview"));
+        if let Some(width_px) = width_px {
+            request = request.query(&[("width", width_px)]);
+        }
+        self.save(request, out).await
+    }
+
+    /// Has a link to a frame's picture signed.
+    pub async fn link(&self, id: JobId, frame: u32, link: &LinkRequest) -> Result<LinkView, ClientError> {
+        self.json(self.request(Method::POST, &format!("/v1/jobs/{id}/frames/{frame}/link")).json(link)).await
+    }
+
+    /// Removes the jobs that need not be kept, or tells which those are.
+    pub async fn collect(&self, dry_run: bool) -> Result<Collection, ClientError> {
+        self.json(self.request(Method::POST, "/v1/gc").query(&[("dry_run", dry_run)])).await
+    }
+}

@@ -1,0 +1,73 @@
+//! Signed links to pictures: whoever has one sees that picture until it expires, without a key.
+
+use std::fmt;
+
+use schemars::JsonSchema;
+use serde::de::{Error, Unexpected, Visitor};
+use serde::{Deserialize, Deserializer, Serialize};
+
+/// The longest a link may be valid, in seconds.
+pub const MAX_LINK_SECONDS: u32 = 366 * 86_400;
+
+/// What a link shows.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum Shown {
+    /// The stored picture.
+    #[default]
+    Image,
+    /// What is finished so far, as PNG.
+    Preview,
+}
+
+impl Shown {
+    /// The name used in addresses.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Image => "image",
+            Self::Preview => "preview",
+        }
+    }
+}
+
+/// What one posts to have a link made.
+#[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct LinkRequest {
+    /// How long the link is valid, in seconds.
+    #[schemars(range(min = 1, max = MAX_LINK_SECONDS))]
+    #[serde(deserialize_with = "seconds")]
+    pub expires_in_seconds: u32,
+    /// What it shows.
+    #[serde(default)]
+    pub shows: Shown,
+}
+
+/// Reads a link's time; whatever else there is, is told the range.
+fn seconds<'de, D: Deserializer<'de>>(deserializer: D) -> Result<u32, D::Error> {
+    deserializer.deserialize_u64(Seconds)
+}
+
+struct Seconds;
+
+impl Visitor<'_> for Seconds {
+    type Value = u32;
+
+    fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "a whole number of seconds from 1 to {MAX_LINK_SECONDS}")
+    }
+
+    fn visit_u64<E: Error>(self, value: u64) -> Result<u32, E> {
+        let seconds = u32::try_from(value).ok().filter(|seconds| (1..=MAX_LINK_SECONDS).contains(seconds));
+        seconds.ok_or_else(|| E::invalid_value(Unexpected::Unsigned(value), &self))
+    }
+}
+
+/// A signed link.
+#[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
+pub struct LinkView {
+    /// The address, to be put behind the server's.
+    pub url: String,
+    /// When it expires: RFC 3339, UTC.
+    pub expires_at: String,
+}

@@ -1,0 +1,87 @@
+//! What a server has a child process draw or measure: a line of JSON on its standard input, an answer on
+//! its standard output. The server itself touches no pixel and runs no scene.
+
+use std::path::PathBuf;
+
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+/// The command a child is started with, as first argument of the worker program.
+pub const COMMAND: &str = "sketch";
+
+/// What is to be made.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+#[serde(tag = "what", rename_all = "snake_case", deny_unknown_fields)]
+pub enum Sketch {
+    /// A PNG of a frame that is not stored: its finished tiles over a coarse first pass.
+    Unfinished {
+        /// The job file.
+        job: String,
+        /// The frame, from 0.
+        frame: u32,
+        /// How wide the PNG is at most, in pixels.
+        width_px: u32,
+        /// Blobs of finished tiles; those that can't be read are left out.
+        tiles: Vec<PathBuf>,
+        /// Where the coarse pass is kept: read if it is there, else made.
+        coarse: PathBuf,
+        /// Most time for the coarse pass, in milliseconds.
+        coarse_ms: u64,
+    },
+    /// A PNG of a stored picture, scaled down.
+    Stored {
+        /// The picture's file.
+        file: PathBuf,
+        /// How wide the PNG is at most, in pixels.
+        width_px: u32,
+    },
+    /// A [`Sample`] of a job, as JSON.
+    Sample {
+        /// The job file.
+        job: String,
+        /// Threads to render on.
+        threads: usize,
+        /// Most time for rendering, in milliseconds.
+        render_ms: u64,
+    },
+}
+
+/// What a sample of a job's pixels took to render.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+pub struct Sample {
+    /// Camera rays of the sample.
+    pub rays: u64,
+    /// Time that one thread needs for a ray when all threads render, in seconds.
+    pub thread_seconds_per_ray: f64,
+    /// Time that one thread needs to get a tile ready, in seconds: reading the scene as it stands, and its program.
+    pub setup_seconds_per_tile: f64,
+    /// Time that one thread needs to put a pixel into the picture's file, in seconds.
+    pub encode_seconds_per_pixel: f64,
+    /// Most memory that the sample took, in bytes.
+    pub memory_bytes: u64,
+}
+
+impl Sample {
+    /// Time that one thread needs for so many rays, tiles and pixels of files, in seconds.
+    pub fn core_seconds(&self, rays: u64, tiles: u64, pixels: u64) -> f64 {
+        let counts = [rays, tiles, pixels].map(|count| count as f64);
+        let each = [self.thread_seconds_per_ray, self.setup_seconds_per_tile, self.encode_seconds_per_pixel];
+        counts.iter().zip(each).map(|(count, seconds)| count * seconds).sum()
+    }
+}
+
+/// What a job would take, judged by rendering a sample of its pixels.
+#[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
+pub struct Estimate {
+    /// Seconds until its last picture is stored, if the farm's present workers had nothing else to do; null
+    /// without workers.
+    pub seconds: Option<f64>,
+    /// Seconds of one processor core.
+    pub core_seconds: f64,
+    /// Camera rays it would trace.
+    pub rays: u64,
+    /// Camera rays of the sample that this was judged by.
+    pub sample_rays: u64,
+    /// Memory of the worker that renders it, in bytes.
+    pub memory_bytes: u64,
+}

@@ -1,0 +1,100 @@
+//! What a job would take: a sample of its pixels is rendered by a child process, and set against the workers
+//! that are there.
+
+use proto::sketch::{Estimate, Sample, Sketch};
+
+use crate::farm::Farm;
+use crate::plan::Plan;
+use crate::queue::Present;
+
+/// Most time for rendering a sample, in milliseconds.
+const RENDER_MS: u64 = 700;
+/// What a job takes besides its pixels, in seconds: to be claimed, delivered, written down.
+const HANDLING_SECONDS: f64 = 0.01;
+
+/// What a job file would take; `None` where no sample of it could be rendered, which is logged.
+pub(crate) async fn estimate(farm: &Farm, text: String, plan: Plan) -> Option<Estimate> {
+    let present = match farm.queue.present().await {
+        Ok(present) => present,
+        Err(error) => {
+            tracing::warn!(%error, "an estimate does without the workers' speed");
+            Vec::new()
+        }
+    };
+    let threads = farm.config.cpu_threads();
+    let sketch = Sketch::Sample { job: text, threads, render_ms: RENDER_MS };
+    match farm.sketches.sample(&sketch).await {
+        Ok(sample) => Some(judge(&sample, plan, &present, threads, farm.pool.wanted())),
+        Err(error) => {
+            tracing::warn!(%error, "an estimate could not be made");
+            None
+        }
+    }
+}
+
+/// Sets a sample against workers; the pool's CPU workers share so many threads.
+fn judge(sample: &Sample, plan: Plan, present: &[Present], threads: usize, pool: u32) -> Estimate {
+    let rays = plan.rays_total();
+    let core_seconds = sample.core_seconds(rays, plan.tiles_total(), rays / u64::from(plan.samples));
+    // What a tile does not fill is left idle: no job takes more workers than it has tiles.
+    let share = (plan.tiles_total() as f64 / present.len().max(1) as f64).min(1.0);
+    let each = (threads / pool.max(1) as usize).max(1);
+    let is_ours = |worker: &&Present| worker.pool && worker.device == "cpu";
+    let our_threads = (present.iter().filter(is_ours).count() * each).min(threads.max(each));
+    let ours = our_threads as f64 * rays as f64 / core_seconds;
+    let others: f64 =
+        present.iter().filter(|worker| !is_ours(worker)).filter_map(|worker| worker.rays_per_second).sum();
+    let rate = share * (ours + others);
+    Estimate {
+        seconds: (rate > 0.0).then(|| rays as f64 / rate + HANDLING_SECONDS),
+        core_seconds,
+        rays,
+        sample_rays: sample.rays,
+        memory_bytes: sample.memory_bytes,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const PLAN: Plan =
+        Plan { width_px: 1000, height_px: 1000, samples: 4, pixel_bytes: 16, edge_px: Some(256), frames: 2 };
+    const SAMPLE: Sample = Sample {
+        rays: 10,
+        thread_seconds_per_ray: 1e-6,
+        setup_seconds_per_tile: 0.03125,
+        encode_seconds_per_pixel: 1e-6,
+        memory_bytes: 7,
+    };
+
+    fn worker(device: &str, pool: bool, rays_per_second: Option<f64>) -> Present {
+        Present { device: device.to_owned(), pool, rays_per_second }
+    }
+
+    fn seconds(present: &[Present], pool: u32) -> Option<f64> {
+        judge(&SAMPLE, PLAN, present, 4, pool).seconds
+    }
+
+    #[test]
+    fn a_job_takes_its_rays_its_frames_and_its_pixels() {
+        let estimate = judge(&SAMPLE, PLAN, &[], 4, 0);
+        assert_eq!((estimate.rays, estimate.sample_rays, estimate.memory_bytes), (8_000_000, 10, 7));
+        assert!((estimate.core_seconds - 11.0).abs() < 1e-9, "{estimate:?}");
+        assert_eq!(estimate.seconds, None, "without a worker it never ends");
+    }
+
+    #[test]
+    fn the_pools_workers_share_the_cores_and_others_bring_what_they_measured() {
+        let ours = worker("cpu", true, Some(3.0));
+        let one = seconds(std::slice::from_ref(&ours), 1).expect("a worker is there");
+        let two = seconds(&[ours.clone(), ours.clone()], 2).expect("workers are there");
+        assert!((one - (11.0 / 4.0 + HANDLING_SECONDS)).abs() < 1e-9, "{one}");
+        assert_eq!(one, two);
+        let half = seconds(std::slice::from_ref(&ours), 2).expect("one of two is there");
+        assert!((half - (11.0 / 2.0 + HANDLING_SECONDS)).abs() < 1e-9, "{half}");
+        let gpu = worker("cuda:0", false, Some(8e6));
+        assert!((seconds(&[gpu], 0).expect("a worker is there") - 1.0 - HANDLING_SECONDS).abs() < 1e-9);
+        assert_eq!(seconds(&[worker("cuda:0", false, None)], 0), None, "nobody knows how fast it is");
+    }
+}

@@ -1,0 +1,123 @@
+//! Signed links: made for those who may see a picture, and followed by anybody until they expire.
+
+use std::sync::Arc;
+
+use axum::Json;
+use axum::body::Body;
+use axum::extract::{Path, State};
+use axum::http::{HeaderMap, HeaderValue, Uri, header};
+use axum::response::Response;
+use proto::link::{LinkRequest, LinkView, Shown};
+use serde::Deserialize;
+
+use super::error::ApiError;
+use super::jobs::job_id;
+use super::{body, images, previews};
+use crate::clock::rfc3339;
+use crate::farm::Farm;
+use crate::links::Linked;
+use crate::queue::StoredImage;
+
+/// Bytes of a wish for a link.
+const MAX_BYTES: usize = 4 << 10;
+
+#[derive(Debug, Deserialize)]
+struct Signed {
+    expires: i64,
+    signature: String,
+}
+
+/// Sign a link to a frame's picture.
+///
+/// Whoever has the link sees that picture without a key until it expires. The picture need not be stored yet.
+#[utoipa::path(
+    post, path = "/v1/jobs/{id}/frames/{frame}/link", tag = "pictures", operation_id = "sign_link",
+    params(
+        ("id" = String, Path, description = "The job"),
+        ("frame" = u32, Path, description = "The frame, from 0"),
+    ),
+    request_body(content = ref("#/components/schemas/LinkRequest"), content_type = "application/json"),
+    responses(
+        (status = 200, description = "The link", body = ref("#/components/schemas/LinkView")),
+        (status = 400, description = "Not JSON", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
+        (status = 404, description = "No such frame or job", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
+        (status = 413, description = "Too large", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
+        (status = 415, description = "Wrong content type", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
+        (status = 422, description = "Not a time from 1 second to 366 days", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
+    )
+)]
+pub(super) async fn sign(
+    State(farm): State<Arc<Farm>>,
+    Path((id, frame)): Path<(String, String)>,
+    headers: HeaderMap,
+    request: Body,
+) -> Result<Json<LinkView>, ApiError> {
+    let wish: LinkRequest = body::read_json(&headers, request, MAX_BYTES).await?;
+    let (job, frame) = images::frame_of(&farm, &id, &frame).await?;
+    match farm.queue.image(job, frame).await? {
+        StoredImage::Stored { .. } | StoredImage::NotYet(_) => {}
+        StoredImage::NoFrame(frames) => return Err(ApiError::UnknownFrame { job, frame: frame.to_string(), frames }),
+        StoredImage::NoJob => return Err(ApiError::UnknownJob(id)),
+    }
+    let expires_seconds = farm.queue.wall_seconds() + i64::from(wish.expires_in_seconds);
+    let signature = farm.links.sign(&Linked { job, frame, shown: wish.shows, expires_seconds });
+    Ok(Json(LinkView {
+        url: format!(
+            "/v1/pictures/{job}/{frame}/{}?expires={expires_seconds}&signature={signature}",
+            wish.shows.name()
+        ),
+        expires_at: rfc3339(expires_seconds.saturating_mul(1000)),
+    }))
+}
+
+/// Follow a signed link.
+///
+/// Needs no key: the signature is the permission.
+#[utoipa::path(
+    get, path = "/v1/pictures/{id}/{frame}/{shown}", tag = "pictures", operation_id = "follow_link", security(()),
+    params(
+        ("id" = String, Path, description = "The job"),
+        ("frame" = u32, Path, description = "The frame, from 0"),
+        ("shown" = String, Path, description = "`image` or `preview`"),
+        ("expires" = i64, Query, description = "When the link expires, in seconds since 1970"),
+        ("signature" = String, Query, description = "What makes it valid"),
+    ),
+    responses(
+        (status = 200, description = "The picture", content((Vec<u8> = "image/png"), (Vec<u8> = "image/x-exr"))),
+        (status = 206, description = "The range asked for"),
+        (status = 304, description = "It is what the client has"),
+        (status = 403, description = "The signature is not this link's", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
+        (status = 404, description = "Not stored yet, or the job is gone", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
+        (status = 410, description = "It has expired", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
+        (status = 416, description = "No such range", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
+        (status = 422, description = "Wrong query", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
+        (status = 503, description = "The preview could not be drawn", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
+    )
+)]
+pub(super) async fn follow(
+    State(farm): State<Arc<Farm>>,
+    Path((id, frame, shown)): Path<(String, String, String)>,
+    uri: Uri,
+    headers: HeaderMap,
+) -> Result<Response, ApiError> {
+    let signed: Signed = body::read_query(&uri)?;
+    let shown = [Shown::Image, Shown::Preview].into_iter().find(|known| known.name() == shown);
+    let (Ok(job), Ok(frame), Some(shown)) = (job_id(&id), frame.parse(), shown) else {
+        return Err(ApiError::WrongSignature);
+    };
+    let linked = Linked { job, frame, shown, expires_seconds: signed.expires };
+    if !farm.links.is_signed(&linked, &signed.signature) {
+        return Err(ApiError::WrongSignature);
+    }
+    if farm.queue.wall_seconds() >= signed.expires {
+        return Err(ApiError::LinkExpired(rfc3339(signed.expires.saturating_mul(1000))));
+    }
+    let mut response = match shown {
+        Shown::Image => images::answer(&farm, job, frame, &headers).await?,
+        Shown::Preview => previews::answer(&farm, job, frame, None, &headers).await?,
+    };
+    // Who holds on to the picture must ask again, or it would be shown behind the link's end.
+    response.headers_mut().insert(header::CACHE_CONTROL, HeaderValue::from_static("private, no-cache"));
+    response.headers_mut().insert(header::REFERRER_POLICY, HeaderValue::from_static("no-referrer"));
+    Ok(response)
+}

@@ -1,0 +1,187 @@
+//! Previews and thumbnails: what there is of a frame, as a small PNG drawn by a child process.
+
+use std::sync::Arc;
+
+use axum::body::Body;
+use axum::extract::{Path, State};
+use axum::http::{HeaderMap, HeaderValue, StatusCode, Uri, header};
+use axum::response::{IntoResponse, Response};
+use proto::JobId;
+use proto::job::JobState;
+use proto::sketch::Sketch;
+use serde::Deserialize;
+
+use super::error::ApiError;
+use super::{body, images, range};
+use crate::farm::Farm;
+use crate::pictures::{Kind, Name};
+use crate::queue::Parts;
+
+/// Width of a preview, unless the query says otherwise.
+const PREVIEW_PX: u32 = 960;
+/// Width of a thumbnail, unless the query says otherwise.
+const THUMBNAIL_PX: u32 = 256;
+/// Widest preview or thumbnail.
+const MAX_WIDTH_PX: u32 = 2048;
+/// Most time for the coarse pass under a preview, in milliseconds.
+const COARSE_MS: u64 = 250;
+
+#[derive(Debug, Deserialize)]
+struct WidthQuery {
+    width: Option<u32>,
+}
+
+impl WidthQuery {
+    fn read(uri: &Uri) -> Result<Option<u32>, ApiError> {
+        let Self { width } = body::read_query(uri)?;
+        match width {
+            Some(width) if !(1..=MAX_WIDTH_PX).contains(&width) => {
+                Err(ApiError::WrongQuery(format!("width is {width}, but must be from 1 to {MAX_WIDTH_PX}")))
+            }
+            width => Ok(width),
+        }
+    }
+}
+
+/// Get what is finished of a frame so far, as PNG.
+///
+/// Finished tiles lie over a coarse first pass, so that there is a picture within a second; of a stored frame it is
+/// the picture, scaled down. Ask again with the `ETag`: 304 as long as nothing was added.
+#[utoipa::path(
+    get, path = "/v1/jobs/{id}/frames/{frame}/preview", tag = "pictures", operation_id = "get_preview",
+    params(
+        ("id" = String, Path, description = "The job"),
+        ("frame" = u32, Path, description = "The frame, from 0"),
+        ("width" = Option<u32>, Query, description = "Most pixels in a row; 960 unless said", minimum = 1, maximum = 2048),
+    ),
+    responses(
+        (status = 200, description = "The preview", content((Vec<u8> = "image/png"))),
+        (status = 304, description = "It is what the client has"),
+        (status = 404, description = "No such frame or job", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
+        (status = 422, description = "Wrong query", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
+        (status = 503, description = "It could not be drawn", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
+    )
+)]
+pub(super) async fn preview(
+    State(farm): State<Arc<Farm>>,
+    Path((id, frame)): Path<(String, String)>,
+    uri: Uri,
+    headers: HeaderMap,
+) -> Result<Response, ApiError> {
+    let width = WidthQuery::read(&uri)?;
+    let (job, frame) = images::frame_of(&farm, &id, &frame).await?;
+    answer(&farm, job, frame, width, &headers).await
+}
+
+/// Get a stored picture as a small PNG.
+#[utoipa::path(
+    get, path = "/v1/jobs/{id}/frames/{frame}/thumbnail", tag = "pictures", operation_id = "get_thumbnail",
+    params(
+        ("id" = String, Path, description = "The job"),
+        ("frame" = u32, Path, description = "The frame, from 0"),
+        ("width" = Option<u32>, Query, description = "Most pixels in a row; 256 unless said", minimum = 1, maximum = 2048),
+    ),
+    responses(
+        (status = 200, description = "The thumbnail", content((Vec<u8> = "image/png"))),
+        (status = 304, description = "It is what the client has"),
+        (status = 404, description = "Not stored yet, or no such frame or job", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
+        (status = 422, description = "Wrong query", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
+        (status = 503, description = "It could not be drawn", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
+    )
+)]
+pub(super) async fn thumbnail(
+    State(farm): State<Arc<Farm>>,
+    Path((id, frame)): Path<(String, String)>,
+    uri: Uri,
+    headers: HeaderMap,
+) -> Result<Response, ApiError> {
+    let width_px = WidthQuery::read(&uri)?.unwrap_or(THUMBNAIL_PX);
+    let (job, frame) = images::frame_of(&farm, &id, &frame).await?;
+    match farm.queue.parts(job, frame).await? {
+        Parts::Stored { hash } => scaled(&farm, &hash, width_px, images::IMMUTABLE, &headers).await,
+        Parts::Unfinished { state, .. } => Err(ApiError::NotStored { job, frame, state }),
+        Parts::NoFrame(frames) => Err(ApiError::UnknownFrame { job, frame: frame.to_string(), frames }),
+        Parts::NoJob => Err(ApiError::UnknownJob(job.to_string())),
+    }
+}
+
+/// A preview of a frame.
+pub(super) async fn answer(
+    farm: &Farm,
+    job: JobId,
+    frame: u32,
+    width_px: Option<u32>,
+    headers: &HeaderMap,
+) -> Result<Response, ApiError> {
+    let width_px = width_px.unwrap_or(PREVIEW_PX);
+    match farm.queue.parts(job, frame).await? {
+        Parts::Stored { hash } => scaled(farm, &hash, width_px, "no-cache", headers).await,
+        Parts::Unfinished { state, blobs } => unfinished(farm, job, frame, width_px, state, blobs, headers).await,
+        Parts::NoFrame(frames) => Err(ApiError::UnknownFrame { job, frame: frame.to_string(), frames }),
+        Parts::NoJob => Err(ApiError::UnknownJob(job.to_string())),
+    }
+}
+
+async fn scaled(
+    farm: &Farm,
+    hash: &str,
+    width_px: u32,
+    cache: &'static str,
+    headers: &HeaderMap,
+) -> Result<Response, ApiError> {
+    let tag = format!("\"{hash}-{width_px}\"");
+    if is_known(headers, &tag) {
+        return Ok(describe(StatusCode::NOT_MODIFIED.into_response(), &tag, cache));
+    }
+    let name = Name::parse(hash).ok_or(ApiError::LostPicture)?;
+    if farm.pictures.size_bytes(Kind::Picture, &name).await?.is_none() {
+        return Err(ApiError::LostPicture);
+    }
+    let sketch = Sketch::Stored { file: Kind::Picture.file(&farm.config.data, hash), width_px };
+    let picture = farm.sketches.picture(&tag, &sketch).await?;
+    Ok(png(picture, &tag, cache))
+}
+
+async fn unfinished(
+    farm: &Farm,
+    job: JobId,
+    frame: u32,
+    width_px: u32,
+    state: JobState,
+    blobs: Vec<String>,
+    headers: &HeaderMap,
+) -> Result<Response, ApiError> {
+    let shown = format!("{job} {frame} {width_px} {} {}", state.name(), blobs.join(" "));
+    let tag = format!("\"{}\"", blake3::hash(shown.as_bytes()).to_hex());
+    if is_known(headers, &tag) {
+        return Ok(describe(StatusCode::NOT_MODIFIED.into_response(), &tag, "no-cache"));
+    }
+    let text = farm.queue.file(job).await?.ok_or_else(|| ApiError::UnknownJob(job.to_string()))?;
+    let sketch = Sketch::Unfinished {
+        job: text,
+        frame,
+        width_px,
+        tiles: blobs.iter().map(|hash| Kind::Blob.file(&farm.config.data, hash)).collect(),
+        coarse: farm.sketches.coarse(job, frame),
+        coarse_ms: COARSE_MS,
+    };
+    let picture = farm.sketches.picture(&tag, &sketch).await?;
+    Ok(png(picture, &tag, "no-cache"))
+}
+
+fn is_known(headers: &HeaderMap, tag: &str) -> bool {
+    let known = headers.get(header::IF_NONE_MATCH).and_then(|value| value.to_str().ok());
+    known.is_some_and(|named| range::names(named, tag))
+}
+
+fn png(picture: bytes::Bytes, tag: &str, cache: &'static str) -> Response {
+    let mut response = describe(Body::from(picture).into_response(), tag, cache);
+    response.headers_mut().insert(header::CONTENT_TYPE, HeaderValue::from_static("image/png"));
+    response
+}
+
+fn describe(mut response: Response, tag: &str, cache: &'static str) -> Response {
+    images::set(&mut response, header::ETAG, tag);
+    images::set(&mut response, header::CACHE_CONTROL, cache);
+    response
+}

@@ -1,0 +1,37 @@
+//! Garbage collection on demand: what need not be kept goes, or is told.
+
+use std::sync::Arc;
+
+use axum::Json;
+use axum::extract::State;
+use axum::http::Uri;
+use proto::retention::Collection;
+use serde::Deserialize;
+
+use super::body;
+use super::error::ApiError;
+use crate::farm::Farm;
+use crate::retention;
+
+#[derive(Debug, Deserialize)]
+struct CollectQuery {
+    #[serde(default)]
+    dry_run: bool,
+}
+
+/// Remove the jobs that need not be kept.
+///
+/// The server does this by itself every ten minutes. At most 1000 jobs go at a time; `more` says that there may
+/// be others.
+#[utoipa::path(
+    post, path = "/v1/gc", tag = "jobs", operation_id = "collect_garbage",
+    params(("dry_run" = Option<bool>, Query, description = "Only tell what would go")),
+    responses(
+        (status = 200, description = "What went, or would go", body = ref("#/components/schemas/Collection")),
+        (status = 422, description = "Wrong query", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
+    )
+)]
+pub(super) async fn collect(State(farm): State<Arc<Farm>>, uri: Uri) -> Result<Json<Collection>, ApiError> {
+    let query: CollectQuery = body::read_query(&uri)?;
+    Ok(Json(retention::collect(&farm, query.dry_run).await?))
+}

@@ -1,0 +1,152 @@
+//! Signed, expiring links to pictures: HMAC-SHA256 over what is shown and until when, under a secret
+//! that is made at the first start and stays in the data folder.
+//!
+//! Nothing here knows what time it is, or whether there is such a picture.
+
+use std::fmt;
+use std::fs::{File, OpenOptions};
+use std::io::{self, Read, Write};
+use std::os::unix::fs::OpenOptionsExt;
+use std::path::Path;
+
+use base64::Engine;
+use base64::prelude::BASE64_URL_SAFE_NO_PAD;
+use hmac::{Hmac, KeyInit, Mac};
+use proto::JobId;
+use proto::link::Shown;
+use sha2::Sha256;
+
+/// The secret's file in the data folder.
+const FILE: &str = "links.secret";
+/// Bytes of the secret.
+const SECRET_BYTES: usize = 32;
+/// What is signed begins so, so that a signature means nothing anywhere else.
+const PURPOSE: &str = "sdfarm picture link, version 1";
+
+/// What a link shows, and until when.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) struct Linked {
+    /// The job.
+    pub(crate) job: JobId,
+    /// The frame, from 0.
+    pub(crate) frame: u32,
+    /// Of the frame, what.
+    pub(crate) shown: Shown,
+    /// Seconds since 1970 from which it shows nothing.
+    pub(crate) expires_seconds: i64,
+}
+
+/// Signs links, and checks them.
+pub(crate) struct Links {
+    secret: [u8; SECRET_BYTES],
+}
+
+impl fmt::Debug for Links {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str("Links(secret)")
+    }
+}
+
+impl Links {
+    /// Reads the secret of a data folder, or makes one.
+    pub(crate) fn open(data: &Path) -> io::Result<Self> {
+        let path = data.join(FILE);
+        let mut secret = [0; SECRET_BYTES];
+        match File::open(&path) {
+            Ok(mut file) => {
+                let mut bytes = Vec::new();
+                Read::by_ref(&mut file).take(SECRET_BYTES as u64 + 1).read_to_end(&mut bytes)?;
+                secret = bytes.try_into().map_err(|_| {
+                    io::Error::other(format!("{FILE} is damaged: remove it, which ends all links signed so far"))
+                })?;
+            }
+            Err(error) if error.kind() == io::ErrorKind::NotFound => {
+                getrandom::fill(&mut secret).map_err(io::Error::other)?;
+                keep(data, &path, &secret)?;
+            }
+            Err(error) => return Err(error),
+        }
+        Ok(Self { secret })
+    }
+
+    /// The signature of a link.
+    pub(crate) fn sign(&self, linked: &Linked) -> String {
+        BASE64_URL_SAFE_NO_PAD.encode(self.code(linked).finalize().into_bytes())
+    }
+
+    /// Whether a signature is a link's; the time it takes does not tell where they differ.
+    pub(crate) fn is_signed(&self, linked: &Linked, signature: &str) -> bool {
+        BASE64_URL_SAFE_NO_PAD
+            .decode(signature)
+            .is_ok_and(|signature| self.code(linked).verify_slice(&signature).is_ok())
+    }
+
+    fn code(&self, linked: &Linked) -> Hmac<Sha256> {
+        let Linked { job, frame, shown, expires_seconds } = linked;
+        let mut code = Hmac::<Sha256>::new_from_slice(&self.secret).expect("HMAC takes keys of any length");
+        code.update(format!("{PURPOSE}\n{job}\n{frame}\n{}\n{expires_seconds}", shown.name()).as_bytes());
+        code
+    }
+}
+
+/// Writes the secret so that it is there whole or not at all, for the owner's eyes only.
+fn keep(data: &Path, path: &Path, secret: &[u8]) -> io::Result<()> {
+    let half = data.join(format!("{FILE}.part"));
+    match std::fs::remove_file(&half) {
+        Err(error) if error.kind() != io::ErrorKind::NotFound => return Err(error),
+        Ok(()) | Err(_) => {}
+    }
+    let mut file = OpenOptions::new().write(true).create_new(true).mode(0o600).open(&half)?;
+    file.write_all(secret)?;
+    file.sync_all()?;
+    std::fs::rename(&half, path)?;
+    File::open(data)?.sync_all()
+}
+
+#[cfg(test)]
+mod tests {
+    use std::os::unix::fs::PermissionsExt;
+
+    use super::*;
+
+    #[test]
+    fn a_secret_outlives_its_server_and_is_for_its_owner_only() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let linked = Linked { job: JobId::new(), frame: 3, shown: Shown::Image, expires_seconds: 1_700_000_000 };
+        let signature = Links::open(folder.path()).expect("made").sign(&linked);
+        let again = Links::open(folder.path()).expect("read");
+        assert!(again.is_signed(&linked, &signature));
+        let mode = std::fs::metadata(folder.path().join(FILE)).expect("there").permissions().mode();
+        assert_eq!(mode & 0o777, 0o600);
+        assert_eq!(format!("{again:?}"), "Links(secret)");
+        let elsewhere = tempfile::tempdir().expect("a folder");
+        assert!(!Links::open(elsewhere.path()).expect("made").is_signed(&linked, &signature));
+    }
+
+    #[test]
+    fn a_signature_holds_for_what_was_signed_and_for_nothing_else() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let links = Links::open(folder.path()).expect("made");
+        let linked = Linked { job: JobId::new(), frame: 3, shown: Shown::Image, expires_seconds: 100 };
+        let signature = links.sign(&linked);
+        for other in [
+            Linked { job: JobId::new(), ..linked },
+            Linked { frame: 4, ..linked },
+            Linked { shown: Shown::Preview, ..linked },
+            Linked { expires_seconds: 101, ..linked },
+        ] {
+            assert!(!links.is_signed(&other, &signature), "{other:?}");
+        }
+        for wrong in ["", "AAAA", &signature[1..], &format!("{signature}="), &format!("{signature}A"), "%%%"] {
+            assert!(!links.is_signed(&linked, wrong), "{wrong}");
+        }
+    }
+
+    #[test]
+    fn a_damaged_secret_is_told_with_its_cure() {
+        let folder = tempfile::tempdir().expect("a folder");
+        std::fs::write(folder.path().join(FILE), b"short").expect("written");
+        let error = Links::open(folder.path()).expect_err("too short").to_string();
+        assert!(error.contains("remove it"), "{error}");
+    }
+}

@@ -1,0 +1,87 @@
+//! What a preview or an estimate needs to know: a frame's finished parts, and the workers that are there.
+//! Reads only.
+
+use proto::JobId;
+use proto::job::JobState;
+use sqlx::Row;
+
+use super::{Queue, Result, end};
+
+/// What there is of a frame.
+#[derive(Clone, Debug)]
+pub(crate) enum Parts {
+    /// Its picture is stored under this hash.
+    Stored {
+        /// BLAKE3 of its bytes, in hex.
+        hash: String,
+    },
+    /// Some of its tiles may be finished.
+    Unfinished {
+        /// The state of its job.
+        state: JobState,
+        /// Hashes of the finished tiles' blobs.
+        blobs: Vec<String>,
+    },
+    /// The job has fewer frames.
+    NoFrame(u32),
+    /// There is no such job.
+    NoJob,
+}
+
+/// A worker that takes work, as an estimate counts it.
+#[derive(Clone, Debug)]
+pub(crate) struct Present {
+    /// `cpu` or `cuda:0`.
+    pub(crate) device: String,
+    /// It is a child of this server.
+    pub(crate) pool: bool,
+    /// Its measured camera rays a second, of whatever it rendered last.
+    pub(crate) rays_per_second: Option<f64>,
+}
+
+impl Queue {
+    /// What there is of a frame.
+    pub(crate) async fn parts(&self, id: JobId, frame: u32) -> Result<Parts> {
+        let row = sqlx::query(
+            "SELECT job.number, job.state, job.frames_total, frame.picture
+             FROM job LEFT JOIN frame ON frame.job = job.number AND frame.number = ? WHERE job.id = ?",
+        )
+        .bind(frame)
+        .bind(id.to_string())
+        .fetch_optional(self.readers())
+        .await?;
+        let Some(row) = row else { return Ok(Parts::NoJob) };
+        let frames: u32 = row.try_get("frames_total")?;
+        if frame >= frames {
+            return Ok(Parts::NoFrame(frames));
+        }
+        if let Some(hash) = row.try_get("picture")? {
+            return Ok(Parts::Stored { hash });
+        }
+        let blobs = sqlx::query_scalar(
+            "SELECT blob FROM tile WHERE job = ? AND frame = ? AND blob IS NOT NULL ORDER BY position",
+        )
+        .bind(row.try_get::<i64, _>("number")?)
+        .bind(frame)
+        .fetch_all(self.readers())
+        .await?;
+        Ok(Parts::Unfinished { state: end::job_state(&row.try_get::<String, _>("state")?)?, blobs })
+    }
+
+    /// The workers that take work.
+    pub(crate) async fn present(&self) -> Result<Vec<Present>> {
+        let rows = sqlx::query(
+            "SELECT device, pool, rays_per_second FROM worker WHERE state <> 'gone' AND state IN ('starting', 'ready')",
+        )
+        .fetch_all(self.readers())
+        .await?;
+        let present = rows.iter().map(|row| {
+            Ok(Present {
+                device: row.try_get("device")?,
+                pool: row.try_get("pool")?,
+                rays_per_second: row.try_get("rays_per_second")?,
+            })
+        });
+        present.collect()
+    }
+}

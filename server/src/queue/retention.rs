@@ -1,0 +1,183 @@
+//! Ended jobs that need not be kept: found by index, oldest first, and removed one a transaction.
+//!
+//! Only rows go here; the bytes that nobody shows any more are swept by the janitor afterwards, so that a
+//! kill between the two leaves bytes without a row, which it finds, and never a row without bytes.
+
+use proto::{JobId, Keep};
+use sqlx::Row;
+use sqlx::sqlite::SqliteRow;
+
+use super::{Connection, Queue, Result, end, json_numbers, known};
+use crate::store::Durability;
+
+/// `job.keep_ms` of a job that is kept for ever.
+const FOR_EVER: i64 = -1;
+/// Tiles that are removed in a transaction; the tiles of a larger job go before it, so many at a time.
+const TILES_AT_ONCE: i64 = 5_000;
+
+/// Jobs whose own time is over.
+const OVER: &str = "SELECT number, id, name, finished_at_ms, keep_ms FROM job INDEXED BY job_by_own_end
+     WHERE finished_at_ms IS NOT NULL AND keep_ms >= 0 AND finished_at_ms + keep_ms <= ?
+     ORDER BY finished_at_ms + keep_ms LIMIT ?";
+
+/// Jobs without a time of their own that finished so long ago.
+const OLD: &str = "SELECT number, id, name, finished_at_ms, keep_ms FROM job INDEXED BY job_by_finish
+     WHERE finished_at_ms IS NOT NULL AND keep_ms IS NULL AND finished_at_ms <= ?
+     ORDER BY finished_at_ms LIMIT ?";
+
+/// Jobs that a full store may lose, from the oldest.
+const OLDEST: &str = "SELECT number, id, name, finished_at_ms, keep_ms FROM job INDEXED BY job_not_for_ever
+     WHERE finished_at_ms IS NOT NULL AND (keep_ms IS NULL OR keep_ms >= 0)
+       AND (finished_at_ms, number) > (?, ?)
+     ORDER BY finished_at_ms, number LIMIT ?";
+
+/// Bytes of the pictures of a job that no job shows but it and those of a list.
+const FREED: &str = "SELECT coalesce(sum(size_bytes), 0) FROM (
+         SELECT DISTINCT picture, size_bytes FROM frame AS own
+         WHERE own.job = ?1 AND own.picture IS NOT NULL AND NOT EXISTS (
+             SELECT 1 FROM frame AS other WHERE other.picture = own.picture AND other.picture IS NOT NULL
+             AND other.job <> ?1 AND other.job NOT IN (SELECT value FROM json_each(?2))))";
+
+/// Tiles of a job that has ended and whose tiles nobody will ask for.
+const FEWER_TILES: &str = "DELETE FROM tile WHERE id IN (SELECT id FROM tile WHERE job = ?1 LIMIT ?2)
+     AND EXISTS (SELECT 1 FROM job WHERE number = ?1 AND finished_at_ms = ?3 AND keep_ms IS ?4
+                 AND state IN ('succeeded', 'cancelled'))";
+
+/// A finished job, as it was when it was found.
+#[derive(Clone, Debug)]
+pub(crate) struct Ended {
+    /// Its number.
+    pub(crate) number: i64,
+    /// Its id.
+    pub(crate) id: JobId,
+    /// Its name.
+    pub(crate) name: String,
+    /// When it finished, by the wall clock.
+    pub(crate) finished_at_ms: i64,
+    keep_ms: Option<i64>,
+}
+
+/// What may be left over of a job that was removed.
+#[derive(Clone, Debug)]
+pub(crate) struct Removed {
+    /// Hashes of its pictures.
+    pub(crate) pictures: Vec<String>,
+    /// Hashes of its tiles' blobs.
+    pub(crate) blobs: Vec<String>,
+}
+
+/// Writes down how long a job wants to be kept.
+pub(super) async fn keep(connection: &mut Connection, job: i64, keep: Keep) -> Result<()> {
+    let keep_ms = match keep {
+        Keep::Forever => FOR_EVER,
+        Keep::For(time) => i64::try_from(time.as_millis()).unwrap_or(FOR_EVER),
+    };
+    let kept =
+        sqlx::query("UPDATE job SET keep_ms = ? WHERE number = ?").bind(keep_ms).bind(job).execute(connection).await?;
+    super::counted("job: kept", 1, &kept)
+}
+
+fn read(row: &SqliteRow) -> Result<Ended> {
+    let id: String = row.try_get("id")?;
+    Ok(Ended {
+        number: row.try_get("number")?,
+        id: known("job.id", &id, |id| id.parse().ok())?,
+        name: row.try_get("name")?,
+        finished_at_ms: row.try_get("finished_at_ms")?,
+        keep_ms: row.try_get("keep_ms")?,
+    })
+}
+
+impl Queue {
+    /// Jobs whose time is over: their own, or that of jobs which have none. At most `limit` of each.
+    pub(crate) async fn outdated(&self, kept_ms: Option<i64>, limit: u32) -> Result<Vec<Ended>> {
+        let wall_ms = self.clock.wall_ms();
+        let mut rows = sqlx::query(OVER).bind(wall_ms).bind(limit).fetch_all(self.readers()).await?;
+        if let Some(kept_ms) = kept_ms {
+            let before_ms = wall_ms.saturating_sub(kept_ms);
+            rows.extend(sqlx::query(OLD).bind(before_ms).bind(limit).fetch_all(self.readers()).await?);
+        }
+        rows.iter().map(read).collect()
+    }
+
+    /// Ended jobs not kept for ever, from the oldest; those behind `after`, if it is given.
+    pub(crate) async fn oldest(&self, after: Option<&Ended>, limit: u32) -> Result<Vec<Ended>> {
+        let (finished_at_ms, number) = after.map_or((i64::MIN, i64::MIN), |job| (job.finished_at_ms, job.number));
+        let query = sqlx::query(OLDEST).bind(finished_at_ms).bind(number).bind(limit);
+        query.fetch_all(self.readers()).await?.iter().map(read).collect()
+    }
+
+    /// Bytes of a job's pictures that nobody shows once it and the jobs of these numbers are gone.
+    pub(crate) async fn freed_bytes(&self, job: &Ended, gone: &[i64]) -> Result<u64> {
+        let query = sqlx::query_scalar(FREED).bind(job.number).bind(json_numbers(gone.iter().copied()));
+        Ok(query.fetch_one(self.readers()).await?)
+    }
+
+    /// Removes a job if it is still as it was found; `None` if it is not.
+    pub(crate) async fn remove(&self, job: &Ended) -> Result<Option<Removed>> {
+        loop {
+            let few = job.clone();
+            let fewer = self
+                .store
+                .write(Durability::Relaxed, move |connection| {
+                    Box::pin(async move { fewer_tiles(connection, &few).await })
+                })
+                .await?;
+            if fewer < TILES_AT_ONCE as u64 {
+                break;
+            }
+        }
+        let job = job.clone();
+        self.store
+            .write(Durability::Full, move |connection| Box::pin(async move { remove(connection, &job).await }))
+            .await
+    }
+}
+
+async fn fewer_tiles(connection: &mut Connection, job: &Ended) -> Result<u64> {
+    let fewer = sqlx::query(FEWER_TILES)
+        .bind(job.number)
+        .bind(TILES_AT_ONCE)
+        .bind(job.finished_at_ms)
+        .bind(job.keep_ms)
+        .execute(connection)
+        .await?;
+    Ok(fewer.rows_affected())
+}
+
+async fn remove(connection: &mut Connection, job: &Ended) -> Result<Option<Removed>> {
+    let same: Option<i64> =
+        sqlx::query_scalar("SELECT number FROM job WHERE number = ? AND finished_at_ms = ? AND keep_ms IS ?")
+            .bind(job.number)
+            .bind(job.finished_at_ms)
+            .bind(job.keep_ms)
+            .fetch_optional(&mut *connection)
+            .await?;
+    let Some(number) = same else { return Ok(None) };
+    let (pictures, blobs) = end::forget(connection, number).await?;
+    Ok(Some(Removed { pictures, blobs }))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::clock::Clock;
+    use crate::store::Store;
+
+    #[tokio::test]
+    async fn jobs_to_remove_are_found_without_reading_a_table_from_end_to_end() {
+        let folder = tempfile::tempdir().expect("a temporary folder");
+        let store = Store::open(folder.path()).await.expect("opens");
+        let (queue, _) = Queue::open(store.into(), Clock::by_hand().0, 1000).await.expect("opens");
+        for statement in [OVER, OLD, OLDEST, FREED, FEWER_TILES] {
+            let plan = format!("EXPLAIN QUERY PLAN {statement}");
+            let rows = sqlx::query(sqlx::AssertSqlSafe(plan)).fetch_all(queue.readers()).await.expect("explains");
+            for row in rows {
+                let step: String = row.get("detail");
+                let reads = ["SCAN job", "SCAN frame", "SCAN tile", "SCAN own", "SCAN other", "TEMP B-TREE FOR ORDER"];
+                let ordered = step.contains("USING INDEX job_not_for_ever");
+                assert!(ordered || !reads.iter().any(|word| step.contains(word)), "{step} in {statement}");
+            }
+        }
+    }
+}

@@ -1,0 +1,122 @@
+//! Retention: jobs go by age, their own or the server's, and by the size of the store, those that finished
+//! first. Never an unfinished job, and never a picture that a job which stays still shows.
+//!
+//! It decides who goes; the queue removes rows, and bytes are swept as after any deletion.
+
+use std::collections::BTreeSet;
+
+use futures_util::stream::TryStreamExt;
+use proto::retention::{Collected, Collection, Reason};
+
+use crate::clock::rfc3339;
+use crate::farm::Farm;
+use crate::pictures::Kind;
+use crate::queue::Ended;
+use crate::store::StoreError;
+
+/// Jobs removed in one go, at most.
+const MAX_JOBS: usize = 1000;
+/// Jobs looked up at a time.
+const PAGE: u32 = 200;
+
+/// Why jobs could not be removed.
+#[derive(Debug, thiserror::Error)]
+pub(crate) enum RetentionError {
+    /// The database could not do it.
+    #[error(transparent)]
+    Store(#[from] StoreError),
+    /// The store's size could not be found out.
+    #[error("could not find out how large the store is")]
+    Size(#[from] object_store::Error),
+}
+
+/// A job that goes, and why.
+struct Going {
+    job: Ended,
+    reason: Reason,
+    freed_bytes: u64,
+}
+
+/// Removes the jobs that need not be kept, or with `dry_run` only tells which those are.
+pub(crate) async fn collect(farm: &Farm, dry_run: bool) -> Result<Collection, RetentionError> {
+    let store_bytes = store_bytes(farm).await?;
+    let going = choose(farm, store_bytes).await?;
+    let more = going.len() == MAX_JOBS;
+    let mut jobs = Vec::with_capacity(going.len());
+    for Going { job, reason, freed_bytes } in going {
+        if !dry_run {
+            let Some(removed) = farm.queue.remove(&job).await? else { continue };
+            tracing::info!(job = %job.id, reason = reason.name(), freed_bytes, "removed a job that need not be kept");
+            farm.sweep_later(Kind::Picture, removed.pictures);
+            farm.sweep_later(Kind::Blob, removed.blobs);
+        }
+        let finished_at = rfc3339(job.finished_at_ms);
+        jobs.push(Collected { id: job.id, name: job.name, finished_at, reason, freed_bytes });
+    }
+    let freed_bytes = jobs.iter().map(|job| job.freed_bytes).sum();
+    Ok(Collection { dry_run, store_bytes, max_store_bytes: farm.config.max_store_bytes, freed_bytes, jobs, more })
+}
+
+/// Removes all that need not be kept, unless the server ends.
+pub(crate) async fn collect_all(farm: &Farm) -> Result<(), RetentionError> {
+    while !farm.ending.is_cancelled() && collect(farm, false).await?.more {}
+    Ok(())
+}
+
+async fn store_bytes(farm: &Farm) -> object_store::Result<u64> {
+    let mut sum_bytes = 0;
+    for kind in [Kind::Picture, Kind::Blob] {
+        sum_bytes += farm
+            .pictures
+            .list(kind)
+            .try_fold(0, async |bytes, meta| Ok::<_, object_store::Error>(bytes + meta.size))
+            .await?;
+    }
+    Ok(sum_bytes)
+}
+
+async fn choose(farm: &Farm, store_bytes: u64) -> Result<Vec<Going>, StoreError> {
+    let kept_ms = farm.config.keep_jobs.map(|time| i64::try_from(time.as_millis()).unwrap_or(i64::MAX));
+    let mut going = Vec::new();
+    let mut numbers = Vec::new();
+    let mut left_bytes = store_bytes;
+    let mut outdated = farm.queue.outdated(kept_ms, MAX_JOBS as u32).await?;
+    outdated.truncate(MAX_JOBS);
+    for job in outdated {
+        let freed_bytes = farm.queue.freed_bytes(&job, &numbers).await?;
+        left_bytes = left_bytes.saturating_sub(freed_bytes);
+        numbers.push(job.number);
+        going.push(Going { job, reason: Reason::Age, freed_bytes });
+    }
+    let Some(max_bytes) = farm.config.max_store_bytes else { return Ok(going) };
+    let mut after: Option<Ended> = None;
+    while left_bytes > max_bytes && going.len() < MAX_JOBS {
+        let page = farm.queue.oldest(after.as_ref(), PAGE).await?;
+        let Some(last) = page.last() else { break };
+        after = Some(last.clone());
+        for job in page {
+            if left_bytes <= max_bytes || going.len() == MAX_JOBS {
+                break;
+            }
+            if numbers.contains(&job.number) {
+                continue;
+            }
+            let freed_bytes = farm.queue.freed_bytes(&job, &numbers).await?;
+            left_bytes = left_bytes.saturating_sub(freed_bytes);
+            numbers.push(job.number);
+            going.push(Going { job, reason: Reason::Size, freed_bytes });
+        }
+    }
+    spare(farm, going, &numbers).await
+}
+
+/// Of the jobs that go for the store's size, those stay whose pictures are shown by others anyway.
+async fn spare(farm: &Farm, going: Vec<Going>, numbers: &[i64]) -> Result<Vec<Going>, StoreError> {
+    let mut spared = BTreeSet::new();
+    for one in going.iter().filter(|one| one.reason == Reason::Size && one.freed_bytes == 0) {
+        if farm.queue.freed_bytes(&one.job, numbers).await? == 0 {
+            spared.insert(one.job.number);
+        }
+    }
+    Ok(going.into_iter().filter(|one| !spared.contains(&one.job.number)).collect())
+}
