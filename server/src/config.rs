@@ -9,6 +9,18 @@ use proto::pool::MAX_POOL_WORKERS;
 /// Unfinished jobs that a farm takes, unless its operator says otherwise.
 pub const MAX_QUEUED_JOBS: u32 = 100_000;
 
+/// Connections at a time, unless its operator says otherwise.
+pub const MAX_CONNECTIONS: u32 = 16_384;
+
+/// Where a certificate is.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct TlsFiles {
+    /// A chain of certificates in PEM, the server's own first.
+    pub certificate: PathBuf,
+    /// Its private key, in PEM.
+    pub key: PathBuf,
+}
+
 /// What an operator decides about a server. `Config::default()` is what `serve` says without flags.
 #[derive(Clone, Debug)]
 pub struct Config {
@@ -30,6 +42,10 @@ pub struct Config {
     pub lease: Duration,
     /// Listen beyond loopback although there are no keys.
     pub insecure: bool,
+    /// The certificate to show; without one the server speaks plain HTTP.
+    pub tls: Option<TlsFiles>,
+    /// Connections at a time; as many as the system grants files for, at most.
+    pub max_connections: u32,
     /// Unfinished jobs that the farm takes.
     pub max_queued_jobs: u32,
     /// Names, without port, that the `Host` header may carry besides loopback's and addresses.
@@ -69,6 +85,8 @@ impl Default for Config {
             tile_px: None,
             lease: Duration::from_secs(30),
             insecure: false,
+            tls: None,
+            max_connections: MAX_CONNECTIONS,
             max_queued_jobs: MAX_QUEUED_JOBS,
             hosts: Vec::new(),
             worker_program: PathBuf::from("sdfarm"),

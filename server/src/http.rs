@@ -25,6 +25,8 @@ mod rules;
 mod trace;
 mod traces;
 
+pub(crate) use caller::Peer;
+
 use std::any::Any;
 use std::sync::Arc;
 

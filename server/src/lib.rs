@@ -15,6 +15,7 @@ mod janitor;
 mod jobs;
 mod keys;
 mod links;
+mod listen;
 mod lock;
 mod pictures;
 mod plan;
@@ -30,17 +31,17 @@ use std::net::SocketAddr;
 use std::sync::Arc;
 use std::time::Duration;
 
-use tokio::net::TcpListener;
 use tokio::sync::mpsc;
 use tokio_util::sync::CancellationToken;
 
 pub use audit::{Audit, AuditError, DoneTile, audit};
 pub use clock::{Clock, Hand};
-pub use config::{Config, MAX_QUEUED_JOBS};
+pub use config::{Config, MAX_CONNECTIONS, MAX_QUEUED_JOBS, TlsFiles};
 pub use keys::{KeyFolder, KeyFolderError};
 pub use start::StartError;
 
 use farm::{Farm, Leftovers};
+use listen::Entrance;
 use lock::FolderLock;
 use store::Store;
 
@@ -58,8 +59,7 @@ pub enum ServeError {
 /// A server that has its data folder, its database and its address.
 #[derive(Debug)]
 pub struct Server {
-    listener: TcpListener,
-    address: SocketAddr,
+    entrance: Entrance,
     farm: Arc<Farm>,
     store: Arc<Store>,
     leftovers: mpsc::UnboundedReceiver<Leftovers>,
@@ -81,18 +81,22 @@ impl Server {
 
     /// Where it listens.
     pub fn address(&self) -> SocketAddr {
-        self.address
+        self.entrance.address()
+    }
+
+    /// Its address as clients write it: `http://HOST:PORT`, or `https://HOST:PORT` with a certificate.
+    pub fn url(&self) -> String {
+        let scheme = if self.farm.config.tls.is_some() { "https" } else { "http" };
+        format!("{scheme}://{}", self.address())
     }
 
     /// Serves until `shutdown`, then takes no more jobs, lets local workers finish or hand back
     /// what they hold, and closes the database.
     pub async fn run(self, shutdown: CancellationToken) -> Result<(), ServeError> {
-        let Self { listener, address, farm, store, leftovers, lock } = self;
+        let Self { entrance, farm, store, leftovers, lock } = self;
         let router = http::router(Arc::clone(&farm));
-        let ending = farm.ending.clone();
-        let mut serving = tokio::spawn(async move {
-            axum::serve(listener, router).with_graceful_shutdown(ending.cancelled_owned()).await
-        });
+        let (address, pool_address) = (entrance.address(), entrance.pool_address());
+        let mut serving = tokio::spawn(entrance.serve(router, farm.ending.clone()));
         let janitor = tokio::spawn(janitor::run(Arc::clone(&farm), leftovers, farm.ending.clone()));
         let telling = tokio::spawn({
             let farm = Arc::clone(&farm);
@@ -100,7 +104,7 @@ impl Server {
         });
         let doors = farm.clone();
         let doors = tokio::spawn(async move { doors.doors.run(doors.ending.clone()).await });
-        let pool = farm.pool.start(&farm.config, address, farm.queue.clone());
+        let pool = farm.pool.start(&farm.config, pool_address, farm.queue.clone());
         tracing::info!(%address, "serving");
         let failed = tokio::select! {
             () = shutdown.cancelled() => None,

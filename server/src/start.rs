@@ -6,7 +6,6 @@ use std::net::SocketAddr;
 use std::path::PathBuf;
 use std::sync::Arc;
 
-use tokio::net::TcpListener;
 use tokio::sync::mpsc;
 use tokio_util::sync::CancellationToken;
 
@@ -18,6 +17,7 @@ use crate::events::Events;
 use crate::farm::{Farm, Totals};
 use crate::jobs::Jobs;
 use crate::links::Links;
+use crate::listen::Entrance;
 use crate::lock::{FolderLock, LockError};
 use crate::pictures::Pictures;
 use crate::pool::Pool;
@@ -64,6 +64,9 @@ pub enum StartError {
         /// What to do.
         cure: &'static str,
     },
+    /// The certificate can't be used.
+    #[error("can't offer TLS: {0}; name PEM files with --tls-cert and --tls-key")]
+    Tls(String),
     /// The address can't be had.
     #[error("can't listen on {address}: {source}; stop what listens there, or choose another address with --listen")]
     Listen {
@@ -90,16 +93,13 @@ pub(crate) async fn start(config: Config, clock: Clock) -> Result<Server, StartE
     let pictures = Pictures::open(&config.data).map_err(folder)?;
     let links = Links::open(&config.data).map_err(folder)?;
     let sketches = Sketches::open(&config.data, &config.worker_program).map_err(folder)?;
-    let listener = TcpListener::bind(config.listen)
-        .await
-        .map_err(|source| StartError::Listen { address: config.listen, source })?;
-    let address = listener.local_addr().map_err(|source| StartError::Listen { address: config.listen, source })?;
+    let entrance = Entrance::open(&config).await?;
     let file = Store::file(&config.data);
     let store = Arc::new(Store::open(&config.data).await.map_err(|error| explain(file.clone(), error))?);
     let lease_ms = i64::try_from(config.lease.as_millis()).unwrap_or(i64::MAX / 4).max(1);
     let doors =
         Doors::open(Arc::clone(&store), clock.clone()).await.map_err(|error| explain_store(file.clone(), &error))?;
-    if !address.ip().is_loopback() && !config.insecure && doors.keys.live() == 0 {
+    if !entrance.address().ip().is_loopback() && !config.insecure && doors.keys.live() == 0 {
         store.close().await;
         return Err(StartError::Exposed(config.listen));
     }
@@ -126,7 +126,7 @@ pub(crate) async fn start(config: Config, clock: Clock) -> Result<Server, StartE
         ending: CancellationToken::new(),
         config,
     });
-    Ok(Server { listener, address, farm, store, leftovers, lock })
+    Ok(Server { entrance, farm, store, leftovers, lock })
 }
 
 fn explain(file: PathBuf, error: OpenError) -> StartError {

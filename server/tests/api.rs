@@ -3,6 +3,7 @@
 mod api {
     mod bad_input;
     mod change;
+    mod connections;
     mod events;
     pub(crate) mod harness;
     mod images;
@@ -12,6 +13,7 @@ mod api {
     mod life;
     mod links;
     mod load;
+    mod matrix;
     mod nodes;
     mod pool;
     mod previews;

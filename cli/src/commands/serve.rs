@@ -8,7 +8,7 @@ use anyhow::Context;
 use clap::Args;
 use proto::Keep;
 use proto::pool::MAX_POOL_WORKERS;
-use server::{Config, MAX_QUEUED_JOBS, Server};
+use server::{Config, MAX_CONNECTIONS, MAX_QUEUED_JOBS, Server, TlsFiles};
 use tokio_util::sync::CancellationToken;
 use worker::{CpuRenderer, RenderError, Simd};
 
@@ -47,6 +47,15 @@ pub(crate) struct Arguments {
     /// How long a worker may be silent before its tiles are leased to others.
     #[arg(long, value_name = "SECONDS", env = "SDFARM_LEASE_SECONDS", default_value_t = 30, value_parser = clap::value_parser!(u64).range(1..=3600))]
     lease_seconds: u64,
+    /// Certificates to show to those who connect, in PEM, the server's own first: it then speaks https.
+    #[arg(long, value_name = "FILE", env = "SDFARM_TLS_CERT", requires = "tls_key")]
+    tls_cert: Option<PathBuf>,
+    /// The certificate's private key, in PEM. Both files are read again when they change.
+    #[arg(long, value_name = "FILE", env = "SDFARM_TLS_KEY", requires = "tls_cert")]
+    tls_key: Option<PathBuf>,
+    /// Connections at a time; when there are more, those go that have been idle longest.
+    #[arg(long, value_name = "N", env = "SDFARM_MAX_CONNECTIONS", default_value_t = MAX_CONNECTIONS, value_parser = clap::value_parser!(u32).range(1..))]
+    max_connections: u32,
     /// Unfinished jobs that the farm takes before it says that its queue is full.
     #[arg(long, value_name = "N", env = "SDFARM_MAX_QUEUED_JOBS", default_value_t = MAX_QUEUED_JOBS, value_parser = clap::value_parser!(u32).range(1..=i64::from(MOST_QUEUED_JOBS)))]
     max_queued_jobs: u32,
@@ -76,6 +85,8 @@ impl Arguments {
             tile_px: self.tile,
             lease: Duration::from_secs(self.lease_seconds),
             insecure: self.insecure,
+            tls: self.tls_cert.zip(self.tls_key).map(|(certificate, key)| TlsFiles { certificate, key }),
+            max_connections: self.max_connections,
             max_queued_jobs: self.max_queued_jobs,
             hosts: self.host,
             keep_jobs: match self.keep_jobs {
@@ -96,8 +107,8 @@ pub(crate) async fn run(arguments: Arguments) -> anyhow::Result<()> {
     let signals = Signals::catch()?;
     let shutdown = CancellationToken::new();
     let server = Server::start(arguments.config()?).await?;
-    let address = server.address();
-    say(&format!("sdfarm serves http://{address} (its API: http://{address}/docs)"))?;
+    let url = server.url();
+    say(&format!("sdfarm serves {url} (its API: {url}/docs)"))?;
     signals.stop_gracefully(shutdown.clone());
     server.run(shutdown).await?;
     Ok(())

@@ -29,7 +29,7 @@ pub(super) async fn read(body: Body, limit_bytes: usize) -> Result<Bytes, ApiErr
     let mut bytes = BytesMut::new();
     let mut size_bytes = 0;
     while let Some(chunk) = stream.next().await {
-        let chunk = chunk.map_err(|error| ApiError::BrokenBody(error.to_string()))?;
+        let chunk = chunk.map_err(|error| ApiError::broken_body(&error))?;
         size_bytes += chunk.len();
         if size_bytes <= limit_bytes {
             bytes.extend_from_slice(&chunk);

@@ -4,10 +4,11 @@
 
 use std::net::IpAddr;
 use std::sync::Arc;
+use std::time::Duration;
 
 use axum::body::Body;
 use axum::extract::{FromRequestParts, MatchedPath, RawPathParams, Request, State};
-use axum::http::{HeaderMap, header};
+use axum::http::{HeaderMap, Method, header};
 use axum::middleware::Next;
 use axum::response::{IntoResponse, Response};
 use futures_util::StreamExt;
@@ -19,6 +20,9 @@ use super::rules::{Need, need};
 use crate::doors::{Pace, Refusal};
 use crate::farm::Farm;
 use crate::keys::{Found, Key, same};
+
+/// An answer has to begin within this time, unless its route waits or takes in much.
+const ANSWER: Duration = Duration::from_mins(1);
 
 /// Who submits while there are no keys.
 const LOCAL: &str = "local";
@@ -85,13 +89,30 @@ pub(super) async fn identify(
         Err(refusal) => return with_caller(ApiError::from(refusal).into_response(), caller),
     };
     request.extensions_mut().insert(caller.clone());
-    let Some(key) = caller.key() else { return with_caller(next.run(request).await, caller) };
+    let limit = time_limit(&request);
+    let Some(key) = caller.key() else { return with_caller(in_time(next.run(request), limit).await, caller) };
     let response = tokio::select! {
-        response = next.run(request) => response,
+        response = in_time(next.run(request), limit) => response,
         () = key.ended().cancelled() => ApiError::EndedKey.into_response(),
     };
     let response = until_ended(with_pace(response, pace), key);
     with_caller(response, caller)
+}
+
+/// How long an answer may take to begin; bodies that are sent in have a rate of their own to keep.
+fn time_limit(request: &Request) -> Option<Duration> {
+    let route = request.extensions().get::<MatchedPath>().map_or("", MatchedPath::as_str);
+    let takes_in = route.starts_with("/v1/worker/") || (route == "/v1/jobs" && request.method() == Method::POST);
+    let waits = route.ends_with("/events") || request.headers().contains_key("prefer");
+    (!takes_in && !waits).then_some(ANSWER)
+}
+
+async fn in_time(answer: impl Future<Output = Response>, limit: Option<Duration>) -> Response {
+    let Some(limit) = limit else { return answer.await };
+    match tokio::time::timeout(limit, answer).await {
+        Ok(response) => response,
+        Err(_) => ApiError::TooLong { limit_seconds: limit.as_secs() }.into_response(),
+    }
 }
 
 fn with_caller(mut response: Response, caller: Caller) -> Response {

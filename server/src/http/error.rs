@@ -10,6 +10,7 @@ use proto::{JobId, Problem};
 use crate::farm::TurnError;
 use crate::jobs::JobError;
 use crate::keys::KeyError;
+use crate::listen::SlowBody;
 use crate::pictures::PictureError;
 use crate::retention::RetentionError;
 use crate::sketches::SketchError;
@@ -78,6 +79,10 @@ pub(crate) enum ApiError {
     QueueFull { limit: i64 },
     #[error("{name} may have {limit} {what}: try again when some are done, or cancel some")]
     Quota { name: String, what: &'static str, limit: i64 },
+    #[error("the body came too slowly, or not at all: send it without pauses")]
+    SlowBody,
+    #[error("the server could not answer in {limit_seconds} s: try again")]
+    TooLong { limit_seconds: u64 },
     #[error(transparent)]
     WrongKey(KeyError),
     #[error(transparent)]
@@ -170,6 +175,8 @@ impl ApiError {
             }
             Self::QueueFull { .. } => (StatusCode::TOO_MANY_REQUESTS, "queue_full", "The queue is full"),
             Self::Quota { .. } => (StatusCode::TOO_MANY_REQUESTS, "quota", "The submitter's quota is used up"),
+            Self::SlowBody => (StatusCode::REQUEST_TIMEOUT, "slow_body", "The body came too slowly"),
+            Self::TooLong { .. } => (StatusCode::SERVICE_UNAVAILABLE, "too_long", "The answer took too long"),
             Self::WrongKey(_) => (StatusCode::UNPROCESSABLE_ENTITY, "wrong_key", "The key can't be made"),
             Self::KeyConflict(_) => (StatusCode::CONFLICT, "too_many_keys", "There are too many keys"),
             Self::NoKey(_) => (StatusCode::NOT_FOUND, "no_such_key", "There is no such key"),
@@ -189,6 +196,20 @@ impl ApiError {
             Self::DamagedDatabase => (StatusCode::SERVICE_UNAVAILABLE, "damaged_database", "The database is damaged"),
             Self::Internal(_) => (StatusCode::INTERNAL_SERVER_ERROR, "internal", "The server failed"),
         }
+    }
+
+    /// A body that did not arrive whole, for whatever reason.
+    pub(super) fn broken_body(error: &(dyn std::error::Error + 'static)) -> Self {
+        let mut cause = Some(error);
+        while let Some(error) = cause {
+            if error.is::<SlowBody>() {
+                return Self::SlowBody;
+            }
+            // An input or output error hides what it wraps from its own `source`.
+            let wrapped = error.downcast_ref::<std::io::Error>().and_then(std::io::Error::get_ref);
+            cause = wrapped.map(|error| error as &(dyn std::error::Error + 'static)).or_else(|| error.source());
+        }
+        Self::BrokenBody(error.to_string())
     }
 
     fn problem(&self) -> Problem {
@@ -237,7 +258,7 @@ impl IntoResponse for ApiError {
             Self::QueueFull { .. } | Self::Quota { .. } => {
                 response.headers_mut().insert(header::RETRY_AFTER, HeaderValue::from_static("10"));
             }
-            Self::Closing | Self::NoSketch(_) => {
+            Self::Closing | Self::TooLong { .. } | Self::NoSketch(_) => {
                 response.headers_mut().insert(header::RETRY_AFTER, HeaderValue::from_static("5"));
             }
             Self::WrongRange { size_bytes } => {
@@ -303,7 +324,7 @@ impl From<PictureError> for ApiError {
         match error {
             PictureError::Mismatch { .. } => Self::WrongBytes(error.to_string()),
             PictureError::TooLarge { limit_bytes } => Self::TooLarge { limit_bytes },
-            PictureError::Broken(error) => Self::BrokenBody(error.to_string()),
+            PictureError::Broken(error) => Self::broken_body(&error),
             error @ PictureError::Store { .. } => Self::Internal(Box::new(error)),
         }
     }

@@ -1,0 +1,162 @@
+//! The server's connections: taken in, bounded in number and in patience, ended in good order.
+//!
+//! What is slow, silent or too much here never gets to a handler. Nothing is decided about requests.
+
+mod crowd;
+mod entrance;
+mod file_limit;
+mod patience;
+mod tls;
+
+use std::convert::Infallible;
+use std::io;
+use std::net::{IpAddr, SocketAddr};
+use std::pin::pin;
+use std::sync::Arc;
+use std::time::Duration;
+
+use axum::body::Body;
+use axum::response::Response;
+use hyper::body::Incoming;
+use hyper::server::conn::http1;
+use hyper::service::service_fn;
+use hyper_util::rt::{TokioIo, TokioTimer};
+use rustix::io::Errno;
+use tokio::io::{AsyncRead, AsyncWrite};
+use tokio::net::TcpListener;
+use tokio_util::sync::CancellationToken;
+use tokio_util::task::TaskTracker;
+use tower::ServiceExt;
+
+use crate::http::Peer;
+use crowd::Crowd;
+use crowd::{Attended, Place};
+pub(crate) use entrance::Entrance;
+use file_limit::most_connections;
+pub(crate) use patience::SlowBody;
+use patience::{Paced, Watched};
+use tls::Tls;
+
+/// A request's head has to arrive in this time, and a connection between two requests is kept so long.
+const HEAD_TIMEOUT: Duration = Duration::from_secs(30);
+/// A request's line and headers.
+const MAX_HEAD_BYTES: usize = 32 << 10;
+/// What is read ahead of a handler.
+const MAX_BUFFER_BYTES: usize = 64 << 10;
+/// Headers of a request.
+const MAX_HEADERS: usize = 100;
+/// A TLS handshake may take so long.
+const HANDSHAKE_TIMEOUT: Duration = Duration::from_secs(10);
+/// What a connection that is to end may take to say that it has just become busy.
+const LAST_CHANCE: Duration = Duration::from_millis(250);
+/// Without room for another connection, the next try is made after this.
+const NO_ROOM: Duration = Duration::from_millis(100);
+
+/// Takes in connections until `ending`, then waits until those that are busy have been answered.
+pub(crate) async fn serve(
+    listener: TcpListener,
+    tls: Option<Arc<Tls>>,
+    router: axum::Router,
+    crowd: Arc<Crowd>,
+    ending: CancellationToken,
+) -> io::Result<()> {
+    let connections = TaskTracker::new();
+    let failed = loop {
+        let accepted = tokio::select! {
+            accepted = listener.accept() => accepted,
+            () = ending.cancelled() => break None,
+        };
+        let (stream, address) = match accepted {
+            Ok(accepted) => accepted,
+            Err(error) if is_the_listeners(&error) => break Some(error),
+            Err(error) => {
+                tracing::warn!(%error, "a connection could not be taken");
+                crowd.send_away_oldest();
+                tokio::time::sleep(NO_ROOM).await;
+                continue;
+            }
+        };
+        let place = tokio::select! {
+            place = crowd.enter() => place,
+            () = ending.cancelled() => break None,
+        };
+        // Small answers are not to wait for one another.
+        drop(stream.set_nodelay(true));
+        let (router, tls, ending) = (router.clone(), tls.clone(), ending.clone());
+        connections.spawn(async move {
+            match tls {
+                None => attend(stream, address, router, &place, &ending).await,
+                Some(tls) => {
+                    let shaken = tokio::select! {
+                        shaken = tokio::time::timeout(HANDSHAKE_TIMEOUT, tls.accept(stream)) => shaken,
+                        () = place.sent_away() => return,
+                        () = ending.cancelled() => return,
+                    };
+                    match shaken {
+                        Ok(Ok(stream)) => attend(stream, address, router, &place, &ending).await,
+                        Ok(Err(error)) => tracing::debug!(%address, %error, "a TLS handshake failed"),
+                        Err(_) => tracing::debug!(%address, "a TLS handshake took too long"),
+                    }
+                }
+            }
+        });
+    };
+    drop(listener);
+    connections.close();
+    connections.wait().await;
+    failed.map_or(Ok(()), Err)
+}
+
+/// Whether the listener itself is broken, rather than one connection or the room for it.
+fn is_the_listeners(error: &io::Error) -> bool {
+    matches!(Errno::from_io_error(error), Some(Errno::BADF | Errno::INVAL | Errno::NOTSOCK | Errno::FAULT))
+}
+
+/// Answers the requests of one connection.
+async fn attend<S>(stream: S, address: SocketAddr, router: axum::Router, place: &Place, ending: &CancellationToken)
+where
+    S: AsyncRead + AsyncWrite + Unpin + Send + 'static,
+{
+    let peer = canonical(address.ip());
+    let service = service_fn(|request: hyper::Request<Incoming>| {
+        let busy = place.work();
+        let mut request = request.map(|body| Body::new(Paced::new(body)));
+        request.extensions_mut().insert(Peer(peer));
+        let answer = router.clone().oneshot(request);
+        async move {
+            let answer: Response = answer.await?;
+            Ok::<_, Infallible>(answer.map(|body| Attended::new(body, busy)))
+        }
+    });
+    let connection = http1::Builder::new()
+        .timer(TokioTimer::new())
+        .header_read_timeout(HEAD_TIMEOUT)
+        .max_headers(MAX_HEADERS)
+        .max_header_size(MAX_HEAD_BYTES)
+        .max_buf_size(MAX_BUFFER_BYTES)
+        .serve_connection(TokioIo::new(Watched::new(stream)), service);
+    let mut connection = pin!(connection);
+    tokio::select! {
+        ended = connection.as_mut() => return tell(address, ended),
+        () = place.sent_away() => {}
+        () = ending.cancelled() => {}
+    }
+    connection.as_mut().graceful_shutdown();
+    loop {
+        tokio::select! {
+            ended = connection.as_mut() => return tell(address, ended),
+            () = tokio::time::sleep(LAST_CHANCE) => if !place.is_busy() { return },
+        }
+    }
+}
+
+fn tell(address: SocketAddr, ended: hyper::Result<()>) {
+    if let Err(error) = ended {
+        tracing::debug!(%address, %error, "a connection broke");
+    }
+}
+
+/// The same address, whichever family of sockets it came by.
+fn canonical(address: IpAddr) -> IpAddr {
+    address.to_canonical()
+}

@@ -1,0 +1,28 @@
+//! Room for connections: each takes a file of the process, of which the system grants so many.
+
+use rustix::process::{Resource, Rlimit, getrlimit, setrlimit};
+
+/// Files that are kept for the database, pictures and workers.
+const KEPT_FILES: u64 = 512;
+
+/// Has the system grant as many files as it will, and returns how many connections of those wanted that leaves.
+pub(crate) fn most_connections(wanted: u32) -> usize {
+    let Rlimit { current, maximum } = getrlimit(Resource::Nofile);
+    let raised = setrlimit(Resource::Nofile, Rlimit { current: maximum, maximum });
+    if let Err(error) = &raised {
+        tracing::debug!(%error, "the limit of open files could not be raised");
+    }
+    // No limit is said as none.
+    let files = if raised.is_ok() { maximum } else { current }.unwrap_or(u64::MAX);
+    let room = files.saturating_sub(KEPT_FILES).max(files / 2);
+    let connections = room.min(wanted.into());
+    if connections < wanted.into() {
+        tracing::warn!(
+            connections,
+            wanted,
+            files,
+            "the system grants too few open files for as many connections: raise its limit (ulimit -n, LimitNOFILE)"
+        );
+    }
+    usize::try_from(connections).unwrap_or(usize::MAX)
+}

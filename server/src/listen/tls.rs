@@ -1,0 +1,169 @@
+//! TLS: the certificate and its key, read from files, and read again when those change.
+//!
+//! What can't be read while the server runs leaves the old certificate in its place.
+
+use std::path::{Path, PathBuf};
+use std::sync::{Arc, RwLock};
+use std::time::{Duration, SystemTime};
+
+use rustls::ServerConfig;
+use rustls::crypto::ring;
+use rustls::pki_types::pem::PemObject;
+use rustls::pki_types::{CertificateDer, PrivateKeyDer};
+use rustls::server::{ClientHello, ResolvesServerCert};
+use rustls::sign::CertifiedKey;
+use tokio::net::TcpStream;
+use tokio::signal::unix::{SignalKind, signal};
+use tokio_rustls::TlsAcceptor;
+use tokio_rustls::server::TlsStream;
+use tokio_util::sync::CancellationToken;
+
+/// How often the files are looked at.
+const LOOK: Duration = Duration::from_secs(1);
+
+/// Why a certificate can't be used.
+#[derive(Debug, thiserror::Error)]
+pub(crate) enum TlsError {
+    /// A file can't be read.
+    #[error("{file} can't be read as PEM: {reason}")]
+    File {
+        /// The file.
+        file: PathBuf,
+        /// What is wrong with it.
+        reason: String,
+    },
+    /// The certificate and the key don't go together.
+    #[error("the certificate in {certificate} is not for the key in {key}: {reason}")]
+    Pair {
+        /// The certificate's file.
+        certificate: PathBuf,
+        /// The key's file.
+        key: PathBuf,
+        /// What is wrong.
+        reason: String,
+    },
+    /// TLS can't be spoken here.
+    #[error("TLS can't be set up: {0}")]
+    Set(#[from] rustls::Error),
+}
+
+/// What takes in connections over TLS.
+pub(crate) struct Tls {
+    acceptor: TlsAcceptor,
+    shown: Arc<Shown>,
+    certificate: PathBuf,
+    key: PathBuf,
+}
+
+// A derived one might show the key.
+impl std::fmt::Debug for Tls {
+    fn fmt(&self, formatter: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        formatter.debug_struct("Tls").field("certificate", &self.certificate).finish_non_exhaustive()
+    }
+}
+
+/// The certificate that is shown at present.
+struct Shown(RwLock<Arc<CertifiedKey>>);
+
+impl std::fmt::Debug for Shown {
+    fn fmt(&self, formatter: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        formatter.write_str("Shown")
+    }
+}
+
+impl ResolvesServerCert for Shown {
+    fn resolve(&self, _: ClientHello<'_>) -> Option<Arc<CertifiedKey>> {
+        Some(Arc::clone(&self.0.read().expect("no holder panics")))
+    }
+}
+
+impl Tls {
+    /// Reads a chain of certificates, the server's own first, and its key.
+    pub(crate) fn open(certificate: &Path, key: &Path) -> Result<Self, TlsError> {
+        let shown = Arc::new(Shown(RwLock::new(Arc::new(read(certificate, key)?))));
+        let mut config = ServerConfig::builder_with_provider(Arc::new(ring::default_provider()))
+            .with_safe_default_protocol_versions()?
+            .with_no_client_auth()
+            .with_cert_resolver(Arc::clone(&shown) as Arc<dyn ResolvesServerCert>);
+        config.alpn_protocols = vec![b"http/1.1".to_vec()];
+        let acceptor = TlsAcceptor::from(Arc::new(config));
+        Ok(Self { acceptor, shown, certificate: certificate.to_owned(), key: key.to_owned() })
+    }
+
+    /// Shakes hands.
+    pub(super) async fn accept(&self, stream: TcpStream) -> std::io::Result<TlsStream<TcpStream>> {
+        self.acceptor.accept(stream).await
+    }
+
+    /// Reads the files again when they change, and at SIGHUP, until the end.
+    pub(crate) async fn follow(&self, end: CancellationToken) {
+        let mut seen = self.stamp();
+        let mut hang_up = signal(SignalKind::hangup()).ok();
+        loop {
+            let asked = tokio::select! {
+                () = end.cancelled() => return,
+                () = tokio::time::sleep(LOOK) => false,
+                () = hung_up(&mut hang_up) => true,
+            };
+            let now = self.stamp();
+            if now == seen && !asked {
+                continue;
+            }
+            // One of the two may be half written, or still the old one: the next change is another try.
+            seen = now;
+            match read(&self.certificate, &self.key) {
+                Ok(pair) => {
+                    *self.shown.0.write().expect("no holder panics") = Arc::new(pair);
+                    tracing::info!(certificate = %self.certificate.display(), "a new certificate is shown from now on");
+                }
+                Err(error) => tracing::error!(%error, "the old certificate stays: the new one can't be used"),
+            }
+        }
+    }
+
+    /// When and how large the files are.
+    fn stamp(&self) -> [Option<(SystemTime, u64)>; 2] {
+        [&self.certificate, &self.key].map(|file| {
+            let metadata = std::fs::metadata(file).ok()?;
+            Some((metadata.modified().ok()?, metadata.len()))
+        })
+    }
+}
+
+async fn hung_up(signal: &mut Option<tokio::signal::unix::Signal>) {
+    match signal {
+        Some(signal) => {
+            signal.recv().await;
+        }
+        None => std::future::pending().await,
+    }
+}
+
+fn read(certificate: &Path, key: &Path) -> Result<CertifiedKey, TlsError> {
+    let wrong = |file: &Path, reason: String| TlsError::File { file: file.to_owned(), reason };
+    let chain = CertificateDer::pem_file_iter(certificate)
+        .and_then(Iterator::collect::<Result<Vec<_>, _>>)
+        .map_err(|error| wrong(certificate, words(&error)))?;
+    if chain.is_empty() {
+        return Err(wrong(certificate, "it holds no certificate".to_owned()));
+    }
+    let secret = PrivateKeyDer::from_pem_file(key).map_err(|error| wrong(key, words(&error)))?;
+    let secret = ring::sign::any_supported_type(&secret).map_err(|error| wrong(key, error.to_string()))?;
+    let pair = CertifiedKey::new(chain, secret);
+    pair.keys_match().map_err(|error| TlsError::Pair {
+        certificate: certificate.to_owned(),
+        key: key.to_owned(),
+        reason: error.to_string(),
+    })?;
+    Ok(pair)
+}
+
+/// What the PEM reader says, without what it read.
+fn words(error: &rustls::pki_types::pem::Error) -> String {
+    use rustls::pki_types::pem::Error;
+    match error {
+        Error::Io(error) => error.to_string(),
+        Error::NoItemsFound => "it holds none".to_owned(),
+        _ => "it is not PEM, or damaged".to_owned(),
+    }
+}

@@ -1,0 +1,172 @@
+//! Connections: those that do nothing, and too many of them; and TLS.
+
+use std::path::Path;
+use std::time::Duration;
+
+use proto::{Access, Client, ClientError};
+use rcgen::{BasicConstraints, CertificateParams, IsCa, Issuer, KeyPair};
+use reqwest::StatusCode;
+use server::{StartError, TlsFiles};
+use tokio::io::{AsyncReadExt, AsyncWriteExt};
+use tokio::net::TcpStream;
+
+use super::harness::{Farm, config, in_time, refused};
+
+/// An authority of our own.
+struct Authority {
+    issuer: Issuer<'static, KeyPair>,
+    pem: String,
+}
+
+impl Authority {
+    fn new() -> Self {
+        let key = KeyPair::generate().expect("a key");
+        let mut params = CertificateParams::new(Vec::new()).expect("no names");
+        params.is_ca = IsCa::Ca(BasicConstraints::Unconstrained);
+        let pem = params.self_signed(&key).expect("a certificate").pem();
+        Self { issuer: Issuer::new(params, key), pem }
+    }
+
+    /// Writes a certificate for this machine, its key, and the authority's own certificate.
+    fn write(&self, folder: &Path) -> TlsFiles {
+        let key = KeyPair::generate().expect("a key");
+        let names = vec!["localhost".to_owned(), "127.0.0.1".to_owned()];
+        let certificate = CertificateParams::new(names).expect("names").signed_by(&key, &self.issuer);
+        let files = TlsFiles { certificate: folder.join("cert.pem"), key: folder.join("key.pem") };
+        std::fs::write(&files.key, key.serialize_pem()).expect("written");
+        std::fs::write(&files.certificate, certificate.expect("a certificate").pem()).expect("written");
+        std::fs::write(folder.join("ca.pem"), &self.pem).expect("written");
+        files
+    }
+}
+
+fn client(farm: &Farm, authority: &Path) -> Client {
+    let access = Access::new(None, Some(authority)).expect("an authority");
+    Client::with_access(&format!("https://{}", farm.address), access).expect("a client")
+}
+
+#[tokio::test]
+async fn health_answers_when_every_connection_is_taken_by_someone_idle() {
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let farm = Farm::start_in(folder, |config| config.max_connections = 8).await;
+    let mut idle = Vec::new();
+    for number in 0..40 {
+        let mut stream = TcpStream::connect(farm.address).await.expect("connects");
+        // Half of them send the beginning of a request.
+        if number % 2 == 0 {
+            stream.write_all(b"GET /livez HTTP/1.1\r\nHost: loc").await.expect("written");
+        }
+        idle.push(stream);
+    }
+    assert_eq!(farm.get("/livez").await.status(), StatusCode::OK);
+    assert_eq!(farm.get("/v1/jobs").await.status(), StatusCode::OK);
+    let mut first = idle.swap_remove(0);
+    let mut rest = Vec::new();
+    // The one that came first had to go first.
+    drop(in_time(first.read_to_end(&mut rest)).await);
+    farm.stop().await;
+}
+
+#[tokio::test]
+async fn heads_that_are_too_large_or_have_too_many_headers_are_refused() {
+    let farm = Farm::start().await;
+    for head in [format!("X-Long: {}\r\n", "x".repeat(100 << 10)), "X: y\r\n".repeat(200)] {
+        let mut stream = TcpStream::connect(farm.address).await.expect("connects");
+        let request = format!("GET /livez HTTP/1.1\r\nHost: localhost\r\n{head}\r\n");
+        // The server may hang up before it has all.
+        drop(stream.write_all(request.as_bytes()).await);
+        let mut answer = vec![0; 12];
+        in_time(stream.read_exact(&mut answer)).await.expect("an answer");
+        assert_eq!(answer, b"HTTP/1.1 431");
+    }
+    assert_eq!(farm.get("/livez").await.status(), StatusCode::OK);
+    farm.stop().await;
+}
+
+#[tokio::test]
+async fn https_is_spoken_to_those_who_trust_the_authority() {
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let certificates = tempfile::tempdir().expect("a temporary folder");
+    let authority = Authority::new();
+    let files = authority.write(certificates.path());
+    let farm = Farm::start_in(folder, |config| config.tls = Some(files)).await;
+    let trusting = client(&farm, &certificates.path().join("ca.pem"));
+    assert!(in_time(trusting.jobs(None, 1, None)).await.expect("an answer").jobs.is_empty());
+
+    let others = tempfile::tempdir().expect("a temporary folder");
+    Authority::new().write(others.path());
+    let wary = client(&farm, &others.path().join("ca.pem"));
+    let error = in_time(wary.jobs(None, 1, None)).await.expect_err("another authority");
+    assert!(matches!(error, ClientError::Unreachable { .. } | ClientError::Broken { .. }), "{error:?}");
+
+    // Plain HTTP is no TLS handshake, and harms nobody.
+    let plain = in_time(farm.client.get(farm.url("/livez")).send()).await;
+    assert!(plain.is_err());
+    assert!(in_time(trusting.jobs(None, 1, None)).await.is_ok());
+    farm.stop().await;
+}
+
+#[tokio::test]
+async fn new_certificate_is_shown_without_a_restart_and_a_bad_one_never() {
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let certificates = tempfile::tempdir().expect("a temporary folder");
+    let files = Authority::new().write(certificates.path());
+    let farm = Farm::start_in(folder, |config| config.tls = Some(files.clone())).await;
+    let ca = certificates.path().join("ca.pem");
+    assert!(in_time(client(&farm, &ca).jobs(None, 1, None)).await.is_ok());
+    std::fs::write(&files.key, "no key").expect("written");
+    tokio::time::sleep(Duration::from_secs(2)).await;
+    assert!(in_time(client(&farm, &ca).jobs(None, 1, None)).await.is_ok());
+    Authority::new().write(certificates.path());
+    in_time(async {
+        while client(&farm, &ca).jobs(None, 1, None).await.is_err() {
+            tokio::task::yield_now().await;
+        }
+    })
+    .await;
+    farm.stop().await;
+}
+
+#[tokio::test]
+async fn certificates_that_can_not_be_used_are_named() {
+    let certificates = tempfile::tempdir().expect("a temporary folder");
+    let others = tempfile::tempdir().expect("a temporary folder");
+    let good = Authority::new().write(certificates.path());
+    let other = Authority::new().write(others.path());
+    std::fs::write(others.path().join("empty.pem"), "").expect("written");
+    for (certificate, key, word) in [
+        (others.path().join("none.pem"), good.key.clone(), "none.pem"),
+        (others.path().join("empty.pem"), good.key.clone(), "empty.pem"),
+        (good.certificate.clone(), others.path().join("empty.pem"), "empty.pem"),
+        (good.certificate.clone(), good.certificate.clone(), "cert.pem"),
+        (good.certificate.clone(), other.key.clone(), "key.pem"),
+    ] {
+        let folder = tempfile::tempdir().expect("a temporary folder");
+        let mut config = config(folder.path());
+        config.tls = Some(TlsFiles { certificate, key });
+        let error = server::Server::start(config).await.expect_err("it can't be used");
+        assert!(matches!(error, StartError::Tls(_)), "{error:?}");
+        assert!(error.to_string().contains(word) && error.to_string().contains("--tls-cert"), "{error}");
+    }
+}
+
+#[tokio::test]
+async fn body_that_stops_midway_is_given_up_and_the_farm_goes_on() {
+    let farm = Farm::start().await;
+    let mut stalled = TcpStream::connect(farm.address).await.expect("connects");
+    let head = "POST /v1/jobs HTTP/1.1\r\nHost: localhost\r\nContent-Length: 100000\r\n\r\n{\"name\":";
+    stalled.write_all(head.as_bytes()).await.expect("written");
+    let mut broken = TcpStream::connect(farm.address).await.expect("connects");
+    broken.write_all(head.as_bytes()).await.expect("written");
+    broken.shutdown().await.expect("shut");
+    let mut answer = String::new();
+    in_time(broken.read_to_string(&mut answer)).await.expect("an answer");
+    assert!(answer.starts_with("HTTP/1.1 400") && answer.contains("broken_body"), "{answer}");
+    assert_eq!(farm.get("/livez").await.status(), StatusCode::OK);
+    // This takes as long as the server's patience.
+    let mut answer = String::new();
+    in_time(stalled.read_to_string(&mut answer)).await.expect("an answer");
+    assert!(answer.starts_with("HTTP/1.1 408") && answer.contains("slow_body"), "{answer}");
+    refused(farm.post("/v1/jobs", "{").await, 400, "not_json").await;
+    farm.stop().await;
+}
