@@ -6,6 +6,7 @@ mod api;
 mod bad_input;
 mod command_line;
 mod cuda;
+mod doors;
 mod exr_reader;
 mod faults;
 mod jobs;

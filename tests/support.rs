@@ -139,7 +139,7 @@ fn status_field(process: u32, field: usize) -> Option<String> {
 /// A server of our own, on a free port.
 pub(crate) struct Farm {
     child: Child,
-    /// `http://127.0.0.1:PORT`.
+    /// `http://127.0.0.1:PORT`, or `https://…` where it shows a certificate.
     pub(crate) address: String,
     log: PathBuf,
     folder: Option<TempDir>,
@@ -176,7 +176,7 @@ impl Farm {
             let _ = std::io::copy(&mut out, &mut std::io::sink());
         });
         let line = receiver.recv_timeout(DEADLINE).expect("the server says something");
-        let address = line.split_whitespace().find(|word| word.starts_with("http://"));
+        let address = line.split_whitespace().find(|word| word.contains("://"));
         let Some(address) = address.map(str::to_owned) else {
             // Reaped before the panic, so that nothing outlives the test.
             let _ = child.kill();

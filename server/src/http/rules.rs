@@ -23,7 +23,9 @@ pub(super) fn need(method: &Method, route: &str) -> Need {
     match route {
         "/v1/jobs" if looks => Need::Scope(Scope::Read),
         "/v1/jobs" if *method == Method::POST => Need::Scope(Scope::Submit),
-        _ if route.starts_with("/v1/jobs/{id}") => Need::OwnJob(if looks { Scope::Read } else { Scope::Admin }),
+        // Who may look at a picture may pass on a link to it.
+        _ if route.starts_with("/v1/jobs/{id}") && (looks || route.ends_with("/link")) => Need::OwnJob(Scope::Read),
+        _ if route.starts_with("/v1/jobs/{id}") => Need::OwnJob(Scope::Admin),
         _ if route.starts_with("/v1/worker/") => Need::Scope(Scope::Worker),
         "/v1/workers" | "/v1/pool" | "/v1/farm" | "/metrics" if looks => Need::Scope(Scope::Read),
         _ => Need::Scope(Scope::Admin),

@@ -61,6 +61,8 @@ impl Entrance {
             if let Some(tls) = &tls {
                 tls.follow(ending.clone()).await;
             }
+            // The connections say when it is over.
+            std::future::pending::<()>().await;
         };
         let inside = async {
             match pool {
@@ -71,8 +73,11 @@ impl Entrance {
             }
         };
         let outside = serve(public, tls.clone(), router.clone(), crowd, ending.clone());
-        let ((), inside, outside) = tokio::join!(follow, inside, outside);
-        outside.and(inside)
+        let served = async { tokio::try_join!(inside, outside).map(drop) };
+        tokio::select! {
+            served = served => served,
+            () = follow => Ok(()),
+        }
     }
 }
 
