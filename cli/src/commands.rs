@@ -25,6 +25,7 @@ mod sketch;
 mod soak;
 mod submit;
 mod watch;
+mod webhook;
 mod worker;
 
 use std::future::Future;
@@ -69,6 +70,8 @@ pub(crate) enum Command {
     Pause(pause::Arguments),
     /// Let a paused job, or the paused farm, go on.
     Resume(pause::Arguments),
+    /// Show what a server signs its webhooks with.
+    Webhook(webhook::Arguments),
     /// Show the server's own workers, or set how many there should be.
     Pool(pool::Arguments),
     /// Make, list and revoke keys.
@@ -119,6 +122,7 @@ impl Command {
             Self::Delete(arguments) => run_async(interruptible(delete::run(arguments))),
             Self::Pause(arguments) => run_async(interruptible(pause::run(arguments, true))),
             Self::Resume(arguments) => run_async(interruptible(pause::run(arguments, false))),
+            Self::Webhook(arguments) => webhook::run(&arguments),
             Self::Pool(arguments) => run_async(interruptible(pool::run(arguments))),
             Self::Key(arguments) => run_async(key::run(arguments)),
             Self::Audit(arguments) => run_async(interruptible(audit::run(arguments))),

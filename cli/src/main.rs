@@ -11,6 +11,7 @@ mod job_file;
 mod logs;
 mod output_file;
 mod progress;
+mod sequence;
 mod shipped;
 mod signals;
 mod size;

@@ -68,6 +68,8 @@ pub struct FrameView {
     pub size_bytes: Option<u64>,
     /// Its picture's address on this server; null until it is stored.
     pub image: Option<String>,
+    /// What its picture's file may be called; null until it is stored.
+    pub file: Option<String>,
 }
 
 /// A page of a job's frames, by number.

@@ -20,6 +20,7 @@ pub mod retention;
 pub mod sketch;
 pub mod tile;
 pub mod trace;
+pub mod webhook;
 pub mod work;
 
 pub use access::{Access, AccessError, Secret};

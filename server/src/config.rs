@@ -4,7 +4,10 @@ use std::net::{IpAddr, Ipv4Addr, SocketAddr};
 use std::path::PathBuf;
 use std::time::Duration;
 
+use proto::Secret;
 use proto::pool::MAX_POOL_WORKERS;
+
+use crate::webhooks::AddressRange;
 
 /// Unfinished jobs that a farm takes, unless its operator says otherwise.
 pub const MAX_QUEUED_JOBS: u32 = 100_000;
@@ -50,6 +53,10 @@ pub struct Config {
     pub max_queued_jobs: u32,
     /// Names, without port, that the `Host` header may carry besides loopback's and addresses.
     pub hosts: Vec<String>,
+    /// Addresses that webhooks may go to although they are not on the public internet.
+    pub allow_webhooks_to: Vec<AddressRange>,
+    /// What webhooks are signed with; `None` is the data folder's own.
+    pub webhook_secret: Option<Secret>,
     /// The program that local workers run as, with `worker` as first argument.
     pub worker_program: PathBuf,
     /// How long finished jobs are kept that do not say so themselves; `None` is for ever.
@@ -89,6 +96,8 @@ impl Default for Config {
             max_connections: MAX_CONNECTIONS,
             max_queued_jobs: MAX_QUEUED_JOBS,
             hosts: Vec::new(),
+            allow_webhooks_to: Vec::new(),
+            webhook_secret: None,
             worker_program: PathBuf::from("sdfarm"),
             keep_jobs: None,
             max_store_bytes: None,

@@ -17,10 +17,11 @@ use crate::links::Links;
 use crate::pictures::{Kind, Name, PictureError, Pictures};
 use crate::plan::Plan;
 use crate::pool::Pool;
-use crate::queue::{NewJob, Next, Opened, Opening, Queue, Turn, Turned};
+use crate::queue::{NewJob, Next, Opened, Opening, Queue, Submitted, Turn, Turned, Wish};
 use crate::sketches::Sketches;
 use crate::store::StoreError;
 use crate::watch::Watch;
+use crate::webhooks::Webhooks;
 
 /// Frames of one job that are looked up among stored pictures when it is handed in; the rest
 /// are looked up as they are reached.
@@ -55,6 +56,8 @@ pub(crate) struct Farm {
     pub(crate) config: Config,
     /// Jobs, tiles, leases, workers.
     pub(crate) queue: Queue,
+    /// What tells webhooks.
+    pub(crate) webhooks: Webhooks,
     /// What tells followers.
     pub(crate) events: Events,
     /// Pictures and blobs.
@@ -94,12 +97,13 @@ pub(crate) enum TurnError {
 
 impl Farm {
     /// Accepts a job, and stores at once the frames whose pictures are there already.
-    pub(crate) async fn submit(&self, new: NewJob, job: Arc<scene::Job>) -> Result<(), StoreError> {
+    pub(crate) async fn submit(&self, new: NewJob, job: Arc<scene::Job>, wish: Wish) -> Result<Submitted, StoreError> {
         let (plan, fresh, text_bytes) = (new.plan, new.fresh, new.text.len());
-        let number = self.queue.submit(new).await?;
+        let submitted = self.queue.submit_once(new, wish).await?;
+        let Submitted::New(number) = submitted else { return Ok(submitted) };
         self.jobs.keep(number, text_bytes, Arc::clone(&job));
         if fresh {
-            return Ok(());
+            return Ok(submitted);
         }
         for frame in 0..plan.frames.min(REUSED_AT_ONCE) {
             // Without a thread to read the job on, the frame is opened like any other.
@@ -110,7 +114,7 @@ impl Farm {
                 break;
             }
         }
-        Ok(())
+        Ok(submitted)
     }
 
     /// Takes a worker's turn up to work or the lack of it; `None` if the worker is not known.

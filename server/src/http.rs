@@ -9,6 +9,7 @@ mod door;
 mod error;
 mod events;
 mod farm;
+mod frames;
 mod health;
 mod images;
 mod jobs;
@@ -16,6 +17,7 @@ mod keys;
 mod links;
 mod openapi;
 mod pool;
+mod prefer;
 mod previews;
 mod protocol;
 mod quota;
@@ -24,6 +26,8 @@ mod retention;
 mod rules;
 mod trace;
 mod traces;
+mod webhooks;
+mod wish;
 
 pub(crate) use caller::Peer;
 
@@ -56,6 +60,9 @@ fn users() -> OpenApiRouter<Arc<Farm>> {
         .routes(routes!(farm::get))
         .routes(routes!(farm::pause))
         .routes(routes!(farm::resume))
+        .routes(routes!(webhooks::list))
+        .routes(routes!(frames::list))
+        .routes(routes!(frames::archive))
         .routes(routes!(images::first))
         .routes(routes!(images::frame))
         .routes(routes!(previews::preview))

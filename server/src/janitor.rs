@@ -69,6 +69,8 @@ async fn look_through(farm: &Farm) -> Result<(), StoreError> {
     if let Err(error) = farm.sketches.tidy() {
         tracing::warn!(%error, "old previews could not be removed");
     }
+    farm.queue.prune_wishes().await?;
+    farm.queue.prune_deliveries().await?;
     for kind in [Kind::Blob, Kind::Picture] {
         let names = match old_names(farm, kind).await {
             Ok(names) => names,

@@ -2,6 +2,7 @@
 //!
 //! It plans, leases and stores; it never touches a pixel.
 
+mod archive;
 mod audit;
 mod clock;
 mod config;
@@ -26,6 +27,7 @@ mod sketches;
 mod start;
 mod store;
 mod watch;
+mod webhooks;
 
 use std::net::SocketAddr;
 use std::sync::Arc;
@@ -39,6 +41,7 @@ pub use clock::{Clock, Hand};
 pub use config::{Config, MAX_CONNECTIONS, MAX_QUEUED_JOBS, TlsFiles};
 pub use keys::{KeyFolder, KeyFolderError};
 pub use start::StartError;
+pub use webhooks::{AddressRange, SecretError, webhook_secret};
 
 use farm::{Farm, Leftovers};
 use listen::Entrance;
@@ -98,6 +101,7 @@ impl Server {
         let (address, pool_address) = (entrance.address(), entrance.pool_address());
         let mut serving = tokio::spawn(entrance.serve(router, farm.ending.clone()));
         let janitor = tokio::spawn(janitor::run(Arc::clone(&farm), leftovers, farm.ending.clone()));
+        let sending = tokio::spawn(webhooks::run(Arc::clone(&farm), farm.ending.clone()));
         let telling = tokio::spawn({
             let farm = Arc::clone(&farm);
             async move { farm.events.run(farm.ending.clone()).await }
@@ -117,7 +121,9 @@ impl Server {
             Some(ended) => Some(ended),
             None => tokio::time::timeout(LAST_ANSWERS, serving).await.ok(),
         };
-        for (task, name) in [(janitor, "the janitor"), (telling, "what tells followers")] {
+        for (task, name) in
+            [(janitor, "the janitor"), (telling, "what tells followers"), (sending, "what tells webhooks")]
+        {
             if let Err(error) = task.await {
                 tracing::error!(%error, "{name} panicked");
             }

@@ -12,6 +12,7 @@ mod deliver;
 mod end;
 mod events;
 mod fair;
+mod frames;
 mod lease;
 mod open;
 mod pace;
@@ -30,6 +31,8 @@ mod sync;
 mod tests;
 mod traces;
 mod view;
+mod webhooks;
+mod wish;
 mod workers;
 
 use std::sync::Arc;
@@ -45,6 +48,7 @@ pub(crate) use change::Changed;
 pub(crate) use counts::Counts;
 pub(crate) use end::{Cancelled, Deleted};
 pub(crate) use events::Event;
+pub(crate) use frames::{Frames, StoredFrame};
 pub(crate) use lease::Cause;
 pub(crate) use open::{Opened, Opening};
 pub(crate) use pause::Paused;
@@ -54,6 +58,8 @@ pub(crate) use retention::Ended;
 pub(crate) use submit::NewJob;
 pub(crate) use sync::{Next, Turn, Turned};
 pub(crate) use view::StoredImage;
+pub(crate) use webhooks::{Attempt, Delivery};
+pub(crate) use wish::{NewWebhook, Once, Submitted, Wish};
 pub(crate) use workers::{NewWorker, Registered};
 
 /// A transition's answer.
@@ -152,6 +158,7 @@ impl Queue {
     }
 
     /// Accepts a job; durable when it returns.
+    #[cfg(test)]
     pub(crate) async fn submit(&self, job: NewJob) -> Result<i64> {
         let moment = self.moment();
         let number = self

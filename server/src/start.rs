@@ -25,6 +25,7 @@ use crate::queue::Queue;
 use crate::sketches::Sketches;
 use crate::store::{OpenError, Store, StoreError};
 use crate::watch::Watch;
+use crate::webhooks::{Guard, SecretError, Signer, Webhooks, webhook_secret};
 
 /// Why a server could not start, and the cure.
 #[derive(Debug, thiserror::Error)]
@@ -67,6 +68,9 @@ pub enum StartError {
     /// The certificate can't be used.
     #[error("can't offer TLS: {0}; name PEM files with --tls-cert and --tls-key")]
     Tls(String),
+    /// There is nothing to sign webhooks with.
+    #[error("{0}; set SDFARM_WEBHOOK_SECRET, or move the file away to have a new one made")]
+    WebhookSecret(#[from] SecretError),
     /// The address can't be had.
     #[error("can't listen on {address}: {source}; stop what listens there, or choose another address with --listen")]
     Listen {
@@ -109,9 +113,11 @@ pub(crate) async fn start(config: Config, clock: Clock) -> Result<Server, StartE
         data = %config.data.display(), boot = recovered.generation, unfinished_jobs = recovered.jobs,
         handed_back = recovered.leases, "opened the data folder"
     );
+    let webhooks = webhooks(&config)?;
     let (left, leftovers) = mpsc::unbounded_channel();
     let farm = Arc::new(Farm {
         events: Events::new(queue.clone()),
+        webhooks,
         queue,
         pictures,
         jobs: Jobs::new(),
@@ -127,6 +133,15 @@ pub(crate) async fn start(config: Config, clock: Clock) -> Result<Server, StartE
         config,
     });
     Ok(Server { entrance, farm, store, leftovers, lock })
+}
+
+/// What tells webhooks: signed with the operator's secret, or the data folder's own.
+fn webhooks(config: &Config) -> Result<Webhooks, StartError> {
+    let secret = match &config.webhook_secret {
+        Some(secret) => secret.clone(),
+        None => webhook_secret(&config.data)?,
+    };
+    Ok(Webhooks::new(Guard::new(&config.allow_webhooks_to), Signer::new(&secret)?))
 }
 
 fn explain(file: PathBuf, error: OpenError) -> StartError {

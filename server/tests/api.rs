@@ -5,6 +5,7 @@ mod api {
     mod change;
     mod connections;
     mod events;
+    mod frames;
     pub(crate) mod harness;
     mod images;
     mod jobs;
@@ -20,4 +21,6 @@ mod api {
     mod queue;
     mod retention;
     mod watch;
+    mod webhooks;
+    mod wish;
 }

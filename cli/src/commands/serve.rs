@@ -6,9 +6,9 @@ use std::time::Duration;
 
 use anyhow::Context;
 use clap::Args;
-use proto::Keep;
 use proto::pool::MAX_POOL_WORKERS;
-use server::{Config, MAX_CONNECTIONS, MAX_QUEUED_JOBS, Server, TlsFiles};
+use proto::{Keep, Secret};
+use server::{AddressRange, Config, MAX_CONNECTIONS, MAX_QUEUED_JOBS, Server, TlsFiles};
 use tokio_util::sync::CancellationToken;
 use worker::{CpuRenderer, RenderError, Simd};
 
@@ -71,6 +71,12 @@ pub(crate) struct Arguments {
     /// Names under which this server may be addressed, besides loopback's and addresses.
     #[arg(long, value_name = "NAME", env = "SDFARM_HOST", value_delimiter = ',')]
     host: Vec<String>,
+    /// Addresses that webhooks may go to although they are not on the public internet, such as 10.0.0.0/8.
+    #[arg(long, value_name = "RANGE", env = "SDFARM_ALLOW_WEBHOOK_TO", value_delimiter = ',')]
+    allow_webhook_to: Vec<AddressRange>,
+    /// What webhooks are signed with: whsec_ and base64 [default: made once, kept in the data folder].
+    #[arg(long, value_name = "SECRET", env = "SDFARM_WEBHOOK_SECRET", hide_env_values = true)]
+    webhook_secret: Option<Secret>,
 }
 
 impl Arguments {
@@ -94,6 +100,8 @@ impl Arguments {
                 Keep::For(time) => Some(time),
             },
             max_store_bytes: self.max_store.map(|Size(bytes)| bytes),
+            allow_webhooks_to: self.allow_webhook_to,
+            webhook_secret: self.webhook_secret,
             worker_program: own_program()?,
             ..Config::default()
         })

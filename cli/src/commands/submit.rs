@@ -1,6 +1,11 @@
 //! `sdfarm submit`: hands in a job, and waits for it if asked to.
 
+use std::time::Duration;
+
 use clap::Args;
+use proto::client::Submission;
+use proto::job::JobView;
+use proto::{Client, ClientError, JobId};
 use scene::{Format, Job};
 
 use crate::arguments::ServerArguments;
@@ -9,6 +14,12 @@ use crate::follow;
 use crate::job_file::JobFile;
 use crate::output_file::format_of;
 use crate::terminal::{note, say};
+
+/// Waits before a job is handed in again.
+const FIRST_WAIT: Duration = Duration::from_millis(200);
+const LONGEST_WAIT: Duration = Duration::from_secs(3);
+/// A server that was there may be away for so long: it restarts.
+const PATIENCE: Duration = Duration::from_secs(30);
 
 /// Arguments of `submit`.
 #[derive(Debug, Args)]
@@ -26,6 +37,9 @@ pub(crate) struct Arguments {
     /// Render it anew even if its pictures are stored already.
     #[arg(long, env = "SDFARM_NO_CACHE", value_parser = clap::builder::FalseyValueParser::new(), action = clap::ArgAction::SetTrue)]
     no_cache: bool,
+    /// Tell this address when the job has ended; up to four.
+    #[arg(long, value_name = "URL", env = "SDFARM_WEBHOOK", value_delimiter = ' ')]
+    webhook: Vec<String>,
 }
 
 /// Hands it in.
@@ -35,7 +49,12 @@ pub(crate) async fn run(arguments: Arguments) -> anyhow::Result<()> {
         check_output(&file.parse()?, output)?;
     }
     let client = arguments.server.client()?;
-    let job = client.submit(file.text.clone(), arguments.no_cache).await.map_err(|error| file.refused(error))?;
+    let how = Submission {
+        no_cache: arguments.no_cache,
+        idempotency_key: Some(JobId::new().to_string()),
+        webhooks: arguments.webhook.clone(),
+    };
+    let job = hand_in(&client, &file.text, &how).await.map_err(|error| file.refused(error))?;
     for warning in &job.warnings {
         note(&format!("{}: warning: {warning}", file.name));
     }
@@ -51,6 +70,23 @@ pub(crate) async fn run(arguments: Arguments) -> anyhow::Result<()> {
     match &arguments.output {
         Some(output) => follow::fetch(&client, job.id, 0, output).await,
         None => Ok(()),
+    }
+}
+
+/// Hands it in; under its key the job is made once, so a connection that broke is no reason not to try again.
+async fn hand_in(client: &Client, text: &[u8], how: &Submission) -> Result<JobView, ClientError> {
+    let mut sent = false;
+    let mut wait = FIRST_WAIT;
+    let mut left = PATIENCE;
+    loop {
+        match client.submit_with(text.to_vec(), how).await {
+            Err(ClientError::Broken { .. }) if left > Duration::ZERO => sent = true,
+            Err(ClientError::Unreachable { .. }) if sent && left > Duration::ZERO => {}
+            answered => return answered,
+        }
+        tokio::time::sleep(wait).await;
+        left = left.saturating_sub(wait);
+        wait = (wait * 2).min(LONGEST_WAIT);
     }
 }
 

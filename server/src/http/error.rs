@@ -27,6 +27,16 @@ pub(crate) enum ApiError {
     WrongBody(Vec<FaultView>),
     #[error("the query can't be read: {0}")]
     WrongQuery(String),
+    #[error("the headers can't be read: {0}")]
+    WrongHeader(String),
+    #[error("{0}")]
+    WrongWebhook(String),
+    #[error("this Idempotency-Key came with another job before: use a new key for a new job")]
+    OtherWish,
+    #[error(
+        "{stored} of the {total} pictures of job {job} are stored: wait for the rest, or take those with ?partial=true"
+    )]
+    FramesMissing { job: JobId, stored: u32, total: u32 },
     #[error("the body has more than {limit_bytes} bytes, the most this route takes")]
     TooLarge { limit_bytes: u64 },
     #[error("the content type is {found:?}: send JSON as application/json")]
@@ -148,6 +158,10 @@ impl ApiError {
             Self::WrongQuery(_) => {
                 (StatusCode::UNPROCESSABLE_ENTITY, "wrong_query", "The query is not as it should be")
             }
+            Self::WrongHeader(_) => (StatusCode::BAD_REQUEST, "wrong_header", "A header is not as it should be"),
+            Self::WrongWebhook(_) => (StatusCode::UNPROCESSABLE_ENTITY, "wrong_webhook", "The webhook is not taken"),
+            Self::OtherWish => (StatusCode::UNPROCESSABLE_ENTITY, "key_reused", "The key is another job's"),
+            Self::FramesMissing { .. } => (StatusCode::CONFLICT, "frames_missing", "Some pictures are not stored"),
             Self::TooLarge { .. } => (StatusCode::PAYLOAD_TOO_LARGE, "too_large", "The body is too large"),
             Self::WrongType { .. } => {
                 (StatusCode::UNSUPPORTED_MEDIA_TYPE, "wrong_content_type", "The content type is not taken")

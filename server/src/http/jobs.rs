@@ -16,13 +16,12 @@ use tracing::Instrument;
 use super::body;
 use super::caller::Caller;
 use super::error::ApiError;
-use super::quota;
-use super::traces;
+use super::{prefer, quota, traces, wish};
 use crate::estimate;
 use crate::farm::Farm;
 use crate::pictures::Kind;
 use crate::plan::Plan;
-use crate::queue::{Cancelled, NewJob};
+use crate::queue::{Cancelled, NewJob, Submitted};
 
 /// Jobs on a page, unless the query says otherwise.
 const PAGE: u32 = 100;
@@ -56,7 +55,8 @@ fn media_type(image: &scene::Image) -> &'static str {
     }
 }
 
-fn has_no_cache(headers: &HeaderMap) -> bool {
+/// Whether a job's pictures are to be rendered anew.
+pub(super) fn has_no_cache(headers: &HeaderMap) -> bool {
     headers
         .get_all(header::CACHE_CONTROL)
         .iter()
@@ -73,12 +73,16 @@ fn has_no_cache(headers: &HeaderMap) -> bool {
     params(
         ("dry_run" = Option<bool>, Query, description = "Only check the job, and say what it would take: 200 if it is sound"),
         ("keep" = Option<String>, Query, description = "How long it is kept once it has finished: 36h, 7d, forever; else as the server was told"),
+        ("webhook" = Option<Vec<String>>, Query, description = "An address that is told when the job has ended; up to four"),
+        ("webhook_event" = Option<Vec<String>>, Query, description = "What webhooks are told instead: job.running, job.succeeded, job.failed, job.cancelled, frame.stored"),
+        ("Idempotency-Key" = Option<String>, Header, description = "A name for this very wish: sent again with it, it is the same job"),
+        ("Prefer" = Option<String>, Header, description = "`wait=N`: answer when the job has ended, or after N seconds, at most 60"),
     ),
     request_body(content = ref("#/components/schemas/Job"), content_type = "application/json"),
     responses(
         (status = 201, description = "Accepted", body = ref("#/components/schemas/JobView"),
          headers(("Location" = String, description = "The job"))),
-        (status = 200, description = "It is sound (dry run)", body = ref("#/components/schemas/DryRun")),
+        (status = 200, description = "It is sound (dry run); or, as JobView, it was accepted before under the same Idempotency-Key", body = ref("#/components/schemas/DryRun")),
         (status = 400, description = "Not JSON", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
         (status = 413, description = "Too large", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
         (status = 415, description = "Wrong content type", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
@@ -118,6 +122,7 @@ pub(super) async fn submit(
     }
     quota::check_rays(&farm, &caller, plan.rays_total()).await?;
     let id = JobId::new();
+    let wish = wish::read(&uri, &headers, &text, &farm.webhooks.guard)?;
     let new = NewJob {
         id,
         name: job.name.clone(),
@@ -132,10 +137,14 @@ pub(super) async fn submit(
         text: file_text(text)?,
     };
     traces::keep(&farm, id, &headers).await?;
-    farm.submit(new, Arc::new(job)).instrument(tracing::info_span!("submit", job = %id)).await?;
+    let submitting = farm.submit(new, Arc::new(job), wish);
+    let (status, id) = match submitting.instrument(tracing::info_span!("submit", job = %id)).await? {
+        Submitted::New(_) => (StatusCode::CREATED, id),
+        Submitted::Same(id) => (StatusCode::OK, id),
+        Submitted::Other => return Err(ApiError::OtherWish),
+    };
     fail::pass_by(Point::SubmitCommitted);
-    let view = farm.queue.job(id).await?.ok_or_else(|| ApiError::UnknownJob(id.to_string()))?;
-    let mut response = (StatusCode::CREATED, Json(view)).into_response();
+    let mut response = prefer::answer(&farm, id, &headers, status).await?;
     if let Ok(location) = HeaderValue::from_str(&format!("/v1/jobs/{id}")) {
         response.headers_mut().insert(header::LOCATION, location);
     }
@@ -178,14 +187,21 @@ pub(super) async fn list(State(farm): State<Arc<Farm>>, uri: Uri) -> Result<Json
 /// Look at a job.
 #[utoipa::path(
     get, path = "/v1/jobs/{id}", tag = "jobs", operation_id = "get_job",
-    params(("id" = String, Path, description = "The job")),
+    params(
+        ("id" = String, Path, description = "The job"),
+        ("Prefer" = Option<String>, Header, description = "`wait=N`: answer when the job has ended, or after N seconds, at most 60"),
+    ),
     responses(
         (status = 200, description = "The job", body = ref("#/components/schemas/JobView")),
         (status = 404, description = "No such job", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
     )
 )]
-pub(super) async fn get(State(farm): State<Arc<Farm>>, Path(id): Path<String>) -> Result<Json<JobView>, ApiError> {
-    view(&farm, job_id(&id)?).await
+pub(super) async fn get(
+    State(farm): State<Arc<Farm>>,
+    Path(id): Path<String>,
+    headers: HeaderMap,
+) -> Result<Response, ApiError> {
+    prefer::answer(&farm, job_id(&id)?, &headers, StatusCode::OK).await
 }
 
 /// A job as it is now.

@@ -7,13 +7,14 @@ use axum::extract::State;
 use axum::http::header;
 use axum::response::{IntoResponse, Response};
 use proto::Problem;
-use proto::change::{DeletePreview, JobPatch};
+use proto::change::{DeletePreview, FramePage, JobPatch};
 use proto::farm::FarmView;
 use proto::job::{DryRun, JobPage, JobView};
 use proto::key::{AuditPage, IssuedKey, KeyList, NewKey};
 use proto::link::{LinkRequest, LinkView};
 use proto::pool::{PoolSize, PoolView, WorkerList};
 use proto::retention::Collection;
+use proto::webhook::DeliveryList;
 use schemars::generate::SchemaSettings;
 use serde_json::{Map, Value};
 
@@ -63,6 +64,8 @@ fn views() -> Map<String, Value> {
     generator.subschema_for::<LinkRequest>();
     generator.subschema_for::<LinkView>();
     generator.subschema_for::<Collection>();
+    generator.subschema_for::<FramePage>();
+    generator.subschema_for::<DeliveryList>();
     generator.subschema_for::<WorkerList>();
     generator.subschema_for::<PoolSize>();
     generator.subschema_for::<PoolView>();

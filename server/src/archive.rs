@@ -1,0 +1,149 @@
+//! All pictures of a job as one ZIP archive, made while it is read: no more than a piece of it is in memory.
+//!
+//! Pictures are compressed already, so they are stored as they are. Dates are fixed and names follow from the job,
+//! so the same pictures give the same bytes.
+
+use std::collections::VecDeque;
+use std::io::{self, Write};
+use std::sync::{Arc, Mutex};
+
+use bytes::Bytes;
+use futures_util::StreamExt;
+use futures_util::stream::BoxStream;
+use zip::write::{SimpleFileOptions, StreamWriter};
+use zip::{CompressionMethod, DateTime, ZipWriter};
+
+use crate::farm::Farm;
+use crate::pictures::{Kind, Name, PictureError};
+use crate::queue::{Frames, StoredFrame};
+use crate::store::StoreError;
+
+/// An archive goes out in pieces of about so many bytes.
+const PIECE_BYTES: usize = 128 << 10;
+/// Frames that are looked up at a time.
+const PAGE: u32 = 500;
+/// Permissions of a file that is taken out.
+const MODE: u32 = 0o644;
+
+/// Why an archive broke off.
+#[derive(Debug, thiserror::Error)]
+pub(crate) enum ArchiveError {
+    /// The frames could not be looked up.
+    #[error(transparent)]
+    Store(#[from] StoreError),
+    /// A picture could not be read.
+    #[error(transparent)]
+    Picture(#[from] PictureError),
+    /// A picture could not be read to its end.
+    #[error("the picture of frame {frame} broke off")]
+    Broken {
+        /// The frame.
+        frame: u32,
+        /// What the store said.
+        #[source]
+        source: object_store::Error,
+    },
+    /// A picture is recorded, but not there.
+    #[error("the picture of frame {0} is gone")]
+    Gone(u32),
+    /// The archive's form does not allow it.
+    #[error("the archive could not be written")]
+    Zip(#[from] zip::result::ZipError),
+    /// The archive's form does not allow it.
+    #[error("the archive could not be written")]
+    Write(#[from] io::Error),
+}
+
+/// Where the archive's bytes gather until they are fetched.
+#[derive(Clone, Debug, Default)]
+struct Basket(Arc<Mutex<Vec<u8>>>);
+
+impl Basket {
+    fn size_bytes(&self) -> usize {
+        self.0.lock().expect("no holder panics").len()
+    }
+
+    fn empty(&self) -> Bytes {
+        std::mem::take(&mut *self.0.lock().expect("no holder panics")).into()
+    }
+}
+
+impl Write for Basket {
+    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+        self.0.lock().expect("no holder panics").extend_from_slice(bytes);
+        Ok(bytes.len())
+    }
+
+    fn flush(&mut self) -> io::Result<()> {
+        Ok(())
+    }
+}
+
+/// A picture on its way into the archive.
+struct Picture {
+    frame: u32,
+    bytes: BoxStream<'static, object_store::Result<Bytes>>,
+}
+
+/// An archive that is being made.
+pub(crate) struct Archive {
+    farm: Arc<Farm>,
+    frames: Frames,
+    basket: Basket,
+    /// None: all is written.
+    writer: Option<ZipWriter<StreamWriter<Basket>>>,
+    waiting: VecDeque<StoredFrame>,
+    next_frame: u32,
+    picture: Option<Picture>,
+}
+
+impl Archive {
+    /// An archive of those pictures of these frames that are stored.
+    pub(crate) fn new(farm: Arc<Farm>, frames: Frames) -> Self {
+        let basket = Basket::default();
+        let writer = Some(ZipWriter::new_stream(basket.clone()));
+        Self { farm, frames, basket, writer, waiting: VecDeque::new(), next_frame: 0, picture: None }
+    }
+
+    /// The next piece of it; `None` at its end.
+    pub(crate) async fn next(&mut self) -> Result<Option<Bytes>, ArchiveError> {
+        while self.basket.size_bytes() < PIECE_BYTES {
+            let Some(writer) = &mut self.writer else { break };
+            if let Some(picture) = &mut self.picture {
+                let frame = picture.frame;
+                match picture.bytes.next().await {
+                    Some(Ok(bytes)) => writer.write_all(&bytes)?,
+                    Some(Err(source)) => return Err(ArchiveError::Broken { frame, source }),
+                    None => self.picture = None,
+                }
+            } else if !self.begin_next().await?
+                && let Some(writer) = self.writer.take()
+            {
+                writer.finish()?;
+            }
+        }
+        Ok(Some(self.basket.empty()).filter(|piece| !piece.is_empty()))
+    }
+
+    /// Begins the next picture; false: there is none.
+    async fn begin_next(&mut self) -> Result<bool, ArchiveError> {
+        if self.waiting.is_empty() {
+            self.waiting = self.farm.queue.stored_frames(self.frames.job, self.next_frame, PAGE).await?.into();
+        }
+        let Some(frame) = self.waiting.pop_front() else { return Ok(false) };
+        self.next_frame = frame.number + 1;
+        let gone = || ArchiveError::Gone(frame.number);
+        let name = Name::parse(&frame.picture).ok_or_else(gone)?;
+        let (_, bytes) = self.farm.pictures.get(Kind::Picture, &name, None).await?.ok_or_else(gone)?;
+        let options = SimpleFileOptions::default()
+            .compression_method(CompressionMethod::Stored)
+            .last_modified_time(DateTime::default())
+            .unix_permissions(MODE)
+            .large_file(frame.size_bytes >= u64::from(u32::MAX));
+        if let Some(writer) = &mut self.writer {
+            writer.start_file(self.frames.file_name(frame.number), options)?;
+        }
+        self.picture = Some(Picture { frame: frame.number, bytes });
+        Ok(true)
+    }
+}

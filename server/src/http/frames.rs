@@ -1,0 +1,121 @@
+//! The frames of an animation: a list, and all pictures as one archive.
+
+use std::sync::Arc;
+
+use axum::Json;
+use axum::body::Body;
+use axum::extract::{Path, State};
+use axum::http::{HeaderValue, Uri, header};
+use axum::response::{IntoResponse, Response};
+use futures_util::stream;
+use proto::change::FramePage;
+use serde::Deserialize;
+
+use super::body;
+use super::error::ApiError;
+use super::jobs::job_id;
+use crate::archive::Archive;
+use crate::farm::Farm;
+
+/// Frames on a page, unless the query says otherwise.
+const PAGE: u32 = 100;
+/// Frames on a page, at most.
+const MAX_PAGE: u32 = 1000;
+
+#[derive(Debug, Deserialize)]
+struct ListQuery {
+    limit: Option<u32>,
+    cursor: Option<String>,
+}
+
+#[derive(Debug, Deserialize)]
+struct ArchiveQuery {
+    #[serde(default)]
+    partial: bool,
+}
+
+/// List a job's frames, by number.
+#[utoipa::path(
+    get, path = "/v1/jobs/{id}/frames", tag = "pictures", operation_id = "list_frames",
+    params(
+        ("id" = String, Path, description = "The job"),
+        ("limit" = Option<u32>, Query, description = "Frames on the page", minimum = 1, maximum = 1000),
+        ("cursor" = Option<String>, Query, description = "`next_cursor` of the page before"),
+    ),
+    responses(
+        (status = 200, description = "A page", body = ref("#/components/schemas/FramePage")),
+        (status = 404, description = "No such job", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
+        (status = 422, description = "Wrong query", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
+    )
+)]
+pub(super) async fn list(
+    State(farm): State<Arc<Farm>>,
+    Path(id): Path<String>,
+    uri: Uri,
+) -> Result<Json<FramePage>, ApiError> {
+    let job = job_id(&id)?;
+    let query: ListQuery = body::read_query(&uri)?;
+    let limit = query.limit.unwrap_or(PAGE);
+    if !(1..=MAX_PAGE).contains(&limit) {
+        return Err(ApiError::WrongQuery(format!("limit is {limit}, but must be from 1 to {MAX_PAGE}")));
+    }
+    let from = match query.cursor {
+        None => 0,
+        Some(cursor) => cursor.parse().map_err(|_| {
+            ApiError::WrongQuery(format!("{cursor:?} is no cursor: pass the next_cursor of the page before"))
+        })?,
+    };
+    let found = farm.queue.frames(job).await?.ok_or(ApiError::UnknownJob(id))?;
+    let frames = farm.queue.frame_page(job, &found, from, limit).await?;
+    let next = frames.last().map(|frame| frame.number + 1).filter(|next| *next < found.total);
+    Ok(Json(FramePage { frames, next_cursor: next.map(|next| next.to_string()) }))
+}
+
+/// Get all pictures of a job as one ZIP archive.
+///
+/// The pictures are stored as they are, in the order of their numbers, as `NAME.0000.png` and so on; the same job
+/// gives the same bytes.
+#[utoipa::path(
+    get, path = "/v1/jobs/{id}/frames.zip", tag = "pictures", operation_id = "get_archive",
+    params(
+        ("id" = String, Path, description = "The job"),
+        ("partial" = Option<bool>, Query, description = "Also while some pictures are not stored: those that are"),
+    ),
+    responses(
+        (status = 200, description = "The archive", body = Vec<u8>, content_type = "application/zip"),
+        (status = 404, description = "No such job", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
+        (status = 409, description = "Some pictures are not stored", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
+        (status = 422, description = "Wrong query", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
+    )
+)]
+pub(super) async fn archive(
+    State(farm): State<Arc<Farm>>,
+    Path(id): Path<String>,
+    uri: Uri,
+) -> Result<Response, ApiError> {
+    let job = job_id(&id)?;
+    let query: ArchiveQuery = body::read_query(&uri)?;
+    let frames = farm.queue.frames(job).await?.ok_or(ApiError::UnknownJob(id))?;
+    if frames.stored < frames.total && !query.partial {
+        return Err(ApiError::FramesMissing { job, stored: frames.stored, total: frames.total });
+    }
+    let disposition = format!("attachment; filename=\"{}.zip\"", frames.plain_name());
+    let pieces = stream::unfold(Some(Archive::new(farm, frames)), async |archive| {
+        let mut archive = archive?;
+        match archive.next().await {
+            Ok(Some(piece)) => Some((Ok(piece), Some(archive))),
+            Ok(None) => None,
+            Err(error) => {
+                tracing::error!(%error, "an archive broke off");
+                Some((Err(error), None))
+            }
+        }
+    });
+    let mut response = Body::from_stream(pieces).into_response();
+    let headers = response.headers_mut();
+    headers.insert(header::CONTENT_TYPE, HeaderValue::from_static("application/zip"));
+    if let Ok(disposition) = HeaderValue::from_str(&disposition) {
+        headers.insert(header::CONTENT_DISPOSITION, disposition);
+    }
+    Ok(response)
+}

@@ -1,0 +1,92 @@
+//! `Prefer: wait=N` (RFC 7240): the answer comes when the job has ended, or after N seconds.
+
+use std::time::Duration;
+
+use axum::Json;
+use axum::http::{HeaderMap, HeaderName, HeaderValue, StatusCode};
+use axum::response::{IntoResponse, Response};
+use proto::JobId;
+use proto::job::JobView;
+
+use super::error::ApiError;
+use crate::clock::instant;
+use crate::farm::Farm;
+
+/// Nobody waits longer; whoever wants to asks again.
+const MAX_WAIT: Duration = Duration::from_mins(1);
+const PREFER: &str = "prefer";
+const APPLIED: HeaderName = HeaderName::from_static("preference-applied");
+
+/// A job, when it has ended or the wait is over.
+pub(super) async fn answer(
+    farm: &Farm,
+    id: JobId,
+    headers: &HeaderMap,
+    status: StatusCode,
+) -> Result<Response, ApiError> {
+    let wait = wait(headers);
+    if let Some(wait) = wait {
+        until_ended(farm, id, wait).await?;
+    }
+    let view: JobView = farm.queue.job(id).await?.ok_or_else(|| ApiError::UnknownJob(id.to_string()))?;
+    let mut response = (status, Json(view)).into_response();
+    if let Some(wait) = wait
+        && let Ok(value) = HeaderValue::from_str(&format!("wait={}", wait.as_secs()))
+    {
+        response.headers_mut().insert(APPLIED, value);
+    }
+    Ok(response)
+}
+
+async fn until_ended(farm: &Farm, id: JobId, wait: Duration) -> Result<(), ApiError> {
+    let deadline = instant() + wait;
+    let Some(followed) = farm.queue.followed(id).await? else { return Ok(()) };
+    let topic = farm.events.topic(followed.job).await?;
+    let mut bell = topic.bell();
+    while farm.queue.has_ended(followed.job).await? == Some(false) {
+        tokio::select! {
+            rung = bell.changed() => if rung.is_err() { break },
+            () = tokio::time::sleep_until(deadline) => break,
+            () = farm.closing.cancelled() => break,
+        }
+    }
+    Ok(())
+}
+
+/// How long a request would wait; what can't be read is no preference.
+fn wait(headers: &HeaderMap) -> Option<Duration> {
+    headers
+        .get_all(PREFER)
+        .iter()
+        .filter_map(|value| value.to_str().ok())
+        .flat_map(|value| value.split(','))
+        .filter_map(|preference| preference.split(';').next()?.split_once('='))
+        .find(|(name, _)| name.trim().eq_ignore_ascii_case("wait"))
+        .and_then(|(_, seconds)| seconds.trim().trim_matches('"').parse().ok())
+        .map(|seconds| Duration::from_secs(seconds).min(MAX_WAIT))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn preferences_are_read_as_rfc_7240_has_them() {
+        for (value, seconds) in [
+            ("wait=10", Some(10)),
+            ("respond-async, wait=5", Some(5)),
+            ("Wait = \"7\"; foo", Some(7)),
+            ("wait=100000", Some(60)),
+            ("wait=0", Some(0)),
+            ("wait", None),
+            ("wait=soon", None),
+            ("wait=-1", None),
+            ("return=minimal", None),
+        ] {
+            let mut headers = HeaderMap::new();
+            headers.insert(PREFER, HeaderValue::from_static(value));
+            assert_eq!(wait(&headers), seconds.map(Duration::from_secs), "{value}");
+        }
+        assert_eq!(wait(&HeaderMap::new()), None);
+    }
+}

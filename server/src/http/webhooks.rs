@@ -1,0 +1,29 @@
+//! What became of the messages to a job's webhooks.
+
+use std::sync::Arc;
+
+use axum::Json;
+use axum::extract::{Path, State};
+use proto::webhook::DeliveryList;
+
+use super::error::ApiError;
+use super::jobs::job_id;
+use crate::farm::Farm;
+
+/// List the messages to a job's webhooks, and what became of them.
+#[utoipa::path(
+    get, path = "/v1/jobs/{id}/webhooks", tag = "jobs", operation_id = "list_deliveries",
+    params(("id" = String, Path, description = "The job")),
+    responses(
+        (status = 200, description = "The messages, oldest first", body = ref("#/components/schemas/DeliveryList")),
+        (status = 404, description = "No such job", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
+    )
+)]
+pub(super) async fn list(
+    State(farm): State<Arc<Farm>>,
+    Path(id): Path<String>,
+) -> Result<Json<DeliveryList>, ApiError> {
+    let job = job_id(&id)?;
+    farm.queue.followed(job).await?.ok_or(ApiError::UnknownJob(id))?;
+    Ok(Json(DeliveryList { deliveries: farm.queue.deliveries(job).await? }))
+}

@@ -1,0 +1,159 @@
+//! A job's frames, by number: where each stands, and which picture it has.
+
+use proto::JobId;
+use proto::change::{FrameState, FrameView};
+use sqlx::Row;
+use sqlx::sqlite::SqliteRow;
+
+use super::{Queue, Result, known};
+
+/// What is said of all frames of a job.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(crate) struct Frames {
+    /// The job's number.
+    pub(crate) job: i64,
+    /// The job's name.
+    pub(crate) name: String,
+    /// Media type of the pictures.
+    pub(crate) media_type: String,
+    /// How many there are.
+    pub(crate) total: u32,
+    /// How many pictures are stored.
+    pub(crate) stored: u32,
+}
+
+impl Frames {
+    /// What the file of a frame's picture is called: plain characters, so that any file system takes it.
+    pub(crate) fn file_name(&self, frame: u32) -> String {
+        let extension = if self.media_type == "image/x-exr" { "exr" } else { "png" };
+        format!("{}.{frame:04}.{extension}", self.plain_name())
+    }
+
+    /// The job's name as a file may be called.
+    pub(crate) fn plain_name(&self) -> String {
+        const MAX_CHARACTERS: usize = 100;
+        let is_plain = |character: char| character.is_ascii_alphanumeric() || "-_.".contains(character);
+        let plain: String = self
+            .name
+            .trim_start_matches('.')
+            .chars()
+            .take(MAX_CHARACTERS)
+            .map(|character| if is_plain(character) { character } else { '_' })
+            .collect();
+        if plain.is_empty() { "untitled".to_owned() } else { plain }
+    }
+}
+
+/// A frame whose picture is stored.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(crate) struct StoredFrame {
+    /// Its number.
+    pub(crate) number: u32,
+    /// BLAKE3 of its picture's bytes, in hex.
+    pub(crate) picture: String,
+    /// Size of its picture.
+    pub(crate) size_bytes: u64,
+}
+
+impl Queue {
+    /// What is said of all frames of a job.
+    pub(crate) async fn frames(&self, id: JobId) -> Result<Option<Frames>> {
+        let row = sqlx::query("SELECT number, name, media_type, frames_total, frames_stored FROM job WHERE id = ?")
+            .bind(id.to_string())
+            .fetch_optional(self.readers())
+            .await?;
+        row.map(|row| {
+            Ok(Frames {
+                job: row.try_get("number")?,
+                name: row.try_get("name")?,
+                media_type: row.try_get("media_type")?,
+                total: row.try_get("frames_total")?,
+                stored: row.try_get("frames_stored")?,
+            })
+        })
+        .transpose()
+    }
+
+    /// The frames of a job from one on; those that are not reached yet have no row.
+    pub(crate) async fn frame_page(&self, id: JobId, frames: &Frames, from: u32, limit: u32) -> Result<Vec<FrameView>> {
+        let end = from.saturating_add(limit).min(frames.total);
+        let rows = sqlx::query(
+            "SELECT number, state, picture, size_bytes FROM frame
+             WHERE job = ? AND number >= ? AND number < ? ORDER BY number",
+        )
+        .bind(frames.job)
+        .bind(from)
+        .bind(end)
+        .fetch_all(self.readers())
+        .await?;
+        let mut views = Vec::with_capacity((end.saturating_sub(from)) as usize);
+        let mut rows = rows.iter().peekable();
+        for number in from..end {
+            let row = match rows.peek() {
+                Some(row) if row.try_get::<u32, _>("number")? == number => rows.next(),
+                Some(_) | None => None,
+            };
+            views.push(view(id, frames, number, row)?);
+        }
+        Ok(views)
+    }
+
+    /// The next frames of a job whose pictures are stored.
+    pub(crate) async fn stored_frames(&self, job: i64, from: u32, limit: u32) -> Result<Vec<StoredFrame>> {
+        let rows = sqlx::query(
+            "SELECT number, picture, size_bytes FROM frame
+             WHERE job = ? AND number >= ? AND state = 'stored' ORDER BY number LIMIT ?",
+        )
+        .bind(job)
+        .bind(from)
+        .bind(limit)
+        .fetch_all(self.readers())
+        .await?;
+        rows.iter()
+            .map(|row| {
+                Ok(StoredFrame {
+                    number: row.try_get("number")?,
+                    picture: row.try_get("picture")?,
+                    size_bytes: row.try_get("size_bytes")?,
+                })
+            })
+            .collect()
+    }
+}
+
+fn view(id: JobId, frames: &Frames, number: u32, row: Option<&SqliteRow>) -> Result<FrameView> {
+    let Some(row) = row else {
+        let state = FrameState::Waiting;
+        return Ok(FrameView { number, state, picture: None, size_bytes: None, image: None, file: None });
+    };
+    let name: String = row.try_get("state")?;
+    let state = known("frame.state", &name, FrameState::read)?;
+    let is_stored = state == FrameState::Stored;
+    Ok(FrameView {
+        number,
+        state,
+        picture: row.try_get("picture")?,
+        size_bytes: row.try_get("size_bytes")?,
+        image: is_stored.then(|| format!("/v1/jobs/{id}/frames/{number}/image")),
+        file: is_stored.then(|| frames.file_name(number)),
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn files_are_called_as_any_file_system_takes_it() {
+        let named = |name: &str| {
+            let frames =
+                Frames { job: 1, name: name.to_owned(), media_type: "image/png".to_owned(), total: 1, stored: 1 };
+            frames.file_name(7)
+        };
+        assert_eq!(named("csg"), "csg.0007.png");
+        assert_eq!(named("../../etc/passwd"), "_.._etc_passwd.0007.png");
+        assert_eq!(named("Fjörd & co"), "Fj_rd___co.0007.png");
+        assert_eq!(named(".."), "untitled.0007.png");
+        assert_eq!(named(&"x".repeat(500)).len(), 100 + ".0007.png".len());
+    }
+}

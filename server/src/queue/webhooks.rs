@@ -1,0 +1,183 @@
+//! Deliveries to webhooks: what is due, what became of each attempt, and what is dropped when it is old.
+//!
+//! They are made by the trigger of migration 0006, with the change that they tell of.
+
+use std::time::Duration;
+
+use proto::JobId;
+use proto::webhook::{DeliveryState, DeliveryView};
+use sqlx::Row;
+use sqlx::sqlite::SqliteRow;
+
+use super::{Queue, Result, counted, known};
+use crate::clock::rfc3339;
+use crate::store::Durability;
+
+/// Deliveries that came to an end are kept so long.
+const KEEP_MS: i64 = 7 * 24 * 3_600_000;
+/// Deliveries dropped in one transaction.
+const DROPPED_AT_ONCE: i64 = 5_000;
+/// Deliveries of a job that are shown, at most.
+const SHOWN: i64 = 1_000;
+
+/// A delivery that is due.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(crate) struct Delivery {
+    /// Its number.
+    pub(crate) number: i64,
+    /// The message's id, the same in every attempt.
+    pub(crate) id: String,
+    /// What happened.
+    pub(crate) event: String,
+    /// Where it goes.
+    pub(crate) url: String,
+    /// The job's id.
+    pub(crate) job: String,
+    /// The job's name.
+    pub(crate) name: String,
+    /// What is told, as JSON.
+    pub(crate) body: String,
+    /// Attempts that were made.
+    pub(crate) attempts: u32,
+}
+
+/// What became of an attempt.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(crate) enum Attempt {
+    /// It was taken.
+    Delivered {
+        /// The answer's status.
+        status: u16,
+    },
+    /// It was not.
+    Failed {
+        /// The answer's status, if there was one.
+        status: Option<u16>,
+        /// Why.
+        error: String,
+        /// When to try again; `None` never.
+        again_in: Option<Duration>,
+    },
+}
+
+impl Queue {
+    /// Deliveries that are due, the longest due first.
+    pub(crate) async fn due_deliveries(&self, limit: u32) -> Result<Vec<Delivery>> {
+        let rows = sqlx::query(
+            "SELECT number, id, event, url, job, name, body, attempts FROM delivery
+             WHERE state = 'pending' AND next_at_ms <= ? ORDER BY next_at_ms LIMIT ?",
+        )
+        .bind(self.clock.wall_ms())
+        .bind(limit)
+        .fetch_all(self.readers())
+        .await?;
+        rows.iter()
+            .map(|row| {
+                Ok(Delivery {
+                    number: row.try_get("number")?,
+                    id: row.try_get("id")?,
+                    event: row.try_get("event")?,
+                    url: row.try_get("url")?,
+                    job: row.try_get("job")?,
+                    name: row.try_get("name")?,
+                    body: row.try_get("body")?,
+                    attempts: row.try_get("attempts")?,
+                })
+            })
+            .collect()
+    }
+
+    /// Writes down what became of an attempt.
+    pub(crate) async fn attempted(&self, number: i64, attempt: Attempt) -> Result<()> {
+        let wall_ms = self.clock.wall_ms();
+        let (state, status, error, again_in) = match attempt {
+            Attempt::Delivered { status } => ("delivered", Some(status), None, None),
+            Attempt::Failed { status, error, again_in: None } => ("failed", status, Some(error), None),
+            Attempt::Failed { status, error, again_in } => ("pending", status, Some(error), again_in),
+        };
+        let next_at_ms =
+            again_in.map(|wait| wall_ms.saturating_add(i64::try_from(wait.as_millis()).unwrap_or(i64::MAX)));
+        let finished_at_ms = next_at_ms.is_none().then_some(wall_ms);
+        self.store
+            .write(Durability::Relaxed, move |connection| {
+                Box::pin(async move {
+                    let done = sqlx::query(
+                        "UPDATE delivery SET state = ?, attempts = attempts + 1, status = ?, error = ?,
+                                             next_at_ms = ?, finished_at_ms = ?
+                         WHERE number = ? AND state = 'pending'",
+                    )
+                    .bind(state)
+                    .bind(status)
+                    .bind(error)
+                    .bind(next_at_ms)
+                    .bind(finished_at_ms)
+                    .bind(number)
+                    .execute(connection)
+                    .await?;
+                    counted("delivery: attempted", 1, &done)
+                })
+            })
+            .await
+    }
+
+    /// A job's deliveries, oldest first.
+    pub(crate) async fn deliveries(&self, job: JobId) -> Result<Vec<DeliveryView>> {
+        let rows = sqlx::query(
+            "SELECT id, event, url, state, attempts, next_at_ms, status, error FROM delivery
+             WHERE job = ? ORDER BY number LIMIT ?",
+        )
+        .bind(job.to_string())
+        .bind(SHOWN)
+        .fetch_all(self.readers())
+        .await?;
+        rows.iter().map(view).collect()
+    }
+
+    /// Drops deliveries that came to an end long ago; returns how many.
+    pub(crate) async fn prune_deliveries(&self) -> Result<u64> {
+        let ended_before_ms = self.clock.wall_ms() - KEEP_MS;
+        let mut count = 0;
+        loop {
+            let dropped = self
+                .store
+                .write(Durability::Relaxed, move |connection| {
+                    Box::pin(async move {
+                        let dropped = sqlx::query(
+                            "DELETE FROM delivery WHERE number IN (
+                                 SELECT number FROM delivery
+                                 WHERE finished_at_ms IS NOT NULL AND finished_at_ms < ? LIMIT ?)",
+                        )
+                        .bind(ended_before_ms)
+                        .bind(DROPPED_AT_ONCE)
+                        .execute(connection)
+                        .await?;
+                        Ok(dropped.rows_affected())
+                    })
+                })
+                .await?;
+            count += dropped;
+            if dropped == 0 {
+                return Ok(count);
+            }
+        }
+    }
+}
+
+/// What may be shown of an address.
+fn receiver(url: &str) -> String {
+    reqwest::Url::parse(url).map_or_else(|_| String::new(), |url| url.origin().ascii_serialization())
+}
+
+fn view(row: &SqliteRow) -> Result<DeliveryView> {
+    let state: String = row.try_get("state")?;
+    Ok(DeliveryView {
+        id: row.try_get("id")?,
+        event: row.try_get("event")?,
+        receiver: receiver(&row.try_get::<String, _>("url")?),
+        state: known("delivery.state", &state, DeliveryState::read)?,
+        attempts: row.try_get("attempts")?,
+        next_at: row.try_get::<Option<i64>, _>("next_at_ms")?.map(rfc3339),
+        status: row.try_get("status")?,
+        error: row.try_get("error")?,
+    })
+}

@@ -1,0 +1,249 @@
+//! Telling webhooks: deliveries that are due are sent, signed, and what became of each attempt is written down.
+//!
+//! A delivery is sent at least once, under an id that stays the same, until it is taken or its attempts are used up.
+//! No redirect is followed, no proxy asked, and an answer's body is not read.
+
+mod guard;
+mod sign;
+
+use std::collections::HashSet;
+use std::sync::Arc;
+use std::time::Duration;
+
+use reqwest::header::CONTENT_TYPE;
+use reqwest::redirect::Policy;
+use reqwest::{Client, Url};
+use serde_json::{Value, json};
+use tokio::task::JoinSet;
+use tokio_util::sync::CancellationToken;
+
+use crate::farm::Farm;
+use crate::queue::{Attempt, Delivery};
+use crate::store::StoreError;
+
+pub use guard::AddressRange;
+pub(crate) use guard::Guard;
+pub(crate) use sign::Signer;
+pub use sign::{SecretError, webhook_secret};
+
+/// What a webhook may be told.
+pub(crate) const EVENTS: [&str; 5] = ["job.running", "job.succeeded", "job.failed", "job.cancelled", "frame.stored"];
+/// What it is told unless the job says otherwise.
+pub(crate) const FINAL_EVENTS: [&str; 3] = ["job.succeeded", "job.failed", "job.cancelled"];
+
+/// Attempts under way at a time.
+const AT_ONCE: usize = 16;
+/// A connection has to be there after so long.
+const CONNECT_TIMEOUT: Duration = Duration::from_secs(5);
+/// An answer has to be there after so long.
+const TIMEOUT: Duration = Duration::from_secs(15);
+/// Deliveries are looked for so often, besides when something was committed.
+const TICK: Duration = Duration::from_secs(1);
+/// And not more often than this.
+const PAUSE: Duration = Duration::from_millis(100);
+/// Waits after failed attempts, before jitter, in seconds; after the last the delivery has failed.
+const WAITS_SECONDS: [u64; 9] = [5, 30, 120, 600, 1_800, 7_200, 21_600, 43_200, 86_400];
+/// Most of an error that is written down, in characters.
+const ERROR_CHARACTERS: usize = 300;
+
+/// What sends to webhooks.
+#[derive(Debug)]
+pub(crate) struct Webhooks {
+    /// Where they may go.
+    pub(crate) guard: Guard,
+    signer: Signer,
+}
+
+impl Webhooks {
+    /// Sends to where the guard lets through, signed.
+    pub(crate) fn new(guard: Guard, signer: Signer) -> Self {
+        Self { guard, signer }
+    }
+
+    fn client(&self, is_http: bool) -> reqwest::Result<Client> {
+        proto::access::client_builder()
+            .connect_timeout(CONNECT_TIMEOUT)
+            .timeout(TIMEOUT)
+            .redirect(Policy::none())
+            .no_proxy()
+            .referer(false)
+            .pool_max_idle_per_host(1)
+            .user_agent(concat!("sdfarm/", env!("CARGO_PKG_VERSION")))
+            .dns_resolver(self.guard.resolver(is_http))
+            .build()
+    }
+}
+
+/// The two ways out; each is made when it is first taken.
+#[derive(Debug, Default)]
+struct Clients {
+    https: Option<Client>,
+    http: Option<Client>,
+}
+
+impl Clients {
+    fn of(&mut self, webhooks: &Webhooks, is_http: bool) -> Result<Client, String> {
+        let client = if is_http { &mut self.http } else { &mut self.https };
+        if let Some(client) = client {
+            return Ok(client.clone());
+        }
+        let made = webhooks.client(is_http).map_err(|error| chain(&error))?;
+        Ok(client.insert(made).clone())
+    }
+}
+
+/// Sends what is due until the farm is closed.
+pub(crate) async fn run(farm: Arc<Farm>, end: CancellationToken) {
+    let mut commits = farm.queue.commits();
+    let mut clients = Clients::default();
+    let mut under_way = HashSet::new();
+    let mut attempts: JoinSet<(i64, Result<(), StoreError>)> = JoinSet::new();
+    loop {
+        tokio::select! {
+            () = end.cancelled() => return,
+            Some(done) = attempts.join_next(), if !attempts.is_empty() => match done {
+                Ok((number, written)) => {
+                    under_way.remove(&number);
+                    if let Err(error) = written {
+                        tracing::error!(%error, "a delivery's attempt could not be written down; it will be sent again");
+                    }
+                }
+                Err(error) => tracing::error!(%error, "a delivery's attempt panicked"),
+            },
+            changed = tokio::time::timeout(TICK, commits.changed()) => if matches!(changed, Ok(Err(_))) { return },
+        }
+        let limit = AT_ONCE + under_way.len();
+        let due = match farm.queue.due_deliveries(limit as u32).await {
+            Ok(due) => due,
+            Err(error) => {
+                tracing::error!(%error, "deliveries could not be looked up");
+                continue;
+            }
+        };
+        for delivery in due {
+            if under_way.len() >= AT_ONCE || !under_way.insert(delivery.number) {
+                continue;
+            }
+            let is_http = delivery.url.starts_with("http:");
+            let client = clients.of(&farm.webhooks, is_http);
+            let farm = Arc::clone(&farm);
+            attempts.spawn(async move {
+                let attempt = attempt(&farm, client, &delivery).await;
+                (delivery.number, farm.queue.attempted(delivery.number, attempt).await)
+            });
+        }
+        tokio::time::sleep(PAUSE).await;
+    }
+}
+
+async fn attempt(farm: &Farm, client: Result<Client, String>, delivery: &Delivery) -> Attempt {
+    let sent = match client {
+        Ok(client) => send(farm, &client, delivery).await,
+        Err(error) => Err(error),
+    };
+    let (status, error) = match sent {
+        Ok(status) if (200..300).contains(&status) => return Attempt::Delivered { status },
+        Ok(status) => (Some(status), format!("it was answered with {status}")),
+        Err(error) => (None, error.chars().take(ERROR_CHARACTERS).collect()),
+    };
+    // Gone for good, says the receiver.
+    let again_in = if status == Some(410) { None } else { wait(delivery.attempts, jitter()) };
+    farm.totals.webhook_failures.fetch_add(1, std::sync::atomic::Ordering::Relaxed);
+    tracing::warn!(
+        message = %delivery.id, job = %delivery.job, attempts = delivery.attempts + 1, %error,
+        gives_up = again_in.is_none(), "a webhook was not delivered"
+    );
+    Attempt::Failed { status, error, again_in }
+}
+
+/// Sends a delivery, and returns the answer's status.
+async fn send(farm: &Farm, client: &Client, delivery: &Delivery) -> Result<u16, String> {
+    // What was allowed when the job was handed in may not be any more.
+    let url: Url = farm.webhooks.guard.check(&delivery.url).map_err(|error| error.to_string())?;
+    let body = message(delivery);
+    let timestamp_seconds = farm.queue.wall_seconds();
+    let signature = farm.webhooks.signer.signature(&delivery.id, timestamp_seconds, &body);
+    let response = client
+        .post(url)
+        .header(CONTENT_TYPE, "application/json")
+        .header("webhook-id", &delivery.id)
+        .header("webhook-timestamp", timestamp_seconds.to_string())
+        .header("webhook-signature", signature)
+        .body(body)
+        .send()
+        .await
+        .map_err(|error| chain(&error.without_url()))?;
+    Ok(response.status().as_u16())
+}
+
+/// The message: the same bytes in every attempt.
+fn message(delivery: &Delivery) -> String {
+    let mut data = serde_json::from_str(&delivery.body).unwrap_or(Value::Null);
+    let timestamp = data.as_object_mut().and_then(|data| data.remove("at"));
+    if let Some(data) = data.as_object_mut() {
+        data.insert("job".to_owned(), json!(delivery.job));
+        data.insert("name".to_owned(), json!(delivery.name));
+    }
+    let mut message = json!({ "type": delivery.event, "data": data });
+    if let Some(timestamp) = timestamp {
+        message["timestamp"] = timestamp;
+    }
+    message.to_string()
+}
+
+/// How long to wait after so many attempts and one more; `jitter` is from 0 to 1.
+fn wait(attempts: u32, jitter: f64) -> Option<Duration> {
+    let seconds = *WAITS_SECONDS.get(attempts as usize)?;
+    Some(Duration::from_secs(seconds).mul_f64(0.8 + 0.4 * jitter))
+}
+
+/// From 0 to 1, different each time.
+fn jitter() -> f64 {
+    f64::from(uuid::Uuid::new_v4().as_fields().0) / f64::from(u32::MAX)
+}
+
+/// An error with its causes, in one line.
+fn chain(error: &dyn std::error::Error) -> String {
+    let mut text = error.to_string();
+    let mut cause = error.source();
+    while let Some(error) = cause {
+        text = format!("{text}: {error}");
+        cause = error.source();
+    }
+    text
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn waits_grow_to_a_day_and_end() {
+        assert_eq!(wait(0, 0.5), Some(Duration::from_secs(5)));
+        assert_eq!(wait(0, 0.0), Some(Duration::from_secs(4)));
+        assert_eq!(wait(8, 1.0), Some(Duration::from_mins(24 * 60 * 6 / 5)));
+        assert_eq!(wait(9, 0.5), None);
+    }
+
+    #[test]
+    fn a_message_says_the_same_each_time() {
+        let mut delivery = Delivery {
+            number: 1,
+            id: "msg_1".to_owned(),
+            event: "job.failed".to_owned(),
+            url: "https://farm.example/".to_owned(),
+            job: "j".to_owned(),
+            name: "csg".to_owned(),
+            body: r#"{"state":"failed","errors":["no"],"at":"2026-01-01T00:00:00.000Z"}"#.to_owned(),
+            attempts: 0,
+        };
+        let first = message(&delivery);
+        delivery.attempts = 3;
+        assert_eq!(message(&delivery), first);
+        let wanted = json!({
+            "type": "job.failed", "timestamp": "2026-01-01T00:00:00.000Z",
+            "data": { "job": "j", "name": "csg", "state": "failed", "errors": ["no"] }
+        });
+        assert_eq!(serde_json::from_str::<Value>(&first).expect("JSON"), wanted);
+    }
+}

@@ -1,0 +1,314 @@
+//! Where webhooks may go: to public addresses over TLS, and to where the operator says; nowhere else.
+//!
+//! Addresses are judged when a job is handed in and again when a connection is made, after the name was
+//! looked up, so that a name which points elsewhere by then does not help.
+
+use std::net::{IpAddr, SocketAddr};
+use std::str::FromStr;
+use std::sync::Arc;
+
+use ipnet::{IpNet, Ipv4Net, Ipv6Net};
+use reqwest::Url;
+use reqwest::dns::{Addrs, Name, Resolve, Resolving};
+
+/// Ports below this one are other services', but for those of the web.
+const FIRST_FREE_PORT: u16 = 1024;
+
+/// What is not the public internet, of IANA's special-purpose registry for IPv4, and multicast.
+const CLOSED_V4: [&str; 17] = [
+    "0.0.0.0/8",
+    "10.0.0.0/8",
+    "100.64.0.0/10",
+    "127.0.0.0/8",
+    "169.254.0.0/16",
+    "172.16.0.0/12",
+    "192.0.0.0/24",
+    "192.0.2.0/24",
+    "192.31.196.0/24",
+    "192.52.193.0/24",
+    "192.88.99.0/24",
+    "192.168.0.0/16",
+    "192.175.48.0/24",
+    "198.18.0.0/15",
+    "198.51.100.0/24",
+    "203.0.113.0/24",
+    "224.0.0.0/3",
+];
+/// All of IPv6 that is given to the public internet.
+const OPEN_V6: &str = "2000::/3";
+/// What is not, within that: protocols (Teredo, ORCHID, benchmarks), documentation, and IPv4 in disguise.
+const CLOSED_V6: [&str; 5] = ["2001::/23", "2001:db8::/32", "2002::/16", "2620:4f:8000::/48", "3fff::/20"];
+
+/// Addresses that belong together, as an operator writes them: `10.0.0.0/8`, or one address.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct AddressRange(IpNet);
+
+impl FromStr for AddressRange {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, Self::Err> {
+        let one = || text.parse::<IpAddr>().map(IpNet::from);
+        text.parse::<IpNet>()
+            .or_else(|_| one())
+            .map(|range| Self(range.trunc()))
+            .map_err(|_| format!("{text:?} is no range of addresses: write it as 10.0.0.0/8 or fd00::/8"))
+    }
+}
+
+/// Why a webhook may not go somewhere.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+pub(crate) enum Refused {
+    /// It is no address of the web.
+    #[error("a webhook's address can't be read ({0}): write it as https://HOST/PATH")]
+    Unreadable(String),
+    /// It would go unencrypted.
+    #[error("a webhook's address begins with {0}://: only https is taken, and http to where --allow-webhook-to says")]
+    Scheme(String),
+    /// It holds a password.
+    #[error("a webhook's address holds a user name or password: put a token into its path")]
+    Credentials,
+    /// It is another service's port.
+    #[error("a webhook may not go to port {0}: 443, 80 and those from {FIRST_FREE_PORT} are taken")]
+    Port(u16),
+    /// It is not on the public internet.
+    #[error(
+        "a webhook may not go to {0}, which is not on the public internet: the operator allows it with --allow-webhook-to"
+    )]
+    Closed(String),
+}
+
+/// Judges addresses.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct Guard {
+    allowed: Arc<[AddressRange]>,
+}
+
+impl Guard {
+    /// A guard that also lets through to these.
+    pub(crate) fn new(allowed: &[AddressRange]) -> Self {
+        Self { allowed: allowed.into() }
+    }
+
+    /// Reads a webhook's address, and refuses what no lookup of its name could make good.
+    pub(crate) fn check(&self, text: &str) -> Result<Url, Refused> {
+        let mut url = Url::parse(text).map_err(|error| Refused::Unreadable(error.to_string()))?;
+        let is_http = url.scheme() == "http";
+        if !is_http && url.scheme() != "https" {
+            return Err(Refused::Scheme(url.scheme().to_owned()));
+        }
+        if !url.username().is_empty() || url.password().is_some() {
+            return Err(Refused::Credentials);
+        }
+        url.set_fragment(None);
+        let host = url.host_str().unwrap_or_default().to_owned();
+        match literal(&host) {
+            Some(address) if !self.may_connect(address, is_http) => return Err(Refused::Closed(host)),
+            Some(address) if self.is_allowed(address) => return Ok(url),
+            None if is_http && self.allowed.is_empty() => return Err(Refused::Scheme("http".to_owned())),
+            None if is_local(&host) && self.allowed.is_empty() => return Err(Refused::Closed(host)),
+            Some(_) | None => {}
+        }
+        match url.port_or_known_default() {
+            Some(port) if port >= FIRST_FREE_PORT || port == 443 || port == 80 => Ok(url),
+            port => Err(Refused::Port(port.unwrap_or_default())),
+        }
+    }
+
+    /// Whether a connection may be made to an address; over plain HTTP only where the operator says.
+    pub(crate) fn may_connect(&self, address: IpAddr, is_http: bool) -> bool {
+        self.is_allowed(address) || (!is_http && is_public(address))
+    }
+
+    fn is_allowed(&self, address: IpAddr) -> bool {
+        self.allowed.iter().any(|range| range.0.contains(&address))
+    }
+
+    /// Looks names up for connections over TLS, or over plain HTTP, and gives only addresses that pass.
+    pub(crate) fn resolver(&self, is_http: bool) -> Arc<dyn Resolve> {
+        Arc::new(Resolver { guard: self.clone(), is_http })
+    }
+}
+
+/// The address that a host of a URL is, if it is no name.
+fn literal(host: &str) -> Option<IpAddr> {
+    host.strip_prefix('[').and_then(|host| host.strip_suffix(']')).unwrap_or(host).parse().ok()
+}
+
+/// Names that can only mean this machine or its network.
+fn is_local(host: &str) -> bool {
+    let host = host.trim_end_matches('.').to_ascii_lowercase();
+    !host.contains('.') || [".localhost", ".local", ".internal", ".home.arpa"].iter().any(|end| host.ends_with(end))
+}
+
+/// Whether an address is of the public internet.
+fn is_public(address: IpAddr) -> bool {
+    match address {
+        IpAddr::V4(address) => !CLOSED_V4.iter().any(|net| v4(net).contains(&address)),
+        IpAddr::V6(address) => {
+            v6(OPEN_V6).contains(&address) && !CLOSED_V6.iter().any(|net| v6(net).contains(&address))
+        }
+    }
+}
+
+fn v4(net: &str) -> Ipv4Net {
+    net.parse().expect("the table above holds networks")
+}
+
+fn v6(net: &str) -> Ipv6Net {
+    net.parse().expect("the table above holds networks")
+}
+
+struct Resolver {
+    guard: Guard,
+    is_http: bool,
+}
+
+impl Resolve for Resolver {
+    fn resolve(&self, name: Name) -> Resolving {
+        let (guard, is_http) = (self.guard.clone(), self.is_http);
+        Box::pin(async move {
+            let found = tokio::net::lookup_host((name.as_str(), 0)).await?;
+            let open: Vec<SocketAddr> = found.filter(|address| guard.may_connect(address.ip(), is_http)).collect();
+            if open.is_empty() {
+                return Err(Refused::Closed(name.as_str().to_owned()).into());
+            }
+            Ok(Box::new(open.into_iter()) as Addrs)
+        })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Addresses that nobody outside may be told: special-purpose ones in all their spellings.
+    const CLOSED: [&str; 62] = [
+        "https://127.0.0.1/",
+        "https://127.1/",
+        "https://127.0.0.1:8443/",
+        "https://0x7f.1/",
+        "https://0x7f000001/",
+        "https://2130706433/",
+        "https://017700000001/",
+        "https://127.0.0.1./",
+        "https://%31%32%37.0.0.1/",
+        "https://①②⑦.0.0.1/",
+        "https://127。0。0。1/",
+        "https://0/",
+        "https://0.0.0.0/",
+        "https://0.1.2.3/",
+        "https://10.0.0.1/",
+        "https://10.255.255.255/",
+        "https://012.0.0.1/",
+        "https://100.64.0.1/",
+        "https://100.127.255.255/",
+        "https://169.254.169.254/",
+        "https://0xa9fea9fe/",
+        "https://2852039166/",
+        "https://172.16.0.1/",
+        "https://172.31.255.255/",
+        "https://192.0.0.1/",
+        "https://192.0.0.170/",
+        "https://192.0.2.1/",
+        "https://192.88.99.1/",
+        "https://192.168.0.1/",
+        "https://192.168.255.255/",
+        "https://198.18.0.1/",
+        "https://198.19.255.255/",
+        "https://198.51.100.1/",
+        "https://203.0.113.1/",
+        "https://224.0.0.1/",
+        "https://239.255.255.255/",
+        "https://240.0.0.1/",
+        "https://255.255.255.255/",
+        "https://[::]/",
+        "https://[::1]/",
+        "https://[0:0:0:0:0:0:0:1]/",
+        "https://[::ffff:127.0.0.1]/",
+        "https://[::ffff:10.0.0.1]/",
+        "https://[::ffff:8.8.8.8]/",
+        "https://[::127.0.0.1]/",
+        "https://[64:ff9b::127.0.0.1]/",
+        "https://[64:ff9b::8.8.8.8]/",
+        "https://[64:ff9b:1::1]/",
+        "https://[100::1]/",
+        "https://[2001::1]/",
+        "https://[2001:2::1]/",
+        "https://[2001:10::1]/",
+        "https://[2001:db8::1]/",
+        "https://[2002:7f00:1::]/",
+        "https://[3fff::1]/",
+        "https://[5f00::1]/",
+        "https://[fc00::1]/",
+        "https://[fd00:ec2::254]/",
+        "https://[fe80::1]/",
+        "https://[fec0::1]/",
+        "https://[ff02::1]/",
+        "https://localhost/",
+    ];
+    /// Others that are refused, and why.
+    const WRONG: [&str; 16] = [
+        "",
+        "farm.example",
+        "//farm.example/",
+        "https://",
+        "https:///x",
+        "http://farm.example/",
+        "http://8.8.8.8/",
+        "ftp://farm.example/",
+        "file:///etc/passwd",
+        "gopher://farm.example/",
+        "javascript:alert(1)",
+        "https://user:secret@farm.example/",
+        "https://user@farm.example/",
+        "https://farm.example:22/",
+        "https://farm.example:25/",
+        "https://localhost.:443/",
+    ];
+    const OPEN: [&str; 8] = [
+        "https://farm.example/hook?token=1",
+        "https://farm.example:8443/",
+        "https://8.8.8.8/",
+        "https://1.1.1.1:443/",
+        "https://[2606:4700:4700::1111]/",
+        "https://172.32.0.1/",
+        "https://100.128.0.1/",
+        "https://farm.example:80/",
+    ];
+
+    #[test]
+    fn addresses_that_are_not_public_are_refused_however_they_are_spelt() {
+        let guard = Guard::default();
+        for closed in CLOSED {
+            assert!(matches!(guard.check(closed), Err(Refused::Closed(_))), "{closed}: {:?}", guard.check(closed));
+        }
+        for wrong in WRONG {
+            assert!(guard.check(wrong).is_err(), "{wrong}");
+        }
+        for open in OPEN {
+            assert!(guard.check(open).is_ok(), "{open}: {:?}", guard.check(open));
+        }
+    }
+
+    #[test]
+    fn operators_open_ranges_and_nothing_beside_them() {
+        let guard = Guard::new(&["10.1.0.0/16".parse().expect("a range"), "::1".parse().expect("an address")]);
+        for open in ["https://10.1.2.3/", "http://10.1.2.3:81/", "http://[::1]:9/", "http://render.internal/hook"] {
+            assert!(guard.check(open).is_ok(), "{open}: {:?}", guard.check(open));
+        }
+        for closed in ["https://10.2.0.1/", "https://127.0.0.1/", "http://8.8.8.8/", "https://[::ffff:10.1.2.3]/"] {
+            assert!(guard.check(closed).is_err(), "{closed}");
+        }
+        for wrong in ["", "10.0.0.0/33", "ten"] {
+            assert!(wrong.parse::<AddressRange>().is_err(), "{wrong}");
+        }
+    }
+
+    #[tokio::test]
+    async fn names_that_lead_to_this_machine_are_not_followed() {
+        let name = || "localhost".parse::<Name>().expect("a name");
+        assert!(Guard::default().resolver(false).resolve(name()).await.is_err());
+        let guard = Guard::new(&["127.0.0.0/8".parse().expect("a range"), "::1".parse().expect("an address")]);
+        assert!(guard.resolver(true).resolve(name()).await.is_ok());
+    }
+}

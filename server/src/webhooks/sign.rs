@@ -1,0 +1,117 @@
+//! Signing messages by the Standard Webhooks specification (standardwebhooks.com), and the secret that it takes.
+//!
+//! The secret is in a file of the data folder that only its owner reads, or comes from the operator; it is in
+//! no log and no debug text.
+
+use std::fs::{self, OpenOptions};
+use std::io::{self, Write};
+use std::os::unix::fs::OpenOptionsExt;
+use std::path::Path;
+
+use base64::Engine;
+use base64::engine::general_purpose::STANDARD;
+use hmac::{Hmac, KeyInit, Mac};
+use proto::Secret;
+use sha2::Sha256;
+
+/// What a secret begins with.
+const PREFIX: &str = "whsec_";
+/// Bytes of a new secret.
+const SECRET_BYTES: usize = 32;
+/// Bytes that a secret has to have, by the specification.
+const ALLOWED_BYTES: std::ops::RangeInclusive<usize> = 24..=64;
+/// The file in the data folder.
+const FILE: &str = "webhook-secret";
+/// Only its owner reads it.
+const MODE: u32 = 0o600;
+
+/// Why there is no secret to sign with.
+#[derive(Debug, thiserror::Error)]
+pub enum SecretError {
+    /// The file can't be read or made.
+    #[error("the webhooks' secret can't be kept in {file}: {source}")]
+    File {
+        /// The file.
+        file: std::path::PathBuf,
+        /// What the system said.
+        source: io::Error,
+    },
+    /// It is none.
+    #[error("the webhooks' secret is none: it has to be whsec_ and 24 to 64 bytes in base64")]
+    Form,
+}
+
+/// Signs messages.
+#[derive(Clone)]
+pub(crate) struct Signer {
+    key: Vec<u8>,
+}
+
+impl std::fmt::Debug for Signer {
+    fn fmt(&self, formatter: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        formatter.write_str("Signer(…)")
+    }
+}
+
+impl Signer {
+    /// Signs with this secret.
+    pub(crate) fn new(secret: &Secret) -> Result<Self, SecretError> {
+        let encoded = secret.expose().trim().strip_prefix(PREFIX).ok_or(SecretError::Form)?;
+        let key = STANDARD.decode(encoded).map_err(|_| SecretError::Form)?;
+        if ALLOWED_BYTES.contains(&key.len()) { Ok(Self { key }) } else { Err(SecretError::Form) }
+    }
+
+    /// The value of `webhook-signature`.
+    pub(crate) fn signature(&self, id: &str, timestamp_seconds: i64, body: &str) -> String {
+        let mut mac = Hmac::<Sha256>::new_from_slice(&self.key).expect("a key may have any length");
+        mac.update(format!("{id}.{timestamp_seconds}.{body}").as_bytes());
+        format!("v1,{}", STANDARD.encode(mac.finalize().into_bytes()))
+    }
+}
+
+/// The secret that a data folder's webhooks are signed with; made if there is none yet.
+pub fn webhook_secret(data: &Path) -> Result<Secret, SecretError> {
+    let file = data.join(FILE);
+    let failed = |source| SecretError::File { file: file.clone(), source };
+    match fs::read_to_string(&file) {
+        Ok(text) if !text.trim().is_empty() => return Ok(text.trim().to_owned().into()),
+        // A kill came between making and writing it.
+        Ok(_) => fs::remove_file(&file).map_err(failed)?,
+        Err(error) if error.kind() == io::ErrorKind::NotFound => {}
+        Err(error) => return Err(failed(error)),
+    }
+    let mut key = [0; SECRET_BYTES];
+    getrandom::fill(&mut key).map_err(|error| failed(io::Error::other(error)))?;
+    let secret = format!("{PREFIX}{}", STANDARD.encode(key));
+    let mut made = OpenOptions::new().write(true).create_new(true).mode(MODE).open(&file).map_err(failed)?;
+    made.write_all(secret.as_bytes()).and_then(|()| made.sync_all()).map_err(failed)?;
+    Ok(secret.into())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn signature_is_that_of_the_specifications_example() {
+        // The example of the Standard Webhooks libraries' own tests.
+        let secret = Secret::from("whsec_MfKQ9r8GKYqrTwjUPD8ILPZIo2LaLaSw".to_owned());
+        let signer = Signer::new(&secret).expect("a secret");
+        let signature = signer.signature("msg_p5jXN8AQM9LWM0D4loKWxJek", 1_614_265_330, r#"{"test": 2432232314}"#);
+        assert_eq!(signature, "v1,g0hM9SsE+OTPJTGt/tmIKtSyZlE3uFJELVlNIOLJ1OE=");
+    }
+
+    #[test]
+    fn secret_is_made_once_and_read_by_nobody_else() {
+        use std::os::unix::fs::PermissionsExt;
+        let folder = tempfile::tempdir().expect("a temporary folder");
+        let first = webhook_secret(folder.path()).expect("made");
+        assert!(Signer::new(&first).is_ok());
+        assert_eq!(webhook_secret(folder.path()).expect("read"), first);
+        let mode = fs::metadata(folder.path().join(FILE)).expect("there").permissions().mode();
+        assert_eq!(mode & 0o777, MODE);
+        for wrong in ["", "whsec_", "whsec_c2hvcnQ=", "MfKQ9r8GKYqrTwjUPD8ILPZIo2LaLaSw", "whsec_?"] {
+            assert!(Signer::new(&wrong.to_owned().into()).is_err(), "{wrong}");
+        }
+    }
+}
