@@ -11,6 +11,7 @@ mod exr_reader;
 mod faults;
 mod jobs;
 mod kills;
+mod operating;
 mod same_bits;
 mod support;
 mod tidy;

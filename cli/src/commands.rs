@@ -1,11 +1,13 @@
 //! The commands: one module each, with its arguments and what it does.
 
 mod audit;
+mod backup;
 mod bench;
 mod cancel;
 mod check;
 mod delete;
 mod demo;
+mod doctor;
 mod explain;
 mod fetch;
 mod gc;
@@ -18,6 +20,7 @@ mod preview;
 mod priority;
 mod render;
 mod retry;
+mod restore;
 mod schema;
 mod selftest;
 mod serve;
@@ -90,6 +93,12 @@ pub(crate) enum Command {
     Selftest(selftest::Arguments),
     /// Prove a farm on this machine: work it, kill it again and again, and check that nothing is lost or changed.
     Soak(soak::Arguments),
+    /// Copy a farm while it runs: its database, and the pictures that are new.
+    Backup(backup::Arguments),
+    /// Make a farm from a backup, in a new folder.
+    Restore(restore::Arguments),
+    /// Look whether all is well with a farm and its machine.
+    Doctor(doctor::Arguments),
     /// Start a farm, render a shipped scene on it, save the picture, and stop.
     Demo(demo::Arguments),
     /// Draw what a server asks for.
@@ -132,6 +141,9 @@ impl Command {
             Self::Bench(arguments) => bench::run(&arguments),
             Self::Selftest(arguments) => selftest::run(&arguments),
             Self::Soak(arguments) => run_async(soak::run(arguments)),
+            Self::Backup(arguments) => run_async(interruptible(backup::run(arguments))),
+            Self::Restore(arguments) => run_async(interruptible(restore::run(arguments))),
+            Self::Doctor(arguments) => run_async(interruptible(doctor::run(arguments))),
             Self::Demo(arguments) => run_async(demo::run(arguments)),
             Self::Sketch => sketch::run(),
         }

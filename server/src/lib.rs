@@ -17,6 +17,7 @@ mod jobs;
 mod keys;
 mod links;
 mod listen;
+mod keeping;
 mod lock;
 mod pictures;
 mod plan;
@@ -40,6 +41,9 @@ pub use audit::{Audit, AuditError, DoneTile, audit};
 pub use clock::{Clock, Hand};
 pub use config::{Config, MAX_CONNECTIONS, MAX_QUEUED_JOBS, TlsFiles};
 pub use keys::{KeyFolder, KeyFolderError};
+pub use keeping::{
+    Backup, Depth, Finding, Grade, KeepError, Repair, Restored, back_up, examine, restore,
+};
 pub use start::StartError;
 pub use webhooks::{AddressRange, SecretError, webhook_secret};
 

@@ -27,6 +27,11 @@ const CHECKED_BYTES: u64 = 16 << 20;
 
 static MIGRATIONS: sqlx::migrate::Migrator = sqlx::migrate!("../migrations");
 
+/// Every migration of this release: its version and its checksum.
+pub(crate) fn migrations() -> impl Iterator<Item = (i64, &'static [u8])> {
+    MIGRATIONS.iter().map(|migration| (migration.version, &*migration.checksum))
+}
+
 /// Why the database could not be read or written.
 #[derive(Clone, Debug, thiserror::Error)]
 pub(crate) enum StoreError {

@@ -3,7 +3,7 @@
 //! It reads and counts; nothing in the farm depends on what it says. Counting costs a bounded
 //! share of the time: what was counted is told again for a second, or for longer where counting took long.
 
-mod machine;
+pub(crate) mod machine;
 mod metrics;
 
 use std::collections::{HashMap, VecDeque};

@@ -49,7 +49,8 @@ pub(super) async fn open(connection: &mut Connection, opening: &Opening, moment:
     Ok(Opened::Open)
 }
 
-async fn make_tiles(connection: &mut Connection, opening: &Opening) -> Result<()> {
+/// Makes the tiles of a frame.
+pub(super) async fn make_tiles(connection: &mut Connection, opening: &Opening) -> Result<()> {
     let rects: Vec<[u32; 4]> = opening.tiles.iter().map(|rect| [rect.x, rect.y, rect.width, rect.height]).collect();
     let made = sqlx::query(
         "INSERT INTO tile (job, frame, kind, position, x_px, y_px, width_px, height_px, rays, state)

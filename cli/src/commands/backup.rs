@@ -1,0 +1,41 @@
+//! `sdfarm backup`: a copy of a farm, made while it runs.
+
+use std::path::PathBuf;
+
+use clap::Args;
+
+use crate::terminal::{note, say};
+
+/// Arguments of `backup`.
+#[derive(Debug, Args)]
+pub(crate) struct Arguments {
+    /// Where the copy goes: an empty folder, or that of an earlier backup, to which only what is new is added.
+    #[arg(value_name = "FOLDER")]
+    folder: PathBuf,
+    /// The farm's data folder; a server may be using it.
+    #[arg(long, value_name = "FOLDER", env = "SDFARM_DATA", default_value = "./sdfarm-data")]
+    data: PathBuf,
+}
+
+/// Copies it.
+pub(crate) async fn run(arguments: Arguments) -> anyhow::Result<()> {
+    let backup = server::back_up(&arguments.data, &arguments.folder).await?;
+    say(&format!(
+        "{} pictures are in {}: {} taken now ({} bytes), {} dropped",
+        backup.pictures,
+        arguments.folder.display(),
+        backup.taken,
+        backup.taken_bytes,
+        backup.dropped
+    ))?;
+    for hash in &backup.missing {
+        note(&format!("picture {hash} is gone from the store, or damaged there"));
+    }
+    if !backup.missing.is_empty() {
+        anyhow::bail!(
+            "{} pictures could not be taken; the rest is safe: see `sdfarm doctor --deep`",
+            backup.missing.len()
+        );
+    }
+    Ok(())
+}

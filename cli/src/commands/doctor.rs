@@ -1,0 +1,95 @@
+//! `sdfarm doctor`: is all well with a farm and its machine? Each finding that is not good names its cure.
+
+use std::net::{SocketAddr, TcpListener};
+use std::path::PathBuf;
+
+use clap::Args;
+use serde_json::json;
+use server::{Depth, Finding, Grade, Repair};
+
+use crate::terminal::say;
+
+/// Arguments of `doctor`.
+#[derive(Debug, Args)]
+pub(crate) struct Arguments {
+    /// The farm's data folder; a server may be using it.
+    #[arg(long, value_name = "FOLDER", env = "SDFARM_DATA", default_value = "./sdfarm-data")]
+    data: PathBuf,
+    /// Where the server is to listen.
+    #[arg(long, value_name = "ADDRESS:PORT", env = "SDFARM_LISTEN", default_value = "127.0.0.1:8080")]
+    listen: SocketAddr,
+    /// Read every byte of every picture.
+    #[arg(long, env = "SDFARM_DEEP", value_parser = clap::builder::FalseyValueParser::new(), action = clap::ArgAction::SetTrue)]
+    deep: bool,
+    /// Put right what can be: remove what belongs to nothing, and have lost pictures rendered again. No server may run.
+    #[arg(long, env = "SDFARM_REPAIR", value_parser = clap::builder::FalseyValueParser::new(), action = clap::ArgAction::SetTrue)]
+    repair: bool,
+    /// Print the findings as JSON.
+    #[arg(long, env = "SDFARM_JSON", value_parser = clap::builder::FalseyValueParser::new(), action = clap::ArgAction::SetTrue)]
+    json: bool,
+}
+
+/// Looks, and tells; something wrong is an error.
+pub(crate) async fn run(arguments: Arguments) -> anyhow::Result<()> {
+    let depth = if arguments.deep { Depth::Bytes } else { Depth::Names };
+    let repair = if arguments.repair { Repair::Store } else { Repair::None };
+    let mut findings = server::examine(&arguments.data, depth, repair).await?;
+    let is_served = findings.iter().any(|finding| finding.subject == "server" && finding.text.starts_with("a server"));
+    findings.push(look_at_port(arguments.listen, is_served));
+    findings.push(look_at_gpus());
+    if arguments.json {
+        say(&serde_json::to_string_pretty(&findings.iter().map(to_json).collect::<Vec<_>>())?)?;
+    } else {
+        for finding in &findings {
+            say(&line(finding))?;
+        }
+    }
+    let wrong = findings.iter().filter(|finding| finding.grade == Grade::Wrong).count();
+    anyhow::ensure!(wrong == 0, "{wrong} findings are wrong: see their cures above");
+    Ok(())
+}
+
+fn look_at_port(listen: SocketAddr, is_served: bool) -> Finding {
+    match TcpListener::bind(listen) {
+        Ok(_) => Finding::good("port", format!("{listen} is free")),
+        Err(_) if is_served => Finding::good("port", format!("{listen} is taken, and the farm is served")),
+        Err(error) => Finding::wrong(
+            "port",
+            format!("a server can't listen on {listen}: {error}"),
+            "stop what listens there, or choose another address with --listen",
+        ),
+    }
+}
+
+/// A machine without a GPU is as good as any; one whose GPU can't be used should be looked at.
+fn look_at_gpus() -> Finding {
+    match worker::cuda::devices() {
+        Ok(count) => Finding::good("gpu", format!("the driver lends {count} GPUs")),
+        Err(error) => {
+            let has_one = std::path::Path::new("/proc/driver/nvidia/gpus").is_dir();
+            if has_one {
+                Finding::odd("gpu", error.to_string(), "install the NVIDIA driver and CUDA's run-time compiler, or render on the CPU")
+            } else {
+                Finding::good("gpu", "there is none: workers render on the CPU")
+            }
+        }
+    }
+}
+
+fn grade(finding: &Finding) -> &'static str {
+    match finding.grade {
+        Grade::Good => "ok",
+        Grade::Odd => "odd",
+        Grade::Wrong => "WRONG",
+    }
+}
+
+fn line(finding: &Finding) -> String {
+    let cure = finding.cure.as_ref().map_or_else(String::new, |cure| format!("\n                 cure: {cure}"));
+    format!("{:<5}  {:<8}  {}{cure}", grade(finding), finding.subject, finding.text)
+}
+
+fn to_json(finding: &Finding) -> serde_json::Value {
+    let grade = grade(finding).to_lowercase();
+    json!({ "grade": grade, "subject": finding.subject, "text": finding.text, "cure": finding.cure })
+}

@@ -1,0 +1,40 @@
+//! `sdfarm restore`: a farm from a backup.
+
+use std::path::PathBuf;
+
+use clap::Args;
+
+use crate::terminal::{note, say};
+
+/// Arguments of `restore`.
+#[derive(Debug, Args)]
+pub(crate) struct Arguments {
+    /// The backup's folder.
+    #[arg(value_name = "FOLDER")]
+    folder: PathBuf,
+    /// The farm's new data folder; nothing may be in it.
+    #[arg(long, value_name = "FOLDER", env = "SDFARM_DATA")]
+    data: PathBuf,
+}
+
+/// Restores it, and checks every byte.
+pub(crate) async fn run(arguments: Arguments) -> anyhow::Result<()> {
+    let restored = server::restore(&arguments.folder, &arguments.data).await?;
+    say(&format!(
+        "restored the farm of {} to {}: its database and {} pictures are whole",
+        restored.made_at,
+        arguments.data.display(),
+        restored.pictures
+    ))?;
+    for hash in &restored.missing {
+        note(&format!("picture {hash} is gone from the backup, or damaged there"));
+    }
+    if !restored.missing.is_empty() {
+        anyhow::bail!(
+            "{} pictures are lost: `sdfarm doctor --repair --data {}` has their frames rendered again",
+            restored.missing.len(),
+            arguments.data.display()
+        );
+    }
+    Ok(())
+}

@@ -1,0 +1,135 @@
+//! After a loss: pictures whose bytes are gone are forgotten, and their frames rendered again.
+
+use sqlx::Row;
+use sqlx::sqlite::SqliteRow;
+
+use super::end::job_state;
+use super::{Connection, Opening, Result, counted, json_list, open, rows};
+use crate::plan::Plan;
+
+/// What became of frames whose pictures are gone.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub(crate) struct Reopened {
+    /// They are rendered again.
+    pub(crate) frames: u64,
+    /// They are of jobs that were cancelled or failed, and stay without a picture.
+    pub(crate) void: u64,
+}
+
+/// A frame whose picture is gone.
+struct Lost {
+    job: i64,
+    frame: u32,
+    picture_key: String,
+    tiles: i64,
+    plan: Plan,
+    is_wanted: bool,
+}
+
+impl Lost {
+    fn read(row: &SqliteRow) -> Result<Self> {
+        use proto::job::JobState::{Cancelled, Failed, Queued, Running, Succeeded};
+        Ok(Self {
+            job: row.try_get("job")?,
+            frame: row.try_get("frame")?,
+            picture_key: row.try_get("picture_key")?,
+            tiles: row.try_get("tiles_total")?,
+            plan: Plan {
+                width_px: row.try_get("width_px")?,
+                height_px: row.try_get("height_px")?,
+                samples: row.try_get("samples")?,
+                pixel_bytes: row.try_get("pixel_bytes")?,
+                edge_px: row.try_get("edge_px")?,
+                frames: row.try_get("frames_total")?,
+            },
+            is_wanted: match job_state(&row.try_get::<String, _>("state")?)? {
+                Queued | Running | Succeeded => true,
+                Failed | Cancelled => false,
+            },
+        })
+    }
+}
+
+/// Forgets pictures whose bytes are gone. Frames that show them are open again, and their jobs run again.
+pub(crate) async fn forget_pictures(connection: &mut Connection, hashes: &[String]) -> Result<Reopened> {
+    let hashes = json_list(hashes);
+    let lost = sqlx::query(
+        "SELECT frame.job, frame.number AS frame, frame.picture_key, frame.tiles_total, job.state, job.width_px,
+                job.height_px, job.samples, job.pixel_bytes, job.edge_px, job.frames_total
+         FROM frame JOIN job ON job.number = frame.job
+         WHERE frame.picture IS NOT NULL AND frame.picture IN (SELECT value FROM json_each(?))",
+    )
+    .bind(&hashes)
+    .fetch_all(&mut *connection)
+    .await?;
+    let mut reopened = Reopened::default();
+    for row in &lost {
+        let lost = Lost::read(row)?;
+        if lost.is_wanted {
+            reopen(connection, &lost).await?;
+            reopened.frames += 1;
+        } else {
+            void(connection, &lost).await?;
+            reopened.void += 1;
+        }
+    }
+    sqlx::query("DELETE FROM picture WHERE hash IN (SELECT value FROM json_each(?))")
+        .bind(&hashes)
+        .execute(connection)
+        .await?;
+    Ok(reopened)
+}
+
+async fn reopen(connection: &mut Connection, lost: &Lost) -> Result<()> {
+    sqlx::query("DELETE FROM tile WHERE job = ? AND frame = ?")
+        .bind(lost.job)
+        .bind(lost.frame)
+        .execute(&mut *connection)
+        .await?;
+    let opened = sqlx::query(
+        "UPDATE frame SET state = 'open', picture = NULL, size_bytes = NULL, tiles_done = 0, tiles_total = ?
+         WHERE job = ? AND number = ? AND state = 'stored'",
+    )
+    .bind(rows(lost.plan.tiles().len()))
+    .bind(lost.job)
+    .bind(lost.frame)
+    .execute(&mut *connection)
+    .await?;
+    counted("frame: stored to open", 1, &opened)?;
+    let running = sqlx::query(
+        "UPDATE job SET state = 'running', finished_at_ms = NULL, frames_stored = frames_stored - 1,
+                        tiles_done = tiles_done - ?, rays_done = rays_done - ?
+         WHERE number = ? AND state IN ('queued', 'running', 'succeeded')",
+    )
+    .bind(lost.tiles)
+    .bind(lost.plan.frame_rays().cast_signed())
+    .bind(lost.job)
+    .execute(&mut *connection)
+    .await?;
+    counted("job: succeeded to running", 1, &running)?;
+    let opening = Opening {
+        job: lost.job,
+        frame: lost.frame,
+        picture_key: lost.picture_key.clone(),
+        tiles: lost.plan.tiles(),
+        samples: lost.plan.samples,
+    };
+    open::make_tiles(connection, &opening).await
+}
+
+async fn void(connection: &mut Connection, lost: &Lost) -> Result<()> {
+    let voided = sqlx::query(
+        "UPDATE frame SET state = 'void', picture = NULL, size_bytes = NULL
+         WHERE job = ? AND number = ? AND state = 'stored'",
+    )
+    .bind(lost.job)
+    .bind(lost.frame)
+    .execute(&mut *connection)
+    .await?;
+    counted("frame: stored to void", 1, &voided)?;
+    let counters = sqlx::query("UPDATE job SET frames_stored = frames_stored - 1 WHERE number = ?")
+        .bind(lost.job)
+        .execute(connection)
+        .await?;
+    counted("job: counters", 1, &counters)
+}

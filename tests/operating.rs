@@ -1,0 +1,4 @@
+//! Operating a farm: copies of it, farms from copies, the doctor; and the papers and files that operators get.
+
+mod keeping;
+mod papers;
