@@ -19,14 +19,16 @@ mod pool;
 mod preview;
 mod priority;
 mod render;
-mod retry;
 mod restore;
+mod retry;
 mod schema;
 mod selftest;
 mod serve;
 mod sketch;
 mod soak;
+mod status;
 mod submit;
+mod top;
 mod watch;
 mod webhook;
 mod worker;
@@ -93,6 +95,10 @@ pub(crate) enum Command {
     Selftest(selftest::Arguments),
     /// Prove a farm on this machine: work it, kill it again and again, and check that nothing is lost or changed.
     Soak(soak::Arguments),
+    /// Show on one screen how a farm is: its queue, workers, disk, and what should be looked at.
+    Status(status::Arguments),
+    /// Watch a farm live; q ends it.
+    Top(top::Arguments),
     /// Copy a farm while it runs: its database, and the pictures that are new.
     Backup(backup::Arguments),
     /// Make a farm from a backup, in a new folder.
@@ -141,6 +147,8 @@ impl Command {
             Self::Bench(arguments) => bench::run(&arguments),
             Self::Selftest(arguments) => selftest::run(&arguments),
             Self::Soak(arguments) => run_async(soak::run(arguments)),
+            Self::Status(arguments) => run_async(interruptible(status::run(arguments))),
+            Self::Top(arguments) => run_async(interruptible(top::run(arguments))),
             Self::Backup(arguments) => run_async(interruptible(backup::run(arguments))),
             Self::Restore(arguments) => run_async(interruptible(restore::run(arguments))),
             Self::Doctor(arguments) => run_async(interruptible(doctor::run(arguments))),

@@ -1,11 +1,22 @@
-//! Logs: to standard error, as text or JSON, filtered by `SDFARM_LOG`.
+//! Logs to standard error, as text or JSON, filtered by `SDFARM_LOG`; and, where wanted, traces to a collector.
+
+mod lines;
+mod traces;
 
 use std::io::{IsTerminal, stderr};
+use std::sync::OnceLock;
 
 use clap::{Args, ValueEnum};
-use tracing_subscriber::EnvFilter;
+use tracing_subscriber::fmt::format::JsonFields;
+use tracing_subscriber::layer::SubscriberExt;
+use tracing_subscriber::util::SubscriberInitExt;
+use tracing_subscriber::{EnvFilter, Layer};
 
 use crate::failure::Misuse;
+pub(crate) use traces::Traces;
+
+/// What this process was told about logs and traces, which the workers that it starts are told as well.
+static INHERITED: OnceLock<Vec<(&'static str, String)>> = OnceLock::new();
 
 /// How logs are written.
 #[derive(Clone, Copy, Debug, ValueEnum)]
@@ -32,14 +43,19 @@ pub(crate) struct Logs {
         global = true
     )]
     verbose: bool,
+    /// Send traces of `serve` and `worker` to this collector, by OTLP over HTTP [default: none, or what
+    /// `OTEL_EXPORTER_OTLP_ENDPOINT` says].
+    #[arg(long, value_name = "URL", env = "SDFARM_OTLP", global = true)]
+    otlp: Option<String>,
 }
 
 impl Logs {
-    /// Starts logging. Commands that serve log what they do; the others only what is amiss.
-    pub(crate) fn start(&self, is_long_lived: bool) -> anyhow::Result<()> {
+    /// Starts logging. Commands that serve log what they do, and trace it if that is wanted; the others only tell
+    /// what is amiss. What is returned sends the last traces when it goes.
+    pub(crate) fn start(&self, is_long_lived: bool) -> anyhow::Result<Option<Traces>> {
         let usual = match (self.verbose, is_long_lived) {
-            (true, _) => "debug,hyper=info,h2=info,reqwest=info,sqlx=info",
-            (false, true) => "info,sqlx=warn",
+            (true, _) => "debug,hyper=info,h2=info,reqwest=info,sqlx=info,opentelemetry=info",
+            (false, true) => "info,sqlx=warn,opentelemetry=warn",
             (false, false) => "warn,sqlx=error",
         };
         let filter = match std::env::var("SDFARM_LOG") {
@@ -48,11 +64,46 @@ impl Logs {
             })?,
             _ => EnvFilter::new(usual),
         };
-        let subscriber = tracing_subscriber::fmt().with_writer(stderr).with_env_filter(filter);
-        match self.format {
-            Format::Text => subscriber.with_ansi(stderr().is_terminal()).init(),
-            Format::Json => subscriber.json().flatten_event(true).init(),
-        }
-        Ok(())
+        let wanted = self.otlp.clone().or_else(|| std::env::var("OTEL_EXPORTER_OTLP_ENDPOINT").ok());
+        let collector = wanted.filter(|address| is_long_lived && !address.is_empty());
+        self.remember(collector.as_deref());
+        let (layer, traces) = match collector.map(|address| Traces::start(&address)).transpose()? {
+            Some((layer, traces)) => (Some(layer), Some(traces)),
+            None => (None, None),
+        };
+        let lines = match self.format {
+            Format::Text => {
+                tracing_subscriber::fmt::layer().with_writer(stderr).with_ansi(stderr().is_terminal()).boxed()
+            }
+            Format::Json => tracing_subscriber::fmt::layer()
+                .with_writer(stderr)
+                .with_ansi(false)
+                .fmt_fields(JsonFields::new())
+                .event_format(lines::Lines)
+                .boxed(),
+        };
+        tracing_subscriber::registry().with(layer).with(lines.with_filter(filter)).init();
+        Ok(traces)
     }
+
+    fn remember(&self, collector: Option<&str>) {
+        let mut inherited = Vec::new();
+        if let Format::Json = self.format {
+            inherited.push(("SDFARM_LOG_FORMAT", "json".to_owned()));
+        }
+        if self.verbose {
+            inherited.push(("SDFARM_VERBOSE", "true".to_owned()));
+        }
+        if let Some(address) = collector {
+            inherited.push(("SDFARM_OTLP", address.to_owned()));
+        }
+        // A process starts its logs once.
+        let _ = INHERITED.set(inherited);
+    }
+}
+
+/// Variables by which workers log and trace as this process does.
+pub(crate) fn inherited() -> Vec<(String, String)> {
+    let told = INHERITED.get().map_or(&[][..], Vec::as_slice);
+    told.iter().map(|(name, value)| ((*name).to_owned(), value.clone())).collect()
 }

@@ -10,12 +10,14 @@ mod follow;
 mod job_file;
 mod logs;
 mod output_file;
+mod overview;
 mod progress;
 mod sequence;
 mod shipped;
 mod signals;
 mod size;
 mod sketch;
+mod systemd;
 mod terminal;
 
 use std::process::ExitCode;
@@ -52,9 +54,14 @@ struct Sdfarm {
 
 fn main() -> ExitCode {
     let sdfarm = Sdfarm::parse();
-    let done = arm(sdfarm.allow_fail_points)
-        .and_then(|()| sdfarm.logs.start(sdfarm.command.is_long_lived()))
-        .and_then(|()| sdfarm.command.run());
+    let done = arm(sdfarm.allow_fail_points).and_then(|()| sdfarm.logs.start(sdfarm.command.is_long_lived())).and_then(
+        |traces| {
+            let done = sdfarm.command.run();
+            // What is left to be told of it is sent now.
+            drop(traces);
+            done
+        },
+    );
     match done {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => ExitCode::from(failure::report(&error)),

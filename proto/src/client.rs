@@ -4,6 +4,7 @@
 
 mod jobs;
 mod pictures;
+mod watching;
 
 use std::io::Write;
 use std::time::Duration;

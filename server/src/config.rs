@@ -63,6 +63,8 @@ pub struct Config {
     pub keep_jobs: Option<Duration>,
     /// Bytes of pictures and tiles above which the jobs that finished first go; `None` is no limit.
     pub max_store_bytes: Option<u64>,
+    /// Variables that local workers are given.
+    pub worker_variables: Vec<(String, String)>,
     /// How long local workers may go on with what they hold when the server ends.
     pub grace: Duration,
 }
@@ -101,6 +103,7 @@ impl Default for Config {
             worker_program: PathBuf::from("sdfarm"),
             keep_jobs: None,
             max_store_bytes: None,
+            worker_variables: Vec::new(),
             grace: Duration::from_secs(10),
         }
     }

@@ -14,10 +14,10 @@ mod farm;
 mod http;
 mod janitor;
 mod jobs;
+mod keeping;
 mod keys;
 mod links;
 mod listen;
-mod keeping;
 mod lock;
 mod pictures;
 mod plan;
@@ -40,10 +40,8 @@ use tokio_util::sync::CancellationToken;
 pub use audit::{Audit, AuditError, DoneTile, audit};
 pub use clock::{Clock, Hand};
 pub use config::{Config, MAX_CONNECTIONS, MAX_QUEUED_JOBS, TlsFiles};
+pub use keeping::{Backup, Depth, Finding, Grade, KeepError, Repair, Restored, back_up, examine, restore};
 pub use keys::{KeyFolder, KeyFolderError};
-pub use keeping::{
-    Backup, Depth, Finding, Grade, KeepError, Repair, Restored, back_up, examine, restore,
-};
 pub use start::StartError;
 pub use webhooks::{AddressRange, SecretError, webhook_secret};
 

@@ -77,6 +77,7 @@ impl Pool {
             simd: config.simd.clone(),
             threads: config.threads,
             token: self.token.clone(),
+            variables: config.worker_variables.clone(),
         };
         let supervisor = Supervisor {
             launch,

@@ -103,9 +103,10 @@ fn a_backup_that_was_damaged_is_noticed() {
     assert!(text(&output.stderr).contains("1 pictures are lost"), "{}", text(&output.stderr));
     assert_eq!(pictures(&new).len(), 1, "what is damaged is not restored");
 
-    let database = fs::read_dir(&copy).expect("a folder").flatten().find_map(|entry| {
-        entry.file_name().to_string_lossy().starts_with("farm-").then(|| entry.path())
-    });
+    let database = fs::read_dir(&copy)
+        .expect("a folder")
+        .flatten()
+        .find_map(|entry| entry.file_name().to_string_lossy().starts_with("farm-").then(|| entry.path()));
     fs::write(database.expect("a copy of the database"), "no database").expect("writes");
     let output = run(&["restore", word(&copy), "--data", word(&folder.path().join("b"))]);
     assert_eq!(output.status.code(), Some(1));

@@ -68,7 +68,11 @@ fn look_at_gpus() -> Finding {
         Err(error) => {
             let has_one = std::path::Path::new("/proc/driver/nvidia/gpus").is_dir();
             if has_one {
-                Finding::odd("gpu", error.to_string(), "install the NVIDIA driver and CUDA's run-time compiler, or render on the CPU")
+                Finding::odd(
+                    "gpu",
+                    error.to_string(),
+                    "install the NVIDIA driver and CUDA's run-time compiler, or render on the CPU",
+                )
             } else {
                 Finding::good("gpu", "there is none: workers render on the CPU")
             }

@@ -15,6 +15,7 @@ use worker::{CpuRenderer, RenderError, Simd};
 use crate::arguments::{Device, MAX_THREADS, simd_parser};
 use crate::signals::Signals;
 use crate::size::Size;
+use crate::systemd;
 use crate::terminal::say;
 
 /// Most unfinished jobs that a farm may be told to take: the sum of their rays fits a counter.
@@ -103,6 +104,7 @@ impl Arguments {
             allow_webhooks_to: self.allow_webhook_to,
             webhook_secret: self.webhook_secret,
             worker_program: own_program()?,
+            worker_variables: crate::logs::inherited(),
             ..Config::default()
         })
     }
@@ -117,7 +119,13 @@ pub(crate) async fn run(arguments: Arguments) -> anyhow::Result<()> {
     let server = Server::start(arguments.config()?).await?;
     let url = server.url();
     say(&format!("sdfarm serves {url} (its API: {url}/docs)"))?;
+    systemd::serving(&url);
     signals.stop_gracefully(shutdown.clone());
+    let stopping = shutdown.clone();
+    tokio::spawn(async move {
+        stopping.cancelled().await;
+        systemd::stopping();
+    });
     server.run(shutdown).await?;
     Ok(())
 }

@@ -34,8 +34,7 @@ pub(super) async fn open_file(file: &Path) -> Result<SqliteConnection, KeepError
 
 /// What `integrity_check` and `foreign_key_check` find, a line each; nothing if all is well.
 pub(super) async fn faults(connection: &mut SqliteConnection) -> Result<Vec<String>, sqlx::Error> {
-    let mut faults: Vec<String> =
-        sqlx::query_scalar("PRAGMA integrity_check(20)").fetch_all(&mut *connection).await?;
+    let mut faults: Vec<String> = sqlx::query_scalar("PRAGMA integrity_check(20)").fetch_all(&mut *connection).await?;
     faults.retain(|line| line != "ok");
     for row in sqlx::query("PRAGMA foreign_key_check").fetch_all(connection).await?.iter().take(20) {
         let (table, parent): (String, String) = (row.try_get("table")?, row.try_get("parent")?);
@@ -52,9 +51,7 @@ pub(super) async fn pictures(connection: &mut SqliteConnection) -> Result<Vec<Na
     )
     .fetch_all(connection)
     .await?;
-    rows.iter()
-        .map(|row| Ok(Named { hash: row.try_get("hash")?, size_bytes: row.try_get("size_bytes")? }))
-        .collect()
+    rows.iter().map(|row| Ok(Named { hash: row.try_get("hash")?, size_bytes: row.try_get("size_bytes")? })).collect()
 }
 
 /// Every blob that a frame still needs.

@@ -179,7 +179,11 @@ async fn look_at_clock(
     let ahead_ms = newest_ms.map_or(0, |newest_ms| newest_ms - now_ms);
     findings.push(if now_ms < FIRST_MS || ahead_ms > SKEW_MS {
         let text = format!("it is behind: the newest job is of {} s from now", ahead_ms.max(0) / 1000);
-        Finding::odd("clock", text, "have the clock set by NTP (`timedatectl set-ntp true`); leases do not depend on it")
+        Finding::odd(
+            "clock",
+            text,
+            "have the clock set by NTP (`timedatectl set-ntp true`); leases do not depend on it",
+        )
     } else {
         Finding::good("clock", "it agrees with the newest job")
     });
@@ -210,9 +214,7 @@ async fn mend(data: &Path, found: &Found) -> Result<Reopened, KeepError> {
     let store = Arc::new(Store::open(data).await?);
     let hashes = lost.clone();
     let reopened = store
-        .write(Durability::Full, move |connection| {
-            Box::pin(async move { forget_pictures(connection, &hashes).await })
-        })
+        .write(Durability::Full, move |connection| Box::pin(async move { forget_pictures(connection, &hashes).await }))
         .await;
     store.close().await;
     // The rows first: a picture without a row is only an orphan.

@@ -58,12 +58,7 @@ pub(super) fn compare(
     Ok(found)
 }
 
-fn look_for_orphans(
-    folder: &Path,
-    named: &HashSet<&str>,
-    serving: bool,
-    found: &mut Found,
-) -> Result<(), KeepError> {
+fn look_for_orphans(folder: &Path, named: &HashSet<&str>, serving: bool, found: &mut Found) -> Result<(), KeepError> {
     let entries = match fs::read_dir(folder) {
         Ok(entries) => entries,
         Err(error) if error.kind() == std::io::ErrorKind::NotFound => return Ok(()),

@@ -1,6 +1,6 @@
 //! One worker process: how it is started, how it is told things, how it ended.
 
-use std::io;
+use std::io::{self, Write};
 use std::os::unix::process::ExitStatusExt;
 use std::path::PathBuf;
 use std::process::{ExitStatus, Stdio};
@@ -31,6 +31,7 @@ pub(super) struct Launch {
     pub(super) simd: String,
     pub(super) threads: Option<usize>,
     pub(super) token: String,
+    pub(super) variables: Vec<(String, String)>,
 }
 
 impl Launch {
@@ -78,6 +79,7 @@ impl Child {
             .args(["worker", "--server", &launch.server, "--pool", "--name", &label])
             .args(["--device", &device, "--simd", &launch.simd, "--threads", &threads.to_string()])
             .env(TOKEN_VARIABLE, &launch.token)
+            .envs(launch.variables.iter().map(|(name, value)| (name, value)))
             .stdin(Stdio::piped())
             .stdout(Stdio::null())
             .stderr(Stdio::piped())
@@ -158,9 +160,23 @@ impl Child {
 async fn pass_on(errors: ChildStderr, worker: String, last_line: Arc<Mutex<String>>) {
     let mut lines = BufReader::new(errors).lines();
     while let Ok(Some(line)) = lines.next_line().await {
-        tracing::info!(worker = %worker, "{line}");
-        *last_line.lock().expect("no holder panics") = line.chars().take(LAST_LINE_CHARACTERS).collect();
+        let message = pass_on_line(&worker, line);
+        *last_line.lock().expect("no holder panics") = message.chars().take(LAST_LINE_CHARACTERS).collect();
     }
+}
+
+/// Passes on what a worker said, and returns its words.
+fn pass_on_line(worker: &str, line: String) -> String {
+    let Ok(serde_json::Value::Object(mut fields)) = serde_json::from_str(&line) else {
+        tracing::info!(%worker, "{line}");
+        return line;
+    };
+    // It logs as JSON, fields and all: its line is one of ours, under its label.
+    fields.insert("label".to_owned(), worker.into());
+    let message = fields.get("message").and_then(|message| message.as_str()).unwrap_or("").to_owned();
+    // Where standard error is closed there is nobody to tell.
+    let _ = writeln!(io::stderr().lock(), "{}", serde_json::Value::Object(fields));
+    message
 }
 
 impl Exit {

@@ -1,0 +1,119 @@
+//! `sdfarm status`: how a farm is, on one screen.
+
+use clap::Args;
+use clap::builder::FalseyValueParser;
+
+use crate::arguments::ServerArguments;
+use crate::overview::{Overview, duration, gather, scaled};
+use crate::terminal::say;
+
+/// Jobs and workers that are listed, at most.
+const LISTED: usize = 8;
+
+/// Arguments of `status`.
+#[derive(Debug, Args)]
+pub(crate) struct Arguments {
+    #[command(flatten)]
+    server: ServerArguments,
+    /// Print it as JSON.
+    #[arg(long, env = "SDFARM_JSON", value_parser = FalseyValueParser::new(), action = clap::ArgAction::SetTrue)]
+    json: bool,
+    /// Only ask whether database and store can be used, which needs no key: for health checks.
+    #[arg(long, env = "SDFARM_READY", value_parser = FalseyValueParser::new(), action = clap::ArgAction::SetTrue)]
+    ready: bool,
+}
+
+/// Shows it; a farm that is not well is an error.
+pub(crate) async fn run(arguments: Arguments) -> anyhow::Result<()> {
+    let client = arguments.server.client()?;
+    if arguments.ready {
+        return say(&client.ready().await?.status);
+    }
+    let overview = gather(&client).await?;
+    if arguments.json {
+        say(&serde_json::to_string_pretty(&overview)?)?;
+    } else {
+        say(&lines(&overview).join("\n"))?;
+    }
+    anyhow::ensure!(overview.is_well(), "the farm is not well: {}", overview.health);
+    Ok(())
+}
+
+/// The screen.
+fn lines(overview: &Overview) -> Vec<String> {
+    let Overview { queue, pool, disk, .. } = overview;
+    let work = queue.work_seconds.map_or_else(|| "nobody to do it".to_owned(), duration);
+    let (version, uptime) = (&overview.version, duration(overview.uptime_seconds));
+    let mut lines = vec![
+        format!("{}  {}, sdfarm {version}, up {uptime}", overview.server, overview.health),
+        format!(
+            "queue    {} running, {} queued, {} tiles ready, {} leased; work for {work}, the oldest is {} old",
+            queue.running,
+            queue.queued,
+            queue.tiles_ready,
+            queue.tiles_leased,
+            duration(queue.oldest_seconds)
+        ),
+        format!(
+            "pool     {} of {} ready; all workers: {}rays/s",
+            pool.ready,
+            pool.workers,
+            scaled(queue.rays_per_second)
+        ),
+        format!(
+            "disk     {}B free of {}B; pictures and tiles {}B, database {}B",
+            scaled(disk.free_bytes as f64),
+            scaled(disk.total_bytes as f64),
+            scaled(disk.store_bytes as f64),
+            scaled(disk.database_bytes as f64)
+        ),
+    ];
+    for worker in overview.workers.iter().take(LISTED) {
+        let speed = worker.rays_per_second.map_or_else(|| "-".to_owned(), |speed| format!("{}rays/s", scaled(speed)));
+        let state = format!("{:?}", worker.state).to_lowercase();
+        lines.push(format!(
+            "worker   {:<20} {:<8} {state:<11} {:>3} leases  {speed}",
+            worker.name, worker.device, worker.leases
+        ));
+    }
+    for job in overview.jobs.iter().take(LISTED) {
+        let left = job.eta_seconds.map_or_else(String::new, |seconds| format!("  {} left", duration(seconds)));
+        let percent = (job.progress * 100.0).floor();
+        lines.push(format!("job      {}  {:<8} {percent:>3} %{left}  {}", job.id, job.state.name(), job.name));
+    }
+    for (what, shown, all) in
+        [("workers", LISTED, overview.workers.len()), ("unfinished jobs", LISTED, overview.jobs.len())]
+    {
+        if all > shown {
+            lines.push(format!("         and {} {what} more", all - shown));
+        }
+    }
+    match &overview.concerns[..] {
+        [] => lines.push("alerts   none".to_owned()),
+        concerns => lines.extend(concerns.iter().map(|concern| format!("alert    {concern}"))),
+    }
+    lines
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_farm_fits_on_a_screen() {
+        let text = lines(&crate::overview::tests::troubled()).join("\n");
+        let wanted = "\
+http://127.0.0.1:8080  ready, sdfarm 1.2.3, up 3 h 20 min
+queue    1 running, 4 queued, 90 tiles ready, 8 leased; work for 1 h 1 min, the oldest is 2 h 1 min old
+pool     1 of 2 ready; all workers: 11.0 Mrays/s
+disk     1.0 GB free of 9.0 GB; pictures and tiles 570 B, database 0 B
+worker   pool-1               cpu      ready         8 leases  2.0 Mrays/s
+job      01890a5d-ac96-774b-bcce-b302099a8058  running   25 %  1 min 15 s left  fjord
+alert    2 tiles were rendered differently by two workers
+alert    1 of 2 local workers are ready
+alert    little room is left on the disk
+alert    3 leases ran out
+alert    1 requests failed in the server";
+        assert_eq!(text, wanted);
+    }
+}

@@ -1,0 +1,277 @@
+//! How a farm is, from what its server tells: gathered once, shown as text, JSON or live.
+
+mod samples;
+
+use proto::job::{JobState, JobView};
+use proto::pool::{PoolView, WorkerView};
+use proto::{Client, ClientError};
+use serde::Serialize;
+
+use samples::Samples;
+
+/// Unfinished jobs that are listed, at most.
+const JOBS: u32 = 50;
+/// Less free disk should be looked at.
+const LITTLE_DISK_BYTES: f64 = 5e9;
+/// So much of a GPU's memory is as good as all.
+const FULL_GPU: f64 = 0.95;
+
+/// How a farm is.
+#[derive(Clone, Debug, Serialize)]
+pub(crate) struct Overview {
+    /// The server's address.
+    pub(crate) server: String,
+    /// `ready`, `degraded`, or what is wrong.
+    pub(crate) health: String,
+    /// The release.
+    pub(crate) version: String,
+    /// Seconds since its start.
+    pub(crate) uptime_seconds: f64,
+    /// What there is to do.
+    pub(crate) queue: Queue,
+    /// What was counted since the start.
+    pub(crate) totals: Totals,
+    /// The local pool.
+    pub(crate) pool: PoolView,
+    /// Workers that are not gone.
+    pub(crate) workers: Vec<WorkerView>,
+    /// Unfinished jobs, running ones first.
+    pub(crate) jobs: Vec<JobView>,
+    /// The data folder.
+    pub(crate) disk: Disk,
+    /// What should be looked at.
+    pub(crate) concerns: Vec<String>,
+}
+
+/// What there is to do.
+#[derive(Clone, Copy, Debug, Serialize)]
+pub(crate) struct Queue {
+    /// Jobs of which nothing was leased.
+    pub(crate) queued: u64,
+    /// Jobs that run.
+    pub(crate) running: u64,
+    /// Tiles that could be leased.
+    pub(crate) tiles_ready: u64,
+    /// Leases that run.
+    pub(crate) tiles_leased: u64,
+    /// Seconds of work; nothing if nobody is there to do it.
+    pub(crate) work_seconds: Option<f64>,
+    /// Age of the oldest unfinished job.
+    pub(crate) oldest_seconds: f64,
+    /// Camera rays a second, of all ready workers.
+    pub(crate) rays_per_second: f64,
+}
+
+/// What was counted since the start.
+#[derive(Clone, Copy, Debug, Serialize)]
+pub(crate) struct Totals {
+    /// Leases that ran out.
+    pub(crate) expired: u64,
+    /// Results without effect.
+    pub(crate) fenced: u64,
+    /// Tiles that two workers rendered differently.
+    pub(crate) nondeterministic: u64,
+    /// Webhooks that failed.
+    pub(crate) webhook_failures: u64,
+    /// Answers 429.
+    pub(crate) held_back: u64,
+    /// Answers 5xx.
+    pub(crate) server_errors: u64,
+}
+
+/// The data folder.
+#[derive(Clone, Copy, Debug, Serialize)]
+#[expect(clippy::struct_field_names, reason = "units come last in names")]
+pub(crate) struct Disk {
+    /// Free room.
+    pub(crate) free_bytes: u64,
+    /// Size.
+    pub(crate) total_bytes: u64,
+    /// Pictures and tiles.
+    pub(crate) store_bytes: u64,
+    /// The database and its log.
+    pub(crate) database_bytes: u64,
+}
+
+/// Asks the server everything.
+pub(crate) async fn gather(client: &Client) -> Result<Overview, ClientError> {
+    let health = match client.ready().await {
+        Ok(ready) => ready.status,
+        Err(ClientError::Problem(problem)) => problem.detail.clone(),
+        Err(error) => return Err(error),
+    };
+    let samples = Samples::read(&client.metrics().await?);
+    let (pool, workers) = (client.pool().await?, client.workers().await?.workers);
+    let mut jobs = client.jobs(Some(JobState::Running), JOBS, None).await?.jobs;
+    jobs.extend(client.jobs(Some(JobState::Queued), JOBS, None).await?.jobs);
+    Ok(Overview::of(client.server(), health, &samples, pool, workers, jobs))
+}
+
+impl Overview {
+    fn of(
+        server: &str,
+        health: String,
+        samples: &Samples,
+        pool: PoolView,
+        workers: Vec<WorkerView>,
+        jobs: Vec<JobView>,
+    ) -> Self {
+        let sum = |name: &str| samples.sum(name, &[]);
+        let count = |name: &str, labels: &[(&str, &str)]| samples.sum(name, labels) as u64;
+        let answers =
+            |matches: &dyn Fn(&str) -> bool| samples.sum_where("sdfarm_http_answers_total", "status", matches);
+        let queue = Queue {
+            queued: count("sdfarm_jobs", &[("state", "queued")]),
+            running: count("sdfarm_jobs", &[("state", "running")]),
+            tiles_ready: count("sdfarm_tiles", &[("state", "ready")]),
+            tiles_leased: count("sdfarm_tiles", &[("state", "leased")]),
+            work_seconds: Some(sum("sdfarm_queue_work_seconds")).filter(|seconds| seconds.is_finite()),
+            oldest_seconds: sum("sdfarm_queue_oldest_job_seconds"),
+            rays_per_second: sum("sdfarm_rays_per_second"),
+        };
+        let totals = Totals {
+            expired: count("sdfarm_leases_expired_total", &[]),
+            fenced: count("sdfarm_results_fenced_total", &[]),
+            nondeterministic: count("sdfarm_nondeterministic_tiles_total", &[]),
+            webhook_failures: count("sdfarm_webhook_failures_total", &[]),
+            held_back: answers(&|status| status == "429") as u64,
+            server_errors: answers(&|status| status.starts_with('5')) as u64,
+        };
+        let disk = Disk {
+            free_bytes: count("sdfarm_disk_free_bytes", &[]),
+            total_bytes: count("sdfarm_disk_bytes", &[]),
+            store_bytes: count("sdfarm_store_bytes", &[]),
+            database_bytes: count("sdfarm_database_bytes", &[]) + count("sdfarm_wal_bytes", &[]),
+        };
+        let mut overview = Self {
+            server: server.to_owned(),
+            health,
+            version: samples.label("sdfarm_build_info", "version").unwrap_or("unknown").to_owned(),
+            uptime_seconds: sum("sdfarm_uptime_seconds"),
+            queue,
+            totals,
+            pool,
+            workers,
+            jobs,
+            disk,
+            concerns: Vec::new(),
+        };
+        overview.concerns = overview.worries(samples);
+        overview
+    }
+
+    /// Whether it serves and works.
+    pub(crate) fn is_well(&self) -> bool {
+        ["ready", "degraded"].contains(&self.health.as_str())
+    }
+
+    fn worries(&self, samples: &Samples) -> Vec<String> {
+        let mut worries = Vec::new();
+        let mut worry = |is_so: bool, text: String| {
+            if is_so {
+                worries.push(text);
+            }
+        };
+        let Totals { expired, fenced, nondeterministic, webhook_failures, server_errors, .. } = self.totals;
+        worry(!self.is_well(), self.health.clone());
+        worry(nondeterministic > 0, format!("{nondeterministic} tiles were rendered differently by two workers"));
+        worry(self.queue.work_seconds.is_none(), "there is work, and no worker that has shown its speed".to_owned());
+        worry(
+            self.pool.ready < self.pool.workers,
+            format!("{} of {} local workers are ready", self.pool.ready, self.pool.workers),
+        );
+        worry((self.disk.free_bytes as f64) < LITTLE_DISK_BYTES, "little room is left on the disk".to_owned());
+        worry(expired > 0, format!("{expired} leases ran out"));
+        worry(fenced > 0, format!("{fenced} results came too late"));
+        worry(webhook_failures > 0, format!("{webhook_failures} deliveries of webhooks failed"));
+        worry(server_errors > 0, format!("{server_errors} requests failed in the server"));
+        let (used, all) =
+            (samples.sum("sdfarm_gpu_memory_used_bytes", &[]), samples.sum("sdfarm_gpu_memory_bytes", &[]));
+        worry(all > 0.0 && used / all > FULL_GPU, "the GPUs have no memory left".to_owned());
+        worries
+    }
+}
+
+/// A time in the two units that matter: `3 h 20 min`.
+pub(crate) fn duration(seconds: f64) -> String {
+    let whole = seconds.max(0.0).round() as u64;
+    let (days, hours, minutes) = (whole / 86_400, whole / 3600 % 24, whole / 60 % 60);
+    match (days, hours, minutes) {
+        (0, 0, 0) if seconds < 10.0 => format!("{:.1} s", seconds.max(0.0)),
+        (0, 0, 0) => format!("{whole} s"),
+        (0, 0, minutes) => format!("{minutes} min {} s", whole % 60),
+        (0, hours, minutes) => format!("{hours} h {minutes} min"),
+        (days, hours, _) => format!("{days} d {hours} h"),
+    }
+}
+
+/// A number in thousands, millions and so on.
+pub(crate) fn scaled(number: f64) -> String {
+    let units = [(1e12, "T"), (1e9, "G"), (1e6, "M"), (1e3, "k")];
+    let found = units.into_iter().find(|(unit, _)| number >= *unit);
+    found.map_or_else(|| format!("{number:.0} "), |(unit, name)| format!("{:.1} {name}", number / unit))
+}
+
+#[cfg(test)]
+pub(crate) mod tests {
+    use super::*;
+
+    /// A farm in trouble.
+    pub(crate) fn troubled() -> Overview {
+        let samples = Samples::read(
+            "sdfarm_build_info{version=\"1.2.3\",picture_version=\"4\"} 1\n\
+             sdfarm_uptime_seconds 12000.0\n\
+             sdfarm_jobs{state=\"queued\"} 4.0\nsdfarm_jobs{state=\"running\"} 1.0\n\
+             sdfarm_tiles{state=\"ready\"} 90.0\nsdfarm_tiles{state=\"leased\"} 8.0\n\
+             sdfarm_queue_work_seconds 3700.0\nsdfarm_queue_oldest_job_seconds 7300.0\n\
+             sdfarm_rays_per_second{device=\"cpu\"} 2000000.0\nsdfarm_rays_per_second{device=\"cuda:0\"} 9000000.0\n\
+             sdfarm_nondeterministic_tiles_total 2\nsdfarm_leases_expired_total 3\n\
+             sdfarm_http_answers_total{route=\"/v1/jobs\",method=\"POST\",status=\"429\"} 5\n\
+             sdfarm_http_answers_total{route=\"/v1/jobs\",method=\"POST\",status=\"507\"} 1\n\
+             sdfarm_disk_free_bytes 1000000000.0\nsdfarm_disk_bytes 9000000000.0\n\
+             sdfarm_store_bytes{kind=\"pictures\"} 500.0\nsdfarm_store_bytes{kind=\"tiles\"} 70.0\n# EOF\n",
+        );
+        let worker = r#"{"id": "01890a5d-ac96-774b-bcce-b302099a8057", "name": "pool-1", "device": "cpu",
+            "state": "ready", "rays_per_second": 2000000.0, "leases": 8}"#;
+        let job = r#"{"id": "01890a5d-ac96-774b-bcce-b302099a8058", "name": "fjord", "state": "running",
+            "progress": 0.25, "tiles": {"done": 2, "total": 8}, "frames": {"done": 0, "total": 1}, "errors": [],
+            "warnings": [], "created_at": "2026-01-01T00:00:00Z", "started_at": null, "finished_at": null,
+            "eta_seconds": 75.0}"#;
+        Overview::of(
+            "http://127.0.0.1:8080",
+            "ready".to_owned(),
+            &samples,
+            PoolView { workers: 2, ready: 1 },
+            vec![serde_json::from_str(worker).expect("a worker")],
+            vec![serde_json::from_str(job).expect("a job")],
+        )
+    }
+
+    #[test]
+    fn what_should_be_looked_at_is_said() {
+        let overview = troubled();
+        assert_eq!(
+            overview.concerns,
+            [
+                "2 tiles were rendered differently by two workers",
+                "1 of 2 local workers are ready",
+                "little room is left on the disk",
+                "3 leases ran out",
+                "1 requests failed in the server",
+            ]
+        );
+        assert_eq!((overview.version.as_str(), overview.totals.held_back), ("1.2.3", 5));
+        assert_eq!((overview.queue.rays_per_second, overview.disk.store_bytes), (11e6, 570));
+    }
+
+    #[test]
+    fn times_and_numbers_are_short() {
+        let times = [(0.25, "0.2 s"), (42.0, "42 s"), (75.0, "1 min 15 s"), (3700.0, "1 h 1 min"), (2e5, "2 d 7 h")];
+        for (seconds, text) in times {
+            assert_eq!(duration(seconds), text);
+        }
+        for (number, text) in [(12.0, "12 "), (1.5e3, "1.5 k"), (11e6, "11.0 M"), (3e9, "3.0 G")] {
+            assert_eq!(scaled(number), text);
+        }
+    }
+}

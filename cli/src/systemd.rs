@@ -1,0 +1,27 @@
+//! What systemd is told: that the server serves, that it is alive, that it stops. Elsewhere nobody listens.
+
+use sd_notify::NotifyState;
+
+/// Says that the server serves, and from then on that it lives, as often as it is wanted.
+pub(crate) fn serving(address: &str) {
+    tell(&[NotifyState::Ready, NotifyState::Status(&format!("serving {address}"))]);
+    let Some(patience) = sd_notify::watchdog_enabled() else { return };
+    tokio::spawn(async move {
+        let mut ticks = tokio::time::interval(patience / 3);
+        loop {
+            ticks.tick().await;
+            tell(&[NotifyState::Watchdog]);
+        }
+    });
+}
+
+/// Says that the server stops.
+pub(crate) fn stopping() {
+    tell(&[NotifyState::Stopping]);
+}
+
+fn tell(states: &[NotifyState<'_>]) {
+    if let Err(error) = sd_notify::notify(states) {
+        tracing::warn!(%error, "systemd could not be told");
+    }
+}

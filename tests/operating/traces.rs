@@ -1,0 +1,183 @@
+//! One trace from the request that hands in a job to the stored picture, and logs that a program can read: on a real farm.
+
+use std::collections::HashMap;
+use std::io::{BufRead, BufReader, Read, Write};
+use std::net::{TcpListener, TcpStream};
+use std::sync::{Arc, Mutex};
+
+use serde_json::Value;
+
+use crate::support::Farm;
+
+/// What a collector takes of a span.
+#[derive(Clone, Debug, Default)]
+struct Span {
+    trace: String,
+    id: String,
+    parent: String,
+    name: String,
+}
+
+/// A collector that takes spans by OTLP over HTTP.
+struct Collector {
+    address: String,
+    spans: Arc<Mutex<Vec<Span>>>,
+}
+
+impl Collector {
+    fn start() -> Self {
+        let listener = TcpListener::bind("127.0.0.1:0").expect("a port");
+        let address = format!("http://{}", listener.local_addr().expect("bound"));
+        let spans = Arc::new(Mutex::new(Vec::new()));
+        let taken = spans.clone();
+        std::thread::spawn(move || {
+            for stream in listener.incoming().flatten() {
+                let taken = taken.clone();
+                std::thread::spawn(move || serve(stream, &taken));
+            }
+        });
+        Self { address, spans }
+    }
+
+    fn of_trace(&self, trace: &str) -> Vec<Span> {
+        self.spans.lock().expect("whole").iter().filter(|span| span.trace == trace).cloned().collect()
+    }
+}
+
+/// Takes requests until the client hangs up.
+fn serve(stream: TcpStream, taken: &Mutex<Vec<Span>>) {
+    let mut reader = BufReader::new(stream.try_clone().expect("a socket"));
+    let mut stream = stream;
+    loop {
+        let (mut line, mut length) = (String::new(), 0);
+        loop {
+            line.clear();
+            if reader.read_line(&mut line).unwrap_or(0) == 0 {
+                return;
+            }
+            if let Some((name, value)) = line.split_once(':')
+                && name.eq_ignore_ascii_case("content-length")
+            {
+                length = value.trim().parse().expect("a number");
+            }
+            if line == "\r\n" {
+                break;
+            }
+        }
+        let mut body = vec![0; length];
+        reader.read_exact(&mut body).expect("a whole body");
+        taken.lock().expect("whole").extend(spans(&body));
+        let _ =
+            stream.write_all(b"HTTP/1.1 200 OK\r\ncontent-type: application/x-protobuf\r\ncontent-length: 0\r\n\r\n");
+    }
+}
+
+/// Protocol buffers: a message's fields that are bytes, by number.
+fn fields(mut message: &[u8]) -> Vec<(u64, &[u8])> {
+    let mut found = Vec::new();
+    while !message.is_empty() {
+        let key = number(&mut message);
+        match key & 7 {
+            0 => drop(number(&mut message)),
+            1 => message = &message[8..],
+            2 => {
+                let length = number(&mut message) as usize;
+                found.push((key >> 3, &message[..length]));
+                message = &message[length..];
+            }
+            5 => message = &message[4..],
+            kind => panic!("wire type {kind}"),
+        }
+    }
+    found
+}
+
+fn number(message: &mut &[u8]) -> u64 {
+    let mut value = 0;
+    for shift in (0..64).step_by(7) {
+        let (byte, rest) = message.split_first().expect("a whole number");
+        *message = rest;
+        value |= u64::from(byte & 0x7f) << shift;
+        if byte & 0x80 == 0 {
+            break;
+        }
+    }
+    value
+}
+
+/// The spans of an export request: resource spans (1), scope spans (2), spans (2).
+fn spans(body: &[u8]) -> Vec<Span> {
+    let mut found = Vec::new();
+    for (_, resource) in fields(body).into_iter().filter(|(field, _)| *field == 1) {
+        for (_, scope) in fields(resource).into_iter().filter(|(field, _)| *field == 2) {
+            for (_, span) in fields(scope).into_iter().filter(|(field, _)| *field == 2) {
+                let get = |wanted| {
+                    fields(span).into_iter().find(|(field, _)| *field == wanted).map_or(&[][..], |(_, bytes)| bytes)
+                };
+                let hex = |bytes: &[u8]| bytes.iter().fold(String::new(), |text, byte| text + &format!("{byte:02x}"));
+                let name = String::from_utf8_lossy(get(5)).into_owned();
+                found.push(Span { trace: hex(get(1)), id: hex(get(2)), parent: hex(get(4)), name });
+            }
+        }
+    }
+    found
+}
+
+#[test]
+fn one_trace_shows_a_job_from_its_request_to_its_stored_picture_and_logs_name_it() {
+    let collector = Collector::start();
+    let folder = tempfile::tempdir().expect("a folder");
+    let flags = ["--device", "cpu", "--workers", "1", "--log", "json", "-v", "--otlp", &collector.address];
+    let farm = Farm::start_on(folder.path(), &flags);
+    let (trace, client) = ("4bf92f3577b34da6a3ce929d0e0e4736", "00f067aa0ba902b7");
+    let job = r#"{"scene": {"camera": {"position": [0, 0, 4], "look_at": [0, 0, 0]},
+        "objects": [{"material": {"normals": {}}, "shape": {"sphere": {"radius": 1}}}]},
+        "image": {"width": 64, "height": 48, "samples": 1}}"#;
+    let headers = [
+        ("content-type", "application/json"),
+        ("traceparent", &format!("00-{trace}-{client}-01")[..]),
+        ("x-request-id", "the-request"),
+    ];
+    let answer = farm.send("POST", "/v1/jobs", &headers, job.as_bytes().to_vec());
+    assert_eq!(answer.status, 201, "{}", answer.text());
+    let id = answer.json()["id"].as_str().expect("an id").to_owned();
+    farm.succeeded(&id);
+    let path = folder.path().join("log");
+    // What is left of the traces is sent when the processes end.
+    assert!(farm.terminate().success());
+
+    let spans = collector.of_trace(trace);
+    let by_id: HashMap<&str, &Span> = spans.iter().map(|span| (span.id.as_str(), span)).collect();
+    let store =
+        spans.iter().find(|span| span.name == "store").unwrap_or_else(|| panic!("nothing is stored: {spans:?}"));
+    let (mut names, mut parent) = (vec!["store"], store.parent.as_str());
+    while let Some(span) = by_id.get(parent) {
+        names.push(&span.name);
+        parent = &span.parent;
+    }
+    assert_eq!(names, ["store", "request", "deliver", "run", "lease", "request"], "{spans:?}");
+    assert_eq!(parent, client, "the client's own span is above all");
+    for name in ["submit", "render", "encode"] {
+        assert!(spans.iter().any(|span| span.name == name), "no {name} in {spans:?}");
+    }
+    check_log(&std::fs::read_to_string(path).expect("a log"), &id);
+}
+
+/// Every line is an object, and lines about the job name it, its frame and its worker.
+fn check_log(log: &str, id: &str) {
+    let lines: Vec<Value> =
+        log.lines().map(|line| serde_json::from_str(line).unwrap_or_else(|error| panic!("{error}: {line}"))).collect();
+    for line in &lines {
+        for field in ["timestamp", "level", "target", "message"] {
+            assert!(line[field].is_string(), "no {field} in {line}");
+        }
+    }
+    let put = lines.iter().find(|line| line["message"] == "a picture is put").expect("the worker's line");
+    assert_eq!((&put["job"], &put["frame"]), (&id.into(), &0.into()), "{put}");
+    assert!(put["worker"].as_str().is_some_and(|worker| worker.len() == 36) && put["label"] == "pool-1", "{put}");
+    let posted = lines.iter().find(|line| line["request_id"] == "the-request").expect("the request's line");
+    assert_eq!((&posted["method"], &posted["path"]), (&"POST".into(), &"/v1/jobs".into()), "{posted}");
+    let looked = format!("/v1/jobs/{id}");
+    let looked = lines.iter().find(|line| line["path"] == looked.as_str()).expect("a line of a look at the job");
+    assert_eq!(looked["job"], id, "{looked}");
+}
