@@ -88,6 +88,11 @@ pub(crate) fn quick() -> Value {
     as_png(&sized(&named("csg"), 96, 2))
 }
 
+/// A job of more rays than a worker whose speed is not known is given at once, 4 Mi: its frames are stitched.
+pub(crate) fn many_rays() -> Value {
+    as_png(&sized(&named("csg"), 288, 100))
+}
+
 /// A job that no machine finishes within a test.
 pub(crate) fn endless() -> Value {
     as_png(&sized(&named("mandelbulb"), 3840, 1024))

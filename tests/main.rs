@@ -4,11 +4,13 @@
 
 mod api;
 mod bad_input;
+mod bad_requests;
 mod command_line;
 mod cuda;
 mod doors;
 mod exr_reader;
 mod faults;
+mod fuzz;
 mod jobs;
 mod kills;
 mod operating;

@@ -160,9 +160,22 @@ impl Farm {
     }
 
     /// The same by a command that has its own environment.
-    pub(crate) fn start_by(mut command: Command, folder: &Path, arguments: &[&str]) -> Self {
+    pub(crate) fn start_by(command: Command, folder: &Path, arguments: &[&str]) -> Self {
+        Self::start_at("127.0.0.1:0", command, folder, arguments)
+    }
+
+    /// Starts one on a fresh folder that listens on every address.
+    pub(crate) fn start_beyond_loopback(arguments: &[&str]) -> Self {
+        let folder = tempfile::tempdir().expect("a folder");
+        let arguments = [&["--insecure"][..], arguments].concat();
+        let mut farm = Self::start_at("0.0.0.0:0", sdfarm(&["serve"]), folder.path(), &arguments);
+        farm.folder = Some(folder);
+        farm
+    }
+
+    fn start_at(listen: &str, mut command: Command, folder: &Path, arguments: &[&str]) -> Self {
         let log = folder.join("log");
-        command.args(["--listen", "127.0.0.1:0", "--data"]).arg(folder.join("data")).args(arguments);
+        command.args(["--listen", listen, "--data"]).arg(folder.join("data")).args(arguments);
         let log_file = fs::File::options().create(true).append(true).open(&log).expect("a log");
         let mut child =
             command.stdin(Stdio::null()).stdout(Stdio::piped()).stderr(log_file).spawn().expect("the program starts");
@@ -191,6 +204,11 @@ impl Farm {
         self.child.id()
     }
 
+    /// Whether it is gone.
+    pub(crate) fn has_ended(&mut self) -> bool {
+        self.child.try_wait().expect("a child of ours").is_some()
+    }
+
     /// Its workers' process ids.
     pub(crate) fn workers(&self) -> Vec<u32> {
         children(self.process())
@@ -205,14 +223,6 @@ impl Farm {
     pub(crate) fn terminate(mut self) -> ExitStatus {
         send_signal(self.process(), Signal::TERM);
         wait(&mut self.child)
-    }
-
-    /// Kills it on the spot; returns the workers it had.
-    pub(crate) fn kill(mut self) -> Vec<u32> {
-        let workers = self.workers();
-        self.child.kill().expect("a child of ours");
-        wait(&mut self.child);
-        workers
     }
 
     /// Gets a path.
@@ -280,6 +290,11 @@ impl Farm {
         });
     }
 
+    /// Sends any request to a server that may die of it: then there is no answer.
+    pub(crate) fn try_send(&self, method: &str, path: &str, headers: &[(&str, &str)], body: Vec<u8>) -> Option<Answer> {
+        try_send(&self.address, method, path, headers, body).ok()
+    }
+
     /// Sends any request.
     pub(crate) fn send(&self, method: &str, path: &str, headers: &[(&str, &str)], body: Vec<u8>) -> Answer {
         send(&self.address, method, path, headers, body)
@@ -342,6 +357,16 @@ impl Answer {
 
 /// Sends a request to any address.
 pub(crate) fn send(address: &str, method: &str, path: &str, headers: &[(&str, &str)], body: Vec<u8>) -> Answer {
+    try_send(address, method, path, headers, body).unwrap_or_else(|error| panic!("{path}: {error:?}"))
+}
+
+fn try_send(
+    address: &str,
+    method: &str,
+    path: &str,
+    headers: &[(&str, &str)],
+    body: Vec<u8>,
+) -> reqwest::Result<Answer> {
     static RUNTIME: OnceLock<(tokio::runtime::Runtime, reqwest::Client)> = OnceLock::new();
     let (runtime, client) = RUNTIME.get_or_init(|| {
         let runtime = tokio::runtime::Builder::new_multi_thread().worker_threads(2).enable_all().build();
@@ -353,9 +378,19 @@ pub(crate) fn send(address: &str, method: &str, path: &str, headers: &[(&str, &s
         request = request.header(*name, *value);
     }
     runtime.block_on(async {
-        let answer = request.send().await.unwrap_or_else(|error| panic!("{path}: {error:?}"));
+        let answer = request.send().await?;
         let (status, headers) = (answer.status().as_u16(), answer.headers().clone());
-        let body = answer.bytes().await.unwrap_or_else(|error| panic!("{path}: {error:?}")).to_vec();
-        Answer { status, headers, body }
+        let body = answer.bytes().await?.to_vec();
+        Ok(Answer { status, headers, body })
     })
+}
+
+/// A frame's picture as the program renders it by itself, undisturbed.
+pub(crate) fn rendered_here(job: &Value, frame: u32) -> Vec<u8> {
+    let folder = tempfile::tempdir().expect("a folder");
+    let path = folder.path().join("picture.png");
+    let arguments = ["render", "-", "-o", path.to_str().expect("plain"), "--frame", &frame.to_string()];
+    let output = finish(sdfarm(&arguments), job.to_string().as_bytes());
+    assert!(output.status.success(), "{}", text(&output.stderr));
+    fs::read(path).expect("a picture")
 }

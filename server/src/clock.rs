@@ -14,7 +14,7 @@ pub struct Clock(Source);
 #[derive(Clone, Debug)]
 enum Source {
     System(Instant),
-    Hand(Arc<AtomicI64>),
+    Hand(Hand),
 }
 
 impl Clock {
@@ -25,15 +25,15 @@ impl Clock {
 
     /// A clock that moves only by its hand.
     pub fn by_hand() -> (Self, Hand) {
-        let now_ms = Arc::new(AtomicI64::new(0));
-        (Self(Source::Hand(Arc::clone(&now_ms))), Hand(now_ms))
+        let hand = Hand::default();
+        (Self(Source::Hand(hand.clone())), hand)
     }
 
     /// Milliseconds since the server started; never falls.
     pub(crate) fn now_ms(&self) -> i64 {
         match &self.0 {
             Source::System(start) => i64::try_from(start.elapsed().as_millis()).unwrap_or(i64::MAX),
-            Source::Hand(now_ms) => now_ms.load(Ordering::SeqCst),
+            Source::Hand(hand) => hand.now_ms.load(Ordering::SeqCst),
         }
     }
 
@@ -41,7 +41,7 @@ impl Clock {
     pub(crate) fn wall_ms(&self) -> i64 {
         match &self.0 {
             Source::System(_) => time_of_day_ms(),
-            Source::Hand(now_ms) => now_ms.load(Ordering::SeqCst),
+            Source::Hand(hand) => hand.now_ms.load(Ordering::SeqCst) + hand.jumped_ms.load(Ordering::SeqCst),
         }
     }
 }
@@ -59,13 +59,22 @@ fn time_of_day_ms() -> i64 {
 }
 
 /// Moves a clock made by [`Clock::by_hand`].
-#[derive(Clone, Debug)]
-pub struct Hand(Arc<AtomicI64>);
+#[derive(Clone, Debug, Default)]
+pub struct Hand {
+    now_ms: Arc<AtomicI64>,
+    /// How far the wall clock was set away from that.
+    jumped_ms: Arc<AtomicI64>,
+}
 
 impl Hand {
     /// Lets time pass.
     pub fn advance(&self, time: Duration) {
-        self.0.fetch_add(i64::try_from(time.as_millis()).unwrap_or(i64::MAX), Ordering::SeqCst);
+        self.now_ms.fetch_add(i64::try_from(time.as_millis()).unwrap_or(i64::MAX), Ordering::SeqCst);
+    }
+
+    /// Sets the wall clock forward, or back; no time passes.
+    pub fn set_wall_clock_by(&self, jump_ms: i64) {
+        self.jumped_ms.fetch_add(jump_ms, Ordering::SeqCst);
     }
 }
 

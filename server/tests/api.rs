@@ -3,6 +3,7 @@
 mod api {
     mod bad_input;
     mod change;
+    mod clocks;
     mod connections;
     mod events;
     mod frames;

@@ -6,6 +6,7 @@
 mod catalogue;
 mod chance;
 mod kills;
+mod overload;
 mod probe;
 mod processes;
 mod server;
@@ -23,6 +24,8 @@ use kills::Plan;
 
 /// Minutes of a soak for which nothing else was said.
 const USUAL_MINUTES: u32 = 2;
+/// Lines of the servers' log that are shown after a breach.
+const LAST_LINES: usize = 40;
 
 /// Arguments of `soak`.
 #[derive(Debug, Args)]
@@ -30,6 +33,9 @@ pub(crate) struct Arguments {
     /// Kill workers and the server at random instants and at the named points between two steps.
     #[arg(long, env = "SDFARM_KILL", value_parser = clap::builder::FalseyValueParser::new(), action = clap::ArgAction::SetTrue)]
     kill: bool,
+    /// Hand in far more jobs than the farm can take.
+    #[arg(long, env = "SDFARM_OVERLOAD", conflicts_with = "kill", value_parser = clap::builder::FalseyValueParser::new(), action = clap::ArgAction::SetTrue)]
+    overload: bool,
     /// How long, if no number of kills is given [default: 2].
     #[arg(long, value_name = "N", env = "SDFARM_MINUTES", value_parser = clap::value_parser!(u32).range(1..=10_000), conflicts_with_all = ["worker_kills", "server_kills"])]
     minutes: Option<u32>,
@@ -51,10 +57,13 @@ pub(crate) struct Arguments {
 }
 
 impl Arguments {
+    fn time(&self) -> Duration {
+        Duration::from_secs(60 * u64::from(self.minutes.unwrap_or(USUAL_MINUTES)))
+    }
+
     fn plan(&self) -> Plan {
-        let minutes = |minutes: u32| Some(Duration::from_secs(60 * u64::from(minutes)));
         let (worker_kills, server_kills, time) = match (self.worker_kills, self.server_kills) {
-            (None, None) => (u32::MAX, u32::MAX, minutes(self.minutes.unwrap_or(USUAL_MINUTES))),
+            (None, None) => (u32::MAX, u32::MAX, Some(self.time())),
             (workers, servers) => (workers.unwrap_or(0), servers.unwrap_or(0), None),
         };
         Plan { kill: self.kill, worker_kills, server_kills, time, workers: self.workers, seed: self.seed }
@@ -70,18 +79,26 @@ pub(crate) async fn run(arguments: Arguments) -> anyhow::Result<()> {
     note("rendering what the pictures must be");
     let (seed, plan) = (arguments.seed, arguments.plan());
     let tasks = tokio::task::spawn_blocking(move || catalogue::tasks(seed, None)).await.context("that panicked")??;
-    let tally = tokio::select! {
-        tally = kills::soak(&plan, &tasks, &data) => tally?,
+    let soaked = async {
+        if arguments.overload {
+            let report = overload::overload(&tasks, &data, arguments.time()).await?;
+            return anyhow::Ok((report.table(), report.breaches));
+        }
+        let tally = kills::soak(&plan, &tasks, &data).await?;
+        Ok((tally.table(), tally.breaches))
+    };
+    let (table, breaches) = tokio::select! {
+        soaked = soaked => soaked?,
         () = signals.next() => anyhow::bail!("interrupted"),
     };
-    say(&tally.table())?;
-    if tally.breaches.is_empty() {
+    say(&table)?;
+    if breaches.is_empty() {
         return Ok(());
     }
     let log = std::fs::read_to_string(data.join("soak.log")).unwrap_or_default();
     let lines: Vec<&str> = log.lines().collect();
-    for line in &lines[lines.len().saturating_sub(40)..] {
+    for line in &lines[lines.len().saturating_sub(LAST_LINES)..] {
         note(line);
     }
-    anyhow::bail!("the farm did not keep its word: {}", tally.breaches.join("; "))
+    anyhow::bail!("the farm did not keep its word: {}", breaches.join("; "))
 }

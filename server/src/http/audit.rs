@@ -78,6 +78,7 @@ fn made(response: &Response) -> Option<JobId> {
 }
 
 #[derive(Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
 struct PageQuery {
     limit: Option<u32>,
     cursor: Option<i64>,

@@ -22,6 +22,7 @@ use crate::queue::{Changed, Deleted};
 const MAX_BYTES: usize = 4096;
 
 #[derive(Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
 struct DeleteQuery {
     #[serde(default)]
     dry_run: bool,

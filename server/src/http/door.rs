@@ -23,6 +23,13 @@ pub(super) async fn host_and_origin(State(farm): State<Arc<Farm>>, request: Requ
 }
 
 fn check(hosts: &[String], request: &Request) -> Result<(), ApiError> {
+    if request.headers().get_all(header::HOST).iter().count() > 1 {
+        // RFC 9112, section 3.2: which of them is meant nobody knows.
+        return Err(ApiError::WrongRequest("it has more than one Host header"));
+    }
+    if !is_text(request.uri().path()) {
+        return Err(ApiError::WrongRequest("its path is not UTF-8"));
+    }
     let named = match request.uri().authority() {
         Some(authority) => authority.as_str(),
         None => text(request.headers(), &header::HOST),
@@ -38,6 +45,18 @@ fn check(hosts: &[String], request: &Request) -> Result<(), ApiError> {
         return Err(ApiError::ForeignOrigin(origin.to_owned()));
     }
     Ok(())
+}
+
+/// Whether a path is UTF-8 once its escapes are undone.
+fn is_text(path: &str) -> bool {
+    let mut parts = path.split('%');
+    let mut bytes = parts.next().unwrap_or_default().as_bytes().to_vec();
+    for part in parts {
+        let escaped = part.get(..2).and_then(|digits| u8::from_str_radix(digits, 16).ok());
+        bytes.push(escaped.unwrap_or(b'%'));
+        bytes.extend(&part.as_bytes()[if escaped.is_some() { 2 } else { 0 }..]);
+    }
+    std::str::from_utf8(&bytes).is_ok()
 }
 
 fn text<'a>(headers: &'a HeaderMap, name: &header::HeaderName) -> &'a str {
@@ -57,6 +76,16 @@ fn is_ours(hosts: &[String], named: &str) -> bool {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn paths_are_text_once_their_escapes_are_undone() {
+        for text in ["/v1/jobs", "/%41", "/%d1%84", "/%", "/%zz", "/100%"] {
+            assert!(is_text(text), "{text}");
+        }
+        for bytes in ["/%ff", "/%d1", "/a%80b"] {
+            assert!(!is_text(bytes), "{bytes}");
+        }
+    }
 
     #[test]
     fn addresses_localhost_and_known_names_are_ours() {

@@ -43,6 +43,8 @@ pub(crate) enum ApiError {
     WrongType { found: String },
     #[error("the body did not arrive whole: {0}")]
     BrokenBody(String),
+    #[error("the request can't be understood: {0}")]
+    WrongRequest(&'static str),
     #[error("there is no job {0}: GET /v1/jobs lists those there are")]
     UnknownJob(String),
     #[error("job {job} has no frame {frame}: it has {frames}, from 0")]
@@ -167,6 +169,7 @@ impl ApiError {
                 (StatusCode::UNSUPPORTED_MEDIA_TYPE, "wrong_content_type", "The content type is not taken")
             }
             Self::BrokenBody(_) => (StatusCode::BAD_REQUEST, "broken_body", "The body broke off"),
+            Self::WrongRequest(_) => (StatusCode::BAD_REQUEST, "wrong_request", "The request can't be understood"),
             Self::UnknownJob(_) => (StatusCode::NOT_FOUND, "unknown_job", "There is no such job"),
             Self::UnknownFrame { .. } => (StatusCode::NOT_FOUND, "unknown_frame", "There is no such frame"),
             Self::NotStored { .. } => (StatusCode::NOT_FOUND, "picture_not_stored", "The picture is not stored"),

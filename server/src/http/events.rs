@@ -19,6 +19,7 @@ use crate::farm::Farm;
 const LAST_EVENT_ID: &str = "last-event-id";
 
 #[derive(Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
 struct EventsQuery {
     last_event_id: Option<String>,
 }

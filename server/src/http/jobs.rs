@@ -29,6 +29,7 @@ const PAGE: u32 = 100;
 const MAX_PAGE: u32 = 1000;
 
 #[derive(Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
 struct SubmitQuery {
     #[serde(default)]
     dry_run: bool,
@@ -36,6 +37,7 @@ struct SubmitQuery {
 }
 
 #[derive(Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
 struct ListQuery {
     state: Option<JobState>,
     limit: Option<u32>,

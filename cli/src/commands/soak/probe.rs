@@ -26,3 +26,25 @@ pub(super) async fn status(address: &str, path: &str) -> Option<u16> {
     let line = tokio::time::timeout(PATIENCE, asked).await.ok()?.ok()?;
     std::str::from_utf8(&line[9..]).ok()?.parse().ok()
 }
+
+/// The status of a POST of JSON, and whether the answer says when to come back.
+pub(super) async fn post(address: &str, path: &str, body: &[u8]) -> Option<(u16, bool)> {
+    let host = address.strip_prefix("http://")?;
+    let head = format!(
+        "POST {path} HTTP/1.1\r\nhost: {host}\r\nconnection: close\r\ncontent-type: application/json\r\n\
+         cache-control: no-cache\r\ncontent-length: {}\r\n\r\n",
+        body.len()
+    );
+    let asked = async {
+        let mut connection = TcpStream::connect(host).await?;
+        connection.write_all(head.as_bytes()).await?;
+        connection.write_all(body).await?;
+        let mut answer = Vec::new();
+        connection.read_to_end(&mut answer).await?;
+        std::io::Result::Ok(answer)
+    };
+    let answer = tokio::time::timeout(PATIENCE, asked).await.ok()?.ok()?;
+    let head = String::from_utf8_lossy(&answer).to_lowercase();
+    let status = head.get(9..STATUS_LINE_BYTES)?.parse().ok()?;
+    Some((status, head.contains("\r\nretry-after:")))
+}

@@ -25,6 +25,13 @@ pub(super) fn children(parent: u32) -> Vec<u32> {
     ids.filter(|&process| field(process, 1).is_some_and(|of| of == parent) && is_alive(process)).collect()
 }
 
+/// Memory that a process has in use, in bytes.
+pub(super) fn resident_bytes(process: u32) -> Option<u64> {
+    let status = fs::read_to_string(format!("/proc/{process}/status")).ok()?;
+    let line = status.lines().find_map(|line| line.strip_prefix("VmRSS:"))?;
+    line.trim().strip_suffix("kB")?.trim().parse::<u64>().ok().map(|kibibytes| kibibytes * 1024)
+}
+
 /// A field of `/proc/ID/stat` after the name: 0 the state, 1 the parent.
 fn field(process: u32, field: usize) -> Option<String> {
     let stat = fs::read_to_string(format!("/proc/{process}/stat")).ok()?;

@@ -39,6 +39,8 @@ pub(super) struct Said {
 pub(super) struct Server {
     child: Owned,
     workers: Vec<u32>,
+    /// `http://127.0.0.1:PORT`.
+    pub(super) address: String,
     /// Talks to it.
     pub(super) client: Client,
     /// From its start to its first `ready`.
@@ -76,8 +78,8 @@ impl Server {
             return Ok(None);
         };
         let client = Client::new(&address)?;
-        let mut server = Self { child, workers: Vec::new(), client, ready: Duration::ZERO };
-        while probe::status(&address, "/readyz").await != Some(200) {
+        let mut server = Self { child, workers: Vec::new(), address, client, ready: Duration::ZERO };
+        while probe::status(&server.address, "/readyz").await != Some(200) {
             if server.has_ended()? {
                 return Ok(None);
             }

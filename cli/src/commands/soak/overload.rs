@@ -1,0 +1,174 @@
+//! More jobs than a farm can take, for minutes: it refuses what is too much, with a time to come back, stays
+//! healthy and small meanwhile, and is itself again soon after.
+
+use std::fmt::Write;
+use std::path::Path;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::time::{Duration, Instant};
+
+use anyhow::Context;
+use proto::job::JobState;
+use serde_json::json;
+
+use super::catalogue::Task;
+use super::probe;
+use super::processes::resident_bytes;
+use super::server::{Launch, Said, Server};
+use crate::terminal::note;
+
+/// Clients that hand in jobs, whatever they are told: together more than ten times what the farm can render.
+const CLIENTS: usize = 32;
+/// How long each waits before its next job; much less than it is asked to.
+const PAUSE: Duration = Duration::from_millis(100);
+/// Unfinished jobs the farm takes.
+const MAX_QUEUED_JOBS: &str = "200";
+/// Memory is compared with what it was after this time: the first jobs fill caches once.
+const WARM_UP: Duration = Duration::from_secs(10);
+/// Between two looks at the farm's health.
+const BEAT: Duration = Duration::from_millis(50);
+/// A health check that takes longer is a breach.
+const HEALTH_LIMIT: Duration = Duration::from_millis(50);
+/// Memory may grow by so much, in percent.
+const GROWTH_LIMIT_PERCENT: u64 = 20;
+/// A job handed in after the overload is finished by then.
+const RECOVERY_LIMIT: Duration = Duration::from_secs(30);
+
+/// What became of an overload.
+#[derive(Debug, Default)]
+struct Counts {
+    taken: AtomicU64,
+    refused: AtomicU64,
+    /// Refused without a time to come back.
+    rude: AtomicU64,
+    other: AtomicU64,
+    is_over: AtomicBool,
+}
+
+/// What an overload showed.
+#[derive(Debug, Default)]
+pub(super) struct Report {
+    rows: Vec<(&'static str, String)>,
+    /// What was not as it must be.
+    pub(super) breaches: Vec<String>,
+}
+
+impl Report {
+    /// The table.
+    pub(super) fn table(&self) -> String {
+        let mut table = String::new();
+        for (name, value) in &self.rows {
+            writeln!(table, "{name:<42} {value}").expect("writing to a string");
+        }
+        write!(table, "{:<42} {}", "breaches", self.breaches.len()).expect("writing to a string");
+        table
+    }
+
+    fn expect(&mut self, is_so: bool, breach: String) {
+        if !is_so {
+            self.breaches.push(breach);
+        }
+    }
+}
+
+/// Overloads a farm of its own for some time.
+pub(super) async fn overload(tasks: &[Task], data: &Path, time: Duration) -> anyhow::Result<Report> {
+    let said = Arc::<Said>::default();
+    let flags = ["--max-queued-jobs", MAX_QUEUED_JOBS];
+    let launch = Launch { data, workers: 1, flags: &flags, fail_points: "" };
+    let server = Server::start(&launch, &said).await?.context("the server ended as soon as it was started")?;
+    note(&format!("{CLIENTS} clients hand in jobs for {time:?}"));
+    let counts = Arc::<Counts>::default();
+    let task = tasks.first().context("there are tasks")?;
+    let clients: Vec<_> = (0..CLIENTS)
+        .map(|_| tokio::spawn(hand_in(server.address.clone(), task.text.clone(), Arc::clone(&counts))))
+        .collect();
+    let (health, memory) = watch(&server, time).await?;
+    counts.is_over.store(true, Ordering::Relaxed);
+    for client in clients {
+        client.await.context("a client panicked")?;
+    }
+    let mut report = Report::default();
+    let count = |counter: &AtomicU64| counter.load(Ordering::Relaxed);
+    let (taken, refused) = (count(&counts.taken), count(&counts.refused));
+    report.rows.push(("jobs taken, refused with 429", format!("{taken}, {refused}")));
+    report.rows.push(("jobs answered otherwise", count(&counts.other).to_string()));
+    report.expect(refused > 9 * taken, format!("{refused} refused for {taken} taken are no tenfold overload"));
+    report.expect(count(&counts.rude) == 0, format!("{} refusals without Retry-After", count(&counts.rude)));
+    report.expect(count(&counts.other) == 0, format!("{} answers that are neither 201 nor 429", count(&counts.other)));
+    judge_health(&mut report, health);
+    let (start, end) = memory;
+    report.rows.push(("memory at its start and end, MiB", format!("{}, {}", start >> 20, end >> 20)));
+    let limit = start + start * GROWTH_LIMIT_PERCENT / 100;
+    report.expect(end <= limit, format!("memory grew from {} to {} MiB", start >> 20, end >> 20));
+    recover(&server, task, &mut report).await?;
+    report.expect(said.panics.load(Ordering::Relaxed) == 0, "the farm panicked".to_owned());
+    report.expect(server.terminate().await?, "the farm did not end in order".to_owned());
+    Ok(report)
+}
+
+async fn hand_in(address: String, text: Vec<u8>, counts: Arc<Counts>) {
+    while !counts.is_over.load(Ordering::Relaxed) {
+        let counter = match probe::post(&address, "/v1/jobs", &text).await {
+            Some((201, _)) => &counts.taken,
+            Some((429, has_time)) => {
+                if !has_time {
+                    counts.rude.fetch_add(1, Ordering::Relaxed);
+                }
+                &counts.refused
+            }
+            Some(_) | None => &counts.other,
+        };
+        counter.fetch_add(1, Ordering::Relaxed);
+        tokio::time::sleep(PAUSE).await;
+    }
+}
+
+/// Times of health checks during the overload, and the memory after its beginning and at its end.
+async fn watch(server: &Server, time: Duration) -> anyhow::Result<(Vec<Duration>, (u64, u64))> {
+    let start = Instant::now();
+    let mut health = Vec::new();
+    let mut first = None;
+    while start.elapsed() < time {
+        let asked = Instant::now();
+        let status = probe::status(&server.address, "/livez").await;
+        anyhow::ensure!(status == Some(200), "/livez answered {status:?}");
+        health.push(asked.elapsed());
+        if first.is_none() && start.elapsed() >= WARM_UP.min(time / 4) {
+            first = resident_bytes(server.process());
+        }
+        tokio::time::sleep(BEAT).await;
+    }
+    let last = resident_bytes(server.process()).context("could not read how much memory the server has")?;
+    Ok((health, (first.unwrap_or(last), last)))
+}
+
+fn judge_health(report: &mut Report, mut health: Vec<Duration>) {
+    health.sort();
+    let at = |percent: usize| health.get((health.len() * percent / 100).min(health.len() - 1)).copied();
+    let (median, p99, most) =
+        (at(50).unwrap_or_default(), at(99).unwrap_or_default(), health.last().copied().unwrap_or_default());
+    report.rows.push(("health check: median, p99, most", format!("{median:.1?}, {p99:.1?}, {most:.1?}")));
+    report.expect(p99 < HEALTH_LIMIT, format!("a health check took {p99:?} (p99)"));
+}
+
+/// A farm that was overloaded takes a job again, and finishes it before those that wait.
+async fn recover(server: &Server, task: &Task, report: &mut Report) -> anyhow::Result<()> {
+    let start = Instant::now();
+    let mut job: serde_json::Value = serde_json::from_slice(&task.text).context("a task is no JSON")?;
+    job["priority"] = json!(100);
+    let text = job.to_string().into_bytes();
+    let id = loop {
+        match server.client.submit(text.clone(), true).await {
+            Ok(job) => break job.id,
+            Err(error) => anyhow::ensure!(start.elapsed() < RECOVERY_LIMIT, "no job is taken any more: {error}"),
+        }
+        tokio::time::sleep(BEAT).await;
+    };
+    while server.client.job(id).await?.state != JobState::Succeeded && start.elapsed() < RECOVERY_LIMIT {
+        tokio::time::sleep(BEAT).await;
+    }
+    report.rows.push(("a job taken and finished after it", format!("{:.1?}", start.elapsed())));
+    report.expect(start.elapsed() < RECOVERY_LIMIT, format!("no job was finished within {RECOVERY_LIMIT:?}"));
+    Ok(())
+}

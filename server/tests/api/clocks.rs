@@ -1,0 +1,43 @@
+//! A wall clock that is set forward or back, as by a person or a time service: no lease, no job and no worker minds.
+
+use std::time::Duration;
+
+use proto::job::JobState;
+
+use super::harness::{Farm, LEASE, Said, assert_state, leases, small_job};
+
+const YEAR_MS: i64 = 365 * 24 * 3_600_000;
+
+#[tokio::test]
+async fn wall_clock_that_jumps_expires_nothing() {
+    let farm = Farm::start().await;
+    let id = farm.submit(&small_job(1)).await.id;
+    let worker = farm.worker("w").await;
+    let run = worker.claim().await.expect("a run");
+    for jump_ms in [YEAR_MS, -3 * YEAR_MS, 5 * YEAR_MS] {
+        farm.hand.set_wall_clock_by(jump_ms);
+        farm.hand.advance(Duration::from_secs(1));
+        let reply = worker.sync(Said { holding: leases(&run), ..Said::default() }).await;
+        assert_eq!(reply.lost, [], "a jump of {jump_ms} ms ended a lease");
+    }
+    let results = worker.results(&run).await;
+    assert_eq!(worker.report(results).await.lost, []);
+    assert_state(&farm, id, JobState::Succeeded).await;
+    farm.stop().await;
+}
+
+#[tokio::test]
+async fn wall_clock_that_is_set_back_keeps_no_lease_alive() {
+    let farm = Farm::start().await;
+    let id = farm.submit(&small_job(2)).await.id;
+    let sleeper = farm.worker("sleeper").await;
+    let run = sleeper.claim().await.expect("a run");
+    farm.hand.set_wall_clock_by(-YEAR_MS);
+    farm.hand.advance(2 * LEASE);
+    let heir = farm.worker("heir").await;
+    assert!(heir.work_once().await, "what ran out is leased again");
+    assert_state(&farm, id, JobState::Succeeded).await;
+    let late = sleeper.try_sync(Said { holding: leases(&run), ..Said::default() }).await;
+    assert!(late.status() == 404 || late.text().await.is_ok_and(|reply| reply.contains(&leases(&run)[0].to_string())));
+    farm.stop().await;
+}

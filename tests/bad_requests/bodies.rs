@@ -1,0 +1,80 @@
+//! Wrong bodies and content types of the users' routes.
+
+use super::raw::Request;
+
+const SUBMIT: &str = "POST /v1/jobs";
+const RESIZE: &str = "PUT /v1/pool";
+const JSON: &str = "content-type: application/json";
+
+/// Bodies that neither route takes.
+const BODIES: [(&str, &[u8]); 22] = [
+    ("no body", b""),
+    ("blanks", b"  \n "),
+    ("null", b"null"),
+    ("a list", b"[]"),
+    ("a word", b"\"job\""),
+    ("a number", b"1"),
+    ("true", b"true"),
+    ("an empty object", b"{}"),
+    ("half an object", b"{\"workers\": "),
+    ("a comma too many", b"{\"workers\": 1,}"),
+    ("a comment", b"{} // nothing"),
+    ("two objects", b"{} {}"),
+    ("single quotes", b"{'workers': 1}"),
+    ("a mark of byte order", b"\xef\xbb\xbf{}"),
+    ("UTF-16", b"{\0}\0"),
+    ("bytes that are no UTF-8", b"{\"\xff\": 1}"),
+    ("half a surrogate pair", b"{\"\\ud800\": 1}"),
+    ("a control character", b"{\"a\x01\": 1}"),
+    ("no number", b"{\"workers\": NaN}"),
+    ("a number beyond all", b"{\"workers\": 1e999}"),
+    ("a key twice", b"{\"workers\": 1, \"workers\": 2}"),
+    ("an unknown key", b"{\"colour\": 1}"),
+];
+
+fn typed(route: &str, name: &str, content_type: &str) -> Request {
+    Request::new(format!("{route}: {name}"), format!("{route}\ncontent-type: {content_type}")).with("{}")
+}
+
+fn body(route: &str, name: &str, body: impl Into<Vec<u8>>) -> Request {
+    Request::new(format!("{route}: {name}"), format!("{route}\n{JSON}")).with(body)
+}
+
+/// The table.
+pub(super) fn requests() -> Vec<Request> {
+    let mut all = Vec::new();
+    for route in [SUBMIT, RESIZE] {
+        for (name, content_type) in [
+            ("plain text", "text/plain"),
+            ("a form", "application/x-www-form-urlencoded"),
+            ("parts", "multipart/form-data; boundary=x"),
+            ("XML", "application/xml"),
+            ("bytes", "application/octet-stream"),
+            ("nothing said of the type", ""),
+            ("a type that is none", "json"),
+            ("a list of types", "application/json, text/plain"),
+        ] {
+            all.push(typed(route, name, content_type));
+        }
+        for (name, text) in BODIES {
+            all.push(body(route, name, text));
+        }
+        all.push(body(route, "lists within lists", "[".repeat(2000)));
+        all.push(body(route, "objects within objects", "{\"a\":".repeat(2000)));
+    }
+    for (name, text) in [
+        ("fewer than none", r#"{"workers": -1}"#),
+        ("too many", r#"{"workers": 257}"#),
+        ("more than can be counted", r#"{"workers": 99999999999999999999}"#),
+        ("half a worker", r#"{"workers": 1.5}"#),
+        ("a word for a number", r#"{"workers": "4"}"#),
+        ("null for a number", r#"{"workers": null}"#),
+        ("a list for a number", r#"{"workers": [1]}"#),
+        ("one key more", r#"{"workers": 1, "ready": 1}"#),
+    ] {
+        all.push(body(RESIZE, name, text));
+    }
+    all.push(body(SUBMIT, "more than 8 MiB", vec![b' '; (8 << 20) + 1]));
+    all.push(body(RESIZE, "more than 4 KiB", vec![b' '; 5000]));
+    all
+}

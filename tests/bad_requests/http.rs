@@ -1,0 +1,83 @@
+//! What is wrong with the HTTP itself: lines, headers, hosts, origins, lengths, encodings.
+//!
+//! Some of it the HTTP library refuses by itself, without a problem; that it does, and how, is kept as well.
+
+use super::raw::Request;
+
+/// The table.
+pub(super) fn requests() -> Vec<Request> {
+    let mut all = hosts();
+    all.extend(lengths());
+    all.extend(lines());
+    all
+}
+
+fn hosts() -> Vec<Request> {
+    let mut all = Vec::new();
+    for host in
+        ["evil.example", "evil.example:80", "localhost.evil.example", "127.0.0.1.evil.example", "", "a b", "[::1"]
+    {
+        all.push(Request::new(format!("host: {host:?}"), format!("GET /v1/jobs\nhost: {host}")));
+    }
+    all.push(Request::new("two hosts", "GET /v1/jobs\nhost: 127.0.0.1\nhost: evil.example"));
+    all.push(Request::new("no host", "GET /v1/jobs\nx-no-host: 1").foreign());
+    for origin in ["http://evil.example", "null", "https://127.0.0.1.evil.example", "file://"] {
+        for head in ["POST /v1/jobs", "PUT /v1/pool", "DELETE /v1/jobs/{job}", "POST /v1/jobs/{job}/cancel"] {
+            all.push(Request::new(
+                format!("{head} from a page of {origin}"),
+                format!("{head}\norigin: {origin}\ncontent-type: application/json"),
+            ));
+        }
+    }
+    all
+}
+
+fn lengths() -> Vec<Request> {
+    let submit = |name: &str, headers: &str, body: &[u8]| {
+        Request::new(name, format!("POST /v1/jobs\ncontent-type: application/json\n{headers}")).with(body)
+    };
+    vec![
+        submit("a body shorter than said", "content-length: 100", b"{}").stopped(),
+        submit("a length below none", "content-length: -1", b"{}").foreign(),
+        submit("a length in words", "content-length: two", b"{}").foreign(),
+        submit("two lengths", "content-length: 2\ncontent-length: 3", b"{}").foreign(),
+        submit("a length and chunks", "content-length: 2\ntransfer-encoding: chunked", b"2\r\n{}\r\n0\r\n\r\n")
+            .foreign(),
+        submit("a chunk of no length", "transfer-encoding: chunked", b"zz\r\n{}\r\n0\r\n\r\n"),
+        submit("chunks that stop midway", "transfer-encoding: chunked", b"ff\r\n{}").stopped(),
+        submit("an unknown transfer", "transfer-encoding: rot13", b"{}").foreign(),
+        submit("a length beyond all", "content-length: 18446744073709551615", b"{}").foreign(),
+    ]
+}
+
+fn lines() -> Vec<Request> {
+    let mut all = vec![
+        Request::new("no request", "nonsense").foreign(),
+        Request::new("an unknown method", "BREW /v1/jobs"),
+        Request::new("a method in small letters", "get /v1/jobs"),
+        Request::new("a method of no letters", "G(T /v1/jobs").foreign(),
+        Request::new("a trace", "TRACE /v1/jobs"),
+        Request::new("options of everything", "OPTIONS *"),
+        Request::new("a tunnel", "CONNECT evil.example:443").foreign(),
+        Request::new("a path without its slash", "GET v1/jobs").foreign(),
+        Request::new("a whole address", "GET http://evil.example/v1/jobs"),
+        Request::new("HTTP of another kind", "GET /v1/jobs HTTP/3.0").foreign(),
+        Request::new("the preface of HTTP/2", "PRI * HTTP/2.0").foreign(),
+        Request::new("a header without a colon", "GET /v1/jobs\nnonsense").foreign(),
+        Request::new("a header without a name", "GET /v1/jobs\n: value").foreign(),
+        Request::new("a header with a blank in its name", "GET /v1/jobs\nx y: z").foreign(),
+        Request::new("a header with NUL", "GET /v1/jobs\nx-y: a\0b").foreign(),
+        Request::new("a header folded", "GET /v1/jobs\nx-y: a\n b").foreign(),
+        Request::new("a path of 9000 letters", format!("GET /v1/jobs/{}", "x".repeat(9000))),
+        Request::new("a path of 70000 letters", format!("GET /v1/jobs/{}", "x".repeat(70_000))).foreign(),
+        Request::new("a header of a megabyte", format!("GET /v1/jobs\nx-y: {}", "z".repeat(1 << 20))).foreign(),
+        Request::new("a thousand headers", format!("GET /v1/jobs{}", "\nx-y: z".repeat(1000))).foreign(),
+        Request::new("a request id of control characters", "GET /v1/jobs/x\nx-request-id: a\x01b").foreign(),
+        Request::new("a request id too long", format!("GET /v1/jobs/x\nx-request-id: {}", "x".repeat(65))),
+    ];
+    for tag in ["*", "\"nonsense\", *", "W/*"] {
+        let head = format!("GET /v1/jobs/{{done}}/image\nif-none-match: {tag}");
+        all.push(Request::new(format!("condition: {tag}"), head).foreign());
+    }
+    all
+}

@@ -1,0 +1,70 @@
+//! Job files, and what workers and servers say to each other.
+
+use proto::Problem;
+use proto::work::{Hello, SyncReply, SyncRequest};
+use serde_json::json;
+
+use super::fuzz;
+use crate::jobs;
+
+fn job_files() -> Vec<Vec<u8>> {
+    let shipped = jobs::shipped().into_iter().map(|(_, job)| job.to_string().into_bytes());
+    shipped.filter(|text| text.len() < 8 << 10).chain([jobs::quick().to_string().into_bytes()]).collect()
+}
+
+/// A job that is taken can be looked at in every way a server does before it is rendered.
+#[test]
+fn fuzzed_job_files_are_taken_or_refused() {
+    fuzz("job files", &job_files(), |text| match scene::parse(text) {
+        Ok(job) => {
+            job.warnings();
+            assert!(job.nodes() > 0 && job.frames.count > 0 && job.image.width > 0);
+            let again = scene::parse(text).expect("what was taken once is taken again");
+            assert_eq!(again.name, job.name);
+            assert!(job.at(0).is_ok(), "a job that is taken has a first frame");
+        }
+        Err(scene::Refusal::NotJson(fault)) => assert!(!fault.message.is_empty()),
+        Err(scene::Refusal::Wrong(faults)) => assert!(!faults.is_empty() && faults.iter().all(|fault| fault.line > 0)),
+    });
+}
+
+fn requests() -> Vec<Vec<u8>> {
+    let id = "01900000-0000-7000-8000-000000000000";
+    let hash = "0".repeat(64);
+    [
+        json!({ "name": "n", "device": "cpu", "picture_version": 1, "max_nodes": null, "process": 1 }),
+        json!({ "worker": id, "rays_per_second": 1e6, "holding": [id], "wants_work": true, "wait_ms": 10_000,
+                "results": [{ "lease": id, "outcome": { "blob": { "hash": hash, "size_bytes": 4096 } } }] }),
+        json!({ "worker": id, "rays_per_second": null, "holding": [], "wants_work": false, "wait_ms": 0, "leaving": true,
+                "results": [{ "lease": id, "outcome": { "bad_blobs": { "tiles": [0, 7] } } },
+                            { "lease": id, "outcome": "handed_back" },
+                            { "lease": id, "outcome": { "failed": { "message": "no" } } }] }),
+        json!({ "run": { "job": id, "frame": 3, "work": { "render": { "whole_frame": true, "tiles": [
+                    { "lease": id, "index": 0, "rect": { "x": 0, "y": 0, "width": 64, "height": 64 } }] } } },
+                "lost": [id], "drain": false }),
+        json!({ "run": { "job": id, "frame": 0, "work": { "stitch": { "lease": id, "parts": [
+                    { "index": 0, "rect": { "x": 0, "y": 0, "width": 64, "height": 64 }, "hash": hash, "size_bytes": 1 }] } } },
+                "lost": [], "drain": true }),
+        json!({ "type": "/docs#x", "title": "t", "status": 422, "code": "x", "detail": "d", "errors": [] }),
+    ]
+    .iter()
+    .map(|message| message.to_string().into_bytes())
+    .collect()
+}
+
+/// What is understood is said back, and understood alike.
+#[test]
+fn fuzzed_messages_of_workers_are_understood_or_refused() {
+    fuzz("messages of workers", &requests(), |text| {
+        if let Ok(request) = serde_json::from_slice::<SyncRequest>(text) {
+            let said = serde_json::to_vec(&request).expect("writable");
+            serde_json::from_slice::<SyncRequest>(&said).expect("what is understood can be said");
+        }
+        if let Ok(reply) = serde_json::from_slice::<SyncReply>(text) {
+            let said = serde_json::to_vec(&reply).expect("writable");
+            serde_json::from_slice::<SyncReply>(&said).expect("what is understood can be said");
+        }
+        drop(serde_json::from_slice::<Hello>(text));
+        drop(serde_json::from_slice::<Problem>(text));
+    });
+}
