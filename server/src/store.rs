@@ -115,16 +115,25 @@ impl Store {
 
     /// Opens or makes the database of a data folder and brings its tables up to date.
     pub(crate) async fn open(data: &Path) -> Result<Self, OpenError> {
+        Self::open_with(data, SqliteConnectOptions::new().disable_statement_logging()).await
+    }
+
+    /// The same, with every statement told by an event, for tests that look at them.
+    #[cfg(test)]
+    pub(crate) async fn open_recorded(data: &Path) -> Result<Self, OpenError> {
+        Self::open_with(data, SqliteConnectOptions::new()).await
+    }
+
+    async fn open_with(data: &Path, options: SqliteConnectOptions) -> Result<Self, OpenError> {
         let file = Self::file(data);
         let size_bytes = std::fs::metadata(&file).map_or(0, |metadata| metadata.len());
-        let options = SqliteConnectOptions::new()
+        let options = options
             .filename(&file)
             .create_if_missing(true)
             .journal_mode(SqliteJournalMode::Wal)
             .synchronous(SqliteSynchronous::Full)
             .foreign_keys(true)
-            .busy_timeout(Duration::from_secs(5))
-            .disable_statement_logging();
+            .busy_timeout(Duration::from_secs(5));
         let mut connection = options.connect().await?;
         if size_bytes <= CHECKED_BYTES {
             let verdict: String = sqlx::query_scalar("PRAGMA quick_check(1)").fetch_one(&mut connection).await?;

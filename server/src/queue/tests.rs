@@ -1,11 +1,13 @@
-//! What can't be seen through the door: that the statements of a claim use indexes, and that a
-//! job's counters are those of its tiles whatever happens.
+//! What can't be seen through the door: that statements use indexes, that the queue does what its model
+//! says whatever happens, that shares are fair.
 
 mod fair;
+mod model;
+mod plans;
+mod sequences;
 
-use proto::work::{Hello, Outcome, Report, Work};
+use proto::work::{Hello, Work};
 use proto::{JobId, WorkerId};
-use sqlx::Row;
 
 use super::{NewJob, NewWorker, Next, Opening, Queue, Turn};
 use crate::clock::{Clock, Hand};
@@ -17,16 +19,57 @@ const LEASE_MS: i64 = 1000;
 struct Bench {
     queue: Queue,
     hand: Hand,
-    _folder: tempfile::TempDir,
+    folder: tempfile::TempDir,
 }
 
 impl Bench {
     async fn new() -> Self {
-        let folder = tempfile::tempdir().expect("a temporary folder");
+        Self::in_folder(tempfile::tempdir().expect("a temporary folder")).await
+    }
+
+    /// On a disk that is memory, where there is one: nothing is to be learnt from waiting for a real one.
+    async fn in_memory() -> Self {
+        let folder = tempfile::tempdir_in("/dev/shm").or_else(|_| tempfile::tempdir());
+        Self::in_folder(folder.expect("a temporary folder")).await
+    }
+
+    async fn in_folder(folder: tempfile::TempDir) -> Self {
         let store = Store::open(folder.path()).await.expect("opens");
+        Self::with_store(store, folder).await
+    }
+
+    async fn with_store(store: Store, folder: tempfile::TempDir) -> Self {
         let (clock, hand) = Clock::by_hand();
         let (queue, _) = Queue::open(store.into(), clock, LEASE_MS).await.expect("opens");
-        Self { queue, hand, _folder: folder }
+        Self { queue, hand, folder }
+    }
+
+    /// Ends the server and starts another on the same database; its clock starts anew.
+    async fn restart(&mut self) {
+        self.queue.store.close().await;
+        let store = Store::open(self.folder.path()).await.expect("opens again");
+        let (clock, hand) = Clock::by_hand();
+        let (queue, _) = Queue::open(store.into(), clock, LEASE_MS).await.expect("opens again");
+        (self.queue, self.hand) = (queue, hand);
+    }
+
+    /// A worker, which is of the pool if it has a process.
+    async fn register(&self, max_nodes: Option<u32>, process: Option<u32>) -> WorkerId {
+        let pool = process.is_some();
+        let hello = Hello {
+            name: String::new(),
+            device: "cpu".to_owned(),
+            picture_version: 1,
+            max_nodes,
+            process: process.unwrap_or_default(),
+        };
+        self.queue.register(NewWorker { hello, pool, name: "test".to_owned() }).await.expect("registered").worker
+    }
+
+    /// The process of a worker.
+    async fn process(&self, worker: WorkerId) -> u32 {
+        let process = sqlx::query_scalar("SELECT process FROM worker WHERE id = ?").bind(worker.to_string());
+        process.fetch_optional(self.queue.readers()).await.expect("reads").unwrap_or(u32::MAX)
     }
 
     async fn submit(&self, frames: u32, nodes: u32) -> JobId {
@@ -37,9 +80,7 @@ impl Bench {
     }
 
     async fn worker(&self, max_nodes: Option<u32>) -> WorkerId {
-        let hello = Hello { name: String::new(), device: "cpu".to_owned(), picture_version: 1, max_nodes, process: 1 };
-        let new = NewWorker { hello, pool: false, name: "test".to_owned() };
-        self.queue.register(new).await.expect("registered").worker
+        self.register(max_nodes, None).await
     }
 
     /// A worker's turn, with frames opened as they are needed.
@@ -114,114 +155,12 @@ fn turn(worker: WorkerId) -> Turn {
     }
 }
 
-#[tokio::test]
-async fn a_claim_reads_no_table_from_end_to_end() {
-    let bench = Bench::new().await;
-    // Of what is left to do, and of stitches that are ready: both are short, or ordered as they are read.
-    let indexed = ["USING INDEX share_by_turn", "USING INDEX worker_present", "USING INDEX tile_stitch"];
-    for statement in [
-        concat!("EXPLAIN QUERY PLAN ", include_str!("next_job.sql")),
-        concat!("EXPLAIN QUERY PLAN ", include_str!("next_tile.sql")),
-    ] {
-        let rows = sqlx::query(statement).fetch_all(bench.queue.readers()).await.expect("explains");
-        let plan: Vec<String> = rows.iter().map(|row| row.get::<String, _>("detail")).collect();
-        for step in &plan {
-            let orderly = step.starts_with("SEARCH")
-                || indexed.iter().any(|index| step.ends_with(index))
-                || ["SUBQUERY", "BLOOM FILTER"].iter().any(|word| step.contains(word));
-            assert!(orderly, "{step} in {plan:?}");
-        }
-        assert!(plan.iter().any(|step| step.contains("tile_ready")), "{plan:?}");
-    }
-}
-
-/// A small generator of operations; the seed is in the failure's name.
-struct Dice(u64);
-
-impl Dice {
-    fn roll(&mut self, sides: u64) -> u64 {
-        self.0 = self.0.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
-        (self.0 >> 33) % sides
-    }
-}
-
-/// What a worker of the random sequence reports for a run it holds.
-fn outcome(dice: &mut Dice, stitch: bool, whole: bool) -> Outcome {
-    let hash = blake3::hash(&dice.0.to_le_bytes()).to_hex().to_string();
-    match dice.roll(8) {
-        0 => Outcome::HandedBack,
-        1 => Outcome::Failed { message: "no".to_owned() },
-        2 if stitch => Outcome::BadBlobs { tiles: vec![dice.roll(12) as u32, 3] },
-        _ if stitch || whole => Outcome::Picture { hash, size_bytes: 1 },
-        _ => Outcome::Blob { hash, size_bytes: 1 },
-    }
-}
-
-async fn random_sequence(seed: u64) {
-    let bench = Bench::new().await;
-    let mut dice = Dice(seed);
-    let workers = [bench.worker(None).await, bench.worker(Some(500)).await];
-    let mut held: Vec<(WorkerId, proto::work::Run)> = Vec::new();
-    let (mut jobs, mut too_large) = (Vec::new(), Vec::new());
-    for _ in 0..60 {
-        let worker = workers[dice.roll(2) as usize];
-        match dice.roll(10) {
-            0 => {
-                let (frames, large) = (1 + dice.roll(2) as u32, dice.roll(2) == 0);
-                let job = bench.submit(frames, if large { 501 } else { 500 }).await;
-                jobs.push(job);
-                if large {
-                    too_large.push(job);
-                }
-            }
-            1 if !jobs.is_empty() => {
-                let job = jobs[dice.roll(jobs.len() as u64) as usize];
-                bench.queue.cancel(job).await.expect("an answer");
-            }
-            2 => {
-                bench.hand.advance(std::time::Duration::from_millis(300));
-                bench.queue.rescue().await.expect("rescues");
-            }
-            3..6 => {
-                // A slow worker takes tiles, a fast one the frame.
-                let rays_per_second = Some(if dice.roll(2) == 0 { 3000.0 } else { 1e9 });
-                let holding = held.iter().filter(|(who, _)| *who == worker).flat_map(|(_, run)| leases(run)).collect();
-                let said = Turn { wants_work: true, rays_per_second, holding, ..turn(worker) };
-                if let Some(Next::Run(run)) = bench.turn(said).await.map(|turned| turned.next) {
-                    let renders = matches!(run.work, Work::Render { .. });
-                    assert!(!(worker == workers[1] && renders && too_large.contains(&run.job)), "{run:?}");
-                    held.push((worker, run));
-                }
-            }
-            _ if !held.is_empty() => {
-                let (worker, run) = held.swap_remove(dice.roll(held.len() as u64) as usize);
-                let (stitch, whole) = match run.work {
-                    Work::Stitch { .. } => (true, false),
-                    Work::Render { whole_frame, .. } => (false, whole_frame),
-                };
-                let outcome = outcome(&mut dice, stitch, whole);
-                let results = leases(&run).map(|lease| Report { lease, outcome: outcome.clone() }).collect();
-                bench.turn(Turn { results, ..turn(worker) }).await;
-            }
-            _ => {}
-        }
-        bench.check().await;
-    }
-}
-
 fn leases(run: &proto::work::Run) -> impl Iterator<Item = proto::LeaseId> {
     let leases: Vec<_> = match &run.work {
         Work::Render { tiles, .. } => tiles.iter().map(|tile| tile.lease).collect(),
         Work::Stitch { lease, .. } => vec![*lease],
     };
     leases.into_iter()
-}
-
-#[tokio::test]
-async fn counters_are_those_of_the_tiles_whatever_happens() {
-    for seed in 0..20 {
-        random_sequence(seed).await;
-    }
 }
 
 #[tokio::test]

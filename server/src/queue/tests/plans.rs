@@ -1,0 +1,159 @@
+//! Every statement that the queue runs finds its rows by an index. The statements are not listed here: they
+//! are recorded while random sequences run, and what users and operators ask is asked as well.
+
+use std::collections::BTreeSet;
+use std::fmt;
+use std::sync::Mutex;
+
+use proptest::strategy::{Strategy, ValueTree};
+use proptest::test_runner::TestRunner;
+use proto::job::JobState;
+use sqlx::Row;
+use sqlx::sqlite::SqlitePool;
+use tracing::field::{Field, Visit};
+use tracing::span::{Attributes, Id, Record};
+use tracing::{Event, Metadata, Subscriber};
+
+use super::sequences::{Pair, sequence};
+use super::{Bench, new_job};
+use crate::store::Store;
+
+/// Sequences that are recorded.
+const SEQUENCES: usize = 40;
+/// Tables that may be read from end to end: they have a row a meta value, a worker, or a submitter.
+const SMALL: [&str; 4] = ["meta", "worker", "share", "strike"];
+/// Indexes that hold only what is under way, or are read in their order up to the first match.
+const SHORT: [&str; 8] = [
+    "tile_stitch",
+    "tile_waiting",
+    "lease_live_by_grant",
+    "lease_live_by_expiry",
+    "lease_live_by_worker",
+    "lease_live_by_tile",
+    "job_by_share",
+    "worker_present",
+];
+
+static SEEN: Mutex<BTreeSet<String>> = Mutex::new(BTreeSet::new());
+
+/// Notes the statements of databases that log theirs; only this test's does.
+struct Recorder;
+
+struct Statement(String);
+
+impl Visit for Statement {
+    fn record_debug(&mut self, _: &Field, _: &dyn fmt::Debug) {}
+
+    fn record_str(&mut self, field: &Field, value: &str) {
+        // The summary comes first, and is the whole statement if that is short.
+        if field.name() == "summary" || (field.name() == "db.statement" && !value.is_empty()) {
+            value.trim().clone_into(&mut self.0);
+        }
+    }
+}
+
+impl Subscriber for Recorder {
+    fn enabled(&self, metadata: &Metadata<'_>) -> bool {
+        metadata.target() == "sqlx::query"
+    }
+
+    fn new_span(&self, _: &Attributes<'_>) -> Id {
+        Id::from_u64(1)
+    }
+
+    fn record(&self, _: &Id, _: &Record<'_>) {}
+
+    fn record_follows_from(&self, _: &Id, _: &Id) {}
+
+    fn event(&self, event: &Event<'_>) {
+        let mut statement = Statement(String::new());
+        event.record(&mut statement);
+        SEEN.lock().expect("no holder panics").insert(statement.0);
+    }
+
+    fn enter(&self, _: &Id) {}
+
+    fn exit(&self, _: &Id) {}
+}
+
+/// What is asked beside the sequences.
+async fn ask(bench: &Bench) {
+    let queue = &bench.queue;
+    let new = new_job(2);
+    let id = new.id;
+    let number = queue.submit(new).await.expect("accepted");
+    for state in [None, Some(JobState::Running), Some(JobState::Queued)] {
+        queue.jobs(state, 10, None).await.expect("lists");
+    }
+    let hashes = ["0".repeat(64), "1".repeat(64)];
+    queue.file(id).await.expect("reads");
+    queue.file_of(number).await.expect("reads");
+    queue.image(id, 0).await.expect("reads");
+    queue.workers().await.expect("lists");
+    queue.pool_ready().await.expect("counts");
+    queue.unneeded_blobs(&hashes).await.expect("reads");
+    queue.unneeded_pictures(&hashes).await.expect("reads");
+    queue.has_picture("no key").await.expect("reads");
+    queue.is_paused().await.expect("reads");
+    queue.delete_preview(id).await.expect("reads");
+    queue.check().await.expect("answers");
+    queue.refuse(number, "no".to_owned()).await.expect("refuses");
+}
+
+/// A step that reads more than it needs.
+fn is_wasteful(step: &str) -> bool {
+    let Some(scanned) = step.strip_prefix("SCAN ") else { return false };
+    let table = scanned.split(' ').next().unwrap_or_default();
+    let is_table = ["job", "frame", "tile", "lease", "outbox", "picture", "pace", "job_file"].contains(&table);
+    let by_short = SHORT.iter().any(|index| scanned.ends_with(index));
+    !by_short && !SMALL.contains(&table) && (is_table || scanned.contains(" USING "))
+}
+
+async fn plan(readers: &SqlitePool, statement: &str) -> Vec<String> {
+    let explained = sqlx::AssertSqlSafe(format!("EXPLAIN QUERY PLAN {statement}"));
+    let rows = sqlx::query(explained).fetch_all(readers).await;
+    let rows = rows.unwrap_or_else(|error| panic!("{error}: {statement}"));
+    rows.iter().map(|row| row.get::<String, _>("detail")).collect()
+}
+
+#[tokio::test]
+async fn every_statement_finds_its_rows_by_an_index() {
+    tracing::subscriber::set_global_default(Recorder).expect("no other test listens");
+    let mut runner = TestRunner::deterministic();
+    for _ in 0..SEQUENCES {
+        let folder = tempfile::tempdir().expect("a temporary folder");
+        let store = Store::open_recorded(folder.path()).await.expect("opens");
+        let mut pair = Pair::new(Bench::with_store(store, folder).await).await;
+        for operation in &sequence().new_tree(&mut runner).expect("a sequence").current() {
+            pair.apply(operation).await;
+        }
+        pair.work_off().await;
+        ask(&pair.bench).await;
+    }
+    let bench = Bench::new().await;
+    let seen = SEEN.lock().expect("no holder panics").clone();
+    let (mut explained, mut wasteful) = (0, Vec::new());
+    for statement in &seen {
+        let verb = statement.split_whitespace().next().unwrap_or_default();
+        if !["SELECT", "UPDATE", "INSERT", "DELETE", "WITH"].contains(&verb) || statement.contains("_sqlx_migrations") {
+            continue;
+        }
+        explained += 1;
+        let plan = plan(bench.queue.readers(), statement).await;
+        wasteful.extend(
+            plan.iter().filter(|step| is_wasteful(step)).map(|step| format!("{step}\n  in {plan:?}\n  of {statement}")),
+        );
+    }
+    assert!(explained >= 60, "only {explained} statements were seen: {seen:?}");
+    assert!(wasteful.is_empty(), "{}", wasteful.join("\n"));
+}
+
+#[tokio::test]
+async fn a_claim_sorts_nothing() {
+    let bench = Bench::new().await;
+    for statement in [include_str!("../next_job.sql"), include_str!("../next_tile.sql")] {
+        let plan = plan(bench.queue.readers(), statement).await;
+        assert!(!plan.iter().any(|step| step.contains("TEMP B-TREE")), "{plan:?}");
+        assert!(plan.iter().any(|step| step.contains("tile_ready")), "{plan:?}");
+    }
+}

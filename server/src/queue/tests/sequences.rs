@@ -1,0 +1,341 @@
+//! Random operations on the real queue beside the model of it: after each, both must say the same, and
+//! the rows must agree with each other. A failure prints the shortest sequence that shows it, and its seed.
+
+use std::time::Duration;
+
+use proptest::prelude::{Just, Strategy, any, prop_oneof};
+use proptest::test_runner::{Config, RngAlgorithm, TestCaseError, TestRng, TestRunner};
+use proto::change::JobPatch;
+use proto::work::{Outcome, Report, Run, Work};
+use proto::{JobId, LeaseId, WorkerId};
+
+use super::model::{Model, TILES};
+use super::{Bench, leases, new_job, turn};
+use crate::queue::{Cause, Deleted, NewJob, Next, Opening, Turn};
+
+/// Sequences in one run of the test.
+const SEQUENCES: u32 = 500;
+/// Operations in a sequence, at most.
+const OPERATIONS: usize = 40;
+/// Scenes of more nodes are large.
+const SMALL_NODES: u32 = 500;
+
+#[derive(Clone, Debug)]
+pub(super) enum Operation {
+    Submit { submitter: u8, frames: u32, large: bool, priority: i32 },
+    Claim { worker: usize, fast: bool },
+    Report { worker: usize, run: usize, outcome: u8 },
+    Pass { ms: i64 },
+    Cancel(usize),
+    Pause(usize, bool),
+    PauseFarm(bool),
+    Retry(usize),
+    Move(usize, i32),
+    Delete(usize),
+    /// Of the pool, which are the last two.
+    Reap { worker: usize, crashed: bool },
+    Restart,
+    Tidy,
+}
+
+fn operation() -> impl Strategy<Value = Operation> {
+    let (worker, job) = (0..3_usize, 0..8_usize);
+    prop_oneof![
+        3 => (0..3_u8, 1..3_u32, any::<bool>(), -1..=1_i32).prop_map(|(submitter, frames, large, priority)| {
+            Operation::Submit { submitter, frames, large, priority }
+        }),
+        12 => (worker.clone(), any::<bool>()).prop_map(|(worker, fast)| Operation::Claim { worker, fast }),
+        14 => (worker, 0..4_usize, any::<u8>()).prop_map(|(worker, run, outcome)| {
+            Operation::Report { worker, run, outcome }
+        }),
+        4 => (1..700_i64).prop_map(|ms| Operation::Pass { ms }),
+        1 => job.clone().prop_map(Operation::Cancel),
+        1 => (job.clone(), any::<bool>()).prop_map(|(job, paused)| Operation::Pause(job, paused)),
+        1 => any::<bool>().prop_map(Operation::PauseFarm),
+        2 => job.clone().prop_map(Operation::Retry),
+        1 => (job.clone(), -1..=1_i32).prop_map(|(job, priority)| Operation::Move(job, priority)),
+        1 => job.prop_map(Operation::Delete),
+        1 => (1..3_usize, any::<bool>()).prop_map(|(worker, crashed)| Operation::Reap { worker, crashed }),
+        1 => Just(Operation::Restart),
+        1 => Just(Operation::Tidy),
+    ]
+}
+
+/// A worker of the sequence: what it is registered as, and the runs it was given.
+struct Worker {
+    id: WorkerId,
+    takes_large: bool,
+    pool: bool,
+    runs: Vec<Run>,
+}
+
+impl Worker {
+    fn holding(&self) -> Vec<LeaseId> {
+        self.runs.iter().flat_map(leases).collect()
+    }
+}
+
+/// The queue and the model of it.
+pub(super) struct Pair {
+    pub(super) bench: Bench,
+    model: Model,
+    jobs: Vec<JobId>,
+    workers: Vec<Worker>,
+    count: u32,
+}
+
+impl Pair {
+    pub(super) async fn new(bench: Bench) -> Self {
+        let mut pair = Self { bench, model: Model::default(), jobs: Vec::new(), workers: Vec::new(), count: 0 };
+        for (takes_large, pool) in [(true, false), (false, true), (true, true)] {
+            let id = pair.register(takes_large, pool).await;
+            pair.workers.push(Worker { id, takes_large, pool, runs: Vec::new() });
+        }
+        pair
+    }
+
+    async fn register(&mut self, takes_large: bool, pool: bool) -> WorkerId {
+        self.count += 1;
+        let max_nodes = (!takes_large).then_some(SMALL_NODES);
+        self.bench.register(max_nodes, pool.then_some(self.count)).await
+    }
+
+    fn job(&self, index: usize) -> Option<JobId> {
+        self.jobs.get(index % self.jobs.len().max(1)).copied()
+    }
+
+    /// A worker's call; one that is not known any more registers anew. What it was given and what it lost.
+    async fn call(&mut self, index: usize, results: Vec<Report>, claim: Option<f64>) -> Option<Run> {
+        let worker = &self.workers[index];
+        let (id, holding) = (worker.id, worker.holding());
+        let mut said = Turn {
+            results: results.clone(),
+            holding: holding.clone(),
+            wants_work: claim.is_some(),
+            rays_per_second: claim,
+            ..turn(id)
+        };
+        let mut lost = Vec::new();
+        let run = loop {
+            let Some(turned) = self.bench.queue.turn(said.clone()).await.expect("a turn") else {
+                let (takes_large, pool) = (worker.takes_large, worker.pool);
+                let id = self.register(takes_large, pool).await;
+                self.workers[index].id = id;
+                return None;
+            };
+            lost.extend(turned.lost);
+            let Next::Frame { job, frame, plan } = turned.next else {
+                break if let Next::Run(run) = turned.next { Some(run) } else { None };
+            };
+            let picture_key = format!("key {job} {frame}");
+            said.results.clear();
+            said.opening = Some(Opening { job, frame, picture_key, tiles: plan.tiles(), samples: plan.samples });
+        };
+        let mut expected = self.model.report(id, &results, &holding);
+        lost.sort();
+        lost.dedup();
+        expected.sort();
+        assert_eq!(lost, expected, "what worker {index} lost");
+        let worker = &mut self.workers[index];
+        if let Some(run) = &run {
+            self.model.grant(id, worker.takes_large, run);
+            worker.runs.push(run.clone());
+        }
+        // Half of them forget what they lost; the others report it all the same.
+        if index == 0 {
+            worker.runs.retain(|run| !leases(run).all(|lease| lost.contains(&lease)));
+        }
+        run
+    }
+
+    async fn report(&mut self, index: usize, run: usize, die: u8) {
+        let runs = &mut self.workers[index].runs;
+        if runs.is_empty() {
+            return;
+        }
+        let run = runs.swap_remove(run % runs.len());
+        let (stitch, whole) = match run.work {
+            Work::Stitch { .. } => (true, false),
+            Work::Render { whole_frame, .. } => (false, whole_frame),
+        };
+        self.count += 1;
+        let hash = blake3::hash(&self.count.to_le_bytes()).to_hex().to_string();
+        let outcome = match die % 8 {
+            0 => Outcome::HandedBack,
+            1 | 2 => Outcome::Failed { message: "no".to_owned() },
+            3 if stitch => Outcome::BadBlobs { tiles: vec![u32::from(die) % TILES, 3] },
+            4 if whole => Outcome::Blob { hash, size_bytes: 1 },
+            _ if stitch || whole => Outcome::Picture { hash, size_bytes: 1 },
+            _ => Outcome::Blob { hash, size_bytes: 1 },
+        };
+        // Some bring only part of it.
+        let skipped = if die >= 200 { 1 } else { 0 };
+        let results = leases(&run).skip(skipped).map(|lease| Report { lease, outcome: outcome.clone() }).collect();
+        self.call(index, results, None).await;
+    }
+
+    async fn pass(&mut self, ms: i64) {
+        self.bench.hand.advance(Duration::from_millis(ms.unsigned_abs()));
+        self.bench.queue.rescue().await.expect("rescues");
+        self.model.pass(ms);
+    }
+
+    async fn reap(&mut self, index: usize, cause: Cause) {
+        let worker = &mut self.workers[index];
+        worker.runs.clear();
+        let process = self.bench.process(worker.id).await;
+        let reaped = self.bench.queue.reaped(process, cause, "it ended".to_owned()).await.expect("reaps");
+        if reaped.is_some() {
+            self.model.reap(worker.id, cause);
+        }
+    }
+
+    async fn restart(&mut self) {
+        self.bench.restart().await;
+        let pool: Vec<WorkerId> =
+            self.workers.iter().filter(|worker| worker.pool).map(|worker| worker.id).collect();
+        self.model.restart(&pool);
+    }
+
+    async fn submit(&mut self, new: NewJob, large: bool) {
+        let (id, frames) = (new.id, new.plan.frames);
+        self.bench.queue.submit(new).await.expect("accepted");
+        self.model.submit(id, frames, large);
+        self.jobs.push(id);
+    }
+
+    async fn delete(&mut self, id: JobId) {
+        let deleted = self.bench.queue.delete(id).await.expect("an answer");
+        if let Deleted::Done { .. } = deleted {
+            assert_ne!(self.model.jobs.get(&id).expect("known").state, proto::job::JobState::Running);
+            self.model.jobs.remove(&id);
+            self.jobs.retain(|job| *job != id);
+        }
+    }
+
+    pub(super) async fn apply(&mut self, operation: &Operation) {
+        let queue = &self.bench.queue;
+        match *operation {
+            Operation::Submit { submitter, frames, large, priority } => {
+                let nodes = if large { SMALL_NODES + 1 } else { SMALL_NODES };
+                let new = NewJob { submitter: submitter.to_string(), nodes, priority, ..new_job(frames) };
+                self.submit(new, large).await;
+            }
+            Operation::Claim { worker, fast } => {
+                // A slow worker takes tiles, a fast one the frame.
+                self.call(worker, Vec::new(), Some(if fast { 1e9 } else { 3000.0 })).await;
+            }
+            Operation::Report { worker, run, outcome } => self.report(worker, run, outcome).await,
+            Operation::Pass { ms } => self.pass(ms).await,
+            Operation::Reap { worker, crashed } => {
+                self.reap(worker, if crashed { Cause::Crashed } else { Cause::Lost }).await;
+            }
+            Operation::Restart => self.restart().await,
+            Operation::Tidy => queue.tidy().await.expect("tidies"),
+            Operation::PauseFarm(paused) => {
+                queue.pause_all(paused).await.expect("an answer");
+                self.model.farm_paused = paused;
+            }
+            Operation::Cancel(job) | Operation::Pause(job, _) | Operation::Retry(job) | Operation::Move(job, _)
+            | Operation::Delete(job) => {
+                let Some(id) = self.job(job) else { return };
+                match *operation {
+                    Operation::Cancel(_) => {
+                        queue.cancel(id).await.expect("an answer");
+                        self.model.cancel(id);
+                    }
+                    Operation::Pause(_, paused) => self.pause(id, paused).await,
+                    Operation::Retry(_) => {
+                        queue.retry(id).await.expect("an answer");
+                        self.model.retry(id);
+                    }
+                    Operation::Move(_, priority) => {
+                        queue.patch(id, JobPatch { priority: Some(priority) }).await.expect("an answer");
+                    }
+                    _ => self.delete(id).await,
+                }
+            }
+        }
+    }
+
+    async fn pause(&mut self, id: JobId, paused: bool) {
+        self.bench.queue.pause(id, paused).await.expect("an answer");
+        let job = self.model.jobs.get_mut(&id).expect("known");
+        if !job.state.is_final() {
+            job.paused = paused;
+        }
+    }
+
+    async fn check(&self) {
+        self.bench.check().await;
+        for id in &self.jobs {
+            self.model.compare(*id, self.bench.queue.job(*id).await.expect("reads").as_ref());
+        }
+    }
+
+    /// A good worker comes and does what is left: no job is lost.
+    pub(super) async fn work_off(&mut self) {
+        self.apply(&Operation::PauseFarm(false)).await;
+        for id in self.jobs.clone() {
+            self.pause(id, false).await;
+        }
+        // The pool's go, so that nothing waits for them.
+        for index in 1..self.workers.len() {
+            self.reap(index, Cause::Lost).await;
+        }
+        self.workers[0].runs.clear();
+        for _ in 0..400 {
+            if self.model.jobs.values().all(|job| job.state.is_final()) {
+                return;
+            }
+            // One that was away for long registers first.
+            let mut run = self.call(0, Vec::new(), Some(1e9)).await;
+            if run.is_none() {
+                run = self.call(0, Vec::new(), Some(1e9)).await;
+            }
+            if run.is_some() {
+                self.report(0, self.workers[0].runs.len() - 1, 5).await;
+            } else {
+                self.pass(6000).await;
+            }
+        }
+        let open = self.model.jobs.values().filter(|job| !job.state.is_final()).count();
+        panic!("{open} jobs are never done");
+    }
+}
+
+async fn run(operations: &[Operation]) {
+    let mut pair = Pair::new(Bench::in_memory().await).await;
+    for operation in operations {
+        pair.apply(operation).await;
+        pair.check().await;
+    }
+    pair.work_off().await;
+    pair.check().await;
+}
+
+/// Sequences of operations.
+pub(super) fn sequence() -> impl Strategy<Value = Vec<Operation>> {
+    proptest::collection::vec(operation(), 1..OPERATIONS)
+}
+
+#[test]
+fn the_queue_does_what_its_model_says() {
+    let config = Config { cases: SEQUENCES, failure_persistence: None, max_shrink_time: 60_000, ..Config::default() };
+    let seed = std::env::var("SDFARM_SEED").ok().and_then(|seed| seed.parse().ok());
+    let seed: u64 = seed.unwrap_or_else(|| uuid::Uuid::new_v4().as_u64_pair().0);
+    eprintln!("SDFARM_SEED={seed} runs these sequences again");
+    let bytes: Vec<u8> = seed.to_le_bytes().repeat(4);
+    let mut runner = TestRunner::new_with_rng(config, TestRng::from_seed(RngAlgorithm::ChaCha, &bytes));
+    let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().expect("a runtime");
+    let outcome = runner.run(&sequence(), |operations| {
+        let sound = std::panic::catch_unwind(std::panic::AssertUnwindSafe(|| runtime.block_on(run(&operations))));
+        sound.map_err(|panic| {
+            let text = panic.downcast_ref::<String>().cloned();
+            TestCaseError::fail(text.unwrap_or_else(|| "it panicked".to_owned()))
+        })
+    });
+    if let Err(error) = outcome {
+        panic!("{error}");
+    }
+}
