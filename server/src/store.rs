@@ -4,6 +4,7 @@
 //! No statement about jobs, tiles or leases is here: those are `queue`'s.
 
 mod beside;
+mod log;
 mod writer;
 
 use std::path::{Path, PathBuf};
@@ -17,6 +18,7 @@ use sqlx::sqlite::{
     SqliteConnectOptions, SqliteConnection, SqliteJournalMode, SqlitePool, SqlitePoolOptions, SqliteSynchronous,
 };
 
+use log::Log;
 use writer::Writer;
 pub(crate) use writer::{CommitTimes, Durability};
 
@@ -150,7 +152,11 @@ impl Store {
             .connect_with(options.read_only(true).create_if_missing(false))
             .await?;
         let commits = CommitTimes::default();
-        Ok(Self { writer: Writer::start(connection, commits.clone()), readers, commits })
+        Ok(Self {
+            writer: Writer::start(connection, commits.clone(), Log::new(&file, log::LIMIT_BYTES)),
+            readers,
+            commits,
+        })
     }
 
     /// Runs `operation` in a transaction of the writer's and answers when it is committed.

@@ -2,6 +2,7 @@
 
 mod farm;
 mod paper;
+mod queue;
 
 use std::path::Path;
 use std::time::Duration;
@@ -70,6 +71,8 @@ pub(crate) struct Arguments {
 enum Tables {
     /// The paper's Table 1 on this machine, beside the published figures.
     Paper(paper::Arguments),
+    /// How much work a server's queue takes in and hands out, and how long its answers take.
+    Queue(queue::Arguments),
 }
 
 /// The levels to measure.
@@ -87,8 +90,10 @@ struct Reports {
 
 /// Measures it.
 pub(crate) fn run(arguments: &Arguments) -> anyhow::Result<()> {
-    if let Some(Tables::Paper(arguments)) = &arguments.table {
-        return paper::run(arguments);
+    match &arguments.table {
+        Some(Tables::Paper(arguments)) => return paper::run(arguments),
+        Some(Tables::Queue(arguments)) => return run_async(queue::run(arguments)),
+        None => {}
     }
     let names = DEFAULT_JOBS.map(str::to_owned);
     let names = if arguments.jobs.is_empty() { names.as_slice() } else { &arguments.jobs };

@@ -96,7 +96,7 @@ impl Bench {
 
     /// Asserts that every job's and frame's counters are those of their tiles.
     async fn check(&self) {
-        for query in [
+        const CHECKS: [&str; 10] = [
             "SELECT count(*) FROM job WHERE tiles_done + 0 <> (
                  SELECT count(*) FROM tile WHERE tile.job = job.number AND kind = 'render' AND state = 'done')",
             "SELECT count(*) FROM job WHERE rays_done <> (
@@ -120,9 +120,12 @@ impl Bench {
                  AND finished_at_ms IS NULL AND paused = 0)",
             "SELECT count(*) FROM job WHERE finished_at_ms IS NOT NULL AND EXISTS (
                  SELECT 1 FROM tile WHERE tile.job = job.number AND state IN ('ready', 'leased'))",
-        ] {
-            let wrong: i64 = sqlx::query_scalar(query).fetch_one(self.queue.readers()).await.expect("counts");
-            assert_eq!(wrong, 0, "{query}");
+        ];
+        let all = CHECKS.map(|check| format!("SELECT ({check}) AS wrong")).join(" UNION ALL ");
+        let wrong: Vec<i64> =
+            sqlx::query_scalar(sqlx::AssertSqlSafe(all)).fetch_all(self.queue.readers()).await.expect("counts");
+        for (check, wrong) in CHECKS.iter().zip(wrong) {
+            assert_eq!(wrong, 0, "{check}");
         }
     }
 }

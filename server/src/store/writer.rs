@@ -14,6 +14,7 @@ use tokio::sync::{Mutex, mpsc, oneshot, watch};
 use tokio::task::JoinHandle;
 
 use super::StoreError;
+use super::log::Log;
 use crate::clock::instant;
 use crate::watch::{counts, seconds};
 
@@ -58,10 +59,10 @@ pub(super) struct Writer {
 
 impl Writer {
     /// Starts the task that owns `connection`.
-    pub(super) fn start(connection: SqliteConnection, times: CommitTimes) -> Self {
+    pub(super) fn start(connection: SqliteConnection, times: CommitTimes, log: Log) -> Self {
         let (operations, waiting) = mpsc::channel(QUEUE);
         let bell = watch::Sender::new(());
-        let task = Task { connection, synchronous: Durability::Full, times, bell: bell.clone() };
+        let task = Task { connection, synchronous: Durability::Full, times, bell: bell.clone(), log };
         let task = tokio::spawn(task.run(waiting));
         Self { operations: std::sync::Mutex::new(Some(operations)), task: Mutex::new(Some(task)), bell }
     }
@@ -149,6 +150,7 @@ struct Task {
     synchronous: Durability,
     times: CommitTimes,
     bell: watch::Sender<()>,
+    log: Log,
 }
 
 impl Task {
@@ -177,6 +179,7 @@ impl Task {
             for operation in group {
                 operation.answer(committed.clone());
             }
+            self.log.keep_small(&mut self.connection).await;
             folded = false;
         }
         self.fold().await;

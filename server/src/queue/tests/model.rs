@@ -72,14 +72,8 @@ pub(super) struct Model {
 
 impl Model {
     pub(super) fn submit(&mut self, id: JobId, frames_total: u32, large: bool) {
-        let job = Job {
-            state: JobState::Queued,
-            paused: false,
-            dead: false,
-            large,
-            frames_total,
-            frames: BTreeMap::new(),
-        };
+        let job =
+            Job { state: JobState::Queued, paused: false, dead: false, large, frames_total, frames: BTreeMap::new() };
         self.jobs.insert(id, job);
     }
 
@@ -187,7 +181,9 @@ impl Model {
             let stitched = leases.len() == 1 && self.leases[&leases[0]].tile.2 == STITCH;
             let frame = self.frame((job, number, STITCH));
             if !stitched && (frame.state != FrameState::Open || leases.len() as u32 != TILES) {
-                leases.iter().for_each(|lease| self.give_up(*lease, Cause::Interrupted));
+                for lease in leases {
+                    self.give_up(lease, Cause::Interrupted);
+                }
                 continue;
             }
             frame.state = FrameState::Stored;

@@ -22,10 +22,24 @@ const SMALL_NODES: u32 = 500;
 
 #[derive(Clone, Debug)]
 pub(super) enum Operation {
-    Submit { submitter: u8, frames: u32, large: bool, priority: i32 },
-    Claim { worker: usize, fast: bool },
-    Report { worker: usize, run: usize, outcome: u8 },
-    Pass { ms: i64 },
+    Submit {
+        submitter: u8,
+        frames: u32,
+        large: bool,
+        priority: i32,
+    },
+    Claim {
+        worker: usize,
+        fast: bool,
+    },
+    Report {
+        worker: usize,
+        run: usize,
+        outcome: u8,
+    },
+    Pass {
+        ms: i64,
+    },
     Cancel(usize),
     Pause(usize, bool),
     PauseFarm(bool),
@@ -33,7 +47,10 @@ pub(super) enum Operation {
     Move(usize, i32),
     Delete(usize),
     /// Of the pool, which are the last two.
-    Reap { worker: usize, crashed: bool },
+    Reap {
+        worker: usize,
+        crashed: bool,
+    },
     Restart,
     Tidy,
 }
@@ -169,7 +186,7 @@ impl Pair {
             _ => Outcome::Blob { hash, size_bytes: 1 },
         };
         // Some bring only part of it.
-        let skipped = if die >= 200 { 1 } else { 0 };
+        let skipped = usize::from(die >= 200);
         let results = leases(&run).skip(skipped).map(|lease| Report { lease, outcome: outcome.clone() }).collect();
         self.call(index, results, None).await;
     }
@@ -192,8 +209,7 @@ impl Pair {
 
     async fn restart(&mut self) {
         self.bench.restart().await;
-        let pool: Vec<WorkerId> =
-            self.workers.iter().filter(|worker| worker.pool).map(|worker| worker.id).collect();
+        let pool: Vec<WorkerId> = self.workers.iter().filter(|worker| worker.pool).map(|worker| worker.id).collect();
         self.model.restart(&pool);
     }
 
@@ -236,7 +252,10 @@ impl Pair {
                 queue.pause_all(paused).await.expect("an answer");
                 self.model.farm_paused = paused;
             }
-            Operation::Cancel(job) | Operation::Pause(job, _) | Operation::Retry(job) | Operation::Move(job, _)
+            Operation::Cancel(job)
+            | Operation::Pause(job, _)
+            | Operation::Retry(job)
+            | Operation::Move(job, _)
             | Operation::Delete(job) => {
                 let Some(id) = self.job(job) else { return };
                 match *operation {

@@ -1,0 +1,163 @@
+//! `sdfarm bench queue`: how much work a server's queue takes in, hands out and tells about in a second, and
+//! how long its answers take. A real server in a fresh folder, asked over HTTP; its workers only pretend to
+//! render, but for the one that is stopped by a cancel.
+
+mod latency;
+mod load;
+mod pretender;
+
+use std::sync::Arc;
+use std::time::Duration;
+
+use anyhow::Context;
+use clap::Args;
+use proto::Client;
+use serde::Serialize;
+use server::{Config, Server};
+use tokio_util::sync::CancellationToken;
+
+use crate::commands::serve::own_program;
+use crate::terminal::{note, say};
+
+/// Arguments of `bench queue`.
+#[derive(Debug, Args)]
+pub(crate) struct Arguments {
+    /// Clients that hand in jobs at the same time.
+    #[arg(long, value_name = "N", env = "SDFARM_CLIENTS", default_value_t = 64, value_parser = clap::value_parser!(u32).range(1..=1024))]
+    clients: u32,
+    /// Jobs that wait while claims are measured, each of a hundred tiles.
+    #[arg(long, value_name = "N", env = "SDFARM_JOBS", default_value_t = 10_000, value_parser = clap::value_parser!(u32).range(1..=90_000))]
+    jobs: u32,
+    /// Workers that pretend to render.
+    #[arg(long, value_name = "N", env = "SDFARM_WORKERS", default_value_t = 8, value_parser = clap::value_parser!(u32).range(1..=256))]
+    workers: u32,
+    /// How long tiles and status are measured.
+    #[arg(long, value_name = "SECONDS", env = "SDFARM_SECONDS", default_value_t = 10, value_parser = clap::value_parser!(u64).range(1..=600))]
+    seconds: u64,
+    /// Jobs of which each latency is taken.
+    #[arg(long, value_name = "N", env = "SDFARM_RUNS", default_value_t = 200, value_parser = clap::value_parser!(u32).range(1..=10_000))]
+    runs: u32,
+    /// Print JSON.
+    #[arg(long, env = "SDFARM_JSON", value_parser = clap::builder::FalseyValueParser::new(), action = clap::ArgAction::SetTrue)]
+    json: bool,
+}
+
+/// Times of one thing, in milliseconds.
+#[derive(Clone, Copy, Debug, Serialize)]
+pub(crate) struct Times {
+    count: usize,
+    median_ms: f64,
+    p99_ms: f64,
+    longest_ms: f64,
+}
+
+impl Times {
+    fn of(mut times: Vec<Duration>) -> Self {
+        times.sort();
+        let at = |share: f64| {
+            let index = ((times.len() as f64 * share).ceil() as usize).clamp(1, times.len().max(1)) - 1;
+            times.get(index).map_or(f64::NAN, |time| time.as_secs_f64() * 1e3)
+        };
+        Self { count: times.len(), median_ms: at(0.5), p99_ms: at(0.99), longest_ms: at(1.0) }
+    }
+}
+
+/// Everything measured.
+#[derive(Debug, Serialize)]
+struct Report {
+    clients: u32,
+    jobs: u32,
+    submits_per_second: f64,
+    submit: Times,
+    claim: Times,
+    tiles_per_second: f64,
+    status_per_second: f64,
+    status: Times,
+    start: Times,
+    cancel: Times,
+}
+
+/// A server in a fresh folder, until it is stopped.
+pub(super) struct Farm {
+    pub(super) client: Client,
+    shutdown: CancellationToken,
+    serving: tokio::task::JoinHandle<Result<(), server::ServeError>>,
+    _data: tempfile::TempDir,
+}
+
+impl Farm {
+    pub(super) async fn start(workers: u32, tile_px: Option<u32>) -> anyhow::Result<Self> {
+        let data = tempfile::tempdir().context("could not make a folder for the farm: free some space there")?;
+        let config = Config {
+            listen: ([127, 0, 0, 1], 0).into(),
+            data: data.path().to_owned(),
+            worker_program: own_program()?,
+            devices: vec!["cpu".to_owned()],
+            workers: Some(workers),
+            tile_px,
+            ..Config::default()
+        };
+        let server = Server::start(config).await?;
+        let client = Client::new(&format!("http://{}", server.address()))?;
+        let shutdown = CancellationToken::new();
+        let serving = tokio::spawn(server.run(shutdown.clone()));
+        Ok(Self { client, shutdown, serving, _data: data })
+    }
+
+    pub(super) async fn stop(self) -> anyhow::Result<()> {
+        self.shutdown.cancel();
+        Ok(self.serving.await.context("the farm stopped in disorder")??)
+    }
+}
+
+/// Measures it.
+pub(crate) async fn run(arguments: &Arguments) -> anyhow::Result<()> {
+    let seconds = Duration::from_secs(arguments.seconds);
+    let farm = Arc::new(Farm::start(0, Some(load::TILE_PX)).await?);
+    note(&format!("handing in {} jobs of 100 tiles", arguments.jobs));
+    let (submits_per_second, submit) = load::submit(&farm, arguments.clients, arguments.jobs).await?;
+    note("claiming among them");
+    let claim = load::claim(&farm).await?;
+    note("working off tiles, with questions how jobs stand");
+    let load::Work { tiles_per_second, status_per_second, status } =
+        load::work(&farm, arguments.workers, seconds).await?;
+    Arc::into_inner(farm).context("a client still uses the farm")?.stop().await?;
+    note("timing starts and cancels");
+    let start = latency::start(arguments.runs).await?;
+    let cancel = latency::cancel(arguments.runs.min(latency::MOST_CANCELS)).await?;
+    let (clients, jobs) = (arguments.clients, arguments.jobs);
+    let report = Report {
+        clients,
+        jobs,
+        submits_per_second,
+        submit,
+        claim,
+        tiles_per_second,
+        status_per_second,
+        status,
+        start,
+        cancel,
+    };
+    if arguments.json { say(&serde_json::to_string_pretty(&report)?) } else { table(&report) }
+}
+
+fn table(report: &Report) -> anyhow::Result<()> {
+    let row = |what: &str, rate: Option<f64>, times: Option<Times>| {
+        let rate = rate.map_or_else(String::new, |rate| format!("{rate:.0}"));
+        let times = times.map_or_else(String::new, |times| {
+            format!("{:>10.2} {:>10.2} {:>10.2}", times.median_ms, times.p99_ms, times.longest_ms)
+        });
+        say(&format!("{what:<52} {rate:>9} {times}"))
+    };
+    say(&format!("{:<52} {:>9} {:>10} {:>10} {:>10}", "", "a second", "median ms", "p99 ms", "longest"))?;
+    row(
+        &format!("jobs handed in by {} clients", report.clients),
+        Some(report.submits_per_second),
+        Some(report.submit),
+    )?;
+    row(&format!("claims with {} jobs of 100 tiles queued", report.jobs), None, Some(report.claim))?;
+    row("tiles claimed and completed", Some(report.tiles_per_second), None)?;
+    row("GET of a job meanwhile", Some(report.status_per_second), Some(report.status))?;
+    row("from a job's 201 to an idle worker's start", None, Some(report.start))?;
+    row("from a cancel's 200 to its worker's next job", None, Some(report.cancel))
+}

@@ -1,0 +1,89 @@
+//! How soon a worker hears: of a job that is handed in, and of a cancel while it renders.
+
+use std::time::{Duration, Instant};
+
+use proto::job::JobState;
+use proto::{Client, JobId};
+
+use super::pretender::Pretender;
+use super::{Farm, Times};
+
+/// Cancels that are timed, at most: each waits until its job has begun.
+pub(super) const MOST_CANCELS: u32 = 50;
+/// How long a worker waits at the server.
+const WAIT: Duration = Duration::from_secs(10);
+/// Until then a worker's call waits at the server.
+const SETTLED: Duration = Duration::from_millis(20);
+/// Between two looks at a job.
+const PAUSE: Duration = Duration::from_millis(1);
+/// So long a job renders before it is cancelled.
+const RENDERED: Duration = Duration::from_millis(100);
+
+fn job(width: u32, samples: u32) -> Vec<u8> {
+    serde_json::json!({
+        "name": "latency",
+        "scene": {
+            "camera": { "position": [0, 0, 3], "look_at": [0, 0, 0] },
+            "objects": [{ "material": { "normals": {} }, "shape": { "mandelbulb": { "power": 8, "iterations": 8 } } }]
+        },
+        "image": { "width": width, "height": width, "samples": samples },
+    })
+    .to_string()
+    .into_bytes()
+}
+
+/// From the 201 to the moment when the worker that waited has the job.
+pub(super) async fn start(runs: u32) -> anyhow::Result<Times> {
+    let farm = Farm::start(0, None).await?;
+    let worker = Pretender::register(farm.client.server(), None).await?;
+    let mut times = Vec::new();
+    for _ in 0..runs {
+        let submit = async {
+            tokio::time::sleep(SETTLED).await;
+            farm.client.submit(job(64, 1), true).await?;
+            anyhow::Ok(Instant::now())
+        };
+        let claim = async {
+            let run = worker.sync(Vec::new(), true, WAIT).await?;
+            anyhow::Ok((run, Instant::now()))
+        };
+        let (accepted, (run, begun)) = tokio::try_join!(submit, claim)?;
+        let Some(run) = run else { anyhow::bail!("a worker waited for {} s in vain", WAIT.as_secs()) };
+        // The worker may have the job before its author hears of the 201.
+        times.push(begun.saturating_duration_since(accepted));
+        worker.sync(worker.results(&run), false, Duration::ZERO).await?;
+    }
+    farm.stop().await?;
+    Ok(Times::of(times))
+}
+
+/// From the answer to a cancel to the moment when the real worker that rendered begins the next job.
+pub(super) async fn cancel(runs: u32) -> anyhow::Result<Times> {
+    let farm = Farm::start(1, None).await?;
+    let mut times = Vec::new();
+    for _ in 0..runs {
+        let heavy = farm.client.submit(job(8192, 64), true).await?.id;
+        until(&farm.client, heavy, JobState::Running).await?;
+        tokio::time::sleep(RENDERED).await;
+        let next = farm.client.submit(job(32, 1), true).await?.id;
+        farm.client.cancel(heavy).await?;
+        let cancelled = Instant::now();
+        until(&farm.client, next, JobState::Running).await?;
+        times.push(cancelled.elapsed());
+        until(&farm.client, next, JobState::Succeeded).await?;
+    }
+    farm.stop().await?;
+    Ok(Times::of(times))
+}
+
+/// Waits until a job is in a state, or has succeeded meanwhile.
+async fn until(client: &Client, id: JobId, state: JobState) -> anyhow::Result<()> {
+    loop {
+        let now = client.job(id).await?.state;
+        if now == state || now == JobState::Succeeded {
+            return Ok(());
+        }
+        anyhow::ensure!(!now.is_final(), "job {id} is {} all of a sudden", now.name());
+        tokio::time::sleep(PAUSE).await;
+    }
+}

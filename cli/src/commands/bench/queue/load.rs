@@ -1,0 +1,135 @@
+//! How many jobs, tiles and questions a server takes in a second.
+
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::time::{Duration, Instant};
+
+use anyhow::Context;
+use proto::JobId;
+use proto::work::Work as RunWork;
+use tokio::task::JoinSet;
+
+use super::pretender::Pretender;
+use super::{Farm, Times};
+
+/// Claims that are timed.
+const CLAIMS: u32 = 1000;
+/// Clients that ask how jobs stand.
+const ASKING: usize = 4;
+/// Edge of the tiles, in pixels.
+pub(super) const TILE_PX: u32 = 32;
+/// A worker so fast is given about ten tiles of these jobs at a time.
+const TEN_TILES_A_SECOND: f64 = 10.0 * (TILE_PX * TILE_PX) as f64;
+
+/// A job of a hundred tiles, unlike those of other seeds.
+fn job(seed: u32) -> Vec<u8> {
+    serde_json::json!({
+        "name": "bench",
+        "scene": {
+            "camera": { "position": [0, 0, 5], "look_at": [0, 0, 0] },
+            "objects": [{ "material": { "normals": {} }, "shape": { "sphere": { "radius": 1 } } }]
+        },
+        "image": { "width": 10 * TILE_PX, "height": 10 * TILE_PX, "samples": 1, "seed": seed },
+    })
+    .to_string()
+    .into_bytes()
+}
+
+/// Hands in so many jobs, by so many clients; how many a second, and the times of each.
+pub(super) async fn submit(farm: &Arc<Farm>, clients: u32, jobs: u32) -> anyhow::Result<(f64, Times)> {
+    let start = Instant::now();
+    let mut tasks = JoinSet::new();
+    for client in 0..clients {
+        let farm = Arc::clone(farm);
+        tasks.spawn(async move {
+            let mut times = Vec::new();
+            for seed in (client..jobs).step_by(clients as usize) {
+                let start = Instant::now();
+                farm.client.submit(job(seed), true).await?;
+                times.push(start.elapsed());
+            }
+            anyhow::Ok(times)
+        });
+    }
+    let times = gather(tasks).await?;
+    Ok((f64::from(jobs) / start.elapsed().as_secs_f64(), Times::of(times)))
+}
+
+async fn gather(mut tasks: JoinSet<anyhow::Result<Vec<Duration>>>) -> anyhow::Result<Vec<Duration>> {
+    let mut times = Vec::new();
+    while let Some(done) = tasks.join_next().await {
+        times.extend(done.context("a client panicked")??);
+    }
+    Ok(times)
+}
+
+/// Times claims of one worker, while all the jobs wait.
+pub(super) async fn claim(farm: &Farm) -> anyhow::Result<Times> {
+    let worker = Pretender::register(farm.client.server(), Some(TEN_TILES_A_SECOND)).await?;
+    let mut times = Vec::new();
+    for _ in 0..CLAIMS {
+        let start = Instant::now();
+        let Some(run) = worker.sync(Vec::new(), true, Duration::ZERO).await? else { break };
+        times.push(start.elapsed());
+        worker.sync(worker.results(&run), false, Duration::ZERO).await?;
+    }
+    Ok(Times::of(times))
+}
+
+/// What was done in a while.
+pub(super) struct Work {
+    pub(super) tiles_per_second: f64,
+    pub(super) status_per_second: f64,
+    pub(super) status: Times,
+}
+
+/// Lets workers claim and complete tiles for a while, and clients ask how jobs stand.
+pub(super) async fn work(farm: &Arc<Farm>, workers: u32, time: Duration) -> anyhow::Result<Work> {
+    let (tiles, over) = (Arc::new(AtomicU64::new(0)), Arc::new(AtomicBool::new(false)));
+    let mut working = JoinSet::new();
+    for _ in 0..workers {
+        let worker = Pretender::register(farm.client.server(), Some(TEN_TILES_A_SECOND)).await?;
+        let (tiles, over) = (Arc::clone(&tiles), Arc::clone(&over));
+        working.spawn(async move { pretend(&worker, &tiles, &over).await.map(|()| Vec::new()) });
+    }
+    let asked: Vec<JobId> = farm.client.jobs(None, 100, None).await?.jobs.iter().map(|job| job.id).collect();
+    let mut asking = JoinSet::new();
+    for index in 0..ASKING {
+        let (farm, over, asked) = (Arc::clone(farm), Arc::clone(&over), asked.clone());
+        asking.spawn(async move { ask(&farm, asked.iter().cycle().skip(index), &over).await });
+    }
+    let start = Instant::now();
+    tiles.store(0, Ordering::Relaxed);
+    tokio::time::sleep(time).await;
+    over.store(true, Ordering::Relaxed);
+    let (seconds, tiles) = (start.elapsed().as_secs_f64(), tiles.load(Ordering::Relaxed));
+    gather(working).await?;
+    let times = gather(asking).await?;
+    Ok(Work {
+        tiles_per_second: tiles as f64 / seconds,
+        status_per_second: times.len() as f64 / seconds,
+        status: Times::of(times),
+    })
+}
+
+async fn pretend(worker: &Pretender, tiles: &AtomicU64, over: &AtomicBool) -> anyhow::Result<()> {
+    let (mut results, mut rendered) = (Vec::new(), 0);
+    while !over.load(Ordering::Relaxed) {
+        let run = worker.sync(std::mem::take(&mut results), true, Duration::ZERO).await?;
+        tiles.fetch_add(rendered, Ordering::Relaxed);
+        let Some(run) = run else { break };
+        results = worker.results(&run);
+        rendered = if let RunWork::Render { tiles, .. } = &run.work { tiles.len() as u64 } else { 0 };
+    }
+    Ok(())
+}
+
+async fn ask(farm: &Farm, jobs: impl Iterator<Item = &JobId>, over: &AtomicBool) -> anyhow::Result<Vec<Duration>> {
+    let mut times = Vec::new();
+    for job in jobs.take_while(|_| !over.load(Ordering::Relaxed)) {
+        let start = Instant::now();
+        farm.client.job(*job).await?;
+        times.push(start.elapsed());
+    }
+    Ok(times)
+}

@@ -1,0 +1,119 @@
+//! The write-ahead log, kept small also when the database is never idle.
+//!
+//! The engine folds the log by itself every thousand pages, but starts it anew only when no reader needs it any
+//! more; under constant reading it would grow for ever. It must not hold back writes for long.
+
+use std::path::{Path, PathBuf};
+
+use sqlx::sqlite::SqliteConnection;
+
+/// A log of so many bytes is folded between two commits, and begun anew.
+pub(super) const LIMIT_BYTES: u64 = 64 << 20;
+/// If a reader was in the way, it is tried again after so many commits.
+const COMMITS: u32 = 64;
+/// How long writes wait for readers then, and how long otherwise.
+const WAIT_FOR_READERS: &str = "PRAGMA busy_timeout = 50";
+const WAIT_FOR_LOCKS: &str = "PRAGMA busy_timeout = 5000";
+
+/// The log of a database.
+#[derive(Debug)]
+pub(super) struct Log {
+    file: PathBuf,
+    limit_bytes: u64,
+    /// Commits before the next try.
+    pause: u32,
+}
+
+impl Log {
+    /// The log beside a database's file.
+    pub(super) fn new(database: &Path, limit_bytes: u64) -> Self {
+        Self { file: database.with_extension("sqlite-wal"), limit_bytes, pause: 0 }
+    }
+
+    /// Its size.
+    pub(super) fn size_bytes(&self) -> u64 {
+        std::fs::metadata(&self.file).map_or(0, |metadata| metadata.len())
+    }
+
+    /// Folds the log into the database if it is large; not inside a transaction.
+    pub(super) async fn keep_small(&mut self, connection: &mut SqliteConnection) {
+        if self.size_bytes() < self.limit_bytes {
+            return;
+        }
+        if self.pause > 0 {
+            self.pause -= 1;
+            return;
+        }
+        for statement in [WAIT_FOR_READERS, "PRAGMA wal_checkpoint(TRUNCATE)", WAIT_FOR_LOCKS] {
+            if let Err(error) = sqlx::query(statement).execute(&mut *connection).await {
+                tracing::warn!(%error, "the database's log could not be folded into its file");
+            }
+        }
+        let size_bytes = self.size_bytes();
+        if size_bytes >= self.limit_bytes {
+            self.pause = COMMITS;
+            tracing::warn!(size_bytes, "the database's log stays large: something reads an old state of it");
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use sqlx::sqlite::{SqliteConnectOptions, SqliteJournalMode};
+    use sqlx::{ConnectOptions, Connection};
+
+    use super::*;
+
+    const LIMIT: u64 = 1 << 20;
+
+    async fn connect(file: &Path) -> SqliteConnection {
+        let options = SqliteConnectOptions::new().filename(file).create_if_missing(true);
+        options.journal_mode(SqliteJournalMode::Wal).connect().await.expect("connects")
+    }
+
+    async fn write(connection: &mut SqliteConnection, log: &mut Log) {
+        let text = "x".repeat(32 << 10);
+        sqlx::query("INSERT INTO t VALUES (?)").bind(text).execute(&mut *connection).await.expect("writes");
+        log.keep_small(connection).await;
+    }
+
+    #[tokio::test]
+    async fn the_log_stays_small_although_somebody_always_reads() {
+        let folder = tempfile::tempdir().expect("a temporary folder");
+        let file = folder.path().join("farm.sqlite");
+        let (mut writer, mut log) = (connect(&file).await, Log::new(&file, LIMIT));
+        // By itself it would never fold it.
+        sqlx::query("PRAGMA wal_autocheckpoint = 0").execute(&mut writer).await.expect("sets");
+        sqlx::query("CREATE TABLE t (text TEXT)").execute(&mut writer).await.expect("creates");
+        let mut readers = [connect(&file).await, connect(&file).await];
+        for round in 0..100 {
+            for reader in &mut readers {
+                sqlx::query("SELECT count(*) FROM t").fetch_one(reader).await.expect("reads");
+            }
+            write(&mut writer, &mut log).await;
+            assert!(log.size_bytes() <= 2 * LIMIT, "{} bytes in round {round}", log.size_bytes());
+        }
+        let rows: i64 = sqlx::query_scalar("SELECT count(*) FROM t").fetch_one(&mut readers[0]).await.expect("reads");
+        assert_eq!(rows, 100);
+    }
+
+    #[tokio::test]
+    async fn a_reader_of_an_old_state_holds_back_no_write() {
+        let folder = tempfile::tempdir().expect("a temporary folder");
+        let file = folder.path().join("farm.sqlite");
+        let (mut writer, mut log) = (connect(&file).await, Log::new(&file, LIMIT));
+        sqlx::query("CREATE TABLE t (text TEXT)").execute(&mut writer).await.expect("creates");
+        let mut reader = connect(&file).await;
+        let mut old = reader.begin().await.expect("begins");
+        sqlx::query("SELECT count(*) FROM t").fetch_one(&mut *old).await.expect("reads");
+        for _ in 0..100 {
+            write(&mut writer, &mut log).await;
+        }
+        assert!(log.size_bytes() > 3 * LIMIT, "it is needed");
+        old.rollback().await.expect("ends");
+        for _ in 0..70 {
+            write(&mut writer, &mut log).await;
+        }
+        assert!(log.size_bytes() <= 2 * LIMIT, "{} bytes", log.size_bytes());
+    }
+}
