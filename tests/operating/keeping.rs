@@ -64,7 +64,7 @@ fn a_farm_is_backed_up_while_it_runs_and_restored_with_every_picture() {
     let told = succeed(&["backup", word(&copy), "--data", word(&data)]);
     assert!(told.starts_with("5 pictures") && told.contains("0 taken now (0 bytes), 1 dropped"), "{told}");
     let wanted: Vec<Vec<u8>> = (0..3).map(|number| frame(&farm, &first, number)).collect();
-    farm.kill();
+    drop(farm);
 
     let told = succeed(&["restore", word(&copy), "--data", word(&new)]);
     assert!(told.contains("5 pictures are whole"), "{told}");
