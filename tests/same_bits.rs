@@ -13,7 +13,7 @@ use crate::exr_reader;
 use crate::jobs;
 use crate::support::{Farm, finish, sdfarm, succeed, text};
 
-const WIDTH_PX: u64 = 192;
+const WIDTH_PX: u64 = 128;
 const SAMPLES: u64 = 2;
 /// Jobs that scalar code does not take long for.
 const MIXED: [&str; 3] = ["csg", "five-spheres", "paper/csg"];
