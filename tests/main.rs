@@ -14,6 +14,7 @@ mod fuzz;
 mod jobs;
 mod kills;
 mod operating;
+mod previews;
 mod same_bits;
 mod support;
 mod tidy;

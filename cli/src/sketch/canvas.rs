@@ -11,6 +11,9 @@ use scene::color::{Grade, srgb_from_linear};
 /// Shown light, premultiplied, and alpha.
 pub(super) type Shown = [f32; 4];
 
+/// Rows, at most: pictures may be far higher than wide.
+const MAX_ROWS: u64 = 4096;
+
 /// What is shown where nothing is known: a middle grey.
 const UNKNOWN: Shown = [0.2, 0.2, 0.2, 1.0];
 
@@ -24,11 +27,12 @@ pub(super) struct Canvas {
 }
 
 impl Canvas {
-    /// For a picture of so many pixels, at most so wide.
+    /// For a picture of so many pixels, at most so wide, and no higher than is sensible.
     pub(super) fn new(width: u32, height: u32, width_px: u32) -> Self {
         let from = [u64::from(width.max(1)), u64::from(height.max(1))];
-        let columns = u64::from(width_px).clamp(1, from[0]);
-        let rows = ((from[1] * columns + from[0] / 2) / from[0]).clamp(1, from[1]);
+        let not_too_high = (from[0] * MAX_ROWS / from[1]).max(1);
+        let columns = u64::from(width_px).min(not_too_high).clamp(1, from[0]);
+        let rows = ((from[1] * columns + from[0] / 2) / from[0]).clamp(1, from[1].min(MAX_ROWS));
         let length = usize::try_from(columns * rows).expect("a width is limited, and so is a picture's height");
         Self { from, size: [columns, rows], sums: vec![([0.0; 4], 0.0); length] }
     }
@@ -103,7 +107,8 @@ fn shares(at: u64, from: u64, to: u64) -> Option<[(u64, f32); 2]> {
 }
 
 fn byte(value: f32) -> u8 {
-    value.mul_add(255.0, 0.5) as u8
+    // As the stored picture is rounded.
+    (value * 255.0 + 0.5) as u8
 }
 
 /// A pixel as a PNG would show it; `opaque` ones have no alpha.
@@ -127,7 +132,9 @@ mod tests {
 
     #[test]
     fn a_picture_of_one_light_stays_of_one_light_at_every_size() {
-        for (width, height, width_px) in [(7, 5, 7), (7, 5, 3), (1, 9, 4), (640, 3, 100), (3, 640, 2), (10, 10, 1)] {
+        for (width, height, width_px) in
+            [(7, 5, 7), (7, 5, 3), (1, 9, 4), (640, 3, 100), (3, 640, 2), (10, 10, 1), (3, 9000, 3)]
+        {
             let mut canvas = Canvas::new(width, height, width_px);
             for row in 0..height {
                 canvas.add(0, row, (0..width).map(|_| [0.5, 0.25, 1.0, 1.0]));
