@@ -5,7 +5,7 @@ use std::time::Duration;
 use clap::Args;
 use proto::client::Submission;
 use proto::job::JobView;
-use proto::{Client, ClientError, JobId};
+use proto::{Client, ClientError, JobId, Keep};
 use scene::{Format, Job};
 
 use crate::arguments::ServerArguments;
@@ -40,6 +40,9 @@ pub(crate) struct Arguments {
     /// Tell this address when the job has ended; up to four.
     #[arg(long, value_name = "URL", env = "SDFARM_WEBHOOK", value_delimiter = ' ')]
     webhook: Vec<String>,
+    /// How long the job and its pictures are kept once it has finished: 36h, 7d, forever [default: as the server was told].
+    #[arg(long, value_name = "AGE", env = "SDFARM_KEEP")]
+    keep: Option<Keep>,
 }
 
 /// Hands it in.
@@ -53,6 +56,7 @@ pub(crate) async fn run(arguments: Arguments) -> anyhow::Result<()> {
         no_cache: arguments.no_cache,
         idempotency_key: Some(JobId::new().to_string()),
         webhooks: arguments.webhook.clone(),
+        keep: arguments.keep,
     };
     let job = hand_in(&client, &file.text, &how).await.map_err(|error| file.refused(error))?;
     for warning in &job.warnings {

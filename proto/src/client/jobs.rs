@@ -6,10 +6,10 @@ use reqwest::header::{ACCEPT, CACHE_CONTROL, CONTENT_TYPE, HeaderValue};
 use reqwest::{Method, Response, StatusCode};
 
 use super::{Client, ClientError};
-use crate::JobId;
 use crate::change::{DeletePreview, FramePage, JobPatch};
 use crate::event::{JobEvent, Lines, Message};
 use crate::job::JobView;
+use crate::{JobId, Keep};
 
 /// How a job is handed in.
 #[derive(Clone, Debug, Default)]
@@ -20,6 +20,8 @@ pub struct Submission {
     pub idempotency_key: Option<String>,
     /// Who is told when it has ended.
     pub webhooks: Vec<String>,
+    /// How long it is kept once it has finished; `None` is as the server was told.
+    pub keep: Option<Keep>,
 }
 
 /// A job's events, as they come.
@@ -65,6 +67,9 @@ impl Client {
         }
         if let Some(key) = &how.idempotency_key {
             request = request.header("idempotency-key", key);
+        }
+        if let Some(keep) = how.keep {
+            request = request.query(&[("keep", keep.to_string())]);
         }
         for webhook in &how.webhooks {
             request = request.query(&[("webhook", webhook)]);
