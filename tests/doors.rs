@@ -137,8 +137,8 @@ fn worker_of_another_host_renders_over_tls_with_its_key() {
     let mut worker = with(&["worker", "--device", "cpu", "--threads", "1"], &host);
     let _worker = Worker(worker.stdin(Stdio::null()).stderr(Stdio::null()).spawn().expect("the program starts"));
     let picture = folder.path().join("out.png");
-    let mut submit = with(&["submit", "-", "--wait", "-o"], &anna);
-    submit.arg(&picture);
+    let mut submit = with(&["submit", "-", "--wait"], &anna);
+    submit.arg("-o").arg(&picture);
     let submitted = finish(submit, jobs::quick().to_string().as_bytes());
     assert!(submitted.status.success(), "{}\n{}", text(&submitted.stderr), farm.log());
     assert!(fs::read(&picture).expect("saved").starts_with(b"\x89PNG"));
