@@ -10,6 +10,7 @@ mod cuda;
 mod doors;
 mod exr_reader;
 mod faults;
+mod follow;
 mod fuzz;
 mod jobs;
 mod kills;

@@ -1,0 +1,145 @@
+//! The client commands beyond one picture: following over a killed server, whole animations, changing and deleting.
+
+use std::fs;
+use std::io;
+use std::net::{TcpListener, TcpStream};
+use std::path::Path;
+use std::process::{Command, Output};
+use std::sync::atomic::{AtomicUsize, Ordering};
+use std::sync::{Arc, Mutex};
+
+use serde_json::{Value, json};
+
+use crate::jobs;
+use crate::support::{Farm, eventually, finish, sdfarm, succeed, text};
+
+/// An address that stays while the server behind it comes and goes.
+struct Door {
+    address: String,
+    behind: Arc<Mutex<Option<String>>>,
+    callers: Arc<AtomicUsize>,
+}
+
+impl Door {
+    fn open() -> Self {
+        let listener = TcpListener::bind("127.0.0.1:0").expect("a free port");
+        let address = format!("http://{}", listener.local_addr().expect("an address"));
+        let behind: Arc<Mutex<Option<String>>> = Arc::default();
+        let callers: Arc<AtomicUsize> = Arc::default();
+        let (target, count) = (Arc::clone(&behind), Arc::clone(&callers));
+        std::thread::spawn(move || {
+            for caller in listener.incoming().flatten() {
+                let address = target.lock().expect("no panic").clone();
+                // With nobody behind it, the caller is let go.
+                let Some(Ok(server)) = address.map(TcpStream::connect) else { continue };
+                count.fetch_add(1, Ordering::SeqCst);
+                pass_on(&caller, &server);
+                pass_on(&server, &caller);
+            }
+        });
+        Self { address, behind, callers }
+    }
+
+    fn lead_to(&self, farm: Option<&Farm>) {
+        *self.behind.lock().expect("no panic") = farm.map(|farm| farm.address.replace("http://", ""));
+    }
+}
+
+fn pass_on(from: &TcpStream, to: &TcpStream) {
+    let (mut from, mut to) = (from.try_clone().expect("a socket"), to.try_clone().expect("a socket"));
+    std::thread::spawn(move || {
+        // However it ends, both sides are let go.
+        let _ = io::copy(&mut from, &mut to);
+        let _ = to.shutdown(std::net::Shutdown::Both);
+    });
+}
+
+#[test]
+fn watch_goes_on_where_a_killed_server_was_and_ends_with_the_job() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let door = Door::open();
+    let first = Farm::start_on(folder.path(), &["--workers", "0"]);
+    door.lead_to(Some(&first));
+    let id = first.accept(&jobs::quick().to_string());
+    let watching = std::thread::spawn({
+        let (id, address) = (id.clone(), door.address.clone());
+        move || finish(sdfarm(&["watch", &id, "--server", &address]), b"")
+    });
+    eventually("somebody follows", || (door.callers.load(Ordering::SeqCst) > 0).then_some(()));
+    // Kills it on the spot.
+    drop(first);
+    door.lead_to(None);
+    let second = Farm::start_on(folder.path(), &["--workers", "1"]);
+    door.lead_to(Some(&second));
+    let watched = watching.join().expect("no panic");
+    assert!(watched.status.success(), "{}\n{}", text(&watched.stderr), second.log());
+    assert!(text(&watched.stdout).contains("succeeded"));
+}
+
+fn on(farm: &Farm, folder: &Path, arguments: &[&str]) -> Output {
+    let mut command = sdfarm(&[arguments, &["--server", &farm.address]].concat());
+    command.current_dir(folder);
+    finish(command, b"")
+}
+
+fn good(output: &Output) -> String {
+    assert!(output.status.success(), "{}", text(&output.stderr));
+    text(&output.stdout).trim().to_owned()
+}
+
+fn animation() -> Value {
+    let mut job = jobs::sized(&jobs::quick(), 64, 1);
+    job["name"] = "walk".into();
+    job["frames"] = json!({ "count": 3, "fps": 24 });
+    job
+}
+
+#[test]
+fn all_frames_of_an_animation_are_saved_as_files_and_as_an_archive() {
+    let farm = Farm::start(&["--workers", "1"]);
+    let folder = tempfile::tempdir().expect("a folder");
+    fs::write(folder.path().join("job.json"), animation().to_string()).expect("written");
+    let id = good(&on(&farm, folder.path(), &["submit", "job.json", "--wait"]));
+    good(&on(&farm, folder.path(), &["fetch", &id, "--all", "-o", "frames"]));
+    good(&on(&farm, folder.path(), &["fetch", &id, "-o", "frames.zip"]));
+    for frame in 0..3 {
+        let saved = fs::read(folder.path().join(format!("frames/walk.{frame:04}.png"))).expect("saved");
+        assert!(saved == farm.get(&format!("/v1/jobs/{id}/frames/{frame}/image")).body, "frame {frame}");
+    }
+    match Command::new("unzip").arg("-t").arg(folder.path().join("frames.zip")).output() {
+        Ok(tested) => {
+            let told = text(&tested.stdout);
+            assert!(tested.status.success() && told.contains("walk.0002.png"), "{told}");
+        }
+        Err(_) => println!("skipped: testing the archive with unzip, which is not there"),
+    }
+    let told = good(&on(&farm, folder.path(), &["delete", &id, "--dry-run"]));
+    assert!(told.starts_with("would remove 3 pictures"), "{told}");
+    good(&on(&farm, folder.path(), &["delete", &id]));
+    assert_eq!(farm.get(&format!("/v1/jobs/{id}")).status, 404);
+}
+
+#[test]
+fn a_job_is_moved_and_only_a_failed_one_retried() {
+    let farm = Farm::start(&["--workers", "0"]);
+    let folder = tempfile::tempdir().expect("a folder");
+    let id = farm.accept(&animation().to_string());
+    assert!(good(&on(&farm, folder.path(), &["priority", &id, "-7"])).contains(&id));
+    let refused = on(&farm, folder.path(), &["retry", &id]);
+    assert_eq!(refused.status.code(), Some(1));
+    assert!(text(&refused.stderr).contains("only a failed job is retried"), "{}", text(&refused.stderr));
+    assert_eq!(on(&farm, folder.path(), &["priority", &id, "101"]).status.code(), Some(2));
+    let early = on(&farm, folder.path(), &["fetch", &id, "-o", "frames.zip"]);
+    assert_eq!(early.status.code(), Some(1));
+    assert!(!folder.path().join("frames.zip").exists(), "nothing half is left");
+}
+
+#[test]
+fn the_secret_of_webhooks_is_shown_to_who_has_the_data_folder() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let farm = Farm::start_on(folder.path(), &["--workers", "0"]);
+    let data = folder.path().join("data");
+    let secret = succeed(&["webhook", "secret", "--data", data.to_str().expect("plain")]);
+    assert!(secret.starts_with("whsec_"), "{secret}");
+    assert!(!farm.log().contains(secret.trim()), "it is in no log");
+}
