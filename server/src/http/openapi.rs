@@ -1,5 +1,7 @@
 //! The API's own description: routes from their handlers, schemas from the types that are sent.
 
+mod doors;
+
 use std::sync::Arc;
 
 use axum::Json;
@@ -40,6 +42,7 @@ impl Document {
         let mut schemas = views();
         schemas.extend(job_file());
         document["components"]["schemas"] = Value::Object(schemas);
+        doors::describe(&mut document);
         Self(Arc::new(document))
     }
 
