@@ -23,12 +23,14 @@ const PAGE: u32 = 100;
 const MAX_PAGE: u32 = 1000;
 
 #[derive(Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
 struct ListQuery {
     limit: Option<u32>,
     cursor: Option<String>,
 }
 
 #[derive(Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
 struct ArchiveQuery {
     #[serde(default)]
     partial: bool,

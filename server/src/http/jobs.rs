@@ -29,7 +29,6 @@ const PAGE: u32 = 100;
 const MAX_PAGE: u32 = 1000;
 
 #[derive(Debug, Deserialize)]
-#[serde(deny_unknown_fields)]
 struct SubmitQuery {
     #[serde(default)]
     dry_run: bool,
@@ -113,6 +112,7 @@ pub(super) async fn submit(
     };
     body::expect_json(&headers)?;
     let text = body::read(request, scene::limits::MAX_BODY_BYTES).await?;
+    let wish = wish::read(&uri, &headers, &text, &farm.webhooks.guard)?;
     let parsed = farm.jobs.parse(text.clone(), |parsed| parsed.map(|job| (job.warnings(), job))).await?;
     let (warnings, job) = parsed?;
     let plan = Plan::of(&job, farm.config.tile_px);
@@ -124,7 +124,6 @@ pub(super) async fn submit(
     }
     quota::check_rays(&farm, &caller, plan.rays_total()).await?;
     let id = JobId::new();
-    let wish = wish::read(&uri, &headers, &text, &farm.webhooks.guard)?;
     let new = NewJob {
         id,
         name: job.name.clone(),

@@ -22,6 +22,7 @@ use crate::queue::StoredImage;
 const MAX_BYTES: usize = 4 << 10;
 
 #[derive(Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
 struct Signed {
     expires: i64,
     signature: String,

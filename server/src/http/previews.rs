@@ -27,6 +27,7 @@ const MAX_WIDTH_PX: u32 = 2048;
 const COARSE_MS: u64 = 250;
 
 #[derive(Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
 struct WidthQuery {
     width: Option<u32>,
 }

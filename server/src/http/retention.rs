@@ -14,6 +14,7 @@ use crate::farm::Farm;
 use crate::retention;
 
 #[derive(Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
 struct CollectQuery {
     #[serde(default)]
     dry_run: bool,

@@ -11,6 +11,8 @@ use crate::webhooks::{EVENTS, FINAL_EVENTS, Guard};
 const IDEMPOTENCY_KEY: &str = "idempotency-key";
 /// Such a name may be so long.
 const MAX_KEY_BYTES: usize = 255;
+/// What else the query of a job may say.
+const OTHERS: [&str; 2] = ["dry_run", "keep"];
 /// Addresses that a job tells, at most.
 const MAX_WEBHOOKS: usize = 4;
 /// An address may be so long.
@@ -25,7 +27,13 @@ pub(super) fn read(uri: &Uri, headers: &HeaderMap, text: &[u8], guard: &Guard) -
         match name.as_ref() {
             "webhook" => urls.push(webhook_url(&value, guard)?),
             "webhook_event" => events.push(event(&value)?),
-            _ => {}
+            name if OTHERS.contains(&name) => {}
+            unknown => {
+                return Err(ApiError::WrongQuery(format!(
+                    "{unknown:?} is no parameter of this route: there are webhook, webhook_event, {}",
+                    OTHERS.join(", ")
+                )));
+            }
         }
     }
     if urls.len() > MAX_WEBHOOKS {

@@ -152,3 +152,17 @@ async fn a_trace_that_a_job_came_with_goes_to_its_worker() {
     }
     farm.stop().await;
 }
+
+#[tokio::test]
+async fn a_tile_rendered_differently_is_counted() {
+    let farm = Farm::start().await;
+    farm.submit(&job(1920, 1080, 4)).await;
+    let worker = farm.worker("odd").await;
+    let run = worker.claim().await.expect("work");
+    let results = worker.results(&run).await;
+    worker.report(results.clone()).await;
+    let other = worker.blob(results[0].lease, b"another result").await;
+    worker.report(vec![other]).await;
+    assert_eq!(Metrics::of(&farm).await.value("sdfarm_nondeterministic_tiles_total"), 1.0);
+    farm.stop().await;
+}
