@@ -22,6 +22,9 @@ CREATE TABLE key (
 
 CREATE INDEX key_by_name ON key (name) WHERE revoked_at_ms IS NULL;
 
+-- Who may not see every job lists those of its own name.
+CREATE INDEX job_by_submitter ON job (submitter, number);
+
 -- Unfinished jobs and their rays, of each submitter and (as '*', which no key is named) of all.
 -- Kept by the triggers below, in whatever transaction changes a job.
 CREATE TABLE backlog (

@@ -305,6 +305,11 @@ impl Queue {
     }
 }
 
+/// A job's id, as logs name it.
+async fn id_of(connection: &mut Connection, job: i64) -> Result<String> {
+    Ok(sqlx::query_scalar("SELECT id FROM job WHERE number = ?").bind(job).fetch_one(connection).await?)
+}
+
 /// Checks how many rows a transition changed.
 fn counted(what: &'static str, expected: u64, done: &sqlx::sqlite::SqliteQueryResult) -> Result<()> {
     let changed = done.rows_affected();

@@ -1,5 +1,7 @@
 //! `sdfarm selftest`: whether this machine renders the right bits.
 
+mod first;
+
 use std::time::Instant;
 
 use anyhow::Context;
@@ -11,6 +13,8 @@ use worker::{Cancel, CpuRenderer, Pixels, RenderError, Renderer, Simd, TileRun};
 use crate::arguments::{Device, RendererArguments};
 use crate::shipped;
 use crate::terminal::say;
+
+pub(crate) use first::prove;
 
 const LEVELS: [Simd; 4] = [Simd::Scalar, Simd::Sse42, Simd::Avx2, Simd::Avx512];
 const LAYERS: [Layer; 6] = [Layer::Depth, Layer::Normal, Layer::Position, Layer::Albedo, Layer::Object, Layer::Steps];

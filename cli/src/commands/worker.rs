@@ -8,9 +8,12 @@ use tokio_util::sync::CancellationToken;
 use worker::agent::{self, AgentConfig, AgentError};
 
 use crate::arguments::{AccessArguments, RendererArguments};
+use crate::commands::selftest::prove;
 use crate::failure::NoDevice;
 use crate::signals::Signals;
 
+/// The device of a renderer on a processor.
+const CPU: &str = "cpu";
 /// How far a server's own workers give way to it.
 const POOL_NICENESS: i32 = 10;
 
@@ -41,6 +44,10 @@ pub(crate) async fn run(arguments: Arguments) -> anyhow::Result<()> {
     let signals = Signals::catch()?;
     let shutdown = CancellationToken::new();
     let renderer = arguments.renderer.renderer().map_err(|error| NoDevice(error.into()))?;
+    if renderer.device() == CPU {
+        // A GPU has proved itself when it was started.
+        prove(&*renderer).map_err(NoDevice)?;
+    }
     // The pool's children bring its token; a key in the server's surroundings is not theirs.
     let access = match std::env::var(TOKEN_VARIABLE) {
         Ok(token) => arguments.access.with_key(token.into())?,

@@ -55,6 +55,11 @@ impl Caller {
         }
     }
 
+    /// The name whose jobs are all that it sees; `None` if it sees every job.
+    pub(crate) fn sees_only(&self) -> Option<&str> {
+        self.key().filter(|key| !key.scopes().allow(Scope::Read)).map(|key| key.name())
+    }
+
     /// The key, if it is one.
     pub(crate) fn key(&self) -> Option<&Arc<Key>> {
         match self {

@@ -103,7 +103,8 @@ pub(super) async fn submit(
     if farm.closing.is_cancelled() && !query.dry_run {
         return Err(ApiError::Closing);
     }
-    if !query.dry_run {
+    let is_known = wish::is_known(&farm, &caller, &headers).await?;
+    if !query.dry_run && !is_known {
         quota::check_jobs(&farm, &caller).await?;
     }
     let keep: Option<Keep> = match query.keep.as_deref().map(str::parse).transpose() {
@@ -122,7 +123,9 @@ pub(super) async fn submit(
         let frames = plan.frames.into();
         return Ok(Json(DryRun { valid: true, tiles, frames, rays, estimate, warnings }).into_response());
     }
-    quota::check_rays(&farm, &caller, plan.rays_total()).await?;
+    if !is_known {
+        quota::check_rays(&farm, &caller, plan.rays_total()).await?;
+    }
     let id = JobId::new();
     let new = NewJob {
         id,
@@ -158,6 +161,8 @@ fn file_text(text: bytes::Bytes) -> Result<String, ApiError> {
 }
 
 /// List jobs, newest first.
+///
+/// A key that may submit but not read sees those of its own name.
 #[utoipa::path(
     get, path = "/v1/jobs", tag = "jobs", operation_id = "list_jobs",
     params(
@@ -170,7 +175,7 @@ fn file_text(text: bytes::Bytes) -> Result<String, ApiError> {
         (status = 422, description = "Wrong query", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
     )
 )]
-pub(super) async fn list(State(farm): State<Arc<Farm>>, uri: Uri) -> Result<Json<JobPage>, ApiError> {
+pub(super) async fn list(State(farm): State<Arc<Farm>>, caller: Caller, uri: Uri) -> Result<Json<JobPage>, ApiError> {
     let query: ListQuery = body::read_query(&uri)?;
     let limit = query.limit.unwrap_or(PAGE);
     if !(1..=MAX_PAGE).contains(&limit) {
@@ -182,7 +187,7 @@ pub(super) async fn list(State(farm): State<Arc<Farm>>, uri: Uri) -> Result<Json
             ApiError::WrongQuery(format!("{cursor:?} is no cursor: pass the next_cursor of the page before"))
         })?),
     };
-    Ok(Json(farm.queue.jobs(query.state, limit, before).await?))
+    Ok(Json(farm.queue.jobs(caller.sees_only(), query.state, limit, before).await?))
 }
 
 /// Look at a job.

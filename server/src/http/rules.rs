@@ -21,7 +21,7 @@ pub(super) fn need(method: &Method, route: &str) -> Need {
         return Need::Nothing;
     }
     match route {
-        "/v1/jobs" if looks => Need::Scope(Scope::Read),
+        "/v1/jobs" if looks => Need::OwnJob(Scope::Read),
         "/v1/jobs" if *method == Method::POST => Need::Scope(Scope::Submit),
         // Who may look at a picture may pass on a link to it.
         _ if route.starts_with("/v1/jobs/{id}") && (looks || route.ends_with("/link")) => Need::OwnJob(Scope::Read),

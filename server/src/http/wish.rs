@@ -3,7 +3,9 @@
 use axum::http::{HeaderMap, Uri};
 use reqwest::Url;
 
+use super::caller::Caller;
 use super::error::ApiError;
+use crate::farm::Farm;
 use crate::queue::{NewWebhook, Once, Wish};
 use crate::webhooks::{EVENTS, FINAL_EVENTS, Guard};
 
@@ -51,6 +53,14 @@ pub(super) fn read(uri: &Uri, headers: &HeaderMap, text: &[u8], guard: &Guard) -
     let webhooks = urls.into_iter().map(|url| NewWebhook { url, events: events.clone() }).collect();
     let once = key(headers)?.map(|key| Once { key, fingerprint: fingerprint(uri, headers, text) });
     Ok(Wish { once, webhooks })
+}
+
+/// Whether this wish was granted before, so that it takes no more room in the queue.
+pub(super) async fn is_known(farm: &Farm, caller: &Caller, headers: &HeaderMap) -> Result<bool, ApiError> {
+    match key(headers)? {
+        Some(key) => Ok(farm.queue.has_wish(caller.name(), &key).await?),
+        None => Ok(false),
+    }
 }
 
 fn webhook_url(text: &str, guard: &Guard) -> Result<String, ApiError> {

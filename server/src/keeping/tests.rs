@@ -69,7 +69,7 @@ async fn a_farm_of_the_first_release_is_brought_up_to_date_with_all_that_is_in_i
     let (clock, _hand) = crate::clock::Clock::by_hand();
     let (queue, recovered) = crate::queue::Queue::open(store.into(), clock, 1000).await.expect("opens");
     assert_eq!((recovered.generation, recovered.jobs, recovered.leases), (5, 1, 1));
-    let page = queue.jobs(None, 10, None).await.expect("lists");
+    let page = queue.jobs(None, None, 10, None).await.expect("lists");
     let seen: Vec<(&str, &str, u64)> =
         page.jobs.iter().map(|job| (job.name.as_str(), job.state.name(), job.frames.done)).collect();
     assert_eq!(seen, [("waiting", "running", 0), ("old", "succeeded", 1)]);

@@ -194,7 +194,8 @@ pub(super) async fn give_up(
             kill(connection, held, counters).await?;
             let place = if held.stitch { "could not be stitched" } else { "could not be rendered" };
             let message = format!("frame {} {place}: {message}", held.frame);
-            tracing::warn!(job = held.job, tile = held.tile, %message, "a tile is dead");
+            let job = super::id_of(connection, held.job).await?;
+            tracing::warn!(%job, frame = held.frame, tile = held.tile, %message, "a tile is dead");
             end::fail(connection, held.job, &message, moment).await?;
             Ok(Ring::NEWS)
         }
@@ -314,7 +315,8 @@ pub(super) async fn rescue(connection: &mut Connection, moment: Moment) -> Resul
     for lease in &expired {
         // A job that failed a moment ago took its other leases along.
         let Some(held) = live(connection, lease).await? else { continue };
-        tracing::warn!(%lease, worker = %held.worker, job = held.job, "a lease ran out");
+        let job = super::id_of(connection, held.job).await?;
+        tracing::warn!(%lease, worker = %held.worker, %job, frame = held.frame, tile = held.tile, "a lease ran out");
         ring.add(give_up(connection, &held, Cause::Lost, "its workers vanished again and again", moment).await?);
         count += 1;
     }

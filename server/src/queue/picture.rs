@@ -154,12 +154,13 @@ async fn remember(connection: &mut Connection, picture: &Picture<'_>, key: &str,
     .execute(&mut *connection)
     .await?;
     let first: String =
-        sqlx::query_scalar("SELECT hash FROM picture WHERE key = ?").bind(key).fetch_one(connection).await?;
+        sqlx::query_scalar("SELECT hash FROM picture WHERE key = ?").bind(key).fetch_one(&mut *connection).await?;
     if first == picture.hash {
         return Ok(0);
     }
+    let job = super::id_of(connection, picture.job).await?;
     tracing::error!(
-        code = "nondeterministic_picture", job = picture.job, frame = picture.frame, %first,
+        code = "nondeterministic_picture", %job, frame = picture.frame, %first,
         second = picture.hash, "one picture was rendered in two ways; later jobs are shown the first"
     );
     Ok(1)

@@ -50,7 +50,8 @@ pub(super) async fn reopen(
     }
     ring.add(Ring::WORK);
     ring.add(lease::void_others(connection, [held.tile]).await?);
-    tracing::warn!(job = held.job, frame = held.frame, tiles = rays.len(), "blobs are damaged; rendering them again");
+    let job = super::id_of(connection, held.job).await?;
+    tracing::warn!(%job, frame = held.frame, tiles = rays.len(), "blobs are damaged; rendering them again");
     let void = sqlx::query("UPDATE tile SET state = 'void' WHERE id = ? AND state IN ('ready', 'leased')")
         .bind(held.tile)
         .execute(&mut *connection)

@@ -80,7 +80,8 @@ pub(super) async fn claim(
             again_ms = Some(again_ms.map_or(left_ms, |again_ms| again_ms.min(left_ms)));
             continue;
         }
-        tracing::info!(job = old.job, frame = old.frame, holder = %old.worker, "a straggler is leased once more");
+        let job = super::id_of(connection, old.job).await?;
+        tracing::info!(%job, frame = old.frame, holder = %old.worker, "a straggler is leased once more");
         return Ok(Straggling::Run(lease_again(connection, &old, view, claimant, moment).await?));
     }
     Ok(Straggling::Nothing(again_ms))

@@ -33,7 +33,8 @@ pub(super) async fn note(connection: &mut Connection, worker: &str, job: i64, mo
     if errors != ERRORS_BEFORE_BAR {
         return Ok(());
     }
-    tracing::warn!(worker, job, errors, "a worker erred too often in a job; others are offered it first");
+    let job = super::id_of(connection, job).await?;
+    tracing::warn!(worker, %job, errors, "a worker erred too often in a job; others are offered it first");
     quarantine(connection, worker, moment).await
 }
 

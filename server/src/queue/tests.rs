@@ -205,7 +205,7 @@ async fn an_operation_that_fails_takes_no_other_with_it() {
     let (good, bad) = tokio::join!(futures_util::future::join_all(good), futures_util::future::join_all(bad));
     assert!(good.iter().all(Result::is_ok), "{good:?}");
     assert!(bad.iter().all(Result::is_err), "an id is taken once");
-    assert_eq!(bench.queue.jobs(None, 1000, None).await.expect("lists").jobs.len(), 21);
+    assert_eq!(bench.queue.jobs(None, None, 1000, None).await.expect("lists").jobs.len(), 21);
 }
 
 #[tokio::test]

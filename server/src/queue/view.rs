@@ -109,15 +109,29 @@ impl Queue {
         row.map(|row| read_job(&row, self.clock.wall_ms())).transpose()
     }
 
-    /// A page of jobs, newest first, from below `before`.
-    pub(crate) async fn jobs(&self, state: Option<JobState>, limit: u32, before: Option<i64>) -> Result<JobPage> {
-        let before = before.unwrap_or(i64::MAX);
-        let query = match state {
-            None => sqlx::query(jobs_where!("number < ? ORDER BY number DESC LIMIT ?")).bind(before),
-            Some(state) => sqlx::query(jobs_where!("state = ? AND number < ? ORDER BY number DESC LIMIT ?"))
-                .bind(state.name())
-                .bind(before),
+    /// A page of jobs, newest first, from below `before`; only those of a submitter, if one is named.
+    pub(crate) async fn jobs(
+        &self,
+        submitter: Option<&str>,
+        state: Option<JobState>,
+        limit: u32,
+        before: Option<i64>,
+    ) -> Result<JobPage> {
+        let query = match (submitter, state) {
+            (None, None) => sqlx::query(jobs_where!("number < ? ORDER BY number DESC LIMIT ?")),
+            (None, Some(state)) => {
+                sqlx::query(jobs_where!("state = ? AND number < ? ORDER BY number DESC LIMIT ?")).bind(state.name())
+            }
+            (Some(submitter), None) => {
+                sqlx::query(jobs_where!("submitter = ? AND number < ? ORDER BY number DESC LIMIT ?")).bind(submitter)
+            }
+            (Some(submitter), Some(state)) => {
+                sqlx::query(jobs_where!("submitter = ? AND state = ? AND number < ? ORDER BY number DESC LIMIT ?"))
+                    .bind(submitter)
+                    .bind(state.name())
+            }
         };
+        let query = query.bind(before.unwrap_or(i64::MAX));
         let mut rows = query.bind(limit + 1).fetch_all(self.readers()).await?;
         let more = rows.len() > limit as usize;
         rows.truncate(limit as usize);

@@ -65,6 +65,16 @@ impl Queue {
         Ok(submitted)
     }
 
+    /// Whether a submitter's wish of this name was granted before.
+    pub(crate) async fn has_wish(&self, submitter: &str, key: &str) -> Result<bool> {
+        let known: Option<i64> = sqlx::query_scalar("SELECT 1 FROM idempotency WHERE submitter = ? AND key = ?")
+            .bind(submitter)
+            .bind(key)
+            .fetch_optional(self.readers())
+            .await?;
+        Ok(known.is_some())
+    }
+
     /// Drops names of wishes that are kept long enough; returns how many.
     pub(crate) async fn prune_wishes(&self) -> Result<u64> {
         let made_before_ms = self.clock.wall_ms() - KEEP_MS;

@@ -82,7 +82,7 @@ async fn submitter_sees_and_ends_its_own_jobs_only() {
     let denied = send(&farm, &bert, Method::POST, &format!("{path}/cancel"), "").await;
     assert_eq!(denied.headers()["www-authenticate"], "Bearer error=\"insufficient_scope\", scope=\"admin\"");
     refused(denied, 403, "missing_scope").await;
-    refused(send(&farm, &anna, Method::GET, "/v1/jobs", "").await, 403, "missing_scope").await;
+    refused(send(&farm, &anna, Method::GET, "/v1/workers", "").await, 403, "missing_scope").await;
     assert_eq!(send(&farm, &anna, Method::POST, &format!("{path}/cancel"), "").await.status(), StatusCode::OK);
     assert_eq!(send(&farm, &anna, Method::DELETE, &path, "").await.status(), StatusCode::NO_CONTENT);
     farm.stop().await;
@@ -305,4 +305,43 @@ async fn exposed_address_is_refused_until_there_is_a_key() {
     keys.make(new_key("root", &[Scope::Admin])).await.expect("a key");
     keys.close().await.expect("closes");
     exposed().await.expect("there is a key");
+}
+
+#[tokio::test]
+async fn submitter_lists_the_jobs_of_its_own_name() {
+    let (farm, admin) = locked_farm().await;
+    let mut ids = Vec::new();
+    for name in ["anna", "bert"] {
+        let key = make(&farm, &admin, &new_key(name, &[Scope::Submit])).await.secret;
+        let job = send(&farm, &key, Method::POST, "/v1/jobs", small_job(1).to_string()).await;
+        let job: Value = read(job, StatusCode::CREATED).await;
+        for path in ["/v1/jobs", "/v1/jobs?state=queued", "/v1/jobs?limit=1"] {
+            let page: Value = read(send(&farm, &key, Method::GET, path, "").await, StatusCode::OK).await;
+            let listed: Vec<&Value> = page["jobs"].as_array().expect("jobs").iter().map(|job| &job["id"]).collect();
+            assert_eq!(listed, [&job["id"]], "{name} {path}");
+            assert_eq!(page["next_cursor"], Value::Null, "{name} {path}");
+        }
+        ids.push(job["id"].clone());
+    }
+    let reader = make(&farm, &admin, &new_key("reader", &[Scope::Read])).await.secret;
+    let page: Value = read(send(&farm, &reader, Method::GET, "/v1/jobs", "").await, StatusCode::OK).await;
+    let listed: Vec<&Value> = page["jobs"].as_array().expect("jobs").iter().map(|job| &job["id"]).collect();
+    assert_eq!(listed, [&ids[1], &ids[0]]);
+    farm.stop().await;
+}
+
+#[tokio::test]
+async fn wish_that_was_granted_is_answered_also_when_the_quota_is_used_up() {
+    let (farm, admin) = locked_farm().await;
+    let key = NewKey { max_jobs: Some(1), ..new_key("anna", &[Scope::Submit]) };
+    let anna = make(&farm, &admin, &key).await.secret;
+    let wish = async |name: &str| {
+        let request = farm.client.post(farm.url("/v1/jobs")).header(AUTHORIZATION, format!("Bearer {anna}"));
+        in_time(request.header("idempotency-key", name).body(small_job(1).to_string()).send()).await.expect("an answer")
+    };
+    let first: Value = read(wish("one").await, StatusCode::CREATED).await;
+    let again: Value = read(wish("one").await, StatusCode::OK).await;
+    assert_eq!(first["id"], again["id"]);
+    refused(wish("two").await, 429, "quota").await;
+    farm.stop().await;
 }

@@ -22,6 +22,8 @@ enum Row {
     Read,
     /// Whoever may submit.
     Submit,
+    /// Whoever may read, and who may submit: that one sees its own.
+    ReadOrSubmit,
     /// Whoever may read, and whose job it is.
     ReadOrOwn,
     /// Whose job it is.
@@ -32,7 +34,7 @@ enum Row {
     Admin,
 }
 
-use Row::{Admin, Open, Own, Read, ReadOrOwn, Submit, Worker};
+use Row::{Admin, Open, Own, Read, ReadOrOwn, ReadOrSubmit, Submit, Worker};
 
 const ROWS: &[(&str, Row)] = &[
     ("GET /livez", Open),
@@ -44,7 +46,7 @@ const ROWS: &[(&str, Row)] = &[
     ("GET /v1/farm", Read),
     ("POST /v1/farm/pause", Admin),
     ("POST /v1/farm/resume", Admin),
-    ("GET /v1/jobs", Read),
+    ("GET /v1/jobs", ReadOrSubmit),
     ("POST /v1/jobs", Submit),
     ("GET /v1/jobs/{id}", ReadOrOwn),
     ("PATCH /v1/jobs/{id}", Own),
@@ -108,10 +110,10 @@ fn expected(row: Row, bearer: Bearer) -> Option<StatusCode> {
     match bearer {
         _ if row == Open => None,
         Bearer::Nobody | Bearer::Unknown | Bearer::Expired | Bearer::Revoked => Some(StatusCode::UNAUTHORIZED),
-        Bearer::Reader => in_if([Read, ReadOrOwn].contains(&row)),
+        Bearer::Reader => in_if([Read, ReadOrOwn, ReadOrSubmit].contains(&row)),
         Bearer::Worker => in_if(row == Worker),
-        Bearer::Stranger => in_if(row == Submit),
-        Bearer::Owner => in_if([Submit, ReadOrOwn, Own].contains(&row)),
+        Bearer::Stranger => in_if([Submit, ReadOrSubmit].contains(&row)),
+        Bearer::Owner => in_if([Submit, ReadOrSubmit, ReadOrOwn, Own].contains(&row)),
         Bearer::Admin => None,
     }
 }

@@ -83,7 +83,9 @@ async fn ask(bench: &Bench) {
     let id = new.id;
     let number = queue.submit(new).await.expect("accepted");
     for state in [None, Some(JobState::Running), Some(JobState::Queued)] {
-        queue.jobs(state, 10, None).await.expect("lists");
+        for submitter in [None, Some("local")] {
+            queue.jobs(submitter, state, 10, None).await.expect("lists");
+        }
     }
     let hashes = ["0".repeat(64), "1".repeat(64)];
     queue.file(id).await.expect("reads");

@@ -1,0 +1,63 @@
+//! The tile that a worker renders before it asks for any: a machine that gets it wrong renders for no farm.
+//!
+//! It is small, so that a worker still starts in a moment; `sdfarm selftest` looks at far more.
+
+use anyhow::ensure;
+use worker::Renderer;
+
+use super::{hash, job, render, with_layers};
+
+/// The shipped scene that it shows.
+const SCENE: &str = "csg";
+/// Its width.
+const WIDTH_PX: u32 = 96;
+/// The hash of its pixels, with every layer, on every device.
+const HASH: &str = "2656b184d41049b590c442b2ba6237bf";
+
+/// Renders the tile, and says if it is not what it has to be.
+pub(crate) fn prove(renderer: &dyn Renderer) -> anyhow::Result<()> {
+    let job = with_layers(job(SCENE)?, Some(WIDTH_PX));
+    let found = hash(&job, &render(renderer, &job, None)?);
+    ensure!(
+        found == HASH,
+        "{} does not render the right bits: its first tile is {found}, and should be {HASH}; look into it with \
+         `sdfarm selftest`, and let it render for no farm until that succeeds",
+        renderer.device()
+    );
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use worker::{Cancel, CpuRenderer, Pixels, RenderError, Simd, TileRun};
+
+    /// One bit of what it renders is wrong.
+    struct Bad(CpuRenderer);
+
+    impl Renderer for Bad {
+        fn device(&self) -> String {
+            self.0.device()
+        }
+
+        fn render(
+            &self,
+            run: &TileRun<'_>,
+            cancel: &Cancel,
+            progress: &(dyn Fn(u64) + Sync),
+        ) -> Result<Pixels, RenderError> {
+            let mut pixels = self.0.render(run, cancel, progress)?;
+            let value = pixels.planes[0].last_mut().expect("a pixel");
+            *value = f32::from_bits(value.to_bits() ^ 1);
+            Ok(pixels)
+        }
+    }
+
+    #[test]
+    fn sound_machine_passes_and_one_wrong_bit_does_not() {
+        let sound = CpuRenderer::new(Some(1), Simd::Auto).expect("this machine renders");
+        prove(&sound).expect("the right bits");
+        let told = prove(&Bad(sound)).expect_err("a wrong bit").to_string();
+        assert!(told.contains("does not render the right bits"), "{told}");
+    }
+}
