@@ -8,6 +8,7 @@ mod chance;
 mod messages;
 mod pictures;
 mod requests;
+mod stored;
 
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::time::{Duration, Instant};

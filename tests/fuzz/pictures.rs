@@ -44,7 +44,7 @@ fn fuzzed_blobs_are_read_whole_or_refused() {
 const SIZE: Rect = Rect { x: 0, y: 0, width: 9, height: 5 };
 
 /// A small picture's job, in a format.
-fn job(image: serde_json::Value) -> scene::Job {
+pub(super) fn job(image: serde_json::Value) -> scene::Job {
     let mut job = jobs::quick();
     job["image"] = image;
     job["image"]["width"] = SIZE.width.into();
@@ -53,7 +53,7 @@ fn job(image: serde_json::Value) -> scene::Job {
 }
 
 /// A tile whose samples are these bytes, over and over; what a renderer never gives, not a number, is left out.
-fn tile_of(bytes: &[u8], planes: usize) -> Pixels {
+pub(super) fn tile_of(bytes: &[u8], planes: usize) -> Pixels {
     let floats: Vec<f32> = bytes.as_chunks::<4>().0.iter().map(|&bytes| f32::from_le_bytes(bytes)).collect();
     let sound = floats.into_iter().map(|sample| if sample.is_nan() { 0.5 } else { sample }).chain([0.25]);
     let mut samples = sound.collect::<Vec<_>>().into_iter().cycle();
@@ -61,14 +61,14 @@ fn tile_of(bytes: &[u8], planes: usize) -> Pixels {
     Pixels { rect: SIZE, planes: (0..planes).map(|_| samples.by_ref().take(pixels).collect()).collect() }
 }
 
-fn written(job: &scene::Job, tile: Pixels) -> Vec<u8> {
+pub(super) fn written(job: &scene::Job, tile: Pixels) -> Vec<u8> {
     let picture = Picture::of(&job.at(0).expect("a first frame"));
     let mut out = Cursor::new(Vec::new());
     picture.write(&mut Tiles(&[tile]), &mut out, &Cancel::new()).expect("any samples can be written");
     out.into_inner()
 }
 
-fn samples() -> Vec<Vec<u8>> {
+pub(super) fn samples() -> Vec<Vec<u8>> {
     let sorts =
         [0.0, -0.0, 1.0, 0.5, -1.0, 1e-40, 1e-8, 65504.0, 65520.0, 1e30, f32::INFINITY, f32::NEG_INFINITY, f32::MAX];
     let all: Vec<u8> = sorts.iter().flat_map(|sample: &f32| sample.to_le_bytes()).collect();

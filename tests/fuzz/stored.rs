@@ -1,0 +1,69 @@
+//! Stored pictures with spoilt files: the child that draws previews of them draws something, or says that it can't.
+
+use std::io::{Read, Write};
+use std::process::Stdio;
+
+use serde_json::{Value, json};
+
+use super::fuzz;
+use super::pictures::{job, samples, tile_of, written};
+use crate::support::sdfarm;
+
+/// No preview is wider.
+const WIDTH_PX: u32 = 7;
+
+/// Sound files of every kind that is stored.
+fn files() -> Vec<Vec<u8>> {
+    let images: [Value; 4] = [
+        json!({ "format": "png" }),
+        json!({ "format": "png", "bits": 16 }),
+        json!({ "format": "exr" }),
+        json!({ "format": "exr", "precision": "float", "layers": ["depth", "normal"] }),
+    ];
+    let file = |image: Value| {
+        let job = job(image);
+        let planes = job.image.channels().len();
+        written(&job, tile_of(&samples()[0], planes))
+    };
+    images.map(file).to_vec()
+}
+
+/// What the child answers, and how it ended. Its standard input stays open as long as it lives.
+fn sketched(line: &str) -> (Vec<u8>, String, Option<i32>) {
+    let mut command = sdfarm(&[proto::sketch::COMMAND]);
+    let mut child = command
+        .stdin(Stdio::piped())
+        .stdout(Stdio::piped())
+        .stderr(Stdio::piped())
+        .spawn()
+        .expect("the program starts");
+    let mut input = child.stdin.take().expect("piped");
+    writeln!(input, "{line}").expect("a child that reads");
+    let (mut answer, mut words) = (Vec::new(), String::new());
+    child.stdout.take().expect("piped").read_to_end(&mut answer).expect("readable");
+    child.stderr.take().expect("piped").read_to_string(&mut words).expect("text");
+    let status = child.wait().expect("it ends");
+    (answer, words, status.code())
+}
+
+#[test]
+fn fuzzed_stored_pictures_are_drawn_or_refused() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let path = folder.path().join("picture");
+    let line = json!({ "what": "stored", "file": path, "width_px": WIDTH_PX }).to_string();
+    let mut drawn = 0;
+    fuzz("stored pictures", &files(), |bytes| {
+        std::fs::write(&path, bytes).expect("written");
+        let (answer, words, code) = sketched(&line);
+        match code {
+            Some(0) => {
+                let reader = png::Decoder::new(std::io::Cursor::new(&answer)).read_info().expect("a PNG");
+                assert!(reader.info().width <= WIDTH_PX, "{} is too wide", reader.info().width);
+                drawn += 1;
+            }
+            Some(1) => assert!(words.starts_with("error: "), "{words}"),
+            _ => panic!("{code:?}: {words}"),
+        }
+    });
+    assert!(drawn >= files().len(), "sound files are drawn");
+}
