@@ -20,7 +20,7 @@ const STEPS: f64 = 10_000.0;
 
 /// Waits until the job has succeeded; a job that failed or was cancelled is an error.
 pub(crate) async fn until_done(client: &Client, id: JobId) -> anyhow::Result<JobView> {
-    let job = client.job(id).await?;
+    let job = first_look(client, id).await?;
     let progress = Progress::new(&job.name, STEPS as u64);
     let job = match Following::new(client, id).until_final(&progress, job).await {
         Err(ClientError::Foreign { .. }) => poll(client, id, &progress).await?,
@@ -35,6 +35,25 @@ pub(crate) async fn until_done(client: &Client, id: JobId) -> anyhow::Result<Job
         }
         JobState::Cancelled => anyhow::bail!("job {id} was cancelled"),
         JobState::Queued | JobState::Running => unreachable!("following ends at final states"),
+    }
+}
+
+/// How the job stands. A server that took the connection and then was gone is waited for; one that nobody ever
+/// reached is not.
+async fn first_look(client: &Client, id: JobId) -> Result<JobView, ClientError> {
+    let begun = Instant::now();
+    let mut was_there = false;
+    loop {
+        match client.job(id).await {
+            Err(error) if is_away(&error) && begun.elapsed() < PATIENCE => {
+                was_there |= !matches!(error, ClientError::Unreachable { .. });
+                if !was_there {
+                    return Err(error);
+                }
+            }
+            looked => return looked,
+        }
+        tokio::time::sleep(LONGEST_WAIT).await;
     }
 }
 
