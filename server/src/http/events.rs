@@ -37,7 +37,7 @@ struct EventsQuery {
         ("Last-Event-ID" = Option<String>, Header, description = "The last event that was read"),
     ),
     responses(
-        (status = 200, description = "Events, as they happen", body = String, content_type = "text/event-stream"),
+        (status = 200, description = "Events, as they happen", body = serde_json::Value, content_type = "text/event-stream"),
         (status = 204, description = "The job has ended, and nothing follows that event"),
         (status = 404, description = "No such job", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
         (status = 422, description = "The id is none that was told", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
