@@ -50,7 +50,7 @@ pub(crate) use counts::Counts;
 pub(crate) use end::{Cancelled, Deleted};
 pub(crate) use events::Event;
 pub(crate) use frames::{Frames, StoredFrame};
-pub(crate) use lease::Cause;
+pub(crate) use lease::{Cause, jitter};
 pub(crate) use open::{Opened, Opening};
 pub(crate) use pause::Paused;
 pub(crate) use previews::{Parts, Present};

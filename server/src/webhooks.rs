@@ -18,7 +18,7 @@ use tokio::task::JoinSet;
 use tokio_util::sync::CancellationToken;
 
 use crate::farm::Farm;
-use crate::queue::{Attempt, Delivery};
+use crate::queue::{Attempt, Delivery, jitter};
 use crate::store::StoreError;
 
 pub use guard::AddressRange;
@@ -195,11 +195,6 @@ fn message(delivery: &Delivery) -> String {
 fn wait(attempts: u32, jitter: f64) -> Option<Duration> {
     let seconds = *WAITS_SECONDS.get(attempts as usize)?;
     Some(Duration::from_secs(seconds).mul_f64(0.8 + 0.4 * jitter))
-}
-
-/// From 0 to 1, different each time.
-fn jitter() -> f64 {
-    f64::from(uuid::Uuid::new_v4().as_fields().0) / f64::from(u32::MAX)
 }
 
 /// An error with its causes, in one line.

@@ -80,7 +80,7 @@ async fn take_blobs(
         match live.remove(&lease.to_string()) {
             None => {
                 delivered.lost.push(lease);
-                delivered.nondeterministic += compare(connection, lease, hash).await?;
+                delivered.nondeterministic += compare(connection, FIRST_BLOB, lease, hash).await?;
             }
             Some(held) if held.stitch => {
                 let message = "its worker answered with what was not asked for";
@@ -124,17 +124,22 @@ async fn take_other(
     Ok(())
 }
 
-/// A late result has no effect, but it must be the same as the first; how many are not.
-async fn compare(connection: &mut Connection, lease: LeaseId, hash: &str) -> Result<u64> {
+/// The blob that a lease's tile has, if it is done.
+const FIRST_BLOB: &str = "SELECT tile.blob FROM lease JOIN tile ON tile.id = lease.tile WHERE lease.id = ?";
+
+/// A late result has no effect, but it must be the same as the first, which the statement finds; how many are not.
+pub(super) async fn compare(
+    connection: &mut Connection,
+    statement: &'static str,
+    lease: LeaseId,
+    hash: &str,
+) -> Result<u64> {
     let first: Option<Option<String>> =
-        sqlx::query_scalar("SELECT tile.blob FROM lease JOIN tile ON tile.id = lease.tile WHERE lease.id = ?")
-            .bind(lease.to_string())
-            .fetch_optional(connection)
-            .await?;
+        sqlx::query_scalar(statement).bind(lease.to_string()).fetch_optional(connection).await?;
     let Some(first) = first.flatten().filter(|first| first != hash) else { return Ok(0) };
     tracing::error!(
         code = "nondeterministic_tile", %lease, %first, second = hash,
-        "two workers rendered one tile differently; the first result stays"
+        "two workers rendered one tile or frame differently; the first result stays"
     );
     Ok(1)
 }

@@ -327,8 +327,8 @@ pub(super) async fn rescue(connection: &mut Connection, moment: Moment) -> Resul
     Ok((count, ring))
 }
 
-/// From 0 to 1, different each time.
-fn jitter() -> f64 {
+/// From 0 to 1, different each time, so that what failed together does not come again together.
+pub(crate) fn jitter() -> f64 {
     f64::from(uuid::Uuid::new_v4().as_fields().0) / f64::from(u32::MAX)
 }
 

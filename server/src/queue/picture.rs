@@ -7,7 +7,7 @@ use std::collections::BTreeMap;
 use proto::{LeaseId, WorkerId};
 use sqlx::Row;
 
-use super::deliver::{Delivered, note_pace};
+use super::deliver::{Delivered, compare, note_pace};
 use super::lease::{self, Cause, Held};
 use super::{Connection, Moment, Result, Ring, counted, end, rows};
 use crate::store::StoreError;
@@ -26,7 +26,7 @@ pub(super) async fn take(
     let live: Vec<&str> = held.iter().map(|held| held.lease.as_str()).collect();
     for lease in leases.iter().filter(|lease| !live.contains(&lease.to_string().as_str())) {
         delivered.lost.push(*lease);
-        delivered.nondeterministic += compare(connection, *lease, hash).await?;
+        delivered.nondeterministic += compare(connection, FIRST_PICTURE, *lease, hash).await?;
     }
     let mut frames: BTreeMap<(i64, u32), Vec<Held>> = BTreeMap::new();
     for held in held {
@@ -123,22 +123,9 @@ async fn finish_all(connection: &mut Connection, held: &[Held]) -> Result<Ring> 
     lease::void_others(connection, held.iter().map(|held| held.tile)).await
 }
 
-/// A late picture has no effect, but it must be the same as the first; how many are not.
-async fn compare(connection: &mut Connection, lease: LeaseId, hash: &str) -> Result<u64> {
-    let first: Option<Option<String>> = sqlx::query_scalar(
-        "SELECT frame.picture FROM lease JOIN tile ON tile.id = lease.tile
-         JOIN frame ON frame.job = tile.job AND frame.number = tile.frame WHERE lease.id = ?",
-    )
-    .bind(lease.to_string())
-    .fetch_optional(connection)
-    .await?;
-    let Some(first) = first.flatten().filter(|first| first != hash) else { return Ok(0) };
-    tracing::error!(
-        code = "nondeterministic_tile", %lease, %first, second = hash,
-        "two workers rendered one frame differently; the first result stays"
-    );
-    Ok(1)
-}
+/// The picture that a lease's frame has, if it is stored.
+const FIRST_PICTURE: &str = "SELECT frame.picture FROM lease JOIN tile ON tile.id = lease.tile
+     JOIN frame ON frame.job = tile.job AND frame.number = tile.frame WHERE lease.id = ?";
 
 /// Lets later jobs have the picture; the first one of a key stays. How many differ from it.
 async fn remember(connection: &mut Connection, picture: &Picture<'_>, key: &str, moment: Moment) -> Result<u64> {
