@@ -5,6 +5,7 @@ mod crowd;
 mod network;
 mod nth;
 mod points;
+mod remote;
 
 use std::fs;
 use std::net::TcpListener;

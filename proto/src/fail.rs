@@ -47,9 +47,9 @@ points! {
     Claimed = "claimed",
     /// Server: a group is committed, nobody is answered.
     GroupCommitted = "group_committed",
-    /// Server: a tile's blob is in the store, its worker has not heard so.
+    /// Server: a tile's blob from elsewhere is in the store, its worker has not heard so.
     BlobStored = "blob_stored",
-    /// Server: a picture is flushed to the disk, no row shows it.
+    /// Server: a picture from elsewhere is flushed to the disk, no row shows it.
     PictureStored = "picture_stored",
     /// Server: leftover bytes are known to be unneeded, and still there.
     Sweeping = "sweeping",
@@ -57,9 +57,9 @@ points! {
     DatabaseWrite = "database_write",
     /// Server: a group of operations is about to be committed.
     DatabaseCommit = "database_commit",
-    /// Server: bytes are about to be stored.
+    /// Server, or a worker of its pool: bytes are about to be stored.
     StorePut = "store_put",
-    /// Server: stored bytes are about to be read.
+    /// Server, or a worker of its pool: stored bytes are about to be read.
     StoreGet = "store_get",
     /// Worker: a blob is put, its tile is not reported.
     BlobPut = "blob_put",

@@ -56,7 +56,22 @@ pub struct Welcome {
     pub worker: WorkerId,
     /// Length of a lease, in milliseconds. A worker that could not sync for two thirds of it stops rendering.
     pub lease_ms: u64,
+    /// Where a worker on the server's own machine puts and gets bytes by itself; `None`: by the routes of this module.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub folders: Option<Folders>,
 }
+
+/// A server's folders, in which each file is named by the BLAKE3 of its bytes in hex.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Folders {
+    /// Of tile blobs.
+    pub blobs: String,
+    /// Of pictures: a file in it, and its name, are flushed to the disk before they are reported.
+    pub pictures: String,
+}
+
+/// What stands in the name of a file that is not whole yet, after the name it will have.
+pub const HALF_DONE: char = '#';
 
 /// One call does it all: heartbeat, results, and the wish for more.
 #[derive(Clone, Debug, Serialize, Deserialize)]

@@ -10,7 +10,7 @@ use tokio::sync::mpsc;
 use tokio_util::sync::CancellationToken;
 
 use crate::farm::{Farm, Leftovers};
-use crate::pictures::Kind;
+use crate::pictures::{self, Kind};
 use crate::retention;
 use crate::store::StoreError;
 
@@ -71,6 +71,11 @@ async fn look_through(farm: &Farm) -> Result<(), StoreError> {
     }
     farm.queue.prune_wishes().await?;
     farm.queue.prune_deliveries().await?;
+    let data = farm.config.data.clone();
+    let removed = tokio::task::spawn_blocking(move || pictures::remove_half_done(&data, UNREPORTED)).await;
+    if let Err(error) = removed.map_err(std::io::Error::other).flatten() {
+        tracing::warn!(%error, "what half-done writes left could not be removed");
+    }
     for kind in [Kind::Blob, Kind::Picture] {
         let names = match old_names(farm, kind).await {
             Ok(names) => names,

@@ -5,6 +5,7 @@
 
 use std::io::{self, SeekFrom};
 use std::path::{Path as FolderPath, PathBuf};
+use std::time::Duration;
 
 use bytes::{Bytes, BytesMut};
 use futures_util::future::TryFutureExt;
@@ -15,6 +16,7 @@ use object_store::{
     GetOptions, GetRange, GetResult, GetResultPayload, ObjectMeta, ObjectStore, ObjectStoreExt, PutPayload,
 };
 use proto::fail::{self, Point};
+use proto::work::HALF_DONE;
 use tokio::io::{AsyncReadExt, AsyncSeekExt};
 use tokio::sync::RwLock;
 use tokio_util::io::ReaderStream;
@@ -43,9 +45,14 @@ impl Kind {
         }
     }
 
+    /// The folder in a data folder.
+    pub(crate) fn path(self, data: &FolderPath) -> PathBuf {
+        data.join(self.folder())
+    }
+
     /// The file of a name in a data folder.
     pub(crate) fn file(self, data: &FolderPath, name: &str) -> PathBuf {
-        data.join(self.folder()).join(name)
+        self.path(data).join(name)
     }
 
     /// The most bytes one may have.
@@ -136,15 +143,9 @@ impl Pictures {
     /// Opens the folders in a data folder, and removes what half-done writes left there.
     pub(crate) fn open(data: &FolderPath) -> io::Result<Self> {
         for kind in [Kind::Picture, Kind::Blob] {
-            let folder = data.join(kind.folder());
-            std::fs::create_dir_all(&folder)?;
-            for entry in std::fs::read_dir(&folder)? {
-                let path = entry?.path();
-                if path.file_name().is_some_and(|name| name.to_string_lossy().contains('#')) {
-                    std::fs::remove_file(path)?;
-                }
-            }
+            std::fs::create_dir_all(kind.path(data))?;
         }
+        remove_half_done(data, Duration::ZERO)?;
         let open = || LocalFileSystem::new_with_prefix(data).map_err(io::Error::other);
         Ok(Self { durable: open()?.with_fsync(true), volatile: open()?, gate: RwLock::default() })
     }
@@ -289,6 +290,24 @@ impl Pictures {
         self.volatile.put(&probe, PutPayload::from_static(b"a probe")).await.map_err(failed)?;
         self.volatile.delete(&probe).await.map_err(failed)
     }
+}
+
+/// Removes what writes left that were cut short at least so long ago.
+pub(crate) fn remove_half_done(data: &FolderPath, age: Duration) -> io::Result<()> {
+    for kind in [Kind::Picture, Kind::Blob] {
+        for entry in std::fs::read_dir(kind.path(data))? {
+            let entry = entry?;
+            // Its writer may finish, or another may remove it, at any moment.
+            let is_old = || Ok::<_, io::Error>(entry.metadata()?.modified()?.elapsed().unwrap_or_default() >= age);
+            if entry.file_name().to_string_lossy().contains(HALF_DONE) && is_old().unwrap_or(false) {
+                match std::fs::remove_file(entry.path()) {
+                    Err(error) if error.kind() != io::ErrorKind::NotFound => return Err(error),
+                    _ => {}
+                }
+            }
+        }
+    }
+    Ok(())
 }
 
 async fn finish(

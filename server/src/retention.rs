@@ -39,7 +39,10 @@ struct Going {
 
 /// Removes the jobs that need not be kept, or with `dry_run` only tells which those are.
 pub(crate) async fn collect(farm: &Farm, dry_run: bool) -> Result<Collection, RetentionError> {
-    let store_bytes = store_bytes(farm).await?;
+    remove(farm, dry_run, store_bytes(farm).await?).await
+}
+
+async fn remove(farm: &Farm, dry_run: bool, store_bytes: u64) -> Result<Collection, RetentionError> {
     let going = choose(farm, store_bytes).await?;
     let more = going.len() == MAX_JOBS;
     let mut jobs = Vec::with_capacity(going.len());
@@ -59,7 +62,13 @@ pub(crate) async fn collect(farm: &Farm, dry_run: bool) -> Result<Collection, Re
 
 /// Removes all that need not be kept, unless the server ends.
 pub(crate) async fn collect_all(farm: &Farm) -> Result<(), RetentionError> {
-    while !farm.ending.is_cancelled() && collect(farm, false).await?.more {}
+    while !farm.ending.is_cancelled() {
+        // The store is listed only where its size decides something.
+        let store_bytes = if farm.config.max_store_bytes.is_some() { store_bytes(farm).await? } else { 0 };
+        if !remove(farm, false, store_bytes).await?.more {
+            break;
+        }
+    }
     Ok(())
 }
 

@@ -24,6 +24,10 @@ pub(crate) use writer::{CommitTimes, Durability};
 
 /// Connections that read at the same time.
 const READERS: u32 = 4;
+/// Rows that the engine's thread reads ahead of who asked for them.
+const ROW_BUFFER: usize = 1024;
+/// Pages of the log (of 4 KiB) that the engine folds into the file by itself: a commit in so many has to wait for that.
+const FOLDED_PAGES: &str = "4000";
 /// Databases up to this size are checked page by page at start.
 const CHECKED_BYTES: u64 = 16 << 20;
 
@@ -135,7 +139,9 @@ impl Store {
             .journal_mode(SqliteJournalMode::Wal)
             .synchronous(SqliteSynchronous::Full)
             .foreign_keys(true)
-            .busy_timeout(Duration::from_secs(5));
+            .busy_timeout(Duration::from_secs(5))
+            .row_buffer_size(ROW_BUFFER)
+            .pragma("wal_autocheckpoint", FOLDED_PAGES);
         let mut connection = options.connect().await?;
         if size_bytes <= CHECKED_BYTES {
             let verdict: String = sqlx::query_scalar("PRAGMA quick_check(1)").fetch_one(&mut connection).await?;

@@ -6,12 +6,30 @@ use std::time::{Duration, Instant};
 use proto::fail;
 use serde_json::Value;
 
+use crate::faults::remote::Remote;
 use crate::jobs;
 use crate::support::{DEADLINE, Farm, finish, rendered_here, sdfarm, text};
 
 /// No job writes so often.
 const MOST: u64 = 400;
-const FLAGS: [&str; 6] = ["--workers", "2", "--tile", "96", "--lease-seconds", "1"];
+const FLAGS: [&str; 4] = ["--tile", "96", "--lease-seconds", "1"];
+const POOL: [&str; 2] = ["--workers", "2"];
+
+/// Who renders: the pool's workers write to the server's folders, others through the server.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum By {
+    Pool,
+    Remotes,
+}
+
+impl By {
+    fn start(self, command: std::process::Command, folder: &Path) -> (Farm, Option<[Remote; 2]>) {
+        let workers = if self == Self::Pool { POOL } else { ["--workers", "0"] };
+        let farm = Farm::start_by(command, folder, &[&workers[..], &FLAGS].concat());
+        let remotes = (self == Self::Remotes).then(|| Remote::pair(&farm));
+        (farm, remotes)
+    }
+}
 
 fn command(point: &str, pass: u64) -> std::process::Command {
     let mut command = sdfarm(&[fail::FLAG, "serve"]);
@@ -64,7 +82,7 @@ fn insist(farm: &Farm, job: &Value) -> (String, Vec<u8>) {
     (id, picture)
 }
 
-fn sweep(point: &str, job: &Value) {
+fn sweep(point: &str, job: &Value, by: By) {
     let wanted = rendered_here(job, 0);
     let mut slowest = Duration::ZERO;
     for pass in 1..MOST {
@@ -72,7 +90,7 @@ fn sweep(point: &str, job: &Value) {
         if pass == 1 && !starts(folder.path(), point, pass) {
             continue;
         }
-        let farm = Farm::start_by(command(point, pass), folder.path(), &FLAGS);
+        let (farm, _remotes) = by.start(command(point, pass), folder.path());
         let start = Instant::now();
         let (id, picture) = insist(&farm, job);
         assert!(picture == wanted, "{point}@{pass}: other bytes than an undisturbed run's");
@@ -83,7 +101,7 @@ fn sweep(point: &str, job: &Value) {
         let has_struck = log.contains(fail::MARK);
         assert!(farm.terminate().success(), "{point}@{pass}: does not end in order");
         if !has_struck {
-            eprintln!("{point}: each of {} failed once; the slowest job took {slowest:?}", pass - 1);
+            eprintln!("{point} by {by:?}: each of {} failed once; the slowest job took {slowest:?}", pass - 1);
             assert!(pass > 1, "{point} is never passed");
             return;
         }
@@ -93,22 +111,24 @@ fn sweep(point: &str, job: &Value) {
 
 #[test]
 fn every_write_to_the_store_may_fail_once() {
-    sweep("store_put", &jobs::many_rays());
+    sweep("store_put", &jobs::many_rays(), By::Pool);
+    sweep("store_put", &jobs::many_rays(), By::Remotes);
 }
 
 #[test]
 fn every_read_of_the_store_may_fail_once() {
-    sweep("store_get", &jobs::many_rays());
+    sweep("store_get", &jobs::many_rays(), By::Pool);
+    sweep("store_get", &jobs::many_rays(), By::Remotes);
 }
 
 #[test]
 fn every_write_to_the_database_may_fail_once() {
-    sweep("database_write", &jobs::quick());
+    sweep("database_write", &jobs::quick(), By::Pool);
 }
 
 #[test]
 fn every_commit_of_the_database_may_fail_once() {
-    sweep("database_commit", &jobs::quick());
+    sweep("database_commit", &jobs::quick(), By::Pool);
 }
 
 #[test]
@@ -116,7 +136,7 @@ fn slow_store_delays_a_job_and_no_more() {
     let folder = tempfile::tempdir().expect("a folder");
     let mut command = sdfarm(&[fail::FLAG, "serve"]);
     command.env(fail::VARIABLE, "store_put=slow:300,store_get=slow:300");
-    let farm = Farm::start_by(command, folder.path(), &FLAGS);
+    let (farm, _) = By::Pool.start(command, folder.path());
     let job = jobs::quick();
     let (id, picture) = insist(&farm, &job);
     assert!(picture == rendered_here(&job, 0));

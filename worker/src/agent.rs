@@ -11,6 +11,7 @@ mod measuring;
 mod rendering;
 mod session;
 mod stitching;
+mod store;
 mod workbench;
 
 use std::io::Read;

@@ -12,7 +12,7 @@ use axum::response::{IntoResponse, Response};
 use futures_util::TryStreamExt;
 use proto::WorkerId;
 use proto::fail::{self, Point};
-use proto::work::{Hello, SyncReply, SyncRequest, Welcome};
+use proto::work::{Folders, Hello, SyncReply, SyncRequest, Welcome};
 use tracing::Instrument;
 
 use super::body;
@@ -51,7 +51,17 @@ pub(super) async fn register(
     let worker = farm.queue.register(NewWorker { hello, pool, name: name.clone() }).await?.worker;
     farm.watch.registered(worker, &name, &device);
     tracing::info!(%worker, %name, pool, "a worker registered");
-    Ok(Json(Welcome { worker, lease_ms: farm.queue.lease_ms().unsigned_abs() }))
+    let folders = if pool { folders(&farm) } else { None };
+    Ok(Json(Welcome { worker, lease_ms: farm.queue.lease_ms().unsigned_abs(), folders }))
+}
+
+/// Where a child of this server puts its bytes by itself; `None` where a folder's name is no text.
+fn folders(farm: &Farm) -> Option<Folders> {
+    let folder = |kind: Kind| {
+        let folder = std::path::absolute(kind.path(&farm.config.data)).ok()?;
+        folder.into_os_string().into_string().ok()
+    };
+    Some(Folders { blobs: folder(Kind::Blob)?, pictures: folder(Kind::Picture)? })
 }
 
 /// Takes a worker's turn, and waits for something to tell it: a run, the loss of a lease, or to drain.

@@ -13,7 +13,7 @@ use sqlx::{Row, Sqlite};
 use super::lease::LOST_BEFORE_ALONE;
 use super::share::{self, Frame, Ready};
 use super::straggler::{self, Straggling};
-use super::{Connection, Moment, Result, counted, end, fair, known, pause};
+use super::{Connection, Moment, Result, counted, end, fair, known};
 use crate::plan::Plan;
 
 /// A job with something to claim, by priority and age. Checked by a test to need no full scan.
@@ -74,6 +74,8 @@ pub(super) struct Job {
     plan: Plan,
     frames_opened: u32,
     nodes: i64,
+    /// Nothing of it has been leased before.
+    queued: bool,
     share: fair::Share,
 }
 
@@ -93,6 +95,7 @@ impl Job {
             },
             frames_opened: row.try_get("frames_opened")?,
             nodes: row.try_get("nodes")?,
+            queued: row.try_get("queued")?,
             share: fair::Share { submitter: row.try_get("submitter")?, priority: row.try_get("priority")? },
         })
     }
@@ -118,11 +121,8 @@ impl View {
 
 /// Claims work for a worker.
 pub(super) async fn claim(connection: &mut Connection, claimant: Claimant, moment: Moment) -> Result<Claimed> {
-    if pause::is_farm_paused(connection).await? {
-        return Ok(Claimed::Nothing(None));
-    }
     let worker = claimant.worker.to_string();
-    let others_max_nodes = others_max_nodes(connection, &worker).await?;
+    let Some(others_max_nodes) = look_around(connection, &worker).await? else { return Ok(Claimed::Nothing(None)) };
     let view = View { now_ms: moment.now_ms, worker, others_max_nodes, max_nodes: claimant.max_nodes };
     let Some(row) = view.bind(NEXT_JOB).fetch_optional(&mut *connection).await? else {
         return claim_straggler(connection, &view, claimant, moment).await;
@@ -140,7 +140,9 @@ pub(super) async fn claim(connection: &mut Connection, claimant: Claimant, momen
     } else {
         claim_tiles(connection, &job, frame, &view, claimant, moment).await?
     };
-    end::start(connection, job.number, moment).await?;
+    if job.queued {
+        end::start(connection, job.number, moment).await?;
+    }
     Ok(Claimed::Run(Run { job: job.id, frame, work }))
 }
 
@@ -163,7 +165,7 @@ async fn claim_straggler(
 pub(super) async fn job(connection: &mut Connection, number: i64) -> Result<Job> {
     let row = sqlx::query(
         "SELECT number, id, width_px, height_px, samples, pixel_bytes, edge_px, frames_total, frames_opened, nodes,
-                submitter, priority FROM job WHERE number = ?",
+                state = 'queued' AS queued, submitter, priority FROM job WHERE number = ?",
     )
     .bind(number)
     .fetch_one(connection)
@@ -182,43 +184,44 @@ pub(super) fn whole_frame(job: &Job) -> Frame {
     }
 }
 
-/// The largest scene that a ready worker other than this one renders, in nodes; -1 if there is none.
-async fn others_max_nodes(connection: &mut Connection, worker: &str) -> Result<i64> {
-    Ok(sqlx::query_scalar(
-        "SELECT coalesce(max(coalesce(max_nodes, ?)), -1) FROM worker
-         WHERE state <> 'gone' AND state = 'ready' AND id <> ?",
+/// The largest scene that a ready worker other than this one renders, in nodes, -1 if there is none; `None` while
+/// the farm is paused.
+async fn look_around(connection: &mut Connection, worker: &str) -> Result<Option<i64>> {
+    let row = sqlx::query(
+        "SELECT (SELECT value <> 0 FROM meta WHERE name = 'paused') AS paused,
+                (SELECT coalesce(max(coalesce(max_nodes, ?)), -1) FROM worker
+                 WHERE state <> 'gone' AND state = 'ready' AND id <> ?) AS others_max_nodes",
     )
     .bind(ANY_NODES)
     .bind(worker)
-    .fetch_one(connection)
-    .await?)
-}
-
-/// Ready workers that hold nothing, and render scenes of so many nodes.
-async fn idle_workers(connection: &mut Connection, nodes: i64) -> Result<u64> {
-    let idle: i64 = sqlx::query_scalar(
-        "SELECT count(*) FROM worker
-         WHERE state <> 'gone' AND state = 'ready' AND coalesce(max_nodes, ?1) >= ?2
-           AND NOT EXISTS (SELECT 1 FROM lease WHERE lease.worker = worker.id AND lease.ended IS NULL)",
-    )
-    .bind(ANY_NODES)
-    .bind(nodes)
     .fetch_one(connection)
     .await?;
-    Ok(idle.unsigned_abs())
+    let paused: bool = row.try_get("paused")?;
+    Ok(if paused { None } else { Some(row.try_get("others_max_nodes")?) })
 }
 
-/// Camera rays a second of the fastest other ready worker that renders scenes of so many nodes.
-async fn fastest_other(connection: &mut Connection, worker: &str, nodes: i64) -> Result<Option<f64>> {
-    Ok(sqlx::query_scalar(
-        "SELECT max(rays_per_second) FROM worker
-         WHERE state <> 'gone' AND state = 'ready' AND coalesce(max_nodes, ?1) >= ?2 AND id <> ?3",
+/// The ready workers that render scenes of some size: who would share a frame with this one.
+struct Peers {
+    /// How many hold nothing.
+    idle: u64,
+    /// Camera rays a second of the fastest other.
+    fastest_other: Option<f64>,
+}
+
+async fn peers(connection: &mut Connection, worker: &str, nodes: i64) -> Result<Peers> {
+    let row = sqlx::query(
+        "SELECT count(*) FILTER (WHERE NOT EXISTS (SELECT 1 FROM lease INDEXED BY lease_live_by_worker
+                                                   WHERE lease.worker = worker.id AND lease.ended IS NULL)) AS idle,
+                max(rays_per_second) FILTER (WHERE id <> ?3) AS fastest_other
+         FROM worker WHERE state <> 'gone' AND state = 'ready' AND coalesce(max_nodes, ?1) >= ?2",
     )
     .bind(ANY_NODES)
     .bind(nodes)
     .bind(worker)
     .fetch_one(connection)
-    .await?)
+    .await?;
+    let idle: i64 = row.try_get("idle")?;
+    Ok(Peers { idle: idle.unsigned_abs(), fastest_other: row.try_get("fastest_other")? })
 }
 
 async fn claim_tiles(
@@ -229,16 +232,15 @@ async fn claim_tiles(
     claimant: Claimant,
     moment: Moment,
 ) -> Result<Work> {
-    let idle = idle_workers(connection, job.nodes).await?;
+    let Peers { idle, fastest_other } = peers(connection, &view.worker, job.nodes).await?;
     let rows = view.bind(READY_TILES).bind(job.number).bind(job.nodes).bind(frame).fetch_all(&mut *connection).await?;
     let whole = whole_frame(job);
     let ready = rows.iter().map(read_ready).collect::<Result<Vec<_>>>()?;
-    let fastest = fastest_other(connection, &view.worker, job.nodes).await?;
-    let length = share::run_length(&ready, whole, claimant.rays_per_second, idle, fastest);
+    let length = share::run_length(&ready, whole, claimant.rays_per_second, idle, fastest_other);
     let (tiles, grants) = leased_tiles(&rows[..length])?;
     grant(connection, &grants, &view.worker, moment).await?;
     let rays = ready[..length].iter().map(|tile| tile.rays).sum();
-    fair::charge(connection, &job.share, rays, claimant.rays_per_second.or(fastest)).await?;
+    fair::charge(connection, &job.share, rays, claimant.rays_per_second.or(fastest_other)).await?;
     Ok(Work::Render { whole_frame: share::is_whole(length, whole), tiles })
 }
 

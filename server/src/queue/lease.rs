@@ -153,10 +153,24 @@ pub(super) async fn held(connection: &mut Connection, worker: WorkerId, leases: 
 
 /// The live leases of a worker.
 pub(super) async fn held_by(connection: &mut Connection, worker: &str) -> Result<Vec<String>> {
-    Ok(sqlx::query_scalar("SELECT id FROM lease WHERE worker = ? AND ended IS NULL")
-        .bind(worker)
-        .fetch_all(connection)
-        .await?)
+    Ok(live_leases(connection, worker).await?.into_iter().map(|live| live.lease).collect())
+}
+
+/// A live lease, as its worker's turn looks at it.
+pub(super) struct Live {
+    pub(super) lease: String,
+    pub(super) granted_ms: i64,
+}
+
+/// The live leases of a worker. By another index all that it ever held would be read.
+pub(super) async fn live_leases(connection: &mut Connection, worker: &str) -> Result<Vec<Live>> {
+    let rows = sqlx::query(
+        "SELECT id, granted_ms FROM lease INDEXED BY lease_live_by_worker WHERE worker = ? AND ended IS NULL",
+    )
+    .bind(worker)
+    .fetch_all(connection)
+    .await?;
+    rows.iter().map(|row| Ok(Live { lease: row.try_get("id")?, granted_ms: row.try_get("granted_ms")? })).collect()
 }
 
 /// One lease, if it is live.
@@ -285,33 +299,39 @@ async fn kill(connection: &mut Connection, held: &Held, counters: Counters) -> R
     counted("tile: leased to dead", 1, &done)
 }
 
-/// Renews a worker's leases; answers those that live.
-pub(super) async fn renew(
-    connection: &mut Connection,
-    worker: WorkerId,
-    leases: &[LeaseId],
-    moment: Moment,
-) -> Result<Vec<String>> {
-    Ok(sqlx::query_scalar(
-        "UPDATE lease SET expires_ms = ? WHERE worker = ? AND ended IS NULL
-         AND id IN (SELECT value FROM json_each(?)) RETURNING id",
-    )
-    .bind(moment.now_ms + moment.lease_ms)
-    .bind(worker.to_string())
-    .bind(json_list(leases))
-    .fetch_all(connection)
-    .await?)
+/// Renews live leases.
+pub(super) async fn renew(connection: &mut Connection, leases: &[&str], moment: Moment) -> Result<()> {
+    if leases.is_empty() {
+        return Ok(());
+    }
+    let renewed =
+        sqlx::query("UPDATE lease SET expires_ms = ? WHERE ended IS NULL AND id IN (SELECT value FROM json_each(?))")
+            .bind(moment.now_ms + moment.lease_ms)
+            .bind(json_list(leases))
+            .execute(connection)
+            .await?;
+    counted("lease: renewed", leases.len() as u64, &renewed)
 }
+
+/// Whether a lease ran out, or a worker from elsewhere vanished.
+const SOMETHING_IS_OVERDUE: &str = "
+    SELECT EXISTS (SELECT 1 FROM lease WHERE ended IS NULL AND expires_ms <= ?1)
+        OR EXISTS (SELECT 1 FROM worker WHERE state <> 'gone' AND pool = 0 AND seen_ms <= ?2)";
 
 /// Ends the leases whose time ran out, and marks workers from elsewhere that vanished.
 pub(super) async fn rescue(connection: &mut Connection, moment: Moment) -> Result<(u64, Ring)> {
+    let mut ring = Ring::default();
+    let mut count = 0;
+    let missed_ms = moment.now_ms - moment.lease_ms;
+    let look = sqlx::query_scalar(SOMETHING_IS_OVERDUE).bind(moment.now_ms).bind(missed_ms);
+    if !look.fetch_one(&mut *connection).await? {
+        return Ok((count, ring));
+    }
     let expired: Vec<String> =
         sqlx::query_scalar("SELECT id FROM lease WHERE ended IS NULL AND expires_ms <= ? ORDER BY expires_ms")
             .bind(moment.now_ms)
             .fetch_all(&mut *connection)
             .await?;
-    let mut ring = Ring::default();
-    let mut count = 0;
     for lease in &expired {
         // A job that failed a moment ago took its other leases along.
         let Some(held) = live(connection, lease).await? else { continue };
@@ -321,7 +341,7 @@ pub(super) async fn rescue(connection: &mut Connection, moment: Moment) -> Resul
         count += 1;
     }
     sqlx::query("UPDATE worker SET state = 'gone' WHERE state <> 'gone' AND pool = 0 AND seen_ms <= ?")
-        .bind(moment.now_ms - moment.lease_ms)
+        .bind(missed_ms)
         .execute(connection)
         .await?;
     Ok((count, ring))

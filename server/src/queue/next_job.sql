@@ -1,5 +1,5 @@
 SELECT number, id, width_px, height_px, samples, pixel_bytes, edge_px, frames_total, frames_opened, nodes,
-       job.submitter, job.priority
+       state = 'queued' AS queued, job.submitter, job.priority
  FROM share CROSS JOIN job ON job.submitter = share.submitter AND job.priority = share.priority
  WHERE share.jobs > 0 AND finished_at_ms IS NULL AND paused = 0
    AND (nodes <= ?4 OR number IN (SELECT stitch.job FROM tile AS stitch

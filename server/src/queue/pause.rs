@@ -17,11 +17,6 @@ pub(crate) enum Paused {
     Unknown,
 }
 
-/// Whether the whole farm is paused.
-pub(super) async fn is_farm_paused(connection: &mut Connection) -> Result<bool> {
-    Ok(sqlx::query_scalar("SELECT value <> 0 FROM meta WHERE name = 'paused'").fetch_one(connection).await?)
-}
-
 async fn pause_job(connection: &mut Connection, id: JobId, paused: bool) -> Result<Paused> {
     let changed = sqlx::query("UPDATE job SET paused = ? WHERE id = ? AND finished_at_ms IS NULL")
         .bind(paused)

@@ -26,7 +26,7 @@ const OLDEST: &str = include_str!("oldest_leases.sql");
 
 /// The tiles of a frame that one worker alone has held for long.
 const HELD_TILES: &str = "SELECT tile.id, position, x_px, y_px, width_px, height_px, rays, lost
-     FROM lease JOIN tile ON tile.id = lease.tile
+     FROM lease INDEXED BY lease_live_by_worker JOIN tile ON tile.id = lease.tile
      WHERE lease.worker = ? AND lease.ended IS NULL AND lease.granted_ms <= ?
        AND tile.job = ? AND tile.frame = ? AND tile.kind = 'render'
        AND NOT EXISTS (SELECT 1 FROM lease AS other

@@ -1,5 +1,6 @@
 //! A worker's turn: results in, leases renewed, strays handed back, work out; one transaction.
 
+use std::collections::HashMap;
 use std::time::Duration;
 
 use proto::work::{Report, Run};
@@ -102,9 +103,7 @@ pub(super) async fn turn(connection: &mut Connection, turn: Turn, moment: Moment
     ring.add(delivered.ring);
     let (fenced, nondeterministic) = (delivered.lost.len() as u64, delivered.nondeterministic);
     let mut lost = delivered.lost;
-    let live = lease::renew(connection, turn.worker, &turn.holding, moment).await?;
-    lost.extend(turn.holding.iter().filter(|lease| !live.contains(&lease.to_string())));
-    ring.add(hand_back_strays(connection, &turn, moment).await?);
+    ring.add(keep_leases(connection, &turn, moment, &mut lost).await?);
     if turn.leaving {
         ring.add(workers::left(connection, turn.worker, moment).await?);
     }
@@ -151,23 +150,25 @@ async fn seen(connection: &mut Connection, turn: &Turn, moment: Moment) -> Resul
     Ok(Some(Seen { state, max_nodes: row.try_get("max_nodes")? }))
 }
 
-async fn hand_back_strays(connection: &mut Connection, turn: &Turn, moment: Moment) -> Result<Ring> {
-    let strays: Vec<String> = sqlx::query_scalar(
-        "SELECT id FROM lease WHERE worker = ? AND ended IS NULL AND granted_ms <= ?
-         AND id NOT IN (SELECT value FROM json_each(?))",
-    )
-    .bind(turn.worker.to_string())
-    .bind(moment.now_ms - STRAY_AFTER_MS)
-    .bind(super::json_list(&turn.holding))
-    .fetch_all(&mut *connection)
-    .await?;
+/// Renews what the worker holds, names what it holds no longer, and hands back what it never heard of.
+async fn keep_leases(
+    connection: &mut Connection,
+    turn: &Turn,
+    moment: Moment,
+    lost: &mut Vec<LeaseId>,
+) -> Result<Ring> {
+    let live = lease::live_leases(connection, &turn.worker.to_string()).await?;
+    let mut holding: HashMap<String, LeaseId> = turn.holding.iter().map(|lease| (lease.to_string(), *lease)).collect();
+    let (held, unknown): (Vec<_>, Vec<_>) = live.iter().partition(|live| holding.remove(&live.lease).is_some());
+    lost.extend(turn.holding.iter().filter(|lease| holding.contains_key(&lease.to_string())));
+    let held: Vec<&str> = held.into_iter().map(|live| live.lease.as_str()).collect();
+    lease::renew(connection, &held, moment).await?;
     let mut ring = Ring::default();
-    for stray in strays {
-        let lease: LeaseId = known("lease.id", &stray, |id| id.parse().ok())?;
-        for held in lease::held(connection, turn.worker, &[lease]).await? {
-            tracing::warn!(lease = %stray, worker = %turn.worker, "a worker never heard of its lease");
-            ring.add(lease::give_up(connection, &held, Cause::Interrupted, "its worker forgot it", moment).await?);
-        }
+    for stray in unknown.into_iter().filter(|live| live.granted_ms <= moment.now_ms - STRAY_AFTER_MS) {
+        // A job that failed a moment ago took its other leases along.
+        let Some(held) = lease::live(connection, &stray.lease).await? else { continue };
+        tracing::warn!(lease = %held.lease, worker = %turn.worker, "a worker never heard of its lease");
+        ring.add(lease::give_up(connection, &held, Cause::Interrupted, "its worker forgot it", moment).await?);
     }
     Ok(ring)
 }

@@ -187,7 +187,8 @@ impl Queue {
     pub(crate) async fn workers(&self) -> Result<WorkerList> {
         let rows = sqlx::query(
             "SELECT id, name, device, state, rays_per_second,
-                    (SELECT count(*) FROM lease WHERE lease.worker = worker.id AND lease.ended IS NULL) AS leases
+                    (SELECT count(*) FROM lease INDEXED BY lease_live_by_worker
+                     WHERE lease.worker = worker.id AND lease.ended IS NULL) AS leases
              FROM worker WHERE state <> 'gone' ORDER BY id",
         )
         .fetch_all(self.readers())

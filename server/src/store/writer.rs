@@ -200,31 +200,36 @@ impl Task {
         done
     }
 
+    /// Statements that stand between two operations go to the engine together: each trip to its thread costs two
+    /// hand-overs.
     async fn transact(&mut self, group: &mut [Box<dyn Operation>]) -> Result<(), StoreError> {
         let durable = group.iter().any(|operation| operation.durability() == Durability::Full);
-        self.synchronise(if durable { Durability::Full } else { Durability::Relaxed }).await?;
-        sqlx::query("BEGIN IMMEDIATE").execute(&mut self.connection).await?;
-        for operation in group {
-            sqlx::query("SAVEPOINT operation").execute(&mut self.connection).await?;
-            if !operation.run(&mut self.connection).await {
-                sqlx::query("ROLLBACK TO operation").execute(&mut self.connection).await?;
-            }
-            sqlx::query("RELEASE operation").execute(&mut self.connection).await?;
+        self.begin(if durable { Durability::Full } else { Durability::Relaxed }).await?;
+        let last = group.len() - 1;
+        for (index, operation) in group.iter_mut().enumerate() {
+            let is_kept = operation.run(&mut self.connection).await;
+            let next = match (is_kept, index == last) {
+                (true, true) => continue,
+                (false, true) => "ROLLBACK TO operation",
+                (true, false) => "RELEASE operation; SAVEPOINT operation",
+                (false, false) => "ROLLBACK TO operation; RELEASE operation; SAVEPOINT operation",
+            };
+            sqlx::query(next).execute(&mut self.connection).await?;
         }
         fail::pass(Point::DatabaseCommit).map_err(struck_down)?;
+        // Releases the last savepoint as well.
         sqlx::query("COMMIT").execute(&mut self.connection).await?;
         Ok(())
     }
 
-    async fn synchronise(&mut self, durability: Durability) -> Result<(), StoreError> {
-        if self.synchronous == durability {
-            return Ok(());
-        }
-        let pragma = match durability {
-            Durability::Full => "PRAGMA synchronous = FULL",
-            Durability::Relaxed => "PRAGMA synchronous = NORMAL",
+    /// Begins a transaction, and its first operation's savepoint.
+    async fn begin(&mut self, durability: Durability) -> Result<(), StoreError> {
+        let begin = match durability {
+            _ if durability == self.synchronous => "BEGIN IMMEDIATE; SAVEPOINT operation",
+            Durability::Full => "PRAGMA synchronous = FULL; BEGIN IMMEDIATE; SAVEPOINT operation",
+            Durability::Relaxed => "PRAGMA synchronous = NORMAL; BEGIN IMMEDIATE; SAVEPOINT operation",
         };
-        sqlx::query(pragma).execute(&mut self.connection).await?;
+        sqlx::query(begin).execute(&mut self.connection).await?;
         self.synchronous = durability;
         Ok(())
     }

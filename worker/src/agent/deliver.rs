@@ -102,7 +102,7 @@ impl Workbench {
         };
         self.tell(Event::Took { phase: Phase::Encode, took: begun.elapsed(), rays: 0 });
         let size_bytes = bytes.len() as u64;
-        let put = self.until_stored(|| self.link.put_blob(&hash, bytes.clone()));
+        let put = self.until_stored(|| self.store.put_blob(&hash, bytes.clone()));
         let put = put.instrument(tracing::info_span!("deliver", size_bytes));
         tokio::select! {
             () = hold.dropped.cancelled() => {}
@@ -159,7 +159,7 @@ impl Workbench {
         let Encoded { content, hash, size_bytes, took } = picture;
         self.tell(Event::Took { phase: Phase::Encode, took, rays: 0 });
         let start = Instant::now();
-        let put = self.until_stored(|| self.link.put_picture(&hash, &content, size_bytes));
+        let put = self.until_stored(|| self.store.put_picture(&hash, &content, size_bytes));
         let stored = tokio::select! {
             () = nobody_waits(holds) => return None,
             stored = put.instrument(tracing::info_span!("deliver", size_bytes)) => stored,
@@ -193,7 +193,8 @@ impl Workbench {
                 continue;
             }
             tracing::warn!(%error, "the server did not store a result");
-            let is_elsewhere = error.is_conflict() || error.is_not_found() || matches!(error, LinkError::File(_));
+            let is_disk = matches!(error, LinkError::File(_) | LinkError::Store(_));
+            let is_elsewhere = error.is_conflict() || error.is_not_found() || is_disk;
             if !error.is_passing() && !is_elsewhere {
                 let message = format!("the server refused the result: {error}");
                 return Err(Outcome::Failed { message });

@@ -28,6 +28,16 @@ pub(super) enum Content {
     File(File),
 }
 
+impl Content {
+    /// The same bytes once more.
+    pub(super) fn try_clone(&self) -> io::Result<Self> {
+        Ok(match self {
+            Self::Memory(bytes) => Self::Memory(bytes.clone()),
+            Self::File(file) => Self::File(file.try_clone()?),
+        })
+    }
+}
+
 /// A server to call.
 #[derive(Debug)]
 pub(super) struct Link {
@@ -75,10 +85,9 @@ impl Link {
     }
 
     pub(super) async fn put_picture(&self, hash: &str, content: &Content, size_bytes: u64) -> Result<(), LinkError> {
-        let body = match content {
-            Content::Memory(bytes) => Body::from(bytes.clone()),
-            Content::File(file) => {
-                let mut file = file.try_clone()?;
+        let body = match content.try_clone()? {
+            Content::Memory(bytes) => Body::from(bytes),
+            Content::File(mut file) => {
                 file.rewind()?;
                 Body::wrap_stream(ReaderStream::with_capacity(tokio::fs::File::from_std(file), 1 << 18))
             }
@@ -135,6 +144,9 @@ pub(super) enum LinkError {
     /// The file to send can't be read.
     #[error("the file to send can't be read: {0}")]
     File(#[from] io::Error),
+    /// The server's own folders can't be written to or read.
+    #[error("the server's folders can't be used: {0}")]
+    Store(#[source] io::Error),
 }
 
 impl LinkError {
@@ -146,7 +158,7 @@ impl LinkError {
                 status.is_server_error()
                     || [StatusCode::REQUEST_TIMEOUT, StatusCode::TOO_MANY_REQUESTS].contains(status)
             }
-            Self::Garbled(_) | Self::File(_) => false,
+            Self::Garbled(_) | Self::File(_) | Self::Store(_) => false,
         }
     }
 
@@ -157,7 +169,7 @@ impl LinkError {
             Self::Answered { status, .. } => {
                 [StatusCode::SERVICE_UNAVAILABLE, StatusCode::BAD_GATEWAY, StatusCode::GATEWAY_TIMEOUT].contains(status)
             }
-            Self::Garbled(_) | Self::File(_) => false,
+            Self::Garbled(_) | Self::File(_) | Self::Store(_) => false,
         }
     }
 

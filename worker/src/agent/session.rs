@@ -19,6 +19,7 @@ use super::back_off::BackOff;
 use super::link::{Link, LinkError};
 use super::measuring::Measurements;
 use super::rendering::milliseconds;
+use super::store::Store;
 use super::workbench::{Event, Hold, Workbench, leases};
 use crate::image::Encoders;
 use crate::renderer::Renderer;
@@ -30,6 +31,8 @@ const SHORT_RUN: Duration = Duration::from_millis(50);
 const CALL_MARGIN: Duration = Duration::from_secs(10);
 /// The least time from one waiting call to the next.
 const PAUSE: Duration = Duration::from_millis(50);
+/// While more results are to come, those that are there wait so long for company: a call costs the server a commit.
+const GATHER: Duration = Duration::from_millis(200);
 /// How long the last call of all may take.
 const FAREWELL: Duration = Duration::from_secs(2);
 
@@ -72,6 +75,8 @@ pub(super) struct Session {
     last_renewal: Instant,
     /// No heartbeat is due before.
     heartbeat_at: Instant,
+    /// Results wait for company until then, as long as something else is held.
+    gather_until: Instant,
     /// No call is made before: the last one failed.
     retry_at: Instant,
     retries: BackOff,
@@ -126,7 +131,8 @@ impl Session {
     ) -> Self {
         let (sender, events) = mpsc::unbounded_channel();
         let measurements = Measurements::new(&renderer.device());
-        let workbench = Workbench::new(link.clone(), renderer, encoders, config.scratch.clone(), sender.clone());
+        let store = Store::of(&welcome, &link);
+        let workbench = Workbench::new(link.clone(), store, renderer, encoders, config.scratch.clone(), sender.clone());
         let now = Instant::now();
         Self {
             lease: Duration::from_millis(welcome.lease_ms),
@@ -148,6 +154,7 @@ impl Session {
             asked: false,
             last_renewal: now,
             heartbeat_at: now,
+            gather_until: now,
             retry_at: now,
             retries: BackOff::new(Duration::from_millis(50), Duration::from_secs(2)),
             work_at: now,
@@ -167,11 +174,15 @@ impl Session {
             if self.is_done() {
                 break Ok(Ending::Drained);
             }
+            if call.as_ref().is_some_and(Call::is_heartbeat) && self.has_to_call(Instant::now()) {
+                call = None;
+            }
             if call.is_none() {
                 call = self.due_call();
             }
-            let (holding, is_quiet) = (!self.holds.is_empty(), call.is_none());
-            let (next_at, give_up_at) = (self.next_instant(), self.give_up_at());
+            let has_heartbeat = call.as_ref().is_some_and(Call::is_heartbeat);
+            let (holding, is_quiet) = (!self.holds.is_empty(), call.is_none() || has_heartbeat);
+            let (next_at, give_up_at) = (self.next_instant(has_heartbeat), self.give_up_at());
             tokio::select! {
                 (answered, answer) = answered(&mut call) => match answer {
                     Ok(reply) => self.hear(&answered, reply),
@@ -179,14 +190,8 @@ impl Session {
                     Err(error) if error.is_passing() => self.miss(answered, &error),
                     Err(error) => break Err(error),
                 },
-                Some(event) = self.events.recv() => {
-                    self.absorb(event);
-                    call = call.filter(|call| !call.is_heartbeat());
-                }
-                Some(ended) = self.runs.join_next() => {
-                    self.end_run(ended);
-                    call = call.filter(|call| !call.is_heartbeat());
-                }
+                Some(event) = self.events.recv() => self.absorb(event),
+                Some(ended) = self.runs.join_next() => self.end_run(ended),
                 () = sleep_until(next_at), if is_quiet => {}
                 () = sleep_until(give_up_at), if holding => {
                     tracing::warn!(leases = self.holds.len(), "could not renew the leases in time; stopping their work");
@@ -219,29 +224,45 @@ impl Session {
         self.draining && self.holds.is_empty() && self.outbox.is_empty() && self.runs.is_empty()
     }
 
+    /// Whether there is something to say that no open heartbeat may hold up.
+    fn has_to_call(&self, now: Instant) -> bool {
+        now >= self.retry_at && (self.wants_work(now) || !(self.outbox.is_empty() || self.gathers(now)))
+    }
+
+    fn wants_work(&self, now: Instant) -> bool {
+        self.has_room() && (self.holds.is_empty() || !self.asked) && !self.draining && now >= self.work_at
+    }
+
+    /// Whether results wait for those of what is still held.
+    fn gathers(&self, now: Instant) -> bool {
+        !self.holds.is_empty() && now < self.gather_until
+    }
+
     /// The call to make now, if any.
     fn due_call(&mut self) -> Option<Call> {
         let now = Instant::now();
-        if now < self.retry_at {
+        if now < self.retry_at || !(self.has_to_call(now) || now >= self.heartbeat_at) {
             return None;
         }
-        let idle = self.holds.is_empty();
-        let wants_work = self.has_room() && (idle || !self.asked) && !self.draining && now >= self.work_at;
-        if !wants_work && self.outbox.is_empty() && now < self.heartbeat_at {
-            return None;
-        }
+        let wants_work = self.wants_work(now);
+        let waiting = self.outbox.iter().map(|report| report.lease);
+        let holding = self.holds.keys().copied().chain(waiting.filter(|_| self.gathers(now))).collect();
+        let results = if self.gathers(now) { Vec::new() } else { std::mem::take(&mut self.outbox) };
         // Results are answered at once, so that their loss is noticed.
-        let wait = match (self.outbox.is_empty(), wants_work) {
-            (true, true) if idle => self.lease / 3,
+        let wait = match (results.is_empty(), wants_work) {
+            (true, true) if self.holds.is_empty() => self.lease / 3,
             (true, false) if now < self.work_at => (self.lease / 6).min(self.work_at - now),
             (true, false) => self.lease / 6,
             (true, true) | (false, _) => Duration::ZERO,
         };
+        if !results.is_empty() {
+            self.gather_until = now + GATHER;
+        }
         let request = SyncRequest {
             worker: self.welcome.worker,
             rays_per_second: self.speed.rays_per_second(),
-            holding: self.holds.keys().copied().collect(),
-            results: std::mem::take(&mut self.outbox),
+            holding,
+            results,
             wants_work,
             wait_ms: wait.as_millis() as u64,
             leaving: false,
@@ -265,10 +286,13 @@ impl Session {
     }
 
     /// When the next call may become due by itself.
-    fn next_instant(&self) -> Instant {
-        let due = if self.outbox.is_empty() { self.heartbeat_at } else { self.retry_at };
-        let work = if self.work_at > Instant::now() { self.work_at } else { due };
-        due.min(work).max(self.retry_at)
+    fn next_instant(&self, has_heartbeat: bool) -> Instant {
+        let now = Instant::now();
+        let heartbeat = (!has_heartbeat).then_some(self.heartbeat_at);
+        let results = (!self.outbox.is_empty()).then(|| if self.holds.is_empty() { now } else { self.gather_until });
+        let work = (self.work_at > now).then_some(self.work_at);
+        let first = heartbeat.into_iter().chain(results).chain(work).min();
+        first.unwrap_or(now + self.lease).max(self.retry_at)
     }
 
     /// When the leases that are held can no longer be trusted.
@@ -288,6 +312,7 @@ impl Session {
             // A server that does not wait is not to be asked without pause.
             self.retry_at = call.start + PAUSE;
         }
+        self.outbox.retain(|report| !reply.lost.contains(&report.lease));
         for lease in &reply.lost {
             if let Some(hold) = self.holds.remove(lease) {
                 tracing::info!(%lease, "lease lost; dropping its work");

@@ -4,6 +4,7 @@ use std::fs::File;
 use std::io::Write;
 use std::time::{Duration, Instant};
 
+use futures_util::stream::{self, StreamExt};
 use proto::Rect;
 use proto::fail::{self, Point};
 use proto::work::{Outcome, Part};
@@ -15,9 +16,12 @@ use super::back_off::BackOff;
 use super::deliver::{Delivered, encode};
 use super::link::LinkError;
 use super::rendering::milliseconds;
-use super::workbench::{Event, Frame, Hold, Stop, Workbench};
+use super::workbench::{Event, Frame, Hold, Stop, Workbench, panic_message};
 use crate::blob;
 use crate::stitch::Blobs;
+
+/// Blobs fetched and checked at a time.
+const FETCHES: usize = 4;
 
 impl Workbench {
     /// Stitches a frame and delivers its picture.
@@ -65,8 +69,10 @@ impl Workbench {
         let planes = job.image.channels().len();
         let mut file = tempfile::tempfile_in(&self.scratch).map_err(full)?;
         let (mut places, mut bad, mut end) = (Vec::new(), Vec::new(), 0);
+        let fetches: Vec<_> = parts.iter().map(|part| self.fetch_part(part, planes)).collect();
+        let mut fetched = stream::iter(fetches).buffered(FETCHES);
         for part in parts {
-            let Some(bytes) = self.fetch_part(part, planes).await? else {
+            let Some(bytes) = fetched.next().await.transpose()?.flatten() else {
                 tracing::warn!(tile = part.index, hash = part.hash, "a blob is missing or damaged");
                 bad.push(part.index);
                 continue;
@@ -83,11 +89,23 @@ impl Workbench {
     async fn fetch_part(&self, part: &Part, planes: usize) -> Result<Option<Vec<u8>>, Outcome> {
         let mut back_off = BackOff::new(Duration::from_millis(50), Duration::from_secs(2));
         loop {
-            match self.link.blob(&part.hash, part.size_bytes).await {
-                Ok(bytes) => return Ok(bytes.filter(|bytes| is_whole(bytes, part, planes))),
-                Err(error) if error.is_not_found() => return Ok(None),
+            match self.store.blob(&part.hash, part.size_bytes).await {
+                Ok(None) => return Ok(None),
+                Ok(Some(bytes)) => {
+                    let part = part.clone();
+                    let checked = spawn_blocking(move || is_whole(&bytes, &part, planes).then_some(bytes));
+                    return checked.await.map_err(|panic| {
+                        let message = panic_message("checking a blob", panic);
+                        Outcome::Failed { message }
+                    });
+                }
                 Err(error) if error.is_absence() => back_off.pause().await,
-                Err(error @ (LinkError::Answered { .. } | LinkError::Garbled(_) | LinkError::File(_))) => {
+                Err(
+                    error @ (LinkError::Answered { .. }
+                    | LinkError::Garbled(_)
+                    | LinkError::File(_)
+                    | LinkError::Store(_)),
+                ) => {
                     tracing::warn!(%error, "could not fetch a blob");
                     return Err(Outcome::HandedBack);
                 }

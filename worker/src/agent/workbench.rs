@@ -18,6 +18,7 @@ use super::back_off::BackOff;
 use super::jobs::{JobError, Jobs};
 use super::link::Link;
 use super::rendering::Place;
+use super::store::Store;
 use crate::image::Encoders;
 use crate::renderer::{Cancel, Renderer};
 
@@ -106,6 +107,7 @@ pub(super) fn leases(run: &Run) -> impl Iterator<Item = (LeaseId, Option<u32>)> 
 /// A device, and the way to the server.
 pub(super) struct Workbench {
     pub(super) link: Arc<Link>,
+    pub(super) store: Store,
     pub(super) scratch: PathBuf,
     pub(super) renderer: Arc<dyn Renderer>,
     pub(super) encoders: Encoders,
@@ -119,13 +121,14 @@ pub(super) struct Workbench {
 impl Workbench {
     pub(super) fn new(
         link: Arc<Link>,
+        store: Store,
         renderer: Arc<dyn Renderer>,
         encoders: Encoders,
         scratch: PathBuf,
         events: UnboundedSender<Event>,
     ) -> Self {
         let (device, memory) = (Semaphore::new(1), Semaphore::new(MEMORY_KIB as usize));
-        Self { link, scratch, renderer, encoders, device, memory, jobs: Jobs::default(), events }
+        Self { link, store, scratch, renderer, encoders, device, memory, jobs: Jobs::default(), events }
     }
 
     /// How many runs, or tiles of a run, may be delivered at a time.

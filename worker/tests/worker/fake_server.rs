@@ -184,7 +184,7 @@ async fn register(State(shared): State<Shared>, Json(hello): Json<Hello>) -> Res
         farm.hellos.push(hello);
         let worker = WorkerId::new();
         farm.workers.insert(worker);
-        Json(Welcome { worker, lease_ms: farm.lease_ms }).into_response()
+        Json(Welcome { worker, lease_ms: farm.lease_ms, folders: None }).into_response()
     })
 }
 

@@ -51,7 +51,7 @@ pub(super) async fn start(runs: u32) -> anyhow::Result<Times> {
         let Some(run) = run else { anyhow::bail!("a worker waited for {} s in vain", WAIT.as_secs()) };
         // The worker may have the job before its author hears of the 201.
         times.push(begun.saturating_duration_since(accepted));
-        worker.sync(worker.results(&run), false, Duration::ZERO).await?;
+        worker.sync(worker.results(&run).await?, false, Duration::ZERO).await?;
     }
     farm.stop().await?;
     Ok(Times::of(times))

@@ -14,8 +14,10 @@ use super::{Farm, Times};
 
 /// Claims that are timed.
 const CLAIMS: u32 = 1000;
-/// Clients that ask how jobs stand.
+/// Clients that ask how jobs stand, and how long each waits from one question to the next: together they ask more
+/// often than a thousand times a second, and leave the processor to the workers otherwise.
 const ASKING: usize = 4;
+const ASK_EVERY: Duration = Duration::from_millis(2);
 /// Edge of the tiles, in pixels.
 pub(super) const TILE_PX: u32 = 32;
 /// A worker so fast is given about ten tiles of these jobs at a time.
@@ -71,7 +73,7 @@ pub(super) async fn claim(farm: &Farm) -> anyhow::Result<Times> {
         let start = Instant::now();
         let Some(run) = worker.sync(Vec::new(), true, Duration::ZERO).await? else { break };
         times.push(start.elapsed());
-        worker.sync(worker.results(&run), false, Duration::ZERO).await?;
+        worker.sync(worker.results(&run).await?, false, Duration::ZERO).await?;
     }
     Ok(Times::of(times))
 }
@@ -118,7 +120,7 @@ async fn pretend(worker: &Pretender, tiles: &AtomicU64, over: &AtomicBool) -> an
         let run = worker.sync(std::mem::take(&mut results), true, Duration::ZERO).await?;
         tiles.fetch_add(rendered, Ordering::Relaxed);
         let Some(run) = run else { break };
-        results = worker.results(&run);
+        results = worker.results(&run).await?;
         rendered = if let RunWork::Render { tiles, .. } = &run.work { tiles.len() as u64 } else { 0 };
     }
     Ok(())
@@ -126,7 +128,9 @@ async fn pretend(worker: &Pretender, tiles: &AtomicU64, over: &AtomicBool) -> an
 
 async fn ask(farm: &Farm, jobs: impl Iterator<Item = &JobId>, over: &AtomicBool) -> anyhow::Result<Vec<Duration>> {
     let mut times = Vec::new();
+    let mut pace = tokio::time::interval(ASK_EVERY);
     for job in jobs.take_while(|_| !over.load(Ordering::Relaxed)) {
+        pace.tick().await;
         let start = Instant::now();
         farm.client.job(*job).await?;
         times.push(start.elapsed());

@@ -7,20 +7,16 @@ use proto::work::{self, Hello, Outcome, Report, Run, Work};
 use proto::{LeaseId, WorkerId};
 use serde_json::json;
 
-/// What every tile of it looks like.
-const PIXELS: &[u8] = b"the pixels of a tile that was never rendered";
-
 /// The worker.
 pub(super) struct Pretender {
     http: reqwest::Client,
     server: String,
     id: WorkerId,
-    hash: String,
     rays_per_second: Option<f64>,
 }
 
 impl Pretender {
-    /// Registers, and brings the one blob that all its tiles are.
+    /// Registers.
     pub(super) async fn register(server: &str, rays_per_second: Option<f64>) -> anyhow::Result<Self> {
         let http = reqwest::Client::builder().build().context("could not make a client")?;
         let hello = Hello {
@@ -32,11 +28,7 @@ impl Pretender {
         };
         let answer = http.post(format!("{server}{}", work::REGISTER)).json(&hello).send().await?;
         let welcome: work::Welcome = answer.error_for_status()?.json().await?;
-        let hash = blake3::hash(PIXELS).to_hex().to_string();
-        for path in [work::blob_path(&hash), work::picture_path(&hash)] {
-            http.put(format!("{server}{path}")).body(PIXELS).send().await?.error_for_status()?;
-        }
-        Ok(Self { http, server: server.to_owned(), id: welcome.worker, hash, rays_per_second })
+        Ok(Self { http, server: server.to_owned(), id: welcome.worker, rays_per_second })
     }
 
     /// One call: results in, work out.
@@ -59,14 +51,18 @@ impl Pretender {
         Ok(reply.run)
     }
 
-    /// The results of a run, as a good worker brings them.
-    pub(super) fn results(&self, run: &Run) -> Vec<Report> {
-        let (hash, size_bytes) = (self.hash.clone(), PIXELS.len() as u64);
+    /// The results of a run, as a good worker brings them: its bytes are there before they are reported. All tiles
+    /// of a run have the same ones, and no two runs; all pictures are the same.
+    pub(super) async fn results(&self, run: &Run) -> anyhow::Result<Vec<Report>> {
         let (leases, picture): (Vec<LeaseId>, bool) = match &run.work {
             Work::Render { tiles, whole_frame } => (tiles.iter().map(|tile| tile.lease).collect(), *whole_frame),
             Work::Stitch { lease, .. } => (vec![*lease], true),
         };
+        let bytes = if picture { "no picture".to_owned() } else { format!("no pixels for {leases:?}") };
+        let (hash, size_bytes) = (blake3::hash(bytes.as_bytes()).to_hex().to_string(), bytes.len() as u64);
+        let path = if picture { work::picture_path(&hash) } else { work::blob_path(&hash) };
+        self.http.put(format!("{}{path}", self.server)).body(bytes).send().await?.error_for_status()?;
         let outcome = if picture { Outcome::Picture { hash, size_bytes } } else { Outcome::Blob { hash, size_bytes } };
-        leases.into_iter().map(|lease| Report { lease, outcome: outcome.clone() }).collect()
+        Ok(leases.into_iter().map(|lease| Report { lease, outcome: outcome.clone() }).collect())
     }
 }

@@ -1,0 +1,41 @@
+//! Workers from elsewhere: what they make goes through the server, not into its folders.
+
+use std::process::{Child, Stdio};
+
+use proto::fail;
+use rustix::process::Signal;
+
+use crate::support::{Farm, sdfarm, send_signal, wait};
+
+/// Such a worker, killed when this is dropped.
+pub(crate) struct Remote(Child);
+
+impl Remote {
+    /// Starts one that a fail point may strike.
+    pub(crate) fn start(farm: &Farm, points: Option<&str>) -> Self {
+        let mut command = sdfarm(&["worker", "--server", &farm.address, "--device", "cpu", "--threads", "1"]);
+        if let Some(points) = points {
+            command.arg(fail::FLAG).env(fail::VARIABLE, points);
+        }
+        let started = command.stdin(Stdio::null()).stdout(Stdio::null()).stderr(Stdio::null()).spawn();
+        Self(started.expect("the program starts"))
+    }
+
+    /// Starts two ordinary ones, which a farm then has.
+    pub(crate) fn pair(farm: &Farm) -> [Self; 2] {
+        let pair = [Self::start(farm, None), Self::start(farm, None)];
+        farm.joined(2);
+        pair
+    }
+
+    pub(crate) fn has_ended(&mut self) -> bool {
+        self.0.try_wait().expect("a child of ours").is_some()
+    }
+}
+
+impl Drop for Remote {
+    fn drop(&mut self) {
+        send_signal(self.0.id(), Signal::KILL);
+        wait(&mut self.0);
+    }
+}
