@@ -2,7 +2,8 @@
 //!
 //! A worker registers, then calls `sync` again and again: each call renews all its
 //! leases, hands in results and asks for work, and waits at the server while there is none.
-//! Bytes (job files, tile blobs, pictures) travel by routes of their own, keyed by content.
+//! Bytes (job files, tile blobs, pictures) travel by routes of their own, keyed by content; workers of the server's pool put
+//! blobs and pictures into its folders by themselves.
 
 use serde::{Deserialize, Serialize};
 

@@ -140,9 +140,6 @@ impl Farm {
             self.count(&more);
             turned.next = more.next;
             turned.drain |= more.drain;
-            turned
-                .lost
-                .extend(more.lost.iter().filter(|lease| !turned.lost.contains(lease)).copied().collect::<Vec<_>>());
         }
         Ok(Some(turned))
     }

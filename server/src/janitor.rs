@@ -47,19 +47,26 @@ async fn count_rescued(farm: &Farm) -> Result<(), StoreError> {
     Ok(())
 }
 
-async fn sweep(farm: &Farm, kind: Kind, hashes: &[String]) -> Result<(), StoreError> {
+async fn sweep(farm: &Arc<Farm>, kind: Kind, hashes: &[String]) -> Result<(), StoreError> {
     let queue = &farm.queue;
-    let count = match kind {
+    let (count, young) = match kind {
         Kind::Blob => farm.pictures.sweep(kind, hashes, async |names| queue.unneeded_blobs(&names).await).await?,
         Kind::Picture => farm.pictures.sweep(kind, hashes, async |names| queue.unneeded_pictures(&names).await).await?,
     };
+    if !young.is_empty() {
+        let farm = Arc::clone(farm);
+        tokio::spawn(async move {
+            tokio::time::sleep(pictures::YOUNG).await;
+            farm.sweep_later(kind, young);
+        });
+    }
     if count > 0 {
         tracing::debug!(count, ?kind, "removed bytes that nobody needs");
     }
     Ok(())
 }
 
-async fn look_through(farm: &Farm) -> Result<(), StoreError> {
+async fn look_through(farm: &Arc<Farm>) -> Result<(), StoreError> {
     farm.queue.tidy().await?;
     farm.queue.drop_traces().await?;
     farm.queue.prune_events().await?;

@@ -23,6 +23,8 @@ use tokio_util::io::ReaderStream;
 
 /// Bytes written at a time.
 const PART_BYTES: usize = 1 << 20;
+/// What was stored a shorter time ago is not swept: workers gather results for less.
+pub(crate) const YOUNG: Duration = Duration::from_secs(1);
 /// Largest blob taken; a tile's data is at most half of it.
 const MAX_BLOB_BYTES: u64 = 128 << 20;
 /// Largest picture taken.
@@ -257,20 +259,25 @@ impl Pictures {
         self.store(kind).list(Some(&Path::from(kind.folder()))).boxed()
     }
 
-    /// Removes those of `names` that `unneeded` still names while nothing can be reported.
+    /// Removes those of `names` that `unneeded` still names while nothing can be reported; returns how many, and the
+    /// names that are too young: the same bytes may just have been stored anew, and not be reported yet.
     pub(crate) async fn sweep<E, F>(
         &self,
         kind: Kind,
         names: &[String],
         unneeded: impl FnOnce(Vec<String>) -> F,
-    ) -> Result<u64, E>
+    ) -> Result<(u64, Vec<String>), E>
     where
         F: Future<Output = Result<Vec<String>, E>>,
     {
         let shut = self.gate.write().await;
-        let mut count = 0;
+        let (mut count, mut young) = (0, Vec::new());
         for name in unneeded(names.to_vec()).await? {
             let Some(name) = Name::parse(&name) else { continue };
+            if self.is_young(kind, &name).await {
+                young.push(name.0);
+                continue;
+            }
             fail::pass_by(Point::Sweeping);
             match self.store(kind).delete(&path(kind, &name)).await {
                 Ok(()) => count += 1,
@@ -279,7 +286,13 @@ impl Pictures {
             }
         }
         drop(shut);
-        Ok(count)
+        Ok((count, young))
+    }
+
+    async fn is_young(&self, kind: Kind, name: &Name) -> bool {
+        let Ok(meta) = self.store(kind).head(&path(kind, name)).await else { return false };
+        let modified: std::time::SystemTime = meta.last_modified.into();
+        modified.elapsed().is_ok_and(|age| age < YOUNG)
     }
 
     /// Writes and removes a few bytes where pictures go, to see that it can be done.

@@ -12,7 +12,9 @@ use crate::support::{DEADLINE, Farm, finish, rendered_here, sdfarm, text};
 
 /// No job writes so often.
 const MOST: u64 = 400;
-const FLAGS: [&str; 4] = ["--tile", "96", "--lease-seconds", "1"];
+const FLAGS: [&str; 4] = ["--tile", "96", "--lease-seconds", "3"];
+/// A job has ended by then, whatever failed.
+const TWO_LEASES: Duration = Duration::from_secs(6);
 const POOL: [&str; 2] = ["--workers", "2"];
 
 /// Who renders: the pool's workers write to the server's folders, others through the server.
@@ -96,10 +98,11 @@ fn sweep(point: &str, job: &Value, by: By) {
         assert!(picture == wanted, "{point}@{pass}: other bytes than an undisturbed run's");
         farm.succeeded(&id);
         slowest = slowest.max(start.elapsed());
-        let log = farm.log();
+        assert!(slowest <= TWO_LEASES, "{point}@{pass} by {by:?}: it took {slowest:?}\n{}", farm.log());
+        assert!(farm.terminate().success(), "{point}@{pass}: does not end in order");
+        let log = std::fs::read_to_string(folder.path().join("log")).expect("a log");
         assert!(!log.contains("panicked"), "{point}@{pass}: {log}");
         let has_struck = log.contains(fail::MARK);
-        assert!(farm.terminate().success(), "{point}@{pass}: does not end in order");
         if !has_struck {
             eprintln!("{point} by {by:?}: each of {} failed once; the slowest job took {slowest:?}", pass - 1);
             assert!(pass > 1, "{point} is never passed");

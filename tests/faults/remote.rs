@@ -5,7 +5,8 @@ use std::process::{Child, Stdio};
 use proto::fail;
 use rustix::process::Signal;
 
-use crate::support::{Farm, sdfarm, send_signal, wait};
+use crate::jobs;
+use crate::support::{Farm, rendered_here, sdfarm, send_signal, wait};
 
 /// Such a worker, killed when this is dropped.
 pub(crate) struct Remote(Child);
@@ -37,5 +38,26 @@ impl Drop for Remote {
     fn drop(&mut self) {
         send_signal(self.0.id(), Signal::KILL);
         wait(&mut self.0);
+    }
+}
+
+/// How many blobs and pictures a server was brought.
+fn brought(farm: &Farm) -> usize {
+    let metrics = farm.get("/metrics").text();
+    let puts = metrics.lines().filter(|line| line.starts_with("sdfarm_http_answers_total") && line.contains("\"PUT\""));
+    puts.filter(|line| line.contains("/v1/worker/")).count()
+}
+
+#[test]
+fn pool_writes_into_the_folders_and_others_through_the_server() {
+    let job = jobs::many_rays();
+    let wanted = rendered_here(&job, 0);
+    for workers in ["2", "0"] {
+        let farm = Farm::start(&["--workers", workers, "--tile", "96"]);
+        let _remotes = (workers == "0").then(|| Remote::pair(&farm));
+        let id = farm.accept(&job.to_string());
+        farm.succeeded(&id);
+        assert!(farm.picture(&id) == wanted, "{workers} workers of the pool");
+        assert_eq!(brought(&farm) > 0, workers == "0", "{}", farm.get("/metrics").text());
     }
 }

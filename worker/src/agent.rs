@@ -42,8 +42,9 @@ pub struct AgentConfig {
     pub scratch: PathBuf,
     /// After a shutdown, how long to go on with what is held before it is handed back.
     pub grace: Duration,
-    /// End the process at once when standard input closes: whoever started it is gone.
-    pub exit_on_stdin_close: bool,
+    /// A server on this machine started it: it ends at once when standard input closes, and puts bytes into the
+    /// server's folders by itself. No other server is believed where those are.
+    pub of_pool: bool,
 }
 
 impl AgentConfig {
@@ -55,7 +56,7 @@ impl AgentConfig {
             access: Access::default(),
             scratch: std::env::temp_dir(),
             grace: Duration::from_secs(8),
-            exit_on_stdin_close: false,
+            of_pool: false,
         }
     }
 }
@@ -67,7 +68,7 @@ pub async fn run(
     renderer: Arc<dyn Renderer>,
     shutdown: CancellationToken,
 ) -> Result<(), AgentError> {
-    if config.exit_on_stdin_close {
+    if config.of_pool {
         std::thread::spawn(exit_when_stdin_closes);
     }
     let encoders = Encoders::new(renderer.encoders()).map_err(AgentError::Encoders)?;

@@ -56,7 +56,7 @@ pub(crate) async fn run(arguments: Arguments) -> anyhow::Result<()> {
     let config = AgentConfig {
         access,
         // A killed server leaves no worker behind: its end of the pipe closes, whatever killed it.
-        exit_on_stdin_close: arguments.pool,
+        of_pool: arguments.pool,
         ..AgentConfig::new(arguments.server, arguments.name.unwrap_or_else(own_name))
     };
     signals.stop_gracefully(shutdown.clone());

@@ -98,12 +98,16 @@ pub(crate) enum Next {
 /// Takes a worker's turn; `None` if no such worker is known.
 pub(super) async fn turn(connection: &mut Connection, turn: Turn, moment: Moment) -> Result<Option<Turned>> {
     let Some(worker) = seen(connection, &turn, moment).await? else { return Ok(None) };
-    let (expired, mut ring) = lease::rescue(connection, moment).await?;
+    // A turn that brings what the last one asked for is the same turn, a moment later.
+    let is_new = turn.opening.is_none();
+    let (expired, mut ring) = if is_new { lease::rescue(connection, moment).await? } else { Default::default() };
     let delivered = deliver::deliver(connection, turn.worker, &turn.results, moment).await?;
     ring.add(delivered.ring);
     let (fenced, nondeterministic) = (delivered.lost.len() as u64, delivered.nondeterministic);
     let mut lost = delivered.lost;
-    ring.add(keep_leases(connection, &turn, moment, &mut lost).await?);
+    if is_new {
+        ring.add(keep_leases(connection, &turn, moment, &mut lost).await?);
+    }
     if turn.leaving {
         ring.add(workers::left(connection, turn.worker, moment).await?);
     }

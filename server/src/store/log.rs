@@ -1,6 +1,6 @@
 //! The write-ahead log, kept small also when the database is never idle.
 //!
-//! The engine folds the log by itself every thousand pages, but starts it anew only when no reader needs it any
+//! The engine folds the log by itself every few thousand pages, but starts it anew only when no reader needs it any
 //! more; under constant reading it would grow for ever. It must not hold back writes for long.
 
 use std::path::{Path, PathBuf};

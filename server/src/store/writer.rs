@@ -229,6 +229,8 @@ impl Task {
             Durability::Full => "PRAGMA synchronous = FULL; BEGIN IMMEDIATE; SAVEPOINT operation",
             Durability::Relaxed => "PRAGMA synchronous = NORMAL; BEGIN IMMEDIATE; SAVEPOINT operation",
         };
+        // If it fails half-way nobody knows which it is: the weaker one is taken for granted.
+        self.synchronous = Durability::Relaxed;
         sqlx::query(begin).execute(&mut self.connection).await?;
         self.synchronous = durability;
         Ok(())

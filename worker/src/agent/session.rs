@@ -131,7 +131,8 @@ impl Session {
     ) -> Self {
         let (sender, events) = mpsc::unbounded_channel();
         let measurements = Measurements::new(&renderer.device());
-        let store = Store::of(&welcome, &link);
+        let folders = welcome.folders.clone().filter(|_| config.of_pool);
+        let store = folders.map_or_else(|| Store::Server(link.clone()), Store::Folders);
         let workbench = Workbench::new(link.clone(), store, renderer, encoders, config.scratch.clone(), sender.clone());
         let now = Instant::now();
         Self {
@@ -244,10 +245,15 @@ impl Session {
         if now < self.retry_at || !(self.has_to_call(now) || now >= self.heartbeat_at) {
             return None;
         }
+        let (mut holding, mut results): (Vec<_>, _) = (self.holds.keys().copied().collect(), Vec::new());
+        if self.gathers(now) {
+            holding.extend(self.outbox.iter().map(|report| report.lease));
+        } else {
+            results = std::mem::take(&mut self.outbox);
+            // What is handed in may make work ready: the last tile, a stitch.
+            self.asked &= results.is_empty();
+        }
         let wants_work = self.wants_work(now);
-        let waiting = self.outbox.iter().map(|report| report.lease);
-        let holding = self.holds.keys().copied().chain(waiting.filter(|_| self.gathers(now))).collect();
-        let results = if self.gathers(now) { Vec::new() } else { std::mem::take(&mut self.outbox) };
         // Results are answered at once, so that their loss is noticed.
         let wait = match (results.is_empty(), wants_work) {
             (true, true) if self.holds.is_empty() => self.lease / 3,
@@ -312,7 +318,10 @@ impl Session {
             // A server that does not wait is not to be asked without pause.
             self.retry_at = call.start + PAUSE;
         }
-        self.outbox.retain(|report| !reply.lost.contains(&report.lease));
+        if self.outbox.iter().any(|report| reply.lost.contains(&report.lease)) {
+            // It came second, and is still to be compared with the first.
+            self.gather_until = Instant::now();
+        }
         for lease in &reply.lost {
             if let Some(hold) = self.holds.remove(lease) {
                 tracing::info!(%lease, "lease lost; dropping its work");
@@ -361,8 +370,8 @@ impl Session {
     }
 
     fn absorb(&mut self, event: Event) {
-        // What makes no room and hands in nothing makes no work ready.
-        self.asked &= matches!(event, Event::Speed { .. } | Event::Took { .. } | Event::Stored);
+        // What makes no room makes no work ready.
+        self.asked &= !matches!(event, Event::Rendered(_) | Event::Retired(_) | Event::NotStored);
         match event {
             Event::Finished(reports) => {
                 // Of a lease that was lost meanwhile nobody wants to hear.

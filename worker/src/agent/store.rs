@@ -8,7 +8,7 @@ use std::sync::Arc;
 
 use bytes::Bytes;
 use proto::fail::{self, Point};
-use proto::work::{Folders, HALF_DONE, Welcome};
+use proto::work::{Folders, HALF_DONE};
 use tokio::task::spawn_blocking;
 
 use super::link::{Content, Link, LinkError};
@@ -23,11 +23,6 @@ pub(super) enum Store {
 }
 
 impl Store {
-    /// The place that a server names.
-    pub(super) fn of(welcome: &Welcome, link: &Arc<Link>) -> Self {
-        welcome.folders.clone().map_or_else(|| Self::Server(Arc::clone(link)), Self::Folders)
-    }
-
     /// Stores a blob, which may be lost again when the machine loses its power.
     pub(super) async fn put_blob(&self, hash: &str, bytes: Bytes) -> Result<(), LinkError> {
         match self {
@@ -94,7 +89,7 @@ fn write(folder: &Path, name: &str, content: Content, durable: bool) -> io::Resu
 
 fn read(file: &Path, size_bytes: u64) -> io::Result<Option<Vec<u8>>> {
     fail::pass(Point::StoreGet).map_err(io::Error::other)?;
-    let mut found = match File::open(file) {
+    let found = match File::open(file) {
         Ok(found) => found,
         Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(None),
         Err(error) => return Err(error),
@@ -103,7 +98,7 @@ fn read(file: &Path, size_bytes: u64) -> io::Result<Option<Vec<u8>>> {
         return Ok(None);
     }
     let mut bytes = Vec::with_capacity(size_bytes as usize);
-    found.read_to_end(&mut bytes)?;
+    found.take(size_bytes).read_to_end(&mut bytes)?;
     Ok(Some(bytes))
 }
 

@@ -17,10 +17,13 @@ use super::processes::resident_bytes;
 use super::server::{Launch, Said, Server};
 use crate::terminal::note;
 
-/// Clients that hand in jobs, whatever they are told: together more than ten times what the farm can render.
+/// Clients that hand in jobs, whatever they are told.
 const CLIENTS: usize = 32;
-/// How long each waits before its next job; much less than it is asked to.
+/// They hand in so many times what the farm takes: somewhat more than ten.
+const EXCESS: u64 = 12;
+/// How long each waits before its next job where that is reached, and where it is not; much less than it is asked to.
 const PAUSE: Duration = Duration::from_millis(100);
+const HASTE: Duration = Duration::from_millis(10);
 /// Unfinished jobs the farm takes.
 const MAX_QUEUED_JOBS: &str = "200";
 /// Memory is compared with what it was after this time: the first jobs fill caches once.
@@ -120,7 +123,8 @@ async fn hand_in(address: String, text: Vec<u8>, counts: Arc<Counts>) {
             Some(_) | None => &counts.other,
         };
         counter.fetch_add(1, Ordering::Relaxed);
-        tokio::time::sleep(PAUSE).await;
+        let is_enough = counts.refused.load(Ordering::Relaxed) >= EXCESS * counts.taken.load(Ordering::Relaxed);
+        tokio::time::sleep(if is_enough { PAUSE } else { HASTE }).await;
     }
 }
 
