@@ -295,7 +295,8 @@ impl Session {
     fn next_instant(&self, has_heartbeat: bool) -> Instant {
         let now = Instant::now();
         let heartbeat = (!has_heartbeat).then_some(self.heartbeat_at);
-        let results = (!self.outbox.is_empty()).then(|| if self.holds.is_empty() { now } else { self.gather_until });
+        let company_until = if self.holds.is_empty() { now } else { self.gather_until };
+        let results = (!self.outbox.is_empty()).then_some(company_until);
         let work = (self.work_at > now).then_some(self.work_at);
         let first = heartbeat.into_iter().chain(results).chain(work).min();
         first.unwrap_or(now + self.lease).max(self.retry_at)
