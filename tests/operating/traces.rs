@@ -3,11 +3,13 @@
 use std::collections::HashMap;
 use std::io::{BufRead, BufReader, Read, Write};
 use std::net::{TcpListener, TcpStream};
+use std::process::Stdio;
 use std::sync::{Arc, Mutex};
 
+use rustix::process::Signal;
 use serde_json::Value;
 
-use crate::support::Farm;
+use crate::support::{Farm, sdfarm, send_signal, wait};
 
 /// What a collector takes of a span.
 #[derive(Clone, Debug, Default)]
@@ -123,44 +125,71 @@ fn spans(body: &[u8]) -> Vec<Span> {
     found
 }
 
-#[test]
-fn one_trace_shows_a_job_from_its_request_to_its_stored_picture_and_logs_name_it() {
-    let collector = Collector::start();
-    let folder = tempfile::tempdir().expect("a folder");
-    let flags = ["--device", "cpu", "--workers", "1", "--log", "json", "-v", "--otlp", &collector.address];
-    let farm = Farm::start_on(folder.path(), &flags);
-    let (trace, client) = ("4bf92f3577b34da6a3ce929d0e0e4736", "00f067aa0ba902b7");
+const TRACE: &str = "4bf92f3577b34da6a3ce929d0e0e4736";
+const CLIENT: &str = "00f067aa0ba902b7";
+
+/// Hands in a small job as a client would that has a trace of its own.
+fn hand_in(farm: &Farm) -> String {
     let job = r#"{"scene": {"camera": {"position": [0, 0, 4], "look_at": [0, 0, 0]},
         "objects": [{"material": {"normals": {}}, "shape": {"sphere": {"radius": 1}}}]},
         "image": {"width": 64, "height": 48, "samples": 1}}"#;
     let headers = [
         ("content-type", "application/json"),
-        ("traceparent", &format!("00-{trace}-{client}-01")[..]),
+        ("traceparent", &format!("00-{TRACE}-{CLIENT}-01")[..]),
         ("x-request-id", "the-request"),
     ];
     let answer = farm.send("POST", "/v1/jobs", &headers, job.as_bytes().to_vec());
     assert_eq!(answer.status, 201, "{}", answer.text());
     let id = answer.json()["id"].as_str().expect("an id").to_owned();
     farm.succeeded(&id);
+    id
+}
+
+/// The names of a span and of those above it, up to the client's own.
+fn names_up_from(name: &str, spans: &[Span]) -> Vec<String> {
+    let by_id: HashMap<&str, &Span> = spans.iter().map(|span| (span.id.as_str(), span)).collect();
+    let mut span = spans.iter().find(|span| span.name == name).unwrap_or_else(|| panic!("no {name} in {spans:?}"));
+    let mut names = vec![span.name.clone()];
+    while let Some(above) = by_id.get(span.parent.as_str()) {
+        names.push(above.name.clone());
+        span = above;
+    }
+    assert_eq!(span.parent, CLIENT, "the client's own span is above all");
+    names
+}
+
+#[test]
+fn one_trace_shows_a_job_from_its_request_to_its_picture_and_logs_name_it() {
+    let collector = Collector::start();
+    let folder = tempfile::tempdir().expect("a folder");
+    let flags = ["--device", "cpu", "--workers", "1", "--log", "json", "-v", "--otlp", &collector.address];
+    let farm = Farm::start_on(folder.path(), &flags);
+    let id = hand_in(&farm);
     let path = folder.path().join("log");
     // What is left of the traces is sent when the processes end.
     assert!(farm.terminate().success());
 
-    let spans = collector.of_trace(trace);
-    let by_id: HashMap<&str, &Span> = spans.iter().map(|span| (span.id.as_str(), span)).collect();
-    let store =
-        spans.iter().find(|span| span.name == "store").unwrap_or_else(|| panic!("nothing is stored: {spans:?}"));
-    let (mut names, mut parent) = (vec!["store"], store.parent.as_str());
-    while let Some(span) = by_id.get(parent) {
-        names.push(&span.name);
-        parent = &span.parent;
-    }
-    assert_eq!(names, ["store", "request", "deliver", "run", "lease", "request"], "{spans:?}");
-    assert_eq!(parent, client, "the client's own span is above all");
+    let spans = collector.of_trace(TRACE);
+    assert_eq!(names_up_from("deliver", &spans), ["deliver", "run", "lease", "request"], "{spans:?}");
     for name in ["submit", "render", "encode"] {
         assert!(spans.iter().any(|span| span.name == name), "no {name} in {spans:?}");
     }
     check_log(&std::fs::read_to_string(path).expect("a log"), &id);
+}
+
+#[test]
+fn trace_goes_on_where_a_remote_worker_brings_its_picture() {
+    let collector = Collector::start();
+    let farm = Farm::start(&["--workers", "0", "--otlp", &collector.address]);
+    let worker = ["worker", "--server", &farm.address, "--device", "cpu", "--otlp", &collector.address];
+    let mut worker = sdfarm(&worker).stderr(Stdio::null()).spawn().expect("the program starts");
+    hand_in(&farm);
+    send_signal(worker.id(), Signal::TERM);
+    assert!(wait(&mut worker).success());
+    assert!(farm.terminate().success());
+    let spans = collector.of_trace(TRACE);
+    let names = ["store", "request", "deliver", "run", "lease", "request"];
+    assert_eq!(names_up_from("store", &spans), names, "{spans:?}");
 }
 
 /// Every line is an object, and lines about the job name it, its frame and its worker.
