@@ -1,6 +1,6 @@
 //! A worker's turn: results in, leases renewed, strays handed back, work out; one transaction.
 
-use std::collections::HashMap;
+use std::collections::HashSet;
 use std::time::Duration;
 
 use proto::work::{Report, Run};
@@ -162,9 +162,9 @@ async fn keep_leases(
     lost: &mut Vec<LeaseId>,
 ) -> Result<Ring> {
     let live = lease::live_leases(connection, &turn.worker.to_string()).await?;
-    let mut holding: HashMap<String, LeaseId> = turn.holding.iter().map(|lease| (lease.to_string(), *lease)).collect();
-    let (held, unknown): (Vec<_>, Vec<_>) = live.iter().partition(|live| holding.remove(&live.lease).is_some());
-    lost.extend(turn.holding.iter().filter(|lease| holding.contains_key(&lease.to_string())));
+    let mut holding: HashSet<String> = turn.holding.iter().map(ToString::to_string).collect();
+    let (held, unknown): (Vec<_>, Vec<_>) = live.iter().partition(|live| holding.remove(&live.lease));
+    lost.extend(turn.holding.iter().filter(|lease| holding.contains(&lease.to_string())));
     let held: Vec<&str> = held.into_iter().map(|live| live.lease.as_str()).collect();
     lease::renew(connection, &held, moment).await?;
     let mut ring = Ring::default();
