@@ -37,10 +37,10 @@ impl ServerArguments {
 /// How the server is called.
 #[derive(Clone, Debug, Args)]
 pub(crate) struct AccessArguments {
-    /// Key to bring, as `sdfarm key new` printed it; better given as a variable, which no list of processes shows.
+    /// API key, as printed by `sdfarm key new`; prefer SDFARM_KEY, because process lists show arguments.
     #[arg(long, value_name = "KEY", env = "SDFARM_KEY", hide_env_values = true)]
     key: Option<Secret>,
-    /// Certificates of the authority that vouches for an https server [default: the system's].
+    /// CA certificates (PEM) to trust for https servers [default: the system's].
     #[arg(long, value_name = "FILE", env = "SDFARM_CA")]
     ca: Option<PathBuf>,
 }

@@ -45,7 +45,7 @@ use crate::signals::Signals;
 pub(crate) enum Command {
     /// Run the farm: the HTTP API, the queue, and workers on this machine.
     Serve(serve::Arguments),
-    /// Render for a server, until it or you say stop.
+    /// Run a worker: render tiles for a server until it drains the worker or you stop it.
     Worker(worker::Arguments),
     /// Render a picture here and now, without a server.
     Render(render::Arguments),
@@ -59,7 +59,7 @@ pub(crate) enum Command {
     Preview(preview::Arguments),
     /// Sign a link to a picture, for those who have no key.
     Link(link::Arguments),
-    /// Remove the jobs that need not be kept, or tell which those are.
+    /// Remove jobs past their retention, or list them (--dry-run).
     Gc(gc::Arguments),
     /// List jobs, newest first.
     Jobs(jobs::Arguments),
@@ -67,11 +67,11 @@ pub(crate) enum Command {
     Cancel(cancel::Arguments),
     /// Have the dead tiles of a failed job rendered again.
     Retry(retry::Arguments),
-    /// Move a job before or behind others.
+    /// Change a job's priority.
     Priority(priority::Arguments),
-    /// Forget a job and its pictures, or tell what that would take along.
+    /// Delete a job and its pictures, or list what would be deleted (--dry-run).
     Delete(delete::Arguments),
-    /// Let nothing more of a job, or of the farm, be started; what is started goes on.
+    /// Pause a job or the whole farm; running tiles finish.
     Pause(pause::Arguments),
     /// Let a paused job, or the paused farm, go on.
     Resume(pause::Arguments),
@@ -87,13 +87,13 @@ pub(crate) enum Command {
     Check(check::Arguments),
     /// Print the JSON Schema of a job file.
     Schema(schema::Arguments),
-    /// Tell what becomes of a job: its size, and the program that a GPU is given.
+    /// Show a job's size in nodes, rays and operations, or its GPU program (--cuda).
     Explain(explain::Arguments),
     /// Measure how fast this machine renders.
     Bench(bench::Arguments),
     /// Check that this machine renders the right bits.
     Selftest(selftest::Arguments),
-    /// Prove a farm on this machine: work it, kill it again and again, and check that nothing is lost or changed.
+    /// Stress-test a temporary farm: kill its processes repeatedly and check that nothing is lost or changed.
     Soak(soak::Arguments),
     /// Show on one screen how a farm is: its queue, workers, disk, and what should be looked at.
     Status(status::Arguments),
@@ -103,7 +103,7 @@ pub(crate) enum Command {
     Backup(backup::Arguments),
     /// Make a farm from a backup, in a new folder.
     Restore(restore::Arguments),
-    /// Look whether all is well with a farm and its machine.
+    /// Check a farm's data folder and machine, and suggest fixes.
     Doctor(doctor::Arguments),
     /// Start a farm, render a shipped scene on it, save the picture, and stop.
     Demo(demo::Arguments),
@@ -118,7 +118,7 @@ impl Command {
         matches!(self, Self::Serve(_) | Self::Worker(_))
     }
 
-    /// Does it.
+    /// Runs the command; an error becomes the exit code.
     pub(crate) fn run(self) -> anyhow::Result<()> {
         match self {
             Self::Serve(arguments) => run_async(serve::run(arguments)),

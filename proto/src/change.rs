@@ -26,7 +26,7 @@ pub struct DeletePreview {
     pub rows: u64,
 }
 
-/// Where a frame stands.
+/// Lifecycle of a frame: waiting, open, stitching, then stored or void.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum FrameState {

@@ -11,7 +11,7 @@ use crate::WorkerId;
 /// Most workers the local pool may hold.
 pub const MAX_POOL_WORKERS: u32 = 256;
 
-/// Where a worker stands.
+/// Lifecycle of a worker. `quarantined` workers get no work until they are restarted.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum WorkerState {

@@ -1,6 +1,6 @@
 //! The audit log: who did what, from where, with what outcome, as rows and as events of the log.
 //!
-//! It is bounded, and it delays nobody: what comes faster than it can be written is counted together.
+//! Keeps the newest 100,000 entries and never blocks a request: if records arrive faster than they can be written, equal ones are counted together and the excess is dropped with a warning.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -106,7 +106,7 @@ impl Audit {
             }
             let unwritten = self.unwritten.swap(0, Ordering::Relaxed);
             if unwritten > 0 {
-                tracing::warn!(target: "audit", unwritten, "more was done than could be written down");
+                tracing::warn!(target: "audit", unwritten, "audit records dropped: the queue is full");
             }
             if let Err(error) = self.write(gathered).await {
                 tracing::error!(%error, cause = ?std::error::Error::source(&error), "the audit log could not be written");

@@ -1,4 +1,4 @@
-//! What the doors share: the queue, the bytes, the pool; and the steps that need more than one of them.
+//! State shared by all handlers (queue, content store, pool) and the operations that need more than one of them.
 //!
 //! Nothing here knows about HTTP.
 
@@ -181,7 +181,7 @@ impl Farm {
         Ok(Opening { job: number, frame, picture_key, tiles: plan.tiles(), samples: plan.samples })
     }
 
-    /// A result whose bytes are not there is no result: its tile goes back.
+    /// Drops reports whose bytes are not in the store; their tiles are requeued.
     async fn check_delivered(&self, reports: &mut [Report]) -> Result<(), PictureError> {
         let mut last: Option<(String, bool)> = None;
         for report in reports {

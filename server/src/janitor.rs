@@ -1,4 +1,4 @@
-//! Maintenance: leases that ran out, bytes that nobody needs, rows that matter no more.
+//! Periodic maintenance: expires leases, deletes orphaned content, prunes old rows.
 //!
 //! It changes no state itself; it asks the queue and the store to.
 

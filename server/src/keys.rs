@@ -1,5 +1,5 @@
-//! Keys: who may come in. The table is read again and again, so that a key made or revoked by another
-//! process counts within a moment; whoever waits under a revoked key is told at once.
+//! Keys: who may come in. The table is reread every 500 ms, so keys created or revoked by another process
+//! take effect within a second; whoever waits under a revoked key is told at once.
 //!
 //! It knows nothing of routes: what a key lets its bearer do, HTTP asks for.
 

@@ -23,7 +23,7 @@ use tokio_util::io::ReaderStream;
 
 /// Bytes written at a time.
 const PART_BYTES: usize = 1 << 20;
-/// What was stored a shorter time ago is not swept: workers gather results for less.
+/// Content younger than this is never swept, because workers hold reports back for up to 200 ms.
 pub(crate) const YOUNG: Duration = Duration::from_secs(1);
 /// Largest blob taken; a tile's data is at most half of it.
 const MAX_BLOB_BYTES: u64 = 128 << 20;

@@ -149,7 +149,7 @@ impl Queue {
         }
     }
 
-    /// What rings when there is work or news.
+    /// Notifies waiters after a commit that may add work, ends a lease from outside, or drains a worker.
     pub(crate) fn bell(&self) -> &Bell {
         &self.bell
     }

@@ -54,7 +54,7 @@ pub(crate) struct Arguments {
     /// The certificate's private key, in PEM. Both files are read again when they change.
     #[arg(long, value_name = "FILE", env = "SDFARM_TLS_KEY", requires = "tls_cert")]
     tls_key: Option<PathBuf>,
-    /// Connections at a time; when there are more, those go that have been idle longest.
+    /// Maximum open connections; above it, the connections idle longest are closed.
     #[arg(long, value_name = "N", env = "SDFARM_MAX_CONNECTIONS", default_value_t = MAX_CONNECTIONS, value_parser = clap::value_parser!(u32).range(1..))]
     max_connections: u32,
     /// Unfinished jobs that the farm takes before it says that its queue is full.

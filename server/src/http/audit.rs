@@ -95,7 +95,7 @@ struct PageQuery {
     ),
     responses(
         (status = 200, description = "A page", body = ref("#/components/schemas/AuditPage")),
-        (status = 422, description = "A query that can't be", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
+        (status = 422, description = "Invalid query parameters", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
     )
 )]
 pub(super) async fn list(State(farm): State<Arc<Farm>>, uri: Uri) -> Result<Json<AuditPage>, ApiError> {

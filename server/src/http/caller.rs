@@ -125,7 +125,7 @@ fn with_caller(mut response: Response, caller: Caller) -> Response {
     response
 }
 
-/// Refuses, and more curtly who tries again and again.
+/// Rejects the request. After 20 rejections a second from one address, the response is 429 instead of the reason.
 fn refuse(farm: &Farm, peer: Option<IpAddr>, caller: Caller, error: ApiError) -> Response {
     let error = match farm.doors.count_refusal(peer) {
         Ok(()) => error,

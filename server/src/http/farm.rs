@@ -58,7 +58,7 @@ pub(super) async fn get(State(farm): State<Arc<Farm>>) -> Result<Json<FarmView>,
     Ok(Json(FarmView { paused: farm.queue.is_paused().await? }))
 }
 
-/// Pause the farm: nothing more is leased, and what is leased goes on.
+/// Pause the farm: no new tiles are leased; leased tiles finish and count.
 #[utoipa::path(
     post, path = "/v1/farm/pause", tag = "farm", operation_id = "pause_farm",
     responses((status = 200, description = "It is paused", body = ref("#/components/schemas/FarmView")))

@@ -76,7 +76,7 @@ pub(super) fn has_no_cache(headers: &HeaderMap) -> bool {
         ("keep" = Option<String>, Query, description = "How long it is kept once it has finished: 36h, 7d, forever; else as the server was told"),
         ("webhook" = Option<Vec<String>>, Query, description = "An address that is told when the job has ended; up to four"),
         ("webhook_event" = Option<Vec<String>>, Query, description = "What webhooks are told instead: job.running, job.succeeded, job.failed, job.cancelled, frame.stored"),
-        ("Idempotency-Key" = Option<String>, Header, description = "A name for this very wish: sent again with it, it is the same job"),
+        ("Idempotency-Key" = Option<String>, Header, description = "Makes the request idempotent: repeating it with the same key returns the job created first"),
         ("Prefer" = Option<String>, Header, description = "`wait=N`: answer when the job has ended, or after N seconds, at most 60"),
     ),
     request_body(content = ref("#/components/schemas/Job"), content_type = "application/json"),

@@ -7,7 +7,7 @@ use subtle::ConstantTimeEq;
 
 use super::KeyError;
 
-/// How a key begins, so that people and scanners of repositories know it for one.
+/// Prefix of every key, so that people and secret scanners recognize it.
 const PREFIX: &str = "sdf_";
 /// Random bytes of a key.
 const SECRET_BYTES: usize = 32;

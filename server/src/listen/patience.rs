@@ -1,7 +1,7 @@
 //! How long a client may keep the server waiting: for the bytes of a body, and for room to write.
 //!
-//! Patience is earned by bytes that move, up to a limit: a client may pause for as long as the limit, and has to
-//! keep up a least rate on the whole.
+//! A transfer may stall for at most 20 s and must average at least 1 KiB/s. Each KiB transferred adds one
+//! second to the budget, up to 20 s.
 
 use std::io;
 use std::pin::Pin;

@@ -318,7 +318,7 @@ const SOMETHING_IS_OVERDUE: &str = "
     SELECT EXISTS (SELECT 1 FROM lease WHERE ended IS NULL AND expires_ms <= ?1)
         OR EXISTS (SELECT 1 FROM worker WHERE state <> 'gone' AND pool = 0 AND seen_ms <= ?2)";
 
-/// Ends the leases whose time ran out, and marks workers from elsewhere that vanished.
+/// Expires overdue leases and marks remote workers as gone if they have not synced for one lease length.
 pub(super) async fn rescue(connection: &mut Connection, moment: Moment) -> Result<(u64, Ring)> {
     let mut ring = Ring::default();
     let mut count = 0;

@@ -6,7 +6,7 @@ use std::time::Duration;
 const SMALL_FRAME_RAYS: u64 = 1 << 22;
 /// What a run of tiles should take.
 const RUN: Duration = Duration::from_secs(1);
-/// A run that takes no longer than this is nobody's loss, and a frame that does is not worth sharing.
+/// Batches up to this long go to any worker, and frames up to this long are not split, because the delay is not worth another claim.
 const SHORT_RUN: Duration = Duration::from_millis(50);
 /// A worker given a whole frame keeps at most so much data of it.
 const WHOLE_FRAME_BYTES: u64 = 256 << 20;

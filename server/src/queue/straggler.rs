@@ -21,7 +21,7 @@ const UNKNOWN_PACE_MS: i64 = 1000;
 /// So many of the oldest leases are looked at.
 const LOOKED_AT: i64 = 256;
 
-/// The oldest leases of other workers that this one could help with, each the only one of its tile.
+/// Oldest leases of other workers whose tile this worker can render and that have no duplicate lease yet.
 const OLDEST: &str = include_str!("oldest_leases.sql");
 
 /// The tiles of a frame that one worker alone has held for long.

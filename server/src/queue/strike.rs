@@ -38,7 +38,7 @@ pub(super) async fn note(connection: &mut Connection, worker: &str, job: i64, mo
     quarantine(connection, worker, moment).await
 }
 
-/// Takes no more results for granted of a worker that is kept from many jobs.
+/// Quarantines a worker that is excluded from three jobs or more, unless it is the last ready worker.
 async fn quarantine(connection: &mut Connection, worker: &str, moment: Moment) -> Result<()> {
     let quarantined = sqlx::query(
         "UPDATE worker SET state = 'quarantined' WHERE id = ?1 AND state = 'ready'

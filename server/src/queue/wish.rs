@@ -1,4 +1,4 @@
-//! What comes with a job that is handed in: a name for the wish, so that it is granted once, and who is to be told.
+//! Options of a submitted job: the idempotency key, so that a repeated request creates one job, and its webhooks.
 //!
 //! All of it is written in the transaction that accepts the job, so that no kill comes between.
 

@@ -49,7 +49,7 @@ impl Default for CommitTimes {
     }
 }
 
-/// The writer's door.
+/// Handle to the writer task; clones of its channel queue operations.
 #[derive(Debug)]
 pub(super) struct Writer {
     operations: std::sync::Mutex<Option<mpsc::Sender<Box<dyn Operation>>>>,

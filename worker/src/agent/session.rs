@@ -31,7 +31,7 @@ const SHORT_RUN: Duration = Duration::from_millis(50);
 const CALL_MARGIN: Duration = Duration::from_secs(10);
 /// The least time from one waiting call to the next.
 const PAUSE: Duration = Duration::from_millis(50);
-/// While more results are to come, those that are there wait so long for company: a call costs the server a commit.
+/// While a batch is unfinished, its reports are held back for up to 200 ms and sent together, because each call costs the server a commit.
 const GATHER: Duration = Duration::from_millis(200);
 /// How long the last call of all may take.
 const FAREWELL: Duration = Duration::from_secs(2);
@@ -95,7 +95,7 @@ struct Speed {
 impl Speed {
     /// What is older than about so long hardly counts.
     const MEMORY_SECONDS: f64 = 4.0;
-    /// As if it had spent so long for nothing: a short first measurement is not trusted with much.
+    /// Added to the measured time, so that one very short first batch does not produce a huge speed estimate.
     const DOUBT_SECONDS: f64 = 0.05;
 
     fn learn(&mut self, rays: f64, seconds: f64) {

@@ -29,7 +29,7 @@ pub(super) fn describe(document: &mut Value) {
                 }
                 Need::Scope(scope) => format!("The key has not the scope {}", scope.name()),
                 Need::OwnJob(scope) => {
-                    format!("The key has not the scope {}, and the job is not one that it handed in", scope.name())
+                    format!("The key lacks scope {} and did not submit this job", scope.name())
                 }
             };
             operation["security"] = json!([{}, { SCHEME: [] }]);
