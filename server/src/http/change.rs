@@ -49,7 +49,7 @@ pub(super) async fn retry(State(farm): State<Arc<Farm>>, Path(id): Path<String>)
     }
 }
 
-/// Change a job that has not ended.
+/// Change a job that has not finished.
 #[utoipa::path(
     patch, path = "/v1/jobs/{id}", tag = "jobs", operation_id = "change_job",
     params(("id" = String, Path, description = "The job")),

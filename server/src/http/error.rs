@@ -1,4 +1,4 @@
-//! Every refusal a client can meet, and the only place that knows status codes.
+//! Every error response of the API, and the only place that knows status codes.
 
 use axum::http::{HeaderValue, StatusCode, header};
 use axum::response::{IntoResponse, Response};
@@ -16,7 +16,7 @@ use crate::retention::RetentionError;
 use crate::sketches::SketchError;
 use crate::store::StoreError;
 
-/// Why a request is refused: what went wrong this time, and the cure.
+/// Reason for an error response, with its fix.
 #[derive(Debug, thiserror::Error)]
 pub(crate) enum ApiError {
     #[error("the body is not JSON: {}", first(.0))]
@@ -215,7 +215,7 @@ impl ApiError {
         }
     }
 
-    /// A body that did not arrive whole, for whatever reason.
+    /// Message for a body that did not arrive completely.
     pub(super) fn broken_body(error: &(dyn std::error::Error + 'static)) -> Self {
         let mut cause = Some(error);
         while let Some(error) = cause {

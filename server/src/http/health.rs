@@ -11,7 +11,7 @@ use serde_json::{Value, json};
 use super::error::ApiError;
 use crate::farm::Farm;
 
-/// How `/metrics` is written.
+/// Content type of `/metrics`.
 const OPEN_METRICS: &str = "application/openmetrics-text; version=1.0.0; charset=utf-8";
 
 /// Is the process up?

@@ -1,4 +1,4 @@
-//! Keys, for administrators: made, listed, revoked. `sdfarm key` does the same on the data folder.
+//! API keys for administrators: creation, list, revocation. `sdfarm key` does the same on the data folder.
 
 use std::sync::Arc;
 
