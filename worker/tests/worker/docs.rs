@@ -41,7 +41,11 @@ fn assert_fresh(page: Page) {
             std::fs::write(&path, &want).expect("docs can be written");
         }
         let got = std::fs::read(&path).unwrap_or_default();
-        assert!(got == want, "{} is stale: SDFARM_WRITE_DOCS=1 cargo test -p worker --test worker docs", path.display());
+        assert!(
+            got == want,
+            "{} is stale: SDFARM_WRITE_DOCS=1 cargo test -p worker --test worker docs",
+            path.display()
+        );
     }
 }
 
