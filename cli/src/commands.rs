@@ -40,7 +40,7 @@ use clap::Subcommand;
 
 use crate::signals::Signals;
 
-/// What to do.
+/// Command to run.
 #[derive(Debug, Subcommand)]
 pub(crate) enum Command {
     /// Run the farm: the HTTP API, the queue, and workers on this machine.
@@ -49,13 +49,13 @@ pub(crate) enum Command {
     Worker(worker::Arguments),
     /// Render a picture here and now, without a server.
     Render(render::Arguments),
-    /// Hand in a job to a server.
+    /// Submit a job to a server.
     Submit(submit::Arguments),
     /// Follow a job until it is finished.
     Watch(watch::Arguments),
     /// Save a stored picture of a job.
     Fetch(fetch::Arguments),
-    /// Save what is finished of a picture so far.
+    /// Save the finished part of a picture.
     Preview(preview::Arguments),
     /// Sign a link to a picture, for those who have no key.
     Link(link::Arguments),
@@ -73,7 +73,7 @@ pub(crate) enum Command {
     Delete(delete::Arguments),
     /// Pause a job or the whole farm; running tiles finish.
     Pause(pause::Arguments),
-    /// Let a paused job, or the paused farm, go on.
+    /// Resume a paused job, or the paused farm.
     Resume(pause::Arguments),
     /// Show what a server signs its webhooks with.
     Webhook(webhook::Arguments),
@@ -83,7 +83,7 @@ pub(crate) enum Command {
     Key(key::Arguments),
     /// List who did what.
     Audit(audit::Arguments),
-    /// Check a job file: every fault, with its line and column.
+    /// Check a job file: report every error with its line and column.
     Check(check::Arguments),
     /// Print the JSON Schema of a job file.
     Schema(schema::Arguments),
@@ -95,9 +95,9 @@ pub(crate) enum Command {
     Selftest(selftest::Arguments),
     /// Stress-test a temporary farm: kill its processes repeatedly and check that nothing is lost or changed.
     Soak(soak::Arguments),
-    /// Show on one screen how a farm is: its queue, workers, disk, and what should be looked at.
+    /// Show a farm on one screen: queue, workers, disk, and warnings.
     Status(status::Arguments),
-    /// Watch a farm live; q ends it.
+    /// Show a farm live; q quits.
     Top(top::Arguments),
     /// Copy a farm while it runs: its database, and the pictures that are new.
     Backup(backup::Arguments),
@@ -113,7 +113,7 @@ pub(crate) enum Command {
 }
 
 impl Command {
-    /// Whether it runs until told to stop.
+    /// Whether the command runs until it is stopped.
     pub(crate) fn is_long_lived(&self) -> bool {
         matches!(self, Self::Serve(_) | Self::Worker(_))
     }
@@ -166,7 +166,7 @@ fn run_async<T>(work: impl Future<Output = anyhow::Result<T>>) -> anyhow::Result
     runtime.block_on(work)
 }
 
-/// Runs work that Ctrl-C may drop at any moment: its temporary files go with it.
+/// Runs work that Ctrl-C may drop at any time, together with its temporary files.
 async fn interruptible(work: impl Future<Output = anyhow::Result<()>>) -> anyhow::Result<()> {
     let mut signals = Signals::catch()?;
     tokio::select! {
