@@ -271,7 +271,10 @@ impl Supervisor {
     fn hold(&mut self) {
         let Some(steps) = self.early_deaths.checked_sub(EARLY_DEATHS_FREE) else { return };
         let wait = (BACK_OFF * (1 << steps.min(10))).min(MAX_BACK_OFF);
-        tracing::error!(?wait, "pool workers exit right after starting: fix the cause in their messages above; next start is delayed");
+        tracing::error!(
+            ?wait,
+            "pool workers exit right after starting: fix the cause in their messages above; next start is delayed"
+        );
         self.hold_until = Some(instant() + wait);
     }
 
