@@ -25,29 +25,29 @@ pub(crate) enum ApiError {
     WrongJob(Vec<FaultView>),
     #[error("the body is not what this route takes: {}", first(.0))]
     WrongBody(Vec<FaultView>),
-    #[error("the query can't be read: {0}")]
+    #[error("invalid query: {0}")]
     WrongQuery(String),
-    #[error("the headers can't be read: {0}")]
+    #[error("invalid header: {0}")]
     WrongHeader(String),
     #[error("{0}")]
     WrongWebhook(String),
-    #[error("this Idempotency-Key came with another job before: use a new key for a new job")]
+    #[error("this Idempotency-Key was used for another job: use a new key for a new job")]
     OtherWish,
     #[error(
-        "{stored} of the {total} pictures of job {job} are stored: wait for the rest, or take those with ?partial=true"
+        "{stored} of the {total} pictures of job {job} are stored: wait for the rest, or get the stored ones with ?partial=true"
     )]
     FramesMissing { job: JobId, stored: u32, total: u32 },
-    #[error("the body has more than {limit_bytes} bytes, the most this route takes")]
+    #[error("the body has more than {limit_bytes} bytes, the limit of this route: send a smaller one")]
     TooLarge { limit_bytes: u64 },
     #[error("the content type is {found:?}: send JSON as application/json")]
     WrongType { found: String },
-    #[error("the body did not arrive whole: {0}")]
+    #[error("the body is incomplete: {0}")]
     BrokenBody(String),
-    #[error("the request can't be understood: {0}")]
+    #[error("invalid request: {0}")]
     WrongRequest(&'static str),
-    #[error("there is no job {0}: GET /v1/jobs lists those there are")]
+    #[error("there is no job {0}: GET /v1/jobs lists all jobs")]
     UnknownJob(String),
-    #[error("job {job} has no frame {frame}: it has {frames}, from 0")]
+    #[error("job {job} has no frame {frame}: its {frames} frames are numbered from 0")]
     UnknownFrame { job: JobId, frame: String, frames: u32 },
     #[error("{}", not_stored(.job, *.frame, *.state))]
     NotStored { job: JobId, frame: u32, state: JobState },
@@ -55,45 +55,45 @@ pub(crate) enum ApiError {
     UnknownRoute { method: String, path: String },
     #[error("{path} does not take {method}: see the Allow header, and /docs")]
     WrongMethod { method: String, path: String },
-    #[error("job {job} has ended (it is {}): nothing of it can be changed any more", .state.name())]
+    #[error("job {job} is {}, which is final: it cannot be changed any more", .state.name())]
     Finished { job: JobId, state: JobState },
     #[error("job {job} is {} and has no dead tiles: only failed jobs can be retried", .state.name())]
     NothingDead { job: JobId, state: JobState },
     #[error("job {0} is running: cancel it first, then delete it")]
     Running(JobId),
-    #[error("the range lies outside of the picture, which has {size_bytes} bytes")]
+    #[error("the range is outside the picture, which has {size_bytes} bytes")]
     WrongRange { size_bytes: u64 },
     #[error(
         "unknown host {0:?}: use localhost or the server's IP address, \
-         or name it with --host when it is started"
+         or start the server with --host and this name"
     )]
     ForeignHost(String),
     #[error("cross-origin request from {0:?} rejected: send it from this server's own pages or from a program")]
     ForeignOrigin(String),
-    #[error("this route is for workers that bring the pool's token")]
+    #[error("this route is for pool workers, which send the pool's token")]
     WrongToken,
     #[error(
-        "this farm asks for a key: send it as Authorization: Bearer KEY, or give it to sdfarm by SDFARM_KEY; \
-         `sdfarm key new NAME --scope …` makes one on the server's machine"
+        "this farm requires a key: send it as Authorization: Bearer KEY, or give it to sdfarm by SDFARM_KEY; \
+         `sdfarm key new NAME --scope …` creates one on the server's machine"
     )]
     MissingKey,
-    #[error("no such key is known here: give it as `sdfarm key new` printed it, to the server that it was made for")]
+    #[error("unknown key: send it as `sdfarm key new` printed it, to the server that it was created for")]
     UnknownKey,
-    #[error("this key has expired: ask the farm's administrator for another")]
+    #[error("this key has expired: ask the farm's administrator for a new one")]
     ExpiredKey,
-    #[error("this key was revoked, or has just expired: ask the farm's administrator for another")]
+    #[error("this key was revoked, or has just expired: ask the farm's administrator for a new one")]
     EndedKey,
     #[error("the key of {name} lacks scope {}: use a key that has it, or ask an administrator for one", .scope.name())]
     MissingScope { scope: Scope, name: String },
-    #[error("more than {per_second} requests a second: try again in {retry_seconds} s")]
+    #[error("more than {per_second} requests per second: retry in {retry_seconds} s")]
     TooManyRequests { per_second: u32, retry_seconds: u64 },
-    #[error("{limit} jobs are unfinished, the most this farm takes: try again when some are done")]
+    #[error("the farm has its maximum of {limit} unfinished jobs: retry when some have finished")]
     QueueFull { limit: i64 },
-    #[error("{name} may have {limit} {what}: try again when some are done, or cancel some")]
+    #[error("{name} may have {limit} {what}: retry when some have finished, or cancel some")]
     Quota { name: String, what: &'static str, limit: i64 },
-    #[error("the body came too slowly, or not at all: send it without pauses")]
+    #[error("the body arrived too slowly, or not at all: send it without pauses")]
     SlowBody,
-    #[error("the server could not answer in {limit_seconds} s: try again")]
+    #[error("the server could not respond within {limit_seconds} s: retry")]
     TooLong { limit_seconds: u64 },
     #[error(transparent)]
     WrongKey(KeyError),
@@ -101,9 +101,9 @@ pub(crate) enum ApiError {
     KeyConflict(KeyError),
     #[error(transparent)]
     NoKey(KeyError),
-    #[error("no worker {0} is known: it was gone for too long, so it has to register again")]
+    #[error("unknown worker {0}: it was silent for too long and has to register again")]
     UnknownWorker(String),
-    #[error("this worker makes pictures of version {found}, the server wants {wanted}: run the same release of both")]
+    #[error("the worker renders picture version {found}, the server requires {wanted}: run the same release of both")]
     WrongPictureVersion { found: u32, wanted: u32 },
     #[error("{0:?} is not a BLAKE3 hash: send 64 lower-case hexadecimal digits")]
     WrongHash(String),
@@ -111,23 +111,21 @@ pub(crate) enum ApiError {
     WrongBytes(String),
     #[error("there is no blob {0}")]
     UnknownBlob(String),
-    #[error(
-        "the picture is recorded, but its file is gone from the store: post the job again with Cache-Control: no-cache"
-    )]
+    #[error("the picture's file is missing in the store: submit the job again with Cache-Control: no-cache")]
     LostPicture,
-    #[error("the link has expired ({0}): ask for another")]
+    #[error("the link has expired ({0}): request a new one")]
     LinkExpired(String),
-    #[error("the signature is not this link's: follow the link as it was given, or ask for another")]
+    #[error("the signature is not this link's: use the link unchanged, or request a new one")]
     WrongSignature,
     #[error(transparent)]
     NoSketch(SketchError),
     #[error("the server is shutting down: retry in a few seconds")]
     Closing,
-    #[error("the disk is full: make room in the data folder, then try again")]
+    #[error("the disk is full: free space for the data folder, then retry")]
     DiskFull,
     #[error("the database is damaged: stop the server, and restore the data folder from a backup")]
     DamagedDatabase,
-    #[error("something went wrong in the server; its log has the cause under this request id")]
+    #[error("internal error: the server's log has the cause under this request id")]
     Internal(#[source] Box<dyn std::error::Error + Send + Sync>),
 }
 
@@ -139,7 +137,7 @@ fn first(faults: &[FaultView]) -> String {
 }
 
 fn faults(faults: &[FaultView]) -> String {
-    if faults.len() == 1 { "a fault".to_owned() } else { format!("{} faults", faults.len()) }
+    if faults.len() == 1 { "an error".to_owned() } else { format!("{} errors", faults.len()) }
 }
 
 fn not_stored(job: &JobId, frame: u32, state: JobState) -> String {
@@ -151,64 +149,64 @@ fn not_stored(job: &JobId, frame: u32, state: JobState) -> String {
 }
 
 impl ApiError {
-    /// Status, stable code, and what sort of problem it is.
+    /// Status, stable code, and title.
     fn sort(&self) -> (StatusCode, &'static str, &'static str) {
         match self {
             Self::NotJson(_) => (StatusCode::BAD_REQUEST, "not_json", "The body is not JSON"),
             Self::WrongJob(_) => (StatusCode::UNPROCESSABLE_ENTITY, "wrong_job", "The job is invalid"),
-            Self::WrongBody(_) => (StatusCode::UNPROCESSABLE_ENTITY, "wrong_body", "The body is not as it should be"),
-            Self::WrongQuery(_) => {
-                (StatusCode::UNPROCESSABLE_ENTITY, "wrong_query", "The query is not as it should be")
-            }
-            Self::WrongHeader(_) => (StatusCode::BAD_REQUEST, "wrong_header", "A header is not as it should be"),
-            Self::WrongWebhook(_) => (StatusCode::UNPROCESSABLE_ENTITY, "wrong_webhook", "The webhook is not taken"),
-            Self::OtherWish => (StatusCode::UNPROCESSABLE_ENTITY, "key_reused", "The key is another job's"),
+            Self::WrongBody(_) => (StatusCode::UNPROCESSABLE_ENTITY, "wrong_body", "The body is invalid"),
+            Self::WrongQuery(_) => (StatusCode::UNPROCESSABLE_ENTITY, "wrong_query", "The query is invalid"),
+            Self::WrongHeader(_) => (StatusCode::BAD_REQUEST, "wrong_header", "A header is invalid"),
+            Self::WrongWebhook(_) => (StatusCode::UNPROCESSABLE_ENTITY, "wrong_webhook", "The webhook is not allowed"),
+            Self::OtherWish => (StatusCode::UNPROCESSABLE_ENTITY, "key_reused", "The idempotency key was used before"),
             Self::FramesMissing { .. } => (StatusCode::CONFLICT, "frames_missing", "Some pictures are not stored"),
             Self::TooLarge { .. } => (StatusCode::PAYLOAD_TOO_LARGE, "too_large", "The body is too large"),
             Self::WrongType { .. } => {
-                (StatusCode::UNSUPPORTED_MEDIA_TYPE, "wrong_content_type", "The content type is not taken")
+                (StatusCode::UNSUPPORTED_MEDIA_TYPE, "wrong_content_type", "The content type is not supported")
             }
-            Self::BrokenBody(_) => (StatusCode::BAD_REQUEST, "broken_body", "The body broke off"),
-            Self::WrongRequest(_) => (StatusCode::BAD_REQUEST, "wrong_request", "The request can't be understood"),
+            Self::BrokenBody(_) => (StatusCode::BAD_REQUEST, "broken_body", "The body is incomplete"),
+            Self::WrongRequest(_) => (StatusCode::BAD_REQUEST, "wrong_request", "The request is invalid"),
             Self::UnknownJob(_) => (StatusCode::NOT_FOUND, "unknown_job", "There is no such job"),
             Self::UnknownFrame { .. } => (StatusCode::NOT_FOUND, "unknown_frame", "There is no such frame"),
             Self::NotStored { .. } => (StatusCode::NOT_FOUND, "picture_not_stored", "The picture is not stored"),
             Self::UnknownRoute { .. } => (StatusCode::NOT_FOUND, "unknown_route", "There is no such route"),
-            Self::WrongMethod { .. } => (StatusCode::METHOD_NOT_ALLOWED, "wrong_method", "The method is not taken"),
-            Self::Finished { .. } => (StatusCode::CONFLICT, "job_finished", "The job has ended"),
+            Self::WrongMethod { .. } => (StatusCode::METHOD_NOT_ALLOWED, "wrong_method", "The method is not allowed"),
+            Self::Finished { .. } => (StatusCode::CONFLICT, "job_finished", "The job has finished"),
             Self::NothingDead { .. } => (StatusCode::CONFLICT, "nothing_dead", "There is nothing to retry"),
             Self::Running(_) => (StatusCode::CONFLICT, "job_running", "The job is running"),
-            Self::WrongRange { .. } => (StatusCode::RANGE_NOT_SATISFIABLE, "wrong_range", "The range is not there"),
+            Self::WrongRange { .. } => {
+                (StatusCode::RANGE_NOT_SATISFIABLE, "wrong_range", "The range is not satisfiable")
+            }
             Self::ForeignHost(_) => (StatusCode::FORBIDDEN, "foreign_host", "The host is not this server"),
             Self::ForeignOrigin(_) => (StatusCode::FORBIDDEN, "foreign_origin", "The origin is not this server"),
-            Self::WrongToken => (StatusCode::UNAUTHORIZED, "wrong_token", "The token is not right"),
-            Self::MissingKey => (StatusCode::UNAUTHORIZED, "missing_key", "A key is needed"),
-            Self::UnknownKey => (StatusCode::UNAUTHORIZED, "unknown_key", "The key is not known"),
+            Self::WrongToken => (StatusCode::UNAUTHORIZED, "wrong_token", "The token is invalid"),
+            Self::MissingKey => (StatusCode::UNAUTHORIZED, "missing_key", "A key is required"),
+            Self::UnknownKey => (StatusCode::UNAUTHORIZED, "unknown_key", "The key is unknown"),
             Self::ExpiredKey => (StatusCode::UNAUTHORIZED, "expired_key", "The key has expired"),
             Self::EndedKey => (StatusCode::UNAUTHORIZED, "revoked_key", "The key was revoked"),
-            Self::MissingScope { .. } => (StatusCode::FORBIDDEN, "missing_scope", "The key does not allow this"),
-            Self::TooManyRequests { .. } => {
-                (StatusCode::TOO_MANY_REQUESTS, "too_many_requests", "Requests come too fast")
-            }
+            Self::MissingScope { .. } => (StatusCode::FORBIDDEN, "missing_scope", "The key lacks a scope"),
+            Self::TooManyRequests { .. } => (StatusCode::TOO_MANY_REQUESTS, "too_many_requests", "Too many requests"),
             Self::QueueFull { .. } => (StatusCode::TOO_MANY_REQUESTS, "queue_full", "The queue is full"),
             Self::Quota { .. } => (StatusCode::TOO_MANY_REQUESTS, "quota", "The submitter's quota is used up"),
-            Self::SlowBody => (StatusCode::REQUEST_TIMEOUT, "slow_body", "The body came too slowly"),
-            Self::TooLong { .. } => (StatusCode::SERVICE_UNAVAILABLE, "too_long", "The answer took too long"),
-            Self::WrongKey(_) => (StatusCode::UNPROCESSABLE_ENTITY, "wrong_key", "The key can't be made"),
+            Self::SlowBody => (StatusCode::REQUEST_TIMEOUT, "slow_body", "The body arrived too slowly"),
+            Self::TooLong { .. } => (StatusCode::SERVICE_UNAVAILABLE, "too_long", "The response timed out"),
+            Self::WrongKey(_) => (StatusCode::UNPROCESSABLE_ENTITY, "wrong_key", "The new key is invalid"),
             Self::KeyConflict(_) => (StatusCode::CONFLICT, "too_many_keys", "There are too many keys"),
             Self::NoKey(_) => (StatusCode::NOT_FOUND, "no_such_key", "There is no such key"),
             Self::UnknownWorker(_) => (StatusCode::NOT_FOUND, "unknown_worker", "There is no such worker"),
             Self::WrongPictureVersion { .. } => {
-                (StatusCode::UNPROCESSABLE_ENTITY, "wrong_picture_version", "The worker is of another release")
+                (StatusCode::UNPROCESSABLE_ENTITY, "wrong_picture_version", "The worker has another picture version")
             }
             Self::WrongHash(_) => (StatusCode::UNPROCESSABLE_ENTITY, "wrong_hash", "The name is not a hash"),
-            Self::WrongBytes(_) => (StatusCode::UNPROCESSABLE_ENTITY, "wrong_bytes", "The bytes are not those named"),
+            Self::WrongBytes(_) => {
+                (StatusCode::UNPROCESSABLE_ENTITY, "wrong_bytes", "The bytes do not match their hash")
+            }
             Self::UnknownBlob(_) => (StatusCode::NOT_FOUND, "unknown_blob", "There is no such blob"),
             Self::LostPicture => (StatusCode::INTERNAL_SERVER_ERROR, "lost_picture", "The picture's file is gone"),
             Self::LinkExpired(_) => (StatusCode::GONE, "link_expired", "The link has expired"),
-            Self::WrongSignature => (StatusCode::FORBIDDEN, "wrong_signature", "The signature is not right"),
-            Self::NoSketch(_) => (StatusCode::SERVICE_UNAVAILABLE, "no_preview", "The preview can't be drawn"),
-            Self::Closing => (StatusCode::SERVICE_UNAVAILABLE, "closing", "The server is ending"),
+            Self::WrongSignature => (StatusCode::FORBIDDEN, "wrong_signature", "The signature is invalid"),
+            Self::NoSketch(_) => (StatusCode::SERVICE_UNAVAILABLE, "no_preview", "The preview failed"),
+            Self::Closing => (StatusCode::SERVICE_UNAVAILABLE, "closing", "The server is shutting down"),
             Self::DiskFull => (StatusCode::INSUFFICIENT_STORAGE, "disk_full", "The disk is full"),
             Self::DamagedDatabase => (StatusCode::SERVICE_UNAVAILABLE, "damaged_database", "The database is damaged"),
             Self::Internal(_) => (StatusCode::INTERNAL_SERVER_ERROR, "internal", "The server failed"),
@@ -248,7 +246,7 @@ impl ApiError {
 }
 
 impl IntoResponse for ApiError {
-    /// The problem rides along as an extension; `trace` writes it, with the request's id.
+    /// The problem is an extension of the response; `trace` writes it, with the request's id.
     fn into_response(self) -> Response {
         if let Self::Internal(error) = &self {
             tracing::error!(error = %chain(error.as_ref()), "a request failed");
