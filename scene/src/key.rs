@@ -8,6 +8,7 @@ use crate::materials::Material;
 use crate::motion::{Motion, Still};
 use crate::scene::{March, Object, Scene};
 use crate::sky::Background;
+use crate::surroundings::{AmbientOcclusion, Fog};
 use crate::values::Stops;
 
 /// A scene without names, defaults filled in: equal for scenes that look the same.
@@ -16,6 +17,8 @@ struct CanonicalScene<'a> {
     camera: &'a crate::camera::Camera,
     background: &'a Background,
     lights: &'a [crate::lights::Light],
+    fog: &'a Option<Fog>,
+    ambient_occlusion: &'a Option<AmbientOcclusion>,
     materials: &'a [Material],
     objects: Vec<Object>,
     march: &'a March,
@@ -51,18 +54,33 @@ fn hash(value: &impl Serialize) -> blake3::Hash {
 
 impl Scene {
     fn canonical(&self) -> CanonicalScene<'_> {
-        let mut objects = self.objects.clone();
+        // Without `..`: a field that is new is decided on here, or nothing compiles. Materials count where they are in use.
+        let Self {
+            camera,
+            background,
+            lights,
+            fog,
+            ambient_occlusion,
+            materials: _,
+            objects,
+            march,
+            slots,
+            unused: _,
+        } = self;
+        let mut objects = objects.clone();
         for object in &mut objects {
             object.material = object.material.canonical();
             object.shape.name_materials_by_slot();
         }
         CanonicalScene {
-            camera: &self.camera,
-            background: &self.background,
-            lights: &self.lights,
-            materials: &self.slots,
+            camera,
+            background,
+            lights,
+            fog,
+            ambient_occlusion,
+            materials: slots,
             objects,
-            march: &self.march,
+            march,
         }
     }
 }

@@ -47,7 +47,7 @@ pub struct Scene {
     pub(crate) slots: Vec<Material>,
     /// Names of materials that are not in use.
     #[serde(skip)]
-    unused: Vec<String>,
+    pub(crate) unused: Vec<String>,
 }
 
 /// A shape and its material.
