@@ -8,10 +8,14 @@ use serde::{Deserialize, Serialize};
 use crate::job::Frames;
 use crate::march::Tolerance;
 use crate::real::{Real, Vec3, bundle, vec3};
+use crate::seek::Seek;
 use crate::values::{Direction, FieldOfView, Length, Point, Turns, sin_cos_degrees};
 
+/// The vertical field of view of a perspective that says none.
+const DEFAULT_FOV_DEGREES: f32 = 40.0;
+
 /// Where the scene is seen from, and how.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
 #[serde(deny_unknown_fields)]
 pub struct Camera {
     /// Where it is.
@@ -33,7 +37,7 @@ pub struct Camera {
 }
 
 /// How space becomes a picture.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
 #[serde(rename_all = "snake_case")]
 pub enum Projection {
     /// A pinhole: what is further away is smaller.
@@ -47,14 +51,13 @@ pub enum Projection {
 }
 
 impl Projection {
-    #[expect(clippy::trivially_copy_pass_by_ref, reason = "serde hands a reference")]
     fn is_perspective(&self) -> bool {
         *self == Self::Perspective
     }
 }
 
 /// A view along parallel rays.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
 #[serde(deny_unknown_fields)]
 pub struct Orthographic {
     /// From the bottom of the picture to its top, in scene units.
@@ -62,7 +65,7 @@ pub struct Orthographic {
 }
 
 /// A camera's way around what it looks at, about the direction that is up.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
 #[serde(deny_unknown_fields)]
 pub struct Turntable {
     /// Turns over all frames, counter-clockwise from above: frame i is i/count of them on the way.
@@ -71,7 +74,7 @@ pub struct Turntable {
 }
 
 /// A camera in front of a picture of some size, ready to make rays.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Debug)]
 pub struct View {
     projection: Projection,
     origin: Vec3<f32>,
@@ -121,7 +124,7 @@ impl Camera {
         if forward.cross(self.up.unit()).length() < 1e-4 {
             return Some(("up", "points along the view: choose an up that is not along look_at - position"));
         }
-        match (self.fov, self.projection) {
+        match (&self.fov, &self.projection) {
             (Some(_), Projection::Orthographic(_)) => {
                 Some(("fov", "means nothing in an orthographic picture: leave it out, and choose its height"))
             }
@@ -161,10 +164,10 @@ impl Camera {
         let (width, height) = (width as f32, height as f32);
         let aspect = width / height;
         // Half the picture's extents, and half a pixel's height at distance 1 and at any.
-        let (half_width, half_height, slope, floor) = match self.projection {
+        let (half_width, half_height, slope, floor) = match &self.projection {
             Projection::Perspective => {
-                let fov = self.fov.unwrap_or_else(forty_degrees);
-                let (sine, cosine) = Real::sin_cos(fov.get() * (std::f32::consts::PI / 360.0));
+                let fov = self.fov.as_ref().map_or(DEFAULT_FOV_DEGREES, FieldOfView::get);
+                let (sine, cosine) = Real::sin_cos(fov * (std::f32::consts::PI / 360.0));
                 let tangent = sine / cosine;
                 (aspect * tangent, tangent, tangent / height, 0.0)
             }
@@ -177,7 +180,7 @@ impl Camera {
         let spread = if floor > 0.0 { half_width.max(half_height) } else { 0.0 };
         let size = origin.x.abs().max(origin.y.abs()).max(origin.z.abs()) + spread;
         View {
-            projection: self.projection,
+            projection: self.projection.clone(),
             origin,
             forward,
             right: scaled(right, half_width),
@@ -263,7 +266,7 @@ fn once() -> Turns {
 }
 
 fn forty_degrees() -> FieldOfView {
-    FieldOfView::new(40.0).expect("40 is in range")
+    FieldOfView::new(DEFAULT_FOV_DEGREES).expect("40 is in range")
 }
 
 #[cfg(test)]

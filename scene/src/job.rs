@@ -4,38 +4,33 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Deserializer, Serialize};
 
 use crate::limits::{MAX_EDGE_PX, MAX_FRAMES, MAX_SAMPLES};
-use crate::motion::Motion;
 use crate::scene::Scene;
-use crate::sky::Background;
+use crate::seek::Seek;
 use crate::values::{FrameRate, Stops, integer, whole};
 use crate::warnings;
 
-/// What one POSTs.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
-#[serde(deny_unknown_fields)]
+/// A job, read and found sound: a scene, and the pictures wanted of it.
+#[derive(Clone, Debug, PartialEq)]
 pub struct Job {
     /// A name for people.
-    #[serde(default = "untitled")]
-    #[schemars(length(max = crate::limits::MAX_NAME_CHARS))]
     pub name: String,
-    /// What there is to see.
+    /// What there is to see, as it stands in the first frame; [`Job::at`] takes it to another.
     pub scene: Scene,
     /// The pictures' size and file format.
     pub image: Image,
     /// How many pictures.
-    #[serde(default)]
     pub frames: Frames,
     /// Jobs of higher priority go first.
-    #[serde(default, deserialize_with = "priority")]
-    #[schemars(range(min = -100, max = 100))]
     pub priority: i32,
-    /// What moves in it; `None` if every frame shows the same.
-    #[serde(skip)]
-    pub motion: Option<Motion>,
+    pub(crate) is_moving: bool,
+    /// Where in the document each of the materials in use stands: a JSON pointer in the scene.
+    pub(crate) material_places: Vec<String>,
+    /// Names of materials that are not in use.
+    pub(crate) unused_materials: Vec<String>,
 }
 
 /// A picture's size and file format.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
 #[serde(deny_unknown_fields)]
 pub struct Image {
     /// Width, in pixels.
@@ -76,7 +71,7 @@ pub struct Image {
 }
 
 /// A file format.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema, Seek)]
 #[serde(rename_all = "snake_case")]
 pub enum Format {
     /// PNG in sRGB.
@@ -87,7 +82,7 @@ pub enum Format {
 }
 
 /// Bits a channel of a PNG.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Seek)]
 pub enum Bits {
     /// 8 bits.
     #[default]
@@ -97,7 +92,7 @@ pub enum Bits {
 }
 
 /// Precision of the colour channels of an EXR.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema, Seek)]
 #[serde(rename_all = "snake_case")]
 pub enum Precision {
     /// 16-bit floating point.
@@ -108,7 +103,7 @@ pub enum Precision {
 }
 
 /// How light becomes what a screen can show, channel by channel.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema, Seek)]
 #[serde(rename_all = "snake_case")]
 pub enum ToneMap {
     /// What is above 1 is shown as 1.
@@ -119,7 +114,7 @@ pub enum ToneMap {
 }
 
 /// What an EXR may hold beside the colours, taken at the pixel's centre.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize, JsonSchema, Seek)]
 #[serde(rename_all = "snake_case")]
 pub enum Layer {
     /// `Z`: distance along the ray; infinite where nothing is hit.
@@ -137,7 +132,7 @@ pub enum Layer {
 }
 
 /// How many pictures, and how fast they follow.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
 #[serde(deny_unknown_fields, default)]
 pub struct Frames {
     /// How many.
@@ -192,6 +187,11 @@ impl Image {
         self.exposure.get() != 0.0 || self.exposure.is_moving() || self.tone_map != ToneMap::None
     }
 
+    /// Camera rays of a picture.
+    pub fn rays(&self) -> u64 {
+        self.pixels() * u64::from(self.samples)
+    }
+
     /// Number of pixels.
     pub fn pixels(&self) -> u64 {
         u64::from(self.width) * u64::from(self.height)
@@ -201,17 +201,17 @@ impl Image {
 impl Job {
     /// Camera rays of one frame.
     pub fn rays_per_frame(&self) -> u64 {
-        self.image.pixels() * u64::from(self.image.samples)
+        self.image.rays()
     }
 
     /// Nodes of all object trees.
     pub fn nodes(&self) -> u32 {
-        self.scene.objects.iter().map(|object| object.shape.count()).sum()
+        self.scene.nodes()
     }
 
     /// Whether some pixel may be less than opaque.
     pub fn is_transparent(&self) -> bool {
-        self.scene.background == Background::Transparent
+        self.scene.is_transparent()
     }
 
     /// What its author should know although it renders. Looks at some rays of it, which takes milliseconds.
@@ -249,10 +249,6 @@ impl JsonSchema for Bits {
     }
 }
 
-fn untitled() -> String {
-    "untitled".to_owned()
-}
-
 fn as_it_is() -> Stops {
     Stops::new(0.0).expect("0 is in range")
 }
@@ -277,7 +273,7 @@ fn frame_count<'de, D: Deserializer<'de>>(deserializer: D) -> Result<u32, D::Err
     whole(deserializer, 1, MAX_FRAMES, "frames")
 }
 
-fn priority<'de, D: Deserializer<'de>>(deserializer: D) -> Result<i32, D::Error> {
+pub(crate) fn priority<'de, D: Deserializer<'de>>(deserializer: D) -> Result<i32, D::Error> {
     let value = integer(deserializer)?;
     i32::try_from(value)
         .ok()

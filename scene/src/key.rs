@@ -3,28 +3,16 @@
 use serde::Serialize;
 
 use crate::PICTURE_VERSION;
-use crate::job::{Bits, Format, Job, Layer, Precision, ToneMap};
-use crate::materials::Material;
-use crate::motion::{Motion, Still};
-use crate::scene::{March, Object, Scene};
-use crate::sky::Background;
+use crate::job::{Bits, Format, Image, Job, Layer, Precision, ToneMap};
+use crate::motion::Still;
+use crate::scene::Scene;
 use crate::values::Stops;
 
-/// A scene without names, defaults filled in: equal for scenes that look the same.
-#[derive(Serialize)]
-struct CanonicalScene<'a> {
-    camera: &'a crate::camera::Camera,
-    background: &'a Background,
-    lights: &'a [crate::lights::Light],
-    materials: &'a [Material],
-    objects: Vec<Object>,
-    march: &'a March,
-}
-
+/// All that decides a frame's pixels.
 #[derive(Serialize)]
 struct CanonicalPixels<'a> {
     version: u32,
-    scene: CanonicalScene<'a>,
+    scene: &'a Scene,
     width: u32,
     height: u32,
     samples: u32,
@@ -33,14 +21,15 @@ struct CanonicalPixels<'a> {
     layers: &'a [Layer],
 }
 
+/// All that decides the bytes of a frame's picture.
 #[derive(Serialize)]
-struct CanonicalPicture {
+struct CanonicalPicture<'a> {
     pixels: String,
     format: Format,
     bits: Option<Bits>,
     precision: Option<Precision>,
     #[serde(skip_serializing_if = "Option::is_none")]
-    graded: Option<(Stops, ToneMap)>,
+    graded: Option<(&'a Stops, ToneMap)>,
 }
 
 fn hash(value: &impl Serialize) -> blake3::Hash {
@@ -49,31 +38,13 @@ fn hash(value: &impl Serialize) -> blake3::Hash {
     hasher.finalize()
 }
 
-impl Scene {
-    fn canonical(&self) -> CanonicalScene<'_> {
-        let mut objects = self.objects.clone();
-        for object in &mut objects {
-            object.material = object.material.canonical();
-            object.shape.name_materials_by_slot();
-        }
-        CanonicalScene {
-            camera: &self.camera,
-            background: &self.background,
-            lights: &self.lights,
-            materials: &self.slots,
-            objects,
-            march: &self.march,
-        }
-    }
-}
-
 impl Job {
     /// Of all that decides the bytes of a frame's picture.
     pub fn picture_key(&self, frame: u32) -> blake3::Hash {
         match self.at(frame) {
             Ok(still) => still.picture_key(),
-            // No frame but this one of this text can be refused so, and it gets no picture.
-            Err(refusal) => hash(&(self.motion.as_ref().map(Motion::text), frame, refusal.to_string())),
+            // No frame but this one of this scene can be refused so, and it gets no picture.
+            Err(error) => hash(&(&self.scene, frame, error.to_string())),
         }
     }
 }
@@ -81,37 +52,41 @@ impl Job {
 impl Still<'_> {
     /// Of the scene alone, as provenance in its picture.
     pub fn scene_hash(&self) -> blake3::Hash {
-        hash(&self.job().scene.canonical())
+        hash(self.scene())
     }
 
     /// Of all that decides its pixels.
     pub fn pixels_key(&self) -> blake3::Hash {
-        let image = &self.job().image;
+        // Without `..`: a field that is new does not compile until it is decided on, here and in `picture_key`.
+        let Image { width, height, samples, seed, layers, format: _, bits: _, precision: _, exposure: _, tone_map: _ } =
+            self.image();
         hash(&CanonicalPixels {
             version: PICTURE_VERSION,
-            scene: self.job().scene.canonical(),
-            width: image.width,
-            height: image.height,
-            samples: image.samples,
-            seed: image.seed,
+            scene: self.scene(),
+            width: *width,
+            height: *height,
+            samples: *samples,
+            seed: *seed,
             frame: self.frame(),
-            layers: &image.layers,
+            layers,
         })
     }
 
     /// Of all that decides the bytes of its picture.
     pub fn picture_key(&self) -> blake3::Hash {
-        let image = &self.job().image;
-        let (bits, precision) = match image.format {
-            Format::Png => (Some(image.bits), None),
-            Format::Exr => (None, Some(image.precision)),
+        let image = self.image();
+        let Image { format, bits, precision, exposure, tone_map, width: _, height: _, samples: _, seed: _, layers: _ } =
+            image;
+        let (bits, precision) = match format {
+            Format::Png => (Some(*bits), None),
+            Format::Exr => (None, Some(*precision)),
         };
         hash(&CanonicalPicture {
             pixels: self.pixels_key().to_hex().to_string(),
-            format: image.format,
+            format: *format,
             bits,
             precision,
-            graded: image.is_graded().then_some((image.exposure, image.tone_map)),
+            graded: image.is_graded().then_some((exposure, *tone_map)),
         })
     }
 }

@@ -7,6 +7,7 @@
 pub mod bounds;
 pub mod camera;
 pub mod color;
+mod document;
 mod fault;
 pub mod job;
 mod key;
@@ -24,6 +25,7 @@ pub mod profiles;
 pub mod real;
 pub mod sampling;
 pub mod scene;
+mod seek;
 pub mod sky;
 pub mod surroundings;
 pub mod values;
@@ -31,7 +33,7 @@ mod warnings;
 
 pub use fault::{Fault, Refusal};
 pub use job::{Bits, Format, Frames, Image, Job, Layer, Precision, ToneMap};
-pub use motion::{Motion, Still};
+pub use motion::{FrameError, Still};
 pub use parse::{parse, schema};
 pub use pixel::Program;
 pub use scene::Scene;

@@ -12,11 +12,12 @@ pub use shaped::{SphereLight, SpotLight};
 
 use crate::materials::microfacet::frame;
 use crate::real::{Real, Vec3, bundle};
+use crate::seek::Seek;
 use crate::sky::{Background, Day};
 use crate::values::{Aperture, Color, Direction, Point, Strength};
 
 /// A light: keyed by its name.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
 #[serde(rename_all = "snake_case")]
 pub enum Light {
     /// See [`Directional`].
@@ -34,7 +35,7 @@ pub enum Light {
 }
 
 /// Light from far away, the same everywhere.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
 #[serde(deny_unknown_fields)]
 pub struct Directional {
     /// Towards the light; of any length.
@@ -51,7 +52,7 @@ pub struct Directional {
 }
 
 /// Light from a point; its strength falls as 1/d².
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
 #[serde(deny_unknown_fields)]
 pub struct PointLight {
     /// Where it is.
@@ -65,7 +66,7 @@ pub struct PointLight {
 }
 
 /// The sun of the background's `day`: its direction and its colour come from there.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
 #[serde(deny_unknown_fields)]
 pub struct Sun {
     /// How bright it is beside the sky.
@@ -83,7 +84,7 @@ pub struct Sun {
 ///
 /// With shadows each sample looks in one direction, chosen by the cosine; without, a colour or a gradient
 /// is summed in closed form, and `ambient_occlusion` darkens it.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
 #[serde(deny_unknown_fields)]
 pub struct SkyLight {
     /// How bright it is beside what is seen of it.
@@ -122,7 +123,7 @@ impl Light {
     ) -> Option<(Incoming<R>, R)> {
         let arriving = match self {
             Self::Directional(light) => {
-                let direction = wide(p.x, light.direction.unit(), light.angle, pair);
+                let direction = wide(p.x, light.direction.unit(), &light.angle, pair);
                 let radiance = Vec3::given(p.x, light.color.get());
                 (Incoming { direction, radiance }, farthest)
             }
@@ -137,7 +138,7 @@ impl Light {
             Self::Sphere(light) => light.arriving(p, pair()),
             Self::Sun(light) => {
                 let day = day?;
-                let direction = wide(p.x, day.sun.unit(), light.angle, pair);
+                let direction = wide(p.x, day.sun.unit(), &light.angle, pair);
                 let (color, strength) = (day.sun_color(), light.strength.get());
                 let radiance = Vec3::given(p.x, color.map(|channel| channel * strength));
                 (Incoming { direction, radiance }, farthest)
@@ -190,7 +191,7 @@ impl Light {
 
 /// A direction inside a cone of this whole angle, each as likely as any other.
 #[inline(always)]
-fn wide<R: Real>(like: R, axis: Vec3<f32>, angle: Aperture, pair: impl FnOnce() -> (R, R)) -> Vec3<R> {
+fn wide<R: Real>(like: R, axis: Vec3<f32>, angle: &Aperture, pair: impl FnOnce() -> (R, R)) -> Vec3<R> {
     if angle.is_zero() {
         return Vec3::given(like, axis);
     }

@@ -26,6 +26,7 @@ pub use volume::{Clouds, Volume};
 use crate::lights::Incoming;
 use crate::nodes::snake_case;
 use crate::real::{Flag, Real, Vec3, bundle};
+use crate::seek::Seek;
 
 /// What a material needs to know of the place it colours.
 #[derive(Clone, Copy, Debug)]
@@ -155,7 +156,7 @@ impl Example {
 macro_rules! materials {
     ($($Kind:ident),* $(,)?) => {
         /// How a surface answers light: keyed by its name.
-        #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+        #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
         #[serde(rename_all = "snake_case")]
         pub enum Material {
             $(#[doc = concat!("See [`", stringify!($Kind), "`].")] $Kind($Kind)),*

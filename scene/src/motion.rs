@@ -1,80 +1,96 @@
 //! Jobs that move: a job as it stands in one of its frames.
 //!
-//! A job that moves keeps its text, and is read again for each frame; nothing else knows of tracks.
+//! Every number holds its track, so a frame is a clone of the scene whose animated numbers were taken to its time.
 
 use std::borrow::Cow;
 use std::collections::BTreeSet;
-use std::sync::Arc;
 
-use crate::fault::Refusal;
 use crate::job::{Frames, Image, Job};
 use crate::limits::{MAX_CHECKED_BYTES, MIN_CHECKED_FRAMES};
-use crate::parse;
-
-/// What a job that moves is read from.
-#[derive(Clone, PartialEq, Eq)]
-pub struct Motion(Arc<str>);
-
-impl std::fmt::Debug for Motion {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        write!(f, "Motion({} bytes)", self.0.len())
-    }
-}
-
-impl Motion {
-    pub(crate) fn of(text: &str) -> Self {
-        Self(text.into())
-    }
-
-    pub(crate) fn text(&self) -> &str {
-        &self.0
-    }
-}
+use crate::scene::Scene;
+use crate::seek::{Clock, Misfit, Seek};
 
 /// A job as it stands in one of its frames: what a picture is made of.
 #[derive(Clone, Debug)]
 pub struct Still<'a> {
-    job: Cow<'a, Job>,
+    scene: Cow<'a, Scene>,
+    image: Cow<'a, Image>,
     frame: u32,
+    is_moving: bool,
 }
 
 impl Still<'_> {
-    /// The job, with every number as it is in this frame.
-    pub fn job(&self) -> &Job {
-        &self.job
+    /// What there is to see, with every number as it is in this frame.
+    pub fn scene(&self) -> &Scene {
+        &self.scene
+    }
+
+    /// The picture's size and file format, with every number as it is in this frame.
+    pub fn image(&self) -> &Image {
+        &self.image
     }
 
     /// Which frame it is, from 0.
     pub fn frame(&self) -> u32 {
         self.frame
     }
+
+    /// Whether other frames of its job differ from it in more than their sampling noise.
+    pub fn is_moving(&self) -> bool {
+        self.is_moving
+    }
+}
+
+/// Why one frame of a job has no picture: its numbers do not go together then.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+#[error("{pointer} {message} (in frame {frame}, at {seconds} seconds)")]
+pub struct FrameError {
+    /// JSON pointer to what is wrong.
+    pub pointer: String,
+    /// What is wrong and what to do about it, as it reads behind the place.
+    pub message: String,
+    /// The frame, from 0.
+    pub frame: u32,
+    /// Its time.
+    pub seconds: f64,
 }
 
 impl Job {
     /// Whether its frames differ in more than their sampling noise.
     pub fn is_moving(&self) -> bool {
-        self.motion.is_some()
+        self.is_moving
     }
 
-    /// The job as it stands in a frame. Size, samples and format are those of this value, the scene
-    /// of a job that moves is that of its text.
+    /// The job as it stands in a frame.
     ///
     /// It is refused where the frame alone has a fault, and the job too many frames for each to be
     /// looked over by [`crate::parse`].
-    pub fn at(&self, frame: u32) -> Result<Still<'_>, Refusal> {
-        let Some(Motion(text)) = &self.motion else {
-            return Ok(Still { job: Cow::Borrowed(self), frame });
-        };
-        let Self { scene, image, .. } = parse::at(text, frame, &self.frames)?;
-        let job = Self {
-            name: self.name.clone(),
-            scene,
-            image: Image { exposure: image.exposure, ..self.image.clone() },
-            frames: self.frames.clone(),
-            priority: self.priority,
-            motion: self.motion.clone(),
-        };
-        Ok(Still { job: Cow::Owned(job), frame })
+    pub fn at(&self, frame: u32) -> Result<Still<'_>, FrameError> {
+        if !self.is_moving {
+            let (scene, image) = (Cow::Borrowed(&self.scene), Cow::Borrowed(&self.image));
+            return Ok(Still { scene, image, frame, is_moving: false });
+        }
+        let seconds = self.frames.seconds(frame);
+        let (mut scene, mut image) = (self.scene.clone(), self.image.clone());
+        let error = |pointer, message| FrameError { pointer, message, frame, seconds };
+        let clock = &mut Clock::at(seconds);
+        scene.seek(clock).map_err(|misfit| error(self.place_in_scene(&misfit), misfit.message))?;
+        image.seek(clock).map_err(|misfit| error(format!("/image{}", misfit.pointer), misfit.message))?;
+        scene.camera.turn(frame, &self.frames);
+        if let Some((key, message)) = scene.camera.fault() {
+            return Err(error(format!("/scene/camera/{key}"), message.to_owned()));
+        }
+        Ok(Still { scene: Cow::Owned(scene), image: Cow::Owned(image), frame, is_moving: true })
+    }
+
+    /// Where in the document a misfit of the scene stands, whose materials are in slots.
+    fn place_in_scene(&self, misfit: &Misfit) -> String {
+        let in_slot = misfit.pointer.strip_prefix("/materials/").and_then(|rest| {
+            let (slot, rest) = rest.split_once('/')?;
+            let place = self.material_places.get(slot.parse::<usize>().ok()?)?;
+            Some(format!("/scene{place}/{rest}"))
+        });
+        in_slot.unwrap_or_else(|| format!("/scene{}", misfit.pointer))
     }
 }
 
@@ -104,6 +120,8 @@ pub(crate) fn frames_to_check(frames: &Frames, key_seconds: &[f64], bytes: usize
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::fault::Refusal;
+    use crate::parse;
     use crate::values::FrameRate;
 
     /// A job whose sphere has the radius `radius`, with `more` behind its image.
@@ -127,7 +145,7 @@ mod tests {
         assert!(job.is_moving());
         let reach = |frame| {
             let still = job.at(frame).unwrap();
-            let seen: f32 = still.job().scene.objects[0].shape.bounds(0.0).high.x;
+            let seen: f32 = still.scene().objects[0].shape.bounds(0.0).high.x;
             seen
         };
         assert_eq!([0, 1, 2, 4, 8].map(reach), [1.0, 1.5, 2.0, 3.0, 3.0]);
@@ -137,14 +155,14 @@ mod tests {
     fn a_frame_keeps_the_size_that_was_asked_for_last() {
         let mut job = job(GROWS, r#", "frames": { "count": 2 }"#);
         job.image.width = 5;
-        assert_eq!(job.at(1).unwrap().job().image.width, 5);
+        assert_eq!(job.at(1).unwrap().image().width, 5);
     }
 
     #[test]
-    fn what_does_not_move_is_not_read_again() {
+    fn what_does_not_move_is_not_copied() {
         let job = job("1", r#", "frames": { "count": 2 }"#);
         assert!(!job.is_moving());
-        assert!(std::ptr::eq(job.at(1).unwrap().job(), &raw const job));
+        assert!(std::ptr::eq(job.at(1).unwrap().scene(), &raw const job.scene));
     }
 
     #[test]

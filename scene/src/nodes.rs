@@ -52,6 +52,7 @@ pub use warp::Warp;
 use crate::bounds::Bounds;
 use crate::materials::MaterialUse;
 use crate::real::{Real, Vec3};
+use crate::seek::{Misfit, Seek};
 
 /// A node inside another.
 pub type Child = std::boxed::Box<Node>;
@@ -64,8 +65,9 @@ macro_rules! nodes {
     };
     (@ [$($Inlined:ident),*] [$($Called:ident),*] $($Kind:ident),* $(,)?) => {
         /// A shape: one node of the scene's tree, keyed by its name.
-        #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+        #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
         #[serde(rename_all = "snake_case")]
+        #[seek(then = follow)]
         pub enum Node {
             $(#[doc = concat!("See [`", stringify!($Kind), "`].")] $Kind($Kind)),*
         }
@@ -100,8 +102,8 @@ macro_rules! nodes {
                 }
             }
 
-            /// Finds what makes it faster to look at, in the same form for all frames if the job `moves`.
-            pub(crate) fn prepare(&mut self, moves: bool) {
+            /// Finds what makes it faster to look at; the nodes inside have done so.
+            fn prepare_alone(&mut self, moves: bool) {
                 match self {
                     $(Self::$Kind(node) => Sdf::prepare(node, moves)),*
                 }
@@ -291,12 +293,19 @@ pub struct Example {
 }
 
 impl Node {
-    /// Names materials by their slots, all over the tree.
-    pub(crate) fn name_materials_by_slot(&mut self) {
-        if let Some(material) = self.material_mut() {
-            *material = material.canonical();
+    /// Finds what makes it and the nodes inside faster to look at, in the same form for all frames if the job `moves`.
+    pub(crate) fn prepare(&mut self, moves: bool) {
+        self.children_mut().iter_mut().for_each(|child| child.prepare(moves));
+        self.prepare_alone(moves);
+    }
+
+    /// After a number in it has changed: refuses numbers that do not go together, and prepares it again.
+    fn follow(&mut self) -> Result<(), std::boxed::Box<Misfit>> {
+        if let Some(NodeFault { place, message }) = self.fault() {
+            return Err(Misfit::new(message).inside(&place).inside(&self.name()));
         }
-        self.children_mut().iter_mut().for_each(Self::name_materials_by_slot);
+        self.prepare_alone(true);
+        Ok(())
     }
 
     /// How many nodes it is as much work as: how many it has, itself included, where none is large.

@@ -10,16 +10,17 @@ use schemars::generate::SchemaSettings;
 use serde::de::IgnoredAny;
 use serde_path_to_error::{Path, Segment};
 
+use crate::document::{JobDocument, Resolved};
 use crate::fault::{Fault, Refusal};
-use crate::job::{Format, Frames, Job, ToneMap};
+use crate::job::{Format, Job, ToneMap};
 use crate::limits::{
     MAX_JSON_DEPTH, MAX_LIGHTS, MAX_MATERIALS, MAX_NAME_CHARS, MAX_NODE_DEPTH, MAX_NODES, MAX_PIXELS, MAX_RAYS,
 };
-use crate::motion::{Motion, frames_to_check};
+use crate::motion::{FrameError, frames_to_check};
 use crate::nodes::{Node, NodeFault};
 use crate::outline::{self, OutlineFaultKind};
 use crate::scene::child_steps;
-use crate::values::track::Reading;
+use crate::seek::{Clock, Seek};
 
 /// No answer lists more faults than this.
 const MAX_FAULTS: usize = 100;
@@ -46,62 +47,38 @@ pub fn parse(text: &[u8]) -> Result<Job, Refusal> {
         let message = format!("the key \"{key}\" stands here twice: keep one");
         return Err(Refusal::Wrong(vec![Fault::at(text, Some(fault.offset), fault.pointer, message)]));
     }
-    let Read { mut job, moves, key_seconds } = read(text, 0, None)?;
-    if moves {
+    let (job, key_seconds) = read(text)?;
+    if job.is_moving {
         for frame in frames_to_check(&job.frames, &key_seconds, text.len()) {
-            at(text, frame, &job.frames)?;
+            job.at(frame).map_err(|error| in_later_frame(text, error))?;
         }
-        job.motion = Some(Motion::of(text));
     }
     Ok(job)
 }
 
-/// Reads the text of a job that moves as it stands in a frame.
-pub(crate) fn at(text: &str, frame: u32, frames: &Frames) -> Result<Job, Refusal> {
-    read(text, frame, Some(frames)).map(|read| read.job)
+fn in_later_frame(text: &str, error: FrameError) -> Refusal {
+    let FrameError { pointer, message, frame, seconds } = error;
+    let message = format!("{message} (in frame {frame}, at {seconds} seconds)");
+    Refusal::Wrong(vec![Fault::of_value(text, pointer, message)])
 }
 
-/// A job as it stands in a frame.
-struct Read {
-    job: Job,
-    /// Whether frames differ in more than their sampling noise.
-    moves: bool,
-    /// The times of all keys.
-    key_seconds: Vec<f64>,
-}
-
-/// Reads a sound text's job as it stands in a frame, which needs its `frames` unless it is the first.
-fn read(text: &str, frame: u32, frames: Option<&Frames>) -> Result<Read, Refusal> {
-    let seconds = frames.map_or(0.0, |frames| frames.seconds(frame));
-    let in_frame = |mut fault: Fault| {
-        if frame > 0 {
-            let _ = write!(fault.message, " (in frame {frame}, at {seconds} seconds)");
-        }
-        fault
-    };
-    let reading = Reading::at(seconds);
-    let mut job = form(text).map_err(|fault| Refusal::Wrong(vec![in_frame(fault)]))?;
-    let key_seconds = reading.end();
-    if frames.is_none()
-        && let Some(pointer) = lists::in_place_of_object(text, &job)
-    {
+/// Reads a sound text's job, and the times of all keyframes.
+fn read(text: &str) -> Result<(Job, Vec<f64>), Refusal> {
+    let document = form(text).map_err(|fault| Refusal::Wrong(vec![fault]))?;
+    if let Some(pointer) = lists::in_place_of_object(text, &document) {
         let message = "must be an object, not a list: write each value behind its key";
         return Err(Refusal::Wrong(vec![Fault::of_value(text, pointer, message)]));
     }
-    let turns = job.scene.camera.turn(frame, &job.frames);
-    let moves = turns || !key_seconds.is_empty();
-    let faults = meaning(&mut job, moves);
-    if faults.is_empty() {
-        return Ok(Read { job, moves, key_seconds });
-    }
-    let place = |(pointer, message)| in_frame(Fault::of_value(text, pointer, message));
-    Err(Refusal::Wrong(faults.into_iter().take(MAX_FAULTS).map(place).collect()))
+    meaning(document).map_err(|faults| {
+        let place = |(pointer, message)| Fault::of_value(text, pointer, message);
+        Refusal::Wrong(faults.into_iter().take(MAX_FAULTS).map(place).collect())
+    })
 }
 
 /// The JSON Schema (draft 2020-12) of a job file.
 pub fn schema() -> serde_json::Value {
     let mut generator = SchemaSettings::draft2020_12().into_generator();
-    let mut schema = Job::json_schema(&mut generator).to_value();
+    let mut schema = JobDocument::json_schema(&mut generator).to_value();
     if let Some(object) = schema.as_object_mut() {
         object.insert("$schema".into(), "https://json-schema.org/draft/2020-12/schema".into());
         object.insert("title".into(), "sdfarm job".into());
@@ -130,7 +107,7 @@ fn without_place(message: &str) -> String {
 }
 
 /// Reads the text's form; its first fault otherwise.
-fn form(text: &str) -> Result<Job, Fault> {
+fn form(text: &str) -> Result<JobDocument, Fault> {
     let mut deserializer = serde_json::Deserializer::from_str(text);
     deserializer.disable_recursion_limit();
     serde_path_to_error::deserialize(&mut deserializer).map_err(|error| {
@@ -184,49 +161,66 @@ fn pointer(path: &Path) -> String {
 /// Pointer and message of every fault of meaning.
 type Faults = Vec<(String, String)>;
 
-/// Looks at what the parts mean together, and makes the scene ready to be rendered.
-fn meaning(job: &mut Job, moves: bool) -> Faults {
+/// Looks at what the parts mean together, and makes a job that is ready to be rendered; with the times of all
+/// keyframes.
+fn meaning(document: JobDocument) -> Result<(Job, Vec<f64>), Faults> {
+    let mut faults = faults_of_document(&document);
+    let JobDocument { name, scene, mut image, frames, priority } = document;
+    let names: Vec<String> = scene.materials.keys().cloned().collect();
+    let Resolved { mut scene, places, unused, unknown } = scene.resolve();
+    for (pointer, name) in unknown {
+        let cure = if names.is_empty() {
+            "define it there, or write a material in place".to_owned()
+        } else {
+            format!("choose one of {}", names.join(", "))
+        };
+        faults.push((format!("/scene{pointer}"), format!("\"{name}\" is not in /scene/materials: {cure}")));
+    }
+    faults.extend(scene.faults().into_iter().map(|(pointer, message)| (format!("/scene{pointer}"), message)));
+    if scene.slots().len() > MAX_MATERIALS {
+        let used = scene.slots().len();
+        let message = format!("uses {used} materials: use at most {MAX_MATERIALS}; materials with a name count once");
+        faults.push(("/scene/objects".to_owned(), message));
+    }
+    if !faults.is_empty() {
+        return Err(faults);
+    }
+    let mut key_seconds = Vec::new();
+    let clock = &mut Clock::noting(0.0, &mut key_seconds);
+    let sought = scene.seek(clock).and_then(|in_scene| Ok(in_scene | image.seek(clock)?));
+    let is_animated = sought.map_err(|misfit| vec![(format!("/scene{}", misfit.pointer), misfit.message)])?;
+    let is_moving = is_animated || scene.camera.turntable.is_some();
+    scene.prepare(is_moving);
+    let job =
+        Job { name, scene, image, frames, priority, is_moving, material_places: places, unused_materials: unused };
+    Ok((job, key_seconds))
+}
+
+/// What is wrong with a document before its materials are looked up.
+fn faults_of_document(document: &JobDocument) -> Faults {
     let mut faults = Faults::new();
     let mut fault = |pointer: &str, message: String| faults.push((pointer.to_owned(), message));
-    if job.name.chars().count() > MAX_NAME_CHARS {
+    let JobDocument { name, scene, image: _, frames: _, priority: _ } = document;
+    if name.chars().count() > MAX_NAME_CHARS {
         fault("/name", format!("is longer than {MAX_NAME_CHARS} characters"));
     }
-    if let Some((key, message)) = job.scene.camera.fault() {
+    if let Some((key, message)) = scene.camera.fault() {
         fault(&format!("/scene/camera/{key}"), message.to_owned());
     }
-    job.scene.camera.complete();
-    if job.scene.lights.len() > MAX_LIGHTS {
-        fault("/scene/lights", format!("has {} lights: use at most {MAX_LIGHTS}", job.scene.lights.len()));
+    if scene.lights.len() > MAX_LIGHTS {
+        fault("/scene/lights", format!("has {} lights: use at most {MAX_LIGHTS}", scene.lights.len()));
     }
-    if job.scene.objects.is_empty() {
+    if scene.objects.is_empty() {
         fault("/scene/objects", "is empty: a scene needs an object or more".to_owned());
     }
-    let (mut nodes, mut is_sound) = (0, true);
-    for (index, object) in job.scene.objects.iter().enumerate() {
-        is_sound &= tree(&object.shape, &mut format!("/scene/objects/{index}/shape"), 1, &mut nodes, &mut fault);
+    let mut nodes = 0;
+    for (index, object) in scene.objects.iter().enumerate() {
+        tree(&object.shape, &mut format!("/scene/objects/{index}/shape"), 1, &mut nodes, &mut fault);
     }
     if nodes > MAX_NODES {
         fault("/scene/objects", format!("has {nodes} nodes: use at most {MAX_NODES}"));
     }
-    image(job, &mut fault);
-    if is_sound {
-        job.scene.prepare(moves);
-    }
-    for (pointer, name) in job.scene.resolve_materials() {
-        let known: Vec<&str> = job.scene.materials.keys().map(String::as_str).collect();
-        let cure = if known.is_empty() {
-            "define it there, or write a material in place".to_owned()
-        } else {
-            format!("choose one of {}", known.join(", "))
-        };
-        faults.push((format!("/scene{pointer}"), format!("\"{name}\" is not in /scene/materials: {cure}")));
-    }
-    faults.extend(job.scene.faults().into_iter().map(|(pointer, message)| (format!("/scene{pointer}"), message)));
-    if job.scene.slots().len() > MAX_MATERIALS {
-        let used = job.scene.slots().len();
-        let message = format!("uses {used} materials: use at most {MAX_MATERIALS}; materials with a name count once");
-        faults.push(("/scene/objects".to_owned(), message));
-    }
+    image(document, &mut fault);
     faults
 }
 
@@ -264,13 +258,13 @@ fn tree(
     }
 }
 
-fn image(job: &Job, fault: &mut impl FnMut(&str, String)) {
-    let image = &job.image;
+fn image(document: &JobDocument, fault: &mut impl FnMut(&str, String)) {
+    let image = &document.image;
     if image.pixels() > MAX_PIXELS {
         let pixels = image.pixels();
         fault("/image", format!("has {pixels} pixels: a frame may have {MAX_PIXELS}; make width or height less"));
     }
-    let rays = u128::from(job.rays_per_frame()) * u128::from(job.frames.count);
+    let rays = u128::from(image.rays()) * u128::from(document.frames.count);
     if rays > u128::from(MAX_RAYS) {
         fault(
             "/image",

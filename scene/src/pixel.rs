@@ -112,9 +112,8 @@ impl<R: Real> Place<R> {
 impl<'a> Program<'a> {
     /// The picture of one frame.
     pub fn new(still: &'a Still<'_>) -> Self {
-        let (job, moves) = (still.job(), still.job().is_moving());
-        let scene = &job.scene;
-        let view = scene.camera.view(job.image.width, job.image.height);
+        let (scene, image, moves) = (still.scene(), still.image(), still.is_moving());
+        let view = scene.camera.view(image.width, image.height);
         let clothes = Clothes::new(scene);
         let is_worn = |of: fn(&Material) -> bool| clothes.slots().any(|slot| of(&scene.slots()[slot]));
         let (sends_on, lets_through) = (is_worn(Shade::sends_on), is_worn(Shade::lets_through));
@@ -127,7 +126,7 @@ impl<'a> Program<'a> {
         Self {
             scene,
             boxes: if boxes.iter().all(Option::is_none) { Vec::new() } else { boxes },
-            is_long: job.nodes() >= LONG_SCENE_NODES,
+            is_long: scene.nodes() >= LONG_SCENE_NODES,
             bounds: bounds.with_margin(view.origin()),
             shrink: scene.objects.iter().map(|object| shrink(object.shape.stretch(), moves)).collect(),
             media: Media::new(scene, view.origin()),
@@ -138,8 +137,8 @@ impl<'a> Program<'a> {
             tolerance: view.tolerance(),
             tap: view.tap(),
             view,
-            samples: job.image.samples,
-            frame_key: frame_key(job.image.seed, still.frame()),
+            samples: image.samples,
+            frame_key: frame_key(image.seed, still.frame()),
         }
     }
 

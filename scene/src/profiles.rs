@@ -27,16 +27,17 @@ pub use text::Text;
 
 use crate::nodes::{Exactness, NodeFault, snake_case};
 use crate::real::Real;
+use crate::seek::Seek;
 use crate::values::{Amount, Coordinate};
 
 /// A point or an offset in the plane, in scene units.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
 pub struct Spot(pub Coordinate, pub Coordinate);
 
 impl Spot {
     /// Its coordinates.
     #[inline(always)]
-    pub fn get(self) -> [f32; 2] {
+    pub fn get(&self) -> [f32; 2] {
         [self.0.get(), self.1.get()]
     }
 }
@@ -110,7 +111,7 @@ pub trait Planar {
 macro_rules! profiles {
     ($($Kind:ident),* $(,)?) => {
         /// A flat shape in the plane of x and y, keyed by its name.
-        #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+        #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
         #[serde(rename_all = "snake_case")]
         pub enum Profile {
             $(#[doc = concat!("See [`", stringify!($Kind), "`].")] $Kind($Kind)),*

@@ -1,57 +1,43 @@
-//! A scene: camera, background, lights, materials and objects, as a job file says them.
-
-use std::collections::BTreeMap;
+//! A scene: camera, background, lights, materials and objects, ready to be rendered.
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Deserializer, Serialize};
 
 use crate::camera::Camera;
-use crate::lights::{Light, default_lights};
-use crate::limits::{MAX_BOUNCES, MAX_LIGHTS, MAX_STEPS};
+use crate::lights::Light;
+use crate::limits::{MAX_BOUNCES, MAX_STEPS};
 use crate::materials::{Material, MaterialUse, Shade};
 use crate::nodes::Node;
+use crate::seek::Seek;
 use crate::sky::{Background, Day};
 use crate::surroundings::{AmbientOcclusion, Fog};
 use crate::values::{Length, whole};
 
-/// What there is to see.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
-#[serde(deny_unknown_fields)]
+/// What there is to see: materials are in slots, and everything stands as it does at one time.
+///
+/// Its serialized form is what pictures are known by, so no field of it is left out there.
+#[derive(Clone, Debug, PartialEq, Serialize, Seek)]
 pub struct Scene {
     /// Where it is seen from.
     pub camera: Camera,
     /// What is seen where nothing is.
-    #[serde(default)]
     pub background: Background,
     /// The lights; an empty list is darkness.
-    #[serde(default = "default_lights")]
-    #[schemars(length(max = MAX_LIGHTS))]
     pub lights: Vec<Light>,
-    /// Fog; none when absent.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
+    /// Fog, if there is any.
     pub fog: Option<Fog>,
-    /// Ambient occlusion: darkens ambient and sky light in corners; off when absent.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
+    /// Darker corners in light from all around, if there are any.
     pub ambient_occlusion: Option<AmbientOcclusion>,
-    /// Materials by name.
-    #[serde(default)]
-    pub materials: BTreeMap<String, Material>,
+    /// The materials in use, in the order of their first use.
+    pub(crate) materials: Vec<Material>,
     /// The objects, one or more; the nearest one is seen, the first of several.
-    #[schemars(length(min = 1))]
     pub objects: Vec<Object>,
     /// How far and how long rays march.
-    #[serde(default)]
     pub march: March,
-    /// The materials in use, in the order of their first use.
-    #[serde(skip)]
-    pub(crate) slots: Vec<Material>,
-    /// Names of materials that are not in use.
-    #[serde(skip)]
-    unused: Vec<String>,
 }
 
 /// A shape and its material.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
 #[serde(deny_unknown_fields)]
 pub struct Object {
     /// The material: a name from `materials`, or one in place; grey when absent.
@@ -62,7 +48,7 @@ pub struct Object {
 }
 
 /// How far and how long rays march.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
 #[serde(deny_unknown_fields, default)]
 pub struct March {
     /// Where a ray misses, in scene units.
@@ -87,17 +73,22 @@ impl Scene {
     /// The materials in use; a [`MaterialUse`] has its place in this list.
     #[inline(always)]
     pub fn slots(&self) -> &[Material] {
-        &self.slots
+        &self.materials
     }
 
     /// The material that an object says.
     pub(crate) fn material_of(&self, object: usize) -> &Material {
-        &self.slots[self.objects[object].material.slot() as usize]
+        &self.materials[self.objects[object].material.slot() as usize]
     }
 
-    /// Names of materials that no object and no node uses.
-    pub(crate) fn unused_materials(&self) -> impl Iterator<Item = &str> {
-        self.unused.iter().map(String::as_str)
+    /// Nodes of all object trees.
+    pub fn nodes(&self) -> u32 {
+        self.objects.iter().map(|object| object.shape.count()).sum()
+    }
+
+    /// Whether some pixel may be less than opaque.
+    pub fn is_transparent(&self) -> bool {
+        self.background == Background::Transparent
     }
 
     /// Finds what makes its objects faster to look at; `moves` is whether frames differ in their numbers.
@@ -126,7 +117,7 @@ impl Scene {
 
     /// Finds paints of what fills a whole object.
     fn filled_paints(&self, node: &Node, pointer: &mut String, faults: &mut Vec<(String, String)>) {
-        let material = node.material().and_then(|material| self.slots.get(material.slot() as usize));
+        let material = node.material().and_then(|material| self.materials.get(material.slot() as usize));
         if material.is_some_and(Shade::is_medium) {
             let message =
                 "fills a whole object and can't be painted on a part of one: make the part an object of its own";
@@ -137,49 +128,6 @@ impl Scene {
             pointer.push_str(&step);
             self.filled_paints(child, pointer, faults);
             pointer.truncate(length);
-        }
-    }
-
-    /// Gives every use of a material its slot; reports each unknown name with its JSON pointer in the scene.
-    pub(crate) fn resolve_materials(&mut self) -> Vec<(String, String)> {
-        let mut resolver =
-            Resolver { named: &self.materials, used: Vec::new(), slots: BTreeMap::new(), unknown: Vec::new() };
-        for (index, object) in self.objects.iter_mut().enumerate() {
-            resolver.resolve(&mut object.material, || format!("/objects/{index}/material"));
-            resolver.resolve_tree(&mut object.shape, &mut Vec::new(), index);
-        }
-        let Resolver { used, unknown, slots, .. } = resolver;
-        self.unused = self.materials.keys().filter(|name| !slots.contains_key(*name)).cloned().collect();
-        self.slots = used;
-        unknown
-    }
-}
-
-/// Assigns slots to materials in the order of first use, so that equal scenes hash alike.
-struct Resolver<'a> {
-    named: &'a BTreeMap<String, Material>,
-    used: Vec<Material>,
-    slots: BTreeMap<String, u32>,
-    unknown: Vec<(String, String)>,
-}
-
-impl Resolver<'_> {
-    fn resolve(&mut self, material: &mut MaterialUse, pointer: impl FnOnce() -> String) {
-        if let Err(name) = material.resolve(self.named, &mut self.used, &mut self.slots) {
-            self.unknown.push((pointer(), name));
-        }
-    }
-
-    fn resolve_tree(&mut self, node: &mut Node, path: &mut Vec<String>, object: usize) {
-        let name = node.name();
-        if let Some(material) = node.material_mut() {
-            self.resolve(material, || format!("/objects/{object}/shape{}/{name}/material", path.concat()));
-        }
-        let steps = child_steps(node);
-        for (child, step) in node.children_mut().iter_mut().zip(steps) {
-            path.push(step);
-            self.resolve_tree(child, path, object);
-            path.pop();
         }
     }
 }

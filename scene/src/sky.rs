@@ -4,10 +4,11 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use crate::real::{Real, Vec3, vec3};
+use crate::seek::{Misfit, Renew, Seek};
 use crate::values::{Color, Direction, Strength, Turbidity};
 
 /// What is seen where nothing is.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
 #[serde(rename_all = "snake_case", deny_unknown_fields)]
 pub enum Background {
     /// One colour.
@@ -85,8 +86,9 @@ fn between<R: Real>(bottom: &Color, top: &Color, height: R, share: f32) -> Vec3<
 ///
 /// A. J. Preetham, Peter Shirley, Brian Smits, "A practical analytic model for daylight", SIGGRAPH 1999.
 /// A radiance of 1 stands for 32 kcd/m².
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
 #[serde(deny_unknown_fields)]
+#[seek(then = follow)]
 pub struct Day {
     /// Towards the sun; not below the horizon.
     pub sun: Direction,
@@ -115,6 +117,12 @@ struct Model {
     sun_color: [f32; 3],
 }
 
+impl Renew for Model {
+    fn renew(&mut self) {
+        *self = Self::default();
+    }
+}
+
 /// Radiance for one kcd/m².
 const PER_KILOCANDELA: f32 = 1.0 / 32.0;
 
@@ -122,6 +130,15 @@ impl Day {
     /// What is wrong with it, if anything.
     pub(crate) fn fault(&self) -> Option<&'static str> {
         (self.sun.unit().y < 0.0).then_some("is below the horizon: give the sun's direction a y of 0 or more")
+    }
+
+    /// After a number in it has changed.
+    fn follow(&mut self) -> Result<(), Box<Misfit>> {
+        if let Some(message) = self.fault() {
+            return Err(Misfit::new(message).inside("sun"));
+        }
+        self.model = Model::of(self);
+        Ok(())
     }
 
     /// The light of the sun on a surface that faces it, after its way through the air.

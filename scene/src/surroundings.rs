@@ -5,12 +5,13 @@ use serde::{Deserialize, Serialize};
 
 use crate::camera::Ray;
 use crate::real::{Real, Vec3};
+use crate::seek::Seek;
 use crate::values::{Color, Density, Length, Share};
 
 /// Fog: what is further away fades into it.
 ///
 /// With a falloff it lies on the ground: Inigo Quilez, "Better fog", <https://iquilezles.org/articles/fog/>.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
 #[serde(deny_unknown_fields)]
 pub struct Fog {
     /// How thick it is, at height 0 if it falls off.
@@ -27,7 +28,7 @@ pub struct Fog {
 ///
 /// Alex Evans, "Fast approximations for global illumination on dynamic scenes", SIGGRAPH 2006 course:
 /// five distances along the normal are compared with how far out they were taken.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
 #[serde(deny_unknown_fields)]
 pub struct AmbientOcclusion {
     /// How far away things still matter.

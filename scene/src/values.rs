@@ -1,8 +1,8 @@
 //! Numbers with a meaning: parsed once, right ever after.
 //!
 //! Each type is one kind of number of a job file, with its range in the type and in the schema.
-//! A number may be a `track`: then it is read as it stands at one time, and knows that it moves.
-//! What chooses code by a number must ask that too, since all frames share one compiled program.
+//! A number may have a `track`: then it holds it beside its value at one time, and `Seek` takes it to another.
+//! What chooses code by a number must ask whether it has one, since all frames share one compiled program.
 
 mod color;
 mod replayed;
@@ -10,6 +10,7 @@ pub(crate) mod track;
 
 use std::borrow::Cow;
 use std::fmt;
+use std::sync::Arc;
 
 use schemars::{JsonSchema, Schema, SchemaGenerator, json_schema};
 use serde::de::{Error, MapAccess, Visitor};
@@ -17,8 +18,10 @@ use serde::{Deserialize, Deserializer, Serialize, Serializer};
 
 pub use color::Color;
 
+use self::track::Track;
 use crate::limits::{MAX_LENGTH, MIN_LENGTH};
 use crate::real::{Real, Vec3, vec3};
+use crate::seek::{Clock, Misfit, Seek};
 
 pub(crate) use replayed::Replayed;
 
@@ -68,55 +71,69 @@ macro_rules! still_numbers {
     )* };
 }
 
-/// A number and whether it moves. Two are equal if the numbers are.
+/// A number and, if it is animated, its track. Two are equal if the numbers are.
 macro_rules! number_type {
     ($(#[$doc:meta])* $Name:ident: $holds:expr, $words:literal) => {
         $(#[$doc])*
-        #[derive(Clone, Copy, Debug)]
+        #[derive(Clone, Debug)]
         pub struct $Name {
             value: f32,
-            moves: bool,
+            track: Option<Arc<Track>>,
         }
 
         impl $Name {
             /// The number, if it is in range.
             pub fn new(value: f32) -> Option<Self> {
-                let holds: fn(f32) -> bool = $holds;
-                holds(value).then_some(Self { value, moves: false })
+                <Self as track::Ranged>::holds(value).then_some(Self { value, track: None })
             }
 
             /// The number.
             #[inline(always)]
-            pub fn get(self) -> f32 {
+            pub fn get(&self) -> f32 {
                 self.value
             }
 
             /// Whether a track gives this number a different value in other frames. If so, code must not branch on it: all frames share one compiled program.
             #[inline(always)]
-            pub fn is_moving(self) -> bool {
-                self.moves
+            pub fn is_moving(&self) -> bool {
+                self.track.is_some()
             }
 
             /// Whether it is 0 in every frame: then a formula may leave it out.
             #[inline(always)]
-            pub fn is_zero(self) -> bool {
-                self.value == 0.0 && !self.moves
+            pub fn is_zero(&self) -> bool {
+                self.value == 0.0 && self.track.is_none()
             }
         }
 
         impl track::Ranged for $Name {
             const WORDS: &'static str = $words;
 
+            fn holds(value: f32) -> bool {
+                let holds: fn(f32) -> bool = $holds;
+                holds(value)
+            }
+
             fn ranged(value: f32) -> Option<Self> {
                 Self::new(value)
             }
 
-            fn value(self) -> f32 {
+            fn value(&self) -> f32 {
                 self.value
             }
 
-            fn moving(self) -> Self {
-                Self { moves: true, ..self }
+            fn on_track(track: Track) -> Self {
+                Self { value: track.at(0.0, Self::holds), track: Some(Arc::new(track)) }
+            }
+        }
+
+        impl Seek for $Name {
+            #[inline]
+            fn seek(&mut self, clock: &mut Clock<'_>) -> Result<bool, std::boxed::Box<Misfit>> {
+                let Some(track) = &self.track else { return Ok(false) };
+                clock.note(track.key_seconds());
+                self.value = track.at(clock.seconds, <Self as track::Ranged>::holds);
+                Ok(true)
             }
         }
 
@@ -134,7 +151,7 @@ macro_rules! number_type {
 
         impl Serialize for $Name {
             fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
-                track::write(self.value, self.moves, serializer)
+                track::write(self.value, self.is_moving(), serializer)
             }
         }
     };
@@ -276,31 +293,31 @@ pub(crate) fn whole<'de, D: Deserializer<'de>>(d: D, low: u32, high: u32, what: 
 }
 
 /// A point or an offset, in scene units.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
 pub struct Point(pub Coordinate, pub Coordinate, pub Coordinate);
 
 impl Point {
     /// Its coordinates.
     #[inline(always)]
-    pub fn get(self) -> Vec3<f32> {
+    pub fn get(&self) -> Vec3<f32> {
         vec3(self.0.get(), self.1.get(), self.2.get())
     }
 
     /// The point in range that is nearest to another.
     pub(crate) fn nearest(p: Vec3<f32>) -> Self {
         let [x, y, z] = <[f32; 3]>::from(p);
-        let coordinate = |c: f32| Coordinate { value: c.clamp(-MAX_LENGTH, MAX_LENGTH), moves: false };
+        let coordinate = |c: f32| Coordinate { value: c.clamp(-MAX_LENGTH, MAX_LENGTH), track: None };
         Self(coordinate(x), coordinate(y), coordinate(z))
     }
 
     /// Whether any of them moves.
-    pub fn is_moving(self) -> bool {
+    pub fn is_moving(&self) -> bool {
         self.0.is_moving() || self.1.is_moving() || self.2.is_moving()
     }
 }
 
 /// A direction: three numbers, not all 0, of any length.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq)]
 pub struct Direction {
     given: Point,
     unit: Vec3<f32>,
@@ -309,27 +326,43 @@ pub struct Direction {
 impl Direction {
     /// The direction of length 1.
     #[inline(always)]
-    pub fn unit(self) -> Vec3<f32> {
+    pub fn unit(&self) -> Vec3<f32> {
         self.unit
     }
 
     /// Whether any of its numbers moves.
-    pub fn is_moving(self) -> bool {
+    pub fn is_moving(&self) -> bool {
         self.given.is_moving()
+    }
+}
+
+/// A point as a direction of length 1; nothing if it is the origin.
+fn unit(given: &Point) -> Option<Vec3<f32>> {
+    let numbers = <[f32; 3]>::from(given.get());
+    let largest = numbers.iter().fold(0.0_f32, |largest, c| largest.max(c.abs()));
+    // Scaled first, so that squares neither overflow nor vanish.
+    let [x, y, z] = numbers.map(|c| c / largest);
+    (largest >= MIN_LENGTH).then(|| vec3(x, y, z).normalize())
+}
+
+const NO_LENGTH: &str = "has no length: a direction needs a coordinate that is not 0";
+
+impl Seek for Direction {
+    fn seek(&mut self, clock: &mut Clock<'_>) -> Result<bool, Box<Misfit>> {
+        let Self { given, unit: derived } = self;
+        let is_animated = given.seek(clock)?;
+        if is_animated {
+            *derived = unit(given).ok_or_else(|| Misfit::new(NO_LENGTH))?;
+        }
+        Ok(is_animated)
     }
 }
 
 impl<'de> Deserialize<'de> for Direction {
     fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
         let given = Point::deserialize(deserializer)?;
-        let numbers = <[f32; 3]>::from(given.get());
-        let largest = numbers.iter().fold(0.0_f32, |largest, c| largest.max(c.abs()));
-        if largest < MIN_LENGTH {
-            return Err(D::Error::custom("has no length: a direction needs a coordinate that is not 0"));
-        }
-        // Scaled first, so that squares neither overflow nor vanish.
-        let [x, y, z] = numbers.map(|c| c / largest);
-        Ok(Self { given, unit: vec3(x, y, z).normalize() })
+        let unit = unit(&given).ok_or_else(|| D::Error::custom(NO_LENGTH))?;
+        Ok(Self { given, unit })
     }
 }
 
@@ -354,7 +387,7 @@ impl JsonSchema for Direction {
 }
 
 /// A rotation about the fixed x, y and z axes, in this order, in degrees: the matrix Rz·Ry·Rx.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq)]
 pub struct Rotation {
     degrees: [Degrees; 3],
     rows: [Vec3<f32>; 3],
@@ -363,24 +396,34 @@ pub struct Rotation {
 impl Rotation {
     /// The rows of the inverse rotation's matrix: multiplied with a point they turn it back.
     #[inline(always)]
-    pub fn inverse_rows(self) -> [Vec3<f32>; 3] {
+    pub fn inverse_rows(&self) -> [Vec3<f32>; 3] {
         self.rows
     }
 
     /// Whether any of its angles moves.
-    pub fn is_moving(self) -> bool {
-        self.degrees.iter().any(|angle| angle.is_moving())
+    pub fn is_moving(&self) -> bool {
+        self.degrees.iter().any(Degrees::is_moving)
     }
+}
 
-    fn new(degrees: [Degrees; 3]) -> Self {
-        let [(sx, cx), (sy, cy), (sz, cz)] = degrees.map(|angle| sin_cos_degrees(angle.get()));
-        // The columns of Rz·Ry·Rx, which are the rows of its inverse.
-        let rows = [
-            vec3(cz * cy, sz * cy, -sy),
-            vec3(cz * sy * sx - sz * cx, sz * sy * sx + cz * cx, cy * sx),
-            vec3(cz * sy * cx + sz * sx, sz * sy * cx - cz * sx, cy * cx),
-        ];
-        Self { degrees, rows }
+/// The columns of Rz·Ry·Rx, which are the rows of its inverse.
+fn inverse_rows(degrees: &[Degrees; 3]) -> [Vec3<f32>; 3] {
+    let [(sx, cx), (sy, cy), (sz, cz)] = degrees.each_ref().map(|angle| sin_cos_degrees(angle.get()));
+    [
+        vec3(cz * cy, sz * cy, -sy),
+        vec3(cz * sy * sx - sz * cx, sz * sy * sx + cz * cx, cy * sx),
+        vec3(cz * sy * cx + sz * sx, sz * sy * cx - cz * sx, cy * cx),
+    ]
+}
+
+impl Seek for Rotation {
+    fn seek(&mut self, clock: &mut Clock<'_>) -> Result<bool, Box<Misfit>> {
+        let Self { degrees, rows } = self;
+        let is_animated = degrees.seek(clock)?;
+        if is_animated {
+            *rows = inverse_rows(degrees);
+        }
+        Ok(is_animated)
     }
 }
 
@@ -399,7 +442,8 @@ pub(crate) fn sin_cos_degrees(degrees: f32) -> (f32, f32) {
 
 impl<'de> Deserialize<'de> for Rotation {
     fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
-        <[Degrees; 3]>::deserialize(deserializer).map(Self::new)
+        let degrees = <[Degrees; 3]>::deserialize(deserializer)?;
+        Ok(Self { rows: inverse_rows(&degrees), degrees })
     }
 }
 

@@ -80,14 +80,14 @@ fn of_the_whole(job: &Job) -> Vec<String> {
             "a panorama is 360 by 180 degrees, and {width}×{height} stretches it: make width twice height"
         ));
     }
-    for name in job.scene.unused_materials() {
+    for name in &job.unused_materials {
         warnings.push(format!("material \"{name}\" is not used"));
     }
     warnings
 }
 
 fn of_frame(still: &Still<'_>) -> Vec<Warning> {
-    let scene = &still.job().scene;
+    let scene = still.scene();
     let seen = sight::of(still);
     let known = [
         (Kind::Work, stuff::work(scene)),

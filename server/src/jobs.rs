@@ -64,7 +64,7 @@ impl Jobs {
         self.on_thread(move || work(scene::parse(&text))).await
     }
 
-    /// Cache key of a frame's picture; of an animated job, the frame is evaluated for it.
+    /// What a frame's picture is known by; the scene of a job that moves is copied for that.
     pub(crate) async fn picture_key(&self, job: &Arc<scene::Job>, frame: u32) -> Result<String, JobError> {
         let (moves, job) = (job.is_moving(), Arc::clone(job));
         let key = move || job.picture_key(frame).to_hex().to_string();

@@ -45,7 +45,7 @@ pub struct Picture {
 impl Picture {
     /// The picture that a job's frame asks for.
     pub fn of(still: &Still<'_>) -> Self {
-        let image = &still.job().image;
+        let image = still.image();
         Self {
             width: image.width,
             height: image.height,
@@ -54,7 +54,7 @@ impl Picture {
             bits: image.bits,
             precision: image.precision,
             grade: Grade::of(image),
-            opaque: !still.job().is_transparent(),
+            opaque: !still.scene().is_transparent(),
             provenance: Provenance::of(still),
         }
     }
@@ -88,7 +88,7 @@ pub enum ImageError {
     Io(#[from] io::Error),
     /// The job is invalid at this frame.
     #[error("the job has no picture in this frame")]
-    Frame(#[from] ::scene::Refusal),
+    Frame(#[from] ::scene::FrameError),
     /// The format can't hold it.
     #[error("could not encode the picture: {0}")]
     Format(String),

@@ -145,7 +145,7 @@ pub enum RenderError {
     Threads(#[source] rayon::ThreadPoolBuildError),
     /// The job is invalid at this frame.
     #[error("the job can't be rendered in this frame")]
-    Frame(#[from] scene::Refusal),
+    Frame(#[from] scene::FrameError),
     /// The device gave up.
     #[error("{device} could not render: {reason}")]
     Device {

@@ -33,8 +33,7 @@ pub(super) struct Kept<'a> {
 }
 
 impl Kept<'_> {
-    /// The coarse pass of a job at a frame, from its file or rendered now; `None` if not even a small one
-    /// can be rendered in time.
+    /// The coarse pass of a frame, kept or made now; `None` where not even a small one can be made in time.
     pub(super) fn pixels(self, job: &Job, frame: u32) -> anyhow::Result<Option<Pixels>> {
         if let Some(kept) = std::fs::read(self.file).ok().and_then(|bytes| blob::decode(&bytes).ok())
             && kept.planes.len() == 4

@@ -74,10 +74,8 @@ fn measure(job: &Job, frame: u32, renderers: &[CpuRenderer], limit: Duration) ->
     let still = job.at(frame)?;
     std::hint::black_box(Program::new(&still));
     let setup_seconds = start.elapsed().as_secs_f64();
-    let mut job = still.job().clone();
     let picture = Picture::of(&still);
-    // The job at this frame, prepared once for all blocks.
-    job.motion = None;
+    let mut job = job.clone();
     if job.image.layers.is_empty() {
         job.image.samples = job.image.samples.min(MAX_SAMPLES);
     }

@@ -20,16 +20,14 @@ pub(super) fn draw(
     tiles: &[PathBuf],
     below: &Kept<'_>,
 ) -> anyhow::Result<Vec<u8>> {
-    let mut still = job.at(frame)?.job().clone();
-    // The job at this frame.
-    still.motion = None;
-    let (grade, opaque) = (Grade::of(&still.image), !still.is_transparent());
-    let mut canvas = Canvas::new(still.image.width, still.image.height, width_px);
+    let still = job.at(frame)?;
+    let (grade, opaque) = (Grade::of(still.image()), !still.scene().is_transparent());
+    let mut canvas = Canvas::new(still.image().width, still.image().height, width_px);
     for tile in tiles {
         // Swept away meanwhile, or torn: the coarse pass is shown there.
         drop(add(&mut canvas, tile, grade, opaque));
     }
-    let coarse = below.pixels(&still, frame)?;
+    let coarse = below.pixels(job, frame)?;
     let below = coarse.and_then(|coarse| coarse::scaled(&coarse, grade, opaque, canvas.size()));
     canvas.png(below.as_ref())
 }

@@ -6,10 +6,11 @@ use serde::{Deserialize, Serialize};
 use super::{Incoming, around, white, yes};
 use crate::materials::microfacet::frame;
 use crate::real::{Real, Vec3};
+use crate::seek::Seek;
 use crate::values::{Aperture, Color, Direction, Length, Point, Share};
 
 /// Light from a point within a cone; its strength falls as 1/d².
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
 #[serde(deny_unknown_fields)]
 pub struct SpotLight {
     /// Where it is.
@@ -35,7 +36,7 @@ pub struct SpotLight {
 ///
 /// Peter Shirley, Changyaw Wang, Kurt Zimmerman, "Monte Carlo techniques for direct lighting
 /// calculations", ACM Transactions on Graphics 15(1), 1996: directions in the cone that it fills.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
 #[serde(deny_unknown_fields)]
 pub struct SphereLight {
     /// Its middle.

@@ -5,12 +5,13 @@ use serde::{Deserialize, Serialize};
 
 use super::{Exemplary, Level, Lighting, Place, Shade, Texture, Tint};
 use crate::real::{Real, Vec3, vec3};
+use crate::seek::Seek;
 use crate::values::Shininess;
 
 /// Phong's model: ka·ambient + Σ lights: kd·le·(N·L) + ks·le·(R·E)^shininess, on both sides.
 ///
 /// Bui Tuong Phong, "Illumination for computer generated pictures", CACM 18(6), 1975.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
 #[serde(deny_unknown_fields)]
 pub struct Diffuse {
     /// Colour of scattered light.

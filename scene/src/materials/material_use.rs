@@ -1,4 +1,4 @@
-//! Where a material is used: by its name, or in place.
+//! Where a material is used: by its name or in place in a job file, by its slot in a scene.
 
 use std::borrow::Cow;
 use std::collections::BTreeMap;
@@ -8,54 +8,62 @@ use serde::de::{MapAccess, Visitor, value::MapAccessDeserializer};
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
 
 use super::Material;
+use crate::seek::{Clock, Misfit, Seek};
 
 /// A material where it is used: a name from the scene's `materials`, or one in place.
 #[derive(Clone, Debug, PartialEq)]
-pub struct MaterialUse {
-    given: Given,
-    slot: u32,
-}
-
-#[derive(Clone, Debug, PartialEq, Serialize)]
-#[serde(untagged)]
-enum Given {
+pub enum MaterialUse {
+    /// As a job file says it: by its name.
     Name(String),
-    InPlace(Material),
+    /// As a job file says it: in place.
+    InPlace(Box<Material>),
+    /// As a scene has it: the place among the materials in use.
+    Slot(u32),
 }
 
 impl MaterialUse {
-    /// Which of the scene's materials in use it is.
+    /// Which of the scene's materials in use it is; the first, as long as nobody has looked it up.
     #[inline(always)]
     pub fn slot(&self) -> u32 {
-        self.slot
+        match self {
+            Self::Name(_) | Self::InPlace(_) => 0,
+            Self::Slot(slot) => *slot,
+        }
     }
 
-    /// Gives it a slot in `used`, the materials in use so far; the name if there is no such material.
+    /// Moves it to a slot in `used`, the materials in use so far; the name if there is no such material.
     pub(crate) fn resolve(
         &mut self,
         named: &BTreeMap<String, Material>,
         used: &mut Vec<Material>,
         slots: &mut BTreeMap<String, u32>,
     ) -> Result<(), String> {
-        self.slot = match &self.given {
-            Given::Name(name) => {
-                let material = named.get(name).ok_or_else(|| name.clone())?;
-                *slots.entry(name.clone()).or_insert_with(|| new_slot(used, material))
+        let slot = match std::mem::replace(self, Self::Slot(0)) {
+            Self::Name(name) => {
+                let Some(material) = named.get(&name) else { return Err(name) };
+                *slots.entry(name).or_insert_with(|| new_slot(used, material.clone()))
             }
-            Given::InPlace(material) => new_slot(used, material),
+            Self::InPlace(material) => new_slot(used, *material),
+            Self::Slot(slot) => slot,
         };
+        *self = Self::Slot(slot);
         Ok(())
-    }
-
-    /// The same use, named by its slot: what a scene's key is made of.
-    pub(crate) fn canonical(&self) -> Self {
-        Self { given: Given::Name(self.slot.to_string()), slot: self.slot }
     }
 }
 
-fn new_slot(used: &mut Vec<Material>, material: &Material) -> u32 {
-    used.push(material.clone());
+fn new_slot(used: &mut Vec<Material>, material: Material) -> u32 {
+    used.push(material);
     used.len() as u32 - 1
+}
+
+impl Seek for MaterialUse {
+    fn seek(&mut self, clock: &mut Clock<'_>) -> Result<bool, Box<Misfit>> {
+        match self {
+            // The materials themselves are sought once, among those in use.
+            Self::Name(_) | Self::Slot(_) => Ok(false),
+            Self::InPlace(material) => material.seek(clock),
+        }
+    }
 }
 
 /// Reads a name or a material; faults inside a material keep their place.
@@ -69,12 +77,11 @@ impl<'de> Visitor<'de> for MaterialUseVisitor {
     }
 
     fn visit_str<E>(self, name: &str) -> Result<MaterialUse, E> {
-        Ok(MaterialUse { given: Given::Name(name.to_owned()), slot: 0 })
+        Ok(MaterialUse::Name(name.to_owned()))
     }
 
     fn visit_map<A: MapAccess<'de>>(self, map: A) -> Result<MaterialUse, A::Error> {
-        let material = Material::deserialize(MapAccessDeserializer::new(map))?;
-        Ok(MaterialUse { given: Given::InPlace(material), slot: 0 })
+        Material::deserialize(MapAccessDeserializer::new(map)).map(|material| MaterialUse::InPlace(Box::new(material)))
     }
 }
 
@@ -86,7 +93,11 @@ impl<'de> Deserialize<'de> for MaterialUse {
 
 impl Serialize for MaterialUse {
     fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
-        self.given.serialize(serializer)
+        match self {
+            Self::Name(name) => name.serialize(serializer),
+            Self::InPlace(material) => material.serialize(serializer),
+            Self::Slot(slot) => slot.serialize(serializer),
+        }
     }
 }
 

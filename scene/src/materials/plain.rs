@@ -5,9 +5,10 @@ use serde::{Deserialize, Serialize};
 
 use super::{Exemplary, Lighting, Place, Shade, Texture, Tint};
 use crate::real::{Real, Vec3};
+use crate::seek::Seek;
 
 /// One colour, whatever the light.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
 #[serde(deny_unknown_fields)]
 pub struct Flat {
     /// The colour.
@@ -43,7 +44,7 @@ impl Shade for Flat {
 }
 
 /// The normal N as a colour: (N + 1)/2.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
 #[serde(deny_unknown_fields)]
 pub struct Normals {}
 

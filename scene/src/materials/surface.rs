@@ -8,6 +8,7 @@ use super::tint::mix;
 use super::{Exemplary, Finish, Level, Lighting, Place, Shade, Texture, Tint};
 use crate::lights::Incoming;
 use crate::real::{Real, Vec3, bundle, vec3};
+use crate::seek::Seek;
 use crate::values::{RefractiveIndex, Share};
 
 /// A physically based surface: a matt body under a border that mirrors, or metal; under a clear coat if it has one.
@@ -18,7 +19,7 @@ use crate::values::{RefractiveIndex, Share};
 /// shadowing and Schlick's Fresnel. What enters the body was not mirrored, on the way in and out, so that the whole
 /// never sends back more than arrives and is the same with light and viewer exchanged.
 /// The scene around is mirrored and seen through as far as `march.max_bounces` allows.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
 #[serde(deny_unknown_fields)]
 pub struct Surface {
     /// Colour of the body, or of a metal's reflections; channels above 1 count as 1.

@@ -23,6 +23,7 @@ pub use ramp::{Ramp, Stop};
 use super::{Example, Place, Tint};
 use crate::nodes::snake_case;
 use crate::real::{Real, Vec3};
+use crate::seek::Seek;
 
 /// What a texture means.
 pub trait Pattern {
@@ -42,7 +43,7 @@ pub trait Pattern {
 macro_rules! textures {
     ($($Kind:ident: $Struct:ident),* $(,)?) => {
         /// A colour at every place: keyed by its name.
-        #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+        #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
         #[serde(rename_all = "snake_case")]
         pub enum Texture {
             $(#[doc = concat!("See [`", stringify!($Struct), "`].")] $Kind($Struct)),*

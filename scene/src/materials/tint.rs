@@ -13,6 +13,7 @@ use super::Place;
 use super::texture::Texture;
 use crate::limits::MAX_TEXTURE_DEPTH;
 use crate::real::{Real, Vec3, vec3};
+use crate::seek::{Clock, Misfit, Seek};
 use crate::values::{Color, RefractiveIndex, Replayed, Share, Shininess};
 
 /// A colour: one for all places, or a texture's.
@@ -42,9 +43,9 @@ impl Tint {
 
     /// The colour, where it is one for all places.
     #[inline(always)]
-    pub fn plain(&self) -> Option<Color> {
+    pub fn plain(&self) -> Option<&Color> {
         match self {
-            Self::Plain(color) => Some(*color),
+            Self::Plain(color) => Some(color),
             Self::Textured(_) => None,
         }
     }
@@ -117,6 +118,15 @@ impl Serialize for Tint {
     }
 }
 
+impl Seek for Tint {
+    fn seek(&mut self, clock: &mut Clock<'_>) -> Result<bool, Box<Misfit>> {
+        match self {
+            Self::Plain(color) => color.seek(clock),
+            Self::Textured(texture) => texture.seek(clock),
+        }
+    }
+}
+
 impl JsonSchema for Tint {
     fn schema_name() -> Cow<'static, str> {
         "Tint".into()
@@ -129,24 +139,24 @@ impl JsonSchema for Tint {
 }
 
 /// A kind of number that a texture may vary.
-pub trait Parameter: Copy + fmt::Debug + PartialEq + Serialize + JsonSchema + for<'de> Deserialize<'de> {
+pub trait Parameter: Clone + fmt::Debug + PartialEq + Serialize + JsonSchema + for<'de> Deserialize<'de> {
     /// The number.
-    fn number(self) -> f32;
+    fn number(&self) -> f32;
 
     /// Whether it is 0 in every frame.
-    fn is_zero(self) -> bool;
+    fn is_zero(&self) -> bool;
 }
 
 macro_rules! parameters {
     ($($Number:ident),*) => { $(
         impl Parameter for $Number {
             #[inline(always)]
-            fn number(self) -> f32 {
+            fn number(&self) -> f32 {
                 self.get()
             }
 
             #[inline(always)]
-            fn is_zero(self) -> bool {
+            fn is_zero(&self) -> bool {
                 self.get() == 0.0 && !self.is_moving()
             }
         }
@@ -165,7 +175,7 @@ pub enum Level<N> {
 }
 
 /// A number that a texture varies: `low` where it is black, `high` where it is white, by luminance between.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
 #[serde(deny_unknown_fields, bound(deserialize = "N: Parameter", serialize = "N: Parameter"))]
 pub struct Varied<N> {
     /// The number where the texture is black.
@@ -272,6 +282,15 @@ impl<N: Parameter> Serialize for Level<N> {
         match self {
             Self::Plain(number) => number.serialize(serializer),
             Self::Varied(varied) => varied.serialize(serializer),
+        }
+    }
+}
+
+impl<N: Seek> Seek for Level<N> {
+    fn seek(&mut self, clock: &mut Clock<'_>) -> Result<bool, Box<Misfit>> {
+        match self {
+            Self::Plain(number) => number.seek(clock),
+            Self::Varied(varied) => varied.seek(clock),
         }
     }
 }

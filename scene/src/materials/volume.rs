@@ -7,11 +7,12 @@ use super::{Exemplary, Finish, Lighting, Material, Place, Shade};
 use crate::limits::{MAX_LIGHT_STEPS, MAX_MEDIUM_STEPS};
 use crate::noise::Noise;
 use crate::real::{Real, Vec3, vec3};
+use crate::seek::Seek;
 use crate::values::{Amount, Anisotropy, Color, Density, Share, whole};
 
 /// Clouds as Robles, Lee, Yin and Dhar draw them, "Procedural Rendering with Ray Marching": noise on a
 /// surface, or summed along the ray inside the shape.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
 #[serde(deny_unknown_fields)]
 pub struct Clouds {
     /// How thick they are where; its range is mapped to 0 to 1.
@@ -35,7 +36,7 @@ pub struct Clouds {
 }
 
 /// Where clouds are.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema, Seek)]
 #[serde(rename_all = "snake_case")]
 pub enum Mapping {
     /// On the surface.
@@ -51,7 +52,7 @@ pub enum Mapping {
 /// J. L. Greenstein, "Diffuse radiation in the galaxy", Astrophysical Journal 93, 1941. Further orders are
 /// approximated as in Magnus Wrenninge et al., "Oz: the great and volumetric", SIGGRAPH 2013 talks: each has
 /// half the light of the one before, through half the depth, scattered half as much onwards.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
 #[serde(deny_unknown_fields)]
 pub struct Volume {
     /// The extinction coefficient where it is thickest, per scene unit.

@@ -13,13 +13,14 @@ use super::{Child, Exactness, Node, Sample, Sdf};
 use crate::bounds::Bounds;
 use crate::noise::Noise;
 use crate::real::{Real, Vec3};
+use crate::seek::Seek;
 use crate::values::Coordinate;
 
 /// A shape with bumps: amplitude · bumps is added to its distance, so where that is negative the surface
 /// rises.
 ///
 /// A Lipschitz factor is the child's plus |amplitude| times that of the bumps.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
 #[serde(deny_unknown_fields)]
 pub struct Displace {
     /// The bumps.
@@ -34,7 +35,7 @@ pub struct Displace {
 }
 
 /// What may be added to a distance: keyed by its kind.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
 #[serde(rename_all = "snake_case")]
 pub enum Bumps {
     /// Waves along all axes: sin(φx)·sin(φy)·sin(φz).
@@ -44,7 +45,7 @@ pub enum Bumps {
 }
 
 /// Waves along all axes: sin(φx)·sin(φy)·sin(φz).
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
 #[serde(deny_unknown_fields)]
 pub struct Sine {
     /// φ, in radians a scene unit: one number, or one for each axis.
@@ -135,8 +136,7 @@ impl Sdf for Displace {
 
     around_child!();
 
-    fn prepare(&mut self, moves: bool) {
-        self.child.prepare(moves);
+    fn prepare(&mut self, _: bool) {
         self.relief = FoundRelief(Some(self.relief()));
     }
 

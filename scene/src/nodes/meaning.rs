@@ -71,10 +71,10 @@ pub trait Sdf {
         &mut []
     }
 
-    /// Finds what makes it faster to look at, in it and in the nodes inside. Where the job `moves`,
+    /// Finds what makes it faster to look at; the nodes inside have done so. Where the job `moves`,
     /// what is found must have the same form in all frames.
     fn prepare(&mut self, moves: bool) {
-        self.children_mut().iter_mut().for_each(|child| child.prepare(moves));
+        let _ = moves;
     }
 
     /// The material it says, if it says one.

@@ -28,9 +28,10 @@ use super::{Child, Node, Sample, Sdf};
 use crate::bounds::Bounds;
 use crate::materials::MaterialUse;
 use crate::real::{Real, Vec3};
+use crate::seek::Seek;
 
 /// A shape in a material of its own; the innermost one is seen.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
 #[serde(deny_unknown_fields)]
 pub struct Paint {
     /// The material: a name from `materials`, or one in place.

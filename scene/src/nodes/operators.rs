@@ -22,10 +22,11 @@ use super::sample::indicator;
 use super::{Exactness, Node, Sample, Sdf};
 use crate::bounds::Bounds;
 use crate::real::{Real, Vec3};
+use crate::seek::Seek;
 use crate::values::Amount;
 
 /// What is in any of the shapes.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
 #[serde(deny_unknown_fields)]
 pub struct Union {
     /// The shapes, one or more.
@@ -40,7 +41,7 @@ pub struct Union {
 }
 
 /// What is in all of the shapes.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
 #[serde(deny_unknown_fields)]
 pub struct Intersection {
     /// The shapes, one or more.
@@ -52,7 +53,7 @@ pub struct Intersection {
 }
 
 /// The first shape without the others.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
 #[serde(deny_unknown_fields)]
 pub struct Difference {
     /// The shape to cut from, then those to cut away.
@@ -65,7 +66,7 @@ pub struct Difference {
 
 /// The lesser of two, melted over `smooth`.
 #[inline(always)]
-fn least<R: Real, V: Sample<R>>(a: V, b: V, smooth: Amount) -> V {
+fn least<R: Real, V: Sample<R>>(a: V, b: V, smooth: &Amount) -> V {
     let (da, db) = (a.distance(), b.distance());
     if smooth.is_zero() {
         return a.blend(
@@ -87,7 +88,7 @@ fn least<R: Real, V: Sample<R>>(a: V, b: V, smooth: Amount) -> V {
 
 /// The greater of two, melted over `smooth`.
 #[inline(always)]
-fn greatest<R: Real, V: Sample<R>>(a: V, b: V, smooth: Amount) -> V {
+fn greatest<R: Real, V: Sample<R>>(a: V, b: V, smooth: &Amount) -> V {
     let (da, db) = (a.distance(), b.distance());
     if smooth.is_zero() {
         return a.blend(
@@ -109,13 +110,13 @@ fn greatest<R: Real, V: Sample<R>>(a: V, b: V, smooth: Amount) -> V {
 
 /// The first without the second.
 #[inline(always)]
-fn cut<R: Real, V: Sample<R>>(a: V, b: V, smooth: Amount) -> V {
+fn cut<R: Real, V: Sample<R>>(a: V, b: V, smooth: &Amount) -> V {
     greatest(a, negated(b), smooth)
 }
 
 /// h = max(k − |a − b|, 0): how far into the seam.
 #[inline(always)]
-fn overlap<R: Real>(a: R, b: R, smooth: Amount) -> R {
+fn overlap<R: Real>(a: R, b: R, smooth: &Amount) -> R {
     (a.given(smooth.get()) - (a - b).abs()).at_least(0.0)
 }
 
@@ -127,7 +128,7 @@ fn per(width: f32) -> f32 {
 
 /// The second child's share where it wins or loses: the loser has ½(h/k)².
 #[inline(always)]
-fn share<R: Real>(overlap: R, smooth: Amount, second_wins: R::Mask) -> R {
+fn share<R: Real>(overlap: R, smooth: &Amount, second_wins: R::Mask) -> R {
     let loser = overlap.square() * overlap.given(0.5 * per(smooth.get() * smooth.get()));
     R::select(second_wins, loser.splat(1.0) - loser, loser)
 }
@@ -188,13 +189,12 @@ impl Sdf for Union {
                 &self.of,
                 p,
                 #[inline(always)]
-                |a, b| least(a, b, self.smooth),
+                |a, b| least(a, b, &self.smooth),
             ),
         }
     }
 
     fn prepare(&mut self, moves: bool) {
-        self.of.iter_mut().for_each(|shape| shape.prepare(moves));
         self.runs = Runs::of(&self.of, moves);
     }
 
@@ -229,7 +229,7 @@ impl Union {
         }
         let mut sum = sum;
         for shape in &self.of[run.shapes.clone()] {
-            sum = least(sum, shape.sample(p), self.smooth);
+            sum = least(sum, shape.sample(p), &self.smooth);
         }
         sum
     }
@@ -247,7 +247,7 @@ impl Sdf for Intersection {
             &self.of,
             p,
             #[inline(always)]
-            |a, b| greatest(a, b, self.smooth),
+            |a, b| greatest(a, b, &self.smooth),
         )
     }
 
@@ -266,7 +266,7 @@ impl Sdf for Difference {
             &self.of,
             p,
             #[inline(always)]
-            |a, b| cut(a, b, self.smooth),
+            |a, b| cut(a, b, &self.smooth),
         )
     }
 

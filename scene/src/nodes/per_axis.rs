@@ -9,21 +9,22 @@ use serde::de::{Error, IntoDeserializer, MapAccess, SeqAccess, Visitor};
 use serde::{Deserialize, Deserializer, Serialize};
 
 use crate::real::Vec3;
+use crate::seek::Seek;
 use crate::values::{Coordinate, Point};
 
 /// A number for each axis, written as three or as one for all.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Seek)]
 pub struct PerAxis(Point);
 
 impl PerAxis {
     /// The numbers.
     #[inline(always)]
-    pub fn get(self) -> Vec3<f32> {
+    pub fn get(&self) -> Vec3<f32> {
         self.0.get()
     }
 
     fn all(number: Coordinate) -> Self {
-        Self(Point(number, number, number))
+        Self(Point(number.clone(), number.clone(), number))
     }
 }
 

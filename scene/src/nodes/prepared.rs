@@ -5,6 +5,8 @@ use std::ops::Deref;
 use schemars::{JsonSchema, Schema, SchemaGenerator};
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
 
+use crate::seek::{Clock, Misfit, Seek};
+
 /// A primitive's numbers as a user gives them.
 pub trait Prepare {
     /// What its formula is made of.
@@ -44,6 +46,17 @@ impl<G: Prepare> Deref for Prepared<G> {
     #[inline(always)]
     fn deref(&self) -> &G {
         &self.given
+    }
+}
+
+impl<G: Prepare + Seek> Seek for Prepared<G> {
+    fn seek(&mut self, clock: &mut Clock<'_>) -> Result<bool, Box<Misfit>> {
+        let Self { given, ready } = self;
+        let is_animated = given.seek(clock)?;
+        if is_animated {
+            **ready = given.ready();
+        }
+        Ok(is_animated)
     }
 }
 

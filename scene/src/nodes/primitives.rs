@@ -34,10 +34,11 @@ use self::slopes::Slope;
 use super::{Exactness, NodeFault, Primitive};
 use crate::bounds::Bounds;
 use crate::real::{Real, Vec3, vec3};
+use crate::seek::Seek;
 use crate::values::{Amount, Coordinate, Direction, Length, Point};
 
 /// A ball around the origin.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
 #[serde(deny_unknown_fields)]
 pub struct Sphere {
     /// Its radius.
@@ -61,7 +62,7 @@ impl Primitive for Sphere {
 /// A box around the origin, its edges along the axes.
 ///
 /// Inigo Quilez, "Distance functions": <https://iquilezles.org/articles/distfunctions/>.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
 #[serde(deny_unknown_fields)]
 pub struct Box {
     /// Whole extents along x, y and z.
@@ -76,7 +77,7 @@ impl Primitive for Box {
 
     #[inline(always)]
     fn distance<R: Real>(&self, p: Vec3<R>) -> R {
-        let [x, y, z] = self.size;
+        let [x, y, z] = &self.size;
         let (half, round) = (0.5, self.round.get());
         let past_face = vec3(
             p.x.abs() - p.x.given(x.get() * half - round),
@@ -94,7 +95,7 @@ impl Primitive for Box {
     }
 
     fn fault(&self) -> Option<NodeFault> {
-        let most = self.size.into_iter().map(Length::get).fold(f32::MAX, f32::min) / 2.0;
+        let most = self.size.iter().map(Length::get).fold(f32::MAX, f32::min) / 2.0;
         (self.round.get() > most).then(|| {
             NodeFault::new(
                 "round",
@@ -104,13 +105,13 @@ impl Primitive for Box {
     }
 
     fn bounds(&self, level: f32) -> Bounds {
-        let [x, y, z] = self.size;
+        let [x, y, z] = &self.size;
         Bounds::symmetric(x.get() / 2.0, y.get() / 2.0, z.get() / 2.0).widened(level)
     }
 }
 
 /// Half of space: all that lies behind a plane.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
 #[serde(deny_unknown_fields)]
 pub struct Plane {
     /// Which way its surface looks; of any length.
@@ -138,7 +139,7 @@ impl Primitive for Plane {
 }
 
 /// A cylinder around the y axis, its middle at the origin.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
 #[serde(deny_unknown_fields)]
 pub struct Cylinder {
     /// Its radius.
@@ -165,7 +166,7 @@ impl Primitive for Cylinder {
 }
 
 /// A cylinder around the y axis, without ends.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
 #[serde(deny_unknown_fields)]
 pub struct InfiniteCylinder {
     /// Its radius.
@@ -190,7 +191,7 @@ impl Primitive for InfiniteCylinder {
 ///
 /// A bound: the distance to the nearest face's plane, as in Robles, Lee, Yin and Dhar,
 /// "Procedural Rendering with Ray Marching".
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
 #[serde(deny_unknown_fields)]
 pub struct TriangularPrism {
     /// Radius of the triangle's circumcircle.
@@ -225,7 +226,7 @@ impl Primitive for TriangularPrism {
 ///
 /// The distance to the slanted faces is Inigo Quilez's, "Distance functions":
 /// <https://iquilezles.org/articles/distfunctions/>; the base is added here.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
 #[serde(deny_unknown_fields)]
 pub struct Pyramid {
     /// Height of its apex.
@@ -241,10 +242,10 @@ impl Primitive for Pyramid {
 
     #[inline(always)]
     fn distance<R: Real>(&self, p: Vec3<R>) -> R {
-        if let Some(base) = self.base {
+        if let Some(base) = &self.base {
             return p.x.vectorize(
                 #[inline(always)]
-                || over_rectangle(p, base.map(Length::get), self.height.get()),
+                || over_rectangle(p, base.each_ref().map(Length::get), self.height.get()),
             );
         }
         let slant = self.height.get() * self.height.get() + 0.25;
@@ -268,7 +269,7 @@ impl Primitive for Pyramid {
     }
 
     fn bounds(&self, level: f32) -> Bounds {
-        let [x, z] = self.base.map_or([0.5; 2], |base| base.map(|extent| extent.get() / 2.0));
+        let [x, z] = self.base.as_ref().map_or([0.5; 2], |base| base.each_ref().map(|extent| extent.get() / 2.0));
         Bounds { low: vec3(-x, 0.0, -z), high: vec3(x, self.height.get(), z) }.widened(level)
     }
 }
@@ -290,7 +291,7 @@ fn over_rectangle<R: Real>(p: Vec3<R>, base: [f32; 2], height: f32) -> R {
 }
 
 /// A ring around the y axis.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
 #[serde(deny_unknown_fields)]
 pub struct Torus {
     /// Radius of the circle in the middle of the tube.
@@ -321,7 +322,7 @@ impl Primitive for Torus {
 /// All points within a radius of the segment between two points.
 ///
 /// Inigo Quilez, "Distance functions": <https://iquilezles.org/articles/distfunctions/>.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
 #[serde(deny_unknown_fields)]
 pub struct Capsule {
     /// One end of the segment.

@@ -1,6 +1,7 @@
 //! What is added to a distance, and where it need not be looked at.
 
 use crate::real::Real;
+use crate::seek::Renew;
 
 /// No Lipschitz factor is said to be more, so that products with it have an end.
 pub(super) const STEEPEST: f32 = 1e18;
@@ -20,6 +21,12 @@ pub(super) struct Relief {
 /// Cached displacement bounds, empty until `precompute`. Ignored by `==` because they follow from the node.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct FoundRelief(pub(super) Option<Relief>);
+
+impl Renew for FoundRelief {
+    fn renew(&mut self) {
+        *self = Self::default();
+    }
+}
 
 impl PartialEq for FoundRelief {
     fn eq(&self, _: &Self) -> bool {

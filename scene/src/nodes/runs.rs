@@ -8,6 +8,7 @@ use std::ops::Range;
 
 use super::Node;
 use crate::bounds::Bounds;
+use crate::seek::Renew;
 
 /// A run of fewer nodes is not worth a box.
 pub(crate) const RUN_NODES: u32 = 8;
@@ -24,6 +25,12 @@ pub(super) struct Run {
 /// The runs of a list; none until they have been found. They say nothing that the list does not.
 #[derive(Clone, Debug, Default)]
 pub struct Runs(pub(super) Option<Box<Run>>);
+
+impl Renew for Runs {
+    fn renew(&mut self) {
+        *self = Self::default();
+    }
+}
 
 impl PartialEq for Runs {
     fn eq(&self, _: &Self) -> bool {

@@ -7,6 +7,7 @@ use super::{Exactness, NodeFault, Primitive};
 use crate::bounds::Bounds;
 use crate::profiles::Profile;
 use crate::real::{Real, Vec3, vec3};
+use crate::seek::Seek;
 use crate::values::{Amount, Coordinate, Length};
 
 /// A flat profile given a height along z, its middle at z = 0.
@@ -14,7 +15,7 @@ use crate::values::{Amount, Coordinate, Length};
 /// Inigo Quilez, "Distance functions": <https://iquilezles.org/articles/distfunctions/>. It is as
 /// exact as the profile where `round` is 0. With rounded edges it is a bound: near the profile's
 /// corners the distance is an under-estimate.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
 #[serde(deny_unknown_fields)]
 pub struct Extrude {
     /// The profile, in the plane of x and y.
@@ -31,7 +32,7 @@ pub struct Extrude {
 /// Inigo Quilez, "Distance functions": <https://iquilezles.org/articles/distfunctions/>. What of
 /// the profile comes to lie beyond the axis is cut away; the distance is then a bound, unless the
 /// profile is its own mirror image there.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
 #[serde(deny_unknown_fields)]
 pub struct Revolve {
     /// The profile: its y is the axis, its x leads away from it.

@@ -8,12 +8,13 @@ use super::{Exactness, Primitive};
 use crate::bounds::Bounds;
 use crate::noise::Noise;
 use crate::real::{Real, Vec3, vec3};
+use crate::seek::Seek;
 use crate::values::Length;
 
 /// Land that is solid below y = height · noise(x, 0, z); without `size` it has no end.
 ///
 /// With a noise of Lipschitz factor L, y − height · noise has √(1 + (height·L)²).
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
 #[serde(deny_unknown_fields)]
 pub struct HeightField {
     /// The noise.
@@ -57,7 +58,7 @@ impl Primitive for HeightField {
             #[inline(always)]
             || self.noise.value(vec3(p.x, like.splat(0.0), p.z)) * like.given(-self.height.get()),
         );
-        match self.size {
+        match &self.size {
             None => land,
             Some(size) => {
                 let half = Vec3::given(like, halved(size));
@@ -77,13 +78,13 @@ impl Primitive for HeightField {
     fn bounds(&self, level: f32) -> Bounds {
         let top = self.relief().level(level);
         let land = Bounds { high: vec3(f32::INFINITY, top, f32::INFINITY), ..Bounds::EVERYWHERE };
-        self.size.map_or(land, |size| {
+        self.size.as_ref().map_or(land, |size| {
             let Vec3 { x, y, z } = halved(size);
             land.overlap(Bounds::symmetric(x, y, z).widened(level))
         })
     }
 }
 
-fn halved([x, y, z]: [Length; 3]) -> Vec3<f32> {
+fn halved([x, y, z]: &[Length; 3]) -> Vec3<f32> {
     vec3(x.get() * 0.5, y.get() * 0.5, z.get() * 0.5)
 }

@@ -6,10 +6,11 @@ use serde::{Deserialize, Serialize};
 use super::{Child, Node, Sample, Sdf};
 use crate::bounds::Bounds;
 use crate::real::{Real, Vec3, vec3};
+use crate::seek::Seek;
 use crate::values::{Factor, Point, Rotation};
 
 /// A shape moved.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
 #[serde(deny_unknown_fields)]
 pub struct Translate {
     /// By how much.
@@ -19,7 +20,7 @@ pub struct Translate {
 }
 
 /// A shape turned about the fixed x, then y, then z axis.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
 #[serde(deny_unknown_fields)]
 pub struct Rotate {
     /// Angles about x, y and z.
@@ -29,7 +30,7 @@ pub struct Rotate {
 }
 
 /// A shape made larger or smaller, evenly.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
 #[serde(deny_unknown_fields)]
 pub struct Scale {
     /// How many times as large.

@@ -9,6 +9,7 @@ use super::{Child, Exactness, Node, Sample, Sdf};
 use crate::bounds::Bounds;
 use crate::noise::Noise;
 use crate::real::{Real, Vec3};
+use crate::seek::Seek;
 use crate::values::Coordinate;
 
 /// A shape looked at with each point shifted by three noises: domain warping, as in Inigo Quilez,
@@ -16,7 +17,7 @@ use crate::values::Coordinate;
 /// middle of its range.
 ///
 /// The shift has no greater Lipschitz factor than |amplitude|·√3 times that of the noise.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
 #[serde(deny_unknown_fields)]
 pub struct Warp {
     /// The noise.

@@ -7,9 +7,10 @@ use serde::{Deserialize, Serialize};
 
 use super::lattice::{Index, cell};
 use crate::real::{Real, Vec3, vec3};
+use crate::seek::Seek;
 
 /// What is told of the nearest points.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema, Seek)]
 #[serde(rename_all = "snake_case")]
 pub enum Feature {
     /// The distance to the nearest point, in cells, at most 1.

@@ -8,6 +8,7 @@ use super::gardner::{FEWEST_WAVES, MOST_WAVES, gardner};
 use super::layers::{Fractal, Layers, MAX_OCTAVES};
 use super::{Basis, gradient};
 use crate::real::{Real, Vec3};
+use crate::seek::Seek;
 use crate::values::{Amount, Factor, Gain, Lacunarity, whole};
 
 /// Makes each kind's struct, of what all kinds have and what it alone has, and the choice among them.
@@ -17,7 +18,7 @@ macro_rules! noises {
     )*) => {
         $(
             $(#[$doc])*
-            #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+            #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
             #[serde(deny_unknown_fields)]
             pub struct $Kind {
                 $($(#[$about])* pub $field: $Type,)*
@@ -48,7 +49,7 @@ macro_rules! noises {
             impl $Kind {
                 /// How its octaves are put together.
                 #[inline(always)]
-                pub(super) fn layers(&self) -> Layers {
+                pub(super) fn layers(&self) -> Layers<'_> {
                     Layers {
                         scale: self.scale.get(),
                         seed: self.seed,
@@ -56,14 +57,14 @@ macro_rules! noises {
                         lacunarity: self.lacunarity.get(),
                         gain: self.gain.get(),
                         fractal: self.fractal,
-                        warp: self.warp,
+                        warp: &self.warp,
                     }
                 }
             }
         )*
 
         /// Random numbers that change smoothly over space: keyed by its kind.
-        #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+        #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
         #[serde(rename_all = "snake_case")]
         pub enum Noise {
             $(#[doc = concat!("See [`", stringify!($Kind), "`].")] $Kind($Kind)),*

@@ -10,6 +10,7 @@ use serde::{Deserialize, Serialize};
 use super::Basis;
 use super::lattice::start;
 use crate::real::{Real, Vec3, vec3};
+use crate::seek::Seek;
 use crate::values::Amount;
 
 /// Most octaves of a noise.
@@ -18,7 +19,7 @@ pub(super) const MAX_OCTAVES: u32 = 12;
 const WARP_SALT: u32 = 8;
 
 /// What each octave adds to the sum.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema, Seek)]
 #[serde(rename_all = "snake_case")]
 pub enum Fractal {
     /// The noise as it is: fractional Brownian motion.
@@ -32,14 +33,14 @@ pub enum Fractal {
 
 /// How the octaves of a noise are put together.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Layers {
+pub(super) struct Layers<'a> {
     pub(super) scale: f32,
     pub(super) seed: u32,
     pub(super) octaves: u32,
     pub(super) lacunarity: f32,
     pub(super) gain: f32,
     pub(super) fractal: Fractal,
-    pub(super) warp: Amount,
+    pub(super) warp: &'a Amount,
 }
 
 /// One octave: how much finer than the first, and its share of the sum.
@@ -49,7 +50,7 @@ struct Octave {
     seed: u32,
 }
 
-impl Layers {
+impl Layers<'_> {
     /// The octaves, coarsest first.
     #[inline(always)]
     fn octaves(self, salt: u32) -> impl Iterator<Item = Octave> {

@@ -3,14 +3,14 @@
 use serde::Deserialize;
 use serde_json::Value;
 
-use crate::job::Job;
+use crate::document::JobDocument;
 
-/// The JSON pointer of a list in a sound text where `job`, which was read from it, has an object.
-pub(super) fn in_place_of_object(text: &str, job: &Job) -> Option<String> {
+/// The JSON pointer of a list in a sound text where `document`, which was read from it, has an object.
+pub(super) fn in_place_of_object(text: &str, document: &JobDocument) -> Option<String> {
     let mut deserializer = serde_json::Deserializer::from_str(text);
     deserializer.disable_recursion_limit();
     let given = Value::deserialize(&mut deserializer).ok()?;
-    let meant = serde_json::to_value(job).ok()?;
+    let meant = serde_json::to_value(document).ok()?;
     let mut pointer = String::new();
     find(&given, &meant, &mut pointer).then_some(pointer)
 }

@@ -5,6 +5,7 @@ use serde::{Deserialize, Serialize};
 
 use super::{Extent, Planar};
 use crate::real::Real;
+use crate::seek::Seek;
 use crate::values::Length;
 
 /// Most steps to the nearest point; near the centre of curvature of a thin ellipse's end it took 17, the most found.
@@ -20,7 +21,7 @@ const NEAR: f32 = 1e-6;
 /// That s is found from below by Newton's method on one over the norm, as Moré and Sorensen do in
 /// "Computing a Trust Region Step", <https://doi.org/10.1137/0904038>: it takes three steps nearly
 /// everywhere.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
 #[serde(deny_unknown_fields)]
 pub struct Ellipse {
     /// Whole extents along x and y.
@@ -34,7 +35,7 @@ impl Planar for Ellipse {
 
     #[inline(always)]
     fn distance<R: Real>(&self, x: R, y: R) -> R {
-        let [width, height] = self.size.map(|extent| extent.get() / 2.0);
+        let [width, height] = self.size.each_ref().map(|extent| extent.get() / 2.0);
         let (a, b) = (width.max(height), width.min(height));
         let is_tall = x.given(width).lt(x.given(height));
         let (along, across) = (R::select(is_tall, y, x).abs(), R::select(is_tall, x, y).abs());
@@ -65,7 +66,7 @@ impl Planar for Ellipse {
     }
 
     fn extent(&self, level: f32) -> Extent {
-        let [width, height] = self.size;
+        let [width, height] = &self.size;
         Extent::symmetric(width.get() / 2.0, height.get() / 2.0).widened(level)
     }
 }

@@ -13,6 +13,8 @@ use super::Extent;
 use super::edge::Edge;
 use super::quadratic::{HalfParabola, Quadratic};
 
+use crate::seek::{Clock, Misfit, Seek};
+
 /// Most characters of a text.
 const MAX_CHARACTERS: usize = 64;
 /// Most lines and curves of a text's outlines.
@@ -28,6 +30,14 @@ static FONT: &[u8] = include_bytes!("../../fonts/DejaVuSans-Bold-Latin.ttf");
 pub struct Lettering {
     string: String,
     letters: Vec<Letter>,
+}
+
+impl Seek for Lettering {
+    fn seek(&mut self, clock: &mut Clock<'_>) -> Result<bool, Box<Misfit>> {
+        // The letters follow from the string alone.
+        let Self { string, letters: _ } = self;
+        string.seek(clock)
+    }
 }
 
 /// The outline of one character, where it stands.

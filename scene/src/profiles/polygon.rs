@@ -9,6 +9,7 @@ use super::edge::Edge;
 use super::{Extent, Planar, Spot};
 use crate::nodes::NodeFault;
 use crate::real::Real;
+use crate::seek::{Clock, Misfit, Seek};
 
 /// Fewest points of a polygon.
 const MIN_POINTS: usize = 3;
@@ -20,7 +21,7 @@ const FAR: f32 = 1e30;
 /// A polygon given by its corners. It need not be convex, and either way round will do.
 ///
 /// Inigo Quilez, "2D distance functions": <https://iquilezles.org/articles/distfunctions2d/>.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
 #[serde(deny_unknown_fields)]
 pub struct Polygon {
     /// Its corners, 3 to 256 of them, in the order of a walk around it.
@@ -47,9 +48,23 @@ impl TryFrom<Vec<Spot>> for Points {
         if !(MIN_POINTS..=MAX_POINTS).contains(&spots.len()) {
             return Err(WrongCount(spots.len()));
         }
-        let ends = spots.iter().zip(spots.iter().cycle().skip(1));
-        let edges = ends.map(|(from, to)| Edge::new(from.get(), to.get())).collect();
-        Ok(Self { spots, edges })
+        Ok(Self { edges: edges(&spots), spots })
+    }
+}
+
+fn edges(spots: &[Spot]) -> Vec<Edge> {
+    let ends = spots.iter().zip(spots.iter().cycle().skip(1));
+    ends.map(|(from, to)| Edge::new(from.get(), to.get())).collect()
+}
+
+impl Seek for Points {
+    fn seek(&mut self, clock: &mut Clock<'_>) -> Result<bool, Box<Misfit>> {
+        let Self { spots, edges: between } = self;
+        let is_animated = spots.seek(clock)?;
+        if is_animated {
+            *between = edges(spots);
+        }
+        Ok(is_animated)
     }
 }
 

@@ -9,6 +9,7 @@ use serde::{Deserialize, Deserializer, Serialize};
 use super::{Extent, Planar};
 use crate::nodes::NodeFault;
 use crate::real::Real;
+use crate::seek::Seek;
 use crate::values::{Amount, Length, whole};
 
 /// Most sides of a regular polygon and points of a star.
@@ -17,7 +18,7 @@ const MAX_SIDES: u32 = 64;
 /// A polygon of equal sides around the origin, a corner at the top.
 ///
 /// The distance in the folded wedge is that to one side and its end.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
 #[serde(deny_unknown_fields)]
 pub struct RegularPolygon {
     /// How many sides it has.
@@ -34,7 +35,7 @@ pub struct RegularPolygon {
 /// A star around the origin, a point at the top.
 ///
 /// The distance in the folded wedge is that to one edge.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
 #[serde(deny_unknown_fields)]
 pub struct Star {
     /// How many points it has.

@@ -6,10 +6,11 @@ use serde::{Deserialize, Serialize};
 use super::{Extent, Planar};
 use crate::nodes::NodeFault;
 use crate::real::Real;
+use crate::seek::Seek;
 use crate::values::{Amount, Length};
 
 /// A disc around the origin.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
 #[serde(deny_unknown_fields)]
 pub struct Circle {
     /// Its radius.
@@ -33,7 +34,7 @@ impl Planar for Circle {
 /// A rectangle around the origin, its sides along the axes.
 ///
 /// Inigo Quilez, "2D distance functions": <https://iquilezles.org/articles/distfunctions2d/>.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
 #[serde(deny_unknown_fields)]
 pub struct Rectangle {
     /// Whole extents along x and y.
@@ -50,7 +51,7 @@ impl Planar for Rectangle {
 
     #[inline(always)]
     fn distance<R: Real>(&self, x: R, y: R) -> R {
-        let ([width, height], round) = (self.size, self.round.get());
+        let ([width, height], round) = (&self.size, self.round.get());
         let past_side = x.abs() - x.given(width.get() / 2.0 - round);
         let past_top = y.abs() - x.given(height.get() / 2.0 - round);
         let (right, up) = (past_side.at_least(0.0), past_top.at_least(0.0));
@@ -58,12 +59,12 @@ impl Planar for Rectangle {
     }
 
     fn extent(&self, level: f32) -> Extent {
-        let [width, height] = self.size;
+        let [width, height] = &self.size;
         Extent::symmetric(width.get() / 2.0, height.get() / 2.0).widened(level)
     }
 
     fn fault(&self) -> Option<NodeFault> {
-        let [width, height] = self.size;
+        let [width, height] = &self.size;
         let most = width.get().min(height.get()) / 2.0;
         let message = format!("must be at most half of the shorter side: make round {most} or less");
         (self.round.get() > most).then(|| NodeFault::new("round", message))

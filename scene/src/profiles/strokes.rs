@@ -7,12 +7,13 @@ use super::quadratic::{HalfParabola, Quadratic};
 use super::{Extent, Planar, Spot};
 use crate::nodes::Exactness;
 use crate::real::Real;
+use crate::seek::Seek;
 use crate::values::{Length, Turn, sin_cos_degrees};
 
 /// A part of a ring around the origin with round ends, its middle at the top.
 ///
 /// Inigo Quilez, "2D distance functions": <https://iquilezles.org/articles/distfunctions2d/>.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
 #[serde(deny_unknown_fields)]
 pub struct Arc {
     /// Radius of the line in its middle.
@@ -69,7 +70,7 @@ impl Planar for Arc {
 ///
 /// The distance is that to the two halves of its parabola, each by Newton's method from the end at
 /// which it cannot miss.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
 #[serde(deny_unknown_fields)]
 pub struct Bezier {
     /// Its start, the point it is drawn towards, and its end.
@@ -80,7 +81,7 @@ pub struct Bezier {
 
 impl Bezier {
     fn curve(&self) -> Quadratic {
-        let [from, control, to] = self.points.map(Spot::get);
+        let [from, control, to] = self.points.each_ref().map(Spot::get);
         Quadratic { from, control, to }
     }
 }

@@ -8,13 +8,14 @@ use super::lettering::{Letter, Lettering, Piece};
 use super::{Extent, Planar};
 use crate::nodes::Exactness;
 use crate::real::Real;
+use crate::seek::Seek;
 use crate::values::Length;
 
 /// A line of bold text without serifs, its middle at the origin: half of its length along x, and
 /// half of a capital's height along y.
 ///
 /// It is exact unless letters stand so near to each other that one is above the other.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
 #[serde(deny_unknown_fields)]
 pub struct Text {
     /// What it says, up to 64 characters: Latin letters, digits, punctuation and arrows.

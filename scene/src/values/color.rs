@@ -9,36 +9,52 @@ use serde::{Deserialize, Deserializer, Serialize, Serializer};
 
 use super::Channel;
 use crate::real::{Vec3, vec3};
+use crate::seek::{Clock, Misfit, Seek};
 
 /// A colour in linear light; above 1 is allowed. Two are equal if their channels are.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Debug)]
 pub struct Color {
     light: Vec3<f32>,
-    moves: bool,
+    /// Its channels, if one of them is animated.
+    channels: Option<Box<[Channel; 3]>>,
 }
 
 impl Color {
     /// The colour with these channels.
     pub const fn new(red: f32, green: f32, blue: f32) -> Self {
-        Self { light: vec3(red, green, blue), moves: false }
+        Self { light: vec3(red, green, blue), channels: None }
     }
 
     /// Red, green, blue, in linear light.
     #[inline(always)]
-    pub fn get(self) -> Vec3<f32> {
+    pub fn get(&self) -> Vec3<f32> {
         self.light
     }
 
     /// Whether any of its channels moves.
     #[inline(always)]
-    pub fn is_moving(self) -> bool {
-        self.moves
+    pub fn is_moving(&self) -> bool {
+        self.channels.is_some()
     }
 
     /// Whether it is black in every frame: then what it would colour may be left out.
     #[inline(always)]
-    pub fn is_black(self) -> bool {
-        self.light == vec3(0.0, 0.0, 0.0) && !self.moves
+    pub fn is_black(&self) -> bool {
+        self.light == vec3(0.0, 0.0, 0.0) && !self.is_moving()
+    }
+}
+
+fn light_of(channels: &[Channel; 3]) -> Vec3<f32> {
+    let [red, green, blue] = channels;
+    vec3(red.get(), green.get(), blue.get())
+}
+
+impl Seek for Color {
+    fn seek(&mut self, clock: &mut Clock<'_>) -> Result<bool, Box<Misfit>> {
+        let Self { light, channels: Some(channels) } = self else { return Ok(false) };
+        channels.seek(clock)?;
+        *light = light_of(channels);
+        Ok(true)
     }
 }
 
@@ -68,9 +84,9 @@ impl<'de> Visitor<'de> for ColorVisitor {
 
     fn visit_seq<A: SeqAccess<'de>>(self, mut channels: A) -> Result<Color, A::Error> {
         let mut next = |n: usize| channels.next_element::<Channel>()?.ok_or_else(|| A::Error::invalid_length(n, &self));
-        let [red, green, blue] = [next(0)?, next(1)?, next(2)?];
-        let moves = red.is_moving() || green.is_moving() || blue.is_moving();
-        let color = Color { moves, ..Color::new(red.get(), green.get(), blue.get()) };
+        let read = [next(0)?, next(1)?, next(2)?];
+        let light = light_of(&read);
+        let color = Color { light, channels: read.iter().any(Channel::is_moving).then(|| Box::new(read)) };
         if channels.next_element::<serde::de::IgnoredAny>()?.is_some() {
             return Err(A::Error::invalid_length(4, &self));
         }
@@ -92,8 +108,10 @@ impl<'de> Deserialize<'de> for Color {
 
 impl Serialize for Color {
     fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
-        let channel = |value| Channel { value, moves: self.moves };
-        [channel(self.light.x), channel(self.light.y), channel(self.light.z)].serialize(serializer)
+        match &self.channels {
+            Some(channels) => channels.serialize(serializer),
+            None => <[f32; 3]>::from(self.light).serialize(serializer),
+        }
     }
 }
 

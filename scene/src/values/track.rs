@@ -1,13 +1,10 @@
-//! Tracks: numbers that change over the frames of a job, and the one time at which a job is read.
+//! Tracks: numbers that change over the frames of a job.
 //!
-//! A track becomes a plain number at the moment it is read: serde hands no context to what it
-//! reads, so the time stands in a thread-local, which the parser alone sets, by a [`Reading`].
-//! Where there is none, it is second 0.
+//! A number that has one holds it, beside its value at the time that it was taken to last.
 
 mod keys;
 
 use std::borrow::Cow;
-use std::cell::RefCell;
 use std::fmt;
 use std::marker::PhantomData;
 
@@ -22,66 +19,22 @@ use super::Replayed;
 use crate::limits::{MAX_KEY_SECONDS, MAX_KEYS};
 use crate::materials::Texture;
 
-/// The time that tracks are read for, and what was seen of them.
-#[derive(Debug)]
-struct Clock {
-    seconds: f64,
-    key_seconds: Vec<f64>,
-}
-
-thread_local! {
-    static CLOCK: RefCell<Clock> = const { RefCell::new(Clock { seconds: 0.0, key_seconds: Vec::new() }) };
-}
-
-/// Until it ends, what this thread reads stands as it does at a time.
-#[derive(Debug)]
-pub(crate) struct Reading {
-    before: Option<Clock>,
-}
-
-impl Reading {
-    /// Tracks are read for this time from here on.
-    pub(crate) fn at(seconds: f64) -> Self {
-        Self { before: Some(CLOCK.replace(Clock { seconds, key_seconds: Vec::new() })) }
-    }
-
-    /// Ends it; the times of all keys that were read, none if nothing moves.
-    pub(crate) fn end(mut self) -> Vec<f64> {
-        self.before.take().map_or_else(Vec::new, |before| CLOCK.replace(before).key_seconds)
-    }
-}
-
-/// The time of the reading.
-fn now() -> f64 {
-    CLOCK.with_borrow(|clock| clock.seconds)
-}
-
-/// Notes that a key was read.
-fn note_key(seconds: f64) {
-    CLOCK.with_borrow_mut(|clock| clock.key_seconds.push(seconds));
-}
-
-impl Drop for Reading {
-    fn drop(&mut self) {
-        if let Some(before) = self.before.take() {
-            CLOCK.set(before);
-        }
-    }
-}
-
 /// A kind of number, with its range.
-pub(super) trait Ranged: Copy {
+pub(super) trait Ranged: Sized {
     /// What a number of this kind must be.
     const WORDS: &'static str;
+
+    /// Whether a number is in range.
+    fn holds(value: f32) -> bool;
 
     /// The number, if it is in range.
     fn ranged(value: f32) -> Option<Self>;
 
     /// The number.
-    fn value(self) -> f32;
+    fn value(&self) -> f32;
 
-    /// The same number, which is another one in other frames.
-    fn moving(self) -> Self;
+    /// The number that a track of such numbers gives, at second 0.
+    fn on_track(track: Track) -> Self;
 }
 
 /// A number of JSON as one of its kind; finite and in range, or what it should be.
@@ -123,7 +76,7 @@ impl<T: Ranged> Visitor<'_> for Unmoved<T> {
     visit_numbers!(T);
 }
 
-/// Reads a number, or a track as it stands at the time of the reading.
+/// Reads a number, or a track.
 pub(super) struct NumberOrTrack<T>(PhantomData<T>);
 
 impl<'de, T: Ranged> Visitor<'de> for NumberOrTrack<T> {
@@ -142,8 +95,8 @@ impl<'de, T: Ranged> Visitor<'de> for NumberOrTrack<T> {
                 "takes no texture: write a number or a track; a material's numbers take textures",
             ));
         }
-        let Track::<T> { keys, ease } = Track::deserialize(MapAccessDeserializer::new(Replayed::new(first, map)))?;
-        Ok(keys.between(ease).moving())
+        let read = ReadTrack::<T>::deserialize(MapAccessDeserializer::new(Replayed::new(first, map)))?;
+        Ok(T::on_track(Track { keys: read.keys.0, ease: read.ease }))
     }
 }
 
@@ -152,7 +105,7 @@ pub(super) fn read_still<'de, T: Ranged, D: Deserializer<'de>>(d: D) -> Result<T
     d.deserialize_f64(Unmoved(PhantomData))
 }
 
-/// Reads a number, or a track as it stands at the time of the reading.
+/// Reads a number, or a track.
 pub(super) fn read<'de, T: Ranged, D: Deserializer<'de>>(d: D) -> Result<T, D::Error> {
     d.deserialize_any(NumberOrTrack(PhantomData))
 }
@@ -191,9 +144,43 @@ impl Ease {
 }
 
 /// A number over time.
+#[derive(Debug)]
+pub(crate) struct Track {
+    /// Seconds, which rise, and the number there; one or more.
+    keys: Vec<(f64, f32)>,
+    ease: Ease,
+}
+
+impl Track {
+    /// The times of its keyframes.
+    pub(super) fn key_seconds(&self) -> impl Iterator<Item = f64> {
+        self.keys.iter().map(|&(seconds, _)| seconds)
+    }
+
+    /// The number at a time. `holds` says whether a number is in range.
+    pub(super) fn at(&self, now: f64, holds: fn(f32) -> bool) -> f32 {
+        let next = self.keys.partition_point(|&(seconds, _)| seconds <= now);
+        let (from, before) = self.keys[next.saturating_sub(1)];
+        let (to, after) = self.keys[next.min(self.keys.len() - 1)];
+        let length = to - from;
+        if length <= 0.0 || now <= from {
+            return before;
+        }
+        let share = self.ease.eased((now - from) / length);
+        let (low, high) = (f64::from(before), f64::from(after));
+        let value = ((low + (high - low) * share) as f32).clamp(before.min(after), before.max(after)) + 0.0;
+        if holds(value) {
+            return value;
+        }
+        // Where a range has a hole, as between 0 and the least size, the nearer key is in it.
+        if share < 0.5 { before } else { after }
+    }
+}
+
+/// A track as it is read.
 #[derive(Deserialize)]
-#[serde(deny_unknown_fields, bound(deserialize = "T: Ranged"))]
-struct Track<T> {
+#[serde(rename = "Track", deny_unknown_fields, bound(deserialize = "T: Ranged"))]
+struct ReadTrack<T> {
     keys: Keys<T>,
     #[serde(default)]
     ease: Ease,
@@ -245,12 +232,12 @@ pub(super) fn or_track(mut schema: Schema, generator: &mut SchemaGenerator) -> S
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::seek::{Clock, Seek};
     use crate::values::{Amount, Color, Coordinate, Direction, FrameRate, Length, Point, Rotation};
 
-    fn at<T: serde::de::DeserializeOwned>(seconds: f64, text: &str) -> T {
-        let reading = Reading::at(seconds);
-        let value = serde_json::from_str(text).unwrap_or_else(|error| panic!("{text}: {error}"));
-        reading.end();
+    fn at<T: serde::de::DeserializeOwned + Seek>(seconds: f64, text: &str) -> T {
+        let mut value: T = serde_json::from_str(text).unwrap_or_else(|error| panic!("{text}: {error}"));
+        value.seek(&mut Clock::at(seconds)).unwrap_or_else(|misfit| panic!("{text}: {misfit:?}"));
         value
     }
 

@@ -2,7 +2,7 @@
 
 use super::{Kind, Warning, objects};
 use crate::camera::{Projection, View};
-use crate::job::Job;
+use crate::job::Image;
 use crate::materials::Shade;
 use crate::motion::Still;
 use crate::nodes::Node;
@@ -19,21 +19,21 @@ const PLACES: u32 = 5;
 
 /// What is wrong with the view; where nothing is seen, nothing else is.
 pub(super) fn of(still: &Still<'_>) -> Option<Warning> {
-    let job = still.job();
-    let view = job.scene.camera.view(job.image.width, job.image.height);
-    if let Some(text) = nothing_in_view(&job.scene, &view) {
+    let (scene, image) = (still.scene(), still.image());
+    let view = scene.camera.view(image.width, image.height);
+    if let Some(text) = nothing_in_view(scene, &view) {
         return Some(Warning { kind: Kind::NothingInView, text });
     }
-    let work: f32 = job.scene.objects.iter().map(|object| object.shape.work()).sum();
+    let work: f32 = scene.objects.iter().map(|object| object.shape.work()).sum();
     if work > MOST_WORK {
         return None;
     }
-    if let Some(text) = inside(job, &view) {
+    if let Some(text) = inside(scene, image, &view) {
         return Some(Warning { kind: Kind::Inside, text });
     }
     let program = Program::new(still);
-    let share = program.share_out_of_steps(job.image.width, job.image.height, work)?;
-    (share > MOST_OUT_OF_STEPS).then(|| Warning { kind: Kind::Steps, text: out_of_steps(&job.scene, share) })
+    let share = program.share_out_of_steps(image.width, image.height, work)?;
+    (share > MOST_OUT_OF_STEPS).then(|| Warning { kind: Kind::Steps, text: out_of_steps(scene, share) })
 }
 
 fn nothing_in_view(scene: &Scene, view: &View) -> Option<String> {
@@ -60,14 +60,13 @@ fn nothing_in_view(scene: &Scene, view: &View) -> Option<String> {
 }
 
 /// Objects that the camera, or a part of an orthographic picture's plane, is inside of.
-fn inside(job: &Job, view: &View) -> Option<String> {
-    let scene = &job.scene;
+fn inside(scene: &Scene, image: &Image, view: &View) -> Option<String> {
     let origins: Vec<Vec3<f32>> = match scene.camera.projection {
         Projection::Perspective | Projection::Panorama => vec![view.origin()],
         Projection::Orthographic(_) => {
             let along = |place: u32, edge: u32| (place as f32 + 0.5) * edge as f32 / PLACES as f32;
             let places = (0..PLACES * PLACES).map(|place| (place % PLACES, place / PLACES));
-            places.map(|(x, y)| view.ray(along(x, job.image.width), along(y, job.image.height)).origin).collect()
+            places.map(|(x, y)| view.ray(along(x, image.width), along(y, image.height)).origin).collect()
         }
     };
     let solid = scene.objects.iter().enumerate().filter(|(_, object)| {

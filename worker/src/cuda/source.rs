@@ -27,7 +27,7 @@ pub struct Source {
 impl Source {
     /// The program of a frame of a job.
     pub fn new(still: &Still<'_>) -> Self {
-        let image = &still.job().image;
+        let image = still.image();
         let tape = picture(&Program::new(still), image);
         let steps = tape.text();
         let (before, after) = FRAME.split_once(PLACE).expect("kernel.cu has a place for the picture");

@@ -99,7 +99,7 @@ pub enum Trouble {
     },
     /// The job is invalid at this frame.
     #[error("the job can't be rendered in this frame")]
-    Frame(#[from] scene::Refusal),
+    Frame(#[from] scene::FrameError),
     /// The render was asked to stop.
     #[error("the render was cancelled")]
     Cancelled,

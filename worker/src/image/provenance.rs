@@ -29,7 +29,7 @@ impl Provenance {
             scene: still.scene_hash().to_hex().to_string(),
             picture_version: scene::PICTURE_VERSION,
             frame: still.frame(),
-            seed: still.job().image.seed,
+            seed: still.image().seed,
         }
     }
 

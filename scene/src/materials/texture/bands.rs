@@ -9,10 +9,11 @@ use super::{Pattern, black_and_white};
 use crate::materials::tint::mix_colors;
 use crate::materials::{Exemplary, Place, Tint};
 use crate::real::{Real, Vec3};
+use crate::seek::Seek;
 use crate::values::{Amount, Direction, Length};
 
 /// Flat layers of two colours by turns.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
 #[serde(deny_unknown_fields)]
 pub struct Stripes {
     /// Across the stripes; of any length.

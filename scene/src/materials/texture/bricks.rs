@@ -9,6 +9,7 @@ use super::wave::step;
 use crate::materials::tint::mix_colors;
 use crate::materials::{Exemplary, Place, Tint};
 use crate::real::{Real, Vec3};
+use crate::seek::Seek;
 use crate::values::{Amount, Length, Share};
 
 /// Bricks in rows with mortar between them; tiles where rows do not move.
@@ -16,7 +17,7 @@ use crate::values::{Amount, Length, Share};
 /// The flat pattern is laid along all three axes and blended by the normal: triplanar mapping
 /// (Ryan Geiss, "Generating complex procedural terrains using the GPU", GPU Gems 3, 2007, chapter 1,
 /// <https://developer.nvidia.com/gpugems/gpugems3/part-i-geometry/chapter-1-generating-complex-procedural-terrains-using-gpu>).
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
 #[serde(deny_unknown_fields)]
 pub struct Bricks {
     /// Width and height of a brick with its mortar.

@@ -8,12 +8,13 @@ use super::{Pattern, black_and_white};
 use crate::materials::tint::mix_colors;
 use crate::materials::{Exemplary, Place, Tint};
 use crate::real::{Real, Vec3};
+use crate::seek::Seek;
 use crate::values::{Amount, Length};
 
 /// Cubes of two colours by turns, or squares where only two axes count.
 ///
 /// A flat face that lies in a border between cubes shows both colours: leave its axis out, or move the cubes.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
 #[serde(deny_unknown_fields)]
 pub struct Checker {
     /// Edge of a cube or square; corners lie at multiples of it.
@@ -30,7 +31,7 @@ pub struct Checker {
 }
 
 /// Axes along which a pattern changes.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema, Seek)]
 #[serde(rename_all = "snake_case")]
 pub enum Axes {
     /// All three: cubes.

@@ -6,10 +6,11 @@ use serde::{Deserialize, Serialize};
 use super::{Pattern, Ramp};
 use crate::materials::{Exemplary, Place, Tint};
 use crate::real::{Real, Vec3, vec3};
+use crate::seek::Seek;
 use crate::values::{Amount, Direction, Point};
 
 /// A ramp of colours by position, normal, distance or angle of view.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
 #[serde(deny_unknown_fields)]
 pub struct Gradient {
     /// What decides.
@@ -20,7 +21,7 @@ pub struct Gradient {
 }
 
 /// What a gradient goes by.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
 #[serde(rename_all = "snake_case", deny_unknown_fields)]
 pub enum GradientBy {
     /// The way from one point to another.
@@ -78,7 +79,7 @@ fn slope(from: f32, to: f32) -> f32 {
 
 /// 0 where `x` is `from`, 1 where it is `to`.
 #[inline(always)]
-fn between<R: Real>(x: R, from: Amount, to: Amount) -> R {
+fn between<R: Real>(x: R, from: &Amount, to: &Amount) -> R {
     (x - x.given(from.get())) * x.given(slope(from.get(), to.get()))
 }
 
@@ -96,12 +97,12 @@ impl GradientBy {
                 (place.point - Vec3::given(like, from)).dot_known(way)
             }
             Self::Radius { center, from, to } => {
-                between((place.point - Vec3::given(like, center.get())).length(), *from, *to)
+                between((place.point - Vec3::given(like, center.get())).length(), from, to)
             }
             Self::Normal { direction } => {
                 place.own_normal.dot_known(direction.unit()).mul_add(like.splat(0.5), like.splat(0.5))
             }
-            Self::Distance { from, to } => between(place.distance, *from, *to),
+            Self::Distance { from, to } => between(place.distance, from, to),
             Self::Facing {} => place.normal.dot(place.to_viewer),
         }
     }

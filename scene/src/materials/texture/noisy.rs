@@ -12,12 +12,13 @@ use super::{Pattern, Ramp};
 use crate::materials::{Exemplary, Place, Tint};
 use crate::noise::Noise;
 use crate::real::{Real, Vec3};
+use crate::seek::Seek;
 use crate::values::{Amount, Direction, Length};
 
 /// A noise through a ramp of colours: 0 is the least value that the noise can have, 1 the greatest.
 ///
 /// Sums of octaves rarely come near the ends: put stops between 0.25 and 0.75 for strong colours.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
 #[serde(deny_unknown_fields)]
 pub struct NoiseRamp {
     /// The noise.
@@ -28,7 +29,7 @@ pub struct NoiseRamp {
 }
 
 /// Bands of a ramp of colours, to its end and back, bent by a noise.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
 #[serde(deny_unknown_fields)]
 pub struct Marble {
     /// Across the bands; of any length.
@@ -49,7 +50,7 @@ pub struct Marble {
 }
 
 /// Rings around an axis, bent by a noise that is drawn out along it: slowly through a ramp of colours, and fast back.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
 #[serde(deny_unknown_fields)]
 pub struct Wood {
     /// Along the trunk, whose middle passes through the origin; of any length.

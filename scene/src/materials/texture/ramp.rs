@@ -11,6 +11,7 @@ use crate::limits::MAX_RAMP_STOPS;
 use crate::materials::tint::mix_colors;
 use crate::materials::{Place, Tint};
 use crate::real::{Real, Vec3};
+use crate::seek::{Clock, Misfit, Seek};
 use crate::values::Share;
 
 /// The narrowest way from a stop to the next: two stops in one place make an edge of this width.
@@ -21,7 +22,7 @@ const MIN_STEP: f32 = 1e-6;
 pub struct Ramp(Vec<Stop>);
 
 /// A colour on a ramp: `[place, colour]`.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
 pub struct Stop(pub Share, pub Tint);
 
 impl Ramp {
@@ -50,6 +51,26 @@ impl Ramp {
     }
 }
 
+fn out_of_order(before: &Stop, stop: &Stop) -> String {
+    format!(
+        "is at {}, before the stop at {} that it follows: put stops in order, from 0 to 1",
+        stop.0.get(),
+        before.0.get()
+    )
+}
+
+impl Seek for Ramp {
+    fn seek(&mut self, clock: &mut Clock<'_>) -> Result<bool, Box<Misfit>> {
+        let Self(stops) = self;
+        let is_animated = stops.seek(clock)?;
+        let mut steps = stops.windows(2).enumerate();
+        if is_animated && let Some((index, pair)) = steps.find(|(_, pair)| pair[1].0 < pair[0].0) {
+            return Err(Misfit::new(out_of_order(&pair[0], &pair[1])).inside(&(index + 1).to_string()));
+        }
+        Ok(is_animated)
+    }
+}
+
 /// Reads a stop that may not be before another.
 struct NextStop<'a>(Option<&'a Stop>);
 
@@ -59,11 +80,7 @@ impl<'de> DeserializeSeed<'de> for NextStop<'_> {
     fn deserialize<D: Deserializer<'de>>(self, deserializer: D) -> Result<Stop, D::Error> {
         let stop = Stop::deserialize(deserializer)?;
         match self.0 {
-            Some(before) if stop.0.get() < before.0.get() => Err(D::Error::custom(format_args!(
-                "is at {}, before the stop at {} that it follows: put stops in order, from 0 to 1",
-                stop.0.get(),
-                before.0.get()
-            ))),
+            Some(before) if stop.0 < before.0 => Err(D::Error::custom(out_of_order(before, &stop))),
             _ => Ok(stop),
         }
     }

@@ -8,6 +8,7 @@ use crate::bounds::Bounds;
 use crate::limits::MAX_ITERATIONS;
 use crate::nodes::{Exactness, Primitive};
 use crate::real::{Real, Vec3, vec3};
+use crate::seek::Seek;
 use crate::values::Length;
 
 /// The Apollonian gasket in space: a ball packed with four equal balls that touch, and every gap with the
@@ -17,7 +18,7 @@ use crate::values::Length;
 /// inversions David W. Boyd's, "The osculatory packing of a three dimensional sphere", Canadian Journal of
 /// Mathematics 25, 1973. Space is folded by those inversions with a running derivative, as Knighty and
 /// Inigo Quilez do: <https://iquilezles.org/articles/distancefractals/>.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
 #[serde(deny_unknown_fields)]
 pub struct ApollonianGasket {
     /// Radius of the ball that is packed.

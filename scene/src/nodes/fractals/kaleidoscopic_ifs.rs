@@ -8,6 +8,7 @@ use crate::bounds::Bounds;
 use crate::limits::MAX_ITERATIONS;
 use crate::nodes::{Exactness, NodeFault, Primitive};
 use crate::real::{Real, Vec3, vec3};
+use crate::seek::Seek;
 use crate::values::{GrowthFactor, Point, Rotation};
 
 /// A kaleidoscopic iterated function system: turn, fold, turn, and grow about a point, again and again.
@@ -17,7 +18,7 @@ use crate::values::{GrowthFactor, Point, Rotation};
 /// <http://blog.hvidtfeldts.net/index.php/2011/08/distance-estimated-3d-fractals-iii-folding-space/>.
 /// What is left at the end are balls as large as the ball that holds it all, over scaleⁿ. A bound: every
 /// step but the growth keeps lengths.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
 #[serde(deny_unknown_fields)]
 pub struct KaleidoscopicIfs {
     /// Where space is folded.
@@ -39,7 +40,7 @@ pub struct KaleidoscopicIfs {
 }
 
 /// The planes in which a kaleidoscopic system folds space.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema, Seek)]
 #[serde(rename_all = "snake_case")]
 pub enum KaleidoscopicFolds {
     /// The mirrors between a corner of a tetrahedron and the others: with offset (1, 1, 1), Sierpiński's tetrahedron.
@@ -72,12 +73,12 @@ impl Primitive for KaleidoscopicIfs {
             (p, p.x.splat(1.0)),
             #[inline(always)]
             |(place, size)| {
-                let place = turned(place, self.turn_before);
+                let place = turned(place, self.turn_before.as_ref());
                 let place = match self.folds {
                     KaleidoscopicFolds::Tetrahedral => folds::tetrahedral(place),
                     KaleidoscopicFolds::Octahedral | KaleidoscopicFolds::MengerLike => folds::octahedral(place),
                 };
-                let place = turned(place, self.turn_after);
+                let place = turned(place, self.turn_after.as_ref());
                 let step = step * size;
                 let place = match self.folds {
                     KaleidoscopicFolds::Tetrahedral | KaleidoscopicFolds::Octahedral => place - step,
@@ -120,7 +121,7 @@ impl KaleidoscopicIfs {
 
 /// The point turned, if it is to be.
 #[inline(always)]
-fn turned<R: Real>(p: Vec3<R>, rotation: Option<Rotation>) -> Vec3<R> {
+fn turned<R: Real>(p: Vec3<R>, rotation: Option<&Rotation>) -> Vec3<R> {
     match rotation {
         Some(rotation) => {
             let [x, y, z] = rotation.inverse_rows();

@@ -8,6 +8,7 @@ use crate::bounds::Bounds;
 use crate::limits::MAX_ITERATIONS;
 use crate::nodes::{Exactness, NodeFault, Primitive};
 use crate::real::{Real, Vec3, vec3};
+use crate::seek::Seek;
 use crate::values::{Length, MandelboxScale};
 
 /// The Mandelbox: fold at the sides of a cube, turn inside out at a sphere, grow, add the point.
@@ -15,7 +16,7 @@ use crate::values::{Length, MandelboxScale};
 /// Tom Lowe's, <https://sites.google.com/site/mandelbox/what-is-a-mandelbox>; the distance estimate by a
 /// running derivative is that of Buddhi and Rrrola, as in Mikael Christensen, "Distance Estimated 3D
 /// Fractals", part VI: <http://blog.hvidtfeldts.net/index.php/2011/11/distance-estimated-3d-fractals-vi-the-mandelbox/>.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
 #[serde(deny_unknown_fields)]
 pub struct Mandelbox {
     /// Edge of the cube that holds it. All other lengths are in the formula's own units.

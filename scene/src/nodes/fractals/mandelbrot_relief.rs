@@ -8,6 +8,7 @@ use crate::bounds::Bounds;
 use crate::limits::MAX_ITERATIONS;
 use crate::nodes::{Exactness, NodeFault, Primitive};
 use crate::real::{Real, Vec3, vec3};
+use crate::seek::Seek;
 use crate::values::{Coordinate, Length};
 
 /// A square piece of the Mandelbrot set as a slab that stands on the plane y = 0: seen from above with
@@ -18,7 +19,7 @@ use crate::values::{Coordinate, Length};
 /// What is solid after N iterations is where G is at most ln E/2ᴺ, so that much is taken from G.
 /// John Milnor, "Self-similarity and hairiness in the Mandelbrot set", 1989, and Inigo Quilez, "Distance to
 /// fractals": <https://iquilezles.org/articles/distancefractals/>.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
 #[serde(deny_unknown_fields)]
 pub struct MandelbrotRelief {
     /// Edge of the square, in scene units.
@@ -75,7 +76,7 @@ impl Primitive for MandelbrotRelief {
     }
 
     fn fault(&self) -> Option<NodeFault> {
-        let [real, imaginary] = self.center.map(Coordinate::get);
+        let [real, imaginary] = self.center.each_ref().map(Coordinate::get);
         if real.abs().max(imaginary.abs()) > 2.0 {
             return Some(NodeFault::new("center", "is far from the set: make both numbers within ±2"));
         }
@@ -93,7 +94,7 @@ impl MandelbrotRelief {
     /// No more than the distance to the set in the plane, in scene units; little below 0 inside.
     #[inline(always)]
     fn in_the_plane<R: Real>(&self, x: R, z: R) -> R {
-        let [real, imaginary] = self.center.map(Coordinate::get);
+        let [real, imaginary] = self.center.each_ref().map(Coordinate::get);
         let unit = x.given(self.width.get() / self.size.get());
         let (cx, cy) = (x.mul_add(unit, x.given(real)), x.given(imaginary) - z * unit);
         let one = x.splat(1.0);

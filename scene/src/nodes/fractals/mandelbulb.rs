@@ -8,6 +8,7 @@ use crate::bounds::Bounds;
 use crate::limits::MAX_ITERATIONS;
 use crate::nodes::{Exactness, NodeFault, Primitive};
 use crate::real::{Real, Vec3, vec3};
+use crate::seek::Seek;
 use crate::values::{Point, Power};
 
 /// The Mandelbulb: z → zⁿ + p in polar coordinates about the z axis.
@@ -19,7 +20,7 @@ use crate::values::{Point, Power};
 /// ball of radius 1.5 that holds every bulb of power 3 or more (of radius 2 for lower powers). Near its
 /// poles, where orbits part faster around the axis than dr says, the estimate may be more than the distance to
 /// a thin piece; that of the Julia sets counts this in.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
 #[serde(deny_unknown_fields)]
 pub struct Mandelbulb {
     /// The power n.
@@ -53,7 +54,7 @@ impl Primitive for Mandelbulb {
 
     #[inline(always)]
     fn distance<R: Real>(&self, p: Vec3<R>) -> R {
-        match self.julia {
+        match &self.julia {
             Some(constant) => held_to_hull(
                 p.length() - p.x.given(self.bounding_radius()),
                 MARGIN,
@@ -69,12 +70,12 @@ impl Primitive for Mandelbulb {
     }
 
     fn fault(&self) -> Option<NodeFault> {
-        if self.julia.is_some() && whole(self.power).is_none() {
+        if self.julia.is_some() && whole(&self.power).is_none() {
             let cure =
                 format!("must be a whole number for a Julia set, or space tears: make it {}", self.power.get().round());
             return Some(NodeFault::new("power", cure));
         }
-        let is_long = self.julia.is_some_and(|constant| constant.get().length() > LONGEST_CONSTANT);
+        let is_long = self.julia.as_ref().is_some_and(|constant| constant.get().length() > LONGEST_CONSTANT);
         is_long.then(|| {
             let cure = "is longer than 1.5, which leaves nothing but dust: make the sum of its squares 2.25 or less";
             NodeFault::new("julia", cure)
@@ -107,7 +108,7 @@ impl Mandelbulb {
                     #[inline(always)]
                     |(z, radius, slope)| {
                         let radius = radius.at_least(1e-6);
-                        let (next, growth) = match whole(self.power) {
+                        let (next, growth) = match whole(&self.power) {
                             Some(whole) => {
                                 let Turned { next, growth, .. } = turned_by_products(z, radius, whole, p);
                                 (next, growth)
@@ -155,7 +156,7 @@ impl Mandelbulb {
 
     /// Beyond the radius R where Rⁿ − |c| = R orbits only grow; in a Julia set |c| is at most 1.5.
     fn bounding_radius(&self) -> f32 {
-        match self.julia {
+        match &self.julia {
             _ if self.power.get() >= 3.0 => 1.5,
             Some(_) => 1.85,
             None => 2.0,
@@ -164,7 +165,7 @@ impl Mandelbulb {
 }
 
 /// The power, if it is a whole number: then its formula is code, not data.
-fn whole(power: Power) -> Option<u32> {
+fn whole(power: &Power) -> Option<u32> {
     (power.get() % 1.0 == 0.0 && !power.is_moving()).then_some(power.get() as u32)
 }
 

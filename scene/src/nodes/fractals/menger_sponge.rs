@@ -8,6 +8,7 @@ use crate::bounds::Bounds;
 use crate::limits::MAX_ITERATIONS;
 use crate::nodes::{Exactness, Primitive};
 use crate::real::{Real, Vec3, vec3};
+use crate::seek::Seek;
 use crate::values::Length;
 
 /// The Menger sponge: a cube from which crosses of square bars are taken, smaller and smaller ones.
@@ -15,7 +16,7 @@ use crate::values::Length;
 /// After Inigo Quilez, "Menger fractal": <https://iquilezles.org/articles/menger/>; cells are found
 /// by reflections, which leave no seams. A bound: the greatest of the distances to the cube and into
 /// the bars, each of which grows no faster than space.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
 #[serde(deny_unknown_fields)]
 pub struct MengerSponge {
     /// The cube's edge.

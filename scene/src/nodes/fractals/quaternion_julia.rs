@@ -8,6 +8,7 @@ use crate::bounds::Bounds;
 use crate::limits::MAX_ITERATIONS;
 use crate::nodes::{Exactness, NodeFault, Primitive};
 use crate::real::{Real, Vec3, vec3};
+use crate::seek::Seek;
 use crate::values::Coordinate;
 
 /// The filled Julia set of z → z² + c for quaternions, cut where the last part is 0.
@@ -16,7 +17,7 @@ use crate::values::Coordinate;
 /// Graphics 23(3) (SIGGRAPH), 1989: <https://www.evl.uic.edu/hypercomplex/html/book/rtqjs.pdf>. The distance
 /// estimate is ½·|z|·ln |z|/|z′| with |z′| → 2·|z|·|z′|; from the potential ln |z|/2ⁿ that of the last iteration's
 /// escape radius is taken, where the solid ends.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
 #[serde(deny_unknown_fields)]
 pub struct QuaternionJulia {
     /// The quaternion c: its real part, along x, and its parts along y, z and the direction that is not seen; no longer than 2.
@@ -73,7 +74,7 @@ impl Primitive for QuaternionJulia {
 impl QuaternionJulia {
     #[inline(always)]
     fn estimate<R: Real>(&self, p: Vec3<R>) -> R {
-        let [real, x, y, z] = self.c.map(Coordinate::get);
+        let [real, x, y, z] = self.c.each_ref().map(Coordinate::get);
         let real = p.x.given(real);
         let imaginary = Vec3::given(p.x, vec3(x, y, z));
         let start = vec3(p.y, p.z, p.x.splat(0.0));
@@ -98,7 +99,7 @@ impl QuaternionJulia {
     }
 
     fn length(&self) -> f32 {
-        let [a, x, y, z] = self.c.map(Coordinate::get);
+        let [a, x, y, z] = self.c.each_ref().map(Coordinate::get);
         Real::sqrt(a * a + x * x + y * y + z * z)
     }
 

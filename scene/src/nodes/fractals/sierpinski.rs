@@ -8,6 +8,7 @@ use crate::bounds::Bounds;
 use crate::limits::MAX_ITERATIONS;
 use crate::nodes::Primitive;
 use crate::real::{Real, Vec3, vec3};
+use crate::seek::Seek;
 use crate::values::Length;
 
 /// The Sierpiński tetrahedron: four of half the size at the corners, and each of them again.
@@ -16,7 +17,7 @@ use crate::values::Length;
 /// <http://blog.hvidtfeldts.net/index.php/2011/08/distance-estimated-3d-fractals-iii-folding-space/>,
 /// with a whole tetrahedron at the end. Exact: the quarter of space around a corner holds the
 /// tetrahedron there, and the other three are its mirror images.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
 #[serde(deny_unknown_fields)]
 pub struct Sierpinski {
     /// Edge of the cube that four of its corners are the tetrahedron's; one of them is where x, y and z are greatest.

@@ -22,6 +22,7 @@ use crate::bounds::Bounds;
 use crate::nodes::transforms::around_child;
 use crate::nodes::{Child, Exactness, Node, NodeFault, Sample, Sdf};
 use crate::real::{Real, Vec3, vec3};
+use crate::seek::Seek;
 use crate::values::Degrees;
 
 /// g: how far the factor holds beyond the shape, and how soon the half-plane is felt.
@@ -32,7 +33,7 @@ const LEAST_RADIUS: f32 = 0.1;
 const STRAIGHT: f32 = 1e-6;
 
 /// A shape bent in the plane of x and y: its x axis becomes a circle through the origin, its ends going up.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
 #[serde(deny_unknown_fields)]
 pub struct Bend {
     /// How far the direction turns for each scene unit along x; below 0 the ends go down.

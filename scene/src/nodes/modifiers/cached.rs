@@ -2,6 +2,8 @@
 
 use std::sync::OnceLock;
 
+use crate::seek::Renew;
+
 /// A value found once. It says nothing that the node's numbers do not: all are equal.
 #[derive(Clone, Debug)]
 pub(super) struct Cached<T>(OnceLock<T>);
@@ -17,6 +19,12 @@ impl<T> Cached<T> {
 impl<T> Default for Cached<T> {
     fn default() -> Self {
         Self(OnceLock::new())
+    }
+}
+
+impl<T> Renew for Cached<T> {
+    fn renew(&mut self) {
+        *self = Self::default();
     }
 }
 

@@ -7,12 +7,13 @@ use crate::bounds::Bounds;
 use crate::nodes::transforms::around_child;
 use crate::nodes::{Child, Exactness, Node, Sample, Sdf};
 use crate::real::{Real, Vec3, vec3};
+use crate::seek::Seek;
 use crate::values::{Amount, Factor};
 
 /// A shape cut through its middle and drawn apart, the gap filled with the cut.
 ///
 /// Inigo Quilez, "Distance functions", elongation: <https://iquilezles.org/articles/distfunctions/>.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
 #[serde(deny_unknown_fields)]
 pub struct Elongate {
     /// How much longer it becomes along x, y and z.
@@ -22,7 +23,7 @@ pub struct Elongate {
 }
 
 /// A shape made larger or smaller along each axis by itself.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
 #[serde(deny_unknown_fields)]
 pub struct Stretch {
     /// How many times as large along x, y and z.
@@ -37,7 +38,7 @@ impl Sdf for Elongate {
 
     #[inline(always)]
     fn sample<R: Real, V: Sample<R>>(&self, p: Vec3<R>) -> V {
-        let [x, y, z] = self.by;
+        let [x, y, z] = &self.by;
         self.child.sample(vec3(drawn(p.x, x), drawn(p.y, y), drawn(p.z, z)))
     }
 
@@ -50,21 +51,21 @@ impl Sdf for Elongate {
 
     fn bounds(&self, level: f32) -> Bounds {
         let Bounds { low, high } = self.child.bounds(level);
-        let [x, y, z] = self.by.map(|by| 0.5 * by.get());
+        let [x, y, z] = self.by.each_ref().map(|by| 0.5 * by.get());
         Bounds { low: vec3(low.x - x, low.y - y, low.z - z), high: vec3(high.x + x, high.y + y, high.z + z) }
     }
 }
 
 /// Where a coordinate was before the middle was drawn apart.
 #[inline(always)]
-fn drawn<R: Real>(c: R, by: Amount) -> R {
+fn drawn<R: Real>(c: R, by: &Amount) -> R {
     let half = c.given(0.5 * by.get());
     c - c.min(half).max(-half)
 }
 
 impl Stretch {
     fn factors(&self) -> Vec3<f32> {
-        let [x, y, z] = self.by.map(Factor::get);
+        let [x, y, z] = self.by.each_ref().map(Factor::get);
         vec3(x, y, z)
     }
 

@@ -9,10 +9,11 @@ use crate::bounds::Bounds;
 use crate::nodes::transforms::around_child;
 use crate::nodes::{Child, Exactness, Node, Sample, Sdf};
 use crate::real::{Real, Vec3, vec3};
+use crate::seek::Seek;
 use crate::values::{Coordinate, Direction};
 
 /// A shape together with its image in a plane, on whichever side of it the shape is, or across it.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
 #[serde(deny_unknown_fields)]
 pub struct Mirror {
     /// A direction at right angles to the plane, of any length.

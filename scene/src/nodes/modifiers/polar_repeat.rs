@@ -15,6 +15,7 @@ use crate::bounds::Bounds;
 use crate::nodes::transforms::around_child;
 use crate::nodes::{Child, Exactness, Node, NodeFault, Sample, Sdf};
 use crate::real::{Real, Vec3, vec3};
+use crate::seek::Seek;
 use crate::values::whole;
 
 /// Copies of a ring.
@@ -23,7 +24,7 @@ const MAX_COPIES: u32 = 10_000;
 const MAX_LOOKED_AT: u32 = 64;
 
 /// Copies of a shape in a ring about the y axis, one of them where the shape is.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
 #[serde(deny_unknown_fields)]
 pub struct PolarRepeat {
     /// How many copies, evenly around the axis.

@@ -13,6 +13,7 @@ use crate::bounds::Bounds;
 use crate::nodes::transforms::around_child;
 use crate::nodes::{Child, Exactness, Node, NodeFault, Sample, Sdf};
 use crate::real::{Bundle, Real, Vec3, vec3};
+use crate::seek::Seek;
 use crate::values::{Spacing, whole};
 
 /// Cells that a shape may be wide.
@@ -23,7 +24,7 @@ const MAX_LOOKED_AT: u32 = 5;
 const MAX_COPIES: u32 = 1_000_000;
 
 /// Copies of a shape on a grid, without end or so many along each axis.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
 #[serde(deny_unknown_fields)]
 pub struct Repeat {
     /// The distance from copy to copy along x, y and z; null where it is not repeated.
@@ -40,7 +41,7 @@ pub struct Repeat {
 }
 
 /// How many copies along an axis.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, JsonSchema)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, JsonSchema, Seek)]
 pub struct Copies(#[schemars(range(min = 1, max = MAX_COPIES))] u32);
 
 impl<'de> Deserialize<'de> for Copies {
@@ -135,7 +136,7 @@ impl Repeat {
             let ends = [(bounds.low.x, bounds.high.x), (bounds.low.y, bounds.high.y), (bounds.low.z, bounds.high.z)];
             let axis = |index: usize| {
                 let (low, high) = ends[index];
-                self.cell[index].map(|cell| Axis::new(cell.get(), self.count[index], low, high))
+                self.cell[index].as_ref().map(|cell| Axis::new(cell.get(), self.count[index], low, high))
             };
             Grid { axes: [axis(0), axis(1), axis(2)], held }
         })
@@ -207,7 +208,7 @@ impl Sdf for Repeat {
         let widths = [bounds.high.x - bounds.low.x, bounds.high.y - bounds.low.y, bounds.high.z - bounds.low.z];
         for (index, (cell, name)) in self.cell.iter().zip(["x", "y", "z"]).enumerate() {
             let (place, width) = (format!("cell/{index}"), widths[index]);
-            let Some(cell) = cell.map(Spacing::get) else {
+            let Some(cell) = cell.as_ref().map(Spacing::get) else {
                 if self.count[index].is_some() {
                     let message =
                         format!("counts copies along {name}, which is not repeated: give it a cell, or null here");

@@ -16,11 +16,12 @@ use crate::bounds::Bounds;
 use crate::nodes::transforms::around_child;
 use crate::nodes::{Child, Exactness, Node, NodeFault, Sample, Sdf};
 use crate::real::{Real, Vec3, vec3};
+use crate::seek::Seek;
 use crate::values::{Coordinate, Factor};
 
 /// A shape whose width along x and z is multiplied by a factor that goes evenly from one at `bottom` to
 /// another at `top`, and stays as it is beyond.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
 #[serde(deny_unknown_fields)]
 pub struct Taper {
     /// The y at which the factor is `bottom_factor`.

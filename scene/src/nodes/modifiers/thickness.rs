@@ -7,10 +7,11 @@ use crate::bounds::Bounds;
 use crate::nodes::transforms::around_child;
 use crate::nodes::{Child, Exactness, Node, Sample, Sdf};
 use crate::real::{Real, Vec3};
+use crate::seek::Seek;
 use crate::values::{Amount, Length};
 
 /// A shape grown by a radius on all sides, its outer edges rounded by it.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
 #[serde(deny_unknown_fields)]
 pub struct Round {
     /// By how much it grows.
@@ -20,7 +21,7 @@ pub struct Round {
 }
 
 /// A shape's surface as a wall, hollow inside.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
 #[serde(deny_unknown_fields)]
 pub struct Onion {
     /// Whole thickness of the wall, half of it on either side of the shape's surface.

@@ -16,10 +16,11 @@ use crate::bounds::Bounds;
 use crate::nodes::transforms::around_child;
 use crate::nodes::{Child, Exactness, Node, NodeFault, Sample, Sdf};
 use crate::real::{Real, Vec3, vec3};
+use crate::seek::Seek;
 use crate::values::Degrees;
 
 /// A shape wound about the y axis: what is higher is turned further, from z to x.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
 #[serde(deny_unknown_fields)]
 pub struct Twist {
     /// By how much a point is turned for each scene unit that it is above the origin.

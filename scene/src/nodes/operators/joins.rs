@@ -15,13 +15,14 @@ use super::joined;
 use crate::bounds::Bounds;
 use crate::nodes::{Exactness, Node, Sample, Sdf};
 use crate::real::{Real, Vec3};
+use crate::seek::Seek;
 use crate::values::{Length, whole};
 
 /// Steps or columns of a seam.
 const MAX_ACROSS: u32 = 64;
 
 /// How shapes are joined.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema, Seek)]
 #[serde(rename_all = "snake_case")]
 pub enum Join {
     /// What is in any of the shapes.
@@ -33,7 +34,7 @@ pub enum Join {
 }
 
 /// Shapes joined with a flat bevel along the seam.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
 #[serde(deny_unknown_fields)]
 pub struct Chamfer {
     /// How the shapes are joined.
@@ -46,7 +47,7 @@ pub struct Chamfer {
 }
 
 /// Shapes joined with a flight of steps along the seam.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
 #[serde(deny_unknown_fields)]
 pub struct Stairs {
     /// How the shapes are joined.
@@ -63,7 +64,7 @@ pub struct Stairs {
 }
 
 /// Shapes joined with a row of round columns along the seam.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
 #[serde(deny_unknown_fields)]
 pub struct Columns {
     /// How the shapes are joined.
@@ -82,7 +83,7 @@ pub struct Columns {
 impl Join {
     /// Joins two shapes by the seam of a union, which gets two distances.
     #[inline(always)]
-    fn join<R: Real, V: Sample<R>>(self, a: V, b: V, size: Length, seam: impl FnOnce(R, R) -> R) -> V {
+    fn join<R: Real, V: Sample<R>>(self, a: V, b: V, size: &Length, seam: impl FnOnce(R, R) -> R) -> V {
         let (da, db) = match self {
             Self::Union => (a.distance(), b.distance()),
             Self::Intersection => (-a.distance(), -b.distance()),
@@ -172,7 +173,7 @@ impl Sdf for Chamfer {
                 self.kind.join(
                     a,
                     b,
-                    self.size,
+                    &self.size,
                     #[inline(always)]
                     |a: R, b: R| a.min(b).min((a + b - a.given(size)) * FRAC_1_SQRT_2),
                 )
@@ -222,7 +223,7 @@ impl Sdf for Stairs {
                 self.kind.join(
                     a,
                     b,
-                    self.size,
+                    &self.size,
                     #[inline(always)]
                     |a: R, b: R| {
                         let past = b - a.given(size);
@@ -294,7 +295,7 @@ impl Sdf for Columns {
                 self.kind.join(
                     a,
                     b,
-                    self.size,
+                    &self.size,
                     #[inline(always)]
                     |a: R, b: R| {
                         let across = (a + b).mul_add(a.splat(FRAC_1_SQRT_2), a.given(-depth));

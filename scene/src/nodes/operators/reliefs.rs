@@ -14,10 +14,11 @@ use crate::bounds::Bounds;
 use crate::nodes::sample::indicator;
 use crate::nodes::{Exactness, Node, NodeFault, Sample, Sdf};
 use crate::real::{Real, Vec3};
+use crate::seek::Seek;
 use crate::values::{Length, Share};
 
 /// A shape with a V-shaped line cut into it where the pattern's surface meets its own.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
 #[serde(deny_unknown_fields)]
 pub struct Engrave {
     /// The shape, then the pattern.
@@ -28,7 +29,7 @@ pub struct Engrave {
 }
 
 /// A shape with a rectangular channel cut into it where the pattern's surface meets its own.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
 #[serde(deny_unknown_fields)]
 pub struct Groove {
     /// The shape, then the pattern.
@@ -41,7 +42,7 @@ pub struct Groove {
 }
 
 /// A shape with a rectangular ridge on it where the pattern's surface meets its own.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
 #[serde(deny_unknown_fields)]
 pub struct Tongue {
     /// The shape, then the pattern.
@@ -54,7 +55,7 @@ pub struct Tongue {
 }
 
 /// A shape between two others: their distances mixed.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
 #[serde(deny_unknown_fields)]
 pub struct Morph {
     /// The shape to start from, then the shape to end at.

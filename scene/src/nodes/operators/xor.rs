@@ -9,9 +9,10 @@ use crate::bounds::Bounds;
 use crate::nodes::sample::indicator;
 use crate::nodes::{Exactness, Node, Sample, Sdf};
 use crate::real::{Real, Vec3};
+use crate::seek::Seek;
 
 /// What is in an odd number of the shapes: of two, in one and not in the other.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
 #[serde(deny_unknown_fields)]
 pub struct Xor {
     /// The shapes, one or more.

@@ -7,12 +7,13 @@ use super::{away_from_axis, length_of};
 use crate::bounds::Bounds;
 use crate::nodes::{NodeFault, Prepare, Prepared, Primitive};
 use crate::real::{Real, Vec3, vec3};
+use crate::seek::Seek;
 use crate::values::{Amount, ConeAngle, HalfAperture, Length, sin_cos_degrees};
 
 /// A cone around the y axis, its middle at the origin: the base at y = −height/2, the apex at y = height/2.
 ///
 /// Inigo Quilez, "Distance functions": <https://iquilezles.org/articles/distfunctions/>.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
 #[serde(deny_unknown_fields)]
 pub struct Cone {
     /// Radius of the base.
@@ -38,7 +39,7 @@ impl Primitive for Cone {
 /// A cone without its tip, around the y axis, its middle at the origin.
 ///
 /// Inigo Quilez, "Distance functions": <https://iquilezles.org/articles/distfunctions/>.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
 #[serde(deny_unknown_fields)]
 pub struct CappedCone {
     /// Radius at y = −height/2.
@@ -100,7 +101,7 @@ fn to_capped_cone<R: Real>(p: Vec3<R>, bottom: f32, top: f32, height: f32) -> R 
 }
 
 /// A cone without a base: its apex at the origin, opening downwards for ever.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
 #[serde(rename = "InfiniteCone", deny_unknown_fields)]
 pub struct GivenInfiniteCone {
     /// Half its aperture: the angle between the axis and the side.
@@ -142,7 +143,7 @@ impl Primitive for InfiniteCone {
 /// Each point between the ends of the axis has a ball whose radius grows evenly; the value is the
 /// least distance to any of them. The shape is Inigo Quilez's, "Distance functions":
 /// <https://iquilezles.org/articles/distfunctions/>.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
 #[serde(deny_unknown_fields)]
 pub struct RoundCone {
     /// Radius of the lower ball.
@@ -193,7 +194,7 @@ impl Primitive for RoundCone {
 /// What a cone with its apex at the origin, opening upwards, cuts out of a ball around it.
 ///
 /// Inigo Quilez, "Distance functions": <https://iquilezles.org/articles/distfunctions/>.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
 #[serde(rename = "SolidAngle", deny_unknown_fields)]
 pub struct GivenSolidAngle {
     /// Half its aperture: the angle between the axis and the side. Above 90 it is a ball with a cone cut out.

@@ -6,6 +6,7 @@ use serde::{Deserialize, Serialize};
 use crate::bounds::Bounds;
 use crate::nodes::{Exactness, Prepare, Prepared, Primitive};
 use crate::real::{Real, Vec3, vec3};
+use crate::seek::Seek;
 use crate::values::{Length, Point};
 
 /// All points within a radius of a quadratic Bézier curve.
@@ -16,7 +17,7 @@ use crate::values::{Length, Point};
 /// straight. The cubic turns where the parabola has its vertex. After that it is convex, so that steps from
 /// t = 1 run down to its last root and never past it; before that, by symmetry, steps from t = 0 run up
 /// to its first. The nearest point is one of the two, since a root between them is a point of greatest distance.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
 #[serde(rename = "BezierTube", deny_unknown_fields)]
 pub struct GivenBezierTube {
     /// Where the curve starts.
@@ -55,7 +56,7 @@ impl Prepare for GivenBezierTube {
     type Ready = Curve;
 
     fn ready(&self) -> Curve {
-        let [a, b, c] = [self.a, self.b, self.c].map(Point::get);
+        let [a, b, c] = [&self.a, &self.b, &self.c].map(Point::get);
         let (slope, bend) = ((b - a) * 2.0, (a - b) + (c - b));
         let (along, bends) = (slope.length_squared(), bend.length_squared());
         let over_size = 1.0 / (along + bends).max(1e-20);

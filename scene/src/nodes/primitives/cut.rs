@@ -7,12 +7,13 @@ use super::{away_from_axis, length_of};
 use crate::bounds::Bounds;
 use crate::nodes::{Exactness, NodeFault, Primitive};
 use crate::real::{Real, Vec3, vec3};
+use crate::seek::Seek;
 use crate::values::{Coordinate, Length};
 
 /// What of a ball around the origin lies above a horizontal plane.
 ///
 /// Inigo Quilez, "Distance functions": <https://iquilezles.org/articles/distfunctions/>.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
 #[serde(deny_unknown_fields)]
 pub struct CutSphere {
     /// Radius of the ball.
@@ -30,7 +31,7 @@ impl Primitive for CutSphere {
     fn distance<R: Real>(&self, p: Vec3<R>) -> R {
         let across = away_from_axis(p);
         let radius = p.x.given(self.radius.get());
-        let (cut, rim) = (p.x.given(self.cut.get()), p.x.given(rim(self.radius, self.cut)));
+        let (cut, rim) = (p.x.given(self.cut.get()), p.x.given(rim(&self.radius, &self.cut)));
         // Below the cone of the origin and the rim, the sphere is never nearest.
         let below_rim = (p.y * rim).lt(across * cut);
         let to_rim = (across - rim).square_add((p.y - cut).square());
@@ -42,12 +43,12 @@ impl Primitive for CutSphere {
     }
 
     fn fault(&self) -> Option<NodeFault> {
-        outside_of_ball(self.radius, self.cut)
+        outside_of_ball(&self.radius, &self.cut)
     }
 
     fn bounds(&self, level: f32) -> Bounds {
         let (radius, cut) = (self.radius.get(), self.cut.get());
-        let across = if cut > 0.0 { rim(self.radius, self.cut) } else { radius };
+        let across = if cut > 0.0 { rim(&self.radius, &self.cut) } else { radius };
         Bounds { low: vec3(-across, cut, -across), high: vec3(across, radius, across) }.widened(level)
     }
 }
@@ -55,7 +56,7 @@ impl Primitive for CutSphere {
 /// A bowl: what of the shell of a ball around the origin lies below a horizontal plane, with a round brim.
 ///
 /// Inigo Quilez, "Distance functions": <https://iquilezles.org/articles/distfunctions/>.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
 #[serde(deny_unknown_fields)]
 pub struct CutHollowSphere {
     /// Radius of the sphere in the middle of the shell.
@@ -69,7 +70,7 @@ pub struct CutHollowSphere {
 impl CutHollowSphere {
     /// Whether the brim leaves a hole in its middle.
     fn is_open(&self) -> bool {
-        self.cut.get() <= 0.0 || rim(self.radius, self.cut) * 2.0 >= self.thickness.get()
+        self.cut.get() <= 0.0 || rim(&self.radius, &self.cut) * 2.0 >= self.thickness.get()
     }
 }
 
@@ -82,7 +83,7 @@ impl Primitive for CutHollowSphere {
     #[inline(always)]
     fn distance<R: Real>(&self, p: Vec3<R>) -> R {
         let across = away_from_axis(p);
-        let (cut, rim) = (p.x.given(self.cut.get()), p.x.given(rim(self.radius, self.cut)));
+        let (cut, rim) = (p.x.given(self.cut.get()), p.x.given(rim(&self.radius, &self.cut)));
         let above_rim = (across * cut).lt(p.y * rim);
         let to_rim = (across - rim).square_add((p.y - cut).square());
         let to_center = across.square_add(p.y.square());
@@ -99,7 +100,7 @@ impl Primitive for CutHollowSphere {
     fn fault(&self) -> Option<NodeFault> {
         let most = 2.0 * self.radius.get();
         let swallowed = self.thickness.get() >= most;
-        outside_of_ball(self.radius, self.cut).or_else(|| {
+        outside_of_ball(&self.radius, &self.cut).or_else(|| {
             swallowed.then(|| {
                 NodeFault::new(
                     "thickness",
@@ -113,20 +114,20 @@ impl Primitive for CutHollowSphere {
 
     fn bounds(&self, level: f32) -> Bounds {
         let (radius, cut) = (self.radius.get(), self.cut.get());
-        let across = if cut < 0.0 { rim(self.radius, self.cut) } else { radius };
+        let across = if cut < 0.0 { rim(&self.radius, &self.cut) } else { radius };
         let middle = Bounds { low: vec3(-across, -radius, -across), high: vec3(across, cut, across) };
         middle.widened(self.thickness.get() / 2.0 + level)
     }
 }
 
 /// Radius of the circle that a plane cuts out of a sphere.
-fn rim(radius: Length, cut: Coordinate) -> f32 {
+fn rim(radius: &Length, cut: &Coordinate) -> f32 {
     let (radius, cut) = (radius.get(), cut.get());
     Real::sqrt((radius - cut) * (radius + cut))
 }
 
 /// Says that a plane misses the ball that it should cut.
-fn outside_of_ball(radius: Length, cut: Coordinate) -> Option<NodeFault> {
+fn outside_of_ball(radius: &Length, cut: &Coordinate) -> Option<NodeFault> {
     let radius = radius.get();
     (cut.get().abs() >= radius)
         .then(|| NodeFault::new("cut", format!("must pass through the ball: put it between {} and {radius}", -radius)))
@@ -135,7 +136,7 @@ fn outside_of_ball(radius: Length, cut: Coordinate) -> Option<NodeFault> {
 /// A ball around the origin with a bite out of its top: the bite is a ball, too.
 ///
 /// Inigo Quilez, "Distance functions": <https://iquilezles.org/articles/distfunctions/>.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
 #[serde(deny_unknown_fields)]
 pub struct DeathStar {
     /// Radius of the ball.

@@ -9,13 +9,14 @@ use super::super::{NodeFault, Primitive};
 use super::nothing;
 use crate::bounds::Bounds;
 use crate::real::{Real, Vec3, vec3};
+use crate::seek::Seek;
 use crate::values::{Amount, Length};
 
 /// The twelve edges of a box, as beams of square section.
 ///
 /// Quilez's three beams, each exact outside; inside, where beams meet, the distance to all that is
 /// not a beam is added here.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
 #[serde(deny_unknown_fields)]
 pub struct BoxFrame {
     /// Whole extents along x, y and z.
@@ -65,7 +66,7 @@ impl Primitive for BoxFrame {
     }
 
     fn bounds(&self, level: f32) -> Bounds {
-        let [x, y, z] = self.size;
+        let [x, y, z] = &self.size;
         Bounds::symmetric(x.get() / 2.0, y.get() / 2.0, z.get() / 2.0).widened(level)
     }
 
@@ -82,7 +83,7 @@ impl Primitive for BoxFrame {
 }
 
 /// A box whose plan, seen along y, is a rhombus with its corners on the x and z axes.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
 #[serde(deny_unknown_fields)]
 pub struct Rhombus {
     /// The rhombus's whole diagonals, along x and z.
@@ -117,12 +118,12 @@ impl Primitive for Rhombus {
     }
 
     fn bounds(&self, level: f32) -> Bounds {
-        let [x, z] = self.diagonals;
+        let [x, z] = &self.diagonals;
         Bounds::symmetric(x.get() / 2.0, self.height.get() / 2.0, z.get() / 2.0).widened(level)
     }
 
     fn fault(&self) -> Option<NodeFault> {
-        let [x, z] = self.diagonals;
+        let [x, z] = &self.diagonals;
         let half = x.get().min(z.get()).min(self.height.get()) / 2.0;
         (self.round.get() >= half).then(|| {
             NodeFault::new(

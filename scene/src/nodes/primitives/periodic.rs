@@ -15,12 +15,13 @@ use serde::{Deserialize, Serialize};
 use super::super::{Exactness, NodeFault, Primitive};
 use crate::bounds::Bounds;
 use crate::real::{Real, Vec3, vec3};
+use crate::seek::Seek;
 use crate::values::Length;
 
 /// Schoen's gyroid, in all of space: intersect it with another shape.
 ///
 /// f = sin x cos y + sin y cos z + sin z cos x.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
 #[serde(deny_unknown_fields)]
 pub struct Gyroid {
     /// Edge of the cube in which it repeats.
@@ -34,7 +35,7 @@ pub struct Gyroid {
 /// in the middles and at the corners of its cells.
 ///
 /// f = cos x + cos y + cos z.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
 #[serde(deny_unknown_fields)]
 pub struct SchwarzP {
     /// Edge of the cube in which it repeats.
@@ -48,7 +49,7 @@ pub struct SchwarzP {
 /// as the bonds of a diamond do.
 ///
 /// f = sin x sin y sin z + sin x cos y cos z + cos x sin y cos z + cos x cos y sin z.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
 #[serde(deny_unknown_fields)]
 pub struct Diamond {
     /// Edge of the cube in which it repeats.
@@ -70,9 +71,9 @@ impl Primitive for Gyroid {
         // ∂f/∂x = cos x cos y − sin z sin x is the product of (cos x, −sin x) and (cos y, sin z): its
         // square is at most cos²y + sin²z. Likewise those of ∂f/∂y and ∂f/∂z are at most
         // cos²z + sin²x and cos²x + sin²y. The sum is 3.
-        let (sine, cosine) = waves(p, self.cell);
+        let (sine, cosine) = waves(p, &self.cell);
         let f = sine.x.mul_add(cosine.y, sine.y.mul_add(cosine.z, sine.z * cosine.x));
-        wall(f, self.cell, self.thickness)
+        wall(f, &self.cell, self.thickness.as_ref())
     }
 
     fn exactness(&self) -> Exactness {
@@ -85,7 +86,7 @@ impl Primitive for Gyroid {
 
     fn fault(&self) -> Option<NodeFault> {
         // sin x cos y is at most (sin²x + cos²y)/2, so |f| is at most 3/2.
-        too_thick(self.cell, self.thickness, 1.5)
+        too_thick(&self.cell, self.thickness.as_ref(), 1.5)
     }
 }
 
@@ -96,8 +97,8 @@ impl Primitive for SchwarzP {
     #[inline(always)]
     fn distance<R: Real>(&self, p: Vec3<R>) -> R {
         // The gradient (−sin x, −sin y, −sin z) has a square of 3 at most.
-        let (_, cosine) = waves(p, self.cell);
-        wall(cosine.x + (cosine.y + cosine.z), self.cell, self.thickness)
+        let (_, cosine) = waves(p, &self.cell);
+        wall(cosine.x + (cosine.y + cosine.z), &self.cell, self.thickness.as_ref())
     }
 
     fn exactness(&self) -> Exactness {
@@ -109,7 +110,7 @@ impl Primitive for SchwarzP {
     }
 
     fn fault(&self) -> Option<NodeFault> {
-        too_thick(self.cell, self.thickness, 3.0)
+        too_thick(&self.cell, self.thickness.as_ref(), 3.0)
     }
 }
 
@@ -124,11 +125,11 @@ impl Primitive for Diamond {
         // cosines and sines of 2x, 2y, 2z, then |∇f|² = (3 + 3·c₁c₂c₃ − (s₁s₂ + s₂s₃ + s₃s₁))/2.
         // As |c| ≤ 1, 3·c₁c₂c₃ ≤ 3·(c₁²c₂²c₃²)^⅓ ≤ Σc² by the means; and −(s₁s₂ + s₂s₃ + s₃s₁) =
         // (Σs² − (Σs)²)/2 ≤ Σs². Since c² + s² = 1, both together are at most 3, and |∇f|² is too.
-        let (sine, cosine) = waves(p, self.cell);
+        let (sine, cosine) = waves(p, &self.cell);
         let of_difference = cosine.y.mul_add(cosine.z, sine.y * sine.z);
         let of_sum = sine.y.mul_add(cosine.z, cosine.y * sine.z);
         let f = sine.x.mul_add(of_difference, cosine.x * of_sum);
-        wall(f, self.cell, self.thickness)
+        wall(f, &self.cell, self.thickness.as_ref())
     }
 
     fn exactness(&self) -> Exactness {
@@ -141,13 +142,13 @@ impl Primitive for Diamond {
 
     fn fault(&self) -> Option<NodeFault> {
         // f² is at most cos²(y − z) + sin²(y + z) = 1 + sin 2y sin 2z.
-        too_thick(self.cell, self.thickness, std::f32::consts::SQRT_2)
+        too_thick(&self.cell, self.thickness.as_ref(), std::f32::consts::SQRT_2)
     }
 }
 
 /// Sines and cosines of a point's coordinates, which grow by 2π a cell.
 #[inline(always)]
-fn waves<R: Real>(p: Vec3<R>, cell: Length) -> (Vec3<R>, Vec3<R>) {
+fn waves<R: Real>(p: Vec3<R>, cell: &Length) -> (Vec3<R>, Vec3<R>) {
     let per_cell = p.x.given(1.0 / cell.get());
     let (sine_x, cosine_x) = (p.x * per_cell).sin_cos_turns();
     let (sine_y, cosine_y) = (p.y * per_cell).sin_cos_turns();
@@ -157,7 +158,7 @@ fn waves<R: Real>(p: Vec3<R>, cell: Length) -> (Vec3<R>, Vec3<R>) {
 
 /// The bound that `f` makes: of the side where it is negative, or of a wall around where it is 0.
 #[inline(always)]
-fn wall<R: Real>(f: R, cell: Length, thickness: Option<Length>) -> R {
+fn wall<R: Real>(f: R, cell: &Length, thickness: Option<&Length>) -> R {
     let scale = f.given(cell.get() / (TAU * STEEPEST));
     match thickness {
         Some(thickness) => f.abs().mul_add(scale, -f.given(thickness.get() * 0.5)),
@@ -166,7 +167,7 @@ fn wall<R: Real>(f: R, cell: Length, thickness: Option<Length>) -> R {
 }
 
 /// A wall that leaves nothing open, since |f| is nowhere above `greatest`.
-fn too_thick(cell: Length, thickness: Option<Length>, greatest: f32) -> Option<NodeFault> {
+fn too_thick(cell: &Length, thickness: Option<&Length>, greatest: f32) -> Option<NodeFault> {
     let most = cell.get() * greatest / (PI * STEEPEST);
     thickness.filter(|thickness| thickness.get() >= most).map(|_| {
         NodeFault::new("thickness", format!("fills all of space: make thickness less than {most}, or cell larger"))
@@ -180,7 +181,7 @@ mod tests {
     #[test]
     fn surfaces_repeat_far_away_to_the_bit() {
         let cell = Length::new(0.5).expect("a length");
-        let gyroid = Gyroid { cell, thickness: None };
+        let gyroid = Gyroid { cell: cell.clone(), thickness: None };
         let diamond = Diamond { cell, thickness: None };
         let p = vec3(0.125_f32, 0.062_5, 0.406_25);
         for cells in [1.0, 100.0, 200_000.0] {
@@ -195,9 +196,9 @@ mod tests {
         let cell = Length::new(1.0).expect("a length");
         let room = |most: f32| Length::new(most * 0.999);
         let most = 1.0 / (PI * STEEPEST);
-        let gyroid = Gyroid { cell, thickness: room(1.5 * most) };
+        let gyroid = Gyroid { cell: cell.clone(), thickness: room(1.5 * most) };
         assert!(gyroid.fault().is_none() && gyroid.distance(vec3(0.125, 0.125, 0.125)) > 0.0);
-        let schwarz = SchwarzP { cell, thickness: room(3.0 * most) };
+        let schwarz = SchwarzP { cell: cell.clone(), thickness: room(3.0 * most) };
         assert!(schwarz.fault().is_none() && schwarz.distance(vec3(0.0, 0.0, 0.0)) > 0.0);
         let diamond = Diamond { cell, thickness: room(std::f32::consts::SQRT_2 * most) };
         assert!(diamond.fault().is_none() && diamond.distance(vec3(0.125, 0.125, 0.125)) > 0.0);

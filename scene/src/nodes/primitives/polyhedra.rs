@@ -14,10 +14,11 @@ use serde::{Deserialize, Serialize};
 use super::super::Primitive;
 use crate::bounds::Bounds;
 use crate::real::{Real, Vec3, vec3};
+use crate::seek::Seek;
 use crate::values::Length;
 
 /// A polyhedron of four triangles: it stands on one of them, a corner on the +y axis.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
 #[serde(deny_unknown_fields)]
 pub struct Tetrahedron {
     /// From the origin to its corners.
@@ -27,7 +28,7 @@ pub struct Tetrahedron {
 /// A polyhedron of eight triangles, its corners on the axes.
 ///
 /// As Inigo Quilez's, "Distance functions": <https://iquilezles.org/articles/distfunctions/>.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
 #[serde(deny_unknown_fields)]
 pub struct Octahedron {
     /// From the origin to its corners.
@@ -35,7 +36,7 @@ pub struct Octahedron {
 }
 
 /// A polyhedron of twelve pentagons; the axes go through the middles of edges.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
 #[serde(deny_unknown_fields)]
 pub struct Dodecahedron {
     /// From the origin to its corners.
@@ -43,7 +44,7 @@ pub struct Dodecahedron {
 }
 
 /// A polyhedron of twenty triangles; the axes go through the middles of edges.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
 #[serde(deny_unknown_fields)]
 pub struct Icosahedron {
     /// From the origin to its corners.
@@ -241,9 +242,9 @@ mod tests {
 
     #[test]
     fn corners_and_middles_of_faces_are_where_coxeter_has_them() {
-        let radius = Length::new(1.0).expect("a length");
-        let (icosahedron, dodecahedron) = (Icosahedron { radius }, Dodecahedron { radius });
-        let tetrahedron = Tetrahedron { radius };
+        let radius = || Length::new(1.0).expect("a length");
+        let (icosahedron, dodecahedron) = (Icosahedron { radius: radius() }, Dodecahedron { radius: radius() });
+        let tetrahedron = Tetrahedron { radius: radius() };
         for (x, y, z) in [(0.0, 1.0, GOLDEN), (1.0, -GOLDEN, 0.0), (-GOLDEN, 0.0, 1.0)] {
             let axis = vec3(x, y, z).normalize();
             assert!((icosahedron.distance(axis + axis) - 1.0).abs() < 1e-6);

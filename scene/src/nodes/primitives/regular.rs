@@ -13,10 +13,11 @@ use super::sides::Sides;
 use super::slopes::Slope;
 use crate::bounds::Bounds;
 use crate::real::{Real, Vec3, vec3};
+use crate::seek::Seek;
 use crate::values::Length;
 
 /// A prism of six sides along y, its middle at the origin, two of its sides across the z axis.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
 #[serde(deny_unknown_fields)]
 pub struct HexagonalPrism {
     /// From the axis to its corners.
@@ -26,7 +27,7 @@ pub struct HexagonalPrism {
 }
 
 /// A prism of eight sides along y, its middle at the origin, four of its sides across the x and z axes.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
 #[serde(deny_unknown_fields)]
 pub struct OctagonalPrism {
     /// From the axis to its corners.
@@ -36,7 +37,7 @@ pub struct OctagonalPrism {
 }
 
 /// A pyramid over a regular polygon on y = 0, one edge of it across the +z axis, its apex at y = height.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
 #[serde(deny_unknown_fields)]
 pub struct RegularPyramid {
     /// How many sides its base has, 3 to 64.
@@ -52,7 +53,7 @@ impl Primitive for HexagonalPrism {
 
     #[inline(always)]
     fn distance<R: Real>(&self, p: Vec3<R>) -> R {
-        prism(p, &Sides::HEXAGON, self.radius, self.height)
+        prism(p, &Sides::HEXAGON, &self.radius, &self.height)
     }
 
     fn bounds(&self, level: f32) -> Bounds {
@@ -65,7 +66,7 @@ impl Primitive for OctagonalPrism {
 
     #[inline(always)]
     fn distance<R: Real>(&self, p: Vec3<R>) -> R {
-        prism(p, &Sides::OCTAGON, self.radius, self.height)
+        prism(p, &Sides::OCTAGON, &self.radius, &self.height)
     }
 
     fn bounds(&self, level: f32) -> Bounds {
@@ -98,7 +99,7 @@ impl Primitive for RegularPyramid {
 
 /// The distance to a prism over a regular polygon.
 #[inline(always)]
-fn prism<R: Real>(p: Vec3<R>, sides: &Sides, radius: Length, height: Length) -> R {
+fn prism<R: Real>(p: Vec3<R>, sides: &Sides, radius: &Length, height: &Length) -> R {
     let (along, out) = sides.fold(p.x, p.z);
     let (inradius, half_edge) = sides.inradius_and_half_edge(radius.get());
     let past_edge = (along - p.x.given(half_edge)).at_least(0.0);
@@ -118,7 +119,7 @@ mod tests {
     fn a_corner_and_the_middle_of_an_edge_are_on_the_pyramid() {
         for sides in (3..=64).filter_map(Sides::new) {
             let radius = Length::new(0.7).expect("a length");
-            let pyramid = RegularPyramid { sides, radius, height: radius };
+            let pyramid = RegularPyramid { sides, radius: radius.clone(), height: radius };
             for side in 0..sides.get() {
                 let (x, z) = Real::sin_cos(PI * (2 * side + 1) as f32 / sides.get() as f32);
                 let corner = pyramid.distance(vec3(x * 0.7, 0.0, z * 0.7));

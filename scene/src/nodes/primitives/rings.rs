@@ -7,12 +7,13 @@ use super::{length_of, swallowed_hole};
 use crate::bounds::Bounds;
 use crate::nodes::{Exactness, NodeFault, Prepare, Prepared, Primitive};
 use crate::real::{Real, Vec3, vec3};
+use crate::seek::Seek;
 use crate::values::{Amount, ArcLength, Length, sin_cos_degrees};
 
 /// A part of a ring around the y axis, with round ends. The middle of its arc looks along +z.
 ///
 /// Inigo Quilez, "Distance functions": <https://iquilezles.org/articles/distfunctions/>.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
 #[serde(rename = "CappedTorus", deny_unknown_fields)]
 pub struct GivenCappedTorus {
     /// Radius of the circle in the middle of the tube.
@@ -79,7 +80,7 @@ impl Primitive for CappedTorus {
 /// A link of a chain in the plane z = 0: a ring drawn out along y.
 ///
 /// Inigo Quilez, "Distance functions": <https://iquilezles.org/articles/distfunctions/>.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
 #[serde(deny_unknown_fields)]
 pub struct Link {
     /// Its whole height.
@@ -129,7 +130,7 @@ impl Primitive for Link {
 /// round ends. The arc's middle is at the bottom, its legs go up.
 ///
 /// Inigo Quilez, "Distance functions": <https://iquilezles.org/articles/distfunctions/>.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
 #[serde(rename = "Horseshoe", deny_unknown_fields)]
 pub struct GivenHorseshoe {
     /// Radius of the arc, to the middle of the band.
@@ -186,7 +187,7 @@ impl Primitive for Horseshoe {
 /// A band in the plane z = 0, bent like the letter: half a circle around the origin, and two legs that go up.
 ///
 /// Inigo Quilez, "Distance functions": <https://iquilezles.org/articles/distfunctions/>.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
 #[serde(deny_unknown_fields)]
 pub struct U {
     /// Radius of the bend, to the middle of the band.

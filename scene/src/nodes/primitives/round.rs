@@ -7,12 +7,13 @@ use super::{away_from_axis, length_of};
 use crate::bounds::Bounds;
 use crate::nodes::{NodeFault, Prepare, Prepared, Primitive};
 use crate::real::{Real, Vec3, vec3};
+use crate::seek::Seek;
 use crate::values::{Amount, Length, Point};
 
 /// A cylinder around the y axis with rounded edges, its middle at the origin.
 ///
 /// Inigo Quilez, "Distance functions": <https://iquilezles.org/articles/distfunctions/>.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
 #[serde(deny_unknown_fields)]
 pub struct RoundedCylinder {
     /// Its radius.
@@ -63,7 +64,7 @@ impl Primitive for RoundedCylinder {
 /// Scientific and Statistical Computing 4(3), 1983. With the normal n found there, the value is
 /// p·n − √Σ(rᵢnᵢ)², the distance to the plane that touches the ellipsoid with that normal: no such plane
 /// is further away than the surface, and an error of n counts by its square.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
 #[serde(rename = "Ellipsoid", deny_unknown_fields)]
 pub struct GivenEllipsoid {
     /// Half its extents along x, y and z.
@@ -92,7 +93,7 @@ impl Prepare for GivenEllipsoid {
     type Ready = Radii;
 
     fn ready(&self) -> Radii {
-        let [x, y, z] = self.radii.map(Length::get);
+        let [x, y, z] = self.radii.each_ref().map(Length::get);
         let (largest, least) = (x.max(y).max(z), x.min(y).min(z));
         let radius = vec3(x, y, z).map(|c| c / largest);
         let least = least / largest;
@@ -140,7 +141,7 @@ impl Primitive for Ellipsoid {
     }
 
     fn bounds(&self, level: f32) -> Bounds {
-        let [x, y, z] = self.radii;
+        let [x, y, z] = &self.radii;
         Bounds::symmetric(x.get(), y.get(), z.get()).widened(level)
     }
 }
@@ -164,7 +165,7 @@ fn times<R: Real>(a: Vec3<R>, b: Vec3<R>) -> Vec3<R> {
 /// A spindle between two points: the arc of a circle through both, turned about the line between them.
 ///
 /// Inigo Quilez, "Distance functions": <https://iquilezles.org/articles/distfunctions/>.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
 #[serde(deny_unknown_fields)]
 pub struct Vesica {
     /// One tip.

@@ -6,12 +6,13 @@ use serde::{Deserialize, Serialize};
 use crate::bounds::Bounds;
 use crate::nodes::{NodeFault, Prepare, Prepared, Primitive};
 use crate::real::{Real, Vec3};
+use crate::seek::Seek;
 use crate::values::{Length, Point};
 
 /// All points within a radius of a triangle.
 ///
 /// Inigo Quilez, "Distance functions": <https://iquilezles.org/articles/distfunctions/>.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
 #[serde(rename = "Triangle", deny_unknown_fields)]
 pub struct GivenTriangle {
     /// One corner.
@@ -31,7 +32,7 @@ impl Prepare for GivenTriangle {
     type Ready = Face<3>;
 
     fn ready(&self) -> Face<3> {
-        let [a, b, c] = [self.a, self.b, self.c].map(Point::get);
+        let [a, b, c] = [&self.a, &self.b, &self.c].map(Point::get);
         Face::new([a, b, c], direction((b - a).cross(c - a)))
     }
 }
@@ -52,7 +53,7 @@ impl Primitive for Triangle {
 /// All points within a radius of a flat face of four corners, given in the order in which one walks around it.
 ///
 /// Inigo Quilez, "Distance functions": <https://iquilezles.org/articles/distfunctions/>.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
 #[serde(rename = "Quad", deny_unknown_fields)]
 pub struct GivenQuad {
     /// One corner.
@@ -78,20 +79,20 @@ impl GivenQuad {
     /// The normal of the plane through the middles of its sides, and how far above it the corners
     /// a and c lie; b and d lie as far below.
     fn plane(&self) -> (Vec3<f32>, f32) {
-        let [a, b, c, d] = [self.a, self.b, self.c, self.d].map(Point::get);
+        let [a, b, c, d] = [&self.a, &self.b, &self.c, &self.d].map(Point::get);
         let normal = direction((c - a).cross(d - b));
         (normal, ((a - b) + (c - d)).dot(normal) * 0.25)
     }
 
     /// The longer diagonal.
     fn size(&self) -> f32 {
-        let [a, b, c, d] = [self.a, self.b, self.c, self.d].map(Point::get);
+        let [a, b, c, d] = [&self.a, &self.b, &self.c, &self.d].map(Point::get);
         (c - a).length().max((d - b).length())
     }
 
     /// Says that the corners are not in one plane.
     fn bent(&self) -> Option<NodeFault> {
-        let [a, b, c, d] = [self.a, self.b, self.c, self.d].map(Point::get);
+        let [a, b, c, d] = [&self.a, &self.b, &self.c, &self.d].map(Point::get);
         (self.plane().1.abs() > FLATNESS * self.size()).then(|| {
             let normal = direction((b - a).cross(c - a));
             let Vec3 { x, y, z } = normal.mul_add((a - d).dot(normal), d);
@@ -104,7 +105,7 @@ impl GivenQuad {
 
     /// Says that the outline turns to the left in one place and to the right in another.
     fn turned_back(&self) -> Option<NodeFault> {
-        let corners = [self.a, self.b, self.c, self.d].map(Point::get);
+        let corners = [&self.a, &self.b, &self.c, &self.d].map(Point::get);
         let turns = [3, 0, 1, 2].map(|before| {
             let [before, here, after] = [before, before + 1, before + 2].map(|place| corners[place % 4]);
             (here - before).cross(after - here)
@@ -126,7 +127,7 @@ impl Prepare for GivenQuad {
 
     fn ready(&self) -> Face<4> {
         let (normal, above) = self.plane();
-        let mut corners = [self.a, self.b, self.c, self.d].map(Point::get);
+        let mut corners = [&self.a, &self.b, &self.c, &self.d].map(Point::get);
         for (corner, side) in corners.iter_mut().zip([-1.0, 1.0, -1.0, 1.0]) {
             *corner = normal.mul_add(side * above, *corner);
         }

@@ -7,6 +7,7 @@ use schemars::{JsonSchema, Schema, SchemaGenerator, json_schema};
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
 
 use crate::real::Real;
+use crate::seek::{Clock, Misfit, Seek};
 use crate::values::whole;
 
 /// The most sides of a polygon; more look like a circle, which is cheaper.
@@ -90,6 +91,14 @@ impl Sides {
             out = twice_behind.mul_add(x.splat(sine), out);
         }
         (along, out)
+    }
+}
+
+impl Seek for Sides {
+    fn seek(&mut self, clock: &mut Clock<'_>) -> Result<bool, Box<Misfit>> {
+        // The rest follows from the count.
+        let Self { count, half_side: _, mirrors: _, mirrors_used: _ } = self;
+        count.seek(clock)
     }
 }
 
