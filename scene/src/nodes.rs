@@ -1,4 +1,4 @@
-//! Everything that has a distance: the list of nodes, and what a node must say of itself.
+//! Everything that has a distance: the registry of nodes, and the trait that each implements.
 //!
 //! A node is one documented struct in a file of its family under `nodes/`, one `impl` of
 //! [`Primitive`] or [`Sdf`], and one word in the list below. Parsing, schema, evaluation in every
@@ -57,8 +57,8 @@ use crate::seek::{Misfit, Seek};
 /// A node inside another.
 pub type Child = std::boxed::Box<Node>;
 
-/// The list: nodes that are `inlined` into what looks at them, since a call would cost as much as
-/// they do, and nodes that are `called`.
+/// The registry: nodes that are `inlined` into their callers, because a call would cost as much as they do,
+/// and nodes that are `called`.
 macro_rules! nodes {
     (inlined: [$($Inlined:ident),* $(,)?], called: [$($Called:ident),* $(,)?]) => {
         nodes!(@ [$($Inlined),*] [$($Called),*] $($Inlined,)* $($Called),*);
@@ -95,28 +95,28 @@ macro_rules! nodes {
                 }
             }
 
-            /// The same, to be changed.
+            /// Mutable access to the children.
             pub(crate) fn children_mut(&mut self) -> &mut [Node] {
                 match self {
                     $(Self::$Kind(node) => node.children_mut()),*
                 }
             }
 
-            /// Finds what makes it faster to look at; the nodes inside have done so.
+            /// Precomputes what speeds up its evaluation; its children have done so before.
             fn prepare_alone(&mut self, moves: bool) {
                 match self {
                     $(Self::$Kind(node) => Sdf::prepare(node, moves)),*
                 }
             }
 
-            /// The material it says, if it says one.
+            /// Material that it names, if any.
             pub(crate) fn material(&self) -> Option<&MaterialUse> {
                 match self {
                     $(Self::$Kind(node) => node.material()),*
                 }
             }
 
-            /// The same, to be changed.
+            /// Mutable access to that material.
             pub(crate) fn material_mut(&mut self) -> Option<&mut MaterialUse> {
                 match self {
                     $(Self::$Kind(node) => node.material_mut()),*
@@ -137,16 +137,16 @@ macro_rules! nodes {
                 }
             }
 
-            /// What its value is worth.
+            /// Relation of its value to the true distance.
             pub fn exactness(&self) -> Exactness {
-                // Without a box around it, LLVM 22 at level 2 takes what the node inside says for never
-                // exact, and "exact or a bound, whichever is worse" comes out as exact.
+                // Without the black box, LLVM 22 at level 2 takes a child's value for never
+                // exact, and the worse of exact and bound becomes exact.
                 std::hint::black_box(match self {
                     $(Self::$Kind(node) => Sdf::exactness(node)),*
                 })
             }
 
-            /// What is wrong with its numbers taken together, if anything.
+            /// Error in its numbers taken together, if any.
             pub(crate) fn fault(&self) -> Option<NodeFault> {
                 match self {
                     $(Self::$Kind(node) => Sdf::fault(node)),*
@@ -173,7 +173,7 @@ macro_rules! nodes {
                 }
             }
 
-            /// How many nodes it is as much work as, those inside not counted.
+            /// Its size in simple nodes, without its children.
             fn weight(&self) -> u32 {
                 match self {
                     $(Self::$Kind(node) => Sdf::weight(node)),*
@@ -281,7 +281,7 @@ nodes![
     ]
 ];
 
-/// A node to look at and to test with.
+/// Node for documentation and tests.
 #[derive(Clone, Debug)]
 pub struct Example {
     /// The node's type.
@@ -293,7 +293,8 @@ pub struct Example {
 }
 
 impl Node {
-    /// Finds what makes it and the nodes inside faster to look at, in the same form for all frames if the job `moves`.
+    /// Precomputes what speeds up its evaluation and its children's, in the same form for all frames if
+    /// the job is animated.
     pub(crate) fn prepare(&mut self, moves: bool) {
         self.children_mut().iter_mut().for_each(|child| child.prepare(moves));
         self.prepare_alone(moves);
@@ -308,12 +309,12 @@ impl Node {
         Ok(())
     }
 
-    /// How many nodes it is as much work as: how many it has, itself included, where none is large.
+    /// Its size in simple nodes, children included.
     pub fn count(&self) -> u32 {
         self.weight() + self.children().iter().map(Self::count).sum::<u32>()
     }
 
-    /// Whether any node in it says a material of its own.
+    /// Whether any node in it names a material.
     pub fn is_painted(&self) -> bool {
         self.material().is_some() || self.children().iter().any(Self::is_painted)
     }

@@ -25,16 +25,16 @@ use crate::values::Coordinate;
 pub struct Displace {
     /// The bumps.
     pub by: Bumps,
-    /// What the bumps are multiplied with.
+    /// Factor of the displacement.
     pub amplitude: Coordinate,
     /// The shape.
     pub child: Child,
-    /// Where the bumps need not be looked at.
+    /// Where the displacement need not be evaluated.
     #[serde(skip)]
     pub relief: FoundRelief,
 }
 
-/// What may be added to a distance: keyed by its kind.
+/// Function added to a distance, keyed by its kind.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
 #[serde(rename_all = "snake_case")]
 pub enum Bumps {
@@ -69,7 +69,7 @@ impl Sine {
     }
 }
 
-/// sin(φ·c), where a sine is good to any angle: less its whole turns.
+/// sin(φ·c), accurate at any angle: whole turns are subtracted first.
 #[inline(always)]
 fn wave<R: Real>(c: R, frequency: f32) -> R {
     let turns = c * c.given(frequency / TAU);

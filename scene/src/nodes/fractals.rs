@@ -1,7 +1,7 @@
 //! Fractals: shapes of endless detail, cut off after a number of iterations.
 //!
-//! Those made of folds that keep lengths and of one scale have a distance or a true bound. The
-//! others have an estimate: how far a point's orbit has come, over how fast orbits part there.
+//! Fractals made of length-preserving folds and one scale have an exact distance or a bound. The others have
+//! an estimate: how far a point's orbit has come, divided by how fast orbits diverge there.
 
 mod apollonian_gasket;
 mod folds;
@@ -25,12 +25,12 @@ pub use sierpinski::Sierpinski;
 use crate::limits::MAX_ITERATIONS;
 use crate::real::{Real, Vec3, vec3};
 
-/// Keeps the growth of a derivative within what a quotient may have below it.
+/// Keeps the growth of a derivative within the range of a divisor.
 const LARGEST_SLOPE: f32 = 1e30;
 
-/// An estimate held to the distance from a simple hull of the fractal: further than `margin` away
-/// from it the hull's distance is all there is, which is never more than the fractal's; nearer, the
-/// greater of the two counts, and what an unfinished fractal has outside its hull is cut off.
+/// Clamps an estimate to the distance from a simple hull of the fractal. Farther than `margin` from the hull
+/// the hull's distance is used, which is never more than the fractal's; nearer, the greater of the two is
+/// used, so that parts of an unfinished fractal outside its hull are cut off.
 #[inline(always)]
 fn held_to_hull<R: Real>(from_hull: R, margin: f32, estimate: impl FnOnce() -> R) -> R {
     R::when(

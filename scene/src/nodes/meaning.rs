@@ -1,4 +1,4 @@
-//! What a node must say of itself.
+//! The interface of a node.
 
 use super::{Node, Sample};
 use crate::bounds::Bounds;
@@ -8,16 +8,16 @@ use crate::real::{Real, Vec3};
 /// How a node's value relates to the Euclidean distance to its surface, best first.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Exactness {
-    /// It is the distance.
+    /// The value is the distance.
     Exact,
-    /// Over its Lipschitz factor it is never more than the distance.
+    /// The value divided by its Lipschitz factor is never more than the distance.
     Bound,
     /// An estimate, which no Lipschitz factor bounds everywhere; a step of value/stretch still passes no surface.
     Estimate,
 }
 
 impl Exactness {
-    /// What is left of it when a formula around it gives a bound.
+    /// This exactness, but at most a bound: for a formula around it that gives a bound.
     pub(crate) fn at_best_bound(self) -> Self {
         match self {
             Self::Exact | Self::Bound => Self::Bound,
@@ -26,23 +26,23 @@ impl Exactness {
     }
 }
 
-/// What is wrong with the numbers of a node taken together.
+/// Error in the numbers of a node taken together.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct NodeFault {
-    /// Where in the node: a key, or a path of keys and places such as `points/2`.
+    /// Pointer within the node: a key, or a path of keys and indices such as `points/2`.
     pub place: String,
-    /// What is wrong and what to do about it, as it reads behind the place.
+    /// Message with the fix, continuing a sentence after the pointer.
     pub message: String,
 }
 
 impl NodeFault {
-    /// A fault at a place of the node.
+    /// Error at a pointer within the node.
     pub fn new(place: impl Into<String>, message: impl Into<String>) -> Self {
         Self { place: place.into(), message: message.into() }
     }
 }
 
-/// What a node means.
+/// A node: a shape or an operator.
 pub trait Sdf {
     /// A small valid value, as a user would write it: the picture in docs/nodes.md and the contract tests use it.
     const EXAMPLE: &'static str;
@@ -66,23 +66,23 @@ pub trait Sdf {
         &[]
     }
 
-    /// The same, to be changed.
+    /// Mutable access to the children.
     fn children_mut(&mut self) -> &mut [Node] {
         &mut []
     }
 
-    /// Finds what makes it faster to look at; the nodes inside have done so. Where the job `moves`,
-    /// what is found must have the same form in all frames.
+    /// Precomputes what speeds up its evaluation; its children have done so before. If the job is
+    /// animated, the result must have the same form in all frames.
     fn prepare(&mut self, moves: bool) {
         let _ = moves;
     }
 
-    /// The material it says, if it says one.
+    /// Material that it names, if any.
     fn material(&self) -> Option<&MaterialUse> {
         None
     }
 
-    /// The same, to be changed.
+    /// Mutable access to that material.
     fn material_mut(&mut self) -> Option<&mut MaterialUse> {
         None
     }
@@ -92,12 +92,12 @@ pub trait Sdf {
         self.children().iter().map(Node::stretch).fold(1.0, f32::max)
     }
 
-    /// What its value is worth: as much as the worst of the nodes inside.
+    /// Relation of its value to the true distance: the worst of its children's.
     fn exactness(&self) -> Exactness {
         self.children().iter().map(Node::exactness).fold(Exactness::Exact, Exactness::max)
     }
 
-    /// What is wrong with its numbers taken together, if anything; each alone is in range.
+    /// Error in its numbers taken together, if any; each alone is in range.
     fn fault(&self) -> Option<NodeFault> {
         None
     }
@@ -105,13 +105,13 @@ pub trait Sdf {
     /// A box that holds every point whose distance is at most `level`, which is not below 0.
     fn bounds(&self, level: f32) -> Bounds;
 
-    /// How many nodes it is as much work as, those inside not counted.
+    /// Its size in simple nodes, without its children.
     fn weight(&self) -> u32 {
         1
     }
 }
 
-/// A node without children: its distance says it all.
+/// Node without children, described by its distance alone.
 pub trait Primitive {
     /// A small valid value, as a user would write it.
     const EXAMPLE: &'static str;
@@ -135,17 +135,17 @@ pub trait Primitive {
         1.0
     }
 
-    /// What its value is worth.
+    /// Relation of its value to the true distance.
     fn exactness(&self) -> Exactness {
         Exactness::Exact
     }
 
-    /// What is wrong with its numbers taken together, if anything; each alone is in range.
+    /// Error in its numbers taken together, if any; each alone is in range.
     fn fault(&self) -> Option<NodeFault> {
         None
     }
 
-    /// How many nodes it is as much work as.
+    /// Its size in simple nodes.
     fn weight(&self) -> u32 {
         1
     }

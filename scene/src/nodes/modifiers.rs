@@ -30,7 +30,7 @@ use crate::materials::MaterialUse;
 use crate::real::{Real, Vec3};
 use crate::seek::Seek;
 
-/// A shape in a material of its own; the innermost one is seen.
+/// Gives a shape its own material; the innermost `paint` is seen.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
 #[serde(deny_unknown_fields)]
 pub struct Paint {

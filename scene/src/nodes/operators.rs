@@ -1,8 +1,8 @@
-//! Constructive solid geometry: two or more shapes made one, sharply or melted together.
+//! Constructive solid geometry: combines shapes, sharply or smoothly.
 //!
-//! `of` is folded from the left. With `smooth` k > 0, h = max(k − |a − b|, 0) rounds the seam by
-//! h²/(4k): Inigo Quilez's quadratic polynomial minimum, <https://iquilezles.org/articles/smin/>.
-//! The child whose distance wins is the one that is seen; within the seam the loser has the share ½(h/k)².
+//! `of` is folded from the left. With `smooth` k > 0, h = max(k − |a − b|, 0) rounds the seam by h²/(4k):
+//! Inigo Quilez's quadratic polynomial minimum, <https://iquilezles.org/articles/smin/>. The child whose
+//! distance wins is seen; within the seam the other one has the weight ½(h/k)².
 //!
 //! All are bounds: exact where one child alone is near.
 
@@ -25,7 +25,7 @@ use crate::real::{Real, Vec3};
 use crate::seek::Seek;
 use crate::values::Amount;
 
-/// What is in any of the shapes.
+/// The points inside any of the shapes.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
 #[serde(deny_unknown_fields)]
 pub struct Union {
@@ -35,12 +35,12 @@ pub struct Union {
     /// Width of the melted seam; 0 is sharp.
     #[serde(default = "sharp")]
     pub smooth: Amount,
-    /// Which shapes need not be looked at.
+    /// Bounding volume hierarchy of the shapes.
     #[serde(skip)]
     pub runs: Runs,
 }
 
-/// What is in all of the shapes.
+/// The points inside all of the shapes.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
 #[serde(deny_unknown_fields)]
 pub struct Intersection {
@@ -64,7 +64,7 @@ pub struct Difference {
     pub smooth: Amount,
 }
 
-/// The lesser of two, melted over `smooth`.
+/// Smooth minimum, blended over `smooth`.
 #[inline(always)]
 fn least<R: Real, V: Sample<R>>(a: V, b: V, smooth: &Amount) -> V {
     let (da, db) = (a.distance(), b.distance());
@@ -86,7 +86,7 @@ fn least<R: Real, V: Sample<R>>(a: V, b: V, smooth: &Amount) -> V {
     )
 }
 
-/// The greater of two, melted over `smooth`.
+/// Smooth maximum, blended over `smooth`.
 #[inline(always)]
 fn greatest<R: Real, V: Sample<R>>(a: V, b: V, smooth: &Amount) -> V {
     let (da, db) = (a.distance(), b.distance());
@@ -120,13 +120,13 @@ fn overlap<R: Real>(a: R, b: R, smooth: &Amount) -> R {
     (a.given(smooth.get()) - (a - b).abs()).at_least(0.0)
 }
 
-/// One over a seam's width or its square; 0 where a seam that moves has none, since then nothing is in it.
+/// One over a seam's width or its square; 0 if an animated seam has width 0, because then no point is in it.
 #[inline(always)]
 fn per(width: f32) -> f32 {
     if width == 0.0 { 0.0 } else { 1.0 / width }
 }
 
-/// The second child's share where it wins or loses: the loser has ½(h/k)².
+/// Weight of the second child, whether it wins or loses: the loser has ½(h/k)².
 #[inline(always)]
 fn share<R: Real>(overlap: R, smooth: &Amount, second_wins: R::Mask) -> R {
     let loser = overlap.square() * overlap.given(0.5 * per(smooth.get() * smooth.get()));
@@ -202,8 +202,8 @@ impl Sdf for Union {
 }
 
 impl Union {
-    /// What was found so far and the shapes of a run, if it can be near enough to matter: what is
-    /// further away than the seam is wide leaves the least distance as it is.
+    /// Merges the shapes of a BVH node into the result so far, if the node is near enough: shapes farther
+    /// away than the seam is wide do not change the minimum.
     fn join_run<R: Real, V: Sample<R>>(&self, run: &Run, sum: V, p: Vec3<R>) -> V {
         p.x.vectorize(
             #[inline(always)]

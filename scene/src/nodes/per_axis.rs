@@ -1,4 +1,4 @@
-//! A number for each axis, which may be written as one.
+//! One number for each axis, which may be written as a single number.
 
 use std::borrow::Cow;
 use std::fmt;

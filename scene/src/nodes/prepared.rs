@@ -9,23 +9,23 @@ use crate::seek::{Clock, Misfit, Seek};
 
 /// A primitive's numbers as a user gives them.
 pub trait Prepare {
-    /// What its formula is made of.
+    /// Values that its formula uses.
     type Ready: Clone;
 
     /// Derives it.
     fn ready(&self) -> Self::Ready;
 }
 
-/// A primitive as given, beside what was derived from it once, when it was read.
+/// A primitive's parameters, with the values derived from them once, when it is read.
 #[derive(Debug)]
 pub struct Prepared<G: Prepare> {
     given: G,
-    // In a box of its own, so that nodes stay small.
+    // Boxed, so that nodes stay small.
     ready: Box<G::Ready>,
 }
 
 impl<G: Prepare> Prepared<G> {
-    /// What the formula is made of.
+    /// Derived values.
     #[inline(always)]
     pub(super) fn ready(&self) -> &G::Ready {
         &self.ready

@@ -1,5 +1,5 @@
-//! Shapes with a closed formula. Unless said otherwise each is exact: its value is the Euclidean
-//! distance to the surface, negative inside.
+//! Shapes with a closed formula. Unless noted otherwise each is exact: its value is the Euclidean distance to
+//! the surface, negative inside.
 
 mod cones;
 mod curves;
@@ -114,9 +114,9 @@ impl Primitive for Box {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
 #[serde(deny_unknown_fields)]
 pub struct Plane {
-    /// Which way its surface looks; of any length.
+    /// Direction its surface faces, of any length.
     pub normal: Direction,
-    /// How far the surface lies from the origin, along the normal.
+    /// Distance of the surface from the origin, along the normal.
     pub offset: Coordinate,
 }
 
@@ -130,7 +130,7 @@ impl Primitive for Plane {
 
     fn bounds(&self, level: f32) -> Bounds {
         let farthest = self.offset.get() + level;
-        // Behind a plane across an axis, that coordinate has an end.
+        // Behind a plane perpendicular to an axis, that coordinate is bounded.
         let low = |slope: f32| if slope == -1.0 { -farthest } else { f32::NEG_INFINITY };
         let high = |slope: f32| if slope == 1.0 { farthest } else { f32::INFINITY };
         let normal = self.normal.unit();
@@ -165,7 +165,7 @@ impl Primitive for Cylinder {
     }
 }
 
-/// A cylinder around the y axis, without ends.
+/// A cylinder around the y axis, infinitely long.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
 #[serde(deny_unknown_fields)]
 pub struct InfiniteCylinder {
@@ -251,7 +251,7 @@ impl Primitive for Pyramid {
         let slant = self.height.get() * self.height.get() + 0.25;
         let (over_slant, over_base) = (p.x.given(1.0 / slant), p.x.given(1.0 / (slant + 0.25)));
         let (height, slant) = (p.x.given(self.height.get()), p.x.given(slant));
-        // By symmetry, the face that looks towards +x; its base edge runs along z at x = 0.
+        // By symmetry, the face toward +x; its base edge runs along z at x = 0.
         let (x, z) = (p.x.abs(), p.z.abs());
         let (x, z) = (x.max(z) - 0.5, x.min(z) - 0.5);
         // Along the edge, up the face, and out of it; the latter two times √slant.
@@ -274,7 +274,7 @@ impl Primitive for Pyramid {
     }
 }
 
-/// The distance to a pyramid over a rectangle of these whole extents along x and z.
+/// Distance to a pyramid over a rectangle of these whole extents along x and z.
 #[inline(always)]
 fn over_rectangle<R: Real>(p: Vec3<R>, base: [f32; 2], height: f32) -> R {
     let [half_x, half_z] = base.map(
@@ -340,7 +340,7 @@ impl Primitive for Capsule {
     fn distance<R: Real>(&self, p: Vec3<R>) -> R {
         let (a, b) = (self.a.get(), self.b.get());
         let axis = vec3(b.x - a.x, b.y - a.y, b.z - a.z);
-        // Two ends in one place make a ball: any share of no axis is the same point.
+        // If both ends coincide, the shape is a ball: every point of a zero axis is the same.
         let axis_over_square = scaled(axis, 1.0 / axis.length_squared().max(1e-20));
         let from_a = p - Vec3::given(p.x, a);
         let share = from_a.dot_known(axis_over_square).at_least(0.0).at_most(1.0);
@@ -354,7 +354,7 @@ impl Primitive for Capsule {
     }
 }
 
-/// How far a point is away from the y axis.
+/// Distance of a point from the y axis.
 #[inline(always)]
 fn away_from_axis<R: Real>(p: Vec3<R>) -> R {
     length_of(p.x, p.z)
@@ -366,7 +366,7 @@ fn length_of<R: Real>(x: R, y: R) -> R {
     x.square_add(y.square()).sqrt()
 }
 
-/// Says that a ring is so thick that its hole is gone: `thick` must be less than `limit`.
+/// Error for a ring so thick that its hole closes: `thick` must be less than `limit`.
 fn swallowed_hole(place: &str, thick: f32, limit_name: &str, limit: f32) -> Option<NodeFault> {
     (thick >= limit).then(|| {
         NodeFault::new(

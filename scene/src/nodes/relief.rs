@@ -1,15 +1,15 @@
-//! What is added to a distance, and where it need not be looked at.
+//! Bounds of a displacement, and the region where it need not be evaluated.
 
 use crate::real::Real;
 use crate::seek::Renew;
 
-/// No Lipschitz factor is said to be more, so that products with it have an end.
+/// Maximum Lipschitz factor, so that products with it stay finite.
 pub(super) const STEEPEST: f32 = 1e18;
 
-/// No quotient without an end: a relief with less slope is looked at everywhere.
+/// Minimum slope, so that quotients stay finite: a displacement with less is evaluated everywhere.
 const LEAST_STEEPENING: f32 = 1e-18;
 
-/// The least and the greatest that is added to a distance, and how much steeper that may make it.
+/// Range of the values added to a distance, and the slope that they may add.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Relief {
     low: f32,
@@ -35,8 +35,8 @@ impl PartialEq for FoundRelief {
 }
 
 impl Relief {
-    /// What adds something from one of `ends` to the other, and makes the distance up to 1 + `steepening`
-    /// times as steep.
+    /// Displacement by values from one of `ends` to the other, which makes the distance up to 1 +
+    /// `steepening` times as steep.
     pub(super) fn new(ends: [f32; 2], steepening: f32) -> Self {
         let steepening = steepening.min(STEEPEST);
         let (low, high) = (ends[0].min(ends[1]), ends[0].max(ends[1]));
@@ -44,16 +44,17 @@ impl Relief {
         Self { low, high, steepness: 1.0 + steepening, reach: reach * 1.000_1 }
     }
 
-    /// How far what is at a distance of `level` may be from where nothing was added.
+    /// Maximum distance, from the undisplaced surface, of points at a displaced distance of `level`.
     pub(super) fn level(self, level: f32) -> f32 {
         (level - self.low).max(0.0)
     }
 
     /// `distance` plus `amount`, held between steepness · (distance + low) and steepness · (distance + high).
     ///
-    /// Neither end is steeper than the sum may be, and each has the sign of the sum wherever it takes its
-    /// place: the surface stays where it is, a step may be as long as the way to the nearest place where there can be any,
-    /// and beyond `reach` from the middle the ends alone count, so nobody asks for the amount there.
+    /// Neither end is steeper than the sum may be, and each has the sign of the sum wherever it replaces
+    /// it: the surface does not move, and a step may be as long as the distance to the nearest
+    /// displacement. Beyond `reach` from the middle only the ends are used, and the amount is not
+    /// evaluated.
     #[inline(always)]
     pub(super) fn added<R: Real>(self, distance: R, amount: impl FnOnce() -> R) -> R {
         let (middle, half) = ((self.low + self.high) * 0.5, (self.high - self.low) * 0.5);

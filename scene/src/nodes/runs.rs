@@ -1,8 +1,8 @@
-//! Boxes around runs of a union's shapes: a run that is further away than what has been found
-//! need not be looked at.
+//! Bounding volume hierarchy over a union's shapes: a BVH node farther away than the nearest result so far is
+//! skipped.
 //!
-//! A skipped run leaves the least distance as it is, which is never more than the distance to its
-//! shapes: no ray passes a surface. Every arithmetic skips alike, so the bits stay the same.
+//! Skipping a BVH node leaves the least distance unchanged, which is never more than the distance to its
+//! shapes: no ray passes a surface. Every arithmetic skips alike, so the results stay bit-identical.
 
 use std::ops::Range;
 
@@ -17,12 +17,12 @@ pub(crate) const RUN_NODES: u32 = 8;
 #[derive(Clone, Debug)]
 pub(super) struct Run {
     pub(super) shapes: Range<usize>,
-    /// A box that holds them, if that is worth a look.
+    /// Box around them, if skipping is worthwhile.
     pub(super) bounds: Option<Bounds>,
     pub(super) halves: Option<Box<[Run; 2]>>,
 }
 
-/// The runs of a list; none until they have been found. They say nothing that the list does not.
+/// Hierarchy of a list; empty until it is built. Ignored by comparisons, because it follows from the list.
 #[derive(Clone, Debug, Default)]
 pub struct Runs(pub(super) Option<Box<Run>>);
 
@@ -39,10 +39,10 @@ impl PartialEq for Runs {
 }
 
 impl Runs {
-    /// The runs of all shapes but the first; none where no run is worth a look.
+    /// Hierarchy of all shapes but the first; empty if skipping is not worthwhile.
     pub(super) fn of(shapes: &[Node], moves: bool) -> Self {
         let all = (shapes.len() > 1).then(|| run(shapes, 1..shapes.len(), moves));
-        // In a box of its own, so that nodes stay small.
+        // Boxed, so that nodes stay small.
         Self(all.filter(Run::has_bounds).map(Box::new))
     }
 }
@@ -64,8 +64,8 @@ fn run(shapes: &[Node], range: Range<usize>, moves: bool) -> Run {
     Run { shapes: range, bounds: bounds.filter(|_| nodes >= RUN_NODES), halves }
 }
 
-/// A shape's box, if it has an end in every direction. Where the job moves there is one in any case:
-/// what has no end in one frame, a tilted plane say, may have one in the next.
+/// A shape's box, if it is bounded in every direction. If the job is animated there is always one: a shape
+/// without bounds in one frame, for example a tilted plane, may have them in the next.
 fn worthwhile_bounds(shape: &Node, moves: bool) -> Option<Bounds> {
     let bounds = shape.bounds(0.0);
     if moves { Some(bounds.ended()) } else { Some(bounds).filter(|bounds| bounds.is_finite()) }

@@ -1,9 +1,9 @@
-//! What a node gives at a point: a bare distance while marching, with materials once a ray has hit.
+//! Value of a node at a point: a bare distance while marching, with materials once a ray has hit.
 
 use super::Node;
 use crate::real::{Real, Vec3, vec3};
 
-/// What a node gives at a point.
+/// Value of a node at a point.
 pub trait Sample<R: Real>: Clone {
     /// A value with this distance and the object's own material.
     fn new(distance: R) -> Self;
@@ -14,7 +14,7 @@ pub trait Sample<R: Real>: Clone {
     /// The same surface at another distance.
     fn at(self, distance: R) -> Self;
 
-    /// Two surfaces made one at `distance`; the second has the share that `second` tells, 0 to 1.
+    /// Two surfaces combined at `distance`; the second has the weight that `second` returns, 0 to 1.
     fn blend(self, other: Self, distance: R, second: impl FnOnce() -> R) -> Self;
 
     /// Combines this value with a shape that is at least `lower_bound` away. May return `self` without calling `combine` if that shape cannot be nearer.
@@ -23,8 +23,8 @@ pub trait Sample<R: Real>: Clone {
     /// The surface of `node` as `place` sees it, where its distance is known already.
     fn found(node: &Node, place: Vec3<R>, distance: R) -> Self;
 
-    /// The same surface, wearing a material wherever nothing inside it says otherwise; `p` is where
-    /// the material's textures see the point.
+    /// The same surface with a material wherever no inner node names one; `p` is the point in the space
+    /// of the material's textures.
     fn paint(self, slot: u32, p: Vec3<R>) -> Self;
 }
 
@@ -74,14 +74,14 @@ impl<R: Real> Sample<R> for Distance<R> {
     }
 }
 
-/// A material's share of a surface.
+/// A material and its fraction of a surface.
 #[derive(Clone, Copy, Debug)]
 pub struct Coat<R> {
     /// The material's slot; `None` is the object's own.
     pub slot: Option<u32>,
-    /// Its share, 0 to 1.
+    /// Its fraction, 0 to 1.
     pub share: R,
-    /// Where its textures see the point; of a material in several places, that of the greatest share.
+    /// The point in its textures' space; for a material in several places, that of the greatest fraction.
     pub place: Vec3<R>,
 }
 
@@ -89,12 +89,12 @@ pub struct Coat<R> {
 #[derive(Clone, Debug)]
 pub struct Painted<R> {
     distance: R,
-    /// One entry a material; empty where nothing is painted, which is the common case.
+    /// One entry per material; empty if nothing is painted, which is the common case.
     coats: Vec<Coat<R>>,
 }
 
 impl<R: Real> Painted<R> {
-    /// The materials' shares; empty where nothing is painted.
+    /// The materials' fractions; empty if nothing is painted.
     pub fn coats(&self) -> &[Coat<R>] {
         &self.coats
     }
@@ -162,7 +162,7 @@ impl<R: Real> Sample<R> for Painted<R> {
     }
 }
 
-/// Adds a coat to those of the same material, or as a new one.
+/// Adds a fraction to that of the same material, or as a new one.
 #[inline(always)]
 fn add<R: Real>(coats: &mut Vec<Coat<R>>, new: Coat<R>) {
     for coat in coats.iter_mut() {

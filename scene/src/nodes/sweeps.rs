@@ -29,15 +29,15 @@ pub struct Extrude {
 
 /// A flat profile turned about the y axis.
 ///
-/// Inigo Quilez, "Distance functions": <https://iquilezles.org/articles/distfunctions/>. What of
-/// the profile comes to lie beyond the axis is cut away; the distance is then a bound, unless the
-/// profile is its own mirror image there.
+/// Inigo Quilez, "Distance functions": <https://iquilezles.org/articles/distfunctions/>. The part of the
+/// profile beyond the axis is cut away; the distance is then a bound, unless the profile is symmetric about
+/// the axis.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
 #[serde(deny_unknown_fields)]
 pub struct Revolve {
     /// The profile: its y is the axis, its x leads away from it.
     pub profile: Profile,
-    /// How far the profile's origin lies from the axis.
+    /// Distance of the profile's origin from the axis.
     #[serde(default = "on_axis")]
     pub offset: Coordinate,
 }
@@ -131,7 +131,7 @@ impl Primitive for Revolve {
     }
 }
 
-/// What is wrong with the profile, placed in the node around it.
+/// Error in the profile, with its pointer in the node around it.
 fn of_profile(profile: &Profile) -> Option<NodeFault> {
     let NodeFault { place, message } = profile.fault()?;
     Some(NodeFault::new(format!("profile/{}/{place}", profile.name()), message))

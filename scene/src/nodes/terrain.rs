@@ -1,4 +1,4 @@
-//! Land: a height over every place of a plane, from noise.
+//! Land: heights over a plane, from noise.
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -11,15 +11,15 @@ use crate::real::{Real, Vec3, vec3};
 use crate::seek::Seek;
 use crate::values::Length;
 
-/// Land that is solid below y = height · noise(x, 0, z); without `size` it has no end.
+/// Land that is solid below y = height · noise(x, 0, z); without `size` it is infinite.
 ///
-/// With a noise of Lipschitz factor L, y − height · noise has √(1 + (height·L)²).
+/// With a noise of Lipschitz factor L, the Lipschitz factor of y − height · noise is √(1 + (height·L)²).
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
 #[serde(deny_unknown_fields)]
 pub struct HeightField {
     /// The noise.
     pub noise: Noise,
-    /// How high the land is where the noise is 1.
+    /// Height of the land where the noise is 1.
     pub height: Length,
     /// Whole extents of the box around the origin that the land is cut to.
     #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -27,10 +27,11 @@ pub struct HeightField {
 }
 
 impl HeightField {
-    /// How much steeper than y the formula may be.
+    /// Lipschitz factor of the formula, less 1.
     fn steepening(&self) -> f32 {
         let slope = self.height.get() * self.noise.lipschitz();
-        // √(1 + slope²) − 1, without cancellation; no more than the slope, whose square may have no end.
+        // √(1 + slope²) − 1, without cancellation; for a large slope, whose square may overflow, the
+        // slope itself.
         if slope > 1e6 { slope } else { slope * slope / (1.0 + Real::sqrt(1.0 + slope * slope)) }
     }
 

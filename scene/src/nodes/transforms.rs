@@ -29,11 +29,11 @@ pub struct Rotate {
     pub child: Child,
 }
 
-/// A shape made larger or smaller, evenly.
+/// Scales a shape uniformly.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
 #[serde(deny_unknown_fields)]
 pub struct Scale {
-    /// How many times as large.
+    /// Scale factor.
     pub by: Factor,
     /// The shape.
     pub child: Child,

@@ -12,9 +12,9 @@ use crate::real::{Real, Vec3};
 use crate::seek::Seek;
 use crate::values::Coordinate;
 
-/// A shape looked at with each point shifted by three noises: domain warping, as in Inigo Quilez,
+/// A shape evaluated with each point shifted by three noises: domain warping, as in Inigo Quilez,
 /// <https://iquilezles.org/articles/warp/>. The noises are the given one with three seeds, each less the
-/// middle of its range.
+/// center of its range.
 ///
 /// The shift has no greater Lipschitz factor than |amplitude|·√3 times that of the noise.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
@@ -22,7 +22,7 @@ use crate::values::Coordinate;
 pub struct Warp {
     /// The noise.
     pub noise: Noise,
-    /// What the noises are multiplied with.
+    /// Factor of the noises.
     pub amplitude: Coordinate,
     /// The shape.
     pub child: Child,

@@ -1,22 +1,21 @@
-//! How long a node takes to be looked at, before anybody looks at it.
+//! Estimated cost of evaluating a node, without evaluating it.
 
 use super::{Exactness, Node};
 
-/// What noise at a point takes, in simple nodes.
+/// Cost of noise at a point, in simple nodes.
 const NOISE: f32 = 20.0;
-/// What a fractal takes.
+/// Cost of a fractal.
 const FRACTAL: f32 = 32.0;
 
 impl Node {
-    /// About how many simple nodes could be looked at instead, copies and all; without an end for copies of
-    /// copies of copies.
+    /// Approximate cost in simple nodes, copies included; infinite for deeply nested copies.
     pub(crate) fn work(&self) -> f32 {
         let inside: f32 = self.children().iter().map(Self::work).sum();
         let own = self.weight() as f32 + self.formula();
         if inside == 0.0 { own } else { own + inside * self.looks() }
     }
 
-    /// What its own formula takes beyond that of a simple node.
+    /// Cost of its own formula beyond that of a simple node.
     fn formula(&self) -> f32 {
         if let Self::Warp(_) = self {
             return 3.0 * NOISE;
@@ -28,7 +27,7 @@ impl Node {
         if is_fractal { FRACTAL } else { 0.0 }
     }
 
-    /// How often it looks at the nodes inside.
+    /// Number of evaluations of its children.
     fn looks(&self) -> f32 {
         if let Self::Repeat(repeat) = self {
             return repeat.looks();

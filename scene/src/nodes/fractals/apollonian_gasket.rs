@@ -23,13 +23,13 @@ use crate::values::Length;
 pub struct ApollonianGasket {
     /// Radius of the ball that is packed.
     pub radius: Length,
-    /// How many inversions lead to the smallest balls.
+    /// Number of inversions that lead to the smallest balls.
     #[schemars(range(min = 1, max = MAX_ITERATIONS))]
     #[serde(deserialize_with = "iterations")]
     pub iterations: u32,
 }
 
-/// Coordinates of the middle of the ball towards (1, 1, 1), where each of the four balls has radius 1.
+/// Coordinate of the center of the ball toward (1, 1, 1), where each of the four balls has radius 1.
 const BALL: f32 = std::f32::consts::FRAC_1_SQRT_2;
 /// Radius of the ball around all four: 1 + √(3/2).
 const HULL: f32 = 2.224_744_9;
@@ -43,7 +43,7 @@ const DEEP_SQUARED: f32 = 0.02;
 const FAR: f32 = -3.853_372_6;
 /// Square of that sphere's radius: 3·FAR² − HULL².
 const FAR_SQUARED: f32 = 39.595_917;
-/// How near to the hull the estimate counts, in radii of the hull.
+/// Distance from the hull within which the estimate is used, in radii of the hull.
 const MARGIN: f32 = 0.25;
 /// Further from anything than any ball.
 const NOWHERE: f32 = 1e3;
@@ -67,8 +67,8 @@ impl Primitive for ApollonianGasket {
         Exactness::Estimate
     }
 
-    /// The distance from a ball in its last place, over the derivative, against that from the ball it stands for:
-    /// tested, with all balls at hand.
+    /// Ratio of the estimate (distance from a ball at its last position over the derivative) to the
+    /// distance from the original ball: tested against a list of all balls.
     fn stretch(&self) -> f32 {
         1.25
     }
@@ -100,7 +100,8 @@ impl ApollonianGasket {
                 let is_deep = squared.below(DEEP_SQUARED);
                 let inner = one.splat(CORE_SQUARED) / squared.at_least(DEEP_SQUARED);
                 let inner = R::select(is_in_core & !is_deep, inner, one);
-                // From then on the hull stands for a ball inside; deep in that ball nothing need be turned.
+                // From then on the hull stands for a ball inside; deep in that ball no
+                // inversion is needed.
                 let hull = R::select(is_in_core, one.splat(HULL), hull);
                 let hull = R::select(is_deep, -one, hull);
                 let slope = (slope * outer * inner).at_most(LARGEST_SLOPE);
@@ -142,7 +143,7 @@ mod tests {
         }
     }
 
-    /// All balls that so many inversions make, but those smaller than `least`.
+    /// All balls made by `inversions` inversions, except those smaller than `least`.
     fn packing(inversions: u32, least: f32) -> Vec<Ball> {
         let mut mirrors = vec![ball([0.0; 3], 0.0, CORE_SQUARED.sqrt())];
         mirrors.extend(CORNERS.map(|corner| ball(corner, FAR, FAR_SQUARED.sqrt())));
@@ -196,7 +197,7 @@ mod tests {
                 let gap = |ball: &&Ball| (p - ball.middle).length() - ball.radius;
                 let nearest = solid.iter().map(gap).fold(f32::INFINITY, f32::min);
                 assert!(nearest > -1e-4 || value < 0.0, "{p:?} is {nearest} inside a ball, but {value} away");
-                // Where a ball too small to be listed is nearest, it decides the value.
+                // If a ball too small for the list is nearest, it decides the value.
                 if nearest > 1e-3 && value > 0.0 {
                     outside += 1;
                     worst = if value / nearest > worst.0 { (value / nearest, p) } else { worst };

@@ -2,8 +2,8 @@
 
 use crate::real::{Real, Vec3, vec3};
 
-/// The point and its mirror image across the plane between two corners of a tetrahedron, (1, 1, 1)
-/// and another: the one nearer to (1, 1, 1). `a` and `b` are the coordinates in which they differ.
+/// Of a point and its mirror image across the plane between two corners of a tetrahedron, (1, 1, 1) and
+/// another, the one nearer to (1, 1, 1). `a` and `b` are the coordinates in which the corners differ.
 #[inline(always)]
 fn to_corner<R: Real>(a: R, b: R) -> (R, R) {
     let is_beyond = (a + b).below(0.0);

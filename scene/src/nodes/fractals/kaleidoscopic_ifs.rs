@@ -11,19 +11,19 @@ use crate::real::{Real, Vec3, vec3};
 use crate::seek::Seek;
 use crate::values::{GrowthFactor, Point, Rotation};
 
-/// A kaleidoscopic iterated function system: turn, fold, turn, and grow about a point, again and again.
+/// A kaleidoscopic iterated function system: rotate, fold, rotate, and grow about a point, repeatedly.
 ///
-/// Knighty's, <http://www.fractalforums.com/sierpinski-gasket/kaleidoscopic-(escape-time-ifs)/>, as in
-/// Mikael Christensen, "Distance Estimated 3D Fractals", part III:
-/// <http://blog.hvidtfeldts.net/index.php/2011/08/distance-estimated-3d-fractals-iii-folding-space/>.
-/// What is left at the end are balls as large as the ball that holds it all, over scaleⁿ. A bound: every
-/// step but the growth keeps lengths.
+/// Knighty's, <http://www.fractalforums.com/sierpinski-gasket/kaleidoscopic-(escape-time-ifs)/>, as in Mikael
+/// Christensen, "Distance Estimated 3D Fractals", part III:
+/// <http://blog.hvidtfeldts.net/index.php/2011/08/distance-estimated-3d-fractals-iii-folding-space/>. After
+/// the last iteration, balls remain: the bounding ball scaled down by scaleⁿ. A bound: every step except the
+/// growth preserves lengths.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
 #[serde(deny_unknown_fields)]
 pub struct KaleidoscopicIfs {
-    /// Where space is folded.
+    /// Planes in which space is folded.
     pub folds: KaleidoscopicFolds,
-    /// How much each iteration grows: 2 and 3 give the classical shapes.
+    /// Growth of each iteration: 2 and 3 give the classical shapes.
     pub scale: GrowthFactor,
     /// The point that stays in its place. The ball around the origin through it holds the shape.
     pub offset: Point,
@@ -33,13 +33,13 @@ pub struct KaleidoscopicIfs {
     /// A rotation after the folds.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub turn_after: Option<Rotation>,
-    /// How often all of it is done.
+    /// Number of iterations.
     #[schemars(range(min = 1, max = MAX_ITERATIONS))]
     #[serde(deserialize_with = "iterations")]
     pub iterations: u32,
 }
 
-/// The planes in which a kaleidoscopic system folds space.
+/// Planes in which a kaleidoscopic system folds space.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema, Seek)]
 #[serde(rename_all = "snake_case")]
 pub enum KaleidoscopicFolds {
@@ -47,7 +47,8 @@ pub enum KaleidoscopicFolds {
     Tetrahedral,
     /// All mirrors of a cube: with offset (1, 0, 0), Sierpiński's octahedron.
     Octahedral,
-    /// The same and one between the middle and the end of an edge: with scale 3 and offset (1, 1, 1), Menger's sponge.
+    /// Those of a tetrahedron, and one between the middle and the end of an edge: with scale 3 and offset
+    /// (1, 1, 1), Menger's sponge.
     MengerLike,
 }
 
@@ -64,7 +65,8 @@ impl Primitive for KaleidoscopicIfs {
     fn distance<R: Real>(&self, p: Vec3<R>) -> R {
         let offset = self.offset.get();
         let scale = self.scale.get();
-        // Space stays as it is, and the step of each iteration shrinks: nothing grows out of range.
+        // Space is not scaled; the step of each iteration shrinks instead, so that nothing grows out
+        // of range.
         let share = (scale - 1.0) / scale;
         let step = Vec3::given(p.x, offset.map(|c| c * share));
         let shrink = p.x.given(1.0 / scale);
@@ -105,7 +107,8 @@ impl Primitive for KaleidoscopicIfs {
     }
 
     fn bounds(&self, level: f32) -> Bounds {
-        // A step grows a length by scale and takes |offset|·(scale − 1): beyond |offset| nothing comes back.
+        // A step multiplies a length by scale and subtracts |offset|·(scale − 1): beyond |offset| no
+        // orbit returns.
         let reach = self.reach() + level;
         Bounds::symmetric(reach, reach, reach)
     }

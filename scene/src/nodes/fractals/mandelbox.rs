@@ -11,7 +11,7 @@ use crate::real::{Real, Vec3, vec3};
 use crate::seek::Seek;
 use crate::values::{Length, MandelboxScale};
 
-/// The Mandelbox: fold at the sides of a cube, turn inside out at a sphere, grow, add the point.
+/// The Mandelbox: fold at the sides of a cube, invert in a sphere, grow, add the point.
 ///
 /// Tom Lowe's, <https://sites.google.com/site/mandelbox/what-is-a-mandelbox>; the distance estimate by a
 /// running derivative is that of Buddhi and Rrrola, as in Mikael Christensen, "Distance Estimated 3D
@@ -21,28 +21,28 @@ use crate::values::{Length, MandelboxScale};
 pub struct Mandelbox {
     /// Edge of the cube that holds it. All other lengths are in the formula's own units.
     pub size: Length,
-    /// How much each iteration grows: 2 and −1.5 are the best known.
+    /// Growth of each iteration: 2 and −1.5 are the best known.
     pub scale: MandelboxScale,
-    /// How often the formula is applied at most: the finer the deeper.
+    /// Maximum number of iterations: more give finer detail.
     #[schemars(range(min = 1, max = MAX_ITERATIONS))]
     #[serde(deserialize_with = "iterations")]
     pub iterations: u32,
-    /// Where coordinates are folded back.
+    /// Coordinate at which space is folded.
     #[serde(default = "one")]
     pub fold: Length,
     /// Inside a ball of this radius the sphere fold is a plain growth.
     #[serde(default = "half")]
     pub min_radius: Length,
-    /// Radius of the sphere that turns inside out what is between it and the inner ball.
+    /// Radius of the sphere that inverts the shell between it and the inner ball.
     #[serde(default = "one")]
     pub fixed_radius: Length,
 }
 
-/// Where a point has escaped, in folds.
+/// Escape radius, in folds.
 const ESCAPE_RADIUS: f32 = 40.0;
-/// Where a point that has not escaped is on the surface, in folds.
+/// Distance at which a point that has not escaped counts as on the surface, in folds.
 const SURFACE_RADIUS: f32 = 2.0;
-/// How near to the cube the estimate counts, in half edges.
+/// Distance from the cube within which the estimate is used, in half edges.
 const MARGIN: f32 = 0.25;
 
 impl Primitive for Mandelbox {

@@ -11,8 +11,8 @@ use crate::real::{Real, Vec3, vec3};
 use crate::seek::Seek;
 use crate::values::{Coordinate, Length};
 
-/// A square piece of the Mandelbrot set as a slab that stands on the plane y = 0: seen from above with
-/// −z up the page, real numbers run along x and imaginary ones up.
+/// A square part of the Mandelbrot set as a slab on the plane y = 0: seen from above with −z up the page, the
+/// real axis runs along x and the imaginary axis up.
 ///
 /// The distance in the plane is estimated from the potential G and its slope: it is at least
 /// (1 − e⁻²ᴳ)/(4·|G′|), hence at least ½·G/((1 + 2·G)·|G′|), with G = ln |z|/2ⁿ and |G′| = |z′|/(|z|·2ⁿ).
@@ -24,7 +24,7 @@ use crate::values::{Coordinate, Length};
 pub struct MandelbrotRelief {
     /// Edge of the square, in scene units.
     pub size: Length,
-    /// How high it stands, in scene units.
+    /// Height of the slab, in scene units.
     pub height: Length,
     /// The complex number in its middle: real and imaginary part, within ±2.
     #[serde(default = "middle_of_the_set")]
@@ -32,7 +32,7 @@ pub struct MandelbrotRelief {
     /// Edge of the square in the complex plane, from 0.0001 to 8: the smaller the closer.
     #[serde(default = "width_of_the_set")]
     pub width: Length,
-    /// How often z → z² + c is applied at most: the finer the deeper.
+    /// Maximum number of iterations of z → z² + c: more give finer detail.
     #[schemars(range(min = 1, max = MAX_ITERATIONS))]
     #[serde(deserialize_with = "iterations")]
     pub iterations: u32,
@@ -42,9 +42,9 @@ pub struct MandelbrotRelief {
 const ESCAPE_SQUARED: f32 = 256.0;
 /// Logarithm of that radius.
 const ESCAPE_LOGARITHM: f32 = 2.772_588_7;
-/// Keeps the square of a derivative within what a quotient may have below it.
+/// Keeps the square of a derivative within the range of a divisor.
 const LARGEST_SLOPE: f32 = 1e14;
-/// How near to its box the estimate counts, in widths.
+/// Distance from its box within which the estimate is used, in widths.
 const MARGIN: f32 = 0.25;
 
 impl Primitive for MandelbrotRelief {
@@ -98,7 +98,8 @@ impl MandelbrotRelief {
         let unit = x.given(self.width.get() / self.size.get());
         let (cx, cy) = (x.mul_add(unit, x.given(real)), x.given(imaginary) - z * unit);
         let one = x.splat(1.0);
-        // What has not escaped by the last iteration is the solid: its potential is up to ln E/2ᴺ.
+        // Points that have not escaped by the last iteration are solid: their potential is at most ln
+        // E/2ᴺ.
         let level = x.given(ESCAPE_LOGARITHM * halved(self.iterations));
         let start = ((cx, cy), (one, one.splat(0.0)), cx.square_add(cy.square()), level, one);
         let (_, (dx, dy), squared, level, share) = R::repeat(
@@ -116,7 +117,7 @@ impl MandelbrotRelief {
             },
         );
         let squared = squared.at_least(1e-12);
-        // Both in units of this iteration's share of the potential.
+        // Both in units of this iteration's fraction of the potential.
         let above = squared.ln() * 0.5 - level;
         let slope = dx.square_add(dy.square()).at_least(1.0);
         let bound = above / (share * above.at_least(0.0) * 2.0 + 1.0);
@@ -130,7 +131,7 @@ fn halved(times: u32) -> f32 {
     1.0 / (1_u64 << times.min(63)) as f32
 }
 
-/// A part of a derivative, kept where its square is a number.
+/// Component of a derivative, clamped so that its square is finite.
 #[inline(always)]
 fn limited<R: Real>(slope: R) -> R {
     slope.at_most(LARGEST_SLOPE).at_least(-LARGEST_SLOPE)

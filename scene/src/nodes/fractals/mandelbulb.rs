@@ -25,7 +25,7 @@ use crate::values::{Point, Power};
 pub struct Mandelbulb {
     /// The power n.
     pub power: Power,
-    /// How often the formula is applied at most: the finer the deeper.
+    /// Maximum number of iterations: more give finer detail.
     #[schemars(range(min = 1, max = MAX_ITERATIONS))]
     #[serde(deserialize_with = "iterations")]
     pub iterations: u32,
@@ -34,13 +34,13 @@ pub struct Mandelbulb {
     pub julia: Option<Point>,
 }
 
-/// Where a point has escaped.
+/// Escape radius.
 const ESCAPE_RADIUS: f32 = 2.0;
-/// Where an orbit of a Julia set has escaped; its power of 32 still has a square.
+/// Escape radius of a Julia set, whose 32nd power still has a finite square.
 const JULIA_ESCAPE_RADIUS: f32 = 3.0;
 /// Logarithm of that radius.
 const JULIA_ESCAPE_LOGARITHM: f32 = 1.098_612_3;
-/// How near to the ball that holds a Julia set the estimate counts.
+/// Distance from the bounding ball of a Julia set within which the estimate is used.
 const MARGIN: f32 = 0.25;
 /// A constant this long keeps every Julia set well within the escape radius.
 const LONGEST_CONSTANT: f32 = 1.5;
@@ -83,7 +83,7 @@ impl Primitive for Mandelbulb {
     }
 
     fn bounds(&self, level: f32) -> Bounds {
-        // Inside the ball of escape the estimate says little about how far the surface is.
+        // Inside the escape ball the estimate hardly depends on the distance to the surface.
         let ball = self.bounding_radius();
         let radius = if level > 0.0 { (ball + level).max(ESCAPE_RADIUS) } else { ball };
         Bounds::symmetric(radius, radius, radius)
@@ -127,14 +127,15 @@ impl Mandelbulb {
         R::select(away.above(ESCAPE_RADIUS), estimate.min(away - away.given(self.bounding_radius())), estimate)
     }
 
-    /// The estimate for a Julia set. Orbits part by at most n·rⁿ⁻¹ along a meridian, and around the axis
-    /// as much as they come away from it.
+    /// Estimate for a Julia set. Orbits diverge by at most n·rⁿ⁻¹ along a meridian, and around the axis
+    /// in proportion to their distance from it.
     #[inline(always)]
     fn of_julia_set<R: Real>(&self, p: Vec3<R>, constant: Vec3<R>) -> R {
         let one = p.x.splat(1.0);
         let whole = self.power.get() as u32;
         let power = one.given(self.power.get());
-        // What has not escaped by the last iteration is the solid: its potential is up to ln E/nᴺ.
+        // Points that have not escaped by the last iteration are solid: their potential is at most ln
+        // E/nᴺ.
         let share = Real::powf(self.power.get(), -(self.iterations as f32));
         let level = one.given(JULIA_ESCAPE_LOGARITHM * share);
         let (_, radius, slope, level) = R::repeat(
@@ -185,12 +186,12 @@ struct Turned<R> {
     next: Vec3<R>,
     /// rⁿ⁻¹.
     growth: R,
-    /// How many times as far from the axis zⁿ is as z.
+    /// Ratio of the distances of zⁿ and z from the axis.
     around: R,
 }
 
-/// The same for a whole power, which needs no angles: (z + iρ)ⁿ is rⁿ(cos nθ + i sin nθ), and
-/// the unit number (x + iy)/ρ to the power n is cos nφ + i sin nφ, by de Moivre's formula.
+/// Power for integers, which needs no angles: (z + iρ)ⁿ is rⁿ(cos nθ + i sin nθ), and the unit number (x +
+/// iy)/ρ to the power n is cos nφ + i sin nφ, by de Moivre's formula.
 #[inline(always)]
 fn turned_by_products<R: Real>(z: Vec3<R>, radius: R, power: u32, p: Vec3<R>) -> Turned<R> {
     let from_axis = z.x.square_add(z.y.square()).sqrt();
@@ -207,7 +208,7 @@ fn turned_by_products<R: Real>(z: Vec3<R>, radius: R, power: u32, p: Vec3<R>) ->
     Turned { next, growth, around: (across * per_axis).abs() }
 }
 
-/// The real and imaginary parts of a + bi to a whole power, 1 or more.
+/// Real and imaginary part of a + bi to an integer power, 1 or more.
 #[inline(always)]
 fn complex_power<R: Real>(number: (R, R), power: u32) -> (R, R) {
     by_squares(
@@ -218,7 +219,7 @@ fn complex_power<R: Real>(number: (R, R), power: u32) -> (R, R) {
     )
 }
 
-/// The product of `power` times `base`, 1 or more, by repeated squaring.
+/// Product of `power` factors `base`, 1 or more, by repeated squaring.
 #[inline(always)]
 fn by_squares<T: Copy>(base: T, power: u32, product: impl Fn(T, T) -> T) -> T {
     let mut result = base;

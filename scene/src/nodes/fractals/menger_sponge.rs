@@ -13,15 +13,15 @@ use crate::values::Length;
 
 /// The Menger sponge: a cube from which crosses of square bars are taken, smaller and smaller ones.
 ///
-/// After Inigo Quilez, "Menger fractal": <https://iquilezles.org/articles/menger/>; cells are found
-/// by reflections, which leave no seams. A bound: the greatest of the distances to the cube and into
-/// the bars, each of which grows no faster than space.
+/// After Inigo Quilez, "Menger fractal": <https://iquilezles.org/articles/menger/>; cells are found by
+/// reflections, which leave no seams. A bound: the greatest of the distances to the cube and into the bars,
+/// each with Lipschitz factor 1.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
 #[serde(deny_unknown_fields)]
 pub struct MengerSponge {
     /// The cube's edge.
     pub size: Length,
-    /// How many sizes of bars are taken away.
+    /// Number of sizes of bars that are removed.
     #[schemars(range(min = 1, max = MAX_ITERATIONS))]
     #[serde(deserialize_with = "iterations")]
     pub iterations: u32,
@@ -52,7 +52,7 @@ impl Primitive for MengerSponge {
                     |c| c.min((c - third).abs()),
                 );
                 let third = third * (1.0 / 3.0);
-                // Where smaller bars cannot reach as far, they do not matter.
+                // Smaller bars have no effect where they cannot reach that far.
                 (distance.lt(third * 0.5), (place, third, distance))
             },
         );

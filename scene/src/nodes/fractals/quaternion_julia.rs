@@ -22,7 +22,7 @@ use crate::values::Coordinate;
 pub struct QuaternionJulia {
     /// The quaternion c: its real part, along x, and its parts along y, z and the direction that is not seen; no longer than 2.
     pub c: [Coordinate; 4],
-    /// How often the formula is applied at most: the finer the deeper.
+    /// Maximum number of iterations: more give finer detail.
     #[schemars(range(min = 1, max = MAX_ITERATIONS))]
     #[serde(deserialize_with = "iterations")]
     pub iterations: u32,
@@ -34,7 +34,7 @@ const ESCAPE_SQUARED: f32 = 256.0;
 const ESCAPE_LOGARITHM: f32 = 5.545_177_5;
 /// Keeps the square of a derivative where a quotient by it still has a root.
 const LARGEST_SLOPE_SQUARED: f32 = 1e26;
-/// How near to the ball that holds it the estimate counts.
+/// Distance from the bounding ball within which the estimate is used.
 const MARGIN: f32 = 0.25;
 
 impl Primitive for QuaternionJulia {
@@ -79,7 +79,8 @@ impl QuaternionJulia {
         let imaginary = Vec3::given(p.x, vec3(x, y, z));
         let start = vec3(p.y, p.z, p.x.splat(0.0));
         let squared = p.length_squared();
-        // What has not escaped by the last iteration is the solid: its potential is up to ln E/2ᴺ.
+        // Points that have not escaped by the last iteration are solid: their potential is at most ln
+        // E/2ᴺ.
         let level = p.x.given(ESCAPE_LOGARITHM / (1_u64 << self.iterations.min(63)) as f32);
         let (_, _, squared, slope, level) = R::repeat(
             self.iterations,

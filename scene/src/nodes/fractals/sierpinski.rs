@@ -14,15 +14,15 @@ use crate::values::Length;
 /// The Sierpiński tetrahedron: four of half the size at the corners, and each of them again.
 ///
 /// By folds as in Mikael Christensen, "Distance Estimated 3D Fractals", part III:
-/// <http://blog.hvidtfeldts.net/index.php/2011/08/distance-estimated-3d-fractals-iii-folding-space/>,
-/// with a whole tetrahedron at the end. Exact: the quarter of space around a corner holds the
-/// tetrahedron there, and the other three are its mirror images.
+/// <http://blog.hvidtfeldts.net/index.php/2011/08/distance-estimated-3d-fractals-iii-folding-space/>, with a
+/// whole tetrahedron at the end. Exact: the quarter of space around a corner contains the tetrahedron there,
+/// and the other three are its mirror images.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
 #[serde(deny_unknown_fields)]
 pub struct Sierpinski {
     /// Edge of the cube that four of its corners are the tetrahedron's; one of them is where x, y and z are greatest.
     pub size: Length,
-    /// How often the tetrahedra are divided.
+    /// Number of subdivisions of the tetrahedra.
     #[schemars(range(min = 1, max = MAX_ITERATIONS))]
     #[serde(deserialize_with = "iterations")]
     pub iterations: u32,
@@ -35,7 +35,7 @@ impl Primitive for Sierpinski {
     #[inline(always)]
     fn distance<R: Real>(&self, p: Vec3<R>) -> R {
         let half = p.x.given(self.size.get() * 0.5);
-        // Below this no f32 tells one tetrahedron from the next.
+        // Below this size no f32 distinguishes two neighboring tetrahedra.
         let finest = p.x.given(self.size.get() * 1e-8);
         let (place, half) = R::repeat(
             self.iterations,
@@ -58,8 +58,8 @@ impl Primitive for Sierpinski {
 
 /// The distance to the tetrahedron in a cube of this half edge, from a point whose nearest corner is that of (1, 1, 1).
 ///
-/// `high`, `middle`, `low` are the coordinates in order. The nearest edge then ends there and runs
-/// through `high` = half; across it the nearest face goes down.
+/// `high`, `middle`, `low` are the coordinates in descending order. The nearest edge ends there and runs
+/// through `high` = half; the nearest face is below it.
 #[inline(always)]
 fn tetrahedron<R: Real>(p: Vec3<R>, half: R) -> R {
     const PER_ROOT_2: f32 = std::f32::consts::FRAC_1_SQRT_2;
@@ -81,7 +81,7 @@ fn tetrahedron<R: Real>(p: Vec3<R>, half: R) -> R {
 mod tests {
     use super::*;
 
-    /// The least distance to any of the tetrahedra, found without folds of more than one.
+    /// Least distance to any of the tetrahedra, computed without folds of more than one.
     fn by_all(p: Vec3<f32>, half: f32, iterations: u32) -> f32 {
         const CORNERS: [[f32; 3]; 4] = [[1.0, 1.0, 1.0], [1.0, -1.0, -1.0], [-1.0, 1.0, -1.0], [-1.0, -1.0, 1.0]];
         if iterations == 0 {

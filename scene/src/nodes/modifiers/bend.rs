@@ -27,32 +27,32 @@ use crate::values::Degrees;
 
 /// g: how far the factor holds beyond the shape, and how soon the half-plane is felt.
 const GUARD: f32 = 0.125;
-/// How near to the circle's centre the shape may come, as a share of the radius.
+/// Minimum distance of the shape from the circle's center, as a fraction of the radius.
 const LEAST_RADIUS: f32 = 0.1;
 /// A curvature as good as none, in radians a unit.
 const STRAIGHT: f32 = 1e-6;
 
-/// A shape bent in the plane of x and y: its x axis becomes a circle through the origin, its ends going up.
+/// Bends a shape in the plane of x and y: its x axis becomes a circle through the origin, its ends go up.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
 #[serde(deny_unknown_fields)]
 pub struct Bend {
-    /// How far the direction turns for each scene unit along x; below 0 the ends go down.
+    /// Change of direction per scene unit along x; below 0 the ends go down.
     pub degrees_per_unit: Degrees,
-    /// The shape, which has an end along x and y and does not reach the circle's centre.
+    /// The shape, which must be bounded along x and y and must not reach the circle's center.
     pub child: Child,
-    /// What follows from these.
+    /// Derived from these.
     #[serde(skip)]
     #[schemars(skip)]
     arc: Cached<Arc>,
 }
 
-/// A piece of a ring that holds the bent shape. Up is towards the circle's centre.
+/// Piece of a ring that contains the bent shape. Up is toward the circle's center.
 #[derive(Clone, Debug)]
 struct Arc {
     /// −1 if the shape is bent down.
     up: f32,
     curvature: f32,
-    /// How high the shape is before it is bent.
+    /// Vertical range of the shape before bending.
     low: f32,
     high: f32,
     /// Middle and half of its extent along z.
@@ -60,7 +60,7 @@ struct Arc {
     half_z: f32,
     /// Sine and cosine of the angle at its end.
     end: (f32, f32),
-    /// How far it reaches along x, and how high, when bent.
+    /// Extent along x, and vertically, after bending.
     reach: f32,
     top: f32,
     stretch: f32,
@@ -77,7 +77,7 @@ impl Bend {
             let (low_y, high_y) = if up < 0.0 { (-high.y, -low.y) } else { (low.y, high.y) };
             let angle = (curvature * low.x.abs().max(high.x.abs())).min(PI);
             let (sin, cos) = Real::sin_cos(angle);
-            // (1 − cos a)/k, by half the angle, since a may be next to nothing.
+            // (1 − cos a)/k, by half the angle, because a may be close to 0.
             let half_sin = Real::sin(0.5 * angle);
             let rise = 2.0 * half_sin * half_sin / curvature;
             let widest = if angle < FRAC_PI_2 { sin } else { 1.0 };
@@ -114,10 +114,10 @@ impl Sdf for Bend {
     fn sample<R: Real, V: Sample<R>>(&self, p: Vec3<R>) -> V {
         let Arc { up, curvature, low, high, middle_z, half_z, end: (sin, cos), reach, top, stretch } = *self.arc();
         let (x, y) = (p.x, p.y * p.x.given(up));
-        // All in radii of the circle, seen from its centre.
+        // All in radii of the circle, relative to its center.
         let (across, down) = (x * p.x.given(curvature), y.mul_add(p.x.given(-curvature), p.x.given(1.0)));
         let away = across.square_add(down.square()).sqrt();
-        // 1/k − r, in a way that stays right where k is next to nothing.
+        // 1/k − r, in a form that stays accurate if k is close to 0.
         let height = (y + y - x.square_add(y.square()) * p.x.given(curvature)) / (away + 1.0);
         let along = across.atan2(down) * p.x.given(1.0 / curvature);
         let child: V = self.child.sample(vec3(along, height * p.x.given(up), p.z));

@@ -1,15 +1,15 @@
-//! What follows from a node's numbers, found once when it is first asked for.
+//! Values derived from a node's numbers, computed at the first use.
 
 use std::sync::OnceLock;
 
 use crate::seek::Renew;
 
-/// A value found once. It says nothing that the node's numbers do not: all are equal.
+/// Value computed once. All are equal, because they follow from the node's numbers.
 #[derive(Clone, Debug)]
 pub(super) struct Cached<T>(OnceLock<T>);
 
 impl<T> Cached<T> {
-    /// The value, from `find` if nobody has asked before.
+    /// The value, computed by `find` at the first call.
     #[inline(always)]
     pub(super) fn get(&self, find: impl FnOnce() -> T) -> &T {
         self.0.get_or_init(find)

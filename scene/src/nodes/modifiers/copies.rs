@@ -1,22 +1,22 @@
 //! The nearest of several copies of a shape.
 //!
-//! Copies are looked at in a loop, so that the shape's formula is there once however many they are.
-//! A copy whose box is further away than what has been found need not be looked at.
+//! Copies are evaluated in a loop, so that the shape's formula occurs once, whatever their number. A copy is
+//! skipped if its box is farther away than the nearest copy so far.
 
 use crate::bounds::Bounds;
 use crate::nodes::{Node, Sample};
 use crate::real::{Real, Vec3};
 
-/// A shape of fewer nodes is looked at as fast as its box.
+/// A shape with fewer nodes is evaluated as fast as its box.
 const BOX_NODES: u32 = 4;
 
-/// Coordinates and lengths end before this.
+/// Limit of finite coordinates and lengths.
 const FAR: f32 = 1e7;
 
-/// The nearest copy so far: its distance, and where its shape sees the point.
+/// The nearest copy so far: its distance, and the point in its shape's space.
 pub(super) type Nearest<R> = (R, Vec3<R>);
 
-/// A box that holds a shape and, if it is worth a look, says which copies are too far away.
+/// Box around a shape, with whether copies are skipped by it.
 #[derive(Clone, Debug)]
 pub(super) struct Held {
     pub(super) bounds: Bounds,
@@ -30,7 +30,7 @@ impl Held {
     }
 }
 
-/// A shape that has copies, and the box that holds it, if that is worth a look.
+/// Shape that is repeated, with its box if skipping is worthwhile.
 pub(super) struct Original<'a> {
     shape: &'a Node,
     bounds: Option<&'a Bounds>,
@@ -42,13 +42,13 @@ impl<'a> Original<'a> {
         Self { shape, bounds: held.is_looked_at.then_some(&held.bounds) }
     }
 
-    /// Before any copy has been looked at.
+    /// State before the first copy.
     #[inline(always)]
     pub(super) fn none<R: Real>(p: Vec3<R>) -> Nearest<R> {
         (p.x.splat(f32::MAX), p)
     }
 
-    /// The nearer of what was found and the copy that sees the point at `place`.
+    /// The nearer of the nearest copy so far and the copy for which the point is at `place`.
     #[inline(always)]
     pub(super) fn nearer<R: Real>(&self, place: Vec3<R>, found: Nearest<R>) -> Nearest<R> {
         match self.bounds {
@@ -69,22 +69,23 @@ impl<'a> Original<'a> {
         (R::select(nearer, distance, found.0), Vec3::select(nearer, place, found.1))
     }
 
-    /// What is seen of the nearest copy.
+    /// Value of the nearest copy.
     #[inline(always)]
     pub(super) fn sample<R: Real, V: Sample<R>>(&self, (distance, place): Nearest<R>) -> V {
         V::found(self.shape, place, distance)
     }
 }
 
-/// The box with an end in every direction, further away than anything.
+/// The box with finite ends, farther away than any point.
 pub(super) fn ended(bounds: Bounds) -> Bounds {
     let ended = |c: f32| c.clamp(-FAR, FAR);
     Bounds { low: bounds.low.map(ended), high: bounds.high.map(ended) }
 }
 
-/// How many copies, `spacing` apart, may be the nearest to a point by a shape so wide: for each point
-/// of the shape the nearest of its copies is at most half a spacing away, so that the middles of the
-/// copies lie within (width + spacing)/2 of the point. Rounding must not add one to a shape that fills its cell.
+/// Number of copies, `spacing` apart, of which one may be the nearest to a point, for a shape of this width.
+/// For each point of the shape the nearest of its copies is at most half a spacing away, so the centers of
+/// the copies lie within (width + spacing)/2 of the point. Rounding must not add a copy if the shape fills
+/// its cell.
 pub(super) fn within_reach(width: f32, spacing: f32) -> f32 {
     ((width / spacing + 1.0) * (1.0 - 1e-6)).ceil().max(1.0)
 }

@@ -1,4 +1,4 @@
-//! Shapes made longer: drawn apart in the middle, or stretched all over.
+//! Longer shapes: elongated in the middle, or stretched as a whole.
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -16,17 +16,17 @@ use crate::values::{Amount, Factor};
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
 #[serde(deny_unknown_fields)]
 pub struct Elongate {
-    /// How much longer it becomes along x, y and z.
+    /// Added length along x, y and z.
     pub by: [Amount; 3],
     /// The shape.
     pub child: Child,
 }
 
-/// A shape made larger or smaller along each axis by itself.
+/// Scales a shape along each axis separately.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
 #[serde(deny_unknown_fields)]
 pub struct Stretch {
-    /// How many times as large along x, y and z.
+    /// Factors along x, y and z.
     pub by: [Factor; 3],
     /// The shape.
     pub child: Child,
@@ -56,7 +56,7 @@ impl Sdf for Elongate {
     }
 }
 
-/// Where a coordinate was before the middle was drawn apart.
+/// Coordinate before elongation.
 #[inline(always)]
 fn drawn<R: Real>(c: R, by: &Amount) -> R {
     let half = c.given(0.5 * by.get());
@@ -89,7 +89,8 @@ impl Sdf for Stretch {
         child.at(distance)
     }
 
-    // Points come apart by at most 1/least, which the value is multiplied by: the child's factor remains.
+    // Distances grow by at most 1/least, by which the value is multiplied: the child's Lipschitz factor
+    // remains.
     around_child!();
 
     fn exactness(&self) -> Exactness {

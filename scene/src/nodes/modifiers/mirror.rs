@@ -18,12 +18,12 @@ use crate::values::{Coordinate, Direction};
 pub struct Mirror {
     /// A direction at right angles to the plane, of any length.
     pub normal: Direction,
-    /// How far along the normal the plane is from the origin.
+    /// Offset of the plane from the origin along the normal.
     #[serde(default = "nothing")]
     pub offset: Coordinate,
     /// The shape.
     pub child: Child,
-    /// What follows from these.
+    /// Derived from these.
     #[serde(skip)]
     #[schemars(skip)]
     sides: Cached<Sides>,
@@ -49,7 +49,8 @@ impl Mirror {
             let half = (bounds.high - bounds.low) * 0.5;
             let middle = Vec3::dot(normal, (bounds.high + bounds.low) * 0.5) - self.offset.get();
             let reach = Vec3::dot(normal.map(f32::abs), half);
-            // A box that touches is taken as one that crosses, and so is what rounding cannot tell from it.
+            // A box that touches the plane counts as crossing it, and so does one that rounding
+            // cannot distinguish from it.
             let is_apart = middle.abs() > reach * (1.0 + 1e-6);
             Sides { main: if middle < 0.0 { -1.0 } else { 1.0 }, is_apart, held }
         })
@@ -73,7 +74,8 @@ impl Sdf for Mirror {
     fn sample<R: Real, V: Sample<R>>(&self, p: Vec3<R>) -> V {
         let Sides { main, is_apart, ref held } = *self.sides();
         let original = Original::new(&self.child, held);
-        // Along the normal of the side where the shape is: the image of a point there is further away.
+        // Along the normal on the side of the shape: the mirror image of a point there is farther
+        // away.
         let normal = self.normal.unit() * main;
         let offset = self.offset.get() * main;
         let copies = p.x.given(if is_apart { 1.0 } else { 2.0 });
@@ -110,7 +112,7 @@ impl Sdf for Mirror {
     }
 }
 
-/// How far a point is above a plane.
+/// Height of a point above a plane.
 #[inline(always)]
 fn height<R: Real>(p: Vec3<R>, normal: Vec3<f32>, offset: f32) -> R {
     p.dot_known(normal) - p.x.given(offset)

@@ -1,8 +1,8 @@
 //! Copies in a ring, right across its sectors.
 //!
-//! For each point of a shape the nearest of its copies is the one at the nearest angle. So the copies
-//! that may be the nearest are those within half the shape's own angle and half a sector: two if the
-//! shape fits its sector, all if it reaches around the axis.
+//! For each point of a shape the nearest of its copies is the one at the nearest angle. So only copies within
+//! half the shape's own angle plus half a sector may be the nearest: two if the shape fits its sector, all if
+//! it reaches around the axis.
 
 use std::f32::consts::{PI, TAU};
 
@@ -20,20 +20,20 @@ use crate::values::whole;
 
 /// Copies of a ring.
 const MAX_COPIES: u32 = 10_000;
-/// Copies that are looked at for one point.
+/// Maximum number of copies evaluated for one point.
 const MAX_LOOKED_AT: u32 = 64;
 
 /// Copies of a shape in a ring about the y axis, one of them where the shape is.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
 #[serde(deny_unknown_fields)]
 pub struct PolarRepeat {
-    /// How many copies, evenly around the axis.
+    /// Number of copies, evenly spaced around the axis.
     #[serde(deserialize_with = "copies")]
     #[schemars(range(min = 1, max = MAX_COPIES))]
     pub count: u32,
     /// The shape, moved away from the axis.
     pub child: Child,
-    /// What follows from these.
+    /// Derived from these.
     #[serde(skip)]
     #[schemars(skip)]
     ring: Cached<Ring>,
@@ -44,9 +44,9 @@ pub struct PolarRepeat {
 struct Ring {
     /// The angle of its middle, in radians from x to z.
     middle: f32,
-    /// How wide it is, in radians.
+    /// Width, in radians.
     width: f32,
-    /// How many copies may be the nearest.
+    /// Number of copies that may be the nearest.
     reach: f32,
     /// Sine and cosine of a sector.
     turn: (f32, f32),
@@ -58,7 +58,7 @@ impl PolarRepeat {
         TAU / self.count as f32
     }
 
-    /// How often it looks at its child, at most.
+    /// Maximum number of evaluations of its child.
     pub(in crate::nodes) fn looks(&self) -> f32 {
         self.ring().reach
     }
@@ -79,7 +79,7 @@ fn angles(Bounds { low, high }: Bounds) -> (f32, f32) {
     if low.x <= 0.0 && high.x >= 0.0 && low.z <= 0.0 && high.z >= 0.0 {
         return (0.0, TAU);
     }
-    // Between finite ends, so that there is a middle; a box off the axis is less than half a turn wide.
+    // With finite ends, so that there is a center; a box off the axis is less than half a turn wide.
     let (x, z) = (0.5 * (low.x + high.x), 0.5 * (low.z + high.z));
     let from_middle =
         |(corner_x, corner_z): (f32, f32)| Real::atan2(x * corner_z - z * corner_x, x * corner_x + z * corner_z);
@@ -132,7 +132,8 @@ impl Sdf for PolarRepeat {
             Exactness::Exact if self.count == 1 || self.ring().width < self.sector() => Exactness::Exact,
             Exactness::Exact => Exactness::Bound,
             child @ (Exactness::Bound | Exactness::Estimate) if self.ring().reach == self.count as f32 => child,
-            // Where other copies come to be looked at, the value may leap: less than the distance it stays.
+            // The value may jump where the set of evaluated copies changes, but it stays less
+            // than the distance.
             Exactness::Bound | Exactness::Estimate => Exactness::Estimate,
         }
     }

@@ -1,8 +1,8 @@
 //! Copies on a grid, right across its cells: Inigo Quilez, "Domain repetition",
 //! <https://iquilezles.org/articles/sdfrepetition/>.
 //!
-//! Along each axis the copies that may be the nearest are looked at: two if the shape fits its cell,
-//! more if it reaches into others. Copies that are not looked at are further away.
+//! Along each axis only copies that may be the nearest are evaluated: two if the shape fits its cell, more if
+//! it reaches into others. The other copies are farther away.
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Deserializer, Serialize};
@@ -16,31 +16,31 @@ use crate::real::{Bundle, Real, Vec3, vec3};
 use crate::seek::Seek;
 use crate::values::{Spacing, whole};
 
-/// Cells that a shape may be wide.
+/// Maximum width of a shape, in cells.
 const MAX_CELLS: f32 = 4.0;
-/// Copies along an axis that are looked at for one point.
+/// Maximum number of copies along an axis evaluated for one point.
 const MAX_LOOKED_AT: u32 = 5;
 /// Copies along an axis.
 const MAX_COPIES: u32 = 1_000_000;
 
-/// Copies of a shape on a grid, without end or so many along each axis.
+/// Copies of a shape on a grid, infinitely many or a number along each axis.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
 #[serde(deny_unknown_fields)]
 pub struct Repeat {
     /// The distance from copy to copy along x, y and z; null where it is not repeated.
     pub cell: [Option<Spacing>; 3],
-    /// How many copies along x, y and z, all together centred where the shape is; null where they have no end.
+    /// Number of copies along x, y and z, centered on the shape; null for infinitely many.
     #[serde(default)]
     pub count: [Option<Copies>; 3],
     /// The shape, at most four cells wide.
     pub child: Child,
-    /// What follows from these.
+    /// Derived from these.
     #[serde(skip)]
     #[schemars(skip)]
     grid: Cached<Grid>,
 }
 
-/// How many copies along an axis.
+/// Number of copies along an axis.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, JsonSchema, Seek)]
 pub struct Copies(#[schemars(range(min = 1, max = MAX_COPIES))] u32);
 
@@ -63,13 +63,13 @@ struct Axis {
     cell: f32,
     /// The middle of the shape.
     middle: f32,
-    /// How wide the shape is.
+    /// Width of the shape.
     width: f32,
     /// A copy's place, in cells, is this more than a whole number: ½ if an even number straddles the middle.
     shift: f32,
-    /// The whole numbers of the last copies on either side, if they have an end.
+    /// Indices of the outermost copies, if their number is finite.
     ends: Option<(f32, f32)>,
-    /// How many copies are looked at.
+    /// Number of copies evaluated.
     looked_at: f32,
 }
 
@@ -90,14 +90,14 @@ impl Axis {
         }
     }
 
-    /// Where the first and the last copy are.
+    /// Offsets of the first and the last copy.
     fn reach(&self) -> (f32, f32) {
         let place = |end: f32| (end + self.shift) * self.cell;
         self.ends.map_or((-f32::INFINITY, f32::INFINITY), |(first, last)| (place(first), place(last)))
     }
 }
 
-/// Goes through the copies along an axis that may be the nearest, each with the coordinate `c` as it sees it.
+/// Visits the copies along an axis that may be the nearest, each with the coordinate `c` in its own space.
 #[inline(always)]
 fn along<R: Real, T: Bundle<R>>(axis: Option<&Axis>, c: R, found: T, mut visit: impl FnMut(R, T) -> T) -> T {
     let Some(axis) = axis else {
@@ -123,7 +123,7 @@ fn along<R: Real, T: Bundle<R>>(axis: Option<&Axis>, c: R, found: T, mut visit: 
 }
 
 impl Repeat {
-    /// How often it looks at its child, at most.
+    /// Maximum number of evaluations of its child.
     pub(in crate::nodes) fn looks(&self) -> f32 {
         self.grid().axes.iter().flatten().map(|axis| axis.looked_at).product()
     }
@@ -195,7 +195,8 @@ impl Sdf for Repeat {
                 Exactness::Exact
             }
             Exactness::Exact => Exactness::Bound,
-            // Where other copies come to be looked at, the value may leap: less than the distance it stays.
+            // The value may jump where the set of evaluated copies changes, but it stays less
+            // than the distance.
             Exactness::Bound | Exactness::Estimate => Exactness::Estimate,
         }
     }

@@ -1,4 +1,4 @@
-//! A shape made narrower or wider upwards.
+//! Shapes that narrow or widen upward.
 //!
 //! With f(y) the factor of the cross-section, the value is f·d(x/f, y, z/f). Where the shape's radius
 //! about the y axis is at most r, f times the map's derivative is the matrix (1, r·f'; 0, f) of the
@@ -19,8 +19,8 @@ use crate::real::{Real, Vec3, vec3};
 use crate::seek::Seek;
 use crate::values::{Coordinate, Factor};
 
-/// A shape whose width along x and z is multiplied by a factor that goes evenly from one at `bottom` to
-/// another at `top`, and stays as it is beyond.
+/// Multiplies a shape's width along x and z by a factor that changes evenly from `bottom` to `top`, and is
+/// constant beyond them.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
 #[serde(deny_unknown_fields)]
 pub struct Taper {
@@ -28,14 +28,14 @@ pub struct Taper {
     pub bottom: Coordinate,
     /// The y at which the factor is `top_factor`.
     pub top: Coordinate,
-    /// How many times as wide the shape is at the bottom.
+    /// Factor at the bottom.
     #[serde(default = "one")]
     pub bottom_factor: Factor,
-    /// How many times as wide the shape is at the top.
+    /// Factor at the top.
     pub top_factor: Factor,
-    /// The shape, which has an end along x and z.
+    /// The shape, which must be bounded along x and z.
     pub child: Child,
-    /// What follows from these.
+    /// Derived from these.
     #[serde(skip)]
     #[schemars(skip)]
     frustum: Cached<Frustum>,
@@ -44,15 +44,15 @@ pub struct Taper {
 /// A frustum that holds the shape.
 #[derive(Clone, Debug)]
 struct Frustum {
-    /// Of the shape as it is without a taper.
+    /// Radius of the shape without the taper.
     radius: f32,
     low: f32,
     high: f32,
-    /// How much the factor grows for each unit upwards.
+    /// Change of the factor per unit upward.
     slope: f32,
     /// Cosine of the angle between its side and the y axis: how far the side is for each unit across.
     slant: f32,
-    /// One over the greatest factor, if that is above 1: what the value is multiplied by.
+    /// One over the greatest factor if that is above 1, else 1: factor of the value.
     shrink: f32,
     /// The Lipschitz factor.
     stretch: f32,

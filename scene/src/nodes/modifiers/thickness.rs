@@ -1,4 +1,4 @@
-//! Shapes made thicker or hollow: surfaces at a distance from another.
+//! Thicker and hollow shapes: surfaces at a distance from another.
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};

@@ -1,9 +1,9 @@
 //! A shape wound about the y axis.
 //!
-//! A twist of k radians a unit shears what is r from the axis by k·r, which draws points apart by up to
-//! (k·r + √(k²r² + 4))/2, the greatest singular value of that shear. So the shape is asked only inside
-//! the cylinder that holds it, at the nearest point there; further out the distance to the cylinder,
-//! times that factor, takes over. Both change no faster than the factor says, and so does the greater.
+//! A twist of k radians per unit shears a point at radius r by k·r, which increases distances by a factor of
+//! up to (k·r + √(k²r² + 4))/2, the greatest singular value of that shear. So the shape is evaluated only
+//! inside its bounding cylinder, at the nearest point there; farther out, the distance to the cylinder times
+//! that factor is used. Both have that Lipschitz factor, and so does the greater of them.
 
 use std::f32::consts::TAU;
 
@@ -25,9 +25,9 @@ use crate::values::Degrees;
 pub struct Twist {
     /// By how much a point is turned for each scene unit that it is above the origin.
     pub degrees_per_unit: Degrees,
-    /// The shape, which has an end along x and z.
+    /// The shape, which must be bounded along x and z.
     pub child: Child,
-    /// What follows from these.
+    /// Derived from these.
     #[serde(skip)]
     #[schemars(skip)]
     cylinder: Cached<Cylinder>,
@@ -64,7 +64,7 @@ pub(super) fn radius_about_y(Bounds { low, high }: Bounds) -> f32 {
     Real::sqrt(x * x + z * z).max(1e-6)
 }
 
-/// What is wrong with a shape that has no end along an axis, if it is one of `axes`.
+/// Error for a shape that is unbounded along one of `axes`, if it is.
 pub(super) fn fault_unless_bounded(child: &Node, axes: &[char], what: &str) -> Option<NodeFault> {
     let Bounds { low, high } = child.bounds(0.0);
     let endless = axes.iter().find(|axis| {

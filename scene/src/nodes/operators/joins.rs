@@ -4,7 +4,7 @@
 //! <http://mercury.sexy/hg_sdf/>. Each seam is a function of the two distances alone. Intersection and
 //! difference are unions of what is outside, seen from there.
 //!
-//! Across the seam the second shape's share of the surface goes evenly from 0 to 1.
+//! Across the seam the second shape's weight changes linearly from 0 to 1.
 
 use std::f32::consts::{FRAC_1_SQRT_2, SQRT_2};
 
@@ -21,13 +21,13 @@ use crate::values::{Length, whole};
 /// Steps or columns of a seam.
 const MAX_ACROSS: u32 = 64;
 
-/// How shapes are joined.
+/// Kind of combination.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema, Seek)]
 #[serde(rename_all = "snake_case")]
 pub enum Join {
-    /// What is in any of the shapes.
+    /// The points inside any of the shapes.
     Union,
-    /// What is in all of the shapes.
+    /// The points inside all of the shapes.
     Intersection,
     /// The first shape without the others.
     Difference,
@@ -37,12 +37,12 @@ pub enum Join {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
 #[serde(deny_unknown_fields)]
 pub struct Chamfer {
-    /// How the shapes are joined.
+    /// How the shapes are combined.
     pub kind: Join,
-    /// The shapes, one or more, joined from the left.
+    /// The shapes, one or more, combined from the left.
     #[schemars(length(min = 1))]
     pub of: Vec<Node>,
-    /// How far from the seam the bevel starts, on either surface.
+    /// Distance from the seam at which the bevel starts, on either surface.
     pub size: Length,
 }
 
@@ -50,14 +50,14 @@ pub struct Chamfer {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
 #[serde(deny_unknown_fields)]
 pub struct Stairs {
-    /// How the shapes are joined.
+    /// How the shapes are combined.
     pub kind: Join,
-    /// The shapes, one or more, joined from the left.
+    /// The shapes, one or more, combined from the left.
     #[schemars(length(min = 1))]
     pub of: Vec<Node>,
-    /// How far from the seam the steps start, on either surface.
+    /// Distance from the seam at which the steps start, on either surface.
     pub size: Length,
-    /// How many edges stand out between the two surfaces.
+    /// Number of edges that protrude between the two surfaces.
     #[serde(deserialize_with = "across")]
     #[schemars(range(min = 1, max = MAX_ACROSS))]
     pub steps: u32,
@@ -67,21 +67,21 @@ pub struct Stairs {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
 #[serde(deny_unknown_fields)]
 pub struct Columns {
-    /// How the shapes are joined.
+    /// How the shapes are combined.
     pub kind: Join,
-    /// The shapes, one or more, joined from the left.
+    /// The shapes, one or more, combined from the left.
     #[schemars(length(min = 1))]
     pub of: Vec<Node>,
-    /// How far from the seam the columns start, on either surface.
+    /// Distance from the seam at which the columns start, on either surface.
     pub size: Length,
-    /// How many columns stand side by side.
+    /// Number of columns side by side.
     #[serde(deserialize_with = "across")]
     #[schemars(range(min = 1, max = MAX_ACROSS))]
     pub columns: u32,
 }
 
 impl Join {
-    /// Joins two shapes by the seam of a union, which gets two distances.
+    /// Combines two shapes by the seam of a union, given as a function of two distances.
     #[inline(always)]
     fn join<R: Real, V: Sample<R>>(self, a: V, b: V, size: &Length, seam: impl FnOnce(R, R) -> R) -> V {
         let (da, db) = match self {
@@ -238,8 +238,8 @@ impl Sdf for Stairs {
         )
     }
 
-    // With the zigzag's slope of ±1 the steps are ½(b + a ± (b − a)): they change as a or as b does,
-    // so the greatest factor of the shapes is that of the whole.
+    // With the zigzag's slope of ±1 the steps are ½(b + a ± (b − a)): they change like a or like b, so
+    // the greatest factor of the shapes is the factor of the whole.
     around_joined!();
 
     fn bounds(&self, level: f32) -> Bounds {
@@ -285,7 +285,7 @@ impl Sdf for Columns {
     #[inline(always)]
     fn sample<R: Real, V: Sample<R>>(&self, p: Vec3<R>) -> V {
         let (radius, depth) = self.row();
-        // The row is centred on the diagonal: there stands a column if their number is odd.
+        // The row is centered on the diagonal, with a column there if their number is odd.
         let start = if self.columns % 2 == 1 { 0.5 } else { 0.0 };
         joined(
             &self.of,
@@ -323,7 +323,7 @@ impl Sdf for Columns {
     }
 
     fn bounds(&self, level: f32) -> Bounds {
-        // No column reaches further than a bevel of the same size, a + b ≤ size + √2 level.
+        // No column extends farther than a bevel of the same size, a + b ≤ size + √2 level.
         let reach = |level: f32| level.max(self.size.get() * 0.5 + level * FRAC_1_SQRT_2);
         self.kind.bounds(&self.of, level, reach)
     }

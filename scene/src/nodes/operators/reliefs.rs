@@ -1,5 +1,5 @@
-//! Patterns worked into a shape's surface where another surface passes through it, and two shapes
-//! between which a third is found.
+//! Patterns carved into a shape where another surface passes through it, and interpolation between two
+//! shapes.
 //!
 //! Engraving, groove and tongue: Mercury, "`hg_sdf`: a GLSL library for building signed distance
 //! functions", <http://mercury.sexy/hg_sdf/>. The pattern's material is seen where it changes the shape.
@@ -17,38 +17,38 @@ use crate::real::{Real, Vec3};
 use crate::seek::Seek;
 use crate::values::{Length, Share};
 
-/// A shape with a V-shaped line cut into it where the pattern's surface meets its own.
+/// A shape with a V-shaped line cut into it where the pattern's surface intersects its own.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
 #[serde(deny_unknown_fields)]
 pub struct Engrave {
     /// The shape, then the pattern.
     #[schemars(length(min = 2, max = 2))]
     pub of: Vec<Node>,
-    /// How deep the line is cut, and half its width.
+    /// Depth of the line, and half its width.
     pub depth: Length,
 }
 
-/// A shape with a rectangular channel cut into it where the pattern's surface meets its own.
+/// A shape with a rectangular channel cut into it where the pattern's surface intersects its own.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
 #[serde(deny_unknown_fields)]
 pub struct Groove {
     /// The shape, then the pattern.
     #[schemars(length(min = 2, max = 2))]
     pub of: Vec<Node>,
-    /// How deep the channel is.
+    /// Depth of the channel.
     pub depth: Length,
     /// Whole width of the channel.
     pub width: Length,
 }
 
-/// A shape with a rectangular ridge on it where the pattern's surface meets its own.
+/// A shape with a rectangular ridge on it where the pattern's surface intersects its own.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
 #[serde(deny_unknown_fields)]
 pub struct Tongue {
     /// The shape, then the pattern.
     #[schemars(length(min = 2, max = 2))]
     pub of: Vec<Node>,
-    /// How high the ridge stands.
+    /// Height of the ridge.
     pub height: Length,
     /// Whole width of the ridge.
     pub width: Length,
@@ -58,14 +58,14 @@ pub struct Tongue {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
 #[serde(deny_unknown_fields)]
 pub struct Morph {
-    /// The shape to start from, then the shape to end at.
+    /// The first shape, then the last shape.
     #[schemars(length(min = 2, max = 2))]
     pub of: Vec<Node>,
-    /// How far from the first shape, at 0, to the second, at 1.
+    /// Position between the first shape, at 0, and the second, at 1.
     pub amount: Share,
 }
 
-/// What is wrong with a list that must hold two shapes; an empty one is told of anyway.
+/// Error for a list that does not have two shapes; an empty one is reported elsewhere.
 fn fault_unless_two(of: &[Node], name: &str, what: &str) -> Option<NodeFault> {
     let count = of.len();
     let shapes = if count == 1 { "shape" } else { "shapes" };

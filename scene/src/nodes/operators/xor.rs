@@ -1,4 +1,4 @@
-//! What is in an odd number of shapes.
+//! Exclusive or: the points inside an odd number of shapes.
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -11,7 +11,7 @@ use crate::nodes::{Exactness, Node, Sample, Sdf};
 use crate::real::{Real, Vec3};
 use crate::seek::Seek;
 
-/// What is in an odd number of the shapes: of two, in one and not in the other.
+/// The points inside an odd number of the shapes: of two, inside one and outside the other.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
 #[serde(deny_unknown_fields)]
 pub struct Xor {
@@ -44,8 +44,8 @@ impl Sdf for Xor {
     }
 }
 
-/// What is in one and not in the other: max(min(a, b), −max(a, b)), the nearer of the two surfaces
-/// with a sign of its own. That surface is the one that is seen.
+/// Exclusive or of two values: max(min(a, b), −max(a, b)), the nearer of the two surfaces with a sign of its
+/// own. That surface is the one that is seen.
 #[inline(always)]
 fn either<R: Real, V: Sample<R>>(a: V, b: V) -> V {
     let (da, db) = (a.distance(), b.distance());

@@ -108,7 +108,7 @@ pub struct GivenInfiniteCone {
     pub degrees: ConeAngle,
 }
 
-/// `GivenInfiniteCone`, ready to be looked at.
+/// `GivenInfiniteCone` with its derived values.
 pub type InfiniteCone = Prepared<GivenInfiniteCone>;
 
 impl Prepare for GivenInfiniteCone {
@@ -140,8 +140,8 @@ impl Primitive for InfiniteCone {
 
 /// Two balls on the y axis and the cone that touches both; the middle of its height is at the origin.
 ///
-/// Each point between the ends of the axis has a ball whose radius grows evenly; the value is the
-/// least distance to any of them. The shape is Inigo Quilez's, "Distance functions":
+/// Each point between the ends of the axis has a ball whose radius grows evenly; the value is the least
+/// distance to any of them. The shape is Inigo Quilez's, "Distance functions":
 /// <https://iquilezles.org/articles/distfunctions/>.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
 #[serde(deny_unknown_fields)]
@@ -163,7 +163,7 @@ impl Primitive for RoundCone {
     fn distance<R: Real>(&self, p: Vec3<R>) -> R {
         let (bottom, top, height) = (self.bottom_radius.get(), self.top_radius.get(), self.height.get());
         let apart = (height - bottom - top).max(0.0);
-        // How fast the radius grows along the axis: the sine of the angle between axis and side.
+        // Growth of the radius along the axis: the sine of the angle between axis and side.
         let growth = ((top - bottom) / apart.max(1e-12)).clamp(-1.0, 1.0);
         let slope = growth / Real::sqrt((1.0 - growth) * (1.0 + growth)).max(1e-6);
         let across = away_from_axis(p);
@@ -191,7 +191,7 @@ impl Primitive for RoundCone {
     }
 }
 
-/// What a cone with its apex at the origin, opening upwards, cuts out of a ball around it.
+/// The part of a ball inside a cone with its apex at the ball's center, opening upward.
 ///
 /// Inigo Quilez, "Distance functions": <https://iquilezles.org/articles/distfunctions/>.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
@@ -203,7 +203,7 @@ pub struct GivenSolidAngle {
     pub radius: Length,
 }
 
-/// `GivenSolidAngle`, ready to be looked at.
+/// `GivenSolidAngle` with its derived values.
 pub type SolidAngle = Prepared<GivenSolidAngle>;
 
 impl Prepare for GivenSolidAngle {

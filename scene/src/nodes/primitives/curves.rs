@@ -20,17 +20,17 @@ use crate::values::{Length, Point};
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
 #[serde(rename = "BezierTube", deny_unknown_fields)]
 pub struct GivenBezierTube {
-    /// Where the curve starts.
+    /// Start of the curve.
     pub a: Point,
-    /// Whereto it leaves from `a`, and whence it comes to `c`.
+    /// Control point: the curve leaves `a` toward it, and arrives at `c` from it.
     pub b: Point,
-    /// Where it ends.
+    /// End of the curve.
     pub c: Point,
     /// The radius.
     pub radius: Length,
 }
 
-/// `GivenBezierTube`, ready to be looked at.
+/// `GivenBezierTube` with its derived values.
 pub type BezierTube = Prepared<GivenBezierTube>;
 
 /// Newton's steps at most: enough for 10⁻⁵ of the curve's length on the sharpest bend.
@@ -43,7 +43,7 @@ const LAST_STEP: f32 = 1e-4;
 pub struct Curve {
     slope: Vec3<f32>,
     bend: Vec3<f32>,
-    /// The t where the parabola has its vertex, or the end next to it.
+    /// The t of the parabola's vertex, or the nearest end.
     vertex: f32,
     /// Slope and twice the bend, over the square of the curve's size.
     slope_over_size: Vec3<f32>,
@@ -71,7 +71,7 @@ impl Prepare for GivenBezierTube {
     }
 }
 
-/// The t where the parabola has its vertex, or the end next to it.
+/// The t of the parabola's vertex, or the nearest end.
 fn vertex(slope: Vec3<f32>, bend: Vec3<f32>) -> f32 {
     let (against, twice) = (-slope.dot(bend), 2.0 * bend.length_squared());
     if against <= 0.0 {
@@ -89,7 +89,7 @@ impl Curve {
         let velocity = self.slope + self.bend * (2.0 * self.vertex);
         let turn = self.slope.cross(self.bend).length() * 2.0;
         let speed = velocity.length();
-        // A curve in a line may turn back on itself: still a line.
+        // A curve along a line may turn back on itself: still a line.
         let straight = turn <= 1e-6 * (self.slope.length_squared() + self.bend.length_squared());
         if straight { f32::INFINITY } else { speed * speed * speed / turn }
     }
@@ -104,7 +104,8 @@ struct Cubic<R> {
 }
 
 impl<R: Real> Cubic<R> {
-    /// Its value, and one over how fast it rises; where it does not rise, a step by the latter leaves the curve.
+    /// Value of the cubic, and one over its derivative; where the derivative is 0, a step by the latter
+    /// leaves the curve.
     #[inline(always)]
     fn newton(&self, t: R) -> (R, R) {
         let value = self.third.mul_add(t, self.second).mul_add(t, self.first).mul_add(t, self.constant);
@@ -161,14 +162,15 @@ impl Primitive for BezierTube {
     }
 
     fn exactness(&self) -> Exactness {
-        // Where a bend is sharper than the tube is thick, the inside is deeper than the formula says.
+        // Where a bend is sharper than the tube is thick, the inside is deeper than the formula's
+        // value.
         if self.ready().least_bend_radius() >= self.radius.get() { Exactness::Exact } else { Exactness::Bound }
     }
 
     fn bounds(&self, level: f32) -> Bounds {
         let (a, c) = (self.a.get(), self.c.get());
         let &Curve { slope, bend, .. } = self.ready();
-        // Along an axis, the curve goes furthest where it stands still.
+        // Along an axis, the curve is farthest where its derivative is 0.
         let furthest = |a: f32, slope: f32, bend: f32| {
             let t = if bend == 0.0 { 0.0 } else { (-slope / (2.0 * bend)).clamp(0.0, 1.0) };
             a + t * (slope + t * bend)

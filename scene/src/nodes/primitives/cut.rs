@@ -10,7 +10,7 @@ use crate::real::{Real, Vec3, vec3};
 use crate::seek::Seek;
 use crate::values::{Coordinate, Length};
 
-/// What of a ball around the origin lies above a horizontal plane.
+/// The part of a ball around the origin above a horizontal plane.
 ///
 /// Inigo Quilez, "Distance functions": <https://iquilezles.org/articles/distfunctions/>.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
@@ -93,7 +93,7 @@ impl Primitive for CutHollowSphere {
     }
 
     fn exactness(&self) -> Exactness {
-        // Where the brim has grown together, its inside is deeper than the formula says.
+        // Where the brim has closed, its inside is deeper than the formula's value.
         if self.is_open() { Exactness::Exact } else { Exactness::Bound }
     }
 
@@ -126,7 +126,7 @@ fn rim(radius: &Length, cut: &Coordinate) -> f32 {
     Real::sqrt((radius - cut) * (radius + cut))
 }
 
-/// Says that a plane misses the ball that it should cut.
+/// Error for a plane that does not intersect the ball that it should cut.
 fn outside_of_ball(radius: &Length, cut: &Coordinate) -> Option<NodeFault> {
     let radius = radius.get();
     (cut.get().abs() >= radius)
@@ -143,12 +143,12 @@ pub struct DeathStar {
     pub radius: Length,
     /// Radius of the bite.
     pub bite: Length,
-    /// How high the bite's center lies above the ball's.
+    /// Height of the bite's center above the ball's.
     pub distance: Length,
 }
 
 impl DeathStar {
-    /// The circle where ball and bite meet: its radius and its height.
+    /// Circle where the surfaces of ball and bite intersect: its radius and its height.
     fn rim(&self) -> (f32, f32) {
         let (radius, bite, distance) = (self.radius.get(), self.bite.get(), self.distance.get());
         let height = ((radius - bite) * (radius + bite) / distance + distance) * 0.5;

@@ -14,8 +14,8 @@ use crate::values::{Amount, Length};
 
 /// The twelve edges of a box, as beams of square section.
 ///
-/// Quilez's three beams, each exact outside; inside, where beams meet, the distance to all that is
-/// not a beam is added here.
+/// Quilez's three beams, each exact outside; inside, where beams intersect, the distance to the complement of
+/// the beams is added here.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
 #[serde(deny_unknown_fields)]
 pub struct BoxFrame {
@@ -36,8 +36,9 @@ impl Primitive for BoxFrame {
             |c| c * 0.5,
         );
         let thickness = p.x.given(self.thickness.get());
-        // How far below the box's faces: by symmetry, from the corner where all coordinates are
-        // positive. A point is in a beam where two of the three are at most its thickness, none below 0.
+        // Depth below the box's faces: by symmetry, from the corner where all coordinates are
+        // positive. A point is in a beam if two of the three are at most its thickness, and none is
+        // below 0.
         let depth = Vec3::given(p.x, half) - vec3(p.x.abs(), p.y.abs(), p.z.abs());
         let past_face = depth.map(
             #[inline(always)]
@@ -53,7 +54,7 @@ impl Primitive for BoxFrame {
         let to_y = length.y + (section.z + section.x);
         let to_z = length.z + (section.x + section.y);
         let outside = to_x.min(to_y).min(to_z);
-        // What is not a beam within the box lies beyond the thickness in two coordinates.
+        // Points of the box outside the beams are deeper than the thickness in two coordinates.
         let left = squares(depth.map(
             #[inline(always)]
             |c| (thickness - c).at_least(0.0),

@@ -1,11 +1,10 @@
-//! Triply periodic minimal surfaces: they repeat along all three axes and divide space into two
-//! mazes of the same kind.
+//! Triply periodic minimal surfaces: they repeat along all three axes and divide space into two mazes of the
+//! same kind.
 //!
-//! Each is taken as where a sum f of products of sines and cosines is 0, the usual approximation to the
-//! surface itself; for the surfaces see Alan H. Schoen, "Infinite periodic minimal surfaces without
-//! self-intersections", NASA TN D-5541, 1970.
-//! With angles of 2π a cell, f over its largest gradient is a bound of the distance. For all three
-//! that gradient has length √3, which each proves; it is reached, so no smaller number would do.
+//! Each is approximated, as usual, by the zero set of a sum f of products of sines and cosines; for the
+//! surfaces see Alan H. Schoen, "Infinite periodic minimal surfaces without self-intersections", NASA TN
+//! D-5541, 1970. With angles of 2π per cell, f over its largest gradient is a bound of the distance. For all
+//! three that gradient has length √3, as each proves; the maximum is attained, so no smaller number would do.
 
 use std::f32::consts::{PI, TAU};
 
@@ -45,8 +44,8 @@ pub struct SchwarzP {
     pub thickness: Option<Length>,
 }
 
-/// Schwarz's diamond surface, in all of space: intersect it with another shape. Its tunnels meet by four,
-/// as the bonds of a diamond do.
+/// Schwarz's diamond surface, in all of space: intersect it with another shape. Its tunnels meet in fours,
+/// like the bonds of a diamond.
 ///
 /// f = sin x sin y sin z + sin x cos y cos z + cos x sin y cos z + cos x cos y sin z.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
@@ -156,7 +155,7 @@ fn waves<R: Real>(p: Vec3<R>, cell: &Length) -> (Vec3<R>, Vec3<R>) {
     (vec3(sine_x, sine_y, sine_z), vec3(cosine_x, cosine_y, cosine_z))
 }
 
-/// The bound that `f` makes: of the side where it is negative, or of a wall around where it is 0.
+/// The bound from `f`: of the side where it is negative, or of a wall around its zero set.
 #[inline(always)]
 fn wall<R: Real>(f: R, cell: &Length, thickness: Option<&Length>) -> R {
     let scale = f.given(cell.get() / (TAU * STEEPEST));
@@ -166,7 +165,7 @@ fn wall<R: Real>(f: R, cell: &Length, thickness: Option<&Length>) -> R {
     }
 }
 
-/// A wall that leaves nothing open, since |f| is nowhere above `greatest`.
+/// Error for a wall that fills all of space, because |f| is nowhere above `greatest`.
 fn too_thick(cell: &Length, thickness: Option<&Length>, greatest: f32) -> Option<NodeFault> {
     let most = cell.get() * greatest / (PI * STEEPEST);
     thickness.filter(|thickness| thickness.get() >= most).map(|_| {

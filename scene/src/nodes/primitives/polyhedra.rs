@@ -17,7 +17,7 @@ use crate::real::{Real, Vec3, vec3};
 use crate::seek::Seek;
 use crate::values::Length;
 
-/// A polyhedron of four triangles: it stands on one of them, a corner on the +y axis.
+/// A polyhedron of four triangles, with one of them at the bottom and a corner on the +y axis.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
 #[serde(deny_unknown_fields)]
 pub struct Tetrahedron {
@@ -35,7 +35,7 @@ pub struct Octahedron {
     pub radius: Length,
 }
 
-/// A polyhedron of twelve pentagons; the axes go through the middles of edges.
+/// A polyhedron of twelve pentagons; the axes pass through the middles of edges.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
 #[serde(deny_unknown_fields)]
 pub struct Dodecahedron {
@@ -43,7 +43,7 @@ pub struct Dodecahedron {
     pub radius: Length,
 }
 
-/// A polyhedron of twenty triangles; the axes go through the middles of edges.
+/// A polyhedron of twenty triangles; the axes pass through the middles of edges.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
 #[serde(deny_unknown_fields)]
 pub struct Icosahedron {
@@ -63,7 +63,8 @@ impl Primitive for Tetrahedron {
 
     #[inline(always)]
     fn distance<R: Real>(&self, p: Vec3<R>) -> R {
-        // Of the base, seen from its middle: its edges are √2/3 of the radius away, and half of one is √(2/3) of it.
+        // Of the base, relative to its center: its edges are √2/3 of the radius away, and half an
+        // edge is √(2/3) of it.
         const TO_EDGE: f32 = 0.471_404_52;
         const HALF_EDGE: f32 = 0.816_496_6;
         let p = fold_tetrahedron(p);
@@ -147,8 +148,8 @@ impl Primitive for Icosahedron {
     }
 }
 
-/// The distance to a face, by how far a point is from the middle of its edge: `across` and `up`,
-/// in which `normal` tells which way the face looks; `past_end` is how far past the edge's end.
+/// Distance to a face, given the point's offset from the middle of the face's edge: `across` and `up`, in
+/// which `normal` is the face's normal; `past_end` is how far it is beyond the edge's end.
 #[inline(always)]
 fn beside_face<R: Real>(normal: (f32, f32), across: R, up: R, past_end: R) -> R {
     let (normal_across, normal_up) = (up.splat(normal.0), up.splat(normal.1));
@@ -157,7 +158,7 @@ fn beside_face<R: Real>(normal: (f32, f32), across: R, up: R, past_end: R) -> R 
     beside_edge(before, past_edge, past_end)
 }
 
-/// The distance to a face: `before` its plane where the point is over it, else to its edge or corner.
+/// Distance to a face: `before` its plane if the point projects into it, else to its edge or corner.
 #[inline(always)]
 fn beside_edge<R: Real>(before: R, past_edge: R, past_end: R) -> R {
     let to_edge = before.square_add(past_edge.square_add(past_end.at_least(0.0).square())).sqrt();
@@ -172,7 +173,7 @@ fn mirror<R: Real>(p: (R, R), normal: (f32, f32)) -> (R, R) {
     (behind.mul_add(a.splat(-2.0 * normal.0), a), behind.mul_add(a.splat(-2.0 * normal.1), b))
 }
 
-/// Folds space into the wedge of the face below, the edge of it across +z, and the end of that at +x.
+/// Folds space into the wedge of the bottom face, with its edge across +z, and the end of that edge at +x.
 #[inline(always)]
 fn fold_tetrahedron<R: Real>(p: Vec3<R>) -> Vec3<R> {
     // Mirrors: x = 0, one through the y axis and the end of the edge, one through the whole edge.

@@ -1,4 +1,4 @@
-//! What has a regular polygon for its plan: prisms and pyramids around the y axis.
+//! Prisms and pyramids over a regular polygon, around the y axis.
 //!
 //! Mirrors through the axis fold space into the wedge between the middle of one edge and a corner
 //! next to it; the surface nearest to a point of the wedge is in the wedge too, so the distance to
@@ -40,7 +40,7 @@ pub struct OctagonalPrism {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
 #[serde(deny_unknown_fields)]
 pub struct RegularPyramid {
-    /// How many sides its base has, 3 to 64.
+    /// Number of sides of its base, 3 to 64.
     pub sides: Sides,
     /// From the axis to the corners of the base.
     pub radius: Length,
@@ -97,7 +97,7 @@ impl Primitive for RegularPyramid {
     }
 }
 
-/// The distance to a prism over a regular polygon.
+/// Distance to a prism over a regular polygon.
 #[inline(always)]
 fn prism<R: Real>(p: Vec3<R>, sides: &Sides, radius: &Length, height: &Length) -> R {
     let (along, out) = sides.fold(p.x, p.z);

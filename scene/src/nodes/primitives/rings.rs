@@ -10,7 +10,7 @@ use crate::real::{Real, Vec3, vec3};
 use crate::seek::Seek;
 use crate::values::{Amount, ArcLength, Length, sin_cos_degrees};
 
-/// A part of a ring around the y axis, with round ends. The middle of its arc looks along +z.
+/// A part of a ring around the y axis, with round ends. The middle of its arc is at +z.
 ///
 /// Inigo Quilez, "Distance functions": <https://iquilezles.org/articles/distfunctions/>.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
@@ -24,11 +24,11 @@ pub struct GivenCappedTorus {
     pub degrees: ArcLength,
 }
 
-/// `GivenCappedTorus`, ready to be looked at.
+/// `GivenCappedTorus` with its derived values.
 pub type CappedTorus = Prepared<GivenCappedTorus>;
 
 impl Prepare for GivenCappedTorus {
-    /// Where the arc ends, at x above 0: its x and z.
+    /// End of the arc at x above 0: its x and z.
     type Ready = (f32, f32);
 
     fn ready(&self) -> (f32, f32) {
@@ -59,7 +59,7 @@ impl Primitive for CappedTorus {
     }
 
     fn exactness(&self) -> Exactness {
-        // Where the two ends have grown together, the inside is deeper than the formula says.
+        // Where the two ends have grown together, the inside is deeper than the formula's value.
         let (end_x, end_z) = *self.ready();
         let apart = end_z >= 0.0 || end_x >= self.tube.get() || self.degrees.get() == 360.0;
         if apart { Exactness::Exact } else { Exactness::Bound }
@@ -126,8 +126,8 @@ impl Primitive for Link {
     }
 }
 
-/// A band in the plane z = 0 that follows an arc around the origin and then goes straight on, with
-/// round ends. The arc's middle is at the bottom, its legs go up.
+/// A band in the plane z = 0 that follows an arc around the origin and continues straight, with round ends.
+/// The arc's middle is at the bottom, its legs go up.
 ///
 /// Inigo Quilez, "Distance functions": <https://iquilezles.org/articles/distfunctions/>.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
@@ -145,7 +145,7 @@ pub struct GivenHorseshoe {
     pub thickness: Length,
 }
 
-/// `GivenHorseshoe`, ready to be looked at.
+/// `GivenHorseshoe` with its derived values.
 pub type Horseshoe = Prepared<GivenHorseshoe>;
 
 impl Prepare for GivenHorseshoe {
@@ -241,7 +241,7 @@ pub struct Band {
 }
 
 impl Band {
-    /// Where a leg ends, at x above 0: its x and y.
+    /// End of a leg at x above 0: its x and y.
     fn end(&self) -> (f32, f32) {
         let (sine, cosine) = self.turn;
         (self.radius * sine + self.leg * cosine, self.leg * sine - self.radius * cosine)
@@ -251,7 +251,7 @@ impl Band {
     fn distance<R: Real>(&self, p: Vec3<R>) -> R {
         let (sine, cosine) = (p.x.given(self.turn.0), p.x.given(self.turn.1));
         let (radius, x) = (p.x.given(self.radius), p.x.abs());
-        // Along a leg, from where the arc ends, and away from the origin.
+        // Along a leg, from the end of the arc, and away from the origin.
         let along = x.mul_add(cosine, p.y * sine);
         let out = x.mul_add(sine, -(p.y * cosine));
         let on_leg = along.above(0.0);

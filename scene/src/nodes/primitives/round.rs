@@ -71,12 +71,12 @@ pub struct GivenEllipsoid {
     pub radii: [Length; 3],
 }
 
-/// `GivenEllipsoid`, ready to be looked at.
+/// `GivenEllipsoid` with its derived values.
 pub type Ellipsoid = Prepared<GivenEllipsoid>;
 
-/// Newton's steps at most; few points near the middle of a flat ellipsoid need so many.
+/// Maximum number of Newton steps; only a few points near the center of a flat ellipsoid need that many.
 const ELLIPSOID_STEPS: u32 = 12;
-/// How far √Σ(xᵢ/rᵢ)² may be from 1: its square is what is left of an error.
+/// Tolerance of √Σ(xᵢ/rᵢ)² around 1: the remaining error is its square.
 const ELLIPSOID_TOLERANCE: f32 = 2e-4;
 
 /// An ellipsoid's radii as parts of the largest, so that no square is out of range.
@@ -113,7 +113,8 @@ impl Primitive for Ellipsoid {
         let (radius, over_radius) = (Vec3::given(p.x, radius), Vec3::given(p.x, over_radius));
         let past_least = Vec3::given(p.x, past_least);
         let place = vec3(p.x.abs(), p.y.abs(), p.z.abs()) * p.x.given(1.0 / largest);
-        // A point on a plane of symmetry may have its nearest ones to both sides: look from one of them.
+        // A point on a plane of symmetry may have its nearest points on both sides: start from one
+        // side.
         let reach = times(
             radius,
             place.map(
@@ -146,7 +147,7 @@ impl Primitive for Ellipsoid {
     }
 }
 
-/// The nearest point over the radii, where `t` is so far past −least²; and 1/(t + radius²).
+/// The nearest point over the radii, if `t` is `past_least` beyond −least²; and 1/(t + radius²).
 #[inline(always)]
 fn nearest_ratio<R: Real>(reach: Vec3<R>, past_least: Vec3<R>, t: R) -> (Vec3<R>, Vec3<R>) {
     let inverse = past_least.map(
@@ -202,7 +203,7 @@ impl Primitive for Vesica {
         let to_tip = across.square_add((along - half).square());
         let to_center = (across + behind).square_add(along.square());
         let distance = R::select(past_tip, to_tip, to_center).sqrt();
-        // What is left of the way to a center far away, without taking one large number from another.
+        // Remaining offset to a far center, without subtracting large numbers.
         let over_circle = (across + behind * 2.0).mul_add(across, (along - half) * (along + half));
         R::select(past_tip, distance, over_circle / (distance + p.x.given(around)))
     }

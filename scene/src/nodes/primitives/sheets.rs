@@ -25,7 +25,7 @@ pub struct GivenTriangle {
     pub radius: Length,
 }
 
-/// `GivenTriangle`, ready to be looked at.
+/// `GivenTriangle` with its derived values.
 pub type Triangle = Prepared<GivenTriangle>;
 
 impl Prepare for GivenTriangle {
@@ -50,7 +50,7 @@ impl Primitive for Triangle {
     }
 }
 
-/// All points within a radius of a flat face of four corners, given in the order in which one walks around it.
+/// All points within a radius of a flat face with four corners, given in order around it.
 ///
 /// Inigo Quilez, "Distance functions": <https://iquilezles.org/articles/distfunctions/>.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
@@ -68,11 +68,11 @@ pub struct GivenQuad {
     pub radius: Length,
 }
 
-/// `GivenQuad`, ready to be looked at.
+/// `GivenQuad` with its derived values.
 pub type Quad = Prepared<GivenQuad>;
 
-/// How far a corner may lie off the plane of the four, as a part of the larger diagonal: no more than
-/// what rounding coordinates to a few digits does. It is then put on that plane.
+/// Maximum distance of a corner from the plane of the four, as a fraction of the larger diagonal: as much as
+/// rounding coordinates to a few digits causes. The corner is then moved onto that plane.
 const FLATNESS: f32 = 1e-3;
 
 impl GivenQuad {
@@ -90,7 +90,7 @@ impl GivenQuad {
         (c - a).length().max((d - b).length())
     }
 
-    /// Says that the corners are not in one plane.
+    /// Error for corners that are not in one plane.
     fn bent(&self) -> Option<NodeFault> {
         let [a, b, c, d] = [&self.a, &self.b, &self.c, &self.d].map(Point::get);
         (self.plane().1.abs() > FLATNESS * self.size()).then(|| {
@@ -103,7 +103,7 @@ impl GivenQuad {
         })
     }
 
-    /// Says that the outline turns to the left in one place and to the right in another.
+    /// Error for an outline that turns left at one corner and right at another.
     fn turned_back(&self) -> Option<NodeFault> {
         let corners = [&self.a, &self.b, &self.c, &self.d].map(Point::get);
         let turns = [3, 0, 1, 2].map(|before| {
@@ -157,7 +157,7 @@ impl Primitive for Quad {
 /// A flat convex face, its corners in order around the normal.
 #[derive(Clone, Debug)]
 pub struct Face<const N: usize> {
-    /// Of length 1; 0 if the corners are in a line.
+    /// Of length 1; 0 if the corners are on a line.
     normal: Vec3<f32>,
     sides: [Side; N],
 }
@@ -168,9 +168,9 @@ struct Side {
     start: Vec3<f32>,
     /// From its end back to its start.
     back: Vec3<f32>,
-    /// The way to its end over the square of its length.
+    /// The vector to its end over the square of its length.
     over_square: Vec3<f32>,
-    /// Of length 1, in the face's plane, to where the face is.
+    /// Of length 1, in the face's plane, toward the inside of the face.
     inwards: Vec3<f32>,
 }
 
@@ -189,7 +189,7 @@ impl<const N: usize> Face<N> {
     #[inline(always)]
     fn distance<R: Real>(&self, p: Vec3<R>) -> R {
         let height = (p - Vec3::given(p.x, self.sides[0].start)).dot_known(self.normal);
-        // How far inside of the nearest side, seen along the normal.
+        // Depth inside the nearest side, seen along the normal.
         let mut inside = p.x.splat(f32::MAX);
         let mut to_side = p.x.splat(f32::MAX);
         for side in &self.sides {

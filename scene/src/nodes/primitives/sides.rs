@@ -1,4 +1,4 @@
-//! How many sides a regular polygon has, and the mirrors between them.
+//! Number of sides of a regular polygon, and the mirrors between them.
 
 use std::borrow::Cow;
 use std::f32::consts::PI;
@@ -10,7 +10,7 @@ use crate::real::Real;
 use crate::seek::{Clock, Misfit, Seek};
 use crate::values::whole;
 
-/// The most sides of a polygon; more look like a circle, which is cheaper.
+/// Maximum number of sides; a polygon with more looks like a circle, which is cheaper.
 const MAX_SIDES: u32 = 64;
 
 /// The number of sides of a regular polygon, 3 to 64.
@@ -25,7 +25,7 @@ pub struct Sides {
 }
 
 impl Sides {
-    /// Those of a hexagon.
+    /// Of a hexagon.
     pub(super) const HEXAGON: Self = Self {
         count: 6,
         half_side: (0.5, 0.866_025_4),
@@ -33,7 +33,7 @@ impl Sides {
         mirrors_used: 2,
     };
 
-    /// Those of an octagon.
+    /// Of an octagon.
     pub(super) const OCTAGON: Self = Self {
         count: 8,
         half_side: (0.382_683_43, 0.923_879_5),
@@ -55,7 +55,7 @@ impl Sides {
         }
         let turned = |wedges: u32| Real::sin_cos(PI * wedges as f32 / count as f32);
         let mut sides = Self { count, half_side: turned(1), mirrors: [(0.0, 1.0); 6], mirrors_used: 0 };
-        // Each mirror halves the number of wedges that are left, as far as it goes.
+        // Each mirror halves the number of remaining wedges, while that is even.
         let mut wedges = if sides.is_even() { count / 2 } else { count };
         while wedges > 1 {
             wedges = wedges.div_ceil(2);
@@ -65,7 +65,7 @@ impl Sides {
         Some(sides)
     }
 
-    /// How many they are.
+    /// Number of sides.
     pub fn get(self) -> u32 {
         self.count
     }
@@ -74,7 +74,7 @@ impl Sides {
         self.count.is_multiple_of(2)
     }
 
-    /// How far the edges are from the middle of a polygon, and half their length, by how far its corners are.
+    /// Distance of the edges from the center of a polygon, and half their length, for this circumradius.
     #[inline(always)]
     pub(super) fn inradius_and_half_edge(&self, radius: f32) -> (f32, f32) {
         (radius * self.half_side.1, radius * self.half_side.0)

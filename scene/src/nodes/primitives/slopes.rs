@@ -2,10 +2,10 @@
 
 use crate::real::Real;
 
-/// A slanted face of a pyramid: a triangle from an edge of the base to the apex, in directions of its own.
+/// Slanted face of a pyramid: a triangle from an edge of the base to the apex, in coordinates of its own.
 ///
-/// The base is on y = 0 and the apex above its middle. A point is told by how far out from the
-/// axis it is, how far along the edge from the edge's middle, and how high.
+/// The base is on y = 0 and the apex above its center. A point is given by its distance out from the axis,
+/// its position along the edge from the edge's middle, and its height.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Slope {
     /// From the axis to the base's edge.
@@ -14,9 +14,9 @@ pub(super) struct Slope {
     half_edge: f32,
     /// Length of the slanted edge, from a corner to the apex.
     slant: f32,
-    /// Which way the face looks, out and up.
+    /// Normal of the face, out and up.
     normal: (f32, f32),
-    /// Which way its slanted edge looks, within the face: along and up the face.
+    /// Direction of its slanted edge within the face: along and up the face.
     side: (f32, f32),
 }
 
@@ -30,9 +30,9 @@ impl Slope {
         Self { inradius, half_edge, slant, normal, side }
     }
 
-    /// The square of the distance to the triangle, for points beside the half of it where `along` is
-    /// positive, and how far the point is before its plane. Below the edge of the base it is the
-    /// distance to the corner at most: the base is nearer there.
+    /// Squared distance to the triangle, for points beside the half of it with positive `along`, and the
+    /// signed distance of the point from its plane. Below the edge of the base it is at most the distance
+    /// to the corner: the base is nearer there.
     #[inline(always)]
     pub(super) fn reach<R: Real>(&self, out: R, along: R, height: R) -> (R, R) {
         let (across, up) = (out.given(self.normal.0), out.given(self.normal.1));
