@@ -1,12 +1,12 @@
-//! Boxes that hold shapes: where a ray need not look.
+//! Axis-aligned boxes around shapes: regions that a ray need not march outside of.
 //!
-//! A box is made from a shape's numbers alone, in plain `f32`; it is widened by far more than
-//! rounding before a ray is cut by it, so that a surface is never outside.
+//! A box follows from a shape's numbers alone, in plain `f32`; it is expanded by far more than rounding
+//! errors before a ray is clipped by it, so that a surface is never outside.
 
 use crate::camera::Ray;
 use crate::real::{Real, Vec3, vec3};
 
-/// A box along the axes; a side may be infinitely far away.
+/// Axis-aligned box; a side may be infinitely far away.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Bounds {
     /// Its least coordinates.
@@ -28,7 +28,7 @@ impl Bounds {
         Self { low: vec3(FAR, FAR, FAR), high: vec3(-FAR, -FAR, -FAR) }
     };
 
-    /// The box around the origin that reaches so far along each axis.
+    /// Box around the origin with these half extents.
     pub fn symmetric(x: f32, y: f32, z: f32) -> Self {
         Self { low: vec3(-x, -y, -z), high: vec3(x, y, z) }
     }
@@ -38,7 +38,7 @@ impl Bounds {
         Self { low: zip(self.low, other.low, f32::min), high: zip(self.high, other.high, f32::max) }
     }
 
-    /// What is in both.
+    /// Intersection of two boxes.
     pub fn overlap(self, other: Self) -> Self {
         Self { low: zip(self.low, other.low, f32::max), high: zip(self.high, other.high, f32::min) }
     }
@@ -54,7 +54,7 @@ impl Bounds {
         Self { low: zip(self.low, by, |c, by| c + by), high: zip(self.high, by, |c, by| c + by) }
     }
 
-    /// The box made `factor` times as large about the origin.
+    /// Box scaled by `factor` about the origin.
     pub fn scaled(self, factor: f32) -> Self {
         let Self { low, high } = self;
         Self { low: low.map(|c| c * factor), high: high.map(|c| c * factor) }
@@ -72,8 +72,8 @@ impl Bounds {
         turned
     }
 
-    /// The box widened by a share of its size and of how far away it and `origin` are, so that no
-    /// rounding on the way of a ray from there puts a surface outside.
+    /// Box expanded by a fraction of its size and of its distance from `origin`, so that rounding along a
+    /// ray from there never puts a surface outside.
     pub fn with_margin(self, origin: Vec3<f32>) -> Self {
         const OF_SIZE: f32 = 1e-3;
         const OF_DISTANCE: f32 = 1e-5;
@@ -88,7 +88,7 @@ impl Bounds {
         zip(self.high, self.low, |high, low| high - low).length()
     }
 
-    /// The box with ends far beyond all coordinates where it has none.
+    /// Box with finite ends far beyond all coordinates where it is infinite.
     pub(crate) fn ended(self) -> Self {
         const BEYOND: f32 = 1e12;
         let ended = |c: f32| c.clamp(-BEYOND, BEYOND);
@@ -103,7 +103,7 @@ impl Bounds {
             && between(self.low.z, p.z, self.high.z)
     }
 
-    /// Whether it has an end in every direction.
+    /// Whether it is bounded in every direction.
     pub fn is_finite(self) -> bool {
         [self.low, self.high]
             .into_iter()
@@ -121,8 +121,8 @@ impl Bounds {
         (vec3(away.x.abs(), away.y.abs(), away.z.abs()) - Vec3::given(p.x, half)).max_element()
     }
 
-    /// Where a ray enters the box, at least 0, and where it leaves it, at most `farthest`; a ray
-    /// that misses it leaves before it enters.
+    /// Interval of the ray inside the box, clamped to 0..`farthest`; a ray that misses the box leaves
+    /// before it enters.
     #[inline(always)]
     pub fn along<R: Real>(&self, ray: &Ray<R>, farthest: R) -> (R, R) {
         let (low, high) = (Vec3::given(farthest, self.low), Vec3::given(farthest, self.high));
@@ -134,10 +134,10 @@ impl Bounds {
     }
 }
 
-/// Where a coordinate that starts at `origin` and grows by `slope` lies between two ends.
+/// Interval in which a coordinate that starts at `origin` and grows by `slope` is between two ends.
 #[inline(always)]
 fn between<R: Real>(low: R, high: R, origin: R, slope: R) -> (R, R) {
-    // As good as none, but with a quotient.
+    // Replaces a slope of 0, so that the quotient exists.
     const LEVEL: f32 = 1e-12;
     let slope = R::select(slope.abs().below(LEVEL), slope.splat(LEVEL), slope);
     let per_slope = slope.splat(1.0) / slope;
@@ -149,7 +149,7 @@ fn zip(a: Vec3<f32>, b: Vec3<f32>, f: impl Fn(f32, f32) -> f32) -> Vec3<f32> {
     vec3(f(a.x, b.x), f(a.y, b.y), f(a.z, b.z))
 }
 
-/// A product in which nothing times infinity is nothing.
+/// Product in which 0 times infinity is 0.
 fn product(a: f32, b: f32) -> f32 {
     if a == 0.0 { 0.0 } else { a * b }
 }

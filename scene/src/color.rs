@@ -3,21 +3,21 @@
 use crate::job::{Image, ToneMap};
 use crate::real::Real;
 
-/// How a picture shows light.
+/// Display transform of a picture.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Grade {
-    /// What light is multiplied by.
+    /// Factor of the light.
     exposure: f32,
     tone_map: ToneMap,
 }
 
 impl Grade {
-    /// That of an image.
+    /// Display transform of an image.
     pub fn of(image: &Image) -> Self {
         Self { exposure: power_of_two(image.exposure.get()), tone_map: image.tone_map }
     }
 
-    /// What is shown for a channel's linear light.
+    /// Display value of a channel's linear light.
     #[inline(always)]
     pub fn apply<R: Real>(self, linear: R) -> R {
         let exposed = linear * linear.given(self.exposure);

@@ -1,15 +1,15 @@
-//! What is wrong with a job, and where.
+//! Errors in a job, with their place in the text.
 
 use std::fmt;
 
 use crate::outline;
 
-/// One fault of a job, with its place in the text.
+/// One error in a job, with its place in the text.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Fault {
     /// JSON pointer (RFC 6901): to the key where it is unknown or doubled, to the parent where one is missing.
     pub pointer: String,
-    /// What is wrong and what would be right.
+    /// What is wrong, and the fix.
     pub message: String,
     /// Line in the text, from 1.
     pub line: u32,
@@ -18,19 +18,19 @@ pub struct Fault {
 }
 
 impl Fault {
-    /// A fault of the value at `pointer` in `text`.
+    /// Error at the value at `pointer` in `text`.
     pub(crate) fn of_value(text: &str, pointer: String, message: impl Into<String>) -> Self {
         let offset = outline::locate_value(text, &pointer);
         Self::at(text, offset, pointer, message)
     }
 
-    /// A fault of the key at `pointer` in `text`.
+    /// Error at the member name at `pointer` in `text`.
     pub(crate) fn of_key(text: &str, pointer: String, message: impl Into<String>) -> Self {
         let offset = outline::locate_key(text, &pointer);
         Self::at(text, offset, pointer, message)
     }
 
-    /// A fault at a byte of `text`.
+    /// Error at a byte offset of `text`.
     pub(crate) fn at(text: &str, offset: Option<usize>, pointer: String, message: impl Into<String>) -> Self {
         let (line, column) = line_and_column(text, offset.unwrap_or(0));
         Self { pointer, message: message.into(), line, column }
@@ -48,7 +48,7 @@ impl fmt::Display for Fault {
     }
 }
 
-/// Why a text is not a job.
+/// Reason why a text is not a job.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum Refusal {
     /// Not JSON, or not UTF-8.

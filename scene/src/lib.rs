@@ -1,5 +1,4 @@
-//! What a picture is: the job and scene language, and the exact arithmetic that turns a scene
-//! into pixels.
+//! What a picture is: the job and scene language, and the exact arithmetic that turns a scene into pixels.
 //!
 //! Pure maths: no input or output, no threads, no `unsafe`, no GPU. Every formula is generic over
 //! [`real::Real`] and gives the same bits in each arithmetic.

@@ -1,4 +1,4 @@
-//! How large things may be. Over a limit is an error that names it, never a crash.
+//! Limits of a job. Exceeding one is an error that names it, never a crash.
 
 /// Bytes of a job file.
 pub const MAX_BODY_BYTES: usize = 8 << 20;
@@ -28,7 +28,7 @@ pub const MAX_NAME_CHARS: usize = 200;
 pub const MAX_STEPS: u32 = 65_536;
 /// Steps of a ray through a cloud or a volume.
 pub const MAX_MEDIUM_STEPS: u32 = 1_024;
-/// Steps of a ray through a volume towards a light.
+/// Steps of a ray through a volume toward a light.
 pub const MAX_LIGHT_STEPS: u32 = 64;
 /// Times that a ray is mirrored or refracted.
 pub const MAX_BOUNCES: u32 = 32;
@@ -46,7 +46,7 @@ pub const MAX_KEY_SECONDS: f64 = 1e9;
 pub const MAX_CHECKED_BYTES: u64 = 64 << 20;
 /// Frames of a longer one that are.
 pub const MIN_CHECKED_FRAMES: u32 = 16;
-/// Textures in the colours of textures.
+/// Textures in the colors of textures.
 pub const MAX_TEXTURE_DEPTH: usize = 4;
-/// Stops of a ramp of colours.
+/// Stops of a color ramp.
 pub const MAX_RAMP_STOPS: usize = 32;

@@ -1,4 +1,4 @@
-//! What surfaces look like: the list of materials, and what a material must say of itself.
+//! Appearance of surfaces: the registry of materials, and the trait that each implements.
 //!
 //! Like a node, a material is one documented struct, one `impl` of [`Shade`] and one word in the list.
 
@@ -28,14 +28,14 @@ use crate::nodes::snake_case;
 use crate::real::{Flag, Real, Vec3, bundle};
 use crate::seek::Seek;
 
-/// What a material needs to know of the place it colours.
+/// Shading point: what a material knows about a hit.
 #[derive(Clone, Copy, Debug)]
 pub struct Place<R: Real> {
-    /// The surface's normal, of length 1, towards the viewer's side.
+    /// The surface's normal, of length 1, on the viewer's side.
     pub normal: Vec3<R>,
     /// The direction to the viewer, of length 1.
     pub to_viewer: Vec3<R>,
-    /// The point as textures see it: in the space of the `paint` that says the material, else in the scene's.
+    /// The point in the space of textures: that of the `paint` that names the material, else the scene's.
     pub point: Vec3<R>,
     /// The normal in that space.
     pub own_normal: Vec3<R>,
@@ -50,7 +50,7 @@ pub struct Place<R: Real> {
 pub struct Lighting<R> {
     /// Light from single directions.
     pub lights: Vec<Incoming<R>>,
-    /// Light from all around, as a white matt surface would send it back; `None` where there is none.
+    /// Ambient light, as reflected by a white matte surface; `None` without any.
     pub surrounding: Option<Vec3<R>>,
     /// Ambient visibility at the point, 0 (occluded) to 1; `None` if the scene has no `ambient_occlusion`.
     pub openness: Option<R>,
@@ -59,11 +59,11 @@ pub struct Lighting<R> {
 /// Specular BSDF at a shading point: F0, roughness, transmission and index of refraction. Direct light is in `shade`.
 #[derive(Clone, Copy, Debug)]
 pub struct Finish<R> {
-    /// Share of the light that is mirrored when it arrives along the normal, by channel (Fresnel's F0).
+    /// Fraction of the light reflected at normal incidence, by channel (Fresnel's F0).
     pub mirrored: Vec3<R>,
     /// Roughness, 0 to 1: the square root of the GGX model's α.
     pub roughness: R,
-    /// Share of the light that is not mirrored which goes through, by channel.
+    /// Fraction of the light that is not reflected but transmitted, by channel.
     pub passed: Vec3<R>,
     /// Index of refraction inside over that outside.
     pub ior: R,
@@ -71,18 +71,18 @@ pub struct Finish<R> {
 
 bundle!(Finish { mirrored, roughness, passed, ior });
 
-/// What a material means.
+/// A material.
 pub trait Shade {
-    /// The light that leaves the surface towards the viewer, linear RGB.
+    /// Radiance toward the viewer, linear RGB.
     fn shade<R: Real>(&self, place: &Place<R>, light: &Lighting<R>) -> Vec3<R>;
 
-    /// The surface's own colour, without light: the `albedo` layer.
+    /// The surface's own color, without light: the `albedo` layer.
     fn albedo<R: Real>(&self, place: &Place<R>) -> Vec3<R>;
 
-    /// Whether `shade` looks at the lights at all.
+    /// Whether `shade` uses the lights.
     fn is_lit(&self) -> bool;
 
-    /// How it sends rays on; `None` if it never does.
+    /// Specular BSDF; `None` if it never has one.
     fn finish<R: Real>(&self, place: &Place<R>) -> Option<Finish<R>> {
         let _ = place;
         None
@@ -93,7 +93,7 @@ pub trait Shade {
         false
     }
 
-    /// Whether a ray may get inside the shape.
+    /// Whether a ray may enter the shape.
     fn lets_through(&self) -> bool {
         false
     }
@@ -108,18 +108,18 @@ pub trait Shade {
         Vec::new()
     }
 
-    /// Whether it looks at `Place::point`.
+    /// Whether it uses `Place::point`.
     fn is_textured(&self) -> bool {
         !self.textures().is_empty()
     }
 
-    /// Whether it looks at `Place::own_normal`, which is dear to find.
+    /// Whether it uses `Place::own_normal`, which is expensive.
     fn needs_own_normal(&self) -> bool {
         self.textures().into_iter().any(Texture::needs_own_normal)
     }
 }
 
-/// What a material or a texture shows of itself.
+/// Examples of a material or a texture.
 pub trait Exemplary {
     /// A small valid value, as a user would write it: the picture in docs/materials.md and the contract tests use it.
     const EXAMPLE: &'static str;
@@ -128,7 +128,7 @@ pub trait Exemplary {
     const MORE: &'static [&'static str] = &[];
 }
 
-/// A material or a texture to look at and to test with.
+/// Material or texture for documentation and tests.
 #[derive(Clone, Debug)]
 pub struct Example {
     /// Its type, as in the schema.
@@ -155,7 +155,7 @@ impl Example {
 
 macro_rules! materials {
     ($($Kind:ident),* $(,)?) => {
-        /// How a surface answers light: keyed by its name.
+        /// Material, keyed by its name.
         #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
         #[serde(rename_all = "snake_case")]
         pub enum Material {

@@ -1,45 +1,45 @@
-//! A look over a JSON text before and after it is parsed: how deep it nests, whether an object
-//! says a key twice, and where the value of a JSON pointer stands.
+//! Scan of a JSON text: its nesting depth, duplicate members, and the position of the value of a JSON
+//! pointer.
 //!
-//! It never judges syntax: where the text is broken it stops, and the parser says why.
+//! It does not check syntax: it stops at a syntax error, and the parser reports it.
 
 use std::collections::HashSet;
 
-/// What is wrong with the outline of a text.
+/// Error found by the scan.
 #[derive(Debug, PartialEq, Eq)]
 pub(crate) struct OutlineFault {
     /// Byte of the text.
     pub offset: usize,
     /// JSON pointer to the place.
     pub pointer: String,
-    /// Whether it nests too deep, or says a key twice.
+    /// Kind of error: nesting too deep, or a duplicate member.
     pub kind: OutlineFaultKind,
 }
 
-/// What may be wrong with the outline of a text.
+/// Kind of error found by the scan.
 #[derive(Debug, PartialEq, Eq)]
 pub(crate) enum OutlineFaultKind {
     /// Arrays and objects nest deeper than allowed.
     TooDeep,
-    /// An object says this key twice.
+    /// An object has this member twice.
     DoubledKey(String),
 }
 
-/// An open array or object, and where in it the text stands.
+/// Open array or object, and the position in it.
 enum Level {
     Array { index: usize },
     Object { key: Option<String>, seen: HashSet<String> },
 }
 
-/// One step of the walk over a text.
+/// One step of the scan.
 enum Event<'a> {
-    /// A key stands at this offset.
+    /// A member name at this offset.
     Key { offset: usize, key: &'a str },
     /// A value begins at this offset.
     Value { offset: usize },
 }
 
-/// Looks for what a parser would not see or not survive.
+/// Scans for errors that a parser would not detect or not survive.
 pub(crate) fn check(text: &str, max_depth: usize) -> Result<(), OutlineFault> {
     let mut fault = None;
     walk(text, |levels, event| {
@@ -61,7 +61,7 @@ pub(crate) fn check(text: &str, max_depth: usize) -> Result<(), OutlineFault> {
                 (offset, OutlineFaultKind::DoubledKey(key.to_owned()))
             }
         };
-        // A pointer to a place thousands of levels down helps nobody.
+        // A pointer thousands of levels deep would not help.
         let shown = levels.len().min(max_depth);
         fault = Some(OutlineFault { offset, pointer: pointer(&levels[..shown]), kind });
         false
@@ -69,7 +69,7 @@ pub(crate) fn check(text: &str, max_depth: usize) -> Result<(), OutlineFault> {
     fault.map_or(Ok(()), Err)
 }
 
-/// Where the value that `pointer` points at begins.
+/// Start of the value at `pointer`.
 pub(crate) fn locate_value(text: &str, pointer: &str) -> Option<usize> {
     locate(text, pointer, |event| match event {
         Event::Key { .. } => None,
@@ -77,7 +77,7 @@ pub(crate) fn locate_value(text: &str, pointer: &str) -> Option<usize> {
     })
 }
 
-/// Where the key of the value that `pointer` points at begins.
+/// Start of the member name of the value at `pointer`.
 pub(crate) fn locate_key(text: &str, pointer: &str) -> Option<usize> {
     locate(text, pointer, |event| match event {
         Event::Key { offset, .. } => Some(*offset),
@@ -124,7 +124,7 @@ fn unescape(part: &str) -> String {
     part.replace("~1", "/").replace("~0", "~")
 }
 
-/// Walks over a text as long as it makes sense and `visit` returns true.
+/// Scans a text as long as it is valid and `visit` returns true.
 fn walk(text: &str, mut visit: impl FnMut(&mut Vec<Level>, Event<'_>) -> bool) {
     let bytes = text.as_bytes();
     let mut levels: Vec<Level> = Vec::new();

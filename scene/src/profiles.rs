@@ -1,4 +1,4 @@
-//! Flat shapes in the plane of x and y: what `extrude` gives a height and `revolve` turns about an axis.
+//! Profiles: 2D shapes in the plane of x and y, for `extrude` and `revolve`.
 //!
 //! A profile is one documented struct in a file of its family under `profiles/`, one `impl` of
 //! [`Planar`], and one word in the list below. Its examples are examples of `extrude` and
@@ -52,12 +52,12 @@ pub struct Extent {
 }
 
 impl Extent {
-    /// The rectangle around the origin that reaches so far along each axis.
+    /// Rectangle around the origin with these half extents.
     pub fn symmetric(x: f32, y: f32) -> Self {
         Self { low: [-x, -y], high: [x, y] }
     }
 
-    /// The least rectangle that holds some points, of which there is one or more.
+    /// Smallest rectangle around one or more points.
     pub fn around(points: impl IntoIterator<Item = [f32; 2]>) -> Self {
         let empty = Self { low: [f32::INFINITY; 2], high: [f32::NEG_INFINITY; 2] };
         points.into_iter().fold(empty, |extent, point| extent.hull(Self { low: point, high: point }))
@@ -75,7 +75,7 @@ impl Extent {
     }
 }
 
-/// What a profile means. Its value has a Lipschitz factor of 1.
+/// A profile. Its value has a Lipschitz factor of 1.
 pub trait Planar {
     /// A small valid value, as a user would write it.
     const EXAMPLE: &'static str;
@@ -92,17 +92,17 @@ pub trait Planar {
     /// A rectangle that holds every point whose distance is at most `level`, which is not below 0.
     fn extent(&self, level: f32) -> Extent;
 
-    /// What its value is worth.
+    /// Relation of its value to the true distance.
     fn exactness(&self) -> Exactness {
         Exactness::Exact
     }
 
-    /// What is wrong with its numbers taken together, if anything; each alone is in range.
+    /// Error in its numbers taken together, if any; each alone is in range.
     fn fault(&self) -> Option<NodeFault> {
         None
     }
 
-    /// How many nodes it is as much work as.
+    /// Its size in simple nodes.
     fn weight(&self) -> u32 {
         1
     }
@@ -151,21 +151,21 @@ macro_rules! profiles {
                 }
             }
 
-            /// What its value is worth.
+            /// Relation of its value to the true distance.
             pub fn exactness(&self) -> Exactness {
                 match self {
                     $(Self::$Kind(profile) => profile.exactness()),*
                 }
             }
 
-            /// What is wrong with its numbers taken together, if anything.
+            /// Error in its numbers taken together, if any.
             pub(crate) fn fault(&self) -> Option<NodeFault> {
                 match self {
                     $(Self::$Kind(profile) => profile.fault()),*
                 }
             }
 
-            /// How many nodes it is as much work as.
+            /// Its size in simple nodes.
             pub(crate) fn weight(&self) -> u32 {
                 match self {
                     $(Self::$Kind(profile) => profile.weight()),*

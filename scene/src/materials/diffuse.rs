@@ -14,25 +14,25 @@ use crate::values::Shininess;
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
 #[serde(deny_unknown_fields)]
 pub struct Diffuse {
-    /// Colour of scattered light.
+    /// Color of scattered light.
     #[serde(default = "default_kd")]
     pub kd: Tint,
-    /// Colour of the highlight.
+    /// Color of the highlight.
     #[serde(default = "Tint::black")]
     pub ks: Tint,
-    /// Colour of ambient light's answer; as `kd` when absent.
+    /// Color for ambient light; `kd` when absent.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub ka: Option<Tint>,
     /// Ambient light.
     #[serde(default = "default_ambient")]
     pub ambient: Tint,
-    /// How narrow the highlight is.
+    /// Exponent of the highlight: larger is narrower.
     #[serde(default = "default_shininess")]
     pub shininess: Level<Shininess>,
 }
 
 impl Diffuse {
-    /// What the material answers to ambient light, given its `kd` here.
+    /// Reflected ambient light, given its `kd` here.
     #[inline(always)]
     fn ambient<R: Real>(&self, place: &Place<R>, kd: Vec3<R>) -> Vec3<R> {
         let answer = self.ka.as_ref().unwrap_or(&self.kd);

@@ -1,4 +1,4 @@
-//! Where a material is used: by its name or in place in a job file, by its slot in a scene.
+//! Reference to a material: by name or in place in a job file, by slot in a scene.
 
 use std::borrow::Cow;
 use std::collections::BTreeMap;
@@ -13,16 +13,16 @@ use crate::seek::{Clock, Misfit, Seek};
 /// A material where it is used: a name from the scene's `materials`, or one in place.
 #[derive(Clone, Debug, PartialEq)]
 pub enum MaterialUse {
-    /// As a job file says it: by its name.
+    /// In a job file: by name.
     Name(String),
-    /// As a job file says it: in place.
+    /// In a job file: in place.
     InPlace(Box<Material>),
-    /// As a scene has it: the place among the materials in use.
+    /// In a scene: index among the materials in use.
     Slot(u32),
 }
 
 impl MaterialUse {
-    /// Which of the scene's materials in use it is; the first, as long as nobody has looked it up.
+    /// Its index among the scene's materials in use; 0 until it is resolved.
     #[inline(always)]
     pub fn slot(&self) -> u32 {
         match self {
@@ -31,7 +31,8 @@ impl MaterialUse {
         }
     }
 
-    /// Moves it to a slot in `used`, the materials in use so far; the name if there is no such material.
+    /// Moves it to a slot in `used`, the materials in use so far; returns the name if there is no such
+    /// material.
     pub(crate) fn resolve(
         &mut self,
         named: &BTreeMap<String, Material>,
@@ -66,7 +67,7 @@ impl Seek for MaterialUse {
     }
 }
 
-/// Reads a name or a material; faults inside a material keep their place.
+/// Deserializes a name or a material; errors inside a material keep their place.
 struct MaterialUseVisitor;
 
 impl<'de> Visitor<'de> for MaterialUseVisitor {

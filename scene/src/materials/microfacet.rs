@@ -31,7 +31,7 @@ pub fn distribution<R: Real>(alpha: R, cosine: R, sine_squared: R) -> R {
     (alpha / width).square()
 }
 
-/// √(α² + (1 − α²)·cosine²): what Smith's functions are made of, at a direction's cosine.
+/// √(α² + (1 − α²)·cosine²), a term of Smith's functions, at a direction's cosine.
 #[inline(always)]
 fn spread<R: Real>(alpha_squared: R, cosine: R) -> R {
     (cosine.splat(1.0) - alpha_squared).mul_add(cosine.square(), alpha_squared).sqrt()
@@ -48,7 +48,7 @@ pub fn visibility<R: Real>(alpha: R, to_light: R, to_viewer: R) -> R {
 /// Cosines less than this are taken as this where they divide.
 const MIN_COSINE: f32 = 1e-4;
 
-/// Smith's G₂/G₁(viewer): the weight, beside Fresnel's, of light mirrored by a visible normal.
+/// Smith's G₂/G₁(viewer): the weight, next to Fresnel's, of light reflected by a visible normal.
 #[inline(always)]
 pub fn shadowing<R: Real>(alpha: R, to_light: R, to_viewer: R) -> R {
     let square = alpha.square();
@@ -59,8 +59,8 @@ pub fn shadowing<R: Real>(alpha: R, to_light: R, to_viewer: R) -> R {
     masked / (viewer + light)
 }
 
-/// The part of Fresnel's reflectance that rises towards grazing angles, (1 − cosine)⁵: reflectance
-/// is F₀ + (1 − F₀) times this.
+/// Part of Fresnel's reflectance that rises toward grazing angles, (1 − cosine)⁵: reflectance is F₀ + (1 −
+/// F₀) times this.
 ///
 /// Christophe Schlick, "An inexpensive BRDF model for physically-based rendering", 1994.
 #[inline(always)]
@@ -101,8 +101,8 @@ pub fn frame<R: Real>(normal: Vec3<R>) -> (Vec3<R>, Vec3<R>) {
     (x, y)
 }
 
-/// A normal of the small mirrors that the viewer sees, in the local frame, from two numbers
-/// evenly spread over 0..1. Light mirrored by it has the weight [`fresnel`] · [`shadowing`].
+/// Samples a microfacet normal visible to the viewer, in the local frame, from two numbers uniform in 0..1.
+/// Light reflected by it has the weight [`fresnel`] · [`shadowing`].
 ///
 /// Jonathan Dupuy and Anis Benyoub, "Sampling visible GGX normals with spherical caps", 2023,
 /// <https://arxiv.org/abs/2306.05044>.

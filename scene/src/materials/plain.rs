@@ -1,4 +1,4 @@
-//! Materials that look at no light.
+//! Materials that ignore light.
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -7,11 +7,11 @@ use super::{Exemplary, Lighting, Place, Shade, Texture, Tint};
 use crate::real::{Real, Vec3};
 use crate::seek::Seek;
 
-/// One colour, whatever the light.
+/// One color, independent of light.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
 #[serde(deny_unknown_fields)]
 pub struct Flat {
-    /// The colour.
+    /// The color.
     pub color: Tint,
 }
 
@@ -43,7 +43,7 @@ impl Shade for Flat {
     }
 }
 
-/// The normal N as a colour: (N + 1)/2.
+/// The normal N as a color: (N + 1)/2.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
 #[serde(deny_unknown_fields)]
 pub struct Normals {}

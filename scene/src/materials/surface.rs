@@ -22,29 +22,29 @@ use crate::values::{RefractiveIndex, Share};
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
 #[serde(deny_unknown_fields)]
 pub struct Surface {
-    /// Colour of the body, or of a metal's reflections; channels above 1 count as 1.
+    /// Color of the body, or of a metal's reflections; channels above 1 count as 1.
     #[serde(default = "default_base_color")]
     pub base_color: Tint,
     /// Whether it is a metal: 1, or not: 0.
     #[serde(default = "none")]
     pub metallic: Level<Share>,
-    /// How rough it is: 0 mirrors, 1 is matt. Its square is the α of GGX, at least 0.002.
+    /// Roughness: 0 is a mirror, 1 is matte. Its square is the α of GGX, at least 0.002.
     #[serde(default = "default_roughness")]
     pub roughness: Level<Share>,
     /// Index of refraction of the body.
     #[serde(default = "default_ior")]
     pub ior: Level<RefractiveIndex>,
-    /// Light of its own.
+    /// Emitted light.
     #[serde(default = "Tint::black")]
     pub emission: Tint,
-    /// How much of it is under a clear coat, whose index of refraction is 1.5.
+    /// Fraction of it under a clear coat, whose index of refraction is 1.5.
     #[serde(default = "none")]
     pub clearcoat: Level<Share>,
-    /// How rough the clear coat is.
+    /// Roughness of the clear coat.
     #[serde(default = "default_clearcoat_roughness")]
     pub clearcoat_roughness: Level<Share>,
-    /// Share of the light that enters the body and goes through it, tinted by the root of `base_color` on
-    /// the way in and out.
+    /// Fraction of the light that enters the body and is transmitted, tinted by the root of `base_color`
+    /// on the way in and out.
     #[serde(default = "none")]
     pub transmission: Level<Share>,
 }
@@ -62,13 +62,13 @@ struct Coat<R> {
 bundle!(Coat { amount, alpha });
 
 impl<R: Real> Coat<R> {
-    /// Share of the light that it mirrors, given the cosine's [`grazing`] part.
+    /// Fraction of the light that it reflects, given the cosine's [`grazing`] part.
     #[inline(always)]
     fn mirrored(&self, grazing: R) -> R {
         self.amount * grazing.mul_add(grazing.splat(1.0 - COAT_AT_NORMAL), grazing.splat(COAT_AT_NORMAL))
     }
 
-    /// Share of the light that it lets through.
+    /// Fraction of the light that it transmits.
     #[inline(always)]
     fn passed(&self, grazing: R) -> R {
         grazing.splat(1.0) - self.mirrored(grazing)
@@ -86,7 +86,7 @@ struct Layers<R: Real> {
     viewer_grazing: R,
     /// Reflectance at the normal.
     at_normal: Vec3<R>,
-    /// Colour of the light that the body scatters, without what depends on directions.
+    /// Color of the light that the body scatters, without the terms that depend on directions.
     body: Vec3<R>,
     alpha: R,
     coat: Option<Coat<R>>,
@@ -125,7 +125,7 @@ impl Surface {
         (border, whole)
     }
 
-    /// Share of the light that enters, which the body scatters, and share that goes through.
+    /// Fraction of the light that enters and is scattered by the body, and fraction that is transmitted.
     #[inline(always)]
     fn entering<R: Real>(&self, place: &Place<R>) -> (R, R) {
         let one = place.normal.x.splat(1.0);
@@ -181,7 +181,8 @@ fn average_passed<R: Real>(amount: R) -> R {
 }
 
 impl<R: Real> Layers<R> {
-    /// Share of the light between the body and one direction that passes border and coat, without 1 − F₀.
+    /// Fraction of the light between the body and one direction that passes border and coat, without 1 −
+    /// F₀.
     #[inline(always)]
     fn passed(&self, grazing: R) -> R {
         let border = grazing.splat(1.0) - grazing;
@@ -332,7 +333,8 @@ impl Shade for Surface {
 }
 
 impl Surface {
-    /// What coat and border mirror together at the normal, and their roughness: the mean by what each mirrors.
+    /// Combined reflectance of coat and border at normal incidence, and their roughness: the mean
+    /// weighted by reflectance.
     #[inline(always)]
     fn coated<R: Real>(&self, place: &Place<R>, at_normal: Vec3<R>, roughness: R) -> (Vec3<R>, R) {
         let coat = self.clearcoat.at(place) * COAT_AT_NORMAL;

@@ -16,17 +16,17 @@ use crate::real::{Real, Vec3, vec3};
 use crate::seek::{Clock, Misfit, Seek};
 use crate::values::{Color, RefractiveIndex, Replayed, Share, Shininess};
 
-/// A colour: one for all places, or a texture's.
+/// Color: constant, or from a texture.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Tint {
-    /// One colour.
+    /// Constant color.
     Plain(Color),
     /// A texture's.
     Textured(Box<Texture>),
 }
 
 impl Tint {
-    /// One colour for all places: red, green, blue in linear light.
+    /// Constant color: red, green, blue in linear light.
     pub const fn plain_of(red: f32, green: f32, blue: f32) -> Self {
         Self::Plain(Color::new(red, green, blue))
     }
@@ -41,7 +41,7 @@ impl Tint {
         Self::plain_of(1.0, 1.0, 1.0)
     }
 
-    /// The colour, where it is one for all places.
+    /// The color, if it is constant.
     #[inline(always)]
     pub fn plain(&self) -> Option<&Color> {
         match self {
@@ -64,7 +64,7 @@ impl Tint {
         matches!(self, Self::Plain(color) if color.is_black())
     }
 
-    /// The colour at a place.
+    /// The color at a shading point.
     #[inline(always)]
     pub fn at<R: Real>(&self, place: &Place<R>) -> Vec3<R> {
         match self {
@@ -74,7 +74,7 @@ impl Tint {
     }
 }
 
-/// Reads a colour as [`Color`] does, or a texture; faults inside keep their place.
+/// Deserializes a color like [`Color`], or a texture; errors inside keep their place.
 struct TintVisitor;
 
 impl<'de> Visitor<'de> for TintVisitor {
@@ -138,7 +138,7 @@ impl JsonSchema for Tint {
     }
 }
 
-/// A kind of number that a texture may vary.
+/// Kind of number that a texture may vary.
 pub trait Parameter: Clone + fmt::Debug + PartialEq + Serialize + JsonSchema + for<'de> Deserialize<'de> {
     /// The number.
     fn number(&self) -> f32;
@@ -187,7 +187,7 @@ pub struct Varied<N> {
 }
 
 impl<N: Parameter> Level<N> {
-    /// The texture, where there is one.
+    /// The texture, if there is one.
     pub fn texture(&self) -> Option<&Texture> {
         match self {
             Self::Plain(_) => None,
@@ -195,7 +195,7 @@ impl<N: Parameter> Level<N> {
         }
     }
 
-    /// Whether it is 0 everywhere: then a formula may leave out what it would do.
+    /// Whether it is 0 everywhere: then a formula may leave its term out.
     #[inline(always)]
     pub fn is_zero(&self) -> bool {
         matches!(self, Self::Plain(number) if number.is_zero())
@@ -218,13 +218,14 @@ impl<N: Parameter> Level<N> {
     }
 }
 
-/// `from` where `share` is 0, `to` where it is 1: exactly so, and never below 0 between numbers that are not.
+/// Linear interpolation: exactly `from` at 0 and exactly `to` at 1, and never below 0 between non-negative
+/// numbers.
 #[inline(always)]
 pub(super) fn mix<R: Real>(from: R, to: R, share: R) -> R {
     to.mul_add(share, from * (share.splat(1.0) - share))
 }
 
-/// The same for colours.
+/// Linear interpolation of colors.
 #[inline(always)]
 pub(super) fn mix_colors<R: Real>(from: Vec3<R>, to: Vec3<R>, share: R) -> Vec3<R> {
     to.mul_add(share, from * (share.splat(1.0) - share))

@@ -1,4 +1,4 @@
-//! What fills a shape instead of covering it: clouds and volumes.
+//! Materials that fill a shape instead of covering it: clouds and volumes.
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Deserializer, Serialize};
@@ -15,12 +15,12 @@ use crate::values::{Amount, Anisotropy, Color, Density, Share, whole};
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
 #[serde(deny_unknown_fields)]
 pub struct Clouds {
-    /// How thick they are where; its range is mapped to 0 to 1.
+    /// Density of the clouds by place; its range is mapped to 0 to 1.
     pub noise: Noise,
     /// Whether the noise lies on the surface or fills the shape.
     #[serde(default)]
     pub mapping: Mapping,
-    /// Their colour. On a surface it is lit as that of `diffuse`.
+    /// Color of the clouds. On a surface it is lit like that of `diffuse`.
     #[serde(default = "white")]
     pub color: Color,
     /// Inside a shape: the extinction coefficient where the noise is 1, per scene unit.
@@ -35,7 +35,7 @@ pub struct Clouds {
     pub steps: u32,
 }
 
-/// Where clouds are.
+/// Location of the clouds.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema, Seek)]
 #[serde(rename_all = "snake_case")]
 pub enum Mapping {
@@ -57,16 +57,16 @@ pub enum Mapping {
 pub struct Volume {
     /// The extinction coefficient where it is thickest, per scene unit.
     pub density: Density,
-    /// How thick it is where; even when absent.
+    /// Density by place; uniform when absent.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub noise: Option<Noise>,
-    /// Share of the noise's range that is filled.
+    /// Fraction of the noise's range that is filled.
     #[serde(default = "half")]
     pub coverage: Share,
-    /// How far from its shape's surface it is at its thickest, in scene units.
+    /// Depth below its shape's surface at which it reaches full density, in scene units.
     #[serde(default = "sharp")]
     pub edge: Amount,
-    /// Share of the light that is scattered and not swallowed, by channel.
+    /// Fraction of the light that is scattered and not absorbed, by channel.
     #[serde(default = "white")]
     pub albedo: Color,
     /// Whether light is scattered onwards (above 0) or back.
@@ -76,14 +76,14 @@ pub struct Volume {
     #[serde(default = "one", deserialize_with = "orders")]
     #[schemars(range(min = 1, max = MAX_ORDERS))]
     pub orders: u32,
-    /// Light it sends out by itself.
+    /// Emitted light.
     #[serde(default = "black")]
     pub emission: Color,
     /// Steps of a ray from corner to corner of its shape's bounds.
     #[serde(default = "forty_eight", deserialize_with = "steps")]
     #[schemars(range(min = 1, max = MAX_MEDIUM_STEPS))]
     pub steps: u32,
-    /// Steps of a ray towards a light.
+    /// Steps of a ray toward a light.
     #[serde(default = "eight", deserialize_with = "light_steps")]
     #[schemars(range(min = 1, max = MAX_LIGHT_STEPS))]
     pub light_steps: u32,
@@ -91,7 +91,7 @@ pub struct Volume {
 
 const MAX_ORDERS: u32 = 8;
 
-/// What fills an object.
+/// Medium that fills an object.
 #[derive(Clone, Copy, Debug)]
 pub(crate) enum Filling<'a> {
     Clouds(&'a Clouds),
@@ -99,7 +99,7 @@ pub(crate) enum Filling<'a> {
 }
 
 impl Material {
-    /// What it fills an object with, if it does.
+    /// The medium, if the material is one.
     pub(crate) fn filling(&self) -> Option<Filling<'_>> {
         match self {
             Self::Clouds(clouds) if clouds.mapping == Mapping::Depth => Some(Filling::Clouds(clouds)),
@@ -177,7 +177,7 @@ impl Filling<'_> {
     }
 }
 
-/// A noise's value at `p` over its range, 0 to 1.
+/// A noise's value at `p`, scaled from its range to 0 to 1.
 #[inline(always)]
 fn of_range<R: Real>(noise: &Noise, p: Vec3<R>) -> R {
     let (low, high) = noise.range();
@@ -185,7 +185,7 @@ fn of_range<R: Real>(noise: &Noise, p: Vec3<R>) -> R {
     noise.value(p).mul_add(p.x.given(per_range), p.x.given(-low * per_range)).at_least(0.0).at_most(1.0)
 }
 
-/// What of a share is above a threshold, 0 to 1.
+/// Part of a fraction above a threshold, scaled to 0 to 1.
 #[inline(always)]
 fn above<R: Real>(share: R, threshold: f32) -> R {
     let per_rest = 1.0 / (1.0 - threshold).max(1e-3);
@@ -193,7 +193,7 @@ fn above<R: Real>(share: R, threshold: f32) -> R {
 }
 
 impl Clouds {
-    /// How thick they are at `p`, 0 to 1.
+    /// Density at `p`, 0 to 1.
     #[inline(always)]
     fn thickness<R: Real>(&self, p: Vec3<R>) -> R {
         above(of_range(&self.noise, p), self.threshold.get())
@@ -256,7 +256,7 @@ impl Shade for Clouds {
 }
 
 impl Clouds {
-    /// The share of a surface that is cloud; none where it is seen from inside.
+    /// Fraction of a surface covered by clouds; 0 seen from inside.
     #[inline(always)]
     fn cover<R: Real>(&self, place: &Place<R>) -> R {
         R::select(place.inside.0, place.distance.splat(0.0), self.thickness(place.point).at_most(1.0))
@@ -276,8 +276,8 @@ impl Volume {
         }
     }
 
-    /// The share of a light's colour that is scattered along its way by an angle of this cosine,
-    /// through this optical depth. The light's colour is over π, and the phase function over 4π.
+    /// Fraction of a light's color scattered by an angle of this cosine, through this optical depth. The
+    /// light's color is over π, and the phase function over 4π.
     #[inline(always)]
     pub(crate) fn phase<R: Real>(&self, cosine: R, depth: R) -> R {
         let mut sum = cosine.splat(0.0);
@@ -293,7 +293,7 @@ impl Volume {
         sum
     }
 
-    /// The share of the light that is scattered.
+    /// Fraction of the light that is scattered.
     #[inline(always)]
     pub(crate) fn scattered<R: Real>(&self, like: R) -> Vec3<R> {
         Vec3::given(like, self.albedo.get())

@@ -9,19 +9,19 @@ use super::lattice::{Index, cell};
 use crate::real::{Real, Vec3, vec3};
 use crate::seek::Seek;
 
-/// What is told of the nearest points.
+/// Value computed from the distances to the nearest points.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema, Seek)]
 #[serde(rename_all = "snake_case")]
 pub enum Feature {
     /// The distance to the nearest point, in cells, at most 1.
     #[default]
     F1,
-    /// How much further the second one is: 0 on the walls between cells.
+    /// Difference of the distances to the second and the nearest: 0 on the walls between cells.
     F2MinusF1,
 }
 
-/// The squares of the distances to the nearest and the second point, each at most 1. Whatever is nearer
-/// than 1 lies in the cell or one of the 26 around it, hence no step where a further cell takes over.
+/// Squared distances to the nearest and the second point, each at most 1. Any point nearer than 1 is in the
+/// cell or one of the 26 around it, so there is no step at the edge of the search.
 #[inline(always)]
 fn nearest_two<R: Real>(p: Vec3<R>, seed: R) -> (R, R) {
     p.x.shared(

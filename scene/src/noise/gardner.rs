@@ -19,19 +19,19 @@ use crate::real::{Real, Vec3, vec3};
 pub(super) const FEWEST_WAVES: u32 = 3;
 pub(super) const MOST_WAVES: u32 = 8;
 
-/// The weight of a wave over that of the one before.
+/// Weight of a wave relative to the previous one.
 const FADING: f32 = 0.707;
 
 /// Sine and cosine of an angle.
 type Turn<R> = (R, R);
 
-/// Sine and cosine of so many whole turns.
+/// Sine and cosine of an angle in whole turns.
 #[inline(always)]
 fn turned<R: Real>(turns: R) -> Turn<R> {
     ((turns - (turns + 0.5).floor()) * TAU).sin_cos()
 }
 
-/// Those of twice the angle.
+/// Sine and cosine of twice the angle.
 #[inline(always)]
 fn twice<R: Real>((sine, cosine): Turn<R>) -> Turn<R> {
     let product = sine * cosine;
@@ -53,7 +53,7 @@ fn weights(waves: u32) -> impl Iterator<Item = f32> {
     weights.map(move |weight| weight / sum)
 }
 
-/// Gardner's noise of so many waves, 0 to 1.
+/// Gardner's noise with this number of waves, 0 to 1.
 #[inline(always)]
 pub(super) fn gardner<R: Real>(p: Vec3<R>, seed: R, waves: u32) -> R {
     let word = seed.to_bits() * 0x9e37_79b1;
@@ -78,7 +78,7 @@ pub(super) fn gardner<R: Real>(p: Vec3<R>, seed: R, waves: u32) -> R {
     x_sum * y_sum * 0.25
 }
 
-/// The steepest it may be for each number of waves, per unit.
+/// Maximum slope for each number of waves, per unit.
 ///
 /// With X, X′ the two sums over their weights wᵢ plus 1, and Y, Y′ the sums of wᵢ·fᵢ·|cos θᵢ| for the frequencies fᵢ,
 /// T = X·X′/4, and the parts of 4·∇T along the axes are at most X′·Y + π/8·X·Y′, π/8·X′·Y + X·Y′ and π/2·(X′·Y + X·Y′).
@@ -86,7 +86,7 @@ pub(super) fn gardner<R: Real>(p: Vec3<R>, seed: R, waves: u32) -> R {
 /// what Σ wᵢ·sin θᵢ, Σ wᵢ·fᵢ·cos θᵢ can be together: a curve. A test goes along it for both.
 const LIPSCHITZ: [f32; (MOST_WAVES - FEWEST_WAVES + 1) as usize] = [15.72, 22.87, 33.39, 48.81, 71.34, 104.13];
 
-/// How fast it may change, per unit.
+/// Lipschitz factor, per unit.
 pub(super) fn lipschitz(waves: u32) -> f32 {
     LIPSCHITZ[(waves - FEWEST_WAVES) as usize]
 }

@@ -36,7 +36,7 @@ pub(super) fn perlin<R: Real>(p: Vec3<R>, seed: R) -> R {
     )
 }
 
-/// Random values at the corners of unit cubes, −1 to 1, mixed by the same quintic.
+/// Random values at the corners of unit cubes, −1 to 1, interpolated by the same quintic.
 #[inline(always)]
 pub(super) fn value<R: Real>(p: Vec3<R>, seed: R) -> R {
     p.x.shared(
@@ -57,7 +57,7 @@ pub(super) fn value<R: Real>(p: Vec3<R>, seed: R) -> R {
 
 /// Twice this is the furthest cell of the lattice.
 const FARTHEST: f32 = 2_097_151.0;
-/// One over the most that the sum of a simplex's four corners can be, which is 0.013007157.
+/// One over the maximum of the sum of a simplex's four corners, which is 0.013007157.
 const SIMPLEX_SCALE: f32 = 76.88;
 
 /// Simplex noise: Ken Perlin, "Noise hardware", in "Real-Time Shading", SIGGRAPH 2001 course notes; as in
@@ -109,7 +109,8 @@ pub(super) fn simplex<R: Real>(p: Vec3<R>, seed: R) -> R {
 mod tests {
     use super::*;
 
-    /// The most that any of the twelve gradients makes of `v`: its two largest parts.
+    /// Maximum of the dot products of `v` with the twelve gradients: the sum of its two largest
+    /// components.
     fn most(v: Vec3<f32>) -> f32 {
         let Vec3 { x, y, z } = vec3(v.x.abs(), v.y.abs(), v.z.abs());
         x + y + z - x.min(y).min(z)

@@ -1,4 +1,4 @@
-//! The list of noises: what a user writes, and the formula each stands for.
+//! The registry of noises: their parameters, and the formula of each.
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Deserializer, Serialize};
@@ -11,7 +11,7 @@ use crate::real::{Real, Vec3};
 use crate::seek::Seek;
 use crate::values::{Amount, Factor, Gain, Lacunarity, whole};
 
-/// Makes each kind's struct, of what all kinds have and what it alone has, and the choice among them.
+/// Defines the struct of each kind, with the common and its own parameters, and the enum of all kinds.
 macro_rules! noises {
     ($(
         $(#[$doc:meta])* $Kind:ident { $($(#[$about:meta])* $field:ident: $Type:ty),* $(,)? }
@@ -22,32 +22,33 @@ macro_rules! noises {
             #[serde(deny_unknown_fields)]
             pub struct $Kind {
                 $($(#[$about])* pub $field: $Type,)*
-                /// How many cells or waves there are in a scene unit.
+                /// Number of cells or waves per scene unit.
                 #[serde(default = "one")]
                 pub scale: Factor,
                 /// Which of the noises of this kind it is.
                 #[serde(default, deserialize_with = "seed")]
                 pub seed: u32,
-                /// How many octaves are summed, each finer than the one before.
+                /// Number of summed octaves, each finer than the previous one.
                 #[serde(default = "one_octave", deserialize_with = "octaves")]
                 #[schemars(range(min = 1, max = MAX_OCTAVES))]
                 pub octaves: u32,
-                /// How many times finer each octave is than the one before.
+                /// Ratio of the frequencies of successive octaves.
                 #[serde(default = "double")]
                 pub lacunarity: Lacunarity,
-                /// How many times as strong each octave is as the one before.
+                /// Ratio of the weights of successive octaves.
                 #[serde(default = "half")]
                 pub gain: Gain,
-                /// What each octave adds to the sum.
+                /// Contribution of each octave to the sum.
                 #[serde(default)]
                 pub fractal: Fractal,
-                /// How far the noise is shifted by another of its kind, in its own cells or waves.
+                /// Distance by which the noise is shifted by another one of its kind, in its
+                /// own cells or waves.
                 #[serde(default = "nothing")]
                 pub warp: Amount,
             }
 
             impl $Kind {
-                /// How its octaves are put together.
+                /// Combination of its octaves.
                 #[inline(always)]
                 pub(super) fn layers(&self) -> Layers<'_> {
                     Layers {
@@ -111,14 +112,14 @@ noises! {
 
     /// Worley's cellular noise: how far the nearest of points is that are strewn one to a cell.
     Cellular {
-        /// What is told of the nearest points.
+        /// Value computed from the distances to the nearest points.
         #[serde(default)]
         feature: Feature,
     }
 
     /// Gardner's noise: a product of two sums of sine waves that bend each other; clouds and trees of 1985.
     Gardner {
-        /// How many waves are in each sum.
+        /// Number of waves in each sum.
         #[serde(default = "five_waves", deserialize_with = "waves")]
         #[schemars(range(min = FEWEST_WAVES, max = MOST_WAVES))]
         waves: u32,
@@ -173,7 +174,7 @@ impl Basis for Cellular {
     }
 
     fn lipschitz(&self) -> f32 {
-        // A distance changes as fast as one goes.
+        // A distance has the Lipschitz factor 1.
         match self.feature {
             Feature::F1 => 1.0,
             Feature::F2MinusF1 => 2.0,

@@ -1,4 +1,4 @@
-//! What noises on a lattice have in common: a point's cell, and a random word for each of its corners.
+//! Common parts of lattice noises: the cell of a point, and a random hash of each of its corners.
 //!
 //! The hash multiplies each index by an odd constant, joins them and stirs once: a short form of
 //! those in Mark Jarzynski and Marc Olano, "Hash functions for GPU rendering", Journal of Computer
@@ -6,7 +6,7 @@
 
 use crate::real::{Real, Vec3, vec3};
 
-/// Cells further out than this are all the same along an axis: an `f32` has hardly a fraction left there.
+/// All cells farther out than this are the same along an axis: an `f32` has hardly any fraction left there.
 const FARTHEST_CELL: f32 = 4_194_303.0;
 /// Puts a whole number of up to ±2²² into the low bits of an `f32`.
 const TO_WHOLE: f32 = 12_582_912.0;
@@ -36,7 +36,7 @@ pub(super) fn cell<R: Real>(p: Vec3<R>) -> (Vec3<R>, Vec3<R>) {
 }
 
 impl<R: Real> Index<R> {
-    /// Of the corner at whole numbers up to ±2²², with `seed` from [`start`].
+    /// Hash of the corner at integers up to ±2²², with `seed` from [`start`].
     #[inline(always)]
     pub(super) fn new(corner: Vec3<R>, seed: R) -> Self {
         Self {
@@ -79,7 +79,7 @@ impl<R: Real> Index<R> {
     }
 }
 
-/// The words of a cell's eight corners; x changes fastest.
+/// Hashes of a cell's eight corners; x changes fastest.
 #[inline(always)]
 pub(super) fn corner_words<R: Real>([low, high]: [Index<R>; 2]) -> [R::Bits; 8] {
     let word = Index::<R>::word_of;
@@ -95,8 +95,8 @@ pub(super) fn corner_words<R: Real>([low, high]: [Index<R>; 2]) -> [R::Bits; 8] 
     ]
 }
 
-/// The seed of an octave as a number that may be handed on, whose bits are random but which is finite, normal
-/// and not 0; and where the octave starts in its cells, so that the corners of several do not fall together.
+/// Seed of an octave as a number with random bits that is finite, normal and not 0; and the octave's offset
+/// within its cells, so that the corners of several octaves do not coincide.
 #[inline(always)]
 pub(super) fn start(seed: u32, salt: u32) -> (f32, Vec3<f32>) {
     let word = crate::sampling::frame_key(seed, salt);

@@ -18,20 +18,20 @@ pub(super) const MAX_OCTAVES: u32 = 12;
 /// Seeds of an octave and those of the warp differ by this salt.
 const WARP_SALT: u32 = 8;
 
-/// What each octave adds to the sum.
+/// Contribution of each octave to the sum.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema, Seek)]
 #[serde(rename_all = "snake_case")]
 pub enum Fractal {
     /// The noise as it is: fractional Brownian motion.
     #[default]
     Fbm,
-    /// How far the noise is from the middle of its range, 0 to 1: creases where it passes the middle.
+    /// Distance of the noise from the middle of its range, 0 to 1: creases where it crosses the middle.
     Turbulence,
     /// 1 less that: sharp ridges there.
     Ridged,
 }
 
-/// How the octaves of a noise are put together.
+/// Combination of a noise's octaves.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Layers<'a> {
     pub(super) scale: f32,
@@ -43,7 +43,7 @@ pub(super) struct Layers<'a> {
     pub(super) warp: &'a Amount,
 }
 
-/// One octave: how much finer than the first, and its share of the sum.
+/// One octave: its frequency relative to the first, and its weight in the sum.
 struct Octave {
     frequency: f32,
     weight: f32,
@@ -98,7 +98,8 @@ impl Layers<'_> {
             };
             sum = term.mul_add(like.given(weight), sum);
         }
-        // The range holds to the last bit, and where nothing is known of a cell's random words.
+        // The result stays in range to the last bit, even if nothing is known of a cell's random
+        // hashes.
         let (low, high) = self.range(basis);
         sum.at_least(low).at_most(high)
     }
@@ -128,14 +129,14 @@ impl Layers<'_> {
     }
 }
 
-/// How far a noise is from the middle of its range, 0 to 1.
+/// Distance of a noise from the middle of its range, 0 to 1.
 #[inline(always)]
 fn from_middle<R: Real, B: Basis>(noise: R) -> R {
     let (low, high) = B::RANGE;
     noise.mul_add(noise.splat(2.0 / (high - low)), noise.splat((low + high) / (low - high))).abs()
 }
 
-/// A noise of one octave, with a seed and a place of its own.
+/// One octave, with its own seed and offset.
 #[inline(always)]
 fn octave_at<R: Real, B: Basis>(seed: u32, salt: u32, frequency: f32, basis: &B, p: Vec3<R>) -> R {
     let like = p.x;

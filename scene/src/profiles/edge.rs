@@ -2,8 +2,8 @@
 
 use crate::real::Real;
 
-/// What is known of a point's place after some edges of an outline: the square of the distance to
-/// the nearest of them, and a sign that changed with each one that a ray to the right crosses.
+/// State of a scan over an outline's edges: the squared distance to the nearest edge so far, and a sign that
+/// changes at each edge that a ray to the right crosses.
 pub(super) type Found<R> = (R, R);
 
 /// An edge from one corner to the next.
@@ -21,7 +21,7 @@ impl Edge {
         Self { from, to, over_square: 1.0 / (x * x + y * y).max(1e-30) }
     }
 
-    /// What was found so far, and this edge.
+    /// Adds this edge to a scan.
     ///
     /// Inigo Quilez, "2D distance functions": <https://iquilezles.org/articles/distfunctions2d/>.
     #[inline(always)]

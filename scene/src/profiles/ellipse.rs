@@ -1,4 +1,4 @@
-//! The ellipse: its nearest point has no short formula, so it is found step by step.
+//! The ellipse: its nearest point has no short formula and is found by iteration.
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -8,9 +8,10 @@ use crate::real::Real;
 use crate::seek::Seek;
 use crate::values::Length;
 
-/// Most steps to the nearest point; near the centre of curvature of a thin ellipse's end it took 17, the most found.
+/// Maximum number of steps to the nearest point; the most found was 17, near the center of curvature of a
+/// thin ellipse's end.
 const MAX_STEPS: u32 = 24;
-/// How near to the ellipse, as a part of its size, the nearest point is brought.
+/// Tolerance of the nearest point, as a fraction of the ellipse's size.
 const NEAR: f32 = 1e-6;
 
 /// An ellipse around the origin, its axes along x and y.

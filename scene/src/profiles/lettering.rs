@@ -19,7 +19,7 @@ use crate::seek::{Clock, Misfit, Seek};
 const MAX_CHARACTERS: usize = 64;
 /// Most lines and curves of a text's outlines.
 const MAX_PIECES: usize = 2_000;
-/// How far up from the line on which letters stand half a capital's height is.
+/// Height of the middle of a capital above the baseline.
 const MIDDLE: f32 = 0.364_5;
 
 static FONT: &[u8] = include_bytes!("../../fonts/DejaVuSans-Bold-Latin.ttf");
@@ -40,7 +40,7 @@ impl Seek for Lettering {
     }
 }
 
-/// The outline of one character, where it stands.
+/// Outline of one character at its position.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct Letter {
     pub(super) pieces: Vec<Piece>,
@@ -49,25 +49,25 @@ pub(super) struct Letter {
     pub(super) anchor: [f32; 2],
 }
 
-/// A piece of an outline.
+/// Segment of an outline.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) enum Piece {
     /// A straight one.
     Line(Edge),
-    /// A curve that goes only up or only down.
+    /// A curve that is monotonic in y.
     Curve(HalfParabola),
 }
 
-/// Why there is no lettering for a text.
+/// Reason why a text has no outline.
 #[derive(Debug, thiserror::Error)]
 pub enum NoLettering {
-    /// It has so many characters.
+    /// It has this many characters.
     #[error("has {0} characters: use at most {MAX_CHARACTERS}")]
     TooLong(usize),
     /// A character is not in the font.
     #[error("has {0:?}, which the font lacks: it has Latin letters, digits, punctuation and arrows")]
     NoGlyph(char),
-    /// Its outlines have so many pieces.
+    /// Its outlines have this many segments.
     #[error("has outlines of {0} lines and curves: use fewer letters, for at most {MAX_PIECES}")]
     TooIntricate(usize),
     /// No character leaves a mark.
@@ -113,7 +113,7 @@ impl JsonSchema for Lettering {
 }
 
 impl Lettering {
-    /// Its letters that leave a mark, one or more.
+    /// Its visible letters, one or more.
     pub(super) fn letters(&self) -> &[Letter] {
         &self.letters
     }
@@ -140,7 +140,7 @@ fn set(string: &str) -> Result<Vec<Letter>, NoLettering> {
     Ok(letters.collect())
 }
 
-/// How much nearer (below 0) or further two neighbours stand, in the font's units.
+/// Adjustment of the distance between two neighbors, in the font's units.
 fn kerning(face: &Face, left: GlyphId, right: GlyphId) -> i32 {
     let tables = face.tables().kern.iter().flat_map(|kern| kern.subtables);
     tables.filter_map(|table| table.glyphs_kerning(left, right)).map(i32::from).sum()
@@ -193,9 +193,9 @@ impl Outline {
         self.pen = to;
     }
 
-    /// A curve, cut where it turns most, and where it turns from up to down.
+    /// Adds a curve, cut at its vertex and where it turns from up to down.
     fn curve(&mut self, curve: Quadratic) {
-        // Nearer to an end than this there is nothing to cut off.
+        // Nearer to an end than this, no cut is made.
         const SLIVER: f32 = 1e-3;
         let inside = [curve.vertex(), curve.extreme(1)].into_iter().find(|t| (SLIVER..=1.0 - SLIVER).contains(t));
         if curve.is_straight() {

@@ -18,7 +18,7 @@ const MAX_POINTS: usize = 256;
 /// Further than anything is, squared, and yet a number.
 const FAR: f32 = 1e30;
 
-/// A polygon given by its corners. It need not be convex, and either way round will do.
+/// A polygon given by its corners, in either orientation. It need not be convex.
 ///
 /// Inigo Quilez, "2D distance functions": <https://iquilezles.org/articles/distfunctions2d/>.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
@@ -36,7 +36,7 @@ pub struct Points {
     edges: Vec<Edge>,
 }
 
-/// Why some points are no polygon: there are so many.
+/// Error returned for an invalid number of corners.
 #[derive(Debug, thiserror::Error)]
 #[error("has {0} points: a polygon has {MIN_POINTS} to {MAX_POINTS}")]
 pub struct WrongCount(usize);
@@ -123,18 +123,18 @@ impl Planar for Polygon {
     }
 }
 
-/// A fault of a corner that stands in the place of an earlier one.
+/// Error for a corner at the position of an earlier one.
 fn doubled(edges: &[Edge], number: usize) -> Option<(usize, String)> {
     let earlier = (0..number).find(|&earlier| edges[earlier].from == edges[number].from)?;
     Some((number, format!("is the same point as points/{earlier}: remove or move one of them")))
 }
 
-/// A fault of an edge that touches an earlier one elsewhere than where one ends and the other starts.
+/// Error for an edge that touches an earlier one anywhere but at a shared corner.
 fn crossing(edges: &[Edge], earlier: usize, number: usize) -> Option<(usize, String)> {
     let (a, b) = (edges[earlier], edges[number]);
     let count = edges.len();
     if a.to == b.from || b.to == a.from {
-        // Neighbours meet in one corner, unless the second goes back along the first.
+        // Neighbors share one corner, unless the second goes back along the first.
         let (corner, before, after) = if a.to == b.from { (a.to, a.from, b.to) } else { (b.to, b.from, a.to) };
         let goes_back = turn(before, corner, after) == 0.0 && !is_between(corner, before, after);
         let back = format!("goes back along the edge before it: remove or move points/{number}");

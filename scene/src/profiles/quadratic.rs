@@ -1,15 +1,15 @@
-//! Quadratic Bézier curves: pieces of parabolas.
+//! Quadratic Bézier curves: segments of parabolas.
 //!
-//! Where the parabola's vertex is not inside a piece, the square of the distance to a point of it
-//! has a derivative (a cubic in the parameter) that is convex, so Newton's method from the far end
-//! falls to its largest root and never past it: no cubic need be solved. The piece's start is the
-//! only other place that may be nearest.
+//! If the parabola's vertex is not inside a segment, the squared distance to a point of it has a convex
+//! derivative (a cubic in the parameter), so Newton's method from the far end converges to its largest root
+//! without overshoot, and no cubic need be solved. The only other candidate for the nearest point is the
+//! segment's start.
 
 use super::Extent;
 use super::edge::{Found, is_crossed};
 use crate::real::Real;
 
-/// How far off a straight way a curve may come and yet be drawn as one, as a part of a font's size.
+/// Maximum deviation at which a curve is replaced by a straight line, as a fraction of a font's size.
 const UNSEEN: f32 = 1e-5;
 
 /// A quadratic Bézier curve.
@@ -28,7 +28,7 @@ pub(super) struct HalfParabola {
     end: [f32; 2],
     a: [f32; 2],
     b: [f32; 2],
-    /// One over the vector product of 2·a and b, for a piece of an outline.
+    /// One over the cross product of 2·a and b, for a segment of an outline.
     over_turn: f32,
 }
 
@@ -55,13 +55,13 @@ impl Quadratic {
         ([a_x, a_y], [b_x, b_y])
     }
 
-    /// Where it turns most: the parameter of the parabola's vertex, or of the end next to it.
+    /// Parameter of the parabola's vertex, or of the nearest end.
     pub(super) fn vertex(&self) -> f32 {
         let (a, b) = self.derivatives();
         (-dot(a, b) / dot(b, b).max(1e-30)).clamp(0.0, 1.0)
     }
 
-    /// Where its tangent lies along the x axis (1) or y axis (0): a parameter from 0 to 1.
+    /// Parameter, from 0 to 1, at which its tangent is parallel to the x axis (1) or y axis (0).
     pub(super) fn extreme(&self, axis: usize) -> f32 {
         let (a, b) = self.derivatives();
         let divisor = if b[axis].abs() < 1e-20 { 1e-20 } else { b[axis] };
@@ -86,11 +86,11 @@ impl Quadratic {
         Extent::around([self.from, self.to, self.at(self.extreme(0)), self.at(self.extreme(1))])
     }
 
-    /// Whether nobody sees that it is not a straight way between its ends.
+    /// Whether it deviates invisibly little from the line between its ends.
     pub(super) fn is_straight(&self) -> bool {
         let (a, b) = self.derivatives();
         let chord = [self.to[0] - self.from[0], self.to[1] - self.from[1]];
-        // Half of the height of the triangle of its points is how far it comes off that way.
+        // Its deviation is half of the height of the triangle of its points.
         cross(a, b).abs() <= 2.0 * UNSEEN * Real::sqrt(dot(chord, chord))
     }
 
@@ -105,7 +105,7 @@ impl Quadratic {
 }
 
 impl HalfParabola {
-    /// The end next to the parabola's vertex.
+    /// The end nearest to the parabola's vertex.
     pub(super) fn start(&self) -> [f32; 2] {
         self.start
     }
@@ -116,18 +116,18 @@ impl HalfParabola {
         Quadratic { from: self.start, control, to: self.end }.extent()
     }
 
-    /// A curve whose vertex is at or before its start, or at or behind its end.
+    /// A curve whose vertex is at or before its start, or at or after its end.
     pub(super) fn new(curve: Quadratic) -> Self {
         let (a, b) = curve.derivatives();
         let reversed = Quadratic { from: curve.to, control: curve.control, to: curve.from };
-        // It is slowest at the vertex.
+        // Its speed is least at the vertex.
         let curve = if 2.0 * dot(a, b) + dot(b, b) < 0.0 { reversed } else { curve };
         let (a, b) = curve.derivatives();
         let turn = 2.0 * cross(a, b);
         Self { start: curve.from, end: curve.to, a, b, over_turn: if turn == 0.0 { 0.0 } else { 1.0 / turn } }
     }
 
-    /// The nearer of what was found so far and this piece, as the square of the distance.
+    /// Squared distance to the nearer of the nearest segment so far and this one.
     #[inline(always)]
     pub(super) fn nearer<R: Real>(&self, x: R, y: R, nearest: R) -> R {
         let Self { start, a, b, .. } = *self;
@@ -144,7 +144,7 @@ impl HalfParabola {
         )
     }
 
-    /// What was found so far, and this piece of an outline, which goes only up or only down.
+    /// Adds this segment of an outline, which is monotonic in y, to a scan.
     ///
     /// The side of the curve on which a point lies follows from its place in the frame of 2·a and
     /// b, in which the curve is (t, t²): Charles Loop and Jim Blinn, "Resolution Independent Curve
@@ -182,10 +182,11 @@ fn product<R: Real>(p: (R, R), q: (R, R)) -> R {
     p.0.mul_add(q.0, p.1 * q.1)
 }
 
-/// The square of the distance from a point, seen from the start, to the piece 2·a·t + b·t².
+/// Squared distance from a point, relative to the start, to the segment 2·a·t + b·t².
 #[inline(always)]
 fn square<R: Real>(off: (R, R), a: (R, R), b: (R, R)) -> R {
-    // After six steps the distance is right to 4·10⁻⁶ of the piece's length, as measured on random pieces.
+    // After six steps the distance is accurate to 4·10⁻⁶ of the segment's length, as measured on random
+    // segments.
     const STEPS: usize = 6;
     let cubic = product(b, b);
     let squared = product(a, b) * 3.0;

@@ -1,4 +1,4 @@
-//! Profiles that look the same from several sides: regular polygons and stars. Each is exact.
+//! Profiles with rotational symmetry: regular polygons and stars. Each is exact.
 //!
 //! A point is first folded into the wedge between a corner and the middle of a side, by a
 //! reflection for each time that the number of wedges can be halved: no angle is ever taken.
@@ -21,7 +21,7 @@ const MAX_SIDES: u32 = 64;
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
 #[serde(deny_unknown_fields)]
 pub struct RegularPolygon {
-    /// How many sides it has.
+    /// Number of sides.
     #[serde(deserialize_with = "sides")]
     #[schemars(range(min = 3, max = MAX_SIDES))]
     pub sides: u32,
@@ -38,7 +38,7 @@ pub struct RegularPolygon {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
 #[serde(deny_unknown_fields)]
 pub struct Star {
-    /// How many points it has.
+    /// Number of points.
     #[serde(deserialize_with = "star_points")]
     #[schemars(range(min = 3, max = MAX_SIDES))]
     pub points: u32,
@@ -53,8 +53,7 @@ fn wedge(n: u32) -> (f32, f32) {
     Real::sin_cos(std::f32::consts::PI / n as f32)
 }
 
-/// Where (`x`, `y`) is folded to in the wedge of π/n clockwise from the top: up along the corner
-/// and across from it.
+/// Folds (`x`, `y`) into the wedge of π/n clockwise from the top: up along the corner and across from it.
 #[inline(always)]
 fn fold<R: Real>(x: R, y: R, n: u32) -> (R, R) {
     let (mut up, mut across) = (y, x.abs());

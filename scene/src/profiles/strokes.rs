@@ -1,4 +1,4 @@
-//! Profiles that are a line of some thickness, with round ends.
+//! Profiles that are a thick line with round ends.
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -18,9 +18,9 @@ use crate::values::{Length, Turn, sin_cos_degrees};
 pub struct Arc {
     /// Radius of the line in its middle.
     pub radius: Length,
-    /// The angle between its ends, seen from the origin.
+    /// Angle between its ends at the origin.
     pub degrees: Turn,
-    /// How thick it is.
+    /// Thickness.
     pub thickness: Length,
 }
 
@@ -66,7 +66,7 @@ impl Planar for Arc {
     }
 }
 
-/// A curve between two points, drawn towards a third, with round ends: a quadratic Bézier curve.
+/// A curve between two points, controlled by a third, with round ends: a quadratic Bézier curve.
 ///
 /// The distance is that to the two halves of its parabola, each by Newton's method from the end at
 /// which it cannot miss.
