@@ -1,11 +1,11 @@
 //! The number a formula is written in.
 //!
-//! Every formula of a picture is written once, generic over [`Real`], and runs in several
-//! arithmetics: `f32` is the reference, SIMD lanes render on CPUs, [`Interval`] proves bounds,
-//! and a recorder will print CUDA. All of them must give the reference's bits, so everything
-//! here is defined to the bit: IEEE-754 binary32, rounded to nearest even, fused only where
-//! [`Real::mul_add`] is written. No result may depend on the sign of a zero, and no formula may
-//! make a NaN. There is no `if` on a value: use [`Real::select`], [`Real::when`], [`Real::repeat`].
+//! Every formula of a picture is written once, generic over [`Real`], and runs in several arithmetics: `f32`
+//! is the reference, SIMD lanes render on CPUs, [`Interval`] gives bounds, and a recorder generates CUDA. All
+//! of them must give the reference's bits, so everything here is defined to the bit: IEEE-754 binary32,
+//! rounded to nearest even, fused only where [`Real::mul_add`] is written. No result may depend on the sign
+//! of a zero, and no formula may produce a NaN. There is no `if` on a value: use [`Real::select`],
+//! [`Real::when`], [`Real::repeat`].
 
 mod bundle;
 mod functions;
@@ -21,7 +21,7 @@ pub use bundle::{Bundle, Flag, Join};
 pub use interval::{Interval, IntervalBits, Truth};
 pub use vector::{Vec3, vec3};
 
-/// Below this, [`Real::sqrt`] is 0, so that a GPU may take a root through its reciprocal.
+/// Below this, [`Real::sqrt`] is 0, so that a GPU may compute a root through its reciprocal.
 pub const SQRT_FLOOR: f32 = 1e-28;
 
 /// A condition on a [`Real`].
@@ -96,7 +96,7 @@ pub trait Real:
     /// The greater of two.
     fn max(self, other: Self) -> Self;
 
-    /// Where this number is less than `other`.
+    /// Mask of lanes in which this number is less than `other`.
     fn lt(self, other: Self) -> Self::Mask;
     /// `yes` where `mask` holds, else `no`.
     fn select(mask: Self::Mask, yes: Self, no: Self) -> Self;
@@ -106,11 +106,11 @@ pub trait Real:
     /// The number with these bits.
     fn from_bits(bits: Self::Bits) -> Self;
 
-    /// What `then` gives where `mask` holds, `otherwise` elsewhere. `then` is skipped when no lane needs it.
+    /// `then` where `mask` holds, `otherwise` elsewhere. `then` is skipped if no lane needs it.
     fn when<T: Bundle<Self>>(mask: Self::Mask, otherwise: T, then: impl FnOnce() -> T) -> T;
 
-    /// Runs `step` at least once and at most `limit` times (at least 1), for as long as the mask it
-    /// returns beside the next state holds.
+    /// Runs `step` at least once and at most `limit` times (at least 1), as long as the mask that it
+    /// returns with the next state holds.
     fn repeat<T: Bundle<Self>>(limit: u32, state: T, step: impl FnMut(T) -> (Self::Mask, T)) -> T;
 
     /// Runs `f` with this number's instruction set enabled. A function that is not inlined into its
@@ -120,8 +120,8 @@ pub trait Real:
         f()
     }
 
-    /// A step that a picture's formula takes in several places. A name stands for one step: all
-    /// numbers that differ from call to call come as `arguments`, and `step` holds only the scene.
+    /// A named step that a formula uses in several places. A name stands for one step: all numbers that
+    /// differ from call to call are in `arguments`, and `step` captures only the scene.
     #[inline(always)]
     fn shared<A: Bundle<Self>, T: Bundle<Self>>(
         self,
@@ -143,7 +143,7 @@ pub trait Real:
         self.vectorize(f)
     }
 
-    /// Multiplication by itself.
+    /// The number multiplied by itself.
     #[inline(always)]
     fn square(self) -> Self {
         self * self
@@ -167,13 +167,13 @@ pub trait Real:
         self.min(self.splat(high))
     }
 
-    /// Where this is less than a known number.
+    /// Mask of lanes in which this is less than a constant.
     #[inline(always)]
     fn below(self, bound: f32) -> Self::Mask {
         self.lt(self.splat(bound))
     }
 
-    /// Where this is greater than a known number.
+    /// Mask of lanes in which this is greater than a constant.
     #[inline(always)]
     fn above(self, bound: f32) -> Self::Mask {
         self.splat(bound).lt(self)
@@ -197,14 +197,14 @@ pub trait Real:
         functions::sin_cos(self)
     }
 
-    /// Sine and cosine of an angle counted in whole turns, of any size: what is periodic in space
-    /// stays so far from the origin. Largest error measured: 0.9 ulp of 1.
+    /// Sine and cosine of an angle in whole turns, of any size, so that periodic functions stay accurate
+    /// far from the origin. Largest error measured: 0.9 ulp of 1.
     #[inline(always)]
     fn sin_cos_turns(self) -> (Self, Self) {
         functions::sin_cos_turns(self)
     }
 
-    /// Arc cosine in radians, for x in −1..1; outside, as at the nearer end.
+    /// Arc cosine in radians, for x in −1..1; x is clamped to that range.
     #[inline(always)]
     fn acos(self) -> Self {
         functions::acos(self)
@@ -216,7 +216,7 @@ pub trait Real:
         functions::atan2(self, x)
     }
 
-    /// e to the power of this, for −87..88; outside, as at the nearer end.
+    /// e to the power of this, for −87..88; the exponent is clamped to that range.
     #[inline(always)]
     fn exp(self) -> Self {
         functions::exp(self)

@@ -25,7 +25,7 @@ use crate::seek::{Clock, Misfit, Seek};
 
 pub(crate) use replayed::Replayed;
 
-/// A kind of number that may move.
+/// Kinds of number that may be animated.
 macro_rules! numbers {
     ($($(#[$doc:meta])* $Name:ident: $holds:expr, $words:literal, $schema:tt;)*) => { $(
         number_type! { $(#[$doc])* $Name: $holds, $words }
@@ -48,7 +48,7 @@ macro_rules! numbers {
     )* };
 }
 
-/// A kind of number that is the same in all frames.
+/// Kinds of number that are the same in all frames.
 macro_rules! still_numbers {
     ($($(#[$doc:meta])* $Name:ident: $holds:expr, $words:literal, $schema:tt;)*) => { $(
         number_type! { $(#[$doc])* $Name: $holds, $words }
@@ -164,13 +164,13 @@ numbers! {
     /// A size, in scene units.
     Length: |v| (MIN_LENGTH..=MAX_LENGTH).contains(&v), "a size from 1e-6 to 1e6",
         { "type": "number", "minimum": 1e-6, "maximum": 1e6, "description": "A size, in scene units." };
-    /// A size that may be nothing, in scene units.
+    /// A length that may be 0, in scene units.
     Amount: |v| v == 0.0 || (MIN_LENGTH..=MAX_LENGTH).contains(&v), "0, or a size from 1e-6 to 1e6",
         { "type": "number", "minimum": 0, "maximum": 1e6, "description": "0, or a size from 1e-6 to 1e6, in scene units." };
     /// The distance from copy to copy, in scene units.
     Spacing: |v| (MIN_LENGTH..=MAX_LENGTH).contains(&v), "a distance from 1e-6 to 1e6, or null along an axis without copies",
         { "type": "number", "minimum": 1e-6, "maximum": 1e6, "description": "The distance from copy to copy, in scene units." };
-    /// A share of something.
+    /// A fraction from 0 to 1.
     Share: |v| (0.0..=1.0).contains(&v), "a share from 0 to 1",
         { "type": "number", "minimum": 0, "maximum": 1, "description": "A share of something." };
     /// A uniform scale.
@@ -179,7 +179,7 @@ numbers! {
     /// An angle, in degrees.
     Degrees: |v| v.abs() <= 36_000.0, "an angle within ±36000 degrees",
         { "type": "number", "minimum": -36000, "maximum": 36000, "description": "An angle, in degrees." };
-    /// Turns of a turntable.
+    /// Revolutions of a turntable.
     Turns: |v| v.abs() <= 1000.0, "a number of turns within ±1000",
         { "type": "number", "minimum": -1000, "maximum": 1000, "description": "Turns, counter-clockwise from above." };
     /// Exposure: the power of 2 that light is multiplied by.
@@ -194,40 +194,40 @@ numbers! {
     /// The length of an arc, in degrees.
     ArcLength: |v| (0.1..=360.0).contains(&v), "an arc from 0.1 to 360 degrees",
         { "type": "number", "minimum": 0.1, "maximum": 360, "description": "The length of an arc, in degrees." };
-    /// A part of a whole turn, in degrees.
+    /// A sweep angle, in degrees.
     Turn: |v| (0.01..=360.0).contains(&v), "an angle from 0.01 to 360 degrees",
         { "type": "number", "minimum": 0.01, "maximum": 360, "description": "A part of a whole turn, in degrees." };
     /// A vertical field of view, in degrees.
     FieldOfView: |v| (0.01..=179.0).contains(&v), "a field of view from 0.01 to 179 degrees",
         { "type": "number", "minimum": 0.01, "maximum": 179, "description": "A vertical field of view, in degrees." };
-    /// How narrow a highlight is: the exponent of Phong's cosine.
+    /// Exponent of Phong's cosine: larger gives a narrower highlight.
     Shininess: |v| (1.0..=10_000.0).contains(&v), "an exponent from 1 to 10000",
         { "type": "number", "minimum": 1, "maximum": 10000, "description": "The exponent of Phong's cosine." };
-    /// How much slower light is inside than outside.
+    /// Index of refraction: ratio of the speeds of light outside and inside.
     RefractiveIndex: |v| (1.0..=4.0).contains(&v), "an index of refraction from 1 to 4",
         { "type": "number", "minimum": 1, "maximum": 4, "description": "An index of refraction: air 1, water 1.33, glass 1.5, diamond 2.42." };
     /// The power of a fractal.
     Power: |v| (2.0..=32.0).contains(&v), "a power from 2 to 32",
         { "type": "number", "minimum": 2, "maximum": 32, "description": "The power of a fractal." };
-    /// How much an iteration of a kaleidoscopic system grows.
+    /// Growth of an iteration of a kaleidoscopic system.
     GrowthFactor: |v| (1.05..=8.0).contains(&v), "a factor from 1.05 to 8",
         { "type": "number", "minimum": 1.05, "maximum": 8, "description": "How much each iteration grows." };
     /// The scale of a Mandelbox.
     MandelboxScale: |v| (1.05..=4.0).contains(&v.abs()), "a scale from 1.05 to 4 or from -4 to -1.05",
         { "type": "number", "minimum": -4, "maximum": 4, "not": { "type": "number", "exclusiveMinimum": -1.05, "exclusiveMaximum": 1.05 }, "description": "The scale of a Mandelbox." };
-    /// One channel of a colour, in linear light.
+    /// One channel of a color, in linear light.
     Channel: |v| (0.0..=1e6).contains(&v), "an intensity from 0 to 1e6",
         { "type": "number", "minimum": 0, "maximum": 1e6, "description": "One channel of a colour, in linear light." };
-    /// How many times finer each octave of a noise is than the one before.
+    /// Ratio of the frequencies of successive octaves of a noise.
     Lacunarity: |v| (1.0..=4.0).contains(&v), "a lacunarity from 1 to 4",
         { "type": "number", "minimum": 1, "maximum": 4, "description": "How many times finer each octave of a noise is than the one before." };
-    /// How many times as strong each octave of a noise is as the one before.
+    /// Ratio of the weights of successive octaves of a noise.
     Gain: |v| (0.0..=1.0).contains(&v), "a gain from 0 to 1",
         { "type": "number", "minimum": 0, "maximum": 1, "description": "How many times as strong each octave of a noise is as the one before." };
-    /// How bright something is beside what it is by itself.
+    /// Factor of a light's brightness.
     Strength: |v| (0.0..=1e6).contains(&v), "a strength from 0 to 1e6",
         { "type": "number", "minimum": 0, "maximum": 1e6, "description": "How bright something is beside what it is by itself." };
-    /// How much of the light is lost on one scene unit: the extinction coefficient.
+    /// Extinction coefficient: the fraction of the light lost per scene unit.
     Density: |v| (0.0..=1e6).contains(&v), "a density from 0 to 1e6",
         { "type": "number", "minimum": 0, "maximum": 1e6, "description": "The extinction coefficient, per scene unit." };
     /// Whether light is scattered onwards (above 0) or back: the mean cosine g.
@@ -236,7 +236,7 @@ numbers! {
     /// The whole angle of a cone, in degrees.
     Aperture: |v| (0.0..=180.0).contains(&v), "an angle from 0 to 180 degrees",
         { "type": "number", "minimum": 0, "maximum": 180, "description": "The whole angle of a cone, in degrees." };
-    /// How hazy the air is.
+    /// Turbidity of the air.
     Turbidity: |v| (2.0..=10.0).contains(&v), "a turbidity from 2 to 10",
         { "type": "number", "minimum": 2, "maximum": 10, "description": "How hazy the air is: 2 is clear, 10 is thick haze." };
 }
@@ -262,7 +262,7 @@ impl<'de> Visitor<'de> for Whole {
     }
 
     fn visit_u64<E: Error>(self, value: u64) -> Result<i64, E> {
-        // Whatever is larger is out of every range.
+        // A larger value is out of every range.
         Ok(i64::try_from(value).unwrap_or(i64::MAX))
     }
 
@@ -336,7 +336,7 @@ impl Direction {
     }
 }
 
-/// A point as a direction of length 1; nothing if it is the origin.
+/// A point as a direction of length 1; `None` if it is the origin.
 fn unit(given: &Point) -> Option<Vec3<f32>> {
     let numbers = <[f32; 3]>::from(given.get());
     let largest = numbers.iter().fold(0.0_f32, |largest, c| largest.max(c.abs()));
@@ -394,7 +394,7 @@ pub struct Rotation {
 }
 
 impl Rotation {
-    /// The rows of the inverse rotation's matrix: multiplied with a point they turn it back.
+    /// Rows of the inverse rotation's matrix.
     #[inline(always)]
     pub fn inverse_rows(&self) -> [Vec3<f32>; 3] {
         self.rows

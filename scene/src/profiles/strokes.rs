@@ -53,8 +53,8 @@ impl Planar for Arc {
     }
 
     fn exactness(&self) -> Exactness {
-        // Inside, the distance to the middle line tells that to the outline, unless the line's own
-        // ends, or both sides of its circle, come nearer to each other than it is thick.
+        // Inside, the distance to the outline follows from the distance to the center line, unless
+        // the line's ends, or both sides of its circle, are closer to each other than the thickness.
         let (s, c) = sin_cos_degrees(self.degrees.get() / 2.0);
         let (radius, half) = (self.radius.get(), self.thickness.get() / 2.0);
         let is_closed = s == 0.0;
@@ -68,14 +68,14 @@ impl Planar for Arc {
 
 /// A curve between two points, controlled by a third, with round ends: a quadratic Bézier curve.
 ///
-/// The distance is that to the two halves of its parabola, each by Newton's method from the end at
-/// which it cannot miss.
+/// The distance is the lesser of those to the two halves of its parabola, each by Newton's method from the
+/// end at which it cannot overshoot.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
 #[serde(deny_unknown_fields)]
 pub struct Bezier {
     /// Its start, the point it is drawn towards, and its end.
     pub points: [Spot; 3],
-    /// How thick it is.
+    /// Thickness.
     pub thickness: Length,
 }
 

@@ -14,11 +14,11 @@ use crate::values::Length;
 /// A line of bold text without serifs, its middle at the origin: half of its length along x, and
 /// half of a capital's height along y.
 ///
-/// It is exact unless letters stand so near to each other that one is above the other.
+/// It is exact unless letters overlap.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
 #[serde(deny_unknown_fields)]
 pub struct Text {
-    /// What it says, up to 64 characters: Latin letters, digits, punctuation and arrows.
+    /// The text, up to 64 characters: Latin letters, digits, punctuation and arrows.
     pub string: Lettering,
     /// Size of the font: capitals are 0.73 of it high.
     pub size: Length,
@@ -35,7 +35,7 @@ impl Letter {
     /// The square of a distance that no point of the outline is nearer than.
     #[inline(always)]
     fn square_at_least<R: Real>(&self, x: R, y: R) -> R {
-        // By far more than rounding, so that a letter that may matter is looked at.
+        // Far more than rounding errors, so that every letter that may be nearest is evaluated.
         const MARGIN: f32 = 1e-4;
         let Extent { low, high } = self.extent.widened(MARGIN);
         let beyond_x = (x.given(low[0]) - x).max(x - x.given(high[0])).at_least(0.0);
@@ -43,8 +43,8 @@ impl Letter {
         beyond_x.square_add(beyond_y.square())
     }
 
-    /// What was found so far, and this letter. Outside of its extent a ray to the right crosses its
-    /// closed outline an even number of times, so one that is too far away can be left out.
+    /// Adds this letter to a scan. Outside of its bounds a ray to the right crosses its closed outline an
+    /// even number of times, so a letter that is too far away can be skipped.
     #[inline(always)]
     fn pass<R: Real>(&self, x: R, y: R, found: Found<R>) -> Found<R> {
         R::when(

@@ -2,7 +2,7 @@
 
 use super::{Real, Vec3};
 
-/// How to make one part out of two.
+/// Merges two values into one.
 pub trait Join<R: Real> {
     /// Joins two numbers.
     fn number(&mut self, a: R, b: R) -> R;
@@ -34,7 +34,7 @@ impl<R: Real> Bundle<R> for Flag<R> {
     }
 }
 
-/// Makes a [`Bundle`] of a struct whose fields are bundles.
+/// Implements [`Bundle`] for a struct whose fields are bundles.
 macro_rules! bundle {
     ($Struct:ident { $($field:ident),+ }) => {
         impl<R: $crate::real::Real> $crate::real::Bundle<R> for $Struct<R> {
@@ -50,7 +50,7 @@ pub(crate) use bundle;
 
 bundle!(Vec3 { x, y, z });
 
-/// What a scene's structure has or has not: never one with and one without.
+/// An option that depends on the scene's structure: merged values are both present or both absent.
 impl<R: Real, T: Bundle<R>> Bundle<R> for Option<T> {
     #[inline(always)]
     fn join(self, other: Self, how: &mut impl Join<R>) -> Self {

@@ -42,14 +42,14 @@ pub(super) fn sin_cos_turns<R: Real>(turns: R) -> (R, R) {
         #[inline(always)]
         |turns| {
             let quarter = (turns * 4.0 + 0.5).floor();
-            // What is left is exact, and at most an eighth of a turn.
+            // The remainder is exact, and at most an eighth of a turn.
             let rest = quarter.mul_add(turns.splat(-0.25), turns);
             quarter_turned(quarter, rest * TAU)
         },
     )
 }
 
-/// Sine and cosine of a number of quarter turns and `r`, which is at most an eighth of a turn.
+/// Sine and cosine of a number of quarter turns plus `r`, which is at most an eighth of a turn.
 #[inline(always)]
 fn quarter_turned<R: Real>(quarter: R, r: R) -> (R, R) {
     let square = r * r;
@@ -196,7 +196,7 @@ fn ln_in_parts<R: Real>(x: R) -> (R, R) {
     );
     let tail = (square * r).mul_add(tail, exponent * -2.121_944_4e-4);
     let fraction = r + square.mul_add(x.splat(-0.5), tail);
-    // The first product is exact; what the sum loses is kept (Dekker's Fast2Sum).
+    // The first product is exact; the rounding error of the sum is kept (Dekker's Fast2Sum).
     let whole = exponent * 0.693_359_375;
     let sum = whole + fraction;
     (sum, (whole - sum) + fraction)
@@ -207,8 +207,8 @@ fn ln_in_parts<R: Real>(x: R) -> (R, R) {
 mod tests {
     use super::*;
 
-    /// Largest error of `f` over `points`, in units of the last place of the true value, or of
-    /// `floor` where that is larger.
+    /// Largest error of `f` over `points`, in units of the last place of the true value, or of `floor` if
+    /// that is larger.
     fn largest_error(points: impl Iterator<Item = f32>, f: impl Fn(f32) -> (f32, f64), floor: f64) -> f64 {
         points
             .map(|x| {

@@ -1,7 +1,8 @@
-//! Every value a formula can take over a box of space.
+//! Interval arithmetic: contains every value that a formula takes over a box of space.
 //!
-//! Rounding to nearest is monotone, so the ends computed in `f32` contain every `f32` the same
-//! operation gives inside; the polynomials of the transcendentals are not, so those are widened.
+//! Rounding to nearest is monotonic, so the ends computed in `f32` contain every `f32` that the same
+//! operation gives inside; the polynomials of the transcendentals are not monotonic, so their intervals are
+//! widened.
 
 use std::ops::{Add, BitAnd, BitOr, BitXor, Div, Mul, Neg, Not, Shl, Shr, Sub};
 
@@ -17,14 +18,14 @@ pub struct Interval {
     pub high: f32,
 }
 
-/// What is known of a condition over a box.
+/// Truth of a condition over a box.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Truth {
-    /// It holds everywhere.
+    /// True everywhere.
     Yes,
-    /// It holds nowhere.
+    /// False everywhere.
     No,
-    /// It may hold in some places.
+    /// Unknown: it may hold in some places.
     Maybe,
 }
 
@@ -167,7 +168,7 @@ bit_operators![Add add, Mul mul, BitXor bitxor, BitAnd bitand, BitOr bitor, Shl 
 
 impl Bits for IntervalBits {}
 
-/// Keeps whatever either of two bundles may be.
+/// Merges two bundles into one that contains both.
 struct Hull;
 
 impl Join<Interval> for Hull {
@@ -313,7 +314,7 @@ impl Real for Interval {
             match again {
                 Truth::Yes => {}
                 Truth::No => break,
-                // Some points stop here, some go on: remember where the first may end.
+                // Some points stop here, others continue: keep the hull of the stopped ones.
                 Truth::Maybe => stopped = Some(stopped.map_or(state, |ends| ends.join(state, &mut Hull))),
             }
         }

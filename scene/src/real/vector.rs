@@ -4,14 +4,14 @@ use std::ops::{Add, Mul, Neg, Sub};
 
 use super::Real;
 
-/// A point, a direction or a colour.
+/// A point, a direction or a color.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Vec3<R> {
     /// To the right, or red.
     pub x: R,
     /// Up, or green.
     pub y: R,
-    /// Towards the viewer, or blue.
+    /// Toward the viewer, or blue.
     pub z: R,
 }
 
@@ -92,7 +92,7 @@ impl<R: Real> Vec3<R> {
         vec3(self.x * other.x, self.y * other.y, self.z * other.z)
     }
 
-    /// `self` times `factor` plus `term`, each coordinate by itself, fused.
+    /// `self` times `factor` plus `term`, element by element, fused.
     #[inline(always)]
     pub fn mul_add_by_channel(self, factor: Self, term: Self) -> Self {
         vec3(self.x.mul_add(factor.x, term.x), self.y.mul_add(factor.y, term.y), self.z.mul_add(factor.z, term.z))

@@ -1,4 +1,4 @@
-//! Colours: three channels of linear light, or a string in sRGB.
+//! Colors: three channels of linear light, or a string in sRGB.
 
 use std::borrow::Cow;
 use std::fmt;
@@ -11,7 +11,7 @@ use super::Channel;
 use crate::real::{Vec3, vec3};
 use crate::seek::{Clock, Misfit, Seek};
 
-/// A colour in linear light; above 1 is allowed. Two are equal if their channels are.
+/// A color in linear light; above 1 is allowed. Two are equal if their channels are.
 #[derive(Clone, Debug)]
 pub struct Color {
     light: Vec3<f32>,
@@ -20,7 +20,7 @@ pub struct Color {
 }
 
 impl Color {
-    /// The colour with these channels.
+    /// The color with these channels.
     pub const fn new(red: f32, green: f32, blue: f32) -> Self {
         Self { light: vec3(red, green, blue), channels: None }
     }
@@ -37,7 +37,7 @@ impl Color {
         self.channels.is_some()
     }
 
-    /// Whether it is black in every frame: then what it would colour may be left out.
+    /// Whether it is black in every frame: then a formula may leave its term out.
     #[inline(always)]
     pub fn is_black(&self) -> bool {
         self.light == vec3(0.0, 0.0, 0.0) && !self.is_moving()

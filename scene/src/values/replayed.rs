@@ -1,4 +1,4 @@
-//! Looking at the first key of a map before it is known what the map is.
+//! Peeks at the first member of a map before its type is known.
 
 use serde::de::value::StringDeserializer;
 use serde::de::{DeserializeSeed, MapAccess};

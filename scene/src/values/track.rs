@@ -1,6 +1,6 @@
 //! Tracks: numbers that change over the frames of a job.
 //!
-//! A number that has one holds it, beside its value at the time that it was taken to last.
+//! A number with a track stores it, next to its value at the time it was last evaluated for.
 
 mod keys;
 
@@ -21,7 +21,7 @@ use crate::materials::Texture;
 
 /// A kind of number, with its range.
 pub(super) trait Ranged: Sized {
-    /// What a number of this kind must be.
+    /// Range of a number of this kind, as words for messages.
     const WORDS: &'static str;
 
     /// Whether a number is in range.
@@ -63,7 +63,7 @@ macro_rules! visit_numbers {
     };
 }
 
-/// Reads a number that nothing moves.
+/// Deserializes a number that cannot be animated.
 pub(super) struct Unmoved<T>(PhantomData<T>);
 
 impl<T: Ranged> Visitor<'_> for Unmoved<T> {
@@ -100,7 +100,7 @@ impl<'de, T: Ranged> Visitor<'de> for NumberOrTrack<T> {
     }
 }
 
-/// Reads a number that nothing moves.
+/// Deserializes a number that cannot be animated.
 pub(super) fn read_still<'de, T: Ranged, D: Deserializer<'de>>(d: D) -> Result<T, D::Error> {
     d.deserialize_f64(Unmoved(PhantomData))
 }
@@ -110,7 +110,8 @@ pub(super) fn read<'de, T: Ranged, D: Deserializer<'de>>(d: D) -> Result<T, D::E
     d.deserialize_any(NumberOrTrack(PhantomData))
 }
 
-/// Writes a number; one that moves as a track that stands still, so that it is read again as it was.
+/// Serializes a number; an animated one as a track with one keyframe, so that it is still animated when it is
+/// read again.
 pub(super) fn write<S: Serializer>(value: f32, is_moving: bool, serializer: S) -> Result<S::Ok, S::Error> {
     if !is_moving {
         return serializer.serialize_f32(value);
@@ -120,14 +121,14 @@ pub(super) fn write<S: Serializer>(value: f32, is_moving: bool, serializer: S) -
     track.end()
 }
 
-/// How a number goes from one key to the next.
+/// Interpolation between two keyframes.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub(crate) enum Ease {
     /// Evenly.
     #[default]
     Linear,
-    /// Slowly away from a key and slowly up to the next: s²(3 − 2s) for the share s of the way.
+    /// Smooth: s²(3 − 2s) for the fraction s of the interval.
     Smooth,
     /// Not at all: it is the earlier key's until the next one's time.
     Step,
@@ -146,7 +147,7 @@ impl Ease {
 /// A number over time.
 #[derive(Debug)]
 pub(crate) struct Track {
-    /// Seconds, which rise, and the number there; one or more.
+    /// Keyframes in the order of time: seconds and number; one or more.
     keys: Vec<(f64, f32)>,
     ease: Ease,
 }
@@ -157,7 +158,7 @@ impl Track {
         self.keys.iter().map(|&(seconds, _)| seconds)
     }
 
-    /// The number at a time. `holds` says whether a number is in range.
+    /// The number at a time. `holds` tells whether a number is in range.
     pub(super) fn at(&self, now: f64, holds: fn(f32) -> bool) -> f32 {
         let next = self.keys.partition_point(|&(seconds, _)| seconds <= now);
         let (from, before) = self.keys[next.saturating_sub(1)];
@@ -172,7 +173,7 @@ impl Track {
         if holds(value) {
             return value;
         }
-        // Where a range has a hole, as between 0 and the least size, the nearer key is in it.
+        // If the range has a gap, as between 0 and the minimum size, the nearer keyframe is used.
         if share < 0.5 { before } else { after }
     }
 }
@@ -222,7 +223,7 @@ impl JsonSchema for TrackSchema {
 /// The schema of a number, as that of the number or a track of such numbers.
 pub(super) fn or_track(mut schema: Schema, generator: &mut SchemaGenerator) -> Schema {
     let track = generator.subschema_for::<TrackSchema>();
-    // Its range says nothing of what is no number, so it stays where it is.
+    // Its range applies to numbers only, so it stays in place.
     if let Some(number) = schema.remove("type") {
         schema.insert("anyOf".to_owned(), serde_json::json!([{ "type": number }, track]));
     }

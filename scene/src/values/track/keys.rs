@@ -1,4 +1,4 @@
-//! The keys of a track: read one after another, each with its place in a fault.
+//! Deserializes the keyframes of a track one by one, so that each error has its place.
 
 use std::fmt;
 use std::marker::PhantomData;
@@ -9,7 +9,7 @@ use serde::{Deserialize, Deserializer};
 use super::{Ranged, read_still};
 use crate::limits::{MAX_KEY_SECONDS, MAX_KEYS};
 
-/// Keys in the order of time, one or more, with numbers in the range of `T`.
+/// Keyframes in the order of time, one or more, with numbers in the range of `T`.
 pub(super) struct Keys<T>(pub(super) Vec<(f64, f32)>, PhantomData<T>);
 
 impl<'de, T: Ranged> Deserialize<'de> for Keys<T> {
