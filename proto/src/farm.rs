@@ -1,12 +1,12 @@
-//! The farm as a whole, as users see it over HTTP: whether it is paused, and its numbers at a glance.
+//! State of the farm, as the HTTP API returns it.
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-/// The farm, as `GET /v1/farm` shows it.
+/// State of the farm, as `GET /v1/farm` returns it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 pub struct FarmView {
-    /// Nothing is leased until it is resumed; what is leased already goes on.
+    /// No tiles are leased until the farm is resumed; leased tiles finish and count.
     pub paused: bool,
 }
 

@@ -26,7 +26,7 @@ pub(crate) struct Arguments {
     /// Save every picture, each in a file of its own; what -o names is a folder.
     #[arg(long, env = "SDFARM_ALL", conflicts_with = "frame", value_parser = clap::builder::FalseyValueParser::new(), action = clap::ArgAction::SetTrue)]
     all: bool,
-    /// Take what is stored although the job has not ended.
+    /// Save the stored pictures although the job has not finished.
     #[arg(long, env = "SDFARM_PARTIAL", value_parser = clap::builder::FalseyValueParser::new(), action = clap::ArgAction::SetTrue)]
     partial: bool,
 }
