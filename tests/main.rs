@@ -18,6 +18,7 @@ mod fuzz;
 mod jobs;
 mod kills;
 mod operating;
+mod pages;
 mod previews;
 mod same_bits;
 mod support;
