@@ -24,12 +24,15 @@ const LINES: &[(&str, &[&str])] = &[
     ("id=$(sdfarm submit job.json --wait --server $farm)", &[]),
     ("curl -s -H 'Prefer: wait=60' \"$farm/v1/jobs/$id\"", &["\"state\":\"succeeded\"", "\"paused\":false"]),
     ("curl -sN \"$farm/v1/jobs/$id/events\"", &["event: state", "event: frame", "\"state\":\"succeeded\""]),
-    ("curl -s \"$farm/v1/jobs/$id/frames?limit=1000\"", &["\"number\":1", "\"state\":\"stored\"", "\"next_cursor\":null"]),
+    (
+        "curl -s \"$farm/v1/jobs/$id/frames?limit=1000\"",
+        &["\"number\":1", "\"state\":\"stored\"", "\"next_cursor\":null"],
+    ),
     ("curl -s -o first.png \"$farm/v1/jobs/$id/image\"", &[]),
     ("curl -sOJ \"$farm/v1/jobs/$id/frames.zip\"", &[]),
     ("sdfarm fetch $id -o frames/ --server $farm", &["wrote 2 pictures to frames/"]),
-    ("curl -s --json @job.json \"$farm/v1/jobs?webhook=", &["\"state\":\"queued\""]),
-    ("sdfarm submit job.json --webhook", &["-"]),
+    ("curl -s --json @job.json \"$farm/v1/jobs?webhook=", &["\"id\":\"", "\"state\":\""]),
+    ("id=$(sdfarm submit job.json --webhook", &[]),
     ("curl -s \"$farm/v1/jobs/$id/webhooks\"", &["\"deliveries\":["]),
 ];
 

@@ -48,7 +48,10 @@ fn demo_says_where_the_picture_is_how_long_it_took_and_what_is_next() {
     assert!(remarks.contains("fjord: 32×16") && remarks.contains("next: ") && remarks.contains(" serve`"), "{remarks}");
     assert_eq!(names_in(folder.path()), ["fjord.png"]);
     let readme = fs::read_to_string(root().join("README.md")).expect("there");
-    assert!(readme.contains("cargo run --release -- demo") && readme.contains("fjord.png"), "the README names the file");
+    assert!(
+        readme.contains("cargo run --release -- demo") && readme.contains("fjord.png"),
+        "the README names the file"
+    );
 }
 
 #[test]
@@ -73,7 +76,10 @@ fn pause_shows_wherever_a_user_looks() {
     assert!(screen.contains("alert    the farm is paused: `sdfarm resume` lets it go on"), "{screen}");
     let told: Value = serde_json::from_str(&on_farm(&["status", "--json"])).expect("JSON");
     assert_eq!(told["paused"], true);
-    assert_eq!((farm.get("/v1/farm").json(), farm.get("/").json()["farm"]["paused"].clone()), (json!({"paused": true}), json!(true)));
+    assert_eq!(
+        (farm.get("/v1/farm").json(), farm.get("/").json()["farm"]["paused"].clone()),
+        (json!({"paused": true}), json!(true))
+    );
     on_farm(&["resume"]);
     assert!(!on_farm(&["status"]).contains("paused"));
 }
@@ -112,7 +118,9 @@ fn an_output_that_can_not_be_written_is_told_before_anything_is_submitted() {
     let farm = Farm::start(&["--workers", "0"]);
     let folder = folder_with_frames(2);
     fs::write(folder.path().join("file"), "").expect("written");
-    for (output, says) in [("absent/a.png", "make it first"), ("file/", "could not make the folder"), ("a.jpg", ".png or .exr")] {
+    for (output, says) in
+        [("absent/a.png", "make it first"), ("file/", "could not make the folder"), ("a.jpg", ".png or .exr")]
+    {
         let refused = run_in(folder.path(), &["submit", "job.json", "--wait", "-o", output, "--server", &farm.address]);
         assert_eq!(refused.status.code(), Some(2), "{output}: {}", text(&refused.stderr));
         assert!(text(&refused.stderr).contains(says), "{output}: {}", text(&refused.stderr));

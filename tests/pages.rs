@@ -140,7 +140,12 @@ fn broken_tables_and_lost_links_are_found() {
 fn operations_names_every_flag_of_the_server_and_no_other() {
     let page = fs::read_to_string(root().join("docs/operations.md")).expect("there");
     let help = crate::support::succeed(&["serve", "--help"]);
-    let table: String = page.lines().skip_while(|line| !line.starts_with("| `serve` |")).take_while(|line| line.starts_with('|')).map(|line| format!("{line}\n")).collect();
+    let table: String = page
+        .lines()
+        .skip_while(|line| !line.starts_with("| `serve` |"))
+        .take_while(|line| line.starts_with('|'))
+        .map(|line| format!("{line}\n"))
+        .collect();
     let flags = |text: &str| -> BTreeSet<String> {
         let words = text.split(|letter: char| !letter.is_ascii_lowercase() && letter != '-');
         words.filter(|word| word.starts_with("--") && word.len() > 3).map(str::to_owned).collect()

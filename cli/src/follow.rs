@@ -166,9 +166,10 @@ pub(crate) async fn fetch(client: &Client, id: JobId, frame: u32, path: &str) ->
 /// Writes a frame's picture to a file; returns its size in bytes.
 pub(crate) async fn save(client: &Client, id: JobId, frame: u32, path: &str) -> anyhow::Result<u64> {
     let mut output = OutputFile::create(path)?;
-    let size_bytes = client.image(id, frame, output.file()).await.with_context(|| {
-        format!("could not fetch frame {frame} of job {id}")
-    })?;
+    let size_bytes = client
+        .image(id, frame, output.file())
+        .await
+        .with_context(|| format!("could not fetch frame {frame} of job {id}"))?;
     output.commit()?;
     Ok(size_bytes)
 }

@@ -251,7 +251,8 @@ pub(crate) mod tests {
             "progress": 0.25, "tiles": {"done": 2, "total": 8}, "frames": {"done": 0, "total": 1}, "errors": [],
             "warnings": [], "created_at": "2026-01-01T00:00:00Z", "started_at": null, "finished_at": null,
             "eta_seconds": 75.0}"#;
-        let held = job.replace("\"state\"", "\"paused\": true, \"state\"").replace("fjord", "lantern").replace("75.0", "null");
+        let held =
+            job.replace("\"state\"", "\"paused\": true, \"state\"").replace("fjord", "lantern").replace("75.0", "null");
         Overview::of(
             "http://127.0.0.1:8080",
             "ready".to_owned(),

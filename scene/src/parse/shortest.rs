@@ -50,7 +50,8 @@ mod tests {
             match value {
                 Value::Number(number) => {
                     let text = number.to_string();
-                    let digits: String = text.split('e').next().unwrap_or("").chars().filter(char::is_ascii_digit).collect();
+                    let digits: String =
+                        text.split('e').next().unwrap_or("").chars().filter(char::is_ascii_digit).collect();
                     assert!(number.is_u64() || digits.trim_start_matches('0').len() <= 9, "{number}");
                 }
                 Value::Array(members) => members.iter().for_each(check),

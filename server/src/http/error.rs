@@ -149,7 +149,9 @@ fn not_stored(job: &JobId, frame: u32, state: JobState) -> String {
     if state.is_final() {
         format!("frame {frame} of job {job} was never stored: the job is {}", state.name())
     } else {
-        format!("frame {frame} of job {job} is not stored yet: GET /v1/jobs/{job} (`sdfarm watch {job}`) says when it is")
+        format!(
+            "frame {frame} of job {job} is not stored yet: GET /v1/jobs/{job} (`sdfarm watch {job}`) says when it is"
+        )
     }
 }
 

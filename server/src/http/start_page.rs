@@ -7,7 +7,7 @@ use std::sync::Arc;
 
 use axum::Json;
 use axum::extract::{Request, State};
-use axum::http::{HeaderMap, HeaderName, HeaderValue, header};
+use axum::http::{HeaderMap, HeaderValue, header};
 use axum::response::{Html, IntoResponse, Response};
 use proto::farm::{FarmCounts, StartView};
 use proto::job::{JobState, JobView};
@@ -64,7 +64,7 @@ pub(super) async fn get(State(farm): State<Arc<Farm>>, request: Request) -> Resu
         (header::CACHE_CONTROL, "no-store"),
         (header::VARY, "accept"),
     ] {
-        let _: Option<HeaderValue> = response.headers_mut().insert::<HeaderName>(name, HeaderValue::from_static(value));
+        response.headers_mut().insert(name, HeaderValue::from_static(value));
     }
     Ok(response)
 }
@@ -87,8 +87,12 @@ async fn counts(farm: &Farm) -> Result<FarmCounts, ApiError> {
 
 /// Whether the client names HTML among what it accepts; `*/*` alone, as curl says, is a program's.
 fn wants_html(headers: &HeaderMap) -> bool {
-    headers.get_all(header::ACCEPT).iter().filter_map(|value| value.to_str().ok()).flat_map(|value| value.split(',')).any(
-        |range| {
+    headers
+        .get_all(header::ACCEPT)
+        .iter()
+        .filter_map(|value| value.to_str().ok())
+        .flat_map(|value| value.split(','))
+        .any(|range| {
             let mut parts = range.split(';').map(str::trim);
             let is_html = parts.next().is_some_and(|kind| {
                 kind.eq_ignore_ascii_case("text/html") || kind.eq_ignore_ascii_case("application/xhtml+xml")
@@ -97,17 +101,15 @@ fn wants_html(headers: &HeaderMap) -> bool {
                 .filter_map(|part| part.strip_prefix("q="))
                 .any(|quality| quality.parse::<f32>().is_ok_and(|quality| quality == 0.0));
             is_html && !is_refused
-        },
-    )
+        })
 }
 
 /// The address that the client used, for the examples; the host was checked before.
 fn address(farm: &Farm, request: &Request) -> String {
     let scheme = if farm.config.tls.is_some() { "https" } else { "http" };
     let named = request.uri().authority().map(|authority| authority.as_str().to_owned());
-    let host = named.or_else(|| {
-        request.headers().get(header::HOST).and_then(|value| value.to_str().ok()).map(str::to_owned)
-    });
+    let host =
+        named.or_else(|| request.headers().get(header::HOST).and_then(|value| value.to_str().ok()).map(str::to_owned));
     format!("{scheme}://{}", host.unwrap_or_else(|| farm.config.listen.to_string()))
 }
 
@@ -120,9 +122,11 @@ fn page(view: &StartView, jobs: &[JobView], address: &str) -> String {
          curl{key} -o picture.png {address}/v1/jobs/ID/image"
     );
     let state = match &view.farm {
-        None => "<p class=\"warning\">This farm needs a key: send it as <code>Authorization: Bearer KEY</code>, or give \
+        None => {
+            "<p class=\"warning\">This farm needs a key: send it as <code>Authorization: Bearer KEY</code>, or give \
                  it to sdfarm in <code>SDFARM_KEY</code>. Its administrator has keys.</p>"
-            .to_owned(),
+                .to_owned()
+        }
         Some(farm) => glance(farm, jobs),
     };
     PAGE.replace("{version}", &escaped(&view.version))
@@ -141,10 +145,10 @@ fn glance(farm: &FarmCounts, jobs: &[JobView]) -> String {
                  machine.</p>\n";
     }
     let workers = if *workers_ready == 1 { "worker is" } else { "workers are" };
-    write!(
+    writeln!(
         text,
         "<p>{running} running, {queued} queued, {succeeded} succeeded, {failed} failed, {cancelled} cancelled; \
-         {workers_ready} {workers} ready.</p>\n"
+         {workers_ready} {workers} ready.</p>"
     )
     .expect("a String takes all");
     if jobs.is_empty() {

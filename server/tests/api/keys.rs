@@ -119,7 +119,8 @@ async fn first_key_of_a_farm_is_an_administrators_or_none_is_made() {
     let problem = refused(farm.post("/v1/keys", worker.clone()).await, 422, "wrong_key").await;
     assert!(problem.detail.contains("sdfarm key new admin --scope admin"), "{problem:?}");
     let mut keys = KeyFolder::open(farm.folder.path()).await.expect("the folder is there");
-    let error = keys.make(new_key("anna", &[Scope::Submit, Scope::Read])).await.expect_err("it would lock its maker out");
+    let error =
+        keys.make(new_key("anna", &[Scope::Submit, Scope::Read])).await.expect_err("it would lock its maker out");
     assert!(error.to_string().contains("--scope admin"), "{error}");
     assert!(keys.list().await.expect("reads").is_empty());
     assert_eq!(farm.get("/v1/jobs").await.status(), StatusCode::OK, "the farm is still open");
