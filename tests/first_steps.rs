@@ -71,6 +71,8 @@ fn pause_shows_wherever_a_user_looks() {
 
     on_farm(&["resume", &id]);
     assert!(on_farm(&["pause"]).contains("sdfarm resume"));
+    let remarks = done(folder.path(), &["jobs", "--server", &farm.address]).1;
+    assert!(remarks.contains("the farm is paused: `sdfarm resume`"), "{remarks}");
     let screen = on_farm(&["status"]);
     assert!(screen.contains("ready, paused") || screen.contains("degraded, paused"), "{screen}");
     assert!(screen.contains("alert    the farm is paused: `sdfarm resume` lets it go on"), "{screen}");

@@ -46,7 +46,14 @@ async fn note_pause(client: &Client, job: &JobView) {
     }
     if job.paused {
         note(&format!("job {} is paused: `sdfarm resume {}` lets it go on", job.id, job.id));
-    } else if client.farm().await.is_ok_and(|farm| farm.paused) {
+    } else {
+        note_farm_pause(client).await;
+    }
+}
+
+/// Says so if the farm is paused; with a key that may not read the farm's state, nothing.
+pub(crate) async fn note_farm_pause(client: &Client) {
+    if client.farm().await.is_ok_and(|farm| farm.paused) {
         note("the farm is paused: `sdfarm resume` lets it go on");
     }
 }
