@@ -75,6 +75,15 @@ def faults_of_service(name, service, model):
             yield wrong(f"the program knows no {variable}")
 
 
+def faults_of_head(text):
+    """The commands at the head: each has to run before the variables of later ones are known."""
+    if re.search(r"\$\{\w+:?\?", text):
+        yield "compose.yml: a required variable, which stops every command that comes before its value is known"
+    keys = re.findall(r"^# +docker compose .* run --rm server (key new .*)$", text, re.M)
+    if not keys or not keys[0].endswith("--scope admin"):
+        yield "compose.yml: the first key that its head makes is no administrator's"
+
+
 def built(image, model):
     return any(other["image"] == image and "build" in other for other in model["services"].values())
 
@@ -101,7 +110,9 @@ def faults_of_image(path):
 
 
 def faults():
-    model = yaml.safe_load((FOLDER / "compose.yml").read_text())
+    text = (FOLDER / "compose.yml").read_text()
+    yield from faults_of_head(text)
+    model = yaml.safe_load(text)
     for key in model.keys() - TOP:
         yield f"compose.yml: unknown key {key}"
     for name, service in model["services"].items():

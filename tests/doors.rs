@@ -99,6 +99,7 @@ fn wrong_keys_are_wrong_use() {
         (&["new", "anna"], "--scope"),
         (&["new", "anna", "--scope", "read", "--expires", "soon"], "90d"),
         (&["new", "anna", "--scope", "read", "--max-jobs", "0"], "jobs"),
+        (&["new", "host-7", "--scope", "worker"], "sdfarm key new admin --scope admin"),
     ] {
         let output = key(folder.path(), arguments);
         assert_eq!(output.status.code(), Some(2), "{arguments:?}: {}", text(&output.stderr));
@@ -125,6 +126,7 @@ fn worker_of_another_host_renders_over_tls_with_its_key() {
     let folder = tempfile::tempdir().expect("a folder");
     let (certificate, secret) = certificate(folder.path());
     let data = folder.path().join("data");
+    new_key(&data, "ops", "admin");
     let (anna, host) = (new_key(&data, "anna", "submit"), new_key(&data, "host-7", "worker"));
     let files = [certificate.to_str().expect("plain"), secret.to_str().expect("plain")];
     let farm = Farm::start_on(folder.path(), &["--workers", "0", "--tls-cert", files[0], "--tls-key", files[1]]);
@@ -152,6 +154,7 @@ fn pool_renders_behind_tls_and_keys() {
     let folder = tempfile::tempdir().expect("a folder");
     let (certificate, secret) = certificate(folder.path());
     let data = folder.path().join("data");
+    new_key(&data, "ops", "admin");
     let anna = new_key(&data, "anna", "submit");
     let files = [certificate.to_str().expect("plain"), secret.to_str().expect("plain")];
     let serve = ["--workers", "1", "--device", "cpu", "--tls-cert", files[0], "--tls-key", files[1]];

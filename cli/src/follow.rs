@@ -21,6 +21,7 @@ const STEPS: f64 = 10_000.0;
 /// Waits until the job has succeeded; a job that failed or was cancelled is an error.
 pub(crate) async fn until_done(client: &Client, id: JobId) -> anyhow::Result<JobView> {
     let job = first_look(client, id).await?;
+    note_pause(client, &job).await;
     let progress = Progress::new(&job.name, STEPS as u64);
     let job = match Following::new(client, id).until_final(&progress, job).await {
         Err(ClientError::Foreign { .. }) => poll(client, id, &progress).await?,
@@ -35,6 +36,25 @@ pub(crate) async fn until_done(client: &Client, id: JobId) -> anyhow::Result<Job
         }
         JobState::Cancelled => anyhow::bail!("job {id} was cancelled"),
         JobState::Queued | JobState::Running => unreachable!("following ends at final states"),
+    }
+}
+
+/// Says why nothing may happen for a long time. A key that may not look at the farm learns of its job's pause only.
+async fn note_pause(client: &Client, job: &JobView) {
+    if job.state.is_final() {
+        return;
+    }
+    if job.paused {
+        note(&format!("job {} is paused: `sdfarm resume {}` lets it go on", job.id, job.id));
+    } else {
+        note_farm_pause(client).await;
+    }
+}
+
+/// Says so if the farm is paused; with a key that may not read the farm's state, nothing.
+pub(crate) async fn note_farm_pause(client: &Client) {
+    if client.farm().await.is_ok_and(|farm| farm.paused) {
+        note("the farm is paused: `sdfarm resume` lets it go on");
     }
 }
 
@@ -141,17 +161,24 @@ async fn poll(client: &Client, id: JobId, progress: &Progress) -> Result<JobView
     }
 }
 
-/// Writes a frame's picture to a file.
+/// Writes a frame's picture to a file, and says so.
 pub(crate) async fn fetch(client: &Client, id: JobId, frame: u32, path: &str) -> anyhow::Result<()> {
-    let mut output = OutputFile::create(path)?;
-    let size_bytes = client.image(id, frame, output.file()).await.with_context(|| {
-        format!("could not fetch frame {frame} of job {id}: see how it stands with `sdfarm watch {id}`")
-    })?;
-    output.commit()?;
+    let size_bytes = save(client, id, frame, path).await?;
     if path != "-" {
         note(&format!("wrote {path}: {size_bytes} bytes"));
     }
     Ok(())
+}
+
+/// Writes a frame's picture to a file; returns its size in bytes.
+pub(crate) async fn save(client: &Client, id: JobId, frame: u32, path: &str) -> anyhow::Result<u64> {
+    let mut output = OutputFile::create(path)?;
+    let size_bytes = client
+        .image(id, frame, output.file())
+        .await
+        .with_context(|| format!("could not fetch frame {frame} of job {id}"))?;
+    output.commit()?;
+    Ok(size_bytes)
 }
 
 /// Summary of a job in one line.

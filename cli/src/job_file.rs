@@ -30,7 +30,11 @@ impl JobFile {
         } else {
             File::open(path).and_then(|file| file.take(bounded).read_to_end(&mut text))
         };
-        read.map_err(|error| Misuse(format!("could not read the job file {name}: {error}")))?;
+        read.map_err(|error| {
+            Misuse(format!(
+                "could not read the job file {name}: {error}; name one that is there, or - for standard input"
+            ))
+        })?;
         if text.len() > limit {
             return Err(Misuse(format!("{name} is larger than a job file may be: {} MiB", limit >> 20)).into());
         }

@@ -5,6 +5,7 @@
 
 mod arguments;
 mod commands;
+mod counted;
 mod failure;
 mod follow;
 mod job_file;

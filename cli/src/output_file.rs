@@ -51,7 +51,10 @@ impl OutputFile {
             .suffix(".part")
             .permissions(Permissions::from_mode(MODE))
             .tempfile_in(&folder)
-            .with_context(|| format!("could not write to the folder {}", folder.display()))?;
+            .map_err(|error| {
+                // The error names the temporary file, which nobody asked for; its kind says enough.
+                Misuse(format!("could not write to the folder {}: {}; write elsewhere", folder.display(), error.kind()))
+            })?;
         Ok(Self { name: path.to_owned(), temporary, target })
     }
 
@@ -87,6 +90,28 @@ impl OutputFile {
             }
         }
     }
+}
+
+/// Whether a path names a folder: one that is there, or one to be made, which ends in a slash.
+pub(crate) fn is_folder(path: &str) -> bool {
+    path != "-" && (path.ends_with('/') || Path::new(path).is_dir())
+}
+
+/// Makes sure that a picture can be written to `path` later: a folder is made, a file's folder is tried.
+pub(crate) fn check_writable(path: &str) -> anyhow::Result<()> {
+    if !is_folder(path) {
+        return OutputFile::create(path).map(drop);
+    }
+    make_folder(path)?;
+    tempfile::tempfile_in(path).map(drop).map_err(|error| {
+        Misuse(format!("could not write to the folder {path}: {}; write elsewhere", error.kind())).into()
+    })
+}
+
+/// Makes a folder for pictures, unless it is there.
+pub(crate) fn make_folder(path: &str) -> anyhow::Result<()> {
+    fs::create_dir_all(path)
+        .map_err(|error| Misuse(format!("could not make the folder {path}: {error}; write elsewhere")).into())
 }
 
 /// The picture format a file's extension names; `None` for `-`, which has none.

@@ -4,9 +4,10 @@ mod samples;
 
 use proto::job::{JobState, JobView};
 use proto::pool::{PoolView, WorkerView};
-use proto::{Client, ClientError};
+use proto::{Client, ClientError, rounding};
 use serde::Serialize;
 
+use crate::counted::counted;
 use samples::Samples;
 
 /// Unfinished jobs that are listed, at most.
@@ -27,6 +28,8 @@ pub(crate) struct Overview {
     pub(crate) version: String,
     /// Seconds since its start.
     pub(crate) uptime_seconds: f64,
+    /// Whether the farm is paused: nothing more is leased until it is resumed.
+    pub(crate) paused: bool,
     /// Remaining work.
     pub(crate) queue: Queue,
     /// Counters since the start.
@@ -102,9 +105,10 @@ pub(crate) async fn gather(client: &Client) -> Result<Overview, ClientError> {
     };
     let samples = Samples::read(&client.metrics().await?);
     let (pool, workers) = (client.pool().await?, client.workers().await?.workers);
+    let paused = client.farm().await?.paused;
     let mut jobs = client.jobs(Some(JobState::Running), JOBS, None).await?.jobs;
     jobs.extend(client.jobs(Some(JobState::Queued), JOBS, None).await?.jobs);
-    Ok(Overview::of(client.server(), health, &samples, pool, workers, jobs))
+    Ok(Overview::of(client.server(), health, &samples, paused, pool, workers, jobs))
 }
 
 impl Overview {
@@ -112,6 +116,7 @@ impl Overview {
         server: &str,
         health: String,
         samples: &Samples,
+        paused: bool,
         pool: PoolView,
         workers: Vec<WorkerView>,
         jobs: Vec<JobView>,
@@ -125,9 +130,11 @@ impl Overview {
             running: count("sdfarm_jobs", &[("state", "running")]),
             tiles_ready: count("sdfarm_tiles", &[("state", "ready")]),
             tiles_leased: count("sdfarm_tiles", &[("state", "leased")]),
-            work_seconds: Some(sum("sdfarm_queue_work_seconds")).filter(|seconds| seconds.is_finite()),
-            oldest_seconds: sum("sdfarm_queue_oldest_job_seconds"),
-            rays_per_second: sum("sdfarm_rays_per_second"),
+            work_seconds: Some(sum("sdfarm_queue_work_seconds"))
+                .filter(|seconds| seconds.is_finite())
+                .map(rounding::seconds),
+            oldest_seconds: rounding::seconds(sum("sdfarm_queue_oldest_job_seconds")),
+            rays_per_second: rounding::rate(sum("sdfarm_rays_per_second")),
         };
         let totals = Totals {
             expired: count("sdfarm_leases_expired_total", &[]),
@@ -147,7 +154,8 @@ impl Overview {
             server: server.to_owned(),
             health,
             version: samples.label("sdfarm_build_info", "version").unwrap_or("unknown").to_owned(),
-            uptime_seconds: sum("sdfarm_uptime_seconds"),
+            uptime_seconds: rounding::seconds(sum("sdfarm_uptime_seconds")),
+            paused,
             queue,
             totals,
             pool,
@@ -174,22 +182,28 @@ impl Overview {
         };
         let Totals { expired, fenced, nondeterministic, webhook_failures, server_errors, .. } = self.totals;
         worry(!self.is_well(), self.health.clone());
-        worry(nondeterministic > 0, format!("{nondeterministic} tiles were rendered differently by two workers"));
+        worry(self.paused, "the farm is paused: `sdfarm resume` lets it go on".to_owned());
+        worry(nondeterministic > 0, format!("{} rendered differently by two workers", were(nondeterministic, "tile")));
         worry(self.queue.work_seconds.is_none(), "there is work, and no worker that has shown its speed".to_owned());
         worry(
             self.pool.ready < self.pool.workers,
-            format!("{} of {} local workers are ready", self.pool.ready, self.pool.workers),
+            format!("{} of {} ready", self.pool.ready, counted(self.pool.workers, "local worker")),
         );
         worry((self.disk.free_bytes as f64) < LITTLE_DISK_BYTES, "little room is left on the disk".to_owned());
-        worry(expired > 0, format!("{expired} leases ran out"));
-        worry(fenced > 0, format!("{fenced} results came too late"));
-        worry(webhook_failures > 0, format!("{webhook_failures} deliveries of webhooks failed"));
-        worry(server_errors > 0, format!("{server_errors} requests failed in the server"));
+        worry(expired > 0, format!("{} ran out", counted(expired, "lease")));
+        worry(fenced > 0, format!("{} came too late", counted(fenced, "result")));
+        worry(webhook_failures > 0, format!("{} failed", counted(webhook_failures, "webhook delivery")));
+        worry(server_errors > 0, format!("{} failed in the server", counted(server_errors, "request")));
         let (used, all) =
             (samples.sum("sdfarm_gpu_memory_used_bytes", &[]), samples.sum("sdfarm_gpu_memory_bytes", &[]));
         worry(all > 0.0 && used / all > FULL_GPU, "the GPUs have no memory left".to_owned());
         worries
     }
+}
+
+/// A number of things with its verb: `1 tile was`, `2 tiles were`.
+fn were(number: u64, noun: &str) -> String {
+    format!("{} {}", counted(number, noun), if number == 1 { "was" } else { "were" })
 }
 
 /// A duration in its two largest units: `3 h 20 min`.
@@ -237,13 +251,16 @@ pub(crate) mod tests {
             "progress": 0.25, "tiles": {"done": 2, "total": 8}, "frames": {"done": 0, "total": 1}, "errors": [],
             "warnings": [], "created_at": "2026-01-01T00:00:00Z", "started_at": null, "finished_at": null,
             "eta_seconds": 75.0}"#;
+        let held =
+            job.replace("\"state\"", "\"paused\": true, \"state\"").replace("fjord", "lantern").replace("75.0", "null");
         Overview::of(
             "http://127.0.0.1:8080",
             "ready".to_owned(),
             &samples,
+            true,
             PoolView { workers: 2, ready: 1 },
             vec![serde_json::from_str(worker).expect("a worker")],
-            vec![serde_json::from_str(job).expect("a job")],
+            vec![serde_json::from_str(job).expect("a job"), serde_json::from_str(&held).expect("a job")],
         )
     }
 
@@ -253,11 +270,12 @@ pub(crate) mod tests {
         assert_eq!(
             overview.concerns,
             [
+                "the farm is paused: `sdfarm resume` lets it go on",
                 "2 tiles were rendered differently by two workers",
-                "1 of 2 local workers are ready",
+                "1 of 2 local workers ready",
                 "little room is left on the disk",
                 "3 leases ran out",
-                "1 requests failed in the server",
+                "1 request failed in the server",
             ]
         );
         assert_eq!((overview.version.as_str(), overview.totals.held_back), ("1.2.3", 5));

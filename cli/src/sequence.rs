@@ -6,9 +6,10 @@ use anyhow::Context;
 use proto::change::{FramePage, FrameView};
 use proto::{Client, JobId};
 
+use crate::counted::counted_len;
 use crate::failure::Misuse;
 use crate::follow;
-use crate::output_file::OutputFile;
+use crate::output_file::{OutputFile, check_writable};
 use crate::terminal::note;
 
 /// Saves each picture in a folder, which is created if missing.
@@ -20,17 +21,39 @@ pub(crate) async fn save(client: &Client, id: JobId, folder: &str, partial: bool
     let missing = frames.iter().filter(|frame| frame.image.is_none()).count();
     if missing > 0 && !partial {
         anyhow::bail!(
-            "{missing} of the {} pictures of job {id} are not stored: wait for them with `sdfarm watch {id}`, \
-             or take those that are with --partial",
-            frames.len()
+            "{missing} of the {} of job {id} {} not stored: wait with `sdfarm watch {id}`, \
+             or take the others with --partial",
+            counted_len(frames.len(), "picture"),
+            if missing == 1 { "is" } else { "are" }
         );
     }
-    std::fs::create_dir_all(folder).with_context(|| format!("could not make the folder {folder}"))?;
+    check_writable(&format!("{}/", folder.trim_end_matches('/')))?;
+    let mut size_bytes = 0;
     for frame in frames.iter().filter(|frame| frame.image.is_some()) {
-        let path = Path::new(folder).join(file_name(frame));
-        follow::fetch(client, id, frame.number, &path.to_string_lossy()).await?;
+        size_bytes += follow::save(client, id, frame.number, &path_in(folder, frame)).await?;
     }
+    let stored: Vec<String> = frames.iter().filter(|frame| frame.image.is_some()).map(file_name).collect();
+    let names = match &stored[..] {
+        [] => String::new(),
+        [one] => format!(" ({one})"),
+        [first, .., last] => format!(" ({first} to {last})"),
+    };
+    note(&format!("wrote {} to {folder}{names}: {size_bytes} bytes", counted_len(stored.len(), "picture")));
     Ok(())
+}
+
+/// Saves one frame's picture in a folder, under the name that it has among the others.
+pub(crate) async fn save_one(client: &Client, id: JobId, frame: u32, folder: &str) -> anyhow::Result<()> {
+    check_writable(&format!("{}/", folder.trim_end_matches('/')))?;
+    match frames(client, id).await?.into_iter().find(|view| view.number == frame) {
+        Some(view) => follow::fetch(client, id, frame, &path_in(folder, &view)).await,
+        // The server says which frames there are.
+        None => follow::fetch(client, id, frame, "-").await,
+    }
+}
+
+fn path_in(folder: &str, frame: &FrameView) -> String {
+    Path::new(folder).join(file_name(frame)).to_string_lossy().into_owned()
 }
 
 /// Saves all pictures as one archive.

@@ -62,7 +62,7 @@ pub enum AccessError {
         reason: String,
     },
     /// A secret holds what no header can carry.
-    #[error("the key holds what no key does: give it as `sdfarm key new` printed it")]
+    #[error("the key is empty or holds what no key does: give it in SDFARM_KEY as `sdfarm key new` printed it")]
     Key,
 }
 

@@ -17,6 +17,7 @@ pub mod link;
 pub mod pool;
 pub mod problem;
 pub mod retention;
+pub mod rounding;
 pub mod sketch;
 pub mod tile;
 pub mod trace;

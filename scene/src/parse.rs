@@ -1,6 +1,7 @@
 //! From the text of a job file to a [`Job`], or to what is wrong with it.
 
 mod lists;
+mod shortest;
 mod wording;
 
 use std::fmt::Write as _;
@@ -84,6 +85,7 @@ pub fn schema() -> serde_json::Value {
         object.insert("title".into(), "sdfarm job".into());
         object.insert("$defs".into(), generator.take_definitions(true).into());
     }
+    shortest::shorten(&mut schema);
     schema
 }
 

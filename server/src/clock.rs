@@ -78,9 +78,9 @@ impl Hand {
     }
 }
 
-/// A time of [`Clock::wall_ms`] as RFC 3339 in UTC.
+/// A time of [`Clock::wall_ms`] as RFC 3339 in UTC, always with three decimals, so that columns of times line up.
 pub(crate) fn rfc3339(wall_ms: i64) -> String {
-    jiff::Timestamp::from_millisecond(wall_ms).unwrap_or_default().to_string()
+    format!("{:.3}", jiff::Timestamp::from_millisecond(wall_ms).unwrap_or_default())
 }
 
 #[cfg(test)]
@@ -97,6 +97,7 @@ mod tests {
 
     #[test]
     fn times_for_people_are_rfc_3339() {
-        assert_eq!(rfc3339(1_767_225_600_000), "2026-01-01T00:00:00Z");
+        assert_eq!(rfc3339(1_767_225_600_000), "2026-01-01T00:00:00.000Z");
+        assert_eq!(rfc3339(1_767_225_600_120), "2026-01-01T00:00:00.120Z");
     }
 }

@@ -1,6 +1,7 @@
 //! Estimated time of a job: a helper process renders a sample of its pixels, and the result is scaled to the
 //! present workers.
 
+use proto::rounding;
 use proto::sketch::{Estimate, Sample, Sketch};
 
 use crate::farm::Farm;
@@ -46,8 +47,8 @@ fn judge(sample: &Sample, plan: Plan, present: &[Present], threads: usize, pool:
         present.iter().filter(|worker| !is_ours(worker)).filter_map(|worker| worker.rays_per_second).sum();
     let rate = share * (ours + others);
     Estimate {
-        seconds: (rate > 0.0).then(|| rays as f64 / rate + HANDLING_SECONDS),
-        core_seconds,
+        seconds: (rate > 0.0).then(|| rounding::seconds(rays as f64 / rate + HANDLING_SECONDS)),
+        core_seconds: rounding::seconds(core_seconds),
         rays,
         sample_rays: sample.rays,
         memory_bytes: sample.memory_bytes,

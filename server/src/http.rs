@@ -24,6 +24,7 @@ mod quota;
 mod range;
 mod retention;
 mod rules;
+mod start_page;
 mod trace;
 mod traces;
 mod webhooks;
@@ -50,6 +51,7 @@ use openapi::Document;
 /// The users' routes; each is described where it is handled.
 fn users() -> OpenApiRouter<Arc<Farm>> {
     OpenApiRouter::new()
+        .routes(routes!(start_page::get))
         .routes(routes!(jobs::submit, jobs::list))
         .routes(routes!(jobs::get, change::patch, change::delete))
         .routes(routes!(jobs::cancel))

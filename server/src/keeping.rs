@@ -53,6 +53,9 @@ pub enum KeepError {
     /// The folder holds something else.
     #[error("{0} holds something that is no backup: name an empty folder, or that of an earlier backup")]
     NotABackup(PathBuf),
+    /// There is nothing to restore.
+    #[error("there is no backup in {0}: name a folder that `sdfarm backup` wrote")]
+    NoBackup(PathBuf),
     /// The folder has files, which would be overwritten.
     #[error("{0} is not empty: a farm is restored to a new folder, so name another with --data")]
     NotEmpty(PathBuf),

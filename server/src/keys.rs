@@ -12,7 +12,7 @@ use std::collections::HashMap;
 use std::sync::{Arc, Mutex, RwLock};
 use std::time::Duration;
 
-use proto::key::{IssuedKey, KeyView, NewKey};
+use proto::key::{IssuedKey, KeyView, NewKey, Scope};
 use tokio_util::sync::CancellationToken;
 
 use crate::clock::Clock;
@@ -58,6 +58,12 @@ pub(crate) enum KeyError {
         /// Maximum.
         most: u64,
     },
+    /// The first key would lock out whoever makes it.
+    #[error(
+        "a farm's first key closes it to everyone without a key, so it has to be an administrator's: \
+         make one by `sdfarm key new admin --scope admin`, then this one"
+    )]
+    FirstNotAdmin,
     /// The name has both its keys.
     #[error(
         "{name} has {MAX_LIVE_OF_A_NAME} live keys already: revoke one, by `sdfarm key revoke ID`, before making another"
@@ -80,6 +86,17 @@ pub(crate) enum KeyError {
     /// The database could not do it.
     #[error(transparent)]
     Store(#[from] StoreError),
+}
+
+/// Whether one more key may be made where `made` were made before, of which `kept` are not revoked.
+fn check_room(order: &key::Order, made: usize, kept: usize) -> Result<(), KeyError> {
+    if made == 0 && !order.scopes.has(Scope::Admin) {
+        return Err(KeyError::FirstNotAdmin);
+    }
+    if kept >= MAX_KEYS {
+        return Err(KeyError::TooMany);
+    }
+    Ok(())
 }
 
 /// Result of looking up a secret.
@@ -151,9 +168,8 @@ impl Keys {
     /// Creates a key; it is valid when this returns.
     pub(crate) async fn make(&self, new: NewKey) -> Result<IssuedKey, KeyError> {
         let order = key::Order::check(new, self.clock.wall_ms())?;
-        if self.all().iter().filter(|key| !key.is_revoked()).count() >= MAX_KEYS {
-            return Err(KeyError::TooMany);
-        }
+        let all = self.all();
+        check_room(&order, all.len(), all.iter().filter(|key| !key.is_revoked()).count())?;
         let issue = secret::issue()?;
         let (id, name, digest) = (issue.id.clone(), order.name.clone(), issue.digest);
         let made = self

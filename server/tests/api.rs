@@ -21,6 +21,7 @@ mod api {
     mod previews;
     mod queue;
     mod retention;
+    mod start_page;
     mod watch;
     mod webhooks;
     mod wish;

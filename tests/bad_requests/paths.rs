@@ -76,7 +76,6 @@ const QUERIES: [&str; 22] = [
 pub(super) fn requests() -> Vec<Request> {
     let mut all = Vec::new();
     for path in [
-        "/",
         "/v1",
         "/v1/",
         "/v2/jobs",

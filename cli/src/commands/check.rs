@@ -4,6 +4,7 @@ use clap::Args;
 use proto::tile::Tiling;
 use scene::{Image, Job};
 
+use crate::counted::{counted, counted_len};
 use crate::job_file::JobFile;
 use crate::sketch::sample;
 use crate::terminal::{note, say};
@@ -30,7 +31,8 @@ pub(crate) fn run(arguments: &Arguments) -> anyhow::Result<()> {
     }
     let image = &job.image;
     let (name, frames) = (&file.name, job.frames.count);
-    say(&format!("{name}: sound: {}×{}, {} samples, {frames} frames", image.width, image.height, image.samples))?;
+    let (samples, frames) = (counted(image.samples, "sample"), counted(frames, "frame"));
+    say(&format!("{name}: sound: {}×{}, {samples}, {frames}", image.width, image.height))?;
     if arguments.estimate { estimate(&job) } else { Ok(()) }
 }
 
@@ -45,8 +47,10 @@ fn estimate(job: &Job) -> anyhow::Result<()> {
     let core_seconds = sample.core_seconds(rays, tiling.tiles().len() as u64 * frames, job.image.pixels() * frames);
     let (seconds, memory_mib) = (core_seconds / threads as f64, sample.memory_bytes >> 20);
     say(&format!(
-        "about {seconds:.2} s on this machine's {threads} cores ({core_seconds:.2} s of one), \
-         {rays} camera rays, {memory_mib} MiB; judged by {} rays",
-        sample.rays
+        "about {seconds:.2} s on this machine's {} ({core_seconds:.2} s of one), \
+         {}, {memory_mib} MiB; judged by {}",
+        counted_len(threads, "core"),
+        counted(rays, "camera ray"),
+        counted(sample.rays, "ray")
     ))
 }

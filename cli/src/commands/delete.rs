@@ -4,6 +4,7 @@ use clap::Args;
 use proto::JobId;
 
 use crate::arguments::ServerArguments;
+use crate::counted::counted;
 use crate::terminal::{note, say};
 
 /// Arguments of `delete`.
@@ -24,8 +25,11 @@ pub(crate) async fn run(arguments: Arguments) -> anyhow::Result<()> {
     if arguments.dry_run {
         let preview = client.delete_preview(arguments.id).await?;
         return say(&format!(
-            "would remove {} pictures and {} blobs, {} bytes, and {} rows of the database",
-            preview.pictures, preview.blobs, preview.size_bytes, preview.rows
+            "would remove {} and {}, {}, and {} of the database",
+            counted(preview.pictures, "picture"),
+            counted(preview.blobs, "blob"),
+            counted(preview.size_bytes, "byte"),
+            counted(preview.rows, "row")
         ));
     }
     client.delete(arguments.id).await?;

@@ -2,22 +2,30 @@
 
 use std::fs;
 use std::path::{Path, PathBuf};
+use std::time::Instant;
 
 use anyhow::Context;
 use clap::Args;
 use proto::Client;
 use scene::{Format, Job};
+use serde_json::Value;
 use server::{Config, Server};
 use tokio_util::sync::CancellationToken;
 
 use crate::commands::serve::own_program;
+use crate::counted::counted;
 use crate::failure::Misuse;
-use crate::output_file::OutputFile;
+use crate::output_file::{OutputFile, check_writable};
 use crate::signals::Signals;
 use crate::terminal::{note, say};
 use crate::{follow, shipped};
 
-const DEFAULT_SCENE: &str = "csg";
+/// The scene of a first picture: everything that the renderer does is in it.
+const DEFAULT_SCENE: &str = "fjord";
+/// Its width in pixels unless another is asked for: some fifteen seconds of two cores.
+const DEFAULT_WIDTH_PX: u32 = 800;
+/// Narrowest and widest picture.
+const WIDTHS_PX: std::ops::RangeInclusive<i64> = 16..=16_384;
 
 /// Arguments of `demo`.
 #[derive(Debug, Args)]
@@ -28,6 +36,9 @@ pub(crate) struct Arguments {
     /// List the shipped scenes, and render none.
     #[arg(long, env = "SDFARM_LIST", value_parser = clap::builder::FalseyValueParser::new(), action = clap::ArgAction::SetTrue)]
     list: bool,
+    /// How wide the picture is, in pixels; its height follows [default: 800 for fjord, else as wide as the scene says].
+    #[arg(long, value_name = "PIXELS", env = "SDFARM_WIDTH", value_parser = clap::value_parser!(u32).range(WIDTHS_PX))]
+    width: Option<u32>,
     /// Replace a file of the picture's name in the current folder.
     #[arg(long, env = "SDFARM_FORCE", value_parser = clap::builder::FalseyValueParser::new(), action = clap::ArgAction::SetTrue)]
     force: bool,
@@ -38,8 +49,12 @@ pub(crate) async fn run(arguments: Arguments) -> anyhow::Result<()> {
     if arguments.list {
         return say(&shipped::names().join("\n"));
     }
-    let text = shipped::job_file(&arguments.scene)?;
+    let is_first = arguments.scene == DEFAULT_SCENE;
+    let width = arguments.width.or(is_first.then_some(DEFAULT_WIDTH_PX));
+    let text = sized(shipped::job_file(&arguments.scene)?, width)?;
     let job = scene::parse(&text).with_context(|| format!("the shipped scene {} is damaged", arguments.scene))?;
+    // Better known now than after rendering.
+    check_writable("./")?;
     let mut signals = Signals::catch()?;
 
     let data = tempfile::tempdir().context("could not make a folder for the farm: free some space there")?;
@@ -51,7 +66,16 @@ pub(crate) async fn run(arguments: Arguments) -> anyhow::Result<()> {
     };
     let server = Server::start(config).await?;
     let client = Client::new(&format!("http://{}", server.address()))?;
-    note(&format!("a farm serves {}; it renders {}", client.server(), arguments.scene));
+    let image = &job.image;
+    note(&format!(
+        "a farm serves {}; it renders {}: {}×{}, {}",
+        client.server(),
+        arguments.scene,
+        image.width,
+        image.height,
+        counted(image.samples, "sample")
+    ));
+    let start = Instant::now();
 
     let shutdown = CancellationToken::new();
     let serving = tokio::spawn(server.run(shutdown.clone()));
@@ -59,9 +83,34 @@ pub(crate) async fn run(arguments: Arguments) -> anyhow::Result<()> {
         done = picture(&client, text) => done,
         () = signals.next() => Err(anyhow::anyhow!("interrupted: nothing was saved")),
     };
+    let took = start.elapsed();
     shutdown.cancel();
     serving.await.context("the farm stopped in disorder")??;
-    say(&save(&done?, &arguments.scene, &job, arguments.force)?)
+    let path = save(&done?, &arguments.scene, &job, arguments.force)?;
+    say(&format!("saved {} after {:.1} s", path.display(), took.as_secs_f64()))?;
+    note(&next_step());
+    Ok(())
+}
+
+/// The job file with its picture so wide, and as high as its shape asks for.
+fn sized(text: Vec<u8>, width: Option<u32>) -> anyhow::Result<Vec<u8>> {
+    let Some(width) = width.map(u64::from) else { return Ok(text) };
+    let mut job: Value = serde_json::from_slice(&text).context("a shipped scene is damaged")?;
+    let image = &mut job["image"];
+    if let (Some(old_width), Some(old_height)) = (image["width"].as_u64(), image["height"].as_u64()) {
+        image["height"] = (old_height * width / old_width.max(1)).max(1).into();
+        image["width"] = width.into();
+    }
+    Ok(serde_json::to_vec(&job)?)
+}
+
+/// What to do after a first picture.
+fn next_step() -> String {
+    let program = std::env::args().next().unwrap_or_else(|| "sdfarm".to_owned());
+    format!(
+        "next: `{program} serve` runs a farm that stays, with its start page at http://127.0.0.1:8080;\n\
+         `{program} demo --list` names the other scenes, `{program} demo --scene octopus` renders one"
+    )
 }
 
 /// Submits the job over HTTP like any client, and waits for its picture.
@@ -73,8 +122,8 @@ async fn picture(client: &Client, text: Vec<u8>) -> anyhow::Result<Vec<u8>> {
     Ok(picture)
 }
 
-/// Saves the picture in the current folder under a free name; returns the message to print.
-fn save(picture: &[u8], scene: &str, job: &Job, force: bool) -> anyhow::Result<String> {
+/// Saves the picture in the current folder under a free name; returns its full path.
+fn save(picture: &[u8], scene: &str, job: &Job, force: bool) -> anyhow::Result<PathBuf> {
     let extension = match job.image.format {
         Format::Png => "png",
         Format::Exr => "exr",
@@ -86,7 +135,7 @@ fn save(picture: &[u8], scene: &str, job: &Job, force: bool) -> anyhow::Result<S
     let mut output = OutputFile::create(&name)?;
     std::io::Write::write_all(output.file(), picture).with_context(|| format!("could not write {name}"))?;
     output.commit()?;
-    Ok(format!("saved {name} ({}×{})", job.image.width, job.image.height))
+    fs::canonicalize(&path).with_context(|| format!("could not find {name} again"))
 }
 
 /// The plain name if it is free, else one with a number.

@@ -4,6 +4,7 @@ use clap::Args;
 use worker::cuda::Source;
 
 use crate::commands::render::check_frame;
+use crate::counted::{counted, counted_len};
 use crate::job_file::JobFile;
 use crate::terminal::{note, say};
 
@@ -29,12 +30,15 @@ pub(crate) fn run(arguments: &Arguments) -> anyhow::Result<()> {
         return say(source.text.trim_end());
     }
     let image = &job.image;
-    say(&format!("{}: {} nodes, {} frames", job.name, job.nodes(), job.frames.count))?;
-    say(&format!("a frame: {}×{} pixels, {} camera rays", image.width, image.height, job.rays_per_frame()))?;
+    let (nodes, frames) = (counted(job.nodes(), "node"), counted(job.frames.count, "frame"));
+    say(&format!("{}: {nodes}, {frames}", job.name))?;
+    let rays = counted(job.rays_per_frame(), "camera ray");
+    say(&format!("a frame: {}×{} pixels, {rays}", image.width, image.height))?;
     let distance =
-        source.distance_operations.map_or_else(|| "with loops".to_owned(), |count| format!("{count} operations"));
-    let (statements, numbers) = (source.statements, source.parameters.len());
-    say(&format!("a distance: {distance}; the whole program: {statements} statements on {numbers} numbers"))?;
+        source.distance_operations.map_or_else(|| "with loops".to_owned(), |count| counted(count, "operation"));
+    let (statements, numbers) =
+        (counted_len(source.statements, "statement"), counted_len(source.parameters.len(), "number"));
+    say(&format!("a distance: {distance}; the whole program: {statements} on {numbers}"))?;
     note("the program itself: add --cuda");
     Ok(())
 }

@@ -6,6 +6,7 @@ use clap::Args;
 use proto::JobId;
 
 use crate::arguments::ServerArguments;
+use crate::output_file::is_folder;
 use crate::{follow, sequence};
 
 /// Arguments of `fetch`.
@@ -15,14 +16,14 @@ pub(crate) struct Arguments {
     id: JobId,
     #[command(flatten)]
     server: ServerArguments,
-    /// File for the picture or, if it ends in .zip, for all pictures as one archive; - for standard
-    /// output. With --all a folder.
+    /// Where to save: a file for one picture, a folder (`DIR/`) for all of them, a file that ends in .zip for all of
+    /// them as one archive; - for standard output.
     #[arg(long, short, value_name = "FILE", env = "SDFARM_OUTPUT")]
     output: String,
-    /// Which frame, from 0.
-    #[arg(long, value_name = "N", env = "SDFARM_FRAME", default_value_t = 0)]
-    frame: u32,
-    /// Save every picture, each in a file of its own.
+    /// Which frame, from 0 [default: 0; of a folder, all].
+    #[arg(long, value_name = "N", env = "SDFARM_FRAME")]
+    frame: Option<u32>,
+    /// Save every picture, each in a file of its own; what -o names is a folder.
     #[arg(long, env = "SDFARM_ALL", conflicts_with = "frame", value_parser = clap::builder::FalseyValueParser::new(), action = clap::ArgAction::SetTrue)]
     all: bool,
     /// Save the stored pictures although the job has not finished.
@@ -33,11 +34,15 @@ pub(crate) struct Arguments {
 /// Saves it.
 pub(crate) async fn run(arguments: Arguments) -> anyhow::Result<()> {
     let client = arguments.server.client()?;
-    if arguments.all {
+    if arguments.all || (arguments.frame.is_none() && is_folder(&arguments.output)) {
         return sequence::save(&client, arguments.id, &arguments.output, arguments.partial).await;
     }
     if Path::new(&arguments.output).extension().is_some_and(|end| end.eq_ignore_ascii_case("zip")) {
         return sequence::archive(&client, arguments.id, &arguments.output, arguments.partial).await;
     }
-    follow::fetch(&client, arguments.id, arguments.frame, &arguments.output).await
+    let frame = arguments.frame.unwrap_or(0);
+    if is_folder(&arguments.output) {
+        return sequence::save_one(&client, arguments.id, frame, &arguments.output).await;
+    }
+    follow::fetch(&client, arguments.id, frame, &arguments.output).await
 }

@@ -4,6 +4,7 @@ use clap::Args;
 use proto::retention::Collection;
 
 use crate::arguments::ServerArguments;
+use crate::counted::counted_len;
 use crate::terminal::{note, say};
 
 /// Arguments of `gc`.
@@ -50,6 +51,7 @@ fn tell(collection: &Collection) -> anyhow::Result<()> {
     let limit = max_store_bytes.map_or_else(|| "no limit".to_owned(), |bytes| format!("at most {bytes}"));
     let (verb, rest) =
         (if *dry_run { "would free" } else { "freed" }, if *more { ", and there may be more" } else { "" });
-    note(&format!("{} jobs {verb} {freed_bytes} of {store_bytes} bytes ({limit}){rest}", jobs.len()));
+    let jobs = counted_len(jobs.len(), "job");
+    note(&format!("{jobs} {verb} {freed_bytes} of {store_bytes} bytes ({limit}){rest}"));
     Ok(())
 }

@@ -37,6 +37,7 @@ pub(crate) async fn run(arguments: Arguments) -> anyhow::Result<()> {
     for job in &page.jobs {
         say(&follow::line(job))?;
     }
+    follow::note_farm_pause(&client).await;
     if let Some(cursor) = page.next_cursor {
         note(&format!("more: sdfarm jobs --cursor {cursor}"));
     }

@@ -25,5 +25,9 @@ pub(crate) async fn run(arguments: Arguments, pause: bool) -> anyhow::Result<()>
         (None, true) => client.pause_farm().await?,
         (None, false) => client.resume_farm().await?,
     };
-    say(if farm.paused { "the farm is paused" } else { "the farm goes on" })
+    say(if farm.paused {
+        "the farm is paused: nothing more is started until `sdfarm resume`"
+    } else {
+        "the farm goes on"
+    })
 }

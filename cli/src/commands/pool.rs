@@ -4,6 +4,7 @@ use clap::Args;
 use proto::pool::{MAX_POOL_WORKERS, PoolSize};
 
 use crate::arguments::ServerArguments;
+use crate::counted::counted;
 use crate::terminal::say;
 
 /// Arguments of `pool`.
@@ -23,5 +24,5 @@ pub(crate) async fn run(arguments: Arguments) -> anyhow::Result<()> {
         Some(workers) => client.set_pool(PoolSize { workers }).await?,
         None => client.pool().await?,
     };
-    say(&format!("{} workers wanted, {} ready", pool.workers, pool.ready))
+    say(&format!("{} wanted, {} ready", counted(pool.workers, "worker"), pool.ready))
 }

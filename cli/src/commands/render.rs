@@ -6,6 +6,7 @@ use std::sync::{Arc, Mutex};
 
 use anyhow::Context;
 use clap::Args;
+use proto::rounding;
 use scene::Job;
 use serde::Serialize;
 use tokio::runtime::Runtime;
@@ -13,6 +14,7 @@ use worker::frame::{FrameTimes, render_frame};
 use worker::{Cancel, Renderer};
 
 use crate::arguments::RendererArguments;
+use crate::counted::counted;
 use crate::failure::Misuse;
 use crate::job_file::JobFile;
 use crate::output_file::{OutputFile, check_format, format_of};
@@ -94,14 +96,17 @@ pub(crate) fn run(arguments: &Arguments) -> anyhow::Result<()> {
         height: job.image.height,
         samples: job.image.samples,
         device: renderer.device(),
-        render_ms: times.render.as_secs_f64() * 1e3,
-        encode_ms: times.encode.as_secs_f64() * 1e3,
+        render_ms: rounding::seconds(times.render.as_secs_f64() * 1e3),
+        encode_ms: rounding::seconds(times.encode.as_secs_f64() * 1e3),
         warnings,
     };
     if arguments.json {
         note(&serde_json::to_string(&summary)?);
     } else {
         note(&summary.words());
+        if let (count @ 2.., frame) = (job.frames.count, arguments.frame) {
+            note(&format!("that is frame {frame} of {count}: --frame names another, `sdfarm submit` renders all"));
+        }
     }
     Ok(())
 }
@@ -111,10 +116,17 @@ impl Summary<'_> {
         let Self { output, width, height, samples, device, render_ms, encode_ms, .. } = self;
         let output = if *output == "-" { "standard output" } else { output };
         format!(
-            "wrote {output}: {width}×{height}, {samples} samples, on {device}: \
-             rendered in {render_ms:.1} ms, encoded in {encode_ms:.1} ms"
+            "wrote {output}: {width}×{height}, {}, on {device}: rendered in {}, encoded in {}",
+            counted(*samples, "sample"),
+            took(*render_ms),
+            took(*encode_ms)
         )
     }
+}
+
+/// A time that was measured: in milliseconds, from a second on in seconds.
+fn took(ms: f64) -> String {
+    if ms < 1000.0 { format!("{ms:.1} ms") } else { format!("{:.2} s", ms / 1000.0) }
 }
 
 fn render(

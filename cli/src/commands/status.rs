@@ -4,6 +4,7 @@ use clap::Args;
 use clap::builder::FalseyValueParser;
 
 use crate::arguments::ServerArguments;
+use crate::counted::{counted, counted_len};
 use crate::overview::{Overview, duration, gather, scaled};
 use crate::terminal::say;
 
@@ -44,13 +45,14 @@ fn lines(overview: &Overview) -> Vec<String> {
     let Overview { queue, pool, disk, .. } = overview;
     let work = queue.work_seconds.map_or_else(|| "nobody to do it".to_owned(), duration);
     let (version, uptime) = (&overview.version, duration(overview.uptime_seconds));
+    let paused = if overview.paused { ", paused" } else { "" };
     let mut lines = vec![
-        format!("{}  {}, sdfarm {version}, up {uptime}", overview.server, overview.health),
+        format!("{}  {}{paused}, sdfarm {version}, up {uptime}", overview.server, overview.health),
         format!(
-            "queue    {} running, {} queued, {} tiles ready, {} leased; work for {work}, the oldest is {} old",
+            "queue    {} running, {} queued, {} ready, {} leased; work for {work}, the oldest is {} old",
             queue.running,
             queue.queued,
-            queue.tiles_ready,
+            counted(queue.tiles_ready, "tile"),
             queue.tiles_leased,
             duration(queue.oldest_seconds)
         ),
@@ -72,20 +74,21 @@ fn lines(overview: &Overview) -> Vec<String> {
         let speed = worker.rays_per_second.map_or_else(|| "-".to_owned(), |speed| format!("{}rays/s", scaled(speed)));
         let state = format!("{:?}", worker.state).to_lowercase();
         lines.push(format!(
-            "worker   {:<20} {:<8} {state:<11} {:>3} leases  {speed}",
-            worker.name, worker.device, worker.leases
+            "worker   {:<20} {:<8} {state:<11} {:>10}  {speed}",
+            worker.name,
+            worker.device,
+            counted(worker.leases, "lease")
         ));
     }
     for job in overview.jobs.iter().take(LISTED) {
         let left = job.eta_seconds.map_or_else(String::new, |seconds| format!("  {} left", duration(seconds)));
         let percent = (job.progress * 100.0).floor();
-        lines.push(format!("job      {}  {:<8} {percent:>3} %{left}  {}", job.id, job.state.name(), job.name));
+        let paused = if job.paused { "  paused" } else { "" };
+        lines.push(format!("job      {}  {:<8} {percent:>3} %{paused}{left}  {}", job.id, job.state.name(), job.name));
     }
-    for (what, shown, all) in
-        [("workers", LISTED, overview.workers.len()), ("unfinished jobs", LISTED, overview.jobs.len())]
-    {
-        if all > shown {
-            lines.push(format!("         and {} {what} more", all - shown));
+    for (noun, all) in [("more worker", overview.workers.len()), ("more unfinished job", overview.jobs.len())] {
+        if all > LISTED {
+            lines.push(format!("         and {}", counted_len(all - LISTED, noun)));
         }
     }
     match &overview.concerns[..] {
@@ -103,17 +106,19 @@ mod tests {
     fn a_farm_fits_on_a_screen() {
         let text = lines(&crate::overview::tests::troubled()).join("\n");
         let wanted = "\
-http://127.0.0.1:8080  ready, sdfarm 1.2.3, up 3 h 20 min
+http://127.0.0.1:8080  ready, paused, sdfarm 1.2.3, up 3 h 20 min
 queue    1 running, 4 queued, 90 tiles ready, 8 leased; work for 1 h 1 min, the oldest is 2 h 1 min old
 pool     1 of 2 ready; all workers: 11.0 Mrays/s
 disk     1.0 GB free of 9.0 GB; pictures and tiles 570 B, database 0 B
 worker   pool-1               cpu      ready         8 leases  2.0 Mrays/s
 job      01890a5d-ac96-774b-bcce-b302099a8058  running   25 %  1 min 15 s left  fjord
+job      01890a5d-ac96-774b-bcce-b302099a8058  running   25 %  paused  lantern
+alert    the farm is paused: `sdfarm resume` lets it go on
 alert    2 tiles were rendered differently by two workers
-alert    1 of 2 local workers are ready
+alert    1 of 2 local workers ready
 alert    little room is left on the disk
 alert    3 leases ran out
-alert    1 requests failed in the server";
+alert    1 request failed in the server";
         assert_eq!(text, wanted);
     }
 }

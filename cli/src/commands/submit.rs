@@ -9,11 +9,12 @@ use proto::{Client, ClientError, JobId, Keep};
 use scene::{Format, Job};
 
 use crate::arguments::ServerArguments;
+use crate::counted::counted;
 use crate::failure::Misuse;
-use crate::follow;
 use crate::job_file::JobFile;
-use crate::output_file::format_of;
+use crate::output_file::{check_writable, format_of, is_folder};
 use crate::terminal::{note, say};
+use crate::{follow, sequence};
 
 /// Delays between attempts to submit.
 const FIRST_WAIT: Duration = Duration::from_millis(200);
@@ -31,7 +32,8 @@ pub(crate) struct Arguments {
     /// Wait until the job is finished.
     #[arg(long, env = "SDFARM_WAIT", value_parser = clap::builder::FalseyValueParser::new(), action = clap::ArgAction::SetTrue)]
     wait: bool,
-    /// Save the picture of frame 0 here when the job has succeeded; - for standard output.
+    /// Save the picture here when the job has succeeded: of several frames the first, or all of them in a folder where
+    /// it names one (`DIR/`); - for standard output.
     #[arg(long, short, value_name = "FILE", env = "SDFARM_OUTPUT", requires = "wait")]
     output: Option<String>,
     /// Render it again even if its pictures are already stored.
@@ -50,6 +52,7 @@ pub(crate) async fn run(arguments: Arguments) -> anyhow::Result<()> {
     let file = JobFile::read(&arguments.job)?;
     if let Some(output) = &arguments.output {
         check_output(&file.parse()?, output)?;
+        check_writable(output)?;
     }
     let client = arguments.server.client()?;
     let how = Submission {
@@ -72,9 +75,22 @@ pub(crate) async fn run(arguments: Arguments) -> anyhow::Result<()> {
         follow::until_done(&client, job.id).await?;
     }
     match &arguments.output {
-        Some(output) => follow::fetch(&client, job.id, 0, output).await,
+        Some(output) => save(&client, &job, output).await,
         None => Ok(()),
     }
+}
+
+/// Saves what the output names, and says what became of the other frames.
+async fn save(client: &Client, job: &JobView, output: &str) -> anyhow::Result<()> {
+    if is_folder(output) {
+        return sequence::save(client, job.id, output, false).await;
+    }
+    follow::fetch(client, job.id, 0, output).await?;
+    if let others @ 1.. = job.frames.total.saturating_sub(1) {
+        let (others, are) = (counted(others, "other frame"), if others == 1 { "is" } else { "are" });
+        note(&format!("that is frame 0; the {others} {are} stored too: `sdfarm fetch {} -o DIR/` saves all", job.id));
+    }
+    Ok(())
 }
 
 /// Submits the job with an idempotency key, so that a broken connection can be retried without creating it
@@ -97,6 +113,9 @@ async fn hand_in(client: &Client, text: &[u8], how: &Submission) -> Result<JobVi
 
 /// A farm stores the format that the job asks for, so the file's extension must match it.
 fn check_output(job: &Job, output: &str) -> anyhow::Result<()> {
+    if is_folder(output) {
+        return Ok(());
+    }
     let asked = job.image.format;
     match format_of(output)? {
         Some(named) if named != asked => Err(Misuse(format!(

@@ -128,10 +128,12 @@ fn heading(overview: &Overview) -> Vec<Line<'static>> {
     let health = if overview.is_well() { overview.health.clone().green() } else { overview.health.clone().red() };
     let work = queue.work_seconds.map_or_else(|| "nobody to do it".to_owned(), duration);
     let pool = overview.pool;
+    let paused = if overview.paused { "  PAUSED".yellow() } else { "".into() };
     vec![
         Line::from(vec![
             format!("{}  ", overview.server).bold(),
             health,
+            paused,
             format!("  sdfarm {}, up {}", overview.version, duration(overview.uptime_seconds)).into(),
         ]),
         format!(
@@ -162,7 +164,7 @@ fn job_table(overview: &Overview) -> Table<'static> {
         let left = job.eta_seconds.map_or_else(|| "-".to_owned(), duration);
         let cells = [
             job.name.clone(),
-            job.state.name().to_owned(),
+            if job.paused { "paused" } else { job.state.name() }.to_owned(),
             format!("{:>3} %", (job.progress * 100.0).floor()),
             format!("{}/{}", job.tiles.done, job.tiles.total),
             format!("{}/{}", job.frames.done, job.frames.total),
@@ -225,13 +227,14 @@ mod tests {
         screen.show(crate::overview::tests::troubled());
         let text = shown(&screen, 80, 24);
         for words in [
-            "http://127.0.0.1:8080  ready  sdfarm 1.2.3, up 3 h 20 min",
+            "http://127.0.0.1:8080  ready  PAUSED  sdfarm 1.2.3, up 3 h 20 min",
             "1 running, 4 queued; the oldest is 2 h 1 min old",
             "90 ready, 8 leased; work for 1 h 1 min",
             "11.0 Mrays/s",
             "1.0 GB free",
             "fjord",
             "running    25 %",
+            "paused     25 %",
             "1 min 15 s",
             "pool-1",
             "2.0 Mrays/s",

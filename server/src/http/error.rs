@@ -39,13 +39,16 @@ pub(crate) enum ApiError {
     FramesMissing { job: JobId, stored: u32, total: u32 },
     #[error("the body has more than {limit_bytes} bytes, the limit of this route: send a smaller one")]
     TooLarge { limit_bytes: u64 },
-    #[error("the content type is {found:?}: send JSON as application/json")]
+    #[error(
+        "the content type is {found:?}: send JSON as application/json (with curl: --json @FILE, or \
+         -H 'content-type: application/json' --data-binary @FILE)"
+    )]
     WrongType { found: String },
     #[error("the body is incomplete: {0}")]
     BrokenBody(String),
     #[error("invalid request: {0}")]
     WrongRequest(&'static str),
-    #[error("there is no job {0}: GET /v1/jobs lists all jobs")]
+    #[error("there is no job {0}: GET /v1/jobs (`sdfarm jobs`) lists those there are")]
     UnknownJob(String),
     #[error("job {job} has no frame {frame}: its {frames} frames are numbered from 0")]
     UnknownFrame { job: JobId, frame: String, frames: u32 },
@@ -144,7 +147,9 @@ fn not_stored(job: &JobId, frame: u32, state: JobState) -> String {
     if state.is_final() {
         format!("frame {frame} of job {job} was never stored: the job is {}", state.name())
     } else {
-        format!("frame {frame} of job {job} is not stored yet: poll GET /v1/jobs/{job} until its state is succeeded")
+        format!(
+            "frame {frame} of job {job} is not stored yet: GET /v1/jobs/{job} (`sdfarm watch {job}`) says when it is"
+        )
     }
 }
 
@@ -323,7 +328,9 @@ impl From<KeyError> for ApiError {
         match error {
             KeyError::Store(error) => error.into(),
             error @ KeyError::Random(_) => Self::Internal(Box::new(error)),
-            error @ (KeyError::Name(_) | KeyError::NoScope | KeyError::Limit { .. }) => Self::WrongKey(error),
+            error @ (KeyError::Name(_) | KeyError::NoScope | KeyError::Limit { .. } | KeyError::FirstNotAdmin) => {
+                Self::WrongKey(error)
+            }
             error @ (KeyError::BothTaken { .. } | KeyError::TooMany) => Self::KeyConflict(error),
             error @ KeyError::Unknown(_) => Self::NoKey(error),
         }

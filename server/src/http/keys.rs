@@ -28,8 +28,8 @@ pub(super) async fn list(State(farm): State<Arc<Farm>>) -> Json<KeyList> {
 /// Make a key.
 ///
 /// The answer holds its secret, which nobody can show again. Two keys of one name may be live, so that the new one
-/// can be put in the old one's place. The first key of a farm closes it to everyone without one, and is best made by
-/// `sdfarm key new`.
+/// can be put in the old one's place. The first key of a farm closes it to everyone without one, so it needs the scope
+/// `admin`.
 #[utoipa::path(
     post, path = "/v1/keys", tag = "doors", operation_id = "make_key",
     request_body(content = ref("#/components/schemas/NewKey"), content_type = "application/json"),

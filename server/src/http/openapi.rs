@@ -10,7 +10,7 @@ use axum::http::header;
 use axum::response::{IntoResponse, Response};
 use proto::Problem;
 use proto::change::{DeletePreview, FramePage, JobPatch};
-use proto::farm::FarmView;
+use proto::farm::{FarmView, StartView};
 use proto::job::{DryRun, JobPage, JobView};
 use proto::key::{AuditPage, IssuedKey, KeyList, NewKey};
 use proto::link::{LinkRequest, LinkView};
@@ -64,6 +64,7 @@ fn views() -> Map<String, Value> {
     generator.subschema_for::<DeletePreview>();
     generator.subschema_for::<JobPatch>();
     generator.subschema_for::<FarmView>();
+    generator.subschema_for::<StartView>();
     generator.subschema_for::<LinkRequest>();
     generator.subschema_for::<LinkView>();
     generator.subschema_for::<Collection>();

@@ -34,7 +34,7 @@ pub(super) fn need(method: &Method, route: &str) -> Need {
 
 /// Health, descriptions, and pictures by links that prove themselves; what is nowhere answers 404 to anyone.
 fn is_open(route: &str) -> bool {
-    matches!(route, "" | "/livez" | "/readyz" | "/openapi.json" | "/v1/schema/job")
+    matches!(route, "" | "/" | "/livez" | "/readyz" | "/openapi.json" | "/v1/schema/job")
         || route == "/docs"
         || route.starts_with("/docs/")
         || route.starts_with("/v1/pictures/")

@@ -23,7 +23,7 @@ pub struct Restored {
 
 /// Restores the backup in `folder` into `data`, which must be new or empty.
 pub async fn restore(folder: &Path, data: &Path) -> Result<Restored, KeepError> {
-    let Some(manifest) = Manifest::read(folder)? else { return Err(KeepError::NotABackup(folder.to_owned())) };
+    let Some(manifest) = Manifest::read(folder)? else { return Err(KeepError::NoBackup(folder.to_owned())) };
     if fs::read_dir(data).is_ok_and(|mut entries| entries.next().is_some()) {
         return Err(KeepError::NotEmpty(data.to_owned()));
     }

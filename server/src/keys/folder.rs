@@ -10,7 +10,7 @@ use sqlx::Connection;
 use sqlx::sqlite::SqliteConnection;
 
 use super::key::{Key, Order};
-use super::{KeyError, MAX_KEYS, secret, table};
+use super::{KeyError, secret, table};
 use crate::clock::Clock;
 use crate::lock::{FolderLock, LockError};
 use crate::store::{OpenError, Store, StoreError};
@@ -81,9 +81,9 @@ impl KeyFolder {
     /// Creates a key. Only the returned value has its secret.
     pub async fn make(&mut self, new: NewKey) -> Result<IssuedKey, KeyFolderError> {
         let order = Order::check(new, now_ms()).map_err(refused)?;
-        if self.rows().await?.iter().filter(|row| row.revoked_at_ms.is_none()).count() >= MAX_KEYS {
-            return Err(refused(KeyError::TooMany));
-        }
+        let rows = self.rows().await?;
+        let kept = rows.iter().filter(|row| row.revoked_at_ms.is_none()).count();
+        super::check_room(&order, rows.len(), kept).map_err(refused)?;
         let issue = secret::issue().map_err(refused)?;
         let made = table::insert(&mut self.connection, &issue.id, &issue.digest, &order).await;
         let made = made.map_err(|error| self.failed(&error))?;

@@ -4,8 +4,9 @@
 //! Only the triggers of migration 0005 write events, in the transaction of the change.
 
 use proto::JobId;
-use proto::event::{Snapshot, TileEvent};
+use proto::event::{ProgressEvent, Snapshot, TileEvent};
 use proto::job::{Count, JobState};
+use proto::rounding;
 use sqlx::Row;
 use sqlx::sqlite::SqliteRow;
 
@@ -46,14 +47,22 @@ impl Event {
 
     fn read(row: &SqliteRow) -> Result<Self> {
         let state: Option<String> = row.try_get("state")?;
+        let (kind, body): (String, String) = (row.try_get("kind")?, row.try_get("body")?);
         Ok(Self {
             number: row.try_get("number")?,
             job: row.try_get("job")?,
-            kind: row.try_get("kind")?,
             state: state.map(|state| end::job_state(&state)).transpose()?,
-            body: row.try_get("body")?,
+            body: if kind == "progress" { rounded(body) } else { body },
+            kind,
         })
     }
+}
+
+/// The body of a progress event with its fraction rounded; the database's trigger stores every digit.
+fn rounded(body: String) -> String {
+    let Ok(event) = serde_json::from_str::<ProgressEvent>(&body) else { return body };
+    let event = ProgressEvent { progress: rounding::fraction(event.progress), ..event };
+    serde_json::to_string(&event).unwrap_or(body)
 }
 
 /// State that a subscriber needs before its first event.
@@ -163,7 +172,9 @@ impl Queue {
         let snapshot = Snapshot {
             state: end::job_state(&row.try_get::<String, _>("state")?)?,
             errors: error.into_iter().collect(),
-            progress: row.try_get::<i64, _>("rays_peak")? as f64 / row.try_get::<i64, _>("rays_total")? as f64,
+            progress: rounding::fraction(
+                row.try_get::<i64, _>("rays_peak")? as f64 / row.try_get::<i64, _>("rays_total")? as f64,
+            ),
             tiles: Count { done: row.try_get("tiles_done")?, total: row.try_get("tiles_total")? },
             frames: Count { done: row.try_get("frames_stored")?, total: row.try_get("frames_total")? },
             stored: runs(&numbers),

@@ -3,6 +3,7 @@
 use proto::JobId;
 use proto::job::{Count, JobPage, JobState, JobView};
 use proto::pool::{WorkerList, WorkerState, WorkerView};
+use proto::rounding;
 use sqlx::Row;
 use sqlx::sqlite::{SqlitePool, SqliteRow};
 
@@ -19,7 +20,8 @@ macro_rules! jobs_where {
                         SELECT 1 FROM tile WHERE tile.job = job.number AND tile.state = 'ready' AND kind = 'render'))
                     AS waits,
                     (SELECT max(coalesce(max_nodes, 9223372036854775807)) FROM worker
-                     WHERE state <> 'gone' AND state IN ('starting', 'ready')) AS farm_max_nodes
+                     WHERE state <> 'gone' AND state IN ('starting', 'ready')) AS farm_max_nodes,
+                    (SELECT value <> 0 FROM meta WHERE name = 'paused') AS farm_paused
              FROM job WHERE ",
             $condition
         )
@@ -63,13 +65,13 @@ fn read_job(row: &SqliteRow, wall_ms: i64) -> Result<JobView> {
     let rays_total: i64 = row.try_get("rays_total")?;
     let progress = row.try_get::<i64, _>("rays_peak")? as f64 / rays_total as f64;
     let error: Option<String> = row.try_get("error")?;
-    let paused = row.try_get("paused")?;
+    let (paused, farm_paused): (bool, bool) = (row.try_get("paused")?, row.try_get("farm_paused")?);
     Ok(JobView {
         id: known("job.id", &id, |id| id.parse().ok())?,
         name: row.try_get("name")?,
         state,
         paused,
-        progress,
+        progress: rounding::fraction(progress),
         tiles: Count { done: row.try_get("tiles_done")?, total: row.try_get("tiles_total")? },
         frames: Count { done: row.try_get("frames_stored")?, total: row.try_get("frames_total")? },
         errors: error.into_iter().collect(),
@@ -78,7 +80,7 @@ fn read_job(row: &SqliteRow, wall_ms: i64) -> Result<JobView> {
         started_at: started_at_ms.map(rfc3339),
         finished_at: row.try_get::<Option<i64>, _>("finished_at_ms")?.map(rfc3339),
         eta_seconds: started_at_ms
-            .filter(|_| state == JobState::Running && !paused)
+            .filter(|_| state == JobState::Running && !paused && !farm_paused)
             .and_then(|start| eta(start, wall_ms, progress)),
     })
 }
@@ -99,7 +101,7 @@ fn too_large(row: &SqliteRow) -> Result<Option<String>> {
 /// Estimated seconds left, assuming constant speed.
 fn eta(started_at_ms: i64, wall_ms: i64, progress: f64) -> Option<f64> {
     let elapsed_seconds = (wall_ms - started_at_ms).max(0) as f64 / 1000.0;
-    (progress > 0.0).then(|| elapsed_seconds * (1.0 - progress) / progress)
+    (progress > 0.0).then(|| rounding::seconds(elapsed_seconds * (1.0 - progress) / progress))
 }
 
 impl Queue {
@@ -243,7 +245,7 @@ fn read_worker(row: &SqliteRow) -> Result<WorkerView> {
         name: row.try_get("name")?,
         device: row.try_get("device")?,
         state: known("worker.state", &state, worker_state)?,
-        rays_per_second: row.try_get("rays_per_second")?,
+        rays_per_second: row.try_get::<Option<f64>, _>("rays_per_second")?.map(rounding::rate),
         leases: row.try_get("leases")?,
     })
 }

@@ -58,7 +58,6 @@ async fn bodies_of_the_wrong_kind_or_size_are_refused() {
 async fn unknown_routes_jobs_and_methods_are_problems_too() {
     let farm = Farm::start().await;
     refused(farm.get("/v2/jobs").await, 404, "unknown_route").await;
-    refused(farm.get("/").await, 404, "unknown_route").await;
     for path in ["/v1/jobs/0", "/v1/jobs/00000000-0000-7000-8000-000000000000"] {
         refused(farm.get(path).await, 404, "unknown_job").await;
         refused(farm.get(&format!("{path}/image")).await, 404, "unknown_job").await;

@@ -113,6 +113,31 @@ async fn key_is_rotated_without_a_gap_and_a_third_is_refused() {
 }
 
 #[tokio::test]
+async fn first_key_of_a_farm_is_an_administrators_or_none_is_made() {
+    let farm = Farm::start().await;
+    let worker = serde_json::to_string(&new_key("host-7", &[Scope::Worker])).expect("JSON");
+    let problem = refused(farm.post("/v1/keys", worker.clone()).await, 422, "wrong_key").await;
+    assert!(problem.detail.contains("sdfarm key new admin --scope admin"), "{problem:?}");
+    let mut keys = KeyFolder::open(farm.folder.path()).await.expect("the folder is there");
+    let error =
+        keys.make(new_key("anna", &[Scope::Submit, Scope::Read])).await.expect_err("it would lock its maker out");
+    assert!(error.to_string().contains("--scope admin"), "{error}");
+    assert!(keys.list().await.expect("reads").is_empty());
+    assert_eq!(farm.get("/v1/jobs").await.status(), StatusCode::OK, "the farm is still open");
+    let admin = keys.make(new_key("admin", &[Scope::Admin])).await.expect("a key").secret;
+    keys.make(new_key("anna", &[Scope::Read])).await.expect("a second key may allow less");
+    keys.close().await.expect("closes");
+    in_time(async {
+        while farm.get("/v1/jobs").await.status() != StatusCode::UNAUTHORIZED {
+            tokio::task::yield_now().await;
+        }
+    })
+    .await;
+    assert_eq!(send(&farm, &admin, Method::POST, "/v1/keys", worker).await.status(), StatusCode::CREATED);
+    farm.stop().await;
+}
+
+#[tokio::test]
 async fn key_expires_by_the_clock() {
     let (farm, admin) = locked_farm().await;
     let hour = NewKey { expires_in_seconds: Some(3600), ..new_key("anna", &[Scope::Read]) };
@@ -151,7 +176,7 @@ async fn keys_of_the_folder_open_the_running_server() {
     let farm = Farm::start().await;
     assert_eq!(farm.get("/v1/jobs").await.status(), StatusCode::OK);
     let mut keys = KeyFolder::open(farm.folder.path()).await.expect("the folder is there");
-    let secret = keys.make(new_key("anna", &[Scope::Read])).await.expect("a key").secret;
+    let secret = keys.make(new_key("anna", &[Scope::Admin])).await.expect("a key").secret;
     in_time(async {
         while farm.get("/v1/jobs").await.status() != StatusCode::UNAUTHORIZED {
             tokio::task::yield_now().await;

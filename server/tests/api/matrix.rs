@@ -37,6 +37,7 @@ enum Row {
 use Row::{Admin, Open, Own, Read, ReadOrOwn, ReadOrSubmit, Submit, Worker};
 
 const ROWS: &[(&str, Row)] = &[
+    ("GET /", Open),
     ("GET /livez", Open),
     ("GET /readyz", Open),
     ("GET /docs/", Open),

@@ -45,7 +45,8 @@ pub(crate) fn table(schema: &Value, definition: &Value) -> String {
     for (key, property) in definition["properties"].as_object().into_iter().flatten() {
         let default =
             if required.contains(&key.as_str()) { "required".to_owned() } else { property["default"].to_string() };
-        let meaning = property["description"].as_str().unwrap_or_default();
+        // A row of a table is one line.
+        let meaning = property["description"].as_str().unwrap_or_default().replace('\n', " ");
         writeln!(text, "| `{key}` | {} | {default} | {meaning} |", kind(schema, property)).expect("a String takes all");
     }
     text

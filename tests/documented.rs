@@ -1,0 +1,122 @@
+//! The shell examples of docs/api.md, run as they are printed, one after another, against a farm of their own.
+//!
+//! One thing is replaced: the address of the farm. Every line of an example has to be named in the table below with
+//! what it prints.
+
+use std::path::Path;
+use std::process::Command;
+
+use serde_json::json;
+
+use crate::jobs;
+use crate::support::{Farm, PROGRAM, clean, finish, root, text};
+
+/// How the page names the farm.
+const ADDRESS: &str = "http://127.0.0.1:8080";
+/// Stands between the outputs of two lines.
+const MARK: &str = "==== next line ====";
+
+/// What a line begins with, and what it prints.
+const LINES: &[(&str, &[&str])] = &[
+    ("farm=", &[]),
+    ("curl -s --json @job.json -H 'Idempotency-Key: shot-12-take-3'", &["\"state\":\"", "\"frames\":{"]),
+    ("curl -s --json @job.json -H 'Prefer: wait=30'", &["\"state\":\"succeeded\""]),
+    ("id=$(sdfarm submit job.json --wait --server $farm)", &[]),
+    ("curl -s -H 'Prefer: wait=60' \"$farm/v1/jobs/$id\"", &["\"state\":\"succeeded\"", "\"paused\":false"]),
+    ("curl -sN \"$farm/v1/jobs/$id/events\"", &["event: state", "event: frame", "\"state\":\"succeeded\""]),
+    (
+        "curl -s \"$farm/v1/jobs/$id/frames?limit=1000\"",
+        &["\"number\":1", "\"state\":\"stored\"", "\"next_cursor\":null"],
+    ),
+    ("curl -s -o first.png \"$farm/v1/jobs/$id/image\"", &[]),
+    ("curl -sOJ \"$farm/v1/jobs/$id/frames.zip\"", &[]),
+    ("sdfarm fetch $id -o frames/ --server $farm", &["wrote 2 pictures to frames/"]),
+    ("curl -s --json @job.json \"$farm/v1/jobs?webhook=", &["\"id\":\"", "\"state\":\""]),
+    ("id=$(sdfarm submit job.json --webhook", &[]),
+    ("curl -s \"$farm/v1/jobs/$id/webhooks\"", &["\"deliveries\":["]),
+];
+
+/// Files that the examples leave.
+const FILES: [&str; 5] = ["first.png", "quick.zip", "frames/quick.0000.png", "frames/quick.0001.png", "job.json"];
+
+/// The lines of the page's shell examples.
+fn examples() -> Vec<String> {
+    let page = std::fs::read_to_string(root().join("docs/api.md")).expect("the page is there");
+    let mut lines = Vec::new();
+    let mut is_shell = false;
+    for line in page.lines() {
+        if line.starts_with("```") {
+            is_shell = line == "```sh";
+        } else if is_shell {
+            lines.push(line.to_owned());
+        }
+    }
+    lines
+}
+
+/// A shell that finds the program under test as `sdfarm`, in a folder with `job.json`.
+fn shell(folder: &Path) -> Command {
+    let programs = folder.join("bin");
+    std::fs::create_dir_all(&programs).expect("a folder");
+    std::os::unix::fs::symlink(PROGRAM, programs.join("sdfarm")).expect("a link");
+    let path = std::env::var_os("PATH").unwrap_or_default();
+    let path = std::env::join_paths([programs].into_iter().chain(std::env::split_paths(&path))).expect("plain paths");
+    let mut command = Command::new("bash");
+    clean(&mut command).env("PATH", path).current_dir(folder);
+    command
+}
+
+#[test]
+fn the_examples_of_the_page_on_the_api_do_what_it_says() {
+    let curl = Command::new("curl").arg("--version").output().ok().map(|output| text(&output.stdout));
+    let Some(minor) = curl.as_ref().and_then(|said| said.split(['.', ' ']).nth(2)?.parse::<u32>().ok()) else {
+        println!("skipped: curl is not installed; the examples of docs/api.md are not run");
+        return;
+    };
+    if minor < 82 && curl.is_some_and(|said| said.starts_with("curl 7.")) {
+        println!("skipped: this curl has no --json; the examples of docs/api.md are not run");
+        return;
+    }
+    let farm = Farm::start(&["--workers", "1"]);
+    let folder = tempfile::tempdir().expect("a folder");
+    let mut job = jobs::quick();
+    job["name"] = json!("quick");
+    job["frames"] = json!({ "count": 2 });
+    std::fs::write(folder.path().join("job.json"), job.to_string()).expect("written");
+
+    let lines = examples();
+    // A request that is refused ends the script, with the problem that it was told.
+    let mut script = "set -eo pipefail\ncurl() { command curl --fail-with-body \"$@\"; }\n".to_owned();
+    for line in &lines {
+        script += &format!("{}\necho; echo '{MARK}'\n", line.replace(ADDRESS, &farm.address));
+    }
+    let output = finish(
+        {
+            let mut command = shell(folder.path());
+            command.args(["-c", &format!("exec 2>&1\n{script}")]);
+            command
+        },
+        b"",
+    );
+    let printed = text(&output.stdout);
+    assert!(output.status.success(), "{printed}\n{}", farm.log());
+    let printed: Vec<&str> = printed.split(MARK).collect();
+    assert_eq!(printed.len(), lines.len() + 1, "{printed:?}");
+    for (line, printed) in lines.iter().zip(printed) {
+        let (_, wanted) = LINES
+            .iter()
+            .find(|(start, _)| line.starts_with(start))
+            .unwrap_or_else(|| panic!("nothing is known of what this line of docs/api.md prints: {line}"));
+        for wanted in *wanted {
+            assert!(printed.contains(wanted), "{line}\nprints no {wanted}:\n{printed}");
+        }
+    }
+    for (start, _) in LINES {
+        assert!(lines.iter().any(|line| line.starts_with(start)), "docs/api.md has no example that begins {start}");
+    }
+    for name in FILES {
+        assert!(folder.path().join(name).is_file(), "{name} was not saved");
+    }
+    let first = std::fs::read(folder.path().join("first.png")).expect("saved");
+    assert!(first == std::fs::read(folder.path().join("frames/quick.0000.png")).expect("saved"));
+}
