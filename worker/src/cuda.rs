@@ -203,7 +203,7 @@ impl CudaRenderer {
 
     /// The program of some text, made if need be; whether its machine code was there already.
     fn program(&self, source: &Source, sample: &TileRun<'_>) -> Result<(Arc<Program>, bool), Trouble> {
-        let key = Cache::key(&source.text, self.device.architecture, &self.compiler.version);
+        let key = Cache::key(&source.text, &compiler::options(self.device.architecture), &self.compiler.version);
         if let Some(program) = lock(&self.programs).get(&key) {
             return Ok((program.clone(), true));
         }
