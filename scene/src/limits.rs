@@ -43,7 +43,7 @@ pub const MAX_KEYS: usize = 10_000;
 /// Seconds of a key, before or after frame 0.
 pub const MAX_KEY_SECONDS: f64 = 1e9;
 /// Bytes of a job that moves, times its frames, up to which every frame is looked over when it is handed in.
-pub const MAX_CHECKED_BYTES: u64 = 64 << 20;
+pub const MAX_CHECKED_BYTES: u64 = 1 << 30;
 /// Frames of a longer one that are.
 pub const MIN_CHECKED_FRAMES: u32 = 16;
 /// Textures in the colors of textures.

@@ -195,11 +195,11 @@ mod tests {
     #[test]
     fn many_frames_are_looked_over_around_keys_and_evenly() {
         let frames = Frames { count: 100_000, fps: FrameRate::new(10.0).unwrap() };
-        let chosen = frames_to_check(&frames, &[-4.0, 777.77, 1e6], 1 << 20);
+        let chosen = frames_to_check(&frames, &[-4.0, 777.77, 1e6], 1 << 24);
         assert!(chosen.len() <= 64 && chosen.len() > 48, "{chosen:?}");
         assert!([7_777, 7_778, 99_999].iter().all(|frame| chosen.contains(frame)), "{chosen:?}");
         assert!(!chosen.contains(&0));
-        let all = frames_to_check(&Frames { count: 50, ..frames }, &[], 1 << 20);
+        let all = frames_to_check(&Frames { count: 50, ..frames }, &[], 1 << 24);
         assert!(all.into_iter().eq(1..50));
     }
 }

@@ -25,8 +25,10 @@ pub struct Scene {
     /// The lights; an empty list is darkness.
     pub lights: Vec<Light>,
     /// Fog, if there is any.
+    #[serde(skip_serializing_if = "Option::is_none")]
     pub fog: Option<Fog>,
     /// Darker corners in light from all around, if there are any.
+    #[serde(skip_serializing_if = "Option::is_none")]
     pub ambient_occlusion: Option<AmbientOcclusion>,
     /// The materials in use, in the order of their first use.
     pub(crate) materials: Vec<Material>,

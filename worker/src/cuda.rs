@@ -203,7 +203,7 @@ impl CudaRenderer {
 
     /// Kernel of a source, compiled if necessary; also returns whether it came from the cache.
     fn program(&self, source: &Source, sample: &TileRun<'_>) -> Result<(Arc<Program>, bool), Trouble> {
-        let key = Cache::key(&source.text, self.device.architecture, &self.compiler.version);
+        let key = Cache::key(&source.text, &compiler::options(self.device.architecture), &self.compiler.version);
         if let Some(program) = lock(&self.programs).get(&key) {
             return Ok((program.clone(), true));
         }

@@ -3,6 +3,7 @@
 mod farm;
 mod paper;
 mod queue;
+mod setup;
 
 use std::path::Path;
 use std::time::Duration;
@@ -73,6 +74,8 @@ enum Tables {
     Paper(paper::Arguments),
     /// Measure a server's queue: jobs and tiles per second, and response times.
     Queue(queue::Arguments),
+    /// How long it takes until an animated job stands as it does in a frame.
+    Setup(setup::Arguments),
 }
 
 /// The levels to measure.
@@ -93,6 +96,7 @@ pub(crate) fn run(arguments: &Arguments) -> anyhow::Result<()> {
     match &arguments.table {
         Some(Tables::Paper(arguments)) => return paper::run(arguments),
         Some(Tables::Queue(arguments)) => return run_async(queue::run(arguments)),
+        Some(Tables::Setup(arguments)) => return setup::run(arguments),
         None => {}
     }
     let names = DEFAULT_JOBS.map(str::to_owned);

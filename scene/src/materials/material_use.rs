@@ -97,7 +97,8 @@ impl Serialize for MaterialUse {
         match self {
             Self::Name(name) => name.serialize(serializer),
             Self::InPlace(material) => material.serialize(serializer),
-            Self::Slot(slot) => slot.serialize(serializer),
+            // As a name: a scene has no other names, and its hash stands in pictures.
+            Self::Slot(slot) => serializer.collect_str(slot),
         }
     }
 }

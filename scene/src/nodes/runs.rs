@@ -41,8 +41,10 @@ impl PartialEq for Runs {
 impl Runs {
     /// Hierarchy of all shapes but the first; empty if skipping is not worthwhile.
     pub(super) fn of(shapes: &[Node], moves: bool) -> Self {
-        let all = (shapes.len() > 1).then(|| run(shapes, 1..shapes.len(), moves));
-        // Boxed, so that nodes stay small.
+        let measured = |shape| Measured { bounds: worthwhile_bounds(shape, moves), nodes: shape.count() };
+        let measured: Vec<Measured> = shapes.iter().map(measured).collect();
+        let all = (shapes.len() > 1).then(|| run(&measured, 1..shapes.len()));
+        // In a box of its own, so that nodes stay small.
         Self(all.filter(Run::has_bounds).map(Box::new))
     }
 }
@@ -53,19 +55,24 @@ impl Run {
     }
 }
 
-fn run(shapes: &[Node], range: Range<usize>, moves: bool) -> Run {
+fn run(shapes: &[Measured], range: Range<usize>) -> Run {
     let own = &shapes[range.clone()];
-    let nodes: u32 = own.iter().map(Node::count).sum();
-    let bounds = own.iter().map(|shape| worthwhile_bounds(shape, moves)).reduce(|a, b| Some(a?.hull(b?))).flatten();
+    let nodes: u32 = own.iter().map(|shape| shape.nodes).sum();
+    let bounds = own.iter().map(|shape| shape.bounds).reduce(|a, b| Some(a?.hull(b?))).flatten();
     let middle = range.start + range.len() / 2;
     let is_long = range.len() > 1 && nodes >= 2 * RUN_NODES;
-    let halves =
-        is_long.then(|| Box::new([range.start..middle, middle..range.end].map(|half| run(shapes, half, moves))));
+    let halves = is_long.then(|| Box::new([range.start..middle, middle..range.end].map(|half| run(shapes, half))));
     Run { shapes: range, bounds: bounds.filter(|_| nodes >= RUN_NODES), halves }
 }
 
-/// A shape's box, if it is bounded in every direction. If the job is animated there is always one: a shape
-/// without bounds in one frame, for example a tilted plane, may have them in the next.
+/// What a run needs to know of a shape: found once, though the shape is in several runs.
+struct Measured {
+    bounds: Option<Bounds>,
+    nodes: u32,
+}
+
+/// A shape's box, if it has an end in every direction. Where the job moves there is one in any case:
+/// what has no end in one frame, a tilted plane say, may have one in the next.
 fn worthwhile_bounds(shape: &Node, moves: bool) -> Option<Bounds> {
     let bounds = shape.bounds(0.0);
     if moves { Some(bounds.ended()) } else { Some(bounds).filter(|bounds| bounds.is_finite()) }

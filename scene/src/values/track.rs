@@ -267,7 +267,7 @@ mod tests {
         assert!(at::<Amount>(0.0, "0").is_zero() && !at::<Amount>(0.0, "0").is_moving());
         assert!(!at::<Color>(0.0, &format!("[0, {TRACK}, 0]")).is_black() && at::<Color>(0.0, "[0, 0, 0]").is_black());
         assert_eq!(at::<Color>(1.0, &format!("[0, {TRACK}, 0]")).get().y, 0.5);
-        assert!(at::<Direction>(1.0, &format!("[0, {TRACK}, 0]")).is_moving());
+        assert!(at::<Direction>(1.0, &format!("[1, {TRACK}, 0]")).is_moving());
         assert!(at::<Rotation>(1.0, &format!("[0, {TRACK}, 0]")).is_moving());
         assert_eq!(at::<Point>(1.0, &format!("[7, {TRACK}, 0]")).get().y, 0.5);
     }

@@ -1,5 +1,5 @@
-//! Cache of machine code on disk, by hash of source, architecture and compiler: a scene's structure is
-//! compiled once. A file that is damaged, or cannot be read or written, counts as missing.
+//! Machine code kept on disk, by hash of program, options and compiler: a scene's shape is
+//! compiled once. A file that is damaged, or can't be read or written, is as good as none.
 
 use std::io::Write;
 use std::path::{Path, PathBuf};
@@ -41,10 +41,10 @@ impl Cache {
         self.folder.as_deref()
     }
 
-    /// The name of a program.
-    pub(super) fn key(text: &str, architecture: u32, compiler: &str) -> blake3::Hash {
+    /// The name of a program: of all that the compiler is given, and of the compiler.
+    pub(super) fn key(text: &str, options: &[String], compiler: &str) -> blake3::Hash {
         let mut hasher = blake3::Hasher::new();
-        hasher.update(format!("sm_{architecture} nvrtc {compiler}\n").as_bytes()).update(text.as_bytes());
+        hasher.update(format!("nvrtc {compiler} {}\n", options.join(" ")).as_bytes()).update(text.as_bytes());
         hasher.finalize()
     }
 
@@ -83,14 +83,28 @@ impl Cache {
 
 #[cfg(test)]
 mod tests {
+    use super::super::compiler::options;
     use super::*;
+
+    #[test]
+    fn whatever_the_compiler_is_given_changes_the_name() {
+        let key = Cache::key("a", &options(90), "13.0");
+        assert_ne!(key, Cache::key("b", &options(90), "13.0"));
+        assert_ne!(key, Cache::key("a", &options(90), "13.1"));
+        assert_ne!(key, Cache::key("a", &options(75), "13.0"));
+        for index in 0..options(90).len() {
+            let mut fewer = options(90);
+            fewer.remove(index);
+            assert_ne!(key, Cache::key("a", &fewer, "13.0"));
+        }
+    }
 
     #[test]
     fn what_was_kept_comes_back_and_what_was_damaged_does_not() {
         let folder = tempfile::tempdir().expect("a scratch folder");
         let cache = Cache::new(Some(&folder.path().join("new")));
-        let (key, other) = (Cache::key("a", 90, "13.0"), Cache::key("a", 75, "13.0"));
-        assert_ne!(key, other);
+        let options = options(90);
+        let key = Cache::key("a", &options, "13.0");
         assert!(cache.get(key).is_none());
         let shape = Shape { columns: 16, rows: 8 };
         cache.put(key, &Kept { code: vec![1, 2, 3], shape });
@@ -112,7 +126,7 @@ mod tests {
         let folder = tempfile::NamedTempFile::new().expect("a scratch file");
         let cache = Cache::new(Some(&folder.path().join("below-a-file")));
         assert!(cache.folder().is_none());
-        let key = Cache::key("a", 90, "13.0");
+        let key = Cache::key("a", &options(90), "13.0");
         cache.put(key, &Kept { code: vec![1], shape: Shape { columns: 8, rows: 8 } });
         assert!(cache.get(key).is_none());
     }

@@ -75,14 +75,18 @@ impl Compiler {
         }
         let text = CString::new(text).expect("a program has no byte 0 in it");
         let program = Program(result::create_program(&text, Some(c"scene.cu")).map_err(refused)?);
-        let mut options = vec![format!("--gpu-architecture=sm_{architecture}")];
-        options.extend(OPTIONS.map(str::to_owned));
+        let options = options(architecture);
         // SAFETY: the program was created above and is destroyed only when it is dropped.
         match unsafe { result::compile_program(program.0, &options) } {
             Ok(()) => program.machine_code(),
             Err(_) => Err(Trouble::Compile { log: program.log(), kept: None }),
         }
     }
+}
+
+/// All that the compiler is told beside the text: what is compiled depends on nothing else.
+pub(super) fn options(architecture: u32) -> Vec<String> {
+    std::iter::once(format!("--gpu-architecture=sm_{architecture}")).chain(OPTIONS.map(str::to_owned)).collect()
 }
 
 /// A program of the compiler's.

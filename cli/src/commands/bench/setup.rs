@@ -1,0 +1,172 @@
+//! `sdfarm bench setup`: how long it takes until an animated job stands as it does in a frame.
+
+use std::fmt::Write as _;
+use std::hint::black_box;
+use std::time::Instant;
+
+use anyhow::Context;
+use clap::Args;
+use scene::{Job, Program};
+use serde::Serialize;
+
+use crate::terminal::say;
+
+/// Frames of the job.
+const FRAMES: u32 = 240;
+/// One in this many shapes is animated.
+const ANIMATED_ONE_IN: usize = 8;
+/// Shapes of an object.
+const SHAPES_PER_OBJECT: usize = 16;
+
+/// Arguments of `bench setup`.
+#[derive(Debug, Args)]
+pub(crate) struct Arguments {
+    /// Size of the job file, in KiB.
+    #[arg(long, value_name = "KIB", env = "SDFARM_KIB", default_value_t = 30, value_parser = clap::value_parser!(u32).range(1..=1024))]
+    kib: u32,
+    /// Times that each frame is set up.
+    #[arg(long, value_name = "N", env = "SDFARM_RUNS", default_value_t = 20, value_parser = clap::value_parser!(u32).range(1..=1000))]
+    runs: u32,
+    /// Print JSON.
+    #[arg(long, env = "SDFARM_JSON", value_parser = clap::builder::FalseyValueParser::new(), action = clap::ArgAction::SetTrue)]
+    json: bool,
+}
+
+/// What it took.
+#[derive(Debug, Serialize)]
+struct Report {
+    size_bytes: usize,
+    nodes: u32,
+    frames: u32,
+    /// Reading the job file, all its checked frames included.
+    parse_us: Spread,
+    /// Taking the job to a frame: `Job::at`.
+    at_us: Spread,
+    /// Making ready to render it then.
+    program_us: Spread,
+    /// The hash that its picture is known by, `Job::at` included.
+    key_us: Spread,
+}
+
+/// Times of many runs, in microseconds.
+#[derive(Debug, Serialize)]
+struct Spread {
+    least: f64,
+    median: f64,
+    percentile_95: f64,
+    greatest: f64,
+}
+
+impl Spread {
+    fn of(mut us: Vec<f64>) -> Self {
+        us.sort_by(f64::total_cmp);
+        let at = |share: f64| us[((us.len() - 1) as f64 * share) as usize];
+        Self { least: at(0.0), median: at(0.5), percentile_95: at(0.95), greatest: at(1.0) }
+    }
+
+    fn line(&self, what: &str) -> String {
+        let Self { least, median, percentile_95, greatest } = self;
+        format!("  {what:<22} median {median:.1} µs (least {least:.1}, 95 % {percentile_95:.1}, greatest {greatest:.1})")
+    }
+}
+
+/// Measures it.
+pub(crate) fn run(arguments: &Arguments) -> anyhow::Result<()> {
+    let text = job_file(arguments.kib as usize * 1024);
+    let parse = || scene::parse(text.as_bytes()).context("the job that is measured is wrong");
+    let job = parse()?;
+    let report = Report {
+        size_bytes: text.len(),
+        nodes: job.nodes(),
+        frames: job.frames.count,
+        parse_us: Spread::of((0..arguments.runs).map(|_| timed(|| drop(black_box(parse())))).collect()),
+        at_us: each_frame(&job, arguments.runs, |frame| drop(black_box(job.at(frame)))),
+        program_us: each_frame(&job, arguments.runs, |frame| {
+            if let Ok(still) = job.at(frame) {
+                black_box(Program::new(&still));
+            }
+        }),
+        key_us: each_frame(&job, arguments.runs, |frame| {
+            black_box(job.picture_key(frame));
+        }),
+    };
+    if arguments.json {
+        return say(&serde_json::to_string_pretty(&report)?);
+    }
+    say(&format!("a job of {} bytes and {} nodes, {} frames", report.size_bytes, report.nodes, report.frames))?;
+    say(&report.parse_us.line("read and checked"))?;
+    say(&report.at_us.line("a frame"))?;
+    say(&report.program_us.line("a frame, made ready"))?;
+    say(&report.key_us.line("a frame's cache key"))
+}
+
+fn each_frame(job: &Job, runs: u32, mut set_up: impl FnMut(u32)) -> Spread {
+    let frames = (0..runs).flat_map(|_| 0..job.frames.count);
+    Spread::of(frames.map(|frame| timed(|| set_up(frame))).collect())
+}
+
+fn timed(work: impl FnOnce()) -> f64 {
+    let start = Instant::now();
+    work();
+    start.elapsed().as_secs_f64() * 1e6
+}
+
+/// An animated job of about so many bytes: melted groups of moved, turned and plain shapes under a camera that moves.
+fn job_file(size_bytes: usize) -> String {
+    let mut text = format!(
+        r#"{{ "name": "setup", "image": {{ "width": 1920, "height": 1080 }}, "frames": {{ "count": {FRAMES} }},
+  "scene": {{
+    "camera": {{ "position": [{{ "keys": [[0, -6], [5, 0], [10, 6]], "ease": "smooth" }}, 4, 12], "look_at": [0, 0, 0] }},
+    "materials": {{ "clay": {{ "surface": {{ "base_color": [0.6, 0.4, 0.3] }} }}, "steel": {{ "surface": {{ "metallic": 1 }} }} }},
+    "objects": ["#
+    );
+    let mut shapes = 0;
+    while text.len() < size_bytes {
+        let material = if shapes / SHAPES_PER_OBJECT % 2 == 0 { "clay" } else { "steel" };
+        let separator = if shapes == 0 { "" } else { "," };
+        write!(
+            text,
+            r#"{separator}
+      {{ "material": "{material}", "shape": {{ "union": {{ "smooth": 0.05, "of": ["#
+        )
+        .expect("a String takes all that is written");
+        for index in 0..SHAPES_PER_OBJECT {
+            let separator = if index == 0 { "" } else { "," };
+            write!(text, "{separator}\n        {}", shape(shapes)).expect("a String takes all that is written");
+            shapes += 1;
+        }
+        text.push_str("] } } }");
+    }
+    text.push_str("] } }\n");
+    text
+}
+
+fn shape(number: usize) -> String {
+    let (x, z) = ((number % 23) as f32 * 0.5 - 5.5, (number / 23) as f32 * 0.5 - 5.5);
+    let y = if number.is_multiple_of(ANIMATED_ONE_IN) {
+        format!(r#"{{ "keys": [[0, 0], [2.5, {}], [10, 0.5]] }}"#, (number % 5) as f32 * 0.25)
+    } else {
+        format!("{}", (number % 7) as f32 * 0.125)
+    };
+    let child = match number % 3 {
+        0 => r#"{ "sphere": { "radius": 0.2 } }"#,
+        1 => r#"{ "rotate": { "degrees": [15, 30, 0], "child": { "box": { "size": [0.3, 0.2, 0.3], "round": 0.02 } } } }"#,
+        _ => r#"{ "cylinder": { "radius": 0.15, "height": 0.4 } }"#,
+    };
+    format!(r#"{{ "translate": {{ "by": [{x}, {y}, {z}], "child": {child} }} }}"#)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_measured_job_is_as_large_as_asked_for_and_moves() {
+        for kib in [1, 30] {
+            let text = job_file(kib * 1024);
+            assert!(text.len() >= kib * 1024 && text.len() < (kib + 2) * 1024, "{}", text.len());
+            let job = scene::parse(text.as_bytes()).expect("a sound job");
+            assert!(job.is_moving() && job.at(FRAMES - 1).is_ok());
+        }
+    }
+}

@@ -1,0 +1,151 @@
+//! Jobs that together use every field of the job language, each where it changes pixels.
+
+use scene::materials::{Material, Texture};
+use scene::nodes::Node;
+use serde::Serialize;
+use serde::de::DeserializeOwned;
+use serde_json::{Value, json};
+
+/// A job of a scene: everything that may be written about its image and frames is.
+fn job(scene: &Value) -> Value {
+    json!({
+        "name": "keys", "priority": 0, "scene": scene, "frames": { "count": 3, "fps": 1 },
+        "image": { "width": 8, "height": 8, "samples": 2, "seed": 1, "format": "exr", "bits": 8, "precision": "float",
+            "layers": ["depth", "normal", "position", "albedo", "object", "steps"] }
+    })
+}
+
+fn camera() -> Value {
+    json!({ "position": [1.5, 1.4, 3.2], "look_at": [0, 0, 0], "up": [0, 1, 0], "fov": 45 })
+}
+
+/// A scene of one object over a floor, with all that is around it as given.
+fn scene(shape: &Value, material: &Value, lights: &Value, background: &Value) -> Value {
+    json!({ "camera": camera(), "background": background, "lights": lights, "materials": {},
+        "march": { "max_distance": 40.0, "max_steps": 300, "max_bounces": 3 },
+        "objects": [
+            { "shape": shape, "material": material },
+            { "shape": { "plane": { "normal": [0, 1, 0], "offset": -1.5 } }, "material": { "diffuse": {} } }
+        ] })
+}
+
+fn ball() -> Value {
+    json!({ "sphere": { "radius": 1.1 } })
+}
+
+fn grey() -> Value {
+    json!({ "diffuse": { "kd": [0.6, 0.5, 0.4] } })
+}
+
+fn gradient() -> Value {
+    json!({ "gradient": { "bottom": [0.9, 0.8, 0.7], "top": [0.2, 0.4, 0.9] } })
+}
+
+fn sun() -> Value {
+    json!([{ "directional": { "direction": [0.6, 0.7, 0.5], "color": [1, 1, 1], "angle": 4, "shadow": true } }])
+}
+
+/// A job in which nothing moves, with a material that is in use and one that is not.
+pub(crate) fn plain() -> Value {
+    let mut scene = scene(&ball(), &json!("used"), &sun(), &gradient());
+    scene["materials"] = json!({ "used": { "flat": { "color": [0.7, 0.1, 0] } }, "unused": { "normals": {} } });
+    job(&scene)
+}
+
+/// The same as a PNG.
+pub(crate) fn png() -> Value {
+    let mut job = plain();
+    job["image"] = json!({ "width": 8, "height": 8, "samples": 2, "seed": 1, "format": "png", "bits": 8,
+        "precision": "float", "layers": [], "exposure": 0.5, "tone_map": "none" });
+    job
+}
+
+/// An example with all that its author left out.
+fn written<T: Serialize + DeserializeOwned>(json: &str) -> Value {
+    serde_json::to_value(serde_json::from_str::<T>(json).unwrap()).unwrap()
+}
+
+/// All of them.
+pub(crate) fn jobs() -> Vec<Value> {
+    let mut scenes = surroundings();
+    let nodes = Node::examples();
+    scenes.extend(nodes.iter().map(|node| scene(&written::<Node>(&node.node), &grey(), &sun(), &gradient())));
+    let examples = Material::examples();
+    scenes.extend(examples.iter().map(|one| scene(&ball(), &written::<Material>(&one.json), &sun(), &gradient())));
+    scenes.extend(Texture::examples().iter().map(|texture| {
+        let material = json!({ "flat": { "color": written::<Texture>(&texture.json) } });
+        scene(&ball(), &material, &sun(), &gradient())
+    }));
+    scenes.extend(materials().iter().map(|material| scene(&ball(), material, &sun(), &gradient())));
+    scenes.extend(shapes().iter().map(|shape| scene(shape, &grey(), &sun(), &gradient())));
+    [plain(), png(), graded()].into_iter().chain(scenes.iter().map(job)).collect()
+}
+
+/// A PNG whose colours are too bright for it.
+fn graded() -> Value {
+    let mut job = png();
+    job["image"]["exposure"] = json!(1.5);
+    job["image"]["tone_map"] = json!("filmic");
+    job["image"]["bits"] = json!(16);
+    job
+}
+
+/// Cameras, backgrounds, lights, fog and occlusion.
+fn surroundings() -> Vec<Value> {
+    let day = json!({ "day": { "sun": [0.5, 0.4, 0.3], "turbidity": 3, "ground": [0.3, 0.2, 0.1], "strength": 1 } });
+    let sky = |shadow: bool, from: Value| json!([{ "sky": { "strength": 1, "from": from, "shadow": shadow } }]);
+    let mut scenes: Vec<Value> = [
+        json!([]),
+        json!([{ "point": { "position": [1, 2, 2], "color": [4, 4, 4], "shadow": true } }]),
+        json!([{ "spot": { "position": [1, 2, 2], "direction": [-1, -2, -2], "angle": 60, "softness": 0.3,
+            "color": [4, 4, 4], "shadow": true } }]),
+        json!([{ "sphere": { "position": [1, 2, 2], "radius": 0.3, "color": [4, 4, 4], "shadow": true } }]),
+        sky(true, gradient()),
+        sky(false, gradient()),
+        sky(false, json!({ "color": [0.4, 0.5, 0.9] })),
+    ]
+    .iter()
+    .map(|lights| scene(&ball(), &grey(), lights, &gradient()))
+    .collect();
+    let sun_of_day = json!([{ "sun": { "strength": 1, "angle": 5, "shadow": true } }, { "sky": { "shadow": false } }]);
+    scenes.push(scene(&ball(), &grey(), &sun_of_day, &day));
+    for background in [json!({ "color": [0.2, 0.3, 0.4] }), json!("transparent"), json!({ "color": "#336699" })] {
+        scenes.push(scene(&ball(), &grey(), &sun(), &background));
+    }
+    let mut add = |key: &str, value: Value| {
+        let mut scene = scene(&ball(), &grey(), &sky(false, Value::Null), &gradient());
+        scene[key] = value;
+        scenes.push(scene);
+    };
+    add("fog", json!({ "density": 0.2, "falloff": 0.3, "color": [0.5, 0.5, 0.6] }));
+    add("fog", json!({ "density": 0.2, "falloff": 0, "color": null }));
+    add("ambient_occlusion", json!({ "distance": 1.5, "strength": 0.8 }));
+    let with = |more: &[(&str, Value)]| {
+        let mut camera = camera();
+        more.iter().for_each(|(key, value)| camera[key] = value.clone());
+        camera
+    };
+    add("camera", with(&[("projection", json!("perspective"))]));
+    add("camera", with(&[("fov", Value::Null), ("projection", json!({ "orthographic": { "height": 3 } }))]));
+    add("camera", with(&[("fov", Value::Null), ("projection", json!("panorama"))]));
+    add("camera", with(&[("turntable", json!({ "turns": 0.7 }))]));
+    scenes
+}
+
+/// Materials whose parameters are textures, and numbers that textures vary.
+fn materials() -> Vec<Value> {
+    let texture = json!({ "checker": { "cell": 0.3, "colors": [[0.1, 0.2, 0.3], [0.9, 0.8, 0.2]] } });
+    let varied = |low: f64, high: f64| json!({ "low": low, "high": high, "by": texture });
+    vec![
+        json!({ "surface": { "base_color": texture, "roughness": varied(0.1, 0.9) } }),
+        json!({ "surface": { "base_color": [0.5, 0.5, 0.5], "roughness": 0.3, "transmission": 0.8, "ior": varied(1.2, 1.8) } }),
+        json!({ "surface": { "metallic": 0.5, "clearcoat": 0.7, "clearcoat_roughness": 0.2, "emission": [0.1, 0, 0] } }),
+        json!({ "diffuse": { "kd": "#8090a0", "ks": [0.8, 0.8, 0.8], "shininess": varied(5.0, 80.0), "ambient": 0.2 } }),
+        json!({ "diffuse": { "ka": [0.2, 0.1, 0.1], "kd": [0.5, 0.5, 0.5] } }),
+    ]
+}
+
+/// Shapes with parameters that no example of theirs has.
+fn shapes() -> Vec<Value> {
+    vec![json!({ "sphere": { "radius": { "keys": [[0, 0.5], [2, 1.5]], "ease": "smooth" } } })]
+}

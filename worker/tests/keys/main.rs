@@ -1,0 +1,144 @@
+//! Every field that the schema of job files has: changed in a job that uses it, it changes the picture's cache key
+//! exactly where it changes the picture's bytes. A field that no job here shows fails the test.
+
+mod corpus;
+mod schema;
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::io::Cursor;
+
+use proto::Rect;
+use serde_json::{Value, json};
+use worker::cuda::Source;
+use worker::image::Picture;
+use worker::stitch::Tiles;
+use worker::{Cancel, CpuRenderer, Renderer, Simd, TileRun};
+
+use schema::{Position, Schema};
+
+/// The frame that is rendered: neither the first, where a track is at its start, nor the last.
+const FRAME: u32 = 1;
+
+/// What a job's frame looks like, and what it is known by.
+struct Shot {
+    /// Bits of every plane, and which planes they are.
+    pixels: (Vec<&'static str>, Vec<u32>),
+    bytes: Vec<u8>,
+    key: String,
+    pixels_key: String,
+    scene_hash: String,
+}
+
+/// The shot of a job; `None` where the job is wrong.
+fn shot(renderer: &CpuRenderer, job: &Value) -> Option<Shot> {
+    let job = scene::parse(job.to_string().as_bytes()).ok()?;
+    let still = job.at(FRAME).ok()?;
+    let run = TileRun { job: &job, frame: FRAME, rect: Rect::whole(job.image.width, job.image.height) };
+    let pixels = renderer.render(&run, &Cancel::new(), &|_| ()).unwrap();
+    let bits = pixels.planes.iter().flatten().map(|value| value.to_bits()).collect();
+    let mut file = Cursor::new(Vec::new());
+    Picture::of(&still).write(&mut Tiles(&[pixels]), &mut file, &Cancel::new()).unwrap();
+    Some(Shot {
+        pixels: (job.image.channels(), bits),
+        bytes: file.into_inner(),
+        key: job.picture_key(FRAME).to_hex().to_string(),
+        pixels_key: still.pixels_key().to_hex().to_string(),
+        scene_hash: still.scene_hash().to_hex().to_string(),
+    })
+}
+
+/// Fields that change no byte of any picture. Nothing else may be left uncovered.
+const WITHOUT_EFFECT: [&str; 2] = ["#/properties/name", "#/properties/priority"];
+
+#[test]
+fn every_field_of_the_schema_changes_the_key_exactly_where_it_changes_the_bytes() {
+    let schema = Schema::new(scene::schema());
+    let jobs = corpus::jobs();
+    let mut pools = BTreeMap::new();
+    for job in &jobs {
+        schema.walk(job, &mut |position| position.pool_into(&mut pools));
+    }
+    let renderer = CpuRenderer::new(Some(1), Simd::Auto).unwrap();
+    let mut covered = BTreeSet::new();
+    for job in &jobs {
+        let before = shot(&renderer, job).unwrap_or_else(|| panic!("{:?}: {job}", scene::parse(job.to_string().as_bytes()).err()));
+        schema.walk(job, &mut |position| change(&schema, &renderer, job, &before, position, &pools, &mut covered));
+    }
+    let uncovered: Vec<&String> = schema.points().difference(&covered).collect();
+    assert_eq!(uncovered, WITHOUT_EFFECT, "uncovered: show each in a job of corpus.rs that it changes the pixels of");
+}
+
+/// Changes one place of a job in every way that is not covered yet.
+fn change(
+    schema: &Schema,
+    renderer: &CpuRenderer,
+    job: &Value,
+    before: &Shot,
+    position: &Position<'_>,
+    pools: &BTreeMap<String, Vec<Value>>,
+    covered: &mut BTreeSet<String>,
+) {
+    for (points, value) in schema.candidates(position, pools) {
+        let points: Vec<&String> = points.iter().chain(&position.path).collect();
+        if points.iter().all(|point| covered.contains(*point)) || value == *position.value {
+            continue;
+        }
+        let mut changed = job.clone();
+        *changed.pointer_mut(&position.pointer).unwrap() = value.clone();
+        let Some(after) = shot(renderer, &changed) else { continue };
+        let place = format!("{} from {} to {value} in {job}", position.pointer, position.value);
+        assert_eq!(before.bytes != after.bytes, before.key != after.key, "cache keys and bytes: {place}");
+        if before.pixels != after.pixels {
+            assert_ne!(before.pixels_key, after.pixels_key, "pixels differ: {place}");
+            let in_scene = position.pointer.starts_with("/scene") && before.scene_hash == after.scene_hash;
+            assert!(!in_scene, "provenance does not differ: {place}");
+        }
+        // A scene's hash stands in its picture, so only its pixels show whether a field of it is in use.
+        let has_effect = before.pixels != after.pixels || position.pointer.starts_with("/image");
+        if has_effect && before.bytes != after.bytes {
+            covered.extend(points.into_iter().cloned());
+        }
+    }
+}
+
+#[test]
+fn what_no_byte_depends_on_changes_no_key() {
+    let renderer = CpuRenderer::new(Some(1), Simd::Auto).unwrap();
+    for (job, pointer, value) in [
+        (corpus::plain(), "/name", json!("another")),
+        (corpus::plain(), "/priority", json!(7)),
+        (corpus::plain(), "/frames/count", json!(9)),
+        (corpus::plain(), "/frames/fps", json!(30)),
+        (corpus::plain(), "/scene/materials/unused", json!({ "flat": { "color": [0.5, 0, 0] } })),
+        (corpus::plain(), "/image/bits", json!(16)),
+        (corpus::png(), "/image/precision", json!("half")),
+    ] {
+        let mut changed = job.clone();
+        *changed.pointer_mut(pointer).unwrap_or_else(|| panic!("{pointer}")) = value;
+        let [before, after] = [&job, &changed].map(|job| shot(&renderer, job).unwrap());
+        assert!(before.bytes == after.bytes && before.key == after.key, "{pointer}");
+    }
+    let mut renamed = corpus::plain();
+    let used = renamed["scene"]["materials"]["used"].take();
+    renamed["scene"]["materials"] = json!({ "red": used });
+    renamed["scene"]["objects"][0]["material"] = json!("red");
+    let [before, after] = [&corpus::plain(), &renamed].map(|job| shot(&renderer, job).unwrap());
+    assert!(before.bytes == after.bytes && before.key == after.key);
+}
+
+/// A kernel is kept by the hash of its text, architecture and compiler: all that a scene may change of it is text.
+#[test]
+fn jobs_that_differ_in_shape_differ_in_the_text_of_their_kernels_or_in_its_numbers() {
+    let source = |job: &Value| Source::new(&scene::parse(job.to_string().as_bytes()).unwrap().at(FRAME).unwrap());
+    let jobs = corpus::jobs();
+    let mut seen: BTreeMap<(String, Vec<u32>), (&Value, Vec<u32>)> = BTreeMap::new();
+    let renderer = CpuRenderer::new(Some(1), Simd::Auto).unwrap();
+    for job in &jobs {
+        let program = source(job);
+        let numbers = program.parameters.iter().map(|number| number.to_bits()).collect();
+        let pixels = shot(&renderer, job).unwrap().pixels.1;
+        if let Some((other, others)) = seen.insert((program.text, numbers), (job, pixels.clone())) {
+            assert_eq!(pixels, others, "one kernel with the same numbers, and two pictures: {job} and {other}");
+        }
+    }
+}
