@@ -3,10 +3,10 @@
 use schemars::JsonSchema;
 use serde::{Deserialize, Deserializer, Serialize};
 
+use crate::backgrounds::Backdrop;
 use crate::limits::{MAX_EDGE_PX, MAX_FRAMES, MAX_SAMPLES};
 use crate::motion::Motion;
 use crate::scene::Scene;
-use crate::sky::Background;
 use crate::values::{FrameRate, Stops, integer, whole};
 use crate::warnings;
 
@@ -211,7 +211,7 @@ impl Job {
 
     /// Whether some pixel may be less than opaque.
     pub fn is_transparent(&self) -> bool {
-        self.scene.background == Background::Transparent
+        self.scene.background.is_transparent()
     }
 
     /// What its author should know although it renders. Looks at some rays of it, which takes milliseconds.

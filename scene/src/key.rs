@@ -3,11 +3,11 @@
 use serde::Serialize;
 
 use crate::PICTURE_VERSION;
+use crate::backgrounds::Background;
 use crate::job::{Bits, Format, Job, Layer, Precision, ToneMap};
 use crate::materials::Material;
 use crate::motion::{Motion, Still};
 use crate::scene::{March, Object, Scene};
-use crate::sky::Background;
 use crate::values::Stops;
 
 /// A scene without names, defaults filled in: equal for scenes that look the same.

@@ -4,12 +4,14 @@
 //! Pure maths: no input or output, no threads, no `unsafe`, no GPU. Every formula is generic over
 //! [`real::Real`] and gives the same bits in each arithmetic.
 
+pub mod backgrounds;
 pub mod bounds;
 pub mod camera;
 pub mod color;
 mod fault;
 pub mod job;
 mod key;
+pub mod kinds;
 pub mod lights;
 pub mod limits;
 pub mod march;
@@ -24,18 +26,17 @@ pub mod profiles;
 pub mod real;
 pub mod sampling;
 pub mod scene;
-pub mod sky;
 pub mod surroundings;
 pub mod values;
 mod warnings;
 
+pub use backgrounds::Background;
 pub use fault::{Fault, Refusal};
 pub use job::{Bits, Format, Frames, Image, Job, Layer, Precision, ToneMap};
 pub use motion::{Motion, Still};
 pub use parse::{parse, schema};
 pub use pixel::Program;
 pub use scene::Scene;
-pub use sky::Background;
 
 /// The definition of a picture's bits: raised only when some picture's bits change, never with a release.
 pub const PICTURE_VERSION: u32 = 2;

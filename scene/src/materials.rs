@@ -23,8 +23,8 @@ pub use tint::{Level, Parameter, Tint, Varied};
 pub(crate) use volume::Filling;
 pub use volume::{Clouds, Volume};
 
+pub use crate::kinds::{Example, Exemplary};
 use crate::lights::Incoming;
-use crate::nodes::snake_case;
 use crate::real::{Flag, Real, Vec3, bundle};
 
 /// What a material needs to know of the place it colours.
@@ -118,40 +118,6 @@ pub trait Shade {
     }
 }
 
-/// What a material or a texture shows of itself.
-pub trait Exemplary {
-    /// A small valid value, as a user would write it: the picture in docs/materials.md and the contract tests use it.
-    const EXAMPLE: &'static str;
-
-    /// Further values that take other ways through the formula, drawn and tested like the first.
-    const MORE: &'static [&'static str] = &[];
-}
-
-/// A material or a texture to look at and to test with.
-#[derive(Clone, Debug)]
-pub struct Example {
-    /// Its type, as in the schema.
-    pub kind: &'static str,
-    /// Its name in JSON.
-    pub name: String,
-    /// Its place among the examples of its type, from 0.
-    pub number: usize,
-    /// Its JSON.
-    pub json: String,
-}
-
-impl Example {
-    /// The examples of one type, each under its name.
-    fn of<E: Exemplary>(kind: &'static str, name: &str) -> impl Iterator<Item = Self> {
-        std::iter::once(&E::EXAMPLE).chain(E::MORE).enumerate().map(move |(number, value)| Self {
-            kind,
-            name: name.to_owned(),
-            number,
-            json: format!("{{ \"{name}\": {value} }}"),
-        })
-    }
-}
-
 macro_rules! materials {
     ($($Kind:ident),* $(,)?) => {
         /// How a surface answers light: keyed by its name.
@@ -210,7 +176,7 @@ macro_rules! materials {
             /// Each kind's examples, as a user would write the whole material.
             pub fn examples() -> Vec<Example> {
                 let mut examples = Vec::new();
-                $(examples.extend(Example::of::<$Kind>(stringify!($Kind), &snake_case(stringify!($Kind))));)*
+                $(examples.extend(Example::keyed::<$Kind>(stringify!($Kind), stringify!($Kind)));)*
                 examples
             }
         }

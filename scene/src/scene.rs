@@ -5,12 +5,12 @@ use std::collections::BTreeMap;
 use schemars::JsonSchema;
 use serde::{Deserialize, Deserializer, Serialize};
 
+use crate::backgrounds::{Backdrop, Background};
 use crate::camera::Camera;
-use crate::lights::{Light, default_lights};
+use crate::lights::{Light, LightSource, default_lights};
 use crate::limits::{MAX_BOUNCES, MAX_LIGHTS, MAX_STEPS};
 use crate::materials::{Material, MaterialUse, Shade};
-use crate::nodes::Node;
-use crate::sky::{Background, Day};
+use crate::nodes::{Node, NodeFault};
 use crate::surroundings::{AmbientOcclusion, Fog};
 use crate::values::{Length, whole};
 
@@ -104,18 +104,18 @@ impl Scene {
     pub(crate) fn prepare(&mut self, moves: bool) {
         self.objects.iter_mut().for_each(|object| object.shape.prepare(moves));
         self.background.prepare();
-        self.lights.iter_mut().for_each(Light::prepare);
+        self.lights.iter_mut().for_each(LightSource::prepare);
     }
 
     /// What lights, sky and materials mean wrongly together: JSON pointers in the scene, and why.
     pub(crate) fn faults(&self) -> Vec<(String, String)> {
         let mut faults = Vec::new();
-        if let Some(message) = self.background.day().and_then(Day::fault) {
-            faults.push(("/background/day/sun".to_owned(), message.to_owned()));
+        if let Some(NodeFault { place, message }) = self.background.fault() {
+            faults.push((format!("/background/{place}"), message));
         }
         for (index, light) in self.lights.iter().enumerate() {
-            if let Some((place, message)) = light.fault(&self.background) {
-                faults.push((format!("/lights/{index}/{place}"), message.to_owned()));
+            if let Some(NodeFault { place, message }) = light.fault(&self.background) {
+                faults.push((format!("/lights/{index}/{place}"), message));
             }
         }
         for (index, object) in self.objects.iter().enumerate() {

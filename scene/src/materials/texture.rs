@@ -75,7 +75,7 @@ macro_rules! textures {
             /// Each kind's examples, as a user would write the whole texture.
             pub fn examples() -> Vec<Example> {
                 let mut examples = Vec::new();
-                $(examples.extend(Example::of::<$Struct>(stringify!($Struct), &snake_case(stringify!($Kind))));)*
+                $(examples.extend(Example::keyed::<$Struct>(stringify!($Struct), stringify!($Kind)));)*
                 examples
             }
         }

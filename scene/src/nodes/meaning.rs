@@ -40,6 +40,12 @@ impl NodeFault {
     pub fn new(place: impl Into<String>, message: impl Into<String>) -> Self {
         Self { place: place.into(), message: message.into() }
     }
+
+    /// The same, seen from what holds it under a key.
+    pub(crate) fn inside(self, key: &str) -> Self {
+        let separator = if self.place.is_empty() { "" } else { "/" };
+        Self { place: format!("{key}{separator}{}", self.place), message: self.message }
+    }
 }
 
 /// What a node means.

@@ -1,0 +1,141 @@
+//! What is seen where nothing is: the list of backgrounds, and what a background must say of itself.
+//!
+//! A background is one documented struct in a file under `backgrounds/`, one `impl` of [`Backdrop`], and one entry in
+//! the list; with values it has an `impl` of [`Exemplary`] too, and without it is written as its name alone.
+
+mod day;
+mod simple;
+
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+pub use day::Day;
+pub use simple::{SkyGradient, SolidColor, Transparent};
+
+pub use crate::kinds::{Example, Exemplary};
+use crate::nodes::{NodeFault, snake_case};
+use crate::real::{Real, Vec3};
+use crate::values::Color;
+
+/// What a background means.
+pub trait Backdrop {
+    /// Linear RGB seen towards `direction`, of length 1; black where nothing is.
+    fn toward<R: Real>(&self, direction: Vec3<R>) -> Vec3<R>;
+
+    /// The mean of all it sends to a surface with this normal, weighted by the cosine; `None` where
+    /// that has no closed form.
+    fn mean_over<R: Real>(&self, normal: Vec3<R>) -> Option<Vec3<R>> {
+        let _ = normal;
+        None
+    }
+
+    /// The day it shows, if it does.
+    fn day(&self) -> Option<&Day> {
+        None
+    }
+
+    /// Whether nothing is there, and alpha is 0.
+    fn is_transparent(&self) -> bool {
+        false
+    }
+
+    /// What is wrong with it, if anything.
+    fn fault(&self) -> Option<NodeFault> {
+        None
+    }
+
+    /// Finds what all directions share.
+    fn prepare(&mut self) {}
+}
+
+/// The list: each background's name and its struct, then those that are a name alone, described as in the schema.
+macro_rules! backgrounds {
+    (
+        values: [$($(#[$attribute:meta])* $Kind:ident: $Struct:ident),* $(,)?],
+        words: [$($(#[doc = $about:literal])* $Word:ident),* $(,)?] $(,)?
+    ) => {
+        /// What is seen where nothing is.
+        #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+        #[serde(rename_all = "snake_case", deny_unknown_fields)]
+        pub enum Background {
+            $($(#[$attribute])* #[doc = concat!("See [`", stringify!($Struct), "`].")] $Kind($Struct),)*
+            $($(#[doc = $about])* $Word,)*
+        }
+
+        impl Backdrop for Background {
+            #[inline(always)]
+            fn toward<R: Real>(&self, direction: Vec3<R>) -> Vec3<R> {
+                match self {
+                    $($(#[$attribute])* Self::$Kind(background) => background.toward(direction),)*
+                    $(Self::$Word => $Word.toward(direction),)*
+                }
+            }
+
+            #[inline(always)]
+            fn mean_over<R: Real>(&self, normal: Vec3<R>) -> Option<Vec3<R>> {
+                match self {
+                    $($(#[$attribute])* Self::$Kind(background) => background.mean_over(normal),)*
+                    $(Self::$Word => $Word.mean_over(normal),)*
+                }
+            }
+
+            fn day(&self) -> Option<&Day> {
+                match self {
+                    $($(#[$attribute])* Self::$Kind(background) => background.day(),)*
+                    $(Self::$Word => None,)*
+                }
+            }
+
+            fn is_transparent(&self) -> bool {
+                match self {
+                    $($(#[$attribute])* Self::$Kind(background) => background.is_transparent(),)*
+                    $(Self::$Word => $Word.is_transparent(),)*
+                }
+            }
+
+            /// The same, at its place in the background's JSON.
+            fn fault(&self) -> Option<NodeFault> {
+                match self {
+                    $($(#[$attribute])* Self::$Kind(background) => {
+                        background.fault().map(|fault| fault.inside(&snake_case(stringify!($Kind))))
+                    })*
+                    $(Self::$Word => $Word.fault(),)*
+                }
+            }
+
+            fn prepare(&mut self) {
+                match self {
+                    $($(#[$attribute])* Self::$Kind(background) => background.prepare(),)*
+                    $(Self::$Word => {})*
+                }
+            }
+        }
+
+        impl Background {
+            /// Each kind's examples, as a user would write the whole background.
+            pub fn examples() -> Vec<Example> {
+                let mut examples = Vec::new();
+                $(
+                    $(#[$attribute])*
+                    examples.extend(Example::keyed::<$Struct>(stringify!($Struct), stringify!($Kind)));
+                )*
+                $(examples.push(Example::word(stringify!($Word)));)*
+                examples
+            }
+        }
+    };
+}
+
+backgrounds![
+    values: [Color: SolidColor, Gradient: SkyGradient, Day: Day],
+    words: [
+        /// Nothing: alpha is 0 there.
+        Transparent,
+    ],
+];
+
+impl Default for Background {
+    fn default() -> Self {
+        Self::Gradient(SkyGradient { bottom: Color::new(1.0, 1.0, 1.0), top: Color::new(0.5, 0.7, 1.0) })
+    }
+}
