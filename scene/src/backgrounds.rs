@@ -52,14 +52,14 @@ pub trait Backdrop {
 macro_rules! backgrounds {
     (
         values: [$($(#[$attribute:meta])* $Kind:ident: $Struct:ident),* $(,)?],
-        words: [$($(#[doc = $about:literal])* $Word:ident),* $(,)?] $(,)?
+        words: [$($(#[$about:meta])* $Word:ident),* $(,)?] $(,)?
     ) => {
         /// What is seen where nothing is.
         #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
         #[serde(rename_all = "snake_case", deny_unknown_fields)]
         pub enum Background {
             $($(#[$attribute])* #[doc = concat!("See [`", stringify!($Struct), "`].")] $Kind($Struct),)*
-            $($(#[doc = $about])* $Word,)*
+            $($(#[$about])* $Word,)*
         }
 
         impl Backdrop for Background {
