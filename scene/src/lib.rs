@@ -8,6 +8,7 @@ pub mod backgrounds;
 pub mod bounds;
 pub mod camera;
 pub mod color;
+pub mod effects;
 mod fault;
 pub mod job;
 mod key;

@@ -20,8 +20,7 @@ pub use plain::{Flat, Normals};
 pub use surface::Surface;
 pub use texture::Texture;
 pub use tint::{Level, Parameter, Tint, Varied};
-pub(crate) use volume::Filling;
-pub use volume::{Clouds, Volume};
+pub use volume::{Clouds, Filling, Volume};
 
 pub use crate::kinds::{Example, Exemplary};
 use crate::lights::Incoming;
@@ -81,6 +80,16 @@ pub trait Shade {
     /// Whether `shade` looks at the lights at all.
     fn is_lit(&self) -> bool;
 
+    /// Whether lights change what is seen of it, on its surface or inside: lights that change nothing are warned of.
+    fn looks_at_lights(&self) -> bool {
+        self.is_lit()
+    }
+
+    /// Whether next to nothing is seen of it in the dark: scenes without light are warned of.
+    fn is_black_without_light(&self) -> bool {
+        self.is_lit()
+    }
+
     /// How it sends rays on; `None` if it never does.
     fn finish<R: Real>(&self, place: &Place<R>) -> Option<Finish<R>> {
         let _ = place;
@@ -99,7 +108,12 @@ pub trait Shade {
 
     /// Whether it fills an object instead of covering it.
     fn is_medium(&self) -> bool {
-        false
+        self.filling().is_some()
+    }
+
+    /// What it fills an object with, if it does.
+    fn filling(&self) -> Option<Filling<'_>> {
+        None
     }
 
     /// The textures that its parameters have.
@@ -155,8 +169,16 @@ macro_rules! materials {
                 match self { $(Self::$Kind(material) => material.lets_through()),* }
             }
 
-            fn is_medium(&self) -> bool {
-                match self { $(Self::$Kind(material) => material.is_medium()),* }
+            fn looks_at_lights(&self) -> bool {
+                match self { $(Self::$Kind(material) => material.looks_at_lights()),* }
+            }
+
+            fn is_black_without_light(&self) -> bool {
+                match self { $(Self::$Kind(material) => material.is_black_without_light()),* }
+            }
+
+            fn filling(&self) -> Option<Filling<'_>> {
+                match self { $(Self::$Kind(material) => material.filling()),* }
             }
 
             fn textures(&self) -> Vec<&Texture> {

@@ -178,6 +178,27 @@ macro_rules! nodes {
                 }
             }
 
+            /// About how many simple nodes its own formula takes as long as, beyond its weight.
+            fn formula_work(&self) -> f32 {
+                match self {
+                    $(Self::$Kind(node) => Sdf::formula_work(node)),*
+                }
+            }
+
+            /// How often it looks at the nodes inside, at most.
+            fn looks(&self) -> f32 {
+                match self {
+                    $(Self::$Kind(node) => Sdf::looks(node)),*
+                }
+            }
+
+            /// What to change where it makes steps too small.
+            pub(crate) fn cure_of_steepness(&self) -> &'static str {
+                match self {
+                    $(Self::$Kind(node) => Sdf::cure_of_steepness(node)),*
+                }
+            }
+
             /// Each kind's examples, as a user would write the whole node.
             pub fn examples() -> Vec<Example> {
                 let mut examples = Vec::new();

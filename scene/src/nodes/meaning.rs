@@ -5,6 +5,11 @@ use crate::bounds::Bounds;
 use crate::materials::MaterialUse;
 use crate::real::{Real, Vec3};
 
+/// What noise at a point takes, in simple nodes.
+pub(super) const NOISE_WORK: f32 = 20.0;
+/// What a fractal takes.
+const FRACTAL_WORK: f32 = 32.0;
+
 /// How a node's value relates to the Euclidean distance to its surface, best first.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Exactness {
@@ -26,10 +31,10 @@ impl Exactness {
     }
 }
 
-/// What is wrong with the numbers of a node taken together.
+/// What is wrong with the numbers of a node, a light or a background taken together.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct NodeFault {
-    /// Where in the node: a key, or a path of keys and places such as `points/2`.
+    /// Where in it: a key, or a path of keys and places such as `points/2`.
     pub place: String,
     /// What is wrong and what to do about it, as it reads behind the place.
     pub message: String,
@@ -115,6 +120,22 @@ pub trait Sdf {
     fn weight(&self) -> u32 {
         1
     }
+
+    /// About how many simple nodes its own formula takes as long as, beyond its weight.
+    fn formula_work(&self) -> f32 {
+        let is_fractal = self.children().is_empty() && self.exactness() == Exactness::Estimate;
+        if is_fractal { FRACTAL_WORK } else { 0.0 }
+    }
+
+    /// How often it looks at the nodes inside, at most.
+    fn looks(&self) -> f32 {
+        1.0
+    }
+
+    /// What to change where it makes steps too small: an author is warned of that.
+    fn cure_of_steepness(&self) -> &'static str {
+        "change it less, or over a greater length"
+    }
 }
 
 /// A node without children: its distance says it all.
@@ -155,6 +176,16 @@ pub trait Primitive {
     fn weight(&self) -> u32 {
         1
     }
+
+    /// About how many simple nodes its own formula takes as long as, beyond its weight.
+    fn formula_work(&self) -> f32 {
+        if self.exactness() == Exactness::Estimate { FRACTAL_WORK } else { 0.0 }
+    }
+
+    /// What to change where it makes steps too small: an author is warned of that.
+    fn cure_of_steepness(&self) -> &'static str {
+        "change it less, or over a greater length"
+    }
 }
 
 impl<P: Primitive> Sdf for P {
@@ -188,5 +219,13 @@ impl<P: Primitive> Sdf for P {
 
     fn weight(&self) -> u32 {
         Primitive::weight(self)
+    }
+
+    fn formula_work(&self) -> f32 {
+        Primitive::formula_work(self)
+    }
+
+    fn cure_of_steepness(&self) -> &'static str {
+        Primitive::cure_of_steepness(self)
     }
 }

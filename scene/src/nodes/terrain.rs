@@ -3,6 +3,7 @@
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
+use super::meaning::NOISE_WORK;
 use super::relief::Relief;
 use super::{Exactness, Primitive};
 use crate::bounds::Bounds;
@@ -81,6 +82,14 @@ impl Primitive for HeightField {
             let Vec3 { x, y, z } = halved(size);
             land.overlap(Bounds::symmetric(x, y, z).widened(level))
         })
+    }
+
+    fn formula_work(&self) -> f32 {
+        NOISE_WORK
+    }
+
+    fn cure_of_steepness(&self) -> &'static str {
+        "lower its height, or the scale or octaves of its noise"
     }
 }
 

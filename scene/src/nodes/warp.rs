@@ -3,6 +3,7 @@
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
+use super::meaning::NOISE_WORK;
 use super::relief::STEEPEST;
 use super::transforms::around_child;
 use super::{Child, Exactness, Node, Sample, Sdf};
@@ -57,5 +58,13 @@ impl Sdf for Warp {
     fn bounds(&self, level: f32) -> Bounds {
         let (low, high) = self.noise.range();
         self.child.bounds(level).widened(self.amplitude.get().abs() * (high - low) * 0.5)
+    }
+
+    fn formula_work(&self) -> f32 {
+        3.0 * NOISE_WORK
+    }
+
+    fn cure_of_steepness(&self) -> &'static str {
+        "lower its amplitude, frequency, scale or octaves"
     }
 }

@@ -1,41 +1,13 @@
 //! How long a node takes to be looked at, before anybody looks at it.
 
-use super::{Exactness, Node};
-
-/// What noise at a point takes, in simple nodes.
-const NOISE: f32 = 20.0;
-/// What a fractal takes.
-const FRACTAL: f32 = 32.0;
+use super::Node;
 
 impl Node {
     /// About how many simple nodes could be looked at instead, copies and all; without an end for copies of
     /// copies of copies.
     pub(crate) fn work(&self) -> f32 {
         let inside: f32 = self.children().iter().map(Self::work).sum();
-        let own = self.weight() as f32 + self.formula();
+        let own = self.weight() as f32 + self.formula_work();
         if inside == 0.0 { own } else { own + inside * self.looks() }
-    }
-
-    /// What its own formula takes beyond that of a simple node.
-    fn formula(&self) -> f32 {
-        if let Self::Warp(_) = self {
-            return 3.0 * NOISE;
-        }
-        if matches!(self, Self::Displace(_) | Self::HeightField(_)) {
-            return NOISE;
-        }
-        let is_fractal = self.children().is_empty() && self.exactness() == Exactness::Estimate;
-        if is_fractal { FRACTAL } else { 0.0 }
-    }
-
-    /// How often it looks at the nodes inside.
-    fn looks(&self) -> f32 {
-        if let Self::Repeat(repeat) = self {
-            return repeat.looks();
-        }
-        if let Self::PolarRepeat(repeat) = self {
-            return repeat.looks();
-        }
-        if let Self::Mirror(_) = self { 2.0 } else { 1.0 }
     }
 }

@@ -9,7 +9,7 @@ use crate::backgrounds::Backdrop;
 use crate::bounds::Bounds;
 use crate::camera::Ray;
 use crate::lights::{Light, LightSource, Surrounding};
-use crate::materials::Filling;
+use crate::materials::{Filling, Shade};
 use crate::real::{Real, Vec3, bundle, vec3};
 use crate::sampling::Dice;
 use crate::scene::Scene;

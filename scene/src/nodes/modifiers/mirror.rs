@@ -107,6 +107,10 @@ impl Sdf for Mirror {
         ]);
         child.hull(image.moved(normal * (2.0 * self.offset.get())))
     }
+
+    fn looks(&self) -> f32 {
+        2.0
+    }
 }
 
 /// How far a point is above a plane.

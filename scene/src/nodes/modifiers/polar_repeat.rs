@@ -57,11 +57,6 @@ impl PolarRepeat {
         TAU / self.count as f32
     }
 
-    /// How often it looks at its child, at most.
-    pub(in crate::nodes) fn looks(&self) -> f32 {
-        self.ring().reach
-    }
-
     #[inline(always)]
     fn ring(&self) -> &Ring {
         self.ring.get(|| {
@@ -153,6 +148,10 @@ impl Sdf for PolarRepeat {
         let (x, z) = (low.x.abs().max(high.x.abs()), low.z.abs().max(high.z.abs()));
         let radius = Real::sqrt(x * x + z * z);
         Bounds { low: vec3(-radius, low.y, -radius), high: vec3(radius, high.y, radius) }
+    }
+
+    fn looks(&self) -> f32 {
+        self.ring().reach
     }
 }
 

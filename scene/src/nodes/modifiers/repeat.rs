@@ -122,11 +122,6 @@ fn along<R: Real, T: Bundle<R>>(axis: Option<&Axis>, c: R, found: T, mut visit: 
 }
 
 impl Repeat {
-    /// How often it looks at its child, at most.
-    pub(in crate::nodes) fn looks(&self) -> f32 {
-        self.grid().axes.iter().flatten().map(|axis| axis.looked_at).product()
-    }
-
     #[inline(always)]
     fn grid(&self) -> &Grid {
         self.grid.get(|| {
@@ -238,5 +233,9 @@ impl Sdf for Repeat {
         let child = self.child.bounds(level);
         let [x, y, z] = self.grid().axes.map(|axis| axis.map_or((0.0, 0.0), |axis| axis.reach()));
         child.moved(vec3(x.0, y.0, z.0)).hull(child.moved(vec3(x.1, y.1, z.1)))
+    }
+
+    fn looks(&self) -> f32 {
+        self.grid().axes.iter().flatten().map(|axis| axis.looked_at).product()
     }
 }

@@ -129,6 +129,10 @@ impl Sdf for Taper {
         let radius = radius + beyond / slant;
         Bounds { low: vec3(-radius, low - beyond, -radius), high: vec3(radius, high + beyond, radius) }
     }
+
+    fn cure_of_steepness(&self) -> &'static str {
+        "taper it less"
+    }
 }
 
 fn one() -> Factor {
