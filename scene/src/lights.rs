@@ -2,7 +2,7 @@
 //!
 //! A light is one documented struct in a file under `lights/`, one `impl` of [`LightSource`] and of [`Exemplary`],
 //! and one entry in the list. A light's colour is such that a matt white surface that faces it sends back the colour:
-//! the light's irradiance over π. A light with a size is met at one point of it by each sample.
+//! the light's irradiance over π. Area lights are sampled: each pixel sample takes one point on the light.
 
 mod directional;
 mod point;

@@ -39,9 +39,9 @@ pub struct AmbientOcclusion {
 }
 
 impl Exemplary for Fog {
-    const EXAMPLE: &'static str = r##"{ "density": 0.16, "color": "#c3ccd6" }"##;
+    const EXAMPLE: &'static str = r##"{ "density": 0.12, "color": "#c3ccd6" }"##;
     const MORE: &'static [&'static str] =
-        &[r##"{ "density": 0.9, "falloff": 1.4, "color": "#d8d3c8" }"##, r#"{ "density": 0.09 }"#];
+        &[r##"{ "density": 0.07, "falloff": 2, "color": "#e6e2da" }"##, r#"{ "density": 0.09 }"#];
 }
 
 impl Exemplary for AmbientOcclusion {

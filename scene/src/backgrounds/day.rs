@@ -57,7 +57,7 @@ impl Day {
 impl Exemplary for Day {
     const EXAMPLE: &'static str = r#"{ "sun": [0.8, 0.5, 0.4] }"#;
     const MORE: &'static [&'static str] =
-        &[r#"{ "sun": [-0.6, 0.06, -0.8], "turbidity": 5, "ground": [0.12, 0.1, 0.08], "strength": 2 }"#];
+        &[r#"{ "sun": [-0.6, 0.06, -0.8], "turbidity": 5, "ground": [0.3, 0.25, 0.2], "strength": 3 }"#];
 }
 
 impl Backdrop for Day {

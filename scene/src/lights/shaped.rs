@@ -52,9 +52,9 @@ pub struct SphereLight {
 }
 
 impl Exemplary for SpotLight {
-    const EXAMPLE: &'static str = r#"{ "position": [-1.4, 2.2, 1.6], "direction": [1.3, -2.6, -1.4], "angle": 34, "color": [9, 8.4, 7.4] }"#;
+    const EXAMPLE: &'static str = r#"{ "position": [-1.6, 3.2, 2.6], "direction": [1.7, -4.4, -2.5], "angle": 30, "color": [26, 24, 21] }"#;
     const MORE: &'static [&'static str] = &[
-        r#"{ "position": [-1.4, 2.2, 1.6], "direction": [1.3, -2.6, -1.4], "angle": 44, "softness": 1, "color": [9, 8.4, 7.4] }"#,
+        r#"{ "position": [-1.6, 3.2, 2.6], "direction": [1.7, -4.4, -2.5], "angle": 40, "softness": 1, "color": [26, 24, 21] }"#,
     ];
 }
 

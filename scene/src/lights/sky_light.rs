@@ -28,10 +28,10 @@ pub struct SkyLight {
 }
 
 impl Exemplary for SkyLight {
-    const EXAMPLE: &'static str = "{}";
+    const EXAMPLE: &'static str = r#"{ "strength": 2 }"#;
     const MORE: &'static [&'static str] = &[
-        r#"{ "strength": 0.8, "shadow": false }"#,
-        r##"{ "from": { "gradient": { "bottom": "#b0552f", "top": "#2f5fb0" } } }"##,
+        r#"{ "strength": 2, "shadow": false }"#,
+        r##"{ "from": { "gradient": { "bottom": "#e0863c", "top": "#b8d4ff" } } }"##,
     ];
 }
 

@@ -4,14 +4,14 @@ use scene::backgrounds::{Backdrop, Background};
 use scene::camera::{Project, Projection};
 use scene::{Job, effects};
 
-use crate::picture::stage;
-use crate::schema::{kind_section, part};
-use crate::{Page, Picture, file};
+use super::picture::stage;
+use super::schema::{kind_section, part};
+use super::{Page, Picture, file};
 
 const HEAD: &str = "# Camera and sky
 
 How space becomes a picture, what is seen where nothing is, and what the air and corners do to light. This page is made
-from the code: `SDFARM_WRITE_DOCS=1 cargo test -p worker --test docs`.
+from the code: `SDFARM_WRITE_DOCS=1 cargo test -p worker --test worker docs`.
 ";
 
 const PROJECTIONS: &str = "
@@ -37,10 +37,10 @@ Keys of a scene that may be absent. This is the scene of the pictures without an
 
 /// Two rows of columns on a floor of squares, with a ball between them.
 const COLUMNS: &str = r##"
-    { "shape": { "repeat": { "cell": [2.4, null, 2.4], "count": [2, null, 8],
+    { "shape": { "repeat": { "cell": [2.4, null, 2.4], "count": [2, null, 10],
         "child": { "cylinder": { "radius": 0.32, "height": 2.4 } } } },
       "material": { "diffuse": { "kd": "#c9b08a" } } },
-    { "shape": { "translate": { "by": [0, -0.7, 3.4], "child": { "sphere": { "radius": 0.5 } } } },
+    { "shape": { "translate": { "by": [0.1, -0.7, 2.4], "child": { "sphere": { "radius": 0.5 } } } },
       "material": { "diffuse": { "kd": "#b5432f", "ks": [0.2, 0.2, 0.2], "shininess": 30 } } },
     { "shape": { "plane": { "normal": [0, 1, 0], "offset": -1.2 } },
       "material": { "diffuse": { "kd": { "checker": { "cell": 1.2, "colors": ["#707a86", "#a9b1ba"] } } } } }"##;
@@ -50,12 +50,12 @@ const BALLS: &str = r##"
     { "shape": { "translate": { "by": [-0.85, 0, 0], "child": { "sphere": { "radius": 0.75 } } } },
       "material": { "diffuse": { "kd": "#c8c4bc" } } },
     { "shape": { "translate": { "by": [0.85, 0, 0], "child": { "sphere": { "radius": 0.75 } } } },
-      "material": { "surface": { "base_color": [0.95, 0.95, 0.95], "metallic": 1, "roughness": 0 } } }"##;
+      "material": { "surface": { "base_color": [0.95, 0.78, 0.5], "metallic": 1, "roughness": 0.08 } } }"##;
 
 fn columns(projection: &str) -> Job {
     let projection_of: Projection = serde_json::from_str(projection).expect("an example is a projection");
     let scene = format!(
-        r#""camera": {{ "position": [0.9, 0.7, 7.2], "look_at": [-0.1, -0.35, 0], "projection": {projection} }},
+        r#""camera": {{ "position": [0.1, 0.7, 7.2], "look_at": [-0.05, -0.35, 0], "projection": {projection} }},
         "lights": [{{ "directional": {{ "direction": [-0.5, 0.8, 0.6], "color": [0.85, 0.82, 0.78] }} }}],
         "objects": [{COLUMNS}]"#
     );
@@ -81,10 +81,10 @@ fn with(effect: &str) -> Job {
     let keys = effect.trim_start_matches('{').trim_end_matches('}');
     let comma = if keys.trim().is_empty() { "" } else { "," };
     let scene = format!(
-        r##"{keys}{comma} "camera": {{ "position": [0.9, 0.5, 6.6], "look_at": [-0.1, -0.4, 0] }},
+        r##"{keys}{comma} "camera": {{ "position": [0.1, 0.5, 7.2], "look_at": [-0.05, -0.4, 0] }},
         "background": {{ "gradient": {{ "bottom": "#d7dee6", "top": "#5f86b8" }} }},
-        "lights": [{{ "directional": {{ "direction": [-0.5, 0.8, 0.6], "color": [0.5, 0.48, 0.44] }} }},
-                   {{ "sky": {{ "strength": 0.8, "shadow": false }} }}],
+        "lights": [{{ "directional": {{ "direction": [-0.5, 0.8, 0.6], "color": [0.4, 0.38, 0.34] }} }},
+                   {{ "sky": {{ "shadow": false }} }}],
         "objects": [{COLUMNS}]"##
     );
     stage(&scene, [240, 180])

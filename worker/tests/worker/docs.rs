@@ -1,6 +1,6 @@
 //! The pages of nodes, materials, lights, camera and sky, and shipped scenes with their pictures, made from the code
 //! and the scenes. A stale page fails here;
-//! `SDFARM_WRITE_DOCS=1 cargo test -p worker --test docs` writes it anew.
+//! `SDFARM_WRITE_DOCS=1 cargo test -p worker --test worker docs` writes it anew.
 
 mod camera_and_sky;
 mod gallery;
@@ -43,7 +43,11 @@ fn assert_fresh(page: Page) {
             std::fs::write(&path, &want).expect("docs can be written");
         }
         let got = std::fs::read(&path).unwrap_or_default();
-        assert!(got == want, "{} is stale: SDFARM_WRITE_DOCS=1 cargo test -p worker --test docs", path.display());
+        assert!(
+            got == want,
+            "{} is stale: SDFARM_WRITE_DOCS=1 cargo test -p worker --test worker docs",
+            path.display()
+        );
     }
 }
 

@@ -5,7 +5,7 @@ use std::fmt::Write as _;
 use scene::kinds::Example;
 use serde_json::Value;
 
-use crate::shown;
+use super::shown;
 
 fn referred(property: &Value) -> Option<&str> {
     property["$ref"].as_str().and_then(|reference| reference.rsplit('/').next())

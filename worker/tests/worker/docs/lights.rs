@@ -2,16 +2,16 @@
 
 use scene::lights::Light;
 
-use crate::picture::stage;
-use crate::schema::kind_section;
-use crate::{Page, Picture, file};
+use super::picture::stage;
+use super::schema::kind_section;
+use super::{Page, Picture, file};
 
 const HEAD: &str = "# Lights
 
 Where light comes from. Each is keyed by its name in the list `lights` of a scene; each picture shows a scene with the
 light below it and no other. A light with a size is met at one point of it by each sample: soft shadows are free of
 noise from some dozens of `image.samples` on. This page is made from the code:
-`SDFARM_WRITE_DOCS=1 cargo test -p worker --test docs`.
+`SDFARM_WRITE_DOCS=1 cargo test -p worker --test worker docs`.
 ";
 
 /// What stands in the light: a ball, a column and a thin pole on a floor before a wall.
