@@ -3,12 +3,16 @@
 //! A background is one documented struct in a file under `backgrounds/`, one `impl` of [`Backdrop`], and one entry in
 //! the list; with values it has an `impl` of [`Exemplary`] too, and without it is written as its name alone.
 
+#[cfg(test)]
+mod added;
 mod day;
 mod simple;
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
+#[cfg(test)]
+pub use added::AddedBackground;
 pub use day::Day;
 pub use simple::{SkyGradient, SolidColor, Transparent};
 
@@ -127,7 +131,13 @@ macro_rules! backgrounds {
 }
 
 backgrounds![
-    values: [Color: SolidColor, Gradient: SkyGradient, Day: Day],
+    values: [
+        Color: SolidColor,
+        Gradient: SkyGradient,
+        Day: Day,
+        #[cfg(test)]
+        Added: AddedBackground,
+    ],
     words: [
         /// Nothing: alpha is 0 there.
         Transparent,

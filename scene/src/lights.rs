@@ -4,6 +4,8 @@
 //! and one entry in the list. A light's colour is such that a matt white surface that faces it sends back the colour:
 //! the light's irradiance over π. Area lights are sampled: each pixel sample takes one point on the light.
 
+#[cfg(test)]
+mod added;
 mod directional;
 mod point;
 mod shaped;
@@ -13,6 +15,8 @@ mod sun;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
+#[cfg(test)]
+pub use added::AddedLight;
 pub use directional::Directional;
 pub use point::PointLight;
 pub use shaped::{SphereLight, SpotLight};
@@ -150,6 +154,8 @@ lights![
     Sphere: SphereLight,
     Sun: Sun,
     Sky: SkyLight,
+    #[cfg(test)]
+    Added: AddedLight,
 ];
 
 /// A direction inside a cone of this whole angle, each as likely as any other.

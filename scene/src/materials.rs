@@ -2,6 +2,8 @@
 //!
 //! Like a node, a material is one documented struct, one `impl` of [`Shade`] and one word in the list.
 
+#[cfg(test)]
+mod added;
 mod diffuse;
 mod material_use;
 pub mod microfacet;
@@ -14,6 +16,8 @@ mod volume;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
+#[cfg(test)]
+pub use added::AddedMaterial;
 pub use diffuse::Diffuse;
 pub use material_use::MaterialUse;
 pub use plain::{Flat, Normals};
@@ -133,64 +137,64 @@ pub trait Shade {
 }
 
 macro_rules! materials {
-    ($($Kind:ident),* $(,)?) => {
+    ($($(#[$attribute:meta])* $Kind:ident),* $(,)?) => {
         /// How a surface answers light: keyed by its name.
         #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
         #[serde(rename_all = "snake_case")]
         pub enum Material {
-            $(#[doc = concat!("See [`", stringify!($Kind), "`].")] $Kind($Kind)),*
+            $($(#[$attribute])* #[doc = concat!("See [`", stringify!($Kind), "`].")] $Kind($Kind)),*
         }
 
         impl Shade for Material {
             #[inline(always)]
             fn shade<R: Real>(&self, place: &Place<R>, light: &Lighting<R>) -> Vec3<R> {
-                match self { $(Self::$Kind(material) => material.shade(place, light)),* }
+                match self { $($(#[$attribute])* Self::$Kind(material) => material.shade(place, light)),* }
             }
 
             #[inline(always)]
             fn albedo<R: Real>(&self, place: &Place<R>) -> Vec3<R> {
-                match self { $(Self::$Kind(material) => material.albedo(place)),* }
+                match self { $($(#[$attribute])* Self::$Kind(material) => material.albedo(place)),* }
             }
 
             fn is_lit(&self) -> bool {
-                match self { $(Self::$Kind(material) => material.is_lit()),* }
+                match self { $($(#[$attribute])* Self::$Kind(material) => material.is_lit()),* }
             }
 
             #[inline(always)]
             fn finish<R: Real>(&self, place: &Place<R>) -> Option<Finish<R>> {
-                match self { $(Self::$Kind(material) => material.finish(place)),* }
+                match self { $($(#[$attribute])* Self::$Kind(material) => material.finish(place)),* }
             }
 
             fn sends_on(&self) -> bool {
-                match self { $(Self::$Kind(material) => material.sends_on()),* }
+                match self { $($(#[$attribute])* Self::$Kind(material) => material.sends_on()),* }
             }
 
             fn lets_through(&self) -> bool {
-                match self { $(Self::$Kind(material) => material.lets_through()),* }
+                match self { $($(#[$attribute])* Self::$Kind(material) => material.lets_through()),* }
             }
 
             fn looks_at_lights(&self) -> bool {
-                match self { $(Self::$Kind(material) => material.looks_at_lights()),* }
+                match self { $($(#[$attribute])* Self::$Kind(material) => material.looks_at_lights()),* }
             }
 
             fn is_black_without_light(&self) -> bool {
-                match self { $(Self::$Kind(material) => material.is_black_without_light()),* }
+                match self { $($(#[$attribute])* Self::$Kind(material) => material.is_black_without_light()),* }
             }
 
             fn filling(&self) -> Option<Filling<'_>> {
-                match self { $(Self::$Kind(material) => material.filling()),* }
+                match self { $($(#[$attribute])* Self::$Kind(material) => material.filling()),* }
             }
 
             fn textures(&self) -> Vec<&Texture> {
-                match self { $(Self::$Kind(material) => material.textures()),* }
+                match self { $($(#[$attribute])* Self::$Kind(material) => material.textures()),* }
             }
 
             fn is_textured(&self) -> bool {
-                match self { $(Self::$Kind(material) => material.is_textured()),* }
+                match self { $($(#[$attribute])* Self::$Kind(material) => material.is_textured()),* }
             }
 
             fn needs_own_normal(&self) -> bool {
-                match self { $(Self::$Kind(material) => material.needs_own_normal()),* }
+                match self { $($(#[$attribute])* Self::$Kind(material) => material.needs_own_normal()),* }
             }
         }
 
@@ -198,11 +202,23 @@ macro_rules! materials {
             /// Each kind's examples, as a user would write the whole material.
             pub fn examples() -> Vec<Example> {
                 let mut examples = Vec::new();
-                $(examples.extend(Example::keyed::<$Kind>(stringify!($Kind), stringify!($Kind)));)*
+                $(
+                    $(#[$attribute])*
+                    examples.extend(Example::keyed::<$Kind>(stringify!($Kind), stringify!($Kind)));
+                )*
                 examples
             }
         }
     };
 }
 
-materials![Flat, Normals, Diffuse, Surface, Clouds, Volume];
+materials![
+    Flat,
+    Normals,
+    Diffuse,
+    Surface,
+    Clouds,
+    Volume,
+    #[cfg(test)]
+    AddedMaterial,
+];

@@ -4,6 +4,8 @@
 //! [`Primitive`] or [`Sdf`], and one word in the list below. Parsing, schema, evaluation in every
 //! arithmetic, the contract tests and its picture in docs/nodes.md follow from those.
 
+#[cfg(test)]
+mod added;
 mod displace;
 mod fractals;
 mod meaning;
@@ -24,6 +26,8 @@ mod work;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
+#[cfg(test)]
+pub use added::AddedNode;
 pub use displace::{Bumps, Displace, Sine};
 pub use fractals::{
     ApollonianGasket, KaleidoscopicFolds, KaleidoscopicIfs, Mandelbox, MandelbrotRelief, Mandelbulb, MengerSponge,
@@ -59,15 +63,18 @@ pub type Child = std::boxed::Box<Node>;
 /// The list: nodes that are `inlined` into what looks at them, since a call would cost as much as
 /// they do, and nodes that are `called`.
 macro_rules! nodes {
-    (inlined: [$($Inlined:ident),* $(,)?], called: [$($Called:ident),* $(,)?]) => {
-        nodes!(@ [$($Inlined),*] [$($Called),*] $($Inlined,)* $($Called),*);
+    (inlined: [$($Inlined:ident),* $(,)?], called: [$($(#[$called:meta])* $Called:ident),* $(,)?]) => {
+        nodes!(@ [$($Inlined),*] [$($(#[$called])* $Called),*] $($Inlined,)* $($(#[$called])* $Called),*);
     };
-    (@ [$($Inlined:ident),*] [$($Called:ident),*] $($Kind:ident),* $(,)?) => {
+    (
+        @ [$($Inlined:ident),*] [$($(#[$called:meta])* $Called:ident),*]
+        $($(#[$attribute:meta])* $Kind:ident),* $(,)?
+    ) => {
         /// A shape: one node of the scene's tree, keyed by its name.
         #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
         #[serde(rename_all = "snake_case")]
         pub enum Node {
-            $(#[doc = concat!("See [`", stringify!($Kind), "`].")] $Kind($Kind)),*
+            $($(#[$attribute])* #[doc = concat!("See [`", stringify!($Kind), "`].")] $Kind($Kind)),*
         }
 
         impl Node {
@@ -78,7 +85,7 @@ macro_rules! nodes {
                     #[inline(always)]
                     || match self {
                         $(Self::$Inlined(node) => node.sample(p),)*
-                        $(Self::$Called(node) => p.x.vectorize(
+                        $($(#[$called])* Self::$Called(node) => p.x.vectorize(
                             #[inline(always)]
                             || node.sample(p),
                         ),)*
@@ -89,49 +96,49 @@ macro_rules! nodes {
             /// The nodes inside, in order.
             pub fn children(&self) -> &[Node] {
                 match self {
-                    $(Self::$Kind(node) => node.children()),*
+                    $($(#[$attribute])* Self::$Kind(node) => node.children()),*
                 }
             }
 
             /// The same, to be changed.
             pub(crate) fn children_mut(&mut self) -> &mut [Node] {
                 match self {
-                    $(Self::$Kind(node) => node.children_mut()),*
+                    $($(#[$attribute])* Self::$Kind(node) => node.children_mut()),*
                 }
             }
 
             /// Finds what makes it faster to look at, in the same form for all frames if the job `moves`.
             pub(crate) fn prepare(&mut self, moves: bool) {
                 match self {
-                    $(Self::$Kind(node) => Sdf::prepare(node, moves)),*
+                    $($(#[$attribute])* Self::$Kind(node) => Sdf::prepare(node, moves)),*
                 }
             }
 
             /// The material it says, if it says one.
             pub(crate) fn material(&self) -> Option<&MaterialUse> {
                 match self {
-                    $(Self::$Kind(node) => node.material()),*
+                    $($(#[$attribute])* Self::$Kind(node) => node.material()),*
                 }
             }
 
             /// The same, to be changed.
             pub(crate) fn material_mut(&mut self) -> Option<&mut MaterialUse> {
                 match self {
-                    $(Self::$Kind(node) => node.material_mut()),*
+                    $($(#[$attribute])* Self::$Kind(node) => node.material_mut()),*
                 }
             }
 
             /// Whether its children are a list under `of`, and not one under `child`.
             pub(crate) fn has_list(&self) -> bool {
                 match self {
-                    $(Self::$Kind(_) => <$Kind as Sdf>::HAS_LIST),*
+                    $($(#[$attribute])* Self::$Kind(_) => <$Kind as Sdf>::HAS_LIST),*
                 }
             }
 
             /// A Lipschitz factor: |d(p) − d(q)| ≤ stretch · |p − q|.
             pub fn stretch(&self) -> f32 {
                 match self {
-                    $(Self::$Kind(node) => Sdf::stretch(node)),*
+                    $($(#[$attribute])* Self::$Kind(node) => Sdf::stretch(node)),*
                 }
             }
 
@@ -140,14 +147,14 @@ macro_rules! nodes {
                 // Without a box around it, LLVM 22 at level 2 takes what the node inside says for never
                 // exact, and "exact or a bound, whichever is worse" comes out as exact.
                 std::hint::black_box(match self {
-                    $(Self::$Kind(node) => Sdf::exactness(node)),*
+                    $($(#[$attribute])* Self::$Kind(node) => Sdf::exactness(node)),*
                 })
             }
 
             /// What is wrong with its numbers taken together, if anything.
             pub(crate) fn fault(&self) -> Option<NodeFault> {
                 match self {
-                    $(Self::$Kind(node) => Sdf::fault(node)),*
+                    $($(#[$attribute])* Self::$Kind(node) => Sdf::fault(node)),*
                 }
             }
 
@@ -155,7 +162,7 @@ macro_rules! nodes {
             #[inline(always)]
             fn kind(&self) -> &'static str {
                 match self {
-                    $(Self::$Kind(_) => stringify!($Kind)),*
+                    $($(#[$attribute])* Self::$Kind(_) => stringify!($Kind)),*
                 }
             }
 
@@ -167,35 +174,35 @@ macro_rules! nodes {
             /// A box that holds every point whose distance is at most `level`, which is not below 0.
             pub fn bounds(&self, level: f32) -> Bounds {
                 match self {
-                    $(Self::$Kind(node) => Sdf::bounds(node, level)),*
+                    $($(#[$attribute])* Self::$Kind(node) => Sdf::bounds(node, level)),*
                 }
             }
 
             /// How many nodes it is as much work as, those inside not counted.
             fn weight(&self) -> u32 {
                 match self {
-                    $(Self::$Kind(node) => Sdf::weight(node)),*
+                    $($(#[$attribute])* Self::$Kind(node) => Sdf::weight(node)),*
                 }
             }
 
             /// About how many simple nodes its own formula takes as long as, beyond its weight.
             fn formula_work(&self) -> f32 {
                 match self {
-                    $(Self::$Kind(node) => Sdf::formula_work(node)),*
+                    $($(#[$attribute])* Self::$Kind(node) => Sdf::formula_work(node)),*
                 }
             }
 
             /// How often it looks at the nodes inside, at most.
             fn looks(&self) -> f32 {
                 match self {
-                    $(Self::$Kind(node) => Sdf::looks(node)),*
+                    $($(#[$attribute])* Self::$Kind(node) => Sdf::looks(node)),*
                 }
             }
 
             /// What to change where it makes steps too small.
             pub(crate) fn cure_of_steepness(&self) -> &'static str {
                 match self {
-                    $(Self::$Kind(node) => Sdf::cure_of_steepness(node)),*
+                    $($(#[$attribute])* Self::$Kind(node) => Sdf::cure_of_steepness(node)),*
                 }
             }
 
@@ -203,8 +210,8 @@ macro_rules! nodes {
             pub fn examples() -> Vec<Example> {
                 let mut examples = Vec::new();
                 $(
-                    let of_kind = <$Kind as Sdf>::examples().into_iter();
-                    examples.extend(of_kind.enumerate().map(|(number, value)| Example {
+                    $(#[$attribute])*
+                    examples.extend(<$Kind as Sdf>::examples().into_iter().enumerate().map(|(number, value)| Example {
                         kind: stringify!($Kind),
                         number,
                         node: format!("{{ \"{}\": {value} }}", snake_case(stringify!($Kind))),
@@ -297,6 +304,8 @@ nodes![
         MengerSponge,
         QuaternionJulia,
         Sierpinski,
+        #[cfg(test)]
+        AddedNode,
     ]
 ];
 

@@ -3,6 +3,8 @@
 //! A projection is one documented struct in a file under `camera/projections/`, one `impl` of [`Project`], and one
 //! entry in the list; with values it has an `impl` of [`Exemplary`] too, and without it is written as its name alone.
 
+#[cfg(test)]
+mod added;
 mod orthographic;
 mod panorama;
 mod perspective;
@@ -10,6 +12,8 @@ mod perspective;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
+#[cfg(test)]
+use added::AddedProjection;
 pub use orthographic::Orthographic;
 pub use panorama::Panorama;
 pub use perspective::Perspective;
@@ -185,7 +189,11 @@ macro_rules! projections {
 }
 
 projections![
-    values: [Orthographic: Orthographic],
+    values: [
+        Orthographic: Orthographic,
+        #[cfg(test)]
+        Added: AddedProjection,
+    ],
     words: [
         /// A pinhole: what is further away is smaller.
         #[default]

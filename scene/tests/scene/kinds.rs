@@ -3,6 +3,7 @@
 
 use std::collections::BTreeSet;
 
+use crate::subject as scene;
 use scene::backgrounds::Background;
 use scene::camera::Projection;
 use scene::kinds::Example;
