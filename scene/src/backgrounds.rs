@@ -1,7 +1,7 @@
 //! What is seen where nothing is: the list of backgrounds, and what a background must say of itself.
 //!
 //! A background is one documented struct in a file under `backgrounds/`, one `impl` of [`Backdrop`], and one entry in
-//! the list; with values it has an `impl` of [`Exemplary`] too, and without it is written as its name alone.
+//! the list; with fields it has an `impl` of [`Exemplary`] too; without fields it is written as its name alone.
 
 #[cfg(test)]
 mod added;
@@ -52,18 +52,18 @@ pub trait Backdrop {
     fn prepare(&mut self) {}
 }
 
-/// The list: each background's name and its struct, then those that are a name alone, described as in the schema.
+/// The list: each background's name and its struct, then those without fields, described as in the schema.
 macro_rules! backgrounds {
     (
-        values: [$($(#[$attribute:meta])* $Kind:ident: $Struct:ident),* $(,)?],
-        words: [$($(#[$about:meta])* $Word:ident),* $(,)?] $(,)?
+        structs: [$($(#[$attribute:meta])* $Kind:ident: $Struct:ident),* $(,)?],
+        units: [$($(#[$about:meta])* $Unit:ident),* $(,)?] $(,)?
     ) => {
         /// What is seen where nothing is.
         #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
         #[serde(rename_all = "snake_case", deny_unknown_fields)]
         pub enum Background {
             $($(#[$attribute])* #[doc = concat!("See [`", stringify!($Struct), "`].")] $Kind($Struct),)*
-            $($(#[$about])* $Word,)*
+            $($(#[$about])* $Unit,)*
         }
 
         impl Backdrop for Background {
@@ -71,7 +71,7 @@ macro_rules! backgrounds {
             fn toward<R: Real>(&self, direction: Vec3<R>) -> Vec3<R> {
                 match self {
                     $($(#[$attribute])* Self::$Kind(background) => background.toward(direction),)*
-                    $(Self::$Word => $Word.toward(direction),)*
+                    $(Self::$Unit => $Unit.toward(direction),)*
                 }
             }
 
@@ -79,21 +79,21 @@ macro_rules! backgrounds {
             fn mean_over<R: Real>(&self, normal: Vec3<R>) -> Option<Vec3<R>> {
                 match self {
                     $($(#[$attribute])* Self::$Kind(background) => background.mean_over(normal),)*
-                    $(Self::$Word => $Word.mean_over(normal),)*
+                    $(Self::$Unit => $Unit.mean_over(normal),)*
                 }
             }
 
             fn day(&self) -> Option<&Day> {
                 match self {
                     $($(#[$attribute])* Self::$Kind(background) => background.day(),)*
-                    $(Self::$Word => None,)*
+                    $(Self::$Unit => None,)*
                 }
             }
 
             fn is_transparent(&self) -> bool {
                 match self {
                     $($(#[$attribute])* Self::$Kind(background) => background.is_transparent(),)*
-                    $(Self::$Word => $Word.is_transparent(),)*
+                    $(Self::$Unit => $Unit.is_transparent(),)*
                 }
             }
 
@@ -103,14 +103,14 @@ macro_rules! backgrounds {
                     $($(#[$attribute])* Self::$Kind(background) => {
                         background.fault().map(|fault| fault.inside(&snake_case(stringify!($Kind))))
                     })*
-                    $(Self::$Word => $Word.fault(),)*
+                    $(Self::$Unit => $Unit.fault(),)*
                 }
             }
 
             fn prepare(&mut self) {
                 match self {
                     $($(#[$attribute])* Self::$Kind(background) => background.prepare(),)*
-                    $(Self::$Word => {})*
+                    $(Self::$Unit => {})*
                 }
             }
         }
@@ -123,7 +123,7 @@ macro_rules! backgrounds {
                     $(#[$attribute])*
                     examples.extend(Example::keyed::<$Struct>(stringify!($Struct), stringify!($Kind)));
                 )*
-                $(examples.push(Example::word(stringify!($Word)));)*
+                $(examples.push(Example::unit(stringify!($Unit)));)*
                 examples
             }
         }
@@ -131,14 +131,14 @@ macro_rules! backgrounds {
 }
 
 backgrounds![
-    values: [
+    structs: [
         Color: SolidColor,
         Gradient: SkyGradient,
         Day: Day,
         #[cfg(test)]
         Added: AddedBackground,
     ],
-    words: [
+    units: [
         /// Nothing: alpha is 0 there.
         Transparent,
     ],

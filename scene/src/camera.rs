@@ -6,9 +6,7 @@ mod sight;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-pub use projections::{
-    Axes, Example, Exemplary, Extent, Orthographic, Panorama, Perspective, Project, Projection,
-};
+pub use projections::{Axes, Example, Exemplary, Extent, Orthographic, Panorama, Perspective, Project, Projection};
 
 use crate::job::Frames;
 use crate::march::Tolerance;

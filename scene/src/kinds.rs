@@ -40,8 +40,8 @@ impl Example {
         Self::each::<E>(kind, &name, |value| format!("{{ \"{name}\": {value} }}"))
     }
 
-    /// The only example of a type without values: its name.
-    pub(crate) fn word(kind: &'static str) -> Self {
+    /// The only example of a kind without fields: its name.
+    pub(crate) fn unit(kind: &'static str) -> Self {
         let name = snake_case(kind);
         Self { kind, json: format!("\"{name}\""), name, number: 0 }
     }

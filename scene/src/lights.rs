@@ -72,7 +72,7 @@ pub trait LightSource {
     /// Whether things cast shadows in it.
     fn casts_shadows(&self) -> bool;
 
-    /// Whether it is black in every frame: a scene with no other light is warned of.
+    /// Whether it is black in every frame: a scene with no other lights gets a warning.
     fn is_dark(&self) -> bool;
 
     /// What is wrong with it before this background, if anything.

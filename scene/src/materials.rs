@@ -84,12 +84,12 @@ pub trait Shade {
     /// Whether `shade` looks at the lights at all.
     fn is_lit(&self) -> bool;
 
-    /// Whether lights change what is seen of it, on its surface or inside: lights that change nothing are warned of.
-    fn looks_at_lights(&self) -> bool {
+    /// Whether it uses the lights, on its surface or inside: a scene whose lights are never used gets a warning.
+    fn uses_lights(&self) -> bool {
         self.is_lit()
     }
 
-    /// Whether next to nothing is seen of it in the dark: scenes without light are warned of.
+    /// Whether it is black or nearly so without lights: a scene of such materials without lights gets a warning.
     fn is_black_without_light(&self) -> bool {
         self.is_lit()
     }
@@ -173,8 +173,8 @@ macro_rules! materials {
                 match self { $($(#[$attribute])* Self::$Kind(material) => material.lets_through()),* }
             }
 
-            fn looks_at_lights(&self) -> bool {
-                match self { $($(#[$attribute])* Self::$Kind(material) => material.looks_at_lights()),* }
+            fn uses_lights(&self) -> bool {
+                match self { $($(#[$attribute])* Self::$Kind(material) => material.uses_lights()),* }
             }
 
             fn is_black_without_light(&self) -> bool {

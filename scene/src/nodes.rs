@@ -185,24 +185,24 @@ macro_rules! nodes {
                 }
             }
 
-            /// About how many simple nodes its own formula takes as long as, beyond its weight.
-            fn formula_work(&self) -> f32 {
+            /// Cost of its own formula beyond its weight, in evaluations of a simple node.
+            fn formula_cost(&self) -> f32 {
                 match self {
-                    $($(#[$attribute])* Self::$Kind(node) => Sdf::formula_work(node)),*
+                    $($(#[$attribute])* Self::$Kind(node) => Sdf::formula_cost(node)),*
                 }
             }
 
-            /// How often it looks at the nodes inside, at most.
-            fn looks(&self) -> f32 {
+            /// How many times one evaluation of it evaluates the nodes inside, at most.
+            fn child_evaluations(&self) -> f32 {
                 match self {
-                    $($(#[$attribute])* Self::$Kind(node) => Sdf::looks(node)),*
+                    $($(#[$attribute])* Self::$Kind(node) => Sdf::child_evaluations(node)),*
                 }
             }
 
-            /// What to change where it makes steps too small.
-            pub(crate) fn cure_of_steepness(&self) -> &'static str {
+            /// What to change if its Lipschitz factor is so high that steps are tiny.
+            pub(crate) fn lipschitz_advice(&self) -> &'static str {
                 match self {
-                    $($(#[$attribute])* Self::$Kind(node) => Sdf::cure_of_steepness(node)),*
+                    $($(#[$attribute])* Self::$Kind(node) => Sdf::lipschitz_advice(node)),*
                 }
             }
 

@@ -1,7 +1,7 @@
 //! How space becomes a picture: the list of projections, and what a projection must say of itself.
 //!
 //! A projection is one documented struct in a file under `camera/projections/`, one `impl` of [`Project`], and one
-//! entry in the list; with values it has an `impl` of [`Exemplary`] too, and without it is written as its name alone.
+//! entry in the list; with fields it has an `impl` of [`Exemplary`] too; without fields it is written as its name alone.
 
 #[cfg(test)]
 mod added;
@@ -68,7 +68,7 @@ pub trait Project {
     /// The ray through a point of the picture: −1 to 1 across and upwards.
     fn ray<R: Real>(&self, axes: &Axes<R>, across: R, upwards: R) -> Ray<R>;
 
-    /// Whether no ray of the picture meets the box, however long it is. It may say no where there is none.
+    /// Whether no ray of the picture meets the box, however long it is. It may be false although no ray does.
     fn is_beside(&self, view: &View, bounds: Bounds) -> bool;
 
     /// Whether no ray of the picture has come to the box at this distance.
@@ -76,35 +76,35 @@ pub trait Project {
         view.is_out_of_reach(bounds, distance)
     }
 
-    /// Where the picture's rays start, or some of those places.
-    fn starts(&self, view: &View, image: &Image) -> Vec<Vec3<f32>> {
+    /// Origins of the picture's rays, or some of them.
+    fn ray_origins(&self, view: &View, image: &Image) -> Vec<Vec3<f32>> {
         let _ = image;
         vec![view.origin()]
     }
 
-    /// What an author is told of a start inside an object: what is inside, and what to do about it.
-    fn inside(&self) -> (&'static str, &'static str) {
+    /// Warning about a ray origin inside an object: what is inside, and the fix.
+    fn inside_warning(&self) -> (&'static str, &'static str) {
         ("the camera is inside", "move camera.position out of it")
     }
 
-    /// What an author should know of a picture of this size, if anything.
+    /// Warning about a picture of this size, if there is one.
     fn warning(&self, image: &Image) -> Option<String> {
         let _ = image;
         None
     }
 }
 
-/// The list: each projection's name and its struct, then those that are a name alone, described as in the schema.
+/// The list: each projection's name and its struct, then those without fields, described as in the schema.
 macro_rules! projections {
     (
-        values: [$($(#[$attribute:meta])* $Kind:ident: $Struct:ident),* $(,)?],
-        words: [$($(#[$about:meta])* $Word:ident),* $(,)?] $(,)?
+        structs: [$($(#[$attribute:meta])* $Kind:ident: $Struct:ident),* $(,)?],
+        units: [$($(#[$about:meta])* $Unit:ident),* $(,)?] $(,)?
     ) => {
         /// How space becomes a picture.
         #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
         #[serde(rename_all = "snake_case")]
         pub enum Projection {
-            $($(#[$about])* $Word,)*
+            $($(#[$about])* $Unit,)*
             $($(#[$attribute])* #[doc = concat!("See [`", stringify!($Struct), "`].")] $Kind($Struct),)*
         }
 
@@ -112,21 +112,21 @@ macro_rules! projections {
             fn default_fov(&self) -> Option<FieldOfView> {
                 match self {
                     $($(#[$attribute])* Self::$Kind(projection) => projection.default_fov(),)*
-                    $(Self::$Word => $Word.default_fov(),)*
+                    $(Self::$Unit => $Unit.default_fov(),)*
                 }
             }
 
             fn fov_fault(&self) -> Option<&'static str> {
                 match self {
                     $($(#[$attribute])* Self::$Kind(projection) => projection.fov_fault(),)*
-                    $(Self::$Word => $Word.fov_fault(),)*
+                    $(Self::$Unit => $Unit.fov_fault(),)*
                 }
             }
 
             fn extent(&self, fov: Option<FieldOfView>, aspect: f32, height: f32) -> Extent {
                 match self {
                     $($(#[$attribute])* Self::$Kind(projection) => projection.extent(fov, aspect, height),)*
-                    $(Self::$Word => $Word.extent(fov, aspect, height),)*
+                    $(Self::$Unit => $Unit.extent(fov, aspect, height),)*
                 }
             }
 
@@ -134,42 +134,42 @@ macro_rules! projections {
             fn ray<R: Real>(&self, axes: &Axes<R>, across: R, upwards: R) -> Ray<R> {
                 match self {
                     $($(#[$attribute])* Self::$Kind(projection) => projection.ray(axes, across, upwards),)*
-                    $(Self::$Word => $Word.ray(axes, across, upwards),)*
+                    $(Self::$Unit => $Unit.ray(axes, across, upwards),)*
                 }
             }
 
             fn is_beside(&self, view: &View, bounds: Bounds) -> bool {
                 match self {
                     $($(#[$attribute])* Self::$Kind(projection) => projection.is_beside(view, bounds),)*
-                    $(Self::$Word => $Word.is_beside(view, bounds),)*
+                    $(Self::$Unit => $Unit.is_beside(view, bounds),)*
                 }
             }
 
             fn is_beyond(&self, view: &View, bounds: Bounds, distance: f32) -> bool {
                 match self {
                     $($(#[$attribute])* Self::$Kind(projection) => projection.is_beyond(view, bounds, distance),)*
-                    $(Self::$Word => $Word.is_beyond(view, bounds, distance),)*
+                    $(Self::$Unit => $Unit.is_beyond(view, bounds, distance),)*
                 }
             }
 
-            fn starts(&self, view: &View, image: &Image) -> Vec<Vec3<f32>> {
+            fn ray_origins(&self, view: &View, image: &Image) -> Vec<Vec3<f32>> {
                 match self {
-                    $($(#[$attribute])* Self::$Kind(projection) => projection.starts(view, image),)*
-                    $(Self::$Word => $Word.starts(view, image),)*
+                    $($(#[$attribute])* Self::$Kind(projection) => projection.ray_origins(view, image),)*
+                    $(Self::$Unit => $Unit.ray_origins(view, image),)*
                 }
             }
 
-            fn inside(&self) -> (&'static str, &'static str) {
+            fn inside_warning(&self) -> (&'static str, &'static str) {
                 match self {
-                    $($(#[$attribute])* Self::$Kind(projection) => projection.inside(),)*
-                    $(Self::$Word => $Word.inside(),)*
+                    $($(#[$attribute])* Self::$Kind(projection) => projection.inside_warning(),)*
+                    $(Self::$Unit => $Unit.inside_warning(),)*
                 }
             }
 
             fn warning(&self, image: &Image) -> Option<String> {
                 match self {
                     $($(#[$attribute])* Self::$Kind(projection) => projection.warning(image),)*
-                    $(Self::$Word => $Word.warning(image),)*
+                    $(Self::$Unit => $Unit.warning(image),)*
                 }
             }
         }
@@ -177,7 +177,7 @@ macro_rules! projections {
         impl Projection {
             /// Each kind's examples, as a user would write the whole projection.
             pub fn examples() -> Vec<Example> {
-                let mut examples = vec![$(Example::word(stringify!($Word))),*];
+                let mut examples = vec![$(Example::unit(stringify!($Unit))),*];
                 $(
                     $(#[$attribute])*
                     examples.extend(Example::keyed::<$Struct>(stringify!($Struct), stringify!($Kind)));
@@ -189,12 +189,12 @@ macro_rules! projections {
 }
 
 projections![
-    values: [
+    structs: [
         Orthographic: Orthographic,
         #[cfg(test)]
         Added: AddedProjection,
     ],
-    words: [
+    units: [
         /// A pinhole: what is further away is smaller.
         #[default]
         Perspective,

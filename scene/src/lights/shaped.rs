@@ -52,7 +52,8 @@ pub struct SphereLight {
 }
 
 impl Exemplary for SpotLight {
-    const EXAMPLE: &'static str = r#"{ "position": [-1.6, 3.2, 2.6], "direction": [1.7, -4.4, -2.5], "angle": 30, "color": [26, 24, 21] }"#;
+    const EXAMPLE: &'static str =
+        r#"{ "position": [-1.6, 3.2, 2.6], "direction": [1.7, -4.4, -2.5], "angle": 30, "color": [26, 24, 21] }"#;
     const MORE: &'static [&'static str] = &[
         r#"{ "position": [-1.6, 3.2, 2.6], "direction": [1.7, -4.4, -2.5], "angle": 40, "softness": 1, "color": [26, 24, 21] }"#,
     ];

@@ -62,9 +62,9 @@ impl LightSource for SkyLight {
 
     fn fault(&self, background: &Background) -> Option<NodeFault> {
         match &self.from {
-            None => background.is_transparent().then(|| {
-                NodeFault::new("", "comes from a background that is transparent: say what shines by `from`")
-            }),
+            None => background
+                .is_transparent()
+                .then(|| NodeFault::new("", "comes from a background that is transparent: say what shines by `from`")),
             Some(from) if from.is_transparent() => {
                 Some(NodeFault::new("from", "is nothing that shines: choose a color, a gradient or a day"))
             }

@@ -236,7 +236,7 @@ impl Shade for Clouds {
         true
     }
 
-    fn looks_at_lights(&self) -> bool {
+    fn uses_lights(&self) -> bool {
         !self.is_medium()
     }
 
@@ -313,7 +313,7 @@ impl Shade for Volume {
         false
     }
 
-    fn looks_at_lights(&self) -> bool {
+    fn uses_lights(&self) -> bool {
         !self.albedo.is_black()
     }
 

@@ -5,7 +5,7 @@ use std::f32::consts::TAU;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use super::meaning::NOISE_WORK;
+use super::meaning::NOISE_COST;
 use super::per_axis::PerAxis;
 use super::relief::STEEPEST;
 use super::relief::{FoundRelief, Relief};
@@ -153,11 +153,11 @@ impl Sdf for Displace {
         self.child.bounds(self.relief().level(level))
     }
 
-    fn formula_work(&self) -> f32 {
-        NOISE_WORK
+    fn formula_cost(&self) -> f32 {
+        NOISE_COST
     }
 
-    fn cure_of_steepness(&self) -> &'static str {
+    fn lipschitz_advice(&self) -> &'static str {
         "lower its amplitude, frequency, scale or octaves"
     }
 }

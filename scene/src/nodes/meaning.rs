@@ -5,10 +5,10 @@ use crate::bounds::Bounds;
 use crate::materials::MaterialUse;
 use crate::real::{Real, Vec3};
 
-/// What noise at a point takes, in simple nodes.
-pub(super) const NOISE_WORK: f32 = 20.0;
-/// What a fractal takes.
-const FRACTAL_WORK: f32 = 32.0;
+/// Cost of noise at a point, in evaluations of a simple node.
+pub(super) const NOISE_COST: f32 = 20.0;
+/// Cost of a fractal.
+const FRACTAL_COST: f32 = 32.0;
 
 /// How a node's value relates to the Euclidean distance to its surface, best first.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
@@ -121,19 +121,19 @@ pub trait Sdf {
         1
     }
 
-    /// About how many simple nodes its own formula takes as long as, beyond its weight.
-    fn formula_work(&self) -> f32 {
+    /// Cost of its own formula beyond its weight, in evaluations of a simple node.
+    fn formula_cost(&self) -> f32 {
         let is_fractal = self.children().is_empty() && self.exactness() == Exactness::Estimate;
-        if is_fractal { FRACTAL_WORK } else { 0.0 }
+        if is_fractal { FRACTAL_COST } else { 0.0 }
     }
 
-    /// How often it looks at the nodes inside, at most.
-    fn looks(&self) -> f32 {
+    /// How many times one evaluation of it evaluates the nodes inside, at most.
+    fn child_evaluations(&self) -> f32 {
         1.0
     }
 
-    /// What to change where it makes steps too small: an author is warned of that.
-    fn cure_of_steepness(&self) -> &'static str {
+    /// What to change if its Lipschitz factor is so high that steps are tiny: the fix in the warning of that.
+    fn lipschitz_advice(&self) -> &'static str {
         "change it less, or over a greater length"
     }
 }
@@ -177,13 +177,13 @@ pub trait Primitive {
         1
     }
 
-    /// About how many simple nodes its own formula takes as long as, beyond its weight.
-    fn formula_work(&self) -> f32 {
-        if self.exactness() == Exactness::Estimate { FRACTAL_WORK } else { 0.0 }
+    /// Cost of its own formula beyond its weight, in evaluations of a simple node.
+    fn formula_cost(&self) -> f32 {
+        if self.exactness() == Exactness::Estimate { FRACTAL_COST } else { 0.0 }
     }
 
-    /// What to change where it makes steps too small: an author is warned of that.
-    fn cure_of_steepness(&self) -> &'static str {
+    /// What to change if its Lipschitz factor is so high that steps are tiny: the fix in the warning of that.
+    fn lipschitz_advice(&self) -> &'static str {
         "change it less, or over a greater length"
     }
 }
@@ -221,11 +221,11 @@ impl<P: Primitive> Sdf for P {
         Primitive::weight(self)
     }
 
-    fn formula_work(&self) -> f32 {
-        Primitive::formula_work(self)
+    fn formula_cost(&self) -> f32 {
+        Primitive::formula_cost(self)
     }
 
-    fn cure_of_steepness(&self) -> &'static str {
-        Primitive::cure_of_steepness(self)
+    fn lipschitz_advice(&self) -> &'static str {
+        Primitive::lipschitz_advice(self)
     }
 }

@@ -3,7 +3,7 @@
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use super::meaning::NOISE_WORK;
+use super::meaning::NOISE_COST;
 use super::relief::Relief;
 use super::{Exactness, Primitive};
 use crate::bounds::Bounds;
@@ -84,11 +84,11 @@ impl Primitive for HeightField {
         })
     }
 
-    fn formula_work(&self) -> f32 {
-        NOISE_WORK
+    fn formula_cost(&self) -> f32 {
+        NOISE_COST
     }
 
-    fn cure_of_steepness(&self) -> &'static str {
+    fn lipschitz_advice(&self) -> &'static str {
         "lower its height, or the scale or octaves of its noise"
     }
 }

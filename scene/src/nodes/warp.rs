@@ -3,7 +3,7 @@
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use super::meaning::NOISE_WORK;
+use super::meaning::NOISE_COST;
 use super::relief::STEEPEST;
 use super::transforms::around_child;
 use super::{Child, Exactness, Node, Sample, Sdf};
@@ -60,11 +60,11 @@ impl Sdf for Warp {
         self.child.bounds(level).widened(self.amplitude.get().abs() * (high - low) * 0.5)
     }
 
-    fn formula_work(&self) -> f32 {
-        3.0 * NOISE_WORK
+    fn formula_cost(&self) -> f32 {
+        3.0 * NOISE_COST
     }
 
-    fn cure_of_steepness(&self) -> &'static str {
+    fn lipschitz_advice(&self) -> &'static str {
         "lower its amplitude, frequency, scale or octaves"
     }
 }

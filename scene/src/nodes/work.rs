@@ -1,4 +1,4 @@
-//! How long a node takes to be looked at, before anybody looks at it.
+//! Cost of evaluating a node, estimated from its tree.
 
 use super::Node;
 
@@ -7,7 +7,7 @@ impl Node {
     /// copies of copies.
     pub(crate) fn work(&self) -> f32 {
         let inside: f32 = self.children().iter().map(Self::work).sum();
-        let own = self.weight() as f32 + self.formula_work();
-        if inside == 0.0 { own } else { own + inside * self.looks() }
+        let own = self.weight() as f32 + self.formula_cost();
+        if inside == 0.0 { own } else { own + inside * self.child_evaluations() }
     }
 }

@@ -81,9 +81,7 @@ impl Program<'_> {
         pair: impl FnOnce() -> (R, R),
     ) -> (Vec3<R>, R) {
         let strength = hit.distance.given(sky.strength);
-        if !casts_shadows
-            && let Some(mean) = sky.from.mean_over(hit.normal)
-        {
+        if !casts_shadows && let Some(mean) = sky.from.mean_over(hit.normal) {
             let mean = mean * strength;
             return (openness.map_or(mean, |openness| mean * openness), hit.distance.splat(0.0));
         }

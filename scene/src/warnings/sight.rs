@@ -59,7 +59,7 @@ fn nothing_in_view(scene: &Scene, view: &View) -> Option<String> {
 /// Objects that the camera, or a part of an orthographic picture's plane, is inside of.
 fn inside(job: &Job, view: &View) -> Option<String> {
     let scene = &job.scene;
-    let origins = scene.camera.projection.starts(view, &job.image);
+    let origins = scene.camera.projection.ray_origins(view, &job.image);
     let solid = scene.objects.iter().enumerate().filter(|(_, object)| {
         let material = &scene.slots()[object.material.slot() as usize];
         !material.is_medium() && !material.lets_through() && !lets_through(scene, &object.shape)
@@ -75,7 +75,7 @@ fn inside(job: &Job, view: &View) -> Option<String> {
     if around.is_empty() {
         return None;
     }
-    let (what, cure) = scene.camera.projection.inside();
+    let (what, cure) = scene.camera.projection.inside_warning();
     Some(format!("{what} {}, and sees only that from within: {cure}, or cut a room into it", objects(&around)))
 }
 

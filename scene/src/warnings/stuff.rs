@@ -35,7 +35,7 @@ pub(super) fn steep(scene: &Scene) -> Option<String> {
     let steep: Vec<usize> = (0..stretches.len()).filter(|&index| stretches[index] > STEEPEST).collect();
     let steepest = steep.iter().copied().reduce(|a, b| if stretches[b] > stretches[a] { b } else { a })?;
     let mut pointer = format!("/scene/objects/{steepest}/shape");
-    let cure = cause(&scene.objects[steepest].shape, &mut pointer).cure_of_steepness();
+    let cure = cause(&scene.objects[steepest].shape, &mut pointer).lipschitz_advice();
     let others = if steep.len() > 1 { format!(" (so are those of {})", objects(&steep)) } else { String::new() };
     let stretch = stretches[steepest];
     let part = if stretch < 1e6 { format!("1/{stretch:.0}") } else { "less than a millionth".to_owned() };
@@ -62,7 +62,7 @@ fn cause<'a>(node: &'a Node, pointer: &mut String) -> &'a Node {
 /// Lights that shine for nothing, and scenes that want light.
 pub(super) fn light(scene: &Scene) -> Option<String> {
     let used = scene.slots();
-    if !scene.lights.is_empty() && scene.lights != default_lights() && !used.iter().any(Shade::looks_at_lights) {
+    if !scene.lights.is_empty() && scene.lights != default_lights() && !used.iter().any(Shade::uses_lights) {
         return Some(
             "the lights light nothing, for no material in use looks at them: choose diffuse or surface, or leave lights out"
                 .to_owned(),

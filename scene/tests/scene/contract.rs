@@ -29,7 +29,8 @@ impl Random {
 }
 
 fn each_node(mut check: impl FnMut(&str, &Node)) {
-    for Example { kind, number, node } in Node::examples().into_iter().filter(|example| crate::is_tested(example.kind)) {
+    for Example { kind, number, node } in Node::examples().into_iter().filter(|example| crate::is_tested(example.kind))
+    {
         check(&format!("{kind} {number}"), &serde_json::from_str(&node).expect("an example is a node"));
     }
 }

@@ -38,9 +38,7 @@ fn families() -> [Family; 4] {
             name: "projection",
             examples: Projection::examples(),
             definition: "Projection",
-            scene: |projection| {
-                json!({ "camera": { "position": [1.5, 1.4, 3.2], "look_at": [0, 0, 0], "projection": projection } })
-            },
+            scene: |projection| json!({ "camera": { "position": [1.5, 1.4, 3.2], "look_at": [0, 0, 0], "projection": projection } }),
         },
         Family { name: "effect", examples: effects::examples(), definition: "Scene", scene: Value::clone },
     ]
@@ -126,9 +124,9 @@ fn the_schema_describes_every_kind_and_each_of_its_keys() {
 fn the_list_of_effects_has_every_key_of_a_scene_that_may_be_absent() {
     let schema = scene::schema();
     let optional = schema["$defs"]["Scene"]["properties"].as_object().expect("a scene has keys").iter();
-    let optional = optional.filter(|(_, property)| property["anyOf"].as_array().is_some_and(|choices| {
-        choices.contains(&json!({ "type": "null" }))
-    }));
+    let optional = optional.filter(|(_, property)| {
+        property["anyOf"].as_array().is_some_and(|choices| choices.contains(&json!({ "type": "null" })))
+    });
     let keys: BTreeSet<String> = optional.map(|(key, _)| key.clone()).collect();
     let listed: BTreeSet<String> = effects::examples().into_iter().map(|example| example.name).collect();
     assert_eq!(keys, listed);

@@ -145,9 +145,10 @@ fn compare_each(examples: &[Example], keys: impl Fn(Value) -> Value) {
 
 #[test]
 fn every_width_gives_the_reference_bits_for_every_light() {
-    compare_each(&Light::examples(), |light| {
-        json!({ "lights": [light], "background": { "day": { "sun": [0.6, 0.5, 0.4] } } })
-    });
+    compare_each(
+        &Light::examples(),
+        |light| json!({ "lights": [light], "background": { "day": { "sun": [0.6, 0.5, 0.4] } } }),
+    );
 }
 
 #[test]
@@ -157,9 +158,10 @@ fn every_width_gives_the_reference_bits_for_every_background() {
 
 #[test]
 fn every_width_gives_the_reference_bits_for_every_projection() {
-    compare_each(&Projection::examples(), |projection| {
-        json!({ "camera": { "position": [1.5, 1.4, 3.2], "look_at": [0, 0.6, 0], "projection": projection } })
-    });
+    compare_each(
+        &Projection::examples(),
+        |projection| json!({ "camera": { "position": [1.5, 1.4, 3.2], "look_at": [0, 0.6, 0], "projection": projection } }),
+    );
 }
 
 #[test]

@@ -81,13 +81,15 @@ fn scenes_around_objects() -> Vec<(String, Value)> {
         });
         scenes.collect::<Vec<_>>()
     };
-    let lights = with(Light::examples(), |light| {
-        json!({ "lights": [light], "background": { "day": { "sun": [0.6, 0.5, 0.4] } } })
-    });
+    let lights = with(
+        Light::examples(),
+        |light| json!({ "lights": [light], "background": { "day": { "sun": [0.6, 0.5, 0.4] } } }),
+    );
     let backgrounds = with(Background::examples(), |background| json!({ "background": background }));
-    let projections = with(Projection::examples(), |projection| {
-        json!({ "camera": { "position": [1.5, 1.4, 3.2], "look_at": [0, 0, 0], "projection": projection } })
-    });
+    let projections = with(
+        Projection::examples(),
+        |projection| json!({ "camera": { "position": [1.5, 1.4, 3.2], "look_at": [0, 0, 0], "projection": projection } }),
+    );
     [lights, backgrounds, projections, with(effects::examples(), |keys| keys)].concat()
 }
 

@@ -53,13 +53,13 @@ impl Project for Orthographic {
         view.in_front(bounds).low.z > distance
     }
 
-    fn starts(&self, view: &View, image: &Image) -> Vec<Vec3<f32>> {
+    fn ray_origins(&self, view: &View, image: &Image) -> Vec<Vec3<f32>> {
         let along = |place: u32, edge: u32| (place as f32 + 0.5) * edge as f32 / PLACES as f32;
         let places = (0..PLACES * PLACES).map(|place| (place % PLACES, place / PLACES));
         places.map(|(x, y)| view.ray(along(x, image.width), along(y, image.height)).origin).collect()
     }
 
-    fn inside(&self) -> (&'static str, &'static str) {
+    fn inside_warning(&self) -> (&'static str, &'static str) {
         ("a part of the picture starts inside", "move camera.position back")
     }
 }

@@ -169,7 +169,7 @@ impl Sdf for Bend {
         bounds.widened(level / stretch)
     }
 
-    fn cure_of_steepness(&self) -> &'static str {
+    fn lipschitz_advice(&self) -> &'static str {
         "bend it less, or make its child thinner"
     }
 }

@@ -108,7 +108,7 @@ impl Sdf for Mirror {
         child.hull(image.moved(normal * (2.0 * self.offset.get())))
     }
 
-    fn looks(&self) -> f32 {
+    fn child_evaluations(&self) -> f32 {
         2.0
     }
 }

@@ -150,7 +150,7 @@ impl Sdf for PolarRepeat {
         Bounds { low: vec3(-radius, low.y, -radius), high: vec3(radius, high.y, radius) }
     }
 
-    fn looks(&self) -> f32 {
+    fn child_evaluations(&self) -> f32 {
         self.ring().reach
     }
 }

@@ -235,7 +235,7 @@ impl Sdf for Repeat {
         child.moved(vec3(x.0, y.0, z.0)).hull(child.moved(vec3(x.1, y.1, z.1)))
     }
 
-    fn looks(&self) -> f32 {
+    fn child_evaluations(&self) -> f32 {
         self.grid().axes.iter().flatten().map(|axis| axis.looked_at).product()
     }
 }

@@ -130,7 +130,7 @@ impl Sdf for Taper {
         Bounds { low: vec3(-radius, low - beyond, -radius), high: vec3(radius, high + beyond, radius) }
     }
 
-    fn cure_of_steepness(&self) -> &'static str {
+    fn lipschitz_advice(&self) -> &'static str {
         "taper it less"
     }
 }

@@ -121,7 +121,7 @@ impl Sdf for Twist {
         Bounds { low: vec3(-radius, low, -radius), high: vec3(radius, high, radius) }.widened(level / stretch)
     }
 
-    fn cure_of_steepness(&self) -> &'static str {
+    fn lipschitz_advice(&self) -> &'static str {
         "lower degrees_per_unit, or make its child narrower"
     }
 }

@@ -1,4 +1,4 @@
-//! The page of what decides a picture beside shapes, materials and lights: projections, backgrounds and effects.
+//! The page of projections, backgrounds and effects.
 
 use scene::backgrounds::{Backdrop, Background};
 use scene::camera::{Project, Projection};
@@ -10,7 +10,7 @@ use super::{Page, Picture, file};
 
 const HEAD: &str = "# Camera and sky
 
-How space becomes a picture, what is seen where nothing is, and what the air and corners do to light. This page is made
+How the camera projects space onto the picture, the background behind all objects, and fog and ambient occlusion. This page is made
 from the code: `SDFARM_WRITE_DOCS=1 cargo test -p worker --test worker docs`.
 ";
 
@@ -23,8 +23,8 @@ The `projection` of a camera. Each picture shows the same rows of columns from t
 const BACKGROUNDS: &str = "
 # Backgrounds
 
-The `background` of a scene. Each picture shows it behind a matt ball and in a mirror; a background with a sun is lit
-by the lights `sun` and `sky`.
+The `background` of a scene. Each picture shows it behind a matte ball and reflected by one of metal. A background with a sun is
+lit by the lights `sun` and `sky`, the others by one directional light.
 ";
 
 const EFFECTS: &str = "
@@ -45,7 +45,7 @@ const COLUMNS: &str = r##"
     { "shape": { "plane": { "normal": [0, 1, 0], "offset": -1.2 } },
       "material": { "diffuse": { "kd": { "checker": { "cell": 1.2, "colors": ["#707a86", "#a9b1ba"] } } } } }"##;
 
-/// A matt ball and a mirror in front of a background.
+/// A matte ball and one of metal in front of a background.
 const BALLS: &str = r##"
     { "shape": { "translate": { "by": [-0.85, 0, 0], "child": { "sphere": { "radius": 0.75 } } } },
       "material": { "diffuse": { "kd": "#c8c4bc" } } },

@@ -9,8 +9,8 @@ use super::{Page, Picture, file};
 const HEAD: &str = "# Lights
 
 Where light comes from. Each is keyed by its name in the list `lights` of a scene; each picture shows a scene with the
-light below it and no other. A light with a size is met at one point of it by each sample: soft shadows are free of
-noise from some dozens of `image.samples` on. This page is made from the code:
+light below it and no other. Area lights are sampled: soft shadows need 64 `image.samples` or more to be free of
+noise. This page is made from the code:
 `SDFARM_WRITE_DOCS=1 cargo test -p worker --test worker docs`.
 ";
 
@@ -30,13 +30,16 @@ pub(crate) fn page() -> Page {
     for example in Light::examples() {
         let file = file("lights", &example.name, example.number);
         page.text += &kind_section(&schema, "Light", &example, &file);
-        let job = stage(&format!(
-            r#""camera": {{ "position": [2.2, 1.5, 4.6], "look_at": [0.05, -0.45, 0], "fov": 38 }},
+        let job = stage(
+            &format!(
+                r#""camera": {{ "position": [2.2, 1.5, 4.6], "look_at": [0.05, -0.45, 0], "fov": 38 }},
             "background": {{ "day": {{ "sun": [-0.55, 0.5, 0.6] }} }}, "lights": [{}],
             "materials": {{ "grey": {{ "diffuse": {{ "kd": [0.72, 0.72, 0.72], "ambient": [0.012, 0.013, 0.016] }} }} }},
             "objects": [{OBJECTS}]"#,
-            example.json
-        ), [240, 180]);
+                example.json
+            ),
+            [240, 180],
+        );
         page.pictures.push(Picture { file, job });
     }
     page

@@ -21,9 +21,8 @@ pub(crate) fn on_a_floor(objects: &str) -> Job {
 
 /// A job of a scene's keys, as JSON, with as many samples as soft light takes.
 pub(crate) fn stage(keys: &str, [width, height]: [u32; 2]) -> Job {
-    let text = format!(
-        r#"{{ "scene": {{ {keys} }}, "image": {{ "width": {width}, "height": {height}, "samples": 96 }} }}"#
-    );
+    let text =
+        format!(r#"{{ "scene": {{ {keys} }}, "image": {{ "width": {width}, "height": {height}, "samples": 96 }} }}"#);
     scene::parse(text.as_bytes()).unwrap_or_else(|refusal| panic!("{refusal}\n{text}"))
 }
 
