@@ -1,18 +1,18 @@
 //! From a point of the picture to a ray.
 
+mod projections;
 mod sight;
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
+pub use projections::{Axes, Example, Exemplary, Extent, Orthographic, Panorama, Perspective, Project, Projection};
+
 use crate::job::Frames;
 use crate::march::Tolerance;
 use crate::real::{Real, Vec3, bundle, vec3};
 use crate::seek::Seek;
-use crate::values::{Direction, FieldOfView, Length, Point, Turns, sin_cos_degrees};
-
-/// The vertical field of view of a perspective that says none.
-const DEFAULT_FOV_DEGREES: f32 = 40.0;
+use crate::values::{Direction, FieldOfView, Point, Turns, sin_cos_degrees};
 
 /// Where the scene is seen from, and how.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
@@ -29,39 +29,11 @@ pub struct Camera {
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub fov: Option<FieldOfView>,
     /// How space becomes a picture.
-    #[serde(default, skip_serializing_if = "Projection::is_perspective")]
+    #[serde(default, skip_serializing_if = "Projection::is_default")]
     pub projection: Projection,
     /// Carries it around what it looks at, over the frames of the job.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub turntable: Option<Turntable>,
-}
-
-/// How space becomes a picture.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
-#[serde(rename_all = "snake_case")]
-pub enum Projection {
-    /// A pinhole: what is further away is smaller.
-    #[default]
-    Perspective,
-    /// Along parallel rays from a plane through the camera: no size changes with distance.
-    Orthographic(Orthographic),
-    /// All around the camera, 360 by 180 degrees: longitude across, latitude down (equirectangular);
-    /// what it looks at is in the middle.
-    Panorama,
-}
-
-impl Projection {
-    fn is_perspective(&self) -> bool {
-        *self == Self::Perspective
-    }
-}
-
-/// A view along parallel rays.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
-#[serde(deny_unknown_fields)]
-pub struct Orthographic {
-    /// From the bottom of the picture to its top, in scene units.
-    pub height: Length,
 }
 
 /// A camera's way around what it looks at, about the direction that is up.
@@ -124,22 +96,12 @@ impl Camera {
         if forward.cross(self.up.unit()).length() < 1e-4 {
             return Some(("up", "points along the view: choose an up that is not along look_at - position"));
         }
-        match (&self.fov, &self.projection) {
-            (Some(_), Projection::Orthographic(_)) => {
-                Some(("fov", "means nothing in an orthographic picture: leave it out, and choose its height"))
-            }
-            (Some(_), Projection::Panorama) => {
-                Some(("fov", "means nothing in a panorama, which sees all: leave it out"))
-            }
-            (None, _) | (Some(_), Projection::Perspective) => None,
-        }
+        self.fov.as_ref().and(self.projection.fov_fault()).map(|message| ("fov", message))
     }
 
     /// Says what was left open, so that cameras that see the same are equal.
     pub(crate) fn complete(&mut self) {
-        if self.projection == Projection::Perspective {
-            self.fov.get_or_insert_with(forty_degrees);
-        }
+        self.fov = self.fov.take().or_else(|| self.projection.default_fov());
     }
 
     /// Goes where the turntable has carried it in a frame, and steps off; whether there was one.
@@ -163,21 +125,8 @@ impl Camera {
         let up = right.cross(forward);
         let (width, height) = (width as f32, height as f32);
         let aspect = width / height;
-        // Half the picture's extents, and half a pixel's height at distance 1 and at any.
-        let (half_width, half_height, slope, floor) = match &self.projection {
-            Projection::Perspective => {
-                let fov = self.fov.as_ref().map_or(DEFAULT_FOV_DEGREES, FieldOfView::get);
-                let (sine, cosine) = Real::sin_cos(fov * (std::f32::consts::PI / 360.0));
-                let tangent = sine / cosine;
-                (aspect * tangent, tangent, tangent / height, 0.0)
-            }
-            Projection::Orthographic(Orthographic { height: whole }) => {
-                let half = whole.get() * 0.5;
-                (aspect * half, half, 0.0, half / height)
-            }
-            Projection::Panorama => (1.0, 1.0, std::f32::consts::FRAC_PI_2 / height, 0.0),
-        };
-        let spread = if floor > 0.0 { half_width.max(half_height) } else { 0.0 };
+        let Extent { half_width, half_height, footprint } = self.projection.extent(self.fov.as_ref(), aspect, height);
+        let spread = if footprint.floor > 0.0 { half_width.max(half_height) } else { 0.0 };
         let size = origin.x.abs().max(origin.y.abs()).max(origin.z.abs()) + spread;
         View {
             projection: self.projection.clone(),
@@ -186,7 +135,7 @@ impl Camera {
             right: scaled(right, half_width),
             up: scaled(up, half_height),
             scale: (2.0 / width, -2.0 / height),
-            footprint: Tolerance { slope, floor },
+            footprint,
             precision: 2e-7 * size + 1e-7,
         }
     }
@@ -200,21 +149,7 @@ impl View {
         let upwards = y.mul_add(y.given(self.scale.1), y.splat(1.0));
         let (right, up, forward) = (Vec3::given(x, self.right), Vec3::given(x, self.up), Vec3::given(x, self.forward));
         let origin = Vec3::given(x, self.origin);
-        match self.projection {
-            Projection::Perspective => {
-                let direction = right.mul_add(across, up.mul_add(upwards, forward));
-                Ray { origin, direction: direction.normalize() }
-            }
-            Projection::Orthographic(_) => {
-                Ray { origin: right.mul_add(across, up.mul_add(upwards, origin)), direction: forward }
-            }
-            Projection::Panorama => {
-                let (east, ahead) = (across * std::f32::consts::PI).sin_cos();
-                let (above, level) = (upwards * std::f32::consts::FRAC_PI_2).sin_cos();
-                let around = right.mul_add(east, forward * ahead);
-                Ray { origin, direction: around.mul_add(level, up * above).normalize() }
-            }
-        }
+        self.projection.ray(&Axes { origin, right, up, forward }, across, upwards)
     }
 
     /// Half a pixel's height, by the distance along a ray.
@@ -263,10 +198,6 @@ fn upwards() -> Direction {
 
 fn once() -> Turns {
     Turns::new(1.0).expect("1 is in range")
-}
-
-fn forty_degrees() -> FieldOfView {
-    FieldOfView::new(DEFAULT_FOV_DEGREES).expect("40 is in range")
 }
 
 #[cfg(test)]

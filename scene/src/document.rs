@@ -7,6 +7,7 @@ use std::collections::BTreeMap;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
+use crate::backgrounds::Background;
 use crate::camera::Camera;
 use crate::job::{Frames, Image, priority};
 use crate::lights::{Light, default_lights};
@@ -15,7 +16,6 @@ use crate::materials::{Material, MaterialUse};
 use crate::nodes::Node;
 use crate::outline;
 use crate::scene::{March, Object, Scene, child_steps};
-use crate::sky::Background;
 use crate::surroundings::{AmbientOcclusion, Fog};
 
 /// What one POSTs.

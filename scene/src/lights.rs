@@ -1,102 +1,35 @@
-//! Where light comes from.
+//! Where light comes from: the list of lights, and what a light must say of itself.
 //!
-//! A light's colour is such that a matt white surface that faces it sends back the colour: the light's
-//! irradiance over π. Area lights are sampled: each pixel sample takes one point on the light.
+//! A light is one documented struct in a file under `lights/`, one `impl` of [`LightSource`] and of [`Exemplary`],
+//! and one entry in the list. A light's colour is such that a matt white surface that faces it sends back the colour:
+//! the light's irradiance over π. Area lights are sampled: each pixel sample takes one point on the light.
 
+#[cfg(test)]
+mod added;
+mod directional;
+mod point;
 mod shaped;
+mod sky_light;
+mod sun;
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
+#[cfg(test)]
+pub use added::AddedLight;
+pub use directional::Directional;
+pub use point::PointLight;
 pub use shaped::{SphereLight, SpotLight};
+pub use sky_light::SkyLight;
+pub use sun::Sun;
 
+use crate::backgrounds::{Background, Day};
+pub use crate::kinds::{Example, Exemplary};
 use crate::materials::microfacet::frame;
+use crate::nodes::{NodeFault, snake_case};
 use crate::real::{Real, Vec3, bundle};
 use crate::seek::Seek;
-use crate::sky::{Background, Day};
-use crate::values::{Aperture, Color, Direction, Point, Strength};
-
-/// A light: keyed by its name.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
-#[serde(rename_all = "snake_case")]
-pub enum Light {
-    /// See [`Directional`].
-    Directional(Directional),
-    /// See [`PointLight`].
-    Point(PointLight),
-    /// See [`SpotLight`].
-    Spot(SpotLight),
-    /// See [`SphereLight`].
-    Sphere(SphereLight),
-    /// See [`Sun`].
-    Sun(Sun),
-    /// See [`SkyLight`].
-    Sky(SkyLight),
-}
-
-/// Light from far away, the same everywhere.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
-#[serde(deny_unknown_fields)]
-pub struct Directional {
-    /// Towards the light; of any length.
-    pub direction: Direction,
-    /// Its colour and strength.
-    #[serde(default = "white")]
-    pub color: Color,
-    /// How wide it is, in degrees: shadows have soft edges. The sun is 0.53 wide.
-    #[serde(default = "narrow")]
-    pub angle: Aperture,
-    /// Whether things cast shadows in it.
-    #[serde(default = "yes")]
-    pub shadow: bool,
-}
-
-/// Light from a point; its strength falls as 1/d².
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
-#[serde(deny_unknown_fields)]
-pub struct PointLight {
-    /// Where it is.
-    pub position: Point,
-    /// Its colour, and its strength at a distance of 1.
-    #[serde(default = "white")]
-    pub color: Color,
-    /// Whether things cast shadows in it.
-    #[serde(default = "yes")]
-    pub shadow: bool,
-}
-
-/// The sun of the background's `day`: its direction and its colour come from there.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
-#[serde(deny_unknown_fields)]
-pub struct Sun {
-    /// How bright it is beside the sky.
-    #[serde(default = "full")]
-    pub strength: Strength,
-    /// How wide it is, in degrees.
-    #[serde(default = "sun_wide")]
-    pub angle: Aperture,
-    /// Whether things cast shadows in it.
-    #[serde(default = "yes")]
-    pub shadow: bool,
-}
-
-/// Light from all around, as the background shows it.
-///
-/// With shadows each sample looks in one direction, chosen by the cosine; without, a colour or a gradient
-/// is summed in closed form, and `ambient_occlusion` darkens it.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
-#[serde(deny_unknown_fields)]
-pub struct SkyLight {
-    /// How bright it is beside what is seen of it.
-    #[serde(default = "full")]
-    pub strength: Strength,
-    /// What shines, where it is not the background.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub from: Option<Background>,
-    /// Whether things cast shadows in it.
-    #[serde(default = "yes")]
-    pub shadow: bool,
-}
+use crate::values::{Aperture, Color, Strength};
 
 /// A light as it arrives at a place.
 #[derive(Clone, Copy, Debug)]
@@ -109,85 +42,122 @@ pub struct Incoming<R> {
 
 bundle!(Incoming { direction, radiance });
 
-impl Light {
+/// Light from all directions at once.
+#[derive(Clone, Copy, Debug)]
+pub struct Surrounding<'a> {
+    /// What shines.
+    pub from: &'a Background,
+    /// How bright it is beside what is seen of it.
+    pub strength: f32,
+}
+
+/// What a light means.
+pub trait LightSource {
     /// How the light arrives at `p` with nothing in its way, and how far it has come
     /// (at most `farthest`, for light from far away). Of a light with a size, the point that the pair
     /// of numbers from 0 to 1 tells. `None` of light from all around, and of the sun of no day.
-    #[inline(always)]
-    pub fn arriving<R: Real>(
+    fn arriving<R: Real>(
         &self,
         p: Vec3<R>,
         farthest: R,
         day: Option<&Day>,
         pair: impl FnOnce() -> (R, R),
-    ) -> Option<(Incoming<R>, R)> {
-        let arriving = match self {
-            Self::Directional(light) => {
-                let direction = wide(p.x, light.direction.unit(), &light.angle, pair);
-                let radiance = Vec3::given(p.x, light.color.get());
-                (Incoming { direction, radiance }, farthest)
-            }
-            Self::Point(light) => {
-                let towards = Vec3::given(p.x, light.position.get()) - p;
-                let distance = towards.length().at_least(1e-6);
-                let per_distance = p.x.splat(1.0) / distance;
-                let radiance = Vec3::given(p.x, light.color.get()) * per_distance.square();
-                (Incoming { direction: towards * per_distance, radiance }, distance)
-            }
-            Self::Spot(light) => light.arriving(p),
-            Self::Sphere(light) => light.arriving(p, pair()),
-            Self::Sun(light) => {
-                let day = day?;
-                let direction = wide(p.x, day.sun.unit(), &light.angle, pair);
-                let (color, strength) = (day.sun_color(), light.strength.get());
-                let radiance = Vec3::given(p.x, color.map(|channel| channel * strength));
-                (Incoming { direction, radiance }, farthest)
-            }
-            Self::Sky(_) => return None,
-        };
-        Some(arriving)
+    ) -> Option<(Incoming<R>, R)>;
+
+    /// Light from all directions before this background, if that is what it is.
+    fn surrounding<'a>(&'a self, background: &'a Background) -> Option<Surrounding<'a>> {
+        let _ = background;
+        None
     }
 
     /// Whether things cast shadows in it.
-    pub fn casts_shadows(&self) -> bool {
-        match self {
-            Self::Directional(light) => light.shadow,
-            Self::Point(light) => light.shadow,
-            Self::Spot(light) => light.shadow,
-            Self::Sphere(light) => light.shadow,
-            Self::Sun(light) => light.shadow,
-            Self::Sky(light) => light.shadow,
-        }
-    }
+    fn casts_shadows(&self) -> bool;
 
-    /// What is wrong with it before this background, if anything: the place in it, and why.
-    pub(crate) fn fault(&self, background: &Background) -> Option<(&'static str, &'static str)> {
-        match self {
-            Self::Sun(_) if background.day().is_none() => {
-                Some(("sun", "shines only by day: make the background a `day`, or use a `directional` light"))
-            }
-            Self::Sky(SkyLight { from: None, .. }) if *background == Background::Transparent => {
-                Some(("sky", "comes from a background that is transparent: say what shines by `from`"))
-            }
-            Self::Sky(SkyLight { from: Some(Background::Transparent), .. }) => {
-                Some(("sky/from", "is nothing that shines: choose a color, a gradient or a day"))
-            }
-            Self::Sky(SkyLight { from: Some(background), .. }) => {
-                Some(("sky/from/day/sun", background.day()?.fault()?))
-            }
-            Self::Directional(_) | Self::Point(_) | Self::Spot(_) | Self::Sphere(_) | Self::Sun(_) | Self::Sky(_) => {
-                None
-            }
-        }
+    /// Whether it is black in every frame: a scene with no other lights gets a warning.
+    fn is_dark(&self) -> bool;
+
+    /// What is wrong with it before this background, if anything.
+    fn fault(&self, background: &Background) -> Option<NodeFault> {
+        let _ = background;
+        None
     }
 
     /// Finds what all places share.
-    pub(crate) fn prepare(&mut self) {
-        if let Self::Sky(SkyLight { from: Some(background), .. }) = self {
-            background.prepare();
-        }
-    }
+    fn prepare(&mut self) {}
 }
+
+/// The list: each light's name, and its struct.
+macro_rules! lights {
+    ($($(#[$attribute:meta])* $Kind:ident: $Struct:ident),* $(,)?) => {
+        /// A light: keyed by its name.
+        #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
+        #[serde(rename_all = "snake_case")]
+        pub enum Light {
+            $($(#[$attribute])* #[doc = concat!("See [`", stringify!($Struct), "`].")] $Kind($Struct)),*
+        }
+
+        impl LightSource for Light {
+            #[inline(always)]
+            fn arriving<R: Real>(
+                &self,
+                p: Vec3<R>,
+                farthest: R,
+                day: Option<&Day>,
+                pair: impl FnOnce() -> (R, R),
+            ) -> Option<(Incoming<R>, R)> {
+                match self { $($(#[$attribute])* Self::$Kind(light) => light.arriving(p, farthest, day, pair)),* }
+            }
+
+            fn surrounding<'a>(&'a self, background: &'a Background) -> Option<Surrounding<'a>> {
+                match self { $($(#[$attribute])* Self::$Kind(light) => light.surrounding(background)),* }
+            }
+
+            fn casts_shadows(&self) -> bool {
+                match self { $($(#[$attribute])* Self::$Kind(light) => light.casts_shadows()),* }
+            }
+
+            fn is_dark(&self) -> bool {
+                match self { $($(#[$attribute])* Self::$Kind(light) => light.is_dark()),* }
+            }
+
+            /// The same, at its place in the light's JSON.
+            fn fault(&self, background: &Background) -> Option<NodeFault> {
+                match self {
+                    $($(#[$attribute])* Self::$Kind(light) => {
+                        light.fault(background).map(|fault| fault.inside(&snake_case(stringify!($Kind))))
+                    })*
+                }
+            }
+
+            fn prepare(&mut self) {
+                match self { $($(#[$attribute])* Self::$Kind(light) => light.prepare()),* }
+            }
+        }
+
+        impl Light {
+            /// Each kind's examples, as a user would write the whole light.
+            pub fn examples() -> Vec<Example> {
+                let mut examples = Vec::new();
+                $(
+                    $(#[$attribute])*
+                    examples.extend(Example::keyed::<$Struct>(stringify!($Struct), stringify!($Kind)));
+                )*
+                examples
+            }
+        }
+    };
+}
+
+lights![
+    Directional: Directional,
+    Point: PointLight,
+    Spot: SpotLight,
+    Sphere: SphereLight,
+    Sun: Sun,
+    Sky: SkyLight,
+    #[cfg(test)]
+    Added: AddedLight,
+];
 
 /// A direction inside a cone of this whole angle, each as likely as any other.
 #[inline(always)]
@@ -232,8 +202,4 @@ fn full() -> Strength {
 
 fn narrow() -> Aperture {
     Aperture::new(0.0).expect("0 is in range")
-}
-
-fn sun_wide() -> Aperture {
-    Aperture::new(0.53).expect("0.53 is in range")
 }

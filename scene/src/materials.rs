@@ -2,6 +2,8 @@
 //!
 //! Like a node, a material is one documented struct, one `impl` of [`Shade`] and one word in the list.
 
+#[cfg(test)]
+mod added;
 mod diffuse;
 mod material_use;
 pub mod microfacet;
@@ -14,17 +16,18 @@ mod volume;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
+#[cfg(test)]
+pub use added::AddedMaterial;
 pub use diffuse::Diffuse;
 pub use material_use::MaterialUse;
 pub use plain::{Flat, Normals};
 pub use surface::Surface;
 pub use texture::Texture;
 pub use tint::{Level, Parameter, Tint, Varied};
-pub(crate) use volume::Filling;
-pub use volume::{Clouds, Volume};
+pub use volume::{Clouds, Filling, Volume};
 
+pub use crate::kinds::{Example, Exemplary};
 use crate::lights::Incoming;
-use crate::nodes::snake_case;
 use crate::real::{Flag, Real, Vec3, bundle};
 use crate::seek::Seek;
 
@@ -82,7 +85,17 @@ pub trait Shade {
     /// Whether `shade` uses the lights.
     fn is_lit(&self) -> bool;
 
-    /// Specular BSDF; `None` if it never has one.
+    /// Whether it uses the lights, on its surface or inside: a scene whose lights are never used gets a warning.
+    fn uses_lights(&self) -> bool {
+        self.is_lit()
+    }
+
+    /// Whether it is black or nearly so without lights: a scene of such materials without lights gets a warning.
+    fn is_black_without_light(&self) -> bool {
+        self.is_lit()
+    }
+
+    /// How it sends rays on; `None` if it never does.
     fn finish<R: Real>(&self, place: &Place<R>) -> Option<Finish<R>> {
         let _ = place;
         None
@@ -100,7 +113,12 @@ pub trait Shade {
 
     /// Whether it fills an object instead of covering it.
     fn is_medium(&self) -> bool {
-        false
+        self.filling().is_some()
+    }
+
+    /// What it fills an object with, if it does.
+    fn filling(&self) -> Option<Filling<'_>> {
+        None
     }
 
     /// The textures that its parameters have.
@@ -119,91 +137,65 @@ pub trait Shade {
     }
 }
 
-/// Examples of a material or a texture.
-pub trait Exemplary {
-    /// A small valid value, as a user would write it: the picture in docs/materials.md and the contract tests use it.
-    const EXAMPLE: &'static str;
-
-    /// Further values that take other ways through the formula, drawn and tested like the first.
-    const MORE: &'static [&'static str] = &[];
-}
-
-/// Material or texture for documentation and tests.
-#[derive(Clone, Debug)]
-pub struct Example {
-    /// Its type, as in the schema.
-    pub kind: &'static str,
-    /// Its name in JSON.
-    pub name: String,
-    /// Its place among the examples of its type, from 0.
-    pub number: usize,
-    /// Its JSON.
-    pub json: String,
-}
-
-impl Example {
-    /// The examples of one type, each under its name.
-    fn of<E: Exemplary>(kind: &'static str, name: &str) -> impl Iterator<Item = Self> {
-        std::iter::once(&E::EXAMPLE).chain(E::MORE).enumerate().map(move |(number, value)| Self {
-            kind,
-            name: name.to_owned(),
-            number,
-            json: format!("{{ \"{name}\": {value} }}"),
-        })
-    }
-}
-
 macro_rules! materials {
-    ($($Kind:ident),* $(,)?) => {
-        /// Material, keyed by its name.
+    ($($(#[$attribute:meta])* $Kind:ident),* $(,)?) => {
+        /// How a surface answers light: keyed by its name.
         #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
         #[serde(rename_all = "snake_case")]
         pub enum Material {
-            $(#[doc = concat!("See [`", stringify!($Kind), "`].")] $Kind($Kind)),*
+            $($(#[$attribute])* #[doc = concat!("See [`", stringify!($Kind), "`].")] $Kind($Kind)),*
         }
 
         impl Shade for Material {
             #[inline(always)]
             fn shade<R: Real>(&self, place: &Place<R>, light: &Lighting<R>) -> Vec3<R> {
-                match self { $(Self::$Kind(material) => material.shade(place, light)),* }
+                match self { $($(#[$attribute])* Self::$Kind(material) => material.shade(place, light)),* }
             }
 
             #[inline(always)]
             fn albedo<R: Real>(&self, place: &Place<R>) -> Vec3<R> {
-                match self { $(Self::$Kind(material) => material.albedo(place)),* }
+                match self { $($(#[$attribute])* Self::$Kind(material) => material.albedo(place)),* }
             }
 
             fn is_lit(&self) -> bool {
-                match self { $(Self::$Kind(material) => material.is_lit()),* }
+                match self { $($(#[$attribute])* Self::$Kind(material) => material.is_lit()),* }
             }
 
             #[inline(always)]
             fn finish<R: Real>(&self, place: &Place<R>) -> Option<Finish<R>> {
-                match self { $(Self::$Kind(material) => material.finish(place)),* }
+                match self { $($(#[$attribute])* Self::$Kind(material) => material.finish(place)),* }
             }
 
             fn sends_on(&self) -> bool {
-                match self { $(Self::$Kind(material) => material.sends_on()),* }
+                match self { $($(#[$attribute])* Self::$Kind(material) => material.sends_on()),* }
             }
 
             fn lets_through(&self) -> bool {
-                match self { $(Self::$Kind(material) => material.lets_through()),* }
+                match self { $($(#[$attribute])* Self::$Kind(material) => material.lets_through()),* }
             }
 
-            fn is_medium(&self) -> bool {
-                match self { $(Self::$Kind(material) => material.is_medium()),* }
+            fn uses_lights(&self) -> bool {
+                match self { $($(#[$attribute])* Self::$Kind(material) => material.uses_lights()),* }
+            }
+
+            fn is_black_without_light(&self) -> bool {
+                match self { $($(#[$attribute])* Self::$Kind(material) => material.is_black_without_light()),* }
+            }
+
+            fn filling(&self) -> Option<Filling<'_>> {
+                match self { $($(#[$attribute])* Self::$Kind(material) => material.filling()),* }
             }
 
             fn textures(&self) -> Vec<&Texture> {
-                match self { $(Self::$Kind(material) => material.textures()),* }
+                match self { $($(#[$attribute])* Self::$Kind(material) => material.textures()),* }
             }
 
             fn is_textured(&self) -> bool {
-                match self { $(Self::$Kind(material) => material.is_textured()),* }
+                match self { $($(#[$attribute])* Self::$Kind(material) => material.is_textured()),* }
             }
 
             fn needs_own_normal(&self) -> bool {
-                match self { $(Self::$Kind(material) => material.needs_own_normal()),* }
+                match self { $($(#[$attribute])* Self::$Kind(material) => material.needs_own_normal()),* }
             }
         }
 
@@ -211,11 +203,23 @@ macro_rules! materials {
             /// Each kind's examples, as a user would write the whole material.
             pub fn examples() -> Vec<Example> {
                 let mut examples = Vec::new();
-                $(examples.extend(Example::of::<$Kind>(stringify!($Kind), &snake_case(stringify!($Kind))));)*
+                $(
+                    $(#[$attribute])*
+                    examples.extend(Example::keyed::<$Kind>(stringify!($Kind), stringify!($Kind)));
+                )*
                 examples
             }
         }
     };
 }
 
-materials![Flat, Normals, Diffuse, Surface, Clouds, Volume];
+materials![
+    Flat,
+    Normals,
+    Diffuse,
+    Surface,
+    Clouds,
+    Volume,
+    #[cfg(test)]
+    AddedMaterial,
+];

@@ -4,6 +4,8 @@
 //! [`Primitive`] or [`Sdf`], and one word in the list below. Parsing, schema, evaluation in every
 //! arithmetic, the contract tests and its picture in docs/nodes.md follow from those.
 
+#[cfg(test)]
+mod added;
 mod displace;
 mod fractals;
 mod meaning;
@@ -24,6 +26,8 @@ mod work;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
+#[cfg(test)]
+pub use added::AddedNode;
 pub use displace::{Bumps, Displace, Sine};
 pub use fractals::{
     ApollonianGasket, KaleidoscopicFolds, KaleidoscopicIfs, Mandelbox, MandelbrotRelief, Mandelbulb, MengerSponge,
@@ -60,16 +64,19 @@ pub type Child = std::boxed::Box<Node>;
 /// The registry: nodes that are `inlined` into their callers, because a call would cost as much as they do,
 /// and nodes that are `called`.
 macro_rules! nodes {
-    (inlined: [$($Inlined:ident),* $(,)?], called: [$($Called:ident),* $(,)?]) => {
-        nodes!(@ [$($Inlined),*] [$($Called),*] $($Inlined,)* $($Called),*);
+    (inlined: [$($Inlined:ident),* $(,)?], called: [$($(#[$called:meta])* $Called:ident),* $(,)?]) => {
+        nodes!(@ [$($Inlined),*] [$($(#[$called])* $Called),*] $($Inlined,)* $($(#[$called])* $Called),*);
     };
-    (@ [$($Inlined:ident),*] [$($Called:ident),*] $($Kind:ident),* $(,)?) => {
+    (
+        @ [$($Inlined:ident),*] [$($(#[$called:meta])* $Called:ident),*]
+        $($(#[$attribute:meta])* $Kind:ident),* $(,)?
+    ) => {
         /// A shape: one node of the scene's tree, keyed by its name.
         #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
         #[serde(rename_all = "snake_case")]
         #[seek(then = follow)]
         pub enum Node {
-            $(#[doc = concat!("See [`", stringify!($Kind), "`].")] $Kind($Kind)),*
+            $($(#[$attribute])* #[doc = concat!("See [`", stringify!($Kind), "`].")] $Kind($Kind)),*
         }
 
         impl Node {
@@ -80,7 +87,7 @@ macro_rules! nodes {
                     #[inline(always)]
                     || match self {
                         $(Self::$Inlined(node) => node.sample(p),)*
-                        $(Self::$Called(node) => p.x.vectorize(
+                        $($(#[$called])* Self::$Called(node) => p.x.vectorize(
                             #[inline(always)]
                             || node.sample(p),
                         ),)*
@@ -91,49 +98,49 @@ macro_rules! nodes {
             /// The nodes inside, in order.
             pub fn children(&self) -> &[Node] {
                 match self {
-                    $(Self::$Kind(node) => node.children()),*
+                    $($(#[$attribute])* Self::$Kind(node) => node.children()),*
                 }
             }
 
             /// Mutable access to the children.
             pub(crate) fn children_mut(&mut self) -> &mut [Node] {
                 match self {
-                    $(Self::$Kind(node) => node.children_mut()),*
+                    $($(#[$attribute])* Self::$Kind(node) => node.children_mut()),*
                 }
             }
 
             /// Precomputes what speeds up its evaluation; its children have done so before.
             fn prepare_alone(&mut self, moves: bool) {
                 match self {
-                    $(Self::$Kind(node) => Sdf::prepare(node, moves)),*
+                    $($(#[$attribute])* Self::$Kind(node) => Sdf::prepare(node, moves)),*
                 }
             }
 
             /// Material that it names, if any.
             pub(crate) fn material(&self) -> Option<&MaterialUse> {
                 match self {
-                    $(Self::$Kind(node) => node.material()),*
+                    $($(#[$attribute])* Self::$Kind(node) => node.material()),*
                 }
             }
 
             /// Mutable access to that material.
             pub(crate) fn material_mut(&mut self) -> Option<&mut MaterialUse> {
                 match self {
-                    $(Self::$Kind(node) => node.material_mut()),*
+                    $($(#[$attribute])* Self::$Kind(node) => node.material_mut()),*
                 }
             }
 
             /// Whether its children are a list under `of`, and not one under `child`.
             pub(crate) fn has_list(&self) -> bool {
                 match self {
-                    $(Self::$Kind(_) => <$Kind as Sdf>::HAS_LIST),*
+                    $($(#[$attribute])* Self::$Kind(_) => <$Kind as Sdf>::HAS_LIST),*
                 }
             }
 
             /// A Lipschitz factor: |d(p) − d(q)| ≤ stretch · |p − q|.
             pub fn stretch(&self) -> f32 {
                 match self {
-                    $(Self::$Kind(node) => Sdf::stretch(node)),*
+                    $($(#[$attribute])* Self::$Kind(node) => Sdf::stretch(node)),*
                 }
             }
 
@@ -142,14 +149,14 @@ macro_rules! nodes {
                 // Without the black box, LLVM 22 at level 2 takes a child's value for never
                 // exact, and the worse of exact and bound becomes exact.
                 std::hint::black_box(match self {
-                    $(Self::$Kind(node) => Sdf::exactness(node)),*
+                    $($(#[$attribute])* Self::$Kind(node) => Sdf::exactness(node)),*
                 })
             }
 
             /// Error in its numbers taken together, if any.
             pub(crate) fn fault(&self) -> Option<NodeFault> {
                 match self {
-                    $(Self::$Kind(node) => Sdf::fault(node)),*
+                    $($(#[$attribute])* Self::$Kind(node) => Sdf::fault(node)),*
                 }
             }
 
@@ -157,7 +164,7 @@ macro_rules! nodes {
             #[inline(always)]
             fn kind(&self) -> &'static str {
                 match self {
-                    $(Self::$Kind(_) => stringify!($Kind)),*
+                    $($(#[$attribute])* Self::$Kind(_) => stringify!($Kind)),*
                 }
             }
 
@@ -169,14 +176,35 @@ macro_rules! nodes {
             /// A box that holds every point whose distance is at most `level`, which is not below 0.
             pub fn bounds(&self, level: f32) -> Bounds {
                 match self {
-                    $(Self::$Kind(node) => Sdf::bounds(node, level)),*
+                    $($(#[$attribute])* Self::$Kind(node) => Sdf::bounds(node, level)),*
                 }
             }
 
             /// Its size in simple nodes, without its children.
             fn weight(&self) -> u32 {
                 match self {
-                    $(Self::$Kind(node) => Sdf::weight(node)),*
+                    $($(#[$attribute])* Self::$Kind(node) => Sdf::weight(node)),*
+                }
+            }
+
+            /// Cost of its own formula beyond its weight, in evaluations of a simple node.
+            fn formula_cost(&self) -> f32 {
+                match self {
+                    $($(#[$attribute])* Self::$Kind(node) => Sdf::formula_cost(node)),*
+                }
+            }
+
+            /// How many times one evaluation of it evaluates the nodes inside, at most.
+            fn child_evaluations(&self) -> f32 {
+                match self {
+                    $($(#[$attribute])* Self::$Kind(node) => Sdf::child_evaluations(node)),*
+                }
+            }
+
+            /// What to change if its Lipschitz factor is so high that steps are tiny.
+            pub(crate) fn lipschitz_advice(&self) -> &'static str {
+                match self {
+                    $($(#[$attribute])* Self::$Kind(node) => Sdf::lipschitz_advice(node)),*
                 }
             }
 
@@ -184,8 +212,8 @@ macro_rules! nodes {
             pub fn examples() -> Vec<Example> {
                 let mut examples = Vec::new();
                 $(
-                    let of_kind = <$Kind as Sdf>::examples().into_iter();
-                    examples.extend(of_kind.enumerate().map(|(number, value)| Example {
+                    $(#[$attribute])*
+                    examples.extend(<$Kind as Sdf>::examples().into_iter().enumerate().map(|(number, value)| Example {
                         kind: stringify!($Kind),
                         number,
                         node: format!("{{ \"{}\": {value} }}", snake_case(stringify!($Kind))),
@@ -278,6 +306,8 @@ nodes![
         MengerSponge,
         QuaternionJulia,
         Sierpinski,
+        #[cfg(test)]
+        AddedNode,
     ]
 ];
 

@@ -7,6 +7,7 @@ mod nearest;
 mod path;
 mod probe;
 
+use crate::backgrounds::Backdrop;
 use crate::bounds::Bounds;
 use crate::camera::{Ray, View};
 use crate::limits::MAX_SAMPLES;
@@ -16,7 +17,6 @@ use crate::motion::Still;
 use crate::real::{Flag, Real, Vec3, bundle, vec3};
 use crate::sampling::{Dice, Jitter, frame_key};
 use crate::scene::Scene;
-use crate::sky::Background;
 use dress::Clothes;
 use media::Media;
 
@@ -247,7 +247,7 @@ impl<'a> Program<'a> {
     /// What is seen where nothing is, and its alpha.
     #[inline(always)]
     fn background<R: Real>(&self, direction: Vec3<R>) -> (Vec3<R>, R) {
-        let alpha = if self.scene.background == Background::Transparent { 0.0 } else { 1.0 };
+        let alpha = if self.scene.background.is_transparent() { 0.0 } else { 1.0 };
         (self.scene.background.toward(direction), direction.x.splat(alpha))
     }
 

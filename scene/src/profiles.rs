@@ -4,6 +4,8 @@
 //! [`Planar`], and one word in the list below. Its examples are examples of `extrude` and
 //! `revolve`, so the contract tests and the pictures of docs/nodes.md follow from those.
 
+#[cfg(test)]
+mod added;
 mod edge;
 mod ellipse;
 mod lettering;
@@ -17,6 +19,8 @@ mod text;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
+#[cfg(test)]
+pub use added::AddedProfile;
 pub use ellipse::Ellipse;
 pub use lettering::{Lettering, NoLettering};
 pub use polygon::{Points, Polygon, WrongCount};
@@ -109,12 +113,12 @@ pub trait Planar {
 }
 
 macro_rules! profiles {
-    ($($Kind:ident),* $(,)?) => {
+    ($($(#[$attribute:meta])* $Kind:ident),* $(,)?) => {
         /// A flat shape in the plane of x and y, keyed by its name.
         #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
         #[serde(rename_all = "snake_case")]
         pub enum Profile {
-            $(#[doc = concat!("See [`", stringify!($Kind), "`].")] $Kind($Kind)),*
+            $($(#[$attribute])* #[doc = concat!("See [`", stringify!($Kind), "`].")] $Kind($Kind)),*
         }
 
         impl Profile {
@@ -124,7 +128,7 @@ macro_rules! profiles {
                     self.kind(),
                     #[inline(always)]
                     || match self {
-                        $(Self::$Kind(profile) => profile.distance(x, y)),*
+                        $($(#[$attribute])* Self::$Kind(profile) => profile.distance(x, y)),*
                     },
                 )
             }
@@ -133,42 +137,42 @@ macro_rules! profiles {
             #[inline(always)]
             fn kind(&self) -> &'static str {
                 match self {
-                    $(Self::$Kind(_) => stringify!($Kind)),*
+                    $($(#[$attribute])* Self::$Kind(_) => stringify!($Kind)),*
                 }
             }
 
             /// Whether it is its own mirror image about the y axis.
             pub fn is_mirrored(&self) -> bool {
                 match self {
-                    $(Self::$Kind(_) => $Kind::IS_MIRRORED),*
+                    $($(#[$attribute])* Self::$Kind(_) => $Kind::IS_MIRRORED),*
                 }
             }
 
             /// A rectangle that holds every point whose distance is at most `level`, which is not below 0.
             pub fn extent(&self, level: f32) -> Extent {
                 match self {
-                    $(Self::$Kind(profile) => profile.extent(level)),*
+                    $($(#[$attribute])* Self::$Kind(profile) => profile.extent(level)),*
                 }
             }
 
             /// Relation of its value to the true distance.
             pub fn exactness(&self) -> Exactness {
                 match self {
-                    $(Self::$Kind(profile) => profile.exactness()),*
+                    $($(#[$attribute])* Self::$Kind(profile) => profile.exactness()),*
                 }
             }
 
             /// Error in its numbers taken together, if any.
             pub(crate) fn fault(&self) -> Option<NodeFault> {
                 match self {
-                    $(Self::$Kind(profile) => profile.fault()),*
+                    $($(#[$attribute])* Self::$Kind(profile) => profile.fault()),*
                 }
             }
 
             /// Its size in simple nodes.
             pub(crate) fn weight(&self) -> u32 {
                 match self {
-                    $(Self::$Kind(profile) => profile.weight()),*
+                    $($(#[$attribute])* Self::$Kind(profile) => profile.weight()),*
                 }
             }
 
@@ -176,8 +180,8 @@ macro_rules! profiles {
             pub fn examples() -> Vec<(&'static str, String)> {
                 let mut examples = Vec::new();
                 $(
-                    let of_kind = std::iter::once(&$Kind::EXAMPLE).chain($Kind::MORE);
-                    examples.extend(of_kind.map(|value| {
+                    $(#[$attribute])*
+                    examples.extend(std::iter::once(&$Kind::EXAMPLE).chain($Kind::MORE).map(|value| {
                         (stringify!($Kind), format!("{{ \"{}\": {value} }}", snake_case(stringify!($Kind))))
                     }));
                 )*
@@ -187,7 +191,19 @@ macro_rules! profiles {
     };
 }
 
-profiles![Circle, Ellipse, Rectangle, RegularPolygon, Star, Polygon, Arc, Bezier, Text];
+profiles![
+    Circle,
+    Ellipse,
+    Rectangle,
+    RegularPolygon,
+    Star,
+    Polygon,
+    Arc,
+    Bezier,
+    Text,
+    #[cfg(test)]
+    AddedProfile,
+];
 
 impl Profile {
     /// Its name in JSON.

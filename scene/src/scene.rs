@@ -3,13 +3,13 @@
 use schemars::JsonSchema;
 use serde::{Deserialize, Deserializer, Serialize};
 
+use crate::backgrounds::{Backdrop, Background};
 use crate::camera::Camera;
-use crate::lights::Light;
+use crate::lights::{Light, LightSource};
 use crate::limits::{MAX_BOUNCES, MAX_STEPS};
 use crate::materials::{Material, MaterialUse, Shade};
-use crate::nodes::Node;
+use crate::nodes::{Node, NodeFault};
 use crate::seek::Seek;
-use crate::sky::{Background, Day};
 use crate::surroundings::{AmbientOcclusion, Fog};
 use crate::values::{Length, whole};
 
@@ -90,25 +90,25 @@ impl Scene {
 
     /// Whether some pixel may be less than opaque.
     pub fn is_transparent(&self) -> bool {
-        self.background == Background::Transparent
+        self.background.is_transparent()
     }
 
     /// Finds what makes its objects faster to look at; `moves` is whether frames differ in their numbers.
     pub(crate) fn prepare(&mut self, moves: bool) {
         self.objects.iter_mut().for_each(|object| object.shape.prepare(moves));
         self.background.prepare();
-        self.lights.iter_mut().for_each(Light::prepare);
+        self.lights.iter_mut().for_each(LightSource::prepare);
     }
 
     /// What lights, sky and materials mean wrongly together: JSON pointers in the scene, and why.
     pub(crate) fn faults(&self) -> Vec<(String, String)> {
         let mut faults = Vec::new();
-        if let Some(message) = self.background.day().and_then(Day::fault) {
-            faults.push(("/background/day/sun".to_owned(), message.to_owned()));
+        if let Some(NodeFault { place, message }) = self.background.fault() {
+            faults.push((format!("/background/{place}"), message));
         }
         for (index, light) in self.lights.iter().enumerate() {
-            if let Some((place, message)) = light.fault(&self.background) {
-                faults.push((format!("/lights/{index}/{place}"), message.to_owned()));
+            if let Some(NodeFault { place, message }) = light.fault(&self.background) {
+                faults.push((format!("/lights/{index}/{place}"), message));
             }
         }
         for (index, object) in self.objects.iter().enumerate() {

@@ -4,6 +4,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use crate::camera::Ray;
+use crate::kinds::Exemplary;
 use crate::real::{Real, Vec3};
 use crate::seek::Seek;
 use crate::values::{Color, Density, Length, Share};
@@ -36,6 +37,16 @@ pub struct AmbientOcclusion {
     /// How dark a corner gets.
     #[serde(default = "whole")]
     pub strength: Share,
+}
+
+impl Exemplary for Fog {
+    const EXAMPLE: &'static str = r##"{ "density": 0.12, "color": "#c3ccd6" }"##;
+    const MORE: &'static [&'static str] =
+        &[r##"{ "density": 0.07, "falloff": 2, "color": "#e6e2da" }"##, r#"{ "density": 0.09 }"#];
+}
+
+impl Exemplary for AmbientOcclusion {
+    const EXAMPLE: &'static str = r#"{ "distance": 0.8 }"#;
 }
 
 impl Fog {

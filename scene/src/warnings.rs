@@ -5,8 +5,8 @@
 mod sight;
 mod stuff;
 
-use crate::camera::Projection;
-use crate::job::{Image, Job};
+use crate::camera::Project;
+use crate::job::Job;
 use crate::motion::Still;
 
 /// What a warning is about: a job is warned of each thing once.
@@ -74,12 +74,7 @@ fn of_the_whole(job: &Job) -> Vec<String> {
     if job.frames.count == 1 && job.is_moving() {
         warnings.push("the scene moves, but the job has one frame: set frames.count to see more of it".to_owned());
     }
-    let Image { width, height, .. } = job.image;
-    if job.scene.camera.projection == Projection::Panorama && width != height.saturating_mul(2) {
-        warnings.push(format!(
-            "a panorama is 360 by 180 degrees, and {width}×{height} stretches it: make width twice height"
-        ));
-    }
+    warnings.extend(job.scene.camera.projection.warning(&job.image));
     for name in &job.unused_materials {
         warnings.push(format!("material \"{name}\" is not used"));
     }

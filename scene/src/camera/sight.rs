@@ -1,6 +1,6 @@
 //! What a view surely does not show: told by boxes, so that only what no ray can meet counts.
 
-use super::{Orthographic, Projection, View};
+use super::{Project, View};
 use crate::bounds::Bounds;
 use crate::real::{Vec3, vec3};
 
@@ -11,15 +11,7 @@ impl View {
             return true;
         }
         let bounds = bounds.with_margin(self.origin);
-        match self.projection {
-            Projection::Panorama => false,
-            Projection::Orthographic(_) => {
-                let seen = self.in_front(bounds);
-                let is_off = |low: f32, high: f32| high < -1.0 || low > 1.0;
-                is_off(seen.low.x, seen.high.x) || is_off(seen.low.y, seen.high.y) || seen.high.z < 0.0
-            }
-            Projection::Perspective => self.is_beside_pyramid(bounds.moved(-self.origin)),
-        }
+        self.projection.is_beside(self, bounds)
     }
 
     /// Whether no ray of the picture has come to the box at this distance.
@@ -28,9 +20,11 @@ impl View {
             return false;
         }
         let bounds = bounds.with_margin(self.origin);
-        if let Projection::Orthographic(Orthographic { .. }) = self.projection {
-            return self.in_front(bounds).low.z > distance;
-        }
+        self.projection.is_beyond(self, bounds, distance)
+    }
+
+    /// Whether all of a box is further from the camera than this.
+    pub(super) fn is_out_of_reach(&self, bounds: Bounds, distance: f32) -> bool {
         let Bounds { low, high } = bounds.moved(-self.origin);
         let away = |low: f32, high: f32| low.max(-high).max(0.0);
         vec3(away(low.x, high.x), away(low.y, high.y), away(low.z, high.z)).length() > distance
@@ -38,7 +32,7 @@ impl View {
 
     /// A box around another one as an orthographic picture has it: −1 to 1 across and upwards, and how far in
     /// front of the camera.
-    fn in_front(&self, bounds: Bounds) -> Bounds {
+    pub(super) fn in_front(&self, bounds: Bounds) -> Bounds {
         let (right, up, forward) = (of_unit_extent(self.right), of_unit_extent(self.up), self.forward);
         bounds.moved(-self.origin).turned([
             vec3(right.x, up.x, forward.x),
@@ -49,7 +43,7 @@ impl View {
 
     /// Whether a box around the camera's place as origin is on the other side of a plane than all of the
     /// picture: a side of the picture, or a side of the box.
-    fn is_beside_pyramid(&self, bounds: Bounds) -> bool {
+    pub(super) fn is_beside_pyramid(&self, bounds: Bounds) -> bool {
         let (right, up, forward) = (of_unit_extent(self.right), of_unit_extent(self.up), self.forward);
         let sides = [forward, forward + right, forward - right, forward + up, forward - up];
         if sides.into_iter().any(|side| furthest(bounds, side) < 0.0) {

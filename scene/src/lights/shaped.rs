@@ -3,7 +3,8 @@
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use super::{Incoming, around, white, yes};
+use super::{Exemplary, Incoming, LightSource, around, white, yes};
+use crate::backgrounds::Day;
 use crate::materials::microfacet::frame;
 use crate::real::{Real, Vec3};
 use crate::seek::Seek;
@@ -51,9 +52,23 @@ pub struct SphereLight {
     pub shadow: bool,
 }
 
-impl SpotLight {
+impl Exemplary for SpotLight {
+    const EXAMPLE: &'static str =
+        r#"{ "position": [-1.6, 3.2, 2.6], "direction": [1.7, -4.4, -2.5], "angle": 30, "color": [26, 24, 21] }"#;
+    const MORE: &'static [&'static str] = &[
+        r#"{ "position": [-1.6, 3.2, 2.6], "direction": [1.7, -4.4, -2.5], "angle": 40, "softness": 1, "color": [26, 24, 21] }"#,
+    ];
+}
+
+impl LightSource for SpotLight {
     #[inline(always)]
-    pub(super) fn arriving<R: Real>(&self, p: Vec3<R>) -> (Incoming<R>, R) {
+    fn arriving<R: Real>(
+        &self,
+        p: Vec3<R>,
+        _: R,
+        _: Option<&Day>,
+        _: impl FnOnce() -> (R, R),
+    ) -> Option<(Incoming<R>, R)> {
         let towards = Vec3::given(p.x, self.position.get()) - p;
         let distance = towards.length().at_least(1e-6);
         let per_distance = p.x.splat(1.0) / distance;
@@ -65,13 +80,32 @@ impl SpotLight {
         let share = share.at_least(0.0).at_most(1.0);
         let fade = share.square() * (share.splat(3.0) - share * 2.0);
         let radiance = Vec3::given(p.x, self.color.get()) * (per_distance.square() * fade);
-        (Incoming { direction, radiance }, distance)
+        Some((Incoming { direction, radiance }, distance))
+    }
+
+    fn casts_shadows(&self) -> bool {
+        self.shadow
+    }
+
+    fn is_dark(&self) -> bool {
+        self.color.is_black()
     }
 }
 
-impl SphereLight {
+impl Exemplary for SphereLight {
+    const EXAMPLE: &'static str = r#"{ "position": [-1.3, 1.5, 1.5], "radius": 0.5, "color": [4.6, 4.2, 3.6] }"#;
+}
+
+impl LightSource for SphereLight {
     #[inline(always)]
-    pub(super) fn arriving<R: Real>(&self, p: Vec3<R>, (u, v): (R, R)) -> (Incoming<R>, R) {
+    fn arriving<R: Real>(
+        &self,
+        p: Vec3<R>,
+        _: R,
+        _: Option<&Day>,
+        pair: impl FnOnce() -> (R, R),
+    ) -> Option<(Incoming<R>, R)> {
+        let (u, v) = pair();
         let one = p.x.splat(1.0);
         let radius = p.x.given(self.radius.get());
         let towards = Vec3::given(p.x, self.position.get()) - p;
@@ -88,7 +122,15 @@ impl SphereLight {
         // Its radiance is colour/r², over 2π·versine of solid angle, and π is left out of lights.
         let strength = versine_of_edge * 2.0 * p.x.given(1.0 / (self.radius.get() * self.radius.get()).max(1e-20));
         let radiance = Vec3::given(p.x, self.color.get()) * strength;
-        (Incoming { direction, radiance }, to_surface.at_least(1e-6))
+        Some((Incoming { direction, radiance }, to_surface.at_least(1e-6)))
+    }
+
+    fn casts_shadows(&self) -> bool {
+        self.shadow
+    }
+
+    fn is_dark(&self) -> bool {
+        self.color.is_black()
     }
 }
 

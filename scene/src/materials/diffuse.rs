@@ -99,6 +99,11 @@ impl Shade for Diffuse {
         true
     }
 
+    fn is_black_without_light(&self) -> bool {
+        const FAINT: f32 = 0.1;
+        self.ambient.plain().is_some_and(|ambient| ambient.get().max_element() <= FAINT && !ambient.is_moving())
+    }
+
     fn textures(&self) -> Vec<&Texture> {
         let Self { kd, ks, ka, ambient, shininess } = self;
         let tints = [Some(kd), Some(ks), ka.as_ref(), Some(ambient)].into_iter().flatten();

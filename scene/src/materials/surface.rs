@@ -294,6 +294,10 @@ impl Shade for Surface {
         true
     }
 
+    fn is_black_without_light(&self) -> bool {
+        self.emission.is_black() && self.metallic.is_zero() && self.transmission.is_zero()
+    }
+
     #[inline(always)]
     fn finish<R: Real>(&self, place: &Place<R>) -> Option<Finish<R>> {
         let base = self.base(place);

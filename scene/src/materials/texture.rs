@@ -2,6 +2,8 @@
 //!
 //! A texture is one documented struct, an `impl` of [`Pattern`] and of [`super::Exemplary`], and one entry in the list.
 
+#[cfg(test)]
+mod added;
 mod bands;
 mod bricks;
 mod checker;
@@ -13,6 +15,8 @@ mod wave;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
+#[cfg(test)]
+pub use added::AddedTexture;
 pub use bands::Stripes;
 pub use bricks::Bricks;
 pub use checker::{Axes, Checker};
@@ -41,12 +45,12 @@ pub trait Pattern {
 
 /// The list: each texture's name, and its struct.
 macro_rules! textures {
-    ($($Kind:ident: $Struct:ident),* $(,)?) => {
+    ($($(#[$attribute:meta])* $Kind:ident: $Struct:ident),* $(,)?) => {
         /// A colour at every place: keyed by its name.
         #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
         #[serde(rename_all = "snake_case")]
         pub enum Texture {
-            $(#[doc = concat!("See [`", stringify!($Struct), "`].")] $Kind($Struct)),*
+            $($(#[$attribute])* #[doc = concat!("See [`", stringify!($Struct), "`].")] $Kind($Struct)),*
         }
 
         impl Texture {
@@ -54,29 +58,32 @@ macro_rules! textures {
             pub fn at<R: Real>(&self, place: &Place<R>) -> Vec3<R> {
                 place.point.x.vectorize(
                     #[inline(always)]
-                    || match self { $(Self::$Kind(texture) => texture.color(place)),* },
+                    || match self { $($(#[$attribute])* Self::$Kind(texture) => texture.color(place)),* },
                 )
             }
 
             /// Its colours, which may be textures.
             fn tints(&self) -> Vec<&Tint> {
-                match self { $(Self::$Kind(texture) => texture.tints()),* }
+                match self { $($(#[$attribute])* Self::$Kind(texture) => texture.tints()),* }
             }
 
             /// Whether it looks at `Place::own_normal` itself.
             fn looks_at_own_normal(&self) -> bool {
-                match self { $(Self::$Kind(texture) => texture.looks_at_own_normal()),* }
+                match self { $($(#[$attribute])* Self::$Kind(texture) => texture.looks_at_own_normal()),* }
             }
 
             /// Whether a texture has this name in JSON.
             pub(crate) fn is_name(name: &str) -> bool {
-                [$(snake_case(stringify!($Kind))),*].iter().any(|known| known == name)
+                [$($(#[$attribute])* snake_case(stringify!($Kind))),*].iter().any(|known| known == name)
             }
 
             /// Each kind's examples, as a user would write the whole texture.
             pub fn examples() -> Vec<Example> {
                 let mut examples = Vec::new();
-                $(examples.extend(Example::of::<$Struct>(stringify!($Struct), &snake_case(stringify!($Kind))));)*
+                $(
+                    $(#[$attribute])*
+                    examples.extend(Example::keyed::<$Struct>(stringify!($Struct), stringify!($Kind)));
+                )*
                 examples
             }
         }
@@ -91,6 +98,8 @@ textures![
     Stripes: Stripes,
     Bricks: Bricks,
     Gradient: Gradient,
+    #[cfg(test)]
+    Added: AddedTexture,
 ];
 
 impl Texture {

@@ -3,7 +3,7 @@
 use schemars::JsonSchema;
 use serde::{Deserialize, Deserializer, Serialize};
 
-use super::{Exemplary, Finish, Lighting, Material, Place, Shade};
+use super::{Exemplary, Finish, Lighting, Place, Shade};
 use crate::limits::{MAX_LIGHT_STEPS, MAX_MEDIUM_STEPS};
 use crate::noise::Noise;
 use crate::real::{Real, Vec3, vec3};
@@ -93,20 +93,11 @@ const MAX_ORDERS: u32 = 8;
 
 /// Medium that fills an object.
 #[derive(Clone, Copy, Debug)]
-pub(crate) enum Filling<'a> {
+pub enum Filling<'a> {
+    /// Clouds inside a shape.
     Clouds(&'a Clouds),
+    /// A volume.
     Volume(&'a Volume),
-}
-
-impl Material {
-    /// The medium, if the material is one.
-    pub(crate) fn filling(&self) -> Option<Filling<'_>> {
-        match self {
-            Self::Clouds(clouds) if clouds.mapping == Mapping::Depth => Some(Filling::Clouds(clouds)),
-            Self::Volume(volume) => Some(Filling::Volume(volume)),
-            _ => None,
-        }
-    }
 }
 
 impl Exemplary for Clouds {
@@ -246,8 +237,16 @@ impl Shade for Clouds {
         true
     }
 
-    fn is_medium(&self) -> bool {
-        self.mapping == Mapping::Depth
+    fn uses_lights(&self) -> bool {
+        !self.is_medium()
+    }
+
+    fn is_black_without_light(&self) -> bool {
+        !self.is_medium()
+    }
+
+    fn filling(&self) -> Option<Filling<'_>> {
+        (self.mapping == Mapping::Depth).then_some(Filling::Clouds(self))
     }
 
     fn is_textured(&self) -> bool {
@@ -315,8 +314,16 @@ impl Shade for Volume {
         false
     }
 
-    fn is_medium(&self) -> bool {
-        true
+    fn uses_lights(&self) -> bool {
+        !self.albedo.is_black()
+    }
+
+    fn is_black_without_light(&self) -> bool {
+        self.emission.is_black()
+    }
+
+    fn filling(&self) -> Option<Filling<'_>> {
+        Some(Filling::Volume(self))
     }
 }
 

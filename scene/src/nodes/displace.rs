@@ -5,6 +5,7 @@ use std::f32::consts::TAU;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
+use super::meaning::NOISE_COST;
 use super::per_axis::PerAxis;
 use super::relief::STEEPEST;
 use super::relief::{FoundRelief, Relief};
@@ -150,6 +151,14 @@ impl Sdf for Displace {
 
     fn bounds(&self, level: f32) -> Bounds {
         self.child.bounds(self.relief().level(level))
+    }
+
+    fn formula_cost(&self) -> f32 {
+        NOISE_COST
+    }
+
+    fn lipschitz_advice(&self) -> &'static str {
+        "lower its amplitude, frequency, scale or octaves"
     }
 }
 

@@ -5,6 +5,11 @@ use crate::bounds::Bounds;
 use crate::materials::MaterialUse;
 use crate::real::{Real, Vec3};
 
+/// Cost of noise at a point, in evaluations of a simple node.
+pub(super) const NOISE_COST: f32 = 20.0;
+/// Cost of a fractal.
+const FRACTAL_COST: f32 = 32.0;
+
 /// How a node's value relates to the Euclidean distance to its surface, best first.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Exactness {
@@ -26,10 +31,10 @@ impl Exactness {
     }
 }
 
-/// Error in the numbers of a node taken together.
+/// What is wrong with the numbers of a node, a light or a background taken together.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct NodeFault {
-    /// Pointer within the node: a key, or a path of keys and indices such as `points/2`.
+    /// Where in it: a key, or a path of keys and places such as `points/2`.
     pub place: String,
     /// Message with the fix, continuing a sentence after the pointer.
     pub message: String,
@@ -39,6 +44,12 @@ impl NodeFault {
     /// Error at a pointer within the node.
     pub fn new(place: impl Into<String>, message: impl Into<String>) -> Self {
         Self { place: place.into(), message: message.into() }
+    }
+
+    /// The same, seen from what holds it under a key.
+    pub(crate) fn inside(self, key: &str) -> Self {
+        let separator = if self.place.is_empty() { "" } else { "/" };
+        Self { place: format!("{key}{separator}{}", self.place), message: self.message }
     }
 }
 
@@ -109,6 +120,22 @@ pub trait Sdf {
     fn weight(&self) -> u32 {
         1
     }
+
+    /// Cost of its own formula beyond its weight, in evaluations of a simple node.
+    fn formula_cost(&self) -> f32 {
+        let is_fractal = self.children().is_empty() && self.exactness() == Exactness::Estimate;
+        if is_fractal { FRACTAL_COST } else { 0.0 }
+    }
+
+    /// How many times one evaluation of it evaluates the nodes inside, at most.
+    fn child_evaluations(&self) -> f32 {
+        1.0
+    }
+
+    /// What to change if its Lipschitz factor is so high that steps are tiny: the fix in the warning of that.
+    fn lipschitz_advice(&self) -> &'static str {
+        "change it less, or over a greater length"
+    }
 }
 
 /// Node without children, described by its distance alone.
@@ -149,6 +176,16 @@ pub trait Primitive {
     fn weight(&self) -> u32 {
         1
     }
+
+    /// Cost of its own formula beyond its weight, in evaluations of a simple node.
+    fn formula_cost(&self) -> f32 {
+        if self.exactness() == Exactness::Estimate { FRACTAL_COST } else { 0.0 }
+    }
+
+    /// What to change if its Lipschitz factor is so high that steps are tiny: the fix in the warning of that.
+    fn lipschitz_advice(&self) -> &'static str {
+        "change it less, or over a greater length"
+    }
 }
 
 impl<P: Primitive> Sdf for P {
@@ -182,5 +219,13 @@ impl<P: Primitive> Sdf for P {
 
     fn weight(&self) -> u32 {
         Primitive::weight(self)
+    }
+
+    fn formula_cost(&self) -> f32 {
+        Primitive::formula_cost(self)
+    }
+
+    fn lipschitz_advice(&self) -> &'static str {
+        Primitive::lipschitz_advice(self)
     }
 }

@@ -3,6 +3,7 @@
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
+use super::meaning::NOISE_COST;
 use super::relief::Relief;
 use super::{Exactness, Primitive};
 use crate::bounds::Bounds;
@@ -83,6 +84,14 @@ impl Primitive for HeightField {
             let Vec3 { x, y, z } = halved(size);
             land.overlap(Bounds::symmetric(x, y, z).widened(level))
         })
+    }
+
+    fn formula_cost(&self) -> f32 {
+        NOISE_COST
+    }
+
+    fn lipschitz_advice(&self) -> &'static str {
+        "lower its height, or the scale or octaves of its noise"
     }
 }
 

@@ -3,6 +3,7 @@
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
+use super::meaning::NOISE_COST;
 use super::relief::STEEPEST;
 use super::transforms::around_child;
 use super::{Child, Exactness, Node, Sample, Sdf};
@@ -58,5 +59,13 @@ impl Sdf for Warp {
     fn bounds(&self, level: f32) -> Bounds {
         let (low, high) = self.noise.range();
         self.child.bounds(level).widened(self.amplitude.get().abs() * (high - low) * 0.5)
+    }
+
+    fn formula_cost(&self) -> f32 {
+        3.0 * NOISE_COST
+    }
+
+    fn lipschitz_advice(&self) -> &'static str {
+        "lower its amplitude, frequency, scale or octaves"
     }
 }

@@ -1,8 +1,9 @@
 //! The light that arrives at a place, and what stands in its way.
 
 use super::{Hit, Program};
+use crate::backgrounds::Backdrop;
 use crate::camera::Ray;
-use crate::lights::{Incoming, Light, SkyLight};
+use crate::lights::{Incoming, Light, LightSource, Surrounding};
 use crate::march::{Marched, Reach, march};
 use crate::materials::microfacet::frame;
 use crate::materials::{Lighting, Shade};
@@ -41,16 +42,16 @@ impl Program<'_> {
         let farthest = zero.given(self.scene.march.max_distance.get());
         for (index, source) in self.scene.lights.iter().enumerate() {
             let pair = || dice.pair(LIGHTS + index as u32);
-            let day = self.scene.background.day();
-            if let Some((mut incoming, distance)) = source.arriving(hit.position, farthest, day, pair) {
+            let background = &self.scene.background;
+            if let Some((mut incoming, distance)) = source.arriving(hit.position, farthest, background.day(), pair) {
                 if source.casts_shadows() {
                     let (visible, steps) = self.visibility(hit, incoming.direction, distance);
                     incoming.radiance = incoming.radiance * visible;
                     evaluations = evaluations + steps;
                 }
                 light.lights.push(incoming);
-            } else if let Light::Sky(sky) = source {
-                let (around, steps) = self.sky_light(sky, hit, light.openness, pair);
+            } else if let Some(sky) = source.surrounding(background) {
+                let (around, steps) = self.sky_light(sky, source.casts_shadows(), hit, light.openness, pair);
                 evaluations = evaluations + steps;
                 light.surrounding = Some(light.surrounding.map_or(around, |sum| sum + around));
             }
@@ -73,22 +74,20 @@ impl Program<'_> {
     #[inline(always)]
     fn sky_light<R: Real>(
         &self,
-        sky: &SkyLight,
+        sky: Surrounding<'_>,
+        casts_shadows: bool,
         hit: &Hit<R>,
         openness: Option<R>,
         pair: impl FnOnce() -> (R, R),
     ) -> (Vec3<R>, R) {
-        let from = sky.from.as_ref().unwrap_or(&self.scene.background);
-        let strength = hit.distance.given(sky.strength.get());
-        if !sky.shadow
-            && let Some(mean) = from.mean_over(hit.normal)
-        {
+        let strength = hit.distance.given(sky.strength);
+        if !casts_shadows && let Some(mean) = sky.from.mean_over(hit.normal) {
             let mean = mean * strength;
             return (openness.map_or(mean, |openness| mean * openness), hit.distance.splat(0.0));
         }
         let direction = by_cosine(hit.normal, pair());
-        let seen = from.toward(direction) * strength;
-        if !sky.shadow {
+        let seen = sky.from.toward(direction) * strength;
+        if !casts_shadows {
             return (openness.map_or(seen, |openness| seen * openness), hit.distance.splat(0.0));
         }
         let farthest = hit.distance.given(self.scene.march.max_distance.get());

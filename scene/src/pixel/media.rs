@@ -5,10 +5,11 @@
 
 use super::Program;
 use super::lighting::arriving_in_air;
+use crate::backgrounds::Backdrop;
 use crate::bounds::Bounds;
 use crate::camera::Ray;
-use crate::lights::Light;
-use crate::materials::Filling;
+use crate::lights::{Light, LightSource, Surrounding};
+use crate::materials::{Filling, Shade};
 use crate::real::{Real, Vec3, bundle, vec3};
 use crate::sampling::Dice;
 use crate::scene::Scene;
@@ -204,10 +205,11 @@ impl Program<'_> {
                     }
                 }
                 for source in &self.scene.lights {
-                    let Light::Sky(sky) = source else { continue };
-                    let from = sky.from.as_ref().unwrap_or(&self.scene.background);
+                    let Some(Surrounding { from, strength }) = source.surrounding(&self.scene.background) else {
+                        continue;
+                    };
                     let (up, down) = (vec3(zero, zero.splat(1.0), zero), vec3(zero, zero.splat(-1.0), zero));
-                    let mean = (from.toward(up) + from.toward(down)) * zero.given(0.5 * sky.strength.get());
+                    let mean = (from.toward(up) + from.toward(down)) * zero.given(0.5 * strength);
                     for (volume, extinction) in &scattering {
                         sent = mean.by_channel(volume.scattered(p.x)).mul_add(*extinction, sent);
                     }

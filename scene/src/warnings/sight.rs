@@ -1,21 +1,18 @@
 //! Where the camera is and what its rays meet.
 
 use super::{Kind, Warning, objects};
-use crate::camera::{Projection, View};
+use crate::camera::{Project, View};
 use crate::job::Image;
 use crate::materials::Shade;
 use crate::motion::Still;
 use crate::nodes::Node;
 use crate::pixel::Program;
-use crate::real::Vec3;
 use crate::scene::Scene;
 
 /// More rays than this must not run out of steps.
 const MOST_OUT_OF_STEPS: f32 = 0.01;
 /// What takes more simple nodes to look at is not looked at.
 const MOST_WORK: f32 = 200_000.0;
-/// Places of an orthographic picture, along an edge of it, that may be inside something.
-const PLACES: u32 = 5;
 
 /// What is wrong with the view; where nothing is seen, nothing else is.
 pub(super) fn of(still: &Still<'_>) -> Option<Warning> {
@@ -61,14 +58,7 @@ fn nothing_in_view(scene: &Scene, view: &View) -> Option<String> {
 
 /// Objects that the camera, or a part of an orthographic picture's plane, is inside of.
 fn inside(scene: &Scene, image: &Image, view: &View) -> Option<String> {
-    let origins: Vec<Vec3<f32>> = match scene.camera.projection {
-        Projection::Perspective | Projection::Panorama => vec![view.origin()],
-        Projection::Orthographic(_) => {
-            let along = |place: u32, edge: u32| (place as f32 + 0.5) * edge as f32 / PLACES as f32;
-            let places = (0..PLACES * PLACES).map(|place| (place % PLACES, place / PLACES));
-            places.map(|(x, y)| view.ray(along(x, image.width), along(y, image.height)).origin).collect()
-        }
-    };
+    let origins = scene.camera.projection.ray_origins(view, image);
     let solid = scene.objects.iter().enumerate().filter(|(_, object)| {
         let material = &scene.slots()[object.material.slot() as usize];
         !material.is_medium() && !material.lets_through() && !lets_through(scene, &object.shape)
@@ -84,10 +74,7 @@ fn inside(scene: &Scene, image: &Image, view: &View) -> Option<String> {
     if around.is_empty() {
         return None;
     }
-    let (what, cure) = match scene.camera.projection {
-        Projection::Perspective | Projection::Panorama => ("the camera is inside", "move camera.position out of it"),
-        Projection::Orthographic(_) => ("a part of the picture starts inside", "move camera.position back"),
-    };
+    let (what, cure) = scene.camera.projection.inside_warning();
     Some(format!("{what} {}, and sees only that from within: {cure}, or cut a room into it", objects(&around)))
 }
 

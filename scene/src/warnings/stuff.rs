@@ -1,7 +1,7 @@
 //! Shapes, materials and lights that do not go together.
 
 use super::objects;
-use crate::lights::{Light, default_lights};
+use crate::lights::{LightSource, default_lights};
 use crate::limits::MAX_MEDIUM_STEPS;
 use crate::materials::{Material, Shade};
 use crate::nodes::Node;
@@ -35,7 +35,7 @@ pub(super) fn steep(scene: &Scene) -> Option<String> {
     let steep: Vec<usize> = (0..stretches.len()).filter(|&index| stretches[index] > STEEPEST).collect();
     let steepest = steep.iter().copied().reduce(|a, b| if stretches[b] > stretches[a] { b } else { a })?;
     let mut pointer = format!("/scene/objects/{steepest}/shape");
-    let cure = cure(&cause(&scene.objects[steepest].shape, &mut pointer).name());
+    let cure = cause(&scene.objects[steepest].shape, &mut pointer).lipschitz_advice();
     let others = if steep.len() > 1 { format!(" (so are those of {})", objects(&steep)) } else { String::new() };
     let stretch = stretches[steepest];
     let part = if stretch < 1e6 { format!("1/{stretch:.0}") } else { "less than a millionth".to_owned() };
@@ -59,67 +59,21 @@ fn cause<'a>(node: &'a Node, pointer: &mut String) -> &'a Node {
     }
 }
 
-fn cure(name: &str) -> &'static str {
-    match name {
-        "displace" | "warp" => "lower its amplitude, frequency, scale or octaves",
-        "height_field" => "lower its height, or the scale or octaves of its noise",
-        "twist" => "lower degrees_per_unit, or make its child narrower",
-        "bend" => "bend it less, or make its child thinner",
-        "taper" => "taper it less",
-        _ => "change it less, or over a greater length",
-    }
-}
-
 /// Lights that shine for nothing, and scenes that want light.
 pub(super) fn light(scene: &Scene) -> Option<String> {
     let used = scene.slots();
-    if !scene.lights.is_empty() && scene.lights != default_lights() && !used.iter().any(looks_at_lights) {
+    if !scene.lights.is_empty() && scene.lights != default_lights() && !used.iter().any(Shade::uses_lights) {
         return Some(
             "the lights light nothing, for no material in use looks at them: choose diffuse or surface, or leave lights out"
                 .to_owned(),
         );
     }
-    let shines = scene.lights.iter().any(|light| !is_dark(light));
-    if !shines && used.iter().any(is_black_without_light) {
+    let shines = scene.lights.iter().any(|light| !light.is_dark());
+    if !shines && used.iter().any(Shade::is_black_without_light) {
         let lack = if scene.lights.is_empty() { "there is no light" } else { "all lights are black" };
         return Some(format!("{lack}, and materials want some: add one to scene.lights, or leave lights out"));
     }
     None
-}
-
-fn looks_at_lights(material: &Material) -> bool {
-    match material {
-        Material::Clouds(clouds) => !clouds.is_medium(),
-        Material::Volume(volume) => !volume.albedo.is_black(),
-        Material::Flat(_) | Material::Normals(_) | Material::Diffuse(_) | Material::Surface(_) => material.is_lit(),
-    }
-}
-
-/// Whether next to nothing is seen of it in the dark.
-fn is_black_without_light(material: &Material) -> bool {
-    const FAINT: f32 = 0.1;
-    match material {
-        Material::Flat(_) | Material::Normals(_) => false,
-        Material::Diffuse(diffuse) => {
-            diffuse.ambient.plain().is_some_and(|ambient| ambient.get().max_element() <= FAINT && !ambient.is_moving())
-        }
-        Material::Surface(surface) => {
-            surface.emission.is_black() && surface.metallic.is_zero() && surface.transmission.is_zero()
-        }
-        Material::Clouds(clouds) => !clouds.is_medium(),
-        Material::Volume(volume) => volume.emission.is_black(),
-    }
-}
-
-fn is_dark(light: &Light) -> bool {
-    match light {
-        Light::Directional(light) => light.color.is_black(),
-        Light::Point(light) => light.color.is_black(),
-        Light::Spot(light) => light.color.is_black(),
-        Light::Sphere(light) => light.color.is_black(),
-        Light::Sun(light) => light.strength.is_zero(),
-        Light::Sky(light) => light.strength.is_zero(),
-    }
 }
 
 /// Clouds and volumes that are too thick for their steps.

@@ -1,5 +1,6 @@
 //! What every material and every texture promises, tested on each one's own examples: nothing here names one.
 
+use crate::subject as scene;
 use scene::lights::Incoming;
 use scene::materials::{Example, Lighting, Material, Place, Shade, Texture};
 use scene::real::{Flag, Vec3, vec3};

@@ -61,7 +61,8 @@ fn every_field_of_the_schema_changes_the_key_exactly_where_it_changes_the_bytes(
     let renderer = CpuRenderer::new(Some(1), Simd::Auto).unwrap();
     let mut covered = BTreeSet::new();
     for job in &jobs {
-        let before = shot(&renderer, job).unwrap_or_else(|| panic!("{:?}: {job}", scene::parse(job.to_string().as_bytes()).err()));
+        let before = shot(&renderer, job)
+            .unwrap_or_else(|| panic!("{:?}: {job}", scene::parse(job.to_string().as_bytes()).err()));
         schema.walk(job, &mut |position| change(&schema, &renderer, job, &before, position, &pools, &mut covered));
     }
     let uncovered: Vec<&String> = schema.points().difference(&covered).collect();

@@ -7,8 +7,13 @@ use std::process::{Command, Stdio};
 use std::time::Instant;
 
 use proto::Rect;
+use scene::backgrounds::Background;
+use scene::camera::Projection;
+use scene::kinds::Example;
+use scene::lights::Light;
 use scene::real::Real;
-use scene::{Image, Job, Layer};
+use scene::{Image, Job, Layer, effects};
+use serde_json::{Value, json};
 use worker::cuda::{Compiler, Source};
 use worker::tape::{Expr, record};
 use worker::{Cancel, CpuRenderer, Pixels, Renderer, Simd, TileRun};
@@ -101,17 +106,58 @@ fn render_on_cpu(job: &Job) -> Pixels {
     renderer.render(&TileRun { job, frame: 0, rect }, &Cancel::new(), &|_| {}).expect("nobody cancels it")
 }
 
+/// Renders a job by its text and by the CPU, and compares all planes.
+fn assert_same_bits(name: &str, job: &Job) {
+    let folder = tempfile::tempdir().expect("a scratch folder");
+    let (got, want) = (render_on_host(job, folder.path()), render_on_cpu(job));
+    assert_eq!(got.planes.len(), want.planes.len());
+    for (plane, (got, want)) in job.image.channels().iter().zip(got.planes.iter().zip(&want.planes)) {
+        let differing = got.iter().zip(want).filter(|(got, want)| got.to_bits() != want.to_bits()).count();
+        assert_eq!(differing, 0, "{plane} of {name} differs in {differing} of {} pixels", want.len());
+    }
+}
+
 #[test]
 fn the_text_compiled_by_the_host_renders_the_same_bits() {
     for path in scenes() {
-        let job = small(&path);
-        let folder = tempfile::tempdir().expect("a scratch folder");
-        let (got, want) = (render_on_host(&job, folder.path()), render_on_cpu(&job));
-        assert_eq!(got.planes.len(), want.planes.len());
-        for (plane, (got, want)) in job.image.channels().iter().zip(got.planes.iter().zip(&want.planes)) {
-            let differing = got.iter().zip(want).filter(|(got, want)| got.to_bits() != want.to_bits()).count();
-            assert_eq!(differing, 0, "{} of {} differs in {differing} of {} pixels", plane, path.display(), want.len());
+        assert_same_bits(&path.display().to_string(), &small(&path));
+    }
+}
+
+/// The JSON of examples.
+fn values(examples: Vec<Example>) -> Vec<Value> {
+    examples.into_iter().map(|example| serde_json::from_str(&example.json).expect("an example is JSON")).collect()
+}
+
+/// A job for each background, with all lights that may shine before it; the projections and effects take turns.
+fn jobs_of_all_kinds() -> Vec<Job> {
+    let (projections, effects) = (values(Projection::examples()), values(effects::examples()));
+    let backgrounds = values(Background::examples());
+    let jobs = projections.len().max(effects.len()).max(backgrounds.len());
+    let with = |index: usize, lights: &[Value]| {
+        let mut scene = json!({ "background": backgrounds[index % backgrounds.len()], "lights": lights,
+            "camera": { "position": [1.5, 1.4, 3.2], "look_at": [0, 0.6, 0], "projection": projections[index % projections.len()] },
+            "objects": [{ "shape": { "sphere": { "radius": 1 } }, "material": { "diffuse": { "ks": [0.3, 0.3, 0.3] } } },
+                        { "shape": { "plane": { "normal": [0, 1, 0], "offset": -1 } } }] });
+        for (key, value) in effects[index % effects.len()].as_object().expect("an effect has a key") {
+            scene[key] = value.clone();
         }
+        let image = json!({ "width": 40, "height": 24, "samples": 2, "format": "exr", "precision": "float" });
+        scene::parse(json!({ "scene": scene, "image": image }).to_string().as_bytes())
+    };
+    let job = |index| {
+        let lights: Vec<Value> = values(Light::examples());
+        let shining: Vec<Value> =
+            lights.into_iter().filter(|light| with(index, std::slice::from_ref(light)).is_ok()).collect();
+        with(index, &shining).expect("each light alone is right")
+    };
+    (0..jobs).map(job).collect()
+}
+
+#[test]
+fn the_text_of_every_light_background_projection_and_effect_renders_the_same_bits() {
+    for (index, job) in jobs_of_all_kinds().iter().enumerate() {
+        assert_same_bits(&format!("job {index} of all kinds"), job);
     }
 }
 

@@ -1,8 +1,10 @@
-//! docs/nodes.md, docs/materials.md, docs/gallery.md and their pictures, made from the code and the shipped
-//! scenes. A stale page fails here;
+//! The pages of nodes, materials, lights, camera and sky, and shipped scenes with their pictures, made from the code
+//! and the scenes. A stale page fails here;
 //! `SDFARM_WRITE_DOCS=1 cargo test -p worker --test worker docs` writes it anew.
 
+mod camera_and_sky;
 mod gallery;
+mod lights;
 mod materials;
 mod nodes;
 mod picture;
@@ -71,6 +73,16 @@ fn the_page_of_nodes_is_what_the_nodes_say() {
 #[test]
 fn the_page_of_materials_is_what_materials_and_textures_say() {
     assert_fresh(materials::page());
+}
+
+#[test]
+fn the_page_of_lights_is_what_the_lights_say() {
+    assert_fresh(lights::page());
+}
+
+#[test]
+fn the_page_of_camera_and_sky_is_what_projections_backgrounds_and_effects_say() {
+    assert_fresh(camera_and_sky::page());
 }
 
 #[test]

@@ -1,10 +1,15 @@
-//! Every vector width gives the bits of the scalar reference: for each node, material and texture alone,
-//! and for whole pixels of scenes that use everything. Nothing here names one.
+//! Every vector width gives the bits of the scalar reference: for each node, material, texture, light, background,
+//! projection and effect, and for whole pixels of scenes that use everything. Nothing here names one.
 
 use proto::Rect;
+use scene::backgrounds::Background;
+use scene::camera::Projection;
+use scene::kinds::Example;
+use scene::lights::Light;
 use scene::materials::{Material, Shade, Texture};
 use scene::nodes::Node;
-use scene::{Image, Job, Layer, Program};
+use scene::{Image, Job, Layer, Program, effects};
+use serde_json::{Value, json};
 use worker::{Cancel, CpuRenderer, Renderer, Simd, TileRun};
 
 /// Each level that this CPU has; says aloud which it has not.
@@ -19,19 +24,14 @@ fn levels() -> impl Iterator<Item = Simd> {
 }
 
 fn job(node: &str) -> Job {
-    job_seen_by(node, "")
-}
-
-/// The job with more said of its camera.
-fn job_seen_by(node: &str, camera: &str) -> Job {
     let grey = r#"{ "diffuse": { "ks": [0.4, 0.4, 0.4] } }"#;
-    job_of(&format!(r#"{{ "shape": {node}, "material": {grey} }}"#), camera)
+    job_of(&format!(r#"{{ "shape": {node}, "material": {grey} }}"#))
 }
 
 /// The job of an object over a floor.
-fn job_of(object: &str, camera: &str) -> Job {
+fn job_of(object: &str) -> Job {
     let text = format!(
-        r#"{{ "scene": {{ "camera": {{ "position": [1.5, 1.4, 3.2], "look_at": [0, 0, 0]{camera} }},
+        r#"{{ "scene": {{ "camera": {{ "position": [1.5, 1.4, 3.2], "look_at": [0, 0, 0] }},
             "background": "transparent",
             "lights": [{{ "directional": {{ "direction": [0.6, 0.7, 0.5] }} }},
                        {{ "point": {{ "position": [-2, 2, 2], "color": [3, 2, 1] }} }}],
@@ -105,7 +105,7 @@ fn every_width_gives_the_reference_bits_for_every_material() {
         let material: Material = serde_json::from_str(&example.json).unwrap();
         // What fills a shape fills a whole object.
         let job = if material.is_medium() {
-            job_of(&format!(r#"{{ "material": {}, "shape": {{ "sphere": {{ "radius": 1 }} }} }}"#, example.json), "")
+            job_of(&format!(r#"{{ "material": {}, "shape": {{ "sphere": {{ "radius": 1 }} }} }}"#, example.json))
         } else {
             job(&melting(&example.json))
         };
@@ -121,18 +121,52 @@ fn every_width_gives_the_reference_bits_for_every_texture() {
     }
 }
 
-#[test]
-fn every_width_gives_the_reference_bits_for_every_camera() {
-    let node = Node::examples().swap_remove(0).node;
-    for projection in [r#"{ "orthographic": { "height": 3 } }"#, r#""panorama""#] {
-        let job = job_seen_by(&node, &format!(r#", "projection": {projection}"#));
-        compare(projection, &job);
-        let renderer = CpuRenderer::new(Some(1), Simd::Auto).unwrap();
-        let run = TileRun { job: &job, frame: 0, rect: Rect::whole(job.image.width, job.image.height) };
-        let object = job.image.channels().iter().position(|&channel| channel == "id").unwrap();
-        let seen = renderer.render(&run, &Cancel::new(), &|_| ()).unwrap().planes.swap_remove(object);
-        assert!([0.0, 1.0].iter().all(|id| seen.contains(id)), "{projection} sees both objects");
+/// A ball on a floor, and these keys of the scene.
+fn scene_with(keys: &Value) -> Value {
+    let mut scene = json!({ "camera": { "position": [1.5, 1.4, 3.2], "look_at": [0, 0.6, 0] }, "objects": [
+        { "shape": { "sphere": { "radius": 1 } }, "material": { "diffuse": { "ks": [0.4, 0.4, 0.4] } } },
+        { "shape": { "plane": { "normal": [0, 1, 0], "offset": -1.5 } }, "material": { "diffuse": {} } } ] });
+    for (key, value) in keys.as_object().expect("keys of a scene") {
+        scene[key] = value.clone();
     }
+    scene
+}
+
+/// Compares the scene with each example in place.
+fn compare_each(examples: &[Example], keys: impl Fn(Value) -> Value) {
+    for example in examples {
+        let value = serde_json::from_str(&example.json).unwrap();
+        let image = json!({ "width": 37, "height": 19, "samples": 2, "format": "exr", "precision": "float",
+            "layers": ["depth", "normal", "position", "albedo", "object", "steps"] });
+        let text = json!({ "scene": scene_with(&keys(value)), "image": image }).to_string();
+        compare(example.kind, &scene::parse(text.as_bytes()).unwrap());
+    }
+}
+
+#[test]
+fn every_width_gives_the_reference_bits_for_every_light() {
+    compare_each(
+        &Light::examples(),
+        |light| json!({ "lights": [light], "background": { "day": { "sun": [0.6, 0.5, 0.4] } } }),
+    );
+}
+
+#[test]
+fn every_width_gives_the_reference_bits_for_every_background() {
+    compare_each(&Background::examples(), |background| json!({ "background": background }));
+}
+
+#[test]
+fn every_width_gives_the_reference_bits_for_every_projection() {
+    compare_each(
+        &Projection::examples(),
+        |projection| json!({ "camera": { "position": [1.5, 1.4, 3.2], "look_at": [0, 0.6, 0], "projection": projection } }),
+    );
+}
+
+#[test]
+fn every_width_gives_the_reference_bits_for_every_effect() {
+    compare_each(&effects::examples(), |keys| keys);
 }
 
 #[test]

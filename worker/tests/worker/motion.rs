@@ -1,8 +1,11 @@
 //! Jobs that move: one program for all frames, and in each frame the picture of a job that stands still so.
 
 use proto::Rect;
-use scene::Job;
+use scene::backgrounds::Background;
+use scene::camera::Projection;
+use scene::lights::Light;
 use scene::nodes::{Example, Node};
+use scene::{Job, effects};
 use serde_json::{Value, json};
 use worker::cuda::Source;
 use worker::{Cancel, CpuRenderer, Renderer, Simd, TileRun};
@@ -60,6 +63,43 @@ fn all_frames_of_a_job_share_one_program() {
         let [first, second, third] = [0, 1, 2].map(|frame| Source::new(&job.at(frame).unwrap()));
         assert!(first.text == second.text && first.text == third.text, "{kind} {number}: frames differ in their text");
         assert_ne!(first.parameters, second.parameters, "{kind} {number} moves");
+    }
+}
+
+/// A scene for each example of each family that is no part of an object.
+fn scenes_around_objects() -> Vec<(String, Value)> {
+    let ball = json!({ "sphere": { "radius": 1 } });
+    let with = |examples: Vec<scene::kinds::Example>, keys: fn(Value) -> Value| {
+        let ball = &ball;
+        let scenes = examples.into_iter().map(move |example| {
+            let mut scene = scene_of(ball);
+            let keys = keys(serde_json::from_str(&example.json).unwrap());
+            for (key, value) in keys.as_object().unwrap() {
+                scene[key] = value.clone();
+            }
+            (format!("{} {}", example.kind, example.number), scene)
+        });
+        scenes.collect::<Vec<_>>()
+    };
+    let lights = with(
+        Light::examples(),
+        |light| json!({ "lights": [light], "background": { "day": { "sun": [0.6, 0.5, 0.4] } } }),
+    );
+    let backgrounds = with(Background::examples(), |background| json!({ "background": background }));
+    let projections = with(
+        Projection::examples(),
+        |projection| json!({ "camera": { "position": [1.5, 1.4, 3.2], "look_at": [0, 0, 0], "projection": projection } }),
+    );
+    [lights, backgrounds, projections, with(effects::examples(), |keys| keys)].concat()
+}
+
+#[test]
+fn all_frames_share_one_program_whatever_light_background_projection_or_effect_moves() {
+    for (name, scene) in scenes_around_objects() {
+        let job = job(&moving(&scene), 3);
+        let [first, second, third] = [0, 1, 2].map(|frame| Source::new(&job.at(frame).unwrap()));
+        assert!(first.text == second.text && first.text == third.text, "{name}: frames differ in their text");
+        assert_ne!(first.parameters, second.parameters, "{name} moves");
     }
 }
 

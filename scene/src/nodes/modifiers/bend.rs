@@ -169,4 +169,8 @@ impl Sdf for Bend {
         let bounds = Bounds { low: vec3(-reach, low, middle_z - half_z), high: vec3(reach, high, middle_z + half_z) };
         bounds.widened(level / stretch)
     }
+
+    fn lipschitz_advice(&self) -> &'static str {
+        "bend it less, or make its child thinner"
+    }
 }

@@ -110,6 +110,10 @@ impl Sdf for Mirror {
         ]);
         child.hull(image.moved(normal * (2.0 * self.offset.get())))
     }
+
+    fn child_evaluations(&self) -> f32 {
+        2.0
+    }
 }
 
 /// Height of a point above a plane.

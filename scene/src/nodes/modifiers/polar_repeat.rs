@@ -58,11 +58,6 @@ impl PolarRepeat {
         TAU / self.count as f32
     }
 
-    /// Maximum number of evaluations of its child.
-    pub(in crate::nodes) fn looks(&self) -> f32 {
-        self.ring().reach
-    }
-
     #[inline(always)]
     fn ring(&self) -> &Ring {
         self.ring.get(|| {
@@ -155,6 +150,10 @@ impl Sdf for PolarRepeat {
         let (x, z) = (low.x.abs().max(high.x.abs()), low.z.abs().max(high.z.abs()));
         let radius = Real::sqrt(x * x + z * z);
         Bounds { low: vec3(-radius, low.y, -radius), high: vec3(radius, high.y, radius) }
+    }
+
+    fn child_evaluations(&self) -> f32 {
+        self.ring().reach
     }
 }
 

@@ -123,11 +123,6 @@ fn along<R: Real, T: Bundle<R>>(axis: Option<&Axis>, c: R, found: T, mut visit: 
 }
 
 impl Repeat {
-    /// Maximum number of evaluations of its child.
-    pub(in crate::nodes) fn looks(&self) -> f32 {
-        self.grid().axes.iter().flatten().map(|axis| axis.looked_at).product()
-    }
-
     #[inline(always)]
     fn grid(&self) -> &Grid {
         self.grid.get(|| {
@@ -240,5 +235,9 @@ impl Sdf for Repeat {
         let child = self.child.bounds(level);
         let [x, y, z] = self.grid().axes.map(|axis| axis.map_or((0.0, 0.0), |axis| axis.reach()));
         child.moved(vec3(x.0, y.0, z.0)).hull(child.moved(vec3(x.1, y.1, z.1)))
+    }
+
+    fn child_evaluations(&self) -> f32 {
+        self.grid().axes.iter().flatten().map(|axis| axis.looked_at).product()
     }
 }

@@ -130,6 +130,10 @@ impl Sdf for Taper {
         let radius = radius + beyond / slant;
         Bounds { low: vec3(-radius, low - beyond, -radius), high: vec3(radius, high + beyond, radius) }
     }
+
+    fn lipschitz_advice(&self) -> &'static str {
+        "taper it less"
+    }
 }
 
 fn one() -> Factor {

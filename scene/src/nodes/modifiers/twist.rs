@@ -121,4 +121,8 @@ impl Sdf for Twist {
         let Cylinder { radius, low, high, stretch } = *self.cylinder();
         Bounds { low: vec3(-radius, low, -radius), high: vec3(radius, high, radius) }.widened(level / stretch)
     }
+
+    fn lipschitz_advice(&self) -> &'static str {
+        "lower degrees_per_unit, or make its child narrower"
+    }
 }

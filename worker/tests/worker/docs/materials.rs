@@ -4,8 +4,8 @@ use scene::materials::{Example, Material, Texture};
 use serde_json::Value;
 
 use super::picture::on_a_floor;
-use super::schema::{description, part, table};
-use super::{Page, Picture, file, shown};
+use super::schema::{kind_section, part};
+use super::{Page, Picture, file};
 
 const HEAD: &str = "# Materials
 
@@ -26,15 +26,6 @@ const PARTS: &str = "
 # What they are made of
 ";
 
-fn section(schema: &Value, example: &Example, file: &str) -> String {
-    let shown = shown(&example.name, file, &example.json);
-    if example.number > 0 {
-        return shown;
-    }
-    let (name, about) = (&example.name, description(schema, example.kind));
-    format!("\n## {name}\n\n{about}\n\n{}{shown}", table(schema, &schema["$defs"][example.kind]))
-}
-
 /// A ball and a box of a material, side by side.
 fn ball_and_box(material: &str) -> String {
     format!(
@@ -49,7 +40,7 @@ fn ball_and_box(material: &str) -> String {
 fn add(page: &mut Page, schema: &Value, folder: &str, examples: &[Example], material: impl Fn(&str) -> String) {
     for example in examples {
         let file = file(folder, &example.name, example.number);
-        page.text += &section(schema, example, &file);
+        page.text += &kind_section(schema, "", example, &file);
         page.pictures.push(Picture { file, job: on_a_floor(&ball_and_box(&material(&example.json))) });
     }
 }

@@ -19,6 +19,13 @@ pub(crate) fn on_a_floor(objects: &str) -> Job {
     scene::parse(text.as_bytes()).expect("an example makes a job")
 }
 
+/// A job of a scene's keys, as JSON, with as many samples as soft light takes.
+pub(crate) fn stage(keys: &str, [width, height]: [u32; 2]) -> Job {
+    let text =
+        format!(r#"{{ "scene": {{ {keys} }}, "image": {{ "width": {width}, "height": {height}, "samples": 96 }} }}"#);
+    scene::parse(text.as_bytes()).unwrap_or_else(|refusal| panic!("{refusal}\n{text}"))
+}
+
 /// A PNG of a job's first frame.
 pub(crate) fn render(job: &Job) -> Vec<u8> {
     let renderer = CpuRenderer::new(None, Simd::Auto).expect("this CPU renders");

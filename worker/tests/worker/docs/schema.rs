@@ -2,7 +2,10 @@
 
 use std::fmt::Write as _;
 
+use scene::kinds::Example;
 use serde_json::Value;
+
+use super::shown;
 
 fn referred(property: &Value) -> Option<&str> {
     property["$ref"].as_str().and_then(|reference| reference.rsplit('/').next())
@@ -50,6 +53,22 @@ pub(crate) fn table(schema: &Value, definition: &Value) -> String {
         writeln!(text, "| `{key}` | {} | {default} | {meaning} |", kind(schema, property)).expect("a String takes all");
     }
     text
+}
+
+/// The section of a kind's example: what the schema says of the kind before the first, and each one's picture and JSON.
+pub(crate) fn kind_section(schema: &Value, family: &str, example: &Example, file: &str) -> String {
+    let shown = shown(&example.name, file, &example.json);
+    if example.number > 0 {
+        return shown;
+    }
+    let name = &example.name;
+    if schema["$defs"][example.kind].is_object() {
+        let table = table(schema, &schema["$defs"][example.kind]);
+        return format!("\n## {name}\n\n{}\n\n{table}{shown}", description(schema, example.kind));
+    }
+    let choices = schema["$defs"][family]["oneOf"].as_array().expect("a family is a choice");
+    let own = choices.iter().find(|choice| choice["const"] == name.as_str()).expect("the schema has the word");
+    format!("\n## {name}\n\n{}\n{shown}", own["description"].as_str().expect("a word is described"))
 }
 
 /// A section on a type that others are made of: its choices, or its keys.

@@ -1,85 +1,13 @@
-//! The sky: a colour for every direction that meets nothing.
+//! A clear sky by day.
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
+use super::{Backdrop, Exemplary};
+use crate::nodes::NodeFault;
 use crate::real::{Real, Vec3, vec3};
 use crate::seek::{Misfit, Renew, Seek};
 use crate::values::{Color, Direction, Strength, Turbidity};
-
-/// What is seen where nothing is.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
-#[serde(rename_all = "snake_case", deny_unknown_fields)]
-pub enum Background {
-    /// One colour.
-    Color(Color),
-    /// From `bottom` to `top` by t = (dir.y + 1)/2 of the ray's direction.
-    Gradient {
-        /// Straight down.
-        bottom: Color,
-        /// Straight up.
-        top: Color,
-    },
-    /// A clear sky by day. See [`Day`].
-    Day(Day),
-    /// Nothing: alpha is 0 there.
-    Transparent,
-}
-
-impl Default for Background {
-    fn default() -> Self {
-        Self::Gradient { bottom: Color::new(1.0, 1.0, 1.0), top: Color::new(0.5, 0.7, 1.0) }
-    }
-}
-
-impl Background {
-    /// Linear RGB seen towards `direction`, of length 1; black where nothing is.
-    #[inline(always)]
-    pub fn toward<R: Real>(&self, direction: Vec3<R>) -> Vec3<R> {
-        let like = direction.x;
-        match self {
-            Self::Color(color) => Vec3::given(like, color.get()),
-            Self::Gradient { bottom, top } => between(bottom, top, direction.y, 0.5),
-            Self::Day(day) => day.toward(direction),
-            Self::Transparent => vec3(like.splat(0.0), like.splat(0.0), like.splat(0.0)),
-        }
-    }
-
-    /// The mean of all it sends to a surface with this normal, weighted by the cosine; `None` where
-    /// that has no closed form. Of a gradient's t it is ½ + n.y/3.
-    #[inline(always)]
-    pub fn mean_over<R: Real>(&self, normal: Vec3<R>) -> Option<Vec3<R>> {
-        match self {
-            Self::Color(_) | Self::Transparent => Some(self.toward(normal)),
-            Self::Gradient { bottom, top } => Some(between(bottom, top, normal.y, 1.0 / 3.0)),
-            Self::Day(_) => None,
-        }
-    }
-
-    /// The day it shows, if it does.
-    pub(crate) fn day(&self) -> Option<&Day> {
-        match self {
-            Self::Day(day) => Some(day),
-            Self::Color(_) | Self::Gradient { .. } | Self::Transparent => None,
-        }
-    }
-
-    /// Finds what all directions share.
-    pub(crate) fn prepare(&mut self) {
-        if let Self::Day(day) = self {
-            day.model = Model::of(day);
-        }
-    }
-}
-
-/// A gradient at ½ + `share` · `height`.
-#[inline(always)]
-fn between<R: Real>(bottom: &Color, top: &Color, height: R, share: f32) -> Vec3<R> {
-    let share = height.mul_add(height.splat(share), height.splat(0.5));
-    let (bottom, top) = (bottom.get(), top.get());
-    let rise = vec3(top.x - bottom.x, top.y - bottom.y, top.z - bottom.z);
-    Vec3::given(height, rise).mul_add(share, Vec3::given(height, bottom))
-}
 
 /// A clear sky by day, lit by the sun; the ground below the horizon. The sun itself is not seen: let
 /// the light `sun` shine.
@@ -127,15 +55,10 @@ impl Renew for Model {
 const PER_KILOCANDELA: f32 = 1.0 / 32.0;
 
 impl Day {
-    /// What is wrong with it, if anything.
-    pub(crate) fn fault(&self) -> Option<&'static str> {
-        (self.sun.unit().y < 0.0).then_some("is below the horizon: give the sun's direction a y of 0 or more")
-    }
-
     /// After a number in it has changed.
     fn follow(&mut self) -> Result<(), Box<Misfit>> {
-        if let Some(message) = self.fault() {
-            return Err(Misfit::new(message).inside("sun"));
+        if let Some(NodeFault { place, message }) = self.fault() {
+            return Err(Misfit::new(&message).inside(&place));
         }
         self.model = Model::of(self);
         Ok(())
@@ -146,7 +69,15 @@ impl Day {
         let [red, green, blue] = self.model.sun_color;
         vec3(red, green, blue)
     }
+}
 
+impl Exemplary for Day {
+    const EXAMPLE: &'static str = r#"{ "sun": [0.8, 0.5, 0.4] }"#;
+    const MORE: &'static [&'static str] =
+        &[r#"{ "sun": [-0.6, 0.06, -0.8], "turbidity": 5, "ground": [0.3, 0.25, 0.2], "strength": 3 }"#];
+}
+
+impl Backdrop for Day {
     fn toward<R: Real>(&self, direction: Vec3<R>) -> Vec3<R> {
         direction.x.vectorize(
             #[inline(always)]
@@ -183,6 +114,19 @@ impl Day {
                 (ground - sky).mul_add(below, sky)
             },
         )
+    }
+
+    fn day(&self) -> Option<&Day> {
+        Some(self)
+    }
+
+    fn fault(&self) -> Option<NodeFault> {
+        (self.sun.unit().y < 0.0)
+            .then(|| NodeFault::new("sun", "is below the horizon: give the sun's direction a y of 0 or more"))
+    }
+
+    fn prepare(&mut self) {
+        self.model = Model::of(self);
     }
 }
 
@@ -273,6 +217,7 @@ fn full() -> Strength {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::backgrounds::Background;
 
     fn day(sun: &str) -> Background {
         let mut sky: Background = serde_json::from_str(&format!(r#"{{ "day": {{ "sun": {sun} }} }}"#)).unwrap();
@@ -287,23 +232,5 @@ mod tests {
         let high = day("[0, 1, 0]").day().unwrap().sun_color();
         let low = day("[1, 0.05, 0]").day().unwrap().sun_color();
         assert!(low.x > 3.0 * low.z && high.x < 1.5 * high.z, "{low:?} {high:?}");
-    }
-
-    #[test]
-    fn a_gradients_mean_is_that_of_many_directions() {
-        let sky = Background::default();
-        let normal = vec3(0.48_f32, 0.6, 0.64);
-        let mean = sky.mean_over(normal).unwrap();
-        let (mut sum, mut weight) = (vec3(0.0, 0.0, 0.0), 0.0);
-        for step in 0..40_000 {
-            let (height, turn) = ((step as f32 + 0.5) / 20_000.0 - 1.0, step as f32 * 2.399_963);
-            let (s, c) = Real::sin_cos(turn % std::f32::consts::TAU);
-            let across = Real::sqrt(1.0 - height * height);
-            let direction = vec3(across * c, height, across * s);
-            let cosine = direction.dot(normal).max(0.0);
-            sum = sky.toward(direction).mul_add(cosine, sum);
-            weight += cosine;
-        }
-        assert!((sum.x / weight - mean.x).abs() < 2e-3, "{} {}", sum.x / weight, mean.x);
     }
 }

@@ -1,0 +1,152 @@
+//! What is seen where nothing is: the list of backgrounds, and what a background must say of itself.
+//!
+//! A background is one documented struct in a file under `backgrounds/`, one `impl` of [`Backdrop`], and one entry in
+//! the list; with fields it has an `impl` of [`Exemplary`] too; without fields it is written as its name alone.
+
+#[cfg(test)]
+mod added;
+mod day;
+mod simple;
+
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+#[cfg(test)]
+pub use added::AddedBackground;
+pub use day::Day;
+pub use simple::{SkyGradient, SolidColor, Transparent};
+
+pub use crate::kinds::{Example, Exemplary};
+use crate::nodes::{NodeFault, snake_case};
+use crate::real::{Real, Vec3};
+use crate::seek::Seek;
+use crate::values::Color;
+
+/// What a background means.
+pub trait Backdrop {
+    /// Linear RGB seen towards `direction`, of length 1; black where nothing is.
+    fn toward<R: Real>(&self, direction: Vec3<R>) -> Vec3<R>;
+
+    /// The mean of all it sends to a surface with this normal, weighted by the cosine; `None` where
+    /// that has no closed form.
+    fn mean_over<R: Real>(&self, normal: Vec3<R>) -> Option<Vec3<R>> {
+        let _ = normal;
+        None
+    }
+
+    /// The day it shows, if it does.
+    fn day(&self) -> Option<&Day> {
+        None
+    }
+
+    /// Whether nothing is there, and alpha is 0.
+    fn is_transparent(&self) -> bool {
+        false
+    }
+
+    /// What is wrong with it, if anything.
+    fn fault(&self) -> Option<NodeFault> {
+        None
+    }
+
+    /// Finds what all directions share.
+    fn prepare(&mut self) {}
+}
+
+/// The list: each background's name and its struct, then those without fields, described as in the schema.
+macro_rules! backgrounds {
+    (
+        structs: [$($(#[$attribute:meta])* $Kind:ident: $Struct:ident),* $(,)?],
+        units: [$($(#[$about:meta])* $Unit:ident),* $(,)?] $(,)?
+    ) => {
+        /// What is seen where nothing is.
+        #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
+        #[serde(rename_all = "snake_case", deny_unknown_fields)]
+        pub enum Background {
+            $($(#[$attribute])* #[doc = concat!("See [`", stringify!($Struct), "`].")] $Kind($Struct),)*
+            $($(#[$about])* $Unit,)*
+        }
+
+        impl Backdrop for Background {
+            #[inline(always)]
+            fn toward<R: Real>(&self, direction: Vec3<R>) -> Vec3<R> {
+                match self {
+                    $($(#[$attribute])* Self::$Kind(background) => background.toward(direction),)*
+                    $(Self::$Unit => $Unit.toward(direction),)*
+                }
+            }
+
+            #[inline(always)]
+            fn mean_over<R: Real>(&self, normal: Vec3<R>) -> Option<Vec3<R>> {
+                match self {
+                    $($(#[$attribute])* Self::$Kind(background) => background.mean_over(normal),)*
+                    $(Self::$Unit => $Unit.mean_over(normal),)*
+                }
+            }
+
+            fn day(&self) -> Option<&Day> {
+                match self {
+                    $($(#[$attribute])* Self::$Kind(background) => background.day(),)*
+                    $(Self::$Unit => None,)*
+                }
+            }
+
+            fn is_transparent(&self) -> bool {
+                match self {
+                    $($(#[$attribute])* Self::$Kind(background) => background.is_transparent(),)*
+                    $(Self::$Unit => $Unit.is_transparent(),)*
+                }
+            }
+
+            /// The same, at its place in the background's JSON.
+            fn fault(&self) -> Option<NodeFault> {
+                match self {
+                    $($(#[$attribute])* Self::$Kind(background) => {
+                        background.fault().map(|fault| fault.inside(&snake_case(stringify!($Kind))))
+                    })*
+                    $(Self::$Unit => $Unit.fault(),)*
+                }
+            }
+
+            fn prepare(&mut self) {
+                match self {
+                    $($(#[$attribute])* Self::$Kind(background) => background.prepare(),)*
+                    $(Self::$Unit => {})*
+                }
+            }
+        }
+
+        impl Background {
+            /// Each kind's examples, as a user would write the whole background.
+            pub fn examples() -> Vec<Example> {
+                let mut examples = Vec::new();
+                $(
+                    $(#[$attribute])*
+                    examples.extend(Example::keyed::<$Struct>(stringify!($Struct), stringify!($Kind)));
+                )*
+                $(examples.push(Example::unit(stringify!($Unit)));)*
+                examples
+            }
+        }
+    };
+}
+
+backgrounds![
+    structs: [
+        Color: SolidColor,
+        Gradient: SkyGradient,
+        Day: Day,
+        #[cfg(test)]
+        Added: AddedBackground,
+    ],
+    units: [
+        /// Nothing: alpha is 0 there.
+        Transparent,
+    ],
+];
+
+impl Default for Background {
+    fn default() -> Self {
+        Self::Gradient(SkyGradient { bottom: Color::new(1.0, 1.0, 1.0), top: Color::new(0.5, 0.7, 1.0) })
+    }
+}

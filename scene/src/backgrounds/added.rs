@@ -1,0 +1,28 @@
+//! A background that exists in unit tests alone: what it takes to add one.
+
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+use super::{Backdrop, Exemplary};
+use crate::real::{Real, Vec3};
+use crate::seek::Seek;
+use crate::values::Color;
+
+/// A colour straight ahead and behind, black to all sides.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
+#[serde(deny_unknown_fields)]
+pub struct AddedBackground {
+    /// The colour.
+    pub color: Color,
+}
+
+impl Exemplary for AddedBackground {
+    const EXAMPLE: &str = r#"{ "color": [0.3, 0.6, 0.9] }"#;
+}
+
+impl Backdrop for AddedBackground {
+    #[inline(always)]
+    fn toward<R: Real>(&self, direction: Vec3<R>) -> Vec3<R> {
+        Vec3::given(direction.x, self.color.get()) * direction.z.abs()
+    }
+}

@@ -1,0 +1,214 @@
+//! How space becomes a picture: the list of projections, and what a projection must say of itself.
+//!
+//! A projection is one documented struct in a file under `camera/projections/`, one `impl` of [`Project`], and one
+//! entry in the list; with fields it has an `impl` of [`Exemplary`] too; without fields it is written as its name alone.
+
+#[cfg(test)]
+mod added;
+mod orthographic;
+mod panorama;
+mod perspective;
+
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+#[cfg(test)]
+use added::AddedProjection;
+pub use orthographic::Orthographic;
+pub use panorama::Panorama;
+pub use perspective::Perspective;
+
+use super::{Ray, View};
+use crate::bounds::Bounds;
+use crate::job::Image;
+pub use crate::kinds::{Example, Exemplary};
+use crate::march::Tolerance;
+use crate::real::{Real, Vec3};
+use crate::seek::Seek;
+use crate::values::FieldOfView;
+
+/// How much of space a picture shows.
+#[derive(Clone, Copy, Debug)]
+pub struct Extent {
+    /// Half the picture's width at a distance of 1, or at any; 1 where that means nothing.
+    pub half_width: f32,
+    /// Half its height.
+    pub half_height: f32,
+    /// Half a pixel's height, by the distance along a ray.
+    pub footprint: Tolerance,
+}
+
+/// Where a camera is and where it looks: each direction to the right and up is as long as the picture's half extent.
+#[derive(Clone, Copy, Debug)]
+pub struct Axes<R> {
+    /// Where the camera is.
+    pub origin: Vec3<R>,
+    /// To the right.
+    pub right: Vec3<R>,
+    /// Up.
+    pub up: Vec3<R>,
+    /// To the middle of the picture, of length 1.
+    pub forward: Vec3<R>,
+}
+
+/// What a projection means.
+pub trait Project {
+    /// The field of view that it has where the camera says none; `None` if it has none at all.
+    fn default_fov(&self) -> Option<FieldOfView> {
+        None
+    }
+
+    /// Why a camera must not say a field of view, if it must not.
+    fn fov_fault(&self) -> Option<&'static str> {
+        None
+    }
+
+    /// How much of space a picture shows that is `aspect` times as wide as high, and `height` pixels high.
+    fn extent(&self, fov: Option<&FieldOfView>, aspect: f32, height: f32) -> Extent;
+
+    /// The ray through a point of the picture: −1 to 1 across and upwards.
+    fn ray<R: Real>(&self, axes: &Axes<R>, across: R, upwards: R) -> Ray<R>;
+
+    /// Whether no ray of the picture meets the box, however long it is. It may be false although no ray does.
+    fn is_beside(&self, view: &View, bounds: Bounds) -> bool;
+
+    /// Whether no ray of the picture has come to the box at this distance.
+    fn is_beyond(&self, view: &View, bounds: Bounds, distance: f32) -> bool {
+        view.is_out_of_reach(bounds, distance)
+    }
+
+    /// Origins of the picture's rays, or some of them.
+    fn ray_origins(&self, view: &View, image: &Image) -> Vec<Vec3<f32>> {
+        let _ = image;
+        vec![view.origin()]
+    }
+
+    /// Warning about a ray origin inside an object: what is inside, and the fix.
+    fn inside_warning(&self) -> (&'static str, &'static str) {
+        ("the camera is inside", "move camera.position out of it")
+    }
+
+    /// Warning about a picture of this size, if there is one.
+    fn warning(&self, image: &Image) -> Option<String> {
+        let _ = image;
+        None
+    }
+}
+
+/// The list: each projection's name and its struct, then those without fields, described as in the schema.
+macro_rules! projections {
+    (
+        structs: [$($(#[$attribute:meta])* $Kind:ident: $Struct:ident),* $(,)?],
+        units: [$($(#[$about:meta])* $Unit:ident),* $(,)?] $(,)?
+    ) => {
+        /// How space becomes a picture.
+        #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
+        #[serde(rename_all = "snake_case")]
+        pub enum Projection {
+            $($(#[$about])* $Unit,)*
+            $($(#[$attribute])* #[doc = concat!("See [`", stringify!($Struct), "`].")] $Kind($Struct),)*
+        }
+
+        impl Project for Projection {
+            fn default_fov(&self) -> Option<FieldOfView> {
+                match self {
+                    $($(#[$attribute])* Self::$Kind(projection) => projection.default_fov(),)*
+                    $(Self::$Unit => $Unit.default_fov(),)*
+                }
+            }
+
+            fn fov_fault(&self) -> Option<&'static str> {
+                match self {
+                    $($(#[$attribute])* Self::$Kind(projection) => projection.fov_fault(),)*
+                    $(Self::$Unit => $Unit.fov_fault(),)*
+                }
+            }
+
+            fn extent(&self, fov: Option<&FieldOfView>, aspect: f32, height: f32) -> Extent {
+                match self {
+                    $($(#[$attribute])* Self::$Kind(projection) => projection.extent(fov, aspect, height),)*
+                    $(Self::$Unit => $Unit.extent(fov, aspect, height),)*
+                }
+            }
+
+            #[inline(always)]
+            fn ray<R: Real>(&self, axes: &Axes<R>, across: R, upwards: R) -> Ray<R> {
+                match self {
+                    $($(#[$attribute])* Self::$Kind(projection) => projection.ray(axes, across, upwards),)*
+                    $(Self::$Unit => $Unit.ray(axes, across, upwards),)*
+                }
+            }
+
+            fn is_beside(&self, view: &View, bounds: Bounds) -> bool {
+                match self {
+                    $($(#[$attribute])* Self::$Kind(projection) => projection.is_beside(view, bounds),)*
+                    $(Self::$Unit => $Unit.is_beside(view, bounds),)*
+                }
+            }
+
+            fn is_beyond(&self, view: &View, bounds: Bounds, distance: f32) -> bool {
+                match self {
+                    $($(#[$attribute])* Self::$Kind(projection) => projection.is_beyond(view, bounds, distance),)*
+                    $(Self::$Unit => $Unit.is_beyond(view, bounds, distance),)*
+                }
+            }
+
+            fn ray_origins(&self, view: &View, image: &Image) -> Vec<Vec3<f32>> {
+                match self {
+                    $($(#[$attribute])* Self::$Kind(projection) => projection.ray_origins(view, image),)*
+                    $(Self::$Unit => $Unit.ray_origins(view, image),)*
+                }
+            }
+
+            fn inside_warning(&self) -> (&'static str, &'static str) {
+                match self {
+                    $($(#[$attribute])* Self::$Kind(projection) => projection.inside_warning(),)*
+                    $(Self::$Unit => $Unit.inside_warning(),)*
+                }
+            }
+
+            fn warning(&self, image: &Image) -> Option<String> {
+                match self {
+                    $($(#[$attribute])* Self::$Kind(projection) => projection.warning(image),)*
+                    $(Self::$Unit => $Unit.warning(image),)*
+                }
+            }
+        }
+
+        impl Projection {
+            /// Each kind's examples, as a user would write the whole projection.
+            pub fn examples() -> Vec<Example> {
+                let mut examples = vec![$(Example::unit(stringify!($Unit))),*];
+                $(
+                    $(#[$attribute])*
+                    examples.extend(Example::keyed::<$Struct>(stringify!($Struct), stringify!($Kind)));
+                )*
+                examples
+            }
+        }
+    };
+}
+
+projections![
+    structs: [
+        Orthographic: Orthographic,
+        #[cfg(test)]
+        Added: AddedProjection,
+    ],
+    units: [
+        /// A pinhole: what is further away is smaller.
+        #[default]
+        Perspective,
+        /// All around the camera, 360 by 180 degrees: longitude across, latitude down (equirectangular);
+        /// what it looks at is in the middle.
+        Panorama,
+    ],
+];
+
+impl Projection {
+    /// Whether it is the one that a camera has that says none.
+    #[expect(clippy::trivially_copy_pass_by_ref, reason = "serde hands a reference")]
+    pub(super) fn is_default(&self) -> bool {
+        *self == Self::default()
+    }
+}

@@ -1,0 +1,42 @@
+//! A projection that exists in unit tests alone: what it takes to add one.
+
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+use super::{Axes, Exemplary, Extent, Project};
+use crate::bounds::Bounds;
+use crate::camera::{Ray, View};
+use crate::march::Tolerance;
+use crate::real::Real;
+use crate::seek::Seek;
+use crate::values::{FieldOfView, Length};
+
+/// A pinhole through which all is seen lower than it is.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
+#[serde(deny_unknown_fields)]
+pub struct AddedProjection {
+    /// By what part of the picture's height.
+    pub shift: Length,
+}
+
+impl Exemplary for AddedProjection {
+    const EXAMPLE: &str = r#"{ "shift": 0.25 }"#;
+}
+
+impl Project for AddedProjection {
+    fn extent(&self, _: Option<&FieldOfView>, aspect: f32, height: f32) -> Extent {
+        let footprint = Tolerance { slope: 0.5 / height, floor: 0.0 };
+        Extent { half_width: 0.5 * aspect, half_height: 0.5, footprint }
+    }
+
+    #[inline(always)]
+    fn ray<R: Real>(&self, axes: &Axes<R>, across: R, upwards: R) -> Ray<R> {
+        let shifted = upwards + upwards.given(self.shift.get());
+        let direction = axes.right.mul_add(across, axes.up.mul_add(shifted, axes.forward));
+        Ray { origin: axes.origin, direction: direction.normalize() }
+    }
+
+    fn is_beside(&self, _: &View, _: Bounds) -> bool {
+        false
+    }
+}

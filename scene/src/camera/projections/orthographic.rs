@@ -1,0 +1,66 @@
+//! A camera whose rays are parallel.
+
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+use super::{Axes, Exemplary, Extent, Project};
+use crate::bounds::Bounds;
+use crate::camera::{Ray, View};
+use crate::job::Image;
+use crate::march::Tolerance;
+use crate::real::{Real, Vec3};
+use crate::seek::Seek;
+use crate::values::{FieldOfView, Length};
+
+/// Along parallel rays from a plane through the camera: no size changes with distance.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
+#[serde(deny_unknown_fields)]
+pub struct Orthographic {
+    /// From the bottom of the picture to its top, in scene units.
+    pub height: Length,
+}
+
+/// Places of a picture, along an edge of it, that may be inside something.
+const PLACES: u32 = 5;
+
+impl Exemplary for Orthographic {
+    const EXAMPLE: &'static str = r#"{ "height": 4.2 }"#;
+}
+
+impl Project for Orthographic {
+    fn fov_fault(&self) -> Option<&'static str> {
+        Some("means nothing in an orthographic picture: leave it out, and choose its height")
+    }
+
+    fn extent(&self, _: Option<&FieldOfView>, aspect: f32, height: f32) -> Extent {
+        let half = self.height.get() * 0.5;
+        let footprint = Tolerance { slope: 0.0, floor: half / height };
+        Extent { half_width: aspect * half, half_height: half, footprint }
+    }
+
+    #[inline(always)]
+    fn ray<R: Real>(&self, axes: &Axes<R>, across: R, upwards: R) -> Ray<R> {
+        let origin = axes.right.mul_add(across, axes.up.mul_add(upwards, axes.origin));
+        Ray { origin, direction: axes.forward }
+    }
+
+    fn is_beside(&self, view: &View, bounds: Bounds) -> bool {
+        let seen = view.in_front(bounds);
+        let is_off = |low: f32, high: f32| high < -1.0 || low > 1.0;
+        is_off(seen.low.x, seen.high.x) || is_off(seen.low.y, seen.high.y) || seen.high.z < 0.0
+    }
+
+    fn is_beyond(&self, view: &View, bounds: Bounds, distance: f32) -> bool {
+        view.in_front(bounds).low.z > distance
+    }
+
+    fn ray_origins(&self, view: &View, image: &Image) -> Vec<Vec3<f32>> {
+        let along = |place: u32, edge: u32| (place as f32 + 0.5) * edge as f32 / PLACES as f32;
+        let places = (0..PLACES * PLACES).map(|place| (place % PLACES, place / PLACES));
+        places.map(|(x, y)| view.ray(along(x, image.width), along(y, image.height)).origin).collect()
+    }
+
+    fn inside_warning(&self) -> (&'static str, &'static str) {
+        ("a part of the picture starts inside", "move camera.position back")
+    }
+}

@@ -1,0 +1,44 @@
+//! A camera that sees all around it.
+
+use super::{Axes, Extent, Project};
+use crate::bounds::Bounds;
+use crate::camera::{Ray, View};
+use crate::job::Image;
+use crate::march::Tolerance;
+use crate::real::Real;
+use crate::values::FieldOfView;
+
+/// All around the camera, 360 by 180 degrees: longitude across, latitude down (equirectangular);
+/// what it looks at is in the middle.
+#[derive(Clone, Copy, Debug)]
+pub struct Panorama;
+
+impl Project for Panorama {
+    fn fov_fault(&self) -> Option<&'static str> {
+        Some("means nothing in a panorama, which sees all: leave it out")
+    }
+
+    fn extent(&self, _: Option<&FieldOfView>, _: f32, height: f32) -> Extent {
+        let footprint = Tolerance { slope: std::f32::consts::FRAC_PI_2 / height, floor: 0.0 };
+        Extent { half_width: 1.0, half_height: 1.0, footprint }
+    }
+
+    #[inline(always)]
+    fn ray<R: Real>(&self, axes: &Axes<R>, across: R, upwards: R) -> Ray<R> {
+        let (east, ahead) = (across * std::f32::consts::PI).sin_cos();
+        let (above, level) = (upwards * std::f32::consts::FRAC_PI_2).sin_cos();
+        let around = axes.right.mul_add(east, axes.forward * ahead);
+        Ray { origin: axes.origin, direction: around.mul_add(level, axes.up * above).normalize() }
+    }
+
+    fn is_beside(&self, _: &View, _: Bounds) -> bool {
+        false
+    }
+
+    fn warning(&self, image: &Image) -> Option<String> {
+        let Image { width, height, .. } = image;
+        (*width != height.saturating_mul(2)).then(|| {
+            format!("a panorama is 360 by 180 degrees, and {width}×{height} stretches it: make width twice height")
+        })
+    }
+}

@@ -1,0 +1,43 @@
+//! A pinhole camera.
+
+use super::{Axes, Extent, Project};
+use crate::bounds::Bounds;
+use crate::camera::{Ray, View};
+use crate::march::Tolerance;
+use crate::real::Real;
+use crate::values::FieldOfView;
+
+/// Default vertical field of view.
+const DEFAULT_FOV_DEGREES: f32 = 40.0;
+
+/// A pinhole: farther objects are smaller.
+#[derive(Clone, Copy, Debug)]
+pub struct Perspective;
+
+impl Project for Perspective {
+    fn default_fov(&self) -> Option<FieldOfView> {
+        Some(forty_degrees())
+    }
+
+    fn extent(&self, fov: Option<&FieldOfView>, aspect: f32, height: f32) -> Extent {
+        let fov = fov.map_or(DEFAULT_FOV_DEGREES, FieldOfView::get);
+        let (sine, cosine) = Real::sin_cos(fov * (std::f32::consts::PI / 360.0));
+        let tangent = sine / cosine;
+        let footprint = Tolerance { slope: tangent / height, floor: 0.0 };
+        Extent { half_width: aspect * tangent, half_height: tangent, footprint }
+    }
+
+    #[inline(always)]
+    fn ray<R: Real>(&self, axes: &Axes<R>, across: R, upwards: R) -> Ray<R> {
+        let direction = axes.right.mul_add(across, axes.up.mul_add(upwards, axes.forward));
+        Ray { origin: axes.origin, direction: direction.normalize() }
+    }
+
+    fn is_beside(&self, view: &View, bounds: Bounds) -> bool {
+        view.is_beside_pyramid(bounds.moved(-view.origin()))
+    }
+}
+
+fn forty_degrees() -> FieldOfView {
+    FieldOfView::new(DEFAULT_FOV_DEGREES).expect("40 is in range")
+}

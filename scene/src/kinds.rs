@@ -1,0 +1,48 @@
+//! What the kinds of every family show of themselves: examples, which tests and docs are made from.
+//!
+//! A family is a list of kinds in the file that names it (`nodes.rs`, `materials.rs`, `lights.rs` and so on). The
+//! list is the dispatch: no file outside of a family's own chooses by its kinds.
+
+use crate::nodes::snake_case;
+
+/// What a kind shows of itself.
+pub trait Exemplary {
+    /// A small valid value, as a user would write it: the picture in the docs and the contract tests use it.
+    const EXAMPLE: &'static str;
+
+    /// Further values that take other ways through the formula, drawn and tested like the first.
+    const MORE: &'static [&'static str] = &[];
+}
+
+/// A value of a kind to draw and to test with.
+#[derive(Clone, Debug)]
+pub struct Example {
+    /// Its type, as in the schema.
+    pub kind: &'static str,
+    /// Its name in JSON.
+    pub name: String,
+    /// Its place among the examples of its type, from 0.
+    pub number: usize,
+    /// Its JSON.
+    pub json: String,
+}
+
+impl Example {
+    /// The examples of one type; `json` writes one under its name.
+    fn each<E: Exemplary>(kind: &'static str, name: &str, json: impl Fn(&str) -> String) -> Vec<Self> {
+        let values = std::iter::once(&E::EXAMPLE).chain(E::MORE).enumerate();
+        values.map(|(number, value)| Self { kind, name: name.to_owned(), number, json: json(value) }).collect()
+    }
+
+    /// The examples of one type, each an object whose key is the name of the `variant`.
+    pub(crate) fn keyed<E: Exemplary>(kind: &'static str, variant: &str) -> Vec<Self> {
+        let name = snake_case(variant);
+        Self::each::<E>(kind, &name, |value| format!("{{ \"{name}\": {value} }}"))
+    }
+
+    /// The only example of a kind without fields: its name.
+    pub(crate) fn unit(kind: &'static str) -> Self {
+        let name = snake_case(kind);
+        Self { kind, json: format!("\"{name}\""), name, number: 0 }
+    }
+}

@@ -1,0 +1,53 @@
+//! Light from a single point.
+
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+use super::{Exemplary, Incoming, LightSource, white, yes};
+use crate::backgrounds::Day;
+use crate::real::{Real, Vec3};
+use crate::seek::Seek;
+use crate::values::{Color, Point};
+
+/// Light from a point; its strength falls as 1/d².
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
+#[serde(deny_unknown_fields)]
+pub struct PointLight {
+    /// Where it is.
+    pub position: Point,
+    /// Its colour, and its strength at a distance of 1.
+    #[serde(default = "white")]
+    pub color: Color,
+    /// Whether things cast shadows in it.
+    #[serde(default = "yes")]
+    pub shadow: bool,
+}
+
+impl Exemplary for PointLight {
+    const EXAMPLE: &'static str = r#"{ "position": [-1.1, 0.9, 1.5], "color": [2.6, 2.3, 1.9] }"#;
+}
+
+impl LightSource for PointLight {
+    #[inline(always)]
+    fn arriving<R: Real>(
+        &self,
+        p: Vec3<R>,
+        _: R,
+        _: Option<&Day>,
+        _: impl FnOnce() -> (R, R),
+    ) -> Option<(Incoming<R>, R)> {
+        let towards = Vec3::given(p.x, self.position.get()) - p;
+        let distance = towards.length().at_least(1e-6);
+        let per_distance = p.x.splat(1.0) / distance;
+        let radiance = Vec3::given(p.x, self.color.get()) * per_distance.square();
+        Some((Incoming { direction: towards * per_distance, radiance }, distance))
+    }
+
+    fn casts_shadows(&self) -> bool {
+        self.shadow
+    }
+
+    fn is_dark(&self) -> bool {
+        self.color.is_black()
+    }
+}

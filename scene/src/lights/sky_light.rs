@@ -1,0 +1,79 @@
+//! Light from all around.
+
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+use super::{Exemplary, Incoming, LightSource, Surrounding, full, yes};
+use crate::backgrounds::{Backdrop, Background, Day};
+use crate::nodes::NodeFault;
+use crate::real::{Real, Vec3};
+use crate::seek::Seek;
+use crate::values::Strength;
+
+/// Light from all around, as the background shows it.
+///
+/// With shadows each sample looks in one direction, chosen by the cosine; without, a colour or a gradient
+/// is summed in closed form, and `ambient_occlusion` darkens it.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
+#[serde(deny_unknown_fields)]
+pub struct SkyLight {
+    /// How bright it is beside what is seen of it.
+    #[serde(default = "full")]
+    pub strength: Strength,
+    /// What shines, where it is not the background.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub from: Option<Background>,
+    /// Whether things cast shadows in it.
+    #[serde(default = "yes")]
+    pub shadow: bool,
+}
+
+impl Exemplary for SkyLight {
+    const EXAMPLE: &'static str = r#"{ "strength": 2 }"#;
+    const MORE: &'static [&'static str] = &[
+        r#"{ "strength": 2, "shadow": false }"#,
+        r##"{ "from": { "gradient": { "bottom": "#e0863c", "top": "#b8d4ff" } } }"##,
+    ];
+}
+
+impl LightSource for SkyLight {
+    #[inline(always)]
+    fn arriving<R: Real>(
+        &self,
+        _: Vec3<R>,
+        _: R,
+        _: Option<&Day>,
+        _: impl FnOnce() -> (R, R),
+    ) -> Option<(Incoming<R>, R)> {
+        None
+    }
+
+    #[inline(always)]
+    fn surrounding<'a>(&'a self, background: &'a Background) -> Option<Surrounding<'a>> {
+        Some(Surrounding { from: self.from.as_ref().unwrap_or(background), strength: self.strength.get() })
+    }
+
+    fn casts_shadows(&self) -> bool {
+        self.shadow
+    }
+
+    fn is_dark(&self) -> bool {
+        self.strength.is_zero()
+    }
+
+    fn fault(&self, background: &Background) -> Option<NodeFault> {
+        match &self.from {
+            None => background
+                .is_transparent()
+                .then(|| NodeFault::new("", "comes from a background that is transparent: say what shines by `from`")),
+            Some(from) if from.is_transparent() => {
+                Some(NodeFault::new("from", "is nothing that shines: choose a color, a gradient or a day"))
+            }
+            Some(from) => from.fault().map(|fault| fault.inside("from")),
+        }
+    }
+
+    fn prepare(&mut self) {
+        self.from.iter_mut().for_each(Backdrop::prepare);
+    }
+}

@@ -1,0 +1,32 @@
+//! A node that exists in unit tests alone: what it takes to add one.
+
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+use super::Primitive;
+use crate::bounds::Bounds;
+use crate::real::{Real, Vec3};
+use crate::seek::Seek;
+use crate::values::Length;
+
+/// All between two planes across z.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
+#[serde(deny_unknown_fields)]
+pub struct AddedNode {
+    /// How far the planes are from each other.
+    pub depth: Length,
+}
+
+impl Primitive for AddedNode {
+    const EXAMPLE: &str = r#"{ "depth": 0.8 }"#;
+
+    #[inline(always)]
+    fn distance<R: Real>(&self, p: Vec3<R>) -> R {
+        p.z.abs() - p.z.given(0.5 * self.depth.get())
+    }
+
+    fn bounds(&self, level: f32) -> Bounds {
+        let reach = 0.5 * self.depth.get() + level;
+        Bounds::symmetric(f32::INFINITY, f32::INFINITY, reach)
+    }
+}

@@ -1,0 +1,31 @@
+//! A profile that exists in unit tests alone: what it takes to add one.
+
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+use super::{Extent, Planar};
+use crate::real::Real;
+use crate::seek::Seek;
+use crate::values::Length;
+
+/// All between two lines across y.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
+#[serde(deny_unknown_fields)]
+pub struct AddedProfile {
+    /// How far the lines are from each other.
+    pub height: Length,
+}
+
+impl Planar for AddedProfile {
+    const EXAMPLE: &str = r#"{ "height": 0.8 }"#;
+    const IS_MIRRORED: bool = true;
+
+    #[inline(always)]
+    fn distance<R: Real>(&self, _: R, y: R) -> R {
+        y.abs() - y.given(0.5 * self.height.get())
+    }
+
+    fn extent(&self, level: f32) -> Extent {
+        Extent::symmetric(f32::INFINITY, 0.5 * self.height.get() + level)
+    }
+}

@@ -1,0 +1,230 @@
+//! What every light, background, projection and effect promises, tested on each one's own examples: nothing here
+//! names one.
+
+use std::collections::BTreeSet;
+
+use crate::subject as scene;
+use scene::backgrounds::Background;
+use scene::camera::Projection;
+use scene::kinds::Example;
+use scene::lights::Light;
+use scene::{Job, Program, effects};
+use serde_json::{Value, json};
+
+/// A family of kinds: its examples, its place in the schema, and a scene that has one of it.
+struct Family {
+    name: &'static str,
+    examples: Vec<Example>,
+    /// The definition that lists the kinds; that of the scene, if each kind is a key of it.
+    definition: &'static str,
+    scene: fn(&Value) -> Value,
+}
+
+fn families() -> [Family; 4] {
+    [
+        Family {
+            name: "light",
+            examples: Light::examples(),
+            definition: "Light",
+            scene: |light| json!({ "lights": [light], "background": { "day": { "sun": [0.6, 0.5, 0.4] } } }),
+        },
+        Family {
+            name: "background",
+            examples: Background::examples(),
+            definition: "Background",
+            scene: |background| json!({ "background": background }),
+        },
+        Family {
+            name: "projection",
+            examples: Projection::examples(),
+            definition: "Projection",
+            scene: |projection| json!({ "camera": { "position": [1.5, 1.4, 3.2], "look_at": [0, 0, 0], "projection": projection } }),
+        },
+        Family { name: "effect", examples: effects::examples(), definition: "Scene", scene: Value::clone },
+    ]
+}
+
+/// The text of a job with these keys in its scene: a ball on a floor, matt and without light of their own.
+fn text(keys: &Value) -> String {
+    let material = json!({ "diffuse": { "ambient": [0.02, 0.02, 0.02], "ks": [0.2, 0.2, 0.2] } });
+    let mut scene = json!({ "camera": { "position": [1.5, 1.4, 3.2], "look_at": [0, 0.6, 0], "fov": 60 }, "objects": [
+        { "shape": { "sphere": { "radius": 1 } }, "material": material },
+        { "shape": { "plane": { "normal": [0, 1, 0], "offset": -1 } }, "material": material } ] });
+    for (key, value) in keys.as_object().expect("an object") {
+        scene[key] = value.clone();
+    }
+    json!({ "scene": scene, "image": { "width": 24, "height": 12, "samples": 3 } }).to_string()
+}
+
+fn job(keys: &Value) -> Job {
+    let text = text(keys);
+    scene::parse(text.as_bytes()).unwrap_or_else(|refusal| panic!("{refusal}\n{text}"))
+}
+
+/// Calls `check` with the name of each example, its family, and what it is.
+fn each(mut check: impl FnMut(&str, &Family, &Example, &Value)) {
+    for family in families() {
+        for example in &family.examples {
+            let value = serde_json::from_str(&example.json).expect("an example is JSON");
+            check(&format!("{} {} {}", family.name, example.name, example.number), &family, example, &value);
+        }
+    }
+}
+
+/// Every channel of the job's picture, by plain `f32`.
+fn pixels(job: &Job) -> Vec<f32> {
+    let still = job.at(0).expect("the job is sound");
+    let program = Program::new(&still);
+    let mut channels = Vec::new();
+    for (x, y) in (0..job.image.height).flat_map(|y| (0..job.image.width).map(move |x| (x, y))) {
+        let seen = program.pixel(x as f32, y as f32);
+        channels.extend([seen.color.x, seen.color.y, seen.color.z, seen.alpha]);
+    }
+    channels
+}
+
+#[test]
+fn every_kind_survives_the_way_through_json() {
+    each(|name, family, _, value| {
+        let read = job(&(family.scene)(value));
+        let written = serde_json::to_value(&read.scene).expect("a scene can be written");
+        let mut keys = (family.scene)(value);
+        for key in ["camera", "background", "lights", "fog", "ambient_occlusion"] {
+            if let Some(part) = written.get(key) {
+                keys[key] = part.clone();
+            }
+        }
+        let again = job(&keys);
+        assert_eq!(again, read, "{name}");
+    });
+}
+
+#[test]
+fn the_schema_describes_every_kind_and_each_of_its_keys() {
+    let schema = scene::schema();
+    each(|name, family, example, value| {
+        let definition = &schema["$defs"][family.definition];
+        let Some((key, value)) = value.as_object().and_then(|object| object.iter().next()) else {
+            let choices = definition["oneOf"].as_array().expect("a family is a choice");
+            let own = choices.iter().find(|choice| &choice["const"] == value).expect("the schema has the word");
+            return assert!(own["description"].is_string(), "{name} has no description");
+        };
+        let own = &schema["$defs"][example.kind];
+        assert!(own["description"].is_string(), "{name} has no description");
+        let reference = json!(format!("#/$defs/{}", example.kind)).to_string();
+        assert!(definition.to_string().contains(&reference), "{name}: {} does not list it", family.definition);
+        for key in value.as_object().into_iter().flat_map(serde_json::Map::keys) {
+            assert!(own["properties"][key].is_object(), "{name} has no {key} in the schema");
+        }
+        if own["type"] == "object" {
+            assert_eq!(own["additionalProperties"], false, "{name} takes unknown keys");
+        }
+        for (key, property) in own["properties"].as_object().into_iter().flatten() {
+            assert!(property["description"].is_string(), "{name}: {key} has no description");
+        }
+        assert_eq!(key, &example.name, "{name}");
+    });
+}
+
+#[test]
+fn the_list_of_effects_has_every_key_of_a_scene_that_may_be_absent() {
+    let schema = scene::schema();
+    let optional = schema["$defs"]["Scene"]["properties"].as_object().expect("a scene has keys").iter();
+    let optional = optional.filter(|(_, property)| {
+        property["anyOf"].as_array().is_some_and(|choices| choices.contains(&json!({ "type": "null" })))
+    });
+    let keys: BTreeSet<String> = optional.map(|(key, _)| key.clone()).collect();
+    let listed: BTreeSet<String> = effects::examples().into_iter().map(|example| example.name).collect();
+    assert_eq!(keys, listed);
+}
+
+#[test]
+fn light_is_finite_and_never_negative_with_every_kind() {
+    each(|name, family, _, value| {
+        let pixels = pixels(&job(&(family.scene)(value)));
+        assert!(pixels.iter().all(|channel| channel.is_finite() && *channel >= 0.0), "{name}: {pixels:?}");
+        assert!(pixels.iter().any(|channel| *channel != pixels[0]), "{name} shows nothing");
+    });
+}
+
+#[test]
+fn every_example_has_a_picture_and_a_key_of_its_own() {
+    for family in families() {
+        let jobs: Vec<(String, Job)> = family
+            .examples
+            .iter()
+            .map(|example| {
+                let value = serde_json::from_str(&example.json).expect("an example is JSON");
+                (format!("{} {}", example.name, example.number), job(&(family.scene)(&value)))
+            })
+            .collect();
+        let seen: Vec<(Vec<f32>, _)> = jobs.iter().map(|(_, job)| (pixels(job), job.picture_key(0))).collect();
+        for (one, other) in (0..jobs.len()).flat_map(|one| (0..one).map(move |other| (one, other))) {
+            let names = format!("{} {} and {}", family.name, jobs[one].0, jobs[other].0);
+            assert!(seen[one].0 != seen[other].0, "{names} look the same");
+            assert_ne!(seen[one].1, seen[other].1, "{names} have one key");
+        }
+    }
+}
+
+#[test]
+fn no_example_is_warned_of() {
+    each(|name, family, _, value| {
+        let warnings = job(&(family.scene)(value)).warnings();
+        assert!(warnings.is_empty(), "{name}: {warnings:?}");
+    });
+}
+
+#[test]
+fn a_black_light_is_warned_of_and_lights_nothing() {
+    let dark = pixels(&job(&json!({ "lights": [], "background": { "day": { "sun": [0.6, 0.5, 0.4] } } })));
+    let lights = families().into_iter().find(|family| family.name == "light").expect("lights are a family");
+    let schema = scene::schema();
+    for example in &lights.examples {
+        let mut light: Value = serde_json::from_str(&example.json).expect("an example is JSON");
+        let keys = schema["$defs"][example.kind]["properties"].as_object().expect("a light has keys");
+        let own = &mut light[&example.name];
+        let was = own.clone();
+        if keys.contains_key("color") {
+            own["color"] = json!([0, 0, 0]);
+        } else {
+            own["strength"] = json!(0);
+        }
+        let job = job(&(lights.scene)(&light));
+        let warnings = job.warnings();
+        assert!(warnings.iter().any(|warning| warning.contains("all lights are black")), "{was}: {warnings:?}");
+        assert_eq!(pixels(&job), dark, "{light} lights something");
+    }
+}
+
+/// The JSON pointers of all numbers in a value.
+fn numbers(value: &Value, pointer: &str, found: &mut Vec<String>) {
+    match value {
+        Value::Number(_) => found.push(pointer.to_owned()),
+        Value::Array(items) => {
+            items.iter().enumerate().for_each(|(index, item)| numbers(item, &format!("{pointer}/{index}"), found));
+        }
+        Value::Object(entries) => {
+            entries.iter().for_each(|(key, entry)| numbers(entry, &format!("{pointer}/{key}"), found));
+        }
+        Value::Null | Value::Bool(_) | Value::String(_) => {}
+    }
+}
+
+#[test]
+fn a_number_that_moves_gives_the_picture_of_one_that_does_not() {
+    each(|name, family, _, value| {
+        let mut found = Vec::new();
+        numbers(value, "", &mut found);
+        let want = pixels(&job(&(family.scene)(value)));
+        for pointer in found {
+            let mut changed = value.clone();
+            let number = changed.pointer_mut(&pointer).expect("it was found there");
+            *number = json!({ "keys": [[0, number.clone()]] });
+            let got = pixels(&job(&(family.scene)(&changed)));
+            let off = got.iter().zip(&want).map(|(got, want)| (got - want).abs() / want.max(1.0)).fold(0.0, f32::max);
+            // A light whose angle may be 0 in another frame is met by chance in all of them.
+            assert!(off <= 0.05, "{name} {pointer} is off by {off}");
+        }
+    });
+}
