@@ -144,6 +144,13 @@ macro_rules! nodes {
                 })
             }
 
+            /// Whether its surface has details of every size.
+            pub(crate) fn is_fine(&self) -> bool {
+                match self {
+                    $(Self::$Kind(node) => Sdf::is_fine(node)),*
+                }
+            }
+
             /// What is wrong with its numbers taken together, if anything.
             pub(crate) fn fault(&self) -> Option<NodeFault> {
                 match self {

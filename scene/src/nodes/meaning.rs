@@ -97,6 +97,12 @@ pub trait Sdf {
         self.children().iter().map(Node::exactness).fold(Exactness::Exact, Exactness::max)
     }
 
+    /// Whether its surface has details of every size, so that some are smaller than any pixel: a normal is then
+    /// the mean over a pixel.
+    fn is_fine(&self) -> bool {
+        self.children().iter().any(Node::is_fine)
+    }
+
     /// What is wrong with its numbers taken together, if anything; each alone is in range.
     fn fault(&self) -> Option<NodeFault> {
         None
@@ -140,6 +146,11 @@ pub trait Primitive {
         Exactness::Exact
     }
 
+    /// Whether its surface has details of every size, see [`Sdf::is_fine`].
+    fn is_fine(&self) -> bool {
+        false
+    }
+
     /// What is wrong with its numbers taken together, if anything; each alone is in range.
     fn fault(&self) -> Option<NodeFault> {
         None
@@ -170,6 +181,10 @@ impl<P: Primitive> Sdf for P {
 
     fn exactness(&self) -> Exactness {
         Primitive::exactness(self)
+    }
+
+    fn is_fine(&self) -> bool {
+        Primitive::is_fine(self)
     }
 
     fn fault(&self) -> Option<NodeFault> {

@@ -103,6 +103,10 @@ impl Primitive for KaleidoscopicIfs {
         is_nothing.then(|| NodeFault::new("offset", "has no length, so the shape has no size: make a coordinate 1"))
     }
 
+    fn is_fine(&self) -> bool {
+        true
+    }
+
     fn bounds(&self, level: f32) -> Bounds {
         // A step grows a length by scale and takes |offset|·(scale − 1): beyond |offset| nothing comes back.
         let reach = self.reach() + level;

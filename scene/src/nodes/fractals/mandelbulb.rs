@@ -81,6 +81,10 @@ impl Primitive for Mandelbulb {
         })
     }
 
+    fn is_fine(&self) -> bool {
+        true
+    }
+
     fn bounds(&self, level: f32) -> Bounds {
         // Inside the ball of escape the estimate says little about how far the surface is.
         let ball = self.bounding_radius();
