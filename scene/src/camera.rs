@@ -167,7 +167,12 @@ impl View {
         Tolerance { slope: (0.25 * slope).clamp(2e-6, 2.5e-4), floor }
     }
 
-    /// Half the edge of the tetrahedron that normals are measured on: half of half a pixel, and far
+    /// What a distance is right to, by the distance along the ray: below it, a surface has been met.
+    pub fn resolution(&self) -> Tolerance {
+        Tolerance { slope: 1.5e-7, floor: self.precision }
+    }
+
+    /// Half the edge of the tetrahedron that normals are measured on, at most: half of half a pixel, and far
     /// above the limits of `f32`.
     pub fn tap(&self) -> Tolerance {
         let Tolerance { slope, floor } = self.footprint;

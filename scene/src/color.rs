@@ -57,6 +57,19 @@ pub fn srgb_from_linear<R: Real>(linear: R) -> R {
     R::select(linear.below(0.003_130_8), linear * 12.92, curve).at_most(1.0)
 }
 
+/// Which of 256 levels shows an sRGB value, 0 to 1, before its fraction is cut off: rounded at `threshold`, which
+/// differs from pixel to pixel, so that no band is seen where colours change slowly.
+///
+/// What is a level but for rounding is that level everywhere: an even colour stays even.
+#[inline(always)]
+pub fn level_of_256<R: Real>(srgb: R, threshold: R) -> R {
+    /// How near a level one must be to be it.
+    const NEAR: f32 = 1.0 / 32.0;
+    let value = srgb * 255.0;
+    let nearest = (value + 0.5).floor();
+    R::select((value - nearest).abs().below(NEAR), nearest, value + threshold)
+}
+
 /// Linear light from an sRGB value, 0 to 1.
 #[inline(always)]
 pub fn linear_from_srgb<R: Real>(srgb: R) -> R {

@@ -44,8 +44,27 @@ pub struct Place<R: Real> {
     pub own_normal: Vec3<R>,
     /// Distance from the camera, along the ray.
     pub distance: R,
+    /// What a sample's part of the pixel covers of the surface, as textures see it: from `point`, two ways of half its width.
+    pub footprint: [Vec3<R>; 2],
     /// Whether the surface is seen from inside its shape.
     pub inside: Flag<R>,
+}
+
+impl<R: Real> Place<R> {
+    /// How much of a direction, of length 1, the footprint takes up.
+    #[inline(always)]
+    pub fn width_along(&self, direction: Vec3<f32>) -> R {
+        let [across, along] = self.footprint;
+        let squared = across.dot_known(direction).square() + along.dot_known(direction).square();
+        squared.sqrt() * 2.0
+    }
+
+    /// The footprint's width along its longer way.
+    #[inline(always)]
+    pub fn width(&self) -> R {
+        let [across, along] = self.footprint;
+        across.length_squared().max(along.length_squared()).sqrt() * 2.0
+    }
 }
 
 /// The light that arrives at a place.
@@ -129,6 +148,11 @@ pub trait Shade {
     /// Whether it uses `Place::point`.
     fn is_textured(&self) -> bool {
         !self.textures().is_empty()
+    }
+
+    /// Whether it uses `Place::footprint`.
+    fn needs_footprint(&self) -> bool {
+        self.textures().into_iter().any(Texture::needs_footprint)
     }
 
     /// Whether it uses `Place::own_normal`, which is expensive.

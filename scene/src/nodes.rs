@@ -153,6 +153,13 @@ macro_rules! nodes {
                 })
             }
 
+            /// Whether its surface has details of every size, see [`Sdf::is_fine`].
+            pub(crate) fn is_fine(&self) -> bool {
+                match self {
+                    $($(#[$attribute])* Self::$Kind(node) => Sdf::is_fine(node)),*
+                }
+            }
+
             /// Error in its numbers taken together, if any.
             pub(crate) fn fault(&self) -> Option<NodeFault> {
                 match self {

@@ -11,7 +11,7 @@ use crate::backgrounds::Backdrop;
 use crate::bounds::Bounds;
 use crate::camera::{Ray, View};
 use crate::limits::MAX_SAMPLES;
-use crate::march::{Marched, Reach, Tolerance, march};
+use crate::march::{Approach, Marched, Reach, Tolerance, march_to_root};
 use crate::materials::{Material, Place, Shade};
 use crate::motion::Still;
 use crate::real::{Flag, Real, Vec3, bundle, vec3};
@@ -47,8 +47,13 @@ pub struct Program<'a> {
     samples: u32,
     frame_key: u32,
     tolerance: Tolerance,
-    /// Half the edge of the tetrahedron that normals are measured on.
+    resolution: Tolerance,
+    /// Half the edge of the tetrahedron that normals are measured on, at most.
     tap: Tolerance,
+    /// Half of what a sample sees: of a pixel's height, over the root of their number.
+    seen: Tolerance,
+    /// Surfaces whose normals are means over a pixel.
+    fine: Vec<usize>,
 }
 
 /// From so many nodes on, one formula for the distance and another for the nearest object would be too much text.
@@ -97,8 +102,9 @@ bundle!(Hit { distance, position, normal, inside });
 
 impl<R: Real> Place<R> {
     #[inline(always)]
-    fn of(hit: &Hit<R>, ray: &Ray<R>) -> Self {
+    fn of(hit: &Hit<R>, ray: &Ray<R>, footprint: [Vec3<R>; 2]) -> Self {
         Self {
+            footprint,
             normal: hit.normal,
             to_viewer: -ray.direction,
             point: hit.position,
@@ -133,9 +139,12 @@ impl<'a> Program<'a> {
             sends_on,
             lets_through,
             clothes,
+            fine: surfaces.iter().copied().filter(|&index| scene.objects[index].shape.is_fine()).collect(),
             surfaces,
             tolerance: view.tolerance(),
+            resolution: view.resolution(),
             tap: view.tap(),
+            seen: view.footprint().scaled(1.0 / Real::sqrt(image.samples as f32)),
             view,
             samples: image.samples,
             frame_key: frame_key(image.seed, still.frame()),
@@ -211,7 +220,7 @@ impl<'a> Program<'a> {
                         let hit = self.hit(&ray, &marched);
                         let object = self.nearest(hit.position).1;
                         let albedo = self.albedo(&hit, &ray, object);
-                        (hit.distance, hit.normal, hit.position, albedo, object)
+                        (hit.distance, hit.normal, ray.at(hit.distance), albedo, object)
                     },
                 );
                 Met { depth, normal, position, albedo, object, steps: marched.steps }
@@ -257,34 +266,33 @@ impl<'a> Program<'a> {
             *ray,
             #[inline(always)]
             |ray| {
-                self.march_within(
-                    &ray,
-                    #[inline(always)]
-                    |t| self.tolerance.at(t),
-                )
+                let Tolerance { slope, floor } = self.tolerance;
+                self.march_within(&ray, ray.direction.x.given(slope), ray.direction.x.given(floor))
             },
         )
     }
 
-    /// Marches within the scene's bounds; `tolerance` is what is near enough at a distance along the ray.
+    /// Marches within the scene's bounds; what is near enough grows by `slope` from `near`.
     #[inline(always)]
-    fn march_within<R: Real>(&self, ray: &Ray<R>, tolerance: impl Fn(R) -> R) -> Marched<R> {
+    fn march_within<R: Real>(&self, ray: &Ray<R>, slope: R, near: R) -> Marched<R> {
+        let approach = Approach { slope, near, resolution: self.resolution, both_sides: self.lets_through };
         let zero = ray.direction.x.splat(0.0);
         let farthest = zero.given(self.scene.march.max_distance.get());
         let (nearest, farthest) = self.bounds.along(ray, farthest);
-        let missed = Marched { distance: farthest, gap: farthest, steps: zero, hit: Flag(zero.below(0.0)) };
+        let missed =
+            Marched { distance: farthest, near: farthest, gap: farthest, steps: zero, hit: Flag(zero.below(0.0)) };
         R::when(
             nearest.lt(farthest),
             missed,
             #[inline(always)]
             || {
                 let reach = Reach { nearest, farthest, max_steps: self.scene.march.max_steps };
-                let mut marched = march(
+                let mut marched = march_to_root(
                     ray,
                     reach,
-                    tolerance,
+                    approach,
                     #[inline(always)]
-                    |p| self.gap(p),
+                    |p| self.distance(p),
                 );
                 // Out of steps: a hit if what the pixel sees touches the surface.
                 let seen = self.view.footprint().at(marched.distance);
@@ -295,13 +303,6 @@ impl<'a> Program<'a> {
         )
     }
 
-    /// The distance to the nearest surface, from inside too where rays get there.
-    #[inline(always)]
-    fn gap<R: Real>(&self, p: Vec3<R>) -> R {
-        let distance = self.distance(p);
-        if self.lets_through { distance.abs() } else { distance }
-    }
-
     /// Where exactly a march that came near the surface meets it, and the normal there.
     fn hit<R: Real>(&self, ray: &Ray<R>, marched: &Marched<R>) -> Hit<R> {
         marched.distance.shared(
@@ -309,16 +310,52 @@ impl<'a> Program<'a> {
             (*ray, *marched),
             #[inline(always)]
             |(ray, marched)| {
-                let normal = self.normal(ray.at(marched.distance), self.tap.at(marched.distance));
+                let Marched { distance: root, near, gap, .. } = marched;
+                let fine = self.is_fine(ray.at(near));
+                let from = fine.map_or(root, |fine| R::select(fine, near, root));
+                let p = ray.at(from);
+                let normal = self.normal(p, self.tap(p, from, fine));
                 let facing = -normal.dot(ray.direction);
                 let steepness = if self.lets_through { facing.abs() } else { facing };
                 // One step of Newton's method along the ray; cautious where it grazes the surface.
-                let distance = (marched.distance + marched.gap / steepness.at_least(0.25)).at_least(0.0);
+                let about = (near + gap / steepness.at_least(0.25)).at_least(0.0);
+                // Where the march ran out of steps there is no root.
+                let distance = R::select(near.lt(root) | root.lt(near), root, about);
+                let position = ray.at(fine.map_or(distance, |fine| R::select(fine, about, distance)));
                 let inside = facing.below(0.0);
                 let normal = Vec3::select(inside, -normal, normal);
-                Hit { distance, position: ray.at(distance), normal, inside: Flag(inside) }
+                Hit { distance, position, normal, inside: Flag(inside) }
             },
         )
+    }
+
+    /// Whether the surface at `p` has details of every size; `None` where none has. Among them a root is one of
+    /// many: what is seen is the surface at the march's tolerance around them, and its normal is the mean over a pixel.
+    #[inline(always)]
+    fn is_fine<R: Real>(&self, p: Vec3<R>) -> Option<R::Mask> {
+        let zero = p.x.splat(0.0);
+        if self.fine.is_empty() || self.fine.len() == self.surfaces.len() {
+            return (!self.fine.is_empty()).then(|| zero.below(1.0));
+        }
+        let object = self.nearest(p).1;
+        let nowhere = zero.above(1.0);
+        let is_one = |mask: R::Mask, &index: &usize| mask | (object - index as f32).abs().below(0.5);
+        Some(self.fine.iter().fold(nowhere, is_one))
+    }
+
+    /// How far from a hit its normal is measured: as little as `f32` allows, so that no edge nearby is seen; but
+    /// half of half a pixel where the surface has finer details.
+    #[inline(always)]
+    fn tap<R: Real>(&self, p: Vec3<R>, distance: R, fine: Option<R::Mask>) -> R {
+        /// Of a coordinate: some thousand times what it is right to.
+        const OF_COORDINATE: f32 = 2.5e-4;
+        /// Of what is the most: a tenth of half a pixel.
+        const OF_MOST: f32 = 0.2;
+        let most = self.tap.at(distance);
+        let size = vec3(p.x.abs(), p.y.abs(), p.z.abs()).max_element();
+        let least = distance.given(self.resolution.floor * 50.0);
+        let sharp = (size * OF_COORDINATE).max(most * OF_MOST).max(least).min(most);
+        fine.map_or(sharp, |fine| R::select(fine, most, sharp))
     }
 
     /// The gradient's direction, from four taps on a tetrahedron.
@@ -350,11 +387,4 @@ impl<'a> Program<'a> {
 /// What an object's distance is multiplied by: nothing if it is 1, but in all frames alike.
 fn shrink(stretch: f32, moves: bool) -> Option<f32> {
     (stretch != 1.0 || moves).then(|| 1.0 / stretch)
-}
-
-impl Tolerance {
-    #[inline(always)]
-    fn at<R: Real>(self, distance: R) -> R {
-        distance.mul_add(distance.given(self.slope), distance.given(self.floor))
-    }
 }

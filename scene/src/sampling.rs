@@ -55,15 +55,8 @@ impl<R: Real> Jitter<R> {
     /// Of the pixel (`x`, `y`), whole numbers below 2²³.
     #[inline(always)]
     pub fn new(x: R, y: R, frame_key: u32) -> Self {
-        let (mut a, mut b) = (stir::<R>(whole(x)), stir::<R>(whole(y)));
-        let mut c = stir::<R>(x.given_bits(frame_key));
-        for _ in 0..2 {
-            a = a + b * c;
-            b = b + c * a;
-            c = c + a * b;
-            (a, b, c) = (a ^ (a >> 16), b ^ (b >> 16), c ^ (c >> 16));
-        }
-        Self { x: a, y: b }
+        let [x, y, _] = pcg3d::<R>(whole(x), whole(y), x.given_bits(frame_key));
+        Self { x, y }
     }
 
     /// The offset in the pixel, 0 to 1 without 1, of a sample: a whole number below 2²³.
@@ -103,6 +96,26 @@ impl<R: Real> Dice<R> {
         let start = Jitter::new(self.bounce.mul_add(self.bounce.splat(65_536.0), self.x), self.y, key);
         start.stepped(self.sample, ROOT_STEPS[purpose as usize % ROOT_STEPS.len()])
     }
+}
+
+/// Three numbers, 0 to 1 without 1, for the pixel (`x`, `y`), whole numbers below 2²³: what its red, green and blue
+/// are rounded at, so that neighbours share out what is between two levels.
+#[inline(always)]
+pub fn thresholds<R: Real>(x: R, y: R) -> [R; 3] {
+    pcg3d::<R>(whole(x), whole(y), x.given_bits(0)).map(unit)
+}
+
+/// Jarzynski's and Olano's hash.
+#[inline(always)]
+fn pcg3d<R: Real>(a: R::Bits, b: R::Bits, c: R::Bits) -> [R::Bits; 3] {
+    let (mut a, mut b, mut c) = (stir::<R>(a), stir::<R>(b), stir::<R>(c));
+    for _ in 0..2 {
+        a = a + b * c;
+        b = b + c * a;
+        c = c + a * b;
+        (a, b, c) = (a ^ (a >> 16), b ^ (b >> 16), c ^ (c >> 16));
+    }
+    [a, b, c]
 }
 
 /// The integer of a whole number below 2²³.

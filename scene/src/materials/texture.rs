@@ -41,6 +41,11 @@ pub trait Pattern {
     fn looks_at_own_normal(&self) -> bool {
         false
     }
+
+    /// Whether it looks at `Place::footprint` itself.
+    fn looks_at_footprint(&self) -> bool {
+        false
+    }
 }
 
 /// The list: each texture's name, and its struct.
@@ -70,6 +75,11 @@ macro_rules! textures {
             /// Whether it looks at `Place::own_normal` itself.
             fn looks_at_own_normal(&self) -> bool {
                 match self { $($(#[$attribute])* Self::$Kind(texture) => texture.looks_at_own_normal()),* }
+            }
+
+            /// Whether it looks at `Place::footprint` itself.
+            fn looks_at_footprint(&self) -> bool {
+                match self { $($(#[$attribute])* Self::$Kind(texture) => texture.looks_at_footprint()),* }
             }
 
             /// Whether a texture has this name in JSON.
@@ -115,6 +125,13 @@ impl Texture {
     }
 }
 
+impl Texture {
+    /// Whether it, or a texture in it, looks at `Place::footprint`.
+    pub fn needs_footprint(&self) -> bool {
+        self.looks_at_footprint() || self.tints().into_iter().filter_map(Tint::texture).any(Self::needs_footprint)
+    }
+}
+
 /// Black and white: the colours of textures that name none.
 fn black_and_white() -> [Tint; 2] {
     [Tint::black(), Tint::white()]
@@ -129,7 +146,9 @@ mod tests {
     pub(super) fn at(x: f32, y: f32, z: f32) -> Place<f32> {
         let facing = vec3(0.0, 0.0, 1.0);
         let point = vec3(x, y, z);
-        Place { normal: facing, to_viewer: facing, point, own_normal: facing, distance: 4.0, inside: Flag(false) }
+        let footprint = [vec3(0.0, 0.0, 0.0); 2];
+        let inside = Flag(false);
+        Place { normal: facing, to_viewer: facing, point, own_normal: facing, distance: 4.0, footprint, inside }
     }
 
     #[test]

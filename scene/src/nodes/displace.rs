@@ -149,6 +149,10 @@ impl Sdf for Displace {
         self.child.exactness().at_best_bound()
     }
 
+    fn is_fine(&self) -> bool {
+        matches!(self.by, Bumps::Noise(_)) || self.child.is_fine()
+    }
+
     fn bounds(&self, level: f32) -> Bounds {
         self.child.bounds(self.relief().level(level))
     }

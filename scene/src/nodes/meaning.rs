@@ -108,6 +108,12 @@ pub trait Sdf {
         self.children().iter().map(Node::exactness).fold(Exactness::Exact, Exactness::max)
     }
 
+    /// Whether its surface has details of every size, so that some are smaller than any pixel: a normal is then
+    /// the mean over a pixel.
+    fn is_fine(&self) -> bool {
+        self.children().iter().any(Node::is_fine)
+    }
+
     /// Error in its numbers taken together, if any; each alone is in range.
     fn fault(&self) -> Option<NodeFault> {
         None
@@ -167,6 +173,11 @@ pub trait Primitive {
         Exactness::Exact
     }
 
+    /// Whether its surface has details of every size, see [`Sdf::is_fine`].
+    fn is_fine(&self) -> bool {
+        false
+    }
+
     /// Error in its numbers taken together, if any; each alone is in range.
     fn fault(&self) -> Option<NodeFault> {
         None
@@ -207,6 +218,10 @@ impl<P: Primitive> Sdf for P {
 
     fn exactness(&self) -> Exactness {
         Primitive::exactness(self)
+    }
+
+    fn is_fine(&self) -> bool {
+        Primitive::is_fine(self)
     }
 
     fn fault(&self) -> Option<NodeFault> {

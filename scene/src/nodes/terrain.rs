@@ -77,6 +77,10 @@ impl Primitive for HeightField {
         Exactness::Bound
     }
 
+    fn is_fine(&self) -> bool {
+        true
+    }
+
     fn bounds(&self, level: f32) -> Bounds {
         let top = self.relief().level(level);
         let land = Bounds { high: vec3(f32::INFINITY, top, f32::INFINITY), ..Bounds::EVERYWHERE };

@@ -56,6 +56,10 @@ impl Sdf for Warp {
         self.child.exactness().at_best_bound()
     }
 
+    fn is_fine(&self) -> bool {
+        true
+    }
+
     fn bounds(&self, level: f32) -> Bounds {
         let (low, high) = self.noise.range();
         self.child.bounds(level).widened(self.amplitude.get().abs() * (high - low) * 0.5)

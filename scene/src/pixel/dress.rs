@@ -2,6 +2,7 @@
 
 use super::{Hit, Program};
 use crate::camera::Ray;
+use crate::materials::microfacet::frame;
 use crate::materials::{Finish, Lighting, Place, Shade};
 use crate::nodes::{Coat, Painted, Sample};
 use crate::real::{Bundle, Real, Vec3, vec3};
@@ -18,6 +19,8 @@ pub(super) struct Clothes {
     only: Option<usize>,
     /// Whether some material needs the normal in its own space.
     needs_own_normal: bool,
+    /// Whether some texture needs the footprint in its own space.
+    needs_footprint: bool,
 }
 
 /// A material on a surface.
@@ -26,6 +29,7 @@ struct Worn<R> {
     share: R,
     point: Vec3<R>,
     own_normal: Vec3<R>,
+    footprint: [Vec3<R>; 2],
 }
 
 impl Clothes {
@@ -39,7 +43,8 @@ impl Clothes {
             _ => None,
         };
         let needs_own_normal = worn.iter().any(|&slot| slots[slot].needs_own_normal());
-        Self { painted, worn, only, needs_own_normal }
+        let needs_footprint = worn.iter().any(|&slot| slots[slot].needs_footprint());
+        Self { painted, worn, only, needs_own_normal, needs_footprint }
     }
 
     pub(super) fn slots(&self) -> impl Iterator<Item = usize> + '_ {
@@ -55,6 +60,8 @@ impl Program<'_> {
         self.blend(
             hit,
             ray,
+            // Layers are what is in the middle of a pixel.
+            [black; 2],
             object,
             black,
             #[inline(always)]
@@ -70,13 +77,14 @@ impl Program<'_> {
             #[inline(always)]
             || {
                 if let Some(only) = self.clothes.only {
-                    return self.scene.slots()[only].shade(&Place::of(hit, ray), light);
+                    return self.scene.slots()[only].shade(&Place::of(hit, ray, self.footprint(hit, ray)), light);
                 }
                 let object = self.nearest(hit.position).1;
                 let black = vec3(object.splat(0.0), object.splat(0.0), object.splat(0.0));
                 self.blend(
                     hit,
                     ray,
+                    self.footprint(hit, ray),
                     object,
                     black,
                     #[inline(always)]
@@ -102,13 +110,14 @@ impl Program<'_> {
                 let black = vec3(zero, zero, zero);
                 let matt = Finish { mirrored: black, roughness: one, passed: black, ior: one };
                 if let Some(only) = self.clothes.only {
-                    return self.of_slot(only, &Place::of(hit, ray), light, matt);
+                    return self.of_slot(only, &Place::of(hit, ray, self.footprint(hit, ray)), light, matt);
                 }
                 let object = self.nearest(hit.position).1;
                 let none = Finish { roughness: zero, ior: zero, ..matt };
                 self.blend(
                     hit,
                     ray,
+                    self.footprint(hit, ray),
                     object,
                     (black, none),
                     #[inline(always)]
@@ -146,14 +155,15 @@ impl Program<'_> {
         &self,
         hit: &Hit<R>,
         ray: &Ray<R>,
+        footprint: [Vec3<R>; 2],
         object: R,
         nothing: T,
         of_slot: impl Fn(usize, &Place<R>) -> T,
         add: impl Fn(T, T, R) -> T,
     ) -> T {
         let mut sum = nothing;
-        for worn in self.worn(hit, object) {
-            let place = Place { point: worn.point, own_normal: worn.own_normal, ..Place::of(hit, ray) };
+        for worn in self.worn(hit, footprint, object) {
+            let place = Place { point: worn.point, own_normal: worn.own_normal, ..Place::of(hit, ray, worn.footprint) };
             let part = R::when(
                 worn.share.above(0.0),
                 nothing,
@@ -165,11 +175,24 @@ impl Program<'_> {
         sum
     }
 
+    /// What one sample of a pixel covers of the surface at a hit: two ways of half its width, at right angles to
+    /// each other as the camera sees them. A surface seen edge on counts as seen at a fiftieth of its length.
+    #[inline(always)]
+    fn footprint<R: Real>(&self, hit: &Hit<R>, ray: &Ray<R>) -> [Vec3<R>; 2] {
+        let half = self.seen.at(hit.distance);
+        let facing = (-ray.direction.dot(hit.normal)).at_least(0.02);
+        let (right, up) = frame(ray.direction);
+        [right, up].map(
+            #[inline(always)]
+            |side| ray.direction.mul_add(side.dot(hit.normal) / facing, side) * half,
+        )
+    }
+
     /// The materials at a hit of an object, and where each sees it.
     #[inline(always)]
-    fn worn<R: Real>(&self, hit: &Hit<R>, object: R) -> Vec<Worn<R>> {
+    fn worn<R: Real>(&self, hit: &Hit<R>, footprint: [Vec3<R>; 2], object: R) -> Vec<Worn<R>> {
         let (p, zero) = (hit.position, object.splat(0.0));
-        let worn = |slot| Worn { slot, share: zero, point: p, own_normal: hit.normal };
+        let worn = |slot| Worn { slot, share: zero, point: p, own_normal: hit.normal, footprint };
         let mut all: Vec<Worn<R>> = self.clothes.slots().map(worn).collect();
         let place_of = |slot: u32| self.clothes.worn.iter().position(|&worn| worn == slot as usize);
         for &index in &self.surfaces {
@@ -185,6 +208,8 @@ impl Program<'_> {
             let coats = self.coats(index, p);
             // How the normal's own space sees a short way along it.
             let further = self.clothes.needs_own_normal.then(|| self.coats(index, hit.normal.mul_add(reach(p), p)));
+            // The footprint in that space: where its ends are seen.
+            let ends = self.clothes.needs_footprint.then(|| footprint.map(|end| self.coats(index, p + end)));
             for (number, coat) in coats.iter().enumerate() {
                 let Some(place) = place_of(coat.slot.unwrap_or(own)) else { continue };
                 let worn = &mut all[place];
@@ -194,6 +219,11 @@ impl Program<'_> {
                     if let Some(further) = &further {
                         let own_normal = (further[number].place - coat.place).normalize();
                         worn.own_normal = Vec3::select(here, own_normal, worn.own_normal);
+                    }
+                    if let Some(ends) = &ends {
+                        for (seen, end) in worn.footprint.iter_mut().zip(ends) {
+                            *seen = Vec3::select(here, end[number].place - coat.place, *seen);
+                        }
                     }
                 }
             }

@@ -9,6 +9,7 @@ use crate::materials::microfacet::frame;
 use crate::materials::{Lighting, Shade};
 use crate::real::{Real, Vec3};
 use crate::sampling::Dice;
+use crate::surroundings::AmbientOcclusion;
 
 /// What a pair of numbers is for, see [`Dice::pair`]: the light of this index has `LIGHTS` + index.
 pub(super) const SCATTERING: u32 = 0;
@@ -37,7 +38,7 @@ impl Program<'_> {
         }
         light.openness = self.openness(hit);
         if light.openness.is_some() {
-            evaluations = evaluations + 5.0;
+            evaluations = evaluations + AmbientOcclusion::TAPS;
         }
         let farthest = zero.given(self.scene.march.max_distance.get());
         for (index, source) in self.scene.lights.iter().enumerate() {

@@ -134,7 +134,7 @@ impl Program<'_> {
     pub(super) fn fog_color<R: Real>(&self, fog: &Fog, direction: Vec3<R>) -> Vec3<R> {
         match &fog.color {
             Some(color) => Vec3::given(direction.x, color.get()),
-            None => self.background(direction).0,
+            None => self.background(Fog::direction_of_color(direction)).0,
         }
     }
 
@@ -224,14 +224,7 @@ impl Program<'_> {
             "march_on",
             (*ray, near),
             #[inline(always)]
-            |(ray, near)| {
-                let slope = near.given(self.tolerance.slope);
-                self.march_within(
-                    &ray,
-                    #[inline(always)]
-                    |t| t.mul_add(slope, near),
-                )
-            },
+            |(ray, near)| self.march_within(&ray, near.given(self.tolerance.slope), near),
         )
     }
 }

@@ -1,7 +1,7 @@
 //! What becomes of some rays of a picture, found in plain numbers before anything is rendered.
 
 use super::Program;
-use crate::march::{Reach, march};
+use crate::march::{Approach, Reach, Tolerance, march_to_root};
 
 /// Rays that are looked at, at most.
 const RAYS: u32 = 256;
@@ -30,7 +30,9 @@ impl Program<'_> {
                 continue;
             }
             let reach = Reach { nearest, farthest, max_steps: max_steps.min(left) };
-            let marched = march(&ray, reach, |t| self.tolerance.at(t), |p| self.gap(p));
+            let Tolerance { slope, floor: near } = self.tolerance;
+            let approach = Approach { slope, near, resolution: self.resolution, both_sides: self.lets_through };
+            let marched = march_to_root(&ray, reach, approach, |p| self.distance(p));
             left -= (marched.steps as u32).min(left);
             let seen: f32 = self.view.footprint().at(marched.distance);
             if marched.hit.0 || marched.distance >= farthest || marched.gap < seen {

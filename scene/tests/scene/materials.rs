@@ -48,6 +48,7 @@ impl Random {
             point: self.point(reach),
             own_normal: self.direction(),
             distance: self.next(0.0, reach),
+            footprint: [self.point(0.1), self.point(0.1)],
             inside: Flag(self.next(0.0, 1.0) < 0.5),
         }
     }

@@ -47,7 +47,15 @@ fn surface(parameters: &str) -> Material {
 fn place(to_viewer: V) -> Place<f32> {
     let normal = vec3(0.0, 0.0, 1.0);
     let point = vec3(0.1, 0.2, 0.3);
-    Place { normal, to_viewer: single(to_viewer), point, own_normal: normal, distance: 3.0, inside: Flag(false) }
+    Place {
+        normal,
+        to_viewer: single(to_viewer),
+        point,
+        own_normal: normal,
+        distance: 3.0,
+        footprint: [single([0.0; 3]); 2],
+        inside: Flag(false),
+    }
 }
 
 /// π·BRDF·cosine of a material, in its red channel.

@@ -1,5 +1,7 @@
 //! PNG: 8 or 16 bits, sRGB, straight alpha.
 //!
+//! Colors of 8 bits are dithered by the pixel's position, so that a slow gradient shows no bands.
+//!
 //! Rows are converted in parallel, a band at a time, while the previous band is compressed in order:
 //! compression takes 3 to 5 ms for 1920×1080, the conversion 10 ms on all threads together.
 //!
@@ -13,7 +15,8 @@ use std::ops::Range;
 use png::{BitDepth, ColorType, DeflateCompression, Encoder, Filter, SrgbRenderingIntent};
 use rayon::prelude::*;
 use scene::Bits;
-use scene::color::Grade;
+use scene::color::{Grade, level_of_256};
+use scene::sampling::thresholds;
 
 use super::provenance::KEYWORD;
 use super::{ImageError, Picture};
@@ -136,10 +139,29 @@ impl Layout {
             samples.extend(band.row(3, row).iter().map(|&alpha| unit(alpha)));
         }
         match self.bits {
-            Bits::Eight => self.interleave(samples, bytes, |value| [whole(value * 255.0 + 0.5) as u8]),
+            Bits::Eight => {
+                self.choose_levels(samples, band.rows().start + row as u32);
+                self.interleave(samples, bytes, |value| [whole(value) as u8]);
+            }
             Bits::Sixteen => {
                 self.interleave(samples, bytes, |value| (whole(value * 65535.0 + 0.5) as u16).to_be_bytes());
             }
+        }
+    }
+
+    /// Rounds colours differently from pixel to pixel, but by the pixel's place in the picture alone; alpha evenly.
+    fn choose_levels(self, samples: &mut [f32], y: u32) {
+        let (colors, alpha) = samples.split_at_mut(3 * self.width);
+        let (red, others) = colors.split_at_mut(self.width);
+        let (green, blue) = others.split_at_mut(self.width);
+        for (x, ((red, green), blue)) in red.iter_mut().zip(green).zip(blue).enumerate() {
+            let [at_red, at_green, at_blue] = thresholds(x as f32, y as f32);
+            *red = level_of_256(*red, at_red);
+            *green = level_of_256(*green, at_green);
+            *blue = level_of_256(*blue, at_blue);
+        }
+        for value in alpha {
+            *value = *value * 255.0 + 0.5;
         }
     }
 

@@ -4,7 +4,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::checker::sharp;
-use super::wave::{bands, step};
+use super::wave::square_wave;
 use super::{Pattern, black_and_white};
 use crate::materials::tint::mix_colors;
 use crate::materials::{Exemplary, Place, Tint};
@@ -40,12 +40,18 @@ impl Pattern for Stripes {
     #[inline(always)]
     fn color<R: Real>(&self, place: &Place<R>) -> Vec3<R> {
         let along = place.point.dot_known(self.direction.unit());
-        let share = step(bands(along, self.width.get()), self.softness.get());
+        let seen = place.width_along(self.direction.unit());
+        let wave = square_wave(along, self.width.get(), self.softness.get(), seen);
+        let share = wave.mul_add(along.splat(0.5), along.splat(0.5));
         mix_colors(self.colors[1].at(place), self.colors[0].at(place), share)
     }
 
     fn tints(&self) -> Vec<&Tint> {
         self.colors.iter().collect()
+    }
+
+    fn looks_at_footprint(&self) -> bool {
+        true
     }
 }
 

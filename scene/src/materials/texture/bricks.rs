@@ -5,10 +5,10 @@ use serde::{Deserialize, Serialize};
 
 use super::Pattern;
 use super::checker::sharp;
-use super::wave::step;
+use super::wave::{kept, softened};
 use crate::materials::tint::mix_colors;
 use crate::materials::{Exemplary, Place, Tint};
-use crate::real::{Real, Vec3};
+use crate::real::{Real, Vec3, vec3};
 use crate::seek::Seek;
 use crate::values::{Amount, Length, Share};
 
@@ -50,19 +50,34 @@ impl Exemplary for Bricks {
 type Laid<R> = (R, R);
 
 impl Bricks {
-    /// At a point of the plane: 1 in a brick and 0 in mortar; and where between its two colours the brick's is.
+    /// At a point of the plane, of which a footprint is seen: 1 in a brick and 0 in mortar; and where between its
+    /// two colours the brick's is.
     #[inline(always)]
-    fn laid<R: Real>(&self, across: R, up: R, plane: u32) -> Laid<R> {
+    fn laid<R: Real>(&self, across: (R, R), up: (R, R), plane: u32) -> Laid<R> {
         let (width, height) = (self.size[0].get(), self.size[1].get());
+        let ((across, seen_across), (up, seen_up)) = (across, up);
         let v = up * up.given(1.0 / height);
         let row = v.floor();
         let u = row.mul_add(row.given(self.shift.get()), across * across.given(1.0 / width));
         let column = u.floor();
-        // Distances to the nearest side and to the nearest of top and bottom.
-        let side = ((u - column - 0.5).abs() - 0.5) * u.given(-width);
-        let end = ((v - row - 0.5).abs() - 0.5) * v.given(-height);
-        let inside = side.min(end) - side.given(0.5 * self.mortar.get());
-        (step(inside, self.softness.get()), random(column, row, plane))
+        let inside = self.inside(u - column, width, seen_across) * self.inside(v - row, height, seen_up);
+        let kept = kept(seen_across, 2.0 * width).min(kept(seen_up, 2.0 * height));
+        (inside, (random(column, row, plane) - 0.5).mul_add(kept, u.splat(0.5)))
+    }
+
+    /// The share of brick along one edge of it, `part` of whose length has passed, where a footprint is seen.
+    #[inline(always)]
+    fn inside<R: Real>(&self, part: R, length: f32, seen: R) -> R {
+        let half = part.given(0.5 * self.mortar.get());
+        let window = softened(self.softness.get(), seen);
+        // How much mortar there is from the middle of one joint to a place: the difference over the window.
+        let from_middle = (part - 0.5).abs().mul_add(part.given(-length), part.given(0.5 * length));
+        let passed = |way: R| way.max(-half).min(half);
+        let reach = window * 0.5;
+        let mortar = (passed(from_middle + reach) - passed(from_middle - reach)) / window;
+        let mean = part.given((self.mortar.get() / length).min(1.0));
+        let kept = kept(seen, 2.0 * length);
+        part.splat(1.0) - (mortar - mean).mul_add(kept, mean).at_most(1.0)
     }
 }
 
@@ -92,9 +107,10 @@ impl Pattern for Bricks {
         );
         let whole = (weights.x + weights.y + weights.z).at_least(1e-6);
         let mut sum = (p.x.splat(0.0), p.x.splat(0.0));
-        for (plane, weight, across, up) in
-            [(1, weights.x, p.z, p.y), (2, weights.y, p.x, p.z), (3, weights.z, p.x, p.y)]
-        {
+        let x = (p.x, place.width_along(vec3(1.0, 0.0, 0.0)));
+        let y = (p.y, place.width_along(vec3(0.0, 1.0, 0.0)));
+        let z = (p.z, place.width_along(vec3(0.0, 0.0, 1.0)));
+        for (plane, weight, across, up) in [(1, weights.x, z, y), (2, weights.y, x, z), (3, weights.z, x, y)] {
             sum = R::when(
                 weight.above(0.0),
                 sum,
@@ -111,6 +127,10 @@ impl Pattern for Bricks {
 
     fn tints(&self) -> Vec<&Tint> {
         self.colors.iter().chain([&self.mortar_color]).collect()
+    }
+
+    fn looks_at_footprint(&self) -> bool {
+        true
     }
 
     fn looks_at_own_normal(&self) -> bool {
@@ -142,7 +162,6 @@ fn default_mortar_color() -> Tint {
 mod tests {
     use super::*;
     use crate::materials::texture::tests::at;
-    use crate::real::vec3;
 
     const WALL: &str =
         r#"{ "size": [1, 0.5], "mortar": 0.1, "colors": [[1, 0, 0], [1, 1, 0]], "mortar_color": [0, 0, 1] }"#;

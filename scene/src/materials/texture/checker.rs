@@ -3,11 +3,11 @@
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use super::wave::{bands, edge};
+use super::wave::square_wave;
 use super::{Pattern, black_and_white};
 use crate::materials::tint::mix_colors;
 use crate::materials::{Exemplary, Place, Tint};
-use crate::real::{Real, Vec3};
+use crate::real::{Real, Vec3, vec3};
 use crate::seek::Seek;
 use crate::values::{Amount, Length};
 
@@ -58,8 +58,8 @@ impl Exemplary for Checker {
 impl Checker {
     /// Which kind of cell a coordinate lies in: 1 or −1, and between on a border.
     #[inline(always)]
-    fn side<R: Real>(&self, x: R) -> R {
-        edge(bands(x, self.cell.get()), self.softness.get())
+    fn side<R: Real>(&self, x: R, seen: R) -> R {
+        square_wave(x, self.cell.get(), self.softness.get(), seen)
     }
 }
 
@@ -67,11 +67,14 @@ impl Pattern for Checker {
     #[inline(always)]
     fn color<R: Real>(&self, place: &Place<R>) -> Vec3<R> {
         let p = place.point;
+        let x = || self.side(p.x, place.width_along(vec3(1.0, 0.0, 0.0)));
+        let y = || self.side(p.y, place.width_along(vec3(0.0, 1.0, 0.0)));
+        let z = || self.side(p.z, place.width_along(vec3(0.0, 0.0, 1.0)));
         let sides = match self.axes {
-            Axes::Xyz => self.side(p.x) * self.side(p.y) * self.side(p.z),
-            Axes::Xz => self.side(p.x) * self.side(p.z),
-            Axes::Xy => self.side(p.x) * self.side(p.y),
-            Axes::Yz => self.side(p.y) * self.side(p.z),
+            Axes::Xyz => x() * y() * z(),
+            Axes::Xz => x() * z(),
+            Axes::Xy => x() * y(),
+            Axes::Yz => y() * z(),
         };
         let (first, second) = (self.colors[0].at(place), self.colors[1].at(place));
         mix_colors(first, second, sides.mul_add(sides.splat(-0.5), sides.splat(0.5)))
@@ -79,6 +82,10 @@ impl Pattern for Checker {
 
     fn tints(&self) -> Vec<&Tint> {
         self.colors.iter().collect()
+    }
+
+    fn looks_at_footprint(&self) -> bool {
+        true
     }
 }
 

@@ -14,17 +14,26 @@ pub(super) fn bands<R: Real>(x: R, width: f32) -> R {
     ((part - 0.5).abs() - 0.25) * x.given(-period)
 }
 
-/// From −1 to 1 over a border `softness` wide, by the signed distance to it.
+/// The share of itself that a pattern keeps where `width` of it is seen at once: all up to half of its period,
+/// nothing from its whole period on, where each value is as likely as the other.
 #[inline(always)]
-pub(super) fn edge<R: Real>(distance: R, softness: f32) -> R {
-    (distance * distance.given(2.0 / softness.max(MIN_LENGTH))).at_least(-1.0).at_most(1.0)
+pub(super) fn kept<R: Real>(width: R, period: f32) -> R {
+    width.mul_add(width.given(-2.0 / period), width.splat(2.0)).at_least(0.0).at_most(1.0)
 }
 
-/// From 0 to 1 over a border `softness` wide, by the signed distance to it.
+/// A border `softness` wide, seen through a footprint of `width`.
 #[inline(always)]
-pub(super) fn step<R: Real>(distance: R, softness: f32) -> R {
-    let slope = distance.given(1.0 / softness.max(MIN_LENGTH));
-    distance.mul_add(slope, distance.splat(0.5)).at_least(0.0).at_most(1.0)
+pub(super) fn softened<R: Real>(softness: f32, width: R) -> R {
+    let softness = width.given(softness.max(MIN_LENGTH));
+    width.square_add(softness.square()).sqrt()
+}
+
+/// By turns 1 and −1 in bands of a width, the first from 0 on, with borders `softness` wide, as a footprint of
+/// `seen` shows it.
+#[inline(always)]
+pub(super) fn square_wave<R: Real>(x: R, width: f32, softness: f32, seen: R) -> R {
+    let slope = x.splat(2.0) / softened(softness, seen);
+    (bands(x, width) * slope).at_least(-1.0).at_most(1.0) * kept(seen, 2.0 * width)
 }
 
 /// From 0 at whole turns to 1 at half turns and back, smoothly: within 0.01 of (1 − cos 2πx)/2, at any size of x.

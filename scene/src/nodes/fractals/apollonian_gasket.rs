@@ -73,6 +73,10 @@ impl Primitive for ApollonianGasket {
         1.25
     }
 
+    fn is_fine(&self) -> bool {
+        true
+    }
+
     fn bounds(&self, level: f32) -> Bounds {
         let reach = self.radius.get() + level;
         Bounds::symmetric(reach, reach, reach)

@@ -106,6 +106,10 @@ impl Primitive for KaleidoscopicIfs {
         is_nothing.then(|| NodeFault::new("offset", "has no length, so the shape has no size: make a coordinate 1"))
     }
 
+    fn is_fine(&self) -> bool {
+        true
+    }
+
     fn bounds(&self, level: f32) -> Bounds {
         // A step multiplies a length by scale and subtracts |offset|·(scale − 1): beyond |offset| no
         // orbit returns.

@@ -84,6 +84,10 @@ impl Primitive for MandelbrotRelief {
         (!is_near).then(|| NodeFault::new("width", "must be from 0.0001 to 8: make it 3 to see the whole set"))
     }
 
+    fn is_fine(&self) -> bool {
+        true
+    }
+
     fn bounds(&self, level: f32) -> Bounds {
         let (half, height) = (self.size.get() * 0.5, self.height.get());
         Bounds { low: vec3(-half, 0.0, -half), high: vec3(half, height, half) }.widened(level)

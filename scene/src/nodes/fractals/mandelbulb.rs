@@ -82,6 +82,10 @@ impl Primitive for Mandelbulb {
         })
     }
 
+    fn is_fine(&self) -> bool {
+        true
+    }
+
     fn bounds(&self, level: f32) -> Bounds {
         // Inside the escape ball the estimate hardly depends on the distance to the surface.
         let ball = self.bounding_radius();

@@ -63,6 +63,10 @@ impl Primitive for MengerSponge {
         Exactness::Bound
     }
 
+    fn is_fine(&self) -> bool {
+        true
+    }
+
     fn bounds(&self, level: f32) -> Bounds {
         let half = self.size.get() * 0.5;
         Bounds::symmetric(half, half, half).widened(level)

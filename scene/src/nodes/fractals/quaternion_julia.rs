@@ -65,6 +65,10 @@ impl Primitive for QuaternionJulia {
         })
     }
 
+    fn is_fine(&self) -> bool {
+        true
+    }
+
     fn bounds(&self, level: f32) -> Bounds {
         let reach = self.reach() + level;
         Bounds::symmetric(reach, reach, reach)

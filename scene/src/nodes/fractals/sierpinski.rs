@@ -50,6 +50,10 @@ impl Primitive for Sierpinski {
         tetrahedron(folds::tetrahedral(place), half)
     }
 
+    fn is_fine(&self) -> bool {
+        true
+    }
+
     fn bounds(&self, level: f32) -> Bounds {
         let half = self.size.get() * 0.5;
         Bounds::symmetric(half, half, half).widened(level)
