@@ -28,7 +28,7 @@ use crate::scene::Object;
 use crate::values::track::Reading;
 
 /// Bytes that are read again to look for more faults, of all parts together.
-const MAX_READ_BYTES: usize = 64 << 20;
+const MAX_READ_BYTES: usize = 32 << 20;
 /// What reading a part costs at least, in bytes.
 const MIN_READ_BYTES: usize = 256;
 
@@ -198,9 +198,10 @@ impl<'a> Collector<'a> {
 
     /// Reads a part and those in it.
     fn part(&mut self, part: Part, path: &[usize]) {
-        let inside = self.inside(part, path);
-        for (part, path) in &inside {
-            self.part(*part, path);
+        let mut known = HashSet::new();
+        for (part, path) in self.inside(part, path) {
+            self.part(part, &path);
+            known.insert(path);
         }
         for _ in 0..MAX_FAULTS {
             if !self.goes_on() {
@@ -213,7 +214,7 @@ impl<'a> Collector<'a> {
         }
         // A key that was mended may have more in it.
         for (part, path) in self.inside(part, path) {
-            if !inside.iter().any(|(_, known)| *known == path) {
+            if !known.contains(&path) {
                 self.part(part, &path);
             }
         }

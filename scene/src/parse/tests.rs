@@ -135,5 +135,5 @@ fn work_for_a_large_text_is_bounded_by_its_bytes() {
     let text = around(&format!(r#"{{ {keys} "shape": {{ "sphere": {{ "radius": 1 }} }} }}"#));
     let (all, bytes) = collect::counted(&text);
     assert!(!all.is_empty() && all.len() <= MAX_FAULTS, "{}", all.len());
-    assert!(bytes <= (64 << 20) + 3 * text.len(), "{bytes} of {}", text.len());
+    assert!(bytes <= (32 << 20) + 3 * text.len(), "{bytes} of {}", text.len());
 }
