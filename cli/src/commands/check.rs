@@ -1,4 +1,4 @@
-//! `sdfarm check`: every fault of a job file, what its author should know, and what would be rendered.
+//! `sdfarm check`: reports every error of a job file, or its warnings and what would be rendered.
 
 mod size;
 
@@ -17,7 +17,7 @@ use crate::terminal::{note, say};
 pub(crate) struct Arguments {
     /// The job file; - for standard input.
     job: String,
-    /// Take 0.7 s instead of 0.2 s to judge what it takes, and more pixels.
+    /// Spend 0.7 s instead of 0.2 s on the estimate of its time.
     #[arg(long, env = "SDFARM_ESTIMATE", value_parser = clap::builder::FalseyValueParser::new(), action = clap::ArgAction::SetTrue)]
     estimate: bool,
     /// Print all as JSON.

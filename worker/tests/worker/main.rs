@@ -1,10 +1,14 @@
-//! The worker through its public doors: pictures, blobs, frames, the agent.
+//! The worker by what the crate offers: pictures, blobs, frames, the agent, every arithmetic, the generated pages.
 
 mod agent;
 mod blobs;
+mod cuda;
+mod docs;
 mod fake_renderer;
 mod fake_server;
 mod frames;
+mod lanes;
+mod motion;
 mod pictures;
 mod read_back;
 mod silhouettes;

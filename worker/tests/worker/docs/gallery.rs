@@ -5,12 +5,12 @@ use std::path::{Path, PathBuf};
 
 use scene::{Format, Image, Job};
 
-use crate::{Page, Picture};
+use super::{Page, Picture};
 
 const HEAD: &str = "# Gallery
 
 The scenes that come with sdfarm, drawn small: `sdfarm render scenes/NAME.json -o NAME.png` renders one in full. This
-page is made from them: `SDFARM_WRITE_DOCS=1 cargo test -p worker --test docs`.
+page is made from them: `SDFARM_WRITE_DOCS=1 cargo test -p worker --test worker docs`.
 ";
 
 const WIDTH: u32 = 400;

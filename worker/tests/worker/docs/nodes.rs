@@ -5,16 +5,16 @@ use scene::nodes::{Exactness, Example, Node, snake_case};
 use scene::real::vec3;
 use serde_json::Value;
 
-use crate::picture::on_a_floor;
-use crate::schema::{description, table};
-use crate::{Page, Picture, file, shown};
+use super::picture::on_a_floor;
+use super::schema::{description, table};
+use super::{Page, Picture, file, shown};
 
 const HEAD: &str = "# Nodes
 
 Everything that has a distance. Each is keyed by its name; each picture shows the JSON below it, in grey
 on a floor unless it says a material itself. What goes on all around the camera is shown within a ball.
 This page is made from the code:
-`SDFARM_WRITE_DOCS=1 cargo test -p worker --test docs`.
+`SDFARM_WRITE_DOCS=1 cargo test -p worker --test worker docs`.
 ";
 
 /// The shape to draw: of one that goes on all around the camera, what is in a ball.

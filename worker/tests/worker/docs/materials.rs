@@ -3,16 +3,16 @@
 use scene::materials::{Example, Material, Texture};
 use serde_json::Value;
 
-use crate::picture::on_a_floor;
-use crate::schema::{description, part, table};
-use crate::{Page, Picture, file, shown};
+use super::picture::on_a_floor;
+use super::schema::{description, part, table};
+use super::{Page, Picture, file, shown};
 
 const HEAD: &str = "# Materials
 
 How surfaces answer light. Each is keyed by its name; each picture shows the JSON below it on a ball and a box.
 A colour is `[red, green, blue]` in linear light, `\"#rrggbb\"` in sRGB, or a [texture](#textures). A number of a
 material may be varied by one: `{\"low\": 0.1, \"high\": 0.6, \"by\": TEXTURE}`. This page is made from the code:
-`SDFARM_WRITE_DOCS=1 cargo test -p worker --test docs`.
+`SDFARM_WRITE_DOCS=1 cargo test -p worker --test worker docs`.
 ";
 
 const TEXTURES: &str = "

@@ -1,6 +1,6 @@
 //! docs/nodes.md, docs/materials.md, docs/gallery.md and their pictures, made from the code and the shipped
 //! scenes. A stale page fails here;
-//! `SDFARM_WRITE_DOCS=1 cargo test -p worker --test docs` writes it anew.
+//! `SDFARM_WRITE_DOCS=1 cargo test -p worker --test worker docs` writes it anew.
 
 mod gallery;
 mod materials;
@@ -41,7 +41,11 @@ fn assert_fresh(page: Page) {
             std::fs::write(&path, &want).expect("docs can be written");
         }
         let got = std::fs::read(&path).unwrap_or_default();
-        assert!(got == want, "{} is stale: SDFARM_WRITE_DOCS=1 cargo test -p worker --test docs", path.display());
+        assert!(
+            got == want,
+            "{} is stale: SDFARM_WRITE_DOCS=1 cargo test -p worker --test worker docs",
+            path.display()
+        );
     }
 }
 
