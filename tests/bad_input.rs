@@ -199,7 +199,7 @@ fn not_json() -> Vec<Case> {
     let mut bytes = SOUND.as_bytes().to_vec();
     bytes[20] = 0xff;
     vec![
-        written("NaN", &SOUND.replacen(r#""radius": 1"#, r#""radius": ¤NaN"#, 1), 400, "", "expected value"),
+        written("NaN", &SOUND.replacen(r#""radius": 1"#, r#""radius": ¤NaN"#, 1), 400, "", "NaN"),
         Case {
             name: "1e999",
             text: SOUND.replacen(r#""radius": 1"#, r#""radius": 1e999"#, 1).into_bytes(),
@@ -210,7 +210,7 @@ fn not_json() -> Vec<Case> {
         large("truncated JSON", cut.to_owned(), Some(""), 400, "EOF"),
         large("byte order mark", format!("\u{feff}{SOUND}"), Some(""), 400, "byte order mark"),
         large("nothing at all", String::new(), Some(""), 400, "EOF"),
-        large("more after the job", format!("{SOUND} {{}}"), Some(""), 400, "trailing"),
+        large("more after the job", format!("{SOUND} {{}}"), Some(""), 400, "one job"),
         Case {
             name: "invalid UTF-8",
             text: bytes,
@@ -298,6 +298,55 @@ fn bad_jobs_are_refused_on_the_command_line_with_place_and_cure() {
         }
     }
     assert!(wrong.is_empty(), "{} cases:\n{}", wrong.len(), wrong.join("\n"));
+}
+
+/// The jobs of `several.txt` without their marks, each with what is told of it: a line for each fault.
+fn several() -> Vec<(String, Vec<(String, String)>)> {
+    let text = include_str!("bad_input/several.txt");
+    let cases = text.split("\n## ").skip(1).map(|case| {
+        let (_, case) = case.split_once('\n').expect("a name");
+        let (job, told) = case.split_once("\n-- ").expect("what is told");
+        let job = job.strip_prefix("OBJECTS\n").map_or_else(
+            || job.to_owned(),
+            |objects| SOUND.replacen(r#"{ "material": "clay", "shape": { "sphere": { "radius": 1 } } }"#, objects, 1),
+        );
+        let told = told.trim_end().split("\n-- ").map(|line| line.split_once(" | ").expect("a pointer and words"));
+        (job.replace(MARK, ""), told.map(|(pointer, words)| (pointer.to_owned(), words.to_owned())).collect())
+    });
+    cases.collect()
+}
+
+#[test]
+fn all_faults_of_a_job_are_told_at_once() {
+    let farm = Farm::start(&["--workers", "0"]);
+    let cases = several();
+    assert!(cases.len() >= 20, "only {}", cases.len());
+    for (job, told) in cases {
+        let problem = farm.post(&job).problem(422, "wrong_job");
+        let faults = problem["errors"].as_array().expect("faults");
+        assert_eq!(faults.len(), told.len(), "{problem:#}\n{job}");
+        for (fault, (pointer, words)) in faults.iter().zip(&told) {
+            assert_eq!(fault["pointer"], *pointer, "{problem:#}");
+            assert!(fault["message"].as_str().is_some_and(|message| message.contains(words)), "{words}: {fault}");
+        }
+    }
+}
+
+#[test]
+fn faults_and_size_are_data_too() {
+    let (job, told) = several().swap_remove(0);
+    let output = finish(sdfarm(&["check", "--json", "-"]), job.as_bytes());
+    let value: Value = serde_json::from_slice(&output.stdout).expect("JSON");
+    assert_eq!((output.status.code(), &value["valid"]), (Some(2), &Value::from(false)));
+    assert_eq!(value["errors"].as_array().map(Vec::len), Some(told.len()), "{value:#}");
+    let output = finish(sdfarm(&["check", "--json", "-"]), SOUND.as_bytes());
+    let value: Value = serde_json::from_slice(&output.stdout).expect("JSON");
+    assert_eq!((output.status.code(), &value["valid"]), (Some(0), &Value::from(true)));
+    assert_eq!((&value["nodes"], &value["rays"], &value["tiles"]), (&1.into(), &4096.into(), &1.into()), "{value:#}");
+    assert!(value["estimate"]["core_seconds"].as_f64().is_some_and(|seconds| seconds > 0.0), "{value:#}");
+    let output = finish(sdfarm(&["check", "-"]), SOUND.as_bytes());
+    let said = text(&output.stdout);
+    assert!(said.contains("1 node in 1 object") && said.contains("1 frame of 32×32"), "{said}");
 }
 
 #[test]

@@ -54,13 +54,39 @@ pub enum Refusal {
     /// Not JSON, or not UTF-8.
     #[error("the job is not JSON: {0}")]
     NotJson(Fault),
-    /// JSON, but not a job: the first fault of form, or every fault of meaning.
+    /// JSON, but not a job: every fault, in the order of their places.
     #[error("the job is wrong: {}", list(.0))]
     Wrong(Vec<Fault>),
 }
 
 fn list(faults: &[Fault]) -> String {
     faults.iter().map(Fault::to_string).collect::<Vec<_>>().join("; ")
+}
+
+/// Where the lines of a text begin: for the places of many faults.
+#[derive(Debug)]
+pub(crate) struct Lines {
+    starts: Vec<usize>,
+}
+
+impl Lines {
+    /// Those of a text.
+    pub(crate) fn of(text: &str) -> Self {
+        let ends = text.bytes().enumerate().filter(|(_, byte)| *byte == b'\n');
+        Self { starts: std::iter::once(0).chain(ends.map(|(end, _)| end + 1)).collect() }
+    }
+
+    /// The byte at a line and a column, both from 1.
+    pub(crate) fn offset(&self, line: usize, column: usize) -> usize {
+        self.starts.get(line.saturating_sub(1)).copied().unwrap_or(0) + column.saturating_sub(1)
+    }
+
+    /// A fault at a byte of the text.
+    pub(crate) fn fault(&self, offset: usize, pointer: String, message: String) -> Fault {
+        let line = self.starts.partition_point(|&start| start <= offset).max(1);
+        let column = offset - self.starts[line - 1] + 1;
+        Fault { pointer, message, line: line as u32, column: column as u32 }
+    }
 }
 
 /// Line and column, both from 1, of a byte of `text`.

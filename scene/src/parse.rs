@@ -1,15 +1,21 @@
 //! From the text of a job file to a [`Job`], or to what is wrong with it.
 
+mod collect;
+mod depends;
+mod form;
 mod lists;
 mod shortest;
+mod stand_ins;
+mod suggest;
+mod syntax;
+#[cfg(test)]
+mod tests;
+mod tree;
 mod wording;
-
-use std::fmt::Write as _;
 
 use schemars::JsonSchema as _;
 use schemars::generate::SchemaSettings;
 use serde::de::IgnoredAny;
-use serde_path_to_error::{Path, Segment};
 
 use crate::document::{JobDocument, Resolved};
 use crate::fault::{Fault, Refusal};
@@ -19,7 +25,7 @@ use crate::limits::{
 };
 use crate::motion::{FrameError, frames_to_check};
 use crate::nodes::{Node, NodeFault};
-use crate::outline::{self, OutlineFaultKind};
+use crate::outline::{self, OutlineFault, OutlineFaultKind};
 use crate::scene::child_steps;
 use crate::seek::{Clock, Seek};
 
@@ -30,24 +36,44 @@ const MAX_FAULTS: usize = 100;
 pub fn parse(text: &[u8]) -> Result<Job, Refusal> {
     let text = std::str::from_utf8(text).map_err(|error| not_utf8(text, error.valid_up_to()))?;
     let outline = outline::check(text, MAX_JSON_DEPTH);
-    if let Err(fault) = &outline
-        && fault.kind == OutlineFaultKind::TooDeep
-    {
-        let message =
-            format!("nests deeper than {MAX_JSON_DEPTH} arrays and objects: nest nodes at most {MAX_NODE_DEPTH} deep");
-        return Err(Refusal::Wrong(vec![Fault::at(text, Some(fault.offset), fault.pointer.clone(), message)]));
-    }
     if text.starts_with('\u{feff}') {
         let message = "begins with a byte order mark: save the file as UTF-8 without one";
         return Err(Refusal::NotJson(Fault::at(text, Some(0), String::new(), message)));
     }
-    serde_json::from_str::<IgnoredAny>(text).map_err(|error| Refusal::NotJson(broken(&error)))?;
-    if let Err(fault) = outline
-        && let OutlineFaultKind::DoubledKey(key) = fault.kind
-    {
-        let message = format!("the key \"{key}\" stands here twice: keep one");
-        return Err(Refusal::Wrong(vec![Fault::at(text, Some(fault.offset), fault.pointer, message)]));
+    let first = outline.map_err(|fault| of_outline(text, fault));
+    if let Err(error) = serde_json::from_str::<IgnoredAny>(text) {
+        return Err(match first {
+            // How deep it is matters more than how it ends.
+            Err((refusal, OutlineFaultKind::TooDeep)) => refusal,
+            Err((_, OutlineFaultKind::DoubledKey(_))) | Ok(()) => Refusal::NotJson(syntax::fault(text, &error)),
+        });
     }
+    let first = match first {
+        Ok(()) => match sound(text) {
+            Ok(job) => return Ok(job),
+            Err(refusal) => refusal,
+        },
+        Err((refusal, _)) => refusal,
+    };
+    let all = collect::all(text, |text| match sound(text) {
+        Ok(_) | Err(Refusal::NotJson(_)) => Vec::new(),
+        Err(Refusal::Wrong(faults)) => faults.into_iter().map(|fault| (fault.pointer, fault.message)).collect(),
+    });
+    Err(if all.is_empty() { first } else { Refusal::Wrong(all) })
+}
+
+/// Error of the scan of a text, as a refusal.
+fn of_outline(text: &str, fault: OutlineFault) -> (Refusal, OutlineFaultKind) {
+    let OutlineFault { offset, pointer, kind } = fault;
+    let message = match &kind {
+        OutlineFaultKind::DoubledKey(key) => twice(key),
+        OutlineFaultKind::TooDeep => too_deep(),
+    };
+    (Refusal::Wrong(vec![Fault::at(text, Some(offset), pointer, message)]), kind)
+}
+
+/// Reads JSON that passed the scan: a job, or the first error of its form, or every error of its meaning.
+fn sound(text: &str) -> Result<Job, Refusal> {
     let (job, key_seconds) = read(text)?;
     if job.is_moving {
         for frame in frames_to_check(&job.frames, &key_seconds, text.len()) {
@@ -63,13 +89,17 @@ fn in_later_frame(text: &str, error: FrameError) -> Refusal {
     Refusal::Wrong(vec![Fault::of_value(text, pointer, message)])
 }
 
+fn twice(key: &str) -> String {
+    format!("the key \"{key}\" stands here twice: keep one")
+}
+
+fn too_deep() -> String {
+    format!("nests deeper than {MAX_JSON_DEPTH} arrays and objects: nest nodes at most {MAX_NODE_DEPTH} deep")
+}
+
 /// Reads a sound text's job, and the times of all keyframes.
 fn read(text: &str) -> Result<(Job, Vec<f64>), Refusal> {
-    let document = form(text).map_err(|fault| Refusal::Wrong(vec![fault]))?;
-    if let Some(pointer) = lists::in_place_of_object(text, &document) {
-        let message = "must be an object, not a list: write each value behind its key";
-        return Err(Refusal::Wrong(vec![Fault::of_value(text, pointer, message)]));
-    }
+    let document: JobDocument = form::read_strictly(text).map_err(|fault| Refusal::Wrong(vec![fault.placed(text)]))?;
     meaning(document).map_err(|faults| {
         let place = |(pointer, message)| Fault::of_value(text, pointer, message);
         Refusal::Wrong(faults.into_iter().take(MAX_FAULTS).map(place).collect())
@@ -95,71 +125,6 @@ fn not_utf8(text: &[u8], offset: usize) -> Refusal {
     Refusal::NotJson(Fault::at(&valid, Some(valid.len()), String::new(), message))
 }
 
-fn broken(error: &serde_json::Error) -> Fault {
-    Fault {
-        pointer: String::new(),
-        message: without_place(&error.to_string()),
-        line: error.line() as u32,
-        column: error.column().max(1) as u32,
-    }
-}
-
-fn without_place(message: &str) -> String {
-    message.rsplit_once(" at line ").map_or(message, |(message, _)| message).to_owned()
-}
-
-/// Reads the text's form; its first fault otherwise.
-fn form(text: &str) -> Result<JobDocument, Fault> {
-    let mut deserializer = serde_json::Deserializer::from_str(text);
-    deserializer.disable_recursion_limit();
-    serde_path_to_error::deserialize(&mut deserializer).map_err(|error| {
-        let message = without_place(&error.inner().to_string());
-        let pointer = pointer(error.path());
-        if let Some(name) = unknown_choice(&message) {
-            let key = format!("{pointer}/{}", outline::escape(name));
-            if outline::locate_key(text, &key).is_some() {
-                return Fault::of_key(text, key, message);
-            }
-            if last(&pointer) == outline::escape(name) && outline::locate_key(text, &pointer).is_some() {
-                return Fault::of_key(text, pointer, message);
-            }
-            // Where the path ends in the choice itself, the text has no such place.
-            let place = if outline::locate_value(text, &pointer).is_some() { &pointer } else { parent(&pointer) };
-            return Fault::of_value(text, place.to_owned(), message);
-        }
-        if message.starts_with("unknown ") && outline::locate_key(text, &pointer).is_some() {
-            return Fault::of_key(text, pointer, message);
-        }
-        let (pointer, message) = wording::reworded(text, pointer, message);
-        Fault::of_value(text, pointer, message)
-    })
-}
-
-/// The name in serde's words about a choice that there is not.
-fn unknown_choice(message: &str) -> Option<&str> {
-    message.strip_prefix("unknown variant `")?.split_once('`').map(|(name, _)| name)
-}
-
-fn parent(pointer: &str) -> &str {
-    pointer.rsplit_once('/').map_or("", |(parent, _)| parent)
-}
-
-fn last(pointer: &str) -> &str {
-    pointer.rsplit_once('/').map_or("", |(_, last)| last)
-}
-
-fn pointer(path: &Path) -> String {
-    path.iter().fold(String::new(), |mut pointer, segment| {
-        match segment {
-            Segment::Seq { index } => write!(pointer, "/{index}"),
-            Segment::Map { key } | Segment::Enum { variant: key } => write!(pointer, "/{}", outline::escape(key)),
-            Segment::Unknown => Ok(()),
-        }
-        .expect("a String takes all that is written");
-        pointer
-    })
-}
-
 /// Pointer and message of every fault of meaning.
 type Faults = Vec<(String, String)>;
 
@@ -171,12 +136,8 @@ fn meaning(document: JobDocument) -> Result<(Job, Vec<f64>), Faults> {
     let names: Vec<String> = scene.materials.keys().cloned().collect();
     let Resolved { mut scene, places, unused, unknown } = scene.resolve();
     for (pointer, name) in unknown {
-        let cure = if names.is_empty() {
-            "define it there, or write a material in place".to_owned()
-        } else {
-            format!("choose one of {}", names.join(", "))
-        };
-        faults.push((format!("/scene{pointer}"), format!("\"{name}\" is not in /scene/materials: {cure}")));
+        let known: Vec<&str> = names.iter().map(String::as_str).collect();
+        faults.push((format!("/scene{pointer}"), suggest::unknown_material(&name, &known)));
     }
     faults.extend(scene.faults().into_iter().map(|(pointer, message)| (format!("/scene{pointer}"), message)));
     if scene.slots().len() > MAX_MATERIALS {

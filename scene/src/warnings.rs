@@ -2,6 +2,11 @@
 //!
 //! Nothing here takes long, whatever the job: rays are counted, and frames are three at most.
 
+mod clear;
+mod empty;
+mod numbers;
+mod own_space;
+mod samples;
 mod sight;
 mod stuff;
 
@@ -28,6 +33,20 @@ enum Kind {
     Thick,
     /// Rays end inside glass.
     Bounces,
+    /// Colors go to 255.
+    Colors,
+    /// Angles are in radians.
+    Radians,
+    /// A texture stays behind.
+    Swims,
+    /// A difference leaves nothing.
+    Empty,
+    /// Clear surfaces coincide.
+    Touching,
+    /// Metal mirrors nothing.
+    Mirrors,
+    /// More samples than are seen.
+    Samples,
 }
 
 /// Of one frame.
@@ -90,6 +109,13 @@ fn of_frame(still: &Still<'_>) -> Vec<Warning> {
         (Kind::Light, stuff::light(scene)),
         (Kind::Thick, stuff::thick(scene)),
         (Kind::Bounces, stuff::bounces(scene)),
+        (Kind::Colors, numbers::colors_of_255(scene)),
+        (Kind::Radians, numbers::radians(scene)),
+        (Kind::Swims, own_space::swims(scene)),
+        (Kind::Empty, empty::difference(scene)),
+        (Kind::Touching, clear::touching(scene)),
+        (Kind::Mirrors, clear::nothing_to_mirror(scene)),
+        (Kind::Samples, samples::too_many(scene, still.image())),
     ];
     let known = known.into_iter().filter_map(|(kind, text)| Some(Warning { kind, text: text? }));
     seen.into_iter().chain(known).collect()

@@ -1,16 +1,14 @@
 //! Objects that are written as lists: serde takes them in the order of their keys, the schema does not.
 
-use serde::Deserialize;
+use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
-use crate::document::JobDocument;
-
-/// The JSON pointer of a list in a sound text where `document`, which was read from it, has an object.
-pub(super) fn in_place_of_object(text: &str, document: &JobDocument) -> Option<String> {
+/// The JSON pointer of a list in a sound text where `value`, which was read from it, has an object.
+pub(super) fn in_place_of_object(text: &str, value: &impl Serialize) -> Option<String> {
     let mut deserializer = serde_json::Deserializer::from_str(text);
     deserializer.disable_recursion_limit();
     let given = Value::deserialize(&mut deserializer).ok()?;
-    let meant = serde_json::to_value(document).ok()?;
+    let meant = serde_json::to_value(value).ok()?;
     let mut pointer = String::new();
     find(&given, &meant, &mut pointer).then_some(pointer)
 }

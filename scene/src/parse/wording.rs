@@ -2,7 +2,7 @@
 
 use serde_json::Value;
 
-use super::{last, parent};
+use super::form::{last, parent};
 use crate::outline;
 
 /// The place and the fault, given where serde found it and what serde says; `text` is sound JSON.

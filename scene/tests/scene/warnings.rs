@@ -248,3 +248,112 @@ fn glass_wants_two_bounces() {
     one(&glass(0), &["max_bounces is 0"]);
     none(&filled(r#"{ "surface": { "metallic": 1 } }"#, r#", "march": { "max_bounces": 0 }"#));
 }
+
+#[test]
+fn colors_that_go_to_255_are_told_with_what_to_write() {
+    let of = |material: &str| filled(material, "");
+    let told = of(r#"{ "surface": { "base_color": [255, 51, 0] } }"#);
+    one(&told, &["/surface/base_color", "object 0", "[1, 0.2, 0]", "\"#ff3300\""]);
+    one(
+        &of(r#"{ "diffuse": { "kd": { "checker": { "cell": 1, "colors": [[0, 0, 0], [200, 200, 200]] } } } }"#),
+        &["colors/1"],
+    );
+    none(&of(r#"{ "surface": { "base_color": [1, 1, 0] } }"#));
+    none(&of(r#"{ "surface": { "emission": [40, 40, 20] } }"#));
+    none(&of(r#"{ "diffuse": { "kd": [0.5, 16.5, 0.1] } }"#));
+}
+
+#[test]
+fn angles_in_radians_are_told_with_their_degrees() {
+    let turned = |degrees: &str| {
+        of_objects(&format!(
+            r#"{{ "shape": {{ "rotate": {{ "degrees": {degrees}, "child": {{ "sphere": {{ "radius": 1 }} }} }} }} }}"#
+        ))
+    };
+    one(&turned("[0, 1.5708, 0]"), &["/scene/objects/0/shape/rotate/degrees", "[0, 90, 0]"]);
+    one(&turned("[0.7854, 0, 3.14159]"), &["[45, 0, 180]"]);
+    for degrees in ["[0, 90, 0]", "[0, 0, 0]", "[1, 2, 3]", "[0.5, 0, 0]", "[0, 1.5708, 30]", "[7.5, 0, 0]"] {
+        none(&turned(degrees));
+    }
+    let seen = |fov: f32| {
+        seen_from(&format!(r#"{CAMERA}, "fov": {fov}"#), &format!(r#""objects": [{SPHERE}]"#), "").warnings()
+    };
+    one(&seen(0.8), &["/scene/camera/fov", "46"]);
+    none(&seen(20.0));
+}
+
+#[test]
+fn texture_that_stays_behind_is_told_and_one_that_is_painted_on_is_not() {
+    const CHECKERS: &str = r#"{ "flat": { "color": { "checker": { "cell": 1 } } } }"#;
+    let moved = |material: &str, child: &str| {
+        let objects = format!(
+            r#""objects": [{{ "material": {material}, "shape": {{ "translate": {{
+               "by": [{{ "keys": [[0, 0], [1, 1]] }}, 0, 0], "child": {child} }} }} }}]"#
+        );
+        seen_from(CAMERA, &objects, r#", "frames": { "count": 11, "fps": 10 }"#).warnings()
+    };
+    let sphere = r#"{ "sphere": { "radius": 1 } }"#;
+    one(&moved(CHECKERS, sphere), &["/scene/objects/0/shape/translate", "paint"]);
+    none(&moved(CHECKERS, &format!(r#"{{ "paint": {{ "material": {CHECKERS}, "child": {sphere} }} }}"#)));
+    none(&moved(r##"{ "flat": { "color": "#808080" } }"##, sphere));
+    none(&filled(CHECKERS, ""));
+}
+
+#[test]
+fn difference_that_leaves_nothing_is_told() {
+    let cut = |first: &str, second: &str| {
+        of_objects(&format!(
+            r#"{SPHERE}, {{ "shape": {{ "union": {{ "of": [{{ "difference": {{ "of": [{first}, {second}] }} }},
+            {{ "sphere": {{ "radius": 0.5 }} }}] }} }} }}"#
+        ))
+    };
+    let (small, large) = (r#"{ "sphere": { "radius": 1 } }"#, r#"{ "box": { "size": [3, 3, 3] } }"#);
+    one(&cut(small, large), &["/scene/objects/1/shape/union/of/0/difference", "order"]);
+    none(&cut(large, small));
+    let thin = r#"{ "sphere": { "radius": 0.999 } }"#;
+    none(&cut(small, thin));
+    none(&cut(small, small));
+}
+
+#[test]
+fn liquid_that_touches_its_glass_is_told() {
+    let liquid = |radius: f32| {
+        let glass = r#""material": { "surface": { "transmission": 1 } }"#;
+        of_objects(&format!(
+            r#"{{ {glass}, "shape": {{ "onion": {{ "thickness": 0.2, "child": {{ "sphere": {{ "radius": 1 }} }} }} }} }},
+               {{ {glass}, "shape": {{ "intersection": {{ "of": [{{ "sphere": {{ "radius": {radius} }} }},
+                  {{ "plane": {{ "normal": [0, 1, 0], "offset": 0 }} }}] }} }} }}"#
+        ))
+    };
+    one(&liquid(0.9), &["objects 0 and 1", "coincide", "thousandth"]);
+    none(&liquid(0.92));
+    none(&liquid(0.88));
+}
+
+#[test]
+fn metal_before_nothing_is_told() {
+    let before = |material: &str, background: &str| filled(material, &format!(r#", "background": {background}"#));
+    let (metal, glass) = (r#"{ "surface": { "metallic": 1 } }"#, r#"{ "surface": { "transmission": 1 } }"#);
+    one(&before(metal, r#""transparent""#), &["/scene/background", "object 0"]);
+    one(&before(glass, r#""transparent""#), &["/scene/background", "object 0"]);
+    none(&before(r#"{ "surface": {} }"#, r#""transparent""#));
+    none(&before(metal, r#"{ "color": [0, 0, 0] }"#));
+}
+
+#[test]
+fn more_samples_than_are_seen_are_told() {
+    let of = |samples: u32, more: &str, material: &str| {
+        job(&format!(
+            r#"{{ "scene": {{ "camera": {{ {CAMERA} }}, "objects": [{{ "material": {material},
+               "shape": {{ "sphere": {{ "radius": 1 }} }} }}] }},
+               "image": {{ "width": 64, "height": 48, "samples": {samples}{more} }} }}"#
+        ))
+        .warnings()
+    };
+    let matt = r#"{ "diffuse": {} }"#;
+    one(&of(257, "", matt), &["/image/samples is 257", "256"]);
+    none(&of(256, "", matt));
+    none(&of(1024, r#", "bits": 16"#, matt));
+    none(&of(1024, r#", "format": "exr""#, matt));
+    none(&of(1024, "", r#"{ "surface": {} }"#));
+}

@@ -87,7 +87,7 @@ pub(super) fn has_no_cache(headers: &HeaderMap) -> bool {
         (status = 400, description = "Not JSON", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
         (status = 413, description = "Too large", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
         (status = 415, description = "Wrong content type", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
-        (status = 422, description = "Not sound", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
+        (status = 422, description = "Not sound: `errors` lists all faults", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
         (status = 429, description = "The queue is full, the submitter's quota is used up, or requests come too fast: see Retry-After", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
         (status = 507, description = "Disk full", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
     )

@@ -1,0 +1,244 @@
+//! How large a job is, counted, and what it takes, judged by a sample.
+
+use proto::sketch::Sample;
+use proto::tile::Tiling;
+use scene::{Bits, Format, Image, Job, Precision};
+use serde_json::{Value, json};
+
+/// An H200 renders about as much as so many cores of a server: `five-spheres` takes it 0.40 ms, and 16 cores 20.5 ms
+/// (docs/benchmarks.md).
+const CORES_OF_AN_H200: f64 = 800.0;
+/// Bytes of a picture's file beside its pixels, at most.
+const FILE_HEAD_BYTES: u64 = 64 << 10;
+
+/// What would be rendered.
+#[derive(Debug)]
+pub(super) struct Outlook {
+    nodes: u32,
+    objects: usize,
+    materials: usize,
+    lights: usize,
+    image: Image,
+    frames: u32,
+    rays: u64,
+    tiles: u64,
+    /// Pixels of a frame while it is rendered.
+    frame_bytes: u64,
+    /// The largest that a frame's file can be.
+    file_bytes: u64,
+    threads: usize,
+    judged: Option<Judged>,
+}
+
+/// What a sample says.
+#[derive(Clone, Copy, Debug)]
+struct Judged {
+    core_seconds: f64,
+    memory_bytes: u64,
+    sample_rays: u64,
+}
+
+impl Outlook {
+    /// That of a job on so many threads; without a sample nobody knows how long it takes.
+    pub(super) fn new(job: &Job, threads: usize, sample: Option<&Sample>) -> Self {
+        let image = job.image.clone();
+        let Image { width, height, samples, .. } = image;
+        let frames = u64::from(job.frames.count);
+        let tiling = Tiling { width, height, samples, pixel_bytes: image.pixel_bytes(), edge: None };
+        let (rays, tiles) = (job.rays_per_frame() * frames, tiling.tiles().len() as u64 * frames);
+        let judge = |sample: &Sample| Judged {
+            core_seconds: sample.core_seconds(rays, tiles, image.pixels() * frames),
+            memory_bytes: sample.memory_bytes,
+            sample_rays: sample.rays,
+        };
+        Self {
+            nodes: job.nodes(),
+            objects: job.scene.objects.len(),
+            materials: job.scene.slots().len(),
+            lights: job.scene.lights.len(),
+            frames: job.frames.count,
+            rays,
+            tiles,
+            frame_bytes: image.pixels() * u64::from(image.pixel_bytes()),
+            file_bytes: image.pixels() * file_pixel_bytes(&image) + u64::from(height) * 16 + FILE_HEAD_BYTES,
+            threads,
+            judged: sample.map(judge),
+            image,
+        }
+    }
+
+    /// The same in lines for people.
+    pub(super) fn lines(&self) -> Vec<String> {
+        let Image { width, height, samples, .. } = self.image;
+        let mut lines = vec![
+            format!(
+                "scene: {} in {}, {}, {}",
+                count(u64::from(self.nodes), "node"),
+                count(self.objects as u64, "object"),
+                count(self.materials as u64, "material"),
+                count(self.lights as u64, "light")
+            ),
+            format!(
+                "pictures: {} of {width}×{height}, {} a pixel",
+                count(u64::from(self.frames), "frame"),
+                count(u64::from(samples), "sample")
+            ),
+            format!("work: {} in {}", count(self.rays, "camera ray"), count(self.tiles, "tile")),
+        ];
+        lines.push(match self.judged {
+            Some(Judged { core_seconds, sample_rays, .. }) => format!(
+                "time: about {} of one core, {} on the {} of this machine, {} on an H200; judged by {}",
+                duration(core_seconds),
+                duration(self.seconds_here(core_seconds)),
+                count(self.threads as u64, "core"),
+                duration(core_seconds / CORES_OF_AN_H200),
+                count(sample_rays, "ray")
+            ),
+            None => "time: unknown, for not even a small sample of it was rendered in time".to_owned(),
+        });
+        let memory = self.judged.map(|judged| format!("about {}; ", bytes(judged.memory_bytes))).unwrap_or_default();
+        lines.push(format!(
+            "memory: {memory}{} for the pixels of a frame, {} for its file at most",
+            bytes(self.frame_bytes),
+            bytes(self.file_bytes)
+        ));
+        lines
+    }
+
+    /// The same as JSON, with the job's warnings.
+    pub(super) fn json(&self, warnings: &[String]) -> Value {
+        let estimate = self.judged.map(|Judged { core_seconds, memory_bytes, sample_rays }| {
+            json!({
+                "core_seconds": tidy(core_seconds),
+                "seconds_on_this_machine": tidy(self.seconds_here(core_seconds)),
+                "cores_of_this_machine": self.threads,
+                "seconds_on_an_h200": tidy(core_seconds / CORES_OF_AN_H200),
+                "memory_bytes": memory_bytes,
+                "sample_rays": sample_rays,
+            })
+        });
+        json!({
+            "valid": true,
+            "warnings": warnings,
+            "nodes": self.nodes,
+            "objects": self.objects,
+            "materials": self.materials,
+            "lights": self.lights,
+            "width": self.image.width,
+            "height": self.image.height,
+            "samples": self.image.samples,
+            "frames": self.frames,
+            "rays": self.rays,
+            "tiles": self.tiles,
+            "frame_bytes": self.frame_bytes,
+            "max_file_bytes": self.file_bytes,
+            "estimate": estimate,
+        })
+    }
+
+    fn seconds_here(&self, core_seconds: f64) -> f64 {
+        core_seconds / self.threads.max(1) as f64
+    }
+}
+
+/// Bytes of a pixel in its file, if nothing of it can be packed.
+fn file_pixel_bytes(image: &Image) -> u64 {
+    let channels = image.channels().len() as u64;
+    match (image.format, image.bits, image.precision) {
+        (Format::Png, Bits::Eight, _) => 4,
+        (Format::Png, Bits::Sixteen, _) => 8,
+        // Layers are 32-bit numbers, colors are what was asked for.
+        (Format::Exr, _, Precision::Half) => 4 * 2 + (channels - 4) * 4,
+        (Format::Exr, _, Precision::Float) => channels * 4,
+    }
+}
+
+/// "1 frame", "2 frames", "2,073,600 camera rays".
+pub(super) fn count(number: u64, noun: &str) -> String {
+    let ending = if number == 1 { "" } else { "s" };
+    format!("{} {noun}{ending}", grouped(number))
+}
+
+/// A number with commas between thousands.
+fn grouped(number: u64) -> String {
+    let digits = number.to_string();
+    let mut grouped = String::new();
+    for (index, digit) in digits.chars().enumerate() {
+        if index > 0 && (digits.len() - index).is_multiple_of(3) {
+            grouped.push(',');
+        }
+        grouped.push(digit);
+    }
+    grouped
+}
+
+/// A number to two digits that count.
+fn tidy(number: f64) -> f64 {
+    format!("{number:.1e}").parse().unwrap_or(number)
+}
+
+/// Seconds as people say them: "0.4 ms", "2.5 s", "3 min", "4 h 10 min", "12 days".
+fn duration(seconds: f64) -> String {
+    let whole = |seconds: f64| seconds.round() as u64;
+    match seconds {
+        s if s < 0.000_95 => "less than 1 ms".to_owned(),
+        s if s < 0.95 => format!("{} ms", tidy(s * 1000.0)),
+        s if s < 99.5 => format!("{} s", tidy(s)),
+        s if s < 5400.0 => format!("{} min", whole(s / 60.0)),
+        s if s < 172_800.0 => format!("{} h {} min", whole(s) / 3600, whole(s) % 3600 / 60),
+        s => count(whole(s / 86_400.0), "day"),
+    }
+}
+
+/// Bytes as people say them.
+fn bytes(bytes: u64) -> String {
+    match bytes as f64 {
+        b if b < 9_950_000.0 => format!("{} MB", tidy(b / 1e6)),
+        b if b < 999_500_000.0 => format!("{:.0} MB", b / 1e6),
+        b => format!("{:.1} GB", b / 1e9),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn numbers_are_told_as_people_say_them() {
+        assert_eq!(count(1, "frame"), "1 frame");
+        assert_eq!(count(1_234_567, "ray"), "1,234,567 rays");
+        let told = [0.0, 0.0123, 0.5, 2.345, 61.0, 400.0, 9000.0, 1e6].map(duration);
+        assert_eq!(told, ["less than 1 ms", "12 ms", "500 ms", "2.3 s", "61 s", "7 min", "2 h 30 min", "12 days"]);
+        assert_eq!([1_000, 33_177_600, 5_000_000_000].map(bytes), ["0.001 MB", "33 MB", "5.0 GB"]);
+    }
+
+    #[test]
+    fn size_is_counted_and_time_is_judged() {
+        let job = scene::parse(
+            br#"{ "scene": { "camera": { "position": [0, 0, 5], "look_at": [0, 0, 0] },
+                "objects": [{ "shape": { "sphere": { "radius": 1 } } }] },
+                "image": { "width": 64, "height": 32, "samples": 4 }, "frames": { "count": 2 } }"#,
+        )
+        .expect("sound");
+        let sample = Sample {
+            rays: 10,
+            thread_seconds_per_ray: 1e-3,
+            setup_seconds_per_tile: 0.0,
+            encode_seconds_per_pixel: 0.0,
+            memory_bytes: 20_000_000,
+        };
+        let outlook = Outlook::new(&job, 2, Some(&sample));
+        let value = outlook.json(&[]);
+        assert_eq!(
+            (value["nodes"].as_u64(), value["rays"].as_u64(), value["tiles"].as_u64()),
+            (Some(1), Some(16384), Some(2))
+        );
+        assert_eq!(value["estimate"]["seconds_on_this_machine"], 8.2);
+        assert_eq!(value["frame_bytes"], 64 * 32 * 16);
+        let lines = outlook.lines().join("\n");
+        assert!(lines.contains("1 node in 1 object, 1 material, 1 light"), "{lines}");
+        assert!(lines.contains("2 frames of 64×32, 4 samples a pixel"), "{lines}");
+        assert!(lines.contains("about 16 s of one core, 8.2 s on the 2 cores"), "{lines}");
+        assert!(Outlook::new(&job, 2, None).lines().join("\n").contains("time: unknown"));
+    }
+}

@@ -1,0 +1,97 @@
+//! Which parts of a job a fault of meaning depends on: where something stands in for one of them, the fault is not sure.
+
+/// Whether what is wrong at a pointer is wrong whatever stands in at the pointers that were repaired.
+pub(super) fn is_sure(pointer: &str, repaired: &[String]) -> bool {
+    let needed = needed(pointer);
+    !repaired.iter().any(|repaired| needed.iter().any(|needed| needed.is_touched_by(repaired)))
+}
+
+/// A part that a fault depends on.
+struct Needed {
+    pointer: String,
+    /// Whether it depends on all inside too.
+    is_whole: bool,
+}
+
+impl Needed {
+    fn is_touched_by(&self, repaired: &str) -> bool {
+        is_at_or_below(&self.pointer, repaired) || (self.is_whole && is_at_or_below(repaired, &self.pointer))
+    }
+}
+
+/// Whether a pointer leads to another one's place or into it.
+fn is_at_or_below(pointer: &str, other: &str) -> bool {
+    pointer.strip_prefix(other).is_some_and(|rest| rest.is_empty() || rest.starts_with('/'))
+}
+
+fn needed(pointer: &str) -> Vec<Needed> {
+    let whole = |pointer: &str| Needed { pointer: pointer.to_owned(), is_whole: true };
+    let alone = |pointer: &str| Needed { pointer: pointer.to_owned(), is_whole: false };
+    let steps: Vec<&str> = pointer.split('/').skip(1).collect();
+    match steps.as_slice() {
+        ["scene", "camera", ..] => vec![whole("/scene/camera"), whole("/frames")],
+        ["scene", "background", ..] => vec![whole("/scene/background")],
+        ["scene", "lights", index, ..] => {
+            vec![whole(&format!("/scene/lights/{index}")), whole("/scene/background")]
+        }
+        ["scene", "objects", index, "shape", rest @ ..] => {
+            let mut node = format!("/scene/objects/{index}/shape");
+            let mut rest = rest;
+            loop {
+                let length = match rest {
+                    [_, "child", _, ..] => 2,
+                    [_, "of", place, _, ..] if place.parse::<usize>().is_ok() => 3,
+                    _ => break,
+                };
+                let (inside, below) = rest.split_at(length);
+                inside.iter().for_each(|step| {
+                    node.push('/');
+                    node.push_str(step);
+                });
+                rest = below;
+            }
+            match rest {
+                // A material by its name, or one that fills.
+                [_, "material"] => vec![whole(pointer), alone("/scene/materials")],
+                [] => vec![alone(pointer)],
+                [..] => vec![whole(&node)],
+            }
+        }
+        ["scene", "objects", _, "material"] => vec![whole(pointer), alone("/scene/materials")],
+        ["image", "layers" | "exposure" | "tone_map", ..] => {
+            vec![whole(pointer), alone("/image/format"), alone("/image/layers")]
+        }
+        _ => vec![alone(pointer)],
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn sure(pointer: &str, repaired: &str) -> bool {
+        is_sure(pointer, &[repaired.to_owned()])
+    }
+
+    #[test]
+    fn numbers_that_belong_together_are_doubted_together() {
+        assert!(!sure("/scene/camera/look_at", "/scene/camera/position/0"));
+        assert!(!sure("/scene/lights/1/sun", "/scene/background"));
+        assert!(!sure("/scene/objects/0/shape/torus/tube", "/scene/objects/0/shape/torus/radius"));
+        assert!(!sure("/scene/objects/0/shape/twist/child", "/scene/objects/0/shape/twist/child/box/size"));
+        assert!(!sure("/scene/objects/0/material", "/scene/materials"));
+        assert!(!sure("/image/layers", "/image/format"));
+        assert!(!sure("/image", "/image"));
+    }
+
+    #[test]
+    fn numbers_that_have_nothing_to_do_with_each_other_are_not() {
+        assert!(sure("/scene/camera/look_at", "/scene/objects/0/shape"));
+        assert!(sure("/scene/lights/1/sun", "/scene/lights/10"));
+        assert!(sure("/scene/objects/0/material", "/scene/materials/clay/diffuse/kd"));
+        let (inner, outer) = ("/scene/objects/0/shape/union/of/1", "/scene/objects/0/shape/union/of/0/torus/tube");
+        assert!(sure(outer, inner));
+        assert!(sure("/image/layers", "/image/width"));
+        assert!(sure("/scene/objects/0/material", "/scene/objects/0/shape"));
+    }
+}

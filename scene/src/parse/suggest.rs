@@ -1,0 +1,272 @@
+//! "Did you mean `sphere`?": the name that there is nearest to one that there is not.
+
+use strsim::{damerau_levenshtein, jaro_winkler};
+
+use crate::nodes::snake_case;
+
+/// Longer lists of names are not printed.
+const MAX_LISTED: usize = 16;
+/// Longer names than this are no slip of the pen, and are not compared.
+const MAX_COMPARED_CHARS: usize = 64;
+/// Names of one beginning are alike from this similarity (Jaro and Winkler's) on.
+const MIN_SIMILARITY: f64 = 0.88;
+
+/// What other tools, and people, call things: their word, and ours.
+const SYNONYMS: [(&str, &str); 84] = [
+    ("aluminum", "surface"),
+    ("amplitude", "height"),
+    ("angle", "degrees"),
+    ("angles", "degrees"),
+    ("area", "sphere"),
+    ("ball", "sphere"),
+    ("base", "base_color"),
+    ("basecolor", "base_color"),
+    ("bevel", "round"),
+    ("blend", "smooth"),
+    ("blinn", "diffuse"),
+    ("brick", "bricks"),
+    ("capped_cylinder", "cylinder"),
+    ("checkerboard", "checker"),
+    ("chequer", "checker"),
+    ("children", "of"),
+    ("cloud", "clouds"),
+    ("color", "base_color"),
+    ("color", "kd"),
+    ("color", "material"),
+    ("color", "ramp"),
+    ("colour", "color"),
+    ("combine", "union"),
+    ("constant", "flat"),
+    ("cube", "box"),
+    ("cuboid", "box"),
+    ("cut", "difference"),
+    ("by", "degrees"),
+    ("dielectric", "surface"),
+    ("distant", "directional"),
+    ("donut", "torus"),
+    ("doughnut", "torus"),
+    ("emissive", "emission"),
+    ("exponent", "shininess"),
+    ("factor", "by"),
+    ("fbm", "perlin"),
+    ("field_of_view", "fov"),
+    ("floor", "plane"),
+    ("fov_y", "fov"),
+    ("from", "position"),
+    ("glass", "surface"),
+    ("ground", "plane"),
+    ("hollow", "onion"),
+    ("iblur", "smooth"),
+    ("index_of_refraction", "ior"),
+    ("intersect", "intersection"),
+    ("join", "union"),
+    ("lambert", "diffuse"),
+    ("location", "position"),
+    ("lookat", "look_at"),
+    ("matte", "diffuse"),
+    ("merge", "union"),
+    ("metal", "surface"),
+    ("metalness", "metallic"),
+    ("minus", "difference"),
+    ("move", "translate"),
+    ("ortho", "orthographic"),
+    ("equirectangular", "panorama"),
+    ("offset", "by"),
+    ("origin", "position"),
+    ("orient", "rotate"),
+    ("pbr", "surface"),
+    ("phong", "diffuse"),
+    ("pill", "capsule"),
+    ("principled", "surface"),
+    ("resize", "scale"),
+    ("rotation", "rotate"),
+    ("rotation", "degrees"),
+    ("shell", "onion"),
+    ("smoothness", "smooth"),
+    ("specular", "ks"),
+    ("spin", "turntable"),
+    ("spp", "samples"),
+    ("standard", "surface"),
+    ("subtract", "difference"),
+    ("subtraction", "difference"),
+    ("target", "look_at"),
+    ("transform", "translate"),
+    ("translation", "by"),
+    ("tube", "infinite_cylinder"),
+    ("turn", "rotate"),
+    ("voronoi", "cellular"),
+    ("worley", "cellular"),
+    ("ring", "torus"),
+];
+
+/// The name in serde's words about one that there is not, and those that there are; `prefix` begins its message.
+pub(super) fn unknown<'a>(message: &'a str, prefix: &str) -> Option<(&'a str, Vec<&'a str>)> {
+    let rest = message.strip_prefix(prefix)?;
+    if let Some((name, known)) = rest.rsplit_once("`, expected ") {
+        return Some((name, known.split('`').skip(1).step_by(2).collect()));
+    }
+    let (name, _) = rest.rsplit_once("`, there are no ")?;
+    Some((name, Vec::new()))
+}
+
+/// The one of the names that was probably meant.
+pub(super) fn nearest<'a>(name: &str, known: &[&'a str]) -> Option<&'a str> {
+    if name.is_empty() || name.chars().count() > MAX_COMPARED_CHARS {
+        return None;
+    }
+    let plain = plain(name);
+    let same = |other: &&&str| **other == plain || other.replace('_', "") == plain.replace('_', "");
+    if let Some(same) = known.iter().find(same) {
+        return Some(same);
+    }
+    let meant = SYNONYMS.iter().filter(|(theirs, _)| *theirs == plain || theirs.replace('_', "") == plain);
+    if let Some(ours) = meant.filter_map(|(_, ours)| known.iter().find(|known| *known == ours)).next() {
+        return Some(ours);
+    }
+    let most = (plain.chars().count() / 3).max(1);
+    let by_edits = known.iter().map(|known| (damerau_levenshtein(&plain, known), *known));
+    let nearest = by_edits.filter(|&(edits, known)| edits <= most && edits < known.chars().count()).min();
+    let alike = || {
+        let alike = known.iter().map(|known| (jaro_winkler(&plain, known), *known));
+        alike.filter(|(similarity, _)| *similarity >= MIN_SIMILARITY).max_by(|a, b| a.0.total_cmp(&b.0))
+    };
+    nearest.map(|(_, known)| known).or_else(|| alike().map(|(_, known)| known))
+}
+
+/// `RoundedCylinder`, `rounded-cylinder` and `ROUNDED CYLINDER` as we write names.
+fn plain(name: &str) -> String {
+    let is_shouted = !name.chars().any(|letter| letter.is_ascii_lowercase());
+    let name = if is_shouted { name.to_ascii_lowercase() } else { snake_case(name) };
+    name.trim().replace(['-', ' ', '.'], "_").replace("__", "_")
+}
+
+/// What to say of a name that there is not.
+pub(super) fn unknown_name(name: &str, known: &[&str], pointer: &str) -> String {
+    let name = shortened(name);
+    match nearest(&name, known) {
+        Some(meant) => format!("there is no `{name}`: did you mean `{meant}`?"),
+        None if known.len() > MAX_LISTED => {
+            let page = if pointer.contains("/shape") { "docs/nodes.md shows all of them, and " } else { "" };
+            format!("there is no `{name}`: {page}`sdfarm schema` lists the {} that there are", known.len())
+        }
+        None => format!("there is no `{name}`: choose {}", listed(known)),
+    }
+}
+
+/// What to say of a key that an object does not take.
+pub(super) fn unknown_key(key: &str, known: &[&str]) -> String {
+    let key = shortened(key);
+    match nearest(&key, known) {
+        Some(meant) => format!("unknown key `{key}`: did you mean `{meant}`?"),
+        None if known.is_empty() => format!("unknown key `{key}`: leave it out, for no key is taken here"),
+        None => format!("unknown key `{key}`: leave it out, or choose {}", listed(known)),
+    }
+}
+
+/// What to say of a material that is not among those with a name.
+pub(super) fn unknown_material(name: &str, known: &[&str]) -> String {
+    let name = shortened(name);
+    let cure = match nearest(&name, known) {
+        Some(meant) => format!("did you mean \"{meant}\"?"),
+        None if known.is_empty() => "define it there, or write a material in place".to_owned(),
+        None if known.len() > MAX_LISTED => format!("define it there, or use one of the {} that are", known.len()),
+        None => format!("choose one of {}", known.join(", ")),
+    };
+    format!("\"{name}\" is not in /scene/materials: {cure}")
+}
+
+/// "`a`", "`a` or `b`", "one of `a`, `b`, `c`".
+fn listed(known: &[&str]) -> String {
+    let quoted: Vec<String> = known.iter().map(|name| format!("`{name}`")).collect();
+    match quoted.as_slice() {
+        [one, other] => format!("{one} or {other}"),
+        [_, _, ..] => format!("one of {}", quoted.join(", ")),
+        rest => rest.concat(),
+    }
+}
+
+/// A name as long as a message should quote it.
+fn shortened(name: &str) -> String {
+    if name.chars().count() <= MAX_COMPARED_CHARS {
+        return name.to_owned();
+    }
+    let start: String = name.chars().take(MAX_COMPARED_CHARS).collect();
+    format!("{start}…")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const NODES: [&str; 11] = [
+        "sphere",
+        "box",
+        "torus",
+        "union",
+        "difference",
+        "rounded_cylinder",
+        "capsule",
+        "cone",
+        "plane",
+        "translate",
+        "rotate",
+    ];
+
+    #[test]
+    fn slips_other_spellings_and_other_tools_words_are_understood() {
+        for (name, meant) in [
+            ("spere", "sphere"),
+            ("shpere", "sphere"),
+            ("Sphere", "sphere"),
+            ("SPHERE", "sphere"),
+            ("spheres", "sphere"),
+            ("RoundedCylinder", "rounded_cylinder"),
+            ("rounded-cylinder", "rounded_cylinder"),
+            ("roundedCylinder", "rounded_cylinder"),
+            ("roundedcylinder", "rounded_cylinder"),
+            ("cube", "box"),
+            ("Cuboid", "box"),
+            ("ball", "sphere"),
+            ("subtract", "difference"),
+            ("boxx", "box"),
+            ("trans", "translate"),
+        ] {
+            assert_eq!(nearest(name, &NODES), Some(meant), "{name}");
+        }
+    }
+
+    #[test]
+    fn what_is_like_nothing_gets_no_guess() {
+        for name in ["", "teapot", "x", "zzzzzz", &"sphere".repeat(1000)] {
+            assert_eq!(nearest(name, &NODES), None, "{name}");
+        }
+    }
+
+    #[test]
+    fn word_of_another_tool_means_what_is_there() {
+        assert_eq!(nearest("color", &["material", "shape"]), Some("material"));
+        assert_eq!(nearest("color", &["base_color", "roughness"]), Some("base_color"));
+        assert_eq!(nearest("colour", &["color", "shadow"]), Some("color"));
+    }
+
+    #[test]
+    fn serdes_lists_are_read_however_long_they_are() {
+        let of = |message| unknown(message, "unknown field `");
+        assert_eq!(of("unknown field `x`, expected `a`"), Some(("x", vec!["a"])));
+        assert_eq!(of("unknown field `x`, expected `a` or `b`"), Some(("x", vec!["a", "b"])));
+        assert_eq!(of("unknown field `x`, expected one of `a`, `b`, `c`"), Some(("x", vec!["a", "b", "c"])));
+        assert_eq!(of("unknown field `x`, there are no fields"), Some(("x", vec![])));
+        assert_eq!(of("unknown field ``, expected ``, expected `a`"), Some(("`, expected `", vec!["a"])));
+        assert_eq!(of("missing field `x`"), None);
+    }
+
+    #[test]
+    fn long_lists_are_not_printed() {
+        let names: Vec<String> = (0..99).map(|number| format!("name_{number}")).collect();
+        let names: Vec<&str> = names.iter().map(String::as_str).collect();
+        let told = unknown_name("zzz", &names, "/scene/objects/0/shape");
+        assert!(told.contains("docs/nodes.md") && told.contains("99") && told.len() < 120, "{told}");
+        assert!(unknown_name("zzz", &names[..3], "").contains("one of `name_0`, `name_1`, `name_2`"));
+        assert!(unknown_key("zzz", &[]).contains("no key"));
+    }
+}

@@ -1,0 +1,281 @@
+//! What makes a text no JSON, in the words of someone who wrote it by hand: a comment, a comma too many, a missing quote.
+
+use crate::fault::{Fault, Lines};
+
+/// Words that other languages write, and JSON's.
+const WORDS: [(&str, &str); 6] = [
+    ("True", "true"),
+    ("False", "false"),
+    ("None", "null"),
+    ("undefined", "null"),
+    ("TRUE", "true"),
+    ("FALSE", "false"),
+];
+
+/// The fault of a text that serde can't read.
+pub(super) fn fault(text: &str, error: &serde_json::Error) -> Fault {
+    let lines = Lines::of(text);
+    let reached = lines.offset(error.line(), error.column());
+    // A later oddity is not what serde stopped at.
+    match first_oddity(text).filter(|oddity| oddity.offset <= reached + 1) {
+        Some(Oddity { offset, message }) => lines.fault(offset, String::new(), message),
+        None => {
+            let (line, column) = (error.line() as u32, error.column().max(1) as u32);
+            Fault {
+                pointer: String::new(),
+                message: words(&super::form::without_place(&error.to_string())),
+                line,
+                column,
+            }
+        }
+    }
+}
+
+/// What serde says, with a cure where it names none.
+fn words(message: &str) -> String {
+    let cure = match message {
+        "key must be a string" => "write it in double quotes",
+        "expected value" => "write a number, a string in double quotes, a list, an object, true, false or null",
+        "expected `:`" => "write a colon between a key and its value",
+        "invalid escape" => "write a backslash as \\\\",
+        "invalid number" => "write it as in 0.5, -1 or 2e3",
+        _ => return message.to_owned(),
+    };
+    format!("{message}: {cure}")
+}
+
+/// Something that JSON does not have.
+struct Oddity {
+    offset: usize,
+    message: String,
+}
+
+/// A token of the text.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Token {
+    /// A string, a number, a word, or the end of a list or an object.
+    Value,
+    Colon,
+    Comma,
+    Open,
+    /// The text begins.
+    Start,
+}
+
+/// Goes over a text until something is odd.
+struct Scanner<'a> {
+    text: &'a str,
+    bytes: &'a [u8],
+    at: usize,
+    before: Token,
+    /// Bytes at which open lists and objects begin.
+    open: Vec<usize>,
+}
+
+fn first_oddity(text: &str) -> Option<Oddity> {
+    let mut scanner = Scanner { text, bytes: text.as_bytes(), at: 0, before: Token::Start, open: Vec::new() };
+    loop {
+        scanner.at += scanner.blanks_at(scanner.at);
+        let Some(&byte) = scanner.bytes.get(scanner.at) else { return Some(scanner.end()) };
+        if let Some(message) = scanner.token(byte) {
+            return Some(Oddity { offset: scanner.at, message });
+        }
+    }
+}
+
+impl Scanner<'_> {
+    fn blanks_at(&self, at: usize) -> usize {
+        self.bytes[at..].iter().take_while(|byte| b" \t\r\n".contains(byte)).count()
+    }
+
+    /// What is odd about the token here; passes over one that is not.
+    fn token(&mut self, byte: u8) -> Option<String> {
+        match byte {
+            b'/' if matches!(self.bytes.get(self.at + 1), Some(b'/' | b'*')) => Some(comment()),
+            b'#' => Some(comment()),
+            b',' => self.comma(),
+            b':' => self.pass(1, Token::Colon),
+            b'}' | b']' => {
+                self.open.pop();
+                self.pass(1, Token::Value)
+            }
+            _ if self.before == Token::Value => Some(if self.open.is_empty() {
+                "something stands behind the end of the job: a file holds one job, leave out what follows".to_owned()
+            } else {
+                "a comma is missing before this: write one".to_owned()
+            }),
+            b'{' | b'[' => {
+                self.open.push(self.at);
+                self.pass(1, Token::Open)
+            }
+            b'"' => self.string(),
+            b'\'' => Some("single quotes mean nothing in JSON: write \" instead".to_owned()),
+            b'0'..=b'9' | b'-' | b'+' | b'.' => self.number(),
+            _ => self.word(),
+        }
+    }
+
+    fn pass(&mut self, bytes: usize, token: Token) -> Option<String> {
+        self.at += bytes;
+        self.before = token;
+        None
+    }
+
+    fn comma(&mut self) -> Option<String> {
+        let next = self.at + 1 + self.blanks_at(self.at + 1);
+        match self.bytes.get(next) {
+            Some(b'}' | b']') => {
+                Some(format!("trailing comma: leave out the comma before `{}`", char::from(self.bytes[next])))
+            }
+            Some(b',') => Some("a comma too many: leave out one of the two".to_owned()),
+            _ if matches!(self.before, Token::Open | Token::Colon) => {
+                Some("a comma with nothing before it: leave it out, or write a value".to_owned())
+            }
+            _ => self.pass(1, Token::Comma),
+        }
+    }
+
+    fn string(&mut self) -> Option<String> {
+        let mut end = self.at + 1;
+        loop {
+            match self.bytes.get(end) {
+                Some(b'"') => return self.pass(end + 1 - self.at, Token::Value),
+                Some(b'\\') => end += 2,
+                Some(b'\n') | None => {
+                    return Some(
+                        "a string that is not closed: write \" at its end; a new line in it is \\n".to_owned(),
+                    );
+                }
+                Some(_) => end += 1,
+            }
+        }
+    }
+
+    fn number(&mut self) -> Option<String> {
+        let rest = &self.bytes[self.at..];
+        let length = rest.iter().take_while(|byte| byte.is_ascii_alphanumeric() || b"+-._".contains(byte)).count();
+        let number = &self.text[self.at..self.at + length];
+        if is_number(number) {
+            return self.pass(length, Token::Value);
+        }
+        Some(format!("{} is no number of JSON: write it as in 0.5, -1 or 2e3", quoted(number)))
+    }
+
+    fn word(&mut self) -> Option<String> {
+        let rest = &self.text[self.at..];
+        let end = rest.find(|letter: char| !letter.is_alphanumeric() && letter != '_' && letter != '-');
+        let word = &rest[..end.unwrap_or(rest.len())];
+        if matches!(word, "true" | "false" | "null") {
+            return self.pass(word.len(), Token::Value);
+        }
+        let behind = self.at + word.len();
+        if word.is_empty() {
+            // What it is, the parser says.
+            self.at = self.bytes.len();
+            return None;
+        }
+        if self.bytes.get(behind + self.blanks_at(behind)) == Some(&b':') {
+            return Some(format!("a key stands in double quotes: write {}", serde_json::Value::from(word)));
+        }
+        if let Some((_, ours)) = WORDS.iter().find(|(theirs, _)| *theirs == word) {
+            return Some(format!("{word} is no word of JSON: write {ours}"));
+        }
+        if matches!(word, "NaN" | "Infinity" | "inf" | "nan") {
+            return Some(format!("{word} is no number of JSON: write one that is finite"));
+        }
+        Some(format!("{} is no word of JSON: write text in double quotes", quoted(word)))
+    }
+
+    /// The text ends before its job does.
+    fn end(&self) -> Oddity {
+        let message = match self.open.last() {
+            Some(&open) => {
+                let place = Lines::of(&self.text[..open]).fault(open, String::new(), String::new());
+                let (bracket, close) = if self.bytes[open] == b'{' { ("{", "}") } else { ("[", "]") };
+                format!(
+                    "the text ends too early (EOF): the `{bracket}` at {}:{} lacks its `{close}`",
+                    place.line, place.column
+                )
+            }
+            None => "the text ends too early (EOF): write a job, which is one JSON object".to_owned(),
+        };
+        Oddity { offset: self.text.trim_end().len().saturating_sub(1), message }
+    }
+}
+
+/// Whether JSON writes numbers so, however large.
+fn is_number(text: &str) -> bool {
+    let unsigned = text.strip_prefix('-').unwrap_or(text);
+    let (mantissa, exponent) = unsigned.split_once(['e', 'E']).map_or((unsigned, None), |(m, e)| (m, Some(e)));
+    let (whole, fraction) = mantissa.split_once('.').map_or((mantissa, None), |(w, f)| (w, Some(f)));
+    let is_digits = |digits: &str| !digits.is_empty() && digits.bytes().all(|digit| digit.is_ascii_digit());
+    is_digits(whole)
+        && (whole == "0" || !whole.starts_with('0'))
+        && fraction.is_none_or(is_digits)
+        && exponent.is_none_or(|exponent| is_digits(exponent.strip_prefix(['+', '-']).unwrap_or(exponent)))
+}
+
+fn comment() -> String {
+    "JSON has no comments: leave this one out".to_owned()
+}
+
+/// Text as long as a message should quote it.
+fn quoted(text: &str) -> String {
+    const MAX_CHARS: usize = 40;
+    if text.chars().count() <= MAX_CHARS {
+        return text.to_owned();
+    }
+    text.chars().take(MAX_CHARS).chain(['…']).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Line, column and message of the fault of a text.
+    fn of(text: &str) -> (u32, u32, String) {
+        let error = serde_json::from_str::<serde::de::IgnoredAny>(text).expect_err(text);
+        let Fault { line, column, message, .. } = fault(text, &error);
+        (line, column, message)
+    }
+
+    #[test]
+    fn what_people_write_by_hand_is_named_where_it_stands() {
+        for (text, line, column, words) in [
+            ("{\"a\": 1,\n}", 1, 8, "trailing comma"),
+            ("[1, 2 , ]", 1, 7, "before `]`"),
+            ("{\n  // size\n  \"a\": 1}", 2, 3, "no comments"),
+            ("{\"a\": 1, /* b */ \"b\": 2}", 1, 10, "no comments"),
+            ("{\"a\": 1 # b\n}", 1, 9, "no comments"),
+            ("{\"a\": 1, // b\n}", 1, 10, "no comments"),
+            ("{\"a\": 1} // b", 1, 10, "no comments"),
+            ("{'a': 1}", 1, 2, "single quotes"),
+            ("{a: 1}", 1, 2, "write \"a\""),
+            ("{\"a\": yes}", 1, 7, "double quotes"),
+            ("{\"a\": True}", 1, 7, "write true"),
+            ("{\"a\": NaN}", 1, 7, "NaN"),
+            ("{\"a\": .5}", 1, 7, ".5 is no number"),
+            ("{\"a\": 0x10}", 1, 7, "0x10 is no number"),
+            ("[1,, 2]", 1, 3, "too many"),
+            ("[, 1]", 1, 2, "nothing before"),
+            ("{\"a\": 1\n \"b\": 2}", 2, 2, "comma is missing"),
+            ("{} {}", 1, 4, "one job"),
+            ("{\"a\": \"b\n\"}", 1, 7, "not closed"),
+            ("{\"a\": [1", 1, 8, "the `[` at 1:7 lacks its `]`"),
+            ("", 1, 1, "EOF"),
+            ("{\"a\" 1}", 1, 6, "comma is missing"),
+            ("{\"a\": \"\\q\"}", 1, 9, "\\\\"),
+            ("{1: 2}", 1, 2, "double quotes"),
+        ] {
+            let (at_line, at_column, message) = of(text);
+            assert!(message.contains(words), "{text}: {message}");
+            assert_eq!((at_line, at_column), (line, column), "{text}: {message}");
+        }
+    }
+
+    #[test]
+    fn what_looks_odd_inside_of_a_string_is_no_fault() {
+        let (line, column, message) = of("{\"a\": \"// b, ]\", \"c\": \"'\",}");
+        assert!(message.contains("trailing comma") && (line, column) == (1, 26), "{message} at {column}");
+    }
+}

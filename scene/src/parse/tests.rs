@@ -1,0 +1,139 @@
+//! Every fault is told at its place, in bounded time, and none that is none.
+
+use super::*;
+use crate::fault::Fault;
+use crate::materials::Material;
+
+const SEVERAL: &str = include_str!("../../../tests/bad_input/several.txt");
+
+/// A sound job around some objects.
+fn around(objects: &str) -> String {
+    format!(
+        "{{ \"scene\": {{ \"camera\": {{ \"position\": [0, 0, 5], \"look_at\": [0, 0, 0] }}, \"objects\": [\n{objects}\n] }},\n\
+         \"image\": {{ \"width\": 32, \"height\": 32 }} }}"
+    )
+}
+
+fn faults(text: &str) -> Vec<Fault> {
+    match parse(text.as_bytes()) {
+        Ok(_) => Vec::new(),
+        Err(Refusal::Wrong(faults)) => faults,
+        Err(Refusal::NotJson(fault)) => panic!("{fault}: {text}"),
+    }
+}
+
+/// The text without its marks, and their lines and columns.
+fn unmarked(text: &str) -> (String, Vec<(u32, u32)>) {
+    let mut parts = text.split('¤');
+    let mut plain = parts.next().unwrap_or_default().to_owned();
+    let mut places = Vec::new();
+    for part in parts {
+        let line = plain.matches('\n').count() + 1;
+        let column = plain.len() - plain.rfind('\n').map_or(0, |newline| newline + 1) + 1;
+        places.push((line as u32, column as u32));
+        plain.push_str(part);
+    }
+    (plain, places)
+}
+
+#[test]
+fn each_of_several_faults_is_told_once_and_nothing_else_is() {
+    let mut wrong = Vec::new();
+    for case in SEVERAL.split("\n## ").skip(1) {
+        let (name, rest) = case.split_once('\n').expect("a name");
+        let (job, told) = rest.split_once("\n-- ").expect("what is told");
+        let job = job.strip_prefix("OBJECTS\n").map_or_else(|| job.to_owned(), around);
+        let (text, places) = unmarked(&job);
+        let told: Vec<(&str, &str)> =
+            told.trim_end().split("\n-- ").map(|line| line.split_once(" | ").expect("a pointer and words")).collect();
+        assert_eq!(places.len(), told.len(), "{name}: marks and messages");
+        let found = faults(&text);
+        let is_right = found.len() == told.len()
+            && found.iter().zip(&told).zip(&places).all(|((fault, (pointer, words)), place)| {
+                fault.pointer == *pointer && fault.message.contains(words) && (fault.line, fault.column) == *place
+            });
+        if !is_right {
+            let found: Vec<String> = found.iter().map(Fault::to_string).collect();
+            wrong.push(format!("{name}: at {places:?} should be\n{told:#?}\nbut there is\n{}", found.join("\n")));
+        }
+    }
+    assert!(wrong.is_empty(), "{} cases:\n{}", wrong.len(), wrong.join("\n\n"));
+    assert!(SEVERAL.matches("\n## ").count() >= 20);
+}
+
+/// Each place of a value of an example, with the value made wrong, and a fault of its own beside.
+fn broken(value: &serde_json::Value, visit: &mut impl FnMut(&str, &serde_json::Value)) {
+    fn places(value: &serde_json::Value, pointer: String, all: &mut Vec<String>) {
+        match value {
+            serde_json::Value::Object(members) => {
+                members.iter().for_each(|(key, value)| places(value, format!("{pointer}/{key}"), all));
+            }
+            serde_json::Value::Array(entries) => {
+                entries.iter().enumerate().for_each(|(index, entry)| places(entry, format!("{pointer}/{index}"), all));
+            }
+            _ => {}
+        }
+        all.push(pointer);
+    }
+    let mut all = Vec::new();
+    places(value, String::new(), &mut all);
+    for pointer in all {
+        let mut broken = value.clone();
+        *broken.pointer_mut(&pointer).expect("it is there") = serde_json::json!({ "¤": 1, "¤¤": 2 });
+        visit(&pointer, &broken);
+    }
+}
+
+#[test]
+fn whatever_is_wrong_in_a_node_or_a_material_hides_nothing_else() {
+    let shapes = Node::examples().into_iter().map(|example| (example.node, true));
+    let materials = Material::examples().into_iter().map(|example| (example.json, false));
+    let mut wrong = Vec::new();
+    for (json, is_shape) in shapes.chain(materials) {
+        let example: serde_json::Value = serde_json::from_str(&json).expect("an example");
+        broken(&example, &mut |pointer, broken| {
+            let object = if is_shape {
+                format!(r#"{{ "shape": {broken} }}"#)
+            } else {
+                format!(r#"{{ "material": {broken}, "shape": {{ "sphere": {{ "radius": 1 }} }} }}"#)
+            };
+            let other = r#"{ "shape": { "sphere": { "radius": -1 } } }"#;
+            let found = faults(&around(&format!("{object}, {other}")));
+            let place = if is_shape { "/scene/objects/0/shape" } else { "/scene/objects/0/material" };
+            let place = format!("{place}{pointer}");
+            let is_right = found.last().is_some_and(|fault| fault.pointer == "/scene/objects/1/shape/sphere/radius")
+                && found.len() >= 2
+                && found[..found.len() - 1].iter().all(|fault| fault.pointer.starts_with(&place));
+            if !is_right {
+                let found: Vec<String> = found.iter().map(Fault::to_string).collect();
+                wrong.push(format!("{pointer} of {json}: {}", found.join("\n    ")));
+            }
+        });
+    }
+    assert!(wrong.is_empty(), "{} cases:\n{}", wrong.len(), wrong.join("\n"));
+}
+
+#[test]
+fn no_more_than_a_hundred_faults_are_told_and_they_are_the_first() {
+    let objects = vec![r#"{ "shape": { "sphere": { "radius": -1 } } }"#; 5000].join(",\n");
+    let found = faults(&around(&objects));
+    assert_eq!(found.len(), MAX_FAULTS);
+    assert_eq!(found[99].pointer, "/scene/objects/99/shape/sphere/radius");
+}
+
+#[test]
+fn shipped_examples_of_every_node_have_no_fault() {
+    for example in Node::examples() {
+        assert_eq!(faults(&around(&format!(r#"{{ "shape": {} }}"#, example.node))), [], "{}", example.node);
+    }
+}
+
+#[test]
+fn work_for_a_large_text_is_bounded_by_its_bytes() {
+    // Were the whole text read again for each fault, this would be 100 × 4 MB, and more for each value that is tried.
+    let keys: String = (0..200_000).map(|key| format!("\"unknown {key}\": 1, ")).collect();
+    let text = around(&format!(r#"{{ {keys} "shape": {{ "sphere": {{ "radius": 1 }} }} }}"#));
+    let (all, bytes) = collect::counted(&text);
+    assert!(!all.is_empty() && all.len() <= MAX_FAULTS, "{}", all.len());
+    assert!(bytes <= (32 << 20) + 3 * text.len(), "{bytes} of {}", text.len());
+}

@@ -1,0 +1,128 @@
+//! Glass and metal: what touches, and what finds nothing to mirror.
+
+use super::objects;
+use crate::bounds::Bounds;
+use crate::materials::{Material, Place, Shade};
+use crate::nodes::Node;
+use crate::real::{Flag, Vec3, vec3};
+use crate::scene::Scene;
+
+/// Places that are looked at of each pair of clear objects.
+const PLACES: usize = 400;
+/// Surfaces that are nearer to each other than this part of the smaller one's size are one.
+const COINCIDENT: f32 = 2e-5;
+/// Pairs of objects that are looked at.
+const MAX_PAIRS: usize = 32;
+/// More work at a look is not done.
+const MAX_WORK: f32 = 500.0;
+/// What sends on more of the light than this is metal or glass.
+const MIN_SENT_ON: f32 = 0.5;
+
+/// Clear objects whose surfaces coincide.
+pub(super) fn touching(scene: &Scene) -> Option<String> {
+    let is_clear = |index: &usize| {
+        let object = &scene.objects[*index];
+        let material = &scene.slots()[object.material.slot() as usize];
+        material.lets_through() && !material.is_medium() && object.shape.work() <= MAX_WORK
+    };
+    let clear: Vec<usize> = (0..scene.objects.len()).filter(is_clear).collect();
+    let pairs = clear.iter().enumerate().flat_map(|(n, &one)| clear[n + 1..].iter().map(move |&other| (one, other)));
+    let (one, other) = pairs.take(MAX_PAIRS).find(|&(one, other)| {
+        let (one, other) = (&scene.objects[one].shape, &scene.objects[other].shape);
+        coincide(one, other)
+    })?;
+    Some(format!(
+        "the surfaces of {} coincide, and both let light through, so that rays cannot tell which they enter: let one reach into the other by a thousandth of its size, or leave a gap",
+        objects(&[one, other])
+    ))
+}
+
+/// Whether two surfaces are one over an area: then places of one, all over it, lie on the other.
+fn coincide(one: &Node, other: &Node) -> bool {
+    let (a, b) = (one.bounds(0.0), other.bounds(0.0));
+    let common = a.overlap(b);
+    if !common.is_finite()
+        || common.low.x > common.high.x
+        || common.low.y > common.high.y
+        || common.low.z > common.high.z
+    {
+        return false;
+    }
+    let size = [a, b].into_iter().filter(|bounds| bounds.is_finite()).map(Bounds::diagonal).fold(f32::MAX, f32::min);
+    let tolerance = COINCIDENT * size;
+    let mut met = 0;
+    for place in 0..PLACES {
+        let Some(p) = on_surface(one, strewn(common, place), tolerance) else { continue };
+        if other.distance(p).abs() < tolerance {
+            met += 1;
+        }
+    }
+    // Surfaces that only cross each other meet along a line, and hardly any place lies on that.
+    met >= PLACES / 40
+}
+
+/// A place in a box: Martin Roberts, "The unreasonable effectiveness of quasirandom sequences",
+/// <https://extremelearning.com.au/unreasonable-effectiveness-of-quasirandom-sequences/>.
+fn strewn(bounds: Bounds, number: usize) -> Vec3<f32> {
+    let along = |step: f64, low: f32, high: f32| {
+        let share = (0.5 + step * (number + 1) as f64).fract() as f32;
+        low + share * (high - low)
+    };
+    let (low, high) = (bounds.low, bounds.high);
+    vec3(
+        along(0.819_172_513_396_164_4, low.x, high.x),
+        along(0.671_043_606_703_789_2, low.y, high.y),
+        along(0.549_700_477_901_970_5, low.z, high.z),
+    )
+}
+
+/// The surface near a place, found by Newton's method along the gradient.
+fn on_surface(node: &Node, mut p: Vec3<f32>, tolerance: f32) -> Option<Vec3<f32>> {
+    for _ in 0..8 {
+        let distance = node.distance(p);
+        if distance.abs() < tolerance * 0.25 {
+            return Some(p);
+        }
+        let h = (distance.abs() * 0.1).max(tolerance);
+        let slope = |offset: Vec3<f32>| (node.distance(p + offset) - node.distance(p - offset)) / (2.0 * h);
+        let gradient = vec3(slope(vec3(h, 0.0, 0.0)), slope(vec3(0.0, h, 0.0)), slope(vec3(0.0, 0.0, h)));
+        let square = gradient.dot(gradient);
+        if square.is_nan() || square < 1e-4 {
+            return None;
+        }
+        p = p - gradient * (distance / square);
+    }
+    None
+}
+
+/// Metal or glass that has nothing to show but what else is in the scene.
+pub(super) fn nothing_to_mirror(scene: &Scene) -> Option<String> {
+    if !scene.is_transparent() {
+        return None;
+    }
+    let slots = scene.slots();
+    let shiny: Vec<usize> = (0..scene.objects.len())
+        .filter(|&index| slots.get(scene.objects[index].material.slot() as usize).is_some_and(is_shiny))
+        .collect();
+    let (first, _) = shiny.split_first()?;
+    Some(format!(
+        "/scene/background is transparent, and {} of metal or glass mirror it as black (the first is /scene/objects/{first}): choose another background, or another material",
+        objects(&shiny)
+    ))
+}
+
+fn is_shiny(material: &Material) -> bool {
+    let up = vec3(0.0, 0.0, 1.0);
+    let place = Place {
+        normal: up,
+        to_viewer: up,
+        point: vec3(0.0, 0.0, 0.0),
+        own_normal: up,
+        footprint: [vec3(0.0, 0.0, 0.0); 2],
+        distance: 1.0,
+        inside: Flag(false),
+    };
+    material
+        .finish(&place)
+        .is_some_and(|finish| finish.mirrored.max_element() > MIN_SENT_ON || finish.passed.max_element() > MIN_SENT_ON)
+}

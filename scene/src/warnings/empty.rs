@@ -1,0 +1,78 @@
+//! Differences of which nothing is left.
+
+use crate::nodes::{Exactness, Node};
+use crate::real::{Vec3, vec3};
+use crate::scene::{Scene, child_steps};
+
+/// Boxes that are looked at in a difference until it is not known.
+const MAX_BOXES: usize = 512;
+/// Boxes that are looked at in all differences of a scene.
+const MAX_ALL_BOXES: usize = 8192;
+/// More work at a look is not done.
+const MAX_WORK: f32 = 2000.0;
+
+/// A difference whose parts are all cut away.
+pub(super) fn difference(scene: &Scene) -> Option<String> {
+    let mut boxes_left = MAX_ALL_BOXES;
+    scene.objects.iter().enumerate().find_map(|(index, object)| {
+        let mut pointer = format!("/scene/objects/{index}/shape");
+        let place = empty_difference(&object.shape, &mut pointer, &mut boxes_left)?;
+        Some(format!(
+            "{place} leaves nothing: what it subtracts is larger than the first shape; the first is what is cut from, so change their order or their sizes"
+        ))
+    })
+}
+
+fn empty_difference(node: &Node, pointer: &mut String, boxes_left: &mut usize) -> Option<String> {
+    if matches!(node, Node::Difference(_)) && is_empty(node, boxes_left) {
+        return Some(format!("{pointer}/difference"));
+    }
+    let length = pointer.len();
+    node.children().iter().zip(child_steps(node)).find_map(|(child, step)| {
+        pointer.push_str(&step);
+        let found = empty_difference(child, pointer, boxes_left);
+        pointer.truncate(length);
+        found
+    })
+}
+
+/// Whether a shape is known to have no inside: a box is outside of it where the distance at its middle, over the
+/// Lipschitz factor, is more than half its diagonal. Boxes that are not are halved.
+fn is_empty(node: &Node, boxes_left: &mut usize) -> bool {
+    let bounds = node.bounds(0.0);
+    let stretch = node.stretch();
+    if !bounds.is_finite() || node.exactness() == Exactness::Estimate || node.work() > MAX_WORK || stretch.is_nan() {
+        return false;
+    }
+    let mut boxes = vec![(bounds.low, bounds.high)];
+    for _ in 0..MAX_BOXES.min(*boxes_left) {
+        let Some((low, high)) = boxes.pop() else { return true };
+        *boxes_left -= 1;
+        let middle: Vec3<f32> = (low + high) * 0.5;
+        let half = (high - low) * 0.5;
+        let distance = node.distance(middle);
+        if distance <= 0.0 || distance.is_nan() {
+            return false;
+        }
+        if distance > stretch * half.length() {
+            continue;
+        }
+        boxes.extend(halves(low, high, half));
+    }
+    false
+}
+
+/// Both halves of a box, cut across its longest edge.
+fn halves(low: Vec3<f32>, high: Vec3<f32>, half: Vec3<f32>) -> [(Vec3<f32>, Vec3<f32>); 2] {
+    let longest = half.x.max(half.y).max(half.z);
+    let cut = |from: Vec3<f32>, by: f32| {
+        if half.x >= longest {
+            vec3(from.x + by * half.x, from.y, from.z)
+        } else if half.y >= longest {
+            vec3(from.x, from.y + by * half.y, from.z)
+        } else {
+            vec3(from.x, from.y, from.z + by * half.z)
+        }
+    };
+    [(low, cut(high, -1.0)), (cut(low, 1.0), high)]
+}

@@ -1,0 +1,122 @@
+//! Numbers in another tool's units: colors from 0 to 255, and angles in radians.
+
+use serde_json::Value;
+
+use crate::materials::Shade;
+use crate::nodes::Node;
+use crate::scene::{Scene, child_steps};
+
+/// Keys of colors that say what part of the light comes back, and cannot be much above 1.
+const REFLECTANCES: [&str; 7] = ["albedo", "base_color", "colors", "ka", "kd", "ks", "ramp"];
+/// A whole channel from this on is one of 255.
+const MIN_OF_255: f64 = 16.0;
+/// A field of view below this, in degrees, is one in radians.
+const MIN_FOV: f32 = 3.2;
+/// Parts of half a turn that angles in radians are multiples of.
+const PARTS_OF_PI: f64 = 12.0;
+/// How far from such a multiple they may be, in such parts.
+const MAX_BESIDE: f64 = 0.01;
+
+/// Colors whose channels go to 255.
+pub(super) fn colors_of_255(scene: &Scene) -> Option<String> {
+    for (index, object) in scene.objects.iter().enumerate() {
+        let material = scene.slots().get(object.material.slot() as usize)?;
+        if material.is_medium() {
+            continue;
+        }
+        let value = serde_json::to_value(material).ok()?;
+        if let Some((pointer, color)) = color_of_255(&value, &mut String::new(), false) {
+            let [red, green, blue] = color.map(|channel| (channel / 255.0 * 1000.0).round() / 1000.0);
+            let [r, g, b] = color;
+            return Some(format!(
+                "the color [{r}, {g}, {b}] at {pointer} of the material of object {index} goes to 255, and colors go to 1: write [{red}, {green}, {blue}], or \"#{:02x}{:02x}{:02x}\" if it is in sRGB",
+                r as u8, g as u8, b as u8
+            ));
+        }
+    }
+    None
+}
+
+fn color_of_255(value: &Value, pointer: &mut String, is_reflectance: bool) -> Option<(String, [f64; 3])> {
+    let length = pointer.len();
+    match value {
+        Value::Array(entries) => {
+            let channels: Vec<f64> = entries.iter().filter_map(Value::as_f64).collect();
+            if let (true, &[r, g, b]) = (is_reflectance && entries.len() == 3, channels.as_slice()) {
+                let is_whole = channels.iter().all(|channel| channel.fract() == 0.0 && *channel <= 255.0);
+                let is_large = channels.iter().any(|channel| *channel >= MIN_OF_255);
+                return (is_whole && is_large).then(|| (pointer.clone(), [r, g, b]));
+            }
+            entries.iter().enumerate().find_map(|(index, entry)| {
+                pointer.push_str(&format!("/{index}"));
+                let found = color_of_255(entry, pointer, is_reflectance);
+                pointer.truncate(length);
+                found
+            })
+        }
+        Value::Object(members) => members.iter().find_map(|(key, value)| {
+            pointer.push_str(&format!("/{key}"));
+            let found = color_of_255(value, pointer, REFLECTANCES.contains(&key.as_str()));
+            pointer.truncate(length);
+            found
+        }),
+        Value::Null | Value::Bool(_) | Value::Number(_) | Value::String(_) => None,
+    }
+}
+
+/// Angles that are in radians.
+pub(super) fn radians(scene: &Scene) -> Option<String> {
+    if let Some(fov) = scene.camera.fov.as_ref().filter(|fov| fov.get() < MIN_FOV && !fov.is_moving()) {
+        let degrees = f64::from(fov.get()).to_degrees().round();
+        let fov = fov.get();
+        return Some(format!(
+            "/scene/camera/fov is {fov} degrees, a very narrow view: if it is in radians, write {degrees}, its degrees"
+        ));
+    }
+    scene.objects.iter().enumerate().find_map(|(index, object)| {
+        let mut pointer = format!("/scene/objects/{index}/shape");
+        rotation_in_radians(&object.shape, &mut pointer)
+    })
+}
+
+fn rotation_in_radians(node: &Node, pointer: &mut String) -> Option<String> {
+    if node.name() == "rotate"
+        && let Some(angles) = angles_of(node).filter(|angles| are_radians(angles))
+    {
+        let degrees: Vec<String> = angles.iter().map(|angle| format!("{}", angle.to_degrees().round())).collect();
+        let angles: Vec<String> = angles.iter().map(|angle| angle.to_string()).collect();
+        return Some(format!(
+            "{pointer}/rotate/degrees is [{}], which reads like radians: write [{}], the degrees",
+            angles.join(", "),
+            degrees.join(", ")
+        ));
+    }
+    let length = pointer.len();
+    node.children().iter().zip(child_steps(node)).find_map(|(child, step)| {
+        pointer.push_str(&step);
+        let found = rotation_in_radians(child, pointer);
+        pointer.truncate(length);
+        found
+    })
+}
+
+/// The angles of a rotation that stands still, as they are written.
+fn angles_of(node: &Node) -> Option<Vec<f64>> {
+    let Node::Rotate(rotate) = node else { return None };
+    let value = serde_json::to_string(&rotate.degrees).ok()?;
+    let angles: Vec<Value> = serde_json::from_str(&value).ok()?;
+    angles.iter().map(Value::as_f64).collect()
+}
+
+/// Whether all that are not 0 are odd numbers and parts of a turn in radians.
+fn are_radians(angles: &[f64]) -> bool {
+    let mut turned = angles.iter().filter(|angle| **angle != 0.0).peekable();
+    turned.peek().is_some()
+        && turned.all(|angle| {
+            let parts = angle / std::f64::consts::PI * PARTS_OF_PI;
+            angle.abs() < 6.3
+                && angle.fract() != 0.0
+                && parts.round() != 0.0
+                && (parts - parts.round()).abs() < MAX_BESIDE
+        })
+}

@@ -1,0 +1,55 @@
+//! Textures that stay behind when their object moves.
+
+use crate::materials::Shade;
+use crate::nodes::Node;
+use crate::scene::{Scene, child_steps};
+
+/// Shapes that move under a texture which does not.
+pub(super) fn swims(scene: &Scene) -> Option<String> {
+    scene.objects.iter().enumerate().find_map(|(index, object)| {
+        let is_textured = |slot: u32| {
+            scene.slots().get(slot as usize).is_some_and(|material| material.is_textured() && !material.is_medium())
+        };
+        let mut pointer = format!("/scene/objects/{index}/shape");
+        let place = moves_under(&object.shape, is_textured(object.material.slot()), &is_textured, &mut pointer)?;
+        Some(format!(
+            "the texture stands still while {place} moves through it: put the movement around a `paint` with the material, whose texture then moves along"
+        ))
+    })
+}
+
+/// The first node that moves under a texture of what is outside of it.
+fn moves_under(
+    node: &Node,
+    is_under_texture: bool,
+    is_textured: &impl Fn(u32) -> bool,
+    pointer: &mut String,
+) -> Option<String> {
+    let is_under_texture = node.material().map_or(is_under_texture, |material| is_textured(material.slot()));
+    if is_under_texture && is_moved(node) && is_bare(node) {
+        return Some(format!("{pointer}/{}", node.name()));
+    }
+    let length = pointer.len();
+    node.children().iter().zip(child_steps(node)).find_map(|(child, step)| {
+        pointer.push_str(&step);
+        let found = moves_under(child, is_under_texture, is_textured, pointer);
+        pointer.truncate(length);
+        found
+    })
+}
+
+/// Whether a part of a shape has no paint of its own.
+fn is_bare(node: &Node) -> bool {
+    node.material().is_none() && (node.children().is_empty() || node.children().iter().any(is_bare))
+}
+
+/// Whether it carries what is in it somewhere else over the frames.
+fn is_moved(node: &Node) -> bool {
+    if let Node::Translate(node) = node {
+        return node.by.is_moving();
+    }
+    if let Node::Rotate(node) = node {
+        return node.degrees.is_moving();
+    }
+    false
+}

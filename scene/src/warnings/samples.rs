@@ -1,0 +1,40 @@
+//! Rays that cannot be seen in the picture.
+
+use serde_json::Value;
+
+use crate::job::{Bits, Format, Image};
+use crate::lights::Light;
+use crate::materials::Shade;
+use crate::scene::Scene;
+
+/// So many rays of a pixel leave edges that are right to a step of 8 bits.
+const ENOUGH: u32 = 256;
+
+/// More samples than a picture without noise can show.
+pub(super) fn too_many(scene: &Scene, image: &Image) -> Option<String> {
+    let is_coarse = image.format == Format::Png && image.bits == Bits::Eight;
+    let samples = image.samples;
+    if samples <= ENOUGH || !is_coarse || has_noise(scene) {
+        return None;
+    }
+    Some(format!(
+        "/image/samples is {samples}, and nothing in the scene is noise: beyond {ENOUGH} an edge of 8 bits shows no difference; use {ENOUGH} or fewer"
+    ))
+}
+
+/// Whether anything in it is chosen by chance, so that more samples make it less grainy.
+fn has_noise(scene: &Scene) -> bool {
+    scene.slots().iter().any(|material| material.sends_on() || material.is_medium() || material.is_textured())
+        || scene.fog.is_some()
+        || scene.lights.iter().any(is_wide)
+}
+
+/// Whether a light may have a size.
+fn is_wide(light: &Light) -> bool {
+    let Ok(Value::Object(light)) = serde_json::to_value(light) else { return true };
+    light.iter().any(|(name, light)| {
+        name == "sky"
+            || light.get("radius").is_some()
+            || light.get("angle").is_some_and(|angle| angle.as_f64() != Some(0.0))
+    })
+}
