@@ -46,7 +46,7 @@ fn keys_of_the_compose_file_let_its_workers_in() {
     // The farm listens beyond loopback without --insecure, for it has keys.
     let mut serve = sdfarm(&["serve"]);
     serve.envs([("SDFARM_WORKERS", "0"), ("SDFARM_HOST", "server"), ("SDFARM_DEVICE", "cpu")]);
-    let farm = Farm::start_by(serve, folder.path(), &["--listen", "0.0.0.0:0"]);
+    let farm = Farm::start_at("0.0.0.0:0", serve, folder.path(), &[]);
     let port = farm.address.rsplit(':').next().expect("a port");
     let address = format!("http://127.0.0.1:{port}");
     let mut health = sdfarm(&["status", "--ready"]);

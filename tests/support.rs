@@ -173,7 +173,8 @@ impl Farm {
         farm
     }
 
-    fn start_at(listen: &str, mut command: Command, folder: &Path, arguments: &[&str]) -> Self {
+    /// The same on an address of its own.
+    pub(crate) fn start_at(listen: &str, mut command: Command, folder: &Path, arguments: &[&str]) -> Self {
         let log = folder.join("log");
         command.args(["--listen", listen, "--data"]).arg(folder.join("data")).args(arguments);
         let log_file = fs::File::options().create(true).append(true).open(&log).expect("a log");
