@@ -17,5 +17,6 @@ mod kills;
 mod operating;
 mod previews;
 mod same_bits;
+mod skip;
 mod support;
 mod tidy;
