@@ -12,6 +12,7 @@ use rustix::process::Signal;
 use serde_json::{Value, json};
 
 use crate::jobs;
+use crate::skip::skip;
 use crate::support::{eventually, finish, sdfarm, send_signal, text, wait};
 
 mod farm;
@@ -162,7 +163,7 @@ const ON_GPU: [&str; 4] = ["render", "-", "--device", "cuda"];
 #[test]
 fn machine_without_a_driver_says_so_and_names_the_cure() {
     if is_installed("libcuda.so") {
-        return eprintln!("skipped: this machine has a driver");
+        return skip("no-driver", "this machine has a driver");
     }
     let folder = tempfile::tempdir().expect("a folder");
     let data = folder.path().join("data");
@@ -188,7 +189,7 @@ fn machine_without_a_driver_says_so_and_names_the_cure() {
 #[test]
 fn auto_is_the_cpu_where_there_is_no_driver_and_says_nothing_of_it() {
     if is_installed("libcuda.so") {
-        return eprintln!("skipped: this machine has a driver");
+        return skip("no-driver", "this machine has a driver");
     }
     let job = jobs::quick();
     let output = finish(with(&[], &["render", "-", "-o", "-", "--device", "auto"]), job.to_string().as_bytes());
@@ -236,7 +237,7 @@ fn library_that_lacks_any_function_is_too_old_and_no_panic() {
 #[test]
 fn driver_without_the_compiler_says_so() {
     if is_installed("libnvrtc.so") {
-        return eprintln!("skipped: this machine has CUDA's run-time compiler");
+        return skip("no-nvrtc", "this machine has CUDA's run-time compiler");
     }
     let says = ["run-time compiler is missing", "cuda-nvrtc", "LD_LIBRARY_PATH"];
     assert_refused(with(&[&stand_ins().join(DRIVER)], &ON_GPU), &jobs::quick(), &says);

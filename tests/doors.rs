@@ -14,7 +14,9 @@ use rustix::process::{Resource, Rlimit, getrlimit, setrlimit};
 use crate::jobs;
 use crate::support::{DEADLINE, Farm, eventually, finish, sdfarm, text};
 
-/// Idle connections in CI.
+/// Idle connections in every run of the tests.
+const FEW_IDLE: u64 = 200;
+/// Idle connections in the long ones.
 const IDLE: u64 = 2000;
 /// Idle connections where the system grants enough files.
 const MANY_IDLE: u64 = 10_000;
@@ -165,39 +167,63 @@ fn pool_renders_behind_tls_and_keys() {
     assert!(submitted.status.success(), "{}\n{}", text(&submitted.stderr), farm.log());
 }
 
-/// Connections that say nothing, as many as asked for or granted.
-fn idle_crowd(address: &str) -> Vec<TcpStream> {
+/// How many connections may be opened here, as many as the system grants.
+fn granted() -> u64 {
     let limit = getrlimit(Resource::Nofile);
     // A refusal leaves the limit as it is.
     let _ = setrlimit(Resource::Nofile, Rlimit { current: limit.maximum, maximum: limit.maximum });
-    let granted = getrlimit(Resource::Nofile).current.unwrap_or(u64::MAX);
-    let wanted = if granted >= MANY_IDLE + 2000 { MANY_IDLE } else { IDLE };
-    eprintln!("{wanted} idle connections; {granted} files are granted");
-    (0..wanted).map(|_| TcpStream::connect(address).expect("the server takes every connection")).collect()
+    getrlimit(Resource::Nofile).current.unwrap_or(u64::MAX)
 }
 
-#[test]
-fn farm_goes_on_among_thousands_of_idle_connections_and_slow_clients() {
+/// Connections that say nothing.
+fn idle_crowd(address: &str, connections: u64) -> Vec<TcpStream> {
+    eprintln!("{connections} idle connections");
+    (0..connections).map(|_| TcpStream::connect(address).expect("the server takes every connection")).collect()
+}
+
+fn address(farm: &Farm) -> &str {
+    farm.address.trim_start_matches("http://")
+}
+
+/// A job goes through a farm among so many idle connections.
+fn assert_served_among(connections: u64) {
     let farm = Farm::start(&["--workers", "1", "--device", "cpu"]);
-    let address = farm.address.trim_start_matches("http://").to_owned();
-    let crowd = idle_crowd(&address);
-    // One that sends its head a byte at a time.
-    let mut slow = TcpStream::connect(&address).expect("connects");
-    slow.set_read_timeout(Some(DEADLINE)).expect("a time to wait");
+    let crowd = idle_crowd(address(&farm), connections);
     let id = farm.accept(&jobs::quick().to_string());
     farm.succeeded(&id);
     assert_eq!(farm.get("/livez").status, 200);
+    drop(crowd);
+    assert!(farm.terminate().success());
+}
+
+#[test]
+fn farm_goes_on_among_hundreds_of_idle_connections() {
+    assert_served_among(FEW_IDLE);
+}
+
+#[test]
+#[ignore = "long: thousands of idle connections; some seconds"]
+fn farm_goes_on_among_thousands_of_idle_connections() {
+    assert_served_among(if granted() >= MANY_IDLE + 2000 { MANY_IDLE } else { IDLE });
+}
+
+#[test]
+#[ignore = "long: as long as the server's patience with a head; half a minute"]
+fn client_that_sends_its_head_a_byte_at_a_time_is_sent_away() {
+    let farm = Farm::start(&["--workers", "0"]);
+    let mut slow = TcpStream::connect(address(&farm)).expect("connects");
+    slow.set_read_timeout(Some(DEADLINE)).expect("a time to wait");
     let head = b"GET /livez HTTP/1.1\r\nHost: localhost\r\nX-Slow: ".iter().chain(std::iter::repeat(&b'x'));
     for byte in head {
         if slow.write_all(&[*byte]).is_err() {
             break;
         }
+        // The client's pace: the server's patience ends by itself.
         std::thread::sleep(Duration::from_millis(250));
     }
     let mut answer = Vec::new();
     // Reset or ended, it is over.
     let _ = slow.read_to_end(&mut answer);
     assert_eq!(farm.get("/livez").status, 200);
-    drop(crowd);
     assert!(farm.terminate().success());
 }

@@ -13,6 +13,7 @@ use std::path::Path;
 use std::process::{Command, Output};
 
 use crate::jobs;
+use crate::skip::skip;
 use crate::support::{Farm, PROGRAM, clean, eventually, finish, run, sdfarm, text};
 
 /// Tries to serve, which must fail with exit code 1; returns what it says.
@@ -65,7 +66,7 @@ fn read_only_data_folder_is_refused() {
     let data = folder.path().join("data");
     fs::create_dir(&data).expect("made");
     let Some(_mounted) = Mount::new(&data, "ro") else {
-        return eprintln!("skipped: a read-only folder needs a mount, which this user may not make");
+        return skip("mount", "a read-only folder needs a mount, which this user may not make");
     };
     let told = cannot_serve(&data, &["--listen", "127.0.0.1:0"]);
     assert!(told.contains("--data") && told.contains(data.to_str().expect("plain")), "{told}");
@@ -113,7 +114,7 @@ fn server_on_a_full_disk_answers_with_a_problem_and_recovers() {
     let data = folder.path().join("data");
     fs::create_dir(&data).expect("made");
     let Some(_mounted) = Mount::new(&data, "size=4m") else {
-        return eprintln!("skipped: a small disk needs a mount, which this user may not make");
+        return skip("mount", "a small disk needs a mount, which this user may not make");
     };
     let farm = Farm::start_on(folder.path(), &["--workers", "1"]);
     let ballast = data.join("ballast");

@@ -11,6 +11,7 @@ use std::sync::{Arc, Mutex};
 use serde_json::{Value, json};
 
 use crate::jobs;
+use crate::skip::skip;
 use crate::support::{Farm, eventually, finish, sdfarm, succeed, text};
 
 /// An address that stays while the server behind it comes and goes.
@@ -111,7 +112,7 @@ fn all_frames_of_an_animation_are_saved_as_files_and_as_an_archive() {
             let told = text(&tested.stdout);
             assert!(tested.status.success() && told.contains("walk.0002.png"), "{told}");
         }
-        Err(_) => println!("skipped: testing the archive with unzip, which is not there"),
+        Err(_) => skip("unzip", "testing the archive with unzip, which is not there"),
     }
     let told = good(&on(&farm, folder.path(), &["delete", &id, "--dry-run"]));
     assert!(told.starts_with("would remove 3 pictures"), "{told}");

@@ -21,5 +21,6 @@ mod operating;
 mod pages;
 mod previews;
 mod same_bits;
+mod skip;
 mod support;
 mod tidy;

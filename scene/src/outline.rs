@@ -233,4 +233,36 @@ mod tests {
             assert_eq!(check(text, 8), Ok(()));
         }
     }
+
+    #[test]
+    fn finds_values_past_every_kind_of_value() {
+        let text = "{\t\"s\\\"]\": [ true ,\r\n{}, [[], -1.5e3], null ], \"~\" : {\"\\u0041\":\"\\\\\"}, \"z\":0}";
+        let value = |pointer| locate_value(text, pointer).map(|offset| &text[offset..]);
+        for (pointer, begins) in [
+            ("/s\"]", "[ true"),
+            ("/s\"]/0", "true ,"),
+            ("/s\"]/1", "{}, [["),
+            ("/s\"]/2/0", "[], -1.5e3"),
+            ("/s\"]/2/1", "-1.5e3]"),
+            ("/s\"]/3", "null"),
+            ("/~0/A", "\"\\\\\"}"),
+            ("/z", "0}"),
+        ] {
+            assert!(value(pointer).is_some_and(|value| value.starts_with(begins)), "{pointer}: {:?}", value(pointer));
+        }
+        for pointer in ["/s\"]/4", "/s\"]/x", "/s\"]/2/2", "/~", "/z/0", "/s"] {
+            assert_eq!(value(pointer), None, "{pointer}");
+        }
+        assert_eq!(locate_key(text, "/s\"]/0"), None, "an entry of a list has no key");
+        assert!(text[locate_key(text, "/z").unwrap()..].starts_with("\"z\":0"));
+    }
+
+    #[test]
+    fn tells_the_place_of_a_fault_as_a_pointer() {
+        let doubled = check(r#"{"l": [0, {"a/b": 1, "a/b": 2}]}"#, 9).unwrap_err();
+        assert_eq!((doubled.pointer.as_str(), doubled.offset), ("/l/1/a~1b", 21));
+        let deep = check(r#"{"a": [{"b": {"c": 1}}]}"#, 3).unwrap_err();
+        assert_eq!((deep.kind, deep.pointer.as_str()), (OutlineFaultKind::TooDeep, "/a/0/b"));
+        assert_eq!(check(r#"[{"a": 1}, {"a": 2}, {"b": {"a": 3}}]"#, 9), Ok(()), "a key may be in several objects");
+    }
 }

@@ -142,3 +142,57 @@ impl Doors {
 fn whole_seconds(wait: Duration) -> u64 {
     wait.as_secs() + u64::from(wait.subsec_nanos() > 0).max(u64::from(wait.is_zero()))
 }
+
+#[cfg(test)]
+mod tests {
+    use std::net::Ipv4Addr;
+
+    use super::*;
+
+    const ELSEWHERE: IpAddr = IpAddr::V4(Ipv4Addr::new(10, 1, 2, 3));
+    const HERE: IpAddr = IpAddr::V4(Ipv4Addr::LOCALHOST);
+    /// More than any of the limits, however slowly they are counted.
+    const MANY: u32 = 1_000_000;
+
+    async fn doors() -> (Doors, tempfile::TempDir) {
+        let folder = tempfile::tempdir().expect("a temporary folder");
+        let store = Arc::new(Store::open(folder.path()).await.expect("opens"));
+        (Doors::open(store, Clock::by_hand().0).await.expect("opens"), folder)
+    }
+
+    #[tokio::test]
+    async fn an_address_without_a_key_has_a_rate_and_this_machine_has_none() {
+        let (doors, _folder) = doors().await;
+        let pace = doors.admit(None, Some(ELSEWHERE), true).expect("the first").expect("it is counted");
+        assert_eq!((pace.per_second, pace.remaining), (1000, 999));
+        let headers: Vec<_> = pace.headers().map(|(name, value)| (name.to_string(), value)).collect();
+        let wanted = [("ratelimit-policy", "\"requests\";q=1000;w=1"), ("ratelimit", "\"requests\";r=999;t=1")];
+        assert_eq!(headers, wanted.map(|(name, value)| (name.to_owned(), HeaderValue::from_static(value))));
+        let admitted =
+            (1..MANY).find_map(|count| doors.admit(None, Some(ELSEWHERE), true).err().map(|refusal| (count, refusal)));
+        let (admitted, refusal) = admitted.expect("there is a limit");
+        assert!(admitted >= 1000, "{admitted} were admitted");
+        assert_eq!((refusal.per_second, refusal.retry_seconds), (1000, 1));
+        for (peer, is_local) in [(Some(HERE), true), (Some(ELSEWHERE), false), (None, true)] {
+            assert!((0..3000).all(|_| matches!(doors.admit(None, peer, is_local), Ok(None))), "{peer:?} {is_local}");
+        }
+    }
+
+    #[tokio::test]
+    async fn refusals_of_an_address_are_counted_and_others_are_not_held_for_them() {
+        let (doors, _folder) = doors().await;
+        let told = (0..MANY).find_map(|count| doors.count_refusal(Some(HERE)).err().map(|refusal| (count, refusal)));
+        let (told, refusal) = told.expect("there is a limit");
+        assert!(told >= 20, "{told} were told why");
+        assert_eq!((refusal.per_second, refusal.retry_seconds), (20, 1));
+        assert!(doors.count_refusal(Some(ELSEWHERE)).is_ok());
+        assert!((0..100).all(|_| doors.count_refusal(None).is_ok()));
+    }
+
+    #[test]
+    fn a_wait_is_told_in_whole_seconds_that_are_enough() {
+        for (millis, seconds) in [(0, 1), (1, 1), (999, 1), (1000, 1), (1001, 2), (2500, 3), (4000, 4)] {
+            assert_eq!(whole_seconds(Duration::from_millis(millis)), seconds, "{millis} ms");
+        }
+    }
+}

@@ -1,5 +1,8 @@
 //! The server through its HTTP door, with workers that only pretend to render.
 
+#[path = "../../tests/skip.rs"]
+mod skip;
+
 mod api {
     mod bad_input;
     mod change;

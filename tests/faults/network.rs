@@ -12,10 +12,10 @@ use rustix::process::Signal;
 use serde_json::Value;
 
 use crate::jobs;
+use crate::skip::skip;
 use crate::support::{Farm, eventually, rendered_here, sdfarm, send_signal, wait};
 
-/// The shortest lease there is.
-const LEASE: Duration = Duration::from_secs(1);
+/// With the shortest leases there are.
 const FLAGS: [&str; 6] = ["--workers", "0", "--tile", "96", "--lease-seconds", "1"];
 
 /// What becomes of what passes a proxy.
@@ -154,6 +154,17 @@ fn job(seed: u64) -> Value {
     jobs::seeded(&jobs::many_rays(), seed)
 }
 
+/// How many leases have run out.
+fn expired(farm: &Farm) -> u64 {
+    let metrics = farm.get("/metrics").text();
+    let count = metrics.lines().find_map(|line| line.strip_prefix("sdfarm_leases_expired_total "));
+    count.expect("a metric").parse().expect("a count")
+}
+
+fn is_running(farm: &Farm, id: &str) -> bool {
+    ["queued", "running"].contains(&farm.get(&format!("/v1/jobs/{id}")).json()["state"].as_str().expect("a state"))
+}
+
 fn check(farm: &Farm, id: &str, job: &Value) {
     farm.succeeded(id);
     assert!(farm.picture(id) == rendered_here(job, 0), "other bytes than an undisturbed run's");
@@ -170,6 +181,7 @@ fn failing_network_changes_no_picture() {
         let job = job(seed as u64);
         let id = farm.accept(&job.to_string());
         eventually("it runs", || (farm.get(&format!("/v1/jobs/{id}")).json()["state"] != "queued").then_some(()));
+        let expired_before = expired(&farm);
         let before: usize = proxies.iter().map(|proxy| proxy.spoilt.load(Ordering::SeqCst)).sum();
         for proxy in &proxies {
             proxy.set(mood);
@@ -180,8 +192,10 @@ fn failing_network_changes_no_picture() {
                 (spoilt > before).then_some(())
             });
         }
-        // The test is about time: what is held runs out, and is leased again, while the network is away.
-        std::thread::sleep(2 * LEASE);
+        // What is held runs out while the network is away; over a slow one, or if all was heard, the job may end.
+        eventually("a lease runs out, or the job ends", || {
+            (expired(&farm) > expired_before || !is_running(&farm, &id)).then_some(())
+        });
         for proxy in &proxies {
             proxy.set(Mood::Honest);
         }
@@ -200,9 +214,9 @@ fn worker_that_stood_still_for_two_leases_has_no_effect() {
         let workers = farm.get("/v1/workers").json();
         (workers["workers"][0]["leases"].as_u64() > Some(0)).then_some(())
     });
+    let before = expired(&farm);
     sleeper.signal(Signal::STOP);
-    // The test is about time: its leases run out.
-    std::thread::sleep(2 * LEASE);
+    eventually("its leases run out", || (expired(&farm) > before).then_some(()));
     let heir = Worker::start(&farm.address);
     check(&farm, &id, &job);
     let done = farm.get(&format!("/v1/jobs/{id}")).json();
@@ -263,7 +277,7 @@ fn run(program: &str, arguments: &[&str]) -> bool {
 #[test]
 fn lossy_and_parted_networks_change_no_picture() {
     let Some(namespace) = Namespace::new("sdfarm-proof") else {
-        return eprintln!("skipped: a network of its own needs `ip netns`, which is not to be had here");
+        return skip("netns", "a network of its own needs `ip netns`, which is not to be had here");
     };
     let farm = Farm::start_beyond_loopback(&FLAGS);
     let port = farm.address.rsplit(':').next().expect("a port");
@@ -275,15 +289,15 @@ fn lossy_and_parted_networks_change_no_picture() {
         let job = job(seed);
         let id = farm.accept(&job.to_string());
         eventually("it runs", || (farm.get(&format!("/v1/jobs/{id}")).json()["state"] != "queued").then_some(()));
+        let before = expired(&farm);
         namespace.part(true);
-        // The test is about time: a parting that leases do not outlive.
-        std::thread::sleep(2 * LEASE);
+        eventually("a lease runs out", || (expired(&farm) > before).then_some(()));
         namespace.part(false);
         check(&farm, &id, &job);
     }
     for (seed, percent) in [(210, 10), (211, 25)] {
         if !namespace.lose(percent) {
-            return eprintln!("skipped: losing packets needs `tc` with netem, which is not to be had here");
+            return skip("netem", "losing packets needs `tc` with netem, which is not to be had here");
         }
         let job = job(seed);
         let id = farm.accept(&job.to_string());

@@ -4,7 +4,7 @@ use proto::Problem;
 use proto::work::{Hello, SyncReply, SyncRequest};
 use serde_json::json;
 
-use super::fuzz;
+use super::{Effort, fuzz};
 use crate::jobs;
 
 fn job_files() -> Vec<Vec<u8>> {
@@ -13,9 +13,8 @@ fn job_files() -> Vec<Vec<u8>> {
 }
 
 /// A job that is taken can be looked at in every way a server does before it is rendered.
-#[test]
-fn fuzzed_job_files_are_taken_or_refused() {
-    fuzz("job files", &job_files(), |text| match scene::parse(text) {
+fn try_job_files(effort: Effort) {
+    fuzz("job files", effort, &job_files(), |text| match scene::parse(text) {
         Ok(job) => {
             job.warnings();
             assert!(job.nodes() > 0 && job.frames.count > 0 && job.image.width > 0);
@@ -26,6 +25,17 @@ fn fuzzed_job_files_are_taken_or_refused() {
         Err(scene::Refusal::NotJson(fault)) => assert!(!fault.message.is_empty()),
         Err(scene::Refusal::Wrong(faults)) => assert!(!faults.is_empty() && faults.iter().all(|fault| fault.line > 0)),
     });
+}
+
+#[test]
+fn fuzzed_job_files_are_taken_or_refused() {
+    try_job_files(Effort::Runs(300));
+}
+
+#[test]
+#[ignore = "long: fuzzing for a minute"]
+fn long_fuzzed_job_files_are_taken_or_refused() {
+    try_job_files(Effort::Long);
 }
 
 fn requests() -> Vec<Vec<u8>> {
@@ -53,9 +63,8 @@ fn requests() -> Vec<Vec<u8>> {
 }
 
 /// What is understood is said back, and understood alike.
-#[test]
-fn fuzzed_messages_of_workers_are_understood_or_refused() {
-    fuzz("messages of workers", &requests(), |text| {
+fn try_messages(effort: Effort) {
+    fuzz("messages of workers", effort, &requests(), |text| {
         if let Ok(request) = serde_json::from_slice::<SyncRequest>(text) {
             let said = serde_json::to_vec(&request).expect("writable");
             serde_json::from_slice::<SyncRequest>(&said).expect("what is understood can be said");
@@ -67,4 +76,15 @@ fn fuzzed_messages_of_workers_are_understood_or_refused() {
         drop(serde_json::from_slice::<Hello>(text));
         drop(serde_json::from_slice::<Problem>(text));
     });
+}
+
+#[test]
+fn fuzzed_messages_of_workers_are_understood_or_refused() {
+    try_messages(Effort::Runs(2000));
+}
+
+#[test]
+#[ignore = "long: fuzzing for a minute"]
+fn long_fuzzed_messages_of_workers_are_understood_or_refused() {
+    try_messages(Effort::Long);
 }

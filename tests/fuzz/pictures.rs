@@ -9,7 +9,7 @@ use worker::image::Picture;
 use worker::stitch::Tiles;
 use worker::{Cancel, Pixels};
 
-use super::fuzz;
+use super::{Effort, fuzz};
 use crate::jobs;
 
 /// A tile of these planes, with samples of all sorts.
@@ -19,12 +19,11 @@ fn tile(rect: Rect, planes: usize) -> Pixels {
 }
 
 /// A blob is read as what it was written from, or refused.
-#[test]
-fn fuzzed_blobs_are_read_whole_or_refused() {
+fn try_blobs(effort: Effort) {
     let shapes = [(0, 0, 1, 1, 4), (32, 64, 5, 3, 4), (0, 0, 8, 8, 7), (65_000, 0, 16, 2, 64)];
     let corpus: Vec<Vec<u8>> =
         shapes.map(|(x, y, width, height, planes)| blob::encode(&tile(Rect { x, y, width, height }, planes))).to_vec();
-    fuzz("blobs", &corpus, |bytes| {
+    fuzz("blobs", effort, &corpus, |bytes| {
         let whole = blob::decode(bytes);
         if let Ok(pixels) = &whole {
             assert_eq!(blob::encode(pixels), bytes, "what was read is not what was written");
@@ -39,6 +38,17 @@ fn fuzzed_blobs_are_read_whole_or_refused() {
             }
         }
     });
+}
+
+#[test]
+fn fuzzed_blobs_are_read_whole_or_refused() {
+    try_blobs(Effort::Runs(2000));
+}
+
+#[test]
+#[ignore = "long: fuzzing for a minute"]
+fn long_fuzzed_blobs_are_read_whole_or_refused() {
+    try_blobs(Effort::Long);
 }
 
 const SIZE: Rect = Rect { x: 0, y: 0, width: 9, height: 5 };
@@ -75,10 +85,9 @@ pub(super) fn samples() -> Vec<Vec<u8>> {
     vec![all.clone(), all[..16].to_vec(), all.repeat(20)]
 }
 
-#[test]
-fn fuzzed_samples_are_written_as_png_and_read_back() {
+fn try_png(effort: Effort) {
     let jobs = [job(json!({ "format": "png" })), job(json!({ "format": "png", "bits": 16 }))];
-    fuzz("PNG", &samples(), |bytes| {
+    fuzz("PNG", effort, &samples(), |bytes| {
         for job in &jobs {
             let file = written(job, tile_of(bytes, job.image.channels().len()));
             let mut reader = png::Decoder::new(Cursor::new(&file)).read_info().expect("a PNG");
@@ -92,10 +101,20 @@ fn fuzzed_samples_are_written_as_png_and_read_back() {
 }
 
 #[test]
-fn fuzzed_samples_are_written_as_exr_and_read_back() {
+fn fuzzed_samples_are_written_as_png_and_read_back() {
+    try_png(Effort::Runs(300));
+}
+
+#[test]
+#[ignore = "long: fuzzing for a minute"]
+fn long_fuzzed_samples_are_written_as_png_and_read_back() {
+    try_png(Effort::Long);
+}
+
+fn try_exr(effort: Effort) {
     use exr::prelude::{ReadChannels, ReadLayers};
     let job = job(json!({ "format": "exr", "precision": "float", "layers": ["depth", "normal"] }));
-    fuzz("EXR", &samples(), |bytes| {
+    fuzz("EXR", effort, &samples(), |bytes| {
         let tile = tile_of(bytes, job.image.channels().len());
         let file = written(&job, tile.clone());
         let image = exr::prelude::read()
@@ -115,4 +134,15 @@ fn fuzzed_samples_are_written_as_exr_and_read_back() {
             assert!(alike && read.len() == plane.len(), "{name}: {read:?} is not {plane:?}");
         }
     });
+}
+
+#[test]
+fn fuzzed_samples_are_written_as_exr_and_read_back() {
+    try_exr(Effort::Runs(300));
+}
+
+#[test]
+#[ignore = "long: fuzzing for a minute"]
+fn long_fuzzed_samples_are_written_as_exr_and_read_back() {
+    try_exr(Effort::Long);
 }

@@ -4,7 +4,7 @@ use std::io::{Read, Write};
 use std::net::{Shutdown, TcpStream};
 use std::time::Duration;
 
-use super::fuzz;
+use super::{Effort, fuzz};
 use crate::jobs;
 use crate::support::Farm;
 
@@ -30,12 +30,11 @@ fn corpus(job: &str) -> Vec<Vec<u8>> {
     .to_vec()
 }
 
-#[test]
-fn fuzzed_requests_are_answered_and_the_server_lives_on() {
+fn try_requests(effort: Effort) {
     let farm = Farm::start(&["--workers", "0"]);
     let job = farm.accept(&jobs::quick().to_string());
     let address = farm.address.strip_prefix("http://").expect("an address").to_owned();
-    fuzz("requests", &corpus(&job), |bytes| {
+    fuzz("requests", effort, &corpus(&job), |bytes| {
         let mut connection = TcpStream::connect(&address).expect("the server listens");
         connection.set_read_timeout(Some(Duration::from_secs(5))).expect("settable");
         // It may refuse before it has read everything.
@@ -48,4 +47,15 @@ fn fuzzed_requests_are_answered_and_the_server_lives_on() {
     });
     assert_eq!(farm.get("/livez").status, 200, "{}", farm.log());
     assert!(!farm.log().contains("panicked"), "{}", farm.log());
+}
+
+#[test]
+fn fuzzed_requests_are_answered_and_the_server_lives_on() {
+    try_requests(Effort::Runs(300));
+}
+
+#[test]
+#[ignore = "long: fuzzing for a minute"]
+fn long_fuzzed_requests_are_answered_and_the_server_lives_on() {
+    try_requests(Effort::Long);
 }

@@ -5,8 +5,8 @@ use std::process::Stdio;
 
 use serde_json::{Value, json};
 
-use super::fuzz;
 use super::pictures::{job, samples, tile_of, written};
+use super::{Effort, fuzz};
 use crate::support::sdfarm;
 
 /// No preview is wider.
@@ -46,13 +46,12 @@ fn sketched(line: &str) -> (Vec<u8>, String, Option<i32>) {
     (answer, words, status.code())
 }
 
-#[test]
-fn fuzzed_stored_pictures_are_drawn_or_refused() {
+fn try_stored_pictures(effort: Effort) {
     let folder = tempfile::tempdir().expect("a folder");
     let path = folder.path().join("picture");
     let line = json!({ "what": "stored", "file": path, "width_px": WIDTH_PX }).to_string();
     let mut drawn = 0;
-    fuzz("stored pictures", &files(), |bytes| {
+    fuzz("stored pictures", effort, &files(), |bytes| {
         std::fs::write(&path, bytes).expect("written");
         let (answer, words, code) = sketched(&line);
         match code {
@@ -66,4 +65,15 @@ fn fuzzed_stored_pictures_are_drawn_or_refused() {
         }
     });
     assert!(drawn >= files().len(), "sound files are drawn");
+}
+
+#[test]
+fn fuzzed_stored_pictures_are_drawn_or_refused() {
+    try_stored_pictures(Effort::Runs(20));
+}
+
+#[test]
+#[ignore = "long: fuzzing for a minute"]
+fn long_fuzzed_stored_pictures_are_drawn_or_refused() {
+    try_stored_pictures(Effort::Long);
 }

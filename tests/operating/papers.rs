@@ -6,6 +6,7 @@ use std::process::Command;
 
 use serde_json::Value;
 
+use crate::skip::skip;
 use crate::support::{PROGRAM, root, text};
 
 fn read(path: &str) -> String {
@@ -89,8 +90,7 @@ fn the_board_asks_for_metrics_that_are_there() {
 #[test]
 fn systemd_takes_the_units() {
     if Command::new("systemd-analyze").arg("--version").output().is_err() {
-        println!("skipped: systemd-analyze is not installed; the units are not checked");
-        return;
+        return skip("systemd", "systemd-analyze is not installed; the units are not checked");
     }
     let folder = tempfile::tempdir().expect("a folder");
     for unit in ["sdfarm.service", "sdfarm-worker.service"] {

@@ -94,7 +94,8 @@ pub(super) async fn identify(
         Err(refusal) => return with_caller(ApiError::from(refusal).into_response(), caller),
     };
     request.extensions_mut().insert(caller.clone());
-    let limit = time_limit(&request);
+    let route = request.extensions().get::<MatchedPath>().map_or("", MatchedPath::as_str);
+    let limit = time_limit(route, &request);
     let Some(key) = caller.key() else { return with_caller(in_time(next.run(request), limit).await, caller) };
     let response = tokio::select! {
         response = in_time(next.run(request), limit) => response,
@@ -105,8 +106,7 @@ pub(super) async fn identify(
 }
 
 /// Time until a response must begin; request bodies have a minimum rate instead.
-fn time_limit(request: &Request) -> Option<Duration> {
-    let route = request.extensions().get::<MatchedPath>().map_or("", MatchedPath::as_str);
+fn time_limit(route: &str, request: &Request) -> Option<Duration> {
     let takes_in = route.starts_with("/v1/worker/") || (route == "/v1/jobs" && request.method() == Method::POST);
     let waits = route.ends_with("/events") || request.headers().contains_key("prefer");
     (!takes_in && !waits).then_some(ANSWER)
@@ -219,5 +219,48 @@ impl<S: Sync> FromRequestParts<S> for Caller {
 impl From<Refusal> for ApiError {
     fn from(refusal: Refusal) -> Self {
         Self::TooManyRequests { per_second: refusal.per_second, retry_seconds: refusal.retry_seconds }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn limited(method: Method, route: &str, header: Option<&str>) -> bool {
+        let mut request = Request::builder().method(method).uri("/");
+        if let Some(name) = header {
+            request = request.header(name, "wait=5");
+        }
+        time_limit(route, &request.body(Body::empty()).expect("a request")) == Some(ANSWER)
+    }
+
+    #[test]
+    fn answers_begin_in_time_but_where_they_wait_or_bodies_are_sent_in() {
+        assert!(limited(Method::GET, "/v1/jobs", None));
+        assert!(limited(Method::POST, "/v1/jobs/{id}/cancel", None));
+        assert!(limited(Method::PATCH, "/v1/jobs/{id}", Some("accept")));
+        assert!(!limited(Method::POST, "/v1/jobs", None));
+        assert!(!limited(Method::GET, "/v1/jobs/{id}", Some("prefer")));
+        assert!(!limited(Method::GET, "/v1/jobs/{id}/events", None));
+        assert!(!limited(Method::PUT, "/v1/worker/blobs/{hash}", None));
+    }
+
+    #[tokio::test]
+    async fn answer_that_does_not_begin_is_given_up() {
+        let answer = in_time(std::future::pending(), Some(Duration::from_millis(1))).await;
+        assert_eq!(answer.status(), ApiError::TooLong { limit_seconds: 0 }.into_response().status());
+        assert!(answer.status().is_server_error());
+        for limit in [None, Some(ANSWER)] {
+            assert!(in_time(std::future::ready(Response::default()), limit).await.status().is_success());
+        }
+    }
+
+    #[test]
+    fn each_caller_has_its_name() {
+        assert_eq!(
+            [Caller::Nobody, Caller::Local, Caller::Pool].map(|caller| caller.name().to_owned()),
+            ["-", "local", "pool"]
+        );
+        assert!(Caller::Local.sees_only().is_none() && Caller::Pool.key().is_none());
     }
 }

@@ -240,3 +240,89 @@ impl Key {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn new(name: &str) -> NewKey {
+        NewKey {
+            name: name.to_owned(),
+            scopes: vec![Scope::Read],
+            expires_in_seconds: None,
+            max_jobs: None,
+            max_rays: None,
+            requests_per_second: None,
+        }
+    }
+
+    fn is_fine(key: NewKey) -> bool {
+        Order::check(key, 0).is_ok()
+    }
+
+    #[test]
+    fn limits_of_a_key_hold_to_the_last_value() {
+        let (life, rays) = (Some(MAX_LIFE_SECONDS), Some(i64::MAX.unsigned_abs()));
+        assert!(is_fine(NewKey { expires_in_seconds: life, max_rays: rays, ..new("a") }));
+        assert!(!is_fine(NewKey { expires_in_seconds: life.map(|seconds| seconds + 1), ..new("a") }));
+        assert!(!is_fine(NewKey { max_rays: rays.map(|rays| rays + 1), ..new("a") }));
+        assert!(is_fine(NewKey { max_jobs: Some(1), requests_per_second: Some(100_000), ..new("a") }));
+        assert!(!is_fine(NewKey { requests_per_second: Some(100_001), ..new("a") }));
+        assert!(
+            !is_fine(NewKey { max_jobs: Some(0), ..new("a") }) && !is_fine(NewKey { max_rays: Some(0), ..new("a") })
+        );
+        assert!(is_fine(new(&"x".repeat(64))) && is_fine(new("A-b_c.9")));
+        for name in ["", &"x".repeat(65), "local", "pool", "a b", "ä"] {
+            assert!(!is_fine(new(name)), "{name}");
+        }
+    }
+
+    fn row(expires_at_ms: Option<i64>, revoked_at_ms: Option<i64>) -> Row {
+        let scopes = Scopes::of(|scope| scope == Scope::Submit);
+        Row {
+            number: 7,
+            id: "key_1".to_owned(),
+            name: "anna".to_owned(),
+            digest: [1; 32],
+            scopes,
+            max_jobs: Some(3),
+            max_rays: Some(500),
+            requests_per_second: Some(9),
+            created_at_ms: 0,
+            expires_at_ms,
+            revoked_at_ms,
+            last_used_at_ms: Some(1000),
+        }
+    }
+
+    #[test]
+    fn key_lives_until_its_end_and_what_goes_on_ends_with_it() {
+        let key = Key::new(row(Some(5000), None), None);
+        assert!(key.is_live(4999) && !key.is_live(5000));
+        key.end_if_over(4999);
+        assert!(!key.ended().is_cancelled());
+        // The same key, read again: what goes on under it is told.
+        let again = Key::new(row(Some(5000), Some(2000)), Some(&key));
+        assert!(!again.is_live(3000) && again.is_revoked());
+        again.end_if_over(3000);
+        assert!(key.ended().is_cancelled());
+        let states = [key.view(0).state, key.view(5000).state, again.view(0).state];
+        assert_eq!(states, [KeyState::Live, KeyState::Expired, KeyState::Revoked]);
+    }
+
+    #[test]
+    fn view_of_a_key_shows_what_it_may_and_its_latest_use() {
+        let key = Key::new(row(None, None), None);
+        assert_eq!(key.last_used_ms(), None);
+        assert_eq!(key.view(0).last_used_at.as_deref(), Some("1970-01-01T00:00:01Z"));
+        key.used(3000);
+        key.used(2000);
+        assert_eq!(key.last_used_ms(), Some(3000));
+        let view = key.view(0);
+        assert_eq!(view.last_used_at.as_deref(), Some("1970-01-01T00:00:03Z"));
+        assert_eq!((view.max_jobs, view.max_rays, view.requests_per_second), (Some(3), Some(500), Some(9)));
+        assert_eq!((&*view.id, &*view.name, &*view.scopes), ("key_1", "anna", &[Scope::Submit][..]));
+        assert!(key.scopes().allow(Scope::Submit) && !key.scopes().allow(Scope::Admin));
+        assert!(key.has(&[1; 32]) && !key.has(&[2; 32]));
+    }
+}

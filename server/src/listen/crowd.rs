@@ -231,4 +231,36 @@ mod tests {
         drop(only);
         drop(waiting.await.expect("a place"));
     }
+
+    #[tokio::test]
+    async fn who_worked_since_is_idle_for_a_shorter_time_than_who_came_later() {
+        let crowd = Crowd::new(3);
+        let (one, two, three) = (crowd.enter().await, crowd.enter().await, crowd.enter().await);
+        let (first, second) = (one.work(), one.work());
+        drop(first);
+        assert!(one.is_busy(), "another request is being answered");
+        assert_eq!(crowd.idle.lock().expect("no holder panics").since.len(), 2);
+        drop(second);
+        assert_eq!(crowd.idle.lock().expect("no holder panics").since.len(), 3);
+        crowd.send_away_oldest();
+        assert!(two.0.sent_away.is_cancelled() && !one.0.sent_away.is_cancelled());
+        drop(three);
+        crowd.send_away_oldest();
+        assert!(one.0.sent_away.is_cancelled(), "who has left is in nobody's way");
+        assert!(crowd.idle.lock().expect("no holder panics").since.is_empty());
+        crowd.send_away_oldest();
+    }
+
+    #[tokio::test]
+    async fn answer_keeps_its_connection_busy_and_its_length() {
+        let crowd = Crowd::new(0);
+        let only = crowd.enter().await;
+        let body = Attended::new(Body::from("12345"), only.work());
+        assert_eq!((body.size_hint().exact(), body.is_end_stream()), (Some(5), false));
+        assert!(only.is_busy());
+        let sent = axum::body::to_bytes(Body::new(body), 100).await.expect("a body");
+        assert_eq!(&sent[..], b"12345");
+        assert!(!only.is_busy());
+        assert!(Attended::new(Body::empty(), only.work()).is_end_stream());
+    }
 }

@@ -47,6 +47,9 @@ pub(crate) enum TlsError {
     Set(#[from] rustls::Error),
 }
 
+/// Modification times and sizes of the certificate's and the key's file.
+type Stamp = [Option<(SystemTime, u64)>; 2];
+
 /// Accepts connections over TLS.
 pub(crate) struct Tls {
     acceptor: TlsAcceptor,
@@ -105,25 +108,29 @@ impl Tls {
                 () = tokio::time::sleep(LOOK) => false,
                 () = hung_up(&mut hang_up) => true,
             };
-            let now = self.stamp();
-            if now == seen && !asked {
-                continue;
+            self.look(&mut seen, asked);
+        }
+    }
+
+    /// Reloads the files if they have changed since they were `seen`, or on request.
+    fn look(&self, seen: &mut Stamp, asked: bool) {
+        let now = self.stamp();
+        if now == *seen && !asked {
+            return;
+        }
+        // One of the two may be half written, or still the old one: the next change triggers another attempt.
+        *seen = now;
+        match read(&self.certificate, &self.key) {
+            Ok(pair) => {
+                *self.shown.0.write().expect("no holder panics") = Arc::new(pair);
+                tracing::info!(certificate = %self.certificate.display(), "a new certificate is shown from now on");
             }
-            // One of the two may be half written, or still the old one: the next change triggers
-            // another attempt.
-            seen = now;
-            match read(&self.certificate, &self.key) {
-                Ok(pair) => {
-                    *self.shown.0.write().expect("no holder panics") = Arc::new(pair);
-                    tracing::info!(certificate = %self.certificate.display(), "a new certificate is shown from now on");
-                }
-                Err(error) => tracing::error!(%error, "the old certificate stays: the new one can't be used"),
-            }
+            Err(error) => tracing::error!(%error, "the old certificate stays: the new one can't be used"),
         }
     }
 
     /// Modification times and sizes of the files.
-    fn stamp(&self) -> [Option<(SystemTime, u64)>; 2] {
+    fn stamp(&self) -> Stamp {
         [&self.certificate, &self.key].map(|file| {
             let metadata = std::fs::metadata(file).ok()?;
             Some((metadata.modified().ok()?, metadata.len()))
@@ -166,5 +173,37 @@ fn words(error: &rustls::pki_types::pem::Error) -> String {
         Error::Io(error) => error.to_string(),
         Error::NoItemsFound => "it holds none".to_owned(),
         _ => "it is not PEM, or damaged".to_owned(),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::fs;
+
+    use super::*;
+
+    /// Writes a certificate that vouches for itself, and its key.
+    fn write(certificate: &Path, key: &Path) {
+        let pair = rcgen::generate_simple_self_signed(["localhost".to_owned()]).expect("a certificate");
+        fs::write(key, pair.signing_key.serialize_pem()).expect("written");
+        fs::write(certificate, pair.cert.pem()).expect("written");
+    }
+
+    #[test]
+    fn a_certificate_that_can_not_be_used_is_never_shown() {
+        let folder = tempfile::tempdir().expect("a temporary folder");
+        let (certificate, key) = (folder.path().join("cert.pem"), folder.path().join("key.pem"));
+        write(&certificate, &key);
+        let tls = Tls::open(&certificate, &key).expect("a certificate and its key");
+        let mut seen = tls.stamp();
+        let shown = || tls.shown.0.read().expect("no holder panics").cert.clone();
+        let first = shown();
+        fs::write(&key, "no key").expect("written");
+        tls.look(&mut seen, false);
+        assert_eq!(shown(), first);
+        assert_eq!(seen, tls.stamp(), "it was looked at");
+        write(&certificate, &key);
+        tls.look(&mut seen, true);
+        assert_ne!(shown(), first);
     }
 }

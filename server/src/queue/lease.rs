@@ -381,4 +381,26 @@ mod tests {
         assert_eq!(lost(4), Verdict::Ready { delay_ms: 200 });
         assert_eq!(lost(49), Verdict::Ready { delay_ms: 5000 });
     }
+
+    #[test]
+    fn failures_and_crashes_wait_longer_each_time_and_interrupts_never() {
+        let delay = |counters: Counters, cause, jitter| match counters.verdict(cause, jitter) {
+            Verdict::Ready { delay_ms } => delay_ms,
+            Verdict::Dead => panic!("{counters:?}"),
+        };
+        let failed = |errors| Counters { errors, ..Counters::default() };
+        let crashed = |crashes| Counters { crashes, ..Counters::default() };
+        assert_eq!([1, 2].map(|errors| delay(failed(errors), Cause::Failed, 1.0)), [100, 200]);
+        assert_eq!([1, 2].map(|crashes| delay(crashed(crashes), Cause::Crashed, 1.0)), [100, 200]);
+        assert_eq!([1, 2].map(|errors| delay(failed(errors), Cause::Failed, 0.0)), [50, 100], "half of it is chance");
+        assert_eq!(delay(failed(2), Cause::Interrupted, 1.0), 0);
+        assert_eq!(delay(Counters { interrupts: 1000, ..Counters::default() }, Cause::Interrupted, 1.0), 0);
+    }
+
+    #[test]
+    fn jitter_is_a_share_and_differs() {
+        let drawn: Vec<f64> = (0..100).map(|_| jitter()).collect();
+        assert!(drawn.iter().all(|jitter| (0.0..=1.0).contains(jitter)), "{drawn:?}");
+        assert!(drawn.iter().any(|&jitter| jitter < 0.4) && drawn.iter().any(|&jitter| jitter > 0.6), "{drawn:?}");
+    }
 }

@@ -6,6 +6,8 @@ use proto::change::{FramePage, FrameState};
 use reqwest::StatusCode;
 use serde_json::{Value, json};
 
+use crate::skip::skip;
+
 use super::harness::{Farm, in_time, read, refused, small_job};
 
 fn animation(frames: u32) -> Value {
@@ -82,7 +84,7 @@ print(json.dumps([[i.filename, z.read(i).decode()] for i in z.infolist()]))";
     let file = folder.path().join("frames.zip");
     std::fs::write(&file, &bytes).expect("writes");
     let Ok(read) = Command::new("python3").arg("-c").arg(READER).arg(&file).output() else {
-        println!("skipped: reading the archive by another program, for there is no python3");
+        skip("python3", "reading the archive by another program, for there is no python3");
         return own_members(&bytes);
     };
     assert!(read.status.success(), "{}", String::from_utf8_lossy(&read.stderr));

@@ -8,8 +8,8 @@ use proto::job::JobState;
 
 use super::harness::{Farm, assert_state, small_job};
 
-/// Jobs that wait.
-const JOBS: u32 = 10_000;
+/// Jobs that wait, in every run of the tests and in the long ones.
+const JOBS: [u32; 2] = [500, 10_000];
 /// Claims that are timed.
 const CLAIMS: usize = 100;
 
@@ -19,10 +19,20 @@ fn now() -> Instant {
 }
 
 #[tokio::test(flavor = "multi_thread")]
+async fn hundreds_of_jobs_wait_and_each_is_claimed_once() {
+    assert_claimed_once(JOBS[0]).await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+#[ignore = "long: ten thousand jobs; half a minute"]
 async fn ten_thousand_jobs_wait_and_each_is_claimed_once() {
+    assert_claimed_once(JOBS[1]).await;
+}
+
+async fn assert_claimed_once(jobs: u32) {
     let farm = Farm::start().await;
     let start = now();
-    let submitted = stream::iter(0..JOBS)
+    let submitted = stream::iter(0..jobs)
         .map(|seed| {
             let farm = &farm;
             async move { farm.submit(&small_job(seed)).await.id }
@@ -44,12 +54,12 @@ async fn ten_thousand_jobs_wait_and_each_is_claimed_once() {
     }
     times.sort();
     eprintln!(
-        "{JOBS} jobs handed in by 64 clients in {submitting:.1?}; a claim, with its request: median {:.2?}, longest {:.2?}",
+        "{jobs} jobs handed in by 64 clients in {submitting:.1?}; a claim, with its request: median {:.2?}, longest {:.2?}",
         times[CLAIMS / 2],
         times[CLAIMS - 1]
     );
     let waiting = submitted.iter().filter(|id| !claimed.contains(id)).count();
-    assert_eq!(waiting, JOBS as usize - CLAIMS);
-    assert_state(&farm, submitted[JOBS as usize - 1], JobState::Queued).await;
+    assert_eq!(waiting, jobs as usize - CLAIMS);
+    assert_state(&farm, submitted[jobs as usize - 1], JobState::Queued).await;
     farm.stop().await;
 }

@@ -1,13 +1,13 @@
 //! Handing a job in once, however often it is sent; and waiting for its end in the answer.
 
-use std::time::Duration;
-
 use futures_util::future::join_all;
 use proto::job::{JobPage, JobState, JobView};
-use reqwest::{Response, StatusCode};
+use proto::key::{KeyList, Scope};
+use reqwest::{Method, Response, StatusCode};
 use serde_json::Value;
 
-use super::harness::{Farm, assert_state, in_time, read, refused, small_job};
+use super::harness::{Farm, in_time, read, refused, small_job};
+use super::keys::{locked_farm, make, new_key, send};
 
 async fn hand_in(farm: &Farm, path: &str, job: &Value, header: (&str, &str)) -> Response {
     let request = farm.client.post(farm.url(path)).header(header.0, header.1).body(job.to_string());
@@ -98,13 +98,26 @@ async fn an_answer_waits_until_the_job_has_ended_or_the_time_is_over() {
 
 #[tokio::test]
 async fn a_server_that_ends_lets_nobody_wait() {
-    let farm = Farm::start().await;
-    let posted = farm.submit(&small_job(1)).await;
+    let (farm, admin) = locked_farm().await;
+    let reader = make(&farm, &admin, &new_key("reader", &[Scope::Read])).await;
+    let posted = send(&farm, &admin, Method::POST, "/v1/jobs", small_job(1).to_string()).await;
+    let posted: JobView = read(posted, StatusCode::CREATED).await;
     let request = farm.client.get(farm.url(&format!("/v1/jobs/{}", posted.id))).header("Prefer", "wait=55");
-    let waiting = tokio::spawn(request.send());
-    tokio::time::sleep(Duration::from_millis(100)).await;
-    assert_state(&farm, posted.id, JobState::Queued).await;
+    let waiting = tokio::spawn(request.bearer_auth(&reader.secret).send());
+    // The server has the request when the key has been used.
+    in_time(async {
+        loop {
+            let keys: KeyList = read(send(&farm, &admin, Method::GET, "/v1/keys", "").await, StatusCode::OK).await;
+            if keys.keys.iter().any(|key| key.id == reader.key.id && key.last_used_at.is_some()) {
+                break;
+            }
+        }
+    })
+    .await;
+    assert!(!waiting.is_finished(), "the job has not ended");
     farm.stop().await;
     let seen = in_time(waiting).await.expect("no panic").expect("an answer");
     assert_eq!(seen.status(), StatusCode::OK);
+    let seen: JobView = read(seen, StatusCode::OK).await;
+    assert_eq!(seen.state, JobState::Queued);
 }

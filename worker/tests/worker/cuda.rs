@@ -4,19 +4,25 @@
 use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
-use std::time::Instant;
 
 use proto::Rect;
+use rayon::prelude::*;
 use scene::backgrounds::Background;
 use scene::camera::Projection;
 use scene::kinds::Example;
 use scene::lights::Light;
 use scene::real::Real;
-use scene::{Image, Job, Layer, effects};
+use scene::{Image, Job, effects};
 use serde_json::{Value, json};
 use worker::cuda::{Compiler, Source};
 use worker::tape::{Expr, record};
 use worker::{Cancel, CpuRenderer, Pixels, Renderer, Simd, TileRun};
+
+use crate::shipped::{LAYERS, Shipped, shipped};
+use crate::skip::skip;
+
+/// What is compiled in every run of the tests; the long ones compile all.
+const FEW: [&str; 6] = ["csg", "dice", "mandelbulb", "paper/clouds", "turntable", "vitrine"];
 
 /// Runs the kernels on the host, a thread after another: reads `k`, the planes, a tile and the
 /// samples; renders in two parts, so that sums are taken up again; writes the planes.
@@ -45,26 +51,10 @@ int main() {
 }
 ";
 
-fn scenes() -> Vec<PathBuf> {
-    let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("../scenes");
-    let mut found = Vec::new();
-    for folder in [root.clone(), root.join("paper")] {
-        let entries = std::fs::read_dir(folder).expect("there are scenes");
-        found.extend(
-            entries
-                .map(|entry| entry.expect("a folder can be read").path())
-                .filter(|path| path.extension().is_some_and(|e| e == "json")),
-        );
-    }
-    found.sort();
-    found
-}
-
 /// The job in a size that takes a moment, with every layer.
-fn small(path: &Path) -> Job {
-    let job = scene::parse(&std::fs::read(path).expect("a scene can be read")).expect("a shipped scene is right");
-    let layers = vec![Layer::Depth, Layer::Normal, Layer::Position, Layer::Albedo, Layer::Object, Layer::Steps];
-    Job { image: Image { width: 60, height: 40, samples: 3, layers, ..job.image }, ..job }
+fn small(shipped: &Shipped) -> Job {
+    let job = shipped.job();
+    Job { image: Image { width: 60, height: 40, samples: 3, layers: LAYERS.to_vec(), ..job.image }, ..job }
 }
 
 fn compile_text(source: &str, folder: &Path) -> PathBuf {
@@ -106,21 +96,42 @@ fn render_on_cpu(job: &Job) -> Pixels {
     renderer.render(&TileRun { job, frame: 0, rect }, &Cancel::new(), &|_| {}).expect("nobody cancels it")
 }
 
-/// Renders a job by its text and by the CPU, and compares all planes.
-fn assert_same_bits(name: &str, job: &Job) {
-    let folder = tempfile::tempdir().expect("a scratch folder");
-    let (got, want) = (render_on_host(job, folder.path()), render_on_cpu(job));
-    assert_eq!(got.planes.len(), want.planes.len());
-    for (plane, (got, want)) in job.image.channels().iter().zip(got.planes.iter().zip(&want.planes)) {
-        let differing = got.iter().zip(want).filter(|(got, want)| got.to_bits() != want.to_bits()).count();
-        assert_eq!(differing, 0, "{plane} of {name} differs in {differing} of {} pixels", want.len());
-    }
+/// Compares what the host's compiler makes of these jobs with the CPU's pixels, several at a time.
+fn assert_same_on_host(jobs: &[(String, Job)]) {
+    let compare = |(name, job): &(String, Job)| {
+        let folder = tempfile::tempdir().expect("a scratch folder");
+        let (got, want) = (render_on_host(job, folder.path()), render_on_cpu(job));
+        assert_eq!(got.planes.len(), want.planes.len());
+        let channels = job.image.channels();
+        let planes = channels.iter().zip(got.planes.iter().zip(&want.planes));
+        let counts = planes.map(|(channel, (got, want))| {
+            let differing = got.iter().zip(want).filter(|(got, want)| got.to_bits() != want.to_bits()).count();
+            (differing > 0).then(|| format!("{channel} of {name} differs in {differing} pixels"))
+        });
+        counts.flatten().collect::<Vec<String>>()
+    };
+    let wrong: Vec<String> = jobs.par_iter().flat_map_iter(compare).collect();
+    assert!(wrong.is_empty(), "{}", wrong.join("\n"));
 }
 
-#[test]
-fn the_text_compiled_by_the_host_renders_the_same_bits() {
-    for path in scenes() {
-        assert_same_bits(&path.display().to_string(), &small(&path));
+/// Shipped scenes in a small size, with their names.
+fn in_small(scenes: &[Shipped]) -> Vec<(String, Job)> {
+    scenes.iter().map(|shipped| (shipped.name.clone(), small(shipped))).collect()
+}
+
+/// Compiles these scenes as a GPU's worker would.
+fn assert_compiled(scenes: &[Shipped]) {
+    let compiler = match Compiler::find() {
+        Ok(compiler) => compiler,
+        Err(missing) => return skip("nvrtc", format_args!("no scene was compiled for a GPU: {missing}")),
+    };
+    for shipped in scenes {
+        let source = Source::new(&shipped.job().at(0).expect("a shipped scene is right"));
+        for architecture in [75, 90] {
+            let code = compiler.compile(&source.text, architecture);
+            let code = code.unwrap_or_else(|trouble| panic!("{} for sm_{architecture}: {trouble}", shipped.name));
+            assert!(code.starts_with(b"\x7fELF"), "machine code is an ELF file");
+        }
     }
 }
 
@@ -156,35 +167,46 @@ fn jobs_of_all_kinds() -> Vec<Job> {
 
 #[test]
 fn the_text_of_every_light_background_projection_and_effect_renders_the_same_bits() {
-    for (index, job) in jobs_of_all_kinds().iter().enumerate() {
-        assert_same_bits(&format!("job {index} of all kinds"), job);
-    }
+    let jobs = jobs_of_all_kinds().into_iter().enumerate();
+    let jobs: Vec<(String, Job)> = jobs.map(|(index, job)| (format!("job {index} of all kinds"), job)).collect();
+    assert_same_on_host(&jobs);
+}
+
+/// Scenes that together have lights, materials, media, textures, a camera and fractals of every sort.
+fn few() -> Vec<Shipped> {
+    let mut scenes = shipped();
+    scenes.retain(|shipped| FEW.contains(&shipped.name.as_str()));
+    assert_eq!(scenes.len(), FEW.len());
+    scenes
 }
 
 #[test]
+fn the_text_compiled_by_the_host_renders_the_same_bits() {
+    assert_same_on_host(&in_small(&few()));
+}
+
+#[test]
+#[ignore = "long: the text of every shipped scene compiled by the host's compiler; two minutes"]
+fn the_text_of_every_scene_compiled_by_the_host_renders_the_same_bits() {
+    assert_same_on_host(&in_small(&shipped()));
+}
+
+#[test]
+fn the_run_time_compiler_takes_a_few_scenes() {
+    assert_compiled(&few());
+}
+
+#[test]
+#[ignore = "long: every shipped scene compiled for two architectures; a minute"]
 fn the_run_time_compiler_takes_every_scene() {
-    let compiler = match Compiler::find() {
-        Ok(compiler) => compiler,
-        Err(missing) => return println!("skipped: no scene was compiled for a GPU: {missing}"),
-    };
-    for path in scenes() {
-        let job = scene::parse(&std::fs::read(&path).expect("a scene can be read")).expect("a shipped scene is right");
-        let source = Source::new(&job.at(0).expect("a shipped scene is right"));
-        for architecture in [75, 90] {
-            let start = Instant::now();
-            let code = compiler.compile(&source.text, architecture);
-            let code = code.unwrap_or_else(|trouble| panic!("{} for sm_{architecture}: {trouble}", path.display()));
-            assert!(code.starts_with(b"\x7fELF"), "machine code is an ELF file");
-            println!("{}: sm_{architecture} in {:.3} s", path.display(), start.elapsed().as_secs_f64());
-        }
-    }
+    assert_compiled(&shipped());
 }
 
 #[test]
 fn a_program_that_is_none_is_refused_with_the_compilers_words() {
     let compiler = match Compiler::find() {
         Ok(compiler) => compiler,
-        Err(missing) => return println!("skipped: nothing could be refused: {missing}"),
+        Err(missing) => return skip("nvrtc", format_args!("nothing could be refused: {missing}")),
     };
     let refusal = compiler.compile("this is no program", 90).expect_err("it is none").to_string();
     assert!(refusal.contains("error") && refusal.contains("scene.cu"), "{refusal}");
@@ -209,16 +231,15 @@ fn nudge(value: &mut serde_json::Value) {
 
 #[test]
 fn no_number_of_a_scene_is_in_its_text() {
-    for path in scenes() {
-        let file = std::fs::read(&path).expect("a scene can be read");
-        let mut changed: serde_json::Value = serde_json::from_slice(&file).expect("a scene is JSON");
+    for Shipped { name, text } in shipped() {
+        let mut changed: serde_json::Value = serde_json::from_slice(&text).expect("a scene is JSON");
         nudge(&mut changed["scene"]);
-        let before = scene::parse(&file).expect("a shipped scene is right");
+        let before = scene::parse(&text).expect("a shipped scene is right");
         let before = Source::new(&before.at(0).expect("nothing moves in it"));
         let after = scene::parse(changed.to_string().as_bytes()).expect("a little larger is in range");
         let after = Source::new(&after.at(3).expect("nothing moves in it"));
-        assert_ne!(before.parameters, after.parameters, "{} has other numbers now", path.display());
-        assert!(before.text == after.text, "numbers of {} are in its text", path.display());
+        assert_ne!(before.parameters, after.parameters, "{name} has other numbers now");
+        assert!(before.text == after.text, "numbers of {name} are in its text");
     }
 }
 

@@ -12,12 +12,14 @@ use scene::{Image, Job, Layer, Program, effects};
 use serde_json::{Value, json};
 use worker::{Cancel, CpuRenderer, Renderer, Simd, TileRun};
 
+use crate::skip::skip;
+
 /// Each level that this CPU has; says aloud which it has not.
-fn levels() -> impl Iterator<Item = Simd> {
+pub(crate) fn levels() -> impl Iterator<Item = Simd> {
     Simd::LEVELS.into_iter().filter(|level| {
         let available = level.is_available();
         if !available {
-            println!("skipped: this CPU has no {level}");
+            skip(level.name(), format_args!("this CPU has no {level}"));
         }
         available
     })

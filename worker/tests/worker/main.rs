@@ -11,4 +11,8 @@ mod lanes;
 mod motion;
 mod pictures;
 mod read_back;
+mod same_bits;
+mod shipped;
 mod silhouettes;
+#[path = "../../../tests/skip.rs"]
+mod skip;

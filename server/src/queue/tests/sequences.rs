@@ -13,8 +13,10 @@ use super::model::{Model, TILES};
 use super::{Bench, leases, new_job, turn};
 use crate::queue::{Cause, Deleted, NewJob, Next, Opening, Turn};
 
-/// Sequences in one run of the test.
-const SEQUENCES: u32 = 500;
+/// Sequences in every run of the tests.
+const SEQUENCES: u32 = 100;
+/// Sequences in the long ones.
+const MANY_SEQUENCES: u32 = 500;
 /// Operations in a sequence, at most.
 const OPERATIONS: usize = 40;
 /// Scenes of more nodes are large.
@@ -340,7 +342,17 @@ pub(super) fn sequence() -> impl Strategy<Value = Vec<Operation>> {
 
 #[test]
 fn the_queue_does_what_its_model_says() {
-    let config = Config { cases: SEQUENCES, failure_persistence: None, max_shrink_time: 60_000, ..Config::default() };
+    assert_as_its_model(SEQUENCES);
+}
+
+#[test]
+#[ignore = "long: five times as many random sequences of operations; half a minute"]
+fn the_queue_does_what_its_model_says_over_many_sequences() {
+    assert_as_its_model(MANY_SEQUENCES);
+}
+
+fn assert_as_its_model(cases: u32) {
+    let config = Config { cases, failure_persistence: None, max_shrink_time: 60_000, ..Config::default() };
     let seed = std::env::var("SDFARM_SEED").ok().and_then(|seed| seed.parse().ok());
     let seed: u64 = seed.unwrap_or_else(|| uuid::Uuid::new_v4().as_u64_pair().0);
     eprintln!("SDFARM_SEED={seed} runs these sequences again");

@@ -3,6 +3,7 @@
 use std::io::Cursor;
 
 use scene::Job;
+use worker::image::Provenance;
 use worker::{Cancel, CpuRenderer, Simd};
 
 /// A job of some objects, as JSON, on a floor.
@@ -34,4 +35,13 @@ pub(crate) fn render(job: &Job) -> Vec<u8> {
     worker::frame::render_frame(&renderer, job, 0, None, &scratch, &mut file, &Cancel::new(), &|_| ())
         .expect("a small picture renders");
     file.into_inner()
+}
+
+/// Whether a PNG says that it was made of this job's first frame, by this definition of a picture, in its size.
+pub(crate) fn says_it_shows(png: &[u8], job: &Job) -> bool {
+    let Ok(reader) = png::Decoder::new(Cursor::new(png)).read_info() else { return false };
+    let info = reader.info();
+    let wanted = Provenance::of(&job.at(0).expect("an example has a first frame")).json();
+    let said = info.utf8_text.iter().filter_map(|chunk| chunk.get_text().ok()).any(|text| text == wanted);
+    said && (info.width, info.height) == (job.image.width, job.image.height)
 }

@@ -1,0 +1,62 @@
+//! The job files in scenes/, for tests that go over all of them.
+
+use std::path::Path;
+
+use scene::{Bits, Format, Image, Job, Layer, Precision};
+
+/// Every layer an EXR may have.
+pub(crate) const LAYERS: [Layer; 6] =
+    [Layer::Depth, Layer::Normal, Layer::Position, Layer::Albedo, Layer::Object, Layer::Steps];
+
+/// A job file.
+pub(crate) struct Shipped {
+    /// Its path in scenes/, without `.json`.
+    pub(crate) name: String,
+    /// Its text.
+    pub(crate) text: Vec<u8>,
+}
+
+impl Shipped {
+    pub(crate) fn job(&self) -> Job {
+        scene::parse(&self.text).unwrap_or_else(|refusal| panic!("{}: {refusal}", self.name))
+    }
+
+    /// The job as a PNG of 8 bits, in this size.
+    pub(crate) fn png(&self, width: u32, samples: u32) -> Job {
+        let job = self.job();
+        let image = Image { format: Format::Png, bits: Bits::Eight, layers: Vec::new(), ..job.image };
+        sized(Job { image, ..job }, width, samples)
+    }
+
+    /// The job as a float EXR with every layer, in this size.
+    pub(crate) fn exr(&self, width: u32, samples: u32) -> Job {
+        let job = self.job();
+        let image = Image { format: Format::Exr, precision: Precision::Float, layers: LAYERS.to_vec(), ..job.image };
+        sized(Job { image, ..job }, width, samples)
+    }
+}
+
+/// The job at another size, of the same shape.
+fn sized(job: Job, width: u32, samples: u32) -> Job {
+    let height = (job.image.height * width / job.image.width).max(1);
+    Job { image: Image { width, height, samples, ..job.image }, ..job }
+}
+
+/// All of them, by name.
+pub(crate) fn shipped() -> Vec<Shipped> {
+    let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("../scenes");
+    let mut found = Vec::new();
+    for prefix in ["", "paper/"] {
+        for entry in std::fs::read_dir(root.join(prefix)).expect("there are scenes") {
+            let path = entry.expect("a folder can be read").path();
+            if path.extension().is_some_and(|extension| extension == "json") {
+                let stem = path.file_stem().expect("a file has a name").to_string_lossy().into_owned();
+                let text = std::fs::read(&path).expect("a scene can be read");
+                found.push(Shipped { name: format!("{prefix}{stem}"), text });
+            }
+        }
+    }
+    found.sort_by(|left, right| left.name.cmp(&right.name));
+    assert!(found.len() > 30, "scenes/ holds job files");
+    found
+}
