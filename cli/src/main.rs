@@ -8,6 +8,7 @@ mod commands;
 mod failure;
 mod follow;
 mod job_file;
+mod job_name;
 mod logs;
 mod output_file;
 mod overview;

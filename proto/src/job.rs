@@ -62,6 +62,12 @@ pub struct JobView {
     pub id: JobId,
     /// The name its author gave it.
     pub name: String,
+    /// Who submitted it: the name of a key, or `local` while the farm has none.
+    #[serde(default)]
+    pub submitter: String,
+    /// Its priority, from -100 to 100: higher goes first.
+    #[serde(default)]
+    pub priority: i32,
     /// Where it stands.
     pub state: JobState,
     /// Nothing of it is leased until it is resumed; what is leased already goes on.

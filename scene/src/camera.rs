@@ -1,9 +1,12 @@
 //! From a point of the picture to a ray.
 
+mod matrices;
 mod sight;
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
+
+pub use matrices::Matrix;
 
 use crate::job::Frames;
 use crate::march::Tolerance;

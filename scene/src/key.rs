@@ -8,7 +8,7 @@ use crate::materials::Material;
 use crate::motion::{Motion, Still};
 use crate::scene::{March, Object, Scene};
 use crate::sky::Background;
-use crate::values::Stops;
+use crate::values::{FrameRate, Stops};
 
 /// A scene without names, defaults filled in: equal for scenes that look the same.
 #[derive(Serialize)]
@@ -39,6 +39,9 @@ struct CanonicalPicture {
     format: Format,
     bits: Option<Bits>,
     precision: Option<Precision>,
+    /// In the header of an EXR; what else is there follows from the pixels' scene.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    fps: Option<FrameRate>,
     #[serde(skip_serializing_if = "Option::is_none")]
     graded: Option<(Stops, ToneMap)>,
 }
@@ -102,15 +105,16 @@ impl Still<'_> {
     /// Of all that decides the bytes of its picture.
     pub fn picture_key(&self) -> blake3::Hash {
         let image = &self.job().image;
-        let (bits, precision) = match image.format {
-            Format::Png => (Some(image.bits), None),
-            Format::Exr => (None, Some(image.precision)),
+        let (bits, precision, fps) = match image.format {
+            Format::Png => (Some(image.bits), None, None),
+            Format::Exr => (None, Some(image.precision), Some(self.job().frames.fps)),
         };
         hash(&CanonicalPicture {
             pixels: self.pixels_key().to_hex().to_string(),
             format: image.format,
             bits,
             precision,
+            fps,
             graded: image.is_graded().then_some((image.exposure, image.tone_map)),
         })
     }
@@ -151,6 +155,11 @@ mod tests {
         let mut other = first.clone();
         other.image.format = Format::Exr;
         assert_ne!(first.picture_key(0), other.picture_key(0));
+        let mut faster = other.clone();
+        faster.frames.fps = FrameRate::new(25.0).unwrap();
+        assert_ne!(faster.picture_key(0), other.picture_key(0), "an EXR tells its rate");
+        faster.image.format = Format::Png;
+        assert_eq!(faster.picture_key(0), first.picture_key(0), "a PNG does not");
         let pixels_key = |job: &Job| job.at(0).unwrap().pixels_key();
         assert_eq!(pixels_key(&first), pixels_key(&other));
     }

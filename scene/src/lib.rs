@@ -24,6 +24,7 @@ pub mod profiles;
 pub mod real;
 pub mod sampling;
 pub mod scene;
+pub mod schema;
 pub mod sky;
 pub mod surroundings;
 pub mod values;
@@ -32,9 +33,10 @@ mod warnings;
 pub use fault::{Fault, Refusal};
 pub use job::{Bits, Format, Frames, Image, Job, Layer, Precision, ToneMap};
 pub use motion::{Motion, Still};
-pub use parse::{parse, schema};
+pub use parse::parse;
 pub use pixel::Program;
 pub use scene::Scene;
+pub use schema::schema;
 pub use sky::Background;
 
 /// The definition of a picture's bits: raised only when some picture's bits change, never with a release.

@@ -5,8 +5,6 @@ mod wording;
 
 use std::fmt::Write as _;
 
-use schemars::JsonSchema as _;
-use schemars::generate::SchemaSettings;
 use serde::de::IgnoredAny;
 use serde_path_to_error::{Path, Segment};
 
@@ -96,18 +94,6 @@ fn read(text: &str, frame: u32, frames: Option<&Frames>) -> Result<Read, Refusal
     }
     let place = |(pointer, message)| in_frame(Fault::of_value(text, pointer, message));
     Err(Refusal::Wrong(faults.into_iter().take(MAX_FAULTS).map(place).collect()))
-}
-
-/// The JSON Schema (draft 2020-12) of a job file.
-pub fn schema() -> serde_json::Value {
-    let mut generator = SchemaSettings::draft2020_12().into_generator();
-    let mut schema = Job::json_schema(&mut generator).to_value();
-    if let Some(object) = schema.as_object_mut() {
-        object.insert("$schema".into(), "https://json-schema.org/draft/2020-12/schema".into());
-        object.insert("title".into(), "sdfarm job".into());
-        object.insert("$defs".into(), generator.take_definitions(true).into());
-    }
-    schema
 }
 
 fn not_utf8(text: &[u8], offset: usize) -> Refusal {

@@ -3,16 +3,17 @@
 use std::path::Path;
 
 use clap::Args;
-use proto::JobId;
 
 use crate::arguments::ServerArguments;
+use crate::job_name::JobName;
 use crate::{follow, sequence};
 
 /// Arguments of `fetch`.
 #[derive(Debug, Args)]
 pub(crate) struct Arguments {
-    /// The job's id.
-    id: JobId,
+    /// The job: its id, the first or last characters of it, its name, or latest.
+    #[arg(value_name = "JOB")]
+    id: JobName,
     #[command(flatten)]
     server: ServerArguments,
     /// Where to save the picture, or, where it ends in .zip, all pictures as one archive; - for standard output.
@@ -33,11 +34,12 @@ pub(crate) struct Arguments {
 /// Saves it.
 pub(crate) async fn run(arguments: Arguments) -> anyhow::Result<()> {
     let client = arguments.server.client()?;
+    let id = arguments.id.find(&client).await?;
     if arguments.all {
-        return sequence::save(&client, arguments.id, &arguments.output, arguments.partial).await;
+        return sequence::save(&client, id, &arguments.output, arguments.partial).await;
     }
     if Path::new(&arguments.output).extension().is_some_and(|end| end.eq_ignore_ascii_case("zip")) {
-        return sequence::archive(&client, arguments.id, &arguments.output, arguments.partial).await;
+        return sequence::archive(&client, id, &arguments.output, arguments.partial).await;
     }
-    follow::fetch(&client, arguments.id, arguments.frame, &arguments.output).await
+    follow::fetch(&client, id, arguments.frame, &arguments.output).await
 }

@@ -79,7 +79,7 @@ fn lines(overview: &Overview) -> Vec<String> {
     for job in overview.jobs.iter().take(LISTED) {
         let left = job.eta_seconds.map_or_else(String::new, |seconds| format!("  {} left", duration(seconds)));
         let percent = (job.progress * 100.0).floor();
-        lines.push(format!("job      {}  {:<8} {percent:>3} %{left}  {}", job.id, job.state.name(), job.name));
+        lines.push(format!("job      {}  {:<8} {percent:>3} %{left}  {}", job.id.short(), job.state.name(), job.name));
     }
     for (what, shown, all) in
         [("workers", LISTED, overview.workers.len()), ("unfinished jobs", LISTED, overview.jobs.len())]

@@ -56,7 +56,7 @@ pub(super) async fn read_json<T: DeserializeOwned>(
     let bytes = read(body, limit_bytes).await?;
     let mut reader = serde_json::Deserializer::from_slice(&bytes);
     let value = serde_path_to_error::deserialize(&mut reader).map_err(|error| refuse(&error))?;
-    reader.end().map_err(|error| ApiError::NotJson(vec![fault(String::new(), &error)]))?;
+    reader.end().map_err(|error| not_json(&error))?;
     // A list of values would do as well for the reader, but that is nothing anyone means.
     if bytes.trim_ascii_start().first() == Some(&b'[') {
         return Err(wrong("", "this is a list: send an object".to_owned()));
@@ -78,6 +78,11 @@ fn fault(pointer: String, error: &serde_json::Error) -> FaultView {
     let text = error.to_string();
     let message = text.split(" at line ").next().unwrap_or(&text).to_owned();
     FaultView { pointer, message, line: error.line() as u32, column: error.column() as u32 }
+}
+
+/// A body that is no JSON.
+pub(super) fn not_json(error: &serde_json::Error) -> ApiError {
+    ApiError::NotJson(vec![fault(String::new(), error)])
 }
 
 /// A fault of meaning in a JSON body.
