@@ -111,10 +111,14 @@ fn choices(name: &str, schema: &mut Map<String, Value>, references: &str, parts:
             let Some(key) = only_key(&choice) else { return choice };
             let part = format!("{name}{}", pascal_case(&key));
             // What is written in place behind the key gets a name, too.
+            let about = choice["description"].clone();
             let inner = &mut choice["properties"][&key];
             if inner["type"] == "object" && inner["properties"].is_object() {
                 let inner_name = format!("{}{name}", pascal_case(&key));
                 let reference = json!({ "$ref": format!("{references}{inner_name}") });
+                if inner["description"].is_null() {
+                    inner["description"] = about;
+                }
                 parts.insert(inner_name, std::mem::replace(inner, reference));
             }
             let reference = json!({ "$ref": format!("{references}{part}") });
