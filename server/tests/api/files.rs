@@ -53,7 +53,7 @@ async fn a_job_is_submitted_again_with_changes_or_without() {
 
     let dry: Value = read(farm.post(&format!("{path}?dry_run=true"), "{}").await, StatusCode::OK).await;
     assert_eq!(dry["valid"], true);
-    let problem = refused(farm.post(&path, r#"{"image":{"width":0}}"#).await, 422, "invalid_job").await;
+    let problem = refused(farm.post(&path, r#"{"image":{"width":0}}"#).await, 422, "wrong_job").await;
     assert_eq!(problem.errors[0].pointer, "/image/width");
     refused(farm.post(&path, "[]").await, 422, "wrong_body").await;
     refused(farm.post(&path, "{").await, 400, "not_json").await;
