@@ -126,10 +126,22 @@ fn client_commands_take_a_job_from_hand_in_to_picture() {
     on_farm(&["fetch", &id, "-o", "fetched.png"]);
     let waited = fs::read(folder.path().join("waited.png")).expect("written");
     assert!(waited == fs::read(folder.path().join("fetched.png")).expect("written") && waited == farm.picture(&id));
-    assert!(on_farm(&["jobs"]).contains(&id));
+    assert!(on_farm(&["jobs"]).contains(&id[28..]));
+    assert!(on_farm(&["watch", &id[28..]]).contains("succeeded") && on_farm(&["watch", "latest"]).contains(&id[28..]));
+    assert_eq!(
+        on_farm(&["file", "latest"]),
+        fs::read_to_string(folder.path().join("job.json")).expect("a file").trim()
+    );
     assert!(on_farm(&["pool", "0"]).starts_with("0 workers wanted, "));
     let queued = on_farm(&["submit", "job.json", "--no-cache"]);
-    assert!(on_farm(&["jobs", "--state", "queued"]).contains(&queued));
+    assert!(on_farm(&["jobs", "--state", "queued"]).contains(&queued[28..]));
+    let again = on_farm(&["resubmit", "latest", "--no-cache", "--patch", r#"{"name": "again"}"#]);
+    assert!(on_farm(&["cancel", "again"]).contains(&again[28..]));
+    // All ids begin alike within a minute: the candidates are listed.
+    let several = run_in(folder.path(), &["cancel", &queued[..8], "--server", &farm.address]);
+    assert_misuse(&several, &queued[28..]);
+    let none = run_in(folder.path(), &["cancel", "nobody", "--server", &farm.address]);
+    assert_misuse(&none, "sdfarm jobs");
     assert!(on_farm(&["cancel", &queued]).contains("cancelled"));
     let watched = run_in(folder.path(), &["watch", &queued, "--server", &farm.address]);
     assert_eq!(watched.status.code(), Some(1));

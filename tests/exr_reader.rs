@@ -20,6 +20,33 @@ for name in sorted(part.channels):
     print(name, pixels.dtype, pixels.tobytes().hex())
 ";
 
+/// Checks the standard attributes, and that the matrix to the picture takes each pixel's position to that pixel's middle.
+const HEADER: &str = r#"
+import sys, numpy, OpenEXR
+part = OpenEXR.File(sys.argv[1], separate_channels=True).parts[0]
+rate, panorama = float(sys.argv[2]), sys.argv[3] == "panorama"
+fps = part.header["framesPerSecond"]
+assert abs(fps.n / fps.d - rate) < 1e-6 * rate, fps
+colors = numpy.array(part.header["chromaticities"], dtype=float).ravel()
+assert numpy.allclose(colors, [0.64, 0.33, 0.3, 0.6, 0.15, 0.06, 0.3127, 0.329]), colors
+camera = numpy.array(part.header["worldToCamera"], dtype=float).reshape(4, 4)
+assert numpy.allclose(camera[:3, :3] @ camera[:3, :3].T, numpy.eye(3), atol=1e-5) and numpy.linalg.det(camera) < 0
+assert ("worldToNDC" not in part.header) == panorama
+plane = {name: part.channels[name].pixels.astype(float) for name in part.channels}
+height, width = plane["id"].shape
+there = plane["id"] >= 0
+points = numpy.stack([plane["P.X"], plane["P.Y"], plane["P.Z"], numpy.ones((height, width))], axis=-1)[there]
+if panorama or not len(points):
+    print(0)
+    sys.exit()
+seen = points @ numpy.array(part.header["worldToNDC"], dtype=float).reshape(4, 4)
+seen = seen[:, :2] / seen[:, 3:] * [width, height]
+y, x = numpy.nonzero(there)
+off = numpy.abs(seen - numpy.stack([x + 0.5, y + 0.5], axis=-1)).max()
+assert off < 0.02, f"a position is {off} pixels off"
+print(len(points))
+"#;
+
 /// Channels' raw values, by name.
 type Channels = BTreeMap<String, (&'static str, Vec<u8>)>;
 
@@ -37,6 +64,21 @@ pub(crate) fn check(path: &Path, job: &Value) {
         Some(theirs) => assert!(ours == theirs, "{name}: the readers disagree"),
         None => skip("openexr", format_args!("no Python with OpenEXR to read {name} a second time")),
     }
+}
+
+/// Checks what a float EXR of this job says of its camera, and returns how many positions prove it; `None` without a
+/// reader.
+pub(crate) fn check_header(path: &Path, job: &Value) -> Option<usize> {
+    let rate = job["frames"]["fps"].as_f64().unwrap_or(24.0).to_string();
+    let projection = job["scene"]["camera"]["projection"].as_str().unwrap_or_default();
+    let mut python = Command::new("python3");
+    python.env("PYTHONPATH", root().join(".whl")).args(["-c", HEADER]).arg(path).args([&rate, projection]);
+    let output = python.output().ok()?;
+    if text(&output.stderr).contains("ModuleNotFoundError") {
+        return None;
+    }
+    assert!(output.status.success(), "{}: {}", path.display(), text(&output.stderr));
+    Some(text(&output.stdout).trim().parse().expect("a number of positions"))
 }
 
 fn wanted_names() -> Vec<&'static str> {

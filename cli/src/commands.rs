@@ -10,6 +10,7 @@ mod demo;
 mod doctor;
 mod explain;
 mod fetch;
+mod file;
 mod gc;
 mod jobs;
 mod key;
@@ -20,6 +21,7 @@ mod preview;
 mod priority;
 mod render;
 mod restore;
+mod resubmit;
 mod retry;
 mod schema;
 mod selftest;
@@ -55,6 +57,10 @@ pub(crate) enum Command {
     Watch(watch::Arguments),
     /// Save a stored picture of a job.
     Fetch(fetch::Arguments),
+    /// Save the file of a job, as it was submitted.
+    File(file::Arguments),
+    /// Submit the file of a job again, optionally with changes.
+    Resubmit(resubmit::Arguments),
     /// Save the finished part of a picture.
     Preview(preview::Arguments),
     /// Sign a link to a picture, for those who have no key.
@@ -127,6 +133,8 @@ impl Command {
             Self::Submit(arguments) => run_async(interruptible(submit::run(arguments))),
             Self::Watch(arguments) => run_async(interruptible(watch::run(arguments))),
             Self::Fetch(arguments) => run_async(interruptible(fetch::run(arguments))),
+            Self::File(arguments) => run_async(interruptible(file::run(arguments))),
+            Self::Resubmit(arguments) => run_async(interruptible(resubmit::run(arguments))),
             Self::Preview(arguments) => run_async(interruptible(preview::run(arguments))),
             Self::Link(arguments) => run_async(interruptible(link::run(arguments))),
             Self::Gc(arguments) => run_async(interruptible(gc::run(arguments))),

@@ -9,6 +9,7 @@ mod counted;
 mod failure;
 mod follow;
 mod job_file;
+mod job_name;
 mod logs;
 mod output_file;
 mod overview;

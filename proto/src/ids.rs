@@ -21,6 +21,11 @@ macro_rules! ids {
             pub fn new() -> Self {
                 Self(Uuid::now_v7())
             }
+
+            /// The last eight characters, which are random: enough for people, where few are alike.
+            pub fn short(self) -> String {
+                self.to_string().split_off(28)
+            }
         }
 
         impl Default for $Id {

@@ -62,6 +62,12 @@ pub struct JobView {
     pub id: JobId,
     /// The name its author gave it.
     pub name: String,
+    /// Submitter: the name of a key, or `local` while the farm has no keys.
+    #[serde(default)]
+    pub submitter: String,
+    /// Priority, from -100 to 100: jobs of higher priority are leased first.
+    #[serde(default)]
+    pub priority: i32,
     /// State.
     pub state: JobState,
     /// No tiles of it are leased until it is resumed; leased tiles finish and count.

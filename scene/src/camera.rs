@@ -1,11 +1,13 @@
 //! From a point of the picture to a ray.
 
+mod matrices;
 mod projections;
 mod sight;
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
+pub use matrices::Matrix;
 pub use projections::{Axes, Example, Exemplary, Extent, Orthographic, Panorama, Perspective, Project, Projection};
 
 use crate::job::Frames;

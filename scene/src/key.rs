@@ -6,7 +6,7 @@ use crate::PICTURE_VERSION;
 use crate::job::{Bits, Format, Image, Job, Layer, Precision, ToneMap};
 use crate::motion::Still;
 use crate::scene::Scene;
-use crate::values::Stops;
+use crate::values::{FrameRate, Stops};
 
 /// All that decides a frame's pixels.
 #[derive(Serialize)]
@@ -28,6 +28,9 @@ struct CanonicalPicture<'a> {
     format: Format,
     bits: Option<Bits>,
     precision: Option<Precision>,
+    /// In the header of an EXR; what else is there follows from the pixels' scene.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    fps: Option<&'a FrameRate>,
     #[serde(skip_serializing_if = "Option::is_none")]
     graded: Option<(&'a Stops, ToneMap)>,
 }
@@ -77,15 +80,16 @@ impl Still<'_> {
         let image = self.image();
         let Image { format, bits, precision, exposure, tone_map, width: _, height: _, samples: _, seed: _, layers: _ } =
             image;
-        let (bits, precision) = match format {
-            Format::Png => (Some(*bits), None),
-            Format::Exr => (None, Some(*precision)),
+        let (bits, precision, fps) = match format {
+            Format::Png => (Some(*bits), None, None),
+            Format::Exr => (None, Some(*precision), Some(&self.frames().fps)),
         };
         hash(&CanonicalPicture {
             pixels: self.pixels_key().to_hex().to_string(),
             format: *format,
             bits,
             precision,
+            fps,
             graded: image.is_graded().then_some((exposure, *tone_map)),
         })
     }
@@ -126,6 +130,11 @@ mod tests {
         let mut other = first.clone();
         other.image.format = Format::Exr;
         assert_ne!(first.picture_key(0), other.picture_key(0));
+        let mut faster = other.clone();
+        faster.frames.fps = FrameRate::new(25.0).unwrap();
+        assert_ne!(faster.picture_key(0), other.picture_key(0), "an EXR tells its rate");
+        faster.image.format = Format::Png;
+        assert_eq!(faster.picture_key(0), first.picture_key(0), "a PNG does not");
         let pixels_key = |job: &Job| job.at(0).unwrap().pixels_key();
         assert_eq!(pixels_key(&first), pixels_key(&other));
     }

@@ -29,6 +29,7 @@ pub mod profiles;
 pub mod real;
 pub mod sampling;
 pub mod scene;
+pub mod schema;
 mod seek;
 pub mod surroundings;
 pub mod values;
@@ -38,11 +39,12 @@ pub use backgrounds::Background;
 pub use fault::{Fault, Refusal};
 pub use job::{Bits, Format, Frames, Image, Job, Layer, Precision, ToneMap};
 pub use motion::{FrameError, Still};
-pub use parse::{parse, schema};
+pub use parse::parse;
 pub use pixel::Program;
 pub use scene::Scene;
+pub use schema::schema;
 
-// Some tests of what the crate offers run inside of it too, and find it under this name.
+// Some tests of the public interface also run inside the crate, and find it under this name.
 #[cfg(test)]
 use {crate as subject, added::is_tested};
 

@@ -15,6 +15,7 @@ use crate::seek::{Clock, Misfit, Seek};
 pub struct Still<'a> {
     scene: Cow<'a, Scene>,
     image: Cow<'a, Image>,
+    frames: &'a Frames,
     frame: u32,
     is_moving: bool,
 }
@@ -28,6 +29,11 @@ impl Still<'_> {
     /// The picture's size and file format, with every number as it is in this frame.
     pub fn image(&self) -> &Image {
         &self.image
+    }
+
+    /// Number of frames of its job, and their rate.
+    pub fn frames(&self) -> &Frames {
+        self.frames
     }
 
     /// Which frame it is, from 0.
@@ -68,7 +74,7 @@ impl Job {
     pub fn at(&self, frame: u32) -> Result<Still<'_>, FrameError> {
         if !self.is_moving {
             let (scene, image) = (Cow::Borrowed(&self.scene), Cow::Borrowed(&self.image));
-            return Ok(Still { scene, image, frame, is_moving: false });
+            return Ok(Still { scene, image, frames: &self.frames, frame, is_moving: false });
         }
         let seconds = self.frames.seconds(frame);
         let (mut scene, mut image) = (self.scene.clone(), self.image.clone());
@@ -80,7 +86,8 @@ impl Job {
         if let Some((key, message)) = scene.camera.fault() {
             return Err(error(format!("/scene/camera/{key}"), message.to_owned()));
         }
-        Ok(Still { scene: Cow::Owned(scene), image: Cow::Owned(image), frame, is_moving: true })
+        let (scene, image) = (Cow::Owned(scene), Cow::Owned(image));
+        Ok(Still { scene, image, frames: &self.frames, frame, is_moving: true })
     }
 
     /// Where in the document a misfit of the scene stands, whose materials are in slots.

@@ -4,7 +4,6 @@ mod collect;
 mod depends;
 mod form;
 mod lists;
-mod shortest;
 mod stand_ins;
 mod suggest;
 mod syntax;
@@ -13,8 +12,6 @@ mod tests;
 mod tree;
 mod wording;
 
-use schemars::JsonSchema as _;
-use schemars::generate::SchemaSettings;
 use serde::de::IgnoredAny;
 
 use crate::document::{JobDocument, Resolved};
@@ -104,19 +101,6 @@ fn read(text: &str) -> Result<(Job, Vec<f64>), Refusal> {
         let place = |(pointer, message)| Fault::of_value(text, pointer, message);
         Refusal::Wrong(faults.into_iter().take(MAX_FAULTS).map(place).collect())
     })
-}
-
-/// The JSON Schema (draft 2020-12) of a job file.
-pub fn schema() -> serde_json::Value {
-    let mut generator = SchemaSettings::draft2020_12().into_generator();
-    let mut schema = JobDocument::json_schema(&mut generator).to_value();
-    if let Some(object) = schema.as_object_mut() {
-        object.insert("$schema".into(), "https://json-schema.org/draft/2020-12/schema".into());
-        object.insert("title".into(), "sdfarm job".into());
-        object.insert("$defs".into(), generator.take_definitions(true).into());
-    }
-    shortest::shorten(&mut schema);
-    schema
 }
 
 fn not_utf8(text: &[u8], offset: usize) -> Refusal {

@@ -9,12 +9,14 @@ mod door;
 mod error;
 mod events;
 mod farm;
+mod files;
 mod frames;
 mod health;
 mod images;
 mod jobs;
 mod keys;
 mod links;
+mod merge_patch;
 mod openapi;
 mod pool;
 mod prefer;
@@ -56,6 +58,8 @@ fn users() -> OpenApiRouter<Arc<Farm>> {
         .routes(routes!(jobs::get, change::patch, change::delete))
         .routes(routes!(jobs::cancel))
         .routes(routes!(change::retry))
+        .routes(routes!(files::file))
+        .routes(routes!(files::resubmit))
         .routes(routes!(events::follow))
         .routes(routes!(farm::pause_job))
         .routes(routes!(farm::resume_job))

@@ -9,6 +9,7 @@ mod api {
     mod clocks;
     mod connections;
     mod events;
+    mod files;
     mod frames;
     pub(crate) mod harness;
     mod images;

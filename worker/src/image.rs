@@ -5,6 +5,7 @@
 
 pub mod encoders;
 pub mod exr;
+pub mod metadata;
 pub mod png;
 pub mod provenance;
 
@@ -14,6 +15,7 @@ use ::scene::color::Grade;
 use ::scene::{Bits, Format, Precision, Still};
 
 pub use encoders::Encoders;
+pub use metadata::Metadata;
 pub use provenance::Provenance;
 
 use crate::renderer::Cancel;
@@ -38,6 +40,8 @@ pub struct Picture {
     pub grade: Grade,
     /// Alpha is 1 in every pixel.
     pub opaque: bool,
+    /// Camera matrices and frame rate for the header of an EXR.
+    pub metadata: Metadata,
     /// Provenance.
     pub provenance: Provenance,
 }
@@ -55,6 +59,7 @@ impl Picture {
             precision: image.precision,
             grade: Grade::of(image),
             opaque: !still.scene().is_transparent(),
+            metadata: Metadata::of(still),
             provenance: Provenance::of(still),
         }
     }

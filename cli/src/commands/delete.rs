@@ -1,17 +1,18 @@
 //! `sdfarm delete`: deletes a job and its pictures, or lists what would be deleted.
 
 use clap::Args;
-use proto::JobId;
 
 use crate::arguments::ServerArguments;
 use crate::counted::counted;
+use crate::job_name::JobName;
 use crate::terminal::{note, say};
 
 /// Arguments of `delete`.
 #[derive(Debug, Args)]
 pub(crate) struct Arguments {
-    /// The job's id.
-    id: JobId,
+    /// The job: its id, the first or last characters of it, its name, or latest.
+    #[arg(value_name = "JOB")]
+    id: JobName,
     #[command(flatten)]
     server: ServerArguments,
     /// Only list what would be deleted.
@@ -22,8 +23,9 @@ pub(crate) struct Arguments {
 /// Forgets it.
 pub(crate) async fn run(arguments: Arguments) -> anyhow::Result<()> {
     let client = arguments.server.client()?;
+    let id = arguments.id.find(&client).await?;
     if arguments.dry_run {
-        let preview = client.delete_preview(arguments.id).await?;
+        let preview = client.delete_preview(id).await?;
         return say(&format!(
             "would remove {} and {}, {}, and {} of the database",
             counted(preview.pictures, "picture"),
@@ -32,7 +34,7 @@ pub(crate) async fn run(arguments: Arguments) -> anyhow::Result<()> {
             counted(preview.rows, "row")
         ));
     }
-    client.delete(arguments.id).await?;
-    note(&format!("deleted {}", arguments.id));
+    client.delete(id).await?;
+    note(&format!("deleted {id}"));
     Ok(())
 }

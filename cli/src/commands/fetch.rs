@@ -3,17 +3,18 @@
 use std::path::Path;
 
 use clap::Args;
-use proto::JobId;
 
 use crate::arguments::ServerArguments;
+use crate::job_name::JobName;
 use crate::output_file::is_folder;
 use crate::{follow, sequence};
 
 /// Arguments of `fetch`.
 #[derive(Debug, Args)]
 pub(crate) struct Arguments {
-    /// The job's id.
-    id: JobId,
+    /// The job: its id, the first or last characters of it, its name, or latest.
+    #[arg(value_name = "JOB")]
+    id: JobName,
     #[command(flatten)]
     server: ServerArguments,
     /// Where to save: a file for one picture, a folder (`DIR/`) for all of them, a file that ends in .zip for all of
@@ -34,15 +35,16 @@ pub(crate) struct Arguments {
 /// Saves it.
 pub(crate) async fn run(arguments: Arguments) -> anyhow::Result<()> {
     let client = arguments.server.client()?;
+    let id = arguments.id.find(&client).await?;
     if arguments.all || (arguments.frame.is_none() && is_folder(&arguments.output)) {
-        return sequence::save(&client, arguments.id, &arguments.output, arguments.partial).await;
+        return sequence::save(&client, id, &arguments.output, arguments.partial).await;
     }
     if Path::new(&arguments.output).extension().is_some_and(|end| end.eq_ignore_ascii_case("zip")) {
-        return sequence::archive(&client, arguments.id, &arguments.output, arguments.partial).await;
+        return sequence::archive(&client, id, &arguments.output, arguments.partial).await;
     }
     let frame = arguments.frame.unwrap_or(0);
     if is_folder(&arguments.output) {
-        return sequence::save_one(&client, arguments.id, frame, &arguments.output).await;
+        return sequence::save_one(&client, id, frame, &arguments.output).await;
     }
-    follow::fetch(&client, arguments.id, frame, &arguments.output).await
+    follow::fetch(&client, id, frame, &arguments.output).await
 }

@@ -2,18 +2,20 @@
 
 use anyhow::Context;
 use clap::Args;
+use proto::Keep;
 use proto::link::{LinkRequest, MAX_LINK_SECONDS, Shown};
-use proto::{JobId, Keep};
 
 use crate::arguments::ServerArguments;
 use crate::failure::Misuse;
+use crate::job_name::JobName;
 use crate::terminal::{note, say};
 
 /// Arguments of `link`.
 #[derive(Debug, Args)]
 pub(crate) struct Arguments {
-    /// The job's id.
-    id: JobId,
+    /// The job: its id, the first or last characters of it, its name, or latest.
+    #[arg(value_name = "JOB")]
+    id: JobName,
     #[command(flatten)]
     server: ServerArguments,
     /// Which frame, from 0.
@@ -39,6 +41,7 @@ pub(crate) async fn run(arguments: Arguments) -> anyhow::Result<()> {
         .ok_or_else(|| Misuse(format!("a link can't be valid for {expires}: say 1s to 366d")))?;
     let shows = if preview { Shown::Preview } else { Shown::Image };
     let client = server.client()?;
+    let id = id.find(&client).await?;
     let link = client
         .link(id, frame, &LinkRequest { expires_in_seconds, shows })
         .await

@@ -1,17 +1,18 @@
 //! `sdfarm pause` and `sdfarm resume`: of a job, or of the whole farm.
 
 use clap::Args;
-use proto::JobId;
 
 use crate::arguments::ServerArguments;
 use crate::follow;
+use crate::job_name::JobName;
 use crate::terminal::say;
 
 /// Arguments of `pause` and `resume`.
 #[derive(Debug, Args)]
 pub(crate) struct Arguments {
-    /// The job's id [default: the whole farm].
-    id: Option<JobId>,
+    /// The job: its id, the first or last characters of it, its name, or latest [default: the whole farm].
+    #[arg(value_name = "JOB")]
+    id: Option<JobName>,
     #[command(flatten)]
     server: ServerArguments,
 }
@@ -19,7 +20,11 @@ pub(crate) struct Arguments {
 /// Does it.
 pub(crate) async fn run(arguments: Arguments, pause: bool) -> anyhow::Result<()> {
     let client = arguments.server.client()?;
-    let farm = match (arguments.id, pause) {
+    let id = match arguments.id {
+        Some(name) => Some(name.find(&client).await?),
+        None => None,
+    };
+    let farm = match (id, pause) {
         (Some(id), true) => return say(&follow::line(&client.pause(id).await?)),
         (Some(id), false) => return say(&follow::line(&client.resume(id).await?)),
         (None, true) => client.pause_farm().await?,

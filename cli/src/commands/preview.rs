@@ -2,17 +2,18 @@
 
 use anyhow::Context;
 use clap::Args;
-use proto::JobId;
 
 use crate::arguments::ServerArguments;
+use crate::job_name::JobName;
 use crate::output_file::OutputFile;
 use crate::terminal::note;
 
 /// Arguments of `preview`.
 #[derive(Debug, Args)]
 pub(crate) struct Arguments {
-    /// The job's id.
-    id: JobId,
+    /// The job: its id, the first or last characters of it, its name, or latest.
+    #[arg(value_name = "JOB")]
+    id: JobName,
     #[command(flatten)]
     server: ServerArguments,
     /// File for the preview, a PNG; - for standard output.
@@ -30,6 +31,7 @@ pub(crate) struct Arguments {
 pub(crate) async fn run(arguments: Arguments) -> anyhow::Result<()> {
     let Arguments { id, server, output: path, frame, width } = arguments;
     let client = server.client()?;
+    let id = id.find(&client).await?;
     let mut output = OutputFile::create(&path)?;
     let size_bytes = client
         .preview(id, frame, width, output.file())

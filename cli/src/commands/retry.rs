@@ -1,23 +1,25 @@
 //! `sdfarm retry`: has the dead tiles of a failed job rendered again.
 
 use clap::Args;
-use proto::JobId;
 
 use crate::arguments::ServerArguments;
 use crate::follow;
+use crate::job_name::JobName;
 use crate::terminal::say;
 
 /// Arguments of `retry`.
 #[derive(Debug, Args)]
 pub(crate) struct Arguments {
-    /// The job's id.
-    id: JobId,
+    /// The job: its id, the first or last characters of it, its name, or latest.
+    #[arg(value_name = "JOB")]
+    id: JobName,
     #[command(flatten)]
     server: ServerArguments,
 }
 
 /// Has them rendered.
 pub(crate) async fn run(arguments: Arguments) -> anyhow::Result<()> {
-    let job = arguments.server.client()?.retry(arguments.id).await?;
+    let client = arguments.server.client()?;
+    let job = client.retry(arguments.id.find(&client).await?).await?;
     say(&follow::line(&job))
 }

@@ -84,7 +84,12 @@ fn lines(overview: &Overview) -> Vec<String> {
         let left = job.eta_seconds.map_or_else(String::new, |seconds| format!("  {} left", duration(seconds)));
         let percent = (job.progress * 100.0).floor();
         let paused = if job.paused { "  paused" } else { "" };
-        lines.push(format!("job      {}  {:<8} {percent:>3} %{paused}{left}  {}", job.id, job.state.name(), job.name));
+        lines.push(format!(
+            "job      {}  {:<8} {percent:>3} %{paused}{left}  {}",
+            job.id.short(),
+            job.state.name(),
+            job.name
+        ));
     }
     for (noun, all) in [("more worker", overview.workers.len()), ("more unfinished job", overview.jobs.len())] {
         if all > LISTED {

@@ -8,7 +8,7 @@ use reqwest::{Method, Response, StatusCode};
 use super::{Client, ClientError};
 use crate::change::{DeletePreview, FramePage, JobPatch};
 use crate::event::{JobEvent, Lines, Message};
-use crate::job::JobView;
+use crate::job::{JobPage, JobView};
 use crate::{JobId, Keep};
 
 /// Options of a submission.
@@ -110,6 +110,29 @@ impl Client {
     /// Changes a job.
     pub async fn patch(&self, id: JobId, patch: &JobPatch) -> Result<JobView, ClientError> {
         self.json(self.request(Method::PATCH, &format!("/v1/jobs/{id}")).json(patch)).await
+    }
+
+    /// The jobs that a name, a part of an id, or `latest` may mean, newest first.
+    pub async fn jobs_like(&self, text: &str, limit: u32) -> Result<JobPage, ClientError> {
+        let limit = limit.to_string();
+        self.json(self.request(Method::GET, "/v1/jobs").query(&[("match", text), ("limit", &limit)])).await
+    }
+
+    /// Writes a job's file to `out`; returns its size in bytes.
+    pub async fn file(&self, id: JobId, out: &mut (dyn Write + Send)) -> Result<u64, ClientError> {
+        self.save(self.request(Method::GET, &format!("/v1/jobs/{id}/file")), out).await
+    }
+
+    /// Submits a job's file again, changed by a JSON merge patch (RFC 7396) if there is one.
+    pub async fn resubmit(&self, id: JobId, patch: Option<String>, no_cache: bool) -> Result<JobView, ClientError> {
+        let mut request = self.request(Method::POST, &format!("/v1/jobs/{id}/resubmit"));
+        if let Some(patch) = patch {
+            request = request.header(CONTENT_TYPE, "application/merge-patch+json").body(patch);
+        }
+        if no_cache {
+            request = request.header(CACHE_CONTROL, "no-cache");
+        }
+        self.json(request).await
     }
 
     /// What deleting a job would delete.

@@ -18,7 +18,7 @@ pub use orthographic::Orthographic;
 pub use panorama::Panorama;
 pub use perspective::Perspective;
 
-use super::{Ray, View};
+use super::{Matrix, Ray, View};
 use crate::bounds::Bounds;
 use crate::job::Image;
 pub use crate::kinds::{Example, Exemplary};
@@ -86,6 +86,12 @@ pub trait Project {
     /// Warning about a ray origin inside an object: what is inside, and the fix.
     fn inside_warning(&self) -> (&'static str, &'static str) {
         ("the camera is inside", "move camera.position out of it")
+    }
+
+    /// Matrix from the scene to the picture, see [`View::world_to_ndc`]; `None` if the projection is not linear.
+    fn world_to_ndc(&self, view: &View) -> Option<Matrix> {
+        let _ = view;
+        None
     }
 
     /// Warning about a picture of this size, if there is one.
@@ -164,6 +170,13 @@ macro_rules! projections {
                 match self {
                     $($(#[$attribute])* Self::$Kind(projection) => projection.inside_warning(),)*
                     $(Self::$Unit => $Unit.inside_warning(),)*
+                }
+            }
+
+            fn world_to_ndc(&self, view: &View) -> Option<Matrix> {
+                match self {
+                    $($(#[$attribute])* Self::$Kind(projection) => projection.world_to_ndc(view),)*
+                    $(Self::$Unit => $Unit.world_to_ndc(view),)*
                 }
             }
 

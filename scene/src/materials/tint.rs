@@ -177,6 +177,7 @@ pub enum Level<N> {
 /// A number that a texture varies: `low` where it is black, `high` where it is white, by luminance between.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
 #[serde(deny_unknown_fields, bound(deserialize = "N: Parameter", serialize = "N: Parameter"))]
+#[schemars(rename = "Varied{N}")]
 pub struct Varied<N> {
     /// The number where the texture is black.
     pub low: N,

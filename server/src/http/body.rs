@@ -56,7 +56,7 @@ pub(super) async fn read_json<T: DeserializeOwned>(
     let bytes = read(body, limit_bytes).await?;
     let mut reader = serde_json::Deserializer::from_slice(&bytes);
     let value = serde_path_to_error::deserialize(&mut reader).map_err(|error| refuse(&error))?;
-    reader.end().map_err(|error| ApiError::NotJson(vec![fault(String::new(), &error)]))?;
+    reader.end().map_err(|error| not_json(&error))?;
     // serde would also read a list of values in order, which no client means.
     if bytes.trim_ascii_start().first() == Some(&b'[') {
         return Err(wrong("", "this is a list: send an object".to_owned()));
@@ -78,6 +78,11 @@ fn fault(pointer: String, error: &serde_json::Error) -> FaultView {
     let text = error.to_string();
     let message = text.split(" at line ").next().unwrap_or(&text).to_owned();
     FaultView { pointer, message, line: error.line() as u32, column: error.column() as u32 }
+}
+
+/// Error for a body that is not JSON.
+pub(super) fn not_json(error: &serde_json::Error) -> ApiError {
+    ApiError::NotJson(vec![fault(String::new(), error)])
 }
 
 /// Error for an invalid value in a JSON body.

@@ -23,7 +23,7 @@ pub(super) const IMMUTABLE: &str = "public, max-age=31536000, immutable";
     get, path = "/v1/jobs/{id}/image", tag = "pictures", operation_id = "get_image",
     params(("id" = String, Path, description = "The job")),
     responses(
-        (status = 200, description = "The picture", content((Vec<u8> = "image/png"), (Vec<u8> = "image/x-exr"))),
+        (status = 200, description = "The picture: image/png or image/x-exr, as the job says", body = Vec<u8>, content_type = "image/*"),
         (status = 206, description = "The range asked for"),
         (status = 304, description = "It is what the client has"),
         (status = 404, description = "Not stored yet, or no such job", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
@@ -46,7 +46,7 @@ pub(super) async fn first(
         ("frame" = u32, Path, description = "The frame, from 0"),
     ),
     responses(
-        (status = 200, description = "The picture", content((Vec<u8> = "image/png"), (Vec<u8> = "image/x-exr"))),
+        (status = 200, description = "The picture: image/png or image/x-exr, as the job says", body = Vec<u8>, content_type = "image/*"),
         (status = 206, description = "The range asked for"),
         (status = 304, description = "It is what the client has"),
         (status = 404, description = "Not stored yet, or no such frame or job", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),

@@ -39,6 +39,7 @@ struct SubmitQuery {
 #[serde(deny_unknown_fields)]
 struct ListQuery {
     state: Option<JobState>,
+    r#match: Option<String>,
     limit: Option<u32>,
     cursor: Option<String>,
 }
@@ -83,7 +84,7 @@ pub(super) fn has_no_cache(headers: &HeaderMap) -> bool {
     responses(
         (status = 201, description = "Accepted", body = ref("#/components/schemas/JobView"),
          headers(("Location" = String, description = "The job"))),
-        (status = 200, description = "It is sound (dry run); or, as JobView, it was accepted before under the same Idempotency-Key", body = ref("#/components/schemas/DryRun")),
+        (status = 200, description = "It is sound (dry run); or, the job that was accepted before under the same Idempotency-Key", body = ref("#/components/schemas/SubmitAnswer")),
         (status = 400, description = "Not JSON", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
         (status = 413, description = "Too large", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
         (status = 415, description = "Wrong content type", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
@@ -99,60 +100,84 @@ pub(super) async fn submit(
     headers: HeaderMap,
     request: Body,
 ) -> Result<Response, ApiError> {
-    let query: SubmitQuery = body::read_query(&uri)?;
-    if farm.closing.is_cancelled() && !query.dry_run {
-        return Err(ApiError::Closing);
-    }
-    let is_known = wish::is_known(&farm, &caller, &headers).await?;
-    if !query.dry_run && !is_known {
-        quota::check_jobs(&farm, &caller).await?;
-    }
-    let keep: Option<Keep> = match query.keep.as_deref().map(str::parse).transpose() {
-        Ok(keep) => keep,
-        Err(error) => return Err(ApiError::WrongQuery(format!("keep: {error}"))),
-    };
-    body::expect_json(&headers)?;
+    let submission = Submission::begin(&farm, caller, uri, headers).await?;
+    body::expect_json(&submission.headers)?;
     let text = body::read(request, scene::limits::MAX_BODY_BYTES).await?;
-    let wish = wish::read(&uri, &headers, &text, &farm.webhooks.guard)?;
-    let parsed = farm.jobs.parse(text.clone(), |parsed| parsed.map(|job| (job.warnings(), job))).await?;
-    let (warnings, job) = parsed?;
-    let plan = Plan::of(&job, farm.config.tile_px);
-    if query.dry_run {
-        let (tiles, rays) = (plan.tiles_total(), plan.rays_total());
-        let estimate = estimate::estimate(&farm, file_text(text)?, plan).await;
-        let frames = plan.frames.into();
-        return Ok(Json(DryRun { valid: true, tiles, frames, rays, estimate, warnings }).into_response());
+    submission.finish(&farm, text).await
+}
+
+/// A request to accept a job, as far as it can be judged before the job's text is there.
+pub(super) struct Submission {
+    caller: Caller,
+    uri: Uri,
+    headers: HeaderMap,
+    query: SubmitQuery,
+    keep: Option<Keep>,
+    is_known: bool,
+}
+
+impl Submission {
+    /// Refuses what no text could save: a farm that is closing, a quota that is used up, a wrong query.
+    pub(super) async fn begin(farm: &Farm, caller: Caller, uri: Uri, headers: HeaderMap) -> Result<Self, ApiError> {
+        let query: SubmitQuery = body::read_query(&uri)?;
+        if farm.closing.is_cancelled() && !query.dry_run {
+            return Err(ApiError::Closing);
+        }
+        let is_known = wish::is_known(farm, &caller, &headers).await?;
+        if !query.dry_run && !is_known {
+            quota::check_jobs(farm, &caller).await?;
+        }
+        let keep: Option<Keep> = match query.keep.as_deref().map(str::parse).transpose() {
+            Ok(keep) => keep,
+            Err(error) => return Err(ApiError::WrongQuery(format!("keep: {error}"))),
+        };
+        Ok(Self { caller, uri, headers, query, keep, is_known })
     }
-    if !is_known {
-        quota::check_rays(&farm, &caller, plan.rays_total()).await?;
+
+    /// Accepts the job of this text, or checks it.
+    pub(super) async fn finish(self, farm: &Arc<Farm>, text: bytes::Bytes) -> Result<Response, ApiError> {
+        let Self { caller, uri, headers, query, keep, is_known } = self;
+        let wish = wish::read(&uri, &headers, &text, &farm.webhooks.guard)?;
+        let parsed = farm.jobs.parse(text.clone(), |parsed| parsed.map(|job| (job.warnings(), job))).await?;
+        let (warnings, job) = parsed?;
+        let plan = Plan::of(&job, farm.config.tile_px);
+        if query.dry_run {
+            let (tiles, rays) = (plan.tiles_total(), plan.rays_total());
+            let estimate = estimate::estimate(farm, file_text(text)?, plan).await;
+            let frames = plan.frames.into();
+            return Ok(Json(DryRun { valid: true, tiles, frames, rays, estimate, warnings }).into_response());
+        }
+        if !is_known {
+            quota::check_rays(farm, &caller, plan.rays_total()).await?;
+        }
+        let id = JobId::new();
+        let new = NewJob {
+            id,
+            name: job.name.clone(),
+            submitter: caller.name().to_owned(),
+            priority: job.priority,
+            nodes: job.nodes(),
+            plan,
+            media_type: media_type(&job.image),
+            warnings,
+            fresh: has_no_cache(&headers),
+            keep,
+            text: file_text(text)?,
+        };
+        traces::keep(farm, id, &headers).await?;
+        let submitting = farm.submit(new, Arc::new(job), wish);
+        let (status, id) = match submitting.instrument(tracing::info_span!("submit", job = %id)).await? {
+            Submitted::New(_) => (StatusCode::CREATED, id),
+            Submitted::Same(id) => (StatusCode::OK, id),
+            Submitted::Other => return Err(ApiError::OtherWish),
+        };
+        fail::pass_by(Point::SubmitCommitted);
+        let mut response = prefer::answer(farm, id, &headers, status).await?;
+        if let Ok(location) = HeaderValue::from_str(&format!("/v1/jobs/{id}")) {
+            response.headers_mut().insert(header::LOCATION, location);
+        }
+        Ok(response)
     }
-    let id = JobId::new();
-    let new = NewJob {
-        id,
-        name: job.name.clone(),
-        submitter: caller.name().to_owned(),
-        priority: job.priority,
-        nodes: job.nodes(),
-        plan,
-        media_type: media_type(&job.image),
-        warnings,
-        fresh: has_no_cache(&headers),
-        keep,
-        text: file_text(text)?,
-    };
-    traces::keep(&farm, id, &headers).await?;
-    let submitting = farm.submit(new, Arc::new(job), wish);
-    let (status, id) = match submitting.instrument(tracing::info_span!("submit", job = %id)).await? {
-        Submitted::New(_) => (StatusCode::CREATED, id),
-        Submitted::Same(id) => (StatusCode::OK, id),
-        Submitted::Other => return Err(ApiError::OtherWish),
-    };
-    fail::pass_by(Point::SubmitCommitted);
-    let mut response = prefer::answer(&farm, id, &headers, status).await?;
-    if let Ok(location) = HeaderValue::from_str(&format!("/v1/jobs/{id}")) {
-        response.headers_mut().insert(header::LOCATION, location);
-    }
-    Ok(response)
 }
 
 /// The text of a job file that was read.
@@ -162,11 +187,13 @@ fn file_text(text: bytes::Bytes) -> Result<String, ApiError> {
 
 /// List jobs, newest first.
 ///
-/// A key with scope submit but not read lists only jobs of its own name.
+/// With `match`, lists only jobs with that name or that part of an id. A key with scope submit but not read lists only
+/// jobs of its own name.
 #[utoipa::path(
     get, path = "/v1/jobs", tag = "jobs", operation_id = "list_jobs",
     params(
         ("state" = Option<String>, Query, description = "Only jobs in this state: queued, running, succeeded, failed, cancelled"),
+        ("match" = Option<String>, Query, description = "Only jobs of this id, of an id that begins or ends so (4 characters or more), or of this name; `latest` is the newest one. Goes with `limit` alone"),
         ("limit" = Option<u32>, Query, description = "Jobs on the page", minimum = 1, maximum = 1000),
         ("cursor" = Option<String>, Query, description = "`next_cursor` of the page before"),
     ),
@@ -180,6 +207,12 @@ pub(super) async fn list(State(farm): State<Arc<Farm>>, caller: Caller, uri: Uri
     let limit = query.limit.unwrap_or(PAGE);
     if !(1..=MAX_PAGE).contains(&limit) {
         return Err(ApiError::WrongQuery(format!("limit is {limit}, but must be from 1 to {MAX_PAGE}")));
+    }
+    if let Some(text) = query.r#match {
+        if query.state.is_some() || query.cursor.is_some() {
+            return Err(ApiError::WrongQuery("match goes with limit alone: leave state and cursor out".into()));
+        }
+        return Ok(Json(farm.queue.jobs_like(caller.sees_only(), &text, limit).await?));
     }
     let before = match query.cursor {
         None => None,

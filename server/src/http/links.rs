@@ -85,7 +85,7 @@ pub(super) async fn sign(
         ("signature" = String, Query, description = "What makes it valid"),
     ),
     responses(
-        (status = 200, description = "The picture", content((Vec<u8> = "image/png"), (Vec<u8> = "image/x-exr"))),
+        (status = 200, description = "The picture: image/png or image/x-exr, as the job says", body = Vec<u8>, content_type = "image/*"),
         (status = 206, description = "The range asked for"),
         (status = 304, description = "It is what the client has"),
         (status = 403, description = "The signature is not this link's", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),

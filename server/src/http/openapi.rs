@@ -1,6 +1,7 @@
 //! The API's own description: routes from their handlers, schemas from the types that are sent.
 
 mod doors;
+mod portable;
 
 use std::sync::Arc;
 
@@ -42,6 +43,7 @@ impl Document {
         let mut schemas = views();
         schemas.extend(job_file());
         document["components"]["schemas"] = Value::Object(schemas);
+        portable::rewrite(&mut document);
         doors::describe(&mut document);
         Self(Arc::new(document))
     }
@@ -53,27 +55,43 @@ impl Document {
     }
 }
 
-/// Schemas of the responses.
+/// Schemas of the responses, and of request bodies other than jobs.
 fn views() -> Map<String, Value> {
-    let settings =
-        SchemaSettings::draft2020_12().with(|settings| settings.definitions_path = "/components/schemas".into());
-    let mut generator = settings.into_generator();
+    let mut schemas = requests();
+    // Responses have every key, also those that are null.
+    schemas.extend(answers());
+    scene::schema::tidy(&mut schemas, COMPONENTS);
+    schemas.extend(portable::schemas());
+    schemas
+}
+
+fn settings() -> SchemaSettings {
+    SchemaSettings::draft2020_12().with(|settings| settings.definitions_path = "/components/schemas".into())
+}
+
+fn requests() -> Map<String, Value> {
+    let mut generator = settings().into_generator();
+    generator.subschema_for::<JobPatch>();
+    generator.subschema_for::<LinkRequest>();
+    generator.subschema_for::<PoolSize>();
+    generator.subschema_for::<NewKey>();
+    generator.take_definitions(true)
+}
+
+fn answers() -> Map<String, Value> {
+    let mut generator = settings().for_serialize().into_generator();
     generator.subschema_for::<JobView>();
     generator.subschema_for::<JobPage>();
     generator.subschema_for::<DryRun>();
     generator.subschema_for::<DeletePreview>();
-    generator.subschema_for::<JobPatch>();
     generator.subschema_for::<FarmView>();
     generator.subschema_for::<StartView>();
-    generator.subschema_for::<LinkRequest>();
     generator.subschema_for::<LinkView>();
     generator.subschema_for::<Collection>();
     generator.subschema_for::<FramePage>();
     generator.subschema_for::<DeliveryList>();
     generator.subschema_for::<WorkerList>();
-    generator.subschema_for::<PoolSize>();
     generator.subschema_for::<PoolView>();
-    generator.subschema_for::<NewKey>();
     generator.subschema_for::<IssuedKey>();
     generator.subschema_for::<KeyList>();
     generator.subschema_for::<AuditPage>();
@@ -124,7 +142,7 @@ pub(super) async fn openapi(State(document): State<Document>) -> Json<Value> {
 /// The JSON Schema of a job file.
 #[utoipa::path(
     get, path = "/v1/schema/job", tag = "schemas", operation_id = "job_schema",
-    responses((status = 200, description = "JSON Schema 2020-12", content_type = "application/schema+json"))
+    responses((status = 200, description = "JSON Schema 2020-12", body = serde_json::Value, content_type = "application/schema+json"))
 )]
 pub(super) async fn job_schema() -> Response {
     ([(header::CONTENT_TYPE, "application/schema+json")], scene::schema().to_string()).into_response()
@@ -140,6 +158,17 @@ mod tests {
         let shared: Vec<String> =
             job_file().into_iter().map(|(name, _)| name).filter(|name| views.contains_key(name)).collect();
         assert_eq!(shared, Vec::<String>::new());
+    }
+
+    #[test]
+    fn a_job_is_described_as_its_schema_does() {
+        let (document, mut schema) = (super::super::document(), scene::schema());
+        move_references(&mut schema);
+        let served = &document.value()["components"]["schemas"];
+        for (name, definition) in schema["$defs"].as_object().expect("definitions") {
+            assert_eq!(served[name], *definition, "{name}");
+        }
+        assert_eq!(served["Job"]["properties"], schema["properties"]);
     }
 
     #[test]

@@ -56,7 +56,7 @@ impl WidthQuery {
         ("width" = Option<u32>, Query, description = "Most pixels in a row; 960 unless said", minimum = 1, maximum = 2048),
     ),
     responses(
-        (status = 200, description = "The preview", content((Vec<u8> = "image/png"))),
+        (status = 200, description = "The preview", body = Vec<u8>, content_type = "image/png"),
         (status = 304, description = "It is what the client has"),
         (status = 404, description = "No such frame or job", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
         (status = 422, description = "Wrong query", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
@@ -83,7 +83,7 @@ pub(super) async fn preview(
         ("width" = Option<u32>, Query, description = "Most pixels in a row; 256 unless said", minimum = 1, maximum = 2048),
     ),
     responses(
-        (status = 200, description = "The thumbnail", content((Vec<u8> = "image/png"))),
+        (status = 200, description = "The thumbnail", body = Vec<u8>, content_type = "image/png"),
         (status = 304, description = "It is what the client has"),
         (status = 404, description = "Not stored yet, or no such frame or job", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
         (status = 422, description = "Wrong query", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),

@@ -10,11 +10,20 @@ use sqlx::sqlite::{SqlitePool, SqliteRow};
 use super::{Queue, Result, end, known};
 use crate::clock::rfc3339;
 
+/// What stands for the newest job.
+const LATEST: &str = "latest";
+/// Characters of an id.
+const ID_CHARACTERS: usize = 36;
+/// Fewer characters of an id are no hint.
+const MIN_ID_CHARACTERS: usize = 4;
+/// Jobs that are looked through for a name or a part of an id.
+const LOOKED_THROUGH: u32 = 100_000;
+
 /// The columns of a [`JobView`], before a condition.
 macro_rules! jobs_where {
     ($condition:literal) => {
         concat!(
-            "SELECT number, id, name, state, frames_total, frames_stored, tiles_total, tiles_done, rays_total, rays_peak,
+            "SELECT number, id, name, submitter, priority, state, frames_total, frames_stored, tiles_total, tiles_done, rays_total, rays_peak,
                     paused, warnings, error, created_at_ms, started_at_ms, finished_at_ms, nodes,
                     finished_at_ms IS NULL AND (frames_opened < frames_total OR EXISTS (
                         SELECT 1 FROM tile WHERE tile.job = job.number AND tile.state = 'ready' AND kind = 'render'))
@@ -69,6 +78,8 @@ fn read_job(row: &SqliteRow, wall_ms: i64) -> Result<JobView> {
     Ok(JobView {
         id: known("job.id", &id, |id| id.parse().ok())?,
         name: row.try_get("name")?,
+        submitter: row.try_get("submitter")?,
+        priority: row.try_get("priority")?,
         state,
         paused,
         progress: rounding::fraction(progress),
@@ -141,6 +152,39 @@ impl Queue {
         let wall_ms = self.clock.wall_ms();
         let jobs = rows.iter().map(|row| read_job(row, wall_ms)).collect::<Result<Vec<_>>>()?;
         Ok(JobPage { jobs, next_cursor: last.map(|number| number.to_string()) })
+    }
+
+    /// The jobs that a person may mean by a few characters, newest first: `latest`, a whole id, its first or last
+    /// characters, or a name; only those of a submitter, if one is named.
+    pub(crate) async fn jobs_like(&self, submitter: Option<&str>, text: &str, limit: u32) -> Result<JobPage> {
+        if text == LATEST {
+            let mut page = self.jobs(submitter, None, 1, None).await?;
+            page.next_cursor = None;
+            return Ok(page);
+        }
+        let id = text.to_ascii_lowercase();
+        let is_part = (MIN_ID_CHARACTERS..=ID_CHARACTERS).contains(&id.len())
+            && id.bytes().all(|byte| byte == b'-' || byte.is_ascii_hexdigit());
+        // The newest jobs are looked through: what is older is found by its whole id.
+        let rows = sqlx::query(jobs_where!(
+            "number IN (
+                 SELECT number FROM (SELECT number, id, name, submitter FROM job ORDER BY number DESC LIMIT ?1)
+                 WHERE (?2 IS NULL OR submitter = ?2) AND (name = ?3 OR (?4 AND (substr(id, 1, ?5) = ?6 OR substr(id, -?5) = ?6)))
+                 UNION SELECT number FROM job WHERE id = ?6 AND (?2 IS NULL OR submitter = ?2)
+             ) ORDER BY number DESC LIMIT ?7"
+        ))
+        .bind(LOOKED_THROUGH)
+        .bind(submitter)
+        .bind(text)
+        .bind(is_part)
+        .bind(id.len() as i64)
+        .bind(&id)
+        .bind(limit)
+        .fetch_all(self.readers())
+        .await?;
+        let wall_ms = self.clock.wall_ms();
+        let jobs = rows.iter().map(|row| read_job(row, wall_ms)).collect::<Result<Vec<_>>>()?;
+        Ok(JobPage { jobs, next_cursor: None })
     }
 
     /// The file of a job by its id, as it was posted.

@@ -56,6 +56,8 @@ const ROWS: &[(&str, Row)] = &[
     ("POST /v1/jobs/{id}/pause", Own),
     ("POST /v1/jobs/{id}/resume", Own),
     ("POST /v1/jobs/{id}/retry", Own),
+    ("POST /v1/jobs/{id}/resubmit", Own),
+    ("GET /v1/jobs/{id}/file", ReadOrOwn),
     ("GET /v1/jobs/{id}/events", ReadOrOwn),
     ("GET /v1/jobs/{id}/image", ReadOrOwn),
     ("GET /v1/jobs/{id}/webhooks", ReadOrOwn),

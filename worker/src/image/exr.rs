@@ -14,7 +14,7 @@ use exr::block::writer::ChunksWriter;
 use exr::compression::Compression;
 use exr::math::Vec2;
 use exr::meta::BlockDescription;
-use exr::meta::attribute::{AttributeValue, ChannelDescription, LineOrder, SampleType, Text};
+use exr::meta::attribute::{AttributeValue, ChannelDescription, Chromaticities, LineOrder, SampleType, Text};
 use exr::meta::header::{Header, LayerAttributes};
 use rayon::prelude::*;
 use scene::Precision;
@@ -28,6 +28,10 @@ use crate::stitch::{Band, Source};
 const BLOCK_ROWS: u32 = 16;
 /// A band has fewer blocks if it would take more memory than this.
 const BAND_BYTES: u64 = 32 << 20;
+
+/// The primaries and the white of the scene's light, those of sRGB: ITU-R BT.709, table 1.
+const REC_709: Chromaticities =
+    Chromaticities { red: Vec2(0.64, 0.33), green: Vec2(0.3, 0.6), blue: Vec2(0.15, 0.06), white: Vec2(0.3127, 0.329) };
 
 /// Rows pulled at a time: two blocks for each thread, if memory allows.
 pub fn band_rows(picture: &Picture) -> u32 {
@@ -106,10 +110,17 @@ impl Channels {
         let channels =
             self.0.iter().map(|channel| ChannelDescription::new(text(channel.name), channel.sample, false)).collect();
         let mut attributes = LayerAttributes::default();
+        // The only one in a table without order: more would be written in a random one.
         attributes.other.insert(text(KEYWORD), AttributeValue::Text(text(&picture.provenance.json())));
-        Header::new(text(""), size, channels)
+        let metadata = picture.metadata;
+        attributes.frames_per_second = Some(metadata.frames_per_second);
+        attributes.world_to_camera = Some(metadata.world_to_camera);
+        attributes.world_to_normalized_device = metadata.world_to_ndc;
+        let mut header = Header::new(text(""), size, channels)
             .with_encoding(Compression::ZIP16, BlockDescription::ScanLines, LineOrder::Increasing)
-            .with_attributes(attributes)
+            .with_attributes(attributes);
+        header.shared_attributes.chromaticities = Some(REC_709);
+        header
     }
 
     fn compress(&self, header: &Header, band: &Band, top: u32) -> exr::error::Result<Chunk> {

@@ -195,6 +195,28 @@ fn an_exr_says_what_made_it_and_nothing_else() {
 }
 
 #[test]
+fn an_exr_says_its_colors_its_camera_and_its_rate() {
+    for job in exrs() {
+        let image = decode_exr(&file(&job, &whole(&job)));
+        let attributes = &image.layer_data[0].attributes;
+        let view = job.at(3).unwrap().job().scene.camera.view(job.image.width, job.image.height);
+        assert_eq!(attributes.world_to_camera, Some(view.world_to_camera()));
+        assert_eq!(attributes.world_to_normalized_device, view.world_to_ndc());
+        assert_eq!(attributes.frames_per_second, Some((24, 1)));
+        let colors = image.attributes.chromaticities.expect("chromaticities");
+        assert_eq!((colors.red.0, colors.white.1), (0.64, 0.329));
+    }
+}
+
+#[test]
+fn an_exr_is_the_same_bytes_each_time() {
+    let job = exrs().next().unwrap();
+    let pixels = whole(&job);
+    let first = file(&job, &pixels);
+    assert!((0..50).all(|_| file(&job, &pixels) == first), "a header's attributes change places");
+}
+
+#[test]
 fn an_exr_holds_no_negative_zero_and_no_nan() {
     let layers = format!(r#""format": "exr", "precision": "float", "layers": {ALL_LAYERS}"#);
     for job in [transparent_job(4, 1, &layers), transparent_job(4, 1, r#""format": "exr""#)] {

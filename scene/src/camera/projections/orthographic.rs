@@ -5,7 +5,7 @@ use serde::{Deserialize, Serialize};
 
 use super::{Axes, Exemplary, Extent, Project};
 use crate::bounds::Bounds;
-use crate::camera::{Ray, View};
+use crate::camera::{Matrix, Ray, View};
 use crate::job::Image;
 use crate::march::Tolerance;
 use crate::real::{Real, Vec3};
@@ -58,6 +58,10 @@ impl Project for Orthographic {
         let along = |place: u32, edge: u32| (place as f32 + 0.5) * edge as f32 / PLACES as f32;
         let places = (0..PLACES * PLACES).map(|place| (place % PLACES, place / PLACES));
         places.map(|(x, y)| view.ray(along(x, image.width), along(y, image.height)).origin).collect()
+    }
+
+    fn world_to_ndc(&self, view: &View) -> Option<Matrix> {
+        Some(view.parallel_ndc())
     }
 
     fn inside_warning(&self) -> (&'static str, &'static str) {

@@ -2,7 +2,7 @@
 
 use super::{Axes, Extent, Project};
 use crate::bounds::Bounds;
-use crate::camera::{Ray, View};
+use crate::camera::{Matrix, Ray, View};
 use crate::march::Tolerance;
 use crate::real::Real;
 use crate::values::FieldOfView;
@@ -31,6 +31,10 @@ impl Project for Perspective {
     fn ray<R: Real>(&self, axes: &Axes<R>, across: R, upwards: R) -> Ray<R> {
         let direction = axes.right.mul_add(across, axes.up.mul_add(upwards, axes.forward));
         Ray { origin: axes.origin, direction: direction.normalize() }
+    }
+
+    fn world_to_ndc(&self, view: &View) -> Option<Matrix> {
+        Some(view.pinhole_ndc())
     }
 
     fn is_beside(&self, view: &View, bounds: Bounds) -> bool {

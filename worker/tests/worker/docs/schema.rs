@@ -24,7 +24,11 @@ fn kind(schema: &Value, property: &Value) -> String {
     if resolved["type"] == "array" && name.is_none() && resolved["items"].is_object() {
         return format!("array of {}", kind(schema, &resolved["items"]));
     }
-    let range = match (&resolved["minimum"], &resolved["maximum"]) {
+    // Of a number or a track, the range is the number's.
+    let number =
+        resolved["anyOf"].as_array().and_then(|choices| choices.iter().find(|choice| choice["minimum"].is_number()));
+    let ranged = number.unwrap_or(resolved);
+    let range = match (&ranged["minimum"], &ranged["maximum"]) {
         (Value::Null, _) | (_, Value::Null) => String::new(),
         (low, high) => format!(", {low} to {high}"),
     };
@@ -79,12 +83,19 @@ pub(crate) fn part(schema: &Value, name: &str) -> String {
         return text + &table(schema, definition);
     };
     for choice in choices {
+        // Each choice is a definition of its own.
+        let choice = referred(choice).map_or(choice, |name| &schema["$defs"][name]);
         let meaning = choice["description"].as_str().unwrap_or_default();
-        if let Some(word) = choice["const"].as_str() {
-            writeln!(text, "- `\"{word}\"`: {meaning}").expect("a String takes all");
+        // The description of words tells them apart, one a line.
+        if choice["enum"].is_array() {
+            writeln!(text, "{meaning}").expect("a String takes all");
         }
         for (key, value) in choice["properties"].as_object().into_iter().flatten() {
-            let keys: Vec<String> = value["properties"]
+            // What was written in place has the choice in its name; a choice that is a type of its own is described there.
+            let in_place = referred(value)
+                .filter(|inner| inner.to_lowercase() == format!("{}{name}", key.replace('_', "")).to_lowercase());
+            let keys: Vec<String> = in_place
+                .map_or(&Value::Null, |inner| &schema["$defs"][inner]["properties"])
                 .as_object()
                 .into_iter()
                 .flatten()
@@ -93,7 +104,6 @@ pub(crate) fn part(schema: &Value, name: &str) -> String {
                     format!("  - `{key}` ({}): {meaning}\n", kind(schema, property))
                 })
                 .collect();
-            // A choice that is a type of its own is described there.
             let own = referred(value).map_or(meaning, |name| description(schema, name));
             write!(text, "- `{key}`: {own}\n{}", keys.concat()).expect("a String takes all");
         }

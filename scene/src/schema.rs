@@ -1,0 +1,385 @@
+//! The JSON Schema of a job file, in a form that client generators turn into types with names.
+//!
+//! Schemas made by the derive macros describe each choice in place. Generators number such types
+//! (`Node17`), so that [`tidy`] gives each a definition of its own. It never changes which texts are valid, but that an
+//! optional key may no longer be null, which the parser still accepts.
+
+mod shortest;
+
+use std::collections::BTreeMap;
+
+use schemars::generate::SchemaSettings;
+use serde_json::{Map, Value, json};
+
+use crate::document::JobDocument;
+use crate::materials::{self, Material};
+use crate::nodes::{self, Node};
+use crate::profiles::Profile;
+
+/// Where definitions are in a JSON Schema.
+const DEFINITIONS: &str = "#/$defs/";
+/// Keywords that bound a number.
+const RANGE: [&str; 6] = ["minimum", "maximum", "exclusiveMinimum", "exclusiveMaximum", "multipleOf", "not"];
+/// A small job, as a user would write it.
+const EXAMPLE: &str = r#"{
+    "name": "example",
+    "scene": {
+        "camera": { "position": [0, 1, 4], "look_at": [0, 0, 0] },
+        "objects": [{ "shape": { "sphere": { "radius": 1 } } }]
+    },
+    "image": { "width": 320, "height": 180 }
+}"#;
+
+/// The JSON Schema (draft 2020-12) of a job file.
+pub fn schema() -> Value {
+    let mut generator = SchemaSettings::draft2020_12().into_generator();
+    generator.subschema_for::<JobDocument>();
+    let mut definitions = generator.take_definitions(true);
+    tidy(&mut definitions, DEFINITIONS);
+    show(&mut definitions);
+    let mut schema = match definitions.remove("Job") {
+        Some(Value::Object(job)) => job,
+        _ => Map::new(),
+    };
+    schema.insert("$schema".into(), "https://json-schema.org/draft/2020-12/schema".into());
+    schema.insert("$defs".into(), definitions.into());
+    schema.into()
+}
+
+/// Adds examples: a job, and one of each kind of node, material, texture and profile.
+fn show(definitions: &mut Map<String, Value>) {
+    let mut add = |name: &str, text: &str| {
+        if let (Some(Value::Object(definition)), Ok(example)) = (definitions.get_mut(name), serde_json::from_str(text))
+        {
+            definition.entry("examples").or_insert_with(|| Value::Array(Vec::new()));
+            if let Some(Value::Array(examples)) = definition.get_mut("examples") {
+                let example: Value = example;
+                examples.push(example);
+            }
+        }
+    };
+    add("Job", EXAMPLE);
+    let nodes = Node::examples().into_iter().map(|nodes::Example { node, .. }| ("Node", node));
+    let materials = Material::examples().into_iter().map(|example| ("Material", example));
+    let textures = materials::Texture::examples().into_iter().map(|example| ("Texture", example));
+    let shaded = materials.chain(textures).map(|(choice, example)| (choice, example.json));
+    let profiles = Profile::examples().into_iter().map(|(_, json)| ("Profile", json));
+    for (choice, text) in nodes.chain(shaded).chain(profiles) {
+        if let Some(key) = text.split('"').nth(1) {
+            add(&format!("{choice}{}", pascal_case(key)), &text);
+        }
+    }
+}
+
+/// Rewrites definitions, which `references` leads to, for generators of clients:
+///
+/// - a choice of objects of one key each refers to a definition for each: `NodeSphere` is `{ "sphere": Sphere }`;
+/// - words are an `enum`, and its description tells them apart;
+/// - a key that may be left out is not nullable as well;
+/// - the range of a number stands beside its type;
+/// - every definition has its name as its title, no integer has a format that only Rust knows, and defaults have as many
+///   digits as they need.
+pub fn tidy(definitions: &mut Map<String, Value>, references: &str) {
+    let mut parts = BTreeMap::new();
+    for (name, definition) in definitions.iter_mut() {
+        if let Some(schema) = definition.as_object_mut() {
+            choices(name, schema, references, &mut parts);
+        }
+    }
+    describe(&mut parts, definitions, references);
+    definitions.extend(parts);
+    for (name, definition) in definitions {
+        plain(definition);
+        shortest::shorten(definition);
+        if let Some(schema) = definition.as_object_mut() {
+            schema.insert("title".into(), name.as_str().into());
+        }
+    }
+}
+
+/// Moves what a choice is between out of it, into `parts`; a choice of words becomes an `enum`.
+fn choices(name: &str, schema: &mut Map<String, Value>, references: &str, parts: &mut BTreeMap<String, Value>) {
+    let Some(Value::Array(choices)) = schema.get("oneOf") else { return };
+    let (words, others): (Vec<Value>, Vec<Value>) =
+        choices.iter().cloned().partition(|choice| choice["const"].is_string());
+    if others.is_empty() {
+        schema.remove("oneOf");
+        let words = enumeration(schema.get("description").and_then(Value::as_str), &words);
+        schema.extend(words);
+        return;
+    }
+    let mut kept: Vec<Value> = others
+        .into_iter()
+        .map(|mut choice| {
+            let Some(key) = only_key(&choice) else { return choice };
+            let part = format!("{name}{}", pascal_case(&key));
+            // What is written in place behind the key gets a name, too.
+            let about = choice["description"].clone();
+            let inner = &mut choice["properties"][&key];
+            if inner["type"] == "object" && inner["properties"].is_object() {
+                let inner_name = format!("{}{name}", pascal_case(&key));
+                let reference = json!({ "$ref": format!("{references}{inner_name}") });
+                if inner["description"].is_null() {
+                    inner["description"] = about;
+                }
+                parts.insert(inner_name, std::mem::replace(inner, reference));
+            }
+            let reference = json!({ "$ref": format!("{references}{part}") });
+            parts.insert(part, choice);
+            reference
+        })
+        .collect();
+    if !words.is_empty() {
+        let part = format!("{name}Word");
+        kept.push(json!({ "$ref": format!("{references}{part}") }));
+        parts.insert(part, enumeration(None, &words).into());
+    }
+    schema.insert("oneOf".into(), kept.into());
+}
+
+/// The only key of an object that has one, and has to have it.
+fn only_key(choice: &Value) -> Option<String> {
+    let properties = choice["properties"].as_object().filter(|properties| properties.len() == 1)?;
+    let key = properties.keys().next()?;
+    (choice["required"] == json!([key])).then(|| key.clone())
+}
+
+/// Words as an `enum`.
+fn enumeration(about: Option<&str>, words: &[Value]) -> Map<String, Value> {
+    let lines =
+        words.iter().map(|word| format!("- `{}`: {}", word["const"], word["description"].as_str().unwrap_or_default()));
+    let lines: Vec<String> = lines.collect();
+    let about = about.map(|about| format!("{about}\n\n")).unwrap_or_default();
+    let values: Vec<&Value> = words.iter().map(|word| &word["const"]).collect();
+    let mut schema = Map::new();
+    schema.insert("type".into(), "string".into());
+    schema.insert("enum".into(), json!(values));
+    schema.insert("description".into(), format!("{about}{}", lines.join("\n")).into());
+    schema
+}
+
+/// A part that only names a definition is described as the beginning of that one.
+fn describe(parts: &mut BTreeMap<String, Value>, definitions: &Map<String, Value>, references: &str) {
+    for part in parts.values_mut() {
+        let inner = only_key(part).and_then(|key| part["properties"][key]["$ref"].as_str().map(ToOwned::to_owned));
+        let inner = inner.as_deref().and_then(|target| target.strip_prefix(references));
+        let about = inner.and_then(|name| definitions.get(name)).and_then(|inner| inner["description"].as_str());
+        if let (Some(about), Some(part)) = (about, part.as_object_mut()) {
+            part.insert("description".into(), about.split("\n\n").next().unwrap_or_default().into());
+        }
+    }
+}
+
+/// Makes a schema plain, and all in it.
+fn plain(value: &mut Value) {
+    match value {
+        Value::Object(schema) => {
+            required_or_not_null(schema);
+            range_beside_type(schema);
+            portable_integer(schema);
+            schema.values_mut().for_each(plain);
+        }
+        Value::Array(members) => members.iter_mut().for_each(plain),
+        Value::Null | Value::Bool(_) | Value::Number(_) | Value::String(_) => {}
+    }
+}
+
+/// What may be left out need not be null as well.
+fn required_or_not_null(schema: &mut Map<String, Value>) {
+    let required = schema.get("required").cloned().unwrap_or_default();
+    let Some(Value::Object(properties)) = schema.get_mut("properties") else { return };
+    let is_required = |key: &str| required.as_array().is_some_and(|keys| keys.iter().any(|named| named == key));
+    for (key, property) in properties {
+        if let (false, Some(property)) = (is_required(key), property.as_object_mut()) {
+            not_null(property);
+        }
+    }
+}
+
+/// Takes null out of what a schema allows.
+pub fn not_null(schema: &mut Map<String, Value>) {
+    if schema.get("default") == Some(&Value::Null) {
+        schema.remove("default");
+    }
+    if let Some(Value::Array(types)) = schema.get_mut("type") {
+        types.retain(|name| name != "null");
+        if let [only] = &types[..] {
+            let only = only.clone();
+            schema.insert("type".into(), only);
+        }
+    }
+    let Some(Value::Array(choices)) = schema.get_mut("anyOf") else { return };
+    choices.retain(|choice| choice["type"] != "null");
+    if let [Value::Object(only)] = &choices[..] {
+        let only = only.clone();
+        schema.remove("anyOf");
+        for (keyword, value) in only {
+            schema.entry(keyword).or_insert(value);
+        }
+    }
+}
+
+/// Of a number or something else, the range is the number's.
+fn range_beside_type(schema: &mut Map<String, Value>) {
+    let is_number = |choice: &&mut Value| choice["type"] == "number" || choice["type"] == "integer";
+    let mut range = Map::new();
+    if let Some(Value::Array(_)) = schema.get("anyOf") {
+        range.extend(RANGE.into_iter().filter_map(|keyword| schema.remove_entry(keyword)));
+    }
+    let Some(Value::Array(choices)) = schema.get_mut("anyOf") else { return };
+    if let Some(Value::Object(number)) = choices.iter_mut().find(is_number) {
+        number.extend(range);
+    } else {
+        schema.extend(range);
+    }
+}
+
+/// An integer's format that generators do not know is said as a range.
+fn portable_integer(schema: &mut Map<String, Value>) {
+    let largest = match schema.get("format").and_then(Value::as_str) {
+        Some("uint8") => u64::from(u8::MAX),
+        Some("uint16") => u64::from(u16::MAX),
+        Some("uint32") => u64::from(u32::MAX),
+        Some("uint64" | "uint") => u64::MAX,
+        _ => return,
+    };
+    schema.remove("format");
+    schema.entry("minimum").or_insert(0.into());
+    if largest < u64::MAX {
+        schema.entry("maximum").or_insert(largest.into());
+    }
+}
+
+/// `infinite_cylinder` as `InfiniteCylinder`.
+fn pascal_case(key: &str) -> String {
+    key.split('_')
+        .flat_map(|word| {
+            let (first, rest) = word.split_at(word.len().min(1));
+            [first.to_ascii_uppercase(), rest.to_owned()]
+        })
+        .collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use std::collections::BTreeSet;
+
+    use super::*;
+
+    fn each_schema(value: &Value, check: &mut impl FnMut(&Value)) {
+        match value {
+            Value::Object(members) => {
+                check(value);
+                members.values().for_each(|member| each_schema(member, check));
+            }
+            Value::Array(members) => members.iter().for_each(|member| each_schema(member, check)),
+            Value::Null | Value::Bool(_) | Value::Number(_) | Value::String(_) => {}
+        }
+    }
+
+    fn tidied(definitions: Value) -> Map<String, Value> {
+        let Value::Object(mut definitions) = definitions else { panic!("definitions are an object") };
+        tidy(&mut definitions, DEFINITIONS);
+        definitions
+    }
+
+    #[test]
+    fn each_choice_has_a_definition_with_its_name() {
+        let schema = schema();
+        for (choice, key) in [("Node", "sphere"), ("Material", "flat"), ("Light", "spot"), ("Texture", "checker")] {
+            let name = format!("{choice}{}", pascal_case(key));
+            let reference = json!({ "$ref": format!("{DEFINITIONS}{name}") });
+            assert!(schema["$defs"][choice]["oneOf"].as_array().is_some_and(|all| all.contains(&reference)), "{name}");
+            assert_eq!(schema["$defs"][&name]["required"], json!([key]));
+        }
+        assert_eq!(schema["$defs"]["NodeSphere"]["properties"]["sphere"]["$ref"], "#/$defs/Sphere");
+        // Whatever is left in place behind a key would be numbered.
+        for (name, definition) in schema["$defs"].as_object().expect("definitions") {
+            for choice in definition["oneOf"].as_array().into_iter().flatten() {
+                assert!(choice["$ref"].is_string(), "{name} has a choice without a name: {choice}");
+            }
+        }
+    }
+
+    #[test]
+    fn no_definition_takes_the_name_of_another() {
+        let mut generator = SchemaSettings::draft2020_12().into_generator();
+        generator.subschema_for::<JobDocument>();
+        let mut definitions = generator.take_definitions(true);
+        let before: BTreeSet<String> = definitions.keys().cloned().collect();
+        let mut parts = BTreeMap::new();
+        for (name, definition) in &mut definitions {
+            let mut own = BTreeMap::new();
+            choices(name, definition.as_object_mut().expect("an object"), DEFINITIONS, &mut own);
+            for (part, schema) in own {
+                assert!(!before.contains(&part), "{part} is there already");
+                assert_eq!(parts.insert(part, schema), None, "two parts of {name} and others are one");
+            }
+        }
+        assert!(before.iter().all(|name| !name.ends_with(|last: char| last.is_ascii_digit())), "{before:?}");
+    }
+
+    #[test]
+    fn words_are_an_enum_that_tells_them_apart() {
+        let schema = schema();
+        let layer = &schema["$defs"]["Layer"];
+        assert_eq!(layer["enum"], json!(["depth", "normal", "position", "albedo", "object", "steps"]));
+        assert!(
+            layer["description"].as_str().is_some_and(|about| about.contains("- `\"depth\"`: `Z`: distance")),
+            "{layer}"
+        );
+        each_schema(&schema, &mut |part| assert!(!part["const"].is_string(), "{part}"));
+    }
+
+    #[test]
+    fn what_may_be_left_out_is_not_null_and_what_must_be_there_may_be() {
+        each_schema(&schema(), &mut |part| {
+            for (key, property) in part["properties"].as_object().into_iter().flatten() {
+                let may_be_null = property["type"].as_array().is_some_and(|types| types.contains(&json!("null")))
+                    || property["anyOf"].as_array().is_some_and(|all| all.contains(&json!({ "type": "null" })));
+                assert!(!may_be_null, "{key}: {property}");
+            }
+        });
+        let given = json!({ "A": { "type": "object", "required": ["b"], "properties": {
+            "b": { "type": ["string", "null"] }, "c": { "type": ["string", "null"], "default": null },
+            "d": { "anyOf": [{ "$ref": "#/$defs/A" }, { "type": "null" }], "description": "D." },
+        } } });
+        let properties = &tidied(given)["A"]["properties"];
+        assert_eq!(properties["b"]["type"], json!(["string", "null"]));
+        assert_eq!(properties["c"], json!({ "type": "string" }));
+        assert_eq!(properties["d"], json!({ "$ref": "#/$defs/A", "description": "D." }));
+    }
+
+    #[test]
+    fn a_range_stands_beside_the_type_it_is_for() {
+        let schema = schema();
+        let length = &schema["$defs"]["Length"];
+        assert_eq!(length["anyOf"][0], json!({ "type": "number", "minimum": 1e-6, "maximum": 1e6 }));
+        assert!(length["minimum"].is_null());
+        each_schema(&schema, &mut |part| {
+            assert!(!part["format"].as_str().is_some_and(|format| format.starts_with("uint")), "{part}");
+        });
+    }
+
+    #[test]
+    fn defaults_have_the_digits_they_need() {
+        let text = schema().to_string();
+        assert!(!text.contains("99999") && !text.contains("00000238"), "a default is ragged");
+    }
+
+    #[test]
+    fn every_example_is_what_its_definition_says() {
+        let schema = schema();
+        assert_eq!(crate::parse(schema["examples"][0].to_string().as_bytes()).expect("a sound job").name, "example");
+        let mut count = 0;
+        for (name, definition) in schema["$defs"].as_object().expect("definitions") {
+            assert_eq!(definition["title"], **name);
+            for example in definition["examples"].as_array().into_iter().flatten() {
+                let key = only_key(definition).expect("only choices have examples");
+                assert!(example[&key].is_object(), "{name}: {example}");
+                count += 1;
+            }
+        }
+        assert!(count >= Node::examples().len(), "only {count} examples");
+    }
+}

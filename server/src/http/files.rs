@@ -1,0 +1,87 @@
+//! A job's file: given back as it was submitted, and submitted again, with changes or without.
+
+use std::sync::Arc;
+
+use axum::body::Body;
+use axum::extract::{Path, State};
+use axum::http::{HeaderMap, Uri, header};
+use axum::response::{IntoResponse, Response};
+use proto::JobId;
+
+use super::caller::Caller;
+use super::error::ApiError;
+use super::jobs::{Submission, job_id};
+use super::{body, merge_patch};
+use crate::farm::Farm;
+
+/// Changes say little; what is more is a job file of its own.
+const MAX_CHANGES_BYTES: usize = 1 << 20;
+
+/// Get a job's file.
+///
+/// The bytes that were submitted, or those that changes made of them.
+#[utoipa::path(
+    get, path = "/v1/jobs/{id}/file", tag = "jobs", operation_id = "get_job_file",
+    params(("id" = String, Path, description = "The job")),
+    responses(
+        (status = 200, description = "The job file", body = ref("#/components/schemas/Job")),
+        (status = 404, description = "No such job", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
+    )
+)]
+pub(super) async fn file(State(farm): State<Arc<Farm>>, Path(id): Path<String>) -> Result<Response, ApiError> {
+    let text = text_of(&farm, job_id(&id)?).await?;
+    Ok(([(header::CONTENT_TYPE, "application/json")], text).into_response())
+}
+
+/// Submit a job's file again.
+///
+/// Without a body it is the same job, and its pictures are those that are stored, unless the request says
+/// `Cache-Control: no-cache`. A body changes the file first: a JSON merge patch (RFC 7396). The new job belongs to the
+/// caller. Headers, query and answers are those of `POST /v1/jobs`.
+#[utoipa::path(
+    post, path = "/v1/jobs/{id}/resubmit", tag = "jobs", operation_id = "resubmit_job",
+    params(
+        ("id" = String, Path, description = "The job whose file is submitted"),
+        ("dry_run" = Option<bool>, Query, description = "Only check the job, and say what it would take: 200 if it is sound"),
+        ("keep" = Option<String>, Query, description = "How long it is kept once it has finished: 36h, 7d, forever; else as the server was configured"),
+        ("webhook" = Option<Vec<String>>, Query, description = "An address that is told when the job has ended; up to four"),
+        ("webhook_event" = Option<Vec<String>>, Query, description = "What webhooks are told instead: job.running, job.succeeded, job.failed, job.cancelled, frame.stored"),
+        ("Idempotency-Key" = Option<String>, Header, description = "A name for this request: sent again with it, it is the same job"),
+        ("Prefer" = Option<String>, Header, description = "`wait=N`: answer when the job has ended, or after N seconds, at most 60"),
+    ),
+    request_body(content = ref("#/components/schemas/JobChanges"), content_type = "application/json"),
+    responses(
+        (status = 201, description = "Accepted: the new job", body = ref("#/components/schemas/JobView"),
+         headers(("Location" = String, description = "The new job"))),
+        (status = 200, description = "It is sound (dry run); or the job that was accepted before under the same Idempotency-Key", body = ref("#/components/schemas/SubmitAnswer")),
+        (status = 400, description = "Not JSON", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
+        (status = 404, description = "No such job", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
+        (status = 413, description = "Too large", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
+        (status = 415, description = "Wrong content type", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
+        (status = 422, description = "Not sound", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
+        (status = 429, description = "The queue is full, the submitter's quota is used up, or requests come too fast: see Retry-After", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
+        (status = 507, description = "Disk full", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
+    )
+)]
+pub(super) async fn resubmit(
+    State(farm): State<Arc<Farm>>,
+    caller: Caller,
+    Path(id): Path<String>,
+    uri: Uri,
+    headers: HeaderMap,
+    request: Body,
+) -> Result<Response, ApiError> {
+    let text = text_of(&farm, job_id(&id)?).await?;
+    body::expect_json(&headers)?;
+    let submission = Submission::begin(&farm, caller, uri, headers).await?;
+    let changes = body::read(request, MAX_CHANGES_BYTES).await?;
+    let text = if changes.trim_ascii().is_empty() { text } else { merge_patch::apply(&text, &changes)? };
+    if text.len() > scene::limits::MAX_BODY_BYTES {
+        return Err(ApiError::TooLarge { limit_bytes: scene::limits::MAX_BODY_BYTES as u64 });
+    }
+    submission.finish(&farm, text.into()).await
+}
+
+async fn text_of(farm: &Farm, job: JobId) -> Result<String, ApiError> {
+    farm.queue.file(job).await?.ok_or_else(|| ApiError::UnknownJob(job.to_string()))
+}

@@ -1,0 +1,95 @@
+//! JSON merge patches (RFC 7396) of a job's file. What a patch does not name keeps its text to the byte, so that no
+//! number is read and written on the way.
+
+use std::collections::BTreeMap;
+
+use serde_json::value::RawValue;
+
+use super::body;
+use super::error::ApiError;
+
+/// A patch may nest this deep: each level of the file above a change is read once.
+const MAX_DEPTH: usize = 64;
+
+type Members = BTreeMap<String, Box<RawValue>>;
+
+/// A sound file's text with a patch applied.
+pub(super) fn apply(file: &str, patch: &[u8]) -> Result<String, ApiError> {
+    let patch: Box<RawValue> = serde_json::from_slice(patch).map_err(|error| body::not_json(&error))?;
+    if members(&patch).is_none() {
+        return Err(body::wrong("", "this is no object: send the keys that are to change".to_owned()));
+    }
+    let file: Option<Box<RawValue>> = serde_json::from_str(file).ok();
+    merged(file, &patch, 0).map(|merged| merged.get().to_owned())
+}
+
+/// The members of an object; `None` for anything else.
+fn members(value: &RawValue) -> Option<Members> {
+    value.get().starts_with('{').then(|| serde_json::from_str(value.get()).ok()).flatten()
+}
+
+fn merged(target: Option<Box<RawValue>>, patch: &RawValue, depth: usize) -> Result<Box<RawValue>, ApiError> {
+    let Some(changes) = members(patch) else { return Ok(patch.to_owned()) };
+    if depth == MAX_DEPTH {
+        return Err(body::wrong("", format!("nests deeper than {MAX_DEPTH} objects: submit a job file of its own")));
+    }
+    let mut target = target.as_deref().and_then(members).unwrap_or_default();
+    for (key, change) in changes {
+        if change.get() == "null" {
+            target.remove(&key);
+        } else {
+            let before = target.remove(&key);
+            target.insert(key, merged(before, &change, depth + 1)?);
+        }
+    }
+    serde_json::value::to_raw_value(&target).map_err(|error| ApiError::Internal(Box::new(error)))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn patched(file: &str, patch: &str) -> serde_json::Value {
+        let text = apply(file, patch.as_bytes()).unwrap_or_else(|_| panic!("{patch} is a patch"));
+        serde_json::from_str(&text).expect("JSON")
+    }
+
+    #[test]
+    fn patches_are_applied_as_rfc_7396_has_them() {
+        // The cases of its appendix A that patch objects.
+        for (file, patch, wanted) in [
+            (r#"{"a":"b"}"#, r#"{"a":"c"}"#, r#"{"a":"c"}"#),
+            (r#"{"a":"b"}"#, r#"{"b":"c"}"#, r#"{"a":"b","b":"c"}"#),
+            (r#"{"a":"b"}"#, r#"{"a":null}"#, "{}"),
+            (r#"{"a":"b","b":"c"}"#, r#"{"a":null}"#, r#"{"b":"c"}"#),
+            (r#"{"a":["b"]}"#, r#"{"a":"c"}"#, r#"{"a":"c"}"#),
+            (r#"{"a":"c"}"#, r#"{"a":["b"]}"#, r#"{"a":["b"]}"#),
+            (r#"{"a":{"b":"c"}}"#, r#"{"a":{"b":"d","c":null}}"#, r#"{"a":{"b":"d"}}"#),
+            (r#"{"a":[{"b":"c"}]}"#, r#"{"a":[1]}"#, r#"{"a":[1]}"#),
+            (r#"["a","b"]"#, r#"{"a":"b"}"#, r#"{"a":"b"}"#),
+            (r#"{"e":null}"#, r#"{"a":1}"#, r#"{"e":null,"a":1}"#),
+            (r#"[1,2]"#, r#"{"a":"b","c":null}"#, r#"{"a":"b"}"#),
+            ("{}", r#"{"a":{"bb":{"ccc":null}}}"#, r#"{"a":{"bb":{}}}"#),
+        ] {
+            let wanted: serde_json::Value = serde_json::from_str(wanted).expect("JSON");
+            assert_eq!(patched(file, patch), wanted, "{file} with {patch}");
+        }
+    }
+
+    #[test]
+    fn numbers_that_are_not_named_keep_their_digits() {
+        let text = apply(r#"{ "a": { "x": 0.1000000000000000055511151231, "y": 1 } }"#, br#"{"a":{"y":2.50}}"#);
+        let text = text.unwrap_or_else(|_| panic!("a patch"));
+        assert_eq!(text, r#"{"a":{"x":0.1000000000000000055511151231,"y":2.50}}"#);
+    }
+
+    #[test]
+    fn what_is_no_patch_is_refused() {
+        let deep = format!("{}1{}", r#"{"a":"#.repeat(MAX_DEPTH + 1), "}".repeat(MAX_DEPTH + 1));
+        for patch in ["[1]", "7", "null", "{", "", &deep] {
+            assert!(apply("{}", patch.as_bytes()).is_err(), "{patch}");
+        }
+        let fits = format!("{}1{}", r#"{"a":"#.repeat(MAX_DEPTH), "}".repeat(MAX_DEPTH));
+        assert!(apply("{}", fits.as_bytes()).is_ok());
+    }
+}

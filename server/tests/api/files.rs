@@ -1,0 +1,101 @@
+//! A job's file: given back, and submitted again; and jobs found by what people call them.
+
+use proto::job::{JobPage, JobView};
+use reqwest::{Method, StatusCode};
+use serde_json::{Value, json};
+
+use super::harness::{Farm, in_time, read, refused, small_job};
+use super::keys::{locked_farm, make, new_key, send};
+use proto::key::Scope;
+
+/// The jobs that a text may mean.
+async fn found(farm: &Farm, text: &str) -> Vec<proto::JobId> {
+    let page: JobPage = read(farm.get(&format!("/v1/jobs?match={text}")).await, StatusCode::OK).await;
+    page.jobs.iter().map(|job| job.id).collect()
+}
+
+fn named(name: &str, seed: u32) -> Value {
+    let mut job = small_job(seed);
+    job["name"] = name.into();
+    job
+}
+
+#[tokio::test]
+async fn a_file_is_given_back_to_the_byte() {
+    let farm = Farm::start().await;
+    let text = format!("  {}\n\n", serde_json::to_string_pretty(&small_job(1)).expect("JSON"));
+    let job: JobView = read(farm.post("/v1/jobs", text.clone()).await, StatusCode::CREATED).await;
+    assert_eq!((job.submitter.as_str(), job.priority), ("local", 0));
+    let answer = farm.get(&format!("/v1/jobs/{}/file", job.id)).await;
+    assert_eq!(answer.headers()["content-type"], "application/json");
+    assert_eq!(in_time(answer.text()).await.expect("text"), text);
+    refused(farm.get(&format!("/v1/jobs/{}/file", proto::JobId::new())).await, 404, "unknown_job").await;
+    farm.stop().await;
+}
+
+#[tokio::test]
+async fn a_job_is_submitted_again_with_changes_or_without() {
+    let farm = Farm::start().await;
+    let first = farm.submit(&small_job(1)).await.id;
+    let path = format!("/v1/jobs/{first}/resubmit");
+    let same: JobView = read(farm.post(&path, "").await, StatusCode::CREATED).await;
+    let patch = json!({ "name": "second", "priority": 7, "image": { "samples": 3 } });
+    let changed: JobView = read(farm.post(&path, patch.to_string()).await, StatusCode::CREATED).await;
+    assert_eq!((changed.name.as_str(), changed.priority), ("second", 7));
+    assert!(first != same.id && same.id != changed.id);
+    let file = async |id| read::<Value>(farm.get(&format!("/v1/jobs/{id}/file")).await, StatusCode::OK).await;
+    let mut wanted = file(first).await;
+    assert_eq!(file(same.id).await, wanted);
+    wanted["name"] = "second".into();
+    wanted["priority"] = 7.into();
+    wanted["image"]["samples"] = 3.into();
+    assert_eq!(file(changed.id).await, wanted);
+
+    let dry: Value = read(farm.post(&format!("{path}?dry_run=true"), "{}").await, StatusCode::OK).await;
+    assert_eq!(dry["valid"], true);
+    let problem = refused(farm.post(&path, r#"{"image":{"width":0}}"#).await, 422, "wrong_job").await;
+    assert_eq!(problem.errors[0].pointer, "/image/width");
+    refused(farm.post(&path, "[]").await, 422, "wrong_body").await;
+    refused(farm.post(&path, "{").await, 400, "not_json").await;
+    refused(farm.post(&path, "7".repeat(2 << 20)).await, 413, "too_large").await;
+    refused(farm.post(&format!("/v1/jobs/{}/resubmit", proto::JobId::new()), "").await, 404, "unknown_job").await;
+    farm.stop().await;
+}
+
+#[tokio::test]
+async fn a_job_is_found_by_its_name_by_parts_of_its_id_and_as_the_latest() {
+    let farm = Farm::start().await;
+    let castle = farm.submit(&named("castle", 1)).await.id;
+    let twins = [farm.submit(&named("twin", 2)).await.id, farm.submit(&named("twin", 3)).await.id];
+    assert_eq!(found(&farm, "latest").await, [twins[1]]);
+    assert_eq!(found(&farm, "castle").await, [castle]);
+    assert_eq!(found(&farm, "twin").await, [twins[1], twins[0]]);
+    assert_eq!(found(&farm, &castle.short()).await, [castle]);
+    assert_eq!(found(&farm, &castle.short().to_uppercase()).await, [castle]);
+    assert_eq!(found(&farm, &castle.to_string()).await, [castle]);
+    // All ids of a minute begin alike; three characters are no hint, and a wildcard is none either.
+    assert_eq!(found(&farm, &castle.to_string()[..8]).await.len(), 3);
+    for text in [&castle.short()[5..], "cast", "%25", "____", "nothing"] {
+        assert_eq!(found(&farm, text).await, [], "{text}");
+    }
+    refused(farm.get("/v1/jobs?match=latest&state=queued").await, 422, "wrong_query").await;
+    farm.stop().await;
+}
+
+#[tokio::test]
+async fn a_key_that_may_not_read_finds_its_own_jobs_alone() {
+    let (farm, admin) = locked_farm().await;
+    let owner = make(&farm, &admin, &new_key("owner", &[Scope::Submit])).await.secret;
+    let other = make(&farm, &admin, &new_key("other", &[Scope::Submit])).await.secret;
+    let job = named("castle", 1).to_string();
+    let job: JobView = read(send(&farm, &owner, Method::POST, "/v1/jobs", job).await, StatusCode::CREATED).await;
+    assert_eq!(job.submitter, "owner");
+    for text in ["latest".to_owned(), "castle".to_owned(), job.id.short(), job.id.to_string()] {
+        let path = format!("/v1/jobs?match={text}");
+        let own: JobPage = read(send(&farm, &owner, Method::GET, &path, "").await, StatusCode::OK).await;
+        assert_eq!(own.jobs.len(), 1, "{text}");
+        let others: JobPage = read(send(&farm, &other, Method::GET, &path, "").await, StatusCode::OK).await;
+        assert_eq!(others.jobs.len(), 0, "{text}");
+    }
+    farm.stop().await;
+}

@@ -1,0 +1,90 @@
+//! Standard attributes of an EXR: its camera's matrices, and its frame rate.
+//!
+//! A picture's cache key covers all of them: the camera as a part of the scene, the rate on its own.
+
+use scene::Still;
+use scene::camera::Matrix;
+
+/// OpenEXR's standard attributes about the camera and the time.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Metadata {
+    /// From the scene to the camera's axes.
+    pub world_to_camera: Matrix,
+    /// From the scene to the picture, from (0, 0) at its top left to (1, 1); none for a panorama.
+    pub world_to_ndc: Option<Matrix>,
+    /// Frames a second, as a fraction.
+    pub frames_per_second: (i32, u32),
+}
+
+impl Metadata {
+    /// Attributes of a job at a frame.
+    pub fn of(still: &Still<'_>) -> Self {
+        let image = still.image();
+        let view = still.scene().camera.view(image.width, image.height);
+        Self {
+            world_to_camera: view.world_to_camera(),
+            world_to_ndc: view.world_to_ndc(),
+            frames_per_second: fraction(still.frames().fps.get()),
+        }
+    }
+}
+
+/// The simplest fraction that is this number from 0.001 to 1000, as far as an `f32` tells.
+fn fraction(number: f32) -> (i32, u32) {
+    let half = |other: f32| 0.5 * (f64::from(number) + f64::from(other));
+    let (low, high) = (half(number.next_down()), half(number.next_up()));
+    // Along the Stern–Brocot tree, by whole runs in one direction, the first fraction between low and high is the
+    // simplest: Knuth, Graham, Patashnik, "Concrete Mathematics", section 4.5.
+    let (mut left, mut right) = ((0_u32, 1_u32), (1_u32, 0_u32));
+    loop {
+        let middle = (left.0 + right.0, left.1 + right.1);
+        let value = f64::from(middle.0) / f64::from(middle.1);
+        if value <= low {
+            let run = steps(low, right, left);
+            left = (left.0 + run * right.0, left.1 + run * right.1);
+        } else if value >= high {
+            let run = steps(high, left, right);
+            right = (right.0 + run * left.0, right.1 + run * left.1);
+        } else {
+            return (i32::try_from(middle.0).unwrap_or(i32::MAX), middle.1);
+        }
+    }
+}
+
+/// How many times `by` may be added to `from` before it passes `end`; at least once.
+fn steps(end: f64, by: (u32, u32), from: (u32, u32)) -> u32 {
+    let [by, from] = [by, from].map(|(over, under)| (f64::from(over), f64::from(under)));
+    let run = (end * from.1 - from.0) / (by.0 - end * by.1);
+    (run.floor() as u32).max(1)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::fraction;
+
+    #[test]
+    fn rates_are_the_fractions_that_people_mean() {
+        for (rate, wanted) in [
+            (24.0, (24, 1)),
+            (29.97, (2997, 100)),
+            (23.976_024, (24_000, 1001)),
+            (59.940_06, (60_000, 1001)),
+            (12.5, (25, 2)),
+            (0.001, (1, 1000)),
+            (1000.0, (1000, 1)),
+            (0.333_333_34, (1, 3)),
+        ] {
+            assert_eq!(fraction(rate), wanted, "{rate}");
+        }
+    }
+
+    #[test]
+    fn a_fraction_rounds_to_its_rate() {
+        let (least, most) = (0.001_f32.to_bits(), 1000.0_f32.to_bits());
+        for bits in (least..=most).step_by(99_991) {
+            let rate = f32::from_bits(bits);
+            let (over, under) = fraction(rate);
+            assert_eq!((f64::from(over) / f64::from(under)) as f32, rate);
+        }
+    }
+}
