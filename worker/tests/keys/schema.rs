@@ -169,7 +169,9 @@ impl Schema {
     fn alternatives(&self, schema: &str) -> Vec<String> {
         let keywords = self.object(schema);
         let listed = ALTERNATIVES.into_iter().filter_map(|keyword| Some((keyword, keywords.get(keyword)?.as_array()?)));
-        listed.flat_map(|(keyword, all)| (0..all.len()).map(move |index| format!("{schema}/{keyword}/{index}"))).collect()
+        listed
+            .flat_map(|(keyword, all)| (0..all.len()).map(move |index| format!("{schema}/{keyword}/{index}")))
+            .collect()
     }
 
     /// Whether a value has the form of a schema: its type, its keys, its alternatives.
@@ -222,7 +224,8 @@ impl Schema {
             for point in self.alternatives(schema) {
                 let referred = self.referred(&point);
                 let last = self.object(&referred[referred.len() - 1]);
-                let only = last.get("const").cloned().or((last.get("type") == Some(&json!("null"))).then_some(Value::Null));
+                let only =
+                    last.get("const").cloned().or((last.get("type") == Some(&json!("null"))).then_some(Value::Null));
                 let track = referred.iter().any(|schema| schema == "#/$defs/Track").then(|| tracks(position.value));
                 let kept = pools.get(&point).into_iter().flatten().cloned();
                 let all = only.into_iter().chain(track.into_iter().flatten()).chain(kept);

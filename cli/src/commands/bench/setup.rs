@@ -66,7 +66,9 @@ impl Spread {
 
     fn line(&self, what: &str) -> String {
         let Self { least, median, percentile_95, greatest } = self;
-        format!("  {what:<22} median {median:.1} µs (least {least:.1}, 95 % {percentile_95:.1}, greatest {greatest:.1})")
+        format!(
+            "  {what:<22} median {median:.1} µs (least {least:.1}, 95 % {percentile_95:.1}, greatest {greatest:.1})"
+        )
     }
 }
 
@@ -150,7 +152,9 @@ fn shape(number: usize) -> String {
     };
     let child = match number % 3 {
         0 => r#"{ "sphere": { "radius": 0.2 } }"#,
-        1 => r#"{ "rotate": { "degrees": [15, 30, 0], "child": { "box": { "size": [0.3, 0.2, 0.3], "round": 0.02 } } } }"#,
+        1 => {
+            r#"{ "rotate": { "degrees": [15, 30, 0], "child": { "box": { "size": [0.3, 0.2, 0.3], "round": 0.02 } } } }"#
+        }
         _ => r#"{ "cylinder": { "radius": 0.15, "height": 0.4 } }"#,
     };
     format!(r#"{{ "translate": {{ "by": [{x}, {y}, {z}], "child": {child} }} }}"#)
