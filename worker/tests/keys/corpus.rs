@@ -140,7 +140,7 @@ fn materials() -> Vec<Value> {
         json!({ "surface": { "base_color": texture, "roughness": varied(0.1, 0.9) } }),
         json!({ "surface": { "base_color": [0.5, 0.5, 0.5], "roughness": 0.3, "transmission": 0.8, "ior": varied(1.2, 1.8) } }),
         json!({ "surface": { "metallic": 0.5, "clearcoat": 0.7, "clearcoat_roughness": 0.2, "emission": [0.1, 0, 0] } }),
-        json!({ "diffuse": { "kd": "#8090a0", "ks": [0.8, 0.8, 0.8], "shininess": varied(5.0, 80.0), "ambient": 0.2 } }),
+        json!({ "diffuse": { "kd": "#8090a0", "ks": [0.8, 0.8, 0.8], "shininess": varied(5.0, 80.0), "ambient": [0.2, 0.2, 0.2] } }),
         json!({ "diffuse": { "ka": [0.2, 0.1, 0.1], "kd": [0.5, 0.5, 0.5] } }),
     ]
 }

@@ -65,7 +65,8 @@ fn every_field_of_the_schema_changes_the_key_exactly_where_it_changes_the_bytes(
             .unwrap_or_else(|| panic!("{:?}: {job}", scene::parse(job.to_string().as_bytes()).err()));
         schema.walk(job, &mut |position| change(&schema, &renderer, job, &before, position, &pools, &mut covered));
     }
-    let uncovered: Vec<&String> = schema.points().difference(&covered).collect();
+    let points = schema.points();
+    let uncovered: Vec<&String> = points.difference(&covered).collect();
     assert_eq!(uncovered, WITHOUT_EFFECT, "uncovered: show each in a job of corpus.rs that it changes the pixels of");
 }
 
@@ -136,7 +137,7 @@ fn jobs_that_differ_in_shape_differ_in_the_text_of_their_kernels_or_in_its_numbe
     let renderer = CpuRenderer::new(Some(1), Simd::Auto).unwrap();
     for job in &jobs {
         let program = source(job);
-        let numbers = program.parameters.iter().map(|number| number.to_bits()).collect();
+        let numbers = program.parameters;
         let pixels = shot(&renderer, job).unwrap().pixels.1;
         if let Some((other, others)) = seen.insert((program.text, numbers), (job, pixels.clone())) {
             assert_eq!(pixels, others, "one kernel with the same numbers, and two pictures: {job} and {other}");
