@@ -86,10 +86,13 @@ fn pixels(job: &Job) -> Vec<f32> {
 #[test]
 fn every_kind_survives_the_way_through_json() {
     each(|name, family, _, value| {
-        let read = job(&(family.scene)(value));
-        let written = serde_json::to_string(&read).expect("a job can be written");
-        let again = scene::parse(written.as_bytes()).unwrap_or_else(|refusal| panic!("{name}: {refusal}\n{written}"));
-        assert_eq!(again, read, "{name}");
+        let mut keys = (family.scene)(value);
+        let read = job(&keys);
+        let written = serde_json::to_value(&read.scene).expect("a scene can be written");
+        for (key, value) in keys.as_object_mut().expect("keys of a scene") {
+            *value = written[key].clone();
+        }
+        assert_eq!(job(&keys).scene, read.scene, "{name}: {keys}");
     });
 }
 
