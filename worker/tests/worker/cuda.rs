@@ -215,24 +215,24 @@ fn a_program_that_is_none_is_refused_with_the_compilers_words() {
 }
 
 /// Every number of a JSON value that is no count, made a little larger.
-fn nudge(value: &mut serde_json::Value) {
+fn nudge(value: &mut Value) {
     match value {
-        serde_json::Value::Number(number) => {
+        Value::Number(number) => {
             // Whole powers, counts of iterations and the like are structure; so is nothing at all.
             if let Some(number) = number.as_f64().filter(|number| number.fract() != 0.0) {
                 *value = (number * 1.015_625).into();
             }
         }
-        serde_json::Value::Array(items) => items.iter_mut().for_each(nudge),
-        serde_json::Value::Object(entries) => entries.values_mut().for_each(nudge),
-        serde_json::Value::Null | serde_json::Value::Bool(_) | serde_json::Value::String(_) => {}
+        Value::Array(items) => items.iter_mut().for_each(nudge),
+        Value::Object(entries) => entries.values_mut().for_each(nudge),
+        Value::Null | Value::Bool(_) | Value::String(_) => {}
     }
 }
 
 #[test]
 fn no_number_of_a_scene_is_in_its_text() {
     for Shipped { name, text } in shipped() {
-        let mut changed: serde_json::Value = serde_json::from_slice(&text).expect("a scene is JSON");
+        let mut changed: Value = serde_json::from_slice(&text).expect("a scene is JSON");
         nudge(&mut changed["scene"]);
         let before = scene::parse(&text).expect("a shipped scene is right");
         let before = Source::new(&before.at(0).expect("nothing moves in it"));
