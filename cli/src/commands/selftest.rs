@@ -130,17 +130,14 @@ fn job(name: &str) -> anyhow::Result<Job> {
     scene::parse(&shipped::job_file(name)?).context("a shipped scene is damaged")
 }
 
-/// The job with every layer; scaled to `width` for a quick test if given.
-fn with_layers(job: Job, width: Option<u32>) -> Job {
-    let layers = LAYERS.to_vec();
-    let image = match width {
-        None => Image { layers, ..job.image },
-        Some(width) => {
-            let height = (job.image.height * width / job.image.width).max(1);
-            Image { layers, width, height, samples: 2, ..job.image }
-        }
-    };
-    Job { image, ..job }
+/// The job with every layer; in a size that takes a moment, if a width is given.
+fn with_layers(mut job: Job, width: Option<u32>) -> Job {
+    job.image.layers = LAYERS.to_vec();
+    if let Some(width) = width {
+        let height = (job.image.height * width / job.image.width).max(1);
+        job.image = Image { width, height, samples: 2, ..job.image };
+    }
+    job
 }
 
 fn render(renderer: &dyn Renderer, job: &Job, edge: Option<u32>) -> Result<Vec<Pixels>, RenderError> {

@@ -78,7 +78,7 @@ pub(crate) fn jobs() -> Vec<Value> {
     }));
     scenes.extend(materials().iter().map(|material| scene(&ball(), material, &sun(), &gradient())));
     scenes.extend(shapes().iter().map(|shape| scene(shape, &grey(), &sun(), &gradient())));
-    [plain(), png(), graded()].into_iter().chain(scenes.iter().map(job)).collect()
+    [plain(), png(), graded(), ungraded(), layered()].into_iter().chain(scenes.iter().map(job)).collect()
 }
 
 /// A PNG whose colours are too bright for it.
@@ -87,6 +87,20 @@ fn graded() -> Value {
     job["image"]["exposure"] = json!(1.5);
     job["image"]["tone_map"] = json!("filmic");
     job["image"]["bits"] = json!(16);
+    job
+}
+
+/// A PNG that might as well be an EXR.
+fn ungraded() -> Value {
+    let mut job = png();
+    job["image"]["exposure"] = json!(0);
+    job
+}
+
+/// An EXR with one of the layers.
+fn layered() -> Value {
+    let mut job = plain();
+    job["image"]["layers"] = json!(["depth"]);
     job
 }
 
@@ -147,5 +161,14 @@ fn materials() -> Vec<Value> {
 
 /// Shapes with parameters that no example of theirs has.
 fn shapes() -> Vec<Value> {
-    vec![json!({ "sphere": { "radius": { "keys": [[0, 0.5], [2, 1.5]], "ease": "smooth" } } })]
+    let bumps =
+        |by: Value| json!({ "displace": { "by": by, "amplitude": 0.2, "child": { "sphere": { "radius": 1 } } } });
+    let octaves = |kind: &str| json!({ "noise": { kind: { "octaves": 3, "gain": 0.5, "lacunarity": 2.1 } } });
+    vec![
+        // In the frame that is rendered, each way from key to key has come to another number.
+        json!({ "sphere": { "radius": { "keys": [[0, 0.5], [3, 1.5]], "ease": "smooth" } } }),
+        bumps(json!({ "sine": { "frequency": 7 } })),
+        bumps(octaves("cellular")),
+        bumps(octaves("gardner")),
+    ]
 }

@@ -159,11 +159,20 @@ impl Schema {
             for point in self.alternatives(&schema) {
                 if self.is_met(&point, position.value) {
                     position.path.push(point.clone());
+                    position.path.extend(self.only_property(&point));
                     self.meet(&point, position);
                     break;
                 }
             }
         }
+    }
+
+    /// The property of a schema that has one and demands it: the name of what is inside.
+    fn only_property(&self, schema: &str) -> Option<String> {
+        let keywords = self.object(schema);
+        let (properties, required) = (keywords.get("properties")?.as_object()?, keywords.get("required")?.as_array()?);
+        let key = properties.keys().next().filter(|_| properties.len() == 1 && required.len() == 1)?;
+        Some(format!("{schema}/properties/{key}"))
     }
 
     fn alternatives(&self, schema: &str) -> Vec<String> {
@@ -274,5 +283,5 @@ fn near(number: f64) -> Vec<Value> {
 /// Tracks that a number may have in its place.
 fn tracks(value: &Value) -> Vec<Value> {
     let Some(from) = value.as_f64() else { return Vec::new() };
-    near(from).into_iter().map(|to| json!({ "keys": [[0, from], [2, to]], "ease": "linear" })).collect()
+    near(from).into_iter().map(|to| json!({ "keys": [[0, from], [3, to]], "ease": "linear" })).collect()
 }
