@@ -12,7 +12,7 @@ use worker::{CpuRenderer, RenderError, Renderer, Simd};
 
 use crate::terminal::note;
 
-/// What `--server` is unless said.
+/// Default of `--server`.
 pub(crate) const DEFAULT_SERVER: &str = "http://127.0.0.1:8080";
 /// Most threads one renderer starts.
 pub(crate) const MAX_THREADS: u32 = 4096;
@@ -34,33 +34,33 @@ impl ServerArguments {
     }
 }
 
-/// How the server is called.
+/// Credentials for calling the server.
 #[derive(Clone, Debug, Args)]
 pub(crate) struct AccessArguments {
-    /// Key to bring, as `sdfarm key new` printed it; better given as a variable, which no list of processes shows.
+    /// API key, as printed by `sdfarm key new`; prefer SDFARM_KEY, because process lists show arguments.
     #[arg(long, value_name = "KEY", env = "SDFARM_KEY", hide_env_values = true)]
     key: Option<Secret>,
-    /// Certificates of the authority that vouches for an https server [default: the system's].
+    /// CA certificates (PEM) to trust for https servers [default: the system's].
     #[arg(long, value_name = "FILE", env = "SDFARM_CA")]
     ca: Option<PathBuf>,
 }
 
 impl AccessArguments {
-    /// The same as the client takes it.
+    /// The client's form of these arguments.
     pub(crate) fn access(&self) -> Result<Access, ClientError> {
         Ok(Access::new(self.key.clone(), self.ca.as_deref())?)
     }
 
-    /// The same, with another key.
+    /// The client's form, with another key.
     pub(crate) fn with_key(&self, key: Secret) -> Result<Access, ClientError> {
         Ok(Access::new(Some(key), self.ca.as_deref())?)
     }
 }
 
-/// What to render on.
+/// Device to render on.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Device {
-    /// The best there is: the GPU of this number, or the first; the processor where that can't render.
+    /// The best available: the GPU of this number, or the first; the CPU if no GPU can render.
     Auto(Option<usize>),
     /// The processor.
     Cpu,
@@ -85,10 +85,10 @@ impl FromStr for Device {
     }
 }
 
-/// What a command that renders renders on.
+/// Device of a command that renders.
 #[derive(Clone, Debug, Args)]
 pub(crate) struct RendererArguments {
-    /// What to render on: auto, cpu, cuda or cuda:N.
+    /// Device: auto, cpu, cuda or cuda:N.
     #[arg(long, env = "SDFARM_DEVICE", default_value = "auto")]
     pub(crate) device: Device,
     /// Threads that render on a CPU and encode [default: one for each core].
@@ -101,19 +101,20 @@ pub(crate) struct RendererArguments {
     pub(crate) cuda: CudaArguments,
 }
 
-/// How a GPU renders.
+/// Settings of a GPU renderer.
 #[derive(Clone, Debug, Args)]
 pub(crate) struct CudaArguments {
-    /// Threads of a GPU's blocks, such as 16x8 [default: the fastest for each scene]; the picture is the same with each.
+    /// Block dimensions on a GPU, such as 16x8 [default: the fastest for each scene]; the picture is the
+    /// same with each.
     #[arg(long, value_name = "COLUMNSxROWS", env = "SDFARM_BLOCK")]
     block: Option<Shape>,
-    /// Folder where scenes compiled for a GPU are kept [default: in the user's cache].
+    /// Folder for compiled GPU kernels [default: in the user's cache].
     #[arg(long, value_name = "FOLDER", env = "SDFARM_CACHE")]
     cache: Option<PathBuf>,
 }
 
 impl CudaArguments {
-    /// The same, in blocks of this shape.
+    /// The same settings with these block dimensions.
     pub(crate) fn in_blocks(&self, shape: Shape) -> Self {
         Self { block: Some(shape), ..self.clone() }
     }
@@ -123,7 +124,7 @@ impl CudaArguments {
         self.block
     }
 
-    /// The folder where compiled scenes are kept, if one was named.
+    /// Folder for compiled kernels, if given.
     pub(crate) fn cache(&self) -> Option<&Path> {
         self.cache.as_deref()
     }
@@ -136,7 +137,7 @@ impl CudaArguments {
 }
 
 impl RendererArguments {
-    /// Starts the renderer. Whatever there is will do, if nothing was asked for: a GPU first.
+    /// Starts the renderer. Without a requested device it tries a GPU first.
     pub(crate) fn renderer(&self) -> Result<Arc<dyn Renderer>, RenderError> {
         let ordinal = match self.device {
             Device::Cpu => None,

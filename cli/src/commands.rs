@@ -40,26 +40,26 @@ use clap::Subcommand;
 
 use crate::signals::Signals;
 
-/// What to do.
+/// Command to run.
 #[derive(Debug, Subcommand)]
 pub(crate) enum Command {
     /// Run the farm: the HTTP API, the queue, and workers on this machine.
     Serve(serve::Arguments),
-    /// Render for a server, until it or you say stop.
+    /// Run a worker: render tiles for a server until it drains the worker or you stop it.
     Worker(worker::Arguments),
     /// Render a picture here and now, without a server.
     Render(render::Arguments),
-    /// Hand in a job to a server.
+    /// Submit a job to a server.
     Submit(submit::Arguments),
     /// Follow a job until it is finished.
     Watch(watch::Arguments),
     /// Save a stored picture of a job.
     Fetch(fetch::Arguments),
-    /// Save what is finished of a picture so far.
+    /// Save the finished part of a picture.
     Preview(preview::Arguments),
     /// Sign a link to a picture, for those who have no key.
     Link(link::Arguments),
-    /// Remove the jobs that need not be kept, or tell which those are.
+    /// Remove jobs past their retention, or list them (--dry-run).
     Gc(gc::Arguments),
     /// List jobs, newest first.
     Jobs(jobs::Arguments),
@@ -67,13 +67,13 @@ pub(crate) enum Command {
     Cancel(cancel::Arguments),
     /// Have the dead tiles of a failed job rendered again.
     Retry(retry::Arguments),
-    /// Move a job before or behind others.
+    /// Change a job's priority.
     Priority(priority::Arguments),
-    /// Forget a job and its pictures, or tell what that would take along.
+    /// Delete a job and its pictures, or list what would be deleted (--dry-run).
     Delete(delete::Arguments),
-    /// Let nothing more of a job, or of the farm, be started; what is started goes on.
+    /// Pause a job or the whole farm; running tiles finish.
     Pause(pause::Arguments),
-    /// Let a paused job, or the paused farm, go on.
+    /// Resume a paused job, or the paused farm.
     Resume(pause::Arguments),
     /// Show what a server signs its webhooks with.
     Webhook(webhook::Arguments),
@@ -83,27 +83,27 @@ pub(crate) enum Command {
     Key(key::Arguments),
     /// List who did what.
     Audit(audit::Arguments),
-    /// Check a job file: every fault, with its line and column.
+    /// Check a job file: report every error with its line and column.
     Check(check::Arguments),
     /// Print the JSON Schema of a job file.
     Schema(schema::Arguments),
-    /// Tell what becomes of a job: its size, and the program that a GPU is given.
+    /// Show a job's size in nodes, rays and operations, or its GPU program (--cuda).
     Explain(explain::Arguments),
     /// Measure how fast this machine renders.
     Bench(bench::Arguments),
     /// Check that this machine renders the right bits.
     Selftest(selftest::Arguments),
-    /// Prove a farm on this machine: work it, kill it again and again, and check that nothing is lost or changed.
+    /// Stress-test a temporary farm: kill its processes repeatedly and check that nothing is lost or changed.
     Soak(soak::Arguments),
-    /// Show on one screen how a farm is: its queue, workers, disk, and what should be looked at.
+    /// Show a farm on one screen: queue, workers, disk, and warnings.
     Status(status::Arguments),
-    /// Watch a farm live; q ends it.
+    /// Show a farm live; q quits.
     Top(top::Arguments),
     /// Copy a farm while it runs: its database, and the pictures that are new.
     Backup(backup::Arguments),
     /// Make a farm from a backup, in a new folder.
     Restore(restore::Arguments),
-    /// Look whether all is well with a farm and its machine.
+    /// Check a farm's data folder and machine, and suggest fixes.
     Doctor(doctor::Arguments),
     /// Start a farm, render a shipped scene on it, save the picture, and stop.
     Demo(demo::Arguments),
@@ -113,12 +113,12 @@ pub(crate) enum Command {
 }
 
 impl Command {
-    /// Whether it runs until told to stop.
+    /// Whether the command runs until it is stopped.
     pub(crate) fn is_long_lived(&self) -> bool {
         matches!(self, Self::Serve(_) | Self::Worker(_))
     }
 
-    /// Does it.
+    /// Runs the command; an error becomes the exit code.
     pub(crate) fn run(self) -> anyhow::Result<()> {
         match self {
             Self::Serve(arguments) => run_async(serve::run(arguments)),
@@ -166,7 +166,7 @@ fn run_async<T>(work: impl Future<Output = anyhow::Result<T>>) -> anyhow::Result
     runtime.block_on(work)
 }
 
-/// Runs work that Ctrl-C may drop at any moment: its temporary files go with it.
+/// Runs work that Ctrl-C may drop at any time, together with its temporary files.
 async fn interruptible(work: impl Future<Output = anyhow::Result<()>>) -> anyhow::Result<()> {
     let mut signals = Signals::catch()?;
     tokio::select! {

@@ -1,4 +1,4 @@
-//! What went wrong, as words on standard error and as an exit code.
+//! Errors as messages on standard error and as exit codes.
 
 use proto::problem::FaultView;
 use proto::work::UNFIT_DEVICE;
@@ -9,12 +9,12 @@ use crate::terminal::note;
 const FAILED: u8 = 1;
 const WRONG: u8 = 2;
 
-/// Wrong use: a flag or a file that can't be meant. The message names the cure.
+/// Usage error: an invalid flag or file. The message has the fix.
 #[derive(Debug, thiserror::Error)]
 #[error("{0}")]
 pub(crate) struct Misuse(pub(crate) String);
 
-/// A worker's device does not render, and will not: there is no sense in starting it again.
+/// A worker's device cannot render: starting the worker again would not help.
 #[derive(Debug, thiserror::Error)]
 #[error("{0}")]
 pub(crate) struct NoDevice(pub(crate) anyhow::Error);
@@ -25,7 +25,7 @@ pub(crate) struct NoDevice(pub(crate) anyhow::Error);
 pub(crate) struct BadJob {
     /// The file, as the user named it.
     pub(crate) file: String,
-    /// Its faults.
+    /// Its errors.
     pub(crate) faults: Vec<FaultView>,
 }
 
@@ -33,7 +33,7 @@ fn count(faults: usize) -> String {
     if faults == 1 { "has a fault".to_owned() } else { format!("has {faults} faults") }
 }
 
-/// Tells the user on standard error, and returns the process's exit code.
+/// Prints the error to standard error, and returns the exit code.
 pub(crate) fn report(error: &anyhow::Error) -> u8 {
     if let Some(bad) = error.downcast_ref::<BadJob>() {
         for fault in &bad.faults {
@@ -44,14 +44,14 @@ pub(crate) fn report(error: &anyhow::Error) -> u8 {
     exit_code(error)
 }
 
-/// One fault as compilers print it: `FILE:LINE:COLUMN: pointer: message`.
+/// One error in the form of compilers: `FILE:LINE:COLUMN: pointer: message`.
 fn line(file: &str, fault: &FaultView) -> String {
     let FaultView { pointer, message, line, column } = fault;
     let place = if pointer.is_empty() { String::new() } else { format!("{pointer}: ") };
     format!("{file}:{line}:{column}: {place}{message}")
 }
 
-/// The error and its causes in one line. Of an HTTP client's long chain only the root is told.
+/// The error and its causes in one line. Of an HTTP client's long chain only the root is printed.
 fn words(error: &anyhow::Error) -> String {
     let mut words = String::new();
     let mut after_client = false;

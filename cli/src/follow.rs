@@ -1,4 +1,4 @@
-//! Following a job on a server until nothing will change any more, and fetching its picture.
+//! Follows a job on a server until it has finished, and fetches its picture.
 
 use std::time::{Duration, Instant};
 
@@ -13,9 +13,9 @@ use crate::terminal::note;
 
 const FIRST_WAIT: Duration = Duration::from_millis(20);
 const LONGEST_WAIT: Duration = Duration::from_millis(500);
-/// A server that was there may be away for so long: it restarts.
+/// How long a server that was reachable may be away: it restarts.
 const PATIENCE: Duration = Duration::from_mins(1);
-/// Steps of a progress bar: the server tells a share, not a count.
+/// Steps of a progress bar: the server sends a fraction, not a count.
 const STEPS: f64 = 10_000.0;
 
 /// Waits until the job has succeeded; a job that failed or was cancelled is an error.
@@ -38,8 +38,8 @@ pub(crate) async fn until_done(client: &Client, id: JobId) -> anyhow::Result<Job
     }
 }
 
-/// How the job stands. A server that took the connection and then was gone is waited for; one that nobody ever
-/// reached is not.
+/// First read of the job. A server that accepted the connection and then vanished is retried; one that was
+/// never reached is not.
 async fn first_look(client: &Client, id: JobId) -> Result<JobView, ClientError> {
     let begun = Instant::now();
     let mut was_there = false;
@@ -57,7 +57,7 @@ async fn first_look(client: &Client, id: JobId) -> Result<JobView, ClientError> 
     }
 }
 
-/// Following by events; it comes back by itself when the server does.
+/// Subscription to events; it reconnects when the server returns.
 struct Following<'a> {
     client: &'a Client,
     id: JobId,
@@ -99,7 +99,7 @@ impl<'a> Following<'a> {
         Ok(job)
     }
 
-    /// Shows what is told, until the stream ends.
+    /// Shows events until the stream ends.
     async fn listen(&mut self, progress: &Progress) -> Result<(), ClientError> {
         let Some(mut events) = self.client.events(self.id, self.last_id.as_deref()).await? else { return Ok(()) };
         loop {
@@ -122,7 +122,7 @@ fn is_away(error: &ClientError) -> bool {
     matches!(error, ClientError::Unreachable { .. } | ClientError::Broken { .. }) || error.code() == Some("closing")
 }
 
-/// Asks now and then.
+/// Polls the job.
 async fn poll(client: &Client, id: JobId, progress: &Progress) -> Result<JobView, ClientError> {
     let mut wait = FIRST_WAIT;
     let mut heard = Instant::now();
@@ -154,7 +154,7 @@ pub(crate) async fn fetch(client: &Client, id: JobId, frame: u32, path: &str) ->
     Ok(())
 }
 
-/// What there is to say of a job in one line.
+/// Summary of a job in one line.
 pub(crate) fn line(job: &JobView) -> String {
     let percent = (job.progress * 100.0).floor();
     let paused = if job.paused { "  (paused)" } else { "" };

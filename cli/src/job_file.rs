@@ -1,4 +1,4 @@
-//! Job files: reading one, and telling every fault with its line and column.
+//! Job files: reads one, and reports every error with its line and column.
 
 use std::fs::File;
 use std::io::Read;
@@ -14,7 +14,7 @@ use crate::failure::{BadJob, Misuse};
 pub(crate) struct JobFile {
     /// The file, as the user named it.
     pub(crate) name: String,
-    /// What is in it.
+    /// Its content.
     pub(crate) text: Vec<u8>,
 }
 
@@ -48,7 +48,7 @@ impl JobFile {
         })
     }
 
-    /// Gives a server's refusal of this file the file's name.
+    /// Adds the file's name to a server's rejection.
     pub(crate) fn refused(&self, error: ClientError) -> anyhow::Error {
         match error {
             ClientError::Problem(problem) if !problem.errors.is_empty() => {

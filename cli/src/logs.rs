@@ -15,10 +15,10 @@ use tracing_subscriber::{EnvFilter, Layer};
 use crate::failure::Misuse;
 pub(crate) use traces::Traces;
 
-/// What this process was told about logs and traces, which the workers that it starts are told as well.
+/// Settings of logs and traces of this process, which its workers inherit.
 static INHERITED: OnceLock<Vec<(&'static str, String)>> = OnceLock::new();
 
-/// How logs are written.
+/// Format of logs.
 #[derive(Clone, Copy, Debug, ValueEnum)]
 pub(crate) enum Format {
     /// One line of text an event.
@@ -30,7 +30,7 @@ pub(crate) enum Format {
 /// The flags every command takes.
 #[derive(Debug, Args)]
 pub(crate) struct Logs {
-    /// How logs are written to standard error.
+    /// Format of logs on standard error.
     #[arg(long = "log", value_name = "FORMAT", env = "SDFARM_LOG_FORMAT", default_value = "text", global = true)]
     format: Format,
     /// Log more; `SDFARM_LOG` chooses in detail, as `SDFARM_LOG=server=debug,info`.
@@ -43,15 +43,15 @@ pub(crate) struct Logs {
         global = true
     )]
     verbose: bool,
-    /// Send traces of `serve` and `worker` to this collector, by OTLP over HTTP [default: none, or what
-    /// `OTEL_EXPORTER_OTLP_ENDPOINT` says].
+    /// Send traces of `serve` and `worker` to this collector, by OTLP over HTTP [default: none, or
+    /// `OTEL_EXPORTER_OTLP_ENDPOINT`].
     #[arg(long, value_name = "URL", env = "SDFARM_OTLP", global = true)]
     otlp: Option<String>,
 }
 
 impl Logs {
-    /// Starts logging. Commands that serve log what they do, and trace it if that is wanted; the others only tell
-    /// what is amiss. What is returned sends the last traces when it goes.
+    /// Starts logging. Commands that serve log their work, and export traces if configured; the others
+    /// log only warnings. Dropping the returned guard sends the last traces.
     pub(crate) fn start(&self, is_long_lived: bool) -> anyhow::Result<Option<Traces>> {
         let usual = match (self.verbose, is_long_lived) {
             (true, _) => "debug,hyper=info,h2=info,reqwest=info,sqlx=info,opentelemetry=info",

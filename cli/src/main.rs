@@ -1,7 +1,7 @@
-//! The one binary of sdfarm: reads the command line, starts logs, and turns what went
-//! wrong into words on stderr and an exit code (0 done, 1 failed, 2 wrong use or bad input, 3 a worker's device does not render).
+//! The sdfarm binary: parses the command line, starts logs, and turns errors into messages on stderr and exit
+//! codes (0 done, 1 failed, 2 usage error or bad input, 3 unusable device of a worker).
 //!
-//! What the commands do is in `commands`; nothing here renders or serves.
+//! The commands are in `commands`; nothing here renders or serves.
 
 mod arguments;
 mod commands;
@@ -45,7 +45,8 @@ Exit codes: 0 done, 1 failed, 2 wrong use or bad input; of a worker, 3: its devi
 struct Sdfarm {
     #[command(flatten)]
     logs: logs::Logs,
-    /// Let `SDFARM_FAIL_POINTS` strike this process and its children: for proofs, see docs/proof.md.
+    /// Let `SDFARM_FAIL_POINTS` arm fail points in this process and its children: for tests, see
+    /// docs/proof.md.
     #[arg(long, hide = true, global = true)]
     allow_fail_points: bool,
     #[command(subcommand)]
@@ -57,7 +58,7 @@ fn main() -> ExitCode {
     let done = arm(sdfarm.allow_fail_points).and_then(|()| sdfarm.logs.start(sdfarm.command.is_long_lived())).and_then(
         |traces| {
             let done = sdfarm.command.run();
-            // What is left to be told of it is sent now.
+            // Sends the remaining traces.
             drop(traces);
             done
         },

@@ -1,7 +1,7 @@
 //! Pictures written to files: whole or not at all.
 //!
-//! Bytes go to a temporary file beside the target, which takes the target's name only
-//! when it is complete and on the disk. A pipe or a device gets a copy of the whole.
+//! Bytes go to a temporary file next to the target, which takes the target's name only when it is complete
+//! and on disk. A pipe or a device gets a copy of the whole.
 
 use std::fs::{self, File, Permissions};
 use std::io::{self, Read};
@@ -15,7 +15,7 @@ use tempfile::NamedTempFile;
 use crate::failure::Misuse;
 use crate::terminal::write_bytes;
 
-/// What a new file may be, before the process's mask.
+/// Mode of a new file, before the process's umask.
 const MODE: u32 = 0o666;
 const COPIED_BYTES: usize = 1 << 20;
 
@@ -27,7 +27,7 @@ enum Target {
     Regular(PathBuf),
 }
 
-/// A file being made.
+/// Output file being written.
 #[derive(Debug)]
 pub(crate) struct OutputFile {
     name: String,
@@ -55,22 +55,22 @@ impl OutputFile {
         Ok(Self { name: path.to_owned(), temporary, target })
     }
 
-    /// The bytes go here.
+    /// File to write to.
     pub(crate) fn file(&mut self) -> &mut File {
         self.temporary.as_file_mut()
     }
 
-    /// The temporary file, for whoever must remove it in haste.
+    /// Path of the temporary file, for a signal handler that must delete it.
     pub(crate) fn temporary_path(&self) -> &Path {
         self.temporary.path()
     }
 
-    /// The folder it is made in.
+    /// Folder of the file.
     pub(crate) fn folder(&self) -> &Path {
         folder_of(self.temporary.path())
     }
 
-    /// Makes the file appear: all of its bytes, under its name, on the disk.
+    /// Publishes the file: all of its bytes, under its name, on disk.
     pub(crate) fn commit(self) -> anyhow::Result<()> {
         let Self { name, temporary, target } = self;
         let context = || format!("could not write {name}: free some space there, or write elsewhere");
@@ -102,7 +102,7 @@ pub(crate) fn format_of(path: &str) -> anyhow::Result<Option<Format>> {
     }
 }
 
-/// Refuses a picture whose format can't hold what the job asks for.
+/// Rejects a picture whose format cannot store what the job asks for.
 pub(crate) fn check_format(job: &Job) -> anyhow::Result<()> {
     match job.image.format {
         Format::Png if !job.image.layers.is_empty() => {

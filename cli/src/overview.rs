@@ -1,4 +1,4 @@
-//! How a farm is, from what its server tells: gathered once, shown as text, JSON or live.
+//! State of a farm as its server reports it: collected once, shown as text, JSON or live.
 
 mod samples;
 
@@ -11,12 +11,12 @@ use samples::Samples;
 
 /// Unfinished jobs that are listed, at most.
 const JOBS: u32 = 50;
-/// Less free disk should be looked at.
+/// With less free disk, a warning.
 const LITTLE_DISK_BYTES: f64 = 5e9;
-/// So much of a GPU's memory is as good as all.
+/// Fraction of a GPU's memory that counts as full.
 const FULL_GPU: f64 = 0.95;
 
-/// How a farm is.
+/// State of a farm.
 #[derive(Clone, Debug, Serialize)]
 pub(crate) struct Overview {
     /// The server's address.
@@ -27,9 +27,9 @@ pub(crate) struct Overview {
     pub(crate) version: String,
     /// Seconds since its start.
     pub(crate) uptime_seconds: f64,
-    /// What there is to do.
+    /// Remaining work.
     pub(crate) queue: Queue,
-    /// What was counted since the start.
+    /// Counters since the start.
     pub(crate) totals: Totals,
     /// The local pool.
     pub(crate) pool: PoolView,
@@ -39,14 +39,14 @@ pub(crate) struct Overview {
     pub(crate) jobs: Vec<JobView>,
     /// The data folder.
     pub(crate) disk: Disk,
-    /// What should be looked at.
+    /// Warnings.
     pub(crate) concerns: Vec<String>,
 }
 
-/// What there is to do.
+/// Remaining work.
 #[derive(Clone, Copy, Debug, Serialize)]
 pub(crate) struct Queue {
-    /// Jobs of which nothing was leased.
+    /// Jobs without any lease so far.
     pub(crate) queued: u64,
     /// Jobs that run.
     pub(crate) running: u64,
@@ -54,7 +54,7 @@ pub(crate) struct Queue {
     pub(crate) tiles_ready: u64,
     /// Leases that run.
     pub(crate) tiles_leased: u64,
-    /// Seconds of work; nothing if nobody is there to do it.
+    /// Seconds of work; `None` without workers.
     pub(crate) work_seconds: Option<f64>,
     /// Age of the oldest unfinished job.
     pub(crate) oldest_seconds: f64,
@@ -62,7 +62,7 @@ pub(crate) struct Queue {
     pub(crate) rays_per_second: f64,
 }
 
-/// What was counted since the start.
+/// Counters since the start.
 #[derive(Clone, Copy, Debug, Serialize)]
 pub(crate) struct Totals {
     /// Leases that ran out.
@@ -93,7 +93,7 @@ pub(crate) struct Disk {
     pub(crate) database_bytes: u64,
 }
 
-/// Asks the server everything.
+/// Collects the state from the server.
 pub(crate) async fn gather(client: &Client) -> Result<Overview, ClientError> {
     let health = match client.ready().await {
         Ok(ready) => ready.status,
@@ -192,7 +192,7 @@ impl Overview {
     }
 }
 
-/// A time in the two units that matter: `3 h 20 min`.
+/// A duration in its two largest units: `3 h 20 min`.
 pub(crate) fn duration(seconds: f64) -> String {
     let whole = seconds.max(0.0).round() as u64;
     let (days, hours, minutes) = (whole / 86_400, whole / 3600 % 24, whole / 60 % 60);

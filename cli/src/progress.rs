@@ -13,7 +13,7 @@ use crate::terminal::note;
 const LINE_INTERVAL: Duration = Duration::from_secs(5);
 const BAR: &str = "{msg} [{bar:32}] {percent:>3} %  {elapsed} elapsed, {eta} left";
 
-/// How far something is, for the eyes of a user.
+/// Progress display for users.
 #[derive(Debug)]
 pub(crate) struct Progress {
     shown: Shown,
@@ -40,24 +40,24 @@ impl Progress {
         Self { shown, done: AtomicU64::new(0), total }
     }
 
-    /// Counts, and shows nothing.
+    /// Counts, and displays nothing.
     pub(crate) fn silent() -> Self {
         Self { shown: Shown::Nothing, done: AtomicU64::new(0), total: 0 }
     }
 
-    /// So many units more are done.
+    /// Adds finished units.
     pub(crate) fn add(&self, units: u64) {
         let done = self.done.fetch_add(units, Ordering::Relaxed) + units;
         self.show(done);
     }
 
-    /// So many units are done in all.
+    /// Sets the total of finished units.
     pub(crate) fn set(&self, units: u64) {
         self.done.store(units, Ordering::Relaxed);
         self.show(units);
     }
 
-    /// Clears the bar, whatever became of the work.
+    /// Clears the bar.
     pub(crate) fn finish(&self) {
         match &self.shown {
             Shown::Bar(bar) => bar.finish_and_clear(),
@@ -69,7 +69,7 @@ impl Progress {
         match &self.shown {
             Shown::Bar(bar) => bar.set_position(done),
             Shown::Lines { label, last } => {
-                // Whoever finds the lock taken leaves the line to its holder.
+                // If the lock is taken, its holder prints the line.
                 let Ok(mut last) = last.try_lock() else { return };
                 if last.elapsed() >= LINE_INTERVAL {
                     *last = Instant::now();

@@ -11,7 +11,7 @@ use crate::follow;
 use crate::output_file::OutputFile;
 use crate::terminal::note;
 
-/// Saves each picture in a folder, which is made if it is not there.
+/// Saves each picture in a folder, which is created if missing.
 pub(crate) async fn save(client: &Client, id: JobId, folder: &str, partial: bool) -> anyhow::Result<()> {
     if folder == "-" {
         return Err(Misuse("standard output is no folder: name one, or a file that ends in .zip".to_owned()).into());
@@ -58,7 +58,7 @@ async fn frames(client: &Client, id: JobId) -> anyhow::Result<Vec<FrameView>> {
     }
 }
 
-/// What the server calls the file, unless that would lead out of the folder.
+/// The server's file name, unless it would leave the folder.
 fn file_name(frame: &FrameView) -> String {
     let is_plain = |name: &&String| !name.starts_with('.') && !name.contains(['/', '\\', '\0']);
     frame.file.as_ref().filter(is_plain).cloned().unwrap_or_else(|| format!("frame.{:04}", frame.number))

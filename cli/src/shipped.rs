@@ -1,4 +1,4 @@
-//! The job files that come with sdfarm, within the binary.
+//! The shipped job files, embedded in the binary.
 
 use rust_embed::RustEmbed;
 

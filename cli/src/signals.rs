@@ -4,7 +4,7 @@ use anyhow::Context;
 use tokio::signal::unix::{Signal, SignalKind, signal};
 use tokio_util::sync::CancellationToken;
 
-/// Both signals, caught: from here on they no longer end the process by themselves.
+/// Handlers of both signals: from here on they no longer end the process.
 #[derive(Debug)]
 pub(crate) struct Signals {
     interrupt: Signal,
@@ -18,7 +18,7 @@ impl Signals {
         Ok(Self { interrupt: catch(SignalKind::interrupt())?, terminate: catch(SignalKind::terminate())? })
     }
 
-    /// Returns when one comes.
+    /// Returns at the next signal.
     pub(crate) async fn next(&mut self) {
         tokio::select! {
             _ = self.interrupt.recv() => {}
@@ -26,7 +26,7 @@ impl Signals {
         }
     }
 
-    /// Has the first one ask for an orderly end and the second end the process at once.
+    /// Makes the first signal request a graceful shutdown and the second one end the process at once.
     pub(crate) fn stop_gracefully(mut self, shutdown: CancellationToken) {
         tokio::spawn(async move {
             self.next().await;

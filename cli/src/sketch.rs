@@ -1,6 +1,6 @@
-//! What a server's children do: previews drawn, thumbnails scaled down, samples of jobs rendered.
+//! Work of the server's helper processes: previews, thumbnails, samples of jobs.
 //!
-//! Nothing here talks to a server; what is to be done comes in, a picture or a sample goes out.
+//! Nothing here communicates with a server: a request comes in, a picture or a sample goes out.
 
 mod canvas;
 mod coarse;

@@ -1,8 +1,8 @@
-//! What systemd is told: that the server serves, that it is alive, that it stops. Elsewhere nobody listens.
+//! Notifications to systemd: serving, alive, stopping. Without systemd they do nothing.
 
 use sd_notify::NotifyState;
 
-/// Says that the server serves, and from then on that it lives, as often as it is wanted.
+/// Reports that the server serves, and from then on that it is alive, at the requested interval.
 pub(crate) fn serving(address: &str) {
     tell(&[NotifyState::Ready, NotifyState::Status(&format!("serving {address}"))]);
     let Some(patience) = sd_notify::watchdog_enabled() else { return };
@@ -15,7 +15,7 @@ pub(crate) fn serving(address: &str) {
     });
 }
 
-/// Says that the server stops.
+/// Reports that the server stops.
 pub(crate) fn stopping() {
     tell(&[NotifyState::Stopping]);
 }

@@ -1,6 +1,6 @@
 //! Lines to standard output and standard error.
 //!
-//! A reader that has gone away (`sdfarm jobs | head -1`) is no error, and never a panic.
+//! A reader that has closed the pipe (`sdfarm jobs | head -1`) causes no error and no panic.
 
 use std::io::{ErrorKind, Write};
 
@@ -22,6 +22,6 @@ pub(crate) fn write_bytes(bytes: &[u8]) -> anyhow::Result<()> {
 
 /// Prints a remark to standard error.
 pub(crate) fn note(text: &str) {
-    // Where standard error is closed there is nobody to tell.
+    // If standard error is closed, the line is dropped.
     let _ = writeln!(std::io::stderr().lock(), "{text}");
 }

@@ -1,6 +1,6 @@
-//! How a server is called: by which certificates it is trusted, and with which key.
+//! Client authentication: trusted certificates, and the API key to send.
 //!
-//! It decides nothing about who may do what, and no secret of it shows in logs or errors.
+//! It makes no authorization decision, and none of its secrets appears in logs or errors.
 
 use std::fmt;
 use std::path::{Path, PathBuf};
@@ -10,10 +10,10 @@ use std::time::Duration;
 
 use reqwest::{Certificate, ClientBuilder, RequestBuilder, Url};
 
-/// A connection that is not used for so long is closed by its client: sooner than by any server of ours.
+/// Clients close connections idle for this long: sooner than any sdfarm server does.
 const IDLE: Duration = Duration::from_secs(15);
 
-/// A key or token; it shows itself to nobody who does not ask for it by name.
+/// Key or token; readable only through [`Secret::expose`].
 #[derive(Clone, PartialEq, Eq)]
 pub struct Secret(String);
 
@@ -44,13 +44,13 @@ impl fmt::Debug for Secret {
     }
 }
 
-/// Why a server can't be called as was asked.
+/// Error when preparing calls to a server.
 #[derive(Debug, thiserror::Error)]
 pub enum AccessError {
     /// The server's address can't be used.
     #[error("{server:?} is no server's address: write it as http://HOST:PORT or https://HOST:PORT")]
     Address {
-        /// What was given.
+        /// Given address.
         server: String,
     },
     /// The authority's file can't be read.
@@ -58,7 +58,7 @@ pub enum AccessError {
     Authority {
         /// The file.
         file: PathBuf,
-        /// What is wrong with it.
+        /// Reason.
         reason: String,
     },
     /// A secret holds what no header can carry.
@@ -66,7 +66,7 @@ pub enum AccessError {
     Key,
 }
 
-/// How a server is called. The default brings no key and trusts the system's certificates.
+/// How to call a server. The default sends no key and trusts the system's certificates.
 #[derive(Clone, Debug, Default)]
 pub struct Access {
     key: Option<Secret>,
@@ -88,13 +88,13 @@ impl Access {
         Ok(Self { key, authorities })
     }
 
-    /// What calls this server, to be completed with time limits.
+    /// HTTP client builder for this server, to be completed with timeouts.
     pub fn client(&self, server: &Url) -> ClientBuilder {
         let builder = client_builder();
         if server.scheme() == "https" && self.authorities.is_empty() {
             return builder;
         }
-        // Without TLS the system's certificates need not be there, and are not worth the time it takes to read them.
+        // Without TLS the system's certificates are not needed, and reading them takes time.
         builder.tls_certs_only(self.authorities.iter().cloned())
     }
 
@@ -126,8 +126,8 @@ pub fn server_url(server: &str) -> Result<Url, AccessError> {
     if is_plain && ["http", "https"].contains(&url.scheme()) { Ok(url) } else { Err(wrong()) }
 }
 
-/// What makes clients of HTTP: every one of this process has to come from here, for
-/// the process has to choose its cryptography before the first is built.
+/// Starts every HTTP client of this process, because the process has to choose its cryptography before the
+/// first client is built.
 pub fn client_builder() -> ClientBuilder {
     static CHOSEN: Once = Once::new();
     // Fails only where another part of the process has chosen already, which is as good.

@@ -1,4 +1,4 @@
-//! What users may change of a job, what deleting one would take along, and its frames.
+//! Changes of a job, the preview of a deletion, and a job's frames.
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -7,13 +7,13 @@ use serde::{Deserialize, Serialize};
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct JobPatch {
-    /// Higher goes first.
+    /// Jobs of higher priority are leased first.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[schemars(range(min = -100, max = 100))]
     pub priority: Option<i32>,
 }
 
-/// The answer to `DELETE /v1/jobs/{id}?dry_run=true`: what would go.
+/// Response to `DELETE /v1/jobs/{id}?dry_run=true`: what would be deleted.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 pub struct DeletePreview {
     /// Pictures that no other job shows.
@@ -26,7 +26,7 @@ pub struct DeletePreview {
     pub rows: u64,
 }
 
-/// Where a frame stands.
+/// Lifecycle of a frame: waiting, open, stitching, then stored or void.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum FrameState {
@@ -34,11 +34,11 @@ pub enum FrameState {
     Waiting,
     /// Its tiles are rendered.
     Open,
-    /// Its picture is made from its tiles.
+    /// Its picture is being made from its tiles.
     Stitching,
     /// Its picture is stored.
     Stored,
-    /// Its job ended before it was stored.
+    /// Its job finished before it was stored.
     Void,
 }
 
@@ -55,12 +55,12 @@ impl FrameState {
     }
 }
 
-/// A frame, as `GET /v1/jobs/{id}/frames` shows it.
+/// Frame, as `GET /v1/jobs/{id}/frames` returns it.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 pub struct FrameView {
     /// Its number, from 0.
     pub number: u32,
-    /// Where it stands.
+    /// State.
     pub state: FrameState,
     /// BLAKE3 of its picture's bytes, in hex; null until it is stored.
     pub picture: Option<String>,
@@ -68,7 +68,7 @@ pub struct FrameView {
     pub size_bytes: Option<u64>,
     /// Its picture's address on this server; null until it is stored.
     pub image: Option<String>,
-    /// What its picture's file may be called; null until it is stored.
+    /// Suggested file name of its picture; null until it is stored.
     pub file: Option<String>,
 }
 
@@ -77,6 +77,6 @@ pub struct FrameView {
 pub struct FramePage {
     /// The frames.
     pub frames: Vec<FrameView>,
-    /// What to pass as `cursor` for the next page; null on the last.
+    /// `cursor` of the next page; null on the last.
     pub next_cursor: Option<String>,
 }

@@ -1,6 +1,6 @@
 //! A typed client of the users' HTTP API.
 //!
-//! It carries and names; what to show, retry or wait for is its caller's business.
+//! It sends requests and names errors; display, retries and waiting are up to its caller.
 
 mod jobs;
 mod pictures;
@@ -23,35 +23,35 @@ use crate::{JobId, Problem};
 pub use jobs::{Events, Submission};
 
 const CONNECT_TIMEOUT: Duration = Duration::from_secs(10);
-/// No route of the users' API is silent for so long.
+/// No route of the users' API is silent for this long.
 const READ_TIMEOUT: Duration = Duration::from_mins(2);
 /// Most of an unexpected answer that an error quotes, in characters.
 const QUOTED_CHARACTERS: usize = 200;
 
-/// Why the server could not be asked, or what it refused.
+/// Error of a request, or the server's rejection.
 #[derive(Debug, thiserror::Error)]
 pub enum ClientError {
-    /// The server says no, and why.
+    /// The server rejected the request.
     #[error("{}", .0.detail)]
     Problem(Box<Problem>),
-    /// Nobody listens there.
+    /// No server listens there.
     #[error("no server answers at {server}: start one with `sdfarm serve`, or name another with --server")]
     Unreachable {
         /// The address that was tried.
         server: String,
-        /// What the connection said.
+        /// Error of the connection.
         #[source]
         source: reqwest::Error,
     },
     /// The server's address, the key or the authority can't be used.
     #[error(transparent)]
     Access(#[from] AccessError),
-    /// The connection broke, or its other end was silent for too long.
+    /// The connection broke, or the server was silent for too long.
     #[error("the connection to {server} broke: see the server's log, and try again")]
     Broken {
         /// The address.
         server: String,
-        /// What the connection said.
+        /// Error of the connection.
         #[source]
         source: reqwest::Error,
     },
@@ -62,7 +62,7 @@ pub enum ClientError {
         server: String,
         /// The HTTP status.
         status: u16,
-        /// How the answer begins.
+        /// Beginning of the response.
         body: String,
     },
     /// A picture arrived, but could not be written.
@@ -93,12 +93,12 @@ pub struct Client {
 }
 
 impl Client {
-    /// A client, without key, of the server at `http://HOST:PORT`; nothing is sent yet.
+    /// Client without a key for the server at `http://HOST:PORT`; sends nothing yet.
     pub fn new(server: &str) -> Result<Self, ClientError> {
         Self::with_access(server, Access::default())
     }
 
-    /// A client of the server at `http://HOST:PORT` or `https://HOST:PORT`; nothing is sent yet.
+    /// Client for the server at `http://HOST:PORT` or `https://HOST:PORT`; sends nothing yet.
     pub fn with_access(server: &str, access: Access) -> Result<Self, ClientError> {
         let url = server_url(server)?;
         let server = server.trim_end_matches('/');
@@ -111,12 +111,12 @@ impl Client {
         Ok(Self { http, server: server.to_owned(), access })
     }
 
-    /// The server's address, without a slash at its end.
+    /// The server's address, without a trailing slash.
     pub fn server(&self) -> &str {
         &self.server
     }
 
-    /// Hands in a job file. With `no_cache` it is rendered even if its pictures are stored already.
+    /// Submits a job file. With `no_cache` it is rendered even if its pictures are already stored.
     pub async fn submit(&self, job: Vec<u8>, no_cache: bool) -> Result<JobView, ClientError> {
         let request = self.request(Method::POST, "/v1/jobs").header(CONTENT_TYPE, "application/json").body(job);
         let request = if no_cache { request.header(CACHE_CONTROL, "no-cache") } else { request };
@@ -129,7 +129,7 @@ impl Client {
         self.json(request.header(CONTENT_TYPE, "application/json").body(job)).await
     }
 
-    /// Where a job stands.
+    /// Reads a job.
     pub async fn job(&self, id: JobId) -> Result<JobView, ClientError> {
         self.json(self.request(Method::GET, &format!("/v1/jobs/{id}"))).await
     }
@@ -156,12 +156,12 @@ impl Client {
         self.json(self.request(Method::POST, &format!("/v1/jobs/{id}/cancel"))).await
     }
 
-    /// Lets nothing more of a job be leased until it is resumed.
+    /// Pauses a job: no more of its tiles are leased until it is resumed.
     pub async fn pause(&self, id: JobId) -> Result<JobView, ClientError> {
         self.json(self.request(Method::POST, &format!("/v1/jobs/{id}/pause"))).await
     }
 
-    /// Lets a paused job go on.
+    /// Resumes a paused job.
     pub async fn resume(&self, id: JobId) -> Result<JobView, ClientError> {
         self.json(self.request(Method::POST, &format!("/v1/jobs/{id}/resume"))).await
     }
@@ -171,12 +171,12 @@ impl Client {
         self.json(self.request(Method::GET, "/v1/farm")).await
     }
 
-    /// Lets nothing more be leased until the farm is resumed.
+    /// Pauses the farm: no more tiles are leased until it is resumed.
     pub async fn pause_farm(&self) -> Result<FarmView, ClientError> {
         self.json(self.request(Method::POST, "/v1/farm/pause")).await
     }
 
-    /// Lets a paused farm go on.
+    /// Resumes a paused farm.
     pub async fn resume_farm(&self) -> Result<FarmView, ClientError> {
         self.json(self.request(Method::POST, "/v1/farm/resume")).await
     }
@@ -201,7 +201,7 @@ impl Client {
         Ok(size_bytes)
     }
 
-    /// Every worker that is not gone.
+    /// Lists every worker that is not gone.
     pub async fn workers(&self) -> Result<WorkerList, ClientError> {
         self.json(self.request(Method::GET, "/v1/workers")).await
     }

@@ -1,6 +1,6 @@
-//! What happens to a job, as `GET /v1/jobs/{id}/events` tells it, and how its text is read.
+//! Events of a job, as `GET /v1/jobs/{id}/events` sends them, and their parser.
 //!
-//! It names and reads; whom to tell and when to stop is decided elsewhere.
+//! It only names and parses; subscriptions are managed elsewhere.
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -12,16 +12,16 @@ use crate::job::{Count, JobState};
 pub struct StateEvent {
     /// The state.
     pub state: JobState,
-    /// What went wrong, in words.
+    /// Error messages.
     pub errors: Vec<String>,
-    /// When: RFC 3339, UTC.
+    /// Time: RFC 3339, UTC.
     pub at: String,
 }
 
 /// Another hundredth of a job's rays is rendered.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct ProgressEvent {
-    /// Share of its rays that are rendered, 0 to 1; never falls.
+    /// Fraction of its rays that are rendered, 0 to 1; never decreases.
     pub progress: f64,
     /// Tiles of all frames.
     pub tiles: Count,
@@ -57,14 +57,14 @@ pub struct FrameEvent {
     pub image: String,
 }
 
-/// Where a job stands; told first where events that were missed are kept no longer.
+/// State of a job; sent first if missed events have been pruned.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct Snapshot {
     /// The job's state.
     pub state: JobState,
-    /// What went wrong, in words.
+    /// Error messages.
     pub errors: Vec<String>,
-    /// Share of its rays that are rendered, 0 to 1.
+    /// Fraction of its rays that are rendered, 0 to 1.
     pub progress: f64,
     /// Tiles of all frames.
     pub tiles: Count,
@@ -87,7 +87,7 @@ pub enum JobEvent {
     Tile(TileEvent),
     /// A frame is stored.
     Frame(FrameEvent),
-    /// Where the job stands.
+    /// State of the job.
     Snapshot(Snapshot),
 }
 
@@ -112,11 +112,11 @@ pub struct Message {
     pub id: Option<String>,
     /// Its name.
     pub event: String,
-    /// What it says.
+    /// Data.
     pub data: String,
 }
 
-/// Takes a stream of server-sent events apart, as the HTML standard says, piece by piece.
+/// Incremental parser of server-sent events, as the HTML standard defines them.
 #[derive(Debug, Default)]
 pub struct Lines {
     rest: Vec<u8>,

@@ -1,9 +1,9 @@
-//! Named fail points: places where a process can be told to die, to err or to dawdle, so that a proof can hit
-//! the instant between two steps that chance would seldom hit.
+//! Fail points: named places where a process can be made to exit, fail or wait, so that a test can hit the
+//! instant between two steps that random kills rarely hit.
 //!
-//! They are in every build, since a farm should be proved with the binary that operators run; unarmed, passing
-//! one is a load of one atomic. Only the program's own hidden flag arms them, once: a stray variable does nothing.
-//! Nothing here knows what its points stand between.
+//! They are in every build, so that tests run the binary that operators run; a disarmed point costs the load
+//! of one atomic. Only the program's own hidden flag arms them, once: the environment variable alone does
+//! nothing. This module knows nothing of the code around its points.
 
 use std::fmt;
 use std::str::FromStr;
@@ -11,11 +11,11 @@ use std::sync::OnceLock;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Duration;
 
-/// Environment variable that says what happens where, read once the hidden flag allows it.
+/// Environment variable with the armed points and their actions, read only if the hidden flag is given.
 pub const VARIABLE: &str = "SDFARM_FAIL_POINTS";
 /// The hidden flag.
 pub const FLAG: &str = "--allow-fail-points";
-/// What a process writes to standard error when a point strikes, before the point's name.
+/// Prefix of the line that a process writes to standard error when a point is triggered.
 pub const MARK: &str = "fail point";
 
 macro_rules! points {
@@ -45,11 +45,11 @@ points! {
     SubmitCommitted = "submit_committed",
     /// Server: a run is leased and committed, its worker has not heard of it.
     Claimed = "claimed",
-    /// Server: a group is committed, nobody is answered.
+    /// Server: a group is committed, no caller has its response.
     GroupCommitted = "group_committed",
-    /// Server: a tile's blob from elsewhere is in the store, its worker has not heard so.
+    /// Server: a remote tile's blob is in the store, its worker has no response.
     BlobStored = "blob_stored",
-    /// Server: a picture from elsewhere is flushed to the disk, no row shows it.
+    /// Server: a remote picture is fsynced, no row names it.
     PictureStored = "picture_stored",
     /// Server: leftover bytes are known to be unneeded, and still there.
     Sweeping = "sweeping",
@@ -65,11 +65,11 @@ points! {
     BlobPut = "blob_put",
     /// Worker: a picture is put, it is not reported.
     PicturePut = "picture_put",
-    /// Worker: a frame's blobs are fetched, its picture is not made.
+    /// Worker: a frame's blobs are fetched, its picture is not encoded.
     Stitching = "stitching",
 }
 
-/// What happens at a point.
+/// Action of a triggered point.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Action {
     /// The process kills itself, as `kill -9` would.
@@ -80,12 +80,12 @@ enum Action {
     Slow(Duration),
 }
 
-/// What is to happen where.
+/// Armed fail point.
 #[derive(Debug)]
 struct Trap {
     point: Point,
     action: Action,
-    /// Which pass it strikes at, from 1; `None` for each.
+    /// Pass at which it triggers, from 1; `None` for each.
     pass: Option<u64>,
     passes: AtomicU64,
 }
@@ -95,7 +95,7 @@ struct Trap {
 #[error("{MARK} {} struck", .0.name())]
 pub struct Struck(pub Point);
 
-/// What [`VARIABLE`] holds is no list of fail points.
+/// [`VARIABLE`] has no list of fail points.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error(
     "{part:?} is no fail point: write NAME=kill, NAME=error or NAME=slow:MILLISECONDS, then @N for the N-th pass alone; names are {}",
@@ -121,7 +121,7 @@ pub fn arm(list: &str) -> Result<(), WrongPoints> {
     Ok(())
 }
 
-/// Whether this process may be hit; its children then may be, too.
+/// Whether points are armed in this process; its children inherit that.
 pub fn is_armed() -> bool {
     TRAPS.get().is_some()
 }
@@ -134,7 +134,7 @@ pub fn pass(point: Point) -> Result<(), Struck> {
     }
 }
 
-/// Passes a point where nothing can fail: only a kill or a delay has an effect.
+/// Passes a point in code that cannot fail: only a kill or a delay has an effect.
 pub fn pass_by(point: Point) {
     // An error is for steps that can fail.
     let _ = pass(point);
@@ -149,7 +149,7 @@ impl Trap {
         eprintln!("{MARK} {} strikes at pass {pass}: {}", self.point.name(), self.action);
         match self.action {
             Action::Kill => loop {
-                // Whatever it answers, there is no way on from here.
+                // Whatever this returns, the process cannot continue.
                 let _ = rustix::process::kill_process(rustix::process::getpid(), rustix::process::Signal::KILL);
             },
             Action::Err => Err(Struck(self.point)),

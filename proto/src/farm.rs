@@ -1,11 +1,11 @@
-//! The farm as a whole, as users see it over HTTP.
+//! State of the farm, as the HTTP API returns it.
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-/// The farm, as `GET /v1/farm` shows it.
+/// State of the farm, as `GET /v1/farm` returns it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 pub struct FarmView {
-    /// Nothing is leased until it is resumed; what is leased already goes on.
+    /// No tiles are leased until the farm is resumed; leased tiles finish and count.
     pub paused: bool,
 }

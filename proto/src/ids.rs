@@ -1,5 +1,5 @@
-//! Identifiers: UUIDv7 newtypes, so that one kind is never taken for another
-//! and ids made later sort later.
+//! Identifiers: UUIDv7 newtypes, so that one kind is never taken for another and later ids sort after earlier
+//! ones.
 
 use std::fmt;
 use std::str::FromStr;
@@ -17,7 +17,7 @@ macro_rules! ids {
         pub struct $Id(Uuid);
 
         impl $Id {
-            /// A new id, greater than every id this process made before.
+            /// New id, greater than every earlier id of this process.
             pub fn new() -> Self {
                 Self(Uuid::now_v7())
             }
@@ -48,7 +48,7 @@ macro_rules! ids {
 ids![
     /// A job: what one POST asked for.
     JobId,
-    /// A worker process, from its start to its end.
+    /// Worker process, from its start to its exit.
     WorkerId,
     /// One worker's hold on one tile or stitch.
     LeaseId,

@@ -1,4 +1,4 @@
-//! Jobs as users see them over HTTP.
+//! Jobs, as the HTTP API returns them.
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -6,7 +6,7 @@ use serde::{Deserialize, Serialize};
 use crate::JobId;
 use crate::sketch::Estimate;
 
-/// Where a job stands.
+/// Lifecycle of a job.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum JobState {
@@ -26,7 +26,7 @@ impl JobState {
     /// Every state, in the order a job passes through them.
     pub const ALL: [Self; 5] = [Self::Queued, Self::Running, Self::Succeeded, Self::Failed, Self::Cancelled];
 
-    /// Nothing will change any more.
+    /// Whether the state is final.
     pub fn is_final(self) -> bool {
         match self {
             Self::Queued | Self::Running => false,
@@ -46,7 +46,7 @@ impl JobState {
     }
 }
 
-/// So many done of so many.
+/// Done and total of something counted.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 pub struct Count {
     /// Finished.
@@ -55,33 +55,33 @@ pub struct Count {
     pub total: u64,
 }
 
-/// A job, as `GET /v1/jobs/{id}` shows it.
+/// Job, as `GET /v1/jobs/{id}` returns it.
 #[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
 pub struct JobView {
     /// Its id.
     pub id: JobId,
     /// The name its author gave it.
     pub name: String,
-    /// Where it stands.
+    /// State.
     pub state: JobState,
-    /// Nothing of it is leased until it is resumed; what is leased already goes on.
+    /// No tiles of it are leased until it is resumed; leased tiles finish and count.
     #[serde(default)]
     pub paused: bool,
-    /// Share of its rays that are rendered, 0 to 1; never falls.
+    /// Fraction of its rays that are rendered, 0 to 1; never decreases.
     pub progress: f64,
     /// Tiles of all frames.
     pub tiles: Count,
     /// Frames; one is done when its picture is stored.
     pub frames: Count,
-    /// What went wrong, in words.
+    /// Error messages.
     pub errors: Vec<String>,
-    /// What its author should know although it renders.
+    /// Warnings for its author; the job renders all the same.
     pub warnings: Vec<String>,
-    /// When it was accepted: RFC 3339, UTC.
+    /// Time of acceptance: RFC 3339, UTC.
     pub created_at: String,
-    /// When its first tile was leased.
+    /// Time at which its first tile was leased.
     pub started_at: Option<String>,
-    /// When it reached a final state.
+    /// Time at which it reached a final state.
     pub finished_at: Option<String>,
     /// Seconds until it should be finished; null where unknown.
     pub eta_seconds: Option<f64>,
@@ -92,11 +92,11 @@ pub struct JobView {
 pub struct JobPage {
     /// The jobs.
     pub jobs: Vec<JobView>,
-    /// What to pass as `cursor` for the next page; null on the last.
+    /// `cursor` of the next page; null on the last.
     pub next_cursor: Option<String>,
 }
 
-/// The answer to `POST /v1/jobs?dry_run=true`: the job is sound.
+/// Response to `POST /v1/jobs?dry_run=true`: the job is valid.
 #[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
 pub struct DryRun {
     /// Always true: an unsound job is answered with a problem.
@@ -107,9 +107,9 @@ pub struct DryRun {
     pub frames: u64,
     /// Camera rays it would trace.
     pub rays: u64,
-    /// What it would take; null if that could not be found out.
+    /// Estimated cost; null if it could not be measured.
     #[serde(default)]
     pub estimate: Option<Estimate>,
-    /// What its author should know although it would render.
+    /// Warnings for its author; the job would render all the same.
     pub warnings: Vec<String>,
 }

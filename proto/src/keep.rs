@@ -1,27 +1,27 @@
-//! How long something is kept, as people write it: `36h`, `7d`, `forever`.
+//! Retention as users write it: `36h`, `7d`, `forever`.
 //!
-//! Nothing here knows what time it is.
+//! Nothing here knows the current time.
 
 use std::fmt;
 use std::str::FromStr;
 use std::time::Duration;
 
-/// Nobody says a longer time but by `forever`.
+/// Longest finite retention; a longer one is written `forever`.
 const MAX_KEPT_SECONDS: u64 = 100 * 366 * 86_400;
 
 /// The units, largest first.
 const UNITS: [(char, u64); 5] = [('w', 604_800), ('d', 86_400), ('h', 3_600), ('m', 60), ('s', 1)];
 
-/// How long something is kept.
+/// How long a job is kept.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Keep {
-    /// Until somebody removes it.
+    /// Until a user deletes it.
     Forever,
-    /// So long, and then it may go.
+    /// For this long after it finishes.
     For(Duration),
 }
 
-/// A text that says no time.
+/// Error returned when a text is not a retention.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("{0:?} is no age: write a number and s, m, h, d or w, such as 36h or 7d (at most 100 years), or forever")]
 pub struct NoAge(String);

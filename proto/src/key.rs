@@ -1,4 +1,4 @@
-//! Keys and the audit log, as administrators see them over HTTP and on the command line.
+//! API keys and the audit log, as administrators see them over HTTP and on the command line.
 //!
 //! A key's secret is in [`IssuedKey`] alone, once.
 
@@ -7,13 +7,13 @@ use serde::{Deserialize, Serialize};
 
 use crate::JobId;
 
-/// What a key lets its bearer do.
+/// Scope of a key.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Scope {
-    /// Hand in jobs, and look at, change and delete jobs of the key's own name.
+    /// Submit jobs, and read, change and delete jobs of the key's own name.
     Submit,
-    /// Look at everything but keys and the audit log.
+    /// Read everything except keys and the audit log.
     Read,
     /// Render: the workers' protocol.
     Worker,
@@ -40,11 +40,11 @@ impl Scope {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum KeyState {
-    /// It does.
+    /// Valid.
     Live,
-    /// Its time is over.
+    /// Expired.
     Expired,
-    /// It was revoked.
+    /// Revoked.
     Revoked,
 }
 
@@ -52,21 +52,21 @@ pub enum KeyState {
 #[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct NewKey {
-    /// Whose key it is: 1 to 64 letters, digits, dots, dashes and underscores. Jobs handed in with it are this
-    /// name's, and up to two live keys may have one name.
+    /// Owner's name: 1 to 64 letters, digits, dots, dashes and underscores. Jobs submitted with the key
+    /// belong to this name; up to two live keys may share a name.
     pub name: String,
-    /// What it lets its bearer do; one scope at least.
+    /// Scopes, at least one.
     pub scopes: Vec<Scope>,
     /// Seconds until it expires; without, it never does.
     #[serde(default)]
     pub expires_in_seconds: Option<u64>,
-    /// Unfinished jobs that its name may have; without, the server's own limit holds.
+    /// Maximum number of unfinished jobs of its name; the server's default if absent.
     #[serde(default)]
     pub max_jobs: Option<u32>,
-    /// Camera rays that the unfinished jobs of its name may have together.
+    /// Maximum number of camera rays of the unfinished jobs of its name together.
     #[serde(default)]
     pub max_rays: Option<u64>,
-    /// Requests a second that it may make; without, the server's own limit holds.
+    /// Maximum number of requests per second; the server's default if absent.
     #[serde(default)]
     pub requests_per_second: Option<u32>,
 }
@@ -76,32 +76,32 @@ pub struct NewKey {
 pub struct KeyView {
     /// Its id, by which it is revoked.
     pub id: String,
-    /// Whose it is.
+    /// Owner's name.
     pub name: String,
     /// Whether it lets anyone in.
     pub state: KeyState,
-    /// What it lets its bearer do.
+    /// Scopes.
     pub scopes: Vec<Scope>,
-    /// Unfinished jobs that its name may have; null is the server's own limit.
+    /// Maximum number of unfinished jobs of its name; null means the server's default.
     pub max_jobs: Option<u32>,
-    /// Camera rays that the unfinished jobs of its name may have together; null is any number.
+    /// Maximum number of camera rays of the unfinished jobs of its name together; null means no limit.
     pub max_rays: Option<u64>,
-    /// Requests a second that it may make; null is the server's own limit.
+    /// Maximum number of requests per second; null means the server's default.
     pub requests_per_second: Option<u32>,
-    /// When it was made.
+    /// Time of creation.
     pub created_at: String,
-    /// When it expires; null is never.
+    /// Time of expiry; null means never.
     pub expires_at: Option<String>,
-    /// When it was revoked.
+    /// Time of revocation.
     pub revoked_at: Option<String>,
-    /// When it was last used, to about a minute.
+    /// Time of its last use, to about a minute.
     pub last_used_at: Option<String>,
 }
 
-/// A key that was just made, with its secret: the only time that it is shown.
+/// New key with its secret, which is shown only here.
 #[derive(Clone, Serialize, Deserialize, JsonSchema)]
 pub struct IssuedKey {
-    /// The secret, to be sent as `Authorization: Bearer …`; nobody can show it again.
+    /// Secret, to be sent as `Authorization: Bearer …`; it cannot be shown again.
     pub secret: String,
     /// The key.
     pub key: KeyView,
@@ -113,25 +113,26 @@ impl std::fmt::Debug for IssuedKey {
     }
 }
 
-/// The answer of `GET /v1/keys`.
+/// Response of `GET /v1/keys`.
 #[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
 pub struct KeyList {
     /// Every key, newest first.
     pub keys: Vec<KeyView>,
 }
 
-/// Who did what, or was refused.
+/// Entry of the audit log: a change or a rejection.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 pub struct AuditEntry {
     /// Its number; later entries have higher ones.
     pub number: i64,
-    /// When.
+    /// Time.
     pub at: String,
-    /// The key's name, `local` while there are no keys, `pool` for the server's own workers, `-` for nobody known.
+    /// Name of the key; `local` while there are no keys, `pool` for the server's own workers, `-` if
+    /// unknown.
     pub who: String,
     /// The key's id, if it was a key.
     pub key: Option<String>,
-    /// Where the request came from, without port.
+    /// Client's address, without port.
     pub address: String,
     /// The request's method.
     pub method: String,
@@ -141,19 +142,19 @@ pub struct AuditEntry {
     pub job: Option<JobId>,
     /// The answer's status.
     pub status: u16,
-    /// The problem's code, of a refusal.
+    /// Problem code of a rejection.
     pub code: Option<String>,
     /// The request's id, as in the server's log.
     pub request_id: String,
-    /// How many times the same was refused within a moment.
+    /// Number of equal rejections in quick succession.
     pub times: u32,
 }
 
-/// The answer of `GET /v1/audit`.
+/// Response of `GET /v1/audit`.
 #[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
 pub struct AuditPage {
     /// Entries, newest first.
     pub entries: Vec<AuditEntry>,
-    /// Where the next page begins; null on the last.
+    /// Cursor of the next page; null on the last.
     pub next_cursor: Option<String>,
 }

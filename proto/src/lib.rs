@@ -1,7 +1,7 @@
-//! What the parts of sdfarm say to each other: ids, jobs as users see them,
-//! tiles, the workers' protocol, problems, and a typed client.
+//! Types that the parts of sdfarm exchange: ids, jobs as users see them, tiles, the workers' protocol,
+//! problems, and a typed client.
 //!
-//! Nothing here renders, stores or decides; it only names and carries.
+//! Nothing here renders, stores or decides.
 
 pub mod access;
 pub mod change;

@@ -1,4 +1,5 @@
-//! Signed links to pictures: whoever has one sees that picture until it expires, without a key.
+//! Signed links to pictures: any client with a link can read that picture until the link expires, without a
+//! key.
 
 use std::fmt;
 
@@ -6,17 +7,17 @@ use schemars::JsonSchema;
 use serde::de::{Error, Unexpected, Visitor};
 use serde::{Deserialize, Deserializer, Serialize};
 
-/// The longest a link may be valid, in seconds.
+/// Maximum validity of a link, in seconds.
 pub const MAX_LINK_SECONDS: u32 = 366 * 86_400;
 
-/// What a link shows.
+/// Content of a link.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Shown {
     /// The stored picture.
     #[default]
     Image,
-    /// What is finished so far, as PNG.
+    /// The finished part so far, as PNG.
     Preview,
 }
 
@@ -30,20 +31,20 @@ impl Shown {
     }
 }
 
-/// What one posts to have a link made.
+/// Request for a link.
 #[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct LinkRequest {
-    /// How long the link is valid, in seconds.
+    /// Validity of the link, in seconds.
     #[schemars(range(min = 1, max = MAX_LINK_SECONDS))]
     #[serde(deserialize_with = "seconds")]
     pub expires_in_seconds: u32,
-    /// What it shows.
+    /// Content of the link.
     #[serde(default)]
     pub shows: Shown,
 }
 
-/// Reads a link's time; whatever else there is, is told the range.
+/// Parses a validity; any other value gets an error with the range.
 fn seconds<'de, D: Deserializer<'de>>(deserializer: D) -> Result<u32, D::Error> {
     deserializer.deserialize_u64(Seconds)
 }
@@ -68,6 +69,6 @@ impl Visitor<'_> for Seconds {
 pub struct LinkView {
     /// The address, to be put behind the server's.
     pub url: String,
-    /// When it expires: RFC 3339, UTC.
+    /// Time of expiry: RFC 3339, UTC.
     pub expires_at: String,
 }

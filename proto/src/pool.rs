@@ -1,4 +1,4 @@
-//! Workers and the local pool as users see them over HTTP.
+//! Workers and the local pool, as the HTTP API returns them.
 
 use std::fmt;
 
@@ -8,10 +8,10 @@ use serde::{Deserialize, Deserializer, Serialize};
 
 use crate::WorkerId;
 
-/// Most workers the local pool may hold.
+/// Maximum number of workers in the local pool.
 pub const MAX_POOL_WORKERS: u32 = 256;
 
-/// Where a worker stands.
+/// Lifecycle of a worker. `quarantined` workers get no work until they are restarted.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum WorkerState {
@@ -21,22 +21,22 @@ pub enum WorkerState {
     Ready,
     /// Finishes what it holds and takes no more.
     Draining,
-    /// Ended.
+    /// Exited or lost.
     Gone,
     /// Failed its test, or failed too often.
     Quarantined,
 }
 
-/// A worker, as `GET /v1/workers` shows it.
+/// Worker, as `GET /v1/workers` returns it.
 #[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
 pub struct WorkerView {
     /// Its id, new at every start.
     pub id: WorkerId,
     /// Its label.
     pub name: String,
-    /// What it renders on: `cpu` or `cuda:0`.
+    /// Device: `cpu` or `cuda:0`.
     pub device: String,
-    /// Where it stands.
+    /// State.
     pub state: WorkerState,
     /// Measured camera rays a second; null before its first tile.
     pub rays_per_second: Option<f64>,
@@ -44,7 +44,7 @@ pub struct WorkerView {
     pub leases: u64,
 }
 
-/// The answer of `GET /v1/workers`.
+/// Response of `GET /v1/workers`.
 #[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
 pub struct WorkerList {
     /// Every worker that is not gone.
@@ -61,7 +61,7 @@ pub struct PoolSize {
     pub workers: u32,
 }
 
-/// Reads a number of workers; whatever else there is, is told the range.
+/// Parses a number of workers; any other value gets an error with the range.
 fn workers<'de, D: Deserializer<'de>>(deserializer: D) -> Result<u32, D::Error> {
     deserializer.deserialize_u64(Workers)
 }

@@ -1,4 +1,4 @@
-//! Errors as users see them over HTTP: RFC 9457 problem details.
+//! Errors of the HTTP API: RFC 9457 problem details.
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -12,15 +12,15 @@ pub struct Problem {
     /// Where the code is described: `/docs#code`.
     #[serde(rename = "type")]
     pub kind: String,
-    /// What sort of problem it is, in words; the same for every problem of one code.
+    /// Title of the problem type; the same for every problem with one code.
     pub title: String,
     /// The HTTP status.
     pub status: u16,
     /// Stable name for programs.
     pub code: String,
-    /// What went wrong this time, and the cure.
+    /// What went wrong in this request, and the fix.
     pub detail: String,
-    /// The faults of a bad job.
+    /// Errors of an invalid job.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub errors: Vec<FaultView>,
     /// Id of the request, as in the server's log.
@@ -28,12 +28,12 @@ pub struct Problem {
     pub request_id: Option<String>,
 }
 
-/// One fault of a bad job.
+/// One error of an invalid job.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 pub struct FaultView {
     /// JSON pointer (RFC 6901) to the place; an unknown key points at the key, a missing one at its parent.
     pub pointer: String,
-    /// What is wrong there, and the cure.
+    /// What is wrong there, and the fix.
     pub message: String,
     /// Line in the body, from 1.
     pub line: u32,

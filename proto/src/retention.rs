@@ -1,17 +1,17 @@
-//! What a look for jobs that need not be kept found.
+//! Result of a garbage collection.
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use crate::JobId;
 
-/// Why a job goes.
+/// Reason for a deletion.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Reason {
-    /// It finished longer ago than it is to be kept.
+    /// It finished longer ago than its retention.
     Age,
-    /// The store is larger than it may be, and this is among the jobs that finished first.
+    /// The store is larger than its limit, and the job is among those that finished first.
     Size,
 }
 
@@ -25,34 +25,34 @@ impl Reason {
     }
 }
 
-/// A job that goes.
+/// Deleted job.
 #[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
 pub struct Collected {
     /// Its id.
     pub id: JobId,
     /// Its name.
     pub name: String,
-    /// When it reached its final state: RFC 3339, UTC.
+    /// Time at which it reached its final state: RFC 3339, UTC.
     pub finished_at: String,
-    /// Why it goes.
+    /// Reason for its deletion.
     pub reason: Reason,
     /// Bytes of pictures that no other job shows.
     pub freed_bytes: u64,
 }
 
-/// The answer to `POST /v1/gc`: what went, or would go.
+/// Response to `POST /v1/gc`: the jobs that were deleted, or would be.
 #[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
 pub struct Collection {
-    /// Nothing was removed; this is what would be.
+    /// Nothing was deleted; the response lists what would be.
     pub dry_run: bool,
     /// Bytes of pictures and tiles before.
     pub store_bytes: u64,
-    /// What the store may have, as the server was told; null for no limit.
+    /// The store's limit; null means no limit.
     pub max_store_bytes: Option<u64>,
     /// Bytes that the jobs' pictures take.
     pub freed_bytes: u64,
-    /// The jobs, in the order in which they go.
+    /// The jobs, in the order of deletion.
     pub jobs: Vec<Collected>,
-    /// There may be more that need not be kept: ask again.
+    /// More jobs may be past their retention: repeat the request.
     pub more: bool,
 }

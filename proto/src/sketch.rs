@@ -1,5 +1,5 @@
-//! What a server has a child process draw or measure: a line of JSON on its standard input, an answer on
-//! its standard output. The server itself touches no pixel and runs no scene.
+//! Requests to the server's helper process, which draws or measures: a line of JSON on its standard input, a
+//! response on its standard output. The server itself touches no pixel and evaluates no scene.
 
 use std::path::PathBuf;
 
@@ -9,21 +9,21 @@ use serde::{Deserialize, Serialize};
 /// The command a child is started with, as first argument of the worker program.
 pub const COMMAND: &str = "sketch";
 
-/// What is to be made.
+/// Request to a helper process.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 #[serde(tag = "what", rename_all = "snake_case", deny_unknown_fields)]
 pub enum Sketch {
-    /// A PNG of a frame that is not stored: its finished tiles over a coarse first pass.
+    /// PNG of a frame that is not stored: its finished tiles over a coarse pass.
     Unfinished {
         /// The job file.
         job: String,
         /// The frame, from 0.
         frame: u32,
-        /// How wide the PNG is at most, in pixels.
+        /// Maximum width of the PNG, in pixels.
         width_px: u32,
         /// Blobs of finished tiles; those that can't be read are left out.
         tiles: Vec<PathBuf>,
-        /// Where the coarse pass is kept: read if it is there, else made.
+        /// Path of the coarse pass: read if it exists, otherwise rendered and written.
         coarse: PathBuf,
         /// Most time for the coarse pass, in milliseconds.
         coarse_ms: u64,
@@ -32,7 +32,7 @@ pub enum Sketch {
     Stored {
         /// The picture's file.
         file: PathBuf,
-        /// How wide the PNG is at most, in pixels.
+        /// Maximum width of the PNG, in pixels.
         width_px: u32,
     },
     /// A [`Sample`] of a job, as JSON.
@@ -46,14 +46,15 @@ pub enum Sketch {
     },
 }
 
-/// What a sample of a job's pixels took to render.
+/// Measured cost of a sample of a job's pixels.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct Sample {
     /// Camera rays of the sample.
     pub rays: u64,
     /// Time that one thread needs for a ray when all threads render, in seconds.
     pub thread_seconds_per_ray: f64,
-    /// Time that one thread needs to get a tile ready, in seconds: reading the scene as it stands, and its program.
+    /// Time of one thread to prepare a tile, in seconds: evaluating the job at the frame, and building
+    /// its integrator.
     pub setup_seconds_per_tile: f64,
     /// Time that one thread needs to put a pixel into the picture's file, in seconds.
     pub encode_seconds_per_pixel: f64,
@@ -62,7 +63,7 @@ pub struct Sample {
 }
 
 impl Sample {
-    /// Time that one thread needs for so many rays, tiles and pixels of files, in seconds.
+    /// Time of one thread for this many rays, tiles and file pixels, in seconds.
     pub fn core_seconds(&self, rays: u64, tiles: u64, pixels: u64) -> f64 {
         let counts = [rays, tiles, pixels].map(|count| count as f64);
         let each = [self.thread_seconds_per_ray, self.setup_seconds_per_tile, self.encode_seconds_per_pixel];
@@ -70,10 +71,10 @@ impl Sample {
     }
 }
 
-/// What a job would take, judged by rendering a sample of its pixels.
+/// Estimated cost of a job, from rendering a sample of its pixels.
 #[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
 pub struct Estimate {
-    /// Seconds until its last picture is stored, if the farm's present workers had nothing else to do; null
+    /// Seconds until its last picture is stored, if the farm's present workers did nothing else; null
     /// without workers.
     pub seconds: Option<f64>,
     /// Seconds of one processor core.

@@ -2,7 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
-/// Tiles start and end on multiples of this many pixels, or at the picture's edge.
+/// Tile edges are multiples of this many pixels, except at the picture's right and bottom edge.
 pub const GRID_PX: u32 = 32;
 /// Sample rays in a tile of ordinary size: about a second on one core.
 pub const TILE_RAYS: u64 = 1 << 20;
@@ -36,7 +36,7 @@ impl Rect {
     }
 }
 
-/// What decides the size of a frame's tiles.
+/// Settings that decide the size of a frame's tiles.
 #[derive(Clone, Copy, Debug)]
 pub struct Tiling {
     /// Picture width, in pixels.

@@ -1,6 +1,6 @@
-//! Traces that go from process to process, as W3C `traceparent` headers carry them.
+//! Trace context between processes, as W3C `traceparent` headers carry it.
 //!
-//! Where no exporter listens, spans have no trace and all of this does nothing.
+//! Without an exporter, spans have no trace and all of this does nothing.
 
 use opentelemetry::Context;
 use opentelemetry::trace::{SpanContext, SpanId, TraceContextExt, TraceFlags, TraceId, TraceState};
@@ -10,7 +10,7 @@ use tracing_opentelemetry::OpenTelemetrySpanExt;
 /// The header's name.
 pub const TRACEPARENT: &str = "traceparent";
 
-/// The span that others are to continue: as the header says it; `None` if nothing listens.
+/// `traceparent` of a span; `None` without an exporter.
 pub fn of(span: &Span) -> Option<String> {
     let context = span.context();
     let context = context.span().span_context().clone();
@@ -19,15 +19,15 @@ pub fn of(span: &Span) -> Option<String> {
         .then(|| format!("00-{}-{}-{:02x}", context.trace_id(), context.span_id(), context.trace_flags().to_u8() & 1))
 }
 
-/// The current span, as the header says it.
+/// `traceparent` of the current span.
 pub fn current() -> Option<String> {
     of(&Span::current())
 }
 
-/// Makes a span that has not been entered yet the continuation of what a header says; anything else is left alone.
+/// Makes a span that has not been entered yet a child of the header's span; an invalid header is ignored.
 pub fn adopt(span: &Span, traceparent: &str) {
     if let Some(parent) = parse(traceparent) {
-        // A span that nothing listens to has no parent to set.
+        // A span without an exporter has no parent to set.
         let _ = span.set_parent(Context::new().with_remote_span_context(parent));
     }
 }

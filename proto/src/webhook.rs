@@ -1,15 +1,15 @@
-//! What became of the messages to a job's webhooks, as `GET /v1/jobs/{id}/webhooks` shows it.
+//! Deliveries to a job's webhooks, as `GET /v1/jobs/{id}/webhooks` returns them.
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-/// Where a delivery stands.
+/// State of a delivery.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum DeliveryState {
-    /// It will be tried, or tried again.
+    /// An attempt is due now or later.
     Pending,
-    /// It was taken.
+    /// The receiver accepted it.
     Delivered,
     /// Its attempts are used up, or its receiver is gone.
     Failed,
@@ -32,15 +32,15 @@ impl DeliveryState {
 pub struct DeliveryView {
     /// Its id, as the header `webhook-id` has it in every attempt.
     pub id: String,
-    /// What it tells.
+    /// Event type.
     pub event: String,
-    /// Whose it is: scheme, host and port of the address, for its path may hold a secret.
+    /// Scheme, host and port of the receiver's address; its path may contain a secret.
     pub receiver: String,
-    /// Where it stands.
+    /// State.
     pub state: DeliveryState,
-    /// Attempts that were made.
+    /// Number of attempts so far.
     pub attempts: u32,
-    /// When it is tried next: RFC 3339, UTC; null at the end.
+    /// Time of the next attempt: RFC 3339, UTC; null at the end.
     pub next_at: Option<String>,
     /// HTTP status of the last attempt's answer.
     pub status: Option<u16>,

@@ -1,48 +1,48 @@
 //! The workers' own protocol, under `/v1/worker/`; not for users.
 //!
-//! A worker registers, then calls `sync` again and again: each call renews all its
-//! leases, hands in results and asks for work, and waits at the server while there is none.
-//! Bytes (job files, tile blobs, pictures) travel by routes of their own, keyed by content; workers of the server's pool put
-//! blobs and pictures into its folders by themselves.
+//! A worker registers, then calls `sync` repeatedly: each call renews all its leases, reports results and
+//! asks for work, and waits at the server while there is none. Bytes (job files, tile blobs, pictures) have
+//! routes of their own, keyed by content; pool workers write blobs and pictures directly into the server's
+//! folders.
 
 use serde::{Deserialize, Serialize};
 
 use crate::{JobId, LeaseId, Rect, WorkerId};
 
-/// Where a worker registers: `POST`, [`Hello`] → [`Welcome`].
+/// Route of registration: `POST`, [`Hello`] → [`Welcome`].
 pub const REGISTER: &str = "/v1/worker/register";
-/// Where a worker syncs: `POST`, [`SyncRequest`] → [`SyncReply`].
+/// Route of syncs: `POST`, [`SyncRequest`] → [`SyncReply`].
 pub const SYNC: &str = "/v1/worker/sync";
-/// Environment variable through which the pool hands its children their token.
+/// Environment variable through which the pool gives its children their token.
 pub const TOKEN_VARIABLE: &str = "SDFARM_WORKER_TOKEN";
 /// Exit code of a worker whose device can't render: no driver, a bad card, a failed self-test. Starting it
 /// again would not help, so the pool does not.
 pub const UNFIT_DEVICE: u8 = 3;
 
-/// Where a job's file is read: `GET`, the JSON that was posted.
+/// Route of a job's file: `GET`, the submitted JSON.
 pub fn job_path(job: JobId) -> String {
     format!("/v1/worker/jobs/{job}")
 }
 
-/// Where a tile blob is put and got, by the BLAKE3 of its bytes in hex.
+/// Route of a tile blob, by the BLAKE3 of its bytes in hex: `PUT` and `GET`.
 pub fn blob_path(hash: &str) -> String {
     format!("/v1/worker/blobs/{hash}")
 }
 
-/// Where a picture is put, by the BLAKE3 of its bytes in hex.
+/// Route of a picture, by the BLAKE3 of its bytes in hex: `PUT`.
 pub fn picture_path(hash: &str) -> String {
     format!("/v1/worker/pictures/{hash}")
 }
 
-/// What a worker says when it starts.
+/// Registration of a worker.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Hello {
     /// A label for people.
     pub name: String,
-    /// What it renders on: `cpu` or `cuda:0`.
+    /// Device: `cpu` or `cuda:0`.
     pub device: String,
-    /// The definition of a picture it was built with; a server refuses another.
+    /// Picture version it was built with; the server rejects a different one.
     pub picture_version: u32,
     /// Largest scene it renders, in nodes; `None` for any. It is offered no larger one, but stitches of any.
     pub max_nodes: Option<u32>,
@@ -53,32 +53,33 @@ pub struct Hello {
 /// The answer to [`Hello`].
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct Welcome {
-    /// The worker's id until it ends.
+    /// The worker's id until it exits.
     pub worker: WorkerId,
     /// Length of a lease, in milliseconds. A worker that could not sync for two thirds of it stops rendering.
     pub lease_ms: u64,
-    /// Where a worker on the server's own machine puts and gets bytes by itself; `None`: by the routes of this module.
+    /// Folders that a worker on the server's own machine writes to directly; `None` means the routes of
+    /// this module.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub folders: Option<Folders>,
 }
 
-/// A server's folders, in which each file is named by the BLAKE3 of its bytes in hex.
+/// The server's folders, where each file is named by the BLAKE3 of its bytes in hex.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Folders {
-    /// Of tile blobs.
+    /// Folder of tile blobs.
     pub blobs: String,
-    /// Of pictures: a file in it, and its name, are flushed to the disk before they are reported.
+    /// Folder of pictures: a file in it, and its name, are fsynced before they are reported.
     pub pictures: String,
 }
 
-/// What stands in the name of a file that is not whole yet, after the name it will have.
+/// Marks the name of a partial file, after its final name.
 pub const HALF_DONE: char = '#';
 
-/// One call does it all: heartbeat, results, and the wish for more.
+/// A worker's call: heartbeat, results, and a request for work.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct SyncRequest {
-    /// Who asks.
+    /// Calling worker.
     pub worker: WorkerId,
     /// Measured camera rays a second; `None` before the first tile.
     pub rays_per_second: Option<f64>,
@@ -88,24 +89,25 @@ pub struct SyncRequest {
     pub results: Vec<Report>,
     /// Whether it wants a run.
     pub wants_work: bool,
-    /// How long the server may wait for something to say, in milliseconds.
+    /// How long the server may wait before it responds, in milliseconds.
     pub wait_ms: u64,
-    /// It ends now: whatever it still holds, or was given in an answer it never heard, is handed back.
+    /// The worker is shutting down: the leases it holds, and any granted in a lost response, are
+    /// released.
     #[serde(default)]
     pub leaving: bool,
-    /// What it has measured since its last call, for the server's metrics; nothing is decided by it.
+    /// Measurements since its last call, for the server's metrics; no decision depends on them.
     #[serde(default)]
     pub measured: Measured,
 }
 
-/// Most [`Timing`]s that one call brings; what is more is forgotten.
+/// Maximum number of [`Timing`]s in one call; the excess is dropped.
 pub const MAX_TIMINGS: usize = 1000;
 
-/// What a worker has measured since its last call.
+/// Measurements of a worker since its last call.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Measured {
-    /// How long things took.
+    /// Durations of phases.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub timings: Vec<Timing>,
     /// The memory of its device, if that is not the machine's own.
@@ -113,13 +115,13 @@ pub struct Measured {
     pub memory: Option<DeviceMemory>,
 }
 
-/// How long one thing took.
+/// Duration of one phase.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Timing {
-    /// What was done.
+    /// Phase.
     pub phase: Phase,
-    /// How long it took, in milliseconds.
+    /// Duration, in milliseconds.
     pub took_ms: f64,
     /// Camera rays that were rendered; 0 of everything else.
     #[serde(default)]
@@ -134,7 +136,7 @@ pub enum Phase {
     Render,
     /// Making a file of a picture.
     Encode,
-    /// Bringing a blob or a picture to the server.
+    /// Sending a blob or a picture to the server.
     Deliver,
 }
 
@@ -144,21 +146,21 @@ pub enum Phase {
 pub struct DeviceMemory {
     /// In use, by anyone.
     pub used_bytes: u64,
-    /// There is.
+    /// Total bytes.
     pub total_bytes: u64,
 }
 
-/// What became of one lease.
+/// Report on one lease.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Report {
     /// The lease.
     pub lease: LeaseId,
-    /// What became of it.
+    /// Outcome.
     pub outcome: Outcome,
 }
 
-/// What became of one lease.
+/// Outcome of one lease.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case", deny_unknown_fields)]
 pub enum Outcome {
@@ -169,7 +171,7 @@ pub enum Outcome {
         /// Its size.
         size_bytes: u64,
     },
-    /// The whole frame's picture was put; said for each of the frame's tiles, or for its stitch.
+    /// The whole frame's picture was stored; reported for each of the frame's tiles, or for its stitch.
     Picture {
         /// BLAKE3 of the picture, in hex.
         hash: String,
@@ -181,12 +183,12 @@ pub enum Outcome {
         /// The tiles' indices.
         tiles: Vec<u32>,
     },
-    /// The renderer said no.
+    /// The renderer failed.
     Failed {
-        /// Why, in words.
+        /// Error message.
         message: String,
     },
-    /// Handed back unrendered: the worker is ending.
+    /// Released without a result: the worker is shutting down.
     HandedBack,
 }
 
@@ -195,7 +197,8 @@ pub enum Outcome {
 pub struct SyncReply {
     /// Work to do, if any was wanted and there was some.
     pub run: Option<Run>,
-    /// Leases of `holding` and `results` that are no longer live: stop, and drop what was made.
+    /// Leases of `holding` and `results` that are no longer live: the worker stops them and drops their
+    /// results.
     pub lost: Vec<LeaseId>,
     /// Finish what is held, then exit.
     pub drain: bool,
@@ -211,11 +214,11 @@ pub struct Run {
     pub job: JobId,
     /// The frame, from 0.
     pub frame: u32,
-    /// What to do.
+    /// Work of the batch.
     pub work: Work,
 }
 
-/// What a run asks for.
+/// Work that a batch asks for.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Work {

@@ -1,7 +1,7 @@
 //! Where light comes from.
 //!
 //! A light's colour is such that a matt white surface that faces it sends back the colour: the light's
-//! irradiance over π. A light with a size is met at one point of it by each sample.
+//! irradiance over π. Area lights are sampled: each pixel sample takes one point on the light.
 
 mod shaped;
 

@@ -45,7 +45,7 @@ bundle!(Marched { distance, gap, steps, hit });
 /// How far a step goes, in radii of the sphere around its start. 1.25 to 1.4 save a seventh of the
 /// steps of the shipped scenes; more makes too many steps go back.
 const RELAXATION: f32 = 1.3;
-/// What a step that went no further than its sphere has gone past it: less than any distance.
+/// Overstep of a step that stayed inside its sphere. Less than any distance, so the step is never taken back.
 const NOT_PAST: f32 = -1e30;
 
 /// Marches along `ray` through `field`, which never tells more than the distance to its surface.

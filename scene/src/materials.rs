@@ -51,11 +51,11 @@ pub struct Lighting<R> {
     pub lights: Vec<Incoming<R>>,
     /// Light from all around, as a white matt surface would send it back; `None` where there is none.
     pub surrounding: Option<Vec3<R>>,
-    /// How open the place is to light from all around, 0 to 1; `None` where nobody asks.
+    /// Ambient visibility at the point, 0 (occluded) to 1; `None` if the scene has no `ambient_occlusion`.
     pub openness: Option<R>,
 }
 
-/// How a surface sends a ray on, beside what it scatters of the lights.
+/// Specular BSDF at a shading point: F0, roughness, transmission and index of refraction. Direct light is in `shade`.
 #[derive(Clone, Copy, Debug)]
 pub struct Finish<R> {
     /// Share of the light that is mirrored when it arrives along the normal, by channel (Fresnel's F0).

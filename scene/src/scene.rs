@@ -30,7 +30,7 @@ pub struct Scene {
     /// Fog; none when absent.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub fog: Option<Fog>,
-    /// Darker corners in light from all around; none when absent.
+    /// Ambient occlusion: darkens ambient and sky light in corners; off when absent.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub ambient_occlusion: Option<AmbientOcclusion>,
     /// Materials by name.
@@ -155,7 +155,7 @@ impl Scene {
     }
 }
 
-/// Hands out slots.
+/// Assigns slots to materials in the order of first use, so that equal scenes hash alike.
 struct Resolver<'a> {
     named: &'a BTreeMap<String, Material>,
     used: Vec<Material>,

@@ -91,7 +91,7 @@ macro_rules! number_type {
                 self.value
             }
 
-            /// Whether it is another one in other frames: then no code may be chosen by it.
+            /// Whether a track gives this number a different value in other frames. If so, code must not branch on it: all frames share one compiled program.
             #[inline(always)]
             pub fn is_moving(self) -> bool {
                 self.moves

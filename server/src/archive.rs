@@ -1,7 +1,8 @@
-//! All pictures of a job as one ZIP archive, made while it is read: no more than a piece of it is in memory.
+//! All pictures of a job as one ZIP archive, written while it is downloaded: only one chunk of it is in
+//! memory.
 //!
-//! Pictures are compressed already, so they are stored as they are. Dates are fixed and names follow from the job,
-//! so the same pictures give the same bytes.
+//! Pictures are compressed already, so they are stored unchanged. Dates are fixed and names follow from the
+//! job, so the same pictures give the same bytes.
 
 use std::collections::VecDeque;
 use std::io::{self, Write};
@@ -18,17 +19,17 @@ use crate::pictures::{Kind, Name, PictureError};
 use crate::queue::{Frames, StoredFrame};
 use crate::store::StoreError;
 
-/// An archive goes out in pieces of about so many bytes.
+/// Approximate size of the chunks of a response.
 const PIECE_BYTES: usize = 128 << 10;
-/// Frames that are looked up at a time.
+/// Frames per database query.
 const PAGE: u32 = 500;
 /// Permissions of a file that is taken out.
 const MODE: u32 = 0o644;
 
-/// Why an archive broke off.
+/// Error that interrupts an archive.
 #[derive(Debug, thiserror::Error)]
 pub(crate) enum ArchiveError {
-    /// The frames could not be looked up.
+    /// The frames could not be read from the database.
     #[error(transparent)]
     Store(#[from] StoreError),
     /// A picture could not be read.
@@ -39,7 +40,7 @@ pub(crate) enum ArchiveError {
     Broken {
         /// The frame.
         frame: u32,
-        /// What the store said.
+        /// Error of the content store.
         #[source]
         source: object_store::Error,
     },
@@ -54,7 +55,7 @@ pub(crate) enum ArchiveError {
     Write(#[from] io::Error),
 }
 
-/// Where the archive's bytes gather until they are fetched.
+/// Buffer for the archive's bytes until the next chunk is sent.
 #[derive(Clone, Debug, Default)]
 struct Basket(Arc<Mutex<Vec<u8>>>);
 
@@ -85,7 +86,7 @@ struct Picture {
     bytes: BoxStream<'static, object_store::Result<Bytes>>,
 }
 
-/// An archive that is being made.
+/// Archive in progress.
 pub(crate) struct Archive {
     farm: Arc<Farm>,
     frames: Frames,
@@ -105,7 +106,7 @@ impl Archive {
         Self { farm, frames, basket, writer, waiting: VecDeque::new(), next_frame: 0, picture: None }
     }
 
-    /// The next piece of it; `None` at its end.
+    /// Next chunk; `None` at the end.
     pub(crate) async fn next(&mut self) -> Result<Option<Bytes>, ArchiveError> {
         while self.basket.size_bytes() < PIECE_BYTES {
             let Some(writer) = &mut self.writer else { break };
@@ -125,7 +126,7 @@ impl Archive {
         Ok(Some(self.basket.empty()).filter(|piece| !piece.is_empty()))
     }
 
-    /// Begins the next picture; false: there is none.
+    /// Starts the next picture; false if there is none.
     async fn begin_next(&mut self) -> Result<bool, ArchiveError> {
         if self.waiting.is_empty() {
             self.waiting = self.farm.queue.stored_frames(self.frames.job, self.next_frame, PAGE).await?.into();

@@ -1,6 +1,7 @@
-//! Looks a data folder's books over, whether or not a server runs on it: what must hold after any crash.
+//! Checks the invariants of a data folder, with or without a running server: everything that must hold after
+//! any crash.
 //!
-//! It reads, and changes nothing; `sdfarm soak` asks it after each kill.
+//! It only reads; `sdfarm soak` runs it after each kill.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::io;
@@ -12,7 +13,7 @@ use sqlx::{ConnectOptions, Connection, Row};
 
 use crate::store::Store;
 
-/// What can't be looked over.
+/// Error that prevents the check.
 #[derive(Debug, thiserror::Error)]
 pub enum AuditError {
     /// The database can't be read.
@@ -20,17 +21,17 @@ pub enum AuditError {
     Database(#[from] sqlx::Error),
 }
 
-/// A tile that is done, as an audit found it.
+/// Finished tile, as read by the check.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct DoneTile {
     /// Leases it ever had, by the number of its last one.
     pub leases: i64,
 }
 
-/// What an audit found.
+/// Result of an integrity check.
 #[derive(Clone, Debug, Default)]
 pub struct Audit {
-    /// What is not as it must be, in words; empty in a sound farm.
+    /// Violations, one sentence each; empty in an intact farm.
     pub breaches: Vec<String>,
     /// Every tile that is done, by its row.
     pub done: BTreeMap<i64, DoneTile>,
@@ -38,7 +39,7 @@ pub struct Audit {
     pub jobs: BTreeSet<JobId>,
 }
 
-/// Each statement counts, or names, what must not be; it is run as it stands.
+/// Each statement counts or names violations of one invariant, and is run unchanged.
 const RULES: [(&str, &str); 8] = [
     (
         "a tile has two results with effect",
@@ -76,11 +77,11 @@ const RULES: [(&str, &str); 8] = [
     ("a row refers to one that is not there", "SELECT \"table\" FROM pragma_foreign_key_check"),
 ];
 
-/// Looks over the database and the pictures of a data folder.
+/// Checks the database and the pictures of a data folder.
 pub async fn audit(data: &Path) -> Result<Audit, AuditError> {
     let options = SqliteConnectOptions::new().filename(Store::file(data)).read_only(true).disable_statement_logging();
     let mut connection = options.connect().await?;
-    // One moment for all the rules, whatever the server does meanwhile.
+    // One transaction for all statements, so that all see the same state of a running server.
     sqlx::query("BEGIN").execute(&mut connection).await?;
     let mut audit = Audit::default();
     for verdict in sqlx::query_scalar::<_, String>("PRAGMA integrity_check").fetch_all(&mut connection).await? {

@@ -1,7 +1,7 @@
-//! What time it is: leases and back-off run on a monotonic clock that starts at 0 with
-//! the server, so that a jump of the wall clock expires nothing; people see the wall clock.
+//! Time: leases and back-off use a monotonic clock that starts at 0 with the server, so that a jump of the
+//! wall clock expires nothing; users see the wall clock.
 //!
-//! Nothing else in this crate asks the system for the time of day.
+//! Nothing else in this crate reads the system's time of day.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicI64, Ordering};
@@ -23,7 +23,7 @@ impl Clock {
         Self(Source::System(instant().into_std()))
     }
 
-    /// A clock that moves only by its hand.
+    /// Clock that only the returned handle advances, for tests.
     pub fn by_hand() -> (Self, Hand) {
         let hand = Hand::default();
         (Self(Source::Hand(hand.clone())), hand)
@@ -46,7 +46,7 @@ impl Clock {
     }
 }
 
-/// The machine's time, for waits and for timing what was done; nothing is decided by it.
+/// The machine's monotonic time, for waits and for measured durations; no decision depends on it.
 #[expect(clippy::disallowed_methods, reason = "this is where the machine is asked")]
 pub(crate) fn instant() -> tokio::time::Instant {
     tokio::time::Instant::now()
@@ -58,11 +58,11 @@ fn time_of_day_ms() -> i64 {
     i64::try_from(age.as_millis()).unwrap_or(i64::MAX)
 }
 
-/// Moves a clock made by [`Clock::by_hand`].
+/// Advances a clock made by [`Clock::by_hand`].
 #[derive(Clone, Debug, Default)]
 pub struct Hand {
     now_ms: Arc<AtomicI64>,
-    /// How far the wall clock was set away from that.
+    /// Offset of the wall clock from that.
     jumped_ms: Arc<AtomicI64>,
 }
 

@@ -1,4 +1,4 @@
-//! What an operator decides about a server.
+//! Settings of a server, chosen by its operator.
 
 use std::net::{IpAddr, Ipv4Addr, SocketAddr};
 use std::path::PathBuf;
@@ -9,13 +9,13 @@ use proto::pool::MAX_POOL_WORKERS;
 
 use crate::webhooks::AddressRange;
 
-/// Unfinished jobs that a farm takes, unless its operator says otherwise.
+/// Default maximum of unfinished jobs.
 pub const MAX_QUEUED_JOBS: u32 = 100_000;
 
-/// Connections at a time, unless its operator says otherwise.
+/// Default maximum of open connections.
 pub const MAX_CONNECTIONS: u32 = 16_384;
 
-/// Where a certificate is.
+/// Paths of a certificate and its key.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct TlsFiles {
     /// A chain of certificates in PEM, the server's own first.
@@ -24,20 +24,20 @@ pub struct TlsFiles {
     pub key: PathBuf,
 }
 
-/// What an operator decides about a server. `Config::default()` is what `serve` says without flags.
+/// Settings of a server. `Config::default()` has the defaults of `serve`.
 #[derive(Clone, Debug)]
 pub struct Config {
-    /// Where to listen; port 0 takes any free one.
+    /// Address to listen on; port 0 takes any free port.
     pub listen: SocketAddr,
-    /// Folder of the database and the pictures; made if it is not there.
+    /// Folder of the database and the pictures; created if missing.
     pub data: PathBuf,
     /// Local workers; `None` is one for each of `devices`.
     pub workers: Option<u32>,
-    /// What the local workers take for `--device`, in turn: `["cpu"]`, or one for each GPU. Empty is `["auto"]`.
+    /// `--device` of the local workers in turn: `["cpu"]`, or one for each GPU. Empty means `["auto"]`.
     pub devices: Vec<String>,
     /// `--simd` of the local workers.
     pub simd: String,
-    /// Threads that CPU workers share; `None` is one for each core.
+    /// Threads that CPU workers share; `None` means one for each core.
     pub threads: Option<usize>,
     /// Edge of a tile, in pixels; `None` sizes tiles by their rays.
     pub tile_px: Option<u32>,
@@ -51,21 +51,23 @@ pub struct Config {
     pub max_connections: u32,
     /// Unfinished jobs that the farm takes.
     pub max_queued_jobs: u32,
-    /// Names, without port, that the `Host` header may carry besides loopback's and addresses.
+    /// Host names, without port, that the `Host` header may contain in addition to loopback names and IP
+    /// addresses.
     pub hosts: Vec<String>,
-    /// Addresses that webhooks may go to although they are not on the public internet.
+    /// Address ranges that webhooks may reach although they are not on the public internet.
     pub allow_webhooks_to: Vec<AddressRange>,
-    /// What webhooks are signed with; `None` is the data folder's own.
+    /// Secret that signs webhooks; `None` means the one in the data folder.
     pub webhook_secret: Option<Secret>,
     /// The program that local workers run as, with `worker` as first argument.
     pub worker_program: PathBuf,
-    /// How long finished jobs are kept that do not say so themselves; `None` is for ever.
+    /// How long finished jobs are kept that do not set it themselves; `None` means forever.
     pub keep_jobs: Option<Duration>,
-    /// Bytes of pictures and tiles above which the jobs that finished first go; `None` is no limit.
+    /// Maximum size of pictures and tiles; above it the jobs that finished first are deleted. `None`
+    /// means no limit.
     pub max_store_bytes: Option<u64>,
     /// Variables that local workers are given.
     pub worker_variables: Vec<(String, String)>,
-    /// How long local workers may go on with what they hold when the server ends.
+    /// How long local workers may continue their leases at shutdown.
     pub grace: Duration,
 }
 

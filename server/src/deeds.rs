@@ -1,6 +1,6 @@
 //! The audit log: who did what, from where, with what outcome, as rows and as events of the log.
 //!
-//! It is bounded, and it delays nobody: what comes faster than it can be written is counted together.
+//! Keeps the newest 100,000 entries and never blocks a request: if records arrive faster than they can be written, equal ones are counted together and the excess is dropped with a warning.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -16,21 +16,21 @@ use tokio_util::sync::CancellationToken;
 use crate::clock::{Clock, rfc3339};
 use crate::store::{Durability, Store, StoreError};
 
-/// Entries that are kept.
+/// Maximum number of entries.
 const KEPT: i64 = 100_000;
-/// Deeds that may wait to be written.
+/// Maximum number of records waiting to be written.
 const WAITING: usize = 4096;
-/// How long deeds are gathered before they are written together.
+/// How long records are gathered before they are written together.
 const GATHER: Duration = Duration::from_millis(250);
 
-/// What somebody did, or was refused.
+/// An action of a caller, or its rejection.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) struct Deed {
     /// The key's name, or who else it was.
     pub(crate) who: String,
     /// The key's id.
     pub(crate) key: Option<String>,
-    /// Where from, without port.
+    /// The caller's address, without port.
     pub(crate) address: String,
     /// The request's method.
     pub(crate) method: String,
@@ -40,20 +40,20 @@ pub(crate) struct Deed {
     pub(crate) job: Option<JobId>,
     /// The answer's status.
     pub(crate) status: u16,
-    /// The problem's code, of a refusal.
+    /// Problem code of a rejection.
     pub(crate) code: Option<String>,
     /// The request's id.
     pub(crate) request_id: String,
 }
 
 impl Deed {
-    /// Whether it is the same refusal, but for the request.
+    /// Whether it is the same rejection, apart from the request.
     fn is_like(&self, other: &Self) -> bool {
         self.code.is_some() && *self == Self { request_id: self.request_id.clone(), ..other.clone() }
     }
 }
 
-/// A deed, and how many times it was done.
+/// Record with the number of its repeats.
 #[derive(Debug)]
 struct Counted {
     deed: Deed,
@@ -78,14 +78,14 @@ impl Audit {
         Self { store, clock, deeds, waiting: Mutex::new(waiting), unwritten: AtomicU64::new(0) }
     }
 
-    /// Has a deed written down soon.
+    /// Queues a record to be written.
     pub(crate) fn note(&self, deed: Deed) {
         if self.deeds.try_send(deed).is_err() {
             self.unwritten.fetch_add(1, Ordering::Relaxed);
         }
     }
 
-    /// Writes what is noted, until the end, and what was noted until then.
+    /// Writes records until shutdown, and then the remaining ones.
     pub(crate) async fn run(&self, end: CancellationToken) {
         let mut waiting = self.waiting.lock().await;
         loop {
@@ -106,7 +106,7 @@ impl Audit {
             }
             let unwritten = self.unwritten.swap(0, Ordering::Relaxed);
             if unwritten > 0 {
-                tracing::warn!(target: "audit", unwritten, "more was done than could be written down");
+                tracing::warn!(target: "audit", unwritten, "audit records dropped: the queue is full");
             }
             if let Err(error) = self.write(gathered).await {
                 tracing::error!(%error, cause = ?std::error::Error::source(&error), "the audit log could not be written");

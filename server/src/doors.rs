@@ -1,6 +1,6 @@
-//! Who may come in, how often, and what is remembered of it: keys, rates, the audit log.
+//! Admission: API keys, request rates, the audit log.
 //!
-//! It knows nothing of routes and answers; HTTP asks it.
+//! It knows nothing of routes and responses; the HTTP layer calls it.
 
 use std::net::IpAddr;
 use std::num::NonZeroU32;
@@ -19,28 +19,28 @@ use crate::deeds::Audit;
 use crate::keys::{Key, Keys};
 use crate::store::{Store, StoreError};
 
-/// Requests a second of one address, where no key is asked for and any may call.
+/// Requests per second of one address on a farm without keys.
 const ADDRESS_PER_SECOND: NonZeroU32 = NonZeroU32::new(1000).expect("it is not 0");
-/// Refusals a second of one address that are answered with their reason.
+/// Rejections per second of one address whose reason is sent.
 const REFUSALS_PER_SECOND: NonZeroU32 = NonZeroU32::new(20).expect("it is not 0");
 /// Addresses that are remembered before those that are quiet are forgotten.
 const ADDRESSES: usize = 10_000;
-/// How often quiet addresses are forgotten.
+/// Interval at which idle addresses are removed from the limiters.
 const FORGET: Duration = Duration::from_secs(10);
 
-/// What counts requests by address.
+/// Rate limiter with one cell for each address.
 type Limiter = RateLimiter<IpAddr, DefaultKeyedStateStore<IpAddr>, DefaultClock, StateInformationMiddleware>;
 
 /// Too many requests.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Refusal {
-    /// How many a second there may be.
+    /// Permitted requests per second.
     pub(crate) per_second: u32,
-    /// When to try again.
+    /// Seconds until the next attempt can succeed.
     pub(crate) retry_seconds: u64,
 }
 
-/// How much of its rate a caller has left.
+/// Remaining rate of a caller.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Pace {
     per_second: u32,
@@ -48,7 +48,7 @@ pub(crate) struct Pace {
 }
 
 impl Pace {
-    /// The same as headers of an answer.
+    /// The `RateLimit` headers of a response.
     pub(crate) fn headers(self) -> impl Iterator<Item = (HeaderName, HeaderValue)> {
         let policy = format!("\"requests\";q={};w=1", self.per_second);
         let left = format!("\"requests\";r={};t=1", self.remaining);
@@ -61,16 +61,16 @@ impl Pace {
 /// Keys, rates, the audit log.
 #[derive(Debug)]
 pub(crate) struct Doors {
-    /// Who may come in.
+    /// API keys.
     pub(crate) keys: Keys,
-    /// What was done.
+    /// Audit log.
     pub(crate) audit: Audit,
     addresses: Limiter,
     refusals: Limiter,
 }
 
 impl Doors {
-    /// The doors of a farm.
+    /// Opens the keys and the audit log of a farm.
     pub(crate) async fn open(store: Arc<Store>, clock: Clock) -> Result<Self, StoreError> {
         Ok(Self {
             keys: Keys::open(Arc::clone(&store), clock.clone()).await?,
@@ -80,7 +80,8 @@ impl Doors {
         })
     }
 
-    /// Counts a request of a key, or of an address where any may call; this machine's own are not counted.
+    /// Counts a request of a key, or of an address on a farm without keys; requests from this machine are
+    /// not counted.
     pub(crate) fn admit(
         &self,
         key: Option<&Key>,
@@ -104,7 +105,7 @@ impl Doors {
         }
     }
 
-    /// Counts a refusal; too many of one address are not worth their reason.
+    /// Counts a rejection; beyond the limit of an address, rejections are sent without their reason.
     pub(crate) fn count_refusal(&self, peer: Option<IpAddr>) -> Result<(), Refusal> {
         let Some(peer) = peer else { return Ok(()) };
         match self.refusals.check_key(&peer) {
@@ -116,7 +117,7 @@ impl Doors {
         }
     }
 
-    /// Keeps the keys fresh, writes the audit log and forgets quiet addresses, until the end.
+    /// Reloads keys, writes the audit log and removes idle addresses until shutdown.
     pub(crate) async fn run(&self, end: CancellationToken) {
         tokio::join!(self.keys.run(end.clone()), self.audit.run(end.clone()), self.forget(end));
     }

@@ -1,5 +1,5 @@
-//! What a job would take: a sample of its pixels is rendered by a child process, and set against the workers
-//! that are there.
+//! Estimated time of a job: a helper process renders a sample of its pixels, and the result is scaled to the
+//! present workers.
 
 use proto::sketch::{Estimate, Sample, Sketch};
 
@@ -9,10 +9,10 @@ use crate::queue::Present;
 
 /// Most time for rendering a sample, in milliseconds.
 const RENDER_MS: u64 = 700;
-/// What a job takes besides its pixels, in seconds: to be claimed, delivered, written down.
+/// Overhead of a job in seconds: claim, delivery, commits.
 const HANDLING_SECONDS: f64 = 0.01;
 
-/// What a job file would take; `None` where no sample of it could be rendered, which is logged.
+/// Estimates a job file; `None` if no sample could be rendered, which is logged.
 pub(crate) async fn estimate(farm: &Farm, text: String, plan: Plan) -> Option<Estimate> {
     let present = match farm.queue.present().await {
         Ok(present) => present,
@@ -32,11 +32,11 @@ pub(crate) async fn estimate(farm: &Farm, text: String, plan: Plan) -> Option<Es
     }
 }
 
-/// Sets a sample against workers; the pool's CPU workers share so many threads.
+/// Scales a sample to workers; the pool's CPU workers share `threads` threads.
 fn judge(sample: &Sample, plan: Plan, present: &[Present], threads: usize, pool: u32) -> Estimate {
     let rays = plan.rays_total();
     let core_seconds = sample.core_seconds(rays, plan.tiles_total(), rays / u64::from(plan.samples));
-    // What a tile does not fill is left idle: no job takes more workers than it has tiles.
+    // Workers beyond the number of tiles are idle.
     let share = (plan.tiles_total() as f64 / present.len().max(1) as f64).min(1.0);
     let each = (threads / pool.max(1) as usize).max(1);
     let is_ours = |worker: &&Present| worker.pool && worker.device == "cpu";

@@ -1,7 +1,7 @@
 //! Telling followers what happens to their jobs: one task reads new events once, however many follow.
 //!
-//! A follower keeps no more than the number of the last event it was told. What is newer it gets from
-//! its job's short list of recent events, or, if it fell behind that, from the database, a page at a time.
+//! A subscriber stores only the number of the last event it received. It reads newer events from its job's
+//! list of recent events or, if it has fallen behind that list, from the database, a page at a time.
 
 mod follower;
 #[cfg(test)]
@@ -21,14 +21,14 @@ use crate::store::StoreError;
 
 pub(crate) use follower::{Follower, Start};
 
-/// Recent events kept at hand for a job that someone follows.
+/// Recent events cached for a job with subscribers.
 const RECENT: usize = 1024;
 /// Events read at a time.
 const PAGE: u32 = 512;
-/// New events are looked for so often, at most: what comes in between is told together.
+/// Minimum interval between two reads of new events; events in between are sent together.
 const PAUSE: Duration = Duration::from_millis(20);
 
-/// An event as it goes over the wire.
+/// Event as sent to the client.
 #[derive(Clone, Debug)]
 struct Told {
     number: i64,
@@ -64,7 +64,7 @@ struct Recent {
 }
 
 impl Topic {
-    /// What rings when there may be news of the job.
+    /// Signal sent when the job may have new events.
     pub(crate) fn bell(&self) -> watch::Receiver<()> {
         self.bell.subscribe()
     }
@@ -101,7 +101,7 @@ struct Followed {
     topics: HashMap<i64, Weak<Topic>>,
 }
 
-/// What tells followers.
+/// Distributes events to subscribers.
 #[derive(Debug)]
 pub(crate) struct Events {
     queue: Queue,
@@ -110,12 +110,12 @@ pub(crate) struct Events {
 }
 
 impl Events {
-    /// Tells of this queue's jobs.
+    /// Distributes the events of this queue's jobs.
     pub(crate) fn new(queue: Queue) -> Self {
         Self { queue, followed: Mutex::default(), wanted: watch::Sender::new(()) }
     }
 
-    /// A job's topic: the one there is, or a new one that knows every event from now on.
+    /// The topic of a job: the existing one, or a new one that receives every event from now on.
     pub(crate) async fn topic(&self, job: i64) -> Result<Arc<Topic>, StoreError> {
         if let Some(topic) = self.followed.lock().expect("no holder panics").topics.get(&job).and_then(Weak::upgrade) {
             return Ok(topic);
@@ -133,12 +133,12 @@ impl Events {
         let topic = Arc::new(Topic { job, recent: Mutex::new(recent), bell: watch::Sender::new(()) });
         followed.topics.insert(job, Arc::downgrade(&topic));
         drop(followed);
-        // What was committed since `newest` was read has rung already.
+        // Commits since `newest` was read have already sent their signal.
         self.wanted.send_replace(());
         Ok(topic)
     }
 
-    /// Reads and tells until the farm is closed.
+    /// Reads and distributes events until the farm shuts down.
     pub(crate) async fn run(&self, end: CancellationToken) {
         let mut commits = self.queue.commits();
         let mut wanted = self.wanted.subscribe();
@@ -156,7 +156,7 @@ impl Events {
         }
     }
 
-    /// Tells everything that is new.
+    /// Distributes all new events.
     async fn tell(&self) -> Result<(), StoreError> {
         loop {
             let position = {

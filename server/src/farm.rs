@@ -1,4 +1,4 @@
-//! What the doors share: the queue, the bytes, the pool; and the steps that need more than one of them.
+//! State shared by all handlers (queue, content store, pool) and the operations that need more than one of them.
 //!
 //! Nothing here knows about HTTP.
 
@@ -23,11 +23,11 @@ use crate::store::StoreError;
 use crate::watch::Watch;
 use crate::webhooks::Webhooks;
 
-/// Frames of one job that are looked up among stored pictures when it is handed in; the rest
-/// are looked up as they are reached.
+/// Maximum number of frames of a job that are looked up in the picture cache at submission; the others are
+/// looked up when they are opened.
 const REUSED_AT_ONCE: u32 = 64;
 
-/// Bytes that may be left over.
+/// Stored bytes that may be orphans.
 #[derive(Clone, Debug)]
 pub(crate) struct Leftovers {
     /// Pictures or blobs.
@@ -49,22 +49,22 @@ pub(crate) struct Totals {
     pub(crate) webhook_failures: AtomicU64,
 }
 
-/// What the doors share.
+/// State shared by all handlers.
 #[derive(Debug)]
 pub(crate) struct Farm {
-    /// What the operator decided.
+    /// The operator's settings.
     pub(crate) config: Config,
     /// Jobs, tiles, leases, workers.
     pub(crate) queue: Queue,
-    /// What tells webhooks.
+    /// Sender of webhooks.
     pub(crate) webhooks: Webhooks,
-    /// What tells followers.
+    /// Distributor of events.
     pub(crate) events: Events,
     /// Pictures and blobs.
     pub(crate) pictures: Pictures,
     /// Parsed job files.
     pub(crate) jobs: Jobs,
-    /// Who may come in, and what is remembered of it.
+    /// Admission: keys, rates, the audit log.
     pub(crate) doors: Doors,
     /// Local workers.
     pub(crate) pool: Pool,
@@ -74,17 +74,17 @@ pub(crate) struct Farm {
     pub(crate) links: Links,
     /// Numbers since the start.
     pub(crate) totals: Totals,
-    /// What operators can ask.
+    /// Metrics and status.
     pub(crate) watch: Watch,
-    /// Where leftover bytes are announced to the janitor.
+    /// Channel that announces possible orphans to the maintenance task.
     pub(crate) leftovers: mpsc::UnboundedSender<Leftovers>,
     /// No more jobs are taken.
     pub(crate) closing: CancellationToken,
-    /// Nobody waits any longer.
+    /// Cancelled when waiting requests must end.
     pub(crate) ending: CancellationToken,
 }
 
-/// Why a worker's turn could not be taken.
+/// Error of a worker's sync.
 #[derive(Debug, thiserror::Error)]
 pub(crate) enum TurnError {
     /// The database could not do it.
@@ -117,7 +117,7 @@ impl Farm {
         Ok(submitted)
     }
 
-    /// Takes a worker's turn up to work or the lack of it; `None` if the worker is not known.
+    /// Runs a worker's sync until it has work or there is none; `None` if the worker is unknown.
     pub(crate) async fn turn(&self, mut turn: Turn) -> Result<Option<Turned>, TurnError> {
         let gate = if turn.delivers() { Some(self.pictures.keep_all().await) } else { None };
         self.check_delivered(&mut turn.results).await?;
@@ -181,7 +181,7 @@ impl Farm {
         Ok(Opening { job: number, frame, picture_key, tiles: plan.tiles(), samples: plan.samples })
     }
 
-    /// A result whose bytes are not there is no result: its tile goes back.
+    /// Drops reports whose bytes are not in the store; their tiles are requeued.
     async fn check_delivered(&self, reports: &mut [Report]) -> Result<(), PictureError> {
         let mut last: Option<(String, bool)> = None;
         for report in reports {
@@ -206,7 +206,7 @@ impl Farm {
         Ok(())
     }
 
-    /// Has the janitor remove those of some bytes that nobody needs.
+    /// Has the maintenance task delete those of the given bytes that no row refers to.
     pub(crate) fn sweep_later(&self, kind: Kind, hashes: Vec<String>) {
         if !hashes.is_empty() {
             // Without a janitor the server is ending; the next one sweeps.

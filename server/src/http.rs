@@ -1,5 +1,5 @@
-//! The HTTP door: the whole API on one screen. Handlers read what was sent, ask the farm,
-//! and answer; nothing is decided about jobs here.
+//! The HTTP layer: the whole API on one screen. Handlers read the request, call the farm, and respond; they
+//! decide nothing about jobs.
 
 mod audit;
 mod body;

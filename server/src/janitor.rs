@@ -1,6 +1,6 @@
-//! Maintenance: leases that ran out, bytes that nobody needs, rows that matter no more.
+//! Periodic maintenance: expires leases, deletes orphaned content, prunes old rows.
 //!
-//! It changes no state itself; it asks the queue and the store to.
+//! It changes no state itself; it calls the queue and the store.
 
 use std::sync::Arc;
 use std::time::Duration;
@@ -14,13 +14,13 @@ use crate::pictures::{self, Kind};
 use crate::retention;
 use crate::store::StoreError;
 
-/// How often leases are looked through.
+/// Interval at which leases are checked.
 const RESCUE: Duration = Duration::from_secs(1);
-/// How often rows and folders are looked through.
+/// Interval at which rows and folders are cleaned up.
 const TIDY: Duration = Duration::from_mins(10);
-/// Bytes that nobody has reported are kept so long.
+/// Bytes without a report are kept this long.
 const UNREPORTED: Duration = Duration::from_mins(10);
-/// Names looked up at a time.
+/// Hashes per database query.
 const BATCH: usize = 500;
 
 /// Works until the farm is closed.

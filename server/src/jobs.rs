@@ -1,6 +1,6 @@
-//! Parsed job files: parsing on threads with room for deep files, and a few kept at hand.
+//! Parsed job files: parsed on threads with stack for deep files, and a few cached.
 //!
-//! What is kept is bounded: jobs that wait are in the database only.
+//! The cache is bounded: waiting jobs are in the database only.
 
 use std::collections::VecDeque;
 use std::sync::{Arc, Mutex};
@@ -12,21 +12,21 @@ use crate::store::StoreError;
 
 /// Stack of a thread that parses.
 const STACK_BYTES: usize = 16 << 20;
-/// Parsed jobs at hand, at most.
+/// Maximum number of cached jobs.
 const KEPT_JOBS: usize = 8;
-/// Bytes of their files, at most, unless there is but one.
+/// Maximum size of their files together, unless there is only one.
 const KEPT_BYTES: usize = 8 << 20;
 
-/// Why a job of the queue could not be had.
+/// Error when loading a job of the queue.
 #[derive(Debug, thiserror::Error)]
 pub(crate) enum JobError {
     /// The database could not be read.
     #[error(transparent)]
     Store(#[from] StoreError),
-    /// Its file is gone: it was deleted meanwhile.
+    /// Its file is gone: the job was deleted in the meantime.
     #[error("the job's file is gone")]
     Gone,
-    /// Its file was accepted once, but is refused now.
+    /// Its file was accepted once, but is invalid now.
     #[error("the job's file is refused by this version: {0}")]
     Refused(#[from] scene::Refusal),
     /// No thread to parse it on.
@@ -55,7 +55,7 @@ impl Jobs {
         Self { kept: Mutex::default(), permits: Semaphore::new(cores) }
     }
 
-    /// Parses a job file on a thread of its own, and lets `work` look at the outcome there.
+    /// Parses a job file on a thread of its own, and calls `work` with the result there.
     pub(crate) async fn parse<T: Send + 'static>(
         &self,
         text: bytes::Bytes,
@@ -64,7 +64,7 @@ impl Jobs {
         self.on_thread(move || work(scene::parse(&text))).await
     }
 
-    /// What a frame's picture is known by; a job that moves is read again for that.
+    /// Cache key of a frame's picture; of an animated job, the frame is evaluated for it.
     pub(crate) async fn picture_key(&self, job: &Arc<scene::Job>, frame: u32) -> Result<String, JobError> {
         let (moves, job) = (job.is_moving(), Arc::clone(job));
         let key = move || job.picture_key(frame).to_hex().to_string();
@@ -82,7 +82,7 @@ impl Jobs {
         answer.await.map_err(|_| JobError::Thread)
     }
 
-    /// Keeps a job at hand; the ones kept longest give way.
+    /// Caches a job; the ones cached longest are dropped.
     pub(crate) fn keep(&self, number: i64, text_bytes: usize, job: Arc<scene::Job>) {
         let mut kept = self.kept.lock().expect("no holder panics");
         kept.push_front(Kept { number, text_bytes, job });
@@ -95,7 +95,7 @@ impl Jobs {
         });
     }
 
-    /// A job of the queue, from those at hand or from the database.
+    /// A job of the queue, from the cache or from the database.
     pub(crate) async fn get(&self, queue: &Queue, number: i64) -> Result<Arc<scene::Job>, JobError> {
         if let Some(job) = self.find(number) {
             return Ok(job);

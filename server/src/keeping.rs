@@ -1,7 +1,7 @@
-//! Keeping a farm: copies of it, farms made from copies, and whether all is well with one.
+//! Maintenance of data folders: backup, restore, and checks.
 //!
-//! It works on data folders, whether a server uses them or not. What it reads it may read beside a running
-//! server; it changes a data folder only while it holds its lock.
+//! It works with or without a running server. It reads next to a running server; it changes a data folder
+//! only while it holds the folder's lock.
 
 mod backup;
 mod bytes;
@@ -21,7 +21,7 @@ pub use restore::{Restored, restore};
 use crate::lock::LockError;
 use crate::store::{OpenError, StoreError};
 
-/// Why a farm could not be copied, restored or examined, and the cure.
+/// Error of a backup, a restore or a check, with its fix.
 #[derive(Debug, thiserror::Error)]
 pub enum KeepError {
     /// No database is there.
@@ -30,11 +30,11 @@ pub enum KeepError {
     /// A folder or file could not be read or written.
     #[error("could not {action} {path}: make room on its disk, or mend its permissions")]
     File {
-        /// What was to be done.
+        /// Attempted action.
         action: &'static str,
         /// The folder or file.
         path: PathBuf,
-        /// What the system said.
+        /// Error of the system.
         #[source]
         source: io::Error,
     },
@@ -43,7 +43,7 @@ pub enum KeepError {
     Database {
         /// Its file.
         file: PathBuf,
-        /// What it said.
+        /// Error of the database.
         #[source]
         source: sqlx::Error,
     },
@@ -53,7 +53,7 @@ pub enum KeepError {
     /// The folder holds something else.
     #[error("{0} holds something that is no backup: name an empty folder, or that of an earlier backup")]
     NotABackup(PathBuf),
-    /// Nothing may be overwritten.
+    /// The folder has files, which would be overwritten.
     #[error("{0} is not empty: a farm is restored to a new folder, so name another with --data")]
     NotEmpty(PathBuf),
     /// A backup inside of what it is of.
@@ -64,7 +64,7 @@ pub enum KeepError {
     Manifest {
         /// The list.
         path: PathBuf,
-        /// Why not.
+        /// Reason.
         reason: String,
     },
     /// The backup's database is not what was backed up.
@@ -72,7 +72,7 @@ pub enum KeepError {
     Damaged {
         /// Its file.
         path: PathBuf,
-        /// What is wrong.
+        /// Reason.
         reason: String,
     },
     /// A server uses the folder.

@@ -1,7 +1,7 @@
-//! Keys: who may come in. The table is read again and again, so that a key made or revoked by another
-//! process counts within a moment; whoever waits under a revoked key is told at once.
+//! API keys. The table is reread every 500 ms, so keys created or revoked by another process take effect
+//! within a second; open requests of a revoked key end at once.
 //!
-//! It knows nothing of routes: what a key lets its bearer do, HTTP asks for.
+//! It knows nothing of routes: the HTTP layer asks for a key's scopes.
 
 mod folder;
 mod key;
@@ -22,11 +22,11 @@ pub use folder::{KeyFolder, KeyFolderError};
 pub(crate) use key::Key;
 pub(crate) use secret::same;
 
-/// How often the table is read.
+/// Interval at which the table is reread.
 const REFRESH: Duration = Duration::from_millis(500);
-/// When a key was last used is written down to about so much.
+/// Precision of the stored last-used times.
 const COARSE_MS: i64 = 60_000;
-/// Keys of one name that may be live: the old one and the new one, while it is put in its place.
+/// Maximum number of live keys of one name: the old one and its replacement.
 pub(crate) const MAX_LIVE_OF_A_NAME: i64 = 2;
 /// Keys that are not revoked, of all names.
 pub(crate) const MAX_KEYS: usize = 1000;
@@ -37,7 +37,7 @@ const RESERVED: [&str; 2] = ["local", "pool"];
 /// The longest life of a key that expires.
 const MAX_LIFE_SECONDS: u64 = 100 * 366 * 24 * 3600;
 
-/// Why a key could not be made, found or revoked.
+/// Error when creating, finding or revoking a key.
 #[derive(Debug, thiserror::Error)]
 pub(crate) enum KeyError {
     /// The name is none.
@@ -45,17 +45,17 @@ pub(crate) enum KeyError {
         "{0:?} can't name a key: take 1 to 64 letters, digits, dots, dashes and underscores, but not local or pool"
     )]
     Name(String),
-    /// It would let nobody do anything.
+    /// It has no scope, so it would allow nothing.
     #[error("a key needs a scope: submit, read, worker or admin")]
     NoScope,
-    /// A limit of it would let nothing through.
+    /// A limit of it is out of range.
     #[error("{what} of a key is {found}: say 1 to {most}, or leave it out")]
     Limit {
         /// Which.
         what: &'static str,
-        /// What was asked for.
+        /// Requested value.
         found: u64,
-        /// The most there may be.
+        /// Maximum.
         most: u64,
     },
     /// The name has both its keys.
@@ -71,7 +71,7 @@ pub(crate) enum KeyError {
         "there are {MAX_KEYS} keys already: revoke those that nobody needs (`sdfarm key list` says when each was used)"
     )]
     TooMany,
-    /// Nothing to revoke.
+    /// There is no such key.
     #[error("no key that could be revoked has the id or name {0:?}: `sdfarm key list` shows them all")]
     Unknown(String),
     /// The system has no random bits.
@@ -82,26 +82,26 @@ pub(crate) enum KeyError {
     Store(#[from] StoreError),
 }
 
-/// What became of a secret that was brought.
+/// Result of looking up a secret.
 #[derive(Clone, Debug)]
 pub(crate) enum Found {
-    /// It is a live key's.
+    /// Secret of a live key.
     Live(Arc<Key>),
-    /// It is an expired key's.
+    /// Secret of an expired key.
     Expired,
-    /// It is a revoked key's.
+    /// Secret of a revoked key.
     Revoked,
-    /// It is no key's.
+    /// Unknown secret.
     Unknown,
 }
 
-/// The keys of a farm, as they were a moment ago.
+/// Keys of a farm, at most 500 ms old.
 #[derive(Debug)]
 pub(crate) struct Keys {
     store: Arc<Store>,
     clock: Clock,
     known: RwLock<Arc<Vec<Arc<Key>>>>,
-    /// When the use of each was last written down.
+    /// When each key's last use was last written to the table.
     written: Mutex<HashMap<i64, i64>>,
 }
 
@@ -113,7 +113,7 @@ impl Keys {
         Ok(keys)
     }
 
-    /// Whether a key was ever made: from then on nobody comes in without one.
+    /// Whether a key was ever created: from then on every request needs one.
     pub(crate) fn are_wanted(&self) -> bool {
         !self.all().is_empty()
     }
@@ -124,10 +124,10 @@ impl Keys {
         self.all().iter().filter(|key| key.is_live(now_ms)).count()
     }
 
-    /// Whose secret this is.
+    /// Looks up a secret.
     pub(crate) fn find(&self, secret: &str) -> Found {
         let digest = secret::digest(secret);
-        // All are compared, so that the time it takes tells nothing.
+        // Compares with all keys, so that the duration reveals nothing.
         let all = self.all();
         let found = all.iter().fold(None, |found, key| if key.has(&digest) { Some(key) } else { found });
         let Some(key) = found else { return Found::Unknown };
@@ -148,7 +148,7 @@ impl Keys {
         self.all().iter().map(|key| key.view(now_ms)).collect()
     }
 
-    /// Makes a key; it counts when this returns.
+    /// Creates a key; it is valid when this returns.
     pub(crate) async fn make(&self, new: NewKey) -> Result<IssuedKey, KeyError> {
         let order = key::Order::check(new, self.clock.wall_ms())?;
         if self.all().iter().filter(|key| !key.is_revoked()).count() >= MAX_KEYS {
@@ -169,7 +169,7 @@ impl Keys {
         }
     }
 
-    /// Revokes the key of an id, or all of a name; whoever waits under them is told at once.
+    /// Revokes the key with this id, or all keys of this name, and ends their open requests.
     pub(crate) async fn revoke(&self, id_or_name: &str) -> Result<Vec<KeyView>, KeyError> {
         let (which, now_ms) = (id_or_name.to_owned(), self.clock.wall_ms());
         let revoked = self
@@ -201,7 +201,7 @@ impl Keys {
         Ok(())
     }
 
-    /// Keeps the keys as the table has them, and writes down when they were used, until the end.
+    /// Reloads the keys from the table and stores their last use until shutdown.
     pub(crate) async fn run(&self, end: CancellationToken) {
         let mut tick = tokio::time::interval(REFRESH);
         tick.set_missed_tick_behavior(tokio::time::MissedTickBehavior::Delay);

@@ -50,10 +50,10 @@ use listen::Entrance;
 use lock::FolderLock;
 use store::Store;
 
-/// What answers may take after the pool has ended.
+/// Time for the last responses after the pool has ended.
 const LAST_ANSWERS: Duration = Duration::from_secs(5);
 
-/// Why a running server ended by itself.
+/// Error that stops a running server.
 #[derive(Debug, thiserror::Error)]
 pub enum ServeError {
     /// The listener failed.
@@ -68,7 +68,7 @@ pub struct Server {
     farm: Arc<Farm>,
     store: Arc<Store>,
     leftovers: mpsc::UnboundedReceiver<Leftovers>,
-    // Let go last of all.
+    // Released last.
     lock: FolderLock,
 }
 
@@ -79,12 +79,12 @@ impl Server {
         Self::start_with_clock(config, Clock::system()).await
     }
 
-    /// The same, under another clock.
+    /// Starts a server with the given clock.
     pub async fn start_with_clock(config: Config, clock: Clock) -> Result<Self, StartError> {
         start::start(config, clock).await
     }
 
-    /// Where it listens.
+    /// Address it listens on.
     pub fn address(&self) -> SocketAddr {
         self.entrance.address()
     }
@@ -95,8 +95,8 @@ impl Server {
         format!("{scheme}://{}", self.address())
     }
 
-    /// Serves until `shutdown`, then takes no more jobs, lets local workers finish or hand back
-    /// what they hold, and closes the database.
+    /// Serves until `shutdown`; then rejects new jobs, lets local workers finish or release their leases,
+    /// and closes the database.
     pub async fn run(self, shutdown: CancellationToken) -> Result<(), ServeError> {
         let Self { entrance, farm, store, leftovers, lock } = self;
         let router = http::router(Arc::clone(&farm));

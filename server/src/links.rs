@@ -1,7 +1,7 @@
-//! Signed, expiring links to pictures: HMAC-SHA256 over what is shown and until when, under a secret
-//! that is made at the first start and stays in the data folder.
+//! Signed, expiring links to pictures: HMAC-SHA256 over the content and the expiry, under a secret that is
+//! created at the first start and stays in the data folder.
 //!
-//! Nothing here knows what time it is, or whether there is such a picture.
+//! Nothing here knows the current time, or whether the picture exists.
 
 use std::fmt;
 use std::fs::{File, OpenOptions};
@@ -20,19 +20,19 @@ use sha2::Sha256;
 const FILE: &str = "links.secret";
 /// Bytes of the secret.
 const SECRET_BYTES: usize = 32;
-/// What is signed begins so, so that a signature means nothing anywhere else.
+/// Prefix of the signed text, so that a signature is valid for nothing else.
 const PURPOSE: &str = "sdfarm picture link, version 1";
 
-/// What a link shows, and until when.
+/// Content and expiry of a link.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct Linked {
     /// The job.
     pub(crate) job: JobId,
     /// The frame, from 0.
     pub(crate) frame: u32,
-    /// Of the frame, what.
+    /// Which picture of the frame.
     pub(crate) shown: Shown,
-    /// Seconds since 1970 from which it shows nothing.
+    /// Expiry, in seconds since 1970.
     pub(crate) expires_seconds: i64,
 }
 
@@ -48,7 +48,7 @@ impl fmt::Debug for Links {
 }
 
 impl Links {
-    /// Reads the secret of a data folder, or makes one.
+    /// Reads the secret of a data folder, or creates one.
     pub(crate) fn open(data: &Path) -> io::Result<Self> {
         let path = data.join(FILE);
         let mut secret = [0; SECRET_BYTES];
@@ -74,7 +74,7 @@ impl Links {
         BASE64_URL_SAFE_NO_PAD.encode(self.code(linked).finalize().into_bytes())
     }
 
-    /// Whether a signature is a link's; the time it takes does not tell where they differ.
+    /// Whether a signature matches a link, in constant time.
     pub(crate) fn is_signed(&self, linked: &Linked, signature: &str) -> bool {
         BASE64_URL_SAFE_NO_PAD
             .decode(signature)

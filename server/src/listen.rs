@@ -1,6 +1,6 @@
-//! The server's connections: taken in, bounded in number and in patience, ended in good order.
+//! The server's connections: accepted, bounded in number and by minimum rates, closed gracefully.
 //!
-//! What is slow, silent or too much here never gets to a handler. Nothing is decided about requests.
+//! Slow, silent or surplus connections never reach a handler. No decision about requests is made here.
 
 mod crowd;
 mod entrance;
@@ -37,19 +37,19 @@ pub(crate) use patience::SlowBody;
 use patience::{Paced, Watched};
 use tls::Tls;
 
-/// A request's head has to arrive in this time, and a connection between two requests is kept so long.
+/// Time limit for a request's head, and for a connection between two requests.
 const HEAD_TIMEOUT: Duration = Duration::from_secs(30);
 /// A request's line and headers.
 const MAX_HEAD_BYTES: usize = 32 << 10;
-/// What is read ahead of a handler.
+/// Read-ahead buffer of a connection.
 const MAX_BUFFER_BYTES: usize = 64 << 10;
 /// Headers of a request.
 const MAX_HEADERS: usize = 100;
-/// A TLS handshake may take so long.
+/// Time limit for a TLS handshake.
 const HANDSHAKE_TIMEOUT: Duration = Duration::from_secs(10);
-/// What a connection that is to end may take to say that it has just become busy.
+/// Time that an evicted connection has to report that it has just become busy.
 const LAST_CHANCE: Duration = Duration::from_millis(250);
-/// Without room for another connection, the next try is made after this.
+/// If no slot is free, the next attempt is made after this interval.
 const NO_ROOM: Duration = Duration::from_millis(100);
 
 /// Takes in connections until `ending`, then waits until those that are busy have been answered.
@@ -80,7 +80,7 @@ pub(crate) async fn serve(
             place = crowd.enter() => place,
             () = ending.cancelled() => break None,
         };
-        // Small answers are not to wait for one another.
+        // Small responses must not wait for one another.
         drop(stream.set_nodelay(true));
         let (router, tls, ending) = (router.clone(), tls.clone(), ending.clone());
         connections.spawn(async move {
@@ -156,7 +156,7 @@ fn tell(address: SocketAddr, ended: hyper::Result<()>) {
     }
 }
 
-/// The same address, whichever family of sockets it came by.
+/// The IPv4 address of an IPv4-mapped IPv6 address; others unchanged.
 fn canonical(address: IpAddr) -> IpAddr {
     address.to_canonical()
 }

@@ -1,17 +1,17 @@
-//! One server a data folder: an advisory lock on a file in it, held while the server lives
-//! and let go by the system when it dies.
+//! One server per data folder: an advisory lock on a file in it, held while the server lives and released by
+//! the system when it dies.
 
 use std::fs::{File, OpenOptions, TryLockError};
 use std::io::{self, Read, Seek, Write};
 use std::path::Path;
 
-/// The hold on a data folder; dropping it lets go.
+/// Lock on a data folder; dropping it releases the lock.
 #[derive(Debug)]
 pub(crate) struct FolderLock {
     _file: File,
 }
 
-/// Why a data folder could not be held.
+/// Error when acquiring the lock.
 #[derive(Debug, thiserror::Error)]
 pub(crate) enum LockError {
     /// Another server holds it.

@@ -1,7 +1,7 @@
 //! The bytes: pictures and tile blobs, each named by the BLAKE3 of its content.
 //!
-//! A picture is flushed to the disk before anyone hears of it; a tile blob is not, since
-//! losing it costs a re-render. What is in them is nobody's business here.
+//! A picture is fsynced before its row is written; a tile blob is not, because losing one costs only a
+//! re-render. This module does not interpret the bytes.
 
 use std::io::{self, SeekFrom};
 use std::path::{Path as FolderPath, PathBuf};
@@ -23,7 +23,7 @@ use tokio_util::io::ReaderStream;
 
 /// Bytes written at a time.
 const PART_BYTES: usize = 1 << 20;
-/// What was stored a shorter time ago is not swept: workers gather results for less.
+/// Content younger than this is never swept, because workers hold reports back for up to 200 ms.
 pub(crate) const YOUNG: Duration = Duration::from_secs(1);
 /// Largest blob taken; a tile's data is at most half of it.
 const MAX_BLOB_BYTES: u64 = 128 << 20;
@@ -57,7 +57,7 @@ impl Kind {
         self.path(data).join(name)
     }
 
-    /// The most bytes one may have.
+    /// Maximum size of a file of this kind.
     pub(crate) fn max_bytes(self) -> u64 {
         match self {
             Self::Picture => MAX_PICTURE_BYTES,
@@ -83,23 +83,23 @@ impl Name {
     }
 }
 
-/// Why bytes could not be stored or read.
+/// Error when storing or reading bytes.
 #[derive(Debug, thiserror::Error)]
 pub(crate) enum PictureError {
-    /// The disk, or the store, said no.
+    /// The disk or the object store failed.
     #[error("the store could not {action} {kind}/{name}")]
     Store {
-        /// What it should do.
+        /// Attempted action.
         action: &'static str,
         /// The folder.
         kind: &'static str,
         /// The name.
         name: String,
-        /// What it said.
+        /// Error of the object store.
         #[source]
         source: object_store::Error,
     },
-    /// The bytes are not those the name says.
+    /// The bytes do not match the hash in their name.
     #[error("the bytes are not those of {expected}: their BLAKE3 is {actual}")]
     Mismatch {
         /// The name they were given.
@@ -110,7 +110,7 @@ pub(crate) enum PictureError {
     /// There are too many.
     #[error("there are more than {limit_bytes} bytes")]
     TooLarge {
-        /// The most there may be.
+        /// Maximum size.
         limit_bytes: u64,
     },
     /// They stopped coming.
@@ -159,12 +159,12 @@ impl Pictures {
         }
     }
 
-    /// While this is held, nothing is swept away.
+    /// Prevents sweeps while the guard is held.
     pub(crate) async fn keep_all(&self) -> impl Drop + '_ {
         self.gate.read().await
     }
 
-    /// Stores a stream of bytes if they are those that `name` says; else nothing is kept.
+    /// Stores a stream of bytes if they match the hash `name`; otherwise nothing is kept.
     pub(crate) async fn put(
         &self,
         kind: Kind,
@@ -254,13 +254,14 @@ impl Pictures {
         }
     }
 
-    /// What is in a folder.
+    /// Lists the files of a folder.
     pub(crate) fn list(&self, kind: Kind) -> BoxStream<'static, object_store::Result<ObjectMeta>> {
         self.store(kind).list(Some(&Path::from(kind.folder()))).boxed()
     }
 
-    /// Removes those of `names` that `unneeded` still names while nothing can be reported; returns how many, and the
-    /// names that are too young: the same bytes may just have been stored anew, and not be reported yet.
+    /// Deletes those of `names` that `unneeded` still lists while no report can arrive. Returns how many,
+    /// and the names that are too recent: the same bytes may just have been stored again without a report
+    /// yet.
     pub(crate) async fn sweep<E, F>(
         &self,
         kind: Kind,
@@ -295,7 +296,7 @@ impl Pictures {
         modified.elapsed().is_ok_and(|age| age < YOUNG)
     }
 
-    /// Writes and removes a few bytes where pictures go, to see that it can be done.
+    /// Writes and deletes a few bytes in the pictures' folder, to verify that it is writable.
     pub(crate) async fn check(&self) -> Result<(), PictureError> {
         let name = Name(blake3::hash(b"a probe").to_hex().to_string());
         let probe = Path::from(format!("probe/{}", name.as_str()));
@@ -305,12 +306,12 @@ impl Pictures {
     }
 }
 
-/// Removes what writes left that were cut short at least so long ago.
+/// Deletes the files of writes that were interrupted at least `age` ago.
 pub(crate) fn remove_half_done(data: &FolderPath, age: Duration) -> io::Result<()> {
     for kind in [Kind::Picture, Kind::Blob] {
         for entry in std::fs::read_dir(kind.path(data))? {
             let entry = entry?;
-            // Its writer may finish, or another may remove it, at any moment.
+            // Its writer may finish it, or another sweep may delete it, at any time.
             let is_old = || Ok::<_, io::Error>(entry.metadata()?.modified()?.elapsed().unwrap_or_default() >= age);
             if entry.file_name().to_string_lossy().contains(HALF_DONE) && is_old().unwrap_or(false) {
                 match std::fs::remove_file(entry.path()) {
@@ -340,8 +341,8 @@ fn path(kind: Kind, name: &Name) -> Path {
     Path::from(format!("{}/{}", kind.folder(), name.as_str()))
 }
 
-/// The bytes that were found, in pieces large enough for a file's reader: the store's own are of
-/// 8 KiB, each read on another thread, which takes a second for a frame's tiles.
+/// Content in chunks large enough for a file's reader. The store's own chunks have 8 KiB, each read on
+/// another thread, which takes a second for a frame's tiles.
 fn stream(found: GetResult) -> BoxStream<'static, object_store::Result<Bytes>> {
     const PIECE_BYTES: usize = 256 << 10;
     let range = found.range.clone();

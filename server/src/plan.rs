@@ -3,7 +3,7 @@
 use proto::Rect;
 use proto::tile::Tiling;
 
-/// How every frame of a job is cut.
+/// How every frame of a job is cut into tiles.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct Plan {
     /// Picture width, in pixels.
@@ -21,7 +21,7 @@ pub(crate) struct Plan {
 }
 
 impl Plan {
-    /// The plan of a job on a server whose operator may have asked for an edge.
+    /// Plan of a job; `edge_px` is the operator's tile edge, if any.
     pub(crate) fn of(job: &scene::Job, edge_px: Option<u32>) -> Self {
         Self {
             width_px: job.image.width,

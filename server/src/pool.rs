@@ -1,8 +1,8 @@
-//! The local pool: worker processes, children of this server, kept at the number asked for.
+//! The local pool: keeps the requested number of worker processes running as children of this server.
 //!
-//! A child's end is seen at once, ends its leases, and has another take its place, on the same
-//! device. A child that is one too many finishes what it holds first. A place whose device can't
-//! render stays empty until the pool is sized anew.
+//! When a child exits, its leases end at once and another child starts in its slot, on the same device. A
+//! surplus child finishes its leases first. A slot whose device cannot render stays empty until the pool is
+//! resized.
 
 mod child;
 
@@ -20,20 +20,20 @@ use crate::config::Config;
 use crate::queue::{Cause, Queue};
 use child::{Child, Exit, Launch};
 
-/// A child that dies sooner than this after its start has hardly started.
+/// A child that exits sooner than this has failed to start.
 const EARLY: Duration = Duration::from_secs(1);
-/// So many early deaths in a row are nothing to wait for.
+/// This many failed starts in a row are retried without delay.
 const EARLY_DEATHS_FREE: u32 = 3;
 /// The first wait after more of them; it doubles from there.
 const BACK_OFF: Duration = Duration::from_millis(250);
 /// The longest wait.
 const MAX_BACK_OFF: Duration = Duration::from_secs(30);
-/// Of the grace, the part left for handing back what would not end in time.
+/// Part of the grace period for releasing leases that would not finish in time.
 const HAND_BACK: Duration = Duration::from_secs(2);
-/// What a child has after that, before it is killed.
+/// Time a child has after that before it is killed.
 const LAST_WORDS: Duration = Duration::from_secs(1);
 
-/// The pool's door.
+/// Handle of the pool.
 #[derive(Debug)]
 pub(crate) struct Pool {
     wanted: watch::Sender<u32>,
@@ -42,7 +42,7 @@ pub(crate) struct Pool {
     supervisor: std::sync::Mutex<Option<Waiting>>,
 }
 
-/// What the supervisor will need when it starts.
+/// Channels for the supervisor, kept until it starts.
 #[derive(Debug)]
 struct Waiting {
     wanted: watch::Receiver<u32>,
@@ -57,7 +57,7 @@ pub(crate) struct Supervision {
 }
 
 impl Pool {
-    /// A pool that wants so many workers; none is started yet.
+    /// Pool of this many workers, none of them started yet.
     pub(crate) fn new(workers: u32) -> Self {
         let (wanted, wanted_seen) = watch::channel(workers);
         let (processes, processes_seen) = watch::channel(Vec::new());
@@ -94,7 +94,7 @@ impl Pool {
         Supervision { end, task: tokio::spawn(supervisor.run(ending)) }
     }
 
-    /// Asks for so many workers.
+    /// Requests this many workers.
     pub(crate) fn resize(&self, workers: u32) {
         self.wanted.send_replace(workers);
     }
@@ -116,7 +116,7 @@ impl Pool {
 }
 
 impl Supervision {
-    /// Ends the pool: its workers may go on with what they hold for `grace`.
+    /// Ends the pool: its workers may continue their leases for `grace`.
     pub(crate) async fn end(self, grace: Duration) {
         if self.end.send(grace).await.is_err() {
             tracing::error!("the pool's supervisor ended early");
@@ -127,7 +127,7 @@ impl Supervision {
     }
 }
 
-/// Where a child reaches a server that may listen everywhere.
+/// Address at which a child reaches a server that may listen on all interfaces.
 fn reachable(address: SocketAddr) -> SocketAddr {
     let mut address = address;
     if address.ip().is_unspecified() {
@@ -271,11 +271,14 @@ impl Supervisor {
     fn hold(&mut self) {
         let Some(steps) = self.early_deaths.checked_sub(EARLY_DEATHS_FREE) else { return };
         let wait = (BACK_OFF * (1 << steps.min(10))).min(MAX_BACK_OFF);
-        tracing::error!(?wait, "workers die as soon as they start; see their messages above");
+        tracing::error!(
+            ?wait,
+            "pool workers exit right after starting: fix the cause in their messages above; next start is delayed"
+        );
         self.hold_until = Some(instant() + wait);
     }
 
-    /// Drains everyone; who does not end in time is told to hand back, then killed.
+    /// Drains all workers; those that do not exit in time must release their leases, and are then killed.
     async fn end(mut self, grace: Duration) {
         let start = instant();
         for index in 0..self.children.len() {

@@ -1,8 +1,8 @@
 //! The queue: the only place that changes the state of a job, frame, tile, lease or worker.
 //!
-//! One function is one transition is one statement, and the rows it changed are counted.
-//! `Queue` is the door: it binds the time, runs transitions in the writer, and rings the
-//! bell for what the rest of the farm should know. Nothing here knows about HTTP or files.
+//! One function is one transition is one statement, and each statement's row count is checked. `Queue` is the
+//! entry point: it binds the time, runs transitions in the writer, and wakes the waiters that a change
+//! concerns. Nothing here knows about HTTP or files.
 
 mod backlog;
 mod change;
@@ -67,7 +67,7 @@ pub(crate) use workers::{NewWorker, Registered};
 /// A transition's answer.
 type Result<T> = std::result::Result<T, StoreError>;
 
-/// When and under what terms a transition happens.
+/// Time and lease terms of a transition.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Moment {
     /// The server's clock.
@@ -83,18 +83,18 @@ pub(crate) struct Moment {
 /// Rung after the commit of what others wait for.
 #[derive(Debug, Default)]
 pub(crate) struct Bell {
-    /// There may be work.
+    /// Wakes waiters for work.
     pub(crate) work: Notify,
-    /// A lease was ended from outside, or a worker was told to drain.
+    /// Wakes workers whose lease was ended from outside or that must drain.
     pub(crate) news: Notify,
 }
 
-/// What a transition should ring for, once it is committed.
+/// Wake signals that a transition asks for, sent after its commit.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(crate) struct Ring {
     /// There may be work.
     work: bool,
-    /// A lease was ended from outside, or a worker was told to drain.
+    /// A lease was ended from outside, or a worker must drain.
     news: bool,
 }
 
@@ -149,7 +149,7 @@ impl Queue {
         }
     }
 
-    /// What rings when there is work or news.
+    /// Wake signals sent after a commit that may add work, ends a lease from outside, or drains a worker.
     pub(crate) fn bell(&self) -> &Bell {
         &self.bell
     }
@@ -173,7 +173,8 @@ impl Queue {
         Ok(number)
     }
 
-    /// Stores a job's next frame from a picture that is already there; `Opened::Open` means there is none.
+    /// Stores a job's next frame from a picture that is already stored; `Opened::Open` means there is
+    /// none.
     pub(crate) async fn reuse(&self, opening: Opening) -> Result<Opened> {
         let moment = self.moment();
         self.store
@@ -202,7 +203,7 @@ impl Queue {
         Ok(turned)
     }
 
-    /// Ends the leases whose time ran out, and the workers that vanished.
+    /// Expires overdue leases and marks lost workers; returns the number of expired leases.
     pub(crate) async fn rescue(&self) -> Result<u64> {
         let moment = self.moment();
         let (count, ring) = self
@@ -257,7 +258,7 @@ impl Queue {
             .await
     }
 
-    /// Tells the pool's worker of this process to finish what it holds; false: it has not registered yet.
+    /// Asks the pool worker of this process to drain; false if it has not registered yet.
     pub(crate) async fn drain(&self, process: u32) -> Result<bool> {
         let drained = self
             .store
@@ -269,7 +270,7 @@ impl Queue {
         Ok(drained)
     }
 
-    /// Ends the pool's worker of a process that has ended, and its leases at once.
+    /// Records that a pool worker's process has ended, and ends its leases immediately.
     pub(crate) async fn reaped(&self, process: u32, cause: Cause, message: String) -> Result<Option<WorkerId>> {
         let moment = self.moment();
         let (worker, ring) = self
@@ -282,7 +283,7 @@ impl Queue {
         Ok(worker)
     }
 
-    /// Drops the rows of workers that are gone and of leases that matter no more.
+    /// Deletes rows of workers that are gone and of leases past their use.
     pub(crate) async fn tidy(&self) -> Result<()> {
         self.store
             .write(Durability::Relaxed, move |connection| Box::pin(async move { recover::tidy(connection).await }))
@@ -294,7 +295,7 @@ impl Queue {
         self.clock.wall_ms() / 1000
     }
 
-    /// What rings after every commit.
+    /// Signal sent after every commit.
     pub(crate) fn commits(&self) -> tokio::sync::watch::Receiver<()> {
         self.store.bell()
     }

@@ -1,7 +1,7 @@
-//! Retention: jobs go by age, their own or the server's, and by the size of the store, those that finished
-//! first. Never an unfinished job, and never a picture that a job which stays still shows.
+//! Retention: jobs are deleted by age, their own or the server's, and by the size of the store, those that
+//! finished first. Unfinished jobs and pictures that a remaining job uses are never deleted.
 //!
-//! It decides who goes; the queue removes rows, and bytes are swept as after any deletion.
+//! This module chooses the jobs; the queue deletes rows, and bytes are swept as after any deletion.
 
 use std::collections::BTreeSet;
 
@@ -14,30 +14,30 @@ use crate::pictures::Kind;
 use crate::queue::Ended;
 use crate::store::StoreError;
 
-/// Jobs removed in one go, at most.
+/// Maximum number of jobs deleted by one call.
 const MAX_JOBS: usize = 1000;
-/// Jobs looked up at a time.
+/// Jobs per database query.
 const PAGE: u32 = 200;
 
-/// Why jobs could not be removed.
+/// Error when deleting jobs.
 #[derive(Debug, thiserror::Error)]
 pub(crate) enum RetentionError {
     /// The database could not do it.
     #[error(transparent)]
     Store(#[from] StoreError),
-    /// The store's size could not be found out.
+    /// The size of the store could not be determined.
     #[error("could not find out how large the store is")]
     Size(#[from] object_store::Error),
 }
 
-/// A job that goes, and why.
+/// Job to delete, and the reason.
 struct Going {
     job: Ended,
     reason: Reason,
     freed_bytes: u64,
 }
 
-/// Removes the jobs that need not be kept, or with `dry_run` only tells which those are.
+/// Deletes the jobs past their retention, or only lists them with `dry_run`.
 pub(crate) async fn collect(farm: &Farm, dry_run: bool) -> Result<Collection, RetentionError> {
     remove(farm, dry_run, store_bytes(farm).await?).await
 }
@@ -60,7 +60,7 @@ async fn remove(farm: &Farm, dry_run: bool, store_bytes: u64) -> Result<Collecti
     Ok(Collection { dry_run, store_bytes, max_store_bytes: farm.config.max_store_bytes, freed_bytes, jobs, more })
 }
 
-/// Removes all that need not be kept, unless the server ends.
+/// Deletes all jobs past their retention, until shutdown.
 pub(crate) async fn collect_all(farm: &Farm) -> Result<(), RetentionError> {
     while !farm.ending.is_cancelled() {
         // The store is listed only where its size decides something.
@@ -119,7 +119,7 @@ async fn choose(farm: &Farm, store_bytes: u64) -> Result<Vec<Going>, StoreError>
     spare(farm, going, &numbers).await
 }
 
-/// Of the jobs that go for the store's size, those stay whose pictures are shown by others anyway.
+/// Of the jobs to delete for the store's size, spares those whose pictures other jobs use anyway.
 async fn spare(farm: &Farm, going: Vec<Going>, numbers: &[i64]) -> Result<Vec<Going>, StoreError> {
     let mut spared = BTreeSet::new();
     for one in going.iter().filter(|one| one.reason == Reason::Size && one.freed_bytes == 0) {

@@ -1,8 +1,8 @@
 //! Child processes that draw previews and measure samples: this process never touches a pixel and never
 //! runs a scene, so that no scene can kill or stall it.
 //!
-//! A child is started on demand, few at a time, with a time limit; it ends when its standard input closes,
-//! so a killed server leaves none behind.
+//! A helper process is started on demand, a few at a time, with a time limit; it exits when its standard
+//! input closes, so a killed server leaves none behind.
 
 use std::collections::VecDeque;
 use std::io;
@@ -18,26 +18,26 @@ use tokio::io::{AsyncReadExt, AsyncWriteExt};
 use tokio::process::{Child, Command};
 use tokio::sync::Semaphore;
 
-/// Children at the same time.
+/// Maximum number of helper processes.
 const MAX_CHILDREN: usize = 2;
-/// What one may take.
+/// Time limit of a helper process.
 const TIME_LIMIT: Duration = Duration::from_secs(20);
-/// How long a request waits for its turn.
+/// How long a request waits for a free helper.
 const MAX_WAIT: Duration = Duration::from_secs(10);
 /// Bytes of an answer.
 const MAX_ANSWER_BYTES: u64 = 64 << 20;
-/// Of a child's words on standard error, so many bytes are kept.
+/// Maximum number of bytes kept of a helper's standard error.
 const MAX_WORDS_BYTES: u64 = 2 << 10;
-/// Pictures kept at hand, for those who ask for the same.
+/// Maximum number of cached pictures.
 const KEPT_PICTURES: usize = 32;
-/// Bytes of theirs, unless there is but one.
+/// Maximum size of the cached pictures together, unless there is only one.
 const KEPT_BYTES: usize = 16 << 20;
-/// Coarse passes kept in the folder.
+/// Maximum number of coarse passes kept in the folder.
 const KEPT_COARSE: usize = 256;
 /// The folder of coarse passes.
 const FOLDER: &str = "previews";
 
-/// Why there is no picture or sample.
+/// Error that prevents a picture or a sample.
 #[derive(Debug, thiserror::Error)]
 pub(crate) enum SketchError {
     /// Too many ask.
@@ -49,7 +49,7 @@ pub(crate) enum SketchError {
     /// The child could not be started.
     #[error("the program that draws previews could not be started: {0}")]
     Start(io::Error),
-    /// The child broke off.
+    /// The helper failed.
     #[error("the preview or estimate could not be made: {0}")]
     Failed(String),
 }
@@ -64,7 +64,7 @@ pub(crate) struct Sketches {
 }
 
 impl Sketches {
-    /// Opens the folder of coarse passes, which is emptied: they are made again.
+    /// Opens the folder of coarse passes and empties it: they are rendered again on demand.
     pub(crate) fn open(data: &Path, program: &Path) -> io::Result<Self> {
         let folder = data.join(FOLDER);
         match std::fs::remove_dir_all(&folder) {
@@ -76,18 +76,18 @@ impl Sketches {
         Ok(Self { program: program.to_owned(), folder, permits, kept: Mutex::default() })
     }
 
-    /// Where the coarse pass of a frame is kept.
+    /// Path of a frame's coarse pass.
     pub(crate) fn coarse(&self, job: JobId, frame: u32) -> PathBuf {
         self.folder.join(format!("{job}-{frame}"))
     }
 
-    /// The picture of a tag, kept or drawn now.
+    /// Picture of a tag, cached or drawn now.
     pub(crate) async fn picture(&self, tag: &str, sketch: &Sketch) -> Result<Bytes, SketchError> {
         if let Some(kept) = self.find(tag) {
             return Ok(kept);
         }
         let permit = self.permit().await?;
-        // Others may have waited for the same.
+        // Another request may have drawn the same picture in the meantime.
         if let Some(kept) = self.find(tag) {
             return Ok(kept);
         }
@@ -162,14 +162,15 @@ impl Sketches {
     }
 }
 
-/// Tells a child what to do, and reads its answer. Its standard input stays open as long as it should live.
+/// Sends a request to a helper, and reads its response. Its standard input stays open as long as the helper
+/// should live.
 async fn answer(child: &mut Child, line: &[u8]) -> Result<Vec<u8>, SketchError> {
     let lost = || SketchError::Start(io::Error::other("its pipes are missing"));
     let mut input = child.stdin.take().ok_or_else(lost)?;
     let output = child.stdout.take().ok_or_else(lost)?;
     let errors = child.stderr.take().ok_or_else(lost)?;
     let write = async {
-        // A child that refuses what it reads says why.
+        // A helper that rejects its input reports the reason itself.
         drop(input.write_all(line).await);
     };
     let read = async {

@@ -1,5 +1,5 @@
-//! Starting: everything that can be wrong with a server's surroundings, found before it serves,
-//! and said with its cure.
+//! Startup: checks everything about the server's environment before it serves, with an error and its fix for
+//! each problem.
 
 use std::io;
 use std::net::SocketAddr;
@@ -27,7 +27,7 @@ use crate::store::{OpenError, Store, StoreError};
 use crate::watch::Watch;
 use crate::webhooks::{Guard, SecretError, Signer, Webhooks, webhook_secret};
 
-/// Why a server could not start, and the cure.
+/// Error that prevents the start, with its fix.
 #[derive(Debug, thiserror::Error)]
 pub enum StartError {
     /// The address is not loopback's, and there are no keys.
@@ -42,7 +42,7 @@ pub enum StartError {
     DataFolder {
         /// The folder.
         folder: PathBuf,
-        /// What the system said.
+        /// Error of the system.
         source: io::Error,
     },
     /// Another server has the data folder.
@@ -60,15 +60,15 @@ pub enum StartError {
     Database {
         /// The file.
         file: PathBuf,
-        /// What is wrong.
+        /// Reason.
         reason: String,
-        /// What to do.
+        /// Fix.
         cure: &'static str,
     },
     /// The certificate can't be used.
     #[error("can't offer TLS: {0}; name PEM files with --tls-cert and --tls-key")]
     Tls(String),
-    /// There is nothing to sign webhooks with.
+    /// There is no secret to sign webhooks with.
     #[error("{0}; set SDFARM_WEBHOOK_SECRET, or move the file away to have a new one made")]
     WebhookSecret(#[from] SecretError),
     /// The address can't be had.
@@ -76,7 +76,7 @@ pub enum StartError {
     Listen {
         /// The address.
         address: SocketAddr,
-        /// What the system said.
+        /// Error of the system.
         source: io::Error,
     },
 }
@@ -135,7 +135,7 @@ pub(crate) async fn start(config: Config, clock: Clock) -> Result<Server, StartE
     Ok(Server { entrance, farm, store, leftovers, lock })
 }
 
-/// What tells webhooks: signed with the operator's secret, or the data folder's own.
+/// Creates the sender of webhooks, with the operator's secret or the data folder's own.
 fn webhooks(config: &Config) -> Result<Webhooks, StartError> {
     let secret = match &config.webhook_secret {
         Some(secret) => secret.clone(),

@@ -22,11 +22,12 @@ use log::Log;
 use writer::Writer;
 pub(crate) use writer::{CommitTimes, Durability};
 
-/// Connections that read at the same time.
+/// Number of reading connections.
 const READERS: u32 = 4;
 /// Rows that the engine's thread reads ahead of who asked for them.
 const ROW_BUFFER: usize = 1024;
-/// Pages of the log (of 4 KiB) that the engine folds into the file by itself: a commit in so many has to wait for that.
+/// Pages of the WAL (of 4 KiB) after which the engine checkpoints it: the commit that reaches this number has
+/// to wait for the checkpoint.
 const FOLDED_PAGES: &str = "4000";
 /// Databases up to this size are checked page by page at start.
 const CHECKED_BYTES: u64 = 16 << 20;
@@ -38,10 +39,10 @@ pub(crate) fn migrations() -> impl Iterator<Item = (i64, &'static [u8])> {
     MIGRATIONS.iter().map(|migration| (migration.version, &*migration.checksum))
 }
 
-/// Why the database could not be read or written.
+/// Error when reading or writing the database.
 #[derive(Clone, Debug, thiserror::Error)]
 pub(crate) enum StoreError {
-    /// The engine said no.
+    /// The engine failed.
     #[error("the database could not do it")]
     Sql(#[source] Arc<sqlx::Error>),
     /// A statement touched another number of rows than its transition means to.
@@ -59,7 +60,7 @@ pub(crate) enum StoreError {
     Value {
         /// Table and column.
         column: &'static str,
-        /// What it holds.
+        /// Stored value.
         value: String,
     },
     /// The server is ending.
@@ -79,7 +80,7 @@ impl StoreError {
         self.code() == Some(13)
     }
 
-    /// The file is not, or no longer, a sound database.
+    /// Whether the file is not, or no longer, an intact database.
     pub(crate) fn is_damage(&self) -> bool {
         matches!(self.code(), Some(11 | 26))
     }
@@ -91,7 +92,7 @@ impl StoreError {
     }
 }
 
-/// Why the database could not be opened.
+/// Error when opening the database.
 #[derive(Debug, thiserror::Error)]
 pub(crate) enum OpenError {
     /// It could not be opened or read.
@@ -119,12 +120,12 @@ impl Store {
         data.join("farm.sqlite")
     }
 
-    /// Opens or makes the database of a data folder and brings its tables up to date.
+    /// Opens or creates the database of a data folder and applies pending migrations.
     pub(crate) async fn open(data: &Path) -> Result<Self, OpenError> {
         Self::open_with(data, SqliteConnectOptions::new().disable_statement_logging()).await
     }
 
-    /// The same, with every statement told by an event, for tests that look at them.
+    /// Opens the database and emits an event for every statement, for tests that check them.
     #[cfg(test)]
     pub(crate) async fn open_recorded(data: &Path) -> Result<Self, OpenError> {
         Self::open_with(data, SqliteConnectOptions::new()).await
@@ -174,12 +175,12 @@ impl Store {
         self.writer.write(durability, operation).await
     }
 
-    /// What commits take.
+    /// Durations of commits.
     pub(crate) fn commits(&self) -> &CommitTimes {
         &self.commits
     }
 
-    /// What rings after every commit.
+    /// Signal sent after every commit.
     pub(crate) fn bell(&self) -> tokio::sync::watch::Receiver<()> {
         self.writer.bell()
     }

@@ -1,7 +1,7 @@
-//! Watching: what operators can ask of a running server, and how it is found out.
+//! Metrics and status for operators, and how they are collected.
 //!
-//! It reads and counts; nothing in the farm depends on what it says. Counting costs a bounded
-//! share of the time: what was counted is told again for a second, or for longer where counting took long.
+//! It only reads and counts; nothing in the farm depends on it. Counting takes a bounded fraction of the
+//! time: counts are cached for 1 s, or longer if counting took long.
 
 pub(crate) mod machine;
 mod metrics;
@@ -24,23 +24,23 @@ use machine::{Disk, Process};
 use metrics::{Labels, set_all};
 pub(crate) use metrics::{Metrics, counts, seconds};
 
-/// What was counted is told again for so long.
+/// How long counts are cached.
 const KEEP_COUNTS: Duration = Duration::from_secs(1);
-/// What the folders hold is told again for so long.
+/// How long the sizes of folders are cached.
 const KEEP_SIZES: Duration = Duration::from_secs(30);
-/// Of the time, counting takes at most one part in so many.
+/// Counting takes at most one part in this many of the time.
 const SHARE: u32 = 20;
-/// A worker's GPU is told of for so long after it was heard of.
+/// How long a worker's GPU is shown after its last report.
 const KEEP_DEVICE: Duration = Duration::from_mins(2);
 /// Jobs whose traces are remembered.
 const KEPT_TRACES: usize = 64;
-/// Longer than any phase of a run; what is said to take longer is nonsense.
+/// Longer than any phase of a batch; longer durations are rejected as invalid.
 const MAX_TOOK_MS: f64 = 1e9;
 
-/// What is watched.
+/// Metrics and caches of the server.
 #[derive(Debug)]
 pub(crate) struct Watch {
-    /// What is counted as it happens.
+    /// Metrics counted as they happen.
     pub(crate) metrics: Metrics,
     started: Instant,
     data: PathBuf,
@@ -50,7 +50,7 @@ pub(crate) struct Watch {
     traces: Mutex<VecDeque<(JobId, Option<String>)>>,
 }
 
-/// What the data folder holds.
+/// Sizes in the data folder.
 #[derive(Clone, Copy, Debug, Default)]
 pub(crate) struct Sizes {
     pictures_bytes: u64,
@@ -58,7 +58,7 @@ pub(crate) struct Sizes {
     disk: Disk,
 }
 
-/// Something that was found out, and until when it is told again.
+/// Cached value and its expiry.
 #[derive(Debug)]
 struct Kept<T> {
     value: T,
@@ -106,7 +106,8 @@ impl Watch {
         devices.insert(worker, seen);
     }
 
-    /// A worker said what it measured. Of one that registered with an earlier server, only its speed is known.
+    /// Records a worker's measurements. For a worker that registered with an earlier server, only its
+    /// speed is known.
     pub(crate) fn measured(&self, worker: WorkerId, measured: &Measured) {
         let mut devices = self.devices.lock().expect("no holder panics");
         let Some(seen) = devices.get_mut(&worker) else { return };
@@ -138,7 +139,7 @@ impl Watch {
         self.started.elapsed()
     }
 
-    /// What there is to do, as it was at most a moment ago.
+    /// Current counts, cached for a short time.
     pub(crate) async fn counts(&self, farm: &Farm) -> Result<Counts, StoreError> {
         let mut kept = self.counts.lock().await;
         if let Some(counts) = Kept::get(kept.as_ref()) {
@@ -150,7 +151,7 @@ impl Watch {
         Ok(counts)
     }
 
-    /// What the data folder holds, as it was at most a while ago.
+    /// Sizes in the data folder, cached for 30 s.
     pub(crate) async fn sizes(&self) -> Sizes {
         let mut kept = self.sizes.lock().await;
         if let Some(sizes) = Kept::get(kept.as_ref()) {

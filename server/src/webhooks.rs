@@ -1,7 +1,7 @@
 //! Telling webhooks: deliveries that are due are sent, signed, and what became of each attempt is written down.
 //!
-//! A delivery is sent at least once, under an id that stays the same, until it is taken or its attempts are used up.
-//! No redirect is followed, no proxy asked, and an answer's body is not read.
+//! A delivery is sent at least once, under an id that stays the same, until the receiver accepts it or its
+//! attempts are used up. No redirect is followed, no proxy is used, and a response's body is not read.
 
 mod guard;
 mod sign;
@@ -26,18 +26,18 @@ pub(crate) use guard::Guard;
 pub(crate) use sign::Signer;
 pub use sign::{SecretError, webhook_secret};
 
-/// What a webhook may be told.
+/// Event types of webhooks.
 pub(crate) const EVENTS: [&str; 5] = ["job.running", "job.succeeded", "job.failed", "job.cancelled", "frame.stored"];
-/// What it is told unless the job says otherwise.
+/// Default event types of a webhook.
 pub(crate) const FINAL_EVENTS: [&str; 3] = ["job.succeeded", "job.failed", "job.cancelled"];
 
 /// Attempts under way at a time.
 const AT_ONCE: usize = 16;
-/// A connection has to be there after so long.
+/// Time limit for connecting.
 const CONNECT_TIMEOUT: Duration = Duration::from_secs(5);
-/// An answer has to be there after so long.
+/// Time limit for a response.
 const TIMEOUT: Duration = Duration::from_secs(15);
-/// Deliveries are looked for so often, besides when something was committed.
+/// Interval between checks for due deliveries, in addition to those after commits.
 const TICK: Duration = Duration::from_secs(1);
 /// And not more often than this.
 const PAUSE: Duration = Duration::from_millis(100);
@@ -46,10 +46,10 @@ const WAITS_SECONDS: [u64; 9] = [5, 30, 120, 600, 1_800, 7_200, 21_600, 43_200, 
 /// Most of an error that is written down, in characters.
 const ERROR_CHARACTERS: usize = 300;
 
-/// What sends to webhooks.
+/// Sender of webhooks.
 #[derive(Debug)]
 pub(crate) struct Webhooks {
-    /// Where they may go.
+    /// Permitted addresses.
     pub(crate) guard: Guard,
     signer: Signer,
 }
@@ -74,7 +74,7 @@ impl Webhooks {
     }
 }
 
-/// The two ways out; each is made when it is first taken.
+/// HTTP clients for TLS and for plain HTTP; each is created at its first use.
 #[derive(Debug, Default)]
 struct Clients {
     https: Option<Client>,
@@ -146,7 +146,7 @@ async fn attempt(farm: &Farm, client: Result<Client, String>, delivery: &Deliver
         Ok(status) => (Some(status), format!("it was answered with {status}")),
         Err(error) => (None, error.chars().take(ERROR_CHARACTERS).collect()),
     };
-    // Gone for good, says the receiver.
+    // The receiver reports 410 Gone: no further attempt.
     let again_in = if status == Some(410) { None } else { wait(delivery.attempts, jitter()) };
     farm.totals.webhook_failures.fetch_add(1, std::sync::atomic::Ordering::Relaxed);
     tracing::warn!(
@@ -158,7 +158,7 @@ async fn attempt(farm: &Farm, client: Result<Client, String>, delivery: &Deliver
 
 /// Sends a delivery, and returns the answer's status.
 async fn send(farm: &Farm, client: &Client, delivery: &Delivery) -> Result<u16, String> {
-    // What was allowed when the job was handed in may not be any more.
+    // An address that was permitted at submission may not be permitted any more.
     let url: Url = farm.webhooks.guard.check(&delivery.url).map_err(|error| error.to_string())?;
     let body = message(delivery);
     let timestamp_seconds = farm.queue.wall_seconds();
@@ -176,7 +176,7 @@ async fn send(farm: &Farm, client: &Client, delivery: &Delivery) -> Result<u16, 
     Ok(response.status().as_u16())
 }
 
-/// The message: the same bytes in every attempt.
+/// Body of the message: the same bytes in every attempt.
 fn message(delivery: &Delivery) -> String {
     let mut data = serde_json::from_str(&delivery.body).unwrap_or(Value::Null);
     let timestamp = data.as_object_mut().and_then(|data| data.remove("at"));
@@ -191,7 +191,7 @@ fn message(delivery: &Delivery) -> String {
     message.to_string()
 }
 
-/// How long to wait after so many attempts and one more; `jitter` is from 0 to 1.
+/// Delay before the next attempt; `jitter` is from 0 to 1.
 fn wait(attempts: u32, jitter: f64) -> Option<Duration> {
     let seconds = *WAITS_SECONDS.get(attempts as usize)?;
     Some(Duration::from_secs(seconds).mul_f64(0.8 + 0.4 * jitter))

@@ -1,7 +1,7 @@
-//! Works for a server: registers, takes runs of tiles, renders and delivers them, until
-//! it is told to stop.
+//! Runs a worker: registers with a server, takes batches of tiles, renders and delivers them, until it must
+//! stop.
 //!
-//! It keeps nothing that matters: ended at any instant, all it held is leased again.
+//! It keeps no state that matters: if it is killed at any instant, its tiles are leased again.
 
 mod back_off;
 mod deliver;
@@ -29,21 +29,21 @@ use back_off::BackOff;
 use link::{Link, LinkError};
 use session::{Ending, Session};
 
-/// How an agent works.
+/// Settings of an agent.
 #[derive(Clone, Debug)]
 pub struct AgentConfig {
     /// The server's address: `http://127.0.0.1:8080`.
     pub server: String,
     /// A label for people.
     pub name: String,
-    /// What the server knows its workers by, and what it is known by.
+    /// Certificates and key for calling the server.
     pub access: Access,
-    /// Where data that does not fit in memory goes, in files without names.
+    /// Folder for data that does not fit in memory, in unnamed files.
     pub scratch: PathBuf,
-    /// After a shutdown, how long to go on with what is held before it is handed back.
+    /// After a shutdown, how long to continue the leases it holds before releasing them.
     pub grace: Duration,
-    /// A server on this machine started it: it ends at once when standard input closes, and puts bytes into the
-    /// server's folders by itself. No other server is believed where those are.
+    /// Started by a server on this machine: it exits at once when standard input closes, and writes
+    /// directly into the server's folders. Folder paths from any other server are ignored.
     pub of_pool: bool,
 }
 
@@ -61,8 +61,8 @@ impl AgentConfig {
     }
 }
 
-/// Works until the server says drain or `shutdown` is cancelled; then finishes or hands
-/// back what it holds. A server that is away is waited for.
+/// Works until the server drains the worker or `shutdown` is cancelled; then finishes or releases its leases.
+/// Waits for a server that is unreachable.
 pub async fn run(
     config: AgentConfig,
     renderer: Arc<dyn Renderer>,
@@ -132,7 +132,7 @@ fn exit_when_stdin_closes() {
     }
 }
 
-/// Why an agent ended by itself.
+/// Error that stops an agent.
 #[derive(Debug, thiserror::Error)]
 pub enum AgentError {
     /// No server can be there.
@@ -149,13 +149,13 @@ pub enum AgentError {
     Refused {
         /// The server.
         server: String,
-        /// What it said.
+        /// Reason.
         reason: String,
     },
-    /// The device is lost; what was held is handed back.
+    /// The device is lost; its leases have been released.
     #[error("the device will render no more: {reason}")]
     Retired {
-        /// What became of it.
+        /// Reason.
         reason: String,
     },
 }

@@ -25,7 +25,7 @@ pub struct PointsReport {
     pub points_per_second: f64,
 }
 
-/// What rendering a frame took.
+/// Time and figures of rendering a frame on CPUs.
 #[derive(Clone, Debug, Serialize)]
 pub struct RenderReport {
     /// The job's name.
@@ -48,16 +48,17 @@ pub struct RenderReport {
     pub evaluations_per_second: f64,
 }
 
-/// What rendering a frame took on a GPU.
+/// Time and figures of rendering a frame on a GPU.
 #[derive(Clone, Debug, Serialize)]
 pub struct GpuReport {
     /// The job's name.
     pub job: String,
-    /// What the GPU's maker calls it.
+    /// Product name of the GPU.
     pub gpu: String,
-    /// Printing, compiling and loading the scene's program, in milliseconds; `None` where it was kept on disk.
+    /// Printing, compiling and loading the scene's kernel, in milliseconds; `None` if it was cached on
+    /// disk.
     pub compile_ms: Option<f64>,
-    /// Printing and loading it once it is kept, in milliseconds.
+    /// Printing and loading the cached kernel, in milliseconds.
     pub load_ms: f64,
     /// Threads of a block: 16x8.
     pub block: String,
@@ -65,7 +66,7 @@ pub struct GpuReport {
     pub registers: u32,
     /// Bytes a thread keeps in memory for want of registers.
     pub local_bytes: u32,
-    /// Share of the GPU's threads that may be resident.
+    /// Occupancy: resident fraction of the GPU's threads.
     pub occupancy: f64,
     /// Median time of the frame's kernels, in milliseconds.
     pub kernel_ms: f64,
@@ -81,7 +82,7 @@ pub struct GpuReport {
     pub evaluations: u64,
     /// Distances a second, in kernels.
     pub evaluations_per_second: f64,
-    /// Share of the GPU's most operations a second that go into distances, where their number is fixed.
+    /// Fraction of the GPU's peak operations per second spent on distances, if their number is fixed.
     pub peak_share: Option<f64>,
 }
 
@@ -137,7 +138,7 @@ pub fn render_on_gpu(job: &Job, gpu: &CudaRenderer, cpu: &CpuRenderer, runs: usi
 /// Points that fit the first cache together.
 const POINTS: usize = 1024;
 
-/// Evaluates the scene's distance at points around what the camera looks at, for about `time`, on one thread.
+/// Evaluates the scene's distance at points around the camera's target, for about `time`, on one thread.
 pub fn points(job: &Job, simd: Simd, time: Duration) -> Result<PointsReport, RenderError> {
     let packets = Packets::new(simd)?;
     let still = job.at(0)?;

@@ -5,8 +5,8 @@
 //! planes × height × width                                 f32, little-endian
 //! ```
 //!
-//! Uncompressed, so that a band of rows is read by one seek a plane; a blob lives for
-//! seconds. Nothing here judges the pixels.
+//! Uncompressed, so that a band of rows is read by one seek per plane; a blob lives for seconds. Nothing here
+//! interprets the pixels.
 
 use std::io::{self, Read, Seek, SeekFrom, Write};
 use std::ops::Range;
@@ -19,7 +19,7 @@ const MAGIC: [u8; 4] = *b"sdfb";
 const VERSION: u32 = 1;
 /// Bytes before the first plane.
 pub const HEADER_BYTES: usize = 28;
-/// No tile has more planes: four of colour, and every layer.
+/// Maximum number of planes: four of color, and every layer.
 pub const MAX_PLANES: usize = 64;
 /// No picture has more pixels, and so no tile.
 const MAX_PIXELS: u64 = 1 << 28;
@@ -84,7 +84,7 @@ impl<R: Read + Seek> Reader<R> {
         self.rect
     }
 
-    /// How many planes it has.
+    /// Number of planes.
     pub fn planes(&self) -> usize {
         self.planes
     }
@@ -94,7 +94,7 @@ impl<R: Read + Seek> Reader<R> {
     ///
     /// # Panics
     ///
-    /// If the tile has no such plane or rows.
+    /// Error if the tile has no such plane or rows.
     pub fn read_rows(&mut self, plane: usize, rows: Range<u32>, bytes: &mut Vec<u8>) -> Result<(), BlobError> {
         assert!(plane < self.planes && rows.start <= rows.end && rows.end <= self.rect.height, "a tile's own rows");
         let row_bytes = u64::from(self.rect.width) * size_of::<f32>() as u64;
@@ -105,7 +105,7 @@ impl<R: Read + Seek> Reader<R> {
     }
 }
 
-/// Reads a whole blob, and refuses one that is too long.
+/// Decodes a whole blob, and rejects one that is too long.
 pub fn decode(bytes: &[u8]) -> Result<Pixels, BlobError> {
     let header = bytes.first_chunk::<HEADER_BYTES>().ok_or(BlobError::Truncated)?;
     let (rect, planes) = parse_header(header)?;
@@ -126,7 +126,7 @@ pub fn decode(bytes: &[u8]) -> Result<Pixels, BlobError> {
     Ok(Pixels { rect, planes: planes.collect() })
 }
 
-/// Turns a blob's bytes into as many samples.
+/// Converts a blob's bytes to samples.
 pub fn floats_from_bytes(bytes: &[u8], samples: &mut [f32]) {
     for (sample, bytes) in samples.iter_mut().zip(bytes.as_chunks::<4>().0) {
         *sample = f32::from_le_bytes(*bytes);
@@ -155,10 +155,10 @@ fn short_is_truncated(error: io::Error) -> BlobError {
     if error.kind() == io::ErrorKind::UnexpectedEof { BlobError::Truncated } else { BlobError::Io(error) }
 }
 
-/// What is wrong with a blob.
+/// Reason why a blob is invalid.
 #[derive(Debug, thiserror::Error)]
 pub enum BlobError {
-    /// It starts otherwise.
+    /// Wrong magic bytes.
     #[error("it is not a tile blob")]
     NotABlob,
     /// Another sdfarm wrote it.
@@ -175,13 +175,13 @@ pub enum BlobError {
     /// It ends early.
     #[error("it is truncated")]
     Truncated,
-    /// It goes on.
+    /// It has surplus bytes.
     #[error("it is longer than its {expected} bytes")]
     TooLong {
-        /// What its header says.
+        /// Size according to its header.
         expected: u64,
     },
-    /// It can't be read.
+    /// It cannot be read.
     #[error("it could not be read")]
     Io(#[from] io::Error),
 }

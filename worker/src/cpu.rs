@@ -22,7 +22,7 @@ pub struct CpuRenderer {
 }
 
 impl CpuRenderer {
-    /// Renders with so many threads (all cores if `None`) and these vector instructions.
+    /// Renderer with this many threads (all cores if `None`) and these vector instructions.
     pub fn new(threads: Option<usize>, simd: Simd) -> Result<Self, RenderError> {
         let packets = Packets::new(simd)?;
         let threads = ThreadPoolBuilder::new()
@@ -33,12 +33,12 @@ impl CpuRenderer {
         Ok(Self { threads: Arc::new(threads), packets })
     }
 
-    /// How many threads it renders with.
+    /// Number of threads.
     pub fn threads(&self) -> usize {
         self.threads.current_num_threads()
     }
 
-    /// How often the scene's distance is evaluated for the pixels of a tile, without its layers.
+    /// Number of evaluations of the scene's distance for the pixels of a tile, without its layers.
     pub fn evaluations(&self, run: &TileRun<'_>) -> Result<u64, RenderError> {
         let still = run.job.at(run.frame)?;
         let program = Program::new(&still);

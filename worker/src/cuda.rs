@@ -31,7 +31,7 @@ pub use plan::KernelTimes;
 pub use source::Source;
 pub use trouble::Trouble;
 
-/// The largest scene that straight-line code is made for, in nodes.
+/// Maximum size of a scene compiled to straight-line code, in nodes.
 pub const MAX_NODES: u32 = 500;
 /// Shapes of blocks that are tried for each program.
 pub const SHAPES: [Shape; 5] = [
@@ -43,14 +43,14 @@ pub const SHAPES: [Shape; 5] = [
 ];
 /// Pixels that are on the GPU and on their way back at a time, in numbers.
 const BUFFER_NUMBERS: usize = 64 << 20;
-/// Memory of planes that is kept for the next ones, in numbers.
+/// Maximum memory of freed planes kept for reuse, in numbers.
 const MAX_SPARE_NUMBERS: usize = 128 << 20;
-/// Programs kept on the GPU.
+/// Maximum number of kernels loaded on the GPU.
 const MAX_PROGRAMS: usize = 64;
-/// What the self-test renders: a bit of everything.
+/// Scene of the self-test, with a sample of every feature.
 const SELF_TEST: &str = include_str!("cuda/self_test.json");
 
-/// How many GPUs this machine has; why none, if it has none that can be used.
+/// Number of usable GPUs on this machine; an error with the reason if there is none.
 pub fn devices() -> Result<usize, RenderError> {
     match device::count() {
         Ok(0) => Err(unavailable("cuda", &Trouble::NoDevice)),
@@ -59,7 +59,7 @@ pub fn devices() -> Result<usize, RenderError> {
     }
 }
 
-/// The folder where compiled programs are kept unless another is named: the user's cache.
+/// Default folder of the kernel cache: the user's cache folder.
 pub fn default_cache_folder() -> Option<PathBuf> {
     let absolute = |name| std::env::var_os(name).map(PathBuf::from).filter(|path| path.is_absolute());
     let cache = absolute("XDG_CACHE_HOME").or_else(|| absolute("HOME").map(|home| home.join(".cache")))?;
@@ -76,7 +76,7 @@ pub struct CudaRenderer {
     /// One shape for all programs, instead of the fastest for each.
     shape: Option<Shape>,
     programs: Mutex<HashMap<blake3::Hash, Arc<Program>>>,
-    /// Held while a frame's launches are made: they share the programs' numbers.
+    /// Held while a frame's launches are made, because they share the kernels' constants.
     launching: Mutex<()>,
     buffers: Mutex<Vec<Buffer>>,
     lost: Mutex<Option<String>>,
@@ -109,7 +109,7 @@ struct Underway {
     buffer: Buffer,
 }
 
-/// How a program came to be, and what it is like.
+/// Compiled kernel and its figures.
 #[derive(Clone, Copy, Debug)]
 pub struct Compiled {
     /// Compiling (or reading) it, loading it, and finding its shape of blocks.
@@ -118,13 +118,13 @@ pub struct Compiled {
     pub was_kept: bool,
     /// The shape of its blocks.
     pub shape: Shape,
-    /// What it takes.
+    /// Resources.
     pub resources: Resources,
 }
 
 impl CudaRenderer {
-    /// Takes the GPU of this number, and proves that it renders the right bits. Compiled programs
-    /// are kept in `cache`; blocks have `shape`, or the one that is fastest.
+    /// Opens the GPU of this number, and verifies that it renders the expected bits. Compiled kernels are
+    /// stored in `cache`; blocks have `shape`, or the fastest one.
     pub fn new(ordinal: usize, cache: Option<&Path>, shape: Option<Shape>) -> Result<Self, RenderError> {
         let name = format!("cuda:{ordinal}");
         let refused = |trouble: Trouble| unavailable(&name, &trouble);
@@ -150,12 +150,12 @@ impl CudaRenderer {
         Ok(renderer)
     }
 
-    /// Lets so many threads encode what it renders; all cores if `None`.
+    /// Limits encoding to this many threads; all cores if `None`.
     pub fn with_encoders(self, encoders: Option<usize>) -> Self {
         Self { encoders, ..self }
     }
 
-    /// What the GPU's maker calls it.
+    /// Product name of the GPU.
     pub fn gpu(&self) -> &str {
         &self.device.name
     }
@@ -171,7 +171,7 @@ impl CudaRenderer {
         std::mem::take(&mut *lock(&self.kernels))
     }
 
-    /// Makes the program of a tile ready, and tells what that took.
+    /// Makes the kernel of a tile ready, and reports the time that took.
     pub fn compile(&self, run: &TileRun<'_>) -> Result<Compiled, RenderError> {
         let source = Source::new(&run.job.at(run.frame)?);
         let start = Instant::now();
@@ -201,14 +201,14 @@ impl CudaRenderer {
         if differing == 0 { Ok(()) } else { Err(Trouble::WrongBits { differing, values: want.len() }) }
     }
 
-    /// The program of some text, made if need be; whether its machine code was there already.
+    /// Kernel of a source, compiled if necessary; also returns whether it came from the cache.
     fn program(&self, source: &Source, sample: &TileRun<'_>) -> Result<(Arc<Program>, bool), Trouble> {
         let key = Cache::key(&source.text, self.device.architecture, &self.compiler.version);
         if let Some(program) = lock(&self.programs).get(&key) {
             return Ok((program.clone(), true));
         }
         let start = Instant::now();
-        // What was kept and can't be loaded, by another driver say, is made again.
+        // A cached kernel that cannot be loaded, for example by another driver, is compiled again.
         let load = |code: &[u8]| self.device.load(code, !sample.job.image.layers.is_empty());
         let kept = self.cache.get(key).and_then(|kept| Some((load(&kept.code).ok()?, kept.shape)));
         let was_kept = kept.is_some();
@@ -234,7 +234,7 @@ impl CudaRenderer {
         Ok((program, was_kept))
     }
 
-    /// Renders a piece of a tile with each shape of blocks, one large enough for its time to mean something.
+    /// Renders a part of a tile with each block shape, large enough for a meaningful time.
     fn fastest_shape(&self, loaded: &Loaded, source: &Source, run: &TileRun<'_>) -> Result<Shape, Trouble> {
         const ENOUGH_MS: f64 = 0.5;
         const ROUNDS: usize = 3;
@@ -263,7 +263,7 @@ impl CudaRenderer {
         }
     }
 
-    /// How long a piece takes with some shape of blocks, in milliseconds.
+    /// Time of a part with one block shape, in milliseconds.
     fn trial(
         &self,
         loaded: &Loaded,
@@ -310,7 +310,7 @@ impl CudaRenderer {
                 finished.extend(self.finish(before, &first.job.image, progress)?);
             }
             if group.len() > 1 && matches!(next, Err(Trouble::OutOfMemory { .. })) {
-                // Tiles that do not fit together may fit one after another.
+                // Tiles that do not fit in memory together may fit one after another.
                 most = group.iter().map(numbers).sum::<usize>() / 2;
                 continue;
             }
@@ -349,7 +349,7 @@ impl CudaRenderer {
                 let launched = self.device.launch(&program.loaded, program.shape, &laid_out, part, &mut buffer)?;
                 flying.push_back((part, launched));
             }
-            // One runs while the next waits its turn.
+            // One launch runs while the next is queued.
             if flying.len() == 2 || part.is_none() {
                 let Some((part, launched)) = flying.pop_front() else { break };
                 let ms = launched.wait()?;
@@ -365,7 +365,7 @@ impl CudaRenderer {
         Ok(Underway { rects, buffer })
     }
 
-    /// Waits for pixels, and hands them out.
+    /// Waits for pixels and returns them.
     fn finish(
         &self,
         underway: Underway,
@@ -395,7 +395,7 @@ impl CudaRenderer {
         Ok(finished)
     }
 
-    /// A buffer that is large enough; smaller ones are let go.
+    /// Buffer that is large enough; smaller ones are freed.
     fn take_buffer(&self, numbers: usize) -> Result<Buffer, Trouble> {
         let mut buffers = lock(&self.buffers);
         buffers.retain(|buffer| buffer.numbers() >= numbers);
@@ -405,7 +405,7 @@ impl CudaRenderer {
         }
     }
 
-    /// A copy of a plane, in memory that was used before if there is any: new memory costs more than the copy.
+    /// Copy of a plane, in reused memory if possible: new memory costs more than the copy.
     fn kept(&self, plane: &[f32]) -> Vec<f32> {
         let spare = {
             let mut spare = lock(&self.spare);
@@ -494,7 +494,7 @@ fn unavailable(wanted: &str, trouble: &Trouble) -> RenderError {
     RenderError::Unavailable { wanted: format!("--device {wanted}"), reason: trouble.to_string() }
 }
 
-/// What a mutex holds; a panic elsewhere leaves nothing here half done.
+/// Locks a mutex; poisoning is ignored because a panic elsewhere leaves no partial state here.
 fn lock<T>(mutex: &Mutex<T>) -> std::sync::MutexGuard<'_, T> {
     mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }

@@ -16,10 +16,10 @@ use crate::image::{Encoders, ImageError, Picture};
 use crate::renderer::{Cancel, Pixels, RenderError, Renderer, TileRun, chunk_length};
 use crate::stitch::{Blobs, Source, Tiles};
 
-/// A frame of more data than this goes through a file.
+/// A frame larger than this is rendered through a file.
 const MEMORY_BYTES: u64 = 256 << 20;
 
-/// How long a frame took.
+/// Durations of rendering a frame.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct FrameTimes {
     /// Rendering its tiles.
@@ -28,10 +28,9 @@ pub struct FrameTimes {
     pub encode: Duration,
 }
 
-/// Renders a frame and writes its picture, in the format the job asks for. Tiles are cut
-/// as a server would cut them, `tile_px` wide if that is given; a frame too large
-/// for memory passes through a nameless file in `scratch`. `progress` is told how many
-/// rays more are finished.
+/// Renders a frame and writes its picture in the job's format. Tiles are cut as a server would cut them, or
+/// `tile_px` wide; a frame too large for memory passes through an unnamed file in `scratch`. `progress`
+/// receives the number of newly finished rays.
 #[expect(clippy::too_many_arguments, reason = "what, whither, and two ways to watch it; called in one place")]
 pub fn render_frame(
     renderer: &dyn Renderer,
@@ -103,7 +102,7 @@ impl Rendered {
     }
 }
 
-/// Why there is no picture.
+/// Error when making a picture.
 #[derive(Debug, thiserror::Error)]
 pub enum FrameError {
     /// A tile could not be rendered.
@@ -118,7 +117,7 @@ pub enum FrameError {
 }
 
 impl FrameError {
-    /// Whether it ended because it was asked to.
+    /// Whether it was cancelled.
     pub fn is_cancelled(&self) -> bool {
         matches!(self, Self::Render(RenderError::Cancelled) | Self::Image(ImageError::Cancelled))
     }

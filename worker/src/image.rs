@@ -19,7 +19,7 @@ pub use provenance::Provenance;
 use crate::renderer::Cancel;
 use crate::stitch::{Source, StitchError};
 
-/// What is to be written, but for the pixels.
+/// Everything about a picture except its pixels.
 #[derive(Clone, Debug)]
 pub struct Picture {
     /// Width, in pixels.
@@ -32,13 +32,13 @@ pub struct Picture {
     pub format: Format,
     /// Bits a channel of a PNG.
     pub bits: Bits,
-    /// What R G B A are in an EXR.
+    /// Precision of R G B A in an EXR.
     pub precision: Precision,
-    /// How light is shown in a PNG.
+    /// Display transform of a PNG.
     pub grade: Grade,
     /// Alpha is 1 in every pixel.
     pub opaque: bool,
-    /// What it is a picture of.
+    /// Provenance.
     pub provenance: Provenance,
 }
 
@@ -74,7 +74,7 @@ impl Picture {
     }
 }
 
-/// Why there is no file.
+/// Error when writing a picture.
 #[derive(Debug, thiserror::Error)]
 pub enum ImageError {
     /// The flag went up.
@@ -86,7 +86,7 @@ pub enum ImageError {
     /// The file can't be written.
     #[error("could not write the picture")]
     Io(#[from] io::Error),
-    /// The job is not sound in this frame.
+    /// The job is invalid at this frame.
     #[error("the job has no picture in this frame")]
     Frame(#[from] ::scene::Refusal),
     /// The format can't hold it.

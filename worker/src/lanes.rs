@@ -1,7 +1,7 @@
 //! Many numbers at once: [`scene::real::Real`] on the CPU's vector registers.
 //!
-//! A [`Lanes`] is several registers wide, so that what a node costs apart from its arithmetic is
-//! shared. Every operation gives each lane the bits that the scalar reference gives.
+//! A [`Lanes`] is several registers wide, so that a node's overhead is shared. Every operation gives each
+//! lane the bits of the scalar reference.
 
 use std::cell::Cell;
 use std::fmt;
@@ -12,8 +12,8 @@ use fearless_simd::prelude::*;
 use scene::real::{Bits, Bundle, Join, Real, SQRT_FLOOR};
 
 thread_local! {
-    /// Lanes that the code now running matters to: those that entered the innermost `when` or are
-    /// still in the innermost `repeat`. A loop inside need not run for the others.
+    /// Active lanes of the running code: those that entered the innermost `when` or are still in the
+    /// innermost `repeat`. An inner loop ignores the others.
     static LIVE: Cell<u64> = const { Cell::new(u64::MAX) };
 }
 
@@ -55,7 +55,7 @@ pub struct LaneMask<S: Simd, const N: usize>([S::mask32s; N]);
 pub struct LaneBits<S: Simd, const N: usize>([S::u32s; N]);
 
 impl<S: Simd, const N: usize> Lanes<S, N> {
-    /// How many numbers it holds.
+    /// Number of lanes.
     pub const COUNT: usize = <S::f32s as SimdBase<S>>::LEN * N;
     const ALL: u64 = u64::MAX >> (64 - Self::COUNT);
 
@@ -109,7 +109,7 @@ impl<S: Simd, const N: usize> LaneMask<S, N> {
         bits
     }
 
-    /// The same kind of mask with these bits.
+    /// Mask with these bits.
     #[inline(always)]
     fn with_bits(mut self, bits: u64) -> Self {
         let length = <S::f32s as SimdBase<S>>::LEN;
@@ -218,7 +218,7 @@ impl<S: Simd, const N: usize> fmt::Debug for LaneBits<S, N> {
     }
 }
 
-/// Whether a fused operation takes many instructions here; known when the code is made.
+/// Whether fused operations take many instructions at this level; constant at compile time.
 #[inline(always)]
 fn lacks_fused_instructions<S: Simd>(token: S) -> bool {
     match token.level() {

@@ -1,7 +1,7 @@
-//! Renders tiles and makes pictures of them: the renderers behind one trait, tile
-//! blobs, stitching, PNG and EXR, and the agent that works for a server.
+//! Renders tiles and encodes pictures: the renderers behind one trait, tile blobs, stitching, PNG and EXR,
+//! and the agent that works for a server.
 //!
-//! It keeps no state that matters: whatever it holds can be rendered again.
+//! Stateless: everything it holds can be rendered again.
 
 pub mod agent;
 pub mod bench;

@@ -1,4 +1,4 @@
-//! What a renderer is, whatever it renders on: tiles in, pixels out.
+//! Interface of all renderers: tiles in, pixels out.
 //!
 //! Nothing here renders, and nothing here knows of leases, servers or files.
 
@@ -10,13 +10,13 @@ use proto::Rect;
 
 /// Renders tiles on one device, with all of it.
 ///
-/// What it renders depends on the run alone: every renderer gives the same bits.
+/// The pixels depend on the run alone: every renderer gives the same bits.
 pub trait Renderer: Send + Sync {
-    /// What it renders on: `cpu` or `cuda:0`.
+    /// Device: `cpu` or `cuda:0`.
     fn device(&self) -> String;
 
-    /// Renders one tile. `progress` is told how many rays more are finished, from any
-    /// thread. It looks at `cancel` at least every 50 ms.
+    /// Renders one tile. `progress` receives the number of newly finished rays, from any thread. `cancel`
+    /// is checked at least every 50 ms.
     fn render(
         &self,
         run: &TileRun<'_>,
@@ -34,18 +34,18 @@ pub trait Renderer: Send + Sync {
         runs.iter().map(|run| self.render(run, cancel, progress)).collect()
     }
 
-    /// Time since the last time this was asked that went into getting ready for a scene, and says
-    /// nothing of how fast it renders.
+    /// Returns and resets the time spent preparing scenes, which does not count toward the rendering
+    /// speed.
     fn take_setup_time(&self) -> Duration {
         Duration::ZERO
     }
 
-    /// How many tiles it likes to be given at a time, at least 1.
+    /// Preferred number of tiles per call, at least 1.
     fn batch(&self) -> usize {
         1
     }
 
-    /// How many threads may encode what it renders, at least 1.
+    /// Number of threads that may encode, at least 1.
     fn encoders(&self) -> usize {
         std::thread::available_parallelism().map_or(1, usize::from)
     }
@@ -60,7 +60,7 @@ pub trait Renderer: Send + Sync {
         None
     }
 
-    /// Why it will never render again, if its device is lost.
+    /// Why its device is lost, if it is; it will never render again.
     fn retired(&self) -> Option<String> {
         None
     }
@@ -69,7 +69,7 @@ pub trait Renderer: Send + Sync {
 /// The most data of tiles that are rendered at a time, if they are more than one.
 const CHUNK_BYTES: u64 = 256 << 20;
 
-/// How many of these tiles a renderer is given at a time: what it likes, if memory allows.
+/// Number of these tiles per call: the renderer's preference, limited by memory.
 pub(crate) fn chunk_length(renderer: &dyn Renderer, job: &scene::Job, rects: impl Iterator<Item = Rect>) -> usize {
     let largest_bytes = rects.map(Rect::pixels).max().unwrap_or(1) * u64::from(job.image.pixel_bytes());
     let fitting = usize::try_from(CHUNK_BYTES / largest_bytes.max(1)).unwrap_or(usize::MAX);
@@ -90,7 +90,7 @@ pub struct TileRun<'a> {
 /// A rectangle of finished pixels.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Pixels {
-    /// Where they are in the picture.
+    /// Position in the picture.
     pub rect: Rect,
     /// One plane for each of [`scene::Image::channels`], row by row from the top.
     /// R, G and B are scene-linear and premultiplied by A.
@@ -98,14 +98,14 @@ pub struct Pixels {
 }
 
 impl Pixels {
-    /// As many planes as said, all 0.
+    /// This many planes, all 0.
     pub fn zeroed(rect: Rect, planes: usize) -> Self {
         let length = usize::try_from(rect.pixels()).expect("limits keep a tile's pixels countable");
         Self { rect, planes: vec![vec![0.0; length]; planes] }
     }
 }
 
-/// A flag that asks a render to stop; clones share it.
+/// Flag that cancels a render; clones share it.
 #[derive(Clone, Debug, Default)]
 pub struct Cancel(Arc<AtomicBool>);
 
@@ -126,7 +126,7 @@ impl Cancel {
     }
 }
 
-/// Why there are no pixels.
+/// Error of a render.
 #[derive(Debug, thiserror::Error)]
 pub enum RenderError {
     /// The flag went up.
@@ -135,15 +135,15 @@ pub enum RenderError {
     /// This machine lacks what was asked for.
     #[error("this machine can't render with {wanted}: {reason}")]
     Unavailable {
-        /// What was asked for: a SIMD level or a device.
+        /// Requested SIMD level or device.
         wanted: String,
-        /// What is missing, and the cure.
+        /// What is missing, and the fix.
         reason: String,
     },
     /// The threads to render on could not be started.
     #[error("could not start the rendering threads")]
     Threads(#[source] rayon::ThreadPoolBuildError),
-    /// The job is not sound in this frame.
+    /// The job is invalid at this frame.
     #[error("the job can't be rendered in this frame")]
     Frame(#[from] scene::Refusal),
     /// The device gave up.
@@ -151,7 +151,7 @@ pub enum RenderError {
     Device {
         /// Which device.
         device: String,
-        /// What it said.
+        /// Message.
         reason: String,
     },
 }

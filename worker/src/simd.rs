@@ -1,4 +1,4 @@
-//! Which vector instructions to render with, and the way from that choice to code made for them.
+//! Selection of vector instructions, and dispatch to code compiled for them.
 
 use std::fmt;
 use std::str::FromStr;
@@ -79,8 +79,9 @@ impl fmt::Display for Simd {
     }
 }
 
-/// Runs `$body` as code for the instructions of a [`Level`], with their token and with how many
-/// registers a packet fills: more share the cost of walking the scene, fewer keep its pixels alike.
+/// Compiles and runs `$body` for the instructions of a [`Level`], with their token and the number of
+/// registers per packet: more registers share the cost of walking the scene, fewer keep the pixels of a
+/// packet similar.
 macro_rules! with_instructions {
     ($level:expr, $token:ident, $REGISTERS:ident => $body:expr) => {
         match $level {

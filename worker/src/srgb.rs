@@ -1,5 +1,5 @@
-//! Linear light to sRGB for whole rows, by the widest vectors of this CPU; the bits are those of
-//! [`Grade::apply`] and [`srgb_from_linear`], whatever the vectors.
+//! Linear light to sRGB for whole rows, with the widest vectors of this CPU; bit-identical to
+//! [`Grade::apply`] and [`srgb_from_linear`].
 
 use fearless_simd::{Level, Simd as Token};
 use scene::color::{Grade, srgb_from_linear};
@@ -7,7 +7,7 @@ use scene::color::{Grade, srgb_from_linear};
 use crate::lanes::Lanes;
 use crate::simd::with_instructions;
 
-/// Turns linear light into sRGB values, 0 to 1, as it is to be shown, in place.
+/// Applies the display transform and the sRGB curve to linear values in place; results are 0 to 1.
 pub fn encode(values: &mut [f32], grade: Grade) {
     with_instructions!(Level::new(), token, N => encode_with::<_, N>(token, values, grade));
 }

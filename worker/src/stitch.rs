@@ -1,7 +1,7 @@
 //! Puts a picture's tiles together again, a band of whole rows at a time, so that a
 //! picture needs a band of memory and not itself.
 //!
-//! It moves floats and changes none.
+//! It copies floats and changes none.
 
 use std::io::{Read, Seek};
 use std::ops::Range;
@@ -20,7 +20,7 @@ pub struct Band {
 }
 
 impl Band {
-    /// A band for pictures so wide with so many planes; empty until it is read.
+    /// Band for pictures of this width with this many planes; empty until it is read.
     pub fn new(width: u32, planes: usize) -> Self {
         Self { rows: 0..0, width: width as usize, planes: vec![Vec::new(); planes] }
     }
@@ -49,9 +49,9 @@ impl Band {
     }
 }
 
-/// Where a picture's rows come from.
+/// Source of a picture's rows.
 pub trait Source: Send {
-    /// Reads these rows into the band, whatever it held.
+    /// Reads these rows into the band, replacing its content.
     fn read(&mut self, rows: Range<u32>, band: &mut Band) -> Result<(), StitchError>;
 }
 
@@ -137,7 +137,7 @@ fn check_covered(band: &Band, covered: usize) -> Result<(), StitchError> {
     if covered == band.rows.len() * band.width { Ok(()) } else { Err(StitchError::Uncovered { rows: band.rows() }) }
 }
 
-/// Why tiles can't be put together.
+/// Error when combining tiles.
 #[derive(Debug, thiserror::Error)]
 pub enum StitchError {
     /// A blob can't be read.
@@ -145,7 +145,7 @@ pub enum StitchError {
     Blob {
         /// The tile.
         rect: Rect,
-        /// Why.
+        /// Reason.
         #[source]
         source: BlobError,
     },
@@ -154,7 +154,7 @@ pub enum StitchError {
     Rect {
         /// The tile it was named for.
         expected: Rect,
-        /// What its header says.
+        /// Rectangle according to its header.
         found: Rect,
     },
     /// A tile is no part of this picture.

@@ -1,8 +1,8 @@
-//! A formula as a list of instructions: what [`scene::real::Real`] is when nobody wants its value
-//! yet. Recording a formula runs it once on symbols; text for a compiler is printed from the tape.
+//! A recorded formula: the implementation of [`scene::real::Real`] that evaluates nothing. Recording runs a
+//! formula once on symbols; source for a compiler is generated from the tape.
 //!
-//! The tape is typed and in static single assignment: each value is defined once, before it is
-//! used, in a block that encloses all its uses. Nothing here knows of GPUs.
+//! The tape is typed and in static single assignment form: each value is defined once, before its uses, in a
+//! block that encloses them. Nothing here knows of GPUs.
 
 mod expression;
 mod live;
@@ -17,7 +17,7 @@ pub use text::Text;
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct Id(u32);
 
-/// What a value is.
+/// Type of a value.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum Kind {
     /// An IEEE-754 binary32.
@@ -28,18 +28,18 @@ pub enum Kind {
     Word,
 }
 
-/// How a value comes to be.
+/// Operation that defines a value.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum Operation {
     /// A number of the formula, by its bits: code.
     Literal(u32),
     /// A number of the scene, by its place in [`Tape::parameters`]: data.
     Parameter(u32),
-    /// What a function is called with.
+    /// Argument of the enclosing function.
     Argument,
-    /// What a function call gave.
+    /// Result of a function call.
     Returned,
-    /// What a `when` or a `repeat` assigns.
+    /// Variable assigned by a `when` or a `repeat`.
     Variable,
     /// Sum.
     Add,
@@ -77,9 +77,9 @@ pub enum Operation {
     ToBits,
     /// The number with these bits.
     FromBits,
-    /// Sum of words.
+    /// Sum of integers.
     AddWords,
-    /// Product of words.
+    /// Product of integers.
     MultiplyWords,
     /// Bits in one but not both.
     Xor,
@@ -130,7 +130,7 @@ impl Operation {
         }
     }
 
-    /// Whether its two operands may change places.
+    /// Whether its two operands are interchangeable.
     fn is_symmetric(self) -> bool {
         matches!(
             self,
@@ -160,7 +160,7 @@ pub struct Definition {
 enum Statement {
     /// Computes a value.
     Define(Id),
-    /// What follows is the formula of a node of this name.
+    /// The following statements belong to a node of this name.
     Note(&'static str),
     /// Calls a function.
     Call { function: usize, arguments: Vec<Id>, returned: Vec<Id> },
@@ -196,8 +196,8 @@ impl Tape {
         &self.parameters
     }
 
-    /// Operations on numbers that one call of a step takes, a fused one counted twice, a root as 7
-    /// and a quotient as 10 (what they are made of on a GPU); `None` if it has loops or branches.
+    /// Arithmetic operations in one call of a step: a fused one counts twice, a root as 7 and a quotient
+    /// as 10 (their cost on a GPU); `None` if it has loops or branches.
     pub fn operations(&self, step: &str) -> Option<u64> {
         let function = self.functions.iter().find(|function| function.name == step)?;
         let of_statement = |statement: &Statement| match statement {

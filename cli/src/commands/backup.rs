@@ -1,4 +1,4 @@
-//! `sdfarm backup`: a copy of a farm, made while it runs.
+//! `sdfarm backup`: copies a farm while it runs.
 
 use std::path::PathBuf;
 
@@ -9,7 +9,8 @@ use crate::terminal::{note, say};
 /// Arguments of `backup`.
 #[derive(Debug, Args)]
 pub(crate) struct Arguments {
-    /// Where the copy goes: an empty folder, or that of an earlier backup, to which only what is new is added.
+    /// Folder of the copy: an empty one, or that of an earlier backup, to which only new pictures are
+    /// added.
     #[arg(value_name = "FOLDER")]
     folder: PathBuf,
     /// The farm's data folder; a server may be using it.

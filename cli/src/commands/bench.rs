@@ -38,10 +38,10 @@ pub(crate) struct Arguments {
     /// Vector instructions to measure.
     #[arg(long, env = "SDFARM_SIMD", default_value = "auto", value_parser = levels_parser())]
     simd: Levels,
-    /// Measure distances a second only, and render nothing.
+    /// Measure only distances per second, and render nothing.
     #[arg(long, env = "SDFARM_POINTS", value_parser = clap::builder::FalseyValueParser::new(), action = clap::ArgAction::SetTrue)]
     points: bool,
-    /// What to measure: cpu, or cuda or cuda:N for a GPU.
+    /// Device to measure: cpu, or cuda or cuda:N for a GPU.
     #[arg(long, env = "SDFARM_DEVICE", default_value = "cpu")]
     device: Device,
     #[command(flatten)]
@@ -52,7 +52,7 @@ pub(crate) struct Arguments {
     /// Times that each frame is rendered.
     #[arg(long, value_name = "N", env = "SDFARM_RUNS", default_value_t = 3, value_parser = clap::value_parser!(u32).range(1..=1000))]
     runs: u32,
-    /// How long distances are measured, each time.
+    /// Seconds of each measurement of distances.
     #[arg(long, value_name = "SECONDS", env = "SDFARM_SECONDS", default_value_t = 1, value_parser = clap::value_parser!(u64).range(1..=60))]
     seconds: u64,
     /// Measure a whole farm with such workers: from POST to the stored picture, and frames a second.
@@ -69,9 +69,9 @@ pub(crate) struct Arguments {
 /// Tables that are measured as a whole.
 #[derive(Debug, Subcommand)]
 enum Tables {
-    /// The paper's Table 1 on this machine, beside the published figures.
+    /// Measure the paper's Table 1 on this machine, next to the published figures.
     Paper(paper::Arguments),
-    /// How much work a server's queue takes in and hands out, and how long its answers take.
+    /// Measure a server's queue: jobs and tiles per second, and response times.
     Queue(queue::Arguments),
 }
 
@@ -141,7 +141,7 @@ fn read(name: &str) -> anyhow::Result<Job> {
     scene::parse(&shipped::job_file(name)?).with_context(|| format!("the shipped scene {name} is damaged"))
 }
 
-/// The same as text.
+/// Job file of a shipped scene or a path.
 fn text(name: &str) -> anyhow::Result<Vec<u8>> {
     if Path::new(name).exists() {
         return std::fs::read(name).with_context(|| format!("could not read {name}"));

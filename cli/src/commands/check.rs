@@ -1,4 +1,4 @@
-//! `sdfarm check`: every fault of a job file, and what its author should know.
+//! `sdfarm check`: reports every error of a job file, and its warnings.
 
 use clap::Args;
 use proto::tile::Tiling;
@@ -13,7 +13,7 @@ use crate::terminal::{note, say};
 pub(crate) struct Arguments {
     /// The job file; - for standard input.
     job: String,
-    /// Render a sixteenth of its pixels, and say what it would take on this machine.
+    /// Render a sixteenth of its pixels, and estimate its time on this machine.
     #[arg(long, env = "SDFARM_ESTIMATE", value_parser = clap::builder::FalseyValueParser::new(), action = clap::ArgAction::SetTrue)]
     estimate: bool,
 }
@@ -34,7 +34,7 @@ pub(crate) fn run(arguments: &Arguments) -> anyhow::Result<()> {
     if arguments.estimate { estimate(&job) } else { Ok(()) }
 }
 
-/// Says what a job takes if all cores of this machine render it.
+/// Prints the estimated time of a job on all cores of this machine.
 fn estimate(job: &Job) -> anyhow::Result<()> {
     let threads = std::thread::available_parallelism().map_or(1, usize::from);
     let sample = sample(job, threads, RENDER_MS)?;

@@ -1,4 +1,4 @@
-//! `sdfarm delete`: forgets a job and its pictures, or tells what that would take along.
+//! `sdfarm delete`: deletes a job and its pictures, or lists what would be deleted.
 
 use clap::Args;
 use proto::JobId;
@@ -13,7 +13,7 @@ pub(crate) struct Arguments {
     id: JobId,
     #[command(flatten)]
     server: ServerArguments,
-    /// Only tell what would go.
+    /// Only list what would be deleted.
     #[arg(long, env = "SDFARM_DRY_RUN", value_parser = clap::builder::FalseyValueParser::new(), action = clap::ArgAction::SetTrue)]
     dry_run: bool,
 }

@@ -1,4 +1,4 @@
-//! `sdfarm demo`: a farm from nothing, one picture, and nothing left but the picture.
+//! `sdfarm demo`: starts a temporary farm, renders one picture on it, and leaves only the picture.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -33,7 +33,7 @@ pub(crate) struct Arguments {
     force: bool,
 }
 
-/// Lists the scenes, or renders one on a farm of its own.
+/// Lists the scenes, or renders one on a temporary farm.
 pub(crate) async fn run(arguments: Arguments) -> anyhow::Result<()> {
     if arguments.list {
         return say(&shipped::names().join("\n"));
@@ -64,7 +64,7 @@ pub(crate) async fn run(arguments: Arguments) -> anyhow::Result<()> {
     say(&save(&done?, &arguments.scene, &job, arguments.force)?)
 }
 
-/// Hands the job in over HTTP like anyone else, and waits for its picture.
+/// Submits the job over HTTP like any client, and waits for its picture.
 async fn picture(client: &Client, text: Vec<u8>) -> anyhow::Result<Vec<u8>> {
     let id = client.submit(text, false).await?.id;
     follow::until_done(client, id).await?;
@@ -73,7 +73,7 @@ async fn picture(client: &Client, text: Vec<u8>) -> anyhow::Result<Vec<u8>> {
     Ok(picture)
 }
 
-/// Saves it in the current folder, under a name that destroys nothing; returns what to tell.
+/// Saves the picture in the current folder under a free name; returns the message to print.
 fn save(picture: &[u8], scene: &str, job: &Job, force: bool) -> anyhow::Result<String> {
     let extension = match job.image.format {
         Format::Png => "png",
@@ -89,7 +89,7 @@ fn save(picture: &[u8], scene: &str, job: &Job, force: bool) -> anyhow::Result<S
     Ok(format!("saved {name} ({}×{})", job.image.width, job.image.height))
 }
 
-/// The plain name if nothing else is there, else one with a number.
+/// The plain name if it is free, else one with a number.
 fn free_name(plain: PathBuf, stem: &str, extension: &str, picture: &[u8]) -> anyhow::Result<PathBuf> {
     let numbered = (2..1000).map(|number| PathBuf::from(format!("{stem}-{number}.{extension}")));
     let is_free = |path: &Path| !path.exists() || fs::read(path).is_ok_and(|there| there == picture);

@@ -1,4 +1,4 @@
-//! `sdfarm doctor`: is all well with a farm and its machine? Each finding that is not good names its cure.
+//! `sdfarm doctor`: checks a farm and its machine. Each finding that is not ok has a fix.
 
 use std::net::{SocketAddr, TcpListener};
 use std::path::PathBuf;
@@ -15,13 +15,14 @@ pub(crate) struct Arguments {
     /// The farm's data folder; a server may be using it.
     #[arg(long, value_name = "FOLDER", env = "SDFARM_DATA", default_value = "./sdfarm-data")]
     data: PathBuf,
-    /// Where the server is to listen.
+    /// Address the server is to listen on.
     #[arg(long, value_name = "ADDRESS:PORT", env = "SDFARM_LISTEN", default_value = "127.0.0.1:8080")]
     listen: SocketAddr,
     /// Read every byte of every picture.
     #[arg(long, env = "SDFARM_DEEP", value_parser = clap::builder::FalseyValueParser::new(), action = clap::ArgAction::SetTrue)]
     deep: bool,
-    /// Put right what can be: remove what belongs to nothing, and have lost pictures rendered again. No server may run.
+    /// Repair what can be repaired: delete orphans, and have missing pictures rendered again. No server
+    /// may be running.
     #[arg(long, env = "SDFARM_REPAIR", value_parser = clap::builder::FalseyValueParser::new(), action = clap::ArgAction::SetTrue)]
     repair: bool,
     /// Print the findings as JSON.
@@ -29,7 +30,7 @@ pub(crate) struct Arguments {
     json: bool,
 }
 
-/// Looks, and tells; something wrong is an error.
+/// Runs the checks and prints the findings; an error finding fails the command.
 pub(crate) async fn run(arguments: Arguments) -> anyhow::Result<()> {
     let depth = if arguments.deep { Depth::Bytes } else { Depth::Names };
     let repair = if arguments.repair { Repair::Store } else { Repair::None };
@@ -61,7 +62,7 @@ fn look_at_port(listen: SocketAddr, is_served: bool) -> Finding {
     }
 }
 
-/// A machine without a GPU is as good as any; one whose GPU can't be used should be looked at.
+/// A machine without a GPU is fine; one with an unusable GPU gets a warning.
 fn look_at_gpus() -> Finding {
     match worker::cuda::devices() {
         Ok(count) => Finding::good("gpu", format!("the driver lends {count} GPUs")),

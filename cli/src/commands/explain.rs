@@ -15,7 +15,7 @@ pub(crate) struct Arguments {
     /// Print the program that a GPU is given; the numbers of the scene are its array k.
     #[arg(long, env = "SDFARM_CUDA", value_parser = clap::builder::FalseyValueParser::new(), action = clap::ArgAction::SetTrue)]
     cuda: bool,
-    /// Which frame, from 0: the program is the same for all of them.
+    /// Frame number, from 0: the kernel is the same for all frames.
     #[arg(long, value_name = "N", env = "SDFARM_FRAME", default_value_t = 0)]
     frame: u32,
 }

@@ -15,8 +15,8 @@ pub(crate) struct Arguments {
     id: JobId,
     #[command(flatten)]
     server: ServerArguments,
-    /// Where to save the picture, or, where it ends in .zip, all pictures as one archive; - for standard output.
-    /// With --all a folder.
+    /// File for the picture or, if it ends in .zip, for all pictures as one archive; - for standard
+    /// output. With --all a folder.
     #[arg(long, short, value_name = "FILE", env = "SDFARM_OUTPUT")]
     output: String,
     /// Which frame, from 0.
@@ -25,7 +25,7 @@ pub(crate) struct Arguments {
     /// Save every picture, each in a file of its own.
     #[arg(long, env = "SDFARM_ALL", conflicts_with = "frame", value_parser = clap::builder::FalseyValueParser::new(), action = clap::ArgAction::SetTrue)]
     all: bool,
-    /// Take what is stored although the job has not ended.
+    /// Save the stored pictures although the job has not finished.
     #[arg(long, env = "SDFARM_PARTIAL", value_parser = clap::builder::FalseyValueParser::new(), action = clap::ArgAction::SetTrue)]
     partial: bool,
 }

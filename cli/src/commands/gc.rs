@@ -1,4 +1,4 @@
-//! `sdfarm gc`: has a server remove the jobs that need not be kept, or tells which those are.
+//! `sdfarm gc`: has a server delete the jobs past their retention, or lists them.
 
 use clap::Args;
 use proto::retention::Collection;
@@ -11,7 +11,7 @@ use crate::terminal::{note, say};
 pub(crate) struct Arguments {
     #[command(flatten)]
     server: ServerArguments,
-    /// Remove nothing, only tell what would go.
+    /// Only list what would be deleted.
     #[arg(long, env = "SDFARM_DRY_RUN", value_parser = clap::builder::FalseyValueParser::new(), action = clap::ArgAction::SetTrue)]
     dry_run: bool,
     /// Print the server's answer as JSON.
@@ -19,7 +19,7 @@ pub(crate) struct Arguments {
     json: bool,
 }
 
-/// Does it, until nothing is left to remove.
+/// Repeats the collection until nothing is left to delete.
 pub(crate) async fn run(arguments: Arguments) -> anyhow::Result<()> {
     let client = arguments.server.client()?;
     loop {

@@ -19,7 +19,7 @@ pub(crate) struct Arguments {
     /// Most jobs to list.
     #[arg(long, value_name = "N", env = "SDFARM_LIMIT", default_value_t = 20, value_parser = clap::value_parser!(u32).range(1..=1000))]
     limit: u32,
-    /// Go on after an earlier list, which said where.
+    /// Continue an earlier list at the cursor that it printed.
     #[arg(long, env = "SDFARM_CURSOR")]
     cursor: Option<String>,
     /// Print the server's answer as JSON.

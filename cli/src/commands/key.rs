@@ -1,4 +1,5 @@
-//! `sdfarm key`: makes, lists and revokes keys, on the data folder itself, whether a server runs on it or not.
+//! `sdfarm key`: creates, lists and revokes API keys directly in the data folder, with or without a running
+//! server.
 
 use std::path::PathBuf;
 use std::str::FromStr;
@@ -39,21 +40,21 @@ struct Folder {
 
 #[derive(Debug, Args)]
 struct New {
-    /// Whose key it is; jobs handed in with it are this name's.
+    /// Owner's name; jobs submitted with the key belong to this name.
     name: String,
-    /// What it allows; may be given several times, or as a list with commas.
+    /// Scope of the key; may be given several times, or as a list with commas.
     #[arg(long, value_name = "SCOPE", env = "SDFARM_SCOPE", required = true, value_delimiter = ',', value_parser = scope_parser())]
     scope: Vec<Scope>,
-    /// When it expires, counted from now, as 12h, 90d or 52w [default: never].
+    /// Expiry, counted from now: 12h, 90d or 52w [default: never].
     #[arg(long, value_name = "TIME", env = "SDFARM_EXPIRES")]
     expires: Option<Life>,
-    /// Unfinished jobs that its name may have.
+    /// Maximum number of unfinished jobs of its name.
     #[arg(long, value_name = "N", env = "SDFARM_MAX_JOBS")]
     max_jobs: Option<u32>,
-    /// Camera rays that the unfinished jobs of its name may have together.
+    /// Maximum number of camera rays of the unfinished jobs of its name together.
     #[arg(long, value_name = "N", env = "SDFARM_MAX_RAYS")]
     max_rays: Option<u64>,
-    /// Requests a second that it may make [default: 1000].
+    /// Maximum number of requests per second [default: 1000].
     #[arg(long, value_name = "N", env = "SDFARM_RATE")]
     rate: Option<u32>,
     #[command(flatten)]
@@ -78,7 +79,7 @@ struct Revoke {
     folder: Folder,
 }
 
-/// How long a key lives.
+/// Lifetime of a key.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 struct Life(Duration);
 
@@ -101,7 +102,7 @@ impl FromStr for Life {
     }
 }
 
-/// Makes, lists or revokes.
+/// Creates, lists or revokes keys.
 pub(crate) async fn run(arguments: Arguments) -> anyhow::Result<()> {
     match arguments.what {
         What::New(new) => make(new).await,
@@ -164,7 +165,7 @@ fn line(key: &KeyView) -> String {
     }
 }
 
-/// What is refused was wrong use; what failed is not.
+/// A rejected request is a usage error; a failed one is not.
 fn misuse(error: KeyFolderError) -> anyhow::Error {
     match error {
         KeyFolderError::Refused(reason) => Misuse(reason).into(),

@@ -1,4 +1,4 @@
-//! `sdfarm link`: has a server sign a link to a picture, which whoever has it can follow until it expires.
+//! `sdfarm link`: has a server sign a link to a picture, which any client can follow until it expires.
 
 use anyhow::Context;
 use clap::Args;
@@ -19,10 +19,10 @@ pub(crate) struct Arguments {
     /// Which frame, from 0.
     #[arg(long, value_name = "N", env = "SDFARM_FRAME", default_value_t = 0)]
     frame: u32,
-    /// How long it is valid: 30m, 36h, 7d; at most 366d.
+    /// Validity of the link: 30m, 36h, 7d; at most 366d.
     #[arg(long, value_name = "AGE", env = "SDFARM_EXPIRES", default_value = "7d")]
     expires: Keep,
-    /// Show what is finished so far instead of the stored picture.
+    /// Link to the finished part so far instead of the stored picture.
     #[arg(long, env = "SDFARM_PREVIEW", value_parser = clap::builder::FalseyValueParser::new(), action = clap::ArgAction::SetTrue)]
     preview: bool,
 }

@@ -9,7 +9,7 @@ use crate::terminal::say;
 /// Arguments of `pool`.
 #[derive(Debug, Args)]
 pub(crate) struct Arguments {
-    /// How many workers there should be [default: leave it as it is].
+    /// Number of workers to run [default: leave the number unchanged].
     #[arg(value_name = "N", value_parser = clap::value_parser!(u32).range(0..=i64::from(MAX_POOL_WORKERS)))]
     workers: Option<u32>,
     #[command(flatten)]

@@ -1,4 +1,4 @@
-//! `sdfarm preview`: saves what is finished of a frame so far.
+//! `sdfarm preview`: saves the finished part of a frame.
 
 use anyhow::Context;
 use clap::Args;
@@ -15,13 +15,13 @@ pub(crate) struct Arguments {
     id: JobId,
     #[command(flatten)]
     server: ServerArguments,
-    /// Where to save the preview, a PNG; - for standard output.
+    /// File for the preview, a PNG; - for standard output.
     #[arg(long, short, value_name = "FILE", env = "SDFARM_OUTPUT")]
     output: String,
     /// Which frame, from 0.
     #[arg(long, value_name = "N", env = "SDFARM_FRAME", default_value_t = 0)]
     frame: u32,
-    /// How wide it is at most, in pixels [default: 960].
+    /// Maximum width, in pixels [default: 960].
     #[arg(long, value_name = "PIXELS", env = "SDFARM_WIDTH", value_parser = clap::value_parser!(u32).range(1..))]
     width: Option<u32>,
 }

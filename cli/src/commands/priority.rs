@@ -13,7 +13,7 @@ use crate::terminal::say;
 pub(crate) struct Arguments {
     /// The job's id.
     id: JobId,
-    /// The priority, from -100 to 100: higher goes first.
+    /// Priority, from -100 to 100: jobs of higher priority are leased first.
     #[arg(value_name = "N", allow_negative_numbers = true, value_parser = clap::value_parser!(i32).range(-100..=100))]
     priority: i32,
     #[command(flatten)]

@@ -25,7 +25,7 @@ use crate::terminal::note;
 pub(crate) struct Arguments {
     /// The job file; - for standard input.
     job: String,
-    /// Where to write the picture: .png or .exr decides the format; - for standard output, in the job's format.
+    /// File for the picture: .png or .exr decides the format; - for standard output, in the job's format.
     #[arg(long, short, value_name = "FILE", env = "SDFARM_OUTPUT")]
     output: String,
     /// Which frame, from 0.
@@ -33,7 +33,7 @@ pub(crate) struct Arguments {
     frame: u32,
     #[command(flatten)]
     renderer: RendererArguments,
-    /// Edge of the tiles it renders at a time, in pixels; the picture is the same with each.
+    /// Edge of the rendered tiles, in pixels; the picture is the same with each.
     #[arg(long, value_name = "PIXELS", env = "SDFARM_TILE", value_parser = clap::value_parser!(u32).range(1..))]
     tile: Option<u32>,
     /// Print the summary as JSON, and no progress.
@@ -41,7 +41,7 @@ pub(crate) struct Arguments {
     json: bool,
 }
 
-/// What was done, for people and for programs.
+/// Summary of a render, for people and for programs.
 #[derive(Debug, Serialize)]
 struct Summary<'a> {
     output: &'a str,
@@ -83,7 +83,7 @@ pub(crate) fn run(arguments: &Arguments) -> anyhow::Result<()> {
         anyhow::bail!("interrupted: nothing was written");
     }
     let times = times?;
-    // From here on the file is complete: nothing is removed any more.
+    // From here on the file is complete, and is not deleted any more.
     stopper.remove_in_haste(None);
     output.commit()?;
 
@@ -137,7 +137,7 @@ fn render(
     Ok(times)
 }
 
-/// Refuses a frame that the job does not have.
+/// Rejects a frame number that the job does not have.
 pub(crate) fn check_frame(job: &Job, frame: u32) -> anyhow::Result<()> {
     let count = job.frames.count;
     if frame < count {
@@ -150,7 +150,7 @@ fn rays(job: &Job) -> u64 {
     u64::from(job.image.width) * u64::from(job.image.height) * u64::from(job.image.samples)
 }
 
-/// Turns the first signal into a cancel; the second removes the temporary file and ends the process.
+/// Turns the first signal into a cancel; the second one deletes the temporary file and ends the process.
 struct Stopper {
     temporary: Arc<Mutex<Option<PathBuf>>>,
     _runtime: Runtime,
@@ -173,7 +173,7 @@ impl Stopper {
             cancel.cancel();
             signals.next().await;
             if let Some(path) = in_haste.lock().ok().and_then(|mut path| path.take()) {
-                // It may be gone already: then there is nothing to remove.
+                // The file may be gone already.
                 let _ = std::fs::remove_file(path);
             }
             std::process::exit(1);

@@ -12,7 +12,7 @@ pub(crate) struct Arguments {
     /// The backup's folder.
     #[arg(value_name = "FOLDER")]
     folder: PathBuf,
-    /// The farm's new data folder; nothing may be in it.
+    /// The farm's new data folder, which must be empty.
     #[arg(long, value_name = "FOLDER", env = "SDFARM_DATA")]
     data: PathBuf,
 }

@@ -25,7 +25,7 @@ pub(crate) struct Arguments {
     /// Names of shipped scenes [default: all; three of them for --against levels].
     #[arg(value_name = "SCENE")]
     scenes: Vec<String>,
-    /// What the pixels must equal [default: levels on a CPU, hashes on a GPU].
+    /// Reference to compare with [default: levels on a CPU, hashes on a GPU].
     #[arg(long, env = "SDFARM_AGAINST")]
     against: Option<Against>,
     /// Edge of the tiles it renders, in pixels [default: as a server would cut them].
@@ -42,7 +42,7 @@ pub(crate) struct Arguments {
 enum Against {
     /// Small pictures, rendered at every SIMD level that this CPU has.
     Levels,
-    /// Full-size pictures, by the hashes that come with this program.
+    /// Full-size pictures, by the hashes built into this program.
     Hashes,
     /// Full-size pictures, rendered by this machine's CPU.
     Cpu,
@@ -130,7 +130,7 @@ fn job(name: &str) -> anyhow::Result<Job> {
     scene::parse(&shipped::job_file(name)?).context("a shipped scene is damaged")
 }
 
-/// The job with every layer; in a size that takes a moment, if a width is given.
+/// The job with every layer; scaled to `width` for a quick test if given.
 fn with_layers(job: Job, width: Option<u32>) -> Job {
     let layers = LAYERS.to_vec();
     let image = match width {
@@ -151,7 +151,7 @@ fn render(renderer: &dyn Renderer, job: &Job, edge: Option<u32>) -> Result<Vec<P
     renderer.render_all(&runs, &Cancel::new(), &|_| {})
 }
 
-/// How many bytes there are, and how many differ.
+/// Number of bytes, and number of differing bytes.
 fn compared(got: &[Pixels], want: &[Pixels]) -> (u64, u64) {
     let bytes = |tiles: &[Pixels]| {
         let values = tiles.iter().flat_map(|tile| tile.planes.iter().flatten());

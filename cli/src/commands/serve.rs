@@ -18,25 +18,25 @@ use crate::size::Size;
 use crate::systemd;
 use crate::terminal::say;
 
-/// Most unfinished jobs that a farm may be told to take: the sum of their rays fits a counter.
+/// Upper limit of `--max-queued-jobs`: the sum of the jobs' rays must fit a counter.
 const MOST_QUEUED_JOBS: u32 = 250_000;
 
 /// Arguments of `serve`.
 #[derive(Debug, Args)]
 pub(crate) struct Arguments {
-    /// Where to listen; port 0 takes any free one.
+    /// Address to listen on; port 0 takes any free port.
     #[arg(long, value_name = "ADDRESS:PORT", env = "SDFARM_LISTEN", default_value = "127.0.0.1:8080")]
     listen: SocketAddr,
-    /// Folder of the database and the pictures; made if it is not there.
+    /// Folder of the database and the pictures; created if missing.
     #[arg(long, value_name = "FOLDER", env = "SDFARM_DATA", default_value = "./sdfarm-data")]
     data: PathBuf,
     /// Workers on this machine [default: one a GPU, else one with every core].
     #[arg(long, value_name = "N", env = "SDFARM_WORKERS", value_parser = clap::value_parser!(u32).range(0..=i64::from(MAX_POOL_WORKERS)))]
     workers: Option<u32>,
-    /// What they render on: auto, cpu, cuda or cuda:N; with several GPUs the workers take them in turn.
+    /// Device of the workers: auto, cpu, cuda or cuda:N; several GPUs are assigned in turn.
     #[arg(long, env = "SDFARM_DEVICE", default_value = "auto")]
     device: Device,
-    /// Vector instructions they use; the pictures are the same with each.
+    /// Vector instructions of the workers; the pictures are the same with each.
     #[arg(long, env = "SDFARM_SIMD", default_value = "auto", value_parser = simd_parser())]
     simd: Simd,
     /// Threads that CPU workers share [default: one for each core].
@@ -54,28 +54,29 @@ pub(crate) struct Arguments {
     /// The certificate's private key, in PEM. Both files are read again when they change.
     #[arg(long, value_name = "FILE", env = "SDFARM_TLS_KEY", requires = "tls_cert")]
     tls_key: Option<PathBuf>,
-    /// Connections at a time; when there are more, those go that have been idle longest.
+    /// Maximum open connections; above it, the connections idle longest are closed.
     #[arg(long, value_name = "N", env = "SDFARM_MAX_CONNECTIONS", default_value_t = MAX_CONNECTIONS, value_parser = clap::value_parser!(u32).range(1..))]
     max_connections: u32,
-    /// Unfinished jobs that the farm takes before it says that its queue is full.
+    /// Maximum number of unfinished jobs; above it, submissions are rejected because the queue is full.
     #[arg(long, value_name = "N", env = "SDFARM_MAX_QUEUED_JOBS", default_value_t = MAX_QUEUED_JOBS, value_parser = clap::value_parser!(u32).range(1..=i64::from(MOST_QUEUED_JOBS)))]
     max_queued_jobs: u32,
-    /// How long finished jobs are kept that do not say so themselves: 36h, 30d, forever.
+    /// Retention of finished jobs that do not set their own: 36h, 30d, forever.
     #[arg(long, value_name = "AGE", env = "SDFARM_KEEP_JOBS", default_value = "forever")]
     keep_jobs: Keep,
     /// Size of pictures and tiles above which the jobs that finished first are removed: 500MB, 20GiB [default: none].
     #[arg(long, value_name = "SIZE", env = "SDFARM_MAX_STORE")]
     max_store: Option<Size>,
-    /// Listen beyond loopback although there are no keys: whoever reaches the port may use the farm.
+    /// Listen beyond loopback without keys: every client that reaches the port may use the farm.
     #[arg(long, env = "SDFARM_INSECURE", value_parser = clap::builder::FalseyValueParser::new(), action = clap::ArgAction::SetTrue)]
     insecure: bool,
-    /// Names under which this server may be addressed, besides loopback's and addresses.
+    /// Host names of this server, in addition to loopback names and IP addresses.
     #[arg(long, value_name = "NAME", env = "SDFARM_HOST", value_delimiter = ',')]
     host: Vec<String>,
-    /// Addresses that webhooks may go to although they are not on the public internet, such as 10.0.0.0/8.
+    /// Addresses that webhooks may reach although they are not on the public internet, such as
+    /// 10.0.0.0/8.
     #[arg(long, value_name = "RANGE", env = "SDFARM_ALLOW_WEBHOOK_TO", value_delimiter = ',')]
     allow_webhook_to: Vec<AddressRange>,
-    /// What webhooks are signed with: whsec_ and base64 [default: made once, kept in the data folder].
+    /// Secret that signs webhooks: whsec_ and base64 [default: created once, kept in the data folder].
     #[arg(long, value_name = "SECRET", env = "SDFARM_WEBHOOK_SECRET", hide_env_values = true)]
     webhook_secret: Option<Secret>,
 }
@@ -112,7 +113,7 @@ impl Arguments {
 
 /// Serves until SIGINT or SIGTERM.
 pub(crate) async fn run(arguments: Arguments) -> anyhow::Result<()> {
-    // What no worker could do is told here, not by each of them.
+    // Settings that no worker could use are rejected here, once.
     CpuRenderer::new(Some(1), arguments.simd)?;
     let signals = Signals::catch()?;
     let shutdown = CancellationToken::new();
@@ -135,7 +136,7 @@ pub(crate) fn own_program() -> anyhow::Result<PathBuf> {
     std::env::current_exe().context("could not find this program's own file, which local workers run as")
 }
 
-/// What the local workers render on, in turn: each GPU, else the processor.
+/// Devices of the local workers, in turn: each GPU, else the CPU.
 pub(crate) fn devices(device: Device) -> Result<Vec<String>, RenderError> {
     let cpu = || vec!["cpu".to_owned()];
     let each = |kind: &str, count: usize| (0..count).map(|gpu| format!("{kind}:{gpu}")).collect();

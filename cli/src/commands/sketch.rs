@@ -1,5 +1,5 @@
-//! `sdfarm sketch`: what a server's children run as. It reads a line that says what to draw, writes the answer
-//! to standard output, and ends when standard input does.
+//! `sdfarm sketch`: the server's helper process. It reads a request in one line, writes the response to
+//! standard output, and exits when standard input closes.
 
 use std::io::{BufRead, BufReader, Read};
 
@@ -14,12 +14,12 @@ use crate::terminal::write_bytes;
 const MAX_LINE_BYTES: u64 = 64 << 20;
 /// Stack of the thread that works: deep job files are read on it.
 const STACK_BYTES: usize = 32 << 20;
-/// Addresses that drawing may take.
+/// Limit of the address space for drawing.
 const MAX_DRAWING_BYTES: u64 = 4 << 30;
-/// A sample gives way to everything but the pool's own workers.
+/// A sample yields to everything except the pool's own workers.
 const SAMPLE_NICENESS: i32 = 10;
 
-/// Does what the line says.
+/// Handles the request.
 pub(crate) fn run() -> anyhow::Result<()> {
     let mut input = BufReader::new(std::io::stdin());
     let mut line = Vec::new();
@@ -27,7 +27,7 @@ pub(crate) fn run() -> anyhow::Result<()> {
     let sketch: Sketch = serde_json::from_slice(&line).context("could not understand what to draw")?;
     limit(&sketch)?;
     std::thread::spawn(move || {
-        // A server that is killed leaves no child behind: its end of the pipe closes.
+        // A killed server leaves no helper behind: its end of the pipe closes.
         drop(std::io::copy(&mut input, &mut std::io::sink()));
         std::process::exit(1);
     });

@@ -1,7 +1,7 @@
-//! `sdfarm soak`: works a farm of its own hard, kills it again and again, and checks after each kill that nothing
-//! was lost, doubled or changed. A proof for one's own machine.
+//! `sdfarm soak`: loads a temporary farm, kills it repeatedly, and checks after each kill that nothing was
+//! lost, doubled or changed. A test for the user's own machine.
 //!
-//! It sees what users see, and the farm's books (`server::audit`); it never helps the farm.
+//! It uses the public API and the integrity check (`server::audit`); it never helps the farm.
 
 mod catalogue;
 mod chance;
@@ -22,7 +22,7 @@ use crate::signals::Signals;
 use crate::terminal::{note, say};
 use kills::Plan;
 
-/// Minutes of a soak for which nothing else was said.
+/// Default duration of a soak in minutes.
 const USUAL_MINUTES: u32 = 2;
 /// Lines of the servers' log that are shown after a breach.
 const LAST_LINES: usize = 40;
@@ -33,16 +33,16 @@ pub(crate) struct Arguments {
     /// Kill workers and the server at random instants and at the named points between two steps.
     #[arg(long, env = "SDFARM_KILL", value_parser = clap::builder::FalseyValueParser::new(), action = clap::ArgAction::SetTrue)]
     kill: bool,
-    /// Hand in far more jobs than the farm can take.
+    /// Submit far more jobs than the farm can take.
     #[arg(long, env = "SDFARM_OVERLOAD", conflicts_with = "kill", value_parser = clap::builder::FalseyValueParser::new(), action = clap::ArgAction::SetTrue)]
     overload: bool,
-    /// How long, if no number of kills is given [default: 2].
+    /// Duration, if no number of kills is given [default: 2].
     #[arg(long, value_name = "N", env = "SDFARM_MINUTES", value_parser = clap::value_parser!(u32).range(1..=10_000), conflicts_with_all = ["worker_kills", "server_kills"])]
     minutes: Option<u32>,
-    /// Kill so many workers, however long that takes.
+    /// Kill this many workers, however long that takes.
     #[arg(long, value_name = "N", env = "SDFARM_WORKER_KILLS", requires = "kill")]
     worker_kills: Option<u32>,
-    /// Kill the server so many times, however long that takes.
+    /// Kill the server this many times, however long that takes.
     #[arg(long, value_name = "N", env = "SDFARM_SERVER_KILLS", requires = "kill")]
     server_kills: Option<u32>,
     /// Chooses jobs, victims and instants.
@@ -51,7 +51,7 @@ pub(crate) struct Arguments {
     /// Workers of the farm.
     #[arg(long, value_name = "N", env = "SDFARM_WORKERS", default_value_t = 3, value_parser = clap::value_parser!(u32).range(1..=64))]
     workers: u32,
-    /// Data folder of the farm, which is kept; a fresh one is made and removed unless said.
+    /// Data folder of the farm, which is kept; by default a temporary one.
     #[arg(long, value_name = "FOLDER", env = "SDFARM_DATA")]
     data: Option<PathBuf>,
 }

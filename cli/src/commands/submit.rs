@@ -1,4 +1,4 @@
-//! `sdfarm submit`: hands in a job, and waits for it if asked to.
+//! `sdfarm submit`: submits a job, and waits for it on request.
 
 use std::time::Duration;
 
@@ -15,10 +15,10 @@ use crate::job_file::JobFile;
 use crate::output_file::format_of;
 use crate::terminal::{note, say};
 
-/// Waits before a job is handed in again.
+/// Delays between attempts to submit.
 const FIRST_WAIT: Duration = Duration::from_millis(200);
 const LONGEST_WAIT: Duration = Duration::from_secs(3);
-/// A server that was there may be away for so long: it restarts.
+/// How long a server that was reachable may be away: it restarts.
 const PATIENCE: Duration = Duration::from_secs(30);
 
 /// Arguments of `submit`.
@@ -34,18 +34,18 @@ pub(crate) struct Arguments {
     /// Save the picture of frame 0 here when the job has succeeded; - for standard output.
     #[arg(long, short, value_name = "FILE", env = "SDFARM_OUTPUT", requires = "wait")]
     output: Option<String>,
-    /// Render it anew even if its pictures are stored already.
+    /// Render it again even if its pictures are already stored.
     #[arg(long, env = "SDFARM_NO_CACHE", value_parser = clap::builder::FalseyValueParser::new(), action = clap::ArgAction::SetTrue)]
     no_cache: bool,
-    /// Tell this address when the job has ended; up to four.
+    /// Notify this address when the job has finished; up to four.
     #[arg(long, value_name = "URL", env = "SDFARM_WEBHOOK", value_delimiter = ' ')]
     webhook: Vec<String>,
-    /// How long the job and its pictures are kept once it has finished: 36h, 7d, forever [default: as the server was told].
+    /// Retention of the job and its pictures after it finishes: 36h, 7d, forever [default: the server's].
     #[arg(long, value_name = "AGE", env = "SDFARM_KEEP")]
     keep: Option<Keep>,
 }
 
-/// Hands it in.
+/// Submits the job.
 pub(crate) async fn run(arguments: Arguments) -> anyhow::Result<()> {
     let file = JobFile::read(&arguments.job)?;
     if let Some(output) = &arguments.output {
@@ -77,7 +77,8 @@ pub(crate) async fn run(arguments: Arguments) -> anyhow::Result<()> {
     }
 }
 
-/// Hands it in; under its key the job is made once, so a connection that broke is no reason not to try again.
+/// Submits the job with an idempotency key, so that a broken connection can be retried without creating it
+/// twice.
 async fn hand_in(client: &Client, text: &[u8], how: &Submission) -> Result<JobView, ClientError> {
     let mut sent = false;
     let mut wait = FIRST_WAIT;
@@ -94,7 +95,7 @@ async fn hand_in(client: &Client, text: &[u8], how: &Submission) -> Result<JobVi
     }
 }
 
-/// A farm stores what the job asks for: the file's name must not say otherwise.
+/// A farm stores the format that the job asks for, so the file's extension must match it.
 fn check_output(job: &Job, output: &str) -> anyhow::Result<()> {
     let asked = job.image.format;
     match format_of(output)? {

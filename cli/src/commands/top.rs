@@ -18,7 +18,7 @@ use crate::overview::{Overview, duration, gather, scaled};
 
 /// Speeds that are remembered: the width of a wide terminal.
 const HISTORY: usize = 400;
-/// How often keys are looked for.
+/// Interval between checks for keystrokes.
 const KEYS_EVERY: Duration = Duration::from_millis(50);
 
 /// Arguments of `top`.
@@ -26,12 +26,12 @@ const KEYS_EVERY: Duration = Duration::from_millis(50);
 pub(crate) struct Arguments {
     #[command(flatten)]
     server: ServerArguments,
-    /// How often to look, in seconds.
+    /// Refresh interval, in seconds.
     #[arg(long, value_name = "SECONDS", env = "SDFARM_EVERY", default_value_t = 1, value_parser = clap::value_parser!(u64).range(1..=3600))]
     every: u64,
 }
 
-/// What is on the screen.
+/// Content of the screen.
 #[derive(Debug, Default)]
 struct Screen {
     overview: Option<Overview>,

@@ -14,7 +14,7 @@ use crate::signals::Signals;
 
 /// The device of a renderer on a processor.
 const CPU: &str = "cpu";
-/// How far a server's own workers give way to it.
+/// Niceness of a server's own workers.
 const POOL_NICENESS: i32 = 10;
 
 /// Arguments of `worker`.
@@ -30,15 +30,15 @@ pub(crate) struct Arguments {
     /// A label for people [default: this host's name and the process id].
     #[arg(long, env = "SDFARM_NAME")]
     name: Option<String>,
-    /// Run as a child of a server: end when standard input does.
+    /// Run as a child of a server: exit when standard input closes.
     #[arg(long, hide = true)]
     pool: bool,
 }
 
-/// Renders until told to stop.
+/// Renders until it is stopped.
 pub(crate) async fn run(arguments: Arguments) -> anyhow::Result<()> {
     if arguments.pool {
-        // Threads that render are started from here, and give way to the server and to previews.
+        // Render threads are started from here, and yield to the server and to previews.
         nice(POOL_NICENESS).context("could not give way to the server")?;
     }
     let signals = Signals::catch()?;
@@ -48,14 +48,14 @@ pub(crate) async fn run(arguments: Arguments) -> anyhow::Result<()> {
         // A GPU has proved itself when it was started.
         prove(&*renderer).map_err(NoDevice)?;
     }
-    // The pool's children bring its token; a key in the server's surroundings is not theirs.
+    // Pool workers send the pool's token; a key in the server's environment is not meant for them.
     let access = match std::env::var(TOKEN_VARIABLE) {
         Ok(token) => arguments.access.with_key(token.into())?,
         Err(_) => arguments.access.access()?,
     };
     let config = AgentConfig {
         access,
-        // A killed server leaves no worker behind: its end of the pipe closes, whatever killed it.
+        // A killed server leaves no worker behind: its end of the pipe closes.
         of_pool: arguments.pool,
         ..AgentConfig::new(arguments.server, arguments.name.unwrap_or_else(own_name))
     };

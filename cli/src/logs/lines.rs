@@ -1,6 +1,6 @@
 //! A log line as one flat JSON object: time, level, message, the event's fields, and those of the spans around it.
 //!
-//! So `job`, `frame`, `tile`, `worker` and `request_id` are found at the same place in every line that concerns them.
+//! `job`, `frame`, `tile`, `worker` and `request_id` are at the same place in every line that concerns them.
 
 use std::fmt;
 

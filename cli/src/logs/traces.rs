@@ -1,6 +1,6 @@
-//! Traces, sent to an OpenTelemetry collector by OTLP over HTTP, off the way of what is traced.
+//! Export of traces to an OpenTelemetry collector by OTLP over HTTP, without delaying the traced work.
 //!
-//! A collector that is away costs nothing but the traces.
+//! If the collector is unreachable, only the traces are lost.
 
 use std::fmt;
 use std::time::Duration;
@@ -18,14 +18,14 @@ use tracing_subscriber::registry::LookupSpan;
 
 use crate::failure::Misuse;
 
-/// How long a collector may take to answer.
+/// Time limit of a request to the collector.
 const TIMEOUT: Duration = Duration::from_secs(5);
-/// Where collectors take traces.
+/// Path of the collector's endpoint.
 const PATH: &str = "/v1/traces";
-/// Requests that come again and again have spans of this name.
+/// Name of the spans of polling requests.
 const POLL: &str = "poll";
 
-/// Sends the last traces when it goes.
+/// Sends the last traces when dropped.
 pub(crate) struct Traces(SdkTracerProvider);
 
 impl fmt::Debug for Traces {
@@ -66,7 +66,7 @@ impl Traces {
 
 impl Drop for Traces {
     fn drop(&mut self) {
-        // The collector may be gone; then its traces are, too.
+        // If the collector is gone, its traces are lost.
         let _ = self.0.shutdown_with_timeout(TIMEOUT);
     }
 }

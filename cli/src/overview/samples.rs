@@ -1,4 +1,4 @@
-//! Reads metrics in the `OpenMetrics` format: names, labels, values. What it can't read it passes over.
+//! Parser of metrics in the OpenMetrics format: names, labels, values. Unreadable lines are skipped.
 
 /// One number.
 #[derive(Clone, Debug, PartialEq)]
@@ -8,7 +8,7 @@ struct Sample {
     value: f64,
 }
 
-/// Every number there is.
+/// All samples.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Samples(Vec<Sample>);
 

@@ -1,7 +1,7 @@
 //! A small picture that a larger one is averaged into, pixel by pixel in any order, so that the large one is
 //! never in memory. What is left bare shows what lies below.
 //!
-//! Everything is light as it is shown, 0 to 1, premultiplied by alpha; sRGB is made last.
+//! All values are display values, 0 to 1, premultiplied by alpha; sRGB is applied last.
 
 use anyhow::Context;
 use image::codecs::png::{CompressionType, FilterType, PngEncoder};
@@ -11,23 +11,23 @@ use scene::color::{Grade, srgb_from_linear};
 /// Shown light, premultiplied, and alpha.
 pub(super) type Shown = [f32; 4];
 
-/// Rows, at most: pictures may be far higher than wide.
+/// Maximum number of rows: pictures may be far higher than wide.
 const MAX_ROWS: u64 = 4096;
 
-/// What is shown where nothing is known: a middle grey.
+/// Shown where nothing is known: a middle gray.
 const UNKNOWN: Shown = [0.2, 0.2, 0.2, 1.0];
 
-/// A small picture being made of a larger one.
+/// Small picture made from a larger one.
 #[derive(Debug)]
 pub(super) struct Canvas {
     from: [u64; 2],
     size: [u64; 2],
-    /// Light, and the share of the pixel that has any.
+    /// Light, and the covered fraction of the pixel.
     sums: Vec<([f32; 4], f32)>,
 }
 
 impl Canvas {
-    /// For a picture of so many pixels, at most so wide, and no higher than is sensible.
+    /// Canvas for a picture of this size, at most this wide, and of limited height.
     pub(super) fn new(width: u32, height: u32, width_px: u32) -> Self {
         let from = [u64::from(width.max(1)), u64::from(height.max(1))];
         let not_too_high = (from[0] * MAX_ROWS / from[1]).max(1);
@@ -62,10 +62,10 @@ impl Canvas {
         }
     }
 
-    /// The PNG, with what lies below where it is bare: a picture of the same size, or grey.
+    /// Encodes the PNG; uncovered areas show `below`, a picture of the same size, or gray.
     pub(super) fn png(&self, below: Option<&Rgba32FImage>) -> anyhow::Result<Vec<u8>> {
         let pixels = self.sums.iter().enumerate().map(|(index, (sum, covered))| {
-            // What rounding leaves of a pixel is not bare.
+            // Rounding errors do not count as uncovered.
             let bare = if *covered > 0.999 { 0.0 } else { 1.0 - covered };
             let below = below.map_or(UNKNOWN, |below| below.as_raw().as_chunks().0[index]);
             let scale = if bare == 0.0 { covered.recip() } else { 1.0 };
@@ -91,7 +91,7 @@ impl Canvas {
     }
 }
 
-/// Where a pixel of so many comes to lie among fewer, and how much of each it covers; `None` beyond the last.
+/// Position of a source pixel among fewer pixels, and how much of each it covers; `None` beyond the last.
 fn shares(at: u64, from: u64, to: u64) -> Option<[(u64, f32); 2]> {
     if at >= from {
         return None;
@@ -107,7 +107,7 @@ fn shares(at: u64, from: u64, to: u64) -> Option<[(u64, f32); 2]> {
 }
 
 fn byte(value: f32) -> u8 {
-    // As the stored picture is rounded.
+    // Rounded like the stored picture.
     (value * 255.0 + 0.5) as u8
 }
 

@@ -23,7 +23,7 @@ const MAX_THREADS: usize = 4;
 /// A try twice as wide takes about four times as long; a little more, to be on the safe side.
 const NEXT_TAKES: f64 = 4.5;
 
-/// Where a coarse pass is kept, and what making it may take.
+/// Path of a coarse pass, and its cost limit.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Kept<'a> {
     /// The file; read if it is there, else written.
@@ -33,7 +33,8 @@ pub(super) struct Kept<'a> {
 }
 
 impl Kept<'_> {
-    /// The coarse pass of a job that stands still, kept or made now; `None` where not even a small one can be made in time.
+    /// The coarse pass of a job at a frame, from its file or rendered now; `None` if not even a small one
+    /// can be rendered in time.
     pub(super) fn pixels(self, job: &Job, frame: u32) -> anyhow::Result<Option<Pixels>> {
         if let Some(kept) = std::fs::read(self.file).ok().and_then(|bytes| blob::decode(&bytes).ok())
             && kept.planes.len() == 4
@@ -42,7 +43,8 @@ impl Kept<'_> {
         }
         let made = render(job, frame, Duration::from_millis(self.limit_ms))?;
         if let Some(pixels) = &made {
-            // Under a name of its own until it is whole: two may be at it. Unkept, it is made again.
+            // Written under a name of its own until it is complete, because two helpers may write
+            // it. If that fails, it is rendered again next time.
             let half = self.file.with_extension(std::process::id().to_string());
             drop(std::fs::write(&half, blob::encode(pixels)).and_then(|()| std::fs::rename(&half, self.file)));
         }
@@ -90,7 +92,7 @@ fn render(job: &Job, frame: u32, limit: Duration) -> anyhow::Result<Option<Pixel
     })
 }
 
-/// The same job, so wide.
+/// The same job, at this width.
 fn small(job: &Job, width: u32) -> Job {
     let mut small = job.clone();
     let height = u64::from(job.image.height) * u64::from(width) / u64::from(job.image.width);
@@ -108,7 +110,7 @@ pub(super) fn scaled(coarse: &Pixels, grade: Grade, opaque: bool, [width, height
     let light = colours.flat_map(|(((r, g), b), a)| shown([*r, *g, *b, *a], grade, opaque)).collect();
     let small = Rgba32FImage::from_raw(coarse.rect.width, coarse.rect.height, light)?;
     let mut large = imageops::resize(&small, width, height, FilterType::CatmullRom);
-    // The filter swings a little below and above what there is.
+    // The filter overshoots the range of its input slightly.
     for pixel in large.pixels_mut() {
         let alpha = pixel.0[3].clamp(0.0, 1.0);
         pixel.0 = [pixel.0[0].clamp(0.0, alpha), pixel.0[1].clamp(0.0, alpha), pixel.0[2].clamp(0.0, alpha), alpha];

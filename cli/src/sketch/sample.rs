@@ -1,7 +1,7 @@
-//! What a job takes, judged by a sixteenth of its pixels: small blocks all over its frames are rendered as they
-//! are in the picture, on all threads at once, for a limited time.
+//! Estimates the cost of a job from a sixteenth of its pixels: small blocks all over its frames are rendered
+//! as in the picture, on all threads at once, for a limited time.
 //!
-//! What counts is the time that threads had a processor, not the time that passed: the farm may be busy.
+//! It measures CPU time rather than elapsed time, because the farm may be busy.
 
 use std::io::Cursor;
 use std::sync::Mutex;
@@ -19,16 +19,16 @@ use worker::{Cancel, CpuRenderer, Pixels, Renderer, Simd, TileRun};
 
 /// Edge of a block, in pixels.
 const BLOCK_PX: u32 = 16;
-/// Of a square with this edge, one block is rendered: a sixteenth.
+/// In each square with this edge, one block is rendered: a sixteenth.
 const CELL_PX: u32 = 64;
-/// Rays a pixel of a sample; more would tell little else.
+/// Maximum rays per pixel of a sample; more would add little precision.
 const MAX_SAMPLES: u32 = 4;
-/// Frames of an animation that are looked at, evenly from the first to the last.
+/// Maximum number of sampled frames of an animation, spread evenly from the first to the last.
 const MAX_FRAMES: u32 = 5;
 /// Most data of a frame that a worker holds, in bytes.
 const HELD_BYTES: u64 = 256 << 20;
 
-/// A sample of a job, rendered on so many threads for about so long.
+/// Samples a job on `threads` threads for about `render_ms`.
 pub(crate) fn sample(job: &Job, threads: usize, render_ms: u64) -> anyhow::Result<Sample> {
     let count = job.frames.count.min(MAX_FRAMES);
     let spread = |index: u32| u64::from(job.frames.count - 1) * u64::from(index) / u64::from((count - 1).max(1));
@@ -51,7 +51,7 @@ pub(crate) fn sample(job: &Job, threads: usize, render_ms: u64) -> anyhow::Resul
     })
 }
 
-/// What one frame took, or several in sum.
+/// Cost of one frame, or of several in sum.
 #[derive(Clone, Copy, Debug, Default)]
 struct Measured {
     rays: u64,
@@ -76,7 +76,7 @@ fn measure(job: &Job, frame: u32, renderers: &[CpuRenderer], limit: Duration) ->
     let setup_seconds = start.elapsed().as_secs_f64();
     let mut job = still.job().clone();
     let picture = Picture::of(&still);
-    // As it stands in this frame: it need not be read again for every block.
+    // The job at this frame, prepared once for all blocks.
     job.motion = None;
     if job.image.layers.is_empty() {
         job.image.samples = job.image.samples.min(MAX_SAMPLES);
@@ -107,7 +107,7 @@ fn measure(job: &Job, frame: u32, renderers: &[CpuRenderer], limit: Duration) ->
     Ok(Measured { rays, seconds_per_ray: rendering / rays.max(1) as f64, setup_seconds, encode_seconds_per_pixel })
 }
 
-/// Renders blocks until the time is over, on every renderer at once. `found` hears of finished rays, and of
+/// Renders blocks until the time is over, on all renderers at once. `found` receives finished rays, and
 /// finished blocks.
 fn render(
     job: &Job,
@@ -123,7 +123,7 @@ fn render(
     let (done, over) = mpsc::channel::<()>();
     std::thread::scope(|scope| {
         let flag = cancel.clone();
-        // A block that takes ever so long is given up.
+        // A block that takes too long is cancelled.
         scope.spawn(move || {
             if over.recv_timeout(limit * 2) == Err(RecvTimeoutError::Timeout) {
                 flag.cancel();
@@ -151,7 +151,7 @@ fn render(
     })
 }
 
-/// A block of each cell of a picture, in an order in which the first few are all over it.
+/// A block in each cell of a picture, ordered so that the first few are spread all over it.
 fn blocks(width: u32, height: u32) -> Vec<Rect> {
     let mut dice = 0x9e37_79b9_7f4a_7c15_u64;
     let mut roll = |sides: u32| {
@@ -173,7 +173,8 @@ fn blocks(width: u32, height: u32) -> Vec<Rect> {
     rects
 }
 
-/// Time to put a pixel into the picture's file, in seconds, from a picture made of blocks side by side.
+/// Time to encode a pixel into the picture's file, in seconds, measured on a picture made of blocks side by
+/// side.
 fn encode(mut picture: Picture, mut blocks: Vec<Pixels>) -> anyhow::Result<f64> {
     blocks.retain(|block| (block.rect.width, block.rect.height) == (BLOCK_PX, BLOCK_PX));
     if blocks.is_empty() {
@@ -190,7 +191,7 @@ fn encode(mut picture: Picture, mut blocks: Vec<Pixels>) -> anyhow::Result<f64> 
     Ok(start.elapsed().as_secs_f64() / Rect::whole(picture.width, picture.height).pixels() as f64)
 }
 
-/// Time that this process's threads have had a processor, in seconds; `None` where the system does not tell.
+/// CPU time of this process's threads, in seconds; `None` if the system does not report it.
 fn processor_seconds() -> Option<f64> {
     let mut nanoseconds = 0_u64;
     for task in std::fs::read_dir("/proc/self/task").ok()?.flatten() {
@@ -200,7 +201,7 @@ fn processor_seconds() -> Option<f64> {
     Some(nanoseconds as f64 / 1e9)
 }
 
-/// Most memory that this process had, in bytes; 0 where the system does not tell.
+/// Peak memory of this process, in bytes; 0 if the system does not report it.
 fn peak_memory_bytes() -> u64 {
     let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
     let peak = status.lines().find_map(|line| line.strip_prefix("VmHWM:"));

@@ -1,4 +1,4 @@
-//! A stored picture scaled down, read row by row or block by block: PNG or EXR, told by how it begins.
+//! Thumbnail of a stored picture, read row by row or block by block: PNG or EXR, detected by its first bytes.
 
 use std::fs::File;
 use std::io::{BufReader, Read, Seek};
@@ -12,10 +12,10 @@ use scene::color::{Grade, linear_from_srgb};
 
 use super::canvas::{Canvas, Shown, shown};
 
-/// Memory that a PNG's rows may take.
+/// Maximum memory for a PNG's rows.
 const MAX_ROW_BYTES: usize = 64 << 20;
 
-/// Draws it as a PNG at most so wide.
+/// Draws it as a PNG of at most this width.
 pub(super) fn draw(file: &Path, width_px: u32) -> anyhow::Result<Vec<u8>> {
     let context = || format!("could not read the stored picture {}", file.display());
     let mut input = BufReader::new(File::open(file).with_context(context)?);

@@ -1,4 +1,4 @@
-//! A frame that is being rendered: its finished tiles over a coarse first pass.
+//! Preview of an unfinished frame: its finished tiles over a coarse pass.
 
 use std::fs::File;
 use std::io::BufReader;
@@ -11,7 +11,8 @@ use worker::blob::{self, BlobError, Reader};
 use super::canvas::{Canvas, shown};
 use super::coarse::{self, Kept};
 
-/// Draws it as a PNG at most so wide. Tiles that can't be read, or are no part of the frame, are left out.
+/// Draws it as a PNG of at most this width. Tiles that cannot be read, or do not belong to the frame, are
+/// left out.
 pub(super) fn draw(
     job: &Job,
     frame: u32,
@@ -20,7 +21,7 @@ pub(super) fn draw(
     below: &Kept<'_>,
 ) -> anyhow::Result<Vec<u8>> {
     let mut still = job.at(frame)?.job().clone();
-    // As it stands in this frame: it need not be read again.
+    // The job at this frame.
     still.motion = None;
     let (grade, opaque) = (Grade::of(&still.image), !still.is_transparent());
     let mut canvas = Canvas::new(still.image.width, still.image.height, width_px);

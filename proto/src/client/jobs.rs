@@ -11,20 +11,20 @@ use crate::event::{JobEvent, Lines, Message};
 use crate::job::JobView;
 use crate::{JobId, Keep};
 
-/// How a job is handed in.
+/// Options of a submission.
 #[derive(Clone, Debug, Default)]
 pub struct Submission {
     /// Render it even if its pictures are stored already.
     pub no_cache: bool,
-    /// A name for this very wish: handed in again under it, it is the same job.
+    /// Idempotency key: repeating the request with it returns the same job.
     pub idempotency_key: Option<String>,
-    /// Who is told when it has ended.
+    /// Webhook addresses to notify when it has finished.
     pub webhooks: Vec<String>,
-    /// How long it is kept once it has finished; `None` is as the server was told.
+    /// How long it is kept after it finishes; `None` means the server's default.
     pub keep: Option<Keep>,
 }
 
-/// A job's events, as they come.
+/// Stream of a job's events.
 #[derive(Debug)]
 pub struct Events {
     client: Client,
@@ -35,7 +35,7 @@ pub struct Events {
 }
 
 impl Events {
-    /// The next event that this version knows; `None` when the server has ended the stream.
+    /// Next event of a type that this version knows; `None` when the server has ended the stream.
     pub async fn next(&mut self) -> Result<Option<JobEvent>, ClientError> {
         loop {
             while let Some(message) = self.ready.pop_front() {
@@ -59,7 +59,7 @@ impl Events {
 }
 
 impl Client {
-    /// Hands in a job file.
+    /// Submits a job file.
     pub async fn submit_with(&self, job: Vec<u8>, how: &Submission) -> Result<JobView, ClientError> {
         let mut request = self.request(Method::POST, "/v1/jobs").header(CONTENT_TYPE, "application/json").body(job);
         if how.no_cache {
@@ -77,7 +77,8 @@ impl Client {
         self.json(request).await
     }
 
-    /// A job's events, from the first or after one; `None` if nothing will follow that one.
+    /// Subscribes to a job's events, from the first or after the given one; `None` if no event will
+    /// follow that one.
     pub async fn events(&self, id: JobId, after: Option<&str>) -> Result<Option<Events>, ClientError> {
         let mut request =
             self.request(Method::GET, &format!("/v1/jobs/{id}/events")).header(ACCEPT, "text/event-stream");
@@ -111,7 +112,7 @@ impl Client {
         self.json(self.request(Method::PATCH, &format!("/v1/jobs/{id}")).json(patch)).await
     }
 
-    /// What deleting a job would take along.
+    /// What deleting a job would delete.
     pub async fn delete_preview(&self, id: JobId) -> Result<DeletePreview, ClientError> {
         self.json(self.request(Method::DELETE, &format!("/v1/jobs/{id}")).query(&[("dry_run", "true")])).await
     }

@@ -30,7 +30,7 @@ impl Client {
         self.json(self.request(Method::POST, &format!("/v1/jobs/{id}/frames/{frame}/link")).json(link)).await
     }
 
-    /// Removes the jobs that need not be kept, or tells which those are.
+    /// Deletes the jobs past their retention, or lists them.
     pub async fn collect(&self, dry_run: bool) -> Result<Collection, ClientError> {
         self.json(self.request(Method::POST, "/v1/gc").query(&[("dry_run", dry_run)])).await
     }

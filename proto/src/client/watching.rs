@@ -1,11 +1,11 @@
-//! What a client asks of a server's health.
+//! Health of a server.
 
 use reqwest::Method;
 use serde::Deserialize;
 
 use super::{Client, ClientError};
 
-/// The answer of `GET /readyz`.
+/// Response of `GET /readyz`.
 #[derive(Clone, Debug, PartialEq, Eq, Deserialize)]
 pub struct Readiness {
     /// `ready`, or `degraded` without a worker.

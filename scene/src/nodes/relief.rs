@@ -17,7 +17,7 @@ pub(super) struct Relief {
     reach: f32,
 }
 
-/// A relief that has been found; none at first. It says nothing that its node does not.
+/// Cached displacement bounds, empty until `precompute`. Ignored by `==` because they follow from the node.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct FoundRelief(pub(super) Option<Relief>);
 

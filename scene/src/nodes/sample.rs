@@ -5,7 +5,7 @@ use crate::real::{Real, Vec3, vec3};
 
 /// What a node gives at a point.
 pub trait Sample<R: Real>: Clone {
-    /// A surface at this distance, wearing whatever its object wears.
+    /// A value with this distance and the object's own material.
     fn new(distance: R) -> Self;
 
     /// The distance.
@@ -17,7 +17,7 @@ pub trait Sample<R: Real>: Clone {
     /// Two surfaces made one at `distance`; the second has the share that `second` tells, 0 to 1.
     fn blend(self, other: Self, distance: R, second: impl FnOnce() -> R) -> Self;
 
-    /// What `join` makes of it and of what is at least `beyond` away, unless that is further than it.
+    /// Combines this value with a shape that is at least `lower_bound` away. May return `self` without calling `combine` if that shape cannot be nearer.
     fn unless_beyond(self, beyond: R, join: impl FnOnce(Self) -> Self) -> Self;
 
     /// The surface of `node` as `place` sees it, where its distance is known already.

@@ -1,4 +1,4 @@
-//! What the surfaces of a scene wear: materials by their shares.
+//! Material shading at a hit: evaluates each material there and blends the results by weight.
 
 use super::{Hit, Program};
 use crate::camera::Ray;

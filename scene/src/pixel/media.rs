@@ -218,7 +218,7 @@ impl Program<'_> {
         stuff
     }
 
-    /// How much stands between a light and `p`: the optical depth, or so much that nothing comes through.
+    /// Optical depth τ between a light and `p`; 80 if a surface is in between, so that exp(−τ) is 0.
     #[inline(always)]
     fn light_in_air<R: Real>(
         &self,

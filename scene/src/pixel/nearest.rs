@@ -89,7 +89,7 @@ impl Program<'_> {
         )
     }
 
-    /// What an object makes of what was found before it, unless its box is further away than that.
+    /// Merges one object into the nearest result so far. Skips the object if its bounds are farther away than that result.
     #[inline(always)]
     fn unless_beyond<R: Real, T: Bundle<R>>(
         &self,

@@ -147,7 +147,7 @@ fn do_touch(a: Edge, b: Edge) -> bool {
         || (s == 0.0 && is_between(a.to, b.from, b.to))
 }
 
-/// Above 0 where the way from `a` by `b` to `c` turns left, below 0 where right, 0 where it does not turn.
+/// Orientation of the triangle (a, b, c): positive if counter-clockwise, negative if clockwise, 0 if collinear.
 fn turn(a: [f32; 2], b: [f32; 2], c: [f32; 2]) -> f64 {
     let along = |axis: usize, to: [f32; 2]| f64::from(to[axis]) - f64::from(a[axis]);
     along(0, b) * along(1, c) - along(1, b) * along(0, c)

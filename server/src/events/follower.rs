@@ -1,4 +1,4 @@
-//! One follower of one job: what it missed, then what happens, then the end.
+//! Subscriber to one job: missed events first, then new ones, then the end.
 
 use std::sync::Arc;
 use std::time::Duration;
@@ -14,19 +14,19 @@ use crate::store::StoreError;
 
 /// Events read from the database at a time.
 const PAGE: u32 = 256;
-/// After so long a silence a comment is sent, so that nothing on the way takes the connection for dead.
+/// After this long without events a comment is sent, so that no proxy takes the connection for dead.
 const KEEP_ALIVE: Duration = Duration::from_secs(15);
-/// That comment.
+/// The comment.
 const COMMENT: &[u8] = b":\n\n";
 
-/// How following begins.
+/// Result of subscribing.
 #[derive(Debug)]
 pub(crate) enum Start {
-    /// There is something to tell, now or later.
+    /// There are events, now or later.
     Follow(Box<Follower>),
-    /// The job has ended, and all was told.
+    /// The job has finished, and the client has received all its events.
     Over,
-    /// There is no such job.
+    /// The job does not exist.
     Unknown,
 }
 
@@ -37,15 +37,15 @@ pub(crate) struct Follower {
     topic: Arc<Topic>,
     bell: watch::Receiver<()>,
     ending: CancellationToken,
-    /// The last event that was told.
+    /// Number of the last event sent.
     last: i64,
     first: Option<Bytes>,
-    /// What was told last is that the job has ended.
+    /// The last event sent is the job's final one.
     ended: bool,
 }
 
 impl Follower {
-    /// Follows a job from its first event, or from after the one that was told last.
+    /// Subscribes to a job from its first event, or after the given one.
     pub(crate) async fn start(
         events: &Events,
         job: JobId,
@@ -92,14 +92,14 @@ impl Follower {
                 rung = tokio::time::timeout(KEEP_ALIVE, self.bell.changed()) => rung,
             };
             if rung.is_err() {
-                // A job that was deleted tells nothing any more.
+                // A deleted job has no further events.
                 let there = self.queue.has_ended(self.topic.job).await?.is_some();
                 return Ok(there.then(|| Bytes::from_static(COMMENT)));
             }
         }
     }
 
-    /// What is new: from the list of recent events, or a page from the database.
+    /// New events: from the list of recent events, or a page from the database.
     async fn news(&mut self) -> Result<Vec<Told>, StoreError> {
         loop {
             let reaches_back_to = match self.topic.after(self.last) {

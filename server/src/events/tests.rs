@@ -1,4 +1,4 @@
-//! What can't be seen through the door in a short time: old events are dropped, and slow followers lose none.
+//! Properties that the API cannot show quickly: old events are pruned, and slow subscribers miss none.
 
 use proto::JobId;
 use proto::event::{Lines, Message, Snapshot};
@@ -62,7 +62,7 @@ impl Bench {
     }
 }
 
-/// What a follower is told, up to this many events.
+/// Messages that a subscriber receives, up to `count`.
 async fn told(follower: &mut Follower, count: usize) -> Vec<Message> {
     let (mut lines, mut messages) = (Lines::default(), Vec::new());
     while messages.len() < count

@@ -1,6 +1,6 @@
-//! What the audit log is told: every change and every refusal; and its pages, for administrators.
+//! Records every change and every rejection in the audit log, and serves its pages to administrators.
 //!
-//! Workers' turns are not deeds of people: of theirs only registrations and refusals are told.
+//! Of workers, only registrations and rejections are recorded.
 
 use std::sync::Arc;
 
@@ -21,14 +21,14 @@ use super::trace::RequestId;
 use crate::deeds::Deed;
 use crate::farm::Farm;
 
-/// Entries on a page, unless the query says otherwise.
+/// Default number of entries on a page.
 const PAGE: u32 = 100;
 /// Entries on a page, at most.
 const MAX_PAGE: u32 = 1000;
 /// Characters of a path that is no route's.
 const MAX_PATH_CHARACTERS: usize = 200;
 
-/// Tells the audit log what came of a request.
+/// Records the outcome of a request in the audit log.
 pub(super) async fn tell(
     State(farm): State<Arc<Farm>>,
     parameters: Result<RawPathParams, RawPathParamsRejection>,
@@ -63,7 +63,7 @@ pub(super) async fn tell(
     response
 }
 
-/// Whether changes by this route are told; what is no route changes nothing.
+/// Whether changes by this route are recorded; a request without a route changes nothing.
 fn is_told(route: Option<&str>) -> bool {
     route.is_some_and(|route| !route.starts_with("/v1/worker/") || route == proto::work::REGISTER)
 }
@@ -72,7 +72,7 @@ fn is_refusal(status: StatusCode) -> bool {
     [StatusCode::UNAUTHORIZED, StatusCode::FORBIDDEN, StatusCode::TOO_MANY_REQUESTS].contains(&status)
 }
 
-/// The job that an answer says was made.
+/// Id of the job that a response reports as created.
 fn made(response: &Response) -> Option<JobId> {
     response.headers().get(header::LOCATION)?.to_str().ok()?.strip_prefix("/v1/jobs/")?.parse().ok()
 }
@@ -86,7 +86,7 @@ struct PageQuery {
 
 /// See who did what.
 ///
-/// Every change and every refusal, newest first; the newest 100,000 are kept.
+/// Every change and every rejection, newest first; the newest 100,000 are kept.
 #[utoipa::path(
     get, path = "/v1/audit", tag = "doors", operation_id = "audit",
     params(
@@ -95,7 +95,7 @@ struct PageQuery {
     ),
     responses(
         (status = 200, description = "A page", body = ref("#/components/schemas/AuditPage")),
-        (status = 422, description = "A query that can't be", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
+        (status = 422, description = "Invalid query parameters", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
     )
 )]
 pub(super) async fn list(State(farm): State<Arc<Farm>>, uri: Uri) -> Result<Json<AuditPage>, ApiError> {

@@ -1,4 +1,4 @@
-//! Reading what clients send: bounded, and refused in words.
+//! Reading request bodies: bounded, with an error message for each way to fail.
 
 use axum::body::Body;
 use axum::extract::Query;
@@ -10,10 +10,10 @@ use serde::de::DeserializeOwned;
 
 use super::error::ApiError;
 
-/// Of a body that is too large, so much is read on, so that its sender gets to read the answer.
+/// Of a body that is too large, this much is read and discarded, so that the client reads the response.
 const DRAINED_BYTES: usize = 64 << 20;
 
-/// Refuses what says it is not JSON; a body that says nothing is taken as JSON.
+/// Rejects a body whose content type is not JSON; a body without a content type is taken as JSON.
 pub(super) fn expect_json(headers: &HeaderMap) -> Result<(), ApiError> {
     let Some(value) = headers.get(header::CONTENT_TYPE) else { return Ok(()) };
     let found = value.to_str().unwrap_or("?");
@@ -57,7 +57,7 @@ pub(super) async fn read_json<T: DeserializeOwned>(
     let mut reader = serde_json::Deserializer::from_slice(&bytes);
     let value = serde_path_to_error::deserialize(&mut reader).map_err(|error| refuse(&error))?;
     reader.end().map_err(|error| ApiError::NotJson(vec![fault(String::new(), &error)]))?;
-    // A list of values would do as well for the reader, but that is nothing anyone means.
+    // serde would also read a list of values in order, which no client means.
     if bytes.trim_ascii_start().first() == Some(&b'[') {
         return Err(wrong("", "this is a list: send an object".to_owned()));
     }
@@ -80,7 +80,7 @@ fn fault(pointer: String, error: &serde_json::Error) -> FaultView {
     FaultView { pointer, message, line: error.line() as u32, column: error.column() as u32 }
 }
 
-/// A fault of meaning in a JSON body.
+/// Error for an invalid value in a JSON body.
 pub(super) fn wrong(pointer: &str, message: String) -> ApiError {
     ApiError::WrongBody(vec![FaultView { pointer: pointer.to_owned(), message, line: 1, column: 1 }])
 }

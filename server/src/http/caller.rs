@@ -1,6 +1,6 @@
-//! Who calls: nobody comes past here without what the route asks for.
+//! Authentication and authorization: no request passes without the permission that its route requires.
 //!
-//! What a route asks for is in `rules`; what became of a request is told to the audit log by `audit`.
+//! `rules` has the permission of each route; `audit` records the outcome in the audit log.
 
 use std::net::IpAddr;
 use std::sync::Arc;
@@ -24,19 +24,19 @@ use crate::keys::{Found, Key, same};
 /// An answer has to begin within this time, unless its route waits or takes in much.
 const ANSWER: Duration = Duration::from_mins(1);
 
-/// Who submits while there are no keys.
+/// Submitter of all jobs while there are no keys.
 const LOCAL: &str = "local";
 
-/// Where a request comes from.
+/// Address of the client.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Peer(pub(crate) IpAddr);
 
-/// Who calls; an extension of every request, and of its answer.
+/// Caller of a request; an extension of every request and response.
 #[derive(Clone, Debug)]
 pub(crate) enum Caller {
-    /// Nobody known, on a route that is open to all, or refused.
+    /// Unknown, on a public route, or rejected.
     Nobody,
-    /// Whoever reaches a farm without keys.
+    /// Any client of a farm without keys.
     Local,
     /// One of the server's own workers.
     Pool,
@@ -45,7 +45,7 @@ pub(crate) enum Caller {
 }
 
 impl Caller {
-    /// Under whose name jobs are handed in.
+    /// Name under which jobs are submitted.
     pub(crate) fn name(&self) -> &str {
         match self {
             Self::Nobody => "-",
@@ -69,7 +69,7 @@ impl Caller {
     }
 }
 
-/// Lets a request in, or says why not; one that waits under a key ends with it.
+/// Authenticates and authorizes a request; one that waits under a key ends with the key.
 pub(super) async fn identify(
     State(farm): State<Arc<Farm>>,
     parameters: Result<RawPathParams, axum::extract::rejection::RawPathParamsRejection>,
@@ -105,7 +105,7 @@ pub(super) async fn identify(
     with_caller(response, caller)
 }
 
-/// How long an answer may take to begin; bodies that are sent in have a rate of their own to keep.
+/// Time until a response must begin; request bodies have a minimum rate instead.
 fn time_limit(route: &str, request: &Request) -> Option<Duration> {
     let takes_in = route.starts_with("/v1/worker/") || (route == "/v1/jobs" && request.method() == Method::POST);
     let waits = route.ends_with("/events") || request.headers().contains_key("prefer");
@@ -125,7 +125,7 @@ fn with_caller(mut response: Response, caller: Caller) -> Response {
     response
 }
 
-/// Refuses, and more curtly who tries again and again.
+/// Rejects the request. After 20 rejections a second from one address, the response is 429 instead of the reason.
 fn refuse(farm: &Farm, peer: Option<IpAddr>, caller: Caller, error: ApiError) -> Response {
     let error = match farm.doors.count_refusal(peer) {
         Ok(()) => error,
@@ -134,7 +134,7 @@ fn refuse(farm: &Farm, peer: Option<IpAddr>, caller: Caller, error: ApiError) ->
     with_caller(error.into_response(), caller)
 }
 
-/// Who brings this request.
+/// Caller of this request.
 fn caller(farm: &Farm, need: Need, peer: Option<IpAddr>, headers: &HeaderMap) -> Result<Caller, ApiError> {
     let keys = &farm.doors.keys;
     let bearer = headers.get(header::AUTHORIZATION).map(|value| {
@@ -148,7 +148,7 @@ fn caller(farm: &Farm, need: Need, peer: Option<IpAddr>, headers: &HeaderMap) ->
         return Ok(Caller::Pool);
     }
     if !keys.are_wanted() {
-        // Without keys the server listens where only this machine reaches it, or was told that anyone may.
+        // Without keys the server listens on loopback only, or was started with `--insecure`.
         return if is_workers && bearer.is_some() { Err(ApiError::WrongToken) } else { Ok(Caller::Local) };
     }
     if need == Need::Nothing {
@@ -168,7 +168,7 @@ fn caller(farm: &Farm, need: Need, peer: Option<IpAddr>, headers: &HeaderMap) ->
     }
 }
 
-/// Whether the caller may do this.
+/// Whether the caller has the permission.
 async fn authorise(farm: &Farm, need: Need, caller: &Caller, job: Option<JobId>) -> Result<(), ApiError> {
     let Caller::Key(key) = caller else { return Ok(()) };
     let scope = match need {
@@ -180,7 +180,7 @@ async fn authorise(farm: &Farm, need: Need, caller: &Caller, job: Option<JobId>)
     }
     if matches!(need, Need::OwnJob(_)) && key.scopes().allow(Scope::Submit) {
         let Some(job) = job else { return Ok(()) };
-        // Of a job that is not there the handler says so.
+        // For a job that does not exist, the handler responds.
         if farm.queue.submitter(job).await?.is_none_or(|submitter| submitter == key.name()) {
             return Ok(());
         }
@@ -188,7 +188,7 @@ async fn authorise(farm: &Farm, need: Need, caller: &Caller, job: Option<JobId>)
     Err(ApiError::MissingScope { scope, name: key.name().to_owned() })
 }
 
-/// Says how many requests are left.
+/// Adds headers with the remaining rate.
 fn with_pace(mut response: Response, pace: Option<Pace>) -> Response {
     if let Some(pace) = pace {
         for (name, value) in pace.headers() {
@@ -198,7 +198,7 @@ fn with_pace(mut response: Response, pace: Option<Pace>) -> Response {
     response
 }
 
-/// Ends an answer of unknown length, such as a stream of events, with the key.
+/// Ends a response of unknown length, such as an event stream, when the key is revoked.
 fn until_ended(response: Response, key: &Key) -> Response {
     use axum::body::HttpBody;
     if response.body().size_hint().exact().is_some() {

@@ -30,7 +30,7 @@ struct DeleteQuery {
 
 /// Retry a failed job.
 ///
-/// Its dead tiles are rendered again, with fresh counters, and those that were not rendered because of them.
+/// Requeues the job's dead tiles with reset retry counters, and the tiles that were skipped when it failed.
 #[utoipa::path(
     post, path = "/v1/jobs/{id}/retry", tag = "jobs", operation_id = "retry_job",
     params(("id" = String, Path, description = "The job")),
@@ -49,7 +49,7 @@ pub(super) async fn retry(State(farm): State<Arc<Farm>>, Path(id): Path<String>)
     }
 }
 
-/// Change a job that has not ended.
+/// Change a job that has not finished.
 #[utoipa::path(
     patch, path = "/v1/jobs/{id}", tag = "jobs", operation_id = "change_job",
     params(("id" = String, Path, description = "The job")),

@@ -1,6 +1,6 @@
-//! Which requests are meant for this server: those that name it, and come from no foreign page.
+//! Host and origin check: accepts requests that name this server and do not come from another site's page.
 //!
-//! Who calls is `caller`'s business.
+//! Authentication is in `caller`.
 
 use std::net::IpAddr;
 use std::sync::Arc;
@@ -14,7 +14,8 @@ use axum::response::{IntoResponse, Response};
 use super::error::ApiError;
 use crate::farm::Farm;
 
-/// Refuses requests whose `Host` is not this server (DNS rebinding), and changes asked for by foreign pages.
+/// Rejects requests whose `Host` is not this server (DNS rebinding), and changes requested by other sites'
+/// pages.
 pub(super) async fn host_and_origin(State(farm): State<Arc<Farm>>, request: Request, next: Next) -> Response {
     match check(&farm.config.hosts, &request) {
         Ok(()) => next.run(request).await,
@@ -24,7 +25,7 @@ pub(super) async fn host_and_origin(State(farm): State<Arc<Farm>>, request: Requ
 
 fn check(hosts: &[String], request: &Request) -> Result<(), ApiError> {
     if request.headers().get_all(header::HOST).iter().count() > 1 {
-        // RFC 9112, section 3.2: which of them is meant nobody knows.
+        // RFC 9112, section 3.2: a request with several is ambiguous.
         return Err(ApiError::WrongRequest("it has more than one Host header"));
     }
     if !is_text(request.uri().path()) {

@@ -1,4 +1,4 @@
-//! Every refusal a client can meet, and the only place that knows status codes.
+//! Every error response of the API, and the only place that knows status codes.
 
 use axum::http::{HeaderValue, StatusCode, header};
 use axum::response::{IntoResponse, Response};
@@ -16,7 +16,7 @@ use crate::retention::RetentionError;
 use crate::sketches::SketchError;
 use crate::store::StoreError;
 
-/// Why a request is refused: what went wrong this time, and the cure.
+/// Reason for an error response, with its fix.
 #[derive(Debug, thiserror::Error)]
 pub(crate) enum ApiError {
     #[error("the body is not JSON: {}", first(.0))]
@@ -57,18 +57,18 @@ pub(crate) enum ApiError {
     WrongMethod { method: String, path: String },
     #[error("job {job} has ended (it is {}): nothing of it can be changed any more", .state.name())]
     Finished { job: JobId, state: JobState },
-    #[error("none of the tiles of job {job}, which is {}, is dead: only a failed job is retried", .state.name())]
+    #[error("job {job} is {} and has no dead tiles: only failed jobs can be retried", .state.name())]
     NothingDead { job: JobId, state: JobState },
     #[error("job {0} is running: cancel it first, then delete it")]
     Running(JobId),
     #[error("the range lies outside of the picture, which has {size_bytes} bytes")]
     WrongRange { size_bytes: u64 },
     #[error(
-        "this server is not known as {0:?}: address it as localhost or by its IP address, \
+        "unknown host {0:?}: use localhost or the server's IP address, \
          or name it with --host when it is started"
     )]
     ForeignHost(String),
-    #[error("pages of {0:?} may not change anything here")]
+    #[error("cross-origin request from {0:?} rejected: send it from this server's own pages or from a program")]
     ForeignOrigin(String),
     #[error("this route is for workers that bring the pool's token")]
     WrongToken,
@@ -83,7 +83,7 @@ pub(crate) enum ApiError {
     ExpiredKey,
     #[error("this key was revoked, or has just expired: ask the farm's administrator for another")]
     EndedKey,
-    #[error("this needs a key of scope {}, which the key of {name} has not", .scope.name())]
+    #[error("the key of {name} lacks scope {}: use a key that has it, or ask an administrator for one", .scope.name())]
     MissingScope { scope: Scope, name: String },
     #[error("more than {per_second} requests a second: try again in {retry_seconds} s")]
     TooManyRequests { per_second: u32, retry_seconds: u64 },
@@ -105,7 +105,7 @@ pub(crate) enum ApiError {
     UnknownWorker(String),
     #[error("this worker makes pictures of version {found}, the server wants {wanted}: run the same release of both")]
     WrongPictureVersion { found: u32, wanted: u32 },
-    #[error("{0:?} is not the BLAKE3 of anything: 64 lower-case hex digits are")]
+    #[error("{0:?} is not a BLAKE3 hash: send 64 lower-case hexadecimal digits")]
     WrongHash(String),
     #[error("{0}")]
     WrongBytes(String),
@@ -121,7 +121,7 @@ pub(crate) enum ApiError {
     WrongSignature,
     #[error(transparent)]
     NoSketch(SketchError),
-    #[error("the server is ending: try again when it is back")]
+    #[error("the server is shutting down: retry in a few seconds")]
     Closing,
     #[error("the disk is full: make room in the data folder, then try again")]
     DiskFull,
@@ -155,7 +155,7 @@ impl ApiError {
     fn sort(&self) -> (StatusCode, &'static str, &'static str) {
         match self {
             Self::NotJson(_) => (StatusCode::BAD_REQUEST, "not_json", "The body is not JSON"),
-            Self::WrongJob(_) => (StatusCode::UNPROCESSABLE_ENTITY, "wrong_job", "The job is not sound"),
+            Self::WrongJob(_) => (StatusCode::UNPROCESSABLE_ENTITY, "wrong_job", "The job is invalid"),
             Self::WrongBody(_) => (StatusCode::UNPROCESSABLE_ENTITY, "wrong_body", "The body is not as it should be"),
             Self::WrongQuery(_) => {
                 (StatusCode::UNPROCESSABLE_ENTITY, "wrong_query", "The query is not as it should be")
@@ -215,7 +215,7 @@ impl ApiError {
         }
     }
 
-    /// A body that did not arrive whole, for whatever reason.
+    /// Message for a body that did not arrive completely.
     pub(super) fn broken_body(error: &(dyn std::error::Error + 'static)) -> Self {
         let mut cause = Some(error);
         while let Some(error) = cause {

@@ -15,7 +15,7 @@ use super::jobs::job_id;
 use crate::events::{Follower, Start};
 use crate::farm::Farm;
 
-/// The header that browsers send when they come back.
+/// Header that browsers send when they reconnect.
 const LAST_EVENT_ID: &str = "last-event-id";
 
 #[derive(Debug, Deserialize)]
@@ -26,9 +26,9 @@ struct EventsQuery {
 
 /// Follow a job.
 ///
-/// Events `state`, `progress`, `tile` and `frame`, each with an id that grows. With `Last-Event-ID` those after it
-/// are told, none left out and none twice; where they are kept no longer, a `snapshot` comes first. The stream
-/// ends after the job has.
+/// Events `state`, `progress`, `tile` and `frame`, each with an increasing id. With `Last-Event-ID`, the
+/// stream resumes after that event, without gaps or repeats. If later events have been pruned, it starts with
+/// a `snapshot`. The stream ends after the job's final event.
 #[utoipa::path(
     get, path = "/v1/jobs/{id}/events", tag = "jobs", operation_id = "follow_job",
     params(

@@ -12,7 +12,7 @@ use super::jobs::{job_id, view};
 use crate::farm::Farm;
 use crate::queue::Paused;
 
-/// Pause a job: nothing more of it is leased, and what is leased goes on.
+/// Pause a job: no new tiles are leased; leased tiles finish and count.
 #[utoipa::path(
     post, path = "/v1/jobs/{id}/pause", tag = "jobs", operation_id = "pause_job",
     params(("id" = String, Path, description = "The job")),
@@ -49,7 +49,7 @@ async fn set_job(farm: &Farm, id: &str, paused: bool) -> Result<Json<JobView>, A
     }
 }
 
-/// Look at the farm as a whole.
+/// Get the state of the farm.
 #[utoipa::path(
     get, path = "/v1/farm", tag = "farm", operation_id = "get_farm",
     responses((status = 200, description = "The farm", body = ref("#/components/schemas/FarmView")))
@@ -58,7 +58,7 @@ pub(super) async fn get(State(farm): State<Arc<Farm>>) -> Result<Json<FarmView>,
     Ok(Json(FarmView { paused: farm.queue.is_paused().await? }))
 }
 
-/// Pause the farm: nothing more is leased, and what is leased goes on.
+/// Pause the farm: no new tiles are leased; leased tiles finish and count.
 #[utoipa::path(
     post, path = "/v1/farm/pause", tag = "farm", operation_id = "pause_farm",
     responses((status = 200, description = "It is paused", body = ref("#/components/schemas/FarmView")))

@@ -17,7 +17,7 @@ use super::jobs::job_id;
 use crate::archive::Archive;
 use crate::farm::Farm;
 
-/// Frames on a page, unless the query says otherwise.
+/// Default number of frames on a page.
 const PAGE: u32 = 100;
 /// Frames on a page, at most.
 const MAX_PAGE: u32 = 1000;
@@ -75,8 +75,8 @@ pub(super) async fn list(
 
 /// Get all pictures of a job as one ZIP archive.
 ///
-/// The pictures are stored as they are, in the order of their numbers, as `NAME.0000.png` and so on; the same job
-/// gives the same bytes.
+/// The pictures are stored unchanged, in frame order, as `NAME.0000.png` and so on; the same job gives the
+/// same bytes.
 #[utoipa::path(
     get, path = "/v1/jobs/{id}/frames.zip", tag = "pictures", operation_id = "get_archive",
     params(

@@ -11,7 +11,7 @@ use serde_json::{Value, json};
 use super::error::ApiError;
 use crate::farm::Farm;
 
-/// How `/metrics` is written.
+/// Content type of `/metrics`.
 const OPEN_METRICS: &str = "application/openmetrics-text; version=1.0.0; charset=utf-8";
 
 /// Is the process up?
@@ -41,7 +41,7 @@ pub(super) async fn readyz(State(farm): State<Arc<Farm>>) -> Result<Json<Value>,
     Ok(Json(json!({ "status": status, "database": "ok", "store": "ok", "workers": names })))
 }
 
-/// Counts and levels, for Prometheus.
+/// Metrics in the OpenMetrics text format.
 #[utoipa::path(
     get, path = "/metrics", tag = "health", operation_id = "metrics",
     responses(

@@ -1,4 +1,4 @@
-//! Jobs: handed in, looked at, cancelled, forgotten.
+//! Jobs: submitted, read, cancelled, deleted.
 
 use std::sync::Arc;
 
@@ -23,7 +23,7 @@ use crate::pictures::Kind;
 use crate::plan::Plan;
 use crate::queue::{Cancelled, NewJob, Submitted};
 
-/// Jobs on a page, unless the query says otherwise.
+/// Default number of jobs on a page.
 const PAGE: u32 = 100;
 /// Jobs on a page, at most.
 const MAX_PAGE: u32 = 1000;
@@ -56,7 +56,7 @@ fn media_type(image: &scene::Image) -> &'static str {
     }
 }
 
-/// Whether a job's pictures are to be rendered anew.
+/// Whether the request asks to ignore the picture cache.
 pub(super) fn has_no_cache(headers: &HeaderMap) -> bool {
     headers
         .get_all(header::CACHE_CONTROL)
@@ -65,10 +65,10 @@ pub(super) fn has_no_cache(headers: &HeaderMap) -> bool {
         .any(|value| value.split(',').any(|directive| directive.trim().eq_ignore_ascii_case("no-cache")))
 }
 
-/// Hand in a job.
+/// Submit a job.
 ///
-/// Answers 201 once the job is on the disk. Pictures that were stored before are not rendered
-/// again, unless the request says `Cache-Control: no-cache`.
+/// Responds with 201 once the job is on disk. Pictures that are already stored are not rendered again, unless
+/// the request has `Cache-Control: no-cache`.
 #[utoipa::path(
     post, path = "/v1/jobs", tag = "jobs", operation_id = "submit_job",
     params(
@@ -76,7 +76,7 @@ pub(super) fn has_no_cache(headers: &HeaderMap) -> bool {
         ("keep" = Option<String>, Query, description = "How long it is kept once it has finished: 36h, 7d, forever; else as the server was told"),
         ("webhook" = Option<Vec<String>>, Query, description = "An address that is told when the job has ended; up to four"),
         ("webhook_event" = Option<Vec<String>>, Query, description = "What webhooks are told instead: job.running, job.succeeded, job.failed, job.cancelled, frame.stored"),
-        ("Idempotency-Key" = Option<String>, Header, description = "A name for this very wish: sent again with it, it is the same job"),
+        ("Idempotency-Key" = Option<String>, Header, description = "Makes the request idempotent: repeating it with the same key returns the job created first"),
         ("Prefer" = Option<String>, Header, description = "`wait=N`: answer when the job has ended, or after N seconds, at most 60"),
     ),
     request_body(content = ref("#/components/schemas/Job"), content_type = "application/json"),
@@ -162,7 +162,7 @@ fn file_text(text: bytes::Bytes) -> Result<String, ApiError> {
 
 /// List jobs, newest first.
 ///
-/// A key that may submit but not read sees those of its own name.
+/// A key with scope submit but not read lists only jobs of its own name.
 #[utoipa::path(
     get, path = "/v1/jobs", tag = "jobs", operation_id = "list_jobs",
     params(
@@ -190,7 +190,7 @@ pub(super) async fn list(State(farm): State<Arc<Farm>>, caller: Caller, uri: Uri
     Ok(Json(farm.queue.jobs(caller.sees_only(), query.state, limit, before).await?))
 }
 
-/// Look at a job.
+/// Get a job.
 #[utoipa::path(
     get, path = "/v1/jobs/{id}", tag = "jobs", operation_id = "get_job",
     params(

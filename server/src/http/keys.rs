@@ -1,4 +1,4 @@
-//! Keys, for administrators: made, listed, revoked. `sdfarm key` does the same on the data folder.
+//! API keys for administrators: creation, list, revocation. `sdfarm key` does the same on the data folder.
 
 use std::sync::Arc;
 
@@ -39,7 +39,7 @@ pub(super) async fn list(State(farm): State<Arc<Farm>>) -> Json<KeyList> {
         (status = 409, description = "The name has two live keys, or there are too many keys", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
         (status = 413, description = "Too large", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
         (status = 415, description = "Wrong content type", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
-        (status = 422, description = "Not a key that can be", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
+        (status = 422, description = "The key's name, scopes, expiry or limits are invalid", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
     )
 )]
 pub(super) async fn make(
@@ -56,7 +56,7 @@ pub(super) async fn make(
 
 /// Revoke a key.
 ///
-/// Whoever waits under it is told at once.
+/// Open requests that use the key end immediately with 401.
 #[utoipa::path(
     delete, path = "/v1/keys/{id}", tag = "doors", operation_id = "revoke_key",
     params(("id" = String, Path, description = "A key's id, or a name: then all its keys")),

@@ -1,4 +1,4 @@
-//! Signed links: made for those who may see a picture, and followed by anybody until they expire.
+//! Signed links: created by callers who may read a picture, valid for any client until they expire.
 
 use std::sync::Arc;
 
@@ -18,7 +18,7 @@ use crate::farm::Farm;
 use crate::links::Linked;
 use crate::queue::StoredImage;
 
-/// Bytes of a wish for a link.
+/// Maximum size of a request for a link.
 const MAX_BYTES: usize = 4 << 10;
 
 #[derive(Debug, Deserialize)]
@@ -30,7 +30,8 @@ struct Signed {
 
 /// Sign a link to a frame's picture.
 ///
-/// Whoever has the link sees that picture without a key until it expires. The picture need not be stored yet.
+/// Any client with the link can read that picture without a key until the link expires. The picture need not
+/// be stored yet.
 #[utoipa::path(
     post, path = "/v1/jobs/{id}/frames/{frame}/link", tag = "pictures", operation_id = "sign_link",
     params(
@@ -117,7 +118,7 @@ pub(super) async fn follow(
         Shown::Image => images::answer(&farm, job, frame, &headers).await?,
         Shown::Preview => previews::answer(&farm, job, frame, None, &headers).await?,
     };
-    // Who holds on to the picture must ask again, or it would be shown behind the link's end.
+    // A cached copy must be revalidated, or it would outlive the link.
     response.headers_mut().insert(header::CACHE_CONTROL, HeaderValue::from_static("private, no-cache"));
     response.headers_mut().insert(header::REFERRER_POLICY, HeaderValue::from_static("no-referrer"));
     Ok(response)

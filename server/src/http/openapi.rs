@@ -20,9 +20,9 @@ use proto::webhook::DeliveryList;
 use schemars::generate::SchemaSettings;
 use serde_json::{Map, Value};
 
-/// Where definitions are in the document.
+/// Location of the definitions in the OpenAPI document.
 const COMPONENTS: &str = "#/components/schemas/";
-/// Where they are in a JSON Schema.
+/// Location of the definitions in a JSON Schema.
 const DEFINITIONS: &str = "#/$defs/";
 
 /// The document, as it is served.
@@ -30,7 +30,7 @@ const DEFINITIONS: &str = "#/$defs/";
 pub(super) struct Document(Arc<Value>);
 
 impl Document {
-    /// Completes what the routes say with the schemas they refer to.
+    /// Completes the description of the routes with the schemas that they refer to.
     pub(super) fn new(routes: &utoipa::openapi::OpenApi) -> Self {
         let mut document = serde_json::to_value(routes).expect("an OpenAPI document is plain JSON");
         document["info"] = serde_json::json!({
@@ -53,7 +53,7 @@ impl Document {
     }
 }
 
-/// The schemas of what the server says.
+/// Schemas of the responses.
 fn views() -> Map<String, Value> {
     let settings =
         SchemaSettings::draft2020_12().with(|settings| settings.definitions_path = "/components/schemas".into());

@@ -24,7 +24,7 @@ pub(super) async fn workers(State(farm): State<Arc<Farm>>) -> Result<Json<Worker
     Ok(Json(farm.queue.workers().await?))
 }
 
-/// Look at the local pool.
+/// Get the local pool.
 #[utoipa::path(
     get, path = "/v1/pool", tag = "workers", operation_id = "get_pool",
     responses((status = 200, description = "The pool", body = ref("#/components/schemas/PoolView")))

@@ -1,4 +1,4 @@
-//! `Prefer: wait=N` (RFC 7240): the answer comes when the job has ended, or after N seconds.
+//! `Prefer: wait=N` (RFC 7240): the response is sent when the job has finished, or after N seconds.
 
 use std::time::Duration;
 
@@ -12,12 +12,12 @@ use super::error::ApiError;
 use crate::clock::instant;
 use crate::farm::Farm;
 
-/// Nobody waits longer; whoever wants to asks again.
+/// Maximum wait; a client that wants to wait longer repeats the request.
 const MAX_WAIT: Duration = Duration::from_mins(1);
 const PREFER: &str = "prefer";
 const APPLIED: HeaderName = HeaderName::from_static("preference-applied");
 
-/// A job, when it has ended or the wait is over.
+/// Responds with a job when it has finished or the wait is over.
 pub(super) async fn answer(
     farm: &Farm,
     id: JobId,
@@ -53,7 +53,7 @@ async fn until_ended(farm: &Farm, id: JobId, wait: Duration) -> Result<(), ApiEr
     Ok(())
 }
 
-/// How long a request would wait; what can't be read is no preference.
+/// Requested wait; an unreadable header is ignored, as RFC 7240 says.
 fn wait(headers: &HeaderMap) -> Option<Duration> {
     headers
         .get_all(PREFER)

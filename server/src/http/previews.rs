@@ -1,4 +1,4 @@
-//! Previews and thumbnails: what there is of a frame, as a small PNG drawn by a child process.
+//! Previews and thumbnails: the current state of a frame as a small PNG, drawn by a helper process.
 
 use std::sync::Arc;
 
@@ -17,9 +17,9 @@ use crate::farm::Farm;
 use crate::pictures::{Kind, Name};
 use crate::queue::Parts;
 
-/// Width of a preview, unless the query says otherwise.
+/// Default width of a preview.
 const PREVIEW_PX: u32 = 960;
-/// Width of a thumbnail, unless the query says otherwise.
+/// Default width of a thumbnail.
 const THUMBNAIL_PX: u32 = 256;
 /// Widest preview or thumbnail.
 const MAX_WIDTH_PX: u32 = 2048;
@@ -44,10 +44,10 @@ impl WidthQuery {
     }
 }
 
-/// Get what is finished of a frame so far, as PNG.
+/// Get the finished part of a frame as PNG.
 ///
-/// Finished tiles lie over a coarse first pass, so that there is a picture within a second; of a stored frame it is
-/// the picture, scaled down. Ask again with the `ETag`: 304 as long as nothing was added.
+/// Finished tiles cover a coarse pass, so that there is a picture within a second; for a stored frame it is
+/// the picture, scaled down. Repeat the request with the `ETag`: the response is 304 until more is finished.
 #[utoipa::path(
     get, path = "/v1/jobs/{id}/frames/{frame}/preview", tag = "pictures", operation_id = "get_preview",
     params(

@@ -29,9 +29,9 @@ use crate::queue::{NewWorker, Next, Turn, Turned};
 const MAX_HELLO_BYTES: usize = 16 << 10;
 /// Results of the largest frame fit.
 const MAX_SYNC_BYTES: usize = 4 << 20;
-/// Nobody is kept waiting longer.
+/// Maximum time that a sync waits for work.
 const MAX_WAIT: Duration = Duration::from_secs(30);
-/// A worker that drains, and still holds something, is kept waiting so long.
+/// Maximum wait of a draining worker that still has leases.
 const DRAINING_WAIT: Duration = Duration::from_millis(250);
 
 /// Takes in a worker.
@@ -55,7 +55,7 @@ pub(super) async fn register(
     Ok(Json(Welcome { worker, lease_ms: farm.queue.lease_ms().unsigned_abs(), folders }))
 }
 
-/// Where a child of this server puts its bytes by itself; `None` where a folder's name is no text.
+/// Folders that a pool worker writes to directly; `None` if a folder's name is not UTF-8.
 fn folders(farm: &Farm) -> Option<Folders> {
     let folder = |kind: Kind| {
         let folder = std::path::absolute(kind.path(&farm.config.data)).ok()?;
@@ -64,9 +64,9 @@ fn folders(farm: &Farm) -> Option<Folders> {
     Some(Folders { blobs: folder(Kind::Blob)?, pictures: folder(Kind::Picture)? })
 }
 
-/// Takes a worker's turn, and waits for something to tell it: a run, the loss of a lease, or to drain.
+/// Runs a worker's sync, and waits until there is work, a lease has ended, or the worker must drain.
 ///
-/// Results are answered at once. If the client hangs up, the wait ends with its connection.
+/// Results are confirmed at once. If the client hangs up, the wait ends with its connection.
 pub(super) async fn sync(
     State(farm): State<Arc<Farm>>,
     headers: HeaderMap,
@@ -99,7 +99,8 @@ pub(super) async fn sync(
             farm.watch.metrics.claimed(now - begun);
         }
         if turned.drain && !again.holding.is_empty() {
-            // It may know already; it must not ask without pause while it finishes.
+            // The worker may already know that it must drain; it must not poll without pause
+            // while it finishes.
             deadline = deadline.min(now + DRAINING_WAIT);
         }
         let drains = turned.drain && again.holding.is_empty();

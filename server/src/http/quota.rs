@@ -1,12 +1,12 @@
-//! Whether there is room for one more job: of all together, and of its submitter.
+//! Quotas: whether one more job fits, for all submitters together and for its own.
 //!
-//! Jobs that are handed in at the same moment may go over a limit together, by no more than their number.
+//! Concurrent submissions may exceed a limit together, by at most their number.
 
 use super::caller::Caller;
 use super::error::ApiError;
 use crate::farm::Farm;
 
-/// Refuses a job before its body is read, if its submitter or everyone has too many.
+/// Rejects a job before its body is read, if its submitter or the farm has too many.
 pub(super) async fn check_jobs(farm: &Farm, caller: &Caller) -> Result<(), ApiError> {
     let limit = i64::from(farm.config.max_queued_jobs);
     if farm.queue.backlog().await?.jobs >= limit {
@@ -20,7 +20,7 @@ pub(super) async fn check_jobs(farm: &Farm, caller: &Caller) -> Result<(), ApiEr
     Ok(())
 }
 
-/// Refuses a job of so many rays, if its submitter would have too many.
+/// Rejects a job with this many rays, if its submitter would have too many.
 pub(super) async fn check_rays(farm: &Farm, caller: &Caller, rays: u64) -> Result<(), ApiError> {
     let Some(limit) = caller.key().and_then(|key| key.max_rays()) else { return Ok(()) };
     let waiting = farm.queue.backlog_of(caller.name()).await?.rays;

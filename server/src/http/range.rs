@@ -2,10 +2,10 @@
 
 use std::ops::Range;
 
-/// What a `Range` header asks for.
+/// Bytes that a `Range` header requests.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(super) enum Asked {
-    /// Everything: there is no range, or none that is understood.
+    /// The full content: there is no range, or none that is understood.
     Whole,
     /// These bytes.
     Part(Range<u64>),

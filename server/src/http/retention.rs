@@ -1,4 +1,4 @@
-//! Garbage collection on demand: what need not be kept goes, or is told.
+//! Garbage collection on demand: deletes jobs past their retention, or lists them.
 
 use std::sync::Arc;
 
@@ -20,10 +20,10 @@ struct CollectQuery {
     dry_run: bool,
 }
 
-/// Remove the jobs that need not be kept.
+/// Delete jobs past their retention.
 ///
-/// The server does this by itself every ten minutes. At most 1000 jobs go at a time; `more` says that there may
-/// be others.
+/// The server does this automatically every ten minutes. One request deletes at most 1000 jobs; `more` says
+/// whether others may remain.
 #[utoipa::path(
     post, path = "/v1/gc", tag = "jobs", operation_id = "collect_garbage",
     params(("dry_run" = Option<bool>, Query, description = "Only tell what would go")),

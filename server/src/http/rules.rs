@@ -1,20 +1,20 @@
-//! What each route asks of its caller, once there are keys. What is named nowhere here asks for `admin`.
+//! Permission that each route requires once there are keys. A route not listed here requires `admin`.
 
 use axum::http::Method;
 use proto::key::Scope;
 
-/// What a route asks for.
+/// Permission that a route requires.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Need {
-    /// Nothing: anyone may.
+    /// None: the route is public.
     Nothing,
     /// A key of this scope.
     Scope(Scope),
-    /// A key of this scope, or one of scope `submit` whose name handed in the job.
+    /// A key of this scope, or one of scope `submit` whose name submitted the job.
     OwnJob(Scope),
 }
 
-/// What a route asks for; `route` is empty where there is none.
+/// Permission that a route requires; `route` is empty for an unknown path.
 pub(super) fn need(method: &Method, route: &str) -> Need {
     let looks = *method == Method::GET || *method == Method::HEAD;
     if looks && is_open(route) {
@@ -23,7 +23,7 @@ pub(super) fn need(method: &Method, route: &str) -> Need {
     match route {
         "/v1/jobs" if looks => Need::OwnJob(Scope::Read),
         "/v1/jobs" if *method == Method::POST => Need::Scope(Scope::Submit),
-        // Who may look at a picture may pass on a link to it.
+        // A caller who may read a picture may share a link to it.
         _ if route.starts_with("/v1/jobs/{id}") && (looks || route.ends_with("/link")) => Need::OwnJob(Scope::Read),
         _ if route.starts_with("/v1/jobs/{id}") => Need::OwnJob(Scope::Admin),
         _ if route.starts_with("/v1/worker/") => Need::Scope(Scope::Worker),

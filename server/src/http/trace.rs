@@ -17,14 +17,14 @@ use crate::clock::instant;
 use crate::farm::Farm;
 
 const REQUEST_ID: HeaderName = HeaderName::from_static("x-request-id");
-/// Ids that clients bring may be so long.
+/// Maximum length of request ids sent by clients.
 const MAX_ID_CHARACTERS: usize = 64;
 
 /// A request's id, for those who write it down.
 #[derive(Clone, Debug)]
 pub(super) struct RequestId(pub(super) String);
 
-/// Gives a request its id, logs it, and writes the body of a problem.
+/// Assigns a request its id, logs it, and writes the body of a problem.
 pub(super) async fn trace(State(farm): State<Arc<Farm>>, mut request: Request, next: Next) -> Response {
     let id = brought_id(&request).unwrap_or_else(|| uuid::Uuid::now_v7().to_string());
     request.extensions_mut().insert(RequestId(id.clone()));
@@ -54,7 +54,7 @@ pub(super) async fn trace(State(farm): State<Arc<Farm>>, mut request: Request, n
     .await
 }
 
-/// What asks again and again has a span of another name, which is not worth a trace.
+/// Polling routes get a span with another name, which is not exported.
 fn span_of(request: &Request, id: &str, route: &str) -> Span {
     let (method, path) = (request.method(), request.uri().path());
     let asks_again = [proto::work::SYNC, "/livez", "/readyz", "/metrics"].contains(&route);

@@ -1,6 +1,6 @@
-//! Traces through the farm: from the request that hands in a job, by way of its leases, to the workers and back.
+//! Trace context through the farm: from the submission of a job through its leases to the workers and back.
 //!
-//! Only what a trace shows is decided here; a farm without traces does the same work.
+//! No decision depends on a trace; a farm without traces does the same work.
 
 use axum::http::HeaderMap;
 use proto::work::{Run, Work};
@@ -10,15 +10,15 @@ use tracing::Span;
 use crate::farm::Farm;
 use crate::store::StoreError;
 
-/// Makes a request's span continue the trace that the request names, if it does.
+/// Makes a request's span a child of the trace that the request names, if it names one.
 pub(super) fn continue_from(span: &Span, headers: &HeaderMap) {
     if let Some(traceparent) = brought(headers) {
         trace::adopt(span, traceparent);
     }
 }
 
-/// Keeps the current trace with a job that is about to be accepted; or the one that its request names, for workers
-/// that tell where this server does not.
+/// Stores the current trace context with a job about to be accepted; or the context of its request, for
+/// workers that export traces if this server does not.
 pub(super) async fn keep(farm: &Farm, job: JobId, headers: &HeaderMap) -> Result<(), StoreError> {
     let named = || brought(headers).filter(|traceparent| trace::is_sound(traceparent)).map(ToOwned::to_owned);
     match trace::current().or_else(named) {
@@ -27,7 +27,7 @@ pub(super) async fn keep(farm: &Farm, job: JobId, headers: &HeaderMap) -> Result
     }
 }
 
-/// What a worker's run continues: a span of its own, below the one that handed in the job.
+/// Trace context of a worker's batch: a span of its own, below the submission's.
 pub(super) async fn of_run(farm: &Farm, worker: WorkerId, run: &Run) -> Option<String> {
     let kept = match farm.watch.trace_of(farm, run.job).await {
         Ok(kept) => kept?,

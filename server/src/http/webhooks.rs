@@ -1,4 +1,4 @@
-//! What became of the messages to a job's webhooks.
+//! Deliveries of a job's webhooks.
 
 use std::sync::Arc;
 

@@ -1,4 +1,4 @@
-//! What comes with a job that is handed in, read from headers and query: `Idempotency-Key`, webhooks.
+//! Options of a submission, read from headers and query: `Idempotency-Key`, webhooks.
 
 use axum::http::{HeaderMap, Uri};
 use reqwest::Url;
@@ -9,18 +9,18 @@ use crate::farm::Farm;
 use crate::queue::{NewWebhook, Once, Wish};
 use crate::webhooks::{EVENTS, FINAL_EVENTS, Guard};
 
-/// The header that names a wish.
+/// Header with the idempotency key.
 const IDEMPOTENCY_KEY: &str = "idempotency-key";
-/// Such a name may be so long.
+/// Maximum length of an idempotency key.
 const MAX_KEY_BYTES: usize = 255;
-/// What else the query of a job may say.
+/// Other query parameters of a submission.
 const OTHERS: [&str; 2] = ["dry_run", "keep"];
-/// Addresses that a job tells, at most.
+/// Maximum number of webhooks of a job.
 const MAX_WEBHOOKS: usize = 4;
-/// An address may be so long.
+/// Maximum length of a webhook's address.
 const MAX_URL_BYTES: usize = 2048;
 
-/// Reads what comes with a job of this text.
+/// Reads the options of a job with this text.
 pub(super) fn read(uri: &Uri, headers: &HeaderMap, text: &[u8], guard: &Guard) -> Result<Wish, ApiError> {
     let (mut urls, mut events) = (Vec::new(), Vec::new());
     let query = Url::parse(&format!("http://query/?{}", uri.query().unwrap_or_default()))
@@ -55,7 +55,7 @@ pub(super) fn read(uri: &Uri, headers: &HeaderMap, text: &[u8], guard: &Guard) -
     Ok(Wish { once, webhooks })
 }
 
-/// Whether this wish was granted before, so that it takes no more room in the queue.
+/// Whether the request is a replay, which takes no room in the queue.
 pub(super) async fn is_known(farm: &Farm, caller: &Caller, headers: &HeaderMap) -> Result<bool, ApiError> {
     match key(headers)? {
         Some(key) => Ok(farm.queue.has_wish(caller.name(), &key).await?),
@@ -90,7 +90,7 @@ fn key(headers: &HeaderMap) -> Result<Option<String>, ApiError> {
     }
 }
 
-/// What exactly was wished: the job's text and all that changes what becomes of it.
+/// Hash of the request: the job's text and every option that changes the outcome.
 fn fingerprint(uri: &Uri, headers: &HeaderMap, text: &[u8]) -> String {
     let mut hasher = blake3::Hasher::new();
     for part in [uri.query().unwrap_or_default().as_bytes(), &[u8::from(super::jobs::has_no_cache(headers))], text] {

@@ -1,4 +1,4 @@
-//! A copy of a farm, made while it runs: the database as it stood at one instant, then the pictures it names.
+//! Backup of a running farm: the database as of one instant, then the pictures it names.
 //!
 //! Pictures never change, so only new ones are taken. Tile blobs are left out: what lacks them is rendered again.
 
@@ -13,17 +13,17 @@ use super::manifest::{self, Manifest};
 use super::{KeepError, bytes, database};
 use crate::clock::{Clock, rfc3339};
 
-/// How often the database is copied anew, if pictures that it names were deleted meanwhile.
+/// How many times the database is copied again, if pictures that it names were deleted in the meantime.
 const ROUNDS: u32 = 4;
 /// Larger files of a data folder are none of ours.
 const MAX_FILE_BYTES: u64 = 1 << 20;
 
-/// What a backup came to.
+/// Result of a backup.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Backup {
     /// Pictures in it.
     pub pictures: u64,
-    /// Of those, taken now.
+    /// Of those, copied by this backup.
     pub taken: u64,
     /// Bytes taken now.
     pub taken_bytes: u64,
@@ -64,7 +64,7 @@ fn prepare(data: &Path, folder: &Path) -> Result<Option<Manifest>, KeepError> {
     let is_ours = |name: &str| name == "pictures" || name == "farm.sqlite.part" || name == manifest::BEGUN;
     let entries = fs::read_dir(folder).map_err(KeepError::file("read", folder))?;
     let is_other = entries.flatten().any(|entry| !is_ours(&entry.file_name().to_string_lossy()));
-    // Its list is begun first, so that what broke off is known as ours.
+    // The marker file comes first, so that an interrupted backup is recognized as one.
     let begun = folder.join(manifest::BEGUN);
     if earlier.is_none() && is_other && !begun.exists() {
         return Err(KeepError::NotABackup(folder.to_owned()));

@@ -1,4 +1,4 @@
-//! Files that are named by the BLAKE3 of their bytes: looked at, linked and copied, never half.
+//! Files named by the BLAKE3 of their bytes: verified, linked and copied, never partially.
 
 use std::fs::{self, File};
 use std::io::{self, Read, Write};
@@ -25,7 +25,7 @@ fn copy_bytes(from: &mut dyn Read, to: &mut dyn Write) -> io::Result<(String, u6
     }
 }
 
-/// Copies a file if its bytes are those of `name`; false: they are others, and nothing is left.
+/// Copies a file if its bytes match `name`; false if they do not, and then no file is left.
 pub(super) fn copy(from: &Path, to: &Path, name: &str) -> io::Result<bool> {
     let part = to.with_extension("part");
     let mut source = File::open(from)?;
@@ -42,7 +42,7 @@ pub(super) fn copy(from: &Path, to: &Path, name: &str) -> io::Result<bool> {
             Ok(false)
         }
         Err(error) => {
-            // The disk may be full: what is half there only takes room.
+            // The disk may be full: the partial file only takes room.
             let _ = fs::remove_file(&part);
             Err(error)
         }

@@ -1,4 +1,4 @@
-//! The database as those who keep farms see it: opened to be read, looked through, its names listed.
+//! Read-only view of a farm's database for backup and checks.
 
 use std::path::Path;
 
@@ -13,11 +13,11 @@ use crate::store::Store;
 pub(super) struct Named {
     /// BLAKE3 of its bytes, in hex.
     pub(super) hash: String,
-    /// How many there are.
+    /// Total size of the pictures.
     pub(super) size_bytes: u64,
 }
 
-/// Opens the database of a data folder to be read, also beside a running server.
+/// Opens the database of a data folder for reading, also next to a running server.
 pub(super) async fn open(data: &Path) -> Result<SqliteConnection, KeepError> {
     let file = Store::file(data);
     if !file.is_file() {
@@ -32,7 +32,7 @@ pub(super) async fn open_file(file: &Path) -> Result<SqliteConnection, KeepError
     options.connect().await.map_err(KeepError::database(file))
 }
 
-/// What `integrity_check` and `foreign_key_check` find, a line each; nothing if all is well.
+/// Lines found by `integrity_check` and `foreign_key_check`; empty if the database is intact.
 pub(super) async fn faults(connection: &mut SqliteConnection) -> Result<Vec<String>, sqlx::Error> {
     let mut faults: Vec<String> = sqlx::query_scalar("PRAGMA integrity_check(20)").fetch_all(&mut *connection).await?;
     faults.retain(|line| line != "ok");
@@ -64,12 +64,12 @@ pub(super) async fn blobs(connection: &mut SqliteConnection) -> Result<Vec<Strin
     .await
 }
 
-/// When the newest job was handed in, by the wall clock.
+/// Submission time of the newest job, by the wall clock.
 pub(super) async fn newest_ms(connection: &mut SqliteConnection) -> Result<Option<i64>, sqlx::Error> {
     sqlx::query_scalar("SELECT created_at_ms FROM job ORDER BY number DESC LIMIT 1").fetch_optional(connection).await
 }
 
-/// What is odd about the migrations that a database has been through: a line, and whether the next start mends it.
+/// What is unusual about a database's migrations, in one line, and whether the next start fixes it.
 pub(super) async fn migrations(connection: &mut SqliteConnection) -> Result<Vec<(String, bool)>, sqlx::Error> {
     let rows =
         sqlx::query("SELECT version, checksum, success FROM _sqlx_migrations ORDER BY version").fetch_all(connection);

@@ -1,6 +1,6 @@
 //! Whether all is well with a farm: its database, its store, its disk, the machine's clock and limits.
 //!
-//! Every finding that is not good names its cure. Only a repair changes anything, and only while no server runs.
+//! Every finding that is not ok has a fix. Only a repair changes anything, and only while no server runs.
 
 use std::fs;
 use std::path::Path;
@@ -16,40 +16,40 @@ use crate::queue::{Reopened, forget_pictures};
 use crate::store::{Durability, Store};
 use crate::watch::machine;
 
-/// With less free disk a farm stands before long.
+/// With less free disk, a warning.
 const LITTLE_DISK_BYTES: u64 = 5 << 30;
-/// With less, it stands.
+/// With less free disk, an error: the farm stops.
 const NO_DISK_BYTES: u64 = 500 << 20;
-/// A busy server needs so many open files.
+/// Open files that a busy server needs.
 const FEW_FILES: u64 = 4096;
 /// A longer log is not folded into its file.
 const LARGE_LOG_BYTES: u64 = 1 << 30;
-/// Clocks may differ by so much.
+/// Maximum difference between clocks.
 const SKEW_MS: i64 = 60_000;
 /// No clock that is right shows less: the first of January 2026.
 const FIRST_MS: i64 = 1_767_225_600_000;
 
-/// How well something is.
+/// Severity of a finding.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Grade {
     /// As it should be.
     Good,
-    /// It works, but should be looked at.
+    /// Works, but needs attention.
     Odd,
-    /// It does not work, or will not for long.
+    /// Does not work, or will stop working soon.
     Wrong,
 }
 
-/// What was found.
+/// Finding of a check.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Finding {
-    /// How well it is.
+    /// Severity.
     pub grade: Grade,
-    /// What was looked at: one word.
+    /// Subject of the check: one word.
     pub subject: &'static str,
-    /// What there is to say.
+    /// Message.
     pub text: String,
-    /// What to do about it; of good things, nothing.
+    /// Fix; `None` if the finding is ok.
     pub cure: Option<String>,
 }
 
@@ -59,18 +59,18 @@ impl Finding {
         Self { grade: Grade::Good, subject, text: text.into(), cure: None }
     }
 
-    /// It works, but should be looked at.
+    /// Warning: works, but needs attention.
     pub fn odd(subject: &'static str, text: impl Into<String>, cure: impl Into<String>) -> Self {
         Self { grade: Grade::Odd, subject, text: text.into(), cure: Some(cure.into()) }
     }
 
-    /// It does not work.
+    /// Error: does not work.
     pub fn wrong(subject: &'static str, text: impl Into<String>, cure: impl Into<String>) -> Self {
         Self { grade: Grade::Wrong, subject, text: text.into(), cure: Some(cure.into()) }
     }
 }
 
-/// How closely the store is looked at.
+/// How thoroughly the store is checked.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Depth {
     /// Names and sizes.
@@ -82,16 +82,16 @@ pub enum Depth {
 /// Whether anything is put right.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Repair {
-    /// Nothing is changed.
+    /// Changes nothing.
     None,
-    /// Orphans are removed; frames whose pictures are gone are rendered again.
+    /// Deletes orphans; frames whose pictures are missing are rendered again.
     Store,
 }
 
 const RESTORE: &str = "stop the server and restore a backup to a new folder (`sdfarm restore`)";
 const REPAIR: &str = "stop the server and run `sdfarm doctor --repair`";
 
-/// Looks through a farm; puts right what can be put right, if that is wanted.
+/// Checks a farm, and repairs it if asked.
 pub async fn examine(data: &Path, depth: Depth, repair: Repair) -> Result<Vec<Finding>, KeepError> {
     let mut findings = Vec::new();
     let mut connection = database::open(data).await?;

@@ -1,5 +1,5 @@
-//! The list of a backup: what is in it. It is replaced as a whole, and last, so that a backup that broke off
-//! leaves the one before it as it was.
+//! Manifest of a backup: its contents. It is replaced atomically, and last, so that an interrupted backup
+//! leaves the previous one intact.
 
 use std::fs::{self, File};
 use std::io::Write;
@@ -14,12 +14,12 @@ const FILE: &str = "backup.json";
 /// The list while it is written.
 pub(super) const BEGUN: &str = "backup.json.part";
 
-/// What is in a backup.
+/// Contents of a backup.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub(super) struct Manifest {
-    /// The release that made it.
+    /// Release that made it.
     pub(super) version: String,
-    /// When: RFC 3339, UTC.
+    /// Time of the backup: RFC 3339, UTC.
     pub(super) made_at: String,
     /// BLAKE3 of the database's copy, whose file is named by it.
     pub(super) database: String,
@@ -30,7 +30,7 @@ pub(super) struct Manifest {
 }
 
 impl Manifest {
-    /// Reads a backup's list; `None` where there is none.
+    /// Reads a backup's manifest; `None` if there is none.
     pub(super) fn read(folder: &Path) -> Result<Option<Self>, KeepError> {
         let path = folder.join(FILE);
         let text = match fs::read(&path) {
@@ -54,7 +54,7 @@ impl Manifest {
         folder.join(format!("farm-{}.sqlite", self.database))
     }
 
-    /// Makes this the backup's list.
+    /// Writes this manifest.
     pub(super) fn write(&self, folder: &Path) -> Result<(), KeepError> {
         let (path, part) = (folder.join(FILE), folder.join(BEGUN));
         let text = serde_json::to_vec_pretty(self).expect("a list of text");

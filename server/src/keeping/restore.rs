@@ -1,4 +1,4 @@
-//! A farm made from a backup: into a new folder, every byte checked, the database last of all.
+//! Restores a farm from a backup into a new folder: every byte is verified, and the database is written last.
 
 use std::fs;
 use std::path::Path;
@@ -10,10 +10,10 @@ use super::{KeepError, bytes, database};
 use crate::lock::FolderLock;
 use crate::store::Store;
 
-/// What a restored farm has.
+/// Result of a restore.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Restored {
-    /// When the backup was made: RFC 3339, UTC.
+    /// Time of the backup: RFC 3339, UTC.
     pub made_at: String,
     /// Pictures that are there, and whole.
     pub pictures: u64,
@@ -21,7 +21,7 @@ pub struct Restored {
     pub missing: Vec<String>,
 }
 
-/// Makes a farm in `data` from the backup in `folder`. `data` is new, or empty.
+/// Restores the backup in `folder` into `data`, which must be new or empty.
 pub async fn restore(folder: &Path, data: &Path) -> Result<Restored, KeepError> {
     let Some(manifest) = Manifest::read(folder)? else { return Err(KeepError::NotABackup(folder.to_owned())) };
     if fs::read_dir(data).is_ok_and(|mut entries| entries.next().is_some()) {

@@ -1,4 +1,4 @@
-//! What the store holds against what the database names: what is missing, what is too much.
+//! Compares the content store with the database: missing and surplus files.
 
 use std::collections::HashSet;
 use std::fs;
@@ -8,10 +8,10 @@ use std::time::Duration;
 use super::database::Named;
 use super::{KeepError, bytes};
 
-/// Beside a running server, younger files may not be reported yet.
+/// Files younger than this may not be reported yet to a running server.
 const YOUNG: Duration = Duration::from_mins(10);
 
-/// What was found in the store.
+/// Result of the comparison.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Found {
     /// Pictures that are named, and there.
@@ -20,7 +20,7 @@ pub(super) struct Found {
     pub(super) missing: Vec<String>,
     /// Hashes of pictures that are there with other bytes.
     pub(super) damaged: Vec<String>,
-    /// Files that nothing names.
+    /// Files that no row names.
     pub(super) orphans: Vec<PathBuf>,
     /// Their bytes.
     pub(super) orphan_bytes: u64,

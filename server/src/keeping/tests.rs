@@ -34,7 +34,7 @@ const ROWS: &str = "
     UPDATE meta SET value = 4 WHERE name = 'boot_generation';
 ";
 
-/// Makes the database of an old farm, as the release of its time left it.
+/// Creates the database of an old farm, as a previous release left it.
 async fn old_farm(data: &std::path::Path) {
     let options = sqlx::sqlite::SqliteConnectOptions::new().filename(Store::file(data)).create_if_missing(true);
     let mut connection = sqlx::sqlite::SqliteConnection::connect_with(&options).await.expect("opens");

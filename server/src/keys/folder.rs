@@ -15,10 +15,10 @@ use crate::clock::Clock;
 use crate::lock::{FolderLock, LockError};
 use crate::store::{OpenError, Store, StoreError};
 
-/// How long a running server is waited for while it writes.
+/// How long to wait for the database while a running server writes.
 const PATIENCE: Duration = Duration::from_secs(10);
 
-/// Why the keys of a folder could not be changed or shown.
+/// Error when changing or listing the keys of a data folder.
 #[derive(Debug, thiserror::Error)]
 pub enum KeyFolderError {
     /// The folder or its database can't be used.
@@ -26,12 +26,12 @@ pub enum KeyFolderError {
     Folder {
         /// The folder.
         folder: PathBuf,
-        /// What is wrong.
+        /// Reason.
         reason: String,
-        /// What to do.
+        /// Fix.
         cure: &'static str,
     },
-    /// The change is refused.
+    /// The change is invalid.
     #[error("{0}")]
     Refused(String),
 }
@@ -44,7 +44,7 @@ const SAME_RELEASE: &str = "run the same release of sdfarm as the server that ru
 pub struct KeyFolder {
     connection: SqliteConnection,
     folder: PathBuf,
-    // While no server runs, none starts: it would find tables half made.
+    // While no server runs, the lock keeps one from starting on a half-made database.
     _lock: Option<FolderLock>,
 }
 
@@ -58,7 +58,8 @@ impl KeyFolder {
         Self::open_or_make(folder).await
     }
 
-    /// The same; a folder that is not there yet is made, so that keys can be made before a server starts.
+    /// Opens a data folder, creating it if missing, so that keys can be created before the first start of
+    /// a server.
     pub async fn open_or_make(folder: &Path) -> Result<Self, KeyFolderError> {
         let wrong = |reason: String, cure| KeyFolderError::Folder { folder: folder.to_owned(), reason, cure };
         std::fs::create_dir_all(folder).map_err(|error| wrong(error.to_string(), NAME_ANOTHER))?;
@@ -77,7 +78,7 @@ impl KeyFolder {
         Ok(Self { connection, folder: folder.to_owned(), _lock: lock })
     }
 
-    /// Makes a key. Its secret is in the answer, and nowhere else.
+    /// Creates a key. Only the returned value has its secret.
     pub async fn make(&mut self, new: NewKey) -> Result<IssuedKey, KeyFolderError> {
         let order = Order::check(new, now_ms()).map_err(refused)?;
         if self.rows().await?.iter().filter(|row| row.revoked_at_ms.is_none()).count() >= MAX_KEYS {

@@ -15,14 +15,14 @@ use tokio_util::sync::CancellationToken;
 use super::{KeyError, MAX_LIFE_SECONDS, MAX_NAME_CHARACTERS, RESERVED};
 use crate::clock::rfc3339;
 
-/// The most requests a second that a key may be given.
+/// Maximum rate limit of a key, in requests per second.
 const MAX_REQUESTS_PER_SECOND: u32 = 100_000;
-/// Requests a second of a key that says nothing about it.
+/// Default rate limit of a key, in requests per second.
 pub(crate) const REQUESTS_PER_SECOND: u32 = 1000;
 /// No key was ever used at this time.
 const NEVER: i64 = i64::MIN;
 
-/// What counts one caller's requests.
+/// Rate limiter of one caller.
 pub(crate) type Limiter = RateLimiter<NotKeyed, InMemoryState, DefaultClock, StateInformationMiddleware>;
 
 /// A set of scopes, each at its place in [`Scope::ALL`].
@@ -50,7 +50,7 @@ impl Scopes {
     }
 }
 
-/// A key that was asked for, and may be made.
+/// Validated request for a key.
 #[derive(Clone, Debug)]
 pub(super) struct Order {
     pub(super) name: String,
@@ -117,14 +117,14 @@ pub(super) struct Row {
     pub(super) last_used_at_ms: Option<i64>,
 }
 
-/// A key, and what goes on under it.
+/// Key with its runtime state.
 #[derive(Debug)]
 pub(crate) struct Key {
     row: Row,
     ongoing: Arc<Ongoing>,
 }
 
-/// What outlives a reading of the table.
+/// State that survives a reload of the table.
 #[derive(Debug)]
 struct Ongoing {
     ended: CancellationToken,
@@ -133,7 +133,7 @@ struct Ongoing {
 }
 
 impl Key {
-    /// The key of a row; `known` is the same key, as it was read before.
+    /// Builds the key of a row; `known` is the same key as of the last reload.
     pub(super) fn new(row: Row, known: Option<&Self>) -> Self {
         let ongoing = known.map_or_else(
             || {
@@ -187,37 +187,37 @@ impl Key {
         &self.row.id
     }
 
-    /// Whose it is.
+    /// Name of its owner.
     pub(crate) fn name(&self) -> &str {
         &self.row.name
     }
 
-    /// What it lets its bearer do.
+    /// Its scopes.
     pub(crate) fn scopes(&self) -> Scopes {
         self.row.scopes
     }
 
-    /// Unfinished jobs that its name may have.
+    /// Maximum number of unfinished jobs of its name.
     pub(crate) fn max_jobs(&self) -> Option<i64> {
         self.row.max_jobs
     }
 
-    /// Rays that the unfinished jobs of its name may have together.
+    /// Maximum number of rays of the unfinished jobs of its name together.
     pub(crate) fn max_rays(&self) -> Option<i64> {
         self.row.max_rays
     }
 
-    /// Cancelled when it lets nobody in any longer.
+    /// Cancelled when the key is no longer valid.
     pub(crate) fn ended(&self) -> &CancellationToken {
         &self.ongoing.ended
     }
 
-    /// What counts its requests.
+    /// Rate limiter of its requests.
     pub(crate) fn limiter(&self) -> &Limiter {
         &self.ongoing.limiter
     }
 
-    /// What people see of it.
+    /// Public view of the key.
     pub(super) fn view(&self, now_ms: i64) -> KeyView {
         let row = &self.row;
         let state = match (self.is_revoked(), self.is_live(now_ms)) {

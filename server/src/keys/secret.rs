@@ -1,4 +1,4 @@
-//! Secrets: made of random bits, kept as their hash, compared in constant time.
+//! Secrets: random bits, stored as their hash, compared in constant time.
 
 use base64::Engine;
 use base64::engine::general_purpose::URL_SAFE_NO_PAD;
@@ -7,7 +7,7 @@ use subtle::ConstantTimeEq;
 
 use super::KeyError;
 
-/// How a key begins, so that people and scanners of repositories know it for one.
+/// Prefix of every key, so that people and secret scanners recognize it.
 const PREFIX: &str = "sdf_";
 /// Random bytes of a key.
 const SECRET_BYTES: usize = 32;
@@ -21,7 +21,7 @@ pub(super) struct Issue {
     pub(super) digest: [u8; 32],
 }
 
-/// Makes a secret and an id.
+/// Generates a secret and an id.
 pub(super) fn issue() -> Result<Issue, KeyError> {
     let mut bits = [0; SECRET_BYTES];
     getrandom::fill(&mut bits).map_err(KeyError::Random)?;
@@ -32,12 +32,12 @@ pub(super) fn issue() -> Result<Issue, KeyError> {
     Ok(Issue { id, digest: digest(&secret), secret })
 }
 
-/// What is kept of a secret.
+/// Stored hash of a secret.
 pub(super) fn digest(secret: &str) -> [u8; 32] {
     Sha256::digest(secret.as_bytes()).into()
 }
 
-/// Compares two secrets in a time that does not tell where they differ.
+/// Compares two secrets in constant time.
 pub(crate) fn same(left: &str, right: &str) -> bool {
     digest(left).ct_eq(&digest(right)).into()
 }

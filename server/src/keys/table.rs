@@ -1,6 +1,6 @@
 //! The table of keys: one function is one statement.
 //!
-//! Secrets never get here, only their hashes.
+//! Secrets never reach this module, only their hashes.
 
 use proto::key::Scope;
 use sqlx::Row as _;
@@ -60,7 +60,7 @@ pub(super) async fn revoke(
 
 /// Writes down when a key was used.
 pub(super) async fn touch(connection: &mut SqliteConnection, number: i64, used_ms: i64) -> Result<(), StoreError> {
-    // No row is no fault: the key may have been forgotten meanwhile.
+    // No row is no error: the key may have been deleted in the meantime.
     sqlx::query("UPDATE key SET last_used_at_ms = ? WHERE number = ?")
         .bind(used_ms)
         .bind(number)

@@ -1,7 +1,7 @@
-//! How many connections there are, which of them are idle, and who has to go when there are too many.
+//! Connection limit: counts connections, knows the idle ones, and evicts when there are too many.
 //!
-//! A connection is busy from a request's head until its answer has been sent; only idle ones are sent away, those
-//! that have been idle longest first. So health routes answer however many connections do nothing.
+//! A connection is busy from a request's head until its response has been sent. Only idle connections are
+//! evicted, the longest idle first, so health routes respond however many connections are idle.
 
 use std::collections::BTreeMap;
 use std::pin::Pin;
@@ -48,7 +48,7 @@ struct State {
 pub(super) struct Busy(Arc<State>);
 
 impl Crowd {
-    /// Room for so many connections.
+    /// Slots for this many connections.
     pub(crate) fn new(connections: usize) -> Arc<Self> {
         let places = connections.clamp(1, Semaphore::MAX_PERMITS);
         Arc::new(Self {
@@ -58,7 +58,7 @@ impl Crowd {
         })
     }
 
-    /// Takes a place; where there is none, whoever has been idle longest has to go.
+    /// Takes a slot; if none is free, evicts the connection that has been idle longest.
     pub(super) async fn enter(self: &Arc<Self>) -> Place {
         let permit = if let Ok(permit) = Arc::clone(&self.places).try_acquire_owned() {
             permit
@@ -79,7 +79,7 @@ impl Crowd {
         place
     }
 
-    /// Has the connection end that has been idle longest, if any is idle.
+    /// Evicts the connection that has been idle longest, if any is idle.
     pub(super) fn send_away_oldest(&self) {
         let oldest = self.idle.lock().expect("no holder panics").since.pop_first();
         if let Some((_, oldest)) = oldest {
@@ -88,7 +88,7 @@ impl Crowd {
     }
 }
 
-/// Somebody waits for a place, until this is dropped.
+/// Counts a waiter until it is dropped.
 struct Waiting<'a>(&'a Crowd);
 
 impl<'a> Waiting<'a> {
@@ -105,7 +105,7 @@ impl Drop for Waiting<'_> {
 }
 
 impl Place {
-    /// A request begins; it ends when what is returned is dropped.
+    /// Starts a request; it ends when the returned guard is dropped.
     pub(super) fn work(&self) -> Busy {
         if self.0.requests.fetch_add(1, Ordering::SeqCst) == 0 {
             self.0.rise();
@@ -118,14 +118,14 @@ impl Place {
         self.0.requests.load(Ordering::SeqCst) > 0
     }
 
-    /// Returns when the connection has to go.
+    /// Returns when the connection is evicted.
     pub(super) async fn sent_away(&self) {
         self.0.sent_away.cancelled().await;
     }
 }
 
 impl State {
-    /// The connection is idle from now on; where somebody waits for its place, it goes.
+    /// Marks the connection idle; it is evicted if another one waits for a slot.
     fn rest(&self) {
         {
             let mut idle = self.crowd.idle.lock().expect("no holder panics");
@@ -139,7 +139,7 @@ impl State {
         }
     }
 
-    /// It is idle no longer.
+    /// Marks the connection busy.
     fn rise(&self) {
         if let Some(turn) = self.idle_since.lock().expect("no holder panics").take() {
             self.crowd.idle.lock().expect("no holder panics").since.remove(&turn);

@@ -44,12 +44,12 @@ impl Entrance {
         Ok(Self { public, address, tls, pool, crowd })
     }
 
-    /// Where everyone reaches it.
+    /// Public address.
     pub(crate) fn address(&self) -> SocketAddr {
         self.address
     }
 
-    /// Where its own workers do, without TLS.
+    /// Address for the server's own workers, without TLS.
     pub(crate) fn pool_address(&self) -> SocketAddr {
         self.pool.as_ref().map_or(self.address, |(_, address)| *address)
     }
@@ -61,7 +61,7 @@ impl Entrance {
             if let Some(tls) = &tls {
                 tls.follow(ending.clone()).await;
             }
-            // The connections say when it is over.
+            // The connections decide when it ends.
             std::future::pending::<()>().await;
         };
         let inside = async {

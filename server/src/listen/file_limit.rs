@@ -1,8 +1,8 @@
-//! Room for connections: each takes a file of the process, of which the system grants so many.
+//! Raises the limit of open files, because each connection needs one.
 
 use rustix::process::{Resource, Rlimit, getrlimit, setrlimit};
 
-/// Files that are kept for the database, pictures and workers.
+/// Files reserved for the database, pictures and workers.
 const KEPT_FILES: u64 = 512;
 
 /// Has the system grant as many files as it will, and returns how many connections of those wanted that leaves.
@@ -12,7 +12,7 @@ pub(crate) fn most_connections(wanted: u32) -> usize {
     if let Err(error) = &raised {
         tracing::debug!(%error, "the limit of open files could not be raised");
     }
-    // No limit is said as none.
+    // No limit is reported as none.
     let files = if raised.is_ok() { maximum } else { current }.unwrap_or(u64::MAX);
     let room = files.saturating_sub(KEPT_FILES).max(files / 2);
     let connections = room.min(wanted.into());

@@ -1,7 +1,7 @@
-//! How long a client may keep the server waiting: for the bytes of a body, and for room to write.
+//! Minimum transfer rates: for request bodies, and for clients that read responses.
 //!
-//! Patience is earned by bytes that move, up to a limit: a client may pause for as long as the limit, and has to
-//! keep up a least rate on the whole.
+//! A transfer may stall for at most 20 s and must average at least 1 KiB/s. Each KiB transferred adds one
+//! second to the budget, up to 20 s.
 
 use std::io;
 use std::pin::Pin;
@@ -20,7 +20,7 @@ const MAX_PAUSE: Duration = Duration::from_secs(20);
 /// Bytes that earn a second.
 const BYTES_PER_SECOND: f64 = 1024.0;
 
-/// What is left of it.
+/// Remaining time budget of a transfer.
 #[derive(Debug)]
 struct Patience {
     left: Duration,
@@ -34,7 +34,7 @@ impl Patience {
         Self { left: max_pause, max_pause, since: None, alarm: None }
     }
 
-    /// Nothing moves; ready when patience is over.
+    /// Nothing was transferred; ready when the budget is used up.
     fn poll_wait(&mut self, cx: &mut Context<'_>) -> Poll<()> {
         if self.since.is_none() {
             let now = instant();
@@ -50,7 +50,7 @@ impl Patience {
         }
     }
 
-    /// So many bytes moved.
+    /// Adds the budget earned by this many bytes.
     fn earn(&mut self, size_bytes: usize) {
         if let Some(since) = self.since.take() {
             self.left = self.left.saturating_sub(since.elapsed());
@@ -65,7 +65,7 @@ impl Patience {
 #[error("it came too slowly")]
 pub(crate) struct SlowBody;
 
-/// The body of a request, which has to come at a least rate while it is waited for.
+/// Request body that must keep up a minimum rate while the server waits for it.
 #[derive(Debug)]
 pub(super) struct Paced {
     body: Incoming,
@@ -111,7 +111,7 @@ impl HttpBody for Paced {
     }
 }
 
-/// A connection whose other end has to read what is written, at a least rate.
+/// Connection whose client must read responses at a minimum rate.
 #[derive(Debug)]
 pub(super) struct Watched<S> {
     stream: S,

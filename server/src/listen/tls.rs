@@ -1,6 +1,6 @@
 //! TLS: the certificate and its key, read from files, and read again when those change.
 //!
-//! What can't be read while the server runs leaves the old certificate in its place.
+//! Files that cannot be read while the server runs leave the old certificate in use.
 
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, RwLock};
@@ -18,10 +18,10 @@ use tokio_rustls::TlsAcceptor;
 use tokio_rustls::server::TlsStream;
 use tokio_util::sync::CancellationToken;
 
-/// How often the files are looked at.
+/// Interval at which the files are checked.
 const LOOK: Duration = Duration::from_secs(1);
 
-/// Why a certificate can't be used.
+/// Error of a certificate.
 #[derive(Debug, thiserror::Error)]
 pub(crate) enum TlsError {
     /// A file can't be read.
@@ -29,17 +29,17 @@ pub(crate) enum TlsError {
     File {
         /// The file.
         file: PathBuf,
-        /// What is wrong with it.
+        /// Reason.
         reason: String,
     },
-    /// The certificate and the key don't go together.
+    /// The certificate and the key do not match.
     #[error("the certificate in {certificate} is not for the key in {key}: {reason}")]
     Pair {
         /// The certificate's file.
         certificate: PathBuf,
         /// The key's file.
         key: PathBuf,
-        /// What is wrong.
+        /// Reason.
         reason: String,
     },
     /// TLS can't be spoken here.
@@ -47,10 +47,10 @@ pub(crate) enum TlsError {
     Set(#[from] rustls::Error),
 }
 
-/// When the certificate's file and the key's were written, and their lengths.
+/// Modification times and sizes of the certificate's file and the key's.
 type Stamp = [Option<(SystemTime, u64)>; 2];
 
-/// What takes in connections over TLS.
+/// Accepts connections over TLS.
 pub(crate) struct Tls {
     acceptor: TlsAcceptor,
     shown: Arc<Shown>,
@@ -93,12 +93,12 @@ impl Tls {
         Ok(Self { acceptor, shown, certificate: certificate.to_owned(), key: key.to_owned() })
     }
 
-    /// Shakes hands.
+    /// Performs the handshake.
     pub(super) async fn accept(&self, stream: TcpStream) -> std::io::Result<TlsStream<TcpStream>> {
         self.acceptor.accept(stream).await
     }
 
-    /// Reads the files again when they change, and at SIGHUP, until the end.
+    /// Reloads the files when they change, and at SIGHUP, until shutdown.
     pub(crate) async fn follow(&self, end: CancellationToken) {
         let mut seen = self.stamp();
         let mut hang_up = signal(SignalKind::hangup()).ok();
@@ -112,13 +112,14 @@ impl Tls {
         }
     }
 
-    /// Reads the files if they are not as they were `seen`, or it is asked for.
+    /// Reloads the files if they changed since `seen`, or if `asked`.
     fn look(&self, seen: &mut Stamp, asked: bool) {
         let now = self.stamp();
         if now == *seen && !asked {
             return;
         }
-        // One of the two may be half written, or still the old one: the next change is another try.
+        // One of the two may be half written, or still the old one: the next change triggers
+        // another attempt.
         *seen = now;
         match read(&self.certificate, &self.key) {
             Ok(pair) => {
@@ -129,7 +130,7 @@ impl Tls {
         }
     }
 
-    /// When and how large the files are.
+    /// Modification times and sizes of the files.
     fn stamp(&self) -> Stamp {
         [&self.certificate, &self.key].map(|file| {
             let metadata = std::fs::metadata(file).ok()?;
@@ -166,7 +167,7 @@ fn read(certificate: &Path, key: &Path) -> Result<CertifiedKey, TlsError> {
     Ok(pair)
 }
 
-/// What the PEM reader says, without what it read.
+/// The PEM reader's message, without the content it read.
 fn words(error: &rustls::pki_types::pem::Error) -> String {
     use rustls::pki_types::pem::Error;
     match error {

@@ -1,4 +1,4 @@
-//! One worker process: how it is started, how it is told things, how it ended.
+//! One worker process: its start, its commands, its exit.
 
 use std::io::{self, Write};
 use std::os::unix::process::ExitStatusExt;
@@ -19,7 +19,7 @@ use crate::queue::Cause;
 
 /// Exit status of a Rust program that panicked.
 const PANICKED: i32 = 101;
-/// Of a worker's last line, at most so many characters are kept.
+/// Maximum length of the last log line that is kept of a worker.
 const LAST_LINE_CHARACTERS: usize = 300;
 
 /// How workers are started.
@@ -35,7 +35,7 @@ pub(super) struct Launch {
 }
 
 impl Launch {
-    /// What the worker in a place of the pool renders on: each place keeps its device.
+    /// Device of the worker in a slot of the pool: each slot keeps its device.
     fn device(&self, place: usize) -> &str {
         self.devices.get(place % self.devices.len().max(1)).map_or("auto", String::as_str)
     }
@@ -54,7 +54,7 @@ pub(super) struct Child {
     draining: bool,
 }
 
-/// How a worker process ended.
+/// How a worker process exited.
 #[derive(Debug)]
 pub(super) struct Exit {
     pub(super) process: u32,
@@ -63,7 +63,7 @@ pub(super) struct Exit {
 }
 
 impl Child {
-    /// Starts a worker in a place of the pool; its end will come out of `exits`.
+    /// Starts a worker in a slot of the pool; its exit is sent to `exits`.
     pub(super) fn launch(
         launch: &Launch,
         label: String,
@@ -95,7 +95,8 @@ impl Child {
             let log = errors.map(|errors| tokio::spawn(pass_on(errors, name, Arc::clone(&last_line))));
             let status = child.wait().await;
             if let Some(log) = log {
-                // A grandchild may hold the pipe open: the worker's own lines are there already.
+                // A grandchild may hold the pipe open; the worker's own lines have been read
+                // by then.
                 drop(tokio::time::timeout(Duration::from_millis(100), log).await);
             }
             let last_line = last_line.lock().expect("no holder panics").clone();
@@ -117,7 +118,7 @@ impl Child {
         self.place
     }
 
-    /// What it renders on.
+    /// Device it renders on.
     pub(super) fn device(&self) -> &str {
         &self.device
     }
@@ -126,7 +127,7 @@ impl Child {
         self.draining
     }
 
-    /// It was told to finish; its end is expected.
+    /// It must drain; its exit is expected.
     pub(super) fn drain(&mut self) {
         self.draining = true;
     }
@@ -135,12 +136,12 @@ impl Child {
         self.started.elapsed()
     }
 
-    /// It ends at once.
+    /// Closes its standard input, which makes it exit at once.
     pub(super) fn close_input(&mut self) {
         self.input = None;
     }
 
-    /// It hands back what it holds and ends.
+    /// Makes it release its leases and exit.
     pub(super) fn terminate(&self) {
         self.signal(Signal::TERM);
     }
@@ -165,22 +166,22 @@ async fn pass_on(errors: ChildStderr, worker: String, last_line: Arc<Mutex<Strin
     }
 }
 
-/// Passes on what a worker said, and returns its words.
+/// Forwards a log line of a worker, and returns its message.
 fn pass_on_line(worker: &str, line: String) -> String {
     let Ok(serde_json::Value::Object(mut fields)) = serde_json::from_str(&line) else {
         tracing::info!(%worker, "{line}");
         return line;
     };
-    // It logs as JSON, fields and all: its line is one of ours, under its label.
+    // It logs as JSON: its fields become fields of the forwarded line.
     fields.insert("label".to_owned(), worker.into());
     let message = fields.get("message").and_then(|message| message.as_str()).unwrap_or("").to_owned();
-    // Where standard error is closed there is nobody to tell.
+    // If standard error is closed, the line is dropped.
     let _ = writeln!(io::stderr().lock(), "{}", serde_json::Value::Object(fields));
     message
 }
 
 impl Exit {
-    /// Whose fault it was.
+    /// Cause that its exit counts as.
     pub(super) fn cause(&self, draining: bool) -> Cause {
         let Ok(status) = &self.status else { return Cause::Lost };
         let crashed = [Signal::SEGV, Signal::ABORT, Signal::BUS].map(Signal::as_raw);
@@ -198,7 +199,7 @@ impl Exit {
         self.status.as_ref().is_ok_and(|status| status.code() == Some(UNFIT_DEVICE.into()))
     }
 
-    /// What to say about it.
+    /// Description of the exit.
     pub(super) fn message(&self) -> String {
         let how = match &self.status {
             Ok(status) => status.to_string(),

@@ -1,4 +1,5 @@
-//! What waits, of whom: the counters that quotas are held against, kept by triggers of the tables.
+//! Unfinished work of each submitter: the counters that quotas are checked against, kept by database
+//! triggers.
 
 use proto::JobId;
 
@@ -17,7 +18,7 @@ pub(crate) struct Backlog {
 const EVERYONE: &str = "*";
 
 impl Queue {
-    /// What waits of a submitter.
+    /// Unfinished jobs and rays of a submitter.
     pub(crate) async fn backlog_of(&self, submitter: &str) -> Result<Backlog> {
         let row: Option<(i64, i64)> = sqlx::query_as("SELECT jobs, rays FROM backlog WHERE submitter = ?")
             .bind(submitter)
@@ -26,12 +27,12 @@ impl Queue {
         Ok(row.map_or_else(Backlog::default, |(jobs, rays)| Backlog { jobs, rays }))
     }
 
-    /// What waits of all.
+    /// Unfinished jobs and rays of all submitters.
     pub(crate) async fn backlog(&self) -> Result<Backlog> {
         self.backlog_of(EVERYONE).await
     }
 
-    /// Who handed in a job; `None` if there is no such job.
+    /// Submitter of a job; `None` if the job does not exist.
     pub(crate) async fn submitter(&self, job: JobId) -> Result<Option<String>> {
         let submitter = sqlx::query_scalar("SELECT submitter FROM job WHERE id = ?")
             .bind(job.to_string())

@@ -1,4 +1,4 @@
-//! What users change of a job that is there: retrying it, its priority; and what deleting it would take along.
+//! Changes of an existing job by its users: retry, priority, and a preview of what deleting it would remove.
 
 use proto::JobId;
 use proto::change::{DeletePreview, JobPatch};
@@ -8,14 +8,14 @@ use sqlx::Row;
 use super::{Connection, Moment, Queue, Result, Ring, end};
 use crate::store::Durability;
 
-/// What became of a wish to change a job.
+/// Outcome of a change to a job.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Changed {
-    /// It is done.
+    /// The change was made.
     Done,
     /// The job's state does not allow it.
     Not(JobState),
-    /// There is no such job.
+    /// The job does not exist.
     Unknown,
 }
 
@@ -31,14 +31,14 @@ impl Queue {
         Ok(changed)
     }
 
-    /// Changes a job that has not ended.
+    /// Changes a job that has not finished.
     pub(crate) async fn patch(&self, job: JobId, patch: JobPatch) -> Result<Changed> {
         self.store
             .write(Durability::Full, move |connection| Box::pin(async move { change(connection, job, &patch).await }))
             .await
     }
 
-    /// What deleting a job would take along; `None` if there is no such job.
+    /// What deleting a job would remove; `None` if the job does not exist.
     pub(crate) async fn delete_preview(&self, job: JobId) -> Result<Option<(JobState, DeletePreview)>> {
         let row = sqlx::query(PREVIEW).bind(job.to_string()).fetch_optional(self.readers()).await?;
         row.map(|row| {

@@ -28,14 +28,14 @@ const READY_TILES: &str = "SELECT id, position, x_px, y_px, width_px, height_px,
        AND (avoid IS NULL OR avoid <> ?2 OR ?6 > ?3)
      ORDER BY position";
 
-/// When the first tile that backs off will be ready.
+/// Time at which the first backed-off tile becomes ready.
 const NEXT_READY: &str =
     "SELECT min(not_before_ms) FROM tile WHERE state = 'ready' AND not_before_ms > 0 AND not_before_ms > ?";
 
 /// The `max_nodes` of a worker that takes any scene.
 pub(super) const ANY_NODES: i64 = i64::MAX;
 
-/// Who claims.
+/// Worker that claims.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Claimant {
     /// The worker.
@@ -49,7 +49,7 @@ pub(super) struct Claimant {
 /// Tiles and the leases they are to be held by.
 pub(super) type Grants = Vec<(i64, LeaseId)>;
 
-/// What a claim found.
+/// Result of a claim.
 #[derive(Clone, Debug)]
 pub(super) enum Claimed {
     /// A run, leased.
@@ -60,21 +60,21 @@ pub(super) enum Claimed {
         job: i64,
         /// The frame.
         frame: u32,
-        /// How its frames are cut.
+        /// How its frames are cut into tiles.
         plan: Plan,
     },
-    /// Nothing now; the first tile that backs off is ready in so many milliseconds.
+    /// No work now; the first backed-off tile is ready in this many milliseconds.
     Nothing(Option<i64>),
 }
 
-/// A job that may be leased.
+/// Job whose tiles may be leased.
 pub(super) struct Job {
     pub(super) number: i64,
     pub(super) id: JobId,
     plan: Plan,
     frames_opened: u32,
     nodes: i64,
-    /// Nothing of it has been leased before.
+    /// None of its tiles has been leased before.
     queued: bool,
     share: fair::Share,
 }
@@ -101,19 +101,19 @@ impl Job {
     }
 }
 
-/// How a claim sees tiles: back-off ended, small enough a scene, not to be avoided by this worker
-/// unless no other would take them.
+/// Which tiles a claim may take: back-off ended, scene small enough for the worker, and not to be avoided by
+/// this worker unless no other could render it.
 pub(super) struct View {
     now_ms: i64,
     pub(super) worker: String,
-    /// Largest scene that some other worker renders, in nodes; -1 if there is no other.
+    /// Largest scene that some other worker renders, in nodes; -1 if there is no other worker.
     others_max_nodes: i64,
     /// Largest scene that this worker renders, in nodes.
     max_nodes: i64,
 }
 
 impl View {
-    /// The statement with the parameters ?1 to ?4, which all of a claim's statements share.
+    /// Binds the parameters ?1 to ?4, which all statements of a claim share.
     pub(super) fn bind(&self, statement: &'static str) -> Query<'_, Sqlite, SqliteArguments> {
         sqlx::query(statement).bind(self.now_ms).bind(&self.worker).bind(self.others_max_nodes).bind(self.max_nodes)
     }
@@ -146,7 +146,7 @@ pub(super) async fn claim(connection: &mut Connection, claimant: Claimant, momen
     Ok(Claimed::Run(Run { job: job.id, frame, work }))
 }
 
-/// Nothing is ready: perhaps something takes too long.
+/// Called when no tile is ready: looks for a straggler to duplicate.
 async fn claim_straggler(
     connection: &mut Connection,
     view: &View,
@@ -173,7 +173,7 @@ pub(super) async fn job(connection: &mut Connection, number: i64) -> Result<Job>
     Job::read(&row)
 }
 
-/// A job's frames, as far as sharing goes.
+/// Load of a job's frame, for the batch size.
 pub(super) fn whole_frame(job: &Job) -> Frame {
     let frames_behind = job.plan.frames.saturating_sub(job.frames_opened);
     Frame {
@@ -184,7 +184,7 @@ pub(super) fn whole_frame(job: &Job) -> Frame {
     }
 }
 
-/// The largest scene that a ready worker other than this one renders, in nodes, -1 if there is none; `None` while
+/// Largest scene that a ready worker other than this one renders, in nodes; -1 if there is none; `None` while
 /// the farm is paused.
 async fn look_around(connection: &mut Connection, worker: &str) -> Result<Option<i64>> {
     let row = sqlx::query(
@@ -200,9 +200,9 @@ async fn look_around(connection: &mut Connection, worker: &str) -> Result<Option
     Ok(if paused { None } else { Some(row.try_get("others_max_nodes")?) })
 }
 
-/// The ready workers that render scenes of some size: who would share a frame with this one.
+/// Ready workers that can render a scene of this size, and so would share a frame with this one.
 struct Peers {
-    /// How many hold nothing.
+    /// Number of them without a lease.
     idle: u64,
     /// Camera rays a second of the fastest other.
     fastest_other: Option<f64>,
@@ -244,7 +244,7 @@ async fn claim_tiles(
     Ok(Work::Render { whole_frame: share::is_whole(length, whole), tiles })
 }
 
-/// New leases on tiles, as the worker is told and as they are granted.
+/// New leases on tiles, both as sent to the worker and as recorded.
 pub(super) fn leased_tiles(rows: &[SqliteRow]) -> Result<(Vec<LeasedTile>, Grants)> {
     let mut tiles = Vec::with_capacity(rows.len());
     let mut grants = Vec::with_capacity(rows.len());
@@ -265,7 +265,7 @@ pub(super) fn leased_tiles(rows: &[SqliteRow]) -> Result<(Vec<LeasedTile>, Grant
     Ok((tiles, grants))
 }
 
-/// A tile, as far as sharing goes.
+/// Ready tile, with what the batch size needs.
 pub(super) fn read_ready(row: &SqliteRow) -> Result<Ready> {
     Ok(Ready { rays: row.try_get("rays")?, alone: row.try_get::<i64, _>("lost")? >= LOST_BEFORE_ALONE })
 }
@@ -279,7 +279,7 @@ pub(super) async fn stitch_tile(connection: &mut Connection, job: i64, frame: u3
         .await?)
 }
 
-/// What a stitch is made of.
+/// Inputs of a stitch.
 pub(super) async fn stitch_work(connection: &mut Connection, job: i64, frame: u32, lease: LeaseId) -> Result<Work> {
     let rows = sqlx::query(
         "SELECT position, x_px, y_px, width_px, height_px, blob, blob_bytes FROM tile

@@ -1,6 +1,6 @@
-//! What there is to do and who is there to do it, counted for operators: through indexes only.
+//! Counts of work and workers for operators, read through indexes only.
 //!
-//! Counting changes nothing, and nothing is decided by it.
+//! Counting changes nothing, and no decision depends on it.
 
 use sqlx::Row;
 
@@ -9,13 +9,13 @@ use super::{Queue, Result};
 /// Jobs by state; the index holds all that is read.
 const JOBS: &str = "SELECT state, count(*) AS number FROM job GROUP BY state";
 
-/// What the unfinished jobs still ask for.
+/// Remaining work of the unfinished jobs.
 const UNFINISHED: &str = "SELECT count(*) AS jobs, min(created_at_ms) AS oldest_ms,
         coalesce(sum(tiles_total - tiles_done), 0) AS tiles, coalesce(sum(tiles_done), 0) AS tiles_done,
         coalesce(sum(rays_total - rays_done), 0) AS rays
      FROM job WHERE finished_at_ms IS NULL";
 
-/// The oldest job of which nothing has been leased.
+/// Oldest job without any lease so far.
 const OLDEST_QUEUED: &str = "SELECT created_at_ms FROM job WHERE state = 'queued' ORDER BY number LIMIT 1";
 
 /// Tiles and stitches that could be leased.
@@ -28,7 +28,7 @@ const LEASED: &str = "SELECT count(*) FROM lease WHERE ended IS NULL";
 const WORKERS: &str = "SELECT state, device, count(*) AS number, coalesce(sum(rays_per_second), 0.0) AS rays_per_second
      FROM worker WHERE state <> 'gone' GROUP BY state, device";
 
-/// All statements of this file, for the test that looks at their plans.
+/// All statements of this file, for the test that checks their query plans.
 #[cfg(test)]
 pub(super) const STATEMENTS: [&str; 6] = [JOBS, UNFINISHED, OLDEST_QUEUED, READY, LEASED, WORKERS];
 
@@ -37,15 +37,15 @@ pub(super) const STATEMENTS: [&str; 6] = [JOBS, UNFINISHED, OLDEST_QUEUED, READY
 pub(crate) struct WorkerCount {
     /// Their state.
     pub(crate) state: String,
-    /// What they render on.
+    /// Device they render on.
     pub(crate) device: String,
-    /// How many there are.
+    /// Number of workers.
     pub(crate) number: i64,
-    /// What they measured, together: camera rays a second.
+    /// Sum of their measured camera rays per second.
     pub(crate) rays_per_second: f64,
 }
 
-/// What there is to do, and who is there to do it.
+/// Counts of work and workers.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub(crate) struct Counts {
     /// Jobs by state.
@@ -54,7 +54,7 @@ pub(crate) struct Counts {
     pub(crate) unfinished: i64,
     /// Age of the oldest of them, in seconds.
     pub(crate) oldest_seconds: f64,
-    /// Age of the oldest job that nobody has begun, in seconds.
+    /// Age of the oldest job without any lease so far, in seconds.
     pub(crate) oldest_queued_seconds: f64,
     /// Tiles of unfinished jobs that are not done.
     pub(crate) tiles_left: i64,
@@ -88,7 +88,7 @@ impl Counts {
 }
 
 impl Queue {
-    /// Counts what there is to do, and who is there to do it.
+    /// Counts work and workers.
     pub(crate) async fn counts(&self) -> Result<Counts> {
         let readers = self.readers();
         let age_seconds = |created_at_ms: Option<i64>| {

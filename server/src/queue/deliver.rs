@@ -1,8 +1,8 @@
-//! Results: a tile's blob, a frame's picture, or why there is none.
+//! Results of leases: a tile's blob, a frame's picture, or an error.
 //!
-//! A result counts only under a live lease. Tile, frame, job and picture change in the one
-//! transaction that ends the lease, so that an effect happens once or not at all. What one call
-//! brings of a frame is taken together: a statement for all, not one for each.
+//! A result counts only under a live lease. Tile, frame, job and picture change in the one transaction that
+//! ends the lease, so that an effect happens once or not at all. Results of one frame in one call are taken
+//! by one statement together.
 
 use std::collections::{BTreeMap, HashMap};
 
@@ -12,14 +12,14 @@ use proto::{LeaseId, WorkerId};
 use super::lease::{self, Cause, Held};
 use super::{Connection, Moment, Result, Ring, counted, end, pace, picture, rows, stitch};
 
-/// What came of some results.
+/// Outcome of a set of results.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Delivered {
     /// Leases that were no longer live: their results had no effect.
     pub(super) lost: Vec<LeaseId>,
-    /// Results that differ from the first of the same tile.
+    /// Number of results that differ from the first result of the same tile.
     pub(super) nondeterministic: u64,
-    /// What to ring for.
+    /// Wake signals to send.
     pub(super) ring: Ring,
     /// Blobs of frames that are stored now.
     pub(super) leftovers: Vec<String>,
@@ -127,7 +127,8 @@ async fn take_other(
 /// The blob that a lease's tile has, if it is done.
 const FIRST_BLOB: &str = "SELECT tile.blob FROM lease JOIN tile ON tile.id = lease.tile WHERE lease.id = ?";
 
-/// A late result has no effect, but it must be the same as the first, which the statement finds; how many are not.
+/// Compares late results with the first result of their tile; returns how many differ. A late result has no
+/// effect.
 pub(super) async fn compare(
     connection: &mut Connection,
     statement: &'static str,

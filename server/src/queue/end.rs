@@ -1,4 +1,4 @@
-//! How a job moves on and ends: its counters, success, failure, cancelling, deleting.
+//! How a job progresses and finishes: its counters, success, failure, cancelling, deleting.
 
 use proto::JobId;
 use proto::job::JobState;
@@ -7,7 +7,7 @@ use sqlx::Row;
 use super::{Connection, Moment, Result, counted, known};
 use crate::store::StoreError;
 
-/// What a job's counters move by.
+/// Increments of a job's counters.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Progress {
     /// Tiles done.
@@ -18,33 +18,33 @@ pub(super) struct Progress {
     pub(super) frames: i64,
 }
 
-/// What became of a wish to cancel.
+/// Outcome of a cancel.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) enum Cancelled {
-    /// It is cancelled; these blobs may be left over.
+    /// The job is cancelled; these blobs may be orphans now.
     Done {
         /// Hashes of blobs.
         blobs: Vec<String>,
     },
-    /// It had ended before.
+    /// The job had finished before.
     Final(JobState),
-    /// There is no such job.
+    /// The job does not exist.
     Unknown,
 }
 
-/// What became of a wish to delete.
+/// Outcome of a delete.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) enum Deleted {
-    /// It is forgotten; these pictures and blobs may be left over.
+    /// The job is deleted; these pictures and blobs may be orphans now.
     Done {
         /// Hashes of pictures.
         pictures: Vec<String>,
         /// Hashes of blobs.
         blobs: Vec<String>,
     },
-    /// It is running.
+    /// The job is running.
     Running,
-    /// There is no such job.
+    /// The job does not exist.
     Unknown,
 }
 
@@ -107,7 +107,7 @@ pub(super) async fn fail(connection: &mut Connection, job: i64, message: &str, m
     void_rest(connection, job).await
 }
 
-/// A frame of a job can't be opened: the job has failed, if it has not ended anyway.
+/// Fails the job of a frame that cannot be opened, unless the job has finished.
 pub(super) async fn refuse(connection: &mut Connection, job: i64, message: &str, moment: Moment) -> Result<()> {
     sqlx::query(
         "UPDATE job SET state = 'failed', error = ?, finished_at_ms = ? WHERE number = ? AND finished_at_ms IS NULL",
@@ -120,7 +120,7 @@ pub(super) async fn refuse(connection: &mut Connection, job: i64, message: &str,
     void_rest(connection, job).await
 }
 
-/// Cancels a job that has not ended.
+/// Cancels a job that has not finished.
 pub(super) async fn cancel(connection: &mut Connection, id: JobId, moment: Moment) -> Result<Cancelled> {
     let cancelled: Option<i64> = sqlx::query_scalar(
         "UPDATE job SET state = 'cancelled', finished_at_ms = ? WHERE id = ? AND finished_at_ms IS NULL
@@ -141,7 +141,7 @@ pub(super) async fn cancel(connection: &mut Connection, id: JobId, moment: Momen
     state.map_or(Ok(Cancelled::Unknown), |name| job_state(&name).map(Cancelled::Final))
 }
 
-/// What an ended job still has open will not be rendered.
+/// Voids the open frames and tiles of a finished job.
 async fn void_rest(connection: &mut Connection, job: i64) -> Result<()> {
     for statement in [
         "UPDATE lease SET ended = 'void' WHERE ended IS NULL
@@ -168,7 +168,7 @@ pub(super) async fn delete(connection: &mut Connection, id: JobId) -> Result<Del
     Ok(Deleted::Done { pictures, blobs })
 }
 
-/// Removes a job with all its rows; returns the hashes of its pictures and blobs, which may be left over.
+/// Deletes a job with all its rows; returns the hashes of its pictures and blobs, which may be orphans now.
 pub(super) async fn forget(connection: &mut Connection, job: i64) -> Result<(Vec<String>, Vec<String>)> {
     let pictures: Vec<String> =
         sqlx::query_scalar("SELECT DISTINCT picture FROM frame WHERE job = ? AND picture IS NOT NULL")

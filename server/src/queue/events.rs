@@ -1,6 +1,7 @@
-//! A job's events: read in order, summed up where they are kept no longer, and dropped when they are old.
+//! A job's events: read in order, summarized by a snapshot where older ones were pruned, and pruned by age
+//! and number.
 //!
-//! They are written by the triggers of migration 0005, with the change itself, and by nothing else.
+//! Only the triggers of migration 0005 write events, in the transaction of the change.
 
 use proto::JobId;
 use proto::event::{Snapshot, TileEvent};
@@ -11,34 +12,34 @@ use sqlx::sqlite::SqliteRow;
 use super::{Connection, Queue, Result, end};
 use crate::store::Durability;
 
-/// Events of ended jobs are kept so long.
+/// How long events of finished jobs are kept.
 const KEEP_MS: i64 = 24 * 3_600_000;
-/// Events kept in all, at most; a job that runs for days drops its first.
+/// Maximum number of events in all; beyond it the oldest are pruned, also those of running jobs.
 const MAX_EVENTS: i64 = 500_000;
 /// Jobs whose events are dropped in one transaction.
 const JOBS_AT_ONCE: i64 = 100;
 /// Events dropped in one transaction, of jobs that still run.
 const EVENTS_AT_ONCE: i64 = 5_000;
-/// Rectangles that a snapshot tells, at most.
+/// Maximum number of rectangles in a snapshot.
 const MAX_RECTANGLES: i64 = 20_000;
 
-/// An event, as it is told.
+/// Event of a job, as sent to subscribers.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) struct Event {
     /// Its number: events that happened later have greater ones.
     pub(crate) number: i64,
     /// The job's number.
     pub(crate) job: i64,
-    /// What sort of event it is.
+    /// Event type.
     pub(crate) kind: String,
     /// The job's state, if it is of that sort.
     pub(crate) state: Option<JobState>,
-    /// What it says, as JSON.
+    /// Payload, as JSON.
     pub(crate) body: String,
 }
 
 impl Event {
-    /// Nothing follows it, unless the job is retried.
+    /// Whether no event follows this one, unless the job is retried.
     pub(crate) fn is_final(&self) -> bool {
         self.state.is_some_and(JobState::is_final)
     }
@@ -55,14 +56,14 @@ impl Event {
     }
 }
 
-/// What a follower has to know of a job before its first event.
+/// State that a subscriber needs before its first event.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct Followed {
     /// The job's number.
     pub(crate) job: i64,
     /// Nothing will change any more.
     pub(crate) ended: bool,
-    /// Its events up to this number are kept no longer.
+    /// Number of the last pruned event.
     pub(crate) pruned: i64,
     /// No event has a greater number yet.
     pub(crate) newest: i64,
@@ -72,7 +73,7 @@ pub(crate) struct Followed {
 const NEWEST: &str = "SELECT coalesce((SELECT seq FROM sqlite_sequence WHERE name = 'outbox'), 0)";
 
 impl Queue {
-    /// What a follower has to know of a job.
+    /// State that a subscriber to a job needs before its first event.
     pub(crate) async fn followed(&self, id: JobId) -> Result<Option<Followed>> {
         let row = sqlx::query(
             "SELECT number, finished_at_ms IS NOT NULL AS ended, events_pruned,
@@ -93,7 +94,7 @@ impl Queue {
         .transpose()
     }
 
-    /// Whether a job is there, and if it has ended.
+    /// Whether a job has finished; `None` if it does not exist.
     pub(crate) async fn has_ended(&self, job: i64) -> Result<Option<bool>> {
         Ok(sqlx::query_scalar("SELECT finished_at_ms IS NOT NULL FROM job WHERE number = ?")
             .bind(job)
@@ -130,7 +131,7 @@ impl Queue {
         rows.iter().map(Event::read).collect()
     }
 
-    /// Where a job stands, and the number of the last event that is in it; all as of one moment.
+    /// State of a job and the number of the last event included in it, read in one transaction.
     pub(crate) async fn snapshot(&self, job: i64) -> Result<Option<(i64, Snapshot)>> {
         let mut reading = self.readers().begin().await?;
         let row = sqlx::query(
@@ -171,7 +172,7 @@ impl Queue {
         Ok(Some((newest, snapshot)))
     }
 
-    /// Drops events of jobs that ended long ago, and the oldest where there are too many; returns how many.
+    /// Prunes events of jobs that finished long ago, and the oldest beyond the maximum; returns how many.
     pub(crate) async fn prune_events(&self) -> Result<u64> {
         let ended_before_ms = self.clock.wall_ms() - KEEP_MS;
         let mut count = 0;

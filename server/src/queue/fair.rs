@@ -1,19 +1,19 @@
-//! Fair share between submitters: what each was served, in a worker's time, so that the least served is next.
+//! Fair share between submitters: the worker time each has been served, so that the least served is next.
 //!
 //! Start-time fair queueing (Goyal, Vin, Cheng, "Start-time Fair Queuing", SIGCOMM 1996): a submitter that
-//! comes back starts where the one stood that was served last. Triggers keep which submitters take part.
+//! returns starts at the virtual time of the one served last. Triggers record which submitters take part.
 
 use super::{Connection, Result, counted};
 
-/// Credit that a submitter may save up while its jobs wait for something else than their turn.
+/// Maximum credit that a submitter saves up while its jobs wait for anything but their turn.
 const MAX_CREDIT_US: i64 = 60_000_000;
-/// What a worker is taken for whose speed is not known, in camera rays a second.
+/// Assumed speed of a worker without a measurement, in camera rays per second.
 const UNKNOWN_RAYS_PER_SECOND: f64 = 1e6;
 
-/// Whom a run is for.
+/// Whose work a batch is, and its cost.
 #[derive(Clone, Debug)]
 pub(super) struct Share {
-    /// Who handed the job in.
+    /// Submitter of the job.
     pub(super) submitter: String,
     /// The job's priority.
     pub(super) priority: i64,
@@ -48,7 +48,7 @@ pub(super) async fn charge(
     counted("share: charged", 1, &charged)
 }
 
-/// Drops the shares of submitters that have nothing to do and would start anew anyway.
+/// Deletes the shares of submitters without work that would start at the current virtual time anyway.
 pub(super) async fn tidy(connection: &mut Connection) -> Result<()> {
     sqlx::query(
         "DELETE FROM share WHERE jobs = 0

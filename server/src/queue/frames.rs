@@ -1,4 +1,4 @@
-//! A job's frames, by number: where each stands, and which picture it has.
+//! A job's frames by number: the state of each, and its picture.
 
 use proto::JobId;
 use proto::change::{FrameState, FrameView};
@@ -7,7 +7,7 @@ use sqlx::sqlite::SqliteRow;
 
 use super::{Queue, Result, known};
 
-/// What is said of all frames of a job.
+/// All frames of a job.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) struct Frames {
     /// The job's number.
@@ -16,20 +16,20 @@ pub(crate) struct Frames {
     pub(crate) name: String,
     /// Media type of the pictures.
     pub(crate) media_type: String,
-    /// How many there are.
+    /// Number of frames.
     pub(crate) total: u32,
-    /// How many pictures are stored.
+    /// Number of stored pictures.
     pub(crate) stored: u32,
 }
 
 impl Frames {
-    /// What the file of a frame's picture is called: plain characters, so that any file system takes it.
+    /// File name of a frame's picture, in characters that every file system takes.
     pub(crate) fn file_name(&self, frame: u32) -> String {
         let extension = if self.media_type == "image/x-exr" { "exr" } else { "png" };
         format!("{}.{frame:04}.{extension}", self.plain_name())
     }
 
-    /// The job's name as a file may be called.
+    /// The job's name, reduced to characters for a file name.
     pub(crate) fn plain_name(&self) -> String {
         const MAX_CHARACTERS: usize = 100;
         let is_plain = |character: char| character.is_ascii_alphanumeric() || "-_.".contains(character);
@@ -56,7 +56,7 @@ pub(crate) struct StoredFrame {
 }
 
 impl Queue {
-    /// What is said of all frames of a job.
+    /// Lists all frames of a job.
     pub(crate) async fn frames(&self, id: JobId) -> Result<Option<Frames>> {
         let row = sqlx::query("SELECT number, name, media_type, frames_total, frames_stored FROM job WHERE id = ?")
             .bind(id.to_string())

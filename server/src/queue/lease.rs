@@ -1,5 +1,5 @@
-//! Leases that end without a result: the tile goes back to ready after a while, or, when
-//! its patience is used up, is dead.
+//! Leases that end without a result: the tile becomes ready again after a back-off, or is dead after too many
+//! failures.
 
 use std::time::Duration;
 
@@ -15,23 +15,23 @@ const MAX_ERRORS: i64 = 3;
 const MAX_CRASHES: i64 = 3;
 /// Vanished workers that a tile survives.
 const MAX_LOST: i64 = 50;
-/// A tile that vanished with its worker so often is leased alone.
+/// A tile lost with its worker this many times is leased alone.
 pub(super) const LOST_BEFORE_ALONE: i64 = 2;
 /// The longest back-off.
 const MAX_BACK_OFF: Duration = Duration::from_secs(5);
 /// The first back-off; it doubles from there.
 const BACK_OFF: Duration = Duration::from_millis(100);
 
-/// Why a lease ended without a result. Each has a counter of its own.
+/// Why a lease ended without a result. Each cause has a counter of its own.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Cause {
-    /// The renderer said no.
+    /// The renderer failed.
     Failed,
-    /// The worker crashed by its own fault: the tile may be poison.
+    /// The worker crashed: the tile may be the cause.
     Crashed,
     /// The worker vanished, was killed, or did not renew in time.
     Lost,
-    /// The worker handed the tile back, or never heard of it.
+    /// The worker released the tile, or never received the lease.
     Interrupted,
 }
 
@@ -46,7 +46,7 @@ impl Cause {
     }
 }
 
-/// How often each thing has happened to a tile.
+/// How many times each cause has ended a lease of the tile.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(super) struct Counters {
     errors: i64,
@@ -55,7 +55,7 @@ pub(super) struct Counters {
     interrupts: i64,
 }
 
-/// What follows for the tile.
+/// Consequence for the tile.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Verdict {
     Ready { delay_ms: i64 },
@@ -81,7 +81,7 @@ impl Counters {
         let steps = match cause {
             Cause::Failed => self.errors,
             Cause::Crashed => self.crashes,
-            // Hosts vanish for reasons of their own: the first times cost nothing.
+            // Hosts vanish for reasons of their own, so the first losses are free.
             Cause::Lost => self.lost - LOST_BEFORE_ALONE,
             Cause::Interrupted => 0,
         };
@@ -156,7 +156,7 @@ pub(super) async fn held_by(connection: &mut Connection, worker: &str) -> Result
     Ok(live_leases(connection, worker).await?.into_iter().map(|live| live.lease).collect())
 }
 
-/// A live lease, as its worker's turn looks at it.
+/// Live lease, with what a sync needs of it.
 pub(super) struct Live {
     pub(super) lease: String,
     pub(super) granted_ms: i64,
@@ -179,8 +179,8 @@ pub(super) async fn live(connection: &mut Connection, lease: &str) -> Result<Opt
     row.as_ref().map(Held::read).transpose()
 }
 
-/// Ends a lease without a result; its tile goes back to ready, or is dead and its job has failed. A tile
-/// that another worker holds as well stays with that one.
+/// Ends a lease without a result. Its tile becomes ready again, or is dead and its job fails. A tile with a
+/// duplicate lease stays with the other worker.
 pub(super) async fn give_up(
     connection: &mut Connection,
     held: &Held,
@@ -225,7 +225,7 @@ async fn is_leased(connection: &mut Connection, tile: i64) -> Result<bool> {
     Ok(live.is_some())
 }
 
-/// Ends the other leases of tiles that are done: their workers came second.
+/// Ends the remaining leases of tiles that are done: their workers were slower.
 pub(super) async fn void_others(connection: &mut Connection, tiles: impl IntoIterator<Item = i64>) -> Result<Ring> {
     let void =
         sqlx::query("UPDATE lease SET ended = 'void' WHERE ended IS NULL AND tile IN (SELECT value FROM json_each(?))")
@@ -313,12 +313,12 @@ pub(super) async fn renew(connection: &mut Connection, leases: &[&str], moment: 
     counted("lease: renewed", leases.len() as u64, &renewed)
 }
 
-/// Whether a lease ran out, or a worker from elsewhere vanished.
+/// Whether a lease is overdue or a remote worker is lost.
 const SOMETHING_IS_OVERDUE: &str = "
     SELECT EXISTS (SELECT 1 FROM lease WHERE ended IS NULL AND expires_ms <= ?1)
         OR EXISTS (SELECT 1 FROM worker WHERE state <> 'gone' AND pool = 0 AND seen_ms <= ?2)";
 
-/// Ends the leases whose time ran out, and marks workers from elsewhere that vanished.
+/// Expires overdue leases and marks remote workers as gone if they have not synced for one lease length.
 pub(super) async fn rescue(connection: &mut Connection, moment: Moment) -> Result<(u64, Ring)> {
     let mut ring = Ring::default();
     let mut count = 0;
@@ -333,7 +333,7 @@ pub(super) async fn rescue(connection: &mut Connection, moment: Moment) -> Resul
             .fetch_all(&mut *connection)
             .await?;
     for lease in &expired {
-        // A job that failed a moment ago took its other leases along.
+        // The failure of a job, just before in this loop, may have ended more of these leases.
         let Some(held) = live(connection, lease).await? else { continue };
         let job = super::id_of(connection, held.job).await?;
         tracing::warn!(%lease, worker = %held.worker, %job, frame = held.frame, tile = held.tile, "a lease ran out");
@@ -347,7 +347,7 @@ pub(super) async fn rescue(connection: &mut Connection, moment: Moment) -> Resul
     Ok((count, ring))
 }
 
-/// From 0 to 1, different each time, so that what failed together does not come again together.
+/// Random number from 0 to 1, so that tiles that failed together are not retried together.
 pub(crate) fn jitter() -> f64 {
     f64::from(uuid::Uuid::new_v4().as_fields().0) / f64::from(u32::MAX)
 }

@@ -1,18 +1,17 @@
-//! Reaching a frame: its row and its tiles are made, or it is stored at once from a
-//! picture that is already there.
+//! Opening a frame: creates its row and its tiles, or stores it at once from a picture that exists already.
 
 use proto::Rect;
 
 use super::{Connection, Moment, Result, counted, end, rows};
 
-/// What is needed to open a frame.
+/// Everything needed to open a frame.
 #[derive(Clone, Debug)]
 pub(crate) struct Opening {
     /// The job's number.
     pub(crate) job: i64,
     /// The frame, which must be the job's next.
     pub(crate) frame: u32,
-    /// What the frame's picture is of.
+    /// Cache key of the frame's picture.
     pub(crate) picture_key: String,
     /// The frame's tiles.
     pub(crate) tiles: Vec<Rect>,
@@ -20,14 +19,14 @@ pub(crate) struct Opening {
     pub(crate) samples: u32,
 }
 
-/// What became of a frame that was to be opened.
+/// Outcome of opening a frame.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Opened {
     /// Its picture was there already.
     Stored,
     /// Its tiles have to be rendered.
     Open,
-    /// It is not the job's next frame: it was opened meanwhile, or the job has ended.
+    /// It is not the job's next frame: it was opened by another call, or the job has finished.
     Stale,
 }
 
@@ -49,7 +48,7 @@ pub(super) async fn open(connection: &mut Connection, opening: &Opening, moment:
     Ok(Opened::Open)
 }
 
-/// Makes the tiles of a frame.
+/// Creates the tiles of a frame.
 pub(super) async fn make_tiles(connection: &mut Connection, opening: &Opening) -> Result<()> {
     let rects: Vec<[u32; 4]> = opening.tiles.iter().map(|rect| [rect.x, rect.y, rect.width, rect.height]).collect();
     let made = sqlx::query(

@@ -1,4 +1,4 @@
-//! How long the tiles of a job take, from lease to result: what a straggler is measured by.
+//! Durations of a job's tiles from lease to result: the measure for stragglers.
 
 use super::{Connection, Result};
 

@@ -1,4 +1,4 @@
-//! Pausing a job or the farm: nothing new is leased, and what is leased goes on.
+//! Pausing a job or the farm: no new tiles are leased; leased tiles finish and count.
 
 use proto::JobId;
 use proto::job::JobState;
@@ -6,14 +6,14 @@ use proto::job::JobState;
 use super::{Connection, Queue, Result, Ring, counted, end};
 use crate::store::Durability;
 
-/// What became of a wish to pause or resume a job.
+/// Outcome of pausing or resuming a job.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Paused {
-    /// It is as was wished.
+    /// The job is in the requested state.
     Done,
-    /// It had ended before.
+    /// The job had finished before.
     Final(JobState),
-    /// There is no such job.
+    /// The job does not exist.
     Unknown,
 }
 
@@ -40,7 +40,7 @@ async fn pause_farm(connection: &mut Connection, paused: bool) -> Result<()> {
 }
 
 impl Queue {
-    /// Pauses or resumes a job that has not ended.
+    /// Pauses or resumes a job that has not finished.
     pub(crate) async fn pause(&self, job: JobId, paused: bool) -> Result<Paused> {
         let done =
             self.store.write(Durability::Full, move |connection| Box::pin(pause_job(connection, job, paused))).await?;

@@ -1,6 +1,7 @@
 //! Pictures: of a frame's stitch, or of every tile of a frame at once.
 //!
-//! The picture's bytes are durable before its row is written here; whoever comes second has no effect.
+//! The picture's bytes are durable before its row is written here; of two pictures for a frame, the second
+//! has no effect.
 
 use std::collections::BTreeMap;
 
@@ -48,7 +49,7 @@ pub(super) async fn take(
     Ok(())
 }
 
-/// Whether so many leased tiles are all of a frame.
+/// Whether this many leased tiles are all tiles of a frame.
 async fn covers(connection: &mut Connection, job: i64, frame: u32, tiles: usize) -> Result<bool> {
     let total: Option<i64> =
         sqlx::query_scalar("SELECT tiles_total FROM frame WHERE job = ? AND number = ? AND state = 'open'")

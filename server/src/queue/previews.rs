@@ -1,5 +1,4 @@
-//! What a preview or an estimate needs to know: a frame's finished parts, and the workers that are there.
-//! Reads only.
+//! What a preview or an estimate needs: a frame's finished tiles, and the present workers. Only reads.
 
 use proto::JobId;
 use proto::job::JobState;
@@ -7,7 +6,7 @@ use sqlx::Row;
 
 use super::{Queue, Result, end};
 
-/// What there is of a frame.
+/// Contents of a frame so far.
 #[derive(Clone, Debug)]
 pub(crate) enum Parts {
     /// Its picture is stored under this hash.
@@ -24,7 +23,7 @@ pub(crate) enum Parts {
     },
     /// The job has fewer frames.
     NoFrame(u32),
-    /// There is no such job.
+    /// The job does not exist.
     NoJob,
 }
 
@@ -33,14 +32,14 @@ pub(crate) enum Parts {
 pub(crate) struct Present {
     /// `cpu` or `cuda:0`.
     pub(crate) device: String,
-    /// It is a child of this server.
+    /// It is a child process of this server.
     pub(crate) pool: bool,
-    /// Its measured camera rays a second, of whatever it rendered last.
+    /// Its measured camera rays per second, over all scenes it rendered lately.
     pub(crate) rays_per_second: Option<f64>,
 }
 
 impl Queue {
-    /// What there is of a frame.
+    /// Reads what exists of a frame.
     pub(crate) async fn parts(&self, id: JobId, frame: u32) -> Result<Parts> {
         let row = sqlx::query(
             "SELECT job.number, job.state, job.frames_total, frame.picture

@@ -1,14 +1,13 @@
-//! After a start: what the last server left is put right. And, now and then, rows that
-//! matter no more are dropped.
+//! Recovery at startup: repairs the state that the last server left, and prunes old rows.
 
 use sqlx::Row;
 
 use super::{Connection, Result, fair, json_numbers, rows, strike};
 
-/// Ended leases are kept so long, to recognise late results.
+/// How long ended leases are kept, to recognize late results.
 const KEEP_LEASES_MS: u64 = 3_600_000;
 
-/// What the last server left.
+/// State left by the last server.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Recovered {
     /// Which boot of the server this is.
@@ -19,8 +18,8 @@ pub(crate) struct Recovered {
     pub(crate) leases: i64,
 }
 
-/// The old pool is gone with its server, so its leases end at once; workers from
-/// elsewhere get one more length, counted by the clock that starts now.
+/// The old pool is gone with its server, so its leases end at once. Leases of remote workers last for one
+/// more lease length on the clock that starts now.
 pub(super) async fn recover(connection: &mut Connection, now_ms: i64, lease_ms: i64) -> Result<Recovered> {
     let generation: i64 =
         sqlx::query_scalar("UPDATE meta SET value = value + 1 WHERE name = 'boot_generation' RETURNING value")
@@ -58,7 +57,7 @@ pub(super) async fn recover(connection: &mut Connection, now_ms: i64, lease_ms: 
     Ok(Recovered { generation, jobs: jobs.try_get("jobs")?, leases: rows(tiles.len()) })
 }
 
-/// Drops ended leases that are old, or whose worker is gone, and workers that are gone.
+/// Deletes leases that ended long ago or whose worker is gone, and workers that are gone.
 pub(super) async fn tidy(connection: &mut Connection) -> Result<()> {
     sqlx::query("DELETE FROM lease WHERE ended IS NOT NULL AND id < ?")
         .bind(oldest_kept(uuid::Uuid::now_v7()))
@@ -72,7 +71,7 @@ pub(super) async fn tidy(connection: &mut Connection) -> Result<()> {
     fair::tidy(connection).await
 }
 
-/// Ids of leases carry their time: the smallest one that is kept.
+/// Lease ids contain their time: the smallest id that is kept.
 pub(super) fn oldest_kept(now: uuid::Uuid) -> String {
     let now_ms = now.as_u128() >> 80;
     let kept_ms = now_ms.saturating_sub(u128::from(KEEP_LEASES_MS));

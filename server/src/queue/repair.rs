@@ -1,4 +1,4 @@
-//! After a loss: pictures whose bytes are gone are forgotten, and their frames rendered again.
+//! Repair after lost bytes: deletes the rows of missing pictures and renders their frames again.
 
 use sqlx::Row;
 use sqlx::sqlite::SqliteRow;
@@ -7,7 +7,7 @@ use super::end::job_state;
 use super::{Connection, Opening, Result, counted, json_list, open, rows};
 use crate::plan::Plan;
 
-/// What became of frames whose pictures are gone.
+/// Outcome for the frames of missing pictures.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(crate) struct Reopened {
     /// They are rendered again.
@@ -16,7 +16,7 @@ pub(crate) struct Reopened {
     pub(crate) void: u64,
 }
 
-/// A frame whose picture is gone.
+/// Frame whose picture is missing.
 struct Lost {
     job: i64,
     frame: u32,
@@ -50,7 +50,8 @@ impl Lost {
     }
 }
 
-/// Forgets pictures whose bytes are gone. Frames that show them are open again, and their jobs run again.
+/// Deletes the rows of pictures whose bytes are missing. Frames that use them are opened again, and their
+/// jobs run again.
 pub(crate) async fn forget_pictures(connection: &mut Connection, hashes: &[String]) -> Result<Reopened> {
     let hashes = json_list(hashes);
     let lost = sqlx::query(

@@ -1,7 +1,7 @@
-//! Ended jobs that need not be kept: found by index, oldest first, and removed one a transaction.
+//! Finished jobs past their retention: found by index, oldest first, and deleted one per transaction.
 //!
-//! Only rows go here; the bytes that nobody shows any more are swept by the janitor afterwards, so that a
-//! kill between the two leaves bytes without a row, which it finds, and never a row without bytes.
+//! Deletes only rows. The sweep deletes unreferenced bytes afterwards, so that a kill between the two leaves
+//! bytes without a row, which the next sweep finds, and never a row without bytes.
 
 use proto::{JobId, Keep};
 use sqlx::Row;
@@ -10,17 +10,17 @@ use sqlx::sqlite::SqliteRow;
 use super::{Connection, Queue, Result, end, json_numbers, known};
 use crate::store::Durability;
 
-/// `job.keep_ms` of a job that is kept for ever.
+/// `job.keep_ms` of a job that is kept forever.
 const FOR_EVER: i64 = -1;
-/// Tiles that are removed in a transaction; the tiles of a larger job go before it, so many at a time.
+/// Tiles deleted per transaction; a larger job loses its tiles in batches before its own row.
 const TILES_AT_ONCE: i64 = 5_000;
 
-/// Jobs whose own time is over.
+/// Jobs past their own retention.
 const OVER: &str = "SELECT number, id, name, finished_at_ms, keep_ms FROM job INDEXED BY job_by_own_end
      WHERE finished_at_ms IS NOT NULL AND keep_ms >= 0 AND finished_at_ms + keep_ms <= ?
      ORDER BY finished_at_ms + keep_ms LIMIT ?";
 
-/// Jobs without a time of their own that finished so long ago.
+/// Jobs without a retention of their own that finished before the given time.
 const OLD: &str = "SELECT number, id, name, finished_at_ms, keep_ms FROM job INDEXED BY job_by_finish
      WHERE finished_at_ms IS NOT NULL AND keep_ms IS NULL AND finished_at_ms <= ?
      ORDER BY finished_at_ms LIMIT ?";
@@ -38,12 +38,12 @@ const FREED: &str = "SELECT coalesce(sum(size_bytes), 0) FROM (
              SELECT 1 FROM frame AS other WHERE other.picture = own.picture AND other.picture IS NOT NULL
              AND other.job <> ?1 AND other.job NOT IN (SELECT value FROM json_each(?2))))";
 
-/// Tiles of a job that has ended and whose tiles nobody will ask for.
+/// Tiles of a finished job, a batch of them.
 const FEWER_TILES: &str = "DELETE FROM tile WHERE id IN (SELECT id FROM tile WHERE job = ?1 LIMIT ?2)
      AND EXISTS (SELECT 1 FROM job WHERE number = ?1 AND finished_at_ms = ?3 AND keep_ms IS ?4
                  AND state IN ('succeeded', 'cancelled'))";
 
-/// A finished job, as it was when it was found.
+/// Finished job, as it was when it was found.
 #[derive(Clone, Debug)]
 pub(crate) struct Ended {
     /// Its number.
@@ -57,7 +57,7 @@ pub(crate) struct Ended {
     keep_ms: Option<i64>,
 }
 
-/// What may be left over of a job that was removed.
+/// Hashes that may be orphans after a job was deleted.
 #[derive(Clone, Debug)]
 pub(crate) struct Removed {
     /// Hashes of its pictures.
@@ -66,7 +66,7 @@ pub(crate) struct Removed {
     pub(crate) blobs: Vec<String>,
 }
 
-/// Writes down how long a job wants to be kept.
+/// Stores how long a job is to be kept.
 pub(super) async fn keep(connection: &mut Connection, job: i64, keep: Keep) -> Result<()> {
     let keep_ms = match keep {
         Keep::Forever => FOR_EVER,
@@ -89,7 +89,8 @@ fn read(row: &SqliteRow) -> Result<Ended> {
 }
 
 impl Queue {
-    /// Jobs whose time is over: their own, or that of jobs which have none. At most `limit` of each.
+    /// Jobs past their retention: their own, or the server's default for jobs without one. At most
+    /// `limit` of each.
     pub(crate) async fn outdated(&self, kept_ms: Option<i64>, limit: u32) -> Result<Vec<Ended>> {
         let wall_ms = self.clock.wall_ms();
         let mut rows = sqlx::query(OVER).bind(wall_ms).bind(limit).fetch_all(self.readers()).await?;
@@ -100,20 +101,20 @@ impl Queue {
         rows.iter().map(read).collect()
     }
 
-    /// Ended jobs not kept for ever, from the oldest; those behind `after`, if it is given.
+    /// Finished jobs not kept forever, from the oldest; only those after `after` if given.
     pub(crate) async fn oldest(&self, after: Option<&Ended>, limit: u32) -> Result<Vec<Ended>> {
         let (finished_at_ms, number) = after.map_or((i64::MIN, i64::MIN), |job| (job.finished_at_ms, job.number));
         let query = sqlx::query(OLDEST).bind(finished_at_ms).bind(number).bind(limit);
         query.fetch_all(self.readers()).await?.iter().map(read).collect()
     }
 
-    /// Bytes of a job's pictures that nobody shows once it and the jobs of these numbers are gone.
+    /// Bytes of a job's pictures that no job uses once it and the jobs `gone` are deleted.
     pub(crate) async fn freed_bytes(&self, job: &Ended, gone: &[i64]) -> Result<u64> {
         let query = sqlx::query_scalar(FREED).bind(job.number).bind(json_numbers(gone.iter().copied()));
         Ok(query.fetch_one(self.readers()).await?)
     }
 
-    /// Removes a job if it is still as it was found; `None` if it is not.
+    /// Deletes a job if it has not changed since it was found; `None` if it has.
     pub(crate) async fn remove(&self, job: &Ended) -> Result<Option<Removed>> {
         loop {
             let few = job.clone();

@@ -1,22 +1,22 @@
-//! How much of a frame one worker is given: arithmetic only.
+//! Number of a frame's tiles that one worker gets: arithmetic only.
 
 use std::time::Duration;
 
-/// Frames of at most so many rays are given whole to a worker whose speed is not known.
+/// Frames of at most this many rays go whole to a worker whose speed is not known.
 const SMALL_FRAME_RAYS: u64 = 1 << 22;
-/// What a run of tiles should take.
+/// Target duration of a batch.
 const RUN: Duration = Duration::from_secs(1);
-/// A run that takes no longer than this is nobody's loss, and a frame that does is not worth sharing.
+/// Batches up to this long go to any worker, and frames up to this long are not split, because the delay is not worth another claim.
 const SHORT_RUN: Duration = Duration::from_millis(50);
-/// A worker given a whole frame keeps at most so much data of it.
+/// Maximum data that a worker with a whole frame keeps of it.
 const WHOLE_FRAME_BYTES: u64 = 256 << 20;
 
-/// A ready tile, as far as sharing goes.
+/// Ready tile, with what the batch size needs.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Ready {
     /// Its camera rays.
     pub(super) rays: u64,
-    /// It vanished with its worker before: lease it alone.
+    /// It was lost with its worker before: lease it alone.
     pub(super) alone: bool,
 }
 
@@ -29,12 +29,12 @@ pub(super) struct Frame {
     pub(super) rays: u64,
     /// Bytes of its finished data.
     pub(super) size_bytes: u64,
-    /// Camera rays of the job's frames that nobody has begun.
+    /// Camera rays of the job's frames that are not opened yet.
     pub(super) rays_behind: u64,
 }
 
-/// How many of `ready`, from the first, a worker is given. It keeps them for no longer than the
-/// fastest of the others would take for all that is left of the job.
+/// How many of `ready`, from the first, a worker gets. The batch takes it no longer than the fastest other
+/// worker would need for all that is left of the job.
 pub(super) fn run_length(
     ready: &[Ready],
     frame: Frame,
@@ -67,7 +67,8 @@ pub(super) fn run_length(
     affordable.min(fair).clamp(1, mixable)
 }
 
-/// Whether a run of so many tiles is the whole frame, and small enough for its worker to make the picture.
+/// Whether a batch of this many tiles is the whole frame, and small enough for its worker to encode the
+/// picture.
 pub(super) fn is_whole(run: usize, frame: Frame) -> bool {
     run as u64 == frame.tiles && frame.size_bytes <= WHOLE_FRAME_BYTES
 }

@@ -1,9 +1,9 @@
-//! Stitches: made when a frame's last tile is done, undone when its blobs prove damaged.
+//! Stitches: created when a frame's last tile is done, undone when its blobs prove damaged.
 
 use super::lease::{self, Cause, Held};
 use super::{Connection, Moment, Result, Ring, counted, end, rows};
 
-/// A frame's last tile is done: its picture can be made.
+/// Makes a frame's stitch ready when its last tile is done.
 pub(super) async fn begin(connection: &mut Connection, job: i64, frame: u32) -> Result<()> {
     let stitching = sqlx::query("UPDATE frame SET state = 'stitching' WHERE job = ? AND number = ? AND state = 'open'")
         .bind(job)
@@ -23,7 +23,8 @@ pub(super) async fn begin(connection: &mut Connection, job: i64, frame: u32) -> 
     counted("tile: stitch made", 1, &made)
 }
 
-/// The stitch found blobs missing or damaged: those tiles are rendered again, then stitched anew.
+/// Reopens the tiles whose blobs a stitch found missing or damaged; the stitch follows when they are rendered
+/// again.
 pub(super) async fn reopen(
     connection: &mut Connection,
     held: &Held,

@@ -1,5 +1,5 @@
-//! Stragglers: when nothing is ready, tiles that take far longer than others of their job are leased
-//! once more, without ending the first lease. The first commit wins; `deliver` voids the other lease.
+//! Stragglers: if no tile is ready, a tile that takes far longer than others of its job gets a duplicate
+//! lease; its first lease stays live. The first result counts; `deliver` ends the other lease.
 
 use std::collections::HashMap;
 
@@ -10,18 +10,18 @@ use sqlx::Row;
 use super::claim::{self, Claimant, View};
 use super::{Connection, Moment, Result, counted, pace, rows, share};
 
-/// A lease that is older than so many times the job's median delivery is a straggler's.
+/// A lease older than this many times the job's median tile duration is a straggler's.
 const MEDIANS: i64 = 3;
 /// No tile straggles before.
 const MIN_AGE_MS: i64 = 500;
-/// No stitch straggles before: its time says nothing about its tiles'.
+/// Minimum age of a stitch that counts as a straggler: tile durations do not predict a stitch's.
 const MIN_STITCH_AGE_MS: i64 = 10_000;
-/// A job of which nothing was delivered yet is looked at again after so long.
+/// Interval before a job without any delivery is checked again.
 const UNKNOWN_PACE_MS: i64 = 1000;
-/// So many of the oldest leases are looked at.
+/// Number of the oldest leases that are checked.
 const LOOKED_AT: i64 = 256;
 
-/// The oldest leases of other workers that this one could help with, each the only one of its tile.
+/// Oldest leases of other workers whose tile this worker can render and that have no duplicate lease yet.
 const OLDEST: &str = include_str!("oldest_leases.sql");
 
 /// The tiles of a frame that one worker alone has held for long.
@@ -33,11 +33,11 @@ const HELD_TILES: &str = "SELECT tile.id, position, x_px, y_px, width_px, height
            WHERE other.tile = tile.id AND other.ended IS NULL AND other.id <> lease.id)
      ORDER BY position";
 
-/// What there is to help with.
+/// Result of the search for a straggler.
 pub(super) enum Straggling {
-    /// A run, leased once more.
+    /// A batch with duplicate leases.
     Run(Run),
-    /// Nothing now; it is worth looking again in so many milliseconds.
+    /// No straggler now; check again in this many milliseconds.
     Nothing(Option<i64>),
 }
 
@@ -49,7 +49,7 @@ struct Old {
     granted_ms: i64,
 }
 
-/// Leases the oldest straggler once more.
+/// Grants a duplicate lease on the oldest straggler.
 pub(super) async fn claim(
     connection: &mut Connection,
     view: &View,
@@ -111,7 +111,8 @@ async fn lease_again(
         .await?;
     let whole = claim::whole_frame(&job);
     let length = if share::is_whole(held.len(), whole) {
-        // Its holder makes a picture of it; so must whoever helps, or neither is done before the other.
+        // Its holder encodes a whole picture, so the helper must do the same, or neither finishes
+        // before the other.
         held.len()
     } else {
         let ready = held.iter().map(claim::read_ready).collect::<Result<Vec<_>>>()?;

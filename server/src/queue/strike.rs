@@ -1,16 +1,16 @@
-//! Workers that fail: one that errs again and again in a job is kept from it for a while, and
-//! one that does so in many jobs is quarantined. It decides about workers, never about tiles.
+//! Failing workers: a worker that errs repeatedly in one job is excluded from it for an hour; one excluded
+//! from many jobs is quarantined. This module decides about workers, never about tiles.
 //!
-//! Both hold only while another worker is there for the work: a farm of one never stops by itself.
+//! Both hold only while another worker can do the work, so that a single worker never stops the farm.
 
 use super::lease::Held;
 use super::{Connection, Moment, Result};
 
 /// Errors of a worker in one job, from which on it is not offered the job.
 const ERRORS_BEFORE_BAR: i64 = 3;
-/// For so long.
+/// Duration of an exclusion.
 const BAR_MS: i64 = 3_600_000;
-/// A worker that is kept from so many jobs is quarantined. Jobs that failed as a whole do not count: those
+/// Number of exclusions that quarantines a worker. Jobs that failed as a whole do not count, because they
 /// failed on every worker.
 const BARS_BEFORE_QUARANTINE: i64 = 3;
 
@@ -38,7 +38,7 @@ pub(super) async fn note(connection: &mut Connection, worker: &str, job: i64, mo
     quarantine(connection, worker, moment).await
 }
 
-/// Takes no more results for granted of a worker that is kept from many jobs.
+/// Quarantines a worker that is excluded from three jobs or more, unless it is the last ready worker.
 async fn quarantine(connection: &mut Connection, worker: &str, moment: Moment) -> Result<()> {
     let quarantined = sqlx::query(
         "UPDATE worker SET state = 'quarantined' WHERE id = ?1 AND state = 'ready'
@@ -62,7 +62,7 @@ async fn quarantine(connection: &mut Connection, worker: &str, moment: Moment) -
     Ok(())
 }
 
-/// Whether a worker other than the lease's is kept from its job: then the tile must not avoid this one.
+/// Whether a worker other than the lease's is excluded from its job: then the tile must not avoid this one.
 pub(super) async fn bars_another(connection: &mut Connection, held: &Held, moment: Moment) -> Result<bool> {
     let barred: Option<i64> =
         sqlx::query_scalar("SELECT 1 FROM strike WHERE job = ? AND worker <> ? AND until_ms > ? LIMIT 1")
@@ -74,7 +74,7 @@ pub(super) async fn bars_another(connection: &mut Connection, held: &Held, momen
     Ok(barred.is_some())
 }
 
-/// After a start the clock is another: whoever was kept from a job is kept from it for the whole time again.
+/// Restarts all exclusions with full length after a start, because the monotonic clock starts at zero.
 pub(super) async fn recover(connection: &mut Connection, now_ms: i64) -> Result<()> {
     sqlx::query("UPDATE strike SET until_ms = ? WHERE until_ms IS NOT NULL")
         .bind(now_ms + BAR_MS)

@@ -1,32 +1,32 @@
-//! Accepting a job: one row and its file; frames and tiles are made when they are reached.
+//! Accepting a job: one row and its file. Frames and tiles are created when the job reaches them.
 
 use proto::{JobId, Keep};
 
 use super::{Connection, Moment, Result, retention};
 use crate::plan::Plan;
 
-/// A job that was found sound.
+/// Job that passed validation.
 #[derive(Clone, Debug)]
 pub(crate) struct NewJob {
     /// Its id.
     pub(crate) id: JobId,
     /// The name its author gave it.
     pub(crate) name: String,
-    /// Who hands it in, a key's name or `local` while there are no keys: shares are fair between submitters.
+    /// Submitter: a key's name, or `local` without keys. Fair share counts by submitter.
     pub(crate) submitter: String,
-    /// Higher goes first.
+    /// Jobs of higher priority are leased first.
     pub(crate) priority: i32,
     /// Nodes of its scene; 0 if not known.
     pub(crate) nodes: u32,
-    /// How its frames are cut.
+    /// How its frames are cut into tiles.
     pub(crate) plan: Plan,
     /// Media type of its pictures.
     pub(crate) media_type: &'static str,
-    /// What its author should know although it renders.
+    /// Warnings for its author; the job renders all the same.
     pub(crate) warnings: Vec<String>,
     /// Render it even if its pictures are stored.
     pub(crate) fresh: bool,
-    /// How long it is kept; `None` is as the server was told.
+    /// How long it is kept; `None` is the server's default.
     pub(crate) keep: Option<Keep>,
     /// The bytes that were posted.
     pub(crate) text: String,
@@ -34,7 +34,7 @@ pub(crate) struct NewJob {
 
 #[cfg(test)]
 impl NewJob {
-    /// A job of one tile that is rendered anew.
+    /// Job of one tile that ignores the picture cache.
     pub(crate) fn example() -> Self {
         Self {
             id: JobId::new(),

@@ -1,4 +1,4 @@
-//! A worker's turn: results in, leases renewed, strays handed back, work out; one transaction.
+//! A worker's sync in one transaction: takes results, renews leases, releases strays, claims work.
 
 use std::collections::HashSet;
 use std::time::Duration;
@@ -12,14 +12,14 @@ use super::lease::{self, Cause};
 use super::{Connection, Moment, Opening, Result, Ring, deliver, known, open, workers};
 use crate::plan::Plan;
 
-/// A worker that was granted a lease in an answer it never got hands it back after so long:
-/// what it does not list by then, it does not hold.
+/// A lease granted in a response that the worker never received is released after this time: the worker does
+/// not list it.
 const STRAY_AFTER_MS: i64 = 2000;
 
-/// What a worker says.
+/// Input of a sync.
 #[derive(Clone, Debug)]
 pub(crate) struct Turn {
-    /// Who.
+    /// The calling worker.
     pub(crate) worker: WorkerId,
     /// Its measured camera rays a second.
     pub(crate) rays_per_second: Option<f64>,
@@ -29,46 +29,46 @@ pub(crate) struct Turn {
     pub(crate) results: Vec<Report>,
     /// Whether it wants a run.
     pub(crate) wants_work: bool,
-    /// It ends now.
+    /// The worker is shutting down.
     pub(crate) leaving: bool,
-    /// The frame that the last turn asked to open.
+    /// Frame that the previous pass of this sync asked to open.
     pub(crate) opening: Option<Opening>,
 }
 
 impl Turn {
-    /// It brings results, which must not be forgotten once they are answered.
+    /// Whether it contains results, so that its commit must be durable before the response.
     pub(crate) fn delivers(&self) -> bool {
         !self.results.is_empty()
     }
 }
 
-/// What a turn came to.
+/// Outcome of a sync.
 #[derive(Clone, Debug)]
 pub(crate) struct Turned {
-    /// Leases of the turn that are no longer live.
+    /// Leases of the call that are no longer live.
     pub(crate) lost: Vec<LeaseId>,
     /// The worker should finish and exit.
     pub(crate) drain: bool,
-    /// The work, or what stands before it.
+    /// The granted work, or what prevents it.
     pub(crate) next: Next,
-    /// Blobs that may be left over now.
+    /// Blobs that may be orphans now.
     pub(crate) leftovers: Vec<String>,
-    /// Leases that were found to have run out.
+    /// Number of leases found to be overdue.
     pub(crate) expired: u64,
     /// Results without effect.
     pub(crate) fenced: u64,
-    /// Results that differ from the first of the same tile.
+    /// Number of results that differ from the first result of the same tile.
     pub(crate) nondeterministic: u64,
     pub(super) ring: Ring,
 }
 
 impl Turned {
-    /// There is something the worker should hear at once.
+    /// Whether the worker must get the response at once.
     pub(crate) fn has_news(&self) -> bool {
         !self.lost.is_empty() || matches!(self.next, Next::Run(_))
     }
 
-    /// If a tile backs off: when it is ready.
+    /// If a tile is backing off: the time until it is ready.
     pub(crate) fn ready_in(&self) -> Option<Duration> {
         match self.next {
             Next::Nothing(Some(ready_in_ms)) => Some(Duration::from_millis(ready_in_ms.unsigned_abs())),
@@ -77,28 +77,28 @@ impl Turned {
     }
 }
 
-/// The work, or what stands before it.
+/// The granted work, or what prevents it.
 #[derive(Clone, Debug)]
 pub(crate) enum Next {
     /// A run.
     Run(Run),
-    /// A frame has to be opened: say so again with its [`Opening`].
+    /// A frame has to be opened first: repeat the sync with its [`Opening`].
     Frame {
         /// The job's number.
         job: i64,
         /// The frame.
         frame: u32,
-        /// How its frames are cut.
+        /// How its frames are cut into tiles.
         plan: Plan,
     },
-    /// Nothing for now; if a tile backs off, it is ready in so many milliseconds.
+    /// No work now; if a tile is backing off, it is ready in this many milliseconds.
     Nothing(Option<i64>),
 }
 
-/// Takes a worker's turn; `None` if no such worker is known.
+/// Carries out a worker's sync; `None` if the worker is unknown.
 pub(super) async fn turn(connection: &mut Connection, turn: Turn, moment: Moment) -> Result<Option<Turned>> {
     let Some(worker) = seen(connection, &turn, moment).await? else { return Ok(None) };
-    // A turn that brings what the last one asked for is the same turn, a moment later.
+    // A pass with the opening that the previous pass asked for belongs to the same sync.
     let is_new = turn.opening.is_none();
     let (expired, mut ring) = if is_new { lease::rescue(connection, moment).await? } else { Default::default() };
     let delivered = deliver::deliver(connection, turn.worker, &turn.results, moment).await?;
@@ -127,7 +127,7 @@ enum WorkerState {
     Other,
 }
 
-/// What a turn has to know of its worker.
+/// What a sync needs to know of its worker.
 struct Seen {
     state: WorkerState,
     max_nodes: i64,
@@ -154,7 +154,8 @@ async fn seen(connection: &mut Connection, turn: &Turn, moment: Moment) -> Resul
     Ok(Some(Seen { state, max_nodes: row.try_get("max_nodes")? }))
 }
 
-/// Renews what the worker holds, names what it holds no longer, and hands back what it never heard of.
+/// Renews the leases that the worker lists, names those that ended, and releases those that it never
+/// received.
 async fn keep_leases(
     connection: &mut Connection,
     turn: &Turn,
@@ -169,7 +170,7 @@ async fn keep_leases(
     lease::renew(connection, &held, moment).await?;
     let mut ring = Ring::default();
     for stray in unknown.into_iter().filter(|live| live.granted_ms <= moment.now_ms - STRAY_AFTER_MS) {
-        // A job that failed a moment ago took its other leases along.
+        // The failure of a job, just before in this loop, may have ended more of these leases.
         let Some(held) = lease::live(connection, &stray.lease).await? else { continue };
         tracing::warn!(lease = %held.lease, worker = %turn.worker, "a worker never heard of its lease");
         ring.add(lease::give_up(connection, &held, Cause::Interrupted, "its worker forgot it", moment).await?);

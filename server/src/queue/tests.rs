@@ -1,5 +1,5 @@
-//! What can't be seen through the door: that statements use indexes, that the queue does what its model
-//! says whatever happens, that shares are fair.
+//! Properties that the API cannot show: statements use indexes, the queue follows its model under random
+//! operations, and shares are fair.
 
 mod fair;
 mod model;
@@ -27,7 +27,8 @@ impl Bench {
         Self::in_folder(tempfile::tempdir().expect("a temporary folder")).await
     }
 
-    /// On a disk that is memory, where there is one: nothing is to be learnt from waiting for a real one.
+    /// Opens the database on a file system in memory if there is one, because these tests gain nothing
+    /// from waiting for a disk.
     async fn in_memory() -> Self {
         let folder = tempfile::tempdir_in("/dev/shm").or_else(|_| tempfile::tempdir());
         Self::in_folder(folder.expect("a temporary folder")).await
@@ -44,7 +45,7 @@ impl Bench {
         Self { queue, hand, folder }
     }
 
-    /// Ends the server and starts another on the same database; its clock starts anew.
+    /// Ends the server and starts another on the same database; its clock starts at zero.
     async fn restart(&mut self) {
         self.queue.store.close().await;
         let store = Store::open(self.folder.path()).await.expect("opens again");
@@ -83,7 +84,7 @@ impl Bench {
         self.register(max_nodes, None).await
     }
 
-    /// A worker's turn, with frames opened as they are needed.
+    /// A worker's sync, with frames opened as needed.
     async fn turn(&self, mut turn: Turn) -> Option<super::Turned> {
         loop {
             let turned = self.queue.turn(turn.clone()).await.expect("a turn")?;

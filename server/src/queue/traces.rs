@@ -1,6 +1,6 @@
-//! Which trace a job belongs to, so that whoever works on it later continues it.
+//! Trace of a job, so that all later work on the job continues it.
 //!
-//! Nothing is decided by a trace: where there is none, nothing is missing.
+//! No decision depends on a trace; without one, nothing else changes.
 
 use proto::JobId;
 

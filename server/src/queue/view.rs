@@ -1,4 +1,4 @@
-//! What users see: read-only, through the reading connections.
+//! Reads for users, through the reading connections.
 
 use proto::JobId;
 use proto::job::{Count, JobPage, JobState, JobView};
@@ -29,7 +29,7 @@ macro_rules! jobs_where {
 /// A frame's picture, as far as the database knows it.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) enum StoredImage {
-    /// It is stored.
+    /// The picture is stored.
     Stored {
         /// BLAKE3 of its bytes, in hex.
         hash: String,
@@ -38,11 +38,11 @@ pub(crate) enum StoredImage {
         /// Its media type.
         media_type: String,
     },
-    /// It is not stored; its job is in this state.
+    /// The picture is not stored; its job is in this state.
     NotYet(JobState),
     /// The job has fewer frames.
     NoFrame(u32),
-    /// There is no such job.
+    /// The job does not exist.
     NoJob,
 }
 
@@ -83,7 +83,7 @@ fn read_job(row: &SqliteRow, wall_ms: i64) -> Result<JobView> {
     })
 }
 
-/// What to say of a job that waits for a worker which this farm has not got: one for scenes as large as its own.
+/// Warning for a job whose scene is larger than every present worker can render.
 fn too_large(row: &SqliteRow) -> Result<Option<String>> {
     let nodes: i64 = row.try_get("nodes")?;
     let farm_max_nodes: Option<i64> = row.try_get("farm_max_nodes")?;
@@ -96,7 +96,7 @@ fn too_large(row: &SqliteRow) -> Result<Option<String>> {
     }))
 }
 
-/// Seconds left, if the rest goes as fast as what is done.
+/// Estimated seconds left, assuming constant speed.
 fn eta(started_at_ms: i64, wall_ms: i64, progress: f64) -> Option<f64> {
     let elapsed_seconds = (wall_ms - started_at_ms).max(0) as f64 / 1000.0;
     (progress > 0.0).then(|| elapsed_seconds * (1.0 - progress) / progress)

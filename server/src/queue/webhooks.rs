@@ -1,6 +1,6 @@
 //! Deliveries to webhooks: what is due, what became of each attempt, and what is dropped when it is old.
 //!
-//! They are made by the trigger of migration 0006, with the change that they tell of.
+//! The trigger of migration 0006 creates them, in the transaction of the event.
 
 use std::time::Duration;
 
@@ -13,7 +13,7 @@ use super::{Queue, Result, counted, known};
 use crate::clock::rfc3339;
 use crate::store::Durability;
 
-/// Deliveries that came to an end are kept so long.
+/// How long finished deliveries are kept.
 const KEEP_MS: i64 = 7 * 24 * 3_600_000;
 /// Deliveries dropped in one transaction.
 const DROPPED_AT_ONCE: i64 = 5_000;
@@ -25,37 +25,37 @@ const SHOWN: i64 = 1_000;
 pub(crate) struct Delivery {
     /// Its number.
     pub(crate) number: i64,
-    /// The message's id, the same in every attempt.
+    /// Message id, the same in every attempt.
     pub(crate) id: String,
-    /// What happened.
+    /// Event type.
     pub(crate) event: String,
-    /// Where it goes.
+    /// Receiver's address.
     pub(crate) url: String,
     /// The job's id.
     pub(crate) job: String,
     /// The job's name.
     pub(crate) name: String,
-    /// What is told, as JSON.
+    /// Payload, as JSON.
     pub(crate) body: String,
-    /// Attempts that were made.
+    /// Number of attempts so far.
     pub(crate) attempts: u32,
 }
 
-/// What became of an attempt.
+/// Outcome of an attempt.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) enum Attempt {
-    /// It was taken.
+    /// The receiver accepted the message.
     Delivered {
         /// The answer's status.
         status: u16,
     },
-    /// It was not.
+    /// The attempt failed.
     Failed {
         /// The answer's status, if there was one.
         status: Option<u16>,
-        /// Why.
+        /// Reason.
         error: String,
-        /// When to try again; `None` never.
+        /// When to try again; `None` means never.
         again_in: Option<Duration>,
     },
 }
@@ -133,7 +133,7 @@ impl Queue {
         rows.iter().map(view).collect()
     }
 
-    /// Drops deliveries that came to an end long ago; returns how many.
+    /// Deletes deliveries that finished long ago; returns how many.
     pub(crate) async fn prune_deliveries(&self) -> Result<u64> {
         let ended_before_ms = self.clock.wall_ms() - KEEP_MS;
         let mut count = 0;
@@ -163,7 +163,7 @@ impl Queue {
     }
 }
 
-/// What may be shown of an address.
+/// Part of an address that may be shown.
 fn receiver(url: &str) -> String {
     reqwest::Url::parse(url).map_or_else(|_| String::new(), |url| url.origin().ascii_serialization())
 }

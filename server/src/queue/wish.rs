@@ -1,6 +1,6 @@
-//! What comes with a job that is handed in: a name for the wish, so that it is granted once, and who is to be told.
+//! Options of a submitted job: the idempotency key, so that a repeated request creates one job, and its webhooks.
 //!
-//! All of it is written in the transaction that accepts the job, so that no kill comes between.
+//! All of it is written in the transaction that accepts the job, so that no kill can separate them.
 
 use proto::JobId;
 use sqlx::Row;
@@ -8,12 +8,12 @@ use sqlx::Row;
 use super::{Connection, Moment, NewJob, Queue, Result, Ring, counted, known, submit};
 use crate::store::Durability;
 
-/// Names of wishes are kept so long.
+/// How long idempotency keys are kept.
 const KEEP_MS: i64 = 48 * 3_600_000;
 /// Names dropped in one transaction.
 const DROPPED_AT_ONCE: i64 = 5_000;
 
-/// The name of a wish, and what exactly was wished.
+/// Idempotency key and the fingerprint of its request.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) struct Once {
     /// The client's `Idempotency-Key`.
@@ -22,7 +22,7 @@ pub(crate) struct Once {
     pub(crate) fingerprint: String,
 }
 
-/// An address that wants to be told.
+/// Webhook to register for the job.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) struct NewWebhook {
     /// The address.
@@ -31,28 +31,28 @@ pub(crate) struct NewWebhook {
     pub(crate) events: Vec<&'static str>,
 }
 
-/// What comes with a job that is handed in.
+/// Options of a submitted job.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub(crate) struct Wish {
-    /// It is to be granted once.
+    /// Makes the submission idempotent.
     pub(crate) once: Option<Once>,
-    /// Who is to be told.
+    /// Webhooks of the job.
     pub(crate) webhooks: Vec<NewWebhook>,
 }
 
-/// What became of a job that was handed in.
+/// Outcome of a submission.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) enum Submitted {
-    /// It is accepted, under this number.
+    /// The job was accepted, under this number.
     New(i64),
-    /// It was accepted before, as this job.
+    /// The job was accepted before, as this one.
     Same(JobId),
-    /// Its key is that of another wish.
+    /// The idempotency key belongs to another request.
     Other,
 }
 
 impl Queue {
-    /// Accepts a job, once for each name of a wish; durable when it returns.
+    /// Accepts a job, once for each idempotency key; durable when it returns.
     pub(crate) async fn submit_once(&self, job: NewJob, wish: Wish) -> Result<Submitted> {
         let moment = self.moment();
         let submitted = self
@@ -65,7 +65,7 @@ impl Queue {
         Ok(submitted)
     }
 
-    /// Whether a submitter's wish of this name was granted before.
+    /// Whether a submitter has used this idempotency key before.
     pub(crate) async fn has_wish(&self, submitter: &str, key: &str) -> Result<bool> {
         let known: Option<i64> = sqlx::query_scalar("SELECT 1 FROM idempotency WHERE submitter = ? AND key = ?")
             .bind(submitter)
@@ -75,7 +75,7 @@ impl Queue {
         Ok(known.is_some())
     }
 
-    /// Drops names of wishes that are kept long enough; returns how many.
+    /// Deletes expired idempotency keys; returns how many.
     pub(crate) async fn prune_wishes(&self) -> Result<u64> {
         let made_before_ms = self.clock.wall_ms() - KEEP_MS;
         let mut count = 0;
@@ -126,7 +126,7 @@ async fn accept(connection: &mut Connection, job: &NewJob, wish: &Wish, moment: 
     Ok(Submitted::New(number))
 }
 
-/// What a wish of this name was granted before.
+/// Job that was accepted under this idempotency key before.
 async fn granted(connection: &mut Connection, submitter: &str, once: &Once) -> Result<Option<Submitted>> {
     let row = sqlx::query(
         "SELECT idempotency.fingerprint, job.id FROM idempotency CROSS JOIN job ON job.number = idempotency.job

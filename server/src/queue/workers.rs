@@ -1,4 +1,4 @@
-//! Workers: registered, told to drain, found to have ended.
+//! Workers: registration, draining, and their end.
 
 use proto::WorkerId;
 use proto::work::Hello;
@@ -7,10 +7,10 @@ use sqlx::Row;
 use super::lease::{self, Cause};
 use super::{Connection, Moment, Result, Ring, counted, known};
 
-/// A worker that says hello.
+/// Worker that registers.
 #[derive(Clone, Debug)]
 pub(crate) struct NewWorker {
-    /// What it says.
+    /// Its registration request.
     pub(crate) hello: Hello,
     /// It is a child process of this server.
     pub(crate) pool: bool,
@@ -21,7 +21,7 @@ pub(crate) struct NewWorker {
 /// A worker that was taken in.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Registered {
-    /// Its id until it ends.
+    /// Its id until it exits.
     pub(crate) worker: WorkerId,
 }
 
@@ -46,7 +46,7 @@ pub(super) async fn register(connection: &mut Connection, new: NewWorker, moment
     Ok(Registered { worker })
 }
 
-/// Tells the pool's worker of a process to finish what it holds; false if there is none yet.
+/// Asks the pool worker of a process to drain; false if there is none yet.
 pub(super) async fn drain(connection: &mut Connection, process: u32) -> Result<bool> {
     let drained = sqlx::query(
         "UPDATE worker SET state = 'draining' WHERE process = ? AND pool = 1
@@ -58,7 +58,7 @@ pub(super) async fn drain(connection: &mut Connection, process: u32) -> Result<b
     Ok(drained.rows_affected() > 0)
 }
 
-/// The process of a pool's worker has ended: so has the worker, and so do its leases.
+/// Records that a pool worker's process has ended, and ends its leases.
 pub(super) async fn reaped(
     connection: &mut Connection,
     process: u32,
@@ -81,7 +81,7 @@ pub(super) async fn reaped(
     Ok((worker, ring))
 }
 
-/// A worker has said goodbye: it is gone, and whatever it was given since it knew is ready again.
+/// Records that a worker has shut down; leases granted to it in the meantime are released.
 pub(super) async fn left(connection: &mut Connection, worker: WorkerId, moment: Moment) -> Result<Ring> {
     let id = worker.to_string();
     let gone = sqlx::query("UPDATE worker SET state = 'gone' WHERE id = ? AND state <> 'gone'")

@@ -1,4 +1,4 @@
-//! A connection of another process than the server's, which may be running: it changes no tables.
+//! Database connection of another process than the server, which may be running: it changes no tables.
 
 use std::path::Path;
 use std::time::Duration;
@@ -9,7 +9,7 @@ use sqlx::sqlite::{SqliteConnectOptions, SqliteConnection, SqliteJournalMode, Sq
 use super::Store;
 
 impl Store {
-    /// Connects to the database of a data folder, which has to be there; a writer is waited for so long.
+    /// Connects to the existing database of a data folder; waits for a writer for at most `patience`.
     pub(crate) async fn connect_beside(data: &Path, patience: Duration) -> Result<SqliteConnection, sqlx::Error> {
         SqliteConnectOptions::new()
             .filename(Self::file(data))

@@ -1,15 +1,15 @@
-//! The write-ahead log, kept small also when the database is never idle.
+//! The write-ahead log (WAL), kept small even if the database is never idle.
 //!
-//! The engine folds the log by itself every few thousand pages, but starts it anew only when no reader needs it any
-//! more; under constant reading it would grow for ever. It must not hold back writes for long.
+//! The engine checkpoints the WAL every few thousand pages, but restarts it only when no reader needs it any
+//! more; under constant reading it would grow without limit. This module must not delay writes for long.
 
 use std::path::{Path, PathBuf};
 
 use sqlx::sqlite::SqliteConnection;
 
-/// A log of so many bytes is folded between two commits, and begun anew.
+/// A WAL of this size is checkpointed between two commits, and restarted.
 pub(super) const LIMIT_BYTES: u64 = 64 << 20;
-/// If a reader was in the way, it is tried again after so many commits.
+/// If a reader prevented that, the next attempt follows after this many commits.
 const COMMITS: u32 = 64;
 /// How long writes wait for readers then, and how long otherwise.
 const WAIT_FOR_READERS: &str = "PRAGMA busy_timeout = 50";
@@ -25,7 +25,7 @@ pub(super) struct Log {
 }
 
 impl Log {
-    /// The log beside a database's file.
+    /// The WAL next to a database's file.
     pub(super) fn new(database: &Path, limit_bytes: u64) -> Self {
         Self { file: database.with_extension("sqlite-wal"), limit_bytes, pause: 0 }
     }
@@ -82,7 +82,7 @@ mod tests {
         let folder = tempfile::tempdir().expect("a temporary folder");
         let file = folder.path().join("farm.sqlite");
         let (mut writer, mut log) = (connect(&file).await, Log::new(&file, LIMIT));
-        // By itself it would never fold it.
+        // The engine never checkpoints it automatically then.
         sqlx::query("PRAGMA wal_autocheckpoint = 0").execute(&mut writer).await.expect("sets");
         sqlx::query("CREATE TABLE t (text TEXT)").execute(&mut writer).await.expect("creates");
         let mut readers = [connect(&file).await, connect(&file).await];

@@ -1,7 +1,7 @@
 //! The one connection that writes: a task that commits together what waits together.
 //!
-//! Each operation runs under its own SAVEPOINT, so one that fails takes no other with it.
-//! Nothing is ever delayed in the hope of company: an operation alone is committed alone.
+//! Each operation runs under its own SAVEPOINT, so that a failing one affects no other. No operation is
+//! delayed to gather more of them: an operation alone is committed alone.
 
 use std::time::Duration;
 
@@ -20,21 +20,21 @@ use crate::watch::{counts, seconds};
 
 /// Operations committed together, at most.
 const GROUP: usize = 256;
-/// Operations that may wait before callers are held back.
+/// Maximum number of waiting operations; beyond it callers wait.
 const QUEUE: usize = 1024;
-/// With nothing to write for so long, the log is folded into the file.
+/// After this long without writes, the WAL is checkpointed.
 const IDLE: Duration = Duration::from_secs(5);
 
 /// Whether an operation must survive a power cut once it is answered.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Durability {
-    /// It must: the commit is flushed to the disk.
+    /// Durable: the commit is fsynced.
     Full,
-    /// It need not: the next durable commit takes it along.
+    /// Not durable by itself: the next durable commit includes it.
     Relaxed,
 }
 
-/// What commits take.
+/// Durations of commits.
 #[derive(Clone, Debug)]
 pub(crate) struct CommitTimes {
     /// Time of each.
@@ -49,7 +49,7 @@ impl Default for CommitTimes {
     }
 }
 
-/// The writer's door.
+/// Handle to the writer task; clones of its channel queue operations.
 #[derive(Debug)]
 pub(super) struct Writer {
     operations: std::sync::Mutex<Option<mpsc::Sender<Box<dyn Operation>>>>,
@@ -80,12 +80,12 @@ impl Writer {
         answer.await.map_err(|_| StoreError::Closed)?
     }
 
-    /// What rings after every commit.
+    /// Signal sent after every commit.
     pub(super) fn bell(&self) -> watch::Receiver<()> {
         self.bell.subscribe()
     }
 
-    /// Ends the task when it has done what waits.
+    /// Ends the task after the waiting operations.
     pub(super) async fn close(&self) {
         drop(self.operations.lock().expect("no holder panics").take());
         if let Some(task) = self.task.lock().await.take()
@@ -101,7 +101,7 @@ trait Operation: Send {
     fn durability(&self) -> Durability;
     /// Runs it; false: undo it.
     fn run<'c>(&'c mut self, connection: &'c mut SqliteConnection) -> BoxFuture<'c, bool>;
-    /// Tells its caller, once the transaction has ended.
+    /// Sends the result to the caller, once the transaction has ended.
     fn answer(self: Box<Self>, committed: Result<(), StoreError>);
 }
 
@@ -194,14 +194,15 @@ impl Task {
         self.times.seconds.observe(begun.elapsed().as_secs_f64());
         self.times.operations.observe(group.len() as f64);
         if done.is_err() {
-            // SQLite ends a transaction by itself after some errors; then there is nothing to undo.
+            // SQLite ends a transaction automatically after some errors; then there is nothing to
+            // undo.
             drop(sqlx::query("ROLLBACK").execute(&mut self.connection).await);
         }
         done
     }
 
-    /// Statements that stand between two operations go to the engine together: each trip to its thread costs two
-    /// hand-overs.
+    /// Statements between two operations are sent to the engine together, because each call of its thread
+    /// costs two context switches.
     async fn transact(&mut self, group: &mut [Box<dyn Operation>]) -> Result<(), StoreError> {
         let durable = group.iter().any(|operation| operation.durability() == Durability::Full);
         self.begin(if durable { Durability::Full } else { Durability::Relaxed }).await?;
@@ -229,7 +230,7 @@ impl Task {
             Durability::Full => "PRAGMA synchronous = FULL; BEGIN IMMEDIATE; SAVEPOINT operation",
             Durability::Relaxed => "PRAGMA synchronous = NORMAL; BEGIN IMMEDIATE; SAVEPOINT operation",
         };
-        // If it fails half-way nobody knows which it is: the weaker one is taken for granted.
+        // If it fails half-way the setting is unknown: the weaker one is assumed.
         self.synchronous = Durability::Relaxed;
         sqlx::query(begin).execute(&mut self.connection).await?;
         self.synchronous = durability;

@@ -1,14 +1,14 @@
-//! What the machine says of this process, its disk and its files.
+//! Figures of the operating system about this process, its disk and its files.
 //!
-//! A question that the machine does not answer is answered with nothing.
+//! A figure that the system does not provide is `None`.
 
 use std::fs;
 use std::path::Path;
 
-/// Of `/proc/self/stat`, where times are in hundredths of a second on every Linux.
+/// Unit of the times in `/proc/self/stat`: hundredths of a second on every Linux.
 const TICKS_PER_SECOND: f64 = 100.0;
 
-/// What the machine says of this process.
+/// Figures of this process.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(crate) struct Process {
     /// Memory that is in use.
@@ -17,20 +17,20 @@ pub(crate) struct Process {
     pub(crate) cpu_seconds: f64,
     /// Files and connections that are open.
     pub(crate) open_files: u64,
-    /// How many there may be.
+    /// Maximum number of open files.
     pub(crate) max_files: u64,
 }
 
 /// Room on the disk of a folder.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(crate) struct Disk {
-    /// What is free, to ordinary users.
+    /// Free bytes for ordinary users.
     pub(crate) free_bytes: u64,
-    /// What there is.
+    /// Total bytes.
     pub(crate) total_bytes: u64,
 }
 
-/// Asks about this process.
+/// Reads the figures of this process.
 pub(crate) fn process() -> Process {
     let stat = fs::read_to_string("/proc/self/stat").unwrap_or_default();
     let status = fs::read_to_string("/proc/self/status").unwrap_or_default();
@@ -42,7 +42,7 @@ pub(crate) fn process() -> Process {
     }
 }
 
-/// Time in user and kernel mode: fields 14 and 15, counted after the name, which may hold anything.
+/// Time in user and kernel mode: fields 14 and 15, counted after the name, which may contain any character.
 fn cpu_ticks(stat: &str) -> Option<u64> {
     let (_, after_name) = stat.rsplit_once(')')?;
     let mut fields = after_name.split_whitespace().skip(11);
@@ -53,7 +53,7 @@ fn resident_kib(status: &str) -> Option<u64> {
     status.lines().find_map(|line| line.strip_prefix("VmRSS:"))?.trim().strip_suffix("kB")?.trim().parse().ok()
 }
 
-/// Asks about the disk of a folder.
+/// Reads the figures of a folder's disk.
 pub(crate) fn disk(folder: &Path) -> Disk {
     rustix::fs::statvfs(folder).map_or(Disk::default(), |disk| Disk {
         free_bytes: disk.f_bavail * disk.f_frsize,

@@ -1,6 +1,7 @@
-//! Every metric there is, by name: what is counted as it happens, and what is set when somebody asks.
+//! All metrics by name: those counted as they happen, and those set when `/metrics` is read.
 //!
-//! Names and meanings are in `docs/operations.md`, which a test compares with this file. Nothing here waits or reads.
+//! Names and meanings are in `docs/operations.md`, which a test compares with this file. Nothing here waits
+//! or reads.
 
 use std::sync::atomic::AtomicU64;
 use std::time::Duration;
@@ -16,16 +17,16 @@ use proto::work::{Phase, Timing};
 
 use crate::store::CommitTimes;
 
-/// Names and values that tell one number of a metric from another.
+/// Labels of a sample.
 pub(super) type Labels = Vec<(&'static str, String)>;
 /// A number that rises and falls.
 pub(super) type Level = Gauge<f64, AtomicU64>;
-/// The same by labels.
+/// Gauges by labels.
 pub(super) type Levels = Family<Labels, Level>;
 /// Times by labels.
 type Times = Family<Labels, Histogram>;
 
-/// Methods that have a name of their own; there is no end of others.
+/// Methods with a label value of their own; all others share one.
 const METHODS: [&str; 7] = ["GET", "HEAD", "POST", "PUT", "PATCH", "DELETE", "OPTIONS"];
 
 /// From a tenth of a millisecond to 100 seconds.
@@ -169,7 +170,7 @@ impl Metrics {
         self.answers.get_or_create(&labels).inc();
     }
 
-    /// Work was looked for.
+    /// Records a claim.
     pub(crate) fn claimed(&self, took: Duration) {
         self.claim.observe(took.as_secs_f64());
     }

@@ -1,7 +1,7 @@
-//! Where webhooks may go: to public addresses over TLS, and to where the operator says; nowhere else.
+//! Permitted webhook addresses: public addresses over TLS, and ranges that the operator allows.
 //!
-//! Addresses are judged when a job is handed in and again when a connection is made, after the name was
-//! looked up, so that a name which points elsewhere by then does not help.
+//! Addresses are checked at submission and again for each connection, after the name was resolved, so that
+//! changing where a name points does not help an attacker.
 
 use std::net::{IpAddr, SocketAddr};
 use std::str::FromStr;
@@ -14,7 +14,7 @@ use reqwest::dns::{Addrs, Name, Resolve, Resolving};
 /// Ports below this one are other services', but for those of the web.
 const FIRST_FREE_PORT: u16 = 1024;
 
-/// What is not the public internet, of IANA's special-purpose registry for IPv4, and multicast.
+/// Ranges outside the public internet, from IANA's special-purpose registry for IPv4, and multicast.
 const CLOSED_V4: [&str; 17] = [
     "0.0.0.0/8",
     "10.0.0.0/8",
@@ -36,7 +36,8 @@ const CLOSED_V4: [&str; 17] = [
 ];
 /// All of IPv6 that is given to the public internet.
 const OPEN_V6: &str = "2000::/3";
-/// What is not, within that: protocols (Teredo, ORCHID, benchmarks), documentation, and IPv4 in disguise.
+/// Ranges within that which are not public: protocols (Teredo, ORCHID, benchmarks), documentation, and
+/// embedded IPv4.
 const CLOSED_V6: [&str; 5] = ["2001::/23", "2001:db8::/32", "2002::/16", "2620:4f:8000::/48", "3fff::/20"];
 
 /// Addresses that belong together, as an operator writes them: `10.0.0.0/8`, or one address.
@@ -55,19 +56,19 @@ impl FromStr for AddressRange {
     }
 }
 
-/// Why a webhook may not go somewhere.
+/// Reason why a webhook may not reach an address.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub(crate) enum Refused {
-    /// It is no address of the web.
+    /// It is not an http or https URL.
     #[error("a webhook's address can't be read ({0}): write it as https://HOST/PATH")]
     Unreadable(String),
-    /// It would go unencrypted.
+    /// It would be unencrypted.
     #[error("a webhook's address begins with {0}://: only https is taken, and http to where --allow-webhook-to says")]
     Scheme(String),
-    /// It holds a password.
+    /// It contains a password.
     #[error("a webhook's address holds a user name or password: put a token into its path")]
     Credentials,
-    /// It is another service's port.
+    /// The port belongs to another service.
     #[error("a webhook may not go to port {0}: 443, 80 and those from {FIRST_FREE_PORT} are taken")]
     Port(u16),
     /// It is not on the public internet.
@@ -89,7 +90,7 @@ impl Guard {
         Self { allowed: allowed.into() }
     }
 
-    /// Reads a webhook's address, and refuses what no lookup of its name could make good.
+    /// Parses a webhook's address, and rejects one that is invalid whatever its name resolves to.
     pub(crate) fn check(&self, text: &str) -> Result<Url, Refused> {
         let mut url = Url::parse(text).map_err(|error| Refused::Unreadable(error.to_string()))?;
         let is_http = url.scheme() == "http";
@@ -114,7 +115,7 @@ impl Guard {
         }
     }
 
-    /// Whether a connection may be made to an address; over plain HTTP only where the operator says.
+    /// Whether a connection to an address is permitted; plain HTTP only within the operator's ranges.
     pub(crate) fn may_connect(&self, address: IpAddr, is_http: bool) -> bool {
         self.is_allowed(address) || (!is_http && is_public(address))
     }
@@ -123,7 +124,7 @@ impl Guard {
         self.allowed.iter().any(|range| range.0.contains(&address))
     }
 
-    /// Looks names up for connections over TLS, or over plain HTTP, and gives only addresses that pass.
+    /// Resolves names for connections over TLS, or over plain HTTP, and returns only permitted addresses.
     pub(crate) fn resolver(&self, is_http: bool) -> Arc<dyn Resolve> {
         Arc::new(Resolver { guard: self.clone(), is_http })
     }
@@ -181,7 +182,7 @@ impl Resolve for Resolver {
 mod tests {
     use super::*;
 
-    /// Addresses that nobody outside may be told: special-purpose ones in all their spellings.
+    /// Non-public addresses that must be rejected, in all their spellings.
     const CLOSED: [&str; 62] = [
         "https://127.0.0.1/",
         "https://127.1/",
@@ -246,7 +247,7 @@ mod tests {
         "https://[ff02::1]/",
         "https://localhost/",
     ];
-    /// Others that are refused, and why.
+    /// Other rejected addresses, with their reasons.
     const WRONG: [&str; 16] = [
         "",
         "farm.example",

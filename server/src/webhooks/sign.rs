@@ -1,7 +1,7 @@
 //! Signing messages by the Standard Webhooks specification (standardwebhooks.com), and the secret that it takes.
 //!
-//! The secret is in a file of the data folder that only its owner reads, or comes from the operator; it is in
-//! no log and no debug text.
+//! The secret is in a file of the data folder that only its owner can read, or comes from the operator; it
+//! appears in no log and no debug output.
 
 use std::fs::{self, OpenOptions};
 use std::io::{self, Write};
@@ -14,7 +14,7 @@ use hmac::{Hmac, KeyInit, Mac};
 use proto::Secret;
 use sha2::Sha256;
 
-/// What a secret begins with.
+/// Prefix of a secret.
 const PREFIX: &str = "whsec_";
 /// Bytes of a new secret.
 const SECRET_BYTES: usize = 32;
@@ -25,18 +25,18 @@ const FILE: &str = "webhook-secret";
 /// Only its owner reads it.
 const MODE: u32 = 0o600;
 
-/// Why there is no secret to sign with.
+/// Error that leaves no secret to sign with.
 #[derive(Debug, thiserror::Error)]
 pub enum SecretError {
-    /// The file can't be read or made.
+    /// The file cannot be read or created.
     #[error("the webhooks' secret can't be kept in {file}: {source}")]
     File {
         /// The file.
         file: std::path::PathBuf,
-        /// What the system said.
+        /// Error of the system.
         source: io::Error,
     },
-    /// It is none.
+    /// It is not a webhook secret.
     #[error("the webhooks' secret is none: it has to be whsec_ and 24 to 64 bytes in base64")]
     Form,
 }
@@ -69,7 +69,7 @@ impl Signer {
     }
 }
 
-/// The secret that a data folder's webhooks are signed with; made if there is none yet.
+/// Secret that signs a data folder's webhooks; created if missing.
 pub fn webhook_secret(data: &Path) -> Result<Secret, SecretError> {
     let file = data.join(FILE);
     let failed = |source| SecretError::File { file: file.clone(), source };

@@ -1,4 +1,4 @@
-//! Waiting longer each time, and not all at the same moment.
+//! Back-off with increasing, jittered delays.
 
 use std::hash::{BuildHasher, RandomState};
 use std::time::Duration;

@@ -1,5 +1,5 @@
-//! Brings blobs and pictures to the server. A server that is away is waited for, as long
-//! as anybody wants the result; one that can't store is left alone for a while.
+//! Delivers blobs and pictures. Waits for an unreachable server as long as the result is still wanted, and
+//! backs off from one that cannot store.
 
 use std::io::{BufWriter, Read, Seek};
 use std::path::Path;
@@ -23,7 +23,7 @@ use crate::image::{ImageError, Picture};
 use crate::renderer::{Cancel, Pixels};
 use crate::stitch::{Source, Tiles};
 
-/// A picture of more bytes than this goes through a file.
+/// A picture larger than this is encoded to a file.
 const MEMORY_BYTES: usize = 32 << 20;
 
 /// A picture's file, in memory or without a name.
@@ -34,10 +34,10 @@ pub(super) struct Encoded {
     took: Duration,
 }
 
-/// What became of the encoding of a picture on a thread of its own.
+/// Result of encoding a picture on a thread of its own.
 pub(super) type Encoding = Result<Result<Encoded, ImageError>, JoinError>;
 
-/// What delivering a picture took.
+/// Durations of delivering a picture.
 pub(super) struct Delivered {
     pub(super) encode_ms: f64,
     pub(super) put_ms: f64,
@@ -143,7 +143,7 @@ impl Workbench {
             Ok(Ok(picture)) => return self.put(picture, holds).await,
             Ok(Err(ImageError::Cancelled)) => return None,
             Ok(Err(ImageError::Io(error))) => {
-                // This machine's disk is no fault of the tile's.
+                // A full or broken scratch disk is no error of the tile.
                 tracing::warn!(%error, "could not write a picture to the scratch folder");
                 self.tell(Event::NotStored);
                 Outcome::HandedBack
@@ -172,7 +172,8 @@ impl Workbench {
         is_put.then(|| Delivered { encode_ms: milliseconds(took), put_ms: milliseconds(put), size_bytes })
     }
 
-    /// Calls until the server took it; where that is hopeless, says what to report instead.
+    /// Retries until the server has stored it; if that cannot succeed, returns the outcome to report
+    /// instead.
     async fn until_stored<F>(&self, put: impl Fn() -> F) -> Result<(), Outcome>
     where
         F: Future<Output = Result<(), LinkError>>,

@@ -9,7 +9,7 @@ use tokio::sync::Mutex;
 
 use super::link::{Link, LinkError};
 
-/// Jobs kept.
+/// Number of cached jobs.
 const KEPT: usize = 8;
 
 /// The last jobs used, the latest first.
@@ -36,16 +36,16 @@ impl Jobs {
     }
 }
 
-/// Why there is no job.
+/// Error when loading a job.
 #[derive(Debug, thiserror::Error)]
 pub(super) enum JobError {
-    /// It can't be fetched.
+    /// It could not be fetched.
     #[error("could not fetch the job: {0}")]
     Link(#[from] LinkError),
     /// The server took what this worker does not.
     #[error("this worker can't read the job: {0}")]
     Refused(#[from] scene::Refusal),
-    /// The parser fell over.
+    /// The parser panicked.
     #[error("reading the job panicked")]
     Panicked,
 }

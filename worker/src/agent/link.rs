@@ -1,4 +1,4 @@
-//! The calls a worker makes: one function each. Nothing here retries or decides.
+//! The calls of a worker to its server, one function each. Nothing here retries or decides.
 
 use std::fs::File;
 use std::io::{self, Seek};
@@ -14,7 +14,7 @@ use tokio_util::io::ReaderStream;
 
 use super::AgentError;
 
-/// For an answer that nothing delays.
+/// Timeout for a response that the server does not delay.
 const SHORT_TIMEOUT: Duration = Duration::from_secs(10);
 /// For bytes, however slow the wire.
 const TRANSFER_TIMEOUT: Duration = Duration::from_mins(10);
@@ -29,7 +29,7 @@ pub(super) enum Content {
 }
 
 impl Content {
-    /// The same bytes once more.
+    /// Another reader of the same bytes.
     pub(super) fn try_clone(&self) -> io::Result<Self> {
         Ok(match self {
             Self::Memory(bytes) => Self::Memory(bytes.clone()),
@@ -124,7 +124,7 @@ async fn send(request: RequestBuilder) -> Result<Response, LinkError> {
     Err(LinkError::Answered { status, detail })
 }
 
-/// Why a call came to nothing.
+/// Error of a call.
 #[derive(Debug, thiserror::Error)]
 pub(super) enum LinkError {
     /// No answer.
@@ -135,10 +135,10 @@ pub(super) enum LinkError {
     Answered {
         /// The status.
         status: StatusCode,
-        /// Why, in the server's words.
+        /// The server's message.
         detail: String,
     },
-    /// An answer that means nothing.
+    /// The response is not valid.
     #[error("the server's answer can't be read: {0}")]
     Garbled(#[source] serde_json::Error),
     /// The file to send can't be read.
@@ -150,7 +150,7 @@ pub(super) enum LinkError {
 }
 
 impl LinkError {
-    /// Whether the same call may do better a little later.
+    /// Whether repeating the call later may succeed.
     pub(super) fn is_passing(&self) -> bool {
         match self {
             Self::Unreachable(_) => true,
@@ -173,7 +173,7 @@ impl LinkError {
         }
     }
 
-    /// Whether what was asked for, or whoever asked, is not known there.
+    /// Whether the server does not know the requested item, or the worker.
     pub(super) fn is_not_found(&self) -> bool {
         matches!(self, Self::Answered { status, .. } if [StatusCode::NOT_FOUND, StatusCode::GONE].contains(status))
     }

@@ -1,6 +1,6 @@
-//! What a worker measures for the server's metrics: how long things took, and the memory of its GPU.
+//! Measurements of a worker for the server's metrics: durations, and the memory of its GPU.
 //!
-//! It is told when there is a call anyway, and lost where that call is: nothing is decided by it.
+//! They are sent with the next sync, and lost if that call fails: no decision depends on them.
 
 use std::process::Stdio;
 use std::sync::{Arc, Mutex};
@@ -10,13 +10,13 @@ use proto::work::{DeviceMemory, MAX_TIMINGS, Measured, Phase, Timing};
 use tokio::process::Command;
 use tokio_util::task::AbortOnDropHandle;
 
-/// How often a GPU's memory is asked for.
+/// Interval between readings of a GPU's memory.
 const MEMORY_EVERY: Duration = Duration::from_secs(15);
-/// How long its driver may think about it.
+/// Timeout of a reading.
 const MEMORY_TIMEOUT: Duration = Duration::from_secs(5);
 const MIB: u64 = 1 << 20;
 
-/// Collects what is measured, until it is told.
+/// Collects measurements until they are sent.
 #[derive(Debug)]
 pub(super) struct Measurements {
     timings: Vec<Timing>,
@@ -25,7 +25,7 @@ pub(super) struct Measurements {
 }
 
 impl Measurements {
-    /// Of a worker that renders on this device; that of an NVIDIA GPU is asked for its memory now and then.
+    /// Starts measuring for a worker on this device; the memory of an NVIDIA GPU is read periodically.
     pub(super) fn new(device: &str) -> Self {
         let memory = Arc::new(Mutex::new(None));
         let gpu = device.strip_prefix("cuda:").and_then(|number| number.parse().ok());
@@ -36,27 +36,27 @@ impl Measurements {
         Self { timings: Vec::new(), memory, _watching: watching.map(AbortOnDropHandle::new) }
     }
 
-    /// Something took so long.
+    /// Adds a duration.
     pub(super) fn add(&mut self, phase: Phase, took: Duration, rays: u64) {
         if self.timings.len() < MAX_TIMINGS {
             self.timings.push(Timing { phase, took_ms: took.as_secs_f64() * 1e3, rays });
         }
     }
 
-    /// What there is to tell.
+    /// Removes and returns the measurements so far.
     pub(super) fn take(&mut self) -> Measured {
         let memory = self.memory.lock().expect("no holder panics").take();
         Measured { timings: std::mem::take(&mut self.timings), memory }
     }
 }
 
-/// What the driver's own tool calls a GPU of this number: CUDA counts only those that are visible to it.
+/// Name that nvidia-smi uses for a GPU of this number: CUDA counts only the visible ones.
 fn driver_name(number: usize, visible: Option<&str>) -> String {
     let named = visible.and_then(|visible| visible.split(',').nth(number));
     named.map(str::trim).filter(|name| !name.is_empty()).map_or_else(|| number.to_string(), ToOwned::to_owned)
 }
 
-/// Asks for a GPU's memory as long as there is somebody to ask.
+/// Reads a GPU's memory until the measurements are dropped.
 async fn watch_memory(gpu: String, memory: Arc<Mutex<Option<DeviceMemory>>>) {
     loop {
         let asked = Command::new("nvidia-smi")

@@ -14,7 +14,7 @@ use tracing::Instrument;
 use super::workbench::{Event, Frame, Hold, MEMORY_KIB, Stop, Workbench, chain, nobody_waits, panic_message};
 use crate::renderer::{Pixels, RenderError, TileRun, chunk_length};
 
-/// A run of tiles holds on to so much memory at most: what is rendered, and what is delivered.
+/// Maximum memory of one batch of tiles, rendered and not yet delivered.
 const TILES_KIB: u64 = 512 << 10;
 
 /// A tile to render, and for whom.
@@ -35,12 +35,12 @@ pub(super) struct Rendered {
     pub(super) hold: Hold,
 }
 
-/// What came of giving tiles to the device.
+/// Outcome of giving tiles to the device.
 enum Launched {
     Pixels(Vec<Pixels>),
-    /// Nobody waited for them any more.
+    /// Their leases were dropped.
     Dropped,
-    /// It said no.
+    /// The device failed.
     Refused(String),
 }
 
@@ -96,7 +96,7 @@ impl Workbench {
         drop(memory);
     }
 
-    /// Waits until there is memory for a run's pixels.
+    /// Waits until there is memory for a batch's pixels.
     async fn reserve(&self, job: &Job, places: &[Place]) -> SemaphorePermit<'_> {
         let pixels: u64 = places.iter().map(|place| place.rect.pixels()).sum();
         let kib = (pixels * u64::from(job.image.pixel_bytes())).div_ceil(1 << 10).min(TILES_KIB);
@@ -127,7 +127,7 @@ impl Workbench {
             return Vec::new();
         }
         let [Place { hold, .. }] = &wanted[..] else {
-            // Which of them is at fault shows when each is rendered by itself.
+            // Rendering each tile alone shows which one causes the error.
             tracing::debug!(message, tiles = wanted.len(), "tiles could not be rendered together");
             let mut rendered = Vec::with_capacity(wanted.len());
             for place in &wanted {
@@ -140,14 +140,14 @@ impl Workbench {
         Vec::new()
     }
 
-    /// Whether the device is lost, which is then told.
+    /// Whether the device is lost; if so, reports it to the session.
     fn is_retired(&self) -> bool {
         let Some(reason) = self.renderer.retired() else { return false };
         self.tell(Event::Retired(reason));
         true
     }
 
-    /// Gives tiles to the device, until nobody waits for any of them.
+    /// Gives tiles to the device until all their leases are dropped.
     async fn launch(&self, frame: &Frame, places: &[Place]) -> Launched {
         let (rects, holds): (Vec<Rect>, Vec<Hold>) =
             places.iter().map(|Place { rect, hold }| (*rect, hold.clone())).unzip();

@@ -1,5 +1,5 @@
-//! A worker's talk with its server, from registration to the end: renews what is held,
-//! hands in results, takes new runs, and drops what is lost. Renders nothing itself.
+//! A worker's session with its server, from registration to the end: renews leases, reports results, takes
+//! new batches, and drops revoked leases. It renders nothing itself.
 
 use std::collections::HashMap;
 use std::pin::Pin;
@@ -24,26 +24,26 @@ use super::workbench::{Event, Hold, Workbench, leases};
 use crate::image::Encoders;
 use crate::renderer::Renderer;
 
-/// A run that had the device no longer is short: the next is asked for while one renders, so
-/// that the device need not wait for the server. Of longer ones none is hoarded.
+/// A batch that used the device for at most this long is short: the next one is requested while one renders,
+/// so that the device does not wait for the server. Longer ones are not requested ahead.
 const SHORT_RUN: Duration = Duration::from_millis(50);
-/// How long a call may take beyond what the server was asked to wait.
+/// How long a call may take beyond the wait requested of the server.
 const CALL_MARGIN: Duration = Duration::from_secs(10);
 /// The least time from one waiting call to the next.
 const PAUSE: Duration = Duration::from_millis(50);
-/// While more results are to come, those that are there wait so long for company: a call costs the server a commit.
+/// While a batch is unfinished, its reports are held back for up to 200 ms and sent together, because each call costs the server a commit.
 const GATHER: Duration = Duration::from_millis(200);
-/// How long the last call of all may take.
+/// Timeout of the last call of a session.
 const FAREWELL: Duration = Duration::from_secs(2);
 
-/// Why a session is over.
+/// Reason for the end of a session.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(super) enum Ending {
-    /// It was told to stop, and holds nothing.
+    /// The worker was drained, and holds no leases.
     Drained,
     /// The server does not know this worker, or no longer.
     Unknown,
-    /// The device is lost, for this reason; nothing is held any more.
+    /// The device is lost, for this reason; no leases are held any more.
     Retired(String),
 }
 
@@ -58,7 +58,7 @@ pub(super) struct Session {
     /// Kept so that `events` never closes.
     _events: UnboundedSender<Event>,
     runs: JoinSet<()>,
-    /// Runs whose rendering is not over.
+    /// Number of batches still rendering.
     rendering: usize,
     /// The last run was short.
     is_quick: bool,
@@ -69,15 +69,15 @@ pub(super) struct Session {
     speed: Speed,
     measurements: Measurements,
     draining: bool,
-    /// Nothing is ready: ask again when something has changed here.
+    /// No work was ready: ask again when something has changed here.
     asked: bool,
-    /// When the last call began that the server answered.
+    /// Start of the last call that the server responded to.
     last_renewal: Instant,
     /// No heartbeat is due before.
     heartbeat_at: Instant,
     /// Results wait for company until then, as long as something else is held.
     gather_until: Instant,
-    /// No call is made before: the last one failed.
+    /// Earliest time of the next call after a failed one.
     retry_at: Instant,
     retries: BackOff,
     /// No work is wanted before: the server could not store the last.
@@ -93,9 +93,9 @@ struct Speed {
 }
 
 impl Speed {
-    /// What is older than about so long hardly counts.
+    /// Measurements older than about this long hardly count.
     const MEMORY_SECONDS: f64 = 4.0;
-    /// As if it had spent so long for nothing: a short first measurement is not trusted with much.
+    /// Added to the measured time, so that one very short first batch does not produce a huge speed estimate.
     const DOUBT_SECONDS: f64 = 0.05;
 
     fn learn(&mut self, rays: f64, seconds: f64) {
@@ -115,7 +115,7 @@ struct Call {
 }
 
 impl Call {
-    /// Whether it may be dropped: it brings nothing, and nothing can be lost with its answer.
+    /// Whether the call may be dropped: it reports nothing, and nothing can be lost with its response.
     fn is_heartbeat(&self) -> bool {
         self.request.results.is_empty() && !self.request.wants_work
     }
@@ -163,7 +163,7 @@ impl Session {
         }
     }
 
-    /// Talks until the worker is drained or unknown; an error is the server's refusal.
+    /// Runs until the worker is drained or unknown; an error is the server's rejection.
     pub(super) async fn work(mut self, shutdown: &CancellationToken) -> Result<Ending, LinkError> {
         let mut call: Option<Call> = None;
         let mut hand_back_at: Option<Instant> = None;
@@ -202,7 +202,7 @@ impl Session {
                 () = shutdown.cancelled(), if hand_back_at.is_none() => {
                     self.draining = true;
                     hand_back_at = Some(Instant::now() + self.grace);
-                    // A wish for work that is still unheard is taken back.
+                    // Cancels a request for work that is still waiting.
                     call = call.filter(|call| !call.request.wants_work || !call.request.results.is_empty());
                 }
                 () = sleep_until(hand_back_at.unwrap_or(next_at)), if hand_back_at.is_some() => {
@@ -225,7 +225,7 @@ impl Session {
         self.draining && self.holds.is_empty() && self.outbox.is_empty() && self.runs.is_empty()
     }
 
-    /// Whether there is something to say that no open heartbeat may hold up.
+    /// Whether there is something to report that must not wait for an open heartbeat.
     fn has_to_call(&self, now: Instant) -> bool {
         now >= self.retry_at && (self.wants_work(now) || !(self.outbox.is_empty() || self.gathers(now)))
     }
@@ -250,7 +250,7 @@ impl Session {
             holding.extend(self.outbox.iter().map(|report| report.lease));
         } else {
             results = std::mem::take(&mut self.outbox);
-            // What is handed in may make work ready: the last tile, a stitch.
+            // Reports may make work ready: the last tile of a frame readies its stitch.
             self.asked &= results.is_empty();
         }
         let wants_work = self.wants_work(now);
@@ -274,7 +274,7 @@ impl Session {
             leaving: false,
             measured: self.measurements.take(),
         };
-        // A call that waits is opened only when nothing else is said for a moment.
+        // A waiting call is opened only after a pause in other calls.
         self.heartbeat_at = now + wait.max(PAUSE);
         Some(self.call(request, wait + CALL_MARGIN))
     }
@@ -291,7 +291,7 @@ impl Session {
         Call { request, start: Instant::now(), answer: Box::pin(async move { link.sync(&sent, timeout).await }) }
     }
 
-    /// When the next call may become due by itself.
+    /// When the next call may become due on its own.
     fn next_instant(&self, has_heartbeat: bool) -> Instant {
         let now = Instant::now();
         let heartbeat = (!has_heartbeat).then_some(self.heartbeat_at);
@@ -302,7 +302,7 @@ impl Session {
         first.unwrap_or(now + self.lease).max(self.retry_at)
     }
 
-    /// When the leases that are held can no longer be trusted.
+    /// When the held leases can no longer be trusted.
     fn give_up_at(&self) -> Instant {
         self.last_renewal + self.lease * 2 / 3
     }
@@ -320,7 +320,7 @@ impl Session {
             self.retry_at = call.start + PAUSE;
         }
         if self.outbox.iter().any(|report| reply.lost.contains(&report.lease)) {
-            // It came second, and is still to be compared with the first.
+            // It was late, and the server still compares it with the first result.
             self.gather_until = Instant::now();
         }
         for lease in &reply.lost {
@@ -348,7 +348,7 @@ impl Session {
         self.heartbeat_at = self.retry_at;
     }
 
-    /// Takes back the results of a call that may not have been heard.
+    /// Takes back the reports of a call that the server may not have received.
     fn recall(&mut self, call: Option<Call>) {
         if let Some(call) = call {
             self.outbox.splice(..0, call.request.results);
@@ -371,11 +371,11 @@ impl Session {
     }
 
     fn absorb(&mut self, event: Event) {
-        // What makes no room makes no work ready.
+        // An event that frees no memory makes no work possible.
         self.asked &= !matches!(event, Event::Rendered(_) | Event::Retired(_) | Event::NotStored);
         match event {
             Event::Finished(reports) => {
-                // Of a lease that was lost meanwhile nobody wants to hear.
+                // Reports on leases revoked in the meantime are dropped.
                 let wanted = reports.into_iter().filter(|report| self.holds.remove(&report.lease).is_some());
                 self.outbox.extend(wanted);
             }
@@ -397,7 +397,7 @@ impl Session {
             tracing::error!(%error, "a run ended in a panic");
         }
         if self.runs.is_empty() {
-            // Whatever is still held then, nobody works on.
+            // Leases still held then have no work in progress.
             self.hand_back();
             self.rendering = 0;
         }
@@ -414,7 +414,7 @@ impl Session {
         }
     }
 
-    /// The last call: what is still to be told. The server may be gone as well.
+    /// The last call: sends the remaining reports. The server may be gone as well.
     async fn farewell(&mut self) {
         let request = SyncRequest {
             worker: self.welcome.worker,
@@ -432,7 +432,7 @@ impl Session {
     }
 }
 
-/// Waits for a call's answer; for ever where there is no call.
+/// Waits for a call's response; forever if there is no call.
 async fn answered(call: &mut Option<Call>) -> (Call, Result<SyncReply, LinkError>) {
     match call {
         Some(open) => {

@@ -1,4 +1,4 @@
-//! Stitch runs: fetches a frame's blobs, checks every byte, and makes the picture.
+//! Stitches: fetches a frame's blobs, verifies every byte, and encodes the picture.
 
 use std::fs::File;
 use std::io::Write;
@@ -60,7 +60,7 @@ impl Workbench {
         }
     }
 
-    /// Fetches all blobs into one nameless file; or says what to report instead.
+    /// Fetches all blobs into one unnamed file, or returns the outcome to report instead.
     async fn fetch(&self, job: &Job, parts: &[Part]) -> Result<(File, Vec<(Rect, u64)>), Outcome> {
         let full = |error: std::io::Error| {
             tracing::warn!(%error, "could not write blobs to the scratch folder");

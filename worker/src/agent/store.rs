@@ -1,4 +1,4 @@
-//! Where a worker's bytes go and come from: through the server, or, on its own machine, in its folders.
+//! Access to stored bytes: through the server or, on its own machine, in its folders.
 
 use std::fs::{File, Permissions};
 use std::io::{self, Read, Seek, Write};
@@ -16,14 +16,14 @@ use super::link::{Content, Link, LinkError};
 /// A place for tile blobs and pictures.
 #[derive(Clone, Debug)]
 pub(super) enum Store {
-    /// The server, over the wire; it checks every byte.
+    /// Through the server over HTTP; it verifies every byte.
     Server(Arc<Link>),
-    /// The server's own folders: it trusts its children, and need not copy what they made.
+    /// Directly in the server's folders: it trusts its children, and no copy is made.
     Folders(Folders),
 }
 
 impl Store {
-    /// Stores a blob, which may be lost again when the machine loses its power.
+    /// Stores a blob, which may be lost in a power failure.
     pub(super) async fn put_blob(&self, hash: &str, bytes: Bytes) -> Result<(), LinkError> {
         match self {
             Self::Server(link) => link.put_blob(hash, bytes).await,
@@ -39,7 +39,7 @@ impl Store {
         }
     }
 
-    /// A blob, or `None` where there is none of so many bytes.
+    /// Reads a blob; `None` if there is none of this size.
     pub(super) async fn blob(&self, hash: &str, size_bytes: u64) -> Result<Option<Vec<u8>>, LinkError> {
         match self {
             Self::Server(link) => match link.blob(hash, size_bytes).await {

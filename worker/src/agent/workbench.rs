@@ -1,5 +1,5 @@
-//! Where runs are worked off: one after another on the device, encoded and delivered
-//! meanwhile. It knows leases only as things that may be dropped.
+//! Executes batches one after another on the device, and encodes and delivers at the same time. It knows
+//! leases only as handles that may be dropped.
 
 use std::any::Any;
 use std::path::PathBuf;
@@ -24,21 +24,21 @@ use crate::renderer::{Cancel, Renderer};
 
 /// The most runs, or tiles of a run, that are delivered at a time.
 const MAX_DELIVERIES: usize = 8;
-/// The most data of pixels there may be, being rendered or delivered, in KiB.
+/// Maximum memory of pixels being rendered or delivered, in KiB.
 pub(super) const MEMORY_KIB: u32 = 1 << 20;
 
-/// What a session hears from its runs.
+/// Event from a batch to its session.
 #[derive(Debug)]
 pub(super) enum Event {
     /// Leases are finished with, together.
     Finished(Vec<Report>),
-    /// A run needs the device no more; it had it for so long, if at all.
+    /// A batch no longer needs the device; it used it for this long, if at all.
     Rendered(Option<Duration>),
     /// The device is lost, for this reason.
     Retired(String),
-    /// So many camera rays were rendered in so many seconds.
+    /// This many camera rays were rendered in this many seconds.
     Speed { rays: f64, seconds: f64 },
-    /// A part of the work took so long; of rendering, so many camera rays.
+    /// Duration of a phase; for rendering, with its camera rays.
     Took { phase: Phase, took: Duration, rays: u64 },
     /// The server stored something.
     Stored,
@@ -53,7 +53,7 @@ pub(super) struct Hold {
     pub(super) lease: LeaseId,
     /// The tile's index in its frame; none of a stitch.
     pub(super) tile: Option<u32>,
-    /// Cancelled when nobody waits for its result any more.
+    /// Cancelled when its result is no longer wanted.
     pub(super) dropped: CancellationToken,
 }
 
@@ -74,7 +74,7 @@ pub(super) async fn nobody_waits(holds: &[Hold]) {
     }
 }
 
-/// Stops what was given its flag when it goes out of scope, however that comes about.
+/// Cancels a flag when it goes out of scope.
 #[derive(Debug, Default)]
 pub(super) struct Stop(pub(super) Cancel);
 
@@ -131,12 +131,12 @@ impl Workbench {
         Self { link, store, scratch, renderer, encoders, device, memory, jobs: Jobs::default(), events }
     }
 
-    /// How many runs, or tiles of a run, may be delivered at a time.
+    /// Number of batches, or tiles of a batch, delivered concurrently.
     pub(super) fn deliveries(&self) -> usize {
         self.encoders.count().clamp(2, MAX_DELIVERIES)
     }
 
-    /// Works off a run; every lease ends in a report, unless it was dropped.
+    /// Executes a batch; every lease ends in a report, unless it was dropped.
     pub(super) async fn run(self: Arc<Self>, run: Run, holds: Vec<Hold>) {
         let job = tokio::select! {
             job = self.job(run.job) => job,
@@ -176,11 +176,11 @@ impl Workbench {
     }
 
     pub(super) fn tell(&self, event: Event) {
-        // The session may be over; then nobody needs to know.
+        // If the session has ended, no receiver is left.
         self.events.send(event).unwrap_or_default();
     }
 
-    /// Ends leases in the same way, and all at once.
+    /// Ends leases with the same outcome, all at once.
     pub(super) fn finish<'a>(&self, holds: impl IntoIterator<Item = &'a Hold>, outcome: &Outcome) {
         self.tell(Event::Finished(holds.into_iter().map(|hold| hold.report(outcome.clone())).collect()));
     }
@@ -210,7 +210,7 @@ pub(super) fn chain(error: &dyn std::error::Error) -> String {
     line
 }
 
-/// What a blocking task said when it fell over.
+/// Message of a panic in a blocking task.
 pub(super) fn panic_message(who: &str, error: JoinError) -> String {
     let Ok(panic) = error.try_into_panic() else { return format!("{who} was stopped") };
     let text = panic_text(&*panic);

@@ -1,4 +1,4 @@
-//! Packets: a block of neighbouring pixels rendered together, one a lane.
+//! Packets: a block of neighboring pixels rendered together, one per lane.
 
 use fearless_simd::{Level, Simd as Token};
 use scene::{Image, Layer, Program};
@@ -11,7 +11,7 @@ use crate::{Cancel, RenderError};
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Packets(Level);
 
-/// What all packets of a band share.
+/// State shared by all packets of a band.
 struct Band<'a, 'b> {
     program: &'a Program<'a>,
     image: &'a Image,
@@ -37,7 +37,7 @@ impl Packets {
         with_instructions!(self.0, token, N => block::<_, N>(token).1) as u32
     }
 
-    /// How often a row of pixels evaluates the scene's distance.
+    /// Number of evaluations of the scene's distance for a row of pixels.
     pub(crate) fn evaluations(self, program: &Program<'_>, left: u32, row: u32, width: usize) -> u64 {
         with_instructions!(self.0, token, N => row_evaluations::<_, N>(token, program, left, row, width))
     }
@@ -160,7 +160,7 @@ impl Band<'_, '_> {
     #[inline(always)]
     fn put<S: Token, const N: usize>(&mut self, plane: usize, column: usize, numbers: Lanes<S, N>) {
         let mut buffer = [0.0; 64];
-        // A file must not tell zeros apart by their sign.
+        // A file must not distinguish zeros by their sign.
         (numbers + 0.0).store(&mut buffer);
         for (lane, &number) in buffer[..Lanes::<S, N>::COUNT].iter().enumerate() {
             let (x, y) = self.place::<_, N>(numbers.token(), column, lane);

@@ -1,22 +1,22 @@
-//! Machine code kept on disk, by hash of program, architecture and compiler: a scene's shape is
-//! compiled once. A file that is damaged, or can't be read or written, is as good as none.
+//! Cache of machine code on disk, by hash of source, architecture and compiler: a scene's structure is
+//! compiled once. A file that is damaged, or cannot be read or written, counts as missing.
 
 use std::io::Write;
 use std::path::{Path, PathBuf};
 
 use super::device::Shape;
 
-/// Kept programs in a folder.
+/// Cached kernels in a folder.
 #[derive(Clone, Debug)]
 pub(super) struct Cache {
     folder: Option<PathBuf>,
 }
 
-/// What is kept of a program.
+/// Cache entry of a kernel.
 #[derive(Clone, Debug)]
 pub(super) struct Kept {
     pub(super) code: Vec<u8>,
-    /// The shape of blocks that was found to be the fastest.
+    /// Fastest block shape found.
     pub(super) shape: Shape,
 }
 
@@ -24,7 +24,7 @@ pub(super) struct Kept {
 const HEAD_BYTES: usize = 32 + 4 + 4;
 
 impl Cache {
-    /// In this folder, which is made; nowhere if it can't be.
+    /// Cache in this folder, which is created; a cache without storage if that fails.
     pub(super) fn new(folder: Option<&Path>) -> Self {
         let made = folder.filter(|folder| match std::fs::create_dir_all(folder) {
             Ok(()) => true,
@@ -48,7 +48,7 @@ impl Cache {
         hasher.finalize()
     }
 
-    /// What was kept under this name.
+    /// Entry under this name.
     pub(super) fn get(&self, key: blake3::Hash) -> Option<Kept> {
         let file = std::fs::read(self.path(key)?).ok()?;
         let (head, code) = file.split_at_checked(HEAD_BYTES)?;

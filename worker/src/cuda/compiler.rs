@@ -1,6 +1,6 @@
 //! CUDA's run-time compiler: text in, machine code for one architecture out. Needs no GPU.
 //!
-//! cudarc panics where a library or a function of it is missing; so that is looked up first.
+//! cudarc panics if a library or one of its functions is missing, so both are checked first.
 
 #![expect(unsafe_code, reason = "the compiler is a C library, found at run time")]
 
@@ -28,7 +28,7 @@ const FUNCTIONS: [&str; 11] = [
     "nvrtcGetErrorString",
 ];
 
-/// Nothing may be contracted, flushed or approximated but where the text says so.
+/// No contraction, flushing or approximation except where the source asks for it.
 const OPTIONS: [&str; 3] = ["--fmad=false", "--std=c++17", "--diag-suppress=177"];
 
 /// The compiler of this machine.
@@ -40,7 +40,7 @@ pub struct Compiler {
 }
 
 impl Compiler {
-    /// Looks for it.
+    /// Finds the compiler.
     pub fn find() -> Result<Self, Trouble> {
         static LACKS: OnceLock<Option<&str>> = OnceLock::new();
         // SAFETY: loading a library runs its initialisers; NVRTC's only set up its own state.
@@ -48,7 +48,8 @@ impl Compiler {
             return Err(Trouble::NoCompiler);
         }
         let lacks = LACKS.get_or_init(|| {
-            // SAFETY: the library is there, so this does not panic; the symbols are only looked up, never called.
+            // SAFETY: the library is present, so this does not panic; the symbols are only looked
+            // up, never called.
             FUNCTIONS.into_iter().find(|name| unsafe { sys::culib().get::<*const ()>(name.as_bytes()) }.is_err())
         });
         if let Some(missing) = lacks {
@@ -61,7 +62,7 @@ impl Compiler {
             check(sys::nvrtcGetNumSupportedArchs(&raw mut count))?;
         }
         let mut architectures = vec![0; usize::try_from(count).unwrap_or(0)];
-        // SAFETY: the list has room for as many as the compiler said it supports.
+        // SAFETY: the list has room for the number of entries that the compiler reported.
         unsafe { check(sys::nvrtcGetSupportedArchs(architectures.as_mut_ptr())) }?;
         let architectures = architectures.into_iter().filter_map(|number| u32::try_from(number).ok()).collect();
         Ok(Self { version: format!("{major}.{minor}"), architectures })
@@ -89,7 +90,7 @@ struct Program(sys::nvrtcProgram);
 
 impl Drop for Program {
     fn drop(&mut self) {
-        // SAFETY: it was created by the compiler, and nobody uses it any more. There is no cure for a failure.
+        // SAFETY: the compiler created it, and nothing uses it any more. A failure cannot be handled.
         unsafe { result::destroy_program(self.0) }.unwrap_or_default();
     }
 }
@@ -107,13 +108,13 @@ impl Program {
         // SAFETY: the program is alive and compiled, and the function writes one integer.
         unsafe { check(sys::nvrtcGetCUBINSize(self.0, &raw mut length)) }?;
         let mut code = vec![0_u8; length];
-        // SAFETY: there is room for as many bytes as the compiler just said it writes.
+        // SAFETY: there is room for the number of bytes that the compiler reported.
         unsafe { check(sys::nvrtcGetCUBIN(self.0, code.as_mut_ptr().cast::<c_char>())) }?;
         Ok(code)
     }
 }
 
-/// Writes a program that was refused beside what the compiler said of it.
+/// Writes a rejected source and the compiler's log to files.
 pub(super) fn keep(trouble: Trouble, text: &str, folder: Option<&Path>) -> Trouble {
     let Trouble::Compile { log, .. } = trouble else { return trouble };
     let path =

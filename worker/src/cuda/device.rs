@@ -1,6 +1,6 @@
 //! One GPU: memory, programs and launches, as safe functions.
 //!
-//! cudarc panics where a library or a function of it is missing; so that is looked up first.
+//! cudarc panics if a library or one of its functions is missing, so both are checked first.
 
 #![expect(unsafe_code, reason = "a GPU's driver is a C library, and its programs see raw memory")]
 
@@ -112,7 +112,7 @@ pub(super) struct DeviceTile {
 // SAFETY: it is plain integers in the order and with the padding that C gives them.
 unsafe impl DeviceRepr for DeviceTile {}
 
-/// The order in which launches take blocks, as `kernel.cu` has it.
+/// Order in which launches process blocks; matches `kernel.cu`.
 #[derive(Clone, Copy, Debug)]
 #[repr(C)]
 struct Order {
@@ -139,7 +139,7 @@ pub(super) struct Device {
     context: Arc<CudaContext>,
     compute: Arc<CudaStream>,
     copies: Arc<CudaStream>,
-    /// What its maker calls it.
+    /// Product name.
     pub(super) name: String,
     /// Major and minor compute capability: 90.
     pub(super) architecture: u32,
@@ -155,14 +155,14 @@ pub(super) struct Loaded {
     layers: Option<CudaFunction>,
 }
 
-/// What the compiler made of a program.
+/// Resources of a compiled kernel.
 #[derive(Clone, Copy, Debug)]
 pub struct Resources {
     /// Registers a thread.
     pub registers: u32,
     /// Bytes a thread keeps in memory for want of registers.
     pub local_bytes: u32,
-    /// Share of a multiprocessor's threads that may be resident, for blocks of some shape.
+    /// Occupancy for blocks of a given shape: resident fraction of a multiprocessor's threads.
     pub occupancy: f64,
 }
 
@@ -191,13 +191,13 @@ pub(super) struct Launched {
 }
 
 impl Launched {
-    /// Waits for its end; how long it took, in milliseconds.
+    /// Waits for completion; returns the duration in milliseconds.
     pub(super) fn wait(&self) -> Result<f64, Trouble> {
         self.start.elapsed_ms(&self.end).map(f64::from).map_err(Trouble::of("render on the GPU"))
     }
 }
 
-/// How many GPUs there are; an error where there is no driver that can be used.
+/// Number of GPUs; an error if no usable driver is installed.
 pub(super) fn count() -> Result<usize, Trouble> {
     static LACKS: OnceLock<Option<&str>> = OnceLock::new();
     // SAFETY: loading the driver's library runs its initialisers, which only set up its own state.
@@ -205,7 +205,8 @@ pub(super) fn count() -> Result<usize, Trouble> {
         return Err(Trouble::NoDriver);
     }
     let lacks = LACKS.get_or_init(|| {
-        // SAFETY: the library is there, so this does not panic; the symbols are only looked up, never called.
+        // SAFETY: the library is present, so this does not panic; the symbols are only looked up,
+        // never called.
         FUNCTIONS.into_iter().find(|name| unsafe { sys::culib().get::<*const ()>(name.as_bytes()) }.is_err())
     });
     if let Some(missing) = lacks {
@@ -218,7 +219,7 @@ pub(super) fn count() -> Result<usize, Trouble> {
     }
 }
 
-/// The CUDA version that the driver speaks; any driver can tell.
+/// CUDA version of the driver, which any driver reports.
 fn version() -> String {
     let mut version = 0;
     // SAFETY: the library is there, and every release of it has this function, which writes one integer.
@@ -264,7 +265,7 @@ impl Device {
         load().map_err(Trouble::of("load the scene's program"))
     }
 
-    /// Room for so many numbers, here and there.
+    /// Allocates this many numbers on host and device.
     pub(super) fn buffer(&self, numbers: usize) -> Result<Buffer, Trouble> {
         // SAFETY: both are memory without a value yet; the device's is written by a kernel before it
         // is copied, and of the host's only the part that was copied to is read.
@@ -278,7 +279,7 @@ impl Device {
         })
     }
 
-    /// Gives a program its numbers: whatever is launched after this sees them, whatever was launched before does not.
+    /// Sets a kernel's constants: later launches see them, earlier ones do not.
     pub(super) fn set_numbers(&self, program: &Loaded, bits: &[u32]) -> Result<(), Trouble> {
         let set = || {
             let bytes: Vec<u8> = bits.iter().flat_map(|bits| bits.to_ne_bytes()).collect();
@@ -349,7 +350,7 @@ impl Device {
         wait().map_err(Trouble::of("copy pixels from the GPU"))
     }
 
-    /// What a program takes, and how full blocks of a shape keep the GPU.
+    /// Resources of a kernel, and its occupancy for a block shape.
     pub(super) fn resources(&self, program: &Loaded, shape: Shape) -> Result<Resources, Trouble> {
         let look = || {
             let threads = shape.threads();

@@ -1,12 +1,12 @@
-//! How a render is cut into launches: each short enough to be cancelled after, and long enough to
-//! keep a GPU busy. Pure arithmetic.
+//! Splits a render into launches: each short enough to be cancelled after, and long enough to keep a GPU
+//! busy. Pure arithmetic.
 
 use super::device::{DeviceTile, Part, Shape};
 use proto::Rect;
 
-/// How long a launch should take, in milliseconds; two are under way at a time.
+/// Target duration of a launch, in milliseconds; two are in flight at a time.
 const LAUNCH_MS: f64 = 12.0;
-/// How many times as much as the one before a launch may render while little is known.
+/// Maximum growth from one launch to the next while little is known about the cost.
 const GROWTH: f64 = 6.0;
 /// Blocks side by side that are launched together.
 pub(super) const GROUP: u32 = 64;
@@ -17,7 +17,7 @@ const FIRST_SAMPLES: u32 = 4;
 #[derive(Clone, Debug)]
 pub(super) struct Layout {
     pub(super) tiles: Vec<DeviceTile>,
-    /// How many blocks they take, rounded up to whole groups.
+    /// Number of blocks, rounded up to whole groups.
     pub(super) blocks: u32,
     pub(super) groups: u32,
     /// From one group to the next that is launched, counted around: they are far apart, so that no
@@ -51,7 +51,7 @@ pub(super) fn lay_out(rects: &[Rect], planes: usize, shape: Shape) -> Layout {
 }
 
 impl Layout {
-    /// The order of rows if there will be one launch: blocks that do the same then run together.
+    /// Orders rows for a single launch, so that similar blocks run together.
     pub(super) fn ordered(self, cost: &Cost, samples: u32) -> Self {
         if cost.is_one_launch(self.blocks, samples) { self.in_rows() } else { self }
     }
@@ -76,7 +76,7 @@ fn stride(groups: u32) -> u32 {
     (near..=groups).find(|&stride| common(stride, groups) == 1).unwrap_or(1)
 }
 
-/// What rendering costs with some program on some GPU, as far as is known.
+/// Measured cost of rendering with a kernel on a GPU.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Cost {
     /// Milliseconds for one sample of all pixels of a block.
@@ -90,18 +90,18 @@ impl Cost {
     pub(super) fn learn(&mut self, part: Part, ms: f64) {
         let units = part.units();
         let now = ms / units;
-        // What was dear once may come again; it is forgotten slowly.
+        // An expensive part may occur again, so the estimate decreases slowly.
         self.block_sample_ms = Some(self.block_sample_ms.map_or(now, |before| now.max(0.8 * before)));
         self.largest = self.largest.max(units);
     }
 
-    /// Whether so many blocks are known to take no more than one launch.
+    /// Whether this many blocks are known to fit in one launch.
     fn is_one_launch(&self, blocks: u32, samples: u32) -> bool {
         let units = f64::from(blocks) * f64::from(samples);
         self.block_sample_ms.is_some_and(|ms| units * ms <= LAUNCH_MS && units <= GROWTH * self.largest)
     }
 
-    /// How many block samples the next launch should have.
+    /// Number of block samples for the next launch.
     fn budget(&self, wave: u32) -> f64 {
         let first = f64::from(wave) * f64::from(FIRST_SAMPLES);
         self.block_sample_ms.map_or(first, |ms| (LAUNCH_MS / ms).min(GROWTH * self.largest.max(first)))
@@ -131,7 +131,7 @@ pub(super) struct Launches {
     samples: u32,
     /// Blocks that fill the GPU once.
     wave: u32,
-    /// The blocks under way, and the sample that they have come to.
+    /// The blocks in progress, and the sample reached.
     first_block: u32,
     end_block: u32,
     sample: u32,

@@ -11,14 +11,14 @@ use crate::tape::{Expr, Tape, record};
 const FRAME: &str = include_str!("kernel.cu");
 const PLACE: &str = "// ---- the picture ----\n";
 
-/// What a GPU is given to render a frame.
+/// Input of a GPU render of a frame.
 #[derive(Clone, Debug)]
 pub struct Source {
-    /// The program; the same for all frames and all numbers of a scene's shape.
+    /// Kernel source; the same for all frames and all numbers of a scene's structure.
     pub text: String,
     /// The frame's numbers, which the program calls `k`, by their bits.
     pub parameters: Vec<u32>,
-    /// How many statements the picture's steps have.
+    /// Number of statements of the integrator's steps.
     pub statements: usize,
     /// Operations on numbers for one distance of the scene, where that is a fixed number.
     pub distance_operations: Option<u64>,

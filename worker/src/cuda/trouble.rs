@@ -1,14 +1,14 @@
-//! What can go wrong with a GPU, and what to do about it.
+//! Errors of a GPU, and their fixes.
 
 use std::path::PathBuf;
 
 use cudarc::driver::DriverError;
 use cudarc::driver::sys::CUresult;
 
-/// Why a GPU did not do something.
+/// Error of a GPU operation.
 #[derive(Debug, thiserror::Error)]
 pub enum Trouble {
-    /// There is no driver.
+    /// No driver is installed.
     #[error("no NVIDIA driver is installed here (libcuda is missing): install one, or render with --device cpu")]
     NoDriver,
     /// The driver lacks something.
@@ -27,10 +27,10 @@ pub enum Trouble {
     NoSuchDevice {
         /// The one asked for.
         ordinal: usize,
-        /// How many there are.
+        /// Number of GPUs.
         count: usize,
     },
-    /// There is no run-time compiler.
+    /// No run-time compiler is installed.
     #[error(
         "CUDA's run-time compiler is missing (libnvrtc): install the package cuda-nvrtc, or put its folder on LD_LIBRARY_PATH"
     )]
@@ -54,9 +54,9 @@ pub enum Trouble {
     /// The compiler did not take the program.
     #[error("the scene's program could not be compiled{}: {log}", kept.as_ref().map(|path| format!(" (kept as {})", path.display())).unwrap_or_default())]
     Compile {
-        /// What the compiler said.
+        /// The compiler's log.
         log: String,
-        /// Where the program was kept.
+        /// Where the rejected source was written.
         kept: Option<PathBuf>,
     },
     /// The scene is too large for straight-line code.
@@ -64,7 +64,7 @@ pub enum Trouble {
     TooLarge {
         /// Its nodes.
         nodes: u32,
-        /// What a GPU takes.
+        /// Limit of the GPU.
         most: u32,
     },
     /// The GPU has not enough memory.
@@ -72,10 +72,10 @@ pub enum Trouble {
         "the GPU is out of memory for {bytes} bytes of pixels: close what else uses it, or render smaller tiles (--tile)"
     )]
     OutOfMemory {
-        /// What was asked for.
+        /// Requested size.
         bytes: usize,
     },
-    /// It renders, and not the right bits.
+    /// The GPU renders, but not the expected bits.
     #[error(
         "the GPU renders wrong bits: {differing} of {values} values of the self-test differ; let it render for no farm"
     )]
@@ -88,16 +88,16 @@ pub enum Trouble {
     /// Any other answer of the driver.
     #[error("could not {action}: {name} ({text})")]
     Driver {
-        /// What was tried.
+        /// Attempted action.
         action: &'static str,
         /// The driver's name for the error.
         name: String,
-        /// The driver's words.
+        /// The driver's message.
         text: String,
         /// Whether the GPU will not work for this process again.
         is_lost: bool,
     },
-    /// The job is not sound in this frame.
+    /// The job is invalid at this frame.
     #[error("the job can't be rendered in this frame")]
     Frame(#[from] scene::Refusal),
     /// The render was asked to stop.
@@ -106,7 +106,7 @@ pub enum Trouble {
 }
 
 impl Trouble {
-    /// What the driver said when `action` was tried.
+    /// Wraps an error of the driver with the attempted `action`.
     pub(super) fn of(action: &'static str) -> impl Fn(DriverError) -> Self {
         move |error| {
             let words = |text: Result<&std::ffi::CStr, DriverError>| {

@@ -1,5 +1,5 @@
-//! The threads that pictures are encoded on: as many as their renderer may use, so that a
-//! worker held to some threads keeps to them.
+//! Thread pool for encoding pictures, as large as the renderer's, so that a worker limited to some threads
+//! keeps to them.
 
 use std::sync::Arc;
 
@@ -10,13 +10,13 @@ use rayon::{ThreadPool, ThreadPoolBuildError, ThreadPoolBuilder};
 pub struct Encoders(Arc<ThreadPool>);
 
 impl Encoders {
-    /// So many threads, at least one.
+    /// Pool of this many threads, at least one.
     pub fn new(threads: usize) -> Result<Self, ThreadPoolBuildError> {
         let builder = ThreadPoolBuilder::new().num_threads(threads.max(1));
         Ok(Self(Arc::new(builder.thread_name(|index| format!("encode-{index}")).build()?)))
     }
 
-    /// How many they are.
+    /// Number of threads.
     pub fn count(&self) -> usize {
         self.0.current_num_threads()
     }

@@ -1,8 +1,8 @@
-//! EXR: scene-linear, premultiplied, half or float, layers always float; scan lines in
-//! blocks of 16, each compressed by itself (ZIP).
+//! EXR: scene-linear, premultiplied, half or float, layers always float; scan lines in blocks of 16, each
+//! compressed separately (ZIP).
 //!
-//! Written block by block through the crate's low-level door; the picture is never in
-//! memory. No -0.0 and no NaN reaches a file.
+//! Written block by block through the crate's low-level API; the picture is never in memory as a whole. No
+//! -0.0 and no NaN reaches a file.
 
 use std::io::{Seek, Write};
 use std::ops::Range;
@@ -26,7 +26,7 @@ use crate::stitch::{Band, Source};
 
 /// Rows compressed together.
 const BLOCK_ROWS: u32 = 16;
-/// A band is made of fewer blocks when it would take more memory than this.
+/// A band has fewer blocks if it would take more memory than this.
 const BAND_BYTES: u64 = 32 << 20;
 
 /// Rows pulled at a time: two blocks for each thread, if memory allows.
@@ -36,7 +36,7 @@ pub fn band_rows(picture: &Picture) -> u32 {
     (rayon::current_num_threads() as u32).saturating_mul(2 * BLOCK_ROWS).min(fits).max(BLOCK_ROWS)
 }
 
-/// Writes a picture, pulling so many rows at a time, rounded up to whole blocks.
+/// Writes a picture, reading this many rows at a time, rounded up to whole blocks.
 pub fn write(
     picture: &Picture,
     source: &mut dyn Source,
@@ -133,7 +133,7 @@ fn text(ascii: &str) -> Text {
     Text::new_or_panic(ascii)
 }
 
-/// Appends a row in the machine's byte order, which the crate turns into the file's.
+/// Appends a row in native byte order, which the crate converts to the file's.
 fn append(row: &[f32], sample: SampleType, halves: &mut Vec<f16>, bytes: &mut Vec<u8>) {
     match sample {
         SampleType::F16 => {

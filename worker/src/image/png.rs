@@ -1,7 +1,7 @@
 //! PNG: 8 or 16 bits, sRGB, straight alpha.
 //!
-//! Rows are made in parallel, a band at a time; meanwhile the band before is compressed, in
-//! order: that takes 3 to 5 ms for 1920×1080, the rest 10 by all threads together.
+//! Rows are converted in parallel, a band at a time, while the previous band is compressed in order:
+//! compression takes 3 to 5 ms for 1920×1080, the conversion 10 ms on all threads together.
 //!
 //! Compression is fdeflate's, chosen by name: it depends on no other crate's features,
 //! as flate2's levels do. Every row is filtered by Paeth, 3 ms for 1920×1080; the
@@ -23,7 +23,7 @@ use crate::stitch::{Band, Source, StitchError};
 /// Rows pulled at a time.
 pub const BAND_ROWS: u32 = 64;
 
-/// Writes a picture, pulling so many rows at a time.
+/// Writes a picture, reading this many rows at a time.
 pub fn write(
     picture: &Picture,
     source: &mut dyn Source,
@@ -147,7 +147,7 @@ impl Layout {
         let stride = self.channels() * N;
         let mut quantised = [[0; N]; BLOCK];
         for (channel, plane) in planes.chunks_exact(self.width).enumerate() {
-            // Rounding by itself is done in vectors; moving to every third place is not.
+            // A separate rounding loop is vectorized; storing to every third position is not.
             for (values, pixels) in plane.chunks(BLOCK).zip(bytes.chunks_mut(BLOCK * stride)) {
                 for (to, &value) in quantised.iter_mut().zip(values) {
                     *to = quantise(value);

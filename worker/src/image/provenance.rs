@@ -1,4 +1,4 @@
-//! What a picture says of itself: what made it, so that it can be made again.
+//! Provenance of a picture: everything needed to render it again.
 //!
 //! No times, no names, no machines: they would make equal pictures differ.
 
@@ -8,7 +8,7 @@ use serde::{Deserialize, Serialize};
 /// The name of the PNG chunk and of the EXR attribute.
 pub const KEYWORD: &str = "sdfarm";
 
-/// What a picture was made from.
+/// Provenance of a picture.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Provenance {
@@ -33,7 +33,7 @@ impl Provenance {
         }
     }
 
-    /// As the JSON that is written.
+    /// Serialized as the JSON that is written.
     pub fn json(&self) -> String {
         serde_json::to_string(self).expect("strings and numbers are JSON")
     }

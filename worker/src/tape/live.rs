@@ -2,7 +2,7 @@
 
 use super::{Function, Id, Statement, Tape};
 
-/// What of a tape is needed.
+/// Values of a tape that results depend on.
 pub(super) struct Live {
     values: Vec<bool>,
 }
@@ -11,12 +11,12 @@ impl Live {
     /// Finds what the tape's entries depend on.
     pub(super) fn of(tape: &Tape) -> Self {
         let all = |function: &Function| function.results.clone();
-        // What each function needs of its arguments, callees first, as if all its results were wanted.
+        // The arguments that each function needs, callees first, as if all its results were used.
         let mut needs = Self { values: vec![false; tape.definitions.len()] };
         for function in &tape.functions {
             needs.mark(tape, function, all(function), &|id, needs| needs.has(id));
         }
-        // What is wanted, callers first.
+        // The values that are used, callers first.
         let mut live = Self { values: vec![false; tape.definitions.len()] };
         for (index, function) in tape.functions.iter().enumerate().rev() {
             let wanted = if function.is_entry { all(function) } else { live.wanted_of(tape, index) };
@@ -46,7 +46,8 @@ impl Live {
         results.iter().zip(wanted).filter_map(|(id, wanted)| wanted.then_some(*id)).collect()
     }
 
-    /// Marks what `wanted` values of a function depend on. `needs` tells whether a callee looks at an argument.
+    /// Marks the values that `wanted` values of a function depend on. `needs` tells whether a callee uses
+    /// an argument.
     fn mark(&mut self, tape: &Tape, function: &Function, wanted: Vec<Id>, needs: &dyn Fn(Id, &Self) -> bool) {
         let sources = self.sources(tape, function, needs);
         let mut open = wanted;
@@ -61,7 +62,7 @@ impl Live {
         }
     }
 
-    /// What variables and returned values of a function come from, sorted.
+    /// Values that variables and returned values of a function come from, sorted.
     fn sources(&self, tape: &Tape, function: &Function, needs: &dyn Fn(Id, &Self) -> bool) -> Vec<(Id, Vec<Id>)> {
         let mut sources = Vec::new();
         each_statement(&function.body, &mut |statement| match statement {

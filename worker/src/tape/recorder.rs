@@ -19,10 +19,10 @@ thread_local! {
 #[derive(Default)]
 struct Recorder {
     tape: Tape,
-    /// Functions begun and not ended, the innermost last.
+    /// Functions being recorded, the innermost last.
     open: Vec<OpenFunction>,
     shared: HashMap<&'static str, Shared>,
-    /// Which open function made a value, counted from the first ever begun.
+    /// Index of the function that defined each value, counted from the first function.
     owners: Vec<u32>,
     begun: u32,
 }
@@ -100,7 +100,7 @@ impl Recorder {
     }
 }
 
-/// The value of an operation: an earlier one if it is the same.
+/// Value of an operation: an existing one if it is the same.
 pub(super) fn define(kind: Kind, operation: Operation, operands: &[Id]) -> Id {
     with(|recorder| {
         let mut all = [None; 3];
@@ -168,7 +168,7 @@ fn end(name: &'static str, results: Vec<Id>, is_entry: bool) -> usize {
     })
 }
 
-/// Records what `inside` does as a block of its own.
+/// Records the operations of `inside` as a block.
 fn block<T>(inside: impl FnOnce() -> T) -> (T, Vec<Statement>) {
     with(|recorder| recorder.function().blocks.push(OpenBlock::default()));
     let value = inside();
@@ -195,7 +195,7 @@ impl Join<Expr> for Parts {
     }
 }
 
-/// Makes a bundle of new values.
+/// Creates a bundle of new values.
 struct Renew<F>(F);
 
 impl<F: FnMut(Kind) -> Id> Join<Expr> for Renew<F> {

@@ -1,5 +1,5 @@
-//! Prints a tape as C: the same text for CUDA's compiler and for the host's, which differ in what
-//! stands before it (`cuda/kernel.cu`). Operations with a defined rounding are functions there.
+//! Generates C source from a tape: the same source for CUDA's compiler and for the host's; only the preamble
+//! differs (`cuda/kernel.cu`). Operations with a defined rounding are functions there.
 
 use std::collections::HashMap;
 use std::fmt::Write;
@@ -9,7 +9,7 @@ use scene::nodes::snake_case;
 use super::live::Live;
 use super::{Definition, Function, Id, Kind, Operation, Statement, Tape};
 
-/// A step that would add so many statements by being written out where it is called stays a function of its own.
+/// A step that would add this many statements by inlining stays a function.
 const MOST_COPIED: usize = 2500;
 
 /// C text of a tape.
@@ -17,7 +17,7 @@ const MOST_COPIED: usize = 2500;
 pub struct Text {
     /// The functions: `step_NAME` for each name recorded, giving a `NAME_result` with parts f0, f1 …
     pub code: String,
-    /// How many statements it has.
+    /// Number of statements.
     pub statements: usize,
 }
 
@@ -50,7 +50,7 @@ impl Tape {
         text
     }
 
-    /// How often each function is called.
+    /// Number of calls of each function.
     fn calls(&self, live: &Live) -> Vec<usize> {
         fn count(block: &[Statement], live: &Live, calls: &mut [usize]) {
             for statement in block {

@@ -11,19 +11,19 @@ use tokio_util::sync::CancellationToken;
 
 use crate::commands::serve::own_program;
 
-/// How often a job is asked for while it is measured.
+/// Interval between two reads of a measured job.
 const PAUSE: Duration = Duration::from_millis(1);
 /// Jobs before the first that counts.
 const WARM_UP: usize = 3;
-/// How long workers may take to start: a GPU's self-test is compiled the first time.
+/// Time limit for workers to start: a GPU's self-test is compiled at the first start.
 const START: Duration = Duration::from_mins(1);
 
-/// What a farm took.
+/// Times of a farm.
 #[derive(Clone, Debug, Serialize)]
 pub(crate) struct FarmReport {
     /// The job's name.
     pub(crate) job: String,
-    /// What its workers render on.
+    /// Devices of its workers.
     pub(crate) devices: Vec<String>,
     /// Jobs measured one after another.
     pub(crate) jobs: usize,
@@ -35,7 +35,7 @@ pub(crate) struct FarmReport {
     pub(crate) frames_per_second: f64,
 }
 
-/// Starts a farm in a fresh folder, and hands it a job many times, then once with many frames.
+/// Starts a farm in a fresh folder, and submits a job many times, then once with many frames.
 pub(crate) async fn measure(text: &[u8], devices: Vec<String>, jobs: usize, frames: u32) -> anyhow::Result<FarmReport> {
     let data = tempfile::tempdir().context("could not make a folder for the farm: free some space there")?;
     let config = Config {

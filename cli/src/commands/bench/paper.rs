@@ -1,4 +1,4 @@
-//! `sdfarm bench paper`: the paper's Table 1 on this machine, beside what was published.
+//! `sdfarm bench paper`: the paper's Table 1 on this machine, next to the published figures.
 //!
 //! Robles, Lee, Yin and Dhar, "Procedural Rendering with Ray Marching", USC CSCI 580, 2022.
 
@@ -56,7 +56,7 @@ pub(crate) struct Arguments {
 struct Table {
     scene: &'static str,
     samples: u32,
-    /// What the GPU's maker calls it; `None` where there is none.
+    /// Product name of the GPU; `None` without one.
     gpu: Option<String>,
     simd: &'static str,
     threads: usize,
@@ -80,14 +80,14 @@ struct Row {
     published: Option<Published>,
 }
 
-/// What a GPU did.
+/// Result of a GPU.
 #[derive(Debug, Serialize)]
 struct GpuRow {
     /// Median time of the kernels, in milliseconds.
     kernel_ms: f64,
-    /// How many times as fast as one thread without vector instructions.
+    /// Speed relative to one thread without vector instructions.
     speed_up: f64,
-    /// How many times as fast as the paper's program on an H200, if this is one.
+    /// Speed relative to the paper's program on an H200, if this GPU is one.
     over_the_papers_program: Option<f64>,
     registers: u32,
     theoretical_occupancy_percent: f64,
@@ -139,7 +139,7 @@ struct Gpu<'a> {
 }
 
 impl<'a> Gpu<'a> {
-    /// The one that was asked for, or any; says so where there is none.
+    /// The requested GPU, or any; prints a notice if there is none.
     fn find(arguments: &'a Arguments) -> anyhow::Result<Option<Self>> {
         let ordinal = match arguments.renderer.device {
             Device::Cpu => {
@@ -169,7 +169,7 @@ impl<'a> Gpu<'a> {
         Ok((report, self.profile(text, block)?))
     }
 
-    /// What `ncu` counts; nothing where it is not there or may not.
+    /// Counters of `ncu`; none if it is missing or not permitted.
     fn profile(&mut self, text: &str, block: Shape) -> anyhow::Result<Profile> {
         let Some(folder) = &self.profiled else { return Ok(Profile::default()) };
         let path: PathBuf = folder.path().join("job.json");

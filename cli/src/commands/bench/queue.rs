@@ -1,6 +1,5 @@
-//! `sdfarm bench queue`: how much work a server's queue takes in, hands out and tells about in a second, and
-//! how long its answers take. A real server in a fresh folder, asked over HTTP; its workers only pretend to
-//! render, but for the one that is stopped by a cancel.
+//! `sdfarm bench queue`: the throughput and response times of a server's queue. A real server in a fresh
+//! folder, called over HTTP; its workers only simulate rendering, except the one that is stopped by a cancel.
 
 mod latency;
 mod load;
@@ -22,7 +21,7 @@ use crate::terminal::{note, say};
 /// Arguments of `bench queue`.
 #[derive(Debug, Args)]
 pub(crate) struct Arguments {
-    /// Clients that hand in jobs at the same time.
+    /// Clients that submit jobs concurrently.
     #[arg(long, value_name = "N", env = "SDFARM_CLIENTS", default_value_t = 64, value_parser = clap::value_parser!(u32).range(1..=1024))]
     clients: u32,
     /// Jobs that wait while claims are measured, each of a hundred tiles.
@@ -31,7 +30,7 @@ pub(crate) struct Arguments {
     /// Workers that pretend to render.
     #[arg(long, value_name = "N", env = "SDFARM_WORKERS", default_value_t = 8, value_parser = clap::value_parser!(u32).range(1..=256))]
     workers: u32,
-    /// How long tiles and status are measured.
+    /// Seconds of measuring tiles and status reads.
     #[arg(long, value_name = "SECONDS", env = "SDFARM_SECONDS", default_value_t = 10, value_parser = clap::value_parser!(u64).range(1..=600))]
     seconds: u64,
     /// Jobs of which each latency is taken.

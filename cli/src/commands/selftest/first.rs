@@ -1,6 +1,7 @@
-//! The tile that a worker renders before it asks for any: a machine that gets it wrong renders for no farm.
+//! Test tile that a worker renders before it asks for work: a machine with wrong results does not join the
+//! farm.
 //!
-//! It is small, so that a worker still starts in a moment; `sdfarm selftest` looks at far more.
+//! It is small, so that a worker still starts quickly; `sdfarm selftest` compares far more.
 
 use anyhow::ensure;
 use worker::Renderer;
@@ -14,7 +15,7 @@ const WIDTH_PX: u32 = 96;
 /// The hash of its pixels, with every layer, on every device.
 const HASH: &str = "2656b184d41049b590c442b2ba6237bf";
 
-/// Renders the tile, and says if it is not what it has to be.
+/// Renders the tile; an error if it differs from the expected bytes.
 pub(crate) fn prove(renderer: &dyn Renderer) -> anyhow::Result<()> {
     let job = with_layers(job(SCENE)?, Some(WIDTH_PX));
     let found = hash(&job, &render(renderer, &job, None)?);

@@ -1,4 +1,5 @@
-//! The jobs that a soak hands in, and what their pictures are: each rendered here, undisturbed, before the farm starts.
+//! The jobs that a soak submits, and their expected pictures: each is rendered here, undisturbed, before the
+//! farm starts.
 
 use std::io::Cursor;
 use std::path::Path;
@@ -10,8 +11,8 @@ use worker::{Cancel, CpuRenderer, Simd};
 
 use crate::shipped;
 
-/// Shipped scenes that are quick to render, and the samples of their jobs. Of more than 4 Mi rays a worker that is
-/// not known gets one tile, so those of many samples are stitched.
+/// Shipped scenes that render quickly, and the samples of their jobs. With more than 4 Mi rays, a worker
+/// without a measured speed gets one tile, so those of many samples are stitched.
 const SCENES: [(&str, [u32; 4]); 3] =
     [("csg", [1, 160, 4, 16]), ("five-spheres", [4, 16, 1, 160]), ("mandelbulb", [1, 4, 2, 8])];
 /// Eight tiles of 64 pixels.
@@ -26,7 +27,7 @@ pub(super) struct Task {
     pub(super) pictures: Vec<blake3::Hash>,
 }
 
-/// Makes the tasks; their seeds follow from the soak's.
+/// Creates the jobs; their seeds follow from the soak's.
 pub(super) fn tasks(seed: u64, threads: Option<usize>) -> anyhow::Result<Vec<Task>> {
     let renderer = CpuRenderer::new(threads, Simd::Auto)?;
     let mut tasks = Vec::new();

@@ -1,15 +1,15 @@
-//! Chance that can be had again: the same seed chooses the same jobs, victims and pauses.
+//! Reproducible random numbers: the same seed chooses the same jobs, victims and pauses.
 //!
-//! What the machine makes of them differs from run to run; that is what a soak is for.
+//! The timing on the machine still differs from run to run; that is the purpose of a soak.
 
 use std::time::Duration;
 
-/// Numbers that look drawn by lot.
+/// Seeded random number generator.
 #[derive(Clone, Debug)]
 pub(super) struct Chance(u64);
 
 impl Chance {
-    /// Of this seed.
+    /// Generator with this seed.
     pub(super) fn new(seed: u64) -> Self {
         // Zero would stay zero.
         Self(seed.wrapping_mul(0x9e37_79b9_7f4a_7c15) | 1)

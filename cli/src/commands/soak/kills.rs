@@ -1,4 +1,4 @@
-//! The soak itself: life after life of a server, each ended by a kill, and what is checked in between.
+//! The soak itself: starts a server again after each kill, and checks the farm in between.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
@@ -20,19 +20,19 @@ use crate::terminal::note;
 
 /// A server must be ready by then.
 const READY_LIMIT: Duration = Duration::from_secs(2);
-/// Unfinished jobs that are kept in the queue.
+/// Target number of unfinished jobs in the queue.
 const QUEUED: usize = 4;
 /// The longest pause before a kill.
 const PAUSE: Duration = Duration::from_millis(400);
-/// A fail point that did not strike by then is not waited for.
+/// Time limit for a fail point to trigger.
 const STRIKE: Duration = Duration::from_secs(2);
-/// What is left at the end must be finished by then.
+/// Time limit for the remaining jobs at the end.
 const LAST_JOBS: Duration = Duration::from_mins(5);
 /// Workers killed in a life of the server, where no number was given.
 const WORKERS_A_SERVER: u64 = 3;
 /// Workers killed in a life of the server, once it is killed no more.
 const WORKERS_LAST: u64 = 20;
-/// Where the server is killed, besides at random instants.
+/// Fail points that kill the server, in addition to random instants.
 const SERVER_POINTS: [&str; 9] = [
     "migrating",
     "migrated",
@@ -44,10 +44,10 @@ const SERVER_POINTS: [&str; 9] = [
     "sweeping",
     "database_commit",
 ];
-/// Where workers are.
+/// Fail points that kill workers.
 const WORKER_POINTS: [&str; 3] = ["blob_put", "picture_put", "stitching"];
 
-/// What to do.
+/// Settings of a soak.
 #[derive(Clone, Debug)]
 pub(super) struct Plan {
     /// Kill anything at all.
@@ -124,7 +124,7 @@ impl Soak<'_> {
         u64::from(self.plan.server_kills).saturating_sub(self.tally.all_server_kills())
     }
 
-    /// A server from its start to its end.
+    /// Runs one server from its start to its end.
     async fn life(&mut self) -> anyhow::Result<()> {
         let (points, strikes_server) = self.choose_points();
         let Some(mut server) = self.start(&points).await? else { return Ok(()) };
@@ -171,7 +171,7 @@ impl Soak<'_> {
         }
     }
 
-    /// What should strike in the next life, and whether it is the server.
+    /// Fail points to arm in the next server, and whether they hit the server.
     fn choose_points(&mut self) -> (String, bool) {
         let (points, most, is_server) = match self.chance.below(4) {
             0 => (&SERVER_POINTS[..], 8, true),
@@ -181,7 +181,7 @@ impl Soak<'_> {
         if !self.plan.kill || (is_server && self.servers_left() == 0) || (!is_server && self.workers_left() == 0) {
             return (String::new(), false);
         }
-        // A worker gets past the point at least once, else it would never get anything done.
+        // A worker passes the point at least once, or it would never finish any work.
         let pass = if is_server { 1 } else { 2 } + self.chance.below(most);
         (self.chance.pick(points).map_or_else(String::new, |point| format!("{point}=kill@{pass}")), is_server)
     }
@@ -221,7 +221,8 @@ impl Soak<'_> {
         Ok(())
     }
 
-    /// Checks the jobs that have ended, and keeps some in the queue. A server that dies meanwhile is no breach.
+    /// Checks the finished jobs, and refills the queue. A server that is killed meanwhile is no
+    /// violation.
     async fn hand_in(&mut self, server: &mut Server) -> anyhow::Result<()> {
         server.look_at_workers();
         for (id, task) in self.waiting.clone() {
@@ -289,7 +290,7 @@ impl Soak<'_> {
         self.tally.struck_servers = self.said.struck_servers.load(Ordering::Relaxed);
     }
 
-    /// Lets everything that was accepted finish, on a server that nothing disturbs.
+    /// Finishes all accepted jobs, on an undisturbed server.
     async fn finish(&mut self) -> anyhow::Result<()> {
         let mut server = self.start("").await?.context("a server ended as soon as it was started")?;
         let start = Instant::now();

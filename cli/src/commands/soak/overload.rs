@@ -1,5 +1,5 @@
-//! More jobs than a farm can take, for minutes: it refuses what is too much, with a time to come back, stays
-//! healthy and small meanwhile, and is itself again soon after.
+//! Overload: more jobs than a farm can take, for minutes. It must reject the excess with a Retry-After, stay
+//! healthy and small, and recover soon afterwards.
 
 use std::fmt::Write;
 use std::path::Path;
@@ -17,42 +17,43 @@ use super::processes::resident_bytes;
 use super::server::{Launch, Said, Server};
 use crate::terminal::note;
 
-/// Clients that hand in jobs, whatever they are told.
+/// Clients that submit jobs regardless of the responses.
 const CLIENTS: usize = 32;
-/// They hand in so many times what the farm takes: somewhat more than ten.
+/// Submitted jobs as a multiple of the farm's capacity: somewhat more than ten.
 const EXCESS: u64 = 12;
-/// How long each waits before its next job where that is reached, and where it is not; much less than it is asked to.
+/// Pause of each client before its next job once the multiple is reached, and before that; much less than
+/// Retry-After asks for.
 const PAUSE: Duration = Duration::from_millis(100);
 const HASTE: Duration = Duration::from_millis(10);
 /// Unfinished jobs the farm takes.
 const MAX_QUEUED_JOBS: &str = "200";
 /// Memory is compared with what it was after this time: the first jobs fill caches once.
 const WARM_UP: Duration = Duration::from_secs(10);
-/// Between two looks at the farm's health.
+/// Interval between two health checks.
 const BEAT: Duration = Duration::from_millis(50);
 /// A health check that takes longer is a breach.
 const HEALTH_LIMIT: Duration = Duration::from_millis(50);
-/// Memory may grow by so much, in percent.
+/// Maximum growth of memory, in percent.
 const GROWTH_LIMIT_PERCENT: u64 = 20;
-/// A job handed in after the overload is finished by then.
+/// Time limit for a job submitted after the overload.
 const RECOVERY_LIMIT: Duration = Duration::from_secs(30);
 
-/// What became of an overload.
+/// Counters of an overload.
 #[derive(Debug, Default)]
 struct Counts {
     taken: AtomicU64,
     refused: AtomicU64,
-    /// Refused without a time to come back.
+    /// Rejections without a Retry-After.
     rude: AtomicU64,
     other: AtomicU64,
     is_over: AtomicBool,
 }
 
-/// What an overload showed.
+/// Result of an overload.
 #[derive(Debug, Default)]
 pub(super) struct Report {
     rows: Vec<(&'static str, String)>,
-    /// What was not as it must be.
+    /// Violations.
     pub(super) breaches: Vec<String>,
 }
 
@@ -74,7 +75,7 @@ impl Report {
     }
 }
 
-/// Overloads a farm of its own for some time.
+/// Overloads a temporary farm for some time.
 pub(super) async fn overload(tasks: &[Task], data: &Path, time: Duration) -> anyhow::Result<Report> {
     let said = Arc::<Said>::default();
     let flags = ["--max-queued-jobs", MAX_QUEUED_JOBS];
@@ -128,7 +129,7 @@ async fn hand_in(address: String, text: Vec<u8>, counts: Arc<Counts>) {
     }
 }
 
-/// Times of health checks during the overload, and the memory after its beginning and at its end.
+/// Durations of health checks during the overload, and the memory after its start and at its end.
 async fn watch(server: &Server, time: Duration) -> anyhow::Result<(Vec<Duration>, (u64, u64))> {
     let start = Instant::now();
     let mut health = Vec::new();

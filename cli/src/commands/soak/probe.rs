@@ -1,4 +1,4 @@
-//! The plainest of requests: one path on a connection of its own, and nothing of the answer but its status.
+//! Minimal HTTP requests: one path on a connection of its own, reading only the status of the response.
 //!
 //! A soak measures with it what a health check of an operator's would see.
 
@@ -7,12 +7,12 @@ use std::time::Duration;
 use tokio::io::{AsyncReadExt, AsyncWriteExt};
 use tokio::net::TcpStream;
 
-/// Whoever is silent for longer is not there.
+/// Time limit of a request.
 const PATIENCE: Duration = Duration::from_secs(5);
 /// `HTTP/1.1 200`
 const STATUS_LINE_BYTES: usize = 12;
 
-/// The status of `GET path`; `None` if there is no answer.
+/// Status of `GET path`; `None` without a response.
 pub(super) async fn status(address: &str, path: &str) -> Option<u16> {
     let host = address.strip_prefix("http://")?;
     let request = format!("GET {path} HTTP/1.1\r\nhost: {host}\r\nconnection: close\r\n\r\n");
@@ -27,7 +27,7 @@ pub(super) async fn status(address: &str, path: &str) -> Option<u16> {
     std::str::from_utf8(&line[9..]).ok()?.parse().ok()
 }
 
-/// The status of a POST of JSON, and whether the answer says when to come back.
+/// Status of a POST of JSON, and whether the response has a Retry-After.
 pub(super) async fn post(address: &str, path: &str, body: &[u8]) -> Option<(u16, bool)> {
     let host = address.strip_prefix("http://")?;
     let head = format!(

@@ -1,13 +1,13 @@
-//! Other processes, as the system shows them: whose children there are, which live, and how to end one.
+//! Processes of the system: finding children, checking whether they live, and killing them.
 
 use std::fs;
 
 use rustix::process::{Pid, Signal, kill_process};
 
-/// Kills a process on the spot, as `kill -9` does; one that is gone already is no fault.
+/// Kills a process like `kill -9`; one that has exited is no error.
 pub(super) fn kill(process: u32) {
     if let Some(process) = i32::try_from(process).ok().and_then(Pid::from_raw) {
-        // It may have ended since its id was read.
+        // It may have exited since its id was read.
         let _ = kill_process(process, Signal::KILL);
     }
 }

@@ -1,4 +1,4 @@
-//! The server under test: a process of its own, started, watched and killed.
+//! The server under test: a process of its own, started, observed and killed.
 
 use std::fs::File;
 use std::io::{BufRead, BufReader, Write};
@@ -16,12 +16,12 @@ use crate::commands::serve::own_program;
 
 /// A server that is not ready by then never will be.
 const START: Duration = Duration::from_secs(30);
-/// Between two looks at something.
+/// Poll interval.
 pub(super) const LOOK: Duration = Duration::from_millis(2);
-/// Children of a killed server have so long to notice.
+/// Time limit for children of a killed server to exit.
 const ORPHANED: Duration = Duration::from_secs(5);
 
-/// What the servers of a soak wrote to standard error.
+/// Standard error of the soak's servers.
 #[derive(Debug, Default)]
 pub(super) struct Said {
     /// Panics.
@@ -47,7 +47,7 @@ pub(super) struct Server {
     pub(super) ready: Duration,
 }
 
-/// How to start one.
+/// How to start a server.
 #[derive(Debug)]
 pub(super) struct Launch<'a> {
     /// Its data folder.
@@ -56,7 +56,7 @@ pub(super) struct Launch<'a> {
     pub(super) workers: u32,
     /// More flags.
     pub(super) flags: &'a [&'a str],
-    /// What should strike it or its workers; "" for nothing.
+    /// Armed fail points of the server or its workers; "" for none.
     pub(super) fail_points: &'a str,
 }
 
@@ -95,12 +95,12 @@ impl Server {
         self.child.0.id()
     }
 
-    /// Its workers' process ids, when they were last looked at.
+    /// Process ids of its workers, as of the last refresh.
     pub(super) fn workers(&self) -> &[u32] {
         &self.workers
     }
 
-    /// Looks at its workers: a dead server has none any more, whoever lives on.
+    /// Refreshes its workers: a dead server has none, even if one is still running.
     pub(super) fn look_at_workers(&mut self) {
         let workers = processes::children(self.process());
         if !workers.is_empty() {
@@ -108,7 +108,7 @@ impl Server {
         }
     }
 
-    /// Whether it is gone.
+    /// Whether it has exited.
     pub(super) fn has_ended(&mut self) -> anyhow::Result<bool> {
         Ok(self.child.0.try_wait().context("could not look after the server")?.is_some())
     }
@@ -116,7 +116,7 @@ impl Server {
     /// Kills it, or finds it dead; returns how many of its workers outlived it for too long.
     pub(super) async fn kill(mut self) -> anyhow::Result<usize> {
         self.look_at_workers();
-        // One that has ended already, and was waited for, may have left its number to another process.
+        // The process id of an exited child may belong to another process by now.
         if !self.has_ended()? {
             processes::kill(self.process());
         }
@@ -124,7 +124,7 @@ impl Server {
         Ok(orphans(&self.workers).await)
     }
 
-    /// Asks it to end; whether it did so in order.
+    /// Asks it to shut down; returns whether it did so gracefully.
     pub(super) async fn terminate(mut self) -> anyhow::Result<bool> {
         let process = i32::try_from(self.process()).ok().and_then(rustix::process::Pid::from_raw);
         let process = process.context("the server has no process id")?;
@@ -146,7 +146,7 @@ struct Owned(Child);
 
 impl Drop for Owned {
     fn drop(&mut self) {
-        // Both fail only where it has ended already.
+        // Both fail only if it has exited already.
         let _ = self.0.kill();
         let _ = self.0.wait();
     }
@@ -166,13 +166,13 @@ fn spawn(launch: &Launch<'_>) -> anyhow::Result<Child> {
     command.spawn().context("could not start a server")
 }
 
-/// Where it says that it serves; `None` if it ends before.
+/// Address that it prints; `None` if it exits before.
 fn address(child: &mut Child) -> anyhow::Result<Option<String>> {
     let mut output = BufReader::new(child.stdout.take().context("the server has no standard output")?);
     let (sender, receiver) = mpsc::channel();
     std::thread::spawn(move || {
         let mut line = String::new();
-        // The end of the output is an empty line, which names no address.
+        // The end of the output is an empty line, which contains no address.
         let _ = output.read_line(&mut line);
         let _ = sender.send(line);
         let _ = std::io::copy(&mut output, &mut std::io::sink());
@@ -198,7 +198,7 @@ fn listen(errors: ChildStderr, mut log: File, said: &Said) {
     }
 }
 
-/// How many of these processes live on for too long.
+/// Number of these processes that survive the time limit.
 async fn orphans(workers: &[u32]) -> usize {
     let start = Instant::now();
     loop {

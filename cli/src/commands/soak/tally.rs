@@ -1,9 +1,9 @@
-//! What a soak counted, and the table it prints of it.
+//! Counters of a soak, and the table that it prints.
 
 use std::fmt::Write;
 use std::time::Duration;
 
-/// What a soak counted.
+/// Counters of a soak.
 #[derive(Debug, Default)]
 pub(super) struct Tally {
     /// Workers killed from outside.
@@ -16,13 +16,13 @@ pub(super) struct Tally {
     pub(super) struck_servers: u64,
     /// Jobs answered with 201.
     pub(super) accepted: usize,
-    /// Jobs whose answer was lost with the server; they may be there or not.
+    /// Jobs whose response was lost with the server; they may exist or not.
     pub(super) unanswered: usize,
-    /// Jobs that ended as they should.
+    /// Jobs that finished as they should.
     pub(super) succeeded: usize,
     /// Pictures compared with undisturbed ones.
     pub(super) pictures: usize,
-    /// Times the books were looked over.
+    /// Number of integrity checks.
     pub(super) audits: u32,
     /// Done tiles that were watched from one audit to the next.
     pub(super) tiles: usize,
@@ -30,9 +30,9 @@ pub(super) struct Tally {
     pub(super) slowest_ready: Duration,
     /// The sum of those times, and how many.
     pub(super) ready: (Duration, u32),
-    /// How long it all took.
+    /// Total duration.
     pub(super) took: Duration,
-    /// What was not as it must be.
+    /// Violations.
     pub(super) breaches: Vec<String>,
 }
 

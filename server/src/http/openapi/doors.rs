@@ -1,4 +1,4 @@
-//! What the doors add to the description of every route: the key it asks for, and how it is refused without.
+//! Adds security to the description of every route: the key it requires, and the responses without one.
 
 use axum::http::Method;
 use serde_json::{Value, json};
@@ -8,7 +8,7 @@ use crate::http::rules::{Need, need};
 /// The scheme's name in the document.
 const SCHEME: &str = "key";
 
-/// Adds keys, and the answers of those who come without, too often, or for too long.
+/// Adds security schemes, and the responses for missing keys, exceeded rates and timeouts.
 pub(super) fn describe(document: &mut Value) {
     document["components"]["securitySchemes"] = json!({
         SCHEME: {
@@ -29,7 +29,7 @@ pub(super) fn describe(document: &mut Value) {
                 }
                 Need::Scope(scope) => format!("The key has not the scope {}", scope.name()),
                 Need::OwnJob(scope) => {
-                    format!("The key has not the scope {}, and the job is not one that it handed in", scope.name())
+                    format!("The key lacks scope {} and did not submit this job", scope.name())
                 }
             };
             operation["security"] = json!([{}, { SCHEME: [] }]);

@@ -1,4 +1,4 @@
-//! Fair share between submitters, with the real queue and a clock in hand.
+//! Fair share between submitters, with the real queue and a manual clock.
 
 use std::time::Duration;
 
@@ -12,7 +12,7 @@ use crate::queue::{NewJob, Next, Turn};
 /// A worker's speed, of which a tile of `large` takes a second.
 const RAYS_PER_SECOND: f64 = 1024.0;
 
-/// A job of so many tiles, of a second each.
+/// A job of this many tiles, of one second each.
 fn job_of(submitter: &str, tiles: u32, priority: i32) -> NewJob {
     let plan = Plan { width_px: 32 * tiles, height_px: 32, samples: 1, pixel_bytes: 16, edge_px: Some(32), frames: 1 };
     NewJob { submitter: submitter.to_owned(), priority, plan, ..new_job(1) }

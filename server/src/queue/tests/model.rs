@@ -1,5 +1,5 @@
-//! What the queue should be, in memory: jobs, frames, tiles and leases as the rules say, without
-//! a database. It predicts what a worker hears and what a user sees, and says which grants are legal.
+//! Model of the queue in memory: jobs, frames, tiles and leases as the rules say, without a database. It
+//! predicts what a worker receives and what a user sees, and knows which grants are legal.
 
 use std::collections::BTreeMap;
 
@@ -12,7 +12,7 @@ use crate::queue::Cause;
 
 /// Tiles of a frame of the jobs in these tests.
 pub(super) const TILES: u32 = 12;
-/// Where the stitch of a frame is.
+/// Stands for the stitch of a frame.
 const STITCH: i64 = -1;
 /// No tile straggles before.
 const MIN_STRAGGLER_MS: i64 = 500;
@@ -284,7 +284,7 @@ impl Model {
         }
     }
 
-    /// Time has passed and was looked at.
+    /// Time passes and overdue leases expire.
     pub(super) fn pass(&mut self, ms: i64) {
         self.now_ms += ms;
         let now_ms = self.now_ms;
@@ -307,7 +307,8 @@ impl Model {
         }
     }
 
-    /// The server has started again: leases of its old pool are over, the others last once more.
+    /// The server has started again: leases of its old pool end, the others last for one more lease
+    /// length.
     pub(super) fn restart(&mut self, pool: &[WorkerId]) {
         self.now_ms = 0;
         self.end_where(|lease| pool.contains(&lease.worker));

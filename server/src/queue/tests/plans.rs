@@ -20,7 +20,7 @@ use crate::store::Store;
 
 /// Sequences that are recorded.
 const SEQUENCES: usize = 40;
-/// Tables that may be read from end to end: they have a row a meta value, a worker, or a submitter.
+/// Tables that may be scanned: they have one row for each meta value, worker, or submitter.
 const SMALL: [&str; 4] = ["meta", "worker", "share", "strike"];
 /// Indexes that hold only what is under way, or are read in their order up to the first match.
 const SHORT: [&str; 8] = [
@@ -76,7 +76,7 @@ impl Subscriber for Recorder {
     fn exit(&self, _: &Id) {}
 }
 
-/// What is asked beside the sequences.
+/// Statements that the sequences do not run.
 async fn ask(bench: &Bench) {
     let queue = &bench.queue;
     let new = new_job(2);

@@ -1,5 +1,5 @@
-//! Random operations on the real queue beside the model of it: after each, both must say the same, and
-//! the rows must agree with each other. A failure prints the shortest sequence that shows it, and its seed.
+//! Random operations on the real queue and on its model: after each, both must agree, and the rows must be
+//! consistent. A failure prints the shortest failing sequence and its seed.
 
 use std::time::Duration;
 
@@ -48,7 +48,7 @@ pub(super) enum Operation {
     Retry(usize),
     Move(usize, i32),
     Delete(usize),
-    /// Of the pool, which are the last two.
+    /// Of the pool workers, which are the last two.
     Reap {
         worker: usize,
         crashed: bool,
@@ -123,7 +123,7 @@ impl Pair {
         self.jobs.get(index % self.jobs.len().max(1)).copied()
     }
 
-    /// A worker's call; one that is not known any more registers anew. What it was given and what it lost.
+    /// A worker's sync; an unknown worker registers again. Returns the granted and the revoked leases.
     async fn call(&mut self, index: usize, results: Vec<Report>, claim: Option<f64>) -> Option<Run> {
         let worker = &self.workers[index];
         let (id, holding) = (worker.id, worker.holding());
@@ -160,7 +160,7 @@ impl Pair {
             self.model.grant(id, worker.takes_large, run);
             worker.runs.push(run.clone());
         }
-        // Half of them forget what they lost; the others report it all the same.
+        // Half of the workers drop revoked leases; the others report results for them all the same.
         if index == 0 {
             worker.runs.retain(|run| !leases(run).all(|lease| lost.contains(&lease)));
         }
@@ -187,7 +187,7 @@ impl Pair {
             _ if stitch || whole => Outcome::Picture { hash, size_bytes: 1 },
             _ => Outcome::Blob { hash, size_bytes: 1 },
         };
-        // Some bring only part of it.
+        // Some report only part of their results.
         let skipped = usize::from(die >= 200);
         let results = leases(&run).skip(skipped).map(|lease| Report { lease, outcome: outcome.clone() }).collect();
         self.call(index, results, None).await;
@@ -294,13 +294,13 @@ impl Pair {
         }
     }
 
-    /// A good worker comes and does what is left: no job is lost.
+    /// A healthy worker finishes the rest: no job is lost.
     pub(super) async fn work_off(&mut self) {
         self.apply(&Operation::PauseFarm(false)).await;
         for id in self.jobs.clone() {
             self.pause(id, false).await;
         }
-        // The pool's go, so that nothing waits for them.
+        // The pool workers end, so that nothing waits for them.
         for index in 1..self.workers.len() {
             self.reap(index, Cause::Lost).await;
         }

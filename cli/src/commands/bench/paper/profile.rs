@@ -1,4 +1,4 @@
-//! Asks NVIDIA's Nsight Compute (`ncu`) how full a kernel keeps the GPU: it runs this very program and counts.
+//! Runs this program under NVIDIA's Nsight Compute (`ncu`) to measure a kernel's occupancy and divergence.
 
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
@@ -14,12 +14,12 @@ const OCCUPANCY: &str = "sm__warps_active.avg.pct_of_peak_sustained_active";
 const UNIFORM: &str = "smsp__sass_average_branch_targets_threads_uniform.pct";
 const LANES: &str = "smsp__thread_inst_executed_per_inst_executed.ratio";
 
-/// What was counted.
+/// Counters of a kernel.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
 pub(super) struct Profile {
-    /// Share of the GPU's warps that were active, in percent.
+    /// Active fraction of the GPU's warps, in percent.
     pub(super) achieved_occupancy_percent: Option<f64>,
-    /// Share of branches that all threads of a warp take alike, in percent.
+    /// Fraction of branches that all threads of a warp take alike, in percent.
     pub(super) branch_efficiency_percent: Option<f64>,
     /// Threads of a warp's 32 that an instruction works for.
     pub(super) active_lanes: Option<f64>,
@@ -63,7 +63,7 @@ fn read(log: &str, block: Shape) -> Profile {
         .filter(|row| row.len() == heads.len() && numbers(row[shape])[..2] == [block.columns, block.rows])
         .collect();
     let blocks = |row: &[&str]| numbers(row[grid]).iter().product::<u32>();
-    // Of equal ones the last is taken by `max_by_key`, so they are gone through backwards.
+    // `max_by_key` returns the last of equal elements, so the rows are reversed.
     let Some(launch) = rows.iter().rev().max_by_key(|row| blocks(row)).map(|row| row[id]) else {
         return Profile::default();
     };
@@ -83,7 +83,7 @@ fn fields(line: &str) -> Vec<&str> {
     line.trim().trim_start_matches('"').trim_end_matches('"').split("\",\"").collect()
 }
 
-/// The three numbers of `(64, 1, 1)`; 0 where there is none.
+/// The three numbers of `(64, 1, 1)`; 0 for a missing one.
 fn numbers(text: &str) -> [u32; 3] {
     let mut numbers = text.trim_matches(['(', ')']).split(',').map(|number| number.trim().parse().unwrap_or(0));
     [(); 3].map(|()| numbers.next().unwrap_or(0))

@@ -1,14 +1,14 @@
-//! What is known of the paper's own program. Nothing here is measured by this one.
+//! Published figures of the paper's own program. Nothing here is measured by this program.
 //!
-//! The published figures are those of Table 1 of Robles, Lee, Yin and Dhar, "Procedural Rendering with Ray Marching",
-//! USC CSCI 580, 2022: the best and the worst block of each resolution, 8 samples, an RTX 3070 of a laptop beside a
-//! serial run on a Ryzen. `h200_ms` is kernel time of their CUDA program, built with nvcc 13 and run on one NVIDIA
-//! H200 by this project.
+//! The figures are those of Table 1 of Robles, Lee, Yin and Dhar, "Procedural Rendering with Ray Marching",
+//! USC CSCI 580, 2022: the best and the worst block of each resolution, 8 samples, a laptop's RTX 3070 next
+//! to a serial run on a Ryzen. `h200_ms` is the kernel time of their CUDA program, built with nvcc 13 and run
+//! on one NVIDIA H200 by this project.
 
 use serde::Serialize;
 use worker::cuda::Shape;
 
-/// What the other figures of the table are measured on.
+/// Hardware of the other figures of the table.
 pub(super) const HARDWARE: &str = "published: RTX 3070 laptop and one core of a Ryzen; H200: the paper's program there";
 
 /// A row of the paper's Table 1.
@@ -23,15 +23,15 @@ pub(super) struct Published {
     pub(super) parallel_ms: f64,
     /// On one core, in seconds.
     pub(super) serial_s: f64,
-    /// How many times as fast the GPU is as the core.
+    /// Speed of the GPU relative to the core.
     pub(super) speed_up: f64,
-    /// Share of branches that all threads of a warp take alike, in percent.
+    /// Fraction of branches that all threads of a warp take alike, in percent.
     pub(super) branch_efficiency_percent: f64,
-    /// Share of the GPU's warps that were active, in percent.
+    /// Active fraction of the GPU's warps, in percent.
     pub(super) achieved_occupancy_percent: f64,
-    /// Share that may be, in percent.
+    /// Theoretical maximum of that fraction, in percent.
     pub(super) theoretical_occupancy_percent: f64,
-    /// Kernels of the same program on an H200, in milliseconds.
+    /// Kernel time of the same program on an H200, in milliseconds.
     pub(super) h200_ms: f64,
 }
 
@@ -63,7 +63,7 @@ const TABLE: [Published; 8] = [
     row(1024, (256, 1), [244.0, 476.9, 1955.0], [98.65, 75.9, 83.3], 36.0),
 ];
 
-/// The row of a resolution and a block, if there is one.
+/// Row of a resolution and block dimensions, if there is one.
 pub(super) fn published(resolution: u32, block: Shape) -> Option<Published> {
     TABLE.into_iter().find(|row| (row.resolution, row.block) == (resolution, block))
 }

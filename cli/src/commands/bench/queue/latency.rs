@@ -1,4 +1,4 @@
-//! How soon a worker hears: of a job that is handed in, and of a cancel while it renders.
+//! Latency until a worker receives a submitted job, and until a cancel stops a render.
 
 use std::time::{Duration, Instant};
 
@@ -10,13 +10,13 @@ use super::{Farm, Times};
 
 /// Cancels that are timed, at most: each waits until its job has begun.
 pub(super) const MOST_CANCELS: u32 = 50;
-/// How long a worker waits at the server.
+/// How long a worker's sync waits at the server.
 const WAIT: Duration = Duration::from_secs(10);
 /// Until then a worker's call waits at the server.
 const SETTLED: Duration = Duration::from_millis(20);
-/// Between two looks at a job.
+/// Interval between two reads of a job.
 const PAUSE: Duration = Duration::from_millis(1);
-/// So long a job renders before it is cancelled.
+/// How long a job renders before it is cancelled.
 const RENDERED: Duration = Duration::from_millis(100);
 
 fn job(width: u32, samples: u32) -> Vec<u8> {
@@ -32,7 +32,7 @@ fn job(width: u32, samples: u32) -> Vec<u8> {
     .into_bytes()
 }
 
-/// From the 201 to the moment when the worker that waited has the job.
+/// Time from the 201 until the waiting worker has the job.
 pub(super) async fn start(runs: u32) -> anyhow::Result<Times> {
     let farm = Farm::start(0, None).await?;
     let worker = Pretender::register(farm.client.server(), None).await?;
@@ -49,7 +49,7 @@ pub(super) async fn start(runs: u32) -> anyhow::Result<Times> {
         };
         let (accepted, (run, begun)) = tokio::try_join!(submit, claim)?;
         let Some(run) = run else { anyhow::bail!("a worker waited for {} s in vain", WAIT.as_secs()) };
-        // The worker may have the job before its author hears of the 201.
+        // The worker may have the job before its submitter receives the 201.
         times.push(begun.saturating_duration_since(accepted));
         worker.sync(worker.results(&run).await?, false, Duration::ZERO).await?;
     }
@@ -57,7 +57,7 @@ pub(super) async fn start(runs: u32) -> anyhow::Result<Times> {
     Ok(Times::of(times))
 }
 
-/// From the answer to a cancel to the moment when the real worker that rendered begins the next job.
+/// Time from the response to a cancel until the rendering worker starts the next job.
 pub(super) async fn cancel(runs: u32) -> anyhow::Result<Times> {
     let farm = Farm::start(1, None).await?;
     let mut times = Vec::new();

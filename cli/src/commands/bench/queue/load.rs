@@ -1,4 +1,4 @@
-//! How many jobs, tiles and questions a server takes in a second.
+//! Jobs, tiles and reads per second of a server.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
@@ -14,8 +14,8 @@ use super::{Farm, Times};
 
 /// Claims that are timed.
 const CLAIMS: u32 = 1000;
-/// Clients that ask how jobs stand, and how long each waits from one question to the next: together they ask more
-/// often than a thousand times a second, and leave the processor to the workers otherwise.
+/// Clients that read jobs, and the interval of each: together they read more than a thousand times per
+/// second, and leave the rest of the CPU to the workers.
 const ASKING: usize = 4;
 const ASK_EVERY: Duration = Duration::from_millis(2);
 /// Edge of the tiles, in pixels.
@@ -37,7 +37,7 @@ fn job(seed: u32) -> Vec<u8> {
     .into_bytes()
 }
 
-/// Hands in so many jobs, by so many clients; how many a second, and the times of each.
+/// Submits jobs from several clients; returns the rate and the duration of each submission.
 pub(super) async fn submit(farm: &Arc<Farm>, clients: u32, jobs: u32) -> anyhow::Result<(f64, Times)> {
     let start = Instant::now();
     let mut tasks = JoinSet::new();
@@ -78,14 +78,14 @@ pub(super) async fn claim(farm: &Farm) -> anyhow::Result<Times> {
     Ok(Times::of(times))
 }
 
-/// What was done in a while.
+/// Work done in the measured time.
 pub(super) struct Work {
     pub(super) tiles_per_second: f64,
     pub(super) status_per_second: f64,
     pub(super) status: Times,
 }
 
-/// Lets workers claim and complete tiles for a while, and clients ask how jobs stand.
+/// Lets workers claim and complete tiles for the given time while clients read jobs.
 pub(super) async fn work(farm: &Arc<Farm>, workers: u32, time: Duration) -> anyhow::Result<Work> {
     let (tiles, over) = (Arc::new(AtomicU64::new(0)), Arc::new(AtomicBool::new(false)));
     let mut working = JoinSet::new();

@@ -1,4 +1,4 @@
-//! A worker that speaks the workers' protocol and renders nothing.
+//! Worker that follows the workers' protocol and renders nothing.
 
 use std::time::Duration;
 
@@ -51,8 +51,9 @@ impl Pretender {
         Ok(reply.run)
     }
 
-    /// The results of a run, as a good worker brings them: its bytes are there before they are reported. All tiles
-    /// of a run have the same ones, and no two runs; all pictures are the same.
+    /// Reports of a batch in the order of a real worker: its bytes are stored before they are reported.
+    /// All tiles of a batch have the same bytes, different from every other batch; all pictures are the
+    /// same.
     pub(super) async fn results(&self, run: &Run) -> anyhow::Result<Vec<Report>> {
         let (leases, picture): (Vec<LeaseId>, bool) = match &run.work {
             Work::Render { tiles, whole_frame } => (tiles.iter().map(|tile| tile.lease).collect(), *whole_frame),
