@@ -199,7 +199,7 @@ fn an_exr_says_its_colors_its_camera_and_its_rate() {
     for job in exrs() {
         let image = decode_exr(&file(&job, &whole(&job)));
         let attributes = &image.layer_data[0].attributes;
-        let view = job.at(3).unwrap().job().scene.camera.view(job.image.width, job.image.height);
+        let view = job.at(3).unwrap().scene().camera.view(job.image.width, job.image.height);
         assert_eq!(attributes.world_to_camera, Some(view.world_to_camera()));
         assert_eq!(attributes.world_to_normalized_device, view.world_to_ndc());
         assert_eq!(attributes.frames_per_second, Some((24, 1)));
