@@ -199,6 +199,11 @@ impl Image {
 }
 
 impl Job {
+    /// The same job with another image.
+    pub fn with_image(self, image: Image) -> Self {
+        Self { image, ..self }
+    }
+
     /// Camera rays of one frame.
     pub fn rays_per_frame(&self) -> u64 {
         self.image.rays()

@@ -54,7 +54,8 @@ int main() {
 /// The job in a size that takes a moment, with every layer.
 fn small(shipped: &Shipped) -> Job {
     let job = shipped.job();
-    Job { image: Image { width: 60, height: 40, samples: 3, layers: LAYERS.to_vec(), ..job.image }, ..job }
+    let image = Image { width: 60, height: 40, samples: 3, layers: LAYERS.to_vec(), ..job.image.clone() };
+    job.with_image(image)
 }
 
 fn compile_text(source: &str, folder: &Path) -> PathBuf {

@@ -24,22 +24,24 @@ impl Shipped {
     /// The job as a PNG of 8 bits, in this size.
     pub(crate) fn png(&self, width: u32, samples: u32) -> Job {
         let job = self.job();
-        let image = Image { format: Format::Png, bits: Bits::Eight, layers: Vec::new(), ..job.image };
-        sized(Job { image, ..job }, width, samples)
+        let image = Image { format: Format::Png, bits: Bits::Eight, layers: Vec::new(), ..job.image.clone() };
+        sized(job.with_image(image), width, samples)
     }
 
     /// The job as a float EXR with every layer, in this size.
     pub(crate) fn exr(&self, width: u32, samples: u32) -> Job {
         let job = self.job();
-        let image = Image { format: Format::Exr, precision: Precision::Float, layers: LAYERS.to_vec(), ..job.image };
-        sized(Job { image, ..job }, width, samples)
+        let image =
+            Image { format: Format::Exr, precision: Precision::Float, layers: LAYERS.to_vec(), ..job.image.clone() };
+        sized(job.with_image(image), width, samples)
     }
 }
 
 /// The job at another size, of the same shape.
 fn sized(job: Job, width: u32, samples: u32) -> Job {
     let height = (job.image.height * width / job.image.width).max(1);
-    Job { image: Image { width, height, samples, ..job.image }, ..job }
+    let image = Image { width, height, samples, ..job.image.clone() };
+    job.with_image(image)
 }
 
 /// All of them, by name.

@@ -33,8 +33,8 @@ fn jobs(folder: &Path) -> Vec<(String, Job)> {
 fn small(job: Job) -> Job {
     let height = (WIDTH * job.image.height).div_ceil(job.image.width);
     let samples = job.image.samples.min(MOST_SAMPLES);
-    let image = Image { width: WIDTH, height, samples, format: Format::Png, layers: Vec::new(), ..job.image };
-    Job { image, ..job }
+    let image = Image { width: WIDTH, height, samples, format: Format::Png, layers: Vec::new(), ..job.image.clone() };
+    job.with_image(image)
 }
 
 pub(crate) fn page() -> Page {
