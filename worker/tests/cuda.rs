@@ -57,9 +57,10 @@ fn scenes() -> Vec<PathBuf> {
 
 /// The job in a size that takes a moment, with every layer.
 fn small(path: &Path) -> Job {
-    let job = scene::parse(&std::fs::read(path).expect("a scene can be read")).expect("a shipped scene is right");
+    let mut job = scene::parse(&std::fs::read(path).expect("a scene can be read")).expect("a shipped scene is right");
     let layers = vec![Layer::Depth, Layer::Normal, Layer::Position, Layer::Albedo, Layer::Object, Layer::Steps];
-    Job { image: Image { width: 60, height: 40, samples: 3, layers, ..job.image }, ..job }
+    job.image = Image { width: 60, height: 40, samples: 3, layers, ..job.image };
+    job
 }
 
 fn compile_text(source: &str, folder: &Path) -> PathBuf {

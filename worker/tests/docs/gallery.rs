@@ -30,11 +30,11 @@ fn jobs(folder: &Path) -> Vec<(String, Job)> {
 }
 
 /// The job as the page shows it.
-fn small(job: Job) -> Job {
+fn small(mut job: Job) -> Job {
     let height = (WIDTH * job.image.height).div_ceil(job.image.width);
     let samples = job.image.samples.min(MOST_SAMPLES);
-    let image = Image { width: WIDTH, height, samples, format: Format::Png, layers: Vec::new(), ..job.image };
-    Job { image, ..job }
+    job.image = Image { width: WIDTH, height, samples, format: Format::Png, layers: Vec::new(), ..job.image };
+    job
 }
 
 pub(crate) fn page() -> Page {

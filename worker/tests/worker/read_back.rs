@@ -53,7 +53,11 @@ fn graded() -> impl Iterator<Item = Job> {
     pngs().flat_map(|job| {
         let filmic = Image { exposure: Stops::new(2.0).unwrap(), tone_map: ToneMap::Filmic, ..job.image.clone() };
         let darker = Image { exposure: Stops::new(-0.5).unwrap(), ..job.image.clone() };
-        [filmic, darker].map(|image| Job { image, ..job.clone() })
+        [filmic, darker].map(|image| {
+            let mut job = job.clone();
+            job.image = image;
+            job
+        })
     })
 }
 
