@@ -15,6 +15,7 @@ mod fuzz;
 mod jobs;
 mod kills;
 mod operating;
+mod pictures;
 mod previews;
 mod same_bits;
 mod support;

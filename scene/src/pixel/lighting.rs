@@ -3,7 +3,7 @@
 use super::{Hit, Program};
 use crate::camera::Ray;
 use crate::lights::{Incoming, Light, SkyLight};
-use crate::march::{Marched, Reach, march};
+use crate::march::{Marched, RELAXATION, Reach, march};
 use crate::materials::microfacet::frame;
 use crate::materials::{Lighting, Shade};
 use crate::real::{Real, Vec3};
@@ -140,7 +140,7 @@ impl Program<'_> {
             (one, zero),
             #[inline(always)]
             || {
-                let reach = Reach { nearest, farthest, max_steps: self.scene.march.max_steps };
+                let reach = Reach { nearest, farthest, max_steps: self.scene.march.max_steps, relaxation: RELAXATION };
                 let marched = march(
                     ray,
                     reach,

@@ -225,7 +225,7 @@ impl Program<'_> {
             (*ray, near),
             #[inline(always)]
             |(ray, near)| {
-                self.march_within(&ray, near.given(self.tolerance.slope), near)
+                self.march_within(&ray, near.given(self.tolerance.slope), near, false)
             },
         )
     }
