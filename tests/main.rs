@@ -19,6 +19,7 @@ mod jobs;
 mod kills;
 mod operating;
 mod pages;
+mod pictures;
 mod previews;
 mod same_bits;
 mod skip;

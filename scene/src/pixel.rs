@@ -11,7 +11,7 @@ use crate::backgrounds::Backdrop;
 use crate::bounds::Bounds;
 use crate::camera::{Ray, View};
 use crate::limits::MAX_SAMPLES;
-use crate::march::{Approach, Marched, Reach, Tolerance, march_to_root};
+use crate::march::{Approach, Marched, RELAXATION, Reach, Tolerance, find_root, march_to_root};
 use crate::materials::{Material, Place, Shade};
 use crate::motion::Still;
 use crate::real::{Flag, Real, Vec3, bundle, vec3};
@@ -208,7 +208,7 @@ impl<'a> Program<'a> {
             #[inline(always)]
             || {
                 let ray = self.view.ray(x + 0.5, y + 0.5);
-                let marched = self.march(&ray);
+                let marched = if self.fine.is_empty() { self.march(&ray) } else { self.march_to_depth(&ray) };
                 let zero = x.splat(0.0);
                 let nothing = vec3(zero, zero, zero);
                 let missed = (x.splat(f32::INFINITY), nothing, nothing, nothing, zero.splat(-1.0));
@@ -267,15 +267,29 @@ impl<'a> Program<'a> {
             #[inline(always)]
             |ray| {
                 let Tolerance { slope, floor } = self.tolerance;
-                self.march_within(&ray, ray.direction.x.given(slope), ray.direction.x.given(floor))
+                self.march_within(&ray, ray.direction.x.given(slope), ray.direction.x.given(floor), false)
             },
         )
     }
 
-    /// Marches within the scene's bounds; what is near enough grows by `slope` from `near`.
+    /// The same to a root of surfaces with details of every size, too: a way that only depth is worth.
+    fn march_to_depth<R: Real>(&self, ray: &Ray<R>) -> Marched<R> {
+        ray.direction.x.shared(
+            "march_to_depth",
+            *ray,
+            #[inline(always)]
+            |ray| {
+                let Tolerance { slope, floor } = self.tolerance;
+                self.march_within(&ray, ray.direction.x.given(slope), ray.direction.x.given(floor), true)
+            },
+        )
+    }
+
+    /// Marches within the scene's bounds; what is near enough grows by `slope` from `near`. To be near enough is
+    /// to have met a surface with details of every size, unless its `depth` is asked for.
     #[inline(always)]
-    fn march_within<R: Real>(&self, ray: &Ray<R>, slope: R, near: R) -> Marched<R> {
-        let approach = Approach { slope, near, resolution: self.resolution, both_sides: self.lets_through };
+    fn march_within<R: Real>(&self, ray: &Ray<R>, slope: R, near: R, depth: bool) -> Marched<R> {
+        let approach = self.approach(slope, near, depth);
         let zero = ray.direction.x.splat(0.0);
         let farthest = zero.given(self.scene.march.max_distance.get());
         let (nearest, farthest) = self.bounds.along(ray, farthest);
@@ -286,21 +300,49 @@ impl<'a> Program<'a> {
             missed,
             #[inline(always)]
             || {
-                let reach = Reach { nearest, farthest, max_steps: self.scene.march.max_steps };
-                let mut marched = march_to_root(
+                // Depth among details takes many steps of a distance that is next to none.
+                let (times, relaxation) = if depth { (16, 1.0) } else { (1, RELAXATION) };
+                let max_steps = self.scene.march.max_steps * times;
+                let reach = Reach { nearest, farthest, max_steps, relaxation };
+                let marched = march_to_root(
                     ray,
                     reach,
                     approach,
                     #[inline(always)]
                     |p| self.distance(p),
+                    #[inline(always)]
+                    |p| self.is_fine(p),
                 );
                 // Out of steps: a hit if what the pixel sees touches the surface.
                 let seen = self.view.footprint().at(marched.distance);
-                let touches = marched.gap.lt(seen) & marched.distance.lt(farthest);
-                marched.hit = Flag(marched.hit.0 | touches);
-                marched
+                let touches = !marched.hit.0 & marched.gap.lt(seen) & marched.distance.lt(farthest);
+                if !self.fine.is_empty() {
+                    return Marched { hit: Flag(marched.hit.0 | touches), ..marched };
+                }
+                // And if there is a root: a ray along a surface has none.
+                let wide = Approach { slope: zero, near: seen, ..approach };
+                R::when(
+                    touches,
+                    marched,
+                    #[inline(always)]
+                    || {
+                        find_root(
+                            ray,
+                            &marched,
+                            wide,
+                            None,
+                            #[inline(always)]
+                            |p| self.distance(p),
+                        )
+                    },
+                )
             },
         )
+    }
+
+    #[inline(always)]
+    fn approach<R>(&self, slope: R, near: R, among_details: bool) -> Approach<R> {
+        Approach { slope, near, resolution: self.resolution, both_sides: self.lets_through, among_details }
     }
 
     /// Where exactly a march that came near the surface meets it, and the normal there.
@@ -339,8 +381,11 @@ impl<'a> Program<'a> {
         }
         let object = self.nearest(p).1;
         let nowhere = zero.above(1.0);
-        let is_one = |mask: R::Mask, &index: &usize| mask | (object - index as f32).abs().below(0.5);
-        Some(self.fine.iter().fold(nowhere, is_one))
+        Some(self.fine.iter().fold(
+            nowhere,
+            #[inline(always)]
+            |mask, &index| mask | (object - index as f32).abs().below(0.5),
+        ))
     }
 
     /// How far from a hit its normal is measured: as little as `f32` allows, so that no edge nearby is seen; but
@@ -349,8 +394,8 @@ impl<'a> Program<'a> {
     fn tap<R: Real>(&self, p: Vec3<R>, distance: R, fine: Option<R::Mask>) -> R {
         /// Of a coordinate: some thousand times what it is right to.
         const OF_COORDINATE: f32 = 2.5e-4;
-        /// Of what is the most: a tenth of half a pixel.
-        const OF_MOST: f32 = 0.2;
+        /// Of what is the most: a fortieth of half a pixel.
+        const OF_MOST: f32 = 0.05;
         let most = self.tap.at(distance);
         let size = vec3(p.x.abs(), p.y.abs(), p.z.abs()).max_element();
         let least = distance.given(self.resolution.floor * 50.0);

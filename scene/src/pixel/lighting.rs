@@ -4,7 +4,7 @@ use super::{Hit, Program};
 use crate::backgrounds::Backdrop;
 use crate::camera::Ray;
 use crate::lights::{Incoming, Light, LightSource, Surrounding};
-use crate::march::{Marched, Reach, march};
+use crate::march::{Marched, RELAXATION, Reach, march};
 use crate::materials::microfacet::frame;
 use crate::materials::{Lighting, Shade};
 use crate::real::{Real, Vec3};
@@ -139,7 +139,7 @@ impl Program<'_> {
             (one, zero),
             #[inline(always)]
             || {
-                let reach = Reach { nearest, farthest, max_steps: self.scene.march.max_steps };
+                let reach = Reach { nearest, farthest, max_steps: self.scene.march.max_steps, relaxation: RELAXATION };
                 let marched = march(
                     ray,
                     reach,

@@ -224,7 +224,7 @@ impl Program<'_> {
             "march_on",
             (*ray, near),
             #[inline(always)]
-            |(ray, near)| self.march_within(&ray, near.given(self.tolerance.slope), near),
+            |(ray, near)| self.march_within(&ray, near.given(self.tolerance.slope), near, false),
         )
     }
 }

@@ -1,7 +1,7 @@
 //! What becomes of some rays of a picture, found in plain numbers before anything is rendered.
 
 use super::Program;
-use crate::march::{Approach, Reach, Tolerance, march_to_root};
+use crate::march::{RELAXATION, Reach, Tolerance, march_to_root};
 
 /// Rays that are looked at, at most.
 const RAYS: u32 = 256;
@@ -29,10 +29,10 @@ impl Program<'_> {
             if nearest >= farthest {
                 continue;
             }
-            let reach = Reach { nearest, farthest, max_steps: max_steps.min(left) };
+            let reach = Reach { nearest, farthest, max_steps: max_steps.min(left), relaxation: RELAXATION };
             let Tolerance { slope, floor: near } = self.tolerance;
-            let approach = Approach { slope, near, resolution: self.resolution, both_sides: self.lets_through };
-            let marched = march_to_root(&ray, reach, approach, |p| self.distance(p));
+            let approach = self.approach(slope, near, false);
+            let marched = march_to_root(&ray, reach, approach, |p| self.distance(p), |p| self.is_fine(p));
             left -= (marched.steps as u32).min(left);
             let seen: f32 = self.view.footprint().at(marched.distance);
             if marched.hit.0 || marched.distance >= farthest || marched.gap < seen {

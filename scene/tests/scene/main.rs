@@ -14,6 +14,7 @@ mod profiles;
 mod round;
 mod surface;
 mod warnings;
+mod witness;
 
 // Some of these tests run inside of the crate too, and find it under this name.
 use scene as subject;

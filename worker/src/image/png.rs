@@ -207,6 +207,47 @@ fn straight(premultiplied: f32, alpha: f32) -> f32 {
 mod tests {
     use super::*;
 
+    /// The levels of a square of one colour, by channel.
+    fn levels(srgb: f32) -> [Vec<u32>; 3] {
+        const WIDTH: usize = 64;
+        let job = br#"{ "scene": { "camera": { "position": [0, 0, 5], "look_at": [0, 0, 0] },
+            "objects": [{ "shape": { "sphere": { "radius": 1 } } }] }, "image": { "width": 64, "height": 64 } }"#;
+        let image = scene::parse(job).expect("a job").image;
+        let layout = Layout { width: WIDTH, opaque: true, bits: Bits::Eight, grade: Grade::of(&image) };
+        let mut levels = [const { Vec::new() }; 3];
+        for y in 0..64 {
+            let mut samples = vec![srgb; 3 * WIDTH];
+            layout.choose_levels(&mut samples, y);
+            for (levels, plane) in levels.iter_mut().zip(samples.chunks(WIDTH)) {
+                levels.extend(plane.iter().map(|&value| whole(value)));
+            }
+        }
+        levels
+    }
+
+    #[test]
+    fn between_two_levels_pixels_share_out_and_their_mean_is_the_colour() {
+        for wanted in [0.25, 3.5, 100.3, 254.8] {
+            let [red, green, blue] = levels(wanted / 255.0);
+            for levels in [&red, &green, &blue] {
+                assert!(levels.iter().all(|&level| level as f32 <= wanted + 1.0 && level as f32 >= wanted - 1.0));
+                let mean = levels.iter().sum::<u32>() as f32 / levels.len() as f32;
+                assert!((mean - wanted).abs() < 0.03, "{mean} for {wanted}");
+            }
+            assert!(red != green && green != blue);
+        }
+    }
+
+    #[test]
+    fn an_even_colour_that_is_a_level_stays_even() {
+        for level in 0..=255_u16 {
+            let srgb = f32::from(level) / 255.0;
+            for near in [srgb.next_down().max(0.0), srgb, srgb.next_up().min(1.0)] {
+                assert!(levels(near).iter().flatten().all(|&got| got == u32::from(level)), "{level}");
+            }
+        }
+    }
+
     #[test]
     fn whole_parts_are_those_of_a_cast() {
         for bits in (0..256.0_f32.to_bits()).step_by(97) {

@@ -1,0 +1,163 @@
+//! What corners, edges, fog and distant patterns look like, against values worked out by hand.
+
+use scene::backgrounds::Backdrop;
+use scene::real::Vec3;
+use scene::{Job, Program};
+
+/// Two walls and a floor that meet at the origin, seen along (−1, −1, −1); `planes` of them.
+fn corner(planes: &str, camera: &str, rest: &str) -> Job {
+    job(&format!(
+        r#"{{ "scene": {{ "camera": {{ {camera} }}, "background": {{ "color": [1, 1, 1] }}, "lights": [],
+            "ambient_occlusion": {{ "distance": 0.5 }},
+            "materials": {{ "white": {{ "diffuse": {{ "kd": [1, 1, 1], "ambient": [1, 1, 1] }} }} }},
+            "objects": [{planes}] }},
+        "image": {{ "width": 64, "height": 64, "samples": 1 {rest} }} }}"#
+    ))
+}
+
+fn job(text: &str) -> Job {
+    scene::parse(text.as_bytes()).unwrap_or_else(|fault| panic!("{fault:?}"))
+}
+
+fn plane(normal: &str) -> String {
+    format!(r#"{{ "material": "white", "shape": {{ "plane": {{ "normal": {normal}, "offset": 0 }} }} }}"#)
+}
+
+/// The red of some pixels.
+fn reds(job: &Job, pixels: &[(f32, f32)]) -> Vec<f32> {
+    let still = job.at(0).expect("a first frame");
+    let program = Program::new(&still);
+    pixels.iter().map(|&(x, y)| program.pixel(x, y).color.x).collect()
+}
+
+#[test]
+fn a_plane_keeps_all_light_from_around_a_right_angle_a_half_and_a_corner_a_quarter() {
+    let [floor, wall, other] = ["[0, 1, 0]", "[1, 0, 0]", "[0, 0, 1]"].map(plane);
+    let across =
+        r#""position": [1, 2, 0], "look_at": [0, 1e-4, 0], "projection": { "orthographic": { "height": 0.001 } }"#;
+    let into = r#""position": [2, 2, 2], "look_at": [0, 0, 0], "projection": { "orthographic": { "height": 0.001 } }"#;
+    let middle = [(20.0, 20.0), (40.0, 20.0), (31.0, 45.0)];
+    for (planes, camera, least, most) in [
+        (floor.clone(), across, 0.999, 1.0),
+        (format!("{floor}, {wall}"), across, 0.48, 0.52),
+        (format!("{floor}, {wall}, {other}"), into, 0.22, 0.33),
+    ] {
+        let open = reds(&corner(&planes, camera, ""), &middle);
+        assert!(open.iter().all(|open| (least..=most).contains(open)), "{open:?} for {planes}");
+    }
+}
+
+#[test]
+fn no_bright_line_is_seen_along_a_crease() {
+    let planes = ["[0, 1, 0]", "[1, 0, 0]"].map(plane).join(", ");
+    let camera = r#""position": [2, 2, 0.1], "look_at": [0, 0, 0.1], "fov": 3"#;
+    let job = corner(&planes, camera, "");
+    let rows: Vec<(f32, f32)> = (0..64).map(|y| (32.0, y as f32)).collect();
+    let open = reds(&job, &rows);
+    let darkest = open.iter().copied().fold(1.0, f32::min);
+    let crease = &open[30..34];
+    assert!(crease.iter().all(|&open| open < darkest + 0.03), "{open:?}");
+    assert!((0.45..0.55).contains(&darkest), "{darkest}");
+}
+
+#[test]
+fn a_normal_near_an_edge_is_that_of_its_face() {
+    let job = job(r#"{ "scene": { "camera": { "position": [3, 3, 3], "look_at": [0, 0, 0] },
+            "objects": [{ "shape": { "box": { "size": [1, 1, 1] } } }] },
+        "image": { "width": 256, "height": 256, "samples": 1 } }"#);
+    let still = job.at(0).expect("a first frame");
+    let program = Program::new(&still);
+    let (mut hits, mut blended) = (0, 0);
+    for y in 0..256_u16 {
+        for x in 0..256_u16 {
+            let met = program.layers(f32::from(x), f32::from(y));
+            let Vec3 { x: a, y: b, z: c } = met.normal;
+            let greatest = a.max(b).max(c);
+            hits += u32::from(greatest > 0.0);
+            blended += u32::from(greatest > 0.0 && greatest < 0.999);
+        }
+    }
+    assert!(hits > 5_000, "{hits}");
+    // Of edges a thousand pixels are seen; where taps reach over half a pixel, as many are blended.
+    assert!(blended * 400 < hits, "{blended} of {hits}");
+}
+
+#[test]
+fn rays_beyond_a_horizon_miss_and_no_normal_is_turned_over() {
+    let job = job(r#"{ "scene": { "camera": { "position": [0, 1, 0], "look_at": [0, 0.9, -5] },
+            "objects": [{ "shape": { "plane": { "normal": [0, 1, 0], "offset": 0 } } }],
+            "march": { "max_distance": 100000, "max_steps": 4096 } },
+        "image": { "width": 64, "height": 400, "samples": 1 } }"#);
+    let still = job.at(0).expect("a first frame");
+    let program = Program::new(&still);
+    let view = still.scene().camera.view(64, 400);
+    for y in 0..400_u16 {
+        let met = program.layers(31.0, f32::from(y));
+        let down = f64::from(view.ray(31.5_f32, f32::from(y) + 0.5).direction.y);
+        let want = if down < 0.0 { -1.0 / down } else { f64::INFINITY };
+        if want > 5e4 {
+            assert!(down < 0.0 || met.depth == f32::INFINITY, "row {y} sees the floor above the horizon");
+            continue;
+        }
+        let got = f64::from(met.depth);
+        assert!((got - want).abs() < 1e-4 * want, "row {y}: {got} for {want}");
+        assert!(met.normal.y > 0.999, "row {y}: {:?}", met.normal);
+    }
+}
+
+#[test]
+fn fog_without_a_colour_has_the_horizons_below_the_horizon() {
+    let job = job(r#"{ "scene": { "camera": { "position": [0, 2, 0], "look_at": [0, 1, -5] },
+            "background": { "day": { "sun": [0.3, 0.6, -0.4], "ground": [0.4, 0.2, 0.05] } },
+            "fog": { "density": 2 },
+            "objects": [{ "shape": { "plane": { "normal": [0, 1, 0], "offset": 0 } } }] },
+        "image": { "width": 9, "height": 65, "samples": 1 } }"#);
+    let still = job.at(0).expect("a first frame");
+    let program = Program::new(&still);
+    let view = still.scene().camera.view(9, 65);
+    for y in [40.0, 50.0, 60.0_f32] {
+        let Vec3 { x, z, .. } = view.ray(4.5, y + 0.5).direction;
+        let level = 1.0 / (x * x + z * z).sqrt();
+        let horizon = scene::real::vec3(x * level, 0.0, z * level);
+        let want = still.scene().background.toward(horizon);
+        let got = program.pixel(4.0, y).color;
+        assert!((got - want).length() < 0.02 * want.length(), "row {y}: {got:?} for {want:?}");
+    }
+}
+
+/// A floor with a texture under light that is even, seen at a slant; one sample a pixel.
+fn floor_with(texture: &str, height: u32, samples: u32) -> Job {
+    let width = height * 2;
+    job(&format!(
+        r#"{{ "scene": {{ "camera": {{ "position": [0.3, 1, 0.2], "look_at": [0.1, 0.6, -5] }}, "lights": [],
+            "background": {{ "color": [0.5, 0.5, 0.5] }},
+            "materials": {{ "floor": {{ "flat": {{ "color": [1, 1, 1] }} }},
+                "textured": {{ "diffuse": {{ "kd": {texture}, "ambient": [1, 1, 1] }} }} }},
+            "objects": [{{ "material": "textured", "shape": {{ "plane": {{ "normal": [0, 1, 0], "offset": 0 }} }} }}] }},
+        "image": {{ "width": {width}, "height": {height}, "samples": {samples} }} }}"#
+    ))
+}
+
+/// The mean square of the difference between one sample a pixel and many, in some rows.
+fn roughness(texture: &str, rows: std::ops::Range<u16>) -> f64 {
+    let (one, many) = (floor_with(texture, 96, 1), floor_with(texture, 96, 256));
+    let pixels: Vec<(f32, f32)> =
+        rows.flat_map(|y| (0..192_u16).step_by(5).map(move |x| (f32::from(x), f32::from(y)))).collect();
+    let (got, want) = (reds(&one, &pixels), reds(&many, &pixels));
+    let squares = got.iter().zip(&want).map(|(got, want)| f64::from(got - want).powi(2));
+    squares.sum::<f64>() / pixels.len() as f64
+}
+
+#[test]
+fn distant_patterns_are_seen_as_their_mean() {
+    for (texture, most) in [
+        (r#"{ "checker": { "cell": 0.5, "axes": "xz" } }"#, 0.02),
+        (r#"{ "stripes": { "direction": [1, 0, 1], "width": 0.4 } }"#, 0.01),
+        (r#"{ "bricks": { "size": [0.5, 0.3], "mortar": 0.06, "mortar_color": [1, 1, 1] } }"#, 0.01),
+    ] {
+        // Black and white differ by 1: a pixel that sees one of them by chance is wrong by a half.
+        let error = roughness(texture, 42..60);
+        println!("{error} for {texture}");
+        assert!(error < most, "{error} for {texture}");
+    }
+}

@@ -1,0 +1,47 @@
+//! Pictures against an independent tracer in double precision, written in Python: `tracer.py`.
+
+use std::fs;
+use std::process::Command;
+
+use serde_json::Value;
+
+use crate::support::{root, succeed, text};
+
+/// The job of a shipped scene as a small EXR with depth and normals, one sample a pixel.
+fn small(name: &str) -> Value {
+    let path = root().join("scenes").join(format!("{name}.json"));
+    let mut job: Value = serde_json::from_slice(&fs::read(path).expect("a scene")).expect("JSON");
+    job["image"] = serde_json::json!({ "width": 240, "height": 135, "samples": 1, "format": "exr",
+        "precision": "float", "layers": ["depth", "normal"] });
+    job
+}
+
+/// What the tracer says of a job's picture; `None` where Python lacks what it needs.
+fn traced(job: &Value) -> Option<Value> {
+    let folder = tempfile::tempdir().expect("a folder");
+    let (file, picture) = (folder.path().join("job.json"), folder.path().join("picture.exr"));
+    fs::write(&file, job.to_string()).expect("written");
+    succeed(&["render", &file.to_string_lossy(), "--device", "cpu", "-o", &picture.to_string_lossy()]);
+    let mut python = Command::new("python3");
+    python.env("PYTHONPATH", root().join(".whl")).arg(root().join("tests/tracer.py")).args([&file, &picture]);
+    let output = python.output().ok()?;
+    if text(&output.stderr).contains("ModuleNotFoundError") {
+        return None;
+    }
+    assert!(output.status.success(), "the tracer failed: {}", text(&output.stderr));
+    Some(serde_json::from_slice(&output.stdout).expect("the tracer's answer"))
+}
+
+#[test]
+fn depth_and_normals_are_those_of_an_independent_tracer() {
+    for (name, depth, normals) in [("csg", 0.999, 0.995), ("five-spheres", 0.999, 0.999), ("mandelbulb", 0.99, 0.0)] {
+        let Some(answer) = traced(&small(name)) else {
+            eprintln!("skipped: no Python with numpy and OpenEXR to trace {name}");
+            continue;
+        };
+        let share = |key: &str| answer[key].as_f64().expect("a share");
+        assert!(share("exact_depth") >= depth, "{name}: {answer}");
+        assert!(share("exact_normals") >= normals, "{name}: {answer}");
+        assert!(share("hits") > 1000.0, "{name}: {answer}");
+    }
+}
