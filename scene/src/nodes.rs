@@ -57,6 +57,7 @@ use crate::bounds::Bounds;
 use crate::materials::MaterialUse;
 use crate::real::{Real, Vec3};
 use crate::seek::{Misfit, Seek};
+use crate::values::Rotation;
 
 /// A node inside another.
 pub type Child = std::boxed::Box<Node>;
@@ -205,6 +206,27 @@ macro_rules! nodes {
             fn child_evaluations(&self) -> f32 {
                 match self {
                     $($(#[$attribute])* Self::$Kind(node) => Sdf::child_evaluations(node)),*
+                }
+            }
+
+            /// Whether it takes its further children away from the first.
+            pub(crate) fn subtracts(&self) -> bool {
+                match self {
+                    $($(#[$attribute])* Self::$Kind(node) => Sdf::subtracts(node)),*
+                }
+            }
+
+            /// The angles about the axes by which it turns its child, if it does that alone.
+            pub(crate) fn rotation(&self) -> Option<&Rotation> {
+                match self {
+                    $($(#[$attribute])* Self::$Kind(node) => Sdf::rotation(node)),*
+                }
+            }
+
+            /// Whether its child is carried to another place over the frames.
+            pub(crate) fn is_placement_animated(&self) -> bool {
+                match self {
+                    $($(#[$attribute])* Self::$Kind(node) => Sdf::is_placement_animated(node)),*
                 }
             }
 

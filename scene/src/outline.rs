@@ -250,7 +250,7 @@ mod tests {
         ] {
             assert!(value(pointer).is_some_and(|value| value.starts_with(begins)), "{pointer}: {:?}", value(pointer));
         }
-        for pointer in ["/s\"]/4", "/s\"]/x", "/s\"]/2/2", "/~", "/z/0", "/s"] {
+        for pointer in ["/s\"]/4", "/s\"]/x", "/s\"]/2/2", "/~01", "/z/0", "/s"] {
             assert_eq!(value(pointer), None, "{pointer}");
         }
         assert_eq!(locate_key(text, "/s\"]/0"), None, "an entry of a list has no key");

@@ -21,7 +21,7 @@ pub(crate) struct Arguments {
     #[arg(long, env = "SDFARM_ESTIMATE", value_parser = clap::builder::FalseyValueParser::new(), action = clap::ArgAction::SetTrue)]
     estimate: bool,
     /// Print all as JSON.
-    #[arg(long)]
+    #[arg(long, env = "SDFARM_JSON", value_parser = clap::builder::FalseyValueParser::new(), action = clap::ArgAction::SetTrue)]
     json: bool,
 }
 

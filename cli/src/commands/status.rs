@@ -116,8 +116,8 @@ queue    1 running, 4 queued, 90 tiles ready, 8 leased; work for 1 h 1 min, the 
 pool     1 of 2 ready; all workers: 11.0 Mrays/s
 disk     1.0 GB free of 9.0 GB; pictures and tiles 570 B, database 0 B
 worker   pool-1               cpu      ready         8 leases  2.0 Mrays/s
-job      01890a5d-ac96-774b-bcce-b302099a8058  running   25 %  1 min 15 s left  fjord
-job      01890a5d-ac96-774b-bcce-b302099a8058  running   25 %  paused  lantern
+job      099a8058  running   25 %  1 min 15 s left  fjord
+job      099a8058  running   25 %  paused  lantern
 alert    the farm is paused: `sdfarm resume` lets it go on
 alert    2 tiles were rendered differently by two workers
 alert    1 of 2 local workers ready

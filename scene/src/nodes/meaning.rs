@@ -4,6 +4,7 @@ use super::{Node, Sample};
 use crate::bounds::Bounds;
 use crate::materials::MaterialUse;
 use crate::real::{Real, Vec3};
+use crate::values::Rotation;
 
 /// Cost of noise at a point, in evaluations of a simple node.
 pub(super) const NOISE_COST: f32 = 20.0;
@@ -136,6 +137,21 @@ pub trait Sdf {
     /// How many times one evaluation of it evaluates the nodes inside, at most.
     fn child_evaluations(&self) -> f32 {
         1.0
+    }
+
+    /// Whether it takes its further children away from the first.
+    fn subtracts(&self) -> bool {
+        false
+    }
+
+    /// The angles about the axes by which it turns its child, if it does that alone.
+    fn rotation(&self) -> Option<&Rotation> {
+        None
+    }
+
+    /// Whether its child is carried to another place over the frames.
+    fn is_placement_animated(&self) -> bool {
+        false
     }
 
     /// What to change if its Lipschitz factor is so high that steps are tiny: the fix in the warning of that.

@@ -271,6 +271,10 @@ impl Sdf for Difference {
     }
 
     around_list!(|first, _| first);
+
+    fn subtracts(&self) -> bool {
+        true
+    }
 }
 
 fn sharp() -> Amount {

@@ -67,6 +67,10 @@ impl Sdf for Translate {
     fn bounds(&self, level: f32) -> Bounds {
         self.child.bounds(level).moved(self.by.get())
     }
+
+    fn is_placement_animated(&self) -> bool {
+        self.by.is_moving()
+    }
 }
 
 impl Sdf for Rotate {
@@ -82,6 +86,14 @@ impl Sdf for Rotate {
 
     fn bounds(&self, level: f32) -> Bounds {
         self.child.bounds(level).turned(self.degrees.inverse_rows())
+    }
+
+    fn rotation(&self) -> Option<&Rotation> {
+        Some(&self.degrees)
+    }
+
+    fn is_placement_animated(&self) -> bool {
+        self.degrees.is_moving()
     }
 }
 

@@ -52,7 +52,7 @@ mod tests {
                     let text = number.to_string();
                     let digits: String =
                         text.split('e').next().unwrap_or("").chars().filter(char::is_ascii_digit).collect();
-                    assert!(number.is_u64() || digits.trim_start_matches('0').len() <= 9, "{number}");
+                    assert!(number.is_u64() || digits.trim_matches('0').len() <= 9, "{number}");
                 }
                 Value::Array(members) => members.iter().for_each(check),
                 Value::Object(members) => members.values().for_each(check),

@@ -24,8 +24,8 @@ pub(super) fn difference(scene: &Scene) -> Option<String> {
 }
 
 fn empty_difference(node: &Node, pointer: &mut String, boxes_left: &mut usize) -> Option<String> {
-    if matches!(node, Node::Difference(_)) && is_empty(node, boxes_left) {
-        return Some(format!("{pointer}/difference"));
+    if node.subtracts() && is_empty(node, boxes_left) {
+        return Some(format!("{pointer}/{}", node.name()));
     }
     let length = pointer.len();
     node.children().iter().zip(child_steps(node)).find_map(|(child, step)| {

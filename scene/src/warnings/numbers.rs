@@ -102,8 +102,7 @@ fn rotation_in_radians(node: &Node, pointer: &mut String) -> Option<String> {
 
 /// The angles of a rotation that stands still, as they are written.
 fn angles_of(node: &Node) -> Option<Vec<f64>> {
-    let Node::Rotate(rotate) = node else { return None };
-    let value = serde_json::to_string(&rotate.degrees).ok()?;
+    let value = serde_json::to_string(node.rotation()?).ok()?;
     let angles: Vec<Value> = serde_json::from_str(&value).ok()?;
     angles.iter().map(Value::as_f64).collect()
 }

@@ -26,7 +26,7 @@ fn moves_under(
     pointer: &mut String,
 ) -> Option<String> {
     let is_under_texture = node.material().map_or(is_under_texture, |material| is_textured(material.slot()));
-    if is_under_texture && is_moved(node) && is_bare(node) {
+    if is_under_texture && node.is_placement_animated() && is_bare(node) {
         return Some(format!("{pointer}/{}", node.name()));
     }
     let length = pointer.len();
@@ -41,15 +41,4 @@ fn moves_under(
 /// Whether a part of a shape has no paint of its own.
 fn is_bare(node: &Node) -> bool {
     node.material().is_none() && (node.children().is_empty() || node.children().iter().any(is_bare))
-}
-
-/// Whether it carries what is in it somewhere else over the frames.
-fn is_moved(node: &Node) -> bool {
-    if let Node::Translate(node) = node {
-        return node.by.is_moving();
-    }
-    if let Node::Rotate(node) = node {
-        return node.degrees.is_moving();
-    }
-    false
 }

@@ -102,14 +102,19 @@ fn the_schema_describes_every_kind_and_each_of_its_keys() {
     each(|name, family, example, value| {
         let definition = &schema["$defs"][family.definition];
         let Some((key, value)) = value.as_object().and_then(|object| object.iter().next()) else {
-            let choices = definition["oneOf"].as_array().expect("a family is a choice");
-            let own = choices.iter().find(|choice| &choice["const"] == value).expect("the schema has the word");
-            return assert!(own["description"].is_string(), "{name} has no description");
+            let words = &schema["$defs"][format!("{}Word", family.definition)];
+            assert!(words["enum"].as_array().expect("the schema has a list of words").contains(value), "{name}");
+            let described = format!("- `{value}`: ");
+            return assert!(words["description"].as_str().is_some_and(|text| text.contains(&described)), "{name}");
         };
         let own = &schema["$defs"][example.kind];
         assert!(own["description"].is_string(), "{name} has no description");
-        let reference = json!(format!("#/$defs/{}", example.kind)).to_string();
-        assert!(definition.to_string().contains(&reference), "{name}: {} does not list it", family.definition);
+        let choices = definition["oneOf"].as_array().into_iter().flatten();
+        let choices = choices.filter_map(|choice| choice["$ref"].as_str()?.strip_prefix("#/$defs/"));
+        let mut keyed = choices.map(|choice| &schema["$defs"][choice]).chain([definition]);
+        let keyed = keyed.find(|keyed| keyed["properties"][key].is_object());
+        let keyed = keyed.unwrap_or_else(|| panic!("{name}: {} does not list it", family.definition));
+        assert_eq!(keyed["properties"][key]["$ref"], format!("#/$defs/{}", example.kind), "{name}");
         for key in value.as_object().into_iter().flat_map(serde_json::Map::keys) {
             assert!(own["properties"][key].is_object(), "{name} has no {key} in the schema");
         }
@@ -126,10 +131,10 @@ fn the_schema_describes_every_kind_and_each_of_its_keys() {
 #[test]
 fn the_list_of_effects_has_every_key_of_a_scene_that_may_be_absent() {
     let schema = scene::schema();
-    let optional = schema["$defs"]["Scene"]["properties"].as_object().expect("a scene has keys").iter();
-    let optional = optional.filter(|(_, property)| {
-        property["anyOf"].as_array().is_some_and(|choices| choices.contains(&json!({ "type": "null" })))
-    });
+    let required = schema["$defs"]["Scene"]["required"].as_array().expect("a scene needs some keys");
+    let properties = schema["$defs"]["Scene"]["properties"].as_object().expect("a scene has keys").iter();
+    let optional =
+        properties.filter(|(key, property)| property.get("default").is_none() && !required.contains(&json!(key)));
     let keys: BTreeSet<String> = optional.map(|(key, _)| key.clone()).collect();
     let listed: BTreeSet<String> = effects::examples().into_iter().map(|example| example.name).collect();
     assert_eq!(keys, listed);

@@ -226,7 +226,7 @@ fn a_wrong_texture_is_refused_where_it_is_wrong_and_with_a_cure() {
         (ramp("[[0, [0, 0, 0]], [1.5, [1, 1, 1]]]"), "/flat/color/gradient/ramp/1/0", "a share from 0 to 1"),
         (ramp(r##"[[0, [0, 0, 0]], [1, "#12"]]"##), "/flat/color/gradient/ramp/1/1", "a colour"),
         (flat(r#"{ "checker": { "cell": 0 } }"#), "/flat/color/checker/cell", "a size from 1e-6"),
-        (flat(r#"{ "checker": { "cell": 1, "colour": 1 } }"#), "/flat/color/checker/colour", "expected one of `cell`"),
+        (flat(r#"{ "checker": { "cell": 1, "colour": 1 } }"#), "/flat/color/checker/colour", "did you mean `colors`?"),
         (flat(r#"{ "chequer": { "cell": 1 } }"#), "/flat/color/chequer", "expected one of `"),
         (flat("[1, 2]"), "/flat/color", "a colour"),
         (flat("7"), "/flat/color", "or a texture"),

@@ -70,11 +70,10 @@ impl Bricks {
     fn inside<R: Real>(&self, part: R, length: f32, seen: R) -> R {
         let half = part.given(0.5 * self.mortar.get());
         let window = softened(self.softness.get(), seen);
-        // How much mortar there is from the middle of one joint to a place: the difference over the window.
+        // The part of the window that is before a place: mortar is between the two edges of the joint.
         let from_middle = (part - 0.5).abs().mul_add(part.given(-length), part.given(0.5 * length));
-        let passed = |way: R| way.max(-half).min(half);
-        let reach = window * 0.5;
-        let mortar = (passed(from_middle + reach) - passed(from_middle - reach)) / window;
+        let before = |edge: R| ((edge - from_middle) / window + 0.5).at_least(0.0).at_most(1.0);
+        let mortar = before(half) - before(-half);
         let mean = part.given((self.mortar.get() / length).min(1.0));
         let kept = kept(seen, 2.0 * length);
         part.splat(1.0) - (mortar - mean).mul_add(kept, mean).at_most(1.0)
