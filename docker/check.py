@@ -1,6 +1,6 @@
-"""Checks what the engine would read, without an engine: the compose model, and that it is as safe as it says.
+"""Checks the compose file and the Dockerfiles without a container engine: known keys, and hardening of each service.
 
-Run from anywhere: python3 docker/check.py. It needs PyYAML. Prints what is wrong and exits with 1, or says what it saw.
+Run from anywhere: python3 docker/check.py. It needs PyYAML. Prints the errors and exits with 1, or prints that it found none.
 """
 
 import pathlib
@@ -12,7 +12,7 @@ import yaml
 ROOT = pathlib.Path(__file__).resolve().parent.parent
 FOLDER = ROOT / "docker"
 
-# Of the compose specification, what this file may use: a misspelt key is found here.
+# Keys of the compose specification that the file may use, so that a misspelled key is found.
 TOP = {"name", "services", "volumes", "x-hardened"}
 SERVICE = {
     "restart", "read_only", "cap_drop", "security_opt", "tmpfs", "pids_limit", "logging", "image", "build", "user",
@@ -39,7 +39,7 @@ def faults_of_service(name, service, model):
     if service.get("read_only") is not True:
         yield wrong("its root is writable")
     if service.get("cap_drop") != ["ALL"] or "no-new-privileges:true" not in service.get("security_opt", []):
-        yield wrong("it keeps rights that it does not need")
+        yield wrong("it keeps privileges that it does not need")
     if service.get("user", "0").split(":")[0] in ("0", "root"):
         yield wrong("it runs as root")
     check = service.get("healthcheck", {})
@@ -47,41 +47,41 @@ def faults_of_service(name, service, model):
         yield wrong("it has no health check without a shell")
     for key in ("interval", "timeout", "start_period"):
         if key in check and not DURATION.fullmatch(check[key]):
-            yield wrong(f"healthcheck.{key} is no duration")
+            yield wrong(f"healthcheck.{key} is not a duration")
     for port in service.get("ports", []):
         if not re.fullmatch(r"127\.0\.0\.1:\d+:\d+", port):
             yield wrong(f"port {port} is open to other machines")
     for volume in service.get("volumes", []):
         source, target = volume.split(":")[:2]
         if not target.startswith("/"):
-            yield wrong(f"volume {volume} has no place")
+            yield wrong(f"volume {volume} has no absolute path in the container")
         if source.startswith("."):
             if not (FOLDER / source).exists():
-                yield wrong(f"{source} is not there")
+                yield wrong(f"{source} does not exist")
         elif source not in model["volumes"]:
             yield wrong(f"volume {source} is not declared")
     for other, how in service.get("depends_on", {}).items():
         if "healthcheck" not in model["services"].get(other, {}) or how != {"condition": "service_healthy"}:
-            yield wrong(f"it waits for {other}, whose health nobody checks")
+            yield wrong(f"it waits for {other}, which has no health check")
     build = service.get("build")
     if build and not (FOLDER / build["context"] / build["dockerfile"]).is_file():
-        yield wrong(f"{build['dockerfile']} is not there")
+        yield wrong(f"{build['dockerfile']} does not exist")
     if not build and ":" not in service["image"] and not built(service["image"], model):
         yield wrong(f"image {service['image']} has no version")
     for variable, value in service.get("environment", {}).items():
         if not isinstance(value, str):
-            yield wrong(f"{variable} is no text")
+            yield wrong(f"{variable} is not a string")
         if variable.startswith("SDFARM_") and variable not in variables():
-            yield wrong(f"the program knows no {variable}")
+            yield wrong(f"the program has no variable {variable}")
 
 
 def faults_of_head(text):
-    """The commands at the head: each has to run before the variables of later ones are known."""
+    """Checks the commands at the head: each must run before the variables of later ones are known."""
     if re.search(r"\$\{\w+:?\?", text):
         yield "compose.yml: a required variable, which stops every command that comes before its value is known"
     keys = re.findall(r"^# +docker compose .* run --rm server (key new .*)$", text, re.M)
     if not keys or not keys[0].endswith("--scope admin"):
-        yield "compose.yml: the first key that its head makes is no administrator's"
+        yield "compose.yml: the first key created by the commands at its head is not an administrator's"
 
 
 def built(image, model):
@@ -98,15 +98,15 @@ def faults_of_image(path):
     stages = [line for line in lines if line.startswith("FROM ")]
     for stage in stages:
         if not re.fullmatch(r"FROM \S+:[\w.-]*\d[\w.-]*( AS \w+)?", stage):
-            yield f"{path.name}: {stage!r} names no version"
+            yield f"{path.name}: {stage!r} has no version"
     last = lines[lines.index(stages[-1]):]
     if not any(re.fullmatch(r"USER \d+:\d+", line) and not line.startswith("USER 0") for line in last):
         yield f"{path.name}: it runs as root"
     if not any(line.startswith("HEALTHCHECK ") for line in last):
-        yield f"{path.name}: nobody checks its health"
+        yield f"{path.name}: it has no health check"
     for name in re.findall(r"\b(SDFARM_[A-Z_]+)=", "\n".join(last)):
         if name not in variables():
-            yield f"{path.name}: the program knows no {name}"
+            yield f"{path.name}: the program has no variable {name}"
 
 
 def faults():
@@ -123,10 +123,10 @@ def faults():
     members = re.search(r"members = \[(.*?)\]", (ROOT / "Cargo.toml").read_text()).group(1)
     for folder in [*re.findall(r'"(\w+)"', members), "migrations", "scenes", "tests", "Cargo.lock"]:
         if f"!{folder}" not in ignored:
-            yield f".dockerignore: {folder} does not reach the build"
+            yield f".dockerignore: {folder} is not included in the build"
 
 
 if __name__ == "__main__":
     found = list(faults())
-    print("\n".join(found) if found else "the compose model and the images are sound")
+    print("\n".join(found) if found else "the compose file and the images are valid")
     sys.exit(1 if found else 0)

@@ -23,6 +23,12 @@ const LINES: &[(&str, &[&str])] = &[
     ("curl -s --json @job.json -H 'Prefer: wait=30'", &["\"state\":\"succeeded\""]),
     ("id=$(sdfarm submit job.json --wait --server $farm)", &[]),
     ("curl -s -H 'Prefer: wait=60' \"$farm/v1/jobs/$id\"", &["\"state\":\"succeeded\"", "\"paused\":false"]),
+    ("curl -s \"$farm/v1/jobs?match=latest\"", &["\"id\":\"", "\"next_cursor\":null"]),
+    ("curl -s \"$farm/v1/jobs?match=1f6e07ab\"", &["\"jobs\":[]"]),
+    ("curl -s \"$farm/v1/jobs?match=csg\"", &["\"jobs\":[]"]),
+    ("curl -s $farm/v1/jobs/$id/file -o job.json", &[]),
+    ("curl -s $farm/v1/jobs/$id/resubmit -X POST", &["\"id\":\"", "\"state\":\""]),
+    ("sdfarm resubmit latest --patch", &["-"]),
     ("curl -sN \"$farm/v1/jobs/$id/events\"", &["event: state", "event: frame", "\"state\":\"succeeded\""]),
     (
         "curl -s \"$farm/v1/jobs/$id/frames?limit=1000\"",
