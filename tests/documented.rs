@@ -9,6 +9,7 @@ use std::process::Command;
 use serde_json::json;
 
 use crate::jobs;
+use crate::skip::skip;
 use crate::support::{Farm, PROGRAM, clean, finish, root, text};
 
 /// How the page names the farm.
@@ -76,12 +77,10 @@ fn shell(folder: &Path) -> Command {
 fn the_examples_of_the_page_on_the_api_do_what_it_says() {
     let curl = Command::new("curl").arg("--version").output().ok().map(|output| text(&output.stdout));
     let Some(minor) = curl.as_ref().and_then(|said| said.split(['.', ' ']).nth(2)?.parse::<u32>().ok()) else {
-        println!("skipped: curl is not installed; the examples of docs/api.md are not run");
-        return;
+        return skip("curl", "curl is not installed; the examples of docs/api.md are not run");
     };
     if minor < 82 && curl.is_some_and(|said| said.starts_with("curl 7.")) {
-        println!("skipped: this curl has no --json; the examples of docs/api.md are not run");
-        return;
+        return skip("curl-json", "this curl has no --json; the examples of docs/api.md are not run");
     }
     let farm = Farm::start(&["--workers", "1"]);
     let folder = tempfile::tempdir().expect("a folder");

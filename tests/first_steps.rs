@@ -112,7 +112,11 @@ fn frames_are_saved_in_a_folder_and_a_file_says_what_became_of_the_others() {
     on_farm(&["fetch", id, "--frame", "1", "-o", "one/"]);
     assert_eq!(names_in(&folder.path().join("one")), names[1..2]);
     let none = run_in(folder.path(), &["fetch", id, "--frame", "3", "-o", "one/", "--server", &farm.address]);
-    assert!(none.status.code() == Some(1) && text(&none.stderr).contains("it has 3, from 0"), "{}", text(&none.stderr));
+    assert!(
+        none.status.code() == Some(1) && text(&none.stderr).contains("its frames are 0 to 2"),
+        "{}",
+        text(&none.stderr)
+    );
 }
 
 #[test]
@@ -167,7 +171,7 @@ fn messages_name_the_place_and_the_cure() {
 fn one_thing_is_counted_in_the_singular() {
     let folder = folder_with_frames(1);
     let (said, _) = done(folder.path(), &["check", "job.json"]);
-    assert!(said.contains(", 1 frame\n") && !said.contains("1 frames"), "{said}");
+    assert!(said.contains(" 1 frame of ") && !said.contains("1 frames"), "{said}");
     let (said, _) = done(folder.path(), &["explain", "job.json"]);
     assert!(said.contains(", 1 frame\n"), "{said}");
 }

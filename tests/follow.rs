@@ -125,7 +125,7 @@ fn a_job_is_moved_and_only_a_failed_one_retried() {
     let farm = Farm::start(&["--workers", "0"]);
     let folder = tempfile::tempdir().expect("a folder");
     let id = farm.accept(&animation().to_string());
-    assert!(good(&on(&farm, folder.path(), &["priority", &id, "-7"])).contains(&id));
+    assert!(good(&on(&farm, folder.path(), &["priority", &id, "-7"])).contains(&id[28..]));
     let refused = on(&farm, folder.path(), &["retry", &id]);
     assert_eq!(refused.status.code(), Some(1));
     assert!(text(&refused.stderr).contains("only a failed job is retried"), "{}", text(&refused.stderr));

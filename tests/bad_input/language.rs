@@ -81,7 +81,7 @@ fn shapes() -> Vec<Case> {
         around("scale of 0", r#"{ "scale": { "by": ¤0, "child": CHILD } }"#, "/scale/by", "from 1e-6"),
         shape(
             "fractal without end",
-            r#"{ "mandelbulb": { "iterations": ¤999 } }"#,
+            r#"{ "mandelbulb": { "power": 8, "iterations": ¤999 } }"#,
             "/mandelbulb/iterations",
             "1 to 64 iterations",
         ),
@@ -117,7 +117,7 @@ fn shapes() -> Vec<Case> {
             "feature that there is not",
             r#"{ "cellular": { "feature": ¤"f3" } }"#,
             "/cellular/feature",
-            "f2_minus_f1",
+            "did you mean `f1`",
         ),
         bumps("nine waves", r#"{ "gardner": { "waves": ¤9 } }"#, "/gardner/waves", "3 to 8 waves"),
         bumps("noise without its parameters", r#"¤"perlin""#, "", r#"write { "perlin": { … } }"#),

@@ -6,7 +6,8 @@
 use anyhow::Context;
 use image::codecs::png::{CompressionType, FilterType, PngEncoder};
 use image::{ExtendedColorType, ImageEncoder, Rgba32FImage};
-use scene::color::{Grade, srgb_from_linear};
+use scene::color::{Grade, level_of_256, srgb_from_linear};
+use scene::sampling::thresholds;
 
 /// Shown light, premultiplied, and alpha.
 pub(super) type Shown = [f32; 4];
@@ -74,11 +75,14 @@ impl Canvas {
         let pixels: Vec<Shown> = pixels.collect();
         let opaque = pixels.iter().all(|pixel| pixel[3] > 0.999);
         let mut bytes = Vec::with_capacity(pixels.len() * 4);
-        for [r, g, b, alpha] in pixels {
+        for (index, [r, g, b, alpha]) in pixels.into_iter().enumerate() {
+            let index = index as u64;
+            let thresholds = thresholds((index % self.size[0]) as f32, (index / self.size[0]) as f32);
             let straight = |light: f32| if alpha > 0.0 { light / alpha } else { 0.0 };
-            bytes.extend([r, g, b].map(|light| byte(srgb_from_linear(straight(light)))));
+            let colors = [r, g, b].into_iter().zip(thresholds);
+            bytes.extend(colors.map(|(light, threshold)| byte(straight(light), threshold)));
             if !opaque {
-                bytes.push(byte(alpha.clamp(0.0, 1.0)));
+                bytes.push((alpha.clamp(0.0, 1.0) * 255.0 + 0.5) as u8);
             }
         }
         let [width, height] = self.size();
@@ -106,9 +110,9 @@ fn shares(at: u64, from: u64, to: u64) -> Option<[(u64, f32); 2]> {
     Some([(first, part(border - start)), (first + 1, part(end - border))])
 }
 
-fn byte(value: f32) -> u8 {
-    // Rounded like the stored picture.
-    (value * 255.0 + 0.5) as u8
+/// The byte that shows linear light, rounded like the stored picture.
+fn byte(light: f32, threshold: f32) -> u8 {
+    level_of_256(srgb_from_linear(light), threshold) as u8
 }
 
 /// A pixel as a PNG would show it; `opaque` ones have no alpha.
@@ -125,6 +129,7 @@ pub(super) fn shown([r, g, b, alpha]: [f32; 4], grade: Grade, opaque: bool) -> S
 #[cfg(test)]
 mod tests {
     use super::*;
+    use scene::color::linear_from_srgb;
 
     fn decoded(png: &[u8]) -> image::DynamicImage {
         image::load_from_memory_with_format(png, image::ImageFormat::Png).expect("a sound PNG")
@@ -136,12 +141,16 @@ mod tests {
             [(7, 5, 7), (7, 5, 3), (1, 9, 4), (640, 3, 100), (3, 640, 2), (10, 10, 1), (3, 9000, 3)]
         {
             let mut canvas = Canvas::new(width, height, width_px);
+            let [r, g, b] = [188.0, 64.0, 255.0].map(|level| linear_from_srgb(level / 255.0_f32));
+            let light = [r, g, b, 1.0];
             for row in 0..height {
-                canvas.add(0, row, (0..width).map(|_| [0.5, 0.25, 1.0, 1.0]));
+                canvas.add(0, row, (0..width).map(|_| light));
             }
             let picture = decoded(&canvas.png(None).expect("encoded")).into_rgb8();
-            let want = [0.5, 0.25, 1.0].map(|light| byte(srgb_from_linear(light)));
-            assert!(picture.pixels().all(|pixel| pixel.0 == want), "{width}×{height} to {width_px}: {picture:?}");
+            assert!(
+                picture.pixels().all(|pixel| pixel.0 == [188, 64, 255]),
+                "{width}×{height} to {width_px}: {picture:?}"
+            );
         }
     }
 
@@ -155,7 +164,8 @@ mod tests {
         let picture = decoded(&canvas.png(None).expect("encoded")).into_rgb8();
         for (x, y, pixel) in picture.enumerate_pixels() {
             let [r, g, b, _] = light(x, y);
-            assert_eq!(pixel.0, [r, g, b].map(|light| byte(srgb_from_linear(light))), "{x}, {y}");
+            let [at_r, at_g, at_b] = thresholds(x as f32, y as f32);
+            assert_eq!(pixel.0, [byte(r, at_r), byte(g, at_g), byte(b, at_b)], "{x}, {y}");
         }
     }
 
@@ -166,7 +176,7 @@ mod tests {
         let below = Rgba32FImage::from_pixel(2, 1, image::Rgba([0.0, 0.0, 0.0, 1.0]));
         let picture = decoded(&canvas.png(Some(&below)).expect("encoded")).into_rgb8();
         assert_eq!(picture.get_pixel(0, 0).0, [255; 3]);
-        assert_eq!(picture.get_pixel(1, 0).0, [byte(srgb_from_linear(0.5_f32)); 3]);
+        assert_eq!(picture.get_pixel(1, 0).0, thresholds(1.0, 0.0).map(|threshold| byte(0.5, threshold)));
     }
 
     #[test]

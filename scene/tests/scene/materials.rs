@@ -227,7 +227,7 @@ fn a_wrong_texture_is_refused_where_it_is_wrong_and_with_a_cure() {
         (ramp(r##"[[0, [0, 0, 0]], [1, "#12"]]"##), "/flat/color/gradient/ramp/1/1", "a colour"),
         (flat(r#"{ "checker": { "cell": 0 } }"#), "/flat/color/checker/cell", "a size from 1e-6"),
         (flat(r#"{ "checker": { "cell": 1, "colour": 1 } }"#), "/flat/color/checker/colour", "did you mean `colors`?"),
-        (flat(r#"{ "chequer": { "cell": 1 } }"#), "/flat/color/chequer", "expected one of `"),
+        (flat(r#"{ "chequer": { "cell": 1 } }"#), "/flat/color/chequer", "did you mean `checker`?"),
         (flat("[1, 2]"), "/flat/color", "a colour"),
         (flat("7"), "/flat/color", "or a texture"),
         (flat(&nested), "/flat/color", "nest at most 4"),

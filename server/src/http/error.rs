@@ -50,7 +50,7 @@ pub(crate) enum ApiError {
     WrongRequest(&'static str),
     #[error("there is no job {0}: GET /v1/jobs (`sdfarm jobs`) lists those there are")]
     UnknownJob(String),
-    #[error("job {job} has no frame {frame}: its {frames} frames are numbered from 0")]
+    #[error("job {job} has no frame {frame}: its frames are 0 to {}", .frames.saturating_sub(1))]
     UnknownFrame { job: JobId, frame: String, frames: u32 },
     #[error("{}", not_stored(.job, *.frame, *.state))]
     NotStored { job: JobId, frame: u32, state: JobState },

@@ -28,10 +28,7 @@ const POLICY: &str = "default-src 'none'; style-src 'unsafe-inline'; img-src dat
 /// one.
 #[utoipa::path(
     get, path = "/", tag = "farm", operation_id = "get_start_page",
-    responses((status = 200, description = "The farm at a glance", content(
-        (ref("#/components/schemas/StartView") = "application/json"),
-        (String = "text/html"),
-    )))
+    responses((status = 200, description = "The farm at a glance", body = ref("#/components/schemas/StartView")))
 )]
 pub(super) async fn get(State(farm): State<Arc<Farm>>, request: Request) -> Result<Response, ApiError> {
     let wants_page = wants_html(request.headers());

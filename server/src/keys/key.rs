@@ -314,7 +314,7 @@ mod tests {
     fn view_of_a_key_shows_what_it_may_and_its_latest_use() {
         let key = Key::new(row(None, None), None);
         assert_eq!(key.last_used_ms(), None);
-        assert_eq!(key.view(0).last_used_at.as_deref(), Some("1970-01-01T00:00:01Z"));
+        assert_eq!(key.view(0).last_used_at.as_deref(), Some("1970-01-01T00:00:01.000Z"));
         key.used(3000);
         key.used(2000);
         assert_eq!(key.last_used_ms(), Some(3000));

@@ -29,8 +29,13 @@ impl Metadata {
     }
 }
 
-/// The simplest fraction that is this number from 0.001 to 1000, as far as an `f32` tells.
+/// The fraction that is this number from 0.001 to 1000, as far as an `f32` tells: a whole number over 1.001, as
+/// the rates of NTSC are, or else the simplest.
 fn fraction(number: f32) -> (i32, u32) {
+    let whole = (f64::from(number) * 1.001).round();
+    if whole >= 1.0 && (whole / 1.001) as f32 == number {
+        return (whole as i32 * 1000, 1001);
+    }
     let half = |other: f32| 0.5 * (f64::from(number) + f64::from(other));
     let (low, high) = (half(number.next_down()), half(number.next_up()));
     // Along the Stern–Brocot tree, by whole runs in one direction, the first fraction between low and high is the

@@ -219,7 +219,7 @@ mod tests {
             let mut samples = vec![srgb; 3 * WIDTH];
             layout.choose_levels(&mut samples, y);
             for (levels, plane) in levels.iter_mut().zip(samples.chunks(WIDTH)) {
-                levels.extend(plane.iter().map(|&value| whole(value)));
+                levels.extend(plane.iter().map(|&value| u32::from(whole(value) as u8)));
             }
         }
         levels

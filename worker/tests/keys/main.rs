@@ -110,7 +110,7 @@ fn what_no_byte_depends_on_changes_no_key() {
         (corpus::plain(), "/name", json!("another")),
         (corpus::plain(), "/priority", json!(7)),
         (corpus::plain(), "/frames/count", json!(9)),
-        (corpus::plain(), "/frames/fps", json!(30)),
+        (corpus::png(), "/frames/fps", json!(30)),
         (corpus::plain(), "/scene/materials/unused", json!({ "flat": { "color": [0.5, 0, 0] } })),
         (corpus::plain(), "/image/bits", json!(16)),
         (corpus::png(), "/image/precision", json!("half")),

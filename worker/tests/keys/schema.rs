@@ -159,7 +159,7 @@ impl Schema {
             for point in self.alternatives(&schema) {
                 if self.is_met(&point, position.value) {
                     position.path.push(point.clone());
-                    position.path.extend(self.only_property(&point));
+                    position.path.extend(self.referred(&point).iter().find_map(|schema| self.only_property(schema)));
                     self.meet(&point, position);
                     break;
                 }
