@@ -1,8 +1,8 @@
 //! Bad jobs, table-driven: each is refused over HTTP with its status, pointer, line, column
 //! and cure, and by `sdfarm check` with exit code 2; the server lives on.
 
+mod animation;
 mod language;
-mod motion;
 
 use serde_json::Value;
 
@@ -231,7 +231,7 @@ fn too_much() -> Vec<Case> {
 }
 
 fn cases() -> Vec<Case> {
-    [wrong_form(), motion::cases(), wrong_meaning(), language::cases(), not_json(), too_much()]
+    [wrong_form(), animation::cases(), wrong_meaning(), language::cases(), not_json(), too_much()]
         .into_iter()
         .flatten()
         .collect()

@@ -1,11 +1,11 @@
 //! What a machine can do to a server: a taken port or folder, a full disk, a damaged database.
 //! Each ends in exit code 1 or a problem, with the place and the cure, and never in a panic.
 
-mod crowd;
+mod fail_points;
 mod network;
-mod nth;
-mod points;
+mod nth_failure;
 mod remote;
+mod slow_clients;
 
 use std::fs;
 use std::net::TcpListener;

@@ -5,8 +5,8 @@
 //! `SDFARM_FUZZ_SECONDS` is how long, or `SDFARM_FUZZ_RUNS` how often, each target runs instead;
 //! `SDFARM_FUZZ_SEED` chooses what is tried. A finding prints its input in hex, for `regressions`.
 
-mod chance;
 mod messages;
+mod mutate;
 mod pictures;
 mod requests;
 mod stored;
@@ -14,7 +14,7 @@ mod stored;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::time::{Duration, Instant};
 
-use chance::Chance;
+use mutate::Chance;
 
 /// No input is larger.
 const MOST_BYTES: usize = 64 << 10;

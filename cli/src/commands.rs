@@ -18,6 +18,7 @@ mod link;
 mod pause;
 mod pool;
 mod preview;
+mod preview_helper;
 mod priority;
 mod render;
 mod restore;
@@ -26,7 +27,6 @@ mod retry;
 mod schema;
 mod selftest;
 mod serve;
-mod sketch;
 mod soak;
 mod status;
 mod submit;
@@ -161,7 +161,7 @@ impl Command {
             Self::Restore(arguments) => run_async(interruptible(restore::run(arguments))),
             Self::Doctor(arguments) => run_async(interruptible(doctor::run(arguments))),
             Self::Demo(arguments) => run_async(demo::run(arguments)),
-            Self::Sketch => sketch::run(),
+            Self::Sketch => preview_helper::run(),
         }
     }
 }

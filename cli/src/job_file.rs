@@ -7,7 +7,7 @@ use proto::ClientError;
 use proto::problem::FaultView;
 use scene::{Job, Refusal};
 
-use crate::failure::{BadJob, Misuse};
+use crate::error::{BadJob, Misuse};
 
 /// A job file's text.
 #[derive(Debug)]

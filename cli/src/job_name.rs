@@ -5,7 +5,7 @@ use std::str::FromStr;
 
 use proto::{Client, JobId};
 
-use crate::failure::Misuse;
+use crate::error::Misuse;
 use crate::follow;
 
 /// Jobs that are listed where a name could mean several.

@@ -1,6 +1,6 @@
 //! Logs to standard error, as text or JSON, filtered by `SDFARM_LOG`; and, where wanted, traces to a collector.
 
-mod lines;
+mod json_format;
 mod traces;
 
 use std::io::{IsTerminal, stderr};
@@ -12,7 +12,7 @@ use tracing_subscriber::layer::SubscriberExt;
 use tracing_subscriber::util::SubscriberInitExt;
 use tracing_subscriber::{EnvFilter, Layer};
 
-use crate::failure::Misuse;
+use crate::error::Misuse;
 pub(crate) use traces::Traces;
 
 /// Settings of logs and traces of this process, which its workers inherit.
@@ -79,7 +79,7 @@ impl Logs {
                 .with_writer(stderr)
                 .with_ansi(false)
                 .fmt_fields(JsonFields::new())
-                .event_format(lines::Lines)
+                .event_format(json_format::Lines)
                 .boxed(),
         };
         tracing_subscriber::registry().with(layer).with(lines.with_filter(filter)).init();

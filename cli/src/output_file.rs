@@ -12,7 +12,7 @@ use anyhow::Context;
 use scene::{Format, Job};
 use tempfile::NamedTempFile;
 
-use crate::failure::Misuse;
+use crate::error::Misuse;
 use crate::terminal::write_bytes;
 
 /// Mode of a new file, before the process's umask.

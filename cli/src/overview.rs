@@ -1,6 +1,6 @@
 //! State of a farm as its server reports it: collected once, shown as text, JSON or live.
 
-mod samples;
+mod openmetrics;
 
 use proto::job::{JobState, JobView};
 use proto::pool::{PoolView, WorkerView};
@@ -8,7 +8,7 @@ use proto::{Client, ClientError, rounding};
 use serde::Serialize;
 
 use crate::counted::counted;
-use samples::Samples;
+use openmetrics::Samples;
 
 /// Unfinished jobs that are listed, at most.
 const JOBS: u32 = 50;

@@ -2,7 +2,7 @@
 
 use rust_embed::RustEmbed;
 
-use crate::failure::Misuse;
+use crate::error::Misuse;
 
 #[derive(RustEmbed)]
 #[folder = "../scenes"]

@@ -2,9 +2,9 @@
 //!
 //! It sends requests and names errors; display, retries and waiting are up to its caller.
 
+mod health;
 mod jobs;
 mod pictures;
-mod watching;
 
 use std::io::Write;
 use std::time::Duration;
@@ -13,10 +13,10 @@ use reqwest::header::{CACHE_CONTROL, CONTENT_TYPE};
 use reqwest::{Method, RequestBuilder, Response};
 use serde::de::DeserializeOwned;
 
-use crate::access::{Access, AccessError, server_url};
+use crate::audit::AuditPage;
+use crate::client_auth::{Access, AccessError, server_url};
 use crate::farm::FarmView;
 use crate::job::{DryRun, JobPage, JobState, JobView};
-use crate::key::AuditPage;
 use crate::pool::{PoolSize, PoolView, WorkerList};
 use crate::{JobId, Problem};
 

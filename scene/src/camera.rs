@@ -1,8 +1,8 @@
 //! From a point of the picture to a ray.
 
+mod culling;
 mod matrices;
 mod projections;
-mod sight;
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};

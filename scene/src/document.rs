@@ -7,16 +7,17 @@ use std::collections::BTreeMap;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
+use crate::ambient_occlusion::AmbientOcclusion;
 use crate::backgrounds::Background;
 use crate::camera::Camera;
+use crate::fog::Fog;
 use crate::job::{Frames, Image, priority};
+use crate::json_scan;
 use crate::lights::{Light, default_lights};
 use crate::limits::MAX_LIGHTS;
 use crate::materials::{Material, MaterialUse};
 use crate::nodes::Node;
-use crate::outline;
 use crate::scene::{March, Object, Scene, child_steps};
-use crate::surroundings::{AmbientOcclusion, Fog};
 
 /// What one POSTs.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
@@ -123,7 +124,7 @@ impl Slots<'_> {
 
     fn resolve(&mut self, material: &mut MaterialUse, pointer: impl Fn() -> String) {
         let place = match material {
-            MaterialUse::Name(name) => format!("/materials/{}", outline::escape(name)),
+            MaterialUse::Name(name) => format!("/materials/{}", json_scan::escape(name)),
             MaterialUse::InPlace(_) | MaterialUse::Slot(_) => pointer(),
         };
         if let Err(name) = material.resolve(self.named, &mut self.used, &mut self.by_name) {

@@ -3,8 +3,9 @@
 //! An effect is one documented struct with an `impl` of [`Exemplary`], an entry in the list, and a field of the
 //! [`Scene`](crate::scene::Scene) under the same name, `None` where there is no such effect.
 
+use crate::ambient_occlusion::AmbientOcclusion;
+use crate::fog::Fog;
 pub use crate::kinds::{Example, Exemplary};
-use crate::surroundings::{AmbientOcclusion, Fog};
 
 /// The list: each effect's name in a scene, and its struct.
 macro_rules! effects {

@@ -7,8 +7,8 @@
 #[cfg(test)]
 mod added;
 mod directional;
+mod local;
 mod point;
-mod shaped;
 mod sky_light;
 mod sun;
 
@@ -18,8 +18,8 @@ use serde::{Deserialize, Serialize};
 #[cfg(test)]
 pub use added::AddedLight;
 pub use directional::Directional;
+pub use local::{SphereLight, SpotLight};
 pub use point::PointLight;
-pub use shaped::{SphereLight, SpotLight};
 pub use sky_light::SkyLight;
 pub use sun::Sun;
 

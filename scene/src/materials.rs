@@ -5,12 +5,12 @@
 #[cfg(test)]
 mod added;
 mod diffuse;
-mod material_use;
+mod material_ref;
 pub mod microfacet;
-mod plain;
+mod param;
 mod surface;
 pub mod texture;
-mod tint;
+mod unlit;
 mod volume;
 
 use schemars::JsonSchema;
@@ -19,11 +19,11 @@ use serde::{Deserialize, Serialize};
 #[cfg(test)]
 pub use added::AddedMaterial;
 pub use diffuse::Diffuse;
-pub use material_use::MaterialUse;
-pub use plain::{Flat, Normals};
+pub use material_ref::MaterialUse;
+pub use param::{Level, Parameter, Tint, Varied};
 pub use surface::Surface;
 pub use texture::Texture;
-pub use tint::{Level, Parameter, Tint, Varied};
+pub use unlit::{Flat, Normals};
 pub use volume::{Clouds, Filling, Volume};
 
 pub use crate::kinds::{Example, Exemplary};

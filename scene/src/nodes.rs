@@ -6,22 +6,22 @@
 
 #[cfg(test)]
 mod added;
+mod bvh;
+mod cost;
 mod displace;
+mod displacement_bounds;
 mod fractals;
-mod meaning;
 mod modifiers;
 mod operators;
 mod per_axis;
-mod prepared;
+mod precomputed;
 mod primitives;
-mod relief;
-mod runs;
-mod sample;
+mod sdf;
 mod sweeps;
 mod terrain;
 mod transforms;
+mod value;
 mod warp;
-mod work;
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -29,28 +29,28 @@ use serde::{Deserialize, Serialize};
 #[cfg(test)]
 pub use added::AddedNode;
 pub use displace::{Bumps, Displace, Sine};
+pub use displacement_bounds::FoundRelief;
 pub use fractals::{
     ApollonianGasket, KaleidoscopicFolds, KaleidoscopicIfs, Mandelbox, MandelbrotRelief, Mandelbulb, MengerSponge,
     QuaternionJulia, Sierpinski,
 };
-pub use meaning::{Exactness, NodeFault, Primitive, Sdf};
 pub use modifiers::{Bend, Copies, Elongate, Mirror, Onion, Paint, PolarRepeat, Repeat, Round, Stretch, Taper, Twist};
 pub use operators::{
     Chamfer, Columns, Difference, Engrave, Groove, Intersection, Join, Morph, Stairs, Tongue, Union, Xor,
 };
 pub use per_axis::PerAxis;
-pub use prepared::{Prepare, Prepared};
+pub use precomputed::{Prepare, Prepared};
 pub use primitives::{
     BezierTube, Box, BoxFrame, CappedCone, CappedTorus, Capsule, Cone, CutHollowSphere, CutSphere, Cylinder, DeathStar,
     Diamond, Dodecahedron, Ellipsoid, Gyroid, HexagonalPrism, Horseshoe, Icosahedron, InfiniteCone, InfiniteCylinder,
     Link, OctagonalPrism, Octahedron, Plane, Pyramid, Quad, RegularPyramid, Rhombus, RoundCone, RoundedCylinder,
     SchwarzP, Sides, SolidAngle, Sphere, Tetrahedron, Torus, Triangle, TriangularPrism, U, Vesica,
 };
-pub use relief::FoundRelief;
-pub use sample::{Coat, Distance, Painted, Sample};
+pub use sdf::{Exactness, NodeFault, Primitive, Sdf};
 pub use sweeps::{Extrude, Revolve};
 pub use terrain::HeightField;
 pub use transforms::{Rotate, Scale, Translate};
+pub use value::{Coat, Distance, Painted, Sample};
 pub use warp::Warp;
 
 use crate::bounds::Bounds;

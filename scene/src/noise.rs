@@ -9,11 +9,11 @@ mod gardner;
 mod gradient;
 mod kinds;
 mod lattice;
-mod layers;
+mod octaves;
 
 pub use cellular::Feature;
 pub use kinds::{Cellular, Gardner, Noise, Perlin, Simplex, Value};
-pub use layers::Fractal;
+pub use octaves::Fractal;
 
 use crate::real::{Real, Vec3, vec3};
 

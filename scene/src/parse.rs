@@ -3,26 +3,26 @@
 mod collect;
 mod depends;
 mod form;
-mod lists;
+mod list_form;
+mod messages;
 mod stand_ins;
 mod suggest;
 mod syntax;
 #[cfg(test)]
 mod tests;
 mod tree;
-mod wording;
 
 use serde::de::IgnoredAny;
 
+use crate::animation::{FrameError, frames_to_check};
 use crate::document::{JobDocument, Resolved};
-use crate::fault::{Fault, Refusal};
+use crate::error::{Fault, Refusal};
 use crate::job::{Format, Job, ToneMap};
+use crate::json_scan::{self, OutlineFault, OutlineFaultKind};
 use crate::limits::{
     MAX_JSON_DEPTH, MAX_LIGHTS, MAX_MATERIALS, MAX_NAME_CHARS, MAX_NODE_DEPTH, MAX_NODES, MAX_PIXELS, MAX_RAYS,
 };
-use crate::motion::{FrameError, frames_to_check};
 use crate::nodes::{Node, NodeFault};
-use crate::outline::{self, OutlineFault, OutlineFaultKind};
 use crate::scene::child_steps;
 use crate::seek::{Clock, Seek};
 
@@ -32,7 +32,7 @@ const MAX_FAULTS: usize = 100;
 /// Reads a job: strictly, and with the place of every fault.
 pub fn parse(text: &[u8]) -> Result<Job, Refusal> {
     let text = std::str::from_utf8(text).map_err(|error| not_utf8(text, error.valid_up_to()))?;
-    let outline = outline::check(text, MAX_JSON_DEPTH);
+    let outline = json_scan::check(text, MAX_JSON_DEPTH);
     if text.starts_with('\u{feff}') {
         let message = "begins with a byte order mark: save the file as UTF-8 without one";
         return Err(Refusal::NotJson(Fault::at(text, Some(0), String::new(), message)));

@@ -6,15 +6,15 @@
 
 #[cfg(test)]
 mod added;
+mod bezier;
 mod edge;
 mod ellipse;
-mod lettering;
 mod polygon;
-mod quadratic;
 mod regular;
 mod simple;
 mod strokes;
 mod text;
+mod text_outline;
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -22,12 +22,12 @@ use serde::{Deserialize, Serialize};
 #[cfg(test)]
 pub use added::AddedProfile;
 pub use ellipse::Ellipse;
-pub use lettering::{Lettering, NoLettering};
 pub use polygon::{Points, Polygon, WrongCount};
 pub use regular::{RegularPolygon, Star};
 pub use simple::{Circle, Rectangle};
 pub use strokes::{Arc, Bezier};
 pub use text::Text;
+pub use text_outline::{Lettering, NoLettering};
 
 use crate::nodes::{Exactness, NodeFault, snake_case};
 use crate::real::Real;

@@ -3,14 +3,15 @@
 use schemars::JsonSchema;
 use serde::{Deserialize, Deserializer, Serialize};
 
+use crate::ambient_occlusion::AmbientOcclusion;
 use crate::backgrounds::{Backdrop, Background};
 use crate::camera::Camera;
+use crate::fog::Fog;
 use crate::lights::{Light, LightSource};
 use crate::limits::{MAX_BOUNCES, MAX_STEPS};
 use crate::materials::{Material, MaterialUse, Shade};
 use crate::nodes::{Node, NodeFault};
 use crate::seek::Seek;
-use crate::surroundings::{AmbientOcclusion, Fog};
 use crate::values::{Length, whole};
 
 /// What there is to see: materials are in slots, and everything stands as it does at one time.

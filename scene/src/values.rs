@@ -5,7 +5,7 @@
 //! What chooses code by a number must ask whether it has one, since all frames share one compiled program.
 
 mod color;
-mod replayed;
+mod peeked_map;
 pub(crate) mod track;
 
 use std::borrow::Cow;
@@ -23,7 +23,7 @@ use crate::limits::{MAX_LENGTH, MIN_LENGTH};
 use crate::real::{Real, Vec3, vec3};
 use crate::seek::{Clock, Misfit, Seek};
 
-pub(crate) use replayed::Replayed;
+pub(crate) use peeked_map::Replayed;
 
 /// Kinds of number that may be animated.
 macro_rules! numbers {

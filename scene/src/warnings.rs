@@ -7,12 +7,12 @@ mod empty;
 mod numbers;
 mod own_space;
 mod samples;
-mod sight;
-mod stuff;
+mod scene;
+mod view;
 
+use crate::animation::Still;
 use crate::camera::Project;
 use crate::job::Job;
-use crate::motion::Still;
 
 /// What a warning is about: a job is warned of each thing once.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -102,13 +102,13 @@ fn of_the_whole(job: &Job) -> Vec<String> {
 
 fn of_frame(still: &Still<'_>) -> Vec<Warning> {
     let scene = still.scene();
-    let seen = sight::of(still);
+    let seen = view::of(still);
     let known = [
-        (Kind::Work, stuff::work(scene)),
-        (Kind::Steep, stuff::steep(scene)),
-        (Kind::Light, stuff::light(scene)),
-        (Kind::Thick, stuff::thick(scene)),
-        (Kind::Bounces, stuff::bounces(scene)),
+        (Kind::Work, scene::work(scene)),
+        (Kind::Steep, scene::steep(scene)),
+        (Kind::Light, scene::light(scene)),
+        (Kind::Thick, scene::thick(scene)),
+        (Kind::Bounces, scene::bounces(scene)),
         (Kind::Colors, numbers::colors_of_255(scene)),
         (Kind::Radians, numbers::radians(scene)),
         (Kind::Swims, own_space::swims(scene)),

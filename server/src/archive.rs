@@ -14,10 +14,10 @@ use futures_util::stream::BoxStream;
 use zip::write::{SimpleFileOptions, StreamWriter};
 use zip::{CompressionMethod, DateTime, ZipWriter};
 
+use crate::content_store::{Kind, Name, PictureError};
+use crate::database::StoreError;
 use crate::farm::Farm;
-use crate::pictures::{Kind, Name, PictureError};
 use crate::queue::{Frames, StoredFrame};
-use crate::store::StoreError;
 
 /// Approximate size of the chunks of a response.
 const PIECE_BYTES: usize = 128 << 10;

@@ -1,12 +1,12 @@
 //! Estimated time of a job: a helper process renders a sample of its pixels, and the result is scaled to the
 //! present workers.
 
+use proto::preview_helper::{Estimate, Sample, Sketch};
 use proto::rounding;
-use proto::sketch::{Estimate, Sample, Sketch};
 
 use crate::farm::Farm;
-use crate::plan::Plan;
 use crate::queue::Present;
+use crate::tile_plan::Plan;
 
 /// Most time for rendering a sample, in milliseconds.
 const RENDER_MS: u64 = 700;

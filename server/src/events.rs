@@ -3,7 +3,7 @@
 //! A subscriber stores only the number of the last event it received. It reads newer events from its job's
 //! list of recent events or, if it has fallen behind that list, from the database, a page at a time.
 
-mod follower;
+mod subscriber;
 #[cfg(test)]
 mod tests;
 
@@ -16,10 +16,10 @@ use tokio::sync::watch;
 use tokio_util::sync::CancellationToken;
 
 use crate::clock::instant;
+use crate::database::StoreError;
 use crate::queue::{Event, Queue};
-use crate::store::StoreError;
 
-pub(crate) use follower::{Follower, Start};
+pub(crate) use subscriber::{Follower, Start};
 
 /// Recent events cached for a job with subscribers.
 const RECENT: usize = 1024;

@@ -5,22 +5,22 @@
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 
-use proto::work::{Outcome, Report};
+use proto::worker_protocol::{Outcome, Report};
 use tokio::sync::mpsc;
 use tokio_util::sync::CancellationToken;
 
+use crate::admission::Doors;
 use crate::config::Config;
-use crate::doors::Doors;
+use crate::content_store::{Kind, Name, PictureError, Pictures};
+use crate::database::StoreError;
 use crate::events::Events;
-use crate::jobs::{JobError, Jobs};
-use crate::links::Links;
-use crate::pictures::{Kind, Name, PictureError, Pictures};
-use crate::plan::Plan;
+use crate::job_cache::{JobError, Jobs};
 use crate::pool::Pool;
+use crate::preview_helper::Sketches;
 use crate::queue::{NewJob, Next, Opened, Opening, Queue, Submitted, Turn, Turned, Wish};
-use crate::sketches::Sketches;
-use crate::store::StoreError;
-use crate::watch::Watch;
+use crate::signed_links::Links;
+use crate::telemetry::Watch;
+use crate::tile_plan::Plan;
 use crate::webhooks::Webhooks;
 
 /// Maximum number of frames of a job that are looked up in the picture cache at submission; the others are

@@ -2,37 +2,37 @@
 //! decide nothing about jobs.
 
 mod audit;
+mod auth;
 mod body;
-mod caller;
-mod change;
-mod door;
 mod error;
 mod events;
-mod farm;
 mod files;
 mod frames;
 mod health;
+mod host_check;
 mod images;
+mod job_changes;
 mod jobs;
 mod keys;
 mod links;
 mod merge_patch;
 mod openapi;
+mod pause;
+mod permissions;
 mod pool;
 mod prefer;
 mod previews;
-mod protocol;
 mod quota;
 mod range;
+mod request_id;
 mod retention;
-mod rules;
 mod start_page;
-mod trace;
-mod traces;
+mod submit_options;
+mod trace_context;
 mod webhooks;
-mod wish;
+mod worker_protocol;
 
-pub(crate) use caller::Peer;
+pub(crate) use auth::Peer;
 
 use std::any::Any;
 use std::sync::Arc;
@@ -55,17 +55,17 @@ fn users() -> OpenApiRouter<Arc<Farm>> {
     OpenApiRouter::new()
         .routes(routes!(start_page::get))
         .routes(routes!(jobs::submit, jobs::list))
-        .routes(routes!(jobs::get, change::patch, change::delete))
+        .routes(routes!(jobs::get, job_changes::patch, job_changes::delete))
         .routes(routes!(jobs::cancel))
-        .routes(routes!(change::retry))
+        .routes(routes!(job_changes::retry))
         .routes(routes!(files::file))
         .routes(routes!(files::resubmit))
         .routes(routes!(events::follow))
-        .routes(routes!(farm::pause_job))
-        .routes(routes!(farm::resume_job))
-        .routes(routes!(farm::get))
-        .routes(routes!(farm::pause))
-        .routes(routes!(farm::resume))
+        .routes(routes!(pause::pause_job))
+        .routes(routes!(pause::resume_job))
+        .routes(routes!(pause::get))
+        .routes(routes!(pause::pause))
+        .routes(routes!(pause::resume))
         .routes(routes!(webhooks::list))
         .routes(routes!(frames::list))
         .routes(routes!(frames::archive))
@@ -91,11 +91,11 @@ fn users() -> OpenApiRouter<Arc<Farm>> {
 /// The workers' routes: see `proto::work`.
 fn workers() -> axum::Router<Arc<Farm>> {
     axum::Router::new()
-        .route(proto::work::REGISTER, post(protocol::register))
-        .route(proto::work::SYNC, post(protocol::sync))
-        .route("/v1/worker/jobs/{id}", get(protocol::job))
-        .route("/v1/worker/blobs/{hash}", put(protocol::put_blob).get(protocol::get_blob))
-        .route("/v1/worker/pictures/{hash}", put(protocol::put_picture))
+        .route(proto::worker_protocol::REGISTER, post(worker_protocol::register))
+        .route(proto::worker_protocol::SYNC, post(worker_protocol::sync))
+        .route("/v1/worker/jobs/{id}", get(worker_protocol::job))
+        .route("/v1/worker/blobs/{hash}", put(worker_protocol::put_blob).get(worker_protocol::get_blob))
+        .route("/v1/worker/pictures/{hash}", put(worker_protocol::put_picture))
 }
 
 /// The whole API.
@@ -111,10 +111,10 @@ pub(crate) fn router(farm: Arc<Farm>) -> axum::Router {
         .fallback(unknown_route)
         .method_not_allowed_fallback(wrong_method)
         .layer(CatchPanicLayer::custom(panicked))
-        .layer(middleware::from_fn_with_state(Arc::clone(&farm), caller::identify))
-        .layer(middleware::from_fn_with_state(Arc::clone(&farm), door::host_and_origin))
+        .layer(middleware::from_fn_with_state(Arc::clone(&farm), auth::identify))
+        .layer(middleware::from_fn_with_state(Arc::clone(&farm), host_check::host_and_origin))
         .layer(middleware::from_fn_with_state(Arc::clone(&farm), audit::tell))
-        .layer(middleware::from_fn_with_state(farm, trace::trace))
+        .layer(middleware::from_fn_with_state(farm, request_id::trace))
 }
 
 /// The document that the router serves.

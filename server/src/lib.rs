@@ -2,32 +2,32 @@
 //!
 //! It plans, leases and stores; it never touches a pixel.
 
+mod admission;
+mod api_keys;
 mod archive;
-mod audit;
+mod audit_log;
 mod clock;
 mod config;
-mod deeds;
-mod doors;
+mod content_store;
+mod data_folder;
+mod database;
 mod estimate;
 mod events;
 mod farm;
 mod http;
-mod janitor;
-mod jobs;
-mod keeping;
-mod keys;
-mod links;
+mod integrity;
+mod job_cache;
 mod listen;
 mod lock;
-mod pictures;
-mod plan;
+mod maintenance;
 mod pool;
+mod preview_helper;
 mod queue;
 mod retention;
-mod sketches;
-mod start;
-mod store;
-mod watch;
+mod signed_links;
+mod startup;
+mod telemetry;
+mod tile_plan;
 mod webhooks;
 
 use std::net::SocketAddr;
@@ -37,18 +37,18 @@ use std::time::Duration;
 use tokio::sync::mpsc;
 use tokio_util::sync::CancellationToken;
 
-pub use audit::{Audit, AuditError, DoneTile, audit};
+pub use api_keys::{KeyFolder, KeyFolderError};
 pub use clock::{Clock, Hand};
 pub use config::{Config, MAX_CONNECTIONS, MAX_QUEUED_JOBS, TlsFiles};
-pub use keeping::{Backup, Depth, Finding, Grade, KeepError, Repair, Restored, back_up, examine, restore};
-pub use keys::{KeyFolder, KeyFolderError};
-pub use start::StartError;
+pub use data_folder::{Backup, Depth, Finding, Grade, KeepError, Repair, Restored, back_up, examine, restore};
+pub use integrity::{Audit, AuditError, DoneTile, audit};
+pub use startup::StartError;
 pub use webhooks::{AddressRange, SecretError, webhook_secret};
 
+use database::Store;
 use farm::{Farm, Leftovers};
 use listen::Entrance;
 use lock::FolderLock;
-use store::Store;
 
 /// Time for the last responses after the pool has ended.
 const LAST_ANSWERS: Duration = Duration::from_secs(5);
@@ -81,7 +81,7 @@ impl Server {
 
     /// Starts a server with the given clock.
     pub async fn start_with_clock(config: Config, clock: Clock) -> Result<Self, StartError> {
-        start::start(config, clock).await
+        startup::start(config, clock).await
     }
 
     /// Address it listens on.
@@ -102,7 +102,7 @@ impl Server {
         let router = http::router(Arc::clone(&farm));
         let (address, pool_address) = (entrance.address(), entrance.pool_address());
         let mut serving = tokio::spawn(entrance.serve(router, farm.ending.clone()));
-        let janitor = tokio::spawn(janitor::run(Arc::clone(&farm), leftovers, farm.ending.clone()));
+        let janitor = tokio::spawn(maintenance::run(Arc::clone(&farm), leftovers, farm.ending.clone()));
         let sending = tokio::spawn(webhooks::run(Arc::clone(&farm), farm.ending.clone()));
         let telling = tokio::spawn({
             let farm = Arc::clone(&farm);

@@ -2,10 +2,10 @@
 //!
 //! Slow, silent or surplus connections never reach a handler. No decision about requests is made here.
 
-mod crowd;
-mod entrance;
+mod connection_limit;
 mod file_limit;
-mod patience;
+mod listeners;
+mod min_rate;
 mod tls;
 
 use std::convert::Infallible;
@@ -29,12 +29,12 @@ use tokio_util::task::TaskTracker;
 use tower::ServiceExt;
 
 use crate::http::Peer;
-use crowd::Crowd;
-use crowd::{Attended, Place};
-pub(crate) use entrance::Entrance;
+use connection_limit::Crowd;
+use connection_limit::{Attended, Place};
 use file_limit::most_connections;
-pub(crate) use patience::SlowBody;
-use patience::{Paced, Watched};
+pub(crate) use listeners::Entrance;
+pub(crate) use min_rate::SlowBody;
+use min_rate::{Paced, Watched};
 use tls::Tls;
 
 /// Time limit for a request's head, and for a connection between two requests.

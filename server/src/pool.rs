@@ -4,7 +4,7 @@
 //! surplus child finishes its leases first. A slot whose device cannot render stays empty until the pool is
 //! resized.
 
-mod child;
+mod worker_process;
 
 use std::collections::BTreeSet;
 use std::net::SocketAddr;
@@ -18,7 +18,7 @@ use tokio::time::Instant;
 use crate::clock::instant;
 use crate::config::Config;
 use crate::queue::{Cause, Queue};
-use child::{Child, Exit, Launch};
+use worker_process::{Child, Exit, Launch};
 
 /// A child that exits sooner than this has failed to start.
 const EARLY: Duration = Duration::from_secs(1);

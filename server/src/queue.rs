@@ -5,35 +5,35 @@
 //! concerns. Nothing here knows about HTTP or files.
 
 mod backlog;
-mod change;
+mod batch_size;
 mod claim;
-mod counts;
 mod deliver;
-mod end;
+mod durations;
 mod events;
-mod fair;
+mod exclusion;
+mod fair_share;
+mod finish;
 mod frames;
+mod idempotency;
+mod job_changes;
 mod lease;
-mod open;
-mod pace;
+mod open_frame;
 mod pause;
 mod picture;
 mod previews;
+mod read;
 mod recover;
 mod repair;
 mod retention;
-mod share;
+mod stats;
 mod stitch;
 mod straggler;
-mod strike;
 mod submit;
 mod sync;
 #[cfg(test)]
 mod tests;
-mod traces;
-mod view;
+mod trace_context;
 mod webhooks;
-mod wish;
 mod workers;
 
 use std::sync::Arc;
@@ -43,25 +43,25 @@ use sqlx::sqlite::SqliteConnection;
 use tokio::sync::Notify;
 
 use crate::clock::Clock;
-use crate::store::{Durability, Store, StoreError};
+use crate::database::{Durability, Store, StoreError};
 
-pub(crate) use change::Changed;
-pub(crate) use counts::Counts;
-pub(crate) use end::{Cancelled, Deleted};
 pub(crate) use events::Event;
+pub(crate) use finish::{Cancelled, Deleted};
 pub(crate) use frames::{Frames, StoredFrame};
+pub(crate) use idempotency::{NewWebhook, Once, Submitted, Wish};
+pub(crate) use job_changes::Changed;
 pub(crate) use lease::{Cause, jitter};
-pub(crate) use open::{Opened, Opening};
+pub(crate) use open_frame::{Opened, Opening};
 pub(crate) use pause::Paused;
 pub(crate) use previews::{Parts, Present};
+pub(crate) use read::StoredImage;
 pub(crate) use recover::Recovered;
 pub(crate) use repair::{Reopened, forget_pictures};
 pub(crate) use retention::Ended;
+pub(crate) use stats::Counts;
 pub(crate) use submit::NewJob;
 pub(crate) use sync::{Next, Turn, Turned};
-pub(crate) use view::StoredImage;
 pub(crate) use webhooks::{Attempt, Delivery};
-pub(crate) use wish::{NewWebhook, Once, Submitted, Wish};
 pub(crate) use workers::{NewWorker, Registered};
 
 /// A transition's answer.
@@ -179,14 +179,14 @@ impl Queue {
         let moment = self.moment();
         self.store
             .write(Durability::Relaxed, move |connection| {
-                Box::pin(async move { open::reuse(connection, &opening, moment).await })
+                Box::pin(async move { open_frame::reuse(connection, &opening, moment).await })
             })
             .await
     }
 
     /// Whether a picture of this key is stored.
     pub(crate) async fn has_picture(&self, key: &str) -> Result<bool> {
-        view::has_picture(self.store.readers(), key).await
+        read::has_picture(self.store.readers(), key).await
     }
 
     /// One call of a worker: results in, leases renewed, work out.
@@ -222,7 +222,7 @@ impl Queue {
         let cancelled = self
             .store
             .write(Durability::Full, move |connection| {
-                Box::pin(async move { end::cancel(connection, job, moment).await })
+                Box::pin(async move { finish::cancel(connection, job, moment).await })
             })
             .await?;
         self.ring(Ring::NEWS);
@@ -234,7 +234,7 @@ impl Queue {
         let moment = self.moment();
         self.store
             .write(Durability::Full, move |connection| {
-                Box::pin(async move { end::refuse(connection, job, &message, moment).await })
+                Box::pin(async move { finish::refuse(connection, job, &message, moment).await })
             })
             .await?;
         self.ring(Ring { work: true, news: true });
@@ -244,7 +244,7 @@ impl Queue {
     /// Forgets a job that is not running.
     pub(crate) async fn delete(&self, job: JobId) -> Result<Deleted> {
         self.store
-            .write(Durability::Full, move |connection| Box::pin(async move { end::delete(connection, job).await }))
+            .write(Durability::Full, move |connection| Box::pin(async move { finish::delete(connection, job).await }))
             .await
     }
 

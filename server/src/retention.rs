@@ -9,10 +9,10 @@ use futures_util::stream::TryStreamExt;
 use proto::retention::{Collected, Collection, Reason};
 
 use crate::clock::rfc3339;
+use crate::content_store::Kind;
+use crate::database::StoreError;
 use crate::farm::Farm;
-use crate::pictures::Kind;
 use crate::queue::Ended;
-use crate::store::StoreError;
 
 /// Maximum number of jobs deleted by one call.
 const MAX_JOBS: usize = 1000;

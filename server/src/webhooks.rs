@@ -17,9 +17,9 @@ use serde_json::{Value, json};
 use tokio::task::JoinSet;
 use tokio_util::sync::CancellationToken;
 
+use crate::database::StoreError;
 use crate::farm::Farm;
 use crate::queue::{Attempt, Delivery, jitter};
-use crate::store::StoreError;
 
 pub use guard::AddressRange;
 pub(crate) use guard::Guard;
@@ -61,7 +61,7 @@ impl Webhooks {
     }
 
     fn client(&self, is_http: bool) -> reqwest::Result<Client> {
-        proto::access::client_builder()
+        proto::client_auth::client_builder()
             .connect_timeout(CONNECT_TIMEOUT)
             .timeout(TIMEOUT)
             .redirect(Policy::none())

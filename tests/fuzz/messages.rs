@@ -1,7 +1,7 @@
 //! Job files, and what workers and servers say to each other.
 
 use proto::Problem;
-use proto::work::{Hello, SyncReply, SyncRequest};
+use proto::worker_protocol::{Hello, SyncReply, SyncRequest};
 use serde_json::json;
 
 use super::{Effort, fuzz};

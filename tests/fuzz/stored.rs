@@ -30,7 +30,7 @@ fn files() -> Vec<Vec<u8>> {
 
 /// What the child answers, and how it ended. Its standard input stays open as long as it lives.
 fn sketched(line: &str) -> (Vec<u8>, String, Option<i32>) {
-    let mut command = sdfarm(&[proto::sketch::COMMAND]);
+    let mut command = sdfarm(&[proto::preview_helper::COMMAND]);
     let mut child = command
         .stdin(Stdio::piped())
         .stdout(Stdio::piped())

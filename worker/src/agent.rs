@@ -4,29 +4,29 @@
 //! It keeps no state that matters: if it is killed at any instant, its tiles are leased again.
 
 mod back_off;
-mod deliver;
-mod jobs;
-mod link;
-mod measuring;
+mod executor;
+mod job_cache;
+mod metrics;
 mod rendering;
+mod server_client;
 mod session;
 mod stitching;
-mod store;
-mod workbench;
+mod store_access;
+mod upload;
 
 use std::io::Read;
 use std::path::PathBuf;
 use std::sync::Arc;
 use std::time::Duration;
 
-use proto::work::{Hello, Welcome};
+use proto::worker_protocol::{Hello, Welcome};
 use proto::{Access, AccessError};
 use tokio_util::sync::CancellationToken;
 
 use crate::image::Encoders;
 use crate::renderer::Renderer;
 use back_off::BackOff;
-use link::{Link, LinkError};
+use server_client::{Link, LinkError};
 use session::{Ending, Session};
 
 /// Settings of an agent.

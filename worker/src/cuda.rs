@@ -6,9 +6,9 @@
 mod cache;
 mod compiler;
 mod device;
-mod plan;
+mod error;
+mod launches;
 mod source;
-mod trouble;
 
 use std::collections::{HashMap, VecDeque};
 use std::path::{Path, PathBuf};
@@ -23,13 +23,13 @@ use crate::renderer::{Cancel, Pixels, RenderError, Renderer, TileRun};
 use crate::{CpuRenderer, Simd};
 use cache::{Cache, Kept};
 use device::{Buffer, Device, Launched, Loaded};
-use plan::{Cost, Launches};
+use launches::{Cost, Launches};
 
 pub use compiler::Compiler;
 pub use device::{Resources, Shape};
-pub use plan::KernelTimes;
+pub use error::Trouble;
+pub use launches::KernelTimes;
 pub use source::Source;
-pub use trouble::Trouble;
 
 /// Maximum size of a scene compiled to straight-line code, in nodes.
 pub const MAX_NODES: u32 = 500;
@@ -272,7 +272,7 @@ impl CudaRenderer {
         run: &TileRun<'_>,
         buffer: &mut Buffer,
     ) -> Result<f64, Trouble> {
-        let layout = plan::lay_out(&[piece], run.job.image.channels().len(), shape).in_rows();
+        let layout = launches::lay_out(&[piece], run.job.image.channels().len(), shape).in_rows();
         let laid_out = self.device.lay_out(&layout)?;
         let end_sample = run.job.image.samples.min(4);
         let part = device::Part { first_block: 0, blocks: layout.blocks, first_sample: 0, end_sample, is_last: true };
@@ -338,7 +338,7 @@ impl CudaRenderer {
             self.device.set_numbers(&program.loaded, &source.parameters)?;
             known.numbers = Some(source.parameters.clone());
         }
-        let layout = plan::lay_out(&rects, planes, program.shape).ordered(&known.cost, image.samples);
+        let layout = launches::lay_out(&rects, planes, program.shape).ordered(&known.cost, image.samples);
         let laid_out = self.device.lay_out(&layout)?;
         let wave = self.device.multiprocessors * (2048 / program.shape.threads());
         let mut launches = Launches::new(layout.blocks, image.samples, wave);

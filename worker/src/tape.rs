@@ -4,14 +4,14 @@
 //! The tape is typed and in static single assignment form: each value is defined once, before its uses, in a
 //! block that encloses them. Nothing here knows of GPUs.
 
-mod expression;
-mod live;
+mod c_source;
+mod expr;
+mod liveness;
 mod recorder;
-mod text;
 
-pub use expression::{Condition, Expr, Word};
+pub use c_source::Text;
+pub use expr::{Condition, Expr, Word};
 pub use recorder::{Recording, record};
-pub use text::Text;
 
 /// A value of the tape.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]

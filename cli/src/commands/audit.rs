@@ -1,7 +1,7 @@
 //! `sdfarm audit`: who did what, newest first; needs a key of scope admin where there are keys.
 
 use clap::Args;
-use proto::key::AuditEntry;
+use proto::audit::AuditEntry;
 
 use crate::arguments::ServerArguments;
 use crate::terminal::{note, say};

@@ -7,9 +7,9 @@ use proto::problem::FaultView;
 use serde_json::json;
 
 use self::size::Outlook;
-use crate::failure::BadJob;
+use crate::error::BadJob;
 use crate::job_file::JobFile;
-use crate::sketch::sample;
+use crate::preview_helper::sample;
 use crate::terminal::{note, say};
 
 /// Arguments of `check`.

@@ -14,7 +14,7 @@ use tokio_util::sync::CancellationToken;
 
 use crate::commands::serve::own_program;
 use crate::counted::counted;
-use crate::failure::Misuse;
+use crate::error::Misuse;
 use crate::output_file::{OutputFile, check_writable};
 use crate::signals::Signals;
 use crate::terminal::{note, say};

@@ -7,10 +7,10 @@ use std::time::Duration;
 
 use clap::builder::{PossibleValuesParser, TypedValueParser};
 use clap::{Args, Subcommand};
-use proto::key::{KeyState, KeyView, NewKey, Scope};
+use proto::api_key::{KeyState, KeyView, NewKey, Scope};
 use server::{KeyFolder, KeyFolderError};
 
-use crate::failure::Misuse;
+use crate::error::Misuse;
 use crate::terminal::{note, say};
 
 /// Arguments of `key`.

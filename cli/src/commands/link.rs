@@ -6,7 +6,7 @@ use proto::Keep;
 use proto::link::{LinkRequest, MAX_LINK_SECONDS, Shown};
 
 use crate::arguments::ServerArguments;
-use crate::failure::Misuse;
+use crate::error::Misuse;
 use crate::job_name::JobName;
 use crate::terminal::{note, say};
 

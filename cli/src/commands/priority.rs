@@ -1,7 +1,7 @@
 //! `sdfarm priority`: moves a job before or behind others.
 
 use clap::Args;
-use proto::change::JobPatch;
+use proto::job::JobPatch;
 
 use crate::arguments::ServerArguments;
 use crate::follow;

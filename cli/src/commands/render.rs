@@ -15,7 +15,7 @@ use worker::{Cancel, Renderer};
 
 use crate::arguments::RendererArguments;
 use crate::counted::counted;
-use crate::failure::Misuse;
+use crate::error::Misuse;
 use crate::job_file::JobFile;
 use crate::output_file::{OutputFile, check_format, format_of};
 use crate::progress::Progress;

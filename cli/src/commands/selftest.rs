@@ -1,6 +1,6 @@
 //! `sdfarm selftest`: whether this machine renders the right bits.
 
-mod first;
+mod startup;
 
 use std::time::Instant;
 
@@ -14,7 +14,7 @@ use crate::arguments::{Device, RendererArguments};
 use crate::shipped;
 use crate::terminal::say;
 
-pub(crate) use first::prove;
+pub(crate) use startup::prove;
 
 const LEVELS: [Simd; 4] = [Simd::Scalar, Simd::Sse42, Simd::Avx2, Simd::Avx512];
 const LAYERS: [Layer; 6] = [Layer::Depth, Layer::Normal, Layer::Position, Layer::Albedo, Layer::Object, Layer::Steps];

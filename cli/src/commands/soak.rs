@@ -3,14 +3,14 @@
 //!
 //! It uses the public API and the integrity check (`server::audit`); it never helps the farm.
 
-mod catalogue;
-mod chance;
 mod kills;
 mod overload;
 mod probe;
 mod processes;
+mod report;
+mod rng;
 mod server;
-mod tally;
+mod workload;
 
 use std::path::PathBuf;
 use std::time::Duration;
@@ -78,7 +78,7 @@ pub(crate) async fn run(arguments: Arguments) -> anyhow::Result<()> {
     std::fs::create_dir_all(&data).with_context(|| format!("could not make {}", data.display()))?;
     note("rendering what the pictures must be");
     let (seed, plan) = (arguments.seed, arguments.plan());
-    let tasks = tokio::task::spawn_blocking(move || catalogue::tasks(seed, None)).await.context("that panicked")??;
+    let tasks = tokio::task::spawn_blocking(move || workload::tasks(seed, None)).await.context("that panicked")??;
     let soaked = async {
         if arguments.overload {
             let report = overload::overload(&tasks, &data, arguments.time()).await?;

@@ -10,11 +10,11 @@ use scene::{Format, Job};
 
 use crate::arguments::ServerArguments;
 use crate::counted::counted;
-use crate::failure::Misuse;
+use crate::error::Misuse;
 use crate::job_file::JobFile;
 use crate::output_file::{check_writable, format_of, is_folder};
 use crate::terminal::{note, say};
-use crate::{follow, sequence};
+use crate::{follow, frame_files};
 
 /// Delays between attempts to submit.
 const FIRST_WAIT: Duration = Duration::from_millis(200);
@@ -83,7 +83,7 @@ pub(crate) async fn run(arguments: Arguments) -> anyhow::Result<()> {
 /// Saves what the output names, and says what became of the other frames.
 async fn save(client: &Client, job: &JobView, output: &str) -> anyhow::Result<()> {
     if is_folder(output) {
-        return sequence::save(client, job.id, output, false).await;
+        return frame_files::save(client, job.id, output, false).await;
     }
     follow::fetch(client, job.id, 0, output).await?;
     if let others @ 1.. = job.frames.total.saturating_sub(1) {

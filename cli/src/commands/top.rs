@@ -13,7 +13,7 @@ use ratatui::text::Line;
 use ratatui::widgets::{Block, Borders, Cell, Gauge, Paragraph, Row, Sparkline, Table};
 
 use crate::arguments::ServerArguments;
-use crate::failure::Misuse;
+use crate::error::Misuse;
 use crate::overview::{Overview, duration, gather, scaled};
 
 /// Speeds that are remembered: the width of a wide terminal.

@@ -4,7 +4,7 @@ use std::path::PathBuf;
 
 use clap::{Args, Subcommand};
 
-use crate::failure::Misuse;
+use crate::error::Misuse;
 use crate::terminal::say;
 
 /// Arguments of `webhook`.

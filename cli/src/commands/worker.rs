@@ -2,14 +2,14 @@
 
 use anyhow::Context;
 use clap::Args;
-use proto::work::TOKEN_VARIABLE;
+use proto::worker_protocol::TOKEN_VARIABLE;
 use rustix::process::nice;
 use tokio_util::sync::CancellationToken;
 use worker::agent::{self, AgentConfig, AgentError};
 
 use crate::arguments::{AccessArguments, RendererArguments};
 use crate::commands::selftest::prove;
-use crate::failure::NoDevice;
+use crate::error::NoDevice;
 use crate::signals::Signals;
 
 /// The device of a renderer on a processor.

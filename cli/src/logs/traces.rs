@@ -16,7 +16,7 @@ use tracing_subscriber::Layer;
 use tracing_subscriber::filter::filter_fn;
 use tracing_subscriber::registry::LookupSpan;
 
-use crate::failure::Misuse;
+use crate::error::Misuse;
 
 /// Time limit of a request to the collector.
 const TIMEOUT: Duration = Duration::from_secs(5);

@@ -6,8 +6,9 @@ use reqwest::header::{ACCEPT, CACHE_CONTROL, CONTENT_TYPE, HeaderValue};
 use reqwest::{Method, Response, StatusCode};
 
 use super::{Client, ClientError};
-use crate::change::{DeletePreview, FramePage, JobPatch};
 use crate::event::{JobEvent, Lines, Message};
+use crate::frame::FramePage;
+use crate::job::{DeletePreview, JobPatch};
 use crate::job::{JobPage, JobView};
 use crate::{JobId, Keep};
 

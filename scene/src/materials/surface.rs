@@ -4,7 +4,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::microfacet::{alpha, distribution, grazing, reflectance_at_normal, visibility};
-use super::tint::mix;
+use super::param::mix;
 use super::{Exemplary, Finish, Level, Lighting, Place, Shade, Texture, Tint};
 use crate::lights::Incoming;
 use crate::real::{Real, Vec3, bundle, vec3};

@@ -4,12 +4,12 @@
 
 #[cfg(test)]
 mod added;
-mod bands;
 mod bricks;
 mod checker;
 mod gradient;
-mod noisy;
+mod noise;
 mod ramp;
+mod stripes;
 mod wave;
 
 use schemars::JsonSchema;
@@ -17,12 +17,12 @@ use serde::{Deserialize, Serialize};
 
 #[cfg(test)]
 pub use added::AddedTexture;
-pub use bands::Stripes;
 pub use bricks::Bricks;
 pub use checker::{Axes, Checker};
 pub use gradient::{Gradient, GradientBy};
-pub use noisy::{Marble, NoiseRamp, Wood};
+pub use noise::{Marble, NoiseRamp, Wood};
 pub use ramp::{Ramp, Stop};
+pub use stripes::Stripes;
 
 use super::{Example, Place, Tint};
 use crate::nodes::snake_case;

@@ -5,10 +5,10 @@ use std::f32::consts::TAU;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use super::meaning::NOISE_COST;
+use super::displacement_bounds::STEEPEST;
+use super::displacement_bounds::{FoundRelief, Relief};
 use super::per_axis::PerAxis;
-use super::relief::STEEPEST;
-use super::relief::{FoundRelief, Relief};
+use super::sdf::NOISE_COST;
 use super::transforms::around_child;
 use super::{Child, Exactness, Node, Sample, Sdf};
 use crate::bounds::Bounds;

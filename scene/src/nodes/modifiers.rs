@@ -2,9 +2,9 @@
 
 mod bend;
 mod cached;
-mod copies;
-mod lengthening;
+mod elongation;
 mod mirror;
+mod nearest_copy;
 mod polar_repeat;
 mod repeat;
 mod taper;
@@ -15,7 +15,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 pub use bend::Bend;
-pub use lengthening::{Elongate, Stretch};
+pub use elongation::{Elongate, Stretch};
 pub use mirror::Mirror;
 pub use polar_repeat::PolarRepeat;
 pub use repeat::{Copies, Repeat};

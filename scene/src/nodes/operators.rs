@@ -6,19 +6,19 @@
 //!
 //! All are bounds: exact where one child alone is near.
 
-mod joins;
-mod reliefs;
+mod carving;
+mod seams;
 mod xor;
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-pub use joins::{Chamfer, Columns, Join, Stairs};
-pub use reliefs::{Engrave, Groove, Morph, Tongue};
+pub use carving::{Engrave, Groove, Morph, Tongue};
+pub use seams::{Chamfer, Columns, Join, Stairs};
 pub use xor::Xor;
 
-use super::runs::{Run, Runs};
-use super::sample::indicator;
+use super::bvh::{Run, Runs};
+use super::value::indicator;
 use super::{Exactness, Node, Sample, Sdf};
 use crate::bounds::Bounds;
 use crate::real::{Real, Vec3};

@@ -1,36 +1,36 @@
 //! Shapes with a closed formula. Unless noted otherwise each is exact: its value is the Euclidean distance to
 //! the surface, negative inside.
 
+mod box_variants;
 mod cones;
 mod curves;
-mod cut;
-mod frames;
+mod cut_spheres;
+mod flat_faces;
 mod periodic;
+mod polygon_sides;
 mod polyhedra;
-mod regular;
+mod prisms;
+mod pyramid_face;
 mod rings;
-mod round;
-mod sheets;
-mod sides;
-mod slopes;
+mod rounded;
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 pub use cones::{CappedCone, Cone, InfiniteCone, RoundCone, SolidAngle};
 pub use curves::BezierTube;
-pub use cut::{CutHollowSphere, CutSphere, DeathStar};
+pub use cut_spheres::{CutHollowSphere, CutSphere, DeathStar};
+pub use flat_faces::{Quad, Triangle};
 pub use rings::{CappedTorus, Horseshoe, Link, U};
-pub use round::{Ellipsoid, RoundedCylinder, Vesica};
-pub use sheets::{Quad, Triangle};
+pub use rounded::{Ellipsoid, RoundedCylinder, Vesica};
 
-pub use frames::{BoxFrame, Rhombus};
+pub use box_variants::{BoxFrame, Rhombus};
 pub use periodic::{Diamond, Gyroid, SchwarzP};
+pub use polygon_sides::Sides;
 pub use polyhedra::{Dodecahedron, Icosahedron, Octahedron, Tetrahedron};
-pub use regular::{HexagonalPrism, OctagonalPrism, RegularPyramid};
-pub use sides::Sides;
+pub use prisms::{HexagonalPrism, OctagonalPrism, RegularPyramid};
 
-use self::slopes::Slope;
+use self::pyramid_face::Slope;
 use super::{Exactness, NodeFault, Primitive};
 use crate::bounds::Bounds;
 use crate::real::{Real, Vec3, vec3};

@@ -3,8 +3,8 @@
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use super::meaning::NOISE_COST;
-use super::relief::Relief;
+use super::displacement_bounds::Relief;
+use super::sdf::NOISE_COST;
 use super::{Exactness, Primitive};
 use crate::bounds::Bounds;
 use crate::noise::Noise;

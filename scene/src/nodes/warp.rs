@@ -3,8 +3,8 @@
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use super::meaning::NOISE_COST;
-use super::relief::STEEPEST;
+use super::displacement_bounds::STEEPEST;
+use super::sdf::NOISE_COST;
 use super::transforms::around_child;
 use super::{Child, Exactness, Node, Sample, Sdf};
 use crate::bounds::Bounds;

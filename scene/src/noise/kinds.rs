@@ -5,7 +5,7 @@ use serde::{Deserialize, Deserializer, Serialize};
 
 use super::cellular::{Feature, cellular};
 use super::gardner::{FEWEST_WAVES, MOST_WAVES, gardner};
-use super::layers::{Fractal, Layers, MAX_OCTAVES};
+use super::octaves::{Fractal, Layers, MAX_OCTAVES};
 use super::{Basis, gradient};
 use crate::real::{Real, Vec3};
 use crate::seek::Seek;

@@ -19,11 +19,11 @@ use super::stand_ins;
 use super::tree::{self, Misfit, Value};
 use super::{MAX_FAULTS, too_deep, twice};
 use crate::document::JobDocument;
-use crate::fault::{Fault, Lines};
+use crate::error::{Fault, Lines};
+use crate::json_scan::unescape;
 use crate::lights::Light;
 use crate::materials::Material;
 use crate::nodes::Node;
-use crate::outline::unescape;
 use crate::scene::Object;
 
 /// Bytes that are read again to look for more faults, of all parts together.

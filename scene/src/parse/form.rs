@@ -6,9 +6,9 @@ use serde::Serialize;
 use serde::de::DeserializeOwned;
 use serde_path_to_error::{Path, Segment};
 
-use super::{lists, suggest, wording};
-use crate::fault::Fault;
-use crate::outline;
+use super::{list_form, messages, suggest};
+use crate::error::Fault;
+use crate::json_scan;
 
 /// A fault of the form of a text.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -55,7 +55,7 @@ pub(super) fn read<T: DeserializeOwned>(text: &str) -> Result<T, FormFault> {
 /// The same, and no list is taken for an object.
 pub(super) fn read_strictly<T: DeserializeOwned + Serialize>(text: &str) -> Result<T, FormFault> {
     let value = read(text)?;
-    match lists::in_place_of_object(text, &value) {
+    match list_form::in_place_of_object(text, &value) {
         Some(pointer) => {
             let message = "must be an object, not a list: write each value behind its key".to_owned();
             Err(FormFault { pointer, is_key: false, kind: FormFaultKind::Value, message })
@@ -75,7 +75,7 @@ fn fault(text: &str, pointer: String, message: String) -> FormFault {
     if let Some((key, known)) = suggest::unknown(&message, "unknown field `") {
         let meant = suggest::nearest(key, &known).map(str::to_owned);
         let message = suggest::unknown_key(key, &known);
-        let is_key = outline::locate_key(text, &pointer).is_some();
+        let is_key = json_scan::locate_key(text, &pointer).is_some();
         return FormFault { pointer, is_key, kind: FormFaultKind::UnknownKey(meant), message };
     }
     if let Some(key) = message.strip_prefix("missing field `").and_then(|rest| rest.strip_suffix('`')) {
@@ -83,21 +83,21 @@ fn fault(text: &str, pointer: String, message: String) -> FormFault {
         let message = format!("lacks the key `{key}`: add it");
         return FormFault { pointer, is_key: false, kind, message };
     }
-    let (pointer, message) = wording::reworded(text, pointer, message);
+    let (pointer, message) = messages::reworded(text, pointer, message);
     FormFault { pointer, is_key: false, kind: FormFaultKind::Value, message }
 }
 
 /// Where a name that there is not stands: as a key, or as a value.
 fn place_of_name(text: &str, pointer: String, name: &str) -> (String, bool) {
-    let key = format!("{pointer}/{}", outline::escape(name));
-    if outline::locate_key(text, &key).is_some() {
+    let key = format!("{pointer}/{}", json_scan::escape(name));
+    if json_scan::locate_key(text, &key).is_some() {
         return (key, true);
     }
-    if last(&pointer) == outline::escape(name) && outline::locate_key(text, &pointer).is_some() {
+    if last(&pointer) == json_scan::escape(name) && json_scan::locate_key(text, &pointer).is_some() {
         return (pointer, true);
     }
     // Where the path ends in the choice itself, the text has no such place.
-    let place = if outline::locate_value(text, &pointer).is_some() { &pointer } else { parent(&pointer) };
+    let place = if json_scan::locate_value(text, &pointer).is_some() { &pointer } else { parent(&pointer) };
     (place.to_owned(), false)
 }
 
@@ -118,7 +118,7 @@ fn pointer(path: &Path) -> String {
     path.iter().fold(String::new(), |mut pointer, segment| {
         match segment {
             Segment::Seq { index } => write!(pointer, "/{index}"),
-            Segment::Map { key } | Segment::Enum { variant: key } => write!(pointer, "/{}", outline::escape(key)),
+            Segment::Map { key } | Segment::Enum { variant: key } => write!(pointer, "/{}", json_scan::escape(key)),
             Segment::Unknown => Ok(()),
         }
         .expect("a String takes all that is written");

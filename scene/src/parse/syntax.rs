@@ -1,6 +1,6 @@
 //! What makes a text no JSON, in the words of someone who wrote it by hand: a comment, a comma too many, a missing quote.
 
-use crate::fault::{Fault, Lines};
+use crate::error::{Fault, Lines};
 
 /// Words that other languages write, and JSON's.
 const WORDS: [(&str, &str); 6] = [

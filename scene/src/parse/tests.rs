@@ -1,7 +1,7 @@
 //! Every fault is told at its place, in bounded time, and none that is none.
 
 use super::*;
-use crate::fault::Fault;
+use crate::error::Fault;
 use crate::materials::Material;
 
 const SEVERAL: &str = include_str!("../../../tests/bad_input/several.txt");

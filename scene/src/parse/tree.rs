@@ -1,8 +1,8 @@
 //! A JSON text as a tree that knows where each value stands, and of which parts can be replaced: the text itself
 //! stays as it is, so that a fault that is found after a repair still has its place in the user's text.
 
+use crate::json_scan::escape;
 use crate::limits::MAX_JSON_DEPTH;
-use crate::outline::escape;
 
 /// A value of the text.
 #[derive(Clone, Debug)]

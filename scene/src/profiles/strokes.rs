@@ -3,7 +3,7 @@
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use super::quadratic::{HalfParabola, Quadratic};
+use super::bezier::{HalfParabola, Quadratic};
 use super::{Extent, Planar, Spot};
 use crate::nodes::Exactness;
 use crate::real::Real;

@@ -4,7 +4,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::edge::Found;
-use super::lettering::{Letter, Lettering, Piece};
+use super::text_outline::{Letter, Lettering, Piece};
 use super::{Extent, Planar};
 use crate::nodes::Exactness;
 use crate::real::Real;

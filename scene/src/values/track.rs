@@ -2,7 +2,7 @@
 //!
 //! A number with a track stores it, next to its value at the time it was last evaluated for.
 
-mod keys;
+mod keyframes;
 
 use std::borrow::Cow;
 use std::fmt;
@@ -14,7 +14,7 @@ use serde::de::{Error, MapAccess, Visitor};
 use serde::ser::SerializeStruct;
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
 
-use self::keys::Keys;
+use self::keyframes::Keys;
 use super::Replayed;
 use crate::limits::{MAX_KEY_SECONDS, MAX_KEYS};
 use crate::materials::Texture;

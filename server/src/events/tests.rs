@@ -7,8 +7,8 @@ use tokio_util::sync::CancellationToken;
 
 use super::{Events, Follower, RECENT, Start};
 use crate::clock::{Clock, Hand};
+use crate::database::{Durability, Store};
 use crate::queue::{NewJob, Queue};
-use crate::store::{Durability, Store};
 
 struct Bench {
     queue: Queue,

@@ -10,15 +10,15 @@ use axum::extract::{MatchedPath, RawPathParams, Request, State};
 use axum::http::{Method, StatusCode, Uri, header};
 use axum::middleware::Next;
 use axum::response::Response;
-use proto::key::AuditPage;
+use proto::audit::AuditPage;
 use proto::{JobId, Problem};
 use serde::Deserialize;
 
+use super::auth::{Caller, Peer};
 use super::body;
-use super::caller::{Caller, Peer};
 use super::error::ApiError;
-use super::trace::RequestId;
-use crate::deeds::Deed;
+use super::request_id::RequestId;
+use crate::audit_log::Deed;
 use crate::farm::Farm;
 
 /// Default number of entries on a page.
@@ -65,7 +65,7 @@ pub(super) async fn tell(
 
 /// Whether changes by this route are recorded; a request without a route changes nothing.
 fn is_told(route: Option<&str>) -> bool {
-    route.is_some_and(|route| !route.starts_with("/v1/worker/") || route == proto::work::REGISTER)
+    route.is_some_and(|route| !route.starts_with("/v1/worker/") || route == proto::worker_protocol::REGISTER)
 }
 
 fn is_refusal(status: StatusCode) -> bool {

@@ -2,19 +2,19 @@
 
 use axum::http::{HeaderValue, StatusCode, header};
 use axum::response::{IntoResponse, Response};
+use proto::api_key::Scope;
 use proto::job::JobState;
-use proto::key::Scope;
 use proto::problem::FaultView;
 use proto::{JobId, Problem};
 
+use crate::api_keys::KeyError;
+use crate::content_store::PictureError;
+use crate::database::StoreError;
 use crate::farm::TurnError;
-use crate::jobs::JobError;
-use crate::keys::KeyError;
+use crate::job_cache::JobError;
 use crate::listen::SlowBody;
-use crate::pictures::PictureError;
+use crate::preview_helper::SketchError;
 use crate::retention::RetentionError;
-use crate::sketches::SketchError;
-use crate::store::StoreError;
 
 /// Reason for an error response, with its fix.
 #[derive(Debug, thiserror::Error)]

@@ -8,7 +8,7 @@ use axum::extract::{Path, State};
 use axum::http::{HeaderValue, Uri, header};
 use axum::response::{IntoResponse, Response};
 use futures_util::stream;
-use proto::change::FramePage;
+use proto::frame::FramePage;
 use serde::Deserialize;
 
 use super::body;

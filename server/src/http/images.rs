@@ -11,8 +11,8 @@ use proto::JobId;
 use super::error::ApiError;
 use super::jobs::job_id;
 use super::range::{self, Asked};
+use crate::content_store::{Kind, Name};
 use crate::farm::Farm;
-use crate::pictures::{Kind, Name};
 use crate::queue::StoredImage;
 
 /// A frame's picture never changes.

@@ -7,21 +7,21 @@ use axum::body::Body;
 use axum::extract::{Path, State};
 use axum::http::{HeaderMap, HeaderValue, StatusCode, Uri, header};
 use axum::response::{IntoResponse, Response};
-use proto::fail::{self, Point};
+use proto::fail_point::{self, Point};
 use proto::job::{DryRun, JobPage, JobState, JobView};
 use proto::{JobId, Keep};
 use serde::Deserialize;
 use tracing::Instrument;
 
+use super::auth::Caller;
 use super::body;
-use super::caller::Caller;
 use super::error::ApiError;
-use super::{prefer, quota, traces, wish};
+use super::{prefer, quota, submit_options, trace_context};
+use crate::content_store::Kind;
 use crate::estimate;
 use crate::farm::Farm;
-use crate::pictures::Kind;
-use crate::plan::Plan;
 use crate::queue::{Cancelled, NewJob, Submitted};
+use crate::tile_plan::Plan;
 
 /// Default number of jobs on a page.
 const PAGE: u32 = 100;
@@ -123,7 +123,7 @@ impl Submission {
         if farm.closing.is_cancelled() && !query.dry_run {
             return Err(ApiError::Closing);
         }
-        let is_known = wish::is_known(farm, &caller, &headers).await?;
+        let is_known = submit_options::is_known(farm, &caller, &headers).await?;
         if !query.dry_run && !is_known {
             quota::check_jobs(farm, &caller).await?;
         }
@@ -137,7 +137,7 @@ impl Submission {
     /// Accepts the job of this text, or checks it.
     pub(super) async fn finish(self, farm: &Arc<Farm>, text: bytes::Bytes) -> Result<Response, ApiError> {
         let Self { caller, uri, headers, query, keep, is_known } = self;
-        let wish = wish::read(&uri, &headers, &text, &farm.webhooks.guard)?;
+        let wish = submit_options::read(&uri, &headers, &text, &farm.webhooks.guard)?;
         let parsed = farm.jobs.parse(text.clone(), |parsed| parsed.map(|job| (job.warnings(), job))).await?;
         let (warnings, job) = parsed?;
         let plan = Plan::of(&job, farm.config.tile_px);
@@ -164,14 +164,14 @@ impl Submission {
             keep,
             text: file_text(text)?,
         };
-        traces::keep(farm, id, &headers).await?;
+        trace_context::keep(farm, id, &headers).await?;
         let submitting = farm.submit(new, Arc::new(job), wish);
         let (status, id) = match submitting.instrument(tracing::info_span!("submit", job = %id)).await? {
             Submitted::New(_) => (StatusCode::CREATED, id),
             Submitted::Same(id) => (StatusCode::OK, id),
             Submitted::Other => return Err(ApiError::OtherWish),
         };
-        fail::pass_by(Point::SubmitCommitted);
+        fail_point::pass_by(Point::SubmitCommitted);
         let mut response = prefer::answer(farm, id, &headers, status).await?;
         if let Ok(location) = HeaderValue::from_str(&format!("/v1/jobs/{id}")) {
             response.headers_mut().insert(header::LOCATION, location);

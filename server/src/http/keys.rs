@@ -7,7 +7,7 @@ use axum::body::Body;
 use axum::extract::{Path, State};
 use axum::http::{HeaderMap, HeaderValue, StatusCode, header};
 use axum::response::{IntoResponse, Response};
-use proto::key::{KeyList, NewKey};
+use proto::api_key::{KeyList, NewKey};
 
 use super::body;
 use super::error::ApiError;

@@ -15,8 +15,8 @@ use super::jobs::job_id;
 use super::{body, images, previews};
 use crate::clock::rfc3339;
 use crate::farm::Farm;
-use crate::links::Linked;
 use crate::queue::StoredImage;
+use crate::signed_links::Linked;
 
 /// Maximum size of a request for a link.
 const MAX_BYTES: usize = 4 << 10;

@@ -1,7 +1,7 @@
 //! The API's own description: routes from their handlers, schemas from the types that are sent.
 
-mod doors;
 mod portable;
+mod security;
 
 use std::sync::Arc;
 
@@ -10,10 +10,12 @@ use axum::extract::State;
 use axum::http::header;
 use axum::response::{IntoResponse, Response};
 use proto::Problem;
-use proto::change::{DeletePreview, FramePage, JobPatch};
+use proto::api_key::{IssuedKey, KeyList, NewKey};
+use proto::audit::AuditPage;
 use proto::farm::{FarmView, StartView};
+use proto::frame::FramePage;
+use proto::job::{DeletePreview, JobPatch};
 use proto::job::{DryRun, JobPage, JobView};
-use proto::key::{AuditPage, IssuedKey, KeyList, NewKey};
 use proto::link::{LinkRequest, LinkView};
 use proto::pool::{PoolSize, PoolView, WorkerList};
 use proto::retention::Collection;
@@ -44,7 +46,7 @@ impl Document {
         schemas.extend(job_file());
         document["components"]["schemas"] = Value::Object(schemas);
         portable::rewrite(&mut document);
-        doors::describe(&mut document);
+        security::describe(&mut document);
         Self(Arc::new(document))
     }
 

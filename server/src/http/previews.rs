@@ -8,13 +8,13 @@ use axum::http::{HeaderMap, HeaderValue, StatusCode, Uri, header};
 use axum::response::{IntoResponse, Response};
 use proto::JobId;
 use proto::job::JobState;
-use proto::sketch::Sketch;
+use proto::preview_helper::Sketch;
 use serde::Deserialize;
 
 use super::error::ApiError;
 use super::{body, images, range};
+use crate::content_store::{Kind, Name};
 use crate::farm::Farm;
-use crate::pictures::{Kind, Name};
 use crate::queue::Parts;
 
 /// Default width of a preview.

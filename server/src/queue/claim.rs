@@ -4,17 +4,17 @@
 //! scene this worker renders; a stitch is for anyone. A job's next frame is opened when none of its
 //! tiles is ready; that needs the frame's key, which the caller computes outside.
 
-use proto::work::{LeasedTile, Part, Run, Work};
+use proto::worker_protocol::{LeasedTile, Part, Run, Work};
 use proto::{JobId, LeaseId, Rect, WorkerId};
 use sqlx::query::Query;
 use sqlx::sqlite::{SqliteArguments, SqliteRow};
 use sqlx::{Row, Sqlite};
 
+use super::batch_size::{self, Frame, Ready};
 use super::lease::LOST_BEFORE_ALONE;
-use super::share::{self, Frame, Ready};
 use super::straggler::{self, Straggling};
-use super::{Connection, Moment, Result, counted, end, fair, known};
-use crate::plan::Plan;
+use super::{Connection, Moment, Result, counted, fair_share, finish, known};
+use crate::tile_plan::Plan;
 
 /// A job with something to claim, by priority and age. Checked by a test to need no full scan.
 const NEXT_JOB: &str = include_str!("next_job.sql");
@@ -76,7 +76,7 @@ pub(super) struct Job {
     nodes: i64,
     /// None of its tiles has been leased before.
     queued: bool,
-    share: fair::Share,
+    share: fair_share::Share,
 }
 
 impl Job {
@@ -96,7 +96,7 @@ impl Job {
             frames_opened: row.try_get("frames_opened")?,
             nodes: row.try_get("nodes")?,
             queued: row.try_get("queued")?,
-            share: fair::Share { submitter: row.try_get("submitter")?, priority: row.try_get("priority")? },
+            share: fair_share::Share { submitter: row.try_get("submitter")?, priority: row.try_get("priority")? },
         })
     }
 }
@@ -141,7 +141,7 @@ pub(super) async fn claim(connection: &mut Connection, claimant: Claimant, momen
         claim_tiles(connection, &job, frame, &view, claimant, moment).await?
     };
     if job.queued {
-        end::start(connection, job.number, moment).await?;
+        finish::start(connection, job.number, moment).await?;
     }
     Ok(Claimed::Run(Run { job: job.id, frame, work }))
 }
@@ -236,12 +236,12 @@ async fn claim_tiles(
     let rows = view.bind(READY_TILES).bind(job.number).bind(job.nodes).bind(frame).fetch_all(&mut *connection).await?;
     let whole = whole_frame(job);
     let ready = rows.iter().map(read_ready).collect::<Result<Vec<_>>>()?;
-    let length = share::run_length(&ready, whole, claimant.rays_per_second, idle, fastest_other);
+    let length = batch_size::run_length(&ready, whole, claimant.rays_per_second, idle, fastest_other);
     let (tiles, grants) = leased_tiles(&rows[..length])?;
     grant(connection, &grants, &view.worker, moment).await?;
     let rays = ready[..length].iter().map(|tile| tile.rays).sum();
-    fair::charge(connection, &job.share, rays, claimant.rays_per_second.or(fastest_other)).await?;
-    Ok(Work::Render { whole_frame: share::is_whole(length, whole), tiles })
+    fair_share::charge(connection, &job.share, rays, claimant.rays_per_second.or(fastest_other)).await?;
+    Ok(Work::Render { whole_frame: batch_size::is_whole(length, whole), tiles })
 }
 
 /// New leases on tiles, both as sent to the worker and as recorded.

@@ -6,11 +6,11 @@
 
 use std::collections::{BTreeMap, HashMap};
 
-use proto::work::{Outcome, Report};
+use proto::worker_protocol::{Outcome, Report};
 use proto::{LeaseId, WorkerId};
 
 use super::lease::{self, Cause, Held};
-use super::{Connection, Moment, Result, Ring, counted, end, pace, picture, rows, stitch};
+use super::{Connection, Moment, Result, Ring, counted, durations, finish, picture, rows, stitch};
 
 /// Outcome of a set of results.
 #[derive(Clone, Debug, Default)]
@@ -170,8 +170,9 @@ async fn finish_tiles(
     .await?;
     counted("tile: leased to done", count, &done)?;
     let mut ring = lease::void_others(connection, tiles.iter().map(|tile| tile.held.tile)).await?;
-    let by = end::Progress { tiles: rows(tiles.len()), rays: tiles.iter().map(|tile| tile.held.rays).sum(), frames: 0 };
-    let number = end::progress(connection, job, by).await?;
+    let by =
+        finish::Progress { tiles: rows(tiles.len()), rays: tiles.iter().map(|tile| tile.held.rays).sum(), frames: 0 };
+    let number = finish::progress(connection, job, by).await?;
     note_pace(connection, tiles.iter().map(|tile| &tile.held), number, moment).await?;
     let complete: bool = sqlx::query_scalar(
         "UPDATE frame SET tiles_done = tiles_done + ? WHERE job = ? AND number = ? AND state = 'open'
@@ -198,7 +199,7 @@ pub(super) async fn note_pace<'a>(
 ) -> Result<()> {
     let first = held.into_iter().min_by_key(|held| held.granted_ms);
     match first {
-        Some(first) => pace::note(connection, first.job, number, moment.now_ms - first.granted_ms).await,
+        Some(first) => durations::note(connection, first.job, number, moment.now_ms - first.granted_ms).await,
         None => Ok(()),
     }
 }

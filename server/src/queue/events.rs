@@ -10,8 +10,8 @@ use proto::rounding;
 use sqlx::Row;
 use sqlx::sqlite::SqliteRow;
 
-use super::{Connection, Queue, Result, end};
-use crate::store::Durability;
+use super::{Connection, Queue, Result, finish};
+use crate::database::Durability;
 
 /// How long events of finished jobs are kept.
 const KEEP_MS: i64 = 24 * 3_600_000;
@@ -51,7 +51,7 @@ impl Event {
         Ok(Self {
             number: row.try_get("number")?,
             job: row.try_get("job")?,
-            state: state.map(|state| end::job_state(&state)).transpose()?,
+            state: state.map(|state| finish::job_state(&state)).transpose()?,
             body: if kind == "progress" { rounded(body) } else { body },
             kind,
         })
@@ -170,7 +170,7 @@ impl Queue {
         reading.commit().await?;
         let error: Option<String> = row.try_get("error")?;
         let snapshot = Snapshot {
-            state: end::job_state(&row.try_get::<String, _>("state")?)?,
+            state: finish::job_state(&row.try_get::<String, _>("state")?)?,
             errors: error.into_iter().collect(),
             progress: rounding::fraction(
                 row.try_get::<i64, _>("rays_peak")? as f64 / row.try_get::<i64, _>("rays_total")? as f64,

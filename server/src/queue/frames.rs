@@ -1,7 +1,7 @@
 //! A job's frames by number: the state of each, and its picture.
 
 use proto::JobId;
-use proto::change::{FrameState, FrameView};
+use proto::frame::{FrameState, FrameView};
 use sqlx::Row;
 use sqlx::sqlite::SqliteRow;
 

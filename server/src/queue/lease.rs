@@ -7,7 +7,7 @@ use proto::{LeaseId, WorkerId};
 use sqlx::Row;
 use sqlx::sqlite::SqliteRow;
 
-use super::{Connection, Moment, Result, Ring, counted, end, json_list, strike};
+use super::{Connection, Moment, Result, Ring, counted, exclusion, finish, json_list};
 
 /// Renderer errors that a tile survives.
 const MAX_ERRORS: i64 = 3;
@@ -190,7 +190,7 @@ pub(super) async fn give_up(
 ) -> Result<Ring> {
     end_lease(connection, &held.lease, cause.name()).await?;
     if cause == Cause::Failed {
-        strike::note(connection, &held.worker, held.job, moment).await?;
+        exclusion::note(connection, &held.worker, held.job, moment).await?;
     }
     let counters = held.counters.after(cause);
     if is_leased(connection, held.tile).await? {
@@ -200,7 +200,7 @@ pub(super) async fn give_up(
     match counters.verdict(cause, jitter()) {
         Verdict::Ready { delay_ms } => {
             let not_before_ms = if delay_ms == 0 { 0 } else { moment.now_ms + delay_ms };
-            let avoids = cause == Cause::Failed && !strike::bars_another(connection, held, moment).await?;
+            let avoids = cause == Cause::Failed && !exclusion::bars_another(connection, held, moment).await?;
             put_back(connection, held, counters, not_before_ms, avoids.then_some(held.worker.as_str())).await?;
             Ok(Ring::WORK)
         }
@@ -210,7 +210,7 @@ pub(super) async fn give_up(
             let message = format!("frame {} {place}: {message}", held.frame);
             let job = super::id_of(connection, held.job).await?;
             tracing::warn!(%job, frame = held.frame, tile = held.tile, %message, "a tile is dead");
-            end::fail(connection, held.job, &message, moment).await?;
+            finish::fail(connection, held.job, &message, moment).await?;
             Ok(Ring::NEWS)
         }
     }

@@ -3,8 +3,8 @@
 use proto::JobId;
 use proto::job::JobState;
 
-use super::{Connection, Queue, Result, Ring, counted, end};
-use crate::store::Durability;
+use super::{Connection, Queue, Result, Ring, counted, finish};
+use crate::database::Durability;
 
 /// Outcome of pausing or resuming a job.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -30,7 +30,7 @@ async fn pause_job(connection: &mut Connection, id: JobId, paused: bool) -> Resu
         .bind(id.to_string())
         .fetch_optional(connection)
         .await?;
-    state.map_or(Ok(Paused::Unknown), |name| end::job_state(&name).map(Paused::Final))
+    state.map_or(Ok(Paused::Unknown), |name| finish::job_state(&name).map(Paused::Final))
 }
 
 async fn pause_farm(connection: &mut Connection, paused: bool) -> Result<()> {

@@ -10,8 +10,8 @@ use sqlx::Row;
 
 use super::deliver::{Delivered, compare, note_pace};
 use super::lease::{self, Cause, Held};
-use super::{Connection, Moment, Result, Ring, counted, end, rows};
-use crate::store::StoreError;
+use super::{Connection, Moment, Result, Ring, counted, finish, rows};
+use crate::database::StoreError;
 
 /// A frame's picture: for its stitch, or for every tile of the frame at once.
 pub(super) async fn take(
@@ -90,11 +90,11 @@ async fn store_frame(
     let key = key.ok_or(StoreError::Rows { what: "frame: to stored", expected: 1, changed: 0 })?;
     delivered.nondeterministic += remember(connection, picture, &key, moment).await?;
     let (tiles, rays) = if stitched { (0, 0) } else { (rows(held.len()), held.iter().map(|held| held.rays).sum()) };
-    let number = end::progress(connection, picture.job, end::Progress { tiles, rays, frames: 1 }).await?;
+    let number = finish::progress(connection, picture.job, finish::Progress { tiles, rays, frames: 1 }).await?;
     if !stitched {
         note_pace(connection, held, number, moment).await?;
     }
-    end::succeed_if_stored(connection, picture.job, moment).await?;
+    finish::succeed_if_stored(connection, picture.job, moment).await?;
     if stitched {
         let blobs = sqlx::query("SELECT DISTINCT blob FROM tile WHERE job = ? AND frame = ? AND blob IS NOT NULL")
             .bind(picture.job)

@@ -4,7 +4,7 @@ use proto::JobId;
 use proto::job::JobState;
 use sqlx::Row;
 
-use super::{Queue, Result, end};
+use super::{Queue, Result, finish};
 
 /// Contents of a frame so far.
 #[derive(Clone, Debug)]
@@ -64,7 +64,7 @@ impl Queue {
         .bind(frame)
         .fetch_all(self.readers())
         .await?;
-        Ok(Parts::Unfinished { state: end::job_state(&row.try_get::<String, _>("state")?)?, blobs })
+        Ok(Parts::Unfinished { state: finish::job_state(&row.try_get::<String, _>("state")?)?, blobs })
     }
 
     /// The workers that take work.

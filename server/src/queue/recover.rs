@@ -2,7 +2,7 @@
 
 use sqlx::Row;
 
-use super::{Connection, Result, fair, json_numbers, rows, strike};
+use super::{Connection, Result, exclusion, fair_share, json_numbers, rows};
 
 /// How long ended leases are kept, to recognize late results.
 const KEEP_LEASES_MS: u64 = 3_600_000;
@@ -51,7 +51,7 @@ pub(super) async fn recover(connection: &mut Connection, now_ms: i64, lease_ms: 
     sqlx::query("UPDATE tile SET not_before_ms = 0 WHERE state = 'ready' AND not_before_ms > 0")
         .execute(&mut *connection)
         .await?;
-    strike::recover(connection, now_ms).await?;
+    exclusion::recover(connection, now_ms).await?;
     let jobs =
         sqlx::query("SELECT count(*) AS jobs FROM job WHERE finished_at_ms IS NULL").fetch_one(connection).await?;
     Ok(Recovered { generation, jobs: jobs.try_get("jobs")?, leases: rows(tiles.len()) })
@@ -68,7 +68,7 @@ pub(super) async fn tidy(connection: &mut Connection) -> Result<()> {
     )
     .execute(&mut *connection)
     .await?;
-    fair::tidy(connection).await
+    fair_share::tidy(connection).await
 }
 
 /// Lease ids contain their time: the smallest id that is kept.

@@ -3,9 +3,9 @@
 use sqlx::Row;
 use sqlx::sqlite::SqliteRow;
 
-use super::end::job_state;
-use super::{Connection, Opening, Result, counted, json_list, open, rows};
-use crate::plan::Plan;
+use super::finish::job_state;
+use super::{Connection, Opening, Result, counted, json_list, open_frame, rows};
+use crate::tile_plan::Plan;
 
 /// Outcome for the frames of missing pictures.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -115,7 +115,7 @@ async fn reopen(connection: &mut Connection, lost: &Lost) -> Result<()> {
         tiles: lost.plan.tiles(),
         samples: lost.plan.samples,
     };
-    open::make_tiles(connection, &opening).await
+    open_frame::make_tiles(connection, &opening).await
 }
 
 async fn void(connection: &mut Connection, lost: &Lost) -> Result<()> {

@@ -7,8 +7,8 @@ use proto::{JobId, Keep};
 use sqlx::Row;
 use sqlx::sqlite::SqliteRow;
 
-use super::{Connection, Queue, Result, end, json_numbers, known};
-use crate::store::Durability;
+use super::{Connection, Queue, Result, finish, json_numbers, known};
+use crate::database::Durability;
 
 /// `job.keep_ms` of a job that is kept forever.
 const FOR_EVER: i64 = -1;
@@ -155,7 +155,7 @@ async fn remove(connection: &mut Connection, job: &Ended) -> Result<Option<Remov
             .fetch_optional(&mut *connection)
             .await?;
     let Some(number) = same else { return Ok(None) };
-    let (pictures, blobs) = end::forget(connection, number).await?;
+    let (pictures, blobs) = finish::forget(connection, number).await?;
     Ok(Some(Removed { pictures, blobs }))
 }
 
@@ -163,7 +163,7 @@ async fn remove(connection: &mut Connection, job: &Ended) -> Result<Option<Remov
 mod tests {
     use super::*;
     use crate::clock::Clock;
-    use crate::store::Store;
+    use crate::database::Store;
 
     #[tokio::test]
     async fn jobs_to_remove_are_found_without_reading_a_table_from_end_to_end() {

@@ -1,7 +1,7 @@
 //! Stitches: created when a frame's last tile is done, undone when its blobs prove damaged.
 
 use super::lease::{self, Cause, Held};
-use super::{Connection, Moment, Result, Ring, counted, end, rows};
+use super::{Connection, Moment, Result, Ring, counted, finish, rows};
 
 /// Makes a frame's stitch ready when its last tile is done.
 pub(super) async fn begin(connection: &mut Connection, job: i64, frame: u32) -> Result<()> {
@@ -68,8 +68,8 @@ pub(super) async fn reopen(
     .execute(&mut *connection)
     .await?;
     counted("frame: stitching to open", 1, &open)?;
-    let back = end::Progress { tiles: -count, rays: -rays.iter().sum::<i64>(), frames: 0 };
-    end::progress(connection, held.job, back).await?;
+    let back = finish::Progress { tiles: -count, rays: -rays.iter().sum::<i64>(), frames: 0 };
+    finish::progress(connection, held.job, back).await?;
     Ok(ring)
 }
 

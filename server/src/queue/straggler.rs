@@ -4,11 +4,11 @@
 use std::collections::HashMap;
 
 use proto::LeaseId;
-use proto::work::{Run, Work};
+use proto::worker_protocol::{Run, Work};
 use sqlx::Row;
 
 use super::claim::{self, Claimant, View};
-use super::{Connection, Moment, Result, counted, pace, rows, share};
+use super::{Connection, Moment, Result, batch_size, counted, durations, rows};
 
 /// A lease older than this many times the job's median tile duration is a straggler's.
 const MEDIANS: i64 = 3;
@@ -22,7 +22,7 @@ const UNKNOWN_PACE_MS: i64 = 1000;
 const LOOKED_AT: i64 = 256;
 
 /// Oldest leases of other workers whose tile this worker can render and that have no duplicate lease yet.
-const OLDEST: &str = include_str!("oldest_leases.sql");
+const OLDEST: &str = include_str!("stragglers.sql");
 
 /// The tiles of a frame that one worker alone has held for long.
 const HELD_TILES: &str = "SELECT tile.id, position, x_px, y_px, width_px, height_px, rays, lost
@@ -69,7 +69,7 @@ pub(super) async fn claim(
         };
         let median_ms = match patience.get(&old.job) {
             Some(known) => *known,
-            None => *patience.entry(old.job).or_insert(pace::median_ms(connection, old.job).await?),
+            None => *patience.entry(old.job).or_insert(durations::median_ms(connection, old.job).await?),
         };
         let least_ms = if old.stitch { MIN_STITCH_AGE_MS } else { MIN_AGE_MS };
         let left_ms = match median_ms {
@@ -110,17 +110,17 @@ async fn lease_again(
         .fetch_all(&mut *connection)
         .await?;
     let whole = claim::whole_frame(&job);
-    let length = if share::is_whole(held.len(), whole) {
+    let length = if batch_size::is_whole(held.len(), whole) {
         // Its holder encodes a whole picture, so the helper must do the same, or neither finishes
         // before the other.
         held.len()
     } else {
         let ready = held.iter().map(claim::read_ready).collect::<Result<Vec<_>>>()?;
-        share::run_length(&ready, whole, claimant.rays_per_second, 1, None)
+        batch_size::run_length(&ready, whole, claimant.rays_per_second, 1, None)
     };
     let (tiles, grants) = claim::leased_tiles(&held[..length])?;
     grant(connection, &grants, view, moment).await?;
-    let work = Work::Render { whole_frame: share::is_whole(length, whole), tiles };
+    let work = Work::Render { whole_frame: batch_size::is_whole(length, whole), tiles };
     Ok(Run { job: job.id, frame: old.frame, work })
 }
 

@@ -3,7 +3,7 @@
 use proto::{JobId, Keep};
 
 use super::{Connection, Moment, Result, retention};
-use crate::plan::Plan;
+use crate::tile_plan::Plan;
 
 /// Job that passed validation.
 #[derive(Clone, Debug)]

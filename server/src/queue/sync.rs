@@ -3,14 +3,14 @@
 use std::collections::HashSet;
 use std::time::Duration;
 
-use proto::work::{Report, Run};
+use proto::worker_protocol::{Report, Run};
 use proto::{LeaseId, WorkerId};
 use sqlx::Row;
 
 use super::claim::{self, Claimant, Claimed};
 use super::lease::{self, Cause};
-use super::{Connection, Moment, Opening, Result, Ring, deliver, known, open, workers};
-use crate::plan::Plan;
+use super::{Connection, Moment, Opening, Result, Ring, deliver, known, open_frame, workers};
+use crate::tile_plan::Plan;
 
 /// A lease granted in a response that the worker never received is released after this time: the worker does
 /// not list it.
@@ -180,7 +180,7 @@ async fn keep_leases(
 
 async fn take_work(connection: &mut Connection, turn: &Turn, max_nodes: i64, moment: Moment) -> Result<Next> {
     if let Some(opening) = &turn.opening {
-        open::open(connection, opening, moment).await?;
+        open_frame::open(connection, opening, moment).await?;
     }
     let claimant = Claimant { worker: turn.worker, rays_per_second: turn.rays_per_second, max_nodes };
     Ok(match claim::claim(connection, claimant, moment).await? {

@@ -1,18 +1,18 @@
 //! Properties that the API cannot show: statements use indexes, the queue follows its model under random
 //! operations, and shares are fair.
 
-mod fair;
+mod fair_share;
 mod model;
 mod plans;
 mod sequences;
 
-use proto::work::{Hello, Work};
+use proto::worker_protocol::{Hello, Work};
 use proto::{JobId, WorkerId};
 
 use super::{NewJob, NewWorker, Next, Opening, Queue, Turn};
 use crate::clock::{Clock, Hand};
-use crate::plan::Plan;
-use crate::store::Store;
+use crate::database::Store;
+use crate::tile_plan::Plan;
 
 const LEASE_MS: i64 = 1000;
 
@@ -159,7 +159,7 @@ fn turn(worker: WorkerId) -> Turn {
     }
 }
 
-fn leases(run: &proto::work::Run) -> impl Iterator<Item = proto::LeaseId> {
+fn leases(run: &proto::worker_protocol::Run) -> impl Iterator<Item = proto::LeaseId> {
     let leases: Vec<_> = match &run.work {
         Work::Render { tiles, .. } => tiles.iter().map(|tile| tile.lease).collect(),
         Work::Stitch { lease, .. } => vec![*lease],
@@ -175,7 +175,7 @@ async fn a_full_disk_refuses_a_job_and_room_on_it_takes_the_next() {
         bench
             .queue
             .store
-            .write(crate::store::Durability::Relaxed, move |connection| {
+            .write(crate::database::Durability::Relaxed, move |connection| {
                 Box::pin(async move {
                     sqlx::query(statement).execute(connection).await?;
                     Ok(())

@@ -11,7 +11,7 @@ use sqlx::sqlite::SqliteRow;
 
 use super::{Queue, Result, counted, known};
 use crate::clock::rfc3339;
-use crate::store::Durability;
+use crate::database::Durability;
 
 /// How long finished deliveries are kept.
 const KEEP_MS: i64 = 7 * 24 * 3_600_000;

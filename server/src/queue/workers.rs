@@ -1,7 +1,7 @@
 //! Workers: registration, draining, and their end.
 
 use proto::WorkerId;
-use proto::work::Hello;
+use proto::worker_protocol::Hello;
 use sqlx::Row;
 
 use super::lease::{self, Cause};

@@ -1,6 +1,6 @@
 //! What users do wrong, and what they are told.
 
-use proto::work;
+use proto::worker_protocol;
 use reqwest::header::{ALLOW, AUTHORIZATION, CONTENT_TYPE, HOST, HeaderName, ORIGIN};
 use reqwest::{Method, Response, StatusCode};
 use serde_json::json;
@@ -114,15 +114,15 @@ async fn foreign_hosts_and_origins_are_kept_out() {
 #[tokio::test]
 async fn workers_with_a_wrong_token_a_wrong_release_or_no_name_are_refused() {
     let farm = Farm::start().await;
-    for route in [work::REGISTER, work::SYNC] {
+    for route in [worker_protocol::REGISTER, worker_protocol::SYNC] {
         let token = [(AUTHORIZATION, "Bearer nonsense")];
         let answer = send(&farm, Method::POST, route, &token, "{}").await;
         assert_eq!(answer.headers()["www-authenticate"], "Bearer");
         refused(answer, 401, "wrong_token").await;
     }
     let hello = json!({"name": "old", "device": "cpu", "picture_version": 0, "max_nodes": null, "process": 1});
-    refused(farm.post(work::REGISTER, hello.to_string()).await, 422, "wrong_picture_version").await;
-    refused(farm.post(work::REGISTER, "{}").await, 422, "wrong_body").await;
+    refused(farm.post(worker_protocol::REGISTER, hello.to_string()).await, 422, "wrong_picture_version").await;
+    refused(farm.post(worker_protocol::REGISTER, "{}").await, 422, "wrong_body").await;
     let mut stranger = farm.worker("known").await;
     stranger.id = proto::WorkerId::new();
     refused(stranger.try_sync(Said::default()).await, 404, "unknown_worker").await;
@@ -134,12 +134,18 @@ async fn bytes_under_another_name_are_refused_and_not_kept() {
     let farm = Farm::start().await;
     let worker = farm.worker("liar").await;
     let hash = blake3::hash(b"the truth").to_hex().to_string();
-    for path in [work::blob_path(&hash), work::picture_path(&hash)] {
+    for path in [worker_protocol::blob_path(&hash), worker_protocol::picture_path(&hash)] {
         refused(worker.put(&path, b"a lie".to_vec()).await, 422, "wrong_bytes").await;
     }
-    refused(farm.get(&work::blob_path(&hash)).await, 404, "unknown_blob").await;
-    refused(worker.put(&work::blob_path("../../farm.sqlite"), b"a lie".to_vec()).await, 404, "unknown_route").await;
-    refused(worker.put(&work::blob_path("..%2Ffarm.sqlite"), b"a lie".to_vec()).await, 422, "wrong_hash").await;
+    refused(farm.get(&worker_protocol::blob_path(&hash)).await, 404, "unknown_blob").await;
+    refused(
+        worker.put(&worker_protocol::blob_path("../../farm.sqlite"), b"a lie".to_vec()).await,
+        404,
+        "unknown_route",
+    )
+    .await;
+    refused(worker.put(&worker_protocol::blob_path("..%2Ffarm.sqlite"), b"a lie".to_vec()).await, 422, "wrong_hash")
+        .await;
     for folder in ["tiles", "pictures"] {
         assert_eq!(std::fs::read_dir(farm.folder.path().join(folder)).expect("lists").count(), 0);
     }

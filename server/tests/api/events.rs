@@ -5,7 +5,7 @@ use std::time::Duration;
 use futures_util::future::join_all;
 use proto::event::{JobEvent, Lines, Message, Snapshot};
 use proto::job::{JobState, JobView};
-use proto::work::Work;
+use proto::worker_protocol::Work;
 use proto::{Client, JobId};
 use reqwest::StatusCode;
 use serde_json::json;
@@ -191,9 +191,9 @@ async fn fail(farm: &Farm) {
     for name in ["one", "two", "three"] {
         let worker = farm.worker(name).await;
         let Some(run) = worker.claim().await else { continue };
-        let results = leases(&run).into_iter().map(|lease| proto::work::Report {
+        let results = leases(&run).into_iter().map(|lease| proto::worker_protocol::Report {
             lease,
-            outcome: proto::work::Outcome::Failed { message: "it is no good".to_owned() },
+            outcome: proto::worker_protocol::Outcome::Failed { message: "it is no good".to_owned() },
         });
         worker.report(results.collect()).await;
         farm.hand.advance(Duration::from_secs(10));

@@ -4,9 +4,9 @@ use std::net::SocketAddr;
 use std::path::Path;
 use std::time::Duration;
 
-use proto::access::client_builder;
+use proto::client_auth::client_builder;
 use proto::job::{JobState, JobView};
-use proto::work::{self, Hello, Measured, Outcome, Report, Run, SyncReply, SyncRequest, Welcome, Work};
+use proto::worker_protocol::{self, Hello, Measured, Outcome, Report, Run, SyncReply, SyncRequest, Welcome, Work};
 use proto::{JobId, LeaseId, Problem, WorkerId};
 use reqwest::{Client, Response, StatusCode};
 use serde_json::{Value, json};
@@ -165,8 +165,11 @@ impl<'a> Worker<'a> {
             max_nodes,
             process: 1,
         };
-        let welcome: Welcome =
-            read(farm.post(work::REGISTER, serde_json::to_string(&hello).expect("json")).await, StatusCode::OK).await;
+        let welcome: Welcome = read(
+            farm.post(worker_protocol::REGISTER, serde_json::to_string(&hello).expect("json")).await,
+            StatusCode::OK,
+        )
+        .await;
         assert_eq!(welcome.lease_ms, LEASE.as_millis() as u64);
         Self { farm, id: welcome.worker, rays_per_second: None }
     }
@@ -182,7 +185,7 @@ impl<'a> Worker<'a> {
             leaving: false,
             measured: said.measured,
         };
-        self.farm.post(work::SYNC, serde_json::to_string(&request).expect("json")).await
+        self.farm.post(worker_protocol::SYNC, serde_json::to_string(&request).expect("json")).await
     }
 
     pub(crate) async fn sync(&self, said: Said) -> SyncReply {
@@ -210,7 +213,7 @@ impl<'a> Worker<'a> {
     /// Puts a picture and says so for these leases.
     pub(crate) async fn picture(&self, leases: &[LeaseId], bytes: &[u8]) -> Vec<Report> {
         let hash = blake3::hash(bytes).to_hex().to_string();
-        let put = self.put(&work::picture_path(&hash), bytes.to_vec()).await;
+        let put = self.put(&worker_protocol::picture_path(&hash), bytes.to_vec()).await;
         assert_eq!(put.status(), StatusCode::NO_CONTENT);
         let size_bytes = bytes.len() as u64;
         leases
@@ -222,7 +225,7 @@ impl<'a> Worker<'a> {
     /// Puts a blob and says so.
     pub(crate) async fn blob(&self, lease: LeaseId, bytes: &[u8]) -> Report {
         let hash = blake3::hash(bytes).to_hex().to_string();
-        let put = self.put(&work::blob_path(&hash), bytes.to_vec()).await;
+        let put = self.put(&worker_protocol::blob_path(&hash), bytes.to_vec()).await;
         assert_eq!(put.status(), StatusCode::NO_CONTENT);
         Report { lease, outcome: Outcome::Blob { hash, size_bytes: bytes.len() as u64 } }
     }

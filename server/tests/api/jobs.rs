@@ -1,7 +1,7 @@
 //! The life of a job as its user sees it.
 
 use proto::job::{DryRun, JobPage, JobState, JobView};
-use proto::work::Work;
+use proto::worker_protocol::Work;
 use reqwest::StatusCode;
 use reqwest::header::{CACHE_CONTROL, LOCATION};
 use serde_json::json;
@@ -54,7 +54,7 @@ async fn a_large_frame_is_rendered_in_tiles_stitched_and_its_blobs_are_removed()
             }
             Work::Stitch { parts, .. } => {
                 assert_eq!(parts.len() as u64, posted.tiles.total);
-                let blob = farm.get(&proto::work::blob_path(&parts[1].hash)).await;
+                let blob = farm.get(&proto::worker_protocol::blob_path(&parts[1].hash)).await;
                 assert_eq!(in_time(blob.bytes()).await.expect("bytes").len() as u64, parts[1].size_bytes);
                 assert_eq!(farm.job(posted.id).await.progress, 1.0);
                 worker.report(results).await;

@@ -2,8 +2,9 @@
 
 use std::time::Duration;
 
-use proto::key::{AuditPage, IssuedKey, KeyList, KeyState, NewKey, Scope};
-use proto::work;
+use proto::api_key::{IssuedKey, KeyList, KeyState, NewKey, Scope};
+use proto::audit::AuditPage;
+use proto::worker_protocol;
 use reqwest::header::AUTHORIZATION;
 use reqwest::{Method, Response, StatusCode};
 use serde_json::{Value, json};
@@ -65,7 +66,7 @@ async fn farm_with_a_key_lets_nobody_in_without_one() {
     for open in ["/livez", "/readyz", "/docs/", "/openapi.json", "/v1/schema/job"] {
         assert_eq!(farm.get(open).await.status(), StatusCode::OK, "{open}");
     }
-    refused(farm.post(work::REGISTER, "{}").await, 401, "missing_key").await;
+    refused(farm.post(worker_protocol::REGISTER, "{}").await, 401, "missing_key").await;
     farm.stop().await;
 }
 
@@ -153,11 +154,14 @@ async fn revoked_worker_is_told_while_it_waits() {
     let (farm, admin) = locked_farm().await;
     let key = make(&farm, &admin, &new_key("host-7", &[Scope::Worker])).await;
     let hello = json!({"name": "w", "device": "cpu", "picture_version": scene::PICTURE_VERSION, "max_nodes": null, "process": 1});
-    let welcome: work::Welcome =
-        read(send(&farm, &key.secret, Method::POST, work::REGISTER, hello.to_string()).await, StatusCode::OK).await;
+    let welcome: worker_protocol::Welcome = read(
+        send(&farm, &key.secret, Method::POST, worker_protocol::REGISTER, hello.to_string()).await,
+        StatusCode::OK,
+    )
+    .await;
     let wait = json!({"worker": welcome.worker, "rays_per_second": null, "holding": [], "results": [],
         "wants_work": true, "wait_ms": 30_000});
-    let waiting = send(&farm, &key.secret, Method::POST, work::SYNC, wait.to_string());
+    let waiting = send(&farm, &key.secret, Method::POST, worker_protocol::SYNC, wait.to_string());
     let revoke = async {
         // Made beside the server, as the command line does; the server has to notice by itself.
         let mut keys = KeyFolder::open(farm.folder.path()).await.expect("the folder is there");
@@ -167,7 +171,8 @@ async fn revoked_worker_is_told_while_it_waits() {
     };
     let (answer, ()) = tokio::join!(waiting, revoke);
     refused(answer, 401, "revoked_key").await;
-    refused(send(&farm, &key.secret, Method::POST, work::SYNC, wait.to_string()).await, 401, "revoked_key").await;
+    refused(send(&farm, &key.secret, Method::POST, worker_protocol::SYNC, wait.to_string()).await, 401, "revoked_key")
+        .await;
     farm.stop().await;
 }
 

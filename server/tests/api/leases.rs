@@ -4,7 +4,7 @@ use std::time::Duration;
 
 use proto::job::JobState;
 use proto::pool::WorkerList;
-use proto::work::{Outcome, Report, SyncReply, Work};
+use proto::worker_protocol::{Outcome, Report, SyncReply, Work};
 use reqwest::StatusCode;
 
 use super::harness::{Farm, LEASE, Said, assert_state, in_time, job, leases, read, refused, small_job};

@@ -2,7 +2,7 @@
 
 use proto::JobId;
 use proto::job::{JobPage, JobState};
-use proto::work::{Outcome, Report, Work};
+use proto::worker_protocol::{Outcome, Report, Work};
 use reqwest::StatusCode;
 use serde_json::{Value, json};
 

@@ -6,7 +6,7 @@ use std::time::Duration;
 
 use proto::job::JobState;
 use proto::pool::{PoolView, WorkerList};
-use proto::work::{self, Hello, Welcome};
+use proto::worker_protocol::{self, Hello, Welcome};
 use reqwest::StatusCode;
 use serde_json::json;
 
@@ -64,7 +64,7 @@ async fn register(farm: &Farm, process: u32, said: &str) -> Welcome {
         max_nodes: None,
         process,
     };
-    let request = farm.client.post(farm.url(work::REGISTER)).bearer_auth(token).json(&hello);
+    let request = farm.client.post(farm.url(worker_protocol::REGISTER)).bearer_auth(token).json(&hello);
     read(in_time(request.send()).await.expect("an answer"), StatusCode::OK).await
 }
 

@@ -5,7 +5,7 @@ use std::time::Duration;
 use proto::farm::FarmView;
 use proto::job::{JobState, JobView};
 use proto::pool::{WorkerList, WorkerState};
-use proto::work::{Outcome, Report, Work};
+use proto::worker_protocol::{Outcome, Report, Work};
 use reqwest::StatusCode;
 
 use super::harness::{Farm, LEASE, Said, Worker, assert_state, in_time, job, leases, read, refused, small_job};
@@ -75,7 +75,7 @@ async fn a_paused_farm_stays_paused_over_a_restart() {
 }
 
 /// Leaves one tile of a job to `slow`, does the others by `quick`, a moment each, and waits until it straggles.
-async fn straggle(farm: &Farm, slow: &Worker<'_>, quick: &Worker<'_>) -> (JobView, proto::work::Run) {
+async fn straggle(farm: &Farm, slow: &Worker<'_>, quick: &Worker<'_>) -> (JobView, proto::worker_protocol::Run) {
     let posted = farm.submit(&three_tiles(1)).await;
     let held = slow.claim().await.expect("work");
     assert_eq!(leases(&held).len(), 1);
@@ -96,7 +96,7 @@ async fn a_straggler_is_leased_once_more_and_the_first_result_counts() {
     let (slow, quick, third) = (farm.worker("slow").await, farm.worker("quick").await, farm.worker("third").await);
     let (posted, held) = straggle(&farm, &slow, &quick).await;
     let again = quick.claim().await.expect("the straggler");
-    let index = |run: &proto::work::Run| match &run.work {
+    let index = |run: &proto::worker_protocol::Run| match &run.work {
         Work::Render { tiles, .. } => tiles.iter().map(|tile| tile.index).collect::<Vec<_>>(),
         Work::Stitch { .. } => panic!("{run:?}"),
     };

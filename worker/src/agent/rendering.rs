@@ -5,13 +5,13 @@ use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use proto::Rect;
-use proto::work::{Outcome, Phase};
+use proto::worker_protocol::{Outcome, Phase};
 use scene::Job;
 use tokio::sync::SemaphorePermit;
 use tokio::task::{JoinSet, spawn_blocking};
 use tracing::Instrument;
 
-use super::workbench::{Event, Frame, Hold, MEMORY_KIB, Stop, Workbench, chain, nobody_waits, panic_message};
+use super::executor::{Event, Frame, Hold, MEMORY_KIB, Stop, Workbench, chain, nobody_waits, panic_message};
 use crate::renderer::{Pixels, RenderError, TileRun, chunk_length};
 
 /// Maximum memory of one batch of tiles, rendered and not yet delivered.

@@ -7,7 +7,7 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use proto::LeaseId;
-use proto::work::{Outcome, Report, Run, SyncReply, SyncRequest, Welcome};
+use proto::worker_protocol::{Outcome, Report, Run, SyncReply, SyncRequest, Welcome};
 use tokio::sync::mpsc::{self, UnboundedReceiver, UnboundedSender};
 use tokio::task::{JoinError, JoinSet};
 use tokio::time::{Instant, sleep_until};
@@ -16,11 +16,11 @@ use tracing::Instrument;
 
 use super::AgentConfig;
 use super::back_off::BackOff;
-use super::link::{Link, LinkError};
-use super::measuring::Measurements;
+use super::executor::{Event, Hold, Workbench, leases};
+use super::metrics::Measurements;
 use super::rendering::milliseconds;
-use super::store::Store;
-use super::workbench::{Event, Hold, Workbench, leases};
+use super::server_client::{Link, LinkError};
+use super::store_access::Store;
 use crate::image::Encoders;
 use crate::renderer::Renderer;
 
@@ -365,7 +365,7 @@ impl Session {
         self.rendering += 1;
         let span = tracing::info_span!("run", job = %run.job, frame = run.frame, worker = %self.welcome.worker);
         if let Some(trace) = trace {
-            proto::trace::adopt(&span, &trace);
+            proto::trace_context::adopt(&span, &trace);
         }
         self.runs.spawn(self.workbench.clone().run(run, holds).instrument(span));
     }

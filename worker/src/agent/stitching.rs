@@ -6,17 +6,17 @@ use std::time::{Duration, Instant};
 
 use futures_util::stream::{self, StreamExt};
 use proto::Rect;
-use proto::fail::{self, Point};
-use proto::work::{Outcome, Part};
+use proto::fail_point::{self, Point};
+use proto::worker_protocol::{Outcome, Part};
 use scene::Job;
 use tokio::task::spawn_blocking;
 use tracing::Instrument;
 
 use super::back_off::BackOff;
-use super::deliver::{Delivered, encode};
-use super::link::LinkError;
+use super::executor::{Event, Frame, Hold, Stop, Workbench, panic_message};
 use super::rendering::milliseconds;
-use super::workbench::{Event, Frame, Hold, Stop, Workbench, panic_message};
+use super::server_client::LinkError;
+use super::upload::{Delivered, encode};
 use crate::blob;
 use crate::stitch::Blobs;
 
@@ -41,7 +41,7 @@ impl Workbench {
                 return self.finish([hold], &outcome);
             }
         };
-        fail::pass_by(Point::Stitching);
+        fail_point::pass_by(Point::Stitching);
         let fetch_ms = milliseconds(start.elapsed());
         let (stop, encoders, scratch) = (Stop::default(), self.encoders.clone(), self.scratch.clone());
         let (job, number, cancel) = (frame.job.clone(), frame.number, stop.0.clone());

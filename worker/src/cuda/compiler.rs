@@ -11,7 +11,7 @@ use std::sync::OnceLock;
 use cudarc::nvrtc::result::NvrtcError;
 use cudarc::nvrtc::{result, sys};
 
-use super::trouble::Trouble;
+use super::error::Trouble;
 
 /// Every function that is called here.
 const FUNCTIONS: [&str; 11] = [

@@ -13,8 +13,8 @@ use cudarc::driver::{
 };
 use cudarc::nvrtc::Ptx;
 
-use super::plan::{GROUP, Layout};
-use super::trouble::Trouble;
+use super::error::Trouble;
+use super::launches::{GROUP, Layout};
 
 /// Every function of the driver that is called, by cudarc for us.
 const FUNCTIONS: [&str; 38] = [

@@ -2,7 +2,7 @@
 
 use std::fmt::Write;
 
-use scene::pixel::{Met, Radiance};
+use scene::integrator::{Met, Radiance};
 use scene::real::{Real, vec3};
 use scene::{Image, Layer, Program, Still};
 

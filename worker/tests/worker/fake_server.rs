@@ -12,7 +12,7 @@ use axum::http::StatusCode;
 use axum::response::{IntoResponse, Response};
 use axum::routing::{get, post, put};
 use axum::{Json, Router};
-use proto::work::{self, Hello, LeasedTile, Outcome, Report, Run, SyncReply, SyncRequest, Welcome, Work};
+use proto::worker_protocol::{self, Hello, LeasedTile, Outcome, Report, Run, SyncReply, SyncRequest, Welcome, Work};
 use proto::{JobId, LeaseId, Rect, WorkerId};
 use tokio::runtime::Runtime;
 use tokio::sync::Notify;
@@ -167,8 +167,8 @@ impl Drop for FakeServer {
 
 fn router(shared: Shared) -> Router {
     Router::new()
-        .route(work::REGISTER, post(register))
-        .route(work::SYNC, post(sync))
+        .route(worker_protocol::REGISTER, post(register))
+        .route(worker_protocol::SYNC, post(sync))
         .route("/v1/worker/jobs/{job}", get(read_job))
         .route("/v1/worker/blobs/{hash}", put(put_blob).get(read_blob))
         .route("/v1/worker/pictures/{hash}", put(put_picture))

@@ -1,9 +1,9 @@
 //! `sdfarm bench queue`: the throughput and response times of a server's queue. A real server in a fresh
 //! folder, called over HTTP; its workers only simulate rendering, except the one that is stopped by a cancel.
 
+mod fake_worker;
 mod latency;
 mod load;
-mod pretender;
 
 use std::sync::Arc;
 use std::time::Duration;

@@ -1,6 +1,6 @@
 //! How large a job is, counted, and what it takes, judged by a sample.
 
-use proto::sketch::Sample;
+use proto::preview_helper::Sample;
 use proto::tile::Tiling;
 use scene::{Bits, Format, Image, Job, Precision};
 use serde_json::{Value, json};

@@ -11,11 +11,11 @@ use proto::job::JobState;
 use proto::{ClientError, JobId};
 use server::{DoneTile, audit};
 
-use super::catalogue::Task;
-use super::chance::Chance;
 use super::processes;
+use super::report::Tally;
+use super::rng::Chance;
 use super::server::{LOOK, Launch, Said, Server};
-use super::tally::Tally;
+use super::workload::Task;
 use crate::terminal::note;
 
 /// A server must be ready by then.

@@ -11,10 +11,10 @@ use anyhow::Context;
 use proto::job::JobState;
 use serde_json::json;
 
-use super::catalogue::Task;
 use super::probe;
 use super::processes::resident_bytes;
 use super::server::{Launch, Said, Server};
+use super::workload::Task;
 use crate::terminal::note;
 
 /// Clients that submit jobs regardless of the responses.

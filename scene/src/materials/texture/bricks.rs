@@ -6,7 +6,7 @@ use serde::{Deserialize, Serialize};
 use super::Pattern;
 use super::checker::sharp;
 use super::wave::{kept, softened};
-use crate::materials::tint::mix_colors;
+use crate::materials::param::mix_colors;
 use crate::materials::{Exemplary, Place, Tint};
 use crate::real::{Real, Vec3, vec3};
 use crate::seek::Seek;

@@ -5,7 +5,7 @@ use serde::{Deserialize, Serialize};
 
 use super::wave::square_wave;
 use super::{Pattern, black_and_white};
-use crate::materials::tint::mix_colors;
+use crate::materials::param::mix_colors;
 use crate::materials::{Exemplary, Place, Tint};
 use crate::real::{Real, Vec3, vec3};
 use crate::seek::Seek;

@@ -8,7 +8,7 @@ use serde::de::{DeserializeSeed, Error, SeqAccess, Visitor};
 use serde::{Deserialize, Deserializer, Serialize};
 
 use crate::limits::MAX_RAMP_STOPS;
-use crate::materials::tint::mix_colors;
+use crate::materials::param::mix_colors;
 use crate::materials::{Place, Tint};
 use crate::real::{Real, Vec3};
 use crate::seek::{Clock, Misfit, Seek};

@@ -10,7 +10,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Deserializer, Serialize};
 
 use super::cached::Cached;
-use super::copies::{Held, Original, nearest_whole, within_reach};
+use super::nearest_copy::{Held, Original, nearest_whole, within_reach};
 use crate::bounds::Bounds;
 use crate::nodes::transforms::around_child;
 use crate::nodes::{Child, Exactness, Node, NodeFault, Sample, Sdf};

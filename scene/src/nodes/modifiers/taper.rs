@@ -10,7 +10,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::cached::Cached;
-use super::copies::ended;
+use super::nearest_copy::ended;
 use super::twist::{fault_unless_bounded, radius_about_y};
 use crate::bounds::Bounds;
 use crate::nodes::transforms::around_child;

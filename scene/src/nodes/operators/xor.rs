@@ -4,9 +4,9 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::joined;
-use super::joins::around_joined;
+use super::seams::around_joined;
 use crate::bounds::Bounds;
-use crate::nodes::sample::indicator;
+use crate::nodes::value::indicator;
 use crate::nodes::{Exactness, Node, Sample, Sdf};
 use crate::real::{Real, Vec3};
 use crate::seek::Seek;

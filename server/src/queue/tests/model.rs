@@ -4,7 +4,7 @@
 use std::collections::BTreeMap;
 
 use proto::job::{JobState, JobView};
-use proto::work::{Outcome, Report, Run, Work};
+use proto::worker_protocol::{Outcome, Report, Run, Work};
 use proto::{JobId, LeaseId, WorkerId};
 
 use super::LEASE_MS;

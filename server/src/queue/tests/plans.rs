@@ -16,7 +16,7 @@ use tracing::{Event, Metadata, Subscriber};
 
 use super::sequences::{Pair, sequence};
 use super::{Bench, new_job};
-use crate::store::Store;
+use crate::database::Store;
 
 /// Sequences that are recorded.
 const SEQUENCES: usize = 40;

@@ -5,8 +5,8 @@ use std::time::Duration;
 
 use proptest::prelude::{Just, Strategy, any, prop_oneof};
 use proptest::test_runner::{Config, RngAlgorithm, TestCaseError, TestRng, TestRunner};
-use proto::change::JobPatch;
-use proto::work::{Outcome, Report, Run, Work};
+use proto::job::JobPatch;
+use proto::worker_protocol::{Outcome, Report, Run, Work};
 use proto::{JobId, LeaseId, WorkerId};
 
 use super::model::{Model, TILES};

@@ -1,7 +1,7 @@
 //! What a worker makes, and brings back.
 
 use proto::Rect;
-use proto::work::{Outcome, Part, Run, Work};
+use proto::worker_protocol::{Outcome, Part, Run, Work};
 use proto::{JobId, LeaseId};
 use scene::Job;
 use worker::blob;

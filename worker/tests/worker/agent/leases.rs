@@ -3,7 +3,7 @@
 use std::time::Duration;
 
 use proto::Rect;
-use proto::work::Outcome;
+use proto::worker_protocol::Outcome;
 use worker::{Cancel, TileRun};
 
 use super::{Acting, Agent, Happening, add_job, gated, until_cancelled};

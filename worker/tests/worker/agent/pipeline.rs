@@ -4,7 +4,7 @@
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex};
 
-use proto::work::Outcome;
+use proto::worker_protocol::Outcome;
 use proto::{JobId, LeaseId, Rect};
 use worker::agent::AgentError;
 use worker::{Cancel, Pixels, RenderError, Renderer, TileRun};

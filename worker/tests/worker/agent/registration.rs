@@ -2,7 +2,7 @@
 
 use axum::http::StatusCode;
 use proto::Rect;
-use proto::work::Outcome;
+use proto::worker_protocol::Outcome;
 use tokio_util::sync::CancellationToken;
 use worker::agent::{AgentConfig, AgentError, run};
 

@@ -5,7 +5,7 @@ use std::time::{Duration, Instant};
 use proto::job::JobState;
 use proto::{Client, JobId};
 
-use super::pretender::Pretender;
+use super::fake_worker::Pretender;
 use super::{Farm, Times};
 
 /// Cancels that are timed, at most: each waits until its job has begun.

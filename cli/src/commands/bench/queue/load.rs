@@ -6,10 +6,10 @@ use std::time::{Duration, Instant};
 
 use anyhow::Context;
 use proto::JobId;
-use proto::work::Work as RunWork;
+use proto::worker_protocol::Work as RunWork;
 use tokio::task::JoinSet;
 
-use super::pretender::Pretender;
+use super::fake_worker::Pretender;
 use super::{Farm, Times};
 
 /// Claims that are timed.

@@ -1,0 +1,89 @@
+//! Errors as messages on standard error and as exit codes.
+
+use proto::problem::FaultView;
+use proto::worker_protocol::UNFIT_DEVICE;
+use proto::{ClientError, Problem};
+
+use crate::terminal::note;
+
+const FAILED: u8 = 1;
+const WRONG: u8 = 2;
+
+/// Usage error: an invalid flag or file. The message has the fix.
+#[derive(Debug, thiserror::Error)]
+#[error("{0}")]
+pub(crate) struct Misuse(pub(crate) String);
+
+/// A worker's device cannot render: starting the worker again would not help.
+#[derive(Debug, thiserror::Error)]
+#[error("{0}")]
+pub(crate) struct NoDevice(pub(crate) anyhow::Error);
+
+/// A job file that is not one.
+#[derive(Debug, thiserror::Error)]
+#[error("{} {}: nothing was rendered; mend the file and try again", .file, count(.faults.len()))]
+pub(crate) struct BadJob {
+    /// The file, as the user named it.
+    pub(crate) file: String,
+    /// Its errors.
+    pub(crate) faults: Vec<FaultView>,
+}
+
+fn count(faults: usize) -> String {
+    if faults == 1 { "has a fault".to_owned() } else { format!("has {faults} faults") }
+}
+
+/// Prints the error to standard error, and returns the exit code.
+pub(crate) fn report(error: &anyhow::Error) -> u8 {
+    if let Some(bad) = error.downcast_ref::<BadJob>() {
+        for fault in &bad.faults {
+            note(&line(&bad.file, fault));
+        }
+    }
+    note(&format!("error: {}", words(error)));
+    exit_code(error)
+}
+
+/// One error in the form of compilers: `FILE:LINE:COLUMN: pointer: message`.
+fn line(file: &str, fault: &FaultView) -> String {
+    let FaultView { pointer, message, line, column } = fault;
+    let place = if pointer.is_empty() { String::new() } else { format!("{pointer}: ") };
+    format!("{file}:{line}:{column}: {place}{message}")
+}
+
+/// The error and its causes in one line. Of an HTTP client's long chain only the root is printed.
+fn words(error: &anyhow::Error) -> String {
+    let mut words = String::new();
+    let mut after_client = false;
+    for cause in error.chain() {
+        let text = if after_client { error.root_cause().to_string() } else { cause.to_string() };
+        if words.is_empty() {
+            words = text;
+        } else if !words.contains(&text) {
+            words = format!("{words}: {text}");
+        }
+        if after_client {
+            break;
+        }
+        after_client = cause.is::<ClientError>();
+    }
+    words
+}
+
+fn exit_code(error: &anyhow::Error) -> u8 {
+    if error.is::<Misuse>() || error.is::<BadJob>() {
+        return WRONG;
+    }
+    if error.is::<NoDevice>() {
+        return UNFIT_DEVICE;
+    }
+    match error.downcast_ref::<ClientError>() {
+        Some(ClientError::Access(_)) => WRONG,
+        Some(ClientError::Problem(problem)) if is_bad_input(problem) => WRONG,
+        Some(_) | None => FAILED,
+    }
+}
+
+fn is_bad_input(problem: &Problem) -> bool {
+    matches!(problem.status, 400 | 413 | 415 | 422)
+}

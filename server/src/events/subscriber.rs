@@ -1,0 +1,127 @@
+//! Subscriber to one job: missed events first, then new ones, then the end.
+
+use std::sync::Arc;
+use std::time::Duration;
+
+use bytes::{Bytes, BytesMut};
+use proto::JobId;
+use tokio::sync::watch;
+use tokio_util::sync::CancellationToken;
+
+use super::{Events, Told, Topic, told};
+use crate::database::StoreError;
+use crate::queue::Queue;
+
+/// Events read from the database at a time.
+const PAGE: u32 = 256;
+/// After this long without events a comment is sent, so that no proxy takes the connection for dead.
+const KEEP_ALIVE: Duration = Duration::from_secs(15);
+/// The comment.
+const COMMENT: &[u8] = b":\n\n";
+
+/// Result of subscribing.
+#[derive(Debug)]
+pub(crate) enum Start {
+    /// There are events, now or later.
+    Follow(Box<Follower>),
+    /// The job has finished, and the client has received all its events.
+    Over,
+    /// The job does not exist.
+    Unknown,
+}
+
+/// One follower of one job.
+#[derive(Debug)]
+pub(crate) struct Follower {
+    queue: Queue,
+    topic: Arc<Topic>,
+    bell: watch::Receiver<()>,
+    ending: CancellationToken,
+    /// Number of the last event sent.
+    last: i64,
+    first: Option<Bytes>,
+    /// The last event sent is the job's final one.
+    ended: bool,
+}
+
+impl Follower {
+    /// Subscribes to a job from its first event, or after the given one.
+    pub(crate) async fn start(
+        events: &Events,
+        job: JobId,
+        after: Option<i64>,
+        ending: CancellationToken,
+    ) -> Result<Start, StoreError> {
+        let queue = events.queue.clone();
+        let Some(found) = queue.followed(job).await? else { return Ok(Start::Unknown) };
+        let topic = events.topic(found.job).await?;
+        let bell = topic.bell();
+        let mut last = after.unwrap_or(0);
+        let mut first = Bytes::from_static(COMMENT);
+        let mut ended = false;
+        // A number that was not given yet is of another farm, or of one before it was restored.
+        if last < found.pruned || last > found.newest {
+            let Some((newest, snapshot)) = queue.snapshot(found.job).await? else { return Ok(Start::Unknown) };
+            ended = snapshot.state.is_final();
+            let body = serde_json::to_string(&snapshot).expect("a snapshot is plain numbers and text");
+            first = told(newest, "snapshot", &body);
+            last = newest;
+        } else if found.ended && queue.job_events_after(found.job, last, 1).await?.is_empty() {
+            return Ok(Start::Over);
+        }
+        Ok(Start::Follow(Box::new(Self { queue, topic, bell, ending, last, first: Some(first), ended })))
+    }
+
+    /// The next bytes to send; `None` at the end.
+    pub(crate) async fn next(&mut self) -> Result<Option<Bytes>, StoreError> {
+        if let Some(first) = self.first.take() {
+            return Ok(Some(first));
+        }
+        loop {
+            self.bell.borrow_and_update();
+            let news = self.news().await?;
+            if let Some(last) = news.last() {
+                (self.last, self.ended) = (last.number, last.is_final);
+                return Ok(Some(joined(&news)));
+            }
+            if self.ended {
+                return Ok(None);
+            }
+            let rung = tokio::select! {
+                () = self.ending.cancelled() => return Ok(None),
+                rung = tokio::time::timeout(KEEP_ALIVE, self.bell.changed()) => rung,
+            };
+            if rung.is_err() {
+                // A deleted job has no further events.
+                let there = self.queue.has_ended(self.topic.job).await?.is_some();
+                return Ok(there.then(|| Bytes::from_static(COMMENT)));
+            }
+        }
+    }
+
+    /// New events: from the list of recent events, or a page from the database.
+    async fn news(&mut self) -> Result<Vec<Told>, StoreError> {
+        loop {
+            let reaches_back_to = match self.topic.after(self.last) {
+                Ok(recent) => return Ok(recent),
+                Err(from) => from,
+            };
+            let page = self.queue.job_events_after(self.topic.job, self.last, PAGE).await?;
+            if !page.is_empty() {
+                return Ok(page.iter().map(Told::new).collect());
+            }
+            self.last = reaches_back_to;
+        }
+    }
+}
+
+fn joined(news: &[Told]) -> Bytes {
+    if let [told] = news {
+        return told.text.clone();
+    }
+    let mut bytes = BytesMut::with_capacity(news.iter().map(|told| told.text.len()).sum());
+    for told in news {
+        bytes.extend_from_slice(&told.text);
+    }
+    bytes.freeze()
+}

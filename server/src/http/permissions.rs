@@ -1,0 +1,60 @@
+//! Permission that each route requires once there are keys. A route not listed here requires `admin`.
+
+use axum::http::Method;
+use proto::api_key::Scope;
+
+/// Permission that a route requires.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Need {
+    /// None: the route is public.
+    Nothing,
+    /// A key of this scope.
+    Scope(Scope),
+    /// A key of this scope, or one of scope `submit` whose name submitted the job.
+    OwnJob(Scope),
+}
+
+/// Permission that a route requires; `route` is empty for an unknown path.
+pub(super) fn need(method: &Method, route: &str) -> Need {
+    let looks = *method == Method::GET || *method == Method::HEAD;
+    if looks && is_open(route) {
+        return Need::Nothing;
+    }
+    match route {
+        "/v1/jobs" if looks => Need::OwnJob(Scope::Read),
+        "/v1/jobs" if *method == Method::POST => Need::Scope(Scope::Submit),
+        // A caller who may read a picture may share a link to it.
+        _ if route.starts_with("/v1/jobs/{id}") && (looks || route.ends_with("/link")) => Need::OwnJob(Scope::Read),
+        _ if route.starts_with("/v1/jobs/{id}") => Need::OwnJob(Scope::Admin),
+        _ if route.starts_with("/v1/worker/") => Need::Scope(Scope::Worker),
+        "/v1/workers" | "/v1/pool" | "/v1/farm" | "/metrics" if looks => Need::Scope(Scope::Read),
+        _ => Need::Scope(Scope::Admin),
+    }
+}
+
+/// Health, descriptions, and pictures by links that prove themselves; what is nowhere answers 404 to anyone.
+fn is_open(route: &str) -> bool {
+    matches!(route, "" | "/" | "/livez" | "/readyz" | "/openapi.json" | "/v1/schema/job")
+        || route == "/docs"
+        || route.starts_with("/docs/")
+        || route.starts_with("/v1/pictures/")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_is_named_nowhere_asks_for_admin() {
+        for (method, route) in [
+            (Method::GET, "/v1/keys"),
+            (Method::POST, "/livez"),
+            (Method::DELETE, "/v1/jobs"),
+            (Method::GET, "/v1/new"),
+            (Method::GET, "/docsy"),
+            (Method::PUT, "/v1/pool"),
+        ] {
+            assert_eq!(need(&method, route), Need::Scope(Scope::Admin), "{method} {route}");
+        }
+    }
+}

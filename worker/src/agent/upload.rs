@@ -1,0 +1,207 @@
+//! Delivers blobs and pictures. Waits for an unreachable server as long as the result is still wanted, and
+//! backs off from one that cannot store.
+
+use std::io::{BufWriter, Read, Seek};
+use std::path::Path;
+use std::sync::Arc;
+use std::time::{Duration, Instant};
+
+use bytes::Bytes;
+use proto::fail_point::{self, Point};
+use proto::worker_protocol::{Outcome, Phase};
+use scene::Job;
+use tempfile::SpooledData;
+use tokio::task::{JoinError, spawn_blocking};
+use tracing::Instrument;
+
+use super::back_off::BackOff;
+use super::executor::{Event, Frame, Hold, Stop, Workbench, chain, nobody_waits, panic_message};
+use super::rendering::{Rendered, milliseconds};
+use super::server_client::{Content, LinkError};
+use crate::blob;
+use crate::image::{ImageError, Picture};
+use crate::renderer::{Cancel, Pixels};
+use crate::stitch::{Source, Tiles};
+
+/// A picture larger than this is encoded to a file.
+const MEMORY_BYTES: usize = 32 << 20;
+
+/// A picture's file, in memory or without a name.
+pub(super) struct Encoded {
+    content: Content,
+    hash: String,
+    size_bytes: u64,
+    took: Duration,
+}
+
+/// Result of encoding a picture on a thread of its own.
+pub(super) type Encoding = Result<Result<Encoded, ImageError>, JoinError>;
+
+/// Durations of delivering a picture.
+pub(super) struct Delivered {
+    pub(super) encode_ms: f64,
+    pub(super) put_ms: f64,
+    pub(super) size_bytes: u64,
+}
+
+/// Encodes a picture, into a nameless file in `scratch` if it is large.
+pub(super) fn encode(
+    job: &Job,
+    frame: u32,
+    source: &mut dyn Source,
+    scratch: &Path,
+    cancel: &Cancel,
+) -> Result<Encoded, ImageError> {
+    let start = Instant::now();
+    let mut out = BufWriter::with_capacity(1 << 18, tempfile::spooled_tempfile_in(MEMORY_BYTES, scratch));
+    Picture::of(&job.at(frame).map_err(ImageError::from)?).write(source, &mut out, cancel)?;
+    let (content, hash, size_bytes) = match out.into_inner().map_err(std::io::IntoInnerError::into_error)?.into_inner()
+    {
+        SpooledData::InMemory(bytes) => {
+            let bytes = Bytes::from(bytes.into_inner());
+            let (hash, size_bytes) = (blob::key(&bytes), bytes.len() as u64);
+            (Content::Memory(bytes), hash, size_bytes)
+        }
+        SpooledData::OnDisk(mut file) => {
+            let (hash, size_bytes) = hash_all(&mut file)?;
+            (Content::File(file), hash, size_bytes)
+        }
+    };
+    Ok(Encoded { content, hash, size_bytes, took: start.elapsed() })
+}
+
+fn hash_all(file: &mut (impl Read + Seek)) -> std::io::Result<(String, u64)> {
+    file.rewind()?;
+    let mut hasher = blake3::Hasher::new();
+    let mut bytes = vec![0; 1 << 18];
+    loop {
+        let read = file.read(&mut bytes)?;
+        if read == 0 {
+            return Ok((hasher.finalize().to_hex().to_string(), hasher.count()));
+        }
+        hasher.update(&bytes[..read]);
+    }
+}
+
+impl Workbench {
+    /// Delivers a tile as a blob.
+    pub(super) async fn deliver_blob(self: Arc<Self>, rendered: Rendered) {
+        let (renderer, Rendered { pixels, hold }) = (self.renderer.clone(), rendered);
+        let begun = Instant::now();
+        let encoded = spawn_blocking(move || {
+            let bytes = blob::encode(&pixels);
+            renderer.recycle(vec![pixels]);
+            (blob::key(&bytes), Bytes::from(bytes))
+        });
+        let (hash, bytes) = match encoded.await {
+            Ok(encoded) => encoded,
+            Err(panic) => {
+                let message = panic_message("packing the tile", panic);
+                return self.finish([&hold], &Outcome::Failed { message });
+            }
+        };
+        self.tell(Event::Took { phase: Phase::Encode, took: begun.elapsed(), rays: 0 });
+        let size_bytes = bytes.len() as u64;
+        let put = self.until_stored(|| self.store.put_blob(&hash, bytes.clone()));
+        let put = put.instrument(tracing::info_span!("deliver", size_bytes));
+        tokio::select! {
+            () = hold.dropped.cancelled() => {}
+            stored = put => {
+                let outcome = stored.err().unwrap_or_else(|| Outcome::Blob { hash: hash.clone(), size_bytes });
+                fail_point::pass_by(Point::BlobPut);
+                self.finish([&hold], &outcome);
+            }
+        }
+    }
+
+    /// Encodes a whole frame, and delivers its picture for all its leases.
+    pub(super) async fn deliver_frame(&self, frame: &Frame, rendered: Vec<Rendered>, render: Duration) {
+        let pairs = rendered.into_iter().map(|Rendered { pixels, hold }| (pixels, hold));
+        let (tiles, holds): (Vec<Pixels>, Vec<Hold>) = pairs.unzip();
+        let stop = Stop::default();
+        let (encoders, renderer, scratch) = (self.encoders.clone(), self.renderer.clone(), self.scratch.clone());
+        let (job, number, cancel) = (frame.job.clone(), frame.number, stop.0.clone());
+        let encoding = spawn_blocking(move || {
+            let encoded = encoders.run(|| encode(&job, number, &mut Tiles(&tiles), &scratch, &cancel));
+            renderer.recycle(tiles);
+            encoded
+        });
+        let encoded = tokio::select! {
+            () = nobody_waits(&holds) => return,
+            encoded = encoding.instrument(tracing::info_span!("encode")) => encoded,
+        };
+        if let Some(Delivered { encode_ms, put_ms, size_bytes }) = self.deliver_picture(encoded, &holds).await {
+            let (job, tiles, render_ms) = (frame.id, holds.len(), milliseconds(render));
+            tracing::debug!(%job, frame = number, tiles, size_bytes, render_ms, encode_ms, put_ms, "a picture is put");
+        }
+    }
+
+    /// Delivers a picture for the leases that it settles; `None` if that failed, which is reported.
+    pub(super) async fn deliver_picture(&self, encoded: Encoding, holds: &[Hold]) -> Option<Delivered> {
+        let encoded = encoded.map_err(|panic| panic_message("the encoder", panic));
+        let failed = match encoded {
+            Ok(Ok(picture)) => return self.put(picture, holds).await,
+            Ok(Err(ImageError::Cancelled)) => return None,
+            Ok(Err(ImageError::Io(error))) => {
+                // A full or broken scratch disk is no error of the tile.
+                tracing::warn!(%error, "could not write a picture to the scratch folder");
+                self.tell(Event::NotStored);
+                Outcome::HandedBack
+            }
+            Ok(Err(error)) => Outcome::Failed { message: chain(&error) },
+            Err(message) => Outcome::Failed { message },
+        };
+        self.finish(holds, &failed);
+        None
+    }
+
+    async fn put(&self, picture: Encoded, holds: &[Hold]) -> Option<Delivered> {
+        let Encoded { content, hash, size_bytes, took } = picture;
+        self.tell(Event::Took { phase: Phase::Encode, took, rays: 0 });
+        let start = Instant::now();
+        let put = self.until_stored(|| self.store.put_picture(&hash, &content, size_bytes));
+        let stored = tokio::select! {
+            () = nobody_waits(holds) => return None,
+            stored = put.instrument(tracing::info_span!("deliver", size_bytes)) => stored,
+        };
+        let put = start.elapsed();
+        let outcome = stored.err().unwrap_or_else(|| Outcome::Picture { hash: hash.clone(), size_bytes });
+        fail_point::pass_by(Point::PicturePut);
+        self.finish(holds, &outcome);
+        let is_put = matches!(outcome, Outcome::Picture { .. });
+        is_put.then(|| Delivered { encode_ms: milliseconds(took), put_ms: milliseconds(put), size_bytes })
+    }
+
+    /// Retries until the server has stored it; if that cannot succeed, returns the outcome to report
+    /// instead.
+    async fn until_stored<F>(&self, put: impl Fn() -> F) -> Result<(), Outcome>
+    where
+        F: Future<Output = Result<(), LinkError>>,
+    {
+        let begun = Instant::now();
+        let mut back_off = BackOff::new(Duration::from_millis(50), Duration::from_secs(2));
+        loop {
+            let error = match put().await {
+                Ok(()) => {
+                    self.tell(Event::Took { phase: Phase::Deliver, took: begun.elapsed(), rays: 0 });
+                    self.tell(Event::Stored);
+                    return Ok(());
+                }
+                Err(error) => error,
+            };
+            if error.is_absence() {
+                back_off.pause().await;
+                continue;
+            }
+            tracing::warn!(%error, "the server did not store a result");
+            let is_disk = matches!(error, LinkError::File(_) | LinkError::Store(_));
+            let is_elsewhere = error.is_conflict() || error.is_not_found() || is_disk;
+            if !error.is_passing() && !is_elsewhere {
+                let message = format!("the server refused the result: {error}");
+                return Err(Outcome::Failed { message });
+            }
+            self.tell(Event::NotStored);
+            return Err(Outcome::HandedBack);
+        }
+    }
+}
