@@ -134,7 +134,7 @@ pub(crate) fn check_format(job: &Job) -> anyhow::Result<()> {
             Err(Misuse("a PNG holds no layers: write to an .exr file, or take image.layers out of the job".to_owned())
                 .into())
         }
-        Format::Exr if job.image.is_graded() => Err(Misuse(
+        Format::Exr if job.image.has_display_transform() => Err(Misuse(
             "an EXR stays linear: write to a .png file, or take image.exposure and image.tone_map out of the job"
                 .to_owned(),
         )

@@ -41,8 +41,8 @@ pub struct FaultView {
     pub column: u32,
 }
 
-impl From<&scene::Fault> for FaultView {
-    fn from(fault: &scene::Fault) -> Self {
+impl From<&scene::ValidationError> for FaultView {
+    fn from(fault: &scene::ValidationError) -> Self {
         Self { pointer: fault.pointer.clone(), message: fault.message.clone(), line: fault.line, column: fault.column }
     }
 }

@@ -3,10 +3,10 @@
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use crate::kinds::Exemplary;
+use crate::kinds::HasExamples;
 use crate::real::{Real, Vec3, vec3};
 use crate::seek::Seek;
-use crate::values::{Length, Share};
+use crate::values::{Fraction, Length};
 
 /// How light from all around is lost in corners, found from distances alone.
 ///
@@ -21,11 +21,11 @@ pub struct AmbientOcclusion {
     /// How far away things still matter.
     pub distance: Length,
     /// How dark a corner gets.
-    #[serde(default = "whole")]
-    pub strength: Share,
+    #[serde(default = "default_strength")]
+    pub strength: Fraction,
 }
 
-impl Exemplary for AmbientOcclusion {
+impl HasExamples for AmbientOcclusion {
     const EXAMPLE: &'static str = r#"{ "distance": 0.8 }"#;
 }
 
@@ -39,35 +39,35 @@ const ALONG: f32 = 0.2;
 
 impl AmbientOcclusion {
     /// Evaluations of a distance that it takes.
-    pub const TAPS: f32 = 15.0;
+    pub const SAMPLES: f32 = 15.0;
 
     /// How open a place is, 0 to 1. `distance` tells how far a point is from the nearest surface.
     #[inline(always)]
-    pub fn openness<R: Real>(&self, p: Vec3<R>, normal: Vec3<R>, distance: impl Fn(Vec3<R>) -> R) -> R {
+    pub fn visibility<R: Real>(&self, p: Vec3<R>, normal: Vec3<R>, distance: impl Fn(Vec3<R>) -> R) -> R {
         let (right, up) = frame_of_dome(normal);
         let (sine, cosine) = ASIDE;
-        let around = |side: Vec3<R>| normal.mul_add(normal.x.splat(cosine), side * normal.x.splat(sine));
+        let around = |side: Vec3<R>| normal.mul_add(normal.x.constant(cosine), side * normal.x.constant(sine));
         let cone = |axis: Vec3<R>, height: f32| self.cone(p, axis, height, &distance);
         let sides = cone(around(right), cosine) + cone(around(-right), cosine);
         let sides = sides + (cone(around(up), cosine) + cone(around(-up), cosine));
-        let open = sides.mul_add(sides.splat(0.25 * (1.0 - ALONG)), cone(normal, 1.0) * ALONG);
-        (open - 1.0).mul_add(open.given(self.strength.get()), open.splat(1.0)).at_least(0.0).at_most(1.0)
+        let open = sides.mul_add(sides.constant(0.25 * (1.0 - ALONG)), cone(normal, 1.0) * ALONG);
+        (open - 1.0).mul_add(open.uniform(self.strength.get()), open.constant(1.0)).at_least(0.0).at_most(1.0)
     }
 
     /// The share of a cone that nothing hides; its balls have middles `height` above the surface for each unit
     /// along it.
     #[inline(always)]
     fn cone<R: Real>(&self, p: Vec3<R>, axis: Vec3<R>, height: f32, distance: impl Fn(Vec3<R>) -> R) -> R {
-        let mut open = p.x.splat(1.0);
-        let mut sum = p.x.splat(0.0);
+        let mut open = p.x.constant(1.0);
+        let mut sum = p.x.constant(0.0);
         for (share, weight) in BALLS {
             let way = self.distance.get() * share;
-            let found = distance(axis.mul_add(p.x.given(way), p));
-            let part = found.mul_add(p.x.given(0.5 / (way * height)), p.x.splat(0.5)).at_least(0.0).at_most(1.0);
+            let found = distance(axis.mul_add(p.x.uniform(way), p));
+            let part = found.mul_add(p.x.uniform(0.5 / (way * height)), p.x.constant(0.5)).at_least(0.0).at_most(1.0);
             // As a ball goes through a plane; and what one ball has lost no later one has.
-            let part = part.square() * (p.x.splat(3.0) - part * 2.0);
+            let part = part.square() * (p.x.constant(3.0) - part * 2.0);
             open = open.min(part);
-            sum = open.mul_add(open.splat(weight), sum);
+            sum = open.mul_add(open.constant(weight), sum);
         }
         sum
     }
@@ -78,12 +78,12 @@ impl AmbientOcclusion {
 /// from a 3D unit vector without normalization", Journal of Graphics Tools 16(3), 2012.
 #[inline(always)]
 fn frame_of_dome<R: Real>(n: Vec3<R>) -> (Vec3<R>, Vec3<R>) {
-    let one = n.x.splat(1.0);
+    let one = n.x.constant(1.0);
     let a = one / (n.y + 1.0).at_least(1e-4);
     let b = -(n.x * n.z * a);
     (vec3(one - n.x.square() * a, -n.x, b), vec3(b, -n.z, one - n.z.square() * a))
 }
 
-fn whole() -> Share {
-    Share::new(1.0).expect("1 is in range")
+fn default_strength() -> Fraction {
+    Fraction::new(1.0).expect("1 is in range")
 }

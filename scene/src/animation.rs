@@ -6,21 +6,21 @@ use std::borrow::Cow;
 use std::collections::BTreeSet;
 
 use crate::job::{Frames, Image, Job};
-use crate::limits::{MAX_CHECKED_BYTES, MIN_CHECKED_FRAMES};
+use crate::limits::{MAX_FULL_CHECK_BYTES, MIN_SAMPLED_FRAMES};
 use crate::scene::Scene;
-use crate::seek::{Clock, Misfit, Seek};
+use crate::seek::{FrameTime, Seek, SeekError};
 
 /// A job as it stands in one of its frames: what a picture is made of.
 #[derive(Clone, Debug)]
-pub struct Still<'a> {
+pub struct JobAtFrame<'a> {
     scene: Cow<'a, Scene>,
     image: Cow<'a, Image>,
     frames: &'a Frames,
     frame: u32,
-    is_moving: bool,
+    is_animated: bool,
 }
 
-impl Still<'_> {
+impl JobAtFrame<'_> {
     /// What there is to see, with every number as it is in this frame.
     pub fn scene(&self) -> &Scene {
         &self.scene
@@ -42,8 +42,8 @@ impl Still<'_> {
     }
 
     /// Whether other frames of its job differ from it in more than their sampling noise.
-    pub fn is_moving(&self) -> bool {
-        self.is_moving
+    pub fn is_animated(&self) -> bool {
+        self.is_animated
     }
 }
 
@@ -63,35 +63,35 @@ pub struct FrameError {
 
 impl Job {
     /// Whether its frames differ in more than their sampling noise.
-    pub fn is_moving(&self) -> bool {
-        self.is_moving
+    pub fn is_animated(&self) -> bool {
+        self.is_animated
     }
 
     /// The job as it stands in a frame.
     ///
     /// It is refused where the frame alone has a fault, and the job too many frames for each to be
     /// looked over by [`crate::parse`].
-    pub fn at(&self, frame: u32) -> Result<Still<'_>, FrameError> {
-        if !self.is_moving {
+    pub fn at(&self, frame: u32) -> Result<JobAtFrame<'_>, FrameError> {
+        if !self.is_animated {
             let (scene, image) = (Cow::Borrowed(&self.scene), Cow::Borrowed(&self.image));
-            return Ok(Still { scene, image, frames: &self.frames, frame, is_moving: false });
+            return Ok(JobAtFrame { scene, image, frames: &self.frames, frame, is_animated: false });
         }
-        let seconds = self.frames.seconds(frame);
+        let seconds = self.frames.time_of(frame);
         let (mut scene, mut image) = (self.scene.clone(), self.image.clone());
         let error = |pointer, message| FrameError { pointer, message, frame, seconds };
-        let clock = &mut Clock::at(seconds);
+        let clock = &mut FrameTime::at(seconds);
         scene.seek(clock).map_err(|misfit| error(self.place_in_scene(&misfit), misfit.message))?;
         image.seek(clock).map_err(|misfit| error(format!("/image{}", misfit.pointer), misfit.message))?;
-        scene.camera.turn(frame, &self.frames);
+        scene.camera.apply_turntable(frame, &self.frames);
         if let Some((key, message)) = scene.camera.fault() {
             return Err(error(format!("/scene/camera/{key}"), message.to_owned()));
         }
         let (scene, image) = (Cow::Owned(scene), Cow::Owned(image));
-        Ok(Still { scene, image, frames: &self.frames, frame, is_moving: true })
+        Ok(JobAtFrame { scene, image, frames: &self.frames, frame, is_animated: true })
     }
 
     /// Where in the document a misfit of the scene stands, whose materials are in slots.
-    fn place_in_scene(&self, misfit: &Misfit) -> String {
+    fn place_in_scene(&self, misfit: &SeekError) -> String {
         let in_slot = misfit.pointer.strip_prefix("/materials/").and_then(|rest| {
             let (slot, rest) = rest.split_once('/')?;
             let place = self.material_places.get(slot.parse::<usize>().ok()?)?;
@@ -105,7 +105,7 @@ impl Job {
 /// of them if that is cheap, else those around keys and others between them.
 pub(crate) fn frames_to_check(frames: &Frames, key_seconds: &[f64], bytes: usize) -> BTreeSet<u32> {
     let count = frames.count;
-    let most = (MAX_CHECKED_BYTES / (bytes as u64).max(1)).max(MIN_CHECKED_FRAMES.into());
+    let most = (MAX_FULL_CHECK_BYTES / (bytes as u64).max(1)).max(MIN_SAMPLED_FRAMES.into());
     if u64::from(count) <= most {
         return (1..count).collect();
     }
@@ -127,7 +127,7 @@ pub(crate) fn frames_to_check(frames: &Frames, key_seconds: &[f64], bytes: usize
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::error::Refusal;
+    use crate::error::ParseError;
     use crate::parse;
     use crate::values::FrameRate;
 
@@ -149,10 +149,10 @@ mod tests {
     #[test]
     fn a_frame_shows_numbers_as_they_are_then() {
         let job = job(GROWS, r#", "frames": { "count": 9, "fps": 4 }"#);
-        assert!(job.is_moving());
+        assert!(job.is_animated());
         let reach = |frame| {
             let still = job.at(frame).unwrap();
-            let seen: f32 = still.scene().objects[0].shape.bounds(0.0).high.x;
+            let seen: f32 = still.scene().objects[0].shape.bounds(0.0).max.x;
             seen
         };
         assert_eq!([0, 1, 2, 4, 8].map(reach), [1.0, 1.5, 2.0, 3.0, 3.0]);
@@ -168,7 +168,7 @@ mod tests {
     #[test]
     fn what_does_not_move_is_not_copied() {
         let job = job("1", r#", "frames": { "count": 2 }"#);
-        assert!(!job.is_moving());
+        assert!(!job.is_animated());
         assert!(std::ptr::eq(job.at(1).unwrap().scene(), &raw const job.scene));
     }
 
@@ -176,9 +176,9 @@ mod tests {
     fn keys_are_those_of_the_scene_as_it_stands() {
         let frames = r#", "frames": { "count": 3, "fps": 1 }"#;
         let (slow, fast) = (job(GROWS, frames), job(r#"{ "keys": [[0, 1], [1, 3], [2, 9]] }"#, frames));
-        assert_eq!([0, 1].map(|n| slow.picture_key(n)), [0, 1].map(|n| fast.picture_key(n)));
-        assert_ne!(slow.picture_key(2), fast.picture_key(2));
-        assert_ne!(slow.picture_key(1), slow.picture_key(2));
+        assert_eq!([0, 1].map(|n| slow.cache_key(n)), [0, 1].map(|n| fast.cache_key(n)));
+        assert_ne!(slow.cache_key(2), fast.cache_key(2));
+        assert_ne!(slow.cache_key(1), slow.cache_key(2));
     }
 
     #[test]
@@ -194,7 +194,7 @@ mod tests {
         let camera = r#"{ "keys": [[0, 3], [2, -1]] }"#;
         let wrong =
             text("1", r#", "frames": { "count": 5, "fps": 2 }"#).replace("0, 0, 3]", &format!("0, 0, {camera}]"));
-        let Err(Refusal::Wrong(faults)) = parse(wrong.as_bytes()) else { panic!("{wrong} is right") };
+        let Err(ParseError::Invalid(faults)) = parse(wrong.as_bytes()) else { panic!("{wrong} is right") };
         assert_eq!(faults[0].pointer, "/scene/camera/look_at");
         assert!(faults[0].message.contains("frame 3"), "{}", faults[0].message);
     }

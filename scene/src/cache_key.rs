@@ -3,10 +3,10 @@
 use serde::Serialize;
 
 use crate::PICTURE_VERSION;
-use crate::animation::Still;
+use crate::animation::JobAtFrame;
 use crate::job::{Bits, Format, Image, Job, Layer, Precision, ToneMap};
 use crate::scene::Scene;
-use crate::values::{FrameRate, Stops};
+use crate::values::{ExposureStops, FrameRate};
 
 /// All that decides a frame's pixels.
 #[derive(Serialize)]
@@ -32,7 +32,7 @@ struct CanonicalPicture<'a> {
     #[serde(skip_serializing_if = "Option::is_none")]
     fps: Option<&'a FrameRate>,
     #[serde(skip_serializing_if = "Option::is_none")]
-    graded: Option<(&'a Stops, ToneMap)>,
+    graded: Option<(&'a ExposureStops, ToneMap)>,
 }
 
 fn hash(value: &impl Serialize) -> blake3::Hash {
@@ -43,23 +43,23 @@ fn hash(value: &impl Serialize) -> blake3::Hash {
 
 impl Job {
     /// Of all that decides the bytes of a frame's picture.
-    pub fn picture_key(&self, frame: u32) -> blake3::Hash {
+    pub fn cache_key(&self, frame: u32) -> blake3::Hash {
         match self.at(frame) {
-            Ok(still) => still.picture_key(),
+            Ok(still) => still.cache_key(),
             // No frame but this one of this scene can be refused so, and it gets no picture.
             Err(error) => hash(&(&self.scene, frame, error.to_string())),
         }
     }
 }
 
-impl Still<'_> {
+impl JobAtFrame<'_> {
     /// Of the scene alone, as provenance in its picture.
     pub fn scene_hash(&self) -> blake3::Hash {
         hash(self.scene())
     }
 
     /// Of all that decides its pixels.
-    pub fn pixels_key(&self) -> blake3::Hash {
+    pub fn pixels_cache_key(&self) -> blake3::Hash {
         // Without `..`: a field that is new does not compile until it is decided on, here and in `picture_key`.
         let Image { width, height, samples, seed, layers, format: _, bits: _, precision: _, exposure: _, tone_map: _ } =
             self.image();
@@ -76,7 +76,7 @@ impl Still<'_> {
     }
 
     /// Of all that decides the bytes of its picture.
-    pub fn picture_key(&self) -> blake3::Hash {
+    pub fn cache_key(&self) -> blake3::Hash {
         let image = self.image();
         let Image { format, bits, precision, exposure, tone_map, width: _, height: _, samples: _, seed: _, layers: _ } =
             image;
@@ -85,12 +85,12 @@ impl Still<'_> {
             Format::Exr => (None, Some(*precision), Some(&self.frames().fps)),
         };
         hash(&CanonicalPicture {
-            pixels: self.pixels_key().to_hex().to_string(),
+            pixels: self.pixels_cache_key().to_hex().to_string(),
             format: *format,
             bits,
             precision,
             fps,
-            graded: image.is_graded().then_some((exposure, *tone_map)),
+            graded: image.has_display_transform().then_some((exposure, *tone_map)),
         })
     }
 }
@@ -113,29 +113,29 @@ mod tests {
     fn names_and_unused_materials_do_not_change_the_key() {
         let a = job(r#""a": { "flat": { "color": [1, 0, 0] } }"#, "a", 1.0, 4);
         let b = job(r##""x": { "normals": {} }, "b": { "flat": { "color": "#ff0000" } }"##, "b", 1.0, 4);
-        assert_eq!(a.picture_key(0), b.picture_key(0));
+        assert_eq!(a.cache_key(0), b.cache_key(0));
     }
 
     #[test]
     fn what_changes_the_bytes_changes_the_key() {
         let red = r#""a": { "flat": { "color": [1, 0, 0] } }"#;
         let first = job(red, "a", 1.0, 4);
-        assert_ne!(first.picture_key(0), first.picture_key(1));
-        assert_ne!(first.picture_key(0), job(red, "a", 1.5, 4).picture_key(0));
-        assert_ne!(first.picture_key(0), job(red, "a", 1.0, 5).picture_key(0));
+        assert_ne!(first.cache_key(0), first.cache_key(1));
+        assert_ne!(first.cache_key(0), job(red, "a", 1.5, 4).cache_key(0));
+        assert_ne!(first.cache_key(0), job(red, "a", 1.0, 5).cache_key(0));
         let mut other = first.clone();
         other.image.tone_map = ToneMap::Filmic;
-        assert_ne!(first.picture_key(0), other.picture_key(0));
-        assert_eq!(first.at(0).unwrap().pixels_key(), other.at(0).unwrap().pixels_key());
+        assert_ne!(first.cache_key(0), other.cache_key(0));
+        assert_eq!(first.at(0).unwrap().pixels_cache_key(), other.at(0).unwrap().pixels_cache_key());
         let mut other = first.clone();
         other.image.format = Format::Exr;
-        assert_ne!(first.picture_key(0), other.picture_key(0));
+        assert_ne!(first.cache_key(0), other.cache_key(0));
         let mut faster = other.clone();
         faster.frames.fps = FrameRate::new(25.0).unwrap();
-        assert_ne!(faster.picture_key(0), other.picture_key(0), "an EXR tells its rate");
+        assert_ne!(faster.cache_key(0), other.cache_key(0), "an EXR tells its rate");
         faster.image.format = Format::Png;
-        assert_eq!(faster.picture_key(0), first.picture_key(0), "a PNG does not");
-        let pixels_key = |job: &Job| job.at(0).unwrap().pixels_key();
+        assert_eq!(faster.cache_key(0), first.cache_key(0), "a PNG does not");
+        let pixels_key = |job: &Job| job.at(0).unwrap().pixels_cache_key();
         assert_eq!(pixels_key(&first), pixels_key(&other));
     }
 }

@@ -5,7 +5,7 @@
 
 use crate::ambient_occlusion::AmbientOcclusion;
 use crate::fog::Fog;
-pub use crate::kinds::{Example, Exemplary};
+pub use crate::kinds::{Example, HasExamples};
 
 /// The list: each effect's name in a scene, and its struct.
 macro_rules! effects {

@@ -6,7 +6,7 @@ use crate::json_scan;
 
 /// One error in a job, with its place in the text.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Fault {
+pub struct ValidationError {
     /// JSON pointer (RFC 6901): to the key where it is unknown or doubled, to the parent where one is missing.
     pub pointer: String,
     /// What is wrong, and the fix.
@@ -17,16 +17,16 @@ pub struct Fault {
     pub column: u32,
 }
 
-impl Fault {
+impl ValidationError {
     /// Error at the value at `pointer` in `text`.
-    pub(crate) fn of_value(text: &str, pointer: String, message: impl Into<String>) -> Self {
+    pub(crate) fn at_value(text: &str, pointer: String, message: impl Into<String>) -> Self {
         let offset = json_scan::locate_value(text, &pointer);
         Self::at(text, offset, pointer, message)
     }
 
     /// Error at the member name at `pointer` in `text`.
-    pub(crate) fn of_key(text: &str, pointer: String, message: impl Into<String>) -> Self {
-        let offset = json_scan::locate_key(text, &pointer);
+    pub(crate) fn at_member(text: &str, pointer: String, message: impl Into<String>) -> Self {
+        let offset = json_scan::locate_member(text, &pointer);
         Self::at(text, offset, pointer, message)
     }
 
@@ -37,7 +37,7 @@ impl Fault {
     }
 }
 
-impl fmt::Display for Fault {
+impl fmt::Display for ValidationError {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let Self { pointer, message, line, column } = self;
         if pointer.is_empty() {
@@ -50,17 +50,17 @@ impl fmt::Display for Fault {
 
 /// Reason why a text is not a job.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-pub enum Refusal {
+pub enum ParseError {
     /// Not JSON, or not UTF-8.
     #[error("the job is not JSON: {0}")]
-    NotJson(Fault),
+    NotJson(ValidationError),
     /// JSON, but not a job: every fault, in the order of their places.
     #[error("the job is wrong: {}", list(.0))]
-    Wrong(Vec<Fault>),
+    Invalid(Vec<ValidationError>),
 }
 
-fn list(faults: &[Fault]) -> String {
-    faults.iter().map(Fault::to_string).collect::<Vec<_>>().join("; ")
+fn list(faults: &[ValidationError]) -> String {
+    faults.iter().map(ValidationError::to_string).collect::<Vec<_>>().join("; ")
 }
 
 /// Where the lines of a text begin: for the places of many faults.
@@ -71,7 +71,7 @@ pub(crate) struct Lines {
 
 impl Lines {
     /// Those of a text.
-    pub(crate) fn of(text: &str) -> Self {
+    pub(crate) fn new(text: &str) -> Self {
         let ends = text.bytes().enumerate().filter(|(_, byte)| *byte == b'\n');
         Self { starts: std::iter::once(0).chain(ends.map(|(end, _)| end + 1)).collect() }
     }
@@ -82,10 +82,10 @@ impl Lines {
     }
 
     /// A fault at a byte of the text.
-    pub(crate) fn fault(&self, offset: usize, pointer: String, message: String) -> Fault {
+    pub(crate) fn fault(&self, offset: usize, pointer: String, message: String) -> ValidationError {
         let line = self.starts.partition_point(|&start| start <= offset).max(1);
         let column = offset - self.starts[line - 1] + 1;
-        Fault { pointer, message, line: line as u32, column: column as u32 }
+        ValidationError { pointer, message, line: line as u32, column: column as u32 }
     }
 }
 

@@ -4,7 +4,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use crate::camera::Ray;
-use crate::kinds::Exemplary;
+use crate::kinds::HasExamples;
 use crate::real::{Real, Vec3, vec3};
 use crate::seek::Seek;
 use crate::values::{Color, Density};
@@ -18,16 +18,16 @@ pub struct Fog {
     /// How thick it is, at height 0 if it falls off.
     pub density: Density,
     /// By what share of itself it gets thinner on a unit of height; 0 is as thick everywhere.
-    #[serde(default = "even")]
+    #[serde(default = "default_falloff")]
     pub falloff: Density,
     /// Its colour; the background's in each direction when absent, and the horizon's below the horizon.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub color: Option<Color>,
 }
 
-impl Exemplary for Fog {
+impl HasExamples for Fog {
     const EXAMPLE: &'static str = r##"{ "density": 0.12, "color": "#c3ccd6" }"##;
-    const MORE: &'static [&'static str] =
+    const MORE_EXAMPLES: &'static [&'static str] =
         &[r##"{ "density": 0.07, "falloff": 2, "color": "#e6e2da" }"##, r#"{ "density": 0.09 }"#];
 }
 
@@ -36,28 +36,28 @@ impl Fog {
     #[inline(always)]
     pub fn direction_of_color<R: Real>(direction: Vec3<R>) -> Vec3<R> {
         let level = vec3(direction.x, direction.y.at_least(0.0), direction.z);
-        level * (direction.x.splat(1.0) / level.length().at_least(1e-3))
+        level * (direction.x.constant(1.0) / level.length().at_least(1e-3))
     }
 
     /// The share of the light that comes through `length` of the ray.
     #[inline(always)]
     pub fn transmittance<R: Real>(&self, ray: &Ray<R>, length: R) -> R {
-        let density = length.given(self.density.get());
+        let density = length.uniform(self.density.get());
         if self.falloff.is_zero() {
             return (-(density * length)).exp();
         }
         // ∫ exp(−falloff·(y + t·dy)) dt, where the ray climbs by more than nothing.
-        let falloff = length.given(self.falloff.get());
+        let falloff = length.uniform(self.falloff.get());
         let start = (-(ray.origin.y * falloff)).at_most(20.0).exp();
         let slope = falloff * ray.direction.y;
         let level = slope.abs().below(1e-6);
-        let slope = R::select(level, slope.splat(1e-6), slope);
+        let slope = R::select(level, slope.constant(1e-6), slope);
         let climbed = (-(slope * length)).at_most(40.0).exp();
-        let through = ((length.splat(1.0) - climbed) / slope).at_least(0.0);
+        let through = ((length.constant(1.0) - climbed) / slope).at_least(0.0);
         (-(density * start * R::select(level, length, through))).exp()
     }
 }
 
-fn even() -> Density {
+fn default_falloff() -> Density {
     Density::new(0.0).expect("0 is in range")
 }

@@ -6,7 +6,7 @@ use serde::{Deserialize, Deserializer, Serialize};
 use crate::limits::{MAX_EDGE_PX, MAX_FRAMES, MAX_SAMPLES};
 use crate::scene::Scene;
 use crate::seek::Seek;
-use crate::values::{FrameRate, Stops, integer, whole};
+use crate::values::{ExposureStops, FrameRate, integer, integer_in_range};
 use crate::warnings;
 
 /// A job, read and found sound: a scene, and the pictures wanted of it.
@@ -22,7 +22,7 @@ pub struct Job {
     pub frames: Frames,
     /// Jobs of higher priority go first.
     pub priority: i32,
-    pub(crate) is_moving: bool,
+    pub(crate) is_animated: bool,
     /// Where in the document each of the materials in use stands: a JSON pointer in the scene.
     pub(crate) material_places: Vec<String>,
     /// Names of materials that are not in use.
@@ -34,15 +34,15 @@ pub struct Job {
 #[serde(deny_unknown_fields)]
 pub struct Image {
     /// Width, in pixels.
-    #[serde(deserialize_with = "edge")]
+    #[serde(deserialize_with = "image_edge")]
     #[schemars(range(min = 1, max = MAX_EDGE_PX))]
     pub width: u32,
     /// Height, in pixels.
-    #[serde(deserialize_with = "edge")]
+    #[serde(deserialize_with = "image_edge")]
     #[schemars(range(min = 1, max = MAX_EDGE_PX))]
     pub height: u32,
     /// Rays a pixel.
-    #[serde(default = "four", deserialize_with = "samples")]
+    #[serde(default = "default_samples", deserialize_with = "samples")]
     #[schemars(range(min = 1, max = MAX_SAMPLES))]
     pub samples: u32,
     /// Where in their pixels the rays pass: another seed, another noise.
@@ -63,8 +63,8 @@ pub struct Image {
     #[schemars(extend("uniqueItems" = true))]
     pub layers: Vec<Layer>,
     /// How much brighter a PNG is than the light of the scene, in stops.
-    #[serde(default = "as_it_is")]
-    pub exposure: Stops,
+    #[serde(default = "default_exposure")]
+    pub exposure: ExposureStops,
     /// How a PNG shows light that is too bright for it.
     #[serde(default)]
     pub tone_map: ToneMap,
@@ -151,7 +151,7 @@ impl Default for Frames {
 
 impl Frames {
     /// When a frame is, in seconds.
-    pub(crate) fn seconds(&self, frame: u32) -> f64 {
+    pub(crate) fn time_of(&self, frame: u32) -> f64 {
         f64::from(frame) / f64::from(self.fps.get())
     }
 }
@@ -183,8 +183,8 @@ impl Image {
     }
 
     /// Whether a picture shows other light than the scene's.
-    pub fn is_graded(&self) -> bool {
-        self.exposure.get() != 0.0 || self.exposure.is_moving() || self.tone_map != ToneMap::None
+    pub fn has_display_transform(&self) -> bool {
+        self.exposure.get() != 0.0 || self.exposure.is_animated() || self.tone_map != ToneMap::None
     }
 
     /// Camera rays of a picture.
@@ -236,7 +236,7 @@ impl Serialize for Bits {
 
 impl<'de> Deserialize<'de> for Bits {
     fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
-        match whole(deserializer, 8, 16, "bits")? {
+        match integer_in_range(deserializer, 8, 16, "bits")? {
             8 => Ok(Self::Eight),
             16 => Ok(Self::Sixteen),
             other => Err(serde::de::Error::custom(format_args!("must be 8 or 16 bits, not {other}"))),
@@ -254,28 +254,28 @@ impl JsonSchema for Bits {
     }
 }
 
-fn as_it_is() -> Stops {
-    Stops::new(0.0).expect("0 is in range")
+fn default_exposure() -> ExposureStops {
+    ExposureStops::new(0.0).expect("0 is in range")
 }
 
-fn four() -> u32 {
+fn default_samples() -> u32 {
     4
 }
 
-fn edge<'de, D: Deserializer<'de>>(deserializer: D) -> Result<u32, D::Error> {
-    whole(deserializer, 1, MAX_EDGE_PX, "pixels")
+fn image_edge<'de, D: Deserializer<'de>>(deserializer: D) -> Result<u32, D::Error> {
+    integer_in_range(deserializer, 1, MAX_EDGE_PX, "pixels")
 }
 
 fn samples<'de, D: Deserializer<'de>>(deserializer: D) -> Result<u32, D::Error> {
-    whole(deserializer, 1, MAX_SAMPLES, "samples")
+    integer_in_range(deserializer, 1, MAX_SAMPLES, "samples")
 }
 
 fn seed<'de, D: Deserializer<'de>>(deserializer: D) -> Result<u32, D::Error> {
-    whole(deserializer, 0, u32::MAX, "as a seed")
+    integer_in_range(deserializer, 0, u32::MAX, "as a seed")
 }
 
 fn frame_count<'de, D: Deserializer<'de>>(deserializer: D) -> Result<u32, D::Error> {
-    whole(deserializer, 1, MAX_FRAMES, "frames")
+    integer_in_range(deserializer, 1, MAX_FRAMES, "frames")
 }
 
 pub(crate) fn priority<'de, D: Deserializer<'de>>(deserializer: D) -> Result<i32, D::Error> {

@@ -7,32 +7,32 @@ use std::collections::HashSet;
 
 /// Error found by the scan.
 #[derive(Debug, PartialEq, Eq)]
-pub(crate) struct OutlineFault {
+pub(crate) struct ScanError {
     /// Byte of the text.
     pub offset: usize,
     /// JSON pointer to the place.
     pub pointer: String,
     /// Kind of error: nesting too deep, or a duplicate member.
-    pub kind: OutlineFaultKind,
+    pub kind: ScanErrorKind,
 }
 
 /// Kind of error found by the scan.
 #[derive(Debug, PartialEq, Eq)]
-pub(crate) enum OutlineFaultKind {
+pub(crate) enum ScanErrorKind {
     /// Arrays and objects nest deeper than allowed.
     TooDeep,
     /// An object has this member twice.
-    DoubledKey(String),
+    DuplicateMember(String),
 }
 
 /// Open array or object, and the position in it.
-enum Level {
+enum OpenContainer {
     Array { index: usize },
     Object { key: Option<String>, seen: HashSet<String> },
 }
 
 /// One step of the scan.
-enum Event<'a> {
+enum JsonToken<'a> {
     /// A member name at this offset.
     Key { offset: usize, key: &'a str },
     /// A value begins at this offset.
@@ -40,30 +40,30 @@ enum Event<'a> {
 }
 
 /// Scans for errors that a parser would not detect or not survive.
-pub(crate) fn check(text: &str, max_depth: usize) -> Result<(), OutlineFault> {
+pub(crate) fn check(text: &str, max_depth: usize) -> Result<(), ScanError> {
     let mut fault = None;
     walk(text, |levels, event| {
         let (offset, kind) = match event {
-            Event::Value { offset } => {
+            JsonToken::Value { offset } => {
                 if levels.len() <= max_depth {
                     return true;
                 }
-                (offset, OutlineFaultKind::TooDeep)
+                (offset, ScanErrorKind::TooDeep)
             }
-            Event::Key { offset, key } => {
+            JsonToken::Key { offset, key } => {
                 let is_new = match levels.last_mut() {
-                    Some(Level::Object { seen, .. }) => seen.insert(key.to_owned()),
-                    Some(Level::Array { .. }) | None => true,
+                    Some(OpenContainer::Object { seen, .. }) => seen.insert(key.to_owned()),
+                    Some(OpenContainer::Array { .. }) | None => true,
                 };
                 if is_new {
                     return true;
                 }
-                (offset, OutlineFaultKind::DoubledKey(key.to_owned()))
+                (offset, ScanErrorKind::DuplicateMember(key.to_owned()))
             }
         };
         // A pointer thousands of levels deep would not help.
         let shown = levels.len().min(max_depth);
-        fault = Some(OutlineFault { offset, pointer: pointer(&levels[..shown]), kind });
+        fault = Some(ScanError { offset, pointer: pointer(&levels[..shown]), kind });
         false
     });
     fault.map_or(Ok(()), Err)
@@ -72,20 +72,20 @@ pub(crate) fn check(text: &str, max_depth: usize) -> Result<(), OutlineFault> {
 /// Start of the value at `pointer`.
 pub(crate) fn locate_value(text: &str, pointer: &str) -> Option<usize> {
     locate(text, pointer, |event| match event {
-        Event::Key { .. } => None,
-        Event::Value { offset } => Some(*offset),
+        JsonToken::Key { .. } => None,
+        JsonToken::Value { offset } => Some(*offset),
     })
 }
 
 /// Start of the member name of the value at `pointer`.
-pub(crate) fn locate_key(text: &str, pointer: &str) -> Option<usize> {
+pub(crate) fn locate_member(text: &str, pointer: &str) -> Option<usize> {
     locate(text, pointer, |event| match event {
-        Event::Key { offset, .. } => Some(*offset),
-        Event::Value { .. } => None,
+        JsonToken::Key { offset, .. } => Some(*offset),
+        JsonToken::Value { .. } => None,
     })
 }
 
-fn locate(text: &str, pointer: &str, place: impl Fn(&Event<'_>) -> Option<usize>) -> Option<usize> {
+fn locate(text: &str, pointer: &str, place: impl Fn(&JsonToken<'_>) -> Option<usize>) -> Option<usize> {
     let wanted: Vec<String> = pointer.split('/').skip(1).map(unescape).collect();
     let mut found = None;
     walk(text, |levels, event| {
@@ -97,20 +97,20 @@ fn locate(text: &str, pointer: &str, place: impl Fn(&Event<'_>) -> Option<usize>
     found
 }
 
-fn points_at(levels: &[Level], wanted: &[String]) -> bool {
+fn points_at(levels: &[OpenContainer], wanted: &[String]) -> bool {
     levels.len() == wanted.len()
         && levels.iter().zip(wanted).rev().all(|(level, wanted)| match level {
-            Level::Array { index } => wanted.parse() == Ok(*index),
-            Level::Object { key, .. } => key.as_ref() == Some(wanted),
+            OpenContainer::Array { index } => wanted.parse() == Ok(*index),
+            OpenContainer::Object { key, .. } => key.as_ref() == Some(wanted),
         })
 }
 
-fn pointer(levels: &[Level]) -> String {
+fn pointer(levels: &[OpenContainer]) -> String {
     levels
         .iter()
         .map(|level| match level {
-            Level::Array { index } => format!("/{index}"),
-            Level::Object { key, .. } => format!("/{}", escape(key.as_deref().unwrap_or_default())),
+            OpenContainer::Array { index } => format!("/{index}"),
+            OpenContainer::Object { key, .. } => format!("/{}", escape(key.as_deref().unwrap_or_default())),
         })
         .collect()
 }
@@ -126,17 +126,17 @@ pub(crate) fn unescape(part: &str) -> String {
 }
 
 /// Scans a text as long as it is valid and `visit` returns true.
-fn walk(text: &str, mut visit: impl FnMut(&mut Vec<Level>, Event<'_>) -> bool) {
+fn walk(text: &str, mut visit: impl FnMut(&mut Vec<OpenContainer>, JsonToken<'_>) -> bool) {
     let bytes = text.as_bytes();
-    let mut levels: Vec<Level> = Vec::new();
+    let mut levels: Vec<OpenContainer> = Vec::new();
     let mut at = 0;
     while at < bytes.len() {
         match bytes[at] {
             b' ' | b'\t' | b'\n' | b'\r' | b':' => at += 1,
             b',' => {
                 match levels.last_mut() {
-                    Some(Level::Array { index }) => *index += 1,
-                    Some(Level::Object { key, .. }) => *key = None,
+                    Some(OpenContainer::Array { index }) => *index += 1,
+                    Some(OpenContainer::Object { key, .. }) => *key = None,
                     None => return,
                 }
                 at += 1;
@@ -147,15 +147,15 @@ fn walk(text: &str, mut visit: impl FnMut(&mut Vec<Level>, Event<'_>) -> bool) {
             }
             b'"' => {
                 let Some(end) = string_end(bytes, at) else { return };
-                let wants_key = matches!(levels.last(), Some(Level::Object { key: None, .. }));
+                let wants_key = matches!(levels.last(), Some(OpenContainer::Object { key: None, .. }));
                 let go_on = if wants_key {
                     let Ok(name) = serde_json::from_str::<String>(&text[at..end]) else { return };
-                    if let Some(Level::Object { key, .. }) = levels.last_mut() {
+                    if let Some(OpenContainer::Object { key, .. }) = levels.last_mut() {
                         *key = Some(name.clone());
                     }
-                    visit(&mut levels, Event::Key { offset: at, key: &name })
+                    visit(&mut levels, JsonToken::Key { offset: at, key: &name })
                 } else {
-                    visit(&mut levels, Event::Value { offset: at })
+                    visit(&mut levels, JsonToken::Value { offset: at })
                 };
                 if !go_on {
                     return;
@@ -163,18 +163,18 @@ fn walk(text: &str, mut visit: impl FnMut(&mut Vec<Level>, Event<'_>) -> bool) {
                 at = end;
             }
             opening @ (b'[' | b'{') => {
-                if !visit(&mut levels, Event::Value { offset: at }) {
+                if !visit(&mut levels, JsonToken::Value { offset: at }) {
                     return;
                 }
                 levels.push(if opening == b'[' {
-                    Level::Array { index: 0 }
+                    OpenContainer::Array { index: 0 }
                 } else {
-                    Level::Object { key: None, seen: HashSet::new() }
+                    OpenContainer::Object { key: None, seen: HashSet::new() }
                 });
                 at += 1;
             }
             _ => {
-                if !visit(&mut levels, Event::Value { offset: at }) {
+                if !visit(&mut levels, JsonToken::Value { offset: at }) {
                     return;
                 }
                 at = bytes[at..].iter().position(|byte| b" \t\r\n,]}".contains(byte)).map_or(bytes.len(), |n| at + n);
@@ -208,13 +208,13 @@ mod tests {
         assert!(value("/d").unwrap().starts_with("\"x\""));
         assert_eq!(value("/e"), None);
         assert_eq!(value(""), Some(text));
-        assert!(text[locate_key(text, "/a/1/b~1c").unwrap()..].starts_with("\"b/c\""));
+        assert!(text[locate_member(text, "/a/1/b~1c").unwrap()..].starts_with("\"b/c\""));
     }
 
     #[test]
     fn sees_a_doubled_key_however_it_is_spelled() {
         let fault = check(r#"{"a": {"b": 1, "\u0062": 2}}"#, 9).unwrap_err();
-        assert_eq!(fault.kind, OutlineFaultKind::DoubledKey("b".into()));
+        assert_eq!(fault.kind, ScanErrorKind::DuplicateMember("b".into()));
         assert_eq!(fault.pointer, "/a/b");
         assert_eq!(fault.offset, 15);
     }
@@ -222,7 +222,7 @@ mod tests {
     #[test]
     fn sees_deep_nesting_without_recursion() {
         let deep = "[".repeat(100_000);
-        assert_eq!(check(&deep, 64).unwrap_err().kind, OutlineFaultKind::TooDeep);
+        assert_eq!(check(&deep, 64).unwrap_err().kind, ScanErrorKind::TooDeep);
         assert_eq!(check("[[[1]]]", 3), Ok(()));
         assert_eq!(check("[[[1]]]", 2).unwrap_err().offset, 3);
     }
@@ -253,8 +253,8 @@ mod tests {
         for pointer in ["/s\"]/4", "/s\"]/x", "/s\"]/2/2", "/~", "/z/0", "/s"] {
             assert_eq!(value(pointer), None, "{pointer}");
         }
-        assert_eq!(locate_key(text, "/s\"]/0"), None, "an entry of a list has no key");
-        assert!(text[locate_key(text, "/z").unwrap()..].starts_with("\"z\":0"));
+        assert_eq!(locate_member(text, "/s\"]/0"), None, "an entry of a list has no key");
+        assert!(text[locate_member(text, "/z").unwrap()..].starts_with("\"z\":0"));
     }
 
     #[test]
@@ -262,7 +262,7 @@ mod tests {
         let doubled = check(r#"{"l": [0, {"a/b": 1, "a/b": 2}]}"#, 9).unwrap_err();
         assert_eq!((doubled.pointer.as_str(), doubled.offset), ("/l/1/a~1b", 21));
         let deep = check(r#"{"a": [{"b": {"c": 1}}]}"#, 3).unwrap_err();
-        assert_eq!((deep.kind, deep.pointer.as_str()), (OutlineFaultKind::TooDeep, "/a/0/b"));
+        assert_eq!((deep.kind, deep.pointer.as_str()), (ScanErrorKind::TooDeep, "/a/0/b"));
         assert_eq!(check(r#"[{"a": 1}, {"a": 2}, {"b": {"a": 3}}]"#, 9), Ok(()), "a key may be in several objects");
     }
 }

@@ -36,10 +36,10 @@ mod seek;
 pub mod values;
 mod warnings;
 
-pub use animation::{FrameError, Still};
+pub use animation::{FrameError, JobAtFrame};
 pub use backgrounds::Background;
-pub use error::{Fault, Refusal};
-pub use integrator::Program;
+pub use error::{ParseError, ValidationError};
+pub use integrator::Integrator;
 pub use job::{Bits, Format, Frames, Image, Job, Layer, Precision, ToneMap};
 pub use parse::parse;
 pub use scene::Scene;

@@ -28,7 +28,7 @@ pub(crate) enum JobError {
     Gone,
     /// Its file was accepted once, but is invalid now.
     #[error("the job's file is refused by this version: {0}")]
-    Refused(#[from] scene::Refusal),
+    Refused(#[from] scene::ParseError),
     /// No thread to parse it on.
     #[error("no thread could be started to parse the job")]
     Thread,
@@ -59,15 +59,15 @@ impl Jobs {
     pub(crate) async fn parse<T: Send + 'static>(
         &self,
         text: bytes::Bytes,
-        work: impl FnOnce(Result<scene::Job, scene::Refusal>) -> T + Send + 'static,
+        work: impl FnOnce(Result<scene::Job, scene::ParseError>) -> T + Send + 'static,
     ) -> Result<T, JobError> {
         self.on_thread(move || work(scene::parse(&text))).await
     }
 
     /// What a frame's picture is known by; the scene of a job that moves is copied for that.
     pub(crate) async fn picture_key(&self, job: &Arc<scene::Job>, frame: u32) -> Result<String, JobError> {
-        let (moves, job) = (job.is_moving(), Arc::clone(job));
-        let key = move || job.picture_key(frame).to_hex().to_string();
+        let (moves, job) = (job.is_animated(), Arc::clone(job));
+        let key = move || job.cache_key(frame).to_hex().to_string();
         if moves { self.on_thread(key).await } else { Ok(key()) }
     }
 

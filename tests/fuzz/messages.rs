@@ -22,8 +22,10 @@ fn try_job_files(effort: Effort) {
             assert_eq!(again.name, job.name);
             assert!(job.at(0).is_ok(), "a job that is taken has a first frame");
         }
-        Err(scene::Refusal::NotJson(fault)) => assert!(!fault.message.is_empty()),
-        Err(scene::Refusal::Wrong(faults)) => assert!(!faults.is_empty() && faults.iter().all(|fault| fault.line > 0)),
+        Err(scene::ParseError::NotJson(fault)) => assert!(!fault.message.is_empty()),
+        Err(scene::ParseError::Invalid(faults)) => {
+            assert!(!faults.is_empty() && faults.iter().all(|fault| fault.line > 0))
+        }
     });
 }
 

@@ -5,7 +5,7 @@ use std::time::{Duration, Instant};
 use fearless_simd::Simd as Token;
 use proto::Rect;
 use scene::real::vec3;
-use scene::{Job, Program};
+use scene::{Integrator, Job};
 use serde::Serialize;
 
 use crate::cpu::Packets;
@@ -142,7 +142,7 @@ const POINTS: usize = 1024;
 pub fn points(job: &Job, simd: Simd, time: Duration) -> Result<PointsReport, RenderError> {
     let packets = Packets::new(simd)?;
     let still = job.at(0)?;
-    let program = Program::new(&still);
+    let program = Integrator::new(&still);
     let (mut done, start) = (0_u64, Instant::now());
     while start.elapsed() < time {
         const ROUNDS: u32 = 64;
@@ -155,7 +155,7 @@ pub fn points(job: &Job, simd: Simd, time: Duration) -> Result<PointsReport, Ren
 }
 
 #[inline(always)]
-fn distances<S: Token, const N: usize>(token: S, program: &Program<'_>, job: &Job, rounds: u32) -> f32 {
+fn distances<S: Token, const N: usize>(token: S, program: &Integrator<'_>, job: &Job, rounds: u32) -> f32 {
     let middle = job.scene.camera.look_at.get();
     let spread = |index: usize, step: u32| (index as u32).wrapping_mul(step) as f32 / u32::MAX as f32 * 4.0 - 2.0;
     let x: [f32; POINTS] = std::array::from_fn(|index| middle.x + spread(index, 0x9e37_79b9));

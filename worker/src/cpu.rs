@@ -7,7 +7,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 
 use rayon::prelude::*;
 use rayon::{ThreadPool, ThreadPoolBuilder};
-use scene::Program;
+use scene::Integrator;
 
 use crate::simd::Simd;
 use crate::{Cancel, Pixels, RenderError, Renderer, TileRun};
@@ -41,7 +41,7 @@ impl CpuRenderer {
     /// Number of evaluations of the scene's distance for the pixels of a tile, without its layers.
     pub fn evaluations(&self, run: &TileRun<'_>) -> Result<u64, RenderError> {
         let still = run.job.at(run.frame)?;
-        let program = Program::new(&still);
+        let program = Integrator::new(&still);
         let rows = run.rect.y..run.rect.y + run.rect.height;
         let of_row = |row| self.packets.evaluations(&program, run.rect.x, row, run.rect.width as usize);
         Ok(self.threads.install(|| rows.into_par_iter().map(of_row).sum()))
@@ -64,7 +64,7 @@ impl Renderer for CpuRenderer {
         progress: &(dyn Fn(u64) + Sync),
     ) -> Result<Pixels, RenderError> {
         let still = run.job.at(run.frame)?;
-        let program = Program::new(&still);
+        let program = Integrator::new(&still);
         let image = &run.job.image;
         let mut pixels = Pixels::zeroed(run.rect, image.channels().len());
         let height = self.packets.block_rows() as usize;

@@ -11,8 +11,8 @@ pub mod provenance;
 
 use std::io::{self, Seek, Write};
 
-use ::scene::color::Grade;
-use ::scene::{Bits, Format, Precision, Still};
+use ::scene::color::DisplayTransform;
+use ::scene::{Bits, Format, JobAtFrame, Precision};
 
 pub use encoders::Encoders;
 pub use metadata::Metadata;
@@ -37,7 +37,7 @@ pub struct Picture {
     /// Precision of R G B A in an EXR.
     pub precision: Precision,
     /// Display transform of a PNG.
-    pub grade: Grade,
+    pub grade: DisplayTransform,
     /// Alpha is 1 in every pixel.
     pub opaque: bool,
     /// Camera matrices and frame rate for the header of an EXR.
@@ -48,7 +48,7 @@ pub struct Picture {
 
 impl Picture {
     /// The picture that a job's frame asks for.
-    pub fn of(still: &Still<'_>) -> Self {
+    pub fn of(still: &JobAtFrame<'_>) -> Self {
         let image = still.image();
         Self {
             width: image.width,
@@ -57,7 +57,7 @@ impl Picture {
             format: image.format,
             bits: image.bits,
             precision: image.precision,
-            grade: Grade::of(image),
+            grade: DisplayTransform::new(image),
             opaque: !still.scene().is_transparent(),
             metadata: Metadata::of(still),
             provenance: Provenance::of(still),

@@ -9,7 +9,7 @@ use std::ops::{Add, BitAnd, BitOr, BitXor, Div, Mul, Neg, Not, Shl, Shr, Sub};
 
 use fearless_simd::Level;
 use fearless_simd::prelude::*;
-use scene::real::{Bits, Bundle, Join, Real, SQRT_FLOOR};
+use scene::real::{Bits, Bundle, Merge, Real, SQRT_FLOOR};
 
 thread_local! {
     /// Active lanes of the running code: those that entered the innermost `when` or are still in the
@@ -246,7 +246,7 @@ fn fused_in_software<S: Simd, const N: usize>(mut a: Lanes<S, N>, b: Lanes<S, N>
 /// Takes the first bundle's parts where the mask holds.
 struct Choose<S: Simd, const N: usize>(LaneMask<S, N>);
 
-impl<S: Simd, const N: usize> Join<Lanes<S, N>> for Choose<S, N> {
+impl<S: Simd, const N: usize> Merge<Lanes<S, N>> for Choose<S, N> {
     #[inline(always)]
     fn number(&mut self, yes: Lanes<S, N>, no: Lanes<S, N>) -> Lanes<S, N> {
         Real::select(self.0, yes, no)
@@ -263,7 +263,7 @@ impl<S: Simd, const N: usize> Real for Lanes<S, N> {
     type Bits = LaneBits<S, N>;
 
     #[inline(always)]
-    fn splat(self, value: f32) -> Self {
+    fn constant(self, value: f32) -> Self {
         Self([S::f32s::splat(self.token(), value); N])
     }
 
@@ -370,7 +370,7 @@ impl<S: Simd, const N: usize> Real for Lanes<S, N> {
             return otherwise;
         }
         live.set(entering);
-        then().join(otherwise, &mut Choose(mask))
+        then().merge(otherwise, &mut Choose(mask))
     }
 
     #[inline(always)]
@@ -381,7 +381,7 @@ impl<S: Simd, const N: usize> Real for Lanes<S, N> {
         for _ in 0..limit {
             live.set(going);
             let (again, next) = step(state);
-            state = if going == Self::ALL { next } else { next.join(state, &mut Choose(again.with_bits(going))) };
+            state = if going == Self::ALL { next } else { next.merge(state, &mut Choose(again.with_bits(going))) };
             going &= again.to_bits();
             if going == 0 {
                 break;

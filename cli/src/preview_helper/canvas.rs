@@ -6,7 +6,7 @@
 use anyhow::Context;
 use image::codecs::png::{CompressionType, FilterType, PngEncoder};
 use image::{ExtendedColorType, ImageEncoder, Rgba32FImage};
-use scene::color::{Grade, srgb_from_linear};
+use scene::color::{DisplayTransform, srgb_from_linear};
 
 /// Shown light, premultiplied, and alpha.
 pub(super) type Shown = [f32; 4];
@@ -112,7 +112,7 @@ fn byte(value: f32) -> u8 {
 }
 
 /// A pixel as a PNG would show it; `opaque` ones have no alpha.
-pub(super) fn shown([r, g, b, alpha]: [f32; 4], grade: Grade, opaque: bool) -> Shown {
+pub(super) fn shown([r, g, b, alpha]: [f32; 4], grade: DisplayTransform, opaque: bool) -> Shown {
     let number = |value: f32| if value.is_nan() { 0.0 } else { value };
     let alpha = if opaque { 1.0 } else { number(alpha).clamp(0.0, 1.0) };
     let light = [r, g, b].map(|light| {
@@ -172,7 +172,7 @@ mod tests {
     #[test]
     fn light_behind_nothing_keeps_its_colour_and_its_alpha() {
         let mut canvas = Canvas::new(2, 1, 1);
-        let grade = Grade::of(&serde_json::from_str(r#"{ "width": 2, "height": 1 }"#).expect("an image"));
+        let grade = DisplayTransform::new(&serde_json::from_str(r#"{ "width": 2, "height": 1 }"#).expect("an image"));
         let pixels = [[0.5, 0.0, 0.0, 0.5], [f32::NAN, 0.0, 0.0, 0.0]];
         canvas.add(0, 0, pixels.into_iter().map(|pixel| shown(pixel, grade, false)));
         let picture = decoded(&canvas.png(None).expect("encoded")).into_rgba8();

@@ -9,7 +9,7 @@ use image::Rgba32FImage;
 use image::imageops::{self, FilterType};
 use proto::Rect;
 use scene::Job;
-use scene::color::Grade;
+use scene::color::DisplayTransform;
 use worker::{Cancel, CpuRenderer, Pixels, Renderer, Simd, TileRun, blob};
 
 use super::canvas::shown;
@@ -103,7 +103,12 @@ fn small(job: &Job, width: u32) -> Job {
 }
 
 /// Scales a coarse pass up to this size, smoothly, as it is shown.
-pub(super) fn scaled(coarse: &Pixels, grade: Grade, opaque: bool, [width, height]: [u32; 2]) -> Option<Rgba32FImage> {
+pub(super) fn scaled(
+    coarse: &Pixels,
+    grade: DisplayTransform,
+    opaque: bool,
+    [width, height]: [u32; 2],
+) -> Option<Rgba32FImage> {
     let [r, g, b, a] = coarse.planes.as_slice() else { return None };
     let colours = r.iter().zip(g).zip(b).zip(a);
     let light = colours.flat_map(|(((r, g), b), a)| shown([*r, *g, *b, *a], grade, opaque)).collect();

@@ -12,7 +12,7 @@ use std::time::{Duration, Instant};
 use anyhow::{Context, ensure};
 use proto::Rect;
 use proto::preview_helper::Sample;
-use scene::{Job, Program};
+use scene::{Integrator, Job};
 use worker::image::{Encoders, Picture};
 use worker::stitch::Tiles;
 use worker::{Cancel, CpuRenderer, Pixels, Renderer, Simd, TileRun};
@@ -72,7 +72,7 @@ impl Measured {
 fn measure(job: &Job, frame: u32, renderers: &[CpuRenderer], limit: Duration) -> anyhow::Result<Measured> {
     let start = Instant::now();
     let still = job.at(frame)?;
-    std::hint::black_box(Program::new(&still));
+    std::hint::black_box(Integrator::new(&still));
     let setup_seconds = start.elapsed().as_secs_f64();
     let picture = Picture::of(&still);
     let mut job = job.clone();
@@ -83,7 +83,7 @@ fn measure(job: &Job, frame: u32, renderers: &[CpuRenderer], limit: Duration) ->
     let done = Mutex::new(Vec::new());
     let program_start = Instant::now();
     let moved = job.at(frame)?;
-    std::hint::black_box(Program::new(&moved));
+    std::hint::black_box(Integrator::new(&moved));
     let program_seconds = program_start.elapsed().as_secs_f64();
     let before = processor_seconds();
     let start = Instant::now();

@@ -5,7 +5,7 @@ use std::io::BufReader;
 use std::path::{Path, PathBuf};
 
 use scene::Job;
-use scene::color::Grade;
+use scene::color::DisplayTransform;
 use worker::blob::{self, BlobError, Reader};
 
 use super::canvas::{Canvas, shown};
@@ -21,7 +21,7 @@ pub(super) fn draw(
     below: &Kept<'_>,
 ) -> anyhow::Result<Vec<u8>> {
     let still = job.at(frame)?;
-    let (grade, opaque) = (Grade::of(still.image()), !still.scene().is_transparent());
+    let (grade, opaque) = (DisplayTransform::new(still.image()), !still.scene().is_transparent());
     let mut canvas = Canvas::new(still.image().width, still.image().height, width_px);
     for tile in tiles {
         // Swept away meanwhile, or torn: the coarse pass is shown there.
@@ -32,7 +32,7 @@ pub(super) fn draw(
     canvas.png(below.as_ref())
 }
 
-fn add(canvas: &mut Canvas, tile: &Path, grade: Grade, opaque: bool) -> Result<(), BlobError> {
+fn add(canvas: &mut Canvas, tile: &Path, grade: DisplayTransform, opaque: bool) -> Result<(), BlobError> {
     let mut reader = Reader::open_at(BufReader::new(File::open(tile)?), 0)?;
     let rect = reader.rect();
     if reader.planes() < 4 {

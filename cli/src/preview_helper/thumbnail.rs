@@ -8,7 +8,7 @@ use anyhow::{Context, bail};
 use exr::prelude::{ReadChannels, ReadLayers, Vec2, read};
 use png::{BitDepth, ColorType, Decoder, Limits};
 use scene::Job;
-use scene::color::{Grade, linear_from_srgb};
+use scene::color::{DisplayTransform, linear_from_srgb};
 
 use super::canvas::{Canvas, Shown, shown};
 
@@ -76,9 +76,9 @@ fn of_exr(input: BufReader<File>, width_px: u32) -> anyhow::Result<Canvas> {
 }
 
 /// An EXR is linear: its light is shown as it is.
-fn plain_grade() -> Grade {
+fn plain_grade() -> DisplayTransform {
     const PLAIN: &str = r#"{ "scene": { "camera": { "position": [0, 0, 3], "look_at": [0, 0, 0] },
         "objects": [{ "shape": { "sphere": { "radius": 1 } } }] }, "image": { "width": 1, "height": 1 } }"#;
     let job: Job = scene::parse(PLAIN.as_bytes()).expect("a sound job");
-    Grade::of(&job.image)
+    DisplayTransform::new(&job.image)
 }

@@ -21,7 +21,7 @@ pub use perspective::Perspective;
 use super::{Matrix, Ray, View};
 use crate::bounds::Bounds;
 use crate::job::Image;
-pub use crate::kinds::{Example, Exemplary};
+pub use crate::kinds::{Example, HasExamples};
 use crate::march::Tolerance;
 use crate::real::{Real, Vec3};
 use crate::seek::Seek;

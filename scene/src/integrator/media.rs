@@ -3,15 +3,15 @@
 //! The light that is lost on the way falls as Beer and Lambert say; what is scattered towards the
 //! viewer is scattered once, and comes straight from the lights.
 
-use super::Program;
-use super::lighting::arriving_in_air;
+use super::Integrator;
+use super::lighting::sample_lights;
 use crate::backgrounds::Backdrop;
 use crate::bounds::Bounds;
 use crate::camera::Ray;
-use crate::lights::{Light, LightSource, Surrounding};
-use crate::materials::{Filling, Shade};
+use crate::lights::{AmbientLight, Light, LightSource};
+use crate::materials::{MediumMaterial, Shade};
 use crate::real::{Real, Vec3, bundle, vec3};
-use crate::sampling::Dice;
+use crate::sampling::Sampler;
 use crate::scene::Scene;
 
 /// The filled objects of a scene.
@@ -30,14 +30,14 @@ pub(super) struct Media<'a> {
 #[derive(Clone, Debug)]
 struct Medium<'a> {
     object: usize,
-    filling: Filling<'a>,
+    material: MediumMaterial<'a>,
     /// Length of a step inside.
     step: f32,
 }
 
 /// What a ray has gathered on its way through the air.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Crossed<R> {
+pub(super) struct MediumSegment<R> {
     /// Light scattered towards the viewer.
     pub(super) color: Vec3<R>,
     /// Share of the light from the far end that is left.
@@ -45,33 +45,33 @@ pub(super) struct Crossed<R> {
     pub(super) evaluations: R,
 }
 
-bundle!(Crossed { color, transmittance, evaluations });
+bundle!(MediumSegment { color, transmittance, evaluations });
 
 /// What fills a point of space.
-struct Stuff<R> {
+struct MediumProperties<R> {
     /// The extinction coefficient.
     extinction: R,
     /// The extinction times the colour that is sent to the viewer.
-    sent: Vec3<R>,
+    source: Vec3<R>,
 }
 
 /// So little is left that nobody sees what is behind.
-const OPAQUE: f32 = 1.0 / 256.0;
+const MIN_TRANSMITTANCE: f32 = 1.0 / 256.0;
 /// Steps outside of all shapes, on the way to one of them.
-const OUTSIDE_STEPS: u32 = 96;
+const MAX_EMPTY_STEPS: u32 = 96;
 
 impl<'a> Media<'a> {
     /// The filled objects, if there are any; `origin` is where the camera is.
     pub(super) fn new(scene: &'a Scene, origin: Vec3<f32>) -> Option<Self> {
         let mut all = Vec::new();
-        let mut bounds = Bounds::NOWHERE;
+        let mut bounds = Bounds::EMPTY;
         let (mut max_steps, mut light_steps) = (0, 0);
         for (object, tree) in scene.objects.iter().enumerate() {
-            let Some(filling) = scene.material_of(object).filling() else { continue };
+            let Some(filling) = scene.material_of(object).as_medium() else { continue };
             let own = tree.shape.bounds(0.0);
             let within = if own.is_finite() { own.diagonal() } else { scene.march.max_distance.get() };
-            all.push(Medium { object, step: within / filling.steps() as f32, filling });
-            bounds = if all.len() == 1 { own } else { bounds.hull(own) };
+            all.push(Medium { object, step: within / filling.steps() as f32, material: filling });
+            bounds = if all.len() == 1 { own } else { bounds.union(own) };
             max_steps += filling.steps();
             light_steps = light_steps.max(filling.light_steps());
         }
@@ -79,29 +79,35 @@ impl<'a> Media<'a> {
     }
 }
 
-impl Program<'_> {
+impl Integrator<'_> {
     /// What a ray gathers until `farthest`.
-    pub(super) fn cross<R: Real>(&self, media: &Media<'_>, ray: &Ray<R>, farthest: R, dice: &Dice<R>) -> Crossed<R> {
+    pub(super) fn integrate_media<R: Real>(
+        &self,
+        media: &Media<'_>,
+        ray: &Ray<R>,
+        farthest: R,
+        dice: &Sampler<R>,
+    ) -> MediumSegment<R> {
         farthest.vectorize(
             #[inline(always)]
             || {
-                let (zero, one) = (farthest.splat(0.0), farthest.splat(1.0));
-                let nothing = Crossed { color: vec3(zero, zero, zero), transmittance: one, evaluations: zero };
-                let (near, far) = media.bounds.along(ray, farthest);
+                let (zero, one) = (farthest.constant(0.0), farthest.constant(1.0));
+                let nothing = MediumSegment { color: vec3(zero, zero, zero), transmittance: one, evaluations: zero };
+                let (near, far) = media.bounds.intersect_ray(ray, farthest);
                 R::when(
                     near.lt(far),
                     nothing,
                     #[inline(always)]
                     || {
-                        let (_, jitter) = dice.pair(super::lighting::CHOICE);
+                        let (_, jitter) = dice.get_2d(super::lighting::DIM_LOBE);
                         let (_, crossed) = R::repeat(
-                            media.max_steps + OUTSIDE_STEPS,
+                            media.max_steps + MAX_EMPTY_STEPS,
                             (near, nothing),
                             #[inline(always)]
                             |(t, crossed)| {
-                                let (step, crossed) = self.air_step(media, ray, t, jitter, &crossed, dice);
+                                let (step, crossed) = self.media_step(media, ray, t, jitter, &crossed, dice);
                                 let next = t + step;
-                                (next.lt(far) & crossed.transmittance.above(OPAQUE), (next, crossed))
+                                (next.lt(far) & crossed.transmittance.above(MIN_TRANSMITTANCE), (next, crossed))
                             },
                         );
                         crossed
@@ -113,21 +119,21 @@ impl Program<'_> {
 
     /// The length of a step from `t` on a ray, and what has been gathered at its end.
     #[inline(always)]
-    fn air_step<R: Real>(
+    fn media_step<R: Real>(
         &self,
         media: &Media<'_>,
         ray: &Ray<R>,
         t: R,
         jitter: R,
-        crossed: &Crossed<R>,
-        dice: &Dice<R>,
-    ) -> (R, Crossed<R>) {
+        crossed: &MediumSegment<R>,
+        dice: &Sampler<R>,
+    ) -> (R, MediumSegment<R>) {
         let p = ray.at(t);
-        let (mut outside, mut inside_step) = (t.splat(1e9), t.splat(1e9));
+        let (mut outside, mut inside_step) = (t.constant(1e9), t.constant(1e9));
         let mut depths = Vec::with_capacity(media.all.len());
         for medium in &media.all {
             let distance = self.object_distance(medium.object, p);
-            let step = t.given(medium.step);
+            let step = t.uniform(medium.step);
             inside_step = inside_step.min(R::select(distance.below(0.0), step, inside_step));
             // Into the shape by a part of a step that differs from ray to ray, or its rim would show.
             outside = outside.min(R::select(distance.below(0.0), outside, jitter.mul_add(step, distance)));
@@ -135,25 +141,25 @@ impl Program<'_> {
         }
         let is_inside = inside_step.below(1e9);
         let step = R::select(is_inside, inside_step.min(outside), outside).at_least(1e-6);
-        let here = Crossed { evaluations: crossed.evaluations + 1.0, ..*crossed };
+        let here = MediumSegment { evaluations: crossed.evaluations + 1.0, ..*crossed };
         let crossed = R::when(
             is_inside,
             here,
             #[inline(always)]
             || {
-                let stuff = self.stuff(media, p, &depths, ray.direction, dice);
+                let stuff = self.medium_properties(media, p, &depths, ray.direction, dice);
                 let left = (-(stuff.extinction * step)).exp();
-                let share = (left.splat(1.0) - left) * here.transmittance / stuff.extinction.at_least(1e-9);
-                let sent = stuff.sent * share;
+                let share = (left.constant(1.0) - left) * here.transmittance / stuff.extinction.at_least(1e-9);
+                let sent = stuff.source * share;
                 let sent = match &self.scene.fog {
                     None => sent,
                     Some(fog) => {
                         let clear = fog.transmittance(ray, t);
-                        let veiled = (clear.splat(1.0) - clear) * share * stuff.extinction;
+                        let veiled = (clear.constant(1.0) - clear) * share * stuff.extinction;
                         self.fog_color(fog, ray.direction).mul_add(veiled, sent * clear)
                     }
                 };
-                Crossed {
+                MediumSegment {
                     color: here.color + sent,
                     transmittance: here.transmittance * left,
                     evaluations: here.evaluations,
@@ -165,23 +171,23 @@ impl Program<'_> {
 
     /// What fills `p`, so deep inside each medium, and what it sends against `direction`.
     #[inline(always)]
-    fn stuff<R: Real>(
+    fn medium_properties<R: Real>(
         &self,
         media: &Media<'_>,
         p: Vec3<R>,
         depths: &[R],
         direction: Vec3<R>,
-        dice: &Dice<R>,
-    ) -> Stuff<R> {
-        let zero = p.x.splat(0.0);
+        dice: &Sampler<R>,
+    ) -> MediumProperties<R> {
+        let zero = p.x.constant(0.0);
         let black = vec3(zero, zero, zero);
-        let mut stuff = Stuff { extinction: zero, sent: black };
+        let mut stuff = MediumProperties { extinction: zero, source: black };
         let mut scattering = Vec::new();
         for (medium, &depth) in media.all.iter().zip(depths) {
-            let extinction = medium.filling.extinction(p, depth);
+            let extinction = medium.material.extinction(p, depth);
             stuff.extinction = stuff.extinction + extinction;
-            stuff.sent = medium.filling.glow(p.x).mul_add(extinction, stuff.sent);
-            if let Some(volume) = medium.filling.scatters() {
+            stuff.source = medium.material.emission(p.x).mul_add(extinction, stuff.source);
+            if let Some(volume) = medium.material.as_scattering() {
                 scattering.push((volume, extinction));
             }
         }
@@ -189,29 +195,32 @@ impl Program<'_> {
             return stuff;
         }
         let thick = scattering.iter().fold(zero, |sum, (_, extinction)| sum + *extinction).above(1e-6);
-        let sent = stuff.sent;
-        stuff.sent = R::when(
+        let sent = stuff.source;
+        stuff.source = R::when(
             thick,
             sent,
             #[inline(always)]
             || {
                 let mut sent = sent;
-                for (source, incoming, distance) in arriving_in_air(self, p, dice) {
-                    let lit = self.light_in_air(media, source, p, incoming.direction, distance);
+                for (source, incoming, distance) in sample_lights(self, p, dice) {
+                    let lit = self.light_optical_depth(media, source, p, incoming.direction, distance);
                     let cosine = direction.dot(incoming.direction);
                     for (volume, extinction) in &scattering {
                         let phase = volume.phase(cosine, lit);
-                        sent = incoming.radiance.by_channel(volume.scattered(p.x)).mul_add(phase * *extinction, sent);
+                        sent = incoming
+                            .radiance
+                            .mul_elementwise(volume.scattering_albedo(p.x))
+                            .mul_add(phase * *extinction, sent);
                     }
                 }
                 for source in &self.scene.lights {
-                    let Some(Surrounding { from, strength }) = source.surrounding(&self.scene.background) else {
+                    let Some(AmbientLight { from, strength }) = source.ambient(&self.scene.background) else {
                         continue;
                     };
-                    let (up, down) = (vec3(zero, zero.splat(1.0), zero), vec3(zero, zero.splat(-1.0), zero));
-                    let mean = (from.toward(up) + from.toward(down)) * zero.given(0.5 * strength);
+                    let (up, down) = (vec3(zero, zero.constant(1.0), zero), vec3(zero, zero.constant(-1.0), zero));
+                    let mean = (from.radiance(up) + from.radiance(down)) * zero.uniform(0.5 * strength);
                     for (volume, extinction) in &scattering {
-                        sent = mean.by_channel(volume.scattered(p.x)).mul_add(*extinction, sent);
+                        sent = mean.mul_elementwise(volume.scattering_albedo(p.x)).mul_add(*extinction, sent);
                     }
                 }
                 sent
@@ -222,7 +231,7 @@ impl Program<'_> {
 
     /// Optical depth τ between a light and `p`; 80 if a surface is in between, so that exp(−τ) is 0.
     #[inline(always)]
-    fn light_in_air<R: Real>(
+    fn light_optical_depth<R: Real>(
         &self,
         media: &Media<'_>,
         source: &Light,
@@ -230,18 +239,18 @@ impl Program<'_> {
         direction: Vec3<R>,
         distance: R,
     ) -> R {
-        const SHADOW: f32 = 80.0;
+        const OPAQUE_DEPTH: f32 = 80.0;
         if !source.casts_shadows() {
-            return p.x.splat(0.0);
+            return p.x.constant(0.0);
         }
         let ray = Ray { origin: p, direction };
         let depth = self.optical_depth(media, &ray, distance);
         if self.surfaces.is_empty() {
             return depth;
         }
-        let near = p.x.given(self.tolerance.floor) + p.x.given(self.tolerance.slope);
-        let (visible, _) = self.clear(&ray, near, distance);
-        depth + (visible.splat(1.0) - visible) * SHADOW
+        let near = p.x.uniform(self.tolerance.floor) + p.x.uniform(self.tolerance.slope);
+        let (visible, _) = self.is_unoccluded(&ray, near, distance);
+        depth + (visible.constant(1.0) - visible) * OPAQUE_DEPTH
     }
 
     /// The share of the light that comes along a ray through the air.
@@ -252,20 +261,20 @@ impl Program<'_> {
 
     /// The integral of the extinction along a ray until `farthest`.
     fn optical_depth<R: Real>(&self, media: &Media<'_>, ray: &Ray<R>, farthest: R) -> R {
-        farthest.shared(
+        farthest.call(
             "optical_depth",
             (*ray, farthest),
             #[inline(always)]
             |(ray, farthest)| {
-                let zero = farthest.splat(0.0);
-                let (near, far) = media.bounds.along(&ray, farthest);
+                let zero = farthest.constant(0.0);
+                let (near, far) = media.bounds.intersect_ray(&ray, farthest);
                 R::when(
                     near.lt(far),
                     zero,
                     #[inline(always)]
                     || {
-                        let step = (far - near) * zero.splat(1.0 / media.light_steps as f32);
-                        let start = step.mul_add(zero.splat(0.5), near);
+                        let step = (far - near) * zero.constant(1.0 / media.light_steps as f32);
+                        let start = step.mul_add(zero.constant(0.5), near);
                         let (_, sum) = R::repeat(
                             media.light_steps,
                             (start, zero),
@@ -286,7 +295,7 @@ impl Program<'_> {
     /// The extinction of all that fills `p`.
     #[inline(always)]
     fn extinction<R: Real>(&self, media: &Media<'_>, p: Vec3<R>) -> R {
-        let zero = p.x.splat(0.0);
+        let zero = p.x.constant(0.0);
         let mut sum = zero;
         for medium in &media.all {
             let depth = -self.object_distance(medium.object, p);
@@ -294,7 +303,7 @@ impl Program<'_> {
                 depth.above(0.0),
                 zero,
                 #[inline(always)]
-                || medium.filling.extinction(p, depth),
+                || medium.material.extinction(p, depth),
             );
             sum = sum + own;
         }

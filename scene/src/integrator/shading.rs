@@ -1,22 +1,22 @@
 //! Material shading at a hit: evaluates each material there and blends the results by weight.
 
-use super::{Hit, Program};
+use super::{Hit, Integrator};
 use crate::camera::Ray;
-use crate::materials::microfacet::frame;
-use crate::materials::{Finish, Lighting, Place, Shade};
-use crate::nodes::{Coat, Painted, Sample};
+use crate::materials::microfacet::orthonormal_basis;
+use crate::materials::{IncidentLight, Shade, ShadingPoint, SpecularBsdf};
+use crate::nodes::{DistanceWithMaterials, MaterialWeight, SdfValue};
 use crate::real::{Bundle, Real, Vec3, vec3};
 use crate::scene::Scene;
 
 /// Which materials are worn where: what a scene's structure tells.
 #[derive(Clone, Debug)]
-pub(super) struct Clothes {
+pub(super) struct MaterialTable {
     /// Whether an object's tree says materials of its own.
-    painted: Vec<bool>,
+    has_own_materials: Vec<bool>,
     /// Materials that some surface may wear.
-    worn: Vec<usize>,
+    surface_slots: Vec<usize>,
     /// The material of all surfaces, where there is only one and it looks the same from every space.
-    only: Option<usize>,
+    single_slot: Option<usize>,
     /// Whether some material needs the normal in its own space.
     needs_own_normal: bool,
     /// Whether some texture needs the footprint in its own space.
@@ -24,39 +24,39 @@ pub(super) struct Clothes {
 }
 
 /// A material on a surface.
-struct Worn<R> {
+struct HitMaterial<R> {
     slot: usize,
-    share: R,
+    weight: R,
     point: Vec3<R>,
     own_normal: Vec3<R>,
     footprint: [Vec3<R>; 2],
 }
 
-impl Clothes {
+impl MaterialTable {
     pub(super) fn new(scene: &Scene) -> Self {
-        let slots = scene.slots();
-        let painted: Vec<bool> = scene.objects.iter().map(|object| object.shape.is_painted()).collect();
+        let slots = scene.used_materials();
+        let painted: Vec<bool> = scene.objects.iter().map(|object| object.shape.has_own_materials()).collect();
         let worn: Vec<usize> = (0..slots.len()).filter(|&slot| !slots[slot].is_medium()).collect();
         let is_textured = |slot: usize| slots[slot].is_textured() && painted.contains(&true);
         let only = match worn[..] {
             [only] if slots.len() == 1 && !is_textured(only) => Some(only),
             _ => None,
         };
-        let needs_own_normal = worn.iter().any(|&slot| slots[slot].needs_own_normal());
+        let needs_own_normal = worn.iter().any(|&slot| slots[slot].needs_local_normal());
         let needs_footprint = worn.iter().any(|&slot| slots[slot].needs_footprint());
-        Self { painted, worn, only, needs_own_normal, needs_footprint }
+        Self { has_own_materials: painted, surface_slots: worn, single_slot: only, needs_own_normal, needs_footprint }
     }
 
     pub(super) fn slots(&self) -> impl Iterator<Item = usize> + '_ {
-        self.worn.iter().copied()
+        self.surface_slots.iter().copied()
     }
 }
 
-impl Program<'_> {
+impl Integrator<'_> {
     /// The surface's own colour at a hit of an object.
     #[inline(always)]
     pub(super) fn albedo<R: Real>(&self, hit: &Hit<R>, ray: &Ray<R>, object: R) -> Vec3<R> {
-        let black = vec3(object.splat(0.0), object.splat(0.0), object.splat(0.0));
+        let black = vec3(object.constant(0.0), object.constant(0.0), object.constant(0.0));
         self.blend(
             hit,
             ray,
@@ -65,22 +65,23 @@ impl Program<'_> {
             object,
             black,
             #[inline(always)]
-            |slot, place| self.scene.slots()[slot].albedo(place),
+            |slot, place| self.scene.used_materials()[slot].albedo(place),
             #[inline(always)]
             |sum, color, share| color.mul_add(share, sum),
         )
     }
 
     /// The shaded colour at a hit.
-    pub(super) fn dress<R: Real>(&self, hit: &Hit<R>, ray: &Ray<R>, light: &Lighting<R>) -> Vec3<R> {
-        hit.distance.vectorize(
+    pub(super) fn shade<R: Real>(&self, hit: &Hit<R>, ray: &Ray<R>, light: &IncidentLight<R>) -> Vec3<R> {
+        hit.t.vectorize(
             #[inline(always)]
             || {
-                if let Some(only) = self.clothes.only {
-                    return self.scene.slots()[only].shade(&Place::of(hit, ray, self.footprint(hit, ray)), light);
+                if let Some(only) = self.materials.single_slot {
+                    return self.scene.used_materials()[only]
+                        .shade(&ShadingPoint::new(hit, ray, self.footprint(hit, ray)), light);
                 }
-                let object = self.nearest(hit.position).1;
-                let black = vec3(object.splat(0.0), object.splat(0.0), object.splat(0.0));
+                let object = self.nearest_object(hit.position).1;
+                let black = vec3(object.constant(0.0), object.constant(0.0), object.constant(0.0));
                 self.blend(
                     hit,
                     ray,
@@ -88,7 +89,7 @@ impl Program<'_> {
                     object,
                     black,
                     #[inline(always)]
-                    |slot, place| self.scene.slots()[slot].shade(place, light),
+                    |slot, place| self.scene.used_materials()[slot].shade(place, light),
                     #[inline(always)]
                     |sum, color, share| color.mul_add(share, sum),
                 )
@@ -97,23 +98,23 @@ impl Program<'_> {
     }
 
     /// The shaded colour at a hit, and how it sends rays on.
-    pub(super) fn dress_and_finish<R: Real>(
+    pub(super) fn shade_with_specular<R: Real>(
         &self,
         hit: &Hit<R>,
         ray: &Ray<R>,
-        light: &Lighting<R>,
-    ) -> (Vec3<R>, Finish<R>) {
-        hit.distance.vectorize(
+        light: &IncidentLight<R>,
+    ) -> (Vec3<R>, SpecularBsdf<R>) {
+        hit.t.vectorize(
             #[inline(always)]
             || {
-                let (zero, one) = (hit.distance.splat(0.0), hit.distance.splat(1.0));
+                let (zero, one) = (hit.t.constant(0.0), hit.t.constant(1.0));
                 let black = vec3(zero, zero, zero);
-                let matt = Finish { mirrored: black, roughness: one, passed: black, ior: one };
-                if let Some(only) = self.clothes.only {
-                    return self.of_slot(only, &Place::of(hit, ray, self.footprint(hit, ray)), light, matt);
+                let matt = SpecularBsdf { f0: black, roughness: one, transmission: black, ior: one };
+                if let Some(only) = self.materials.single_slot {
+                    return self.shade_slot(only, &ShadingPoint::new(hit, ray, self.footprint(hit, ray)), light, matt);
                 }
-                let object = self.nearest(hit.position).1;
-                let none = Finish { roughness: zero, ior: zero, ..matt };
+                let object = self.nearest_object(hit.position).1;
+                let none = SpecularBsdf { roughness: zero, ior: zero, ..matt };
                 self.blend(
                     hit,
                     ray,
@@ -121,13 +122,13 @@ impl Program<'_> {
                     object,
                     (black, none),
                     #[inline(always)]
-                    |slot, place| self.of_slot(slot, place, light, matt),
+                    |slot, place| self.shade_slot(slot, place, light, matt),
                     #[inline(always)]
                     |(sum, finish), (color, own), share| {
-                        let finish = Finish {
-                            mirrored: own.mirrored.mul_add(share, finish.mirrored),
+                        let finish = SpecularBsdf {
+                            f0: own.f0.mul_add(share, finish.f0),
                             roughness: own.roughness.mul_add(share, finish.roughness),
-                            passed: own.passed.mul_add(share, finish.passed),
+                            transmission: own.transmission.mul_add(share, finish.transmission),
                             ior: own.ior.mul_add(share, finish.ior),
                         };
                         (color.mul_add(share, sum), finish)
@@ -138,15 +139,15 @@ impl Program<'_> {
     }
 
     #[inline(always)]
-    fn of_slot<R: Real>(
+    fn shade_slot<R: Real>(
         &self,
         slot: usize,
-        place: &Place<R>,
-        light: &Lighting<R>,
-        matt: Finish<R>,
-    ) -> (Vec3<R>, Finish<R>) {
-        let material = &self.scene.slots()[slot];
-        (material.shade(place, light), material.finish(place).unwrap_or(matt))
+        place: &ShadingPoint<R>,
+        light: &IncidentLight<R>,
+        matt: SpecularBsdf<R>,
+    ) -> (Vec3<R>, SpecularBsdf<R>) {
+        let material = &self.scene.used_materials()[slot];
+        (material.shade(place, light), material.specular(place).unwrap_or(matt))
     }
 
     /// What the materials at a hit of an object give, added up by their shares.
@@ -158,19 +159,23 @@ impl Program<'_> {
         footprint: [Vec3<R>; 2],
         object: R,
         nothing: T,
-        of_slot: impl Fn(usize, &Place<R>) -> T,
+        of_slot: impl Fn(usize, &ShadingPoint<R>) -> T,
         add: impl Fn(T, T, R) -> T,
     ) -> T {
         let mut sum = nothing;
-        for worn in self.worn(hit, footprint, object) {
-            let place = Place { point: worn.point, own_normal: worn.own_normal, ..Place::of(hit, ray, worn.footprint) };
+        for worn in self.hit_materials(hit, footprint, object) {
+            let place = ShadingPoint {
+                local_point: worn.point,
+                local_normal: worn.own_normal,
+                ..ShadingPoint::new(hit, ray, worn.footprint)
+            };
             let part = R::when(
-                worn.share.above(0.0),
+                worn.weight.above(0.0),
                 nothing,
                 #[inline(always)]
                 || of_slot(worn.slot, &place),
             );
-            sum = add(sum, part, worn.share);
+            sum = add(sum, part, worn.weight);
         }
         sum
     }
@@ -179,9 +184,9 @@ impl Program<'_> {
     /// each other as the camera sees them. A surface seen edge on counts as seen at a fiftieth of its length.
     #[inline(always)]
     fn footprint<R: Real>(&self, hit: &Hit<R>, ray: &Ray<R>) -> [Vec3<R>; 2] {
-        let half = self.seen.at(hit.distance);
+        let half = self.seen.at(hit.t);
         let facing = (-ray.direction.dot(hit.normal)).at_least(0.02);
-        let (right, up) = frame(ray.direction);
+        let (right, up) = orthonormal_basis(ray.direction);
         [right, up].map(
             #[inline(always)]
             |side| ray.direction.mul_add(side.dot(hit.normal) / facing, side) * half,
@@ -190,39 +195,43 @@ impl Program<'_> {
 
     /// The materials at a hit of an object, and where each sees it.
     #[inline(always)]
-    fn worn<R: Real>(&self, hit: &Hit<R>, footprint: [Vec3<R>; 2], object: R) -> Vec<Worn<R>> {
-        let (p, zero) = (hit.position, object.splat(0.0));
-        let worn = |slot| Worn { slot, share: zero, point: p, own_normal: hit.normal, footprint };
-        let mut all: Vec<Worn<R>> = self.clothes.slots().map(worn).collect();
-        let place_of = |slot: u32| self.clothes.worn.iter().position(|&worn| worn == slot as usize);
+    fn hit_materials<R: Real>(&self, hit: &Hit<R>, footprint: [Vec3<R>; 2], object: R) -> Vec<HitMaterial<R>> {
+        let (p, zero) = (hit.position, object.constant(0.0));
+        let worn = |slot| HitMaterial { slot, weight: zero, point: p, own_normal: hit.normal, footprint };
+        let mut all: Vec<HitMaterial<R>> = self.materials.slots().map(worn).collect();
+        let place_of = |slot: u32| self.materials.surface_slots.iter().position(|&worn| worn == slot as usize);
         for &index in &self.surfaces {
             let tree = &self.scene.objects[index];
             let here = (object - index as f32).abs().below(0.5);
             let own = tree.material.slot();
-            if !self.clothes.painted[index] {
+            if !self.materials.has_own_materials[index] {
                 if let Some(place) = place_of(own) {
-                    all[place].share = R::select(here, zero.splat(1.0), all[place].share);
+                    all[place].weight = R::select(here, zero.constant(1.0), all[place].weight);
                 }
                 continue;
             }
-            let coats = self.coats(index, p);
+            let coats = self.material_weights(index, p);
             // How the normal's own space sees a short way along it.
-            let further = self.clothes.needs_own_normal.then(|| self.coats(index, hit.normal.mul_add(reach(p), p)));
+            let further = self
+                .materials
+                .needs_own_normal
+                .then(|| self.material_weights(index, hit.normal.mul_add(probe_offset(p), p)));
             // The footprint in that space: where its ends are seen.
-            let ends = self.clothes.needs_footprint.then(|| footprint.map(|end| self.coats(index, p + end)));
+            let ends =
+                self.materials.needs_footprint.then(|| footprint.map(|end| self.material_weights(index, p + end)));
             for (number, coat) in coats.iter().enumerate() {
                 let Some(place) = place_of(coat.slot.unwrap_or(own)) else { continue };
                 let worn = &mut all[place];
-                worn.share = R::select(here, coat.share, zero) + worn.share;
-                if self.scene.slots()[worn.slot].is_textured() {
-                    worn.point = Vec3::select(here, coat.place, worn.point);
+                worn.weight = R::select(here, coat.weight, zero) + worn.weight;
+                if self.scene.used_materials()[worn.slot].is_textured() {
+                    worn.point = Vec3::select(here, coat.point, worn.point);
                     if let Some(further) = &further {
-                        let own_normal = (further[number].place - coat.place).normalize();
+                        let own_normal = (further[number].point - coat.point).normalize();
                         worn.own_normal = Vec3::select(here, own_normal, worn.own_normal);
                     }
                     if let Some(ends) = &ends {
                         for (seen, end) in worn.footprint.iter_mut().zip(ends) {
-                            *seen = Vec3::select(here, end[number].place - coat.place, *seen);
+                            *seen = Vec3::select(here, end[number].point - coat.point, *seen);
                         }
                     }
                 }
@@ -233,16 +242,16 @@ impl Program<'_> {
 
     /// The coats of an object's tree at `p`.
     #[inline(always)]
-    fn coats<R: Real>(&self, index: usize, p: Vec3<R>) -> Vec<Coat<R>> {
+    fn material_weights<R: Real>(&self, index: usize, p: Vec3<R>) -> Vec<MaterialWeight<R>> {
         let tree = &self.scene.objects[index];
-        let sample: Painted<R> = tree.shape.sample(p);
-        sample.paint(tree.material.slot(), p).coats().to_vec()
+        let sample: DistanceWithMaterials<R> = tree.shape.sample(p);
+        sample.paint(tree.material.slot(), p).weights().to_vec()
     }
 }
 
 /// How far along a normal one goes to see it from another space.
 #[inline(always)]
-fn reach<R: Real>(p: Vec3<R>) -> R {
+fn probe_offset<R: Real>(p: Vec3<R>) -> R {
     let size = vec3(p.x.abs(), p.y.abs(), p.z.abs()).max_element();
     (size + 1.0) * 1e-2
 }

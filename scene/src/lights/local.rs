@@ -3,12 +3,12 @@
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use super::{Exemplary, Incoming, LightSource, around, white, yes};
+use super::{HasExamples, LightSample, LightSource, default_shadow, direction_around, white};
 use crate::backgrounds::Day;
-use crate::materials::microfacet::frame;
+use crate::materials::microfacet::orthonormal_basis;
 use crate::real::{Real, Vec3};
 use crate::seek::Seek;
-use crate::values::{Aperture, Color, Direction, Length, Point, Share};
+use crate::values::{Color, Direction, Fraction, FullAngle, Length, Point};
 
 /// Light from a point within a cone; its strength falls as 1/d².
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
@@ -19,16 +19,16 @@ pub struct SpotLight {
     /// Where it shines to; of any length.
     pub direction: Direction,
     /// The cone's whole angle, in degrees.
-    #[serde(default = "forty_degrees")]
-    pub angle: Aperture,
+    #[serde(default = "default_angle")]
+    pub angle: FullAngle,
     /// Share of the cone, from its edge inwards, over which the light fades in.
-    #[serde(default = "a_fifth")]
-    pub softness: Share,
+    #[serde(default = "default_softness")]
+    pub softness: Fraction,
     /// Its colour, and its strength at a distance of 1.
     #[serde(default = "white")]
     pub color: Color,
     /// Whether things cast shadows in it.
-    #[serde(default = "yes")]
+    #[serde(default = "default_shadow")]
     pub shadow: bool,
 }
 
@@ -48,39 +48,39 @@ pub struct SphereLight {
     #[serde(default = "white")]
     pub color: Color,
     /// Whether things cast shadows in it.
-    #[serde(default = "yes")]
+    #[serde(default = "default_shadow")]
     pub shadow: bool,
 }
 
-impl Exemplary for SpotLight {
+impl HasExamples for SpotLight {
     const EXAMPLE: &'static str =
         r#"{ "position": [-1.6, 3.2, 2.6], "direction": [1.7, -4.4, -2.5], "angle": 30, "color": [26, 24, 21] }"#;
-    const MORE: &'static [&'static str] = &[
+    const MORE_EXAMPLES: &'static [&'static str] = &[
         r#"{ "position": [-1.6, 3.2, 2.6], "direction": [1.7, -4.4, -2.5], "angle": 40, "softness": 1, "color": [26, 24, 21] }"#,
     ];
 }
 
 impl LightSource for SpotLight {
     #[inline(always)]
-    fn arriving<R: Real>(
+    fn sample<R: Real>(
         &self,
         p: Vec3<R>,
         _: R,
         _: Option<&Day>,
         _: impl FnOnce() -> (R, R),
-    ) -> Option<(Incoming<R>, R)> {
-        let towards = Vec3::given(p.x, self.position.get()) - p;
+    ) -> Option<(LightSample<R>, R)> {
+        let towards = Vec3::uniform(p.x, self.position.get()) - p;
         let distance = towards.length().at_least(1e-6);
-        let per_distance = p.x.splat(1.0) / distance;
+        let per_distance = p.x.constant(1.0) / distance;
         let direction = towards * per_distance;
         let half = self.angle.get() * (std::f32::consts::PI / 360.0);
         let (edge, full) = (Real::cos(half), Real::cos(half * (1.0 - self.softness.get())));
-        let inside = -direction.dot_known(self.direction.unit());
-        let share = (inside - p.x.given(edge)) * p.x.given(1.0 / (full - edge).max(1e-6));
+        let inside = -direction.dot_uniform(self.direction.unit());
+        let share = (inside - p.x.uniform(edge)) * p.x.uniform(1.0 / (full - edge).max(1e-6));
         let share = share.at_least(0.0).at_most(1.0);
-        let fade = share.square() * (share.splat(3.0) - share * 2.0);
-        let radiance = Vec3::given(p.x, self.color.get()) * (per_distance.square() * fade);
-        Some((Incoming { direction, radiance }, distance))
+        let fade = share.square() * (share.constant(3.0) - share * 2.0);
+        let radiance = Vec3::uniform(p.x, self.color.get()) * (per_distance.square() * fade);
+        Some((LightSample { direction, radiance }, distance))
     }
 
     fn casts_shadows(&self) -> bool {
@@ -92,37 +92,37 @@ impl LightSource for SpotLight {
     }
 }
 
-impl Exemplary for SphereLight {
+impl HasExamples for SphereLight {
     const EXAMPLE: &'static str = r#"{ "position": [-1.3, 1.5, 1.5], "radius": 0.5, "color": [4.6, 4.2, 3.6] }"#;
 }
 
 impl LightSource for SphereLight {
     #[inline(always)]
-    fn arriving<R: Real>(
+    fn sample<R: Real>(
         &self,
         p: Vec3<R>,
         _: R,
         _: Option<&Day>,
         pair: impl FnOnce() -> (R, R),
-    ) -> Option<(Incoming<R>, R)> {
+    ) -> Option<(LightSample<R>, R)> {
         let (u, v) = pair();
-        let one = p.x.splat(1.0);
-        let radius = p.x.given(self.radius.get());
-        let towards = Vec3::given(p.x, self.position.get()) - p;
+        let one = p.x.constant(1.0);
+        let radius = p.x.uniform(self.radius.get());
+        let towards = Vec3::uniform(p.x, self.position.get()) - p;
         // Inside the ball light comes from all of a half space.
         let distance = towards.length().max(radius);
         let per_distance = one / distance;
         let axis = (towards * per_distance).normalize();
         let sine = (radius * per_distance).at_most(1.0);
         let versine_of_edge = sine.square() / (one + (one - sine.square()).sqrt());
-        let (right, up) = frame(axis);
-        let direction = around(axis, right, up, u * versine_of_edge, v);
+        let (right, up) = orthonormal_basis(axis);
+        let direction = direction_around(axis, right, up, u * versine_of_edge, v);
         let along = direction.dot(towards);
         let to_surface = along - (radius.square() - (distance.square() - along.square())).sqrt();
         // Its radiance is colour/r², over 2π·versine of solid angle, and π is left out of lights.
-        let strength = versine_of_edge * 2.0 * p.x.given(1.0 / (self.radius.get() * self.radius.get()).max(1e-20));
-        let radiance = Vec3::given(p.x, self.color.get()) * strength;
-        Some((Incoming { direction, radiance }, to_surface.at_least(1e-6)))
+        let strength = versine_of_edge * 2.0 * p.x.uniform(1.0 / (self.radius.get() * self.radius.get()).max(1e-20));
+        let radiance = Vec3::uniform(p.x, self.color.get()) * strength;
+        Some((LightSample { direction, radiance }, to_surface.at_least(1e-6)))
     }
 
     fn casts_shadows(&self) -> bool {
@@ -134,10 +134,10 @@ impl LightSource for SphereLight {
     }
 }
 
-fn forty_degrees() -> Aperture {
-    Aperture::new(40.0).expect("40 is in range")
+fn default_angle() -> FullAngle {
+    FullAngle::new(40.0).expect("40 is in range")
 }
 
-fn a_fifth() -> Share {
-    Share::new(0.2).expect("0.2 is in range")
+fn default_softness() -> Fraction {
+    Fraction::new(0.2).expect("0.2 is in range")
 }

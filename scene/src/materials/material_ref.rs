@@ -8,11 +8,11 @@ use serde::de::{MapAccess, Visitor, value::MapAccessDeserializer};
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
 
 use super::Material;
-use crate::seek::{Clock, Misfit, Seek};
+use crate::seek::{FrameTime, Seek, SeekError};
 
 /// A material where it is used: a name from the scene's `materials`, or one in place.
 #[derive(Clone, Debug, PartialEq)]
-pub enum MaterialUse {
+pub enum MaterialRef {
     /// In a job file: by name.
     Name(String),
     /// In a job file: in place.
@@ -21,7 +21,7 @@ pub enum MaterialUse {
     Slot(u32),
 }
 
-impl MaterialUse {
+impl MaterialRef {
     /// Its index among the scene's materials in use; 0 until it is resolved.
     #[inline(always)]
     pub fn slot(&self) -> u32 {
@@ -42,9 +42,9 @@ impl MaterialUse {
         let slot = match std::mem::replace(self, Self::Slot(0)) {
             Self::Name(name) => {
                 let Some(material) = named.get(&name) else { return Err(name) };
-                *slots.entry(name).or_insert_with(|| new_slot(used, material.clone()))
+                *slots.entry(name).or_insert_with(|| add_slot(used, material.clone()))
             }
-            Self::InPlace(material) => new_slot(used, *material),
+            Self::InPlace(material) => add_slot(used, *material),
             Self::Slot(slot) => slot,
         };
         *self = Self::Slot(slot);
@@ -52,13 +52,13 @@ impl MaterialUse {
     }
 }
 
-fn new_slot(used: &mut Vec<Material>, material: Material) -> u32 {
+fn add_slot(used: &mut Vec<Material>, material: Material) -> u32 {
     used.push(material);
     used.len() as u32 - 1
 }
 
-impl Seek for MaterialUse {
-    fn seek(&mut self, clock: &mut Clock<'_>) -> Result<bool, Box<Misfit>> {
+impl Seek for MaterialRef {
+    fn seek(&mut self, clock: &mut FrameTime<'_>) -> Result<bool, Box<SeekError>> {
         match self {
             // The materials themselves are sought once, among those in use.
             Self::Name(_) | Self::Slot(_) => Ok(false),
@@ -71,28 +71,28 @@ impl Seek for MaterialUse {
 struct MaterialUseVisitor;
 
 impl<'de> Visitor<'de> for MaterialUseVisitor {
-    type Value = MaterialUse;
+    type Value = MaterialRef;
 
     fn expecting(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         f.write_str("the name of a material, or a material in place")
     }
 
-    fn visit_str<E>(self, name: &str) -> Result<MaterialUse, E> {
-        Ok(MaterialUse::Name(name.to_owned()))
+    fn visit_str<E>(self, name: &str) -> Result<MaterialRef, E> {
+        Ok(MaterialRef::Name(name.to_owned()))
     }
 
-    fn visit_map<A: MapAccess<'de>>(self, map: A) -> Result<MaterialUse, A::Error> {
-        Material::deserialize(MapAccessDeserializer::new(map)).map(|material| MaterialUse::InPlace(Box::new(material)))
+    fn visit_map<A: MapAccess<'de>>(self, map: A) -> Result<MaterialRef, A::Error> {
+        Material::deserialize(MapAccessDeserializer::new(map)).map(|material| MaterialRef::InPlace(Box::new(material)))
     }
 }
 
-impl<'de> Deserialize<'de> for MaterialUse {
+impl<'de> Deserialize<'de> for MaterialRef {
     fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
         deserializer.deserialize_any(MaterialUseVisitor)
     }
 }
 
-impl Serialize for MaterialUse {
+impl Serialize for MaterialRef {
     fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
         match self {
             Self::Name(name) => name.serialize(serializer),
@@ -103,7 +103,7 @@ impl Serialize for MaterialUse {
     }
 }
 
-impl JsonSchema for MaterialUse {
+impl JsonSchema for MaterialRef {
     fn schema_name() -> Cow<'static, str> {
         "MaterialUse".into()
     }

@@ -9,43 +9,43 @@ use serde::de::value::{F64Deserializer, MapAccessDeserializer, SeqAccessDeserial
 use serde::de::{Error, MapAccess, SeqAccess, Visitor};
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
 
-use super::Place;
+use super::ShadingPoint;
 use super::texture::Texture;
 use crate::limits::MAX_TEXTURE_DEPTH;
 use crate::real::{Real, Vec3, vec3};
-use crate::seek::{Clock, Misfit, Seek};
-use crate::values::{Color, RefractiveIndex, Replayed, Share, Shininess};
+use crate::seek::{FrameTime, Seek, SeekError};
+use crate::values::{Color, Fraction, PeekedMap, RefractiveIndex, Shininess};
 
 /// Color: constant, or from a texture.
 #[derive(Clone, Debug, PartialEq)]
-pub enum Tint {
+pub enum ColorParam {
     /// Constant color.
-    Plain(Color),
+    Constant(Color),
     /// A texture's.
     Textured(Box<Texture>),
 }
 
-impl Tint {
+impl ColorParam {
     /// Constant color: red, green, blue in linear light.
-    pub const fn plain_of(red: f32, green: f32, blue: f32) -> Self {
-        Self::Plain(Color::new(red, green, blue))
+    pub const fn constant(red: f32, green: f32, blue: f32) -> Self {
+        Self::Constant(Color::new(red, green, blue))
     }
 
     /// Black everywhere.
     pub const fn black() -> Self {
-        Self::plain_of(0.0, 0.0, 0.0)
+        Self::constant(0.0, 0.0, 0.0)
     }
 
     /// White everywhere.
     pub const fn white() -> Self {
-        Self::plain_of(1.0, 1.0, 1.0)
+        Self::constant(1.0, 1.0, 1.0)
     }
 
     /// The color, if it is constant.
     #[inline(always)]
-    pub fn plain(&self) -> Option<&Color> {
+    pub fn as_constant(&self) -> Option<&Color> {
         match self {
-            Self::Plain(color) => Some(color),
+            Self::Constant(color) => Some(color),
             Self::Textured(_) => None,
         }
     }
@@ -53,7 +53,7 @@ impl Tint {
     /// The texture, where it is one.
     pub fn texture(&self) -> Option<&Texture> {
         match self {
-            Self::Plain(_) => None,
+            Self::Constant(_) => None,
             Self::Textured(texture) => Some(texture),
         }
     }
@@ -61,14 +61,14 @@ impl Tint {
     /// Whether it is black everywhere: then a formula may leave it out.
     #[inline(always)]
     pub fn is_black(&self) -> bool {
-        matches!(self, Self::Plain(color) if color.is_black())
+        matches!(self, Self::Constant(color) if color.is_black())
     }
 
     /// The color at a shading point.
     #[inline(always)]
-    pub fn at<R: Real>(&self, place: &Place<R>) -> Vec3<R> {
+    pub fn at<R: Real>(&self, place: &ShadingPoint<R>) -> Vec3<R> {
         match self {
-            Self::Plain(color) => Vec3::given(place.normal.x, color.get()),
+            Self::Constant(color) => Vec3::uniform(place.normal.x, color.get()),
             Self::Textured(texture) => texture.at(place),
         }
     }
@@ -78,56 +78,56 @@ impl Tint {
 struct TintVisitor;
 
 impl<'de> Visitor<'de> for TintVisitor {
-    type Value = Tint;
+    type Value = ColorParam;
 
     fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.write_str("a colour: [red, green, blue] in linear light, \"#rrggbb\" in sRGB, or a texture")
     }
 
-    fn visit_str<E: Error>(self, text: &str) -> Result<Tint, E> {
-        Color::deserialize(StrDeserializer::new(text)).map(Tint::Plain)
+    fn visit_str<E: Error>(self, text: &str) -> Result<ColorParam, E> {
+        Color::deserialize(StrDeserializer::new(text)).map(ColorParam::Constant)
     }
 
-    fn visit_seq<A: SeqAccess<'de>>(self, channels: A) -> Result<Tint, A::Error> {
-        Color::deserialize(SeqAccessDeserializer::new(channels)).map(Tint::Plain)
+    fn visit_seq<A: SeqAccess<'de>>(self, channels: A) -> Result<ColorParam, A::Error> {
+        Color::deserialize(SeqAccessDeserializer::new(channels)).map(ColorParam::Constant)
     }
 
-    fn visit_map<A: MapAccess<'de>>(self, map: A) -> Result<Tint, A::Error> {
+    fn visit_map<A: MapAccess<'de>>(self, map: A) -> Result<ColorParam, A::Error> {
         let texture = Texture::deserialize(MapAccessDeserializer::new(map))?;
         let depth = texture.depth();
         if depth > MAX_TEXTURE_DEPTH {
             let message = format_args!("nests textures {depth} deep: nest at most {MAX_TEXTURE_DEPTH}");
             return Err(A::Error::custom(message));
         }
-        Ok(Tint::Textured(Box::new(texture)))
+        Ok(ColorParam::Textured(Box::new(texture)))
     }
 }
 
-impl<'de> Deserialize<'de> for Tint {
+impl<'de> Deserialize<'de> for ColorParam {
     fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
         deserializer.deserialize_any(TintVisitor)
     }
 }
 
-impl Serialize for Tint {
+impl Serialize for ColorParam {
     fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
         match self {
-            Self::Plain(color) => color.serialize(serializer),
+            Self::Constant(color) => color.serialize(serializer),
             Self::Textured(texture) => texture.serialize(serializer),
         }
     }
 }
 
-impl Seek for Tint {
-    fn seek(&mut self, clock: &mut Clock<'_>) -> Result<bool, Box<Misfit>> {
+impl Seek for ColorParam {
+    fn seek(&mut self, clock: &mut FrameTime<'_>) -> Result<bool, Box<SeekError>> {
         match self {
-            Self::Plain(color) => color.seek(clock),
+            Self::Constant(color) => color.seek(clock),
             Self::Textured(texture) => texture.seek(clock),
         }
     }
 }
 
-impl JsonSchema for Tint {
+impl JsonSchema for ColorParam {
     fn schema_name() -> Cow<'static, str> {
         "Tint".into()
     }
@@ -139,9 +139,9 @@ impl JsonSchema for Tint {
 }
 
 /// Kind of number that a texture may vary.
-pub trait Parameter: Clone + fmt::Debug + PartialEq + Serialize + JsonSchema + for<'de> Deserialize<'de> {
+pub trait ScalarKind: Clone + fmt::Debug + PartialEq + Serialize + JsonSchema + for<'de> Deserialize<'de> {
     /// The number.
-    fn number(&self) -> f32;
+    fn value(&self) -> f32;
 
     /// Whether it is 0 in every frame.
     fn is_zero(&self) -> bool;
@@ -149,50 +149,50 @@ pub trait Parameter: Clone + fmt::Debug + PartialEq + Serialize + JsonSchema + f
 
 macro_rules! parameters {
     ($($Number:ident),*) => { $(
-        impl Parameter for $Number {
+        impl ScalarKind for $Number {
             #[inline(always)]
-            fn number(&self) -> f32 {
+            fn value(&self) -> f32 {
                 self.get()
             }
 
             #[inline(always)]
             fn is_zero(&self) -> bool {
-                self.get() == 0.0 && !self.is_moving()
+                self.get() == 0.0 && !self.is_animated()
             }
         }
     )* };
 }
 
-parameters![Share, Shininess, RefractiveIndex];
+parameters![Fraction, Shininess, RefractiveIndex];
 
 /// A number: one for all places, or one that a texture varies.
 #[derive(Clone, Debug, PartialEq)]
-pub enum Level<N> {
+pub enum ScalarParam<N> {
     /// One number.
     Plain(N),
     /// A texture's.
-    Varied(Box<Varied<N>>),
+    Textured(Box<TexturedScalar<N>>),
 }
 
 /// A number that a texture varies: `low` where it is black, `high` where it is white, by luminance between.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
-#[serde(deny_unknown_fields, bound(deserialize = "N: Parameter", serialize = "N: Parameter"))]
+#[serde(deny_unknown_fields, bound(deserialize = "N: ScalarKind", serialize = "N: ScalarKind"))]
 #[schemars(rename = "Varied{N}")]
-pub struct Varied<N> {
+pub struct TexturedScalar<N> {
     /// The number where the texture is black.
     pub low: N,
     /// The number where the texture is white.
     pub high: N,
     /// The texture.
-    pub by: Tint,
+    pub by: ColorParam,
 }
 
-impl<N: Parameter> Level<N> {
+impl<N: ScalarKind> ScalarParam<N> {
     /// The texture, if there is one.
     pub fn texture(&self) -> Option<&Texture> {
         match self {
             Self::Plain(_) => None,
-            Self::Varied(varied) => varied.by.texture(),
+            Self::Textured(varied) => varied.by.texture(),
         }
     }
 
@@ -204,16 +204,16 @@ impl<N: Parameter> Level<N> {
 
     /// The number at a place.
     #[inline(always)]
-    pub fn at<R: Real>(&self, place: &Place<R>) -> R {
+    pub fn at<R: Real>(&self, place: &ShadingPoint<R>) -> R {
         let like = place.normal.x;
         match self {
-            Self::Plain(number) => like.given(number.number()),
-            Self::Varied(varied) => {
+            Self::Plain(number) => like.uniform(number.value()),
+            Self::Textured(varied) => {
                 let color = varied.by.at(place);
                 // Luminance of linear light: ITU-R BT.709.
-                let luminance = color.dot(vec3(like.splat(0.2126), like.splat(0.7152), like.splat(0.0722)));
-                let (low, high) = (like.given(varied.low.number()), like.given(varied.high.number()));
-                mix(low, high, luminance.at_most(1.0))
+                let luminance = color.dot(vec3(like.constant(0.2126), like.constant(0.7152), like.constant(0.0722)));
+                let (low, high) = (like.uniform(varied.low.value()), like.uniform(varied.high.value()));
+                lerp(low, high, luminance.at_most(1.0))
             }
         }
     }
@@ -222,39 +222,39 @@ impl<N: Parameter> Level<N> {
 /// Linear interpolation: exactly `from` at 0 and exactly `to` at 1, and never below 0 between non-negative
 /// numbers.
 #[inline(always)]
-pub(super) fn mix<R: Real>(from: R, to: R, share: R) -> R {
-    to.mul_add(share, from * (share.splat(1.0) - share))
+pub(super) fn lerp<R: Real>(from: R, to: R, share: R) -> R {
+    to.mul_add(share, from * (share.constant(1.0) - share))
 }
 
 /// Linear interpolation of colors.
 #[inline(always)]
-pub(super) fn mix_colors<R: Real>(from: Vec3<R>, to: Vec3<R>, share: R) -> Vec3<R> {
-    to.mul_add(share, from * (share.splat(1.0) - share))
+pub(super) fn lerp_colors<R: Real>(from: Vec3<R>, to: Vec3<R>, share: R) -> Vec3<R> {
+    to.mul_add(share, from * (share.constant(1.0) - share))
 }
 
 /// Reads a number, or what varies one.
 struct LevelVisitor<N>(PhantomData<N>);
 
-impl<'de, N: Parameter> Visitor<'de> for LevelVisitor<N> {
-    type Value = Level<N>;
+impl<'de, N: ScalarKind> Visitor<'de> for LevelVisitor<N> {
+    type Value = ScalarParam<N>;
 
     fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.write_str("a number, or {\"low\": number, \"high\": number, \"by\": texture}")
     }
 
-    fn visit_f64<E: Error>(self, value: f64) -> Result<Level<N>, E> {
-        N::deserialize(F64Deserializer::new(value)).map(Level::Plain)
+    fn visit_f64<E: Error>(self, value: f64) -> Result<ScalarParam<N>, E> {
+        N::deserialize(F64Deserializer::new(value)).map(ScalarParam::Plain)
     }
 
-    fn visit_i64<E: Error>(self, value: i64) -> Result<Level<N>, E> {
+    fn visit_i64<E: Error>(self, value: i64) -> Result<ScalarParam<N>, E> {
         self.visit_f64(value as f64)
     }
 
-    fn visit_u64<E: Error>(self, value: u64) -> Result<Level<N>, E> {
+    fn visit_u64<E: Error>(self, value: u64) -> Result<ScalarParam<N>, E> {
         self.visit_f64(value as f64)
     }
 
-    fn visit_map<A: MapAccess<'de>>(self, mut map: A) -> Result<Level<N>, A::Error> {
+    fn visit_map<A: MapAccess<'de>>(self, mut map: A) -> Result<ScalarParam<N>, A::Error> {
         let first = map.next_key::<String>()?;
         let name = first.as_deref().unwrap_or_default();
         if Texture::is_name(name) {
@@ -265,45 +265,45 @@ impl<'de, N: Parameter> Visitor<'de> for LevelVisitor<N> {
         }
         // A track of keys is a number too.
         let is_number = matches!(name, "keys" | "ease");
-        let map = MapAccessDeserializer::new(Replayed::new(first, map));
+        let map = MapAccessDeserializer::new(PeekedMap::new(first, map));
         if is_number {
-            return N::deserialize(map).map(Level::Plain);
+            return N::deserialize(map).map(ScalarParam::Plain);
         }
-        Varied::deserialize(map).map(|varied| Level::Varied(Box::new(varied)))
+        TexturedScalar::deserialize(map).map(|varied| ScalarParam::Textured(Box::new(varied)))
     }
 }
 
-impl<'de, N: Parameter> Deserialize<'de> for Level<N> {
+impl<'de, N: ScalarKind> Deserialize<'de> for ScalarParam<N> {
     fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
         deserializer.deserialize_any(LevelVisitor(PhantomData))
     }
 }
 
-impl<N: Parameter> Serialize for Level<N> {
+impl<N: ScalarKind> Serialize for ScalarParam<N> {
     fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
         match self {
             Self::Plain(number) => number.serialize(serializer),
-            Self::Varied(varied) => varied.serialize(serializer),
+            Self::Textured(varied) => varied.serialize(serializer),
         }
     }
 }
 
-impl<N: Seek> Seek for Level<N> {
-    fn seek(&mut self, clock: &mut Clock<'_>) -> Result<bool, Box<Misfit>> {
+impl<N: Seek> Seek for ScalarParam<N> {
+    fn seek(&mut self, clock: &mut FrameTime<'_>) -> Result<bool, Box<SeekError>> {
         match self {
             Self::Plain(number) => number.seek(clock),
-            Self::Varied(varied) => varied.seek(clock),
+            Self::Textured(varied) => varied.seek(clock),
         }
     }
 }
 
-impl<N: Parameter> JsonSchema for Level<N> {
+impl<N: ScalarKind> JsonSchema for ScalarParam<N> {
     fn schema_name() -> Cow<'static, str> {
         format!("{}Level", N::schema_name()).into()
     }
 
     fn json_schema(generator: &mut SchemaGenerator) -> Schema {
-        let (number, varied) = (generator.subschema_for::<N>(), generator.subschema_for::<Varied<N>>());
+        let (number, varied) = (generator.subschema_for::<N>(), generator.subschema_for::<TexturedScalar<N>>());
         json_schema!({ "description": "A number, or one that a texture varies.", "anyOf": [number, varied] })
     }
 }

@@ -3,7 +3,7 @@
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use super::{Exemplary, Lighting, Place, Shade, Texture, Tint};
+use super::{ColorParam, HasExamples, IncidentLight, Shade, ShadingPoint, Texture};
 use crate::real::{Real, Vec3};
 use crate::seek::Seek;
 
@@ -12,12 +12,12 @@ use crate::seek::Seek;
 #[serde(deny_unknown_fields)]
 pub struct Flat {
     /// The color.
-    pub color: Tint,
+    pub color: ColorParam,
 }
 
-impl Exemplary for Flat {
+impl HasExamples for Flat {
     const EXAMPLE: &'static str = r##"{ "color": "#e07a3c" }"##;
-    const MORE: &'static [&'static str] = &[r##"{ "color": { "gradient": {
+    const MORE_EXAMPLES: &'static [&'static str] = &[r##"{ "color": { "gradient": {
         "by": { "position": { "from": [0, -1, 0], "to": [0, 1, 0] } },
         "ramp": [[0, "#26304f"], [0.5, "#c8506a"], [1, "#ffd9a0"]]
     } } }"##];
@@ -25,12 +25,12 @@ impl Exemplary for Flat {
 
 impl Shade for Flat {
     #[inline(always)]
-    fn shade<R: Real>(&self, place: &Place<R>, _: &Lighting<R>) -> Vec3<R> {
+    fn shade<R: Real>(&self, place: &ShadingPoint<R>, _: &IncidentLight<R>) -> Vec3<R> {
         self.albedo(place)
     }
 
     #[inline(always)]
-    fn albedo<R: Real>(&self, place: &Place<R>) -> Vec3<R> {
+    fn albedo<R: Real>(&self, place: &ShadingPoint<R>) -> Vec3<R> {
         self.color.at(place)
     }
 
@@ -48,21 +48,21 @@ impl Shade for Flat {
 #[serde(deny_unknown_fields)]
 pub struct Normals {}
 
-impl Exemplary for Normals {
+impl HasExamples for Normals {
     const EXAMPLE: &'static str = "{}";
 }
 
 impl Shade for Normals {
     #[inline(always)]
-    fn shade<R: Real>(&self, place: &Place<R>, _: &Lighting<R>) -> Vec3<R> {
+    fn shade<R: Real>(&self, place: &ShadingPoint<R>, _: &IncidentLight<R>) -> Vec3<R> {
         self.albedo(place)
     }
 
     #[inline(always)]
-    fn albedo<R: Real>(&self, place: &Place<R>) -> Vec3<R> {
+    fn albedo<R: Real>(&self, place: &ShadingPoint<R>) -> Vec3<R> {
         place.normal.map(
             #[inline(always)]
-            |c| c.mul_add(c.splat(0.5), c.splat(0.5)),
+            |c| c.mul_add(c.constant(0.5), c.constant(0.5)),
         )
     }
 

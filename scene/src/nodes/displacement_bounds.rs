@@ -1,52 +1,52 @@
 //! Bounds of a displacement, and the region where it need not be evaluated.
 
 use crate::real::Real;
-use crate::seek::Renew;
+use crate::seek::Invalidate;
 
 /// Maximum Lipschitz factor, so that products with it stay finite.
-pub(super) const STEEPEST: f32 = 1e18;
+pub(super) const MAX_LIPSCHITZ: f32 = 1e18;
 
 /// Minimum slope, so that quotients stay finite: a displacement with less is evaluated everywhere.
-const LEAST_STEEPENING: f32 = 1e-18;
+const MIN_SLOPE: f32 = 1e-18;
 
 /// Range of the values added to a distance, and the slope that they may add.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Relief {
+pub(super) struct DisplacementBounds {
     low: f32,
     high: f32,
-    steepness: f32,
-    reach: f32,
+    lipschitz: f32,
+    influence: f32,
 }
 
 /// Cached displacement bounds, empty until `precompute`. Ignored by `==` because they follow from the node.
 #[derive(Clone, Copy, Debug, Default)]
-pub struct FoundRelief(pub(super) Option<Relief>);
+pub struct CachedDisplacementBounds(pub(super) Option<DisplacementBounds>);
 
-impl Renew for FoundRelief {
-    fn renew(&mut self) {
+impl Invalidate for CachedDisplacementBounds {
+    fn invalidate(&mut self) {
         *self = Self::default();
     }
 }
 
-impl PartialEq for FoundRelief {
+impl PartialEq for CachedDisplacementBounds {
     fn eq(&self, _: &Self) -> bool {
         true
     }
 }
 
-impl Relief {
+impl DisplacementBounds {
     /// Displacement by values from one of `ends` to the other, which makes the distance up to 1 +
     /// `steepening` times as steep.
     pub(super) fn new(ends: [f32; 2], steepening: f32) -> Self {
-        let steepening = steepening.min(STEEPEST);
+        let steepening = steepening.min(MAX_LIPSCHITZ);
         let (low, high) = (ends[0].min(ends[1]), ends[0].max(ends[1]));
-        let reach = (high - low) * 0.5 + (high - low) / steepening.max(LEAST_STEEPENING);
-        Self { low, high, steepness: 1.0 + steepening, reach: reach * 1.000_1 }
+        let reach = (high - low) * 0.5 + (high - low) / steepening.max(MIN_SLOPE);
+        Self { low, high, lipschitz: 1.0 + steepening, influence: reach * 1.000_1 }
     }
 
     /// Maximum distance, from the undisplaced surface, of points at a displaced distance of `level`.
-    pub(super) fn level(self, level: f32) -> f32 {
-        (level - self.low).max(0.0)
+    pub(super) fn inflate(self, isolevel: f32) -> f32 {
+        (isolevel - self.low).max(0.0)
     }
 
     /// `distance` plus `amount`, held between steepness · (distance + low) and steepness · (distance + high).
@@ -56,12 +56,12 @@ impl Relief {
     /// displacement. Beyond `reach` from the middle only the ends are used, and the amount is not
     /// evaluated.
     #[inline(always)]
-    pub(super) fn added<R: Real>(self, distance: R, amount: impl FnOnce() -> R) -> R {
+    pub(super) fn displaced<R: Real>(self, distance: R, amount: impl FnOnce() -> R) -> R {
         let (middle, half) = ((self.low + self.high) * 0.5, (self.high - self.low) * 0.5);
-        let steepness = distance.given(self.steepness);
-        let (from_middle, half) = (distance + distance.given(middle), distance.given(half));
+        let steepness = distance.uniform(self.lipschitz);
+        let (from_middle, half) = (distance + distance.uniform(middle), distance.uniform(half));
         let (least, most) = ((from_middle - half) * steepness, (from_middle + half) * steepness);
-        let near = from_middle.abs().lt(distance.given(self.reach));
+        let near = from_middle.abs().lt(distance.uniform(self.influence));
         R::when(
             near,
             R::select(from_middle.below(0.0), most, least),

@@ -5,42 +5,42 @@ use std::ops::Deref;
 use schemars::{JsonSchema, Schema, SchemaGenerator};
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
 
-use crate::seek::{Clock, Misfit, Seek};
+use crate::seek::{FrameTime, Seek, SeekError};
 
 /// A primitive's numbers as a user gives them.
-pub trait Prepare {
+pub trait Precompute {
     /// Values that its formula uses.
-    type Ready: Clone;
+    type Derived: Clone;
 
     /// Derives it.
-    fn ready(&self) -> Self::Ready;
+    fn derive(&self) -> Self::Derived;
 }
 
 /// A primitive's parameters, with the values derived from them once, when it is read.
 #[derive(Debug)]
-pub struct Prepared<G: Prepare> {
+pub struct Precomputed<G: Precompute> {
     given: G,
     // Boxed, so that nodes stay small.
-    ready: Box<G::Ready>,
+    derive: Box<G::Derived>,
 }
 
-impl<G: Prepare> Prepared<G> {
+impl<G: Precompute> Precomputed<G> {
     /// Derived values.
     #[inline(always)]
-    pub(super) fn ready(&self) -> &G::Ready {
-        &self.ready
+    pub(super) fn derive(&self) -> &G::Derived {
+        &self.derive
     }
 }
 
-impl<G: Prepare> From<G> for Prepared<G> {
+impl<G: Precompute> From<G> for Precomputed<G> {
     fn from(given: G) -> Self {
-        let ready = Box::new(given.ready());
-        Self { given, ready }
+        let ready = Box::new(given.derive());
+        Self { given, derive: ready }
     }
 }
 
 /// The numbers as given.
-impl<G: Prepare> Deref for Prepared<G> {
+impl<G: Precompute> Deref for Precomputed<G> {
     type Target = G;
 
     #[inline(always)]
@@ -49,42 +49,42 @@ impl<G: Prepare> Deref for Prepared<G> {
     }
 }
 
-impl<G: Prepare + Seek> Seek for Prepared<G> {
-    fn seek(&mut self, clock: &mut Clock<'_>) -> Result<bool, Box<Misfit>> {
-        let Self { given, ready } = self;
+impl<G: Precompute + Seek> Seek for Precomputed<G> {
+    fn seek(&mut self, clock: &mut FrameTime<'_>) -> Result<bool, Box<SeekError>> {
+        let Self { given, derive: ready } = self;
         let is_animated = given.seek(clock)?;
         if is_animated {
-            **ready = given.ready();
+            **ready = given.derive();
         }
         Ok(is_animated)
     }
 }
 
-impl<G: Prepare + Clone> Clone for Prepared<G> {
+impl<G: Precompute + Clone> Clone for Precomputed<G> {
     fn clone(&self) -> Self {
-        Self { given: self.given.clone(), ready: self.ready.clone() }
+        Self { given: self.given.clone(), derive: self.derive.clone() }
     }
 }
 
-impl<G: Prepare + PartialEq> PartialEq for Prepared<G> {
+impl<G: Precompute + PartialEq> PartialEq for Precomputed<G> {
     fn eq(&self, other: &Self) -> bool {
         self.given == other.given
     }
 }
 
-impl<'de, G: Prepare + Deserialize<'de>> Deserialize<'de> for Prepared<G> {
+impl<'de, G: Precompute + Deserialize<'de>> Deserialize<'de> for Precomputed<G> {
     fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
         G::deserialize(deserializer).map(Self::from)
     }
 }
 
-impl<G: Prepare + Serialize> Serialize for Prepared<G> {
+impl<G: Precompute + Serialize> Serialize for Precomputed<G> {
     fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
         self.given.serialize(serializer)
     }
 }
 
-impl<G: Prepare + JsonSchema> JsonSchema for Prepared<G> {
+impl<G: Precompute + JsonSchema> JsonSchema for Precomputed<G> {
     fn schema_name() -> std::borrow::Cow<'static, str> {
         G::schema_name()
     }

@@ -1,8 +1,8 @@
 //! The interface of a node.
 
-use super::{Node, Sample};
+use super::{Node, SdfValue};
 use crate::bounds::Bounds;
-use crate::materials::MaterialUse;
+use crate::materials::MaterialRef;
 use crate::real::{Real, Vec3};
 
 /// Cost of noise at a point, in evaluations of a simple node.
@@ -23,7 +23,7 @@ pub enum Exactness {
 
 impl Exactness {
     /// This exactness, but at most a bound: for a formula around it that gives a bound.
-    pub(crate) fn at_best_bound(self) -> Self {
+    pub(crate) fn capped_at_bound(self) -> Self {
         match self {
             Self::Exact | Self::Bound => Self::Bound,
             Self::Estimate => Self::Estimate,
@@ -33,23 +33,23 @@ impl Exactness {
 
 /// What is wrong with the numbers of a node, a light or a background taken together.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub struct NodeFault {
+pub struct NodeError {
     /// Where in it: a key, or a path of keys and places such as `points/2`.
-    pub place: String,
+    pub pointer: String,
     /// Message with the fix, continuing a sentence after the pointer.
     pub message: String,
 }
 
-impl NodeFault {
+impl NodeError {
     /// Error at a pointer within the node.
     pub fn new(place: impl Into<String>, message: impl Into<String>) -> Self {
-        Self { place: place.into(), message: message.into() }
+        Self { pointer: place.into(), message: message.into() }
     }
 
     /// The same, seen from what holds it under a key.
     pub(crate) fn inside(self, key: &str) -> Self {
-        let separator = if self.place.is_empty() { "" } else { "/" };
-        Self { place: format!("{key}{separator}{}", self.place), message: self.message }
+        let separator = if self.pointer.is_empty() { "" } else { "/" };
+        Self { pointer: format!("{key}{separator}{}", self.pointer), message: self.message }
     }
 }
 
@@ -59,18 +59,18 @@ pub trait Sdf {
     const EXAMPLE: &'static str;
 
     /// Further values that take other ways through the formula, drawn and tested like the first.
-    const MORE: &'static [&'static str] = &[];
+    const MORE_EXAMPLES: &'static [&'static str] = &[];
 
     /// All values to be drawn and tested.
     fn examples() -> Vec<String> {
-        std::iter::once(&Self::EXAMPLE).chain(Self::MORE).map(ToString::to_string).collect()
+        std::iter::once(&Self::EXAMPLE).chain(Self::MORE_EXAMPLES).map(ToString::to_string).collect()
     }
 
     /// The signed distance at `p`, negative inside, with materials where `V` keeps them.
-    fn sample<R: Real, V: Sample<R>>(&self, p: Vec3<R>) -> V;
+    fn eval<R: Real, V: SdfValue<R>>(&self, p: Vec3<R>) -> V;
 
     /// Whether its children are a list under `of`, and not one under `child`.
-    const HAS_LIST: bool = false;
+    const HAS_CHILD_LIST: bool = false;
 
     /// The nodes inside, in order.
     fn children(&self) -> &[Node] {
@@ -84,22 +84,22 @@ pub trait Sdf {
 
     /// Precomputes what speeds up its evaluation; its children have done so before. If the job is
     /// animated, the result must have the same form in all frames.
-    fn prepare(&mut self, moves: bool) {
-        let _ = moves;
+    fn precompute(&mut self, is_animated: bool) {
+        let _ = is_animated;
     }
 
     /// Material that it names, if any.
-    fn material(&self) -> Option<&MaterialUse> {
+    fn material(&self) -> Option<&MaterialRef> {
         None
     }
 
     /// Mutable access to that material.
-    fn material_mut(&mut self) -> Option<&mut MaterialUse> {
+    fn material_mut(&mut self) -> Option<&mut MaterialRef> {
         None
     }
 
     /// A Lipschitz factor: |d(p) − d(q)| ≤ stretch · |p − q|. A march divides by it.
-    fn stretch(&self) -> f32 {
+    fn lipschitz(&self) -> f32 {
         self.children().iter().map(Node::stretch).fold(1.0, f32::max)
     }
 
@@ -115,15 +115,15 @@ pub trait Sdf {
     }
 
     /// Error in its numbers taken together, if any; each alone is in range.
-    fn fault(&self) -> Option<NodeFault> {
+    fn validate(&self) -> Option<NodeError> {
         None
     }
 
     /// A box that holds every point whose distance is at most `level`, which is not below 0.
-    fn bounds(&self, level: f32) -> Bounds;
+    fn bounds(&self, isolevel: f32) -> Bounds;
 
     /// Its size in simple nodes, without its children.
-    fn weight(&self) -> u32 {
+    fn size_in_nodes(&self) -> u32 {
         1
     }
 
@@ -150,21 +150,21 @@ pub trait Primitive {
     const EXAMPLE: &'static str;
 
     /// Further values that take other ways through the formula.
-    const MORE: &'static [&'static str] = &[];
+    const MORE_EXAMPLES: &'static [&'static str] = &[];
 
     /// All values to be drawn and tested.
     fn examples() -> Vec<String> {
-        std::iter::once(&Self::EXAMPLE).chain(Self::MORE).map(ToString::to_string).collect()
+        std::iter::once(&Self::EXAMPLE).chain(Self::MORE_EXAMPLES).map(ToString::to_string).collect()
     }
 
     /// The signed distance from `p` to the surface, negative inside.
     fn distance<R: Real>(&self, p: Vec3<R>) -> R;
 
     /// A box that holds every point whose distance is at most `level`, which is not below 0.
-    fn bounds(&self, level: f32) -> Bounds;
+    fn bounds(&self, isolevel: f32) -> Bounds;
 
     /// A Lipschitz factor: |d(p) − d(q)| ≤ stretch · |p − q|.
-    fn stretch(&self) -> f32 {
+    fn lipschitz(&self) -> f32 {
         1.0
     }
 
@@ -179,12 +179,12 @@ pub trait Primitive {
     }
 
     /// Error in its numbers taken together, if any; each alone is in range.
-    fn fault(&self) -> Option<NodeFault> {
+    fn validate(&self) -> Option<NodeError> {
         None
     }
 
     /// Its size in simple nodes.
-    fn weight(&self) -> u32 {
+    fn size_in_nodes(&self) -> u32 {
         1
     }
 
@@ -201,19 +201,19 @@ pub trait Primitive {
 
 impl<P: Primitive> Sdf for P {
     const EXAMPLE: &'static str = <P as Primitive>::EXAMPLE;
-    const MORE: &'static [&'static str] = <P as Primitive>::MORE;
+    const MORE_EXAMPLES: &'static [&'static str] = <P as Primitive>::MORE_EXAMPLES;
 
     fn examples() -> Vec<String> {
         <P as Primitive>::examples()
     }
 
     #[inline(always)]
-    fn sample<R: Real, V: Sample<R>>(&self, p: Vec3<R>) -> V {
+    fn eval<R: Real, V: SdfValue<R>>(&self, p: Vec3<R>) -> V {
         V::new(self.distance(p))
     }
 
-    fn stretch(&self) -> f32 {
-        Primitive::stretch(self)
+    fn lipschitz(&self) -> f32 {
+        Primitive::lipschitz(self)
     }
 
     fn exactness(&self) -> Exactness {
@@ -224,16 +224,16 @@ impl<P: Primitive> Sdf for P {
         Primitive::is_fine(self)
     }
 
-    fn fault(&self) -> Option<NodeFault> {
-        Primitive::fault(self)
+    fn validate(&self) -> Option<NodeError> {
+        Primitive::validate(self)
     }
 
-    fn bounds(&self, level: f32) -> Bounds {
-        Primitive::bounds(self, level)
+    fn bounds(&self, isolevel: f32) -> Bounds {
+        Primitive::bounds(self, isolevel)
     }
 
-    fn weight(&self) -> u32 {
-        Primitive::weight(self)
+    fn size_in_nodes(&self) -> u32 {
+        Primitive::size_in_nodes(self)
     }
 
     fn formula_cost(&self) -> f32 {

@@ -1,7 +1,7 @@
 //! Perlin's noise, value noise and simplex noise: something random at the points of a lattice,
 //! smoothly mixed in between.
 
-use super::lattice::{Index, along_gradient, between_corners, cell, corner_words, from_corners, one_to_two};
+use super::lattice::{LatticeHash, cell, corner_hashes, corner_offsets, float_in_1_2, gradient_dot, trilinear};
 use crate::real::{Real, Vec3, vec3};
 
 // Each corner's gradient or value is drawn alone, so the steepest slope along a direction u at a point is the
@@ -19,19 +19,19 @@ pub(super) const SIMPLEX_LIPSCHITZ: f32 = 0.090_621 * SIMPLEX_SCALE;
 /// gradients at the corners of unit cubes, mixed by a quintic.
 #[inline(always)]
 pub(super) fn perlin<R: Real>(p: Vec3<R>, seed: R) -> R {
-    p.x.shared(
+    p.x.call(
         "perlin",
         (p, seed),
         #[inline(always)]
         |(p, seed)| {
             let (corner, fraction) = cell(p);
-            let words = corner_words(Index::pair(corner, seed));
-            let away = from_corners(fraction);
+            let words = corner_hashes(LatticeHash::pair(corner, seed));
+            let away = corner_offsets(fraction);
             let mut corners = [seed; 8];
             for n in 0..8 {
-                corners[n] = along_gradient(away[n], words[n]);
+                corners[n] = gradient_dot(away[n], words[n]);
             }
-            between_corners(corners, fraction)
+            trilinear(corners, fraction)
         },
     )
 }
@@ -39,18 +39,18 @@ pub(super) fn perlin<R: Real>(p: Vec3<R>, seed: R) -> R {
 /// Random values at the corners of unit cubes, −1 to 1, interpolated by the same quintic.
 #[inline(always)]
 pub(super) fn value<R: Real>(p: Vec3<R>, seed: R) -> R {
-    p.x.shared(
+    p.x.call(
         "value_noise",
         (p, seed),
         #[inline(always)]
         |(p, seed)| {
             let (corner, fraction) = cell(p);
-            let words = corner_words(Index::pair(corner, seed));
+            let words = corner_hashes(LatticeHash::pair(corner, seed));
             let mut corners = [seed; 8];
             for n in 0..8 {
-                corners[n] = one_to_two(words[n]);
+                corners[n] = float_in_1_2(words[n]);
             }
-            between_corners(corners, fraction).mul_add(seed.splat(2.0), seed.splat(-3.0))
+            trilinear(corners, fraction).mul_add(seed.constant(2.0), seed.constant(-3.0))
         },
     )
 }
@@ -66,12 +66,12 @@ const SIMPLEX_SCALE: f32 = 76.88;
 /// is continuous.
 #[inline(always)]
 pub(super) fn simplex<R: Real>(p: Vec3<R>, seed: R) -> R {
-    p.x.shared(
+    p.x.call(
         "simplex",
         (p, seed),
         #[inline(always)]
         |(p, seed)| {
-            let (one, none) = (seed.splat(1.0), seed.splat(0.0));
+            let (one, none) = (seed.constant(1.0), seed.constant(0.0));
             // Skewed, the lattice is one of cubes, each cut into six simplices by the order of the coordinates.
             let p = p.map(
                 #[inline(always)]
@@ -95,10 +95,10 @@ pub(super) fn simplex<R: Real>(p: Vec3<R>, seed: R) -> R {
                 let skewed = f - step;
                 let unskew = (skewed.x + skewed.y + skewed.z) * (-1.0 / 6.0);
                 let away = vec3(skewed.x + unskew, skewed.y + unskew, skewed.z + unskew);
-                let near = (seed.splat(0.5) - away.length_squared()).at_least(0.0);
+                let near = (seed.constant(0.5) - away.length_squared()).at_least(0.0);
                 let kernel = near.square().square();
-                let word = Index::new(corner + step, seed).word();
-                sum = kernel.mul_add(along_gradient(away, word), sum);
+                let word = LatticeHash::new(corner + step, seed).hash();
+                sum = kernel.mul_add(gradient_dot(away, word), sum);
             }
             sum * SIMPLEX_SCALE
         },

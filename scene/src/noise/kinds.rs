@@ -4,12 +4,12 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Deserializer, Serialize};
 
 use super::cellular::{Feature, cellular};
-use super::gardner::{FEWEST_WAVES, MOST_WAVES, gardner};
-use super::octaves::{Fractal, Layers, MAX_OCTAVES};
+use super::gardner::{MAX_WAVES, MIN_WAVES, gardner};
+use super::octaves::{Fractal, FractalSum, MAX_OCTAVES};
 use super::{Basis, gradient};
 use crate::real::{Real, Vec3};
 use crate::seek::Seek;
-use crate::values::{Amount, Factor, Gain, Lacunarity, whole};
+use crate::values::{Gain, Lacunarity, LengthOrZero, ScaleFactor, integer_in_range};
 
 /// Defines the struct of each kind, with the common and its own parameters, and the enum of all kinds.
 macro_rules! noises {
@@ -24,7 +24,7 @@ macro_rules! noises {
                 $($(#[$about])* pub $field: $Type,)*
                 /// Number of cells or waves per scene unit.
                 #[serde(default = "one")]
-                pub scale: Factor,
+                pub scale: ScaleFactor,
                 /// Which of the noises of this kind it is.
                 #[serde(default, deserialize_with = "seed")]
                 pub seed: u32,
@@ -44,14 +44,14 @@ macro_rules! noises {
                 /// Distance by which the noise is shifted by another one of its kind, in its
                 /// own cells or waves.
                 #[serde(default = "nothing")]
-                pub warp: Amount,
+                pub warp: LengthOrZero,
             }
 
             impl $Kind {
                 /// Combination of its octaves.
                 #[inline(always)]
-                pub(super) fn layers(&self) -> Layers<'_> {
-                    Layers {
+                pub(super) fn layers(&self) -> FractalSum<'_> {
+                    FractalSum {
                         scale: self.scale.get(),
                         seed: self.seed,
                         octaves: self.octaves,
@@ -88,7 +88,7 @@ macro_rules! noises {
 
             /// Another noise for each salt.
             #[inline(always)]
-            pub(super) fn salted<R: Real>(&self, p: Vec3<R>, salt: u32) -> R {
+            pub(super) fn with_salt<R: Real>(&self, p: Vec3<R>, salt: u32) -> R {
                 p.x.vectorize(
                     #[inline(always)]
                     || match self {
@@ -121,7 +121,7 @@ noises! {
     Gardner {
         /// Number of waves in each sum.
         #[serde(default = "five_waves", deserialize_with = "waves")]
-        #[schemars(range(min = FEWEST_WAVES, max = MOST_WAVES))]
+        #[schemars(range(min = MIN_WAVES, max = MAX_WAVES))]
         waves: u32,
     }
 }
@@ -195,8 +195,8 @@ impl Basis for Gardner {
     }
 }
 
-fn one() -> Factor {
-    Factor::new(1.0).expect("1 is in range")
+fn one() -> ScaleFactor {
+    ScaleFactor::new(1.0).expect("1 is in range")
 }
 
 fn double() -> Lacunarity {
@@ -207,8 +207,8 @@ fn half() -> Gain {
     Gain::new(0.5).expect("0.5 is in range")
 }
 
-fn nothing() -> Amount {
-    Amount::new(0.0).expect("0 is in range")
+fn nothing() -> LengthOrZero {
+    LengthOrZero::new(0.0).expect("0 is in range")
 }
 
 fn one_octave() -> u32 {
@@ -220,13 +220,13 @@ fn five_waves() -> u32 {
 }
 
 fn seed<'de, D: Deserializer<'de>>(deserializer: D) -> Result<u32, D::Error> {
-    whole(deserializer, 0, u32::MAX, "as a seed")
+    integer_in_range(deserializer, 0, u32::MAX, "as a seed")
 }
 
 fn octaves<'de, D: Deserializer<'de>>(deserializer: D) -> Result<u32, D::Error> {
-    whole(deserializer, 1, MAX_OCTAVES, "octaves")
+    integer_in_range(deserializer, 1, MAX_OCTAVES, "octaves")
 }
 
 fn waves<'de, D: Deserializer<'de>>(deserializer: D) -> Result<u32, D::Error> {
-    whole(deserializer, FEWEST_WAVES, MOST_WAVES, "waves")
+    integer_in_range(deserializer, MIN_WAVES, MAX_WAVES, "waves")
 }

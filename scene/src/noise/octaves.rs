@@ -8,10 +8,10 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::Basis;
-use super::lattice::start;
+use super::lattice::octave_seed;
 use crate::real::{Real, Vec3, vec3};
 use crate::seek::Seek;
-use crate::values::Amount;
+use crate::values::LengthOrZero;
 
 /// Most octaves of a noise.
 pub(super) const MAX_OCTAVES: u32 = 12;
@@ -33,14 +33,14 @@ pub enum Fractal {
 
 /// Combination of a noise's octaves.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Layers<'a> {
+pub(super) struct FractalSum<'a> {
     pub(super) scale: f32,
     pub(super) seed: u32,
     pub(super) octaves: u32,
     pub(super) lacunarity: f32,
     pub(super) gain: f32,
     pub(super) fractal: Fractal,
-    pub(super) warp: &'a Amount,
+    pub(super) warp: &'a LengthOrZero,
 }
 
 /// One octave: its frequency relative to the first, and its weight in the sum.
@@ -50,7 +50,7 @@ struct Octave {
     seed: u32,
 }
 
-impl Layers<'_> {
+impl FractalSum<'_> {
     /// The octaves, coarsest first.
     #[inline(always)]
     fn octaves(self, salt: u32) -> impl Iterator<Item = Octave> {
@@ -80,23 +80,23 @@ impl Layers<'_> {
     pub(super) fn sum<R: Real, B: Basis>(self, basis: &B, p: Vec3<R>, salt: u32) -> R {
         let like = p.x;
         let (low, high) = B::RANGE;
-        let mut p = p * like.given(self.scale);
+        let mut p = p * like.uniform(self.scale);
         if !self.warp.is_zero() {
             let [x, y, z] = [1, 2, 3].map(
                 #[inline(always)]
                 |axis| octave_at(self.seed, (salt + WARP_SALT + axis) << 8, 1.0, basis, p) - (low + high) * 0.5,
             );
-            p = vec3(x, y, z).mul_add(like.given(self.warp.get()), p);
+            p = vec3(x, y, z).mul_add(like.uniform(self.warp.get()), p);
         }
-        let mut sum = like.splat(0.0);
+        let mut sum = like.constant(0.0);
         for Octave { frequency, weight, seed } in self.octaves(salt) {
             let noise = octave_at(self.seed, seed, frequency, basis, p);
             let term = match self.fractal {
                 Fractal::Fbm => noise,
-                Fractal::Turbulence => from_middle::<R, B>(noise),
-                Fractal::Ridged => like.splat(1.0) - from_middle::<R, B>(noise),
+                Fractal::Turbulence => normalized_deviation::<R, B>(noise),
+                Fractal::Ridged => like.constant(1.0) - normalized_deviation::<R, B>(noise),
             };
-            sum = term.mul_add(like.given(weight), sum);
+            sum = term.mul_add(like.uniform(weight), sum);
         }
         // The result stays in range to the last bit, even if nothing is known of a cell's random
         // hashes.
@@ -131,15 +131,15 @@ impl Layers<'_> {
 
 /// Distance of a noise from the middle of its range, 0 to 1.
 #[inline(always)]
-fn from_middle<R: Real, B: Basis>(noise: R) -> R {
+fn normalized_deviation<R: Real, B: Basis>(noise: R) -> R {
     let (low, high) = B::RANGE;
-    noise.mul_add(noise.splat(2.0 / (high - low)), noise.splat((low + high) / (low - high))).abs()
+    noise.mul_add(noise.constant(2.0 / (high - low)), noise.constant((low + high) / (low - high))).abs()
 }
 
 /// One octave, with its own seed and offset.
 #[inline(always)]
 fn octave_at<R: Real, B: Basis>(seed: u32, salt: u32, frequency: f32, basis: &B, p: Vec3<R>) -> R {
     let like = p.x;
-    let (seed, offset) = start(seed, salt);
-    basis.at(p.mul_add(like.given(frequency), Vec3::given(like, offset)), like.given(seed))
+    let (seed, offset) = octave_seed(seed, salt);
+    basis.at(p.mul_add(like.uniform(frequency), Vec3::uniform(like, offset)), like.uniform(seed))
 }

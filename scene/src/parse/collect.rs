@@ -16,10 +16,10 @@ use serde::de::DeserializeOwned;
 use super::depends::is_sure;
 use super::form::{self, FormFault, FormFaultKind};
 use super::stand_ins;
-use super::tree::{self, Misfit, Value};
-use super::{MAX_FAULTS, too_deep, twice};
+use super::tree::{self, TreeError, Value};
+use super::{MAX_ERRORS, too_deep, twice};
 use crate::document::JobDocument;
-use crate::error::{Fault, Lines};
+use crate::error::{Lines, ValidationError};
 use crate::json_scan::unescape;
 use crate::lights::Light;
 use crate::materials::Material;
@@ -148,8 +148,8 @@ struct Collector<'a> {
 /// All faults of a text that is sound JSON, in the order of their places; none if it is a sound job.
 ///
 /// `meaning` gives pointer and message of what is wrong with a text that is sound in form.
-pub(super) fn all(text: &str, meaning: impl Fn(&str) -> Vec<(String, String)>) -> Vec<Fault> {
-    let mut collector = Collector::of(text);
+pub(super) fn all(text: &str, meaning: impl Fn(&str) -> Vec<(String, String)>) -> Vec<ValidationError> {
+    let mut collector = Collector::new(text);
     collector.part(Part::Job, &[]);
     if collector.goes_on() {
         collector.meaning(meaning);
@@ -159,16 +159,16 @@ pub(super) fn all(text: &str, meaning: impl Fn(&str) -> Vec<(String, String)>) -
 
 /// All faults of form, and the bytes that were read to find them.
 #[cfg(test)]
-pub(super) fn counted(text: &str) -> (Vec<Fault>, usize) {
-    let mut collector = Collector::of(text);
+pub(super) fn counted(text: &str) -> (Vec<ValidationError>, usize) {
+    let mut collector = Collector::new(text);
     collector.part(Part::Job, &[]);
     let read = collector.bytes_read;
     (collector.faults(), read)
 }
 
 impl<'a> Collector<'a> {
-    fn of(text: &'a str) -> Self {
-        let (root, misfits) = tree::read(text, MAX_FAULTS);
+    fn new(text: &'a str) -> Self {
+        let (root, misfits) = tree::read(text, MAX_ERRORS);
         let (found, told, repaired) = (Vec::new(), HashSet::new(), Vec::new());
         let mut collector = Self { text, root, found, told, repaired, bytes_read: 0 };
         collector.outline(misfits);
@@ -176,17 +176,17 @@ impl<'a> Collector<'a> {
     }
 
     fn goes_on(&self) -> bool {
-        self.found.len() < MAX_FAULTS && self.bytes_read < MAX_READ_BYTES.saturating_add(self.text.len())
+        self.found.len() < MAX_ERRORS && self.bytes_read < MAX_READ_BYTES.saturating_add(self.text.len())
     }
 
-    fn outline(&mut self, misfits: Vec<Misfit>) {
+    fn outline(&mut self, misfits: Vec<TreeError>) {
         for misfit in misfits {
             let (path, offset, message) = match misfit {
-                Misfit::DoubledKey { path, start } => {
+                TreeError::DuplicateMember { path, start } => {
                     let key = self.root.member_at(&path).map(|member| member.key.clone()).unwrap_or_default();
                     (path, start, twice(&key))
                 }
-                Misfit::TooDeep { path, start } => (path, start, too_deep()),
+                TreeError::TooDeep { path, start } => (path, start, too_deep()),
             };
             let pointer = self.root.pointer(&path, false);
             self.found.push(Found { pointer, offset, message, is_left_out: false });
@@ -200,7 +200,7 @@ impl<'a> Collector<'a> {
             self.part(part, &path);
             known.insert(path);
         }
-        for _ in 0..MAX_FAULTS {
+        for _ in 0..MAX_ERRORS {
             if !self.goes_on() {
                 return;
             }
@@ -266,13 +266,13 @@ impl<'a> Collector<'a> {
     }
 
     /// What was found, in order.
-    fn faults(mut self) -> Vec<Fault> {
+    fn faults(mut self) -> Vec<ValidationError> {
         let left_out: Vec<String> =
             self.found.iter().filter(|found| found.is_left_out).map(|found| format!("{}/", found.pointer)).collect();
         self.found.retain(|found| !left_out.iter().any(|place| found.pointer.starts_with(place)));
         self.found.sort_by_key(|found| found.offset);
-        self.found.truncate(MAX_FAULTS);
-        let lines = Lines::of(self.text);
+        self.found.truncate(MAX_ERRORS);
+        let lines = Lines::new(self.text);
         let place = |found: Found| lines.fault(found.offset, found.pointer, found.message);
         self.found.into_iter().map(place).collect()
     }

@@ -7,7 +7,7 @@ use serde::de::DeserializeOwned;
 use serde_path_to_error::{Path, Segment};
 
 use super::{list_form, messages, suggest};
-use crate::error::Fault;
+use crate::error::ValidationError;
 use crate::json_scan;
 
 /// A fault of the form of a text.
@@ -25,8 +25,8 @@ pub(super) struct FormFault {
 
 impl FormFault {
     /// The fault at its place in the text.
-    pub(super) fn placed(self, text: &str) -> Fault {
-        let place = if self.is_key { Fault::of_key } else { Fault::of_value };
+    pub(super) fn placed(self, text: &str) -> ValidationError {
+        let place = if self.is_key { ValidationError::at_member } else { ValidationError::at_value };
         place(text, self.pointer, self.message)
     }
 }
@@ -49,13 +49,13 @@ pub(super) fn read<T: DeserializeOwned>(text: &str) -> Result<T, FormFault> {
     let mut deserializer = serde_json::Deserializer::from_str(text);
     deserializer.disable_recursion_limit();
     serde_path_to_error::deserialize(&mut deserializer)
-        .map_err(|error| fault(text, pointer(error.path()), without_place(&error.inner().to_string())))
+        .map_err(|error| fault(text, pointer(error.path()), strip_position(&error.inner().to_string())))
 }
 
 /// The same, and no list is taken for an object.
 pub(super) fn read_strictly<T: DeserializeOwned + Serialize>(text: &str) -> Result<T, FormFault> {
     let value = read(text)?;
-    match list_form::in_place_of_object(text, &value) {
+    match list_form::list_instead_of_object(text, &value) {
         Some(pointer) => {
             let message = "must be an object, not a list: write each value behind its key".to_owned();
             Err(FormFault { pointer, is_key: false, kind: FormFaultKind::Value, message })
@@ -75,7 +75,7 @@ fn fault(text: &str, pointer: String, message: String) -> FormFault {
     if let Some((key, known)) = suggest::unknown(&message, "unknown field `") {
         let meant = suggest::nearest(key, &known).map(str::to_owned);
         let message = suggest::unknown_key(key, &known);
-        let is_key = json_scan::locate_key(text, &pointer).is_some();
+        let is_key = json_scan::locate_member(text, &pointer).is_some();
         return FormFault { pointer, is_key, kind: FormFaultKind::UnknownKey(meant), message };
     }
     if let Some(key) = message.strip_prefix("missing field `").and_then(|rest| rest.strip_suffix('`')) {
@@ -83,17 +83,17 @@ fn fault(text: &str, pointer: String, message: String) -> FormFault {
         let message = format!("lacks the key `{key}`: add it");
         return FormFault { pointer, is_key: false, kind, message };
     }
-    let (pointer, message) = messages::reworded(text, pointer, message);
+    let (pointer, message) = messages::rewrite_serde_error(text, pointer, message);
     FormFault { pointer, is_key: false, kind: FormFaultKind::Value, message }
 }
 
 /// Where a name that there is not stands: as a key, or as a value.
 fn place_of_name(text: &str, pointer: String, name: &str) -> (String, bool) {
     let key = format!("{pointer}/{}", json_scan::escape(name));
-    if json_scan::locate_key(text, &key).is_some() {
+    if json_scan::locate_member(text, &key).is_some() {
         return (key, true);
     }
-    if last(&pointer) == json_scan::escape(name) && json_scan::locate_key(text, &pointer).is_some() {
+    if last(&pointer) == json_scan::escape(name) && json_scan::locate_member(text, &pointer).is_some() {
         return (pointer, true);
     }
     // Where the path ends in the choice itself, the text has no such place.
@@ -102,7 +102,7 @@ fn place_of_name(text: &str, pointer: String, name: &str) -> (String, bool) {
 }
 
 /// A message without the line and column that serde puts behind it.
-pub(super) fn without_place(message: &str) -> String {
+pub(super) fn strip_position(message: &str) -> String {
     message.rsplit_once(" at line ").map_or(message, |(message, _)| message).to_owned()
 }
 

@@ -4,22 +4,22 @@ use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
 /// The JSON pointer of a list in a sound text where `value`, which was read from it, has an object.
-pub(super) fn in_place_of_object(text: &str, value: &impl Serialize) -> Option<String> {
+pub(super) fn list_instead_of_object(text: &str, value: &impl Serialize) -> Option<String> {
     let mut deserializer = serde_json::Deserializer::from_str(text);
     deserializer.disable_recursion_limit();
     let given = Value::deserialize(&mut deserializer).ok()?;
     let meant = serde_json::to_value(value).ok()?;
     let mut pointer = String::new();
-    find(&given, &meant, &mut pointer).then_some(pointer)
+    find_mismatch(&given, &meant, &mut pointer).then_some(pointer)
 }
 
 /// Goes through both together; whether there is one, to which `pointer` then points.
-fn find(given: &Value, meant: &Value, pointer: &mut String) -> bool {
+fn find_mismatch(given: &Value, meant: &Value, pointer: &mut String) -> bool {
     let length = pointer.len();
     let mut inside = |step: &str, given: &Value, meant: &Value| {
         pointer.push('/');
         pointer.push_str(step);
-        let found = find(given, meant, pointer);
+        let found = find_mismatch(given, meant, pointer);
         if !found {
             pointer.truncate(length);
         }

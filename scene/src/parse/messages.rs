@@ -6,7 +6,7 @@ use super::form::{last, parent};
 use crate::json_scan;
 
 /// The place and the fault, given where serde found it and what serde says; `text` is sound JSON.
-pub(super) fn reworded(text: &str, pointer: String, message: String) -> (String, String) {
+pub(super) fn rewrite_serde_error(text: &str, pointer: String, message: String) -> (String, String) {
     let place = |pointer: &str| json_scan::locate_value(text, pointer);
     match message.as_str() {
         "number out of range" => (pointer, "is too large: numbers go up to 3.4e38".to_owned()),
@@ -20,11 +20,11 @@ pub(super) fn reworded(text: &str, pointer: String, message: String) -> (String,
             (parent(&pointer).to_owned(), message)
         }
         "expected value" | "trailing comma" | "trailing characters" | "invalid type: map, expected enum" => {
-            let message = place(&pointer).and_then(|offset| misshapen(&text[offset..], &message)).unwrap_or(message);
+            let message = place(&pointer).and_then(|offset| shape_error(&text[offset..], &message)).unwrap_or(message);
             (pointer, message)
         }
         _ => {
-            let message = plain(&message).unwrap_or(message);
+            let message = type_error(&message).unwrap_or(message);
             (pointer, message)
         }
     }
@@ -32,7 +32,7 @@ pub(super) fn reworded(text: &str, pointer: String, message: String) -> (String,
 
 /// What is wrong with a value where serde says only that it expected something else: it wants an object of one
 /// key, or a list with fewer entries.
-fn misshapen(text: &str, message: &str) -> Option<String> {
+fn shape_error(text: &str, message: &str) -> Option<String> {
     let value = serde_json::Deserializer::from_str(text).into_iter::<Value>().next()?.ok()?;
     Some(match value {
         Value::Object(keys) if keys.is_empty() => {
@@ -49,21 +49,21 @@ fn misshapen(text: &str, message: &str) -> Option<String> {
 }
 
 /// "invalid type: string "one", expected a number" as "must be a number, not "one"".
-fn plain(message: &str) -> Option<String> {
+fn type_error(message: &str) -> Option<String> {
     let (got, wanted) = message.split_once(", expected ")?;
     if let Some(length) = got.strip_prefix("invalid length ") {
         let entries = if length == "1" { "entry" } else { "entries" };
         return Some(match wanted {
             wanted if wanted.starts_with("struct ") => "must be an object, not a list".to_owned(),
-            wanted => format!("has {length} {entries}: write {}", shape(wanted)),
+            wanted => format!("has {length} {entries}: write {}", expected_form(wanted)),
         });
     }
     let got = got.strip_prefix("invalid type: ").or_else(|| got.strip_prefix("invalid value: "))?;
-    Some(format!("must be {}, not {}", shape(wanted), found(got)))
+    Some(format!("must be {}, not {}", expected_form(wanted), actual_form(got)))
 }
 
 /// What is wanted, without the names of types.
-fn shape(wanted: &str) -> String {
+fn expected_form(wanted: &str) -> String {
     if wanted.starts_with("struct ") {
         return "an object".to_owned();
     }
@@ -80,7 +80,7 @@ fn shape(wanted: &str) -> String {
 }
 
 /// What is there instead.
-fn found(got: &str) -> &str {
+fn actual_form(got: &str) -> &str {
     let quoted = got.split_once('`').and_then(|(_, rest)| rest.strip_suffix('`'));
     match (quoted, got) {
         (Some(value), _) => value,
@@ -95,7 +95,7 @@ mod tests {
     use super::*;
 
     fn of(text: &str, pointer: &str, message: &str) -> (String, String) {
-        reworded(text, pointer.to_owned(), message.to_owned())
+        rewrite_serde_error(text, pointer.to_owned(), message.to_owned())
     }
 
     #[test]

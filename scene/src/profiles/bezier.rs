@@ -5,16 +5,16 @@
 //! without overshoot, and no cubic need be solved. The only other candidate for the nearest point is the
 //! segment's start.
 
-use super::Extent;
-use super::edge::{Found, is_crossed};
+use super::Bounds2;
+use super::edge::{EdgeScan, is_crossed};
 use crate::real::Real;
 
 /// Maximum deviation at which a curve is replaced by a straight line, as a fraction of a font's size.
-const UNSEEN: f32 = 1e-5;
+const FLATNESS_TOLERANCE: f32 = 1e-5;
 
 /// A quadratic Bézier curve.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) struct Quadratic {
+pub(super) struct QuadraticBezier {
     pub(super) from: [f32; 2],
     pub(super) control: [f32; 2],
     pub(super) to: [f32; 2],
@@ -44,7 +44,7 @@ fn mix(a: [f32; 2], b: [f32; 2], t: f32) -> [f32; 2] {
     [a[0] + (b[0] - a[0]) * t, a[1] + (b[1] - a[1]) * t]
 }
 
-impl Quadratic {
+impl QuadraticBezier {
     /// Half of its derivative at the start, and half of its second derivative.
     fn derivatives(&self) -> ([f32; 2], [f32; 2]) {
         let axis = |axis: usize| {
@@ -82,8 +82,8 @@ impl Quadratic {
     }
 
     /// The least rectangle that holds it.
-    pub(super) fn extent(&self) -> Extent {
-        Extent::around([self.from, self.to, self.at(self.extreme(0)), self.at(self.extreme(1))])
+    pub(super) fn extent(&self) -> Bounds2 {
+        Bounds2::from_points([self.from, self.to, self.at(self.extreme(0)), self.at(self.extreme(1))])
     }
 
     /// Whether it deviates invisibly little from the line between its ends.
@@ -91,7 +91,7 @@ impl Quadratic {
         let (a, b) = self.derivatives();
         let chord = [self.to[0] - self.from[0], self.to[1] - self.from[1]];
         // Its deviation is half of the height of the triangle of its points.
-        cross(a, b).abs() <= 2.0 * UNSEEN * Real::sqrt(dot(chord, chord))
+        cross(a, b).abs() <= 2.0 * FLATNESS_TOLERANCE * Real::sqrt(dot(chord, chord))
     }
 
     /// The least radius of its curvature; infinite where it is straight.
@@ -111,15 +111,15 @@ impl HalfParabola {
     }
 
     /// The least rectangle that holds it.
-    pub(super) fn extent(&self) -> Extent {
+    pub(super) fn extent(&self) -> Bounds2 {
         let control = [self.start[0] + self.a[0], self.start[1] + self.a[1]];
-        Quadratic { from: self.start, control, to: self.end }.extent()
+        QuadraticBezier { from: self.start, control, to: self.end }.extent()
     }
 
     /// A curve whose vertex is at or before its start, or at or after its end.
-    pub(super) fn new(curve: Quadratic) -> Self {
+    pub(super) fn new(curve: QuadraticBezier) -> Self {
         let (a, b) = curve.derivatives();
-        let reversed = Quadratic { from: curve.to, control: curve.control, to: curve.from };
+        let reversed = QuadraticBezier { from: curve.to, control: curve.control, to: curve.from };
         // Its speed is least at the vertex.
         let curve = if 2.0 * dot(a, b) + dot(b, b) < 0.0 { reversed } else { curve };
         let (a, b) = curve.derivatives();
@@ -129,14 +129,14 @@ impl HalfParabola {
 
     /// Squared distance to the nearer of the nearest segment so far and this one.
     #[inline(always)]
-    pub(super) fn nearer<R: Real>(&self, x: R, y: R, nearest: R) -> R {
+    pub(super) fn min_distance_squared<R: Real>(&self, x: R, y: R, nearest: R) -> R {
         let Self { start, a, b, .. } = *self;
-        x.shared(
+        x.call(
             "half_parabola",
             (
-                (x - x.given(start[0]), y - x.given(start[1])),
-                (x.given(a[0]), x.given(a[1])),
-                (x.given(b[0]), x.given(b[1])),
+                (x - x.uniform(start[0]), y - x.uniform(start[1])),
+                (x.uniform(a[0]), x.uniform(a[1])),
+                (x.uniform(b[0]), x.uniform(b[1])),
                 nearest,
             ),
             #[inline(always)]
@@ -150,17 +150,17 @@ impl HalfParabola {
     /// b, in which the curve is (t, t²): Charles Loop and Jim Blinn, "Resolution Independent Curve
     /// Rendering using Programmable Graphics Hardware", <https://doi.org/10.1145/1073204.1073303>.
     #[inline(always)]
-    pub(super) fn pass<R: Real>(&self, x: R, y: R, found: Found<R>) -> Found<R> {
+    pub(super) fn pass<R: Real>(&self, x: R, y: R, found: EdgeScan<R>) -> EdgeScan<R> {
         let Self { start, end, a, b, over_turn } = *self;
-        x.shared(
+        x.call(
             "outline_curve",
             (
                 (x, y),
                 found,
-                (x.given(start[0]), x.given(start[1])),
-                (x.given(a[0]), x.given(a[1])),
-                (x.given(b[0]), x.given(b[1])),
-                (x.given(over_turn), x.given(end[1])),
+                (x.uniform(start[0]), x.uniform(start[1])),
+                (x.uniform(a[0]), x.uniform(a[1])),
+                (x.uniform(b[0]), x.uniform(b[1])),
+                (x.uniform(over_turn), x.uniform(end[1])),
             ),
             #[inline(always)]
             |((x, y), (nearest, sign), (start_x, start_y), (a_x, a_y), (b_x, b_y), (over_turn, end_y))| {
@@ -192,7 +192,7 @@ fn square<R: Real>(off: (R, R), a: (R, R), b: (R, R)) -> R {
     let squared = product(a, b) * 3.0;
     let linear = product(a, a) * 2.0 - product(off, b);
     let constant = -product(off, a);
-    let mut t = off.0.splat(1.0);
+    let mut t = off.0.constant(1.0);
     for _ in 0..STEPS {
         let value = t.mul_add(t.mul_add(t.mul_add(cubic, squared), linear), constant);
         let slope = t.mul_add(t.mul_add(cubic * 3.0, squared * 2.0), linear);

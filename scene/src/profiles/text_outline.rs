@@ -9,31 +9,31 @@ use schemars::{JsonSchema, Schema, SchemaGenerator, json_schema};
 use serde::{Deserialize, Serialize};
 use ttf_parser::{Face, GlyphId, OutlineBuilder};
 
-use super::Extent;
-use super::bezier::{HalfParabola, Quadratic};
+use super::Bounds2;
+use super::bezier::{HalfParabola, QuadraticBezier};
 use super::edge::Edge;
 
-use crate::seek::{Clock, Misfit, Seek};
+use crate::seek::{FrameTime, Seek, SeekError};
 
 /// Most characters of a text.
 const MAX_CHARACTERS: usize = 64;
 /// Most lines and curves of a text's outlines.
-const MAX_PIECES: usize = 2_000;
+const MAX_SEGMENTS: usize = 2_000;
 /// Height of the middle of a capital above the baseline.
-const MIDDLE: f32 = 0.364_5;
+const CAP_HEIGHT_CENTER: f32 = 0.364_5;
 
 static FONT: &[u8] = include_bytes!("../../fonts/DejaVuSans-Bold-Latin.ttf");
 
 /// A line of text and its outlines.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(try_from = "String", into = "String")]
-pub struct Lettering {
+pub struct TextOutline {
     string: String,
-    letters: Vec<Letter>,
+    letters: Vec<GlyphOutline>,
 }
 
-impl Seek for Lettering {
-    fn seek(&mut self, clock: &mut Clock<'_>) -> Result<bool, Box<Misfit>> {
+impl Seek for TextOutline {
+    fn seek(&mut self, clock: &mut FrameTime<'_>) -> Result<bool, Box<SeekError>> {
         // The letters follow from the string alone.
         let Self { string, letters: _ } = self;
         string.seek(clock)
@@ -42,16 +42,16 @@ impl Seek for Lettering {
 
 /// Outline of one character at its position.
 #[derive(Clone, Debug, PartialEq)]
-pub(super) struct Letter {
-    pub(super) pieces: Vec<Piece>,
-    pub(super) extent: Extent,
+pub(super) struct GlyphOutline {
+    pub(super) pieces: Vec<OutlineSegment>,
+    pub(super) extent: Bounds2,
     /// A point of the outline, near its middle.
     pub(super) anchor: [f32; 2],
 }
 
 /// Segment of an outline.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) enum Piece {
+pub(super) enum OutlineSegment {
     /// A straight one.
     Line(Edge),
     /// A curve that is monotonic in y.
@@ -60,7 +60,7 @@ pub(super) enum Piece {
 
 /// Reason why a text has no outline.
 #[derive(Debug, thiserror::Error)]
-pub enum NoLettering {
+pub enum TextOutlineError {
     /// It has this many characters.
     #[error("has {0} characters: use at most {MAX_CHARACTERS}")]
     TooLong(usize),
@@ -68,38 +68,38 @@ pub enum NoLettering {
     #[error("has {0:?}, which the font lacks: it has Latin letters, digits, punctuation and arrows")]
     NoGlyph(char),
     /// Its outlines have this many segments.
-    #[error("has outlines of {0} lines and curves: use fewer letters, for at most {MAX_PIECES}")]
-    TooIntricate(usize),
+    #[error("has outlines of {0} lines and curves: use fewer letters, for at most {MAX_SEGMENTS}")]
+    TooManySegments(usize),
     /// No character leaves a mark.
     #[error("shows nothing: write a letter or more")]
     Blank,
 }
 
-impl TryFrom<String> for Lettering {
-    type Error = NoLettering;
+impl TryFrom<String> for TextOutline {
+    type Error = TextOutlineError;
 
-    fn try_from(string: String) -> Result<Self, NoLettering> {
+    fn try_from(string: String) -> Result<Self, TextOutlineError> {
         let count = string.chars().count();
         if count > MAX_CHARACTERS {
-            return Err(NoLettering::TooLong(count));
+            return Err(TextOutlineError::TooLong(count));
         }
-        let letters = set(&string)?;
+        let letters = lay_out(&string)?;
         let pieces = letters.iter().map(|letter| letter.pieces.len()).sum();
         match pieces {
-            0 => Err(NoLettering::Blank),
-            1..=MAX_PIECES => Ok(Self { string, letters }),
-            _ => Err(NoLettering::TooIntricate(pieces)),
+            0 => Err(TextOutlineError::Blank),
+            1..=MAX_SEGMENTS => Ok(Self { string, letters }),
+            _ => Err(TextOutlineError::TooManySegments(pieces)),
         }
     }
 }
 
-impl From<Lettering> for String {
-    fn from(lettering: Lettering) -> Self {
+impl From<TextOutline> for String {
+    fn from(lettering: TextOutline) -> Self {
         lettering.string
     }
 }
 
-impl JsonSchema for Lettering {
+impl JsonSchema for TextOutline {
     fn schema_name() -> Cow<'static, str> {
         "Lettering".into()
     }
@@ -112,20 +112,20 @@ impl JsonSchema for Lettering {
     }
 }
 
-impl Lettering {
+impl TextOutline {
     /// Its visible letters, one or more.
-    pub(super) fn letters(&self) -> &[Letter] {
+    pub(super) fn letters(&self) -> &[GlyphOutline] {
         &self.letters
     }
 }
 
 /// Sets a line of text, its middle at x = 0, half a capital's height at y = 0.
-fn set(string: &str) -> Result<Vec<Letter>, NoLettering> {
+fn lay_out(string: &str) -> Result<Vec<GlyphOutline>, TextOutlineError> {
     let face = Face::parse(FONT, 0).expect("the embedded font is a font");
     let em = f32::from(face.units_per_em());
     let (mut pen, mut before, mut placed) = (0, None, Vec::new());
     for character in string.chars() {
-        let glyph = face.glyph_index(character).ok_or(NoLettering::NoGlyph(character))?;
+        let glyph = face.glyph_index(character).ok_or(TextOutlineError::NoGlyph(character))?;
         pen += before.map_or(0, |before| kerning(&face, before, glyph));
         placed.push((glyph, pen));
         pen += i32::from(face.glyph_hor_advance(glyph).unwrap_or(0));
@@ -133,9 +133,10 @@ fn set(string: &str) -> Result<Vec<Letter>, NoLettering> {
     }
     let letters = placed.into_iter().filter_map(|(glyph, from)| {
         let left = (from as f32 - pen as f32 / 2.0) / em;
-        let mut outline = Outline { scale: 1.0 / em, left, start: [0.0; 2], pen: [0.0; 2], pieces: Vec::new() };
+        let mut outline =
+            OutlineCollector { scale: 1.0 / em, left, start: [0.0; 2], pen: [0.0; 2], pieces: Vec::new() };
         face.outline_glyph(glyph, &mut outline)?;
-        Letter::new(outline.pieces)
+        GlyphOutline::new(outline.pieces)
     });
     Ok(letters.collect())
 }
@@ -146,17 +147,17 @@ fn kerning(face: &Face, left: GlyphId, right: GlyphId) -> i32 {
     tables.filter_map(|table| table.glyphs_kerning(left, right)).map(i32::from).sum()
 }
 
-impl Letter {
-    fn new(pieces: Vec<Piece>) -> Option<Self> {
-        let extent = pieces.iter().map(Piece::extent).reduce(Extent::hull)?;
+impl GlyphOutline {
+    fn new(pieces: Vec<OutlineSegment>) -> Option<Self> {
+        let extent = pieces.iter().map(OutlineSegment::extent).reduce(Bounds2::hull)?;
         let middle = [0, 1].map(|axis| (extent.low[axis] + extent.high[axis]) * 0.5);
         let off = |point: &[f32; 2]| (point[0] - middle[0]).abs() + (point[1] - middle[1]).abs();
-        let anchor = pieces.iter().map(Piece::start).min_by(|a, b| off(a).total_cmp(&off(b)))?;
+        let anchor = pieces.iter().map(OutlineSegment::start).min_by(|a, b| off(a).total_cmp(&off(b)))?;
         Some(Self { pieces, extent, anchor })
     }
 }
 
-impl Piece {
+impl OutlineSegment {
     fn start(&self) -> [f32; 2] {
         match self {
             Self::Line(edge) => edge.from,
@@ -164,40 +165,41 @@ impl Piece {
         }
     }
 
-    fn extent(&self) -> Extent {
+    fn extent(&self) -> Bounds2 {
         match self {
-            Self::Line(edge) => Extent::around([edge.from, edge.to]),
+            Self::Line(edge) => Bounds2::from_points([edge.from, edge.to]),
             Self::Curve(curve) => curve.extent(),
         }
     }
 }
 
 /// Takes a glyph's outline down.
-struct Outline {
+struct OutlineCollector {
     scale: f32,
     left: f32,
     start: [f32; 2],
     pen: [f32; 2],
-    pieces: Vec<Piece>,
+    pieces: Vec<OutlineSegment>,
 }
 
-impl Outline {
+impl OutlineCollector {
     fn place(&self, x: f32, y: f32) -> [f32; 2] {
-        [x * self.scale + self.left, y * self.scale - MIDDLE]
+        [x * self.scale + self.left, y * self.scale - CAP_HEIGHT_CENTER]
     }
 
     fn line(&mut self, to: [f32; 2]) {
         if to != self.pen {
-            self.pieces.push(Piece::Line(Edge::new(self.pen, to)));
+            self.pieces.push(OutlineSegment::Line(Edge::new(self.pen, to)));
         }
         self.pen = to;
     }
 
     /// Adds a curve, cut at its vertex and where it turns from up to down.
-    fn curve(&mut self, curve: Quadratic) {
+    fn curve(&mut self, curve: QuadraticBezier) {
         // Nearer to an end than this, no cut is made.
-        const SLIVER: f32 = 1e-3;
-        let inside = [curve.vertex(), curve.extreme(1)].into_iter().find(|t| (SLIVER..=1.0 - SLIVER).contains(t));
+        const MIN_SEGMENT: f32 = 1e-3;
+        let inside =
+            [curve.vertex(), curve.extreme(1)].into_iter().find(|t| (MIN_SEGMENT..=1.0 - MIN_SEGMENT).contains(t));
         if curve.is_straight() {
             self.line(curve.to);
         } else if let Some(t) = inside {
@@ -205,13 +207,13 @@ impl Outline {
             self.curve(first);
             self.curve(second);
         } else {
-            self.pieces.push(Piece::Curve(HalfParabola::new(curve)));
+            self.pieces.push(OutlineSegment::Curve(HalfParabola::new(curve)));
             self.pen = curve.to;
         }
     }
 }
 
-impl OutlineBuilder for Outline {
+impl OutlineBuilder for OutlineCollector {
     fn move_to(&mut self, x: f32, y: f32) {
         self.start = self.place(x, y);
         self.pen = self.start;
@@ -222,14 +224,14 @@ impl OutlineBuilder for Outline {
     }
 
     fn quad_to(&mut self, x1: f32, y1: f32, x: f32, y: f32) {
-        self.curve(Quadratic { from: self.pen, control: self.place(x1, y1), to: self.place(x, y) });
+        self.curve(QuadraticBezier { from: self.pen, control: self.place(x1, y1), to: self.place(x, y) });
     }
 
     fn curve_to(&mut self, x1: f32, y1: f32, x2: f32, y2: f32, x: f32, y: f32) {
         // A TrueType font has no cubic curves; this would be the nearest quadratic one.
         let ([x1, y1], [x2, y2], [x, y]) = (self.place(x1, y1), self.place(x2, y2), self.place(x, y));
         let control = [(3.0 * (x1 + x2) - self.pen[0] - x) / 4.0, (3.0 * (y1 + y2) - self.pen[1] - y) / 4.0];
-        self.curve(Quadratic { from: self.pen, control, to: [x, y] });
+        self.curve(QuadraticBezier { from: self.pen, control, to: [x, y] });
     }
 
     fn close(&mut self) {

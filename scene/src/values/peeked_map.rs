@@ -4,19 +4,19 @@ use serde::de::value::StringDeserializer;
 use serde::de::{DeserializeSeed, MapAccess};
 
 /// A map whose first key was read already.
-pub(crate) struct Replayed<A> {
+pub(crate) struct PeekedMap<A> {
     first: Option<String>,
     rest: A,
 }
 
-impl<A> Replayed<A> {
+impl<A> PeekedMap<A> {
     /// The map that `rest` was before `first`, its first key if it has one, was read.
     pub(crate) fn new(first: Option<String>, rest: A) -> Self {
         Self { first, rest }
     }
 }
 
-impl<'de, A: MapAccess<'de>> MapAccess<'de> for Replayed<A> {
+impl<'de, A: MapAccess<'de>> MapAccess<'de> for PeekedMap<A> {
     type Error = A::Error;
 
     fn next_key_seed<K: DeserializeSeed<'de>>(&mut self, seed: K) -> Result<Option<K::Value>, A::Error> {

@@ -24,7 +24,10 @@ pub(super) fn too_many(scene: &Scene, image: &Image) -> Option<String> {
 
 /// Whether anything in it is chosen by chance, so that more samples make it less grainy.
 fn has_noise(scene: &Scene) -> bool {
-    scene.slots().iter().any(|material| material.sends_on() || material.is_medium() || material.is_textured())
+    scene
+        .used_materials()
+        .iter()
+        .any(|material| material.is_specular() || material.is_medium() || material.is_textured())
         || scene.fog.is_some()
         || scene.lights.iter().any(is_wide)
 }

@@ -5,20 +5,20 @@ use crate::lights::{LightSource, default_lights};
 use crate::limits::MAX_MEDIUM_STEPS;
 use crate::materials::{Material, Shade};
 use crate::nodes::Node;
-use crate::scene::{Scene, child_steps};
+use crate::scene::{Scene, child_pointers};
 
 /// Steps that are a smaller part of the distance than one over this are worth a word.
 const STEEPEST: f32 = 20.0;
 /// More nodes at a look are worth a word.
 const MOST_WORK: f32 = 1e6;
 /// So much of a volume must not be crossed in one step: of light, a 3000th is left.
-const MOST_DEPTH_OF_STEP: f32 = 8.0;
+const MAX_STEP_DEPTH: f32 = 8.0;
 /// Bounces that it takes to get into a body and out of it again.
-const THROUGH: u32 = 2;
+const MIN_GLASS_BOUNCES: u32 = 2;
 
 /// Copies of copies that take too long.
-pub(super) fn work(scene: &Scene) -> Option<String> {
-    let works: Vec<f32> = scene.objects.iter().map(|object| object.shape.work()).collect();
+pub(super) fn high_cost(scene: &Scene) -> Option<String> {
+    let works: Vec<f32> = scene.objects.iter().map(|object| object.shape.evaluation_cost()).collect();
     let heavy: Vec<usize> = (0..works.len()).filter(|&index| works[index] > MOST_WORK).collect();
     if heavy.is_empty() {
         return None;
@@ -30,12 +30,12 @@ pub(super) fn work(scene: &Scene) -> Option<String> {
 }
 
 /// Objects that make steps tiny.
-pub(super) fn steep(scene: &Scene) -> Option<String> {
+pub(super) fn high_lipschitz(scene: &Scene) -> Option<String> {
     let stretches: Vec<f32> = scene.objects.iter().map(|object| object.shape.stretch()).collect();
     let steep: Vec<usize> = (0..stretches.len()).filter(|&index| stretches[index] > STEEPEST).collect();
     let steepest = steep.iter().copied().reduce(|a, b| if stretches[b] > stretches[a] { b } else { a })?;
     let mut pointer = format!("/scene/objects/{steepest}/shape");
-    let cure = cause(&scene.objects[steepest].shape, &mut pointer).lipschitz_advice();
+    let cure = main_cause(&scene.objects[steepest].shape, &mut pointer).lipschitz_advice();
     let others = if steep.len() > 1 { format!(" (so are those of {})", objects(&steep)) } else { String::new() };
     let stretch = stretches[steepest];
     let part = if stretch < 1e6 { format!("1/{stretch:.0}") } else { "less than a millionth".to_owned() };
@@ -43,13 +43,13 @@ pub(super) fn steep(scene: &Scene) -> Option<String> {
 }
 
 /// The node that most of a tree's steepness comes from, and its place.
-fn cause<'a>(node: &'a Node, pointer: &mut String) -> &'a Node {
+fn main_cause<'a>(node: &'a Node, pointer: &mut String) -> &'a Node {
     let own = node.stretch();
-    let children = node.children().iter().zip(child_steps(node));
+    let children = node.children().iter().zip(child_pointers(node));
     match children.reduce(|a, b| if b.0.stretch() > a.0.stretch() { b } else { a }) {
         Some((child, step)) if child.stretch() > 0.5 * own => {
             pointer.push_str(&step);
-            cause(child, pointer)
+            main_cause(child, pointer)
         }
         _ => {
             pointer.push('/');
@@ -61,7 +61,7 @@ fn cause<'a>(node: &'a Node, pointer: &mut String) -> &'a Node {
 
 /// Lights that shine for nothing, and scenes that want light.
 pub(super) fn light(scene: &Scene) -> Option<String> {
-    let used = scene.slots();
+    let used = scene.used_materials();
     if !scene.lights.is_empty() && scene.lights != default_lights() && !used.iter().any(Shade::uses_lights) {
         return Some(
             "the lights light nothing, for no material in use looks at them: choose diffuse or surface, or leave lights out"
@@ -77,18 +77,18 @@ pub(super) fn light(scene: &Scene) -> Option<String> {
 }
 
 /// Clouds and volumes that are too thick for their steps.
-pub(super) fn thick(scene: &Scene) -> Option<String> {
+pub(super) fn dense_media(scene: &Scene) -> Option<String> {
     let depths = scene.objects.iter().enumerate().filter_map(|(index, object)| {
-        let filling = scene.material_of(index).filling()?;
+        let filling = scene.material_of(index).as_medium()?;
         let bounds = object.shape.bounds(0.0);
         let length = if bounds.is_finite() { bounds.diagonal() } else { scene.march.max_distance.get() };
         let depth = filling.density() * length;
-        (depth > MOST_DEPTH_OF_STEP * filling.steps() as f32).then_some((index, depth, filling.steps()))
+        (depth > MAX_STEP_DEPTH * filling.steps() as f32).then_some((index, depth, filling.steps()))
     });
     let thick: Vec<(usize, f32, u32)> = depths.collect();
     let &(_, depth, steps) = thick.first()?;
     let indices: Vec<usize> = thick.iter().map(|&(index, ..)| index).collect();
-    let enough = (depth / MOST_DEPTH_OF_STEP).ceil();
+    let enough = (depth / MAX_STEP_DEPTH).ceil();
     let cure = if enough <= MAX_MEDIUM_STEPS as f32 {
         format!("raise its steps to {enough} or more, or lower its density")
     } else {
@@ -103,10 +103,12 @@ pub(super) fn thick(scene: &Scene) -> Option<String> {
 
 /// Glass that no ray gets through.
 pub(super) fn bounces(scene: &Scene) -> Option<String> {
-    let lets_through = |material: &&Material| material.lets_through() && !material.is_medium();
-    scene.slots().iter().find(lets_through)?;
+    let lets_through = |material: &&Material| material.is_transmissive() && !material.is_medium();
+    scene.used_materials().iter().find(lets_through)?;
     let most = scene.march.max_bounces;
-    (most < THROUGH).then(|| {
-        format!("rays end inside of glass, for march.max_bounces is {most}, and a body takes {THROUGH}: raise it")
+    (most < MIN_GLASS_BOUNCES).then(|| {
+        format!(
+            "rays end inside of glass, for march.max_bounces is {most}, and a body takes {MIN_GLASS_BOUNCES}: raise it"
+        )
     })
 }

@@ -1,36 +1,36 @@
 //! Where the camera is and what its rays meet.
 
-use super::{Kind, Warning, objects};
-use crate::animation::Still;
+use super::{Warning, WarningKind, objects};
+use crate::animation::JobAtFrame;
 use crate::camera::{Project, View};
-use crate::integrator::Program;
+use crate::integrator::Integrator;
 use crate::job::Image;
 use crate::materials::Shade;
 use crate::nodes::Node;
 use crate::scene::Scene;
 
 /// More rays than this must not run out of steps.
-const MOST_OUT_OF_STEPS: f32 = 0.01;
+const MAX_OUT_OF_STEPS: f32 = 0.01;
 /// What takes more simple nodes to look at is not looked at.
 const MOST_WORK: f32 = 200_000.0;
 
 /// What is wrong with the view; where nothing is seen, nothing else is.
-pub(super) fn of(still: &Still<'_>) -> Option<Warning> {
+pub(super) fn of(still: &JobAtFrame<'_>) -> Option<Warning> {
     let (scene, image) = (still.scene(), still.image());
     let view = scene.camera.view(image.width, image.height);
     if let Some(text) = nothing_in_view(scene, &view) {
-        return Some(Warning { kind: Kind::NothingInView, text });
+        return Some(Warning { kind: WarningKind::NothingInView, text });
     }
-    let work: f32 = scene.objects.iter().map(|object| object.shape.work()).sum();
+    let work: f32 = scene.objects.iter().map(|object| object.shape.evaluation_cost()).sum();
     if work > MOST_WORK {
         return None;
     }
     if let Some(text) = inside(scene, image, &view) {
-        return Some(Warning { kind: Kind::Inside, text });
+        return Some(Warning { kind: WarningKind::CameraInside, text });
     }
-    let program = Program::new(still);
-    let share = program.share_out_of_steps(image.width, image.height, work)?;
-    (share > MOST_OUT_OF_STEPS).then(|| Warning { kind: Kind::Steps, text: out_of_steps(scene, share) })
+    let program = Integrator::new(still);
+    let share = program.fraction_out_of_steps(image.width, image.height, work)?;
+    (share > MAX_OUT_OF_STEPS).then(|| Warning { kind: WarningKind::OutOfSteps, text: out_of_steps(scene, share) })
 }
 
 fn nothing_in_view(scene: &Scene, view: &View) -> Option<String> {
@@ -38,10 +38,10 @@ fn nothing_in_view(scene: &Scene, view: &View) -> Option<String> {
     let mut is_one_beyond = false;
     for object in &scene.objects {
         let bounds = object.shape.bounds(0.0);
-        if view.is_beside(bounds) {
+        if view.is_outside_view(bounds) {
             continue;
         }
-        if !view.is_beyond(bounds, farthest) {
+        if !view.is_farther_than(bounds, farthest) {
             return None;
         }
         is_one_beyond = true;
@@ -60,13 +60,13 @@ fn nothing_in_view(scene: &Scene, view: &View) -> Option<String> {
 fn inside(scene: &Scene, image: &Image, view: &View) -> Option<String> {
     let origins = scene.camera.projection.ray_origins(view, image);
     let solid = scene.objects.iter().enumerate().filter(|(_, object)| {
-        let material = &scene.slots()[object.material.slot() as usize];
-        !material.is_medium() && !material.lets_through() && !lets_through(scene, &object.shape)
+        let material = &scene.used_materials()[object.material.slot() as usize];
+        !material.is_medium() && !material.is_transmissive() && !lets_through(scene, &object.shape)
     });
     let around: Vec<usize> = solid
         .filter(|(_, object)| {
             let bounds = object.shape.bounds(0.0);
-            let mut near = origins.iter().filter(|&&origin| bounds.holds(origin));
+            let mut near = origins.iter().filter(|&&origin| bounds.contains(origin));
             near.any(|&origin| object.shape.distance(origin) <= 0.0)
         })
         .map(|(index, _)| index)
@@ -80,7 +80,7 @@ fn inside(scene: &Scene, image: &Image, view: &View) -> Option<String> {
 
 /// Whether a part of a shape is painted with what lets rays through.
 fn lets_through(scene: &Scene, node: &Node) -> bool {
-    node.material().is_some_and(|material| scene.slots()[material.slot() as usize].lets_through())
+    node.material().is_some_and(|material| scene.used_materials()[material.slot() as usize].is_transmissive())
         || node.children().iter().any(|child| lets_through(scene, child))
 }
 

@@ -20,7 +20,7 @@ fn numbers(value: &Value, pointer: &str, found: &mut Vec<String>) {
 
 /// Calls `check` with each node, a number of it, and a maker of the node with something else in the number's place.
 fn each_number(mut check: impl FnMut(&str, &Node, f64, &dyn Fn(Value) -> Result<Node, serde_json::Error>)) {
-    for Example { kind, number, node } in Node::examples() {
+    for Example { kind, index: number, node } in Node::examples() {
         let value: Value = serde_json::from_str(&node).unwrap();
         let still: Node = serde_json::from_str(&node).unwrap();
         let mut found = Vec::new();
@@ -73,7 +73,7 @@ fn a_number_that_is_0_for_a_moment_leaves_distances_finite() {
         }
         let (bounds, stretch) = (moving.bounds(0.0), moving.stretch());
         assert!(
-            stretch.is_finite() && !bounds.low.x.is_nan() && !bounds.high.x.is_nan(),
+            stretch.is_finite() && !bounds.min.x.is_nan() && !bounds.max.x.is_nan(),
             "{name}: {stretch}, {bounds:?}"
         );
     });

@@ -2,7 +2,7 @@
 
 use std::panic::{AssertUnwindSafe, catch_unwind};
 
-use scene::Refusal;
+use scene::ParseError;
 use scene::nodes::{Example, Node};
 use scene::real::{Vec3, vec3};
 use serde_json::{Number, Value, json};
@@ -96,8 +96,8 @@ fn wrong_with(node: &Value) -> Option<String> {
     });
     let shape = match scene::parse(job.to_string().as_bytes()) {
         Ok(job) => job.scene.objects[0].shape.clone(),
-        Err(Refusal::NotJson(fault)) => return Some(format!("is no JSON: {fault}")),
-        Err(Refusal::Wrong(faults)) => {
+        Err(ParseError::NotJson(fault)) => return Some(format!("is no JSON: {fault}")),
+        Err(ParseError::Invalid(faults)) => {
             let stray = faults.iter().find(|fault| {
                 !fault.pointer.starts_with("/scene/objects/0/shape") || fault.message.split(' ').count() < 3
             });
@@ -108,7 +108,7 @@ fn wrong_with(node: &Value) -> Option<String> {
         return Some(format!("has a Lipschitz factor of {}", shape.stretch()));
     }
     let bounds = shape.bounds(0.5);
-    let sides: [[f32; 3]; 2] = [bounds.low.into(), bounds.high.into()];
+    let sides: [[f32; 3]; 2] = [bounds.min.into(), bounds.max.into()];
     if sides.as_flattened().iter().any(|side| side.is_nan()) {
         return Some(format!("has the bounds {bounds:?}"));
     }
@@ -142,7 +142,7 @@ fn places_of(example: &Value) -> Vec<Place> {
 
 fn each_example(mut check: impl FnMut(&Value, &[Place]) -> Vec<String>) {
     let mut wrong = Vec::new();
-    for Example { kind, number, node } in Node::examples() {
+    for Example { kind, index: number, node } in Node::examples() {
         let example: Value = serde_json::from_str(&node).expect("an example is JSON");
         let found = check(&example, &places_of(&example));
         wrong.extend(found.into_iter().map(|reason| format!("{kind} {number} {reason}")));

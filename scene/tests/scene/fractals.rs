@@ -46,7 +46,7 @@ fn ray(random: &mut Random) -> impl Fn(f32) -> Vec3<f32> + use<> {
 }
 
 fn each_estimate(mut check: impl FnMut(&str, &Node)) {
-    for Example { kind, number, node } in Node::examples() {
+    for Example { kind, index: number, node } in Node::examples() {
         let node: Node = serde_json::from_str(&node).expect("an example is a node");
         if node.exactness() == Exactness::Estimate {
             check(&format!("{kind} {number}"), &node);

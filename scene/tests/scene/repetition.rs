@@ -1,7 +1,7 @@
 //! Nodes that make copies, held against unions of the copies written out; and what nodes say of shapes
 //! that they cannot do with.
 
-use scene::nodes::{Node, Painted};
+use scene::nodes::{DistanceWithMaterials, Node};
 use scene::real::{Real, Vec3, vec3};
 
 fn node(text: &str) -> Node {
@@ -119,13 +119,14 @@ fn materials_pass_through_copies_and_stay_with_their_shape() {
     ];
     for text in around {
         let node = node(&text);
-        assert!(node.is_painted(), "{text}");
+        assert!(node.has_own_materials(), "{text}");
         each_point(1.5, |p| {
-            let painted: Painted<f32> = node.sample(p);
-            assert_eq!(scene::nodes::Sample::distance(&painted), node.distance(p), "{text} at {p:?}");
-            let shares: f32 = painted.coats().iter().map(|coat| coat.share).sum();
+            let painted: DistanceWithMaterials<f32> = node.sample(p);
+            assert_eq!(scene::nodes::SdfValue::distance(&painted), node.distance(p), "{text} at {p:?}");
+            let shares: f32 = painted.weights().iter().map(|coat| coat.weight).sum();
             assert!((shares - 1.0).abs() < 1e-6, "{text} at {p:?}");
-            let upper = painted.coats().iter().filter(|coat| coat.slot.is_some()).map(|coat| coat.share).sum::<f32>();
+            let upper =
+                painted.weights().iter().filter(|coat| coat.slot.is_some()).map(|coat| coat.weight).sum::<f32>();
             if p.y.abs() > 0.2 && !text.contains("bend") {
                 assert_eq!(upper, if p.y > 0.0 { 1.0 } else { 0.0 }, "{text} at {p:?}");
             }
@@ -140,7 +141,7 @@ fn fault(shape: &str) -> (String, String) {
              "objects": [{{ "shape": {shape} }}] }}, "image": {{ "width": 8, "height": 8 }} }}"#
     );
     match scene::parse(job.as_bytes()) {
-        Err(scene::Refusal::Wrong(faults)) => {
+        Err(scene::ParseError::Invalid(faults)) => {
             assert_eq!(faults.len(), 1, "{faults:?}");
             (faults[0].pointer.replace("/scene/objects/0/shape/", ""), faults[0].message.clone())
         }

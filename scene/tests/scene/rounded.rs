@@ -286,7 +286,7 @@ fn faults(shape: &str) -> Vec<(String, String)> {
     );
     match scene::parse(job.as_bytes()) {
         Ok(_) => Vec::new(),
-        Err(scene::Refusal::Wrong(faults)) => faults
+        Err(scene::ParseError::Invalid(faults)) => faults
             .into_iter()
             .map(|fault| (fault.pointer.trim_start_matches("/scene/objects/0/shape/").to_owned(), fault.message))
             .collect(),

@@ -3,7 +3,7 @@
 
 use std::f32::consts::{FRAC_1_SQRT_2, SQRT_2};
 
-use scene::nodes::{Node, Painted};
+use scene::nodes::{DistanceWithMaterials, Node};
 use scene::real::vec3;
 
 const X: &str = r#"{ "plane": { "normal": [1, 0, 0], "offset": 0 } }"#;
@@ -93,8 +93,8 @@ fn a_seam_goes_from_one_material_to_the_other() {
             for (a, b, want) in
                 [(0.0, 1.5, 0.0), (0.25, 0.75, 0.25), (0.5, 0.5, 0.5), (0.75, 0.25, 0.75), (1.5, 0.0, 1.0)]
             {
-                let seen: Painted<f32> = joined.sample(vec3(x * a, y * b, 0.0));
-                let share: f32 = seen.coats().iter().filter(|coat| coat.slot.is_some()).map(|coat| coat.share).sum();
+                let seen: DistanceWithMaterials<f32> = joined.sample(vec3(x * a, y * b, 0.0));
+                let share: f32 = seen.weights().iter().filter(|coat| coat.slot.is_some()).map(|coat| coat.weight).sum();
                 assert!(near(share, want), "{name} {kind}: {share} at {a}, {b}, not {want}");
             }
         }

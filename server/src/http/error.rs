@@ -386,11 +386,11 @@ impl From<JobError> for ApiError {
     }
 }
 
-impl From<scene::Refusal> for ApiError {
-    fn from(refusal: scene::Refusal) -> Self {
+impl From<scene::ParseError> for ApiError {
+    fn from(refusal: scene::ParseError) -> Self {
         match refusal {
-            scene::Refusal::NotJson(fault) => Self::NotJson(vec![(&fault).into()]),
-            scene::Refusal::Wrong(faults) => Self::WrongJob(faults.iter().map(Into::into).collect()),
+            scene::ParseError::NotJson(fault) => Self::NotJson(vec![(&fault).into()]),
+            scene::ParseError::Invalid(faults) => Self::WrongJob(faults.iter().map(Into::into).collect()),
         }
     }
 }

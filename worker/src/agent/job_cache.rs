@@ -44,7 +44,7 @@ pub(super) enum JobError {
     Link(#[from] LinkError),
     /// The server took what this worker does not.
     #[error("this worker can't read the job: {0}")]
-    Refused(#[from] scene::Refusal),
+    Refused(#[from] scene::ParseError),
     /// The parser panicked.
     #[error("reading the job panicked")]
     Panicked,

@@ -1,7 +1,7 @@
 //! Packets: a block of neighboring pixels rendered together, one per lane.
 
 use fearless_simd::{Level, Simd as Token};
-use scene::{Image, Layer, Program};
+use scene::{Image, Integrator, Layer};
 
 use crate::lanes::Lanes;
 use crate::simd::{Simd, with_instructions};
@@ -13,7 +13,7 @@ pub(crate) struct Packets(Level);
 
 /// State shared by all packets of a band.
 struct Band<'a, 'b> {
-    program: &'a Program<'a>,
+    program: &'a Integrator<'a>,
     image: &'a Image,
     left: u32,
     top: u32,
@@ -38,7 +38,7 @@ impl Packets {
     }
 
     /// Number of evaluations of the scene's distance for a row of pixels.
-    pub(crate) fn evaluations(self, program: &Program<'_>, left: u32, row: u32, width: usize) -> u64 {
+    pub(crate) fn evaluations(self, program: &Integrator<'_>, left: u32, row: u32, width: usize) -> u64 {
         with_instructions!(self.0, token, N => row_evaluations::<_, N>(token, program, left, row, width))
     }
 
@@ -46,7 +46,7 @@ impl Packets {
     #[expect(clippy::too_many_arguments, reason = "the parts of one band")]
     pub(crate) fn band(
         self,
-        program: &Program<'_>,
+        program: &Integrator<'_>,
         image: &Image,
         left: u32,
         top: u32,
@@ -70,7 +70,7 @@ fn block<S: Token, const N: usize>(_: S) -> (usize, usize) {
 #[inline(always)]
 fn row_evaluations<S: Token, const N: usize>(
     token: S,
-    program: &Program<'_>,
+    program: &Integrator<'_>,
     left: u32,
     row: u32,
     width: usize,
@@ -130,7 +130,7 @@ impl Band<'_, '_> {
         if self.image.layers.is_empty() {
             return;
         }
-        let met = self.program.layers(x, y);
+        let met = self.program.aovs(x, y);
         let mut plane = color.len();
         for layer in &self.image.layers {
             let numbers: &[Lanes<S, N>] = match layer {

@@ -2,9 +2,9 @@
 
 use std::fmt::Write;
 
-use scene::integrator::{Met, Radiance};
+use scene::integrator::{Aovs, Radiance};
 use scene::real::{Real, vec3};
-use scene::{Image, Layer, Program, Still};
+use scene::{Image, Integrator, JobAtFrame, Layer};
 
 use crate::tape::{Expr, Tape, record};
 
@@ -26,9 +26,9 @@ pub struct Source {
 
 impl Source {
     /// The program of a frame of a job.
-    pub fn new(still: &Still<'_>) -> Self {
+    pub fn new(still: &JobAtFrame<'_>) -> Self {
         let image = still.image();
-        let tape = picture(&Program::new(still), image);
+        let tape = picture(&Integrator::new(still), image);
         let steps = tape.text();
         let (before, after) = FRAME.split_once(PLACE).expect("kernel.cu has a place for the picture");
         let numbers = tape.parameters().len().max(1);
@@ -42,8 +42,8 @@ impl Source {
     }
 }
 
-fn picture(program: &Program<'_>, image: &Image) -> Tape {
-    let sum = |[r, g, b, alpha]: [Expr; 4]| Radiance { color: vec3(r, g, b), alpha, evaluations: alpha.splat(0.0) };
+fn picture(program: &Integrator<'_>, image: &Image) -> Tape {
+    let sum = |[r, g, b, alpha]: [Expr; 4]| Radiance { color: vec3(r, g, b), alpha, evaluations: alpha.constant(0.0) };
     let planes = |light: Radiance<Expr>| vec![light.color.x, light.color.y, light.color.z, light.alpha];
     record(|recording| {
         recording.entry("accumulate", |[x, y, first, end, r, g, b, alpha]| {
@@ -52,7 +52,7 @@ fn picture(program: &Program<'_>, image: &Image) -> Tape {
         recording.entry("mean", |all| planes(program.mean(sum(all))));
         if !image.layers.is_empty() {
             recording.entry("layers", |[x, y]| {
-                let met = program.layers(x, y);
+                let met = program.aovs(x, y);
                 image.layers.iter().flat_map(|&layer| numbers(&met, layer)).collect()
             });
         }
@@ -60,7 +60,7 @@ fn picture(program: &Program<'_>, image: &Image) -> Tape {
 }
 
 /// The numbers of a layer, one a channel.
-fn numbers(met: &Met<Expr>, layer: Layer) -> Vec<Expr> {
+fn numbers(met: &Aovs<Expr>, layer: Layer) -> Vec<Expr> {
     match layer {
         Layer::Depth => vec![met.depth],
         Layer::Object => vec![met.object],

@@ -15,7 +15,7 @@ use std::ops::Range;
 use png::{BitDepth, ColorType, DeflateCompression, Encoder, Filter, SrgbRenderingIntent};
 use rayon::prelude::*;
 use scene::Bits;
-use scene::color::{Grade, level_of_256};
+use scene::color::{DisplayTransform, level_of_256};
 use scene::sampling::thresholds;
 
 use super::provenance::KEYWORD;
@@ -107,7 +107,7 @@ struct Layout {
     width: usize,
     opaque: bool,
     bits: Bits,
-    grade: Grade,
+    grade: DisplayTransform,
 }
 
 impl Layout {
@@ -213,7 +213,7 @@ mod tests {
         let job = br#"{ "scene": { "camera": { "position": [0, 0, 5], "look_at": [0, 0, 0] },
             "objects": [{ "shape": { "sphere": { "radius": 1 } } }] }, "image": { "width": 64, "height": 64 } }"#;
         let image = scene::parse(job).expect("a job").image;
-        let layout = Layout { width: WIDTH, opaque: true, bits: Bits::Eight, grade: Grade::of(&image) };
+        let layout = Layout { width: WIDTH, opaque: true, bits: Bits::Eight, grade: DisplayTransform::new(&image) };
         let mut levels = [const { Vec::new() }; 3];
         for y in 0..64 {
             let mut samples = vec![srgb; 3 * WIDTH];

@@ -117,15 +117,15 @@ impl Real for Expr {
     type Mask = Condition;
     type Bits = Word;
 
-    fn splat(self, value: f32) -> Self {
+    fn constant(self, value: f32) -> Self {
         literal(value)
     }
 
-    fn given(self, value: f32) -> Self {
+    fn uniform(self, value: f32) -> Self {
         Self(parameter(Kind::Number, value.to_bits()))
     }
 
-    fn given_bits(self, word: u32) -> Word {
+    fn uniform_bits(self, word: u32) -> Word {
         Word(parameter(Kind::Word, word))
     }
 
@@ -177,16 +177,11 @@ impl Real for Expr {
         repeat(limit, state, step)
     }
 
-    fn shared<A: Bundle<Self>, T: Bundle<Self>>(
-        self,
-        name: &'static str,
-        arguments: A,
-        step: impl FnOnce(A) -> T,
-    ) -> T {
+    fn call<A: Bundle<Self>, T: Bundle<Self>>(self, name: &'static str, arguments: A, step: impl FnOnce(A) -> T) -> T {
         shared(name, arguments, step)
     }
 
-    fn named<T>(self, name: &'static str, f: impl FnOnce() -> T) -> T {
+    fn labeled<T>(self, name: &'static str, f: impl FnOnce() -> T) -> T {
         note(name);
         f()
     }

@@ -7,7 +7,7 @@ use std::any::Any;
 use std::cell::RefCell;
 use std::collections::HashMap;
 
-use scene::real::{Bundle, Join};
+use scene::real::{Bundle, Merge};
 
 use super::{Condition, Definition, Expr, Function, Id, Kind, Operation, Statement, Tape};
 
@@ -183,7 +183,7 @@ fn push(statement: Statement) {
 /// Lists the parts of a bundle.
 struct Parts(Vec<Id>);
 
-impl Join<Expr> for Parts {
+impl Merge<Expr> for Parts {
     fn number(&mut self, a: Expr, _: Expr) -> Expr {
         self.0.push(a.0);
         a
@@ -198,7 +198,7 @@ impl Join<Expr> for Parts {
 /// Creates a bundle of new values.
 struct Renew<F>(F);
 
-impl<F: FnMut(Kind) -> Id> Join<Expr> for Renew<F> {
+impl<F: FnMut(Kind) -> Id> Merge<Expr> for Renew<F> {
     fn number(&mut self, _: Expr, _: Expr) -> Expr {
         Expr((self.0)(Kind::Number))
     }
@@ -210,12 +210,12 @@ impl<F: FnMut(Kind) -> Id> Join<Expr> for Renew<F> {
 
 fn parts<T: Bundle<Expr>>(bundle: T) -> Vec<Id> {
     let mut parts = Parts(Vec::new());
-    bundle.join(bundle, &mut parts);
+    bundle.merge(bundle, &mut parts);
     parts.0
 }
 
 fn renewed<T: Bundle<Expr>>(example: T, operation: Operation) -> T {
-    example.join(example, &mut Renew(|kind| fresh(kind, operation)))
+    example.merge(example, &mut Renew(|kind| fresh(kind, operation)))
 }
 
 pub(super) fn when<T: Bundle<Expr>>(condition: Condition, otherwise: T, then: impl FnOnce() -> T) -> T {
@@ -257,7 +257,7 @@ pub(super) fn shared<A: Bundle<Expr>, T: Bundle<Expr>>(
     });
     let (function, example) = known.unwrap_or_else(|| {
         begin();
-        let formal = arguments.join(arguments, &mut Renew(argument));
+        let formal = arguments.merge(arguments, &mut Renew(argument));
         let result = step(formal);
         let function = end(name, parts(result), false);
         with(|recorder| recorder.shared.insert(name, Shared { function, example: Box::new(result) }));

@@ -41,8 +41,8 @@ fn shot(renderer: &CpuRenderer, job: &Value) -> Option<Shot> {
     Some(Shot {
         pixels: (job.image.channels(), bits),
         bytes: file.into_inner(),
-        key: job.picture_key(FRAME).to_hex().to_string(),
-        pixels_key: still.pixels_key().to_hex().to_string(),
+        key: job.cache_key(FRAME).to_hex().to_string(),
+        pixels_key: still.pixels_cache_key().to_hex().to_string(),
         scene_hash: still.scene_hash().to_hex().to_string(),
     })
 }

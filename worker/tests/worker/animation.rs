@@ -42,7 +42,7 @@ fn moving(scene: &Value) -> Value {
     set_moving(&mut moving);
     loop {
         let text = json!({ "scene": moving, "image": { "width": 8, "height": 8 }, "frames": { "count": 3, "fps": 1 } });
-        let Err(scene::Refusal::Wrong(faults)) = scene::parse(text.to_string().as_bytes()) else { return moving };
+        let Err(scene::ParseError::Invalid(faults)) = scene::parse(text.to_string().as_bytes()) else { return moving };
         for fault in faults {
             let place = fault.pointer.strip_prefix("/scene").unwrap_or_else(|| panic!("{fault}"));
             let place = place.split("/keys/").next().expect("a split has a first part");
@@ -56,10 +56,10 @@ fn moving(scene: &Value) -> Value {
 
 #[test]
 fn all_frames_of_a_job_share_one_program() {
-    for Example { kind, number, node } in Node::examples() {
+    for Example { kind, index: number, node } in Node::examples() {
         let shape: Value = serde_json::from_str(&node).unwrap();
         let job = job(&moving(&scene_of(&shape)), 3);
-        assert!(job.is_moving(), "{kind} {number} has numbers");
+        assert!(job.is_animated(), "{kind} {number} has numbers");
         let [first, second, third] = [0, 1, 2].map(|frame| Source::new(&job.at(frame).unwrap()));
         assert!(first.text == second.text && first.text == third.text, "{kind} {number}: frames differ in their text");
         assert_ne!(first.parameters, second.parameters, "{kind} {number} moves");
@@ -77,7 +77,7 @@ fn scenes_around_objects() -> Vec<(String, Value)> {
             for (key, value) in keys.as_object().unwrap() {
                 scene[key] = value.clone();
             }
-            (format!("{} {}", example.kind, example.number), scene)
+            (format!("{} {}", example.kind, example.index), scene)
         });
         scenes.collect::<Vec<_>>()
     };

@@ -248,7 +248,7 @@ fn no_number_of_a_scene_is_in_its_text() {
 fn loop_states_change_together_and_unused_values_are_not_printed() {
     let tape = record(|recording| {
         recording.entry("swap", |[a, b, count]: [Expr; 3]| {
-            let zero = a.splat(0.0);
+            let zero = a.constant(0.0);
             let unused = (a + b).sqrt();
             let (a, b, _, _) = Real::repeat(100, (a, b, zero, unused), |(a, b, n, unused)| {
                 let next = n + 1.0;

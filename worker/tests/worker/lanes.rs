@@ -8,7 +8,7 @@ use scene::kinds::Example;
 use scene::lights::Light;
 use scene::materials::{Material, Shade, Texture};
 use scene::nodes::Node;
-use scene::{Image, Job, Layer, Program, effects};
+use scene::{Image, Integrator, Job, Layer, effects};
 use serde_json::{Value, json};
 use worker::{Cancel, CpuRenderer, Renderer, Simd, TileRun};
 
@@ -47,9 +47,9 @@ fn job_of(object: &str) -> Job {
 }
 
 /// The pixel by plain `f32`, channel by channel.
-fn reference(program: &Program<'_>, image: &Image, x: u32, y: u32) -> Vec<f32> {
+fn reference(program: &Integrator<'_>, image: &Image, x: u32, y: u32) -> Vec<f32> {
     let seen = program.pixel(x as f32, y as f32);
-    let met = program.layers(x as f32, y as f32);
+    let met = program.aovs(x as f32, y as f32);
     let mut channels = vec![seen.color.x, seen.color.y, seen.color.z, seen.alpha];
     for layer in &image.layers {
         match layer {
@@ -67,7 +67,7 @@ fn reference(program: &Program<'_>, image: &Image, x: u32, y: u32) -> Vec<f32> {
 /// Renders a job at every width and compares it with the reference.
 fn compare(name: &str, job: &Job) {
     let still = job.at(0).unwrap();
-    let program = Program::new(&still);
+    let program = Integrator::new(&still);
     let rect = Rect::whole(job.image.width, job.image.height);
     for simd in levels() {
         let renderer = CpuRenderer::new(Some(1), simd).unwrap();

@@ -5,7 +5,7 @@ use std::process::{Command, Stdio};
 
 use half::f16;
 use proto::Rect;
-use scene::values::Stops;
+use scene::values::ExposureStops;
 use scene::{Bits, Image, Job, Precision, ToneMap};
 use worker::Pixels;
 use worker::stitch::Tiles;
@@ -51,8 +51,9 @@ fn srgb(linear: f64) -> f64 {
 /// A graded PNG of each kind: two stops brighter and filmic, or half a stop darker alone.
 fn graded() -> impl Iterator<Item = Job> {
     pngs().flat_map(|job| {
-        let filmic = Image { exposure: Stops::new(2.0).unwrap(), tone_map: ToneMap::Filmic, ..job.image.clone() };
-        let darker = Image { exposure: Stops::new(-0.5).unwrap(), ..job.image.clone() };
+        let filmic =
+            Image { exposure: ExposureStops::new(2.0).unwrap(), tone_map: ToneMap::Filmic, ..job.image.clone() };
+        let darker = Image { exposure: ExposureStops::new(-0.5).unwrap(), ..job.image.clone() };
         [filmic, darker].map(|image| job.clone().with_image(image))
     })
 }

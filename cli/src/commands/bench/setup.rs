@@ -6,7 +6,7 @@ use std::time::Instant;
 
 use anyhow::Context;
 use clap::Args;
-use scene::{Job, Program};
+use scene::{Integrator, Job};
 use serde::Serialize;
 
 use crate::terminal::say;
@@ -85,11 +85,11 @@ pub(crate) fn run(arguments: &Arguments) -> anyhow::Result<()> {
         at_us: each_frame(&job, arguments.runs, |frame| drop(black_box(job.at(frame)))),
         program_us: each_frame(&job, arguments.runs, |frame| {
             if let Ok(still) = job.at(frame) {
-                black_box(Program::new(&still));
+                black_box(Integrator::new(&still));
             }
         }),
         key_us: each_frame(&job, arguments.runs, |frame| {
-            black_box(job.picture_key(frame));
+            black_box(job.cache_key(frame));
         }),
     };
     if arguments.json {
@@ -170,7 +170,7 @@ mod tests {
             let text = job_file(kib * 1024);
             assert!(text.len() >= kib * 1024 && text.len() < (kib + 2) * 1024, "{}", text.len());
             let job = scene::parse(text.as_bytes()).expect("a sound job");
-            assert!(job.is_moving() && job.at(FRAMES - 1).is_ok());
+            assert!(job.is_animated() && job.at(FRAMES - 1).is_ok());
         }
     }
 }

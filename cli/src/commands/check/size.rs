@@ -54,7 +54,7 @@ impl Outlook {
         Self {
             nodes: job.nodes(),
             objects: job.scene.objects.len(),
-            materials: job.scene.slots().len(),
+            materials: job.scene.used_materials().len(),
             lights: job.scene.lights.len(),
             frames: job.frames.count,
             rays,

@@ -4,7 +4,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::Pattern;
-use crate::materials::{Exemplary, Place, Tint};
+use crate::materials::{ColorParam, HasExamples, ShadingPoint};
 use crate::real::{Real, Vec3};
 use crate::seek::Seek;
 use crate::values::Length;
@@ -16,22 +16,22 @@ pub struct AddedTexture {
     /// The length of a period.
     pub period: Length,
     /// The colour at the brightest.
-    pub color: Tint,
+    pub color: ColorParam,
 }
 
-impl Exemplary for AddedTexture {
+impl HasExamples for AddedTexture {
     const EXAMPLE: &str = r#"{ "period": 0.7, "color": [0.9, 0.5, 0.2] }"#;
 }
 
 impl Pattern for AddedTexture {
     #[inline(always)]
-    fn color<R: Real>(&self, place: &Place<R>) -> Vec3<R> {
-        let periods = place.point.z * place.point.z.given(1.0 / self.period.get());
+    fn color<R: Real>(&self, place: &ShadingPoint<R>) -> Vec3<R> {
+        let periods = place.local_point.z * place.local_point.z.uniform(1.0 / self.period.get());
         let share = periods - periods.floor();
         self.color.at(place) * share
     }
 
-    fn tints(&self) -> Vec<&Tint> {
+    fn color_params(&self) -> Vec<&ColorParam> {
         vec![&self.color]
     }
 }

@@ -7,13 +7,13 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::stripes::x_axis;
-use super::wave::swing;
+use super::wave::smooth_wave;
 use super::{Pattern, Ramp};
-use crate::materials::{Exemplary, Place, Tint};
+use crate::materials::{ColorParam, HasExamples, ShadingPoint};
 use crate::noise::Noise;
 use crate::real::{Real, Vec3};
 use crate::seek::Seek;
-use crate::values::{Amount, Direction, Length};
+use crate::values::{Direction, Length, LengthOrZero};
 
 /// A noise through a ramp of colours: 0 is the least value that the noise can have, 1 the greatest.
 ///
@@ -24,7 +24,7 @@ pub struct NoiseRamp {
     /// The noise.
     pub noise: Noise,
     /// The colours.
-    #[serde(default = "Ramp::grey")]
+    #[serde(default = "Ramp::black_to_white")]
     pub ramp: Ramp,
 }
 
@@ -40,7 +40,7 @@ pub struct Marble {
     pub width: Length,
     /// How many bands the noise shifts them by, where it is 1.
     #[serde(default = "one")]
-    pub strength: Amount,
+    pub strength: LengthOrZero,
     /// The noise.
     #[serde(default = "default_marble_noise")]
     pub noise: Noise,
@@ -61,7 +61,7 @@ pub struct Wood {
     pub width: Length,
     /// How many rings the noise shifts them by, where it is 1.
     #[serde(default = "one")]
-    pub strength: Amount,
+    pub strength: LengthOrZero,
     /// The noise.
     #[serde(default = "default_wood_noise")]
     pub noise: Noise,
@@ -71,75 +71,78 @@ pub struct Wood {
 }
 
 /// How many times longer than wide the noise of wood is.
-const GRAIN: f32 = 6.0;
+const GRAIN_STRETCH: f32 = 6.0;
 /// Part of a year's ring that is early wood.
-const EARLY: f32 = 0.85;
+const EARLYWOOD_FRACTION: f32 = 0.85;
 
-impl Exemplary for NoiseRamp {
+impl HasExamples for NoiseRamp {
     const EXAMPLE: &'static str = r##"{ "noise": { "perlin": { "scale": 2, "octaves": 5 } },
         "ramp": [[0.3, "#10243f"], [0.48, "#3d7ea6"], [0.5, "#e8d9a8"], [0.56, "#5f8a4a"], [0.7, "#f5f5f2"]] }"##;
-    const MORE: &'static [&'static str] = &[r##"{ "noise": { "cellular": { "scale": 4, "feature": "f2_minus_f1" } },
+    const MORE_EXAMPLES: &'static [&'static str] =
+        &[r##"{ "noise": { "cellular": { "scale": 4, "feature": "f2_minus_f1" } },
               "ramp": [[0.02, "#1d1a16"], [0.12, { "noise": { "noise": { "simplex": { "scale": 6 } },
               "ramp": [[0.2, "#8a4b2a"], [0.8, "#d8a060"]] } }]] }"##];
 }
 
-impl Exemplary for Marble {
+impl HasExamples for Marble {
     const EXAMPLE: &'static str = "{}";
-    const MORE: &'static [&'static str] = &[r##"{ "direction": [1, 2, 0], "width": 0.5, "strength": 2,
+    const MORE_EXAMPLES: &'static [&'static str] = &[r##"{ "direction": [1, 2, 0], "width": 0.5, "strength": 2,
         "noise": { "simplex": { "scale": 1.5, "octaves": 6 } },
         "ramp": [[0, "#0f2a22"], [0.6, "#1f5c46"], [0.92, "#7fb59a"], [1, "#e6f2ea"]] }"##];
 }
 
-impl Exemplary for Wood {
+impl HasExamples for Wood {
     const EXAMPLE: &'static str = "{}";
-    const MORE: &'static [&'static str] = &[r##"{ "direction": [1, 0.15, 0.1], "width": 0.09, "strength": 2.5,
+    const MORE_EXAMPLES: &'static [&'static str] =
+        &[r##"{ "direction": [1, 0.15, 0.1], "width": 0.09, "strength": 2.5,
         "ramp": [[0, "#5b3420"], [1, "#25130c"]] }"##];
 }
 
 impl Pattern for NoiseRamp {
     #[inline(always)]
-    fn color<R: Real>(&self, place: &Place<R>) -> Vec3<R> {
+    fn color<R: Real>(&self, place: &ShadingPoint<R>) -> Vec3<R> {
         let (low, high) = self.noise.range();
-        let value = self.noise.value(place.point);
-        let share = (value - value.given(low)) * value.given(1.0 / (high - low));
+        let value = self.noise.value(place.local_point);
+        let share = (value - value.uniform(low)) * value.uniform(1.0 / (high - low));
         self.ramp.at(share, place)
     }
 
-    fn tints(&self) -> Vec<&Tint> {
-        self.ramp.tints().collect()
+    fn color_params(&self) -> Vec<&ColorParam> {
+        self.ramp.color_params().collect()
     }
 }
 
 impl Pattern for Marble {
     #[inline(always)]
-    fn color<R: Real>(&self, place: &Place<R>) -> Vec3<R> {
-        let across = place.point.dot_known(self.direction.unit());
-        let shift = self.noise.value(place.point) * across.given(self.strength.get());
-        let turns = across.mul_add(across.given(1.0 / self.width.get()), shift);
-        self.ramp.at(swing(turns), place)
+    fn color<R: Real>(&self, place: &ShadingPoint<R>) -> Vec3<R> {
+        let across = place.local_point.dot_uniform(self.direction.unit());
+        let shift = self.noise.value(place.local_point) * across.uniform(self.strength.get());
+        let turns = across.mul_add(across.uniform(1.0 / self.width.get()), shift);
+        self.ramp.at(smooth_wave(turns), place)
     }
 
-    fn tints(&self) -> Vec<&Tint> {
-        self.ramp.tints().collect()
+    fn color_params(&self) -> Vec<&ColorParam> {
+        self.ramp.color_params().collect()
     }
 }
 
 impl Pattern for Wood {
     #[inline(always)]
-    fn color<R: Real>(&self, place: &Place<R>) -> Vec3<R> {
-        let p = place.point;
-        let axis = Vec3::given(p.x, self.direction.unit());
+    fn color<R: Real>(&self, place: &ShadingPoint<R>) -> Vec3<R> {
+        let p = place.local_point;
+        let axis = Vec3::uniform(p.x, self.direction.unit());
         let along = p.dot(axis);
         let radial = axis.mul_add(-along, p);
-        let shift = self.noise.value(axis.mul_add(along * (1.0 / GRAIN), radial)) * p.x.given(self.strength.get());
-        let turns = radial.length().mul_add(p.x.given(1.0 / self.width.get()), shift);
+        let shift =
+            self.noise.value(axis.mul_add(along * (1.0 / GRAIN_STRETCH), radial)) * p.x.uniform(self.strength.get());
+        let turns = radial.length().mul_add(p.x.uniform(1.0 / self.width.get()), shift);
         let part = turns - turns.floor();
-        let late = (part.splat(1.0) - part) * (1.0 / (1.0 - EARLY));
-        self.ramp.at((part * (1.0 / EARLY)).min(late), place)
+        let late = (part.constant(1.0) - part) * (1.0 / (1.0 - EARLYWOOD_FRACTION));
+        self.ramp.at((part * (1.0 / EARLYWOOD_FRACTION)).min(late), place)
     }
 
-    fn tints(&self) -> Vec<&Tint> {
-        self.ramp.tints().collect()
+    fn color_params(&self) -> Vec<&ColorParam> {
+        self.ramp.color_params().collect()
     }
 }
 
@@ -155,8 +158,8 @@ fn default_ring() -> Length {
     Length::new(0.12).expect("a size in range")
 }
 
-fn one() -> Amount {
-    Amount::new(1.0).expect("1 is in range")
+fn one() -> LengthOrZero {
+    LengthOrZero::new(1.0).expect("1 is in range")
 }
 
 fn default_marble_noise() -> Noise {

@@ -3,14 +3,14 @@
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use super::checker::sharp;
+use super::checker::default_softness;
 use super::wave::square_wave;
-use super::{Pattern, black_and_white};
-use crate::materials::param::mix_colors;
-use crate::materials::{Exemplary, Place, Tint};
+use super::{Pattern, default_colors};
+use crate::materials::param::lerp_colors;
+use crate::materials::{ColorParam, HasExamples, ShadingPoint};
 use crate::real::{Real, Vec3};
 use crate::seek::Seek;
-use crate::values::{Amount, Direction, Length};
+use crate::values::{Direction, Length, LengthOrZero};
 
 /// Flat layers of two colours by turns.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
@@ -22,31 +22,31 @@ pub struct Stripes {
     /// Width of one stripe; one starts at the origin.
     pub width: Length,
     /// The two colours.
-    #[serde(default = "black_and_white")]
-    pub colors: [Tint; 2],
+    #[serde(default = "default_colors")]
+    pub colors: [ColorParam; 2],
     /// Width of the transition at a border.
-    #[serde(default = "sharp")]
-    pub softness: Amount,
+    #[serde(default = "default_softness")]
+    pub softness: LengthOrZero,
 }
 
-impl Exemplary for Stripes {
+impl HasExamples for Stripes {
     const EXAMPLE: &'static str = r##"{ "direction": [1, 1, 0], "width": 0.15, "colors": ["#b8322a", "#f3ead8"] }"##;
-    const MORE: &'static [&'static str] =
+    const MORE_EXAMPLES: &'static [&'static str] =
         &[r##"{ "direction": [0, 1, 0], "width": 0.25, "softness": 0.25, "colors": ["#16324f",
               { "stripes": { "width": 0.04, "colors": ["#e8b04a", "#d97f2b"] } }] }"##];
 }
 
 impl Pattern for Stripes {
     #[inline(always)]
-    fn color<R: Real>(&self, place: &Place<R>) -> Vec3<R> {
-        let along = place.point.dot_known(self.direction.unit());
+    fn color<R: Real>(&self, place: &ShadingPoint<R>) -> Vec3<R> {
+        let along = place.local_point.dot_uniform(self.direction.unit());
         let seen = place.width_along(self.direction.unit());
         let wave = square_wave(along, self.width.get(), self.softness.get(), seen);
-        let share = wave.mul_add(along.splat(0.5), along.splat(0.5));
-        mix_colors(self.colors[1].at(place), self.colors[0].at(place), share)
+        let share = wave.mul_add(along.constant(0.5), along.constant(0.5));
+        lerp_colors(self.colors[1].at(place), self.colors[0].at(place), share)
     }
 
-    fn tints(&self) -> Vec<&Tint> {
+    fn color_params(&self) -> Vec<&ColorParam> {
         self.colors.iter().collect()
     }
 

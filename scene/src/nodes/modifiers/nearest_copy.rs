@@ -4,66 +4,66 @@
 //! skipped if its box is farther away than the nearest copy so far.
 
 use crate::bounds::Bounds;
-use crate::nodes::{Node, Sample};
+use crate::nodes::{Node, SdfValue};
 use crate::real::{Real, Vec3};
 
 /// A shape with fewer nodes is evaluated as fast as its box.
-const BOX_NODES: u32 = 4;
+const MIN_CULL_NODES: u32 = 4;
 
 /// Limit of finite coordinates and lengths.
 const FAR: f32 = 1e7;
 
 /// The nearest copy so far: its distance, and the point in its shape's space.
-pub(super) type Nearest<R> = (R, Vec3<R>);
+pub(super) type NearestCopy<R> = (R, Vec3<R>);
 
 /// Box around a shape, with whether copies are skipped by it.
 #[derive(Clone, Debug)]
-pub(super) struct Held {
+pub(super) struct ChildBounds {
     pub(super) bounds: Bounds,
-    is_looked_at: bool,
+    is_worth_testing: bool,
 }
 
-impl Held {
+impl ChildBounds {
     /// The box around a shape.
     pub(super) fn new(shape: &Node) -> Self {
-        Self { bounds: ended(shape.bounds(0.0)), is_looked_at: shape.count() >= BOX_NODES }
+        Self { bounds: ended(shape.bounds(0.0)), is_worth_testing: shape.node_count() >= MIN_CULL_NODES }
     }
 }
 
 /// Shape that is repeated, with its box if skipping is worthwhile.
-pub(super) struct Original<'a> {
+pub(super) struct RepeatedChild<'a> {
     shape: &'a Node,
     bounds: Option<&'a Bounds>,
 }
 
-impl<'a> Original<'a> {
+impl<'a> RepeatedChild<'a> {
     #[inline(always)]
-    pub(super) fn new(shape: &'a Node, held: &'a Held) -> Self {
-        Self { shape, bounds: held.is_looked_at.then_some(&held.bounds) }
+    pub(super) fn new(shape: &'a Node, held: &'a ChildBounds) -> Self {
+        Self { shape, bounds: held.is_worth_testing.then_some(&held.bounds) }
     }
 
     /// State before the first copy.
     #[inline(always)]
-    pub(super) fn none<R: Real>(p: Vec3<R>) -> Nearest<R> {
-        (p.x.splat(f32::MAX), p)
+    pub(super) fn start<R: Real>(p: Vec3<R>) -> NearestCopy<R> {
+        (p.x.constant(f32::MAX), p)
     }
 
     /// The nearer of the nearest copy so far and the copy for which the point is at `place`.
     #[inline(always)]
-    pub(super) fn nearer<R: Real>(&self, place: Vec3<R>, found: Nearest<R>) -> Nearest<R> {
+    pub(super) fn nearer<R: Real>(&self, place: Vec3<R>, found: NearestCopy<R>) -> NearestCopy<R> {
         match self.bounds {
             Some(bounds) => R::when(
-                bounds.distance_below(place).lt(found.0),
+                bounds.distance_lower_bound(place).lt(found.0),
                 found,
                 #[inline(always)]
-                || self.nearer_one(place, found),
+                || self.nearer_unculled(place, found),
             ),
-            None => self.nearer_one(place, found),
+            None => self.nearer_unculled(place, found),
         }
     }
 
     #[inline(always)]
-    fn nearer_one<R: Real>(&self, place: Vec3<R>, found: Nearest<R>) -> Nearest<R> {
+    fn nearer_unculled<R: Real>(&self, place: Vec3<R>, found: NearestCopy<R>) -> NearestCopy<R> {
         let distance = self.shape.distance(place);
         let nearer = distance.lt(found.0);
         (R::select(nearer, distance, found.0), Vec3::select(nearer, place, found.1))
@@ -71,22 +71,22 @@ impl<'a> Original<'a> {
 
     /// Value of the nearest copy.
     #[inline(always)]
-    pub(super) fn sample<R: Real, V: Sample<R>>(&self, (distance, place): Nearest<R>) -> V {
-        V::found(self.shape, place, distance)
+    pub(super) fn sample<R: Real, V: SdfValue<R>>(&self, (distance, place): NearestCopy<R>) -> V {
+        V::from_known_distance(self.shape, place, distance)
     }
 }
 
 /// The box with finite ends, farther away than any point.
 pub(super) fn ended(bounds: Bounds) -> Bounds {
     let ended = |c: f32| c.clamp(-FAR, FAR);
-    Bounds { low: bounds.low.map(ended), high: bounds.high.map(ended) }
+    Bounds { min: bounds.min.map(ended), max: bounds.max.map(ended) }
 }
 
 /// Number of copies, `spacing` apart, of which one may be the nearest to a point, for a shape of this width.
 /// For each point of the shape the nearest of its copies is at most half a spacing away, so the centers of
 /// the copies lie within (width + spacing)/2 of the point. Rounding must not add a copy if the shape fills
 /// its cell.
-pub(super) fn within_reach(width: f32, spacing: f32) -> f32 {
+pub(super) fn max_overlapping(width: f32, spacing: f32) -> f32 {
     ((width / spacing + 1.0) * (1.0 - 1e-6)).ceil().max(1.0)
 }
 
@@ -94,5 +94,5 @@ pub(super) fn within_reach(width: f32, spacing: f32) -> f32 {
 #[inline(always)]
 pub(super) fn nearest_whole<R: Real>(t: R) -> (R, R) {
     let nearest = (t + 0.5).floor();
-    (nearest, R::select(t.lt(nearest), t.splat(-1.0), t.splat(1.0)))
+    (nearest, R::select(t.lt(nearest), t.constant(-1.0), t.constant(1.0)))
 }

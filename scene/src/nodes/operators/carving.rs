@@ -12,10 +12,10 @@ use serde::{Deserialize, Serialize};
 use super::seams::around_joined;
 use crate::bounds::Bounds;
 use crate::nodes::value::indicator;
-use crate::nodes::{Exactness, Node, NodeFault, Sample, Sdf};
+use crate::nodes::{Exactness, Node, NodeError, Sdf, SdfValue};
 use crate::real::{Real, Vec3};
 use crate::seek::Seek;
-use crate::values::{Length, Share};
+use crate::values::{Fraction, Length};
 
 /// A shape with a V-shaped line cut into it where the pattern's surface intersects its own.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
@@ -62,14 +62,14 @@ pub struct Morph {
     #[schemars(length(min = 2, max = 2))]
     pub of: Vec<Node>,
     /// Position between the first shape, at 0, and the second, at 1.
-    pub amount: Share,
+    pub amount: Fraction,
 }
 
 /// Error for a list that does not have two shapes; an empty one is reported elsewhere.
-fn fault_unless_two(of: &[Node], name: &str, what: &str) -> Option<NodeFault> {
+fn require_two(of: &[Node], name: &str, what: &str) -> Option<NodeError> {
     let count = of.len();
     let shapes = if count == 1 { "shape" } else { "shapes" };
-    let fault = || NodeFault::new("of", format!("has {count} {shapes}: {name} takes exactly 2, {what}"));
+    let fault = || NodeError::new("of", format!("has {count} {shapes}: {name} takes exactly 2, {what}"));
     (count != 2).then(fault)
 }
 
@@ -80,10 +80,10 @@ impl Sdf for Engrave {
     ] }"#;
 
     #[inline(always)]
-    fn sample<R: Real, V: Sample<R>>(&self, p: Vec3<R>) -> V {
+    fn eval<R: Real, V: SdfValue<R>>(&self, p: Vec3<R>) -> V {
         let (shape, pattern): (V, V) = (self.of[0].sample(p), self.of[1].sample(p));
         let uncut = shape.distance();
-        let cut = (uncut + uncut.given(self.depth.get()) - pattern.distance().abs()) * FRAC_1_SQRT_2;
+        let cut = (uncut + uncut.uniform(self.depth.get()) - pattern.distance().abs()) * FRAC_1_SQRT_2;
         shape.blend(
             pattern,
             uncut.max(cut),
@@ -94,18 +94,18 @@ impl Sdf for Engrave {
 
     around_joined!();
 
-    fn fault(&self) -> Option<NodeFault> {
-        fault_unless_two(&self.of, "engrave", "the shape and the pattern")
+    fn validate(&self) -> Option<NodeError> {
+        require_two(&self.of, "engrave", "the shape and the pattern")
     }
 
-    fn stretch(&self) -> f32 {
+    fn lipschitz(&self) -> f32 {
         // The cut is (a + depth − |b|)/√2: it changes by at most (La + Lb)/√2.
         let [a, b] = [0, 1].map(|index: usize| self.of[index].stretch());
         a.max((a + b) * FRAC_1_SQRT_2)
     }
 
-    fn bounds(&self, level: f32) -> Bounds {
-        self.of[0].bounds(level)
+    fn bounds(&self, isolevel: f32) -> Bounds {
+        self.of[0].bounds(isolevel)
     }
 }
 
@@ -116,11 +116,11 @@ impl Sdf for Groove {
     ] }"#;
 
     #[inline(always)]
-    fn sample<R: Real, V: Sample<R>>(&self, p: Vec3<R>) -> V {
+    fn eval<R: Real, V: SdfValue<R>>(&self, p: Vec3<R>) -> V {
         let (shape, pattern): (V, V) = (self.of[0].sample(p), self.of[1].sample(p));
         let uncut = shape.distance();
-        let wall = uncut.given(0.5 * self.width.get()) - pattern.distance().abs();
-        let cut = wall.min(uncut + uncut.given(self.depth.get()));
+        let wall = uncut.uniform(0.5 * self.width.get()) - pattern.distance().abs();
+        let cut = wall.min(uncut + uncut.uniform(self.depth.get()));
         shape.blend(
             pattern,
             uncut.max(cut),
@@ -131,12 +131,12 @@ impl Sdf for Groove {
 
     around_joined!();
 
-    fn fault(&self) -> Option<NodeFault> {
-        fault_unless_two(&self.of, "groove", "the shape and the pattern")
+    fn validate(&self) -> Option<NodeError> {
+        require_two(&self.of, "groove", "the shape and the pattern")
     }
 
-    fn bounds(&self, level: f32) -> Bounds {
-        self.of[0].bounds(level)
+    fn bounds(&self, isolevel: f32) -> Bounds {
+        self.of[0].bounds(isolevel)
     }
 }
 
@@ -147,11 +147,11 @@ impl Sdf for Tongue {
     ] }"#;
 
     #[inline(always)]
-    fn sample<R: Real, V: Sample<R>>(&self, p: Vec3<R>) -> V {
+    fn eval<R: Real, V: SdfValue<R>>(&self, p: Vec3<R>) -> V {
         let (shape, pattern): (V, V) = (self.of[0].sample(p), self.of[1].sample(p));
         let bare = shape.distance();
-        let wall = pattern.distance().abs() - bare.given(0.5 * self.width.get());
-        let ridge = wall.max(bare - bare.given(self.height.get()));
+        let wall = pattern.distance().abs() - bare.uniform(0.5 * self.width.get());
+        let ridge = wall.max(bare - bare.uniform(self.height.get()));
         shape.blend(
             pattern,
             bare.min(ridge),
@@ -162,12 +162,12 @@ impl Sdf for Tongue {
 
     around_joined!();
 
-    fn fault(&self) -> Option<NodeFault> {
-        fault_unless_two(&self.of, "tongue", "the shape and the pattern")
+    fn validate(&self) -> Option<NodeError> {
+        require_two(&self.of, "tongue", "the shape and the pattern")
     }
 
-    fn bounds(&self, level: f32) -> Bounds {
-        self.of[0].bounds(level + self.height.get())
+    fn bounds(&self, isolevel: f32) -> Bounds {
+        self.of[0].bounds(isolevel + self.height.get())
     }
 }
 
@@ -178,11 +178,11 @@ impl Sdf for Morph {
     ] }"#;
 
     #[inline(always)]
-    fn sample<R: Real, V: Sample<R>>(&self, p: Vec3<R>) -> V {
+    fn eval<R: Real, V: SdfValue<R>>(&self, p: Vec3<R>) -> V {
         let (first, second): (V, V) = (self.of[0].sample(p), self.of[1].sample(p));
         let (start, end) = (first.distance(), second.distance());
-        let amount = start.given(self.amount.get());
-        let distance = end.mul_add(amount, start * start.given(1.0 - self.amount.get()));
+        let amount = start.uniform(self.amount.get());
+        let distance = end.mul_add(amount, start * start.uniform(1.0 - self.amount.get()));
         first.blend(
             second,
             distance,
@@ -193,12 +193,12 @@ impl Sdf for Morph {
 
     around_joined!();
 
-    fn fault(&self) -> Option<NodeFault> {
-        fault_unless_two(&self.of, "morph", "the shape to start from and the shape to end at")
+    fn validate(&self) -> Option<NodeError> {
+        require_two(&self.of, "morph", "the shape to start from and the shape to end at")
     }
 
-    fn bounds(&self, level: f32) -> Bounds {
+    fn bounds(&self, isolevel: f32) -> Bounds {
         // A mean is never below the lesser.
-        self.of[0].bounds(level).hull(self.of[1].bounds(level))
+        self.of[0].bounds(isolevel).union(self.of[1].bounds(isolevel))
     }
 }

@@ -5,12 +5,12 @@
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use super::super::{NodeFault, Primitive};
+use super::super::{NodeError, Primitive};
 use super::nothing;
 use crate::bounds::Bounds;
 use crate::real::{Real, Vec3, vec3};
 use crate::seek::Seek;
-use crate::values::{Amount, Length};
+use crate::values::{Length, LengthOrZero};
 
 /// The twelve edges of a box, as beams of square section.
 ///
@@ -27,7 +27,7 @@ pub struct BoxFrame {
 
 impl Primitive for BoxFrame {
     const EXAMPLE: &str = r#"{ "size": [1.6, 1.2, 1.3], "thickness": 0.16 }"#;
-    const MORE: &[&str] = &[r#"{ "size": [1.2, 1.8, 1], "thickness": 0.4 }"#];
+    const MORE_EXAMPLES: &[&str] = &[r#"{ "size": [1.2, 1.8, 1], "thickness": 0.4 }"#];
 
     #[inline(always)]
     fn distance<R: Real>(&self, p: Vec3<R>) -> R {
@@ -35,11 +35,11 @@ impl Primitive for BoxFrame {
             #[inline(always)]
             |c| c * 0.5,
         );
-        let thickness = p.x.given(self.thickness.get());
+        let thickness = p.x.uniform(self.thickness.get());
         // Depth below the box's faces: by symmetry, from the corner where all coordinates are
         // positive. A point is in a beam if two of the three are at most its thickness, and none is
         // below 0.
-        let depth = Vec3::given(p.x, half) - vec3(p.x.abs(), p.y.abs(), p.z.abs());
+        let depth = Vec3::uniform(p.x, half) - vec3(p.x.abs(), p.y.abs(), p.z.abs());
         let past_face = depth.map(
             #[inline(always)]
             |c| (-c).at_least(0.0),
@@ -66,16 +66,16 @@ impl Primitive for BoxFrame {
         R::select(is_outside, root, -root.min(to_face))
     }
 
-    fn bounds(&self, level: f32) -> Bounds {
+    fn bounds(&self, isolevel: f32) -> Bounds {
         let [x, y, z] = &self.size;
-        Bounds::symmetric(x.get() / 2.0, y.get() / 2.0, z.get() / 2.0).widened(level)
+        Bounds::symmetric(x.get() / 2.0, y.get() / 2.0, z.get() / 2.0).expanded(isolevel)
     }
 
-    fn fault(&self) -> Option<NodeFault> {
+    fn validate(&self) -> Option<NodeError> {
         let least = self.size.iter().fold(f32::INFINITY, |least, extent| least.min(extent.get()));
         (self.thickness.get() * 2.0 >= least).then(|| {
             let half = least / 2.0;
-            NodeFault::new(
+            NodeError::new(
                 "thickness",
                 format!("must be less than half of each size, or nothing is open: make thickness less than {half}"),
             )
@@ -93,41 +93,41 @@ pub struct Rhombus {
     pub height: Length,
     /// Radius of its rounded edges, inside the diagonals and the height; less than half of each.
     #[serde(default = "nothing")]
-    pub round: Amount,
+    pub round: LengthOrZero,
 }
 
 impl Primitive for Rhombus {
     const EXAMPLE: &str = r#"{ "diagonals": [2, 1.2], "height": 0.7, "round": 0.06 }"#;
-    const MORE: &[&str] = &[r#"{ "diagonals": [0.9, 1.9], "height": 0.5 }"#];
+    const MORE_EXAMPLES: &[&str] = &[r#"{ "diagonals": [0.9, 1.9], "height": 0.5 }"#];
 
     #[inline(always)]
     fn distance<R: Real>(&self, p: Vec3<R>) -> R {
         let round = self.round.get();
         let (x, z) = (self.diagonals[0].get() * 0.5 - round, self.diagonals[1].get() * 0.5 - round);
         let edge = Real::sqrt(x * x + z * z).max(1e-14);
-        let (along_x, along_z) = (p.x.given(x / edge), p.x.given(z / edge));
+        let (along_x, along_z) = (p.x.uniform(x / edge), p.x.uniform(z / edge));
         // By symmetry, the edge from the corner on +x to the corner on +z.
-        let from_corner = p.x.abs() - p.x.given(x);
+        let from_corner = p.x.abs() - p.x.uniform(x);
         let side = p.z.abs();
         let past_side = from_corner.mul_add(along_z, side * along_x);
         let along = side.mul_add(along_z, -(from_corner * along_x));
-        let past_corner = along - along.at_least(0.0).min(p.x.given(edge));
-        let past_cap = p.y.abs() - p.x.given(self.height.get() * 0.5 - round);
+        let past_corner = along - along.at_least(0.0).min(p.x.uniform(edge));
+        let past_cap = p.y.abs() - p.x.uniform(self.height.get() * 0.5 - round);
         let outside =
             past_side.at_least(0.0).square_add(past_cap.at_least(0.0).square_add(past_corner.square())).sqrt();
-        outside + past_side.max(past_cap).at_most(0.0) - p.x.given(round)
+        outside + past_side.max(past_cap).at_most(0.0) - p.x.uniform(round)
     }
 
-    fn bounds(&self, level: f32) -> Bounds {
+    fn bounds(&self, isolevel: f32) -> Bounds {
         let [x, z] = &self.diagonals;
-        Bounds::symmetric(x.get() / 2.0, self.height.get() / 2.0, z.get() / 2.0).widened(level)
+        Bounds::symmetric(x.get() / 2.0, self.height.get() / 2.0, z.get() / 2.0).expanded(isolevel)
     }
 
-    fn fault(&self) -> Option<NodeFault> {
+    fn validate(&self) -> Option<NodeError> {
         let [x, z] = &self.diagonals;
         let half = x.get().min(z.get()).min(self.height.get()) / 2.0;
         (self.round.get() >= half).then(|| {
-            NodeFault::new(
+            NodeError::new(
                 "round",
                 format!("must be less than half of the diagonals and of the height: make round less than {half}"),
             )

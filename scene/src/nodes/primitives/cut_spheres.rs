@@ -3,9 +3,9 @@
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use super::{away_from_axis, length_of};
+use super::{distance_from_y_axis, hypot};
 use crate::bounds::Bounds;
-use crate::nodes::{Exactness, NodeFault, Primitive};
+use crate::nodes::{Exactness, NodeError, Primitive};
 use crate::real::{Real, Vec3, vec3};
 use crate::seek::Seek;
 use crate::values::{Coordinate, Length};
@@ -25,13 +25,13 @@ pub struct CutSphere {
 impl Primitive for CutSphere {
     const EXAMPLE: &str = r#"{ "radius": 1.1, "cut": -0.3 }"#;
 
-    const MORE: &[&str] = &[r#"{ "radius": 1.2, "cut": 0.4 }"#];
+    const MORE_EXAMPLES: &[&str] = &[r#"{ "radius": 1.2, "cut": 0.4 }"#];
 
     #[inline(always)]
     fn distance<R: Real>(&self, p: Vec3<R>) -> R {
-        let across = away_from_axis(p);
-        let radius = p.x.given(self.radius.get());
-        let (cut, rim) = (p.x.given(self.cut.get()), p.x.given(rim(&self.radius, &self.cut)));
+        let across = distance_from_y_axis(p);
+        let radius = p.x.uniform(self.radius.get());
+        let (cut, rim) = (p.x.uniform(self.cut.get()), p.x.uniform(rim(&self.radius, &self.cut)));
         // Below the cone of the origin and the rim, the sphere is never nearest.
         let below_rim = (p.y * rim).lt(across * cut);
         let to_rim = (across - rim).square_add((p.y - cut).square());
@@ -42,14 +42,14 @@ impl Primitive for CutSphere {
         R::select(below_rim, below, past_cut.max(distance - radius))
     }
 
-    fn fault(&self) -> Option<NodeFault> {
-        outside_of_ball(&self.radius, &self.cut)
+    fn validate(&self) -> Option<NodeError> {
+        plane_misses_sphere(&self.radius, &self.cut)
     }
 
-    fn bounds(&self, level: f32) -> Bounds {
+    fn bounds(&self, isolevel: f32) -> Bounds {
         let (radius, cut) = (self.radius.get(), self.cut.get());
         let across = if cut > 0.0 { rim(&self.radius, &self.cut) } else { radius };
-        Bounds { low: vec3(-across, cut, -across), high: vec3(across, radius, across) }.widened(level)
+        Bounds { min: vec3(-across, cut, -across), max: vec3(across, radius, across) }.expanded(isolevel)
     }
 }
 
@@ -77,19 +77,19 @@ impl CutHollowSphere {
 impl Primitive for CutHollowSphere {
     const EXAMPLE: &str = r#"{ "radius": 1, "cut": 0.2, "thickness": 0.15 }"#;
 
-    const MORE: &[&str] =
+    const MORE_EXAMPLES: &[&str] =
         &[r#"{ "radius": 1.1, "cut": -0.3, "thickness": 0.1 }"#, r#"{ "radius": 0.9, "cut": 0.85, "thickness": 0.7 }"#];
 
     #[inline(always)]
     fn distance<R: Real>(&self, p: Vec3<R>) -> R {
-        let across = away_from_axis(p);
-        let (cut, rim) = (p.x.given(self.cut.get()), p.x.given(rim(&self.radius, &self.cut)));
+        let across = distance_from_y_axis(p);
+        let (cut, rim) = (p.x.uniform(self.cut.get()), p.x.uniform(rim(&self.radius, &self.cut)));
         let above_rim = (across * cut).lt(p.y * rim);
         let to_rim = (across - rim).square_add((p.y - cut).square());
         let to_center = across.square_add(p.y.square());
         let distance = R::select(above_rim, to_rim, to_center).sqrt();
-        let radius = R::select(above_rim, p.x.splat(0.0), p.x.given(self.radius.get()));
-        (distance - radius).abs() - p.x.given(self.thickness.get() / 2.0)
+        let radius = R::select(above_rim, p.x.constant(0.0), p.x.uniform(self.radius.get()));
+        (distance - radius).abs() - p.x.uniform(self.thickness.get() / 2.0)
     }
 
     fn exactness(&self) -> Exactness {
@@ -97,12 +97,12 @@ impl Primitive for CutHollowSphere {
         if self.is_open() { Exactness::Exact } else { Exactness::Bound }
     }
 
-    fn fault(&self) -> Option<NodeFault> {
+    fn validate(&self) -> Option<NodeError> {
         let most = 2.0 * self.radius.get();
         let swallowed = self.thickness.get() >= most;
-        outside_of_ball(&self.radius, &self.cut).or_else(|| {
+        plane_misses_sphere(&self.radius, &self.cut).or_else(|| {
             swallowed.then(|| {
-                NodeFault::new(
+                NodeError::new(
                     "thickness",
                     format!(
                         "must be less than twice the radius, or nothing is hollow: make thickness less than {most}"
@@ -112,11 +112,11 @@ impl Primitive for CutHollowSphere {
         })
     }
 
-    fn bounds(&self, level: f32) -> Bounds {
+    fn bounds(&self, isolevel: f32) -> Bounds {
         let (radius, cut) = (self.radius.get(), self.cut.get());
         let across = if cut < 0.0 { rim(&self.radius, &self.cut) } else { radius };
-        let middle = Bounds { low: vec3(-across, -radius, -across), high: vec3(across, cut, across) };
-        middle.widened(self.thickness.get() / 2.0 + level)
+        let middle = Bounds { min: vec3(-across, -radius, -across), max: vec3(across, cut, across) };
+        middle.expanded(self.thickness.get() / 2.0 + isolevel)
     }
 }
 
@@ -127,10 +127,10 @@ fn rim(radius: &Length, cut: &Coordinate) -> f32 {
 }
 
 /// Error for a plane that does not intersect the ball that it should cut.
-fn outside_of_ball(radius: &Length, cut: &Coordinate) -> Option<NodeFault> {
+fn plane_misses_sphere(radius: &Length, cut: &Coordinate) -> Option<NodeError> {
     let radius = radius.get();
     (cut.get().abs() >= radius)
-        .then(|| NodeFault::new("cut", format!("must pass through the ball: put it between {} and {radius}", -radius)))
+        .then(|| NodeError::new("cut", format!("must pass through the ball: put it between {} and {radius}", -radius)))
 }
 
 /// A ball around the origin with a bite out of its top: the bite is a ball, too.
@@ -159,35 +159,35 @@ impl DeathStar {
 impl Primitive for DeathStar {
     const EXAMPLE: &str = r#"{ "radius": 1.1, "bite": 0.7, "distance": 1.2 }"#;
 
-    const MORE: &[&str] = &[r#"{ "radius": 1, "bite": 1.2, "distance": 0.8 }"#];
+    const MORE_EXAMPLES: &[&str] = &[r#"{ "radius": 1, "bite": 1.2, "distance": 0.8 }"#];
 
     #[inline(always)]
     fn distance<R: Real>(&self, p: Vec3<R>) -> R {
         let (rim, height) = self.rim();
-        let across = away_from_axis(p);
-        let above = p.y - p.x.given(self.distance.get());
-        let over_ball = p.y.mul_add(p.x.given(rim), across * p.x.given(-height));
-        let over_bite = above.mul_add(p.x.given(rim), across * p.x.given(self.distance.get() - height));
-        let past_ball = length_of(across, p.y) - p.x.given(self.radius.get());
-        let past_bite = p.x.given(self.bite.get()) - length_of(across, above);
-        let to_rim = length_of(across - p.x.given(rim), p.y - p.x.given(height));
+        let across = distance_from_y_axis(p);
+        let above = p.y - p.x.uniform(self.distance.get());
+        let over_ball = p.y.mul_add(p.x.uniform(rim), across * p.x.uniform(-height));
+        let over_bite = above.mul_add(p.x.uniform(rim), across * p.x.uniform(self.distance.get() - height));
+        let past_ball = hypot(across, p.y) - p.x.uniform(self.radius.get());
+        let past_bite = p.x.uniform(self.bite.get()) - hypot(across, above);
+        let to_rim = hypot(across - p.x.uniform(rim), p.y - p.x.uniform(height));
         R::select(over_ball.above(0.0) & over_bite.above(0.0), to_rim, past_ball.max(past_bite))
     }
 
-    fn fault(&self) -> Option<NodeFault> {
+    fn validate(&self) -> Option<NodeError> {
         let (radius, bite, distance) = (self.radius.get(), self.bite.get(), self.distance.get());
         let (low, high) = ((radius - bite).abs(), radius + bite);
         (distance <= low || distance >= high).then(|| {
-            NodeFault::new(
+            NodeError::new(
                 "distance",
                 format!("must make the bite meet the ball's surface: put it between {low} and {high}"),
             )
         })
     }
 
-    fn bounds(&self, level: f32) -> Bounds {
+    fn bounds(&self, isolevel: f32) -> Bounds {
         let ((rim, height), radius) = (self.rim(), self.radius.get());
         let across = if height < 0.0 { rim } else { radius };
-        Bounds { low: vec3(-across, -radius, -across), high: vec3(across, height, across) }.widened(level)
+        Bounds { min: vec3(-across, -radius, -across), max: vec3(across, height, across) }.expanded(isolevel)
     }
 }

@@ -4,7 +4,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use crate::bounds::Bounds;
-use crate::nodes::{NodeFault, Prepare, Prepared, Primitive};
+use crate::nodes::{NodeError, Precompute, Precomputed, Primitive};
 use crate::real::{Real, Vec3};
 use crate::seek::Seek;
 use crate::values::{Length, Point};
@@ -14,7 +14,7 @@ use crate::values::{Length, Point};
 /// Inigo Quilez, "Distance functions": <https://iquilezles.org/articles/distfunctions/>.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
 #[serde(rename = "Triangle", deny_unknown_fields)]
-pub struct GivenTriangle {
+pub struct TriangleParams {
     /// One corner.
     pub a: Point,
     /// The next corner.
@@ -26,14 +26,14 @@ pub struct GivenTriangle {
 }
 
 /// `GivenTriangle` with its derived values.
-pub type Triangle = Prepared<GivenTriangle>;
+pub type Triangle = Precomputed<TriangleParams>;
 
-impl Prepare for GivenTriangle {
-    type Ready = Face<3>;
+impl Precompute for TriangleParams {
+    type Derived = ConvexFace<3>;
 
-    fn ready(&self) -> Face<3> {
+    fn derive(&self) -> ConvexFace<3> {
         let [a, b, c] = [&self.a, &self.b, &self.c].map(Point::get);
-        Face::new([a, b, c], direction((b - a).cross(c - a)))
+        ConvexFace::new([a, b, c], direction((b - a).cross(c - a)))
     }
 }
 
@@ -42,11 +42,11 @@ impl Primitive for Triangle {
 
     #[inline(always)]
     fn distance<R: Real>(&self, p: Vec3<R>) -> R {
-        self.ready().distance(p) - p.x.given(self.radius.get())
+        self.derive().distance(p) - p.x.uniform(self.radius.get())
     }
 
-    fn bounds(&self, level: f32) -> Bounds {
-        self.ready().bounds().widened(self.radius.get() + level)
+    fn bounds(&self, isolevel: f32) -> Bounds {
+        self.derive().bounds().expanded(self.radius.get() + isolevel)
     }
 }
 
@@ -55,7 +55,7 @@ impl Primitive for Triangle {
 /// Inigo Quilez, "Distance functions": <https://iquilezles.org/articles/distfunctions/>.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
 #[serde(rename = "Quad", deny_unknown_fields)]
-pub struct GivenQuad {
+pub struct QuadParams {
     /// One corner.
     pub a: Point,
     /// The second corner.
@@ -69,13 +69,13 @@ pub struct GivenQuad {
 }
 
 /// `GivenQuad` with its derived values.
-pub type Quad = Prepared<GivenQuad>;
+pub type Quad = Precomputed<QuadParams>;
 
 /// Maximum distance of a corner from the plane of the four, as a fraction of the larger diagonal: as much as
 /// rounding coordinates to a few digits causes. The corner is then moved onto that plane.
 const FLATNESS: f32 = 1e-3;
 
-impl GivenQuad {
+impl QuadParams {
     /// The normal of the plane through the middles of its sides, and how far above it the corners
     /// a and c lie; b and d lie as far below.
     fn plane(&self) -> (Vec3<f32>, f32) {
@@ -91,7 +91,7 @@ impl GivenQuad {
     }
 
     /// Error for corners that are not in one plane.
-    fn bent(&self) -> Option<NodeFault> {
+    fn non_planar_error(&self) -> Option<NodeError> {
         let [a, b, c, d] = [&self.a, &self.b, &self.c, &self.d].map(Point::get);
         (self.plane().1.abs() > FLATNESS * self.size()).then(|| {
             let normal = direction((b - a).cross(c - a));
@@ -99,12 +99,12 @@ impl GivenQuad {
             let message = format!(
                 "is not in one plane with a, b and c: put it at [{x}, {y}, {z}], or make two triangles of the four"
             );
-            NodeFault::new("d", message)
+            NodeError::new("d", message)
         })
     }
 
     /// Error for an outline that turns left at one corner and right at another.
-    fn turned_back(&self) -> Option<NodeFault> {
+    fn non_convex_error(&self) -> Option<NodeError> {
         let corners = [&self.a, &self.b, &self.c, &self.d].map(Point::get);
         let turns = [3, 0, 1, 2].map(|before| {
             let [before, here, after] = [before, before + 1, before + 2].map(|place| corners[place % 4]);
@@ -114,7 +114,7 @@ impl GivenQuad {
         let least = -FLATNESS * self.size() * self.size();
         let back = turns.into_iter().position(|turn| turn.dot(direction(sharpest)) < least);
         back.map(|corner| {
-            NodeFault::new(
+            NodeError::new(
                 ["a", "b", "c", "d"][corner],
                 "makes the outline turn back: order the corners around a convex face, or make two triangles of them",
             )
@@ -122,16 +122,16 @@ impl GivenQuad {
     }
 }
 
-impl Prepare for GivenQuad {
-    type Ready = Face<4>;
+impl Precompute for QuadParams {
+    type Derived = ConvexFace<4>;
 
-    fn ready(&self) -> Face<4> {
+    fn derive(&self) -> ConvexFace<4> {
         let (normal, above) = self.plane();
         let mut corners = [&self.a, &self.b, &self.c, &self.d].map(Point::get);
         for (corner, side) in corners.iter_mut().zip([-1.0, 1.0, -1.0, 1.0]) {
             *corner = normal.mul_add(side * above, *corner);
         }
-        Face::new(corners, normal)
+        ConvexFace::new(corners, normal)
     }
 }
 
@@ -142,29 +142,29 @@ impl Primitive for Quad {
 
     #[inline(always)]
     fn distance<R: Real>(&self, p: Vec3<R>) -> R {
-        self.ready().distance(p) - p.x.given(self.radius.get())
+        self.derive().distance(p) - p.x.uniform(self.radius.get())
     }
 
-    fn fault(&self) -> Option<NodeFault> {
-        self.bent().or_else(|| self.turned_back())
+    fn validate(&self) -> Option<NodeError> {
+        self.non_planar_error().or_else(|| self.non_convex_error())
     }
 
-    fn bounds(&self, level: f32) -> Bounds {
-        self.ready().bounds().widened(self.radius.get() + level)
+    fn bounds(&self, isolevel: f32) -> Bounds {
+        self.derive().bounds().expanded(self.radius.get() + isolevel)
     }
 }
 
 /// A flat convex face, its corners in order around the normal.
 #[derive(Clone, Debug)]
-pub struct Face<const N: usize> {
+pub struct ConvexFace<const N: usize> {
     /// Of length 1; 0 if the corners are on a line.
     normal: Vec3<f32>,
-    sides: [Side; N],
+    sides: [FaceEdge; N],
 }
 
 /// A side of a face.
 #[derive(Clone, Copy, Debug)]
-struct Side {
+struct FaceEdge {
     start: Vec3<f32>,
     /// From its end back to its start.
     back: Vec3<f32>,
@@ -174,13 +174,13 @@ struct Side {
     inwards: Vec3<f32>,
 }
 
-impl<const N: usize> Face<N> {
+impl<const N: usize> ConvexFace<N> {
     fn new(corners: [Vec3<f32>; N], normal: Vec3<f32>) -> Self {
         let side = |index: usize| {
             let start = corners[index];
             let way = corners[(index + 1) % N] - start;
             let over_square = way * (1.0 / way.length_squared().max(1e-20));
-            Side { start, back: -way, over_square, inwards: normal.cross(direction(way)) }
+            FaceEdge { start, back: -way, over_square, inwards: normal.cross(direction(way)) }
         };
         Self { normal, sides: std::array::from_fn(side) }
     }
@@ -188,23 +188,23 @@ impl<const N: usize> Face<N> {
     /// The distance to the face: to its plane where it is straight above or below, else to its nearest side.
     #[inline(always)]
     fn distance<R: Real>(&self, p: Vec3<R>) -> R {
-        let height = (p - Vec3::given(p.x, self.sides[0].start)).dot_known(self.normal);
+        let height = (p - Vec3::uniform(p.x, self.sides[0].start)).dot_uniform(self.normal);
         // Depth inside the nearest side, seen along the normal.
-        let mut inside = p.x.splat(f32::MAX);
-        let mut to_side = p.x.splat(f32::MAX);
+        let mut inside = p.x.constant(f32::MAX);
+        let mut to_side = p.x.constant(f32::MAX);
         for side in &self.sides {
-            let from_start = p - Vec3::given(p.x, side.start);
-            inside = inside.min(from_start.dot_known(side.inwards));
-            let share = from_start.dot_known(side.over_square).at_least(0.0).at_most(1.0);
-            let nearest = Vec3::given(p.x, side.back).mul_add(share, from_start);
+            let from_start = p - Vec3::uniform(p.x, side.start);
+            inside = inside.min(from_start.dot_uniform(side.inwards));
+            let share = from_start.dot_uniform(side.over_square).at_least(0.0).at_most(1.0);
+            let nearest = Vec3::uniform(p.x, side.back).mul_add(share, from_start);
             to_side = to_side.min(nearest.length_squared());
         }
         R::select(inside.above(0.0), height.square(), to_side).sqrt()
     }
 
     fn bounds(&self) -> Bounds {
-        let boxes = self.sides.map(|side| Bounds { low: side.start, high: side.start });
-        boxes.into_iter().fold(boxes[0], Bounds::hull)
+        let boxes = self.sides.map(|side| Bounds { min: side.start, max: side.start });
+        boxes.into_iter().fold(boxes[0], Bounds::union)
     }
 }
 

@@ -9,8 +9,8 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::super::Primitive;
-use super::polygon_sides::Sides;
-use super::pyramid_face::Slope;
+use super::polygon_sides::PolygonSides;
+use super::pyramid_face::PyramidFace;
 use crate::bounds::Bounds;
 use crate::real::{Real, Vec3, vec3};
 use crate::seek::Seek;
@@ -41,7 +41,7 @@ pub struct OctagonalPrism {
 #[serde(deny_unknown_fields)]
 pub struct RegularPyramid {
     /// Number of sides of its base, 3 to 64.
-    pub sides: Sides,
+    pub sides: PolygonSides,
     /// From the axis to the corners of the base.
     pub radius: Length,
     /// Height of its apex.
@@ -53,11 +53,11 @@ impl Primitive for HexagonalPrism {
 
     #[inline(always)]
     fn distance<R: Real>(&self, p: Vec3<R>) -> R {
-        prism(p, &Sides::HEXAGON, &self.radius, &self.height)
+        prism(p, &PolygonSides::HEXAGON, &self.radius, &self.height)
     }
 
-    fn bounds(&self, level: f32) -> Bounds {
-        Bounds::symmetric(self.radius.get(), self.height.get() / 2.0, self.radius.get()).widened(level)
+    fn bounds(&self, isolevel: f32) -> Bounds {
+        Bounds::symmetric(self.radius.get(), self.height.get() / 2.0, self.radius.get()).expanded(isolevel)
     }
 }
 
@@ -66,45 +66,45 @@ impl Primitive for OctagonalPrism {
 
     #[inline(always)]
     fn distance<R: Real>(&self, p: Vec3<R>) -> R {
-        prism(p, &Sides::OCTAGON, &self.radius, &self.height)
+        prism(p, &PolygonSides::OCTAGON, &self.radius, &self.height)
     }
 
-    fn bounds(&self, level: f32) -> Bounds {
-        Bounds::symmetric(self.radius.get(), self.height.get() / 2.0, self.radius.get()).widened(level)
+    fn bounds(&self, isolevel: f32) -> Bounds {
+        Bounds::symmetric(self.radius.get(), self.height.get() / 2.0, self.radius.get()).expanded(isolevel)
     }
 }
 
 impl Primitive for RegularPyramid {
     const EXAMPLE: &str = r#"{ "sides": 5, "radius": 0.9, "height": 1.1 }"#;
-    const MORE: &[&str] =
+    const MORE_EXAMPLES: &[&str] =
         &[r#"{ "sides": 3, "radius": 1, "height": 0.6 }"#, r#"{ "sides": 12, "radius": 0.6, "height": 1.2 }"#];
 
     #[inline(always)]
     fn distance<R: Real>(&self, p: Vec3<R>) -> R {
         let (along, out) = self.sides.fold(p.x, p.z);
         let (inradius, half_edge) = self.sides.inradius_and_half_edge(self.radius.get());
-        let slope = Slope::new(inradius, half_edge, self.height.get());
-        let past_edge = (along - p.x.given(half_edge)).at_least(0.0);
-        let to_base = (out - p.x.given(inradius)).at_least(0.0).square_add(past_edge.square_add(p.y.square()));
-        let (to_slope, past_slope) = slope.reach(out, along, p.y);
+        let slope = PyramidFace::new(inradius, half_edge, self.height.get());
+        let past_edge = (along - p.x.uniform(half_edge)).at_least(0.0);
+        let to_base = (out - p.x.uniform(inradius)).at_least(0.0).square_add(past_edge.square_add(p.y.square()));
+        let (to_slope, past_slope) = slope.distance_and_depth(out, along, p.y);
         let distance = to_slope.min(to_base).sqrt();
         R::select(past_slope.max(-p.y).below(0.0), -distance, distance)
     }
 
-    fn bounds(&self, level: f32) -> Bounds {
+    fn bounds(&self, isolevel: f32) -> Bounds {
         let (radius, height) = (self.radius.get(), self.height.get());
-        Bounds { low: vec3(-radius, 0.0, -radius), high: vec3(radius, height, radius) }.widened(level)
+        Bounds { min: vec3(-radius, 0.0, -radius), max: vec3(radius, height, radius) }.expanded(isolevel)
     }
 }
 
 /// Distance to a prism over a regular polygon.
 #[inline(always)]
-fn prism<R: Real>(p: Vec3<R>, sides: &Sides, radius: &Length, height: &Length) -> R {
+fn prism<R: Real>(p: Vec3<R>, sides: &PolygonSides, radius: &Length, height: &Length) -> R {
     let (along, out) = sides.fold(p.x, p.z);
     let (inradius, half_edge) = sides.inradius_and_half_edge(radius.get());
-    let past_edge = (along - p.x.given(half_edge)).at_least(0.0);
-    let past_side = out - p.x.given(inradius);
-    let past_cap = p.y.abs() - p.x.given(height.get() * 0.5);
+    let past_edge = (along - p.x.uniform(half_edge)).at_least(0.0);
+    let past_side = out - p.x.uniform(inradius);
+    let past_cap = p.y.abs() - p.x.uniform(height.get() * 0.5);
     let outside = past_side.at_least(0.0).square_add(past_cap.at_least(0.0).square_add(past_edge.square())).sqrt();
     outside + past_side.max(past_cap).at_most(0.0)
 }
@@ -117,7 +117,7 @@ mod tests {
 
     #[test]
     fn a_corner_and_the_middle_of_an_edge_are_on_the_pyramid() {
-        for sides in (3..=64).filter_map(Sides::new) {
+        for sides in (3..=64).filter_map(PolygonSides::new) {
             let radius = Length::new(0.7).expect("a length");
             let pyramid = RegularPyramid { sides, radius: radius.clone(), height: radius };
             for side in 0..sides.get() {

@@ -3,12 +3,12 @@
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use super::{away_from_axis, length_of};
+use super::{distance_from_y_axis, hypot};
 use crate::bounds::Bounds;
-use crate::nodes::{NodeFault, Prepare, Prepared, Primitive};
+use crate::nodes::{NodeError, Precompute, Precomputed, Primitive};
 use crate::real::{Real, Vec3, vec3};
 use crate::seek::Seek;
-use crate::values::{Amount, Length, Point};
+use crate::values::{Length, LengthOrZero, Point};
 
 /// A cylinder around the y axis with rounded edges, its middle at the origin.
 ///
@@ -21,7 +21,7 @@ pub struct RoundedCylinder {
     /// Its whole height.
     pub height: Length,
     /// Radius of its rounded edges, inside `radius` and `height`.
-    pub round: Amount,
+    pub round: LengthOrZero,
 }
 
 impl Primitive for RoundedCylinder {
@@ -30,16 +30,16 @@ impl Primitive for RoundedCylinder {
     #[inline(always)]
     fn distance<R: Real>(&self, p: Vec3<R>) -> R {
         let round = self.round.get();
-        let past_side = away_from_axis(p) - p.x.given(self.radius.get() - round);
-        let past_cap = p.y.abs() - p.x.given(self.height.get() / 2.0 - round);
-        let outside = length_of(past_side.at_least(0.0), past_cap.at_least(0.0));
-        outside + past_side.max(past_cap).at_most(0.0) - p.x.given(round)
+        let past_side = distance_from_y_axis(p) - p.x.uniform(self.radius.get() - round);
+        let past_cap = p.y.abs() - p.x.uniform(self.height.get() / 2.0 - round);
+        let outside = hypot(past_side.at_least(0.0), past_cap.at_least(0.0));
+        outside + past_side.max(past_cap).at_most(0.0) - p.x.uniform(round)
     }
 
-    fn fault(&self) -> Option<NodeFault> {
+    fn validate(&self) -> Option<NodeError> {
         let most = self.radius.get().min(self.height.get() / 2.0);
         (self.round.get() > most).then(|| {
-            NodeFault::new(
+            NodeError::new(
                 "round",
                 format!(
                     "must be at most the radius and half the height, inside which it rounds: make round {most} or less"
@@ -48,9 +48,9 @@ impl Primitive for RoundedCylinder {
         })
     }
 
-    fn bounds(&self, level: f32) -> Bounds {
+    fn bounds(&self, isolevel: f32) -> Bounds {
         let radius = self.radius.get();
-        Bounds::symmetric(radius, self.height.get() / 2.0, radius).widened(level)
+        Bounds::symmetric(radius, self.height.get() / 2.0, radius).expanded(isolevel)
     }
 }
 
@@ -66,13 +66,13 @@ impl Primitive for RoundedCylinder {
 /// is further away than the surface, and an error of n counts by its square.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
 #[serde(rename = "Ellipsoid", deny_unknown_fields)]
-pub struct GivenEllipsoid {
+pub struct EllipsoidParams {
     /// Half its extents along x, y and z.
     pub radii: [Length; 3],
 }
 
 /// `GivenEllipsoid` with its derived values.
-pub type Ellipsoid = Prepared<GivenEllipsoid>;
+pub type Ellipsoid = Precomputed<EllipsoidParams>;
 
 /// Maximum number of Newton steps; only a few points near the center of a flat ellipsoid need that many.
 const ELLIPSOID_STEPS: u32 = 12;
@@ -81,38 +81,38 @@ const ELLIPSOID_TOLERANCE: f32 = 2e-4;
 
 /// An ellipsoid's radii as parts of the largest, so that no square is out of range.
 #[derive(Clone, Debug)]
-pub struct Radii {
+pub struct ScaledRadii {
     largest: f32,
     radius: Vec3<f32>,
     over_radius: Vec3<f32>,
     /// radius² − least².
-    past_least: Vec3<f32>,
+    excess_squared: Vec3<f32>,
 }
 
-impl Prepare for GivenEllipsoid {
-    type Ready = Radii;
+impl Precompute for EllipsoidParams {
+    type Derived = ScaledRadii;
 
-    fn ready(&self) -> Radii {
+    fn derive(&self) -> ScaledRadii {
         let [x, y, z] = self.radii.each_ref().map(Length::get);
         let (largest, least) = (x.max(y).max(z), x.min(y).min(z));
         let radius = vec3(x, y, z).map(|c| c / largest);
         let least = least / largest;
         let past_least = radius.map(|c| (c - least) * (c + least));
-        Radii { largest, radius, over_radius: radius.map(|c| 1.0 / c), past_least }
+        ScaledRadii { largest, radius, over_radius: radius.map(|c| 1.0 / c), excess_squared: past_least }
     }
 }
 
 impl Primitive for Ellipsoid {
     const EXAMPLE: &str = r#"{ "radii": [1.1, 0.6, 0.8] }"#;
 
-    const MORE: &[&str] = &[r#"{ "radii": [1, 0.1, 1] }"#, r#"{ "radii": [0.2, 1.1, 0.3] }"#];
+    const MORE_EXAMPLES: &[&str] = &[r#"{ "radii": [1, 0.1, 1] }"#, r#"{ "radii": [0.2, 1.1, 0.3] }"#];
 
     #[inline(always)]
     fn distance<R: Real>(&self, p: Vec3<R>) -> R {
-        let &Radii { largest, radius, over_radius, past_least } = self.ready();
-        let (radius, over_radius) = (Vec3::given(p.x, radius), Vec3::given(p.x, over_radius));
-        let past_least = Vec3::given(p.x, past_least);
-        let place = vec3(p.x.abs(), p.y.abs(), p.z.abs()) * p.x.given(1.0 / largest);
+        let &ScaledRadii { largest, radius, over_radius, excess_squared: past_least } = self.derive();
+        let (radius, over_radius) = (Vec3::uniform(p.x, radius), Vec3::uniform(p.x, over_radius));
+        let past_least = Vec3::uniform(p.x, past_least);
+        let place = vec3(p.x.abs(), p.y.abs(), p.z.abs()) * p.x.uniform(1.0 / largest);
         // A point on a plane of symmetry may have its nearest points on both sides: start from one
         // side.
         let reach = times(
@@ -138,12 +138,12 @@ impl Primitive for Ellipsoid {
         );
         let (ratio, _) = nearest_ratio(reach, past_least, t);
         let normal = times(ratio, over_radius);
-        (normal.dot(place) - ratio.length()) / normal.length() * p.x.given(largest)
+        (normal.dot(place) - ratio.length()) / normal.length() * p.x.uniform(largest)
     }
 
-    fn bounds(&self, level: f32) -> Bounds {
+    fn bounds(&self, isolevel: f32) -> Bounds {
         let [x, y, z] = &self.radii;
-        Bounds::symmetric(x.get(), y.get(), z.get()).widened(level)
+        Bounds::symmetric(x.get(), y.get(), z.get()).expanded(isolevel)
     }
 }
 
@@ -152,7 +152,7 @@ impl Primitive for Ellipsoid {
 fn nearest_ratio<R: Real>(reach: Vec3<R>, past_least: Vec3<R>, t: R) -> (Vec3<R>, Vec3<R>) {
     let inverse = past_least.map(
         #[inline(always)]
-        |c| t.splat(1.0) / (c + t),
+        |c| t.constant(1.0) / (c + t),
     );
     (times(reach, inverse), inverse)
 }
@@ -194,35 +194,35 @@ impl Primitive for Vesica {
         // The arc's center lies this far behind the axis.
         let behind = ((half - radius) * (half + radius) / (2.0 * radius)).max(0.0);
         let around = behind + radius;
-        let from_middle = p - Vec3::given(p.x, self.a.get() + half_axis);
-        let unit = Vec3::given(p.x, half_axis * (1.0 / half.max(1e-12)));
+        let from_middle = p - Vec3::uniform(p.x, self.a.get() + half_axis);
+        let unit = Vec3::uniform(p.x, half_axis * (1.0 / half.max(1e-12)));
         let along = from_middle.dot(unit);
         let across = unit.mul_add(-along, from_middle).length();
-        let (along, behind, half) = (along.abs(), p.x.given(behind), p.x.given(half));
+        let (along, behind, half) = (along.abs(), p.x.uniform(behind), p.x.uniform(half));
         let past_tip = (across * half).lt((along - half) * behind);
         let to_tip = across.square_add((along - half).square());
         let to_center = (across + behind).square_add(along.square());
         let distance = R::select(past_tip, to_tip, to_center).sqrt();
         // Remaining offset to a far center, without subtracting large numbers.
         let over_circle = (across + behind * 2.0).mul_add(across, (along - half) * (along + half));
-        R::select(past_tip, distance, over_circle / (distance + p.x.given(around)))
+        R::select(past_tip, distance, over_circle / (distance + p.x.uniform(around)))
     }
 
-    fn fault(&self) -> Option<NodeFault> {
+    fn validate(&self) -> Option<NodeError> {
         let half = self.half_axis().length();
         if half < crate::limits::MIN_LENGTH {
-            return Some(NodeFault::new("b", "is where a is: put the two tips in different places"));
+            return Some(NodeError::new("b", "is where a is: put the two tips in different places"));
         }
         (self.radius.get() > half).then(|| {
-            NodeFault::new(
+            NodeError::new(
                 "radius",
                 format!("must be at most half the way from a to b, or it has no tips: make radius {half} or less"),
             )
         })
     }
 
-    fn bounds(&self, level: f32) -> Bounds {
+    fn bounds(&self, isolevel: f32) -> Bounds {
         let (a, b) = (self.a.get(), self.b.get());
-        Bounds { low: a, high: a }.hull(Bounds { low: b, high: b }).widened(self.radius.get() + level)
+        Bounds { min: a, max: a }.union(Bounds { min: b, max: b }).expanded(self.radius.get() + isolevel)
     }
 }

@@ -6,13 +6,13 @@ use std::marker::PhantomData;
 use serde::de::{DeserializeSeed, Error, IgnoredAny, SeqAccess, Visitor};
 use serde::{Deserialize, Deserializer};
 
-use super::{Ranged, read_still};
-use crate::limits::{MAX_KEY_SECONDS, MAX_KEYS};
+use super::{RangedNumber, read_constant};
+use crate::limits::{MAX_KEYFRAME_SECONDS, MAX_KEYFRAMES};
 
 /// Keyframes in the order of time, one or more, with numbers in the range of `T`.
-pub(super) struct Keys<T>(pub(super) Vec<(f64, f32)>, PhantomData<T>);
+pub(super) struct KeyframeSpan<T>(pub(super) Vec<(f64, f32)>, PhantomData<T>);
 
-impl<'de, T: Ranged> Deserialize<'de> for Keys<T> {
+impl<'de, T: RangedNumber> Deserialize<'de> for KeyframeSpan<T> {
     fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
         deserializer.deserialize_seq(KeysVisitor(PhantomData))
     }
@@ -20,36 +20,36 @@ impl<'de, T: Ranged> Deserialize<'de> for Keys<T> {
 
 struct KeysVisitor<T>(PhantomData<T>);
 
-impl<'de, T: Ranged> Visitor<'de> for KeysVisitor<T> {
-    type Value = Keys<T>;
+impl<'de, T: RangedNumber> Visitor<'de> for KeysVisitor<T> {
+    type Value = KeyframeSpan<T>;
 
     fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.write_str("a list of keys: [[seconds, number], …]")
     }
 
-    fn visit_seq<A: SeqAccess<'de>>(self, mut list: A) -> Result<Keys<T>, A::Error> {
+    fn visit_seq<A: SeqAccess<'de>>(self, mut list: A) -> Result<KeyframeSpan<T>, A::Error> {
         let mut keys: Vec<(f64, f32)> = Vec::new();
-        let seed = |last: Option<&(f64, f32)>| KeySeed::<T> { last: last.map(|key| key.0), value: PhantomData };
+        let seed = |last: Option<&(f64, f32)>| KeyframeSeed::<T> { last: last.map(|key| key.0), value: PhantomData };
         while let Some(key) = list.next_element_seed(seed(keys.last()))? {
-            if keys.len() == MAX_KEYS {
-                return Err(A::Error::custom(format_args!("has more than {MAX_KEYS} keys: use fewer")));
+            if keys.len() == MAX_KEYFRAMES {
+                return Err(A::Error::custom(format_args!("has more than {MAX_KEYFRAMES} keys: use fewer")));
             }
             keys.push(key);
         }
         if keys.is_empty() {
             return Err(A::Error::custom("is empty: a track needs a key or more, as in [[0, 1.0], [2, 3.0]]"));
         }
-        Ok(Keys(keys, PhantomData))
+        Ok(KeyframeSpan(keys, PhantomData))
     }
 }
 
 /// Reads `[seconds, number]`; seconds must be more than the last key's.
-struct KeySeed<T> {
+struct KeyframeSeed<T> {
     last: Option<f64>,
     value: PhantomData<T>,
 }
 
-impl<'de, T: Ranged> DeserializeSeed<'de> for KeySeed<T> {
+impl<'de, T: RangedNumber> DeserializeSeed<'de> for KeyframeSeed<T> {
     type Value = (f64, f32);
 
     fn deserialize<D: Deserializer<'de>>(self, deserializer: D) -> Result<(f64, f32), D::Error> {
@@ -57,7 +57,7 @@ impl<'de, T: Ranged> DeserializeSeed<'de> for KeySeed<T> {
     }
 }
 
-impl<'de, T: Ranged> Visitor<'de> for KeySeed<T> {
+impl<'de, T: RangedNumber> Visitor<'de> for KeyframeSeed<T> {
     type Value = (f64, f32);
 
     fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
@@ -79,9 +79,9 @@ impl<'de, T: Ranged> Visitor<'de> for KeySeed<T> {
 /// A key's number, which is no track itself.
 struct Value<T>(T);
 
-impl<'de, T: Ranged> Deserialize<'de> for Value<T> {
+impl<'de, T: RangedNumber> Deserialize<'de> for Value<T> {
     fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
-        read_still(deserializer).map(Self)
+        read_constant(deserializer).map(Self)
     }
 }
 
@@ -104,8 +104,8 @@ impl Visitor<'_> for SecondsSeed {
     }
 
     fn visit_f64<E: Error>(self, seconds: f64) -> Result<f64, E> {
-        if seconds.is_nan() || seconds.abs() > MAX_KEY_SECONDS {
-            return Err(E::custom(format_args!("must be seconds within ±{MAX_KEY_SECONDS}, not {seconds}")));
+        if seconds.is_nan() || seconds.abs() > MAX_KEYFRAME_SECONDS {
+            return Err(E::custom(format_args!("must be seconds within ±{MAX_KEYFRAME_SECONDS}, not {seconds}")));
         }
         match self.0 {
             Some(last) if seconds <= last => Err(E::custom(format_args!(

@@ -39,7 +39,7 @@ fn ball_and_box(material: &str) -> String {
 /// Adds sections and pictures of some examples, each shown as `material` makes it one.
 fn add(page: &mut Page, schema: &Value, folder: &str, examples: &[Example], material: impl Fn(&str) -> String) {
     for example in examples {
-        let file = file(folder, &example.name, example.number);
+        let file = file(folder, &example.name, example.index);
         page.text += &kind_section(schema, "", example, &file);
         page.pictures.push(Picture { file, job: on_a_floor(&ball_and_box(&material(&example.json))) });
     }

@@ -24,7 +24,7 @@ fn in_view(node: &str) -> String {
         let step = |digit: u32| ((place >> digit) % 16) as f32;
         vec3(step(0) * 0.4 - 3.0, step(4) * 0.4 + 5.0, step(8) * 0.4 - 3.0)
     });
-    if shape.bounds(0.0) == Bounds::EVERYWHERE && above.any(|p| shape.distance(p) < 0.0) {
+    if shape.bounds(0.0) == Bounds::INFINITE && above.any(|p| shape.distance(p) < 0.0) {
         format!(r#"{{ "intersection": {{ "of": [{{ "sphere": {{ "radius": 1.25 }} }}, {node}] }} }}"#)
     } else {
         node.to_owned()
@@ -45,7 +45,7 @@ fn worth(example: &Example) -> String {
 fn section(schema: &Value, example: &Example, file: &str) -> String {
     let name = snake_case(example.kind);
     let shown = shown(&name, file, &example.node);
-    if example.number > 0 {
+    if example.index > 0 {
         return shown;
     }
     let (about, worth) = (description(schema, example.kind), worth(example));
@@ -56,7 +56,7 @@ pub(crate) fn page() -> Page {
     let schema = scene::schema();
     let mut page = Page { name: "nodes.md", text: HEAD.to_owned(), pictures: Vec::new() };
     for example in Node::examples() {
-        let file = file("nodes", &snake_case(example.kind), example.number);
+        let file = file("nodes", &snake_case(example.kind), example.index);
         page.text += &section(&schema, &example, &file);
         let objects = format!(
             r#"{{ "shape": {}, "material": {{ "diffuse": {{ "kd": [0.62, 0.64, 0.68], "ks": [0.12, 0.12, 0.12], "shininess": 30 }} }} }}"#,
