@@ -6,7 +6,7 @@ use std::sync::Arc;
 
 use clap::Args;
 use clap::builder::{PossibleValuesParser, TypedValueParser};
-use proto::{Access, Client, ClientError, Secret};
+use proto::{Client, ClientAuth, ClientError, Secret};
 use worker::cuda::{CudaRenderer, Shape};
 use worker::{CpuRenderer, RenderError, Renderer, Simd};
 
@@ -30,7 +30,7 @@ pub(crate) struct ServerArguments {
 impl ServerArguments {
     /// A client of that server.
     pub(crate) fn client(&self) -> anyhow::Result<Client> {
-        Ok(Client::with_access(&self.server, self.access.access()?)?)
+        Ok(Client::with_auth(&self.server, self.access.access()?)?)
     }
 }
 
@@ -47,13 +47,13 @@ pub(crate) struct AccessArguments {
 
 impl AccessArguments {
     /// The client's form of these arguments.
-    pub(crate) fn access(&self) -> Result<Access, ClientError> {
-        Ok(Access::new(self.key.clone(), self.ca.as_deref())?)
+    pub(crate) fn access(&self) -> Result<ClientAuth, ClientError> {
+        Ok(ClientAuth::new(self.key.clone(), self.ca.as_deref())?)
     }
 
     /// The client's form, with another key.
-    pub(crate) fn with_key(&self, key: Secret) -> Result<Access, ClientError> {
-        Ok(Access::new(Some(key), self.ca.as_deref())?)
+    pub(crate) fn with_key(&self, key: Secret) -> Result<ClientAuth, ClientError> {
+        Ok(ClientAuth::new(Some(key), self.ca.as_deref())?)
     }
 }
 

@@ -1,7 +1,7 @@
 //! Errors as messages on standard error and as exit codes.
 
-use proto::problem::FaultView;
-use proto::worker_protocol::UNFIT_DEVICE;
+use proto::problem::ValidationErrorView;
+use proto::worker_protocol::EXIT_UNUSABLE_DEVICE;
 use proto::{ClientError, Problem};
 
 use crate::terminal::note;
@@ -26,7 +26,7 @@ pub(crate) struct BadJob {
     /// The file, as the user named it.
     pub(crate) file: String,
     /// Its errors.
-    pub(crate) faults: Vec<FaultView>,
+    pub(crate) faults: Vec<ValidationErrorView>,
 }
 
 fn count(faults: usize) -> String {
@@ -45,8 +45,8 @@ pub(crate) fn report(error: &anyhow::Error) -> u8 {
 }
 
 /// One error in the form of compilers: `FILE:LINE:COLUMN: pointer: message`.
-fn line(file: &str, fault: &FaultView) -> String {
-    let FaultView { pointer, message, line, column } = fault;
+fn line(file: &str, fault: &ValidationErrorView) -> String {
+    let ValidationErrorView { pointer, message, line, column } = fault;
     let place = if pointer.is_empty() { String::new() } else { format!("{pointer}: ") };
     format!("{file}:{line}:{column}: {place}{message}")
 }
@@ -75,10 +75,10 @@ fn exit_code(error: &anyhow::Error) -> u8 {
         return WRONG;
     }
     if error.is::<NoDevice>() {
-        return UNFIT_DEVICE;
+        return EXIT_UNUSABLE_DEVICE;
     }
     match error.downcast_ref::<ClientError>() {
-        Some(ClientError::Access(_)) => WRONG,
+        Some(ClientError::Auth(_)) => WRONG,
         Some(ClientError::Problem(problem)) if is_bad_input(problem) => WRONG,
         Some(_) | None => FAILED,
     }

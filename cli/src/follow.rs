@@ -24,7 +24,7 @@ pub(crate) async fn until_done(client: &Client, id: JobId) -> anyhow::Result<Job
     note_pause(client, &job).await;
     let progress = Progress::new(&job.name, STEPS as u64);
     let job = match Following::new(client, id).until_final(&progress, job).await {
-        Err(ClientError::Foreign { .. }) => poll(client, id, &progress).await?,
+        Err(ClientError::UnexpectedResponse { .. }) => poll(client, id, &progress).await?,
         followed => followed?,
     };
     progress.finish();
@@ -139,7 +139,8 @@ impl<'a> Following<'a> {
 }
 
 fn is_away(error: &ClientError) -> bool {
-    matches!(error, ClientError::Unreachable { .. } | ClientError::Broken { .. }) || error.code() == Some("closing")
+    matches!(error, ClientError::Unreachable { .. } | ClientError::ConnectionLost { .. })
+        || error.code() == Some("closing")
 }
 
 /// Polls the job.

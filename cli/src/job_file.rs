@@ -4,7 +4,7 @@ use std::fs::File;
 use std::io::Read;
 
 use proto::ClientError;
-use proto::problem::FaultView;
+use proto::problem::ValidationErrorView;
 use scene::{Job, ParseError};
 
 use crate::error::{BadJob, Misuse};
@@ -45,8 +45,8 @@ impl JobFile {
     pub(crate) fn parse(&self) -> anyhow::Result<Job> {
         scene::parse(&self.text).map_err(|refusal| {
             let faults = match &refusal {
-                ParseError::NotJson(fault) => vec![FaultView::from(fault)],
-                ParseError::Invalid(faults) => faults.iter().map(FaultView::from).collect(),
+                ParseError::NotJson(fault) => vec![ValidationErrorView::from(fault)],
+                ParseError::Invalid(faults) => faults.iter().map(ValidationErrorView::from).collect(),
             };
             BadJob { file: self.name.clone(), faults }.into()
         })

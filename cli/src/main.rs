@@ -75,8 +75,8 @@ fn arm(is_allowed: bool) -> anyhow::Result<()> {
     if !is_allowed {
         return Ok(());
     }
-    let list = std::env::var(fail_point::VARIABLE).unwrap_or_default();
-    fail_point::arm(&list).map_err(|wrong| Misuse(format!("{}: {wrong}", fail_point::VARIABLE)).into())
+    let list = std::env::var(fail_point::ENV_VAR).unwrap_or_default();
+    fail_point::arm(&list).map_err(|wrong| Misuse(format!("{}: {wrong}", fail_point::ENV_VAR)).into())
 }
 
 #[cfg(test)]

@@ -8,19 +8,19 @@ mod cost_sample;
 mod preview;
 mod thumbnail;
 
-use proto::preview_helper::Sketch;
+use proto::preview_helper::HelperRequest;
 
 pub(crate) use cost_sample::sample;
 
 /// Does what is asked; returns the bytes of the answer.
-pub(crate) fn answer(sketch: &Sketch) -> anyhow::Result<Vec<u8>> {
+pub(crate) fn answer(sketch: &HelperRequest) -> anyhow::Result<Vec<u8>> {
     match sketch {
-        Sketch::Unfinished { job, frame, width_px, tiles, coarse, coarse_ms } => {
+        HelperRequest::Preview { job, frame, width_px, tiles, coarse, coarse_ms } => {
             let job = scene::parse(job.as_bytes())?;
             preview::draw(&job, *frame, *width_px, tiles, &coarse::Kept { file: coarse, limit_ms: *coarse_ms })
         }
-        Sketch::Stored { file, width_px } => thumbnail::draw(file, *width_px),
-        Sketch::Sample { job, threads, render_ms } => {
+        HelperRequest::Thumbnail { file, width_px } => thumbnail::draw(file, *width_px),
+        HelperRequest::MeasureCost { job, threads, render_ms } => {
             let job = scene::parse(job.as_bytes())?;
             Ok(serde_json::to_vec(&sample(&job, *threads, *render_ms)?)?)
         }

@@ -37,7 +37,7 @@ impl Scope {
 /// Whether a key lets anyone in.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
-pub enum KeyState {
+pub enum ApiKeyState {
     /// Valid.
     Live,
     /// Expired.
@@ -49,7 +49,7 @@ pub enum KeyState {
 /// A key to make: `POST /v1/keys`.
 #[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
-pub struct NewKey {
+pub struct NewApiKey {
     /// Owner's name: 1 to 64 letters, digits, dots, dashes and underscores. Jobs submitted with the key
     /// belong to this name; up to two live keys may share a name.
     pub name: String,
@@ -71,13 +71,13 @@ pub struct NewKey {
 
 /// A key, without its secret.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
-pub struct KeyView {
+pub struct ApiKeyView {
     /// Its id, by which it is revoked.
     pub id: String,
     /// Owner's name.
     pub name: String,
     /// Whether it lets anyone in.
-    pub state: KeyState,
+    pub state: ApiKeyState,
     /// Scopes.
     pub scopes: Vec<Scope>,
     /// Maximum number of unfinished jobs of its name; null means the server's default.
@@ -98,14 +98,14 @@ pub struct KeyView {
 
 /// New key with its secret, which is shown only here.
 #[derive(Clone, Serialize, Deserialize, JsonSchema)]
-pub struct IssuedKey {
+pub struct IssuedApiKey {
     /// Secret, to be sent as `Authorization: Bearer …`; it cannot be shown again.
     pub secret: String,
     /// The key.
-    pub key: KeyView,
+    pub key: ApiKeyView,
 }
 
-impl std::fmt::Debug for IssuedKey {
+impl std::fmt::Debug for IssuedApiKey {
     fn fmt(&self, formatter: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         formatter.debug_struct("IssuedKey").field("key", &self.key).finish_non_exhaustive()
     }
@@ -113,7 +113,7 @@ impl std::fmt::Debug for IssuedKey {
 
 /// Response of `GET /v1/keys`.
 #[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
-pub struct KeyList {
+pub struct ApiKeyList {
     /// Every key, newest first.
-    pub keys: Vec<KeyView>,
+    pub keys: Vec<ApiKeyView>,
 }

@@ -11,7 +11,7 @@ use std::time::Duration;
 use reqwest::{Certificate, ClientBuilder, RequestBuilder, Url};
 
 /// Clients close connections idle for this long: sooner than any sdfarm server does.
-const IDLE: Duration = Duration::from_secs(15);
+const IDLE_TIMEOUT: Duration = Duration::from_secs(15);
 
 /// Key or token; readable only through [`Secret::expose`].
 #[derive(Clone, PartialEq, Eq)]
@@ -46,7 +46,7 @@ impl fmt::Debug for Secret {
 
 /// Error when preparing calls to a server.
 #[derive(Debug, thiserror::Error)]
-pub enum AccessError {
+pub enum ClientAuthError {
     /// The server's address can't be used.
     #[error("{server:?} is no server's address: write it as http://HOST:PORT or https://HOST:PORT")]
     Address {
@@ -55,7 +55,7 @@ pub enum AccessError {
     },
     /// The authority's file can't be read.
     #[error("the certificates of {file} can't be read ({reason}): name the authority's PEM file with --ca")]
-    Authority {
+    CaFile {
         /// The file.
         file: PathBuf,
         /// Reason.
@@ -68,38 +68,38 @@ pub enum AccessError {
 
 /// How to call a server. The default sends no key and trusts the system's certificates.
 #[derive(Clone, Debug, Default)]
-pub struct Access {
+pub struct ClientAuth {
     key: Option<Secret>,
-    authorities: Vec<Certificate>,
+    ca_certificates: Vec<Certificate>,
 }
 
-impl Access {
+impl ClientAuth {
     /// Access with this key, to servers whose certificates the authorities of a PEM file vouch for;
     /// without a file those of the system do.
-    pub fn new(key: Option<Secret>, authorities: Option<&Path>) -> Result<Self, AccessError> {
+    pub fn new(key: Option<Secret>, authorities: Option<&Path>) -> Result<Self, ClientAuthError> {
         let is_plain = |key: &Secret| !key.0.is_empty() && key.0.bytes().all(|byte| byte.is_ascii_graphic());
         if !key.as_ref().is_none_or(is_plain) {
-            return Err(AccessError::Key);
+            return Err(ClientAuthError::Key);
         }
         let authorities = match authorities {
             Some(file) => read_authorities(file)?,
             None => Vec::new(),
         };
-        Ok(Self { key, authorities })
+        Ok(Self { key, ca_certificates: authorities })
     }
 
     /// HTTP client builder for this server, to be completed with timeouts.
     pub fn client(&self, server: &Url) -> ClientBuilder {
         let builder = client_builder();
-        if server.scheme() == "https" && self.authorities.is_empty() {
+        if server.scheme() == "https" && self.ca_certificates.is_empty() {
             return builder;
         }
         // Without TLS the system's certificates are not needed, and reading them takes time.
-        builder.tls_certs_only(self.authorities.iter().cloned())
+        builder.tls_certs_only(self.ca_certificates.iter().cloned())
     }
 
     /// The request, with the key.
-    pub fn sign(&self, request: RequestBuilder) -> RequestBuilder {
+    pub fn authorize(&self, request: RequestBuilder) -> RequestBuilder {
         match &self.key {
             Some(key) => request.bearer_auth(key.expose()),
             None => request,
@@ -107,16 +107,16 @@ impl Access {
     }
 }
 
-fn read_authorities(file: &Path) -> Result<Vec<Certificate>, AccessError> {
-    let wrong = |reason: String| AccessError::Authority { file: file.to_owned(), reason };
+fn read_authorities(file: &Path) -> Result<Vec<Certificate>, ClientAuthError> {
+    let wrong = |reason: String| ClientAuthError::CaFile { file: file.to_owned(), reason };
     let pem = std::fs::read(file).map_err(|error| wrong(error.to_string()))?;
     let certificates = Certificate::from_pem_bundle(&pem).map_err(|error| wrong(error.to_string()))?;
     if certificates.is_empty() { Err(wrong("it holds none".to_owned())) } else { Ok(certificates) }
 }
 
 /// Reads a server's address: `http://HOST:PORT` or `https://HOST:PORT`.
-pub fn server_url(server: &str) -> Result<Url, AccessError> {
-    let wrong = || AccessError::Address { server: server.to_owned() };
+pub fn server_url(server: &str) -> Result<Url, ClientAuthError> {
+    let wrong = || ClientAuthError::Address { server: server.to_owned() };
     let url = Url::parse(server.trim_end_matches('/')).map_err(|_| wrong())?;
     let is_plain = url.has_host()
         && url.query().is_none()
@@ -129,10 +129,10 @@ pub fn server_url(server: &str) -> Result<Url, AccessError> {
 /// Starts every HTTP client of this process, because the process has to choose its cryptography before the
 /// first client is built.
 pub fn client_builder() -> ClientBuilder {
-    static CHOSEN: Once = Once::new();
+    static CRYPTO_PROVIDER: Once = Once::new();
     // Fails only where another part of the process has chosen already, which is as good.
-    CHOSEN.call_once(|| drop(rustls::crypto::ring::default_provider().install_default()));
-    reqwest::Client::builder().pool_idle_timeout(IDLE)
+    CRYPTO_PROVIDER.call_once(|| drop(rustls::crypto::ring::default_provider().install_default()));
+    reqwest::Client::builder().pool_idle_timeout(IDLE_TIMEOUT)
 }
 
 #[cfg(test)]
@@ -145,28 +145,28 @@ mod tests {
             assert!(server_url(good).is_ok(), "{good}");
         }
         for bad in ["", "127.0.0.1:8080", "ftp://farm.example", "http://", "http://a?b", "https://a:b@farm.example"] {
-            assert!(matches!(server_url(bad), Err(AccessError::Address { .. })), "{bad}");
+            assert!(matches!(server_url(bad), Err(ClientAuthError::Address { .. })), "{bad}");
         }
     }
 
     #[test]
     fn secret_shows_in_no_debug_text() {
-        let access = Access::new(Some("sdf_geheim".parse().expect("a secret")), None).expect("plain");
+        let access = ClientAuth::new(Some("sdf_geheim".parse().expect("a secret")), None).expect("plain");
         assert!(!format!("{access:?}").contains("geheim"));
     }
 
     #[test]
     fn key_that_no_header_can_carry_is_refused() {
         for bad in ["", "a b", "a\nb", "ä"] {
-            assert!(matches!(Access::new(Some(bad.to_owned().into()), None), Err(AccessError::Key)), "{bad:?}");
+            assert!(matches!(ClientAuth::new(Some(bad.to_owned().into()), None), Err(ClientAuthError::Key)), "{bad:?}");
         }
     }
 
     #[test]
     fn missing_and_empty_authority_files_are_named() {
-        let error = Access::new(None, Some(Path::new("/nonexistent.pem"))).expect_err("there is none").to_string();
+        let error = ClientAuth::new(None, Some(Path::new("/nonexistent.pem"))).expect_err("there is none").to_string();
         assert!(error.contains("/nonexistent.pem") && error.contains("--ca"), "{error}");
-        let error = Access::new(None, Some(Path::new("/dev/null"))).expect_err("it is empty").to_string();
+        let error = ClientAuth::new(None, Some(Path::new("/dev/null"))).expect_err("it is empty").to_string();
         assert!(error.contains("holds none"), "{error}");
     }
 }

@@ -12,19 +12,19 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Duration;
 
 /// Environment variable with the armed points and their actions, read only if the hidden flag is given.
-pub const VARIABLE: &str = "SDFARM_FAIL_POINTS";
+pub const ENV_VAR: &str = "SDFARM_FAIL_POINTS";
 /// The hidden flag.
 pub const FLAG: &str = "--allow-fail-points";
 /// Prefix of the line that a process writes to standard error when a point is triggered.
-pub const MARK: &str = "fail point";
+pub const LOG_PREFIX: &str = "fail point";
 
 macro_rules! points {
     ($($(#[doc = $doc:literal])+ $point:ident = $name:literal,)+) => {
         /// A place in the program.
         #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-        pub enum Point { $($(#[doc = $doc])+ $point,)+ }
+        pub enum FailPoint { $($(#[doc = $doc])+ $point,)+ }
 
-        impl Point {
+        impl FailPoint {
             /// Every point.
             pub const ALL: &[Self] = &[$(Self::$point),+];
 
@@ -71,7 +71,7 @@ points! {
 
 /// Action of a triggered point.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Action {
+enum FailAction {
     /// The process kills itself, as `kill -9` would.
     Kill,
     /// The step fails.
@@ -82,9 +82,9 @@ enum Action {
 
 /// Armed fail point.
 #[derive(Debug)]
-struct Trap {
-    point: Point,
-    action: Action,
+struct ArmedFailPoint {
+    point: FailPoint,
+    action: FailAction,
     /// Pass at which it triggers, from 1; `None` for each.
     pass: Option<u64>,
     passes: AtomicU64,
@@ -92,8 +92,8 @@ struct Trap {
 
 /// The fail point that struck.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
-#[error("{MARK} {} struck", .0.name())]
-pub struct Struck(pub Point);
+#[error("{LOG_PREFIX} {} struck", .0.name())]
+pub struct FailPointError(pub FailPoint);
 
 /// [`VARIABLE`] has no list of fail points.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
@@ -101,59 +101,59 @@ pub struct Struck(pub Point);
     "{part:?} is no fail point: write NAME=kill, NAME=error or NAME=slow:MILLISECONDS, then @N for the N-th pass alone; names are {}",
     names()
 )]
-pub struct WrongPoints {
+pub struct ParseFailPointsError {
     /// The part that can't be read.
     part: String,
 }
 
 fn names() -> String {
-    Point::ALL.iter().map(|point| point.name()).collect::<Vec<_>>().join(", ")
+    FailPoint::ALL.iter().map(|point| point.name()).collect::<Vec<_>>().join(", ")
 }
 
-static TRAPS: OnceLock<Vec<Trap>> = OnceLock::new();
+static ARMED: OnceLock<Vec<ArmedFailPoint>> = OnceLock::new();
 
 /// Arms the points of a list such as `submit_committed=kill@3,store_put=slow:50`, for the rest of the process's life.
-pub fn arm(list: &str) -> Result<(), WrongPoints> {
+pub fn arm(list: &str) -> Result<(), ParseFailPointsError> {
     let parts = list.split(',').map(str::trim).filter(|part| !part.is_empty());
-    let traps = parts.map(str::parse).collect::<Result<Vec<Trap>, _>>()?;
+    let traps = parts.map(str::parse).collect::<Result<Vec<ArmedFailPoint>, _>>()?;
     // A second list would be a second flag, which the command line does not take.
-    let _ = TRAPS.set(traps);
+    let _ = ARMED.set(traps);
     Ok(())
 }
 
 /// Whether points are armed in this process; its children inherit that.
 pub fn is_armed() -> bool {
-    TRAPS.get().is_some()
+    ARMED.get().is_some()
 }
 
 /// Passes a point.
-pub fn pass(point: Point) -> Result<(), Struck> {
-    match TRAPS.get() {
+pub fn trigger(point: FailPoint) -> Result<(), FailPointError> {
+    match ARMED.get() {
         None => Ok(()),
-        Some(traps) => traps.iter().filter(|trap| trap.point == point).try_for_each(Trap::pass),
+        Some(traps) => traps.iter().filter(|trap| trap.point == point).try_for_each(ArmedFailPoint::trigger),
     }
 }
 
 /// Passes a point in code that cannot fail: only a kill or a delay has an effect.
-pub fn pass_by(point: Point) {
+pub fn trigger_infallible(point: FailPoint) {
     // An error is for steps that can fail.
-    let _ = pass(point);
+    let _ = trigger(point);
 }
 
-impl Trap {
-    fn pass(&self) -> Result<(), Struck> {
+impl ArmedFailPoint {
+    fn trigger(&self) -> Result<(), FailPointError> {
         let pass = self.passes.fetch_add(1, Ordering::Relaxed) + 1;
         if self.pass.is_some_and(|wanted| wanted != pass) {
             return Ok(());
         }
-        eprintln!("{MARK} {} strikes at pass {pass}: {}", self.point.name(), self.action);
+        eprintln!("{LOG_PREFIX} {} strikes at pass {pass}: {}", self.point.name(), self.action);
         match self.action {
-            Action::Kill => loop {
+            FailAction::Kill => loop {
                 // Whatever this returns, the process cannot continue.
                 let _ = rustix::process::kill_process(rustix::process::getpid(), rustix::process::Signal::KILL);
             },
-            Action::Err => Err(Struck(self.point)),
-            Action::Slow(delay) => {
+            FailAction::Err => Err(FailPointError(self.point)),
+            FailAction::Slow(delay) => {
                 std::thread::sleep(delay);
                 Ok(())
             }
@@ -161,7 +161,7 @@ impl Trap {
     }
 }
 
-impl fmt::Display for Action {
+impl fmt::Display for FailAction {
     fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
             Self::Kill => formatter.write_str("kill"),
@@ -171,23 +171,23 @@ impl fmt::Display for Action {
     }
 }
 
-impl FromStr for Trap {
-    type Err = WrongPoints;
+impl FromStr for ArmedFailPoint {
+    type Err = ParseFailPointsError;
 
-    fn from_str(part: &str) -> Result<Self, WrongPoints> {
-        let wrong = || WrongPoints { part: part.to_owned() };
+    fn from_str(part: &str) -> Result<Self, ParseFailPointsError> {
+        let wrong = || ParseFailPointsError { part: part.to_owned() };
         let (name, rest) = part.split_once('=').ok_or_else(wrong)?;
         let (action, pass) = match rest.split_once('@') {
             Some((action, pass)) => (action, Some(pass.parse().map_err(|_| wrong())?)),
             None => (rest, None),
         };
         let action = match action.split_once(':') {
-            None if action == "kill" => Action::Kill,
-            None if action == "error" => Action::Err,
-            Some(("slow", delay_ms)) => Action::Slow(Duration::from_millis(delay_ms.parse().map_err(|_| wrong())?)),
+            None if action == "kill" => FailAction::Kill,
+            None if action == "error" => FailAction::Err,
+            Some(("slow", delay_ms)) => FailAction::Slow(Duration::from_millis(delay_ms.parse().map_err(|_| wrong())?)),
             _ => return Err(wrong()),
         };
-        let point = Point::ALL.iter().find(|point| point.name() == name).copied().ok_or_else(wrong)?;
+        let point = FailPoint::ALL.iter().find(|point| point.name() == name).copied().ok_or_else(wrong)?;
         Ok(Self { point, action, pass, passes: AtomicU64::new(0) })
     }
 }
@@ -199,8 +199,8 @@ mod tests {
     #[test]
     fn each_action_is_read_and_written_alike() {
         for text in ["kill", "error", "slow:50"] {
-            let trap: Trap = format!("claimed={text}@7").parse().expect("sound");
-            assert_eq!((trap.point, trap.pass, trap.action.to_string().as_str()), (Point::Claimed, Some(7), text));
+            let trap: ArmedFailPoint = format!("claimed={text}@7").parse().expect("sound");
+            assert_eq!((trap.point, trap.pass, trap.action.to_string().as_str()), (FailPoint::Claimed, Some(7), text));
         }
     }
 
@@ -208,15 +208,15 @@ mod tests {
     fn what_is_no_point_is_refused_with_the_names() {
         for bad in ["claimed", "claimed=", "nowhere=kill", "claimed=kill@x", "claimed=slow", "claimed=slow:x", "=kill"]
         {
-            let refused = bad.parse::<Trap>().expect_err(bad).to_string();
+            let refused = bad.parse::<ArmedFailPoint>().expect_err(bad).to_string();
             assert!(refused.contains("submit_committed"), "{refused}");
         }
     }
 
     #[test]
     fn a_trap_strikes_at_its_pass_alone() {
-        let trap: Trap = "store_put=error@2".parse().expect("sound");
-        let struck: Vec<bool> = (0..4).map(|_| trap.pass().is_err()).collect();
+        let trap: ArmedFailPoint = "store_put=error@2".parse().expect("sound");
+        let struck: Vec<bool> = (0..4).map(|_| trap.trigger().is_err()).collect();
         assert_eq!(struck, [false, true, false, false]);
     }
 }

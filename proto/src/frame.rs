@@ -21,7 +21,7 @@ pub enum FrameState {
 
 impl FrameState {
     /// Reads a state as the database spells it.
-    pub fn read(name: &str) -> Option<Self> {
+    pub fn parse(name: &str) -> Option<Self> {
         Some(match name {
             "open" => Self::Open,
             "stitching" => Self::Stitching,

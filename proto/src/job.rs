@@ -48,7 +48,7 @@ impl JobState {
 
 /// Done and total of something counted.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
-pub struct Count {
+pub struct DoneOfTotal {
     /// Finished.
     pub done: u64,
     /// In all.
@@ -76,9 +76,9 @@ pub struct JobView {
     /// Fraction of its rays that are rendered, 0 to 1; never decreases.
     pub progress: f64,
     /// Tiles of all frames.
-    pub tiles: Count,
+    pub tiles: DoneOfTotal,
     /// Frames; one is done when its picture is stored.
-    pub frames: Count,
+    pub frames: DoneOfTotal,
     /// Error messages.
     pub errors: Vec<String>,
     /// Warnings for its author; the job renders all the same.
@@ -132,7 +132,7 @@ pub struct JobPatch {
 
 /// Response to `DELETE /v1/jobs/{id}?dry_run=true`: what would be deleted.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
-pub struct DeletePreview {
+pub struct DeleteDryRun {
     /// Pictures that no other job shows.
     pub pictures: u64,
     /// Blobs of finished tiles that no other frame needs.

@@ -25,8 +25,8 @@ pub mod webhook;
 pub mod worker_protocol;
 
 pub use client::{Client, ClientError};
-pub use client_auth::{Access, AccessError, Secret};
+pub use client_auth::{ClientAuth, ClientAuthError, Secret};
 pub use ids::{JobId, LeaseId, WorkerId};
 pub use problem::Problem;
-pub use retention::Keep;
+pub use retention::Retention;
 pub use tile::Rect;

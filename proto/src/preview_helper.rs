@@ -7,14 +7,14 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 /// The command a child is started with, as first argument of the worker program.
-pub const COMMAND: &str = "sketch";
+pub const HELPER_COMMAND: &str = "preview-helper";
 
 /// Request to a helper process.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 #[serde(tag = "what", rename_all = "snake_case", deny_unknown_fields)]
-pub enum Sketch {
+pub enum HelperRequest {
     /// PNG of a frame that is not stored: its finished tiles over a coarse pass.
-    Unfinished {
+    Preview {
         /// The job file.
         job: String,
         /// The frame, from 0.
@@ -29,14 +29,14 @@ pub enum Sketch {
         coarse_ms: u64,
     },
     /// A PNG of a stored picture, scaled down.
-    Stored {
+    Thumbnail {
         /// The picture's file.
         file: PathBuf,
         /// Maximum width of the PNG, in pixels.
         width_px: u32,
     },
     /// A [`Sample`] of a job, as JSON.
-    Sample {
+    MeasureCost {
         /// The job file.
         job: String,
         /// Threads to render on.
@@ -48,7 +48,7 @@ pub enum Sketch {
 
 /// Measured cost of a sample of a job's pixels.
 #[derive(Clone, Debug, Serialize, Deserialize)]
-pub struct Sample {
+pub struct CostSample {
     /// Camera rays of the sample.
     pub rays: u64,
     /// Time that one thread needs for a ray when all threads render, in seconds.
@@ -62,7 +62,7 @@ pub struct Sample {
     pub memory_bytes: u64,
 }
 
-impl Sample {
+impl CostSample {
     /// Time of one thread for this many rays, tiles and file pixels, in seconds.
     pub fn core_seconds(&self, rays: u64, tiles: u64, pixels: u64) -> f64 {
         let counts = [rays, tiles, pixels].map(|count| count as f64);

@@ -11,7 +11,7 @@ use tracing_opentelemetry::OpenTelemetrySpanExt;
 pub const TRACEPARENT: &str = "traceparent";
 
 /// `traceparent` of a span; `None` without an exporter.
-pub fn of(span: &Span) -> Option<String> {
+pub fn traceparent_of(span: &Span) -> Option<String> {
     let context = span.context();
     let context = context.span().span_context().clone();
     context
@@ -20,12 +20,12 @@ pub fn of(span: &Span) -> Option<String> {
 }
 
 /// `traceparent` of the current span.
-pub fn current() -> Option<String> {
-    of(&Span::current())
+pub fn current_traceparent() -> Option<String> {
+    traceparent_of(&Span::current())
 }
 
 /// Makes a span that has not been entered yet a child of the header's span; an invalid header is ignored.
-pub fn adopt(span: &Span, traceparent: &str) {
+pub fn set_parent(span: &Span, traceparent: &str) {
     if let Some(parent) = parse(traceparent) {
         // A span without an exporter has no parent to set.
         let _ = span.set_parent(Context::new().with_remote_span_context(parent));
@@ -33,7 +33,7 @@ pub fn adopt(span: &Span, traceparent: &str) {
 }
 
 /// Whether this is a header's value that names a trace.
-pub fn is_sound(traceparent: &str) -> bool {
+pub fn is_valid(traceparent: &str) -> bool {
     parse(traceparent).is_some()
 }
 
@@ -61,8 +61,8 @@ mod tests {
     #[test]
     fn only_sound_headers_name_a_trace() {
         let good = "00-4bf92f3577b34da6a3ce929d0e0e4736-00f067aa0ba902b7-01";
-        assert!(is_sound(good));
-        assert!(is_sound("01-4bf92f3577b34da6a3ce929d0e0e4736-00f067aa0ba902b7-01-later"));
+        assert!(is_valid(good));
+        assert!(is_valid("01-4bf92f3577b34da6a3ce929d0e0e4736-00f067aa0ba902b7-01-later"));
         for bad in [
             "",
             "00",
@@ -74,12 +74,12 @@ mod tests {
             "ff-4bf92f3577b34da6a3ce929d0e0e4736-00f067aa0ba902b7-01",
             "00-4bf92f3577b34da6a3ce929d0e0e473g-00f067aa0ba902b7-01",
         ] {
-            assert!(!is_sound(bad), "{bad}");
+            assert!(!is_valid(bad), "{bad}");
         }
     }
 
     #[test]
     fn a_span_that_nobody_listens_to_has_no_trace() {
-        assert_eq!(current(), None);
+        assert_eq!(current_traceparent(), None);
     }
 }

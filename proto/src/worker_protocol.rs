@@ -10,14 +10,14 @@ use serde::{Deserialize, Serialize};
 use crate::{JobId, LeaseId, Rect, WorkerId};
 
 /// Route of registration: `POST`, [`Hello`] → [`Welcome`].
-pub const REGISTER: &str = "/v1/worker/register";
+pub const REGISTER_PATH: &str = "/v1/worker/register";
 /// Route of syncs: `POST`, [`SyncRequest`] → [`SyncReply`].
-pub const SYNC: &str = "/v1/worker/sync";
+pub const SYNC_PATH: &str = "/v1/worker/sync";
 /// Environment variable through which the pool gives its children their token.
-pub const TOKEN_VARIABLE: &str = "SDFARM_WORKER_TOKEN";
+pub const TOKEN_ENV_VAR: &str = "SDFARM_WORKER_TOKEN";
 /// Exit code of a worker whose device can't render: no driver, a bad card, a failed self-test. Starting it
 /// again would not help, so the pool does not.
-pub const UNFIT_DEVICE: u8 = 3;
+pub const EXIT_UNUSABLE_DEVICE: u8 = 3;
 
 /// Route of a job's file: `GET`, the submitted JSON.
 pub fn job_path(job: JobId) -> String {
@@ -37,7 +37,7 @@ pub fn picture_path(hash: &str) -> String {
 /// Registration of a worker.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct Hello {
+pub struct RegisterRequest {
     /// A label for people.
     pub name: String,
     /// Device: `cpu` or `cuda:0`.
@@ -52,7 +52,7 @@ pub struct Hello {
 
 /// The answer to [`Hello`].
 #[derive(Clone, Debug, Serialize, Deserialize)]
-pub struct Welcome {
+pub struct RegisterResponse {
     /// The worker's id until it exits.
     pub worker: WorkerId,
     /// Length of a lease, in milliseconds. A worker that could not sync for two thirds of it stops rendering.
@@ -60,12 +60,12 @@ pub struct Welcome {
     /// Folders that a worker on the server's own machine writes to directly; `None` means the routes of
     /// this module.
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub folders: Option<Folders>,
+    pub folders: Option<ContentFolders>,
 }
 
 /// The server's folders, where each file is named by the BLAKE3 of its bytes in hex.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
-pub struct Folders {
+pub struct ContentFolders {
     /// Folder of tile blobs.
     pub blobs: String,
     /// Folder of pictures: a file in it, and its name, are fsynced before they are reported.
@@ -73,7 +73,7 @@ pub struct Folders {
 }
 
 /// Marks the name of a partial file, after its final name.
-pub const HALF_DONE: char = '#';
+pub const PARTIAL_MARKER: char = '#';
 
 /// A worker's call: heartbeat, results, and a request for work.
 #[derive(Clone, Debug, Serialize, Deserialize)]
@@ -84,9 +84,9 @@ pub struct SyncRequest {
     /// Measured camera rays a second; `None` before the first tile.
     pub rays_per_second: Option<f64>,
     /// Leases it holds and still works on; all are renewed.
-    pub holding: Vec<LeaseId>,
+    pub held_leases: Vec<LeaseId>,
     /// Leases it has finished with.
-    pub results: Vec<Report>,
+    pub reports: Vec<LeaseReport>,
     /// Whether it wants a run.
     pub wants_work: bool,
     /// How long the server may wait before it responds, in milliseconds.
@@ -94,10 +94,10 @@ pub struct SyncRequest {
     /// The worker is shutting down: the leases it holds, and any granted in a lost response, are
     /// released.
     #[serde(default)]
-    pub leaving: bool,
+    pub shutting_down: bool,
     /// Measurements since its last call, for the server's metrics; no decision depends on them.
     #[serde(default)]
-    pub measured: Measured,
+    pub metrics: WorkerMetrics,
 }
 
 /// Maximum number of [`Timing`]s in one call; the excess is dropped.
@@ -106,7 +106,7 @@ pub const MAX_TIMINGS: usize = 1000;
 /// Measurements of a worker since its last call.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct Measured {
+pub struct WorkerMetrics {
     /// Durations of phases.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub timings: Vec<Timing>,
@@ -153,17 +153,17 @@ pub struct DeviceMemory {
 /// Report on one lease.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct Report {
+pub struct LeaseReport {
     /// The lease.
     pub lease: LeaseId,
     /// Outcome.
-    pub outcome: Outcome,
+    pub outcome: LeaseOutcome,
 }
 
 /// Outcome of one lease.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case", deny_unknown_fields)]
-pub enum Outcome {
+pub enum LeaseOutcome {
     /// The tile's pixels were put as a blob.
     Blob {
         /// BLAKE3 of the blob, in hex.
@@ -189,17 +189,17 @@ pub enum Outcome {
         message: String,
     },
     /// Released without a result: the worker is shutting down.
-    HandedBack,
+    Released,
 }
 
 /// The answer to [`SyncRequest`].
 #[derive(Clone, Debug, Serialize, Deserialize)]
-pub struct SyncReply {
+pub struct SyncResponse {
     /// Work to do, if any was wanted and there was some.
-    pub run: Option<Run>,
-    /// Leases of `holding` and `results` that are no longer live: the worker stops them and drops their
+    pub batch: Option<Batch>,
+    /// Leases of `held_leases` and `reports` that are no longer live: the worker stops them and drops their
     /// results.
-    pub lost: Vec<LeaseId>,
+    pub revoked_leases: Vec<LeaseId>,
     /// Finish what is held, then exit.
     pub drain: bool,
     /// Which trace the run belongs to: a W3C `traceparent`.
@@ -209,19 +209,19 @@ pub struct SyncReply {
 
 /// Work of one frame, leased together.
 #[derive(Clone, Debug, Serialize, Deserialize)]
-pub struct Run {
+pub struct Batch {
     /// The job.
     pub job: JobId,
     /// The frame, from 0.
     pub frame: u32,
     /// Work of the batch.
-    pub work: Work,
+    pub work: BatchWork,
 }
 
 /// Work that a batch asks for.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
-pub enum Work {
+pub enum BatchWork {
     /// Render tiles.
     Render {
         /// The tiles.
@@ -234,7 +234,7 @@ pub enum Work {
         /// The hold on the stitch.
         lease: LeaseId,
         /// The tiles.
-        parts: Vec<Part>,
+        inputs: Vec<StitchInput>,
     },
 }
 
@@ -251,7 +251,7 @@ pub struct LeasedTile {
 
 /// A finished tile to stitch.
 #[derive(Clone, Debug, Serialize, Deserialize)]
-pub struct Part {
+pub struct StitchInput {
     /// Its index in the frame.
     pub index: u32,
     /// Its pixels.

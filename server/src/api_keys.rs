@@ -12,7 +12,7 @@ use std::collections::HashMap;
 use std::sync::{Arc, Mutex, RwLock};
 use std::time::Duration;
 
-use proto::api_key::{IssuedKey, KeyView, NewKey, Scope};
+use proto::api_key::{ApiKeyView, IssuedApiKey, NewApiKey, Scope};
 use tokio_util::sync::CancellationToken;
 
 use crate::clock::Clock;
@@ -160,13 +160,13 @@ impl Keys {
     }
 
     /// Every key, newest first.
-    pub(crate) fn list(&self) -> Vec<KeyView> {
+    pub(crate) fn list(&self) -> Vec<ApiKeyView> {
         let now_ms = self.clock.wall_ms();
         self.all().iter().map(|key| key.view(now_ms)).collect()
     }
 
     /// Creates a key; it is valid when this returns.
-    pub(crate) async fn make(&self, new: NewKey) -> Result<IssuedKey, KeyError> {
+    pub(crate) async fn make(&self, new: NewApiKey) -> Result<IssuedApiKey, KeyError> {
         let order = key::Order::check(new, self.clock.wall_ms())?;
         let all = self.all();
         check_room(&order, all.len(), all.iter().filter(|key| !key.is_revoked()).count())?;
@@ -180,13 +180,13 @@ impl Keys {
             .await?;
         self.refresh().await?;
         match self.list().into_iter().find(|key| key.id == issue.id) {
-            Some(key) if made => Ok(IssuedKey { secret: issue.secret, key }),
+            Some(key) if made => Ok(IssuedApiKey { secret: issue.secret, key }),
             _ => Err(KeyError::BothTaken { name }),
         }
     }
 
     /// Revokes the key with this id, or all keys of this name, and ends their open requests.
-    pub(crate) async fn revoke(&self, id_or_name: &str) -> Result<Vec<KeyView>, KeyError> {
+    pub(crate) async fn revoke(&self, id_or_name: &str) -> Result<Vec<ApiKeyView>, KeyError> {
         let (which, now_ms) = (id_or_name.to_owned(), self.clock.wall_ms());
         let revoked = self
             .store

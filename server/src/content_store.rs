@@ -15,8 +15,8 @@ use object_store::path::Path;
 use object_store::{
     GetOptions, GetRange, GetResult, GetResultPayload, ObjectMeta, ObjectStore, ObjectStoreExt, PutPayload,
 };
-use proto::fail_point::{self, Point};
-use proto::worker_protocol::HALF_DONE;
+use proto::fail_point::{self, FailPoint};
+use proto::worker_protocol::PARTIAL_MARKER;
 use tokio::io::{AsyncReadExt, AsyncSeekExt};
 use tokio::sync::RwLock;
 use tokio_util::io::ReaderStream;
@@ -176,7 +176,7 @@ impl Pictures {
         let mut size_bytes = 0;
         let mut upload: Option<Box<dyn object_store::MultipartUpload>> = None;
         let taken = async {
-            fail_point::pass(Point::StorePut).map_err(struck_down).map_err(failed("write", kind, name))?;
+            fail_point::trigger(FailPoint::StorePut).map_err(struck_down).map_err(failed("write", kind, name))?;
             while let Some(chunk) = bytes.try_next().await.map_err(PictureError::Broken)? {
                 size_bytes += chunk.len() as u64;
                 if size_bytes > kind.max_bytes() {
@@ -245,7 +245,7 @@ impl Pictures {
         name: &Name,
         range: Option<std::ops::Range<u64>>,
     ) -> Result<Option<(u64, BoxStream<'static, object_store::Result<Bytes>>)>, PictureError> {
-        fail_point::pass(Point::StoreGet).map_err(struck_down).map_err(failed("read", kind, name))?;
+        fail_point::trigger(FailPoint::StoreGet).map_err(struck_down).map_err(failed("read", kind, name))?;
         let options = GetOptions { range: range.map(GetRange::Bounded), ..GetOptions::default() };
         match self.store(kind).get_opts(&path(kind, name), options).await {
             Ok(found) => Ok(Some((found.range.end - found.range.start, stream(found)))),
@@ -279,7 +279,7 @@ impl Pictures {
                 young.push(name.0);
                 continue;
             }
-            fail_point::pass_by(Point::Sweeping);
+            fail_point::trigger_infallible(FailPoint::Sweeping);
             match self.store(kind).delete(&path(kind, &name)).await {
                 Ok(()) => count += 1,
                 Err(object_store::Error::NotFound { .. }) => {}
@@ -313,7 +313,7 @@ pub(crate) fn remove_half_done(data: &FolderPath, age: Duration) -> io::Result<(
             let entry = entry?;
             // Its writer may finish it, or another sweep may delete it, at any time.
             let is_old = || Ok::<_, io::Error>(entry.metadata()?.modified()?.elapsed().unwrap_or_default() >= age);
-            if entry.file_name().to_string_lossy().contains(HALF_DONE) && is_old().unwrap_or(false) {
+            if entry.file_name().to_string_lossy().contains(PARTIAL_MARKER) && is_old().unwrap_or(false) {
                 match std::fs::remove_file(entry.path()) {
                     Err(error) if error.kind() != io::ErrorKind::NotFound => return Err(error),
                     _ => {}
@@ -362,7 +362,7 @@ fn stream(found: GetResult) -> BoxStream<'static, object_store::Result<Bytes>> {
 }
 
 /// The error of a store that a fail point struck.
-fn struck_down(struck: fail_point::Struck) -> object_store::Error {
+fn struck_down(struck: fail_point::FailPointError) -> object_store::Error {
     object_store::Error::Generic { store: "file", source: struck.into() }
 }
 

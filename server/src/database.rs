@@ -12,7 +12,7 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use futures_util::future::BoxFuture;
-use proto::fail_point::{self, Point};
+use proto::fail_point::{self, FailPoint};
 use sqlx::ConnectOptions;
 use sqlx::sqlite::{
     SqliteConnectOptions, SqliteConnection, SqliteJournalMode, SqlitePool, SqlitePoolOptions, SqliteSynchronous,
@@ -150,9 +150,9 @@ impl Store {
                 return Err(OpenError::Damaged(verdict));
             }
         }
-        fail_point::pass_by(Point::Migrating);
+        fail_point::trigger_infallible(FailPoint::Migrating);
         MIGRATIONS.run(&mut connection).await?;
-        fail_point::pass_by(Point::Migrated);
+        fail_point::trigger_infallible(FailPoint::Migrated);
         let readers = SqlitePoolOptions::new()
             .max_connections(READERS)
             .test_before_acquire(false)

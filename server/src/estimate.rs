@@ -1,7 +1,7 @@
 //! Estimated time of a job: a helper process renders a sample of its pixels, and the result is scaled to the
 //! present workers.
 
-use proto::preview_helper::{Estimate, Sample, Sketch};
+use proto::preview_helper::{CostSample, Estimate, HelperRequest};
 use proto::rounding;
 
 use crate::farm::Farm;
@@ -23,7 +23,7 @@ pub(crate) async fn estimate(farm: &Farm, text: String, plan: Plan) -> Option<Es
         }
     };
     let threads = farm.config.cpu_threads();
-    let sketch = Sketch::Sample { job: text, threads, render_ms: RENDER_MS };
+    let sketch = HelperRequest::MeasureCost { job: text, threads, render_ms: RENDER_MS };
     match farm.sketches.sample(&sketch).await {
         Ok(sample) => Some(judge(&sample, plan, &present, threads, farm.pool.wanted())),
         Err(error) => {
@@ -34,7 +34,7 @@ pub(crate) async fn estimate(farm: &Farm, text: String, plan: Plan) -> Option<Es
 }
 
 /// Scales a sample to workers; the pool's CPU workers share `threads` threads.
-fn judge(sample: &Sample, plan: Plan, present: &[Present], threads: usize, pool: u32) -> Estimate {
+fn judge(sample: &CostSample, plan: Plan, present: &[Present], threads: usize, pool: u32) -> Estimate {
     let rays = plan.rays_total();
     let core_seconds = sample.core_seconds(rays, plan.tiles_total(), rays / u64::from(plan.samples));
     // Workers beyond the number of tiles are idle.
@@ -61,7 +61,7 @@ mod tests {
 
     const PLAN: Plan =
         Plan { width_px: 1000, height_px: 1000, samples: 4, pixel_bytes: 16, edge_px: Some(256), frames: 2 };
-    const SAMPLE: Sample = Sample {
+    const SAMPLE: CostSample = CostSample {
         rays: 10,
         thread_seconds_per_ray: 1e-6,
         setup_seconds_per_tile: 0.03125,

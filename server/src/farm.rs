@@ -5,7 +5,7 @@
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 
-use proto::worker_protocol::{Outcome, Report};
+use proto::worker_protocol::{LeaseOutcome, LeaseReport};
 use tokio::sync::mpsc;
 use tokio_util::sync::CancellationToken;
 
@@ -182,13 +182,13 @@ impl Farm {
     }
 
     /// Drops reports whose bytes are not in the store; their tiles are requeued.
-    async fn check_delivered(&self, reports: &mut [Report]) -> Result<(), PictureError> {
+    async fn check_delivered(&self, reports: &mut [LeaseReport]) -> Result<(), PictureError> {
         let mut last: Option<(String, bool)> = None;
         for report in reports {
             let (kind, hash, size_bytes) = match &report.outcome {
-                Outcome::Blob { hash, size_bytes } => (Kind::Blob, hash, *size_bytes),
-                Outcome::Picture { hash, size_bytes } => (Kind::Picture, hash, *size_bytes),
-                Outcome::BadBlobs { .. } | Outcome::Failed { .. } | Outcome::HandedBack => continue,
+                LeaseOutcome::Blob { hash, size_bytes } => (Kind::Blob, hash, *size_bytes),
+                LeaseOutcome::Picture { hash, size_bytes } => (Kind::Picture, hash, *size_bytes),
+                LeaseOutcome::BadBlobs { .. } | LeaseOutcome::Failed { .. } | LeaseOutcome::Released => continue,
             };
             let there = match &last {
                 Some((same, there)) if same == hash => *there,
@@ -200,7 +200,7 @@ impl Farm {
             last = Some((hash.clone(), there));
             if !there {
                 tracing::warn!(lease = %report.lease, %hash, "a result came without its bytes; its tile goes back");
-                report.outcome = Outcome::HandedBack;
+                report.outcome = LeaseOutcome::Released;
             }
         }
         Ok(())

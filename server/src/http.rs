@@ -91,8 +91,8 @@ fn users() -> OpenApiRouter<Arc<Farm>> {
 /// The workers' routes: see `proto::work`.
 fn workers() -> axum::Router<Arc<Farm>> {
     axum::Router::new()
-        .route(proto::worker_protocol::REGISTER, post(worker_protocol::register))
-        .route(proto::worker_protocol::SYNC, post(worker_protocol::sync))
+        .route(proto::worker_protocol::REGISTER_PATH, post(worker_protocol::register))
+        .route(proto::worker_protocol::SYNC_PATH, post(worker_protocol::sync))
         .route("/v1/worker/jobs/{id}", get(worker_protocol::job))
         .route("/v1/worker/blobs/{hash}", put(worker_protocol::put_blob).get(worker_protocol::get_blob))
         .route("/v1/worker/pictures/{hash}", put(worker_protocol::put_picture))

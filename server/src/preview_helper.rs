@@ -13,7 +13,7 @@ use std::time::{Duration, SystemTime};
 
 use bytes::Bytes;
 use proto::JobId;
-use proto::preview_helper::{self, Sample, Sketch};
+use proto::preview_helper::{self, CostSample, HelperRequest};
 use tokio::io::{AsyncReadExt, AsyncWriteExt};
 use tokio::process::{Child, Command};
 use tokio::sync::Semaphore;
@@ -82,7 +82,7 @@ impl Sketches {
     }
 
     /// Picture of a tag, cached or drawn now.
-    pub(crate) async fn picture(&self, tag: &str, request: &Sketch) -> Result<Bytes, SketchError> {
+    pub(crate) async fn picture(&self, tag: &str, request: &HelperRequest) -> Result<Bytes, SketchError> {
         if let Some(kept) = self.find(tag) {
             return Ok(kept);
         }
@@ -98,7 +98,7 @@ impl Sketches {
     }
 
     /// A sample of a job.
-    pub(crate) async fn sample(&self, request: &Sketch) -> Result<Sample, SketchError> {
+    pub(crate) async fn sample(&self, request: &HelperRequest) -> Result<CostSample, SketchError> {
         let _permit = self.permit().await?;
         let answer = self.run(request).await?;
         serde_json::from_slice(&answer).map_err(|error| SketchError::Failed(error.to_string()))
@@ -112,9 +112,9 @@ impl Sketches {
     }
 
     /// Has a child do something; dropped or late, it is killed.
-    async fn run(&self, request: &Sketch) -> Result<Vec<u8>, SketchError> {
+    async fn run(&self, request: &HelperRequest) -> Result<Vec<u8>, SketchError> {
         let mut child = Command::new(&self.program)
-            .arg(preview_helper::COMMAND)
+            .arg(preview_helper::HELPER_COMMAND)
             .stdin(Stdio::piped())
             .stdout(Stdio::piped())
             .stderr(Stdio::piped())

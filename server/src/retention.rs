@@ -6,7 +6,7 @@
 use std::collections::BTreeSet;
 
 use futures_util::stream::TryStreamExt;
-use proto::retention::{Collected, Collection, Reason};
+use proto::retention::{GcReport, RemovalReason, RemovedJob};
 
 use crate::clock::rfc3339;
 use crate::content_store::Kind;
@@ -33,16 +33,16 @@ pub(crate) enum RetentionError {
 /// Job to delete, and the reason.
 struct Going {
     job: Ended,
-    reason: Reason,
+    reason: RemovalReason,
     freed_bytes: u64,
 }
 
 /// Deletes the jobs past their retention, or only lists them with `dry_run`.
-pub(crate) async fn collect(farm: &Farm, dry_run: bool) -> Result<Collection, RetentionError> {
+pub(crate) async fn collect(farm: &Farm, dry_run: bool) -> Result<GcReport, RetentionError> {
     remove(farm, dry_run, store_bytes(farm).await?).await
 }
 
-async fn remove(farm: &Farm, dry_run: bool, store_bytes: u64) -> Result<Collection, RetentionError> {
+async fn remove(farm: &Farm, dry_run: bool, store_bytes: u64) -> Result<GcReport, RetentionError> {
     let going = choose(farm, store_bytes).await?;
     let more = going.len() == MAX_JOBS;
     let mut jobs = Vec::with_capacity(going.len());
@@ -54,10 +54,10 @@ async fn remove(farm: &Farm, dry_run: bool, store_bytes: u64) -> Result<Collecti
             farm.sweep_later(Kind::Blob, removed.blobs);
         }
         let finished_at = rfc3339(job.finished_at_ms);
-        jobs.push(Collected { id: job.id, name: job.name, finished_at, reason, freed_bytes });
+        jobs.push(RemovedJob { id: job.id, name: job.name, finished_at, reason, freed_bytes });
     }
     let freed_bytes = jobs.iter().map(|job| job.freed_bytes).sum();
-    Ok(Collection { dry_run, store_bytes, max_store_bytes: farm.config.max_store_bytes, freed_bytes, jobs, more })
+    Ok(GcReport { dry_run, store_bytes, max_store_bytes: farm.config.max_store_bytes, freed_bytes, jobs, more })
 }
 
 /// Deletes all jobs past their retention, until shutdown.
@@ -95,7 +95,7 @@ async fn choose(farm: &Farm, store_bytes: u64) -> Result<Vec<Going>, StoreError>
         let freed_bytes = farm.queue.freed_bytes(&job, &numbers).await?;
         left_bytes = left_bytes.saturating_sub(freed_bytes);
         numbers.push(job.number);
-        going.push(Going { job, reason: Reason::Age, freed_bytes });
+        going.push(Going { job, reason: RemovalReason::Age, freed_bytes });
     }
     let Some(max_bytes) = farm.config.max_store_bytes else { return Ok(going) };
     let mut after: Option<Ended> = None;
@@ -113,7 +113,7 @@ async fn choose(farm: &Farm, store_bytes: u64) -> Result<Vec<Going>, StoreError>
             let freed_bytes = farm.queue.freed_bytes(&job, &numbers).await?;
             left_bytes = left_bytes.saturating_sub(freed_bytes);
             numbers.push(job.number);
-            going.push(Going { job, reason: Reason::Size, freed_bytes });
+            going.push(Going { job, reason: RemovalReason::Size, freed_bytes });
         }
     }
     spare(farm, going, &numbers).await
@@ -122,7 +122,7 @@ async fn choose(farm: &Farm, store_bytes: u64) -> Result<Vec<Going>, StoreError>
 /// Of the jobs to delete for the store's size, spares those whose pictures other jobs use anyway.
 async fn spare(farm: &Farm, going: Vec<Going>, numbers: &[i64]) -> Result<Vec<Going>, StoreError> {
     let mut spared = BTreeSet::new();
-    for one in going.iter().filter(|one| one.reason == Reason::Size && one.freed_bytes == 0) {
+    for one in going.iter().filter(|one| one.reason == RemovalReason::Size && one.freed_bytes == 0) {
         if farm.queue.freed_bytes(&one.job, numbers).await? == 0 {
             spared.insert(one.job.number);
         }

@@ -13,7 +13,7 @@ use base64::Engine;
 use base64::prelude::BASE64_URL_SAFE_NO_PAD;
 use hmac::{Hmac, KeyInit, Mac};
 use proto::JobId;
-use proto::link::Shown;
+use proto::link::LinkContent;
 use sha2::Sha256;
 
 /// The secret's file in the data folder.
@@ -31,7 +31,7 @@ pub(crate) struct Linked {
     /// The frame, from 0.
     pub(crate) frame: u32,
     /// Which picture of the frame.
-    pub(crate) shown: Shown,
+    pub(crate) shown: LinkContent,
     /// Expiry, in seconds since 1970.
     pub(crate) expires_seconds: i64,
 }
@@ -112,7 +112,7 @@ mod tests {
     #[test]
     fn a_secret_outlives_its_server_and_is_for_its_owner_only() {
         let folder = tempfile::tempdir().expect("a folder");
-        let linked = Linked { job: JobId::new(), frame: 3, shown: Shown::Image, expires_seconds: 1_700_000_000 };
+        let linked = Linked { job: JobId::new(), frame: 3, shown: LinkContent::Image, expires_seconds: 1_700_000_000 };
         let signature = Links::open(folder.path()).expect("made").sign(&linked);
         let again = Links::open(folder.path()).expect("read");
         assert!(again.is_signed(&linked, &signature));
@@ -127,12 +127,12 @@ mod tests {
     fn a_signature_holds_for_what_was_signed_and_for_nothing_else() {
         let folder = tempfile::tempdir().expect("a folder");
         let links = Links::open(folder.path()).expect("made");
-        let linked = Linked { job: JobId::new(), frame: 3, shown: Shown::Image, expires_seconds: 100 };
+        let linked = Linked { job: JobId::new(), frame: 3, shown: LinkContent::Image, expires_seconds: 100 };
         let signature = links.sign(&linked);
         for other in [
             Linked { job: JobId::new(), ..linked },
             Linked { frame: 4, ..linked },
-            Linked { shown: Shown::Preview, ..linked },
+            Linked { shown: LinkContent::Preview, ..linked },
             Linked { expires_seconds: 101, ..linked },
         ] {
             assert!(!links.is_signed(&other, &signature), "{other:?}");

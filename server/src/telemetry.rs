@@ -12,7 +12,7 @@ use std::sync::Mutex;
 use std::sync::atomic::Ordering;
 use std::time::Duration;
 
-use proto::worker_protocol::{DeviceMemory, MAX_TIMINGS, Measured};
+use proto::worker_protocol::{DeviceMemory, MAX_TIMINGS, WorkerMetrics};
 use proto::{JobId, WorkerId};
 use tokio::time::Instant;
 
@@ -108,7 +108,7 @@ impl Watch {
 
     /// Records a worker's measurements. For a worker that registered with an earlier server, only its
     /// speed is known.
-    pub(crate) fn measured(&self, worker: WorkerId, measured: &Measured) {
+    pub(crate) fn measured(&self, worker: WorkerId, measured: &WorkerMetrics) {
         let mut devices = self.devices.lock().expect("no holder panics");
         let Some(seen) = devices.get_mut(&worker) else { return };
         seen.at = instant();

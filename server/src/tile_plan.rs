@@ -40,7 +40,7 @@ impl Plan {
             height: self.height_px,
             samples: self.samples,
             pixel_bytes: self.pixel_bytes,
-            edge: self.edge_px,
+            tile_edge: self.edge_px,
         }
         .tiles()
     }
@@ -52,7 +52,7 @@ impl Plan {
 
     /// Camera rays of one frame.
     pub(crate) fn frame_rays(&self) -> u64 {
-        self.rays(Rect::whole(self.width_px, self.height_px))
+        self.rays(Rect::full(self.width_px, self.height_px))
     }
 
     /// Camera rays of all frames.
@@ -62,7 +62,7 @@ impl Plan {
 
     /// Bytes of one frame's finished data.
     pub(crate) fn frame_bytes(&self) -> u64 {
-        Rect::whole(self.width_px, self.height_px).pixels() * u64::from(self.pixel_bytes)
+        Rect::full(self.width_px, self.height_px).pixels() * u64::from(self.pixel_bytes)
     }
 
     /// Camera rays of a rectangle.

@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use proto::fail_point::{self, Point};
+use proto::fail_point::{self, FailPoint};
 use serde_json::Value;
 
 use crate::faults::remote::Remote;
@@ -22,7 +22,7 @@ fn shared_job(seed: u64) -> Value {
 /// A farm that a fail point may strike.
 fn armed(folder: &Path, points: &str, arguments: &[&str]) -> Farm {
     let mut command = sdfarm(&[fail_point::FLAG, "serve"]);
-    command.env(fail_point::VARIABLE, points);
+    command.env(fail_point::ENV_VAR, points);
     Farm::start_by(command, folder, arguments)
 }
 
@@ -36,13 +36,13 @@ fn check(farm: &Farm, id: &str, job: &Value, point: &str) {
     assert!(!farm.log().contains("panicked"), "{point}: {}", farm.log());
 }
 
-fn server_dies_at(point: Point, seed: u64) {
+fn server_dies_at(point: FailPoint, seed: u64) {
     let name = point.name();
     let folder = tempfile::tempdir().expect("a folder");
     let pool = ["--workers", "2", "--tile", "96"];
     let job = shared_job(seed);
     // What the pool's own workers make does not pass these.
-    let from_elsewhere = [Point::BlobStored, Point::PictureStored].contains(&point);
+    let from_elsewhere = [FailPoint::BlobStored, FailPoint::PictureStored].contains(&point);
     let flags = if from_elsewhere { ["--workers", "0", "--tile", "96"] } else { pool };
     let mut farm = armed(folder.path(), &format!("{name}=kill@1"), &flags);
     let remotes = from_elsewhere.then(|| Remote::pair(&farm));
@@ -60,14 +60,15 @@ fn server_dies_at(point: Point, seed: u64) {
 
 #[test]
 fn server_that_dies_between_two_steps_loses_nothing() {
-    for (seed, point) in [Point::SubmitCommitted, Point::Claimed, Point::BlobStored].into_iter().enumerate() {
+    for (seed, point) in [FailPoint::SubmitCommitted, FailPoint::Claimed, FailPoint::BlobStored].into_iter().enumerate()
+    {
         server_dies_at(point, seed as u64);
     }
 }
 
 #[test]
 fn server_that_dies_between_commit_and_answer_loses_nothing() {
-    for (seed, point) in [Point::PictureStored, Point::Sweeping].into_iter().enumerate() {
+    for (seed, point) in [FailPoint::PictureStored, FailPoint::Sweeping].into_iter().enumerate() {
         server_dies_at(point, 10 + seed as u64);
     }
 }
@@ -79,7 +80,7 @@ fn server_that_dies_while_it_starts_starts_again() {
         ["migrating", "migrated", "group_committed", "database_write", "database_commit"].into_iter().enumerate()
     {
         let mut command = sdfarm(&[fail_point::FLAG, "serve", "--workers", "0", "--listen", "127.0.0.1:0", "--data"]);
-        command.arg(folder.path().join("data")).env(fail_point::VARIABLE, format!("{point}=kill@1"));
+        command.arg(folder.path().join("data")).env(fail_point::ENV_VAR, format!("{point}=kill@1"));
         let output = finish(command, b"");
         assert_eq!(output.status.code(), None, "{point}: {}", text(&output.stderr));
         assert!(text(&output.stderr).contains(point), "{}", text(&output.stderr));
@@ -92,7 +93,7 @@ fn server_that_dies_while_it_starts_starts_again() {
 
 #[test]
 fn worker_that_dies_between_two_steps_costs_no_picture_a_bit() {
-    for (seed, point) in [Point::BlobPut, Point::PicturePut, Point::Stitching].into_iter().enumerate() {
+    for (seed, point) in [FailPoint::BlobPut, FailPoint::PicturePut, FailPoint::Stitching].into_iter().enumerate() {
         let name = point.name();
         let farm = Farm::start(&[&["--workers", "0", "--tile", "96"][..], &LEASE_SECONDS].concat());
         let points = format!("{name}=kill@1");
@@ -110,11 +111,11 @@ fn worker_that_dies_between_two_steps_costs_no_picture_a_bit() {
 fn stray_variable_strikes_nobody() {
     let folder = tempfile::tempdir().expect("a folder");
     let mut command = sdfarm(&["serve"]);
-    command.env(fail_point::VARIABLE, "submit_committed=kill,group_committed=kill");
+    command.env(fail_point::ENV_VAR, "submit_committed=kill,group_committed=kill");
     let farm = Farm::start_by(command, folder.path(), &["--workers", "0"]);
     farm.accept(&jobs::quick().to_string());
     let mut wrong = sdfarm(&[fail_point::FLAG, "serve"]);
-    wrong.env(fail_point::VARIABLE, "nowhere=kill");
+    wrong.env(fail_point::ENV_VAR, "nowhere=kill");
     let output = finish(wrong, b"");
     assert_eq!(output.status.code(), Some(2), "{}", text(&output.stderr));
     assert!(text(&output.stderr).contains("submit_committed"), "{}", text(&output.stderr));

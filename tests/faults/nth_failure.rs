@@ -33,7 +33,7 @@ impl By {
 
 fn command(point: &str, pass: u64) -> std::process::Command {
     let mut command = sdfarm(&[fail_point::FLAG, "serve"]);
-    command.env(fail_point::VARIABLE, format!("{point}=error@{pass}"));
+    command.env(fail_point::ENV_VAR, format!("{point}=error@{pass}"));
     command
 }
 
@@ -96,7 +96,7 @@ fn strike(point: &str, pass: u64, job: &Value, by: By, wanted: &[u8]) -> bool {
     assert!(farm.terminate().success(), "{point}@{pass}: does not end in order");
     let log = std::fs::read_to_string(folder.path().join("log")).expect("a log");
     assert!(!log.contains("panicked"), "{point}@{pass}: {log}");
-    log.contains(fail_point::MARK)
+    log.contains(fail_point::LOG_PREFIX)
 }
 
 /// These passes, each of which there is.
@@ -164,7 +164,7 @@ fn every_commit_of_the_database_may_fail_once() {
 fn slow_store_delays_a_job_and_no_more() {
     let folder = tempfile::tempdir().expect("a folder");
     let mut command = sdfarm(&[fail_point::FLAG, "serve"]);
-    command.env(fail_point::VARIABLE, "store_put=slow:300,store_get=slow:300");
+    command.env(fail_point::ENV_VAR, "store_put=slow:300,store_get=slow:300");
     let (farm, _) = By::Pool.start(command, folder.path());
     let job = jobs::quick();
     let (id, picture) = insist(&farm, &job);

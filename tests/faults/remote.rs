@@ -16,7 +16,7 @@ impl Remote {
     pub(crate) fn start(farm: &Farm, points: Option<&str>) -> Self {
         let mut command = sdfarm(&["worker", "--server", &farm.address, "--device", "cpu", "--threads", "1"]);
         if let Some(points) = points {
-            command.arg(fail_point::FLAG).env(fail_point::VARIABLE, points);
+            command.arg(fail_point::FLAG).env(fail_point::ENV_VAR, points);
         }
         let started = command.stdin(Stdio::null()).stdout(Stdio::null()).stderr(Stdio::null()).spawn();
         Self(started.expect("the program starts"))

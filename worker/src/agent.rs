@@ -19,8 +19,8 @@ use std::path::PathBuf;
 use std::sync::Arc;
 use std::time::Duration;
 
-use proto::worker_protocol::{Hello, Welcome};
-use proto::{Access, AccessError};
+use proto::worker_protocol::{RegisterRequest, RegisterResponse};
+use proto::{ClientAuth, ClientAuthError};
 use tokio_util::sync::CancellationToken;
 
 use crate::image::Encoders;
@@ -37,7 +37,7 @@ pub struct AgentConfig {
     /// A label for people.
     pub name: String,
     /// Certificates and key for calling the server.
-    pub access: Access,
+    pub access: ClientAuth,
     /// Folder for data that does not fit in memory, in unnamed files.
     pub scratch: PathBuf,
     /// After a shutdown, how long to continue the leases it holds before releasing them.
@@ -53,7 +53,7 @@ impl AgentConfig {
         Self {
             server: server.into(),
             name: name.into(),
-            access: Access::default(),
+            access: ClientAuth::default(),
             scratch: std::env::temp_dir(),
             grace: Duration::from_secs(8),
             of_pool: false,
@@ -87,8 +87,8 @@ pub async fn run(
     }
 }
 
-async fn register(link: &Link, config: &AgentConfig, renderer: &dyn Renderer) -> Result<Welcome, AgentError> {
-    let hello = Hello {
+async fn register(link: &Link, config: &AgentConfig, renderer: &dyn Renderer) -> Result<RegisterResponse, AgentError> {
+    let hello = RegisterRequest {
         name: config.name.clone(),
         device: renderer.device(),
         picture_version: scene::PICTURE_VERSION,
@@ -137,7 +137,7 @@ fn exit_when_stdin_closes() {
 pub enum AgentError {
     /// No server can be there.
     #[error(transparent)]
-    Access(#[from] AccessError),
+    Access(#[from] ClientAuthError),
     /// HTTP can't be spoken here.
     #[error("could not prepare to call the server")]
     Client(#[source] reqwest::Error),

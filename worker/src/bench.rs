@@ -88,7 +88,7 @@ pub struct GpuReport {
 
 /// Renders a frame of `job` some times on a GPU; `cpu` counts what that takes.
 pub fn render_on_gpu(job: &Job, gpu: &CudaRenderer, cpu: &CpuRenderer, runs: usize) -> Result<GpuReport, RenderError> {
-    let run = TileRun { job, frame: 0, rect: Rect::whole(job.image.width, job.image.height) };
+    let run = TileRun { job, frame: 0, rect: Rect::full(job.image.width, job.image.height) };
     let source_time = Instant::now();
     let source = Source::new(&job.at(0)?);
     let source_time = source_time.elapsed();
@@ -184,7 +184,7 @@ fn distances<S: Token, const N: usize>(token: S, program: &Integrator<'_>, job: 
 /// Renders a frame of `job` some times.
 pub fn render(job: &Job, simd: Simd, threads: Option<usize>, runs: usize) -> Result<RenderReport, RenderError> {
     let renderer = CpuRenderer::new(threads, simd)?;
-    let rect = Rect::whole(job.image.width, job.image.height);
+    let rect = Rect::full(job.image.width, job.image.height);
     let run = TileRun { job, frame: 0, rect };
     let mut times = Vec::with_capacity(runs);
     for _ in 0..runs.max(1) {

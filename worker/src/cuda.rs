@@ -190,7 +190,7 @@ impl CudaRenderer {
     /// Renders the self-test and compares it with the CPU's.
     fn prove(&self) -> Result<(), Trouble> {
         let job = scene::parse(SELF_TEST.as_bytes()).expect("the self-test is a job");
-        let run = TileRun { job: &job, frame: 0, rect: Rect::whole(job.image.width, job.image.height) };
+        let run = TileRun { job: &job, frame: 0, rect: Rect::full(job.image.width, job.image.height) };
         let mut got = Vec::new();
         self.render_groups(&[run], &Cancel::new(), &|_| {}, &mut got)?;
         let cpu = CpuRenderer::new(None, Simd::Auto).and_then(|cpu| cpu.render(&run, &Cancel::new(), &|_| {}));

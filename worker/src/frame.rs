@@ -70,12 +70,12 @@ pub fn render_frame(
 fn tiles(job: &Job, edge: Option<u32>) -> Vec<Rect> {
     let image = &job.image;
     let pixel_bytes = image.pixel_bytes();
-    Tiling { width: image.width, height: image.height, samples: image.samples, pixel_bytes, edge }.tiles()
+    Tiling { width: image.width, height: image.height, samples: image.samples, pixel_bytes, tile_edge: edge }.tiles()
 }
 
 fn frame_bytes(job: &Job) -> u64 {
     let image = &job.image;
-    Rect::whole(image.width, image.height).pixels() * u64::from(image.pixel_bytes())
+    Rect::full(image.width, image.height).pixels() * u64::from(image.pixel_bytes())
 }
 
 enum Rendered {

@@ -3,7 +3,7 @@
 mod size;
 
 use clap::Args;
-use proto::problem::FaultView;
+use proto::problem::ValidationErrorView;
 use serde_json::json;
 
 use self::size::Outlook;
@@ -61,6 +61,6 @@ pub(crate) fn run(arguments: &Arguments) -> anyhow::Result<()> {
 }
 
 /// The faults of a job, as JSON.
-fn refusal(faults: &[FaultView]) -> String {
+fn refusal(faults: &[ValidationErrorView]) -> String {
     format!("{:#}", json!({ "valid": false, "errors": faults }))
 }

@@ -25,7 +25,7 @@ pub(crate) async fn run(arguments: Arguments) -> anyhow::Result<()> {
     let client = arguments.server.client()?;
     let id = arguments.id.find(&client).await?;
     if arguments.dry_run {
-        let preview = client.delete_preview(id).await?;
+        let preview = client.delete_dry_run(id).await?;
         return say(&format!(
             "would remove {} and {}, {}, and {} of the database",
             counted(preview.pictures, "picture"),

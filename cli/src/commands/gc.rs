@@ -1,7 +1,7 @@
 //! `sdfarm gc`: has a server delete the jobs past their retention, or lists them.
 
 use clap::Args;
-use proto::retention::Collection;
+use proto::retention::GcReport;
 
 use crate::arguments::ServerArguments;
 use crate::counted::counted_len;
@@ -24,7 +24,7 @@ pub(crate) struct Arguments {
 pub(crate) async fn run(arguments: Arguments) -> anyhow::Result<()> {
     let client = arguments.server.client()?;
     loop {
-        let collection = client.collect(arguments.dry_run).await?;
+        let collection = client.collect_garbage(arguments.dry_run).await?;
         if arguments.json {
             say(&serde_json::to_string_pretty(&collection)?)?;
         } else {
@@ -36,8 +36,8 @@ pub(crate) async fn run(arguments: Arguments) -> anyhow::Result<()> {
     }
 }
 
-fn tell(collection: &Collection) -> anyhow::Result<()> {
-    let Collection { dry_run, store_bytes, max_store_bytes, freed_bytes, jobs, more } = collection;
+fn tell(collection: &GcReport) -> anyhow::Result<()> {
+    let GcReport { dry_run, store_bytes, max_store_bytes, freed_bytes, jobs, more } = collection;
     for job in jobs {
         say(&format!(
             "{}  {}  {:<4}  {:>12} bytes  {}",

@@ -7,7 +7,7 @@ use std::time::Duration;
 
 use clap::builder::{PossibleValuesParser, TypedValueParser};
 use clap::{Args, Subcommand};
-use proto::api_key::{KeyState, KeyView, NewKey, Scope};
+use proto::api_key::{ApiKeyState, ApiKeyView, NewApiKey, Scope};
 use server::{KeyFolder, KeyFolderError};
 
 use crate::error::Misuse;
@@ -113,7 +113,7 @@ pub(crate) async fn run(arguments: Arguments) -> anyhow::Result<()> {
 
 async fn make(new: New) -> anyhow::Result<()> {
     let mut folder = KeyFolder::open_or_make(&new.folder.data).await?;
-    let order = NewKey {
+    let order = NewApiKey {
         name: new.name,
         scopes: new.scope,
         expires_in_seconds: new.expires.map(|life| life.0.as_secs()),
@@ -148,11 +148,11 @@ async fn end(revoke: Revoke) -> anyhow::Result<()> {
 }
 
 /// One key in a line.
-fn line(key: &KeyView) -> String {
+fn line(key: &ApiKeyView) -> String {
     let state = match key.state {
-        KeyState::Live => "live",
-        KeyState::Expired => "expired",
-        KeyState::Revoked => "revoked",
+        ApiKeyState::Live => "live",
+        ApiKeyState::Expired => "expired",
+        ApiKeyState::Revoked => "revoked",
     };
     let scopes: Vec<&str> = key.scopes.iter().map(|scope| scope.name()).collect();
     let mut line = format!("{}  {state:7}  {}  {}  made {}", key.id, key.name, scopes.join(","), key.created_at);

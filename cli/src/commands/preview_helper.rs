@@ -1,10 +1,10 @@
-//! `sdfarm sketch`: the server's helper process. It reads a request in one line, writes the response to
+//! `sdfarm preview-helper`: the server's helper process. It reads a request in one line, writes the response to
 //! standard output, and exits when standard input closes.
 
 use std::io::{BufRead, BufReader, Read};
 
 use anyhow::Context;
-use proto::preview_helper::Sketch;
+use proto::preview_helper::HelperRequest;
 use rustix::process::{Resource, Rlimit, nice, setrlimit};
 
 use crate::preview_helper;
@@ -24,25 +24,25 @@ pub(crate) fn run() -> anyhow::Result<()> {
     let mut input = BufReader::new(std::io::stdin());
     let mut line = Vec::new();
     input.by_ref().take(MAX_LINE_BYTES).read_until(b'\n', &mut line).context("could not read what to draw")?;
-    let sketch: Sketch = serde_json::from_slice(&line).context("could not understand what to draw")?;
+    let sketch: HelperRequest = serde_json::from_slice(&line).context("could not understand what to draw")?;
     limit(&sketch)?;
     std::thread::spawn(move || {
         // A killed server leaves no helper behind: its end of the pipe closes.
         drop(std::io::copy(&mut input, &mut std::io::sink()));
         std::process::exit(1);
     });
-    let work = std::thread::Builder::new().name("sketch".to_owned()).stack_size(STACK_BYTES);
+    let work = std::thread::Builder::new().name("preview-helper".to_owned()).stack_size(STACK_BYTES);
     let answer = work.spawn(move || preview_helper::answer(&sketch)).context("could not start a thread")?;
     write_bytes(&answer.join().map_err(|_| anyhow::anyhow!("drawing panicked"))??)
 }
 
 /// Keeps a child within its bounds.
-fn limit(sketch: &Sketch) -> anyhow::Result<()> {
+fn limit(sketch: &HelperRequest) -> anyhow::Result<()> {
     match sketch {
-        Sketch::Unfinished { .. } | Sketch::Stored { .. } => {
+        HelperRequest::Preview { .. } | HelperRequest::Thumbnail { .. } => {
             let most = Some(MAX_DRAWING_BYTES);
             setrlimit(Resource::As, Rlimit { current: most, maximum: most }).context("could not limit memory")
         }
-        Sketch::Sample { .. } => nice(SAMPLE_NICENESS).map(drop).context("could not give way to others"),
+        HelperRequest::MeasureCost { .. } => nice(SAMPLE_NICENESS).map(drop).context("could not give way to others"),
     }
 }

@@ -143,7 +143,7 @@ fn with_layers(mut job: Job, width: Option<u32>) -> Job {
 fn render(renderer: &dyn Renderer, job: &Job, edge: Option<u32>) -> Result<Vec<Pixels>, RenderError> {
     let image = &job.image;
     let (width, height, samples, pixel_bytes) = (image.width, image.height, image.samples, image.pixel_bytes());
-    let rects = Tiling { width, height, samples, pixel_bytes, edge }.tiles();
+    let rects = Tiling { width, height, samples, pixel_bytes, tile_edge: edge }.tiles();
     let runs: Vec<TileRun<'_>> = rects.into_iter().map(|rect| TileRun { job, frame: 0, rect }).collect();
     renderer.render_all(&runs, &Cancel::new(), &|_| {})
 }

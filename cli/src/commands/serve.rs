@@ -7,7 +7,7 @@ use std::time::Duration;
 use anyhow::Context;
 use clap::Args;
 use proto::pool::MAX_POOL_WORKERS;
-use proto::{Keep, Secret};
+use proto::{Retention, Secret};
 use server::{AddressRange, Config, MAX_CONNECTIONS, MAX_QUEUED_JOBS, Server, TlsFiles};
 use tokio_util::sync::CancellationToken;
 use worker::{CpuRenderer, RenderError, Simd};
@@ -62,7 +62,7 @@ pub(crate) struct Arguments {
     max_queued_jobs: u32,
     /// Retention of finished jobs that do not set their own: 36h, 30d, forever.
     #[arg(long, value_name = "AGE", env = "SDFARM_KEEP_JOBS", default_value = "forever")]
-    keep_jobs: Keep,
+    keep_jobs: Retention,
     /// Size of pictures and tiles above which the jobs that finished first are removed: 500MB, 20GiB [default: none].
     #[arg(long, value_name = "SIZE", env = "SDFARM_MAX_STORE")]
     max_store: Option<Size>,
@@ -98,8 +98,8 @@ impl Arguments {
             max_queued_jobs: self.max_queued_jobs,
             hosts: self.host,
             keep_jobs: match self.keep_jobs {
-                Keep::Forever => None,
-                Keep::For(time) => Some(time),
+                Retention::Forever => None,
+                Retention::For(time) => Some(time),
             },
             max_store_bytes: self.max_store.map(|Size(bytes)| bytes),
             allow_webhooks_to: self.allow_webhook_to,

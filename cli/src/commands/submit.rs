@@ -3,9 +3,9 @@
 use std::time::Duration;
 
 use clap::Args;
-use proto::client::Submission;
+use proto::client::SubmitOptions;
 use proto::job::JobView;
-use proto::{Client, ClientError, JobId, Keep};
+use proto::{Client, ClientError, JobId, Retention};
 use scene::{Format, Job};
 
 use crate::arguments::ServerArguments;
@@ -44,7 +44,7 @@ pub(crate) struct Arguments {
     webhook: Vec<String>,
     /// Retention of the job and its pictures after it finishes: 36h, 7d, forever [default: the server's].
     #[arg(long, value_name = "AGE", env = "SDFARM_KEEP")]
-    keep: Option<Keep>,
+    keep: Option<Retention>,
 }
 
 /// Submits the job.
@@ -55,7 +55,7 @@ pub(crate) async fn run(arguments: Arguments) -> anyhow::Result<()> {
         check_writable(output)?;
     }
     let client = arguments.server.client()?;
-    let how = Submission {
+    let how = SubmitOptions {
         no_cache: arguments.no_cache,
         idempotency_key: Some(JobId::new().to_string()),
         webhooks: arguments.webhook.clone(),
@@ -95,13 +95,13 @@ async fn save(client: &Client, job: &JobView, output: &str) -> anyhow::Result<()
 
 /// Submits the job with an idempotency key, so that a broken connection can be retried without creating it
 /// twice.
-async fn hand_in(client: &Client, text: &[u8], how: &Submission) -> Result<JobView, ClientError> {
+async fn hand_in(client: &Client, text: &[u8], how: &SubmitOptions) -> Result<JobView, ClientError> {
     let mut sent = false;
     let mut wait = FIRST_WAIT;
     let mut left = PATIENCE;
     loop {
         match client.submit_with(text.to_vec(), how).await {
-            Err(ClientError::Broken { .. }) if left > Duration::ZERO => sent = true,
+            Err(ClientError::ConnectionLost { .. }) if left > Duration::ZERO => sent = true,
             Err(ClientError::Unreachable { .. }) if sent && left > Duration::ZERO => {}
             answered => return answered,
         }

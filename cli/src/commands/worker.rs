@@ -2,7 +2,7 @@
 
 use anyhow::Context;
 use clap::Args;
-use proto::worker_protocol::TOKEN_VARIABLE;
+use proto::worker_protocol::TOKEN_ENV_VAR;
 use rustix::process::nice;
 use tokio_util::sync::CancellationToken;
 use worker::agent::{self, AgentConfig, AgentError};
@@ -49,7 +49,7 @@ pub(crate) async fn run(arguments: Arguments) -> anyhow::Result<()> {
         prove(&*renderer).map_err(NoDevice)?;
     }
     // Pool workers send the pool's token; a key in the server's environment is not meant for them.
-    let access = match std::env::var(TOKEN_VARIABLE) {
+    let access = match std::env::var(TOKEN_ENV_VAR) {
         Ok(token) => arguments.access.with_key(token.into())?,
         Err(_) => arguments.access.access()?,
     };

@@ -71,7 +71,7 @@ fn render(job: &Job, frame: u32, limit: Duration) -> anyhow::Result<Option<Pixel
         loop {
             let begun = Instant::now();
             let small = small(job, width);
-            let rect = Rect::whole(small.image.width, small.image.height);
+            let rect = Rect::full(small.image.width, small.image.height);
             match renderer.render(&TileRun { job: &small, frame, rect }, &cancel, &|_| ()) {
                 Ok(pixels) => best = Some(pixels),
                 Err(worker::RenderError::Cancelled) => break,

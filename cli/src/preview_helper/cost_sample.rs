@@ -11,7 +11,7 @@ use std::time::{Duration, Instant};
 
 use anyhow::{Context, ensure};
 use proto::Rect;
-use proto::preview_helper::Sample;
+use proto::preview_helper::CostSample;
 use scene::{Integrator, Job};
 use worker::image::{Encoders, Picture};
 use worker::stitch::Tiles;
@@ -29,7 +29,7 @@ const MAX_FRAMES: u32 = 5;
 const HELD_BYTES: u64 = 256 << 20;
 
 /// Samples a job on `threads` threads for about `render_ms`.
-pub(crate) fn sample(job: &Job, threads: usize, render_ms: u64) -> anyhow::Result<Sample> {
+pub(crate) fn sample(job: &Job, threads: usize, render_ms: u64) -> anyhow::Result<CostSample> {
     let count = job.frames.count.min(MAX_FRAMES);
     let spread = |index: u32| u64::from(job.frames.count - 1) * u64::from(index) / u64::from((count - 1).max(1));
     let limit = Duration::from_millis(render_ms) / count;
@@ -42,7 +42,7 @@ pub(crate) fn sample(job: &Job, threads: usize, render_ms: u64) -> anyhow::Resul
     let frames = f64::from(count);
     ensure!(sum.rays > 0, "its pixels take too long for a sample of them");
     let frame_bytes = job.image.pixels() * u64::from(job.image.pixel_bytes());
-    Ok(Sample {
+    Ok(CostSample {
         rays: sum.rays,
         thread_seconds_per_ray: sum.seconds_per_ray / frames,
         setup_seconds_per_tile: sum.setup_seconds / frames,
@@ -186,7 +186,7 @@ fn encode(mut picture: Picture, mut blocks: Vec<Pixels>) -> anyhow::Result<f64> 
     let start = Instant::now();
     let mut file = Cursor::new(Vec::new());
     Encoders::new(1)?.run(|| picture.write(&mut Tiles(&blocks), &mut file, &Cancel::new()))?;
-    Ok(start.elapsed().as_secs_f64() / Rect::whole(picture.width, picture.height).pixels() as f64)
+    Ok(start.elapsed().as_secs_f64() / Rect::full(picture.width, picture.height).pixels() as f64)
 }
 
 /// CPU time of this process's threads, in seconds; `None` if the system does not report it.

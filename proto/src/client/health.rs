@@ -21,6 +21,6 @@ impl Client {
     /// Every metric, as text.
     pub async fn metrics(&self) -> Result<String, ClientError> {
         let response = self.send(self.request(Method::GET, "/metrics")).await?;
-        response.text().await.map_err(|source| self.broken(source))
+        response.text().await.map_err(|source| self.connection_lost(source))
     }
 }

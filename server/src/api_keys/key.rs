@@ -8,7 +8,7 @@ use governor::clock::DefaultClock;
 use governor::middleware::StateInformationMiddleware;
 use governor::state::{InMemoryState, NotKeyed};
 use governor::{Quota, RateLimiter};
-use proto::api_key::{KeyState, KeyView, NewKey, Scope};
+use proto::api_key::{ApiKeyState, ApiKeyView, NewApiKey, Scope};
 use subtle::ConstantTimeEq;
 use tokio_util::sync::CancellationToken;
 
@@ -64,7 +64,7 @@ pub(super) struct Order {
 
 impl Order {
     /// Checks what was asked for.
-    pub(super) fn check(new: NewKey, now_ms: i64) -> Result<Self, KeyError> {
+    pub(super) fn check(new: NewApiKey, now_ms: i64) -> Result<Self, KeyError> {
         let is_plain = |byte: u8| byte.is_ascii_alphanumeric() || b"-_.".contains(&byte);
         let length = new.name.len();
         if length == 0
@@ -218,14 +218,14 @@ impl Key {
     }
 
     /// Public view of the key.
-    pub(super) fn view(&self, now_ms: i64) -> KeyView {
+    pub(super) fn view(&self, now_ms: i64) -> ApiKeyView {
         let row = &self.row;
         let state = match (self.is_revoked(), self.is_live(now_ms)) {
-            (true, _) => KeyState::Revoked,
-            (false, true) => KeyState::Live,
-            (false, false) => KeyState::Expired,
+            (true, _) => ApiKeyState::Revoked,
+            (false, true) => ApiKeyState::Live,
+            (false, false) => ApiKeyState::Expired,
         };
-        KeyView {
+        ApiKeyView {
             id: row.id.clone(),
             name: row.name.clone(),
             state,
@@ -245,8 +245,8 @@ impl Key {
 mod tests {
     use super::*;
 
-    fn new(name: &str) -> NewKey {
-        NewKey {
+    fn new(name: &str) -> NewApiKey {
+        NewApiKey {
             name: name.to_owned(),
             scopes: vec![Scope::Read],
             expires_in_seconds: None,
@@ -256,20 +256,21 @@ mod tests {
         }
     }
 
-    fn is_fine(key: NewKey) -> bool {
+    fn is_fine(key: NewApiKey) -> bool {
         Order::check(key, 0).is_ok()
     }
 
     #[test]
     fn limits_of_a_key_hold_to_the_last_value() {
         let (life, rays) = (Some(MAX_LIFE_SECONDS), Some(i64::MAX.unsigned_abs()));
-        assert!(is_fine(NewKey { expires_in_seconds: life, max_rays: rays, ..new("a") }));
-        assert!(!is_fine(NewKey { expires_in_seconds: life.map(|seconds| seconds + 1), ..new("a") }));
-        assert!(!is_fine(NewKey { max_rays: rays.map(|rays| rays + 1), ..new("a") }));
-        assert!(is_fine(NewKey { max_jobs: Some(1), requests_per_second: Some(100_000), ..new("a") }));
-        assert!(!is_fine(NewKey { requests_per_second: Some(100_001), ..new("a") }));
+        assert!(is_fine(NewApiKey { expires_in_seconds: life, max_rays: rays, ..new("a") }));
+        assert!(!is_fine(NewApiKey { expires_in_seconds: life.map(|seconds| seconds + 1), ..new("a") }));
+        assert!(!is_fine(NewApiKey { max_rays: rays.map(|rays| rays + 1), ..new("a") }));
+        assert!(is_fine(NewApiKey { max_jobs: Some(1), requests_per_second: Some(100_000), ..new("a") }));
+        assert!(!is_fine(NewApiKey { requests_per_second: Some(100_001), ..new("a") }));
         assert!(
-            !is_fine(NewKey { max_jobs: Some(0), ..new("a") }) && !is_fine(NewKey { max_rays: Some(0), ..new("a") })
+            !is_fine(NewApiKey { max_jobs: Some(0), ..new("a") })
+                && !is_fine(NewApiKey { max_rays: Some(0), ..new("a") })
         );
         assert!(is_fine(new(&"x".repeat(64))) && is_fine(new("A-b_c.9")));
         for name in ["", &"x".repeat(65), "local", "pool", "a b", "ä"] {
@@ -307,7 +308,7 @@ mod tests {
         again.end_if_over(3000);
         assert!(key.ended().is_cancelled());
         let states = [key.view(0).state, key.view(5000).state, again.view(0).state];
-        assert_eq!(states, [KeyState::Live, KeyState::Expired, KeyState::Revoked]);
+        assert_eq!(states, [ApiKeyState::Live, ApiKeyState::Expired, ApiKeyState::Revoked]);
     }
 
     #[test]

@@ -5,7 +5,7 @@
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
-use proto::api_key::{IssuedKey, KeyView, NewKey};
+use proto::api_key::{ApiKeyView, IssuedApiKey, NewApiKey};
 use sqlx::Connection;
 use sqlx::sqlite::SqliteConnection;
 
@@ -79,7 +79,7 @@ impl KeyFolder {
     }
 
     /// Creates a key. Only the returned value has its secret.
-    pub async fn make(&mut self, new: NewKey) -> Result<IssuedKey, KeyFolderError> {
+    pub async fn make(&mut self, new: NewApiKey) -> Result<IssuedApiKey, KeyFolderError> {
         let order = Order::check(new, now_ms()).map_err(refused)?;
         let rows = self.rows().await?;
         let kept = rows.iter().filter(|row| row.revoked_at_ms.is_none()).count();
@@ -88,19 +88,19 @@ impl KeyFolder {
         let made = rows::insert(&mut self.connection, &issue.id, &issue.digest, &order).await;
         let made = made.map_err(|error| self.failed(&error))?;
         match self.list().await?.into_iter().find(|key| key.id == issue.id) {
-            Some(key) if made => Ok(IssuedKey { secret: issue.secret, key }),
+            Some(key) if made => Ok(IssuedApiKey { secret: issue.secret, key }),
             _ => Err(refused(KeyError::BothTaken { name: order.name })),
         }
     }
 
     /// Every key, newest first.
-    pub async fn list(&mut self) -> Result<Vec<KeyView>, KeyFolderError> {
+    pub async fn list(&mut self) -> Result<Vec<ApiKeyView>, KeyFolderError> {
         let now_ms = now_ms();
         Ok(self.rows().await?.into_iter().map(|row| Key::new(row, None).view(now_ms)).collect())
     }
 
     /// Revokes the key of an id, or all of a name.
-    pub async fn revoke(&mut self, id_or_name: &str) -> Result<Vec<KeyView>, KeyFolderError> {
+    pub async fn revoke(&mut self, id_or_name: &str) -> Result<Vec<ApiKeyView>, KeyFolderError> {
         let revoked = rows::revoke(&mut self.connection, id_or_name, now_ms()).await;
         let revoked = revoked.map_err(|error| self.failed(&error))?;
         if revoked.is_empty() {

@@ -7,7 +7,7 @@ use std::time::Duration;
 
 use futures_util::future::BoxFuture;
 use prometheus_client::metrics::histogram::Histogram;
-use proto::fail_point::{self, Point};
+use proto::fail_point::{self, FailPoint};
 use sqlx::Connection;
 use sqlx::sqlite::SqliteConnection;
 use tokio::sync::{Mutex, mpsc, oneshot, watch};
@@ -124,7 +124,7 @@ where
     fn run<'c>(&'c mut self, connection: &'c mut SqliteConnection) -> BoxFuture<'c, bool> {
         Box::pin(async move {
             let work = self.work.take().expect("an operation runs once");
-            let result = match fail_point::pass(Point::DatabaseWrite) {
+            let result = match fail_point::trigger(FailPoint::DatabaseWrite) {
                 Ok(()) => work(connection).await,
                 Err(struck) => Err(struck_down(struck)),
             };
@@ -175,7 +175,7 @@ impl Task {
             }
             let committed = self.commit(&mut group).await;
             self.bell.send_replace(());
-            fail_point::pass_by(Point::GroupCommitted);
+            fail_point::trigger_infallible(FailPoint::GroupCommitted);
             for operation in group {
                 operation.answer(committed.clone());
             }
@@ -217,7 +217,7 @@ impl Task {
             };
             sqlx::query(next).execute(&mut self.connection).await?;
         }
-        fail_point::pass(Point::DatabaseCommit).map_err(struck_down)?;
+        fail_point::trigger(FailPoint::DatabaseCommit).map_err(struck_down)?;
         // Releases the last savepoint as well.
         sqlx::query("COMMIT").execute(&mut self.connection).await?;
         Ok(())
@@ -245,6 +245,6 @@ impl Task {
 }
 
 /// The error of a write that a fail point struck.
-fn struck_down(struck: fail_point::Struck) -> StoreError {
+fn struck_down(struck: fail_point::FailPointError) -> StoreError {
     sqlx::Error::Io(std::io::Error::other(struck)).into()
 }

@@ -1,7 +1,7 @@
 //! Properties that the API cannot show quickly: old events are pruned, and slow subscribers miss none.
 
 use proto::JobId;
-use proto::event::{Lines, Message, Snapshot};
+use proto::event::{Snapshot, SseMessage, SseParser};
 use proto::job::JobState;
 use tokio_util::sync::CancellationToken;
 
@@ -63,8 +63,8 @@ impl Bench {
 }
 
 /// Messages that a subscriber receives, up to `count`.
-async fn told(follower: &mut Follower, count: usize) -> Vec<Message> {
-    let (mut lines, mut messages) = (Lines::default(), Vec::new());
+async fn told(follower: &mut Follower, count: usize) -> Vec<SseMessage> {
+    let (mut lines, mut messages) = (SseParser::default(), Vec::new());
     while messages.len() < count
         && let Some(bytes) = follower.next().await.expect("reads")
     {

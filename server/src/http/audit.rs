@@ -65,7 +65,7 @@ pub(super) async fn tell(
 
 /// Whether changes by this route are recorded; a request without a route changes nothing.
 fn is_told(route: Option<&str>) -> bool {
-    route.is_some_and(|route| !route.starts_with("/v1/worker/") || route == proto::worker_protocol::REGISTER)
+    route.is_some_and(|route| !route.starts_with("/v1/worker/") || route == proto::worker_protocol::REGISTER_PATH)
 }
 
 fn is_refusal(status: StatusCode) -> bool {

@@ -5,7 +5,7 @@ use axum::extract::Query;
 use axum::http::{HeaderMap, Uri, header};
 use bytes::{Bytes, BytesMut};
 use futures_util::StreamExt;
-use proto::problem::FaultView;
+use proto::problem::ValidationErrorView;
 use serde::de::DeserializeOwned;
 
 use super::error::ApiError;
@@ -74,10 +74,10 @@ fn refuse(error: &serde_path_to_error::Error<serde_json::Error>) -> ApiError {
     }
 }
 
-fn fault(pointer: String, error: &serde_json::Error) -> FaultView {
+fn fault(pointer: String, error: &serde_json::Error) -> ValidationErrorView {
     let text = error.to_string();
     let message = text.split(" at line ").next().unwrap_or(&text).to_owned();
-    FaultView { pointer, message, line: error.line() as u32, column: error.column() as u32 }
+    ValidationErrorView { pointer, message, line: error.line() as u32, column: error.column() as u32 }
 }
 
 /// Error for a body that is not JSON.
@@ -87,7 +87,7 @@ pub(super) fn not_json(error: &serde_json::Error) -> ApiError {
 
 /// Error for an invalid value in a JSON body.
 pub(super) fn wrong(pointer: &str, message: String) -> ApiError {
-    ApiError::WrongBody(vec![FaultView { pointer: pointer.to_owned(), message, line: 1, column: 1 }])
+    ApiError::WrongBody(vec![ValidationErrorView { pointer: pointer.to_owned(), message, line: 1, column: 1 }])
 }
 
 /// Reads a request's query.

@@ -4,7 +4,7 @@ use axum::http::{HeaderValue, StatusCode, header};
 use axum::response::{IntoResponse, Response};
 use proto::api_key::Scope;
 use proto::job::JobState;
-use proto::problem::FaultView;
+use proto::problem::ValidationErrorView;
 use proto::{JobId, Problem};
 
 use crate::api_keys::KeyError;
@@ -20,11 +20,11 @@ use crate::retention::RetentionError;
 #[derive(Debug, thiserror::Error)]
 pub(crate) enum ApiError {
     #[error("the body is not JSON: {}", first(.0))]
-    NotJson(Vec<FaultView>),
+    NotJson(Vec<ValidationErrorView>),
     #[error("the job has {} (see errors): {}", faults(.0), first(.0))]
-    WrongJob(Vec<FaultView>),
+    WrongJob(Vec<ValidationErrorView>),
     #[error("the body is not what this route takes: {}", first(.0))]
-    WrongBody(Vec<FaultView>),
+    WrongBody(Vec<ValidationErrorView>),
     #[error("invalid query: {0}")]
     WrongQuery(String),
     #[error("invalid header: {0}")]
@@ -132,14 +132,14 @@ pub(crate) enum ApiError {
     Internal(#[source] Box<dyn std::error::Error + Send + Sync>),
 }
 
-fn first(faults: &[FaultView]) -> String {
+fn first(faults: &[ValidationErrorView]) -> String {
     faults.first().map_or_else(String::new, |fault| {
         let place = if fault.pointer.is_empty() { String::new() } else { format!("{}: ", fault.pointer) };
         format!("{place}{} (line {}, column {})", fault.message, fault.line, fault.column)
     })
 }
 
-fn faults(faults: &[FaultView]) -> String {
+fn faults(faults: &[ValidationErrorView]) -> String {
     if faults.len() == 1 { "an error".to_owned() } else { format!("{} errors", faults.len()) }
 }
 

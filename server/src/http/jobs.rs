@@ -7,9 +7,9 @@ use axum::body::Body;
 use axum::extract::{Path, State};
 use axum::http::{HeaderMap, HeaderValue, StatusCode, Uri, header};
 use axum::response::{IntoResponse, Response};
-use proto::fail_point::{self, Point};
+use proto::fail_point::{self, FailPoint};
 use proto::job::{DryRun, JobPage, JobState, JobView};
-use proto::{JobId, Keep};
+use proto::{JobId, Retention};
 use serde::Deserialize;
 use tracing::Instrument;
 
@@ -112,7 +112,7 @@ pub(super) struct Submission {
     uri: Uri,
     headers: HeaderMap,
     query: SubmitQuery,
-    keep: Option<Keep>,
+    keep: Option<Retention>,
     is_known: bool,
 }
 
@@ -127,7 +127,7 @@ impl Submission {
         if !query.dry_run && !is_known {
             quota::check_jobs(farm, &caller).await?;
         }
-        let keep: Option<Keep> = match query.keep.as_deref().map(str::parse).transpose() {
+        let keep: Option<Retention> = match query.keep.as_deref().map(str::parse).transpose() {
             Ok(keep) => keep,
             Err(error) => return Err(ApiError::WrongQuery(format!("keep: {error}"))),
         };
@@ -171,7 +171,7 @@ impl Submission {
             Submitted::Same(id) => (StatusCode::OK, id),
             Submitted::Other => return Err(ApiError::OtherWish),
         };
-        fail_point::pass_by(Point::SubmitCommitted);
+        fail_point::trigger_infallible(FailPoint::SubmitCommitted);
         let mut response = prefer::answer(farm, id, &headers, status).await?;
         if let Ok(location) = HeaderValue::from_str(&format!("/v1/jobs/{id}")) {
             response.headers_mut().insert(header::LOCATION, location);

@@ -7,7 +7,7 @@ use axum::body::Body;
 use axum::extract::{Path, State};
 use axum::http::{HeaderMap, HeaderValue, StatusCode, header};
 use axum::response::{IntoResponse, Response};
-use proto::api_key::{KeyList, NewKey};
+use proto::api_key::{ApiKeyList, NewApiKey};
 
 use super::body;
 use super::error::ApiError;
@@ -21,8 +21,8 @@ const MAX_BYTES: usize = 16 << 10;
     get, path = "/v1/keys", tag = "doors", operation_id = "list_keys",
     responses((status = 200, description = "Every key, newest first, without secrets", body = ref("#/components/schemas/KeyList")))
 )]
-pub(super) async fn list(State(farm): State<Arc<Farm>>) -> Json<KeyList> {
-    Json(KeyList { keys: farm.doors.keys.list() })
+pub(super) async fn list(State(farm): State<Arc<Farm>>) -> Json<ApiKeyList> {
+    Json(ApiKeyList { keys: farm.doors.keys.list() })
 }
 
 /// Make a key.
@@ -47,7 +47,7 @@ pub(super) async fn make(
     headers: HeaderMap,
     request: Body,
 ) -> Result<Response, ApiError> {
-    let new: NewKey = body::read_json(&headers, request, MAX_BYTES).await?;
+    let new: NewApiKey = body::read_json(&headers, request, MAX_BYTES).await?;
     let issued = farm.doors.keys.make(new).await?;
     let mut response = (StatusCode::CREATED, Json(issued)).into_response();
     response.headers_mut().insert(header::CACHE_CONTROL, HeaderValue::from_static("no-store"));
@@ -65,6 +65,9 @@ pub(super) async fn make(
         (status = 404, description = "No such key, or revoked already", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
     )
 )]
-pub(super) async fn revoke(State(farm): State<Arc<Farm>>, Path(id): Path<String>) -> Result<Json<KeyList>, ApiError> {
-    Ok(Json(KeyList { keys: farm.doors.keys.revoke(&id).await? }))
+pub(super) async fn revoke(
+    State(farm): State<Arc<Farm>>,
+    Path(id): Path<String>,
+) -> Result<Json<ApiKeyList>, ApiError> {
+    Ok(Json(ApiKeyList { keys: farm.doors.keys.revoke(&id).await? }))
 }

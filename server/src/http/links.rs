@@ -7,7 +7,7 @@ use axum::body::Body;
 use axum::extract::{Path, State};
 use axum::http::{HeaderMap, HeaderValue, Uri, header};
 use axum::response::Response;
-use proto::link::{LinkRequest, LinkView, Shown};
+use proto::link::{LinkContent, LinkRequest, LinkView};
 use serde::Deserialize;
 
 use super::error::ApiError;
@@ -103,7 +103,7 @@ pub(super) async fn follow(
     headers: HeaderMap,
 ) -> Result<Response, ApiError> {
     let signed: Signed = body::read_query(&uri)?;
-    let shown = [Shown::Image, Shown::Preview].into_iter().find(|known| known.name() == shown);
+    let shown = [LinkContent::Image, LinkContent::Preview].into_iter().find(|known| known.name() == shown);
     let (Ok(job), Ok(frame), Some(shown)) = (job_id(&id), frame.parse(), shown) else {
         return Err(ApiError::WrongSignature);
     };
@@ -115,8 +115,8 @@ pub(super) async fn follow(
         return Err(ApiError::LinkExpired(rfc3339(signed.expires.saturating_mul(1000))));
     }
     let mut response = match shown {
-        Shown::Image => images::answer(&farm, job, frame, &headers).await?,
-        Shown::Preview => previews::answer(&farm, job, frame, None, &headers).await?,
+        LinkContent::Image => images::answer(&farm, job, frame, &headers).await?,
+        LinkContent::Preview => previews::answer(&farm, job, frame, None, &headers).await?,
     };
     // A cached copy must be revalidated, or it would outlive the link.
     response.headers_mut().insert(header::CACHE_CONTROL, HeaderValue::from_static("private, no-cache"));

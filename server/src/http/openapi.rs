@@ -10,15 +10,15 @@ use axum::extract::State;
 use axum::http::header;
 use axum::response::{IntoResponse, Response};
 use proto::Problem;
-use proto::api_key::{IssuedKey, KeyList, NewKey};
+use proto::api_key::{ApiKeyList, IssuedApiKey, NewApiKey};
 use proto::audit::AuditPage;
 use proto::farm::{FarmView, StartView};
 use proto::frame::FramePage;
-use proto::job::{DeletePreview, JobPatch};
+use proto::job::{DeleteDryRun, JobPatch};
 use proto::job::{DryRun, JobPage, JobView};
 use proto::link::{LinkRequest, LinkView};
 use proto::pool::{PoolSize, PoolView, WorkerList};
-use proto::retention::Collection;
+use proto::retention::GcReport;
 use proto::webhook::DeliveryList;
 use schemars::generate::SchemaSettings;
 use serde_json::{Map, Value};
@@ -76,7 +76,7 @@ fn requests() -> Map<String, Value> {
     generator.subschema_for::<JobPatch>();
     generator.subschema_for::<LinkRequest>();
     generator.subschema_for::<PoolSize>();
-    generator.subschema_for::<NewKey>();
+    generator.subschema_for::<NewApiKey>();
     generator.take_definitions(true)
 }
 
@@ -85,17 +85,17 @@ fn answers() -> Map<String, Value> {
     generator.subschema_for::<JobView>();
     generator.subschema_for::<JobPage>();
     generator.subschema_for::<DryRun>();
-    generator.subschema_for::<DeletePreview>();
+    generator.subschema_for::<DeleteDryRun>();
     generator.subschema_for::<FarmView>();
     generator.subschema_for::<StartView>();
     generator.subschema_for::<LinkView>();
-    generator.subschema_for::<Collection>();
+    generator.subschema_for::<GcReport>();
     generator.subschema_for::<FramePage>();
     generator.subschema_for::<DeliveryList>();
     generator.subschema_for::<WorkerList>();
     generator.subschema_for::<PoolView>();
-    generator.subschema_for::<IssuedKey>();
-    generator.subschema_for::<KeyList>();
+    generator.subschema_for::<IssuedApiKey>();
+    generator.subschema_for::<ApiKeyList>();
     generator.subschema_for::<AuditPage>();
     generator.subschema_for::<Problem>();
     generator.take_definitions(true)

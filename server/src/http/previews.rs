@@ -8,7 +8,7 @@ use axum::http::{HeaderMap, HeaderValue, StatusCode, Uri, header};
 use axum::response::{IntoResponse, Response};
 use proto::JobId;
 use proto::job::JobState;
-use proto::preview_helper::Sketch;
+use proto::preview_helper::HelperRequest;
 use serde::Deserialize;
 
 use super::error::ApiError;
@@ -138,7 +138,7 @@ async fn scaled(
     if farm.pictures.size_bytes(Kind::Picture, &name).await?.is_none() {
         return Err(ApiError::LostPicture);
     }
-    let sketch = Sketch::Stored { file: Kind::Picture.file(&farm.config.data, hash), width_px };
+    let sketch = HelperRequest::Thumbnail { file: Kind::Picture.file(&farm.config.data, hash), width_px };
     let picture = farm.sketches.picture(&tag, &sketch).await?;
     Ok(png(picture, &tag, cache))
 }
@@ -158,7 +158,7 @@ async fn unfinished(
         return Ok(describe(StatusCode::NOT_MODIFIED.into_response(), &tag, "no-cache"));
     }
     let text = farm.queue.file(job).await?.ok_or_else(|| ApiError::UnknownJob(job.to_string()))?;
-    let sketch = Sketch::Unfinished {
+    let sketch = HelperRequest::Preview {
         job: text,
         frame,
         width_px,

@@ -57,7 +57,7 @@ pub(super) async fn trace(State(farm): State<Arc<Farm>>, mut request: Request, n
 /// Polling routes get a span with another name, which is not exported.
 fn span_of(request: &Request, id: &str, route: &str) -> Span {
     let (method, path) = (request.method(), request.uri().path());
-    let asks_again = [proto::worker_protocol::SYNC, "/livez", "/readyz", "/metrics"].contains(&route);
+    let asks_again = [proto::worker_protocol::SYNC_PATH, "/livez", "/readyz", "/metrics"].contains(&route);
     let span = if asks_again {
         tracing::info_span!("poll", request_id = %id, %method, %path, job = Empty)
     } else {

@@ -5,7 +5,7 @@ use std::sync::Arc;
 use axum::Json;
 use axum::extract::State;
 use axum::http::Uri;
-use proto::retention::Collection;
+use proto::retention::GcReport;
 use serde::Deserialize;
 
 use super::body;
@@ -32,7 +32,7 @@ struct CollectQuery {
         (status = 422, description = "Wrong query", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
     )
 )]
-pub(super) async fn collect(State(farm): State<Arc<Farm>>, uri: Uri) -> Result<Json<Collection>, ApiError> {
+pub(super) async fn collect(State(farm): State<Arc<Farm>>, uri: Uri) -> Result<Json<GcReport>, ApiError> {
     let query: CollectQuery = body::read_query(&uri)?;
     Ok(Json(retention::collect(&farm, query.dry_run).await?))
 }

@@ -3,7 +3,7 @@
 //! No decision depends on a trace; a farm without traces does the same work.
 
 use axum::http::HeaderMap;
-use proto::worker_protocol::{Run, Work};
+use proto::worker_protocol::{Batch, BatchWork};
 use proto::{JobId, WorkerId, trace_context};
 use tracing::Span;
 
@@ -13,22 +13,22 @@ use crate::farm::Farm;
 /// Makes a request's span a child of the trace that the request names, if it names one.
 pub(super) fn continue_from(span: &Span, headers: &HeaderMap) {
     if let Some(traceparent) = brought(headers) {
-        trace_context::adopt(span, traceparent);
+        trace_context::set_parent(span, traceparent);
     }
 }
 
 /// Stores the current trace context with a job about to be accepted; or the context of its request, for
 /// workers that export traces if this server does not.
 pub(super) async fn keep(farm: &Farm, job: JobId, headers: &HeaderMap) -> Result<(), StoreError> {
-    let named = || brought(headers).filter(|traceparent| trace_context::is_sound(traceparent)).map(ToOwned::to_owned);
-    match trace_context::current().or_else(named) {
+    let named = || brought(headers).filter(|traceparent| trace_context::is_valid(traceparent)).map(ToOwned::to_owned);
+    match trace_context::current_traceparent().or_else(named) {
         Some(traceparent) => farm.queue.keep_trace(job, traceparent).await,
         None => Ok(()),
     }
 }
 
 /// Trace context of a worker's batch: a span of its own, below the submission's.
-pub(super) async fn of_run(farm: &Farm, worker: WorkerId, run: &Run) -> Option<String> {
+pub(super) async fn of_run(farm: &Farm, worker: WorkerId, run: &Batch) -> Option<String> {
     let kept = match farm.watch.trace_of(farm, run.job).await {
         Ok(kept) => kept?,
         Err(error) => {
@@ -37,12 +37,12 @@ pub(super) async fn of_run(farm: &Farm, worker: WorkerId, run: &Run) -> Option<S
         }
     };
     let tiles = match &run.work {
-        Work::Render { tiles, .. } => tiles.len(),
-        Work::Stitch { parts, .. } => parts.len(),
+        BatchWork::Render { tiles, .. } => tiles.len(),
+        BatchWork::Stitch { inputs: parts, .. } => parts.len(),
     };
     let span = tracing::info_span!("lease", job = %run.job, frame = run.frame, %worker, tiles);
-    trace_context::adopt(&span, &kept);
-    Some(trace_context::of(&span).unwrap_or(kept))
+    trace_context::set_parent(&span, &kept);
+    Some(trace_context::traceparent_of(&span).unwrap_or(kept))
 }
 
 fn brought(headers: &HeaderMap) -> Option<&str> {

@@ -11,8 +11,8 @@ use axum::http::{HeaderMap, StatusCode, header};
 use axum::response::{IntoResponse, Response};
 use futures_util::TryStreamExt;
 use proto::WorkerId;
-use proto::fail_point::{self, Point};
-use proto::worker_protocol::{Folders, Hello, SyncReply, SyncRequest, Welcome};
+use proto::fail_point::{self, FailPoint};
+use proto::worker_protocol::{ContentFolders, RegisterRequest, RegisterResponse, SyncRequest, SyncResponse};
 use tracing::Instrument;
 
 use super::auth::Caller;
@@ -40,8 +40,8 @@ pub(super) async fn register(
     caller: Caller,
     headers: HeaderMap,
     request: Body,
-) -> Result<Json<Welcome>, ApiError> {
-    let hello: Hello = body::read_json(&headers, request, MAX_HELLO_BYTES).await?;
+) -> Result<Json<RegisterResponse>, ApiError> {
+    let hello: RegisterRequest = body::read_json(&headers, request, MAX_HELLO_BYTES).await?;
     if hello.picture_version != scene::PICTURE_VERSION {
         return Err(ApiError::WrongPictureVersion { found: hello.picture_version, wanted: scene::PICTURE_VERSION });
     }
@@ -52,16 +52,16 @@ pub(super) async fn register(
     farm.watch.registered(worker, &name, &device);
     tracing::info!(%worker, %name, pool, "a worker registered");
     let folders = if pool { folders(&farm) } else { None };
-    Ok(Json(Welcome { worker, lease_ms: farm.queue.lease_ms().unsigned_abs(), folders }))
+    Ok(Json(RegisterResponse { worker, lease_ms: farm.queue.lease_ms().unsigned_abs(), folders }))
 }
 
 /// Folders that a pool worker writes to directly; `None` if a folder's name is not UTF-8.
-fn folders(farm: &Farm) -> Option<Folders> {
+fn folders(farm: &Farm) -> Option<ContentFolders> {
     let folder = |kind: Kind| {
         let folder = std::path::absolute(kind.path(&farm.config.data)).ok()?;
         folder.into_os_string().into_string().ok()
     };
-    Some(Folders { blobs: folder(Kind::Blob)?, pictures: folder(Kind::Picture)? })
+    Some(ContentFolders { blobs: folder(Kind::Blob)?, pictures: folder(Kind::Picture)? })
 }
 
 /// Runs a worker's sync, and waits until there is work, a lease has ended, or the worker must drain.
@@ -71,17 +71,17 @@ pub(super) async fn sync(
     State(farm): State<Arc<Farm>>,
     headers: HeaderMap,
     request: Body,
-) -> Result<Json<SyncReply>, ApiError> {
+) -> Result<Json<SyncResponse>, ApiError> {
     let request: SyncRequest = body::read_json(&headers, request, MAX_SYNC_BYTES).await?;
-    farm.watch.measured(request.worker, &request.measured);
+    farm.watch.measured(request.worker, &request.metrics);
     let mut deadline = instant() + longest_wait(&farm, &request);
     let mut turn = Turn {
         worker: request.worker,
         rays_per_second: request.rays_per_second.filter(|rate| rate.is_finite() && *rate > 0.0),
-        holding: request.holding,
-        results: request.results,
+        holding: request.held_leases,
+        results: request.reports,
         wants_work: request.wants_work,
-        leaving: request.leaving,
+        leaving: request.shutting_down,
         opening: None,
     };
     loop {
@@ -125,10 +125,10 @@ fn longest_wait(farm: &Farm, request: &SyncRequest) -> Duration {
     asked.min(third)
 }
 
-async fn reply(farm: &Farm, worker: WorkerId, turned: Turned) -> SyncReply {
+async fn reply(farm: &Farm, worker: WorkerId, turned: Turned) -> SyncResponse {
     let run = match turned.next {
         Next::Run(run) => {
-            fail_point::pass_by(Point::Claimed);
+            fail_point::trigger_infallible(FailPoint::Claimed);
             Some(run)
         }
         Next::Frame { .. } | Next::Nothing(_) => None,
@@ -137,7 +137,7 @@ async fn reply(farm: &Farm, worker: WorkerId, turned: Turned) -> SyncReply {
         Some(run) => trace_context::of_run(farm, worker, run).await,
         None => None,
     };
-    SyncReply { run, lost: turned.lost, drain: turned.drain, trace }
+    SyncResponse { batch: run, revoked_leases: turned.lost, drain: turned.drain, trace }
 }
 
 /// The JSON of a job, as it was posted.
@@ -169,9 +169,9 @@ async fn put(farm: &Farm, kind: Kind, hash: String, request: Body) -> Result<Sta
     let bytes = request.into_data_stream().map_err(std::io::Error::other);
     let span = tracing::info_span!("store", ?kind, %hash);
     farm.pictures.put(kind, &name, bytes).instrument(span).await?;
-    fail_point::pass_by(match kind {
-        Kind::Blob => Point::BlobStored,
-        Kind::Picture => Point::PictureStored,
+    fail_point::trigger_infallible(match kind {
+        Kind::Blob => FailPoint::BlobStored,
+        Kind::Picture => FailPoint::PictureStored,
     });
     Ok(StatusCode::NO_CONTENT)
 }

@@ -7,7 +7,7 @@ use std::process::{ExitStatus, Stdio};
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
-use proto::worker_protocol::{TOKEN_VARIABLE, UNFIT_DEVICE};
+use proto::worker_protocol::{EXIT_UNUSABLE_DEVICE, TOKEN_ENV_VAR};
 use rustix::process::{Pid, Signal, kill_process};
 use tokio::io::{AsyncBufReadExt, BufReader};
 use tokio::process::{ChildStderr, ChildStdin, Command};
@@ -78,7 +78,7 @@ impl Child {
             .args(proto::fail_point::is_armed().then_some(proto::fail_point::FLAG))
             .args(["worker", "--server", &launch.server, "--pool", "--name", &label])
             .args(["--device", &device, "--simd", &launch.simd, "--threads", &threads.to_string()])
-            .env(TOKEN_VARIABLE, &launch.token)
+            .env(TOKEN_ENV_VAR, &launch.token)
             .envs(launch.variables.iter().map(|(name, value)| (name, value)))
             .stdin(Stdio::piped())
             .stdout(Stdio::null())
@@ -196,7 +196,7 @@ impl Exit {
 
     /// Its device can't render: starting it again would not help.
     pub(super) fn is_unfit(&self) -> bool {
-        self.status.as_ref().is_ok_and(|status| status.code() == Some(UNFIT_DEVICE.into()))
+        self.status.as_ref().is_ok_and(|status| status.code() == Some(EXIT_UNUSABLE_DEVICE.into()))
     }
 
     /// Description of the exit.

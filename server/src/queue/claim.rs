@@ -4,7 +4,7 @@
 //! scene this worker renders; a stitch is for anyone. A job's next frame is opened when none of its
 //! tiles is ready; that needs the frame's key, which the caller computes outside.
 
-use proto::worker_protocol::{LeasedTile, Part, Run, Work};
+use proto::worker_protocol::{Batch, BatchWork, LeasedTile, StitchInput};
 use proto::{JobId, LeaseId, Rect, WorkerId};
 use sqlx::query::Query;
 use sqlx::sqlite::{SqliteArguments, SqliteRow};
@@ -53,7 +53,7 @@ pub(super) type Grants = Vec<(i64, LeaseId)>;
 #[derive(Clone, Debug)]
 pub(super) enum Claimed {
     /// A run, leased.
-    Run(Run),
+    Run(Batch),
     /// This frame has to be opened first.
     NeedsFrame {
         /// The job's number.
@@ -143,7 +143,7 @@ pub(super) async fn claim(connection: &mut Connection, claimant: Claimant, momen
     if job.queued {
         finish::start(connection, job.number, moment).await?;
     }
-    Ok(Claimed::Run(Run { job: job.id, frame, work }))
+    Ok(Claimed::Run(Batch { job: job.id, frame, work }))
 }
 
 /// Called when no tile is ready: looks for a straggler to duplicate.
@@ -231,7 +231,7 @@ async fn claim_tiles(
     view: &View,
     claimant: Claimant,
     moment: Moment,
-) -> Result<Work> {
+) -> Result<BatchWork> {
     let Peers { idle, fastest_other } = peers(connection, &view.worker, job.nodes).await?;
     let rows = view.bind(READY_TILES).bind(job.number).bind(job.nodes).bind(frame).fetch_all(&mut *connection).await?;
     let whole = whole_frame(job);
@@ -241,7 +241,7 @@ async fn claim_tiles(
     grant(connection, &grants, &view.worker, moment).await?;
     let rays = ready[..length].iter().map(|tile| tile.rays).sum();
     fair_share::charge(connection, &job.share, rays, claimant.rays_per_second.or(fastest_other)).await?;
-    Ok(Work::Render { whole_frame: batch_size::is_whole(length, whole), tiles })
+    Ok(BatchWork::Render { whole_frame: batch_size::is_whole(length, whole), tiles })
 }
 
 /// New leases on tiles, both as sent to the worker and as recorded.
@@ -280,7 +280,12 @@ pub(super) async fn stitch_tile(connection: &mut Connection, job: i64, frame: u3
 }
 
 /// Inputs of a stitch.
-pub(super) async fn stitch_work(connection: &mut Connection, job: i64, frame: u32, lease: LeaseId) -> Result<Work> {
+pub(super) async fn stitch_work(
+    connection: &mut Connection,
+    job: i64,
+    frame: u32,
+    lease: LeaseId,
+) -> Result<BatchWork> {
     let rows = sqlx::query(
         "SELECT position, x_px, y_px, width_px, height_px, blob, blob_bytes FROM tile
          WHERE job = ? AND frame = ? AND kind = 'render' ORDER BY position",
@@ -290,11 +295,11 @@ pub(super) async fn stitch_work(connection: &mut Connection, job: i64, frame: u3
     .fetch_all(connection)
     .await?;
     let parts = rows.iter().map(read_part).collect::<Result<Vec<_>>>()?;
-    Ok(Work::Stitch { lease, parts })
+    Ok(BatchWork::Stitch { lease, inputs: parts })
 }
 
-fn read_part(row: &SqliteRow) -> Result<Part> {
-    Ok(Part {
+fn read_part(row: &SqliteRow) -> Result<StitchInput> {
+    Ok(StitchInput {
         index: row.try_get("position")?,
         rect: Rect {
             x: row.try_get("x_px")?,

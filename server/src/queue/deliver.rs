@@ -6,7 +6,7 @@
 
 use std::collections::{BTreeMap, HashMap};
 
-use proto::worker_protocol::{Outcome, Report};
+use proto::worker_protocol::{LeaseOutcome, LeaseReport};
 use proto::{LeaseId, WorkerId};
 
 use super::lease::{self, Cause, Held};
@@ -36,7 +36,7 @@ struct Finished<'a> {
 pub(super) async fn deliver(
     connection: &mut Connection,
     worker: WorkerId,
-    reports: &[Report],
+    reports: &[LeaseReport],
     moment: Moment,
 ) -> Result<Delivered> {
     let mut delivered = Delivered::default();
@@ -44,11 +44,11 @@ pub(super) async fn deliver(
     let (mut blobs, mut others) = (Vec::new(), Vec::new());
     for report in reports {
         match &report.outcome {
-            Outcome::Picture { hash, size_bytes } => {
+            LeaseOutcome::Picture { hash, size_bytes } => {
                 pictures.entry((hash, *size_bytes)).or_default().push(report.lease);
             }
-            Outcome::Blob { hash, size_bytes } => blobs.push((report.lease, hash.as_str(), *size_bytes)),
-            Outcome::BadBlobs { .. } | Outcome::Failed { .. } | Outcome::HandedBack => others.push(report),
+            LeaseOutcome::Blob { hash, size_bytes } => blobs.push((report.lease, hash.as_str(), *size_bytes)),
+            LeaseOutcome::BadBlobs { .. } | LeaseOutcome::Failed { .. } | LeaseOutcome::Released => others.push(report),
         }
     }
     for ((hash, size_bytes), leases) in pictures {
@@ -101,7 +101,7 @@ async fn take_blobs(
 async fn take_other(
     connection: &mut Connection,
     worker: WorkerId,
-    report: &Report,
+    report: &LeaseReport,
     moment: Moment,
     delivered: &mut Delivered,
 ) -> Result<()> {
@@ -110,12 +110,12 @@ async fn take_other(
         return Ok(());
     };
     let ring = match &report.outcome {
-        Outcome::BadBlobs { tiles } if held.stitch => stitch::reopen(connection, &held, tiles, moment).await?,
-        Outcome::Failed { message } => lease::give_up(connection, &held, Cause::Failed, message, moment).await?,
-        Outcome::HandedBack => {
+        LeaseOutcome::BadBlobs { tiles } if held.stitch => stitch::reopen(connection, &held, tiles, moment).await?,
+        LeaseOutcome::Failed { message } => lease::give_up(connection, &held, Cause::Failed, message, moment).await?,
+        LeaseOutcome::Released => {
             lease::give_up(connection, &held, Cause::Interrupted, "it was handed back", moment).await?
         }
-        Outcome::Blob { .. } | Outcome::BadBlobs { .. } | Outcome::Picture { .. } => {
+        LeaseOutcome::Blob { .. } | LeaseOutcome::BadBlobs { .. } | LeaseOutcome::Picture { .. } => {
             let message = "its worker answered with what was not asked for";
             lease::give_up(connection, &held, Cause::Failed, message, moment).await?
         }

@@ -5,7 +5,7 @@
 
 use proto::JobId;
 use proto::event::{ProgressEvent, Snapshot, TileEvent};
-use proto::job::{Count, JobState};
+use proto::job::{DoneOfTotal, JobState};
 use proto::rounding;
 use sqlx::Row;
 use sqlx::sqlite::SqliteRow;
@@ -175,8 +175,8 @@ impl Queue {
             progress: rounding::fraction(
                 row.try_get::<i64, _>("rays_peak")? as f64 / row.try_get::<i64, _>("rays_total")? as f64,
             ),
-            tiles: Count { done: row.try_get("tiles_done")?, total: row.try_get("tiles_total")? },
-            frames: Count { done: row.try_get("frames_stored")?, total: row.try_get("frames_total")? },
+            tiles: DoneOfTotal { done: row.try_get("tiles_done")?, total: row.try_get("tiles_total")? },
+            frames: DoneOfTotal { done: row.try_get("frames_stored")?, total: row.try_get("frames_total")? },
             stored: runs(&numbers),
             rectangles: tiles.iter().map(rectangle).collect::<Result<_>>()?,
         };

@@ -127,7 +127,7 @@ fn view(id: JobId, frames: &Frames, number: u32, row: Option<&SqliteRow>) -> Res
         return Ok(FrameView { number, state, picture: None, size_bytes: None, image: None, file: None });
     };
     let name: String = row.try_get("state")?;
-    let state = known("frame.state", &name, FrameState::read)?;
+    let state = known("frame.state", &name, FrameState::parse)?;
     let is_stored = state == FrameState::Stored;
     Ok(FrameView {
         number,

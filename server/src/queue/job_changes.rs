@@ -2,7 +2,7 @@
 
 use proto::JobId;
 use proto::job::JobState;
-use proto::job::{DeletePreview, JobPatch};
+use proto::job::{DeleteDryRun, JobPatch};
 use sqlx::Row;
 
 use super::{Connection, Moment, Queue, Result, Ring, finish};
@@ -39,12 +39,12 @@ impl Queue {
     }
 
     /// What deleting a job would remove; `None` if the job does not exist.
-    pub(crate) async fn delete_preview(&self, job: JobId) -> Result<Option<(JobState, DeletePreview)>> {
+    pub(crate) async fn delete_preview(&self, job: JobId) -> Result<Option<(JobState, DeleteDryRun)>> {
         let row = sqlx::query(PREVIEW).bind(job.to_string()).fetch_optional(self.readers()).await?;
         row.map(|row| {
             let picture_bytes: i64 = row.try_get("picture_bytes")?;
             let blob_bytes: i64 = row.try_get("blob_bytes")?;
-            let preview = DeletePreview {
+            let preview = DeleteDryRun {
                 pictures: row.try_get("pictures")?,
                 blobs: row.try_get("blobs")?,
                 size_bytes: picture_bytes.saturating_add(blob_bytes).unsigned_abs(),

@@ -1,7 +1,7 @@
 //! Reads for users, through the reading connections.
 
 use proto::JobId;
-use proto::job::{Count, JobPage, JobState, JobView};
+use proto::job::{DoneOfTotal, JobPage, JobState, JobView};
 use proto::pool::{WorkerList, WorkerState, WorkerView};
 use proto::rounding;
 use sqlx::Row;
@@ -83,8 +83,8 @@ fn read_job(row: &SqliteRow, wall_ms: i64) -> Result<JobView> {
         state,
         paused,
         progress: rounding::fraction(progress),
-        tiles: Count { done: row.try_get("tiles_done")?, total: row.try_get("tiles_total")? },
-        frames: Count { done: row.try_get("frames_stored")?, total: row.try_get("frames_total")? },
+        tiles: DoneOfTotal { done: row.try_get("tiles_done")?, total: row.try_get("tiles_total")? },
+        frames: DoneOfTotal { done: row.try_get("frames_stored")?, total: row.try_get("frames_total")? },
         errors: error.into_iter().collect(),
         warnings,
         created_at: rfc3339(row.try_get("created_at_ms")?),

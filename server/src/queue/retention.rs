@@ -3,7 +3,7 @@
 //! Deletes only rows. The sweep deletes unreferenced bytes afterwards, so that a kill between the two leaves
 //! bytes without a row, which the next sweep finds, and never a row without bytes.
 
-use proto::{JobId, Keep};
+use proto::{JobId, Retention};
 use sqlx::Row;
 use sqlx::sqlite::SqliteRow;
 
@@ -67,10 +67,10 @@ pub(crate) struct Removed {
 }
 
 /// Stores how long a job is to be kept.
-pub(super) async fn keep(connection: &mut Connection, job: i64, keep: Keep) -> Result<()> {
+pub(super) async fn keep(connection: &mut Connection, job: i64, keep: Retention) -> Result<()> {
     let keep_ms = match keep {
-        Keep::Forever => FOR_EVER,
-        Keep::For(time) => i64::try_from(time.as_millis()).unwrap_or(FOR_EVER),
+        Retention::Forever => FOR_EVER,
+        Retention::For(time) => i64::try_from(time.as_millis()).unwrap_or(FOR_EVER),
     };
     let kept =
         sqlx::query("UPDATE job SET keep_ms = ? WHERE number = ?").bind(keep_ms).bind(job).execute(connection).await?;

@@ -4,7 +4,7 @@
 use std::collections::HashMap;
 
 use proto::LeaseId;
-use proto::worker_protocol::{Run, Work};
+use proto::worker_protocol::{Batch, BatchWork};
 use sqlx::Row;
 
 use super::claim::{self, Claimant, View};
@@ -36,7 +36,7 @@ const HELD_TILES: &str = "SELECT tile.id, position, x_px, y_px, width_px, height
 /// Result of the search for a straggler.
 pub(super) enum Straggling {
     /// A batch with duplicate leases.
-    Run(Run),
+    Run(Batch),
     /// No straggler now; check again in this many milliseconds.
     Nothing(Option<i64>),
 }
@@ -93,14 +93,14 @@ async fn lease_again(
     view: &View,
     claimant: Claimant,
     moment: Moment,
-) -> Result<Run> {
+) -> Result<Batch> {
     let job = claim::job(connection, old.job).await?;
     if old.stitch {
         let tile = claim::stitch_tile(connection, job.number, old.frame).await?;
         let lease = LeaseId::new();
         grant(connection, &[(tile, lease)], view, moment).await?;
         let work = claim::stitch_work(connection, job.number, old.frame, lease).await?;
-        return Ok(Run { job: job.id, frame: old.frame, work });
+        return Ok(Batch { job: job.id, frame: old.frame, work });
     }
     let held = sqlx::query(HELD_TILES)
         .bind(&old.worker)
@@ -120,8 +120,8 @@ async fn lease_again(
     };
     let (tiles, grants) = claim::leased_tiles(&held[..length])?;
     grant(connection, &grants, view, moment).await?;
-    let work = Work::Render { whole_frame: batch_size::is_whole(length, whole), tiles };
-    Ok(Run { job: job.id, frame: old.frame, work })
+    let work = BatchWork::Render { whole_frame: batch_size::is_whole(length, whole), tiles };
+    Ok(Batch { job: job.id, frame: old.frame, work })
 }
 
 /// Leases tiles that are leased already, each under its next epoch.

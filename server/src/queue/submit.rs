@@ -1,6 +1,6 @@
 //! Accepting a job: one row and its file. Frames and tiles are created when the job reaches them.
 
-use proto::{JobId, Keep};
+use proto::{JobId, Retention};
 
 use super::{Connection, Moment, Result, retention};
 use crate::tile_plan::Plan;
@@ -27,7 +27,7 @@ pub(crate) struct NewJob {
     /// Render it even if its pictures are stored.
     pub(crate) fresh: bool,
     /// How long it is kept; `None` is the server's default.
-    pub(crate) keep: Option<Keep>,
+    pub(crate) keep: Option<Retention>,
     /// The bytes that were posted.
     pub(crate) text: String,
 }

@@ -3,7 +3,7 @@
 use std::collections::HashSet;
 use std::time::Duration;
 
-use proto::worker_protocol::{Report, Run};
+use proto::worker_protocol::{Batch, LeaseReport};
 use proto::{LeaseId, WorkerId};
 use sqlx::Row;
 
@@ -26,7 +26,7 @@ pub(crate) struct Turn {
     /// The leases it holds.
     pub(crate) holding: Vec<LeaseId>,
     /// The leases it has finished with.
-    pub(crate) results: Vec<Report>,
+    pub(crate) results: Vec<LeaseReport>,
     /// Whether it wants a run.
     pub(crate) wants_work: bool,
     /// The worker is shutting down.
@@ -81,7 +81,7 @@ impl Turned {
 #[derive(Clone, Debug)]
 pub(crate) enum Next {
     /// A run.
-    Run(Run),
+    Run(Batch),
     /// A frame has to be opened first: repeat the sync with its [`Opening`].
     Frame {
         /// The job's number.

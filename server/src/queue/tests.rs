@@ -6,7 +6,7 @@ mod model;
 mod plans;
 mod sequences;
 
-use proto::worker_protocol::{Hello, Work};
+use proto::worker_protocol::{BatchWork, RegisterRequest};
 use proto::{JobId, WorkerId};
 
 use super::{NewJob, NewWorker, Next, Opening, Queue, Turn};
@@ -57,7 +57,7 @@ impl Bench {
     /// A worker, which is of the pool if it has a process.
     async fn register(&self, max_nodes: Option<u32>, process: Option<u32>) -> WorkerId {
         let pool = process.is_some();
-        let hello = Hello {
+        let hello = RegisterRequest {
             name: String::new(),
             device: "cpu".to_owned(),
             picture_version: 1,
@@ -159,10 +159,10 @@ fn turn(worker: WorkerId) -> Turn {
     }
 }
 
-fn leases(run: &proto::worker_protocol::Run) -> impl Iterator<Item = proto::LeaseId> {
+fn leases(run: &proto::worker_protocol::Batch) -> impl Iterator<Item = proto::LeaseId> {
     let leases: Vec<_> = match &run.work {
-        Work::Render { tiles, .. } => tiles.iter().map(|tile| tile.lease).collect(),
-        Work::Stitch { lease, .. } => vec![*lease],
+        BatchWork::Render { tiles, .. } => tiles.iter().map(|tile| tile.lease).collect(),
+        BatchWork::Stitch { lease, .. } => vec![*lease],
     };
     leases.into_iter()
 }

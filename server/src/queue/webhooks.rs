@@ -174,7 +174,7 @@ fn view(row: &SqliteRow) -> Result<DeliveryView> {
         id: row.try_get("id")?,
         event: row.try_get("event")?,
         receiver: receiver(&row.try_get::<String, _>("url")?),
-        state: known("delivery.state", &state, DeliveryState::read)?,
+        state: known("delivery.state", &state, DeliveryState::parse)?,
         attempts: row.try_get("attempts")?,
         next_at: row.try_get::<Option<i64>, _>("next_at_ms")?.map(rfc3339),
         status: row.try_get("status")?,

@@ -1,7 +1,7 @@
 //! Workers: registration, draining, and their end.
 
 use proto::WorkerId;
-use proto::worker_protocol::Hello;
+use proto::worker_protocol::RegisterRequest;
 use sqlx::Row;
 
 use super::lease::{self, Cause};
@@ -11,7 +11,7 @@ use super::{Connection, Moment, Result, Ring, counted, known};
 #[derive(Clone, Debug)]
 pub(crate) struct NewWorker {
     /// Its registration request.
-    pub(crate) hello: Hello,
+    pub(crate) hello: RegisterRequest,
     /// It is a child process of this server.
     pub(crate) pool: bool,
     /// Its label.

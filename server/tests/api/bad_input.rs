@@ -114,15 +114,15 @@ async fn foreign_hosts_and_origins_are_kept_out() {
 #[tokio::test]
 async fn workers_with_a_wrong_token_a_wrong_release_or_no_name_are_refused() {
     let farm = Farm::start().await;
-    for route in [worker_protocol::REGISTER, worker_protocol::SYNC] {
+    for route in [worker_protocol::REGISTER_PATH, worker_protocol::SYNC_PATH] {
         let token = [(AUTHORIZATION, "Bearer nonsense")];
         let answer = send(&farm, Method::POST, route, &token, "{}").await;
         assert_eq!(answer.headers()["www-authenticate"], "Bearer");
         refused(answer, 401, "wrong_token").await;
     }
     let hello = json!({"name": "old", "device": "cpu", "picture_version": 0, "max_nodes": null, "process": 1});
-    refused(farm.post(worker_protocol::REGISTER, hello.to_string()).await, 422, "wrong_picture_version").await;
-    refused(farm.post(worker_protocol::REGISTER, "{}").await, 422, "wrong_body").await;
+    refused(farm.post(worker_protocol::REGISTER_PATH, hello.to_string()).await, 422, "wrong_picture_version").await;
+    refused(farm.post(worker_protocol::REGISTER_PATH, "{}").await, 422, "wrong_body").await;
     let mut stranger = farm.worker("known").await;
     stranger.id = proto::WorkerId::new();
     refused(stranger.try_sync(Said::default()).await, 404, "unknown_worker").await;

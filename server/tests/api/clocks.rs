@@ -18,10 +18,10 @@ async fn wall_clock_that_jumps_expires_nothing() {
         farm.hand.set_wall_clock_by(jump_ms);
         farm.hand.advance(Duration::from_secs(1));
         let reply = worker.sync(Said { holding: leases(&run), ..Said::default() }).await;
-        assert_eq!(reply.lost, [], "a jump of {jump_ms} ms ended a lease");
+        assert_eq!(reply.revoked_leases, [], "a jump of {jump_ms} ms ended a lease");
     }
     let results = worker.results(&run).await;
-    assert_eq!(worker.report(results).await.lost, []);
+    assert_eq!(worker.report(results).await.revoked_leases, []);
     assert_state(&farm, id, JobState::Succeeded).await;
     farm.stop().await;
 }

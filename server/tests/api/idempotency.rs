@@ -1,7 +1,7 @@
 //! Handing a job in once, however often it is sent; and waiting for its end in the answer.
 
 use futures_util::future::join_all;
-use proto::api_key::{KeyList, Scope};
+use proto::api_key::{ApiKeyList, Scope};
 use proto::job::{JobPage, JobState, JobView};
 use reqwest::{Method, Response, StatusCode};
 use serde_json::Value;
@@ -107,7 +107,7 @@ async fn a_server_that_ends_lets_nobody_wait() {
     // The server has the request when the key has been used.
     in_time(async {
         loop {
-            let keys: KeyList = read(send(&farm, &admin, Method::GET, "/v1/keys", "").await, StatusCode::OK).await;
+            let keys: ApiKeyList = read(send(&farm, &admin, Method::GET, "/v1/keys", "").await, StatusCode::OK).await;
             if keys.keys.iter().any(|key| key.id == reader.key.id && key.last_used_at.is_some()) {
                 break;
             }

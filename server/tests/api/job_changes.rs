@@ -1,6 +1,6 @@
 //! What a user changes of a job that is there: its priority, and deleting it.
 
-use proto::job::DeletePreview;
+use proto::job::DeleteDryRun;
 use proto::job::JobView;
 use reqwest::{Response, StatusCode};
 use serde_json::{Value, json};
@@ -59,11 +59,11 @@ async fn a_dry_run_of_deleting_tells_what_would_go_and_keeps_it() {
     let path = format!("/v1/jobs/{kept}");
     let dry = format!("{path}?dry_run=true");
     farm.worker("one").await.work_off().await;
-    let preview: DeletePreview = read(delete(&farm, &dry).await, StatusCode::OK).await;
+    let preview: DeleteDryRun = read(delete(&farm, &dry).await, StatusCode::OK).await;
     assert_eq!((preview.pictures, preview.size_bytes), (0, 0), "its twin shows the picture too");
     assert!(preview.rows >= 4, "{preview:?}");
     assert_eq!(delete(&farm, &format!("/v1/jobs/{twin}")).await.status(), StatusCode::NO_CONTENT);
-    let preview: DeletePreview = read(delete(&farm, &dry).await, StatusCode::OK).await;
+    let preview: DeleteDryRun = read(delete(&farm, &dry).await, StatusCode::OK).await;
     assert_eq!(preview.pictures, 1);
     assert_eq!(preview.size_bytes, format!("picture of frame 0 of {kept}").len() as u64);
     assert_eq!(delete(&farm, &path).await.status(), StatusCode::NO_CONTENT);
@@ -81,7 +81,7 @@ async fn a_dry_run_of_deleting_counts_the_blobs_of_an_unfinished_frame() {
     let dry = format!("/v1/jobs/{}?dry_run=true", posted.id);
     refused(delete(&farm, &dry).await, 409, "job_running").await;
     farm.post(&format!("/v1/jobs/{}/cancel", posted.id), "").await;
-    let preview: DeletePreview = read(delete(&farm, &dry).await, StatusCode::OK).await;
+    let preview: DeleteDryRun = read(delete(&farm, &dry).await, StatusCode::OK).await;
     assert_eq!((preview.pictures, preview.blobs), (0, 1));
     assert!(preview.size_bytes > 0 && preview.rows > posted.tiles.total);
     farm.stop().await;

@@ -2,7 +2,7 @@
 
 use std::time::Duration;
 
-use proto::api_key::{IssuedKey, KeyList, KeyState, NewKey, Scope};
+use proto::api_key::{ApiKeyList, ApiKeyState, IssuedApiKey, NewApiKey, Scope};
 use proto::audit::AuditPage;
 use proto::worker_protocol;
 use reqwest::header::AUTHORIZATION;
@@ -13,8 +13,8 @@ use server::KeyFolder;
 use super::harness::{Farm, config, in_time, read, refused, small_job};
 
 /// A key to make, otherwise ordinary.
-pub(crate) fn new_key(name: &str, scopes: &[Scope]) -> NewKey {
-    NewKey {
+pub(crate) fn new_key(name: &str, scopes: &[Scope]) -> NewApiKey {
+    NewApiKey {
         name: name.to_owned(),
         scopes: scopes.to_vec(),
         expires_in_seconds: None,
@@ -46,7 +46,7 @@ pub(crate) async fn send(
 }
 
 /// Makes a key over HTTP.
-pub(crate) async fn make(farm: &Farm, admin: &str, new: &NewKey) -> IssuedKey {
+pub(crate) async fn make(farm: &Farm, admin: &str, new: &NewApiKey) -> IssuedApiKey {
     let body = serde_json::to_string(new).expect("JSON");
     read(send(farm, admin, Method::POST, "/v1/keys", body).await, StatusCode::CREATED).await
 }
@@ -66,7 +66,7 @@ async fn farm_with_a_key_lets_nobody_in_without_one() {
     for open in ["/livez", "/readyz", "/docs/", "/openapi.json", "/v1/schema/job"] {
         assert_eq!(farm.get(open).await.status(), StatusCode::OK, "{open}");
     }
-    refused(farm.post(worker_protocol::REGISTER, "{}").await, 401, "missing_key").await;
+    refused(farm.post(worker_protocol::REGISTER_PATH, "{}").await, 401, "missing_key").await;
     farm.stop().await;
 }
 
@@ -101,10 +101,10 @@ async fn key_is_rotated_without_a_gap_and_a_third_is_refused() {
         assert_eq!(send(&farm, secret, Method::GET, "/v1/jobs", "").await.status(), StatusCode::OK);
     }
     let path = format!("/v1/keys/{}", old.key.id);
-    let revoked: KeyList = read(send(&farm, &admin, Method::DELETE, &path, "").await, StatusCode::OK).await;
+    let revoked: ApiKeyList = read(send(&farm, &admin, Method::DELETE, &path, "").await, StatusCode::OK).await;
     assert_eq!(
         revoked.keys.iter().map(|key| (&key.id, key.state)).collect::<Vec<_>>(),
-        [(&old.key.id, KeyState::Revoked)]
+        [(&old.key.id, ApiKeyState::Revoked)]
     );
     refused(send(&farm, &old.secret, Method::GET, "/v1/jobs", "").await, 401, "revoked_key").await;
     assert_eq!(send(&farm, &new.secret, Method::GET, "/v1/jobs", "").await.status(), StatusCode::OK);
@@ -141,7 +141,7 @@ async fn first_key_of_a_farm_is_an_administrators_or_none_is_made() {
 #[tokio::test]
 async fn key_expires_by_the_clock() {
     let (farm, admin) = locked_farm().await;
-    let hour = NewKey { expires_in_seconds: Some(3600), ..new_key("anna", &[Scope::Read]) };
+    let hour = NewApiKey { expires_in_seconds: Some(3600), ..new_key("anna", &[Scope::Read]) };
     let key = make(&farm, &admin, &hour).await.secret;
     assert_eq!(send(&farm, &key, Method::GET, "/v1/jobs", "").await.status(), StatusCode::OK);
     farm.hand.advance(Duration::from_hours(1));
@@ -154,14 +154,14 @@ async fn revoked_worker_is_told_while_it_waits() {
     let (farm, admin) = locked_farm().await;
     let key = make(&farm, &admin, &new_key("host-7", &[Scope::Worker])).await;
     let hello = json!({"name": "w", "device": "cpu", "picture_version": scene::PICTURE_VERSION, "max_nodes": null, "process": 1});
-    let welcome: worker_protocol::Welcome = read(
-        send(&farm, &key.secret, Method::POST, worker_protocol::REGISTER, hello.to_string()).await,
+    let welcome: worker_protocol::RegisterResponse = read(
+        send(&farm, &key.secret, Method::POST, worker_protocol::REGISTER_PATH, hello.to_string()).await,
         StatusCode::OK,
     )
     .await;
-    let wait = json!({"worker": welcome.worker, "rays_per_second": null, "holding": [], "results": [],
+    let wait = json!({"worker": welcome.worker, "rays_per_second": null, "held_leases": [], "reports": [],
         "wants_work": true, "wait_ms": 30_000});
-    let waiting = send(&farm, &key.secret, Method::POST, worker_protocol::SYNC, wait.to_string());
+    let waiting = send(&farm, &key.secret, Method::POST, worker_protocol::SYNC_PATH, wait.to_string());
     let revoke = async {
         // Made beside the server, as the command line does; the server has to notice by itself.
         let mut keys = KeyFolder::open(farm.folder.path()).await.expect("the folder is there");
@@ -171,8 +171,12 @@ async fn revoked_worker_is_told_while_it_waits() {
     };
     let (answer, ()) = tokio::join!(waiting, revoke);
     refused(answer, 401, "revoked_key").await;
-    refused(send(&farm, &key.secret, Method::POST, worker_protocol::SYNC, wait.to_string()).await, 401, "revoked_key")
-        .await;
+    refused(
+        send(&farm, &key.secret, Method::POST, worker_protocol::SYNC_PATH, wait.to_string()).await,
+        401,
+        "revoked_key",
+    )
+    .await;
     farm.stop().await;
 }
 
@@ -227,7 +231,7 @@ async fn keys_that_can_not_be_are_refused_with_the_cure() {
 #[tokio::test]
 async fn quotas_and_rates_are_held_and_say_when_to_come_again() {
     let (farm, admin) = locked_farm().await;
-    let key = NewKey { max_jobs: Some(2), ..new_key("anna", &[Scope::Submit]) };
+    let key = NewApiKey { max_jobs: Some(2), ..new_key("anna", &[Scope::Submit]) };
     let anna = make(&farm, &admin, &key).await.secret;
     let submit = async |key: &str, job: Value| send(&farm, key, Method::POST, "/v1/jobs", job.to_string()).await;
     let first: Value = read(submit(&anna, small_job(1)).await, StatusCode::CREATED).await;
@@ -240,12 +244,12 @@ async fn quotas_and_rates_are_held_and_say_when_to_come_again() {
     assert_eq!(send(&farm, &anna, Method::POST, &cancel, "").await.status(), StatusCode::OK);
     assert_eq!(submit(&anna, small_job(3)).await.status(), StatusCode::CREATED);
 
-    let key = NewKey { max_rays: Some(5000), ..new_key("bert", &[Scope::Submit]) };
+    let key = NewApiKey { max_rays: Some(5000), ..new_key("bert", &[Scope::Submit]) };
     let bert = make(&farm, &admin, &key).await.secret;
     assert_eq!(submit(&bert, small_job(1)).await.status(), StatusCode::CREATED);
     refused(submit(&bert, small_job(2)).await, 429, "quota").await;
 
-    let key = NewKey { requests_per_second: Some(1), ..new_key("carl", &[Scope::Read]) };
+    let key = NewApiKey { requests_per_second: Some(1), ..new_key("carl", &[Scope::Read]) };
     let carl = make(&farm, &admin, &key).await.secret;
     let first = send(&farm, &carl, Method::GET, "/v1/jobs", "").await;
     assert_eq!(first.headers()["ratelimit-policy"], "\"requests\";q=1;w=1");
@@ -363,7 +367,7 @@ async fn submitter_lists_the_jobs_of_its_own_name() {
 #[tokio::test]
 async fn wish_that_was_granted_is_answered_also_when_the_quota_is_used_up() {
     let (farm, admin) = locked_farm().await;
-    let key = NewKey { max_jobs: Some(1), ..new_key("anna", &[Scope::Submit]) };
+    let key = NewApiKey { max_jobs: Some(1), ..new_key("anna", &[Scope::Submit]) };
     let anna = make(&farm, &admin, &key).await.secret;
     let wish = async |name: &str| {
         let request = farm.client.post(farm.url("/v1/jobs")).header(AUTHORIZATION, format!("Bearer {anna}"));

@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 use std::path::Path;
 use std::time::Duration;
 
-use proto::worker_protocol::{DeviceMemory, Measured, Phase, Timing};
+use proto::worker_protocol::{DeviceMemory, Phase, Timing, WorkerMetrics};
 use reqwest::StatusCode;
 
 use super::harness::{Farm, LEASE, Said, in_time, job, read, small_job};
@@ -40,7 +40,7 @@ async fn busy_farm() -> Farm {
     farm.submit(&job(1920, 1080, 4)).await;
     let worker = farm.worker("gpu").await;
     let timing = |phase, took_ms, rays| Timing { phase, took_ms, rays };
-    let measured = Measured {
+    let measured = WorkerMetrics {
         timings: vec![
             timing(Phase::Render, 250.0, 1_000_000),
             timing(Phase::Encode, 20.0, 0),
@@ -148,7 +148,7 @@ async fn a_trace_that_a_job_came_with_goes_to_its_worker() {
         let worker = farm.worker("traced").await;
         let reply = worker.sync(Said { wants_work: true, ..Said::default() }).await;
         assert_eq!(reply.trace.as_deref(), heard, "{sent:?}");
-        worker.report(worker.results(&reply.run.expect("work")).await).await;
+        worker.report(worker.results(&reply.batch.expect("work")).await).await;
     }
     farm.stop().await;
 }

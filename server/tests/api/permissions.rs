@@ -6,7 +6,7 @@ use std::collections::BTreeSet;
 use std::time::Duration;
 
 use proto::Problem;
-use proto::api_key::{NewKey, Scope};
+use proto::api_key::{NewApiKey, Scope};
 use reqwest::{Method, StatusCode};
 use serde_json::Value;
 
@@ -160,8 +160,8 @@ async fn walk(farm: &Farm, bearer: Bearer, key: Option<&str>, job: &str) -> Vec<
 #[tokio::test]
 async fn every_route_lets_in_whom_the_table_says_and_nobody_else() {
     let (farm, admin) = locked_farm().await;
-    let key = async |new: NewKey| make(&farm, &admin, &new).await.secret;
-    let expired = key(NewKey { expires_in_seconds: Some(1), ..new_key("late", &Scope::ALL) }).await;
+    let key = async |new: NewApiKey| make(&farm, &admin, &new).await.secret;
+    let expired = key(NewApiKey { expires_in_seconds: Some(1), ..new_key("late", &Scope::ALL) }).await;
     farm.hand.advance(Duration::from_secs(2));
     let revoked = key(new_key("gone", &Scope::ALL)).await;
     assert_eq!(send(&farm, &admin, Method::DELETE, "/v1/keys/gone", "").await.status(), StatusCode::OK);

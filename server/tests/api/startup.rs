@@ -35,7 +35,7 @@ async fn a_restart_keeps_jobs_and_pictures_and_a_worker_from_elsewhere_keeps_its
     assert_state(&farm, waiting.id, JobState::Queued).await;
     let mut worker = farm.worker("two").await;
     worker.id = id;
-    assert_eq!(worker.report(worker.results(&run).await).await.lost, []);
+    assert_eq!(worker.report(worker.results(&run).await).await.revoked_leases, []);
     assert_state(&farm, open.id, JobState::Succeeded).await;
     farm.stop().await;
 }
@@ -129,7 +129,8 @@ async fn a_store_that_fails_costs_a_retry_and_leaves_no_half_picture() {
     let hash = blake3::hash(b"a picture").to_hex().to_string();
     let put = worker.put(&worker_protocol::picture_path(&hash), b"a picture".to_vec()).await;
     refused(put, 500, "internal").await;
-    let handed_back = worker_protocol::Report { lease: leases(&run)[0], outcome: worker_protocol::Outcome::HandedBack };
+    let handed_back =
+        worker_protocol::LeaseReport { lease: leases(&run)[0], outcome: worker_protocol::LeaseOutcome::Released };
     worker.report(vec![handed_back]).await;
     std::fs::remove_file(&folder).expect("removes");
     std::fs::create_dir(&folder).expect("makes");

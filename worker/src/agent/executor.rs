@@ -6,7 +6,7 @@ use std::path::PathBuf;
 use std::sync::Arc;
 use std::time::Duration;
 
-use proto::worker_protocol::{Outcome, Phase, Report, Run, Work};
+use proto::worker_protocol::{Batch, BatchWork, LeaseOutcome, LeaseReport, Phase};
 use proto::{JobId, LeaseId};
 use scene::Job;
 use tokio::sync::Semaphore;
@@ -31,7 +31,7 @@ pub(super) const MEMORY_KIB: u32 = 1 << 20;
 #[derive(Debug)]
 pub(super) enum Event {
     /// Leases are finished with, together.
-    Finished(Vec<Report>),
+    Finished(Vec<LeaseReport>),
     /// A batch no longer needs the device; it used it for this long, if at all.
     Rendered(Option<Duration>),
     /// The device is lost, for this reason.
@@ -62,8 +62,8 @@ impl Hold {
         Self { lease, tile, dropped: CancellationToken::new() }
     }
 
-    pub(super) fn report(&self, outcome: Outcome) -> Report {
-        Report { lease: self.lease, outcome }
+    pub(super) fn report(&self, outcome: LeaseOutcome) -> LeaseReport {
+        LeaseReport { lease: self.lease, outcome }
     }
 }
 
@@ -96,10 +96,10 @@ pub(super) struct Frame {
 }
 
 /// The leases of a run and the indices of their tiles, in its order.
-pub(super) fn leases(run: &Run) -> impl Iterator<Item = (LeaseId, Option<u32>)> {
+pub(super) fn leases(run: &Batch) -> impl Iterator<Item = (LeaseId, Option<u32>)> {
     let leases: Vec<(LeaseId, Option<u32>)> = match &run.work {
-        Work::Render { tiles, .. } => tiles.iter().map(|tile| (tile.lease, Some(tile.index))).collect(),
-        Work::Stitch { lease, .. } => vec![(*lease, None)],
+        BatchWork::Render { tiles, .. } => tiles.iter().map(|tile| (tile.lease, Some(tile.index))).collect(),
+        BatchWork::Stitch { lease, .. } => vec![(*lease, None)],
     };
     leases.into_iter()
 }
@@ -137,7 +137,7 @@ impl Workbench {
     }
 
     /// Executes a batch; every lease ends in a report, unless it was dropped.
-    pub(super) async fn run(self: Arc<Self>, run: Run, holds: Vec<Hold>) {
+    pub(super) async fn run(self: Arc<Self>, run: Batch, holds: Vec<Hold>) {
         let job = tokio::select! {
             job = self.job(run.job) => job,
             () = nobody_waits(&holds) => return self.tell(Event::Rendered(None)),
@@ -151,8 +151,8 @@ impl Workbench {
         };
         let frame = Frame { id: run.job, job, number: run.frame };
         match run.work {
-            Work::Stitch { parts, .. } => self.stitch(&frame, &parts, &holds[0]).await,
-            Work::Render { tiles, whole_frame } => {
+            BatchWork::Stitch { inputs: parts, .. } => self.stitch(&frame, &parts, &holds[0]).await,
+            BatchWork::Render { tiles, whole_frame } => {
                 let rects = tiles.iter().map(|tile| tile.rect);
                 let places: Vec<Place> = rects.zip(holds).map(|(rect, hold)| Place { rect, hold }).collect();
                 if whole_frame {
@@ -181,7 +181,7 @@ impl Workbench {
     }
 
     /// Ends leases with the same outcome, all at once.
-    pub(super) fn finish<'a>(&self, holds: impl IntoIterator<Item = &'a Hold>, outcome: &Outcome) {
+    pub(super) fn finish<'a>(&self, holds: impl IntoIterator<Item = &'a Hold>, outcome: &LeaseOutcome) {
         self.tell(Event::Finished(holds.into_iter().map(|hold| hold.report(outcome.clone())).collect()));
     }
 
@@ -190,10 +190,10 @@ impl Workbench {
         match error {
             JobError::Link(_) => {
                 self.tell(Event::NotStored);
-                self.finish(holds, &Outcome::HandedBack);
+                self.finish(holds, &LeaseOutcome::Released);
             }
             JobError::Refused(_) | JobError::Panicked => {
-                self.finish(holds, &Outcome::Failed { message: error.to_string() });
+                self.finish(holds, &LeaseOutcome::Failed { message: error.to_string() });
             }
         }
     }

@@ -6,7 +6,7 @@ use std::process::Stdio;
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
-use proto::worker_protocol::{DeviceMemory, MAX_TIMINGS, Measured, Phase, Timing};
+use proto::worker_protocol::{DeviceMemory, MAX_TIMINGS, Phase, Timing, WorkerMetrics};
 use tokio::process::Command;
 use tokio_util::task::AbortOnDropHandle;
 
@@ -44,9 +44,9 @@ impl Measurements {
     }
 
     /// Removes and returns the measurements so far.
-    pub(super) fn take(&mut self) -> Measured {
+    pub(super) fn take(&mut self) -> WorkerMetrics {
         let memory = self.memory.lock().expect("no holder panics").take();
-        Measured { timings: std::mem::take(&mut self.timings), memory }
+        WorkerMetrics { timings: std::mem::take(&mut self.timings), memory }
     }
 }
 
@@ -118,6 +118,6 @@ mod tests {
         let told = measurements.take();
         assert_eq!(told.timings.len(), MAX_TIMINGS);
         assert_eq!(told.timings[0], Timing { phase: Phase::Render, took_ms: 5.0, rays: 7 });
-        assert_eq!(measurements.take(), Measured::default());
+        assert_eq!(measurements.take(), WorkerMetrics::default());
     }
 }

@@ -5,7 +5,7 @@ use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use proto::Rect;
-use proto::worker_protocol::{Outcome, Phase};
+use proto::worker_protocol::{LeaseOutcome, Phase};
 use scene::Job;
 use tokio::sync::SemaphorePermit;
 use tokio::task::{JoinSet, spawn_blocking};
@@ -136,7 +136,7 @@ impl Workbench {
             return rendered;
         };
         tracing::warn!(message, tile = hold.tile, lease = %hold.lease, "a tile could not be rendered");
-        self.finish([hold], &Outcome::Failed { message });
+        self.finish([hold], &LeaseOutcome::Failed { message });
         Vec::new()
     }
 

@@ -6,8 +6,8 @@ use std::time::Duration;
 
 use bytes::Bytes;
 use proto::client_auth::server_url;
-use proto::worker_protocol::{self, Hello, SyncReply, SyncRequest, Welcome};
-use proto::{Access, JobId, Problem};
+use proto::worker_protocol::{self, RegisterRequest, RegisterResponse, SyncRequest, SyncResponse};
+use proto::{ClientAuth, JobId, Problem};
 use reqwest::{Body, Client, Method, RequestBuilder, Response, StatusCode, header};
 use serde::de::DeserializeOwned;
 use tokio_util::io::ReaderStream;
@@ -43,22 +43,22 @@ impl Content {
 pub(super) struct Link {
     client: Client,
     server: String,
-    access: Access,
+    access: ClientAuth,
 }
 
 impl Link {
-    pub(super) fn new(server: &str, access: Access) -> Result<Self, AgentError> {
+    pub(super) fn new(server: &str, access: ClientAuth) -> Result<Self, AgentError> {
         let builder = access.client(&server_url(server)?);
         let client = builder.no_proxy().connect_timeout(SHORT_TIMEOUT).build().map_err(AgentError::Client)?;
         Ok(Self { client, server: server.trim_end_matches('/').to_owned(), access })
     }
 
-    pub(super) async fn register(&self, hello: &Hello) -> Result<Welcome, LinkError> {
-        read_json(self.request(Method::POST, worker_protocol::REGISTER, SHORT_TIMEOUT).json(hello)).await
+    pub(super) async fn register(&self, hello: &RegisterRequest) -> Result<RegisterResponse, LinkError> {
+        read_json(self.request(Method::POST, worker_protocol::REGISTER_PATH, SHORT_TIMEOUT).json(hello)).await
     }
 
-    pub(super) async fn sync(&self, sync: &SyncRequest, timeout: Duration) -> Result<SyncReply, LinkError> {
-        read_json(self.request(Method::POST, worker_protocol::SYNC, timeout).json(sync)).await
+    pub(super) async fn sync(&self, sync: &SyncRequest, timeout: Duration) -> Result<SyncResponse, LinkError> {
+        read_json(self.request(Method::POST, worker_protocol::SYNC_PATH, timeout).json(sync)).await
     }
 
     pub(super) async fn job(&self, job: JobId) -> Result<Bytes, LinkError> {
@@ -98,7 +98,7 @@ impl Link {
 
     fn request(&self, method: Method, path: &str, timeout: Duration) -> RequestBuilder {
         let request = self.client.request(method, format!("{}{path}", self.server)).timeout(timeout);
-        self.access.sign(match proto::trace_context::current() {
+        self.access.authorize(match proto::trace_context::current_traceparent() {
             Some(trace) => request.header(proto::trace_context::TRACEPARENT, trace),
             None => request,
         })

@@ -7,7 +7,7 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use proto::LeaseId;
-use proto::worker_protocol::{Outcome, Report, Run, SyncReply, SyncRequest, Welcome};
+use proto::worker_protocol::{Batch, LeaseOutcome, LeaseReport, RegisterResponse, SyncRequest, SyncResponse};
 use tokio::sync::mpsc::{self, UnboundedReceiver, UnboundedSender};
 use tokio::task::{JoinError, JoinSet};
 use tokio::time::{Instant, sleep_until};
@@ -50,7 +50,7 @@ pub(super) enum Ending {
 /// The state of the talk.
 pub(super) struct Session {
     link: Arc<Link>,
-    welcome: Welcome,
+    welcome: RegisterResponse,
     lease: Duration,
     grace: Duration,
     workbench: Arc<Workbench>,
@@ -65,7 +65,7 @@ pub(super) struct Session {
     /// Why the device is lost, if it is.
     retired: Option<String>,
     holds: HashMap<LeaseId, Hold>,
-    outbox: Vec<Report>,
+    outbox: Vec<LeaseReport>,
     speed: Speed,
     measurements: Measurements,
     draining: bool,
@@ -111,20 +111,20 @@ impl Speed {
 struct Call {
     request: SyncRequest,
     start: Instant,
-    answer: Pin<Box<dyn Future<Output = Result<SyncReply, LinkError>> + Send>>,
+    answer: Pin<Box<dyn Future<Output = Result<SyncResponse, LinkError>> + Send>>,
 }
 
 impl Call {
     /// Whether the call may be dropped: it reports nothing, and nothing can be lost with its response.
     fn is_heartbeat(&self) -> bool {
-        self.request.results.is_empty() && !self.request.wants_work
+        self.request.reports.is_empty() && !self.request.wants_work
     }
 }
 
 impl Session {
     pub(super) fn new(
         config: &AgentConfig,
-        welcome: Welcome,
+        welcome: RegisterResponse,
         link: Arc<Link>,
         renderer: Arc<dyn Renderer>,
         encoders: Encoders,
@@ -203,7 +203,7 @@ impl Session {
                     self.draining = true;
                     hand_back_at = Some(Instant::now() + self.grace);
                     // Cancels a request for work that is still waiting.
-                    call = call.filter(|call| !call.request.wants_work || !call.request.results.is_empty());
+                    call = call.filter(|call| !call.request.wants_work || !call.request.reports.is_empty());
                 }
                 () = sleep_until(hand_back_at.unwrap_or(next_at)), if hand_back_at.is_some() => {
                     self.hand_back();
@@ -267,12 +267,12 @@ impl Session {
         let request = SyncRequest {
             worker: self.welcome.worker,
             rays_per_second: self.speed.rays_per_second(),
-            holding,
-            results,
+            held_leases: holding,
+            reports: results,
             wants_work,
             wait_ms: wait.as_millis() as u64,
-            leaving: false,
-            measured: self.measurements.take(),
+            shutting_down: false,
+            metrics: self.measurements.take(),
         };
         // A waiting call is opened only after a pause in other calls.
         self.heartbeat_at = now + wait.max(PAUSE);
@@ -307,23 +307,23 @@ impl Session {
         self.last_renewal + self.lease * 2 / 3
     }
 
-    fn hear(&mut self, call: &Call, reply: SyncReply) {
+    fn hear(&mut self, call: &Call, reply: SyncResponse) {
         let sync_ms = milliseconds(call.start.elapsed());
-        let (results, wait_ms, has_run) = (call.request.results.len(), call.request.wait_ms, reply.run.is_some());
+        let (results, wait_ms, has_run) = (call.request.reports.len(), call.request.wait_ms, reply.batch.is_some());
         tracing::debug!(results, wait_ms, has_run, sync_ms, "synced");
         self.last_renewal = call.start;
         self.retries.reset();
-        if !reply.lost.is_empty() {
+        if !reply.revoked_leases.is_empty() {
             self.heartbeat_at = Instant::now();
-        } else if reply.run.is_none() && call.request.wait_ms > 0 {
+        } else if reply.batch.is_none() && call.request.wait_ms > 0 {
             // A server that does not wait is not to be asked without pause.
             self.retry_at = call.start + PAUSE;
         }
-        if self.outbox.iter().any(|report| reply.lost.contains(&report.lease)) {
+        if self.outbox.iter().any(|report| reply.revoked_leases.contains(&report.lease)) {
             // It was late, and the server still compares it with the first result.
             self.gather_until = Instant::now();
         }
-        for lease in &reply.lost {
+        for lease in &reply.revoked_leases {
             if let Some(hold) = self.holds.remove(lease) {
                 tracing::info!(%lease, "lease lost; dropping its work");
                 hold.dropped.cancel();
@@ -333,8 +333,8 @@ impl Session {
             tracing::info!("told to drain");
             self.draining = true;
         }
-        self.asked = call.request.wants_work && reply.run.is_none();
-        if let Some(run) = reply.run {
+        self.asked = call.request.wants_work && reply.batch.is_none();
+        if let Some(run) = reply.batch {
             // From soon on a waiting call is open, through which its loss would be heard of.
             self.heartbeat_at = self.heartbeat_at.min(Instant::now() + PAUSE);
             self.take(run, reply.trace);
@@ -351,21 +351,21 @@ impl Session {
     /// Takes back the reports of a call that the server may not have received.
     fn recall(&mut self, call: Option<Call>) {
         if let Some(call) = call {
-            self.outbox.splice(..0, call.request.results);
+            self.outbox.splice(..0, call.request.reports);
         }
     }
 
-    fn take(&mut self, run: Run, trace: Option<String>) {
+    fn take(&mut self, run: Batch, trace: Option<String>) {
         let holds: Vec<Hold> = leases(&run).map(|(lease, tile)| Hold::new(lease, tile)).collect();
         if self.draining {
-            self.outbox.extend(holds.iter().map(|hold| hold.report(Outcome::HandedBack)));
+            self.outbox.extend(holds.iter().map(|hold| hold.report(LeaseOutcome::Released)));
             return;
         }
         self.holds.extend(holds.iter().map(|hold| (hold.lease, hold.clone())));
         self.rendering += 1;
         let span = tracing::info_span!("run", job = %run.job, frame = run.frame, worker = %self.welcome.worker);
         if let Some(trace) = trace {
-            proto::trace_context::adopt(&span, &trace);
+            proto::trace_context::set_parent(&span, &trace);
         }
         self.runs.spawn(self.workbench.clone().run(run, holds).instrument(span));
     }
@@ -410,7 +410,7 @@ impl Session {
         }
         for (_, hold) in self.holds.drain() {
             hold.dropped.cancel();
-            self.outbox.push(hold.report(Outcome::HandedBack));
+            self.outbox.push(hold.report(LeaseOutcome::Released));
         }
     }
 
@@ -419,12 +419,12 @@ impl Session {
         let request = SyncRequest {
             worker: self.welcome.worker,
             rays_per_second: self.speed.rays_per_second(),
-            holding: Vec::new(),
-            results: std::mem::take(&mut self.outbox),
+            held_leases: Vec::new(),
+            reports: std::mem::take(&mut self.outbox),
             wants_work: false,
             wait_ms: 0,
-            leaving: true,
-            measured: self.measurements.take(),
+            shutting_down: true,
+            metrics: self.measurements.take(),
         };
         if let Err(error) = self.link.sync(&request, FAREWELL).await {
             tracing::debug!(%error, "the last sync failed; what was held will be leased again");
@@ -433,7 +433,7 @@ impl Session {
 }
 
 /// Waits for a call's response; forever if there is no call.
-async fn answered(call: &mut Option<Call>) -> (Call, Result<SyncReply, LinkError>) {
+async fn answered(call: &mut Option<Call>) -> (Call, Result<SyncResponse, LinkError>) {
     match call {
         Some(open) => {
             let answer = open.answer.as_mut().await;

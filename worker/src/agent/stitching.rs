@@ -6,8 +6,8 @@ use std::time::{Duration, Instant};
 
 use futures_util::stream::{self, StreamExt};
 use proto::Rect;
-use proto::fail_point::{self, Point};
-use proto::worker_protocol::{Outcome, Part};
+use proto::fail_point::{self, FailPoint};
+use proto::worker_protocol::{LeaseOutcome, StitchInput};
 use scene::Job;
 use tokio::task::spawn_blocking;
 use tracing::Instrument;
@@ -25,7 +25,7 @@ const FETCHES: usize = 4;
 
 impl Workbench {
     /// Stitches a frame and delivers its picture.
-    pub(super) async fn stitch(&self, frame: &Frame, parts: &[Part], hold: &Hold) {
+    pub(super) async fn stitch(&self, frame: &Frame, parts: &[StitchInput], hold: &Hold) {
         let start = Instant::now();
         let fetched = tokio::select! {
             fetched = self.fetch(&frame.job, parts) => fetched,
@@ -35,13 +35,13 @@ impl Workbench {
             Ok(fetched) => fetched,
             Err(outcome) => {
                 self.tell(Event::Rendered(None));
-                if let Outcome::HandedBack = outcome {
+                if let LeaseOutcome::Released = outcome {
                     self.tell(Event::NotStored);
                 }
                 return self.finish([hold], &outcome);
             }
         };
-        fail_point::pass_by(Point::Stitching);
+        fail_point::trigger_infallible(FailPoint::Stitching);
         let fetch_ms = milliseconds(start.elapsed());
         let (stop, encoders, scratch) = (Stop::default(), self.encoders.clone(), self.scratch.clone());
         let (job, number, cancel) = (frame.job.clone(), frame.number, stop.0.clone());
@@ -61,10 +61,10 @@ impl Workbench {
     }
 
     /// Fetches all blobs into one unnamed file, or returns the outcome to report instead.
-    async fn fetch(&self, job: &Job, parts: &[Part]) -> Result<(File, Vec<(Rect, u64)>), Outcome> {
+    async fn fetch(&self, job: &Job, parts: &[StitchInput]) -> Result<(File, Vec<(Rect, u64)>), LeaseOutcome> {
         let full = |error: std::io::Error| {
             tracing::warn!(%error, "could not write blobs to the scratch folder");
-            Outcome::HandedBack
+            LeaseOutcome::Released
         };
         let planes = job.image.channels().len();
         let mut file = tempfile::tempfile_in(&self.scratch).map_err(full)?;
@@ -82,11 +82,11 @@ impl Workbench {
             let written = spawn_blocking(move || file.write_all(&bytes).map(|()| file)).await;
             file = written.map_err(std::io::Error::other).flatten().map_err(full)?;
         }
-        if bad.is_empty() { Ok((file, places)) } else { Err(Outcome::BadBlobs { tiles: bad }) }
+        if bad.is_empty() { Ok((file, places)) } else { Err(LeaseOutcome::BadBlobs { tiles: bad }) }
     }
 
     /// Fetches a blob; `None` if it is missing or damaged.
-    async fn fetch_part(&self, part: &Part, planes: usize) -> Result<Option<Vec<u8>>, Outcome> {
+    async fn fetch_part(&self, part: &StitchInput, planes: usize) -> Result<Option<Vec<u8>>, LeaseOutcome> {
         let mut back_off = BackOff::new(Duration::from_millis(50), Duration::from_secs(2));
         loop {
             match self.store.blob(&part.hash, part.size_bytes).await {
@@ -96,7 +96,7 @@ impl Workbench {
                     let checked = spawn_blocking(move || is_whole(&bytes, &part, planes).then_some(bytes));
                     return checked.await.map_err(|panic| {
                         let message = panic_message("checking a blob", panic);
-                        Outcome::Failed { message }
+                        LeaseOutcome::Failed { message }
                     });
                 }
                 Err(error) if error.is_absence() => back_off.pause().await,
@@ -107,7 +107,7 @@ impl Workbench {
                     | LinkError::Store(_)),
                 ) => {
                     tracing::warn!(%error, "could not fetch a blob");
-                    return Err(Outcome::HandedBack);
+                    return Err(LeaseOutcome::Released);
                 }
                 Err(LinkError::Unreachable(_)) => unreachable!("that is an absence"),
             }
@@ -115,7 +115,7 @@ impl Workbench {
     }
 }
 
-fn is_whole(bytes: &[u8], part: &Part, planes: usize) -> bool {
+fn is_whole(bytes: &[u8], part: &StitchInput, planes: usize) -> bool {
     let header = blob::Reader::open_at(std::io::Cursor::new(bytes), 0);
     blob::key(bytes) == part.hash
         && bytes.len() as u64 == blob::size_bytes(part.rect, planes)

@@ -7,8 +7,8 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use bytes::Bytes;
-use proto::fail_point::{self, Point};
-use proto::worker_protocol::{Folders, HALF_DONE};
+use proto::fail_point::{self, FailPoint};
+use proto::worker_protocol::{ContentFolders, PARTIAL_MARKER};
 use tokio::task::spawn_blocking;
 
 use super::server_client::{Content, Link, LinkError};
@@ -19,7 +19,7 @@ pub(super) enum Store {
     /// Through the server over HTTP; it verifies every byte.
     Server(Arc<Link>),
     /// Directly in the server's folders: it trusts its children, and no copy is made.
-    Folders(Folders),
+    Folders(ContentFolders),
 }
 
 impl Store {
@@ -65,9 +65,9 @@ async fn on_disk<T: Send + 'static>(work: impl FnOnce() -> io::Result<T> + Send 
 
 /// The file is there under its name whole, or not at all.
 fn write(folder: &Path, name: &str, content: Content, durable: bool) -> io::Result<()> {
-    fail_point::pass(Point::StorePut).map_err(io::Error::other)?;
+    fail_point::trigger(FailPoint::StorePut).map_err(io::Error::other)?;
     let mut file = tempfile::Builder::new()
-        .prefix(&format!("{name}{HALF_DONE}"))
+        .prefix(&format!("{name}{PARTIAL_MARKER}"))
         .permissions(Permissions::from_mode(0o666))
         .tempfile_in(folder)?;
     match content {
@@ -88,7 +88,7 @@ fn write(folder: &Path, name: &str, content: Content, durable: bool) -> io::Resu
 }
 
 fn read(file: &Path, size_bytes: u64) -> io::Result<Option<Vec<u8>>> {
-    fail_point::pass(Point::StoreGet).map_err(io::Error::other)?;
+    fail_point::trigger(FailPoint::StoreGet).map_err(io::Error::other)?;
     let found = match File::open(file) {
         Ok(found) => found,
         Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(None),
@@ -115,7 +115,7 @@ mod tests {
     async fn bytes_are_there_whole_or_not_at_all() {
         let (blobs, pictures) = (tempfile::tempdir().expect("a folder"), tempfile::tempdir().expect("a folder"));
         let text = |folder: &tempfile::TempDir| folder.path().to_str().expect("plain").to_owned();
-        let store = Store::Folders(Folders { blobs: text(&blobs), pictures: text(&pictures) });
+        let store = Store::Folders(ContentFolders { blobs: text(&blobs), pictures: text(&pictures) });
         assert_eq!(store.blob("name", 5).await.expect("reads"), None);
         for _ in 0..2 {
             store.put_blob("name", Bytes::from_static(b"bytes")).await.expect("writes");

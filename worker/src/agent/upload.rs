@@ -7,8 +7,8 @@ use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use bytes::Bytes;
-use proto::fail_point::{self, Point};
-use proto::worker_protocol::{Outcome, Phase};
+use proto::fail_point::{self, FailPoint};
+use proto::worker_protocol::{LeaseOutcome, Phase};
 use scene::Job;
 use tempfile::SpooledData;
 use tokio::task::{JoinError, spawn_blocking};
@@ -97,7 +97,7 @@ impl Workbench {
             Ok(encoded) => encoded,
             Err(panic) => {
                 let message = panic_message("packing the tile", panic);
-                return self.finish([&hold], &Outcome::Failed { message });
+                return self.finish([&hold], &LeaseOutcome::Failed { message });
             }
         };
         self.tell(Event::Took { phase: Phase::Encode, took: begun.elapsed(), rays: 0 });
@@ -107,8 +107,8 @@ impl Workbench {
         tokio::select! {
             () = hold.dropped.cancelled() => {}
             stored = put => {
-                let outcome = stored.err().unwrap_or_else(|| Outcome::Blob { hash: hash.clone(), size_bytes });
-                fail_point::pass_by(Point::BlobPut);
+                let outcome = stored.err().unwrap_or_else(|| LeaseOutcome::Blob { hash: hash.clone(), size_bytes });
+                fail_point::trigger_infallible(FailPoint::BlobPut);
                 self.finish([&hold], &outcome);
             }
         }
@@ -146,10 +146,10 @@ impl Workbench {
                 // A full or broken scratch disk is no error of the tile.
                 tracing::warn!(%error, "could not write a picture to the scratch folder");
                 self.tell(Event::NotStored);
-                Outcome::HandedBack
+                LeaseOutcome::Released
             }
-            Ok(Err(error)) => Outcome::Failed { message: chain(&error) },
-            Err(message) => Outcome::Failed { message },
+            Ok(Err(error)) => LeaseOutcome::Failed { message: chain(&error) },
+            Err(message) => LeaseOutcome::Failed { message },
         };
         self.finish(holds, &failed);
         None
@@ -165,16 +165,16 @@ impl Workbench {
             stored = put.instrument(tracing::info_span!("deliver", size_bytes)) => stored,
         };
         let put = start.elapsed();
-        let outcome = stored.err().unwrap_or_else(|| Outcome::Picture { hash: hash.clone(), size_bytes });
-        fail_point::pass_by(Point::PicturePut);
+        let outcome = stored.err().unwrap_or_else(|| LeaseOutcome::Picture { hash: hash.clone(), size_bytes });
+        fail_point::trigger_infallible(FailPoint::PicturePut);
         self.finish(holds, &outcome);
-        let is_put = matches!(outcome, Outcome::Picture { .. });
+        let is_put = matches!(outcome, LeaseOutcome::Picture { .. });
         is_put.then(|| Delivered { encode_ms: milliseconds(took), put_ms: milliseconds(put), size_bytes })
     }
 
     /// Retries until the server has stored it; if that cannot succeed, returns the outcome to report
     /// instead.
-    async fn until_stored<F>(&self, put: impl Fn() -> F) -> Result<(), Outcome>
+    async fn until_stored<F>(&self, put: impl Fn() -> F) -> Result<(), LeaseOutcome>
     where
         F: Future<Output = Result<(), LinkError>>,
     {
@@ -198,10 +198,10 @@ impl Workbench {
             let is_elsewhere = error.is_conflict() || error.is_not_found() || is_disk;
             if !error.is_passing() && !is_elsewhere {
                 let message = format!("the server refused the result: {error}");
-                return Err(Outcome::Failed { message });
+                return Err(LeaseOutcome::Failed { message });
             }
             self.tell(Event::NotStored);
-            return Err(Outcome::HandedBack);
+            return Err(LeaseOutcome::Released);
         }
     }
 }

@@ -33,7 +33,7 @@ struct Shot {
 fn shot(renderer: &CpuRenderer, job: &Value) -> Option<Shot> {
     let job = scene::parse(job.to_string().as_bytes()).ok()?;
     let still = job.at(FRAME).ok()?;
-    let run = TileRun { job: &job, frame: FRAME, rect: Rect::whole(job.image.width, job.image.height) };
+    let run = TileRun { job: &job, frame: FRAME, rect: Rect::full(job.image.width, job.image.height) };
     let pixels = renderer.render(&run, &Cancel::new(), &|_| ()).unwrap();
     let bits = pixels.planes.iter().flatten().map(|value| value.to_bits()).collect();
     let mut file = Cursor::new(Vec::new());

@@ -141,7 +141,7 @@ fn a_frame_is_the_picture_of_a_scene_that_stands_still_so() {
     let still = job(&scene(json!(0.75), json!(0), json!(0.25)), 3);
     let renderer = CpuRenderer::new(Some(1), Simd::Auto).unwrap();
     let render = |job: &Job, frame| {
-        let run = TileRun { job, frame, rect: Rect::whole(job.image.width, job.image.height) };
+        let run = TileRun { job, frame, rect: Rect::full(job.image.width, job.image.height) };
         let pixels = renderer.render(&run, &Cancel::new(), &|_| ()).unwrap();
         pixels.planes.iter().flatten().map(|value| value.to_bits()).collect::<Vec<_>>()
     };

@@ -87,13 +87,13 @@ fn render_on_host(job: &Job, folder: &Path) -> Pixels {
     assert!(output.status.success());
     let numbers: Vec<f32> =
         output.stdout.chunks_exact(4).map(|bytes| f32::from_ne_bytes(bytes.try_into().expect("four bytes"))).collect();
-    let rect = Rect::whole(width, height);
+    let rect = Rect::full(width, height);
     Pixels { rect, planes: numbers.chunks_exact((width * height) as usize).map(<[f32]>::to_vec).collect() }
 }
 
 fn render_on_cpu(job: &Job) -> Pixels {
     let renderer = CpuRenderer::new(None, Simd::Auto).expect("this machine has a CPU");
-    let rect = Rect::whole(job.image.width, job.image.height);
+    let rect = Rect::full(job.image.width, job.image.height);
     renderer.render(&TileRun { job, frame: 0, rect }, &Cancel::new(), &|_| {}).expect("nobody cancels it")
 }
 

@@ -23,7 +23,7 @@ fn render(job: &Job, tile_px: Option<u32>, cancel: &Cancel, rays: &AtomicU64) ->
 #[test]
 fn a_frame_is_the_same_file_whatever_its_tiles() {
     for job in jobs() {
-        let whole = tiles(&job, &[Rect::whole(job.image.width, job.image.height)]);
+        let whole = tiles(&job, &[Rect::full(job.image.width, job.image.height)]);
         let expected = encode(&job, &mut Tiles(&whole), 64).unwrap();
         for tile_px in [None, Some(1), Some(32), Some(96)] {
             let rays = AtomicU64::new(0);

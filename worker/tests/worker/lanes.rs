@@ -68,7 +68,7 @@ fn reference(program: &Integrator<'_>, image: &Image, x: u32, y: u32) -> Vec<f32
 fn compare(name: &str, job: &Job) {
     let still = job.at(0).unwrap();
     let program = Integrator::new(&still);
-    let rect = Rect::whole(job.image.width, job.image.height);
+    let rect = Rect::full(job.image.width, job.image.height);
     for simd in levels() {
         let renderer = CpuRenderer::new(Some(1), simd).unwrap();
         let run = TileRun { job, frame: 0, rect };
@@ -177,7 +177,7 @@ fn a_tile_has_the_bits_of_its_part_of_the_picture() {
     let job = job(&example.node);
     let renderer = CpuRenderer::new(Some(2), Simd::Auto).unwrap();
     let render = |rect| renderer.render(&TileRun { job: &job, frame: 0, rect }, &Cancel::new(), &|_| ()).unwrap();
-    let whole = render(Rect::whole(job.image.width, job.image.height));
+    let whole = render(Rect::full(job.image.width, job.image.height));
     for part in [Rect { x: 32, y: 0, width: 5, height: 29 }, Rect { x: 0, y: 19, width: 37, height: 3 }] {
         let tile = render(part);
         for (plane, want) in tile.planes.iter().zip(&whole.planes) {
@@ -196,6 +196,6 @@ fn a_raised_flag_stops_a_render() {
     let renderer = CpuRenderer::new(Some(1), Simd::Auto).unwrap();
     let cancel = Cancel::new();
     cancel.cancel();
-    let run = TileRun { job: &job, frame: 0, rect: Rect::whole(37, 29) };
+    let run = TileRun { job: &job, frame: 0, rect: Rect::full(37, 29) };
     assert!(matches!(renderer.render(&run, &cancel, &|_| ()), Err(worker::RenderError::Cancelled)));
 }

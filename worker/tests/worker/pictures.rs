@@ -44,7 +44,7 @@ pub(crate) fn encode(job: &Job, source: &mut dyn Source, band_rows: u32) -> Resu
 fn no_tiling_and_no_band_changes_a_byte() {
     for job in jobs() {
         let (width, height) = (job.image.width, job.image.height);
-        let whole = tiles(&job, &[Rect::whole(width, height)]);
+        let whole = tiles(&job, &[Rect::full(width, height)]);
         let expected = encode(&job, &mut Tiles(&whole), 64).unwrap();
         for (tile_width, tile_height) in [(32, 32), (width, 5), (17, height), (64, 23)] {
             let mut tiles = tiles(&job, &cut(width, height, tile_width, tile_height));
@@ -63,7 +63,7 @@ fn no_tiling_and_no_band_changes_a_byte() {
 fn no_number_of_threads_changes_a_byte() {
     let pool = rayon::ThreadPoolBuilder::new().num_threads(3).build().unwrap();
     for job in jobs() {
-        let tiles = tiles(&job, &[Rect::whole(job.image.width, job.image.height)]);
+        let tiles = tiles(&job, &[Rect::full(job.image.width, job.image.height)]);
         let mut files = [Cursor::new(Vec::new()), Cursor::new(Vec::new())];
         let [one, other] = &mut files;
         Picture::of(&job.at(3).unwrap()).write(&mut Tiles(&tiles), one, &Cancel::new()).unwrap();
@@ -87,7 +87,7 @@ fn a_missing_tile_is_told_and_not_painted_over() {
 #[test]
 fn a_truncated_blob_is_told() {
     let job = job(64, 64, "");
-    let tile = pixels(&job, 3, Rect::whole(64, 64));
+    let tile = pixels(&job, 3, Rect::full(64, 64));
     let mut bytes = blob::encode(&tile);
     bytes.pop();
     let error = encode(&job, &mut Blobs::new(Cursor::new(bytes), vec![(tile.rect, 0)]), 64).unwrap_err();
@@ -99,7 +99,7 @@ fn a_raised_flag_ends_the_writing() {
     let cancel = Cancel::new();
     cancel.cancel();
     for job in jobs() {
-        let tiles = tiles(&job, &[Rect::whole(job.image.width, job.image.height)]);
+        let tiles = tiles(&job, &[Rect::full(job.image.width, job.image.height)]);
         let mut out = Cursor::new(Vec::new());
         let error = Picture::of(&job.at(3).unwrap()).write(&mut Tiles(&tiles), &mut out, &cancel).unwrap_err();
         assert!(matches!(error, ImageError::Cancelled), "{error:?}");
@@ -130,7 +130,7 @@ fn the_bytes_of_a_picture_are_pinned() {
     for (job, expected) in pinned {
         let provenance = Provenance { scene: "0".repeat(64), picture_version: 1, frame: 0, seed: 0 };
         let picture = Picture { provenance, ..Picture::of(&job.at(0).unwrap()) };
-        let tiles = tiles(&job, &[Rect::whole(70, 50)]);
+        let tiles = tiles(&job, &[Rect::full(70, 50)]);
         let mut out = Cursor::new(Vec::new());
         picture.write(&mut Tiles(&tiles), &mut out, &Cancel::new()).unwrap();
         assert_eq!(blob::key(&out.into_inner()), expected, "{:?}", job.image);

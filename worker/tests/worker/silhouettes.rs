@@ -146,7 +146,7 @@ impl Paper {
 fn rendered(job: &Value) -> Vec<bool> {
     let job = scene::parse(job.to_string().as_bytes()).expect("it is right");
     let renderer = CpuRenderer::new(None, Simd::Auto).expect("there is a CPU");
-    let run = TileRun { job: &job, frame: 0, rect: Rect::whole(SIZE as u32, SIZE as u32) };
+    let run = TileRun { job: &job, frame: 0, rect: Rect::full(SIZE as u32, SIZE as u32) };
     let pixels = renderer.render(&run, &Cancel::new(), &|_| ()).expect("it renders");
     pixels.planes[3].iter().map(|&alpha| alpha > 0.5).collect()
 }

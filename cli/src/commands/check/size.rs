@@ -1,6 +1,6 @@
 //! How large a job is, counted, and what it takes, judged by a sample.
 
-use proto::preview_helper::Sample;
+use proto::preview_helper::CostSample;
 use proto::tile::Tiling;
 use scene::{Bits, Format, Image, Job, Precision};
 use serde_json::{Value, json};
@@ -40,13 +40,13 @@ struct Judged {
 
 impl Outlook {
     /// That of a job on so many threads; without a sample nobody knows how long it takes.
-    pub(super) fn new(job: &Job, threads: usize, sample: Option<&Sample>) -> Self {
+    pub(super) fn new(job: &Job, threads: usize, sample: Option<&CostSample>) -> Self {
         let image = job.image.clone();
         let Image { width, height, samples, .. } = image;
         let frames = u64::from(job.frames.count);
-        let tiling = Tiling { width, height, samples, pixel_bytes: image.pixel_bytes(), edge: None };
+        let tiling = Tiling { width, height, samples, pixel_bytes: image.pixel_bytes(), tile_edge: None };
         let (rays, tiles) = (job.rays_per_frame() * frames, tiling.tiles().len() as u64 * frames);
-        let judge = |sample: &Sample| Judged {
+        let judge = |sample: &CostSample| Judged {
             core_seconds: sample.core_seconds(rays, tiles, image.pixels() * frames),
             memory_bytes: sample.memory_bytes,
             sample_rays: sample.rays,
@@ -220,7 +220,7 @@ mod tests {
                 "image": { "width": 64, "height": 32, "samples": 4 }, "frames": { "count": 2 } }"#,
         )
         .expect("sound");
-        let sample = Sample {
+        let sample = CostSample {
             rays: 10,
             thread_seconds_per_ray: 1e-3,
             setup_seconds_per_tile: 0.0,

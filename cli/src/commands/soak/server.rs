@@ -160,7 +160,7 @@ fn spawn(launch: &Launch<'_>) -> anyhow::Result<Child> {
     command.args(["serve", "--listen", "127.0.0.1:0", "--device", "cpu", "--tile", "64", "--data"]).arg(launch.data);
     command.args(["--workers", &launch.workers.to_string()]).args(launch.flags);
     if !launch.fail_points.is_empty() {
-        command.arg(fail_point::FLAG).env(fail_point::VARIABLE, launch.fail_points);
+        command.arg(fail_point::FLAG).env(fail_point::ENV_VAR, launch.fail_points);
     }
     command.stdin(Stdio::null()).stdout(Stdio::piped()).stderr(Stdio::piped());
     command.spawn().context("could not start a server")
@@ -192,8 +192,8 @@ fn listen(errors: ChildStderr, mut log: File, said: &Said) {
         if line.contains("nondeterministic_") {
             count(&said.differences);
         }
-        if line.contains(fail_point::MARK) && line.contains(": kill") && !line.contains("it last said") {
-            count(if line.starts_with(fail_point::MARK) { &said.struck_servers } else { &said.struck_workers });
+        if line.contains(fail_point::LOG_PREFIX) && line.contains(": kill") && !line.contains("it last said") {
+            count(if line.starts_with(fail_point::LOG_PREFIX) { &said.struck_servers } else { &said.struck_workers });
         }
     }
 }

@@ -2,7 +2,7 @@
 
 use std::time::Duration;
 
-use proto::worker_protocol::{Outcome, Report, Run, Work};
+use proto::worker_protocol::{Batch, BatchWork, LeaseOutcome, LeaseReport};
 use proto::{JobId, WorkerId};
 
 use super::{Bench, leases, new_job, turn};
@@ -24,7 +24,7 @@ async fn submit(bench: &Bench, new: NewJob) -> JobId {
     id
 }
 
-async fn claim(bench: &Bench, worker: WorkerId) -> Option<Run> {
+async fn claim(bench: &Bench, worker: WorkerId) -> Option<Batch> {
     let said = Turn { wants_work: true, rays_per_second: Some(RAYS_PER_SECOND), ..turn(worker) };
     match bench.turn(said).await.expect("known").next {
         Next::Run(run) => Some(run),
@@ -33,7 +33,7 @@ async fn claim(bench: &Bench, worker: WorkerId) -> Option<Run> {
 }
 
 /// Finishes a run and lets the time pass that it takes.
-async fn finish(bench: &Bench, worker: WorkerId, run: &Run) {
+async fn finish(bench: &Bench, worker: WorkerId, run: &Batch) {
     let count = leases(run).count() as u32;
     for _ in 0..count {
         bench.hand.advance(Duration::from_millis(900));
@@ -41,9 +41,10 @@ async fn finish(bench: &Bench, worker: WorkerId, run: &Run) {
         bench.turn(Turn { holding, ..turn(worker) }).await;
     }
     let hash = blake3::hash(b"pixels").to_hex().to_string();
-    let whole = !matches!(run.work, Work::Render { whole_frame: false, .. });
-    let outcome = if whole { Outcome::Picture { hash, size_bytes: 1 } } else { Outcome::Blob { hash, size_bytes: 1 } };
-    let results = leases(run).map(|lease| Report { lease, outcome: outcome.clone() }).collect();
+    let whole = !matches!(run.work, BatchWork::Render { whole_frame: false, .. });
+    let outcome =
+        if whole { LeaseOutcome::Picture { hash, size_bytes: 1 } } else { LeaseOutcome::Blob { hash, size_bytes: 1 } };
+    let results = leases(run).map(|lease| LeaseReport { lease, outcome: outcome.clone() }).collect();
     bench.turn(Turn { results, ..turn(worker) }).await;
 }
 

@@ -6,7 +6,7 @@ use std::time::Duration;
 use proptest::prelude::{Just, Strategy, any, prop_oneof};
 use proptest::test_runner::{Config, RngAlgorithm, TestCaseError, TestRng, TestRunner};
 use proto::job::JobPatch;
-use proto::worker_protocol::{Outcome, Report, Run, Work};
+use proto::worker_protocol::{Batch, BatchWork, LeaseOutcome, LeaseReport};
 use proto::{JobId, LeaseId, WorkerId};
 
 use super::model::{Model, TILES};
@@ -85,7 +85,7 @@ struct Worker {
     id: WorkerId,
     takes_large: bool,
     pool: bool,
-    runs: Vec<Run>,
+    runs: Vec<Batch>,
 }
 
 impl Worker {
@@ -124,7 +124,7 @@ impl Pair {
     }
 
     /// A worker's sync; an unknown worker registers again. Returns the granted and the revoked leases.
-    async fn call(&mut self, index: usize, results: Vec<Report>, claim: Option<f64>) -> Option<Run> {
+    async fn call(&mut self, index: usize, results: Vec<LeaseReport>, claim: Option<f64>) -> Option<Batch> {
         let worker = &self.workers[index];
         let (id, holding) = (worker.id, worker.holding());
         let mut said = Turn {
@@ -174,22 +174,22 @@ impl Pair {
         }
         let run = runs.swap_remove(run % runs.len());
         let (stitch, whole) = match run.work {
-            Work::Stitch { .. } => (true, false),
-            Work::Render { whole_frame, .. } => (false, whole_frame),
+            BatchWork::Stitch { .. } => (true, false),
+            BatchWork::Render { whole_frame, .. } => (false, whole_frame),
         };
         self.count += 1;
         let hash = blake3::hash(&self.count.to_le_bytes()).to_hex().to_string();
         let outcome = match die % 8 {
-            0 => Outcome::HandedBack,
-            1 | 2 => Outcome::Failed { message: "no".to_owned() },
-            3 if stitch => Outcome::BadBlobs { tiles: vec![u32::from(die) % TILES, 3] },
-            4 if whole => Outcome::Blob { hash, size_bytes: 1 },
-            _ if stitch || whole => Outcome::Picture { hash, size_bytes: 1 },
-            _ => Outcome::Blob { hash, size_bytes: 1 },
+            0 => LeaseOutcome::Released,
+            1 | 2 => LeaseOutcome::Failed { message: "no".to_owned() },
+            3 if stitch => LeaseOutcome::BadBlobs { tiles: vec![u32::from(die) % TILES, 3] },
+            4 if whole => LeaseOutcome::Blob { hash, size_bytes: 1 },
+            _ if stitch || whole => LeaseOutcome::Picture { hash, size_bytes: 1 },
+            _ => LeaseOutcome::Blob { hash, size_bytes: 1 },
         };
         // Some report only part of their results.
         let skipped = usize::from(die >= 200);
-        let results = leases(&run).skip(skipped).map(|lease| Report { lease, outcome: outcome.clone() }).collect();
+        let results = leases(&run).skip(skipped).map(|lease| LeaseReport { lease, outcome: outcome.clone() }).collect();
         self.call(index, results, None).await;
     }
 

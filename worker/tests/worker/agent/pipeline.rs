@@ -4,7 +4,7 @@
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex};
 
-use proto::worker_protocol::Outcome;
+use proto::worker_protocol::LeaseOutcome;
 use proto::{JobId, LeaseId, Rect};
 use worker::agent::AgentError;
 use worker::{Cancel, Pixels, RenderError, Renderer, TileRun};
@@ -83,8 +83,8 @@ fn give(server: &FakeServer, id: JobId) -> Vec<LeaseId> {
     server.change(|farm| farm.give(id, &[TILE], true))
 }
 
-fn is_picture(outcome: &Outcome) -> bool {
-    matches!(outcome, Outcome::Picture { .. })
+fn is_picture(outcome: &LeaseOutcome) -> bool {
+    matches!(outcome, LeaseOutcome::Picture { .. })
 }
 
 #[test]
@@ -110,13 +110,13 @@ fn tiles_are_rendered_together_and_a_lost_one_stops_no_other() {
         farm.live.remove(&leases[4]);
     });
     server.until("the worker knows what is lost", |farm| {
-        farm.syncs.last().is_some_and(|sync| sync.holding.len() == 7).then_some(())
+        farm.syncs.last().is_some_and(|sync| sync.held_leases.len() == 7).then_some(())
     });
     go.happen();
     leases.remove(4);
     leases.remove(1);
     let outcomes = server.outcomes(&leases);
-    assert!(outcomes.iter().all(|outcome| matches!(outcome, Outcome::Blob { .. })), "{outcomes:?}");
+    assert!(outcomes.iter().all(|outcome| matches!(outcome, LeaseOutcome::Blob { .. })), "{outcomes:?}");
     assert_eq!(*counts.lock().unwrap(), [4, 3, 1], "nine tiles by fours, one of the second chunk lost before it began");
     agent.stop().unwrap();
 }
@@ -132,7 +132,7 @@ fn tiles_that_nobody_waits_for_are_cancelled_together() {
     for whole_frame in [false, true] {
         let leases = server.change(|farm| farm.give(id, &cut(96, 32, 32, 32), whole_frame));
         server.until("the tiles are held", |farm| {
-            farm.syncs.last().is_some_and(|sync| sync.holding.len() == leases.len()).then_some(())
+            farm.syncs.last().is_some_and(|sync| sync.held_leases.len() == leases.len()).then_some(())
         });
         server.change(|farm| leases.iter().for_each(|lease| _ = farm.live.remove(lease)));
         let next = give(&server, small);
@@ -154,7 +154,8 @@ fn a_tile_that_fails_among_others_fails_alone() {
     for whole_frame in [false, true] {
         let leases = server.change(|farm| farm.give(id, &cut(96, 32, 32, 32), whole_frame));
         let outcomes = server.outcomes(&leases);
-        let [Outcome::Blob { .. }, Outcome::Failed { message }, Outcome::Blob { .. }] = &outcomes[..] else {
+        let [LeaseOutcome::Blob { .. }, LeaseOutcome::Failed { message }, LeaseOutcome::Blob { .. }] = &outcomes[..]
+        else {
             panic!("{outcomes:?}")
         };
         assert_eq!(message, "the card could not render: no");
@@ -176,9 +177,9 @@ fn a_worker_whose_device_is_lost_hands_everything_back_and_ends() {
         assert!(matches!(&error, AgentError::Retired { reason } if reason == "it fell off the bus"), "{error:?}");
         let outcomes = server.outcomes(&[delivered, leases].concat());
         // The first tile of the second run may have arrived before the second one was tried.
-        let is_harmless = |outcome| matches!(outcome, &(Outcome::HandedBack | Outcome::Blob { .. }));
+        let is_harmless = |outcome| matches!(outcome, &(LeaseOutcome::Released | LeaseOutcome::Blob { .. }));
         assert!(outcomes.iter().all(is_harmless), "{outcomes:?}");
-        assert!(matches!(outcomes[2..], [Outcome::HandedBack, Outcome::HandedBack]), "{outcomes:?}");
+        assert!(matches!(outcomes[2..], [LeaseOutcome::Released, LeaseOutcome::Released]), "{outcomes:?}");
     }
 }
 
@@ -205,7 +206,7 @@ fn one_short_run_is_asked_for_ahead_and_no_more() {
     begun.wait();
     server.until("the worker holds two runs, and wants no third", |farm| {
         let sync = farm.syncs.last()?;
-        (sync.holding.len() == 2 && !sync.wants_work).then_some(())
+        (sync.held_leases.len() == 2 && !sync.wants_work).then_some(())
     });
     assert_eq!(server.change(|farm| farm.queue.len()), 1);
     go.happen();
@@ -223,7 +224,7 @@ fn nothing_is_asked_for_ahead_before_runs_are_known_to_be_short() {
     begun.wait();
     server.until("the worker renews its lease, and wants no more", |farm| {
         let sync = farm.syncs.last()?;
-        (sync.holding.len() == 1 && !sync.wants_work).then_some(())
+        (sync.held_leases.len() == 1 && !sync.wants_work).then_some(())
     });
     assert_eq!(server.change(|farm| farm.queue.len()), 1);
     go.happen();
@@ -240,7 +241,7 @@ fn pictures_are_on_their_way_while_others_render() {
     let leases: Vec<LeaseId> = (0..20).flat_map(|_| give(&server, id)).collect();
     server.until("one picture for each encoder is on its way, and no more is wanted", |farm| {
         let sync = farm.syncs.last()?;
-        (farm.putting >= ENCODERS && sync.holding.len() == farm.putting && !sync.wants_work).then_some(())
+        (farm.putting >= ENCODERS && sync.held_leases.len() == farm.putting && !sync.wants_work).then_some(())
     });
     let (putting, waiting) = server.change(|farm| (farm.putting, farm.queue.len()));
     assert!(putting <= ENCODERS + 1 && putting + waiting == leases.len(), "{putting} on their way, {waiting} wait");

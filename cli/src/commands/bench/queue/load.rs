@@ -6,7 +6,7 @@ use std::time::{Duration, Instant};
 
 use anyhow::Context;
 use proto::JobId;
-use proto::worker_protocol::Work as RunWork;
+use proto::worker_protocol::BatchWork as RunWork;
 use tokio::task::JoinSet;
 
 use super::fake_worker::Pretender;
