@@ -7,7 +7,7 @@ use std::sync::Arc;
 use clap::Args;
 use clap::builder::{PossibleValuesParser, TypedValueParser};
 use proto::{Client, ClientAuth, ClientError, Secret};
-use worker::cuda::{CudaRenderer, Shape};
+use worker::cuda::{BlockDim, CudaRenderer};
 use worker::{CpuRenderer, RenderError, Renderer, Simd};
 
 use crate::terminal::note;
@@ -107,7 +107,7 @@ pub(crate) struct CudaArguments {
     /// Block dimensions on a GPU, such as 16x8 [default: the fastest for each scene]; the picture is the
     /// same with each.
     #[arg(long, value_name = "COLUMNSxROWS", env = "SDFARM_BLOCK")]
-    block: Option<Shape>,
+    block: Option<BlockDim>,
     /// Folder for compiled GPU kernels [default: in the user's cache].
     #[arg(long, value_name = "FOLDER", env = "SDFARM_CACHE")]
     cache: Option<PathBuf>,
@@ -115,12 +115,12 @@ pub(crate) struct CudaArguments {
 
 impl CudaArguments {
     /// The same settings with these block dimensions.
-    pub(crate) fn in_blocks(&self, shape: Shape) -> Self {
+    pub(crate) fn in_blocks(&self, shape: BlockDim) -> Self {
         Self { block: Some(shape), ..self.clone() }
     }
 
     /// The shape of blocks, if one was named.
-    pub(crate) fn block(&self) -> Option<Shape> {
+    pub(crate) fn block(&self) -> Option<BlockDim> {
         self.block
     }
 

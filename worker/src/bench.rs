@@ -9,10 +9,10 @@ use scene::{Integrator, Job};
 use serde::Serialize;
 
 use crate::cpu::Packets;
-use crate::cuda::{CudaRenderer, Source};
+use crate::cuda::{CudaRenderer, KernelSource};
 use crate::lanes::Lanes;
 use crate::simd::with_instructions;
-use crate::{Cancel, CpuRenderer, RenderError, Renderer, Simd, TileRun};
+use crate::{CancelFlag, CpuRenderer, RenderError, Renderer, Simd, TileRequest};
 
 /// Distances a second, of one core.
 #[derive(Clone, Debug, Serialize)]
@@ -88,20 +88,20 @@ pub struct GpuReport {
 
 /// Renders a frame of `job` some times on a GPU; `cpu` counts what that takes.
 pub fn render_on_gpu(job: &Job, gpu: &CudaRenderer, cpu: &CpuRenderer, runs: usize) -> Result<GpuReport, RenderError> {
-    let run = TileRun { job, frame: 0, rect: Rect::full(job.image.width, job.image.height) };
+    let run = TileRequest { job, frame: 0, rect: Rect::full(job.image.width, job.image.height) };
     let source_time = Instant::now();
-    let source = Source::new(&job.at(0)?);
+    let source = KernelSource::new(&job.at(0)?);
     let source_time = source_time.elapsed();
-    gpu.forget();
+    gpu.clear_kernels();
     let first = gpu.compile(&run)?;
-    gpu.forget();
+    gpu.clear_kernels();
     let again = gpu.compile(&run)?;
     let (mut kernels, mut walls, mut longest_launch_ms) = (Vec::new(), Vec::new(), 0.0_f64);
     // The first run only warms up.
     for round in 0..=runs.max(1) {
         gpu.take_kernel_times();
         let start = Instant::now();
-        std::hint::black_box(gpu.render(&run, &Cancel::new(), &|_| ())?);
+        std::hint::black_box(gpu.render(&run, &CancelFlag::new(), &|_| ())?);
         if round > 0 {
             walls.push(start.elapsed().as_secs_f64());
             let times = gpu.take_kernel_times();
@@ -118,7 +118,7 @@ pub fn render_on_gpu(job: &Job, gpu: &CudaRenderer, cpu: &CpuRenderer, runs: usi
     Ok(GpuReport {
         job: job.name.clone(),
         gpu: gpu.gpu().to_owned(),
-        compile_ms: (!first.was_kept).then(|| ms(first.time)),
+        compile_ms: (!first.was_cached).then(|| ms(first.time)),
         load_ms: ms(again.time),
         block: again.shape.to_string(),
         registers: again.resources.registers,
@@ -151,7 +151,7 @@ pub fn points(job: &Job, simd: Simd, time: Duration) -> Result<PointsReport, Ren
         done += u64::from(ROUNDS) * POINTS as u64;
     }
     let points_per_second = done as f64 / start.elapsed().as_secs_f64();
-    Ok(PointsReport { job: job.name.clone(), simd: simd.resolved().name(), points_per_second })
+    Ok(PointsReport { job: job.name.clone(), simd: simd.resolve_auto().name(), points_per_second })
 }
 
 #[inline(always)]
@@ -185,11 +185,11 @@ fn distances<S: Token, const N: usize>(token: S, program: &Integrator<'_>, job: 
 pub fn render(job: &Job, simd: Simd, threads: Option<usize>, runs: usize) -> Result<RenderReport, RenderError> {
     let renderer = CpuRenderer::new(threads, simd)?;
     let rect = Rect::full(job.image.width, job.image.height);
-    let run = TileRun { job, frame: 0, rect };
+    let run = TileRequest { job, frame: 0, rect };
     let mut times = Vec::with_capacity(runs);
     for _ in 0..runs.max(1) {
         let start = Instant::now();
-        std::hint::black_box(renderer.render(&run, &Cancel::new(), &|_| ())?);
+        std::hint::black_box(renderer.render(&run, &CancelFlag::new(), &|_| ())?);
         times.push(start.elapsed().as_secs_f64());
     }
     times.sort_by(f64::total_cmp);
@@ -198,7 +198,7 @@ pub fn render(job: &Job, simd: Simd, threads: Option<usize>, runs: usize) -> Res
     let rays = job.rays_per_frame();
     Ok(RenderReport {
         job: job.name.clone(),
-        simd: simd.resolved().name(),
+        simd: simd.resolve_auto().name(),
         threads: renderer.threads(),
         rays,
         evaluations,

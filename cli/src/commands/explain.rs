@@ -1,7 +1,7 @@
 //! `sdfarm explain`: what becomes of a job.
 
 use clap::Args;
-use worker::cuda::Source;
+use worker::cuda::KernelSource;
 
 use crate::commands::render::check_frame;
 use crate::counted::{counted, counted_len};
@@ -25,7 +25,7 @@ pub(crate) struct Arguments {
 pub(crate) fn run(arguments: &Arguments) -> anyhow::Result<()> {
     let job = JobFile::read(&arguments.job)?.parse()?;
     check_frame(&job, arguments.frame)?;
-    let source = Source::new(&job.at(arguments.frame)?);
+    let source = KernelSource::new(&job.at(arguments.frame)?);
     if arguments.cuda {
         return say(source.text.trim_end());
     }

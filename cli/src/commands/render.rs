@@ -11,7 +11,7 @@ use scene::Job;
 use serde::Serialize;
 use tokio::runtime::Runtime;
 use worker::frame::{FrameTimes, render_frame};
-use worker::{Cancel, Renderer};
+use worker::{CancelFlag, Renderer};
 
 use crate::arguments::RendererArguments;
 use crate::counted::counted;
@@ -73,7 +73,7 @@ pub(crate) fn run(arguments: &Arguments) -> anyhow::Result<()> {
         }
     }
     let renderer = arguments.renderer.renderer()?;
-    let cancel = Cancel::new();
+    let cancel = CancelFlag::new();
     let stopper = Stopper::start(&cancel)?;
     let mut output = OutputFile::create(&arguments.output)?;
     stopper.remove_in_haste(Some(output.temporary_path()));
@@ -134,7 +134,7 @@ fn render(
     job: &Job,
     arguments: &Arguments,
     output: &mut OutputFile,
-    cancel: &Cancel,
+    cancel: &CancelFlag,
     progress: &Progress,
 ) -> anyhow::Result<FrameTimes> {
     // A large frame passes through a nameless file where its picture will be: there must be room there anyway.
@@ -169,7 +169,7 @@ struct Stopper {
 }
 
 impl Stopper {
-    fn start(cancel: &Cancel) -> anyhow::Result<Self> {
+    fn start(cancel: &CancelFlag) -> anyhow::Result<Self> {
         let runtime = tokio::runtime::Builder::new_multi_thread()
             .worker_threads(1)
             .enable_all()

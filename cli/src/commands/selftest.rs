@@ -8,7 +8,7 @@ use anyhow::Context;
 use clap::{Args, ValueEnum};
 use proto::tile::Tiling;
 use scene::{Image, Job, Layer};
-use worker::{Cancel, CpuRenderer, Pixels, RenderError, Renderer, Simd, TileRun};
+use worker::{CancelFlag, CpuRenderer, RenderError, Renderer, Simd, TilePixels, TileRequest};
 
 use crate::arguments::{Device, RendererArguments};
 use crate::shipped;
@@ -105,7 +105,7 @@ fn compare_levels(arguments: &Arguments) -> anyhow::Result<usize> {
     say(&format!("{:<22} {:<8} {:>9}  bits", "scene", "level", "ms"))?;
     for name in names {
         let job = with_layers(job(name)?, Some(96));
-        let mut reference: Option<Vec<Pixels>> = None;
+        let mut reference: Option<Vec<TilePixels>> = None;
         for level in LEVELS {
             let start = Instant::now();
             let rendered = CpuRenderer::new(None, level).and_then(|renderer| render(&renderer, &job, None));
@@ -140,17 +140,17 @@ fn with_layers(mut job: Job, width: Option<u32>) -> Job {
     job
 }
 
-fn render(renderer: &dyn Renderer, job: &Job, edge: Option<u32>) -> Result<Vec<Pixels>, RenderError> {
+fn render(renderer: &dyn Renderer, job: &Job, edge: Option<u32>) -> Result<Vec<TilePixels>, RenderError> {
     let image = &job.image;
     let (width, height, samples, pixel_bytes) = (image.width, image.height, image.samples, image.pixel_bytes());
     let rects = Tiling { width, height, samples, pixel_bytes, tile_edge: edge }.tiles();
-    let runs: Vec<TileRun<'_>> = rects.into_iter().map(|rect| TileRun { job, frame: 0, rect }).collect();
-    renderer.render_all(&runs, &Cancel::new(), &|_| {})
+    let runs: Vec<TileRequest<'_>> = rects.into_iter().map(|rect| TileRequest { job, frame: 0, rect }).collect();
+    renderer.render_tiles(&runs, &CancelFlag::new(), &|_| {})
 }
 
 /// Number of bytes, and number of differing bytes.
-fn compared(got: &[Pixels], want: &[Pixels]) -> (u64, u64) {
-    let bytes = |tiles: &[Pixels]| {
+fn compared(got: &[TilePixels], want: &[TilePixels]) -> (u64, u64) {
+    let bytes = |tiles: &[TilePixels]| {
         let values = tiles.iter().flat_map(|tile| tile.planes.iter().flatten());
         values.flat_map(|value| value.to_le_bytes()).collect::<Vec<u8>>()
     };
@@ -160,7 +160,7 @@ fn compared(got: &[Pixels], want: &[Pixels]) -> (u64, u64) {
 }
 
 /// A hash of all pixels that does not depend on how they were cut into tiles.
-fn hash(job: &Job, tiles: &[Pixels]) -> String {
+fn hash(job: &Job, tiles: &[TilePixels]) -> String {
     let (width, length) = (job.image.width as usize, job.image.pixels() as usize);
     let mut hasher = blake3::Hasher::new();
     for plane in 0..job.image.channels().len() {

@@ -54,14 +54,14 @@ pub(crate) async fn run(arguments: Arguments) -> anyhow::Result<()> {
         Err(_) => arguments.access.access()?,
     };
     let config = AgentConfig {
-        access,
+        auth: access,
         // A killed server leaves no worker behind: its end of the pipe closes.
-        of_pool: arguments.pool,
+        is_pool_worker: arguments.pool,
         ..AgentConfig::new(arguments.server, arguments.name.unwrap_or_else(own_name))
     };
     signals.stop_gracefully(shutdown.clone());
     match agent::run(config, renderer, shutdown).await {
-        Err(retired @ AgentError::Retired { .. }) => Err(NoDevice(retired.into()).into()),
+        Err(retired @ AgentError::DeviceLost { .. }) => Err(NoDevice(retired.into()).into()),
         ended => Ok(ended?),
     }
 }

@@ -10,7 +10,7 @@ use image::imageops::{self, FilterType};
 use proto::Rect;
 use scene::Job;
 use scene::color::DisplayTransform;
-use worker::{Cancel, CpuRenderer, Pixels, Renderer, Simd, TileRun, blob};
+use worker::{CancelFlag, CpuRenderer, Renderer, Simd, TilePixels, TileRequest, blob};
 
 use super::canvas::shown;
 
@@ -34,7 +34,7 @@ pub(super) struct Kept<'a> {
 
 impl Kept<'_> {
     /// The coarse pass of a frame, kept or made now; `None` where not even a small one can be made in time.
-    pub(super) fn pixels(self, job: &Job, frame: u32) -> anyhow::Result<Option<Pixels>> {
+    pub(super) fn pixels(self, job: &Job, frame: u32) -> anyhow::Result<Option<TilePixels>> {
         if let Some(kept) = std::fs::read(self.file).ok().and_then(|bytes| blob::decode(&bytes).ok())
             && kept.planes.len() == 4
         {
@@ -52,11 +52,11 @@ impl Kept<'_> {
 }
 
 /// Renders ever larger until the next would take too long.
-fn render(job: &Job, frame: u32, limit: Duration) -> anyhow::Result<Option<Pixels>> {
+fn render(job: &Job, frame: u32, limit: Duration) -> anyhow::Result<Option<TilePixels>> {
     let start = Instant::now();
     let cores = std::thread::available_parallelism().map_or(1, usize::from);
     let renderer = CpuRenderer::new(Some(cores.min(MAX_THREADS)), Simd::Auto)?;
-    let cancel = Cancel::new();
+    let cancel = CancelFlag::new();
     let (done, over) = mpsc::channel::<()>();
     let last = job.image.width.min(LAST_PX);
     std::thread::scope(|scope| {
@@ -72,7 +72,7 @@ fn render(job: &Job, frame: u32, limit: Duration) -> anyhow::Result<Option<Pixel
             let begun = Instant::now();
             let small = small(job, width);
             let rect = Rect::full(small.image.width, small.image.height);
-            match renderer.render(&TileRun { job: &small, frame, rect }, &cancel, &|_| ()) {
+            match renderer.render(&TileRequest { job: &small, frame, rect }, &cancel, &|_| ()) {
                 Ok(pixels) => best = Some(pixels),
                 Err(worker::RenderError::Cancelled) => break,
                 Err(error) => {
@@ -104,7 +104,7 @@ fn small(job: &Job, width: u32) -> Job {
 
 /// Scales a coarse pass up to this size, smoothly, as it is shown.
 pub(super) fn scaled(
-    coarse: &Pixels,
+    coarse: &TilePixels,
     grade: DisplayTransform,
     opaque: bool,
     [width, height]: [u32; 2],

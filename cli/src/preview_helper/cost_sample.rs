@@ -13,9 +13,9 @@ use anyhow::{Context, ensure};
 use proto::Rect;
 use proto::preview_helper::CostSample;
 use scene::{Integrator, Job};
-use worker::image::{Encoders, Picture};
-use worker::stitch::Tiles;
-use worker::{Cancel, CpuRenderer, Pixels, Renderer, Simd, TileRun};
+use worker::image::{Encoders, PictureSpec};
+use worker::stitch::TileRows;
+use worker::{CancelFlag, CpuRenderer, Renderer, Simd, TilePixels, TileRequest};
 
 /// Edge of a block, in pixels.
 const BLOCK_PX: u32 = 16;
@@ -74,7 +74,7 @@ fn measure(job: &Job, frame: u32, renderers: &[CpuRenderer], limit: Duration) ->
     let still = job.at(frame)?;
     std::hint::black_box(Integrator::new(&still));
     let setup_seconds = start.elapsed().as_secs_f64();
-    let picture = Picture::of(&still);
+    let picture = PictureSpec::new(&still);
     let mut job = job.clone();
     if job.image.layers.is_empty() {
         job.image.samples = job.image.samples.min(MAX_SAMPLES);
@@ -87,7 +87,7 @@ fn measure(job: &Job, frame: u32, renderers: &[CpuRenderer], limit: Duration) ->
     let program_seconds = program_start.elapsed().as_secs_f64();
     let before = processor_seconds();
     let start = Instant::now();
-    render(&job, frame, renderers, limit, &|pixels: Option<Pixels>, more: u64| {
+    render(&job, frame, renderers, limit, &|pixels: Option<TilePixels>, more: u64| {
         rays.fetch_add(more, Ordering::Relaxed);
         if let Some(pixels) = pixels {
             blocks.fetch_add(1, Ordering::Relaxed);
@@ -112,12 +112,12 @@ fn render(
     frame: u32,
     renderers: &[CpuRenderer],
     limit: Duration,
-    found: &(dyn Fn(Option<Pixels>, u64) + Sync),
+    found: &(dyn Fn(Option<TilePixels>, u64) + Sync),
 ) -> anyhow::Result<()> {
     let rects = blocks(job.image.width, job.image.height);
     let next = AtomicUsize::new(0);
     let start = Instant::now();
-    let cancel = Cancel::new();
+    let cancel = CancelFlag::new();
     let (done, over) = mpsc::channel::<()>();
     std::thread::scope(|scope| {
         let flag = cancel.clone();
@@ -131,7 +131,7 @@ fn render(
         let work = move |renderer: &CpuRenderer| {
             while start.elapsed() < limit {
                 let Some(&rect) = rects.get(next.fetch_add(1, Ordering::Relaxed)) else { break };
-                match renderer.render(&TileRun { job, frame, rect }, cancel, &|rays| found(None, rays)) {
+                match renderer.render(&TileRequest { job, frame, rect }, cancel, &|rays| found(None, rays)) {
                     Ok(pixels) => found(Some(pixels), 0),
                     Err(worker::RenderError::Cancelled) => break,
                     Err(error) => return Err(error),
@@ -173,7 +173,7 @@ fn blocks(width: u32, height: u32) -> Vec<Rect> {
 
 /// Time to encode a pixel into the picture's file, in seconds, measured on a picture made of blocks side by
 /// side.
-fn encode(mut picture: Picture, mut blocks: Vec<Pixels>) -> anyhow::Result<f64> {
+fn encode(mut picture: PictureSpec, mut blocks: Vec<TilePixels>) -> anyhow::Result<f64> {
     blocks.retain(|block| (block.rect.width, block.rect.height) == (BLOCK_PX, BLOCK_PX));
     if blocks.is_empty() {
         return Ok(0.0);
@@ -185,7 +185,7 @@ fn encode(mut picture: Picture, mut blocks: Vec<Pixels>) -> anyhow::Result<f64> 
     picture.height = BLOCK_PX;
     let start = Instant::now();
     let mut file = Cursor::new(Vec::new());
-    Encoders::new(1)?.run(|| picture.write(&mut Tiles(&blocks), &mut file, &Cancel::new()))?;
+    Encoders::new(1)?.run(|| picture.write(&mut TileRows(&blocks), &mut file, &CancelFlag::new()))?;
     Ok(start.elapsed().as_secs_f64() / Rect::full(picture.width, picture.height).pixels() as f64)
 }
 

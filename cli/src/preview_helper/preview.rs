@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 
 use scene::Job;
 use scene::color::DisplayTransform;
-use worker::blob::{self, BlobError, Reader};
+use worker::blob::{self, BlobError, BlobReader};
 
 use super::canvas::{Canvas, shown};
 use super::coarse::{self, Kept};
@@ -33,7 +33,7 @@ pub(super) fn draw(
 }
 
 fn add(canvas: &mut Canvas, tile: &Path, grade: DisplayTransform, opaque: bool) -> Result<(), BlobError> {
-    let mut reader = Reader::open_at(BufReader::new(File::open(tile)?), 0)?;
+    let mut reader = BlobReader::open_at(BufReader::new(File::open(tile)?), 0)?;
     let rect = reader.rect();
     if reader.planes() < 4 {
         return Ok(());

@@ -15,31 +15,31 @@ use tokio::task::JoinError;
 use tokio_util::sync::CancellationToken;
 
 use super::back_off::BackOff;
-use super::job_cache::{JobError, Jobs};
-use super::rendering::Place;
-use super::server_client::Link;
-use super::store_access::Store;
+use super::job_cache::{JobCache, JobFetchError};
+use super::rendering::TileTask;
+use super::server_client::ServerClient;
+use super::store_access::StoreAccess;
 use crate::image::Encoders;
-use crate::renderer::{Cancel, Renderer};
+use crate::renderer::{CancelFlag, Renderer};
 
 /// The most runs, or tiles of a run, that are delivered at a time.
-const MAX_DELIVERIES: usize = 8;
+const MAX_CONCURRENT_UPLOADS: usize = 8;
 /// Maximum memory of pixels being rendered or delivered, in KiB.
 pub(super) const MEMORY_KIB: u32 = 1 << 20;
 
 /// Event from a batch to its session.
 #[derive(Debug)]
-pub(super) enum Event {
+pub(super) enum BatchEvent {
     /// Leases are finished with, together.
     Finished(Vec<LeaseReport>),
     /// A batch no longer needs the device; it used it for this long, if at all.
     Rendered(Option<Duration>),
     /// The device is lost, for this reason.
-    Retired(String),
+    DeviceLost(String),
     /// This many camera rays were rendered in this many seconds.
     Speed { rays: f64, seconds: f64 },
     /// Duration of a phase; for rendering, with its camera rays.
-    Took { phase: Phase, took: Duration, rays: u64 },
+    Timed { phase: Phase, took: Duration, rays: u64 },
     /// The server stored something.
     Stored,
     /// The server could not store something.
@@ -48,7 +48,7 @@ pub(super) enum Event {
 
 /// A worker's side of a lease.
 #[derive(Clone, Debug)]
-pub(super) struct Hold {
+pub(super) struct LeaseHandle {
     /// Which one.
     pub(super) lease: LeaseId,
     /// The tile's index in its frame; none of a stitch.
@@ -57,7 +57,7 @@ pub(super) struct Hold {
     pub(super) dropped: CancellationToken,
 }
 
-impl Hold {
+impl LeaseHandle {
     pub(super) fn new(lease: LeaseId, tile: Option<u32>) -> Self {
         Self { lease, tile, dropped: CancellationToken::new() }
     }
@@ -68,7 +68,7 @@ impl Hold {
 }
 
 /// Waits until all these leases are dropped.
-pub(super) async fn nobody_waits(holds: &[Hold]) {
+pub(super) async fn all_dropped(holds: &[LeaseHandle]) {
     for hold in holds {
         hold.dropped.cancelled().await;
     }
@@ -76,9 +76,9 @@ pub(super) async fn nobody_waits(holds: &[Hold]) {
 
 /// Cancels a flag when it goes out of scope.
 #[derive(Debug, Default)]
-pub(super) struct Stop(pub(super) Cancel);
+pub(super) struct CancelOnDrop(pub(super) CancelFlag);
 
-impl Drop for Stop {
+impl Drop for CancelOnDrop {
     fn drop(&mut self) {
         self.0.cancel();
     }
@@ -86,7 +86,7 @@ impl Drop for Stop {
 
 /// A frame that is worked on.
 #[derive(Clone, Debug)]
-pub(super) struct Frame {
+pub(super) struct FrameTask {
     /// Its job's id.
     pub(super) id: JobId,
     /// Its job.
@@ -105,56 +105,56 @@ pub(super) fn leases(run: &Batch) -> impl Iterator<Item = (LeaseId, Option<u32>)
 }
 
 /// A device, and the way to the server.
-pub(super) struct Workbench {
-    pub(super) link: Arc<Link>,
-    pub(super) store: Store,
+pub(super) struct BatchExecutor {
+    pub(super) link: Arc<ServerClient>,
+    pub(super) store: StoreAccess,
     pub(super) scratch: PathBuf,
     pub(super) renderer: Arc<dyn Renderer>,
     pub(super) encoders: Encoders,
     pub(super) device: Semaphore,
     /// Permits for KiB of pixels.
     pub(super) memory: Semaphore,
-    jobs: Jobs,
-    events: UnboundedSender<Event>,
+    jobs: JobCache,
+    events: UnboundedSender<BatchEvent>,
 }
 
-impl Workbench {
+impl BatchExecutor {
     pub(super) fn new(
-        link: Arc<Link>,
-        store: Store,
+        link: Arc<ServerClient>,
+        store: StoreAccess,
         renderer: Arc<dyn Renderer>,
         encoders: Encoders,
         scratch: PathBuf,
-        events: UnboundedSender<Event>,
+        events: UnboundedSender<BatchEvent>,
     ) -> Self {
         let (device, memory) = (Semaphore::new(1), Semaphore::new(MEMORY_KIB as usize));
-        Self { link, store, scratch, renderer, encoders, device, memory, jobs: Jobs::default(), events }
+        Self { link, store, scratch, renderer, encoders, device, memory, jobs: JobCache::default(), events }
     }
 
     /// Number of batches, or tiles of a batch, delivered concurrently.
-    pub(super) fn deliveries(&self) -> usize {
-        self.encoders.count().clamp(2, MAX_DELIVERIES)
+    pub(super) fn max_uploads(&self) -> usize {
+        self.encoders.count().clamp(2, MAX_CONCURRENT_UPLOADS)
     }
 
     /// Executes a batch; every lease ends in a report, unless it was dropped.
-    pub(super) async fn run(self: Arc<Self>, run: Batch, holds: Vec<Hold>) {
+    pub(super) async fn execute(self: Arc<Self>, run: Batch, holds: Vec<LeaseHandle>) {
         let job = tokio::select! {
             job = self.job(run.job) => job,
-            () = nobody_waits(&holds) => return self.tell(Event::Rendered(None)),
+            () = all_dropped(&holds) => return self.send(BatchEvent::Rendered(None)),
         };
         let job = match job {
             Ok(job) => job,
             Err(error) => {
-                self.tell(Event::Rendered(None));
-                return self.give_up(&holds, &error);
+                self.send(BatchEvent::Rendered(None));
+                return self.fail_all(&holds, &error);
             }
         };
-        let frame = Frame { id: run.job, job, number: run.frame };
+        let frame = FrameTask { id: run.job, job, number: run.frame };
         match run.work {
             BatchWork::Stitch { inputs: parts, .. } => self.stitch(&frame, &parts, &holds[0]).await,
             BatchWork::Render { tiles, whole_frame } => {
                 let rects = tiles.iter().map(|tile| tile.rect);
-                let places: Vec<Place> = rects.zip(holds).map(|(rect, hold)| Place { rect, hold }).collect();
+                let places: Vec<TileTask> = rects.zip(holds).map(|(rect, hold)| TileTask { rect, hold }).collect();
                 if whole_frame {
                     self.render_whole(frame, &places).await;
                 } else {
@@ -165,34 +165,34 @@ impl Workbench {
     }
 
     /// A job, as soon as the server is there to give it.
-    async fn job(&self, id: JobId) -> Result<Arc<Job>, JobError> {
+    async fn job(&self, id: JobId) -> Result<Arc<Job>, JobFetchError> {
         let mut back_off = BackOff::new(Duration::from_millis(50), Duration::from_secs(2));
         loop {
             match self.jobs.get(&self.link, id).await {
-                Err(JobError::Link(error)) if error.is_absence() => back_off.pause().await,
+                Err(JobFetchError::Server(error)) if error.is_unavailable() => back_off.pause().await,
                 job => return job,
             }
         }
     }
 
-    pub(super) fn tell(&self, event: Event) {
+    pub(super) fn send(&self, event: BatchEvent) {
         // If the session has ended, no receiver is left.
         self.events.send(event).unwrap_or_default();
     }
 
     /// Ends leases with the same outcome, all at once.
-    pub(super) fn finish<'a>(&self, holds: impl IntoIterator<Item = &'a Hold>, outcome: &LeaseOutcome) {
-        self.tell(Event::Finished(holds.into_iter().map(|hold| hold.report(outcome.clone())).collect()));
+    pub(super) fn finish<'a>(&self, holds: impl IntoIterator<Item = &'a LeaseHandle>, outcome: &LeaseOutcome) {
+        self.send(BatchEvent::Finished(holds.into_iter().map(|hold| hold.report(outcome.clone())).collect()));
     }
 
-    fn give_up(&self, holds: &[Hold], error: &JobError) {
+    fn fail_all(&self, holds: &[LeaseHandle], error: &JobFetchError) {
         tracing::warn!(%error, "could not start a run");
         match error {
-            JobError::Link(_) => {
-                self.tell(Event::NotStored);
+            JobFetchError::Server(_) => {
+                self.send(BatchEvent::NotStored);
                 self.finish(holds, &LeaseOutcome::Released);
             }
-            JobError::Refused(_) | JobError::Panicked => {
+            JobFetchError::Refused(_) | JobFetchError::Panicked => {
                 self.finish(holds, &LeaseOutcome::Failed { message: error.to_string() });
             }
         }

@@ -7,17 +7,17 @@ use proto::JobId;
 use scene::Job;
 use tokio::sync::Mutex;
 
-use super::server_client::{Link, LinkError};
+use super::server_client::{ServerClient, ServerError};
 
 /// Number of cached jobs.
-const KEPT: usize = 8;
+const MAX_CACHED_JOBS: usize = 8;
 
 /// The last jobs used, the latest first.
 #[derive(Debug, Default)]
-pub(super) struct Jobs(Mutex<VecDeque<(JobId, Arc<Job>)>>);
+pub(super) struct JobCache(Mutex<VecDeque<(JobId, Arc<Job>)>>);
 
-impl Jobs {
-    pub(super) async fn get(&self, link: &Link, id: JobId) -> Result<Arc<Job>, JobError> {
+impl JobCache {
+    pub(super) async fn get(&self, link: &ServerClient, id: JobId) -> Result<Arc<Job>, JobFetchError> {
         let mut kept = self.0.lock().await;
         if let Some(place) = kept.iter().position(|&(kept, _)| kept == id) {
             let entry = kept.remove(place).expect("it was just found");
@@ -27,21 +27,22 @@ impl Jobs {
         }
         drop(kept);
         let text = link.job(id).await?;
-        let job = tokio::task::spawn_blocking(move || scene::parse(&text)).await.map_err(|_| JobError::Panicked)??;
+        let job =
+            tokio::task::spawn_blocking(move || scene::parse(&text)).await.map_err(|_| JobFetchError::Panicked)??;
         let job = Arc::new(job);
         let mut kept = self.0.lock().await;
         kept.push_front((id, job.clone()));
-        kept.truncate(KEPT);
+        kept.truncate(MAX_CACHED_JOBS);
         Ok(job)
     }
 }
 
 /// Error when loading a job.
 #[derive(Debug, thiserror::Error)]
-pub(super) enum JobError {
+pub(super) enum JobFetchError {
     /// It could not be fetched.
     #[error("could not fetch the job: {0}")]
-    Link(#[from] LinkError),
+    Server(#[from] ServerError),
     /// The server took what this worker does not.
     #[error("this worker can't read the job: {0}")]
     Refused(#[from] scene::ParseError),

@@ -11,27 +11,27 @@ use tokio::process::Command;
 use tokio_util::task::AbortOnDropHandle;
 
 /// Interval between readings of a GPU's memory.
-const MEMORY_EVERY: Duration = Duration::from_secs(15);
+const MEMORY_INTERVAL: Duration = Duration::from_secs(15);
 /// Timeout of a reading.
 const MEMORY_TIMEOUT: Duration = Duration::from_secs(5);
 const MIB: u64 = 1 << 20;
 
 /// Collects measurements until they are sent.
 #[derive(Debug)]
-pub(super) struct Measurements {
+pub(super) struct MetricsBuffer {
     timings: Vec<Timing>,
     memory: Arc<Mutex<Option<DeviceMemory>>>,
     _watching: Option<AbortOnDropHandle<()>>,
 }
 
-impl Measurements {
+impl MetricsBuffer {
     /// Starts measuring for a worker on this device; the memory of an NVIDIA GPU is read periodically.
     pub(super) fn new(device: &str) -> Self {
         let memory = Arc::new(Mutex::new(None));
         let gpu = device.strip_prefix("cuda:").and_then(|number| number.parse().ok());
         let watching = gpu.map(|number: usize| {
             let visible = std::env::var("CUDA_VISIBLE_DEVICES").ok();
-            tokio::spawn(watch_memory(driver_name(number, visible.as_deref()), memory.clone()))
+            tokio::spawn(watch_memory(nvidia_smi_id(number, visible.as_deref()), memory.clone()))
         });
         Self { timings: Vec::new(), memory, _watching: watching.map(AbortOnDropHandle::new) }
     }
@@ -51,7 +51,7 @@ impl Measurements {
 }
 
 /// Name that nvidia-smi uses for a GPU of this number: CUDA counts only the visible ones.
-fn driver_name(number: usize, visible: Option<&str>) -> String {
+fn nvidia_smi_id(number: usize, visible: Option<&str>) -> String {
     let named = visible.and_then(|visible| visible.split(',').nth(number));
     named.map(str::trim).filter(|name| !name.is_empty()).map_or_else(|| number.to_string(), ToOwned::to_owned)
 }
@@ -77,7 +77,7 @@ async fn watch_memory(gpu: String, memory: Arc<Mutex<Option<DeviceMemory>>>) {
             }
             Err(_) => tracing::debug!("nvidia-smi did not answer"),
         }
-        tokio::time::sleep(MEMORY_EVERY).await;
+        tokio::time::sleep(MEMORY_INTERVAL).await;
     }
 }
 
@@ -103,15 +103,15 @@ mod tests {
 
     #[test]
     fn the_driver_is_asked_for_the_gpu_that_cuda_sees() {
-        assert_eq!(driver_name(1, None), "1");
-        assert_eq!(driver_name(1, Some("3,5")), "5");
-        assert_eq!(driver_name(0, Some("GPU-8f3e")), "GPU-8f3e");
-        assert_eq!(driver_name(0, Some("")), "0");
+        assert_eq!(nvidia_smi_id(1, None), "1");
+        assert_eq!(nvidia_smi_id(1, Some("3,5")), "5");
+        assert_eq!(nvidia_smi_id(0, Some("GPU-8f3e")), "GPU-8f3e");
+        assert_eq!(nvidia_smi_id(0, Some("")), "0");
     }
 
     #[tokio::test]
     async fn what_was_told_is_not_told_again() {
-        let mut measurements = Measurements::new("cpu");
+        let mut measurements = MetricsBuffer::new("cpu");
         for _ in 0..2 * MAX_TIMINGS {
             measurements.add(Phase::Render, Duration::from_millis(5), 7);
         }

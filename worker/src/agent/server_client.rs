@@ -21,14 +21,14 @@ const TRANSFER_TIMEOUT: Duration = Duration::from_mins(10);
 
 /// The bytes of a picture.
 #[derive(Debug)]
-pub(super) enum Content {
+pub(super) enum PictureBytes {
     /// In memory.
     Memory(Bytes),
     /// In a nameless file.
     File(File),
 }
 
-impl Content {
+impl PictureBytes {
     /// Another reader of the same bytes.
     pub(super) fn try_clone(&self) -> io::Result<Self> {
         Ok(match self {
@@ -40,39 +40,39 @@ impl Content {
 
 /// A server to call.
 #[derive(Debug)]
-pub(super) struct Link {
+pub(super) struct ServerClient {
     client: Client,
     server: String,
     access: ClientAuth,
 }
 
-impl Link {
+impl ServerClient {
     pub(super) fn new(server: &str, access: ClientAuth) -> Result<Self, AgentError> {
         let builder = access.client(&server_url(server)?);
         let client = builder.no_proxy().connect_timeout(SHORT_TIMEOUT).build().map_err(AgentError::Client)?;
         Ok(Self { client, server: server.trim_end_matches('/').to_owned(), access })
     }
 
-    pub(super) async fn register(&self, hello: &RegisterRequest) -> Result<RegisterResponse, LinkError> {
+    pub(super) async fn register(&self, hello: &RegisterRequest) -> Result<RegisterResponse, ServerError> {
         read_json(self.request(Method::POST, worker_protocol::REGISTER_PATH, SHORT_TIMEOUT).json(hello)).await
     }
 
-    pub(super) async fn sync(&self, sync: &SyncRequest, timeout: Duration) -> Result<SyncResponse, LinkError> {
+    pub(super) async fn sync(&self, sync: &SyncRequest, timeout: Duration) -> Result<SyncResponse, ServerError> {
         read_json(self.request(Method::POST, worker_protocol::SYNC_PATH, timeout).json(sync)).await
     }
 
-    pub(super) async fn job(&self, job: JobId) -> Result<Bytes, LinkError> {
+    pub(super) async fn job(&self, job: JobId) -> Result<Bytes, ServerError> {
         let request = self.request(Method::GET, &worker_protocol::job_path(job), TRANSFER_TIMEOUT);
         Ok(send(request).await?.bytes().await?)
     }
 
-    pub(super) async fn put_blob(&self, hash: &str, bytes: Bytes) -> Result<(), LinkError> {
+    pub(super) async fn put_blob(&self, hash: &str, bytes: Bytes) -> Result<(), ServerError> {
         let request = self.request(Method::PUT, &worker_protocol::blob_path(hash), TRANSFER_TIMEOUT);
         send(request.body(bytes)).await.map(drop)
     }
 
     /// Fetches a blob, or `None` where there are no more bytes than `size_bytes` but other ones.
-    pub(super) async fn blob(&self, hash: &str, size_bytes: u64) -> Result<Option<Vec<u8>>, LinkError> {
+    pub(super) async fn blob(&self, hash: &str, size_bytes: u64) -> Result<Option<Vec<u8>>, ServerError> {
         let mut response = send(self.request(Method::GET, &worker_protocol::blob_path(hash), TRANSFER_TIMEOUT)).await?;
         let mut bytes = Vec::new();
         while let Some(chunk) = response.chunk().await? {
@@ -84,10 +84,15 @@ impl Link {
         Ok((bytes.len() as u64 == size_bytes).then_some(bytes))
     }
 
-    pub(super) async fn put_picture(&self, hash: &str, content: &Content, size_bytes: u64) -> Result<(), LinkError> {
+    pub(super) async fn put_picture(
+        &self,
+        hash: &str,
+        content: &PictureBytes,
+        size_bytes: u64,
+    ) -> Result<(), ServerError> {
         let body = match content.try_clone()? {
-            Content::Memory(bytes) => Body::from(bytes),
-            Content::File(mut file) => {
+            PictureBytes::Memory(bytes) => Body::from(bytes),
+            PictureBytes::File(mut file) => {
                 file.rewind()?;
                 Body::wrap_stream(ReaderStream::with_capacity(tokio::fs::File::from_std(file), 1 << 18))
             }
@@ -105,12 +110,12 @@ impl Link {
     }
 }
 
-async fn read_json<T: DeserializeOwned>(request: RequestBuilder) -> Result<T, LinkError> {
+async fn read_json<T: DeserializeOwned>(request: RequestBuilder) -> Result<T, ServerError> {
     let body = send(request).await?.bytes().await?;
-    serde_json::from_slice(&body).map_err(LinkError::Garbled)
+    serde_json::from_slice(&body).map_err(ServerError::InvalidResponse)
 }
 
-async fn send(request: RequestBuilder) -> Result<Response, LinkError> {
+async fn send(request: RequestBuilder) -> Result<Response, ServerError> {
     let response = request.send().await?;
     let status = response.status();
     if status.is_success() {
@@ -121,18 +126,18 @@ async fn send(request: RequestBuilder) -> Result<Response, LinkError> {
         Ok(problem) => problem.detail,
         Err(_) => status.to_string(),
     };
-    Err(LinkError::Answered { status, detail })
+    Err(ServerError::Status { status, detail })
 }
 
 /// Error of a call.
 #[derive(Debug, thiserror::Error)]
-pub(super) enum LinkError {
+pub(super) enum ServerError {
     /// No answer.
     #[error("the server can't be reached: {0}")]
     Unreachable(#[from] reqwest::Error),
     /// Another answer than the one hoped for.
     #[error("{detail}")]
-    Answered {
+    Status {
         /// The status.
         status: StatusCode,
         /// The server's message.
@@ -140,7 +145,7 @@ pub(super) enum LinkError {
     },
     /// The response is not valid.
     #[error("the server's answer can't be read: {0}")]
-    Garbled(#[source] serde_json::Error),
+    InvalidResponse(#[source] serde_json::Error),
     /// The file to send can't be read.
     #[error("the file to send can't be read: {0}")]
     File(#[from] io::Error),
@@ -149,37 +154,37 @@ pub(super) enum LinkError {
     Store(#[source] io::Error),
 }
 
-impl LinkError {
+impl ServerError {
     /// Whether repeating the call later may succeed.
-    pub(super) fn is_passing(&self) -> bool {
+    pub(super) fn is_transient(&self) -> bool {
         match self {
             Self::Unreachable(_) => true,
-            Self::Answered { status, .. } => {
+            Self::Status { status, .. } => {
                 status.is_server_error()
                     || [StatusCode::REQUEST_TIMEOUT, StatusCode::TOO_MANY_REQUESTS].contains(status)
             }
-            Self::Garbled(_) | Self::File(_) | Self::Store(_) => false,
+            Self::InvalidResponse(_) | Self::File(_) | Self::Store(_) => false,
         }
     }
 
     /// Whether the server is away or coming up, rather than unwilling.
-    pub(super) fn is_absence(&self) -> bool {
+    pub(super) fn is_unavailable(&self) -> bool {
         match self {
             Self::Unreachable(_) => true,
-            Self::Answered { status, .. } => {
+            Self::Status { status, .. } => {
                 [StatusCode::SERVICE_UNAVAILABLE, StatusCode::BAD_GATEWAY, StatusCode::GATEWAY_TIMEOUT].contains(status)
             }
-            Self::Garbled(_) | Self::File(_) | Self::Store(_) => false,
+            Self::InvalidResponse(_) | Self::File(_) | Self::Store(_) => false,
         }
     }
 
     /// Whether the server does not know the requested item, or the worker.
     pub(super) fn is_not_found(&self) -> bool {
-        matches!(self, Self::Answered { status, .. } if [StatusCode::NOT_FOUND, StatusCode::GONE].contains(status))
+        matches!(self, Self::Status { status, .. } if [StatusCode::NOT_FOUND, StatusCode::GONE].contains(status))
     }
 
     /// Whether the server has moved on: what this is about is no longer ours.
     pub(super) fn is_conflict(&self) -> bool {
-        matches!(self, Self::Answered { status, .. } if *status == StatusCode::CONFLICT)
+        matches!(self, Self::Status { status, .. } if *status == StatusCode::CONFLICT)
     }
 }

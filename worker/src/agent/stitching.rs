@@ -13,48 +13,48 @@ use tokio::task::spawn_blocking;
 use tracing::Instrument;
 
 use super::back_off::BackOff;
-use super::executor::{Event, Frame, Hold, Stop, Workbench, panic_message};
+use super::executor::{BatchEvent, BatchExecutor, CancelOnDrop, FrameTask, LeaseHandle, panic_message};
 use super::rendering::milliseconds;
-use super::server_client::LinkError;
-use super::upload::{Delivered, encode};
+use super::server_client::ServerError;
+use super::upload::{UploadTimes, encode};
 use crate::blob;
-use crate::stitch::Blobs;
+use crate::stitch::BlobRows;
 
 /// Blobs fetched and checked at a time.
-const FETCHES: usize = 4;
+const MAX_CONCURRENT_FETCHES: usize = 4;
 
-impl Workbench {
+impl BatchExecutor {
     /// Stitches a frame and delivers its picture.
-    pub(super) async fn stitch(&self, frame: &Frame, parts: &[StitchInput], hold: &Hold) {
+    pub(super) async fn stitch(&self, frame: &FrameTask, parts: &[StitchInput], hold: &LeaseHandle) {
         let start = Instant::now();
         let fetched = tokio::select! {
             fetched = self.fetch(&frame.job, parts) => fetched,
-            () = hold.dropped.cancelled() => return self.tell(Event::Rendered(None)),
+            () = hold.dropped.cancelled() => return self.send(BatchEvent::Rendered(None)),
         };
         let (file, places) = match fetched {
             Ok(fetched) => fetched,
             Err(outcome) => {
-                self.tell(Event::Rendered(None));
+                self.send(BatchEvent::Rendered(None));
                 if let LeaseOutcome::Released = outcome {
-                    self.tell(Event::NotStored);
+                    self.send(BatchEvent::NotStored);
                 }
                 return self.finish([hold], &outcome);
             }
         };
         fail_point::trigger_infallible(FailPoint::Stitching);
         let fetch_ms = milliseconds(start.elapsed());
-        let (stop, encoders, scratch) = (Stop::default(), self.encoders.clone(), self.scratch.clone());
+        let (stop, encoders, scratch) = (CancelOnDrop::default(), self.encoders.clone(), self.scratch.clone());
         let (job, number, cancel) = (frame.job.clone(), frame.number, stop.0.clone());
         let encoding = spawn_blocking(move || {
-            encoders.run(|| encode(&job, number, &mut Blobs::new(file, places), &scratch, &cancel))
+            encoders.run(|| encode(&job, number, &mut BlobRows::new(file, places), &scratch, &cancel))
         });
         let encoded = tokio::select! {
-            () = hold.dropped.cancelled() => return self.tell(Event::Rendered(None)),
+            () = hold.dropped.cancelled() => return self.send(BatchEvent::Rendered(None)),
             encoded = encoding.instrument(tracing::info_span!("encode")) => encoded,
         };
-        self.tell(Event::Rendered(Some(start.elapsed())));
-        let delivered = self.deliver_picture(encoded, std::slice::from_ref(hold)).await;
-        if let Some(Delivered { encode_ms, put_ms, size_bytes }) = delivered {
+        self.send(BatchEvent::Rendered(Some(start.elapsed())));
+        let delivered = self.upload_picture(encoded, std::slice::from_ref(hold)).await;
+        if let Some(UploadTimes { encode_ms, put_ms, size_bytes }) = delivered {
             let (job, tiles) = (frame.id, parts.len());
             tracing::debug!(%job, frame = number, tiles, size_bytes, fetch_ms, encode_ms, put_ms, "a picture is put");
         }
@@ -70,7 +70,7 @@ impl Workbench {
         let mut file = tempfile::tempfile_in(&self.scratch).map_err(full)?;
         let (mut places, mut bad, mut end) = (Vec::new(), Vec::new(), 0);
         let fetches: Vec<_> = parts.iter().map(|part| self.fetch_part(part, planes)).collect();
-        let mut fetched = stream::iter(fetches).buffered(FETCHES);
+        let mut fetched = stream::iter(fetches).buffered(MAX_CONCURRENT_FETCHES);
         for part in parts {
             let Some(bytes) = fetched.next().await.transpose()?.flatten() else {
                 tracing::warn!(tile = part.index, hash = part.hash, "a blob is missing or damaged");
@@ -93,31 +93,31 @@ impl Workbench {
                 Ok(None) => return Ok(None),
                 Ok(Some(bytes)) => {
                     let part = part.clone();
-                    let checked = spawn_blocking(move || is_whole(&bytes, &part, planes).then_some(bytes));
+                    let checked = spawn_blocking(move || is_intact(&bytes, &part, planes).then_some(bytes));
                     return checked.await.map_err(|panic| {
                         let message = panic_message("checking a blob", panic);
                         LeaseOutcome::Failed { message }
                     });
                 }
-                Err(error) if error.is_absence() => back_off.pause().await,
+                Err(error) if error.is_unavailable() => back_off.pause().await,
                 Err(
-                    error @ (LinkError::Answered { .. }
-                    | LinkError::Garbled(_)
-                    | LinkError::File(_)
-                    | LinkError::Store(_)),
+                    error @ (ServerError::Status { .. }
+                    | ServerError::InvalidResponse(_)
+                    | ServerError::File(_)
+                    | ServerError::Store(_)),
                 ) => {
                     tracing::warn!(%error, "could not fetch a blob");
                     return Err(LeaseOutcome::Released);
                 }
-                Err(LinkError::Unreachable(_)) => unreachable!("that is an absence"),
+                Err(ServerError::Unreachable(_)) => unreachable!("that is an absence"),
             }
         }
     }
 }
 
-fn is_whole(bytes: &[u8], part: &StitchInput, planes: usize) -> bool {
-    let header = blob::Reader::open_at(std::io::Cursor::new(bytes), 0);
-    blob::key(bytes) == part.hash
+fn is_intact(bytes: &[u8], part: &StitchInput, planes: usize) -> bool {
+    let header = blob::BlobReader::open_at(std::io::Cursor::new(bytes), 0);
+    blob::hash(bytes) == part.hash
         && bytes.len() as u64 == blob::size_bytes(part.rect, planes)
         && header.is_ok_and(|header| header.rect() == part.rect && header.planes() == planes)
 }

@@ -11,28 +11,33 @@ use proto::fail_point::{self, FailPoint};
 use proto::worker_protocol::{ContentFolders, PARTIAL_MARKER};
 use tokio::task::spawn_blocking;
 
-use super::server_client::{Content, Link, LinkError};
+use super::server_client::{PictureBytes, ServerClient, ServerError};
 
 /// A place for tile blobs and pictures.
 #[derive(Clone, Debug)]
-pub(super) enum Store {
+pub(super) enum StoreAccess {
     /// Through the server over HTTP; it verifies every byte.
-    Server(Arc<Link>),
+    Server(Arc<ServerClient>),
     /// Directly in the server's folders: it trusts its children, and no copy is made.
     Folders(ContentFolders),
 }
 
-impl Store {
+impl StoreAccess {
     /// Stores a blob, which may be lost in a power failure.
-    pub(super) async fn put_blob(&self, hash: &str, bytes: Bytes) -> Result<(), LinkError> {
+    pub(super) async fn put_blob(&self, hash: &str, bytes: Bytes) -> Result<(), ServerError> {
         match self {
             Self::Server(link) => link.put_blob(hash, bytes).await,
-            Self::Folders(folders) => put(&folders.blobs, hash, Content::Memory(bytes), false).await,
+            Self::Folders(folders) => put(&folders.blobs, hash, PictureBytes::Memory(bytes), false).await,
         }
     }
 
     /// Stores a picture; it is on the disk when this returns.
-    pub(super) async fn put_picture(&self, hash: &str, content: &Content, size_bytes: u64) -> Result<(), LinkError> {
+    pub(super) async fn put_picture(
+        &self,
+        hash: &str,
+        content: &PictureBytes,
+        size_bytes: u64,
+    ) -> Result<(), ServerError> {
         match self {
             Self::Server(link) => link.put_picture(hash, content, size_bytes).await,
             Self::Folders(folders) => put(&folders.pictures, hash, content.try_clone()?, true).await,
@@ -40,7 +45,7 @@ impl Store {
     }
 
     /// Reads a blob; `None` if there is none of this size.
-    pub(super) async fn blob(&self, hash: &str, size_bytes: u64) -> Result<Option<Vec<u8>>, LinkError> {
+    pub(super) async fn blob(&self, hash: &str, size_bytes: u64) -> Result<Option<Vec<u8>>, ServerError> {
         match self {
             Self::Server(link) => match link.blob(hash, size_bytes).await {
                 Err(error) if error.is_not_found() => Ok(None),
@@ -48,31 +53,33 @@ impl Store {
             },
             Self::Folders(folders) => {
                 let file = Path::new(&folders.blobs).join(hash);
-                on_disk(move || read(&file, size_bytes)).await
+                run_blocking(move || read(&file, size_bytes)).await
             }
         }
     }
 }
 
-async fn put(folder: &str, name: &str, content: Content, durable: bool) -> Result<(), LinkError> {
+async fn put(folder: &str, name: &str, content: PictureBytes, durable: bool) -> Result<(), ServerError> {
     let (folder, name) = (PathBuf::from(folder), name.to_owned());
-    on_disk(move || write(&folder, &name, content, durable)).await
+    run_blocking(move || write(&folder, &name, content, durable)).await
 }
 
-async fn on_disk<T: Send + 'static>(work: impl FnOnce() -> io::Result<T> + Send + 'static) -> Result<T, LinkError> {
-    spawn_blocking(work).await.map_err(io::Error::other).flatten().map_err(LinkError::Store)
+async fn run_blocking<T: Send + 'static>(
+    work: impl FnOnce() -> io::Result<T> + Send + 'static,
+) -> Result<T, ServerError> {
+    spawn_blocking(work).await.map_err(io::Error::other).flatten().map_err(ServerError::Store)
 }
 
 /// The file is there under its name whole, or not at all.
-fn write(folder: &Path, name: &str, content: Content, durable: bool) -> io::Result<()> {
+fn write(folder: &Path, name: &str, content: PictureBytes, durable: bool) -> io::Result<()> {
     fail_point::trigger(FailPoint::StorePut).map_err(io::Error::other)?;
     let mut file = tempfile::Builder::new()
         .prefix(&format!("{name}{PARTIAL_MARKER}"))
         .permissions(Permissions::from_mode(0o666))
         .tempfile_in(folder)?;
     match content {
-        Content::Memory(bytes) => file.write_all(&bytes)?,
-        Content::File(mut whole) => {
+        PictureBytes::Memory(bytes) => file.write_all(&bytes)?,
+        PictureBytes::File(mut whole) => {
             whole.rewind()?;
             io::copy(&mut whole, file.as_file_mut())?;
         }
@@ -115,7 +122,7 @@ mod tests {
     async fn bytes_are_there_whole_or_not_at_all() {
         let (blobs, pictures) = (tempfile::tempdir().expect("a folder"), tempfile::tempdir().expect("a folder"));
         let text = |folder: &tempfile::TempDir| folder.path().to_str().expect("plain").to_owned();
-        let store = Store::Folders(ContentFolders { blobs: text(&blobs), pictures: text(&pictures) });
+        let store = StoreAccess::Folders(ContentFolders { blobs: text(&blobs), pictures: text(&pictures) });
         assert_eq!(store.blob("name", 5).await.expect("reads"), None);
         for _ in 0..2 {
             store.put_blob("name", Bytes::from_static(b"bytes")).await.expect("writes");
@@ -125,12 +132,12 @@ mod tests {
         assert_eq!(names(blobs.path()), ["name"], "nothing half-done stays");
         let mut file = tempfile::tempfile().expect("a file");
         file.write_all(b"picture").expect("writes");
-        for content in [Content::File(file), Content::Memory(Bytes::from_static(b"picture"))] {
+        for content in [PictureBytes::File(file), PictureBytes::Memory(Bytes::from_static(b"picture"))] {
             store.put_picture("other", &content, 7).await.expect("writes");
             assert_eq!(std::fs::read(pictures.path().join("other")).expect("reads"), b"picture");
         }
         blobs.close().expect("removes");
         let error = store.put_blob("name", Bytes::new()).await.expect_err("there is no folder");
-        assert!(matches!(error, LinkError::Store(_)), "{error}");
+        assert!(matches!(error, ServerError::Store(_)), "{error}");
     }
 }

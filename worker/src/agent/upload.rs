@@ -15,30 +15,32 @@ use tokio::task::{JoinError, spawn_blocking};
 use tracing::Instrument;
 
 use super::back_off::BackOff;
-use super::executor::{Event, Frame, Hold, Stop, Workbench, chain, nobody_waits, panic_message};
+use super::executor::{
+    BatchEvent, BatchExecutor, CancelOnDrop, FrameTask, LeaseHandle, all_dropped, chain, panic_message,
+};
 use super::rendering::{Rendered, milliseconds};
-use super::server_client::{Content, LinkError};
+use super::server_client::{PictureBytes, ServerError};
 use crate::blob;
-use crate::image::{ImageError, Picture};
-use crate::renderer::{Cancel, Pixels};
-use crate::stitch::{Source, Tiles};
+use crate::image::{ImageError, PictureSpec};
+use crate::renderer::{CancelFlag, TilePixels};
+use crate::stitch::{RowSource, TileRows};
 
 /// A picture larger than this is encoded to a file.
-const MEMORY_BYTES: usize = 32 << 20;
+const MAX_IN_MEMORY_BYTES: usize = 32 << 20;
 
 /// A picture's file, in memory or without a name.
 pub(super) struct Encoded {
-    content: Content,
+    content: PictureBytes,
     hash: String,
     size_bytes: u64,
     took: Duration,
 }
 
 /// Result of encoding a picture on a thread of its own.
-pub(super) type Encoding = Result<Result<Encoded, ImageError>, JoinError>;
+pub(super) type EncodeResult = Result<Result<Encoded, ImageError>, JoinError>;
 
 /// Durations of delivering a picture.
-pub(super) struct Delivered {
+pub(super) struct UploadTimes {
     pub(super) encode_ms: f64,
     pub(super) put_ms: f64,
     pub(super) size_bytes: u64,
@@ -48,23 +50,23 @@ pub(super) struct Delivered {
 pub(super) fn encode(
     job: &Job,
     frame: u32,
-    source: &mut dyn Source,
+    source: &mut dyn RowSource,
     scratch: &Path,
-    cancel: &Cancel,
+    cancel: &CancelFlag,
 ) -> Result<Encoded, ImageError> {
     let start = Instant::now();
-    let mut out = BufWriter::with_capacity(1 << 18, tempfile::spooled_tempfile_in(MEMORY_BYTES, scratch));
-    Picture::of(&job.at(frame).map_err(ImageError::from)?).write(source, &mut out, cancel)?;
+    let mut out = BufWriter::with_capacity(1 << 18, tempfile::spooled_tempfile_in(MAX_IN_MEMORY_BYTES, scratch));
+    PictureSpec::new(&job.at(frame).map_err(ImageError::from)?).write(source, &mut out, cancel)?;
     let (content, hash, size_bytes) = match out.into_inner().map_err(std::io::IntoInnerError::into_error)?.into_inner()
     {
         SpooledData::InMemory(bytes) => {
             let bytes = Bytes::from(bytes.into_inner());
-            let (hash, size_bytes) = (blob::key(&bytes), bytes.len() as u64);
-            (Content::Memory(bytes), hash, size_bytes)
+            let (hash, size_bytes) = (blob::hash(&bytes), bytes.len() as u64);
+            (PictureBytes::Memory(bytes), hash, size_bytes)
         }
         SpooledData::OnDisk(mut file) => {
             let (hash, size_bytes) = hash_all(&mut file)?;
-            (Content::File(file), hash, size_bytes)
+            (PictureBytes::File(file), hash, size_bytes)
         }
     };
     Ok(Encoded { content, hash, size_bytes, took: start.elapsed() })
@@ -83,15 +85,15 @@ fn hash_all(file: &mut (impl Read + Seek)) -> std::io::Result<(String, u64)> {
     }
 }
 
-impl Workbench {
+impl BatchExecutor {
     /// Delivers a tile as a blob.
-    pub(super) async fn deliver_blob(self: Arc<Self>, rendered: Rendered) {
+    pub(super) async fn upload_blob(self: Arc<Self>, rendered: Rendered) {
         let (renderer, Rendered { pixels, hold }) = (self.renderer.clone(), rendered);
         let begun = Instant::now();
         let encoded = spawn_blocking(move || {
             let bytes = blob::encode(&pixels);
             renderer.recycle(vec![pixels]);
-            (blob::key(&bytes), Bytes::from(bytes))
+            (blob::hash(&bytes), Bytes::from(bytes))
         });
         let (hash, bytes) = match encoded.await {
             Ok(encoded) => encoded,
@@ -100,9 +102,9 @@ impl Workbench {
                 return self.finish([&hold], &LeaseOutcome::Failed { message });
             }
         };
-        self.tell(Event::Took { phase: Phase::Encode, took: begun.elapsed(), rays: 0 });
+        self.send(BatchEvent::Timed { phase: Phase::Encode, took: begun.elapsed(), rays: 0 });
         let size_bytes = bytes.len() as u64;
-        let put = self.until_stored(|| self.store.put_blob(&hash, bytes.clone()));
+        let put = self.retry_until_stored(|| self.store.put_blob(&hash, bytes.clone()));
         let put = put.instrument(tracing::info_span!("deliver", size_bytes));
         tokio::select! {
             () = hold.dropped.cancelled() => {}
@@ -115,29 +117,29 @@ impl Workbench {
     }
 
     /// Encodes a whole frame, and delivers its picture for all its leases.
-    pub(super) async fn deliver_frame(&self, frame: &Frame, rendered: Vec<Rendered>, render: Duration) {
+    pub(super) async fn upload_frame(&self, frame: &FrameTask, rendered: Vec<Rendered>, render: Duration) {
         let pairs = rendered.into_iter().map(|Rendered { pixels, hold }| (pixels, hold));
-        let (tiles, holds): (Vec<Pixels>, Vec<Hold>) = pairs.unzip();
-        let stop = Stop::default();
+        let (tiles, holds): (Vec<TilePixels>, Vec<LeaseHandle>) = pairs.unzip();
+        let stop = CancelOnDrop::default();
         let (encoders, renderer, scratch) = (self.encoders.clone(), self.renderer.clone(), self.scratch.clone());
         let (job, number, cancel) = (frame.job.clone(), frame.number, stop.0.clone());
         let encoding = spawn_blocking(move || {
-            let encoded = encoders.run(|| encode(&job, number, &mut Tiles(&tiles), &scratch, &cancel));
+            let encoded = encoders.run(|| encode(&job, number, &mut TileRows(&tiles), &scratch, &cancel));
             renderer.recycle(tiles);
             encoded
         });
         let encoded = tokio::select! {
-            () = nobody_waits(&holds) => return,
+            () = all_dropped(&holds) => return,
             encoded = encoding.instrument(tracing::info_span!("encode")) => encoded,
         };
-        if let Some(Delivered { encode_ms, put_ms, size_bytes }) = self.deliver_picture(encoded, &holds).await {
+        if let Some(UploadTimes { encode_ms, put_ms, size_bytes }) = self.upload_picture(encoded, &holds).await {
             let (job, tiles, render_ms) = (frame.id, holds.len(), milliseconds(render));
             tracing::debug!(%job, frame = number, tiles, size_bytes, render_ms, encode_ms, put_ms, "a picture is put");
         }
     }
 
     /// Delivers a picture for the leases that it settles; `None` if that failed, which is reported.
-    pub(super) async fn deliver_picture(&self, encoded: Encoding, holds: &[Hold]) -> Option<Delivered> {
+    pub(super) async fn upload_picture(&self, encoded: EncodeResult, holds: &[LeaseHandle]) -> Option<UploadTimes> {
         let encoded = encoded.map_err(|panic| panic_message("the encoder", panic));
         let failed = match encoded {
             Ok(Ok(picture)) => return self.put(picture, holds).await,
@@ -145,7 +147,7 @@ impl Workbench {
             Ok(Err(ImageError::Io(error))) => {
                 // A full or broken scratch disk is no error of the tile.
                 tracing::warn!(%error, "could not write a picture to the scratch folder");
-                self.tell(Event::NotStored);
+                self.send(BatchEvent::NotStored);
                 LeaseOutcome::Released
             }
             Ok(Err(error)) => LeaseOutcome::Failed { message: chain(&error) },
@@ -155,13 +157,13 @@ impl Workbench {
         None
     }
 
-    async fn put(&self, picture: Encoded, holds: &[Hold]) -> Option<Delivered> {
+    async fn put(&self, picture: Encoded, holds: &[LeaseHandle]) -> Option<UploadTimes> {
         let Encoded { content, hash, size_bytes, took } = picture;
-        self.tell(Event::Took { phase: Phase::Encode, took, rays: 0 });
+        self.send(BatchEvent::Timed { phase: Phase::Encode, took, rays: 0 });
         let start = Instant::now();
-        let put = self.until_stored(|| self.store.put_picture(&hash, &content, size_bytes));
+        let put = self.retry_until_stored(|| self.store.put_picture(&hash, &content, size_bytes));
         let stored = tokio::select! {
-            () = nobody_waits(holds) => return None,
+            () = all_dropped(holds) => return None,
             stored = put.instrument(tracing::info_span!("deliver", size_bytes)) => stored,
         };
         let put = start.elapsed();
@@ -169,38 +171,38 @@ impl Workbench {
         fail_point::trigger_infallible(FailPoint::PicturePut);
         self.finish(holds, &outcome);
         let is_put = matches!(outcome, LeaseOutcome::Picture { .. });
-        is_put.then(|| Delivered { encode_ms: milliseconds(took), put_ms: milliseconds(put), size_bytes })
+        is_put.then(|| UploadTimes { encode_ms: milliseconds(took), put_ms: milliseconds(put), size_bytes })
     }
 
     /// Retries until the server has stored it; if that cannot succeed, returns the outcome to report
     /// instead.
-    async fn until_stored<F>(&self, put: impl Fn() -> F) -> Result<(), LeaseOutcome>
+    async fn retry_until_stored<F>(&self, put: impl Fn() -> F) -> Result<(), LeaseOutcome>
     where
-        F: Future<Output = Result<(), LinkError>>,
+        F: Future<Output = Result<(), ServerError>>,
     {
         let begun = Instant::now();
         let mut back_off = BackOff::new(Duration::from_millis(50), Duration::from_secs(2));
         loop {
             let error = match put().await {
                 Ok(()) => {
-                    self.tell(Event::Took { phase: Phase::Deliver, took: begun.elapsed(), rays: 0 });
-                    self.tell(Event::Stored);
+                    self.send(BatchEvent::Timed { phase: Phase::Deliver, took: begun.elapsed(), rays: 0 });
+                    self.send(BatchEvent::Stored);
                     return Ok(());
                 }
                 Err(error) => error,
             };
-            if error.is_absence() {
+            if error.is_unavailable() {
                 back_off.pause().await;
                 continue;
             }
             tracing::warn!(%error, "the server did not store a result");
-            let is_disk = matches!(error, LinkError::File(_) | LinkError::Store(_));
+            let is_disk = matches!(error, ServerError::File(_) | ServerError::Store(_));
             let is_elsewhere = error.is_conflict() || error.is_not_found() || is_disk;
-            if !error.is_passing() && !is_elsewhere {
+            if !error.is_transient() && !is_elsewhere {
                 let message = format!("the server refused the result: {error}");
                 return Err(LeaseOutcome::Failed { message });
             }
-            self.tell(Event::NotStored);
+            self.send(BatchEvent::NotStored);
             return Err(LeaseOutcome::Released);
         }
     }

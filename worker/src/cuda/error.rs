@@ -7,7 +7,7 @@ use cudarc::driver::sys::CUresult;
 
 /// Error of a GPU operation.
 #[derive(Debug, thiserror::Error)]
-pub enum Trouble {
+pub enum CudaError {
     /// No driver is installed.
     #[error("no NVIDIA driver is installed here (libcuda is missing): install one, or render with --device cpu")]
     NoDriver,
@@ -79,7 +79,7 @@ pub enum Trouble {
     #[error(
         "the GPU renders wrong bits: {differing} of {values} values of the self-test differ; let it render for no farm"
     )]
-    WrongBits {
+    SelfTestFailed {
         /// Values that differ.
         differing: usize,
         /// All values.
@@ -99,15 +99,15 @@ pub enum Trouble {
     },
     /// The job is invalid at this frame.
     #[error("the job can't be rendered in this frame")]
-    Frame(#[from] scene::FrameError),
+    InvalidFrame(#[from] scene::FrameError),
     /// The render was asked to stop.
     #[error("the render was cancelled")]
     Cancelled,
 }
 
-impl Trouble {
+impl CudaError {
     /// Wraps an error of the driver with the attempted `action`.
-    pub(super) fn of(action: &'static str) -> impl Fn(DriverError) -> Self {
+    pub(super) fn driver_error(action: &'static str) -> impl Fn(DriverError) -> Self {
         move |error| {
             let words = |text: Result<&std::ffi::CStr, DriverError>| {
                 text.map_or_else(|_| format!("error {}", error.0 as u32), |text| text.to_string_lossy().into_owned())
@@ -119,7 +119,7 @@ impl Trouble {
 
     /// Whether the GPU will not work for this process again.
     pub fn is_lost(&self) -> bool {
-        matches!(self, Self::Driver { is_lost: true, .. } | Self::WrongBits { .. })
+        matches!(self, Self::Driver { is_lost: true, .. } | Self::SelfTestFailed { .. })
     }
 }
 

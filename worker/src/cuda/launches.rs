@@ -1,21 +1,21 @@
 //! Splits a render into launches: each short enough to be cancelled after, and long enough to keep a GPU
 //! busy. Pure arithmetic.
 
-use super::device::{DeviceTile, Part, Shape};
+use super::device::{BlockDim, DeviceTile, LaunchRange};
 use proto::Rect;
 
 /// Target duration of a launch, in milliseconds; two are in flight at a time.
 const LAUNCH_MS: f64 = 12.0;
 /// Maximum growth from one launch to the next while little is known about the cost.
-const GROWTH: f64 = 6.0;
+const MAX_GROWTH: f64 = 6.0;
 /// Blocks side by side that are launched together.
-pub(super) const GROUP: u32 = 64;
+pub(super) const BLOCK_GROUP: u32 = 64;
 /// Samples of the first launch of all.
 const FIRST_SAMPLES: u32 = 4;
 
 /// Tiles laid out for blocks of some shape, their pixels one behind the other.
 #[derive(Clone, Debug)]
-pub(super) struct Layout {
+pub(super) struct LaunchLayout {
     pub(super) tiles: Vec<DeviceTile>,
     /// Number of blocks, rounded up to whole groups.
     pub(super) blocks: u32,
@@ -26,7 +26,7 @@ pub(super) struct Layout {
 }
 
 /// Lays out tiles.
-pub(super) fn lay_out(rects: &[Rect], planes: usize, shape: Shape) -> Layout {
+pub(super) fn lay_out(rects: &[Rect], planes: usize, shape: BlockDim) -> LaunchLayout {
     let (mut first_block, mut start) = (0, 0);
     let tiles = rects
         .iter()
@@ -46,18 +46,18 @@ pub(super) fn lay_out(rects: &[Rect], planes: usize, shape: Shape) -> Layout {
             tile
         })
         .collect();
-    let groups = first_block.div_ceil(GROUP);
-    Layout { tiles, blocks: groups * GROUP, groups, stride: stride(groups) }
+    let groups = first_block.div_ceil(BLOCK_GROUP);
+    LaunchLayout { tiles, blocks: groups * BLOCK_GROUP, groups, stride: stride(groups) }
 }
 
-impl Layout {
+impl LaunchLayout {
     /// Orders rows for a single launch, so that similar blocks run together.
-    pub(super) fn ordered(self, cost: &Cost, samples: u32) -> Self {
-        if cost.is_one_launch(self.blocks, samples) { self.in_rows() } else { self }
+    pub(super) fn ordered(self, cost: &CostModel, samples: u32) -> Self {
+        if cost.is_one_launch(self.blocks, samples) { self.row_major() } else { self }
     }
 
     /// The order of rows.
-    pub(super) fn in_rows(self) -> Self {
+    pub(super) fn row_major(self) -> Self {
         Self { stride: 1, ..self }
     }
 }
@@ -78,17 +78,17 @@ fn stride(groups: u32) -> u32 {
 
 /// Measured cost of rendering with a kernel on a GPU.
 #[derive(Clone, Copy, Debug, Default)]
-pub(super) struct Cost {
+pub(super) struct CostModel {
     /// Milliseconds for one sample of all pixels of a block.
     block_sample_ms: Option<f64>,
     /// Block samples of the largest launch so far.
     largest: f64,
 }
 
-impl Cost {
+impl CostModel {
     /// Learns what a launch took.
-    pub(super) fn learn(&mut self, part: Part, ms: f64) {
-        let units = part.units();
+    pub(super) fn observe(&mut self, part: LaunchRange, ms: f64) {
+        let units = part.block_samples();
         let now = ms / units;
         // An expensive part may occur again, so the estimate decreases slowly.
         self.block_sample_ms = Some(self.block_sample_ms.map_or(now, |before| now.max(0.8 * before)));
@@ -98,13 +98,13 @@ impl Cost {
     /// Whether this many blocks are known to fit in one launch.
     fn is_one_launch(&self, blocks: u32, samples: u32) -> bool {
         let units = f64::from(blocks) * f64::from(samples);
-        self.block_sample_ms.is_some_and(|ms| units * ms <= LAUNCH_MS && units <= GROWTH * self.largest)
+        self.block_sample_ms.is_some_and(|ms| units * ms <= LAUNCH_MS && units <= MAX_GROWTH * self.largest)
     }
 
     /// Number of block samples for the next launch.
-    fn budget(&self, wave: u32) -> f64 {
+    fn next_size(&self, wave: u32) -> f64 {
         let first = f64::from(wave) * f64::from(FIRST_SAMPLES);
-        self.block_sample_ms.map_or(first, |ms| (LAUNCH_MS / ms).min(GROWTH * self.largest.max(first)))
+        self.block_sample_ms.map_or(first, |ms| (LAUNCH_MS / ms).min(MAX_GROWTH * self.largest.max(first)))
     }
 }
 
@@ -130,39 +130,40 @@ pub(super) struct Launches {
     blocks: u32,
     samples: u32,
     /// Blocks that fill the GPU once.
-    wave: u32,
+    resident_blocks: u32,
     /// The blocks in progress, and the sample reached.
     first_block: u32,
     end_block: u32,
     sample: u32,
 }
 
-impl Part {
-    fn units(self) -> f64 {
+impl LaunchRange {
+    fn block_samples(self) -> f64 {
         f64::from(self.blocks) * f64::from(self.end_sample - self.first_sample)
     }
 }
 
 impl Launches {
     pub(super) fn new(blocks: u32, samples: u32, wave: u32) -> Self {
-        Self { blocks, samples, wave: wave.max(1), first_block: 0, end_block: 0, sample: 0 }
+        Self { blocks, samples, resident_blocks: wave.max(1), first_block: 0, end_block: 0, sample: 0 }
     }
 
     /// The next launch, if any is left.
-    pub(super) fn next(&mut self, cost: &Cost) -> Option<Part> {
+    pub(super) fn next(&mut self, cost: &CostModel) -> Option<LaunchRange> {
         if self.sample == 0 {
             if self.first_block == self.blocks {
                 return None;
             }
             // All samples of some blocks, at least as many as fill the GPU.
-            let fitting = (cost.budget(self.wave) / f64::from(self.samples)) as u32;
-            self.end_block = self.first_block.saturating_add(fitting.max(self.wave)).min(self.blocks);
+            let fitting = (cost.next_size(self.resident_blocks) / f64::from(self.samples)) as u32;
+            self.end_block = self.first_block.saturating_add(fitting.max(self.resident_blocks)).min(self.blocks);
         }
         let blocks = self.end_block - self.first_block;
-        let fitting = (cost.budget(self.wave) / f64::from(blocks)) as u32;
+        let fitting = (cost.next_size(self.resident_blocks) / f64::from(blocks)) as u32;
         let end_sample = self.sample.saturating_add(fitting.max(1)).min(self.samples);
         let is_last = end_sample == self.samples;
-        let part = Part { first_block: self.first_block, blocks, first_sample: self.sample, end_sample, is_last };
+        let part =
+            LaunchRange { first_block: self.first_block, blocks, first_sample: self.sample, end_sample, is_last };
         self.sample = if is_last { 0 } else { end_sample };
         if is_last {
             self.first_block = self.end_block;
@@ -177,10 +178,11 @@ mod tests {
 
     /// Runs all launches of a GPU on which a sample of a block takes `ms`; the longest launch.
     fn longest_launch(blocks: u32, samples: u32, ms: impl Fn(u32) -> f64) -> f64 {
-        let blocks = blocks.next_multiple_of(GROUP);
-        let (groups, stride) = (u64::from(blocks / GROUP), u64::from(stride(blocks / GROUP)));
-        let order = |turn: u32| (u64::from(turn / GROUP) * stride % groups) as u32 * GROUP + turn % GROUP;
-        let mut cost = Cost::default();
+        let blocks = blocks.next_multiple_of(BLOCK_GROUP);
+        let (groups, stride) = (u64::from(blocks / BLOCK_GROUP), u64::from(stride(blocks / BLOCK_GROUP)));
+        let order =
+            |turn: u32| (u64::from(turn / BLOCK_GROUP) * stride % groups) as u32 * BLOCK_GROUP + turn % BLOCK_GROUP;
+        let mut cost = CostModel::default();
         let mut launches = Launches::new(blocks, samples, 1000);
         let mut rendered = vec![0; blocks as usize];
         let mut longest = 0.0_f64;
@@ -192,7 +194,7 @@ mod tests {
                 took += ms(block) * f64::from(part.end_sample - part.first_sample);
             }
             assert_eq!(part.is_last, part.end_sample == samples);
-            cost.learn(part, took);
+            cost.observe(part, took);
             longest = longest.max(took);
         }
         assert!(rendered.iter().all(|&done| done == samples), "every sample of every block is rendered");
@@ -214,8 +216,8 @@ mod tests {
 
     #[test]
     fn a_known_program_is_launched_whole() {
-        let mut cost = Cost::default();
-        cost.learn(Part { first_block: 0, blocks: 8_100, first_sample: 0, end_sample: 4, is_last: true }, 1.0);
+        let mut cost = CostModel::default();
+        cost.observe(LaunchRange { first_block: 0, blocks: 8_100, first_sample: 0, end_sample: 4, is_last: true }, 1.0);
         let part = Launches::new(8_100, 4, 1056).next(&cost).expect("there is work");
         assert_eq!((part.blocks, part.end_sample, part.is_last), (8_100, 4, true));
     }
@@ -223,8 +225,8 @@ mod tests {
     #[test]
     fn tiles_follow_one_another_in_blocks_and_numbers() {
         let rects = [Rect { x: 0, y: 0, width: 33, height: 9 }, Rect { x: 64, y: 32, width: 32, height: 32 }];
-        let Layout { tiles, blocks, .. } = lay_out(&rects, 5, Shape { columns: 16, rows: 8 });
+        let LaunchLayout { tiles, blocks, .. } = lay_out(&rects, 5, BlockDim { columns: 16, rows: 8 });
         assert_eq!((tiles[0].columns, tiles[1].first_block, tiles[1].start), (3, 6, 33 * 9 * 5));
-        assert_eq!(blocks, GROUP, "6 and 8 blocks are less than a group");
+        assert_eq!(blocks, BLOCK_GROUP, "6 and 8 blocks are less than a group");
     }
 }

@@ -8,15 +8,15 @@ use scene::{Image, Integrator, JobAtFrame, Layer};
 
 use crate::tape::{Expr, Tape, record};
 
-const FRAME: &str = include_str!("kernel.cu");
-const PLACE: &str = "// ---- the picture ----\n";
+const KERNEL_TEMPLATE: &str = include_str!("kernel.cu");
+const INSERTION_POINT: &str = "// ---- the picture ----\n";
 
 /// Input of a GPU render of a frame.
 #[derive(Clone, Debug)]
-pub struct Source {
+pub struct KernelSource {
     /// Kernel source; the same for all frames and all numbers of a scene's structure.
     pub text: String,
-    /// The frame's numbers, which the program calls `k`, by their bits.
+    /// The frame's numbers, which the program calls `uniforms`, by their bits.
     pub parameters: Vec<u32>,
     /// Number of statements of the integrator's steps.
     pub statements: usize,
@@ -24,25 +24,26 @@ pub struct Source {
     pub distance_operations: Option<u64>,
 }
 
-impl Source {
+impl KernelSource {
     /// The program of a frame of a job.
     pub fn new(still: &JobAtFrame<'_>) -> Self {
         let image = still.image();
-        let tape = picture(&Integrator::new(still), image);
-        let steps = tape.text();
-        let (before, after) = FRAME.split_once(PLACE).expect("kernel.cu has a place for the picture");
-        let numbers = tape.parameters().len().max(1);
+        let tape = record_tape(&Integrator::new(still), image);
+        let steps = tape.to_c();
+        let (before, after) =
+            KERNEL_TEMPLATE.split_once(INSERTION_POINT).expect("kernel.cu has a place for the picture");
+        let numbers = tape.uniforms().len().max(1);
         let (has_layers, write_layers) = layers(image);
         Self {
-            text: format!("#define NUMBERS {numbers}\n{has_layers}{before}{}{write_layers}{after}", steps.code),
-            parameters: tape.parameters().to_vec(),
+            text: format!("#define UNIFORM_COUNT {numbers}\n{has_layers}{before}{}{write_layers}{after}", steps.code),
+            parameters: tape.uniforms().to_vec(),
             statements: steps.statements,
-            distance_operations: tape.operations("distance"),
+            distance_operations: tape.flops_per_call("distance"),
         }
     }
 }
 
-fn picture(program: &Integrator<'_>, image: &Image) -> Tape {
+fn record_tape(program: &Integrator<'_>, image: &Image) -> Tape {
     let sum = |[r, g, b, alpha]: [Expr; 4]| Radiance { color: vec3(r, g, b), alpha, evaluations: alpha.constant(0.0) };
     let planes = |light: Radiance<Expr>| vec![light.color.x, light.color.y, light.color.z, light.alpha];
     record(|recording| {
@@ -78,9 +79,9 @@ fn layers(image: &Image) -> (String, String) {
         return (String::new(), String::new());
     }
     let mut writer =
-        "STEP void write_layers(const layers_result& seen, float* out, unsigned long long stride) {\n".to_owned();
+        "INLINE_FN void write_layers(const layers_result& seen, float* out, unsigned long long stride) {\n".to_owned();
     for plane in 0..count {
         let _ = writeln!(writer, "    out[{plane} * stride] = seen.f{plane} + 0.0f;");
     }
-    (format!("#define LAYER_PLANES {count}\n"), writer + "}\n\n")
+    (format!("#define AOV_PLANES {count}\n"), writer + "}\n\n")
 }

@@ -18,7 +18,7 @@ pub struct Metadata {
 
 impl Metadata {
     /// Attributes of a job at a frame.
-    pub fn of(still: &JobAtFrame<'_>) -> Self {
+    pub fn new(still: &JobAtFrame<'_>) -> Self {
         let image = still.image();
         let view = still.scene().camera.view(image.width, image.height);
         Self {

@@ -24,7 +24,7 @@ pub struct Provenance {
 
 impl Provenance {
     /// The provenance of a job's frame.
-    pub fn of(still: &JobAtFrame<'_>) -> Self {
+    pub fn new(still: &JobAtFrame<'_>) -> Self {
         Self {
             scene: still.scene_hash().to_hex().to_string(),
             picture_version: scene::PICTURE_VERSION,

@@ -6,15 +6,15 @@ use std::fmt::Write;
 
 use scene::nodes::snake_case;
 
-use super::liveness::Live;
-use super::{Definition, Function, Id, Kind, Operation, Statement, Tape};
+use super::liveness::Liveness;
+use super::{Function, Instruction, Operation, Statement, Tape, ValueId, ValueType};
 
 /// A step that would add this many statements by inlining stays a function.
-const MOST_COPIED: usize = 2500;
+const MAX_INLINED_STATEMENTS: usize = 2500;
 
 /// C text of a tape.
 #[derive(Clone, Debug)]
-pub struct Text {
+pub struct CSource {
     /// The functions: `step_NAME` for each name recorded, giving a `NAME_result` with parts f0, f1 …
     pub code: String,
     /// Number of statements.
@@ -23,22 +23,22 @@ pub struct Text {
 
 impl Tape {
     /// The tape as C.
-    pub fn text(&self) -> Text {
-        let live = Live::of(self);
-        let calls = self.calls(&live);
-        let mut text = Text { code: String::new(), statements: 0 };
+    pub fn to_c(&self) -> CSource {
+        let live = Liveness::new(self);
+        let calls = self.call_counts(&live);
+        let mut text = CSource { code: String::new(), statements: 0 };
         // Statements that each function adds where it is called.
         let mut lengths = vec![0; self.functions.len()];
         for (index, function) in self.functions.iter().enumerate() {
-            if function.results.iter().any(|&id| live.has(id)) {
+            if function.results.iter().any(|&id| live.is_live(id)) {
                 let mut printer = Printer {
                     tape: self,
                     live: &live,
                     names: HashMap::new(),
                     code: String::new(),
                     statements: 0,
-                    lengths: &lengths,
-                    copied: 0,
+                    inline_costs: &lengths,
+                    inlined_statements: 0,
                     note: None,
                 };
                 let added = printer.function(function, calls[index]);
@@ -51,13 +51,13 @@ impl Tape {
     }
 
     /// Number of calls of each function.
-    fn calls(&self, live: &Live) -> Vec<usize> {
-        fn count(block: &[Statement], live: &Live, calls: &mut [usize]) {
+    fn call_counts(&self, live: &Liveness) -> Vec<usize> {
+        fn count(block: &[Statement], live: &Liveness, calls: &mut [usize]) {
             for statement in block {
                 match statement {
-                    Statement::Define(_) | Statement::Note(_) => {}
+                    Statement::Emit(_) | Statement::Comment(_) => {}
                     Statement::Call { function, returned, .. } => {
-                        calls[*function] += usize::from(returned.iter().any(|&id| live.has(id)));
+                        calls[*function] += usize::from(returned.iter().any(|&id| live.is_live(id)));
                     }
                     Statement::When { body, .. } | Statement::Repeat { body, .. } => count(body, live, calls),
                 }
@@ -74,14 +74,14 @@ impl Tape {
 /// Prints one function.
 struct Printer<'a> {
     tape: &'a Tape,
-    live: &'a Live,
-    names: HashMap<Id, String>,
+    live: &'a Liveness,
+    names: HashMap<ValueId, String>,
     code: String,
     statements: usize,
     /// Statements that each earlier function adds where it is called.
-    lengths: &'a [usize],
+    inline_costs: &'a [usize],
     /// Statements of functions that are written out here.
-    copied: usize,
+    inlined_statements: usize,
     /// The node whose formula follows, if anything does.
     note: Option<&'static str>,
 }
@@ -90,7 +90,7 @@ impl Printer<'_> {
     /// Prints a function; how many statements it adds where it is called.
     fn function(&mut self, function: &Function, calls: usize) -> usize {
         let is_entry = function.is_entry;
-        let arguments = function.arguments.iter().filter(|&&id| is_entry || self.live.has(id));
+        let arguments = function.arguments.iter().filter(|&&id| is_entry || self.live.is_live(id));
         let arguments: Vec<String> = arguments
             .enumerate()
             .map(|(place, &id)| {
@@ -100,14 +100,14 @@ impl Printer<'_> {
             .collect();
         self.block(&function.body, 1);
         let body = std::mem::take(&mut self.code);
-        let results: Vec<Id> = function.results.iter().copied().filter(|&id| self.live.has(id)).collect();
+        let results: Vec<ValueId> = function.results.iter().copied().filter(|&id| self.live.is_live(id)).collect();
         let name = function.name;
         let fields: Vec<String> =
             results.iter().enumerate().map(|(place, &id)| format!("{} f{place};", self.kind(id))).collect();
         let values: Vec<String> = results.iter().map(|&id| self.operand(id)).collect();
-        let length = self.statements + self.copied;
-        let is_called = length * calls.saturating_sub(1) > MOST_COPIED;
-        let linkage = if is_called { "CALLED_STEP" } else { "STEP" };
+        let length = self.statements + self.inlined_statements;
+        let is_called = length * calls.saturating_sub(1) > MAX_INLINED_STATEMENTS;
+        let linkage = if is_called { "NOINLINE_FN" } else { "INLINE_FN" };
         self.code = format!(
             "struct {name}_result {{ {} }};\n{linkage} {name}_result step_{name}({}) {{\n{body}    return {{ {} }};\n}}\n\n",
             fields.join(" "),
@@ -117,11 +117,11 @@ impl Printer<'_> {
         if is_called { 1 } else { length }
     }
 
-    fn kind(&self, id: Id) -> &'static str {
+    fn kind(&self, id: ValueId) -> &'static str {
         match self.tape.definition(id).kind {
-            Kind::Number => "float",
-            Kind::Condition => "bool",
-            Kind::Word => "unsigned",
+            ValueType::F32 => "float",
+            ValueType::Bool => "bool",
+            ValueType::U32 => "unsigned",
         }
     }
 
@@ -133,11 +133,11 @@ impl Printer<'_> {
         self.statements += 1;
     }
 
-    fn new_name(&mut self, id: Id) -> String {
+    fn new_name(&mut self, id: ValueId) -> String {
         let letter = match self.tape.definition(id).kind {
-            Kind::Number => 'v',
-            Kind::Condition => 'c',
-            Kind::Word => 'w',
+            ValueType::F32 => 'v',
+            ValueType::Bool => 'c',
+            ValueType::U32 => 'w',
         };
         let name = format!("{letter}{}", self.names.len());
         self.names.insert(id, name.clone());
@@ -147,17 +147,17 @@ impl Printer<'_> {
     fn block(&mut self, block: &[Statement], depth: usize) {
         for statement in block {
             match statement {
-                Statement::Note(name) => self.note = Some(name),
-                Statement::Define(id) if self.live.has(*id) => {
+                Statement::Comment(name) => self.note = Some(name),
+                Statement::Emit(id) if self.live.is_live(*id) => {
                     let value = self.operation(self.tape.definition(*id));
                     let kind = self.kind(*id);
                     let name = self.new_name(*id);
                     self.line(depth, &format!("const {kind} {name} = {value};"));
                 }
-                Statement::Define(_) => {}
+                Statement::Emit(_) => {}
                 Statement::Call { function, arguments, returned } => self.call(depth, *function, arguments, returned),
-                Statement::When { condition, variables, otherwise, body, then } => {
-                    let live = self.assigned(variables, otherwise, then);
+                Statement::When { condition, variables, otherwise, body, value: then } => {
+                    let live = self.live_assignments(variables, otherwise, then);
                     if live.is_empty() {
                         continue;
                     }
@@ -169,14 +169,14 @@ impl Printer<'_> {
                     self.line(depth, "}");
                 }
                 Statement::Repeat { limit, variables, start, body, next, again } => {
-                    let live = self.assigned(variables, start, next);
+                    let live = self.live_assignments(variables, start, next);
                     if live.is_empty() {
                         continue;
                     }
                     self.declare(depth, &live);
                     self.line(depth, &format!("for (unsigned i = 0; i < {limit}u; ++i) {{"));
                     self.block(body, depth + 1);
-                    let again = self.kept(depth + 1, *again, variables);
+                    let again = self.copied_operand(depth + 1, *again, variables);
                     self.assign(depth + 1, &live);
                     self.line(depth + 1, &format!("if (!{again}) break;"));
                     self.line(depth, "}");
@@ -185,29 +185,34 @@ impl Printer<'_> {
         }
     }
 
-    fn call(&mut self, depth: usize, function: usize, arguments: &[Id], returned: &[Id]) {
+    fn call(&mut self, depth: usize, function: usize, arguments: &[ValueId], returned: &[ValueId]) {
         let callee = &self.tape.functions[function];
-        if !returned.iter().any(|&id| self.live.has(id)) {
+        if !returned.iter().any(|&id| self.live.is_live(id)) {
             return;
         }
-        let used = callee.arguments.iter().zip(arguments).filter(|(formal, _)| self.live.has(**formal));
+        let used = callee.arguments.iter().zip(arguments).filter(|(formal, _)| self.live.is_live(**formal));
         let actual: Vec<String> = used.map(|(_, &actual)| self.operand(actual)).collect();
         let result = format!("r{}", self.names.len());
-        let fields = callee.results.iter().zip(returned).filter(|(result, _)| self.live.has(**result));
+        let fields = callee.results.iter().zip(returned).filter(|(result, _)| self.live.is_live(**result));
         for (place, (_, &id)) in fields.enumerate() {
             self.names.insert(id, format!("{result}.f{place}"));
         }
-        self.copied += self.lengths[function];
+        self.inlined_statements += self.inline_costs[function];
         self.line(depth, &format!("const {0}_result {result} = step_{0}({1});", callee.name, actual.join(", ")));
     }
 
     /// The variables that are needed, each with its first and its later value.
-    fn assigned(&self, variables: &[Id], first: &[Id], later: &[Id]) -> Vec<(Id, Id, Id)> {
+    fn live_assignments(
+        &self,
+        variables: &[ValueId],
+        first: &[ValueId],
+        later: &[ValueId],
+    ) -> Vec<(ValueId, ValueId, ValueId)> {
         let all = variables.iter().zip(first).zip(later).map(|((&id, &first), &later)| (id, first, later));
-        all.filter(|(id, ..)| self.live.has(*id)).collect()
+        all.filter(|(id, ..)| self.live.is_live(*id)).collect()
     }
 
-    fn declare(&mut self, depth: usize, variables: &[(Id, Id, Id)]) {
+    fn declare(&mut self, depth: usize, variables: &[(ValueId, ValueId, ValueId)]) {
         for &(id, first, _) in variables {
             let (kind, first) = (self.kind(id), self.operand(first));
             let name = self.new_name(id);
@@ -216,10 +221,10 @@ impl Printer<'_> {
     }
 
     /// Assigns to all variables at once: none sees another's new value.
-    fn assign(&mut self, depth: usize, variables: &[(Id, Id, Id)]) {
-        let ids: Vec<Id> = variables.iter().map(|&(id, ..)| id).collect();
+    fn assign(&mut self, depth: usize, variables: &[(ValueId, ValueId, ValueId)]) {
+        let ids: Vec<ValueId> = variables.iter().map(|&(id, ..)| id).collect();
         let changed: Vec<_> = variables.iter().filter(|(id, _, later)| id != later).collect();
-        let later: Vec<String> = changed.iter().map(|(.., later)| self.kept(depth, *later, &ids)).collect();
+        let later: Vec<String> = changed.iter().map(|(.., later)| self.copied_operand(depth, *later, &ids)).collect();
         for ((id, ..), later) in changed.into_iter().zip(later) {
             let name = self.operand(*id);
             self.line(depth, &format!("{name} = {later};"));
@@ -227,7 +232,7 @@ impl Printer<'_> {
     }
 
     /// A value's text that stays right while `variables` change.
-    fn kept(&mut self, depth: usize, id: Id, variables: &[Id]) -> String {
+    fn copied_operand(&mut self, depth: usize, id: ValueId, variables: &[ValueId]) -> String {
         let value = self.operand(id);
         if !variables.contains(&id) {
             return value;
@@ -237,47 +242,47 @@ impl Printer<'_> {
         copy
     }
 
-    fn operand(&self, id: Id) -> String {
-        let Definition { kind, operation, .. } = self.tape.definition(id);
+    fn operand(&self, id: ValueId) -> String {
+        let Instruction { kind, operation, .. } = self.tape.definition(id);
         match (operation, kind) {
-            (Operation::Literal(bits), Kind::Number) => number(f32::from_bits(bits)),
-            (Operation::Literal(bits), Kind::Condition | Kind::Word) => format!("{bits}u"),
-            (Operation::Parameter(place), Kind::Number | Kind::Condition) => format!("k[{place}]"),
-            (Operation::Parameter(place), Kind::Word) => format!("bits_of(k[{place}])"),
+            (Operation::Constant(bits), ValueType::F32) => number(f32::from_bits(bits)),
+            (Operation::Constant(bits), ValueType::Bool | ValueType::U32) => format!("{bits}u"),
+            (Operation::Uniform(place), ValueType::F32 | ValueType::Bool) => format!("uniforms[{place}]"),
+            (Operation::Uniform(place), ValueType::U32) => format!("bits_of(uniforms[{place}])"),
             _ => self.names[&id].clone(),
         }
     }
 
-    fn operation(&self, definition: Definition) -> String {
+    fn operation(&self, definition: Instruction) -> String {
         let [a, b, c] = definition.operands.map(|id| id.map(|id| self.operand(id)).unwrap_or_default());
         match definition.operation {
-            Operation::Add | Operation::AddWords => format!("{a} + {b}"),
-            Operation::Subtract => format!("{a} - {b}"),
-            Operation::Multiply | Operation::MultiplyWords => format!("{a} * {b}"),
-            Operation::Divide => format!("quotient({a}, {b})"),
-            Operation::MultiplyAdd => format!("fused({a}, {b}, {c})"),
-            Operation::Least => format!("least({a}, {b})"),
-            Operation::Greatest => format!("greatest({a}, {b})"),
-            Operation::Negate => format!("-{a}"),
-            Operation::Absolute => format!("absolute({a})"),
-            Operation::Floor => format!("floored({a})"),
-            Operation::Root => format!("root({a})"),
+            Operation::Add | Operation::AddU32 => format!("{a} + {b}"),
+            Operation::Sub => format!("{a} - {b}"),
+            Operation::Mul | Operation::MulU32 => format!("{a} * {b}"),
+            Operation::Div => format!("div_rn({a}, {b})"),
+            Operation::Fma => format!("fma_rn({a}, {b}, {c})"),
+            Operation::Min => format!("min_f({a}, {b})"),
+            Operation::Max => format!("max_f({a}, {b})"),
+            Operation::Neg => format!("-{a}"),
+            Operation::Abs => format!("abs_f({a})"),
+            Operation::Floor => format!("floor_f({a})"),
+            Operation::Sqrt => format!("sqrt_rn({a})"),
             Operation::Less => format!("{a} < {b}"),
             Operation::And => format!("{a} && {b}"),
             Operation::Or => format!("{a} || {b}"),
             Operation::Not => format!("!{a}"),
             Operation::Select => format!("{a} ? {b} : {c}"),
             Operation::ToBits => format!("bits_of({a})"),
-            Operation::FromBits => format!("number_of({a})"),
+            Operation::FromBits => format!("float_from_bits({a})"),
             Operation::Xor => format!("{a} ^ {b}"),
-            Operation::AndWords => format!("{a} & {b}"),
-            Operation::OrWords => format!("{a} | {b}"),
-            Operation::ShiftUp => format!("{a} << {b}"),
-            Operation::ShiftDown => format!("{a} >> {b}"),
-            Operation::Literal(_)
-            | Operation::Parameter(_)
+            Operation::AndU32 => format!("{a} & {b}"),
+            Operation::OrU32 => format!("{a} | {b}"),
+            Operation::ShiftLeft => format!("{a} << {b}"),
+            Operation::ShiftRight => format!("{a} >> {b}"),
+            Operation::Constant(_)
+            | Operation::Uniform(_)
             | Operation::Argument
-            | Operation::Returned
+            | Operation::CallResult
             | Operation::Variable => unreachable!("not defined by a statement"),
         }
     }
@@ -286,7 +291,7 @@ impl Printer<'_> {
 /// A number as C reads it back to the bit.
 fn number(value: f32) -> String {
     if value.is_infinite() {
-        return format!("number_of({:#010x}u)", value.to_bits());
+        return format!("float_from_bits({:#010x}u)", value.to_bits());
     }
     // The shortest digits that lead back to this number.
     if value.is_sign_negative() { format!("({value:?}f)") } else { format!("{value:?}f") }

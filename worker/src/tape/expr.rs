@@ -4,35 +4,35 @@ use std::ops::{Add, BitAnd, BitOr, BitXor, Div, Mul, Neg, Not, Shl, Shr, Sub};
 
 use scene::real::{Bits, Bundle, Real};
 
-use super::recorder::{define, note, parameter, repeat, shared, when};
-use super::{Id, Kind, Operation};
+use super::recorder::{emit, note, repeat, shared, uniform, when};
+use super::{Operation, ValueId, ValueType};
 
 /// A number of the tape.
 #[derive(Clone, Copy, Debug)]
-pub struct Expr(pub(super) Id);
+pub struct Expr(pub(super) ValueId);
 
 /// A condition of the tape.
 #[derive(Clone, Copy, Debug)]
-pub struct Condition(pub(super) Id);
+pub struct BoolExpr(pub(super) ValueId);
 
 /// A word of the tape.
 #[derive(Clone, Copy, Debug)]
-pub struct Word(pub(super) Id);
+pub struct U32Expr(pub(super) ValueId);
 
-fn number(operation: Operation, operands: &[Id]) -> Expr {
-    Expr(define(Kind::Number, operation, operands))
+fn number(operation: Operation, operands: &[ValueId]) -> Expr {
+    Expr(emit(ValueType::F32, operation, operands))
 }
 
-fn condition(operation: Operation, operands: &[Id]) -> Condition {
-    Condition(define(Kind::Condition, operation, operands))
+fn condition(operation: Operation, operands: &[ValueId]) -> BoolExpr {
+    BoolExpr(emit(ValueType::Bool, operation, operands))
 }
 
-fn word(operation: Operation, operands: &[Id]) -> Word {
-    Word(define(Kind::Word, operation, operands))
+fn word(operation: Operation, operands: &[ValueId]) -> U32Expr {
+    U32Expr(emit(ValueType::U32, operation, operands))
 }
 
 fn literal(value: f32) -> Expr {
-    number(Operation::Literal(value.to_bits()), &[])
+    number(Operation::Constant(value.to_bits()), &[])
 }
 
 macro_rules! number_operators {
@@ -52,30 +52,30 @@ macro_rules! number_operators {
     )* };
 }
 
-number_operators![Add add Add, Sub sub Subtract, Mul mul Multiply, Div div Divide];
+number_operators![Add add Add, Sub sub Sub, Mul mul Mul, Div div Div];
 
 impl Neg for Expr {
     type Output = Self;
     fn neg(self) -> Self {
-        number(Operation::Negate, &[self.0])
+        number(Operation::Neg, &[self.0])
     }
 }
 
-impl BitAnd for Condition {
+impl BitAnd for BoolExpr {
     type Output = Self;
     fn bitand(self, other: Self) -> Self {
         condition(Operation::And, &[self.0, other.0])
     }
 }
 
-impl BitOr for Condition {
+impl BitOr for BoolExpr {
     type Output = Self;
     fn bitor(self, other: Self) -> Self {
         condition(Operation::Or, &[self.0, other.0])
     }
 }
 
-impl Not for Condition {
+impl Not for BoolExpr {
     type Output = Self;
     fn not(self) -> Self {
         condition(Operation::Not, &[self.0])
@@ -84,61 +84,61 @@ impl Not for Condition {
 
 macro_rules! word_operators {
     ($($Op:ident<$Other:ty> $op:ident $Operation:ident $id:expr),* $(,)?) => { $(
-        impl $Op<$Other> for Word {
+        impl $Op<$Other> for U32Expr {
             type Output = Self;
             fn $op(self, other: $Other) -> Self {
-                let id: fn($Other) -> Id = $id;
+                let id: fn($Other) -> ValueId = $id;
                 word(Operation::$Operation, &[self.0, id(other)])
             }
         }
     )* };
 }
 
-fn word_literal(value: u32) -> Id {
-    define(Kind::Word, Operation::Literal(value), &[])
+fn word_literal(value: u32) -> ValueId {
+    emit(ValueType::U32, Operation::Constant(value), &[])
 }
 
 word_operators![
-    Add<Self> add AddWords |w| w.0,
-    Mul<Self> mul MultiplyWords |w| w.0,
+    Add<Self> add AddU32 |w| w.0,
+    Mul<Self> mul MulU32 |w| w.0,
     BitXor<Self> bitxor Xor |w| w.0,
-    Add<u32> add AddWords word_literal,
-    Mul<u32> mul MultiplyWords word_literal,
+    Add<u32> add AddU32 word_literal,
+    Mul<u32> mul MulU32 word_literal,
     BitXor<u32> bitxor Xor word_literal,
-    BitAnd<u32> bitand AndWords word_literal,
-    BitOr<u32> bitor OrWords word_literal,
-    Shl<u32> shl ShiftUp word_literal,
-    Shr<u32> shr ShiftDown word_literal,
+    BitAnd<u32> bitand AndU32 word_literal,
+    BitOr<u32> bitor OrU32 word_literal,
+    Shl<u32> shl ShiftLeft word_literal,
+    Shr<u32> shr ShiftRight word_literal,
 ];
 
-impl Bits for Word {}
+impl Bits for U32Expr {}
 
 impl Real for Expr {
-    type Mask = Condition;
-    type Bits = Word;
+    type Mask = BoolExpr;
+    type Bits = U32Expr;
 
     fn constant(self, value: f32) -> Self {
         literal(value)
     }
 
     fn uniform(self, value: f32) -> Self {
-        Self(parameter(Kind::Number, value.to_bits()))
+        Self(uniform(ValueType::F32, value.to_bits()))
     }
 
-    fn uniform_bits(self, word: u32) -> Word {
-        Word(parameter(Kind::Word, word))
+    fn uniform_bits(self, word: u32) -> U32Expr {
+        U32Expr(uniform(ValueType::U32, word))
     }
 
     fn mul_add(self, factor: Self, term: Self) -> Self {
-        number(Operation::MultiplyAdd, &[self.0, factor.0, term.0])
+        number(Operation::Fma, &[self.0, factor.0, term.0])
     }
 
     fn sqrt(self) -> Self {
-        number(Operation::Root, &[self.0])
+        number(Operation::Sqrt, &[self.0])
     }
 
     fn abs(self) -> Self {
-        number(Operation::Absolute, &[self.0])
+        number(Operation::Abs, &[self.0])
     }
 
     fn floor(self) -> Self {
@@ -146,34 +146,34 @@ impl Real for Expr {
     }
 
     fn min(self, other: Self) -> Self {
-        number(Operation::Least, &[self.0, other.0])
+        number(Operation::Min, &[self.0, other.0])
     }
 
     fn max(self, other: Self) -> Self {
-        number(Operation::Greatest, &[self.0, other.0])
+        number(Operation::Max, &[self.0, other.0])
     }
 
-    fn lt(self, other: Self) -> Condition {
+    fn lt(self, other: Self) -> BoolExpr {
         condition(Operation::Less, &[self.0, other.0])
     }
 
-    fn select(mask: Condition, yes: Self, no: Self) -> Self {
+    fn select(mask: BoolExpr, yes: Self, no: Self) -> Self {
         number(Operation::Select, &[mask.0, yes.0, no.0])
     }
 
-    fn to_bits(self) -> Word {
+    fn to_bits(self) -> U32Expr {
         word(Operation::ToBits, &[self.0])
     }
 
-    fn from_bits(bits: Word) -> Self {
+    fn from_bits(bits: U32Expr) -> Self {
         number(Operation::FromBits, &[bits.0])
     }
 
-    fn when<T: Bundle<Self>>(mask: Condition, otherwise: T, then: impl FnOnce() -> T) -> T {
+    fn when<T: Bundle<Self>>(mask: BoolExpr, otherwise: T, then: impl FnOnce() -> T) -> T {
         when(mask, otherwise, then)
     }
 
-    fn repeat<T: Bundle<Self>>(limit: u32, state: T, step: impl FnMut(T) -> (Condition, T)) -> T {
+    fn repeat<T: Bundle<Self>>(limit: u32, state: T, step: impl FnMut(T) -> (BoolExpr, T)) -> T {
         repeat(limit, state, step)
     }
 

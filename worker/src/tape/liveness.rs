@@ -1,45 +1,45 @@
 //! Which values of a tape something depends on; the others are not printed.
 
-use super::{Function, Id, Statement, Tape};
+use super::{Function, Statement, Tape, ValueId};
 
 /// Values of a tape that results depend on.
-pub(super) struct Live {
+pub(super) struct Liveness {
     values: Vec<bool>,
 }
 
-impl Live {
+impl Liveness {
     /// Finds what the tape's entries depend on.
-    pub(super) fn of(tape: &Tape) -> Self {
+    pub(super) fn new(tape: &Tape) -> Self {
         let all = |function: &Function| function.results.clone();
         // The arguments that each function needs, callees first, as if all its results were used.
-        let mut needs = Self { values: vec![false; tape.definitions.len()] };
+        let mut needs = Self { values: vec![false; tape.instructions.len()] };
         for function in &tape.functions {
-            needs.mark(tape, function, all(function), &|id, needs| needs.has(id));
+            needs.mark(tape, function, all(function), &|id, needs| needs.is_live(id));
         }
         // The values that are used, callers first.
-        let mut live = Self { values: vec![false; tape.definitions.len()] };
+        let mut live = Self { values: vec![false; tape.instructions.len()] };
         for (index, function) in tape.functions.iter().enumerate().rev() {
-            let wanted = if function.is_entry { all(function) } else { live.wanted_of(tape, index) };
-            live.mark(tape, function, wanted, &|id, _| needs.has(id));
+            let wanted = if function.is_entry { all(function) } else { live.live_results(tape, index) };
+            live.mark(tape, function, wanted, &|id, _| needs.is_live(id));
         }
         live
     }
 
     /// Whether the value is needed.
-    pub(super) fn has(&self, id: Id) -> bool {
+    pub(super) fn is_live(&self, id: ValueId) -> bool {
         self.values[id.0 as usize]
     }
 
     /// Results of a function that some call of it needs.
-    fn wanted_of(&self, tape: &Tape, callee: usize) -> Vec<Id> {
+    fn live_results(&self, tape: &Tape, callee: usize) -> Vec<ValueId> {
         let results = &tape.functions[callee].results;
         let mut wanted = vec![false; results.len()];
         for function in &tape.functions[callee + 1..] {
-            each_statement(&function.body, &mut |statement| {
+            for_each_statement(&function.body, &mut |statement| {
                 if let Statement::Call { function, returned, .. } = statement
                     && *function == callee
                 {
-                    returned.iter().zip(&mut wanted).for_each(|(id, wanted)| *wanted |= self.has(*id));
+                    returned.iter().zip(&mut wanted).for_each(|(id, wanted)| *wanted |= self.is_live(*id));
                 }
             });
         }
@@ -48,8 +48,8 @@ impl Live {
 
     /// Marks the values that `wanted` values of a function depend on. `needs` tells whether a callee uses
     /// an argument.
-    fn mark(&mut self, tape: &Tape, function: &Function, wanted: Vec<Id>, needs: &dyn Fn(Id, &Self) -> bool) {
-        let sources = self.sources(tape, function, needs);
+    fn mark(&mut self, tape: &Tape, function: &Function, wanted: Vec<ValueId>, needs: &dyn Fn(ValueId, &Self) -> bool) {
+        let sources = self.dependencies(tape, function, needs);
         let mut open = wanted;
         while let Some(id) = open.pop() {
             if std::mem::replace(&mut self.values[id.0 as usize], true) {
@@ -63,17 +63,22 @@ impl Live {
     }
 
     /// Values that variables and returned values of a function come from, sorted.
-    fn sources(&self, tape: &Tape, function: &Function, needs: &dyn Fn(Id, &Self) -> bool) -> Vec<(Id, Vec<Id>)> {
+    fn dependencies(
+        &self,
+        tape: &Tape,
+        function: &Function,
+        needs: &dyn Fn(ValueId, &Self) -> bool,
+    ) -> Vec<(ValueId, Vec<ValueId>)> {
         let mut sources = Vec::new();
-        each_statement(&function.body, &mut |statement| match statement {
-            Statement::Define(_) | Statement::Note(_) => {}
+        for_each_statement(&function.body, &mut |statement| match statement {
+            Statement::Emit(_) | Statement::Comment(_) => {}
             Statement::Call { function, arguments, returned } => {
                 let formal = &tape.functions[*function].arguments;
                 let used = formal.iter().zip(arguments).filter(|(formal, _)| needs(**formal, self));
-                let used: Vec<Id> = used.map(|(_, actual)| *actual).collect();
+                let used: Vec<ValueId> = used.map(|(_, actual)| *actual).collect();
                 sources.extend(returned.iter().map(|id| (*id, used.clone())));
             }
-            Statement::When { condition, variables, otherwise, then, .. } => {
+            Statement::When { condition, variables, otherwise, value: then, .. } => {
                 for ((id, otherwise), then) in variables.iter().zip(otherwise).zip(then) {
                     sources.push((*id, vec![*condition, *otherwise, *then]));
                 }
@@ -90,12 +95,12 @@ impl Live {
 }
 
 /// Shows every statement, also those in inner blocks.
-fn each_statement<'a>(block: &'a [Statement], see: &mut impl FnMut(&'a Statement)) {
+fn for_each_statement<'a>(block: &'a [Statement], see: &mut impl FnMut(&'a Statement)) {
     for statement in block {
         see(statement);
         match statement {
-            Statement::Define(_) | Statement::Note(_) | Statement::Call { .. } => {}
-            Statement::When { body, .. } | Statement::Repeat { body, .. } => each_statement(body, see),
+            Statement::Emit(_) | Statement::Comment(_) | Statement::Call { .. } => {}
+            Statement::When { body, .. } | Statement::Repeat { body, .. } => for_each_statement(body, see),
         }
     }
 }

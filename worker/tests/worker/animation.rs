@@ -7,8 +7,8 @@ use scene::lights::Light;
 use scene::nodes::{Example, Node};
 use scene::{Job, effects};
 use serde_json::{Value, json};
-use worker::cuda::Source;
-use worker::{Cancel, CpuRenderer, Renderer, Simd, TileRun};
+use worker::cuda::KernelSource;
+use worker::{CancelFlag, CpuRenderer, Renderer, Simd, TileRequest};
 
 fn job(scene: &Value, frames: u32) -> Job {
     let text = json!({ "scene": scene, "image": { "width": 24, "height": 16, "samples": 2 },
@@ -60,7 +60,7 @@ fn all_frames_of_a_job_share_one_program() {
         let shape: Value = serde_json::from_str(&node).unwrap();
         let job = job(&moving(&scene_of(&shape)), 3);
         assert!(job.is_animated(), "{kind} {number} has numbers");
-        let [first, second, third] = [0, 1, 2].map(|frame| Source::new(&job.at(frame).unwrap()));
+        let [first, second, third] = [0, 1, 2].map(|frame| KernelSource::new(&job.at(frame).unwrap()));
         assert!(first.text == second.text && first.text == third.text, "{kind} {number}: frames differ in their text");
         assert_ne!(first.parameters, second.parameters, "{kind} {number} moves");
     }
@@ -97,7 +97,7 @@ fn scenes_around_objects() -> Vec<(String, Value)> {
 fn all_frames_share_one_program_whatever_light_background_projection_or_effect_moves() {
     for (name, scene) in scenes_around_objects() {
         let job = job(&moving(&scene), 3);
-        let [first, second, third] = [0, 1, 2].map(|frame| Source::new(&job.at(frame).unwrap()));
+        let [first, second, third] = [0, 1, 2].map(|frame| KernelSource::new(&job.at(frame).unwrap()));
         assert!(first.text == second.text && first.text == third.text, "{name}: frames differ in their text");
         assert_ne!(first.parameters, second.parameters, "{name} moves");
     }
@@ -122,7 +122,7 @@ fn numbers_that_pass_through_a_special_value_share_one_program_too() {
         let mut scene = scene_of(&shape);
         scene["objects"][0]["material"]["diffuse"]["ks"] = json!([through(0.5, 0.0, 0.5), 0, 0]);
         let job = job(&scene, 3);
-        let [first, second, third] = [0, 1, 2].map(|frame| Source::new(&job.at(frame).unwrap()));
+        let [first, second, third] = [0, 1, 2].map(|frame| KernelSource::new(&job.at(frame).unwrap()));
         assert!(first.text == second.text && first.text == third.text, "{shape}: frames differ in their text");
     }
 }
@@ -141,8 +141,8 @@ fn a_frame_is_the_picture_of_a_scene_that_stands_still_so() {
     let still = job(&scene(json!(0.75), json!(0), json!(0.25)), 3);
     let renderer = CpuRenderer::new(Some(1), Simd::Auto).unwrap();
     let render = |job: &Job, frame| {
-        let run = TileRun { job, frame, rect: Rect::full(job.image.width, job.image.height) };
-        let pixels = renderer.render(&run, &Cancel::new(), &|_| ()).unwrap();
+        let run = TileRequest { job, frame, rect: Rect::full(job.image.width, job.image.height) };
+        let pixels = renderer.render(&run, &CancelFlag::new(), &|_| ()).unwrap();
         pixels.planes.iter().flatten().map(|value| value.to_bits()).collect::<Vec<_>>()
     };
     assert_eq!(render(&moving, 1), render(&still, 1));

@@ -7,7 +7,7 @@ use std::io::Cursor;
 
 use scene::Job;
 use worker::frame::render_frame;
-use worker::{Cancel, CpuRenderer, Simd};
+use worker::{CancelFlag, CpuRenderer, Simd};
 
 use crate::lanes::levels;
 use crate::shipped::{Shipped, shipped};
@@ -36,8 +36,17 @@ impl Way {
 
     fn picture(&self, job: &Job) -> Vec<u8> {
         let mut out = Cursor::new(Vec::new());
-        render_frame(&self.renderer, job, 0, self.tile_px, &std::env::temp_dir(), &mut out, &Cancel::new(), &|_| ())
-            .unwrap_or_else(|error| panic!("{}: {error}", self.name));
+        render_frame(
+            &self.renderer,
+            job,
+            0,
+            self.tile_px,
+            &std::env::temp_dir(),
+            &mut out,
+            &CancelFlag::new(),
+            &|_| (),
+        )
+        .unwrap_or_else(|error| panic!("{}: {error}", self.name));
         out.into_inner()
     }
 }

@@ -7,7 +7,7 @@ use std::path::Path;
 use proto::Rect;
 use scene::real::vec3;
 use serde_json::{Value, json};
-use worker::{Cancel, CpuRenderer, Renderer, Simd, TileRun};
+use worker::{CancelFlag, CpuRenderer, Renderer, Simd, TileRequest};
 
 /// Pixels along an edge.
 const SIZE: usize = 256;
@@ -146,8 +146,8 @@ impl Paper {
 fn rendered(job: &Value) -> Vec<bool> {
     let job = scene::parse(job.to_string().as_bytes()).expect("it is right");
     let renderer = CpuRenderer::new(None, Simd::Auto).expect("there is a CPU");
-    let run = TileRun { job: &job, frame: 0, rect: Rect::full(SIZE as u32, SIZE as u32) };
-    let pixels = renderer.render(&run, &Cancel::new(), &|_| ()).expect("it renders");
+    let run = TileRequest { job: &job, frame: 0, rect: Rect::full(SIZE as u32, SIZE as u32) };
+    let pixels = renderer.render(&run, &CancelFlag::new(), &|_| ()).expect("it renders");
     pixels.planes[3].iter().map(|&alpha| alpha > 0.5).collect()
 }
 

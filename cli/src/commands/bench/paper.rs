@@ -13,7 +13,7 @@ use clap::Args;
 use scene::Job;
 use serde::Serialize;
 use worker::bench::{GpuReport, RenderReport, render, render_on_gpu};
-use worker::cuda::Shape;
+use worker::cuda::BlockDim;
 use worker::{CpuRenderer, Simd};
 
 use crate::arguments::{Device, RendererArguments};
@@ -27,12 +27,12 @@ const SCENE: &str = "paper/five-spheres";
 /// Camera rays a pixel, as in Table 1.
 const SAMPLES: u32 = 8;
 /// Blocks of threads, as in Table 1.
-const BLOCKS: [Shape; 5] = [
-    Shape { columns: 8, rows: 8 },
-    Shape { columns: 16, rows: 16 },
-    Shape { columns: 32, rows: 8 },
-    Shape { columns: 128, rows: 1 },
-    Shape { columns: 256, rows: 1 },
+const BLOCKS: [BlockDim; 5] = [
+    BlockDim { columns: 8, rows: 8 },
+    BlockDim { columns: 16, rows: 16 },
+    BlockDim { columns: 32, rows: 8 },
+    BlockDim { columns: 128, rows: 1 },
+    BlockDim { columns: 256, rows: 1 },
 ];
 
 /// Arguments of `bench paper`.
@@ -162,7 +162,7 @@ impl<'a> Gpu<'a> {
         Ok(Some(Self { arguments, ordinal, name, counter, profiled: Some(folder) }))
     }
 
-    fn measure(&mut self, text: &str, job: &Job, block: Shape) -> anyhow::Result<(GpuReport, Profile)> {
+    fn measure(&mut self, text: &str, job: &Job, block: BlockDim) -> anyhow::Result<(GpuReport, Profile)> {
         let renderer = self.arguments.renderer.cuda.in_blocks(block).renderer(self.ordinal)?;
         let report = render_on_gpu(job, &renderer, &self.counter, self.arguments.runs as usize)?;
         drop(renderer);
@@ -170,7 +170,7 @@ impl<'a> Gpu<'a> {
     }
 
     /// Counters of `ncu`; none if it is missing or not permitted.
-    fn profile(&mut self, text: &str, block: Shape) -> anyhow::Result<Profile> {
+    fn profile(&mut self, text: &str, block: BlockDim) -> anyhow::Result<Profile> {
         let Some(folder) = &self.profiled else { return Ok(Profile::default()) };
         let path: PathBuf = folder.path().join("job.json");
         std::fs::write(&path, text).with_context(|| format!("could not write {}", path.display()))?;
@@ -189,7 +189,7 @@ impl<'a> Gpu<'a> {
 impl Row {
     fn new(
         resolution: u32,
-        block: Shape,
+        block: BlockDim,
         serial: &RenderReport,
         simd: &RenderReport,
         gpu: Option<(GpuReport, Profile)>,

@@ -31,7 +31,7 @@ pub(crate) fn prove(renderer: &dyn Renderer) -> anyhow::Result<()> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use worker::{Cancel, CpuRenderer, Pixels, RenderError, Simd, TileRun};
+    use worker::{CancelFlag, CpuRenderer, RenderError, Simd, TilePixels, TileRequest};
 
     /// One bit of what it renders is wrong.
     struct Bad(CpuRenderer);
@@ -43,10 +43,10 @@ mod tests {
 
         fn render(
             &self,
-            run: &TileRun<'_>,
-            cancel: &Cancel,
+            run: &TileRequest<'_>,
+            cancel: &CancelFlag,
             progress: &(dyn Fn(u64) + Sync),
-        ) -> Result<Pixels, RenderError> {
+        ) -> Result<TilePixels, RenderError> {
             let mut pixels = self.0.render(run, cancel, progress)?;
             let value = pixels.planes[0].last_mut().expect("a pixel");
             *value = f32::from_bits(value.to_bits() ^ 1);

@@ -7,7 +7,7 @@ use std::path::Path;
 use anyhow::Context;
 use serde_json::{Value, json};
 use worker::frame::render_frame;
-use worker::{Cancel, CpuRenderer, Simd};
+use worker::{CancelFlag, CpuRenderer, Simd};
 
 use crate::shipped;
 
@@ -55,7 +55,7 @@ fn render(
     scratch: &Path,
     out: &mut Cursor<Vec<u8>>,
 ) -> anyhow::Result<()> {
-    render_frame(renderer, job, frame, None, scratch, out, &Cancel::new(), &|_| {})
+    render_frame(renderer, job, frame, None, scratch, out, &CancelFlag::new(), &|_| {})
         .context("could not render the picture to compare with")?;
     Ok(())
 }

@@ -5,7 +5,7 @@ use proto::worker_protocol::{Batch, BatchWork, LeaseOutcome, StitchInput};
 use proto::{JobId, LeaseId};
 use scene::Job;
 use worker::blob;
-use worker::stitch::Tiles;
+use worker::stitch::TileRows;
 
 use super::{Acting, Agent, add_job};
 use crate::fake_renderer::{ALL_LAYERS, FakeRenderer, cut, pixels};
@@ -15,7 +15,7 @@ use axum::http::StatusCode;
 
 fn expected(job: &Job) -> Vec<u8> {
     let whole = tiles(job, &[Rect::full(job.image.width, job.image.height)]);
-    encode(job, &mut Tiles(&whole), 64).unwrap()
+    encode(job, &mut TileRows(&whole), 64).unwrap()
 }
 
 #[test]
@@ -93,7 +93,7 @@ fn damaged_and_missing_blobs_are_named() {
 #[test]
 fn a_failing_tile_is_reported_in_its_words_and_spares_the_others() {
     let server = FakeServer::start(30_000);
-    let renderer = Acting(|run: &worker::TileRun<'_>, _: &worker::Cancel| {
+    let renderer = Acting(|run: &worker::TileRequest<'_>, _: &worker::CancelFlag| {
         assert!(run.rect.x != 64, "no good at {}", run.rect.x);
         if run.rect.x == 32 {
             let (device, reason) = ("the card".to_owned(), "it is on fire".to_owned());

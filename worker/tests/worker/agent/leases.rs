@@ -4,7 +4,7 @@ use std::time::Duration;
 
 use proto::Rect;
 use proto::worker_protocol::LeaseOutcome;
-use worker::{Cancel, TileRun};
+use worker::{CancelFlag, TileRequest};
 
 use super::{Acting, Agent, Happening, add_job, gated, until_cancelled};
 use crate::fake_renderer::{FakeRenderer, cut};
@@ -13,7 +13,7 @@ use crate::fake_server::FakeServer;
 const TILE: Rect = Rect { x: 0, y: 0, width: 32, height: 32 };
 
 /// Hangs in tiles that do not start at the left edge.
-fn hangs_beside_the_edge(run: &TileRun<'_>, cancel: &Cancel) -> Result<(), worker::RenderError> {
+fn hangs_beside_the_edge(run: &TileRequest<'_>, cancel: &CancelFlag) -> Result<(), worker::RenderError> {
     if run.rect.x == 0 { Ok(()) } else { Err(until_cancelled(cancel)) }
 }
 
@@ -60,7 +60,7 @@ fn a_worker_that_is_cut_off_stops_by_itself() {
     let mut server = FakeServer::start(900);
     let (begun, cancelled) = (Happening::default(), Happening::default());
     let (begins, ends) = (begun.clone(), cancelled.clone());
-    let renderer = Acting(move |_: &TileRun<'_>, cancel: &Cancel| {
+    let renderer = Acting(move |_: &TileRequest<'_>, cancel: &CancelFlag| {
         begins.happen();
         let error = until_cancelled(cancel);
         ends.happen();

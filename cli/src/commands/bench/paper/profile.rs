@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 
 use serde::Serialize;
-use worker::cuda::Shape;
+use worker::cuda::BlockDim;
 
 use crate::commands::serve::own_program;
 
@@ -26,7 +26,7 @@ pub(super) struct Profile {
 }
 
 /// Counts what the first launch of a frame does, without the self-test's before it.
-pub(super) fn profile(job: &Path, device: &str, block: Shape, cache: Option<&Path>) -> Result<Profile, String> {
+pub(super) fn profile(job: &Path, device: &str, block: BlockDim, cache: Option<&Path>) -> Result<Profile, String> {
     let folder = job.parent().unwrap_or(Path::new("."));
     let (log, picture): (PathBuf, PathBuf) = (folder.join("ncu.csv"), folder.join("profiled.png"));
     let program = own_program().map_err(|error| format!("{error:#}"))?;
@@ -50,7 +50,7 @@ pub(super) fn profile(job: &Path, device: &str, block: Shape, cache: Option<&Pat
 }
 
 /// The figures of the launch with the most blocks of this shape; of several, the first.
-fn read(log: &str, block: Shape) -> Profile {
+fn read(log: &str, block: BlockDim) -> Profile {
     let mut rows = log.lines().skip_while(|line| !line.starts_with("\"ID\"")).map(fields);
     let heads = rows.next().unwrap_or_default();
     let place = |name: &str| heads.iter().position(|head| *head == name);
@@ -105,7 +105,7 @@ mod tests {
 
     #[test]
     fn figures_of_the_largest_launch_are_read() {
-        let got = read(LOG, Shape { columns: 8, rows: 8 });
+        let got = read(LOG, BlockDim { columns: 8, rows: 8 });
         let want = Profile {
             achieved_occupancy_percent: Some(41.25),
             branch_efficiency_percent: Some(97.5),
@@ -116,7 +116,7 @@ mod tests {
 
     #[test]
     fn nothing_is_read_from_a_log_without_figures_or_of_other_blocks() {
-        assert_eq!(read("==ERROR== ERR_NVGPUCTRPERM", Shape { columns: 8, rows: 8 }), Profile::default());
-        assert_eq!(read(LOG, Shape { columns: 16, rows: 16 }), Profile::default());
+        assert_eq!(read("==ERROR== ERR_NVGPUCTRPERM", BlockDim { columns: 8, rows: 8 }), Profile::default());
+        assert_eq!(read(LOG, BlockDim { columns: 16, rows: 16 }), Profile::default());
     }
 }
