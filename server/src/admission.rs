@@ -14,26 +14,26 @@ use governor::state::keyed::DefaultKeyedStateStore;
 use governor::{Quota, RateLimiter};
 use tokio_util::sync::CancellationToken;
 
-use crate::api_keys::{Key, Keys};
-use crate::audit_log::Audit;
+use crate::api_keys::{ApiKey, ApiKeys};
+use crate::audit_log::AuditLog;
 use crate::clock::Clock;
-use crate::database::{Store, StoreError};
+use crate::database::{Database, DatabaseError};
 
 /// Requests per second of one address on a farm without keys.
-const ADDRESS_PER_SECOND: NonZeroU32 = NonZeroU32::new(1000).expect("it is not 0");
+const REQUESTS_PER_ADDRESS: NonZeroU32 = NonZeroU32::new(1000).expect("it is not 0");
 /// Rejections per second of one address whose reason is sent.
-const REFUSALS_PER_SECOND: NonZeroU32 = NonZeroU32::new(20).expect("it is not 0");
+const REJECTIONS_PER_ADDRESS: NonZeroU32 = NonZeroU32::new(20).expect("it is not 0");
 /// Addresses that are remembered before those that are quiet are forgotten.
-const ADDRESSES: usize = 10_000;
+const MAX_TRACKED_ADDRESSES: usize = 10_000;
 /// Interval at which idle addresses are removed from the limiters.
-const FORGET: Duration = Duration::from_secs(10);
+const PRUNE_INTERVAL: Duration = Duration::from_secs(10);
 
 /// Rate limiter with one cell for each address.
-type Limiter = RateLimiter<IpAddr, DefaultKeyedStateStore<IpAddr>, DefaultClock, StateInformationMiddleware>;
+type AddressLimiter = RateLimiter<IpAddr, DefaultKeyedStateStore<IpAddr>, DefaultClock, StateInformationMiddleware>;
 
 /// Too many requests.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct Refusal {
+pub(crate) struct RateLimited {
     /// Permitted requests per second.
     pub(crate) per_second: u32,
     /// Seconds until the next attempt can succeed.
@@ -42,12 +42,12 @@ pub(crate) struct Refusal {
 
 /// Remaining rate of a caller.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct Pace {
+pub(crate) struct RateLimitStatus {
     per_second: u32,
     remaining: u32,
 }
 
-impl Pace {
+impl RateLimitStatus {
     /// The `RateLimit` headers of a response.
     pub(crate) fn headers(self) -> impl Iterator<Item = (HeaderName, HeaderValue)> {
         let policy = format!("\"requests\";q={};w=1", self.per_second);
@@ -60,23 +60,23 @@ impl Pace {
 
 /// Keys, rates, the audit log.
 #[derive(Debug)]
-pub(crate) struct Doors {
+pub(crate) struct Admission {
     /// API keys.
-    pub(crate) keys: Keys,
+    pub(crate) keys: ApiKeys,
     /// Audit log.
-    pub(crate) audit: Audit,
-    addresses: Limiter,
-    refusals: Limiter,
+    pub(crate) audit: AuditLog,
+    address_limiter: AddressLimiter,
+    rejection_limiter: AddressLimiter,
 }
 
-impl Doors {
+impl Admission {
     /// Opens the keys and the audit log of a farm.
-    pub(crate) async fn open(store: Arc<Store>, clock: Clock) -> Result<Self, StoreError> {
+    pub(crate) async fn open(store: Arc<Database>, clock: Clock) -> Result<Self, DatabaseError> {
         Ok(Self {
-            keys: Keys::open(Arc::clone(&store), clock.clone()).await?,
-            audit: Audit::new(store, clock),
-            addresses: RateLimiter::keyed(Quota::per_second(ADDRESS_PER_SECOND)).with_middleware(),
-            refusals: RateLimiter::keyed(Quota::per_second(REFUSALS_PER_SECOND)).with_middleware(),
+            keys: ApiKeys::open(Arc::clone(&store), clock.clone()).await?,
+            audit: AuditLog::new(store, clock),
+            address_limiter: RateLimiter::keyed(Quota::per_second(REQUESTS_PER_ADDRESS)).with_middleware(),
+            rejection_limiter: RateLimiter::keyed(Quota::per_second(REJECTIONS_PER_ADDRESS)).with_middleware(),
         })
     }
 
@@ -84,52 +84,52 @@ impl Doors {
     /// not counted.
     pub(crate) fn admit(
         &self,
-        key: Option<&Key>,
+        key: Option<&ApiKey>,
         peer: Option<IpAddr>,
         is_local: bool,
-    ) -> Result<Option<Pace>, Refusal> {
+    ) -> Result<Option<RateLimitStatus>, RateLimited> {
         let state = match (key, peer) {
             (Some(key), _) => key.limiter().check(),
-            (None, Some(peer)) if is_local && !peer.is_loopback() => self.addresses.check_key(&peer),
+            (None, Some(peer)) if is_local && !peer.is_loopback() => self.address_limiter.check_key(&peer),
             (None, _) => return Ok(None),
         };
         match state {
-            Ok(state) => Ok(Some(Pace {
+            Ok(state) => Ok(Some(RateLimitStatus {
                 per_second: state.quota().burst_size().get(),
                 remaining: state.remaining_burst_capacity(),
             })),
-            Err(until) => Err(Refusal {
+            Err(until) => Err(RateLimited {
                 per_second: until.quota().burst_size().get(),
-                retry_seconds: whole_seconds(until.wait_time_from(DefaultClock::default().now())),
+                retry_seconds: round_up_seconds(until.wait_time_from(DefaultClock::default().now())),
             }),
         }
     }
 
     /// Counts a rejection; beyond the limit of an address, rejections are sent without their reason.
-    pub(crate) fn count_refusal(&self, peer: Option<IpAddr>) -> Result<(), Refusal> {
+    pub(crate) fn count_rejection(&self, peer: Option<IpAddr>) -> Result<(), RateLimited> {
         let Some(peer) = peer else { return Ok(()) };
-        match self.refusals.check_key(&peer) {
+        match self.rejection_limiter.check_key(&peer) {
             Ok(_) => Ok(()),
-            Err(until) => Err(Refusal {
-                per_second: REFUSALS_PER_SECOND.get(),
-                retry_seconds: whole_seconds(until.wait_time_from(DefaultClock::default().now())),
+            Err(until) => Err(RateLimited {
+                per_second: REJECTIONS_PER_ADDRESS.get(),
+                retry_seconds: round_up_seconds(until.wait_time_from(DefaultClock::default().now())),
             }),
         }
     }
 
     /// Reloads keys, writes the audit log and removes idle addresses until shutdown.
     pub(crate) async fn run(&self, end: CancellationToken) {
-        tokio::join!(self.keys.run(end.clone()), self.audit.run(end.clone()), self.forget(end));
+        tokio::join!(self.keys.run(end.clone()), self.audit.run(end.clone()), self.prune(end));
     }
 
-    async fn forget(&self, end: CancellationToken) {
+    async fn prune(&self, end: CancellationToken) {
         loop {
             tokio::select! {
                 () = end.cancelled() => return,
-                () = tokio::time::sleep(FORGET) => {}
+                () = tokio::time::sleep(PRUNE_INTERVAL) => {}
             }
-            for limiter in [&self.addresses, &self.refusals] {
-                if limiter.len() > ADDRESSES {
+            for limiter in [&self.address_limiter, &self.rejection_limiter] {
+                if limiter.len() > MAX_TRACKED_ADDRESSES {
                     limiter.retain_recent();
                     limiter.shrink_to_fit();
                 }
@@ -139,7 +139,7 @@ impl Doors {
 }
 
 /// A time to wait, as whole seconds, at least one.
-fn whole_seconds(wait: Duration) -> u64 {
+fn round_up_seconds(wait: Duration) -> u64 {
     wait.as_secs() + u64::from(wait.subsec_nanos() > 0).max(u64::from(wait.is_zero()))
 }
 
@@ -154,10 +154,10 @@ mod tests {
     /// More than any of the limits, however slowly they are counted.
     const MANY: u32 = 1_000_000;
 
-    async fn doors() -> (Doors, tempfile::TempDir) {
+    async fn doors() -> (Admission, tempfile::TempDir) {
         let folder = tempfile::tempdir().expect("a temporary folder");
-        let store = Arc::new(Store::open(folder.path()).await.expect("opens"));
-        (Doors::open(store, Clock::by_hand().0).await.expect("opens"), folder)
+        let store = Arc::new(Database::open(folder.path()).await.expect("opens"));
+        (Admission::open(store, Clock::manual().0).await.expect("opens"), folder)
     }
 
     #[tokio::test]
@@ -181,18 +181,18 @@ mod tests {
     #[tokio::test]
     async fn refusals_of_an_address_are_counted_and_others_are_not_held_for_them() {
         let (doors, _folder) = doors().await;
-        let told = (0..MANY).find_map(|count| doors.count_refusal(Some(HERE)).err().map(|refusal| (count, refusal)));
+        let told = (0..MANY).find_map(|count| doors.count_rejection(Some(HERE)).err().map(|refusal| (count, refusal)));
         let (told, refusal) = told.expect("there is a limit");
         assert!(told >= 20, "{told} were told why");
         assert_eq!((refusal.per_second, refusal.retry_seconds), (20, 1));
-        assert!(doors.count_refusal(Some(ELSEWHERE)).is_ok());
-        assert!((0..100).all(|_| doors.count_refusal(None).is_ok()));
+        assert!(doors.count_rejection(Some(ELSEWHERE)).is_ok());
+        assert!((0..100).all(|_| doors.count_rejection(None).is_ok()));
     }
 
     #[test]
     fn a_wait_is_told_in_whole_seconds_that_are_enough() {
         for (millis, seconds) in [(0, 1), (1, 1), (999, 1), (1000, 1), (1001, 2), (2500, 3), (4000, 4)] {
-            assert_eq!(whole_seconds(Duration::from_millis(millis)), seconds, "{millis} ms");
+            assert_eq!(round_up_seconds(Duration::from_millis(millis)), seconds, "{millis} ms");
         }
     }
 }

@@ -16,16 +16,16 @@ use proto::api_key::{ApiKeyView, IssuedApiKey, NewApiKey, Scope};
 use tokio_util::sync::CancellationToken;
 
 use crate::clock::Clock;
-use crate::database::{Durability, Store, StoreError};
+use crate::database::{Database, DatabaseError, Durability};
 
-pub(crate) use key::Key;
-pub use offline::{KeyFolder, KeyFolderError};
-pub(crate) use secret::same;
+pub(crate) use key::ApiKey;
+pub use offline::{OfflineApiKeys, OfflineApiKeysError};
+pub(crate) use secret::constant_time_eq;
 
 /// Interval at which the table is reread.
-const REFRESH: Duration = Duration::from_millis(500);
+const RELOAD_INTERVAL: Duration = Duration::from_millis(500);
 /// Precision of the stored last-used times.
-const COARSE_MS: i64 = 60_000;
+const LAST_USED_PRECISION_MS: i64 = 60_000;
 /// Maximum number of live keys of one name: the old one and its replacement.
 pub(crate) const MAX_LIVE_OF_A_NAME: i64 = 2;
 /// Keys that are not revoked, of all names.
@@ -39,7 +39,7 @@ const MAX_LIFE_SECONDS: u64 = 100 * 366 * 24 * 3600;
 
 /// Error when creating, finding or revoking a key.
 #[derive(Debug, thiserror::Error)]
-pub(crate) enum KeyError {
+pub(crate) enum ApiKeyError {
     /// The name is none.
     #[error(
         "{0:?} can't name a key: take 1 to 64 letters, digits, dots, dashes and underscores, but not local or pool"
@@ -68,7 +68,7 @@ pub(crate) enum KeyError {
     #[error(
         "{name} has {MAX_LIVE_OF_A_NAME} live keys already: revoke one, by `sdfarm key revoke ID`, before making another"
     )]
-    BothTaken {
+    TooManyLive {
         /// The name.
         name: String,
     },
@@ -85,25 +85,25 @@ pub(crate) enum KeyError {
     Random(getrandom::Error),
     /// The database could not do it.
     #[error(transparent)]
-    Store(#[from] StoreError),
+    Store(#[from] DatabaseError),
 }
 
 /// Whether one more key may be made where `made` were made before, of which `kept` are not revoked.
-fn check_room(order: &key::Order, made: usize, kept: usize) -> Result<(), KeyError> {
+fn check_room(order: &key::KeySpec, made: usize, kept: usize) -> Result<(), ApiKeyError> {
     if made == 0 && !order.scopes.has(Scope::Admin) {
-        return Err(KeyError::FirstNotAdmin);
+        return Err(ApiKeyError::FirstNotAdmin);
     }
     if kept >= MAX_KEYS {
-        return Err(KeyError::TooMany);
+        return Err(ApiKeyError::TooMany);
     }
     Ok(())
 }
 
 /// Result of looking up a secret.
 #[derive(Clone, Debug)]
-pub(crate) enum Found {
+pub(crate) enum KeyLookup {
     /// Secret of a live key.
-    Live(Arc<Key>),
+    Live(Arc<ApiKey>),
     /// Secret of an expired key.
     Expired,
     /// Secret of a revoked key.
@@ -114,24 +114,24 @@ pub(crate) enum Found {
 
 /// Keys of a farm, at most 500 ms old.
 #[derive(Debug)]
-pub(crate) struct Keys {
-    store: Arc<Store>,
+pub(crate) struct ApiKeys {
+    store: Arc<Database>,
     clock: Clock,
-    known: RwLock<Arc<Vec<Arc<Key>>>>,
+    known: RwLock<Arc<Vec<Arc<ApiKey>>>>,
     /// When each key's last use was last written to the table.
     written: Mutex<HashMap<i64, i64>>,
 }
 
-impl Keys {
+impl ApiKeys {
     /// Reads the keys of a database.
-    pub(crate) async fn open(store: Arc<Store>, clock: Clock) -> Result<Self, StoreError> {
+    pub(crate) async fn open(store: Arc<Database>, clock: Clock) -> Result<Self, DatabaseError> {
         let keys = Self { store, clock, known: RwLock::default(), written: Mutex::default() };
         keys.refresh().await?;
         Ok(keys)
     }
 
     /// Whether a key was ever created: from then on every request needs one.
-    pub(crate) fn are_wanted(&self) -> bool {
+    pub(crate) fn are_required(&self) -> bool {
         !self.all().is_empty()
     }
 
@@ -142,20 +142,20 @@ impl Keys {
     }
 
     /// Looks up a secret.
-    pub(crate) fn find(&self, secret: &str) -> Found {
+    pub(crate) fn find(&self, secret: &str) -> KeyLookup {
         let digest = secret::digest(secret);
         // Compares with all keys, so that the duration reveals nothing.
         let all = self.all();
         let found = all.iter().fold(None, |found, key| if key.has(&digest) { Some(key) } else { found });
-        let Some(key) = found else { return Found::Unknown };
+        let Some(key) = found else { return KeyLookup::Unknown };
         let now_ms = self.clock.wall_ms();
         if key.is_revoked() {
-            Found::Revoked
+            KeyLookup::Revoked
         } else if key.is_live(now_ms) {
-            key.used(now_ms);
-            Found::Live(Arc::clone(key))
+            key.mark_used(now_ms);
+            KeyLookup::Live(Arc::clone(key))
         } else {
-            Found::Expired
+            KeyLookup::Expired
         }
     }
 
@@ -166,11 +166,11 @@ impl Keys {
     }
 
     /// Creates a key; it is valid when this returns.
-    pub(crate) async fn make(&self, new: NewApiKey) -> Result<IssuedApiKey, KeyError> {
-        let order = key::Order::check(new, self.clock.wall_ms())?;
+    pub(crate) async fn create(&self, new: NewApiKey) -> Result<IssuedApiKey, ApiKeyError> {
+        let order = key::KeySpec::check(new, self.clock.wall_ms())?;
         let all = self.all();
         check_room(&order, all.len(), all.iter().filter(|key| !key.is_revoked()).count())?;
-        let issue = secret::issue()?;
+        let issue = secret::generate()?;
         let (id, name, digest) = (issue.id.clone(), order.name.clone(), issue.digest);
         let made = self
             .store
@@ -181,12 +181,12 @@ impl Keys {
         self.refresh().await?;
         match self.list().into_iter().find(|key| key.id == issue.id) {
             Some(key) if made => Ok(IssuedApiKey { secret: issue.secret, key }),
-            _ => Err(KeyError::BothTaken { name }),
+            _ => Err(ApiKeyError::TooManyLive { name }),
         }
     }
 
     /// Revokes the key with this id, or all keys of this name, and ends their open requests.
-    pub(crate) async fn revoke(&self, id_or_name: &str) -> Result<Vec<ApiKeyView>, KeyError> {
+    pub(crate) async fn revoke(&self, id_or_name: &str) -> Result<Vec<ApiKeyView>, ApiKeyError> {
         let (which, now_ms) = (id_or_name.to_owned(), self.clock.wall_ms());
         let revoked = self
             .store
@@ -196,20 +196,20 @@ impl Keys {
             .await?;
         self.refresh().await?;
         if revoked.is_empty() {
-            return Err(KeyError::Unknown(id_or_name.to_owned()));
+            return Err(ApiKeyError::Unknown(id_or_name.to_owned()));
         }
         Ok(self.list().into_iter().filter(|key| revoked.contains(&key.id)).collect())
     }
 
     /// Reads the table again.
-    pub(crate) async fn refresh(&self) -> Result<(), StoreError> {
+    pub(crate) async fn refresh(&self) -> Result<(), DatabaseError> {
         let rows = rows::all(self.store.readers()).await?;
         let old = self.all();
         let now_ms = self.clock.wall_ms();
         let keys = rows.into_iter().map(|row| {
             let known = old.iter().find(|key| key.number() == row.number);
-            let key = Key::new(row, known.map(|key| &**key));
-            key.end_if_over(now_ms);
+            let key = ApiKey::new(row, known.map(|key| &**key));
+            key.revoke_if_expired(now_ms);
             Arc::new(key)
         });
         let keys = Arc::new(keys.collect::<Vec<_>>());
@@ -219,7 +219,7 @@ impl Keys {
 
     /// Reloads the keys from the table and stores their last use until shutdown.
     pub(crate) async fn run(&self, end: CancellationToken) {
-        let mut tick = tokio::time::interval(REFRESH);
+        let mut tick = tokio::time::interval(RELOAD_INTERVAL);
         tick.set_missed_tick_behavior(tokio::time::MissedTickBehavior::Delay);
         loop {
             let done = tokio::select! {
@@ -232,11 +232,11 @@ impl Keys {
         }
     }
 
-    async fn write_uses(&self) -> Result<(), StoreError> {
+    async fn write_uses(&self) -> Result<(), DatabaseError> {
         let uses: Vec<(i64, i64)> = {
             let mut written = self.written.lock().expect("no holder panics");
             let is_due = |written: &HashMap<i64, i64>, number: i64, used_ms: i64| {
-                written.get(&number).is_none_or(|before| used_ms >= before + COARSE_MS)
+                written.get(&number).is_none_or(|before| used_ms >= before + LAST_USED_PRECISION_MS)
             };
             let uses = self.all();
             let uses = uses.iter().filter_map(|key| Some((key.number(), key.last_used_ms()?)));
@@ -251,7 +251,7 @@ impl Keys {
             .write(Durability::Relaxed, move |connection| {
                 Box::pin(async move {
                     for (number, used_ms) in uses {
-                        rows::touch(connection, number, used_ms).await?;
+                        rows::set_last_used(connection, number, used_ms).await?;
                     }
                     Ok(())
                 })
@@ -259,7 +259,7 @@ impl Keys {
             .await
     }
 
-    fn all(&self) -> Arc<Vec<Arc<Key>>> {
+    fn all(&self) -> Arc<Vec<Arc<ApiKey>>> {
         Arc::clone(&self.known.read().expect("no holder panics"))
     }
 }

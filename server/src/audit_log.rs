@@ -14,20 +14,20 @@ use tokio::sync::{Mutex, mpsc};
 use tokio_util::sync::CancellationToken;
 
 use crate::clock::{Clock, rfc3339};
-use crate::database::{Durability, Store, StoreError};
+use crate::database::{Database, DatabaseError, Durability};
 
 /// Maximum number of entries.
-const KEPT: i64 = 100_000;
+const MAX_ENTRIES: i64 = 100_000;
 /// Maximum number of records waiting to be written.
-const WAITING: usize = 4096;
+const QUEUE_CAPACITY: usize = 4096;
 /// How long records are gathered before they are written together.
-const GATHER: Duration = Duration::from_millis(250);
+const FLUSH_INTERVAL: Duration = Duration::from_millis(250);
 
 /// An action of a caller, or its rejection.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub(crate) struct Deed {
+pub(crate) struct AuditRecord {
     /// The key's name, or who else it was.
-    pub(crate) who: String,
+    pub(crate) actor: String,
     /// The key's id.
     pub(crate) key: Option<String>,
     /// The caller's address, without port.
@@ -46,42 +46,42 @@ pub(crate) struct Deed {
     pub(crate) request_id: String,
 }
 
-impl Deed {
+impl AuditRecord {
     /// Whether it is the same rejection, apart from the request.
-    fn is_like(&self, other: &Self) -> bool {
+    fn is_same_rejection(&self, other: &Self) -> bool {
         self.code.is_some() && *self == Self { request_id: self.request_id.clone(), ..other.clone() }
     }
 }
 
 /// Record with the number of its repeats.
 #[derive(Debug)]
-struct Counted {
-    deed: Deed,
+struct AggregatedRecord {
+    deed: AuditRecord,
     at_ms: i64,
     times: u32,
 }
 
 /// The audit log.
 #[derive(Debug)]
-pub(crate) struct Audit {
-    store: Arc<Store>,
+pub(crate) struct AuditLog {
+    store: Arc<Database>,
     clock: Clock,
-    deeds: mpsc::Sender<Deed>,
-    waiting: Mutex<mpsc::Receiver<Deed>>,
-    unwritten: AtomicU64,
+    deeds: mpsc::Sender<AuditRecord>,
+    waiting: Mutex<mpsc::Receiver<AuditRecord>>,
+    dropped: AtomicU64,
 }
 
-impl Audit {
+impl AuditLog {
     /// The audit log of a database; it is written while [`Audit::run`] runs.
-    pub(crate) fn new(store: Arc<Store>, clock: Clock) -> Self {
-        let (deeds, waiting) = mpsc::channel(WAITING);
-        Self { store, clock, deeds, waiting: Mutex::new(waiting), unwritten: AtomicU64::new(0) }
+    pub(crate) fn new(store: Arc<Database>, clock: Clock) -> Self {
+        let (deeds, waiting) = mpsc::channel(QUEUE_CAPACITY);
+        Self { store, clock, deeds, waiting: Mutex::new(waiting), dropped: AtomicU64::new(0) }
     }
 
     /// Queues a record to be written.
-    pub(crate) fn note(&self, deed: Deed) {
+    pub(crate) fn record(&self, deed: AuditRecord) {
         if self.deeds.try_send(deed).is_err() {
-            self.unwritten.fetch_add(1, Ordering::Relaxed);
+            self.dropped.fetch_add(1, Ordering::Relaxed);
         }
     }
 
@@ -96,15 +96,15 @@ impl Audit {
             };
             let Some(first) = first else { return };
             let mut gathered = Vec::new();
-            self.gather(&mut gathered, first);
+            self.aggregate(&mut gathered, first);
             tokio::select! {
                 () = end.cancelled() => {}
-                () = tokio::time::sleep(GATHER) => {}
+                () = tokio::time::sleep(FLUSH_INTERVAL) => {}
             }
             while let Ok(deed) = waiting.try_recv() {
-                self.gather(&mut gathered, deed);
+                self.aggregate(&mut gathered, deed);
             }
-            let unwritten = self.unwritten.swap(0, Ordering::Relaxed);
+            let unwritten = self.dropped.swap(0, Ordering::Relaxed);
             if unwritten > 0 {
                 tracing::warn!(target: "audit", unwritten, "audit records dropped: the queue is full");
             }
@@ -114,18 +114,18 @@ impl Audit {
         }
     }
 
-    fn gather(&self, gathered: &mut Vec<Counted>, deed: Deed) {
-        if let Some(like) = gathered.iter_mut().rev().take(16).find(|like| like.deed.is_like(&deed)) {
+    fn aggregate(&self, gathered: &mut Vec<AggregatedRecord>, deed: AuditRecord) {
+        if let Some(like) = gathered.iter_mut().rev().take(16).find(|like| like.deed.is_same_rejection(&deed)) {
             like.times = like.times.saturating_add(1);
         } else {
-            gathered.push(Counted { deed, at_ms: self.clock.wall_ms(), times: 1 });
+            gathered.push(AggregatedRecord { deed, at_ms: self.clock.wall_ms(), times: 1 });
         }
     }
 
-    async fn write(&self, gathered: Vec<Counted>) -> Result<(), StoreError> {
-        for Counted { deed, times, .. } in &gathered {
+    async fn write(&self, gathered: Vec<AggregatedRecord>) -> Result<(), DatabaseError> {
+        for AggregatedRecord { deed, times, .. } in &gathered {
             tracing::info!(
-                target: "audit", who = deed.who, key = deed.key, address = deed.address, method = deed.method,
+                target: "audit", who = deed.actor, key = deed.key, address = deed.address, method = deed.method,
                 route = deed.route, job = deed.job.map(tracing::field::display), status = deed.status,
                 code = deed.code, id = deed.request_id, times, "done"
             );
@@ -143,7 +143,7 @@ impl Audit {
     }
 
     /// A page of entries, newest first, of those before a number.
-    pub(crate) async fn page(&self, before: Option<i64>, limit: u32) -> Result<AuditPage, StoreError> {
+    pub(crate) async fn page(&self, before: Option<i64>, limit: u32) -> Result<AuditPage, DatabaseError> {
         let rows = sqlx::query(
             "SELECT number, at_ms, who, key, address, method, route, job, status, code, request_id, times
              FROM audit WHERE number < ? ORDER BY number DESC LIMIT ?",
@@ -159,14 +159,14 @@ impl Audit {
     }
 }
 
-async fn insert(connection: &mut SqliteConnection, counted: &Counted) -> Result<(), StoreError> {
+async fn insert(connection: &mut SqliteConnection, counted: &AggregatedRecord) -> Result<(), DatabaseError> {
     let deed = &counted.deed;
     sqlx::query(
         "INSERT INTO audit (at_ms, who, key, address, method, route, job, status, code, request_id, times)
          VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?)",
     )
     .bind(counted.at_ms)
-    .bind(&deed.who)
+    .bind(&deed.actor)
     .bind(&deed.key)
     .bind(&deed.address)
     .bind(&deed.method)
@@ -181,15 +181,15 @@ async fn insert(connection: &mut SqliteConnection, counted: &Counted) -> Result<
     Ok(())
 }
 
-async fn prune(connection: &mut SqliteConnection) -> Result<(), StoreError> {
+async fn prune(connection: &mut SqliteConnection) -> Result<(), DatabaseError> {
     sqlx::query("DELETE FROM audit WHERE number <= (SELECT max(number) FROM audit) - ?")
-        .bind(KEPT)
+        .bind(MAX_ENTRIES)
         .execute(connection)
         .await?;
     Ok(())
 }
 
-fn read(row: &SqliteRow) -> Result<AuditEntry, StoreError> {
+fn read(row: &SqliteRow) -> Result<AuditEntry, DatabaseError> {
     let job: Option<String> = row.try_get("job")?;
     Ok(AuditEntry {
         number: row.try_get("number")?,

@@ -22,9 +22,9 @@ use tokio::sync::RwLock;
 use tokio_util::io::ReaderStream;
 
 /// Bytes written at a time.
-const PART_BYTES: usize = 1 << 20;
+const WRITE_CHUNK_BYTES: usize = 1 << 20;
 /// Content younger than this is never swept, because workers hold reports back for up to 200 ms.
-pub(crate) const YOUNG: Duration = Duration::from_secs(1);
+pub(crate) const MIN_SWEEP_AGE: Duration = Duration::from_secs(1);
 /// Largest blob taken; a tile's data is at most half of it.
 const MAX_BLOB_BYTES: u64 = 128 << 20;
 /// Largest picture taken.
@@ -32,14 +32,14 @@ const MAX_PICTURE_BYTES: u64 = 16 << 30;
 
 /// Which of the two folders.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum Kind {
+pub(crate) enum ContentKind {
     /// A frame's picture.
     Picture,
     /// A tile's pixels.
     Blob,
 }
 
-impl Kind {
+impl ContentKind {
     fn folder(self) -> &'static str {
         match self {
             Self::Picture => "pictures",
@@ -68,9 +68,9 @@ impl Kind {
 
 /// The name of stored bytes: their BLAKE3, in lower-case hex.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub(crate) struct Name(String);
+pub(crate) struct ContentHash(String);
 
-impl Name {
+impl ContentHash {
     /// Reads a name; `None` if it is none.
     pub(crate) fn parse(text: &str) -> Option<Self> {
         let is_digit = |byte: u8| byte.is_ascii_digit() || (b'a'..=b'f').contains(&byte);
@@ -85,7 +85,7 @@ impl Name {
 
 /// Error when storing or reading bytes.
 #[derive(Debug, thiserror::Error)]
-pub(crate) enum PictureError {
+pub(crate) enum ContentError {
     /// The disk or the object store failed.
     #[error("the store could not {action} {kind}/{name}")]
     Store {
@@ -118,7 +118,7 @@ pub(crate) enum PictureError {
     Broken(#[source] io::Error),
 }
 
-impl PictureError {
+impl ContentError {
     /// The disk, or the quota, is full.
     pub(crate) fn is_full(&self) -> bool {
         let Self::Store { source, .. } = self else { return false };
@@ -135,63 +135,63 @@ impl PictureError {
 
 /// The two folders, and the gate that keeps what is being reported from being swept away.
 #[derive(Debug)]
-pub(crate) struct Pictures {
+pub(crate) struct ContentStore {
     durable: LocalFileSystem,
     volatile: LocalFileSystem,
-    gate: RwLock<()>,
+    sweep_lock: RwLock<()>,
 }
 
-impl Pictures {
+impl ContentStore {
     /// Opens the folders in a data folder, and removes what half-done writes left there.
     pub(crate) fn open(data: &FolderPath) -> io::Result<Self> {
-        for kind in [Kind::Picture, Kind::Blob] {
+        for kind in [ContentKind::Picture, ContentKind::Blob] {
             std::fs::create_dir_all(kind.path(data))?;
         }
-        remove_half_done(data, Duration::ZERO)?;
+        remove_partial_writes(data, Duration::ZERO)?;
         let open = || LocalFileSystem::new_with_prefix(data).map_err(io::Error::other);
-        Ok(Self { durable: open()?.with_fsync(true), volatile: open()?, gate: RwLock::default() })
+        Ok(Self { durable: open()?.with_fsync(true), volatile: open()?, sweep_lock: RwLock::default() })
     }
 
-    fn store(&self, kind: Kind) -> &LocalFileSystem {
+    fn store(&self, kind: ContentKind) -> &LocalFileSystem {
         match kind {
-            Kind::Picture => &self.durable,
-            Kind::Blob => &self.volatile,
+            ContentKind::Picture => &self.durable,
+            ContentKind::Blob => &self.volatile,
         }
     }
 
     /// Prevents sweeps while the guard is held.
-    pub(crate) async fn keep_all(&self) -> impl Drop + '_ {
-        self.gate.read().await
+    pub(crate) async fn block_sweep(&self) -> impl Drop + '_ {
+        self.sweep_lock.read().await
     }
 
     /// Stores a stream of bytes if they match the hash `name`; otherwise nothing is kept.
     pub(crate) async fn put(
         &self,
-        kind: Kind,
-        name: &Name,
+        kind: ContentKind,
+        name: &ContentHash,
         mut bytes: impl Stream<Item = io::Result<Bytes>> + Unpin,
-    ) -> Result<(), PictureError> {
+    ) -> Result<(), ContentError> {
         let mut hasher = blake3::Hasher::new();
         let mut part = BytesMut::new();
         let mut size_bytes = 0;
         let mut upload: Option<Box<dyn object_store::MultipartUpload>> = None;
         let taken = async {
-            fail_point::trigger(FailPoint::StorePut).map_err(struck_down).map_err(failed("write", kind, name))?;
-            while let Some(chunk) = bytes.try_next().await.map_err(PictureError::Broken)? {
+            fail_point::trigger(FailPoint::StorePut).map_err(fail_point_error).map_err(failed("write", kind, name))?;
+            while let Some(chunk) = bytes.try_next().await.map_err(ContentError::Broken)? {
                 size_bytes += chunk.len() as u64;
                 if size_bytes > kind.max_bytes() {
-                    return Err(PictureError::TooLarge { limit_bytes: kind.max_bytes() });
+                    return Err(ContentError::TooLarge { limit_bytes: kind.max_bytes() });
                 }
                 hasher.update(&chunk);
                 part.extend_from_slice(&chunk);
-                if part.len() >= PART_BYTES {
+                if part.len() >= WRITE_CHUNK_BYTES {
                     let full = part.split().freeze();
                     self.write_part(kind, name, &mut upload, full).await?;
                 }
             }
             let actual = hasher.finalize().to_hex();
             if actual.as_str() != name.as_str() {
-                return Err(PictureError::Mismatch { expected: name.0.clone(), actual: actual.to_string() });
+                return Err(ContentError::Mismatch { expected: name.0.clone(), actual: actual.to_string() });
             }
             Ok(())
         }
@@ -215,11 +215,11 @@ impl Pictures {
 
     async fn write_part(
         &self,
-        kind: Kind,
-        name: &Name,
+        kind: ContentKind,
+        name: &ContentHash,
         upload: &mut Option<Box<dyn object_store::MultipartUpload>>,
         part: Bytes,
-    ) -> Result<(), PictureError> {
+    ) -> Result<(), ContentError> {
         let started = if let Some(started) = upload {
             started
         } else {
@@ -230,7 +230,7 @@ impl Pictures {
     }
 
     /// The size of stored bytes; `None` if they are not there.
-    pub(crate) async fn size_bytes(&self, kind: Kind, name: &Name) -> Result<Option<u64>, PictureError> {
+    pub(crate) async fn size_bytes(&self, kind: ContentKind, name: &ContentHash) -> Result<Option<u64>, ContentError> {
         match self.store(kind).head(&path(kind, name)).await {
             Ok(meta) => Ok(Some(meta.size)),
             Err(object_store::Error::NotFound { .. }) => Ok(None),
@@ -241,11 +241,11 @@ impl Pictures {
     /// Stored bytes, or a range of them, and their number; `None` if they are not there.
     pub(crate) async fn get(
         &self,
-        kind: Kind,
-        name: &Name,
+        kind: ContentKind,
+        name: &ContentHash,
         range: Option<std::ops::Range<u64>>,
-    ) -> Result<Option<(u64, BoxStream<'static, object_store::Result<Bytes>>)>, PictureError> {
-        fail_point::trigger(FailPoint::StoreGet).map_err(struck_down).map_err(failed("read", kind, name))?;
+    ) -> Result<Option<(u64, BoxStream<'static, object_store::Result<Bytes>>)>, ContentError> {
+        fail_point::trigger(FailPoint::StoreGet).map_err(fail_point_error).map_err(failed("read", kind, name))?;
         let options = GetOptions { range: range.map(GetRange::Bounded), ..GetOptions::default() };
         match self.store(kind).get_opts(&path(kind, name), options).await {
             Ok(found) => Ok(Some((found.range.end - found.range.start, stream(found)))),
@@ -255,7 +255,7 @@ impl Pictures {
     }
 
     /// Lists the files of a folder.
-    pub(crate) fn list(&self, kind: Kind) -> BoxStream<'static, object_store::Result<ObjectMeta>> {
+    pub(crate) fn list(&self, kind: ContentKind) -> BoxStream<'static, object_store::Result<ObjectMeta>> {
         self.store(kind).list(Some(&Path::from(kind.folder()))).boxed()
     }
 
@@ -264,18 +264,18 @@ impl Pictures {
     /// yet.
     pub(crate) async fn sweep<E, F>(
         &self,
-        kind: Kind,
+        kind: ContentKind,
         names: &[String],
         unneeded: impl FnOnce(Vec<String>) -> F,
     ) -> Result<(u64, Vec<String>), E>
     where
         F: Future<Output = Result<Vec<String>, E>>,
     {
-        let shut = self.gate.write().await;
+        let shut = self.sweep_lock.write().await;
         let (mut count, mut young) = (0, Vec::new());
         for name in unneeded(names.to_vec()).await? {
-            let Some(name) = Name::parse(&name) else { continue };
-            if self.is_young(kind, &name).await {
+            let Some(name) = ContentHash::parse(&name) else { continue };
+            if self.is_too_new(kind, &name).await {
                 young.push(name.0);
                 continue;
             }
@@ -290,25 +290,25 @@ impl Pictures {
         Ok((count, young))
     }
 
-    async fn is_young(&self, kind: Kind, name: &Name) -> bool {
+    async fn is_too_new(&self, kind: ContentKind, name: &ContentHash) -> bool {
         let Ok(meta) = self.store(kind).head(&path(kind, name)).await else { return false };
         let modified: std::time::SystemTime = meta.last_modified.into();
-        modified.elapsed().is_ok_and(|age| age < YOUNG)
+        modified.elapsed().is_ok_and(|age| age < MIN_SWEEP_AGE)
     }
 
     /// Writes and deletes a few bytes in the pictures' folder, to verify that it is writable.
-    pub(crate) async fn check(&self) -> Result<(), PictureError> {
-        let name = Name(blake3::hash(b"a probe").to_hex().to_string());
+    pub(crate) async fn check_writable(&self) -> Result<(), ContentError> {
+        let name = ContentHash(blake3::hash(b"a probe").to_hex().to_string());
         let probe = Path::from(format!("probe/{}", name.as_str()));
-        let failed = |source| PictureError::Store { action: "write", kind: "probe", name: name.0.clone(), source };
+        let failed = |source| ContentError::Store { action: "write", kind: "probe", name: name.0.clone(), source };
         self.volatile.put(&probe, PutPayload::from_static(b"a probe")).await.map_err(failed)?;
         self.volatile.delete(&probe).await.map_err(failed)
     }
 }
 
 /// Deletes the files of writes that were interrupted at least `age` ago.
-pub(crate) fn remove_half_done(data: &FolderPath, age: Duration) -> io::Result<()> {
-    for kind in [Kind::Picture, Kind::Blob] {
+pub(crate) fn remove_partial_writes(data: &FolderPath, age: Duration) -> io::Result<()> {
+    for kind in [ContentKind::Picture, ContentKind::Blob] {
         for entry in std::fs::read_dir(kind.path(data))? {
             let entry = entry?;
             // Its writer may finish it, or another sweep may delete it, at any time.
@@ -325,11 +325,11 @@ pub(crate) fn remove_half_done(data: &FolderPath, age: Duration) -> io::Result<(
 }
 
 async fn finish(
-    kind: Kind,
-    name: &Name,
+    kind: ContentKind,
+    name: &ContentHash,
     mut upload: Box<dyn object_store::MultipartUpload>,
     rest: Bytes,
-) -> Result<(), PictureError> {
+) -> Result<(), ContentError> {
     if !rest.is_empty() {
         upload.put_part(rest.into()).await.map_err(failed("write", kind, name))?;
     }
@@ -337,7 +337,7 @@ async fn finish(
     Ok(())
 }
 
-fn path(kind: Kind, name: &Name) -> Path {
+fn path(kind: ContentKind, name: &ContentHash) -> Path {
     Path::from(format!("{}/{}", kind.folder(), name.as_str()))
 }
 
@@ -362,13 +362,17 @@ fn stream(found: GetResult) -> BoxStream<'static, object_store::Result<Bytes>> {
 }
 
 /// The error of a store that a fail point struck.
-fn struck_down(struck: fail_point::FailPointError) -> object_store::Error {
+fn fail_point_error(struck: fail_point::FailPointError) -> object_store::Error {
     object_store::Error::Generic { store: "file", source: struck.into() }
 }
 
-fn failed(action: &'static str, kind: Kind, name: &Name) -> impl FnOnce(object_store::Error) -> PictureError {
+fn failed(
+    action: &'static str,
+    kind: ContentKind,
+    name: &ContentHash,
+) -> impl FnOnce(object_store::Error) -> ContentError {
     let name = name.0.clone();
-    move |source| PictureError::Store { action, kind: kind.folder(), name, source }
+    move |source| ContentError::Store { action, kind: kind.folder(), name, source }
 }
 
 #[cfg(test)]
@@ -379,20 +383,20 @@ mod tests {
         futures_util::stream::iter(bytes.chunks(100_000).map(|chunk| Ok(Bytes::from_static(chunk))))
     }
 
-    fn name(bytes: &[u8]) -> Name {
-        Name::parse(blake3::hash(bytes).to_hex().as_str()).expect("a hash is a name")
+    fn name(bytes: &[u8]) -> ContentHash {
+        ContentHash::parse(blake3::hash(bytes).to_hex().as_str()).expect("a hash is a name")
     }
 
     #[tokio::test]
     async fn bytes_are_kept_only_under_their_own_name() {
         let folder = tempfile::tempdir().expect("a temporary folder");
-        let pictures = Pictures::open(folder.path()).expect("opens");
-        for bytes in [b"small".as_slice(), vec![7; 3 * PART_BYTES + 5].leak()] {
-            let wrong = pictures.put(Kind::Picture, &name(b"other"), stream(bytes)).await;
-            assert!(matches!(wrong, Err(PictureError::Mismatch { .. })), "{wrong:?}");
-            assert_eq!(pictures.size_bytes(Kind::Picture, &name(b"other")).await.expect("looks"), None);
-            pictures.put(Kind::Picture, &name(bytes), stream(bytes)).await.expect("stores");
-            let size = pictures.size_bytes(Kind::Picture, &name(bytes)).await.expect("looks");
+        let pictures = ContentStore::open(folder.path()).expect("opens");
+        for bytes in [b"small".as_slice(), vec![7; 3 * WRITE_CHUNK_BYTES + 5].leak()] {
+            let wrong = pictures.put(ContentKind::Picture, &name(b"other"), stream(bytes)).await;
+            assert!(matches!(wrong, Err(ContentError::Mismatch { .. })), "{wrong:?}");
+            assert_eq!(pictures.size_bytes(ContentKind::Picture, &name(b"other")).await.expect("looks"), None);
+            pictures.put(ContentKind::Picture, &name(bytes), stream(bytes)).await.expect("stores");
+            let size = pictures.size_bytes(ContentKind::Picture, &name(bytes)).await.expect("looks");
             assert_eq!(size, Some(bytes.len() as u64));
         }
         let files = std::fs::read_dir(folder.path().join("pictures")).expect("lists").count();

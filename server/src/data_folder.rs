@@ -15,18 +15,18 @@ use std::io;
 use std::path::{Path, PathBuf};
 
 pub use backup::{Backup, back_up};
-pub use doctor::{Depth, Finding, Grade, Repair, examine};
+pub use doctor::{Depth, Finding, Repair, Severity, run_checks};
 pub use restore::{Restored, restore};
 
-use crate::database::{OpenError, StoreError};
+use crate::database::{DatabaseError, OpenError};
 use crate::lock::LockError;
 
 /// Error of a backup, a restore or a check, with its fix.
 #[derive(Debug, thiserror::Error)]
-pub enum KeepError {
+pub enum DataFolderError {
     /// No database is there.
     #[error("there is no farm in {0}: name a data folder with --data")]
-    NoFarm(PathBuf),
+    NoDatabase(PathBuf),
     /// A folder or file could not be read or written.
     #[error("could not {action} {path}: make room on its disk, or mend its permissions")]
     File {
@@ -61,7 +61,7 @@ pub enum KeepError {
     NotEmpty(PathBuf),
     /// A backup inside of what it is of.
     #[error("{0} lies in the data folder: back up to another place, best on another disk")]
-    Inside(PathBuf),
+    BackupInsideData(PathBuf),
     /// The backup's list can't be read.
     #[error("the backup's list {path} can't be read: {reason}; use an earlier backup")]
     Manifest {
@@ -88,7 +88,7 @@ pub enum KeepError {
     },
 }
 
-impl KeepError {
+impl DataFolderError {
     fn file(action: &'static str, path: &Path) -> impl FnOnce(io::Error) -> Self + use<> {
         let path = path.to_owned();
         move |source| Self::File { action, path, source }
@@ -102,19 +102,19 @@ impl KeepError {
     fn lock(folder: &Path) -> impl FnOnce(LockError) -> Self + use<> {
         let folder = folder.to_owned();
         move |error| match error {
-            LockError::Held(holder) => Self::InUse { folder, holder },
+            LockError::InUse(holder) => Self::InUse { folder, holder },
             LockError::Io(source) => Self::File { action: "take hold of", path: folder, source },
         }
     }
 }
 
-impl From<StoreError> for KeepError {
-    fn from(error: StoreError) -> Self {
+impl From<DatabaseError> for DataFolderError {
+    fn from(error: DatabaseError) -> Self {
         Self::Repair(Box::new(error))
     }
 }
 
-impl From<OpenError> for KeepError {
+impl From<OpenError> for DataFolderError {
     fn from(error: OpenError) -> Self {
         Self::Repair(Box::new(error))
     }

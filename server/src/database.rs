@@ -18,19 +18,19 @@ use sqlx::sqlite::{
     SqliteConnectOptions, SqliteConnection, SqliteJournalMode, SqlitePool, SqlitePoolOptions, SqliteSynchronous,
 };
 
-use wal::Log;
+use wal::Wal;
 use writer::Writer;
 pub(crate) use writer::{CommitTimes, Durability};
 
 /// Number of reading connections.
-const READERS: u32 = 4;
+const READER_CONNECTIONS: u32 = 4;
 /// Rows that the engine's thread reads ahead of who asked for them.
 const ROW_BUFFER: usize = 1024;
 /// Pages of the WAL (of 4 KiB) after which the engine checkpoints it: the commit that reaches this number has
 /// to wait for the checkpoint.
-const FOLDED_PAGES: &str = "4000";
+const AUTOCHECKPOINT_PAGES: &str = "4000";
 /// Databases up to this size are checked page by page at start.
-const CHECKED_BYTES: u64 = 16 << 20;
+const MAX_START_CHECK_BYTES: u64 = 16 << 20;
 
 static MIGRATIONS: sqlx::migrate::Migrator = sqlx::migrate!("../migrations");
 
@@ -41,7 +41,7 @@ pub(crate) fn migrations() -> impl Iterator<Item = (i64, &'static [u8])> {
 
 /// Error when reading or writing the database.
 #[derive(Clone, Debug, thiserror::Error)]
-pub(crate) enum StoreError {
+pub(crate) enum DatabaseError {
     /// The engine failed.
     #[error("the database could not do it")]
     Sql(#[source] Arc<sqlx::Error>),
@@ -68,20 +68,20 @@ pub(crate) enum StoreError {
     Closed,
 }
 
-impl From<sqlx::Error> for StoreError {
+impl From<sqlx::Error> for DatabaseError {
     fn from(error: sqlx::Error) -> Self {
         Self::Sql(Arc::new(error))
     }
 }
 
-impl StoreError {
+impl DatabaseError {
     /// The disk, or the quota, is full.
     pub(crate) fn is_full(&self) -> bool {
         self.code() == Some(13)
     }
 
     /// Whether the file is not, or no longer, an intact database.
-    pub(crate) fn is_damage(&self) -> bool {
+    pub(crate) fn is_corruption(&self) -> bool {
         matches!(self.code(), Some(11 | 26))
     }
 
@@ -108,13 +108,13 @@ pub(crate) enum OpenError {
 
 /// The database.
 #[derive(Debug)]
-pub(crate) struct Store {
+pub(crate) struct Database {
     writer: Writer,
     readers: SqlitePool,
     commits: CommitTimes,
 }
 
-impl Store {
+impl Database {
     /// The database's file in a data folder.
     pub(crate) fn file(data: &Path) -> PathBuf {
         data.join("farm.sqlite")
@@ -127,7 +127,7 @@ impl Store {
 
     /// Opens the database and emits an event for every statement, for tests that check them.
     #[cfg(test)]
-    pub(crate) async fn open_recorded(data: &Path) -> Result<Self, OpenError> {
+    pub(crate) async fn open_traced(data: &Path) -> Result<Self, OpenError> {
         Self::open_with(data, SqliteConnectOptions::new()).await
     }
 
@@ -142,9 +142,9 @@ impl Store {
             .foreign_keys(true)
             .busy_timeout(Duration::from_secs(5))
             .row_buffer_size(ROW_BUFFER)
-            .pragma("wal_autocheckpoint", FOLDED_PAGES);
+            .pragma("wal_autocheckpoint", AUTOCHECKPOINT_PAGES);
         let mut connection = options.connect().await?;
-        if size_bytes <= CHECKED_BYTES {
+        if size_bytes <= MAX_START_CHECK_BYTES {
             let verdict: String = sqlx::query_scalar("PRAGMA quick_check(1)").fetch_one(&mut connection).await?;
             if verdict != "ok" {
                 return Err(OpenError::Damaged(verdict));
@@ -154,23 +154,23 @@ impl Store {
         MIGRATIONS.run(&mut connection).await?;
         fail_point::trigger_infallible(FailPoint::Migrated);
         let readers = SqlitePoolOptions::new()
-            .max_connections(READERS)
+            .max_connections(READER_CONNECTIONS)
             .test_before_acquire(false)
             .connect_with(options.read_only(true).create_if_missing(false))
             .await?;
         let commits = CommitTimes::default();
         Ok(Self {
-            writer: Writer::start(connection, commits.clone(), Log::new(&file, wal::LIMIT_BYTES)),
+            writer: Writer::start(connection, commits.clone(), Wal::new(&file, wal::LIMIT_BYTES)),
             readers,
             commits,
         })
     }
 
     /// Runs `operation` in a transaction of the writer's and answers when it is committed.
-    pub(crate) async fn write<T, F>(&self, durability: Durability, operation: F) -> Result<T, StoreError>
+    pub(crate) async fn write<T, F>(&self, durability: Durability, operation: F) -> Result<T, DatabaseError>
     where
         T: Send + 'static,
-        F: for<'c> FnOnce(&'c mut SqliteConnection) -> BoxFuture<'c, Result<T, StoreError>> + Send + 'static,
+        F: for<'c> FnOnce(&'c mut SqliteConnection) -> BoxFuture<'c, Result<T, DatabaseError>> + Send + 'static,
     {
         self.writer.write(durability, operation).await
     }
@@ -181,7 +181,7 @@ impl Store {
     }
 
     /// Signal sent after every commit.
-    pub(crate) fn bell(&self) -> tokio::sync::watch::Receiver<()> {
+    pub(crate) fn commit_signal(&self) -> tokio::sync::watch::Receiver<()> {
         self.writer.bell()
     }
 

@@ -51,7 +51,7 @@ use error::ApiError;
 use openapi::Document;
 
 /// The users' routes; each is described where it is handled.
-fn users() -> OpenApiRouter<Arc<Farm>> {
+fn user_routes() -> OpenApiRouter<Arc<Farm>> {
     OpenApiRouter::new()
         .routes(routes!(start_page::get))
         .routes(routes!(jobs::submit, jobs::list))
@@ -89,7 +89,7 @@ fn users() -> OpenApiRouter<Arc<Farm>> {
 }
 
 /// The workers' routes: see `proto::work`.
-fn workers() -> axum::Router<Arc<Farm>> {
+fn worker_routes() -> axum::Router<Arc<Farm>> {
     axum::Router::new()
         .route(proto::worker_protocol::REGISTER_PATH, post(worker_protocol::register))
         .route(proto::worker_protocol::SYNC_PATH, post(worker_protocol::sync))
@@ -100,39 +100,39 @@ fn workers() -> axum::Router<Arc<Farm>> {
 
 /// The whole API.
 pub(crate) fn router(farm: Arc<Farm>) -> axum::Router {
-    let (users, described) = users().split_for_parts();
+    let (users, described) = user_routes().split_for_parts();
     let document = Document::new(&described);
     let pages = SwaggerUi::new("/docs").config(Config::from("/openapi.json").validator_url("none"));
     users
-        .merge(workers())
+        .merge(worker_routes())
         .with_state(Arc::clone(&farm))
         .route("/openapi.json", get(openapi::openapi).with_state(document))
         .merge(pages)
         .fallback(unknown_route)
-        .method_not_allowed_fallback(wrong_method)
-        .layer(CatchPanicLayer::custom(panicked))
-        .layer(middleware::from_fn_with_state(Arc::clone(&farm), auth::identify))
+        .method_not_allowed_fallback(method_not_allowed)
+        .layer(CatchPanicLayer::custom(panic_response))
+        .layer(middleware::from_fn_with_state(Arc::clone(&farm), auth::authenticate_and_authorize))
         .layer(middleware::from_fn_with_state(Arc::clone(&farm), host_check::host_and_origin))
-        .layer(middleware::from_fn_with_state(Arc::clone(&farm), audit::tell))
+        .layer(middleware::from_fn_with_state(Arc::clone(&farm), audit::record_request))
         .layer(middleware::from_fn_with_state(farm, request_id::trace))
 }
 
 /// The document that the router serves.
 #[cfg(test)]
 fn document() -> Document {
-    Document::new(&users().split_for_parts().1)
+    Document::new(&user_routes().split_for_parts().1)
 }
 
 async fn unknown_route(request: Request) -> ApiError {
     ApiError::UnknownRoute { method: request.method().to_string(), path: request.uri().path().to_owned() }
 }
 
-async fn wrong_method(request: Request) -> ApiError {
+async fn method_not_allowed(request: Request) -> ApiError {
     ApiError::WrongMethod { method: request.method().to_string(), path: request.uri().path().to_owned() }
 }
 
 #[expect(clippy::needless_pass_by_value, reason = "this is how the layer calls it")]
-fn panicked(panic: Box<dyn Any + Send>) -> Response {
+fn panic_response(panic: Box<dyn Any + Send>) -> Response {
     let text = panic.downcast_ref::<String>().map(String::as_str).or_else(|| panic.downcast_ref::<&str>().copied());
     ApiError::Internal(text.unwrap_or("a handler panicked").into()).into_response()
 }

@@ -11,11 +11,11 @@ use proto::JobId;
 use sqlx::sqlite::{SqliteConnectOptions, SqliteConnection};
 use sqlx::{ConnectOptions, Connection, Row};
 
-use crate::database::Store;
+use crate::database::Database;
 
 /// Error that prevents the check.
 #[derive(Debug, thiserror::Error)]
-pub enum AuditError {
+pub enum IntegrityError {
     /// The database can't be read.
     #[error("the database could not be looked over")]
     Database(#[from] sqlx::Error),
@@ -30,9 +30,9 @@ pub struct DoneTile {
 
 /// Result of an integrity check.
 #[derive(Clone, Debug, Default)]
-pub struct Audit {
+pub struct IntegrityReport {
     /// Violations, one sentence each; empty in an intact farm.
-    pub breaches: Vec<String>,
+    pub violations: Vec<String>,
     /// Every tile that is done, by its row.
     pub done: BTreeMap<i64, DoneTile>,
     /// The jobs there are.
@@ -40,7 +40,7 @@ pub struct Audit {
 }
 
 /// Each statement counts or names violations of one invariant, and is run unchanged.
-const RULES: [(&str, &str); 8] = [
+const INVARIANTS: [(&str, &str); 8] = [
     (
         "a tile has two results with effect",
         "SELECT tile FROM lease WHERE ended = 'done' GROUP BY tile HAVING count(*) > 1",
@@ -78,49 +78,54 @@ const RULES: [(&str, &str); 8] = [
 ];
 
 /// Checks the database and the pictures of a data folder.
-pub async fn audit(data: &Path) -> Result<Audit, AuditError> {
-    let options = SqliteConnectOptions::new().filename(Store::file(data)).read_only(true).disable_statement_logging();
+pub async fn check_integrity(data: &Path) -> Result<IntegrityReport, IntegrityError> {
+    let options =
+        SqliteConnectOptions::new().filename(Database::file(data)).read_only(true).disable_statement_logging();
     let mut connection = options.connect().await?;
     // One transaction for all statements, so that all see the same state of a running server.
     sqlx::query("BEGIN").execute(&mut connection).await?;
-    let mut audit = Audit::default();
+    let mut audit = IntegrityReport::default();
     for verdict in sqlx::query_scalar::<_, String>("PRAGMA integrity_check").fetch_all(&mut connection).await? {
         if verdict != "ok" {
-            audit.breaches.push(format!("integrity_check: {verdict}"));
+            audit.violations.push(format!("integrity_check: {verdict}"));
         }
     }
-    for (breach, statement) in RULES {
+    for (breach, statement) in INVARIANTS {
         let broken = sqlx::query(statement).fetch_all(&mut connection).await?.len();
         if broken > 0 {
-            audit.breaches.push(format!("{breach} ({broken})"));
+            audit.violations.push(format!("{breach} ({broken})"));
         }
     }
     for id in sqlx::query_scalar::<_, String>("SELECT id FROM job").fetch_all(&mut connection).await? {
         match id.parse() {
             Ok(id) => drop(audit.jobs.insert(id)),
-            Err(_) => audit.breaches.push(format!("{id:?} is no job's id")),
+            Err(_) => audit.violations.push(format!("{id:?} is no job's id")),
         }
     }
     let done = sqlx::query("SELECT id, epoch FROM tile WHERE state = 'done'").fetch_all(&mut connection).await?;
     for row in done {
         audit.done.insert(row.try_get("id")?, DoneTile { leases: row.try_get("epoch")? });
     }
-    look_at_pictures(&mut connection, data, &mut audit).await?;
+    check_pictures(&mut connection, data, &mut audit).await?;
     connection.close().await?;
     Ok(audit)
 }
 
 /// A row that shows a picture was written after the picture was flushed: its file is there, and whole.
-async fn look_at_pictures(connection: &mut SqliteConnection, data: &Path, audit: &mut Audit) -> Result<(), AuditError> {
+async fn check_pictures(
+    connection: &mut SqliteConnection,
+    data: &Path,
+    audit: &mut IntegrityReport,
+) -> Result<(), IntegrityError> {
     let pictures = sqlx::query_scalar::<_, String>("SELECT DISTINCT picture FROM frame WHERE picture IS NOT NULL");
     for hash in pictures.fetch_all(connection).await? {
         match std::fs::read(data.join("pictures").join(&hash)) {
             Ok(bytes) if blake3::hash(&bytes).to_hex().as_str() == hash => {}
-            Ok(_) => audit.breaches.push(format!("picture {hash} holds other bytes than its name says")),
+            Ok(_) => audit.violations.push(format!("picture {hash} holds other bytes than its name says")),
             Err(error) if error.kind() == io::ErrorKind::NotFound => {
-                audit.breaches.push(format!("picture {hash} is shown, but not there"));
+                audit.violations.push(format!("picture {hash} is shown, but not there"));
             }
-            Err(error) => audit.breaches.push(format!("picture {hash} can't be read: {error}")),
+            Err(error) => audit.violations.push(format!("picture {hash} can't be read: {error}")),
         }
     }
     Ok(())

@@ -7,22 +7,22 @@ use std::sync::{Arc, Mutex};
 
 use tokio::sync::{Semaphore, oneshot};
 
-use crate::database::StoreError;
+use crate::database::DatabaseError;
 use crate::queue::Queue;
 
 /// Stack of a thread that parses.
 const STACK_BYTES: usize = 16 << 20;
 /// Maximum number of cached jobs.
-const KEPT_JOBS: usize = 8;
+const MAX_CACHED_JOBS: usize = 8;
 /// Maximum size of their files together, unless there is only one.
-const KEPT_BYTES: usize = 8 << 20;
+const MAX_CACHED_BYTES: usize = 8 << 20;
 
 /// Error when loading a job of the queue.
 #[derive(Debug, thiserror::Error)]
-pub(crate) enum JobError {
+pub(crate) enum JobLoadError {
     /// The database could not be read.
     #[error(transparent)]
-    Store(#[from] StoreError),
+    Store(#[from] DatabaseError),
     /// Its file is gone: the job was deleted in the meantime.
     #[error("the job's file is gone")]
     Gone,
@@ -36,19 +36,19 @@ pub(crate) enum JobError {
 
 /// Parses jobs, and keeps a few.
 #[derive(Debug)]
-pub(crate) struct Jobs {
-    kept: Mutex<VecDeque<Kept>>,
+pub(crate) struct JobCache {
+    kept: Mutex<VecDeque<CachedJob>>,
     permits: Semaphore,
 }
 
 #[derive(Debug)]
-struct Kept {
+struct CachedJob {
     number: i64,
     text_bytes: usize,
     job: Arc<scene::Job>,
 }
 
-impl Jobs {
+impl JobCache {
     /// Parses as many files at a time as there are cores.
     pub(crate) fn new() -> Self {
         let cores = std::thread::available_parallelism().map_or(1, usize::from);
@@ -60,50 +60,53 @@ impl Jobs {
         &self,
         text: bytes::Bytes,
         work: impl FnOnce(Result<scene::Job, scene::ParseError>) -> T + Send + 'static,
-    ) -> Result<T, JobError> {
-        self.on_thread(move || work(scene::parse(&text))).await
+    ) -> Result<T, JobLoadError> {
+        self.run_on_parser_thread(move || work(scene::parse(&text))).await
     }
 
     /// What a frame's picture is known by; the scene of a job that moves is copied for that.
-    pub(crate) async fn picture_key(&self, job: &Arc<scene::Job>, frame: u32) -> Result<String, JobError> {
+    pub(crate) async fn picture_key(&self, job: &Arc<scene::Job>, frame: u32) -> Result<String, JobLoadError> {
         let (moves, job) = (job.is_animated(), Arc::clone(job));
         let key = move || job.cache_key(frame).to_hex().to_string();
-        if moves { self.on_thread(key).await } else { Ok(key()) }
+        if moves { self.run_on_parser_thread(key).await } else { Ok(key()) }
     }
 
-    async fn on_thread<T: Send + 'static>(&self, work: impl FnOnce() -> T + Send + 'static) -> Result<T, JobError> {
-        let _permit = self.permits.acquire().await.map_err(|_| JobError::Thread)?;
+    async fn run_on_parser_thread<T: Send + 'static>(
+        &self,
+        work: impl FnOnce() -> T + Send + 'static,
+    ) -> Result<T, JobLoadError> {
+        let _permit = self.permits.acquire().await.map_err(|_| JobLoadError::Thread)?;
         let (reply, answer) = oneshot::channel();
         std::thread::Builder::new()
             .name("parse".to_owned())
             .stack_size(STACK_BYTES)
             .spawn(move || drop(reply.send(work())))
-            .map_err(|_| JobError::Thread)?;
-        answer.await.map_err(|_| JobError::Thread)
+            .map_err(|_| JobLoadError::Thread)?;
+        answer.await.map_err(|_| JobLoadError::Thread)
     }
 
     /// Caches a job; the ones cached longest are dropped.
-    pub(crate) fn keep(&self, number: i64, text_bytes: usize, job: Arc<scene::Job>) {
+    pub(crate) fn insert(&self, number: i64, text_bytes: usize, job: Arc<scene::Job>) {
         let mut kept = self.kept.lock().expect("no holder panics");
-        kept.push_front(Kept { number, text_bytes, job });
+        kept.push_front(CachedJob { number, text_bytes, job });
         let mut sum_bytes = 0;
         let mut count = 0;
         kept.retain(|job| {
             sum_bytes += job.text_bytes;
             count += 1;
-            count == 1 || (count <= KEPT_JOBS && sum_bytes <= KEPT_BYTES)
+            count == 1 || (count <= MAX_CACHED_JOBS && sum_bytes <= MAX_CACHED_BYTES)
         });
     }
 
     /// A job of the queue, from the cache or from the database.
-    pub(crate) async fn get(&self, queue: &Queue, number: i64) -> Result<Arc<scene::Job>, JobError> {
+    pub(crate) async fn get(&self, queue: &Queue, number: i64) -> Result<Arc<scene::Job>, JobLoadError> {
         if let Some(job) = self.find(number) {
             return Ok(job);
         }
-        let text = queue.file_of(number).await?.ok_or(JobError::Gone)?;
+        let text = queue.file_of(number).await?.ok_or(JobLoadError::Gone)?;
         let text_bytes = text.len();
         let job = Arc::new(self.parse(text.into(), |parsed| parsed).await??);
-        self.keep(number, text_bytes, Arc::clone(&job));
+        self.insert(number, text_bytes, Arc::clone(&job));
         Ok(job)
     }
 

@@ -9,31 +9,35 @@ use futures_util::stream::TryStreamExt;
 use tokio::sync::mpsc;
 use tokio_util::sync::CancellationToken;
 
-use crate::content_store::{self, Kind};
-use crate::database::StoreError;
-use crate::farm::{Farm, Leftovers};
+use crate::content_store::{self, ContentKind};
+use crate::database::DatabaseError;
+use crate::farm::{Farm, OrphanCandidates};
 use crate::retention;
 
 /// Interval at which leases are checked.
-const RESCUE: Duration = Duration::from_secs(1);
+const LEASE_CHECK_INTERVAL: Duration = Duration::from_secs(1);
 /// Interval at which rows and folders are cleaned up.
-const TIDY: Duration = Duration::from_mins(10);
+const CLEANUP_INTERVAL: Duration = Duration::from_mins(10);
 /// Bytes without a report are kept this long.
-const UNREPORTED: Duration = Duration::from_mins(10);
+const ORPHAN_GRACE: Duration = Duration::from_mins(10);
 /// Hashes per database query.
-const BATCH: usize = 500;
+const LOOKUP_BATCH: usize = 500;
 
 /// Works until the farm is closed.
-pub(crate) async fn run(farm: Arc<Farm>, mut leftovers: mpsc::UnboundedReceiver<Leftovers>, end: CancellationToken) {
-    let mut rescue = tokio::time::interval(RESCUE);
+pub(crate) async fn run(
+    farm: Arc<Farm>,
+    mut leftovers: mpsc::UnboundedReceiver<OrphanCandidates>,
+    end: CancellationToken,
+) {
+    let mut rescue = tokio::time::interval(LEASE_CHECK_INTERVAL);
     rescue.set_missed_tick_behavior(tokio::time::MissedTickBehavior::Delay);
-    let mut tidy = tokio::time::interval(TIDY);
+    let mut tidy = tokio::time::interval(CLEANUP_INTERVAL);
     loop {
         let done = tokio::select! {
             () = end.cancelled() => return,
             Some(left) = leftovers.recv() => sweep(&farm, left.kind, &left.hashes).await,
-            _ = rescue.tick() => count_rescued(&farm).await,
-            _ = tidy.tick() => look_through(&farm).await,
+            _ = rescue.tick() => expire_leases(&farm).await,
+            _ = tidy.tick() => clean_up(&farm).await,
         };
         if let Err(error) = done {
             tracing::error!(%error, cause = ?std::error::Error::source(&error), "maintenance could not be done");
@@ -41,22 +45,24 @@ pub(crate) async fn run(farm: Arc<Farm>, mut leftovers: mpsc::UnboundedReceiver<
     }
 }
 
-async fn count_rescued(farm: &Farm) -> Result<(), StoreError> {
-    let count = farm.queue.rescue().await?;
+async fn expire_leases(farm: &Farm) -> Result<(), DatabaseError> {
+    let count = farm.queue.expire_leases().await?;
     farm.totals.expired.fetch_add(count, std::sync::atomic::Ordering::Relaxed);
     Ok(())
 }
 
-async fn sweep(farm: &Arc<Farm>, kind: Kind, hashes: &[String]) -> Result<(), StoreError> {
+async fn sweep(farm: &Arc<Farm>, kind: ContentKind, hashes: &[String]) -> Result<(), DatabaseError> {
     let queue = &farm.queue;
     let (count, young) = match kind {
-        Kind::Blob => farm.pictures.sweep(kind, hashes, async |names| queue.unneeded_blobs(&names).await).await?,
-        Kind::Picture => farm.pictures.sweep(kind, hashes, async |names| queue.unneeded_pictures(&names).await).await?,
+        ContentKind::Blob => farm.pictures.sweep(kind, hashes, async |names| queue.orphan_blobs(&names).await).await?,
+        ContentKind::Picture => {
+            farm.pictures.sweep(kind, hashes, async |names| queue.orphan_pictures(&names).await).await?
+        }
     };
     if !young.is_empty() {
         let farm = Arc::clone(farm);
         tokio::spawn(async move {
-            tokio::time::sleep(content_store::YOUNG).await;
+            tokio::time::sleep(content_store::MIN_SWEEP_AGE).await;
             farm.sweep_later(kind, young);
         });
     }
@@ -66,45 +72,45 @@ async fn sweep(farm: &Arc<Farm>, kind: Kind, hashes: &[String]) -> Result<(), St
     Ok(())
 }
 
-async fn look_through(farm: &Arc<Farm>) -> Result<(), StoreError> {
-    farm.queue.tidy().await?;
+async fn clean_up(farm: &Arc<Farm>) -> Result<(), DatabaseError> {
+    farm.queue.prune().await?;
     farm.queue.drop_traces().await?;
     farm.queue.prune_events().await?;
-    if let Err(error) = retention::collect_all(farm).await {
+    if let Err(error) = retention::collect_until_done(farm).await {
         tracing::error!(%error, cause = ?std::error::Error::source(&error), "old jobs could not be removed");
     }
-    if let Err(error) = farm.sketches.tidy() {
+    if let Err(error) = farm.sketches.prune_coarse() {
         tracing::warn!(%error, "old previews could not be removed");
     }
-    farm.queue.prune_wishes().await?;
+    farm.queue.prune_idempotency_keys().await?;
     farm.queue.prune_deliveries().await?;
     let data = farm.config.data.clone();
-    let removed = tokio::task::spawn_blocking(move || content_store::remove_half_done(&data, UNREPORTED)).await;
+    let removed = tokio::task::spawn_blocking(move || content_store::remove_partial_writes(&data, ORPHAN_GRACE)).await;
     if let Err(error) = removed.map_err(std::io::Error::other).flatten() {
         tracing::warn!(%error, "what half-done writes left could not be removed");
     }
-    for kind in [Kind::Blob, Kind::Picture] {
-        let names = match old_names(farm, kind).await {
+    for kind in [ContentKind::Blob, ContentKind::Picture] {
+        let names = match unreported_hashes(farm, kind).await {
             Ok(names) => names,
             Err(error) => {
                 tracing::warn!(%error, ?kind, "a folder could not be listed");
                 continue;
             }
         };
-        for batch in names.chunks(BATCH) {
+        for batch in names.chunks(LOOKUP_BATCH) {
             sweep(farm, kind, batch).await?;
         }
     }
     Ok(())
 }
 
-async fn old_names(farm: &Farm, kind: Kind) -> object_store::Result<Vec<String>> {
+async fn unreported_hashes(farm: &Farm, kind: ContentKind) -> object_store::Result<Vec<String>> {
     let now_seconds = farm.queue.wall_seconds();
     farm.pictures
         .list(kind)
         .try_filter_map(async |meta| {
             let age_seconds = now_seconds - meta.last_modified.timestamp();
-            let is_old = age_seconds > UNREPORTED.as_secs().cast_signed();
+            let is_old = age_seconds > ORPHAN_GRACE.as_secs().cast_signed();
             Ok(meta.location.filename().filter(|_| is_old).map(ToOwned::to_owned))
         })
         .try_collect()

@@ -27,25 +27,25 @@ const MAX_WAIT: Duration = Duration::from_secs(10);
 /// Bytes of an answer.
 const MAX_ANSWER_BYTES: u64 = 64 << 20;
 /// Maximum number of bytes kept of a helper's standard error.
-const MAX_WORDS_BYTES: u64 = 2 << 10;
+const MAX_STDERR_BYTES: u64 = 2 << 10;
 /// Maximum number of cached pictures.
-const KEPT_PICTURES: usize = 32;
+const MAX_CACHED_PICTURES: usize = 32;
 /// Maximum size of the cached pictures together, unless there is only one.
 const KEPT_BYTES: usize = 16 << 20;
 /// Maximum number of coarse passes kept in the folder.
-const KEPT_COARSE: usize = 256;
+const MAX_COARSE_FILES: usize = 256;
 /// The folder of coarse passes.
 const FOLDER: &str = "previews";
 
 /// Error that prevents a picture or a sample.
 #[derive(Debug, thiserror::Error)]
-pub(crate) enum SketchError {
+pub(crate) enum HelperError {
     /// Too many ask.
     #[error("too many previews and estimates are asked for at once: try again in a moment")]
     Busy,
     /// It took too long.
     #[error("the preview or estimate was given up after {} s", TIME_LIMIT.as_secs())]
-    Late,
+    TimedOut,
     /// The child could not be started.
     #[error("the program that draws previews could not be started: {0}")]
     Start(io::Error),
@@ -56,14 +56,14 @@ pub(crate) enum SketchError {
 
 /// Starts children that draw.
 #[derive(Debug)]
-pub(crate) struct Sketches {
+pub(crate) struct PreviewHelper {
     program: PathBuf,
     folder: PathBuf,
     permits: Semaphore,
     kept: Mutex<VecDeque<(String, Bytes)>>,
 }
 
-impl Sketches {
+impl PreviewHelper {
     /// Opens the folder of coarse passes and empties it: they are rendered again on demand.
     pub(crate) fn open(data: &Path, program: &Path) -> io::Result<Self> {
         let folder = data.join(FOLDER);
@@ -82,7 +82,7 @@ impl Sketches {
     }
 
     /// Picture of a tag, cached or drawn now.
-    pub(crate) async fn picture(&self, tag: &str, request: &HelperRequest) -> Result<Bytes, SketchError> {
+    pub(crate) async fn picture(&self, tag: &str, request: &HelperRequest) -> Result<Bytes, HelperError> {
         if let Some(kept) = self.find(tag) {
             return Ok(kept);
         }
@@ -98,21 +98,21 @@ impl Sketches {
     }
 
     /// A sample of a job.
-    pub(crate) async fn sample(&self, request: &HelperRequest) -> Result<CostSample, SketchError> {
+    pub(crate) async fn sample(&self, request: &HelperRequest) -> Result<CostSample, HelperError> {
         let _permit = self.permit().await?;
         let answer = self.run(request).await?;
-        serde_json::from_slice(&answer).map_err(|error| SketchError::Failed(error.to_string()))
+        serde_json::from_slice(&answer).map_err(|error| HelperError::Failed(error.to_string()))
     }
 
-    async fn permit(&self) -> Result<impl Drop + '_, SketchError> {
+    async fn permit(&self) -> Result<impl Drop + '_, HelperError> {
         match tokio::time::timeout(MAX_WAIT, self.permits.acquire()).await {
             Ok(Ok(permit)) => Ok(permit),
-            Ok(Err(_)) | Err(_) => Err(SketchError::Busy),
+            Ok(Err(_)) | Err(_) => Err(HelperError::Busy),
         }
     }
 
     /// Has a child do something; dropped or late, it is killed.
-    async fn run(&self, request: &HelperRequest) -> Result<Vec<u8>, SketchError> {
+    async fn run(&self, request: &HelperRequest) -> Result<Vec<u8>, HelperError> {
         let mut child = Command::new(&self.program)
             .arg(preview_helper::HELPER_COMMAND)
             .stdin(Stdio::piped())
@@ -121,12 +121,12 @@ impl Sketches {
             .process_group(0)
             .kill_on_drop(true)
             .spawn()
-            .map_err(SketchError::Start)?;
-        let mut line = serde_json::to_vec(request).map_err(|error| SketchError::Failed(error.to_string()))?;
+            .map_err(HelperError::Start)?;
+        let mut line = serde_json::to_vec(request).map_err(|error| HelperError::Failed(error.to_string()))?;
         line.push(b'\n');
         match tokio::time::timeout(TIME_LIMIT, answer(&mut child, &line)).await {
             Ok(answer) => answer,
-            Err(_) => Err(SketchError::Late),
+            Err(_) => Err(HelperError::TimedOut),
         }
     }
 
@@ -143,19 +143,19 @@ impl Sketches {
         kept.retain(|(_, picture)| {
             sum_bytes += picture.len();
             count += 1;
-            count == 1 || (count <= KEPT_PICTURES && sum_bytes <= KEPT_BYTES)
+            count == 1 || (count <= MAX_CACHED_PICTURES && sum_bytes <= KEPT_BYTES)
         });
     }
 
     /// Removes the oldest coarse passes, if they are many.
-    pub(crate) fn tidy(&self) -> io::Result<()> {
+    pub(crate) fn prune_coarse(&self) -> io::Result<()> {
         let mut files = Vec::new();
         for entry in std::fs::read_dir(&self.folder)? {
             let entry = entry?;
             files.push((entry.metadata()?.modified().unwrap_or(SystemTime::UNIX_EPOCH), entry.path()));
         }
         files.sort();
-        for (_, path) in files.iter().take(files.len().saturating_sub(KEPT_COARSE)) {
+        for (_, path) in files.iter().take(files.len().saturating_sub(MAX_COARSE_FILES)) {
             std::fs::remove_file(path)?;
         }
         Ok(())
@@ -164,8 +164,8 @@ impl Sketches {
 
 /// Sends a request to a helper, and reads its response. Its standard input stays open as long as the helper
 /// should live.
-async fn answer(child: &mut Child, line: &[u8]) -> Result<Vec<u8>, SketchError> {
-    let lost = || SketchError::Start(io::Error::other("its pipes are missing"));
+async fn answer(child: &mut Child, line: &[u8]) -> Result<Vec<u8>, HelperError> {
+    let lost = || HelperError::Start(io::Error::other("its pipes are missing"));
     let mut input = child.stdin.take().ok_or_else(lost)?;
     let output = child.stdout.take().ok_or_else(lost)?;
     let errors = child.stderr.take().ok_or_else(lost)?;
@@ -179,10 +179,10 @@ async fn answer(child: &mut Child, line: &[u8]) -> Result<Vec<u8>, SketchError> 
     };
     let listen = async {
         let mut words = Vec::new();
-        errors.take(MAX_WORDS_BYTES).read_to_end(&mut words).await.map(|_| words)
+        errors.take(MAX_STDERR_BYTES).read_to_end(&mut words).await.map(|_| words)
     };
     let ((), bytes, words) = tokio::join!(write, read, listen);
-    let failed = |error: io::Error| SketchError::Failed(error.to_string());
+    let failed = |error: io::Error| HelperError::Failed(error.to_string());
     let (bytes, words) = (bytes.map_err(failed)?, words.map_err(failed)?);
     let status = child.wait().await.map_err(failed)?;
     drop(input);
@@ -191,5 +191,5 @@ async fn answer(child: &mut Child, line: &[u8]) -> Result<Vec<u8>, SketchError> 
     }
     let words = String::from_utf8_lossy(&words);
     let last = words.lines().last().unwrap_or("").trim();
-    Err(SketchError::Failed(if last.is_empty() { status.to_string() } else { format!("{last} ({status})") }))
+    Err(HelperError::Failed(if last.is_empty() { status.to_string() } else { format!("{last} ({status})") }))
 }

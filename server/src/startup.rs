@@ -10,22 +10,22 @@ use tokio::sync::mpsc;
 use tokio_util::sync::CancellationToken;
 
 use crate::Server;
-use crate::admission::Doors;
+use crate::admission::Admission;
 use crate::clock::Clock;
 use crate::config::Config;
-use crate::content_store::Pictures;
-use crate::database::{OpenError, Store, StoreError};
-use crate::events::Events;
-use crate::farm::{Farm, Totals};
-use crate::job_cache::Jobs;
-use crate::listen::Entrance;
+use crate::content_store::ContentStore;
+use crate::database::{Database, DatabaseError, OpenError};
+use crate::events::EventHub;
+use crate::farm::{Farm, ServerCounters};
+use crate::job_cache::JobCache;
+use crate::listen::Listeners;
 use crate::lock::{FolderLock, LockError};
 use crate::pool::Pool;
-use crate::preview_helper::Sketches;
+use crate::preview_helper::PreviewHelper;
 use crate::queue::Queue;
-use crate::signed_links::Links;
-use crate::telemetry::Watch;
-use crate::webhooks::{Guard, SecretError, Signer, Webhooks, webhook_secret};
+use crate::signed_links::LinkSigner;
+use crate::telemetry::Telemetry;
+use crate::webhooks::{AddressPolicy, SecretError, Signer, Webhooks, webhook_secret};
 
 /// Error that prevents the start, with its fix.
 #[derive(Debug, thiserror::Error)]
@@ -36,7 +36,7 @@ pub enum StartError {
          use the farm; make a key (sdfarm key new NAME --scope admin --data FOLDER), listen on 127.0.0.1, or say \
          --insecure if that is meant"
     )]
-    Exposed(SocketAddr),
+    NoKeysBeyondLoopback(SocketAddr),
     /// The data folder can't be used.
     #[error("the data folder {folder} can't be used: {source}; make it writable, or name another with --data")]
     DataFolder {
@@ -81,31 +81,32 @@ pub enum StartError {
     },
 }
 
-const RESTORE: &str = "restore it from a backup, or move it away to start with an empty farm";
-const MAKE_ROOM: &str = "make room on its disk";
-const MAKE_WRITABLE: &str = "make it and its folder writable, or name another folder with --data";
-const UPGRADE: &str = "it may be of a newer release: run that one";
+const RESTORE_FIX: &str = "restore it from a backup, or move it away to start with an empty farm";
+const MAKE_ROOM_FIX: &str = "make room on its disk";
+const MAKE_WRITABLE_FIX: &str = "make it and its folder writable, or name another folder with --data";
+const UPGRADE_FIX: &str = "it may be of a newer release: run that one";
 
 /// See [`Server::start`].
 pub(crate) async fn start(config: Config, clock: Clock) -> Result<Server, StartError> {
     let folder = |source| StartError::DataFolder { folder: config.data.clone(), source };
     std::fs::create_dir_all(&config.data).map_err(folder)?;
-    let lock = FolderLock::take(&config.data).map_err(|error| match error {
-        LockError::Held(holder) => StartError::InUse { folder: config.data.clone(), holder },
+    let lock = FolderLock::acquire(&config.data).map_err(|error| match error {
+        LockError::InUse(holder) => StartError::InUse { folder: config.data.clone(), holder },
         LockError::Io(source) => folder(source),
     })?;
-    let pictures = Pictures::open(&config.data).map_err(folder)?;
-    let links = Links::open(&config.data).map_err(folder)?;
-    let sketches = Sketches::open(&config.data, &config.worker_program).map_err(folder)?;
-    let entrance = Entrance::open(&config).await?;
-    let file = Store::file(&config.data);
-    let store = Arc::new(Store::open(&config.data).await.map_err(|error| explain(file.clone(), error))?);
+    let pictures = ContentStore::open(&config.data).map_err(folder)?;
+    let links = LinkSigner::open(&config.data).map_err(folder)?;
+    let sketches = PreviewHelper::open(&config.data, &config.worker_program).map_err(folder)?;
+    let entrance = Listeners::open(&config).await?;
+    let file = Database::file(&config.data);
+    let store = Arc::new(Database::open(&config.data).await.map_err(|error| database_error(file.clone(), error))?);
     let lease_ms = i64::try_from(config.lease.as_millis()).unwrap_or(i64::MAX / 4).max(1);
-    let doors =
-        Doors::open(Arc::clone(&store), clock.clone()).await.map_err(|error| explain_store(file.clone(), &error))?;
+    let doors = Admission::open(Arc::clone(&store), clock.clone())
+        .await
+        .map_err(|error| explain_store(file.clone(), &error))?;
     if !entrance.address().ip().is_loopback() && !config.insecure && doors.keys.live() == 0 {
         store.close().await;
-        return Err(StartError::Exposed(config.listen));
+        return Err(StartError::NoKeysBeyondLoopback(config.listen));
     }
     let (queue, recovered) =
         Queue::open(Arc::clone(&store), clock, lease_ms).await.map_err(|error| explain_store(file, &error))?;
@@ -116,23 +117,23 @@ pub(crate) async fn start(config: Config, clock: Clock) -> Result<Server, StartE
     let webhooks = webhooks(&config)?;
     let (left, leftovers) = mpsc::unbounded_channel();
     let farm = Arc::new(Farm {
-        events: Events::new(queue.clone()),
+        events: EventHub::new(queue.clone()),
         webhooks,
         queue,
         pictures,
-        jobs: Jobs::new(),
+        jobs: JobCache::new(),
         doors,
         pool: Pool::new(config.pool_workers()),
         sketches,
         links,
-        totals: Totals::default(),
-        watch: Watch::new(config.data.clone(), &store),
-        leftovers: left,
-        closing: CancellationToken::new(),
-        ending: CancellationToken::new(),
+        totals: ServerCounters::default(),
+        watch: Telemetry::new(config.data.clone(), &store),
+        orphans: left,
+        is_shutting_down: CancellationToken::new(),
+        shutdown: CancellationToken::new(),
         config,
     });
-    Ok(Server { entrance, farm, store, leftovers, lock })
+    Ok(Server { listeners: entrance, farm, store, orphans: leftovers, lock })
 }
 
 /// Creates the sender of webhooks, with the operator's secret or the data folder's own.
@@ -141,32 +142,32 @@ fn webhooks(config: &Config) -> Result<Webhooks, StartError> {
         Some(secret) => secret.clone(),
         None => webhook_secret(&config.data)?,
     };
-    Ok(Webhooks::new(Guard::new(&config.allow_webhooks_to), Signer::new(&secret)?))
+    Ok(Webhooks::new(AddressPolicy::new(&config.allowed_webhook_ranges), Signer::new(&secret)?))
 }
 
-fn explain(file: PathBuf, error: OpenError) -> StartError {
+fn database_error(file: PathBuf, error: OpenError) -> StartError {
     match error {
         OpenError::Sql(error) | OpenError::Migrate(sqlx::migrate::MigrateError::Execute(error)) => {
             explain_store(file, &error.into())
         }
-        OpenError::Migrate(error) => StartError::Database { file, reason: error.to_string(), cure: UPGRADE },
+        OpenError::Migrate(error) => StartError::Database { file, reason: error.to_string(), cure: UPGRADE_FIX },
         OpenError::Damaged(verdict) => {
-            StartError::Database { file, reason: format!("it is damaged ({verdict})"), cure: RESTORE }
+            StartError::Database { file, reason: format!("it is damaged ({verdict})"), cure: RESTORE_FIX }
         }
     }
 }
 
-fn explain_store(file: PathBuf, error: &StoreError) -> StartError {
+fn explain_store(file: PathBuf, error: &DatabaseError) -> StartError {
     let reason = match error {
-        StoreError::Sql(error) => error.to_string(),
-        StoreError::Rows { .. } | StoreError::Value { .. } | StoreError::Closed => error.to_string(),
+        DatabaseError::Sql(error) => error.to_string(),
+        DatabaseError::Rows { .. } | DatabaseError::Value { .. } | DatabaseError::Closed => error.to_string(),
     };
     let cure = if error.is_full() {
-        MAKE_ROOM
-    } else if error.is_damage() {
-        RESTORE
+        MAKE_ROOM_FIX
+    } else if error.is_corruption() {
+        RESTORE_FIX
     } else {
-        MAKE_WRITABLE
+        MAKE_WRITABLE_FIX
     };
     StartError::Database { file, reason, cure }
 }

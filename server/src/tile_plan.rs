@@ -5,7 +5,7 @@ use proto::tile::Tiling;
 
 /// How every frame of a job is cut into tiles.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) struct Plan {
+pub(crate) struct TilePlan {
     /// Picture width, in pixels.
     pub(crate) width_px: u32,
     /// Picture height, in pixels.
@@ -20,9 +20,9 @@ pub(crate) struct Plan {
     pub(crate) frames: u32,
 }
 
-impl Plan {
+impl TilePlan {
     /// Plan of a job; `edge_px` is the operator's tile edge, if any.
-    pub(crate) fn of(job: &scene::Job, edge_px: Option<u32>) -> Self {
+    pub(crate) fn new(job: &scene::Job, edge_px: Option<u32>) -> Self {
         Self {
             width_px: job.image.width,
             height_px: job.image.height,
@@ -77,7 +77,8 @@ mod tests {
 
     #[test]
     fn tiles_carry_all_the_rays_of_a_frame() {
-        let plan = Plan { width_px: 1920, height_px: 1080, samples: 4, pixel_bytes: 16, edge_px: Some(256), frames: 3 };
+        let plan =
+            TilePlan { width_px: 1920, height_px: 1080, samples: 4, pixel_bytes: 16, edge_px: Some(256), frames: 3 };
         let rays: u64 = plan.tiles().into_iter().map(|rect| plan.rays(rect)).sum();
         assert_eq!(rays, plan.frame_rays());
         assert_eq!(plan.rays_total(), 3 * rays);

@@ -179,7 +179,7 @@ fn the_doctor_finds_what_is_lost_and_has_it_rendered_again() {
     let (told, code) = doctor(&data, &["--deep", "--json"]);
     assert_eq!(code, Some(0), "{told}");
     let findings: Vec<serde_json::Value> = serde_json::from_str(&told).expect("JSON");
-    assert!(findings.iter().all(|finding| finding["grade"] != "wrong" && finding["subject"].is_string()), "{told}");
+    assert!(findings.iter().all(|finding| finding["severity"] != "error" && finding["subject"].is_string()), "{told}");
 
     let farm = start(folder.path());
     farm.succeeded(&id);
@@ -199,7 +199,7 @@ fn the_doctor_says_when_the_database_is_damaged_or_the_port_is_taken() {
     let address = taken.local_addr().expect("bound").to_string();
     let output = run(&["doctor", "--data", word(&data), "--listen", &address]);
     assert_eq!(output.status.code(), Some(1));
-    assert!(text(&output.stdout).contains("WRONG  port"), "{}", text(&output.stdout));
+    assert!(text(&output.stdout).contains("ERROR    port"), "{}", text(&output.stdout));
 
     let file = data.join("farm.sqlite");
     let mut bytes = fs::read(&file).expect("reads");
@@ -208,7 +208,7 @@ fn the_doctor_says_when_the_database_is_damaged_or_the_port_is_taken() {
     fs::write(&file, bytes).expect("writes");
     let (told, code) = doctor(&data, &[]);
     assert_eq!(code, Some(1), "{told}");
-    assert!(told.contains("WRONG  database") && told.contains("sdfarm restore"), "{told}");
+    assert!(told.contains("ERROR    database") && told.contains("sdfarm restore"), "{told}");
 }
 
 /// While jobs come, are rendered and go, each backup is a whole farm.

@@ -25,9 +25,9 @@ pub(crate) async fn run(arguments: Arguments) -> anyhow::Result<()> {
         "{} pictures are in {}: {} taken now ({} bytes), {} dropped",
         backup.pictures,
         arguments.folder.display(),
-        backup.taken,
-        backup.taken_bytes,
-        backup.dropped
+        backup.copied,
+        backup.copied_bytes,
+        backup.removed
     ))?;
     for hash in &backup.missing {
         note(&format!("picture {hash} is gone from the store, or damaged there"));

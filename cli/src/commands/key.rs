@@ -8,7 +8,7 @@ use std::time::Duration;
 use clap::builder::{PossibleValuesParser, TypedValueParser};
 use clap::{Args, Subcommand};
 use proto::api_key::{ApiKeyState, ApiKeyView, NewApiKey, Scope};
-use server::{KeyFolder, KeyFolderError};
+use server::{OfflineApiKeys, OfflineApiKeysError};
 
 use crate::error::Misuse;
 use crate::terminal::{note, say};
@@ -112,7 +112,7 @@ pub(crate) async fn run(arguments: Arguments) -> anyhow::Result<()> {
 }
 
 async fn make(new: New) -> anyhow::Result<()> {
-    let mut folder = KeyFolder::open_or_make(&new.folder.data).await?;
+    let mut folder = OfflineApiKeys::open_or_create(&new.folder.data).await?;
     let order = NewApiKey {
         name: new.name,
         scopes: new.scope,
@@ -121,14 +121,14 @@ async fn make(new: New) -> anyhow::Result<()> {
         max_rays: new.max_rays,
         requests_per_second: new.rate,
     };
-    let issued = folder.make(order).await.map_err(misuse)?;
+    let issued = folder.create(order).await.map_err(misuse)?;
     folder.close().await?;
     note(&format!("{}; the secret is shown this once: give it to its bearer as SDFARM_KEY", line(&issued.key)));
     say(&issued.secret)
 }
 
 async fn show(list: List) -> anyhow::Result<()> {
-    let mut folder = KeyFolder::open(&list.folder.data).await?;
+    let mut folder = OfflineApiKeys::open(&list.folder.data).await?;
     let keys = folder.list().await?;
     folder.close().await?;
     if list.json {
@@ -141,7 +141,7 @@ async fn show(list: List) -> anyhow::Result<()> {
 }
 
 async fn end(revoke: Revoke) -> anyhow::Result<()> {
-    let mut folder = KeyFolder::open(&revoke.folder.data).await?;
+    let mut folder = OfflineApiKeys::open(&revoke.folder.data).await?;
     let keys = folder.revoke(&revoke.which).await?;
     folder.close().await?;
     keys.iter().try_for_each(|key| say(&line(key)))
@@ -166,10 +166,10 @@ fn line(key: &ApiKeyView) -> String {
 }
 
 /// A rejected request is a usage error; a failed one is not.
-fn misuse(error: KeyFolderError) -> anyhow::Error {
+fn misuse(error: OfflineApiKeysError) -> anyhow::Error {
     match error {
-        KeyFolderError::Refused(reason) => Misuse(reason).into(),
-        error @ KeyFolderError::Folder { .. } => error.into(),
+        OfflineApiKeysError::Refused(reason) => Misuse(reason).into(),
+        error @ OfflineApiKeysError::Folder { .. } => error.into(),
     }
 }
 

@@ -90,22 +90,22 @@ impl Arguments {
             devices: devices(self.device)?,
             simd: self.simd.to_string(),
             threads: self.threads.map(|threads| threads as usize),
-            tile_px: self.tile,
+            tile_edge_px: self.tile,
             lease: Duration::from_secs(self.lease_seconds),
             insecure: self.insecure,
             tls: self.tls_cert.zip(self.tls_key).map(|(certificate, key)| TlsFiles { certificate, key }),
             max_connections: self.max_connections,
             max_queued_jobs: self.max_queued_jobs,
-            hosts: self.host,
-            keep_jobs: match self.keep_jobs {
+            allowed_hosts: self.host,
+            job_retention: match self.keep_jobs {
                 Retention::Forever => None,
                 Retention::For(time) => Some(time),
             },
             max_store_bytes: self.max_store.map(|Size(bytes)| bytes),
-            allow_webhooks_to: self.allow_webhook_to,
+            allowed_webhook_ranges: self.allow_webhook_to,
             webhook_secret: self.webhook_secret,
             worker_program: own_program()?,
-            worker_variables: crate::logs::inherited(),
+            worker_env: crate::logs::inherited(),
             ..Config::default()
         })
     }

@@ -12,7 +12,7 @@ use proto::api_key::{ApiKeyState, ApiKeyView, NewApiKey, Scope};
 use subtle::ConstantTimeEq;
 use tokio_util::sync::CancellationToken;
 
-use super::{KeyError, MAX_LIFE_SECONDS, MAX_NAME_CHARACTERS, RESERVED};
+use super::{ApiKeyError, MAX_LIFE_SECONDS, MAX_NAME_CHARACTERS, RESERVED};
 use crate::clock::rfc3339;
 
 /// Maximum rate limit of a key, in requests per second.
@@ -23,7 +23,7 @@ pub(crate) const REQUESTS_PER_SECOND: u32 = 1000;
 const NEVER: i64 = i64::MIN;
 
 /// Rate limiter of one caller.
-pub(crate) type Limiter = RateLimiter<NotKeyed, InMemoryState, DefaultClock, StateInformationMiddleware>;
+pub(crate) type KeyLimiter = RateLimiter<NotKeyed, InMemoryState, DefaultClock, StateInformationMiddleware>;
 
 /// A set of scopes, each at its place in [`Scope::ALL`].
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -36,7 +36,7 @@ impl Scopes {
     }
 
     /// The scopes that these tests hold for.
-    pub(super) fn of(has: impl Fn(Scope) -> bool) -> Self {
+    pub(super) fn from_fn(has: impl Fn(Scope) -> bool) -> Self {
         Self(Scope::ALL.map(has))
     }
 
@@ -52,7 +52,7 @@ impl Scopes {
 
 /// Validated request for a key.
 #[derive(Clone, Debug)]
-pub(super) struct Order {
+pub(super) struct KeySpec {
     pub(super) name: String,
     pub(super) scopes: Scopes,
     pub(super) max_jobs: Option<u32>,
@@ -62,9 +62,9 @@ pub(super) struct Order {
     pub(super) expires_at_ms: Option<i64>,
 }
 
-impl Order {
+impl KeySpec {
     /// Checks what was asked for.
-    pub(super) fn check(new: NewApiKey, now_ms: i64) -> Result<Self, KeyError> {
+    pub(super) fn check(new: NewApiKey, now_ms: i64) -> Result<Self, ApiKeyError> {
         let is_plain = |byte: u8| byte.is_ascii_alphanumeric() || b"-_.".contains(&byte);
         let length = new.name.len();
         if length == 0
@@ -72,17 +72,17 @@ impl Order {
             || !new.name.bytes().all(is_plain)
             || RESERVED.contains(&&*new.name)
         {
-            return Err(KeyError::Name(new.name));
+            return Err(ApiKeyError::Name(new.name));
         }
         if new.scopes.is_empty() {
-            return Err(KeyError::NoScope);
+            return Err(ApiKeyError::NoScope);
         }
-        within("the life in seconds", new.expires_in_seconds, MAX_LIFE_SECONDS)?;
-        within("the number of jobs", new.max_jobs.map(u64::from), u32::MAX.into())?;
-        within("the number of rays", new.max_rays, i64::MAX.unsigned_abs())?;
-        within("the requests a second", new.requests_per_second.map(u64::from), MAX_REQUESTS_PER_SECOND.into())?;
+        check_range("the life in seconds", new.expires_in_seconds, MAX_LIFE_SECONDS)?;
+        check_range("the number of jobs", new.max_jobs.map(u64::from), u32::MAX.into())?;
+        check_range("the number of rays", new.max_rays, i64::MAX.unsigned_abs())?;
+        check_range("the requests a second", new.requests_per_second.map(u64::from), MAX_REQUESTS_PER_SECOND.into())?;
         Ok(Self {
-            scopes: Scopes::of(|scope| new.scopes.contains(&scope)),
+            scopes: Scopes::from_fn(|scope| new.scopes.contains(&scope)),
             name: new.name,
             max_jobs: new.max_jobs,
             max_rays: new.max_rays.map(u64::cast_signed),
@@ -93,16 +93,16 @@ impl Order {
     }
 }
 
-fn within(what: &'static str, found: Option<u64>, most: u64) -> Result<(), KeyError> {
+fn check_range(what: &'static str, found: Option<u64>, most: u64) -> Result<(), ApiKeyError> {
     match found {
-        Some(found) if found == 0 || found > most => Err(KeyError::Limit { what, found, most }),
+        Some(found) if found == 0 || found > most => Err(ApiKeyError::Limit { what, found, most }),
         Some(_) | None => Ok(()),
     }
 }
 
 /// A key as the table has it.
 #[derive(Clone, Debug)]
-pub(super) struct Row {
+pub(super) struct KeyRow {
     pub(super) number: i64,
     pub(super) id: String,
     pub(super) name: String,
@@ -119,28 +119,28 @@ pub(super) struct Row {
 
 /// Key with its runtime state.
 #[derive(Debug)]
-pub(crate) struct Key {
-    row: Row,
-    ongoing: Arc<Ongoing>,
+pub(crate) struct ApiKey {
+    row: KeyRow,
+    ongoing: Arc<KeyRuntime>,
 }
 
 /// State that survives a reload of the table.
 #[derive(Debug)]
-struct Ongoing {
-    ended: CancellationToken,
-    limiter: Limiter,
+struct KeyRuntime {
+    revoked: CancellationToken,
+    limiter: KeyLimiter,
     used_ms: AtomicI64,
 }
 
-impl Key {
+impl ApiKey {
     /// Builds the key of a row; `known` is the same key as of the last reload.
-    pub(super) fn new(row: Row, known: Option<&Self>) -> Self {
+    pub(super) fn new(row: KeyRow, known: Option<&Self>) -> Self {
         let ongoing = known.map_or_else(
             || {
                 let rate = row.requests_per_second.and_then(NonZeroU32::new);
                 let rate = rate.unwrap_or(NonZeroU32::new(REQUESTS_PER_SECOND).unwrap_or(NonZeroU32::MIN));
-                Arc::new(Ongoing {
-                    ended: CancellationToken::new(),
+                Arc::new(KeyRuntime {
+                    revoked: CancellationToken::new(),
                     limiter: RateLimiter::direct(Quota::per_second(rate)).with_middleware(),
                     used_ms: AtomicI64::new(NEVER),
                 })
@@ -166,13 +166,13 @@ impl Key {
         !self.is_revoked() && self.row.expires_at_ms.is_none_or(|end_ms| now_ms < end_ms)
     }
 
-    pub(super) fn end_if_over(&self, now_ms: i64) {
+    pub(super) fn revoke_if_expired(&self, now_ms: i64) {
         if !self.is_live(now_ms) {
-            self.ongoing.ended.cancel();
+            self.ongoing.revoked.cancel();
         }
     }
 
-    pub(super) fn used(&self, now_ms: i64) {
+    pub(super) fn mark_used(&self, now_ms: i64) {
         self.ongoing.used_ms.fetch_max(now_ms, Ordering::Relaxed);
     }
 
@@ -208,12 +208,12 @@ impl Key {
     }
 
     /// Cancelled when the key is no longer valid.
-    pub(crate) fn ended(&self) -> &CancellationToken {
-        &self.ongoing.ended
+    pub(crate) fn revoked(&self) -> &CancellationToken {
+        &self.ongoing.revoked
     }
 
     /// Rate limiter of its requests.
-    pub(crate) fn limiter(&self) -> &Limiter {
+    pub(crate) fn limiter(&self) -> &KeyLimiter {
         &self.ongoing.limiter
     }
 
@@ -257,7 +257,7 @@ mod tests {
     }
 
     fn is_fine(key: NewApiKey) -> bool {
-        Order::check(key, 0).is_ok()
+        KeySpec::check(key, 0).is_ok()
     }
 
     #[test]
@@ -278,9 +278,9 @@ mod tests {
         }
     }
 
-    fn row(expires_at_ms: Option<i64>, revoked_at_ms: Option<i64>) -> Row {
-        let scopes = Scopes::of(|scope| scope == Scope::Submit);
-        Row {
+    fn row(expires_at_ms: Option<i64>, revoked_at_ms: Option<i64>) -> KeyRow {
+        let scopes = Scopes::from_fn(|scope| scope == Scope::Submit);
+        KeyRow {
             number: 7,
             id: "key_1".to_owned(),
             name: "anna".to_owned(),
@@ -298,26 +298,26 @@ mod tests {
 
     #[test]
     fn key_lives_until_its_end_and_what_goes_on_ends_with_it() {
-        let key = Key::new(row(Some(5000), None), None);
+        let key = ApiKey::new(row(Some(5000), None), None);
         assert!(key.is_live(4999) && !key.is_live(5000));
-        key.end_if_over(4999);
-        assert!(!key.ended().is_cancelled());
+        key.revoke_if_expired(4999);
+        assert!(!key.revoked().is_cancelled());
         // The same key, read again: what goes on under it is told.
-        let again = Key::new(row(Some(5000), Some(2000)), Some(&key));
+        let again = ApiKey::new(row(Some(5000), Some(2000)), Some(&key));
         assert!(!again.is_live(3000) && again.is_revoked());
-        again.end_if_over(3000);
-        assert!(key.ended().is_cancelled());
+        again.revoke_if_expired(3000);
+        assert!(key.revoked().is_cancelled());
         let states = [key.view(0).state, key.view(5000).state, again.view(0).state];
         assert_eq!(states, [ApiKeyState::Live, ApiKeyState::Expired, ApiKeyState::Revoked]);
     }
 
     #[test]
     fn view_of_a_key_shows_what_it_may_and_its_latest_use() {
-        let key = Key::new(row(None, None), None);
+        let key = ApiKey::new(row(None, None), None);
         assert_eq!(key.last_used_ms(), None);
         assert_eq!(key.view(0).last_used_at.as_deref(), Some("1970-01-01T00:00:01Z"));
-        key.used(3000);
-        key.used(2000);
+        key.mark_used(3000);
+        key.mark_used(2000);
         assert_eq!(key.last_used_ms(), Some(3000));
         let view = key.view(0);
         assert_eq!(view.last_used_at.as_deref(), Some("1970-01-01T00:00:03Z"));

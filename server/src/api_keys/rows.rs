@@ -7,16 +7,16 @@ use sqlx::Row as _;
 use sqlx::sqlite::{SqliteConnection, SqliteExecutor, SqliteRow};
 
 use super::MAX_LIVE_OF_A_NAME;
-use super::key::{Order, Row, Scopes};
-use crate::database::StoreError;
+use super::key::{KeyRow, KeySpec, Scopes};
+use crate::database::DatabaseError;
 
 /// Writes a key's row, unless its name has both its live keys; whether it did.
 pub(super) async fn insert(
     connection: &mut SqliteConnection,
     id: &str,
     digest: &[u8; 32],
-    order: &Order,
-) -> Result<bool, StoreError> {
+    order: &KeySpec,
+) -> Result<bool, DatabaseError> {
     let done = sqlx::query(
         "INSERT INTO key (id, name, digest, may_submit, may_read, may_work, may_administer, max_jobs, max_rays,
                           requests_per_second, created_at_ms, expires_at_ms)
@@ -47,7 +47,7 @@ pub(super) async fn revoke(
     connection: &mut SqliteConnection,
     id_or_name: &str,
     now_ms: i64,
-) -> Result<Vec<String>, StoreError> {
+) -> Result<Vec<String>, DatabaseError> {
     let ids = sqlx::query_scalar(
         "UPDATE key SET revoked_at_ms = ?2 WHERE (id = ?1 OR name = ?1) AND revoked_at_ms IS NULL RETURNING id",
     )
@@ -59,7 +59,11 @@ pub(super) async fn revoke(
 }
 
 /// Writes down when a key was used.
-pub(super) async fn touch(connection: &mut SqliteConnection, number: i64, used_ms: i64) -> Result<(), StoreError> {
+pub(super) async fn set_last_used(
+    connection: &mut SqliteConnection,
+    number: i64,
+    used_ms: i64,
+) -> Result<(), DatabaseError> {
     // No row is no error: the key may have been deleted in the meantime.
     sqlx::query("UPDATE key SET last_used_at_ms = ? WHERE number = ?")
         .bind(used_ms)
@@ -70,7 +74,7 @@ pub(super) async fn touch(connection: &mut SqliteConnection, number: i64, used_m
 }
 
 /// Every key, newest first.
-pub(super) async fn all<'e>(connection: impl SqliteExecutor<'e>) -> Result<Vec<Row>, StoreError> {
+pub(super) async fn all<'e>(connection: impl SqliteExecutor<'e>) -> Result<Vec<KeyRow>, DatabaseError> {
     let rows = sqlx::query(
         "SELECT number, id, name, digest, may_submit, may_read, may_work, may_administer, max_jobs, max_rays,
                 requests_per_second, created_at_ms, expires_at_ms, revoked_at_ms, last_used_at_ms
@@ -81,7 +85,7 @@ pub(super) async fn all<'e>(connection: impl SqliteExecutor<'e>) -> Result<Vec<R
     rows.iter().map(read).collect()
 }
 
-fn read(row: &SqliteRow) -> Result<Row, StoreError> {
+fn read(row: &SqliteRow) -> Result<KeyRow, DatabaseError> {
     let digest: Vec<u8> = row.try_get("digest")?;
     let may: [bool; 4] = [
         row.try_get("may_submit")?,
@@ -95,14 +99,14 @@ fn read(row: &SqliteRow) -> Result<Row, StoreError> {
         Scope::Worker => may[2],
         Scope::Admin => may[3],
     };
-    Ok(Row {
+    Ok(KeyRow {
         number: row.try_get("number")?,
         id: row.try_get("id")?,
         name: row.try_get("name")?,
         digest: digest
             .try_into()
-            .map_err(|_| StoreError::Value { column: "key.digest", value: "other than 32 bytes".to_owned() })?,
-        scopes: Scopes::of(may),
+            .map_err(|_| DatabaseError::Value { column: "key.digest", value: "other than 32 bytes".to_owned() })?,
+        scopes: Scopes::from_fn(may),
         max_jobs: row.try_get("max_jobs")?,
         max_rays: row.try_get("max_rays")?,
         requests_per_second: row.try_get("requests_per_second")?,

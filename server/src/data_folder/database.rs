@@ -5,12 +5,12 @@ use std::path::Path;
 use sqlx::sqlite::{SqliteConnectOptions, SqliteConnection};
 use sqlx::{ConnectOptions, Row};
 
-use super::KeepError;
-use crate::database::Store;
+use super::DataFolderError;
+use crate::database::Database;
 
 /// A picture that the database names.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub(super) struct Named {
+pub(super) struct PictureRef {
     /// BLAKE3 of its bytes, in hex.
     pub(super) hash: String,
     /// Total size of the pictures.
@@ -18,22 +18,22 @@ pub(super) struct Named {
 }
 
 /// Opens the database of a data folder for reading, also next to a running server.
-pub(super) async fn open(data: &Path) -> Result<SqliteConnection, KeepError> {
-    let file = Store::file(data);
+pub(super) async fn open(data: &Path) -> Result<SqliteConnection, DataFolderError> {
+    let file = Database::file(data);
     if !file.is_file() {
-        return Err(KeepError::NoFarm(data.to_owned()));
+        return Err(DataFolderError::NoDatabase(data.to_owned()));
     }
     open_file(&file).await
 }
 
 /// Opens any database to be read.
-pub(super) async fn open_file(file: &Path) -> Result<SqliteConnection, KeepError> {
+pub(super) async fn open_file(file: &Path) -> Result<SqliteConnection, DataFolderError> {
     let options = SqliteConnectOptions::new().filename(file).read_only(true).disable_statement_logging();
-    options.connect().await.map_err(KeepError::database(file))
+    options.connect().await.map_err(DataFolderError::database(file))
 }
 
 /// Lines found by `integrity_check` and `foreign_key_check`; empty if the database is intact.
-pub(super) async fn faults(connection: &mut SqliteConnection) -> Result<Vec<String>, sqlx::Error> {
+pub(super) async fn integrity_errors(connection: &mut SqliteConnection) -> Result<Vec<String>, sqlx::Error> {
     let mut faults: Vec<String> = sqlx::query_scalar("PRAGMA integrity_check(20)").fetch_all(&mut *connection).await?;
     faults.retain(|line| line != "ok");
     for row in sqlx::query("PRAGMA foreign_key_check").fetch_all(connection).await?.iter().take(20) {
@@ -44,14 +44,16 @@ pub(super) async fn faults(connection: &mut SqliteConnection) -> Result<Vec<Stri
 }
 
 /// Every picture that the database names.
-pub(super) async fn pictures(connection: &mut SqliteConnection) -> Result<Vec<Named>, sqlx::Error> {
+pub(super) async fn pictures(connection: &mut SqliteConnection) -> Result<Vec<PictureRef>, sqlx::Error> {
     let rows = sqlx::query(
         "SELECT picture AS hash, size_bytes FROM frame WHERE picture IS NOT NULL
          UNION SELECT hash, size_bytes FROM picture ORDER BY 1",
     )
     .fetch_all(connection)
     .await?;
-    rows.iter().map(|row| Ok(Named { hash: row.try_get("hash")?, size_bytes: row.try_get("size_bytes")? })).collect()
+    rows.iter()
+        .map(|row| Ok(PictureRef { hash: row.try_get("hash")?, size_bytes: row.try_get("size_bytes")? }))
+        .collect()
 }
 
 /// Every blob that a frame still needs.

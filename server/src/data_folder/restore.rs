@@ -6,8 +6,8 @@ use std::path::Path;
 use sqlx::Connection;
 
 use super::manifest::Manifest;
-use super::{KeepError, database, hashed_files};
-use crate::database::Store;
+use super::{DataFolderError, database, hashed_files};
+use crate::database::Database;
 use crate::lock::FolderLock;
 
 /// Result of a restore.
@@ -22,28 +22,29 @@ pub struct Restored {
 }
 
 /// Restores the backup in `folder` into `data`, which must be new or empty.
-pub async fn restore(folder: &Path, data: &Path) -> Result<Restored, KeepError> {
-    let Some(manifest) = Manifest::read(folder)? else { return Err(KeepError::NoBackup(folder.to_owned())) };
+pub async fn restore(folder: &Path, data: &Path) -> Result<Restored, DataFolderError> {
+    let Some(manifest) = Manifest::read(folder)? else { return Err(DataFolderError::NoBackup(folder.to_owned())) };
     if fs::read_dir(data).is_ok_and(|mut entries| entries.next().is_some()) {
-        return Err(KeepError::NotEmpty(data.to_owned()));
+        return Err(DataFolderError::NotEmpty(data.to_owned()));
     }
     let copy = manifest.database_file(folder);
-    let damaged = |reason: String| KeepError::Damaged { path: copy.clone(), reason };
+    let damaged = |reason: String| DataFolderError::Damaged { path: copy.clone(), reason };
     let (actual, _) = hashed_files::hash(&copy).map_err(|error| damaged(error.to_string()))?;
     if actual != manifest.database {
         return Err(damaged(format!("its BLAKE3 is {actual}")));
     }
     let mut connection = database::open_file(&copy).await?;
-    if let Some(fault) = database::faults(&mut connection).await.map_err(KeepError::database(&copy))?.into_iter().next()
+    if let Some(fault) =
+        database::integrity_errors(&mut connection).await.map_err(DataFolderError::database(&copy))?.into_iter().next()
     {
         return Err(damaged(fault));
     }
-    let names = database::pictures(&mut connection).await.map_err(KeepError::database(&copy))?;
-    connection.close().await.map_err(KeepError::database(&copy))?;
+    let names = database::pictures(&mut connection).await.map_err(DataFolderError::database(&copy))?;
+    connection.close().await.map_err(DataFolderError::database(&copy))?;
 
     let pictures = data.join("pictures");
-    fs::create_dir_all(&pictures).map_err(KeepError::file("make", &pictures))?;
-    let lock = FolderLock::take(data).map_err(KeepError::lock(data))?;
+    fs::create_dir_all(&pictures).map_err(DataFolderError::file("make", &pictures))?;
+    let lock = FolderLock::acquire(data).map_err(DataFolderError::lock(data))?;
     let mut restored = Restored { made_at: manifest.made_at.clone(), ..Restored::default() };
     for named in names {
         let from = folder.join("pictures").join(&named.hash);
@@ -51,20 +52,20 @@ pub async fn restore(folder: &Path, data: &Path) -> Result<Restored, KeepError> 
             Ok(true) => restored.pictures += 1,
             Ok(false) => restored.missing.push(named.hash),
             Err(error) if error.kind() == std::io::ErrorKind::NotFound => restored.missing.push(named.hash),
-            Err(error) => return Err(KeepError::file("copy", &from)(error)),
+            Err(error) => return Err(DataFolderError::file("copy", &from)(error)),
         }
     }
     for name in &manifest.files {
-        fs::copy(folder.join(name), data.join(name)).map_err(KeepError::file("copy", &folder.join(name)))?;
+        fs::copy(folder.join(name), data.join(name)).map_err(DataFolderError::file("copy", &folder.join(name)))?;
     }
-    hashed_files::sync_folder(&pictures).map_err(KeepError::file("write", &pictures))?;
-    let file = Store::file(data);
+    hashed_files::sync_folder(&pictures).map_err(DataFolderError::file("write", &pictures))?;
+    let file = Database::file(data);
     match hashed_files::copy(&copy, &file, &manifest.database) {
         Ok(true) => {}
         Ok(false) => return Err(damaged("it changed while it was copied".to_owned())),
-        Err(error) => return Err(KeepError::file("write", &file)(error)),
+        Err(error) => return Err(DataFolderError::file("write", &file)(error)),
     }
-    hashed_files::sync_folder(data).map_err(KeepError::file("write", data))?;
+    hashed_files::sync_folder(data).map_err(DataFolderError::file("write", data))?;
     drop(lock);
     Ok(restored)
 }

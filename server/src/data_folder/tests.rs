@@ -2,8 +2,8 @@
 
 use sqlx::{Connection, Row};
 
-use super::{Depth, Grade, Repair, examine};
-use crate::database::Store;
+use super::{Depth, Repair, Severity, run_checks};
+use crate::database::Database;
 
 /// The tables of the first release that was used: migrations 1 and 2, as their files have them.
 const FIRST_RELEASE: [(i64, &str, &str); 2] = [
@@ -36,7 +36,7 @@ const ROWS: &str = "
 
 /// Creates the database of an old farm, as a previous release left it.
 async fn old_farm(data: &std::path::Path) {
-    let options = sqlx::sqlite::SqliteConnectOptions::new().filename(Store::file(data)).create_if_missing(true);
+    let options = sqlx::sqlite::SqliteConnectOptions::new().filename(Database::file(data)).create_if_missing(true);
     let mut connection = sqlx::sqlite::SqliteConnection::connect_with(&options).await.expect("opens");
     let done = "CREATE TABLE _sqlx_migrations (
         version BIGINT PRIMARY KEY, description TEXT NOT NULL, installed_on TIMESTAMP NOT NULL DEFAULT CURRENT_TIMESTAMP,
@@ -61,12 +61,12 @@ async fn old_farm(data: &std::path::Path) {
 async fn a_farm_of_the_first_release_is_brought_up_to_date_with_all_that_is_in_it() {
     let folder = tempfile::tempdir().expect("a temporary folder");
     old_farm(folder.path()).await;
-    let before = examine(folder.path(), Depth::Names, Repair::None).await.expect("looks");
+    let before = run_checks(folder.path(), Depth::Names, Repair::None).await.expect("looks");
     let schema = before.iter().find(|finding| finding.subject == "schema").expect("a finding");
-    assert!(schema.grade != Grade::Wrong && schema.text.contains("to be done"), "{schema:?}");
+    assert!(schema.severity != Severity::Error && schema.message.contains("to be done"), "{schema:?}");
 
-    let store = Store::open(folder.path()).await.expect("upgrades");
-    let (clock, _hand) = crate::clock::Clock::by_hand();
+    let store = Database::open(folder.path()).await.expect("upgrades");
+    let (clock, _hand) = crate::clock::Clock::manual();
     let (queue, recovered) = crate::queue::Queue::open(store.into(), clock, 1000).await.expect("opens");
     assert_eq!((recovered.generation, recovered.jobs, recovered.leases), (5, 1, 1));
     let page = queue.jobs(None, None, 10, None).await.expect("lists");
@@ -80,25 +80,25 @@ async fn a_farm_of_the_first_release_is_brought_up_to_date_with_all_that_is_in_i
     assert_eq!(versions as usize, crate::database::migrations().count());
     drop(queue);
 
-    let after = examine(folder.path(), Depth::Names, Repair::None).await.expect("looks");
+    let after = run_checks(folder.path(), Depth::Names, Repair::None).await.expect("looks");
     let named = |subject| after.iter().filter(move |finding| finding.subject == subject).collect::<Vec<_>>();
-    assert!(named("schema").iter().all(|finding| finding.grade == Grade::Good), "{after:?}");
-    assert!(named("database").iter().all(|finding| finding.grade == Grade::Good), "{after:?}");
-    assert!(named("store").iter().any(|finding| finding.text.contains("1 pictures are gone")), "{after:?}");
+    assert!(named("schema").iter().all(|finding| finding.severity == Severity::Ok), "{after:?}");
+    assert!(named("database").iter().all(|finding| finding.severity == Severity::Ok), "{after:?}");
+    assert!(named("store").iter().any(|finding| finding.message.contains("1 pictures are gone")), "{after:?}");
 }
 
 #[tokio::test]
 async fn a_farm_of_a_newer_release_is_told_so() {
     let folder = tempfile::tempdir().expect("a temporary folder");
-    Store::open(folder.path()).await.expect("makes").close().await;
-    let options = sqlx::sqlite::SqliteConnectOptions::new().filename(Store::file(folder.path()));
+    Database::open(folder.path()).await.expect("makes").close().await;
+    let options = sqlx::sqlite::SqliteConnectOptions::new().filename(Database::file(folder.path()));
     let mut connection = sqlx::sqlite::SqliteConnection::connect_with(&options).await.expect("opens");
     sqlx::query("INSERT INTO _sqlx_migrations VALUES (9999, 'later', CURRENT_TIMESTAMP, TRUE, x'00', 1)")
         .execute(&mut connection)
         .await
         .expect("notes");
     connection.close().await.expect("closes");
-    let findings = examine(folder.path(), Depth::Names, Repair::None).await.expect("looks");
-    let wrong = findings.iter().find(|finding| finding.grade == Grade::Wrong).expect("a finding");
-    assert_eq!(wrong.text, "migration 9999 is of a newer release");
+    let findings = run_checks(folder.path(), Depth::Names, Repair::None).await.expect("looks");
+    let wrong = findings.iter().find(|finding| finding.severity == Severity::Error).expect("a finding");
+    assert_eq!(wrong.message, "migration 9999 is of a newer release");
 }

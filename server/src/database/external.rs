@@ -6,11 +6,11 @@ use std::time::Duration;
 use sqlx::ConnectOptions;
 use sqlx::sqlite::{SqliteConnectOptions, SqliteConnection, SqliteJournalMode, SqliteSynchronous};
 
-use super::Store;
+use super::Database;
 
-impl Store {
+impl Database {
     /// Connects to the existing database of a data folder; waits for a writer for at most `patience`.
-    pub(crate) async fn connect_beside(data: &Path, patience: Duration) -> Result<SqliteConnection, sqlx::Error> {
+    pub(crate) async fn connect_external(data: &Path, patience: Duration) -> Result<SqliteConnection, sqlx::Error> {
         SqliteConnectOptions::new()
             .filename(Self::file(data))
             .journal_mode(SqliteJournalMode::Wal)

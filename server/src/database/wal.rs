@@ -10,24 +10,24 @@ use sqlx::sqlite::SqliteConnection;
 /// A WAL of this size is checkpointed between two commits, and restarted.
 pub(super) const LIMIT_BYTES: u64 = 64 << 20;
 /// If a reader prevented that, the next attempt follows after this many commits.
-const COMMITS: u32 = 64;
+const RETRY_AFTER_COMMITS: u32 = 64;
 /// How long writes wait for readers then, and how long otherwise.
 const WAIT_FOR_READERS: &str = "PRAGMA busy_timeout = 50";
 const WAIT_FOR_LOCKS: &str = "PRAGMA busy_timeout = 5000";
 
 /// The log of a database.
 #[derive(Debug)]
-pub(super) struct Log {
+pub(super) struct Wal {
     file: PathBuf,
     limit_bytes: u64,
     /// Commits before the next try.
-    pause: u32,
+    commits_until_retry: u32,
 }
 
-impl Log {
+impl Wal {
     /// The WAL next to a database's file.
     pub(super) fn new(database: &Path, limit_bytes: u64) -> Self {
-        Self { file: database.with_extension("sqlite-wal"), limit_bytes, pause: 0 }
+        Self { file: database.with_extension("sqlite-wal"), limit_bytes, commits_until_retry: 0 }
     }
 
     /// Its size.
@@ -36,12 +36,12 @@ impl Log {
     }
 
     /// Folds the log into the database if it is large; not inside a transaction.
-    pub(super) async fn keep_small(&mut self, connection: &mut SqliteConnection) {
+    pub(super) async fn checkpoint_if_large(&mut self, connection: &mut SqliteConnection) {
         if self.size_bytes() < self.limit_bytes {
             return;
         }
-        if self.pause > 0 {
-            self.pause -= 1;
+        if self.commits_until_retry > 0 {
+            self.commits_until_retry -= 1;
             return;
         }
         for statement in [WAIT_FOR_READERS, "PRAGMA wal_checkpoint(TRUNCATE)", WAIT_FOR_LOCKS] {
@@ -51,7 +51,7 @@ impl Log {
         }
         let size_bytes = self.size_bytes();
         if size_bytes >= self.limit_bytes {
-            self.pause = COMMITS;
+            self.commits_until_retry = RETRY_AFTER_COMMITS;
             tracing::warn!(size_bytes, "the database's log stays large: something reads an old state of it");
         }
     }
@@ -71,17 +71,17 @@ mod tests {
         options.journal_mode(SqliteJournalMode::Wal).connect().await.expect("connects")
     }
 
-    async fn write(connection: &mut SqliteConnection, log: &mut Log) {
+    async fn write(connection: &mut SqliteConnection, log: &mut Wal) {
         let text = "x".repeat(32 << 10);
         sqlx::query("INSERT INTO t VALUES (?)").bind(text).execute(&mut *connection).await.expect("writes");
-        log.keep_small(connection).await;
+        log.checkpoint_if_large(connection).await;
     }
 
     #[tokio::test]
     async fn the_log_stays_small_although_somebody_always_reads() {
         let folder = tempfile::tempdir().expect("a temporary folder");
         let file = folder.path().join("farm.sqlite");
-        let (mut writer, mut log) = (connect(&file).await, Log::new(&file, LIMIT));
+        let (mut writer, mut log) = (connect(&file).await, Wal::new(&file, LIMIT));
         // The engine never checkpoints it automatically then.
         sqlx::query("PRAGMA wal_autocheckpoint = 0").execute(&mut writer).await.expect("sets");
         sqlx::query("CREATE TABLE t (text TEXT)").execute(&mut writer).await.expect("creates");
@@ -101,7 +101,7 @@ mod tests {
     async fn a_reader_of_an_old_state_holds_back_no_write() {
         let folder = tempfile::tempdir().expect("a temporary folder");
         let file = folder.path().join("farm.sqlite");
-        let (mut writer, mut log) = (connect(&file).await, Log::new(&file, LIMIT));
+        let (mut writer, mut log) = (connect(&file).await, Wal::new(&file, LIMIT));
         sqlx::query("CREATE TABLE t (text TEXT)").execute(&mut writer).await.expect("creates");
         let mut reader = connect(&file).await;
         let mut old = reader.begin().await.expect("begins");

@@ -13,15 +13,15 @@ use sqlx::sqlite::SqliteConnection;
 use tokio::sync::{Mutex, mpsc, oneshot, watch};
 use tokio::task::JoinHandle;
 
-use super::StoreError;
-use super::wal::Log;
-use crate::clock::instant;
+use super::DatabaseError;
+use super::wal::Wal;
+use crate::clock::monotonic_now;
 use crate::telemetry::{counts, seconds};
 
 /// Operations committed together, at most.
-const GROUP: usize = 256;
+const MAX_GROUP: usize = 256;
 /// Maximum number of waiting operations; beyond it callers wait.
-const QUEUE: usize = 1024;
+const QUEUE_CAPACITY: usize = 1024;
 /// After this long without writes, the WAL is checkpointed.
 const IDLE: Duration = Duration::from_secs(5);
 
@@ -59,25 +59,25 @@ pub(super) struct Writer {
 
 impl Writer {
     /// Starts the task that owns `connection`.
-    pub(super) fn start(connection: SqliteConnection, times: CommitTimes, log: Log) -> Self {
-        let (operations, waiting) = mpsc::channel(QUEUE);
+    pub(super) fn start(connection: SqliteConnection, times: CommitTimes, log: Wal) -> Self {
+        let (operations, waiting) = mpsc::channel(QUEUE_CAPACITY);
         let bell = watch::Sender::new(());
-        let task = Task { connection, synchronous: Durability::Full, times, bell: bell.clone(), log };
+        let task = WriterTask { connection, synchronous: Durability::Full, times, bell: bell.clone(), log };
         let task = tokio::spawn(task.run(waiting));
         Self { operations: std::sync::Mutex::new(Some(operations)), task: Mutex::new(Some(task)), bell }
     }
 
     /// Runs one operation; see [`super::Store::write`].
-    pub(super) async fn write<T, F>(&self, durability: Durability, work: F) -> Result<T, StoreError>
+    pub(super) async fn write<T, F>(&self, durability: Durability, work: F) -> Result<T, DatabaseError>
     where
         T: Send + 'static,
-        F: for<'c> FnOnce(&'c mut SqliteConnection) -> BoxFuture<'c, Result<T, StoreError>> + Send + 'static,
+        F: for<'c> FnOnce(&'c mut SqliteConnection) -> BoxFuture<'c, Result<T, DatabaseError>> + Send + 'static,
     {
-        let sender = self.operations.lock().expect("no holder panics").clone().ok_or(StoreError::Closed)?;
+        let sender = self.operations.lock().expect("no holder panics").clone().ok_or(DatabaseError::Closed)?;
         let (reply, answer) = oneshot::channel();
-        let waiting = Waiting { durability, work: Some(work), result: None, reply };
-        sender.send(Box::new(waiting)).await.map_err(|_| StoreError::Closed)?;
-        answer.await.map_err(|_| StoreError::Closed)?
+        let waiting = PendingWrite { durability, work: Some(work), result: None, reply };
+        sender.send(Box::new(waiting)).await.map_err(|_| DatabaseError::Closed)?;
+        answer.await.map_err(|_| DatabaseError::Closed)?
     }
 
     /// Signal sent after every commit.
@@ -102,20 +102,20 @@ trait Operation: Send {
     /// Runs it; false: undo it.
     fn run<'c>(&'c mut self, connection: &'c mut SqliteConnection) -> BoxFuture<'c, bool>;
     /// Sends the result to the caller, once the transaction has ended.
-    fn answer(self: Box<Self>, committed: Result<(), StoreError>);
+    fn reply(self: Box<Self>, committed: Result<(), DatabaseError>);
 }
 
-struct Waiting<T, F> {
+struct PendingWrite<T, F> {
     durability: Durability,
     work: Option<F>,
-    result: Option<Result<T, StoreError>>,
-    reply: oneshot::Sender<Result<T, StoreError>>,
+    result: Option<Result<T, DatabaseError>>,
+    reply: oneshot::Sender<Result<T, DatabaseError>>,
 }
 
-impl<T, F> Operation for Waiting<T, F>
+impl<T, F> Operation for PendingWrite<T, F>
 where
     T: Send,
-    F: for<'c> FnOnce(&'c mut SqliteConnection) -> BoxFuture<'c, Result<T, StoreError>> + Send,
+    F: for<'c> FnOnce(&'c mut SqliteConnection) -> BoxFuture<'c, Result<T, DatabaseError>> + Send,
 {
     fn durability(&self) -> Durability {
         self.durability
@@ -134,10 +134,10 @@ where
         })
     }
 
-    fn answer(self: Box<Self>, committed: Result<(), StoreError>) {
+    fn reply(self: Box<Self>, committed: Result<(), DatabaseError>) {
         let result = match (committed, self.result) {
             (Ok(()), Some(result)) => result,
-            (Ok(()), None) => Err(StoreError::Closed),
+            (Ok(()), None) => Err(DatabaseError::Closed),
             (Err(_), Some(Err(error))) | (Err(error), _) => Err(error),
         };
         // A caller that no longer listens wanted the effect, not the answer.
@@ -145,15 +145,15 @@ where
     }
 }
 
-struct Task {
+struct WriterTask {
     connection: SqliteConnection,
     synchronous: Durability,
     times: CommitTimes,
     bell: watch::Sender<()>,
-    log: Log,
+    log: Wal,
 }
 
-impl Task {
+impl WriterTask {
     async fn run(mut self, mut waiting: mpsc::Receiver<Box<dyn Operation>>) {
         let mut folded = true;
         loop {
@@ -162,13 +162,13 @@ impl Task {
             } else if let Ok(next) = tokio::time::timeout(IDLE, waiting.recv()).await {
                 next
             } else {
-                self.fold().await;
+                self.checkpoint().await;
                 folded = true;
                 continue;
             };
             let Some(first) = first else { break };
             let mut group = vec![first];
-            while group.len() < GROUP
+            while group.len() < MAX_GROUP
                 && let Ok(next) = waiting.try_recv()
             {
                 group.push(next);
@@ -177,20 +177,20 @@ impl Task {
             self.bell.send_replace(());
             fail_point::trigger_infallible(FailPoint::GroupCommitted);
             for operation in group {
-                operation.answer(committed.clone());
+                operation.reply(committed.clone());
             }
-            self.log.keep_small(&mut self.connection).await;
+            self.log.checkpoint_if_large(&mut self.connection).await;
             folded = false;
         }
-        self.fold().await;
+        self.checkpoint().await;
         if let Err(error) = self.connection.close().await {
             tracing::error!(%error, "the database did not close");
         }
     }
 
-    async fn commit(&mut self, group: &mut [Box<dyn Operation>]) -> Result<(), StoreError> {
-        let begun = instant();
-        let done = self.transact(group).await;
+    async fn commit(&mut self, group: &mut [Box<dyn Operation>]) -> Result<(), DatabaseError> {
+        let begun = monotonic_now();
+        let done = self.run_group(group).await;
         self.times.seconds.observe(begun.elapsed().as_secs_f64());
         self.times.operations.observe(group.len() as f64);
         if done.is_err() {
@@ -203,7 +203,7 @@ impl Task {
 
     /// Statements between two operations are sent to the engine together, because each call of its thread
     /// costs two context switches.
-    async fn transact(&mut self, group: &mut [Box<dyn Operation>]) -> Result<(), StoreError> {
+    async fn run_group(&mut self, group: &mut [Box<dyn Operation>]) -> Result<(), DatabaseError> {
         let durable = group.iter().any(|operation| operation.durability() == Durability::Full);
         self.begin(if durable { Durability::Full } else { Durability::Relaxed }).await?;
         let last = group.len() - 1;
@@ -224,7 +224,7 @@ impl Task {
     }
 
     /// Begins a transaction, and its first operation's savepoint.
-    async fn begin(&mut self, durability: Durability) -> Result<(), StoreError> {
+    async fn begin(&mut self, durability: Durability) -> Result<(), DatabaseError> {
         let begin = match durability {
             _ if durability == self.synchronous => "BEGIN IMMEDIATE; SAVEPOINT operation",
             Durability::Full => "PRAGMA synchronous = FULL; BEGIN IMMEDIATE; SAVEPOINT operation",
@@ -237,7 +237,7 @@ impl Task {
         Ok(())
     }
 
-    async fn fold(&mut self) {
+    async fn checkpoint(&mut self) {
         if let Err(error) = sqlx::query("PRAGMA wal_checkpoint(TRUNCATE)").execute(&mut self.connection).await {
             tracing::warn!(%error, "the database's log could not be folded into its file");
         }
@@ -245,6 +245,6 @@ impl Task {
 }
 
 /// The error of a write that a fail point struck.
-fn struck_down(struck: fail_point::FailPointError) -> StoreError {
+fn struck_down(struck: fail_point::FailPointError) -> DatabaseError {
     sqlx::Error::Io(std::io::Error::other(struck)).into()
 }

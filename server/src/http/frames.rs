@@ -101,7 +101,7 @@ pub(super) async fn archive(
     if frames.stored < frames.total && !query.partial {
         return Err(ApiError::FramesMissing { job, stored: frames.stored, total: frames.total });
     }
-    let disposition = format!("attachment; filename=\"{}.zip\"", frames.plain_name());
+    let disposition = format!("attachment; filename=\"{}.zip\"", frames.file_stem());
     let pieces = stream::unfold(Some(Archive::new(farm, frames)), async |archive| {
         let mut archive = archive?;
         match archive.next().await {

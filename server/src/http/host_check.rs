@@ -17,7 +17,7 @@ use crate::farm::Farm;
 /// Rejects requests whose `Host` is not this server (DNS rebinding), and changes requested by other sites'
 /// pages.
 pub(super) async fn host_and_origin(State(farm): State<Arc<Farm>>, request: Request, next: Next) -> Response {
-    match check(&farm.config.hosts, &request) {
+    match check(&farm.config.allowed_hosts, &request) {
         Ok(()) => next.run(request).await,
         Err(error) => error.into_response(),
     }
@@ -28,14 +28,14 @@ fn check(hosts: &[String], request: &Request) -> Result<(), ApiError> {
         // RFC 9112, section 3.2: a request with several is ambiguous.
         return Err(ApiError::WrongRequest("it has more than one Host header"));
     }
-    if !is_text(request.uri().path()) {
+    if !is_utf8_path(request.uri().path()) {
         return Err(ApiError::WrongRequest("its path is not UTF-8"));
     }
     let named = match request.uri().authority() {
         Some(authority) => authority.as_str(),
         None => text(request.headers(), &header::HOST),
     };
-    if !is_ours(hosts, named) {
+    if !is_known_host(hosts, named) {
         return Err(ApiError::ForeignHost(named.to_owned()));
     }
     if [Method::GET, Method::HEAD, Method::OPTIONS].contains(request.method()) {
@@ -49,7 +49,7 @@ fn check(hosts: &[String], request: &Request) -> Result<(), ApiError> {
 }
 
 /// Whether a path is UTF-8 once its escapes are undone.
-fn is_text(path: &str) -> bool {
+fn is_utf8_path(path: &str) -> bool {
     let mut parts = path.split('%');
     let mut bytes = parts.next().unwrap_or_default().as_bytes().to_vec();
     for part in parts {
@@ -65,7 +65,7 @@ fn text<'a>(headers: &'a HeaderMap, name: &header::HeaderName) -> &'a str {
 }
 
 /// Addresses can't be rebound, so any of them will do; names have to be known.
-fn is_ours(hosts: &[String], named: &str) -> bool {
+fn is_known_host(hosts: &[String], named: &str) -> bool {
     let Ok(authority) = named.parse::<Authority>() else { return false };
     let host = authority.host();
     let bare = host.strip_prefix('[').and_then(|host| host.strip_suffix(']')).unwrap_or(host);
@@ -81,10 +81,10 @@ mod tests {
     #[test]
     fn paths_are_text_once_their_escapes_are_undone() {
         for text in ["/v1/jobs", "/%41", "/%d1%84", "/%", "/%zz", "/100%"] {
-            assert!(is_text(text), "{text}");
+            assert!(is_utf8_path(text), "{text}");
         }
         for bytes in ["/%ff", "/%d1", "/a%80b"] {
-            assert!(!is_text(bytes), "{bytes}");
+            assert!(!is_utf8_path(bytes), "{bytes}");
         }
     }
 
@@ -92,10 +92,10 @@ mod tests {
     fn addresses_localhost_and_known_names_are_ours() {
         let hosts = ["farm.example".to_owned()];
         for ours in ["127.0.0.1:8080", "localhost", "LOCALHOST:1", "[::1]:80", "192.168.1.5:9", "farm.example:8080"] {
-            assert!(is_ours(&hosts, ours), "{ours}");
+            assert!(is_known_host(&hosts, ours), "{ours}");
         }
         for foreign in ["", "evil.example", "localhost.evil.example", "127.0.0.1.evil.example:80", "?"] {
-            assert!(!is_ours(&hosts, foreign), "{foreign}");
+            assert!(!is_known_host(&hosts, foreign), "{foreign}");
         }
     }
 }

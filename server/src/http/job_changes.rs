@@ -14,9 +14,9 @@ use serde::Deserialize;
 use super::body;
 use super::error::ApiError;
 use super::jobs::{job_id, view};
-use crate::content_store::Kind;
+use crate::content_store::ContentKind;
 use crate::farm::Farm;
-use crate::queue::{Changed, Deleted};
+use crate::queue::{ChangeOutcome, DeleteOutcome};
 
 /// No honest body of these routes is larger.
 const MAX_BYTES: usize = 4096;
@@ -43,9 +43,9 @@ struct DeleteQuery {
 pub(super) async fn retry(State(farm): State<Arc<Farm>>, Path(id): Path<String>) -> Result<Json<JobView>, ApiError> {
     let job = job_id(&id)?;
     match farm.queue.retry(job).await? {
-        Changed::Done => view(&farm, job).await,
-        Changed::Not(state) => Err(ApiError::NothingDead { job, state }),
-        Changed::Unknown => Err(ApiError::UnknownJob(id)),
+        ChangeOutcome::Done => view(&farm, job).await,
+        ChangeOutcome::WrongState(state) => Err(ApiError::NoDeadTiles { job, state }),
+        ChangeOutcome::Unknown => Err(ApiError::UnknownJob(id)),
     }
 }
 
@@ -75,12 +75,15 @@ pub(super) async fn patch(
     if let Some(priority) = patch.priority
         && !(-100..=100).contains(&priority)
     {
-        return Err(body::wrong("/priority", format!("{priority} is no priority: say a number from -100 to 100")));
+        return Err(body::invalid_body(
+            "/priority",
+            format!("{priority} is no priority: say a number from -100 to 100"),
+        ));
     }
     match farm.queue.patch(job, patch).await? {
-        Changed::Done => view(&farm, job).await,
-        Changed::Not(state) => Err(ApiError::Finished { job, state }),
-        Changed::Unknown => Err(ApiError::UnknownJob(id)),
+        ChangeOutcome::Done => view(&farm, job).await,
+        ChangeOutcome::WrongState(state) => Err(ApiError::Finished { job, state }),
+        ChangeOutcome::Unknown => Err(ApiError::UnknownJob(id)),
     }
 }
 
@@ -114,12 +117,12 @@ pub(super) async fn delete(
         };
     }
     match farm.queue.delete(job).await? {
-        Deleted::Done { pictures, blobs } => {
-            farm.sweep_later(Kind::Picture, pictures);
-            farm.sweep_later(Kind::Blob, blobs);
+        DeleteOutcome::Done { pictures, blobs } => {
+            farm.sweep_later(ContentKind::Picture, pictures);
+            farm.sweep_later(ContentKind::Blob, blobs);
             Ok(StatusCode::NO_CONTENT.into_response())
         }
-        Deleted::Running => Err(ApiError::Running(job)),
-        Deleted::Unknown => Err(ApiError::UnknownJob(id)),
+        DeleteOutcome::Running => Err(ApiError::Running(job)),
+        DeleteOutcome::Unknown => Err(ApiError::UnknownJob(id)),
     }
 }

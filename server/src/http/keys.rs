@@ -18,7 +18,7 @@ const MAX_BYTES: usize = 16 << 10;
 
 /// List the keys.
 #[utoipa::path(
-    get, path = "/v1/keys", tag = "doors", operation_id = "list_keys",
+    get, path = "/v1/keys", tag = "keys", operation_id = "list_keys",
     responses((status = 200, description = "Every key, newest first, without secrets", body = ref("#/components/schemas/KeyList")))
 )]
 pub(super) async fn list(State(farm): State<Arc<Farm>>) -> Json<ApiKeyList> {
@@ -31,7 +31,7 @@ pub(super) async fn list(State(farm): State<Arc<Farm>>) -> Json<ApiKeyList> {
 /// can be put in the old one's place. The first key of a farm closes it to everyone without one, so it needs the scope
 /// `admin`.
 #[utoipa::path(
-    post, path = "/v1/keys", tag = "doors", operation_id = "make_key",
+    post, path = "/v1/keys", tag = "keys", operation_id = "create_key",
     request_body(content = ref("#/components/schemas/NewKey"), content_type = "application/json"),
     responses(
         (status = 201, description = "Made", body = ref("#/components/schemas/IssuedKey")),
@@ -48,7 +48,7 @@ pub(super) async fn make(
     request: Body,
 ) -> Result<Response, ApiError> {
     let new: NewApiKey = body::read_json(&headers, request, MAX_BYTES).await?;
-    let issued = farm.doors.keys.make(new).await?;
+    let issued = farm.doors.keys.create(new).await?;
     let mut response = (StatusCode::CREATED, Json(issued)).into_response();
     response.headers_mut().insert(header::CACHE_CONTROL, HeaderValue::from_static("no-store"));
     Ok(response)
@@ -58,7 +58,7 @@ pub(super) async fn make(
 ///
 /// Open requests that use the key end immediately with 401.
 #[utoipa::path(
-    delete, path = "/v1/keys/{id}", tag = "doors", operation_id = "revoke_key",
+    delete, path = "/v1/keys/{id}", tag = "keys", operation_id = "revoke_key",
     params(("id" = String, Path, description = "A key's id, or a name: then all its keys")),
     responses(
         (status = 200, description = "The keys that are revoked now", body = ref("#/components/schemas/KeyList")),

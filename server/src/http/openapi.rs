@@ -112,12 +112,12 @@ fn job_file() -> Map<String, Value> {
     };
     schemas.insert("Job".to_owned(), schema);
     for definition in schemas.values_mut() {
-        move_references(definition);
+        rewrite_refs(definition);
     }
     schemas
 }
 
-fn move_references(value: &mut Value) {
+fn rewrite_refs(value: &mut Value) {
     match value {
         Value::Object(members) => {
             for (key, member) in members {
@@ -127,11 +127,11 @@ fn move_references(value: &mut Value) {
                             *target = format!("{COMPONENTS}{name}");
                         }
                     }
-                    member => move_references(member),
+                    member => rewrite_refs(member),
                 }
             }
         }
-        Value::Array(members) => members.iter_mut().for_each(move_references),
+        Value::Array(members) => members.iter_mut().for_each(rewrite_refs),
         Value::Null | Value::Bool(_) | Value::Number(_) | Value::String(_) => {}
     }
 }
@@ -165,7 +165,7 @@ mod tests {
     #[test]
     fn a_job_is_described_as_its_schema_does() {
         let (document, mut schema) = (super::super::document(), scene::schema());
-        move_references(&mut schema);
+        rewrite_refs(&mut schema);
         let served = &document.value()["components"]["schemas"];
         for (name, definition) in schema["$defs"].as_object().expect("definitions") {
             assert_eq!(served[name], *definition, "{name}");

@@ -10,7 +10,7 @@ use proto::job::JobView;
 use super::error::ApiError;
 use super::jobs::{job_id, view};
 use crate::farm::Farm;
-use crate::queue::Paused;
+use crate::queue::PauseOutcome;
 
 /// Pause a job: no new tiles are leased; leased tiles finish and count.
 #[utoipa::path(
@@ -43,9 +43,9 @@ pub(super) async fn resume_job(farm: State<Arc<Farm>>, id: Path<String>) -> Resu
 async fn set_job(farm: &Farm, id: &str, paused: bool) -> Result<Json<JobView>, ApiError> {
     let job = job_id(id)?;
     match farm.queue.pause(job, paused).await? {
-        Paused::Done => view(farm, job).await,
-        Paused::Final(state) => Err(ApiError::Finished { job, state }),
-        Paused::Unknown => Err(ApiError::UnknownJob(id.to_owned())),
+        PauseOutcome::Done => view(farm, job).await,
+        PauseOutcome::AlreadyFinished(state) => Err(ApiError::Finished { job, state }),
+        PauseOutcome::Unknown => Err(ApiError::UnknownJob(id.to_owned())),
     }
 }
 

@@ -5,9 +5,9 @@ use proto::api_key::Scope;
 
 /// Permission that a route requires.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Need {
+pub(super) enum Permission {
     /// None: the route is public.
-    Nothing,
+    Public,
     /// A key of this scope.
     Scope(Scope),
     /// A key of this scope, or one of scope `submit` whose name submitted the job.
@@ -15,25 +15,27 @@ pub(super) enum Need {
 }
 
 /// Permission that a route requires; `route` is empty for an unknown path.
-pub(super) fn need(method: &Method, route: &str) -> Need {
+pub(super) fn required_permission(method: &Method, route: &str) -> Permission {
     let looks = *method == Method::GET || *method == Method::HEAD;
-    if looks && is_open(route) {
-        return Need::Nothing;
+    if looks && is_public(route) {
+        return Permission::Public;
     }
     match route {
-        "/v1/jobs" if looks => Need::OwnJob(Scope::Read),
-        "/v1/jobs" if *method == Method::POST => Need::Scope(Scope::Submit),
+        "/v1/jobs" if looks => Permission::OwnJob(Scope::Read),
+        "/v1/jobs" if *method == Method::POST => Permission::Scope(Scope::Submit),
         // A caller who may read a picture may share a link to it.
-        _ if route.starts_with("/v1/jobs/{id}") && (looks || route.ends_with("/link")) => Need::OwnJob(Scope::Read),
-        _ if route.starts_with("/v1/jobs/{id}") => Need::OwnJob(Scope::Admin),
-        _ if route.starts_with("/v1/worker/") => Need::Scope(Scope::Worker),
-        "/v1/workers" | "/v1/pool" | "/v1/farm" | "/metrics" if looks => Need::Scope(Scope::Read),
-        _ => Need::Scope(Scope::Admin),
+        _ if route.starts_with("/v1/jobs/{id}") && (looks || route.ends_with("/link")) => {
+            Permission::OwnJob(Scope::Read)
+        }
+        _ if route.starts_with("/v1/jobs/{id}") => Permission::OwnJob(Scope::Admin),
+        _ if route.starts_with("/v1/worker/") => Permission::Scope(Scope::Worker),
+        "/v1/workers" | "/v1/pool" | "/v1/farm" | "/metrics" if looks => Permission::Scope(Scope::Read),
+        _ => Permission::Scope(Scope::Admin),
     }
 }
 
 /// Health, descriptions, and pictures by links that prove themselves; what is nowhere answers 404 to anyone.
-fn is_open(route: &str) -> bool {
+fn is_public(route: &str) -> bool {
     matches!(route, "" | "/" | "/livez" | "/readyz" | "/openapi.json" | "/v1/schema/job")
         || route == "/docs"
         || route.starts_with("/docs/")
@@ -54,7 +56,7 @@ mod tests {
             (Method::GET, "/docsy"),
             (Method::PUT, "/v1/pool"),
         ] {
-            assert_eq!(need(&method, route), Need::Scope(Scope::Admin), "{method} {route}");
+            assert_eq!(required_permission(&method, route), Permission::Scope(Scope::Admin), "{method} {route}");
         }
     }
 }

@@ -13,7 +13,7 @@ use tracing::field::Empty;
 use tracing::{Instrument, Span};
 
 use super::trace_context;
-use crate::clock::instant;
+use crate::clock::monotonic_now;
 use crate::farm::Farm;
 
 const REQUEST_ID: HeaderName = HeaderName::from_static("x-request-id");
@@ -26,17 +26,17 @@ pub(super) struct RequestId(pub(super) String);
 
 /// Assigns a request its id, logs it, and writes the body of a problem.
 pub(super) async fn trace(State(farm): State<Arc<Farm>>, mut request: Request, next: Next) -> Response {
-    let id = brought_id(&request).unwrap_or_else(|| uuid::Uuid::now_v7().to_string());
+    let id = client_request_id(&request).unwrap_or_else(|| uuid::Uuid::now_v7().to_string());
     request.extensions_mut().insert(RequestId(id.clone()));
     let method = request.method().clone();
     let route = request.extensions().get::<MatchedPath>().map_or("", MatchedPath::as_str).to_owned();
     let span = span_of(&request, &id, &route);
-    trace_context::continue_from(&span, request.headers());
-    let start = instant();
+    trace_context::set_parent(&span, request.headers());
+    let start = monotonic_now();
     async move {
         let mut response = next.run(request).await;
         let elapsed_ms = start.elapsed().as_secs_f64() * 1e3;
-        farm.watch.metrics.answered(&route, method.as_str(), response.status().as_u16(), start.elapsed());
+        farm.watch.metrics.record_response(&route, method.as_str(), response.status().as_u16(), start.elapsed());
         if response.status().is_server_error() {
             tracing::warn!(status = response.status().as_u16(), elapsed_ms, %route, "answered");
         } else {
@@ -69,7 +69,7 @@ fn span_of(request: &Request, id: &str, route: &str) -> Span {
     span
 }
 
-fn brought_id(request: &Request) -> Option<String> {
+fn client_request_id(request: &Request) -> Option<String> {
     let id = request.headers().get(REQUEST_ID)?.to_str().ok()?;
     let is_plain = |byte: u8| byte.is_ascii_alphanumeric() || b"-_.:".contains(&byte);
     (!id.is_empty() && id.len() <= MAX_ID_CHARACTERS && id.bytes().all(is_plain)).then(|| id.to_owned())

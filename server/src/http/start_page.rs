@@ -35,7 +35,7 @@ const POLICY: &str = "default-src 'none'; style-src 'unsafe-inline'; img-src dat
 )]
 pub(super) async fn get(State(farm): State<Arc<Farm>>, request: Request) -> Result<Response, ApiError> {
     let wants_page = wants_html(request.headers());
-    let needs_key = farm.doors.keys.are_wanted();
+    let needs_key = farm.doors.keys.are_required();
     let mut view = StartView {
         name: "sdfarm".to_owned(),
         version: env!("CARGO_PKG_VERSION").to_owned(),

@@ -6,22 +6,27 @@ use reqwest::Url;
 use super::auth::Caller;
 use super::error::ApiError;
 use crate::farm::Farm;
-use crate::queue::{NewWebhook, Once, Wish};
-use crate::webhooks::{EVENTS, FINAL_EVENTS, Guard};
+use crate::queue::{IdempotencyKey, NewWebhook, SubmitOptions};
+use crate::webhooks::{AddressPolicy, EVENTS, FINAL_EVENTS};
 
 /// Header with the idempotency key.
 const IDEMPOTENCY_KEY: &str = "idempotency-key";
 /// Maximum length of an idempotency key.
 const MAX_KEY_BYTES: usize = 255;
 /// Other query parameters of a submission.
-const OTHERS: [&str; 2] = ["dry_run", "keep"];
+const OTHER_PARAMETERS: [&str; 2] = ["dry_run", "keep"];
 /// Maximum number of webhooks of a job.
 const MAX_WEBHOOKS: usize = 4;
 /// Maximum length of a webhook's address.
 const MAX_URL_BYTES: usize = 2048;
 
 /// Reads the options of a job with this text.
-pub(super) fn read(uri: &Uri, headers: &HeaderMap, text: &[u8], guard: &Guard) -> Result<Wish, ApiError> {
+pub(super) fn read(
+    uri: &Uri,
+    headers: &HeaderMap,
+    text: &[u8],
+    guard: &AddressPolicy,
+) -> Result<SubmitOptions, ApiError> {
     let (mut urls, mut events) = (Vec::new(), Vec::new());
     let query = Url::parse(&format!("http://query/?{}", uri.query().unwrap_or_default()))
         .map_err(|error| ApiError::WrongQuery(error.to_string()))?;
@@ -29,11 +34,11 @@ pub(super) fn read(uri: &Uri, headers: &HeaderMap, text: &[u8], guard: &Guard) -
         match name.as_ref() {
             "webhook" => urls.push(webhook_url(&value, guard)?),
             "webhook_event" => events.push(event(&value)?),
-            name if OTHERS.contains(&name) => {}
+            name if OTHER_PARAMETERS.contains(&name) => {}
             unknown => {
                 return Err(ApiError::WrongQuery(format!(
                     "{unknown:?} is no parameter of this route: there are webhook, webhook_event, {}",
-                    OTHERS.join(", ")
+                    OTHER_PARAMETERS.join(", ")
                 )));
             }
         }
@@ -51,19 +56,19 @@ pub(super) fn read(uri: &Uri, headers: &HeaderMap, text: &[u8], guard: &Guard) -
         events = FINAL_EVENTS.to_vec();
     }
     let webhooks = urls.into_iter().map(|url| NewWebhook { url, events: events.clone() }).collect();
-    let once = key(headers)?.map(|key| Once { key, fingerprint: fingerprint(uri, headers, text) });
-    Ok(Wish { once, webhooks })
+    let once = key(headers)?.map(|key| IdempotencyKey { key, fingerprint: fingerprint(uri, headers, text) });
+    Ok(SubmitOptions { idempotency: once, webhooks })
 }
 
 /// Whether the request is a replay, which takes no room in the queue.
 pub(super) async fn is_known(farm: &Farm, caller: &Caller, headers: &HeaderMap) -> Result<bool, ApiError> {
     match key(headers)? {
-        Some(key) => Ok(farm.queue.has_wish(caller.name(), &key).await?),
+        Some(key) => Ok(farm.queue.has_idempotency_key(caller.name(), &key).await?),
         None => Ok(false),
     }
 }
 
-fn webhook_url(text: &str, guard: &Guard) -> Result<String, ApiError> {
+fn webhook_url(text: &str, guard: &AddressPolicy) -> Result<String, ApiError> {
     if text.len() > MAX_URL_BYTES {
         return Err(ApiError::WrongWebhook(format!("a webhook's address has more than {MAX_URL_BYTES} bytes")));
     }

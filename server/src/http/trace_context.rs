@@ -7,20 +7,22 @@ use proto::worker_protocol::{Batch, BatchWork};
 use proto::{JobId, WorkerId, trace_context};
 use tracing::Span;
 
-use crate::database::StoreError;
+use crate::database::DatabaseError;
 use crate::farm::Farm;
 
 /// Makes a request's span a child of the trace that the request names, if it names one.
-pub(super) fn continue_from(span: &Span, headers: &HeaderMap) {
-    if let Some(traceparent) = brought(headers) {
+pub(super) fn set_parent(span: &Span, headers: &HeaderMap) {
+    if let Some(traceparent) = client_traceparent(headers) {
         trace_context::set_parent(span, traceparent);
     }
 }
 
 /// Stores the current trace context with a job about to be accepted; or the context of its request, for
 /// workers that export traces if this server does not.
-pub(super) async fn keep(farm: &Farm, job: JobId, headers: &HeaderMap) -> Result<(), StoreError> {
-    let named = || brought(headers).filter(|traceparent| trace_context::is_valid(traceparent)).map(ToOwned::to_owned);
+pub(super) async fn keep(farm: &Farm, job: JobId, headers: &HeaderMap) -> Result<(), DatabaseError> {
+    let named = || {
+        client_traceparent(headers).filter(|traceparent| trace_context::is_valid(traceparent)).map(ToOwned::to_owned)
+    };
     match trace_context::current_traceparent().or_else(named) {
         Some(traceparent) => farm.queue.keep_trace(job, traceparent).await,
         None => Ok(()),
@@ -28,7 +30,7 @@ pub(super) async fn keep(farm: &Farm, job: JobId, headers: &HeaderMap) -> Result
 }
 
 /// Trace context of a worker's batch: a span of its own, below the submission's.
-pub(super) async fn of_run(farm: &Farm, worker: WorkerId, run: &Batch) -> Option<String> {
+pub(super) async fn batch_traceparent(farm: &Farm, worker: WorkerId, run: &Batch) -> Option<String> {
     let kept = match farm.watch.trace_of(farm, run.job).await {
         Ok(kept) => kept?,
         Err(error) => {
@@ -45,6 +47,6 @@ pub(super) async fn of_run(farm: &Farm, worker: WorkerId, run: &Batch) -> Option
     Some(trace_context::traceparent_of(&span).unwrap_or(kept))
 }
 
-fn brought(headers: &HeaderMap) -> Option<&str> {
+fn client_traceparent(headers: &HeaderMap) -> Option<&str> {
     headers.get(trace_context::TRACEPARENT)?.to_str().ok()
 }

@@ -20,19 +20,19 @@ use super::body;
 use super::error::ApiError;
 use super::jobs::job_id;
 use super::trace_context;
-use crate::clock::instant;
-use crate::content_store::{Kind, Name};
+use crate::clock::monotonic_now;
+use crate::content_store::{ContentHash, ContentKind};
 use crate::farm::Farm;
-use crate::queue::{NewWorker, Next, Turn, Turned};
+use crate::queue::{NewWorker, NextWork, SyncInput, SyncOutcome};
 
 /// No honest greeting is larger.
-const MAX_HELLO_BYTES: usize = 16 << 10;
+const MAX_REGISTER_BYTES: usize = 16 << 10;
 /// Results of the largest frame fit.
 const MAX_SYNC_BYTES: usize = 4 << 20;
 /// Maximum time that a sync waits for work.
 const MAX_WAIT: Duration = Duration::from_secs(30);
 /// Maximum wait of a draining worker that still has leases.
-const DRAINING_WAIT: Duration = Duration::from_millis(250);
+const MAX_DRAINING_WAIT: Duration = Duration::from_millis(250);
 
 /// Takes in a worker.
 pub(super) async fn register(
@@ -41,15 +41,15 @@ pub(super) async fn register(
     headers: HeaderMap,
     request: Body,
 ) -> Result<Json<RegisterResponse>, ApiError> {
-    let hello: RegisterRequest = body::read_json(&headers, request, MAX_HELLO_BYTES).await?;
+    let hello: RegisterRequest = body::read_json(&headers, request, MAX_REGISTER_BYTES).await?;
     if hello.picture_version != scene::PICTURE_VERSION {
         return Err(ApiError::WrongPictureVersion { found: hello.picture_version, wanted: scene::PICTURE_VERSION });
     }
     let label = matches!(caller, Caller::Pool).then(|| farm.pool.label(hello.process)).flatten();
     let (pool, device) = (label.is_some(), hello.device.clone());
     let name = label.unwrap_or_else(|| hello.name.clone());
-    let worker = farm.queue.register(NewWorker { hello, pool, name: name.clone() }).await?.worker;
-    farm.watch.registered(worker, &name, &device);
+    let worker = farm.queue.register(NewWorker { request: hello, pool, name: name.clone() }).await?.worker;
+    farm.watch.record_worker(worker, &name, &device);
     tracing::info!(%worker, %name, pool, "a worker registered");
     let folders = if pool { folders(&farm) } else { None };
     Ok(Json(RegisterResponse { worker, lease_ms: farm.queue.lease_ms().unsigned_abs(), folders }))
@@ -57,11 +57,11 @@ pub(super) async fn register(
 
 /// Folders that a pool worker writes to directly; `None` if a folder's name is not UTF-8.
 fn folders(farm: &Farm) -> Option<ContentFolders> {
-    let folder = |kind: Kind| {
+    let folder = |kind: ContentKind| {
         let folder = std::path::absolute(kind.path(&farm.config.data)).ok()?;
         folder.into_os_string().into_string().ok()
     };
-    Some(ContentFolders { blobs: folder(Kind::Blob)?, pictures: folder(Kind::Picture)? })
+    Some(ContentFolders { blobs: folder(ContentKind::Blob)?, pictures: folder(ContentKind::Picture)? })
 }
 
 /// Runs a worker's sync, and waits until there is work, a lease has ended, or the worker must drain.
@@ -73,71 +73,71 @@ pub(super) async fn sync(
     request: Body,
 ) -> Result<Json<SyncResponse>, ApiError> {
     let request: SyncRequest = body::read_json(&headers, request, MAX_SYNC_BYTES).await?;
-    farm.watch.measured(request.worker, &request.metrics);
-    let mut deadline = instant() + longest_wait(&farm, &request);
-    let mut turn = Turn {
+    farm.watch.record_metrics(request.worker, &request.metrics);
+    let mut deadline = monotonic_now() + max_wait(&farm, &request);
+    let mut turn = SyncInput {
         worker: request.worker,
         rays_per_second: request.rays_per_second.filter(|rate| rate.is_finite() && *rate > 0.0),
-        holding: request.held_leases,
-        results: request.reports,
+        held_leases: request.held_leases,
+        reports: request.reports,
         wants_work: request.wants_work,
-        leaving: request.shutting_down,
+        shutting_down: request.shutting_down,
         opening: None,
     };
     loop {
-        let bell = farm.queue.bell();
-        let (mut work, mut news) = (pin!(bell.work.notified()), pin!(bell.news.notified()));
+        let bell = farm.queue.wake_signals();
+        let (mut work, mut news) = (pin!(bell.work.notified()), pin!(bell.updates.notified()));
         // From here on no ring is missed.
         work.as_mut().enable();
         news.as_mut().enable();
-        let prompt = turn.delivers();
-        let again = Turn { results: Vec::new(), ..turn.clone() };
-        let begun = instant();
-        let turned = farm.turn(turn).await?.ok_or_else(|| ApiError::UnknownWorker(again.worker.to_string()))?;
-        let now = instant();
+        let prompt = turn.has_reports();
+        let again = SyncInput { reports: Vec::new(), ..turn.clone() };
+        let begun = monotonic_now();
+        let turned = farm.sync(turn).await?.ok_or_else(|| ApiError::UnknownWorker(again.worker.to_string()))?;
+        let now = monotonic_now();
         if again.wants_work {
-            farm.watch.metrics.claimed(now - begun);
+            farm.watch.metrics.record_claim(now - begun);
         }
-        if turned.drain && !again.holding.is_empty() {
+        if turned.drain && !again.held_leases.is_empty() {
             // The worker may already know that it must drain; it must not poll without pause
             // while it finishes.
-            deadline = deadline.min(now + DRAINING_WAIT);
+            deadline = deadline.min(now + MAX_DRAINING_WAIT);
         }
-        let drains = turned.drain && again.holding.is_empty();
-        if prompt || drains || turned.has_news() || now >= deadline || farm.ending.is_cancelled() {
+        let drains = turned.drain && again.held_leases.is_empty();
+        if prompt || drains || turned.needs_response() || now >= deadline || farm.shutdown.is_cancelled() {
             return Ok(Json(reply(&farm, again.worker, turned).await));
         }
-        let wake = turned.ready_in().map_or(deadline, |wait| deadline.min(now + wait));
+        let wake = turned.retry_in().map_or(deadline, |wait| deadline.min(now + wait));
         tokio::select! {
             () = &mut work, if again.wants_work => {}
             () = &mut news => {}
             () = tokio::time::sleep_until(wake) => {}
-            () = farm.ending.cancelled() => {}
+            () = farm.shutdown.cancelled() => {}
         }
         turn = again;
     }
 }
 
 /// A worker that holds leases is answered in time to renew them.
-fn longest_wait(farm: &Farm, request: &SyncRequest) -> Duration {
+fn max_wait(farm: &Farm, request: &SyncRequest) -> Duration {
     let asked = Duration::from_millis(request.wait_ms).min(MAX_WAIT);
     let third = Duration::from_millis(farm.queue.lease_ms().unsigned_abs() / 3);
     asked.min(third)
 }
 
-async fn reply(farm: &Farm, worker: WorkerId, turned: Turned) -> SyncResponse {
+async fn reply(farm: &Farm, worker: WorkerId, turned: SyncOutcome) -> SyncResponse {
     let run = match turned.next {
-        Next::Run(run) => {
+        NextWork::Run(run) => {
             fail_point::trigger_infallible(FailPoint::Claimed);
             Some(run)
         }
-        Next::Frame { .. } | Next::Nothing(_) => None,
+        NextWork::OpenFrame { .. } | NextWork::Nothing(_) => None,
     };
     let trace = match &run {
-        Some(run) => trace_context::of_run(farm, worker, run).await,
+        Some(run) => trace_context::batch_traceparent(farm, worker, run).await,
         None => None,
     };
-    SyncResponse { batch: run, revoked_leases: turned.lost, drain: turned.drain, trace }
+    SyncResponse { batch: run, revoked_leases: turned.revoked_leases, drain: turned.drain, trace }
 }
 
 /// The JSON of a job, as it was posted.
@@ -152,7 +152,7 @@ pub(super) async fn put_blob(
     Path(hash): Path<String>,
     request: Body,
 ) -> Result<StatusCode, ApiError> {
-    put(&farm, Kind::Blob, hash, request).await
+    put(&farm, ContentKind::Blob, hash, request).await
 }
 
 /// Stores a frame's picture; durable when answered.
@@ -161,25 +161,25 @@ pub(super) async fn put_picture(
     Path(hash): Path<String>,
     request: Body,
 ) -> Result<StatusCode, ApiError> {
-    put(&farm, Kind::Picture, hash, request).await
+    put(&farm, ContentKind::Picture, hash, request).await
 }
 
-async fn put(farm: &Farm, kind: Kind, hash: String, request: Body) -> Result<StatusCode, ApiError> {
-    let name = Name::parse(&hash).ok_or_else(|| ApiError::WrongHash(hash.clone()))?;
+async fn put(farm: &Farm, kind: ContentKind, hash: String, request: Body) -> Result<StatusCode, ApiError> {
+    let name = ContentHash::parse(&hash).ok_or_else(|| ApiError::WrongHash(hash.clone()))?;
     let bytes = request.into_data_stream().map_err(std::io::Error::other);
     let span = tracing::info_span!("store", ?kind, %hash);
     farm.pictures.put(kind, &name, bytes).instrument(span).await?;
     fail_point::trigger_infallible(match kind {
-        Kind::Blob => FailPoint::BlobStored,
-        Kind::Picture => FailPoint::PictureStored,
+        ContentKind::Blob => FailPoint::BlobStored,
+        ContentKind::Picture => FailPoint::PictureStored,
     });
     Ok(StatusCode::NO_CONTENT)
 }
 
 /// A tile's blob.
 pub(super) async fn get_blob(State(farm): State<Arc<Farm>>, Path(hash): Path<String>) -> Result<Response, ApiError> {
-    let Some(name) = Name::parse(&hash) else { return Err(ApiError::WrongHash(hash)) };
-    match farm.pictures.get(Kind::Blob, &name, None).await? {
+    let Some(name) = ContentHash::parse(&hash) else { return Err(ApiError::WrongHash(hash)) };
+    match farm.pictures.get(ContentKind::Blob, &name, None).await? {
         Some((length_bytes, bytes)) => {
             Ok(([(header::CONTENT_LENGTH, length_bytes)], Body::from_stream(bytes)).into_response())
         }

@@ -17,8 +17,8 @@ use tokio_util::sync::CancellationToken;
 
 /// The connections of a listener.
 #[derive(Debug)]
-pub(crate) struct Crowd {
-    places: Arc<Semaphore>,
+pub(crate) struct ConnectionLimit {
+    slots: Arc<Semaphore>,
     waiting: AtomicUsize,
     idle: Mutex<Idle>,
 }
@@ -26,18 +26,18 @@ pub(crate) struct Crowd {
 /// Idle connections, by since when.
 #[derive(Debug, Default)]
 struct Idle {
-    turns: u64,
+    idle_sequence: u64,
     since: BTreeMap<u64, CancellationToken>,
 }
 
 /// One connection's place.
 #[derive(Debug)]
-pub(super) struct Place(Arc<State>);
+pub(super) struct ConnectionSlot(Arc<SlotState>);
 
 #[derive(Debug)]
-struct State {
-    crowd: Arc<Crowd>,
-    sent_away: CancellationToken,
+struct SlotState {
+    crowd: Arc<ConnectionLimit>,
+    evicted: CancellationToken,
     requests: AtomicUsize,
     idle_since: Mutex<Option<u64>>,
     _permit: OwnedSemaphorePermit,
@@ -45,42 +45,38 @@ struct State {
 
 /// A request that is being answered.
 #[derive(Debug)]
-pub(super) struct Busy(Arc<State>);
+pub(super) struct ActiveRequest(Arc<SlotState>);
 
-impl Crowd {
+impl ConnectionLimit {
     /// Slots for this many connections.
     pub(crate) fn new(connections: usize) -> Arc<Self> {
         let places = connections.clamp(1, Semaphore::MAX_PERMITS);
-        Arc::new(Self {
-            places: Arc::new(Semaphore::new(places)),
-            waiting: AtomicUsize::new(0),
-            idle: Mutex::default(),
-        })
+        Arc::new(Self { slots: Arc::new(Semaphore::new(places)), waiting: AtomicUsize::new(0), idle: Mutex::default() })
     }
 
     /// Takes a slot; if none is free, evicts the connection that has been idle longest.
-    pub(super) async fn enter(self: &Arc<Self>) -> Place {
-        let permit = if let Ok(permit) = Arc::clone(&self.places).try_acquire_owned() {
+    pub(super) async fn acquire(self: &Arc<Self>) -> ConnectionSlot {
+        let permit = if let Ok(permit) = Arc::clone(&self.slots).try_acquire_owned() {
             permit
         } else {
-            let _waiting = Waiting::new(self);
-            self.send_away_oldest();
-            let permit = Arc::clone(&self.places).acquire_owned().await;
+            let _waiting = WaiterGuard::new(self);
+            self.evict_idle();
+            let permit = Arc::clone(&self.slots).acquire_owned().await;
             permit.expect("the places are never closed")
         };
-        let place = Place(Arc::new(State {
+        let place = ConnectionSlot(Arc::new(SlotState {
             crowd: Arc::clone(self),
-            sent_away: CancellationToken::new(),
+            evicted: CancellationToken::new(),
             requests: AtomicUsize::new(0),
             idle_since: Mutex::new(None),
             _permit: permit,
         }));
-        place.0.rest();
+        place.0.mark_idle();
         place
     }
 
     /// Evicts the connection that has been idle longest, if any is idle.
-    pub(super) fn send_away_oldest(&self) {
+    pub(super) fn evict_idle(&self) {
         let oldest = self.idle.lock().expect("no holder panics").since.pop_first();
         if let Some((_, oldest)) = oldest {
             oldest.cancel();
@@ -89,28 +85,28 @@ impl Crowd {
 }
 
 /// Counts a waiter until it is dropped.
-struct Waiting<'a>(&'a Crowd);
+struct WaiterGuard<'a>(&'a ConnectionLimit);
 
-impl<'a> Waiting<'a> {
-    fn new(crowd: &'a Crowd) -> Self {
+impl<'a> WaiterGuard<'a> {
+    fn new(crowd: &'a ConnectionLimit) -> Self {
         crowd.waiting.fetch_add(1, Ordering::SeqCst);
         Self(crowd)
     }
 }
 
-impl Drop for Waiting<'_> {
+impl Drop for WaiterGuard<'_> {
     fn drop(&mut self) {
         self.0.waiting.fetch_sub(1, Ordering::SeqCst);
     }
 }
 
-impl Place {
+impl ConnectionSlot {
     /// Starts a request; it ends when the returned guard is dropped.
-    pub(super) fn work(&self) -> Busy {
+    pub(super) fn begin_request(&self) -> ActiveRequest {
         if self.0.requests.fetch_add(1, Ordering::SeqCst) == 0 {
-            self.0.rise();
+            self.0.mark_busy();
         }
-        Busy(Arc::clone(&self.0))
+        ActiveRequest(Arc::clone(&self.0))
     }
 
     /// Whether a request is being answered.
@@ -119,63 +115,63 @@ impl Place {
     }
 
     /// Returns when the connection is evicted.
-    pub(super) async fn sent_away(&self) {
-        self.0.sent_away.cancelled().await;
+    pub(super) async fn evicted(&self) {
+        self.0.evicted.cancelled().await;
     }
 }
 
-impl State {
+impl SlotState {
     /// Marks the connection idle; it is evicted if another one waits for a slot.
-    fn rest(&self) {
+    fn mark_idle(&self) {
         {
             let mut idle = self.crowd.idle.lock().expect("no holder panics");
-            idle.turns += 1;
-            let turn = idle.turns;
-            idle.since.insert(turn, self.sent_away.clone());
+            idle.idle_sequence += 1;
+            let turn = idle.idle_sequence;
+            idle.since.insert(turn, self.evicted.clone());
             *self.idle_since.lock().expect("no holder panics") = Some(turn);
         }
         if self.crowd.waiting.load(Ordering::SeqCst) > 0 {
-            self.crowd.send_away_oldest();
+            self.crowd.evict_idle();
         }
     }
 
     /// Marks the connection busy.
-    fn rise(&self) {
+    fn mark_busy(&self) {
         if let Some(turn) = self.idle_since.lock().expect("no holder panics").take() {
             self.crowd.idle.lock().expect("no holder panics").since.remove(&turn);
         }
     }
 }
 
-impl Drop for State {
+impl Drop for SlotState {
     fn drop(&mut self) {
-        self.rise();
+        self.mark_busy();
     }
 }
 
-impl Drop for Busy {
+impl Drop for ActiveRequest {
     fn drop(&mut self) {
         if self.0.requests.fetch_sub(1, Ordering::SeqCst) == 1 {
-            self.0.rest();
+            self.0.mark_idle();
         }
     }
 }
 
 /// An answer's body, during which its connection is busy.
 #[derive(Debug)]
-pub(super) struct Attended {
+pub(super) struct TrackedBody {
     body: Body,
-    _busy: Busy,
+    _busy: ActiveRequest,
 }
 
-impl Attended {
+impl TrackedBody {
     /// The body of an answer.
-    pub(super) fn new(body: Body, busy: Busy) -> Self {
+    pub(super) fn new(body: Body, busy: ActiveRequest) -> Self {
         Self { body, _busy: busy }
     }
 }
 
-impl HttpBody for Attended {
+impl HttpBody for TrackedBody {
     type Data = Bytes;
     type Error = axum::Error;
 
@@ -198,15 +194,15 @@ mod tests {
 
     #[tokio::test]
     async fn who_has_been_idle_longest_goes_first_and_the_busy_stay() {
-        let crowd = Crowd::new(3);
-        let (one, two, three) = (crowd.enter().await, crowd.enter().await, crowd.enter().await);
-        let busy = one.work();
+        let crowd = ConnectionLimit::new(3);
+        let (one, two, three) = (crowd.acquire().await, crowd.acquire().await, crowd.acquire().await);
+        let busy = one.begin_request();
         let next = tokio::spawn({
             let crowd = Arc::clone(&crowd);
-            async move { crowd.enter().await }
+            async move { crowd.acquire().await }
         });
-        two.sent_away().await;
-        assert!(!three.0.sent_away.is_cancelled() && !one.0.sent_away.is_cancelled());
+        two.evicted().await;
+        assert!(!three.0.evicted.is_cancelled() && !one.0.evicted.is_cancelled());
         drop(two);
         drop(next.await.expect("a place"));
         drop(busy);
@@ -215,52 +211,52 @@ mod tests {
 
     #[tokio::test]
     async fn who_becomes_idle_while_others_wait_goes() {
-        let crowd = Crowd::new(1);
-        let only = crowd.enter().await;
-        let busy = only.work();
+        let crowd = ConnectionLimit::new(1);
+        let only = crowd.acquire().await;
+        let busy = only.begin_request();
         let waiting = tokio::spawn({
             let crowd = Arc::clone(&crowd);
-            async move { crowd.enter().await }
+            async move { crowd.acquire().await }
         });
         while crowd.waiting.load(Ordering::SeqCst) == 0 {
             tokio::task::yield_now().await;
         }
-        assert!(!only.0.sent_away.is_cancelled());
+        assert!(!only.0.evicted.is_cancelled());
         drop(busy);
-        only.sent_away().await;
+        only.evicted().await;
         drop(only);
         drop(waiting.await.expect("a place"));
     }
 
     #[tokio::test]
     async fn who_worked_since_is_idle_for_a_shorter_time_than_who_came_later() {
-        let crowd = Crowd::new(3);
-        let (one, two, three) = (crowd.enter().await, crowd.enter().await, crowd.enter().await);
-        let (first, second) = (one.work(), one.work());
+        let crowd = ConnectionLimit::new(3);
+        let (one, two, three) = (crowd.acquire().await, crowd.acquire().await, crowd.acquire().await);
+        let (first, second) = (one.begin_request(), one.begin_request());
         drop(first);
         assert!(one.is_busy(), "another request is being answered");
         assert_eq!(crowd.idle.lock().expect("no holder panics").since.len(), 2);
         drop(second);
         assert_eq!(crowd.idle.lock().expect("no holder panics").since.len(), 3);
-        crowd.send_away_oldest();
-        assert!(two.0.sent_away.is_cancelled() && !one.0.sent_away.is_cancelled());
+        crowd.evict_idle();
+        assert!(two.0.evicted.is_cancelled() && !one.0.evicted.is_cancelled());
         drop(three);
-        crowd.send_away_oldest();
-        assert!(one.0.sent_away.is_cancelled(), "who has left is in nobody's way");
+        crowd.evict_idle();
+        assert!(one.0.evicted.is_cancelled(), "who has left is in nobody's way");
         assert!(crowd.idle.lock().expect("no holder panics").since.is_empty());
-        crowd.send_away_oldest();
+        crowd.evict_idle();
     }
 
     #[tokio::test]
     async fn answer_keeps_its_connection_busy_and_its_length() {
-        let crowd = Crowd::new(0);
-        let only = crowd.enter().await;
-        let body = Attended::new(Body::from("12345"), only.work());
+        let crowd = ConnectionLimit::new(0);
+        let only = crowd.acquire().await;
+        let body = TrackedBody::new(Body::from("12345"), only.begin_request());
         assert_eq!((body.size_hint().exact(), body.is_end_stream()), (Some(5), false));
         assert!(only.is_busy());
         let sent = axum::body::to_bytes(Body::new(body), 100).await.expect("a body");
         assert_eq!(&sent[..], b"12345");
         assert!(!only.is_busy());
-        assert!(Attended::new(Body::empty(), only.work()).is_end_stream());
+        assert!(TrackedBody::new(Body::empty(), only.begin_request()).is_end_stream());
     }
 }

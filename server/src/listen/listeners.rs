@@ -8,7 +8,7 @@ use std::sync::Arc;
 use tokio::net::TcpListener;
 use tokio_util::sync::CancellationToken;
 
-use super::{Crowd, Tls, most_connections, serve};
+use super::{ConnectionLimit, Tls, connection_limit, serve};
 use crate::config::Config;
 use crate::startup::StartError;
 
@@ -17,15 +17,15 @@ const POOL_CONNECTIONS: usize = 4096;
 
 /// The addresses that a server is reached at.
 #[derive(Debug)]
-pub(crate) struct Entrance {
+pub(crate) struct Listeners {
     public: TcpListener,
     address: SocketAddr,
     tls: Option<Arc<Tls>>,
     pool: Option<(TcpListener, SocketAddr)>,
-    crowd: Arc<Crowd>,
+    crowd: Arc<ConnectionLimit>,
 }
 
-impl Entrance {
+impl Listeners {
     /// Takes the addresses, and reads the certificate.
     pub(crate) async fn open(config: &Config) -> Result<Self, StartError> {
         let tls = match &config.tls {
@@ -40,7 +40,7 @@ impl Entrance {
             Some(_) => Some(bind((Ipv4Addr::LOCALHOST, 0).into()).await?),
             None => None,
         };
-        let crowd = Crowd::new(most_connections(config.max_connections));
+        let crowd = ConnectionLimit::new(connection_limit(config.max_connections));
         Ok(Self { public, address, tls, pool, crowd })
     }
 
@@ -59,7 +59,7 @@ impl Entrance {
         let Self { public, tls, pool, crowd, .. } = self;
         let follow = async {
             if let Some(tls) = &tls {
-                tls.follow(ending.clone()).await;
+                tls.watch_files(ending.clone()).await;
             }
             // The connections decide when it ends.
             std::future::pending::<()>().await;
@@ -67,7 +67,7 @@ impl Entrance {
         let inside = async {
             match pool {
                 Some((listener, _)) => {
-                    serve(listener, None, router.clone(), Crowd::new(POOL_CONNECTIONS), ending.clone()).await
+                    serve(listener, None, router.clone(), ConnectionLimit::new(POOL_CONNECTIONS), ending.clone()).await
                 }
                 None => Ok(()),
             }

@@ -13,31 +13,31 @@ use hyper::body::{Body as HttpBody, Frame, Incoming, SizeHint};
 use tokio::io::{AsyncRead, AsyncWrite, ReadBuf};
 use tokio::time::{Instant, Sleep};
 
-use crate::clock::instant;
+use crate::clock::monotonic_now;
 
 /// The longest pause.
-const MAX_PAUSE: Duration = Duration::from_secs(20);
+const MAX_STALL: Duration = Duration::from_secs(20);
 /// Bytes that earn a second.
-const BYTES_PER_SECOND: f64 = 1024.0;
+const MIN_BYTES_PER_SECOND: f64 = 1024.0;
 
 /// Remaining time budget of a transfer.
 #[derive(Debug)]
-struct Patience {
+struct MinRateTimer {
     left: Duration,
     max_pause: Duration,
     since: Option<Instant>,
     alarm: Option<Pin<Box<Sleep>>>,
 }
 
-impl Patience {
+impl MinRateTimer {
     fn new(max_pause: Duration) -> Self {
         Self { left: max_pause, max_pause, since: None, alarm: None }
     }
 
     /// Nothing was transferred; ready when the budget is used up.
-    fn poll_wait(&mut self, cx: &mut Context<'_>) -> Poll<()> {
+    fn poll_expired(&mut self, cx: &mut Context<'_>) -> Poll<()> {
         if self.since.is_none() {
-            let now = instant();
+            let now = monotonic_now();
             self.since = Some(now);
             match &mut self.alarm {
                 Some(alarm) => alarm.as_mut().reset(now + self.left),
@@ -51,11 +51,11 @@ impl Patience {
     }
 
     /// Adds the budget earned by this many bytes.
-    fn earn(&mut self, size_bytes: usize) {
+    fn add_bytes(&mut self, size_bytes: usize) {
         if let Some(since) = self.since.take() {
             self.left = self.left.saturating_sub(since.elapsed());
         }
-        let earned = Duration::from_secs_f64(size_bytes as f64 / BYTES_PER_SECOND);
+        let earned = Duration::from_secs_f64(size_bytes as f64 / MIN_BYTES_PER_SECOND);
         self.left = (self.left + earned).min(self.max_pause);
     }
 }
@@ -67,18 +67,18 @@ pub(crate) struct SlowBody;
 
 /// Request body that must keep up a minimum rate while the server waits for it.
 #[derive(Debug)]
-pub(super) struct Paced {
+pub(super) struct TimedBody {
     body: Incoming,
-    patience: Patience,
+    patience: MinRateTimer,
 }
 
-impl Paced {
+impl TimedBody {
     pub(super) fn new(body: Incoming) -> Self {
-        Self { body, patience: Patience::new(MAX_PAUSE) }
+        Self { body, patience: MinRateTimer::new(MAX_STALL) }
     }
 }
 
-impl HttpBody for Paced {
+impl HttpBody for TimedBody {
     type Data = Bytes;
     type Error = axum::BoxError;
 
@@ -92,11 +92,11 @@ impl HttpBody for Paced {
                     Some(Ok(frame)) => frame.data_ref().map_or(0, Bytes::len),
                     Some(Err(_)) | None => 0,
                 };
-                self.patience.earn(size_bytes);
+                self.patience.add_bytes(size_bytes);
                 Poll::Ready(frame.map(|frame| frame.map_err(Into::into)))
             }
             Poll::Pending => {
-                ready!(self.patience.poll_wait(cx));
+                ready!(self.patience.poll_expired(cx));
                 Poll::Ready(Some(Err(SlowBody.into())))
             }
         }
@@ -113,17 +113,17 @@ impl HttpBody for Paced {
 
 /// Connection whose client must read responses at a minimum rate.
 #[derive(Debug)]
-pub(super) struct Watched<S> {
+pub(super) struct TimedStream<S> {
     stream: S,
-    patience: Patience,
+    patience: MinRateTimer,
 }
 
-impl<S> Watched<S> {
+impl<S> TimedStream<S> {
     pub(super) fn new(stream: S) -> Self {
-        Self { stream, patience: Patience::new(MAX_PAUSE) }
+        Self { stream, patience: MinRateTimer::new(MAX_STALL) }
     }
 
-    fn watch<T>(
+    fn poll_with_timer<T>(
         &mut self,
         cx: &mut Context<'_>,
         polled: Poll<io::Result<T>>,
@@ -131,27 +131,27 @@ impl<S> Watched<S> {
     ) -> Poll<io::Result<T>> {
         match polled {
             Poll::Ready(done) => {
-                self.patience.earn(done.as_ref().map_or(0, size_bytes));
+                self.patience.add_bytes(done.as_ref().map_or(0, size_bytes));
                 Poll::Ready(done)
             }
             Poll::Pending => {
-                ready!(self.patience.poll_wait(cx));
+                ready!(self.patience.poll_expired(cx));
                 Poll::Ready(Err(io::Error::new(io::ErrorKind::TimedOut, "the other end does not read its answer")))
             }
         }
     }
 }
 
-impl<S: AsyncRead + Unpin> AsyncRead for Watched<S> {
+impl<S: AsyncRead + Unpin> AsyncRead for TimedStream<S> {
     fn poll_read(mut self: Pin<&mut Self>, cx: &mut Context<'_>, buffer: &mut ReadBuf<'_>) -> Poll<io::Result<()>> {
         Pin::new(&mut self.stream).poll_read(cx, buffer)
     }
 }
 
-impl<S: AsyncWrite + Unpin> AsyncWrite for Watched<S> {
+impl<S: AsyncWrite + Unpin> AsyncWrite for TimedStream<S> {
     fn poll_write(mut self: Pin<&mut Self>, cx: &mut Context<'_>, bytes: &[u8]) -> Poll<io::Result<usize>> {
         let polled = Pin::new(&mut self.stream).poll_write(cx, bytes);
-        self.watch(cx, polled, |&size_bytes| size_bytes)
+        self.poll_with_timer(cx, polled, |&size_bytes| size_bytes)
     }
 
     fn poll_write_vectored(
@@ -160,7 +160,7 @@ impl<S: AsyncWrite + Unpin> AsyncWrite for Watched<S> {
         slices: &[io::IoSlice<'_>],
     ) -> Poll<io::Result<usize>> {
         let polled = Pin::new(&mut self.stream).poll_write_vectored(cx, slices);
-        self.watch(cx, polled, |&size_bytes| size_bytes)
+        self.poll_with_timer(cx, polled, |&size_bytes| size_bytes)
     }
 
     fn is_write_vectored(&self) -> bool {
@@ -169,12 +169,12 @@ impl<S: AsyncWrite + Unpin> AsyncWrite for Watched<S> {
 
     fn poll_flush(mut self: Pin<&mut Self>, cx: &mut Context<'_>) -> Poll<io::Result<()>> {
         let polled = Pin::new(&mut self.stream).poll_flush(cx);
-        self.watch(cx, polled, |()| 0)
+        self.poll_with_timer(cx, polled, |()| 0)
     }
 
     fn poll_shutdown(mut self: Pin<&mut Self>, cx: &mut Context<'_>) -> Poll<io::Result<()>> {
         let polled = Pin::new(&mut self.stream).poll_shutdown(cx);
-        self.watch(cx, polled, |()| 0)
+        self.poll_with_timer(cx, polled, |()| 0)
     }
 }
 
@@ -185,10 +185,10 @@ mod tests {
     #[test]
     fn patience_is_spent_by_waiting_and_earned_by_bytes() {
         let seconds = Duration::from_secs;
-        let mut patience = Patience::new(seconds(10));
+        let mut patience = MinRateTimer::new(seconds(10));
         let mut waited = |size_bytes: usize| {
-            patience.since = Some(instant() - seconds(6));
-            patience.earn(size_bytes);
+            patience.since = Some(monotonic_now() - seconds(6));
+            patience.add_bytes(size_bytes);
             patience.left
         };
         assert!(waited(0) <= seconds(4));

@@ -14,17 +14,17 @@ use tokio::process::{ChildStderr, ChildStdin, Command};
 use tokio::task::JoinSet;
 use tokio::time::Instant;
 
-use crate::clock::instant;
-use crate::queue::Cause;
+use crate::clock::monotonic_now;
+use crate::queue::LeaseEnd;
 
 /// Exit status of a Rust program that panicked.
-const PANICKED: i32 = 101;
+const PANIC_EXIT_CODE: i32 = 101;
 /// Maximum length of the last log line that is kept of a worker.
-const LAST_LINE_CHARACTERS: usize = 300;
+const MAX_LAST_LINE_CHARS: usize = 300;
 
 /// How workers are started.
 #[derive(Debug)]
-pub(super) struct Launch {
+pub(super) struct WorkerLaunch {
     pub(super) program: PathBuf,
     pub(super) server: String,
     pub(super) devices: Vec<String>,
@@ -34,7 +34,7 @@ pub(super) struct Launch {
     pub(super) variables: Vec<(String, String)>,
 }
 
-impl Launch {
+impl WorkerLaunch {
     /// Device of the worker in a slot of the pool: each slot keeps its device.
     fn device(&self, place: usize) -> &str {
         self.devices.get(place % self.devices.len().max(1)).map_or("auto", String::as_str)
@@ -43,10 +43,10 @@ impl Launch {
 
 /// A running worker process.
 #[derive(Debug)]
-pub(super) struct Child {
-    process: u32,
+pub(super) struct WorkerProcess {
+    pid: u32,
     label: String,
-    place: usize,
+    slot: usize,
     device: String,
     // Open while the worker should live: it exits when this closes, so a killed server leaves no orphan.
     input: Option<ChildStdin>,
@@ -57,15 +57,15 @@ pub(super) struct Child {
 /// How a worker process exited.
 #[derive(Debug)]
 pub(super) struct Exit {
-    pub(super) process: u32,
+    pub(super) pid: u32,
     status: io::Result<ExitStatus>,
     last_line: String,
 }
 
-impl Child {
+impl WorkerProcess {
     /// Starts a worker in a slot of the pool; its exit is sent to `exits`.
     pub(super) fn launch(
-        launch: &Launch,
+        launch: &WorkerLaunch,
         label: String,
         place: usize,
         workers: usize,
@@ -92,7 +92,7 @@ impl Child {
         let name = label.clone();
         exits.spawn(async move {
             let last_line = Arc::new(Mutex::new(String::new()));
-            let log = errors.map(|errors| tokio::spawn(pass_on(errors, name, Arc::clone(&last_line))));
+            let log = errors.map(|errors| tokio::spawn(forward_stderr(errors, name, Arc::clone(&last_line))));
             let status = child.wait().await;
             if let Some(log) = log {
                 // A grandchild may hold the pipe open; the worker's own lines have been read
@@ -100,13 +100,13 @@ impl Child {
                 drop(tokio::time::timeout(Duration::from_millis(100), log).await);
             }
             let last_line = last_line.lock().expect("no holder panics").clone();
-            Exit { process, status, last_line }
+            Exit { pid: process, status, last_line }
         });
-        Ok(Self { process, label, place, device, input, started: instant(), draining: false })
+        Ok(Self { pid: process, label, slot: place, device, input, started: monotonic_now(), draining: false })
     }
 
-    pub(super) fn process(&self) -> u32 {
-        self.process
+    pub(super) fn pid(&self) -> u32 {
+        self.pid
     }
 
     pub(super) fn label(&self) -> &str {
@@ -114,8 +114,8 @@ impl Child {
     }
 
     /// Its place in the pool, from 0.
-    pub(super) fn place(&self) -> usize {
-        self.place
+    pub(super) fn slot(&self) -> usize {
+        self.slot
     }
 
     /// Device it renders on.
@@ -151,18 +151,18 @@ impl Child {
     }
 
     fn signal(&self, signal: Signal) {
-        let Some(process) = i32::try_from(self.process).ok().and_then(Pid::from_raw) else { return };
+        let Some(process) = i32::try_from(self.pid).ok().and_then(Pid::from_raw) else { return };
         if let Err(error) = kill_process(process, signal) {
-            tracing::debug!(process = self.process, %error, "a worker that has just ended needs no signal");
+            tracing::debug!(process = self.pid, %error, "a worker that has just ended needs no signal");
         }
     }
 }
 
-async fn pass_on(errors: ChildStderr, worker: String, last_line: Arc<Mutex<String>>) {
+async fn forward_stderr(errors: ChildStderr, worker: String, last_line: Arc<Mutex<String>>) {
     let mut lines = BufReader::new(errors).lines();
     while let Ok(Some(line)) = lines.next_line().await {
         let message = pass_on_line(&worker, line);
-        *last_line.lock().expect("no holder panics") = message.chars().take(LAST_LINE_CHARACTERS).collect();
+        *last_line.lock().expect("no holder panics") = message.chars().take(MAX_LAST_LINE_CHARS).collect();
     }
 }
 
@@ -182,20 +182,20 @@ fn pass_on_line(worker: &str, line: String) -> String {
 
 impl Exit {
     /// Cause that its exit counts as.
-    pub(super) fn cause(&self, draining: bool) -> Cause {
-        let Ok(status) = &self.status else { return Cause::Lost };
+    pub(super) fn cause(&self, draining: bool) -> LeaseEnd {
+        let Ok(status) = &self.status else { return LeaseEnd::Lost };
         let crashed = [Signal::SEGV, Signal::ABORT, Signal::BUS].map(Signal::as_raw);
-        if status.code() == Some(PANICKED) || status.signal().is_some_and(|signal| crashed.contains(&signal)) {
-            Cause::Crashed
+        if status.code() == Some(PANIC_EXIT_CODE) || status.signal().is_some_and(|signal| crashed.contains(&signal)) {
+            LeaseEnd::Crashed
         } else if status.success() || draining {
-            Cause::Interrupted
+            LeaseEnd::Released
         } else {
-            Cause::Lost
+            LeaseEnd::Lost
         }
     }
 
     /// Its device can't render: starting it again would not help.
-    pub(super) fn is_unfit(&self) -> bool {
+    pub(super) fn is_device_unusable(&self) -> bool {
         self.status.as_ref().is_ok_and(|status| status.code() == Some(EXIT_UNUSABLE_DEVICE.into()))
     }
 
@@ -217,19 +217,19 @@ impl Exit {
 mod tests {
     use super::*;
 
-    fn cause(raw_status: i32) -> Cause {
+    fn cause(raw_status: i32) -> LeaseEnd {
         let status = Ok(ExitStatus::from_raw(raw_status));
-        Exit { process: 1, status, last_line: String::new() }.cause(false)
+        Exit { pid: 1, status, last_line: String::new() }.cause(false)
     }
 
     #[test]
     fn a_crash_is_told_from_a_kill_and_from_an_exit() {
-        assert_eq!(cause(11), Cause::Crashed, "SIGSEGV");
-        assert_eq!(cause(6), Cause::Crashed, "SIGABRT");
-        assert_eq!(cause(7), Cause::Crashed, "SIGBUS");
-        assert_eq!(cause(101 << 8), Cause::Crashed, "a panic");
-        assert_eq!(cause(9), Cause::Lost, "SIGKILL");
-        assert_eq!(cause(1 << 8), Cause::Lost, "exit 1");
-        assert_eq!(cause(0), Cause::Interrupted, "exit 0");
+        assert_eq!(cause(11), LeaseEnd::Crashed, "SIGSEGV");
+        assert_eq!(cause(6), LeaseEnd::Crashed, "SIGABRT");
+        assert_eq!(cause(7), LeaseEnd::Crashed, "SIGBUS");
+        assert_eq!(cause(101 << 8), LeaseEnd::Crashed, "a panic");
+        assert_eq!(cause(9), LeaseEnd::Lost, "SIGKILL");
+        assert_eq!(cause(1 << 8), LeaseEnd::Lost, "exit 1");
+        assert_eq!(cause(0), LeaseEnd::Released, "exit 0");
     }
 }

@@ -3,16 +3,16 @@
 use super::{Connection, Result};
 
 /// Deliveries of a job that are remembered.
-const REMEMBERED: i64 = 15;
+const WINDOW: i64 = 15;
 
 /// Remembers how long a delivery of a job took; `number` counts its tiles that are done.
-pub(super) async fn note(connection: &mut Connection, job: i64, number: i64, took_ms: i64) -> Result<()> {
+pub(super) async fn record_duration(connection: &mut Connection, job: i64, number: i64, took_ms: i64) -> Result<()> {
     sqlx::query(
         "INSERT INTO pace (job, slot, took_ms) SELECT number, ?2, ?3 FROM job WHERE number = ?1 AND finished_at_ms IS NULL
          ON CONFLICT (job, slot) DO UPDATE SET took_ms = excluded.took_ms",
     )
     .bind(job)
-    .bind(number.rem_euclid(REMEMBERED))
+    .bind(number.rem_euclid(WINDOW))
     .bind(took_ms.max(0))
     .execute(connection)
     .await?;

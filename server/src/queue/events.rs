@@ -67,7 +67,7 @@ fn rounded(body: String) -> String {
 
 /// State that a subscriber needs before its first event.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) struct Followed {
+pub(crate) struct EventPosition {
     /// The job's number.
     pub(crate) job: i64,
     /// Nothing will change any more.
@@ -83,7 +83,7 @@ const NEWEST: &str = "SELECT coalesce((SELECT seq FROM sqlite_sequence WHERE nam
 
 impl Queue {
     /// State that a subscriber to a job needs before its first event.
-    pub(crate) async fn followed(&self, id: JobId) -> Result<Option<Followed>> {
+    pub(crate) async fn event_position(&self, id: JobId) -> Result<Option<EventPosition>> {
         let row = sqlx::query(
             "SELECT number, finished_at_ms IS NOT NULL AS ended, events_pruned,
                     coalesce((SELECT seq FROM sqlite_sequence WHERE name = 'outbox'), 0) AS newest
@@ -93,7 +93,7 @@ impl Queue {
         .fetch_optional(self.readers())
         .await?;
         row.map(|row| {
-            Ok(Followed {
+            Ok(EventPosition {
                 job: row.try_get("number")?,
                 ended: row.try_get("ended")?,
                 pruned: row.try_get("events_pruned")?,
@@ -177,8 +177,8 @@ impl Queue {
             ),
             tiles: DoneOfTotal { done: row.try_get("tiles_done")?, total: row.try_get("tiles_total")? },
             frames: DoneOfTotal { done: row.try_get("frames_stored")?, total: row.try_get("frames_total")? },
-            stored: runs(&numbers),
-            rectangles: tiles.iter().map(rectangle).collect::<Result<_>>()?,
+            stored: contiguous_ranges(&numbers),
+            rectangles: tiles.iter().map(tile_event).collect::<Result<_>>()?,
         };
         Ok(Some((newest, snapshot)))
     }
@@ -214,7 +214,7 @@ impl Queue {
     }
 }
 
-fn rectangle(row: &SqliteRow) -> Result<TileEvent> {
+fn tile_event(row: &SqliteRow) -> Result<TileEvent> {
     Ok(TileEvent {
         frame: row.try_get("frame")?,
         x: row.try_get("x_px")?,
@@ -226,7 +226,7 @@ fn rectangle(row: &SqliteRow) -> Result<TileEvent> {
 }
 
 /// First and last of each run of numbers that follow each other.
-fn runs(numbers: &[u32]) -> Vec<[u32; 2]> {
+fn contiguous_ranges(numbers: &[u32]) -> Vec<[u32; 2]> {
     let mut runs: Vec<[u32; 2]> = Vec::new();
     for &number in numbers {
         match runs.last_mut() {
@@ -281,7 +281,7 @@ mod tests {
 
     #[test]
     fn runs_are_told_by_first_and_last() {
-        assert_eq!(runs(&[]), Vec::<[u32; 2]>::new());
-        assert_eq!(runs(&[0, 1, 2, 5, 7, 8]), [[0, 2], [5, 5], [7, 8]]);
+        assert_eq!(contiguous_ranges(&[]), Vec::<[u32; 2]>::new());
+        assert_eq!(contiguous_ranges(&[0, 1, 2, 5, 7, 8]), [[0, 2], [5, 5], [7, 8]]);
     }
 }

@@ -3,19 +3,24 @@
 //!
 //! Both hold only while another worker can do the work, so that a single worker never stops the farm.
 
-use super::lease::Held;
-use super::{Connection, Moment, Result};
+use super::lease::LiveLease;
+use super::{Connection, Result, TransitionContext};
 
 /// Errors of a worker in one job, from which on it is not offered the job.
-const ERRORS_BEFORE_BAR: i64 = 3;
+const ERRORS_BEFORE_EXCLUSION: i64 = 3;
 /// Duration of an exclusion.
-const BAR_MS: i64 = 3_600_000;
+const EXCLUSION_MS: i64 = 3_600_000;
 /// Number of exclusions that quarantines a worker. Jobs that failed as a whole do not count, because they
 /// failed on every worker.
-const BARS_BEFORE_QUARANTINE: i64 = 3;
+const EXCLUSIONS_BEFORE_QUARANTINE: i64 = 3;
 
 /// Notes a worker's error in a job.
-pub(super) async fn note(connection: &mut Connection, worker: &str, job: i64, moment: Moment) -> Result<()> {
+pub(super) async fn record_error(
+    connection: &mut Connection,
+    worker: &str,
+    job: i64,
+    moment: TransitionContext,
+) -> Result<()> {
     let errors: i64 = sqlx::query_scalar(
         "INSERT INTO strike (job, worker, errors, until_ms) VALUES (?1, ?2, 1, NULL)
          ON CONFLICT (job, worker) DO UPDATE SET
@@ -26,20 +31,20 @@ pub(super) async fn note(connection: &mut Connection, worker: &str, job: i64, mo
     .bind(job)
     .bind(worker)
     .bind(moment.now_ms)
-    .bind(ERRORS_BEFORE_BAR)
-    .bind(BAR_MS)
+    .bind(ERRORS_BEFORE_EXCLUSION)
+    .bind(EXCLUSION_MS)
     .fetch_one(&mut *connection)
     .await?;
-    if errors != ERRORS_BEFORE_BAR {
+    if errors != ERRORS_BEFORE_EXCLUSION {
         return Ok(());
     }
-    let job = super::id_of(connection, job).await?;
+    let job = super::job_id(connection, job).await?;
     tracing::warn!(worker, %job, errors, "a worker erred too often in a job; others are offered it first");
     quarantine(connection, worker, moment).await
 }
 
 /// Quarantines a worker that is excluded from three jobs or more, unless it is the last ready worker.
-async fn quarantine(connection: &mut Connection, worker: &str, moment: Moment) -> Result<()> {
+async fn quarantine(connection: &mut Connection, worker: &str, moment: TransitionContext) -> Result<()> {
     let quarantined = sqlx::query(
         "UPDATE worker SET state = 'quarantined' WHERE id = ?1 AND state = 'ready'
          AND (SELECT count(*) FROM strike JOIN job ON job.number = strike.job
@@ -49,7 +54,7 @@ async fn quarantine(connection: &mut Connection, worker: &str, moment: Moment) -
     )
     .bind(worker)
     .bind(moment.now_ms)
-    .bind(BARS_BEFORE_QUARANTINE)
+    .bind(EXCLUSIONS_BEFORE_QUARANTINE)
     .execute(connection)
     .await?;
     if quarantined.rows_affected() > 0 {
@@ -63,7 +68,11 @@ async fn quarantine(connection: &mut Connection, worker: &str, moment: Moment) -
 }
 
 /// Whether a worker other than the lease's is excluded from its job: then the tile must not avoid this one.
-pub(super) async fn bars_another(connection: &mut Connection, held: &Held, moment: Moment) -> Result<bool> {
+pub(super) async fn is_other_worker_excluded(
+    connection: &mut Connection,
+    held: &LiveLease,
+    moment: TransitionContext,
+) -> Result<bool> {
     let barred: Option<i64> =
         sqlx::query_scalar("SELECT 1 FROM strike WHERE job = ? AND worker <> ? AND until_ms > ? LIMIT 1")
             .bind(held.job)
@@ -77,7 +86,7 @@ pub(super) async fn bars_another(connection: &mut Connection, held: &Held, momen
 /// Restarts all exclusions with full length after a start, because the monotonic clock starts at zero.
 pub(super) async fn recover(connection: &mut Connection, now_ms: i64) -> Result<()> {
     sqlx::query("UPDATE strike SET until_ms = ? WHERE until_ms IS NOT NULL")
-        .bind(now_ms + BAR_MS)
+        .bind(now_ms + EXCLUSION_MS)
         .execute(connection)
         .await?;
     Ok(())

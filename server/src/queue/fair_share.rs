@@ -3,16 +3,16 @@
 //! Start-time fair queueing (Goyal, Vin, Cheng, "Start-time Fair Queuing", SIGCOMM 1996): a submitter that
 //! returns starts at the virtual time of the one served last. Triggers record which submitters take part.
 
-use super::{Connection, Result, counted};
+use super::{Connection, Result, expect_rows};
 
 /// Maximum credit that a submitter saves up while its jobs wait for anything but their turn.
 const MAX_CREDIT_US: i64 = 60_000_000;
 /// Assumed speed of a worker without a measurement, in camera rays per second.
-const UNKNOWN_RAYS_PER_SECOND: f64 = 1e6;
+const DEFAULT_RAYS_PER_SECOND: f64 = 1e6;
 
 /// Whose work a batch is, and its cost.
 #[derive(Clone, Debug)]
-pub(super) struct Share {
+pub(super) struct FairShare {
     /// Submitter of the job.
     pub(super) submitter: String,
     /// The job's priority.
@@ -22,11 +22,11 @@ pub(super) struct Share {
 /// Charges a run to its submitter.
 pub(super) async fn charge(
     connection: &mut Connection,
-    share: &Share,
+    share: &FairShare,
     rays: u64,
     rays_per_second: Option<f64>,
 ) -> Result<()> {
-    let served_us = (rays as f64 / rays_per_second.unwrap_or(UNKNOWN_RAYS_PER_SECOND) * 1e6).ceil() as i64;
+    let served_us = (rays as f64 / rays_per_second.unwrap_or(DEFAULT_RAYS_PER_SECOND) * 1e6).ceil() as i64;
     let clock_us: i64 = sqlx::query_scalar(
         "INSERT INTO share_clock (priority, served_us)
          SELECT priority, served_us FROM share WHERE submitter = ? AND priority = ?
@@ -45,7 +45,7 @@ pub(super) async fn charge(
             .bind(share.priority)
             .execute(connection)
             .await?;
-    counted("share: charged", 1, &charged)
+    expect_rows("share: charged", 1, &charged)
 }
 
 /// Deletes the shares of submitters without work that would start at the current virtual time anyway.

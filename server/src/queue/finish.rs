@@ -4,12 +4,12 @@ use proto::JobId;
 use proto::job::JobState;
 use sqlx::Row;
 
-use super::{Connection, Moment, Result, counted, known};
-use crate::database::StoreError;
+use super::{Connection, Result, TransitionContext, expect_rows, parse_column};
+use crate::database::DatabaseError;
 
 /// Increments of a job's counters.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Progress {
+pub(super) struct ProgressDelta {
     /// Tiles done.
     pub(super) tiles: i64,
     /// Rays done.
@@ -20,21 +20,21 @@ pub(super) struct Progress {
 
 /// Outcome of a cancel.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub(crate) enum Cancelled {
+pub(crate) enum CancelOutcome {
     /// The job is cancelled; these blobs may be orphans now.
     Done {
         /// Hashes of blobs.
         blobs: Vec<String>,
     },
     /// The job had finished before.
-    Final(JobState),
+    AlreadyFinished(JobState),
     /// The job does not exist.
     Unknown,
 }
 
 /// Outcome of a delete.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub(crate) enum Deleted {
+pub(crate) enum DeleteOutcome {
     /// The job is deleted; these pictures and blobs may be orphans now.
     Done {
         /// Hashes of pictures.
@@ -50,11 +50,11 @@ pub(crate) enum Deleted {
 
 /// Reads a job's state as the database spells it.
 pub(super) fn job_state(name: &str) -> Result<JobState> {
-    known("job.state", name, |name| JobState::ALL.into_iter().find(|state| state.name() == name))
+    parse_column("job.state", name, |name| JobState::ALL.into_iter().find(|state| state.name() == name))
 }
 
 /// The first lease of a job was granted.
-pub(super) async fn start(connection: &mut Connection, job: i64, moment: Moment) -> Result<()> {
+pub(super) async fn mark_started(connection: &mut Connection, job: i64, moment: TransitionContext) -> Result<()> {
     sqlx::query("UPDATE job SET state = 'running', started_at_ms = ? WHERE number = ? AND state = 'queued'")
         .bind(moment.wall_ms)
         .bind(job)
@@ -64,7 +64,7 @@ pub(super) async fn start(connection: &mut Connection, job: i64, moment: Moment)
 }
 
 /// Moves a job's counters with its tiles; answers how many of them are done.
-pub(super) async fn progress(connection: &mut Connection, job: i64, by: Progress) -> Result<i64> {
+pub(super) async fn progress(connection: &mut Connection, job: i64, by: ProgressDelta) -> Result<i64> {
     let done: Option<i64> = sqlx::query_scalar(
         "UPDATE job SET tiles_done = tiles_done + ?1, rays_done = rays_done + ?2, frames_stored = frames_stored + ?3,
                         rays_peak = max(rays_peak, rays_done + ?2)
@@ -76,11 +76,11 @@ pub(super) async fn progress(connection: &mut Connection, job: i64, by: Progress
     .bind(job)
     .fetch_optional(connection)
     .await?;
-    done.ok_or(StoreError::Rows { what: "job: counters", expected: 1, changed: 0 })
+    done.ok_or(DatabaseError::Rows { what: "job: counters", expected: 1, changed: 0 })
 }
 
 /// A job whose frames are all stored has succeeded.
-pub(super) async fn succeed_if_stored(connection: &mut Connection, job: i64, moment: Moment) -> Result<()> {
+pub(super) async fn succeed_if_stored(connection: &mut Connection, job: i64, moment: TransitionContext) -> Result<()> {
     sqlx::query(
         "UPDATE job SET state = 'succeeded', finished_at_ms = ?1, started_at_ms = coalesce(started_at_ms, ?1)
          WHERE number = ?2 AND frames_stored = frames_total AND finished_at_ms IS NULL",
@@ -93,7 +93,12 @@ pub(super) async fn succeed_if_stored(connection: &mut Connection, job: i64, mom
 }
 
 /// A tile is dead: so is its job.
-pub(super) async fn fail(connection: &mut Connection, job: i64, message: &str, moment: Moment) -> Result<()> {
+pub(super) async fn fail(
+    connection: &mut Connection,
+    job: i64,
+    message: &str,
+    moment: TransitionContext,
+) -> Result<()> {
     let failed = sqlx::query(
         "UPDATE job SET state = 'failed', error = ?, finished_at_ms = ?, tiles_dead = tiles_dead + 1
          WHERE number = ? AND finished_at_ms IS NULL",
@@ -103,12 +108,17 @@ pub(super) async fn fail(connection: &mut Connection, job: i64, message: &str, m
     .bind(job)
     .execute(&mut *connection)
     .await?;
-    counted("job: failed", 1, &failed)?;
-    void_rest(connection, job).await
+    expect_rows("job: failed", 1, &failed)?;
+    void_open_work(connection, job).await
 }
 
 /// Fails the job of a frame that cannot be opened, unless the job has finished.
-pub(super) async fn refuse(connection: &mut Connection, job: i64, message: &str, moment: Moment) -> Result<()> {
+pub(super) async fn refuse(
+    connection: &mut Connection,
+    job: i64,
+    message: &str,
+    moment: TransitionContext,
+) -> Result<()> {
     sqlx::query(
         "UPDATE job SET state = 'failed', error = ?, finished_at_ms = ? WHERE number = ? AND finished_at_ms IS NULL",
     )
@@ -117,11 +127,11 @@ pub(super) async fn refuse(connection: &mut Connection, job: i64, message: &str,
     .bind(job)
     .execute(&mut *connection)
     .await?;
-    void_rest(connection, job).await
+    void_open_work(connection, job).await
 }
 
 /// Cancels a job that has not finished.
-pub(super) async fn cancel(connection: &mut Connection, id: JobId, moment: Moment) -> Result<Cancelled> {
+pub(super) async fn cancel(connection: &mut Connection, id: JobId, moment: TransitionContext) -> Result<CancelOutcome> {
     let cancelled: Option<i64> = sqlx::query_scalar(
         "UPDATE job SET state = 'cancelled', finished_at_ms = ? WHERE id = ? AND finished_at_ms IS NULL
          RETURNING number",
@@ -131,18 +141,18 @@ pub(super) async fn cancel(connection: &mut Connection, id: JobId, moment: Momen
     .fetch_optional(&mut *connection)
     .await?;
     if let Some(job) = cancelled {
-        void_rest(connection, job).await?;
-        return Ok(Cancelled::Done { blobs: blobs(connection, job).await? });
+        void_open_work(connection, job).await?;
+        return Ok(CancelOutcome::Done { blobs: blobs(connection, job).await? });
     }
     let state: Option<String> = sqlx::query_scalar("SELECT state FROM job WHERE id = ?")
         .bind(id.to_string())
         .fetch_optional(connection)
         .await?;
-    state.map_or(Ok(Cancelled::Unknown), |name| job_state(&name).map(Cancelled::Final))
+    state.map_or(Ok(CancelOutcome::Unknown), |name| job_state(&name).map(CancelOutcome::AlreadyFinished))
 }
 
 /// Voids the open frames and tiles of a finished job.
-async fn void_rest(connection: &mut Connection, job: i64) -> Result<()> {
+async fn void_open_work(connection: &mut Connection, job: i64) -> Result<()> {
     for statement in [
         "UPDATE lease SET ended = 'void' WHERE ended IS NULL
          AND tile IN (SELECT id FROM tile WHERE job = ? AND state = 'leased')",
@@ -155,21 +165,21 @@ async fn void_rest(connection: &mut Connection, job: i64) -> Result<()> {
 }
 
 /// Forgets a job that is not running, with all its rows, and the pictures only it had.
-pub(super) async fn delete(connection: &mut Connection, id: JobId) -> Result<Deleted> {
+pub(super) async fn delete(connection: &mut Connection, id: JobId) -> Result<DeleteOutcome> {
     let row = sqlx::query("SELECT number, state FROM job WHERE id = ?")
         .bind(id.to_string())
         .fetch_optional(&mut *connection)
         .await?;
-    let Some(row) = row else { return Ok(Deleted::Unknown) };
+    let Some(row) = row else { return Ok(DeleteOutcome::Unknown) };
     if job_state(&row.try_get::<String, _>("state")?)? == JobState::Running {
-        return Ok(Deleted::Running);
+        return Ok(DeleteOutcome::Running);
     }
-    let (pictures, blobs) = forget(connection, row.try_get("number")?).await?;
-    Ok(Deleted::Done { pictures, blobs })
+    let (pictures, blobs) = delete_rows(connection, row.try_get("number")?).await?;
+    Ok(DeleteOutcome::Done { pictures, blobs })
 }
 
 /// Deletes a job with all its rows; returns the hashes of its pictures and blobs, which may be orphans now.
-pub(super) async fn forget(connection: &mut Connection, job: i64) -> Result<(Vec<String>, Vec<String>)> {
+pub(super) async fn delete_rows(connection: &mut Connection, job: i64) -> Result<(Vec<String>, Vec<String>)> {
     let pictures: Vec<String> =
         sqlx::query_scalar("SELECT DISTINCT picture FROM frame WHERE job = ? AND picture IS NOT NULL")
             .bind(job)
@@ -177,7 +187,7 @@ pub(super) async fn forget(connection: &mut Connection, job: i64) -> Result<(Vec
             .await?;
     let blobs = blobs(connection, job).await?;
     let deleted = sqlx::query("DELETE FROM job WHERE number = ?").bind(job).execute(&mut *connection).await?;
-    counted("job: deleted", 1, &deleted)?;
+    expect_rows("job: deleted", 1, &deleted)?;
     sqlx::query(
         "DELETE FROM picture WHERE hash IN (SELECT value FROM json_each(?))
          AND NOT EXISTS (SELECT 1 FROM frame WHERE frame.picture = picture.hash)",

@@ -5,7 +5,7 @@
 use proto::JobId;
 use sqlx::Row;
 
-use super::{Connection, Moment, NewJob, Queue, Result, Ring, counted, known, submit};
+use super::{Connection, NewJob, Queue, Result, TransitionContext, Wake, expect_rows, parse_column, submit};
 use crate::database::Durability;
 
 /// How long idempotency keys are kept.
@@ -15,7 +15,7 @@ const DROPPED_AT_ONCE: i64 = 5_000;
 
 /// Idempotency key and the fingerprint of its request.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub(crate) struct Once {
+pub(crate) struct IdempotencyKey {
     /// The client's `Idempotency-Key`.
     pub(crate) key: String,
     /// BLAKE3 of all that was asked for.
@@ -33,40 +33,40 @@ pub(crate) struct NewWebhook {
 
 /// Options of a submitted job.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
-pub(crate) struct Wish {
+pub(crate) struct SubmitOptions {
     /// Makes the submission idempotent.
-    pub(crate) once: Option<Once>,
+    pub(crate) idempotency: Option<IdempotencyKey>,
     /// Webhooks of the job.
     pub(crate) webhooks: Vec<NewWebhook>,
 }
 
 /// Outcome of a submission.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub(crate) enum Submitted {
+pub(crate) enum SubmitOutcome {
     /// The job was accepted, under this number.
-    New(i64),
+    Created(i64),
     /// The job was accepted before, as this one.
-    Same(JobId),
+    Replayed(JobId),
     /// The idempotency key belongs to another request.
-    Other,
+    KeyReused,
 }
 
 impl Queue {
     /// Accepts a job, once for each idempotency key; durable when it returns.
-    pub(crate) async fn submit_once(&self, job: NewJob, wish: Wish) -> Result<Submitted> {
-        let moment = self.moment();
+    pub(crate) async fn submit_with(&self, job: NewJob, options: SubmitOptions) -> Result<SubmitOutcome> {
+        let moment = self.context();
         let submitted = self
             .store
             .write(Durability::Full, move |connection| {
-                Box::pin(async move { accept(connection, &job, &wish, moment).await })
+                Box::pin(async move { accept(connection, &job, &options, moment).await })
             })
             .await?;
-        self.ring(Ring::WORK);
+        self.wake(Wake::WORK);
         Ok(submitted)
     }
 
     /// Whether a submitter has used this idempotency key before.
-    pub(crate) async fn has_wish(&self, submitter: &str, key: &str) -> Result<bool> {
+    pub(crate) async fn has_idempotency_key(&self, submitter: &str, key: &str) -> Result<bool> {
         let known: Option<i64> = sqlx::query_scalar("SELECT 1 FROM idempotency WHERE submitter = ? AND key = ?")
             .bind(submitter)
             .bind(key)
@@ -76,7 +76,7 @@ impl Queue {
     }
 
     /// Deletes expired idempotency keys; returns how many.
-    pub(crate) async fn prune_wishes(&self) -> Result<u64> {
+    pub(crate) async fn prune_idempotency_keys(&self) -> Result<u64> {
         let made_before_ms = self.clock.wall_ms() - KEEP_MS;
         let mut count = 0;
         loop {
@@ -94,14 +94,19 @@ impl Queue {
     }
 }
 
-async fn accept(connection: &mut Connection, job: &NewJob, wish: &Wish, moment: Moment) -> Result<Submitted> {
-    if let Some(once) = &wish.once
-        && let Some(granted) = granted(connection, &job.submitter, once).await?
+async fn accept(
+    connection: &mut Connection,
+    job: &NewJob,
+    wish: &SubmitOptions,
+    moment: TransitionContext,
+) -> Result<SubmitOutcome> {
+    if let Some(once) = &wish.idempotency
+        && let Some(granted) = earlier_submission(connection, &job.submitter, once).await?
     {
         return Ok(granted);
     }
     let number = submit::submit(connection, job, moment).await?;
-    if let Some(once) = &wish.once {
+    if let Some(once) = &wish.idempotency {
         let kept = sqlx::query(
             "INSERT INTO idempotency (submitter, key, fingerprint, job, created_at_ms) VALUES (?, ?, ?, ?, ?)",
         )
@@ -112,7 +117,7 @@ async fn accept(connection: &mut Connection, job: &NewJob, wish: &Wish, moment: 
         .bind(moment.wall_ms)
         .execute(&mut *connection)
         .await?;
-        counted("idempotency: kept", 1, &kept)?;
+        expect_rows("idempotency: kept", 1, &kept)?;
     }
     for webhook in &wish.webhooks {
         let kept = sqlx::query("INSERT INTO webhook (job, url, events) VALUES (?, ?, ?)")
@@ -121,13 +126,17 @@ async fn accept(connection: &mut Connection, job: &NewJob, wish: &Wish, moment: 
             .bind(format!(",{},", webhook.events.join(",")))
             .execute(&mut *connection)
             .await?;
-        counted("webhook: kept", 1, &kept)?;
+        expect_rows("webhook: kept", 1, &kept)?;
     }
-    Ok(Submitted::New(number))
+    Ok(SubmitOutcome::Created(number))
 }
 
 /// Job that was accepted under this idempotency key before.
-async fn granted(connection: &mut Connection, submitter: &str, once: &Once) -> Result<Option<Submitted>> {
+async fn earlier_submission(
+    connection: &mut Connection,
+    submitter: &str,
+    once: &IdempotencyKey,
+) -> Result<Option<SubmitOutcome>> {
     let row = sqlx::query(
         "SELECT idempotency.fingerprint, job.id FROM idempotency CROSS JOIN job ON job.number = idempotency.job
          WHERE idempotency.submitter = ? AND idempotency.key = ?",
@@ -138,10 +147,10 @@ async fn granted(connection: &mut Connection, submitter: &str, once: &Once) -> R
     .await?;
     let Some(row) = row else { return Ok(None) };
     if row.try_get::<String, _>("fingerprint")? != once.fingerprint {
-        return Ok(Some(Submitted::Other));
+        return Ok(Some(SubmitOutcome::KeyReused));
     }
     let id: String = row.try_get("id")?;
-    Ok(Some(Submitted::Same(known("job.id", &id, |id| id.parse().ok())?)))
+    Ok(Some(SubmitOutcome::Replayed(parse_column("job.id", &id, |id| id.parse().ok())?)))
 }
 
 async fn prune(connection: &mut Connection, made_before_ms: i64) -> Result<u64> {

@@ -5,34 +5,34 @@ use proto::job::JobState;
 use proto::job::{DeleteDryRun, JobPatch};
 use sqlx::Row;
 
-use super::{Connection, Moment, Queue, Result, Ring, finish};
+use super::{Connection, Queue, Result, TransitionContext, Wake, finish};
 use crate::database::Durability;
 
 /// Outcome of a change to a job.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum Changed {
+pub(crate) enum ChangeOutcome {
     /// The change was made.
     Done,
     /// The job's state does not allow it.
-    Not(JobState),
+    WrongState(JobState),
     /// The job does not exist.
     Unknown,
 }
 
 impl Queue {
     /// Has the dead tiles of a failed job rendered again.
-    pub(crate) async fn retry(&self, job: JobId) -> Result<Changed> {
-        let moment = self.moment();
+    pub(crate) async fn retry(&self, job: JobId) -> Result<ChangeOutcome> {
+        let moment = self.context();
         let changed = self
             .store
             .write(Durability::Full, move |connection| Box::pin(async move { retry(connection, job, moment).await }))
             .await?;
-        self.ring(Ring::WORK);
+        self.wake(Wake::WORK);
         Ok(changed)
     }
 
     /// Changes a job that has not finished.
-    pub(crate) async fn patch(&self, job: JobId, patch: JobPatch) -> Result<Changed> {
+    pub(crate) async fn patch(&self, job: JobId, patch: JobPatch) -> Result<ChangeOutcome> {
         self.store
             .write(Durability::Full, move |connection| Box::pin(async move { change(connection, job, &patch).await }))
             .await
@@ -79,16 +79,16 @@ const PREVIEW: &str = "
              + (SELECT count(*) FROM outbox WHERE outbox.job = this.number) AS rows
     FROM this";
 
-async fn state(connection: &mut Connection, id: JobId) -> Result<Changed> {
+async fn state(connection: &mut Connection, id: JobId) -> Result<ChangeOutcome> {
     let state: Option<String> = sqlx::query_scalar("SELECT state FROM job WHERE id = ?")
         .bind(id.to_string())
         .fetch_optional(connection)
         .await?;
-    state.map_or(Ok(Changed::Unknown), |name| finish::job_state(&name).map(Changed::Not))
+    state.map_or(Ok(ChangeOutcome::Unknown), |name| finish::job_state(&name).map(ChangeOutcome::WrongState))
 }
 
 /// A failed job runs again: what was dead, and what was not rendered because of it.
-async fn retry(connection: &mut Connection, id: JobId, moment: Moment) -> Result<Changed> {
+async fn retry(connection: &mut Connection, id: JobId, moment: TransitionContext) -> Result<ChangeOutcome> {
     let job: Option<i64> = sqlx::query_scalar(
         "UPDATE job SET state = 'running', error = NULL, finished_at_ms = NULL, tiles_dead = 0, events_kept = 1,
                         retried_at_ms = ?1, started_at_ms = coalesce(started_at_ms, ?1)
@@ -110,15 +110,15 @@ async fn retry(connection: &mut Connection, id: JobId, moment: Moment) -> Result
     ] {
         sqlx::query(statement).bind(job).execute(&mut *connection).await?;
     }
-    Ok(Changed::Done)
+    Ok(ChangeOutcome::Done)
 }
 
-async fn change(connection: &mut Connection, id: JobId, patch: &JobPatch) -> Result<Changed> {
+async fn change(connection: &mut Connection, id: JobId, patch: &JobPatch) -> Result<ChangeOutcome> {
     let changed =
         sqlx::query("UPDATE job SET priority = coalesce(?, priority) WHERE id = ? AND finished_at_ms IS NULL")
             .bind(patch.priority)
             .bind(id.to_string())
             .execute(&mut *connection)
             .await?;
-    if changed.rows_affected() == 1 { Ok(Changed::Done) } else { state(connection, id).await }
+    if changed.rows_affected() == 1 { Ok(ChangeOutcome::Done) } else { state(connection, id).await }
 }

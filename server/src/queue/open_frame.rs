@@ -2,11 +2,11 @@
 
 use proto::Rect;
 
-use super::{Connection, Moment, Result, counted, finish, rows};
+use super::{Connection, Result, TransitionContext, expect_rows, finish, row_count};
 
 /// Everything needed to open a frame.
 #[derive(Clone, Debug)]
-pub(crate) struct Opening {
+pub(crate) struct FrameOpening {
     /// The job's number.
     pub(crate) job: i64,
     /// The frame, which must be the job's next.
@@ -21,7 +21,7 @@ pub(crate) struct Opening {
 
 /// Outcome of opening a frame.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum Opened {
+pub(crate) enum OpenOutcome {
     /// Its picture was there already.
     Stored,
     /// Its tiles have to be rendered.
@@ -31,25 +31,29 @@ pub(crate) enum Opened {
 }
 
 /// Opens a frame: from the store if it can, else with tiles to render.
-pub(super) async fn open(connection: &mut Connection, opening: &Opening, moment: Moment) -> Result<Opened> {
-    match reuse(connection, opening, moment).await? {
-        Opened::Open => {}
-        settled @ (Opened::Stored | Opened::Stale) => return Ok(settled),
+pub(super) async fn open(
+    connection: &mut Connection,
+    opening: &FrameOpening,
+    moment: TransitionContext,
+) -> Result<OpenOutcome> {
+    match open_from_cache(connection, opening, moment).await? {
+        OpenOutcome::Open => {}
+        settled @ (OpenOutcome::Stored | OpenOutcome::Stale) => return Ok(settled),
     }
-    advance(connection, opening).await?;
+    count_opened(connection, opening).await?;
     sqlx::query("INSERT INTO frame (job, number, state, picture_key, tiles_total) VALUES (?, ?, 'open', ?, ?)")
         .bind(opening.job)
         .bind(opening.frame)
         .bind(&opening.picture_key)
-        .bind(rows(opening.tiles.len()))
+        .bind(row_count(opening.tiles.len()))
         .execute(&mut *connection)
         .await?;
-    make_tiles(connection, opening).await?;
-    Ok(Opened::Open)
+    create_tiles(connection, opening).await?;
+    Ok(OpenOutcome::Open)
 }
 
 /// Creates the tiles of a frame.
-pub(super) async fn make_tiles(connection: &mut Connection, opening: &Opening) -> Result<()> {
+pub(super) async fn create_tiles(connection: &mut Connection, opening: &FrameOpening) -> Result<()> {
     let rects: Vec<[u32; 4]> = opening.tiles.iter().map(|rect| [rect.x, rect.y, rect.width, rect.height]).collect();
     let made = sqlx::query(
         "INSERT INTO tile (job, frame, kind, position, x_px, y_px, width_px, height_px, rays, state)
@@ -63,11 +67,15 @@ pub(super) async fn make_tiles(connection: &mut Connection, opening: &Opening) -
     .bind(serde_json::json!(rects).to_string())
     .execute(connection)
     .await?;
-    counted("tile: made", opening.tiles.len() as u64, &made)
+    expect_rows("tile: made", opening.tiles.len() as u64, &made)
 }
 
 /// Stores a frame from a picture that is already there, unless the job asked for a fresh one.
-pub(super) async fn reuse(connection: &mut Connection, opening: &Opening, moment: Moment) -> Result<Opened> {
+pub(super) async fn open_from_cache(
+    connection: &mut Connection,
+    opening: &FrameOpening,
+    moment: TransitionContext,
+) -> Result<OpenOutcome> {
     let fresh: Option<bool> =
         sqlx::query_scalar("SELECT fresh FROM job WHERE number = ? AND frames_opened = ? AND finished_at_ms IS NULL")
             .bind(opening.job)
@@ -75,8 +83,8 @@ pub(super) async fn reuse(connection: &mut Connection, opening: &Opening, moment
             .fetch_optional(&mut *connection)
             .await?;
     match fresh {
-        None => return Ok(Opened::Stale),
-        Some(true) => return Ok(Opened::Open),
+        None => return Ok(OpenOutcome::Stale),
+        Some(true) => return Ok(OpenOutcome::Open),
         Some(false) => {}
     }
     let stored = sqlx::query(
@@ -85,27 +93,27 @@ pub(super) async fn reuse(connection: &mut Connection, opening: &Opening, moment
     )
     .bind(opening.job)
     .bind(opening.frame)
-    .bind(rows(opening.tiles.len()))
+    .bind(row_count(opening.tiles.len()))
     .bind(&opening.picture_key)
     .execute(&mut *connection)
     .await?;
     if stored.rows_affected() == 0 {
-        return Ok(Opened::Open);
+        return Ok(OpenOutcome::Open);
     }
-    advance(connection, opening).await?;
+    count_opened(connection, opening).await?;
     let rays: u64 = opening.tiles.iter().map(|rect| rect.pixels() * u64::from(opening.samples)).sum();
-    let counters = finish::Progress { tiles: rows(opening.tiles.len()), rays: rays.cast_signed(), frames: 1 };
+    let counters = finish::ProgressDelta { tiles: row_count(opening.tiles.len()), rays: rays.cast_signed(), frames: 1 };
     finish::progress(connection, opening.job, counters).await?;
     finish::succeed_if_stored(connection, opening.job, moment).await?;
-    Ok(Opened::Stored)
+    Ok(OpenOutcome::Stored)
 }
 
-async fn advance(connection: &mut Connection, opening: &Opening) -> Result<()> {
+async fn count_opened(connection: &mut Connection, opening: &FrameOpening) -> Result<()> {
     let advanced =
         sqlx::query("UPDATE job SET frames_opened = frames_opened + 1 WHERE number = ? AND frames_opened = ?")
             .bind(opening.job)
             .bind(opening.frame)
             .execute(connection)
             .await?;
-    counted("job: next frame", 1, &advanced)
+    expect_rows("job: next frame", 1, &advanced)
 }

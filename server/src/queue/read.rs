@@ -7,7 +7,7 @@ use proto::rounding;
 use sqlx::Row;
 use sqlx::sqlite::{SqlitePool, SqliteRow};
 
-use super::{Queue, Result, finish, known};
+use super::{Queue, Result, finish, parse_column};
 use crate::clock::rfc3339;
 
 /// What stands for the newest job.
@@ -68,7 +68,7 @@ fn read_job(row: &SqliteRow, wall_ms: i64) -> Result<JobView> {
     let id: String = row.try_get("id")?;
     let state = finish::job_state(&row.try_get::<String, _>("state")?)?;
     let warnings: String = row.try_get("warnings")?;
-    let mut warnings: Vec<String> = known("job.warnings", &warnings, |text| serde_json::from_str(text).ok())?;
+    let mut warnings: Vec<String> = parse_column("job.warnings", &warnings, |text| serde_json::from_str(text).ok())?;
     warnings.extend(too_large(row)?);
     let started_at_ms: Option<i64> = row.try_get("started_at_ms")?;
     let rays_total: i64 = row.try_get("rays_total")?;
@@ -76,7 +76,7 @@ fn read_job(row: &SqliteRow, wall_ms: i64) -> Result<JobView> {
     let error: Option<String> = row.try_get("error")?;
     let (paused, farm_paused): (bool, bool) = (row.try_get("paused")?, row.try_get("farm_paused")?);
     Ok(JobView {
-        id: known("job.id", &id, |id| id.parse().ok())?,
+        id: parse_column("job.id", &id, |id| id.parse().ok())?,
         name: row.try_get("name")?,
         submitter: row.try_get("submitter")?,
         priority: row.try_get("priority")?,
@@ -251,7 +251,7 @@ impl Queue {
     }
 
     /// Which of some blobs no unfinished frame needs.
-    pub(crate) async fn unneeded_blobs(&self, hashes: &[String]) -> Result<Vec<String>> {
+    pub(crate) async fn orphan_blobs(&self, hashes: &[String]) -> Result<Vec<String>> {
         Ok(sqlx::query_scalar(
             "SELECT value FROM json_each(?) WHERE NOT EXISTS (
                  SELECT 1 FROM tile JOIN frame ON frame.job = tile.job AND frame.number = tile.frame
@@ -263,7 +263,7 @@ impl Queue {
     }
 
     /// Which of some pictures no job shows.
-    pub(crate) async fn unneeded_pictures(&self, hashes: &[String]) -> Result<Vec<String>> {
+    pub(crate) async fn orphan_pictures(&self, hashes: &[String]) -> Result<Vec<String>> {
         Ok(sqlx::query_scalar(
             "SELECT value FROM json_each(?)
              WHERE NOT EXISTS (SELECT 1 FROM frame WHERE frame.picture IS NOT NULL AND frame.picture = value)
@@ -285,10 +285,10 @@ fn read_worker(row: &SqliteRow) -> Result<WorkerView> {
     let id: String = row.try_get("id")?;
     let state: String = row.try_get("state")?;
     Ok(WorkerView {
-        id: known("worker.id", &id, |id| id.parse().ok())?,
+        id: parse_column("worker.id", &id, |id| id.parse().ok())?,
         name: row.try_get("name")?,
         device: row.try_get("device")?,
-        state: known("worker.state", &state, worker_state)?,
+        state: parse_column("worker.state", &state, worker_state)?,
         rays_per_second: row.try_get::<Option<f64>, _>("rays_per_second")?.map(rounding::rate),
         leases: row.try_get("leases")?,
     })

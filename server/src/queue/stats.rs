@@ -47,7 +47,7 @@ pub(crate) struct WorkerCount {
 
 /// Counts of work and workers.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub(crate) struct Counts {
+pub(crate) struct QueueStats {
     /// Jobs by state.
     pub(crate) jobs: Vec<(String, i64)>,
     /// Jobs that are not finished.
@@ -70,7 +70,7 @@ pub(crate) struct Counts {
     pub(crate) workers: Vec<WorkerCount>,
 }
 
-impl Counts {
+impl QueueStats {
     /// Camera rays a second of the workers that take work.
     pub(crate) fn rays_per_second(&self) -> f64 {
         self.workers.iter().filter(|workers| workers.state == "ready").map(|workers| workers.rays_per_second).sum()
@@ -89,7 +89,7 @@ impl Counts {
 
 impl Queue {
     /// Counts work and workers.
-    pub(crate) async fn counts(&self) -> Result<Counts> {
+    pub(crate) async fn counts(&self) -> Result<QueueStats> {
         let readers = self.readers();
         let age_seconds = |created_at_ms: Option<i64>| {
             created_at_ms.map_or(0.0, |then_ms| (self.clock.wall_ms() - then_ms).max(0) as f64 / 1e3)
@@ -98,7 +98,7 @@ impl Queue {
         let left = sqlx::query(UNFINISHED).fetch_one(readers).await?;
         let oldest_queued: Option<i64> = sqlx::query_scalar(OLDEST_QUEUED).fetch_optional(readers).await?;
         let workers = sqlx::query(WORKERS).fetch_all(readers).await?;
-        Ok(Counts {
+        Ok(QueueStats {
             jobs: jobs
                 .iter()
                 .map(|row| Ok((row.try_get("state")?, row.try_get("number")?)))
@@ -133,7 +133,7 @@ mod tests {
     #[tokio::test]
     async fn counting_reads_indexes() {
         let folder = tempfile::tempdir().expect("a temporary folder");
-        let store = crate::database::Store::open(folder.path()).await.expect("opens");
+        let store = crate::database::Database::open(folder.path()).await.expect("opens");
         for statement in STATEMENTS {
             let explain = sqlx::AssertSqlSafe(format!("EXPLAIN QUERY PLAN {statement}"));
             let rows = sqlx::query(explain).fetch_all(store.readers()).await.expect("explains");
@@ -148,8 +148,8 @@ mod tests {
 
     #[test]
     fn work_without_workers_takes_for_ever() {
-        let idle = Counts::default();
+        let idle = QueueStats::default();
         assert_eq!(idle.work_seconds(), 0.0);
-        assert!(Counts { rays_left: 5, ..idle }.work_seconds().is_infinite());
+        assert!(QueueStats { rays_left: 5, ..idle }.work_seconds().is_infinite());
     }
 }

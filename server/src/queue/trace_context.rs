@@ -4,7 +4,7 @@
 
 use proto::JobId;
 
-use super::{Queue, Result, counted, recover};
+use super::{Queue, Result, expect_rows, recover};
 use crate::database::Durability;
 
 impl Queue {
@@ -18,7 +18,7 @@ impl Queue {
                         .bind(traceparent)
                         .execute(connection)
                         .await?;
-                    counted("job_trace: kept", 1, &kept)
+                    expect_rows("job_trace: kept", 1, &kept)
                 })
             })
             .await
@@ -42,7 +42,7 @@ impl Queue {
                         "DELETE FROM job_trace WHERE job < ? AND NOT EXISTS (
                              SELECT 1 FROM job WHERE job.id = job_trace.job AND finished_at_ms IS NULL)",
                     )
-                    .bind(recover::oldest_kept(uuid::Uuid::now_v7()))
+                    .bind(recover::min_kept_id(uuid::Uuid::now_v7()))
                     .execute(connection)
                     .await?;
                     Ok(dropped.rows_affected())

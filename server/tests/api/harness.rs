@@ -13,7 +13,7 @@ use proto::worker_protocol::{
 use proto::{JobId, LeaseId, Problem, WorkerId};
 use reqwest::{Client, Response, StatusCode};
 use serde_json::{Value, json};
-use server::{Clock, Config, Hand, Server};
+use server::{Clock, Config, ManualClock, Server};
 use tempfile::TempDir;
 use tokio::task::JoinHandle;
 use tokio_util::sync::CancellationToken;
@@ -33,7 +33,7 @@ pub(crate) struct Farm {
     pub(crate) folder: TempDir,
     pub(crate) address: SocketAddr,
     pub(crate) client: Client,
-    pub(crate) hand: Hand,
+    pub(crate) hand: ManualClock,
     shutdown: CancellationToken,
     task: JoinHandle<Result<(), server::ServeError>>,
 }
@@ -58,7 +58,7 @@ impl Farm {
     pub(crate) async fn start_in(folder: TempDir, change: impl FnOnce(&mut Config)) -> Self {
         let mut config = config(folder.path());
         change(&mut config);
-        let (clock, hand) = Clock::by_hand();
+        let (clock, hand) = Clock::manual();
         let server = Server::start_with_clock(config, clock).await.expect("the server starts");
         let address = server.address();
         let shutdown = CancellationToken::new();

@@ -8,7 +8,7 @@ use proto::worker_protocol;
 use reqwest::header::AUTHORIZATION;
 use reqwest::{Method, Response, StatusCode};
 use serde_json::{Value, json};
-use server::KeyFolder;
+use server::OfflineApiKeys;
 
 use super::harness::{Farm, config, in_time, read, refused, small_job};
 
@@ -27,8 +27,8 @@ pub(crate) fn new_key(name: &str, scopes: &[Scope]) -> NewApiKey {
 /// A farm that has one key, of an administrator.
 pub(crate) async fn locked_farm() -> (Farm, String) {
     let folder = tempfile::tempdir().expect("a temporary folder");
-    let mut keys = KeyFolder::open_or_make(folder.path()).await.expect("a folder of keys");
-    let admin = keys.make(new_key("root", &[Scope::Admin])).await.expect("a key").secret;
+    let mut keys = OfflineApiKeys::open_or_create(folder.path()).await.expect("a folder of keys");
+    let admin = keys.create(new_key("root", &[Scope::Admin])).await.expect("a key").secret;
     keys.close().await.expect("closes");
     (Farm::start_in(folder, |_| {}).await, admin)
 }
@@ -119,14 +119,14 @@ async fn first_key_of_a_farm_is_an_administrators_or_none_is_made() {
     let worker = serde_json::to_string(&new_key("host-7", &[Scope::Worker])).expect("JSON");
     let problem = refused(farm.post("/v1/keys", worker.clone()).await, 422, "wrong_key").await;
     assert!(problem.detail.contains("sdfarm key new admin --scope admin"), "{problem:?}");
-    let mut keys = KeyFolder::open(farm.folder.path()).await.expect("the folder is there");
+    let mut keys = OfflineApiKeys::open(farm.folder.path()).await.expect("the folder is there");
     let error =
-        keys.make(new_key("anna", &[Scope::Submit, Scope::Read])).await.expect_err("it would lock its maker out");
+        keys.create(new_key("anna", &[Scope::Submit, Scope::Read])).await.expect_err("it would lock its maker out");
     assert!(error.to_string().contains("--scope admin"), "{error}");
     assert!(keys.list().await.expect("reads").is_empty());
     assert_eq!(farm.get("/v1/jobs").await.status(), StatusCode::OK, "the farm is still open");
-    let admin = keys.make(new_key("admin", &[Scope::Admin])).await.expect("a key").secret;
-    keys.make(new_key("anna", &[Scope::Read])).await.expect("a second key may allow less");
+    let admin = keys.create(new_key("admin", &[Scope::Admin])).await.expect("a key").secret;
+    keys.create(new_key("anna", &[Scope::Read])).await.expect("a second key may allow less");
     keys.close().await.expect("closes");
     in_time(async {
         while farm.get("/v1/jobs").await.status() != StatusCode::UNAUTHORIZED {
@@ -164,7 +164,7 @@ async fn revoked_worker_is_told_while_it_waits() {
     let waiting = send(&farm, &key.secret, Method::POST, worker_protocol::SYNC_PATH, wait.to_string());
     let revoke = async {
         // Made beside the server, as the command line does; the server has to notice by itself.
-        let mut keys = KeyFolder::open(farm.folder.path()).await.expect("the folder is there");
+        let mut keys = OfflineApiKeys::open(farm.folder.path()).await.expect("the folder is there");
         let revoked = keys.revoke("host-7").await.expect("it is live");
         keys.close().await.expect("closes");
         assert_eq!(revoked.len(), 1);
@@ -184,8 +184,8 @@ async fn revoked_worker_is_told_while_it_waits() {
 async fn keys_of_the_folder_open_the_running_server() {
     let farm = Farm::start().await;
     assert_eq!(farm.get("/v1/jobs").await.status(), StatusCode::OK);
-    let mut keys = KeyFolder::open(farm.folder.path()).await.expect("the folder is there");
-    let secret = keys.make(new_key("anna", &[Scope::Admin])).await.expect("a key").secret;
+    let mut keys = OfflineApiKeys::open(farm.folder.path()).await.expect("the folder is there");
+    let secret = keys.create(new_key("anna", &[Scope::Admin])).await.expect("a key").secret;
     in_time(async {
         while farm.get("/v1/jobs").await.status() != StatusCode::UNAUTHORIZED {
             tokio::task::yield_now().await;
@@ -335,8 +335,8 @@ async fn exposed_address_is_refused_until_there_is_a_key() {
     };
     let error = exposed().await.expect_err("there is no key").to_string();
     assert!(error.contains("sdfarm key new") && error.contains("--insecure"), "{error}");
-    let mut keys = KeyFolder::open(folder.path()).await.expect("a folder of keys");
-    keys.make(new_key("root", &[Scope::Admin])).await.expect("a key");
+    let mut keys = OfflineApiKeys::open(folder.path()).await.expect("a folder of keys");
+    keys.create(new_key("root", &[Scope::Admin])).await.expect("a key");
     keys.close().await.expect("closes");
     exposed().await.expect("there is a key");
 }

@@ -67,7 +67,7 @@ const ROWS: &[(&str, Row)] = &[
     ("GET /v1/jobs/{id}/frames/{frame}/preview", ReadOrOwn),
     ("GET /v1/jobs/{id}/frames/{frame}/thumbnail", ReadOrOwn),
     ("POST /v1/jobs/{id}/frames/{frame}/link", ReadOrOwn),
-    ("GET /v1/pictures/{id}/{frame}/{shown}", Open),
+    ("GET /v1/pictures/{id}/{frame}/{content}", Open),
     ("POST /v1/gc", Admin),
     ("GET /v1/workers", Read),
     ("GET /v1/pool", Read),
@@ -132,7 +132,7 @@ async fn walk(farm: &Farm, bearer: Bearer, key: Option<&str>, job: &str) -> Vec<
         let path = path
             .replace("{id}", job)
             .replace("{frame}", "0")
-            .replace("{shown}", "image")
+            .replace("{content}", "image")
             .replace("{hash}", &"0".repeat(64));
         let method: Method = method.parse().expect("a method");
         // Refusals are counted, and too many in a second are answered otherwise: then it is asked again.

@@ -90,7 +90,7 @@ async fn the_pool_grows_shrinks_replaces_its_dead_and_leaves_no_orphan() {
     let farm = Farm::start_in(folder, |config| {
         config.workers = Some(1);
         config.worker_program = program;
-        config.grace = Duration::from_secs(3);
+        config.shutdown_grace = Duration::from_secs(3);
     })
     .await;
     let (process, said) = until(|| started(programs.path()).pop()).await;

@@ -52,7 +52,7 @@ async fn until_pictures(farm: &Farm, count: usize) {
 
 #[tokio::test]
 async fn jobs_go_when_their_own_time_or_the_servers_is_over() {
-    let farm = start(|config| config.keep_jobs = Some(10 * DAY)).await;
+    let farm = start(|config| config.job_retention = Some(10 * DAY)).await;
     let worker = farm.worker("one").await;
     let mut jobs = Vec::new();
     for (seed, keep) in ["", "?keep=2d", "?keep=30d", "?keep=forever", "?keep=0s"].into_iter().enumerate() {

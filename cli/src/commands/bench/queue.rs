@@ -93,7 +93,7 @@ impl Farm {
             worker_program: own_program()?,
             devices: vec!["cpu".to_owned()],
             workers: Some(workers),
-            tile_px,
+            tile_edge_px: tile_px,
             ..Config::default()
         };
         let server = Server::start(config).await?;

@@ -9,7 +9,7 @@ use std::time::{Duration, Instant};
 use anyhow::Context;
 use proto::job::JobState;
 use proto::{ClientError, JobId};
-use server::{DoneTile, audit};
+use server::{DoneTile, check_integrity};
 
 use super::processes;
 use super::report::Tally;
@@ -200,9 +200,9 @@ impl Soak<'_> {
     }
 
     async fn audit(&mut self) -> anyhow::Result<()> {
-        let found = audit(self.data).await?;
+        let found = check_integrity(self.data).await?;
         self.tally.audits += 1;
-        for breach in found.breaches {
+        for breach in found.violations {
             self.tally.breach(breach);
         }
         let lost = self.accepted.difference(&found.jobs).count();

@@ -3,7 +3,7 @@
 use axum::http::Method;
 use serde_json::{Value, json};
 
-use crate::http::permissions::{Need, need};
+use crate::http::permissions::{Permission, required_permission};
 
 /// The scheme's name in the document.
 const SCHEME: &str = "key";
@@ -22,13 +22,13 @@ pub(super) fn describe(document: &mut Value) {
         let Some(operations) = operations.as_object_mut() else { continue };
         for (method, operation) in operations {
             let (Ok(method), true) = (method.to_uppercase().parse::<Method>(), operation.is_object()) else { continue };
-            let what = match need(&method, path) {
-                Need::Nothing => {
+            let what = match required_permission(&method, path) {
+                Permission::Public => {
                     add(operation, "503", "The answer took too long, or the server is ending");
                     continue;
                 }
-                Need::Scope(scope) => format!("The key has not the scope {}", scope.name()),
-                Need::OwnJob(scope) => {
+                Permission::Scope(scope) => format!("The key has not the scope {}", scope.name()),
+                Permission::OwnJob(scope) => {
                     format!("The key lacks scope {} and did not submit this job", scope.name())
                 }
             };

@@ -8,7 +8,7 @@ use proto::worker_protocol::{Batch, BatchWork, LeaseOutcome, LeaseReport};
 use proto::{JobId, LeaseId, WorkerId};
 
 use super::LEASE_MS;
-use crate::queue::Cause;
+use crate::queue::LeaseEnd;
 
 /// Tiles of a frame of the jobs in these tests.
 pub(super) const TILES: u32 = 12;
@@ -182,7 +182,7 @@ impl Model {
             let frame = self.frame((job, number, STITCH));
             if !stitched && (frame.state != FrameState::Open || leases.len() as u32 != TILES) {
                 for lease in leases {
-                    self.give_up(lease, Cause::Interrupted);
+                    self.give_up(lease, LeaseEnd::Released);
                 }
                 continue;
             }
@@ -213,7 +213,7 @@ impl Model {
                 }
             }
             LeaseOutcome::BadBlobs { tiles } if tile.2 == STITCH => {
-                self.give_up(lease, Cause::Lost);
+                self.give_up(lease, LeaseEnd::Lost);
                 let frame = self.frame(tile);
                 if frame.state != FrameState::Stitching {
                     return;
@@ -227,27 +227,27 @@ impl Model {
                     self.end_where(|other| other.tile == tile);
                 }
             }
-            LeaseOutcome::Released => self.give_up(lease, Cause::Interrupted),
+            LeaseOutcome::Released => self.give_up(lease, LeaseEnd::Released),
             LeaseOutcome::Failed { .. }
             | LeaseOutcome::Blob { .. }
             | LeaseOutcome::BadBlobs { .. }
             | LeaseOutcome::Picture { .. } => {
-                self.give_up(lease, Cause::Failed);
+                self.give_up(lease, LeaseEnd::Failed);
             }
         }
     }
 
-    fn give_up(&mut self, id: LeaseId, cause: Cause) {
+    fn give_up(&mut self, id: LeaseId, cause: LeaseEnd) {
         let lease = self.leases.get_mut(&id).expect("the lease");
         lease.live = false;
         let key = lease.tile;
         let is_leased = self.live(key).next().is_some();
         let tile = self.frame(key).tiles.get_mut(&key.2).expect("the tile");
         match cause {
-            Cause::Failed => tile.errors += 1,
-            Cause::Crashed => tile.crashes += 1,
-            Cause::Lost => tile.lost += 1,
-            Cause::Interrupted => {}
+            LeaseEnd::Failed => tile.errors += 1,
+            LeaseEnd::Crashed => tile.crashes += 1,
+            LeaseEnd::Lost => tile.lost += 1,
+            LeaseEnd::Released => {}
         }
         if !is_leased && (tile.errors >= 3 || tile.crashes >= 3 || tile.lost >= 50) {
             self.jobs.get_mut(&key.0).expect("the job").dead = true;
@@ -291,15 +291,15 @@ impl Model {
     pub(super) fn pass(&mut self, ms: i64) {
         self.now_ms += ms;
         let now_ms = self.now_ms;
-        self.give_up_where(Cause::Lost, |lease| lease.expires_ms <= now_ms);
+        self.give_up_where(LeaseEnd::Lost, |lease| lease.expires_ms <= now_ms);
     }
 
     /// A worker's process has ended.
-    pub(super) fn reap(&mut self, worker: WorkerId, cause: Cause) {
+    pub(super) fn reap(&mut self, worker: WorkerId, cause: LeaseEnd) {
         self.give_up_where(cause, |lease| lease.worker == worker);
     }
 
-    fn give_up_where(&mut self, cause: Cause, which: impl Fn(&Lease) -> bool) {
+    fn give_up_where(&mut self, cause: LeaseEnd, which: impl Fn(&Lease) -> bool) {
         let mut ending: Vec<LeaseId> =
             self.leases.iter().filter(|(_, lease)| lease.live && which(lease)).map(|(id, _)| *id).collect();
         ending.sort_by_key(|id| (self.leases[id].expires_ms, *id));
