@@ -10,7 +10,7 @@ use proto::{Client, ClientAuth, ClientError, Secret};
 use worker::cuda::{BlockDim, CudaRenderer};
 use worker::{CpuRenderer, RenderError, Renderer, Simd};
 
-use crate::terminal::note;
+use crate::terminal::print_note;
 
 /// Default of `--server`.
 pub(crate) const DEFAULT_SERVER: &str = "http://127.0.0.1:8080";
@@ -24,19 +24,19 @@ pub(crate) struct ServerArguments {
     #[arg(long, value_name = "URL", env = "SDFARM_SERVER", default_value = DEFAULT_SERVER)]
     server: String,
     #[command(flatten)]
-    access: AccessArguments,
+    auth: AuthArguments,
 }
 
 impl ServerArguments {
     /// A client of that server.
     pub(crate) fn client(&self) -> anyhow::Result<Client> {
-        Ok(Client::with_auth(&self.server, self.access.access()?)?)
+        Ok(Client::with_auth(&self.server, self.auth.auth()?)?)
     }
 }
 
 /// Credentials for calling the server.
 #[derive(Clone, Debug, Args)]
-pub(crate) struct AccessArguments {
+pub(crate) struct AuthArguments {
     /// API key, as printed by `sdfarm key new`; prefer SDFARM_KEY, because process lists show arguments.
     #[arg(long, value_name = "KEY", env = "SDFARM_KEY", hide_env_values = true)]
     key: Option<Secret>,
@@ -45,9 +45,9 @@ pub(crate) struct AccessArguments {
     ca: Option<PathBuf>,
 }
 
-impl AccessArguments {
+impl AuthArguments {
     /// The client's form of these arguments.
-    pub(crate) fn access(&self) -> Result<ClientAuth, ClientError> {
+    pub(crate) fn auth(&self) -> Result<ClientAuth, ClientError> {
         Ok(ClientAuth::new(self.key.clone(), self.ca.as_deref())?)
     }
 
@@ -115,7 +115,7 @@ pub(crate) struct CudaArguments {
 
 impl CudaArguments {
     /// The same settings with these block dimensions.
-    pub(crate) fn in_blocks(&self, shape: BlockDim) -> Self {
+    pub(crate) fn with_block(&self, shape: BlockDim) -> Self {
         Self { block: Some(shape), ..self.clone() }
     }
 
@@ -147,7 +147,7 @@ impl RendererArguments {
         match ordinal.map(|ordinal| self.cuda.renderer(ordinal)) {
             Some(Ok(gpu)) => return Ok(Arc::new(gpu.with_encoders(self.threads.map(|threads| threads as usize)))),
             Some(Err(error)) if matches!(self.device, Device::Auto(_)) => {
-                note(&format!("rendering on the CPU: {error}"));
+                print_note(&format!("rendering on the CPU: {error}"));
             }
             Some(Err(error)) => return Err(error),
             None => {}

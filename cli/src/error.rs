@@ -4,25 +4,25 @@ use proto::problem::ValidationErrorView;
 use proto::worker_protocol::EXIT_UNUSABLE_DEVICE;
 use proto::{ClientError, Problem};
 
-use crate::terminal::note;
+use crate::terminal::print_note;
 
-const FAILED: u8 = 1;
-const WRONG: u8 = 2;
+const EXIT_FAILURE: u8 = 1;
+const EXIT_USAGE: u8 = 2;
 
 /// Usage error: an invalid flag or file. The message has the fix.
 #[derive(Debug, thiserror::Error)]
 #[error("{0}")]
-pub(crate) struct Misuse(pub(crate) String);
+pub(crate) struct UsageError(pub(crate) String);
 
 /// A worker's device cannot render: starting the worker again would not help.
 #[derive(Debug, thiserror::Error)]
 #[error("{0}")]
-pub(crate) struct NoDevice(pub(crate) anyhow::Error);
+pub(crate) struct UnusableDevice(pub(crate) anyhow::Error);
 
 /// A job file that is not one.
 #[derive(Debug, thiserror::Error)]
 #[error("{} {}: nothing was rendered; mend the file and try again", .file, count(.faults.len()))]
-pub(crate) struct BadJob {
+pub(crate) struct InvalidJob {
     /// The file, as the user named it.
     pub(crate) file: String,
     /// Its errors.
@@ -35,12 +35,12 @@ fn count(faults: usize) -> String {
 
 /// Prints the error to standard error, and returns the exit code.
 pub(crate) fn report(error: &anyhow::Error) -> u8 {
-    if let Some(bad) = error.downcast_ref::<BadJob>() {
+    if let Some(bad) = error.downcast_ref::<InvalidJob>() {
         for fault in &bad.faults {
-            note(&line(&bad.file, fault));
+            print_note(&line(&bad.file, fault));
         }
     }
-    note(&format!("error: {}", words(error)));
+    print_note(&format!("error: {}", message(error)));
     exit_code(error)
 }
 
@@ -52,7 +52,7 @@ fn line(file: &str, fault: &ValidationErrorView) -> String {
 }
 
 /// The error and its causes in one line. Of an HTTP client's long chain only the root is printed.
-fn words(error: &anyhow::Error) -> String {
+fn message(error: &anyhow::Error) -> String {
     let mut words = String::new();
     let mut after_client = false;
     for cause in error.chain() {
@@ -71,16 +71,16 @@ fn words(error: &anyhow::Error) -> String {
 }
 
 fn exit_code(error: &anyhow::Error) -> u8 {
-    if error.is::<Misuse>() || error.is::<BadJob>() {
-        return WRONG;
+    if error.is::<UsageError>() || error.is::<InvalidJob>() {
+        return EXIT_USAGE;
     }
-    if error.is::<NoDevice>() {
+    if error.is::<UnusableDevice>() {
         return EXIT_UNUSABLE_DEVICE;
     }
     match error.downcast_ref::<ClientError>() {
-        Some(ClientError::Auth(_)) => WRONG,
-        Some(ClientError::Problem(problem)) if is_bad_input(problem) => WRONG,
-        Some(_) | None => FAILED,
+        Some(ClientError::Auth(_)) => EXIT_USAGE,
+        Some(ClientError::Problem(problem)) if is_bad_input(problem) => EXIT_USAGE,
+        Some(_) | None => EXIT_FAILURE,
     }
 }
 

@@ -7,15 +7,15 @@ use proto::frame::{FramePage, FrameView};
 use proto::{Client, JobId};
 
 use crate::counted::counted_len;
-use crate::error::Misuse;
+use crate::error::UsageError;
 use crate::follow;
 use crate::output_file::{OutputFile, check_writable};
-use crate::terminal::note;
+use crate::terminal::print_note;
 
 /// Saves each picture in a folder, which is created if missing.
 pub(crate) async fn save(client: &Client, id: JobId, folder: &str, partial: bool) -> anyhow::Result<()> {
     if folder == "-" {
-        return Err(Misuse("standard output is no folder: name one, or a file that ends in .zip".to_owned()).into());
+        return Err(UsageError("standard output is no folder: name one, or a file that ends in .zip".to_owned()).into());
     }
     let frames = frames(client, id).await?;
     let missing = frames.iter().filter(|frame| frame.image.is_none()).count();
@@ -38,7 +38,7 @@ pub(crate) async fn save(client: &Client, id: JobId, folder: &str, partial: bool
         [one] => format!(" ({one})"),
         [first, .., last] => format!(" ({first} to {last})"),
     };
-    note(&format!("wrote {} to {folder}{names}: {size_bytes} bytes", counted_len(stored.len(), "picture")));
+    print_note(&format!("wrote {} to {folder}{names}: {size_bytes} bytes", counted_len(stored.len(), "picture")));
     Ok(())
 }
 
@@ -64,7 +64,7 @@ pub(crate) async fn archive(client: &Client, id: JobId, path: &str, partial: boo
         .await
         .with_context(|| format!("could not fetch the pictures of job {id}"))?;
     output.commit()?;
-    note(&format!("wrote {path}: {size_bytes} bytes"));
+    print_note(&format!("wrote {path}: {size_bytes} bytes"));
     Ok(())
 }
 

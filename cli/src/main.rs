@@ -28,7 +28,7 @@ use clap::Parser;
 use proto::fail_point;
 
 use crate::commands::Command;
-use crate::error::Misuse;
+use crate::error::UsageError;
 
 const EXAMPLES: &str = "\
 Examples:
@@ -46,7 +46,7 @@ Exit codes: 0 done, 1 failed, 2 wrong use or bad input; of a worker, 3: its devi
 #[command(name = "sdfarm", version, after_help = EXAMPLES)]
 struct Sdfarm {
     #[command(flatten)]
-    logs: logs::Logs,
+    logs: logs::LogArguments,
     /// Let `SDFARM_FAIL_POINTS` arm fail points in this process and its children: for tests, see
     /// docs/proof.md.
     #[arg(long, hide = true, global = true)]
@@ -76,7 +76,7 @@ fn arm(is_allowed: bool) -> anyhow::Result<()> {
         return Ok(());
     }
     let list = std::env::var(fail_point::ENV_VAR).unwrap_or_default();
-    fail_point::arm(&list).map_err(|wrong| Misuse(format!("{}: {wrong}", fail_point::ENV_VAR)).into())
+    fail_point::arm(&list).map_err(|wrong| UsageError(format!("{}: {wrong}", fail_point::ENV_VAR)).into())
 }
 
 #[cfg(test)]

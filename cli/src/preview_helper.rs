@@ -13,11 +13,11 @@ use proto::preview_helper::HelperRequest;
 pub(crate) use cost_sample::sample;
 
 /// Does what is asked; returns the bytes of the answer.
-pub(crate) fn answer(sketch: &HelperRequest) -> anyhow::Result<Vec<u8>> {
+pub(crate) fn handle(sketch: &HelperRequest) -> anyhow::Result<Vec<u8>> {
     match sketch {
         HelperRequest::Preview { job, frame, width_px, tiles, coarse, coarse_ms } => {
             let job = scene::parse(job.as_bytes())?;
-            preview::draw(&job, *frame, *width_px, tiles, &coarse::Kept { file: coarse, limit_ms: *coarse_ms })
+            preview::draw(&job, *frame, *width_px, tiles, &coarse::CoarseCache { file: coarse, limit_ms: *coarse_ms })
         }
         HelperRequest::Thumbnail { file, width_px } => thumbnail::draw(file, *width_px),
         HelperRequest::MeasureCost { job, threads, render_ms } => {

@@ -83,7 +83,7 @@ impl Job {
         scene.seek(clock).map_err(|misfit| error(self.place_in_scene(&misfit), misfit.message))?;
         image.seek(clock).map_err(|misfit| error(format!("/image{}", misfit.pointer), misfit.message))?;
         scene.camera.apply_turntable(frame, &self.frames);
-        if let Some((key, message)) = scene.camera.fault() {
+        if let Some((key, message)) = scene.camera.validate() {
             return Err(error(format!("/scene/camera/{key}"), message.to_owned()));
         }
         let (scene, image) = (Cow::Owned(scene), Cow::Owned(image));

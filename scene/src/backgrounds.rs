@@ -45,12 +45,12 @@ pub trait Backdrop {
     }
 
     /// What is wrong with it, if anything.
-    fn fault(&self) -> Option<NodeError> {
+    fn validate(&self) -> Option<NodeError> {
         None
     }
 
     /// Finds what all directions share.
-    fn prepare(&mut self) {}
+    fn precompute(&mut self) {}
 }
 
 /// The list: each background's name and its struct, then those without fields, described as in the schema.
@@ -99,18 +99,18 @@ macro_rules! backgrounds {
             }
 
             /// The same, at its place in the background's JSON.
-            fn fault(&self) -> Option<NodeError> {
+            fn validate(&self) -> Option<NodeError> {
                 match self {
                     $($(#[$attribute])* Self::$Kind(background) => {
-                        background.fault().map(|fault| fault.inside(&snake_case(stringify!($Kind))))
+                        background.validate().map(|validate| validate.inside(&snake_case(stringify!($Kind))))
                     })*
-                    $(Self::$Unit => $Unit.fault(),)*
+                    $(Self::$Unit => $Unit.validate(),)*
                 }
             }
 
-            fn prepare(&mut self) {
+            fn precompute(&mut self) {
                 match self {
-                    $($(#[$attribute])* Self::$Kind(background) => background.prepare(),)*
+                    $($(#[$attribute])* Self::$Kind(background) => background.precompute(),)*
                     $(Self::$Unit => {})*
                 }
             }

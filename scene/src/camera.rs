@@ -85,7 +85,7 @@ impl<R: Real> Ray<R> {
 
 impl Camera {
     /// What is wrong with this camera, if anything: the key and the fault.
-    pub(crate) fn fault(&self) -> Option<(&'static str, &'static str)> {
+    pub(crate) fn validate(&self) -> Option<(&'static str, &'static str)> {
         let (from, to) = (self.position.get(), self.look_at.get());
         let away = vec3(to.x - from.x, to.y - from.y, to.z - from.z);
         if away.length() < 1e-6 {
@@ -98,7 +98,7 @@ impl Camera {
         if forward.cross(self.up.unit()).length() < 1e-4 {
             return Some(("up", "points along the view: choose an up that is not along look_at - position"));
         }
-        self.fov.as_ref().and(self.projection.fov_fault()).map(|message| ("fov", message))
+        self.fov.as_ref().and(self.projection.validate_fov()).map(|message| ("fov", message))
     }
 
     /// Says what was left open, so that cameras that see the same are equal.

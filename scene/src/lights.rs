@@ -77,13 +77,13 @@ pub trait LightSource {
     fn is_dark(&self) -> bool;
 
     /// What is wrong with it before this background, if anything.
-    fn fault(&self, background: &Background) -> Option<NodeError> {
+    fn validate(&self, background: &Background) -> Option<NodeError> {
         let _ = background;
         None
     }
 
     /// Finds what all places share.
-    fn prepare(&mut self) {}
+    fn precompute(&mut self) {}
 }
 
 /// The list: each light's name, and its struct.
@@ -121,16 +121,16 @@ macro_rules! lights {
             }
 
             /// The same, at its place in the light's JSON.
-            fn fault(&self, background: &Background) -> Option<NodeError> {
+            fn validate(&self, background: &Background) -> Option<NodeError> {
                 match self {
                     $($(#[$attribute])* Self::$Kind(light) => {
-                        light.fault(background).map(|fault| fault.inside(&snake_case(stringify!($Kind))))
+                        light.validate(background).map(|validate| validate.inside(&snake_case(stringify!($Kind))))
                     })*
                 }
             }
 
-            fn prepare(&mut self) {
-                match self { $($(#[$attribute])* Self::$Kind(light) => light.prepare()),* }
+            fn precompute(&mut self) {
+                match self { $($(#[$attribute])* Self::$Kind(light) => light.precompute()),* }
             }
         }
 

@@ -153,7 +153,7 @@ fn faults_of_document(document: &JobDocument) -> SemanticErrors {
     if name.chars().count() > MAX_NAME_CHARS {
         fault("/name", format!("is longer than {MAX_NAME_CHARS} characters"));
     }
-    if let Some((key, message)) = scene.camera.fault() {
+    if let Some((key, message)) = scene.camera.validate() {
         fault(&format!("/scene/camera/{key}"), message.to_owned());
     }
     if scene.lights.len() > MAX_LIGHTS {

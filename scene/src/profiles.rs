@@ -102,12 +102,12 @@ pub trait ProfileSdf {
     }
 
     /// Error in its numbers taken together, if any; each alone is in range.
-    fn fault(&self) -> Option<NodeError> {
+    fn validate(&self) -> Option<NodeError> {
         None
     }
 
     /// Its size in simple nodes.
-    fn weight(&self) -> u32 {
+    fn size_in_nodes(&self) -> u32 {
         1
     }
 }
@@ -165,14 +165,14 @@ macro_rules! profiles {
             /// Error in its numbers taken together, if any.
             pub(crate) fn fault(&self) -> Option<NodeError> {
                 match self {
-                    $($(#[$attribute])* Self::$Kind(profile) => profile.fault()),*
+                    $($(#[$attribute])* Self::$Kind(profile) => profile.validate()),*
                 }
             }
 
             /// Its size in simple nodes.
             pub(crate) fn weight(&self) -> u32 {
                 match self {
-                    $($(#[$attribute])* Self::$Kind(profile) => profile.weight()),*
+                    $($(#[$attribute])* Self::$Kind(profile) => profile.size_in_nodes()),*
                 }
             }
 

@@ -97,18 +97,18 @@ impl Scene {
     /// Finds what makes its objects faster to look at; `moves` is whether frames differ in their numbers.
     pub(crate) fn prepare(&mut self, moves: bool) {
         self.objects.iter_mut().for_each(|object| object.shape.precompute(moves));
-        self.background.prepare();
-        self.lights.iter_mut().for_each(LightSource::prepare);
+        self.background.precompute();
+        self.lights.iter_mut().for_each(LightSource::precompute);
     }
 
     /// What lights, sky and materials mean wrongly together: JSON pointers in the scene, and why.
     pub(crate) fn validation_errors(&self) -> Vec<(String, String)> {
         let mut faults = Vec::new();
-        if let Some(NodeError { pointer: place, message }) = self.background.fault() {
+        if let Some(NodeError { pointer: place, message }) = self.background.validate() {
             faults.push((format!("/background/{place}"), message));
         }
         for (index, light) in self.lights.iter().enumerate() {
-            if let Some(NodeError { pointer: place, message }) = light.fault(&self.background) {
+            if let Some(NodeError { pointer: place, message }) = light.validate(&self.background) {
                 faults.push((format!("/lights/{index}/{place}"), message));
             }
         }

@@ -135,7 +135,7 @@ impl Archive {
         self.next_frame = frame.number + 1;
         let gone = || ArchiveError::PictureMissing(frame.number);
         let name = ContentHash::parse(&frame.picture).ok_or_else(gone)?;
-        let (_, bytes) = self.farm.pictures.get(ContentKind::Picture, &name, None).await?.ok_or_else(gone)?;
+        let (_, bytes) = self.farm.content.get(ContentKind::Picture, &name, None).await?.ok_or_else(gone)?;
         let options = SimpleFileOptions::default()
             .compression_method(CompressionMethod::Stored)
             .last_modified_time(DateTime::default())

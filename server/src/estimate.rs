@@ -24,7 +24,7 @@ pub(crate) async fn estimate(farm: &Farm, text: String, plan: TilePlan) -> Optio
     };
     let threads = farm.config.cpu_threads();
     let sketch = HelperRequest::MeasureCost { job: text, threads, render_ms: SAMPLE_BUDGET_MS };
-    match farm.sketches.sample(&sketch).await {
+    match farm.preview_helper.sample(&sketch).await {
         Ok(sample) => Some(estimate_from_sample(&sample, plan, &present, threads, farm.pool.target_size())),
         Err(error) => {
             tracing::warn!(%error, "an estimate could not be made");

@@ -63,21 +63,21 @@ pub(crate) struct Farm {
     /// Distributor of events.
     pub(crate) events: EventHub,
     /// Pictures and blobs.
-    pub(crate) pictures: ContentStore,
+    pub(crate) content: ContentStore,
     /// Parsed job files.
     pub(crate) jobs: JobCache,
     /// Admission: keys, rates, the audit log.
-    pub(crate) doors: Admission,
+    pub(crate) admission: Admission,
     /// Local workers.
     pub(crate) pool: Pool,
     /// Children that draw previews.
-    pub(crate) sketches: PreviewHelper,
+    pub(crate) preview_helper: PreviewHelper,
     /// Signatures of links.
     pub(crate) links: LinkSigner,
     /// Numbers since the start.
     pub(crate) totals: ServerCounters,
     /// Metrics and status.
-    pub(crate) watch: Telemetry,
+    pub(crate) telemetry: Telemetry,
     /// Channel that announces possible orphans to the maintenance task.
     pub(crate) orphans: mpsc::UnboundedSender<OrphanCandidates>,
     /// No more jobs are taken.
@@ -126,7 +126,7 @@ impl Farm {
 
     /// Runs a worker's sync until it has work or there is none; `None` if the worker is unknown.
     pub(crate) async fn sync(&self, mut turn: SyncInput) -> Result<Option<SyncOutcome>, SyncError> {
-        let gate = if turn.has_reports() { Some(self.pictures.block_sweep().await) } else { None };
+        let gate = if turn.has_reports() { Some(self.content.block_sweep().await) } else { None };
         self.verify_reports(&mut turn.reports).await?;
         let worker = turn.worker;
         let again = SyncInput { reports: Vec::new(), ..turn.clone() };
@@ -206,7 +206,7 @@ impl Farm {
                 Some((same, there)) if same == hash => *there,
                 _ => match ContentHash::parse(hash) {
                     None => false,
-                    Some(name) => self.pictures.size_bytes(kind, &name).await? == Some(size_bytes),
+                    Some(name) => self.content.size_bytes(kind, &name).await? == Some(size_bytes),
                 },
             };
             last = Some((hash.clone(), there));

@@ -110,8 +110,8 @@ impl Server {
             let farm = Arc::clone(&farm);
             async move { farm.events.run(farm.shutdown.clone()).await }
         });
-        let doors = farm.clone();
-        let doors = tokio::spawn(async move { doors.doors.run(doors.shutdown.clone()).await });
+        let admission = farm.clone();
+        let admission_task = tokio::spawn(async move { admission.admission.run(admission.shutdown.clone()).await });
         let pool = farm.pool.start(&farm.config, pool_address, farm.queue.clone());
         tracing::info!(%address, "serving");
         let failed = tokio::select! {
@@ -132,7 +132,7 @@ impl Server {
                 tracing::error!(%error, "{name} panicked");
             }
         }
-        if let Err(error) = doors.await {
+        if let Err(error) = admission_task.await {
             tracing::error!(%error, "the doors' keeper panicked");
         }
         store.close().await;

@@ -54,9 +54,9 @@ async fn expire_leases(farm: &Farm) -> Result<(), DatabaseError> {
 async fn sweep(farm: &Arc<Farm>, kind: ContentKind, hashes: &[String]) -> Result<(), DatabaseError> {
     let queue = &farm.queue;
     let (count, young) = match kind {
-        ContentKind::Blob => farm.pictures.sweep(kind, hashes, async |names| queue.orphan_blobs(&names).await).await?,
+        ContentKind::Blob => farm.content.sweep(kind, hashes, async |names| queue.orphan_blobs(&names).await).await?,
         ContentKind::Picture => {
-            farm.pictures.sweep(kind, hashes, async |names| queue.orphan_pictures(&names).await).await?
+            farm.content.sweep(kind, hashes, async |names| queue.orphan_pictures(&names).await).await?
         }
     };
     if !young.is_empty() {
@@ -79,7 +79,7 @@ async fn clean_up(farm: &Arc<Farm>) -> Result<(), DatabaseError> {
     if let Err(error) = retention::collect_until_done(farm).await {
         tracing::error!(%error, cause = ?std::error::Error::source(&error), "old jobs could not be removed");
     }
-    if let Err(error) = farm.sketches.prune_coarse() {
+    if let Err(error) = farm.preview_helper.prune_coarse() {
         tracing::warn!(%error, "old previews could not be removed");
     }
     farm.queue.prune_idempotency_keys().await?;
@@ -106,7 +106,7 @@ async fn clean_up(farm: &Arc<Farm>) -> Result<(), DatabaseError> {
 
 async fn unreported_hashes(farm: &Farm, kind: ContentKind) -> object_store::Result<Vec<String>> {
     let now_seconds = farm.queue.wall_seconds();
-    farm.pictures
+    farm.content
         .list(kind)
         .try_filter_map(async |meta| {
             let age_seconds = now_seconds - meta.last_modified.timestamp();

@@ -111,7 +111,7 @@ impl Wake {
 /// The queue.
 #[derive(Clone, Debug)]
 pub(crate) struct Queue {
-    store: Arc<Database>,
+    database: Arc<Database>,
     clock: Clock,
     lease_ms: i64,
     generation: i64,
@@ -127,7 +127,8 @@ impl Queue {
                 Box::pin(async move { recover::recover(connection, now_ms, lease_ms).await })
             })
             .await?;
-        let queue = Self { store, clock, lease_ms, generation: recovered.generation, wake_signals: Arc::default() };
+        let queue =
+            Self { database: store, clock, lease_ms, generation: recovered.generation, wake_signals: Arc::default() };
         Ok((queue, recovered))
     }
 
@@ -164,7 +165,7 @@ impl Queue {
     pub(crate) async fn submit(&self, job: NewJob) -> Result<i64> {
         let moment = self.context();
         let number = self
-            .store
+            .database
             .write(Durability::Full, move |connection| {
                 Box::pin(async move { submit::submit(connection, &job, moment).await })
             })
@@ -177,7 +178,7 @@ impl Queue {
     /// none.
     pub(crate) async fn reuse(&self, opening: FrameOpening) -> Result<OpenOutcome> {
         let moment = self.context();
-        self.store
+        self.database
             .write(Durability::Relaxed, move |connection| {
                 Box::pin(async move { open_frame::open_from_cache(connection, &opening, moment).await })
             })
@@ -186,7 +187,7 @@ impl Queue {
 
     /// Whether a picture of this key is stored.
     pub(crate) async fn has_picture(&self, key: &str) -> Result<bool> {
-        read::has_picture(self.store.readers(), key).await
+        read::has_picture(self.database.readers(), key).await
     }
 
     /// One call of a worker: results in, leases renewed, work out.
@@ -194,7 +195,7 @@ impl Queue {
         let moment = self.context();
         let durability = if turn.has_reports() { Durability::Full } else { Durability::Relaxed };
         let turned = self
-            .store
+            .database
             .write(durability, move |connection| Box::pin(async move { sync::sync(connection, turn, moment).await }))
             .await?;
         if let Some(turned) = &turned {
@@ -207,7 +208,7 @@ impl Queue {
     pub(crate) async fn expire_leases(&self) -> Result<u64> {
         let moment = self.context();
         let (count, ring) = self
-            .store
+            .database
             .write(Durability::Relaxed, move |connection| {
                 Box::pin(async move { lease::rescue(connection, moment).await })
             })
@@ -220,7 +221,7 @@ impl Queue {
     pub(crate) async fn cancel(&self, job: JobId) -> Result<CancelOutcome> {
         let moment = self.context();
         let cancelled = self
-            .store
+            .database
             .write(Durability::Full, move |connection| {
                 Box::pin(async move { finish::cancel(connection, job, moment).await })
             })
@@ -232,7 +233,7 @@ impl Queue {
     /// Fails a job whose file can't be read any more.
     pub(crate) async fn fail_unreadable(&self, job: i64, message: String) -> Result<()> {
         let moment = self.context();
-        self.store
+        self.database
             .write(Durability::Full, move |connection| {
                 Box::pin(async move { finish::refuse(connection, job, &message, moment).await })
             })
@@ -243,7 +244,7 @@ impl Queue {
 
     /// Forgets a job that is not running.
     pub(crate) async fn delete(&self, job: JobId) -> Result<DeleteOutcome> {
-        self.store
+        self.database
             .write(Durability::Full, move |connection| Box::pin(async move { finish::delete(connection, job).await }))
             .await
     }
@@ -251,7 +252,7 @@ impl Queue {
     /// Takes in a worker.
     pub(crate) async fn register(&self, worker: NewWorker) -> Result<Registration> {
         let moment = self.context();
-        self.store
+        self.database
             .write(Durability::Relaxed, move |connection| {
                 Box::pin(async move { workers::register(connection, worker, moment).await })
             })
@@ -261,7 +262,7 @@ impl Queue {
     /// Asks the pool worker of this process to drain; false if it has not registered yet.
     pub(crate) async fn drain(&self, process: u32) -> Result<bool> {
         let drained = self
-            .store
+            .database
             .write(Durability::Relaxed, move |connection| {
                 Box::pin(async move { workers::drain(connection, process).await })
             })
@@ -279,7 +280,7 @@ impl Queue {
     ) -> Result<Option<WorkerId>> {
         let moment = self.context();
         let (worker, ring) = self
-            .store
+            .database
             .write(Durability::Full, move |connection| {
                 Box::pin(async move { workers::reaped(connection, process, cause, &message, moment).await })
             })
@@ -290,7 +291,7 @@ impl Queue {
 
     /// Deletes rows of workers that are gone and of leases past their use.
     pub(crate) async fn prune(&self) -> Result<()> {
-        self.store
+        self.database
             .write(Durability::Relaxed, move |connection| Box::pin(async move { recover::tidy(connection).await }))
             .await
     }
@@ -302,12 +303,12 @@ impl Queue {
 
     /// Signal sent after every commit.
     pub(crate) fn commits(&self) -> tokio::sync::watch::Receiver<()> {
-        self.store.commit_signal()
+        self.database.commit_signal()
     }
 
     /// The database, for what only reads.
     pub(crate) fn readers(&self) -> &sqlx::sqlite::SqlitePool {
-        self.store.readers()
+        self.database.readers()
     }
 }
 

@@ -76,7 +76,7 @@ async fn store_bytes(farm: &Farm) -> object_store::Result<u64> {
     let mut sum_bytes = 0;
     for kind in [ContentKind::Picture, ContentKind::Blob] {
         sum_bytes += farm
-            .pictures
+            .content
             .list(kind)
             .try_fold(0, async |bytes, meta| Ok::<_, object_store::Error>(bytes + meta.size))
             .await?;

@@ -101,10 +101,10 @@ pub(crate) async fn start(config: Config, clock: Clock) -> Result<Server, StartE
     let file = Database::file(&config.data);
     let store = Arc::new(Database::open(&config.data).await.map_err(|error| database_error(file.clone(), error))?);
     let lease_ms = i64::try_from(config.lease.as_millis()).unwrap_or(i64::MAX / 4).max(1);
-    let doors = Admission::open(Arc::clone(&store), clock.clone())
+    let admission = Admission::open(Arc::clone(&store), clock.clone())
         .await
         .map_err(|error| explain_store(file.clone(), &error))?;
-    if !entrance.address().ip().is_loopback() && !config.insecure && doors.keys.live() == 0 {
+    if !entrance.address().ip().is_loopback() && !config.insecure && admission.keys.live() == 0 {
         store.close().await;
         return Err(StartError::NoKeysBeyondLoopback(config.listen));
     }
@@ -120,14 +120,14 @@ pub(crate) async fn start(config: Config, clock: Clock) -> Result<Server, StartE
         events: EventHub::new(queue.clone()),
         webhooks,
         queue,
-        pictures,
+        content: pictures,
         jobs: JobCache::new(),
-        doors,
+        admission,
         pool: Pool::new(config.pool_workers()),
-        sketches,
+        preview_helper: sketches,
         links,
         totals: ServerCounters::default(),
-        watch: Telemetry::new(config.data.clone(), &store),
+        telemetry: Telemetry::new(config.data.clone(), &store),
         orphans: left,
         is_shutting_down: CancellationToken::new(),
         shutdown: CancellationToken::new(),

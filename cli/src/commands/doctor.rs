@@ -7,7 +7,7 @@ use clap::Args;
 use serde_json::json;
 use server::{Depth, Finding, Repair, Severity};
 
-use crate::terminal::say;
+use crate::terminal::print_line;
 
 /// Arguments of `doctor`.
 #[derive(Debug, Args)]
@@ -37,13 +37,13 @@ pub(crate) async fn run(arguments: Arguments) -> anyhow::Result<()> {
     let mut findings = server::run_checks(&arguments.data, depth, repair).await?;
     let is_served =
         findings.iter().any(|finding| finding.subject == "server" && finding.message.starts_with("a server"));
-    findings.push(look_at_port(arguments.listen, is_served));
-    findings.push(look_at_gpus());
+    findings.push(check_port(arguments.listen, is_served));
+    findings.push(check_gpus());
     if arguments.json {
-        say(&serde_json::to_string_pretty(&findings.iter().map(to_json).collect::<Vec<_>>())?)?;
+        print_line(&serde_json::to_string_pretty(&findings.iter().map(to_json).collect::<Vec<_>>())?)?;
     } else {
         for finding in &findings {
-            say(&line(finding))?;
+            print_line(&line(finding))?;
         }
     }
     let wrong = findings.iter().filter(|finding| finding.severity == Severity::Error).count();
@@ -51,7 +51,7 @@ pub(crate) async fn run(arguments: Arguments) -> anyhow::Result<()> {
     Ok(())
 }
 
-fn look_at_port(listen: SocketAddr, is_served: bool) -> Finding {
+fn check_port(listen: SocketAddr, is_served: bool) -> Finding {
     match TcpListener::bind(listen) {
         Ok(_) => Finding::ok("port", format!("{listen} is free")),
         Err(_) if is_served => Finding::ok("port", format!("{listen} is taken, and the farm is served")),
@@ -64,7 +64,7 @@ fn look_at_port(listen: SocketAddr, is_served: bool) -> Finding {
 }
 
 /// A machine without a GPU is fine; one with an unusable GPU gets a warning.
-fn look_at_gpus() -> Finding {
+fn check_gpus() -> Finding {
     match worker::cuda::devices() {
         Ok(count) => Finding::ok("gpu", format!("the driver lends {count} GPUs")),
         Err(error) => {
@@ -82,7 +82,7 @@ fn look_at_gpus() -> Finding {
     }
 }
 
-fn grade(finding: &Finding) -> &'static str {
+fn severity_name(finding: &Finding) -> &'static str {
     match finding.severity {
         Severity::Ok => "ok",
         Severity::Warning => "warning",
@@ -92,10 +92,10 @@ fn grade(finding: &Finding) -> &'static str {
 
 fn line(finding: &Finding) -> String {
     let cure = finding.cure.as_ref().map_or_else(String::new, |cure| format!("\n                   cure: {cure}"));
-    format!("{:<7}  {:<8}  {}{cure}", grade(finding), finding.subject, finding.message)
+    format!("{:<7}  {:<8}  {}{cure}", severity_name(finding), finding.subject, finding.message)
 }
 
 fn to_json(finding: &Finding) -> serde_json::Value {
-    let severity = grade(finding).to_lowercase();
+    let severity = severity_name(finding).to_lowercase();
     json!({ "severity": severity, "subject": finding.subject, "text": finding.message, "cure": finding.cure })
 }

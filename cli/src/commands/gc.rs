@@ -5,7 +5,7 @@ use proto::retention::GcReport;
 
 use crate::arguments::ServerArguments;
 use crate::counted::counted_len;
-use crate::terminal::{note, say};
+use crate::terminal::{print_line, print_note};
 
 /// Arguments of `gc`.
 #[derive(Debug, Args)]
@@ -26,7 +26,7 @@ pub(crate) async fn run(arguments: Arguments) -> anyhow::Result<()> {
     loop {
         let collection = client.collect_garbage(arguments.dry_run).await?;
         if arguments.json {
-            say(&serde_json::to_string_pretty(&collection)?)?;
+            print_line(&serde_json::to_string_pretty(&collection)?)?;
         } else {
             tell(&collection)?;
         }
@@ -39,7 +39,7 @@ pub(crate) async fn run(arguments: Arguments) -> anyhow::Result<()> {
 fn tell(collection: &GcReport) -> anyhow::Result<()> {
     let GcReport { dry_run, store_bytes, max_store_bytes, freed_bytes, jobs, more } = collection;
     for job in jobs {
-        say(&format!(
+        print_line(&format!(
             "{}  {}  {:<4}  {:>12} bytes  {}",
             job.id,
             job.finished_at,
@@ -52,6 +52,6 @@ fn tell(collection: &GcReport) -> anyhow::Result<()> {
     let (verb, rest) =
         (if *dry_run { "would free" } else { "freed" }, if *more { ", and there may be more" } else { "" });
     let jobs = counted_len(jobs.len(), "job");
-    note(&format!("{jobs} {verb} {freed_bytes} of {store_bytes} bytes ({limit}){rest}"));
+    print_note(&format!("{jobs} {verb} {freed_bytes} of {store_bytes} bytes ({limit}){rest}"));
     Ok(())
 }

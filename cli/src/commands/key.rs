@@ -10,18 +10,18 @@ use clap::{Args, Subcommand};
 use proto::api_key::{ApiKeyState, ApiKeyView, NewApiKey, Scope};
 use server::{OfflineApiKeys, OfflineApiKeysError};
 
-use crate::error::Misuse;
-use crate::terminal::{note, say};
+use crate::error::UsageError;
+use crate::terminal::{print_line, print_note};
 
 /// Arguments of `key`.
 #[derive(Debug, Args)]
 pub(crate) struct Arguments {
     #[command(subcommand)]
-    what: What,
+    what: KeyCommand,
 }
 
 #[derive(Debug, Subcommand)]
-enum What {
+enum KeyCommand {
     /// Make a key, and print its secret: the only time it is shown.
     New(New),
     /// List the keys, newest first.
@@ -47,7 +47,7 @@ struct New {
     scope: Vec<Scope>,
     /// Expiry, counted from now: 12h, 90d or 52w [default: never].
     #[arg(long, value_name = "TIME", env = "SDFARM_EXPIRES")]
-    expires: Option<Life>,
+    expires: Option<KeyLifetime>,
     /// Maximum number of unfinished jobs of its name.
     #[arg(long, value_name = "N", env = "SDFARM_MAX_JOBS")]
     max_jobs: Option<u32>,
@@ -81,9 +81,9 @@ struct Revoke {
 
 /// Lifetime of a key.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-struct Life(Duration);
+struct KeyLifetime(Duration);
 
-impl FromStr for Life {
+impl FromStr for KeyLifetime {
     type Err = String;
 
     fn from_str(text: &str) -> Result<Self, String> {
@@ -105,13 +105,13 @@ impl FromStr for Life {
 /// Creates, lists or revokes keys.
 pub(crate) async fn run(arguments: Arguments) -> anyhow::Result<()> {
     match arguments.what {
-        What::New(new) => make(new).await,
-        What::List(list) => show(list).await,
-        What::Revoke(revoke) => end(revoke).await,
+        KeyCommand::New(new) => create(new).await,
+        KeyCommand::List(list) => list(list).await,
+        KeyCommand::Revoke(revoke) => revoke(revoke).await,
     }
 }
 
-async fn make(new: New) -> anyhow::Result<()> {
+async fn create(new: New) -> anyhow::Result<()> {
     let mut folder = OfflineApiKeys::open_or_create(&new.folder.data).await?;
     let order = NewApiKey {
         name: new.name,
@@ -121,30 +121,30 @@ async fn make(new: New) -> anyhow::Result<()> {
         max_rays: new.max_rays,
         requests_per_second: new.rate,
     };
-    let issued = folder.create(order).await.map_err(misuse)?;
+    let issued = folder.create(order).await.map_err(as_usage_error)?;
     folder.close().await?;
-    note(&format!("{}; the secret is shown this once: give it to its bearer as SDFARM_KEY", line(&issued.key)));
-    say(&issued.secret)
+    print_note(&format!("{}; the secret is shown this once: give it to its bearer as SDFARM_KEY", line(&issued.key)));
+    print_line(&issued.secret)
 }
 
-async fn show(list: List) -> anyhow::Result<()> {
+async fn list(list: List) -> anyhow::Result<()> {
     let mut folder = OfflineApiKeys::open(&list.folder.data).await?;
     let keys = folder.list().await?;
     folder.close().await?;
     if list.json {
-        return say(&serde_json::to_string_pretty(&keys)?);
+        return print_line(&serde_json::to_string_pretty(&keys)?);
     }
     if keys.is_empty() {
-        note("there are no keys: whoever reaches the server may use it");
+        print_note("there are no keys: whoever reaches the server may use it");
     }
-    keys.iter().try_for_each(|key| say(&line(key)))
+    keys.iter().try_for_each(|key| print_line(&line(key)))
 }
 
-async fn end(revoke: Revoke) -> anyhow::Result<()> {
+async fn revoke(revoke: Revoke) -> anyhow::Result<()> {
     let mut folder = OfflineApiKeys::open(&revoke.folder.data).await?;
     let keys = folder.revoke(&revoke.which).await?;
     folder.close().await?;
-    keys.iter().try_for_each(|key| say(&line(key)))
+    keys.iter().try_for_each(|key| print_line(&line(key)))
 }
 
 /// One key in a line.
@@ -166,9 +166,9 @@ fn line(key: &ApiKeyView) -> String {
 }
 
 /// A rejected request is a usage error; a failed one is not.
-fn misuse(error: OfflineApiKeysError) -> anyhow::Error {
+fn as_usage_error(error: OfflineApiKeysError) -> anyhow::Error {
     match error {
-        OfflineApiKeysError::Refused(reason) => Misuse(reason).into(),
+        OfflineApiKeysError::Refused(reason) => UsageError(reason).into(),
         error @ OfflineApiKeysError::Folder { .. } => error.into(),
     }
 }
@@ -186,10 +186,10 @@ mod tests {
     #[test]
     fn lives_are_read_with_their_unit() {
         for (text, hours) in [("12h", 12), ("90d", 90 * 24), ("2w", 14 * 24), ("120m", 2)] {
-            assert_eq!(text.parse(), Ok(Life(Duration::from_hours(hours))), "{text}");
+            assert_eq!(text.parse(), Ok(KeyLifetime(Duration::from_hours(hours))), "{text}");
         }
         for wrong in ["", "d", "90", "0d", "-1d", "1.5d", "99999999999999999w", "5é"] {
-            assert!(wrong.parse::<Life>().is_err(), "{wrong}");
+            assert!(wrong.parse::<KeyLifetime>().is_err(), "{wrong}");
         }
     }
 }

@@ -6,9 +6,9 @@ use proto::Retention;
 use proto::link::{LinkContent, LinkRequest, MAX_LINK_SECONDS};
 
 use crate::arguments::ServerArguments;
-use crate::error::Misuse;
+use crate::error::UsageError;
 use crate::job_name::JobName;
-use crate::terminal::{note, say};
+use crate::terminal::{print_line, print_note};
 
 /// Arguments of `link`.
 #[derive(Debug, Args)]
@@ -38,7 +38,7 @@ pub(crate) async fn run(arguments: Arguments) -> anyhow::Result<()> {
     };
     let expires_in_seconds = seconds
         .filter(|seconds| (1..=MAX_LINK_SECONDS).contains(seconds))
-        .ok_or_else(|| Misuse(format!("a link can't be valid for {expires}: say 1s to 366d")))?;
+        .ok_or_else(|| UsageError(format!("a link can't be valid for {expires}: say 1s to 366d")))?;
     let shows = if preview { LinkContent::Preview } else { LinkContent::Image };
     let client = server.client()?;
     let id = id.find(&client).await?;
@@ -46,6 +46,6 @@ pub(crate) async fn run(arguments: Arguments) -> anyhow::Result<()> {
         .link(id, frame, &LinkRequest { expires_in_seconds, shows })
         .await
         .with_context(|| format!("could not have a link to frame {frame} of job {id} signed"))?;
-    note(&format!("valid until {}", link.expires_at));
-    say(&format!("{}{}", client.server(), link.url))
+    print_note(&format!("valid until {}", link.expires_at));
+    print_line(&format!("{}{}", client.server(), link.url))
 }

@@ -12,9 +12,9 @@ use worker::{CancelFlag, CpuRenderer, RenderError, Renderer, Simd, TilePixels, T
 
 use crate::arguments::{Device, RendererArguments};
 use crate::shipped;
-use crate::terminal::say;
+use crate::terminal::print_line;
 
-pub(crate) use startup::prove;
+pub(crate) use startup::check;
 
 const LEVELS: [Simd; 4] = [Simd::Scalar, Simd::Sse42, Simd::Avx2, Simd::Avx512];
 const LAYERS: [Layer; 6] = [Layer::Depth, Layer::Normal, Layer::Position, Layer::Albedo, Layer::Object, Layer::Steps];
@@ -27,7 +27,7 @@ pub(crate) struct Arguments {
     scenes: Vec<String>,
     /// Reference to compare with [default: levels on a CPU, hashes on a GPU].
     #[arg(long, env = "SDFARM_AGAINST")]
-    against: Option<Against>,
+    against: Option<Reference>,
     /// Edge of the tiles it renders, in pixels [default: as a server would cut them].
     #[arg(long, value_name = "PIXELS", env = "SDFARM_TILE", value_parser = clap::value_parser!(u32).range(1..))]
     tile: Option<u32>,
@@ -39,7 +39,7 @@ pub(crate) struct Arguments {
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
-enum Against {
+enum Reference {
     /// Small pictures, rendered at every SIMD level that this CPU has.
     Levels,
     /// Full-size pictures, by the hashes built into this program.
@@ -51,19 +51,19 @@ enum Against {
 /// Renders shipped scenes and compares every bit.
 pub(crate) fn run(arguments: &Arguments) -> anyhow::Result<()> {
     let against = arguments.against.unwrap_or(match arguments.renderer.device {
-        Device::Cpu | Device::Auto(_) => Against::Levels,
-        Device::Cuda(_) => Against::Hashes,
+        Device::Cpu | Device::Auto(_) => Reference::Levels,
+        Device::Cuda(_) => Reference::Hashes,
     });
     let differing = match against {
-        Against::Levels if !arguments.print => compare_levels(arguments)?,
-        _ => compare_whole(arguments, against)?,
+        Reference::Levels if !arguments.print => compare_levels(arguments)?,
+        _ => compare_full_size(arguments, against)?,
     };
     anyhow::ensure!(differing == 0, "this machine does not render the right bits: let it render for no farm");
     Ok(())
 }
 
 /// Renders full-size pictures; how many of them differ.
-fn compare_whole(arguments: &Arguments, against: Against) -> anyhow::Result<usize> {
+fn compare_full_size(arguments: &Arguments, against: Reference) -> anyhow::Result<usize> {
     let renderer = arguments.renderer.renderer()?;
     let cpu = CpuRenderer::new(None, Simd::Auto)?;
     let all = shipped::names();
@@ -75,12 +75,12 @@ fn compare_whole(arguments: &Arguments, against: Against) -> anyhow::Result<usiz
         let tiles = render(&*renderer, &job, arguments.tile)?;
         let ms = start.elapsed().as_secs_f64() * 1e3;
         if arguments.print {
-            say(&format!("{} {name}", hash(&job, &tiles)))?;
+            print_line(&format!("{} {name}", hash(&job, &tiles)))?;
             continue;
         }
         let (bytes, wrong) = match against {
-            Against::Cpu => compared(&tiles, &render(&cpu, &job, arguments.tile)?),
-            Against::Hashes | Against::Levels => {
+            Reference::Cpu => compared(&tiles, &render(&cpu, &job, arguments.tile)?),
+            Reference::Hashes | Reference::Levels => {
                 let bytes = job.image.pixels() * u64::from(job.image.pixel_bytes());
                 (bytes, u64::from(shipped::hash(name).as_deref() != Some(hash(&job, &tiles).as_str())) * bytes)
             }
@@ -88,11 +88,11 @@ fn compare_whole(arguments: &Arguments, against: Against) -> anyhow::Result<usiz
         differing += usize::from(wrong != 0);
         let verdict = match (wrong, against) {
             (0, _) => "equal".to_owned(),
-            (_, Against::Cpu) => format!("{wrong} BYTES DIFFER"),
-            (_, Against::Hashes | Against::Levels) => "DIFFERENT".to_owned(),
+            (_, Reference::Cpu) => format!("{wrong} BYTES DIFFER"),
+            (_, Reference::Hashes | Reference::Levels) => "DIFFERENT".to_owned(),
         };
         let device = renderer.device();
-        say(&format!("{name:<22} {device:<8} {ms:>9.1} ms {:>8.1} MB  {verdict}", bytes as f64 / 1e6))?;
+        print_line(&format!("{name:<22} {device:<8} {ms:>9.1} ms {:>8.1} MB  {verdict}", bytes as f64 / 1e6))?;
     }
     Ok(differing)
 }
@@ -102,7 +102,7 @@ fn compare_levels(arguments: &Arguments) -> anyhow::Result<usize> {
     let few = ["csg", "five-spheres", "mandelbulb"].map(str::to_owned);
     let names = if arguments.scenes.is_empty() { few.as_slice() } else { &arguments.scenes };
     let mut wrong = 0;
-    say(&format!("{:<22} {:<8} {:>9}  bits", "scene", "level", "ms"))?;
+    print_line(&format!("{:<22} {:<8} {:>9}  bits", "scene", "level", "ms"))?;
     for name in names {
         let job = with_layers(job(name)?, Some(96));
         let mut reference: Option<Vec<TilePixels>> = None;
@@ -120,7 +120,7 @@ fn compare_levels(arguments: &Arguments) -> anyhow::Result<usize> {
                 Err(RenderError::Unavailable { .. }) => "not on this machine".to_owned(),
                 Err(other) => return Err(other.into()),
             };
-            say(&format!("{name:<22} {:<8} {ms:>9.1}  {verdict}", level.to_string()))?;
+            print_line(&format!("{name:<22} {:<8} {ms:>9.1}  {verdict}", level.to_string()))?;
         }
     }
     Ok(wrong)

@@ -16,7 +16,7 @@ use crate::arguments::{Device, MAX_THREADS, simd_parser};
 use crate::signals::Signals;
 use crate::size::Size;
 use crate::systemd;
-use crate::terminal::say;
+use crate::terminal::print_line;
 
 /// Upper limit of `--max-queued-jobs`: the sum of the jobs' rays must fit a counter.
 const MOST_QUEUED_JOBS: u32 = 250_000;
@@ -104,8 +104,8 @@ impl Arguments {
             max_store_bytes: self.max_store.map(|Size(bytes)| bytes),
             allowed_webhook_ranges: self.allow_webhook_to,
             webhook_secret: self.webhook_secret,
-            worker_program: own_program()?,
-            worker_env: crate::logs::inherited(),
+            worker_program: current_executable()?,
+            worker_env: crate::logs::child_env(),
             ..Config::default()
         })
     }
@@ -120,13 +120,13 @@ fn address(text: &str) -> Result<SocketAddr, String> {
 pub(crate) async fn run(arguments: Arguments) -> anyhow::Result<()> {
     // Settings that no worker could use are rejected here, once.
     CpuRenderer::new(Some(1), arguments.simd)?;
-    let signals = Signals::catch()?;
+    let signals = Signals::install()?;
     let shutdown = CancellationToken::new();
     let server = Server::start(arguments.config()?).await?;
     let url = server.url();
-    say(&format!("sdfarm serves {url} (its API: {url}/docs)"))?;
+    print_line(&format!("sdfarm serves {url} (its API: {url}/docs)"))?;
     systemd::serving(&url);
-    signals.stop_gracefully(shutdown.clone());
+    signals.cancel_then_exit(shutdown.clone());
     let stopping = shutdown.clone();
     tokio::spawn(async move {
         stopping.cancelled().await;
@@ -137,7 +137,7 @@ pub(crate) async fn run(arguments: Arguments) -> anyhow::Result<()> {
 }
 
 /// This very program, which local workers run as.
-pub(crate) fn own_program() -> anyhow::Result<PathBuf> {
+pub(crate) fn current_executable() -> anyhow::Result<PathBuf> {
     std::env::current_exe().context("could not find this program's own file, which local workers run as")
 }
 

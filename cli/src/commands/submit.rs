@@ -10,10 +10,10 @@ use scene::{Format, Job};
 
 use crate::arguments::ServerArguments;
 use crate::counted::counted;
-use crate::error::Misuse;
+use crate::error::UsageError;
 use crate::job_file::JobFile;
 use crate::output_file::{check_writable, format_of, is_folder};
-use crate::terminal::{note, say};
+use crate::terminal::{print_line, print_note};
 use crate::{follow, frame_files};
 
 /// Delays between attempts to submit.
@@ -61,18 +61,18 @@ pub(crate) async fn run(arguments: Arguments) -> anyhow::Result<()> {
         webhooks: arguments.webhook.clone(),
         keep: arguments.keep,
     };
-    let job = hand_in(&client, &file.text, &how).await.map_err(|error| file.refused(error))?;
+    let job = submit(&client, &file.text, &how).await.map_err(|error| file.invalid(error))?;
     for warning in &job.warnings {
-        note(&format!("{}: warning: {warning}", file.name));
+        print_note(&format!("{}: warning: {warning}", file.name));
     }
     // Standard output is the picture's where it was asked for there.
     if arguments.output.as_deref() == Some("-") {
-        note(&job.id.to_string());
+        print_note(&job.id.to_string());
     } else {
-        say(&job.id.to_string())?;
+        print_line(&job.id.to_string())?;
     }
     if arguments.wait {
-        follow::until_done(&client, job.id).await?;
+        follow::wait_for_success(&client, job.id).await?;
     }
     match &arguments.output {
         Some(output) => save(&client, &job, output).await,
@@ -88,14 +88,17 @@ async fn save(client: &Client, job: &JobView, output: &str) -> anyhow::Result<()
     follow::fetch(client, job.id, 0, output).await?;
     if let others @ 1.. = job.frames.total.saturating_sub(1) {
         let (others, are) = (counted(others, "other frame"), if others == 1 { "is" } else { "are" });
-        note(&format!("that is frame 0; the {others} {are} stored too: `sdfarm fetch {} -o DIR/` saves all", job.id));
+        print_note(&format!(
+            "that is frame 0; the {others} {are} stored too: `sdfarm fetch {} -o DIR/` saves all",
+            job.id
+        ));
     }
     Ok(())
 }
 
 /// Submits the job with an idempotency key, so that a broken connection can be retried without creating it
 /// twice.
-async fn hand_in(client: &Client, text: &[u8], how: &SubmitOptions) -> Result<JobView, ClientError> {
+async fn submit(client: &Client, text: &[u8], how: &SubmitOptions) -> Result<JobView, ClientError> {
     let mut sent = false;
     let mut wait = FIRST_WAIT;
     let mut left = PATIENCE;
@@ -118,7 +121,7 @@ fn check_output(job: &Job, output: &str) -> anyhow::Result<()> {
     }
     let asked = job.image.format;
     match format_of(output)? {
-        Some(named) if named != asked => Err(Misuse(format!(
+        Some(named) if named != asked => Err(UsageError(format!(
             "the job asks for {} and {output} is named otherwise: rename the file, or set image.format",
             match asked {
                 Format::Png => "png",

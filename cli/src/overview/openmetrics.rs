@@ -2,7 +2,7 @@
 
 /// One number.
 #[derive(Clone, Debug, PartialEq)]
-struct Sample {
+struct MetricSample {
     name: String,
     labels: Vec<(String, String)>,
     value: f64,
@@ -10,9 +10,9 @@ struct Sample {
 
 /// All samples.
 #[derive(Clone, Debug, Default)]
-pub(super) struct Samples(Vec<Sample>);
+pub(super) struct Metrics(Vec<MetricSample>);
 
-impl Samples {
+impl Metrics {
     /// Reads them.
     pub(super) fn read(text: &str) -> Self {
         Self(text.lines().filter(|line| !line.starts_with('#')).filter_map(sample).collect())
@@ -20,13 +20,13 @@ impl Samples {
 
     /// The sum of a metric's numbers that have these labels.
     pub(super) fn sum(&self, name: &str, labels: &[(&str, &str)]) -> f64 {
-        let has = |sample: &Sample| labels.iter().all(|(key, value)| sample.get(key) == Some(value));
+        let has = |sample: &MetricSample| labels.iter().all(|(key, value)| sample.get(key) == Some(value));
         self.0.iter().filter(|sample| sample.name == name && has(sample)).map(|sample| sample.value).sum()
     }
 
     /// The sum of a metric's numbers whose label has such a value.
     pub(super) fn sum_where(&self, name: &str, label: &str, matches: &dyn Fn(&str) -> bool) -> f64 {
-        let has = |sample: &Sample| sample.get(label).is_some_and(matches);
+        let has = |sample: &MetricSample| sample.get(label).is_some_and(matches);
         self.0.iter().filter(|sample| sample.name == name && has(sample)).map(|sample| sample.value).sum()
     }
 
@@ -36,13 +36,13 @@ impl Samples {
     }
 }
 
-impl Sample {
+impl MetricSample {
     fn get(&self, label: &str) -> Option<&str> {
         self.labels.iter().find(|(key, _)| key == label).map(|(_, value)| value.as_str())
     }
 }
 
-fn sample(line: &str) -> Option<Sample> {
+fn sample(line: &str) -> Option<MetricSample> {
     let (name, rest) = line.split_at(line.find(['{', ' '])?);
     let (labels, value) = match rest.strip_prefix('{') {
         Some(rest) => {
@@ -51,7 +51,7 @@ fn sample(line: &str) -> Option<Sample> {
         }
         None => (Vec::new(), rest.trim_start()),
     };
-    Some(Sample { name: name.to_owned(), labels, value: value.split(' ').next()?.parse().ok()? })
+    Some(MetricSample { name: name.to_owned(), labels, value: value.split(' ').next()?.parse().ok()? })
 }
 
 fn read_labels(mut text: &str) -> Option<Vec<(String, String)>> {
@@ -82,7 +82,7 @@ mod tests {
 
     #[test]
     fn numbers_are_read_with_their_labels() {
-        let samples = Samples::read(
+        let samples = Metrics::read(
             "# TYPE a counter\na_total 3\na_total{x=\"1\",y=\"a \\\"b\\\" } c\"} 4.5 1700000000\nb inf\nodd\nodd{x=} 1\n# EOF",
         );
         assert_eq!(samples.sum("a_total", &[]), 7.5);

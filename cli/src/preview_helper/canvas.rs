@@ -9,13 +9,13 @@ use image::{ExtendedColorType, ImageEncoder, Rgba32FImage};
 use scene::color::{DisplayTransform, srgb_from_linear};
 
 /// Shown light, premultiplied, and alpha.
-pub(super) type Shown = [f32; 4];
+pub(super) type DisplayPixel = [f32; 4];
 
 /// Maximum number of rows: pictures may be far higher than wide.
 const MAX_ROWS: u64 = 4096;
 
 /// Shown where nothing is known: a middle gray.
-const UNKNOWN: Shown = [0.2, 0.2, 0.2, 1.0];
+const NO_DATA: DisplayPixel = [0.2, 0.2, 0.2, 1.0];
 
 /// Small picture made from a larger one.
 #[derive(Debug)]
@@ -43,10 +43,10 @@ impl Canvas {
     }
 
     /// Adds pixels of the larger picture that lie in a row, the first of them in this column.
-    pub(super) fn add(&mut self, column: u32, row: u32, pixels: impl Iterator<Item = Shown>) {
-        let Some(rows) = shares(u64::from(row), self.from[1], self.size[1]) else { return };
+    pub(super) fn add(&mut self, column: u32, row: u32, pixels: impl Iterator<Item = DisplayPixel>) {
+        let Some(rows) = coverage(u64::from(row), self.from[1], self.size[1]) else { return };
         for (at, light) in (u64::from(column)..).zip(pixels) {
-            let Some(columns) = shares(at, self.from[0], self.size[0]) else { return };
+            let Some(columns) = coverage(at, self.from[0], self.size[0]) else { return };
             for (y, height) in rows {
                 for (x, width) in columns {
                     let share = width * height;
@@ -67,11 +67,11 @@ impl Canvas {
         let pixels = self.sums.iter().enumerate().map(|(index, (sum, covered))| {
             // Rounding errors do not count as uncovered.
             let bare = if *covered > 0.999 { 0.0 } else { 1.0 - covered };
-            let below = below.map_or(UNKNOWN, |below| below.as_raw().as_chunks().0[index]);
+            let below = below.map_or(NO_DATA, |below| below.as_raw().as_chunks().0[index]);
             let scale = if bare == 0.0 { covered.recip() } else { 1.0 };
             std::array::from_fn(|channel| bare.mul_add(below[channel], sum[channel] * scale))
         });
-        let pixels: Vec<Shown> = pixels.collect();
+        let pixels: Vec<DisplayPixel> = pixels.collect();
         let opaque = pixels.iter().all(|pixel| pixel[3] > 0.999);
         let mut bytes = Vec::with_capacity(pixels.len() * 4);
         for [r, g, b, alpha] in pixels {
@@ -92,7 +92,7 @@ impl Canvas {
 }
 
 /// Position of a source pixel among fewer pixels, and how much of each it covers; `None` beyond the last.
-fn shares(at: u64, from: u64, to: u64) -> Option<[(u64, f32); 2]> {
+fn coverage(at: u64, from: u64, to: u64) -> Option<[(u64, f32); 2]> {
     if at >= from {
         return None;
     }
@@ -112,7 +112,7 @@ fn byte(value: f32) -> u8 {
 }
 
 /// A pixel as a PNG would show it; `opaque` ones have no alpha.
-pub(super) fn shown([r, g, b, alpha]: [f32; 4], grade: DisplayTransform, opaque: bool) -> Shown {
+pub(super) fn shown([r, g, b, alpha]: [f32; 4], grade: DisplayTransform, opaque: bool) -> DisplayPixel {
     let number = |value: f32| if value.is_nan() { 0.0 } else { value };
     let alpha = if opaque { 1.0 } else { number(alpha).clamp(0.0, 1.0) };
     let light = [r, g, b].map(|light| {

@@ -21,18 +21,18 @@ const LAST_PX: u32 = 480;
 /// Threads it is rendered on, at most.
 const MAX_THREADS: usize = 4;
 /// A try twice as wide takes about four times as long; a little more, to be on the safe side.
-const NEXT_TAKES: f64 = 4.5;
+const GROWTH_ESTIMATE: f64 = 4.5;
 
 /// Path of a coarse pass, and its cost limit.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Kept<'a> {
+pub(super) struct CoarseCache<'a> {
     /// The file; read if it is there, else written.
     pub(super) file: &'a Path,
     /// Most time for rendering, in milliseconds.
     pub(super) limit_ms: u64,
 }
 
-impl Kept<'_> {
+impl CoarseCache<'_> {
     /// The coarse pass of a frame, kept or made now; `None` where not even a small one can be made in time.
     pub(super) fn pixels(self, job: &Job, frame: u32) -> anyhow::Result<Option<TilePixels>> {
         if let Some(kept) = std::fs::read(self.file).ok().and_then(|bytes| blob::decode(&bytes).ok())
@@ -70,7 +70,7 @@ fn render(job: &Job, frame: u32, limit: Duration) -> anyhow::Result<Option<TileP
         let mut width = last.min(FIRST_PX);
         loop {
             let begun = Instant::now();
-            let small = small(job, width);
+            let small = with_width(job, width);
             let rect = Rect::full(small.image.width, small.image.height);
             match renderer.render(&TileRequest { job: &small, frame, rect }, &cancel, &|_| ()) {
                 Ok(pixels) => best = Some(pixels),
@@ -80,7 +80,7 @@ fn render(job: &Job, frame: u32, limit: Duration) -> anyhow::Result<Option<TileP
                     return Err(error).context("could not render a coarse pass");
                 }
             }
-            let next = begun.elapsed().mul_f64(NEXT_TAKES);
+            let next = begun.elapsed().mul_f64(GROWTH_ESTIMATE);
             if width == last || start.elapsed() + next > limit {
                 break;
             }
@@ -92,7 +92,7 @@ fn render(job: &Job, frame: u32, limit: Duration) -> anyhow::Result<Option<TileP
 }
 
 /// The same job, at this width.
-fn small(job: &Job, width: u32) -> Job {
+fn with_width(job: &Job, width: u32) -> Job {
     let mut small = job.clone();
     let height = u64::from(job.image.height) * u64::from(width) / u64::from(job.image.width);
     small.image.width = width;

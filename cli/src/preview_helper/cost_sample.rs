@@ -26,7 +26,7 @@ const MAX_SAMPLES: u32 = 4;
 /// Maximum number of sampled frames of an animation, spread evenly from the first to the last.
 const MAX_FRAMES: u32 = 5;
 /// Most data of a frame that a worker holds, in bytes.
-const HELD_BYTES: u64 = 256 << 20;
+const MAX_FRAME_BYTES: u64 = 256 << 20;
 
 /// Samples a job on `threads` threads for about `render_ms`.
 pub(crate) fn sample(job: &Job, threads: usize, render_ms: u64) -> anyhow::Result<CostSample> {
@@ -35,7 +35,7 @@ pub(crate) fn sample(job: &Job, threads: usize, render_ms: u64) -> anyhow::Resul
     let limit = Duration::from_millis(render_ms) / count;
     let renderers: Vec<CpuRenderer> =
         (0..threads.max(1)).map(|_| CpuRenderer::new(Some(1), Simd::Auto)).collect::<Result<_, _>>()?;
-    let mut sum = Measured::default();
+    let mut sum = FrameCost::default();
     for index in 0..count {
         sum.add(&measure(job, spread(index) as u32, &renderers, limit)?);
     }
@@ -47,20 +47,20 @@ pub(crate) fn sample(job: &Job, threads: usize, render_ms: u64) -> anyhow::Resul
         thread_seconds_per_ray: sum.seconds_per_ray / frames,
         setup_seconds_per_tile: sum.setup_seconds / frames,
         encode_seconds_per_pixel: sum.encode_seconds_per_pixel / frames,
-        memory_bytes: peak_memory_bytes() + frame_bytes.min(HELD_BYTES),
+        memory_bytes: peak_memory_bytes() + frame_bytes.min(MAX_FRAME_BYTES),
     })
 }
 
 /// Cost of one frame, or of several in sum.
 #[derive(Clone, Copy, Debug, Default)]
-struct Measured {
+struct FrameCost {
     rays: u64,
     seconds_per_ray: f64,
     setup_seconds: f64,
     encode_seconds_per_pixel: f64,
 }
 
-impl Measured {
+impl FrameCost {
     fn add(&mut self, other: &Self) {
         self.rays += other.rays;
         self.seconds_per_ray += other.seconds_per_ray;
@@ -69,7 +69,7 @@ impl Measured {
     }
 }
 
-fn measure(job: &Job, frame: u32, renderers: &[CpuRenderer], limit: Duration) -> anyhow::Result<Measured> {
+fn measure(job: &Job, frame: u32, renderers: &[CpuRenderer], limit: Duration) -> anyhow::Result<FrameCost> {
     let start = Instant::now();
     let still = job.at(frame)?;
     std::hint::black_box(Integrator::new(&still));
@@ -85,7 +85,7 @@ fn measure(job: &Job, frame: u32, renderers: &[CpuRenderer], limit: Duration) ->
     let moved = job.at(frame)?;
     std::hint::black_box(Integrator::new(&moved));
     let program_seconds = program_start.elapsed().as_secs_f64();
-    let before = processor_seconds();
+    let before = cpu_seconds();
     let start = Instant::now();
     render(&job, frame, renderers, limit, &|pixels: Option<TilePixels>, more: u64| {
         rays.fetch_add(more, Ordering::Relaxed);
@@ -95,14 +95,14 @@ fn measure(job: &Job, frame: u32, renderers: &[CpuRenderer], limit: Duration) ->
         }
     })?;
     let passed = start.elapsed().as_secs_f64();
-    let used = match (before, processor_seconds()) {
+    let used = match (before, cpu_seconds()) {
         (Some(before), Some(after)) => after - before,
         _ => passed * renderers.len() as f64,
     };
     let (rays, blocks) = (rays.into_inner(), blocks.into_inner());
     let rendering = (used - blocks as f64 * program_seconds).max(used / 10.0);
     let encode_seconds_per_pixel = encode(picture, done.into_inner().expect("no holder panics"))?;
-    Ok(Measured { rays, seconds_per_ray: rendering / rays.max(1) as f64, setup_seconds, encode_seconds_per_pixel })
+    Ok(FrameCost { rays, seconds_per_ray: rendering / rays.max(1) as f64, setup_seconds, encode_seconds_per_pixel })
 }
 
 /// Renders blocks until the time is over, on all renderers at once. `found` receives finished rays, and
@@ -190,7 +190,7 @@ fn encode(mut picture: PictureSpec, mut blocks: Vec<TilePixels>) -> anyhow::Resu
 }
 
 /// CPU time of this process's threads, in seconds; `None` if the system does not report it.
-fn processor_seconds() -> Option<f64> {
+fn cpu_seconds() -> Option<f64> {
     let mut nanoseconds = 0_u64;
     for task in std::fs::read_dir("/proc/self/task").ok()?.flatten() {
         let text = std::fs::read_to_string(task.path().join("schedstat")).ok()?;

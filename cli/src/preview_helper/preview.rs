@@ -9,7 +9,7 @@ use scene::color::DisplayTransform;
 use worker::blob::{self, BlobError, BlobReader};
 
 use super::canvas::{Canvas, shown};
-use super::coarse::{self, Kept};
+use super::coarse::{self, CoarseCache};
 
 /// Draws it as a PNG of at most this width. Tiles that cannot be read, or do not belong to the frame, are
 /// left out.
@@ -18,7 +18,7 @@ pub(super) fn draw(
     frame: u32,
     width_px: u32,
     tiles: &[PathBuf],
-    below: &Kept<'_>,
+    below: &CoarseCache<'_>,
 ) -> anyhow::Result<Vec<u8>> {
     let still = job.at(frame)?;
     let (grade, opaque) = (DisplayTransform::new(still.image()), !still.scene().is_transparent());

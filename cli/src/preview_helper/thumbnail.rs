@@ -10,7 +10,7 @@ use png::{BitDepth, ColorType, Decoder, Limits};
 use scene::Job;
 use scene::color::{DisplayTransform, linear_from_srgb};
 
-use super::canvas::{Canvas, Shown, shown};
+use super::canvas::{Canvas, DisplayPixel, shown};
 
 /// Maximum memory for a PNG's rows.
 const MAX_ROW_BYTES: usize = 64 << 20;
@@ -58,9 +58,9 @@ fn of_png(input: BufReader<File>, width_px: u32) -> anyhow::Result<Canvas> {
 }
 
 fn of_exr(input: BufReader<File>, width_px: u32) -> anyhow::Result<Canvas> {
-    let grade = plain_grade();
+    let grade = identity_transform();
     let one = move |canvas: &mut Canvas, at: Vec2<usize>, (r, g, b, a): (f32, f32, f32, f32)| {
-        let pixel: Shown = shown([r, g, b, a], grade, false);
+        let pixel: DisplayPixel = shown([r, g, b, a], grade, false);
         canvas.add(at.x() as u32, at.y() as u32, std::iter::once(pixel));
     };
     let create = move |size: Vec2<usize>, _: &_| Canvas::new(size.x() as u32, size.y() as u32, width_px);
@@ -76,7 +76,7 @@ fn of_exr(input: BufReader<File>, width_px: u32) -> anyhow::Result<Canvas> {
 }
 
 /// An EXR is linear: its light is shown as it is.
-fn plain_grade() -> DisplayTransform {
+fn identity_transform() -> DisplayTransform {
     const PLAIN: &str = r#"{ "scene": { "camera": { "position": [0, 0, 3], "look_at": [0, 0, 0] },
         "objects": [{ "shape": { "sphere": { "radius": 1 } } }] }, "image": { "width": 1, "height": 1 } }"#;
     let job: Job = scene::parse(PLAIN.as_bytes()).expect("a sound job");

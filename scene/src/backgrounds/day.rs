@@ -57,7 +57,7 @@ const PER_KILOCANDELA: f32 = 1.0 / 32.0;
 impl Day {
     /// After a number in it has changed.
     fn follow(&mut self) -> Result<(), Box<SeekError>> {
-        if let Some(NodeError { pointer: place, message }) = self.fault() {
+        if let Some(NodeError { pointer: place, message }) = self.validate() {
             return Err(SeekError::new(&message).inside(&place));
         }
         self.model = PreethamModel::new(self);
@@ -120,12 +120,12 @@ impl Backdrop for Day {
         Some(self)
     }
 
-    fn fault(&self) -> Option<NodeError> {
+    fn validate(&self) -> Option<NodeError> {
         (self.sun.unit().y < 0.0)
             .then(|| NodeError::new("sun", "is below the horizon: give the sun's direction a y of 0 or more"))
     }
 
-    fn prepare(&mut self) {
+    fn precompute(&mut self) {
         self.model = PreethamModel::new(self);
     }
 }
@@ -221,7 +221,7 @@ mod tests {
 
     fn day(sun: &str) -> Background {
         let mut sky: Background = serde_json::from_str(&format!(r#"{{ "day": {{ "sun": {sun} }} }}"#)).unwrap();
-        sky.prepare();
+        sky.precompute();
         sky
     }
 

@@ -59,7 +59,7 @@ pub trait Project {
     }
 
     /// Why a camera must not say a field of view, if it must not.
-    fn fov_fault(&self) -> Option<&'static str> {
+    fn validate_fov(&self) -> Option<&'static str> {
         None
     }
 
@@ -123,10 +123,10 @@ macro_rules! projections {
                 }
             }
 
-            fn fov_fault(&self) -> Option<&'static str> {
+            fn validate_fov(&self) -> Option<&'static str> {
                 match self {
-                    $($(#[$attribute])* Self::$Kind(projection) => projection.fov_fault(),)*
-                    $(Self::$Unit => $Unit.fov_fault(),)*
+                    $($(#[$attribute])* Self::$Kind(projection) => projection.validate_fov(),)*
+                    $(Self::$Unit => $Unit.validate_fov(),)*
                 }
             }
 

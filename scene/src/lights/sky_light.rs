@@ -61,7 +61,7 @@ impl LightSource for SkyLight {
         self.strength.is_zero()
     }
 
-    fn fault(&self, background: &Background) -> Option<NodeError> {
+    fn validate(&self, background: &Background) -> Option<NodeError> {
         match &self.from {
             None => background
                 .is_transparent()
@@ -69,11 +69,11 @@ impl LightSource for SkyLight {
             Some(from) if from.is_transparent() => {
                 Some(NodeError::new("from", "is nothing that shines: choose a color, a gradient or a day"))
             }
-            Some(from) => from.fault().map(|fault| fault.inside("from")),
+            Some(from) => from.validate().map(|fault| fault.inside("from")),
         }
     }
 
-    fn prepare(&mut self) {
-        self.from.iter_mut().for_each(Backdrop::prepare);
+    fn precompute(&mut self) {
+        self.from.iter_mut().for_each(Backdrop::precompute);
     }
 }

@@ -54,7 +54,7 @@ impl LightSource for Sun {
         self.strength.is_zero()
     }
 
-    fn fault(&self, background: &Background) -> Option<NodeError> {
+    fn validate(&self, background: &Background) -> Option<NodeError> {
         background.day().is_none().then(|| {
             NodeError::new("", "shines only by day: make the background a `day`, or use a `directional` light")
         })

@@ -109,7 +109,7 @@ impl ProfileSdf for Polygon {
         Bounds2::from_points(self.points.edges.iter().map(|edge| edge.from)).widened(isolevel)
     }
 
-    fn fault(&self) -> Option<NodeError> {
+    fn validate(&self) -> Option<NodeError> {
         let edges = &self.points.edges;
         let count = edges.len();
         let (number, message) = (0..count).find_map(|number| duplicate_vertex(edges, number)).or_else(|| {
@@ -118,7 +118,7 @@ impl ProfileSdf for Polygon {
         Some(NodeError::new(format!("points/{number}"), message))
     }
 
-    fn weight(&self) -> u32 {
+    fn size_in_nodes(&self) -> u32 {
         self.points.edges.len() as u32 / 2
     }
 }

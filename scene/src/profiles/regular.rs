@@ -98,7 +98,7 @@ impl ProfileSdf for RegularPolygon {
         Bounds2::symmetric(self.radius.get(), self.radius.get()).widened(isolevel)
     }
 
-    fn fault(&self) -> Option<NodeError> {
+    fn validate(&self) -> Option<NodeError> {
         let most = self.apothem();
         let message = format!("must be at most the distance from the middle to a side: make round {most} or less");
         (self.round.get() > most).then(|| NodeError::new("round", message))

@@ -63,7 +63,7 @@ impl ProfileSdf for Rectangle {
         Bounds2::symmetric(width.get() / 2.0, height.get() / 2.0).widened(isolevel)
     }
 
-    fn fault(&self) -> Option<NodeError> {
+    fn validate(&self) -> Option<NodeError> {
         let [width, height] = &self.size;
         let most = width.get().min(height.get()) / 2.0;
         let message = format!("must be at most half of the shorter side: make round {most} or less");

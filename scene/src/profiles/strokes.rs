@@ -115,7 +115,7 @@ impl ProfileSdf for Bezier {
         if is_slack { Exactness::Exact } else { Exactness::Bound }
     }
 
-    fn weight(&self) -> u32 {
+    fn size_in_nodes(&self) -> u32 {
         2
     }
 }

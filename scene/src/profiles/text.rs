@@ -98,7 +98,7 @@ impl ProfileSdf for Text {
         if is_apart { Exactness::Exact } else { Exactness::Bound }
     }
 
-    fn weight(&self) -> u32 {
+    fn size_in_nodes(&self) -> u32 {
         // As a GPU's compiler takes its time over them.
         const LINE: u32 = 1;
         const CURVE: u32 = 4;

@@ -48,7 +48,7 @@ pub(super) async fn record_request(
     let changes = ![Method::GET, Method::HEAD, Method::OPTIONS].contains(&method) && is_recorded(route.as_deref());
     if changes || is_rejection(response.status()) {
         let caller = response.extensions().get::<Caller>().cloned().unwrap_or(Caller::Anonymous);
-        farm.doors.audit.record(AuditRecord {
+        farm.admission.audit.record(AuditRecord {
             actor: caller.name().to_owned(),
             key: caller.key().map(|key| key.id().to_owned()),
             address,
@@ -104,5 +104,5 @@ pub(super) async fn list(State(farm): State<Arc<Farm>>, uri: Uri) -> Result<Json
     if !(1..=MAX_PAGE).contains(&limit) {
         return Err(ApiError::WrongQuery(format!("limit is {limit}: say 1 to {MAX_PAGE}")));
     }
-    Ok(Json(farm.doors.audit.page(query.cursor, limit).await?))
+    Ok(Json(farm.admission.audit.page(query.cursor, limit).await?))
 }

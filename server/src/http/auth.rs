@@ -89,7 +89,7 @@ pub(super) async fn authenticate_and_authorize(
     if let Err(error) = authorize(&farm, need, &caller, job).await {
         return reject(&farm, peer, caller, error);
     }
-    let pace = match farm.doors.admit(caller.key().map(|key| &**key), peer, matches!(caller, Caller::Keyless)) {
+    let pace = match farm.admission.admit(caller.key().map(|key| &**key), peer, matches!(caller, Caller::Keyless)) {
         Ok(pace) => pace,
         Err(refusal) => return with_caller(ApiError::from(refusal).into_response(), caller),
     };
@@ -127,7 +127,7 @@ fn with_caller(mut response: Response, caller: Caller) -> Response {
 
 /// Rejects the request. After 20 rejections a second from one address, the response is 429 instead of the reason.
 fn reject(farm: &Farm, peer: Option<IpAddr>, caller: Caller, error: ApiError) -> Response {
-    let error = match farm.doors.count_rejection(peer) {
+    let error = match farm.admission.count_rejection(peer) {
         Ok(()) => error,
         Err(refusal) => refusal.into(),
     };
@@ -136,7 +136,7 @@ fn reject(farm: &Farm, peer: Option<IpAddr>, caller: Caller, error: ApiError) ->
 
 /// Caller of this request.
 fn caller(farm: &Farm, need: Permission, peer: Option<IpAddr>, headers: &HeaderMap) -> Result<Caller, ApiError> {
-    let keys = &farm.doors.keys;
+    let keys = &farm.admission.keys;
     let bearer = headers.get(header::AUTHORIZATION).map(|value| {
         let text = value.to_str().unwrap_or_default();
         text.split_once(' ')

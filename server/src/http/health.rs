@@ -34,7 +34,7 @@ pub(super) async fn livez() -> &'static str {
 )]
 pub(super) async fn readyz(State(farm): State<Arc<Farm>>) -> Result<Json<Value>, ApiError> {
     farm.queue.check().await?;
-    farm.pictures.check_writable().await?;
+    farm.content.check_writable().await?;
     let workers = farm.queue.workers().await?.workers;
     let status = if workers.is_empty() { "degraded" } else { "ready" };
     let names: Vec<String> = workers.into_iter().map(|worker| worker.name).collect();
@@ -50,5 +50,5 @@ pub(super) async fn readyz(State(farm): State<Arc<Farm>>) -> Result<Json<Value>,
     )
 )]
 pub(super) async fn metrics(State(farm): State<Arc<Farm>>) -> Result<Response, ApiError> {
-    Ok(([(header::CONTENT_TYPE, OPENMETRICS_TYPE)], farm.watch.text(&farm).await?).into_response())
+    Ok(([(header::CONTENT_TYPE, OPENMETRICS_TYPE)], farm.telemetry.text(&farm).await?).into_response())
 }

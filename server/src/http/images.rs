@@ -104,7 +104,7 @@ pub(super) async fn answer(farm: &Farm, job: JobId, frame: u32, headers: &Header
         ByteRange::Unsatisfiable => return Err(ApiError::WrongRange { size_bytes }),
     };
     let name = ContentHash::parse(&hash).ok_or(ApiError::LostPicture)?;
-    let found = farm.pictures.get(ContentKind::Picture, &name, part.clone()).await?;
+    let found = farm.content.get(ContentKind::Picture, &name, part.clone()).await?;
     let Some((length_bytes, bytes)) = found else { return Err(ApiError::LostPicture) };
     let mut response = set_cache_headers((status, Body::from_stream(bytes)).into_response(), &tag);
     set(&mut response, header::CONTENT_TYPE, &media_type);

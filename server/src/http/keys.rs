@@ -22,7 +22,7 @@ const MAX_BYTES: usize = 16 << 10;
     responses((status = 200, description = "Every key, newest first, without secrets", body = ref("#/components/schemas/KeyList")))
 )]
 pub(super) async fn list(State(farm): State<Arc<Farm>>) -> Json<ApiKeyList> {
-    Json(ApiKeyList { keys: farm.doors.keys.list() })
+    Json(ApiKeyList { keys: farm.admission.keys.list() })
 }
 
 /// Make a key.
@@ -48,7 +48,7 @@ pub(super) async fn make(
     request: Body,
 ) -> Result<Response, ApiError> {
     let new: NewApiKey = body::read_json(&headers, request, MAX_BYTES).await?;
-    let issued = farm.doors.keys.create(new).await?;
+    let issued = farm.admission.keys.create(new).await?;
     let mut response = (StatusCode::CREATED, Json(issued)).into_response();
     response.headers_mut().insert(header::CACHE_CONTROL, HeaderValue::from_static("no-store"));
     Ok(response)
@@ -69,5 +69,5 @@ pub(super) async fn revoke(
     State(farm): State<Arc<Farm>>,
     Path(id): Path<String>,
 ) -> Result<Json<ApiKeyList>, ApiError> {
-    Ok(Json(ApiKeyList { keys: farm.doors.keys.revoke(&id).await? }))
+    Ok(Json(ApiKeyList { keys: farm.admission.keys.revoke(&id).await? }))
 }

@@ -137,11 +137,11 @@ async fn scaled(
         return Ok(describe(StatusCode::NOT_MODIFIED.into_response(), &tag, cache));
     }
     let name = ContentHash::parse(hash).ok_or(ApiError::LostPicture)?;
-    if farm.pictures.size_bytes(ContentKind::Picture, &name).await?.is_none() {
+    if farm.content.size_bytes(ContentKind::Picture, &name).await?.is_none() {
         return Err(ApiError::LostPicture);
     }
     let sketch = HelperRequest::Thumbnail { file: ContentKind::Picture.file(&farm.config.data, hash), width_px };
-    let picture = farm.sketches.picture(&tag, &sketch).await?;
+    let picture = farm.preview_helper.picture(&tag, &sketch).await?;
     Ok(png(picture, &tag, cache))
 }
 
@@ -165,10 +165,10 @@ async fn unfinished(
         frame,
         width_px,
         tiles: blobs.iter().map(|hash| ContentKind::Blob.file(&farm.config.data, hash)).collect(),
-        coarse: farm.sketches.coarse(job, frame),
+        coarse: farm.preview_helper.coarse(job, frame),
         coarse_ms: COARSE_MS,
     };
-    let picture = farm.sketches.picture(&tag, &sketch).await?;
+    let picture = farm.preview_helper.picture(&tag, &sketch).await?;
     Ok(png(picture, &tag, "no-cache"))
 }
 

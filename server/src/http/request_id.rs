@@ -36,7 +36,7 @@ pub(super) async fn trace(State(farm): State<Arc<Farm>>, mut request: Request, n
     async move {
         let mut response = next.run(request).await;
         let elapsed_ms = start.elapsed().as_secs_f64() * 1e3;
-        farm.watch.metrics.record_response(&route, method.as_str(), response.status().as_u16(), start.elapsed());
+        farm.telemetry.metrics.record_response(&route, method.as_str(), response.status().as_u16(), start.elapsed());
         if response.status().is_server_error() {
             tracing::warn!(status = response.status().as_u16(), elapsed_ms, %route, "answered");
         } else {

@@ -35,7 +35,7 @@ const POLICY: &str = "default-src 'none'; style-src 'unsafe-inline'; img-src dat
 )]
 pub(super) async fn get(State(farm): State<Arc<Farm>>, request: Request) -> Result<Response, ApiError> {
     let wants_page = wants_html(request.headers());
-    let needs_key = farm.doors.keys.are_required();
+    let needs_key = farm.admission.keys.are_required();
     let mut view = StartView {
         name: "sdfarm".to_owned(),
         version: env!("CARGO_PKG_VERSION").to_owned(),
@@ -71,7 +71,7 @@ pub(super) async fn get(State(farm): State<Arc<Farm>>, request: Request) -> Resu
 
 /// The farm's numbers, as they were at most a second ago.
 async fn counts(farm: &Farm) -> Result<FarmCounts, ApiError> {
-    let counts = farm.watch.counts(farm).await?;
+    let counts = farm.telemetry.counts(farm).await?;
     let jobs = |state: JobState| counts.jobs_in(state.name()).unsigned_abs();
     let ready = counts.workers.iter().filter(|group| group.state == "ready").map(|group| group.number).sum::<i64>();
     Ok(FarmCounts {

@@ -31,7 +31,7 @@ pub(super) async fn keep(farm: &Farm, job: JobId, headers: &HeaderMap) -> Result
 
 /// Trace context of a worker's batch: a span of its own, below the submission's.
 pub(super) async fn batch_traceparent(farm: &Farm, worker: WorkerId, run: &Batch) -> Option<String> {
-    let kept = match farm.watch.trace_of(farm, run.job).await {
+    let kept = match farm.telemetry.trace_of(farm, run.job).await {
         Ok(kept) => kept?,
         Err(error) => {
             tracing::warn!(%error, job = %run.job, "the trace of a job could not be read");

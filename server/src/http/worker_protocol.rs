@@ -49,7 +49,7 @@ pub(super) async fn register(
     let (pool, device) = (label.is_some(), hello.device.clone());
     let name = label.unwrap_or_else(|| hello.name.clone());
     let worker = farm.queue.register(NewWorker { request: hello, pool, name: name.clone() }).await?.worker;
-    farm.watch.record_worker(worker, &name, &device);
+    farm.telemetry.record_worker(worker, &name, &device);
     tracing::info!(%worker, %name, pool, "a worker registered");
     let folders = if pool { folders(&farm) } else { None };
     Ok(Json(RegisterResponse { worker, lease_ms: farm.queue.lease_ms().unsigned_abs(), folders }))
@@ -73,7 +73,7 @@ pub(super) async fn sync(
     request: Body,
 ) -> Result<Json<SyncResponse>, ApiError> {
     let request: SyncRequest = body::read_json(&headers, request, MAX_SYNC_BYTES).await?;
-    farm.watch.record_metrics(request.worker, &request.metrics);
+    farm.telemetry.record_metrics(request.worker, &request.metrics);
     let mut deadline = monotonic_now() + max_wait(&farm, &request);
     let mut turn = SyncInput {
         worker: request.worker,
@@ -96,7 +96,7 @@ pub(super) async fn sync(
         let turned = farm.sync(turn).await?.ok_or_else(|| ApiError::UnknownWorker(again.worker.to_string()))?;
         let now = monotonic_now();
         if again.wants_work {
-            farm.watch.metrics.record_claim(now - begun);
+            farm.telemetry.metrics.record_claim(now - begun);
         }
         if turned.drain && !again.held_leases.is_empty() {
             // The worker may already know that it must drain; it must not poll without pause
@@ -168,7 +168,7 @@ async fn put(farm: &Farm, kind: ContentKind, hash: String, request: Body) -> Res
     let name = ContentHash::parse(&hash).ok_or_else(|| ApiError::WrongHash(hash.clone()))?;
     let bytes = request.into_data_stream().map_err(std::io::Error::other);
     let span = tracing::info_span!("store", ?kind, %hash);
-    farm.pictures.put(kind, &name, bytes).instrument(span).await?;
+    farm.content.put(kind, &name, bytes).instrument(span).await?;
     fail_point::trigger_infallible(match kind {
         ContentKind::Blob => FailPoint::BlobStored,
         ContentKind::Picture => FailPoint::PictureStored,
@@ -179,7 +179,7 @@ async fn put(farm: &Farm, kind: ContentKind, hash: String, request: Body) -> Res
 /// A tile's blob.
 pub(super) async fn get_blob(State(farm): State<Arc<Farm>>, Path(hash): Path<String>) -> Result<Response, ApiError> {
     let Some(name) = ContentHash::parse(&hash) else { return Err(ApiError::WrongHash(hash)) };
-    match farm.pictures.get(ContentKind::Blob, &name, None).await? {
+    match farm.content.get(ContentKind::Blob, &name, None).await? {
         Some((length_bytes, bytes)) => {
             Ok(([(header::CONTENT_LENGTH, length_bytes)], Body::from_stream(bytes)).into_response())
         }

@@ -189,7 +189,7 @@ impl Queue {
         let mut count = 0;
         loop {
             let dropped = self
-                .store
+                .database
                 .write(Durability::Relaxed, move |connection| {
                     Box::pin(async move { prune(connection, ended_before_ms).await })
                 })
@@ -206,7 +206,7 @@ impl Queue {
 impl Queue {
     /// Drops the oldest events beyond the newest `keep`.
     pub(crate) async fn prune_surplus(&self, keep: i64) -> Result<u64> {
-        self.store
+        self.database
             .write(Durability::Relaxed, move |connection| {
                 Box::pin(async move { prune_surplus(connection, keep).await })
             })

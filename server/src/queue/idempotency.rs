@@ -56,7 +56,7 @@ impl Queue {
     pub(crate) async fn submit_with(&self, job: NewJob, options: SubmitOptions) -> Result<SubmitOutcome> {
         let moment = self.context();
         let submitted = self
-            .store
+            .database
             .write(Durability::Full, move |connection| {
                 Box::pin(async move { accept(connection, &job, &options, moment).await })
             })
@@ -81,7 +81,7 @@ impl Queue {
         let mut count = 0;
         loop {
             let dropped = self
-                .store
+                .database
                 .write(Durability::Relaxed, move |connection| {
                     Box::pin(async move { prune(connection, made_before_ms).await })
                 })

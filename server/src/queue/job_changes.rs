@@ -24,7 +24,7 @@ impl Queue {
     pub(crate) async fn retry(&self, job: JobId) -> Result<ChangeOutcome> {
         let moment = self.context();
         let changed = self
-            .store
+            .database
             .write(Durability::Full, move |connection| Box::pin(async move { retry(connection, job, moment).await }))
             .await?;
         self.wake(Wake::WORK);
@@ -33,7 +33,7 @@ impl Queue {
 
     /// Changes a job that has not finished.
     pub(crate) async fn patch(&self, job: JobId, patch: JobPatch) -> Result<ChangeOutcome> {
-        self.store
+        self.database
             .write(Durability::Full, move |connection| Box::pin(async move { change(connection, job, &patch).await }))
             .await
     }

@@ -42,8 +42,10 @@ async fn pause_farm(connection: &mut Connection, paused: bool) -> Result<()> {
 impl Queue {
     /// Pauses or resumes a job that has not finished.
     pub(crate) async fn pause(&self, job: JobId, paused: bool) -> Result<PauseOutcome> {
-        let done =
-            self.store.write(Durability::Full, move |connection| Box::pin(pause_job(connection, job, paused))).await?;
+        let done = self
+            .database
+            .write(Durability::Full, move |connection| Box::pin(pause_job(connection, job, paused)))
+            .await?;
         if !paused {
             self.wake(Wake::WORK);
         }
@@ -52,7 +54,7 @@ impl Queue {
 
     /// Pauses or resumes the farm.
     pub(crate) async fn pause_all(&self, paused: bool) -> Result<()> {
-        self.store.write(Durability::Full, move |connection| Box::pin(pause_farm(connection, paused))).await?;
+        self.database.write(Durability::Full, move |connection| Box::pin(pause_farm(connection, paused))).await?;
         if !paused {
             self.wake(Wake::WORK);
         }

@@ -119,7 +119,7 @@ impl Queue {
         loop {
             let few = job.clone();
             let fewer = self
-                .store
+                .database
                 .write(Durability::Relaxed, move |connection| {
                     Box::pin(async move { remove_tile_batch(connection, &few).await })
                 })
@@ -129,7 +129,7 @@ impl Queue {
             }
         }
         let job = job.clone();
-        self.store
+        self.database
             .write(Durability::Full, move |connection| Box::pin(async move { remove(connection, &job).await }))
             .await
     }

@@ -47,7 +47,7 @@ impl Fixture {
 
     /// Ends the server and starts another on the same database; its clock starts at zero.
     async fn restart(&mut self) {
-        self.queue.store.close().await;
+        self.queue.database.close().await;
         let store = Database::open(self.folder.path()).await.expect("opens again");
         let (clock, hand) = Clock::manual();
         let (queue, _) = Queue::open(store.into(), clock, LEASE_MS).await.expect("opens again");
@@ -178,7 +178,7 @@ async fn a_full_disk_refuses_a_job_and_room_on_it_takes_the_next() {
     let limit = async |statement: &'static str| {
         bench
             .queue
-            .store
+            .database
             .write(crate::database::Durability::Relaxed, move |connection| {
                 Box::pin(async move {
                     sqlx::query(statement).execute(connection).await?;

@@ -10,7 +10,7 @@ use crate::database::Durability;
 impl Queue {
     /// Keeps the trace of a job that is about to be accepted.
     pub(crate) async fn keep_trace(&self, job: JobId, traceparent: String) -> Result<()> {
-        self.store
+        self.database
             .write(Durability::Relaxed, move |connection| {
                 Box::pin(async move {
                     let kept = sqlx::query("INSERT INTO job_trace (job, traceparent) VALUES (?, ?)")
@@ -35,7 +35,7 @@ impl Queue {
     /// Drops the traces of jobs that are finished, forgotten, or were never accepted, unless they are young; returns how
     /// many.
     pub(crate) async fn drop_traces(&self) -> Result<u64> {
-        self.store
+        self.database
             .write(Durability::Relaxed, move |connection| {
                 Box::pin(async move {
                     let dropped = sqlx::query(

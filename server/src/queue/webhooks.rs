@@ -98,7 +98,7 @@ impl Queue {
         let next_at_ms =
             again_in.map(|wait| wall_ms.saturating_add(i64::try_from(wait.as_millis()).unwrap_or(i64::MAX)));
         let finished_at_ms = next_at_ms.is_none().then_some(wall_ms);
-        self.store
+        self.database
             .write(Durability::Relaxed, move |connection| {
                 Box::pin(async move {
                     let done = sqlx::query(
@@ -139,7 +139,7 @@ impl Queue {
         let mut count = 0;
         loop {
             let dropped = self
-                .store
+                .database
                 .write(Durability::Relaxed, move |connection| {
                     Box::pin(async move {
                         let dropped = sqlx::query(

@@ -9,7 +9,7 @@ use serde::Serialize;
 use server::{Config, Server};
 use tokio_util::sync::CancellationToken;
 
-use crate::commands::serve::own_program;
+use crate::commands::serve::current_executable;
 
 /// Interval between two reads of a measured job.
 const PAUSE: Duration = Duration::from_millis(1);
@@ -41,7 +41,7 @@ pub(crate) async fn measure(text: &[u8], devices: Vec<String>, jobs: usize, fram
     let config = Config {
         listen: ([127, 0, 0, 1], 0).into(),
         data: data.path().to_owned(),
-        worker_program: own_program()?,
+        worker_program: current_executable()?,
         devices,
         ..Config::default()
     };

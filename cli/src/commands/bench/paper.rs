@@ -18,7 +18,7 @@ use worker::{CpuRenderer, Simd};
 
 use crate::arguments::{Device, RendererArguments};
 use crate::shipped;
-use crate::terminal::{note, say};
+use crate::terminal::{print_line, print_note};
 use profile::Profile;
 use published::{Published, published};
 
@@ -114,7 +114,7 @@ pub(crate) fn run(arguments: &Arguments) -> anyhow::Result<()> {
     let cpu = cpu.context("no resolution was asked for: name one, such as --resolutions 256")?;
     let gpu = gpu.map(|gpu| gpu.name);
     let table = Table { scene: SCENE, samples: SAMPLES, gpu, simd: cpu.simd, threads: cpu.threads, rows };
-    if arguments.json { say(&serde_json::to_string_pretty(&table)?) } else { table::say_all(&table) }
+    if arguments.json { print_line(&serde_json::to_string_pretty(&table)?) } else { table::say_all(&table) }
 }
 
 /// The scene at this size, as text and read.
@@ -143,13 +143,13 @@ impl<'a> Gpu<'a> {
     fn find(arguments: &'a Arguments) -> anyhow::Result<Option<Self>> {
         let ordinal = match arguments.renderer.device {
             Device::Cpu => {
-                note("the GPU is skipped, as --device cpu asks for");
+                print_note("the GPU is skipped, as --device cpu asks for");
                 return Ok(None);
             }
             Device::Cuda(ordinal) => ordinal,
             Device::Auto(ordinal) => {
                 if let Err(error) = worker::cuda::devices() {
-                    note(&format!("the GPU is skipped: {error}"));
+                    print_note(&format!("the GPU is skipped: {error}"));
                     return Ok(None);
                 }
                 ordinal
@@ -163,7 +163,7 @@ impl<'a> Gpu<'a> {
     }
 
     fn measure(&mut self, text: &str, job: &Job, block: BlockDim) -> anyhow::Result<(GpuReport, Profile)> {
-        let renderer = self.arguments.renderer.cuda.in_blocks(block).renderer(self.ordinal)?;
+        let renderer = self.arguments.renderer.cuda.with_block(block).renderer(self.ordinal)?;
         let report = render_on_gpu(job, &renderer, &self.counter, self.arguments.runs as usize)?;
         drop(renderer);
         Ok((report, self.profile(text, block)?))
@@ -178,7 +178,7 @@ impl<'a> Gpu<'a> {
         match profile::profile(&path, &device, block, self.arguments.renderer.cuda.cache()) {
             Ok(counted) => Ok(counted),
             Err(why) => {
-                note(&format!("achieved occupancy, branches and lanes are skipped: {why}"));
+                print_note(&format!("achieved occupancy, branches and lanes are skipped: {why}"));
                 self.profiled = None;
                 Ok(Profile::default())
             }

@@ -15,8 +15,8 @@ use serde::Serialize;
 use server::{Config, Server};
 use tokio_util::sync::CancellationToken;
 
-use crate::commands::serve::own_program;
-use crate::terminal::{note, say};
+use crate::commands::serve::current_executable;
+use crate::terminal::{print_line, print_note};
 
 /// Arguments of `bench queue`.
 #[derive(Debug, Args)]
@@ -51,7 +51,7 @@ pub(crate) struct Times {
 }
 
 impl Times {
-    fn of(mut times: Vec<Duration>) -> Self {
+    fn new(mut times: Vec<Duration>) -> Self {
         times.sort();
         let at = |share: f64| {
             let index = ((times.len() as f64 * share).ceil() as usize).clamp(1, times.len().max(1)) - 1;
@@ -90,7 +90,7 @@ impl Farm {
         let config = Config {
             listen: ([127, 0, 0, 1], 0).into(),
             data: data.path().to_owned(),
-            worker_program: own_program()?,
+            worker_program: current_executable()?,
             devices: vec!["cpu".to_owned()],
             workers: Some(workers),
             tile_edge_px: tile_px,
@@ -113,17 +113,17 @@ impl Farm {
 pub(crate) async fn run(arguments: &Arguments) -> anyhow::Result<()> {
     let seconds = Duration::from_secs(arguments.seconds);
     let farm = Arc::new(Farm::start(0, Some(load::TILE_PX)).await?);
-    note(&format!("handing in {} jobs of 100 tiles", arguments.jobs));
+    print_note(&format!("handing in {} jobs of 100 tiles", arguments.jobs));
     let (submits_per_second, submit) = load::submit(&farm, arguments.clients, arguments.jobs).await?;
-    note("claiming among them");
+    print_note("claiming among them");
     let claim = load::claim(&farm).await?;
-    note("working off tiles, with questions how jobs stand");
-    let load::Work { tiles_per_second, status_per_second, status } =
+    print_note("working off tiles, with questions how jobs stand");
+    let load::Throughput { tiles_per_second, status_per_second, status } =
         load::work(&farm, arguments.workers, seconds).await?;
     Arc::into_inner(farm).context("a client still uses the farm")?.stop().await?;
-    note("timing starts and cancels");
+    print_note("timing starts and cancels");
     let start = latency::start(arguments.runs).await?;
-    let cancel = latency::cancel(arguments.runs.min(latency::MOST_CANCELS)).await?;
+    let cancel = latency::cancel(arguments.runs.min(latency::MAX_CANCELS)).await?;
     let (clients, jobs) = (arguments.clients, arguments.jobs);
     let report = Report {
         clients,
@@ -137,7 +137,7 @@ pub(crate) async fn run(arguments: &Arguments) -> anyhow::Result<()> {
         start,
         cancel,
     };
-    if arguments.json { say(&serde_json::to_string_pretty(&report)?) } else { table(&report) }
+    if arguments.json { print_line(&serde_json::to_string_pretty(&report)?) } else { table(&report) }
 }
 
 fn table(report: &Report) -> anyhow::Result<()> {
@@ -146,9 +146,9 @@ fn table(report: &Report) -> anyhow::Result<()> {
         let times = times.map_or_else(String::new, |times| {
             format!("{:>10.2} {:>10.2} {:>10.2}", times.median_ms, times.p99_ms, times.longest_ms)
         });
-        say(&format!("{what:<52} {rate:>9} {times}"))
+        print_line(&format!("{what:<52} {rate:>9} {times}"))
     };
-    say(&format!("{:<52} {:>9} {:>10} {:>10} {:>10}", "", "a second", "median ms", "p99 ms", "longest"))?;
+    print_line(&format!("{:<52} {:>9} {:>10} {:>10} {:>10}", "", "a second", "median ms", "p99 ms", "longest"))?;
     row(
         &format!("jobs handed in by {} clients", report.clients),
         Some(report.submits_per_second),

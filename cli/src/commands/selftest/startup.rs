@@ -13,15 +13,15 @@ const SCENE: &str = "csg";
 /// Its width.
 const WIDTH_PX: u32 = 96;
 /// The hash of its pixels, with every layer, on every device.
-const HASH: &str = "2656b184d41049b590c442b2ba6237bf";
+const EXPECTED_HASH: &str = "2656b184d41049b590c442b2ba6237bf";
 
 /// Renders the tile; an error if it differs from the expected bytes.
-pub(crate) fn prove(renderer: &dyn Renderer) -> anyhow::Result<()> {
+pub(crate) fn check(renderer: &dyn Renderer) -> anyhow::Result<()> {
     let job = with_layers(job(SCENE)?, Some(WIDTH_PX));
     let found = hash(&job, &render(renderer, &job, None)?);
     ensure!(
-        found == HASH,
-        "{} does not render the right bits: its first tile is {found}, and should be {HASH}; look into it with \
+        found == EXPECTED_HASH,
+        "{} does not render the right bits: its first tile is {found}, and should be {EXPECTED_HASH}; look into it with \
          `sdfarm selftest`, and let it render for no farm until that succeeds",
         renderer.device()
     );
@@ -57,8 +57,8 @@ mod tests {
     #[test]
     fn sound_machine_passes_and_one_wrong_bit_does_not() {
         let sound = CpuRenderer::new(Some(1), Simd::Auto).expect("this machine renders");
-        prove(&sound).expect("the right bits");
-        let told = prove(&Bad(sound)).expect_err("a wrong bit").to_string();
+        check(&sound).expect("the right bits");
+        let told = check(&Bad(sound)).expect_err("a wrong bit").to_string();
         assert!(told.contains("does not render the right bits"), "{told}");
     }
 }

@@ -6,9 +6,9 @@ use std::time::Duration;
 
 /// Seeded random number generator.
 #[derive(Clone, Debug)]
-pub(super) struct Chance(u64);
+pub(super) struct SeededRng(u64);
 
-impl Chance {
+impl SeededRng {
     /// Generator with this seed.
     pub(super) fn new(seed: u64) -> Self {
         // Zero would stay zero.

@@ -20,7 +20,7 @@ const SIZE_PX: (u32, u32) = (256, 128);
 
 /// A job, and the pictures that it must give.
 #[derive(Debug)]
-pub(super) struct Task {
+pub(super) struct ReferenceJob {
     /// The job file.
     pub(super) text: Vec<u8>,
     /// BLAKE3 of each frame's picture, undisturbed.
@@ -28,7 +28,7 @@ pub(super) struct Task {
 }
 
 /// Creates the jobs; their seeds follow from the soak's.
-pub(super) fn tasks(seed: u64, threads: Option<usize>) -> anyhow::Result<Vec<Task>> {
+pub(super) fn reference_jobs(seed: u64, threads: Option<usize>) -> anyhow::Result<Vec<ReferenceJob>> {
     let renderer = CpuRenderer::new(threads, Simd::Auto)?;
     let mut tasks = Vec::new();
     for (scene, samples) in SCENES {
@@ -42,7 +42,7 @@ pub(super) fn tasks(seed: u64, threads: Option<usize>) -> anyhow::Result<Vec<Tas
                 render(&renderer, &parsed, frame, &scratch, &mut picture)?;
                 pictures.push(blake3::hash(picture.get_ref()));
             }
-            tasks.push(Task { text, pictures });
+            tasks.push(ReferenceJob { text, pictures });
         }
     }
     Ok(tasks)

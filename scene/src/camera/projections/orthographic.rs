@@ -28,7 +28,7 @@ impl HasExamples for Orthographic {
 }
 
 impl Project for Orthographic {
-    fn fov_fault(&self) -> Option<&'static str> {
+    fn validate_fov(&self) -> Option<&'static str> {
         Some("means nothing in an orthographic picture: leave it out, and choose its height")
     }
 

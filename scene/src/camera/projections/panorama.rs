@@ -14,7 +14,7 @@ use crate::values::FieldOfView;
 pub struct Panorama;
 
 impl Project for Panorama {
-    fn fov_fault(&self) -> Option<&'static str> {
+    fn validate_fov(&self) -> Option<&'static str> {
         Some("means nothing in a panorama, which sees all: leave it out")
     }
 

@@ -6,7 +6,7 @@ use std::process::{Command, Stdio};
 use serde::Serialize;
 use worker::cuda::BlockDim;
 
-use crate::commands::serve::own_program;
+use crate::commands::serve::current_executable;
 
 /// The kernel that renders.
 const KERNEL: &str = "render";
@@ -29,7 +29,7 @@ pub(super) struct Profile {
 pub(super) fn profile(job: &Path, device: &str, block: BlockDim, cache: Option<&Path>) -> Result<Profile, String> {
     let folder = job.parent().unwrap_or(Path::new("."));
     let (log, picture): (PathBuf, PathBuf) = (folder.join("ncu.csv"), folder.join("profiled.png"));
-    let program = own_program().map_err(|error| format!("{error:#}"))?;
+    let program = current_executable().map_err(|error| format!("{error:#}"))?;
     let mut command = Command::new("ncu");
     command.args(["--csv", "--print-units", "base", "--kernel-name", KERNEL]);
     command.args(["--metrics", &[OCCUPANCY, UNIFORM, LANES].join(",")]).arg("--log-file").arg(&log);

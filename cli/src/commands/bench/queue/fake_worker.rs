@@ -8,14 +8,14 @@ use proto::{LeaseId, WorkerId};
 use serde_json::json;
 
 /// The worker.
-pub(super) struct Pretender {
+pub(super) struct FakeWorker {
     http: reqwest::Client,
     server: String,
     id: WorkerId,
     rays_per_second: Option<f64>,
 }
 
-impl Pretender {
+impl FakeWorker {
     /// Registers.
     pub(super) async fn register(server: &str, rays_per_second: Option<f64>) -> anyhow::Result<Self> {
         let http = reqwest::Client::builder().build().context("could not make a client")?;
