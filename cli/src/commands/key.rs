@@ -106,8 +106,8 @@ impl FromStr for KeyLifetime {
 pub(crate) async fn run(arguments: Arguments) -> anyhow::Result<()> {
     match arguments.what {
         KeyCommand::New(new) => create(new).await,
-        KeyCommand::List(list) => list(list).await,
-        KeyCommand::Revoke(revoke) => revoke(revoke).await,
+        KeyCommand::List(arguments) => list(arguments).await,
+        KeyCommand::Revoke(arguments) => revoke(arguments).await,
     }
 }
 
