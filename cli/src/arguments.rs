@@ -59,7 +59,7 @@ impl AuthArguments {
 
 /// Device to render on.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum Device {
+pub(crate) enum DeviceChoice {
     /// The best available: the GPU of this number, or the first; the CPU if no GPU can render.
     Auto(Option<usize>),
     /// The processor.
@@ -68,7 +68,7 @@ pub(crate) enum Device {
     Cuda(Option<usize>),
 }
 
-impl FromStr for Device {
+impl FromStr for DeviceChoice {
     type Err = String;
 
     fn from_str(text: &str) -> Result<Self, String> {
@@ -90,7 +90,7 @@ impl FromStr for Device {
 pub(crate) struct RendererArguments {
     /// Device: auto, cpu, cuda or cuda:N.
     #[arg(long, env = "SDFARM_DEVICE", default_value = "auto")]
-    pub(crate) device: Device,
+    pub(crate) device: DeviceChoice,
     /// Threads that render on a CPU and encode [default: one for each core].
     #[arg(long, value_name = "N", env = "SDFARM_THREADS", value_parser = clap::value_parser!(u32).range(1..=i64::from(MAX_THREADS)))]
     pub(crate) threads: Option<u32>,
@@ -140,13 +140,13 @@ impl RendererArguments {
     /// Starts the renderer. Without a requested device it tries a GPU first.
     pub(crate) fn renderer(&self) -> Result<Arc<dyn Renderer>, RenderError> {
         let ordinal = match self.device {
-            Device::Cpu => None,
-            Device::Cuda(ordinal) => Some(ordinal.unwrap_or(0)),
-            Device::Auto(ordinal) => worker::cuda::devices().is_ok().then_some(ordinal.unwrap_or(0)),
+            DeviceChoice::Cpu => None,
+            DeviceChoice::Cuda(ordinal) => Some(ordinal.unwrap_or(0)),
+            DeviceChoice::Auto(ordinal) => worker::cuda::devices().is_ok().then_some(ordinal.unwrap_or(0)),
         };
         match ordinal.map(|ordinal| self.cuda.renderer(ordinal)) {
             Some(Ok(gpu)) => return Ok(Arc::new(gpu.with_encoders(self.threads.map(|threads| threads as usize)))),
-            Some(Err(error)) if matches!(self.device, Device::Auto(_)) => {
+            Some(Err(error)) if matches!(self.device, DeviceChoice::Auto(_)) => {
                 print_note(&format!("rendering on the CPU: {error}"));
             }
             Some(Err(error)) => return Err(error),

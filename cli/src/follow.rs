@@ -11,10 +11,10 @@ use crate::output_file::OutputFile;
 use crate::progress::Progress;
 use crate::terminal::print_note;
 
-const FIRST_WAIT: Duration = Duration::from_millis(20);
-const LONGEST_WAIT: Duration = Duration::from_millis(500);
+const INITIAL_BACK_OFF: Duration = Duration::from_millis(20);
+const MAX_BACK_OFF: Duration = Duration::from_millis(500);
 /// How long a server that was reachable may be away: it restarts.
-const PATIENCE: Duration = Duration::from_mins(1);
+const UNREACHABLE_TIMEOUT: Duration = Duration::from_mins(1);
 /// Steps of a progress bar: the server sends a fraction, not a count.
 const BAR_STEPS: f64 = 10_000.0;
 
@@ -65,7 +65,7 @@ async fn initial_state(client: &Client, id: JobId) -> Result<JobView, ClientErro
     let mut was_there = false;
     loop {
         match client.job(id).await {
-            Err(error) if is_unreachable(&error) && begun.elapsed() < PATIENCE => {
+            Err(error) if is_unreachable(&error) && begun.elapsed() < UNREACHABLE_TIMEOUT => {
                 was_there |= !matches!(error, ClientError::Unreachable { .. });
                 if !was_there {
                     return Err(error);
@@ -73,7 +73,7 @@ async fn initial_state(client: &Client, id: JobId) -> Result<JobView, ClientErro
             }
             looked => return looked,
         }
-        tokio::time::sleep(LONGEST_WAIT).await;
+        tokio::time::sleep(MAX_BACK_OFF).await;
     }
 }
 
@@ -91,11 +91,11 @@ impl<'a> JobFollower<'a> {
     }
 
     async fn until_final(&mut self, progress: &Progress, mut job: JobView) -> Result<JobView, ClientError> {
-        let mut wait = FIRST_WAIT;
+        let mut wait = INITIAL_BACK_OFF;
         while !job.state.is_final() {
             match self.listen(progress).await {
-                Ok(()) => wait = FIRST_WAIT,
-                Err(error) if is_unreachable(&error) && self.last_event_at.elapsed() < PATIENCE => {}
+                Ok(()) => wait = INITIAL_BACK_OFF,
+                Err(error) if is_unreachable(&error) && self.last_event_at.elapsed() < UNREACHABLE_TIMEOUT => {}
                 // Something on the way, or an older server, has no events.
                 Err(error) if error.code() == Some("unknown_route") => {
                     return poll(self.client, self.id, progress).await;
@@ -108,12 +108,12 @@ impl<'a> JobFollower<'a> {
                     self.last_event_at = Instant::now();
                     progress.set((job.progress * BAR_STEPS) as u64);
                 }
-                Err(error) if is_unreachable(&error) && self.last_event_at.elapsed() < PATIENCE => {}
+                Err(error) if is_unreachable(&error) && self.last_event_at.elapsed() < UNREACHABLE_TIMEOUT => {}
                 Err(other) => return Err(other),
             }
             if !job.state.is_final() {
                 tokio::time::sleep(wait).await;
-                wait = (wait * 3 / 2).min(LONGEST_WAIT);
+                wait = (wait * 3 / 2).min(MAX_BACK_OFF);
             }
         }
         Ok(job)
@@ -145,7 +145,7 @@ fn is_unreachable(error: &ClientError) -> bool {
 
 /// Polls the job.
 async fn poll(client: &Client, id: JobId, progress: &Progress) -> Result<JobView, ClientError> {
-    let mut wait = FIRST_WAIT;
+    let mut wait = INITIAL_BACK_OFF;
     let mut heard = Instant::now();
     loop {
         match client.job(id).await {
@@ -154,11 +154,11 @@ async fn poll(client: &Client, id: JobId, progress: &Progress) -> Result<JobView
                 progress.set((job.progress * BAR_STEPS) as u64);
                 heard = Instant::now();
             }
-            Err(error) if is_unreachable(&error) && heard.elapsed() < PATIENCE => {}
+            Err(error) if is_unreachable(&error) && heard.elapsed() < UNREACHABLE_TIMEOUT => {}
             Err(other) => return Err(other),
         }
         tokio::time::sleep(wait).await;
-        wait = (wait * 3 / 2).min(LONGEST_WAIT);
+        wait = (wait * 3 / 2).min(MAX_BACK_OFF);
     }
 }
 

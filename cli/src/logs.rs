@@ -79,7 +79,7 @@ impl LogArguments {
                 .with_writer(stderr)
                 .with_ansi(false)
                 .fmt_fields(JsonFields::new())
-                .event_format(json_format::Lines)
+                .event_format(json_format::FlatJsonFormat)
                 .boxed(),
         };
         tracing_subscriber::registry().with(layer).with(lines.with_filter(filter)).init();

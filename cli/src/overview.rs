@@ -13,7 +13,7 @@ use openmetrics::Metrics;
 /// Unfinished jobs that are listed, at most.
 const JOBS: u32 = 50;
 /// With less free disk, a warning.
-const LITTLE_DISK_BYTES: f64 = 5e9;
+const MIN_DISK_BYTES: f64 = 5e9;
 /// Fraction of a GPU's memory that counts as full.
 const FULL_GPU: f64 = 0.95;
 
@@ -189,7 +189,7 @@ impl Overview {
             self.pool.ready < self.pool.workers,
             format!("{} of {} ready", self.pool.ready, counted(self.pool.workers, "local worker")),
         );
-        worry((self.disk.free_bytes as f64) < LITTLE_DISK_BYTES, "little room is left on the disk".to_owned());
+        worry((self.disk.free_bytes as f64) < MIN_DISK_BYTES, "little room is left on the disk".to_owned());
         worry(expired > 0, format!("{} ran out", counted(expired, "lease")));
         worry(fenced > 0, format!("{} came too late", counted(fenced, "result")));
         worry(webhook_failures > 0, format!("{} failed", counted(webhook_failures, "webhook delivery")));

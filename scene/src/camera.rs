@@ -8,7 +8,9 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 pub use matrices::Matrix;
-pub use projections::{Axes, Example, Extent, HasExamples, Orthographic, Panorama, Perspective, Project, Projection};
+pub use projections::{
+    CameraAxes, Example, Extent, HasExamples, Orthographic, Panorama, Perspective, Project, Projection,
+};
 
 use crate::job::Frames;
 use crate::march::Tolerance;
@@ -152,7 +154,7 @@ impl View {
         let (right, up, forward) =
             (Vec3::uniform(x, self.right), Vec3::uniform(x, self.up), Vec3::uniform(x, self.forward));
         let origin = Vec3::uniform(x, self.origin);
-        self.projection.ray(&Axes { origin, right, up, forward }, across, upwards)
+        self.projection.ray(&CameraAxes { origin, right, up, forward }, across, upwards)
     }
 
     /// Half a pixel's height, by the distance along a ray.

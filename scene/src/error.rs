@@ -65,11 +65,11 @@ fn list(faults: &[ValidationError]) -> String {
 
 /// Where the lines of a text begin: for the places of many faults.
 #[derive(Debug)]
-pub(crate) struct Lines {
+pub(crate) struct LineIndex {
     starts: Vec<usize>,
 }
 
-impl Lines {
+impl LineIndex {
     /// Those of a text.
     pub(crate) fn new(text: &str) -> Self {
         let ends = text.bytes().enumerate().filter(|(_, byte)| *byte == b'\n');

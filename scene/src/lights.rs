@@ -185,15 +185,10 @@ pub(crate) fn direction_around<R: Real>(axis: Vec3<R>, right: Vec3<R>, up: Vec3<
 /// The lights of a scene that names none.
 pub(crate) fn default_lights() -> Vec<Light> {
     let direction = serde_json::from_str("[0.6, 0.7, 0.5]").expect("a direction");
-    vec![Light::Directional(Directional {
-        direction,
-        color: white(),
-        angle: default_directional_angle(),
-        shadow: true,
-    })]
+    vec![Light::Directional(Directional { direction, color: default_color(), angle: default_angle(), shadow: true })]
 }
 
-pub(crate) fn white() -> Color {
+pub(crate) fn default_color() -> Color {
     Color::new(1.0, 1.0, 1.0)
 }
 
@@ -205,6 +200,6 @@ fn default_strength() -> Strength {
     Strength::new(1.0).expect("1 is in range")
 }
 
-fn default_directional_angle() -> FullAngle {
+fn default_angle() -> FullAngle {
     FullAngle::new(0.0).expect("0 is in range")
 }

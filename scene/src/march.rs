@@ -162,7 +162,7 @@ bundle!(Search { before, value_before, after, value_after, steps, met });
 /// Steps of a search for a root. A bracket is narrow enough after ten or so; a ray along a surface takes more.
 const MAX_SEARCH_STEPS: u32 = 48;
 /// The longest step before the root is between two points, in tolerances: about two pixels.
-const LONGEST_STEP: f32 = 16.0;
+const MAX_STEP: f32 = 16.0;
 /// The step of a ray that moves away from the surface, in tolerances.
 const STEP_AWAY: f32 = 8.0;
 /// Among details of every size to be near is not yet to meet: this part of a resolution is.
@@ -237,7 +237,7 @@ impl<R: Real> Search<R> {
         let falls = fall.above(0.0);
         let per_fall = width / R::select(falls, fall, after.constant(1.0));
         let outwards = R::select(falls, value_after * per_fall, tolerance * STEP_AWAY);
-        let outwards = outwards.max(value_after).min(tolerance * LONGEST_STEP);
+        let outwards = outwards.max(value_after).min(tolerance * MAX_STEP);
         let resolution = approach.resolution.at(after);
         let outwards = is_fine.map_or(outwards, |fine| R::select(fine, value_after.max(resolution), outwards));
         let inwards = (value_before * per_fall).max(width * 0.01).min(width * 0.99);

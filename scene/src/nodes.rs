@@ -216,11 +216,11 @@ macro_rules! nodes {
             }
 
             /// Each kind's examples, as a user would write the whole node.
-            pub fn examples() -> Vec<Example> {
+            pub fn examples() -> Vec<NodeExample> {
                 let mut examples = Vec::new();
                 $(
                     $(#[$attribute])*
-                    examples.extend(<$Kind as Sdf>::examples().into_iter().enumerate().map(|(index, value)| Example {
+                    examples.extend(<$Kind as Sdf>::examples().into_iter().enumerate().map(|(index, value)| NodeExample {
                         kind: stringify!($Kind),
                         index,
                         node: format!("{{ \"{}\": {value} }}", snake_case(stringify!($Kind))),
@@ -320,7 +320,7 @@ nodes![
 
 /// Node for documentation and tests.
 #[derive(Clone, Debug)]
-pub struct Example {
+pub struct NodeExample {
     /// The node's type.
     pub kind: &'static str,
     /// Its place among the examples of its type, from 0.

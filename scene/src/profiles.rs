@@ -212,6 +212,6 @@ impl Profile {
     }
 }
 
-fn nothing() -> LengthOrZero {
+fn default_round() -> LengthOrZero {
     LengthOrZero::new(0.0).expect("0 is in range")
 }

@@ -27,8 +27,8 @@ pub(crate) use peeked_map::PeekedMap;
 
 /// Kinds of number that may be animated.
 macro_rules! animatable_numbers {
-    ($($(#[$doc:meta])* $Name:ident: $holds:expr, $words:literal, $schema:tt;)*) => { $(
-        number_type! { $(#[$doc])* $Name: $holds, $words }
+    ($($(#[$doc:meta])* $Name:ident: $is_in_range:expr, $words:literal, $schema:tt;)*) => { $(
+        number_type! { $(#[$doc])* $Name: $is_in_range, $words }
 
         impl<'de> Deserialize<'de> for $Name {
             fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
@@ -50,8 +50,8 @@ macro_rules! animatable_numbers {
 
 /// Kinds of number that are the same in all frames.
 macro_rules! constant_numbers {
-    ($($(#[$doc:meta])* $Name:ident: $holds:expr, $words:literal, $schema:tt;)*) => { $(
-        number_type! { $(#[$doc])* $Name: $holds, $words }
+    ($($(#[$doc:meta])* $Name:ident: $is_in_range:expr, $words:literal, $schema:tt;)*) => { $(
+        number_type! { $(#[$doc])* $Name: $is_in_range, $words }
 
         impl<'de> Deserialize<'de> for $Name {
             fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
@@ -73,7 +73,7 @@ macro_rules! constant_numbers {
 
 /// A number and, if it is animated, its track. Two are equal if the numbers are.
 macro_rules! number_type {
-    ($(#[$doc:meta])* $Name:ident: $holds:expr, $words:literal) => {
+    ($(#[$doc:meta])* $Name:ident: $is_in_range:expr, $words:literal) => {
         $(#[$doc])*
         #[derive(Clone, Debug)]
         pub struct $Name {
@@ -84,7 +84,7 @@ macro_rules! number_type {
         impl $Name {
             /// The number, if it is in range.
             pub fn new(value: f32) -> Option<Self> {
-                <Self as track::RangedNumber>::holds(value).then_some(Self { value, track: None })
+                <Self as track::RangedNumber>::is_in_range(value).then_some(Self { value, track: None })
             }
 
             /// The number.
@@ -109,9 +109,9 @@ macro_rules! number_type {
         impl track::RangedNumber for $Name {
             const EXPECTED: &'static str = $words;
 
-            fn holds(value: f32) -> bool {
-                let holds: fn(f32) -> bool = $holds;
-                holds(value)
+            fn is_in_range(value: f32) -> bool {
+                let is_in_range: fn(f32) -> bool = $is_in_range;
+                is_in_range(value)
             }
 
             fn in_range(value: f32) -> Option<Self> {
@@ -123,7 +123,7 @@ macro_rules! number_type {
             }
 
             fn on_track(track: Track) -> Self {
-                Self { value: track.at(0.0, Self::holds), track: Some(Arc::new(track)) }
+                Self { value: track.at(0.0, Self::is_in_range), track: Some(Arc::new(track)) }
             }
         }
 
@@ -132,7 +132,7 @@ macro_rules! number_type {
             fn seek(&mut self, clock: &mut FrameTime<'_>) -> Result<bool, std::boxed::Box<SeekError>> {
                 let Some(track) = &self.track else { return Ok(false) };
                 clock.record_keyframes(track.keyframe_times());
-                self.value = track.at(clock.seconds, <Self as track::RangedNumber>::holds);
+                self.value = track.at(clock.seconds, <Self as track::RangedNumber>::is_in_range);
                 Ok(true)
             }
         }

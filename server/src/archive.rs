@@ -22,7 +22,7 @@ use crate::queue::{FrameSet, StoredFrame};
 /// Approximate size of the chunks of a response.
 const CHUNK_BYTES: usize = 128 << 10;
 /// Frames per database query.
-const PAGE: u32 = 500;
+const FRAMES_PER_PAGE: u32 = 500;
 /// Permissions of a file that is taken out.
 const FILE_MODE: u32 = 0o644;
 
@@ -129,7 +129,8 @@ impl Archive {
     /// Starts the next picture; false if there is none.
     async fn begin_next(&mut self) -> Result<bool, ArchiveError> {
         if self.waiting.is_empty() {
-            self.waiting = self.farm.queue.stored_frames(self.frames.job, self.next_frame, PAGE).await?.into();
+            self.waiting =
+                self.farm.queue.stored_frames(self.frames.job, self.next_frame, FRAMES_PER_PAGE).await?.into();
         }
         let Some(frame) = self.waiting.pop_front() else { return Ok(false) };
         self.next_frame = frame.number + 1;

@@ -24,7 +24,7 @@ pub(crate) use subscriber::{EventSubscriber, SubscribeOutcome};
 /// Recent events cached for a job with subscribers.
 const MAX_RECENT: usize = 1024;
 /// Events read at a time.
-const PAGE: u32 = 512;
+const EVENTS_PER_PAGE: u32 = 512;
 /// Minimum interval between two reads of new events; events in between are sent together.
 const POLL_INTERVAL: Duration = Duration::from_millis(20);
 
@@ -167,9 +167,9 @@ impl EventHub {
                 }
                 followed.position
             };
-            let events = self.queue.events_after(position, PAGE).await?;
+            let events = self.queue.events_after(position, EVENTS_PER_PAGE).await?;
             let Some(last) = events.last() else { return Ok(()) };
-            let is_last_page = events.len() < PAGE as usize;
+            let is_last_page = events.len() < EVENTS_PER_PAGE as usize;
             let mut changed_topics: HashMap<i64, Arc<Topic>> = HashMap::new();
             {
                 let mut followed = self.followed.lock().expect("no holder panics");

@@ -69,7 +69,7 @@ fn user_routes() -> OpenApiRouter<Arc<Farm>> {
         .routes(routes!(webhooks::list))
         .routes(routes!(frames::list))
         .routes(routes!(frames::archive))
-        .routes(routes!(images::first))
+        .routes(routes!(images::first_frame))
         .routes(routes!(images::frame))
         .routes(routes!(previews::preview))
         .routes(routes!(previews::thumbnail))

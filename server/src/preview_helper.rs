@@ -31,7 +31,7 @@ const MAX_STDERR_BYTES: u64 = 2 << 10;
 /// Maximum number of cached pictures.
 const MAX_CACHED_PICTURES: usize = 32;
 /// Maximum size of the cached pictures together, unless there is only one.
-const KEPT_BYTES: usize = 16 << 20;
+const MAX_CACHED_BYTES: usize = 16 << 20;
 /// Maximum number of coarse passes kept in the folder.
 const MAX_COARSE_FILES: usize = 256;
 /// The folder of coarse passes.
@@ -143,7 +143,7 @@ impl PreviewHelper {
         kept.retain(|(_, picture)| {
             sum_bytes += picture.len();
             count += 1;
-            count == 1 || (count <= MAX_CACHED_PICTURES && sum_bytes <= KEPT_BYTES)
+            count == 1 || (count <= MAX_CACHED_PICTURES && sum_bytes <= MAX_CACHED_BYTES)
         });
     }
 

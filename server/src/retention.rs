@@ -17,7 +17,7 @@ use crate::queue::FinishedJob;
 /// Maximum number of jobs deleted by one call.
 const MAX_JOBS: usize = 1000;
 /// Jobs per database query.
-const PAGE: u32 = 200;
+const JOBS_PER_PAGE: u32 = 200;
 
 /// Error when deleting jobs.
 #[derive(Debug, thiserror::Error)]
@@ -100,7 +100,7 @@ async fn select_jobs(farm: &Farm, store_bytes: u64) -> Result<Vec<Removal>, Data
     let Some(max_bytes) = farm.config.max_store_bytes else { return Ok(going) };
     let mut after: Option<FinishedJob> = None;
     while left_bytes > max_bytes && going.len() < MAX_JOBS {
-        let page = farm.queue.oldest_jobs(after.as_ref(), PAGE).await?;
+        let page = farm.queue.oldest_jobs(after.as_ref(), JOBS_PER_PAGE).await?;
         let Some(last) = page.last() else { break };
         after = Some(last.clone());
         for job in page {

@@ -35,9 +35,9 @@ const WORDS: [&[u8]; 28] = [
 const CHANGES: u64 = 6;
 
 /// Numbers that look drawn by lot; the same for the same seed.
-pub(super) struct Chance(u64);
+pub(super) struct SeededRng(u64);
 
-impl Chance {
+impl SeededRng {
     pub(super) fn new(seed: u64) -> Self {
         Self(seed.wrapping_mul(0x9e37_79b9_7f4a_7c15) | 1)
     }

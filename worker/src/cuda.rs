@@ -219,7 +219,7 @@ impl CudaRenderer {
             let code = self
                 .compiler
                 .compile(&source.text, self.device.architecture)
-                .map_err(|trouble| compiler::keep(trouble, &source.text, self.cache.folder()))?;
+                .map_err(|trouble| compiler::save_rejected_source(trouble, &source.text, self.cache.folder()))?;
             let loaded = load(&code)?;
             let shape = self.tune_block_dim(&loaded, source, sample)?;
             self.cache.put(key, &CachedKernel { code, shape });

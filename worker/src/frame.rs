@@ -41,15 +41,15 @@ pub fn render_frame(
     out: &mut (impl Write + Seek + Send),
     cancel: &CancelFlag,
     progress: &(dyn Fn(u64) + Sync),
-) -> Result<FrameTimes, FrameError> {
+) -> Result<FrameTimes, RenderFrameError> {
     let start = Instant::now();
     let mut source =
-        if frame_bytes(job) <= MEMORY_BYTES { Rendered::Memory(Vec::new()) } else { scratch_file(scratch)? };
+        if frame_bytes(job) <= MEMORY_BYTES { TileBuffer::Memory(Vec::new()) } else { scratch_file(scratch)? };
     let rects = tiles(job, tile_px);
     for chunk in rects.chunks(chunk_length(renderer, job, rects.iter().copied())) {
         let runs: Vec<TileRequest<'_>> = chunk.iter().map(|&rect| TileRequest { job, frame, rect }).collect();
         for pixels in renderer.render_tiles(&runs, cancel, progress)? {
-            source.push(pixels).map_err(FrameError::Scratch)?;
+            source.push(pixels).map_err(RenderFrameError::Scratch)?;
         }
     }
     let render = start.elapsed();
@@ -58,9 +58,9 @@ pub fn render_frame(
     let picture = PictureSpec::new(&job.at(frame).map_err(ImageError::from)?);
     let mut encode = |source: &mut (dyn RowSource + Send)| encoders.run(|| picture.write(source, out, cancel));
     match source {
-        Rendered::Memory(tiles) => encode(&mut TileRows(&tiles))?,
-        Rendered::File(file, places) => {
-            let file = file.into_inner().map_err(|error| FrameError::Scratch(error.into_error()))?;
+        TileBuffer::Memory(tiles) => encode(&mut TileRows(&tiles))?,
+        TileBuffer::File(file, places) => {
+            let file = file.into_inner().map_err(|error| RenderFrameError::Scratch(error.into_error()))?;
             encode(&mut BlobRows::new(file, places))?;
         }
     }
@@ -79,17 +79,17 @@ fn frame_bytes(job: &Job) -> u64 {
     Rect::full(image.width, image.height).pixels() * u64::from(image.pixel_bytes())
 }
 
-enum Rendered {
+enum TileBuffer {
     Memory(Vec<TilePixels>),
     File(BufWriter<File>, Vec<(Rect, u64)>),
 }
 
-fn scratch_file(scratch: &Path) -> Result<Rendered, FrameError> {
-    let file = tempfile::tempfile_in(scratch).map_err(FrameError::Scratch)?;
-    Ok(Rendered::File(BufWriter::with_capacity(1 << 20, file), Vec::new()))
+fn scratch_file(scratch: &Path) -> Result<TileBuffer, RenderFrameError> {
+    let file = tempfile::tempfile_in(scratch).map_err(RenderFrameError::Scratch)?;
+    Ok(TileBuffer::File(BufWriter::with_capacity(1 << 20, file), Vec::new()))
 }
 
-impl Rendered {
+impl TileBuffer {
     fn push(&mut self, pixels: TilePixels) -> io::Result<()> {
         match self {
             Self::Memory(tiles) => tiles.push(pixels),
@@ -105,7 +105,7 @@ impl Rendered {
 
 /// Error when making a picture.
 #[derive(Debug, thiserror::Error)]
-pub enum FrameError {
+pub enum RenderFrameError {
     /// A tile could not be rendered.
     #[error(transparent)]
     Render(#[from] RenderError),
@@ -117,7 +117,7 @@ pub enum FrameError {
     Scratch(#[source] io::Error),
 }
 
-impl FrameError {
+impl RenderFrameError {
     /// Whether it was cancelled.
     pub fn is_cancelled(&self) -> bool {
         matches!(self, Self::Render(RenderError::Cancelled) | Self::Image(ImageError::Cancelled))

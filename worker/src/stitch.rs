@@ -130,7 +130,7 @@ fn overlapping_rows(band: &RowBand, rect: Rect) -> Range<u32> {
 
 fn check_shape(band: &RowBand, rect: Rect, planes: usize) -> Result<(), StitchError> {
     let fits = u64::from(rect.x) + u64::from(rect.width) <= band.width as u64;
-    if fits && planes == band.planes.len() { Ok(()) } else { Err(StitchError::Shape { rect, planes }) }
+    if fits && planes == band.planes.len() { Ok(()) } else { Err(StitchError::WrongShape { rect, planes }) }
 }
 
 fn check_covered(band: &RowBand, covered: usize) -> Result<(), StitchError> {
@@ -159,7 +159,7 @@ pub enum StitchError {
     },
     /// A tile is no part of this picture.
     #[error("the tile {rect:?} with {planes} planes does not fit the picture")]
-    Shape {
+    WrongShape {
         /// The tile.
         rect: Rect,
         /// The planes it has.

@@ -16,7 +16,7 @@ use serde::Serialize;
 use worker::bench::{GpuReport, PointsReport, RenderReport, points, render, render_on_gpu};
 use worker::{CpuRenderer, RenderError, Simd};
 
-use crate::arguments::{CudaArguments, Device, MAX_THREADS};
+use crate::arguments::{CudaArguments, DeviceChoice, MAX_THREADS};
 use crate::commands::bench::farm::FarmReport;
 use crate::commands::run_async;
 use crate::commands::serve::devices;
@@ -44,7 +44,7 @@ pub(crate) struct Arguments {
     points: bool,
     /// Device to measure: cpu, or cuda or cuda:N for a GPU.
     #[arg(long, env = "SDFARM_DEVICE", default_value = "cpu")]
-    device: Device,
+    device: DeviceChoice,
     #[command(flatten)]
     cuda: CudaArguments,
     /// Threads that render [default: one for each core].
@@ -117,7 +117,7 @@ pub(crate) fn run(arguments: &Arguments) -> anyhow::Result<()> {
             farm_table(&reports)
         };
     }
-    if let Device::Cuda(ordinal) = arguments.device {
+    if let DeviceChoice::Cuda(ordinal) = arguments.device {
         let (gpu, cpu) = (arguments.cuda.renderer(ordinal.unwrap_or(0))?, CpuRenderer::new(None, Simd::Auto)?);
         for job in &jobs {
             reports.gpu_renders.push(render_on_gpu(job, &gpu, &cpu, arguments.runs as usize)?);

@@ -28,7 +28,7 @@ pub(crate) async fn run(arguments: Arguments) -> anyhow::Result<()> {
         if arguments.json {
             print_line(&serde_json::to_string_pretty(&collection)?)?;
         } else {
-            tell(&collection)?;
+            print_report(&collection)?;
         }
         if arguments.dry_run || !collection.more {
             return Ok(());
@@ -36,7 +36,7 @@ pub(crate) async fn run(arguments: Arguments) -> anyhow::Result<()> {
     }
 }
 
-fn tell(collection: &GcReport) -> anyhow::Result<()> {
+fn print_report(collection: &GcReport) -> anyhow::Result<()> {
     let GcReport { dry_run, store_bytes, max_store_bytes, freed_bytes, jobs, more } = collection;
     for job in jobs {
         print_line(&format!(

@@ -10,7 +10,7 @@ use proto::tile::Tiling;
 use scene::{Image, Job, Layer};
 use worker::{CancelFlag, CpuRenderer, RenderError, Renderer, Simd, TilePixels, TileRequest};
 
-use crate::arguments::{Device, RendererArguments};
+use crate::arguments::{DeviceChoice, RendererArguments};
 use crate::shipped;
 use crate::terminal::print_line;
 
@@ -51,8 +51,8 @@ enum Reference {
 /// Renders shipped scenes and compares every bit.
 pub(crate) fn run(arguments: &Arguments) -> anyhow::Result<()> {
     let against = arguments.against.unwrap_or(match arguments.renderer.device {
-        Device::Cpu | Device::Auto(_) => Reference::Levels,
-        Device::Cuda(_) => Reference::Hashes,
+        DeviceChoice::Cpu | DeviceChoice::Auto(_) => Reference::Levels,
+        DeviceChoice::Cuda(_) => Reference::Hashes,
     });
     let differing = match against {
         Reference::Levels if !arguments.print => compare_levels(arguments)?,

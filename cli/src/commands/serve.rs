@@ -12,14 +12,14 @@ use server::{AddressRange, Config, MAX_CONNECTIONS, MAX_QUEUED_JOBS, Server, Tls
 use tokio_util::sync::CancellationToken;
 use worker::{CpuRenderer, RenderError, Simd};
 
-use crate::arguments::{Device, MAX_THREADS, simd_parser};
+use crate::arguments::{DeviceChoice, MAX_THREADS, simd_parser};
 use crate::signals::Signals;
 use crate::size::Size;
 use crate::systemd;
 use crate::terminal::print_line;
 
 /// Upper limit of `--max-queued-jobs`: the sum of the jobs' rays must fit a counter.
-const MOST_QUEUED_JOBS: u32 = 250_000;
+const QUEUED_JOBS_LIMIT: u32 = 250_000;
 
 /// Arguments of `serve`.
 #[derive(Debug, Args)]
@@ -35,7 +35,7 @@ pub(crate) struct Arguments {
     workers: Option<u32>,
     /// Device of the workers: auto, cpu, cuda or cuda:N; several GPUs are assigned in turn.
     #[arg(long, env = "SDFARM_DEVICE", default_value = "auto")]
-    device: Device,
+    device: DeviceChoice,
     /// Vector instructions of the workers; the pictures are the same with each.
     #[arg(long, env = "SDFARM_SIMD", default_value = "auto", value_parser = simd_parser())]
     simd: Simd,
@@ -58,7 +58,7 @@ pub(crate) struct Arguments {
     #[arg(long, value_name = "N", env = "SDFARM_MAX_CONNECTIONS", default_value_t = MAX_CONNECTIONS, value_parser = clap::value_parser!(u32).range(1..))]
     max_connections: u32,
     /// Maximum number of unfinished jobs; above it, submissions are rejected because the queue is full.
-    #[arg(long, value_name = "N", env = "SDFARM_MAX_QUEUED_JOBS", default_value_t = MAX_QUEUED_JOBS, value_parser = clap::value_parser!(u32).range(1..=i64::from(MOST_QUEUED_JOBS)))]
+    #[arg(long, value_name = "N", env = "SDFARM_MAX_QUEUED_JOBS", default_value_t = MAX_QUEUED_JOBS, value_parser = clap::value_parser!(u32).range(1..=i64::from(QUEUED_JOBS_LIMIT)))]
     max_queued_jobs: u32,
     /// Retention of finished jobs that do not set their own: 36h, 30d, forever.
     #[arg(long, value_name = "AGE", env = "SDFARM_KEEP_JOBS", default_value = "forever")]
@@ -142,14 +142,14 @@ pub(crate) fn current_executable() -> anyhow::Result<PathBuf> {
 }
 
 /// Devices of the local workers, in turn: each GPU, else the CPU.
-pub(crate) fn devices(device: Device) -> Result<Vec<String>, RenderError> {
+pub(crate) fn devices(device: DeviceChoice) -> Result<Vec<String>, RenderError> {
     let cpu = || vec!["cpu".to_owned()];
     let each = |kind: &str, count: usize| (0..count).map(|gpu| format!("{kind}:{gpu}")).collect();
     match device {
-        Device::Cpu => Ok(cpu()),
-        Device::Auto(None) => Ok(worker::cuda::devices().map_or_else(|_| cpu(), |count| each("auto", count))),
-        Device::Auto(Some(gpu)) => Ok(vec![format!("auto:{gpu}")]),
-        Device::Cuda(None) => worker::cuda::devices().map(|count| each("cuda", count)),
-        Device::Cuda(Some(gpu)) => worker::cuda::devices().map(|_| vec![format!("cuda:{gpu}")]),
+        DeviceChoice::Cpu => Ok(cpu()),
+        DeviceChoice::Auto(None) => Ok(worker::cuda::devices().map_or_else(|_| cpu(), |count| each("auto", count))),
+        DeviceChoice::Auto(Some(gpu)) => Ok(vec![format!("auto:{gpu}")]),
+        DeviceChoice::Cuda(None) => worker::cuda::devices().map(|count| each("cuda", count)),
+        DeviceChoice::Cuda(Some(gpu)) => worker::cuda::devices().map(|_| vec![format!("cuda:{gpu}")]),
     }
 }

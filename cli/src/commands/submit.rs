@@ -17,10 +17,10 @@ use crate::terminal::{print_line, print_note};
 use crate::{follow, frame_files};
 
 /// Delays between attempts to submit.
-const FIRST_WAIT: Duration = Duration::from_millis(200);
-const LONGEST_WAIT: Duration = Duration::from_secs(3);
+const INITIAL_BACK_OFF: Duration = Duration::from_millis(200);
+const MAX_BACK_OFF: Duration = Duration::from_secs(3);
 /// How long a server that was reachable may be away: it restarts.
-const PATIENCE: Duration = Duration::from_secs(30);
+const SUBMIT_TIMEOUT: Duration = Duration::from_secs(30);
 
 /// Arguments of `submit`.
 #[derive(Debug, Args)]
@@ -100,8 +100,8 @@ async fn save(client: &Client, job: &JobView, output: &str) -> anyhow::Result<()
 /// twice.
 async fn submit(client: &Client, text: &[u8], how: &SubmitOptions) -> Result<JobView, ClientError> {
     let mut sent = false;
-    let mut wait = FIRST_WAIT;
-    let mut left = PATIENCE;
+    let mut wait = INITIAL_BACK_OFF;
+    let mut left = SUBMIT_TIMEOUT;
     loop {
         match client.submit_with(text.to_vec(), how).await {
             Err(ClientError::ConnectionLost { .. }) if left > Duration::ZERO => sent = true,
@@ -110,7 +110,7 @@ async fn submit(client: &Client, text: &[u8], how: &SubmitOptions) -> Result<Job
         }
         tokio::time::sleep(wait).await;
         left = left.saturating_sub(wait);
-        wait = (wait * 2).min(LONGEST_WAIT);
+        wait = (wait * 2).min(MAX_BACK_OFF);
     }
 }
 

@@ -14,9 +14,9 @@ use tracing_subscriber::registry::{LookupSpan, Scope};
 
 /// Writes such lines; spans' fields must have been formatted by `JsonFields`.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Lines;
+pub(super) struct FlatJsonFormat;
 
-impl<S, N> FormatEvent<S, N> for Lines
+impl<S, N> FormatEvent<S, N> for FlatJsonFormat
 where
     S: Subscriber + for<'a> LookupSpan<'a>,
     N: for<'a> FormatFields<'a> + 'static,

@@ -40,7 +40,7 @@ pub struct Extent {
 
 /// Where a camera is and where it looks: each direction to the right and up is as long as the picture's half extent.
 #[derive(Clone, Copy, Debug)]
-pub struct Axes<R> {
+pub struct CameraAxes<R> {
     /// Where the camera is.
     pub origin: Vec3<R>,
     /// To the right.
@@ -67,7 +67,7 @@ pub trait Project {
     fn extent(&self, fov: Option<&FieldOfView>, aspect: f32, height: f32) -> Extent;
 
     /// The ray through a point of the picture: −1 to 1 across and upwards.
-    fn ray<R: Real>(&self, axes: &Axes<R>, across: R, upwards: R) -> Ray<R>;
+    fn ray<R: Real>(&self, axes: &CameraAxes<R>, across: R, upwards: R) -> Ray<R>;
 
     /// Whether no ray of the picture meets the box, however long it is. It may be false although no ray does.
     fn is_beside(&self, view: &View, bounds: Bounds) -> bool;
@@ -138,7 +138,7 @@ macro_rules! projections {
             }
 
             #[inline(always)]
-            fn ray<R: Real>(&self, axes: &Axes<R>, across: R, upwards: R) -> Ray<R> {
+            fn ray<R: Real>(&self, axes: &CameraAxes<R>, across: R, upwards: R) -> Ray<R> {
                 match self {
                     $($(#[$attribute])* Self::$Kind(projection) => projection.ray(axes, across, upwards),)*
                     $(Self::$Unit => $Unit.ray(axes, across, upwards),)*

@@ -3,7 +3,7 @@
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use super::{HasExamples, LightSample, LightSource, default_directional_angle, default_shadow, sample_cone, white};
+use super::{HasExamples, LightSample, LightSource, default_angle, default_color, default_shadow, sample_cone};
 use crate::backgrounds::Day;
 use crate::real::{Real, Vec3};
 use crate::seek::Seek;
@@ -16,10 +16,10 @@ pub struct Directional {
     /// Towards the light; of any length.
     pub direction: Direction,
     /// Its colour and strength.
-    #[serde(default = "white")]
+    #[serde(default = "default_color")]
     pub color: Color,
     /// How wide it is, in degrees: shadows have soft edges. The sun is 0.53 wide.
-    #[serde(default = "default_directional_angle")]
+    #[serde(default = "default_angle")]
     pub angle: FullAngle,
     /// Whether things cast shadows in it.
     #[serde(default = "default_shadow")]

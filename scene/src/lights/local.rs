@@ -3,7 +3,7 @@
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use super::{HasExamples, LightSample, LightSource, default_shadow, direction_around, white};
+use super::{HasExamples, LightSample, LightSource, default_color, default_shadow, direction_around};
 use crate::backgrounds::Day;
 use crate::materials::microfacet::orthonormal_basis;
 use crate::real::{Real, Vec3};
@@ -25,7 +25,7 @@ pub struct SpotLight {
     #[serde(default = "default_softness")]
     pub softness: Fraction,
     /// Its colour, and its strength at a distance of 1.
-    #[serde(default = "white")]
+    #[serde(default = "default_color")]
     pub color: Color,
     /// Whether things cast shadows in it.
     #[serde(default = "default_shadow")]
@@ -45,7 +45,7 @@ pub struct SphereLight {
     /// Its radius.
     pub radius: Length,
     /// Its colour, and its strength at a distance of 1 from a point that shines as much.
-    #[serde(default = "white")]
+    #[serde(default = "default_color")]
     pub color: Color,
     /// Whether things cast shadows in it.
     #[serde(default = "default_shadow")]

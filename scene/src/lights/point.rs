@@ -3,7 +3,7 @@
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use super::{HasExamples, LightSample, LightSource, default_shadow, white};
+use super::{HasExamples, LightSample, LightSource, default_color, default_shadow};
 use crate::backgrounds::Day;
 use crate::real::{Real, Vec3};
 use crate::seek::Seek;
@@ -16,7 +16,7 @@ pub struct PointLight {
     /// Where it is.
     pub position: Point,
     /// Its colour, and its strength at a distance of 1.
-    #[serde(default = "white")]
+    #[serde(default = "default_color")]
     pub color: Color,
     /// Whether things cast shadows in it.
     #[serde(default = "default_shadow")]

@@ -18,7 +18,7 @@ pub struct Sun {
     #[serde(default = "default_strength")]
     pub strength: Strength,
     /// How wide it is, in degrees.
-    #[serde(default = "default_sun_angle")]
+    #[serde(default = "default_angle")]
     pub angle: FullAngle,
     /// Whether things cast shadows in it.
     #[serde(default = "default_shadow")]
@@ -61,6 +61,6 @@ impl LightSource for Sun {
     }
 }
 
-fn default_sun_angle() -> FullAngle {
+fn default_angle() -> FullAngle {
     FullAngle::new(0.53).expect("0.53 is in range")
 }

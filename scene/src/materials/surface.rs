@@ -26,7 +26,7 @@ pub struct Surface {
     #[serde(default = "default_base_color")]
     pub base_color: ColorParam,
     /// Whether it is a metal: 1, or not: 0.
-    #[serde(default = "none")]
+    #[serde(default = "default_fraction")]
     pub metallic: ScalarParam<Fraction>,
     /// Roughness: 0 is a mirror, 1 is matte. Its square is the α of GGX, at least 0.002.
     #[serde(default = "default_roughness")]
@@ -38,14 +38,14 @@ pub struct Surface {
     #[serde(default = "ColorParam::black")]
     pub emission: ColorParam,
     /// Fraction of it under a clear coat, whose index of refraction is 1.5.
-    #[serde(default = "none")]
+    #[serde(default = "default_fraction")]
     pub clearcoat: ScalarParam<Fraction>,
     /// Roughness of the clear coat.
     #[serde(default = "default_clearcoat_roughness")]
     pub clearcoat_roughness: ScalarParam<Fraction>,
     /// Fraction of the light that enters the body and is transmitted, tinted by the root of `base_color`
     /// on the way in and out.
-    #[serde(default = "none")]
+    #[serde(default = "default_fraction")]
     pub transmission: ScalarParam<Fraction>,
 }
 
@@ -376,7 +376,7 @@ fn constant_fraction(value: f32) -> ScalarParam<Fraction> {
     ScalarParam::Plain(Fraction::new(value).expect("a share is from 0 to 1"))
 }
 
-fn none() -> ScalarParam<Fraction> {
+fn default_fraction() -> ScalarParam<Fraction> {
     constant_fraction(0.0)
 }
 

@@ -21,16 +21,16 @@ pub struct Clouds {
     #[serde(default)]
     pub mapping: Mapping,
     /// Color of the clouds. On a surface it is lit like that of `diffuse`.
-    #[serde(default = "white")]
+    #[serde(default = "default_color")]
     pub color: Color,
     /// Inside a shape: the extinction coefficient where the noise is 1, per scene unit.
-    #[serde(default = "thick")]
+    #[serde(default = "default_density")]
     pub density: Density,
     /// Noise below this is clear air.
-    #[serde(default = "none")]
+    #[serde(default = "default_threshold")]
     pub threshold: Fraction,
     /// Inside a shape: steps of a ray from corner to corner of its bounds.
-    #[serde(default = "thirty_two", deserialize_with = "steps")]
+    #[serde(default = "default_cloud_steps", deserialize_with = "steps")]
     #[schemars(range(min = 1, max = MAX_MEDIUM_STEPS))]
     pub steps: u32,
 }
@@ -61,30 +61,30 @@ pub struct Volume {
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub noise: Option<Noise>,
     /// Fraction of the noise's range that is filled.
-    #[serde(default = "half")]
+    #[serde(default = "default_coverage")]
     pub coverage: Fraction,
     /// Depth below its shape's surface at which it reaches full density, in scene units.
-    #[serde(default = "sharp")]
+    #[serde(default = "default_edge")]
     pub edge: LengthOrZero,
     /// Fraction of the light that is scattered and not absorbed, by channel.
-    #[serde(default = "white")]
+    #[serde(default = "default_color")]
     pub albedo: Color,
     /// Whether light is scattered onwards (above 0) or back.
-    #[serde(default = "evenly")]
+    #[serde(default = "default_anisotropy")]
     pub anisotropy: Anisotropy,
     /// Orders of scattering: 1 is exact, more are approximated and brighter.
-    #[serde(default = "one", deserialize_with = "orders")]
+    #[serde(default = "default_orders", deserialize_with = "orders")]
     #[schemars(range(min = 1, max = MAX_ORDERS))]
     pub orders: u32,
     /// Emitted light.
-    #[serde(default = "black")]
+    #[serde(default = "default_emission")]
     pub emission: Color,
     /// Steps of a ray from corner to corner of its shape's bounds.
-    #[serde(default = "forty_eight", deserialize_with = "steps")]
+    #[serde(default = "default_volume_steps", deserialize_with = "steps")]
     #[schemars(range(min = 1, max = MAX_MEDIUM_STEPS))]
     pub steps: u32,
     /// Steps of a ray toward a light.
-    #[serde(default = "eight", deserialize_with = "light_steps")]
+    #[serde(default = "default_light_steps", deserialize_with = "light_steps")]
     #[schemars(range(min = 1, max = MAX_LIGHT_STEPS))]
     pub light_steps: u32,
 }
@@ -327,47 +327,47 @@ impl Shade for Volume {
     }
 }
 
-fn white() -> Color {
+fn default_color() -> Color {
     Color::new(1.0, 1.0, 1.0)
 }
 
-fn black() -> Color {
+fn default_emission() -> Color {
     Color::new(0.0, 0.0, 0.0)
 }
 
-fn thick() -> Density {
+fn default_density() -> Density {
     Density::new(2.0).expect("2 is in range")
 }
 
-fn none() -> Fraction {
+fn default_threshold() -> Fraction {
     Fraction::new(0.0).expect("0 is in range")
 }
 
-fn half() -> Fraction {
+fn default_coverage() -> Fraction {
     Fraction::new(0.5).expect("0.5 is in range")
 }
 
-fn sharp() -> LengthOrZero {
+fn default_edge() -> LengthOrZero {
     LengthOrZero::new(0.0).expect("0 is in range")
 }
 
-fn evenly() -> Anisotropy {
+fn default_anisotropy() -> Anisotropy {
     Anisotropy::new(0.0).expect("0 is in range")
 }
 
-fn one() -> u32 {
+fn default_orders() -> u32 {
     1
 }
 
-fn eight() -> u32 {
+fn default_light_steps() -> u32 {
     8
 }
 
-fn thirty_two() -> u32 {
+fn default_cloud_steps() -> u32 {
     32
 }
 
-fn forty_eight() -> u32 {
+fn default_volume_steps() -> u32 {
     48
 }
 

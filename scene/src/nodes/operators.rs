@@ -33,7 +33,7 @@ pub struct Union {
     #[schemars(length(min = 1))]
     pub of: Vec<Node>,
     /// Width of the melted seam; 0 is sharp.
-    #[serde(default = "sharp")]
+    #[serde(default = "default_smooth")]
     pub smooth: LengthOrZero,
     /// Bounding volume hierarchy of the shapes.
     #[serde(skip)]
@@ -48,7 +48,7 @@ pub struct Intersection {
     #[schemars(length(min = 1))]
     pub of: Vec<Node>,
     /// Width of the melted seam; 0 is sharp.
-    #[serde(default = "sharp")]
+    #[serde(default = "default_smooth")]
     pub smooth: LengthOrZero,
 }
 
@@ -60,7 +60,7 @@ pub struct Difference {
     #[schemars(length(min = 1))]
     pub of: Vec<Node>,
     /// Width of the melted seam; 0 is sharp.
-    #[serde(default = "sharp")]
+    #[serde(default = "default_smooth")]
     pub smooth: LengthOrZero,
 }
 
@@ -273,6 +273,6 @@ impl Sdf for Difference {
     around_list!(|first, _| first);
 }
 
-fn sharp() -> LengthOrZero {
+fn default_smooth() -> LengthOrZero {
     LengthOrZero::new(0.0).expect("0 is in range")
 }

@@ -68,7 +68,7 @@ pub struct Box {
     /// Whole extents along x, y and z.
     pub size: [Length; 3],
     /// Radius of its rounded edges, inside `size`.
-    #[serde(default = "nothing")]
+    #[serde(default = "default_round")]
     pub round: LengthOrZero,
 }
 
@@ -380,6 +380,6 @@ fn scaled(v: Vec3<f32>, factor: f32) -> Vec3<f32> {
     vec3(v.x * factor, v.y * factor, v.z * factor)
 }
 
-fn nothing() -> LengthOrZero {
+fn default_round() -> LengthOrZero {
     LengthOrZero::new(0.0).expect("0 is in range")
 }

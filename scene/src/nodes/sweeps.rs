@@ -23,7 +23,7 @@ pub struct Extrude {
     /// Whole height along z.
     pub height: Length,
     /// Radius of the rounded edges around both ends, inside the sharp solid.
-    #[serde(default = "sharp")]
+    #[serde(default = "default_round")]
     pub round: LengthOrZero,
 }
 
@@ -137,7 +137,7 @@ fn profile_error(profile: &Profile) -> Option<NodeError> {
     Some(NodeError::new(format!("profile/{}/{place}", profile.name()), message))
 }
 
-fn sharp() -> LengthOrZero {
+fn default_round() -> LengthOrZero {
     LengthOrZero::new(0.0).expect("0 is in range")
 }
 

@@ -56,7 +56,7 @@ pub(super) fn value<R: Real>(p: Vec3<R>, seed: R) -> R {
 }
 
 /// Twice this is the furthest cell of the lattice.
-const FARTHEST: f32 = 2_097_151.0;
+const MAX_CELL: f32 = 2_097_151.0;
 /// One over the maximum of the sum of a simplex's four corners, which is 0.013007157.
 const SIMPLEX_SCALE: f32 = 76.88;
 
@@ -75,7 +75,7 @@ pub(super) fn simplex<R: Real>(p: Vec3<R>, seed: R) -> R {
             // Skewed, the lattice is one of cubes, each cut into six simplices by the order of the coordinates.
             let p = p.map(
                 #[inline(always)]
-                |c| c.at_least(-FARTHEST).at_most(FARTHEST),
+                |c| c.at_least(-MAX_CELL).at_most(MAX_CELL),
             );
             let skew = (p.x + p.y + p.z) * (1.0 / 3.0);
             let (corner, f) = cell(vec3(p.x + skew, p.y + skew, p.z + skew));
@@ -117,9 +117,9 @@ mod tests {
     }
 
     /// A corner's or a simplex point's weight, that weight's gradient, and the way from there.
-    type Part = (f32, Vec3<f32>, Vec3<f32>);
+    type LatticePart = (f32, Vec3<f32>, Vec3<f32>);
 
-    fn cube_parts(p: Vec3<f32>) -> Vec<Part> {
+    fn cube_parts(p: Vec3<f32>) -> Vec<LatticePart> {
         let fade = |t: f32| t * t * t * (t * (t * 6.0 - 15.0) + 10.0);
         let slope = |t: f32| 30.0 * t * t * (t - 1.0) * (t - 1.0);
         let along =
@@ -134,7 +134,7 @@ mod tests {
     }
 
     /// For skewed coordinates in falling order; the other simplices are this one with the axes swapped.
-    fn simplex_parts(p: Vec3<f32>) -> Vec<Part> {
+    fn simplex_parts(p: Vec3<f32>) -> Vec<LatticePart> {
         let mut f = [p.x, p.y, p.z];
         f.sort_by(|a, b| b.total_cmp(a));
         (0..4)
@@ -150,7 +150,7 @@ mod tests {
     }
 
     /// The greatest value and slope that can be drawn, by a search from many places.
-    fn search(parts: fn(Vec3<f32>) -> Vec<Part>, score: impl Fn(&[Part], Vec3<f32>) -> f32) -> f32 {
+    fn search(parts: fn(Vec3<f32>) -> Vec<LatticePart>, score: impl Fn(&[LatticePart], Vec3<f32>) -> f32) -> f32 {
         let mut state = 1_u32;
         let mut random = || {
             state = state.wrapping_mul(747_796_405).wrapping_add(2_891_336_453);
@@ -175,15 +175,15 @@ mod tests {
         greatest
     }
 
-    fn value(parts: &[Part], _: Vec3<f32>) -> f32 {
+    fn value(parts: &[LatticePart], _: Vec3<f32>) -> f32 {
         parts.iter().map(|&(weight, _, away)| weight * most(away)).sum()
     }
 
-    fn slope(parts: &[Part], u: Vec3<f32>) -> f32 {
+    fn slope(parts: &[LatticePart], u: Vec3<f32>) -> f32 {
         parts.iter().map(|&(weight, change, away)| most(u * weight + away * u.dot(change))).sum()
     }
 
-    fn slope_of_values(parts: &[Part], u: Vec3<f32>) -> f32 {
+    fn slope_of_values(parts: &[LatticePart], u: Vec3<f32>) -> f32 {
         parts.iter().map(|&(_, change, _)| u.dot(change).abs()).sum()
     }
 

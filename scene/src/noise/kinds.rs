@@ -23,27 +23,27 @@ macro_rules! noises {
             pub struct $Kind {
                 $($(#[$about])* pub $field: $Type,)*
                 /// Number of cells or waves per scene unit.
-                #[serde(default = "one")]
+                #[serde(default = "default_scale")]
                 pub scale: ScaleFactor,
                 /// Which of the noises of this kind it is.
                 #[serde(default, deserialize_with = "seed")]
                 pub seed: u32,
                 /// Number of summed octaves, each finer than the previous one.
-                #[serde(default = "one_octave", deserialize_with = "octaves")]
+                #[serde(default = "default_octaves", deserialize_with = "octaves")]
                 #[schemars(range(min = 1, max = MAX_OCTAVES))]
                 pub octaves: u32,
                 /// Ratio of the frequencies of successive octaves.
-                #[serde(default = "double")]
+                #[serde(default = "default_lacunarity")]
                 pub lacunarity: Lacunarity,
                 /// Ratio of the weights of successive octaves.
-                #[serde(default = "half")]
+                #[serde(default = "default_gain")]
                 pub gain: Gain,
                 /// Contribution of each octave to the sum.
                 #[serde(default)]
                 pub fractal: Fractal,
                 /// Distance by which the noise is shifted by another one of its kind, in its
                 /// own cells or waves.
-                #[serde(default = "nothing")]
+                #[serde(default = "default_warp")]
                 pub warp: LengthOrZero,
             }
 
@@ -120,7 +120,7 @@ noises! {
     /// Gardner's noise: a product of two sums of sine waves that bend each other; clouds and trees of 1985.
     Gardner {
         /// Number of waves in each sum.
-        #[serde(default = "five_waves", deserialize_with = "waves")]
+        #[serde(default = "default_waves", deserialize_with = "waves")]
         #[schemars(range(min = MIN_WAVES, max = MAX_WAVES))]
         waves: u32,
     }
@@ -195,27 +195,27 @@ impl Basis for Gardner {
     }
 }
 
-fn one() -> ScaleFactor {
+fn default_scale() -> ScaleFactor {
     ScaleFactor::new(1.0).expect("1 is in range")
 }
 
-fn double() -> Lacunarity {
+fn default_lacunarity() -> Lacunarity {
     Lacunarity::new(2.0).expect("2 is in range")
 }
 
-fn half() -> Gain {
+fn default_gain() -> Gain {
     Gain::new(0.5).expect("0.5 is in range")
 }
 
-fn nothing() -> LengthOrZero {
+fn default_warp() -> LengthOrZero {
     LengthOrZero::new(0.0).expect("0 is in range")
 }
 
-fn one_octave() -> u32 {
+fn default_octaves() -> u32 {
     1
 }
 
-fn five_waves() -> u32 {
+fn default_waves() -> u32 {
     5
 }
 

@@ -19,7 +19,7 @@ use super::stand_ins;
 use super::tree::{self, TreeError, Value};
 use super::{MAX_ERRORS, too_deep, twice};
 use crate::document::JobDocument;
-use crate::error::{Lines, ValidationError};
+use crate::error::{LineIndex, ValidationError};
 use crate::json_scan::unescape;
 use crate::lights::Light;
 use crate::materials::Material;
@@ -33,7 +33,7 @@ const MIN_READ_BYTES: usize = 256;
 
 /// A part of a job that is read by itself.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Part {
+enum DocumentPart {
     /// The job, without its objects, materials and lights.
     Job,
     /// An object, without its shape.
@@ -44,7 +44,7 @@ enum Part {
     Light,
 }
 
-impl Part {
+impl DocumentPart {
     /// The first fault of a text that should be such a part.
     fn read(self, text: &str) -> Result<(), FormFault> {
         fn read<T: DeserializeOwned + Serialize>(text: &str) -> Result<(), FormFault> {
@@ -150,8 +150,8 @@ struct Collector<'a> {
 /// `meaning` gives pointer and message of what is wrong with a text that is sound in form.
 pub(super) fn all(text: &str, meaning: impl Fn(&str) -> Vec<(String, String)>) -> Vec<ValidationError> {
     let mut collector = Collector::new(text);
-    collector.part(Part::Job, &[]);
-    if collector.goes_on() {
+    collector.part(DocumentPart::Job, &[]);
+    if collector.can_continue() {
         collector.meaning(meaning);
     }
     collector.faults()
@@ -161,7 +161,7 @@ pub(super) fn all(text: &str, meaning: impl Fn(&str) -> Vec<(String, String)>) -
 #[cfg(test)]
 pub(super) fn counted(text: &str) -> (Vec<ValidationError>, usize) {
     let mut collector = Collector::new(text);
-    collector.part(Part::Job, &[]);
+    collector.part(DocumentPart::Job, &[]);
     let read = collector.bytes_read;
     (collector.faults(), read)
 }
@@ -175,7 +175,7 @@ impl<'a> Collector<'a> {
         collector
     }
 
-    fn goes_on(&self) -> bool {
+    fn can_continue(&self) -> bool {
         self.found.len() < MAX_ERRORS && self.bytes_read < MAX_READ_BYTES.saturating_add(self.text.len())
     }
 
@@ -194,14 +194,14 @@ impl<'a> Collector<'a> {
     }
 
     /// Reads a part and those in it.
-    fn part(&mut self, part: Part, path: &[usize]) {
+    fn part(&mut self, part: DocumentPart, path: &[usize]) {
         let mut known = HashSet::new();
         for (part, path) in self.inside(part, path) {
             self.part(part, &path);
             known.insert(path);
         }
         for _ in 0..MAX_ERRORS {
-            if !self.goes_on() {
+            if !self.can_continue() {
                 return;
             }
             match self.read(part, path) {
@@ -217,14 +217,14 @@ impl<'a> Collector<'a> {
         }
     }
 
-    fn inside(&self, part: Part, path: &[usize]) -> Vec<(Part, Vec<usize>)> {
+    fn inside(&self, part: DocumentPart, path: &[usize]) -> Vec<(DocumentPart, Vec<usize>)> {
         let Some(value) = self.root.at(path) else { return Vec::new() };
         let below = part.inside(value).into_iter();
         below.map(|(part, below)| (part, [path, &below].concat())).collect()
     }
 
     /// The first fault of a part, as it is with its repairs.
-    fn read(&mut self, part: Part, path: &[usize]) -> Result<(), FormFault> {
+    fn read(&mut self, part: DocumentPart, path: &[usize]) -> Result<(), FormFault> {
         let Some(value) = self.root.at(path) else { return Ok(()) };
         let mut text = String::new();
         value.write(self.text, &mut text, &mut Vec::new(), &|path, value| part.cut(path, value));
@@ -272,7 +272,7 @@ impl<'a> Collector<'a> {
         self.found.retain(|found| !left_out.iter().any(|place| found.pointer.starts_with(place)));
         self.found.sort_by_key(|found| found.offset);
         self.found.truncate(MAX_ERRORS);
-        let lines = Lines::new(self.text);
+        let lines = LineIndex::new(self.text);
         let place = |found: Found| lines.fault(found.offset, found.pointer, found.message);
         self.found.into_iter().map(place).collect()
     }

@@ -1,6 +1,6 @@
 //! What makes a text no JSON, in the words of someone who wrote it by hand: a comment, a comma too many, a missing quote.
 
-use crate::error::{Lines, ValidationError};
+use crate::error::{LineIndex, ValidationError};
 
 /// Words that other languages write, and JSON's.
 const WORDS: [(&str, &str); 6] = [
@@ -14,7 +14,7 @@ const WORDS: [(&str, &str); 6] = [
 
 /// The fault of a text that serde can't read.
 pub(super) fn fault(text: &str, error: &serde_json::Error) -> ValidationError {
-    let lines = Lines::new(text);
+    let lines = LineIndex::new(text);
     let reached = lines.offset(error.line(), error.column());
     // A later oddity is not what serde stopped at.
     match first_oddity(text).filter(|oddity| oddity.offset <= reached + 1) {
@@ -190,7 +190,7 @@ impl Scanner<'_> {
     fn end(&self) -> Oddity {
         let message = match self.open.last() {
             Some(&open) => {
-                let place = Lines::new(&self.text[..open]).fault(open, String::new(), String::new());
+                let place = LineIndex::new(&self.text[..open]).fault(open, String::new(), String::new());
                 let (bracket, close) = if self.bytes[open] == b'{' { ("{", "}") } else { ("[", "]") };
                 format!(
                     "the text ends too early (EOF): the `{bracket}` at {}:{} lacks its `{close}`",

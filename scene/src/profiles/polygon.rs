@@ -16,7 +16,7 @@ const MIN_POINTS: usize = 3;
 /// Most points of a polygon.
 const MAX_POINTS: usize = 256;
 /// Further than anything is, squared, and yet a number.
-const FAR: f32 = 1e30;
+const MISS_DISTANCE: f32 = 1e30;
 
 /// A polygon given by its corners, in either orientation. It need not be convex.
 ///
@@ -97,7 +97,7 @@ impl ProfileSdf for Polygon {
 
     #[inline(always)]
     fn distance<R: Real>(&self, x: R, y: R) -> R {
-        let mut found = (x.constant(FAR), x.constant(1.0));
+        let mut found = (x.constant(MISS_DISTANCE), x.constant(1.0));
         for edge in &self.points.edges {
             found = edge.scan(x, y, found);
         }

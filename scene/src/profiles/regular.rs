@@ -28,7 +28,7 @@ pub struct RegularPolygon {
     /// Radius of the circle through its corners.
     pub radius: Length,
     /// Radius of its rounded corners, inside the sharp polygon.
-    #[serde(default = "super::nothing")]
+    #[serde(default = "super::default_round")]
     pub round: LengthOrZero,
 }
 

@@ -40,7 +40,7 @@ pub struct Rectangle {
     /// Whole extents along x and y.
     pub size: [Length; 2],
     /// Radius of its rounded corners, inside `size`.
-    #[serde(default = "super::nothing")]
+    #[serde(default = "super::default_round")]
     pub round: LengthOrZero,
 }
 

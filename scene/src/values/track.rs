@@ -25,7 +25,7 @@ pub(super) trait RangedNumber: Sized {
     const EXPECTED: &'static str;
 
     /// Whether a number is in range.
-    fn holds(value: f32) -> bool;
+    fn is_in_range(value: f32) -> bool;
 
     /// The number, if it is in range.
     fn in_range(value: f32) -> Option<Self>;

@@ -14,7 +14,7 @@ const COINCIDENT: f32 = 2e-5;
 /// Pairs of objects that are looked at.
 const MAX_PAIRS: usize = 32;
 /// More work at a look is not done.
-const MAX_WORK: f32 = 500.0;
+const MAX_EVALUATIONS: f32 = 500.0;
 /// What sends on more of the light than this is metal or glass.
 const MIN_SENT_ON: f32 = 0.5;
 
@@ -23,7 +23,7 @@ pub(super) fn touching(scene: &Scene) -> Option<String> {
     let is_clear = |index: &usize| {
         let object = &scene.objects[*index];
         let material = &scene.used_materials()[object.material.slot() as usize];
-        material.is_transmissive() && !material.is_medium() && object.shape.evaluation_cost() <= MAX_WORK
+        material.is_transmissive() && !material.is_medium() && object.shape.evaluation_cost() <= MAX_EVALUATIONS
     };
     let clear: Vec<usize> = (0..scene.objects.len()).filter(is_clear).collect();
     let pairs = clear.iter().enumerate().flat_map(|(n, &one)| clear[n + 1..].iter().map(move |&other| (one, other)));

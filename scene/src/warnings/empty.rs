@@ -9,7 +9,7 @@ const MAX_BOXES: usize = 512;
 /// Boxes that are looked at in all differences of a scene.
 const MAX_ALL_BOXES: usize = 8192;
 /// More work at a look is not done.
-const MAX_WORK: f32 = 2000.0;
+const MAX_EVALUATIONS: f32 = 2000.0;
 
 /// A difference whose parts are all cut away.
 pub(super) fn difference(scene: &Scene) -> Option<String> {
@@ -43,7 +43,7 @@ fn is_empty(node: &Node, boxes_left: &mut usize) -> bool {
     let stretch = node.stretch();
     if !bounds.is_finite()
         || node.exactness() == Exactness::Estimate
-        || node.evaluation_cost() > MAX_WORK
+        || node.evaluation_cost() > MAX_EVALUATIONS
         || stretch.is_nan()
     {
         return false;

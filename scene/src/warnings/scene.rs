@@ -10,7 +10,7 @@ use crate::scene::{Scene, child_pointers};
 /// Steps that are a smaller part of the distance than one over this are worth a word.
 const STEEPEST: f32 = 20.0;
 /// More nodes at a look are worth a word.
-const MOST_WORK: f32 = 1e6;
+const MAX_COST: f32 = 1e6;
 /// So much of a volume must not be crossed in one step: of light, a 3000th is left.
 const MAX_STEP_DEPTH: f32 = 8.0;
 /// Bounces that it takes to get into a body and out of it again.
@@ -19,12 +19,12 @@ const MIN_GLASS_BOUNCES: u32 = 2;
 /// Copies of copies that take too long.
 pub(super) fn high_cost(scene: &Scene) -> Option<String> {
     let works: Vec<f32> = scene.objects.iter().map(|object| object.shape.evaluation_cost()).collect();
-    let heavy: Vec<usize> = (0..works.len()).filter(|&index| works[index] > MOST_WORK).collect();
+    let heavy: Vec<usize> = (0..works.len()).filter(|&index| works[index] > MAX_COST).collect();
     if heavy.is_empty() {
         return None;
     }
     Some(format!(
-        "each look at {} takes more than {MOST_WORK:e} nodes, copies and all, and rendering may not end: repeat what is smaller than its cell, and fewer copies of copies",
+        "each look at {} takes more than {MAX_COST:e} nodes, copies and all, and rendering may not end: repeat what is smaller than its cell, and fewer copies of copies",
         objects(&heavy)
     ))
 }

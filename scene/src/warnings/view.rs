@@ -12,7 +12,7 @@ use crate::scene::Scene;
 /// More rays than this must not run out of steps.
 const MAX_OUT_OF_STEPS: f32 = 0.01;
 /// What takes more simple nodes to look at is not looked at.
-const MOST_WORK: f32 = 200_000.0;
+const MAX_COST: f32 = 200_000.0;
 
 /// What is wrong with the view; where nothing is seen, nothing else is.
 pub(super) fn of(still: &JobAtFrame<'_>) -> Option<Warning> {
@@ -22,7 +22,7 @@ pub(super) fn of(still: &JobAtFrame<'_>) -> Option<Warning> {
         return Some(Warning { kind: WarningKind::NothingInView, text });
     }
     let work: f32 = scene.objects.iter().map(|object| object.shape.evaluation_cost()).sum();
-    if work > MOST_WORK {
+    if work > MAX_COST {
         return None;
     }
     if let Some(text) = inside(scene, image, &view) {
@@ -61,7 +61,7 @@ fn inside(scene: &Scene, image: &Image, view: &View) -> Option<String> {
     let origins = scene.camera.projection.ray_origins(view, image);
     let solid = scene.objects.iter().enumerate().filter(|(_, object)| {
         let material = &scene.used_materials()[object.material.slot() as usize];
-        !material.is_medium() && !material.is_transmissive() && !lets_through(scene, &object.shape)
+        !material.is_medium() && !material.is_transmissive() && !is_transmissive(scene, &object.shape)
     });
     let around: Vec<usize> = solid
         .filter(|(_, object)| {
@@ -79,9 +79,9 @@ fn inside(scene: &Scene, image: &Image, view: &View) -> Option<String> {
 }
 
 /// Whether a part of a shape is painted with what lets rays through.
-fn lets_through(scene: &Scene, node: &Node) -> bool {
+fn is_transmissive(scene: &Scene, node: &Node) -> bool {
     node.material().is_some_and(|material| scene.used_materials()[material.slot() as usize].is_transmissive())
-        || node.children().iter().any(|child| lets_through(scene, child))
+        || node.children().iter().any(|child| is_transmissive(scene, child))
 }
 
 fn out_of_steps(scene: &Scene, share: f32) -> String {

@@ -1,6 +1,6 @@
 //! What holds for every number of every node's example when it moves: nothing here names a node.
 
-use scene::nodes::{Example, Node};
+use scene::nodes::{Node, NodeExample};
 use scene::real::vec3;
 use serde_json::{Value, json};
 
@@ -20,7 +20,7 @@ fn numbers(value: &Value, pointer: &str, found: &mut Vec<String>) {
 
 /// Calls `check` with each node, a number of it, and a maker of the node with something else in the number's place.
 fn each_number(mut check: impl FnMut(&str, &Node, f64, &dyn Fn(Value) -> Result<Node, serde_json::Error>)) {
-    for Example { kind, index: number, node } in Node::examples() {
+    for NodeExample { kind, index: number, node } in Node::examples() {
         let value: Value = serde_json::from_str(&node).unwrap();
         let still: Node = serde_json::from_str(&node).unwrap();
         let mut found = Vec::new();

@@ -1,7 +1,7 @@
 //! What every node promises, tested on each node's own example: nothing here names a node.
 
 use crate::subject as scene;
-use scene::nodes::{Exactness, Example, Node};
+use scene::nodes::{Exactness, Node, NodeExample};
 use scene::real::{Interval, Real, Tribool, Vec3, vec3};
 
 /// A small generator with a fixed start: failures repeat.
@@ -29,7 +29,7 @@ impl Random {
 }
 
 fn each_node(mut check: impl FnMut(&str, &Node)) {
-    for Example { kind, index: number, node } in
+    for NodeExample { kind, index: number, node } in
         Node::examples().into_iter().filter(|example| crate::is_tested(example.kind))
     {
         check(&format!("{kind} {number}"), &serde_json::from_str(&node).expect("an example is a node"));
@@ -47,7 +47,7 @@ fn a_node_survives_the_way_through_json() {
 #[test]
 fn the_schema_describes_every_node_and_each_of_its_keys() {
     let schema = scene::schema();
-    for Example { kind, node, .. } in Node::examples() {
+    for NodeExample { kind, node, .. } in Node::examples() {
         let definition = &schema["$defs"][kind];
         assert!(definition["description"].is_string(), "{kind} has no description");
         assert_eq!(definition["additionalProperties"], false, "{kind} takes unknown keys");

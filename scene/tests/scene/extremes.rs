@@ -3,7 +3,7 @@
 use std::panic::{AssertUnwindSafe, catch_unwind};
 
 use scene::ParseError;
-use scene::nodes::{Example, Node};
+use scene::nodes::{Node, NodeExample};
 use scene::real::{Vec3, vec3};
 use serde_json::{Number, Value, json};
 
@@ -142,7 +142,7 @@ fn places_of(example: &Value) -> Vec<Place> {
 
 fn each_example(mut check: impl FnMut(&Value, &[Place]) -> Vec<String>) {
     let mut wrong = Vec::new();
-    for Example { kind, index: number, node } in Node::examples() {
+    for NodeExample { kind, index: number, node } in Node::examples() {
         let example: Value = serde_json::from_str(&node).expect("an example is JSON");
         let found = check(&example, &places_of(&example));
         wrong.extend(found.into_iter().map(|reason| format!("{kind} {number} {reason}")));

@@ -31,7 +31,7 @@ pub(crate) struct Scopes([bool; Scope::ALL.len()]);
 
 impl Scopes {
     /// Whether they allow what this scope does; `admin` allows everything.
-    pub(crate) fn allow(self, scope: Scope) -> bool {
+    pub(crate) fn is_allowed(self, scope: Scope) -> bool {
         self.has(scope) || self.has(Scope::Admin)
     }
 
@@ -323,7 +323,7 @@ mod tests {
         assert_eq!(view.last_used_at.as_deref(), Some("1970-01-01T00:00:03Z"));
         assert_eq!((view.max_jobs, view.max_rays, view.requests_per_second), (Some(3), Some(500), Some(9)));
         assert_eq!((&*view.id, &*view.name, &*view.scopes), ("key_1", "anna", &[Scope::Submit][..]));
-        assert!(key.scopes().allow(Scope::Submit) && !key.scopes().allow(Scope::Admin));
+        assert!(key.scopes().is_allowed(Scope::Submit) && !key.scopes().is_allowed(Scope::Admin));
         assert!(key.has(&[1; 32]) && !key.has(&[2; 32]));
     }
 }

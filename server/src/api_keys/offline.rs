@@ -16,7 +16,7 @@ use crate::database::{Database, DatabaseError, OpenError};
 use crate::lock::{FolderLock, LockError};
 
 /// How long to wait for the database while a running server writes.
-const PATIENCE: Duration = Duration::from_secs(10);
+const LOCK_TIMEOUT: Duration = Duration::from_secs(10);
 
 /// Error when changing or listing the keys of a data folder.
 #[derive(Debug, thiserror::Error)]
@@ -73,7 +73,7 @@ impl OfflineApiKeys {
             Err(LockError::InUse(_)) => None,
             Err(LockError::Io(error)) => return Err(wrong(error.to_string(), USE_OTHER_FOLDER_FIX)),
         };
-        let mut connection = Database::connect_external(folder, PATIENCE)
+        let mut connection = Database::connect_external(folder, LOCK_TIMEOUT)
             .await
             .map_err(|error| wrong(error.to_string(), USE_OTHER_FOLDER_FIX))?;
         rows::all(&mut connection).await.map_err(|error| wrong(cause(&error), SAME_RELEASE))?;

@@ -17,7 +17,7 @@ use crate::queue::{Reopened, forget_pictures};
 use crate::telemetry::host;
 
 /// With less free disk, a warning.
-const LITTLE_DISK_BYTES: u64 = 5 << 30;
+const MIN_DISK_BYTES: u64 = 5 << 30;
 /// With less free disk, an error: the farm stops.
 const NO_DISK_BYTES: u64 = 500 << 20;
 /// Open files that a busy server needs.
@@ -259,7 +259,7 @@ fn check_host(data: &Path, findings: &mut Vec<Finding>) {
     let cure = "make room, or move the data folder to a larger disk";
     findings.push(if disk.free_bytes < NO_DISK_BYTES {
         Finding::error("disk", text, cure)
-    } else if disk.free_bytes < LITTLE_DISK_BYTES {
+    } else if disk.free_bytes < MIN_DISK_BYTES {
         Finding::warning("disk", text, cure)
     } else {
         Finding::ok("disk", text)

@@ -52,7 +52,7 @@ impl Default for CommitTimes {
 /// Handle to the writer task; clones of its channel queue operations.
 #[derive(Debug)]
 pub(super) struct Writer {
-    operations: std::sync::Mutex<Option<mpsc::Sender<Box<dyn Operation>>>>,
+    operations: std::sync::Mutex<Option<mpsc::Sender<Box<dyn WriteOperation>>>>,
     task: Mutex<Option<JoinHandle<()>>>,
     bell: watch::Sender<()>,
 }
@@ -97,7 +97,7 @@ impl Writer {
 }
 
 /// An operation on its way through the writer.
-trait Operation: Send {
+trait WriteOperation: Send {
     fn durability(&self) -> Durability;
     /// Runs it; false: undo it.
     fn run<'c>(&'c mut self, connection: &'c mut SqliteConnection) -> BoxFuture<'c, bool>;
@@ -112,7 +112,7 @@ struct PendingWrite<T, F> {
     reply: oneshot::Sender<Result<T, DatabaseError>>,
 }
 
-impl<T, F> Operation for PendingWrite<T, F>
+impl<T, F> WriteOperation for PendingWrite<T, F>
 where
     T: Send,
     F: for<'c> FnOnce(&'c mut SqliteConnection) -> BoxFuture<'c, Result<T, DatabaseError>> + Send,
@@ -154,7 +154,7 @@ struct WriterTask {
 }
 
 impl WriterTask {
-    async fn run(mut self, mut waiting: mpsc::Receiver<Box<dyn Operation>>) {
+    async fn run(mut self, mut waiting: mpsc::Receiver<Box<dyn WriteOperation>>) {
         let mut folded = true;
         loop {
             let first = if folded {
@@ -188,7 +188,7 @@ impl WriterTask {
         }
     }
 
-    async fn commit(&mut self, group: &mut [Box<dyn Operation>]) -> Result<(), DatabaseError> {
+    async fn commit(&mut self, group: &mut [Box<dyn WriteOperation>]) -> Result<(), DatabaseError> {
         let begun = monotonic_now();
         let done = self.run_group(group).await;
         self.times.seconds.observe(begun.elapsed().as_secs_f64());
@@ -203,7 +203,7 @@ impl WriterTask {
 
     /// Statements between two operations are sent to the engine together, because each call of its thread
     /// costs two context switches.
-    async fn run_group(&mut self, group: &mut [Box<dyn Operation>]) -> Result<(), DatabaseError> {
+    async fn run_group(&mut self, group: &mut [Box<dyn WriteOperation>]) -> Result<(), DatabaseError> {
         let durable = group.iter().any(|operation| operation.durability() == Durability::Full);
         self.begin(if durable { Durability::Full } else { Durability::Relaxed }).await?;
         let last = group.len() - 1;

@@ -13,9 +13,9 @@ use crate::database::DatabaseError;
 use crate::queue::Queue;
 
 /// Events read from the database at a time.
-const PAGE: u32 = 256;
+const EVENTS_PER_PAGE: u32 = 256;
 /// After this long without events a comment is sent, so that no proxy takes the connection for dead.
-const KEEP_ALIVE: Duration = Duration::from_secs(15);
+const KEEP_ALIVE_INTERVAL: Duration = Duration::from_secs(15);
 /// The comment.
 const KEEP_ALIVE_COMMENT: &[u8] = b":\n\n";
 
@@ -91,7 +91,7 @@ impl EventSubscriber {
             }
             let rung = tokio::select! {
                 () = self.ending.cancelled() => return Ok(None),
-                rung = tokio::time::timeout(KEEP_ALIVE, self.bell.changed()) => rung,
+                rung = tokio::time::timeout(KEEP_ALIVE_INTERVAL, self.bell.changed()) => rung,
             };
             if rung.is_err() {
                 // A deleted job has no further events.
@@ -108,7 +108,7 @@ impl EventSubscriber {
                 Ok(recent) => return Ok(recent),
                 Err(from) => from,
             };
-            let page = self.queue.job_events_after(self.topic.job, self.last, PAGE).await?;
+            let page = self.queue.job_events_after(self.topic.job, self.last, EVENTS_PER_PAGE).await?;
             if !page.is_empty() {
                 return Ok(page.iter().map(EncodedEvent::new).collect());
             }

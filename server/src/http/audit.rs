@@ -22,7 +22,7 @@ use crate::audit_log::AuditRecord;
 use crate::farm::Farm;
 
 /// Default number of entries on a page.
-const PAGE: u32 = 100;
+const DEFAULT_PAGE_SIZE: u32 = 100;
 /// Entries on a page, at most.
 const MAX_PAGE: u32 = 1000;
 /// Characters of a path that is no route's.
@@ -100,7 +100,7 @@ struct PageQuery {
 )]
 pub(super) async fn list(State(farm): State<Arc<Farm>>, uri: Uri) -> Result<Json<AuditPage>, ApiError> {
     let query: PageQuery = body::read_query(&uri)?;
-    let limit = query.limit.unwrap_or(PAGE);
+    let limit = query.limit.unwrap_or(DEFAULT_PAGE_SIZE);
     if !(1..=MAX_PAGE).contains(&limit) {
         return Err(ApiError::WrongQuery(format!("limit is {limit}: say 1 to {MAX_PAGE}")));
     }

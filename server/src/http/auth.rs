@@ -57,7 +57,7 @@ impl Caller {
 
     /// The name whose jobs are all that it sees; `None` if it sees every job.
     pub(crate) fn visible_submitter(&self) -> Option<&str> {
-        self.key().filter(|key| !key.scopes().allow(Scope::Read)).map(|key| key.name())
+        self.key().filter(|key| !key.scopes().is_allowed(Scope::Read)).map(|key| key.name())
     }
 
     /// The key, if it is one.
@@ -175,10 +175,10 @@ async fn authorize(farm: &Farm, need: Permission, caller: &Caller, job: Option<J
         Permission::Public => return Ok(()),
         Permission::Scope(scope) | Permission::OwnJob(scope) => scope,
     };
-    if key.scopes().allow(scope) {
+    if key.scopes().is_allowed(scope) {
         return Ok(());
     }
-    if matches!(need, Permission::OwnJob(_)) && key.scopes().allow(Scope::Submit) {
+    if matches!(need, Permission::OwnJob(_)) && key.scopes().is_allowed(Scope::Submit) {
         let Some(job) = job else { return Ok(()) };
         // For a job that does not exist, the handler responds.
         if farm.queue.submitter(job).await?.is_none_or(|submitter| submitter == key.name()) {

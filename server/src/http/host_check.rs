@@ -17,13 +17,13 @@ use crate::farm::Farm;
 /// Rejects requests whose `Host` is not this server (DNS rebinding), and changes requested by other sites'
 /// pages.
 pub(super) async fn host_and_origin(State(farm): State<Arc<Farm>>, request: Request, next: Next) -> Response {
-    match check(&farm.config.allowed_hosts, &request) {
+    match check_host_and_origin(&farm.config.allowed_hosts, &request) {
         Ok(()) => next.run(request).await,
         Err(error) => error.into_response(),
     }
 }
 
-fn check(hosts: &[String], request: &Request) -> Result<(), ApiError> {
+fn check_host_and_origin(hosts: &[String], request: &Request) -> Result<(), ApiError> {
     if request.headers().get_all(header::HOST).iter().count() > 1 {
         // RFC 9112, section 3.2: a request with several is ambiguous.
         return Err(ApiError::WrongRequest("it has more than one Host header"));

@@ -30,7 +30,7 @@ pub(super) const IMMUTABLE: &str = "public, max-age=31536000, immutable";
         (status = 416, description = "No such range", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
     )
 )]
-pub(super) async fn first(
+pub(super) async fn first_frame(
     State(farm): State<Arc<Farm>>,
     Path(id): Path<String>,
     headers: HeaderMap,

@@ -24,7 +24,7 @@ use crate::queue::{CancelOutcome, NewJob, SubmitOutcome};
 use crate::tile_plan::TilePlan;
 
 /// Default number of jobs on a page.
-const PAGE: u32 = 100;
+const DEFAULT_PAGE_SIZE: u32 = 100;
 /// Jobs on a page, at most.
 const MAX_PAGE: u32 = 1000;
 
@@ -123,7 +123,7 @@ impl Submission {
         if farm.is_shutting_down.is_cancelled() && !query.dry_run {
             return Err(ApiError::ShuttingDown);
         }
-        let is_known = submit_options::is_known(farm, &caller, &headers).await?;
+        let is_known = submit_options::is_replay(farm, &caller, &headers).await?;
         if !query.dry_run && !is_known {
             quota::check_jobs(farm, &caller).await?;
         }
@@ -164,7 +164,7 @@ impl Submission {
             retention: keep,
             file_text: into_utf8(text)?,
         };
-        trace_context::keep(farm, id, &headers).await?;
+        trace_context::store_trace(farm, id, &headers).await?;
         let submitting = farm.submit(new, Arc::new(job), wish);
         let (status, id) = match submitting.instrument(tracing::info_span!("submit", job = %id)).await? {
             SubmitOutcome::Created(_) => (StatusCode::CREATED, id),
@@ -204,7 +204,7 @@ fn into_utf8(text: bytes::Bytes) -> Result<String, ApiError> {
 )]
 pub(super) async fn list(State(farm): State<Arc<Farm>>, caller: Caller, uri: Uri) -> Result<Json<JobPage>, ApiError> {
     let query: ListQuery = body::read_query(&uri)?;
-    let limit = query.limit.unwrap_or(PAGE);
+    let limit = query.limit.unwrap_or(DEFAULT_PAGE_SIZE);
     if !(1..=MAX_PAGE).contains(&limit) {
         return Err(ApiError::WrongQuery(format!("limit is {limit}, but must be from 1 to {MAX_PAGE}")));
     }

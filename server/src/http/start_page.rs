@@ -17,7 +17,7 @@ use crate::farm::Farm;
 
 /// Jobs that the page lists, newest first.
 const JOBS: u32 = 8;
-const PAGE: &str = include_str!("start_page.html");
+const START_PAGE_HTML: &str = include_str!("start_page.html");
 /// Styles of the page itself, and nothing from anywhere.
 const POLICY: &str = "default-src 'none'; style-src 'unsafe-inline'; img-src data:; base-uri 'none'; \
                       form-action 'none'; frame-ancestors 'none'";
@@ -129,7 +129,8 @@ fn page(view: &StartView, jobs: &[JobView], address: &str) -> String {
         }
         Some(farm) => glance(farm, jobs),
     };
-    PAGE.replace("{version}", &escaped(&view.version))
+    START_PAGE_HTML
+        .replace("{version}", &escaped(&view.version))
         .replace("{examples}", &escaped(&examples))
         // Last, for what jobs are called may look like one of the names above.
         .replace("{state}", &state)

@@ -61,7 +61,7 @@ pub(super) fn read(
 }
 
 /// Whether the request is a replay, which takes no room in the queue.
-pub(super) async fn is_known(farm: &Farm, caller: &Caller, headers: &HeaderMap) -> Result<bool, ApiError> {
+pub(super) async fn is_replay(farm: &Farm, caller: &Caller, headers: &HeaderMap) -> Result<bool, ApiError> {
     match key(headers)? {
         Some(key) => Ok(farm.queue.has_idempotency_key(caller.name(), &key).await?),
         None => Ok(false),

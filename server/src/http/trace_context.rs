@@ -19,7 +19,7 @@ pub(super) fn set_parent(span: &Span, headers: &HeaderMap) {
 
 /// Stores the current trace context with a job about to be accepted; or the context of its request, for
 /// workers that export traces if this server does not.
-pub(super) async fn keep(farm: &Farm, job: JobId, headers: &HeaderMap) -> Result<(), DatabaseError> {
+pub(super) async fn store_trace(farm: &Farm, job: JobId, headers: &HeaderMap) -> Result<(), DatabaseError> {
     let named = || {
         client_traceparent(headers).filter(|traceparent| trace_context::is_valid(traceparent)).map(ToOwned::to_owned)
     };

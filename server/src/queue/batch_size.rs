@@ -9,7 +9,7 @@ const TARGET_BATCH: Duration = Duration::from_secs(1);
 /// Batches up to this long go to any worker, and frames up to this long are not split, because the delay is not worth another claim.
 const MIN_BATCH: Duration = Duration::from_millis(50);
 /// Maximum data that a worker with a whole frame keeps of it.
-const WHOLE_FRAME_BYTES: u64 = 256 << 20;
+const MAX_WHOLE_FRAME_BYTES: u64 = 256 << 20;
 
 /// Ready tile, with what the batch size needs.
 #[derive(Clone, Copy, Debug)]
@@ -70,7 +70,7 @@ pub(super) fn batch_len(
 /// Whether a batch of this many tiles is the whole frame, and small enough for its worker to encode the
 /// picture.
 pub(super) fn is_whole_frame(run: usize, frame: FrameLoad) -> bool {
-    run as u64 == frame.tiles && frame.size_bytes <= WHOLE_FRAME_BYTES
+    run as u64 == frame.tiles && frame.size_bytes <= MAX_WHOLE_FRAME_BYTES
 }
 
 #[cfg(test)]

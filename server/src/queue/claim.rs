@@ -23,7 +23,7 @@ const NEXT_JOB_SQL: &str = include_str!("next_job.sql");
 const NEXT_TILE_SQL: &str = include_str!("next_tile.sql");
 
 /// The ready tiles of a frame.
-const READY_TILES: &str = "SELECT id, position, x_px, y_px, width_px, height_px, rays, lost FROM tile
+const READY_TILES_SQL: &str = "SELECT id, position, x_px, y_px, width_px, height_px, rays, lost FROM tile
      WHERE job = ?5 AND frame = ?7 AND kind = 'render' AND state = 'ready' AND not_before_ms <= ?1
        AND (avoid IS NULL OR avoid <> ?2 OR ?6 > ?3)
      ORDER BY position";
@@ -239,7 +239,8 @@ async fn claim_tiles(
     moment: TransitionContext,
 ) -> Result<BatchWork> {
     let Peers { idle, fastest_other } = peers(connection, &view.worker, job.nodes).await?;
-    let rows = view.bind(READY_TILES).bind(job.number).bind(job.nodes).bind(frame).fetch_all(&mut *connection).await?;
+    let rows =
+        view.bind(READY_TILES_SQL).bind(job.number).bind(job.nodes).bind(frame).fetch_all(&mut *connection).await?;
     let whole = frame_load(job);
     let ready = rows.iter().map(read_ready).collect::<Result<Vec<_>>>()?;
     let length = batch_size::batch_len(&ready, whole, claimant.rays_per_second, idle, fastest_other);

@@ -80,7 +80,7 @@ async fn accept_blobs(
         match live.remove(&lease.to_string()) {
             None => {
                 delivered.lost.push(lease);
-                delivered.nondeterministic += count_mismatches(connection, FIRST_BLOB, lease, hash).await?;
+                delivered.nondeterministic += count_mismatches(connection, FIRST_BLOB_SQL, lease, hash).await?;
             }
             Some(held) if held.stitch => {
                 let message = "its worker answered with what was not asked for";
@@ -129,7 +129,7 @@ async fn accept_failure(
 }
 
 /// The blob that a lease's tile has, if it is done.
-const FIRST_BLOB: &str = "SELECT tile.blob FROM lease JOIN tile ON tile.id = lease.tile WHERE lease.id = ?";
+const FIRST_BLOB_SQL: &str = "SELECT tile.blob FROM lease JOIN tile ON tile.id = lease.tile WHERE lease.id = ?";
 
 /// Compares late results with the first result of their tile; returns how many differ. A late result has no
 /// effect.

@@ -14,13 +14,13 @@ use super::{Connection, Queue, Result, finish};
 use crate::database::Durability;
 
 /// How long events of finished jobs are kept.
-const KEEP_MS: i64 = 24 * 3_600_000;
+const RETENTION_MS: i64 = 24 * 3_600_000;
 /// Maximum number of events in all; beyond it the oldest are pruned, also those of running jobs.
 const MAX_EVENTS: i64 = 500_000;
 /// Jobs whose events are dropped in one transaction.
-const JOBS_AT_ONCE: i64 = 100;
+const JOBS_BATCH: i64 = 100;
 /// Events dropped in one transaction, of jobs that still run.
-const EVENTS_AT_ONCE: i64 = 5_000;
+const EVENTS_BATCH: i64 = 5_000;
 /// Maximum number of rectangles in a snapshot.
 const MAX_RECTANGLES: i64 = 20_000;
 
@@ -79,7 +79,7 @@ pub(crate) struct EventPosition {
 }
 
 /// Numbers that were given, whether their rows are still there or not.
-const NEWEST: &str = "SELECT coalesce((SELECT seq FROM sqlite_sequence WHERE name = 'outbox'), 0)";
+const NEWEST_SQL: &str = "SELECT coalesce((SELECT seq FROM sqlite_sequence WHERE name = 'outbox'), 0)";
 
 impl Queue {
     /// State that a subscriber to a job needs before its first event.
@@ -113,7 +113,7 @@ impl Queue {
 
     /// The number of the newest event.
     pub(crate) async fn newest_event(&self) -> Result<i64> {
-        Ok(sqlx::query_scalar(NEWEST).fetch_one(self.readers()).await?)
+        Ok(sqlx::query_scalar(NEWEST_SQL).fetch_one(self.readers()).await?)
     }
 
     /// The next events of all jobs.
@@ -151,7 +151,7 @@ impl Queue {
         .fetch_optional(&mut *reading)
         .await?;
         let Some(row) = row else { return Ok(None) };
-        let newest: i64 = sqlx::query_scalar(NEWEST).fetch_one(&mut *reading).await?;
+        let newest: i64 = sqlx::query_scalar(NEWEST_SQL).fetch_one(&mut *reading).await?;
         let numbers: Vec<u32> =
             sqlx::query_scalar("SELECT number FROM frame WHERE job = ? AND state = 'stored' ORDER BY number")
                 .bind(job)
@@ -185,7 +185,7 @@ impl Queue {
 
     /// Prunes events of jobs that finished long ago, and the oldest beyond the maximum; returns how many.
     pub(crate) async fn prune_events(&self) -> Result<u64> {
-        let ended_before_ms = self.clock.wall_ms() - KEEP_MS;
+        let ended_before_ms = self.clock.wall_ms() - RETENTION_MS;
         let mut count = 0;
         loop {
             let dropped = self
@@ -246,7 +246,7 @@ async fn prune(connection: &mut Connection, ended_before_ms: i64) -> Result<u64>
          RETURNING number",
     )
     .bind(ended_before_ms)
-    .bind(JOBS_AT_ONCE)
+    .bind(JOBS_BATCH)
     .fetch_all(&mut *connection)
     .await?;
     if !jobs.is_empty() {
@@ -266,7 +266,7 @@ async fn prune_surplus(connection: &mut Connection, keep: i64) -> Result<u64> {
             .fetch_one(&mut *connection)
             .await?;
     let Some(oldest) = oldest.filter(|oldest| newest - oldest >= keep) else { return Ok(0) };
-    let last = (oldest + EVENTS_AT_ONCE - 1).min(newest - keep);
+    let last = (oldest + EVENTS_BATCH - 1).min(newest - keep);
     sqlx::query("UPDATE job SET events_pruned = ?1 WHERE number IN (SELECT job FROM outbox WHERE number <= ?1)")
         .bind(last)
         .execute(&mut *connection)

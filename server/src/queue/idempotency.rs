@@ -9,9 +9,9 @@ use super::{Connection, NewJob, Queue, Result, TransitionContext, Wake, expect_r
 use crate::database::Durability;
 
 /// How long idempotency keys are kept.
-const KEEP_MS: i64 = 48 * 3_600_000;
+const RETENTION_MS: i64 = 48 * 3_600_000;
 /// Names dropped in one transaction.
-const DROPPED_AT_ONCE: i64 = 5_000;
+const DROP_BATCH: i64 = 5_000;
 
 /// Idempotency key and the fingerprint of its request.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -77,7 +77,7 @@ impl Queue {
 
     /// Deletes expired idempotency keys; returns how many.
     pub(crate) async fn prune_idempotency_keys(&self) -> Result<u64> {
-        let made_before_ms = self.clock.wall_ms() - KEEP_MS;
+        let made_before_ms = self.clock.wall_ms() - RETENTION_MS;
         let mut count = 0;
         loop {
             let dropped = self
@@ -159,7 +159,7 @@ async fn prune(connection: &mut Connection, made_before_ms: i64) -> Result<u64> 
              SELECT submitter, key FROM idempotency WHERE created_at_ms < ? ORDER BY created_at_ms LIMIT ?)",
     )
     .bind(made_before_ms)
-    .bind(DROPPED_AT_ONCE)
+    .bind(DROP_BATCH)
     .execute(connection)
     .await?;
     Ok(dropped.rows_affected())

@@ -40,7 +40,7 @@ impl Queue {
 
     /// What deleting a job would remove; `None` if the job does not exist.
     pub(crate) async fn delete_preview(&self, job: JobId) -> Result<Option<(JobState, DeleteDryRun)>> {
-        let row = sqlx::query(PREVIEW).bind(job.to_string()).fetch_optional(self.readers()).await?;
+        let row = sqlx::query(DRY_RUN_SQL).bind(job.to_string()).fetch_optional(self.readers()).await?;
         row.map(|row| {
             let picture_bytes: i64 = row.try_get("picture_bytes")?;
             let blob_bytes: i64 = row.try_get("blob_bytes")?;
@@ -57,7 +57,7 @@ impl Queue {
 }
 
 /// Bytes that only this job has, and its rows.
-const PREVIEW: &str = "
+const DRY_RUN_SQL: &str = "
     WITH this AS (SELECT number, state FROM job WHERE id = ?),
     alone AS (
         SELECT DISTINCT frame.picture, frame.size_bytes FROM this CROSS JOIN frame ON frame.job = this.number

@@ -27,7 +27,7 @@ pub(super) async fn accept_picture(
     let live: Vec<&str> = held.iter().map(|held| held.lease.as_str()).collect();
     for lease in leases.iter().filter(|lease| !live.contains(&lease.to_string().as_str())) {
         delivered.lost.push(*lease);
-        delivered.nondeterministic += count_mismatches(connection, FIRST_PICTURE, *lease, hash).await?;
+        delivered.nondeterministic += count_mismatches(connection, FIRST_PICTURE_SQL, *lease, hash).await?;
     }
     let mut frames: BTreeMap<(i64, u32), Vec<LiveLease>> = BTreeMap::new();
     for held in held {
@@ -126,7 +126,7 @@ async fn finish_all(connection: &mut Connection, held: &[LiveLease]) -> Result<W
 }
 
 /// The picture that a lease's frame has, if it is stored.
-const FIRST_PICTURE: &str = "SELECT frame.picture FROM lease JOIN tile ON tile.id = lease.tile
+const FIRST_PICTURE_SQL: &str = "SELECT frame.picture FROM lease JOIN tile ON tile.id = lease.tile
      JOIN frame ON frame.job = tile.job AND frame.number = tile.frame WHERE lease.id = ?";
 
 /// Lets later jobs have the picture; the first one of a key stays. How many differ from it.

@@ -17,7 +17,7 @@ const ID_CHARACTERS: usize = 36;
 /// Fewer characters of an id are no hint.
 const MIN_ID_CHARACTERS: usize = 4;
 /// Jobs that are looked through for a name or a part of an id.
-const LOOKED_THROUGH: u32 = 100_000;
+const MAX_SCANNED_ROWS: u32 = 100_000;
 
 /// The columns of a [`JobView`], before a condition.
 macro_rules! jobs_where {
@@ -173,7 +173,7 @@ impl Queue {
                  UNION SELECT number FROM job WHERE id = ?6 AND (?2 IS NULL OR submitter = ?2)
              ) ORDER BY number DESC LIMIT ?7"
         ))
-        .bind(LOOKED_THROUGH)
+        .bind(MAX_SCANNED_ROWS)
         .bind(submitter)
         .bind(text)
         .bind(is_part)

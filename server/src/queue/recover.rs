@@ -5,7 +5,7 @@ use sqlx::Row;
 use super::{Connection, Result, exclusion, fair_share, json_numbers, row_count};
 
 /// How long ended leases are kept, to recognize late results.
-const KEEP_LEASES_MS: u64 = 3_600_000;
+const LEASE_RETENTION_MS: u64 = 3_600_000;
 
 /// State left by the last server.
 #[derive(Clone, Copy, Debug)]
@@ -74,7 +74,7 @@ pub(super) async fn tidy(connection: &mut Connection) -> Result<()> {
 /// Lease ids contain their time: the smallest id that is kept.
 pub(super) fn min_kept_id(now: uuid::Uuid) -> String {
     let now_ms = now.as_u128() >> 80;
-    let kept_ms = now_ms.saturating_sub(u128::from(KEEP_LEASES_MS));
+    let kept_ms = now_ms.saturating_sub(u128::from(LEASE_RETENTION_MS));
     uuid::Uuid::from_u128(kept_ms << 80).to_string()
 }
 

@@ -13,33 +13,33 @@ use crate::database::Durability;
 /// `job.keep_ms` of a job that is kept forever.
 const FOREVER: i64 = -1;
 /// Tiles deleted per transaction; a larger job loses its tiles in batches before its own row.
-const TILES_AT_ONCE: i64 = 5_000;
+const TILES_BATCH: i64 = 5_000;
 
 /// Jobs past their own retention.
-const OVER: &str = "SELECT number, id, name, finished_at_ms, keep_ms FROM job INDEXED BY job_by_own_end
+const OVER_SQL: &str = "SELECT number, id, name, finished_at_ms, keep_ms FROM job INDEXED BY job_by_own_end
      WHERE finished_at_ms IS NOT NULL AND keep_ms >= 0 AND finished_at_ms + keep_ms <= ?
      ORDER BY finished_at_ms + keep_ms LIMIT ?";
 
 /// Jobs without a retention of their own that finished before the given time.
-const OLD: &str = "SELECT number, id, name, finished_at_ms, keep_ms FROM job INDEXED BY job_by_finish
+const OLD_SQL: &str = "SELECT number, id, name, finished_at_ms, keep_ms FROM job INDEXED BY job_by_finish
      WHERE finished_at_ms IS NOT NULL AND keep_ms IS NULL AND finished_at_ms <= ?
      ORDER BY finished_at_ms LIMIT ?";
 
 /// Jobs that a full store may lose, from the oldest.
-const OLDEST: &str = "SELECT number, id, name, finished_at_ms, keep_ms FROM job INDEXED BY job_not_for_ever
+const OLDEST_SQL: &str = "SELECT number, id, name, finished_at_ms, keep_ms FROM job INDEXED BY job_not_for_ever
      WHERE finished_at_ms IS NOT NULL AND (keep_ms IS NULL OR keep_ms >= 0)
        AND (finished_at_ms, number) > (?, ?)
      ORDER BY finished_at_ms, number LIMIT ?";
 
 /// Bytes of the pictures of a job that no job shows but it and those of a list.
-const FREED: &str = "SELECT coalesce(sum(size_bytes), 0) FROM (
+const FREED_SQL: &str = "SELECT coalesce(sum(size_bytes), 0) FROM (
          SELECT DISTINCT picture, size_bytes FROM frame AS own
          WHERE own.job = ?1 AND own.picture IS NOT NULL AND NOT EXISTS (
              SELECT 1 FROM frame AS other WHERE other.picture = own.picture AND other.picture IS NOT NULL
              AND other.job <> ?1 AND other.job NOT IN (SELECT value FROM json_each(?2))))";
 
 /// Tiles of a finished job, a batch of them.
-const FEWER_TILES: &str = "DELETE FROM tile WHERE id IN (SELECT id FROM tile WHERE job = ?1 LIMIT ?2)
+const REMOVE_TILES_SQL: &str = "DELETE FROM tile WHERE id IN (SELECT id FROM tile WHERE job = ?1 LIMIT ?2)
      AND EXISTS (SELECT 1 FROM job WHERE number = ?1 AND finished_at_ms = ?3 AND keep_ms IS ?4
                  AND state IN ('succeeded', 'cancelled'))";
 
@@ -93,10 +93,10 @@ impl Queue {
     /// `limit` of each.
     pub(crate) async fn expired_jobs(&self, kept_ms: Option<i64>, limit: u32) -> Result<Vec<FinishedJob>> {
         let wall_ms = self.clock.wall_ms();
-        let mut rows = sqlx::query(OVER).bind(wall_ms).bind(limit).fetch_all(self.readers()).await?;
+        let mut rows = sqlx::query(OVER_SQL).bind(wall_ms).bind(limit).fetch_all(self.readers()).await?;
         if let Some(kept_ms) = kept_ms {
             let before_ms = wall_ms.saturating_sub(kept_ms);
-            rows.extend(sqlx::query(OLD).bind(before_ms).bind(limit).fetch_all(self.readers()).await?);
+            rows.extend(sqlx::query(OLD_SQL).bind(before_ms).bind(limit).fetch_all(self.readers()).await?);
         }
         rows.iter().map(read).collect()
     }
@@ -104,13 +104,13 @@ impl Queue {
     /// Finished jobs not kept forever, from the oldest; only those after `after` if given.
     pub(crate) async fn oldest_jobs(&self, after: Option<&FinishedJob>, limit: u32) -> Result<Vec<FinishedJob>> {
         let (finished_at_ms, number) = after.map_or((i64::MIN, i64::MIN), |job| (job.finished_at_ms, job.number));
-        let query = sqlx::query(OLDEST).bind(finished_at_ms).bind(number).bind(limit);
+        let query = sqlx::query(OLDEST_SQL).bind(finished_at_ms).bind(number).bind(limit);
         query.fetch_all(self.readers()).await?.iter().map(read).collect()
     }
 
     /// Bytes of a job's pictures that no job uses once it and the jobs `gone` are deleted.
     pub(crate) async fn freed_bytes(&self, job: &FinishedJob, gone: &[i64]) -> Result<u64> {
-        let query = sqlx::query_scalar(FREED).bind(job.number).bind(json_numbers(gone.iter().copied()));
+        let query = sqlx::query_scalar(FREED_SQL).bind(job.number).bind(json_numbers(gone.iter().copied()));
         Ok(query.fetch_one(self.readers()).await?)
     }
 
@@ -124,7 +124,7 @@ impl Queue {
                     Box::pin(async move { remove_tile_batch(connection, &few).await })
                 })
                 .await?;
-            if fewer < TILES_AT_ONCE as u64 {
+            if fewer < TILES_BATCH as u64 {
                 break;
             }
         }
@@ -136,9 +136,9 @@ impl Queue {
 }
 
 async fn remove_tile_batch(connection: &mut Connection, job: &FinishedJob) -> Result<u64> {
-    let fewer = sqlx::query(FEWER_TILES)
+    let fewer = sqlx::query(REMOVE_TILES_SQL)
         .bind(job.number)
-        .bind(TILES_AT_ONCE)
+        .bind(TILES_BATCH)
         .bind(job.finished_at_ms)
         .bind(job.keep_ms)
         .execute(connection)
@@ -170,7 +170,7 @@ mod tests {
         let folder = tempfile::tempdir().expect("a temporary folder");
         let store = Database::open(folder.path()).await.expect("opens");
         let (queue, _) = Queue::open(store.into(), Clock::manual().0, 1000).await.expect("opens");
-        for statement in [OVER, OLD, OLDEST, FREED, FEWER_TILES] {
+        for statement in [OVER_SQL, OLD_SQL, OLDEST_SQL, FREED_SQL, REMOVE_TILES_SQL] {
             let plan = format!("EXPLAIN QUERY PLAN {statement}");
             let rows = sqlx::query(sqlx::AssertSqlSafe(plan)).fetch_all(queue.readers()).await.expect("explains");
             for row in rows {

@@ -7,30 +7,32 @@ use sqlx::Row;
 use super::{Queue, Result};
 
 /// Jobs by state; the index holds all that is read.
-const JOBS: &str = "SELECT state, count(*) AS number FROM job GROUP BY state";
+const JOBS_SQL: &str = "SELECT state, count(*) AS number FROM job GROUP BY state";
 
 /// Remaining work of the unfinished jobs.
-const UNFINISHED: &str = "SELECT count(*) AS jobs, min(created_at_ms) AS oldest_ms,
+const UNFINISHED_SQL: &str = "SELECT count(*) AS jobs, min(created_at_ms) AS oldest_ms,
         coalesce(sum(tiles_total - tiles_done), 0) AS tiles, coalesce(sum(tiles_done), 0) AS tiles_done,
         coalesce(sum(rays_total - rays_done), 0) AS rays
      FROM job WHERE finished_at_ms IS NULL";
 
 /// Oldest job without any lease so far.
-const OLDEST_QUEUED: &str = "SELECT created_at_ms FROM job WHERE state = 'queued' ORDER BY number LIMIT 1";
+const OLDEST_QUEUED_SQL: &str = "SELECT created_at_ms FROM job WHERE state = 'queued' ORDER BY number LIMIT 1";
 
 /// Tiles and stitches that could be leased.
-const READY: &str = "SELECT count(*) FROM tile WHERE state = 'ready'";
+const READY_SQL: &str = "SELECT count(*) FROM tile WHERE state = 'ready'";
 
 /// Leases that run.
-const LEASED: &str = "SELECT count(*) FROM lease WHERE ended IS NULL";
+const LEASED_SQL: &str = "SELECT count(*) FROM lease WHERE ended IS NULL";
 
 /// Workers that are not gone, by state and device.
-const WORKERS: &str = "SELECT state, device, count(*) AS number, coalesce(sum(rays_per_second), 0.0) AS rays_per_second
+const WORKERS_SQL: &str =
+    "SELECT state, device, count(*) AS number, coalesce(sum(rays_per_second), 0.0) AS rays_per_second
      FROM worker WHERE state <> 'gone' GROUP BY state, device";
 
 /// All statements of this file, for the test that checks their query plans.
 #[cfg(test)]
-pub(super) const STATEMENTS: [&str; 6] = [JOBS, UNFINISHED, OLDEST_QUEUED, READY, LEASED, WORKERS];
+pub(super) const STATEMENTS: [&str; 6] =
+    [JOBS_SQL, UNFINISHED_SQL, OLDEST_QUEUED_SQL, READY_SQL, LEASED_SQL, WORKERS_SQL];
 
 /// Workers of one state and device.
 #[derive(Clone, Debug, PartialEq)]
@@ -94,10 +96,10 @@ impl Queue {
         let age_seconds = |created_at_ms: Option<i64>| {
             created_at_ms.map_or(0.0, |then_ms| (self.clock.wall_ms() - then_ms).max(0) as f64 / 1e3)
         };
-        let jobs = sqlx::query(JOBS).fetch_all(readers).await?;
-        let left = sqlx::query(UNFINISHED).fetch_one(readers).await?;
-        let oldest_queued: Option<i64> = sqlx::query_scalar(OLDEST_QUEUED).fetch_optional(readers).await?;
-        let workers = sqlx::query(WORKERS).fetch_all(readers).await?;
+        let jobs = sqlx::query(JOBS_SQL).fetch_all(readers).await?;
+        let left = sqlx::query(UNFINISHED_SQL).fetch_one(readers).await?;
+        let oldest_queued: Option<i64> = sqlx::query_scalar(OLDEST_QUEUED_SQL).fetch_optional(readers).await?;
+        let workers = sqlx::query(WORKERS_SQL).fetch_all(readers).await?;
         Ok(QueueStats {
             jobs: jobs
                 .iter()
@@ -108,8 +110,8 @@ impl Queue {
             oldest_queued_seconds: age_seconds(oldest_queued),
             tiles_left: left.try_get("tiles")?,
             tiles_done: left.try_get("tiles_done")?,
-            tiles_ready: sqlx::query_scalar(READY).fetch_one(readers).await?,
-            leases: sqlx::query_scalar(LEASED).fetch_one(readers).await?,
+            tiles_ready: sqlx::query_scalar(READY_SQL).fetch_one(readers).await?,
+            leases: sqlx::query_scalar(LEASED_SQL).fetch_one(readers).await?,
             rays_left: left.try_get("rays")?,
             workers: workers
                 .iter()

@@ -22,7 +22,7 @@ const NO_MEDIAN_RETRY_MS: i64 = 1000;
 const MAX_CANDIDATES: i64 = 256;
 
 /// Oldest leases of other workers whose tile this worker can render and that have no duplicate lease yet.
-const OLDEST: &str = include_str!("stragglers.sql");
+const OLDEST_LEASES_SQL: &str = include_str!("stragglers.sql");
 
 /// The tiles of a frame that one worker alone has held for long.
 const STRAGGLER_TILES_SQL: &str = "SELECT tile.id, position, x_px, y_px, width_px, height_px, rays, lost
@@ -56,7 +56,7 @@ pub(super) async fn claim(
     claimant: ClaimRequest,
     moment: TransitionContext,
 ) -> Result<StragglerOutcome> {
-    let found = view.bind(OLDEST).bind(MAX_CANDIDATES).fetch_all(&mut *connection).await?;
+    let found = view.bind(OLDEST_LEASES_SQL).bind(MAX_CANDIDATES).fetch_all(&mut *connection).await?;
     let mut patience: HashMap<i64, Option<i64>> = HashMap::new();
     let mut again_ms: Option<i64> = None;
     for row in &found {

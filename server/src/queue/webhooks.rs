@@ -14,9 +14,9 @@ use crate::clock::rfc3339;
 use crate::database::Durability;
 
 /// How long finished deliveries are kept.
-const KEEP_MS: i64 = 7 * 24 * 3_600_000;
+const RETENTION_MS: i64 = 7 * 24 * 3_600_000;
 /// Deliveries dropped in one transaction.
-const DROPPED_AT_ONCE: i64 = 5_000;
+const DROP_BATCH: i64 = 5_000;
 /// Deliveries of a job that are shown, at most.
 const MAX_LISTED: i64 = 1_000;
 
@@ -135,7 +135,7 @@ impl Queue {
 
     /// Deletes deliveries that finished long ago; returns how many.
     pub(crate) async fn prune_deliveries(&self) -> Result<u64> {
-        let ended_before_ms = self.clock.wall_ms() - KEEP_MS;
+        let ended_before_ms = self.clock.wall_ms() - RETENTION_MS;
         let mut count = 0;
         loop {
             let dropped = self
@@ -148,7 +148,7 @@ impl Queue {
                                  WHERE finished_at_ms IS NOT NULL AND finished_at_ms < ? LIMIT ?)",
                         )
                         .bind(ended_before_ms)
-                        .bind(DROPPED_AT_ONCE)
+                        .bind(DROP_BATCH)
                         .execute(connection)
                         .await?;
                         Ok(dropped.rows_affected())

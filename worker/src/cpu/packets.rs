@@ -12,7 +12,7 @@ use crate::{CancelFlag, RenderError};
 pub(crate) struct Packets(Level);
 
 /// State shared by all packets of a band.
-struct Band<'a, 'b> {
+struct PacketRows<'a, 'b> {
     program: &'a Integrator<'a>,
     image: &'a Image,
     left: u32,
@@ -54,7 +54,7 @@ impl Packets {
         planes: Vec<&mut [f32]>,
         cancel: &CancelFlag,
     ) -> bool {
-        let mut band = Band { program, image, left, top, width, planes };
+        let mut band = PacketRows { program, image, left, top, width, planes };
         with_instructions!(self.0, token, N => band.render::<_, N>(token, cancel))
     }
 }
@@ -95,7 +95,7 @@ fn row_evaluations<S: Token, const N: usize>(
     sum
 }
 
-impl Band<'_, '_> {
+impl PacketRows<'_, '_> {
     #[inline(always)]
     fn render<S: Token, const N: usize>(&mut self, token: S, cancel: &CancelFlag) -> bool {
         let (columns, _) = block::<_, N>(token);

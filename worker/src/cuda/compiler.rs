@@ -74,7 +74,7 @@ impl Compiler {
             return Err(CudaError::UnknownArchitecture { version: self.version.clone(), architecture });
         }
         let text = CString::new(text).expect("a program has no byte 0 in it");
-        let program = Program(result::create_program(&text, Some(c"scene.cu")).map_err(refused)?);
+        let program = NvrtcProgram(result::create_program(&text, Some(c"scene.cu")).map_err(refused)?);
         let options = options(architecture);
         // SAFETY: the program was created above and is destroyed only when it is dropped.
         match unsafe { result::compile_program(program.0, &options) } {
@@ -90,16 +90,16 @@ pub(super) fn options(architecture: u32) -> Vec<String> {
 }
 
 /// A program of the compiler's.
-struct Program(sys::nvrtcProgram);
+struct NvrtcProgram(sys::nvrtcProgram);
 
-impl Drop for Program {
+impl Drop for NvrtcProgram {
     fn drop(&mut self) {
         // SAFETY: the compiler created it, and nothing uses it any more. A failure cannot be handled.
         unsafe { result::destroy_program(self.0) }.unwrap_or_default();
     }
 }
 
-impl Program {
+impl NvrtcProgram {
     fn log(&self) -> String {
         // SAFETY: the program is alive.
         let log = unsafe { result::get_program_log(self.0) }.unwrap_or_default();
@@ -119,7 +119,7 @@ impl Program {
 }
 
 /// Writes a rejected source and the compiler's log to files.
-pub(super) fn keep(trouble: CudaError, text: &str, folder: Option<&Path>) -> CudaError {
+pub(super) fn save_rejected_source(trouble: CudaError, text: &str, folder: Option<&Path>) -> CudaError {
     let CudaError::Compile { log, .. } = trouble else { return trouble };
     let path =
         folder.map(|folder| folder.join(format!("refused-{}.cu", &blake3::hash(text.as_bytes()).to_hex()[..16])));

@@ -54,14 +54,14 @@ fn record_tape(program: &Integrator<'_>, image: &Image) -> Tape {
         if !image.layers.is_empty() {
             recording.entry("layers", |[x, y]| {
                 let met = program.aovs(x, y);
-                image.layers.iter().flat_map(|&layer| numbers(&met, layer)).collect()
+                image.layers.iter().flat_map(|&layer| aov_values(&met, layer)).collect()
             });
         }
     })
 }
 
 /// The numbers of a layer, one a channel.
-fn numbers(met: &Aovs<Expr>, layer: Layer) -> Vec<Expr> {
+fn aov_values(met: &Aovs<Expr>, layer: Layer) -> Vec<Expr> {
     match layer {
         Layer::Depth => vec![met.depth],
         Layer::Object => vec![met.object],

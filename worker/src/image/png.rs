@@ -35,7 +35,7 @@ pub fn write(
     band_rows: u32,
 ) -> Result<(), ImageError> {
     let PictureSpec { opaque, bits, display_transform: grade, .. } = *picture;
-    let layout = Layout { width: picture.width as usize, opaque, bits, display_transform: grade };
+    let layout = PixelLayout { width: picture.width as usize, opaque, bits, display_transform: grade };
     let mut encoder = Encoder::new(out, picture.width, picture.height);
     encoder.set_color(if picture.opaque { ColorType::Rgb } else { ColorType::Rgba });
     encoder.set_depth(match picture.bits {
@@ -73,7 +73,7 @@ fn bands(height: u32, band_rows: u32) -> impl Iterator<Item = Range<u32>> + Send
 
 /// A picture's rows on their way to bytes.
 struct Rows<'a> {
-    layout: Layout,
+    layout: PixelLayout,
     source: &'a mut dyn RowSource,
     band: RowBand,
 }
@@ -103,14 +103,14 @@ const CHUNK_BYTES: usize = 1 << 16;
 const BLOCK: usize = 256;
 
 #[derive(Clone, Copy)]
-struct Layout {
+struct PixelLayout {
     width: usize,
     opaque: bool,
     bits: Bits,
     display_transform: DisplayTransform,
 }
 
-impl Layout {
+impl PixelLayout {
     fn channels(self) -> usize {
         if self.opaque { 3 } else { 4 }
     }
@@ -213,8 +213,12 @@ mod tests {
         let job = br#"{ "scene": { "camera": { "position": [0, 0, 5], "look_at": [0, 0, 0] },
             "objects": [{ "shape": { "sphere": { "radius": 1 } } }] }, "image": { "width": 64, "height": 64 } }"#;
         let image = scene::parse(job).expect("a job").image;
-        let layout =
-            Layout { width: WIDTH, opaque: true, bits: Bits::Eight, display_transform: DisplayTransform::new(&image) };
+        let layout = PixelLayout {
+            width: WIDTH,
+            opaque: true,
+            bits: Bits::Eight,
+            display_transform: DisplayTransform::new(&image),
+        };
         let mut levels = [const { Vec::new() }; 3];
         for y in 0..64 {
             let mut samples = vec![srgb; 3 * WIDTH];

@@ -4,7 +4,7 @@ use proto::Rect;
 use scene::backgrounds::Background;
 use scene::camera::Projection;
 use scene::lights::Light;
-use scene::nodes::{Example, Node};
+use scene::nodes::{Node, NodeExample};
 use scene::{Job, effects};
 use serde_json::{Value, json};
 use worker::cuda::KernelSource;
@@ -56,7 +56,7 @@ fn moving(scene: &Value) -> Value {
 
 #[test]
 fn all_frames_of_a_job_share_one_program() {
-    for Example { kind, index: number, node } in Node::examples() {
+    for NodeExample { kind, index: number, node } in Node::examples() {
         let shape: Value = serde_json::from_str(&node).unwrap();
         let job = job(&moving(&scene_of(&shape)), 3);
         assert!(job.is_animated(), "{kind} {number} has numbers");

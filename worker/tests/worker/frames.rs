@@ -6,13 +6,13 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use proto::Rect;
 use scene::Job;
 use worker::CancelFlag;
-use worker::frame::{FrameError, render_frame};
+use worker::frame::{RenderFrameError, render_frame};
 use worker::stitch::TileRows;
 
 use crate::fake_renderer::FakeRenderer;
 use crate::pictures::{encode, jobs, tiles};
 
-fn render(job: &Job, tile_px: Option<u32>, cancel: &CancelFlag, rays: &AtomicU64) -> Result<Vec<u8>, FrameError> {
+fn render(job: &Job, tile_px: Option<u32>, cancel: &CancelFlag, rays: &AtomicU64) -> Result<Vec<u8>, RenderFrameError> {
     let scratch = tempfile::tempdir().unwrap();
     let mut out = Cursor::new(Vec::new());
     let progress = |more| _ = rays.fetch_add(more, Ordering::Relaxed);

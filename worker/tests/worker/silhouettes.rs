@@ -12,7 +12,7 @@ use worker::{CancelFlag, CpuRenderer, Renderer, Simd, TileRequest};
 /// Pixels along an edge.
 const SIZE: usize = 256;
 /// The paper's least step.
-const LEAST_STEP: f64 = 0.001;
+const MIN_STEP: f64 = 0.001;
 /// What is near zero: the paper does not say.
 const NEAR: f64 = 1e-4;
 /// Where its rays end.
@@ -99,7 +99,7 @@ fn is_hit(start: Point, direction: Point, distance: fn(Point) -> f64) -> bool {
         if gap < NEAR {
             return true;
         }
-        t += gap.max(LEAST_STEP);
+        t += gap.max(MIN_STEP);
     }
     false
 }

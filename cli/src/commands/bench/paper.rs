@@ -16,10 +16,10 @@ use worker::bench::{GpuReport, RenderReport, render, render_on_gpu};
 use worker::cuda::BlockDim;
 use worker::{CpuRenderer, Simd};
 
-use crate::arguments::{Device, RendererArguments};
+use crate::arguments::{DeviceChoice, RendererArguments};
 use crate::shipped;
 use crate::terminal::{print_line, print_note};
-use profile::Profile;
+use profile::StepProfile;
 use published::{Published, published};
 
 /// The scene of Table 1.
@@ -92,7 +92,7 @@ struct GpuRow {
     registers: u32,
     theoretical_occupancy_percent: f64,
     #[serde(flatten)]
-    profile: Profile,
+    profile: StepProfile,
 }
 
 /// Measures it.
@@ -142,12 +142,12 @@ impl<'a> Gpu<'a> {
     /// The requested GPU, or any; prints a notice if there is none.
     fn find(arguments: &'a Arguments) -> anyhow::Result<Option<Self>> {
         let ordinal = match arguments.renderer.device {
-            Device::Cpu => {
+            DeviceChoice::Cpu => {
                 print_note("the GPU is skipped, as --device cpu asks for");
                 return Ok(None);
             }
-            Device::Cuda(ordinal) => ordinal,
-            Device::Auto(ordinal) => {
+            DeviceChoice::Cuda(ordinal) => ordinal,
+            DeviceChoice::Auto(ordinal) => {
                 if let Err(error) = worker::cuda::devices() {
                     print_note(&format!("the GPU is skipped: {error}"));
                     return Ok(None);
@@ -162,7 +162,7 @@ impl<'a> Gpu<'a> {
         Ok(Some(Self { arguments, ordinal, name, counter, profiled: Some(folder) }))
     }
 
-    fn measure(&mut self, text: &str, job: &Job, block: BlockDim) -> anyhow::Result<(GpuReport, Profile)> {
+    fn measure(&mut self, text: &str, job: &Job, block: BlockDim) -> anyhow::Result<(GpuReport, StepProfile)> {
         let renderer = self.arguments.renderer.cuda.with_block(block).renderer(self.ordinal)?;
         let report = render_on_gpu(job, &renderer, &self.counter, self.arguments.runs as usize)?;
         drop(renderer);
@@ -170,8 +170,8 @@ impl<'a> Gpu<'a> {
     }
 
     /// Counters of `ncu`; none if it is missing or not permitted.
-    fn profile(&mut self, text: &str, block: BlockDim) -> anyhow::Result<Profile> {
-        let Some(folder) = &self.profiled else { return Ok(Profile::default()) };
+    fn profile(&mut self, text: &str, block: BlockDim) -> anyhow::Result<StepProfile> {
+        let Some(folder) = &self.profiled else { return Ok(StepProfile::default()) };
         let path: PathBuf = folder.path().join("job.json");
         std::fs::write(&path, text).with_context(|| format!("could not write {}", path.display()))?;
         let device = format!("cuda:{}", self.ordinal);
@@ -180,7 +180,7 @@ impl<'a> Gpu<'a> {
             Err(why) => {
                 print_note(&format!("achieved occupancy, branches and lanes are skipped: {why}"));
                 self.profiled = None;
-                Ok(Profile::default())
+                Ok(StepProfile::default())
             }
         }
     }
@@ -192,7 +192,7 @@ impl Row {
         block: BlockDim,
         serial: &RenderReport,
         simd: &RenderReport,
-        gpu: Option<(GpuReport, Profile)>,
+        gpu: Option<(GpuReport, StepProfile)>,
     ) -> Self {
         let published = published(resolution, block);
         Self {

@@ -63,7 +63,7 @@ impl Times {
 
 /// Everything measured.
 #[derive(Debug, Serialize)]
-struct Report {
+struct QueueBenchReport {
     clients: u32,
     jobs: u32,
     submits_per_second: f64,
@@ -77,14 +77,14 @@ struct Report {
 }
 
 /// A server in a fresh folder, until it is stopped.
-pub(super) struct Farm {
+pub(super) struct BenchFarm {
     pub(super) client: Client,
     shutdown: CancellationToken,
     serving: tokio::task::JoinHandle<Result<(), server::ServeError>>,
     _data: tempfile::TempDir,
 }
 
-impl Farm {
+impl BenchFarm {
     pub(super) async fn start(workers: u32, tile_px: Option<u32>) -> anyhow::Result<Self> {
         let data = tempfile::tempdir().context("could not make a folder for the farm: free some space there")?;
         let config = Config {
@@ -112,7 +112,7 @@ impl Farm {
 /// Measures it.
 pub(crate) async fn run(arguments: &Arguments) -> anyhow::Result<()> {
     let seconds = Duration::from_secs(arguments.seconds);
-    let farm = Arc::new(Farm::start(0, Some(load::TILE_PX)).await?);
+    let farm = Arc::new(BenchFarm::start(0, Some(load::TILE_PX)).await?);
     print_note(&format!("handing in {} jobs of 100 tiles", arguments.jobs));
     let (submits_per_second, submit) = load::submit(&farm, arguments.clients, arguments.jobs).await?;
     print_note("claiming among them");
@@ -125,7 +125,7 @@ pub(crate) async fn run(arguments: &Arguments) -> anyhow::Result<()> {
     let start = latency::start(arguments.runs).await?;
     let cancel = latency::cancel(arguments.runs.min(latency::MAX_CANCELS)).await?;
     let (clients, jobs) = (arguments.clients, arguments.jobs);
-    let report = Report {
+    let report = QueueBenchReport {
         clients,
         jobs,
         submits_per_second,
@@ -140,7 +140,7 @@ pub(crate) async fn run(arguments: &Arguments) -> anyhow::Result<()> {
     if arguments.json { print_line(&serde_json::to_string_pretty(&report)?) } else { table(&report) }
 }
 
-fn table(report: &Report) -> anyhow::Result<()> {
+fn table(report: &QueueBenchReport) -> anyhow::Result<()> {
     let row = |what: &str, rate: Option<f64>, times: Option<Times>| {
         let rate = rate.map_or_else(String::new, |rate| format!("{rate:.0}"));
         let times = times.map_or_else(String::new, |times| {

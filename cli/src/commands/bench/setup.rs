@@ -34,7 +34,7 @@ pub(crate) struct Arguments {
 
 /// What it took.
 #[derive(Debug, Serialize)]
-struct Report {
+struct SetupReport {
     size_bytes: usize,
     nodes: u32,
     frames: u32,
@@ -77,7 +77,7 @@ pub(crate) fn run(arguments: &Arguments) -> anyhow::Result<()> {
     let text = job_file(arguments.kib as usize * 1024);
     let parse = || scene::parse(text.as_bytes()).context("the job that is measured is wrong");
     let job = parse()?;
-    let report = Report {
+    let report = SetupReport {
         size_bytes: text.len(),
         nodes: job.nodes(),
         frames: job.frames.count,

@@ -14,7 +14,7 @@ use server::{DoneTile, check_integrity};
 use super::processes;
 use super::report::SoakReport;
 use super::rng::SeededRng;
-use super::server::{LOOK, Launch, ServerLog, ServerProcess};
+use super::server::{Launch, POLL_INTERVAL, ServerLog, ServerProcess};
 use super::workload::ReferenceJob;
 use crate::terminal::print_note;
 
@@ -23,11 +23,11 @@ const READY_LIMIT: Duration = Duration::from_secs(2);
 /// Target number of unfinished jobs in the queue.
 const TARGET_QUEUE: usize = 4;
 /// The longest pause before a kill.
-const PAUSE: Duration = Duration::from_millis(400);
+const KILL_INTERVAL: Duration = Duration::from_millis(400);
 /// Time limit for a fail point to trigger.
 const FAIL_POINT_TIMEOUT: Duration = Duration::from_secs(2);
 /// Time limit for the remaining jobs at the end.
-const LAST_JOBS: Duration = Duration::from_mins(5);
+const LAST_JOBS_TIMEOUT: Duration = Duration::from_mins(5);
 /// Workers killed in a life of the server, where no number was given.
 const WORKERS_A_SERVER: u64 = 3;
 /// Workers killed in a life of the server, once it is killed no more.
@@ -131,7 +131,7 @@ impl Soak<'_> {
         let last = Instant::now() + FAIL_POINT_TIMEOUT;
         for _ in 0..self.kills_per_server() {
             self.submit(&mut server).await?;
-            tokio::time::sleep(self.chance.pause(PAUSE)).await;
+            tokio::time::sleep(self.chance.pause(KILL_INTERVAL)).await;
             if server.has_ended()? {
                 break;
             }
@@ -145,9 +145,9 @@ impl Soak<'_> {
             tokio::time::sleep(FAIL_POINT_TIMEOUT).await;
             return self.end(server).await;
         }
-        tokio::time::sleep(self.chance.pause(PAUSE)).await;
+        tokio::time::sleep(self.chance.pause(KILL_INTERVAL)).await;
         while strikes_server && Instant::now() < last && !server.has_ended()? {
-            tokio::time::sleep(LOOK).await;
+            tokio::time::sleep(POLL_INTERVAL).await;
         }
         if self.servers_left() == 0 {
             return self.end(server).await;
@@ -294,17 +294,17 @@ impl Soak<'_> {
     async fn finish(&mut self) -> anyhow::Result<()> {
         let mut server = self.start("").await?.context("a server ended as soon as it was started")?;
         let start = Instant::now();
-        while !self.waiting.is_empty() && start.elapsed() < LAST_JOBS {
+        while !self.waiting.is_empty() && start.elapsed() < LAST_JOBS_TIMEOUT {
             for (id, task) in self.waiting.clone() {
                 if self.check_job(&server, id, task).await? {
                     self.waiting.remove(&id);
                 }
             }
             anyhow::ensure!(!server.has_ended()?, "the last server ended by itself");
-            tokio::time::sleep(LOOK).await;
+            tokio::time::sleep(POLL_INTERVAL).await;
         }
         if !self.waiting.is_empty() {
-            self.tally.violation(format!("{} jobs did not end within {LAST_JOBS:?}", self.waiting.len()));
+            self.tally.violation(format!("{} jobs did not end within {LAST_JOBS_TIMEOUT:?}", self.waiting.len()));
         }
         self.audit().await?;
         self.end(server).await?;

@@ -23,7 +23,7 @@ const CLIENTS: usize = 32;
 const EXCESS: u64 = 12;
 /// Pause of each client before its next job once the multiple is reached, and before that; much less than
 /// Retry-After asks for.
-const PAUSE: Duration = Duration::from_millis(100);
+const CLIENT_INTERVAL: Duration = Duration::from_millis(100);
 const EXCESS_DELAY: Duration = Duration::from_millis(10);
 /// Unfinished jobs the farm takes.
 const MAX_QUEUED_JOBS: &str = "200";
@@ -51,13 +51,13 @@ struct Counts {
 
 /// Result of an overload.
 #[derive(Debug, Default)]
-pub(super) struct Report {
+pub(super) struct OverloadReport {
     rows: Vec<(&'static str, String)>,
     /// Violations.
     pub(super) violations: Vec<String>,
 }
 
-impl Report {
+impl OverloadReport {
     /// The table.
     pub(super) fn table(&self) -> String {
         let mut table = String::new();
@@ -76,7 +76,7 @@ impl Report {
 }
 
 /// Overloads a temporary farm for some time.
-pub(super) async fn overload(tasks: &[ReferenceJob], data: &Path, time: Duration) -> anyhow::Result<Report> {
+pub(super) async fn overload(tasks: &[ReferenceJob], data: &Path, time: Duration) -> anyhow::Result<OverloadReport> {
     let said = Arc::<ServerLog>::default();
     let flags = ["--max-queued-jobs", MAX_QUEUED_JOBS];
     let launch = Launch { data, workers: 1, flags: &flags, fail_points: "" };
@@ -92,7 +92,7 @@ pub(super) async fn overload(tasks: &[ReferenceJob], data: &Path, time: Duration
     for client in clients {
         client.await.context("a client panicked")?;
     }
-    let mut report = Report::default();
+    let mut report = OverloadReport::default();
     let count = |counter: &AtomicU64| counter.load(Ordering::Relaxed);
     let (taken, refused) = (count(&counts.taken), count(&counts.refused));
     report.rows.push(("jobs taken, refused with 429", format!("{taken}, {refused}")));
@@ -128,7 +128,7 @@ async fn submit(address: String, text: Vec<u8>, counts: Arc<Counts>) {
         };
         counter.fetch_add(1, Ordering::Relaxed);
         let is_enough = counts.refused.load(Ordering::Relaxed) >= EXCESS * counts.taken.load(Ordering::Relaxed);
-        tokio::time::sleep(if is_enough { PAUSE } else { EXCESS_DELAY }).await;
+        tokio::time::sleep(if is_enough { CLIENT_INTERVAL } else { EXCESS_DELAY }).await;
     }
 }
 
@@ -151,7 +151,7 @@ async fn watch(server: &ServerProcess, time: Duration) -> anyhow::Result<(Vec<Du
     Ok((health, (first.unwrap_or(last), last)))
 }
 
-fn check_health(report: &mut Report, mut health: Vec<Duration>) {
+fn check_health(report: &mut OverloadReport, mut health: Vec<Duration>) {
     health.sort();
     let at = |percent: usize| health.get((health.len() * percent / 100).min(health.len() - 1)).copied();
     let (median, p99, most) =
@@ -161,7 +161,7 @@ fn check_health(report: &mut Report, mut health: Vec<Duration>) {
 }
 
 /// A farm that was overloaded takes a job again, and finishes it before those that wait.
-async fn recover(server: &ServerProcess, task: &ReferenceJob, report: &mut Report) -> anyhow::Result<()> {
+async fn recover(server: &ServerProcess, task: &ReferenceJob, report: &mut OverloadReport) -> anyhow::Result<()> {
     let start = Instant::now();
     let mut job: serde_json::Value = serde_json::from_slice(&task.text).context("a task is no JSON")?;
     job["priority"] = json!(100);

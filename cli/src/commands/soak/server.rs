@@ -15,9 +15,9 @@ use super::{probe, processes};
 use crate::commands::serve::current_executable;
 
 /// A server that is not ready by then never will be.
-const START: Duration = Duration::from_secs(30);
+const START_TIMEOUT: Duration = Duration::from_secs(30);
 /// Poll interval.
-pub(super) const LOOK: Duration = Duration::from_millis(2);
+pub(super) const POLL_INTERVAL: Duration = Duration::from_millis(2);
 /// Time limit for children of a killed server to exit.
 const ORPHAN_TIMEOUT: Duration = Duration::from_secs(5);
 
@@ -83,8 +83,12 @@ impl ServerProcess {
             if server.has_ended()? {
                 return Ok(None);
             }
-            anyhow::ensure!(start.elapsed() < START, "the server was not ready after {} s", START.as_secs());
-            tokio::time::sleep(LOOK).await;
+            anyhow::ensure!(
+                start.elapsed() < START_TIMEOUT,
+                "the server was not ready after {} s",
+                START_TIMEOUT.as_secs()
+            );
+            tokio::time::sleep(POLL_INTERVAL).await;
         }
         server.ready = start.elapsed();
         Ok(Some(server))
@@ -130,11 +134,11 @@ impl ServerProcess {
         let process = process.context("the server has no process id")?;
         rustix::process::kill_process(process, rustix::process::Signal::TERM).context("could not ask it to end")?;
         let start = Instant::now();
-        while start.elapsed() < START {
+        while start.elapsed() < START_TIMEOUT {
             if let Some(status) = self.child.0.try_wait().context("could not look after the server")? {
                 return Ok(status.success());
             }
-            tokio::time::sleep(LOOK).await;
+            tokio::time::sleep(POLL_INTERVAL).await;
         }
         Ok(false)
     }
@@ -177,7 +181,7 @@ fn address(child: &mut Child) -> anyhow::Result<Option<String>> {
         let _ = sender.send(line);
         let _ = std::io::copy(&mut output, &mut std::io::sink());
     });
-    let line = receiver.recv_timeout(START).context("the server said nothing")?;
+    let line = receiver.recv_timeout(START_TIMEOUT).context("the server said nothing")?;
     Ok(line.split_whitespace().find(|word| word.starts_with("http://")).map(str::to_owned))
 }
 
@@ -206,6 +210,6 @@ async fn orphans(workers: &[u32]) -> usize {
         if alive == 0 || start.elapsed() > ORPHAN_TIMEOUT {
             return alive;
         }
-        tokio::time::sleep(LOOK).await;
+        tokio::time::sleep(POLL_INTERVAL).await;
     }
 }

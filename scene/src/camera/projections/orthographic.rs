@@ -3,7 +3,7 @@
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use super::{Axes, Extent, HasExamples, Project};
+use super::{CameraAxes, Extent, HasExamples, Project};
 use crate::bounds::Bounds;
 use crate::camera::{Matrix, Ray, View};
 use crate::job::Image;
@@ -39,7 +39,7 @@ impl Project for Orthographic {
     }
 
     #[inline(always)]
-    fn ray<R: Real>(&self, axes: &Axes<R>, across: R, upwards: R) -> Ray<R> {
+    fn ray<R: Real>(&self, axes: &CameraAxes<R>, across: R, upwards: R) -> Ray<R> {
         let origin = axes.right.mul_add(across, axes.up.mul_add(upwards, axes.origin));
         Ray { origin, direction: axes.forward }
     }

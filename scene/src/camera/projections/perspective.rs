@@ -1,6 +1,6 @@
 //! A pinhole camera.
 
-use super::{Axes, Extent, Project};
+use super::{CameraAxes, Extent, Project};
 use crate::bounds::Bounds;
 use crate::camera::{Matrix, Ray, View};
 use crate::march::Tolerance;
@@ -28,7 +28,7 @@ impl Project for Perspective {
     }
 
     #[inline(always)]
-    fn ray<R: Real>(&self, axes: &Axes<R>, across: R, upwards: R) -> Ray<R> {
+    fn ray<R: Real>(&self, axes: &CameraAxes<R>, across: R, upwards: R) -> Ray<R> {
         let direction = axes.right.mul_add(across, axes.up.mul_add(upwards, axes.forward));
         Ray { origin: axes.origin, direction: direction.normalize() }
     }

@@ -27,7 +27,7 @@ pub struct Bricks {
     #[serde(default = "default_mortar")]
     pub mortar: LengthOrZero,
     /// How far a row moves against the one below, as a share of a brick's width.
-    #[serde(default = "half")]
+    #[serde(default = "default_shift")]
     pub shift: Fraction,
     /// Each brick has a colour between these two.
     #[serde(default = "default_colors")]
@@ -146,7 +146,7 @@ fn default_mortar() -> LengthOrZero {
     LengthOrZero::new(0.03).expect("a size in range")
 }
 
-fn half() -> Fraction {
+fn default_shift() -> Fraction {
     Fraction::new(0.5).expect("0.5 is in range")
 }
 

@@ -34,10 +34,10 @@ pub enum GradientBy {
     /// The distance from a point.
     Radius {
         /// The point.
-        #[serde(default = "origin")]
+        #[serde(default = "default_center")]
         center: Point,
         /// Distance where the ramp starts.
-        #[serde(default = "nothing")]
+        #[serde(default = "default_from")]
         from: LengthOrZero,
         /// Distance where it ends.
         to: LengthOrZero,
@@ -123,11 +123,11 @@ impl Pattern for Gradient {
     }
 }
 
-fn origin() -> Point {
+fn default_center() -> Point {
     serde_json::from_str("[0, 0, 0]").expect("a point")
 }
 
-fn nothing() -> LengthOrZero {
+fn default_from() -> LengthOrZero {
     LengthOrZero::new(0.0).expect("0 is in range")
 }
 

@@ -39,7 +39,7 @@ pub struct Marble {
     #[serde(default = "default_width")]
     pub width: Length,
     /// How many bands the noise shifts them by, where it is 1.
-    #[serde(default = "one")]
+    #[serde(default = "default_strength")]
     pub strength: LengthOrZero,
     /// The noise.
     #[serde(default = "default_marble_noise")]
@@ -60,7 +60,7 @@ pub struct Wood {
     #[serde(default = "default_ring")]
     pub width: Length,
     /// How many rings the noise shifts them by, where it is 1.
-    #[serde(default = "one")]
+    #[serde(default = "default_strength")]
     pub strength: LengthOrZero,
     /// The noise.
     #[serde(default = "default_wood_noise")]
@@ -158,7 +158,7 @@ fn default_ring() -> Length {
     Length::new(0.12).expect("a size in range")
 }
 
-fn one() -> LengthOrZero {
+fn default_strength() -> LengthOrZero {
     LengthOrZero::new(1.0).expect("1 is in range")
 }
 

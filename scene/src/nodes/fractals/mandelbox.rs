@@ -31,7 +31,7 @@ pub struct Mandelbox {
     #[serde(default = "one")]
     pub fold: Length,
     /// Inside a ball of this radius the sphere fold is a plain growth.
-    #[serde(default = "half")]
+    #[serde(default = "default_min_radius")]
     pub min_radius: Length,
     /// Radius of the sphere that inverts the shell between it and the inner ball.
     #[serde(default = "one")]
@@ -142,7 +142,7 @@ fn one() -> Length {
     Length::new(1.0).expect("1 is in range")
 }
 
-fn half() -> Length {
+fn default_min_radius() -> Length {
     Length::new(0.5).expect("0.5 is in range")
 }
 

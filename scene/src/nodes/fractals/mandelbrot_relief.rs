@@ -27,10 +27,10 @@ pub struct MandelbrotRelief {
     /// Height of the slab, in scene units.
     pub height: Length,
     /// The complex number in its middle: real and imaginary part, within ±2.
-    #[serde(default = "middle_of_the_set")]
+    #[serde(default = "default_center")]
     pub center: [Coordinate; 2],
     /// Edge of the square in the complex plane, from 0.0001 to 8: the smaller the closer.
-    #[serde(default = "width_of_the_set")]
+    #[serde(default = "default_width")]
     pub width: Length,
     /// Maximum number of iterations of z → z² + c: more give finer detail.
     #[schemars(range(min = 1, max = MAX_ITERATIONS))]
@@ -141,11 +141,11 @@ fn clamp_derivative<R: Real>(slope: R) -> R {
     slope.at_most(MAX_DERIVATIVE).at_least(-MAX_DERIVATIVE)
 }
 
-fn middle_of_the_set() -> [Coordinate; 2] {
+fn default_center() -> [Coordinate; 2] {
     [-0.75, 0.0].map(|c| Coordinate::new(c).expect("it is in range"))
 }
 
-fn width_of_the_set() -> Length {
+fn default_width() -> Length {
     Length::new(3.0).expect("3 is in range")
 }
 

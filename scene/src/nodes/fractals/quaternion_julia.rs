@@ -33,7 +33,7 @@ const ESCAPE_SQUARED: f32 = 256.0;
 /// Logarithm of that square.
 const ESCAPE_LOGARITHM: f32 = 5.545_177_5;
 /// Keeps the square of a derivative where a quotient by it still has a root.
-const LARGEST_SLOPE_SQUARED: f32 = 1e26;
+const MAX_DERIVATIVE_SQUARED: f32 = 1e26;
 /// Distance from the bounding ball within which the estimate is used.
 const MARGIN: f32 = 0.25;
 
@@ -92,7 +92,7 @@ impl QuaternionJulia {
             #[inline(always)]
             |(a, v, squared, slope, isolevel)| {
                 // At 0 orbits do not part, but near it they do.
-                let slope = ((squared * 4.0).at_least(1.0) * slope).at_most(LARGEST_SLOPE_SQUARED);
+                let slope = ((squared * 4.0).at_least(1.0) * slope).at_most(MAX_DERIVATIVE_SQUARED);
                 let next = a.square_add(real) - v.length_squared();
                 let v = v.mul_add(a * 2.0, imaginary);
                 let squared = next.square_add(v.length_squared());

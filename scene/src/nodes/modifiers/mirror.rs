@@ -19,7 +19,7 @@ pub struct Mirror {
     /// A direction at right angles to the plane, of any length.
     pub normal: Direction,
     /// Offset of the plane from the origin along the normal.
-    #[serde(default = "nothing")]
+    #[serde(default = "default_offset")]
     pub offset: Coordinate,
     /// The shape.
     pub child: Child,
@@ -122,6 +122,6 @@ fn height<R: Real>(p: Vec3<R>, normal: Vec3<f32>, offset: f32) -> R {
     p.dot_uniform(normal) - p.x.uniform(offset)
 }
 
-fn nothing() -> Coordinate {
+fn default_offset() -> Coordinate {
     Coordinate::new(0.0).expect("0 is in range")
 }

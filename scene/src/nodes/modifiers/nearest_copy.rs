@@ -11,7 +11,7 @@ use crate::real::{Real, Vec3};
 const MIN_CULL_NODES: u32 = 4;
 
 /// Limit of finite coordinates and lengths.
-const FAR: f32 = 1e7;
+const MISS_DISTANCE: f32 = 1e7;
 
 /// The nearest copy so far: its distance, and the point in its shape's space.
 pub(super) type NearestCopy<R> = (R, Vec3<R>);
@@ -78,7 +78,7 @@ impl<'a> RepeatedChild<'a> {
 
 /// The box with finite ends, farther away than any point.
 pub(super) fn ended(bounds: Bounds) -> Bounds {
-    let ended = |c: f32| c.clamp(-FAR, FAR);
+    let ended = |c: f32| c.clamp(-MISS_DISTANCE, MISS_DISTANCE);
     Bounds { min: bounds.min.map(ended), max: bounds.max.map(ended) }
 }
 

@@ -29,7 +29,7 @@ pub struct Taper {
     /// The y at which the factor is `top_factor`.
     pub top: Coordinate,
     /// Factor at the bottom.
-    #[serde(default = "one")]
+    #[serde(default = "default_bottom_factor")]
     pub bottom_factor: ScaleFactor,
     /// Factor at the top.
     pub top_factor: ScaleFactor,
@@ -144,6 +144,6 @@ impl Sdf for Taper {
     }
 }
 
-fn one() -> ScaleFactor {
+fn default_bottom_factor() -> ScaleFactor {
     ScaleFactor::new(1.0).expect("1 is in range")
 }

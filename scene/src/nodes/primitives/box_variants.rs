@@ -6,7 +6,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::super::{NodeError, Primitive};
-use super::nothing;
+use super::default_round;
 use crate::bounds::Bounds;
 use crate::real::{Real, Vec3, vec3};
 use crate::seek::Seek;
@@ -92,7 +92,7 @@ pub struct Rhombus {
     /// Its whole height along y.
     pub height: Length,
     /// Radius of its rounded edges, inside the diagonals and the height; less than half of each.
-    #[serde(default = "nothing")]
+    #[serde(default = "default_round")]
     pub round: LengthOrZero,
 }
 

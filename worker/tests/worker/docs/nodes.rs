@@ -1,7 +1,7 @@
 //! The page of nodes.
 
 use scene::bounds::Bounds;
-use scene::nodes::{Exactness, Example, Node, snake_case};
+use scene::nodes::{Exactness, Node, NodeExample, snake_case};
 use scene::real::vec3;
 use serde_json::Value;
 
@@ -32,7 +32,7 @@ fn in_view(node: &str) -> String {
 }
 
 /// What the node's value is worth, and its Lipschitz factor.
-fn worth(example: &Example) -> String {
+fn worth(example: &NodeExample) -> String {
     let node: Node = serde_json::from_str(&example.node).expect("an example is a node");
     let worth = match node.exactness() {
         Exactness::Exact => "exact",
@@ -42,7 +42,7 @@ fn worth(example: &Example) -> String {
     format!("Distance: {worth}; Lipschitz factor of the example: {:.3}.", node.stretch())
 }
 
-fn section(schema: &Value, example: &Example, file: &str) -> String {
+fn section(schema: &Value, example: &NodeExample, file: &str) -> String {
     let name = snake_case(example.kind);
     let shown = shown(&name, file, &example.node);
     if example.index > 0 {

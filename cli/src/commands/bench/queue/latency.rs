@@ -6,7 +6,7 @@ use proto::job::JobState;
 use proto::{Client, JobId};
 
 use super::fake_worker::FakeWorker;
-use super::{Farm, Times};
+use super::{BenchFarm, Times};
 
 /// Cancels that are timed, at most: each waits until its job has begun.
 pub(super) const MAX_CANCELS: u32 = 50;
@@ -15,7 +15,7 @@ const WAIT: Duration = Duration::from_secs(10);
 /// Until then a worker's call waits at the server.
 const SETTLE_DELAY: Duration = Duration::from_millis(20);
 /// Interval between two reads of a job.
-const PAUSE: Duration = Duration::from_millis(1);
+const POLL_INTERVAL: Duration = Duration::from_millis(1);
 /// How long a job renders before it is cancelled.
 const RENDERED: Duration = Duration::from_millis(100);
 
@@ -34,7 +34,7 @@ fn job(width: u32, samples: u32) -> Vec<u8> {
 
 /// Time from the 201 until the waiting worker has the job.
 pub(super) async fn start(runs: u32) -> anyhow::Result<Times> {
-    let farm = Farm::start(0, None).await?;
+    let farm = BenchFarm::start(0, None).await?;
     let worker = FakeWorker::register(farm.client.server(), None).await?;
     let mut times = Vec::new();
     for _ in 0..runs {
@@ -59,7 +59,7 @@ pub(super) async fn start(runs: u32) -> anyhow::Result<Times> {
 
 /// Time from the response to a cancel until the rendering worker starts the next job.
 pub(super) async fn cancel(runs: u32) -> anyhow::Result<Times> {
-    let farm = Farm::start(1, None).await?;
+    let farm = BenchFarm::start(1, None).await?;
     let mut times = Vec::new();
     for _ in 0..runs {
         let heavy = farm.client.submit(job(8192, 64), true).await?.id;
@@ -84,6 +84,6 @@ async fn until(client: &Client, id: JobId, state: JobState) -> anyhow::Result<()
             return Ok(());
         }
         anyhow::ensure!(!now.is_final(), "job {id} is {} all of a sudden", now.name());
-        tokio::time::sleep(PAUSE).await;
+        tokio::time::sleep(POLL_INTERVAL).await;
     }
 }

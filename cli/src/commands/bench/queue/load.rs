@@ -10,7 +10,7 @@ use proto::worker_protocol::BatchWork as RunWork;
 use tokio::task::JoinSet;
 
 use super::fake_worker::FakeWorker;
-use super::{Farm, Times};
+use super::{BenchFarm, Times};
 
 /// Claims that are timed.
 const CLAIMS: u32 = 1000;
@@ -38,7 +38,7 @@ fn job(seed: u32) -> Vec<u8> {
 }
 
 /// Submits jobs from several clients; returns the rate and the duration of each submission.
-pub(super) async fn submit(farm: &Arc<Farm>, clients: u32, jobs: u32) -> anyhow::Result<(f64, Times)> {
+pub(super) async fn submit(farm: &Arc<BenchFarm>, clients: u32, jobs: u32) -> anyhow::Result<(f64, Times)> {
     let start = Instant::now();
     let mut tasks = JoinSet::new();
     for client in 0..clients {
@@ -66,7 +66,7 @@ async fn gather(mut tasks: JoinSet<anyhow::Result<Vec<Duration>>>) -> anyhow::Re
 }
 
 /// Times claims of one worker, while all the jobs wait.
-pub(super) async fn claim(farm: &Farm) -> anyhow::Result<Times> {
+pub(super) async fn claim(farm: &BenchFarm) -> anyhow::Result<Times> {
     let worker = FakeWorker::register(farm.client.server(), Some(TEN_TILES_A_SECOND)).await?;
     let mut times = Vec::new();
     for _ in 0..CLAIMS {
@@ -86,7 +86,7 @@ pub(super) struct Throughput {
 }
 
 /// Lets workers claim and complete tiles for the given time while clients read jobs.
-pub(super) async fn work(farm: &Arc<Farm>, workers: u32, time: Duration) -> anyhow::Result<Throughput> {
+pub(super) async fn work(farm: &Arc<BenchFarm>, workers: u32, time: Duration) -> anyhow::Result<Throughput> {
     let (tiles, over) = (Arc::new(AtomicU64::new(0)), Arc::new(AtomicBool::new(false)));
     let mut working = JoinSet::new();
     for _ in 0..workers {
@@ -127,7 +127,7 @@ async fn run_fake_worker(worker: &FakeWorker, tiles: &AtomicU64, over: &AtomicBo
 }
 
 async fn poll_status(
-    farm: &Farm,
+    farm: &BenchFarm,
     jobs: impl Iterator<Item = &JobId>,
     over: &AtomicBool,
 ) -> anyhow::Result<Vec<Duration>> {
