@@ -1,6 +1,6 @@
 //! API keys, as administrators see them over HTTP and on the command line.
 //!
-//! A key's secret is in [`IssuedKey`] alone, once.
+//! A key's secret is in [`IssuedApiKey`] alone, once.
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};

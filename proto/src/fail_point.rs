@@ -28,7 +28,7 @@ macro_rules! points {
             /// Every point.
             pub const ALL: &[Self] = &[$(Self::$point),+];
 
-            /// Its name in [`VARIABLE`].
+            /// Its name in [`ENV_VAR`].
             pub fn name(self) -> &'static str {
                 match self { $(Self::$point => $name,)+ }
             }
@@ -95,7 +95,7 @@ struct ArmedFailPoint {
 #[error("{LOG_PREFIX} {} struck", .0.name())]
 pub struct FailPointError(pub FailPoint);
 
-/// [`VARIABLE`] has no list of fail points.
+/// [`ENV_VAR`] has no list of fail points.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error(
     "{part:?} is no fail point: write NAME=kill, NAME=error or NAME=slow:MILLISECONDS, then @N for the N-th pass alone; names are {}",

@@ -35,7 +35,7 @@ pub enum HelperRequest {
         /// Maximum width of the PNG, in pixels.
         width_px: u32,
     },
-    /// A [`Sample`] of a job, as JSON.
+    /// A [`CostSample`] of a job, as JSON.
     MeasureCost {
         /// The job file.
         job: String,

@@ -52,7 +52,7 @@ pub struct Tiling {
 }
 
 impl Tiling {
-    /// Cuts a frame into tiles, row by row: squares of [`TILE_RAYS`] rays unless an
+    /// Cuts a frame into tiles, row by row: squares of [`TARGET_TILE_RAYS`] rays unless an
     /// edge was asked for, larger where the frame would otherwise have too many tiles,
     /// smaller where one would carry too many bytes.
     pub fn tiles(&self) -> Vec<Rect> {

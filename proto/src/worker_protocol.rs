@@ -9,9 +9,9 @@ use serde::{Deserialize, Serialize};
 
 use crate::{JobId, LeaseId, Rect, WorkerId};
 
-/// Route of registration: `POST`, [`Hello`] → [`Welcome`].
+/// Route of registration: `POST`, [`RegisterRequest`] → [`RegisterResponse`].
 pub const REGISTER_PATH: &str = "/v1/worker/register";
-/// Route of syncs: `POST`, [`SyncRequest`] → [`SyncReply`].
+/// Route of syncs: `POST`, [`SyncRequest`] → [`SyncResponse`].
 pub const SYNC_PATH: &str = "/v1/worker/sync";
 /// Environment variable through which the pool gives its children their token.
 pub const TOKEN_ENV_VAR: &str = "SDFARM_WORKER_TOKEN";
@@ -50,7 +50,7 @@ pub struct RegisterRequest {
     pub process: u32,
 }
 
-/// The answer to [`Hello`].
+/// The answer to [`RegisterRequest`].
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct RegisterResponse {
     /// The worker's id until it exits.

@@ -1,7 +1,7 @@
 //! What is seen where nothing is: the list of backgrounds, and what a background must say of itself.
 //!
 //! A background is one documented struct in a file under `backgrounds/`, one `impl` of [`Backdrop`], and one entry in
-//! the list; with fields it has an `impl` of [`Exemplary`] too; without fields it is written as its name alone.
+//! the list; with fields it has an `impl` of [`HasExamples`] too; without fields it is written as its name alone.
 
 #[cfg(test)]
 mod added;

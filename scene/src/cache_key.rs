@@ -60,7 +60,7 @@ impl JobAtFrame<'_> {
 
     /// Of all that decides its pixels.
     pub fn pixels_cache_key(&self) -> blake3::Hash {
-        // Without `..`: a field that is new does not compile until it is decided on, here and in `picture_key`.
+        // Without `..`: a field that is new does not compile until it is decided on, here and in `cache_key`.
         let Image { width, height, samples, seed, layers, format: _, bits: _, precision: _, exposure: _, tone_map: _ } =
             self.image();
         hash(&CanonicalPixels {

@@ -1,6 +1,6 @@
 //! What the air and the neighborhood of a surface do to light: the list of effects.
 //!
-//! An effect is one documented struct with an `impl` of [`Exemplary`], an entry in the list, and a field of the
+//! An effect is one documented struct with an `impl` of [`HasExamples`], an entry in the list, and a field of the
 //! [`Scene`](crate::scene::Scene) under the same name, `None` where there is no such effect.
 
 use crate::ambient_occlusion::AmbientOcclusion;

@@ -22,7 +22,7 @@ use shading::MaterialTable;
 
 /// A frame of a job, ready to be asked for its pixels.
 ///
-/// Its larger steps enter through [`Real::shared`] instead of being inlined into one another:
+/// Its larger steps enter through [`Real::call`] instead of being inlined into one another:
 /// for thirty lanes a call costs little, and code for each instruction set is made once.
 #[derive(Clone, Debug)]
 pub struct Integrator<'a> {

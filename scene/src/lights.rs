@@ -1,6 +1,6 @@
 //! Where light comes from: the list of lights, and what a light must say of itself.
 //!
-//! A light is one documented struct in a file under `lights/`, one `impl` of [`LightSource`] and of [`Exemplary`],
+//! A light is one documented struct in a file under `lights/`, one `impl` of [`LightSource`] and of [`HasExamples`],
 //! and one entry in the list. A light's colour is such that a matt white surface that faces it sends back the colour:
 //! the light's irradiance over π. Area lights are sampled: each pixel sample takes one point on the light.
 

@@ -44,7 +44,7 @@ pub struct ShadingPoint<R: Real> {
     pub local_normal: Vec3<R>,
     /// Distance from the camera, along the ray.
     pub camera_t: R,
-    /// What a sample's part of the pixel covers of the surface, as textures see it: from `point`, two ways of half its width.
+    /// What a sample's part of the pixel covers of the surface, as textures see it: from `local_point`, two ways of half its width.
     pub footprint: [Vec3<R>; 2],
     /// Whether the surface is seen from inside its shape.
     pub is_inside: MaskValue<R>,
@@ -120,7 +120,7 @@ pub trait Shade {
         None
     }
 
-    /// Whether `finish` ever sends a ray on.
+    /// Whether `specular` ever sends a ray on.
     fn is_specular(&self) -> bool {
         false
     }
@@ -145,17 +145,17 @@ pub trait Shade {
         Vec::new()
     }
 
-    /// Whether it uses `Place::point`.
+    /// Whether it uses `ShadingPoint::local_point`.
     fn is_textured(&self) -> bool {
         !self.textures().is_empty()
     }
 
-    /// Whether it uses `Place::footprint`.
+    /// Whether it uses `ShadingPoint::footprint`.
     fn needs_footprint(&self) -> bool {
         self.textures().into_iter().any(Texture::needs_footprint)
     }
 
-    /// Whether it uses `Place::own_normal`, which is expensive.
+    /// Whether it uses `ShadingPoint::local_normal`, which is expensive.
     fn needs_local_normal(&self) -> bool {
         self.textures().into_iter().any(Texture::needs_own_normal)
     }

@@ -1,7 +1,7 @@
 //! Profiles: 2D shapes in the plane of x and y, for `extrude` and `revolve`.
 //!
 //! A profile is one documented struct in a file of its family under `profiles/`, one `impl` of
-//! [`Planar`], and one word in the list below. Its examples are examples of `extrude` and
+//! [`ProfileSdf`], and one word in the list below. Its examples are examples of `extrude` and
 //! `revolve`, so the contract tests and the pictures of docs/nodes.md follow from those.
 
 #[cfg(test)]

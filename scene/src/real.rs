@@ -76,7 +76,7 @@ pub trait Real:
         self.constant(value)
     }
 
-    /// `word`, data as [`Real::given`] has it.
+    /// `word`, data as [`Real::uniform`] has it.
     #[inline(always)]
     #[expect(clippy::erasing_op, reason = "lanes of 0 are made of other lanes")]
     fn uniform_bits(self, word: u32) -> Self::Bits {

@@ -73,7 +73,7 @@ impl Default for March {
 }
 
 impl Scene {
-    /// The materials in use; a [`MaterialUse`] has its place in this list.
+    /// The materials in use; a [`MaterialRef`] has its place in this list.
     #[inline(always)]
     pub fn used_materials(&self) -> &[Material] {
         &self.materials

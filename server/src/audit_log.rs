@@ -72,7 +72,7 @@ pub(crate) struct AuditLog {
 }
 
 impl AuditLog {
-    /// The audit log of a database; it is written while [`Audit::run`] runs.
+    /// The audit log of a database; it is written while [`AuditLog::run`] runs.
     pub(crate) fn new(store: Arc<Database>, clock: Clock) -> Self {
         let (deeds, waiting) = mpsc::channel(QUEUE_CAPACITY);
         Self { store, clock, deeds, waiting: Mutex::new(waiting), dropped: AtomicU64::new(0) }

@@ -60,7 +60,7 @@ fn time_of_day_ms() -> i64 {
     i64::try_from(age.as_millis()).unwrap_or(i64::MAX)
 }
 
-/// Advances a clock made by [`Clock::by_hand`].
+/// Advances a clock made by [`Clock::manual`].
 #[derive(Clone, Debug, Default)]
 pub struct ManualClock {
     now_ms: Arc<AtomicI64>,

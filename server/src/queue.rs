@@ -174,7 +174,7 @@ impl Queue {
         Ok(number)
     }
 
-    /// Stores a job's next frame from a picture that is already stored; `Opened::Open` means there is
+    /// Stores a job's next frame from a picture that is already stored; `OpenOutcome::Open` means there is
     /// none.
     pub(crate) async fn reuse(&self, opening: FrameOpening) -> Result<OpenOutcome> {
         let moment = self.context();

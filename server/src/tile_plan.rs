@@ -21,7 +21,7 @@ pub(crate) struct TilePlan {
 }
 
 impl TilePlan {
-    /// Plan of a job; `edge_px` is the operator's tile edge, if any.
+    /// Plan of a job; `chosen_edge_px` is the operator's tile edge, if any.
     pub(crate) fn new(job: &scene::Job, edge_px: Option<u32>) -> Self {
         Self {
             width_px: job.image.width,

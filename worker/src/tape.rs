@@ -33,7 +33,7 @@ pub enum ValueType {
 pub enum Operation {
     /// A number of the formula, by its bits: code.
     Constant(u32),
-    /// A number of the scene, by its place in [`Tape::parameters`]: data.
+    /// A number of the scene, by its place in [`Tape::uniforms`]: data.
     Uniform(u32),
     /// Argument of the enclosing function.
     Argument,
@@ -99,7 +99,7 @@ impl Operation {
         matches!(self, Self::Constant(_) | Self::Uniform(_))
     }
 
-    /// See [`Tape::operations`].
+    /// See [`Tape::flops_per_call`].
     fn cost(self) -> u64 {
         match self {
             Self::Add | Self::Sub | Self::Mul | Self::Min | Self::Max | Self::Floor => 1,
@@ -164,7 +164,7 @@ enum Statement {
     Comment(&'static str),
     /// Calls a function.
     Call { function: usize, arguments: Vec<ValueId>, returned: Vec<ValueId> },
-    /// Assigns `then` to the variables where the condition holds, else `otherwise`.
+    /// Assigns `value` to the variables where the condition holds, else `otherwise`.
     When {
         condition: ValueId,
         variables: Vec<ValueId>,

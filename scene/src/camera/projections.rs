@@ -1,7 +1,7 @@
 //! How space becomes a picture: the list of projections, and what a projection must say of itself.
 //!
 //! A projection is one documented struct in a file under `camera/projections/`, one `impl` of [`Project`], and one
-//! entry in the list; with fields it has an `impl` of [`Exemplary`] too; without fields it is written as its name alone.
+//! entry in the list; with fields it has an `impl` of [`HasExamples`] too; without fields it is written as its name alone.
 
 #[cfg(test)]
 mod added;

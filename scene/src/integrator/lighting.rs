@@ -11,7 +11,7 @@ use crate::materials::{IncidentLight, Shade};
 use crate::real::{Real, Vec3};
 use crate::sampling::Sampler;
 
-/// What a pair of numbers is for, see [`Dice::pair`]: the light of this index has `LIGHTS` + index.
+/// What a pair of numbers is for, see [`Sampler::get_2d`]: the light of this index has `DIM_LIGHTS` + index.
 pub(super) const DIM_BSDF: u32 = 0;
 pub(super) const DIM_LOBE: u32 = 1;
 const DIM_LIGHTS: u32 = 2;

@@ -236,7 +236,7 @@ impl Integrator<'_> {
         }
     }
 
-    /// Marches on from a surface, or from the camera. `near` is how near is near enough at the start.
+    /// Marches on from a surface, or from the camera. `epsilon` is how near is near enough at the start.
     fn march_from<R: Real>(&self, ray: &Ray<R>, near: R) -> MarchResult<R> {
         near.call(
             "march_on",
@@ -247,7 +247,7 @@ impl Integrator<'_> {
     }
 }
 
-/// A colour no brighter than [`MOST_INDIRECT`], in the same hue.
+/// A colour no brighter than [`MAX_INDIRECT_RADIANCE`], in the same hue.
 #[inline(always)]
 fn clamp_indirect<R: Real>(color: Vec3<R>) -> Vec3<R> {
     let brightest = color.max_element().at_least(MAX_INDIRECT_RADIANCE);

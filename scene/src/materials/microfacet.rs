@@ -102,7 +102,7 @@ pub fn orthonormal_basis<R: Real>(normal: Vec3<R>) -> (Vec3<R>, Vec3<R>) {
 }
 
 /// Samples a microfacet normal visible to the viewer, in the local frame, from two numbers uniform in 0..1.
-/// Light reflected by it has the weight [`fresnel`] · [`shadowing`].
+/// Light reflected by it has the weight [`fresnel`] · [`smith_g2_over_g1`].
 ///
 /// Jonathan Dupuy and Anis Benyoub, "Sampling visible GGX normals with spherical caps", 2023,
 /// <https://arxiv.org/abs/2306.05044>.

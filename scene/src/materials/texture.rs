@@ -37,7 +37,7 @@ pub trait Pattern {
     /// Its colours, which may be textures.
     fn color_params(&self) -> Vec<&ColorParam>;
 
-    /// Whether it looks at `Place::own_normal` itself.
+    /// Whether it looks at `ShadingPoint::local_normal` itself.
     fn uses_local_normal(&self) -> bool {
         false
     }
@@ -72,7 +72,7 @@ macro_rules! textures {
                 match self { $($(#[$attribute])* Self::$Kind(texture) => texture.color_params()),* }
             }
 
-            /// Whether it looks at `Place::own_normal` itself.
+            /// Whether it looks at `ShadingPoint::local_normal` itself.
             fn uses_local_normal(&self) -> bool {
                 match self { $($(#[$attribute])* Self::$Kind(texture) => texture.uses_local_normal()),* }
             }
@@ -119,7 +119,7 @@ impl Texture {
         1 + inside.map(Self::depth).max().unwrap_or(0)
     }
 
-    /// Whether it, or a texture in it, looks at `Place::own_normal`.
+    /// Whether it, or a texture in it, looks at `ShadingPoint::local_normal`.
     pub fn needs_own_normal(&self) -> bool {
         self.uses_local_normal()
             || self.color_params().into_iter().filter_map(ColorParam::texture).any(Self::needs_own_normal)

@@ -44,7 +44,7 @@ impl DisplacementBounds {
         Self { low, high, lipschitz: 1.0 + steepening, influence: reach * 1.000_1 }
     }
 
-    /// Maximum distance, from the undisplaced surface, of points at a displaced distance of `level`.
+    /// Maximum distance, from the undisplaced surface, of points at a displaced distance of `inflate`.
     pub(super) fn inflate(self, isolevel: f32) -> f32 {
         (isolevel - self.low).max(0.0)
     }
@@ -53,7 +53,7 @@ impl DisplacementBounds {
     ///
     /// Neither end is steeper than the sum may be, and each has the sign of the sum wherever it replaces
     /// it: the surface does not move, and a step may be as long as the distance to the nearest
-    /// displacement. Beyond `reach` from the middle only the ends are used, and the amount is not
+    /// displacement. Beyond `influence` from the middle only the ends are used, and the amount is not
     /// evaluated.
     #[inline(always)]
     pub(super) fn displaced<R: Real>(self, distance: R, amount: impl FnOnce() -> R) -> R {

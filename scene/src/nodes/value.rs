@@ -20,7 +20,7 @@ pub trait SdfValue<R: Real>: Clone {
     /// Combines this value with a shape that is at least `lower_bound` away. May return `self` without calling `combine` if that shape cannot be nearer.
     fn combine_unless_farther(self, beyond: R, join: impl FnOnce(Self) -> Self) -> Self;
 
-    /// The surface of `node` as `place` sees it, where its distance is known already.
+    /// The surface of `node` as `point` sees it, where its distance is known already.
     fn from_known_distance(node: &Node, place: Vec3<R>, distance: R) -> Self;
 
     /// The same surface with a material wherever no inner node names one; `p` is the point in the space

@@ -36,7 +36,7 @@ pub(super) fn cell<R: Real>(p: Vec3<R>) -> (Vec3<R>, Vec3<R>) {
 }
 
 impl<R: Real> LatticeHash<R> {
-    /// Hash of the corner at integers up to ±2²², with `seed` from [`start`].
+    /// Hash of the corner at integers up to ±2²², with `seed` from [`octave_seed`].
     #[inline(always)]
     pub(super) fn new(corner: Vec3<R>, seed: R) -> Self {
         Self {
@@ -111,7 +111,7 @@ pub(super) fn float_in_1_2<R: Real>(word: R::Bits) -> R {
     R::from_bits((word >> 9) | 0x3f80_0000)
 }
 
-/// `number`, negated if the sign bit of `word` is set.
+/// `number`, negated if the sign bit of `hash` is set.
 #[inline(always)]
 pub(super) fn with_sign<R: Real>(number: R, word: R::Bits) -> R {
     R::from_bits(number.to_bits() ^ (word & 0x8000_0000))

@@ -2,7 +2,7 @@
 //!
 //! Polynomials and range reductions are those of Stephen L. Moshier's Cephes Mathematical
 //! Library, single precision (<https://www.netlib.org/cephes/>), evaluated here with fused
-//! operations. Each is compiled once, hence [`Real::shared`], and called.
+//! operations. Each is compiled once, hence [`Real::call`], and called.
 //! The errors in the docs of [`Real`] are measured by this module's tests.
 
 use std::f32::consts::{FRAC_2_PI, FRAC_PI_2, FRAC_PI_4, LOG2_E, PI, TAU};

@@ -158,7 +158,7 @@ impl Track {
         self.keys.iter().map(|&(seconds, _)| seconds)
     }
 
-    /// The number at a time. `holds` tells whether a number is in range.
+    /// The number at a time. `is_in_range` tells whether a number is in range.
     pub(super) fn at(&self, now: f64, holds: fn(f32) -> bool) -> f32 {
         let next = self.keys.partition_point(|&(seconds, _)| seconds <= now);
         let (from, before) = self.keys[next.saturating_sub(1)];

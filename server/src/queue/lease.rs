@@ -108,7 +108,7 @@ pub(super) struct LiveLease {
     counters: Counters,
 }
 
-/// The columns of a [`Held`], before a condition.
+/// The columns of a [`LiveLease`], before a condition.
 macro_rules! held_where {
     ($condition:literal) => {
         concat!(

@@ -82,7 +82,7 @@ impl SyncOutcome {
 pub(crate) enum NextWork {
     /// A run.
     Run(Batch),
-    /// A frame has to be opened first: repeat the sync with its [`Opening`].
+    /// A frame has to be opened first: repeat the sync with its [`FrameOpening`].
     OpenFrame {
         /// The job's number.
         job: i64,

@@ -108,7 +108,7 @@ pub struct InfiniteConeParams {
     pub degrees: AcuteHalfAngle,
 }
 
-/// `GivenInfiniteCone` with its derived values.
+/// `InfiniteConeParams` with its derived values.
 pub type InfiniteCone = Precomputed<InfiniteConeParams>;
 
 impl Precompute for InfiniteConeParams {
@@ -203,7 +203,7 @@ pub struct SolidAngleParams {
     pub radius: Length,
 }
 
-/// `GivenSolidAngle` with its derived values.
+/// `SolidAngleParams` with its derived values.
 pub type SolidAngle = Precomputed<SolidAngleParams>;
 
 impl Precompute for SolidAngleParams {

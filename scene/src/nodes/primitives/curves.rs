@@ -30,7 +30,7 @@ pub struct BezierTubeParams {
     pub radius: Length,
 }
 
-/// `GivenBezierTube` with its derived values.
+/// `BezierTubeParams` with its derived values.
 pub type BezierTube = Precomputed<BezierTubeParams>;
 
 /// Newton's steps at most: enough for 10⁻⁵ of the curve's length on the sharpest bend.

@@ -25,7 +25,7 @@ pub struct TriangleParams {
     pub radius: Length,
 }
 
-/// `GivenTriangle` with its derived values.
+/// `TriangleParams` with its derived values.
 pub type Triangle = Precomputed<TriangleParams>;
 
 impl Precompute for TriangleParams {
@@ -68,7 +68,7 @@ pub struct QuadParams {
     pub radius: Length,
 }
 
-/// `GivenQuad` with its derived values.
+/// `QuadParams` with its derived values.
 pub type Quad = Precomputed<QuadParams>;
 
 /// Maximum distance of a corner from the plane of the four, as a fraction of the larger diagonal: as much as

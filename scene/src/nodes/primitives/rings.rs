@@ -24,7 +24,7 @@ pub struct CappedTorusParams {
     pub degrees: ArcAngle,
 }
 
-/// `GivenCappedTorus` with its derived values.
+/// `CappedTorusParams` with its derived values.
 pub type CappedTorus = Precomputed<CappedTorusParams>;
 
 impl Precompute for CappedTorusParams {
@@ -145,7 +145,7 @@ pub struct HorseshoeParams {
     pub thickness: Length,
 }
 
-/// `GivenHorseshoe` with its derived values.
+/// `HorseshoeParams` with its derived values.
 pub type Horseshoe = Precomputed<HorseshoeParams>;
 
 impl Precompute for HorseshoeParams {

@@ -71,7 +71,7 @@ pub struct EllipsoidParams {
     pub radii: [Length; 3],
 }
 
-/// `GivenEllipsoid` with its derived values.
+/// `EllipsoidParams` with its derived values.
 pub type Ellipsoid = Precomputed<EllipsoidParams>;
 
 /// Maximum number of Newton steps; only a few points near the center of a flat ellipsoid need that many.
@@ -147,7 +147,7 @@ impl Primitive for Ellipsoid {
     }
 }
 
-/// The nearest point over the radii, if `t` is `past_least` beyond −least²; and 1/(t + radius²).
+/// The nearest point over the radii, if `t` is `excess_squared` beyond −least²; and 1/(t + radius²).
 #[inline(always)]
 fn nearest_ratio<R: Real>(reach: Vec3<R>, past_least: Vec3<R>, t: R) -> (Vec3<R>, Vec3<R>) {
     let inverse = past_least.map(
