@@ -24,7 +24,7 @@ use crate::values::Color;
 
 /// What a background means.
 pub trait Backdrop {
-    /// Linear RGB seen towards `direction`, of length 1; black where nothing is.
+    /// Linear RGB seen toward `direction`, of length 1; black where nothing is.
     fn radiance<R: Real>(&self, direction: Vec3<R>) -> Vec3<R>;
 
     /// The mean of all it sends to a surface with this normal, weighted by the cosine; `None` where

@@ -58,9 +58,9 @@ pub fn srgb_from_linear<R: Real>(linear: R) -> R {
 }
 
 /// Which of 256 levels shows an sRGB value, 0 to 1, before its fraction is cut off: rounded at `threshold`, which
-/// differs from pixel to pixel, so that no band is seen where colours change slowly.
+/// differs from pixel to pixel, so that no band is seen where colors change slowly.
 ///
-/// What is a level but for rounding is that level everywhere: an even colour stays even.
+/// What is a level but for rounding is that level everywhere: an even color stays even.
 #[inline(always)]
 pub fn level_of_256<R: Real>(srgb: R, threshold: R) -> R {
     /// How near a level one must be to be it.
@@ -113,10 +113,10 @@ mod tests {
 
     #[test]
     fn the_ends_of_16_bits_are_reached() {
-        let quantised = |linear: f32| (srgb_from_linear(linear) * 65_535.0 + 0.5).floor();
+        let quantized = |linear: f32| (srgb_from_linear(linear) * 65_535.0 + 0.5).floor();
         assert_eq!(srgb_from_linear(0.0_f32), 0.0);
-        assert_eq!(quantised(1.0), 65_535.0);
-        assert_eq!(quantised(7.0), 65_535.0);
+        assert_eq!(quantized(1.0), 65_535.0);
+        assert_eq!(quantized(7.0), 65_535.0);
         assert!((linear_from_srgb(1.0_f32) - 1.0).abs() < 1e-6);
     }
 }

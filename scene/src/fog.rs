@@ -20,7 +20,7 @@ pub struct Fog {
     /// By what share of itself it gets thinner on a unit of height; 0 is as thick everywhere.
     #[serde(default = "default_falloff")]
     pub falloff: Density,
-    /// Its colour; the background's in each direction when absent, and the horizon's below the horizon.
+    /// Its color; the background's in each direction when absent, and the horizon's below the horizon.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub color: Option<Color>,
 }
@@ -32,7 +32,7 @@ impl HasExamples for Fog {
 }
 
 impl Fog {
-    /// What fog without a colour of its own shows in a direction: the direction that the background is asked for.
+    /// What fog without a color of its own shows in a direction: the direction that the background is asked for.
     #[inline(always)]
     pub fn direction_of_color<R: Real>(direction: Vec3<R>) -> Vec3<R> {
         let level = vec3(direction.x, direction.y.at_least(0.0), direction.z);

@@ -59,7 +59,7 @@ pub struct Integrator<'a> {
 /// From so many nodes on, one formula for the distance and another for the nearest object would be too much text.
 const SHARED_DISTANCE_NODES: u32 = 32;
 
-/// The colour of a pixel.
+/// The color of a pixel.
 #[derive(Clone, Copy, Debug)]
 pub struct Radiance<R> {
     /// Linear RGB, premultiplied by alpha.
@@ -70,16 +70,16 @@ pub struct Radiance<R> {
     pub evaluations: R,
 }
 
-/// What the ray through a pixel's centre meets.
+/// What the ray through a pixel's center meets.
 #[derive(Clone, Copy, Debug)]
 pub struct Aovs<R> {
     /// Distance along the ray; infinite where nothing is hit.
     pub depth: R,
-    /// Normal, towards the viewer's side; 0 where nothing is hit.
+    /// Normal, toward the viewer's side; 0 where nothing is hit.
     pub normal: Vec3<R>,
     /// Where; 0 where nothing is hit.
     pub position: Vec3<R>,
-    /// The surface's own colour; 0 where nothing is hit.
+    /// The surface's own color; 0 where nothing is hit.
     pub albedo: Vec3<R>,
     /// Index of the object; −1 where nothing is hit.
     pub object: R,
@@ -151,7 +151,7 @@ impl<'a> Integrator<'a> {
         }
     }
 
-    /// The colour of the pixel in column `x` and row `y`, both whole.
+    /// The color of the pixel in column `x` and row `y`, both whole.
     #[inline(always)]
     pub fn pixel<R: Real>(&self, x: R, y: R) -> Radiance<R> {
         let zero = x.constant(0.0);
@@ -192,7 +192,7 @@ impl<'a> Integrator<'a> {
         )
     }
 
-    /// The colour of a pixel whose samples are all in `sum`.
+    /// The color of a pixel whose samples are all in `sum`.
     #[inline(always)]
     pub fn mean<R: Real>(&self, sum: Radiance<R>) -> Radiance<R> {
         if self.samples == 1 {
@@ -202,7 +202,7 @@ impl<'a> Integrator<'a> {
         Radiance { color: sum.color * share, alpha: sum.alpha * share, evaluations: sum.evaluations }
     }
 
-    /// What the ray through the centre of the pixel in column `x` and row `y` meets.
+    /// What the ray through the center of the pixel in column `x` and row `y` meets.
     pub fn aovs<R: Real>(&self, x: R, y: R) -> Aovs<R> {
         x.vectorize(
             #[inline(always)]

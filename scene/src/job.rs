@@ -55,10 +55,10 @@ pub struct Image {
     /// Bits a channel of a PNG.
     #[serde(default)]
     pub bits: Bits,
-    /// Precision of the colour channels of an EXR.
+    /// Precision of the color channels of an EXR.
     #[serde(default)]
     pub precision: Precision,
-    /// What an EXR holds beside the colours.
+    /// What an EXR holds beside the colors.
     #[serde(default)]
     #[schemars(extend("uniqueItems" = true))]
     pub layers: Vec<Layer>,
@@ -91,7 +91,7 @@ pub enum Bits {
     Sixteen,
 }
 
-/// Precision of the colour channels of an EXR.
+/// Precision of the color channels of an EXR.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema, Seek)]
 #[serde(rename_all = "snake_case")]
 pub enum Precision {
@@ -113,7 +113,7 @@ pub enum ToneMap {
     Filmic,
 }
 
-/// What an EXR may hold beside the colours, taken at the pixel's centre.
+/// What an EXR may hold beside the colors, taken at the pixel's center.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize, JsonSchema, Seek)]
 #[serde(rename_all = "snake_case")]
 pub enum Layer {
@@ -123,7 +123,7 @@ pub enum Layer {
     Normal,
     /// `P.X P.Y P.Z`: the position.
     Position,
-    /// `albedo.R albedo.G albedo.B`: the surface's own colour.
+    /// `albedo.R albedo.G albedo.B`: the surface's own color.
     Albedo,
     /// `id`: index into the objects; −1 where nothing is hit.
     Object,

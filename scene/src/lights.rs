@@ -1,7 +1,7 @@
 //! Where light comes from: the list of lights, and what a light must say of itself.
 //!
 //! A light is one documented struct in a file under `lights/`, one `impl` of [`LightSource`] and of [`HasExamples`],
-//! and one entry in the list. A light's colour is such that a matt white surface that faces it sends back the colour:
+//! and one entry in the list. A light's color is such that a matte white surface that faces it sends back the color:
 //! the light's irradiance over π. Area lights are sampled: each pixel sample takes one point on the light.
 
 #[cfg(test)]
@@ -34,7 +34,7 @@ use crate::values::{Color, FullAngle, Strength};
 /// A light as it arrives at a place.
 #[derive(Clone, Copy, Debug)]
 pub struct LightSample<R> {
-    /// Towards the light, of length 1.
+    /// Toward the light, of length 1.
     pub direction: Vec3<R>,
     /// Its linear RGB there; 0 in shadow.
     pub radiance: Vec3<R>,

@@ -57,7 +57,7 @@ pub struct Approach<R> {
     pub resolution: Tolerance,
     /// Whether rays go inside shapes, too: then the sign of a distance tells the side alone.
     pub both_sides: bool,
-    /// Whether the root is looked for among details of every size, too: then no step towards it is longer than
+    /// Whether the root is looked for among details of every size, too: then no step toward it is longer than
     /// what is known to be free, as the slope here says nothing about the way ahead. Else to be near them is enough.
     pub among_details: bool,
 }
@@ -185,7 +185,7 @@ pub fn find_root<R: Real>(
     let one = near.distance.constant(1.0);
     // From inside, distances are negative before the surface.
     let side = if approach.both_sides { R::select(field(ray.at(near.t)).below(0.0), -one, one) } else { one };
-    // As if one had come here straight towards the surface.
+    // As if one had come here straight toward the surface.
     let is_inside = near.distance.below(1e-30);
     let start = Search {
         before: near.t - near.distance,
@@ -252,7 +252,7 @@ impl<R: Real> Search<R> {
         let level = is_fine.map_or(resolution, |fine| R::select(fine, resolution * AMONG_DETAILS, resolution));
         let is_level = value.abs().lt(level);
         let is_near = further.abs().lt(exactness) & fall.above(0.0);
-        // Among details of every size a slope towards a root may end before it.
+        // Among details of every size a slope toward a root may end before it.
         let is_near = is_fine.map_or(is_near, |fine| is_near & (!fine | is_between));
         let met = is_level | is_near | (is_between & width.lt(exactness));
         let passes = !is_between & tolerance.lt(value);

@@ -99,7 +99,7 @@ impl<R: Real> Sampler<R> {
 }
 
 /// Three numbers, 0 to 1 without 1, for the pixel (`x`, `y`), whole numbers below 2²³: what its red, green and blue
-/// are rounded at, so that neighbours share out what is between two levels.
+/// are rounded at, so that neighbors share out what is between two levels.
 #[inline(always)]
 pub fn thresholds<R: Real>(x: R, y: R) -> [R; 3] {
     pcg3d::<R>(to_u32(x), to_u32(y), x.uniform_bits(0)).map(to_unit_float)

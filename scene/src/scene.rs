@@ -43,7 +43,7 @@ pub struct Scene {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
 #[serde(deny_unknown_fields)]
 pub struct Object {
-    /// The material: a name from `materials`, or one in place; grey when absent.
+    /// The material: a name from `materials`, or one in place; gray when absent.
     #[serde(default = "default_material")]
     pub material: MaterialRef,
     /// The shape.

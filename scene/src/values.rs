@@ -217,7 +217,7 @@ animatable_numbers! {
         { "type": "number", "minimum": -4, "maximum": 4, "not": { "type": "number", "exclusiveMinimum": -1.05, "exclusiveMaximum": 1.05 }, "description": "The scale of a Mandelbox." };
     /// One channel of a color, in linear light.
     Channel: |v| (0.0..=1e6).contains(&v), "an intensity from 0 to 1e6",
-        { "type": "number", "minimum": 0, "maximum": 1e6, "description": "One channel of a colour, in linear light." };
+        { "type": "number", "minimum": 0, "maximum": 1e6, "description": "One channel of a color, in linear light." };
     /// Ratio of the frequencies of successive octaves of a noise.
     Lacunarity: |v| (1.0..=4.0).contains(&v), "a lacunarity from 1 to 4",
         { "type": "number", "minimum": 1, "maximum": 4, "description": "How many times finer each octave of a noise is than the one before." };

@@ -170,7 +170,7 @@ mod tests {
     }
 
     #[test]
-    fn light_behind_nothing_keeps_its_colour_and_its_alpha() {
+    fn light_behind_nothing_keeps_its_color_and_its_alpha() {
         let mut canvas = Canvas::new(2, 1, 1);
         let grade = DisplayTransform::new(&serde_json::from_str(r#"{ "width": 2, "height": 1 }"#).expect("an image"));
         let pixels = [[0.5, 0.0, 0.0, 0.5], [f32::NAN, 0.0, 0.0, 0.0]];

@@ -110,8 +110,8 @@ pub(super) fn scaled(
     [width, height]: [u32; 2],
 ) -> Option<Rgba32FImage> {
     let [r, g, b, a] = coarse.planes.as_slice() else { return None };
-    let colours = r.iter().zip(g).zip(b).zip(a);
-    let light = colours.flat_map(|(((r, g), b), a)| shown([*r, *g, *b, *a], grade, opaque)).collect();
+    let colors = r.iter().zip(g).zip(b).zip(a);
+    let light = colors.flat_map(|(((r, g), b), a)| shown([*r, *g, *b, *a], grade, opaque)).collect();
     let small = Rgba32FImage::from_raw(coarse.rect.width, coarse.rect.height, light)?;
     let mut large = imageops::resize(&small, width, height, FilterType::CatmullRom);
     // The filter overshoots the range of its input slightly.

@@ -8,11 +8,11 @@ use crate::real::{Real, Vec3};
 use crate::seek::Seek;
 use crate::values::Color;
 
-/// A colour straight ahead and behind, black to all sides.
+/// A color straight ahead and behind, black to all sides.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
 #[serde(deny_unknown_fields)]
 pub struct AddedBackground {
-    /// The colour.
+    /// The color.
     pub color: Color,
 }
 

@@ -18,12 +18,12 @@ use crate::values::{Color, Direction, Strength, Turbidity};
 #[serde(deny_unknown_fields)]
 #[seek(then = follow)]
 pub struct Day {
-    /// Towards the sun; not below the horizon.
+    /// Toward the sun; not below the horizon.
     pub sun: Direction,
     /// How hazy the air is: 2 is clear, 6 is hazy.
     #[serde(default = "default_turbidity")]
     pub turbidity: Turbidity,
-    /// The colour of the ground.
+    /// The color of the ground.
     #[serde(default = "default_ground")]
     pub ground: Color,
     /// How bright all of it is.

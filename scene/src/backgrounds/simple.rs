@@ -1,4 +1,4 @@
-//! Backgrounds without a sky's model: one colour, a gradient, and nothing.
+//! Backgrounds without a sky's model: one color, a gradient, and nothing.
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -8,7 +8,7 @@ use crate::real::{Real, Vec3, vec3};
 use crate::seek::Seek;
 use crate::values::Color;
 
-/// One colour.
+/// One color.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
 pub struct SolidColor(pub Color);
 

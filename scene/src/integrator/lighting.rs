@@ -19,7 +19,7 @@ const DIM_LIGHTS: u32 = 2;
 pub(super) const NORMAL_EVALUATIONS: f32 = 4.0;
 
 impl Integrator<'_> {
-    /// The colour of a surface, and how many evaluations it cost.
+    /// The color of a surface, and how many evaluations it cost.
     #[inline(always)]
     pub(super) fn surface<R: Real>(&self, ray: &Ray<R>, marched: &MarchResult<R>, dice: &Sampler<R>) -> (Vec3<R>, R) {
         let hit = self.hit(ray, marched);

@@ -1,6 +1,6 @@
 //! Clouds and volumes: what a ray gathers and loses inside shapes that are filled, not bounded.
 //!
-//! The light that is lost on the way falls as Beer and Lambert say; what is scattered towards the
+//! The light that is lost on the way falls as Beer and Lambert say; what is scattered toward the
 //! viewer is scattered once, and comes straight from the lights.
 
 use super::Integrator;
@@ -38,7 +38,7 @@ struct Medium<'a> {
 /// What a ray has gathered on its way through the air.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct MediumSegment<R> {
-    /// Light scattered towards the viewer.
+    /// Light scattered toward the viewer.
     pub(super) color: Vec3<R>,
     /// Share of the light from the far end that is left.
     pub(super) transmittance: R,
@@ -51,7 +51,7 @@ bundle!(MediumSegment { color, transmittance, evaluations });
 struct MediumProperties<R> {
     /// The extinction coefficient.
     extinction: R,
-    /// The extinction times the colour that is sent to the viewer.
+    /// The extinction times the color that is sent to the viewer.
     source: Vec3<R>,
 }
 

@@ -247,7 +247,7 @@ impl Integrator<'_> {
     }
 }
 
-/// A colour no brighter than [`MAX_INDIRECT_RADIANCE`], in the same hue.
+/// A color no brighter than [`MAX_INDIRECT_RADIANCE`], in the same hue.
 #[inline(always)]
 fn clamp_indirect<R: Real>(color: Vec3<R>) -> Vec3<R> {
     let brightest = color.max_element().at_least(MAX_INDIRECT_RADIANCE);

@@ -53,7 +53,7 @@ impl MaterialTable {
 }
 
 impl Integrator<'_> {
-    /// The surface's own colour at a hit of an object.
+    /// The surface's own color at a hit of an object.
     #[inline(always)]
     pub(super) fn albedo<R: Real>(&self, hit: &Hit<R>, ray: &Ray<R>, object: R) -> Vec3<R> {
         let black = vec3(object.constant(0.0), object.constant(0.0), object.constant(0.0));
@@ -71,7 +71,7 @@ impl Integrator<'_> {
         )
     }
 
-    /// The shaded colour at a hit.
+    /// The shaded color at a hit.
     pub(super) fn shade<R: Real>(&self, hit: &Hit<R>, ray: &Ray<R>, light: &IncidentLight<R>) -> Vec3<R> {
         hit.t.vectorize(
             #[inline(always)]
@@ -97,7 +97,7 @@ impl Integrator<'_> {
         )
     }
 
-    /// The shaded colour at a hit, and how it sends rays on.
+    /// The shaded color at a hit, and how it sends rays on.
     pub(super) fn shade_with_specular<R: Real>(
         &self,
         hit: &Hit<R>,
@@ -109,12 +109,12 @@ impl Integrator<'_> {
             || {
                 let (zero, one) = (hit.t.constant(0.0), hit.t.constant(1.0));
                 let black = vec3(zero, zero, zero);
-                let matt = SpecularBsdf { f0: black, roughness: one, transmission: black, ior: one };
+                let matte = SpecularBsdf { f0: black, roughness: one, transmission: black, ior: one };
                 if let Some(only) = self.materials.single_slot {
-                    return self.shade_slot(only, &ShadingPoint::new(hit, ray, self.footprint(hit, ray)), light, matt);
+                    return self.shade_slot(only, &ShadingPoint::new(hit, ray, self.footprint(hit, ray)), light, matte);
                 }
                 let object = self.nearest_object(hit.position).1;
-                let none = SpecularBsdf { roughness: zero, ior: zero, ..matt };
+                let none = SpecularBsdf { roughness: zero, ior: zero, ..matte };
                 self.blend(
                     hit,
                     ray,
@@ -122,7 +122,7 @@ impl Integrator<'_> {
                     object,
                     (black, none),
                     #[inline(always)]
-                    |slot, place| self.shade_slot(slot, place, light, matt),
+                    |slot, place| self.shade_slot(slot, place, light, matte),
                     #[inline(always)]
                     |(sum, finish), (color, own), share| {
                         let finish = SpecularBsdf {
@@ -144,10 +144,10 @@ impl Integrator<'_> {
         slot: usize,
         place: &ShadingPoint<R>,
         light: &IncidentLight<R>,
-        matt: SpecularBsdf<R>,
+        matte: SpecularBsdf<R>,
     ) -> (Vec3<R>, SpecularBsdf<R>) {
         let material = &self.scene.used_materials()[slot];
-        (material.shade(place, light), material.specular(place).unwrap_or(matt))
+        (material.shade(place, light), material.specular(place).unwrap_or(matte))
     }
 
     /// What the materials at a hit of an object give, added up by their shares.

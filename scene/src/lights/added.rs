@@ -13,9 +13,9 @@ use crate::values::{Color, Direction};
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
 #[serde(deny_unknown_fields)]
 pub struct AddedLight {
-    /// Towards the light.
+    /// Toward the light.
     pub direction: Direction,
-    /// Its colour at height 0.
+    /// Its color at height 0.
     pub color: Color,
 }
 

@@ -13,9 +13,9 @@ use crate::values::{Color, Direction, FullAngle};
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
 #[serde(deny_unknown_fields)]
 pub struct Directional {
-    /// Towards the light; of any length.
+    /// Toward the light; of any length.
     pub direction: Direction,
-    /// Its colour and strength.
+    /// Its color and strength.
     #[serde(default = "default_color")]
     pub color: Color,
     /// How wide it is, in degrees: shadows have soft edges. The sun is 0.53 wide.

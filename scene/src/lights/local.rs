@@ -24,7 +24,7 @@ pub struct SpotLight {
     /// Share of the cone, from its edge inwards, over which the light fades in.
     #[serde(default = "default_softness")]
     pub softness: Fraction,
-    /// Its colour, and its strength at a distance of 1.
+    /// Its color, and its strength at a distance of 1.
     #[serde(default = "default_color")]
     pub color: Color,
     /// Whether things cast shadows in it.
@@ -32,7 +32,7 @@ pub struct SpotLight {
     pub shadow: bool,
 }
 
-/// Light from a ball. It lights what is far away as a point light of the same colour does, and its
+/// Light from a ball. It lights what is far away as a point light of the same color does, and its
 /// shadows have soft edges. The ball itself is not seen.
 ///
 /// Peter Shirley, Changyaw Wang, Kurt Zimmerman, "Monte Carlo techniques for direct lighting
@@ -44,7 +44,7 @@ pub struct SphereLight {
     pub position: Point,
     /// Its radius.
     pub radius: Length,
-    /// Its colour, and its strength at a distance of 1 from a point that shines as much.
+    /// Its color, and its strength at a distance of 1 from a point that shines as much.
     #[serde(default = "default_color")]
     pub color: Color,
     /// Whether things cast shadows in it.
@@ -69,10 +69,10 @@ impl LightSource for SpotLight {
         _: Option<&Day>,
         _: impl FnOnce() -> (R, R),
     ) -> Option<(LightSample<R>, R)> {
-        let towards = Vec3::uniform(p.x, self.position.get()) - p;
-        let distance = towards.length().at_least(1e-6);
+        let toward = Vec3::uniform(p.x, self.position.get()) - p;
+        let distance = toward.length().at_least(1e-6);
         let per_distance = p.x.constant(1.0) / distance;
-        let direction = towards * per_distance;
+        let direction = toward * per_distance;
         let half = self.angle.get() * (std::f32::consts::PI / 360.0);
         let (edge, full) = (Real::cos(half), Real::cos(half * (1.0 - self.softness.get())));
         let inside = -direction.dot_uniform(self.direction.unit());
@@ -108,18 +108,18 @@ impl LightSource for SphereLight {
         let (u, v) = pair();
         let one = p.x.constant(1.0);
         let radius = p.x.uniform(self.radius.get());
-        let towards = Vec3::uniform(p.x, self.position.get()) - p;
+        let toward = Vec3::uniform(p.x, self.position.get()) - p;
         // Inside the ball light comes from all of a half space.
-        let distance = towards.length().max(radius);
+        let distance = toward.length().max(radius);
         let per_distance = one / distance;
-        let axis = (towards * per_distance).normalize();
+        let axis = (toward * per_distance).normalize();
         let sine = (radius * per_distance).at_most(1.0);
         let versine_of_edge = sine.square() / (one + (one - sine.square()).sqrt());
         let (right, up) = orthonormal_basis(axis);
         let direction = direction_around(axis, right, up, u * versine_of_edge, v);
-        let along = direction.dot(towards);
+        let along = direction.dot(toward);
         let to_surface = along - (radius.square() - (distance.square() - along.square())).sqrt();
-        // Its radiance is colour/r², over 2π·versine of solid angle, and π is left out of lights.
+        // Its radiance is color/r², over 2π·versine of solid angle, and π is left out of lights.
         let strength = versine_of_edge * 2.0 * p.x.uniform(1.0 / (self.radius.get() * self.radius.get()).max(1e-20));
         let radiance = Vec3::uniform(p.x, self.color.get()) * strength;
         Some((LightSample { direction, radiance }, to_surface.at_least(1e-6)))

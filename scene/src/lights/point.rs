@@ -15,7 +15,7 @@ use crate::values::{Color, Point};
 pub struct PointLight {
     /// Where it is.
     pub position: Point,
-    /// Its colour, and its strength at a distance of 1.
+    /// Its color, and its strength at a distance of 1.
     #[serde(default = "default_color")]
     pub color: Color,
     /// Whether things cast shadows in it.
@@ -36,11 +36,11 @@ impl LightSource for PointLight {
         _: Option<&Day>,
         _: impl FnOnce() -> (R, R),
     ) -> Option<(LightSample<R>, R)> {
-        let towards = Vec3::uniform(p.x, self.position.get()) - p;
-        let distance = towards.length().at_least(1e-6);
+        let toward = Vec3::uniform(p.x, self.position.get()) - p;
+        let distance = toward.length().at_least(1e-6);
         let per_distance = p.x.constant(1.0) / distance;
         let radiance = Vec3::uniform(p.x, self.color.get()) * per_distance.square();
-        Some((LightSample { direction: towards * per_distance, radiance }, distance))
+        Some((LightSample { direction: toward * per_distance, radiance }, distance))
     }
 
     fn casts_shadows(&self) -> bool {

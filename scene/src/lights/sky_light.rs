@@ -12,7 +12,7 @@ use crate::values::Strength;
 
 /// Light from all around, as the background shows it.
 ///
-/// With shadows each sample looks in one direction, chosen by the cosine; without, a colour or a gradient
+/// With shadows each sample looks in one direction, chosen by the cosine; without, a color or a gradient
 /// is summed in closed form, and `ambient_occlusion` darkens it.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
 #[serde(deny_unknown_fields)]

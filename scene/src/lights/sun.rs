@@ -10,7 +10,7 @@ use crate::real::{Real, Vec3};
 use crate::seek::Seek;
 use crate::values::{FullAngle, Strength};
 
-/// The sun of the background's `day`: its direction and its colour come from there.
+/// The sun of the background's `day`: its direction and its color come from there.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
 #[serde(deny_unknown_fields)]
 pub struct Sun {

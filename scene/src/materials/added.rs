@@ -8,11 +8,11 @@ use crate::real::{Real, Vec3};
 use crate::seek::Seek;
 use crate::values::Color;
 
-/// A colour where light falls, however steeply.
+/// A color where light falls, however steeply.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
 #[serde(deny_unknown_fields)]
 pub struct AddedMaterial {
-    /// The colour.
+    /// The color.
     pub color: Color,
 }
 

@@ -1,4 +1,4 @@
-//! The paper's matt material with a highlight.
+//! The paper's matte material with a highlight.
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -80,8 +80,8 @@ impl Shade for Diffuse {
             sum = kd.mul_add_elementwise(scattered, sum);
             if let Some((ks, shininess)) = gloss {
                 let mirrored = place.normal.mul_add(facing + facing, -light.direction);
-                let towards = mirrored.dot(place.to_viewer).at_least(0.0);
-                let highlight = towards.powf(shininess);
+                let toward = mirrored.dot(place.to_viewer).at_least(0.0);
+                let highlight = toward.powf(shininess);
                 let highlight = R::select(facing.above(0.0), highlight, like.constant(0.0));
                 let glossy = light.radiance * highlight;
                 sum = ks.mul_add_elementwise(glossy, sum);

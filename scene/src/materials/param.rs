@@ -81,7 +81,7 @@ impl<'de> Visitor<'de> for TintVisitor {
     type Value = ColorParam;
 
     fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str("a colour: [red, green, blue] in linear light, \"#rrggbb\" in sRGB, or a texture")
+        f.write_str("a color: [red, green, blue] in linear light, \"#rrggbb\" in sRGB, or a texture")
     }
 
     fn visit_str<E: Error>(self, text: &str) -> Result<ColorParam, E> {
@@ -129,12 +129,12 @@ impl Seek for ColorParam {
 
 impl JsonSchema for ColorParam {
     fn schema_name() -> Cow<'static, str> {
-        "Tint".into()
+        "ColorOrTexture".into()
     }
 
     fn json_schema(generator: &mut SchemaGenerator) -> Schema {
         let (color, texture) = (generator.subschema_for::<Color>(), generator.subschema_for::<Texture>());
-        json_schema!({ "description": "A colour, or a texture that gives one at every place.", "anyOf": [color, texture] })
+        json_schema!({ "description": "A color, or a texture that gives one at every place.", "anyOf": [color, texture] })
     }
 }
 
@@ -177,7 +177,7 @@ pub enum ScalarParam<N> {
 /// A number that a texture varies: `low` where it is black, `high` where it is white, by luminance between.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
 #[serde(deny_unknown_fields, bound(deserialize = "N: ScalarKind", serialize = "N: ScalarKind"))]
-#[schemars(rename = "Varied{N}")]
+#[schemars(rename = "Textured{N}")]
 pub struct TexturedScalar<N> {
     /// The number where the texture is black.
     pub low: N,
@@ -259,7 +259,7 @@ impl<'de, N: ScalarKind> Visitor<'de> for LevelVisitor<N> {
         let name = first.as_deref().unwrap_or_default();
         if Texture::is_name(name) {
             let message = format_args!(
-                "a texture gives a colour: to vary a number by it, write {{\"low\": …, \"high\": …, \"by\": {{\"{name}\": …}}}}"
+                "a texture gives a color: to vary a number by it, write {{\"low\": …, \"high\": …, \"by\": {{\"{name}\": …}}}}"
             );
             return Err(A::Error::custom(message));
         }

@@ -11,7 +11,7 @@ use crate::real::{Real, Vec3, bundle, vec3};
 use crate::seek::Seek;
 use crate::values::{Fraction, RefractiveIndex};
 
-/// A physically based surface: a matt body under a border that mirrors, or metal; under a clear coat if it has one.
+/// A physically based surface: a matte body under a border that mirrors, or metal; under a clear coat if it has one.
 ///
 /// Parameters are those of glTF 2.0 and its extensions `KHR_materials_ior`, `clearcoat` and `transmission`
 /// (<https://registry.khronos.org/glTF/specs/2.0/glTF-2.0.html#appendix-b-brdf-implementation>), after Brent Burley,
@@ -220,15 +220,15 @@ impl<R: Real> SurfaceTerms<R> {
     #[inline(always)]
     fn reflected(&self, light: &LightSample<R>) -> Vec3<R> {
         let like = self.n_dot_v;
-        let towards = self.normal.dot(light.direction).at_least(0.0);
+        let toward = self.normal.dot(light.direction).at_least(0.0);
         let half = (light.direction + self.to_viewer).normalize();
         let cosine = self.normal.dot(half).at_least(0.0);
         let sine_squared = self.normal.cross(half).length_squared();
         let rise = schlick_weight(self.to_viewer.dot(half));
-        let light_grazing = schlick_weight(towards);
+        let light_grazing = schlick_weight(toward);
 
         let shine =
-            ggx_distribution(self.alpha, cosine, sine_squared) * smith_visibility(self.alpha, towards, self.n_dot_v);
+            ggx_distribution(self.alpha, cosine, sine_squared) * smith_visibility(self.alpha, toward, self.n_dot_v);
         let border = self.f0.map(
             #[inline(always)]
             |f| (like.constant(1.0) - f).mul_add(rise, f) * shine,
@@ -239,7 +239,7 @@ impl<R: Real> SurfaceTerms<R> {
             Some(coat) => {
                 let through = coat.transmitted(light_grazing) * coat.transmitted(self.viewer_schlick);
                 let shine = ggx_distribution(coat.alpha, cosine, sine_squared)
-                    * smith_visibility(coat.alpha, towards, self.n_dot_v);
+                    * smith_visibility(coat.alpha, toward, self.n_dot_v);
                 let mirrored = coat.mirrored(rise) * shine;
                 (border * through + body).map(
                     #[inline(always)]
@@ -247,7 +247,7 @@ impl<R: Real> SurfaceTerms<R> {
                 )
             }
         };
-        sum.mul_elementwise(light.radiance * towards)
+        sum.mul_elementwise(light.radiance * toward)
     }
 }
 

@@ -1,4 +1,4 @@
-//! Textures: what gives a colour at every place. They are solid: most ask only for the point, none needs a mapping.
+//! Textures: what gives a color at every place. They are solid: most ask only for the point, none needs a mapping.
 //!
 //! A texture is one documented struct, an `impl` of [`Pattern`] and of [`super::Exemplary`], and one entry in the list.
 
@@ -31,10 +31,10 @@ use crate::seek::Seek;
 
 /// What a texture means.
 pub trait Pattern {
-    /// The colour at a place, linear RGB.
+    /// The color at a place, linear RGB.
     fn color<R: Real>(&self, place: &ShadingPoint<R>) -> Vec3<R>;
 
-    /// Its colours, which may be textures.
+    /// Its colors, which may be textures.
     fn color_params(&self) -> Vec<&ColorParam>;
 
     /// Whether it looks at `ShadingPoint::local_normal` itself.
@@ -51,7 +51,7 @@ pub trait Pattern {
 /// The list: each texture's name, and its struct.
 macro_rules! textures {
     ($($(#[$attribute:meta])* $Kind:ident: $Struct:ident),* $(,)?) => {
-        /// A colour at every place: keyed by its name.
+        /// A color at every place: keyed by its name.
         #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
         #[serde(rename_all = "snake_case")]
         pub enum Texture {
@@ -59,7 +59,7 @@ macro_rules! textures {
         }
 
         impl Texture {
-            /// The colour at a place, linear RGB.
+            /// The color at a place, linear RGB.
             pub fn at<R: Real>(&self, place: &ShadingPoint<R>) -> Vec3<R> {
                 place.local_point.x.vectorize(
                     #[inline(always)]
@@ -67,7 +67,7 @@ macro_rules! textures {
                 )
             }
 
-            /// Its colours, which may be textures.
+            /// Its colors, which may be textures.
             fn color_params(&self) -> Vec<&ColorParam> {
                 match self { $($(#[$attribute])* Self::$Kind(texture) => texture.color_params()),* }
             }
@@ -134,7 +134,7 @@ impl Texture {
     }
 }
 
-/// Black and white: the colours of textures that name none.
+/// Black and white: the colors of textures that name none.
 fn default_colors() -> [ColorParam; 2] {
     [ColorParam::black(), ColorParam::white()]
 }

@@ -73,7 +73,7 @@ impl ProfileSdf for Arc {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
 #[serde(deny_unknown_fields)]
 pub struct Bezier {
-    /// Its start, the point it is drawn towards, and its end.
+    /// Its start, the point it is drawn toward, and its end.
     pub points: [Point2; 3],
     /// Thickness.
     pub thickness: Length,

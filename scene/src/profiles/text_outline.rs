@@ -101,7 +101,7 @@ impl From<TextOutline> for String {
 
 impl JsonSchema for TextOutline {
     fn schema_name() -> Cow<'static, str> {
-        "Lettering".into()
+        "TextOutline".into()
     }
 
     fn json_schema(_: &mut SchemaGenerator) -> Schema {

@@ -71,7 +71,7 @@ impl<'de> Visitor<'de> for ColorVisitor {
     type Value = Color;
 
     fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str("a colour: [red, green, blue] in linear light, or \"#rrggbb\" in sRGB")
+        f.write_str("a color: [red, green, blue] in linear light, or \"#rrggbb\" in sRGB")
     }
 
     fn visit_str<E: Error>(self, text: &str) -> Result<Color, E> {
@@ -95,7 +95,7 @@ impl<'de> Visitor<'de> for ColorVisitor {
 
     fn visit_map<A: MapAccess<'de>>(self, _: A) -> Result<Color, A::Error> {
         Err(A::Error::custom(
-            "takes no texture: write [red, green, blue], where a channel may be a track; a material's colours take textures",
+            "takes no texture: write [red, green, blue], where a channel may be a track; a material's colors take textures",
         ))
     }
 }
@@ -123,7 +123,7 @@ impl JsonSchema for Color {
     fn json_schema(generator: &mut SchemaGenerator) -> Schema {
         let channel = generator.subschema_for::<Channel>();
         json_schema!({
-            "description": "A colour: red, green, blue in linear light, or \"#rrggbb\" in sRGB.",
+            "description": "A color: red, green, blue in linear light, or \"#rrggbb\" in sRGB.",
             "anyOf": [
                 { "type": "array", "items": channel, "minItems": 3, "maxItems": 3 },
                 { "type": "string", "pattern": "^#[0-9a-fA-F]{6}$" }

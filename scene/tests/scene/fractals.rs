@@ -37,7 +37,7 @@ fn tolerance(t: f32) -> f32 {
 /// The published estimate of the Mandelbulb knows nothing of its poles: marches pass, claims do not.
 const CLAIMS_TOO_MUCH: &[&str] = &["Mandelbulb 0"];
 
-/// A ray from outside towards the middle half of a node.
+/// A ray from outside toward the middle half of a node.
 fn ray(random: &mut Random) -> impl Fn(f32) -> Vec3<f32> + use<> {
     let origin = random.direction() * 2.0;
     let aim = random.direction() * random.next(0.0, 1.1);

@@ -44,7 +44,7 @@ fn families() -> [Family; 4] {
     ]
 }
 
-/// The text of a job with these keys in its scene: a ball on a floor, matt and without light of their own.
+/// The text of a job with these keys in its scene: a ball on a floor, matte and without light of their own.
 fn text(keys: &Value) -> String {
     let material = json!({ "diffuse": { "ambient": [0.02, 0.02, 0.02], "ks": [0.2, 0.2, 0.2] } });
     let mut scene = json!({ "camera": { "position": [1.5, 1.4, 3.2], "look_at": [0, 0.6, 0], "fov": 60 }, "objects": [

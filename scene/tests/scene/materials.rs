@@ -179,7 +179,7 @@ fn who_needs_no_own_normal_does_not_look_at_it() {
 }
 
 #[test]
-fn materials_that_look_at_no_light_have_the_same_colour_in_any() {
+fn materials_that_look_at_no_light_have_the_same_color_in_any() {
     each_material(|kind, material| {
         let mut random = Random(5);
         let mut differs = false;
@@ -224,11 +224,11 @@ fn a_wrong_texture_is_refused_where_it_is_wrong_and_with_a_cure() {
         (ramp("[[0.5, [0, 0, 0]]]"), "/flat/color/gradient/ramp", "at least 2 stops"),
         (ramp(&format!("[{}]", many.join(", "))), "/flat/color/gradient/ramp", "more than 32 stops"),
         (ramp("[[0, [0, 0, 0]], [1.5, [1, 1, 1]]]"), "/flat/color/gradient/ramp/1/0", "a share from 0 to 1"),
-        (ramp(r##"[[0, [0, 0, 0]], [1, "#12"]]"##), "/flat/color/gradient/ramp/1/1", "a colour"),
+        (ramp(r##"[[0, [0, 0, 0]], [1, "#12"]]"##), "/flat/color/gradient/ramp/1/1", "a color"),
         (flat(r#"{ "checker": { "cell": 0 } }"#), "/flat/color/checker/cell", "a size from 1e-6"),
         (flat(r#"{ "checker": { "cell": 1, "colour": 1 } }"#), "/flat/color/checker/colour", "expected one of `cell`"),
         (flat(r#"{ "chequer": { "cell": 1 } }"#), "/flat/color/chequer", "expected one of `"),
-        (flat("[1, 2]"), "/flat/color", "a colour"),
+        (flat("[1, 2]"), "/flat/color", "a color"),
         (flat("7"), "/flat/color", "or a texture"),
         (flat(&nested), "/flat/color", "nest at most 4"),
         (metallic("2"), "/surface/metallic", "a share from 0 to 1"),
@@ -279,7 +279,7 @@ fn numbers(value: &Value, pointer: &str, found: &mut Vec<String>) {
 }
 
 #[test]
-fn a_number_of_a_material_or_a_texture_that_moves_gives_the_colour_of_one_that_does_not() {
+fn a_number_of_a_material_or_a_texture_that_moves_gives_the_color_of_one_that_does_not() {
     // A texture is seen through the material that is nothing else.
     let textures = Texture::examples()
         .into_iter()

@@ -98,7 +98,7 @@ fn an_ellipse_is_where_its_curve_is() {
             .map(|step| f64::from(step) / 10_000.0)
             .map(|t| ((1.0 - t * t) / (1.0 + t * t) * width / 2.0, t / (1.0 + t * t) * height))
             .collect();
-        // On the axes and at the centres of curvature, too, where the nearest point is not one alone.
+        // On the axes and at the centers of curvature, too, where the nearest point is not one alone.
         let cusp = ((width * width - height * height) / (2.0 * width)) as f32;
         let special = [(0.0, 0.0), (cusp, 0.0), (cusp * 0.99, 1e-7), (0.3, 0.0), (0.0, 0.3), (1e-8, -1e-8)];
         for (x, y) in places(200).chain(special) {

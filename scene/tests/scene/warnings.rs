@@ -138,13 +138,13 @@ fn nothing_in_view_is_told_for_every_projection() {
 fn floor_is_out_of_view_only_from_above_the_horizon() {
     let floor = r#""objects": [{ "shape": { "plane": { "normal": [0, 1, 0], "offset": 0 } } }],
         "fog": { "density": 0.1 }"#;
-    let towards = |y: f32| {
+    let toward = |y: f32| {
         let camera = format!(r#""position": [0, 1, 0], "look_at": [3, {y}, 4], "fov": 40"#);
         seen_from(&camera, floor, "").warnings()
     };
-    none(&towards(1.0));
-    none(&towards(2.5));
-    one(&towards(5.0), &["outside of the view"]);
+    none(&toward(1.0));
+    none(&toward(2.5));
+    one(&toward(5.0), &["outside of the view"]);
 }
 
 #[test]
@@ -350,10 +350,10 @@ fn more_samples_than_are_seen_are_told() {
         ))
         .warnings()
     };
-    let matt = r#"{ "diffuse": {} }"#;
-    one(&of(257, "", matt), &["/image/samples is 257", "256"]);
-    none(&of(256, "", matt));
-    none(&of(1024, r#", "bits": 16"#, matt));
-    none(&of(1024, r#", "format": "exr""#, matt));
+    let matte = r#"{ "diffuse": {} }"#;
+    one(&of(257, "", matte), &["/image/samples is 257", "256"]);
+    none(&of(256, "", matte));
+    none(&of(1024, r#", "bits": 16"#, matte));
+    none(&of(1024, r#", "format": "exr""#, matte));
     none(&of(1024, "", r#"{ "surface": {} }"#));
 }

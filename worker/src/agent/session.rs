@@ -365,7 +365,7 @@ impl Session {
         }
         self.holds.extend(holds.iter().map(|hold| (hold.lease, hold.clone())));
         self.rendering += 1;
-        let span = tracing::info_span!("run", job = %run.job, frame = run.frame, worker = %self.registration.worker);
+        let span = tracing::info_span!("batch", job = %run.job, frame = run.frame, worker = %self.registration.worker);
         if let Some(trace) = trace {
             proto::trace_context::set_parent(&span, &trace);
         }

@@ -43,7 +43,7 @@ impl Compiler {
     /// Finds the compiler.
     pub fn find() -> Result<Self, CudaError> {
         static MISSING_FUNCTION: OnceLock<Option<&str>> = OnceLock::new();
-        // SAFETY: loading a library runs its initialisers; NVRTC's only set up its own state.
+        // SAFETY: loading a library runs its initializers; NVRTC's only set up its own state.
         if !unsafe { sys::is_culib_present() } {
             return Err(CudaError::NoCompiler);
         }

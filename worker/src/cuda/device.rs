@@ -201,7 +201,7 @@ impl PendingLaunch {
 /// Number of GPUs; an error if no usable driver is installed.
 pub(super) fn count() -> Result<usize, CudaError> {
     static MISSING_FUNCTION: OnceLock<Option<&str>> = OnceLock::new();
-    // SAFETY: loading the driver's library runs its initialisers, which only set up its own state.
+    // SAFETY: loading the driver's library runs its initializers, which only set up its own state.
     if !unsafe { sys::is_culib_present() } {
         return Err(CudaError::NoDriver);
     }

@@ -98,13 +98,13 @@ struct Channel {
 
 impl Channels {
     fn new(picture: &PictureSpec) -> Self {
-        let colour = match picture.precision {
+        let color = match picture.precision {
             Precision::Half => SampleType::F16,
             Precision::Float => SampleType::F32,
         };
         let planes = picture.channels.iter().enumerate();
         let mut channels: Vec<_> = planes
-            .map(|(plane, &name)| Channel { name, plane, sample: if plane < 4 { colour } else { SampleType::F32 } })
+            .map(|(plane, &name)| Channel { name, plane, sample: if plane < 4 { color } else { SampleType::F32 } })
             .collect();
         channels.sort_by_key(|channel| channel.name);
         Self(channels)

@@ -125,8 +125,8 @@ impl PixelLayout {
 
     fn encode_row(self, band: &RowBand, row: usize, samples: &mut Vec<f32>, bytes: &mut [u8]) {
         samples.clear();
-        for colour in 0..3 {
-            let linear = band.row(colour, row);
+        for color in 0..3 {
+            let linear = band.row(color, row);
             if self.opaque {
                 samples.extend(linear.iter().map(|&value| finite_or_zero(value)));
             } else {
@@ -149,7 +149,7 @@ impl PixelLayout {
         }
     }
 
-    /// Rounds colours differently from pixel to pixel, but by the pixel's place in the picture alone; alpha evenly.
+    /// Rounds colors differently from pixel to pixel, but by the pixel's place in the picture alone; alpha evenly.
     fn choose_levels(self, samples: &mut [f32], y: u32) {
         let (colors, alpha) = samples.split_at_mut(3 * self.width);
         let (red, others) = colors.split_at_mut(self.width);
@@ -165,16 +165,16 @@ impl PixelLayout {
         }
     }
 
-    fn interleave<const N: usize>(self, planes: &[f32], bytes: &mut [u8], quantise: impl Fn(f32) -> [u8; N]) {
+    fn interleave<const N: usize>(self, planes: &[f32], bytes: &mut [u8], quantize: impl Fn(f32) -> [u8; N]) {
         let stride = self.channels() * N;
-        let mut quantised = [[0; N]; BLOCK];
+        let mut quantized = [[0; N]; BLOCK];
         for (channel, plane) in planes.chunks_exact(self.width).enumerate() {
             // A separate rounding loop is vectorized; storing to every third position is not.
             for (values, pixels) in plane.chunks(BLOCK).zip(bytes.chunks_mut(BLOCK * stride)) {
-                for (to, &value) in quantised.iter_mut().zip(values) {
-                    *to = quantise(value);
+                for (to, &value) in quantized.iter_mut().zip(values) {
+                    *to = quantize(value);
                 }
-                for (pixel, value) in pixels.chunks_exact_mut(stride).zip(&quantised) {
+                for (pixel, value) in pixels.chunks_exact_mut(stride).zip(&quantized) {
                     pixel[channel * N..][..N].copy_from_slice(value);
                 }
             }
@@ -207,7 +207,7 @@ fn unpremultiply(premultiplied: f32, alpha: f32) -> f32 {
 mod tests {
     use super::*;
 
-    /// The levels of a square of one colour, by channel.
+    /// The levels of a square of one color, by channel.
     fn levels(srgb: f32) -> [Vec<u32>; 3] {
         const WIDTH: usize = 64;
         let job = br#"{ "scene": { "camera": { "position": [0, 0, 5], "look_at": [0, 0, 0] },
@@ -231,7 +231,7 @@ mod tests {
     }
 
     #[test]
-    fn between_two_levels_pixels_share_out_and_their_mean_is_the_colour() {
+    fn between_two_levels_pixels_share_out_and_their_mean_is_the_color() {
         for wanted in [0.25, 3.5, 100.3, 254.8] {
             let [red, green, blue] = levels(wanted / 255.0);
             for levels in [&red, &green, &blue] {
@@ -244,7 +244,7 @@ mod tests {
     }
 
     #[test]
-    fn an_even_colour_that_is_a_level_stays_even() {
+    fn an_even_color_that_is_a_level_stays_even() {
         for level in 0..=255_u16 {
             let srgb = f32::from(level) / 255.0;
             for near in [srgb.next_down().max(0.0), srgb, srgb.next_up().min(1.0)] {

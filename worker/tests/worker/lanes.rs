@@ -26,8 +26,8 @@ pub(crate) fn levels() -> impl Iterator<Item = Simd> {
 }
 
 fn job(node: &str) -> Job {
-    let grey = r#"{ "diffuse": { "ks": [0.4, 0.4, 0.4] } }"#;
-    job_of(&format!(r#"{{ "shape": {node}, "material": {grey} }}"#))
+    let gray = r#"{ "diffuse": { "ks": [0.4, 0.4, 0.4] } }"#;
+    job_of(&format!(r#"{{ "shape": {node}, "material": {gray} }}"#))
 }
 
 /// The job of an object over a floor.

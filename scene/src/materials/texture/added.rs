@@ -9,13 +9,13 @@ use crate::real::{Real, Vec3};
 use crate::seek::Seek;
 use crate::values::Length;
 
-/// A colour that rises from black along z, again in each period.
+/// A color that rises from black along z, again in each period.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
 #[serde(deny_unknown_fields)]
 pub struct AddedTexture {
     /// The length of a period.
     pub period: Length,
-    /// The colour at the brightest.
+    /// The color at the brightest.
     pub color: ColorParam,
 }
 

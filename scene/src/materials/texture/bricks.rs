@@ -29,10 +29,10 @@ pub struct Bricks {
     /// How far a row moves against the one below, as a share of a brick's width.
     #[serde(default = "default_shift")]
     pub shift: Fraction,
-    /// Each brick has a colour between these two.
+    /// Each brick has a color between these two.
     #[serde(default = "default_colors")]
     pub colors: [ColorParam; 2],
-    /// Colour of the mortar.
+    /// Color of the mortar.
     #[serde(default = "default_mortar_color")]
     pub mortar_color: ColorParam,
     /// Width of the transition from brick to mortar.
@@ -51,7 +51,7 @@ type BrickSample<R> = (R, R);
 
 impl Bricks {
     /// At a point of the plane, of which a footprint is seen: 1 in a brick and 0 in mortar; and where between its
-    /// two colours the brick's is.
+    /// two colors the brick's is.
     #[inline(always)]
     fn sample_plane<R: Real>(&self, across: (R, R), up: (R, R), plane: u32) -> BrickSample<R> {
         let (width, height) = (self.size[0].get(), self.size[1].get());
@@ -185,7 +185,7 @@ mod tests {
     }
 
     #[test]
-    fn a_brick_has_one_colour_and_its_neighbours_have_others() {
+    fn a_brick_has_one_color_and_its_neighbors_have_others() {
         assert_eq!(wall(0.2, 0.2).y, wall(0.8, 0.4).y);
         let colors: Vec<f32> = (0..50).map(|column| wall(column as f32 + 0.5, 0.25).y).collect();
         let mean = colors.iter().sum::<f32>() / 50.0;

@@ -1,4 +1,4 @@
-//! Cubes or squares of two colours by turns.
+//! Cubes or squares of two colors by turns.
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -11,21 +11,21 @@ use crate::real::{Real, Vec3, vec3};
 use crate::seek::Seek;
 use crate::values::{Length, LengthOrZero};
 
-/// Cubes of two colours by turns, or squares where only two axes count.
+/// Cubes of two colors by turns, or squares where only two axes count.
 ///
-/// A flat face that lies in a border between cubes shows both colours: leave its axis out, or move the cubes.
+/// A flat face that lies in a border between cubes shows both colors: leave its axis out, or move the cubes.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
 #[serde(deny_unknown_fields)]
 pub struct Checker {
     /// Edge of a cube or square; corners lie at multiples of it.
     pub cell: Length,
-    /// The two colours.
+    /// The two colors.
     #[serde(default = "default_colors")]
     pub colors: [ColorParam; 2],
     /// Width of the transition at a border.
     #[serde(default = "default_softness")]
     pub softness: LengthOrZero,
-    /// The axes along which colours change.
+    /// The axes along which colors change.
     #[serde(default)]
     pub axes: Axes,
 }
@@ -99,7 +99,7 @@ mod tests {
     use crate::materials::texture::tests::at;
 
     #[test]
-    fn colours_change_from_cube_to_cube() {
+    fn colors_change_from_cube_to_cube() {
         let checker: Checker = serde_json::from_str(r#"{ "cell": 0.5 }"#).unwrap();
         let brightness = |x: f32, y: f32, z: f32| checker.color(&at(x, y, z)).x;
         assert_eq!(brightness(0.25, 0.25, 0.25), 0.0);

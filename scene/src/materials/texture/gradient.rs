@@ -1,4 +1,4 @@
-//! A ramp of colours by where a place is, or how it lies.
+//! A ramp of colors by where a place is, or how it lies.
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -9,13 +9,13 @@ use crate::real::{Real, Vec3, vec3};
 use crate::seek::Seek;
 use crate::values::{Direction, LengthOrZero, Point};
 
-/// A ramp of colours by position, normal, distance or angle of view.
+/// A ramp of colors by position, normal, distance or angle of view.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
 #[serde(deny_unknown_fields)]
 pub struct Gradient {
     /// What decides.
     pub by: GradientBy,
-    /// The colours.
+    /// The colors.
     #[serde(default = "Ramp::black_to_white")]
     pub ramp: Ramp,
 }
@@ -161,7 +161,7 @@ mod tests {
     }
 
     #[test]
-    fn a_way_of_no_length_has_one_colour_on_each_side() {
+    fn a_way_of_no_length_has_one_color_on_each_side() {
         let distance = r#"{ "distance": { "from": 2, "to": 2 } }"#;
         let away = |distance_away| brightness(distance, &ShadingPoint { camera_t: distance_away, ..at(0.0, 0.0, 0.0) });
         assert_eq!([away(1.9), away(2.1)], [0.0, 1.0]);

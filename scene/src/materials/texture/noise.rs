@@ -15,20 +15,20 @@ use crate::real::{Real, Vec3};
 use crate::seek::Seek;
 use crate::values::{Direction, Length, LengthOrZero};
 
-/// A noise through a ramp of colours: 0 is the least value that the noise can have, 1 the greatest.
+/// A noise through a ramp of colors: 0 is the least value that the noise can have, 1 the greatest.
 ///
-/// Sums of octaves rarely come near the ends: put stops between 0.25 and 0.75 for strong colours.
+/// Sums of octaves rarely come near the ends: put stops between 0.25 and 0.75 for strong colors.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
 #[serde(deny_unknown_fields)]
 pub struct NoiseRamp {
     /// The noise.
     pub noise: Noise,
-    /// The colours.
+    /// The colors.
     #[serde(default = "Ramp::black_to_white")]
     pub ramp: Ramp,
 }
 
-/// Bands of a ramp of colours, to its end and back, bent by a noise.
+/// Bands of a ramp of colors, to its end and back, bent by a noise.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
 #[serde(deny_unknown_fields)]
 pub struct Marble {
@@ -44,12 +44,12 @@ pub struct Marble {
     /// The noise.
     #[serde(default = "default_marble_noise")]
     pub noise: Noise,
-    /// The colours.
+    /// The colors.
     #[serde(default = "default_marble_ramp")]
     pub ramp: Ramp,
 }
 
-/// Rings around an axis, bent by a noise that is drawn out along it: slowly through a ramp of colours, and fast back.
+/// Rings around an axis, bent by a noise that is drawn out along it: slowly through a ramp of colors, and fast back.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
 #[serde(deny_unknown_fields)]
 pub struct Wood {
@@ -65,7 +65,7 @@ pub struct Wood {
     /// The noise.
     #[serde(default = "default_wood_noise")]
     pub noise: Noise,
-    /// The colours, from a year's early wood to its late wood.
+    /// The colors, from a year's early wood to its late wood.
     #[serde(default = "default_wood_ramp")]
     pub ramp: Ramp,
 }

@@ -1,4 +1,4 @@
-//! A ramp of colours: what turns a number into a colour.
+//! A ramp of colors: what turns a number into a color.
 
 use std::borrow::Cow;
 use std::fmt;
@@ -17,11 +17,11 @@ use crate::values::Fraction;
 /// The narrowest way from a stop to the next: two stops in one place make an edge of this width.
 const MIN_STEP: f32 = 1e-6;
 
-/// Colours at numbers from 0 to 1, in order, and straight ways between them.
+/// Colors at numbers from 0 to 1, in order, and straight ways between them.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Ramp(Vec<RampStop>);
 
-/// A colour on a ramp: `[place, colour]`.
+/// A color on a ramp: `[place, color]`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
 pub struct RampStop(pub Fraction, pub ColorParam);
 
@@ -32,7 +32,7 @@ impl Ramp {
         Self(vec![end(0.0, ColorParam::black()), end(1.0, ColorParam::white())])
     }
 
-    /// The colour at `share`; before the first stop that one's, behind the last that one's.
+    /// The color at `share`; before the first stop that one's, behind the last that one's.
     #[inline(always)]
     pub fn at<R: Real>(&self, share: R, place: &ShadingPoint<R>) -> Vec3<R> {
         let mut color = self.0[0].1.at(place);
@@ -45,7 +45,7 @@ impl Ramp {
         color
     }
 
-    /// Its colours, which may be textures.
+    /// Its colors, which may be textures.
     pub(super) fn color_params(&self) -> impl Iterator<Item = &ColorParam> {
         self.0.iter().map(|RampStop(_, tint)| tint)
     }
@@ -93,7 +93,7 @@ impl<'de> Visitor<'de> for RampVisitor {
     type Value = Ramp;
 
     fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str("a ramp: [[0, colour], …, [1, colour]]")
+        f.write_str("a ramp: [[0, color], …, [1, color]]")
     }
 
     fn visit_seq<A: SeqAccess<'de>>(self, mut list: A) -> Result<Ramp, A::Error> {
@@ -107,7 +107,7 @@ impl<'de> Visitor<'de> for RampVisitor {
         }
         if stops.len() < 2 {
             let count = stops.len();
-            let message = format_args!("has {count} of at least 2 stops: for one colour write it without a texture");
+            let message = format_args!("has {count} of at least 2 stops: for one color write it without a texture");
             return Err(A::Error::custom(message));
         }
         Ok(Ramp(stops))
@@ -129,7 +129,7 @@ impl JsonSchema for Ramp {
         let stop = generator.subschema_for::<RampStop>();
         json_schema!({
             "type": "array", "items": stop, "minItems": 2, "maxItems": MAX_RAMP_STOPS,
-            "description": "Colours at numbers from 0 to 1, in order: [[0, colour], …, [1, colour]]."
+            "description": "Colors at numbers from 0 to 1, in order: [[0, color], …, [1, color]]."
         })
     }
 }

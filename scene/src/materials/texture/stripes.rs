@@ -1,4 +1,4 @@
-//! Stripes of two colours.
+//! Stripes of two colors.
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -12,7 +12,7 @@ use crate::real::{Real, Vec3};
 use crate::seek::Seek;
 use crate::values::{Direction, Length, LengthOrZero};
 
-/// Flat layers of two colours by turns.
+/// Flat layers of two colors by turns.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
 #[serde(deny_unknown_fields)]
 pub struct Stripes {
@@ -21,7 +21,7 @@ pub struct Stripes {
     pub direction: Direction,
     /// Width of one stripe; one starts at the origin.
     pub width: Length,
-    /// The two colours.
+    /// The two colors.
     #[serde(default = "default_colors")]
     pub colors: [ColorParam; 2],
     /// Width of the transition at a border.

@@ -1,13 +1,13 @@
 //! A shape bent upwards: the x axis becomes a circle through the origin.
 //!
-//! With a curvature of k radians a unit the circle's centre is (0, 1/k). A point at the angle a from
-//! straight down, r from the centre, is where (a/k, 1/k − r) was: points at the same height r are drawn
+//! With a curvature of k radians a unit the circle's center is (0, 1/k). A point at the angle a from
+//! straight down, r from the center, is where (a/k, 1/k − r) was: points at the same height r are drawn
 //! apart by 1/(k·r), and by nothing upwards. So with the shape below y, all of it is further than 1/k − y
-//! from the centre, and L = (1 + g)/(1 − k·y), or 1, is a Lipschitz factor for every r ≥ (1/k − y)/(1 + g).
+//! from the center, and L = (1 + g)/(1 − k·y), or 1, is a Lipschitz factor for every r ≥ (1/k − y)/(1 + g).
 //!
-//! What is left is the half-plane above the centre, where the ends of the angle meet: with `beyond`, no
+//! What is left is the half-plane above the center, where the ends of the angle meet: with `beyond`, no
 //! more than the distance to what holds the bent shape, and s, the distance to that half-plane, the value is
-//! max(L·beyond, min(d, L·g·s)). At the half-plane, and nearer to the centre than said, it is L·beyond, on
+//! max(L·beyond, min(d, L·g·s)). At the half-plane, and nearer to the center than said, it is L·beyond, on
 //! both sides alike; in the shape s is not 0, so that the surface stays where it is.
 
 use std::f32::consts::{FRAC_PI_2, PI};

@@ -106,7 +106,7 @@ fn rays_beyond_a_horizon_miss_and_no_normal_is_turned_over() {
 }
 
 #[test]
-fn fog_without_a_colour_has_the_horizons_below_the_horizon() {
+fn fog_without_a_color_has_the_horizons_below_the_horizon() {
     let job = job(r#"{ "scene": { "camera": { "position": [0, 2, 0], "look_at": [0, 1, -5] },
             "background": { "day": { "sun": [0.3, 0.6, -0.4], "ground": [0.4, 0.2, 0.05] } },
             "fog": { "density": 2 },

@@ -11,7 +11,7 @@ use super::{Page, Picture, file, shown};
 
 const HEAD: &str = "# Nodes
 
-Everything that has a distance. Each is keyed by its name; each picture shows the JSON below it, in grey
+Everything that has a distance. Each is keyed by its name; each picture shows the JSON below it, in gray
 on a floor unless it says a material itself. What goes on all around the camera is shown within a ball.
 This page is made from the code:
 `SDFARM_WRITE_DOCS=1 cargo test -p worker --test worker docs`.
