@@ -99,7 +99,7 @@ fn no_module_is_named_mod() {
 }
 
 #[test]
-fn papers_of_the_project_are_there() {
+fn required_files_exist() {
     for name in
         ["README.md", "ARCHITECTURE.md", "CHANGELOG.md", "LICENSE-MIT", "LICENSE-APACHE", "deny.toml", ".ci/run"]
     {

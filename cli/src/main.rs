@@ -84,7 +84,7 @@ mod tests {
     use clap::CommandFactory;
 
     #[test]
-    fn command_line_is_sound() {
+    fn command_line_is_valid() {
         super::Sdfarm::command().debug_assert();
     }
 

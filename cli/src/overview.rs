@@ -265,7 +265,7 @@ pub(crate) mod tests {
     }
 
     #[test]
-    fn what_should_be_looked_at_is_said() {
+    fn what_should_be_evaluated_is_said() {
         let overview = unhealthy();
         assert_eq!(
             overview.warnings,

@@ -107,7 +107,7 @@ pub struct IssuedApiKey {
 
 impl std::fmt::Debug for IssuedApiKey {
     fn fmt(&self, formatter: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        formatter.debug_struct("IssuedKey").field("key", &self.key).finish_non_exhaustive()
+        formatter.debug_struct("IssuedApiKey").field("key", &self.key).finish_non_exhaustive()
     }
 }
 

@@ -156,7 +156,7 @@ mod tests {
     }
 
     #[test]
-    fn key_that_no_header_can_carry_is_refused() {
+    fn key_that_no_header_can_carry_is_rejected() {
         for bad in ["", "a b", "a\nb", "ä"] {
             assert!(matches!(ClientAuth::new(Some(bad.to_owned().into()), None), Err(ClientAuthError::Key)), "{bad:?}");
         }

@@ -205,7 +205,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_no_point_is_refused_with_the_names() {
+    fn what_is_no_point_is_rejected_with_the_names() {
         for bad in ["claimed", "claimed=", "nowhere=kill", "claimed=kill@x", "claimed=slow", "claimed=slow:x", "=kill"]
         {
             let refused = bad.parse::<ArmedFailPoint>().expect_err(bad).to_string();

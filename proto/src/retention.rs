@@ -116,7 +116,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn ages_are_read_and_written_the_same() {
+    fn retentions_round_trip() {
         for (text, seconds) in [("1s", 1), ("90m", 5_400), ("36h", 129_600), ("10d", 864_000), ("4w", 2_419_200)] {
             assert_eq!(text.parse(), Ok(Retention::For(Duration::from_secs(seconds))), "{text}");
             assert_eq!(Retention::For(Duration::from_secs(seconds)).to_string(), text);
@@ -127,7 +127,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_no_age_is_refused() {
+    fn invalid_retentions_are_rejected() {
         for text in ["", "d", "7", "-7d", "7.5d", "7 d", "7D", "1e3s", "18446744073709551615w", "101000w", "üd", "∞"]
         {
             assert!(text.parse::<Retention>().is_err(), "{text}");

@@ -59,7 +59,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn only_sound_headers_name_a_trace() {
+    fn only_valid_headers_name_a_trace() {
         let good = "00-4bf92f3577b34da6a3ce929d0e0e4736-00f067aa0ba902b7-01";
         assert!(is_valid(good));
         assert!(is_valid("01-4bf92f3577b34da6a3ce929d0e0e4736-00f067aa0ba902b7-01-later"));

@@ -190,7 +190,7 @@ mod tests {
     }
 
     #[test]
-    fn a_wait_is_told_in_whole_seconds_that_are_enough() {
+    fn a_wait_is_reported_in_whole_seconds_that_are_enough() {
         for (millis, seconds) in [(0, 1), (1, 1), (999, 1), (1000, 1), (1001, 2), (2500, 3), (4000, 4)] {
             assert_eq!(round_up_seconds(Duration::from_millis(millis)), seconds, "{millis} ms");
         }

@@ -90,7 +90,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_clock_by_hand_moves_only_when_told() {
+    fn a_manual_clock_moves_only_when_set() {
         let (clock, hand) = Clock::manual();
         assert_eq!(clock.now_ms(), 0);
         hand.advance(Duration::from_secs(2));

@@ -144,7 +144,7 @@ mod tests {
     }
 
     #[test]
-    fn a_damaged_secret_is_told_with_its_cure() {
+    fn a_damaged_secret_is_reported_with_its_cure() {
         let folder = tempfile::tempdir().expect("a folder");
         std::fs::write(folder.path().join(FILE), b"short").expect("written");
         let error = LinkSigner::open(folder.path()).expect_err("too short").to_string();

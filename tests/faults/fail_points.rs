@@ -108,7 +108,7 @@ fn worker_that_dies_between_two_steps_costs_no_picture_a_bit() {
 }
 
 #[test]
-fn stray_variable_strikes_nobody() {
+fn fail_points_need_the_flag() {
     let folder = tempfile::tempdir().expect("a folder");
     let mut command = sdfarm(&["serve"]);
     command.env(fail_point::ENV_VAR, "submit_committed=kill,group_committed=kill");

@@ -30,13 +30,13 @@ fn try_job_files(effort: Effort) {
 }
 
 #[test]
-fn fuzzed_job_files_are_taken_or_refused() {
+fn fuzzed_job_files_are_taken_or_rejected() {
     try_job_files(Effort::Runs(300));
 }
 
 #[test]
 #[ignore = "long: fuzzing for a minute"]
-fn long_fuzzed_job_files_are_taken_or_refused() {
+fn long_fuzzed_job_files_are_taken_or_rejected() {
     try_job_files(Effort::Long);
 }
 
@@ -81,12 +81,12 @@ fn try_messages(effort: Effort) {
 }
 
 #[test]
-fn fuzzed_messages_of_workers_are_understood_or_refused() {
+fn fuzzed_messages_of_workers_are_understood_or_rejected() {
     try_messages(Effort::Runs(2000));
 }
 
 #[test]
 #[ignore = "long: fuzzing for a minute"]
-fn long_fuzzed_messages_of_workers_are_understood_or_refused() {
+fn long_fuzzed_messages_of_workers_are_understood_or_rejected() {
     try_messages(Effort::Long);
 }

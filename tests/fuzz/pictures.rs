@@ -41,13 +41,13 @@ fn try_blobs(effort: Effort) {
 }
 
 #[test]
-fn fuzzed_blobs_are_read_whole_or_refused() {
+fn fuzzed_blobs_are_read_whole_or_rejected() {
     try_blobs(Effort::Runs(2000));
 }
 
 #[test]
 #[ignore = "long: fuzzing for a minute"]
-fn long_fuzzed_blobs_are_read_whole_or_refused() {
+fn long_fuzzed_blobs_are_read_whole_or_rejected() {
     try_blobs(Effort::Long);
 }
 

@@ -68,12 +68,12 @@ fn try_stored_pictures(effort: Effort) {
 }
 
 #[test]
-fn fuzzed_stored_pictures_are_drawn_or_refused() {
+fn fuzzed_stored_pictures_are_drawn_or_rejected() {
     try_stored_pictures(Effort::Runs(20));
 }
 
 #[test]
 #[ignore = "long: fuzzing for a minute"]
-fn long_fuzzed_stored_pictures_are_drawn_or_refused() {
+fn long_fuzzed_stored_pictures_are_drawn_or_rejected() {
     try_stored_pictures(Effort::Long);
 }

@@ -246,7 +246,7 @@ mod tests {
     }
 
     #[test]
-    fn a_server_that_went_away_is_told_and_the_last_picture_stays() {
+    fn an_unreachable_server_is_reported_and_the_last_values_stay() {
         let mut screen = Screen::default();
         screen.show(crate::overview::tests::unhealthy());
         screen.trouble = Some("no server answers".to_owned());

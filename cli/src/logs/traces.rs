@@ -30,7 +30,7 @@ pub(crate) struct TraceExporter(SdkTracerProvider);
 
 impl fmt::Debug for TraceExporter {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str("Traces")
+        f.write_str("TraceExporter")
     }
 }
 

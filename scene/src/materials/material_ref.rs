@@ -105,7 +105,7 @@ impl Serialize for MaterialRef {
 
 impl JsonSchema for MaterialRef {
     fn schema_name() -> Cow<'static, str> {
-        "MaterialUse".into()
+        "MaterialRef".into()
     }
 
     fn json_schema(generator: &mut SchemaGenerator) -> Schema {

@@ -99,7 +99,7 @@ mod tests {
     }
 
     #[test]
-    fn types_are_told_as_json_has_them() {
+    fn types_are_reported_as_json_has_them() {
         for (serde, ours) in [
             (r#"invalid type: string "one", expected a number"#, r#"must be a number, not "one""#),
             ("invalid type: integer `3`, expected struct Surface", "must be an object, not 3"),

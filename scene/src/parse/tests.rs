@@ -37,7 +37,7 @@ fn unmarked(text: &str) -> (String, Vec<(u32, u32)>) {
 }
 
 #[test]
-fn each_of_several_faults_is_told_once_and_nothing_else_is() {
+fn each_of_several_faults_is_reported_once_and_nothing_else_is() {
     let mut wrong = Vec::new();
     for case in SEVERAL.split("\n## ").skip(1) {
         let (name, rest) = case.split_once('\n').expect("a name");
@@ -114,7 +114,7 @@ fn whatever_is_wrong_in_a_node_or_a_material_hides_nothing_else() {
 }
 
 #[test]
-fn no_more_than_a_hundred_faults_are_told_and_they_are_the_first() {
+fn no_more_than_a_hundred_faults_are_reported_and_they_are_the_first() {
     let objects = vec![r#"{ "shape": { "sphere": { "radius": -1 } } }"#; 5000].join(",\n");
     let found = faults(&around(&objects));
     assert_eq!(found.len(), MAX_ERRORS);

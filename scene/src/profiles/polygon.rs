@@ -76,7 +76,7 @@ impl From<PolygonVertices> for Vec<Point2> {
 
 impl JsonSchema for PolygonVertices {
     fn schema_name() -> Cow<'static, str> {
-        "Points".into()
+        "PolygonVertices".into()
     }
 
     fn json_schema(generator: &mut SchemaGenerator) -> Schema {

@@ -293,7 +293,7 @@ mod tests {
     }
 
     #[test]
-    fn a_fault_of_a_track_is_told_at_its_place() {
+    fn a_fault_of_a_track_is_reported_at_its_place() {
         for (text, place, words) in [
             (r#"{ "keys": [] }"#, "keys", "needs a key"),
             (r#"{ "keys": [[0, 1], [2, -3]] }"#, "keys[1][1]", "from 1e-6"),
@@ -317,7 +317,7 @@ mod tests {
     }
 
     #[test]
-    fn what_frames_are_counted_by_does_not_move() {
+    fn frame_counts_cannot_be_tracks() {
         assert!(refusal::<FrameRate>(r#"{ "keys": [[0, 24]] }"#).contains("a number"));
     }
 }

@@ -210,7 +210,7 @@ fn fault(material: &str) -> (String, String) {
 }
 
 #[test]
-fn a_wrong_texture_is_refused_where_it_is_wrong_and_with_a_cure() {
+fn a_wrong_texture_is_rejected_where_it_is_wrong_and_with_a_cure() {
     let flat = |texture: &str| format!(r#"{{ "flat": {{ "color": {texture} }} }}"#);
     let ramp = |stops: &str| flat(&format!(r#"{{ "gradient": {{ "by": {{ "facing": {{}} }}, "ramp": {stops} }} }}"#));
     let many: Vec<String> = (0..33).map(|stop| format!("[{}, [0, 0, 0]]", f64::from(stop) / 32.0)).collect();
@@ -244,7 +244,7 @@ fn a_wrong_texture_is_refused_where_it_is_wrong_and_with_a_cure() {
 }
 
 #[test]
-fn a_texture_where_none_can_be_is_refused_with_a_cure() {
+fn a_texture_where_none_can_be_is_rejected_with_a_cure() {
     let sphere = |radius: &str, color: &str| {
         let text = format!(
             r#"{{ "scene": {{ "camera": {{ "position": [0, 0, 5], "look_at": [0, 0, 0] }}, "background": {{ "color": {color} }},

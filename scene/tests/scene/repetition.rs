@@ -159,7 +159,7 @@ const SPHERE: &str = r#"{ "sphere": { "radius": 1 } }"#;
 const PLANE: &str = r#"{ "plane": { "normal": [0, 1, 0], "offset": 0 } }"#;
 
 #[test]
-fn copies_that_cannot_be_made_are_told_with_the_cure() {
+fn copies_that_cannot_be_made_are_reported_with_the_cure() {
     let cases = [
         (r#""repeat": { "cell": [0, null, null]"#, SPHERE, "repeat/cell/0", "null along an axis"),
         (r#""repeat": { "cell": [null, null, null]"#, SPHERE, "repeat/cell", "give x, y or z"),
@@ -174,7 +174,7 @@ fn copies_that_cannot_be_made_are_told_with_the_cure() {
 }
 
 #[test]
-fn a_shape_that_cannot_be_deformed_is_told_with_the_cure() {
+fn a_shape_that_cannot_be_deformed_is_reported_with_the_cure() {
     let cases = [
         (r#""twist": { "degrees_per_unit": 9"#, PLANE, "twist/child", "by an intersection"),
         (r#""bend": { "degrees_per_unit": 9"#, PLANE, "bend/child", "by an intersection"),
@@ -187,7 +187,7 @@ fn a_shape_that_cannot_be_deformed_is_told_with_the_cure() {
 }
 
 #[test]
-fn a_list_of_too_few_or_too_many_shapes_is_told_with_the_number() {
+fn a_list_of_too_few_or_too_many_shapes_is_reported_with_the_number() {
     let engraved = format!(r#"{{ "engrave": {{ "depth": 0.1, "of": [{SPHERE}] }} }}"#);
     assert_fault(&engraved, "engrave/of", "has 1 shape: engrave takes exactly 2");
     let morphed = format!(r#"{{ "morph": {{ "amount": 0.5, "of": [{SPHERE}, {SPHERE}, {PLANE}] }} }}"#);

@@ -295,7 +295,7 @@ fn faults(shape: &str) -> Vec<(String, String)> {
 }
 
 #[test]
-fn numbers_that_contradict_each_other_are_refused_with_a_cure() {
+fn numbers_that_contradict_each_other_are_rejected_with_a_cure() {
     for (shape, pointer, cure) in [
         (r#"{ "box": { "size": [1, 2, 3], "round": 0.6 } }"#, "box/round", "make round 0.5 or less"),
         (r#"{ "torus": { "radius": 0.5, "tube": 0.5 } }"#, "torus/tube", "make tube less than 0.5"),

@@ -88,7 +88,7 @@ async fn a_farm_of_the_first_release_is_brought_up_to_date_with_all_that_is_in_i
 }
 
 #[tokio::test]
-async fn a_farm_of_a_newer_release_is_told_so() {
+async fn data_of_a_newer_release_is_rejected_with_the_reason() {
     let folder = tempfile::tempdir().expect("a temporary folder");
     Database::open(folder.path()).await.expect("makes").close().await;
     let options = sqlx::sqlite::SqliteConnectOptions::new().filename(Database::file(folder.path()));

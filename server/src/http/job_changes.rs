@@ -95,7 +95,7 @@ pub(super) async fn patch(
         ("dry_run" = Option<bool>, Query, description = "Only tell what would go"),
     ),
     responses(
-        (status = 200, description = "What would go (dry run)", body = ref("#/components/schemas/DeletePreview")),
+        (status = 200, description = "What would go (dry run)", body = ref("#/components/schemas/DeleteDryRun")),
         (status = 204, description = "It is forgotten"),
         (status = 404, description = "No such job", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
         (status = 409, description = "It is running", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),

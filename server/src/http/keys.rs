@@ -19,7 +19,7 @@ const MAX_BYTES: usize = 16 << 10;
 /// List the keys.
 #[utoipa::path(
     get, path = "/v1/keys", tag = "keys", operation_id = "list_keys",
-    responses((status = 200, description = "Every key, newest first, without secrets", body = ref("#/components/schemas/KeyList")))
+    responses((status = 200, description = "Every key, newest first, without secrets", body = ref("#/components/schemas/ApiKeyList")))
 )]
 pub(super) async fn list(State(farm): State<Arc<Farm>>) -> Json<ApiKeyList> {
     Json(ApiKeyList { keys: farm.admission.keys.list() })
@@ -32,9 +32,9 @@ pub(super) async fn list(State(farm): State<Arc<Farm>>) -> Json<ApiKeyList> {
 /// `admin`.
 #[utoipa::path(
     post, path = "/v1/keys", tag = "keys", operation_id = "create_key",
-    request_body(content = ref("#/components/schemas/NewKey"), content_type = "application/json"),
+    request_body(content = ref("#/components/schemas/NewApiKey"), content_type = "application/json"),
     responses(
-        (status = 201, description = "Made", body = ref("#/components/schemas/IssuedKey")),
+        (status = 201, description = "Made", body = ref("#/components/schemas/IssuedApiKey")),
         (status = 400, description = "Not JSON", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
         (status = 409, description = "The name has two live keys, or there are too many keys", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
         (status = 413, description = "Too large", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
@@ -61,7 +61,7 @@ pub(super) async fn make(
     delete, path = "/v1/keys/{id}", tag = "keys", operation_id = "revoke_key",
     params(("id" = String, Path, description = "A key's id, or a name: then all its keys")),
     responses(
-        (status = 200, description = "The keys that are revoked now", body = ref("#/components/schemas/KeyList")),
+        (status = 200, description = "The keys that are revoked now", body = ref("#/components/schemas/ApiKeyList")),
         (status = 404, description = "No such key, or revoked already", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
     )
 )]

@@ -87,7 +87,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_no_patch_is_refused() {
+    fn what_is_no_patch_is_rejected() {
         let deep = format!("{}1{}", r#"{"a":"#.repeat(MAX_DEPTH + 1), "}".repeat(MAX_DEPTH + 1));
         for patch in ["[1]", "7", "null", "{", "", &deep] {
             assert!(apply("{}", patch.as_bytes()).is_err(), "{patch}");

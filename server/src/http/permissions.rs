@@ -47,7 +47,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn what_is_named_nowhere_asks_for_admin() {
+    fn unlisted_routes_require_admin() {
         for (method, route) in [
             (Method::GET, "/v1/keys"),
             (Method::POST, "/livez"),

@@ -28,7 +28,7 @@ struct CollectQuery {
     post, path = "/v1/gc", tag = "jobs", operation_id = "collect_garbage",
     params(("dry_run" = Option<bool>, Query, description = "Only tell what would go")),
     responses(
-        (status = 200, description = "What went, or would go", body = ref("#/components/schemas/Collection")),
+        (status = 200, description = "What went, or would go", body = ref("#/components/schemas/GcReport")),
         (status = 422, description = "Wrong query", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
     )
 )]

@@ -183,7 +183,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn patience_is_spent_by_waiting_and_earned_by_bytes() {
+    fn min_rate_timer_counts_stalls_and_bytes() {
         let seconds = Duration::from_secs;
         let mut patience = MinRateTimer::new(seconds(10));
         let mut waited = |size_bytes: usize| {

@@ -70,7 +70,7 @@ struct CurrentCertificate(RwLock<Arc<CertifiedKey>>);
 
 impl std::fmt::Debug for CurrentCertificate {
     fn fmt(&self, formatter: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        formatter.write_str("Shown")
+        formatter.write_str("CurrentCertificate")
     }
 }
 

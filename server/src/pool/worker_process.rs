@@ -223,7 +223,7 @@ mod tests {
     }
 
     #[test]
-    fn a_crash_is_told_from_a_kill_and_from_an_exit() {
+    fn a_crash_is_distinguished_from_a_kill_and_an_exit() {
         assert_eq!(cause(11), LeaseEnd::Crashed, "SIGSEGV");
         assert_eq!(cause(6), LeaseEnd::Crashed, "SIGABRT");
         assert_eq!(cause(7), LeaseEnd::Crashed, "SIGBUS");

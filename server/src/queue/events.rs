@@ -280,7 +280,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn runs_are_told_by_first_and_last() {
+    fn runs_are_reported_by_first_and_last() {
         assert_eq!(contiguous_ranges(&[]), Vec::<[u32; 2]>::new());
         assert_eq!(contiguous_ranges(&[0, 1, 2, 5, 7, 8]), [[0, 2], [5, 5], [7, 8]]);
     }

@@ -378,7 +378,7 @@ mod tests {
     }
 
     #[test]
-    fn each_cause_has_its_own_patience() {
+    fn each_lease_end_has_its_own_limit() {
         assert_eq!(ends_after(LeaseEnd::Failed), Some(3));
         assert_eq!(ends_after(LeaseEnd::Crashed), Some(3));
         assert_eq!(ends_after(LeaseEnd::Lost), Some(50));

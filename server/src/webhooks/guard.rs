@@ -278,7 +278,7 @@ mod tests {
     ];
 
     #[test]
-    fn addresses_that_are_not_public_are_refused_however_they_are_spelt() {
+    fn addresses_that_are_not_public_are_rejected_however_they_are_spelt() {
         let guard = AddressPolicy::default();
         for closed in CLOSED {
             assert!(

@@ -16,7 +16,7 @@ async fn send(farm: &Farm, method: Method, path: &str, headers: &[(HeaderName, &
 }
 
 #[tokio::test]
-async fn a_job_that_is_not_sound_is_refused_with_the_place() {
+async fn a_job_that_is_not_valid_is_rejected_with_the_place() {
     let farm = Farm::start().await;
     let mut job = small_job(1);
     job["image"]["width"] = 0.into();
@@ -29,7 +29,7 @@ async fn a_job_that_is_not_sound_is_refused_with_the_place() {
 }
 
 #[tokio::test]
-async fn what_is_not_json_is_refused_whatever_it_is() {
+async fn what_is_not_json_is_rejected_whatever_it_is() {
     let farm = Farm::start().await;
     for body in [b"".to_vec(), b"{\"name\": ".to_vec(), b"{\"name\": \"\xff\"}".to_vec(), b"nonsense".to_vec()] {
         let problem = refused(farm.post("/v1/jobs", body).await, 400, "not_json").await;
@@ -41,7 +41,7 @@ async fn what_is_not_json_is_refused_whatever_it_is() {
 }
 
 #[tokio::test]
-async fn bodies_of_the_wrong_kind_or_size_are_refused() {
+async fn bodies_of_the_wrong_kind_or_size_are_rejected() {
     let farm = Farm::start().await;
     let large = " ".repeat(9 << 20);
     let problem = refused(farm.post("/v1/jobs", large).await, 413, "too_large").await;
@@ -75,7 +75,7 @@ async fn unknown_routes_jobs_and_methods_are_problems_too() {
 }
 
 #[tokio::test]
-async fn a_pool_of_an_impossible_size_is_refused() {
+async fn a_pool_of_an_impossible_size_is_rejected() {
     let farm = Farm::start().await;
     for body in [json!({"workers": -1}), json!({"workers": 10_000}), json!({"workers": "two"}), json!({"workers": 1.5})]
     {
@@ -112,7 +112,7 @@ async fn foreign_hosts_and_origins_are_kept_out() {
 }
 
 #[tokio::test]
-async fn workers_with_a_wrong_token_a_wrong_release_or_no_name_are_refused() {
+async fn workers_with_a_wrong_token_a_wrong_release_or_no_name_are_rejected() {
     let farm = Farm::start().await;
     for route in [worker_protocol::REGISTER_PATH, worker_protocol::SYNC_PATH] {
         let token = [(AUTHORIZATION, "Bearer nonsense")];
@@ -130,7 +130,7 @@ async fn workers_with_a_wrong_token_a_wrong_release_or_no_name_are_refused() {
 }
 
 #[tokio::test]
-async fn bytes_under_another_name_are_refused_and_not_kept() {
+async fn bytes_under_another_name_are_rejected_and_not_kept() {
     let farm = Farm::start().await;
     let worker = farm.worker("liar").await;
     let hash = blake3::hash(b"the truth").to_hex().to_string();

@@ -67,7 +67,7 @@ async fn health_answers_when_every_connection_is_taken_by_someone_idle() {
 }
 
 #[tokio::test]
-async fn heads_that_are_too_large_or_have_too_many_headers_are_refused() {
+async fn heads_that_are_too_large_or_have_too_many_headers_are_rejected() {
     let farm = Farm::start().await;
     for head in [format!("X-Long: {}\r\n", "x".repeat(100 << 10)), "X: y\r\n".repeat(200)] {
         let mut stream = TcpStream::connect(farm.address).await.expect("connects");

@@ -76,7 +76,7 @@ fn check_story(farm_story: &[SseMessage], posted: &JobView) {
 }
 
 #[tokio::test]
-async fn a_follower_is_told_every_state_tile_and_frame_once_and_in_order() {
+async fn a_subscriber_receives_each_event_once_and_in_order() {
     let farm = Farm::start().await;
     let posted = farm.submit(&animation()).await;
     let (live, ()) = tokio::join!(story(&farm, posted.id, None), work_slowly(&farm));
@@ -86,7 +86,7 @@ async fn a_follower_is_told_every_state_tile_and_frame_once_and_in_order() {
 }
 
 #[tokio::test]
-async fn whoever_comes_back_is_told_exactly_what_was_missed_also_by_the_next_server() {
+async fn whoever_comes_back_is_reported_exactly_what_was_missed_also_by_the_next_server() {
     let farm = Farm::start().await;
     let posted = farm.submit(&animation()).await;
     work_slowly(&farm).await;
@@ -159,7 +159,7 @@ async fn a_thousand_follow_one_job() {
 }
 
 #[tokio::test]
-async fn wrong_ids_and_unknown_jobs_are_refused() {
+async fn wrong_ids_and_unknown_jobs_are_rejected() {
     let farm = Farm::start().await;
     let posted = farm.submit(&small_job(1)).await;
     for wrong in ["x", "-1", "1.5", "99999999999999999999"] {

@@ -20,7 +20,7 @@ async fn jobs(farm: &Farm) -> usize {
 }
 
 #[tokio::test]
-async fn the_same_wish_is_granted_once_also_by_the_next_server() {
+async fn idempotency_survives_a_restart() {
     let farm = Farm::start().await;
     let key = ("Idempotency-Key", "a wish");
     let first: JobView = read(hand_in(&farm, "/v1/jobs", &small_job(1), key).await, StatusCode::CREATED).await;
@@ -42,7 +42,7 @@ async fn the_same_wish_is_granted_once_also_by_the_next_server() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn equal_wishes_at_the_same_time_get_one_job() {
+async fn concurrent_submits_with_one_key_create_one_job() {
     let farm = Farm::start().await;
     let (wish, key) = (small_job(1), ("Idempotency-Key", "all at once"));
     let answers = join_all((0..50).map(|_| hand_in(&farm, "/v1/jobs", &wish, key))).await;
@@ -53,7 +53,7 @@ async fn equal_wishes_at_the_same_time_get_one_job() {
 }
 
 #[tokio::test]
-async fn keys_that_are_none_are_refused() {
+async fn keys_that_are_none_are_rejected() {
     let farm = Farm::start().await;
     let long = "x".repeat(256);
     for key in ["", "  ", "ä", long.as_str()] {

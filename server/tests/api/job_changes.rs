@@ -33,7 +33,7 @@ async fn a_job_is_moved_before_others_until_it_has_ended() {
 }
 
 #[tokio::test]
-async fn a_change_that_can_not_be_meant_is_refused_with_its_place() {
+async fn a_change_that_can_not_be_meant_is_rejected_with_its_place() {
     let farm = Farm::start().await;
     let path = format!("/v1/jobs/{}", farm.submit(&small_job(1)).await.id);
     for (body, pointer) in [

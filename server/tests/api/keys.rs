@@ -90,7 +90,7 @@ async fn submitter_sees_and_ends_its_own_jobs_only() {
 }
 
 #[tokio::test]
-async fn key_is_rotated_without_a_gap_and_a_third_is_refused() {
+async fn key_is_rotated_without_a_gap_and_a_third_is_rejected() {
     let (farm, admin) = locked_farm().await;
     let old = make(&farm, &admin, &new_key("anna", &[Scope::Read])).await;
     let new = make(&farm, &admin, &new_key("anna", &[Scope::Read])).await;
@@ -150,7 +150,7 @@ async fn key_expires_by_the_clock() {
 }
 
 #[tokio::test]
-async fn revoked_worker_is_told_while_it_waits() {
+async fn a_waiting_worker_ends_when_its_key_is_revoked() {
     let (farm, admin) = locked_farm().await;
     let key = make(&farm, &admin, &new_key("host-7", &[Scope::Worker])).await;
     let hello = json!({"name": "w", "device": "cpu", "picture_version": scene::PICTURE_VERSION, "max_nodes": null, "process": 1});
@@ -207,7 +207,7 @@ async fn keys_of_the_folder_open_the_running_server() {
 }
 
 #[tokio::test]
-async fn keys_that_can_not_be_are_refused_with_the_cure() {
+async fn keys_that_can_not_be_are_rejected_with_the_cure() {
     let (farm, admin) = locked_farm().await;
     for (body, code) in [
         (json!({"name": "", "scopes": ["read"]}), "wrong_key"),
@@ -269,7 +269,7 @@ async fn quotas_and_rates_are_held_and_say_when_to_come_again() {
 }
 
 #[tokio::test]
-async fn full_queue_is_refused_before_the_body_is_read() {
+async fn full_queue_is_rejected_before_the_body_is_read() {
     let folder = tempfile::tempdir().expect("a temporary folder");
     let farm = Farm::start_in(folder, |config| config.max_queued_jobs = 1).await;
     farm.submit(&small_job(1)).await;
@@ -282,7 +282,7 @@ async fn full_queue_is_refused_before_the_body_is_read() {
 }
 
 #[tokio::test]
-async fn audit_log_says_who_did_what_and_who_was_refused() {
+async fn audit_log_says_who_did_what_and_who_was_rejected() {
     let (farm, admin) = locked_farm().await;
     let anna = make(&farm, &admin, &new_key("anna", &[Scope::Submit])).await;
     let job: Value =
@@ -326,7 +326,7 @@ async fn audit_log_says_who_did_what_and_who_was_refused() {
 }
 
 #[tokio::test]
-async fn exposed_address_is_refused_until_there_is_a_key() {
+async fn exposed_address_is_rejected_until_there_is_a_key() {
     let folder = tempfile::tempdir().expect("a temporary folder");
     let exposed = || {
         let mut config = config(folder.path());

@@ -76,7 +76,7 @@ async fn the_papers_name_every_metric_and_no_other() {
 }
 
 #[tokio::test]
-async fn what_workers_measure_is_told_by_device() {
+async fn what_workers_measure_is_reported_by_device() {
     let farm = busy_farm().await;
     let metrics = Metrics::of(&farm).await;
     for (sample, value) in [

@@ -158,7 +158,7 @@ async fn a_server_that_starts_removes_what_is_over_by_then() {
 }
 
 #[tokio::test]
-async fn a_time_that_is_none_is_refused() {
+async fn a_time_that_is_none_is_rejected() {
     let farm = Farm::start().await;
     for keep in ["7", "soon", "-1d", "7.5d", "101000w"] {
         let answer = farm.post(&format!("/v1/jobs?keep={keep}"), small_job(1).to_string()).await;

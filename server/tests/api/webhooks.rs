@@ -104,7 +104,7 @@ fn is_over(deliveries: &[DeliveryView]) -> bool {
 }
 
 #[tokio::test]
-async fn a_webhook_is_told_once_signed_and_with_what_happened() {
+async fn a_webhook_is_sent_once_signed_with_the_event() {
     let (address, receiver, task) = receive(&[]).await;
     let farm = farm().await;
     let job = submit(&farm, &format!("webhook={address}"), 1).await;
@@ -218,7 +218,7 @@ async fn events_are_chosen_and_what_was_not_sent_is_sent_by_the_next_server() {
 }
 
 #[tokio::test]
-async fn webhooks_that_may_not_be_are_refused() {
+async fn webhooks_that_may_not_be_are_rejected() {
     let farm = Farm::start().await;
     for (query, code) in [
         ("webhook=http://farm.example/", "wrong_webhook"),

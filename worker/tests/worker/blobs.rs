@@ -51,7 +51,7 @@ fn rows_are_read_without_the_rest() {
 }
 
 #[test]
-fn damaged_blobs_are_refused() {
+fn damaged_blobs_are_rejected() {
     let bytes = blob::encode(&tile());
     for length in 0..bytes.len() {
         let error = blob::decode(&bytes[..length]).unwrap_err();

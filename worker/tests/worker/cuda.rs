@@ -167,7 +167,7 @@ fn jobs_of_all_kinds() -> Vec<Job> {
 }
 
 #[test]
-fn the_text_of_every_light_background_projection_and_effect_renders_the_same_bits() {
+fn the_text_of_every_light_background_projection_and_effect_renders_identical_bits() {
     let jobs = jobs_of_all_kinds().into_iter().enumerate();
     let jobs: Vec<(String, Job)> = jobs.map(|(index, job)| (format!("job {index} of all kinds"), job)).collect();
     assert_same_on_host(&jobs);
@@ -182,13 +182,13 @@ fn few() -> Vec<Shipped> {
 }
 
 #[test]
-fn the_text_compiled_by_the_host_renders_the_same_bits() {
+fn the_text_compiled_by_the_host_renders_identical_bits() {
     assert_same_on_host(&in_small(&few()));
 }
 
 #[test]
 #[ignore = "long: the text of every shipped scene compiled by the host's compiler; two minutes"]
-fn the_text_of_every_scene_compiled_by_the_host_renders_the_same_bits() {
+fn the_text_of_every_scene_compiled_by_the_host_renders_identical_bits() {
     assert_same_on_host(&in_small(&shipped()));
 }
 
@@ -204,7 +204,7 @@ fn the_run_time_compiler_takes_every_scene() {
 }
 
 #[test]
-fn a_program_that_is_none_is_refused_with_the_compilers_words() {
+fn a_program_that_is_none_is_rejected_with_the_compilers_words() {
     let compiler = match Compiler::find() {
         Ok(compiler) => compiler,
         Err(missing) => return skip("nvrtc", format_args!("nothing could be refused: {missing}")),

@@ -74,7 +74,7 @@ fn no_number_of_threads_changes_a_byte() {
 }
 
 #[test]
-fn a_missing_tile_is_told_and_not_painted_over() {
+fn a_missing_tile_is_reported_and_not_painted_over() {
     for job in jobs() {
         let mut tiles = tiles(&job, &cut(job.image.width, job.image.height, 32, 32));
         tiles.pop();
@@ -86,7 +86,7 @@ fn a_missing_tile_is_told_and_not_painted_over() {
 }
 
 #[test]
-fn a_truncated_blob_is_told() {
+fn a_truncated_blob_is_reported() {
     let job = job(64, 64, "");
     let tile = pixels(&job, 3, Rect::full(64, 64));
     let mut bytes = blob::encode(&tile);

@@ -204,7 +204,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn numbers_are_told_as_people_say_them() {
+    fn numbers_are_reported_as_people_say_them() {
         assert_eq!(count(1, "frame"), "1 frame");
         assert_eq!(count(1_234_567, "ray"), "1,234,567 rays");
         let told = [0.0, 0.0123, 0.5, 2.345, 61.0, 400.0, 9000.0, 1e6].map(duration);

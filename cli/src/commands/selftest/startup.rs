@@ -55,7 +55,7 @@ mod tests {
     }
 
     #[test]
-    fn sound_machine_passes_and_one_wrong_bit_does_not() {
+    fn valid_machine_passes_and_one_wrong_bit_does_not() {
         let sound = CpuRenderer::new(Some(1), Simd::Auto).expect("this machine renders");
         check(&sound).expect("the right bits");
         let told = check(&Bad(sound)).expect_err("a wrong bit").to_string();

@@ -117,7 +117,7 @@ impl Serialize for PolygonSides {
 
 impl JsonSchema for PolygonSides {
     fn schema_name() -> Cow<'static, str> {
-        "Sides".into()
+        "PolygonSides".into()
     }
 
     fn json_schema(_: &mut SchemaGenerator) -> Schema {

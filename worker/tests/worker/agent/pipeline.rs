@@ -256,7 +256,7 @@ fn pictures_are_on_their_way_while_others_render() {
 }
 
 #[test]
-fn a_renderers_limits_are_told_to_the_server() {
+fn a_renderers_limits_are_reported_to_the_server() {
     let server = FakeServer::start(30_000);
     let mut agent = Agent::start(&server, Together(|_: &[TileRequest<'_>], _: &CancelFlag| Ok(())));
     let hello = server.until("the worker registers", |farm| farm.hellos.pop());

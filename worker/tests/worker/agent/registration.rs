@@ -56,7 +56,7 @@ fn a_worker_that_the_server_forgot_registers_again() {
 }
 
 #[tokio::test]
-async fn an_address_that_is_none_is_refused() {
+async fn an_address_that_is_none_is_rejected() {
     for server in ["", "farm", "ftp://farm", "http://", "file:///tmp"] {
         let ended =
             run(AgentConfig::new(server, "x"), std::sync::Arc::new(FakeRenderer), CancellationToken::default()).await;
