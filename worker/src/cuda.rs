@@ -11,7 +11,7 @@ mod launches;
 mod source;
 
 use std::collections::{HashMap, VecDeque};
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
@@ -25,22 +25,15 @@ use cache::{Cache, CachedKernel};
 use device::{Buffer, Device, LoadedModule, PendingLaunch};
 use launches::{CostModel, Launches};
 
+pub use cache::default_cache_folder;
 pub use compiler::Compiler;
-pub use device::{BlockDim, Resources};
+pub use device::{BLOCK_DIMS, BlockDim, Resources};
 pub use error::CudaError;
 pub use launches::KernelTimes;
 pub use source::KernelSource;
 
 /// Maximum size of a scene compiled to straight-line code, in nodes.
 pub const MAX_NODES: u32 = 500;
-/// Shapes of blocks that are tried for each program.
-pub const BLOCK_DIMS: [BlockDim; 5] = [
-    BlockDim { columns: 8, rows: 8 },
-    BlockDim { columns: 16, rows: 8 },
-    BlockDim { columns: 16, rows: 16 },
-    BlockDim { columns: 32, rows: 8 },
-    BlockDim { columns: 128, rows: 1 },
-];
 /// Pixels that are on the GPU and on their way back at a time, in numbers.
 const BUFFER_FLOATS: usize = 64 << 20;
 /// Maximum memory of freed planes kept for reuse, in numbers.
@@ -57,13 +50,6 @@ pub fn devices() -> Result<usize, RenderError> {
         Ok(count) => Ok(count),
         Err(trouble) => Err(unavailable("cuda", &trouble)),
     }
-}
-
-/// Default folder of the kernel cache: the user's cache folder.
-pub fn default_cache_folder() -> Option<PathBuf> {
-    let absolute = |name| std::env::var_os(name).map(PathBuf::from).filter(|path| path.is_absolute());
-    let cache = absolute("XDG_CACHE_HOME").or_else(|| absolute("HOME").map(|home| home.join(".cache")))?;
-    Some(cache.join("sdfarm").join("kernels"))
 }
 
 /// Renders on one GPU.

@@ -6,6 +6,13 @@ use std::path::{Path, PathBuf};
 
 use super::device::BlockDim;
 
+/// Default folder of the kernel cache: the user's cache folder.
+pub fn default_cache_folder() -> Option<PathBuf> {
+    let absolute = |name| std::env::var_os(name).map(PathBuf::from).filter(|path| path.is_absolute());
+    let cache = absolute("XDG_CACHE_HOME").or_else(|| absolute("HOME").map(|home| home.join(".cache")))?;
+    Some(cache.join("sdfarm").join("kernels"))
+}
+
 /// Cached kernels in a folder.
 #[derive(Clone, Debug)]
 pub(super) struct Cache {

@@ -58,6 +58,15 @@ const FUNCTIONS: [&str; 38] = [
     "cuMemGetInfo_v2",
 ];
 
+/// Shapes of blocks that are tried for each program.
+pub const BLOCK_DIMS: [BlockDim; 5] = [
+    BlockDim { columns: 8, rows: 8 },
+    BlockDim { columns: 16, rows: 8 },
+    BlockDim { columns: 16, rows: 16 },
+    BlockDim { columns: 32, rows: 8 },
+    BlockDim { columns: 128, rows: 1 },
+];
+
 /// Threads of a block: columns and rows.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct BlockDim {
