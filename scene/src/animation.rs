@@ -80,7 +80,7 @@ impl Job {
         let (mut scene, mut image) = (self.scene.clone(), self.image.clone());
         let error = |pointer, message| FrameError { pointer, message, frame, seconds };
         let clock = &mut FrameTime::at(seconds);
-        scene.seek(clock).map_err(|misfit| error(self.place_in_scene(&misfit), misfit.message))?;
+        scene.seek(clock).map_err(|misfit| error(self.pointer_in_scene(&misfit), misfit.message))?;
         image.seek(clock).map_err(|misfit| error(format!("/image{}", misfit.pointer), misfit.message))?;
         scene.camera.apply_turntable(frame, &self.frames);
         if let Some((key, message)) = scene.camera.validate() {
@@ -91,10 +91,10 @@ impl Job {
     }
 
     /// Where in the document a misfit of the scene stands, whose materials are in slots.
-    fn place_in_scene(&self, misfit: &SeekError) -> String {
+    fn pointer_in_scene(&self, misfit: &SeekError) -> String {
         let in_slot = misfit.pointer.strip_prefix("/materials/").and_then(|rest| {
             let (slot, rest) = rest.split_once('/')?;
-            let place = self.material_places.get(slot.parse::<usize>().ok()?)?;
+            let place = self.material_pointers.get(slot.parse::<usize>().ok()?)?;
             Some(format!("/scene{place}/{rest}"))
         });
         in_slot.unwrap_or_else(|| format!("/scene{}", misfit.pointer))

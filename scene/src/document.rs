@@ -76,7 +76,7 @@ pub(crate) struct Resolved {
     /// The scene, not yet prepared.
     pub scene: Scene,
     /// Where in the document each of the materials in use stands: a JSON pointer in the scene.
-    pub places: Vec<String>,
+    pub material_pointers: Vec<String>,
     /// Names of materials that no object and no node uses.
     pub unused_names: Vec<String>,
     /// Names that no material has: JSON pointers in the scene, and the names.
@@ -94,16 +94,16 @@ impl SceneDocument {
             named: &named,
             used: Vec::new(),
             by_name: BTreeMap::new(),
-            places: Vec::new(),
+            material_pointers: Vec::new(),
             unknown: Vec::new(),
         };
         for (index, object) in objects.iter_mut().enumerate() {
             slots.resolve_object(object, index);
         }
-        let MaterialResolver { used: materials, by_name, places, unknown, .. } = slots;
+        let MaterialResolver { used: materials, by_name, material_pointers: places, unknown, .. } = slots;
         let unused = named.keys().filter(|name| !by_name.contains_key(*name)).cloned().collect();
         let scene = Scene { camera, background, lights, fog, ambient_occlusion, materials, objects, march };
-        Resolved { scene, places, unused_names: unused, unknown }
+        Resolved { scene, material_pointers: places, unused_names: unused, unknown }
     }
 }
 
@@ -112,7 +112,7 @@ struct MaterialResolver<'a> {
     named: &'a BTreeMap<String, Material>,
     used: Vec<Material>,
     by_name: BTreeMap<String, u32>,
-    places: Vec<String>,
+    material_pointers: Vec<String>,
     unknown: Vec<(String, String)>,
 }
 
@@ -130,8 +130,8 @@ impl MaterialResolver<'_> {
         if let Err(name) = material.resolve(self.named, &mut self.used, &mut self.by_name) {
             self.unknown.push((pointer(), name));
         }
-        if self.places.len() < self.used.len() {
-            self.places.push(place);
+        if self.material_pointers.len() < self.used.len() {
+            self.material_pointers.push(place);
         }
     }
 

@@ -24,7 +24,7 @@ pub struct Job {
     pub priority: i32,
     pub(crate) is_animated: bool,
     /// Where in the document each of the materials in use stands: a JSON pointer in the scene.
-    pub(crate) material_places: Vec<String>,
+    pub(crate) material_pointers: Vec<String>,
     /// Names of materials that are not in use.
     pub(crate) unused_materials: Vec<String>,
 }

@@ -119,7 +119,7 @@ fn validate(document: JobDocument) -> Result<(Job, Vec<f64>), SemanticErrors> {
     let mut faults = faults_of_document(&document);
     let JobDocument { name, scene, mut image, frames, priority } = document;
     let names: Vec<String> = scene.materials.keys().cloned().collect();
-    let Resolved { mut scene, places, unused_names: unused, unknown } = scene.resolve();
+    let Resolved { mut scene, material_pointers: places, unused_names: unused, unknown } = scene.resolve();
     for (pointer, name) in unknown {
         let known: Vec<&str> = names.iter().map(String::as_str).collect();
         faults.push((format!("/scene{pointer}"), suggest::unknown_material(&name, &known)));
@@ -141,7 +141,7 @@ fn validate(document: JobDocument) -> Result<(Job, Vec<f64>), SemanticErrors> {
     let is_animated = is_animated || scene.camera.turntable.is_some();
     scene.prepare(is_animated);
     let job =
-        Job { name, scene, image, frames, priority, is_animated, material_places: places, unused_materials: unused };
+        Job { name, scene, image, frames, priority, is_animated, material_pointers: places, unused_materials: unused };
     Ok((job, key_seconds))
 }
 

@@ -120,5 +120,5 @@ fn default_ambient() -> ColorParam {
 }
 
 fn default_shininess() -> ScalarParam<Shininess> {
-    ScalarParam::Plain(Shininess::new(16.0).expect("16 is in range"))
+    ScalarParam::Constant(Shininess::new(16.0).expect("16 is in range"))
 }

@@ -169,7 +169,7 @@ parameters![Fraction, Shininess, RefractiveIndex];
 #[derive(Clone, Debug, PartialEq)]
 pub enum ScalarParam<N> {
     /// One number.
-    Plain(N),
+    Constant(N),
     /// A texture's.
     Textured(Box<TexturedScalar<N>>),
 }
@@ -191,7 +191,7 @@ impl<N: ScalarKind> ScalarParam<N> {
     /// The texture, if there is one.
     pub fn texture(&self) -> Option<&Texture> {
         match self {
-            Self::Plain(_) => None,
+            Self::Constant(_) => None,
             Self::Textured(varied) => varied.by.texture(),
         }
     }
@@ -199,7 +199,7 @@ impl<N: ScalarKind> ScalarParam<N> {
     /// Whether it is 0 everywhere: then a formula may leave its term out.
     #[inline(always)]
     pub fn is_zero(&self) -> bool {
-        matches!(self, Self::Plain(number) if number.is_zero())
+        matches!(self, Self::Constant(number) if number.is_zero())
     }
 
     /// The number at a place.
@@ -207,7 +207,7 @@ impl<N: ScalarKind> ScalarParam<N> {
     pub fn at<R: Real>(&self, place: &ShadingPoint<R>) -> R {
         let like = place.normal.x;
         match self {
-            Self::Plain(number) => like.uniform(number.value()),
+            Self::Constant(number) => like.uniform(number.value()),
             Self::Textured(varied) => {
                 let color = varied.by.at(place);
                 // Luminance of linear light: ITU-R BT.709.
@@ -243,7 +243,7 @@ impl<'de, N: ScalarKind> Visitor<'de> for LevelVisitor<N> {
     }
 
     fn visit_f64<E: Error>(self, value: f64) -> Result<ScalarParam<N>, E> {
-        N::deserialize(F64Deserializer::new(value)).map(ScalarParam::Plain)
+        N::deserialize(F64Deserializer::new(value)).map(ScalarParam::Constant)
     }
 
     fn visit_i64<E: Error>(self, value: i64) -> Result<ScalarParam<N>, E> {
@@ -267,7 +267,7 @@ impl<'de, N: ScalarKind> Visitor<'de> for LevelVisitor<N> {
         let is_number = matches!(name, "keys" | "ease");
         let map = MapAccessDeserializer::new(PeekedMap::new(first, map));
         if is_number {
-            return N::deserialize(map).map(ScalarParam::Plain);
+            return N::deserialize(map).map(ScalarParam::Constant);
         }
         TexturedScalar::deserialize(map).map(|varied| ScalarParam::Textured(Box::new(varied)))
     }
@@ -282,7 +282,7 @@ impl<'de, N: ScalarKind> Deserialize<'de> for ScalarParam<N> {
 impl<N: ScalarKind> Serialize for ScalarParam<N> {
     fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
         match self {
-            Self::Plain(number) => number.serialize(serializer),
+            Self::Constant(number) => number.serialize(serializer),
             Self::Textured(varied) => varied.serialize(serializer),
         }
     }
@@ -291,7 +291,7 @@ impl<N: ScalarKind> Serialize for ScalarParam<N> {
 impl<N: Seek> Seek for ScalarParam<N> {
     fn seek(&mut self, clock: &mut FrameTime<'_>) -> Result<bool, Box<SeekError>> {
         match self {
-            Self::Plain(number) => number.seek(clock),
+            Self::Constant(number) => number.seek(clock),
             Self::Textured(varied) => varied.seek(clock),
         }
     }

@@ -111,7 +111,7 @@ impl Surface {
     #[inline(always)]
     fn f0<R: Real>(&self, place: &ShadingPoint<R>, base: Vec3<R>) -> (R, Vec3<R>) {
         let border = match &self.ior {
-            ScalarParam::Plain(ior) => base.x.uniform(f0_from_ior(ior.get())),
+            ScalarParam::Constant(ior) => base.x.uniform(f0_from_ior(ior.get())),
             ScalarParam::Textured(_) => f0_from_ior(self.ior.at(place)),
         };
         if self.metallic.is_zero() {
@@ -373,7 +373,7 @@ fn default_base_color() -> ColorParam {
 }
 
 fn constant_fraction(value: f32) -> ScalarParam<Fraction> {
-    ScalarParam::Plain(Fraction::new(value).expect("a share is from 0 to 1"))
+    ScalarParam::Constant(Fraction::new(value).expect("a share is from 0 to 1"))
 }
 
 fn default_fraction() -> ScalarParam<Fraction> {
@@ -389,5 +389,5 @@ fn default_clearcoat_roughness() -> ScalarParam<Fraction> {
 }
 
 fn default_ior() -> ScalarParam<RefractiveIndex> {
-    ScalarParam::Plain(RefractiveIndex::new(1.5).expect("1.5 is in range"))
+    ScalarParam::Constant(RefractiveIndex::new(1.5).expect("1.5 is in range"))
 }

@@ -14,7 +14,7 @@ use serde::Serialize;
 use serde::de::DeserializeOwned;
 
 use super::depends::is_sure;
-use super::form::{self, FormFault, FormFaultKind};
+use super::form::{self, FormError, FormErrorKind};
 use super::stand_ins;
 use super::tree::{self, TreeError, Value};
 use super::{MAX_ERRORS, too_deep, twice};
@@ -46,8 +46,8 @@ enum DocumentPart {
 
 impl DocumentPart {
     /// The first fault of a text that should be such a part.
-    fn read(self, text: &str) -> Result<(), FormFault> {
-        fn read<T: DeserializeOwned + Serialize>(text: &str) -> Result<(), FormFault> {
+    fn read(self, text: &str) -> Result<(), FormError> {
+        fn read<T: DeserializeOwned + Serialize>(text: &str) -> Result<(), FormError> {
             form::read_strictly::<T>(text).map(drop)
         }
         match self {
@@ -124,7 +124,7 @@ impl DocumentPart {
 }
 
 /// A fault, and where it is.
-struct Found {
+struct CollectedErrors {
     pointer: String,
     offset: usize,
     message: String,
@@ -136,7 +136,7 @@ struct Found {
 struct Collector<'a> {
     text: &'a str,
     root: Value,
-    found: Vec<Found>,
+    found: Vec<CollectedErrors>,
     /// Pointers and messages of what is not told again.
     told: HashSet<(String, String)>,
     /// Pointers, as they are read, of what something stands in for.
@@ -189,7 +189,7 @@ impl<'a> Collector<'a> {
                 TreeError::TooDeep { path, start } => (path, start, too_deep()),
             };
             let pointer = self.root.pointer(&path, false);
-            self.found.push(Found { pointer, offset, message, is_left_out: false });
+            self.found.push(CollectedErrors { pointer, offset, message, is_left_out: false });
         }
     }
 
@@ -224,7 +224,7 @@ impl<'a> Collector<'a> {
     }
 
     /// The first fault of a part, as it is with its repairs.
-    fn read(&mut self, part: DocumentPart, path: &[usize]) -> Result<(), FormFault> {
+    fn read(&mut self, part: DocumentPart, path: &[usize]) -> Result<(), FormError> {
         let Some(value) = self.root.at(path) else { return Ok(()) };
         let mut text = String::new();
         value.write(self.text, &mut text, &mut Vec::new(), &|path, value| part.cut(path, value));
@@ -233,17 +233,17 @@ impl<'a> Collector<'a> {
     }
 
     /// Tells a fault of the form of what `path` leads to, unless it is known.
-    fn tell(&mut self, path: &[usize], fault: &FormFault) {
+    fn tell(&mut self, path: &[usize], fault: &FormError) {
         if !self.told.insert((self.root.pointer(path, true), fault.message.clone())) {
             return;
         }
         let key = self.root.member_at(path).filter(|_| fault.is_key).map(|member| member.start);
         let Some(offset) = key.or_else(|| self.root.at(path).map(|value| value.start)) else { return };
-        self.found.push(Found {
+        self.found.push(CollectedErrors {
             pointer: self.root.pointer(path, false),
             offset,
             message: fault.message.clone(),
-            is_left_out: matches!(fault.kind, FormFaultKind::UnknownKey(_)),
+            is_left_out: matches!(fault.kind, FormErrorKind::UnknownKey(_)),
         });
     }
 
@@ -261,7 +261,7 @@ impl<'a> Collector<'a> {
             let (path, _) = self.root.path_of(&steps(&pointer));
             let Some(value) = self.root.at(&path) else { continue };
             let (pointer, offset) = (self.root.pointer(&path, false), value.start);
-            self.found.push(Found { pointer, offset, message, is_left_out: false });
+            self.found.push(CollectedErrors { pointer, offset, message, is_left_out: false });
         }
     }
 
@@ -273,7 +273,7 @@ impl<'a> Collector<'a> {
         self.found.sort_by_key(|found| found.offset);
         self.found.truncate(MAX_ERRORS);
         let lines = LineIndex::new(self.text);
-        let place = |found: Found| lines.fault(found.offset, found.pointer, found.message);
+        let place = |found: CollectedErrors| lines.fault(found.offset, found.pointer, found.message);
         self.found.into_iter().map(place).collect()
     }
 }

@@ -12,18 +12,18 @@ use crate::json_scan;
 
 /// A fault of the form of a text.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub(super) struct FormFault {
+pub(super) struct FormError {
     /// JSON pointer in the text.
     pub(super) pointer: String,
     /// Whether it is of the key there, not of the value.
     pub(super) is_key: bool,
     /// What is wrong.
-    pub(super) kind: FormFaultKind,
+    pub(super) kind: FormErrorKind,
     /// What is wrong and what would be right, in words.
     pub(super) message: String,
 }
 
-impl FormFault {
+impl FormError {
     /// The fault at its place in the text.
     pub(super) fn placed(self, text: &str) -> ValidationError {
         let place = if self.is_key { ValidationError::at_member } else { ValidationError::at_value };
@@ -33,7 +33,7 @@ impl FormFault {
 
 /// What a repair must know of a fault.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub(super) enum FormFaultKind {
+pub(super) enum FormErrorKind {
     /// A key that its object does not take, and the one that was probably meant.
     UnknownKey(Option<String>),
     /// A name that is none of those there are, and the one that was probably meant.
@@ -45,7 +45,7 @@ pub(super) enum FormFaultKind {
 }
 
 /// Reads sound JSON; the first fault of its form otherwise.
-pub(super) fn read<T: DeserializeOwned>(text: &str) -> Result<T, FormFault> {
+pub(super) fn read<T: DeserializeOwned>(text: &str) -> Result<T, FormError> {
     let mut deserializer = serde_json::Deserializer::from_str(text);
     deserializer.disable_recursion_limit();
     serde_path_to_error::deserialize(&mut deserializer)
@@ -53,38 +53,38 @@ pub(super) fn read<T: DeserializeOwned>(text: &str) -> Result<T, FormFault> {
 }
 
 /// The same, and no list is taken for an object.
-pub(super) fn read_strictly<T: DeserializeOwned + Serialize>(text: &str) -> Result<T, FormFault> {
+pub(super) fn read_strictly<T: DeserializeOwned + Serialize>(text: &str) -> Result<T, FormError> {
     let value = read(text)?;
     match list_form::list_instead_of_object(text, &value) {
         Some(pointer) => {
             let message = "must be an object, not a list: write each value behind its key".to_owned();
-            Err(FormFault { pointer, is_key: false, kind: FormFaultKind::Value, message })
+            Err(FormError { pointer, is_key: false, kind: FormErrorKind::Value, message })
         }
         None => Ok(value),
     }
 }
 
 /// What serde says of a text, at the pointer where it says it.
-fn fault(text: &str, pointer: String, message: String) -> FormFault {
+fn fault(text: &str, pointer: String, message: String) -> FormError {
     if let Some((name, known)) = suggest::unknown(&message, "unknown variant `") {
         let meant = suggest::nearest(name, &known).map(str::to_owned);
         let message = suggest::unknown_name(name, &known, &pointer);
         let (pointer, is_key) = place_of_name(text, pointer, name);
-        return FormFault { pointer, is_key, kind: FormFaultKind::UnknownName(meant), message };
+        return FormError { pointer, is_key, kind: FormErrorKind::UnknownName(meant), message };
     }
     if let Some((key, known)) = suggest::unknown(&message, "unknown field `") {
         let meant = suggest::nearest(key, &known).map(str::to_owned);
         let message = suggest::unknown_key(key, &known);
         let is_key = json_scan::locate_member(text, &pointer).is_some();
-        return FormFault { pointer, is_key, kind: FormFaultKind::UnknownKey(meant), message };
+        return FormError { pointer, is_key, kind: FormErrorKind::UnknownKey(meant), message };
     }
     if let Some(key) = message.strip_prefix("missing field `").and_then(|rest| rest.strip_suffix('`')) {
-        let kind = FormFaultKind::MissingKey(key.to_owned());
+        let kind = FormErrorKind::MissingKey(key.to_owned());
         let message = format!("lacks the key `{key}`: add it");
-        return FormFault { pointer, is_key: false, kind, message };
+        return FormError { pointer, is_key: false, kind, message };
     }
     let (pointer, message) = messages::rewrite_serde_error(text, pointer, message);
-    FormFault { pointer, is_key: false, kind: FormFaultKind::Value, message }
+    FormError { pointer, is_key: false, kind: FormErrorKind::Value, message }
 }
 
 /// Where a name that there is not stands: as a key, or as a value.

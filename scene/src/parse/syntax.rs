@@ -18,7 +18,7 @@ pub(super) fn fault(text: &str, error: &serde_json::Error) -> ValidationError {
     let reached = lines.offset(error.line(), error.column());
     // A later oddity is not what serde stopped at.
     match first_oddity(text).filter(|oddity| oddity.offset <= reached + 1) {
-        Some(Oddity { offset, message }) => lines.fault(offset, String::new(), message),
+        Some(SyntaxOddity { offset, message }) => lines.fault(offset, String::new(), message),
         None => {
             let (line, column) = (error.line() as u32, error.column().max(1) as u32);
             ValidationError {
@@ -45,7 +45,7 @@ fn words(message: &str) -> String {
 }
 
 /// Something that JSON does not have.
-struct Oddity {
+struct SyntaxOddity {
     offset: usize,
     message: String,
 }
@@ -72,13 +72,13 @@ struct Scanner<'a> {
     open: Vec<usize>,
 }
 
-fn first_oddity(text: &str) -> Option<Oddity> {
+fn first_oddity(text: &str) -> Option<SyntaxOddity> {
     let mut scanner = Scanner { text, bytes: text.as_bytes(), at: 0, before: Token::Start, open: Vec::new() };
     loop {
         scanner.at += scanner.blanks_at(scanner.at);
         let Some(&byte) = scanner.bytes.get(scanner.at) else { return Some(scanner.end()) };
         if let Some(message) = scanner.token(byte) {
-            return Some(Oddity { offset: scanner.at, message });
+            return Some(SyntaxOddity { offset: scanner.at, message });
         }
     }
 }
@@ -187,7 +187,7 @@ impl Scanner<'_> {
     }
 
     /// The text ends before its job does.
-    fn end(&self) -> Oddity {
+    fn end(&self) -> SyntaxOddity {
         let message = match self.open.last() {
             Some(&open) => {
                 let place = LineIndex::new(&self.text[..open]).fault(open, String::new(), String::new());
@@ -199,7 +199,7 @@ impl Scanner<'_> {
             }
             None => "the text ends too early (EOF): write a job, which is one JSON object".to_owned(),
         };
-        Oddity { offset: self.text.trim_end().len().saturating_sub(1), message }
+        SyntaxOddity { offset: self.text.trim_end().len().saturating_sub(1), message }
     }
 }
 

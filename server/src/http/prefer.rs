@@ -26,7 +26,7 @@ pub(super) async fn answer(
 ) -> Result<Response, ApiError> {
     let wait = wait(headers);
     if let Some(wait) = wait {
-        until_ended(farm, id, wait).await?;
+        wait_until_finished(farm, id, wait).await?;
     }
     let view: JobView = farm.queue.job(id).await?.ok_or_else(|| ApiError::UnknownJob(id.to_string()))?;
     let mut response = (status, Json(view)).into_response();
@@ -38,7 +38,7 @@ pub(super) async fn answer(
     Ok(response)
 }
 
-async fn until_ended(farm: &Farm, id: JobId, wait: Duration) -> Result<(), ApiError> {
+async fn wait_until_finished(farm: &Farm, id: JobId, wait: Duration) -> Result<(), ApiError> {
     let deadline = monotonic_now() + wait;
     let Some(followed) = farm.queue.event_position(id).await? else { return Ok(()) };
     let topic = farm.events.topic(followed.job).await?;
