@@ -154,7 +154,7 @@ fn dry_run_checks_and_accepts_nothing() {
 }
 
 #[test]
-fn openapi_document_is_sound_and_names_every_route() {
+fn openapi_document_is_valid_and_names_every_route() {
     let farm = Farm::start(&["--workers", "0"]);
     let document = farm.get("/openapi.json").json();
     assert!(document["openapi"].as_str().is_some_and(|version| version.starts_with("3.1")));
@@ -227,7 +227,7 @@ fn served_schema_is_the_one_the_command_prints() {
 }
 
 #[test]
-fn health_is_told_without_workers_and_with() {
+fn health_is_reported_without_workers_and_with() {
     let farm = Farm::start(&["--workers", "0"]);
     assert_eq!(farm.get("/livez").status, 200);
     let alone = farm.get("/readyz");

@@ -1,8 +1,8 @@
 //! Bad jobs, table-driven: each is refused over HTTP with its status, pointer, line, column
 //! and cure, and by `sdfarm check` with exit code 2; the server lives on.
 
+mod animation;
 mod language;
-mod motion;
 
 use serde_json::Value;
 
@@ -231,7 +231,7 @@ fn too_much() -> Vec<Case> {
 }
 
 fn cases() -> Vec<Case> {
-    [wrong_form(), motion::cases(), wrong_meaning(), language::cases(), not_json(), too_much()]
+    [wrong_form(), animation::cases(), wrong_meaning(), language::cases(), not_json(), too_much()]
         .into_iter()
         .flatten()
         .collect()
@@ -255,7 +255,7 @@ fn misfit(case: &Case, pointer: &str, message: &str, line: u64, column: u64) -> 
 }
 
 #[test]
-fn bad_jobs_are_refused_over_http_with_place_and_cure() {
+fn bad_jobs_are_rejected_over_http_with_place_and_cure() {
     let farm = Farm::start(&["--workers", "0"]);
     assert_eq!(farm.post(SOUND).status, 201, "the sound job is sound");
     let mut wrong = Vec::new();
@@ -281,7 +281,7 @@ fn bad_jobs_are_refused_over_http_with_place_and_cure() {
 }
 
 #[test]
-fn bad_jobs_are_refused_on_the_command_line_with_place_and_cure() {
+fn bad_jobs_are_rejected_on_the_command_line_with_place_and_cure() {
     let mut wrong = Vec::new();
     for case in cases() {
         let output = finish(sdfarm(&["check", "-"]), &case.text);
@@ -317,7 +317,7 @@ fn several() -> Vec<(String, Vec<(String, String)>)> {
 }
 
 #[test]
-fn all_faults_of_a_job_are_told_at_once() {
+fn all_faults_of_a_job_are_reported_at_once() {
     let farm = Farm::start(&["--workers", "0"]);
     let cases = several();
     assert!(cases.len() >= 20, "only {}", cases.len());
@@ -350,7 +350,7 @@ fn faults_and_size_are_data_too() {
 }
 
 #[test]
-fn every_fault_of_meaning_is_told_at_once() {
+fn every_fault_of_meaning_is_reported_at_once() {
     let job = SOUND.replacen(r#""material": "clay""#, r#""material": "play""#, 1);
     let job = job.replacen(LOOK_AT, r#""look_at": [0, 0, 5]"#, 1);
     let output = finish(sdfarm(&["check", "-"]), job.as_bytes());
@@ -360,7 +360,7 @@ fn every_fault_of_meaning_is_told_at_once() {
 }
 
 #[test]
-fn frame_beyond_the_end_is_refused_with_those_there_are() {
+fn frame_beyond_the_end_is_rejected_with_those_there_are() {
     let output = finish(sdfarm(&["render", "-", "--frame", "1", "--output", "-"]), SOUND.as_bytes());
     assert_eq!(output.status.code(), Some(2), "{}", text(&output.stderr));
     assert!(text(&output.stderr).contains("frames 0 to 0"), "{}", text(&output.stderr));
@@ -392,7 +392,7 @@ fn body_over_the_limit_is_too_large() {
 }
 
 #[test]
-fn wrong_content_type_is_refused_and_none_is_json() {
+fn wrong_content_type_is_rejected_and_none_is_json() {
     let farm = Farm::start(&["--workers", "0"]);
     let send = |headers: &[(&str, &str)]| farm.send("POST", "/v1/jobs", headers, SOUND.as_bytes().to_vec());
     let problem = send(&[("content-type", "text/plain")]).problem(415, "wrong_content_type");
@@ -422,7 +422,7 @@ fn what_is_not_there_is_not_found() {
 }
 
 #[test]
-fn impossible_pools_are_refused_with_the_range() {
+fn impossible_pools_are_rejected_with_the_range() {
     let farm = Farm::start(&["--workers", "0"]);
     for body in [r#"{"workers": -1}"#, r#"{"workers": 10000}"#, r#"{"workers": 257}"#, r#"{"workers": 1.5}"#, "{}", "7"]
     {
@@ -441,7 +441,7 @@ fn impossible_pools_are_refused_with_the_range() {
 }
 
 #[test]
-fn foreign_host_is_refused() {
+fn foreign_host_is_rejected() {
     let farm = Farm::start(&["--workers", "0"]);
     for host in ["evil.example", "evil.example:8080", "127.0.0.1.evil.example"] {
         let answer = farm.send("GET", "/v1/jobs", &[("host", host)], Vec::new());

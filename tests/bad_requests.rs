@@ -43,11 +43,11 @@ impl Stage {
         let sync = |results: Value, wants_work: bool| {
             post(
                 "/v1/worker/sync",
-                json!({ "worker": worker, "rays_per_second": null, "holding": [], "results": results,
+                json!({ "worker": worker, "rays_per_second": null, "held_leases": [], "reports": results,
                         "wants_work": wants_work, "wait_ms": 0 }),
             )
         };
-        let run = sync(json!([]), true)["run"].clone();
+        let run = sync(json!([]), true)["batch"].clone();
         let tiles = run["work"]["render"]["tiles"].as_array().expect("tiles").clone();
         let picture = b"no picture, but bytes".to_vec();
         let hash = blake3::hash(&picture).to_hex().to_string();

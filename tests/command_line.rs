@@ -95,7 +95,7 @@ fn interrupted_render_leaves_no_file_and_keeps_the_old_one() {
 }
 
 #[test]
-fn check_tells_a_sound_job_from_a_bad_one() {
+fn check_tells_a_valid_job_from_a_bad_one() {
     let folder = folder_with(&jobs::quick());
     assert!(succeed(&["check", folder.path().join("job.json").to_str().expect("plain")]).contains("sound"));
     fs::write(folder.path().join("bad.json"), "{\n  \"scene\": 7 }").expect("written");
@@ -104,7 +104,7 @@ fn check_tells_a_sound_job_from_a_bad_one() {
 }
 
 #[test]
-fn shipped_jobs_are_sound() {
+fn shipped_jobs_are_valid() {
     for (name, _) in jobs::shipped() {
         let path = crate::support::root().join(format!("scenes/{name}.json"));
         succeed(&["check", path.to_str().expect("plain")]);
@@ -153,7 +153,7 @@ fn client_commands_take_a_job_from_hand_in_to_picture() {
 }
 
 #[test]
-fn submitted_bad_job_is_told_with_the_files_name() {
+fn submitted_bad_job_is_reported_with_the_files_name() {
     let farm = Farm::start(&["--workers", "0"]);
     let mut job = jobs::quick();
     job["image"]["samples"] = Value::from(0);

@@ -198,7 +198,7 @@ fn auto_is_the_cpu_where_there_is_no_driver_and_says_nothing_of_it() {
 }
 
 #[test]
-fn every_fault_of_a_machine_has_its_words() {
+fn each_cuda_error_has_a_message() {
     let faults: [(&str, &str, &[&str]); 6] = [
         ("no_device", "cuda", &["finds no GPU", "nvidia-smi", "--device cpu"]),
         ("", "cuda:7", &["--device cuda:7", "no GPU 7", "there are 1, counted from 0"]),
@@ -308,7 +308,7 @@ fn compiled_program_is_kept_and_a_damaged_one_is_compiled_again() {
 }
 
 #[test]
-fn refused_program_is_kept_for_whoever_looks_into_it() {
+fn rejected_program_is_kept_for_whoever_looks_into_it() {
     let folder = tempfile::tempdir().expect("a folder");
     let cache = folder.path().to_str().expect("plain");
     let with_cache = |fault: &str| {
@@ -336,12 +336,12 @@ fn refused_program_is_kept_for_whoever_looks_into_it() {
 }
 
 #[test]
-fn scene_that_is_too_large_for_a_gpu_is_told_so() {
+fn scene_that_is_too_large_for_a_gpu_is_reported_so() {
     assert_refused(with_gpu(&ON_GPU), &of_nodes(251), &["has 503 nodes", "takes at most 500", "--device cpu"]);
 }
 
 #[test]
-fn picture_that_is_too_large_for_the_memory_is_told_so() {
+fn picture_that_exceeds_memory_is_rejected() {
     let job = jobs::as_png(&jobs::sized(&jobs::named("csg"), 640, 1));
     assert_refused(with_fault("memory:2000000", &ON_GPU), &job, &["out of memory for 3686400 bytes", "--tile"]);
 }

@@ -1,11 +1,11 @@
 //! What a machine can do to a server: a taken port or folder, a full disk, a damaged database.
 //! Each ends in exit code 1 or a problem, with the place and the cure, and never in a panic.
 
-mod crowd;
+mod fail_points;
 mod network;
-mod nth;
-mod points;
+mod nth_failure;
 mod remote;
+mod slow_clients;
 
 use std::fs;
 use std::net::TcpListener;
@@ -42,7 +42,7 @@ fn busy_port_is_named_with_the_cure() {
 }
 
 #[test]
-fn data_folder_of_another_server_is_refused() {
+fn data_folder_of_another_server_is_rejected() {
     let folder = tempfile::tempdir().expect("a folder");
     let farm = Farm::start_on(folder.path(), &["--workers", "0"]);
     let told = cannot_serve(&folder.path().join("data"), &["--listen", "127.0.0.1:0"]);
@@ -51,7 +51,7 @@ fn data_folder_of_another_server_is_refused() {
 }
 
 #[test]
-fn file_in_place_of_the_data_folder_is_refused() {
+fn file_in_place_of_the_data_folder_is_rejected() {
     let folder = tempfile::tempdir().expect("a folder");
     let data = folder.path().join("data");
     fs::write(&data, "no folder").expect("written");
@@ -61,7 +61,7 @@ fn file_in_place_of_the_data_folder_is_refused() {
 }
 
 #[test]
-fn read_only_data_folder_is_refused() {
+fn read_only_data_folder_is_rejected() {
     let folder = tempfile::tempdir().expect("a folder");
     let data = folder.path().join("data");
     fs::create_dir(&data).expect("made");
@@ -73,7 +73,7 @@ fn read_only_data_folder_is_refused() {
 }
 
 #[test]
-fn damaged_database_is_refused_and_left_as_it_is() {
+fn damaged_database_is_rejected_and_left_as_it_is() {
     let folder = tempfile::tempdir().expect("a folder");
     let farm = Farm::start_on(folder.path(), &["--workers", "0"]);
     farm.accept(&jobs::quick().to_string());
@@ -102,7 +102,7 @@ fn damaged_database_is_refused_and_left_as_it_is() {
 }
 
 #[test]
-fn listening_beyond_loopback_is_refused_unless_said() {
+fn listening_beyond_loopback_is_rejected_unless_said() {
     let folder = tempfile::tempdir().expect("a folder");
     let told = cannot_serve(&folder.path().join("data"), &["--listen", "0.0.0.0:0"]);
     assert!(told.contains("--insecure"), "{told}");

@@ -120,7 +120,7 @@ fn frames_are_saved_in_a_folder_and_a_file_says_what_became_of_the_others() {
 }
 
 #[test]
-fn an_output_that_can_not_be_written_is_told_before_anything_is_submitted() {
+fn an_output_that_can_not_be_written_is_reported_before_anything_is_submitted() {
     let farm = Farm::start(&["--workers", "0"]);
     let folder = folder_with_frames(2);
     fs::write(folder.path().join("file"), "").expect("written");

@@ -5,8 +5,8 @@
 //! `SDFARM_FUZZ_SECONDS` is how long, or `SDFARM_FUZZ_RUNS` how often, each target runs instead;
 //! `SDFARM_FUZZ_SEED` chooses what is tried. A finding prints its input in hex, for `regressions`.
 
-mod chance;
 mod messages;
+mod mutate;
 mod pictures;
 mod requests;
 mod stored;
@@ -14,7 +14,7 @@ mod stored;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::time::{Duration, Instant};
 
-use chance::Chance;
+use mutate::SeededRng;
 
 /// No input is larger.
 const MOST_BYTES: usize = 64 << 10;
@@ -40,7 +40,7 @@ fn fuzz(target: &str, effort: Effort, corpus: &[Vec<u8>], mut run: impl FnMut(&[
         (None, Some(seconds), _) => (None, Duration::from_secs(seconds)),
         (None, None, Effort::Long) => (None, Duration::from_mins(1)),
     };
-    let mut chance = Chance::new(seed);
+    let mut chance = SeededRng::new(seed);
     let start = Instant::now();
     let mut done = 0;
     let mut slowest = Duration::ZERO;

@@ -25,12 +25,12 @@ fn soaked_farm_keeps_its_word_over_a_few_kills() {
 
 #[test]
 #[ignore = "long: 100 kills of workers and 30 of servers; two minutes"]
-fn soaked_farm_keeps_its_word_over_a_hundred_and_thirty_kills() {
+fn soak_with_130_kills_finds_no_violation() {
     assert_soaked("100", "30");
 }
 
 #[test]
-fn soak_that_contradicts_itself_is_refused() {
+fn soak_that_contradicts_itself_is_rejected() {
     let output = finish(sdfarm(&["soak", "--minutes", "1", "--workers", "1", "--worker-kills", "1"]), b"");
     assert_eq!(output.status.code(), Some(2), "{}", text(&output.stderr));
 }

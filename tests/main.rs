@@ -2,14 +2,15 @@
 //!
 //! They see only what a user sees; what is inside is tested beside the code.
 
+mod access_control;
 mod api;
 mod bad_input;
 mod bad_requests;
+mod bit_identical;
 mod command_line;
 mod compose;
 mod cuda;
 mod documented;
-mod doors;
 mod exr_reader;
 mod faults;
 mod first_steps;
@@ -21,7 +22,6 @@ mod operating;
 mod pages;
 mod pictures;
 mod previews;
-mod same_bits;
+mod repository;
 mod skip;
 mod support;
-mod tidy;

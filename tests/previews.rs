@@ -169,8 +169,8 @@ fn preview_and_link_are_commands_too() {
 
 #[test]
 fn a_child_that_draws_ends_with_its_input_and_says_what_it_can_not_read() {
-    for line in ["", "{}\n", "{\"what\":\"stored\",\"file\":\"/nonexistent\",\"width_px\":9}\n"] {
-        let output = crate::support::finish(crate::support::sdfarm(&["sketch"]), line.as_bytes());
+    for line in ["", "{}\n", "{\"what\":\"thumbnail\",\"file\":\"/nonexistent\",\"width_px\":9}\n"] {
+        let output = crate::support::finish(crate::support::sdfarm(&["preview-helper"]), line.as_bytes());
         assert_eq!(output.status.code(), Some(1), "{line}");
     }
 }

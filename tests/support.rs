@@ -371,7 +371,7 @@ fn try_send(
     static RUNTIME: OnceLock<(tokio::runtime::Runtime, reqwest::Client)> = OnceLock::new();
     let (runtime, client) = RUNTIME.get_or_init(|| {
         let runtime = tokio::runtime::Builder::new_multi_thread().worker_threads(2).enable_all().build();
-        (runtime.expect("threads"), proto::access::client_builder().build().expect("a client"))
+        (runtime.expect("threads"), proto::client_auth::client_builder().build().expect("a client"))
     });
     let method = method.parse().expect("a method");
     let mut request = client.request(method, format!("{address}{path}")).timeout(DEADLINE).body(body);

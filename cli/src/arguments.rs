@@ -6,11 +6,11 @@ use std::sync::Arc;
 
 use clap::Args;
 use clap::builder::{PossibleValuesParser, TypedValueParser};
-use proto::{Access, Client, ClientError, Secret};
-use worker::cuda::{CudaRenderer, Shape};
+use proto::{Client, ClientAuth, ClientError, Secret};
+use worker::cuda::{BlockDim, CudaRenderer};
 use worker::{CpuRenderer, RenderError, Renderer, Simd};
 
-use crate::terminal::note;
+use crate::terminal::print_note;
 
 /// Default of `--server`.
 pub(crate) const DEFAULT_SERVER: &str = "http://127.0.0.1:8080";
@@ -24,19 +24,19 @@ pub(crate) struct ServerArguments {
     #[arg(long, value_name = "URL", env = "SDFARM_SERVER", default_value = DEFAULT_SERVER)]
     server: String,
     #[command(flatten)]
-    access: AccessArguments,
+    auth: AuthArguments,
 }
 
 impl ServerArguments {
     /// A client of that server.
     pub(crate) fn client(&self) -> anyhow::Result<Client> {
-        Ok(Client::with_access(&self.server, self.access.access()?)?)
+        Ok(Client::with_auth(&self.server, self.auth.auth()?)?)
     }
 }
 
 /// Credentials for calling the server.
 #[derive(Clone, Debug, Args)]
-pub(crate) struct AccessArguments {
+pub(crate) struct AuthArguments {
     /// API key, as printed by `sdfarm key new`; prefer SDFARM_KEY, because process lists show arguments.
     #[arg(long, value_name = "KEY", env = "SDFARM_KEY", hide_env_values = true)]
     key: Option<Secret>,
@@ -45,21 +45,21 @@ pub(crate) struct AccessArguments {
     ca: Option<PathBuf>,
 }
 
-impl AccessArguments {
+impl AuthArguments {
     /// The client's form of these arguments.
-    pub(crate) fn access(&self) -> Result<Access, ClientError> {
-        Ok(Access::new(self.key.clone(), self.ca.as_deref())?)
+    pub(crate) fn auth(&self) -> Result<ClientAuth, ClientError> {
+        Ok(ClientAuth::new(self.key.clone(), self.ca.as_deref())?)
     }
 
     /// The client's form, with another key.
-    pub(crate) fn with_key(&self, key: Secret) -> Result<Access, ClientError> {
-        Ok(Access::new(Some(key), self.ca.as_deref())?)
+    pub(crate) fn with_key(&self, key: Secret) -> Result<ClientAuth, ClientError> {
+        Ok(ClientAuth::new(Some(key), self.ca.as_deref())?)
     }
 }
 
 /// Device to render on.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum Device {
+pub(crate) enum DeviceChoice {
     /// The best available: the GPU of this number, or the first; the CPU if no GPU can render.
     Auto(Option<usize>),
     /// The processor.
@@ -68,7 +68,7 @@ pub(crate) enum Device {
     Cuda(Option<usize>),
 }
 
-impl FromStr for Device {
+impl FromStr for DeviceChoice {
     type Err = String;
 
     fn from_str(text: &str) -> Result<Self, String> {
@@ -90,7 +90,7 @@ impl FromStr for Device {
 pub(crate) struct RendererArguments {
     /// Device: auto, cpu, cuda or cuda:N.
     #[arg(long, env = "SDFARM_DEVICE", default_value = "auto")]
-    pub(crate) device: Device,
+    pub(crate) device: DeviceChoice,
     /// Threads that render on a CPU and encode [default: one for each core].
     #[arg(long, value_name = "N", env = "SDFARM_THREADS", value_parser = clap::value_parser!(u32).range(1..=i64::from(MAX_THREADS)))]
     pub(crate) threads: Option<u32>,
@@ -107,7 +107,7 @@ pub(crate) struct CudaArguments {
     /// Block dimensions on a GPU, such as 16x8 [default: the fastest for each scene]; the picture is the
     /// same with each.
     #[arg(long, value_name = "COLUMNSxROWS", env = "SDFARM_BLOCK")]
-    block: Option<Shape>,
+    block: Option<BlockDim>,
     /// Folder for compiled GPU kernels [default: in the user's cache].
     #[arg(long, value_name = "FOLDER", env = "SDFARM_CACHE")]
     cache: Option<PathBuf>,
@@ -115,12 +115,12 @@ pub(crate) struct CudaArguments {
 
 impl CudaArguments {
     /// The same settings with these block dimensions.
-    pub(crate) fn in_blocks(&self, shape: Shape) -> Self {
+    pub(crate) fn with_block(&self, shape: BlockDim) -> Self {
         Self { block: Some(shape), ..self.clone() }
     }
 
     /// The shape of blocks, if one was named.
-    pub(crate) fn block(&self) -> Option<Shape> {
+    pub(crate) fn block(&self) -> Option<BlockDim> {
         self.block
     }
 
@@ -140,14 +140,14 @@ impl RendererArguments {
     /// Starts the renderer. Without a requested device it tries a GPU first.
     pub(crate) fn renderer(&self) -> Result<Arc<dyn Renderer>, RenderError> {
         let ordinal = match self.device {
-            Device::Cpu => None,
-            Device::Cuda(ordinal) => Some(ordinal.unwrap_or(0)),
-            Device::Auto(ordinal) => worker::cuda::devices().is_ok().then_some(ordinal.unwrap_or(0)),
+            DeviceChoice::Cpu => None,
+            DeviceChoice::Cuda(ordinal) => Some(ordinal.unwrap_or(0)),
+            DeviceChoice::Auto(ordinal) => worker::cuda::devices().is_ok().then_some(ordinal.unwrap_or(0)),
         };
         match ordinal.map(|ordinal| self.cuda.renderer(ordinal)) {
             Some(Ok(gpu)) => return Ok(Arc::new(gpu.with_encoders(self.threads.map(|threads| threads as usize)))),
-            Some(Err(error)) if matches!(self.device, Device::Auto(_)) => {
-                note(&format!("rendering on the CPU: {error}"));
+            Some(Err(error)) if matches!(self.device, DeviceChoice::Auto(_)) => {
+                print_note(&format!("rendering on the CPU: {error}"));
             }
             Some(Err(error)) => return Err(error),
             None => {}

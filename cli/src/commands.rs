@@ -18,6 +18,7 @@ mod link;
 mod pause;
 mod pool;
 mod preview;
+mod preview_helper;
 mod priority;
 mod render;
 mod restore;
@@ -26,7 +27,6 @@ mod retry;
 mod schema;
 mod selftest;
 mod serve;
-mod sketch;
 mod soak;
 mod status;
 mod submit;
@@ -115,7 +115,7 @@ pub(crate) enum Command {
     Demo(demo::Arguments),
     /// Draw what a server asks for.
     #[command(hide = true)]
-    Sketch,
+    PreviewHelper,
 }
 
 impl Command {
@@ -161,7 +161,7 @@ impl Command {
             Self::Restore(arguments) => run_async(interruptible(restore::run(arguments))),
             Self::Doctor(arguments) => run_async(interruptible(doctor::run(arguments))),
             Self::Demo(arguments) => run_async(demo::run(arguments)),
-            Self::Sketch => sketch::run(),
+            Self::PreviewHelper => preview_helper::run(),
         }
     }
 }
@@ -176,7 +176,7 @@ fn run_async<T>(work: impl Future<Output = anyhow::Result<T>>) -> anyhow::Result
 
 /// Runs work that Ctrl-C may drop at any time, together with its temporary files.
 async fn interruptible(work: impl Future<Output = anyhow::Result<()>>) -> anyhow::Result<()> {
-    let mut signals = Signals::catch()?;
+    let mut signals = Signals::install()?;
     tokio::select! {
         done = work => done,
         () = signals.next() => anyhow::bail!("interrupted"),

@@ -9,22 +9,22 @@ use proto::{Client, ClientError, JobId};
 
 use crate::output_file::OutputFile;
 use crate::progress::Progress;
-use crate::terminal::note;
+use crate::terminal::print_note;
 
-const FIRST_WAIT: Duration = Duration::from_millis(20);
-const LONGEST_WAIT: Duration = Duration::from_millis(500);
+const INITIAL_BACK_OFF: Duration = Duration::from_millis(20);
+const MAX_BACK_OFF: Duration = Duration::from_millis(500);
 /// How long a server that was reachable may be away: it restarts.
-const PATIENCE: Duration = Duration::from_mins(1);
+const UNREACHABLE_TIMEOUT: Duration = Duration::from_mins(1);
 /// Steps of a progress bar: the server sends a fraction, not a count.
-const STEPS: f64 = 10_000.0;
+const BAR_STEPS: f64 = 10_000.0;
 
 /// Waits until the job has succeeded; a job that failed or was cancelled is an error.
-pub(crate) async fn until_done(client: &Client, id: JobId) -> anyhow::Result<JobView> {
-    let job = first_look(client, id).await?;
+pub(crate) async fn wait_for_success(client: &Client, id: JobId) -> anyhow::Result<JobView> {
+    let job = initial_state(client, id).await?;
     note_pause(client, &job).await;
-    let progress = Progress::new(&job.name, STEPS as u64);
-    let job = match Following::new(client, id).until_final(&progress, job).await {
-        Err(ClientError::Foreign { .. }) => poll(client, id, &progress).await?,
+    let progress = Progress::new(&job.name, BAR_STEPS as u64);
+    let job = match JobFollower::new(client, id).until_final(&progress, job).await {
+        Err(ClientError::UnexpectedResponse { .. }) => poll(client, id, &progress).await?,
         followed => followed?,
     };
     progress.finish();
@@ -45,7 +45,7 @@ async fn note_pause(client: &Client, job: &JobView) {
         return;
     }
     if job.paused {
-        note(&format!("job {} is paused: `sdfarm resume {}` lets it go on", job.id, job.id));
+        print_note(&format!("job {} is paused: `sdfarm resume {}` lets it go on", job.id, job.id));
     } else {
         note_farm_pause(client).await;
     }
@@ -54,18 +54,18 @@ async fn note_pause(client: &Client, job: &JobView) {
 /// Says so if the farm is paused; with a key that may not read the farm's state, nothing.
 pub(crate) async fn note_farm_pause(client: &Client) {
     if client.farm().await.is_ok_and(|farm| farm.paused) {
-        note("the farm is paused: `sdfarm resume` lets it go on");
+        print_note("the farm is paused: `sdfarm resume` lets it go on");
     }
 }
 
 /// First read of the job. A server that accepted the connection and then vanished is retried; one that was
 /// never reached is not.
-async fn first_look(client: &Client, id: JobId) -> Result<JobView, ClientError> {
+async fn initial_state(client: &Client, id: JobId) -> Result<JobView, ClientError> {
     let begun = Instant::now();
     let mut was_there = false;
     loop {
         match client.job(id).await {
-            Err(error) if is_away(&error) && begun.elapsed() < PATIENCE => {
+            Err(error) if is_unreachable(&error) && begun.elapsed() < UNREACHABLE_TIMEOUT => {
                 was_there |= !matches!(error, ClientError::Unreachable { .. });
                 if !was_there {
                     return Err(error);
@@ -73,29 +73,29 @@ async fn first_look(client: &Client, id: JobId) -> Result<JobView, ClientError> 
             }
             looked => return looked,
         }
-        tokio::time::sleep(LONGEST_WAIT).await;
+        tokio::time::sleep(MAX_BACK_OFF).await;
     }
 }
 
 /// Subscription to events; it reconnects when the server returns.
-struct Following<'a> {
+struct JobFollower<'a> {
     client: &'a Client,
     id: JobId,
     last_id: Option<String>,
-    heard: Instant,
+    last_event_at: Instant,
 }
 
-impl<'a> Following<'a> {
+impl<'a> JobFollower<'a> {
     fn new(client: &'a Client, id: JobId) -> Self {
-        Self { client, id, last_id: None, heard: Instant::now() }
+        Self { client, id, last_id: None, last_event_at: Instant::now() }
     }
 
     async fn until_final(&mut self, progress: &Progress, mut job: JobView) -> Result<JobView, ClientError> {
-        let mut wait = FIRST_WAIT;
+        let mut wait = INITIAL_BACK_OFF;
         while !job.state.is_final() {
             match self.listen(progress).await {
-                Ok(()) => wait = FIRST_WAIT,
-                Err(error) if is_away(&error) && self.heard.elapsed() < PATIENCE => {}
+                Ok(()) => wait = INITIAL_BACK_OFF,
+                Err(error) if is_unreachable(&error) && self.last_event_at.elapsed() < UNREACHABLE_TIMEOUT => {}
                 // Something on the way, or an older server, has no events.
                 Err(error) if error.code() == Some("unknown_route") => {
                     return poll(self.client, self.id, progress).await;
@@ -105,15 +105,15 @@ impl<'a> Following<'a> {
             match self.client.job(self.id).await {
                 Ok(now) => {
                     job = now;
-                    self.heard = Instant::now();
-                    progress.set((job.progress * STEPS) as u64);
+                    self.last_event_at = Instant::now();
+                    progress.set((job.progress * BAR_STEPS) as u64);
                 }
-                Err(error) if is_away(&error) && self.heard.elapsed() < PATIENCE => {}
+                Err(error) if is_unreachable(&error) && self.last_event_at.elapsed() < UNREACHABLE_TIMEOUT => {}
                 Err(other) => return Err(other),
             }
             if !job.state.is_final() {
                 tokio::time::sleep(wait).await;
-                wait = (wait * 3 / 2).min(LONGEST_WAIT);
+                wait = (wait * 3 / 2).min(MAX_BACK_OFF);
             }
         }
         Ok(job)
@@ -125,7 +125,7 @@ impl<'a> Following<'a> {
         loop {
             let event = events.next().await;
             self.last_id = events.last_id().map(ToOwned::to_owned);
-            self.heard = Instant::now();
+            self.last_event_at = Instant::now();
             let share = match event? {
                 None => return Ok(()),
                 Some(JobEvent::Progress(event)) => event.progress,
@@ -133,31 +133,32 @@ impl<'a> Following<'a> {
                 Some(JobEvent::State(event)) if event.state == JobState::Succeeded => 1.0,
                 Some(JobEvent::State(_) | JobEvent::Tile(_) | JobEvent::Frame(_)) => continue,
             };
-            progress.set((share * STEPS) as u64);
+            progress.set((share * BAR_STEPS) as u64);
         }
     }
 }
 
-fn is_away(error: &ClientError) -> bool {
-    matches!(error, ClientError::Unreachable { .. } | ClientError::Broken { .. }) || error.code() == Some("closing")
+fn is_unreachable(error: &ClientError) -> bool {
+    matches!(error, ClientError::Unreachable { .. } | ClientError::ConnectionLost { .. })
+        || error.code() == Some("closing")
 }
 
 /// Polls the job.
 async fn poll(client: &Client, id: JobId, progress: &Progress) -> Result<JobView, ClientError> {
-    let mut wait = FIRST_WAIT;
+    let mut wait = INITIAL_BACK_OFF;
     let mut heard = Instant::now();
     loop {
         match client.job(id).await {
             Ok(job) if job.state.is_final() => return Ok(job),
             Ok(job) => {
-                progress.set((job.progress * STEPS) as u64);
+                progress.set((job.progress * BAR_STEPS) as u64);
                 heard = Instant::now();
             }
-            Err(error) if is_away(&error) && heard.elapsed() < PATIENCE => {}
+            Err(error) if is_unreachable(&error) && heard.elapsed() < UNREACHABLE_TIMEOUT => {}
             Err(other) => return Err(other),
         }
         tokio::time::sleep(wait).await;
-        wait = (wait * 3 / 2).min(LONGEST_WAIT);
+        wait = (wait * 3 / 2).min(MAX_BACK_OFF);
     }
 }
 
@@ -165,7 +166,7 @@ async fn poll(client: &Client, id: JobId, progress: &Progress) -> Result<JobView
 pub(crate) async fn fetch(client: &Client, id: JobId, frame: u32, path: &str) -> anyhow::Result<()> {
     let size_bytes = save(client, id, frame, path).await?;
     if path != "-" {
-        note(&format!("wrote {path}: {size_bytes} bytes"));
+        print_note(&format!("wrote {path}: {size_bytes} bytes"));
     }
     Ok(())
 }

@@ -4,10 +4,10 @@ use std::fs::File;
 use std::io::Read;
 
 use proto::ClientError;
-use proto::problem::FaultView;
-use scene::{Job, Refusal};
+use proto::problem::ValidationErrorView;
+use scene::{Job, ParseError};
 
-use crate::failure::{BadJob, Misuse};
+use crate::error::{InvalidJob, UsageError};
 
 /// A job file's text.
 #[derive(Debug)]
@@ -31,12 +31,12 @@ impl JobFile {
             File::open(path).and_then(|file| file.take(bounded).read_to_end(&mut text))
         };
         read.map_err(|error| {
-            Misuse(format!(
+            UsageError(format!(
                 "could not read the job file {name}: {error}; name one that is there, or - for standard input"
             ))
         })?;
         if text.len() > limit {
-            return Err(Misuse(format!("{name} is larger than a job file may be: {} MiB", limit >> 20)).into());
+            return Err(UsageError(format!("{name} is larger than a job file may be: {} MiB", limit >> 20)).into());
         }
         Ok(Self { name, text })
     }
@@ -45,18 +45,18 @@ impl JobFile {
     pub(crate) fn parse(&self) -> anyhow::Result<Job> {
         scene::parse(&self.text).map_err(|refusal| {
             let faults = match &refusal {
-                Refusal::NotJson(fault) => vec![FaultView::from(fault)],
-                Refusal::Wrong(faults) => faults.iter().map(FaultView::from).collect(),
+                ParseError::NotJson(fault) => vec![ValidationErrorView::from(fault)],
+                ParseError::Invalid(faults) => faults.iter().map(ValidationErrorView::from).collect(),
             };
-            BadJob { file: self.name.clone(), faults }.into()
+            InvalidJob { file: self.name.clone(), faults }.into()
         })
     }
 
     /// Adds the file's name to a server's rejection.
-    pub(crate) fn refused(&self, error: ClientError) -> anyhow::Error {
+    pub(crate) fn invalid(&self, error: ClientError) -> anyhow::Error {
         match error {
             ClientError::Problem(problem) if !problem.errors.is_empty() => {
-                BadJob { file: self.name.clone(), faults: problem.errors }.into()
+                InvalidJob { file: self.name.clone(), faults: problem.errors }.into()
             }
             other => anyhow::Error::new(other).context(format!("could not submit {}", self.name)),
         }

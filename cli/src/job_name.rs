@@ -5,7 +5,7 @@ use std::str::FromStr;
 
 use proto::{Client, JobId};
 
-use crate::failure::Misuse;
+use crate::error::UsageError;
 use crate::follow;
 
 /// Jobs that are listed where a name could mean several.
@@ -33,7 +33,7 @@ impl JobName {
         let found = client.jobs_like(text, LISTED + 1).await?.jobs;
         match &found[..] {
             [job] => Ok(job.id),
-            [] => Err(Misuse(format!(
+            [] => Err(UsageError(format!(
                 "no job is called {text:?}: say its id, four or more of its first or last characters, its name, or latest; \
                  `sdfarm jobs` lists them"
             ))
@@ -44,7 +44,7 @@ impl JobName {
                     lines.push("and others".to_owned());
                 }
                 let lines = lines.join("\n  ");
-                Err(Misuse(format!("{text:?} may be several jobs: say which by its id\n  {lines}")).into())
+                Err(UsageError(format!("{text:?} may be several jobs: say which by its id\n  {lines}")).into())
             }
         }
     }

@@ -1,6 +1,6 @@
 //! Logs to standard error, as text or JSON, filtered by `SDFARM_LOG`; and, where wanted, traces to a collector.
 
-mod lines;
+mod json_format;
 mod traces;
 
 use std::io::{IsTerminal, stderr};
@@ -12,15 +12,15 @@ use tracing_subscriber::layer::SubscriberExt;
 use tracing_subscriber::util::SubscriberInitExt;
 use tracing_subscriber::{EnvFilter, Layer};
 
-use crate::failure::Misuse;
-pub(crate) use traces::Traces;
+use crate::error::UsageError;
+pub(crate) use traces::TraceExporter;
 
 /// Settings of logs and traces of this process, which its workers inherit.
-static INHERITED: OnceLock<Vec<(&'static str, String)>> = OnceLock::new();
+static CHILD_ENV: OnceLock<Vec<(&'static str, String)>> = OnceLock::new();
 
 /// Format of logs.
 #[derive(Clone, Copy, Debug, ValueEnum)]
-pub(crate) enum Format {
+pub(crate) enum LogFormat {
     /// One line of text an event.
     Text,
     /// One JSON object an event.
@@ -29,10 +29,10 @@ pub(crate) enum Format {
 
 /// The flags every command takes.
 #[derive(Debug, Args)]
-pub(crate) struct Logs {
+pub(crate) struct LogArguments {
     /// Format of logs on standard error.
     #[arg(long = "log", value_name = "FORMAT", env = "SDFARM_LOG_FORMAT", default_value = "text", global = true)]
-    format: Format,
+    format: LogFormat,
     /// Log more; `SDFARM_LOG` chooses in detail, as `SDFARM_LOG=server=debug,info`.
     #[arg(
         long,
@@ -49,10 +49,10 @@ pub(crate) struct Logs {
     otlp: Option<String>,
 }
 
-impl Logs {
+impl LogArguments {
     /// Starts logging. Commands that serve log their work, and export traces if configured; the others
     /// log only warnings. Dropping the returned guard sends the last traces.
-    pub(crate) fn start(&self, is_long_lived: bool) -> anyhow::Result<Option<Traces>> {
+    pub(crate) fn start(&self, is_long_lived: bool) -> anyhow::Result<Option<TraceExporter>> {
         let usual = match (self.verbose, is_long_lived) {
             (true, _) => "debug,hyper=info,h2=info,reqwest=info,sqlx=info,opentelemetry=info",
             (false, true) => "info,sqlx=warn,opentelemetry=warn",
@@ -60,26 +60,26 @@ impl Logs {
         };
         let filter = match std::env::var("SDFARM_LOG") {
             Ok(wanted) if !wanted.is_empty() => EnvFilter::try_new(&wanted).map_err(|reason| {
-                Misuse(format!("SDFARM_LOG={wanted:?} is no log filter ({reason}): write it as server=debug,info"))
+                UsageError(format!("SDFARM_LOG={wanted:?} is no log filter ({reason}): write it as server=debug,info"))
             })?,
             _ => EnvFilter::new(usual),
         };
         let wanted = self.otlp.clone().or_else(|| std::env::var("OTEL_EXPORTER_OTLP_ENDPOINT").ok());
         let collector = wanted.filter(|address| is_long_lived && !address.is_empty());
         self.remember(collector.as_deref());
-        let (layer, traces) = match collector.map(|address| Traces::start(&address)).transpose()? {
+        let (layer, traces) = match collector.map(|address| TraceExporter::start(&address)).transpose()? {
             Some((layer, traces)) => (Some(layer), Some(traces)),
             None => (None, None),
         };
         let lines = match self.format {
-            Format::Text => {
+            LogFormat::Text => {
                 tracing_subscriber::fmt::layer().with_writer(stderr).with_ansi(stderr().is_terminal()).boxed()
             }
-            Format::Json => tracing_subscriber::fmt::layer()
+            LogFormat::Json => tracing_subscriber::fmt::layer()
                 .with_writer(stderr)
                 .with_ansi(false)
                 .fmt_fields(JsonFields::new())
-                .event_format(lines::Lines)
+                .event_format(json_format::FlatJsonFormat)
                 .boxed(),
         };
         tracing_subscriber::registry().with(layer).with(lines.with_filter(filter)).init();
@@ -88,7 +88,7 @@ impl Logs {
 
     fn remember(&self, collector: Option<&str>) {
         let mut inherited = Vec::new();
-        if let Format::Json = self.format {
+        if let LogFormat::Json = self.format {
             inherited.push(("SDFARM_LOG_FORMAT", "json".to_owned()));
         }
         if self.verbose {
@@ -98,12 +98,12 @@ impl Logs {
             inherited.push(("SDFARM_OTLP", address.to_owned()));
         }
         // A process starts its logs once.
-        let _ = INHERITED.set(inherited);
+        let _ = CHILD_ENV.set(inherited);
     }
 }
 
 /// Variables by which workers log and trace as this process does.
-pub(crate) fn inherited() -> Vec<(String, String)> {
-    let told = INHERITED.get().map_or(&[][..], Vec::as_slice);
+pub(crate) fn child_env() -> Vec<(String, String)> {
+    let told = CHILD_ENV.get().map_or(&[][..], Vec::as_slice);
     told.iter().map(|(name, value)| ((*name).to_owned(), value.clone())).collect()
 }

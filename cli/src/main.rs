@@ -6,29 +6,29 @@
 mod arguments;
 mod commands;
 mod counted;
-mod failure;
+mod error;
 mod follow;
+mod frame_files;
 mod job_file;
 mod job_name;
 mod logs;
 mod output_file;
 mod overview;
+mod preview_helper;
 mod progress;
-mod sequence;
 mod shipped;
 mod signals;
 mod size;
-mod sketch;
 mod systemd;
 mod terminal;
 
 use std::process::ExitCode;
 
 use clap::Parser;
-use proto::fail;
+use proto::fail_point;
 
 use crate::commands::Command;
-use crate::failure::Misuse;
+use crate::error::UsageError;
 
 const EXAMPLES: &str = "\
 Examples:
@@ -46,7 +46,7 @@ Exit codes: 0 done, 1 failed, 2 wrong use or bad input; of a worker, 3: its devi
 #[command(name = "sdfarm", version, after_help = EXAMPLES)]
 struct Sdfarm {
     #[command(flatten)]
-    logs: logs::Logs,
+    logs: logs::LogArguments,
     /// Let `SDFARM_FAIL_POINTS` arm fail points in this process and its children: for tests, see
     /// docs/proof.md.
     #[arg(long, hide = true, global = true)]
@@ -67,7 +67,7 @@ fn main() -> ExitCode {
     );
     match done {
         Ok(()) => ExitCode::SUCCESS,
-        Err(error) => ExitCode::from(failure::report(&error)),
+        Err(error) => ExitCode::from(error::report(&error)),
     }
 }
 
@@ -75,8 +75,8 @@ fn arm(is_allowed: bool) -> anyhow::Result<()> {
     if !is_allowed {
         return Ok(());
     }
-    let list = std::env::var(fail::VARIABLE).unwrap_or_default();
-    fail::arm(&list).map_err(|wrong| Misuse(format!("{}: {wrong}", fail::VARIABLE)).into())
+    let list = std::env::var(fail_point::ENV_VAR).unwrap_or_default();
+    fail_point::arm(&list).map_err(|wrong| UsageError(format!("{}: {wrong}", fail_point::ENV_VAR)).into())
 }
 
 #[cfg(test)]
@@ -84,7 +84,7 @@ mod tests {
     use clap::CommandFactory;
 
     #[test]
-    fn command_line_is_sound() {
+    fn command_line_is_valid() {
         super::Sdfarm::command().debug_assert();
     }
 

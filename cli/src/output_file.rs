@@ -12,7 +12,7 @@ use anyhow::Context;
 use scene::{Format, Job};
 use tempfile::NamedTempFile;
 
-use crate::failure::Misuse;
+use crate::error::UsageError;
 use crate::terminal::write_bytes;
 
 /// Mode of a new file, before the process's umask.
@@ -38,13 +38,13 @@ pub(crate) struct OutputFile {
 impl OutputFile {
     /// Prepares to write `path`, or standard output for `-`.
     pub(crate) fn create(path: &str) -> anyhow::Result<Self> {
-        let target = target(path)?;
+        let target = classify_target(path)?;
         let folder = match &target {
             Target::Standard | Target::Special(_) => std::env::temp_dir(),
             Target::Regular(path) => folder_of(path).to_owned(),
         };
         if !folder.is_dir() {
-            return Err(Misuse(format!("there is no folder {}: make it first", folder.display())).into());
+            return Err(UsageError(format!("there is no folder {}: make it first", folder.display())).into());
         }
         let temporary = tempfile::Builder::new()
             .prefix(".sdfarm-")
@@ -53,7 +53,11 @@ impl OutputFile {
             .tempfile_in(&folder)
             .map_err(|error| {
                 // The error names the temporary file, which nobody asked for; its kind says enough.
-                Misuse(format!("could not write to the folder {}: {}; write elsewhere", folder.display(), error.kind()))
+                UsageError(format!(
+                    "could not write to the folder {}: {}; write elsewhere",
+                    folder.display(),
+                    error.kind()
+                ))
             })?;
         Ok(Self { name: path.to_owned(), temporary, target })
     }
@@ -104,14 +108,14 @@ pub(crate) fn check_writable(path: &str) -> anyhow::Result<()> {
     }
     make_folder(path)?;
     tempfile::tempfile_in(path).map(drop).map_err(|error| {
-        Misuse(format!("could not write to the folder {path}: {}; write elsewhere", error.kind())).into()
+        UsageError(format!("could not write to the folder {path}: {}; write elsewhere", error.kind())).into()
     })
 }
 
 /// Makes a folder for pictures, unless it is there.
 pub(crate) fn make_folder(path: &str) -> anyhow::Result<()> {
     fs::create_dir_all(path)
-        .map_err(|error| Misuse(format!("could not make the folder {path}: {error}; write elsewhere")).into())
+        .map_err(|error| UsageError(format!("could not make the folder {path}: {error}; write elsewhere")).into())
 }
 
 /// The picture format a file's extension names; `None` for `-`, which has none.
@@ -123,18 +127,18 @@ pub(crate) fn format_of(path: &str) -> anyhow::Result<Option<Format>> {
     match extension.as_deref() {
         Some("png") => Ok(Some(Format::Png)),
         Some("exr") => Ok(Some(Format::Exr)),
-        Some(_) | None => Err(Misuse(format!("{path:?} names no picture format: end it in .png or .exr")).into()),
+        Some(_) | None => Err(UsageError(format!("{path:?} names no picture format: end it in .png or .exr")).into()),
     }
 }
 
 /// Rejects a picture whose format cannot store what the job asks for.
 pub(crate) fn check_format(job: &Job) -> anyhow::Result<()> {
     match job.image.format {
-        Format::Png if !job.image.layers.is_empty() => {
-            Err(Misuse("a PNG holds no layers: write to an .exr file, or take image.layers out of the job".to_owned())
-                .into())
-        }
-        Format::Exr if job.image.is_graded() => Err(Misuse(
+        Format::Png if !job.image.layers.is_empty() => Err(UsageError(
+            "a PNG holds no layers: write to an .exr file, or take image.layers out of the job".to_owned(),
+        )
+        .into()),
+        Format::Exr if job.image.has_display_transform() => Err(UsageError(
             "an EXR stays linear: write to a .png file, or take image.exposure and image.tone_map out of the job"
                 .to_owned(),
         )
@@ -143,11 +147,11 @@ pub(crate) fn check_format(job: &Job) -> anyhow::Result<()> {
     }
 }
 
-fn target(path: &str) -> anyhow::Result<Target> {
+fn classify_target(path: &str) -> anyhow::Result<Target> {
     if path == "-" {
         return Ok(Target::Standard);
     }
-    let wrong = |reason: String| anyhow::Error::new(Misuse(format!("could not write {path}: {reason}")));
+    let wrong = |reason: String| anyhow::Error::new(UsageError(format!("could not write {path}: {reason}")));
     match fs::metadata(path) {
         Err(error) if error.kind() == io::ErrorKind::NotFound => Ok(Target::Regular(PathBuf::from(path))),
         Err(error) => Err(wrong(error.to_string())),
@@ -209,7 +213,7 @@ mod tests {
         assert_eq!(format_of("b.exr").expect("known"), Some(Format::Exr));
         assert_eq!(format_of("-").expect("standard output"), None);
         for bad in ["b", "b.jpg", ".png/b"] {
-            assert!(format_of(bad).expect_err(bad).is::<Misuse>());
+            assert!(format_of(bad).expect_err(bad).is::<UsageError>());
         }
     }
 

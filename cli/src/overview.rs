@@ -1,6 +1,6 @@
 //! State of a farm as its server reports it: collected once, shown as text, JSON or live.
 
-mod samples;
+mod openmetrics;
 
 use proto::job::{JobState, JobView};
 use proto::pool::{PoolView, WorkerView};
@@ -8,12 +8,12 @@ use proto::{Client, ClientError, rounding};
 use serde::Serialize;
 
 use crate::counted::counted;
-use samples::Samples;
+use openmetrics::Metrics;
 
 /// Unfinished jobs that are listed, at most.
 const JOBS: u32 = 50;
 /// With less free disk, a warning.
-const LITTLE_DISK_BYTES: f64 = 5e9;
+const MIN_DISK_BYTES: f64 = 5e9;
 /// Fraction of a GPU's memory that counts as full.
 const FULL_GPU: f64 = 0.95;
 
@@ -31,9 +31,9 @@ pub(crate) struct Overview {
     /// Whether the farm is paused: nothing more is leased until it is resumed.
     pub(crate) paused: bool,
     /// Remaining work.
-    pub(crate) queue: Queue,
+    pub(crate) queue: QueueOverview,
     /// Counters since the start.
-    pub(crate) totals: Totals,
+    pub(crate) totals: TotalsOverview,
     /// The local pool.
     pub(crate) pool: PoolView,
     /// Workers that are not gone.
@@ -41,14 +41,14 @@ pub(crate) struct Overview {
     /// Unfinished jobs, running ones first.
     pub(crate) jobs: Vec<JobView>,
     /// The data folder.
-    pub(crate) disk: Disk,
+    pub(crate) disk: DiskOverview,
     /// Warnings.
-    pub(crate) concerns: Vec<String>,
+    pub(crate) warnings: Vec<String>,
 }
 
 /// Remaining work.
 #[derive(Clone, Copy, Debug, Serialize)]
-pub(crate) struct Queue {
+pub(crate) struct QueueOverview {
     /// Jobs without any lease so far.
     pub(crate) queued: u64,
     /// Jobs that run.
@@ -67,7 +67,7 @@ pub(crate) struct Queue {
 
 /// Counters since the start.
 #[derive(Clone, Copy, Debug, Serialize)]
-pub(crate) struct Totals {
+pub(crate) struct TotalsOverview {
     /// Leases that ran out.
     pub(crate) expired: u64,
     /// Results without effect.
@@ -77,7 +77,7 @@ pub(crate) struct Totals {
     /// Webhooks that failed.
     pub(crate) webhook_failures: u64,
     /// Answers 429.
-    pub(crate) held_back: u64,
+    pub(crate) rate_limited: u64,
     /// Answers 5xx.
     pub(crate) server_errors: u64,
 }
@@ -85,7 +85,7 @@ pub(crate) struct Totals {
 /// The data folder.
 #[derive(Clone, Copy, Debug, Serialize)]
 #[expect(clippy::struct_field_names, reason = "units come last in names")]
-pub(crate) struct Disk {
+pub(crate) struct DiskOverview {
     /// Free room.
     pub(crate) free_bytes: u64,
     /// Size.
@@ -97,25 +97,25 @@ pub(crate) struct Disk {
 }
 
 /// Collects the state from the server.
-pub(crate) async fn gather(client: &Client) -> Result<Overview, ClientError> {
+pub(crate) async fn fetch(client: &Client) -> Result<Overview, ClientError> {
     let health = match client.ready().await {
         Ok(ready) => ready.status,
         Err(ClientError::Problem(problem)) => problem.detail.clone(),
         Err(error) => return Err(error),
     };
-    let samples = Samples::read(&client.metrics().await?);
+    let samples = Metrics::read(&client.metrics().await?);
     let (pool, workers) = (client.pool().await?, client.workers().await?.workers);
     let paused = client.farm().await?.paused;
     let mut jobs = client.jobs(Some(JobState::Running), JOBS, None).await?.jobs;
     jobs.extend(client.jobs(Some(JobState::Queued), JOBS, None).await?.jobs);
-    Ok(Overview::of(client.server(), health, &samples, paused, pool, workers, jobs))
+    Ok(Overview::from_parts(client.server(), health, &samples, paused, pool, workers, jobs))
 }
 
 impl Overview {
-    fn of(
+    fn from_parts(
         server: &str,
         health: String,
-        samples: &Samples,
+        samples: &Metrics,
         paused: bool,
         pool: PoolView,
         workers: Vec<WorkerView>,
@@ -125,7 +125,7 @@ impl Overview {
         let count = |name: &str, labels: &[(&str, &str)]| samples.sum(name, labels) as u64;
         let answers =
             |matches: &dyn Fn(&str) -> bool| samples.sum_where("sdfarm_http_answers_total", "status", matches);
-        let queue = Queue {
+        let queue = QueueOverview {
             queued: count("sdfarm_jobs", &[("state", "queued")]),
             running: count("sdfarm_jobs", &[("state", "running")]),
             tiles_ready: count("sdfarm_tiles", &[("state", "ready")]),
@@ -136,15 +136,15 @@ impl Overview {
             oldest_seconds: rounding::seconds(sum("sdfarm_queue_oldest_job_seconds")),
             rays_per_second: rounding::rate(sum("sdfarm_rays_per_second")),
         };
-        let totals = Totals {
+        let totals = TotalsOverview {
             expired: count("sdfarm_leases_expired_total", &[]),
             fenced: count("sdfarm_results_fenced_total", &[]),
             nondeterministic: count("sdfarm_nondeterministic_tiles_total", &[]),
             webhook_failures: count("sdfarm_webhook_failures_total", &[]),
-            held_back: answers(&|status| status == "429") as u64,
+            rate_limited: answers(&|status| status == "429") as u64,
             server_errors: answers(&|status| status.starts_with('5')) as u64,
         };
-        let disk = Disk {
+        let disk = DiskOverview {
             free_bytes: count("sdfarm_disk_free_bytes", &[]),
             total_bytes: count("sdfarm_disk_bytes", &[]),
             store_bytes: count("sdfarm_store_bytes", &[]),
@@ -162,26 +162,26 @@ impl Overview {
             workers,
             jobs,
             disk,
-            concerns: Vec::new(),
+            warnings: Vec::new(),
         };
-        overview.concerns = overview.worries(samples);
+        overview.warnings = overview.warnings(samples);
         overview
     }
 
     /// Whether it serves and works.
-    pub(crate) fn is_well(&self) -> bool {
+    pub(crate) fn is_healthy(&self) -> bool {
         ["ready", "degraded"].contains(&self.health.as_str())
     }
 
-    fn worries(&self, samples: &Samples) -> Vec<String> {
+    fn warnings(&self, samples: &Metrics) -> Vec<String> {
         let mut worries = Vec::new();
         let mut worry = |is_so: bool, text: String| {
             if is_so {
                 worries.push(text);
             }
         };
-        let Totals { expired, fenced, nondeterministic, webhook_failures, server_errors, .. } = self.totals;
-        worry(!self.is_well(), self.health.clone());
+        let TotalsOverview { expired, fenced, nondeterministic, webhook_failures, server_errors, .. } = self.totals;
+        worry(!self.is_healthy(), self.health.clone());
         worry(self.paused, "the farm is paused: `sdfarm resume` lets it go on".to_owned());
         worry(nondeterministic > 0, format!("{} rendered differently by two workers", were(nondeterministic, "tile")));
         worry(self.queue.work_seconds.is_none(), "there is work, and no worker that has shown its speed".to_owned());
@@ -189,7 +189,7 @@ impl Overview {
             self.pool.ready < self.pool.workers,
             format!("{} of {} ready", self.pool.ready, counted(self.pool.workers, "local worker")),
         );
-        worry((self.disk.free_bytes as f64) < LITTLE_DISK_BYTES, "little room is left on the disk".to_owned());
+        worry((self.disk.free_bytes as f64) < MIN_DISK_BYTES, "little room is left on the disk".to_owned());
         worry(expired > 0, format!("{} ran out", counted(expired, "lease")));
         worry(fenced > 0, format!("{} came too late", counted(fenced, "result")));
         worry(webhook_failures > 0, format!("{} failed", counted(webhook_failures, "webhook delivery")));
@@ -231,8 +231,8 @@ pub(crate) mod tests {
     use super::*;
 
     /// A farm in trouble.
-    pub(crate) fn troubled() -> Overview {
-        let samples = Samples::read(
+    pub(crate) fn unhealthy() -> Overview {
+        let samples = Metrics::read(
             "sdfarm_build_info{version=\"1.2.3\",picture_version=\"4\"} 1\n\
              sdfarm_uptime_seconds 12000.0\n\
              sdfarm_jobs{state=\"queued\"} 4.0\nsdfarm_jobs{state=\"running\"} 1.0\n\
@@ -253,7 +253,7 @@ pub(crate) mod tests {
             "eta_seconds": 75.0}"#;
         let held =
             job.replace("\"state\"", "\"paused\": true, \"state\"").replace("fjord", "lantern").replace("75.0", "null");
-        Overview::of(
+        Overview::from_parts(
             "http://127.0.0.1:8080",
             "ready".to_owned(),
             &samples,
@@ -265,10 +265,10 @@ pub(crate) mod tests {
     }
 
     #[test]
-    fn what_should_be_looked_at_is_said() {
-        let overview = troubled();
+    fn what_should_be_evaluated_is_said() {
+        let overview = unhealthy();
         assert_eq!(
-            overview.concerns,
+            overview.warnings,
             [
                 "the farm is paused: `sdfarm resume` lets it go on",
                 "2 tiles were rendered differently by two workers",
@@ -278,7 +278,7 @@ pub(crate) mod tests {
                 "1 request failed in the server",
             ]
         );
-        assert_eq!((overview.version.as_str(), overview.totals.held_back), ("1.2.3", 5));
+        assert_eq!((overview.version.as_str(), overview.totals.rate_limited), ("1.2.3", 5));
         assert_eq!((overview.queue.rays_per_second, overview.disk.store_bytes), (11e6, 570));
     }
 

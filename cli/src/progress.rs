@@ -7,7 +7,7 @@ use std::time::{Duration, Instant};
 
 use indicatif::{ProgressBar, ProgressStyle};
 
-use crate::terminal::note;
+use crate::terminal::print_note;
 
 /// Time between plain lines; what is done sooner prints none.
 const LINE_INTERVAL: Duration = Duration::from_secs(5);
@@ -16,15 +16,15 @@ const BAR: &str = "{msg} [{bar:32}] {percent:>3} %  {elapsed} elapsed, {eta} lef
 /// Progress display for users.
 #[derive(Debug)]
 pub(crate) struct Progress {
-    shown: Shown,
+    shown: ProgressDisplay,
     done: AtomicU64,
     total: u64,
 }
 
 #[derive(Debug)]
-enum Shown {
+enum ProgressDisplay {
     Bar(ProgressBar),
-    Lines { label: String, last: Mutex<Instant> },
+    FlatJsonFormat { label: String, last: Mutex<Instant> },
     Nothing,
 }
 
@@ -33,16 +33,16 @@ impl Progress {
     pub(crate) fn new(label: &str, total: u64) -> Self {
         let shown = if std::io::stderr().is_terminal() {
             let style = ProgressStyle::with_template(BAR).expect("the template above is one").progress_chars("=> ");
-            Shown::Bar(ProgressBar::new(total).with_style(style).with_message(label.to_owned()))
+            ProgressDisplay::Bar(ProgressBar::new(total).with_style(style).with_message(label.to_owned()))
         } else {
-            Shown::Lines { label: label.to_owned(), last: Mutex::new(Instant::now()) }
+            ProgressDisplay::FlatJsonFormat { label: label.to_owned(), last: Mutex::new(Instant::now()) }
         };
         Self { shown, done: AtomicU64::new(0), total }
     }
 
     /// Counts, and displays nothing.
     pub(crate) fn silent() -> Self {
-        Self { shown: Shown::Nothing, done: AtomicU64::new(0), total: 0 }
+        Self { shown: ProgressDisplay::Nothing, done: AtomicU64::new(0), total: 0 }
     }
 
     /// Adds finished units.
@@ -60,23 +60,23 @@ impl Progress {
     /// Clears the bar.
     pub(crate) fn finish(&self) {
         match &self.shown {
-            Shown::Bar(bar) => bar.finish_and_clear(),
-            Shown::Lines { .. } | Shown::Nothing => {}
+            ProgressDisplay::Bar(bar) => bar.finish_and_clear(),
+            ProgressDisplay::FlatJsonFormat { .. } | ProgressDisplay::Nothing => {}
         }
     }
 
     fn show(&self, done: u64) {
         match &self.shown {
-            Shown::Bar(bar) => bar.set_position(done),
-            Shown::Lines { label, last } => {
+            ProgressDisplay::Bar(bar) => bar.set_position(done),
+            ProgressDisplay::FlatJsonFormat { label, last } => {
                 // If the lock is taken, its holder prints the line.
                 let Ok(mut last) = last.try_lock() else { return };
                 if last.elapsed() >= LINE_INTERVAL {
                     *last = Instant::now();
-                    note(&format!("{label}: {} %", done.saturating_mul(100) / self.total.max(1)));
+                    print_note(&format!("{label}: {} %", done.saturating_mul(100) / self.total.max(1)));
                 }
             }
-            Shown::Nothing => {}
+            ProgressDisplay::Nothing => {}
         }
     }
 }

@@ -2,7 +2,7 @@
 
 use rust_embed::RustEmbed;
 
-use crate::failure::Misuse;
+use crate::error::UsageError;
 
 #[derive(RustEmbed)]
 #[folder = "../scenes"]
@@ -31,6 +31,6 @@ pub(crate) fn hash(name: &str) -> Option<String> {
 pub(crate) fn job_file(name: &str) -> anyhow::Result<Vec<u8>> {
     match Scenes::get(&format!("{name}.json")) {
         Some(file) => Ok(file.data.into_owned()),
-        None => Err(Misuse(format!("no scene {name:?} is shipped: there are {}", names().join(", "))).into()),
+        None => Err(UsageError(format!("no scene {name:?} is shipped: there are {}", names().join(", "))).into()),
     }
 }

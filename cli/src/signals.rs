@@ -13,7 +13,7 @@ pub(crate) struct Signals {
 
 impl Signals {
     /// Catches them; within a runtime.
-    pub(crate) fn catch() -> anyhow::Result<Self> {
+    pub(crate) fn install() -> anyhow::Result<Self> {
         let catch = |kind| signal(kind).context("could not catch signals");
         Ok(Self { interrupt: catch(SignalKind::interrupt())?, terminate: catch(SignalKind::terminate())? })
     }
@@ -27,7 +27,7 @@ impl Signals {
     }
 
     /// Makes the first signal request a graceful shutdown and the second one end the process at once.
-    pub(crate) fn stop_gracefully(mut self, shutdown: CancellationToken) {
+    pub(crate) fn cancel_then_exit(mut self, shutdown: CancellationToken) {
         tokio::spawn(async move {
             self.next().await;
             tracing::info!("stopping when what is at hand is finished or handed back; once more stops at once");

@@ -4,23 +4,23 @@ use sd_notify::NotifyState;
 
 /// Reports that the server serves, and from then on that it is alive, at the requested interval.
 pub(crate) fn serving(address: &str) {
-    tell(&[NotifyState::Ready, NotifyState::Status(&format!("serving {address}"))]);
+    notify(&[NotifyState::Ready, NotifyState::Status(&format!("serving {address}"))]);
     let Some(patience) = sd_notify::watchdog_enabled() else { return };
     tokio::spawn(async move {
         let mut ticks = tokio::time::interval(patience / 3);
         loop {
             ticks.tick().await;
-            tell(&[NotifyState::Watchdog]);
+            notify(&[NotifyState::Watchdog]);
         }
     });
 }
 
 /// Reports that the server stops.
 pub(crate) fn stopping() {
-    tell(&[NotifyState::Stopping]);
+    notify(&[NotifyState::Stopping]);
 }
 
-fn tell(states: &[NotifyState<'_>]) {
+fn notify(states: &[NotifyState<'_>]) {
     if let Err(error) = sd_notify::notify(states) {
         tracing::warn!(%error, "systemd could not be told");
     }

@@ -7,7 +7,7 @@ use std::io::{ErrorKind, Write};
 use anyhow::Context;
 
 /// Prints a result to standard output.
-pub(crate) fn say(text: &str) -> anyhow::Result<()> {
+pub(crate) fn print_line(text: &str) -> anyhow::Result<()> {
     write_bytes(format!("{text}\n").as_bytes())
 }
 
@@ -21,7 +21,7 @@ pub(crate) fn write_bytes(bytes: &[u8]) -> anyhow::Result<()> {
 }
 
 /// Prints a remark to standard error.
-pub(crate) fn note(text: &str) {
+pub(crate) fn print_note(text: &str) {
     // If standard error is closed, the line is dropped.
     let _ = writeln!(std::io::stderr().lock(), "{text}");
 }

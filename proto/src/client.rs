@@ -2,9 +2,9 @@
 //!
 //! It sends requests and names errors; display, retries and waiting are up to its caller.
 
+mod health;
 mod jobs;
 mod pictures;
-mod watching;
 
 use std::io::Write;
 use std::time::Duration;
@@ -13,20 +13,20 @@ use reqwest::header::{CACHE_CONTROL, CONTENT_TYPE};
 use reqwest::{Method, RequestBuilder, Response};
 use serde::de::DeserializeOwned;
 
-use crate::access::{Access, AccessError, server_url};
+use crate::audit::AuditPage;
+use crate::client_auth::{ClientAuth, ClientAuthError, server_url};
 use crate::farm::FarmView;
 use crate::job::{DryRun, JobPage, JobState, JobView};
-use crate::key::AuditPage;
 use crate::pool::{PoolSize, PoolView, WorkerList};
 use crate::{JobId, Problem};
 
-pub use jobs::{Events, Submission};
+pub use jobs::{EventStream, SubmitOptions};
 
 const CONNECT_TIMEOUT: Duration = Duration::from_secs(10);
 /// No route of the users' API is silent for this long.
 const READ_TIMEOUT: Duration = Duration::from_mins(2);
 /// Most of an unexpected answer that an error quotes, in characters.
-const QUOTED_CHARACTERS: usize = 200;
+const MAX_QUOTED_CHARS: usize = 200;
 
 /// Error of a request, or the server's rejection.
 #[derive(Debug, thiserror::Error)]
@@ -45,10 +45,10 @@ pub enum ClientError {
     },
     /// The server's address, the key or the authority can't be used.
     #[error(transparent)]
-    Access(#[from] AccessError),
+    Auth(#[from] ClientAuthError),
     /// The connection broke, or the server was silent for too long.
     #[error("the connection to {server} broke: see the server's log, and try again")]
-    Broken {
+    ConnectionLost {
         /// The address.
         server: String,
         /// Error of the connection.
@@ -57,7 +57,7 @@ pub enum ClientError {
     },
     /// Something answers there that does not speak as an sdfarm server does.
     #[error("{server} answered {status}, but not as an sdfarm server does ({body:?}): check --server")]
-    Foreign {
+    UnexpectedResponse {
         /// The address.
         server: String,
         /// The HTTP status.
@@ -76,9 +76,9 @@ impl ClientError {
         match self {
             Self::Problem(problem) => Some(&problem.code),
             Self::Unreachable { .. }
-            | Self::Access(_)
-            | Self::Broken { .. }
-            | Self::Foreign { .. }
+            | Self::Auth(_)
+            | Self::ConnectionLost { .. }
+            | Self::UnexpectedResponse { .. }
             | Self::Write(_) => None,
         }
     }
@@ -89,17 +89,17 @@ impl ClientError {
 pub struct Client {
     http: reqwest::Client,
     server: String,
-    access: Access,
+    access: ClientAuth,
 }
 
 impl Client {
     /// Client without a key for the server at `http://HOST:PORT`; sends nothing yet.
     pub fn new(server: &str) -> Result<Self, ClientError> {
-        Self::with_access(server, Access::default())
+        Self::with_auth(server, ClientAuth::default())
     }
 
     /// Client for the server at `http://HOST:PORT` or `https://HOST:PORT`; sends nothing yet.
-    pub fn with_access(server: &str, access: Access) -> Result<Self, ClientError> {
+    pub fn with_auth(server: &str, access: ClientAuth) -> Result<Self, ClientError> {
         let url = server_url(server)?;
         let server = server.trim_end_matches('/');
         let http = access
@@ -107,7 +107,7 @@ impl Client {
             .connect_timeout(CONNECT_TIMEOUT)
             .read_timeout(READ_TIMEOUT)
             .build()
-            .map_err(|source| ClientError::Broken { server: server.to_owned(), source })?;
+            .map_err(|source| ClientError::ConnectionLost { server: server.to_owned(), source })?;
         Ok(Self { http, server: server.to_owned(), access })
     }
 
@@ -188,13 +188,13 @@ impl Client {
 
     /// Writes a frame's stored picture to `out` as it arrives; returns its size in bytes.
     pub async fn image(&self, id: JobId, frame: u32, out: &mut (dyn Write + Send)) -> Result<u64, ClientError> {
-        self.save(self.request(Method::GET, &format!("/v1/jobs/{id}/frames/{frame}/image")), out).await
+        self.download(self.request(Method::GET, &format!("/v1/jobs/{id}/frames/{frame}/image")), out).await
     }
 
-    async fn save(&self, request: RequestBuilder, out: &mut (dyn Write + Send)) -> Result<u64, ClientError> {
+    async fn download(&self, request: RequestBuilder, out: &mut (dyn Write + Send)) -> Result<u64, ClientError> {
         let mut response = self.send(request).await?;
         let mut size_bytes = 0;
-        while let Some(chunk) = response.chunk().await.map_err(|source| self.broken(source))? {
+        while let Some(chunk) = response.chunk().await.map_err(|source| self.connection_lost(source))? {
             out.write_all(&chunk).map_err(ClientError::Write)?;
             size_bytes += chunk.len() as u64;
         }
@@ -227,14 +227,14 @@ impl Client {
     }
 
     fn request(&self, method: Method, path: &str) -> RequestBuilder {
-        self.access.sign(self.http.request(method, format!("{}{path}", self.server)))
+        self.access.authorize(self.http.request(method, format!("{}{path}", self.server)))
     }
 
     async fn json<T: DeserializeOwned>(&self, request: RequestBuilder) -> Result<T, ClientError> {
         let response = self.send(request).await?;
         let status = response.status().as_u16();
-        let body = response.bytes().await.map_err(|source| self.broken(source))?;
-        serde_json::from_slice(&body).map_err(|_| self.foreign(status, &body))
+        let body = response.bytes().await.map_err(|source| self.connection_lost(source))?;
+        serde_json::from_slice(&body).map_err(|_| self.unexpected_response(status, &body))
     }
 
     /// Sends a request; an answer that is no success is an error.
@@ -243,26 +243,26 @@ impl Client {
             if source.is_connect() {
                 ClientError::Unreachable { server: self.server.clone(), source }
             } else {
-                self.broken(source)
+                self.connection_lost(source)
             }
         })?;
         if response.status().is_success() {
             return Ok(response);
         }
         let status = response.status().as_u16();
-        let body = response.bytes().await.map_err(|source| self.broken(source))?;
+        let body = response.bytes().await.map_err(|source| self.connection_lost(source))?;
         Err(match serde_json::from_slice(&body) {
             Ok(problem) => ClientError::Problem(Box::new(problem)),
-            Err(_) => self.foreign(status, &body),
+            Err(_) => self.unexpected_response(status, &body),
         })
     }
 
-    fn broken(&self, source: reqwest::Error) -> ClientError {
-        ClientError::Broken { server: self.server.clone(), source }
+    fn connection_lost(&self, source: reqwest::Error) -> ClientError {
+        ClientError::ConnectionLost { server: self.server.clone(), source }
     }
 
-    fn foreign(&self, status: u16, body: &[u8]) -> ClientError {
-        let body = String::from_utf8_lossy(body).chars().take(QUOTED_CHARACTERS).collect();
-        ClientError::Foreign { server: self.server.clone(), status, body }
+    fn unexpected_response(&self, status: u16, body: &[u8]) -> ClientError {
+        let body = String::from_utf8_lossy(body).chars().take(MAX_QUOTED_CHARS).collect();
+        ClientError::UnexpectedResponse { server: self.server.clone(), status, body }
     }
 }

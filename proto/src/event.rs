@@ -5,7 +5,7 @@
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use crate::job::{Count, JobState};
+use crate::job::{DoneOfTotal, JobState};
 
 /// A job has reached a state.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
@@ -24,7 +24,7 @@ pub struct ProgressEvent {
     /// Fraction of its rays that are rendered, 0 to 1; never decreases.
     pub progress: f64,
     /// Tiles of all frames.
-    pub tiles: Count,
+    pub tiles: DoneOfTotal,
 }
 
 /// A tile is rendered, or has to be rendered again.
@@ -67,9 +67,9 @@ pub struct Snapshot {
     /// Fraction of its rays that are rendered, 0 to 1.
     pub progress: f64,
     /// Tiles of all frames.
-    pub tiles: Count,
+    pub tiles: DoneOfTotal,
     /// Frames; one is done when its picture is stored.
-    pub frames: Count,
+    pub frames: DoneOfTotal,
     /// The frames whose pictures are stored: first and last of each run.
     pub stored: Vec<[u32; 2]>,
     /// The rendered tiles of frames that are not stored.
@@ -93,7 +93,7 @@ pub enum JobEvent {
 
 impl JobEvent {
     /// Reads an event; `None` if this version does not know it.
-    pub fn read(name: &str, data: &str) -> Option<Self> {
+    pub fn parse(name: &str, data: &str) -> Option<Self> {
         match name {
             "state" => serde_json::from_str(data).map(Self::State).ok(),
             "progress" => serde_json::from_str(data).map(Self::Progress).ok(),
@@ -107,7 +107,7 @@ impl JobEvent {
 
 /// One event as it came.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
-pub struct Message {
+pub struct SseMessage {
     /// Its id: what to resume after.
     pub id: Option<String>,
     /// Its name.
@@ -118,14 +118,14 @@ pub struct Message {
 
 /// Incremental parser of server-sent events, as the HTML standard defines them.
 #[derive(Debug, Default)]
-pub struct Lines {
+pub struct SseParser {
     rest: Vec<u8>,
-    begun: Message,
+    current: SseMessage,
 }
 
-impl Lines {
+impl SseParser {
     /// The events that are whole with these bytes.
-    pub fn push(&mut self, bytes: &[u8]) -> Vec<Message> {
+    pub fn push(&mut self, bytes: &[u8]) -> Vec<SseMessage> {
         self.rest.extend_from_slice(bytes);
         let mut whole = Vec::new();
         let mut start = 0;
@@ -140,21 +140,21 @@ impl Lines {
         whole
     }
 
-    fn line(&mut self, line: &str) -> Option<Message> {
+    fn line(&mut self, line: &str) -> Option<SseMessage> {
         if line.is_empty() {
-            let message = std::mem::take(&mut self.begun);
+            let message = std::mem::take(&mut self.current);
             return (!message.data.is_empty()).then_some(message);
         }
         let (field, value) = line.split_once(':').unwrap_or((line, ""));
         let value = value.strip_prefix(' ').unwrap_or(value);
         match field {
-            "id" => self.begun.id = Some(value.to_owned()),
-            "event" => value.clone_into(&mut self.begun.event),
+            "id" => self.current.id = Some(value.to_owned()),
+            "event" => value.clone_into(&mut self.current.event),
             "data" => {
-                if !self.begun.data.is_empty() {
-                    self.begun.data.push('\n');
+                if !self.current.data.is_empty() {
+                    self.current.data.push('\n');
                 }
-                self.begun.data.push_str(value);
+                self.current.data.push_str(value);
             }
             _ => {}
         }
@@ -170,22 +170,22 @@ mod tests {
     fn events_are_read_however_their_bytes_are_cut() {
         let text = ": a comment\n\nid: 7\nevent: tile\ndata: {\"frame\":0,\ndata: \"x\":1}\n\nretry: 5\n\nid: 8\r\ndata:x\r\n\r\n";
         let wanted = vec![
-            Message { id: Some("7".into()), event: "tile".into(), data: "{\"frame\":0,\n\"x\":1}".into() },
-            Message { id: Some("8".into()), event: String::new(), data: "x".into() },
+            SseMessage { id: Some("7".into()), event: "tile".into(), data: "{\"frame\":0,\n\"x\":1}".into() },
+            SseMessage { id: Some("8".into()), event: String::new(), data: "x".into() },
         ];
         for size in 1..text.len() {
-            let mut lines = Lines::default();
-            let read: Vec<Message> = text.as_bytes().chunks(size).flat_map(|piece| lines.push(piece)).collect();
+            let mut lines = SseParser::default();
+            let read: Vec<SseMessage> = text.as_bytes().chunks(size).flat_map(|piece| lines.push(piece)).collect();
             assert_eq!(read, wanted, "in pieces of {size}");
         }
     }
 
     #[test]
     fn events_of_later_versions_are_passed_over() {
-        assert_eq!(JobEvent::read("weather", "{}"), None);
+        assert_eq!(JobEvent::parse("weather", "{}"), None);
         let data = r#"{"state":"failed","errors":["no"],"at":"2026-01-01T00:00:00Z","more":1}"#;
         assert!(
-            matches!(JobEvent::read("state", data), Some(JobEvent::State(event)) if event.state == JobState::Failed)
+            matches!(JobEvent::parse("state", data), Some(JobEvent::State(event)) if event.state == JobState::Failed)
         );
     }
 }

@@ -4,7 +4,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use crate::JobId;
-use crate::sketch::Estimate;
+use crate::preview_helper::Estimate;
 
 /// Lifecycle of a job.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
@@ -48,7 +48,7 @@ impl JobState {
 
 /// Done and total of something counted.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
-pub struct Count {
+pub struct DoneOfTotal {
     /// Finished.
     pub done: u64,
     /// In all.
@@ -76,9 +76,9 @@ pub struct JobView {
     /// Fraction of its rays that are rendered, 0 to 1; never decreases.
     pub progress: f64,
     /// Tiles of all frames.
-    pub tiles: Count,
+    pub tiles: DoneOfTotal,
     /// Frames; one is done when its picture is stored.
-    pub frames: Count,
+    pub frames: DoneOfTotal,
     /// Error messages.
     pub errors: Vec<String>,
     /// Warnings for its author; the job renders all the same.
@@ -118,4 +118,27 @@ pub struct DryRun {
     pub estimate: Option<Estimate>,
     /// Warnings for its author; the job would render all the same.
     pub warnings: Vec<String>,
+}
+
+/// The body of `PATCH /v1/jobs/{id}`: what is left out stays as it is.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct JobPatch {
+    /// Jobs of higher priority are leased first.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[schemars(range(min = -100, max = 100))]
+    pub priority: Option<i32>,
+}
+
+/// Response to `DELETE /v1/jobs/{id}?dry_run=true`: what would be deleted.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+pub struct DeleteDryRun {
+    /// Pictures that no other job shows.
+    pub pictures: u64,
+    /// Blobs of finished tiles that no other frame needs.
+    pub blobs: u64,
+    /// Bytes of those pictures and blobs.
+    pub size_bytes: u64,
+    /// Rows of the database: the job, its file, frames, tiles and events.
+    pub rows: u64,
 }

@@ -3,30 +3,30 @@
 //!
 //! Nothing here renders, stores or decides.
 
-pub mod access;
-pub mod change;
+pub mod api_key;
+pub mod audit;
 pub mod client;
+pub mod client_auth;
 pub mod event;
-pub mod fail;
+pub mod fail_point;
 pub mod farm;
+pub mod frame;
 pub mod ids;
 pub mod job;
-pub mod keep;
-pub mod key;
 pub mod link;
 pub mod pool;
+pub mod preview_helper;
 pub mod problem;
 pub mod retention;
 pub mod rounding;
-pub mod sketch;
 pub mod tile;
-pub mod trace;
+pub mod trace_context;
 pub mod webhook;
-pub mod work;
+pub mod worker_protocol;
 
-pub use access::{Access, AccessError, Secret};
 pub use client::{Client, ClientError};
+pub use client_auth::{ClientAuth, ClientAuthError, Secret};
 pub use ids::{JobId, LeaseId, WorkerId};
-pub use keep::Keep;
 pub use problem::Problem;
+pub use retention::Retention;
 pub use tile::Rect;

@@ -13,7 +13,7 @@ pub const MAX_LINK_SECONDS: u32 = 366 * 86_400;
 /// Content of a link.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
-pub enum Shown {
+pub enum LinkContent {
     /// The stored picture.
     #[default]
     Image,
@@ -21,7 +21,7 @@ pub enum Shown {
     Preview,
 }
 
-impl Shown {
+impl LinkContent {
     /// The name used in addresses.
     pub fn name(self) -> &'static str {
         match self {
@@ -37,21 +37,21 @@ impl Shown {
 pub struct LinkRequest {
     /// Validity of the link, in seconds.
     #[schemars(range(min = 1, max = MAX_LINK_SECONDS))]
-    #[serde(deserialize_with = "seconds")]
+    #[serde(deserialize_with = "expiry_seconds")]
     pub expires_in_seconds: u32,
     /// Content of the link.
     #[serde(default)]
-    pub shows: Shown,
+    pub shows: LinkContent,
 }
 
 /// Parses a validity; any other value gets an error with the range.
-fn seconds<'de, D: Deserializer<'de>>(deserializer: D) -> Result<u32, D::Error> {
-    deserializer.deserialize_u64(Seconds)
+fn expiry_seconds<'de, D: Deserializer<'de>>(deserializer: D) -> Result<u32, D::Error> {
+    deserializer.deserialize_u64(ExpiryVisitor)
 }
 
-struct Seconds;
+struct ExpiryVisitor;
 
-impl Visitor<'_> for Seconds {
+impl Visitor<'_> for ExpiryVisitor {
     type Value = u32;
 
     fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {

@@ -57,18 +57,18 @@ pub struct WorkerList {
 pub struct PoolSize {
     /// Workers wanted, 0 to 256.
     #[schemars(range(max = MAX_POOL_WORKERS))]
-    #[serde(deserialize_with = "workers")]
+    #[serde(deserialize_with = "worker_count")]
     pub workers: u32,
 }
 
 /// Parses a number of workers; any other value gets an error with the range.
-fn workers<'de, D: Deserializer<'de>>(deserializer: D) -> Result<u32, D::Error> {
-    deserializer.deserialize_u64(Workers)
+fn worker_count<'de, D: Deserializer<'de>>(deserializer: D) -> Result<u32, D::Error> {
+    deserializer.deserialize_u64(WorkerCountVisitor)
 }
 
-struct Workers;
+struct WorkerCountVisitor;
 
-impl Visitor<'_> for Workers {
+impl Visitor<'_> for WorkerCountVisitor {
     type Value = u32;
 
     fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {

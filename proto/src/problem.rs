@@ -22,7 +22,7 @@ pub struct Problem {
     pub detail: String,
     /// Errors of an invalid job.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
-    pub errors: Vec<FaultView>,
+    pub errors: Vec<ValidationErrorView>,
     /// Id of the request, as in the server's log.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub request_id: Option<String>,
@@ -30,7 +30,7 @@ pub struct Problem {
 
 /// One error of an invalid job.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
-pub struct FaultView {
+pub struct ValidationErrorView {
     /// JSON pointer (RFC 6901) to the place; an unknown key points at the key, a missing one at its parent.
     pub pointer: String,
     /// What is wrong there, and the fix.
@@ -41,8 +41,8 @@ pub struct FaultView {
     pub column: u32,
 }
 
-impl From<&scene::Fault> for FaultView {
-    fn from(fault: &scene::Fault) -> Self {
+impl From<&scene::ValidationError> for ValidationErrorView {
+    fn from(fault: &scene::ValidationError) -> Self {
         Self { pointer: fault.pointer.clone(), message: fault.message.clone(), line: fault.line, column: fault.column }
     }
 }

@@ -5,7 +5,7 @@ use serde::{Deserialize, Serialize};
 /// Tile edges are multiples of this many pixels, except at the picture's right and bottom edge.
 pub const GRID_PX: u32 = 32;
 /// Sample rays in a tile of ordinary size: about a second on one core.
-pub const TILE_RAYS: u64 = 1 << 20;
+pub const TARGET_TILE_RAYS: u64 = 1 << 20;
 /// No frame is cut into more tiles than this.
 pub const MAX_TILES_PER_FRAME: u64 = 1024;
 /// No tile carries more bytes of pixels than this.
@@ -31,7 +31,7 @@ impl Rect {
     }
 
     /// The whole of a picture.
-    pub fn whole(width: u32, height: u32) -> Self {
+    pub fn full(width: u32, height: u32) -> Self {
         Self { x: 0, y: 0, width, height }
     }
 }
@@ -48,25 +48,25 @@ pub struct Tiling {
     /// Bytes of finished data a pixel.
     pub pixel_bytes: u32,
     /// Edge that the operator asked for, in pixels; rounded up to the grid.
-    pub edge: Option<u32>,
+    pub tile_edge: Option<u32>,
 }
 
 impl Tiling {
-    /// Cuts a frame into tiles, row by row: squares of [`TILE_RAYS`] rays unless an
+    /// Cuts a frame into tiles, row by row: squares of [`TARGET_TILE_RAYS`] rays unless an
     /// edge was asked for, larger where the frame would otherwise have too many tiles,
     /// smaller where one would carry too many bytes.
     pub fn tiles(&self) -> Vec<Rect> {
-        let edge = self.edge_px();
+        let edge = self.chosen_edge_px();
         let rows = (0..self.height).step_by(edge as usize);
         rows.flat_map(|y| (0..self.width).step_by(edge as usize).map(move |x| (x, y)))
             .map(|(x, y)| Rect { x, y, width: edge.min(self.width - x), height: edge.min(self.height - y) })
             .collect()
     }
 
-    fn edge_px(&self) -> u32 {
-        let by_rays = ((TILE_RAYS / u64::from(self.samples)) as f64).sqrt() as u32;
+    fn chosen_edge_px(&self) -> u32 {
+        let by_rays = ((TARGET_TILE_RAYS / u64::from(self.samples)) as f64).sqrt() as u32;
         let fits_bytes = (((MAX_TILE_BYTES / u64::from(self.pixel_bytes)) as f64).sqrt() as u32).max(GRID_PX);
-        let asked = self.edge.unwrap_or(by_rays).max(1);
+        let asked = self.tile_edge.unwrap_or(by_rays).max(1);
         let mut edge = asked.next_multiple_of(GRID_PX).min(fits_bytes / GRID_PX * GRID_PX);
         while self.count(edge) > MAX_TILES_PER_FRAME {
             edge += GRID_PX;
@@ -84,7 +84,7 @@ mod tests {
     use super::*;
 
     fn tiling(width: u32, height: u32, samples: u32) -> Tiling {
-        Tiling { width, height, samples, pixel_bytes: 16, edge: None }
+        Tiling { width, height, samples, pixel_bytes: 16, tile_edge: None }
     }
 
     #[test]

@@ -17,7 +17,7 @@ pub enum DeliveryState {
 
 impl DeliveryState {
     /// Reads a state as the database spells it.
-    pub fn read(name: &str) -> Option<Self> {
+    pub fn parse(name: &str) -> Option<Self> {
         Some(match name {
             "pending" => Self::Pending,
             "delivered" => Self::Delivered,

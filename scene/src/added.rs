@@ -107,6 +107,6 @@ fn a_job_may_have_one_of_each_added_kind() {
     let job = crate::parse(text.as_bytes()).expect("every kind is known");
     assert_eq!(job.warnings(), [""; 0]);
     let still = job.at(0).expect("the job is sound");
-    let seen = crate::Program::new(&still).pixel(8.0_f32, 8.0);
+    let seen = crate::Integrator::new(&still).pixel(8.0_f32, 8.0);
     assert!(seen.color.y > 0.1 && seen.color.x == 0.0, "{seen:?}");
 }

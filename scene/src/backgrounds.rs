@@ -1,7 +1,7 @@
 //! What is seen where nothing is: the list of backgrounds, and what a background must say of itself.
 //!
 //! A background is one documented struct in a file under `backgrounds/`, one `impl` of [`Backdrop`], and one entry in
-//! the list; with fields it has an `impl` of [`Exemplary`] too; without fields it is written as its name alone.
+//! the list; with fields it has an `impl` of [`HasExamples`] too; without fields it is written as its name alone.
 
 #[cfg(test)]
 mod added;
@@ -16,20 +16,20 @@ pub use added::AddedBackground;
 pub use day::Day;
 pub use simple::{SkyGradient, SolidColor, Transparent};
 
-pub use crate::kinds::{Example, Exemplary};
-use crate::nodes::{NodeFault, snake_case};
+pub use crate::kinds::{Example, HasExamples};
+use crate::nodes::{NodeError, snake_case};
 use crate::real::{Real, Vec3};
 use crate::seek::Seek;
 use crate::values::Color;
 
 /// What a background means.
 pub trait Backdrop {
-    /// Linear RGB seen towards `direction`, of length 1; black where nothing is.
-    fn toward<R: Real>(&self, direction: Vec3<R>) -> Vec3<R>;
+    /// Linear RGB seen toward `direction`, of length 1; black where nothing is.
+    fn radiance<R: Real>(&self, direction: Vec3<R>) -> Vec3<R>;
 
     /// The mean of all it sends to a surface with this normal, weighted by the cosine; `None` where
     /// that has no closed form.
-    fn mean_over<R: Real>(&self, normal: Vec3<R>) -> Option<Vec3<R>> {
+    fn cosine_mean<R: Real>(&self, normal: Vec3<R>) -> Option<Vec3<R>> {
         let _ = normal;
         None
     }
@@ -45,12 +45,12 @@ pub trait Backdrop {
     }
 
     /// What is wrong with it, if anything.
-    fn fault(&self) -> Option<NodeFault> {
+    fn validate(&self) -> Option<NodeError> {
         None
     }
 
     /// Finds what all directions share.
-    fn prepare(&mut self) {}
+    fn precompute(&mut self) {}
 }
 
 /// The list: each background's name and its struct, then those without fields, described as in the schema.
@@ -69,18 +69,18 @@ macro_rules! backgrounds {
 
         impl Backdrop for Background {
             #[inline(always)]
-            fn toward<R: Real>(&self, direction: Vec3<R>) -> Vec3<R> {
+            fn radiance<R: Real>(&self, direction: Vec3<R>) -> Vec3<R> {
                 match self {
-                    $($(#[$attribute])* Self::$Kind(background) => background.toward(direction),)*
-                    $(Self::$Unit => $Unit.toward(direction),)*
+                    $($(#[$attribute])* Self::$Kind(background) => background.radiance(direction),)*
+                    $(Self::$Unit => $Unit.radiance(direction),)*
                 }
             }
 
             #[inline(always)]
-            fn mean_over<R: Real>(&self, normal: Vec3<R>) -> Option<Vec3<R>> {
+            fn cosine_mean<R: Real>(&self, normal: Vec3<R>) -> Option<Vec3<R>> {
                 match self {
-                    $($(#[$attribute])* Self::$Kind(background) => background.mean_over(normal),)*
-                    $(Self::$Unit => $Unit.mean_over(normal),)*
+                    $($(#[$attribute])* Self::$Kind(background) => background.cosine_mean(normal),)*
+                    $(Self::$Unit => $Unit.cosine_mean(normal),)*
                 }
             }
 
@@ -99,18 +99,18 @@ macro_rules! backgrounds {
             }
 
             /// The same, at its place in the background's JSON.
-            fn fault(&self) -> Option<NodeFault> {
+            fn validate(&self) -> Option<NodeError> {
                 match self {
                     $($(#[$attribute])* Self::$Kind(background) => {
-                        background.fault().map(|fault| fault.inside(&snake_case(stringify!($Kind))))
+                        background.validate().map(|validate| validate.inside(&snake_case(stringify!($Kind))))
                     })*
-                    $(Self::$Unit => $Unit.fault(),)*
+                    $(Self::$Unit => $Unit.validate(),)*
                 }
             }
 
-            fn prepare(&mut self) {
+            fn precompute(&mut self) {
                 match self {
-                    $($(#[$attribute])* Self::$Kind(background) => background.prepare(),)*
+                    $($(#[$attribute])* Self::$Kind(background) => background.precompute(),)*
                     $(Self::$Unit => {})*
                 }
             }

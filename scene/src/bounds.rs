@@ -10,64 +10,64 @@ use crate::real::{Real, Vec3, vec3};
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Bounds {
     /// Its least coordinates.
-    pub low: Vec3<f32>,
+    pub min: Vec3<f32>,
     /// Its greatest coordinates.
-    pub high: Vec3<f32>,
+    pub max: Vec3<f32>,
 }
 
 impl Bounds {
     /// All of space.
-    pub const EVERYWHERE: Self = {
+    pub const INFINITE: Self = {
         const FAR: f32 = f32::INFINITY;
-        Self { low: vec3(-FAR, -FAR, -FAR), high: vec3(FAR, FAR, FAR) }
+        Self { min: vec3(-FAR, -FAR, -FAR), max: vec3(FAR, FAR, FAR) }
     };
 
     /// No point at all.
-    pub const NOWHERE: Self = {
+    pub const EMPTY: Self = {
         const FAR: f32 = 1e9;
-        Self { low: vec3(FAR, FAR, FAR), high: vec3(-FAR, -FAR, -FAR) }
+        Self { min: vec3(FAR, FAR, FAR), max: vec3(-FAR, -FAR, -FAR) }
     };
 
     /// Box around the origin with these half extents.
     pub fn symmetric(x: f32, y: f32, z: f32) -> Self {
-        Self { low: vec3(-x, -y, -z), high: vec3(x, y, z) }
+        Self { min: vec3(-x, -y, -z), max: vec3(x, y, z) }
     }
 
     /// The least box that holds both.
-    pub fn hull(self, other: Self) -> Self {
-        Self { low: zip(self.low, other.low, f32::min), high: zip(self.high, other.high, f32::max) }
+    pub fn union(self, other: Self) -> Self {
+        Self { min: zip(self.min, other.min, f32::min), max: zip(self.max, other.max, f32::max) }
     }
 
     /// Intersection of two boxes.
-    pub fn overlap(self, other: Self) -> Self {
-        Self { low: zip(self.low, other.low, f32::max), high: zip(self.high, other.high, f32::min) }
+    pub fn intersection(self, other: Self) -> Self {
+        Self { min: zip(self.min, other.min, f32::max), max: zip(self.max, other.max, f32::min) }
     }
 
     /// The box with each side further out by `margin`.
-    pub fn widened(self, margin: f32) -> Self {
-        let Self { low, high } = self;
-        Self { low: low.map(|c| c - margin), high: high.map(|c| c + margin) }
+    pub fn expanded(self, margin: f32) -> Self {
+        let Self { min: low, max: high } = self;
+        Self { min: low.map(|c| c - margin), max: high.map(|c| c + margin) }
     }
 
     /// The box moved.
-    pub fn moved(self, by: Vec3<f32>) -> Self {
-        Self { low: zip(self.low, by, |c, by| c + by), high: zip(self.high, by, |c, by| c + by) }
+    pub fn translated(self, by: Vec3<f32>) -> Self {
+        Self { min: zip(self.min, by, |c, by| c + by), max: zip(self.max, by, |c, by| c + by) }
     }
 
     /// Box scaled by `factor` about the origin.
     pub fn scaled(self, factor: f32) -> Self {
-        let Self { low, high } = self;
-        Self { low: low.map(|c| c * factor), high: high.map(|c| c * factor) }
+        let Self { min: low, max: high } = self;
+        Self { min: low.map(|c| c * factor), max: high.map(|c| c * factor) }
     }
 
     /// A box around this one turned by the matrix of these columns.
-    pub fn turned(self, columns: [Vec3<f32>; 3]) -> Self {
-        let ends = [(self.low.x, self.high.x), (self.low.y, self.high.y), (self.low.z, self.high.z)];
-        let mut turned = Self { low: vec3(0.0, 0.0, 0.0), high: vec3(0.0, 0.0, 0.0) };
+    pub fn rotated(self, columns: [Vec3<f32>; 3]) -> Self {
+        let ends = [(self.min.x, self.max.x), (self.min.y, self.max.y), (self.min.z, self.max.z)];
+        let mut turned = Self { min: vec3(0.0, 0.0, 0.0), max: vec3(0.0, 0.0, 0.0) };
         for (column, (low, high)) in columns.into_iter().zip(ends) {
             let least = column.map(|c| product(c, low).min(product(c, high)));
             let most = column.map(|c| product(c, low).max(product(c, high)));
-            turned = Self { low: zip(turned.low, least, |a, b| a + b), high: zip(turned.high, most, |a, b| a + b) };
+            turned = Self { min: zip(turned.min, least, |a, b| a + b), max: zip(turned.max, most, |a, b| a + b) };
         }
         turned
     }
@@ -78,34 +78,34 @@ impl Bounds {
         const OF_SIZE: f32 = 1e-3;
         const OF_DISTANCE: f32 = 1e-5;
         let finite = |c: f32| if c.is_finite() { c.abs() } else { 0.0 };
-        let far = [self.low, self.high, origin].map(|v| v.map(finite).max_element()).into_iter().fold(0.0, f32::max);
-        let size = zip(self.high, self.low, |high, low| finite(high - low)).max_element();
-        self.widened(OF_SIZE * size + OF_DISTANCE * far)
+        let far = [self.min, self.max, origin].map(|v| v.map(finite).max_element()).into_iter().fold(0.0, f32::max);
+        let size = zip(self.max, self.min, |high, low| finite(high - low)).max_element();
+        self.expanded(OF_SIZE * size + OF_DISTANCE * far)
     }
 
     /// The distance between its farthest corners.
     pub fn diagonal(self) -> f32 {
-        zip(self.high, self.low, |high, low| high - low).length()
+        zip(self.max, self.min, |high, low| high - low).length()
     }
 
     /// Box with finite ends far beyond all coordinates where it is infinite.
-    pub(crate) fn ended(self) -> Self {
-        const BEYOND: f32 = 1e12;
-        let ended = |c: f32| c.clamp(-BEYOND, BEYOND);
-        Self { low: self.low.map(ended), high: self.high.map(ended) }
+    pub(crate) fn clamped_to_finite(self) -> Self {
+        const FINITE_LIMIT: f32 = 1e12;
+        let ended = |c: f32| c.clamp(-FINITE_LIMIT, FINITE_LIMIT);
+        Self { min: self.min.map(ended), max: self.max.map(ended) }
     }
 
     /// Whether a point is in it.
-    pub(crate) fn holds(self, p: Vec3<f32>) -> bool {
+    pub(crate) fn contains(self, p: Vec3<f32>) -> bool {
         let between = |low: f32, c: f32, high: f32| low <= c && c <= high;
-        between(self.low.x, p.x, self.high.x)
-            && between(self.low.y, p.y, self.high.y)
-            && between(self.low.z, p.z, self.high.z)
+        between(self.min.x, p.x, self.max.x)
+            && between(self.min.y, p.y, self.max.y)
+            && between(self.min.z, p.z, self.max.z)
     }
 
     /// Whether it is bounded in every direction.
     pub fn is_finite(self) -> bool {
-        [self.low, self.high]
+        [self.min, self.max]
             .into_iter()
             .all(|corner| corner.x.is_finite() && corner.y.is_finite() && corner.z.is_finite())
     }
@@ -113,34 +113,34 @@ impl Bounds {
     /// No more than the distance from `p` to anything in the box: its greatest part along an axis,
     /// less a hundredth of the box's size.
     #[inline(always)]
-    pub fn distance_below<R: Real>(&self, p: Vec3<R>) -> R {
-        let half = zip(self.high, self.low, |high, low| (high - low) * 0.5);
-        let middle = zip(self.high, self.low, |high, low| (high + low) * 0.5);
+    pub fn distance_lower_bound<R: Real>(&self, p: Vec3<R>) -> R {
+        let half = zip(self.max, self.min, |high, low| (high - low) * 0.5);
+        let middle = zip(self.max, self.min, |high, low| (high + low) * 0.5);
         let half = half.map(|c| c + 0.02 * half.max_element());
-        let away = p - Vec3::given(p.x, middle);
-        (vec3(away.x.abs(), away.y.abs(), away.z.abs()) - Vec3::given(p.x, half)).max_element()
+        let away = p - Vec3::uniform(p.x, middle);
+        (vec3(away.x.abs(), away.y.abs(), away.z.abs()) - Vec3::uniform(p.x, half)).max_element()
     }
 
     /// Interval of the ray inside the box, clamped to 0..`farthest`; a ray that misses the box leaves
     /// before it enters.
     #[inline(always)]
-    pub fn along<R: Real>(&self, ray: &Ray<R>, farthest: R) -> (R, R) {
-        let (low, high) = (Vec3::given(farthest, self.low), Vec3::given(farthest, self.high));
-        let zero = farthest.splat(0.0);
-        let (x_in, x_out) = between(low.x, high.x, ray.origin.x, ray.direction.x);
-        let (y_in, y_out) = between(low.y, high.y, ray.origin.y, ray.direction.y);
-        let (z_in, z_out) = between(low.z, high.z, ray.origin.z, ray.direction.z);
+    pub fn intersect_ray<R: Real>(&self, ray: &Ray<R>, farthest: R) -> (R, R) {
+        let (low, high) = (Vec3::uniform(farthest, self.min), Vec3::uniform(farthest, self.max));
+        let zero = farthest.constant(0.0);
+        let (x_in, x_out) = slab_interval(low.x, high.x, ray.origin.x, ray.direction.x);
+        let (y_in, y_out) = slab_interval(low.y, high.y, ray.origin.y, ray.direction.y);
+        let (z_in, z_out) = slab_interval(low.z, high.z, ray.origin.z, ray.direction.z);
         (x_in.max(y_in).max(z_in.max(zero)), x_out.min(y_out).min(z_out.min(farthest)))
     }
 }
 
 /// Interval in which a coordinate that starts at `origin` and grows by `slope` is between two ends.
 #[inline(always)]
-fn between<R: Real>(low: R, high: R, origin: R, slope: R) -> (R, R) {
+fn slab_interval<R: Real>(low: R, high: R, origin: R, slope: R) -> (R, R) {
     // Replaces a slope of 0, so that the quotient exists.
-    const LEVEL: f32 = 1e-12;
-    let slope = R::select(slope.abs().below(LEVEL), slope.splat(LEVEL), slope);
-    let per_slope = slope.splat(1.0) / slope;
+    const PARALLEL_EPSILON: f32 = 1e-12;
+    let slope = R::select(slope.abs().below(PARALLEL_EPSILON), slope.constant(PARALLEL_EPSILON), slope);
+    let per_slope = slope.constant(1.0) / slope;
     let (a, b) = ((low - origin) * per_slope, (high - origin) * per_slope);
     (a.min(b), a.max(b))
 }

@@ -1,20 +1,22 @@
 //! From a point of the picture to a ray.
 
+mod culling;
 mod matrices;
 mod projections;
-mod sight;
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 pub use matrices::Matrix;
-pub use projections::{Axes, Example, Exemplary, Extent, Orthographic, Panorama, Perspective, Project, Projection};
+pub use projections::{
+    CameraAxes, Example, Extent, HasExamples, Orthographic, Panorama, Perspective, Project, Projection,
+};
 
 use crate::job::Frames;
 use crate::march::Tolerance;
 use crate::real::{Real, Vec3, bundle, vec3};
 use crate::seek::Seek;
-use crate::values::{Direction, FieldOfView, Point, Turns, sin_cos_degrees};
+use crate::values::{Direction, FieldOfView, Point, Revolutions, sin_cos_degrees};
 
 /// Where the scene is seen from, and how.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
@@ -25,7 +27,7 @@ pub struct Camera {
     /// A point in the middle of the picture; not where the camera is.
     pub look_at: Point,
     /// A direction that is up in the picture; not along the view.
-    #[serde(default = "upwards")]
+    #[serde(default = "default_up")]
     pub up: Direction,
     /// The vertical field of view of a perspective, 40 degrees when absent.
     #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -43,8 +45,8 @@ pub struct Camera {
 #[serde(deny_unknown_fields)]
 pub struct Turntable {
     /// Turns over all frames, counter-clockwise from above: frame i is i/count of them on the way.
-    #[serde(default = "once")]
-    pub turns: Turns,
+    #[serde(default = "default_turns")]
+    pub turns: Revolutions,
 }
 
 /// A camera in front of a picture of some size, ready to make rays.
@@ -61,7 +63,7 @@ pub struct View {
     scale: (f32, f32),
     footprint: Tolerance,
     /// What numbers around the camera are right to, in scene units.
-    precision: f32,
+    coordinate_error: f32,
 }
 
 /// A half line.
@@ -85,7 +87,7 @@ impl<R: Real> Ray<R> {
 
 impl Camera {
     /// What is wrong with this camera, if anything: the key and the fault.
-    pub(crate) fn fault(&self) -> Option<(&'static str, &'static str)> {
+    pub(crate) fn validate(&self) -> Option<(&'static str, &'static str)> {
         let (from, to) = (self.position.get(), self.look_at.get());
         let away = vec3(to.x - from.x, to.y - from.y, to.z - from.z);
         if away.length() < 1e-6 {
@@ -98,23 +100,23 @@ impl Camera {
         if forward.cross(self.up.unit()).length() < 1e-4 {
             return Some(("up", "points along the view: choose an up that is not along look_at - position"));
         }
-        self.fov.as_ref().and(self.projection.fov_fault()).map(|message| ("fov", message))
+        self.fov.as_ref().and(self.projection.validate_fov()).map(|message| ("fov", message))
     }
 
     /// Says what was left open, so that cameras that see the same are equal.
-    pub(crate) fn complete(&mut self) {
+    pub(crate) fn fill_defaults(&mut self) {
         self.fov = self.fov.take().or_else(|| self.projection.default_fov());
     }
 
     /// Goes where the turntable has carried it in a frame, and steps off; whether there was one.
-    pub(crate) fn turn(&mut self, frame: u32, frames: &Frames) -> bool {
+    pub(crate) fn apply_turntable(&mut self, frame: u32, frames: &Frames) -> bool {
         let Some(Turntable { turns }) = self.turntable.take() else { return false };
         let share = f64::from(frame) / f64::from(frames.count);
         let degrees = (360.0 * f64::from(turns.get()) * share % 360.0) as f32;
         if degrees != 0.0 {
             let middle = self.look_at.get();
-            let moved = turned(self.position.get() - middle, self.up.unit(), degrees) + middle;
-            self.position = Point::nearest(moved);
+            let moved = rotate_about_axis(self.position.get() - middle, self.up.unit(), degrees) + middle;
+            self.position = Point::clamped(moved);
         }
         true
     }
@@ -138,7 +140,7 @@ impl Camera {
             up: scaled(up, half_height),
             scale: (2.0 / width, -2.0 / height),
             footprint,
-            precision: 2e-7 * size + 1e-7,
+            coordinate_error: 2e-7 * size + 1e-7,
         }
     }
 }
@@ -147,11 +149,12 @@ impl View {
     /// The ray through the point (`x`, `y`) of the picture, in pixels from its top left.
     #[inline(always)]
     pub fn ray<R: Real>(&self, x: R, y: R) -> Ray<R> {
-        let across = x.mul_add(x.given(self.scale.0), x.splat(-1.0));
-        let upwards = y.mul_add(y.given(self.scale.1), y.splat(1.0));
-        let (right, up, forward) = (Vec3::given(x, self.right), Vec3::given(x, self.up), Vec3::given(x, self.forward));
-        let origin = Vec3::given(x, self.origin);
-        self.projection.ray(&Axes { origin, right, up, forward }, across, upwards)
+        let across = x.mul_add(x.uniform(self.scale.0), x.constant(-1.0));
+        let upwards = y.mul_add(y.uniform(self.scale.1), y.constant(1.0));
+        let (right, up, forward) =
+            (Vec3::uniform(x, self.right), Vec3::uniform(x, self.up), Vec3::uniform(x, self.forward));
+        let origin = Vec3::uniform(x, self.origin);
+        self.projection.ray(&CameraAxes { origin, right, up, forward }, across, upwards)
     }
 
     /// Half a pixel's height, by the distance along a ray.
@@ -165,21 +168,21 @@ impl View {
         let Tolerance { slope, floor } = self.footprint;
         // Parallel rays: no more than a part of what the picture shows.
         let shown = self.up.length();
-        let floor = (0.25 * floor).min(5e-4 * shown) + self.precision;
+        let floor = (0.25 * floor).min(5e-4 * shown) + self.coordinate_error;
         Tolerance { slope: (0.25 * slope).clamp(2e-6, 2.5e-4), floor }
     }
 
     /// What a distance is right to, by the distance along the ray: below it, a surface has been met.
     pub fn resolution(&self) -> Tolerance {
-        Tolerance { slope: 1.5e-7, floor: self.precision }
+        Tolerance { slope: 1.5e-7, floor: self.coordinate_error }
     }
 
     /// Half the edge of the tetrahedron that normals are measured on, at most: half of half a pixel, and far
     /// above the limits of `f32`.
-    pub fn tap(&self) -> Tolerance {
+    pub fn normal_epsilon(&self) -> Tolerance {
         let Tolerance { slope, floor } = self.footprint;
         let least = if floor > 0.0 { 2e-5 } else { 3e-4 };
-        Tolerance { slope: (0.5 * slope).max(least), floor: (0.5 * floor).max(100.0 * self.precision) }
+        Tolerance { slope: (0.5 * slope).max(least), floor: (0.5 * floor).max(100.0 * self.coordinate_error) }
     }
 
     /// Where the camera is.
@@ -190,7 +193,7 @@ impl View {
 
 /// A vector turned about an axis of length 1, by Olinde Rodrigues' formula:
 /// <https://en.wikipedia.org/wiki/Rodrigues%27_rotation_formula>.
-fn turned(v: Vec3<f32>, axis: Vec3<f32>, degrees: f32) -> Vec3<f32> {
+fn rotate_about_axis(v: Vec3<f32>, axis: Vec3<f32>, degrees: f32) -> Vec3<f32> {
     let (sine, cosine) = sin_cos_degrees(degrees);
     v * cosine + axis.cross(v) * sine + axis * (axis.dot(v) * (1.0 - cosine))
 }
@@ -199,12 +202,12 @@ fn scaled(v: Vec3<f32>, factor: f32) -> Vec3<f32> {
     vec3(v.x * factor, v.y * factor, v.z * factor)
 }
 
-fn upwards() -> Direction {
+fn default_up() -> Direction {
     serde_json::from_str("[0, 1, 0]").expect("a direction")
 }
 
-fn once() -> Turns {
-    Turns::new(1.0).expect("1 is in range")
+fn default_turns() -> Revolutions {
+    Revolutions::new(1.0).expect("1 is in range")
 }
 
 #[cfg(test)]
@@ -276,7 +279,7 @@ mod tests {
         let frames = Frames { count: 16, ..Frames::default() };
         let position = |frame| {
             let mut camera = camera.clone();
-            assert!(camera.turn(frame, &frames) && camera.turntable.is_none());
+            assert!(camera.apply_turntable(frame, &frames) && camera.turntable.is_none());
             camera.position.get()
         };
         for (frame, want) in [(0, [1.0, 3.0, 5.0]), (2, [-4.0, 3.0, 0.0]), (4, [1.0, 3.0, -5.0]), (8, [1.0, 3.0, 5.0])]

@@ -5,22 +5,22 @@ use crate::real::Real;
 
 /// Display transform of a picture.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Grade {
+pub struct DisplayTransform {
     /// Factor of the light.
     exposure: f32,
     tone_map: ToneMap,
 }
 
-impl Grade {
+impl DisplayTransform {
     /// Display transform of an image.
-    pub fn of(image: &Image) -> Self {
+    pub fn new(image: &Image) -> Self {
         Self { exposure: power_of_two(image.exposure.get()), tone_map: image.tone_map }
     }
 
     /// Display value of a channel's linear light.
     #[inline(always)]
     pub fn apply<R: Real>(self, linear: R) -> R {
-        let exposed = linear * linear.given(self.exposure);
+        let exposed = linear * linear.uniform(self.exposure);
         match self.tone_map {
             ToneMap::None => exposed,
             ToneMap::Filmic => filmic(exposed),
@@ -42,10 +42,10 @@ fn power_of_two(power: f32) -> f32 {
 #[inline(always)]
 pub fn filmic<R: Real>(linear: R) -> R {
     // Far above where it reaches 1, and so that no square overflows.
-    const BRIGHTEST: f32 = 1e4;
-    let x = linear.at_least(0.0).at_most(BRIGHTEST);
-    let over = x * x.mul_add(x.splat(2.51), x.splat(0.03));
-    let under = x.mul_add(x.mul_add(x.splat(2.43), x.splat(0.59)), x.splat(0.14));
+    const MAX_INPUT: f32 = 1e4;
+    let x = linear.at_least(0.0).at_most(MAX_INPUT);
+    let over = x * x.mul_add(x.constant(2.51), x.constant(0.03));
+    let under = x.mul_add(x.mul_add(x.constant(2.43), x.constant(0.59)), x.constant(0.14));
     (over / under).at_most(1.0)
 }
 
@@ -53,14 +53,14 @@ pub fn filmic<R: Real>(linear: R) -> R {
 #[inline(always)]
 pub fn srgb_from_linear<R: Real>(linear: R) -> R {
     let linear = linear.at_least(0.0).at_most(1.0);
-    let curve = linear.powf(linear.splat(1.0 / 2.4)).mul_add(linear.splat(1.055), linear.splat(-0.055));
+    let curve = linear.powf(linear.constant(1.0 / 2.4)).mul_add(linear.constant(1.055), linear.constant(-0.055));
     R::select(linear.below(0.003_130_8), linear * 12.92, curve).at_most(1.0)
 }
 
 /// Which of 256 levels shows an sRGB value, 0 to 1, before its fraction is cut off: rounded at `threshold`, which
-/// differs from pixel to pixel, so that no band is seen where colours change slowly.
+/// differs from pixel to pixel, so that no band is seen where colors change slowly.
 ///
-/// What is a level but for rounding is that level everywhere: an even colour stays even.
+/// What is a level but for rounding is that level everywhere: an even color stays even.
 #[inline(always)]
 pub fn level_of_256<R: Real>(srgb: R, threshold: R) -> R {
     /// How near a level one must be to be it.
@@ -73,7 +73,7 @@ pub fn level_of_256<R: Real>(srgb: R, threshold: R) -> R {
 /// Linear light from an sRGB value, 0 to 1.
 #[inline(always)]
 pub fn linear_from_srgb<R: Real>(srgb: R) -> R {
-    let curve = ((srgb + 0.055) / 1.055).powf(srgb.splat(2.4));
+    let curve = ((srgb + 0.055) / 1.055).powf(srgb.constant(2.4));
     R::select(srgb.below(0.040_45), srgb / 12.92, curve)
 }
 
@@ -113,10 +113,10 @@ mod tests {
 
     #[test]
     fn the_ends_of_16_bits_are_reached() {
-        let quantised = |linear: f32| (srgb_from_linear(linear) * 65_535.0 + 0.5).floor();
+        let quantized = |linear: f32| (srgb_from_linear(linear) * 65_535.0 + 0.5).floor();
         assert_eq!(srgb_from_linear(0.0_f32), 0.0);
-        assert_eq!(quantised(1.0), 65_535.0);
-        assert_eq!(quantised(7.0), 65_535.0);
+        assert_eq!(quantized(1.0), 65_535.0);
+        assert_eq!(quantized(7.0), 65_535.0);
         assert!((linear_from_srgb(1.0_f32) - 1.0).abs() < 1e-6);
     }
 }

@@ -7,23 +7,24 @@ use std::collections::BTreeMap;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
+use crate::ambient_occlusion::AmbientOcclusion;
 use crate::backgrounds::Background;
 use crate::camera::Camera;
+use crate::fog::Fog;
 use crate::job::{Frames, Image, priority};
+use crate::json_scan;
 use crate::lights::{Light, default_lights};
 use crate::limits::MAX_LIGHTS;
-use crate::materials::{Material, MaterialUse};
+use crate::materials::{Material, MaterialRef};
 use crate::nodes::Node;
-use crate::outline;
-use crate::scene::{March, Object, Scene, child_steps};
-use crate::surroundings::{AmbientOcclusion, Fog};
+use crate::scene::{March, Object, Scene, child_pointers};
 
 /// What one POSTs.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename = "Job", deny_unknown_fields)]
 pub(crate) struct JobDocument {
     /// A name for people.
-    #[serde(default = "untitled")]
+    #[serde(default = "default_name")]
     #[schemars(length(max = crate::limits::MAX_NAME_CHARS))]
     pub name: String,
     /// What there is to see.
@@ -75,9 +76,9 @@ pub(crate) struct Resolved {
     /// The scene, not yet prepared.
     pub scene: Scene,
     /// Where in the document each of the materials in use stands: a JSON pointer in the scene.
-    pub places: Vec<String>,
+    pub material_pointers: Vec<String>,
     /// Names of materials that no object and no node uses.
-    pub unused: Vec<String>,
+    pub unused_names: Vec<String>,
     /// Names that no material has: JSON pointers in the scene, and the names.
     pub unknown: Vec<(String, String)>,
 }
@@ -88,49 +89,49 @@ impl SceneDocument {
         // Without `..`: a field that is new does not compile until it has a place in the scene.
         let Self { mut camera, background, lights, fog, ambient_occlusion, materials: named, mut objects, march } =
             self;
-        camera.complete();
-        let mut slots = Slots {
+        camera.fill_defaults();
+        let mut slots = MaterialResolver {
             named: &named,
             used: Vec::new(),
             by_name: BTreeMap::new(),
-            places: Vec::new(),
+            material_pointers: Vec::new(),
             unknown: Vec::new(),
         };
         for (index, object) in objects.iter_mut().enumerate() {
             slots.resolve_object(object, index);
         }
-        let Slots { used: materials, by_name, places, unknown, .. } = slots;
+        let MaterialResolver { used: materials, by_name, material_pointers: places, unknown, .. } = slots;
         let unused = named.keys().filter(|name| !by_name.contains_key(*name)).cloned().collect();
         let scene = Scene { camera, background, lights, fog, ambient_occlusion, materials, objects, march };
-        Resolved { scene, places, unused, unknown }
+        Resolved { scene, material_pointers: places, unused_names: unused, unknown }
     }
 }
 
 /// Hands out slots.
-struct Slots<'a> {
+struct MaterialResolver<'a> {
     named: &'a BTreeMap<String, Material>,
     used: Vec<Material>,
     by_name: BTreeMap<String, u32>,
-    places: Vec<String>,
+    material_pointers: Vec<String>,
     unknown: Vec<(String, String)>,
 }
 
-impl Slots<'_> {
+impl MaterialResolver<'_> {
     fn resolve_object(&mut self, object: &mut Object, index: usize) {
         self.resolve(&mut object.material, || format!("/objects/{index}/material"));
         self.resolve_tree(&mut object.shape, &mut Vec::new(), index);
     }
 
-    fn resolve(&mut self, material: &mut MaterialUse, pointer: impl Fn() -> String) {
+    fn resolve(&mut self, material: &mut MaterialRef, pointer: impl Fn() -> String) {
         let place = match material {
-            MaterialUse::Name(name) => format!("/materials/{}", outline::escape(name)),
-            MaterialUse::InPlace(_) | MaterialUse::Slot(_) => pointer(),
+            MaterialRef::Name(name) => format!("/materials/{}", json_scan::escape(name)),
+            MaterialRef::InPlace(_) | MaterialRef::Slot(_) => pointer(),
         };
         if let Err(name) = material.resolve(self.named, &mut self.used, &mut self.by_name) {
             self.unknown.push((pointer(), name));
         }
-        if self.places.len() < self.used.len() {
-            self.places.push(place);
+        if self.material_pointers.len() < self.used.len() {
+            self.material_pointers.push(place);
         }
     }
 
@@ -139,7 +140,7 @@ impl Slots<'_> {
         if let Some(material) = node.material_mut() {
             self.resolve(material, || format!("/objects/{object}/shape{}/{name}/material", path.concat()));
         }
-        let steps = child_steps(node);
+        let steps = child_pointers(node);
         for (child, step) in node.children_mut().iter_mut().zip(steps) {
             path.push(step);
             self.resolve_tree(child, path, object);
@@ -148,6 +149,6 @@ impl Slots<'_> {
     }
 }
 
-fn untitled() -> String {
+fn default_name() -> String {
     "untitled".to_owned()
 }

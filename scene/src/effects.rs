@@ -1,10 +1,11 @@
 //! What the air and the neighborhood of a surface do to light: the list of effects.
 //!
-//! An effect is one documented struct with an `impl` of [`Exemplary`], an entry in the list, and a field of the
+//! An effect is one documented struct with an `impl` of [`HasExamples`], an entry in the list, and a field of the
 //! [`Scene`](crate::scene::Scene) under the same name, `None` where there is no such effect.
 
-pub use crate::kinds::{Example, Exemplary};
-use crate::surroundings::{AmbientOcclusion, Fog};
+use crate::ambient_occlusion::AmbientOcclusion;
+use crate::fog::Fog;
+pub use crate::kinds::{Example, HasExamples};
 
 /// The list: each effect's name in a scene, and its struct.
 macro_rules! effects {

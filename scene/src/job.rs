@@ -6,7 +6,7 @@ use serde::{Deserialize, Deserializer, Serialize};
 use crate::limits::{MAX_EDGE_PX, MAX_FRAMES, MAX_SAMPLES};
 use crate::scene::Scene;
 use crate::seek::Seek;
-use crate::values::{FrameRate, Stops, integer, whole};
+use crate::values::{ExposureStops, FrameRate, integer, integer_in_range};
 use crate::warnings;
 
 /// A job, read and found sound: a scene, and the pictures wanted of it.
@@ -22,9 +22,9 @@ pub struct Job {
     pub frames: Frames,
     /// Jobs of higher priority go first.
     pub priority: i32,
-    pub(crate) is_moving: bool,
+    pub(crate) is_animated: bool,
     /// Where in the document each of the materials in use stands: a JSON pointer in the scene.
-    pub(crate) material_places: Vec<String>,
+    pub(crate) material_pointers: Vec<String>,
     /// Names of materials that are not in use.
     pub(crate) unused_materials: Vec<String>,
 }
@@ -34,15 +34,15 @@ pub struct Job {
 #[serde(deny_unknown_fields)]
 pub struct Image {
     /// Width, in pixels.
-    #[serde(deserialize_with = "edge")]
+    #[serde(deserialize_with = "image_edge")]
     #[schemars(range(min = 1, max = MAX_EDGE_PX))]
     pub width: u32,
     /// Height, in pixels.
-    #[serde(deserialize_with = "edge")]
+    #[serde(deserialize_with = "image_edge")]
     #[schemars(range(min = 1, max = MAX_EDGE_PX))]
     pub height: u32,
     /// Rays a pixel.
-    #[serde(default = "four", deserialize_with = "samples")]
+    #[serde(default = "default_samples", deserialize_with = "samples")]
     #[schemars(range(min = 1, max = MAX_SAMPLES))]
     pub samples: u32,
     /// Where in their pixels the rays pass: another seed, another noise.
@@ -55,16 +55,16 @@ pub struct Image {
     /// Bits a channel of a PNG.
     #[serde(default)]
     pub bits: Bits,
-    /// Precision of the colour channels of an EXR.
+    /// Precision of the color channels of an EXR.
     #[serde(default)]
     pub precision: Precision,
-    /// What an EXR holds beside the colours.
+    /// What an EXR holds beside the colors.
     #[serde(default)]
     #[schemars(extend("uniqueItems" = true))]
     pub layers: Vec<Layer>,
     /// How much brighter a PNG is than the light of the scene, in stops.
-    #[serde(default = "as_it_is")]
-    pub exposure: Stops,
+    #[serde(default = "default_exposure")]
+    pub exposure: ExposureStops,
     /// How a PNG shows light that is too bright for it.
     #[serde(default)]
     pub tone_map: ToneMap,
@@ -91,7 +91,7 @@ pub enum Bits {
     Sixteen,
 }
 
-/// Precision of the colour channels of an EXR.
+/// Precision of the color channels of an EXR.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema, Seek)]
 #[serde(rename_all = "snake_case")]
 pub enum Precision {
@@ -113,7 +113,7 @@ pub enum ToneMap {
     Filmic,
 }
 
-/// What an EXR may hold beside the colours, taken at the pixel's centre.
+/// What an EXR may hold beside the colors, taken at the pixel's center.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize, JsonSchema, Seek)]
 #[serde(rename_all = "snake_case")]
 pub enum Layer {
@@ -123,7 +123,7 @@ pub enum Layer {
     Normal,
     /// `P.X P.Y P.Z`: the position.
     Position,
-    /// `albedo.R albedo.G albedo.B`: the surface's own colour.
+    /// `albedo.R albedo.G albedo.B`: the surface's own color.
     Albedo,
     /// `id`: index into the objects; −1 where nothing is hit.
     Object,
@@ -151,7 +151,7 @@ impl Default for Frames {
 
 impl Frames {
     /// When a frame is, in seconds.
-    pub(crate) fn seconds(&self, frame: u32) -> f64 {
+    pub(crate) fn time_of(&self, frame: u32) -> f64 {
         f64::from(frame) / f64::from(self.fps.get())
     }
 }
@@ -183,8 +183,8 @@ impl Image {
     }
 
     /// Whether a picture shows other light than the scene's.
-    pub fn is_graded(&self) -> bool {
-        self.exposure.get() != 0.0 || self.exposure.is_moving() || self.tone_map != ToneMap::None
+    pub fn has_display_transform(&self) -> bool {
+        self.exposure.get() != 0.0 || self.exposure.is_animated() || self.tone_map != ToneMap::None
     }
 
     /// Camera rays of a picture.
@@ -236,7 +236,7 @@ impl Serialize for Bits {
 
 impl<'de> Deserialize<'de> for Bits {
     fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
-        match whole(deserializer, 8, 16, "bits")? {
+        match integer_in_range(deserializer, 8, 16, "bits")? {
             8 => Ok(Self::Eight),
             16 => Ok(Self::Sixteen),
             other => Err(serde::de::Error::custom(format_args!("must be 8 or 16 bits, not {other}"))),
@@ -254,28 +254,28 @@ impl JsonSchema for Bits {
     }
 }
 
-fn as_it_is() -> Stops {
-    Stops::new(0.0).expect("0 is in range")
+fn default_exposure() -> ExposureStops {
+    ExposureStops::new(0.0).expect("0 is in range")
 }
 
-fn four() -> u32 {
+fn default_samples() -> u32 {
     4
 }
 
-fn edge<'de, D: Deserializer<'de>>(deserializer: D) -> Result<u32, D::Error> {
-    whole(deserializer, 1, MAX_EDGE_PX, "pixels")
+fn image_edge<'de, D: Deserializer<'de>>(deserializer: D) -> Result<u32, D::Error> {
+    integer_in_range(deserializer, 1, MAX_EDGE_PX, "pixels")
 }
 
 fn samples<'de, D: Deserializer<'de>>(deserializer: D) -> Result<u32, D::Error> {
-    whole(deserializer, 1, MAX_SAMPLES, "samples")
+    integer_in_range(deserializer, 1, MAX_SAMPLES, "samples")
 }
 
 fn seed<'de, D: Deserializer<'de>>(deserializer: D) -> Result<u32, D::Error> {
-    whole(deserializer, 0, u32::MAX, "as a seed")
+    integer_in_range(deserializer, 0, u32::MAX, "as a seed")
 }
 
 fn frame_count<'de, D: Deserializer<'de>>(deserializer: D) -> Result<u32, D::Error> {
-    whole(deserializer, 1, MAX_FRAMES, "frames")
+    integer_in_range(deserializer, 1, MAX_FRAMES, "frames")
 }
 
 pub(crate) fn priority<'de, D: Deserializer<'de>>(deserializer: D) -> Result<i32, D::Error> {

@@ -6,12 +6,12 @@
 use crate::nodes::snake_case;
 
 /// What a kind shows of itself.
-pub trait Exemplary {
+pub trait HasExamples {
     /// A small valid value, as a user would write it: the picture in the docs and the contract tests use it.
     const EXAMPLE: &'static str;
 
     /// Further values that take other ways through the formula, drawn and tested like the first.
-    const MORE: &'static [&'static str] = &[];
+    const MORE_EXAMPLES: &'static [&'static str] = &[];
 }
 
 /// A value of a kind to draw and to test with.
@@ -22,20 +22,20 @@ pub struct Example {
     /// Its name in JSON.
     pub name: String,
     /// Its place among the examples of its type, from 0.
-    pub number: usize,
+    pub index: usize,
     /// Its JSON.
     pub json: String,
 }
 
 impl Example {
     /// The examples of one type; `json` writes one under its name.
-    fn each<E: Exemplary>(kind: &'static str, name: &str, json: impl Fn(&str) -> String) -> Vec<Self> {
-        let values = std::iter::once(&E::EXAMPLE).chain(E::MORE).enumerate();
-        values.map(|(number, value)| Self { kind, name: name.to_owned(), number, json: json(value) }).collect()
+    fn each<E: HasExamples>(kind: &'static str, name: &str, json: impl Fn(&str) -> String) -> Vec<Self> {
+        let values = std::iter::once(&E::EXAMPLE).chain(E::MORE_EXAMPLES).enumerate();
+        values.map(|(number, value)| Self { kind, name: name.to_owned(), index: number, json: json(value) }).collect()
     }
 
     /// The examples of one type, each an object whose key is the name of the `variant`.
-    pub(crate) fn keyed<E: Exemplary>(kind: &'static str, variant: &str) -> Vec<Self> {
+    pub(crate) fn keyed<E: HasExamples>(kind: &'static str, variant: &str) -> Vec<Self> {
         let name = snake_case(variant);
         Self::each::<E>(kind, &name, |value| format!("{{ \"{name}\": {value} }}"))
     }
@@ -43,6 +43,6 @@ impl Example {
     /// The only example of a kind without fields: its name.
     pub(crate) fn unit(kind: &'static str) -> Self {
         let name = snake_case(kind);
-        Self { kind, json: format!("\"{name}\""), name, number: 0 }
+        Self { kind, json: format!("\"{name}\""), name, index: 0 }
     }
 }

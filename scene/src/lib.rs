@@ -5,42 +5,43 @@
 
 #[cfg(test)]
 mod added;
+pub mod ambient_occlusion;
+mod animation;
 pub mod backgrounds;
 pub mod bounds;
+mod cache_key;
 pub mod camera;
 pub mod color;
 mod document;
 pub mod effects;
-mod fault;
+mod error;
+pub mod fog;
+pub mod integrator;
 pub mod job;
-mod key;
+mod json_scan;
 pub mod kinds;
 pub mod lights;
 pub mod limits;
 pub mod march;
 pub mod materials;
-mod motion;
 pub mod nodes;
 pub mod noise;
-mod outline;
 mod parse;
-pub mod pixel;
 pub mod profiles;
 pub mod real;
 pub mod sampling;
 pub mod scene;
 pub mod schema;
 mod seek;
-pub mod surroundings;
 pub mod values;
 mod warnings;
 
+pub use animation::{FrameError, JobAtFrame};
 pub use backgrounds::Background;
-pub use fault::{Fault, Refusal};
+pub use error::{ParseError, ValidationError};
+pub use integrator::Integrator;
 pub use job::{Bits, Format, Frames, Image, Job, Layer, Precision, ToneMap};
-pub use motion::{FrameError, Still};
 pub use parse::parse;
-pub use pixel::Program;
 pub use scene::Scene;
 pub use schema::schema;
 

@@ -1,14 +1,14 @@
 //! Where light comes from: the list of lights, and what a light must say of itself.
 //!
-//! A light is one documented struct in a file under `lights/`, one `impl` of [`LightSource`] and of [`Exemplary`],
-//! and one entry in the list. A light's colour is such that a matt white surface that faces it sends back the colour:
+//! A light is one documented struct in a file under `lights/`, one `impl` of [`LightSource`] and of [`HasExamples`],
+//! and one entry in the list. A light's color is such that a matte white surface that faces it sends back the color:
 //! the light's irradiance over π. Area lights are sampled: each pixel sample takes one point on the light.
 
 #[cfg(test)]
 mod added;
 mod directional;
+mod local;
 mod point;
-mod shaped;
 mod sky_light;
 mod sun;
 
@@ -18,33 +18,33 @@ use serde::{Deserialize, Serialize};
 #[cfg(test)]
 pub use added::AddedLight;
 pub use directional::Directional;
+pub use local::{SphereLight, SpotLight};
 pub use point::PointLight;
-pub use shaped::{SphereLight, SpotLight};
 pub use sky_light::SkyLight;
 pub use sun::Sun;
 
 use crate::backgrounds::{Background, Day};
-pub use crate::kinds::{Example, Exemplary};
-use crate::materials::microfacet::frame;
-use crate::nodes::{NodeFault, snake_case};
+pub use crate::kinds::{Example, HasExamples};
+use crate::materials::microfacet::orthonormal_basis;
+use crate::nodes::{NodeError, snake_case};
 use crate::real::{Real, Vec3, bundle};
 use crate::seek::Seek;
-use crate::values::{Aperture, Color, Strength};
+use crate::values::{Color, FullAngle, Strength};
 
 /// A light as it arrives at a place.
 #[derive(Clone, Copy, Debug)]
-pub struct Incoming<R> {
-    /// Towards the light, of length 1.
+pub struct LightSample<R> {
+    /// Toward the light, of length 1.
     pub direction: Vec3<R>,
     /// Its linear RGB there; 0 in shadow.
     pub radiance: Vec3<R>,
 }
 
-bundle!(Incoming { direction, radiance });
+bundle!(LightSample { direction, radiance });
 
 /// Light from all directions at once.
 #[derive(Clone, Copy, Debug)]
-pub struct Surrounding<'a> {
+pub struct AmbientLight<'a> {
     /// What shines.
     pub from: &'a Background,
     /// How bright it is beside what is seen of it.
@@ -56,16 +56,16 @@ pub trait LightSource {
     /// How the light arrives at `p` with nothing in its way, and how far it has come
     /// (at most `farthest`, for light from far away). Of a light with a size, the point that the pair
     /// of numbers from 0 to 1 tells. `None` of light from all around, and of the sun of no day.
-    fn arriving<R: Real>(
+    fn sample<R: Real>(
         &self,
         p: Vec3<R>,
         farthest: R,
         day: Option<&Day>,
         pair: impl FnOnce() -> (R, R),
-    ) -> Option<(Incoming<R>, R)>;
+    ) -> Option<(LightSample<R>, R)>;
 
     /// Light from all directions before this background, if that is what it is.
-    fn surrounding<'a>(&'a self, background: &'a Background) -> Option<Surrounding<'a>> {
+    fn ambient<'a>(&'a self, background: &'a Background) -> Option<AmbientLight<'a>> {
         let _ = background;
         None
     }
@@ -77,13 +77,13 @@ pub trait LightSource {
     fn is_dark(&self) -> bool;
 
     /// What is wrong with it before this background, if anything.
-    fn fault(&self, background: &Background) -> Option<NodeFault> {
+    fn validate(&self, background: &Background) -> Option<NodeError> {
         let _ = background;
         None
     }
 
     /// Finds what all places share.
-    fn prepare(&mut self) {}
+    fn precompute(&mut self) {}
 }
 
 /// The list: each light's name, and its struct.
@@ -98,18 +98,18 @@ macro_rules! lights {
 
         impl LightSource for Light {
             #[inline(always)]
-            fn arriving<R: Real>(
+            fn sample<R: Real>(
                 &self,
                 p: Vec3<R>,
                 farthest: R,
                 day: Option<&Day>,
                 pair: impl FnOnce() -> (R, R),
-            ) -> Option<(Incoming<R>, R)> {
-                match self { $($(#[$attribute])* Self::$Kind(light) => light.arriving(p, farthest, day, pair)),* }
+            ) -> Option<(LightSample<R>, R)> {
+                match self { $($(#[$attribute])* Self::$Kind(light) => light.sample(p, farthest, day, pair)),* }
             }
 
-            fn surrounding<'a>(&'a self, background: &'a Background) -> Option<Surrounding<'a>> {
-                match self { $($(#[$attribute])* Self::$Kind(light) => light.surrounding(background)),* }
+            fn ambient<'a>(&'a self, background: &'a Background) -> Option<AmbientLight<'a>> {
+                match self { $($(#[$attribute])* Self::$Kind(light) => light.ambient(background)),* }
             }
 
             fn casts_shadows(&self) -> bool {
@@ -121,16 +121,16 @@ macro_rules! lights {
             }
 
             /// The same, at its place in the light's JSON.
-            fn fault(&self, background: &Background) -> Option<NodeFault> {
+            fn validate(&self, background: &Background) -> Option<NodeError> {
                 match self {
                     $($(#[$attribute])* Self::$Kind(light) => {
-                        light.fault(background).map(|fault| fault.inside(&snake_case(stringify!($Kind))))
+                        light.validate(background).map(|validate| validate.inside(&snake_case(stringify!($Kind))))
                     })*
                 }
             }
 
-            fn prepare(&mut self) {
-                match self { $($(#[$attribute])* Self::$Kind(light) => light.prepare()),* }
+            fn precompute(&mut self) {
+                match self { $($(#[$attribute])* Self::$Kind(light) => light.precompute()),* }
             }
         }
 
@@ -161,45 +161,45 @@ lights![
 
 /// A direction inside a cone of this whole angle, each as likely as any other.
 #[inline(always)]
-fn wide<R: Real>(like: R, axis: Vec3<f32>, angle: &Aperture, pair: impl FnOnce() -> (R, R)) -> Vec3<R> {
+fn sample_cone<R: Real>(like: R, axis: Vec3<f32>, angle: &FullAngle, pair: impl FnOnce() -> (R, R)) -> Vec3<R> {
     if angle.is_zero() {
-        return Vec3::given(like, axis);
+        return Vec3::uniform(like, axis);
     }
     let (u, v) = pair();
     let half = Real::sin(angle.get() * (std::f32::consts::PI / 720.0));
     // 1 − cos θ, evenly from 0 to 1 − cos(angle/2) = 2 sin²(angle/4).
-    let versine = u * like.given(2.0 * half * half);
-    let (right, up) = frame(axis);
-    around(Vec3::given(like, axis), Vec3::given(like, right), Vec3::given(like, up), versine, v)
+    let versine = u * like.uniform(2.0 * half * half);
+    let (right, up) = orthonormal_basis(axis);
+    direction_around(Vec3::uniform(like, axis), Vec3::uniform(like, right), Vec3::uniform(like, up), versine, v)
 }
 
 /// The direction at a versine (1 − cosine) from an axis and a share of a turn around it.
 #[inline(always)]
-pub(crate) fn around<R: Real>(axis: Vec3<R>, right: Vec3<R>, up: Vec3<R>, versine: R, turn: R) -> Vec3<R> {
+pub(crate) fn direction_around<R: Real>(axis: Vec3<R>, right: Vec3<R>, up: Vec3<R>, versine: R, turn: R) -> Vec3<R> {
     let (sine, cosine) = (turn * std::f32::consts::TAU).sin_cos();
-    let away = (versine * (versine.splat(2.0) - versine)).sqrt();
-    let along = axis.mul_add(versine.splat(1.0) - versine, right * (away * cosine));
+    let away = (versine * (versine.constant(2.0) - versine)).sqrt();
+    let along = axis.mul_add(versine.constant(1.0) - versine, right * (away * cosine));
     up.mul_add(away * sine, along)
 }
 
 /// The lights of a scene that names none.
 pub(crate) fn default_lights() -> Vec<Light> {
     let direction = serde_json::from_str("[0.6, 0.7, 0.5]").expect("a direction");
-    vec![Light::Directional(Directional { direction, color: white(), angle: narrow(), shadow: true })]
+    vec![Light::Directional(Directional { direction, color: default_color(), angle: default_angle(), shadow: true })]
 }
 
-pub(crate) fn white() -> Color {
+pub(crate) fn default_color() -> Color {
     Color::new(1.0, 1.0, 1.0)
 }
 
-pub(crate) fn yes() -> bool {
+pub(crate) fn default_shadow() -> bool {
     true
 }
 
-fn full() -> Strength {
+fn default_strength() -> Strength {
     Strength::new(1.0).expect("1 is in range")
 }
 
-fn narrow() -> Aperture {
-    Aperture::new(0.0).expect("0 is in range")
+fn default_angle() -> FullAngle {
+    FullAngle::new(0.0).expect("0 is in range")
 }

@@ -39,13 +39,13 @@ pub const MIN_LENGTH: f32 = 1e-6;
 /// Iterations of a fractal.
 pub const MAX_ITERATIONS: u32 = 64;
 /// Keys of a track.
-pub const MAX_KEYS: usize = 10_000;
+pub const MAX_KEYFRAMES: usize = 10_000;
 /// Seconds of a key, before or after frame 0.
-pub const MAX_KEY_SECONDS: f64 = 1e9;
+pub const MAX_KEYFRAME_SECONDS: f64 = 1e9;
 /// Bytes of a job that moves, times its frames, up to which every frame is looked over when it is handed in.
-pub const MAX_CHECKED_BYTES: u64 = 1 << 30;
+pub const MAX_FULL_CHECK_BYTES: u64 = 1 << 30;
 /// Frames of a longer one that are.
-pub const MIN_CHECKED_FRAMES: u32 = 16;
+pub const MIN_SAMPLED_FRAMES: u32 = 16;
 /// Textures in the colors of textures.
 pub const MAX_TEXTURE_DEPTH: usize = 4;
 /// Stops of a color ramp.

@@ -5,7 +5,7 @@
 //! surfaces", The Visual Computer 12, 1996.
 
 use crate::camera::Ray;
-use crate::real::{Flag, Real, Vec3, bundle};
+use crate::real::{MaskValue, Real, Vec3, bundle};
 
 /// How near is near enough: `slope · t + floor` at distance t.
 #[derive(Clone, Copy, Debug)]
@@ -18,11 +18,11 @@ pub struct Tolerance {
 
 /// Where a march starts, and where it ends if it does not hit.
 #[derive(Clone, Copy, Debug)]
-pub struct Reach<R> {
+pub struct MarchRange<R> {
     /// Distance at which it starts.
-    pub nearest: R,
+    pub t_min: R,
     /// Distance at which the ray misses.
-    pub farthest: R,
+    pub t_max: R,
     /// Steps after which it gives up.
     pub max_steps: u32,
     /// How far a step goes, in radii of the sphere around its start.
@@ -31,20 +31,20 @@ pub struct Reach<R> {
 
 /// Where a march ended.
 #[derive(Clone, Copy, Debug)]
-pub struct Marched<R: Real> {
+pub struct MarchResult<R: Real> {
     /// Distance along the ray.
-    pub distance: R,
+    pub t: R,
     /// Where the march came near enough; the same distance where no root was looked for or none was found.
     pub near: R,
     /// Distance to the nearest surface there.
-    pub gap: R,
+    pub distance: R,
     /// Steps taken.
     pub steps: R,
     /// Whether it came near enough.
-    pub hit: Flag<R>,
+    pub hit: MaskValue<R>,
 }
 
-bundle!(Marched { distance, near, gap, steps, hit });
+bundle!(MarchResult { t, near, distance, steps, hit });
 
 /// How near a march must come, and on which sides of a surface it goes.
 #[derive(Clone, Copy, Debug)]
@@ -57,7 +57,7 @@ pub struct Approach<R> {
     pub resolution: Tolerance,
     /// Whether rays go inside shapes, too: then the sign of a distance tells the side alone.
     pub both_sides: bool,
-    /// Whether the root is looked for among details of every size, too: then no step towards it is longer than
+    /// Whether the root is looked for among details of every size, too: then no step toward it is longer than
     /// what is known to be free, as the slope here says nothing about the way ahead. Else to be near them is enough.
     pub among_details: bool,
 }
@@ -71,7 +71,7 @@ impl Tolerance {
     /// What is near enough at a distance along the ray.
     #[inline(always)]
     pub fn at<R: Real>(self, distance: R) -> R {
-        distance.mul_add(distance.given(self.slope), distance.given(self.floor))
+        distance.mul_add(distance.uniform(self.slope), distance.uniform(self.floor))
     }
 }
 
@@ -86,7 +86,7 @@ impl<R: Real> Approach<R> {
 /// steps of the shipped scenes; more makes too many steps go back.
 pub const RELAXATION: f32 = 1.3;
 /// Overstep of a step that stayed inside its sphere. Less than any distance, so the step is never taken back.
-const NOT_PAST: f32 = -1e30;
+const NO_OVERSTEP: f32 = -1e30;
 
 /// Marches along `ray` through `field`, which never tells more than the distance to its surface, until it
 /// meets the surface: the distance is then that of a root of the field.
@@ -96,20 +96,20 @@ const NOT_PAST: f32 = -1e30;
 #[inline(always)]
 pub fn march_to_root<R: Real>(
     ray: &Ray<R>,
-    reach: Reach<R>,
+    reach: MarchRange<R>,
     approach: Approach<R>,
     field: impl Fn(Vec3<R>) -> R,
     is_fine: impl Fn(Vec3<R>) -> Option<R::Mask>,
-) -> Marched<R> {
-    let zero = reach.farthest.splat(0.0);
+) -> MarchResult<R> {
+    let zero = reach.t_max.constant(0.0);
     let start =
-        Marched { distance: reach.nearest, near: reach.nearest, gap: zero, steps: zero, hit: Flag(zero.below(0.0)) };
+        MarchResult { t: reach.t_min, near: reach.t_min, distance: zero, steps: zero, hit: MaskValue(zero.below(0.0)) };
     R::repeat(
         reach.max_steps,
         start,
         #[inline(always)]
         |so_far| {
-            let reach = Reach { nearest: so_far.distance, ..reach };
+            let reach = MarchRange { t_min: so_far.t, ..reach };
             let near = march(
                 ray,
                 reach,
@@ -121,13 +121,13 @@ pub fn march_to_root<R: Real>(
                     if approach.both_sides { value.abs() } else { value }
                 },
             );
-            let near = Marched { steps: so_far.steps + near.steps, ..near };
+            let near = MarchResult { steps: so_far.steps + near.steps, ..near };
             let found = R::when(
                 near.hit.0,
                 near,
                 #[inline(always)]
                 || {
-                    let is_fine = is_fine(ray.at(near.distance));
+                    let is_fine = is_fine(ray.at(near.t));
                     let Some(is_met) = is_fine.filter(|_| !approach.among_details) else {
                         return find_root(ray, &near, approach, is_fine, &field);
                     };
@@ -140,7 +140,7 @@ pub fn march_to_root<R: Real>(
                 },
             );
             let passes = near.hit.0 & !found.hit.0;
-            let goes_on = passes & found.distance.lt(reach.farthest) & found.steps.below(reach.max_steps as f32);
+            let goes_on = passes & found.t.lt(reach.t_max) & found.steps.below(reach.max_steps as f32);
             (goes_on, found)
         },
     )
@@ -154,7 +154,7 @@ struct Search<R: Real> {
     after: R,
     value_after: R,
     steps: R,
-    met: Flag<R>,
+    met: MaskValue<R>,
 }
 
 bundle!(Search { before, value_before, after, value_after, steps, met });
@@ -162,7 +162,7 @@ bundle!(Search { before, value_before, after, value_after, steps, met });
 /// Steps of a search for a root. A bracket is narrow enough after ten or so; a ray along a surface takes more.
 const MAX_SEARCH_STEPS: u32 = 48;
 /// The longest step before the root is between two points, in tolerances: about two pixels.
-const LONGEST_STEP: f32 = 16.0;
+const MAX_STEP: f32 = 16.0;
 /// The step of a ray that moves away from the surface, in tolerances.
 const STEP_AWAY: f32 = 8.0;
 /// Among details of every size to be near is not yet to meet: this part of a resolution is.
@@ -177,23 +177,23 @@ const EXACTNESS: f32 = 0.125;
 #[inline(always)]
 pub fn find_root<R: Real>(
     ray: &Ray<R>,
-    near: &Marched<R>,
+    near: &MarchResult<R>,
     approach: Approach<R>,
     is_fine: Option<R::Mask>,
     field: impl Fn(Vec3<R>) -> R,
-) -> Marched<R> {
-    let one = near.gap.splat(1.0);
+) -> MarchResult<R> {
+    let one = near.distance.constant(1.0);
     // From inside, distances are negative before the surface.
-    let side = if approach.both_sides { R::select(field(ray.at(near.distance)).below(0.0), -one, one) } else { one };
-    // As if one had come here straight towards the surface.
-    let is_inside = near.gap.below(1e-30);
+    let side = if approach.both_sides { R::select(field(ray.at(near.t)).below(0.0), -one, one) } else { one };
+    // As if one had come here straight toward the surface.
+    let is_inside = near.distance.below(1e-30);
     let start = Search {
-        before: near.distance - near.gap,
-        value_before: near.gap + near.gap,
-        after: near.distance,
-        value_after: near.gap,
+        before: near.t - near.distance,
+        value_before: near.distance + near.distance,
+        after: near.t,
+        value_after: near.distance,
         steps: near.steps,
-        met: Flag(is_inside),
+        met: MaskValue(is_inside),
     };
     let found = R::when(
         !is_inside,
@@ -208,10 +208,10 @@ pub fn find_root<R: Real>(
             )
         },
     );
-    Marched {
-        distance: found.after,
-        near: R::select(found.met.0, near.distance, found.after),
-        gap: R::select(found.met.0, near.gap, found.value_after.abs()),
+    MarchResult {
+        t: found.after,
+        near: R::select(found.met.0, near.t, found.after),
+        distance: R::select(found.met.0, near.distance, found.value_after.abs()),
         steps: found.steps,
         hit: found.met,
     }
@@ -229,15 +229,15 @@ impl<R: Real> Search<R> {
         field: impl Fn(Vec3<R>) -> R,
     ) -> (R::Mask, Self) {
         let Self { before, value_before, after, value_after, .. } = self;
-        let (zero, half) = (after.splat(0.0), after.splat(0.5));
+        let (zero, half) = (after.constant(0.0), after.constant(0.5));
         let width = after - before;
         let tolerance = approach.tolerance(after);
         let is_between = value_after.below(0.0);
         let fall = value_before - value_after;
         let falls = fall.above(0.0);
-        let per_fall = width / R::select(falls, fall, after.splat(1.0));
+        let per_fall = width / R::select(falls, fall, after.constant(1.0));
         let outwards = R::select(falls, value_after * per_fall, tolerance * STEP_AWAY);
-        let outwards = outwards.max(value_after).min(tolerance * LONGEST_STEP);
+        let outwards = outwards.max(value_after).min(tolerance * MAX_STEP);
         let resolution = approach.resolution.at(after);
         let outwards = is_fine.map_or(outwards, |fine| R::select(fine, value_after.max(resolution), outwards));
         let inwards = (value_before * per_fall).max(width * 0.01).min(width * 0.99);
@@ -252,7 +252,7 @@ impl<R: Real> Search<R> {
         let level = is_fine.map_or(resolution, |fine| R::select(fine, resolution * AMONG_DETAILS, resolution));
         let is_level = value.abs().lt(level);
         let is_near = further.abs().lt(exactness) & fall.above(0.0);
-        // Among details of every size a slope towards a root may end before it.
+        // Among details of every size a slope toward a root may end before it.
         let is_near = is_fine.map_or(is_near, |fine| is_near & (!fine | is_between));
         let met = is_level | is_near | (is_between & width.lt(exactness));
         let passes = !is_between & tolerance.lt(value);
@@ -268,7 +268,7 @@ impl<R: Real> Search<R> {
             after: R::select(met, corrected, R::select(is_between & is_outside, after, here)),
             value_after: R::select(is_between, kept_after, value),
             steps: self.steps + 1.0,
-            met: Flag(met),
+            met: MaskValue(met),
         };
         (!met & !passes, next)
     }
@@ -283,13 +283,13 @@ impl<R: Real> Search<R> {
 #[inline(always)]
 pub fn march<R: Real>(
     ray: &Ray<R>,
-    reach: Reach<R>,
+    reach: MarchRange<R>,
     tolerance: impl Fn(R) -> R,
     field: impl Fn(Vec3<R>) -> R,
-) -> Marched<R> {
-    let zero = reach.farthest.splat(0.0);
-    let not_past = zero.splat(NOT_PAST);
-    let start = (reach.nearest, not_past, zero, zero, Flag(zero.below(0.0)));
+) -> MarchResult<R> {
+    let zero = reach.t_max.constant(0.0);
+    let not_past = zero.constant(NO_OVERSTEP);
+    let start = (reach.t_min, not_past, zero, zero, MaskValue(zero.below(0.0)));
     let (distance, _, gap, steps, hit) = R::repeat(
         reach.max_steps,
         start,
@@ -300,12 +300,12 @@ pub fn march<R: Real>(
             let hit = gap.lt(tolerance(t)) & !is_torn;
             let (end, further) = (t + gap, gap * (reach.relaxation - 1.0));
             // The last step must see all that is left of the ray.
-            let goes_past = (end + further).lt(reach.farthest) & !is_torn;
+            let goes_past = (end + further).lt(reach.t_max) & !is_torn;
             let ahead = R::select(goes_past, end + further, R::select(is_torn, t - past, end));
             let next = R::select(hit, t, ahead);
             let past = R::select(goes_past, further, not_past);
-            (!hit & next.lt(reach.farthest), (next, past, gap, steps + 1.0, Flag(hit)))
+            (!hit & next.lt(reach.t_max), (next, past, gap, steps + 1.0, MaskValue(hit)))
         },
     );
-    Marched { distance, near: distance, gap, steps, hit }
+    MarchResult { t: distance, near: distance, distance: gap, steps, hit }
 }

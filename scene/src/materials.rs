@@ -5,12 +5,12 @@
 #[cfg(test)]
 mod added;
 mod diffuse;
-mod material_use;
+mod material_ref;
 pub mod microfacet;
-mod plain;
+mod param;
 mod surface;
 pub mod texture;
-mod tint;
+mod unlit;
 mod volume;
 
 use schemars::JsonSchema;
@@ -19,43 +19,43 @@ use serde::{Deserialize, Serialize};
 #[cfg(test)]
 pub use added::AddedMaterial;
 pub use diffuse::Diffuse;
-pub use material_use::MaterialUse;
-pub use plain::{Flat, Normals};
+pub use material_ref::MaterialRef;
+pub use param::{ColorParam, ScalarKind, ScalarParam, TexturedScalar};
 pub use surface::Surface;
 pub use texture::Texture;
-pub use tint::{Level, Parameter, Tint, Varied};
-pub use volume::{Clouds, Filling, Volume};
+pub use unlit::{Flat, Normals};
+pub use volume::{Clouds, MediumMaterial, Volume};
 
-pub use crate::kinds::{Example, Exemplary};
-use crate::lights::Incoming;
-use crate::real::{Flag, Real, Vec3, bundle};
+pub use crate::kinds::{Example, HasExamples};
+use crate::lights::LightSample;
+use crate::real::{MaskValue, Real, Vec3, bundle};
 use crate::seek::Seek;
 
 /// Shading point: what a material knows about a hit.
 #[derive(Clone, Copy, Debug)]
-pub struct Place<R: Real> {
+pub struct ShadingPoint<R: Real> {
     /// The surface's normal, of length 1, on the viewer's side.
     pub normal: Vec3<R>,
     /// The direction to the viewer, of length 1.
     pub to_viewer: Vec3<R>,
     /// The point in the space of textures: that of the `paint` that names the material, else the scene's.
-    pub point: Vec3<R>,
+    pub local_point: Vec3<R>,
     /// The normal in that space.
-    pub own_normal: Vec3<R>,
+    pub local_normal: Vec3<R>,
     /// Distance from the camera, along the ray.
-    pub distance: R,
-    /// What a sample's part of the pixel covers of the surface, as textures see it: from `point`, two ways of half its width.
+    pub camera_t: R,
+    /// What a sample's part of the pixel covers of the surface, as textures see it: from `local_point`, two ways of half its width.
     pub footprint: [Vec3<R>; 2],
     /// Whether the surface is seen from inside its shape.
-    pub inside: Flag<R>,
+    pub is_inside: MaskValue<R>,
 }
 
-impl<R: Real> Place<R> {
+impl<R: Real> ShadingPoint<R> {
     /// How much of a direction, of length 1, the footprint takes up.
     #[inline(always)]
     pub fn width_along(&self, direction: Vec3<f32>) -> R {
         let [across, along] = self.footprint;
-        let squared = across.dot_known(direction).square() + along.dot_known(direction).square();
+        let squared = across.dot_uniform(direction).square() + along.dot_uniform(direction).square();
         squared.sqrt() * 2.0
     }
 
@@ -69,37 +69,37 @@ impl<R: Real> Place<R> {
 
 /// The light that arrives at a place.
 #[derive(Clone, Debug, Default)]
-pub struct Lighting<R> {
+pub struct IncidentLight<R> {
     /// Light from single directions.
-    pub lights: Vec<Incoming<R>>,
+    pub lights: Vec<LightSample<R>>,
     /// Ambient light, as reflected by a white matte surface; `None` without any.
-    pub surrounding: Option<Vec3<R>>,
+    pub ambient: Option<Vec3<R>>,
     /// Ambient visibility at the point, 0 (occluded) to 1; `None` if the scene has no `ambient_occlusion`.
-    pub openness: Option<R>,
+    pub ambient_visibility: Option<R>,
 }
 
 /// Specular BSDF at a shading point: F0, roughness, transmission and index of refraction. Direct light is in `shade`.
 #[derive(Clone, Copy, Debug)]
-pub struct Finish<R> {
+pub struct SpecularBsdf<R> {
     /// Fraction of the light reflected at normal incidence, by channel (Fresnel's F0).
-    pub mirrored: Vec3<R>,
+    pub f0: Vec3<R>,
     /// Roughness, 0 to 1: the square root of the GGX model's α.
     pub roughness: R,
     /// Fraction of the light that is not reflected but transmitted, by channel.
-    pub passed: Vec3<R>,
+    pub transmission: Vec3<R>,
     /// Index of refraction inside over that outside.
     pub ior: R,
 }
 
-bundle!(Finish { mirrored, roughness, passed, ior });
+bundle!(SpecularBsdf { f0, roughness, transmission, ior });
 
 /// A material.
 pub trait Shade {
     /// Radiance toward the viewer, linear RGB.
-    fn shade<R: Real>(&self, place: &Place<R>, light: &Lighting<R>) -> Vec3<R>;
+    fn shade<R: Real>(&self, place: &ShadingPoint<R>, light: &IncidentLight<R>) -> Vec3<R>;
 
     /// The surface's own color, without light: the `albedo` layer.
-    fn albedo<R: Real>(&self, place: &Place<R>) -> Vec3<R>;
+    fn albedo<R: Real>(&self, place: &ShadingPoint<R>) -> Vec3<R>;
 
     /// Whether `shade` uses the lights.
     fn is_lit(&self) -> bool;
@@ -115,28 +115,28 @@ pub trait Shade {
     }
 
     /// How it sends rays on; `None` if it never does.
-    fn finish<R: Real>(&self, place: &Place<R>) -> Option<Finish<R>> {
+    fn specular<R: Real>(&self, place: &ShadingPoint<R>) -> Option<SpecularBsdf<R>> {
         let _ = place;
         None
     }
 
-    /// Whether `finish` ever sends a ray on.
-    fn sends_on(&self) -> bool {
+    /// Whether `specular` ever sends a ray on.
+    fn is_specular(&self) -> bool {
         false
     }
 
     /// Whether a ray may enter the shape.
-    fn lets_through(&self) -> bool {
+    fn is_transmissive(&self) -> bool {
         false
     }
 
     /// Whether it fills an object instead of covering it.
     fn is_medium(&self) -> bool {
-        self.filling().is_some()
+        self.as_medium().is_some()
     }
 
     /// What it fills an object with, if it does.
-    fn filling(&self) -> Option<Filling<'_>> {
+    fn as_medium(&self) -> Option<MediumMaterial<'_>> {
         None
     }
 
@@ -145,18 +145,18 @@ pub trait Shade {
         Vec::new()
     }
 
-    /// Whether it uses `Place::point`.
+    /// Whether it uses `ShadingPoint::local_point`.
     fn is_textured(&self) -> bool {
         !self.textures().is_empty()
     }
 
-    /// Whether it uses `Place::footprint`.
+    /// Whether it uses `ShadingPoint::footprint`.
     fn needs_footprint(&self) -> bool {
         self.textures().into_iter().any(Texture::needs_footprint)
     }
 
-    /// Whether it uses `Place::own_normal`, which is expensive.
-    fn needs_own_normal(&self) -> bool {
+    /// Whether it uses `ShadingPoint::local_normal`, which is expensive.
+    fn needs_local_normal(&self) -> bool {
         self.textures().into_iter().any(Texture::needs_own_normal)
     }
 }
@@ -172,12 +172,12 @@ macro_rules! materials {
 
         impl Shade for Material {
             #[inline(always)]
-            fn shade<R: Real>(&self, place: &Place<R>, light: &Lighting<R>) -> Vec3<R> {
+            fn shade<R: Real>(&self, place: &ShadingPoint<R>, light: &IncidentLight<R>) -> Vec3<R> {
                 match self { $($(#[$attribute])* Self::$Kind(material) => material.shade(place, light)),* }
             }
 
             #[inline(always)]
-            fn albedo<R: Real>(&self, place: &Place<R>) -> Vec3<R> {
+            fn albedo<R: Real>(&self, place: &ShadingPoint<R>) -> Vec3<R> {
                 match self { $($(#[$attribute])* Self::$Kind(material) => material.albedo(place)),* }
             }
 
@@ -186,16 +186,16 @@ macro_rules! materials {
             }
 
             #[inline(always)]
-            fn finish<R: Real>(&self, place: &Place<R>) -> Option<Finish<R>> {
-                match self { $($(#[$attribute])* Self::$Kind(material) => material.finish(place)),* }
+            fn specular<R: Real>(&self, place: &ShadingPoint<R>) -> Option<SpecularBsdf<R>> {
+                match self { $($(#[$attribute])* Self::$Kind(material) => material.specular(place)),* }
             }
 
-            fn sends_on(&self) -> bool {
-                match self { $($(#[$attribute])* Self::$Kind(material) => material.sends_on()),* }
+            fn is_specular(&self) -> bool {
+                match self { $($(#[$attribute])* Self::$Kind(material) => material.is_specular()),* }
             }
 
-            fn lets_through(&self) -> bool {
-                match self { $($(#[$attribute])* Self::$Kind(material) => material.lets_through()),* }
+            fn is_transmissive(&self) -> bool {
+                match self { $($(#[$attribute])* Self::$Kind(material) => material.is_transmissive()),* }
             }
 
             fn uses_lights(&self) -> bool {
@@ -206,8 +206,8 @@ macro_rules! materials {
                 match self { $($(#[$attribute])* Self::$Kind(material) => material.is_black_without_light()),* }
             }
 
-            fn filling(&self) -> Option<Filling<'_>> {
-                match self { $($(#[$attribute])* Self::$Kind(material) => material.filling()),* }
+            fn as_medium(&self) -> Option<MediumMaterial<'_>> {
+                match self { $($(#[$attribute])* Self::$Kind(material) => material.as_medium()),* }
             }
 
             fn textures(&self) -> Vec<&Texture> {
@@ -218,8 +218,8 @@ macro_rules! materials {
                 match self { $($(#[$attribute])* Self::$Kind(material) => material.is_textured()),* }
             }
 
-            fn needs_own_normal(&self) -> bool {
-                match self { $($(#[$attribute])* Self::$Kind(material) => material.needs_own_normal()),* }
+            fn needs_local_normal(&self) -> bool {
+                match self { $($(#[$attribute])* Self::$Kind(material) => material.needs_local_normal()),* }
             }
         }
 

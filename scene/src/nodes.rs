@@ -6,57 +6,57 @@
 
 #[cfg(test)]
 mod added;
+mod bvh;
+mod cost;
 mod displace;
+mod displacement_bounds;
 mod fractals;
-mod meaning;
 mod modifiers;
 mod operators;
 mod per_axis;
-mod prepared;
+mod precomputed;
 mod primitives;
-mod relief;
-mod runs;
-mod sample;
+mod sdf;
 mod sweeps;
 mod terrain;
 mod transforms;
+mod value;
 mod warp;
-mod work;
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 #[cfg(test)]
 pub use added::AddedNode;
-pub use displace::{Bumps, Displace, Sine};
+pub use displace::{Displace, DisplacementFunction, Sine};
+pub use displacement_bounds::CachedDisplacementBounds;
 pub use fractals::{
     ApollonianGasket, KaleidoscopicFolds, KaleidoscopicIfs, Mandelbox, MandelbrotRelief, Mandelbulb, MengerSponge,
     QuaternionJulia, Sierpinski,
 };
-pub use meaning::{Exactness, NodeFault, Primitive, Sdf};
 pub use modifiers::{Bend, Copies, Elongate, Mirror, Onion, Paint, PolarRepeat, Repeat, Round, Stretch, Taper, Twist};
 pub use operators::{
-    Chamfer, Columns, Difference, Engrave, Groove, Intersection, Join, Morph, Stairs, Tongue, Union, Xor,
+    Chamfer, Columns, Difference, Engrave, Groove, Intersection, Morph, SeamKind, Stairs, Tongue, Union, Xor,
 };
 pub use per_axis::PerAxis;
-pub use prepared::{Prepare, Prepared};
+pub use precomputed::{Precompute, Precomputed};
 pub use primitives::{
     BezierTube, Box, BoxFrame, CappedCone, CappedTorus, Capsule, Cone, CutHollowSphere, CutSphere, Cylinder, DeathStar,
     Diamond, Dodecahedron, Ellipsoid, Gyroid, HexagonalPrism, Horseshoe, Icosahedron, InfiniteCone, InfiniteCylinder,
-    Link, OctagonalPrism, Octahedron, Plane, Pyramid, Quad, RegularPyramid, Rhombus, RoundCone, RoundedCylinder,
-    SchwarzP, Sides, SolidAngle, Sphere, Tetrahedron, Torus, Triangle, TriangularPrism, U, Vesica,
+    Link, OctagonalPrism, Octahedron, Plane, PolygonSides, Pyramid, Quad, RegularPyramid, Rhombus, RoundCone,
+    RoundedCylinder, SchwarzP, SolidAngle, Sphere, Tetrahedron, Torus, Triangle, TriangularPrism, U, Vesica,
 };
-pub use relief::FoundRelief;
-pub use sample::{Coat, Distance, Painted, Sample};
+pub use sdf::{Exactness, NodeError, Primitive, Sdf};
 pub use sweeps::{Extrude, Revolve};
 pub use terrain::HeightField;
 pub use transforms::{Rotate, Scale, Translate};
+pub use value::{Distance, DistanceWithMaterials, MaterialWeight, SdfValue};
 pub use warp::Warp;
 
 use crate::bounds::Bounds;
-use crate::materials::MaterialUse;
+use crate::materials::MaterialRef;
 use crate::real::{Real, Vec3};
-use crate::seek::{Misfit, Seek};
+use crate::seek::{Seek, SeekError};
 use crate::values::Rotation;
 
 /// A node inside another.
@@ -82,15 +82,15 @@ macro_rules! nodes {
 
         impl Node {
             /// The signed distance at `p`, with materials where `V` keeps them.
-            pub fn sample<R: Real, V: Sample<R>>(&self, p: Vec3<R>) -> V {
-                p.x.named(
+            pub fn sample<R: Real, V: SdfValue<R>>(&self, p: Vec3<R>) -> V {
+                p.x.labeled(
                     self.kind(),
                     #[inline(always)]
                     || match self {
-                        $(Self::$Inlined(node) => node.sample(p),)*
+                        $(Self::$Inlined(node) => node.eval(p),)*
                         $($(#[$called])* Self::$Called(node) => p.x.vectorize(
                             #[inline(always)]
-                            || node.sample(p),
+                            || node.eval(p),
                         ),)*
                     },
                 )
@@ -111,37 +111,37 @@ macro_rules! nodes {
             }
 
             /// Precomputes what speeds up its evaluation; its children have done so before.
-            fn prepare_alone(&mut self, moves: bool) {
+            fn prepare_alone(&mut self, is_animated: bool) {
                 match self {
-                    $($(#[$attribute])* Self::$Kind(node) => Sdf::prepare(node, moves)),*
+                    $($(#[$attribute])* Self::$Kind(node) => Sdf::precompute(node, is_animated)),*
                 }
             }
 
             /// Material that it names, if any.
-            pub(crate) fn material(&self) -> Option<&MaterialUse> {
+            pub(crate) fn material(&self) -> Option<&MaterialRef> {
                 match self {
                     $($(#[$attribute])* Self::$Kind(node) => node.material()),*
                 }
             }
 
             /// Mutable access to that material.
-            pub(crate) fn material_mut(&mut self) -> Option<&mut MaterialUse> {
+            pub(crate) fn material_mut(&mut self) -> Option<&mut MaterialRef> {
                 match self {
                     $($(#[$attribute])* Self::$Kind(node) => node.material_mut()),*
                 }
             }
 
             /// Whether its children are a list under `of`, and not one under `child`.
-            pub(crate) fn has_list(&self) -> bool {
+            pub(crate) fn has_child_list(&self) -> bool {
                 match self {
-                    $($(#[$attribute])* Self::$Kind(_) => <$Kind as Sdf>::HAS_LIST),*
+                    $($(#[$attribute])* Self::$Kind(_) => <$Kind as Sdf>::HAS_CHILD_LIST),*
                 }
             }
 
             /// A Lipschitz factor: |d(p) − d(q)| ≤ stretch · |p − q|.
             pub fn stretch(&self) -> f32 {
                 match self {
-                    $($(#[$attribute])* Self::$Kind(node) => Sdf::stretch(node)),*
+                    $($(#[$attribute])* Self::$Kind(node) => Sdf::lipschitz(node)),*
                 }
             }
 
@@ -162,9 +162,9 @@ macro_rules! nodes {
             }
 
             /// Error in its numbers taken together, if any.
-            pub(crate) fn fault(&self) -> Option<NodeFault> {
+            pub(crate) fn fault(&self) -> Option<NodeError> {
                 match self {
-                    $($(#[$attribute])* Self::$Kind(node) => Sdf::fault(node)),*
+                    $($(#[$attribute])* Self::$Kind(node) => Sdf::validate(node)),*
                 }
             }
 
@@ -182,16 +182,16 @@ macro_rules! nodes {
             }
 
             /// A box that holds every point whose distance is at most `level`, which is not below 0.
-            pub fn bounds(&self, level: f32) -> Bounds {
+            pub fn bounds(&self, isolevel: f32) -> Bounds {
                 match self {
-                    $($(#[$attribute])* Self::$Kind(node) => Sdf::bounds(node, level)),*
+                    $($(#[$attribute])* Self::$Kind(node) => Sdf::bounds(node, isolevel)),*
                 }
             }
 
             /// Its size in simple nodes, without its children.
             fn weight(&self) -> u32 {
                 match self {
-                    $($(#[$attribute])* Self::$Kind(node) => Sdf::weight(node)),*
+                    $($(#[$attribute])* Self::$Kind(node) => Sdf::size_in_nodes(node)),*
                 }
             }
 
@@ -238,13 +238,13 @@ macro_rules! nodes {
             }
 
             /// Each kind's examples, as a user would write the whole node.
-            pub fn examples() -> Vec<Example> {
+            pub fn examples() -> Vec<NodeExample> {
                 let mut examples = Vec::new();
                 $(
                     $(#[$attribute])*
-                    examples.extend(<$Kind as Sdf>::examples().into_iter().enumerate().map(|(number, value)| Example {
+                    examples.extend(<$Kind as Sdf>::examples().into_iter().enumerate().map(|(index, value)| NodeExample {
                         kind: stringify!($Kind),
-                        number,
+                        index,
                         node: format!("{{ \"{}\": {value} }}", snake_case(stringify!($Kind))),
                     }));
                 )*
@@ -342,11 +342,11 @@ nodes![
 
 /// Node for documentation and tests.
 #[derive(Clone, Debug)]
-pub struct Example {
+pub struct NodeExample {
     /// The node's type.
     pub kind: &'static str,
     /// Its place among the examples of its type, from 0.
-    pub number: usize,
+    pub index: usize,
     /// Its JSON.
     pub node: String,
 }
@@ -354,28 +354,28 @@ pub struct Example {
 impl Node {
     /// Precomputes what speeds up its evaluation and its children's, in the same form for all frames if
     /// the job is animated.
-    pub(crate) fn prepare(&mut self, moves: bool) {
-        self.children_mut().iter_mut().for_each(|child| child.prepare(moves));
-        self.prepare_alone(moves);
+    pub(crate) fn precompute(&mut self, is_animated: bool) {
+        self.children_mut().iter_mut().for_each(|child| child.precompute(is_animated));
+        self.prepare_alone(is_animated);
     }
 
     /// After a number in it has changed: refuses numbers that do not go together, and prepares it again.
-    fn follow(&mut self) -> Result<(), std::boxed::Box<Misfit>> {
-        if let Some(NodeFault { place, message }) = self.fault() {
-            return Err(Misfit::new(message).inside(&place).inside(&self.name()));
+    fn follow(&mut self) -> Result<(), std::boxed::Box<SeekError>> {
+        if let Some(NodeError { pointer: place, message }) = self.fault() {
+            return Err(SeekError::new(message).inside(&place).inside(&self.name()));
         }
         self.prepare_alone(true);
         Ok(())
     }
 
     /// Its size in simple nodes, children included.
-    pub fn count(&self) -> u32 {
-        self.weight() + self.children().iter().map(Self::count).sum::<u32>()
+    pub fn node_count(&self) -> u32 {
+        self.weight() + self.children().iter().map(Self::node_count).sum::<u32>()
     }
 
     /// Whether any node in it names a material.
-    pub fn is_painted(&self) -> bool {
-        self.material().is_some() || self.children().iter().any(Self::is_painted)
+    pub fn has_own_materials(&self) -> bool {
+        self.material().is_some() || self.children().iter().any(Self::has_own_materials)
     }
 
     /// The signed distance at `p`.

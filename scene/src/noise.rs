@@ -9,11 +9,11 @@ mod gardner;
 mod gradient;
 mod kinds;
 mod lattice;
-mod layers;
+mod octaves;
 
 pub use cellular::Feature;
 pub use kinds::{Cellular, Gardner, Noise, Perlin, Simplex, Value};
-pub use layers::Fractal;
+pub use octaves::Fractal;
 
 use crate::real::{Real, Vec3, vec3};
 
@@ -33,12 +33,12 @@ impl Noise {
     /// The noise at `p`.
     #[inline(always)]
     pub fn value<R: Real>(&self, p: Vec3<R>) -> R {
-        self.salted(p, 0)
+        self.with_salt(p, 0)
     }
 
     /// Three noises at `p` that differ in their seed alone; each is in the noise's range.
     #[inline(always)]
     pub fn vector<R: Real>(&self, p: Vec3<R>) -> Vec3<R> {
-        vec3(self.salted(p, 1), self.salted(p, 2), self.salted(p, 3))
+        vec3(self.with_salt(p, 1), self.with_salt(p, 2), self.with_salt(p, 3))
     }
 }

@@ -3,46 +3,46 @@
 mod collect;
 mod depends;
 mod form;
-mod lists;
+mod list_form;
+mod messages;
 mod stand_ins;
 mod suggest;
 mod syntax;
 #[cfg(test)]
 mod tests;
 mod tree;
-mod wording;
 
 use serde::de::IgnoredAny;
 
+use crate::animation::{FrameError, frames_to_check};
 use crate::document::{JobDocument, Resolved};
-use crate::fault::{Fault, Refusal};
+use crate::error::{ParseError, ValidationError};
 use crate::job::{Format, Job, ToneMap};
+use crate::json_scan::{self, ScanError, ScanErrorKind};
 use crate::limits::{
     MAX_JSON_DEPTH, MAX_LIGHTS, MAX_MATERIALS, MAX_NAME_CHARS, MAX_NODE_DEPTH, MAX_NODES, MAX_PIXELS, MAX_RAYS,
 };
-use crate::motion::{FrameError, frames_to_check};
-use crate::nodes::{Node, NodeFault};
-use crate::outline::{self, OutlineFault, OutlineFaultKind};
-use crate::scene::child_steps;
-use crate::seek::{Clock, Seek};
+use crate::nodes::{Node, NodeError};
+use crate::scene::child_pointers;
+use crate::seek::{FrameTime, Seek};
 
 /// No answer lists more faults than this.
-const MAX_FAULTS: usize = 100;
+const MAX_ERRORS: usize = 100;
 
 /// Reads a job: strictly, and with the place of every fault.
-pub fn parse(text: &[u8]) -> Result<Job, Refusal> {
+pub fn parse(text: &[u8]) -> Result<Job, ParseError> {
     let text = std::str::from_utf8(text).map_err(|error| not_utf8(text, error.valid_up_to()))?;
-    let outline = outline::check(text, MAX_JSON_DEPTH);
+    let outline = json_scan::check(text, MAX_JSON_DEPTH);
     if text.starts_with('\u{feff}') {
         let message = "begins with a byte order mark: save the file as UTF-8 without one";
-        return Err(Refusal::NotJson(Fault::at(text, Some(0), String::new(), message)));
+        return Err(ParseError::NotJson(ValidationError::at(text, Some(0), String::new(), message)));
     }
     let first = outline.map_err(|fault| of_outline(text, fault));
     if let Err(error) = serde_json::from_str::<IgnoredAny>(text) {
         return Err(match first {
             // How deep it is matters more than how it ends.
-            Err((refusal, OutlineFaultKind::TooDeep)) => refusal,
-            Err((_, OutlineFaultKind::DoubledKey(_))) | Ok(()) => Refusal::NotJson(syntax::fault(text, &error)),
+            Err((refusal, ScanErrorKind::TooDeep)) => refusal,
+            Err((_, ScanErrorKind::DuplicateMember(_))) | Ok(()) => ParseError::NotJson(syntax::fault(text, &error)),
         });
     }
     let first = match first {
@@ -53,26 +53,26 @@ pub fn parse(text: &[u8]) -> Result<Job, Refusal> {
         Err((refusal, _)) => refusal,
     };
     let all = collect::all(text, |text| match sound(text) {
-        Ok(_) | Err(Refusal::NotJson(_)) => Vec::new(),
-        Err(Refusal::Wrong(faults)) => faults.into_iter().map(|fault| (fault.pointer, fault.message)).collect(),
+        Ok(_) | Err(ParseError::NotJson(_)) => Vec::new(),
+        Err(ParseError::Invalid(faults)) => faults.into_iter().map(|fault| (fault.pointer, fault.message)).collect(),
     });
-    Err(if all.is_empty() { first } else { Refusal::Wrong(all) })
+    Err(if all.is_empty() { first } else { ParseError::Invalid(all) })
 }
 
 /// Error of the scan of a text, as a refusal.
-fn of_outline(text: &str, fault: OutlineFault) -> (Refusal, OutlineFaultKind) {
-    let OutlineFault { offset, pointer, kind } = fault;
+fn of_outline(text: &str, fault: ScanError) -> (ParseError, ScanErrorKind) {
+    let ScanError { offset, pointer, kind } = fault;
     let message = match &kind {
-        OutlineFaultKind::DoubledKey(key) => twice(key),
-        OutlineFaultKind::TooDeep => too_deep(),
+        ScanErrorKind::DuplicateMember(key) => twice(key),
+        ScanErrorKind::TooDeep => too_deep(),
     };
-    (Refusal::Wrong(vec![Fault::at(text, Some(offset), pointer, message)]), kind)
+    (ParseError::Invalid(vec![ValidationError::at(text, Some(offset), pointer, message)]), kind)
 }
 
 /// Reads JSON that passed the scan: a job, or the first error of its form, or every error of its meaning.
-fn sound(text: &str) -> Result<Job, Refusal> {
+fn sound(text: &str) -> Result<Job, ParseError> {
     let (job, key_seconds) = read(text)?;
-    if job.is_moving {
+    if job.is_animated {
         for frame in frames_to_check(&job.frames, &key_seconds, text.len()) {
             job.at(frame).map_err(|error| in_later_frame(text, error))?;
         }
@@ -80,10 +80,10 @@ fn sound(text: &str) -> Result<Job, Refusal> {
     Ok(job)
 }
 
-fn in_later_frame(text: &str, error: FrameError) -> Refusal {
+fn in_later_frame(text: &str, error: FrameError) -> ParseError {
     let FrameError { pointer, message, frame, seconds } = error;
     let message = format!("{message} (in frame {frame}, at {seconds} seconds)");
-    Refusal::Wrong(vec![Fault::of_value(text, pointer, message)])
+    ParseError::Invalid(vec![ValidationError::at_value(text, pointer, message)])
 }
 
 fn twice(key: &str) -> String {
@@ -95,37 +95,39 @@ fn too_deep() -> String {
 }
 
 /// Reads a sound text's job, and the times of all keyframes.
-fn read(text: &str) -> Result<(Job, Vec<f64>), Refusal> {
-    let document: JobDocument = form::read_strictly(text).map_err(|fault| Refusal::Wrong(vec![fault.placed(text)]))?;
-    meaning(document).map_err(|faults| {
-        let place = |(pointer, message)| Fault::of_value(text, pointer, message);
-        Refusal::Wrong(faults.into_iter().take(MAX_FAULTS).map(place).collect())
+fn read(text: &str) -> Result<(Job, Vec<f64>), ParseError> {
+    let document: JobDocument =
+        form::read_strictly(text).map_err(|fault| ParseError::Invalid(vec![fault.placed(text)]))?;
+    validate(document).map_err(|faults| {
+        let place = |(pointer, message)| ValidationError::at_value(text, pointer, message);
+        ParseError::Invalid(faults.into_iter().take(MAX_ERRORS).map(place).collect())
     })
 }
 
-fn not_utf8(text: &[u8], offset: usize) -> Refusal {
+fn not_utf8(text: &[u8], offset: usize) -> ParseError {
     let valid = String::from_utf8_lossy(&text[..offset]);
     let message = "is not UTF-8: save the file as UTF-8 text";
-    Refusal::NotJson(Fault::at(&valid, Some(valid.len()), String::new(), message))
+    ParseError::NotJson(ValidationError::at(&valid, Some(valid.len()), String::new(), message))
 }
 
 /// Pointer and message of every fault of meaning.
-type Faults = Vec<(String, String)>;
+type SemanticErrors = Vec<(String, String)>;
 
 /// Looks at what the parts mean together, and makes a job that is ready to be rendered; with the times of all
 /// keyframes.
-fn meaning(document: JobDocument) -> Result<(Job, Vec<f64>), Faults> {
+fn validate(document: JobDocument) -> Result<(Job, Vec<f64>), SemanticErrors> {
     let mut faults = faults_of_document(&document);
     let JobDocument { name, scene, mut image, frames, priority } = document;
     let names: Vec<String> = scene.materials.keys().cloned().collect();
-    let Resolved { mut scene, places, unused, unknown } = scene.resolve();
+    let Resolved { mut scene, material_pointers: places, unused_names: unused, unknown } = scene.resolve();
     for (pointer, name) in unknown {
         let known: Vec<&str> = names.iter().map(String::as_str).collect();
         faults.push((format!("/scene{pointer}"), suggest::unknown_material(&name, &known)));
     }
-    faults.extend(scene.faults().into_iter().map(|(pointer, message)| (format!("/scene{pointer}"), message)));
-    if scene.slots().len() > MAX_MATERIALS {
-        let used = scene.slots().len();
+    faults
+        .extend(scene.validation_errors().into_iter().map(|(pointer, message)| (format!("/scene{pointer}"), message)));
+    if scene.used_materials().len() > MAX_MATERIALS {
+        let used = scene.used_materials().len();
         let message = format!("uses {used} materials: use at most {MAX_MATERIALS}; materials with a name count once");
         faults.push(("/scene/objects".to_owned(), message));
     }
@@ -133,25 +135,25 @@ fn meaning(document: JobDocument) -> Result<(Job, Vec<f64>), Faults> {
         return Err(faults);
     }
     let mut key_seconds = Vec::new();
-    let clock = &mut Clock::noting(0.0, &mut key_seconds);
+    let clock = &mut FrameTime::recording(0.0, &mut key_seconds);
     let sought = scene.seek(clock).and_then(|in_scene| Ok(in_scene | image.seek(clock)?));
     let is_animated = sought.map_err(|misfit| vec![(format!("/scene{}", misfit.pointer), misfit.message)])?;
-    let is_moving = is_animated || scene.camera.turntable.is_some();
-    scene.prepare(is_moving);
+    let is_animated = is_animated || scene.camera.turntable.is_some();
+    scene.prepare(is_animated);
     let job =
-        Job { name, scene, image, frames, priority, is_moving, material_places: places, unused_materials: unused };
+        Job { name, scene, image, frames, priority, is_animated, material_pointers: places, unused_materials: unused };
     Ok((job, key_seconds))
 }
 
 /// What is wrong with a document before its materials are looked up.
-fn faults_of_document(document: &JobDocument) -> Faults {
-    let mut faults = Faults::new();
+fn faults_of_document(document: &JobDocument) -> SemanticErrors {
+    let mut faults = SemanticErrors::new();
     let mut fault = |pointer: &str, message: String| faults.push((pointer.to_owned(), message));
     let JobDocument { name, scene, image: _, frames: _, priority: _ } = document;
     if name.chars().count() > MAX_NAME_CHARS {
         fault("/name", format!("is longer than {MAX_NAME_CHARS} characters"));
     }
-    if let Some((key, message)) = scene.camera.fault() {
+    if let Some((key, message)) = scene.camera.validate() {
         fault(&format!("/scene/camera/{key}"), message.to_owned());
     }
     if scene.lights.len() > MAX_LIGHTS {
@@ -162,7 +164,7 @@ fn faults_of_document(document: &JobDocument) -> Faults {
     }
     let mut nodes = 0;
     for (index, object) in scene.objects.iter().enumerate() {
-        tree(&object.shape, &mut format!("/scene/objects/{index}/shape"), 1, &mut nodes, &mut fault);
+        validate_node(&object.shape, &mut format!("/scene/objects/{index}/shape"), 1, &mut nodes, &mut fault);
     }
     if nodes > MAX_NODES {
         fault("/scene/objects", format!("has {nodes} nodes: use at most {MAX_NODES}"));
@@ -173,7 +175,7 @@ fn faults_of_document(document: &JobDocument) -> Faults {
 
 /// Looks at a node and at all in it; says whether they are sound, so that they may be asked for their
 /// bounds. What is wrong inside a node is told first: only of sound shapes can it say what is wrong with them.
-fn tree(
+fn validate_node(
     node: &Node,
     pointer: &mut String,
     depth: usize,
@@ -186,18 +188,18 @@ fn tree(
     }
     let mut is_sound = true;
     let length = pointer.len();
-    for (child, step) in node.children().iter().zip(child_steps(node)) {
+    for (child, step) in node.children().iter().zip(child_pointers(node)) {
         pointer.push_str(&step);
-        is_sound &= tree(child, pointer, depth + 1, nodes, fault);
+        is_sound &= validate_node(child, pointer, depth + 1, nodes, fault);
         pointer.truncate(length);
     }
     let name = node.name();
-    if node.has_list() && node.children().is_empty() {
+    if node.has_child_list() && node.children().is_empty() {
         fault(&format!("{pointer}/{name}/of"), format!("is empty: {name} needs a shape or more"));
         return false;
     }
     match is_sound.then(|| node.fault()).flatten() {
-        Some(NodeFault { place, message }) => {
+        Some(NodeError { pointer: place, message }) => {
             fault(&format!("{pointer}/{name}/{place}"), message);
             false
         }
@@ -221,7 +223,7 @@ fn image(document: &JobDocument, fault: &mut impl FnMut(&str, String)) {
     if image.format == Format::Png && !image.layers.is_empty() {
         fault("/image/layers", "a PNG has no layers: set format to \"exr\", or leave layers out".to_owned());
     }
-    if image.format == Format::Exr && image.is_graded() {
+    if image.format == Format::Exr && image.has_display_transform() {
         let key = if image.tone_map == ToneMap::None { "exposure" } else { "tone_map" };
         fault(&format!("/image/{key}"), format!("an EXR stays linear: leave {key} out, or set format to \"png\""));
     }

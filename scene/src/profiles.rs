@@ -1,20 +1,20 @@
 //! Profiles: 2D shapes in the plane of x and y, for `extrude` and `revolve`.
 //!
 //! A profile is one documented struct in a file of its family under `profiles/`, one `impl` of
-//! [`Planar`], and one word in the list below. Its examples are examples of `extrude` and
+//! [`ProfileSdf`], and one word in the list below. Its examples are examples of `extrude` and
 //! `revolve`, so the contract tests and the pictures of docs/nodes.md follow from those.
 
 #[cfg(test)]
 mod added;
+mod bezier;
 mod edge;
 mod ellipse;
-mod lettering;
 mod polygon;
-mod quadratic;
 mod regular;
 mod simple;
 mod strokes;
 mod text;
+mod text_outline;
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -22,23 +22,23 @@ use serde::{Deserialize, Serialize};
 #[cfg(test)]
 pub use added::AddedProfile;
 pub use ellipse::Ellipse;
-pub use lettering::{Lettering, NoLettering};
-pub use polygon::{Points, Polygon, WrongCount};
+pub use polygon::{Polygon, PolygonVertices, VertexCountError};
 pub use regular::{RegularPolygon, Star};
 pub use simple::{Circle, Rectangle};
 pub use strokes::{Arc, Bezier};
 pub use text::Text;
+pub use text_outline::{TextOutline, TextOutlineError};
 
-use crate::nodes::{Exactness, NodeFault, snake_case};
+use crate::nodes::{Exactness, NodeError, snake_case};
 use crate::real::Real;
 use crate::seek::Seek;
-use crate::values::{Amount, Coordinate};
+use crate::values::{Coordinate, LengthOrZero};
 
 /// A point or an offset in the plane, in scene units.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
-pub struct Spot(pub Coordinate, pub Coordinate);
+pub struct Point2(pub Coordinate, pub Coordinate);
 
-impl Spot {
+impl Point2 {
     /// Its coordinates.
     #[inline(always)]
     pub fn get(&self) -> [f32; 2] {
@@ -48,21 +48,21 @@ impl Spot {
 
 /// A rectangle along the axes, in scene units.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Extent {
+pub struct Bounds2 {
     /// Its least coordinates.
     pub low: [f32; 2],
     /// Its greatest coordinates.
     pub high: [f32; 2],
 }
 
-impl Extent {
+impl Bounds2 {
     /// Rectangle around the origin with these half extents.
     pub fn symmetric(x: f32, y: f32) -> Self {
         Self { low: [-x, -y], high: [x, y] }
     }
 
     /// Smallest rectangle around one or more points.
-    pub fn around(points: impl IntoIterator<Item = [f32; 2]>) -> Self {
+    pub fn from_points(points: impl IntoIterator<Item = [f32; 2]>) -> Self {
         let empty = Self { low: [f32::INFINITY; 2], high: [f32::NEG_INFINITY; 2] };
         points.into_iter().fold(empty, |extent, point| extent.hull(Self { low: point, high: point }))
     }
@@ -80,21 +80,21 @@ impl Extent {
 }
 
 /// A profile. Its value has a Lipschitz factor of 1.
-pub trait Planar {
+pub trait ProfileSdf {
     /// A small valid value, as a user would write it.
     const EXAMPLE: &'static str;
 
     /// Further values that take other ways through the formula.
-    const MORE: &'static [&'static str] = &[];
+    const MORE_EXAMPLES: &'static [&'static str] = &[];
 
     /// Whether it is its own mirror image about the y axis.
-    const IS_MIRRORED: bool = false;
+    const IS_SYMMETRIC: bool = false;
 
     /// The signed distance from (`x`, `y`) to the outline, negative inside.
     fn distance<R: Real>(&self, x: R, y: R) -> R;
 
     /// A rectangle that holds every point whose distance is at most `level`, which is not below 0.
-    fn extent(&self, level: f32) -> Extent;
+    fn extent(&self, isolevel: f32) -> Bounds2;
 
     /// Relation of its value to the true distance.
     fn exactness(&self) -> Exactness {
@@ -102,12 +102,12 @@ pub trait Planar {
     }
 
     /// Error in its numbers taken together, if any; each alone is in range.
-    fn fault(&self) -> Option<NodeFault> {
+    fn validate(&self) -> Option<NodeError> {
         None
     }
 
     /// Its size in simple nodes.
-    fn weight(&self) -> u32 {
+    fn size_in_nodes(&self) -> u32 {
         1
     }
 }
@@ -124,7 +124,7 @@ macro_rules! profiles {
         impl Profile {
             /// The signed distance from (`x`, `y`) to the outline, negative inside.
             pub fn distance<R: Real>(&self, x: R, y: R) -> R {
-                x.named(
+                x.labeled(
                     self.kind(),
                     #[inline(always)]
                     || match self {
@@ -144,14 +144,14 @@ macro_rules! profiles {
             /// Whether it is its own mirror image about the y axis.
             pub fn is_mirrored(&self) -> bool {
                 match self {
-                    $($(#[$attribute])* Self::$Kind(_) => $Kind::IS_MIRRORED),*
+                    $($(#[$attribute])* Self::$Kind(_) => $Kind::IS_SYMMETRIC),*
                 }
             }
 
             /// A rectangle that holds every point whose distance is at most `level`, which is not below 0.
-            pub fn extent(&self, level: f32) -> Extent {
+            pub fn extent(&self, isolevel: f32) -> Bounds2 {
                 match self {
-                    $($(#[$attribute])* Self::$Kind(profile) => profile.extent(level)),*
+                    $($(#[$attribute])* Self::$Kind(profile) => profile.extent(isolevel)),*
                 }
             }
 
@@ -163,16 +163,16 @@ macro_rules! profiles {
             }
 
             /// Error in its numbers taken together, if any.
-            pub(crate) fn fault(&self) -> Option<NodeFault> {
+            pub(crate) fn fault(&self) -> Option<NodeError> {
                 match self {
-                    $($(#[$attribute])* Self::$Kind(profile) => profile.fault()),*
+                    $($(#[$attribute])* Self::$Kind(profile) => profile.validate()),*
                 }
             }
 
             /// Its size in simple nodes.
             pub(crate) fn weight(&self) -> u32 {
                 match self {
-                    $($(#[$attribute])* Self::$Kind(profile) => profile.weight()),*
+                    $($(#[$attribute])* Self::$Kind(profile) => profile.size_in_nodes()),*
                 }
             }
 
@@ -181,7 +181,7 @@ macro_rules! profiles {
                 let mut examples = Vec::new();
                 $(
                     $(#[$attribute])*
-                    examples.extend(std::iter::once(&$Kind::EXAMPLE).chain($Kind::MORE).map(|value| {
+                    examples.extend(std::iter::once(&$Kind::EXAMPLE).chain($Kind::MORE_EXAMPLES).map(|value| {
                         (stringify!($Kind), format!("{{ \"{}\": {value} }}", snake_case(stringify!($Kind))))
                     }));
                 )*
@@ -212,6 +212,6 @@ impl Profile {
     }
 }
 
-fn nothing() -> Amount {
-    Amount::new(0.0).expect("0 is in range")
+fn default_round() -> LengthOrZero {
+    LengthOrZero::new(0.0).expect("0 is in range")
 }

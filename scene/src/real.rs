@@ -17,8 +17,8 @@ use std::fmt::Debug;
 use std::ops::{Add, BitAnd, BitOr, BitXor, Div, Mul, Neg, Not, Shl, Shr, Sub};
 
 pub(crate) use bundle::bundle;
-pub use bundle::{Bundle, Flag, Join};
-pub use interval::{Interval, IntervalBits, Truth};
+pub use bundle::{Bundle, MaskValue, Merge};
+pub use interval::{Interval, IntervalBits, Tribool};
 pub use vector::{Vec3, vec3};
 
 /// Below this, [`Real::sqrt`] is 0, so that a GPU may compute a root through its reciprocal.
@@ -67,19 +67,19 @@ pub trait Real:
     type Bits: Bits;
 
     /// `value` in every lane of a number like this one.
-    fn splat(self, value: f32) -> Self;
+    fn constant(self, value: f32) -> Self;
 
     /// `value`, a number of the scene, in every lane: data to a compiled formula, where what is
     /// splatted is code.
     #[inline(always)]
-    fn given(self, value: f32) -> Self {
-        self.splat(value)
+    fn uniform(self, value: f32) -> Self {
+        self.constant(value)
     }
 
-    /// `word`, data as [`Real::given`] has it.
+    /// `word`, data as [`Real::uniform`] has it.
     #[inline(always)]
     #[expect(clippy::erasing_op, reason = "lanes of 0 are made of other lanes")]
-    fn given_bits(self, word: u32) -> Self::Bits {
+    fn uniform_bits(self, word: u32) -> Self::Bits {
         (self.to_bits() & 0) ^ word
     }
 
@@ -123,12 +123,7 @@ pub trait Real:
     /// A named step that a formula uses in several places. A name stands for one step: all numbers that
     /// differ from call to call are in `arguments`, and `step` captures only the scene.
     #[inline(always)]
-    fn shared<A: Bundle<Self>, T: Bundle<Self>>(
-        self,
-        name: &'static str,
-        arguments: A,
-        step: impl FnOnce(A) -> T,
-    ) -> T {
+    fn call<A: Bundle<Self>, T: Bundle<Self>>(self, name: &'static str, arguments: A, step: impl FnOnce(A) -> T) -> T {
         let _ = name;
         self.vectorize(
             #[inline(always)]
@@ -138,7 +133,7 @@ pub trait Real:
 
     /// Runs `f`, the formula of a node of this name.
     #[inline(always)]
-    fn named<T>(self, name: &'static str, f: impl FnOnce() -> T) -> T {
+    fn labeled<T>(self, name: &'static str, f: impl FnOnce() -> T) -> T {
         let _ = name;
         self.vectorize(f)
     }
@@ -158,25 +153,25 @@ pub trait Real:
     /// The greater of this and a known number.
     #[inline(always)]
     fn at_least(self, low: f32) -> Self {
-        self.max(self.splat(low))
+        self.max(self.constant(low))
     }
 
     /// The lesser of this and a known number.
     #[inline(always)]
     fn at_most(self, high: f32) -> Self {
-        self.min(self.splat(high))
+        self.min(self.constant(high))
     }
 
     /// Mask of lanes in which this is less than a constant.
     #[inline(always)]
     fn below(self, bound: f32) -> Self::Mask {
-        self.lt(self.splat(bound))
+        self.lt(self.constant(bound))
     }
 
     /// Mask of lanes in which this is greater than a constant.
     #[inline(always)]
     fn above(self, bound: f32) -> Self::Mask {
-        self.splat(bound).lt(self)
+        self.constant(bound).lt(self)
     }
 
     /// Sine of an angle in radians, for |x| ≤ 10⁵. Largest error measured for |x| ≤ 10⁴: 1.6 ulp of 1.

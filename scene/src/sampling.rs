@@ -17,7 +17,7 @@ const STEP_X: u32 = 0xc13f_a9a9;
 const STEP_Y: u32 = 0x91e1_0da5;
 
 /// 2³² times the fractions of the square roots of the first primes, two to a pair of numbers.
-const ROOT_STEPS: [(u32, u32); 16] = [
+const RICHTMYER_STEPS: [(u32, u32); 16] = [
     (0x6a09_e667, 0xbb67_ae85),
     (0x3c6e_f372, 0xa54f_f53a),
     (0x510e_527f, 0x9b05_688c),
@@ -46,16 +46,16 @@ pub fn frame_key(seed: u32, frame: u32) -> u32 {
 
 /// Where a pixel's samples start.
 #[derive(Clone, Copy, Debug)]
-pub struct Jitter<R: Real> {
+pub struct PixelJitter<R: Real> {
     x: R::Bits,
     y: R::Bits,
 }
 
-impl<R: Real> Jitter<R> {
+impl<R: Real> PixelJitter<R> {
     /// Of the pixel (`x`, `y`), whole numbers below 2²³.
     #[inline(always)]
     pub fn new(x: R, y: R, frame_key: u32) -> Self {
-        let [x, y, _] = pcg3d::<R>(whole(x), whole(y), x.given_bits(frame_key));
+        let [x, y, _] = pcg3d::<R>(to_u32(x), to_u32(y), x.uniform_bits(frame_key));
         Self { x, y }
     }
 
@@ -67,14 +67,14 @@ impl<R: Real> Jitter<R> {
 
     #[inline(always)]
     fn stepped(self, sample: R, (step_x, step_y): (u32, u32)) -> (R, R) {
-        let sample = whole(sample);
-        (unit(self.x + sample * step_x), unit(self.y + sample * step_y))
+        let sample = to_u32(sample);
+        (to_unit_float(self.x + sample * step_x), to_unit_float(self.y + sample * step_y))
     }
 }
 
 /// Pairs of numbers by chance for one sample of one pixel.
 #[derive(Clone, Copy, Debug)]
-pub struct Dice<R> {
+pub struct Sampler<R> {
     /// Column of the pixel, whole.
     pub x: R,
     /// Row of the pixel, whole.
@@ -87,28 +87,28 @@ pub struct Dice<R> {
     pub frame_key: u32,
 }
 
-impl<R: Real> Dice<R> {
+impl<R: Real> Sampler<R> {
     /// Two numbers, 0 to 1 without 1, for one purpose: each has a number of its own.
     #[inline(always)]
-    pub fn pair(&self, purpose: u32) -> (R, R) {
-        let key = frame_key(self.frame_key, purpose.wrapping_add(1));
+    pub fn get_2d(&self, dimension: u32) -> (R, R) {
+        let key = frame_key(self.frame_key, dimension.wrapping_add(1));
         // Bounces move the pixel by more than any picture is wide.
-        let start = Jitter::new(self.bounce.mul_add(self.bounce.splat(65_536.0), self.x), self.y, key);
-        start.stepped(self.sample, ROOT_STEPS[purpose as usize % ROOT_STEPS.len()])
+        let start = PixelJitter::new(self.bounce.mul_add(self.bounce.constant(65_536.0), self.x), self.y, key);
+        start.stepped(self.sample, RICHTMYER_STEPS[dimension as usize % RICHTMYER_STEPS.len()])
     }
 }
 
 /// Three numbers, 0 to 1 without 1, for the pixel (`x`, `y`), whole numbers below 2²³: what its red, green and blue
-/// are rounded at, so that neighbours share out what is between two levels.
+/// are rounded at, so that neighbors share out what is between two levels.
 #[inline(always)]
 pub fn thresholds<R: Real>(x: R, y: R) -> [R; 3] {
-    pcg3d::<R>(whole(x), whole(y), x.given_bits(0)).map(unit)
+    pcg3d::<R>(to_u32(x), to_u32(y), x.uniform_bits(0)).map(to_unit_float)
 }
 
 /// Jarzynski's and Olano's hash.
 #[inline(always)]
 fn pcg3d<R: Real>(a: R::Bits, b: R::Bits, c: R::Bits) -> [R::Bits; 3] {
-    let (mut a, mut b, mut c) = (stir::<R>(a), stir::<R>(b), stir::<R>(c));
+    let (mut a, mut b, mut c) = (lcg_step::<R>(a), lcg_step::<R>(b), lcg_step::<R>(c));
     for _ in 0..2 {
         a = a + b * c;
         b = b + c * a;
@@ -120,19 +120,19 @@ fn pcg3d<R: Real>(a: R::Bits, b: R::Bits, c: R::Bits) -> [R::Bits; 3] {
 
 /// The integer of a whole number below 2²³.
 #[inline(always)]
-fn whole<R: Real>(number: R) -> R::Bits {
+fn to_u32<R: Real>(number: R) -> R::Bits {
     (number + 8_388_608.0).to_bits() & 0x007f_ffff
 }
 
 /// One step of a linear congruential generator.
 #[inline(always)]
-fn stir<R: Real>(word: R::Bits) -> R::Bits {
+fn lcg_step<R: Real>(word: R::Bits) -> R::Bits {
     word * 1_664_525 + 1_013_904_223
 }
 
 /// A number from 0 to 1, without 1, from the upper 23 bits: put under the exponent of 1, less 1.
 #[inline(always)]
-fn unit<R: Real>(word: R::Bits) -> R {
+fn to_unit_float<R: Real>(word: R::Bits) -> R {
     R::from_bits((word >> 9) | 0x3f80_0000) - 1.0
 }
 
@@ -143,7 +143,7 @@ mod tests {
     #[test]
     fn samples_fill_the_pixel_evenly() {
         for (x, y) in [(0.0, 0.0), (17.0, 3.0), (4095.0, 2159.0_f32)] {
-            let jitter = Jitter::new(x, y, frame_key(0, 0));
+            let jitter = PixelJitter::new(x, y, frame_key(0, 0));
             let mut cells = [0; 16];
             for sample in 0..256 {
                 let (jx, jy) = jitter.offset(sample as f32);
@@ -156,11 +156,11 @@ mod tests {
 
     #[test]
     fn pairs_for_two_purposes_are_spread_evenly_together() {
-        let dice = |sample: f32| Dice { x: 3.0, y: 5.0, sample, bounce: 0.0, frame_key: frame_key(0, 0) };
+        let dice = |sample: f32| Sampler { x: 3.0, y: 5.0, sample, bounce: 0.0, frame_key: frame_key(0, 0) };
         for (one, other) in [(0, 1), (0, 5), (2, 7)] {
             let mut cells = [0; 256];
             for sample in 0..4096 {
-                let ((a, b), (c, d)) = (dice(sample as f32).pair(one), dice(sample as f32).pair(other));
+                let ((a, b), (c, d)) = (dice(sample as f32).get_2d(one), dice(sample as f32).get_2d(other));
                 let cell = [a, b, c, d].iter().fold(0, |cell, &u| 4 * cell + (u * 4.0) as usize);
                 cells[cell] += 1;
             }
@@ -170,7 +170,7 @@ mod tests {
 
     #[test]
     fn pixels_frames_and_seeds_differ() {
-        let first = |x: f32, y: f32, key| Jitter::new(x, y, key).offset(0.0);
+        let first = |x: f32, y: f32, key| PixelJitter::new(x, y, key).offset(0.0);
         let here = first(5.0, 7.0, frame_key(1, 2));
         assert_ne!(here, first(6.0, 7.0, frame_key(1, 2)));
         assert_ne!(here, first(5.0, 8.0, frame_key(1, 2)));

@@ -3,15 +3,16 @@
 use schemars::JsonSchema;
 use serde::{Deserialize, Deserializer, Serialize};
 
+use crate::ambient_occlusion::AmbientOcclusion;
 use crate::backgrounds::{Backdrop, Background};
 use crate::camera::Camera;
+use crate::fog::Fog;
 use crate::lights::{Light, LightSource};
 use crate::limits::{MAX_BOUNCES, MAX_STEPS};
-use crate::materials::{Material, MaterialUse, Shade};
-use crate::nodes::{Node, NodeFault};
+use crate::materials::{Material, MaterialRef, Shade};
+use crate::nodes::{Node, NodeError};
 use crate::seek::Seek;
-use crate::surroundings::{AmbientOcclusion, Fog};
-use crate::values::{Length, whole};
+use crate::values::{Length, integer_in_range};
 
 /// What there is to see: materials are in slots, and everything stands as it does at one time.
 ///
@@ -42,9 +43,9 @@ pub struct Scene {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
 #[serde(deny_unknown_fields)]
 pub struct Object {
-    /// The material: a name from `materials`, or one in place; grey when absent.
-    #[serde(default = "grey")]
-    pub material: MaterialUse,
+    /// The material: a name from `materials`, or one in place; gray when absent.
+    #[serde(default = "default_material")]
+    pub material: MaterialRef,
     /// The shape.
     pub shape: Node,
 }
@@ -72,9 +73,9 @@ impl Default for March {
 }
 
 impl Scene {
-    /// The materials in use; a [`MaterialUse`] has its place in this list.
+    /// The materials in use; a [`MaterialRef`] has its place in this list.
     #[inline(always)]
-    pub fn slots(&self) -> &[Material] {
+    pub fn used_materials(&self) -> &[Material] {
         &self.materials
     }
 
@@ -85,7 +86,7 @@ impl Scene {
 
     /// Nodes of all object trees.
     pub fn nodes(&self) -> u32 {
-        self.objects.iter().map(|object| object.shape.count()).sum()
+        self.objects.iter().map(|object| object.shape.node_count()).sum()
     }
 
     /// Whether some pixel may be less than opaque.
@@ -95,30 +96,30 @@ impl Scene {
 
     /// Finds what makes its objects faster to look at; `moves` is whether frames differ in their numbers.
     pub(crate) fn prepare(&mut self, moves: bool) {
-        self.objects.iter_mut().for_each(|object| object.shape.prepare(moves));
-        self.background.prepare();
-        self.lights.iter_mut().for_each(LightSource::prepare);
+        self.objects.iter_mut().for_each(|object| object.shape.precompute(moves));
+        self.background.precompute();
+        self.lights.iter_mut().for_each(LightSource::precompute);
     }
 
     /// What lights, sky and materials mean wrongly together: JSON pointers in the scene, and why.
-    pub(crate) fn faults(&self) -> Vec<(String, String)> {
+    pub(crate) fn validation_errors(&self) -> Vec<(String, String)> {
         let mut faults = Vec::new();
-        if let Some(NodeFault { place, message }) = self.background.fault() {
+        if let Some(NodeError { pointer: place, message }) = self.background.validate() {
             faults.push((format!("/background/{place}"), message));
         }
         for (index, light) in self.lights.iter().enumerate() {
-            if let Some(NodeFault { place, message }) = light.fault(&self.background) {
+            if let Some(NodeError { pointer: place, message }) = light.validate(&self.background) {
                 faults.push((format!("/lights/{index}/{place}"), message));
             }
         }
         for (index, object) in self.objects.iter().enumerate() {
-            self.filled_paints(&object.shape, &mut format!("/objects/{index}/shape"), &mut faults);
+            self.medium_paint_errors(&object.shape, &mut format!("/objects/{index}/shape"), &mut faults);
         }
         faults
     }
 
     /// Finds paints of what fills a whole object.
-    fn filled_paints(&self, node: &Node, pointer: &mut String, faults: &mut Vec<(String, String)>) {
+    fn medium_paint_errors(&self, node: &Node, pointer: &mut String, faults: &mut Vec<(String, String)>) {
         let material = node.material().and_then(|material| self.materials.get(material.slot() as usize));
         if material.is_some_and(Shade::is_medium) {
             let message =
@@ -126,32 +127,32 @@ impl Scene {
             faults.push((format!("{pointer}/{}/material", node.name()), message.to_owned()));
         }
         let length = pointer.len();
-        for (child, step) in node.children().iter().zip(child_steps(node)) {
+        for (child, step) in node.children().iter().zip(child_pointers(node)) {
             pointer.push_str(&step);
-            self.filled_paints(child, pointer, faults);
+            self.medium_paint_errors(child, pointer, faults);
             pointer.truncate(length);
         }
     }
 }
 
 /// The JSON pointers from a node to each of its children.
-pub(crate) fn child_steps(node: &Node) -> Vec<String> {
+pub(crate) fn child_pointers(node: &Node) -> Vec<String> {
     let name = node.name();
-    if node.has_list() {
+    if node.has_child_list() {
         (0..node.children().len()).map(|index| format!("/{name}/of/{index}")).collect()
     } else {
         node.children().iter().map(|_| format!("/{name}/child")).collect()
     }
 }
 
-fn grey() -> MaterialUse {
+fn default_material() -> MaterialRef {
     serde_json::from_str(r#"{ "diffuse": {} }"#).expect("a material")
 }
 
 fn max_steps<'de, D: Deserializer<'de>>(deserializer: D) -> Result<u32, D::Error> {
-    whole(deserializer, 1, MAX_STEPS, "steps")
+    integer_in_range(deserializer, 1, MAX_STEPS, "steps")
 }
 
 fn max_bounces<'de, D: Deserializer<'de>>(deserializer: D) -> Result<u32, D::Error> {
-    whole(deserializer, 0, MAX_BOUNCES, "bounces")
+    integer_in_range(deserializer, 0, MAX_BOUNCES, "bounces")
 }

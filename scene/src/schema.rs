@@ -59,7 +59,7 @@ fn show(definitions: &mut Map<String, Value>) {
         }
     };
     add("Job", EXAMPLE);
-    let nodes = Node::examples().into_iter().map(|nodes::Example { node, .. }| ("Node", node));
+    let nodes = Node::examples().into_iter().map(|nodes::NodeExample { node, .. }| ("Node", node));
     let materials = Material::examples().into_iter().map(|example| ("Material", example));
     let textures = materials::Texture::examples().into_iter().map(|example| ("Texture", example));
     let shaded = materials.chain(textures).map(|(choice, example)| (choice, example.json));

@@ -5,7 +5,7 @@
 //! What chooses code by a number must ask whether it has one, since all frames share one compiled program.
 
 mod color;
-mod replayed;
+mod peeked_map;
 pub(crate) mod track;
 
 use std::borrow::Cow;
@@ -21,14 +21,14 @@ pub use color::Color;
 use self::track::Track;
 use crate::limits::{MAX_LENGTH, MIN_LENGTH};
 use crate::real::{Real, Vec3, vec3};
-use crate::seek::{Clock, Misfit, Seek};
+use crate::seek::{FrameTime, Seek, SeekError};
 
-pub(crate) use replayed::Replayed;
+pub(crate) use peeked_map::PeekedMap;
 
 /// Kinds of number that may be animated.
-macro_rules! numbers {
-    ($($(#[$doc:meta])* $Name:ident: $holds:expr, $words:literal, $schema:tt;)*) => { $(
-        number_type! { $(#[$doc])* $Name: $holds, $words }
+macro_rules! animatable_numbers {
+    ($($(#[$doc:meta])* $Name:ident: $is_in_range:expr, $words:literal, $schema:tt;)*) => { $(
+        number_type! { $(#[$doc])* $Name: $is_in_range, $words }
 
         impl<'de> Deserialize<'de> for $Name {
             fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
@@ -49,13 +49,13 @@ macro_rules! numbers {
 }
 
 /// Kinds of number that are the same in all frames.
-macro_rules! still_numbers {
-    ($($(#[$doc:meta])* $Name:ident: $holds:expr, $words:literal, $schema:tt;)*) => { $(
-        number_type! { $(#[$doc])* $Name: $holds, $words }
+macro_rules! constant_numbers {
+    ($($(#[$doc:meta])* $Name:ident: $is_in_range:expr, $words:literal, $schema:tt;)*) => { $(
+        number_type! { $(#[$doc])* $Name: $is_in_range, $words }
 
         impl<'de> Deserialize<'de> for $Name {
             fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
-                track::read_still(deserializer)
+                track::read_constant(deserializer)
             }
         }
 
@@ -73,7 +73,7 @@ macro_rules! still_numbers {
 
 /// A number and, if it is animated, its track. Two are equal if the numbers are.
 macro_rules! number_type {
-    ($(#[$doc:meta])* $Name:ident: $holds:expr, $words:literal) => {
+    ($(#[$doc:meta])* $Name:ident: $is_in_range:expr, $words:literal) => {
         $(#[$doc])*
         #[derive(Clone, Debug)]
         pub struct $Name {
@@ -84,7 +84,7 @@ macro_rules! number_type {
         impl $Name {
             /// The number, if it is in range.
             pub fn new(value: f32) -> Option<Self> {
-                <Self as track::Ranged>::holds(value).then_some(Self { value, track: None })
+                <Self as track::RangedNumber>::is_in_range(value).then_some(Self { value, track: None })
             }
 
             /// The number.
@@ -95,7 +95,7 @@ macro_rules! number_type {
 
             /// Whether a track gives this number a different value in other frames. If so, code must not branch on it: all frames share one compiled program.
             #[inline(always)]
-            pub fn is_moving(&self) -> bool {
+            pub fn is_animated(&self) -> bool {
                 self.track.is_some()
             }
 
@@ -106,15 +106,15 @@ macro_rules! number_type {
             }
         }
 
-        impl track::Ranged for $Name {
-            const WORDS: &'static str = $words;
+        impl track::RangedNumber for $Name {
+            const EXPECTED: &'static str = $words;
 
-            fn holds(value: f32) -> bool {
-                let holds: fn(f32) -> bool = $holds;
-                holds(value)
+            fn is_in_range(value: f32) -> bool {
+                let is_in_range: fn(f32) -> bool = $is_in_range;
+                is_in_range(value)
             }
 
-            fn ranged(value: f32) -> Option<Self> {
+            fn in_range(value: f32) -> Option<Self> {
                 Self::new(value)
             }
 
@@ -123,16 +123,16 @@ macro_rules! number_type {
             }
 
             fn on_track(track: Track) -> Self {
-                Self { value: track.at(0.0, Self::holds), track: Some(Arc::new(track)) }
+                Self { value: track.at(0.0, Self::is_in_range), track: Some(Arc::new(track)) }
             }
         }
 
         impl Seek for $Name {
             #[inline]
-            fn seek(&mut self, clock: &mut Clock<'_>) -> Result<bool, std::boxed::Box<Misfit>> {
+            fn seek(&mut self, clock: &mut FrameTime<'_>) -> Result<bool, std::boxed::Box<SeekError>> {
                 let Some(track) = &self.track else { return Ok(false) };
-                clock.note(track.key_seconds());
-                self.value = track.at(clock.seconds, <Self as track::Ranged>::holds);
+                clock.record_keyframes(track.keyframe_times());
+                self.value = track.at(clock.seconds, <Self as track::RangedNumber>::is_in_range);
                 Ok(true)
             }
         }
@@ -151,13 +151,13 @@ macro_rules! number_type {
 
         impl Serialize for $Name {
             fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
-                track::write(self.value, self.is_moving(), serializer)
+                track::write(self.value, self.is_animated(), serializer)
             }
         }
     };
 }
 
-numbers! {
+animatable_numbers! {
     /// A coordinate or an offset, in scene units.
     Coordinate: |v| v.abs() <= MAX_LENGTH, "within ±1e6",
         { "type": "number", "minimum": -1e6, "maximum": 1e6, "description": "A coordinate or an offset, in scene units." };
@@ -165,37 +165,37 @@ numbers! {
     Length: |v| (MIN_LENGTH..=MAX_LENGTH).contains(&v), "a size from 1e-6 to 1e6",
         { "type": "number", "minimum": 1e-6, "maximum": 1e6, "description": "A size, in scene units." };
     /// A length that may be 0, in scene units.
-    Amount: |v| v == 0.0 || (MIN_LENGTH..=MAX_LENGTH).contains(&v), "0, or a size from 1e-6 to 1e6",
+    LengthOrZero: |v| v == 0.0 || (MIN_LENGTH..=MAX_LENGTH).contains(&v), "0, or a size from 1e-6 to 1e6",
         { "type": "number", "minimum": 0, "maximum": 1e6, "description": "0, or a size from 1e-6 to 1e6, in scene units." };
     /// The distance from copy to copy, in scene units.
     Spacing: |v| (MIN_LENGTH..=MAX_LENGTH).contains(&v), "a distance from 1e-6 to 1e6, or null along an axis without copies",
         { "type": "number", "minimum": 1e-6, "maximum": 1e6, "description": "The distance from copy to copy, in scene units." };
     /// A fraction from 0 to 1.
-    Share: |v| (0.0..=1.0).contains(&v), "a share from 0 to 1",
+    Fraction: |v| (0.0..=1.0).contains(&v), "a share from 0 to 1",
         { "type": "number", "minimum": 0, "maximum": 1, "description": "A share of something." };
     /// A uniform scale.
-    Factor: |v| (1e-6..=1e6).contains(&v), "a factor from 1e-6 to 1e6",
+    ScaleFactor: |v| (1e-6..=1e6).contains(&v), "a factor from 1e-6 to 1e6",
         { "type": "number", "minimum": 1e-6, "maximum": 1e6, "description": "A uniform scale." };
     /// An angle, in degrees.
     Degrees: |v| v.abs() <= 36_000.0, "an angle within ±36000 degrees",
         { "type": "number", "minimum": -36000, "maximum": 36000, "description": "An angle, in degrees." };
     /// Revolutions of a turntable.
-    Turns: |v| v.abs() <= 1000.0, "a number of turns within ±1000",
+    Revolutions: |v| v.abs() <= 1000.0, "a number of turns within ±1000",
         { "type": "number", "minimum": -1000, "maximum": 1000, "description": "Turns, counter-clockwise from above." };
     /// Exposure: the power of 2 that light is multiplied by.
-    Stops: |v| v.abs() <= 20.0, "an exposure within ±20 stops",
+    ExposureStops: |v| v.abs() <= 20.0, "an exposure within ±20 stops",
         { "type": "number", "minimum": -20, "maximum": 20, "description": "Exposure in stops: n more is 2ⁿ times as bright." };
     /// The angle between the axis of a cone and its side, in degrees.
-    ConeAngle: |v| (0.1..=89.9).contains(&v), "an angle from 0.1 to 89.9 degrees",
+    AcuteHalfAngle: |v| (0.1..=89.9).contains(&v), "an angle from 0.1 to 89.9 degrees",
         { "type": "number", "minimum": 0.1, "maximum": 89.9, "description": "The angle between the axis of a cone and its side, in degrees." };
     /// Half an aperture, in degrees.
-    HalfAperture: |v| (0.1..=179.9).contains(&v), "half an aperture from 0.1 to 179.9 degrees",
+    HalfAngle: |v| (0.1..=179.9).contains(&v), "half an aperture from 0.1 to 179.9 degrees",
         { "type": "number", "minimum": 0.1, "maximum": 179.9, "description": "Half an aperture, in degrees." };
     /// The length of an arc, in degrees.
-    ArcLength: |v| (0.1..=360.0).contains(&v), "an arc from 0.1 to 360 degrees",
+    ArcAngle: |v| (0.1..=360.0).contains(&v), "an arc from 0.1 to 360 degrees",
         { "type": "number", "minimum": 0.1, "maximum": 360, "description": "The length of an arc, in degrees." };
     /// A sweep angle, in degrees.
-    Turn: |v| (0.01..=360.0).contains(&v), "an angle from 0.01 to 360 degrees",
+    SweepAngle: |v| (0.01..=360.0).contains(&v), "an angle from 0.01 to 360 degrees",
         { "type": "number", "minimum": 0.01, "maximum": 360, "description": "A part of a whole turn, in degrees." };
     /// A vertical field of view, in degrees.
     FieldOfView: |v| (0.01..=179.0).contains(&v), "a field of view from 0.01 to 179 degrees",
@@ -217,7 +217,7 @@ numbers! {
         { "type": "number", "minimum": -4, "maximum": 4, "not": { "type": "number", "exclusiveMinimum": -1.05, "exclusiveMaximum": 1.05 }, "description": "The scale of a Mandelbox." };
     /// One channel of a color, in linear light.
     Channel: |v| (0.0..=1e6).contains(&v), "an intensity from 0 to 1e6",
-        { "type": "number", "minimum": 0, "maximum": 1e6, "description": "One channel of a colour, in linear light." };
+        { "type": "number", "minimum": 0, "maximum": 1e6, "description": "One channel of a color, in linear light." };
     /// Ratio of the frequencies of successive octaves of a noise.
     Lacunarity: |v| (1.0..=4.0).contains(&v), "a lacunarity from 1 to 4",
         { "type": "number", "minimum": 1, "maximum": 4, "description": "How many times finer each octave of a noise is than the one before." };
@@ -234,23 +234,23 @@ numbers! {
     Anisotropy: |v| (-0.95..=0.95).contains(&v), "a mean cosine from -0.95 to 0.95",
         { "type": "number", "minimum": -0.95, "maximum": 0.95, "description": "The mean cosine g of scattered light: above 0 onwards, below 0 back." };
     /// The whole angle of a cone, in degrees.
-    Aperture: |v| (0.0..=180.0).contains(&v), "an angle from 0 to 180 degrees",
+    FullAngle: |v| (0.0..=180.0).contains(&v), "an angle from 0 to 180 degrees",
         { "type": "number", "minimum": 0, "maximum": 180, "description": "The whole angle of a cone, in degrees." };
     /// Turbidity of the air.
     Turbidity: |v| (2.0..=10.0).contains(&v), "a turbidity from 2 to 10",
         { "type": "number", "minimum": 2, "maximum": 10, "description": "How hazy the air is: 2 is clear, 10 is thick haze." };
 }
 
-still_numbers! {
+constant_numbers! {
     /// Frames a second.
     FrameRate: |v| (0.001..=1000.0).contains(&v), "a rate from 0.001 to 1000 frames a second",
         { "type": "number", "minimum": 0.001, "maximum": 1000, "description": "Frames a second." };
 }
 
 /// Reads any whole number that JSON can hold.
-struct Whole;
+struct IntegerVisitor;
 
-impl<'de> Visitor<'de> for Whole {
+impl<'de> Visitor<'de> for IntegerVisitor {
     type Value = i64;
 
     fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
@@ -280,11 +280,16 @@ impl<'de> Visitor<'de> for Whole {
 
 /// Reads a whole number.
 pub(crate) fn integer<'de, D: Deserializer<'de>>(d: D) -> Result<i64, D::Error> {
-    d.deserialize_any(Whole)
+    d.deserialize_any(IntegerVisitor)
 }
 
 /// Reads a whole number of `what` from `low` to `high`.
-pub(crate) fn whole<'de, D: Deserializer<'de>>(d: D, low: u32, high: u32, what: &str) -> Result<u32, D::Error> {
+pub(crate) fn integer_in_range<'de, D: Deserializer<'de>>(
+    d: D,
+    low: u32,
+    high: u32,
+    what: &str,
+) -> Result<u32, D::Error> {
     let value = integer(d)?;
     u32::try_from(value)
         .ok()
@@ -304,22 +309,22 @@ impl Point {
     }
 
     /// The point in range that is nearest to another.
-    pub(crate) fn nearest(p: Vec3<f32>) -> Self {
+    pub(crate) fn clamped(p: Vec3<f32>) -> Self {
         let [x, y, z] = <[f32; 3]>::from(p);
         let coordinate = |c: f32| Coordinate { value: c.clamp(-MAX_LENGTH, MAX_LENGTH), track: None };
         Self(coordinate(x), coordinate(y), coordinate(z))
     }
 
     /// Whether any of them moves.
-    pub fn is_moving(&self) -> bool {
-        self.0.is_moving() || self.1.is_moving() || self.2.is_moving()
+    pub fn is_animated(&self) -> bool {
+        self.0.is_animated() || self.1.is_animated() || self.2.is_animated()
     }
 }
 
 /// A direction: three numbers, not all 0, of any length.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Direction {
-    given: Point,
+    components: Point,
     unit: Vec3<f32>,
 }
 
@@ -331,8 +336,8 @@ impl Direction {
     }
 
     /// Whether any of its numbers moves.
-    pub fn is_moving(&self) -> bool {
-        self.given.is_moving()
+    pub fn is_animated(&self) -> bool {
+        self.components.is_animated()
     }
 }
 
@@ -348,11 +353,11 @@ fn unit(given: &Point) -> Option<Vec3<f32>> {
 const NO_LENGTH: &str = "has no length: a direction needs a coordinate that is not 0";
 
 impl Seek for Direction {
-    fn seek(&mut self, clock: &mut Clock<'_>) -> Result<bool, Box<Misfit>> {
-        let Self { given, unit: derived } = self;
+    fn seek(&mut self, clock: &mut FrameTime<'_>) -> Result<bool, Box<SeekError>> {
+        let Self { components: given, unit: derived } = self;
         let is_animated = given.seek(clock)?;
         if is_animated {
-            *derived = unit(given).ok_or_else(|| Misfit::new(NO_LENGTH))?;
+            *derived = unit(given).ok_or_else(|| SeekError::new(NO_LENGTH))?;
         }
         Ok(is_animated)
     }
@@ -362,13 +367,13 @@ impl<'de> Deserialize<'de> for Direction {
     fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
         let given = Point::deserialize(deserializer)?;
         let unit = unit(&given).ok_or_else(|| D::Error::custom(NO_LENGTH))?;
-        Ok(Self { given, unit })
+        Ok(Self { components: given, unit })
     }
 }
 
 impl Serialize for Direction {
     fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
-        self.given.serialize(serializer)
+        self.components.serialize(serializer)
     }
 }
 
@@ -401,8 +406,8 @@ impl Rotation {
     }
 
     /// Whether any of its angles moves.
-    pub fn is_moving(&self) -> bool {
-        self.degrees.iter().any(Degrees::is_moving)
+    pub fn is_animated(&self) -> bool {
+        self.degrees.iter().any(Degrees::is_animated)
     }
 }
 
@@ -417,7 +422,7 @@ fn inverse_rows(degrees: &[Degrees; 3]) -> [Vec3<f32>; 3] {
 }
 
 impl Seek for Rotation {
-    fn seek(&mut self, clock: &mut Clock<'_>) -> Result<bool, Box<Misfit>> {
+    fn seek(&mut self, clock: &mut FrameTime<'_>) -> Result<bool, Box<SeekError>> {
         let Self { degrees, rows } = self;
         let is_animated = degrees.seek(clock)?;
         if is_animated {

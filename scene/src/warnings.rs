@@ -7,32 +7,32 @@ mod empty;
 mod numbers;
 mod own_space;
 mod samples;
-mod sight;
-mod stuff;
+mod scene;
+mod view;
 
+use crate::animation::JobAtFrame;
 use crate::camera::Project;
 use crate::job::Job;
-use crate::motion::Still;
 
 /// What a warning is about: a job is warned of each thing once.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Kind {
+enum WarningKind {
     /// The camera is inside something.
-    Inside,
+    CameraInside,
     /// Nothing is in view.
     NothingInView,
     /// Rays run out of steps.
-    Steps,
+    OutOfSteps,
     /// A shape makes steps small.
-    Steep,
+    HighLipschitz,
     /// A look at the scene takes long.
-    Work,
+    HighCost,
     /// Lights shine for nothing, or nothing shines.
-    Light,
+    Lighting,
     /// A volume is too thick for its steps.
-    Thick,
+    DenseMedium,
     /// Rays end inside glass.
-    Bounces,
+    TooFewBounces,
     /// Colors go to 255.
     Colors,
     /// Angles are in radians.
@@ -52,45 +52,45 @@ enum Kind {
 /// Of one frame.
 #[derive(Debug)]
 struct Warning {
-    kind: Kind,
+    kind: WarningKind,
     text: String,
 }
 
 /// All warnings of a job.
 pub(crate) fn of(job: &Job) -> Vec<String> {
-    let mut warnings = of_the_whole(job);
+    let mut warnings = job_warnings(job);
     let last = job.frames.count - 1;
-    let mut frames = if job.is_moving() { vec![0, last / 2, last] } else { vec![0] };
+    let mut frames = if job.is_animated() { vec![0, last / 2, last] } else { vec![0] };
     frames.dedup();
     let mut told: Vec<(u32, Warning)> = Vec::new();
     let mut without_view = 0;
     for &frame in &frames {
         let Ok(still) = job.at(frame) else { continue };
-        for warning in of_frame(&still) {
-            without_view += usize::from(warning.kind == Kind::NothingInView);
+        for warning in frame_warnings(&still) {
+            without_view += usize::from(warning.kind == WarningKind::NothingInView);
             if told.iter().all(|(_, known)| known.kind != warning.kind) {
                 told.push((frame, warning));
             }
         }
     }
     // What comes into view, or leaves it, may well do so.
-    told.retain(|(_, warning)| warning.kind != Kind::NothingInView || without_view == frames.len());
+    told.retain(|(_, warning)| warning.kind != WarningKind::NothingInView || without_view == frames.len());
     warnings.extend(told.into_iter().map(|(frame, Warning { kind, text })| {
-        let is_of_all = kind == Kind::NothingInView || !job.is_moving();
+        let is_of_all = kind == WarningKind::NothingInView || !job.is_animated();
         if is_of_all { text } else { format!("{text} (in frame {frame})") }
     }));
     warnings
 }
 
-fn of_the_whole(job: &Job) -> Vec<String> {
+fn job_warnings(job: &Job) -> Vec<String> {
     let mut warnings = Vec::new();
-    if job.frames.count > 1 && !job.is_moving() {
+    if job.frames.count > 1 && !job.is_animated() {
         warnings.push(format!(
             "nothing in the scene moves: the {} frames differ in their sampling noise only",
             job.frames.count
         ));
     }
-    if job.frames.count == 1 && job.is_moving() {
+    if job.frames.count == 1 && job.is_animated() {
         warnings.push("the scene moves, but the job has one frame: set frames.count to see more of it".to_owned());
     }
     warnings.extend(job.scene.camera.projection.warning(&job.image));
@@ -100,22 +100,22 @@ fn of_the_whole(job: &Job) -> Vec<String> {
     warnings
 }
 
-fn of_frame(still: &Still<'_>) -> Vec<Warning> {
+fn frame_warnings(still: &JobAtFrame<'_>) -> Vec<Warning> {
     let scene = still.scene();
-    let seen = sight::of(still);
+    let seen = view::of(still);
     let known = [
-        (Kind::Work, stuff::work(scene)),
-        (Kind::Steep, stuff::steep(scene)),
-        (Kind::Light, stuff::light(scene)),
-        (Kind::Thick, stuff::thick(scene)),
-        (Kind::Bounces, stuff::bounces(scene)),
-        (Kind::Colors, numbers::colors_of_255(scene)),
-        (Kind::Radians, numbers::radians(scene)),
-        (Kind::Swims, own_space::swims(scene)),
-        (Kind::Empty, empty::difference(scene)),
-        (Kind::Touching, clear::touching(scene)),
-        (Kind::Mirrors, clear::nothing_to_mirror(scene)),
-        (Kind::Samples, samples::too_many(scene, still.image())),
+        (WarningKind::HighCost, scene::high_cost(scene)),
+        (WarningKind::HighLipschitz, scene::high_lipschitz(scene)),
+        (WarningKind::Lighting, scene::light(scene)),
+        (WarningKind::DenseMedium, scene::dense_media(scene)),
+        (WarningKind::TooFewBounces, scene::bounces(scene)),
+        (WarningKind::Colors, numbers::colors_of_255(scene)),
+        (WarningKind::Radians, numbers::radians(scene)),
+        (WarningKind::Swims, own_space::swims(scene)),
+        (WarningKind::Empty, empty::difference(scene)),
+        (WarningKind::Touching, clear::touching(scene)),
+        (WarningKind::Mirrors, clear::nothing_to_mirror(scene)),
+        (WarningKind::Samples, samples::too_many(scene, still.image())),
     ];
     let known = known.into_iter().filter_map(|(kind, text)| Some(Warning { kind, text: text? }));
     seen.into_iter().chain(known).collect()

@@ -14,30 +14,30 @@ use futures_util::stream::BoxStream;
 use zip::write::{SimpleFileOptions, StreamWriter};
 use zip::{CompressionMethod, DateTime, ZipWriter};
 
+use crate::content_store::{ContentError, ContentHash, ContentKind};
+use crate::database::DatabaseError;
 use crate::farm::Farm;
-use crate::pictures::{Kind, Name, PictureError};
-use crate::queue::{Frames, StoredFrame};
-use crate::store::StoreError;
+use crate::queue::{FrameSet, StoredFrame};
 
 /// Approximate size of the chunks of a response.
-const PIECE_BYTES: usize = 128 << 10;
+const CHUNK_BYTES: usize = 128 << 10;
 /// Frames per database query.
-const PAGE: u32 = 500;
+const FRAMES_PER_PAGE: u32 = 500;
 /// Permissions of a file that is taken out.
-const MODE: u32 = 0o644;
+const FILE_MODE: u32 = 0o644;
 
 /// Error that interrupts an archive.
 #[derive(Debug, thiserror::Error)]
 pub(crate) enum ArchiveError {
     /// The frames could not be read from the database.
     #[error(transparent)]
-    Store(#[from] StoreError),
+    Store(#[from] DatabaseError),
     /// A picture could not be read.
     #[error(transparent)]
-    Picture(#[from] PictureError),
+    Picture(#[from] ContentError),
     /// A picture could not be read to its end.
     #[error("the picture of frame {frame} broke off")]
-    Broken {
+    PictureRead {
         /// The frame.
         frame: u32,
         /// Error of the content store.
@@ -46,7 +46,7 @@ pub(crate) enum ArchiveError {
     },
     /// A picture is recorded, but not there.
     #[error("the picture of frame {0} is gone")]
-    Gone(u32),
+    PictureMissing(u32),
     /// The archive's form does not allow it.
     #[error("the archive could not be written")]
     Zip(#[from] zip::result::ZipError),
@@ -57,9 +57,9 @@ pub(crate) enum ArchiveError {
 
 /// Buffer for the archive's bytes until the next chunk is sent.
 #[derive(Clone, Debug, Default)]
-struct Basket(Arc<Mutex<Vec<u8>>>);
+struct SharedBuffer(Arc<Mutex<Vec<u8>>>);
 
-impl Basket {
+impl SharedBuffer {
     fn size_bytes(&self) -> usize {
         self.0.lock().expect("no holder panics").len()
     }
@@ -69,7 +69,7 @@ impl Basket {
     }
 }
 
-impl Write for Basket {
+impl Write for SharedBuffer {
     fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
         self.0.lock().expect("no holder panics").extend_from_slice(bytes);
         Ok(bytes.len())
@@ -81,7 +81,7 @@ impl Write for Basket {
 }
 
 /// A picture on its way into the archive.
-struct Picture {
+struct ArchiveEntry {
     frame: u32,
     bytes: BoxStream<'static, object_store::Result<Bytes>>,
 }
@@ -89,32 +89,32 @@ struct Picture {
 /// Archive in progress.
 pub(crate) struct Archive {
     farm: Arc<Farm>,
-    frames: Frames,
-    basket: Basket,
+    frames: FrameSet,
+    basket: SharedBuffer,
     /// None: all is written.
-    writer: Option<ZipWriter<StreamWriter<Basket>>>,
+    writer: Option<ZipWriter<StreamWriter<SharedBuffer>>>,
     waiting: VecDeque<StoredFrame>,
     next_frame: u32,
-    picture: Option<Picture>,
+    picture: Option<ArchiveEntry>,
 }
 
 impl Archive {
     /// An archive of those pictures of these frames that are stored.
-    pub(crate) fn new(farm: Arc<Farm>, frames: Frames) -> Self {
-        let basket = Basket::default();
+    pub(crate) fn new(farm: Arc<Farm>, frames: FrameSet) -> Self {
+        let basket = SharedBuffer::default();
         let writer = Some(ZipWriter::new_stream(basket.clone()));
         Self { farm, frames, basket, writer, waiting: VecDeque::new(), next_frame: 0, picture: None }
     }
 
     /// Next chunk; `None` at the end.
     pub(crate) async fn next(&mut self) -> Result<Option<Bytes>, ArchiveError> {
-        while self.basket.size_bytes() < PIECE_BYTES {
+        while self.basket.size_bytes() < CHUNK_BYTES {
             let Some(writer) = &mut self.writer else { break };
             if let Some(picture) = &mut self.picture {
                 let frame = picture.frame;
                 match picture.bytes.next().await {
                     Some(Ok(bytes)) => writer.write_all(&bytes)?,
-                    Some(Err(source)) => return Err(ArchiveError::Broken { frame, source }),
+                    Some(Err(source)) => return Err(ArchiveError::PictureRead { frame, source }),
                     None => self.picture = None,
                 }
             } else if !self.begin_next().await?
@@ -129,22 +129,23 @@ impl Archive {
     /// Starts the next picture; false if there is none.
     async fn begin_next(&mut self) -> Result<bool, ArchiveError> {
         if self.waiting.is_empty() {
-            self.waiting = self.farm.queue.stored_frames(self.frames.job, self.next_frame, PAGE).await?.into();
+            self.waiting =
+                self.farm.queue.stored_frames(self.frames.job, self.next_frame, FRAMES_PER_PAGE).await?.into();
         }
         let Some(frame) = self.waiting.pop_front() else { return Ok(false) };
         self.next_frame = frame.number + 1;
-        let gone = || ArchiveError::Gone(frame.number);
-        let name = Name::parse(&frame.picture).ok_or_else(gone)?;
-        let (_, bytes) = self.farm.pictures.get(Kind::Picture, &name, None).await?.ok_or_else(gone)?;
+        let gone = || ArchiveError::PictureMissing(frame.number);
+        let name = ContentHash::parse(&frame.picture).ok_or_else(gone)?;
+        let (_, bytes) = self.farm.content.get(ContentKind::Picture, &name, None).await?.ok_or_else(gone)?;
         let options = SimpleFileOptions::default()
             .compression_method(CompressionMethod::Stored)
             .last_modified_time(DateTime::default())
-            .unix_permissions(MODE)
+            .unix_permissions(FILE_MODE)
             .large_file(frame.size_bytes >= u64::from(u32::MAX));
         if let Some(writer) = &mut self.writer {
             writer.start_file(self.frames.file_name(frame.number), options)?;
         }
-        self.picture = Some(Picture { frame: frame.number, bytes });
+        self.picture = Some(ArchiveEntry { frame: frame.number, bytes });
         Ok(true)
     }
 }

@@ -9,46 +9,48 @@ use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
 /// A source of time.
 #[derive(Clone, Debug)]
-pub struct Clock(Source);
+pub struct Clock(ClockSource);
 
 #[derive(Clone, Debug)]
-enum Source {
+enum ClockSource {
     System(Instant),
-    Hand(Hand),
+    Manual(ManualClock),
 }
 
 impl Clock {
     /// The machine's clocks; its monotonic time starts now.
     pub fn system() -> Self {
-        Self(Source::System(instant().into_std()))
+        Self(ClockSource::System(monotonic_now().into_std()))
     }
 
     /// Clock that only the returned handle advances, for tests.
-    pub fn by_hand() -> (Self, Hand) {
-        let hand = Hand::default();
-        (Self(Source::Hand(hand.clone())), hand)
+    pub fn manual() -> (Self, ManualClock) {
+        let hand = ManualClock::default();
+        (Self(ClockSource::Manual(hand.clone())), hand)
     }
 
     /// Milliseconds since the server started; never falls.
     pub(crate) fn now_ms(&self) -> i64 {
         match &self.0 {
-            Source::System(start) => i64::try_from(start.elapsed().as_millis()).unwrap_or(i64::MAX),
-            Source::Hand(hand) => hand.now_ms.load(Ordering::SeqCst),
+            ClockSource::System(start) => i64::try_from(start.elapsed().as_millis()).unwrap_or(i64::MAX),
+            ClockSource::Manual(hand) => hand.now_ms.load(Ordering::SeqCst),
         }
     }
 
     /// Milliseconds since 1970, by the wall clock; for people only.
     pub(crate) fn wall_ms(&self) -> i64 {
         match &self.0 {
-            Source::System(_) => time_of_day_ms(),
-            Source::Hand(hand) => hand.now_ms.load(Ordering::SeqCst) + hand.jumped_ms.load(Ordering::SeqCst),
+            ClockSource::System(_) => time_of_day_ms(),
+            ClockSource::Manual(hand) => {
+                hand.now_ms.load(Ordering::SeqCst) + hand.wall_offset_ms.load(Ordering::SeqCst)
+            }
         }
     }
 }
 
 /// The machine's monotonic time, for waits and for measured durations; no decision depends on it.
 #[expect(clippy::disallowed_methods, reason = "this is where the machine is asked")]
-pub(crate) fn instant() -> tokio::time::Instant {
+pub(crate) fn monotonic_now() -> tokio::time::Instant {
     tokio::time::Instant::now()
 }
 
@@ -58,23 +60,23 @@ fn time_of_day_ms() -> i64 {
     i64::try_from(age.as_millis()).unwrap_or(i64::MAX)
 }
 
-/// Advances a clock made by [`Clock::by_hand`].
+/// Advances a clock made by [`Clock::manual`].
 #[derive(Clone, Debug, Default)]
-pub struct Hand {
+pub struct ManualClock {
     now_ms: Arc<AtomicI64>,
     /// Offset of the wall clock from that.
-    jumped_ms: Arc<AtomicI64>,
+    wall_offset_ms: Arc<AtomicI64>,
 }
 
-impl Hand {
+impl ManualClock {
     /// Lets time pass.
     pub fn advance(&self, time: Duration) {
         self.now_ms.fetch_add(i64::try_from(time.as_millis()).unwrap_or(i64::MAX), Ordering::SeqCst);
     }
 
     /// Sets the wall clock forward, or back; no time passes.
-    pub fn set_wall_clock_by(&self, jump_ms: i64) {
-        self.jumped_ms.fetch_add(jump_ms, Ordering::SeqCst);
+    pub fn shift_wall_clock(&self, jump_ms: i64) {
+        self.wall_offset_ms.fetch_add(jump_ms, Ordering::SeqCst);
     }
 }
 
@@ -88,8 +90,8 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_clock_by_hand_moves_only_when_told() {
-        let (clock, hand) = Clock::by_hand();
+    fn a_manual_clock_moves_only_when_set() {
+        let (clock, hand) = Clock::manual();
         assert_eq!(clock.now_ms(), 0);
         hand.advance(Duration::from_secs(2));
         assert_eq!(clock.now_ms(), 2000);

@@ -40,7 +40,7 @@ pub struct Config {
     /// Threads that CPU workers share; `None` means one for each core.
     pub threads: Option<usize>,
     /// Edge of a tile, in pixels; `None` sizes tiles by their rays.
-    pub tile_px: Option<u32>,
+    pub tile_edge_px: Option<u32>,
     /// Length of a lease.
     pub lease: Duration,
     /// Listen beyond loopback although there are no keys.
@@ -53,22 +53,22 @@ pub struct Config {
     pub max_queued_jobs: u32,
     /// Host names, without port, that the `Host` header may contain in addition to loopback names and IP
     /// addresses.
-    pub hosts: Vec<String>,
+    pub allowed_hosts: Vec<String>,
     /// Address ranges that webhooks may reach although they are not on the public internet.
-    pub allow_webhooks_to: Vec<AddressRange>,
+    pub allowed_webhook_ranges: Vec<AddressRange>,
     /// Secret that signs webhooks; `None` means the one in the data folder.
     pub webhook_secret: Option<Secret>,
     /// The program that local workers run as, with `worker` as first argument.
     pub worker_program: PathBuf,
     /// How long finished jobs are kept that do not set it themselves; `None` means forever.
-    pub keep_jobs: Option<Duration>,
+    pub job_retention: Option<Duration>,
     /// Maximum size of pictures and tiles; above it the jobs that finished first are deleted. `None`
     /// means no limit.
     pub max_store_bytes: Option<u64>,
     /// Variables that local workers are given.
-    pub worker_variables: Vec<(String, String)>,
+    pub worker_env: Vec<(String, String)>,
     /// How long local workers may continue their leases at shutdown.
-    pub grace: Duration,
+    pub shutdown_grace: Duration,
 }
 
 impl Config {
@@ -93,20 +93,20 @@ impl Default for Config {
             devices: vec!["auto".to_owned()],
             simd: "auto".to_owned(),
             threads: None,
-            tile_px: None,
+            tile_edge_px: None,
             lease: Duration::from_secs(30),
             insecure: false,
             tls: None,
             max_connections: MAX_CONNECTIONS,
             max_queued_jobs: MAX_QUEUED_JOBS,
-            hosts: Vec::new(),
-            allow_webhooks_to: Vec::new(),
+            allowed_hosts: Vec::new(),
+            allowed_webhook_ranges: Vec::new(),
             webhook_secret: None,
             worker_program: PathBuf::from("sdfarm"),
-            keep_jobs: None,
+            job_retention: None,
             max_store_bytes: None,
-            worker_variables: Vec::new(),
-            grace: Duration::from_secs(10),
+            worker_env: Vec::new(),
+            shutdown_grace: Duration::from_secs(10),
         }
     }
 }

@@ -1,21 +1,21 @@
 //! Estimated time of a job: a helper process renders a sample of its pixels, and the result is scaled to the
 //! present workers.
 
+use proto::preview_helper::{CostSample, Estimate, HelperRequest};
 use proto::rounding;
-use proto::sketch::{Estimate, Sample, Sketch};
 
 use crate::farm::Farm;
-use crate::plan::Plan;
-use crate::queue::Present;
+use crate::queue::ReadyWorker;
+use crate::tile_plan::TilePlan;
 
 /// Most time for rendering a sample, in milliseconds.
-const RENDER_MS: u64 = 700;
+const SAMPLE_BUDGET_MS: u64 = 700;
 /// Overhead of a job in seconds: claim, delivery, commits.
-const HANDLING_SECONDS: f64 = 0.01;
+const JOB_OVERHEAD_SECONDS: f64 = 0.01;
 
 /// Estimates a job file; `None` if no sample could be rendered, which is logged.
-pub(crate) async fn estimate(farm: &Farm, text: String, plan: Plan) -> Option<Estimate> {
-    let present = match farm.queue.present().await {
+pub(crate) async fn estimate(farm: &Farm, text: String, plan: TilePlan) -> Option<Estimate> {
+    let present = match farm.queue.ready_workers().await {
         Ok(present) => present,
         Err(error) => {
             tracing::warn!(%error, "an estimate does without the workers' speed");
@@ -23,9 +23,9 @@ pub(crate) async fn estimate(farm: &Farm, text: String, plan: Plan) -> Option<Es
         }
     };
     let threads = farm.config.cpu_threads();
-    let sketch = Sketch::Sample { job: text, threads, render_ms: RENDER_MS };
-    match farm.sketches.sample(&sketch).await {
-        Ok(sample) => Some(judge(&sample, plan, &present, threads, farm.pool.wanted())),
+    let sketch = HelperRequest::MeasureCost { job: text, threads, render_ms: SAMPLE_BUDGET_MS };
+    match farm.preview_helper.sample(&sketch).await {
+        Ok(sample) => Some(estimate_from_sample(&sample, plan, &present, threads, farm.pool.target_size())),
         Err(error) => {
             tracing::warn!(%error, "an estimate could not be made");
             None
@@ -34,20 +34,26 @@ pub(crate) async fn estimate(farm: &Farm, text: String, plan: Plan) -> Option<Es
 }
 
 /// Scales a sample to workers; the pool's CPU workers share `threads` threads.
-fn judge(sample: &Sample, plan: Plan, present: &[Present], threads: usize, pool: u32) -> Estimate {
+fn estimate_from_sample(
+    sample: &CostSample,
+    plan: TilePlan,
+    present: &[ReadyWorker],
+    threads: usize,
+    pool: u32,
+) -> Estimate {
     let rays = plan.rays_total();
     let core_seconds = sample.core_seconds(rays, plan.tiles_total(), rays / u64::from(plan.samples));
     // Workers beyond the number of tiles are idle.
     let share = (plan.tiles_total() as f64 / present.len().max(1) as f64).min(1.0);
     let each = (threads / pool.max(1) as usize).max(1);
-    let is_ours = |worker: &&Present| worker.pool && worker.device == "cpu";
+    let is_ours = |worker: &&ReadyWorker| worker.pool && worker.device == "cpu";
     let our_threads = (present.iter().filter(is_ours).count() * each).min(threads.max(each));
     let ours = our_threads as f64 * rays as f64 / core_seconds;
     let others: f64 =
         present.iter().filter(|worker| !is_ours(worker)).filter_map(|worker| worker.rays_per_second).sum();
     let rate = share * (ours + others);
     Estimate {
-        seconds: (rate > 0.0).then(|| rounding::seconds(rays as f64 / rate + HANDLING_SECONDS)),
+        seconds: (rate > 0.0).then(|| rounding::seconds(rays as f64 / rate + JOB_OVERHEAD_SECONDS)),
         core_seconds: rounding::seconds(core_seconds),
         rays,
         sample_rays: sample.rays,
@@ -59,9 +65,9 @@ fn judge(sample: &Sample, plan: Plan, present: &[Present], threads: usize, pool:
 mod tests {
     use super::*;
 
-    const PLAN: Plan =
-        Plan { width_px: 1000, height_px: 1000, samples: 4, pixel_bytes: 16, edge_px: Some(256), frames: 2 };
-    const SAMPLE: Sample = Sample {
+    const PLAN: TilePlan =
+        TilePlan { width_px: 1000, height_px: 1000, samples: 4, pixel_bytes: 16, edge_px: Some(256), frames: 2 };
+    const SAMPLE: CostSample = CostSample {
         rays: 10,
         thread_seconds_per_ray: 1e-6,
         setup_seconds_per_tile: 0.03125,
@@ -69,17 +75,17 @@ mod tests {
         memory_bytes: 7,
     };
 
-    fn worker(device: &str, pool: bool, rays_per_second: Option<f64>) -> Present {
-        Present { device: device.to_owned(), pool, rays_per_second }
+    fn worker(device: &str, pool: bool, rays_per_second: Option<f64>) -> ReadyWorker {
+        ReadyWorker { device: device.to_owned(), pool, rays_per_second }
     }
 
-    fn seconds(present: &[Present], pool: u32) -> Option<f64> {
-        judge(&SAMPLE, PLAN, present, 4, pool).seconds
+    fn seconds(present: &[ReadyWorker], pool: u32) -> Option<f64> {
+        estimate_from_sample(&SAMPLE, PLAN, present, 4, pool).seconds
     }
 
     #[test]
     fn a_job_takes_its_rays_its_frames_and_its_pixels() {
-        let estimate = judge(&SAMPLE, PLAN, &[], 4, 0);
+        let estimate = estimate_from_sample(&SAMPLE, PLAN, &[], 4, 0);
         assert_eq!((estimate.rays, estimate.sample_rays, estimate.memory_bytes), (8_000_000, 10, 7));
         assert!((estimate.core_seconds - 11.0).abs() < 1e-9, "{estimate:?}");
         assert_eq!(estimate.seconds, None, "without a worker it never ends");
@@ -90,12 +96,12 @@ mod tests {
         let ours = worker("cpu", true, Some(3.0));
         let one = seconds(std::slice::from_ref(&ours), 1).expect("a worker is there");
         let two = seconds(&[ours.clone(), ours.clone()], 2).expect("workers are there");
-        assert!((one - (11.0 / 4.0 + HANDLING_SECONDS)).abs() < 1e-9, "{one}");
+        assert!((one - (11.0 / 4.0 + JOB_OVERHEAD_SECONDS)).abs() < 1e-9, "{one}");
         assert_eq!(one, two);
         let half = seconds(std::slice::from_ref(&ours), 2).expect("one of two is there");
-        assert!((half - (11.0 / 2.0 + HANDLING_SECONDS)).abs() < 1e-9, "{half}");
+        assert!((half - (11.0 / 2.0 + JOB_OVERHEAD_SECONDS)).abs() < 1e-9, "{half}");
         let gpu = worker("cuda:0", false, Some(8e6));
-        assert!((seconds(&[gpu], 0).expect("a worker is there") - 1.0 - HANDLING_SECONDS).abs() < 1e-9);
+        assert!((seconds(&[gpu], 0).expect("a worker is there") - 1.0 - JOB_OVERHEAD_SECONDS).abs() < 1e-9);
         assert_eq!(seconds(&[worker("cuda:0", false, None)], 0), None, "nobody knows how fast it is");
     }
 }

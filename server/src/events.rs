@@ -3,7 +3,7 @@
 //! A subscriber stores only the number of the last event it received. It reads newer events from its job's
 //! list of recent events or, if it has fallen behind that list, from the database, a page at a time.
 
-mod follower;
+mod subscriber;
 #[cfg(test)]
 mod tests;
 
@@ -15,36 +15,36 @@ use bytes::Bytes;
 use tokio::sync::watch;
 use tokio_util::sync::CancellationToken;
 
-use crate::clock::instant;
+use crate::clock::monotonic_now;
+use crate::database::DatabaseError;
 use crate::queue::{Event, Queue};
-use crate::store::StoreError;
 
-pub(crate) use follower::{Follower, Start};
+pub(crate) use subscriber::{EventSubscriber, SubscribeOutcome};
 
 /// Recent events cached for a job with subscribers.
-const RECENT: usize = 1024;
+const MAX_RECENT: usize = 1024;
 /// Events read at a time.
-const PAGE: u32 = 512;
+const EVENTS_PER_PAGE: u32 = 512;
 /// Minimum interval between two reads of new events; events in between are sent together.
-const PAUSE: Duration = Duration::from_millis(20);
+const POLL_INTERVAL: Duration = Duration::from_millis(20);
 
 /// Event as sent to the client.
 #[derive(Clone, Debug)]
-struct Told {
+struct EncodedEvent {
     number: i64,
     is_final: bool,
     text: Bytes,
 }
 
-impl Told {
+impl EncodedEvent {
     fn new(event: &Event) -> Self {
-        let text = told(event.number, &event.kind, &event.body);
+        let text = encode_event(event.number, &event.kind, &event.body);
         Self { number: event.number, is_final: event.is_final(), text }
     }
 }
 
 /// An event in the form of the HTML standard's event streams.
-fn told(number: i64, kind: &str, body: &str) -> Bytes {
+fn encode_event(number: i64, kind: &str, body: &str) -> Bytes {
     format!("id: {number}\nevent: {kind}\ndata: {body}\n\n").into()
 }
 
@@ -53,20 +53,20 @@ fn told(number: i64, kind: &str, body: &str) -> Bytes {
 pub(crate) struct Topic {
     job: i64,
     recent: Mutex<Recent>,
-    bell: watch::Sender<()>,
+    changes: watch::Sender<()>,
 }
 
 #[derive(Debug)]
 struct Recent {
     /// All of the job's events after this number that were read are in the list.
     from: i64,
-    list: VecDeque<Told>,
+    list: VecDeque<EncodedEvent>,
 }
 
 impl Topic {
     /// Signal sent when the job may have new events.
-    pub(crate) fn bell(&self) -> watch::Receiver<()> {
-        self.bell.subscribe()
+    pub(crate) fn changes(&self) -> watch::Receiver<()> {
+        self.changes.subscribe()
     }
 
     fn push(&self, event: &Event) {
@@ -75,8 +75,8 @@ impl Topic {
         if event.number <= last {
             return;
         }
-        recent.list.push_back(Told::new(event));
-        if recent.list.len() > RECENT
+        recent.list.push_back(EncodedEvent::new(event));
+        if recent.list.len() > MAX_RECENT
             && let Some(oldest) = recent.list.pop_front()
         {
             recent.from = oldest.number;
@@ -84,7 +84,7 @@ impl Topic {
     }
 
     /// The events after this one, if the list reaches back to it; else from where it does.
-    fn after(&self, number: i64) -> Result<Vec<Told>, i64> {
+    fn after(&self, number: i64) -> Result<Vec<EncodedEvent>, i64> {
         let recent = self.recent.lock().expect("no holder panics");
         if number < recent.from {
             return Err(recent.from);
@@ -96,27 +96,27 @@ impl Topic {
 
 /// The jobs that are followed, and how far events were read for them.
 #[derive(Debug, Default)]
-struct Followed {
+struct Subscriptions {
     position: i64,
     topics: HashMap<i64, Weak<Topic>>,
 }
 
 /// Distributes events to subscribers.
 #[derive(Debug)]
-pub(crate) struct Events {
+pub(crate) struct EventHub {
     queue: Queue,
-    followed: Mutex<Followed>,
-    wanted: watch::Sender<()>,
+    followed: Mutex<Subscriptions>,
+    topic_added: watch::Sender<()>,
 }
 
-impl Events {
+impl EventHub {
     /// Distributes the events of this queue's jobs.
     pub(crate) fn new(queue: Queue) -> Self {
-        Self { queue, followed: Mutex::default(), wanted: watch::Sender::new(()) }
+        Self { queue, followed: Mutex::default(), topic_added: watch::Sender::new(()) }
     }
 
     /// The topic of a job: the existing one, or a new one that receives every event from now on.
-    pub(crate) async fn topic(&self, job: i64) -> Result<Arc<Topic>, StoreError> {
+    pub(crate) async fn topic(&self, job: i64) -> Result<Arc<Topic>, DatabaseError> {
         if let Some(topic) = self.followed.lock().expect("no holder panics").topics.get(&job).and_then(Weak::upgrade) {
             return Ok(topic);
         }
@@ -130,34 +130,34 @@ impl Events {
             followed.position = followed.position.max(newest);
         }
         let recent = Recent { from: followed.position, list: VecDeque::new() };
-        let topic = Arc::new(Topic { job, recent: Mutex::new(recent), bell: watch::Sender::new(()) });
+        let topic = Arc::new(Topic { job, recent: Mutex::new(recent), changes: watch::Sender::new(()) });
         followed.topics.insert(job, Arc::downgrade(&topic));
         drop(followed);
         // Commits since `newest` was read have already sent their signal.
-        self.wanted.send_replace(());
+        self.topic_added.send_replace(());
         Ok(topic)
     }
 
     /// Reads and distributes events until the farm shuts down.
     pub(crate) async fn run(&self, end: CancellationToken) {
         let mut commits = self.queue.commits();
-        let mut wanted = self.wanted.subscribe();
+        let mut wanted = self.topic_added.subscribe();
         loop {
             tokio::select! {
                 () = end.cancelled() => return,
                 changed = commits.changed() => if changed.is_err() { return },
                 changed = wanted.changed() => if changed.is_err() { return },
             }
-            let started = instant();
-            if let Err(error) = self.tell().await {
+            let started = monotonic_now();
+            if let Err(error) = self.publish().await {
                 tracing::error!(%error, "events could not be read");
             }
-            tokio::time::sleep_until(started + PAUSE).await;
+            tokio::time::sleep_until(started + POLL_INTERVAL).await;
         }
     }
 
     /// Distributes all new events.
-    async fn tell(&self) -> Result<(), StoreError> {
+    async fn publish(&self) -> Result<(), DatabaseError> {
         loop {
             let position = {
                 let mut followed = self.followed.lock().expect("no holder panics");
@@ -167,22 +167,22 @@ impl Events {
                 }
                 followed.position
             };
-            let events = self.queue.events_after(position, PAGE).await?;
+            let events = self.queue.events_after(position, EVENTS_PER_PAGE).await?;
             let Some(last) = events.last() else { return Ok(()) };
-            let is_last_page = events.len() < PAGE as usize;
-            let mut rung: HashMap<i64, Arc<Topic>> = HashMap::new();
+            let is_last_page = events.len() < EVENTS_PER_PAGE as usize;
+            let mut changed_topics: HashMap<i64, Arc<Topic>> = HashMap::new();
             {
                 let mut followed = self.followed.lock().expect("no holder panics");
                 for event in &events {
                     if let Some(topic) = followed.topics.get(&event.job).and_then(Weak::upgrade) {
                         topic.push(event);
-                        rung.insert(event.job, topic);
+                        changed_topics.insert(event.job, topic);
                     }
                 }
                 followed.position = followed.position.max(last.number);
             }
-            for topic in rung.values() {
-                topic.bell.send_replace(());
+            for topic in changed_topics.values() {
+                topic.changes.send_replace(());
             }
             if is_last_page {
                 return Ok(());

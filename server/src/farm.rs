@@ -5,40 +5,42 @@
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 
-use proto::work::{Outcome, Report};
+use proto::worker_protocol::{LeaseOutcome, LeaseReport};
 use tokio::sync::mpsc;
 use tokio_util::sync::CancellationToken;
 
+use crate::admission::Admission;
 use crate::config::Config;
-use crate::doors::Doors;
-use crate::events::Events;
-use crate::jobs::{JobError, Jobs};
-use crate::links::Links;
-use crate::pictures::{Kind, Name, PictureError, Pictures};
-use crate::plan::Plan;
+use crate::content_store::{ContentError, ContentHash, ContentKind, ContentStore};
+use crate::database::DatabaseError;
+use crate::events::EventHub;
+use crate::job_cache::{JobCache, JobLoadError};
 use crate::pool::Pool;
-use crate::queue::{NewJob, Next, Opened, Opening, Queue, Submitted, Turn, Turned, Wish};
-use crate::sketches::Sketches;
-use crate::store::StoreError;
-use crate::watch::Watch;
+use crate::preview_helper::PreviewHelper;
+use crate::queue::{
+    FrameOpening, NewJob, NextWork, OpenOutcome, Queue, SubmitOptions, SubmitOutcome, SyncInput, SyncOutcome,
+};
+use crate::signed_links::LinkSigner;
+use crate::telemetry::Telemetry;
+use crate::tile_plan::TilePlan;
 use crate::webhooks::Webhooks;
 
 /// Maximum number of frames of a job that are looked up in the picture cache at submission; the others are
 /// looked up when they are opened.
-const REUSED_AT_ONCE: u32 = 64;
+const MAX_EAGER_CACHE_LOOKUPS: u32 = 64;
 
 /// Stored bytes that may be orphans.
 #[derive(Clone, Debug)]
-pub(crate) struct Leftovers {
+pub(crate) struct OrphanCandidates {
     /// Pictures or blobs.
-    pub(crate) kind: Kind,
+    pub(crate) kind: ContentKind,
     /// Their hashes.
     pub(crate) hashes: Vec<String>,
 }
 
 /// Numbers since the start, for `/metrics`.
 #[derive(Debug, Default)]
-pub(crate) struct Totals {
+pub(crate) struct ServerCounters {
     /// Leases that ran out.
     pub(crate) expired: AtomicU64,
     /// Results without effect.
@@ -59,57 +61,62 @@ pub(crate) struct Farm {
     /// Sender of webhooks.
     pub(crate) webhooks: Webhooks,
     /// Distributor of events.
-    pub(crate) events: Events,
+    pub(crate) events: EventHub,
     /// Pictures and blobs.
-    pub(crate) pictures: Pictures,
+    pub(crate) content: ContentStore,
     /// Parsed job files.
-    pub(crate) jobs: Jobs,
+    pub(crate) jobs: JobCache,
     /// Admission: keys, rates, the audit log.
-    pub(crate) doors: Doors,
+    pub(crate) admission: Admission,
     /// Local workers.
     pub(crate) pool: Pool,
     /// Children that draw previews.
-    pub(crate) sketches: Sketches,
+    pub(crate) preview_helper: PreviewHelper,
     /// Signatures of links.
-    pub(crate) links: Links,
+    pub(crate) links: LinkSigner,
     /// Numbers since the start.
-    pub(crate) totals: Totals,
+    pub(crate) totals: ServerCounters,
     /// Metrics and status.
-    pub(crate) watch: Watch,
+    pub(crate) telemetry: Telemetry,
     /// Channel that announces possible orphans to the maintenance task.
-    pub(crate) leftovers: mpsc::UnboundedSender<Leftovers>,
+    pub(crate) orphans: mpsc::UnboundedSender<OrphanCandidates>,
     /// No more jobs are taken.
-    pub(crate) closing: CancellationToken,
+    pub(crate) is_shutting_down: CancellationToken,
     /// Cancelled when waiting requests must end.
-    pub(crate) ending: CancellationToken,
+    pub(crate) shutdown: CancellationToken,
 }
 
 /// Error of a worker's sync.
 #[derive(Debug, thiserror::Error)]
-pub(crate) enum TurnError {
+pub(crate) enum SyncError {
     /// The database could not do it.
     #[error(transparent)]
-    Store(#[from] StoreError),
+    Store(#[from] DatabaseError),
     /// The store could not be asked.
     #[error(transparent)]
-    Pictures(#[from] PictureError),
+    Pictures(#[from] ContentError),
 }
 
 impl Farm {
     /// Accepts a job, and stores at once the frames whose pictures are there already.
-    pub(crate) async fn submit(&self, new: NewJob, job: Arc<scene::Job>, wish: Wish) -> Result<Submitted, StoreError> {
-        let (plan, fresh, text_bytes) = (new.plan, new.fresh, new.text.len());
-        let submitted = self.queue.submit_once(new, wish).await?;
-        let Submitted::New(number) = submitted else { return Ok(submitted) };
-        self.jobs.keep(number, text_bytes, Arc::clone(&job));
+    pub(crate) async fn submit(
+        &self,
+        new: NewJob,
+        job: Arc<scene::Job>,
+        wish: SubmitOptions,
+    ) -> Result<SubmitOutcome, DatabaseError> {
+        let (plan, fresh, text_bytes) = (new.plan, new.no_cache, new.file_text.len());
+        let submitted = self.queue.submit_with(new, wish).await?;
+        let SubmitOutcome::Created(number) = submitted else { return Ok(submitted) };
+        self.jobs.insert(number, text_bytes, Arc::clone(&job));
         if fresh {
             return Ok(submitted);
         }
-        for frame in 0..plan.frames.min(REUSED_AT_ONCE) {
+        for frame in 0..plan.frames.min(MAX_EAGER_CACHE_LOOKUPS) {
             // Without a thread to read the job on, the frame is opened like any other.
             let Ok(opening) = self.opening_of(number, frame, plan, &job).await else { break };
             if !self.queue.has_picture(&opening.picture_key).await?
-                || self.queue.reuse(opening).await? != Opened::Stored
+                || self.queue.reuse(opening).await? != OpenOutcome::Stored
             {
                 break;
             }
@@ -118,22 +125,22 @@ impl Farm {
     }
 
     /// Runs a worker's sync until it has work or there is none; `None` if the worker is unknown.
-    pub(crate) async fn turn(&self, mut turn: Turn) -> Result<Option<Turned>, TurnError> {
-        let gate = if turn.delivers() { Some(self.pictures.keep_all().await) } else { None };
-        self.check_delivered(&mut turn.results).await?;
+    pub(crate) async fn sync(&self, mut turn: SyncInput) -> Result<Option<SyncOutcome>, SyncError> {
+        let gate = if turn.has_reports() { Some(self.content.block_sweep().await) } else { None };
+        self.verify_reports(&mut turn.reports).await?;
         let worker = turn.worker;
-        let again = Turn { results: Vec::new(), ..turn.clone() };
+        let again = SyncInput { reports: Vec::new(), ..turn.clone() };
         let taken = self.queue.turn(turn).await?;
         drop(gate);
         let Some(mut turned) = taken else { return Ok(None) };
         self.count(&turned);
-        self.sweep_later(Kind::Blob, std::mem::take(&mut turned.leftovers));
-        while let Next::Frame { job, frame, plan } = turned.next {
-            let Some(opening) = self.opening(job, frame, plan).await? else {
-                turned.next = Next::Nothing(None);
+        self.sweep_later(ContentKind::Blob, std::mem::take(&mut turned.leftovers));
+        while let NextWork::OpenFrame { job, frame, plan } = turned.next {
+            let Some(opening) = self.frame_opening(job, frame, plan).await? else {
+                turned.next = NextWork::Nothing(None);
                 break;
             };
-            let Some(more) = self.queue.turn(Turn { opening: Some(opening), ..again.clone() }).await? else {
+            let Some(more) = self.queue.turn(SyncInput { opening: Some(opening), ..again.clone() }).await? else {
                 tracing::warn!(%worker, "a worker was ended while it claimed");
                 return Ok(None);
             };
@@ -144,26 +151,31 @@ impl Farm {
         Ok(Some(turned))
     }
 
-    fn count(&self, turned: &Turned) {
+    fn count(&self, turned: &SyncOutcome) {
         self.totals.expired.fetch_add(turned.expired, Ordering::Relaxed);
         self.totals.fenced.fetch_add(turned.fenced, Ordering::Relaxed);
         self.totals.nondeterministic.fetch_add(turned.nondeterministic, Ordering::Relaxed);
     }
 
-    async fn opening(&self, number: i64, frame: u32, plan: Plan) -> Result<Option<Opening>, StoreError> {
+    async fn frame_opening(
+        &self,
+        number: i64,
+        frame: u32,
+        plan: TilePlan,
+    ) -> Result<Option<FrameOpening>, DatabaseError> {
         let opening = match self.jobs.get(&self.queue, number).await {
             Ok(job) => self.opening_of(number, frame, plan, &job).await,
             Err(error) => Err(error),
         };
         match opening {
             Ok(opening) => Ok(Some(opening)),
-            Err(JobError::Store(error)) => Err(error),
-            Err(error @ JobError::Refused(_)) => {
+            Err(JobLoadError::Store(error)) => Err(error),
+            Err(error @ JobLoadError::Refused(_)) => {
                 tracing::error!(job = number, %error, "a job that was accepted once is refused now");
-                self.queue.refuse(number, error.to_string()).await?;
+                self.queue.fail_unreadable(number, error.to_string()).await?;
                 Ok(None)
             }
-            Err(error @ (JobError::Gone | JobError::Thread)) => {
+            Err(error @ (JobLoadError::Gone | JobLoadError::Thread)) => {
                 tracing::error!(job = number, %error, "a frame could not be opened");
                 Ok(None)
             }
@@ -174,43 +186,43 @@ impl Farm {
         &self,
         number: i64,
         frame: u32,
-        plan: Plan,
+        plan: TilePlan,
         job: &Arc<scene::Job>,
-    ) -> Result<Opening, JobError> {
+    ) -> Result<FrameOpening, JobLoadError> {
         let picture_key = self.jobs.picture_key(job, frame).await?;
-        Ok(Opening { job: number, frame, picture_key, tiles: plan.tiles(), samples: plan.samples })
+        Ok(FrameOpening { job: number, frame, picture_key, tiles: plan.tiles(), samples: plan.samples })
     }
 
     /// Drops reports whose bytes are not in the store; their tiles are requeued.
-    async fn check_delivered(&self, reports: &mut [Report]) -> Result<(), PictureError> {
+    async fn verify_reports(&self, reports: &mut [LeaseReport]) -> Result<(), ContentError> {
         let mut last: Option<(String, bool)> = None;
         for report in reports {
             let (kind, hash, size_bytes) = match &report.outcome {
-                Outcome::Blob { hash, size_bytes } => (Kind::Blob, hash, *size_bytes),
-                Outcome::Picture { hash, size_bytes } => (Kind::Picture, hash, *size_bytes),
-                Outcome::BadBlobs { .. } | Outcome::Failed { .. } | Outcome::HandedBack => continue,
+                LeaseOutcome::Blob { hash, size_bytes } => (ContentKind::Blob, hash, *size_bytes),
+                LeaseOutcome::Picture { hash, size_bytes } => (ContentKind::Picture, hash, *size_bytes),
+                LeaseOutcome::BadBlobs { .. } | LeaseOutcome::Failed { .. } | LeaseOutcome::Released => continue,
             };
             let there = match &last {
                 Some((same, there)) if same == hash => *there,
-                _ => match Name::parse(hash) {
+                _ => match ContentHash::parse(hash) {
                     None => false,
-                    Some(name) => self.pictures.size_bytes(kind, &name).await? == Some(size_bytes),
+                    Some(name) => self.content.size_bytes(kind, &name).await? == Some(size_bytes),
                 },
             };
             last = Some((hash.clone(), there));
             if !there {
                 tracing::warn!(lease = %report.lease, %hash, "a result came without its bytes; its tile goes back");
-                report.outcome = Outcome::HandedBack;
+                report.outcome = LeaseOutcome::Released;
             }
         }
         Ok(())
     }
 
     /// Has the maintenance task delete those of the given bytes that no row refers to.
-    pub(crate) fn sweep_later(&self, kind: Kind, hashes: Vec<String>) {
+    pub(crate) fn sweep_later(&self, kind: ContentKind, hashes: Vec<String>) {
         if !hashes.is_empty() {
             // Without a janitor the server is ending; the next one sweeps.
-            drop(self.leftovers.send(Leftovers { kind, hashes }));
+            drop(self.orphans.send(OrphanCandidates { kind, hashes }));
         }
     }
 }

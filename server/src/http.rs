@@ -2,37 +2,37 @@
 //! decide nothing about jobs.
 
 mod audit;
+mod auth;
 mod body;
-mod caller;
-mod change;
-mod door;
 mod error;
 mod events;
-mod farm;
 mod files;
 mod frames;
 mod health;
+mod host_check;
 mod images;
+mod job_changes;
 mod jobs;
 mod keys;
 mod links;
 mod merge_patch;
 mod openapi;
+mod pause;
+mod permissions;
 mod pool;
 mod prefer;
 mod previews;
-mod protocol;
 mod quota;
 mod range;
+mod request_id;
 mod retention;
-mod rules;
 mod start_page;
-mod trace;
-mod traces;
+mod submit_options;
+mod trace_context;
 mod webhooks;
-mod wish;
+mod worker_protocol;
 
-pub(crate) use caller::Peer;
+pub(crate) use auth::Peer;
 
 use std::any::Any;
 use std::sync::Arc;
@@ -51,25 +51,25 @@ use error::ApiError;
 use openapi::Document;
 
 /// The users' routes; each is described where it is handled.
-fn users() -> OpenApiRouter<Arc<Farm>> {
+fn user_routes() -> OpenApiRouter<Arc<Farm>> {
     OpenApiRouter::new()
         .routes(routes!(start_page::get))
         .routes(routes!(jobs::submit, jobs::list))
-        .routes(routes!(jobs::get, change::patch, change::delete))
+        .routes(routes!(jobs::get, job_changes::patch, job_changes::delete))
         .routes(routes!(jobs::cancel))
-        .routes(routes!(change::retry))
+        .routes(routes!(job_changes::retry))
         .routes(routes!(files::file))
         .routes(routes!(files::resubmit))
         .routes(routes!(events::follow))
-        .routes(routes!(farm::pause_job))
-        .routes(routes!(farm::resume_job))
-        .routes(routes!(farm::get))
-        .routes(routes!(farm::pause))
-        .routes(routes!(farm::resume))
+        .routes(routes!(pause::pause_job))
+        .routes(routes!(pause::resume_job))
+        .routes(routes!(pause::get))
+        .routes(routes!(pause::pause))
+        .routes(routes!(pause::resume))
         .routes(routes!(webhooks::list))
         .routes(routes!(frames::list))
         .routes(routes!(frames::archive))
-        .routes(routes!(images::first))
+        .routes(routes!(images::first_frame))
         .routes(routes!(images::frame))
         .routes(routes!(previews::preview))
         .routes(routes!(previews::thumbnail))
@@ -89,50 +89,50 @@ fn users() -> OpenApiRouter<Arc<Farm>> {
 }
 
 /// The workers' routes: see `proto::work`.
-fn workers() -> axum::Router<Arc<Farm>> {
+fn worker_routes() -> axum::Router<Arc<Farm>> {
     axum::Router::new()
-        .route(proto::work::REGISTER, post(protocol::register))
-        .route(proto::work::SYNC, post(protocol::sync))
-        .route("/v1/worker/jobs/{id}", get(protocol::job))
-        .route("/v1/worker/blobs/{hash}", put(protocol::put_blob).get(protocol::get_blob))
-        .route("/v1/worker/pictures/{hash}", put(protocol::put_picture))
+        .route(proto::worker_protocol::REGISTER_PATH, post(worker_protocol::register))
+        .route(proto::worker_protocol::SYNC_PATH, post(worker_protocol::sync))
+        .route("/v1/worker/jobs/{id}", get(worker_protocol::job))
+        .route("/v1/worker/blobs/{hash}", put(worker_protocol::put_blob).get(worker_protocol::get_blob))
+        .route("/v1/worker/pictures/{hash}", put(worker_protocol::put_picture))
 }
 
 /// The whole API.
 pub(crate) fn router(farm: Arc<Farm>) -> axum::Router {
-    let (users, described) = users().split_for_parts();
+    let (users, described) = user_routes().split_for_parts();
     let document = Document::new(&described);
     let pages = SwaggerUi::new("/docs").config(Config::from("/openapi.json").validator_url("none"));
     users
-        .merge(workers())
+        .merge(worker_routes())
         .with_state(Arc::clone(&farm))
         .route("/openapi.json", get(openapi::openapi).with_state(document))
         .merge(pages)
         .fallback(unknown_route)
-        .method_not_allowed_fallback(wrong_method)
-        .layer(CatchPanicLayer::custom(panicked))
-        .layer(middleware::from_fn_with_state(Arc::clone(&farm), caller::identify))
-        .layer(middleware::from_fn_with_state(Arc::clone(&farm), door::host_and_origin))
-        .layer(middleware::from_fn_with_state(Arc::clone(&farm), audit::tell))
-        .layer(middleware::from_fn_with_state(farm, trace::trace))
+        .method_not_allowed_fallback(method_not_allowed)
+        .layer(CatchPanicLayer::custom(panic_response))
+        .layer(middleware::from_fn_with_state(Arc::clone(&farm), auth::authenticate_and_authorize))
+        .layer(middleware::from_fn_with_state(Arc::clone(&farm), host_check::host_and_origin))
+        .layer(middleware::from_fn_with_state(Arc::clone(&farm), audit::record_request))
+        .layer(middleware::from_fn_with_state(farm, request_id::trace))
 }
 
 /// The document that the router serves.
 #[cfg(test)]
 fn document() -> Document {
-    Document::new(&users().split_for_parts().1)
+    Document::new(&user_routes().split_for_parts().1)
 }
 
 async fn unknown_route(request: Request) -> ApiError {
     ApiError::UnknownRoute { method: request.method().to_string(), path: request.uri().path().to_owned() }
 }
 
-async fn wrong_method(request: Request) -> ApiError {
+async fn method_not_allowed(request: Request) -> ApiError {
     ApiError::WrongMethod { method: request.method().to_string(), path: request.uri().path().to_owned() }
 }
 
 #[expect(clippy::needless_pass_by_value, reason = "this is how the layer calls it")]
-fn panicked(panic: Box<dyn Any + Send>) -> Response {
+fn panic_response(panic: Box<dyn Any + Send>) -> Response {
     let text = panic.downcast_ref::<String>().map(String::as_str).or_else(|| panic.downcast_ref::<&str>().copied());
     ApiError::Internal(text.unwrap_or("a handler panicked").into()).into_response()
 }

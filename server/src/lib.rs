@@ -2,32 +2,32 @@
 //!
 //! It plans, leases and stores; it never touches a pixel.
 
+mod admission;
+mod api_keys;
 mod archive;
-mod audit;
+mod audit_log;
 mod clock;
 mod config;
-mod deeds;
-mod doors;
+mod content_store;
+mod data_folder;
+mod database;
 mod estimate;
 mod events;
 mod farm;
 mod http;
-mod janitor;
-mod jobs;
-mod keeping;
-mod keys;
-mod links;
+mod integrity;
+mod job_cache;
 mod listen;
 mod lock;
-mod pictures;
-mod plan;
+mod maintenance;
 mod pool;
+mod preview_helper;
 mod queue;
 mod retention;
-mod sketches;
-mod start;
-mod store;
-mod watch;
+mod signed_links;
+mod startup;
+mod telemetry;
+mod tile_plan;
 mod webhooks;
 
 use std::net::SocketAddr;
@@ -37,21 +37,23 @@ use std::time::Duration;
 use tokio::sync::mpsc;
 use tokio_util::sync::CancellationToken;
 
-pub use audit::{Audit, AuditError, DoneTile, audit};
-pub use clock::{Clock, Hand};
+pub use api_keys::{OfflineApiKeys, OfflineApiKeysError};
+pub use clock::{Clock, ManualClock};
 pub use config::{Config, MAX_CONNECTIONS, MAX_QUEUED_JOBS, TlsFiles};
-pub use keeping::{Backup, Depth, Finding, Grade, KeepError, Repair, Restored, back_up, examine, restore};
-pub use keys::{KeyFolder, KeyFolderError};
-pub use start::StartError;
+pub use data_folder::{
+    Backup, DataFolderError, Depth, Finding, Repair, Restored, Severity, back_up, restore, run_checks,
+};
+pub use integrity::{DoneTile, IntegrityError, IntegrityReport, check_integrity};
+pub use startup::StartError;
 pub use webhooks::{AddressRange, SecretError, webhook_secret};
 
-use farm::{Farm, Leftovers};
-use listen::Entrance;
+use database::Database;
+use farm::{Farm, OrphanCandidates};
+use listen::Listeners;
 use lock::FolderLock;
-use store::Store;
 
 /// Time for the last responses after the pool has ended.
-const LAST_ANSWERS: Duration = Duration::from_secs(5);
+const RESPONSE_DRAIN_TIMEOUT: Duration = Duration::from_secs(5);
 
 /// Error that stops a running server.
 #[derive(Debug, thiserror::Error)]
@@ -64,10 +66,10 @@ pub enum ServeError {
 /// A server that has its data folder, its database and its address.
 #[derive(Debug)]
 pub struct Server {
-    entrance: Entrance,
+    listeners: Listeners,
     farm: Arc<Farm>,
-    store: Arc<Store>,
-    leftovers: mpsc::UnboundedReceiver<Leftovers>,
+    store: Arc<Database>,
+    orphans: mpsc::UnboundedReceiver<OrphanCandidates>,
     // Released last.
     lock: FolderLock,
 }
@@ -81,12 +83,12 @@ impl Server {
 
     /// Starts a server with the given clock.
     pub async fn start_with_clock(config: Config, clock: Clock) -> Result<Self, StartError> {
-        start::start(config, clock).await
+        startup::start(config, clock).await
     }
 
     /// Address it listens on.
     pub fn address(&self) -> SocketAddr {
-        self.entrance.address()
+        self.listeners.address()
     }
 
     /// Its address as clients write it: `http://HOST:PORT`, or `https://HOST:PORT` with a certificate.
@@ -98,30 +100,30 @@ impl Server {
     /// Serves until `shutdown`; then rejects new jobs, lets local workers finish or release their leases,
     /// and closes the database.
     pub async fn run(self, shutdown: CancellationToken) -> Result<(), ServeError> {
-        let Self { entrance, farm, store, leftovers, lock } = self;
+        let Self { listeners: entrance, farm, store, orphans: leftovers, lock } = self;
         let router = http::router(Arc::clone(&farm));
         let (address, pool_address) = (entrance.address(), entrance.pool_address());
-        let mut serving = tokio::spawn(entrance.serve(router, farm.ending.clone()));
-        let janitor = tokio::spawn(janitor::run(Arc::clone(&farm), leftovers, farm.ending.clone()));
-        let sending = tokio::spawn(webhooks::run(Arc::clone(&farm), farm.ending.clone()));
+        let mut serving = tokio::spawn(entrance.serve(router, farm.shutdown.clone()));
+        let janitor = tokio::spawn(maintenance::run(Arc::clone(&farm), leftovers, farm.shutdown.clone()));
+        let sending = tokio::spawn(webhooks::run(Arc::clone(&farm), farm.shutdown.clone()));
         let telling = tokio::spawn({
             let farm = Arc::clone(&farm);
-            async move { farm.events.run(farm.ending.clone()).await }
+            async move { farm.events.run(farm.shutdown.clone()).await }
         });
-        let doors = farm.clone();
-        let doors = tokio::spawn(async move { doors.doors.run(doors.ending.clone()).await });
+        let admission = farm.clone();
+        let admission_task = tokio::spawn(async move { admission.admission.run(admission.shutdown.clone()).await });
         let pool = farm.pool.start(&farm.config, pool_address, farm.queue.clone());
         tracing::info!(%address, "serving");
         let failed = tokio::select! {
             () = shutdown.cancelled() => None,
             ended = &mut serving => Some(ended),
         };
-        farm.closing.cancel();
-        pool.end(farm.config.grace).await;
-        farm.ending.cancel();
+        farm.is_shutting_down.cancel();
+        pool.end(farm.config.shutdown_grace).await;
+        farm.shutdown.cancel();
         let ended = match failed {
             Some(ended) => Some(ended),
-            None => tokio::time::timeout(LAST_ANSWERS, serving).await.ok(),
+            None => tokio::time::timeout(RESPONSE_DRAIN_TIMEOUT, serving).await.ok(),
         };
         for (task, name) in
             [(janitor, "the janitor"), (telling, "what tells followers"), (sending, "what tells webhooks")]
@@ -130,7 +132,7 @@ impl Server {
                 tracing::error!(%error, "{name} panicked");
             }
         }
-        if let Err(error) = doors.await {
+        if let Err(error) = admission_task.await {
             tracing::error!(%error, "the doors' keeper panicked");
         }
         store.close().await;

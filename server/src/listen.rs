@@ -2,10 +2,10 @@
 //!
 //! Slow, silent or surplus connections never reach a handler. No decision about requests is made here.
 
-mod crowd;
-mod entrance;
+mod connection_limit;
 mod file_limit;
-mod patience;
+mod listeners;
+mod min_rate;
 mod tls;
 
 use std::convert::Infallible;
@@ -29,12 +29,12 @@ use tokio_util::task::TaskTracker;
 use tower::ServiceExt;
 
 use crate::http::Peer;
-use crowd::Crowd;
-use crowd::{Attended, Place};
-pub(crate) use entrance::Entrance;
-use file_limit::most_connections;
-pub(crate) use patience::SlowBody;
-use patience::{Paced, Watched};
+use connection_limit::ConnectionLimit;
+use connection_limit::{ConnectionSlot, TrackedBody};
+use file_limit::connection_limit;
+pub(crate) use listeners::Listeners;
+pub(crate) use min_rate::SlowBody;
+use min_rate::{TimedBody, TimedStream};
 use tls::Tls;
 
 /// Time limit for a request's head, and for a connection between two requests.
@@ -48,16 +48,16 @@ const MAX_HEADERS: usize = 100;
 /// Time limit for a TLS handshake.
 const HANDSHAKE_TIMEOUT: Duration = Duration::from_secs(10);
 /// Time that an evicted connection has to report that it has just become busy.
-const LAST_CHANCE: Duration = Duration::from_millis(250);
+const CLOSE_GRACE: Duration = Duration::from_millis(250);
 /// If no slot is free, the next attempt is made after this interval.
-const NO_ROOM: Duration = Duration::from_millis(100);
+const ACCEPT_RETRY_DELAY: Duration = Duration::from_millis(100);
 
 /// Takes in connections until `ending`, then waits until those that are busy have been answered.
 pub(crate) async fn serve(
     listener: TcpListener,
     tls: Option<Arc<Tls>>,
     router: axum::Router,
-    crowd: Arc<Crowd>,
+    crowd: Arc<ConnectionLimit>,
     ending: CancellationToken,
 ) -> io::Result<()> {
     let connections = TaskTracker::new();
@@ -68,16 +68,16 @@ pub(crate) async fn serve(
         };
         let (stream, address) = match accepted {
             Ok(accepted) => accepted,
-            Err(error) if is_the_listeners(&error) => break Some(error),
+            Err(error) if is_listener_error(&error) => break Some(error),
             Err(error) => {
                 tracing::warn!(%error, "a connection could not be taken");
-                crowd.send_away_oldest();
-                tokio::time::sleep(NO_ROOM).await;
+                crowd.evict_idle();
+                tokio::time::sleep(ACCEPT_RETRY_DELAY).await;
                 continue;
             }
         };
         let place = tokio::select! {
-            place = crowd.enter() => place,
+            place = crowd.acquire() => place,
             () = ending.cancelled() => break None,
         };
         // Small responses must not wait for one another.
@@ -85,15 +85,15 @@ pub(crate) async fn serve(
         let (router, tls, ending) = (router.clone(), tls.clone(), ending.clone());
         connections.spawn(async move {
             match tls {
-                None => attend(stream, address, router, &place, &ending).await,
+                None => serve_connection(stream, address, router, &place, &ending).await,
                 Some(tls) => {
-                    let shaken = tokio::select! {
+                    let handshake = tokio::select! {
                         shaken = tokio::time::timeout(HANDSHAKE_TIMEOUT, tls.accept(stream)) => shaken,
-                        () = place.sent_away() => return,
+                        () = place.evicted() => return,
                         () = ending.cancelled() => return,
                     };
-                    match shaken {
-                        Ok(Ok(stream)) => attend(stream, address, router, &place, &ending).await,
+                    match handshake {
+                        Ok(Ok(stream)) => serve_connection(stream, address, router, &place, &ending).await,
                         Ok(Err(error)) => tracing::debug!(%address, %error, "a TLS handshake failed"),
                         Err(_) => tracing::debug!(%address, "a TLS handshake took too long"),
                     }
@@ -108,24 +108,29 @@ pub(crate) async fn serve(
 }
 
 /// Whether the listener itself is broken, rather than one connection or the room for it.
-fn is_the_listeners(error: &io::Error) -> bool {
+fn is_listener_error(error: &io::Error) -> bool {
     matches!(Errno::from_io_error(error), Some(Errno::BADF | Errno::INVAL | Errno::NOTSOCK | Errno::FAULT))
 }
 
 /// Answers the requests of one connection.
-async fn attend<S>(stream: S, address: SocketAddr, router: axum::Router, place: &Place, ending: &CancellationToken)
-where
+async fn serve_connection<S>(
+    stream: S,
+    address: SocketAddr,
+    router: axum::Router,
+    place: &ConnectionSlot,
+    ending: &CancellationToken,
+) where
     S: AsyncRead + AsyncWrite + Unpin + Send + 'static,
 {
     let peer = canonical(address.ip());
     let service = service_fn(|request: hyper::Request<Incoming>| {
-        let busy = place.work();
-        let mut request = request.map(|body| Body::new(Paced::new(body)));
+        let busy = place.begin_request();
+        let mut request = request.map(|body| Body::new(TimedBody::new(body)));
         request.extensions_mut().insert(Peer(peer));
         let answer = router.clone().oneshot(request);
         async move {
             let answer: Response = answer.await?;
-            Ok::<_, Infallible>(answer.map(|body| Attended::new(body, busy)))
+            Ok::<_, Infallible>(answer.map(|body| TrackedBody::new(body, busy)))
         }
     });
     let connection = http1::Builder::new()
@@ -134,18 +139,18 @@ where
         .max_headers(MAX_HEADERS)
         .max_header_size(MAX_HEAD_BYTES)
         .max_buf_size(MAX_BUFFER_BYTES)
-        .serve_connection(TokioIo::new(Watched::new(stream)), service);
+        .serve_connection(TokioIo::new(TimedStream::new(stream)), service);
     let mut connection = pin!(connection);
     tokio::select! {
         ended = connection.as_mut() => return tell(address, ended),
-        () = place.sent_away() => {}
+        () = place.evicted() => {}
         () = ending.cancelled() => {}
     }
     connection.as_mut().graceful_shutdown();
     loop {
         tokio::select! {
             ended = connection.as_mut() => return tell(address, ended),
-            () = tokio::time::sleep(LAST_CHANCE) => if !place.is_busy() { return },
+            () = tokio::time::sleep(CLOSE_GRACE) => if !place.is_busy() { return },
         }
     }
 }

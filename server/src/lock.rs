@@ -16,7 +16,7 @@ pub(crate) struct FolderLock {
 pub(crate) enum LockError {
     /// Another server holds it.
     #[error("another server holds it (pid {0})")]
-    Held(String),
+    InUse(String),
     /// The file could not be opened, read or written.
     #[error(transparent)]
     Io(#[from] io::Error),
@@ -24,7 +24,7 @@ pub(crate) enum LockError {
 
 impl FolderLock {
     /// Takes hold of `folder` and leaves this process's id in its `lock` file.
-    pub(crate) fn take(folder: &Path) -> Result<Self, LockError> {
+    pub(crate) fn acquire(folder: &Path) -> Result<Self, LockError> {
         let path = folder.join("lock");
         let mut file = OpenOptions::new().create(true).truncate(false).read(true).write(true).open(path)?;
         match file.try_lock() {
@@ -32,7 +32,7 @@ impl FolderLock {
             Err(TryLockError::WouldBlock) => {
                 let mut holder = String::new();
                 file.read_to_string(&mut holder)?;
-                return Err(LockError::Held(holder.trim().to_owned()));
+                return Err(LockError::InUse(holder.trim().to_owned()));
             }
             Err(TryLockError::Error(error)) => return Err(error.into()),
         }
@@ -50,10 +50,10 @@ mod tests {
     #[test]
     fn a_folder_is_held_once_and_names_its_holder() {
         let folder = tempfile::tempdir().expect("a temporary folder");
-        let held = FolderLock::take(folder.path()).expect("the first takes hold");
-        let refused = FolderLock::take(folder.path()).expect_err("the second is refused").to_string();
+        let held = FolderLock::acquire(folder.path()).expect("the first takes hold");
+        let refused = FolderLock::acquire(folder.path()).expect_err("the second is refused").to_string();
         assert!(refused.contains(&std::process::id().to_string()), "{refused}");
         drop(held);
-        FolderLock::take(folder.path()).expect("free again");
+        FolderLock::acquire(folder.path()).expect("free again");
     }
 }

@@ -4,7 +4,7 @@
 //! surplus child finishes its leases first. A slot whose device cannot render stays empty until the pool is
 //! resized.
 
-mod child;
+mod worker_process;
 
 use std::collections::BTreeSet;
 use std::net::SocketAddr;
@@ -15,43 +15,43 @@ use tokio::sync::{mpsc, watch};
 use tokio::task::{JoinHandle, JoinSet};
 use tokio::time::Instant;
 
-use crate::clock::instant;
+use crate::clock::monotonic_now;
 use crate::config::Config;
-use crate::queue::{Cause, Queue};
-use child::{Child, Exit, Launch};
+use crate::queue::{LeaseEnd, Queue};
+use worker_process::{Exit, WorkerLaunch, WorkerProcess};
 
 /// A child that exits sooner than this has failed to start.
-const EARLY: Duration = Duration::from_secs(1);
+const EARLY_EXIT: Duration = Duration::from_secs(1);
 /// This many failed starts in a row are retried without delay.
-const EARLY_DEATHS_FREE: u32 = 3;
+const EARLY_EXITS_BEFORE_BACK_OFF: u32 = 3;
 /// The first wait after more of them; it doubles from there.
 const BACK_OFF: Duration = Duration::from_millis(250);
 /// The longest wait.
 const MAX_BACK_OFF: Duration = Duration::from_secs(30);
 /// Part of the grace period for releasing leases that would not finish in time.
-const HAND_BACK: Duration = Duration::from_secs(2);
+const RELEASE_TIMEOUT: Duration = Duration::from_secs(2);
 /// Time a child has after that before it is killed.
-const LAST_WORDS: Duration = Duration::from_secs(1);
+const KILL_DELAY: Duration = Duration::from_secs(1);
 
 /// Handle of the pool.
 #[derive(Debug)]
 pub(crate) struct Pool {
-    wanted: watch::Sender<u32>,
-    processes: watch::Receiver<Vec<(u32, String)>>,
+    target_size: watch::Sender<u32>,
+    labels_by_pid: watch::Receiver<Vec<(u32, String)>>,
     token: String,
-    supervisor: std::sync::Mutex<Option<Waiting>>,
+    supervisor: std::sync::Mutex<Option<SupervisorChannels>>,
 }
 
 /// Channels for the supervisor, kept until it starts.
 #[derive(Debug)]
-struct Waiting {
-    wanted: watch::Receiver<u32>,
-    processes: watch::Sender<Vec<(u32, String)>>,
+struct SupervisorChannels {
+    target_size: watch::Receiver<u32>,
+    labels_by_pid: watch::Sender<Vec<(u32, String)>>,
 }
 
 /// The running supervisor.
 #[derive(Debug)]
-pub(crate) struct Supervision {
+pub(crate) struct SupervisorHandle {
     end: mpsc::Sender<Duration>,
     task: JoinHandle<()>,
 }
@@ -62,46 +62,51 @@ impl Pool {
         let (wanted, wanted_seen) = watch::channel(workers);
         let (processes, processes_seen) = watch::channel(Vec::new());
         let token = format!("{}{}", uuid::Uuid::new_v4().simple(), uuid::Uuid::new_v4().simple());
-        let waiting = Waiting { wanted: wanted_seen, processes };
-        Self { wanted, processes: processes_seen, token, supervisor: std::sync::Mutex::new(Some(waiting)) }
+        let waiting = SupervisorChannels { target_size: wanted_seen, labels_by_pid: processes };
+        Self {
+            target_size: wanted,
+            labels_by_pid: processes_seen,
+            token,
+            supervisor: std::sync::Mutex::new(Some(waiting)),
+        }
     }
 
     /// Starts the supervisor, once.
-    pub(crate) fn start(&self, config: &Config, address: SocketAddr, queue: Queue) -> Supervision {
+    pub(crate) fn start(&self, config: &Config, address: SocketAddr, queue: Queue) -> SupervisorHandle {
         let waiting = self.supervisor.lock().expect("no holder panics").take().expect("a pool is started once");
         let (end, ending) = mpsc::channel(1);
-        let launch = Launch {
+        let launch = WorkerLaunch {
             program: config.worker_program.clone(),
-            server: format!("http://{}", reachable(address)),
+            server: format!("http://{}", loopback_if_unspecified(address)),
             devices: config.devices.clone(),
             simd: config.simd.clone(),
             threads: config.threads,
             token: self.token.clone(),
-            variables: config.worker_variables.clone(),
+            variables: config.worker_env.clone(),
         };
         let supervisor = Supervisor {
             launch,
             queue,
-            wanted: waiting.wanted,
-            processes: waiting.processes,
+            target_size: waiting.target_size,
+            labels_by_pid: waiting.labels_by_pid,
             children: Vec::new(),
-            retired: BTreeSet::new(),
+            disabled_slots: BTreeSet::new(),
             exits: JoinSet::new(),
             labels: 0,
-            early_deaths: 0,
-            hold_until: None,
+            early_exits: 0,
+            backed_off_until: None,
         };
-        Supervision { end, task: tokio::spawn(supervisor.run(ending)) }
+        SupervisorHandle { end, task: tokio::spawn(supervisor.run(ending)) }
     }
 
     /// Requests this many workers.
     pub(crate) fn resize(&self, workers: u32) {
-        self.wanted.send_replace(workers);
+        self.target_size.send_replace(workers);
     }
 
     /// Workers asked for.
-    pub(crate) fn wanted(&self) -> u32 {
-        *self.wanted.borrow()
+    pub(crate) fn target_size(&self) -> u32 {
+        *self.target_size.borrow()
     }
 
     /// The secret that children prove themselves with.
@@ -111,11 +116,11 @@ impl Pool {
 
     /// The label of a child of this server, by its process id.
     pub(crate) fn label(&self, process: u32) -> Option<String> {
-        self.processes.borrow().iter().find(|(id, _)| *id == process).map(|(_, label)| label.clone())
+        self.labels_by_pid.borrow().iter().find(|(id, _)| *id == process).map(|(_, label)| label.clone())
     }
 }
 
-impl Supervision {
+impl SupervisorHandle {
     /// Ends the pool: its workers may continue their leases for `grace`.
     pub(crate) async fn end(self, grace: Duration) {
         if self.end.send(grace).await.is_err() {
@@ -128,7 +133,7 @@ impl Supervision {
 }
 
 /// Address at which a child reaches a server that may listen on all interfaces.
-fn reachable(address: SocketAddr) -> SocketAddr {
+fn loopback_if_unspecified(address: SocketAddr) -> SocketAddr {
     let mut address = address;
     if address.ip().is_unspecified() {
         let loopback =
@@ -139,53 +144,53 @@ fn reachable(address: SocketAddr) -> SocketAddr {
 }
 
 struct Supervisor {
-    launch: Launch,
+    launch: WorkerLaunch,
     queue: Queue,
-    wanted: watch::Receiver<u32>,
-    processes: watch::Sender<Vec<(u32, String)>>,
-    children: Vec<Child>,
-    retired: BTreeSet<usize>,
+    target_size: watch::Receiver<u32>,
+    labels_by_pid: watch::Sender<Vec<(u32, String)>>,
+    children: Vec<WorkerProcess>,
+    disabled_slots: BTreeSet<usize>,
     exits: JoinSet<Exit>,
     labels: u32,
-    early_deaths: u32,
-    hold_until: Option<Instant>,
+    early_exits: u32,
+    backed_off_until: Option<Instant>,
 }
 
 impl Supervisor {
     async fn run(mut self, mut ending: mpsc::Receiver<Duration>) {
         let grace = loop {
-            let wanted = *self.wanted.borrow();
-            self.adjust(wanted as usize).await;
-            let held = self.hold_until;
+            let wanted = *self.target_size.borrow();
+            self.reconcile(wanted as usize).await;
+            let held = self.backed_off_until;
             tokio::select! {
                 grace = ending.recv() => break grace.unwrap_or_default(),
-                changed = self.wanted.changed() => {
+                changed = self.target_size.changed() => {
                     if changed.is_err() {
                         break Duration::ZERO;
                     }
-                    self.hold_until = None;
-                    self.retired.clear();
+                    self.backed_off_until = None;
+                    self.disabled_slots.clear();
                 }
-                Some(exit) = self.exits.join_next() => self.reaped(exit).await,
-                () = sleep_until(held), if held.is_some() => self.hold_until = None,
+                Some(exit) = self.exits.join_next() => self.on_exit(exit).await,
+                () = sleep_until(held), if held.is_some() => self.backed_off_until = None,
             }
         };
         self.end(grace).await;
     }
 
     /// Drains who is too much, those in the last places, and starts who is missing.
-    async fn adjust(&mut self, wanted: usize) {
+    async fn reconcile(&mut self, wanted: usize) {
         for index in 0..self.children.len() {
-            if self.children[index].place() >= wanted && !self.children[index].is_draining() {
+            if self.children[index].slot() >= wanted && !self.children[index].is_draining() {
                 self.drain(index).await;
             }
         }
         for place in 0..wanted {
-            if self.hold_until.is_some() {
+            if self.backed_off_until.is_some() {
                 return;
             }
-            let held = self.children.iter().any(|child| child.place() == place && !child.is_draining());
-            if !held && !self.retired.contains(&place) {
+            let held = self.children.iter().any(|child| child.slot() == place && !child.is_draining());
+            if !held && !self.disabled_slots.contains(&place) {
                 self.launch(place, wanted);
             }
         }
@@ -194,11 +199,11 @@ impl Supervisor {
     fn launch(&mut self, place: usize, wanted: usize) {
         self.labels += 1;
         let label = format!("pool-{}", self.labels);
-        match Child::launch(&self.launch, label.clone(), place, wanted, &mut self.exits) {
+        match WorkerProcess::launch(&self.launch, label.clone(), place, wanted, &mut self.exits) {
             Ok(child) => {
-                tracing::info!(worker = %label, process = child.process(), device = child.device(), "started a worker");
+                tracing::info!(worker = %label, process = child.pid(), device = child.device(), "started a worker");
                 self.children.push(child);
-                self.announce();
+                self.publish_labels();
             }
             Err(error) => {
                 let program: PathBuf = self.launch.program.clone();
@@ -206,19 +211,19 @@ impl Supervisor {
                     program = %program.display(), %error,
                     "the worker program can't be started: check that it is there and may be run"
                 );
-                self.early_deaths = self.early_deaths.max(EARLY_DEATHS_FREE);
-                self.hold();
+                self.early_exits = self.early_exits.max(EARLY_EXITS_BEFORE_BACK_OFF);
+                self.back_off();
             }
         }
     }
 
-    fn announce(&self) {
-        let processes = self.children.iter().map(|child| (child.process(), child.label().to_owned())).collect();
-        self.processes.send_replace(processes);
+    fn publish_labels(&self) {
+        let processes = self.children.iter().map(|child| (child.pid(), child.label().to_owned())).collect();
+        self.labels_by_pid.send_replace(processes);
     }
 
     async fn drain(&mut self, index: usize) {
-        let process = self.children[index].process();
+        let process = self.children[index].pid();
         let known = match self.queue.drain(process).await {
             Ok(known) => known,
             Err(error) => {
@@ -232,7 +237,7 @@ impl Supervisor {
         }
     }
 
-    async fn reaped(&mut self, exit: Result<Exit, tokio::task::JoinError>) {
+    async fn on_exit(&mut self, exit: Result<Exit, tokio::task::JoinError>) {
         let exit = match exit {
             Ok(exit) => exit,
             Err(error) => {
@@ -240,53 +245,53 @@ impl Supervisor {
                 return;
             }
         };
-        let Some(index) = self.children.iter().position(|child| child.process() == exit.process) else { return };
+        let Some(index) = self.children.iter().position(|child| child.pid() == exit.pid) else { return };
         let child = self.children.remove(index);
-        self.announce();
+        self.publish_labels();
         let cause = exit.cause(child.is_draining());
         let message = exit.message();
-        let unfit = exit.is_unfit() && !child.is_draining();
+        let unfit = exit.is_device_unusable() && !child.is_draining();
         if unfit {
             tracing::error!(
                 worker = child.label(), device = child.device(), %message,
                 "a worker's device can't render: its place in the pool stays empty until the pool is sized anew (sdfarm pool N)"
             );
-        } else if cause == Cause::Interrupted {
-            tracing::info!(worker = child.label(), process = exit.process, "a worker ended");
+        } else if cause == LeaseEnd::Released {
+            tracing::info!(worker = child.label(), process = exit.pid, "a worker ended");
         } else {
-            tracing::warn!(worker = child.label(), process = exit.process, %message, "a worker died");
+            tracing::warn!(worker = child.label(), process = exit.pid, %message, "a worker died");
         }
-        if let Err(error) = self.queue.reaped(exit.process, cause, message).await {
-            tracing::error!(%error, process = exit.process, "a dead worker's leases could not be ended; they will run out");
+        if let Err(error) = self.queue.worker_exited(exit.pid, cause, message).await {
+            tracing::error!(%error, process = exit.pid, "a dead worker's leases could not be ended; they will run out");
         }
         if unfit {
-            self.retired.insert(child.place());
+            self.disabled_slots.insert(child.slot());
         } else if !child.is_draining() {
-            self.early_deaths = if child.age() < EARLY { self.early_deaths + 1 } else { 0 };
-            self.hold();
+            self.early_exits = if child.age() < EARLY_EXIT { self.early_exits + 1 } else { 0 };
+            self.back_off();
         }
     }
 
     /// After too many early deaths in a row the next start waits.
-    fn hold(&mut self) {
-        let Some(steps) = self.early_deaths.checked_sub(EARLY_DEATHS_FREE) else { return };
+    fn back_off(&mut self) {
+        let Some(steps) = self.early_exits.checked_sub(EARLY_EXITS_BEFORE_BACK_OFF) else { return };
         let wait = (BACK_OFF * (1 << steps.min(10))).min(MAX_BACK_OFF);
         tracing::error!(
             ?wait,
             "pool workers exit right after starting: fix the cause in their messages above; next start is delayed"
         );
-        self.hold_until = Some(instant() + wait);
+        self.backed_off_until = Some(monotonic_now() + wait);
     }
 
     /// Drains all workers; those that do not exit in time must release their leases, and are then killed.
     async fn end(mut self, grace: Duration) {
-        let start = instant();
+        let start = monotonic_now();
         for index in 0..self.children.len() {
             if !self.children[index].is_draining() {
                 self.drain(index).await;
             }
         }
-        self.reap_until(start + grace.saturating_sub(HAND_BACK)).await;
+        self.reap_until(start + grace.saturating_sub(RELEASE_TIMEOUT)).await;
         for child in &self.children {
             tracing::info!(worker = child.label(), "a worker is told to hand back what it holds");
             child.terminate();
@@ -295,20 +300,20 @@ impl Supervisor {
         for child in &mut self.children {
             child.close_input();
         }
-        self.reap_until(start + grace + LAST_WORDS).await;
+        self.reap_until(start + grace + KILL_DELAY).await;
         for child in &self.children {
             tracing::warn!(worker = child.label(), "a worker does not end; it is killed");
             child.kill();
         }
         while let Some(exit) = self.exits.join_next().await {
-            self.reaped(exit).await;
+            self.on_exit(exit).await;
         }
     }
 
     async fn reap_until(&mut self, deadline: Instant) {
         while !self.children.is_empty() {
             match tokio::time::timeout_at(deadline, self.exits.join_next()).await {
-                Ok(Some(exit)) => self.reaped(exit).await,
+                Ok(Some(exit)) => self.on_exit(exit).await,
                 Ok(None) | Err(_) => return,
             }
         }

@@ -5,35 +5,35 @@
 //! concerns. Nothing here knows about HTTP or files.
 
 mod backlog;
-mod change;
+mod batch_size;
 mod claim;
-mod counts;
 mod deliver;
-mod end;
+mod durations;
 mod events;
-mod fair;
+mod exclusion;
+mod fair_share;
+mod finish;
 mod frames;
+mod idempotency;
+mod job_changes;
 mod lease;
-mod open;
-mod pace;
+mod open_frame;
 mod pause;
 mod picture;
 mod previews;
+mod read;
 mod recover;
 mod repair;
 mod retention;
-mod share;
+mod stats;
 mod stitch;
 mod straggler;
-mod strike;
 mod submit;
 mod sync;
 #[cfg(test)]
 mod tests;
-mod traces;
-mod view;
+mod trace_context;
 mod webhooks;
-mod wish;
 mod workers;
 
 use std::sync::Arc;
@@ -43,33 +43,33 @@ use sqlx::sqlite::SqliteConnection;
 use tokio::sync::Notify;
 
 use crate::clock::Clock;
-use crate::store::{Durability, Store, StoreError};
+use crate::database::{Database, DatabaseError, Durability};
 
-pub(crate) use change::Changed;
-pub(crate) use counts::Counts;
-pub(crate) use end::{Cancelled, Deleted};
 pub(crate) use events::Event;
-pub(crate) use frames::{Frames, StoredFrame};
-pub(crate) use lease::{Cause, jitter};
-pub(crate) use open::{Opened, Opening};
-pub(crate) use pause::Paused;
-pub(crate) use previews::{Parts, Present};
-pub(crate) use recover::Recovered;
+pub(crate) use finish::{CancelOutcome, DeleteOutcome};
+pub(crate) use frames::{FrameSet, StoredFrame};
+pub(crate) use idempotency::{IdempotencyKey, NewWebhook, SubmitOptions, SubmitOutcome};
+pub(crate) use job_changes::ChangeOutcome;
+pub(crate) use lease::{LeaseEnd, jitter};
+pub(crate) use open_frame::{FrameOpening, OpenOutcome};
+pub(crate) use pause::PauseOutcome;
+pub(crate) use previews::{FrameContents, ReadyWorker};
+pub(crate) use read::StoredImage;
+pub(crate) use recover::Recovery;
 pub(crate) use repair::{Reopened, forget_pictures};
-pub(crate) use retention::Ended;
+pub(crate) use retention::FinishedJob;
+pub(crate) use stats::QueueStats;
 pub(crate) use submit::NewJob;
-pub(crate) use sync::{Next, Turn, Turned};
-pub(crate) use view::StoredImage;
+pub(crate) use sync::{NextWork, SyncInput, SyncOutcome};
 pub(crate) use webhooks::{Attempt, Delivery};
-pub(crate) use wish::{NewWebhook, Once, Submitted, Wish};
-pub(crate) use workers::{NewWorker, Registered};
+pub(crate) use workers::{NewWorker, Registration};
 
 /// A transition's answer.
-type Result<T> = std::result::Result<T, StoreError>;
+type Result<T> = std::result::Result<T, DatabaseError>;
 
 /// Time and lease terms of a transition.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct Moment {
+pub(crate) struct TransitionContext {
     /// The server's clock.
     now_ms: i64,
     /// The wall clock.
@@ -82,25 +82,25 @@ pub(crate) struct Moment {
 
 /// Rung after the commit of what others wait for.
 #[derive(Debug, Default)]
-pub(crate) struct Bell {
+pub(crate) struct WakeSignals {
     /// Wakes waiters for work.
     pub(crate) work: Notify,
     /// Wakes workers whose lease was ended from outside or that must drain.
-    pub(crate) news: Notify,
+    pub(crate) updates: Notify,
 }
 
 /// Wake signals that a transition asks for, sent after its commit.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub(crate) struct Ring {
+pub(crate) struct Wake {
     /// There may be work.
     work: bool,
     /// A lease was ended from outside, or a worker must drain.
     news: bool,
 }
 
-impl Ring {
+impl Wake {
     const WORK: Self = Self { work: true, news: false };
-    const NEWS: Self = Self { work: false, news: true };
+    const UPDATES: Self = Self { work: false, news: true };
 
     fn add(&mut self, other: Self) {
         self.work |= other.work;
@@ -111,28 +111,29 @@ impl Ring {
 /// The queue.
 #[derive(Clone, Debug)]
 pub(crate) struct Queue {
-    store: Arc<Store>,
+    database: Arc<Database>,
     clock: Clock,
     lease_ms: i64,
     generation: i64,
-    bell: Arc<Bell>,
+    wake_signals: Arc<WakeSignals>,
 }
 
 impl Queue {
     /// The queue of a database, after what the last server left is put right.
-    pub(crate) async fn open(store: Arc<Store>, clock: Clock, lease_ms: i64) -> Result<(Self, Recovered)> {
+    pub(crate) async fn open(store: Arc<Database>, clock: Clock, lease_ms: i64) -> Result<(Self, Recovery)> {
         let now_ms = clock.now_ms();
         let recovered = store
             .write(Durability::Full, move |connection| {
                 Box::pin(async move { recover::recover(connection, now_ms, lease_ms).await })
             })
             .await?;
-        let queue = Self { store, clock, lease_ms, generation: recovered.generation, bell: Arc::default() };
+        let queue =
+            Self { database: store, clock, lease_ms, generation: recovered.generation, wake_signals: Arc::default() };
         Ok((queue, recovered))
     }
 
-    fn moment(&self) -> Moment {
-        Moment {
+    fn context(&self) -> TransitionContext {
+        TransitionContext {
             now_ms: self.clock.now_ms(),
             wall_ms: self.clock.wall_ms(),
             lease_ms: self.lease_ms,
@@ -140,18 +141,18 @@ impl Queue {
         }
     }
 
-    fn ring(&self, ring: Ring) {
+    fn wake(&self, ring: Wake) {
         if ring.work {
-            self.bell.work.notify_waiters();
+            self.wake_signals.work.notify_waiters();
         }
         if ring.news {
-            self.bell.news.notify_waiters();
+            self.wake_signals.updates.notify_waiters();
         }
     }
 
     /// Wake signals sent after a commit that may add work, ends a lease from outside, or drains a worker.
-    pub(crate) fn bell(&self) -> &Bell {
-        &self.bell
+    pub(crate) fn wake_signals(&self) -> &WakeSignals {
+        &self.wake_signals
     }
 
     /// Length of a lease, in milliseconds.
@@ -162,96 +163,96 @@ impl Queue {
     /// Accepts a job; durable when it returns.
     #[cfg(test)]
     pub(crate) async fn submit(&self, job: NewJob) -> Result<i64> {
-        let moment = self.moment();
+        let moment = self.context();
         let number = self
-            .store
+            .database
             .write(Durability::Full, move |connection| {
                 Box::pin(async move { submit::submit(connection, &job, moment).await })
             })
             .await?;
-        self.ring(Ring::WORK);
+        self.wake(Wake::WORK);
         Ok(number)
     }
 
-    /// Stores a job's next frame from a picture that is already stored; `Opened::Open` means there is
+    /// Stores a job's next frame from a picture that is already stored; `OpenOutcome::Open` means there is
     /// none.
-    pub(crate) async fn reuse(&self, opening: Opening) -> Result<Opened> {
-        let moment = self.moment();
-        self.store
+    pub(crate) async fn reuse(&self, opening: FrameOpening) -> Result<OpenOutcome> {
+        let moment = self.context();
+        self.database
             .write(Durability::Relaxed, move |connection| {
-                Box::pin(async move { open::reuse(connection, &opening, moment).await })
+                Box::pin(async move { open_frame::open_from_cache(connection, &opening, moment).await })
             })
             .await
     }
 
     /// Whether a picture of this key is stored.
     pub(crate) async fn has_picture(&self, key: &str) -> Result<bool> {
-        view::has_picture(self.store.readers(), key).await
+        read::has_picture(self.database.readers(), key).await
     }
 
     /// One call of a worker: results in, leases renewed, work out.
-    pub(crate) async fn turn(&self, turn: Turn) -> Result<Option<Turned>> {
-        let moment = self.moment();
-        let durability = if turn.delivers() { Durability::Full } else { Durability::Relaxed };
+    pub(crate) async fn turn(&self, turn: SyncInput) -> Result<Option<SyncOutcome>> {
+        let moment = self.context();
+        let durability = if turn.has_reports() { Durability::Full } else { Durability::Relaxed };
         let turned = self
-            .store
-            .write(durability, move |connection| Box::pin(async move { sync::turn(connection, turn, moment).await }))
+            .database
+            .write(durability, move |connection| Box::pin(async move { sync::sync(connection, turn, moment).await }))
             .await?;
         if let Some(turned) = &turned {
-            self.ring(turned.ring);
+            self.wake(turned.ring);
         }
         Ok(turned)
     }
 
     /// Expires overdue leases and marks lost workers; returns the number of expired leases.
-    pub(crate) async fn rescue(&self) -> Result<u64> {
-        let moment = self.moment();
+    pub(crate) async fn expire_leases(&self) -> Result<u64> {
+        let moment = self.context();
         let (count, ring) = self
-            .store
+            .database
             .write(Durability::Relaxed, move |connection| {
                 Box::pin(async move { lease::rescue(connection, moment).await })
             })
             .await?;
-        self.ring(ring);
+        self.wake(ring);
         Ok(count)
     }
 
     /// Cancels a job.
-    pub(crate) async fn cancel(&self, job: JobId) -> Result<Cancelled> {
-        let moment = self.moment();
+    pub(crate) async fn cancel(&self, job: JobId) -> Result<CancelOutcome> {
+        let moment = self.context();
         let cancelled = self
-            .store
+            .database
             .write(Durability::Full, move |connection| {
-                Box::pin(async move { end::cancel(connection, job, moment).await })
+                Box::pin(async move { finish::cancel(connection, job, moment).await })
             })
             .await?;
-        self.ring(Ring::NEWS);
+        self.wake(Wake::UPDATES);
         Ok(cancelled)
     }
 
     /// Fails a job whose file can't be read any more.
-    pub(crate) async fn refuse(&self, job: i64, message: String) -> Result<()> {
-        let moment = self.moment();
-        self.store
+    pub(crate) async fn fail_unreadable(&self, job: i64, message: String) -> Result<()> {
+        let moment = self.context();
+        self.database
             .write(Durability::Full, move |connection| {
-                Box::pin(async move { end::refuse(connection, job, &message, moment).await })
+                Box::pin(async move { finish::refuse(connection, job, &message, moment).await })
             })
             .await?;
-        self.ring(Ring { work: true, news: true });
+        self.wake(Wake { work: true, news: true });
         Ok(())
     }
 
     /// Forgets a job that is not running.
-    pub(crate) async fn delete(&self, job: JobId) -> Result<Deleted> {
-        self.store
-            .write(Durability::Full, move |connection| Box::pin(async move { end::delete(connection, job).await }))
+    pub(crate) async fn delete(&self, job: JobId) -> Result<DeleteOutcome> {
+        self.database
+            .write(Durability::Full, move |connection| Box::pin(async move { finish::delete(connection, job).await }))
             .await
     }
 
     /// Takes in a worker.
-    pub(crate) async fn register(&self, worker: NewWorker) -> Result<Registered> {
-        let moment = self.moment();
-        self.store
+    pub(crate) async fn register(&self, worker: NewWorker) -> Result<Registration> {
+        let moment = self.context();
+        self.database
             .write(Durability::Relaxed, move |connection| {
                 Box::pin(async move { workers::register(connection, worker, moment).await })
             })
@@ -261,31 +262,36 @@ impl Queue {
     /// Asks the pool worker of this process to drain; false if it has not registered yet.
     pub(crate) async fn drain(&self, process: u32) -> Result<bool> {
         let drained = self
-            .store
+            .database
             .write(Durability::Relaxed, move |connection| {
                 Box::pin(async move { workers::drain(connection, process).await })
             })
             .await?;
-        self.ring(Ring::NEWS);
+        self.wake(Wake::UPDATES);
         Ok(drained)
     }
 
     /// Records that a pool worker's process has ended, and ends its leases immediately.
-    pub(crate) async fn reaped(&self, process: u32, cause: Cause, message: String) -> Result<Option<WorkerId>> {
-        let moment = self.moment();
+    pub(crate) async fn worker_exited(
+        &self,
+        process: u32,
+        cause: LeaseEnd,
+        message: String,
+    ) -> Result<Option<WorkerId>> {
+        let moment = self.context();
         let (worker, ring) = self
-            .store
+            .database
             .write(Durability::Full, move |connection| {
                 Box::pin(async move { workers::reaped(connection, process, cause, &message, moment).await })
             })
             .await?;
-        self.ring(ring);
+        self.wake(ring);
         Ok(worker)
     }
 
     /// Deletes rows of workers that are gone and of leases past their use.
-    pub(crate) async fn tidy(&self) -> Result<()> {
-        self.store
+    pub(crate) async fn prune(&self) -> Result<()> {
+        self.database
             .write(Durability::Relaxed, move |connection| Box::pin(async move { recover::tidy(connection).await }))
             .await
     }
@@ -297,28 +303,28 @@ impl Queue {
 
     /// Signal sent after every commit.
     pub(crate) fn commits(&self) -> tokio::sync::watch::Receiver<()> {
-        self.store.bell()
+        self.database.commit_signal()
     }
 
     /// The database, for what only reads.
     pub(crate) fn readers(&self) -> &sqlx::sqlite::SqlitePool {
-        self.store.readers()
+        self.database.readers()
     }
 }
 
 /// A job's id, as logs name it.
-async fn id_of(connection: &mut Connection, job: i64) -> Result<String> {
+async fn job_id(connection: &mut Connection, job: i64) -> Result<String> {
     Ok(sqlx::query_scalar("SELECT id FROM job WHERE number = ?").bind(job).fetch_one(connection).await?)
 }
 
 /// Checks how many rows a transition changed.
-fn counted(what: &'static str, expected: u64, done: &sqlx::sqlite::SqliteQueryResult) -> Result<()> {
+fn expect_rows(what: &'static str, expected: u64, done: &sqlx::sqlite::SqliteQueryResult) -> Result<()> {
     let changed = done.rows_affected();
-    if changed == expected { Ok(()) } else { Err(StoreError::Rows { what, expected, changed }) }
+    if changed == expected { Ok(()) } else { Err(DatabaseError::Rows { what, expected, changed }) }
 }
 
 /// A number of rows, as the database counts.
-fn rows(count: usize) -> i64 {
+fn row_count(count: usize) -> i64 {
     (count as u64).cast_signed()
 }
 
@@ -334,8 +340,8 @@ fn json_numbers(items: impl IntoIterator<Item = i64>) -> String {
 }
 
 /// Reads a column that holds a name of ours.
-fn known<T>(column: &'static str, value: &str, parse: impl FnOnce(&str) -> Option<T>) -> Result<T> {
-    parse(value).ok_or_else(|| StoreError::Value { column, value: value.to_owned() })
+fn parse_column<T>(column: &'static str, value: &str, parse: impl FnOnce(&str) -> Option<T>) -> Result<T> {
+    parse(value).ok_or_else(|| DatabaseError::Value { column, value: value.to_owned() })
 }
 
 /// The connection every transition runs on: the writer's, inside its transaction.

@@ -6,63 +6,63 @@
 use std::collections::BTreeSet;
 
 use futures_util::stream::TryStreamExt;
-use proto::retention::{Collected, Collection, Reason};
+use proto::retention::{GcReport, RemovalReason, RemovedJob};
 
 use crate::clock::rfc3339;
+use crate::content_store::ContentKind;
+use crate::database::DatabaseError;
 use crate::farm::Farm;
-use crate::pictures::Kind;
-use crate::queue::Ended;
-use crate::store::StoreError;
+use crate::queue::FinishedJob;
 
 /// Maximum number of jobs deleted by one call.
 const MAX_JOBS: usize = 1000;
 /// Jobs per database query.
-const PAGE: u32 = 200;
+const JOBS_PER_PAGE: u32 = 200;
 
 /// Error when deleting jobs.
 #[derive(Debug, thiserror::Error)]
 pub(crate) enum RetentionError {
     /// The database could not do it.
     #[error(transparent)]
-    Store(#[from] StoreError),
+    Database(#[from] DatabaseError),
     /// The size of the store could not be determined.
     #[error("could not find out how large the store is")]
     Size(#[from] object_store::Error),
 }
 
 /// Job to delete, and the reason.
-struct Going {
-    job: Ended,
-    reason: Reason,
+struct Removal {
+    job: FinishedJob,
+    reason: RemovalReason,
     freed_bytes: u64,
 }
 
 /// Deletes the jobs past their retention, or only lists them with `dry_run`.
-pub(crate) async fn collect(farm: &Farm, dry_run: bool) -> Result<Collection, RetentionError> {
+pub(crate) async fn collect(farm: &Farm, dry_run: bool) -> Result<GcReport, RetentionError> {
     remove(farm, dry_run, store_bytes(farm).await?).await
 }
 
-async fn remove(farm: &Farm, dry_run: bool, store_bytes: u64) -> Result<Collection, RetentionError> {
-    let going = choose(farm, store_bytes).await?;
+async fn remove(farm: &Farm, dry_run: bool, store_bytes: u64) -> Result<GcReport, RetentionError> {
+    let going = select_jobs(farm, store_bytes).await?;
     let more = going.len() == MAX_JOBS;
     let mut jobs = Vec::with_capacity(going.len());
-    for Going { job, reason, freed_bytes } in going {
+    for Removal { job, reason, freed_bytes } in going {
         if !dry_run {
             let Some(removed) = farm.queue.remove(&job).await? else { continue };
             tracing::info!(job = %job.id, reason = reason.name(), freed_bytes, "removed a job that need not be kept");
-            farm.sweep_later(Kind::Picture, removed.pictures);
-            farm.sweep_later(Kind::Blob, removed.blobs);
+            farm.sweep_later(ContentKind::Picture, removed.pictures);
+            farm.sweep_later(ContentKind::Blob, removed.blobs);
         }
         let finished_at = rfc3339(job.finished_at_ms);
-        jobs.push(Collected { id: job.id, name: job.name, finished_at, reason, freed_bytes });
+        jobs.push(RemovedJob { id: job.id, name: job.name, finished_at, reason, freed_bytes });
     }
     let freed_bytes = jobs.iter().map(|job| job.freed_bytes).sum();
-    Ok(Collection { dry_run, store_bytes, max_store_bytes: farm.config.max_store_bytes, freed_bytes, jobs, more })
+    Ok(GcReport { dry_run, store_bytes, max_store_bytes: farm.config.max_store_bytes, freed_bytes, jobs, more })
 }
 
 /// Deletes all jobs past their retention, until shutdown.
-pub(crate) async fn collect_all(farm: &Farm) -> Result<(), RetentionError> {
-    while !farm.ending.is_cancelled() {
+pub(crate) async fn collect_until_done(farm: &Farm) -> Result<(), RetentionError> {
+    while !farm.shutdown.is_cancelled() {
         // The store is listed only where its size decides something.
         let store_bytes = if farm.config.max_store_bytes.is_some() { store_bytes(farm).await? } else { 0 };
         if !remove(farm, false, store_bytes).await?.more {
@@ -74,9 +74,9 @@ pub(crate) async fn collect_all(farm: &Farm) -> Result<(), RetentionError> {
 
 async fn store_bytes(farm: &Farm) -> object_store::Result<u64> {
     let mut sum_bytes = 0;
-    for kind in [Kind::Picture, Kind::Blob] {
+    for kind in [ContentKind::Picture, ContentKind::Blob] {
         sum_bytes += farm
-            .pictures
+            .content
             .list(kind)
             .try_fold(0, async |bytes, meta| Ok::<_, object_store::Error>(bytes + meta.size))
             .await?;
@@ -84,23 +84,23 @@ async fn store_bytes(farm: &Farm) -> object_store::Result<u64> {
     Ok(sum_bytes)
 }
 
-async fn choose(farm: &Farm, store_bytes: u64) -> Result<Vec<Going>, StoreError> {
-    let kept_ms = farm.config.keep_jobs.map(|time| i64::try_from(time.as_millis()).unwrap_or(i64::MAX));
+async fn select_jobs(farm: &Farm, store_bytes: u64) -> Result<Vec<Removal>, DatabaseError> {
+    let kept_ms = farm.config.job_retention.map(|time| i64::try_from(time.as_millis()).unwrap_or(i64::MAX));
     let mut going = Vec::new();
     let mut numbers = Vec::new();
     let mut left_bytes = store_bytes;
-    let mut outdated = farm.queue.outdated(kept_ms, MAX_JOBS as u32).await?;
+    let mut outdated = farm.queue.expired_jobs(kept_ms, MAX_JOBS as u32).await?;
     outdated.truncate(MAX_JOBS);
     for job in outdated {
         let freed_bytes = farm.queue.freed_bytes(&job, &numbers).await?;
         left_bytes = left_bytes.saturating_sub(freed_bytes);
         numbers.push(job.number);
-        going.push(Going { job, reason: Reason::Age, freed_bytes });
+        going.push(Removal { job, reason: RemovalReason::Age, freed_bytes });
     }
     let Some(max_bytes) = farm.config.max_store_bytes else { return Ok(going) };
-    let mut after: Option<Ended> = None;
+    let mut after: Option<FinishedJob> = None;
     while left_bytes > max_bytes && going.len() < MAX_JOBS {
-        let page = farm.queue.oldest(after.as_ref(), PAGE).await?;
+        let page = farm.queue.oldest_jobs(after.as_ref(), JOBS_PER_PAGE).await?;
         let Some(last) = page.last() else { break };
         after = Some(last.clone());
         for job in page {
@@ -113,16 +113,20 @@ async fn choose(farm: &Farm, store_bytes: u64) -> Result<Vec<Going>, StoreError>
             let freed_bytes = farm.queue.freed_bytes(&job, &numbers).await?;
             left_bytes = left_bytes.saturating_sub(freed_bytes);
             numbers.push(job.number);
-            going.push(Going { job, reason: Reason::Size, freed_bytes });
+            going.push(Removal { job, reason: RemovalReason::Size, freed_bytes });
         }
     }
-    spare(farm, going, &numbers).await
+    keep_shared_pictures(farm, going, &numbers).await
 }
 
 /// Of the jobs to delete for the store's size, spares those whose pictures other jobs use anyway.
-async fn spare(farm: &Farm, going: Vec<Going>, numbers: &[i64]) -> Result<Vec<Going>, StoreError> {
+async fn keep_shared_pictures(
+    farm: &Farm,
+    going: Vec<Removal>,
+    numbers: &[i64],
+) -> Result<Vec<Removal>, DatabaseError> {
     let mut spared = BTreeSet::new();
-    for one in going.iter().filter(|one| one.reason == Reason::Size && one.freed_bytes == 0) {
+    for one in going.iter().filter(|one| one.reason == RemovalReason::Size && one.freed_bytes == 0) {
         if farm.queue.freed_bytes(&one.job, numbers).await? == 0 {
             spared.insert(one.job.number);
         }

@@ -17,12 +17,12 @@ use serde_json::{Value, json};
 use tokio::task::JoinSet;
 use tokio_util::sync::CancellationToken;
 
+use crate::database::DatabaseError;
 use crate::farm::Farm;
 use crate::queue::{Attempt, Delivery, jitter};
-use crate::store::StoreError;
 
+pub(crate) use guard::AddressPolicy;
 pub use guard::AddressRange;
-pub(crate) use guard::Guard;
 pub(crate) use sign::Signer;
 pub use sign::{SecretError, webhook_secret};
 
@@ -32,17 +32,17 @@ pub(crate) const EVENTS: [&str; 5] = ["job.running", "job.succeeded", "job.faile
 pub(crate) const FINAL_EVENTS: [&str; 3] = ["job.succeeded", "job.failed", "job.cancelled"];
 
 /// Attempts under way at a time.
-const AT_ONCE: usize = 16;
+const MAX_CONCURRENT: usize = 16;
 /// Time limit for connecting.
 const CONNECT_TIMEOUT: Duration = Duration::from_secs(5);
 /// Time limit for a response.
 const TIMEOUT: Duration = Duration::from_secs(15);
 /// Interval between checks for due deliveries, in addition to those after commits.
-const TICK: Duration = Duration::from_secs(1);
+const POLL_INTERVAL: Duration = Duration::from_secs(1);
 /// And not more often than this.
-const PAUSE: Duration = Duration::from_millis(100);
+const MIN_POLL_INTERVAL: Duration = Duration::from_millis(100);
 /// Waits after failed attempts, before jitter, in seconds; after the last the delivery has failed.
-const WAITS_SECONDS: [u64; 9] = [5, 30, 120, 600, 1_800, 7_200, 21_600, 43_200, 86_400];
+const RETRY_DELAYS_SECONDS: [u64; 9] = [5, 30, 120, 600, 1_800, 7_200, 21_600, 43_200, 86_400];
 /// Most of an error that is written down, in characters.
 const ERROR_CHARACTERS: usize = 300;
 
@@ -50,18 +50,18 @@ const ERROR_CHARACTERS: usize = 300;
 #[derive(Debug)]
 pub(crate) struct Webhooks {
     /// Permitted addresses.
-    pub(crate) guard: Guard,
+    pub(crate) guard: AddressPolicy,
     signer: Signer,
 }
 
 impl Webhooks {
     /// Sends to where the guard lets through, signed.
-    pub(crate) fn new(guard: Guard, signer: Signer) -> Self {
+    pub(crate) fn new(guard: AddressPolicy, signer: Signer) -> Self {
         Self { guard, signer }
     }
 
     fn client(&self, is_http: bool) -> reqwest::Result<Client> {
-        proto::access::client_builder()
+        proto::client_auth::client_builder()
             .connect_timeout(CONNECT_TIMEOUT)
             .timeout(TIMEOUT)
             .redirect(Policy::none())
@@ -76,13 +76,13 @@ impl Webhooks {
 
 /// HTTP clients for TLS and for plain HTTP; each is created at its first use.
 #[derive(Debug, Default)]
-struct Clients {
+struct ClientPair {
     https: Option<Client>,
     http: Option<Client>,
 }
 
-impl Clients {
-    fn of(&mut self, webhooks: &Webhooks, is_http: bool) -> Result<Client, String> {
+impl ClientPair {
+    fn get(&mut self, webhooks: &Webhooks, is_http: bool) -> Result<Client, String> {
         let client = if is_http { &mut self.http } else { &mut self.https };
         if let Some(client) = client {
             return Ok(client.clone());
@@ -95,9 +95,9 @@ impl Clients {
 /// Sends what is due until the farm is closed.
 pub(crate) async fn run(farm: Arc<Farm>, end: CancellationToken) {
     let mut commits = farm.queue.commits();
-    let mut clients = Clients::default();
+    let mut clients = ClientPair::default();
     let mut under_way = HashSet::new();
-    let mut attempts: JoinSet<(i64, Result<(), StoreError>)> = JoinSet::new();
+    let mut attempts: JoinSet<(i64, Result<(), DatabaseError>)> = JoinSet::new();
     loop {
         tokio::select! {
             () = end.cancelled() => return,
@@ -110,9 +110,9 @@ pub(crate) async fn run(farm: Arc<Farm>, end: CancellationToken) {
                 }
                 Err(error) => tracing::error!(%error, "a delivery's attempt panicked"),
             },
-            changed = tokio::time::timeout(TICK, commits.changed()) => if matches!(changed, Ok(Err(_))) { return },
+            changed = tokio::time::timeout(POLL_INTERVAL, commits.changed()) => if matches!(changed, Ok(Err(_))) { return },
         }
-        let limit = AT_ONCE + under_way.len();
+        let limit = MAX_CONCURRENT + under_way.len();
         let due = match farm.queue.due_deliveries(limit as u32).await {
             Ok(due) => due,
             Err(error) => {
@@ -121,18 +121,18 @@ pub(crate) async fn run(farm: Arc<Farm>, end: CancellationToken) {
             }
         };
         for delivery in due {
-            if under_way.len() >= AT_ONCE || !under_way.insert(delivery.number) {
+            if under_way.len() >= MAX_CONCURRENT || !under_way.insert(delivery.number) {
                 continue;
             }
             let is_http = delivery.url.starts_with("http:");
-            let client = clients.of(&farm.webhooks, is_http);
+            let client = clients.get(&farm.webhooks, is_http);
             let farm = Arc::clone(&farm);
             attempts.spawn(async move {
                 let attempt = attempt(&farm, client, &delivery).await;
-                (delivery.number, farm.queue.attempted(delivery.number, attempt).await)
+                (delivery.number, farm.queue.record_attempt(delivery.number, attempt).await)
             });
         }
-        tokio::time::sleep(PAUSE).await;
+        tokio::time::sleep(MIN_POLL_INTERVAL).await;
     }
 }
 
@@ -153,7 +153,7 @@ async fn attempt(farm: &Farm, client: Result<Client, String>, delivery: &Deliver
         message = %delivery.id, job = %delivery.job, attempts = delivery.attempts + 1, %error,
         gives_up = again_in.is_none(), "a webhook was not delivered"
     );
-    Attempt::Failed { status, error, again_in }
+    Attempt::Failed { status, error, retry_in: again_in }
 }
 
 /// Sends a delivery, and returns the answer's status.
@@ -193,7 +193,7 @@ fn message(delivery: &Delivery) -> String {
 
 /// Delay before the next attempt; `jitter` is from 0 to 1.
 fn wait(attempts: u32, jitter: f64) -> Option<Duration> {
-    let seconds = *WAITS_SECONDS.get(attempts as usize)?;
+    let seconds = *RETRY_DELAYS_SECONDS.get(attempts as usize)?;
     Some(Duration::from_secs(seconds).mul_f64(0.8 + 0.4 * jitter))
 }
 

@@ -5,28 +5,28 @@ mod skip;
 
 mod api {
     mod bad_input;
-    mod change;
     mod clocks;
     mod connections;
     mod events;
     mod files;
     mod frames;
     pub(crate) mod harness;
+    mod idempotency;
     mod images;
+    mod job_changes;
     mod jobs;
     pub(crate) mod keys;
     mod leases;
-    mod life;
     mod links;
     mod load;
-    mod matrix;
+    mod metrics;
     mod nodes;
+    mod permissions;
     mod pool;
     mod previews;
     mod queue;
     mod retention;
     mod start_page;
-    mod watch;
+    mod startup;
     mod webhooks;
-    mod wish;
 }

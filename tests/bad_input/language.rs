@@ -195,7 +195,7 @@ fn materials() -> Vec<Case> {
             "takes no texture",
         ),
         material(
-            "texture on a colour that can't take one",
+            "texture on a color that can't take one",
             r#"{ "volume": { "density": 1, "albedo": ¤{ "checker": { "cell": 1 } } } }"#,
             "/volume/albedo",
             "takes no texture",
@@ -208,13 +208,13 @@ fn materials() -> Vec<Case> {
             "checker",
         ),
         material(
-            "three colours of two",
+            "three colors of two",
             r##"{ "flat": { "color": { "checker": { "cell": 1, "colors": ¤["#000000", "#000000", "#000000"] } } } }"##,
             "/flat/color/checker/colors",
             "has 3 entries",
         ),
-        material("name of a colour", r#"{ "flat": { "color": ¤"red" } }"#, "/flat/color", "#rrggbb"),
-        material("colour below black", r#"{ "flat": { "color": [¤-1, 0, 0] } }"#, "/flat/color/0", "from 0 to 1e6"),
+        material("name of a color", r#"{ "flat": { "color": ¤"red" } }"#, "/flat/color", "#rrggbb"),
+        material("color below black", r#"{ "flat": { "color": [¤-1, 0, 0] } }"#, "/flat/color/0", "from 0 to 1e6"),
         material("index of refraction of 0.5", r#"{ "surface": { "ior": ¤0.5 } }"#, "/surface/ior", "from 1 to 4"),
         material("roughness of 2", r#"{ "surface": { "roughness": ¤2 } }"#, "/surface/roughness", "from 0 to 1"),
         material(

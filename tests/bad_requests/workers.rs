@@ -7,7 +7,7 @@ const SYNC: &str = "POST /v1/worker/sync";
 const JSON: &str = "content-type: application/json";
 const HELLO: &str = r#"{"name":"n","device":"cpu","picture_version":{version},"max_nodes":null,"process":1}"#;
 const SAID: &str =
-    r#"{"worker":"{worker}","rays_per_second":null,"holding":[],"results":[],"wants_work":false,"wait_ms":0}"#;
+    r#"{"worker":"{worker}","rays_per_second":null,"held_leases":[],"reports":[],"wants_work":false,"wait_ms":0}"#;
 const OTHER_HASH: &str = "0000000000000000000000000000000000000000000000000000000000000000";
 
 /// A message with one thing replaced.
@@ -41,15 +41,15 @@ fn sync() -> Vec<Request> {
         ("a worker that is none", "{worker}", "me"),
         ("no worker", "\"worker\":\"{worker}\",", ""),
         ("a speed in words", "null", "\"fast\""),
-        ("leases that are none", "\"holding\":[]", "\"holding\":[\"x\"]"),
-        ("leases that are no list", "\"holding\":[]", "\"holding\":{}"),
-        ("results that are no list", "\"results\":[]", "\"results\":null"),
-        ("a result without an outcome", "\"results\":[]", "\"results\":[{\"lease\":\"{stale}\"}]"),
-        ("an outcome nobody knows", "\"results\":[]", "\"results\":[{\"lease\":\"{stale}\",\"outcome\":\"won\"}]"),
+        ("leases that are none", "\"held_leases\":[]", "\"held_leases\":[\"x\"]"),
+        ("leases that are no list", "\"held_leases\":[]", "\"held_leases\":{}"),
+        ("results that are no list", "\"reports\":[]", "\"reports\":null"),
+        ("a result without an outcome", "\"reports\":[]", "\"reports\":[{\"lease\":\"{stale}\"}]"),
+        ("an outcome nobody knows", "\"reports\":[]", "\"reports\":[{\"lease\":\"{stale}\",\"outcome\":\"won\"}]"),
         (
             "a blob of a size below none",
-            "\"results\":[]",
-            "\"results\":[{\"lease\":\"{stale}\",\"outcome\":{\"blob\":{\"hash\":\"{hash}\",\"size_bytes\":-1}}}]",
+            "\"reports\":[]",
+            "\"reports\":[{\"lease\":\"{stale}\",\"outcome\":{\"blob\":{\"hash\":\"{hash}\",\"size_bytes\":-1}}}]",
         ),
         ("a wish in words", "\"wants_work\":false", "\"wants_work\":\"no\""),
         ("a wait below none", "\"wait_ms\":0", "\"wait_ms\":-1"),
@@ -64,8 +64,8 @@ fn sync() -> Vec<Request> {
 /// Results without effect: they are answered, and named lost.
 fn stale() -> Vec<Request> {
     let result = |name: &str, lease: &str, outcome: &str| {
-        let results = format!("\"results\":[{{\"lease\":\"{lease}\",\"outcome\":{outcome}}}]");
-        changed(SYNC, name, SAID, "\"results\":[]", &results).foreign()
+        let results = format!("\"reports\":[{{\"lease\":\"{lease}\",\"outcome\":{outcome}}}]");
+        changed(SYNC, name, SAID, "\"reports\":[]", &results).foreign()
     };
     let picture = r#"{"picture":{"hash":"{hash}","size_bytes":21}}"#;
     vec![
@@ -77,8 +77,9 @@ fn stale() -> Vec<Request> {
         result("a picture whose name is no hash", "{stale}", &picture.replace("{hash}", "../../etc/passwd")),
         result("a failure under a stale lease", "{stale}", r#"{"failed":{"message":"no"}}"#),
         result("bad blobs under a stale lease", "{stale}", r#"{"bad_blobs":{"tiles":[0,1,4294967295]}}"#),
-        result("a hand-back under a stale lease", "{stale}", "\"handed_back\""),
-        changed(SYNC, "a stale lease that is held", SAID, "\"holding\":[]", "\"holding\":[\"{stale}\"]").foreign(),
+        result("a hand-back under a stale lease", "{stale}", "\"released\""),
+        changed(SYNC, "a stale lease that is held", SAID, "\"held_leases\":[]", "\"held_leases\":[\"{stale}\"]")
+            .foreign(),
         changed(SYNC, "a speed beyond all", SAID, "null", "1e308").foreign(),
         changed(SYNC, "a speed below none", SAID, "null", "-1").foreign(),
     ]

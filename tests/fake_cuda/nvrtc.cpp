@@ -45,13 +45,13 @@ extern "C" {
 void run_render(void** arguments, const unsigned* grid, const unsigned* block) {
     run_all(render, arguments, grid, block);
 }
-#ifdef LAYER_PLANES
+#ifdef AOV_PLANES
 void run_layers(void** arguments, const unsigned* grid, const unsigned* block) {
     run_all(layers, arguments, grid, block);
 }
 #endif
-void* place_of_k = k;
-size_t size_of_k = sizeof k;
+void* place_of_uniforms = uniforms;
+size_t size_of_uniforms = sizeof uniforms;
 }
 )";
 

@@ -2,7 +2,7 @@
 
 use std::process::{Child, Stdio};
 
-use proto::fail;
+use proto::fail_point;
 use rustix::process::Signal;
 
 use crate::jobs;
@@ -16,7 +16,7 @@ impl Remote {
     pub(crate) fn start(farm: &Farm, points: Option<&str>) -> Self {
         let mut command = sdfarm(&["worker", "--server", &farm.address, "--device", "cpu", "--threads", "1"]);
         if let Some(points) = points {
-            command.arg(fail::FLAG).env(fail::VARIABLE, points);
+            command.arg(fail_point::FLAG).env(fail_point::ENV_VAR, points);
         }
         let started = command.stdin(Stdio::null()).stdout(Stdio::null()).stderr(Stdio::null()).spawn();
         Self(started.expect("the program starts"))

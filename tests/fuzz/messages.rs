@@ -1,7 +1,7 @@
 //! Job files, and what workers and servers say to each other.
 
 use proto::Problem;
-use proto::work::{Hello, SyncReply, SyncRequest};
+use proto::worker_protocol::{RegisterRequest, SyncRequest, SyncResponse};
 use serde_json::json;
 
 use super::{Effort, fuzz};
@@ -22,19 +22,21 @@ fn try_job_files(effort: Effort) {
             assert_eq!(again.name, job.name);
             assert!(job.at(0).is_ok(), "a job that is taken has a first frame");
         }
-        Err(scene::Refusal::NotJson(fault)) => assert!(!fault.message.is_empty()),
-        Err(scene::Refusal::Wrong(faults)) => assert!(!faults.is_empty() && faults.iter().all(|fault| fault.line > 0)),
+        Err(scene::ParseError::NotJson(fault)) => assert!(!fault.message.is_empty()),
+        Err(scene::ParseError::Invalid(faults)) => {
+            assert!(!faults.is_empty() && faults.iter().all(|fault| fault.line > 0))
+        }
     });
 }
 
 #[test]
-fn fuzzed_job_files_are_taken_or_refused() {
+fn fuzzed_job_files_are_taken_or_rejected() {
     try_job_files(Effort::Runs(300));
 }
 
 #[test]
 #[ignore = "long: fuzzing for a minute"]
-fn long_fuzzed_job_files_are_taken_or_refused() {
+fn long_fuzzed_job_files_are_taken_or_rejected() {
     try_job_files(Effort::Long);
 }
 
@@ -43,18 +45,18 @@ fn requests() -> Vec<Vec<u8>> {
     let hash = "0".repeat(64);
     [
         json!({ "name": "n", "device": "cpu", "picture_version": 1, "max_nodes": null, "process": 1 }),
-        json!({ "worker": id, "rays_per_second": 1e6, "holding": [id], "wants_work": true, "wait_ms": 10_000,
-                "results": [{ "lease": id, "outcome": { "blob": { "hash": hash, "size_bytes": 4096 } } }] }),
-        json!({ "worker": id, "rays_per_second": null, "holding": [], "wants_work": false, "wait_ms": 0, "leaving": true,
-                "results": [{ "lease": id, "outcome": { "bad_blobs": { "tiles": [0, 7] } } },
-                            { "lease": id, "outcome": "handed_back" },
+        json!({ "worker": id, "rays_per_second": 1e6, "held_leases": [id], "wants_work": true, "wait_ms": 10_000,
+                "reports": [{ "lease": id, "outcome": { "blob": { "hash": hash, "size_bytes": 4096 } } }] }),
+        json!({ "worker": id, "rays_per_second": null, "held_leases": [], "wants_work": false, "wait_ms": 0, "shutting_down": true,
+                "reports": [{ "lease": id, "outcome": { "bad_blobs": { "tiles": [0, 7] } } },
+                            { "lease": id, "outcome": "released" },
                             { "lease": id, "outcome": { "failed": { "message": "no" } } }] }),
-        json!({ "run": { "job": id, "frame": 3, "work": { "render": { "whole_frame": true, "tiles": [
+        json!({ "batch": { "job": id, "frame": 3, "work": { "render": { "whole_frame": true, "tiles": [
                     { "lease": id, "index": 0, "rect": { "x": 0, "y": 0, "width": 64, "height": 64 } }] } } },
-                "lost": [id], "drain": false }),
-        json!({ "run": { "job": id, "frame": 0, "work": { "stitch": { "lease": id, "parts": [
+                "revoked_leases": [id], "drain": false }),
+        json!({ "batch": { "job": id, "frame": 0, "work": { "stitch": { "lease": id, "inputs": [
                     { "index": 0, "rect": { "x": 0, "y": 0, "width": 64, "height": 64 }, "hash": hash, "size_bytes": 1 }] } } },
-                "lost": [], "drain": true }),
+                "revoked_leases": [], "drain": true }),
         json!({ "type": "/docs#x", "title": "t", "status": 422, "code": "x", "detail": "d", "errors": [] }),
     ]
     .iter()
@@ -69,22 +71,22 @@ fn try_messages(effort: Effort) {
             let said = serde_json::to_vec(&request).expect("writable");
             serde_json::from_slice::<SyncRequest>(&said).expect("what is understood can be said");
         }
-        if let Ok(reply) = serde_json::from_slice::<SyncReply>(text) {
+        if let Ok(reply) = serde_json::from_slice::<SyncResponse>(text) {
             let said = serde_json::to_vec(&reply).expect("writable");
-            serde_json::from_slice::<SyncReply>(&said).expect("what is understood can be said");
+            serde_json::from_slice::<SyncResponse>(&said).expect("what is understood can be said");
         }
-        drop(serde_json::from_slice::<Hello>(text));
+        drop(serde_json::from_slice::<RegisterRequest>(text));
         drop(serde_json::from_slice::<Problem>(text));
     });
 }
 
 #[test]
-fn fuzzed_messages_of_workers_are_understood_or_refused() {
+fn fuzzed_messages_of_workers_are_understood_or_rejected() {
     try_messages(Effort::Runs(2000));
 }
 
 #[test]
 #[ignore = "long: fuzzing for a minute"]
-fn long_fuzzed_messages_of_workers_are_understood_or_refused() {
+fn long_fuzzed_messages_of_workers_are_understood_or_rejected() {
     try_messages(Effort::Long);
 }

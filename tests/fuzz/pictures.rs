@@ -5,17 +5,17 @@ use std::io::Cursor;
 use proto::Rect;
 use serde_json::json;
 use worker::blob;
-use worker::image::Picture;
-use worker::stitch::Tiles;
-use worker::{Cancel, Pixels};
+use worker::image::PictureSpec;
+use worker::stitch::TileRows;
+use worker::{CancelFlag, TilePixels};
 
 use super::{Effort, fuzz};
 use crate::jobs;
 
 /// A tile of these planes, with samples of all sorts.
-fn tile(rect: Rect, planes: usize) -> Pixels {
+fn tile(rect: Rect, planes: usize) -> TilePixels {
     let samples = |plane: usize| (0..rect.pixels()).map(move |pixel| (pixel as f32 - 7.5) * (plane as f32).exp2());
-    Pixels { rect, planes: (0..planes).map(|plane| samples(plane).collect()).collect() }
+    TilePixels { rect, planes: (0..planes).map(|plane| samples(plane).collect()).collect() }
 }
 
 /// A blob is read as what it was written from, or refused.
@@ -28,7 +28,7 @@ fn try_blobs(effort: Effort) {
         if let Ok(pixels) = &whole {
             assert_eq!(blob::encode(pixels), bytes, "what was read is not what was written");
         }
-        if let Ok(mut reader) = blob::Reader::open_at(Cursor::new(bytes), 0) {
+        if let Ok(mut reader) = blob::BlobReader::open_at(Cursor::new(bytes), 0) {
             let (rows, last) = (reader.rect().height, reader.planes() - 1);
             // A header may promise more than there is; then the rows are refused, before memory is taken for them.
             if u64::from(rows) * u64::from(reader.rect().width) <= bytes.len() as u64 {
@@ -41,13 +41,13 @@ fn try_blobs(effort: Effort) {
 }
 
 #[test]
-fn fuzzed_blobs_are_read_whole_or_refused() {
+fn fuzzed_blobs_are_read_whole_or_rejected() {
     try_blobs(Effort::Runs(2000));
 }
 
 #[test]
 #[ignore = "long: fuzzing for a minute"]
-fn long_fuzzed_blobs_are_read_whole_or_refused() {
+fn long_fuzzed_blobs_are_read_whole_or_rejected() {
     try_blobs(Effort::Long);
 }
 
@@ -63,18 +63,18 @@ pub(super) fn job(image: serde_json::Value) -> scene::Job {
 }
 
 /// A tile whose samples are these bytes, over and over; what a renderer never gives, not a number, is left out.
-pub(super) fn tile_of(bytes: &[u8], planes: usize) -> Pixels {
+pub(super) fn tile_of(bytes: &[u8], planes: usize) -> TilePixels {
     let floats: Vec<f32> = bytes.as_chunks::<4>().0.iter().map(|&bytes| f32::from_le_bytes(bytes)).collect();
     let sound = floats.into_iter().map(|sample| if sample.is_nan() { 0.5 } else { sample }).chain([0.25]);
     let mut samples = sound.collect::<Vec<_>>().into_iter().cycle();
     let pixels = SIZE.pixels() as usize;
-    Pixels { rect: SIZE, planes: (0..planes).map(|_| samples.by_ref().take(pixels).collect()).collect() }
+    TilePixels { rect: SIZE, planes: (0..planes).map(|_| samples.by_ref().take(pixels).collect()).collect() }
 }
 
-pub(super) fn written(job: &scene::Job, tile: Pixels) -> Vec<u8> {
-    let picture = Picture::of(&job.at(0).expect("a first frame"));
+pub(super) fn written(job: &scene::Job, tile: TilePixels) -> Vec<u8> {
+    let picture = PictureSpec::new(&job.at(0).expect("a first frame"));
     let mut out = Cursor::new(Vec::new());
-    picture.write(&mut Tiles(&[tile]), &mut out, &Cancel::new()).expect("any samples can be written");
+    picture.write(&mut TileRows(&[tile]), &mut out, &CancelFlag::new()).expect("any samples can be written");
     out.into_inner()
 }
 

@@ -30,7 +30,7 @@ fn files() -> Vec<Vec<u8>> {
 
 /// What the child answers, and how it ended. Its standard input stays open as long as it lives.
 fn sketched(line: &str) -> (Vec<u8>, String, Option<i32>) {
-    let mut command = sdfarm(&[proto::sketch::COMMAND]);
+    let mut command = sdfarm(&[proto::preview_helper::HELPER_COMMAND]);
     let mut child = command
         .stdin(Stdio::piped())
         .stdout(Stdio::piped())
@@ -49,7 +49,7 @@ fn sketched(line: &str) -> (Vec<u8>, String, Option<i32>) {
 fn try_stored_pictures(effort: Effort) {
     let folder = tempfile::tempdir().expect("a folder");
     let path = folder.path().join("picture");
-    let line = json!({ "what": "stored", "file": path, "width_px": WIDTH_PX }).to_string();
+    let line = json!({ "what": "thumbnail", "file": path, "width_px": WIDTH_PX }).to_string();
     let mut drawn = 0;
     fuzz("stored pictures", effort, &files(), |bytes| {
         std::fs::write(&path, bytes).expect("written");
@@ -68,12 +68,12 @@ fn try_stored_pictures(effort: Effort) {
 }
 
 #[test]
-fn fuzzed_stored_pictures_are_drawn_or_refused() {
+fn fuzzed_stored_pictures_are_drawn_or_rejected() {
     try_stored_pictures(Effort::Runs(20));
 }
 
 #[test]
 #[ignore = "long: fuzzing for a minute"]
-fn long_fuzzed_stored_pictures_are_drawn_or_refused() {
+fn long_fuzzed_stored_pictures_are_drawn_or_rejected() {
     try_stored_pictures(Effort::Long);
 }

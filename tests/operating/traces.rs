@@ -170,7 +170,7 @@ fn one_trace_shows_a_job_from_its_request_to_its_picture_and_logs_name_it() {
     assert!(farm.terminate().success());
 
     let spans = collector.of_trace(TRACE);
-    assert_eq!(names_up_from("deliver", &spans), ["deliver", "run", "lease", "request"], "{spans:?}");
+    assert_eq!(names_up_from("deliver", &spans), ["deliver", "batch", "lease", "request"], "{spans:?}");
     for name in ["submit", "render", "encode"] {
         assert!(spans.iter().any(|span| span.name == name), "no {name} in {spans:?}");
     }
@@ -188,7 +188,7 @@ fn trace_goes_on_where_a_remote_worker_brings_its_picture() {
     assert!(wait(&mut worker).success());
     assert!(farm.terminate().success());
     let spans = collector.of_trace(TRACE);
-    let names = ["store", "request", "deliver", "run", "lease", "request"];
+    let names = ["store", "request", "deliver", "batch", "lease", "request"];
     assert_eq!(names_up_from("store", &spans), names, "{spans:?}");
 }
 

@@ -4,30 +4,30 @@
 //! It keeps no state that matters: if it is killed at any instant, its tiles are leased again.
 
 mod back_off;
-mod deliver;
-mod jobs;
-mod link;
-mod measuring;
+mod executor;
+mod job_cache;
+mod metrics;
 mod rendering;
+mod server_client;
 mod session;
 mod stitching;
-mod store;
-mod workbench;
+mod store_access;
+mod upload;
 
 use std::io::Read;
 use std::path::PathBuf;
 use std::sync::Arc;
 use std::time::Duration;
 
-use proto::work::{Hello, Welcome};
-use proto::{Access, AccessError};
+use proto::worker_protocol::{RegisterRequest, RegisterResponse};
+use proto::{ClientAuth, ClientAuthError};
 use tokio_util::sync::CancellationToken;
 
 use crate::image::Encoders;
 use crate::renderer::Renderer;
 use back_off::BackOff;
-use link::{Link, LinkError};
-use session::{Ending, Session};
+use server_client::{ServerClient, ServerError};
+use session::{Session, SessionEnd};
 
 /// Settings of an agent.
 #[derive(Clone, Debug)]
@@ -37,14 +37,14 @@ pub struct AgentConfig {
     /// A label for people.
     pub name: String,
     /// Certificates and key for calling the server.
-    pub access: Access,
+    pub auth: ClientAuth,
     /// Folder for data that does not fit in memory, in unnamed files.
     pub scratch: PathBuf,
     /// After a shutdown, how long to continue the leases it holds before releasing them.
     pub grace: Duration,
     /// Started by a server on this machine: it exits at once when standard input closes, and writes
     /// directly into the server's folders. Folder paths from any other server are ignored.
-    pub of_pool: bool,
+    pub is_pool_worker: bool,
 }
 
 impl AgentConfig {
@@ -53,10 +53,10 @@ impl AgentConfig {
         Self {
             server: server.into(),
             name: name.into(),
-            access: Access::default(),
+            auth: ClientAuth::default(),
             scratch: std::env::temp_dir(),
             grace: Duration::from_secs(8),
-            of_pool: false,
+            is_pool_worker: false,
         }
     }
 }
@@ -68,27 +68,31 @@ pub async fn run(
     renderer: Arc<dyn Renderer>,
     shutdown: CancellationToken,
 ) -> Result<(), AgentError> {
-    if config.of_pool {
+    if config.is_pool_worker {
         std::thread::spawn(exit_when_stdin_closes);
     }
-    let encoders = Encoders::new(renderer.encoders()).map_err(AgentError::Encoders)?;
-    let link = Arc::new(Link::new(&config.server, config.access.clone())?);
+    let encoders = Encoders::new(renderer.encoder_threads()).map_err(AgentError::Encoders)?;
+    let link = Arc::new(ServerClient::new(&config.server, config.auth.clone())?);
     loop {
         let registered = tokio::select! {
             registered = register(&link, &config, &*renderer) => registered?,
             () = shutdown.cancelled() => return Ok(()),
         };
         let session = Session::new(&config, registered, link.clone(), renderer.clone(), encoders.clone());
-        match session.work(&shutdown).await.map_err(|error| refused(&config, &error))? {
-            Ending::Drained => return Ok(()),
-            Ending::Retired(reason) => return Err(AgentError::Retired { reason }),
-            Ending::Unknown => tracing::warn!("the server no longer knows this worker; registering again"),
+        match session.work(&shutdown).await.map_err(|error| rejected(&config, &error))? {
+            SessionEnd::Drained => return Ok(()),
+            SessionEnd::DeviceLost(reason) => return Err(AgentError::DeviceLost { reason }),
+            SessionEnd::NotRegistered => tracing::warn!("the server no longer knows this worker; registering again"),
         }
     }
 }
 
-async fn register(link: &Link, config: &AgentConfig, renderer: &dyn Renderer) -> Result<Welcome, AgentError> {
-    let hello = Hello {
+async fn register(
+    link: &ServerClient,
+    config: &AgentConfig,
+    renderer: &dyn Renderer,
+) -> Result<RegisterResponse, AgentError> {
+    let hello = RegisterRequest {
         name: config.name.clone(),
         device: renderer.device(),
         picture_version: scene::PICTURE_VERSION,
@@ -103,19 +107,19 @@ async fn register(link: &Link, config: &AgentConfig, renderer: &dyn Renderer) ->
                 tracing::info!(worker = %welcome.worker, server = config.server, device = hello.device, "registered");
                 return Ok(welcome);
             }
-            Err(error) if error.is_passing() => {
+            Err(error) if error.is_transient() => {
                 if !is_told {
                     tracing::warn!(error = %error, server = config.server, "waiting for a server; start one with `sdfarm serve`, or name another with --server");
                     is_told = true;
                 }
                 back_off.pause().await;
             }
-            Err(error) => return Err(refused(config, &error)),
+            Err(error) => return Err(rejected(config, &error)),
         }
     }
 }
 
-fn refused(config: &AgentConfig, error: &LinkError) -> AgentError {
+fn rejected(config: &AgentConfig, error: &ServerError) -> AgentError {
     AgentError::Refused { server: config.server.clone(), reason: error.to_string() }
 }
 
@@ -137,7 +141,7 @@ fn exit_when_stdin_closes() {
 pub enum AgentError {
     /// No server can be there.
     #[error(transparent)]
-    Access(#[from] AccessError),
+    Access(#[from] ClientAuthError),
     /// HTTP can't be spoken here.
     #[error("could not prepare to call the server")]
     Client(#[source] reqwest::Error),
@@ -154,7 +158,7 @@ pub enum AgentError {
     },
     /// The device is lost; its leases have been released.
     #[error("the device will render no more: {reason}")]
-    Retired {
+    DeviceLost {
         /// Reason.
         reason: String,
     },

@@ -5,14 +5,14 @@ use std::time::{Duration, Instant};
 use fearless_simd::Simd as Token;
 use proto::Rect;
 use scene::real::vec3;
-use scene::{Job, Program};
+use scene::{Integrator, Job};
 use serde::Serialize;
 
 use crate::cpu::Packets;
-use crate::cuda::{CudaRenderer, Source};
+use crate::cuda::{CudaRenderer, KernelSource};
 use crate::lanes::Lanes;
 use crate::simd::with_instructions;
-use crate::{Cancel, CpuRenderer, RenderError, Renderer, Simd, TileRun};
+use crate::{CancelFlag, CpuRenderer, RenderError, Renderer, Simd, TileRequest};
 
 /// Distances a second, of one core.
 #[derive(Clone, Debug, Serialize)]
@@ -88,20 +88,20 @@ pub struct GpuReport {
 
 /// Renders a frame of `job` some times on a GPU; `cpu` counts what that takes.
 pub fn render_on_gpu(job: &Job, gpu: &CudaRenderer, cpu: &CpuRenderer, runs: usize) -> Result<GpuReport, RenderError> {
-    let run = TileRun { job, frame: 0, rect: Rect::whole(job.image.width, job.image.height) };
+    let run = TileRequest { job, frame: 0, rect: Rect::full(job.image.width, job.image.height) };
     let source_time = Instant::now();
-    let source = Source::new(&job.at(0)?);
+    let source = KernelSource::new(&job.at(0)?);
     let source_time = source_time.elapsed();
-    gpu.forget();
+    gpu.clear_kernels();
     let first = gpu.compile(&run)?;
-    gpu.forget();
+    gpu.clear_kernels();
     let again = gpu.compile(&run)?;
     let (mut kernels, mut walls, mut longest_launch_ms) = (Vec::new(), Vec::new(), 0.0_f64);
     // The first run only warms up.
     for round in 0..=runs.max(1) {
         gpu.take_kernel_times();
         let start = Instant::now();
-        std::hint::black_box(gpu.render(&run, &Cancel::new(), &|_| ())?);
+        std::hint::black_box(gpu.render(&run, &CancelFlag::new(), &|_| ())?);
         if round > 0 {
             walls.push(start.elapsed().as_secs_f64());
             let times = gpu.take_kernel_times();
@@ -118,7 +118,7 @@ pub fn render_on_gpu(job: &Job, gpu: &CudaRenderer, cpu: &CpuRenderer, runs: usi
     Ok(GpuReport {
         job: job.name.clone(),
         gpu: gpu.gpu().to_owned(),
-        compile_ms: (!first.was_kept).then(|| ms(first.time)),
+        compile_ms: (!first.was_cached).then(|| ms(first.time)),
         load_ms: ms(again.time),
         block: again.shape.to_string(),
         registers: again.resources.registers,
@@ -142,7 +142,7 @@ const POINTS: usize = 1024;
 pub fn points(job: &Job, simd: Simd, time: Duration) -> Result<PointsReport, RenderError> {
     let packets = Packets::new(simd)?;
     let still = job.at(0)?;
-    let program = Program::new(&still);
+    let program = Integrator::new(&still);
     let (mut done, start) = (0_u64, Instant::now());
     while start.elapsed() < time {
         const ROUNDS: u32 = 64;
@@ -151,11 +151,11 @@ pub fn points(job: &Job, simd: Simd, time: Duration) -> Result<PointsReport, Ren
         done += u64::from(ROUNDS) * POINTS as u64;
     }
     let points_per_second = done as f64 / start.elapsed().as_secs_f64();
-    Ok(PointsReport { job: job.name.clone(), simd: simd.resolved().name(), points_per_second })
+    Ok(PointsReport { job: job.name.clone(), simd: simd.resolve_auto().name(), points_per_second })
 }
 
 #[inline(always)]
-fn distances<S: Token, const N: usize>(token: S, program: &Program<'_>, job: &Job, rounds: u32) -> f32 {
+fn distances<S: Token, const N: usize>(token: S, program: &Integrator<'_>, job: &Job, rounds: u32) -> f32 {
     let middle = job.scene.camera.look_at.get();
     let spread = |index: usize, step: u32| (index as u32).wrapping_mul(step) as f32 / u32::MAX as f32 * 4.0 - 2.0;
     let x: [f32; POINTS] = std::array::from_fn(|index| middle.x + spread(index, 0x9e37_79b9));
@@ -184,12 +184,12 @@ fn distances<S: Token, const N: usize>(token: S, program: &Program<'_>, job: &Jo
 /// Renders a frame of `job` some times.
 pub fn render(job: &Job, simd: Simd, threads: Option<usize>, runs: usize) -> Result<RenderReport, RenderError> {
     let renderer = CpuRenderer::new(threads, simd)?;
-    let rect = Rect::whole(job.image.width, job.image.height);
-    let run = TileRun { job, frame: 0, rect };
+    let rect = Rect::full(job.image.width, job.image.height);
+    let run = TileRequest { job, frame: 0, rect };
     let mut times = Vec::with_capacity(runs);
     for _ in 0..runs.max(1) {
         let start = Instant::now();
-        std::hint::black_box(renderer.render(&run, &Cancel::new(), &|_| ())?);
+        std::hint::black_box(renderer.render(&run, &CancelFlag::new(), &|_| ())?);
         times.push(start.elapsed().as_secs_f64());
     }
     times.sort_by(f64::total_cmp);
@@ -198,7 +198,7 @@ pub fn render(job: &Job, simd: Simd, threads: Option<usize>, runs: usize) -> Res
     let rays = job.rays_per_frame();
     Ok(RenderReport {
         job: job.name.clone(),
-        simd: simd.resolved().name(),
+        simd: simd.resolve_auto().name(),
         threads: renderer.threads(),
         rays,
         evaluations,

@@ -13,7 +13,7 @@ use std::ops::Range;
 
 use proto::Rect;
 
-use crate::renderer::Pixels;
+use crate::renderer::TilePixels;
 
 const MAGIC: [u8; 4] = *b"sdfb";
 const VERSION: u32 = 1;
@@ -30,14 +30,14 @@ pub fn size_bytes(rect: Rect, planes: usize) -> u64 {
 }
 
 /// A tile as bytes.
-pub fn encode(pixels: &Pixels) -> Vec<u8> {
+pub fn encode(pixels: &TilePixels) -> Vec<u8> {
     let mut bytes = Vec::with_capacity(size_bytes(pixels.rect, pixels.planes.len()) as usize);
     write(pixels, &mut bytes).expect("writing to memory can't fail");
     bytes
 }
 
 /// Writes a tile.
-pub fn write(pixels: &Pixels, out: &mut impl Write) -> io::Result<()> {
+pub fn write(pixels: &TilePixels, out: &mut impl Write) -> io::Result<()> {
     let Rect { x, y, width, height } = pixels.rect;
     let planes = u32::try_from(pixels.planes.len()).expect("planes are few");
     out.write_all(&MAGIC)?;
@@ -56,20 +56,20 @@ pub fn write(pixels: &Pixels, out: &mut impl Write) -> io::Result<()> {
 }
 
 /// A blob's key: the BLAKE3 of its bytes, in hex.
-pub fn key(bytes: &[u8]) -> String {
+pub fn hash(bytes: &[u8]) -> String {
     blake3::hash(bytes).to_hex().to_string()
 }
 
 /// Reads a blob, whole or a band of rows at a time.
 #[derive(Debug)]
-pub struct Reader<R> {
+pub struct BlobReader<R> {
     input: R,
     planes_start: u64,
     rect: Rect,
     planes: usize,
 }
 
-impl<R: Read + Seek> Reader<R> {
+impl<R: Read + Seek> BlobReader<R> {
     /// Reads the header of the blob that starts at `start`.
     pub fn open_at(mut input: R, start: u64) -> Result<Self, BlobError> {
         let mut header = [0; HEADER_BYTES];
@@ -106,7 +106,7 @@ impl<R: Read + Seek> Reader<R> {
 }
 
 /// Decodes a whole blob, and rejects one that is too long.
-pub fn decode(bytes: &[u8]) -> Result<Pixels, BlobError> {
+pub fn decode(bytes: &[u8]) -> Result<TilePixels, BlobError> {
     let header = bytes.first_chunk::<HEADER_BYTES>().ok_or(BlobError::Truncated)?;
     let (rect, planes) = parse_header(header)?;
     let expected = size_bytes(rect, planes);
@@ -123,7 +123,7 @@ pub fn decode(bytes: &[u8]) -> Result<Pixels, BlobError> {
         floats_from_bytes(plane, &mut samples);
         samples
     });
-    Ok(Pixels { rect, planes: planes.collect() })
+    Ok(TilePixels { rect, planes: planes.collect() })
 }
 
 /// Converts a blob's bytes to samples.

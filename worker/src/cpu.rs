@@ -7,10 +7,10 @@ use std::sync::atomic::{AtomicBool, Ordering};
 
 use rayon::prelude::*;
 use rayon::{ThreadPool, ThreadPoolBuilder};
-use scene::Program;
+use scene::Integrator;
 
 use crate::simd::Simd;
-use crate::{Cancel, Pixels, RenderError, Renderer, TileRun};
+use crate::{CancelFlag, RenderError, Renderer, TilePixels, TileRequest};
 
 pub(crate) use packets::Packets;
 
@@ -39,9 +39,9 @@ impl CpuRenderer {
     }
 
     /// Number of evaluations of the scene's distance for the pixels of a tile, without its layers.
-    pub fn evaluations(&self, run: &TileRun<'_>) -> Result<u64, RenderError> {
+    pub fn evaluations(&self, run: &TileRequest<'_>) -> Result<u64, RenderError> {
         let still = run.job.at(run.frame)?;
-        let program = Program::new(&still);
+        let program = Integrator::new(&still);
         let rows = run.rect.y..run.rect.y + run.rect.height;
         let of_row = |row| self.packets.evaluations(&program, run.rect.x, row, run.rect.width as usize);
         Ok(self.threads.install(|| rows.into_par_iter().map(of_row).sum()))
@@ -53,20 +53,20 @@ impl Renderer for CpuRenderer {
         "cpu".to_owned()
     }
 
-    fn encoders(&self) -> usize {
+    fn encoder_threads(&self) -> usize {
         self.threads()
     }
 
     fn render(
         &self,
-        run: &TileRun<'_>,
-        cancel: &Cancel,
+        run: &TileRequest<'_>,
+        cancel: &CancelFlag,
         progress: &(dyn Fn(u64) + Sync),
-    ) -> Result<Pixels, RenderError> {
+    ) -> Result<TilePixels, RenderError> {
         let still = run.job.at(run.frame)?;
-        let program = Program::new(&still);
+        let program = Integrator::new(&still);
         let image = &run.job.image;
-        let mut pixels = Pixels::zeroed(run.rect, image.channels().len());
+        let mut pixels = TilePixels::zeroed(run.rect, image.channels().len());
         let height = self.packets.block_rows() as usize;
         let width = run.rect.width as usize;
         let stopped = AtomicBool::new(false);

@@ -6,12 +6,12 @@
 mod cache;
 mod compiler;
 mod device;
-mod plan;
+mod error;
+mod launches;
 mod source;
-mod trouble;
 
 use std::collections::{HashMap, VecDeque};
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
@@ -19,32 +19,25 @@ use proto::Rect;
 use rayon::prelude::*;
 use scene::Image;
 
-use crate::renderer::{Cancel, Pixels, RenderError, Renderer, TileRun};
+use crate::renderer::{CancelFlag, RenderError, Renderer, TilePixels, TileRequest};
 use crate::{CpuRenderer, Simd};
-use cache::{Cache, Kept};
-use device::{Buffer, Device, Launched, Loaded};
-use plan::{Cost, Launches};
+use cache::{Cache, CachedKernel};
+use device::{Buffer, Device, LoadedModule, PendingLaunch};
+use launches::{CostModel, Launches};
 
+pub use cache::default_cache_folder;
 pub use compiler::Compiler;
-pub use device::{Resources, Shape};
-pub use plan::KernelTimes;
-pub use source::Source;
-pub use trouble::Trouble;
+pub use device::{BLOCK_DIMS, BlockDim, Resources};
+pub use error::CudaError;
+pub use launches::KernelTimes;
+pub use source::KernelSource;
 
 /// Maximum size of a scene compiled to straight-line code, in nodes.
 pub const MAX_NODES: u32 = 500;
-/// Shapes of blocks that are tried for each program.
-pub const SHAPES: [Shape; 5] = [
-    Shape { columns: 8, rows: 8 },
-    Shape { columns: 16, rows: 8 },
-    Shape { columns: 16, rows: 16 },
-    Shape { columns: 32, rows: 8 },
-    Shape { columns: 128, rows: 1 },
-];
 /// Pixels that are on the GPU and on their way back at a time, in numbers.
-const BUFFER_NUMBERS: usize = 64 << 20;
+const BUFFER_FLOATS: usize = 64 << 20;
 /// Maximum memory of freed planes kept for reuse, in numbers.
-const MAX_SPARE_NUMBERS: usize = 128 << 20;
+const MAX_SPARE_FLOATS: usize = 128 << 20;
 /// Maximum number of kernels loaded on the GPU.
 const MAX_PROGRAMS: usize = 64;
 /// Scene of the self-test, with a sample of every feature.
@@ -53,17 +46,10 @@ const SELF_TEST: &str = include_str!("cuda/self_test.json");
 /// Number of usable GPUs on this machine; an error with the reason if there is none.
 pub fn devices() -> Result<usize, RenderError> {
     match device::count() {
-        Ok(0) => Err(unavailable("cuda", &Trouble::NoDevice)),
+        Ok(0) => Err(unavailable("cuda", &CudaError::NoDevice)),
         Ok(count) => Ok(count),
         Err(trouble) => Err(unavailable("cuda", &trouble)),
     }
-}
-
-/// Default folder of the kernel cache: the user's cache folder.
-pub fn default_cache_folder() -> Option<PathBuf> {
-    let absolute = |name| std::env::var_os(name).map(PathBuf::from).filter(|path| path.is_absolute());
-    let cache = absolute("XDG_CACHE_HOME").or_else(|| absolute("HOME").map(|home| home.join(".cache")))?;
-    Some(cache.join("sdfarm").join("kernels"))
 }
 
 /// Renders on one GPU.
@@ -74,12 +60,12 @@ pub struct CudaRenderer {
     compiler: Compiler,
     cache: Cache,
     /// One shape for all programs, instead of the fastest for each.
-    shape: Option<Shape>,
-    programs: Mutex<HashMap<blake3::Hash, Arc<Program>>>,
+    shape: Option<BlockDim>,
+    programs: Mutex<HashMap<blake3::Hash, Arc<Kernel>>>,
     /// Held while a frame's launches are made, because they share the kernels' constants.
     launching: Mutex<()>,
     buffers: Mutex<Vec<Buffer>>,
-    lost: Mutex<Option<String>>,
+    lost_reason: Mutex<Option<String>>,
     /// Memory of pixels that are not needed any more.
     spare: Mutex<Vec<Vec<f32>>>,
     encoders: Option<usize>,
@@ -90,34 +76,34 @@ pub struct CudaRenderer {
 
 /// A program on the GPU, and what is known of it.
 #[derive(Debug)]
-struct Program {
-    loaded: Loaded,
-    shape: Shape,
-    known: Mutex<Known>,
+struct Kernel {
+    loaded: LoadedModule,
+    shape: BlockDim,
+    known: Mutex<KernelState>,
 }
 
 #[derive(Debug, Default)]
-struct Known {
-    cost: Cost,
+struct KernelState {
+    cost: CostModel,
     /// The numbers that the program now has.
-    numbers: Option<Vec<u32>>,
+    floats: Option<Vec<u32>>,
 }
 
 /// Tiles whose pixels are on their way.
-struct Underway {
+struct InFlight {
     rects: Vec<Rect>,
     buffer: Buffer,
 }
 
 /// Compiled kernel and its figures.
 #[derive(Clone, Copy, Debug)]
-pub struct Compiled {
+pub struct CompileReport {
     /// Compiling (or reading) it, loading it, and finding its shape of blocks.
     pub time: Duration,
     /// Whether its machine code was there already.
-    pub was_kept: bool,
+    pub was_cached: bool,
     /// The shape of its blocks.
-    pub shape: Shape,
+    pub shape: BlockDim,
     /// Resources.
     pub resources: Resources,
 }
@@ -125,9 +111,9 @@ pub struct Compiled {
 impl CudaRenderer {
     /// Opens the GPU of this number, and verifies that it renders the expected bits. Compiled kernels are
     /// stored in `cache`; blocks have `shape`, or the fastest one.
-    pub fn new(ordinal: usize, cache: Option<&Path>, shape: Option<Shape>) -> Result<Self, RenderError> {
+    pub fn new(ordinal: usize, cache: Option<&Path>, shape: Option<BlockDim>) -> Result<Self, RenderError> {
         let name = format!("cuda:{ordinal}");
-        let refused = |trouble: Trouble| unavailable(&name, &trouble);
+        let refused = |trouble: CudaError| unavailable(&name, &trouble);
         let device = Device::open(ordinal).map_err(refused)?;
         let compiler = Compiler::find().map_err(refused)?;
         tracing::debug!(device = name, gpu = device.name, compiler = compiler.version, "found a GPU");
@@ -140,13 +126,13 @@ impl CudaRenderer {
             programs: Mutex::default(),
             launching: Mutex::default(),
             buffers: Mutex::default(),
-            lost: Mutex::default(),
+            lost_reason: Mutex::default(),
             spare: Mutex::default(),
             encoders: None,
             kernels: Mutex::default(),
             setup_time: Mutex::default(),
         };
-        renderer.prove().map_err(refused)?;
+        renderer.self_test().map_err(refused)?;
         Ok(renderer)
     }
 
@@ -172,38 +158,39 @@ impl CudaRenderer {
     }
 
     /// Makes the kernel of a tile ready, and reports the time that took.
-    pub fn compile(&self, run: &TileRun<'_>) -> Result<Compiled, RenderError> {
-        let source = Source::new(&run.job.at(run.frame)?);
+    pub fn compile(&self, run: &TileRequest<'_>) -> Result<CompileReport, RenderError> {
+        let source = KernelSource::new(&run.job.at(run.frame)?);
         let start = Instant::now();
-        let (program, was_kept) = self.program(&source, run).map_err(|trouble| self.failed(&trouble))?;
+        let (program, was_kept) = self.program(&source, run).map_err(|trouble| self.render_error(&trouble))?;
         let time = start.elapsed();
         let resources =
-            self.device.resources(&program.loaded, program.shape).map_err(|trouble| self.failed(&trouble))?;
-        Ok(Compiled { time, was_kept, shape: program.shape, resources })
+            self.device.resources(&program.loaded, program.shape).map_err(|trouble| self.render_error(&trouble))?;
+        Ok(CompileReport { time, was_cached: was_kept, shape: program.shape, resources })
     }
 
     /// Forgets the programs on the GPU; those on disk stay.
-    pub fn forget(&self) {
+    pub fn clear_kernels(&self) {
         lock(&self.programs).clear();
     }
 
     /// Renders the self-test and compares it with the CPU's.
-    fn prove(&self) -> Result<(), Trouble> {
+    fn self_test(&self) -> Result<(), CudaError> {
         let job = scene::parse(SELF_TEST.as_bytes()).expect("the self-test is a job");
-        let run = TileRun { job: &job, frame: 0, rect: Rect::whole(job.image.width, job.image.height) };
+        let run = TileRequest { job: &job, frame: 0, rect: Rect::full(job.image.width, job.image.height) };
         let mut got = Vec::new();
-        self.render_groups(&[run], &Cancel::new(), &|_| {}, &mut got)?;
-        let cpu = CpuRenderer::new(None, Simd::Auto).and_then(|cpu| cpu.render(&run, &Cancel::new(), &|_| {}));
-        let Ok(want) = cpu else { return Err(Trouble::Cancelled) };
-        let bits = |pixels: &Pixels| pixels.planes.iter().flatten().map(|value| value.to_bits()).collect::<Vec<_>>();
+        self.render_groups(&[run], &CancelFlag::new(), &|_| {}, &mut got)?;
+        let cpu = CpuRenderer::new(None, Simd::Auto).and_then(|cpu| cpu.render(&run, &CancelFlag::new(), &|_| {}));
+        let Ok(want) = cpu else { return Err(CudaError::Cancelled) };
+        let bits =
+            |pixels: &TilePixels| pixels.planes.iter().flatten().map(|value| value.to_bits()).collect::<Vec<_>>();
         let (got, want) = (bits(&got[0]), bits(&want));
         let differing = got.iter().zip(&want).filter(|(got, want)| got != want).count();
-        if differing == 0 { Ok(()) } else { Err(Trouble::WrongBits { differing, values: want.len() }) }
+        if differing == 0 { Ok(()) } else { Err(CudaError::SelfTestFailed { differing, values: want.len() }) }
     }
 
     /// Kernel of a source, compiled if necessary; also returns whether it came from the cache.
-    fn program(&self, source: &Source, sample: &TileRun<'_>) -> Result<(Arc<Program>, bool), Trouble> {
-        let key = Cache::key(&source.text, &compiler::options(self.device.architecture), &self.compiler.version);
+    fn program(&self, source: &KernelSource, sample: &TileRequest<'_>) -> Result<(Arc<Kernel>, bool), CudaError> {
+        let key = Cache::entry_name(&source.text, &compiler::options(self.device.architecture), &self.compiler.version);
         if let Some(program) = lock(&self.programs).get(&key) {
             return Ok((program.clone(), true));
         }
@@ -218,13 +205,13 @@ impl CudaRenderer {
             let code = self
                 .compiler
                 .compile(&source.text, self.device.architecture)
-                .map_err(|trouble| compiler::keep(trouble, &source.text, self.cache.folder()))?;
+                .map_err(|trouble| compiler::save_rejected_source(trouble, &source.text, self.cache.folder()))?;
             let loaded = load(&code)?;
-            let shape = self.fastest_shape(&loaded, source, sample)?;
-            self.cache.put(key, &Kept { code, shape });
+            let shape = self.tune_block_dim(&loaded, source, sample)?;
+            self.cache.put(key, &CachedKernel { code, shape });
             (loaded, shape)
         };
-        let program = Arc::new(Program { loaded, shape: self.shape.unwrap_or(shape), known: Mutex::default() });
+        let program = Arc::new(Kernel { loaded, shape: self.shape.unwrap_or(shape), known: Mutex::default() });
         let mut programs = lock(&self.programs);
         if programs.len() >= MAX_PROGRAMS {
             programs.clear();
@@ -235,11 +222,16 @@ impl CudaRenderer {
     }
 
     /// Renders a part of a tile with each block shape, large enough for a meaningful time.
-    fn fastest_shape(&self, loaded: &Loaded, source: &Source, run: &TileRun<'_>) -> Result<Shape, Trouble> {
-        const ENOUGH_MS: f64 = 0.5;
+    fn tune_block_dim(
+        &self,
+        loaded: &LoadedModule,
+        source: &KernelSource,
+        run: &TileRequest<'_>,
+    ) -> Result<BlockDim, CudaError> {
+        const MIN_TIMED_MS: f64 = 0.5;
         const ROUNDS: usize = 3;
-        self.device.set_numbers(loaded, &source.parameters)?;
-        let mut best = [f64::INFINITY; SHAPES.len()];
+        self.device.set_uniforms(loaded, &source.parameters)?;
+        let mut best = [f64::INFINITY; BLOCK_DIMS.len()];
         let mut edge = 128;
         loop {
             let (width, height) = (run.rect.width.min(edge), run.rect.height.min(edge));
@@ -247,57 +239,58 @@ impl CudaRenderer {
             let piece = Rect { x, y, width, height };
             let mut buffer = self.device.buffer(piece.pixels() as usize * run.job.image.channels().len())?;
             // Once to warm up, and to see whether it is enough.
-            let ms = self.trial(loaded, SHAPES[0], piece, run, &mut buffer)?;
-            if ms < ENOUGH_MS && piece != run.rect {
+            let ms = self.time_block_dim(loaded, BLOCK_DIMS[0], piece, run, &mut buffer)?;
+            if ms < MIN_TIMED_MS && piece != run.rect {
                 edge *= 2;
                 continue;
             }
             for _ in 0..ROUNDS {
-                for (best, shape) in best.iter_mut().zip(SHAPES) {
-                    *best = best.min(self.trial(loaded, shape, piece, run, &mut buffer)?);
+                for (best, shape) in best.iter_mut().zip(BLOCK_DIMS) {
+                    *best = best.min(self.time_block_dim(loaded, shape, piece, run, &mut buffer)?);
                 }
             }
             tracing::debug!(?best, edge, "tried every shape of blocks");
-            let fastest = (0..SHAPES.len()).min_by(|&a, &b| best[a].total_cmp(&best[b]));
-            return Ok(SHAPES[fastest.unwrap_or(0)]);
+            let fastest = (0..BLOCK_DIMS.len()).min_by(|&a, &b| best[a].total_cmp(&best[b]));
+            return Ok(BLOCK_DIMS[fastest.unwrap_or(0)]);
         }
     }
 
     /// Time of a part with one block shape, in milliseconds.
-    fn trial(
+    fn time_block_dim(
         &self,
-        loaded: &Loaded,
-        shape: Shape,
+        loaded: &LoadedModule,
+        shape: BlockDim,
         piece: Rect,
-        run: &TileRun<'_>,
+        run: &TileRequest<'_>,
         buffer: &mut Buffer,
-    ) -> Result<f64, Trouble> {
-        let layout = plan::lay_out(&[piece], run.job.image.channels().len(), shape).in_rows();
+    ) -> Result<f64, CudaError> {
+        let layout = launches::lay_out(&[piece], run.job.image.channels().len(), shape).row_major();
         let laid_out = self.device.lay_out(&layout)?;
         let end_sample = run.job.image.samples.min(4);
-        let part = device::Part { first_block: 0, blocks: layout.blocks, first_sample: 0, end_sample, is_last: true };
+        let part =
+            device::LaunchRange { first_block: 0, blocks: layout.blocks, first_sample: 0, end_sample, is_last: true };
         self.device.launch(loaded, shape, &laid_out, part, buffer)?.wait()
     }
 
     /// Renders tiles, as many at a time as the buffers hold; one lot is copied while the next renders.
     fn render_groups(
         &self,
-        runs: &[TileRun<'_>],
-        cancel: &Cancel,
+        runs: &[TileRequest<'_>],
+        cancel: &CancelFlag,
         progress: &(dyn Fn(u64) + Sync),
-        finished: &mut Vec<Pixels>,
-    ) -> Result<(), Trouble> {
+        finished: &mut Vec<TilePixels>,
+    ) -> Result<(), CudaError> {
         let Some(first) = runs.first() else { return Ok(()) };
         let nodes = first.job.nodes();
         if nodes > MAX_NODES {
-            return Err(Trouble::TooLarge { nodes, most: MAX_NODES });
+            return Err(CudaError::TooLarge { nodes, most: MAX_NODES });
         }
-        let source = Source::new(&first.job.at(first.frame)?);
+        let source = KernelSource::new(&first.job.at(first.frame)?);
         let planes = first.job.image.channels().len();
-        let numbers = |run: &TileRun<'_>| run.rect.pixels() as usize * planes;
-        let mut underway: Option<Underway> = None;
+        let numbers = |run: &TileRequest<'_>| run.rect.pixels() as usize * planes;
+        let mut underway: Option<InFlight> = None;
         let mut rest = runs;
-        let mut most = BUFFER_NUMBERS;
+        let mut most = BUFFER_FLOATS;
         while !rest.is_empty() {
             let mut total = 0;
             let fitting = rest.iter().take_while(|run| {
@@ -305,11 +298,11 @@ impl CudaRenderer {
                 total <= most
             });
             let (group, others) = rest.split_at(fitting.count().max(1));
-            let next = self.start(&source, group, cancel);
+            let next = self.enqueue(&source, group, cancel);
             if let Some(before) = underway.take() {
-                finished.extend(self.finish(before, &first.job.image, progress)?);
+                finished.extend(self.collect(before, &first.job.image, progress)?);
             }
-            if group.len() > 1 && matches!(next, Err(Trouble::OutOfMemory { .. })) {
+            if group.len() > 1 && matches!(next, Err(CudaError::OutOfMemory { .. })) {
                 // Tiles that do not fit in memory together may fit one after another.
                 most = group.iter().map(numbers).sum::<usize>() / 2;
                 continue;
@@ -318,13 +311,18 @@ impl CudaRenderer {
             rest = others;
         }
         if let Some(last) = underway {
-            finished.extend(self.finish(last, &first.job.image, progress)?);
+            finished.extend(self.collect(last, &first.job.image, progress)?);
         }
         Ok(())
     }
 
     /// Launches the render of some tiles and the copy of their pixels.
-    fn start(&self, source: &Source, runs: &[TileRun<'_>], cancel: &Cancel) -> Result<Underway, Trouble> {
+    fn enqueue(
+        &self,
+        source: &KernelSource,
+        runs: &[TileRequest<'_>],
+        cancel: &CancelFlag,
+    ) -> Result<InFlight, CudaError> {
         let image = &runs[0].job.image;
         let rects: Vec<Rect> = runs.iter().map(|run| run.rect).collect();
         let planes = image.channels().len();
@@ -333,16 +331,16 @@ impl CudaRenderer {
         let (program, _) = self.program(source, &runs[runs.len() / 2])?;
         let mut buffer = self.take_buffer(numbers)?;
         let mut known = lock(&program.known);
-        if known.numbers.as_ref() != Some(&source.parameters) {
-            known.numbers = None;
-            self.device.set_numbers(&program.loaded, &source.parameters)?;
-            known.numbers = Some(source.parameters.clone());
+        if known.floats.as_ref() != Some(&source.parameters) {
+            known.floats = None;
+            self.device.set_uniforms(&program.loaded, &source.parameters)?;
+            known.floats = Some(source.parameters.clone());
         }
-        let layout = plan::lay_out(&rects, planes, program.shape).ordered(&known.cost, image.samples);
+        let layout = launches::lay_out(&rects, planes, program.shape).ordered(&known.cost, image.samples);
         let laid_out = self.device.lay_out(&layout)?;
         let wave = self.device.multiprocessors * (2048 / program.shape.threads());
         let mut launches = Launches::new(layout.blocks, image.samples, wave);
-        let mut flying: VecDeque<(device::Part, Launched)> = VecDeque::new();
+        let mut flying: VecDeque<(device::LaunchRange, PendingLaunch)> = VecDeque::new();
         loop {
             let part = if cancel.is_cancelled() { None } else { launches.next(&known.cost) };
             if let Some(part) = part {
@@ -353,28 +351,28 @@ impl CudaRenderer {
             if flying.len() == 2 || part.is_none() {
                 let Some((part, launched)) = flying.pop_front() else { break };
                 let ms = launched.wait()?;
-                known.cost.learn(part, ms);
+                known.cost.observe(part, ms);
                 lock(&self.kernels).add(ms);
             }
         }
         if cancel.is_cancelled() {
             lock(&self.buffers).push(buffer);
-            return Err(Trouble::Cancelled);
+            return Err(CudaError::Cancelled);
         }
-        self.device.fetch(&mut buffer, numbers)?;
-        Ok(Underway { rects, buffer })
+        self.device.start_copy(&mut buffer, numbers)?;
+        Ok(InFlight { rects, buffer })
     }
 
     /// Waits for pixels and returns them.
-    fn finish(
+    fn collect(
         &self,
-        underway: Underway,
+        underway: InFlight,
         image: &Image,
         progress: &(dyn Fn(u64) + Sync),
-    ) -> Result<Vec<Pixels>, Trouble> {
-        let Underway { rects, buffer } = underway;
+    ) -> Result<Vec<TilePixels>, CudaError> {
+        let InFlight { rects, buffer } = underway;
         let planes = image.channels().len();
-        let mut rest = self.device.fetched(&buffer)?;
+        let mut rest = self.device.wait_copy(&buffer)?;
         let parts: Vec<(Rect, &[f32])> = rects
             .into_iter()
             .map(|rect| {
@@ -386,9 +384,9 @@ impl CudaRenderer {
         let finished = parts
             .into_par_iter()
             .map(|(rect, numbers)| {
-                let planes = numbers.par_chunks(rect.pixels() as usize).map(|plane| self.kept(plane)).collect();
+                let planes = numbers.par_chunks(rect.pixels() as usize).map(|plane| self.copy_plane(plane)).collect();
                 progress(rect.pixels() * u64::from(image.samples));
-                Pixels { rect, planes }
+                TilePixels { rect, planes }
             })
             .collect();
         lock(&self.buffers).push(buffer);
@@ -396,9 +394,9 @@ impl CudaRenderer {
     }
 
     /// Buffer that is large enough; smaller ones are freed.
-    fn take_buffer(&self, numbers: usize) -> Result<Buffer, Trouble> {
+    fn take_buffer(&self, numbers: usize) -> Result<Buffer, CudaError> {
         let mut buffers = lock(&self.buffers);
-        buffers.retain(|buffer| buffer.numbers() >= numbers);
+        buffers.retain(|buffer| buffer.floats() >= numbers);
         match buffers.pop() {
             Some(buffer) => Ok(buffer),
             None => self.device.buffer(numbers),
@@ -406,7 +404,7 @@ impl CudaRenderer {
     }
 
     /// Copy of a plane, in reused memory if possible: new memory costs more than the copy.
-    fn kept(&self, plane: &[f32]) -> Vec<f32> {
+    fn copy_plane(&self, plane: &[f32]) -> Vec<f32> {
         let spare = {
             let mut spare = lock(&self.spare);
             let place = spare.iter().position(|old| old.capacity() >= plane.len());
@@ -419,13 +417,13 @@ impl CudaRenderer {
     }
 
     /// Notes a lost GPU; the trouble as a render's error.
-    fn failed(&self, trouble: &Trouble) -> RenderError {
+    fn render_error(&self, trouble: &CudaError) -> RenderError {
         if trouble.is_lost() {
-            *lock(&self.lost) = Some(format!("{}: {trouble}", self.name));
+            *lock(&self.lost_reason) = Some(format!("{}: {trouble}", self.name));
         }
         match trouble {
-            Trouble::Cancelled => RenderError::Cancelled,
-            Trouble::Frame(refusal) => RenderError::Frame(refusal.clone()),
+            CudaError::Cancelled => RenderError::Cancelled,
+            CudaError::InvalidFrame(refusal) => RenderError::InvalidFrame(refusal.clone()),
             _ => RenderError::Device { device: self.name.clone(), reason: trouble.to_string() },
         }
     }
@@ -438,43 +436,43 @@ impl Renderer for CudaRenderer {
 
     fn render(
         &self,
-        run: &TileRun<'_>,
-        cancel: &Cancel,
+        run: &TileRequest<'_>,
+        cancel: &CancelFlag,
         progress: &(dyn Fn(u64) + Sync),
-    ) -> Result<Pixels, RenderError> {
-        let mut finished = self.render_all(std::slice::from_ref(run), cancel, progress)?;
+    ) -> Result<TilePixels, RenderError> {
+        let mut finished = self.render_tiles(std::slice::from_ref(run), cancel, progress)?;
         Ok(finished.pop().expect("a render gives every tile it was asked for"))
     }
 
-    fn render_all(
+    fn render_tiles(
         &self,
-        runs: &[TileRun<'_>],
-        cancel: &Cancel,
+        runs: &[TileRequest<'_>],
+        cancel: &CancelFlag,
         progress: &(dyn Fn(u64) + Sync),
-    ) -> Result<Vec<Pixels>, RenderError> {
+    ) -> Result<Vec<TilePixels>, RenderError> {
         let mut finished = Vec::with_capacity(runs.len());
         let rendered = self.render_groups(runs, cancel, progress, &mut finished);
-        rendered.map(|()| finished).map_err(|trouble| self.failed(&trouble))
+        rendered.map(|()| finished).map_err(|trouble| self.render_error(&trouble))
     }
 
     fn take_setup_time(&self) -> Duration {
         std::mem::take(&mut *lock(&self.setup_time))
     }
 
-    fn batch(&self) -> usize {
+    fn preferred_tiles(&self) -> usize {
         1024
     }
 
-    fn encoders(&self) -> usize {
+    fn encoder_threads(&self) -> usize {
         self.encoders.unwrap_or_else(|| std::thread::available_parallelism().map_or(1, usize::from))
     }
 
-    fn recycle(&self, pixels: Vec<Pixels>) {
+    fn recycle(&self, pixels: Vec<TilePixels>) {
         let mut spare = lock(&self.spare);
         let mut numbers: usize = spare.iter().map(Vec::capacity).sum();
         for plane in pixels.into_iter().flat_map(|pixels| pixels.planes) {
             numbers += plane.capacity();
-            if numbers > MAX_SPARE_NUMBERS {
+            if numbers > MAX_SPARE_FLOATS {
                 break;
             }
             spare.push(plane);
@@ -485,13 +483,13 @@ impl Renderer for CudaRenderer {
         Some(MAX_NODES)
     }
 
-    fn retired(&self) -> Option<String> {
-        lock(&self.lost).clone()
+    fn lost_reason(&self) -> Option<String> {
+        lock(&self.lost_reason).clone()
     }
 }
 
-fn unavailable(wanted: &str, trouble: &Trouble) -> RenderError {
-    RenderError::Unavailable { wanted: format!("--device {wanted}"), reason: trouble.to_string() }
+fn unavailable(wanted: &str, trouble: &CudaError) -> RenderError {
+    RenderError::Unavailable { requested: format!("--device {wanted}"), reason: trouble.to_string() }
 }
 
 /// Locks a mutex; poisoning is ignored because a panic elsewhere leaves no partial state here.

@@ -12,9 +12,9 @@ use proto::tile::Tiling;
 use scene::Job;
 
 use crate::blob;
-use crate::image::{Encoders, ImageError, Picture};
-use crate::renderer::{Cancel, Pixels, RenderError, Renderer, TileRun, chunk_length};
-use crate::stitch::{Blobs, Source, Tiles};
+use crate::image::{Encoders, ImageError, PictureSpec};
+use crate::renderer::{CancelFlag, RenderError, Renderer, TilePixels, TileRequest, chunk_length};
+use crate::stitch::{BlobRows, RowSource, TileRows};
 
 /// A frame larger than this is rendered through a file.
 const MEMORY_BYTES: u64 = 256 << 20;
@@ -39,28 +39,29 @@ pub fn render_frame(
     tile_px: Option<u32>,
     scratch: &Path,
     out: &mut (impl Write + Seek + Send),
-    cancel: &Cancel,
+    cancel: &CancelFlag,
     progress: &(dyn Fn(u64) + Sync),
-) -> Result<FrameTimes, FrameError> {
+) -> Result<FrameTimes, RenderFrameError> {
     let start = Instant::now();
-    let mut source = if frame_bytes(job) <= MEMORY_BYTES { Rendered::Memory(Vec::new()) } else { spill(scratch)? };
+    let mut source =
+        if frame_bytes(job) <= MEMORY_BYTES { TileBuffer::Memory(Vec::new()) } else { scratch_file(scratch)? };
     let rects = tiles(job, tile_px);
     for chunk in rects.chunks(chunk_length(renderer, job, rects.iter().copied())) {
-        let runs: Vec<TileRun<'_>> = chunk.iter().map(|&rect| TileRun { job, frame, rect }).collect();
-        for pixels in renderer.render_all(&runs, cancel, progress)? {
-            source.push(pixels).map_err(FrameError::Scratch)?;
+        let runs: Vec<TileRequest<'_>> = chunk.iter().map(|&rect| TileRequest { job, frame, rect }).collect();
+        for pixels in renderer.render_tiles(&runs, cancel, progress)? {
+            source.push(pixels).map_err(RenderFrameError::Scratch)?;
         }
     }
     let render = start.elapsed();
     let start = Instant::now();
-    let encoders = Encoders::new(renderer.encoders()).map_err(RenderError::Threads)?;
-    let picture = Picture::of(&job.at(frame).map_err(ImageError::from)?);
-    let mut encode = |source: &mut (dyn Source + Send)| encoders.run(|| picture.write(source, out, cancel));
+    let encoders = Encoders::new(renderer.encoder_threads()).map_err(RenderError::Threads)?;
+    let picture = PictureSpec::new(&job.at(frame).map_err(ImageError::from)?);
+    let mut encode = |source: &mut (dyn RowSource + Send)| encoders.run(|| picture.write(source, out, cancel));
     match source {
-        Rendered::Memory(tiles) => encode(&mut Tiles(&tiles))?,
-        Rendered::File(file, places) => {
-            let file = file.into_inner().map_err(|error| FrameError::Scratch(error.into_error()))?;
-            encode(&mut Blobs::new(file, places))?;
+        TileBuffer::Memory(tiles) => encode(&mut TileRows(&tiles))?,
+        TileBuffer::File(file, places) => {
+            let file = file.into_inner().map_err(|error| RenderFrameError::Scratch(error.into_error()))?;
+            encode(&mut BlobRows::new(file, places))?;
         }
     }
     Ok(FrameTimes { render, encode: start.elapsed() })
@@ -70,26 +71,26 @@ pub fn render_frame(
 fn tiles(job: &Job, edge: Option<u32>) -> Vec<Rect> {
     let image = &job.image;
     let pixel_bytes = image.pixel_bytes();
-    Tiling { width: image.width, height: image.height, samples: image.samples, pixel_bytes, edge }.tiles()
+    Tiling { width: image.width, height: image.height, samples: image.samples, pixel_bytes, tile_edge: edge }.tiles()
 }
 
 fn frame_bytes(job: &Job) -> u64 {
     let image = &job.image;
-    Rect::whole(image.width, image.height).pixels() * u64::from(image.pixel_bytes())
+    Rect::full(image.width, image.height).pixels() * u64::from(image.pixel_bytes())
 }
 
-enum Rendered {
-    Memory(Vec<Pixels>),
+enum TileBuffer {
+    Memory(Vec<TilePixels>),
     File(BufWriter<File>, Vec<(Rect, u64)>),
 }
 
-fn spill(scratch: &Path) -> Result<Rendered, FrameError> {
-    let file = tempfile::tempfile_in(scratch).map_err(FrameError::Scratch)?;
-    Ok(Rendered::File(BufWriter::with_capacity(1 << 20, file), Vec::new()))
+fn scratch_file(scratch: &Path) -> Result<TileBuffer, RenderFrameError> {
+    let file = tempfile::tempfile_in(scratch).map_err(RenderFrameError::Scratch)?;
+    Ok(TileBuffer::File(BufWriter::with_capacity(1 << 20, file), Vec::new()))
 }
 
-impl Rendered {
-    fn push(&mut self, pixels: Pixels) -> io::Result<()> {
+impl TileBuffer {
+    fn push(&mut self, pixels: TilePixels) -> io::Result<()> {
         match self {
             Self::Memory(tiles) => tiles.push(pixels),
             Self::File(file, places) => {
@@ -104,7 +105,7 @@ impl Rendered {
 
 /// Error when making a picture.
 #[derive(Debug, thiserror::Error)]
-pub enum FrameError {
+pub enum RenderFrameError {
     /// A tile could not be rendered.
     #[error(transparent)]
     Render(#[from] RenderError),
@@ -116,7 +117,7 @@ pub enum FrameError {
     Scratch(#[source] io::Error),
 }
 
-impl FrameError {
+impl RenderFrameError {
     /// Whether it was cancelled.
     pub fn is_cancelled(&self) -> bool {
         matches!(self, Self::Render(RenderError::Cancelled) | Self::Image(ImageError::Cancelled))

@@ -11,19 +11,19 @@ pub mod provenance;
 
 use std::io::{self, Seek, Write};
 
-use ::scene::color::Grade;
-use ::scene::{Bits, Format, Precision, Still};
+use ::scene::color::DisplayTransform;
+use ::scene::{Bits, Format, JobAtFrame, Precision};
 
 pub use encoders::Encoders;
 pub use metadata::Metadata;
 pub use provenance::Provenance;
 
-use crate::renderer::Cancel;
-use crate::stitch::{Source, StitchError};
+use crate::renderer::CancelFlag;
+use crate::stitch::{RowSource, StitchError};
 
 /// Everything about a picture except its pixels.
 #[derive(Clone, Debug)]
-pub struct Picture {
+pub struct PictureSpec {
     /// Width, in pixels.
     pub width: u32,
     /// Height, in pixels.
@@ -37,7 +37,7 @@ pub struct Picture {
     /// Precision of R G B A in an EXR.
     pub precision: Precision,
     /// Display transform of a PNG.
-    pub grade: Grade,
+    pub display_transform: DisplayTransform,
     /// Alpha is 1 in every pixel.
     pub opaque: bool,
     /// Camera matrices and frame rate for the header of an EXR.
@@ -46,9 +46,9 @@ pub struct Picture {
     pub provenance: Provenance,
 }
 
-impl Picture {
+impl PictureSpec {
     /// The picture that a job's frame asks for.
-    pub fn of(still: &Still<'_>) -> Self {
+    pub fn new(still: &JobAtFrame<'_>) -> Self {
         let image = still.image();
         Self {
             width: image.width,
@@ -57,10 +57,10 @@ impl Picture {
             format: image.format,
             bits: image.bits,
             precision: image.precision,
-            grade: Grade::of(image),
+            display_transform: DisplayTransform::new(image),
             opaque: !still.scene().is_transparent(),
-            metadata: Metadata::of(still),
-            provenance: Provenance::of(still),
+            metadata: Metadata::new(still),
+            provenance: Provenance::new(still),
         }
     }
 
@@ -68,9 +68,9 @@ impl Picture {
     /// pool it is called on.
     pub fn write(
         &self,
-        source: &mut dyn Source,
+        source: &mut dyn RowSource,
         out: &mut (impl Write + Seek + Send),
-        cancel: &Cancel,
+        cancel: &CancelFlag,
     ) -> Result<(), ImageError> {
         match self.format {
             Format::Png => png::write(self, source, out, cancel, png::BAND_ROWS),

@@ -9,36 +9,36 @@ use std::ops::{Add, BitAnd, BitOr, BitXor, Div, Mul, Neg, Not, Shl, Shr, Sub};
 
 use fearless_simd::Level;
 use fearless_simd::prelude::*;
-use scene::real::{Bits, Bundle, Join, Real, SQRT_FLOOR};
+use scene::real::{Bits, Bundle, Merge, Real, SQRT_FLOOR};
 
 thread_local! {
     /// Active lanes of the running code: those that entered the innermost `when` or are still in the
     /// innermost `repeat`. An inner loop ignores the others.
-    static LIVE: Cell<u64> = const { Cell::new(u64::MAX) };
+    static ACTIVE_LANES: Cell<u64> = const { Cell::new(u64::MAX) };
 }
 
 /// Sets the live lanes until it is dropped.
-struct Live {
+struct ActiveLanesGuard {
     outer: u64,
 }
 
-impl Live {
+impl ActiveLanesGuard {
     #[inline(always)]
     fn enter() -> Self {
-        Self { outer: LIVE.get() }
+        Self { outer: ACTIVE_LANES.get() }
     }
 
     #[inline(always)]
     #[expect(clippy::unused_self, reason = "lanes are set only while there is someone to set them back")]
     fn set(&self, lanes: u64) {
-        LIVE.set(lanes);
+        ACTIVE_LANES.set(lanes);
     }
 }
 
-impl Drop for Live {
+impl Drop for ActiveLanesGuard {
     #[inline(always)]
     fn drop(&mut self) {
-        LIVE.set(self.outer);
+        ACTIVE_LANES.set(self.outer);
     }
 }
 
@@ -220,7 +220,7 @@ impl<S: Simd, const N: usize> fmt::Debug for LaneBits<S, N> {
 
 /// Whether fused operations take many instructions at this level; constant at compile time.
 #[inline(always)]
-fn lacks_fused_instructions<S: Simd>(token: S) -> bool {
+fn lacks_fma<S: Simd>(token: S) -> bool {
     match token.level() {
         #[cfg(any(target_arch = "x86", target_arch = "x86_64"))]
         Level::Sse2(_) | Level::Sse4_2(_) => true,
@@ -231,7 +231,7 @@ fn lacks_fused_instructions<S: Simd>(token: S) -> bool {
 
 /// A fused operation as a call: its many instructions in every formula would be too much code.
 #[inline(never)]
-fn fused_in_software<S: Simd, const N: usize>(mut a: Lanes<S, N>, b: Lanes<S, N>, c: Lanes<S, N>) -> Lanes<S, N> {
+fn software_fma<S: Simd, const N: usize>(mut a: Lanes<S, N>, b: Lanes<S, N>, c: Lanes<S, N>) -> Lanes<S, N> {
     a.token().vectorize(
         #[inline(always)]
         || {
@@ -244,9 +244,9 @@ fn fused_in_software<S: Simd, const N: usize>(mut a: Lanes<S, N>, b: Lanes<S, N>
 }
 
 /// Takes the first bundle's parts where the mask holds.
-struct Choose<S: Simd, const N: usize>(LaneMask<S, N>);
+struct SelectMerge<S: Simd, const N: usize>(LaneMask<S, N>);
 
-impl<S: Simd, const N: usize> Join<Lanes<S, N>> for Choose<S, N> {
+impl<S: Simd, const N: usize> Merge<Lanes<S, N>> for SelectMerge<S, N> {
     #[inline(always)]
     fn number(&mut self, yes: Lanes<S, N>, no: Lanes<S, N>) -> Lanes<S, N> {
         Real::select(self.0, yes, no)
@@ -263,14 +263,14 @@ impl<S: Simd, const N: usize> Real for Lanes<S, N> {
     type Bits = LaneBits<S, N>;
 
     #[inline(always)]
-    fn splat(self, value: f32) -> Self {
+    fn constant(self, value: f32) -> Self {
         Self([S::f32s::splat(self.token(), value); N])
     }
 
     #[inline(always)]
     fn mul_add(mut self, factor: Self, term: Self) -> Self {
-        if lacks_fused_instructions(self.token()) {
-            return fused_in_software(self, factor, term);
+        if lacks_fma(self.token()) {
+            return software_fma(self, factor, term);
         }
         for n in 0..N {
             self.0[n] = self.0[n].mul_add_precise(factor.0[n], term.0[n]);
@@ -364,24 +364,24 @@ impl<S: Simd, const N: usize> Real for Lanes<S, N> {
 
     #[inline(always)]
     fn when<T: Bundle<Self>>(mask: LaneMask<S, N>, otherwise: T, then: impl FnOnce() -> T) -> T {
-        let live = Live::enter();
+        let live = ActiveLanesGuard::enter();
         let entering = mask.to_bits() & live.outer;
         if entering == 0 {
             return otherwise;
         }
         live.set(entering);
-        then().join(otherwise, &mut Choose(mask))
+        then().merge(otherwise, &mut SelectMerge(mask))
     }
 
     #[inline(always)]
     fn repeat<T: Bundle<Self>>(limit: u32, state: T, mut step: impl FnMut(T) -> (LaneMask<S, N>, T)) -> T {
-        let live = Live::enter();
+        let live = ActiveLanesGuard::enter();
         let mut state = state;
         let mut going = live.outer & Self::ALL;
         for _ in 0..limit {
             live.set(going);
             let (again, next) = step(state);
-            state = if going == Self::ALL { next } else { next.join(state, &mut Choose(again.with_bits(going))) };
+            state = if going == Self::ALL { next } else { next.merge(state, &mut SelectMerge(again.with_bits(going))) };
             going &= again.to_bits();
             if going == 0 {
                 break;

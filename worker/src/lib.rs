@@ -18,5 +18,5 @@ pub mod stitch;
 pub mod tape;
 
 pub use cpu::CpuRenderer;
-pub use renderer::{Cancel, Pixels, RenderError, Renderer, TileRun};
+pub use renderer::{CancelFlag, RenderError, Renderer, TilePixels, TileRequest};
 pub use simd::Simd;

@@ -19,18 +19,18 @@ pub trait Renderer: Send + Sync {
     /// is checked at least every 50 ms.
     fn render(
         &self,
-        run: &TileRun<'_>,
-        cancel: &Cancel,
+        run: &TileRequest<'_>,
+        cancel: &CancelFlag,
         progress: &(dyn Fn(u64) + Sync),
-    ) -> Result<Pixels, RenderError>;
+    ) -> Result<TilePixels, RenderError>;
 
     /// Renders tiles of one job and frame, in their order; all of them, or none.
-    fn render_all(
+    fn render_tiles(
         &self,
-        runs: &[TileRun<'_>],
-        cancel: &Cancel,
+        runs: &[TileRequest<'_>],
+        cancel: &CancelFlag,
         progress: &(dyn Fn(u64) + Sync),
-    ) -> Result<Vec<Pixels>, RenderError> {
+    ) -> Result<Vec<TilePixels>, RenderError> {
         runs.iter().map(|run| self.render(run, cancel, progress)).collect()
     }
 
@@ -41,17 +41,17 @@ pub trait Renderer: Send + Sync {
     }
 
     /// Preferred number of tiles per call, at least 1.
-    fn batch(&self) -> usize {
+    fn preferred_tiles(&self) -> usize {
         1
     }
 
     /// Number of threads that may encode, at least 1.
-    fn encoders(&self) -> usize {
+    fn encoder_threads(&self) -> usize {
         std::thread::available_parallelism().map_or(1, usize::from)
     }
 
     /// Takes back pixels that are not needed any more, to render into their memory again.
-    fn recycle(&self, pixels: Vec<Pixels>) {
+    fn recycle(&self, pixels: Vec<TilePixels>) {
         drop(pixels);
     }
 
@@ -61,7 +61,7 @@ pub trait Renderer: Send + Sync {
     }
 
     /// Why its device is lost, if it is; it will never render again.
-    fn retired(&self) -> Option<String> {
+    fn lost_reason(&self) -> Option<String> {
         None
     }
 }
@@ -73,12 +73,12 @@ const CHUNK_BYTES: u64 = 256 << 20;
 pub(crate) fn chunk_length(renderer: &dyn Renderer, job: &scene::Job, rects: impl Iterator<Item = Rect>) -> usize {
     let largest_bytes = rects.map(Rect::pixels).max().unwrap_or(1) * u64::from(job.image.pixel_bytes());
     let fitting = usize::try_from(CHUNK_BYTES / largest_bytes.max(1)).unwrap_or(usize::MAX);
-    renderer.batch().min(fitting).max(1)
+    renderer.preferred_tiles().min(fitting).max(1)
 }
 
 /// A tile to render.
 #[derive(Clone, Copy, Debug)]
-pub struct TileRun<'a> {
+pub struct TileRequest<'a> {
     /// The job it belongs to.
     pub job: &'a scene::Job,
     /// The frame, from 0.
@@ -89,7 +89,7 @@ pub struct TileRun<'a> {
 
 /// A rectangle of finished pixels.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Pixels {
+pub struct TilePixels {
     /// Position in the picture.
     pub rect: Rect,
     /// One plane for each of [`scene::Image::channels`], row by row from the top.
@@ -97,7 +97,7 @@ pub struct Pixels {
     pub planes: Vec<Vec<f32>>,
 }
 
-impl Pixels {
+impl TilePixels {
     /// This many planes, all 0.
     pub fn zeroed(rect: Rect, planes: usize) -> Self {
         let length = usize::try_from(rect.pixels()).expect("limits keep a tile's pixels countable");
@@ -107,9 +107,9 @@ impl Pixels {
 
 /// Flag that cancels a render; clones share it.
 #[derive(Clone, Debug, Default)]
-pub struct Cancel(Arc<AtomicBool>);
+pub struct CancelFlag(Arc<AtomicBool>);
 
-impl Cancel {
+impl CancelFlag {
     /// A flag that is down.
     pub fn new() -> Self {
         Self::default()
@@ -133,10 +133,10 @@ pub enum RenderError {
     #[error("the render was cancelled")]
     Cancelled,
     /// This machine lacks what was asked for.
-    #[error("this machine can't render with {wanted}: {reason}")]
+    #[error("this machine can't render with {requested}: {reason}")]
     Unavailable {
         /// Requested SIMD level or device.
-        wanted: String,
+        requested: String,
         /// What is missing, and the fix.
         reason: String,
     },
@@ -145,7 +145,7 @@ pub enum RenderError {
     Threads(#[source] rayon::ThreadPoolBuildError),
     /// The job is invalid at this frame.
     #[error("the job can't be rendered in this frame")]
-    Frame(#[from] scene::FrameError),
+    InvalidFrame(#[from] scene::FrameError),
     /// The device gave up.
     #[error("{device} could not render: {reason}")]
     Device {

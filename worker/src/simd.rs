@@ -44,7 +44,7 @@ impl Simd {
     }
 
     /// The level of this name that `Auto` means on this CPU; of other levels, themselves.
-    pub fn resolved(self) -> Self {
+    pub fn resolve_auto(self) -> Self {
         match self {
             Self::Auto => Self::LEVELS.into_iter().find(|level| level.is_available()).unwrap_or(Self::Scalar),
             Self::Avx512 | Self::Avx2 | Self::Sse42 | Self::Scalar => self,
@@ -67,7 +67,7 @@ impl Simd {
             Self::Avx512 | Self::Avx2 | Self::Sse42 => None,
         };
         level.ok_or_else(|| RenderError::Unavailable {
-            wanted: format!("--simd {self}"),
+            requested: format!("--simd {self}"),
             reason: "its CPU does not have these instructions; use --simd auto".to_owned(),
         })
     }

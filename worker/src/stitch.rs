@@ -9,17 +9,17 @@ use std::ops::Range;
 use proto::Rect;
 
 use crate::blob::{self, BlobError};
-use crate::renderer::Pixels;
+use crate::renderer::TilePixels;
 
 /// Whole rows of a picture, all its planes.
 #[derive(Debug)]
-pub struct Band {
+pub struct RowBand {
     rows: Range<u32>,
     width: usize,
     planes: Vec<Vec<f32>>,
 }
 
-impl Band {
+impl RowBand {
     /// Band for pictures of this width with this many planes; empty until it is read.
     pub fn new(width: u32, planes: usize) -> Self {
         Self { rows: 0..0, width: width as usize, planes: vec![Vec::new(); planes] }
@@ -50,22 +50,22 @@ impl Band {
 }
 
 /// Source of a picture's rows.
-pub trait Source: Send {
+pub trait RowSource: Send {
     /// Reads these rows into the band, replacing its content.
-    fn read(&mut self, rows: Range<u32>, band: &mut Band) -> Result<(), StitchError>;
+    fn read(&mut self, rows: Range<u32>, band: &mut RowBand) -> Result<(), StitchError>;
 }
 
 /// Tiles in memory.
 #[derive(Clone, Copy, Debug)]
-pub struct Tiles<'a>(pub &'a [Pixels]);
+pub struct TileRows<'a>(pub &'a [TilePixels]);
 
-impl Source for Tiles<'_> {
-    fn read(&mut self, rows: Range<u32>, band: &mut Band) -> Result<(), StitchError> {
+impl RowSource for TileRows<'_> {
+    fn read(&mut self, rows: Range<u32>, band: &mut RowBand) -> Result<(), StitchError> {
         band.reset(rows);
         let mut covered = 0;
         for tile in self.0 {
             check_shape(band, tile.rect, tile.planes.len())?;
-            let shared = shared_rows(band, tile.rect);
+            let shared = overlapping_rows(band, tile.rect);
             covered += shared.len() * tile.rect.width as usize;
             for (plane, samples) in tile.planes.iter().enumerate() {
                 for y in shared.clone() {
@@ -81,33 +81,33 @@ impl Source for Tiles<'_> {
 
 /// Tile blobs one behind the other in a file.
 #[derive(Debug)]
-pub struct Blobs<F> {
+pub struct BlobRows<F> {
     file: F,
-    places: Vec<(Rect, u64)>,
+    offsets: Vec<(Rect, u64)>,
     bytes: Vec<u8>,
 }
 
-impl<F: Read + Seek> Blobs<F> {
+impl<F: Read + Seek> BlobRows<F> {
     /// The blobs of these rectangles, each starting at its place in the file.
     pub fn new(file: F, places: Vec<(Rect, u64)>) -> Self {
-        Self { file, places, bytes: Vec::new() }
+        Self { file, offsets: places, bytes: Vec::new() }
     }
 }
 
-impl<F: Read + Seek + Send> Source for Blobs<F> {
-    fn read(&mut self, rows: Range<u32>, band: &mut Band) -> Result<(), StitchError> {
+impl<F: Read + Seek + Send> RowSource for BlobRows<F> {
+    fn read(&mut self, rows: Range<u32>, band: &mut RowBand) -> Result<(), StitchError> {
         band.reset(rows);
         let mut covered = 0;
-        for &(rect, start) in &self.places {
-            let shared = shared_rows(band, rect);
+        for &(rect, start) in &self.offsets {
+            let shared = overlapping_rows(band, rect);
             if shared.is_empty() {
                 continue;
             }
             let unreadable = |source| StitchError::Blob { rect, source };
-            let mut reader = blob::Reader::open_at(&mut self.file, start).map_err(unreadable)?;
+            let mut reader = blob::BlobReader::open_at(&mut self.file, start).map_err(unreadable)?;
             check_shape(band, reader.rect(), reader.planes())?;
             if reader.rect() != rect {
-                return Err(StitchError::Rect { expected: rect, found: reader.rect() });
+                return Err(StitchError::WrongRect { expected: rect, found: reader.rect() });
             }
             covered += shared.len() * rect.width as usize;
             for plane in 0..band.planes.len() {
@@ -122,18 +122,18 @@ impl<F: Read + Seek + Send> Source for Blobs<F> {
     }
 }
 
-fn shared_rows(band: &Band, rect: Rect) -> Range<u32> {
+fn overlapping_rows(band: &RowBand, rect: Rect) -> Range<u32> {
     let start = band.rows.start.max(rect.y);
     let end = band.rows.end.min(rect.y.saturating_add(rect.height));
     start..end.max(start)
 }
 
-fn check_shape(band: &Band, rect: Rect, planes: usize) -> Result<(), StitchError> {
+fn check_shape(band: &RowBand, rect: Rect, planes: usize) -> Result<(), StitchError> {
     let fits = u64::from(rect.x) + u64::from(rect.width) <= band.width as u64;
-    if fits && planes == band.planes.len() { Ok(()) } else { Err(StitchError::Shape { rect, planes }) }
+    if fits && planes == band.planes.len() { Ok(()) } else { Err(StitchError::WrongShape { rect, planes }) }
 }
 
-fn check_covered(band: &Band, covered: usize) -> Result<(), StitchError> {
+fn check_covered(band: &RowBand, covered: usize) -> Result<(), StitchError> {
     if covered == band.rows.len() * band.width { Ok(()) } else { Err(StitchError::Uncovered { rows: band.rows() }) }
 }
 
@@ -151,7 +151,7 @@ pub enum StitchError {
     },
     /// A blob holds another tile.
     #[error("the blob of the tile {expected:?} holds {found:?}")]
-    Rect {
+    WrongRect {
         /// The tile it was named for.
         expected: Rect,
         /// Rectangle according to its header.
@@ -159,7 +159,7 @@ pub enum StitchError {
     },
     /// A tile is no part of this picture.
     #[error("the tile {rect:?} with {planes} planes does not fit the picture")]
-    Shape {
+    WrongShape {
         /// The tile.
         rect: Rect,
         /// The planes it has.

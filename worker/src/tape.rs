@@ -4,65 +4,65 @@
 //! The tape is typed and in static single assignment form: each value is defined once, before its uses, in a
 //! block that encloses them. Nothing here knows of GPUs.
 
-mod expression;
-mod live;
+mod c_source;
+mod expr;
+mod liveness;
 mod recorder;
-mod text;
 
-pub use expression::{Condition, Expr, Word};
+pub use c_source::CSource;
+pub use expr::{BoolExpr, Expr, U32Expr};
 pub use recorder::{Recording, record};
-pub use text::Text;
 
 /// A value of the tape.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
-pub struct Id(u32);
+pub struct ValueId(u32);
 
 /// Type of a value.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
-pub enum Kind {
+pub enum ValueType {
     /// An IEEE-754 binary32.
-    Number,
+    F32,
     /// True or false.
-    Condition,
+    Bool,
     /// An unsigned integer of 32 bits.
-    Word,
+    U32,
 }
 
 /// Operation that defines a value.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum Operation {
     /// A number of the formula, by its bits: code.
-    Literal(u32),
-    /// A number of the scene, by its place in [`Tape::parameters`]: data.
-    Parameter(u32),
+    Constant(u32),
+    /// A number of the scene, by its place in [`Tape::uniforms`]: data.
+    Uniform(u32),
     /// Argument of the enclosing function.
     Argument,
     /// Result of a function call.
-    Returned,
+    CallResult,
     /// Variable assigned by a `when` or a `repeat`.
     Variable,
     /// Sum.
     Add,
     /// Difference.
-    Subtract,
+    Sub,
     /// Product.
-    Multiply,
+    Mul,
     /// Quotient.
-    Divide,
+    Div,
     /// Fused product and sum.
-    MultiplyAdd,
+    Fma,
     /// The lesser.
-    Least,
+    Min,
     /// The greater.
-    Greatest,
+    Max,
     /// The opposite.
-    Negate,
+    Neg,
     /// Size without sign.
-    Absolute,
+    Abs,
     /// Whole part, downwards.
     Floor,
     /// Square root.
-    Root,
+    Sqrt,
     /// Whether the first is less than the second.
     Less,
     /// Both.
@@ -78,41 +78,41 @@ pub enum Operation {
     /// The number with these bits.
     FromBits,
     /// Sum of integers.
-    AddWords,
+    AddU32,
     /// Product of integers.
-    MultiplyWords,
+    MulU32,
     /// Bits in one but not both.
     Xor,
     /// Bits in both.
-    AndWords,
+    AndU32,
     /// Bits in any.
-    OrWords,
+    OrU32,
     /// Bits moved up.
-    ShiftUp,
+    ShiftLeft,
     /// Bits moved down.
-    ShiftDown,
+    ShiftRight,
 }
 
 impl Operation {
     /// Whether it needs no code: it is written where it is used.
     fn is_constant(self) -> bool {
-        matches!(self, Self::Literal(_) | Self::Parameter(_))
+        matches!(self, Self::Constant(_) | Self::Uniform(_))
     }
 
-    /// See [`Tape::operations`].
+    /// See [`Tape::flops_per_call`].
     fn cost(self) -> u64 {
         match self {
-            Self::Add | Self::Subtract | Self::Multiply | Self::Least | Self::Greatest | Self::Floor => 1,
-            Self::MultiplyAdd => 2,
-            Self::Root => 7,
-            Self::Divide => 10,
-            Self::Literal(_)
-            | Self::Parameter(_)
+            Self::Add | Self::Sub | Self::Mul | Self::Min | Self::Max | Self::Floor => 1,
+            Self::Fma => 2,
+            Self::Sqrt => 7,
+            Self::Div => 10,
+            Self::Constant(_)
+            | Self::Uniform(_)
             | Self::Argument
-            | Self::Returned
+            | Self::CallResult
             | Self::Variable
-            | Self::Negate
-            | Self::Absolute
+            | Self::Neg
+            | Self::Abs
             | Self::Less
             | Self::And
             | Self::Or
@@ -120,63 +120,76 @@ impl Operation {
             | Self::Select
             | Self::ToBits
             | Self::FromBits
-            | Self::AddWords
-            | Self::MultiplyWords
+            | Self::AddU32
+            | Self::MulU32
             | Self::Xor
-            | Self::AndWords
-            | Self::OrWords
-            | Self::ShiftUp
-            | Self::ShiftDown => 0,
+            | Self::AndU32
+            | Self::OrU32
+            | Self::ShiftLeft
+            | Self::ShiftRight => 0,
         }
     }
 
     /// Whether its two operands are interchangeable.
-    fn is_symmetric(self) -> bool {
+    fn is_commutative(self) -> bool {
         matches!(
             self,
             Self::Add
-                | Self::Multiply
+                | Self::Mul
                 | Self::And
                 | Self::Or
-                | Self::AddWords
-                | Self::MultiplyWords
+                | Self::AddU32
+                | Self::MulU32
                 | Self::Xor
-                | Self::AndWords
-                | Self::OrWords
+                | Self::AndU32
+                | Self::OrU32
         )
     }
 }
 
 /// A value's definition.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
-pub struct Definition {
-    kind: Kind,
+pub struct Instruction {
+    kind: ValueType,
     operation: Operation,
-    operands: [Option<Id>; 3],
+    operands: [Option<ValueId>; 3],
 }
 
 /// One step of a block.
 #[derive(Clone, Debug)]
 enum Statement {
     /// Computes a value.
-    Define(Id),
+    Emit(ValueId),
     /// The following statements belong to a node of this name.
-    Note(&'static str),
+    Comment(&'static str),
     /// Calls a function.
-    Call { function: usize, arguments: Vec<Id>, returned: Vec<Id> },
-    /// Assigns `then` to the variables where the condition holds, else `otherwise`.
-    When { condition: Id, variables: Vec<Id>, otherwise: Vec<Id>, body: Vec<Statement>, then: Vec<Id> },
+    Call { function: usize, arguments: Vec<ValueId>, returned: Vec<ValueId> },
+    /// Assigns `value` to the variables where the condition holds, else `otherwise`.
+    When {
+        condition: ValueId,
+        variables: Vec<ValueId>,
+        otherwise: Vec<ValueId>,
+        body: Vec<Statement>,
+        value: Vec<ValueId>,
+    },
     /// Assigns `start` to the variables, then runs the body and assigns `next`, while `again` holds.
-    Repeat { limit: u32, variables: Vec<Id>, start: Vec<Id>, body: Vec<Statement>, next: Vec<Id>, again: Id },
+    Repeat {
+        limit: u32,
+        variables: Vec<ValueId>,
+        start: Vec<ValueId>,
+        body: Vec<Statement>,
+        next: Vec<ValueId>,
+        again: ValueId,
+    },
 }
 
 /// A step of the formula that is called by name.
 #[derive(Clone, Debug)]
 struct Function {
     name: &'static str,
-    arguments: Vec<Id>,
+    arguments: Vec<ValueId>,
     body: Vec<Statement>,
-    results: Vec<Id>,
+    results: Vec<ValueId>,
     /// Whether others than this tape call it: then all its arguments and results stay.
     is_entry: bool,
 }
@@ -184,32 +197,32 @@ struct Function {
 /// A recorded formula.
 #[derive(Clone, Debug, Default)]
 pub struct Tape {
-    definitions: Vec<Definition>,
+    instructions: Vec<Instruction>,
     /// Callees before their callers.
     functions: Vec<Function>,
-    parameters: Vec<u32>,
+    uniforms: Vec<u32>,
 }
 
 impl Tape {
     /// The numbers of the scene, by their bits, in the order of their use.
-    pub fn parameters(&self) -> &[u32] {
-        &self.parameters
+    pub fn uniforms(&self) -> &[u32] {
+        &self.uniforms
     }
 
     /// Arithmetic operations in one call of a step: a fused one counts twice, a root as 7 and a quotient
     /// as 10 (their cost on a GPU); `None` if it has loops or branches.
-    pub fn operations(&self, step: &str) -> Option<u64> {
+    pub fn flops_per_call(&self, step: &str) -> Option<u64> {
         let function = self.functions.iter().find(|function| function.name == step)?;
         let of_statement = |statement: &Statement| match statement {
-            Statement::Define(id) => Some(self.definition(*id).operation.cost()),
-            Statement::Note(_) => Some(0),
-            Statement::Call { function, .. } => self.operations(self.functions[*function].name),
+            Statement::Emit(id) => Some(self.definition(*id).operation.cost()),
+            Statement::Comment(_) => Some(0),
+            Statement::Call { function, .. } => self.flops_per_call(self.functions[*function].name),
             Statement::When { .. } | Statement::Repeat { .. } => None,
         };
         function.body.iter().map(of_statement).sum()
     }
 
-    fn definition(&self, id: Id) -> Definition {
-        self.definitions[id.0 as usize]
+    fn definition(&self, id: ValueId) -> Instruction {
+        self.instructions[id.0 as usize]
     }
 }

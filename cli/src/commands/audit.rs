@@ -1,10 +1,10 @@
 //! `sdfarm audit`: who did what, newest first; needs a key of scope admin where there are keys.
 
 use clap::Args;
-use proto::key::AuditEntry;
+use proto::audit::AuditEntry;
 
 use crate::arguments::ServerArguments;
-use crate::terminal::{note, say};
+use crate::terminal::{print_line, print_note};
 
 /// Arguments of `audit`.
 #[derive(Debug, Args)]
@@ -27,13 +27,13 @@ pub(crate) async fn run(arguments: Arguments) -> anyhow::Result<()> {
     let client = arguments.server.client()?;
     let page = client.audit(arguments.limit, arguments.cursor.as_deref()).await?;
     if arguments.json {
-        return say(&serde_json::to_string_pretty(&page)?);
+        return print_line(&serde_json::to_string_pretty(&page)?);
     }
     for entry in &page.entries {
-        say(&line(entry))?;
+        print_line(&line(entry))?;
     }
     if let Some(cursor) = page.next_cursor {
-        note(&format!("more: sdfarm audit --cursor {cursor}"));
+        print_note(&format!("more: sdfarm audit --cursor {cursor}"));
     }
     Ok(())
 }

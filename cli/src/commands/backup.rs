@@ -4,7 +4,7 @@ use std::path::PathBuf;
 
 use clap::Args;
 
-use crate::terminal::{note, say};
+use crate::terminal::{print_line, print_note};
 
 /// Arguments of `backup`.
 #[derive(Debug, Args)]
@@ -21,16 +21,16 @@ pub(crate) struct Arguments {
 /// Copies it.
 pub(crate) async fn run(arguments: Arguments) -> anyhow::Result<()> {
     let backup = server::back_up(&arguments.data, &arguments.folder).await?;
-    say(&format!(
+    print_line(&format!(
         "{} pictures are in {}: {} taken now ({} bytes), {} dropped",
         backup.pictures,
         arguments.folder.display(),
-        backup.taken,
-        backup.taken_bytes,
-        backup.dropped
+        backup.copied,
+        backup.copied_bytes,
+        backup.removed
     ))?;
     for hash in &backup.missing {
-        note(&format!("picture {hash} is gone from the store, or damaged there"));
+        print_note(&format!("picture {hash} is gone from the store, or damaged there"));
     }
     if !backup.missing.is_empty() {
         anyhow::bail!(

@@ -16,35 +16,35 @@ use serde::Serialize;
 use worker::bench::{GpuReport, PointsReport, RenderReport, points, render, render_on_gpu};
 use worker::{CpuRenderer, RenderError, Simd};
 
-use crate::arguments::{CudaArguments, Device, MAX_THREADS};
+use crate::arguments::{CudaArguments, DeviceChoice, MAX_THREADS};
 use crate::commands::bench::farm::FarmReport;
 use crate::commands::run_async;
 use crate::commands::serve::devices;
 use crate::job_file::JobFile;
 use crate::shipped;
-use crate::terminal::{note, say};
+use crate::terminal::{print_line, print_note};
 
 const DEFAULT_JOBS: [&str; 3] = ["csg", "five-spheres", "mandelbulb"];
-const EVERY_LEVEL: [Simd; 4] = [Simd::Scalar, Simd::Sse42, Simd::Avx2, Simd::Avx512];
+const ALL_LEVELS: [Simd; 4] = [Simd::Scalar, Simd::Sse42, Simd::Avx2, Simd::Avx512];
 
 /// Arguments of `bench`.
 #[derive(Debug, Args)]
 #[command(args_conflicts_with_subcommands = true)]
 pub(crate) struct Arguments {
     #[command(subcommand)]
-    table: Option<Tables>,
+    table: Option<BenchSuite>,
     /// Job files, or names of shipped scenes [default: csg five-spheres mandelbulb].
     #[arg(value_name = "JOB")]
     jobs: Vec<String>,
     /// Vector instructions to measure.
     #[arg(long, env = "SDFARM_SIMD", default_value = "auto", value_parser = levels_parser())]
-    simd: Levels,
+    simd: SimdLevels,
     /// Measure only distances per second, and render nothing.
     #[arg(long, env = "SDFARM_POINTS", value_parser = clap::builder::FalseyValueParser::new(), action = clap::ArgAction::SetTrue)]
     points: bool,
     /// Device to measure: cpu, or cuda or cuda:N for a GPU.
     #[arg(long, env = "SDFARM_DEVICE", default_value = "cpu")]
-    device: Device,
+    device: DeviceChoice,
     #[command(flatten)]
     cuda: CudaArguments,
     /// Threads that render [default: one for each core].
@@ -69,7 +69,7 @@ pub(crate) struct Arguments {
 
 /// Tables that are measured as a whole.
 #[derive(Debug, Subcommand)]
-enum Tables {
+enum BenchSuite {
     /// Measure the paper's Table 1 on this machine, next to the published figures.
     Paper(paper::Arguments),
     /// Measure a server's queue: jobs and tiles per second, and response times.
@@ -80,7 +80,7 @@ enum Tables {
 
 /// The levels to measure.
 #[derive(Clone, Debug)]
-struct Levels(Vec<Simd>);
+struct SimdLevels(Vec<Simd>);
 
 /// Everything measured.
 #[derive(Debug, Default, Serialize)]
@@ -94,9 +94,9 @@ struct Reports {
 /// Measures it.
 pub(crate) fn run(arguments: &Arguments) -> anyhow::Result<()> {
     match &arguments.table {
-        Some(Tables::Paper(arguments)) => return paper::run(arguments),
-        Some(Tables::Queue(arguments)) => return run_async(queue::run(arguments)),
-        Some(Tables::Setup(arguments)) => return setup::run(arguments),
+        Some(BenchSuite::Paper(arguments)) => return paper::run(arguments),
+        Some(BenchSuite::Queue(arguments)) => return run_async(queue::run(arguments)),
+        Some(BenchSuite::Setup(arguments)) => return setup::run(arguments),
         None => {}
     }
     let names = DEFAULT_JOBS.map(str::to_owned);
@@ -111,28 +111,32 @@ pub(crate) fn run(arguments: &Arguments) -> anyhow::Result<()> {
             let report = run_async(measured).with_context(|| format!("could not measure a farm with {}", job.name))?;
             reports.farms.push(report);
         }
-        return if arguments.json { say(&serde_json::to_string_pretty(&reports)?) } else { farm_table(&reports) };
+        return if arguments.json {
+            print_line(&serde_json::to_string_pretty(&reports)?)
+        } else {
+            farm_table(&reports)
+        };
     }
-    if let Device::Cuda(ordinal) = arguments.device {
+    if let DeviceChoice::Cuda(ordinal) = arguments.device {
         let (gpu, cpu) = (arguments.cuda.renderer(ordinal.unwrap_or(0))?, CpuRenderer::new(None, Simd::Auto)?);
         for job in &jobs {
             reports.gpu_renders.push(render_on_gpu(job, &gpu, &cpu, arguments.runs as usize)?);
         }
-        return if arguments.json { say(&serde_json::to_string_pretty(&reports)?) } else { gpu_table(&reports) };
+        return if arguments.json { print_line(&serde_json::to_string_pretty(&reports)?) } else { gpu_table(&reports) };
     }
     for job in &jobs {
         for &level in &arguments.simd.0 {
             match measure(job, level, arguments, &mut reports) {
                 Ok(()) => {}
                 Err(error @ RenderError::Unavailable { .. }) if arguments.simd.0.len() > 1 => {
-                    note(&format!("skipped: {error}"));
+                    print_note(&format!("skipped: {error}"));
                 }
                 Err(error) => return Err(error.into()),
             }
         }
     }
     if arguments.json {
-        return say(&serde_json::to_string_pretty(&reports)?);
+        return print_line(&serde_json::to_string_pretty(&reports)?);
     }
     table(&reports)
 }
@@ -157,9 +161,9 @@ fn farm_table(reports: &Reports) -> anyhow::Result<()> {
     for FarmReport { job, devices, jobs, latency_ms: [least, median, greatest], frames, frames_per_second } in
         &reports.farms
     {
-        say(&format!("{job} on a farm of {}", devices.join(", ")))?;
-        say(&format!("  POST to stored   median {median:.1} ms ({least:.1} to {greatest:.1}) of {jobs} jobs"))?;
-        say(&format!("  animation        {frames} frames, {frames_per_second:.1} stored a second"))?;
+        print_line(&format!("{job} on a farm of {}", devices.join(", ")))?;
+        print_line(&format!("  POST to stored   median {median:.1} ms ({least:.1} to {greatest:.1}) of {jobs} jobs"))?;
+        print_line(&format!("  animation        {frames} frames, {frames_per_second:.1} stored a second"))?;
     }
     Ok(())
 }
@@ -178,17 +182,17 @@ fn gpu_table(reports: &Reports) -> anyhow::Result<()> {
         let GpuReport { job, gpu, block, registers, local_bytes, occupancy, .. } = report;
         let compiled = report.compile_ms.map_or("was kept".to_owned(), |ms| format!("{ms:.1} ms"));
         let share = report.peak_share.map_or_else(|| "-".to_owned(), |share| format!("{:.1} %", share * 100.0));
-        say(&format!("{job} on {gpu}"))?;
-        say(&format!("  program       compiled {compiled}, loaded {:.1} ms", report.load_ms))?;
-        say(&format!(
+        print_line(&format!("{job} on {gpu}"))?;
+        print_line(&format!("  program       compiled {compiled}, loaded {:.1} ms", report.load_ms))?;
+        print_line(&format!(
             "  resources     blocks {block}, {registers} registers, {local_bytes} bytes spilled, occupancy {:.0} %",
             occupancy * 100.0
         ))?;
-        say(&format!(
+        print_line(&format!(
             "  frame         kernels {:.3} ms (least {:.3}), longest launch {:.2} ms, pixels here after {:.2} ms",
             report.kernel_ms, report.least_kernel_ms, report.longest_launch_ms, report.median_ms
         ))?;
-        say(&format!(
+        print_line(&format!(
             "  rates         {:.2} G rays/s, {:.1} M evaluations, {:.1} G evaluations/s, {share} of the fp32 peak\n",
             report.rays_per_second / 1e9,
             report.evaluations as f64 / 1e6,
@@ -199,31 +203,34 @@ fn gpu_table(reports: &Reports) -> anyhow::Result<()> {
 }
 
 fn table(reports: &Reports) -> anyhow::Result<()> {
-    say("distances without marching, one thread")?;
-    say(&format!("{:<20} {:<8} {:>14}", "job", "simd", "M points/s"))?;
+    print_line("distances without marching, one thread")?;
+    print_line(&format!("{:<20} {:<8} {:>14}", "job", "simd", "M points/s"))?;
     for PointsReport { job, simd, points_per_second } in &reports.points {
-        say(&format!("{job:<20} {simd:<8} {:>14.1}", points_per_second / 1e6))?;
+        print_line(&format!("{job:<20} {simd:<8} {:>14.1}", points_per_second / 1e6))?;
     }
     if reports.renders.is_empty() {
         return Ok(());
     }
-    say("\nframes as their jobs ask for them, rendered and not encoded")?;
+    print_line("\nframes as their jobs ask for them, rendered and not encoded")?;
     let heads = ["median ms", "least ms", "M rays/s", "M evaluations/s"];
     let [median, least, rays, evaluations] = heads;
-    say(&format!("{:<20} {:<8} {:>7} {median:>10} {least:>10} {rays:>9} {evaluations:>15}", "job", "simd", "threads"))?;
+    print_line(&format!(
+        "{:<20} {:<8} {:>7} {median:>10} {least:>10} {rays:>9} {evaluations:>15}",
+        "job", "simd", "threads"
+    ))?;
     for report in &reports.renders {
         let RenderReport { job, simd, threads, median_ms, least_ms, .. } = report;
         let (rays, evaluations) = (report.rays_per_second / 1e6, report.evaluations_per_second / 1e6);
-        say(&format!(
+        print_line(&format!(
             "{job:<20} {simd:<8} {threads:>7} {median_ms:>10.1} {least_ms:>10.1} {rays:>9.2} {evaluations:>15.1}"
         ))?;
     }
     Ok(())
 }
 
-fn levels_parser() -> impl TypedValueParser<Value = Levels> {
+fn levels_parser() -> impl TypedValueParser<Value = SimdLevels> {
     PossibleValuesParser::new(["all", "auto", "avx512", "avx2", "sse4.2", "scalar"]).map(|name| match name.as_str() {
-        "all" => Levels(EVERY_LEVEL.to_vec()),
-        level => Levels(vec![level.parse().expect("the list above holds the levels' names")]),
+        "all" => SimdLevels(ALL_LEVELS.to_vec()),
+        level => SimdLevels(vec![level.parse().expect("the list above holds the levels' names")]),
     })
 }

@@ -3,14 +3,14 @@
 mod size;
 
 use clap::Args;
-use proto::problem::FaultView;
+use proto::problem::ValidationErrorView;
 use serde_json::json;
 
 use self::size::Outlook;
-use crate::failure::BadJob;
+use crate::error::InvalidJob;
 use crate::job_file::JobFile;
-use crate::sketch::sample;
-use crate::terminal::{note, say};
+use crate::preview_helper::sample;
+use crate::terminal::{print_line, print_note};
 
 /// Arguments of `check`.
 #[derive(Debug, Args)]
@@ -36,8 +36,8 @@ pub(crate) fn run(arguments: &Arguments) -> anyhow::Result<()> {
     let job = match file.parse() {
         Ok(job) => job,
         Err(error) => {
-            if let (true, Some(bad)) = (arguments.json, error.downcast_ref::<BadJob>()) {
-                say(&refusal(&bad.faults))?;
+            if let (true, Some(bad)) = (arguments.json, error.downcast_ref::<InvalidJob>()) {
+                print_line(&refusal(&bad.faults))?;
             }
             return Err(error);
         }
@@ -48,19 +48,19 @@ pub(crate) fn run(arguments: &Arguments) -> anyhow::Result<()> {
     // That a sample takes too long says much of the job, and nothing against it.
     let outlook = Outlook::new(&job, threads, sample.as_ref().ok());
     if arguments.json {
-        return say(&format!("{:#}", outlook.json(&warnings)));
+        return print_line(&format!("{:#}", outlook.json(&warnings)));
     }
     for warning in &warnings {
-        note(&format!("{}: warning: {warning}", file.name));
+        print_note(&format!("{}: warning: {warning}", file.name));
     }
-    say(&format!("{}: sound", file.name))?;
+    print_line(&format!("{}: sound", file.name))?;
     for line in outlook.lines() {
-        say(&format!("  {line}"))?;
+        print_line(&format!("  {line}"))?;
     }
     Ok(())
 }
 
 /// The faults of a job, as JSON.
-fn refusal(faults: &[FaultView]) -> String {
+fn refusal(faults: &[ValidationErrorView]) -> String {
     format!("{:#}", json!({ "valid": false, "errors": faults }))
 }

@@ -5,7 +5,7 @@ use clap::Args;
 use crate::arguments::ServerArguments;
 use crate::counted::counted;
 use crate::job_name::JobName;
-use crate::terminal::{note, say};
+use crate::terminal::{print_line, print_note};
 
 /// Arguments of `delete`.
 #[derive(Debug, Args)]
@@ -25,8 +25,8 @@ pub(crate) async fn run(arguments: Arguments) -> anyhow::Result<()> {
     let client = arguments.server.client()?;
     let id = arguments.id.find(&client).await?;
     if arguments.dry_run {
-        let preview = client.delete_preview(id).await?;
-        return say(&format!(
+        let preview = client.delete_dry_run(id).await?;
+        return print_line(&format!(
             "would remove {} and {}, {}, and {} of the database",
             counted(preview.pictures, "picture"),
             counted(preview.blobs, "blob"),
@@ -35,6 +35,6 @@ pub(crate) async fn run(arguments: Arguments) -> anyhow::Result<()> {
         ));
     }
     client.delete(id).await?;
-    note(&format!("deleted {id}"));
+    print_note(&format!("deleted {id}"));
     Ok(())
 }

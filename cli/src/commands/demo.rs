@@ -12,12 +12,12 @@ use serde_json::Value;
 use server::{Config, Server};
 use tokio_util::sync::CancellationToken;
 
-use crate::commands::serve::own_program;
+use crate::commands::serve::current_executable;
 use crate::counted::counted;
-use crate::failure::Misuse;
+use crate::error::UsageError;
 use crate::output_file::{OutputFile, check_writable};
 use crate::signals::Signals;
-use crate::terminal::{note, say};
+use crate::terminal::{print_line, print_note};
 use crate::{follow, shipped};
 
 /// The scene of a first picture: everything that the renderer does is in it.
@@ -47,7 +47,7 @@ pub(crate) struct Arguments {
 /// Lists the scenes, or renders one on a temporary farm.
 pub(crate) async fn run(arguments: Arguments) -> anyhow::Result<()> {
     if arguments.list {
-        return say(&shipped::names().join("\n"));
+        return print_line(&shipped::names().join("\n"));
     }
     let is_first = arguments.scene == DEFAULT_SCENE;
     let width = arguments.width.or(is_first.then_some(DEFAULT_WIDTH_PX));
@@ -55,19 +55,19 @@ pub(crate) async fn run(arguments: Arguments) -> anyhow::Result<()> {
     let job = scene::parse(&text).with_context(|| format!("the shipped scene {} is damaged", arguments.scene))?;
     // Better known now than after rendering.
     check_writable("./")?;
-    let mut signals = Signals::catch()?;
+    let mut signals = Signals::install()?;
 
     let data = tempfile::tempdir().context("could not make a folder for the farm: free some space there")?;
     let config = Config {
         listen: ([127, 0, 0, 1], 0).into(),
         data: data.path().to_owned(),
-        worker_program: own_program()?,
+        worker_program: current_executable()?,
         ..Config::default()
     };
     let server = Server::start(config).await?;
     let client = Client::new(&format!("http://{}", server.address()))?;
     let image = &job.image;
-    note(&format!(
+    print_note(&format!(
         "a farm serves {}; it renders {}: {}×{}, {}",
         client.server(),
         arguments.scene,
@@ -87,8 +87,8 @@ pub(crate) async fn run(arguments: Arguments) -> anyhow::Result<()> {
     shutdown.cancel();
     serving.await.context("the farm stopped in disorder")??;
     let path = save(&done?, &arguments.scene, &job, arguments.force)?;
-    say(&format!("saved {} after {:.1} s", path.display(), took.as_secs_f64()))?;
-    note(&next_step());
+    print_line(&format!("saved {} after {:.1} s", path.display(), took.as_secs_f64()))?;
+    print_note(&next_step());
     Ok(())
 }
 
@@ -116,7 +116,7 @@ fn next_step() -> String {
 /// Submits the job over HTTP like any client, and waits for its picture.
 async fn picture(client: &Client, text: Vec<u8>) -> anyhow::Result<Vec<u8>> {
     let id = client.submit(text, false).await?.id;
-    follow::until_done(client, id).await?;
+    follow::wait_for_success(client, id).await?;
     let mut picture = Vec::new();
     client.image(id, 0, &mut picture).await?;
     Ok(picture)
@@ -143,6 +143,7 @@ fn free_name(plain: PathBuf, stem: &str, extension: &str, picture: &[u8]) -> any
     let numbered = (2..1000).map(|number| PathBuf::from(format!("{stem}-{number}.{extension}")));
     let is_free = |path: &Path| !path.exists() || fs::read(path).is_ok_and(|there| there == picture);
     std::iter::once(plain).chain(numbered).find(|path| is_free(path)).ok_or_else(|| {
-        Misuse(format!("every name from {stem}.{extension} on is taken here: say --force to replace the first")).into()
+        UsageError(format!("every name from {stem}.{extension} on is taken here: say --force to replace the first"))
+            .into()
     })
 }

@@ -5,9 +5,9 @@ use std::path::PathBuf;
 
 use clap::Args;
 use serde_json::json;
-use server::{Depth, Finding, Grade, Repair};
+use server::{Depth, Finding, Repair, Severity};
 
-use crate::terminal::say;
+use crate::terminal::print_line;
 
 /// Arguments of `doctor`.
 #[derive(Debug, Args)]
@@ -34,27 +34,28 @@ pub(crate) struct Arguments {
 pub(crate) async fn run(arguments: Arguments) -> anyhow::Result<()> {
     let depth = if arguments.deep { Depth::Bytes } else { Depth::Names };
     let repair = if arguments.repair { Repair::Store } else { Repair::None };
-    let mut findings = server::examine(&arguments.data, depth, repair).await?;
-    let is_served = findings.iter().any(|finding| finding.subject == "server" && finding.text.starts_with("a server"));
-    findings.push(look_at_port(arguments.listen, is_served));
-    findings.push(look_at_gpus());
+    let mut findings = server::run_checks(&arguments.data, depth, repair).await?;
+    let is_served =
+        findings.iter().any(|finding| finding.subject == "server" && finding.message.starts_with("a server"));
+    findings.push(check_port(arguments.listen, is_served));
+    findings.push(check_gpus());
     if arguments.json {
-        say(&serde_json::to_string_pretty(&findings.iter().map(to_json).collect::<Vec<_>>())?)?;
+        print_line(&serde_json::to_string_pretty(&findings.iter().map(to_json).collect::<Vec<_>>())?)?;
     } else {
         for finding in &findings {
-            say(&line(finding))?;
+            print_line(&line(finding))?;
         }
     }
-    let wrong = findings.iter().filter(|finding| finding.grade == Grade::Wrong).count();
+    let wrong = findings.iter().filter(|finding| finding.severity == Severity::Error).count();
     anyhow::ensure!(wrong == 0, "{wrong} findings are wrong: see their cures above");
     Ok(())
 }
 
-fn look_at_port(listen: SocketAddr, is_served: bool) -> Finding {
+fn check_port(listen: SocketAddr, is_served: bool) -> Finding {
     match TcpListener::bind(listen) {
-        Ok(_) => Finding::good("port", format!("{listen} is free")),
-        Err(_) if is_served => Finding::good("port", format!("{listen} is taken, and the farm is served")),
-        Err(error) => Finding::wrong(
+        Ok(_) => Finding::ok("port", format!("{listen} is free")),
+        Err(_) if is_served => Finding::ok("port", format!("{listen} is taken, and the farm is served")),
+        Err(error) => Finding::error(
             "port",
             format!("a server can't listen on {listen}: {error}"),
             "stop what listens there, or choose another address with --listen",
@@ -63,38 +64,38 @@ fn look_at_port(listen: SocketAddr, is_served: bool) -> Finding {
 }
 
 /// A machine without a GPU is fine; one with an unusable GPU gets a warning.
-fn look_at_gpus() -> Finding {
+fn check_gpus() -> Finding {
     match worker::cuda::devices() {
-        Ok(count) => Finding::good("gpu", format!("the driver lends {count} GPUs")),
+        Ok(count) => Finding::ok("gpu", format!("the driver lends {count} GPUs")),
         Err(error) => {
             let has_one = std::path::Path::new("/proc/driver/nvidia/gpus").is_dir();
             if has_one {
-                Finding::odd(
+                Finding::warning(
                     "gpu",
                     error.to_string(),
                     "install the NVIDIA driver and CUDA's run-time compiler, or render on the CPU",
                 )
             } else {
-                Finding::good("gpu", "there is none: workers render on the CPU")
+                Finding::ok("gpu", "there is none: workers render on the CPU")
             }
         }
     }
 }
 
-fn grade(finding: &Finding) -> &'static str {
-    match finding.grade {
-        Grade::Good => "ok",
-        Grade::Odd => "odd",
-        Grade::Wrong => "WRONG",
+fn severity_name(finding: &Finding) -> &'static str {
+    match finding.severity {
+        Severity::Ok => "ok",
+        Severity::Warning => "warning",
+        Severity::Error => "ERROR",
     }
 }
 
 fn line(finding: &Finding) -> String {
-    let cure = finding.cure.as_ref().map_or_else(String::new, |cure| format!("\n                 cure: {cure}"));
-    format!("{:<5}  {:<8}  {}{cure}", grade(finding), finding.subject, finding.text)
+    let cure = finding.cure.as_ref().map_or_else(String::new, |cure| format!("\n                   cure: {cure}"));
+    format!("{:<7}  {:<8}  {}{cure}", severity_name(finding), finding.subject, finding.message)
 }
 
 fn to_json(finding: &Finding) -> serde_json::Value {
-    let grade = grade(finding).to_lowercase();
-    json!({ "grade": grade, "subject": finding.subject, "text": finding.text, "cure": finding.cure })
+    let severity = severity_name(finding).to_lowercase();
+    json!({ "severity": severity, "subject": finding.subject, "text": finding.message, "cure": finding.cure })
 }

@@ -1,12 +1,12 @@
 //! `sdfarm explain`: what becomes of a job.
 
 use clap::Args;
-use worker::cuda::Source;
+use worker::cuda::KernelSource;
 
 use crate::commands::render::check_frame;
 use crate::counted::{counted, counted_len};
 use crate::job_file::JobFile;
-use crate::terminal::{note, say};
+use crate::terminal::{print_line, print_note};
 
 /// Arguments of `explain`.
 #[derive(Debug, Args)]
@@ -25,20 +25,20 @@ pub(crate) struct Arguments {
 pub(crate) fn run(arguments: &Arguments) -> anyhow::Result<()> {
     let job = JobFile::read(&arguments.job)?.parse()?;
     check_frame(&job, arguments.frame)?;
-    let source = Source::new(&job.at(arguments.frame)?);
+    let source = KernelSource::new(&job.at(arguments.frame)?);
     if arguments.cuda {
-        return say(source.text.trim_end());
+        return print_line(source.text.trim_end());
     }
     let image = &job.image;
     let (nodes, frames) = (counted(job.nodes(), "node"), counted(job.frames.count, "frame"));
-    say(&format!("{}: {nodes}, {frames}", job.name))?;
+    print_line(&format!("{}: {nodes}, {frames}", job.name))?;
     let rays = counted(job.rays_per_frame(), "camera ray");
-    say(&format!("a frame: {}×{} pixels, {rays}", image.width, image.height))?;
+    print_line(&format!("a frame: {}×{} pixels, {rays}", image.width, image.height))?;
     let distance =
         source.distance_operations.map_or_else(|| "with loops".to_owned(), |count| counted(count, "operation"));
     let (statements, numbers) =
         (counted_len(source.statements, "statement"), counted_len(source.parameters.len(), "number"));
-    say(&format!("a distance: {distance}; the whole program: {statements} on {numbers}"))?;
-    note("the program itself: add --cuda");
+    print_line(&format!("a distance: {distance}; the whole program: {statements} on {numbers}"))?;
+    print_note("the program itself: add --cuda");
     Ok(())
 }

@@ -7,7 +7,7 @@ use clap::Args;
 use crate::arguments::ServerArguments;
 use crate::job_name::JobName;
 use crate::output_file::is_folder;
-use crate::{follow, sequence};
+use crate::{follow, frame_files};
 
 /// Arguments of `fetch`.
 #[derive(Debug, Args)]
@@ -37,14 +37,14 @@ pub(crate) async fn run(arguments: Arguments) -> anyhow::Result<()> {
     let client = arguments.server.client()?;
     let id = arguments.id.find(&client).await?;
     if arguments.all || (arguments.frame.is_none() && is_folder(&arguments.output)) {
-        return sequence::save(&client, id, &arguments.output, arguments.partial).await;
+        return frame_files::save(&client, id, &arguments.output, arguments.partial).await;
     }
     if Path::new(&arguments.output).extension().is_some_and(|end| end.eq_ignore_ascii_case("zip")) {
-        return sequence::archive(&client, id, &arguments.output, arguments.partial).await;
+        return frame_files::archive(&client, id, &arguments.output, arguments.partial).await;
     }
     let frame = arguments.frame.unwrap_or(0);
     if is_folder(&arguments.output) {
-        return sequence::save_one(&client, id, frame, &arguments.output).await;
+        return frame_files::save_one(&client, id, frame, &arguments.output).await;
     }
     follow::fetch(&client, id, frame, &arguments.output).await
 }

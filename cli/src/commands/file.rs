@@ -6,7 +6,7 @@ use clap::Args;
 use crate::arguments::ServerArguments;
 use crate::job_name::JobName;
 use crate::output_file::OutputFile;
-use crate::terminal::note;
+use crate::terminal::print_note;
 
 /// Arguments of `file`.
 #[derive(Debug, Args)]
@@ -31,7 +31,7 @@ pub(crate) async fn run(arguments: Arguments) -> anyhow::Result<()> {
         client.file(id, output.file()).await.with_context(|| format!("could not fetch the file of job {id}"))?;
     output.commit()?;
     if path != "-" {
-        note(&format!("wrote {path}: {size_bytes} bytes"));
+        print_note(&format!("wrote {path}: {size_bytes} bytes"));
     }
     Ok(())
 }

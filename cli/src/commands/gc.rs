@@ -1,11 +1,11 @@
 //! `sdfarm gc`: has a server delete the jobs past their retention, or lists them.
 
 use clap::Args;
-use proto::retention::Collection;
+use proto::retention::GcReport;
 
 use crate::arguments::ServerArguments;
 use crate::counted::counted_len;
-use crate::terminal::{note, say};
+use crate::terminal::{print_line, print_note};
 
 /// Arguments of `gc`.
 #[derive(Debug, Args)]
@@ -24,11 +24,11 @@ pub(crate) struct Arguments {
 pub(crate) async fn run(arguments: Arguments) -> anyhow::Result<()> {
     let client = arguments.server.client()?;
     loop {
-        let collection = client.collect(arguments.dry_run).await?;
+        let collection = client.collect_garbage(arguments.dry_run).await?;
         if arguments.json {
-            say(&serde_json::to_string_pretty(&collection)?)?;
+            print_line(&serde_json::to_string_pretty(&collection)?)?;
         } else {
-            tell(&collection)?;
+            print_report(&collection)?;
         }
         if arguments.dry_run || !collection.more {
             return Ok(());
@@ -36,10 +36,10 @@ pub(crate) async fn run(arguments: Arguments) -> anyhow::Result<()> {
     }
 }
 
-fn tell(collection: &Collection) -> anyhow::Result<()> {
-    let Collection { dry_run, store_bytes, max_store_bytes, freed_bytes, jobs, more } = collection;
+fn print_report(collection: &GcReport) -> anyhow::Result<()> {
+    let GcReport { dry_run, store_bytes, max_store_bytes, freed_bytes, jobs, more } = collection;
     for job in jobs {
-        say(&format!(
+        print_line(&format!(
             "{}  {}  {:<4}  {:>12} bytes  {}",
             job.id,
             job.finished_at,
@@ -52,6 +52,6 @@ fn tell(collection: &Collection) -> anyhow::Result<()> {
     let (verb, rest) =
         (if *dry_run { "would free" } else { "freed" }, if *more { ", and there may be more" } else { "" });
     let jobs = counted_len(jobs.len(), "job");
-    note(&format!("{jobs} {verb} {freed_bytes} of {store_bytes} bytes ({limit}){rest}"));
+    print_note(&format!("{jobs} {verb} {freed_bytes} of {store_bytes} bytes ({limit}){rest}"));
     Ok(())
 }

@@ -6,7 +6,7 @@ use proto::job::JobState;
 
 use crate::arguments::ServerArguments;
 use crate::follow;
-use crate::terminal::{note, say};
+use crate::terminal::{print_line, print_note};
 
 /// Arguments of `jobs`.
 #[derive(Debug, Args)]
@@ -32,14 +32,14 @@ pub(crate) async fn run(arguments: Arguments) -> anyhow::Result<()> {
     let client = arguments.server.client()?;
     let page = client.jobs(arguments.state, arguments.limit, arguments.cursor.as_deref()).await?;
     if arguments.json {
-        return say(&serde_json::to_string_pretty(&page)?);
+        return print_line(&serde_json::to_string_pretty(&page)?);
     }
     for job in &page.jobs {
-        say(&follow::line(job))?;
+        print_line(&follow::line(job))?;
     }
     follow::note_farm_pause(&client).await;
     if let Some(cursor) = page.next_cursor {
-        note(&format!("more: sdfarm jobs --cursor {cursor}"));
+        print_note(&format!("more: sdfarm jobs --cursor {cursor}"));
     }
     Ok(())
 }

@@ -7,21 +7,21 @@ use std::time::Duration;
 
 use clap::builder::{PossibleValuesParser, TypedValueParser};
 use clap::{Args, Subcommand};
-use proto::key::{KeyState, KeyView, NewKey, Scope};
-use server::{KeyFolder, KeyFolderError};
+use proto::api_key::{ApiKeyState, ApiKeyView, NewApiKey, Scope};
+use server::{OfflineApiKeys, OfflineApiKeysError};
 
-use crate::failure::Misuse;
-use crate::terminal::{note, say};
+use crate::error::UsageError;
+use crate::terminal::{print_line, print_note};
 
 /// Arguments of `key`.
 #[derive(Debug, Args)]
 pub(crate) struct Arguments {
     #[command(subcommand)]
-    what: What,
+    what: KeyCommand,
 }
 
 #[derive(Debug, Subcommand)]
-enum What {
+enum KeyCommand {
     /// Make a key, and print its secret: the only time it is shown.
     New(New),
     /// List the keys, newest first.
@@ -47,7 +47,7 @@ struct New {
     scope: Vec<Scope>,
     /// Expiry, counted from now: 12h, 90d or 52w [default: never].
     #[arg(long, value_name = "TIME", env = "SDFARM_EXPIRES")]
-    expires: Option<Life>,
+    expires: Option<KeyLifetime>,
     /// Maximum number of unfinished jobs of its name.
     #[arg(long, value_name = "N", env = "SDFARM_MAX_JOBS")]
     max_jobs: Option<u32>,
@@ -81,9 +81,9 @@ struct Revoke {
 
 /// Lifetime of a key.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-struct Life(Duration);
+struct KeyLifetime(Duration);
 
-impl FromStr for Life {
+impl FromStr for KeyLifetime {
     type Err = String;
 
     fn from_str(text: &str) -> Result<Self, String> {
@@ -105,15 +105,15 @@ impl FromStr for Life {
 /// Creates, lists or revokes keys.
 pub(crate) async fn run(arguments: Arguments) -> anyhow::Result<()> {
     match arguments.what {
-        What::New(new) => make(new).await,
-        What::List(list) => show(list).await,
-        What::Revoke(revoke) => end(revoke).await,
+        KeyCommand::New(new) => create(new).await,
+        KeyCommand::List(arguments) => list(arguments).await,
+        KeyCommand::Revoke(arguments) => revoke(arguments).await,
     }
 }
 
-async fn make(new: New) -> anyhow::Result<()> {
-    let mut folder = KeyFolder::open_or_make(&new.folder.data).await?;
-    let order = NewKey {
+async fn create(new: New) -> anyhow::Result<()> {
+    let mut folder = OfflineApiKeys::open_or_create(&new.folder.data).await?;
+    let order = NewApiKey {
         name: new.name,
         scopes: new.scope,
         expires_in_seconds: new.expires.map(|life| life.0.as_secs()),
@@ -121,38 +121,38 @@ async fn make(new: New) -> anyhow::Result<()> {
         max_rays: new.max_rays,
         requests_per_second: new.rate,
     };
-    let issued = folder.make(order).await.map_err(misuse)?;
+    let issued = folder.create(order).await.map_err(as_usage_error)?;
     folder.close().await?;
-    note(&format!("{}; the secret is shown this once: give it to its bearer as SDFARM_KEY", line(&issued.key)));
-    say(&issued.secret)
+    print_note(&format!("{}; the secret is shown this once: give it to its bearer as SDFARM_KEY", line(&issued.key)));
+    print_line(&issued.secret)
 }
 
-async fn show(list: List) -> anyhow::Result<()> {
-    let mut folder = KeyFolder::open(&list.folder.data).await?;
+async fn list(list: List) -> anyhow::Result<()> {
+    let mut folder = OfflineApiKeys::open(&list.folder.data).await?;
     let keys = folder.list().await?;
     folder.close().await?;
     if list.json {
-        return say(&serde_json::to_string_pretty(&keys)?);
+        return print_line(&serde_json::to_string_pretty(&keys)?);
     }
     if keys.is_empty() {
-        note("there are no keys: whoever reaches the server may use it");
+        print_note("there are no keys: whoever reaches the server may use it");
     }
-    keys.iter().try_for_each(|key| say(&line(key)))
+    keys.iter().try_for_each(|key| print_line(&line(key)))
 }
 
-async fn end(revoke: Revoke) -> anyhow::Result<()> {
-    let mut folder = KeyFolder::open(&revoke.folder.data).await?;
+async fn revoke(revoke: Revoke) -> anyhow::Result<()> {
+    let mut folder = OfflineApiKeys::open(&revoke.folder.data).await?;
     let keys = folder.revoke(&revoke.which).await?;
     folder.close().await?;
-    keys.iter().try_for_each(|key| say(&line(key)))
+    keys.iter().try_for_each(|key| print_line(&line(key)))
 }
 
 /// One key in a line.
-fn line(key: &KeyView) -> String {
+fn line(key: &ApiKeyView) -> String {
     let state = match key.state {
-        KeyState::Live => "live",
-        KeyState::Expired => "expired",
-        KeyState::Revoked => "revoked",
+        ApiKeyState::Live => "live",
+        ApiKeyState::Expired => "expired",
+        ApiKeyState::Revoked => "revoked",
     };
     let scopes: Vec<&str> = key.scopes.iter().map(|scope| scope.name()).collect();
     let mut line = format!("{}  {state:7}  {}  {}  made {}", key.id, key.name, scopes.join(","), key.created_at);
@@ -166,10 +166,10 @@ fn line(key: &KeyView) -> String {
 }
 
 /// A rejected request is a usage error; a failed one is not.
-fn misuse(error: KeyFolderError) -> anyhow::Error {
+fn as_usage_error(error: OfflineApiKeysError) -> anyhow::Error {
     match error {
-        KeyFolderError::Refused(reason) => Misuse(reason).into(),
-        error @ KeyFolderError::Folder { .. } => error.into(),
+        OfflineApiKeysError::Refused(reason) => UsageError(reason).into(),
+        error @ OfflineApiKeysError::Folder { .. } => error.into(),
     }
 }
 
@@ -186,10 +186,10 @@ mod tests {
     #[test]
     fn lives_are_read_with_their_unit() {
         for (text, hours) in [("12h", 12), ("90d", 90 * 24), ("2w", 14 * 24), ("120m", 2)] {
-            assert_eq!(text.parse(), Ok(Life(Duration::from_hours(hours))), "{text}");
+            assert_eq!(text.parse(), Ok(KeyLifetime(Duration::from_hours(hours))), "{text}");
         }
         for wrong in ["", "d", "90", "0d", "-1d", "1.5d", "99999999999999999w", "5é"] {
-            assert!(wrong.parse::<Life>().is_err(), "{wrong}");
+            assert!(wrong.parse::<KeyLifetime>().is_err(), "{wrong}");
         }
     }
 }

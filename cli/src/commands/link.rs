@@ -2,13 +2,13 @@
 
 use anyhow::Context;
 use clap::Args;
-use proto::Keep;
-use proto::link::{LinkRequest, MAX_LINK_SECONDS, Shown};
+use proto::Retention;
+use proto::link::{LinkContent, LinkRequest, MAX_LINK_SECONDS};
 
 use crate::arguments::ServerArguments;
-use crate::failure::Misuse;
+use crate::error::UsageError;
 use crate::job_name::JobName;
-use crate::terminal::{note, say};
+use crate::terminal::{print_line, print_note};
 
 /// Arguments of `link`.
 #[derive(Debug, Args)]
@@ -23,7 +23,7 @@ pub(crate) struct Arguments {
     frame: u32,
     /// Validity of the link: 30m, 36h, 7d; at most 366d.
     #[arg(long, value_name = "AGE", env = "SDFARM_EXPIRES", default_value = "7d")]
-    expires: Keep,
+    expires: Retention,
     /// Link to the finished part so far instead of the stored picture.
     #[arg(long, env = "SDFARM_PREVIEW", value_parser = clap::builder::FalseyValueParser::new(), action = clap::ArgAction::SetTrue)]
     preview: bool,
@@ -33,19 +33,19 @@ pub(crate) struct Arguments {
 pub(crate) async fn run(arguments: Arguments) -> anyhow::Result<()> {
     let Arguments { id, server, frame, expires, preview } = arguments;
     let seconds = match expires {
-        Keep::For(time) => u32::try_from(time.as_secs()).ok(),
-        Keep::Forever => None,
+        Retention::For(time) => u32::try_from(time.as_secs()).ok(),
+        Retention::Forever => None,
     };
     let expires_in_seconds = seconds
         .filter(|seconds| (1..=MAX_LINK_SECONDS).contains(seconds))
-        .ok_or_else(|| Misuse(format!("a link can't be valid for {expires}: say 1s to 366d")))?;
-    let shows = if preview { Shown::Preview } else { Shown::Image };
+        .ok_or_else(|| UsageError(format!("a link can't be valid for {expires}: say 1s to 366d")))?;
+    let shows = if preview { LinkContent::Preview } else { LinkContent::Image };
     let client = server.client()?;
     let id = id.find(&client).await?;
     let link = client
         .link(id, frame, &LinkRequest { expires_in_seconds, shows })
         .await
         .with_context(|| format!("could not have a link to frame {frame} of job {id} signed"))?;
-    note(&format!("valid until {}", link.expires_at));
-    say(&format!("{}{}", client.server(), link.url))
+    print_note(&format!("valid until {}", link.expires_at));
+    print_line(&format!("{}{}", client.server(), link.url))
 }

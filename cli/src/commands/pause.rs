@@ -5,7 +5,7 @@ use clap::Args;
 use crate::arguments::ServerArguments;
 use crate::follow;
 use crate::job_name::JobName;
-use crate::terminal::say;
+use crate::terminal::print_line;
 
 /// Arguments of `pause` and `resume`.
 #[derive(Debug, Args)]
@@ -25,12 +25,12 @@ pub(crate) async fn run(arguments: Arguments, pause: bool) -> anyhow::Result<()>
         None => None,
     };
     let farm = match (id, pause) {
-        (Some(id), true) => return say(&follow::line(&client.pause(id).await?)),
-        (Some(id), false) => return say(&follow::line(&client.resume(id).await?)),
+        (Some(id), true) => return print_line(&follow::line(&client.pause(id).await?)),
+        (Some(id), false) => return print_line(&follow::line(&client.resume(id).await?)),
         (None, true) => client.pause_farm().await?,
         (None, false) => client.resume_farm().await?,
     };
-    say(if farm.paused {
+    print_line(if farm.paused {
         "the farm is paused: nothing more is started until `sdfarm resume`"
     } else {
         "the farm goes on"

@@ -5,7 +5,7 @@ use proto::pool::{MAX_POOL_WORKERS, PoolSize};
 
 use crate::arguments::ServerArguments;
 use crate::counted::counted;
-use crate::terminal::say;
+use crate::terminal::print_line;
 
 /// Arguments of `pool`.
 #[derive(Debug, Args)]
@@ -24,5 +24,5 @@ pub(crate) async fn run(arguments: Arguments) -> anyhow::Result<()> {
         Some(workers) => client.set_pool(PoolSize { workers }).await?,
         None => client.pool().await?,
     };
-    say(&format!("{} wanted, {} ready", counted(pool.workers, "worker"), pool.ready))
+    print_line(&format!("{} wanted, {} ready", counted(pool.workers, "worker"), pool.ready))
 }

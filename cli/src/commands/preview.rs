@@ -6,7 +6,7 @@ use clap::Args;
 use crate::arguments::ServerArguments;
 use crate::job_name::JobName;
 use crate::output_file::OutputFile;
-use crate::terminal::note;
+use crate::terminal::print_note;
 
 /// Arguments of `preview`.
 #[derive(Debug, Args)]
@@ -39,7 +39,7 @@ pub(crate) async fn run(arguments: Arguments) -> anyhow::Result<()> {
         .with_context(|| format!("could not fetch a preview of frame {frame} of job {id}"))?;
     output.commit()?;
     if path != "-" {
-        note(&format!("wrote {path}: {size_bytes} bytes"));
+        print_note(&format!("wrote {path}: {size_bytes} bytes"));
     }
     Ok(())
 }

@@ -1,12 +1,12 @@
 //! `sdfarm priority`: moves a job before or behind others.
 
 use clap::Args;
-use proto::change::JobPatch;
+use proto::job::JobPatch;
 
 use crate::arguments::ServerArguments;
 use crate::follow;
 use crate::job_name::JobName;
-use crate::terminal::say;
+use crate::terminal::print_line;
 
 /// Arguments of `priority`.
 #[derive(Debug, Args)]
@@ -26,5 +26,5 @@ pub(crate) async fn run(arguments: Arguments) -> anyhow::Result<()> {
     let patch = JobPatch { priority: Some(arguments.priority) };
     let client = arguments.server.client()?;
     let job = client.patch(arguments.id.find(&client).await?, &patch).await?;
-    say(&follow::line(&job))
+    print_line(&follow::line(&job))
 }

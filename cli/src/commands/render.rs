@@ -11,16 +11,16 @@ use scene::Job;
 use serde::Serialize;
 use tokio::runtime::Runtime;
 use worker::frame::{FrameTimes, render_frame};
-use worker::{Cancel, Renderer};
+use worker::{CancelFlag, Renderer};
 
 use crate::arguments::RendererArguments;
 use crate::counted::counted;
-use crate::failure::Misuse;
+use crate::error::UsageError;
 use crate::job_file::JobFile;
 use crate::output_file::{OutputFile, check_format, format_of};
 use crate::progress::Progress;
 use crate::signals::Signals;
-use crate::terminal::note;
+use crate::terminal::print_note;
 
 /// Arguments of `render`.
 #[derive(Debug, Args)]
@@ -69,14 +69,14 @@ pub(crate) fn run(arguments: &Arguments) -> anyhow::Result<()> {
     let warnings = job.warnings();
     if !arguments.json {
         for warning in &warnings {
-            note(&format!("{}: warning: {warning}", file.name));
+            print_note(&format!("{}: warning: {warning}", file.name));
         }
     }
     let renderer = arguments.renderer.renderer()?;
-    let cancel = Cancel::new();
+    let cancel = CancelFlag::new();
     let stopper = Stopper::start(&cancel)?;
     let mut output = OutputFile::create(&arguments.output)?;
-    stopper.remove_in_haste(Some(output.temporary_path()));
+    stopper.remove_on_signal(Some(output.temporary_path()));
     let progress = if arguments.json { Progress::silent() } else { Progress::new(&job.name, rays(&job)) };
 
     let times = render(&*renderer, &job, arguments, &mut output, &cancel, &progress);
@@ -86,7 +86,7 @@ pub(crate) fn run(arguments: &Arguments) -> anyhow::Result<()> {
     }
     let times = times?;
     // From here on the file is complete, and is not deleted any more.
-    stopper.remove_in_haste(None);
+    stopper.remove_on_signal(None);
     output.commit()?;
 
     let summary = Summary {
@@ -101,11 +101,13 @@ pub(crate) fn run(arguments: &Arguments) -> anyhow::Result<()> {
         warnings,
     };
     if arguments.json {
-        note(&serde_json::to_string(&summary)?);
+        print_note(&serde_json::to_string(&summary)?);
     } else {
-        note(&summary.words());
+        print_note(&summary.words());
         if let (count @ 2.., frame) = (job.frames.count, arguments.frame) {
-            note(&format!("that is frame {frame} of {count}: --frame names another, `sdfarm submit` renders all"));
+            print_note(&format!(
+                "that is frame {frame} of {count}: --frame names another, `sdfarm submit` renders all"
+            ));
         }
     }
     Ok(())
@@ -134,7 +136,7 @@ fn render(
     job: &Job,
     arguments: &Arguments,
     output: &mut OutputFile,
-    cancel: &Cancel,
+    cancel: &CancelFlag,
     progress: &Progress,
 ) -> anyhow::Result<FrameTimes> {
     // A large frame passes through a nameless file where its picture will be: there must be room there anyway.
@@ -155,7 +157,7 @@ pub(crate) fn check_frame(job: &Job, frame: u32) -> anyhow::Result<()> {
     if frame < count {
         return Ok(());
     }
-    Err(Misuse(format!("there is no frame {frame}: {} has frames 0 to {}", job.name, count - 1)).into())
+    Err(UsageError(format!("there is no frame {frame}: {} has frames 0 to {}", job.name, count - 1)).into())
 }
 
 fn rays(job: &Job) -> u64 {
@@ -169,7 +171,7 @@ struct Stopper {
 }
 
 impl Stopper {
-    fn start(cancel: &Cancel) -> anyhow::Result<Self> {
+    fn start(cancel: &CancelFlag) -> anyhow::Result<Self> {
         let runtime = tokio::runtime::Builder::new_multi_thread()
             .worker_threads(1)
             .enable_all()
@@ -178,7 +180,7 @@ impl Stopper {
         let temporary = Arc::new(Mutex::new(None::<PathBuf>));
         let (cancel, in_haste) = (cancel.clone(), Arc::clone(&temporary));
         let entered = runtime.enter();
-        let mut signals = Signals::catch()?;
+        let mut signals = Signals::install()?;
         drop(entered);
         runtime.spawn(async move {
             signals.next().await;
@@ -193,7 +195,7 @@ impl Stopper {
         Ok(Self { temporary, _runtime: runtime })
     }
 
-    fn remove_in_haste(&self, path: Option<&Path>) {
+    fn remove_on_signal(&self, path: Option<&Path>) {
         if let Ok(mut temporary) = self.temporary.lock() {
             *temporary = path.map(Path::to_owned);
         }

@@ -4,7 +4,7 @@ use std::path::PathBuf;
 
 use clap::Args;
 
-use crate::terminal::{note, say};
+use crate::terminal::{print_line, print_note};
 
 /// Arguments of `restore`.
 #[derive(Debug, Args)]
@@ -20,14 +20,14 @@ pub(crate) struct Arguments {
 /// Restores it, and checks every byte.
 pub(crate) async fn run(arguments: Arguments) -> anyhow::Result<()> {
     let restored = server::restore(&arguments.folder, &arguments.data).await?;
-    say(&format!(
+    print_line(&format!(
         "restored the farm of {} to {}: its database and {} pictures are whole",
         restored.made_at,
         arguments.data.display(),
         restored.pictures
     ))?;
     for hash in &restored.missing {
-        note(&format!("picture {hash} is gone from the backup, or damaged there"));
+        print_note(&format!("picture {hash} is gone from the backup, or damaged there"));
     }
     if !restored.missing.is_empty() {
         anyhow::bail!(

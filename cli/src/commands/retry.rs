@@ -5,7 +5,7 @@ use clap::Args;
 use crate::arguments::ServerArguments;
 use crate::follow;
 use crate::job_name::JobName;
-use crate::terminal::say;
+use crate::terminal::print_line;
 
 /// Arguments of `retry`.
 #[derive(Debug, Args)]
@@ -21,5 +21,5 @@ pub(crate) struct Arguments {
 pub(crate) async fn run(arguments: Arguments) -> anyhow::Result<()> {
     let client = arguments.server.client()?;
     let job = client.retry(arguments.id.find(&client).await?).await?;
-    say(&follow::line(&job))
+    print_line(&follow::line(&job))
 }

@@ -2,7 +2,7 @@
 
 use clap::Args;
 
-use crate::terminal::say;
+use crate::terminal::print_line;
 
 /// Arguments of `schema`: none.
 #[derive(Debug, Args)]
@@ -10,5 +10,5 @@ pub(crate) struct Arguments {}
 
 /// Prints it.
 pub(crate) fn run(_: &Arguments) -> anyhow::Result<()> {
-    say(&serde_json::to_string_pretty(&scene::schema())?)
+    print_line(&serde_json::to_string_pretty(&scene::schema())?)
 }

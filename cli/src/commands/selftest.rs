@@ -1,6 +1,6 @@
 //! `sdfarm selftest`: whether this machine renders the right bits.
 
-mod first;
+mod startup;
 
 use std::time::Instant;
 
@@ -8,13 +8,13 @@ use anyhow::Context;
 use clap::{Args, ValueEnum};
 use proto::tile::Tiling;
 use scene::{Image, Job, Layer};
-use worker::{Cancel, CpuRenderer, Pixels, RenderError, Renderer, Simd, TileRun};
+use worker::{CancelFlag, CpuRenderer, RenderError, Renderer, Simd, TilePixels, TileRequest};
 
-use crate::arguments::{Device, RendererArguments};
+use crate::arguments::{DeviceChoice, RendererArguments};
 use crate::shipped;
-use crate::terminal::say;
+use crate::terminal::print_line;
 
-pub(crate) use first::prove;
+pub(crate) use startup::check;
 
 const LEVELS: [Simd; 4] = [Simd::Scalar, Simd::Sse42, Simd::Avx2, Simd::Avx512];
 const LAYERS: [Layer; 6] = [Layer::Depth, Layer::Normal, Layer::Position, Layer::Albedo, Layer::Object, Layer::Steps];
@@ -27,7 +27,7 @@ pub(crate) struct Arguments {
     scenes: Vec<String>,
     /// Reference to compare with [default: levels on a CPU, hashes on a GPU].
     #[arg(long, env = "SDFARM_AGAINST")]
-    against: Option<Against>,
+    against: Option<Reference>,
     /// Edge of the tiles it renders, in pixels [default: as a server would cut them].
     #[arg(long, value_name = "PIXELS", env = "SDFARM_TILE", value_parser = clap::value_parser!(u32).range(1..))]
     tile: Option<u32>,
@@ -39,7 +39,7 @@ pub(crate) struct Arguments {
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
-enum Against {
+enum Reference {
     /// Small pictures, rendered at every SIMD level that this CPU has.
     Levels,
     /// Full-size pictures, by the hashes built into this program.
@@ -51,19 +51,19 @@ enum Against {
 /// Renders shipped scenes and compares every bit.
 pub(crate) fn run(arguments: &Arguments) -> anyhow::Result<()> {
     let against = arguments.against.unwrap_or(match arguments.renderer.device {
-        Device::Cpu | Device::Auto(_) => Against::Levels,
-        Device::Cuda(_) => Against::Hashes,
+        DeviceChoice::Cpu | DeviceChoice::Auto(_) => Reference::Levels,
+        DeviceChoice::Cuda(_) => Reference::Hashes,
     });
     let differing = match against {
-        Against::Levels if !arguments.print => compare_levels(arguments)?,
-        _ => compare_whole(arguments, against)?,
+        Reference::Levels if !arguments.print => compare_levels(arguments)?,
+        _ => compare_full_size(arguments, against)?,
     };
     anyhow::ensure!(differing == 0, "this machine does not render the right bits: let it render for no farm");
     Ok(())
 }
 
 /// Renders full-size pictures; how many of them differ.
-fn compare_whole(arguments: &Arguments, against: Against) -> anyhow::Result<usize> {
+fn compare_full_size(arguments: &Arguments, against: Reference) -> anyhow::Result<usize> {
     let renderer = arguments.renderer.renderer()?;
     let cpu = CpuRenderer::new(None, Simd::Auto)?;
     let all = shipped::names();
@@ -75,12 +75,12 @@ fn compare_whole(arguments: &Arguments, against: Against) -> anyhow::Result<usiz
         let tiles = render(&*renderer, &job, arguments.tile)?;
         let ms = start.elapsed().as_secs_f64() * 1e3;
         if arguments.print {
-            say(&format!("{} {name}", hash(&job, &tiles)))?;
+            print_line(&format!("{} {name}", hash(&job, &tiles)))?;
             continue;
         }
         let (bytes, wrong) = match against {
-            Against::Cpu => compared(&tiles, &render(&cpu, &job, arguments.tile)?),
-            Against::Hashes | Against::Levels => {
+            Reference::Cpu => compared(&tiles, &render(&cpu, &job, arguments.tile)?),
+            Reference::Hashes | Reference::Levels => {
                 let bytes = job.image.pixels() * u64::from(job.image.pixel_bytes());
                 (bytes, u64::from(shipped::hash(name).as_deref() != Some(hash(&job, &tiles).as_str())) * bytes)
             }
@@ -88,11 +88,11 @@ fn compare_whole(arguments: &Arguments, against: Against) -> anyhow::Result<usiz
         differing += usize::from(wrong != 0);
         let verdict = match (wrong, against) {
             (0, _) => "equal".to_owned(),
-            (_, Against::Cpu) => format!("{wrong} BYTES DIFFER"),
-            (_, Against::Hashes | Against::Levels) => "DIFFERENT".to_owned(),
+            (_, Reference::Cpu) => format!("{wrong} BYTES DIFFER"),
+            (_, Reference::Hashes | Reference::Levels) => "DIFFERENT".to_owned(),
         };
         let device = renderer.device();
-        say(&format!("{name:<22} {device:<8} {ms:>9.1} ms {:>8.1} MB  {verdict}", bytes as f64 / 1e6))?;
+        print_line(&format!("{name:<22} {device:<8} {ms:>9.1} ms {:>8.1} MB  {verdict}", bytes as f64 / 1e6))?;
     }
     Ok(differing)
 }
@@ -102,10 +102,10 @@ fn compare_levels(arguments: &Arguments) -> anyhow::Result<usize> {
     let few = ["csg", "five-spheres", "mandelbulb"].map(str::to_owned);
     let names = if arguments.scenes.is_empty() { few.as_slice() } else { &arguments.scenes };
     let mut wrong = 0;
-    say(&format!("{:<22} {:<8} {:>9}  bits", "scene", "level", "ms"))?;
+    print_line(&format!("{:<22} {:<8} {:>9}  bits", "scene", "level", "ms"))?;
     for name in names {
         let job = with_layers(job(name)?, Some(96));
-        let mut reference: Option<Vec<Pixels>> = None;
+        let mut reference: Option<Vec<TilePixels>> = None;
         for level in LEVELS {
             let start = Instant::now();
             let rendered = CpuRenderer::new(None, level).and_then(|renderer| render(&renderer, &job, None));
@@ -120,7 +120,7 @@ fn compare_levels(arguments: &Arguments) -> anyhow::Result<usize> {
                 Err(RenderError::Unavailable { .. }) => "not on this machine".to_owned(),
                 Err(other) => return Err(other.into()),
             };
-            say(&format!("{name:<22} {:<8} {ms:>9.1}  {verdict}", level.to_string()))?;
+            print_line(&format!("{name:<22} {:<8} {ms:>9.1}  {verdict}", level.to_string()))?;
         }
     }
     Ok(wrong)
@@ -140,17 +140,17 @@ fn with_layers(mut job: Job, width: Option<u32>) -> Job {
     job
 }
 
-fn render(renderer: &dyn Renderer, job: &Job, edge: Option<u32>) -> Result<Vec<Pixels>, RenderError> {
+fn render(renderer: &dyn Renderer, job: &Job, edge: Option<u32>) -> Result<Vec<TilePixels>, RenderError> {
     let image = &job.image;
     let (width, height, samples, pixel_bytes) = (image.width, image.height, image.samples, image.pixel_bytes());
-    let rects = Tiling { width, height, samples, pixel_bytes, edge }.tiles();
-    let runs: Vec<TileRun<'_>> = rects.into_iter().map(|rect| TileRun { job, frame: 0, rect }).collect();
-    renderer.render_all(&runs, &Cancel::new(), &|_| {})
+    let rects = Tiling { width, height, samples, pixel_bytes, tile_edge: edge }.tiles();
+    let runs: Vec<TileRequest<'_>> = rects.into_iter().map(|rect| TileRequest { job, frame: 0, rect }).collect();
+    renderer.render_tiles(&runs, &CancelFlag::new(), &|_| {})
 }
 
 /// Number of bytes, and number of differing bytes.
-fn compared(got: &[Pixels], want: &[Pixels]) -> (u64, u64) {
-    let bytes = |tiles: &[Pixels]| {
+fn compared(got: &[TilePixels], want: &[TilePixels]) -> (u64, u64) {
+    let bytes = |tiles: &[TilePixels]| {
         let values = tiles.iter().flat_map(|tile| tile.planes.iter().flatten());
         values.flat_map(|value| value.to_le_bytes()).collect::<Vec<u8>>()
     };
@@ -160,7 +160,7 @@ fn compared(got: &[Pixels], want: &[Pixels]) -> (u64, u64) {
 }
 
 /// A hash of all pixels that does not depend on how they were cut into tiles.
-fn hash(job: &Job, tiles: &[Pixels]) -> String {
+fn hash(job: &Job, tiles: &[TilePixels]) -> String {
     let (width, length) = (job.image.width as usize, job.image.pixels() as usize);
     let mut hasher = blake3::Hasher::new();
     for plane in 0..job.image.channels().len() {

@@ -7,19 +7,19 @@ use std::time::Duration;
 use anyhow::Context;
 use clap::Args;
 use proto::pool::MAX_POOL_WORKERS;
-use proto::{Keep, Secret};
+use proto::{Retention, Secret};
 use server::{AddressRange, Config, MAX_CONNECTIONS, MAX_QUEUED_JOBS, Server, TlsFiles};
 use tokio_util::sync::CancellationToken;
 use worker::{CpuRenderer, RenderError, Simd};
 
-use crate::arguments::{Device, MAX_THREADS, simd_parser};
+use crate::arguments::{DeviceChoice, MAX_THREADS, simd_parser};
 use crate::signals::Signals;
 use crate::size::Size;
 use crate::systemd;
-use crate::terminal::say;
+use crate::terminal::print_line;
 
 /// Upper limit of `--max-queued-jobs`: the sum of the jobs' rays must fit a counter.
-const MOST_QUEUED_JOBS: u32 = 250_000;
+const QUEUED_JOBS_LIMIT: u32 = 250_000;
 
 /// Arguments of `serve`.
 #[derive(Debug, Args)]
@@ -35,7 +35,7 @@ pub(crate) struct Arguments {
     workers: Option<u32>,
     /// Device of the workers: auto, cpu, cuda or cuda:N; several GPUs are assigned in turn.
     #[arg(long, env = "SDFARM_DEVICE", default_value = "auto")]
-    device: Device,
+    device: DeviceChoice,
     /// Vector instructions of the workers; the pictures are the same with each.
     #[arg(long, env = "SDFARM_SIMD", default_value = "auto", value_parser = simd_parser())]
     simd: Simd,
@@ -58,11 +58,11 @@ pub(crate) struct Arguments {
     #[arg(long, value_name = "N", env = "SDFARM_MAX_CONNECTIONS", default_value_t = MAX_CONNECTIONS, value_parser = clap::value_parser!(u32).range(1..))]
     max_connections: u32,
     /// Maximum number of unfinished jobs; above it, submissions are rejected because the queue is full.
-    #[arg(long, value_name = "N", env = "SDFARM_MAX_QUEUED_JOBS", default_value_t = MAX_QUEUED_JOBS, value_parser = clap::value_parser!(u32).range(1..=i64::from(MOST_QUEUED_JOBS)))]
+    #[arg(long, value_name = "N", env = "SDFARM_MAX_QUEUED_JOBS", default_value_t = MAX_QUEUED_JOBS, value_parser = clap::value_parser!(u32).range(1..=i64::from(QUEUED_JOBS_LIMIT)))]
     max_queued_jobs: u32,
     /// Retention of finished jobs that do not set their own: 36h, 30d, forever.
     #[arg(long, value_name = "AGE", env = "SDFARM_KEEP_JOBS", default_value = "forever")]
-    keep_jobs: Keep,
+    keep_jobs: Retention,
     /// Size of pictures and tiles above which the jobs that finished first are removed: 500MB, 20GiB [default: none].
     #[arg(long, value_name = "SIZE", env = "SDFARM_MAX_STORE")]
     max_store: Option<Size>,
@@ -90,22 +90,22 @@ impl Arguments {
             devices: devices(self.device)?,
             simd: self.simd.to_string(),
             threads: self.threads.map(|threads| threads as usize),
-            tile_px: self.tile,
+            tile_edge_px: self.tile,
             lease: Duration::from_secs(self.lease_seconds),
             insecure: self.insecure,
             tls: self.tls_cert.zip(self.tls_key).map(|(certificate, key)| TlsFiles { certificate, key }),
             max_connections: self.max_connections,
             max_queued_jobs: self.max_queued_jobs,
-            hosts: self.host,
-            keep_jobs: match self.keep_jobs {
-                Keep::Forever => None,
-                Keep::For(time) => Some(time),
+            allowed_hosts: self.host,
+            job_retention: match self.keep_jobs {
+                Retention::Forever => None,
+                Retention::For(time) => Some(time),
             },
             max_store_bytes: self.max_store.map(|Size(bytes)| bytes),
-            allow_webhooks_to: self.allow_webhook_to,
+            allowed_webhook_ranges: self.allow_webhook_to,
             webhook_secret: self.webhook_secret,
-            worker_program: own_program()?,
-            worker_variables: crate::logs::inherited(),
+            worker_program: current_executable()?,
+            worker_env: crate::logs::child_env(),
             ..Config::default()
         })
     }
@@ -120,13 +120,13 @@ fn address(text: &str) -> Result<SocketAddr, String> {
 pub(crate) async fn run(arguments: Arguments) -> anyhow::Result<()> {
     // Settings that no worker could use are rejected here, once.
     CpuRenderer::new(Some(1), arguments.simd)?;
-    let signals = Signals::catch()?;
+    let signals = Signals::install()?;
     let shutdown = CancellationToken::new();
     let server = Server::start(arguments.config()?).await?;
     let url = server.url();
-    say(&format!("sdfarm serves {url} (its API: {url}/docs)"))?;
+    print_line(&format!("sdfarm serves {url} (its API: {url}/docs)"))?;
     systemd::serving(&url);
-    signals.stop_gracefully(shutdown.clone());
+    signals.cancel_then_exit(shutdown.clone());
     let stopping = shutdown.clone();
     tokio::spawn(async move {
         stopping.cancelled().await;
@@ -137,19 +137,19 @@ pub(crate) async fn run(arguments: Arguments) -> anyhow::Result<()> {
 }
 
 /// This very program, which local workers run as.
-pub(crate) fn own_program() -> anyhow::Result<PathBuf> {
+pub(crate) fn current_executable() -> anyhow::Result<PathBuf> {
     std::env::current_exe().context("could not find this program's own file, which local workers run as")
 }
 
 /// Devices of the local workers, in turn: each GPU, else the CPU.
-pub(crate) fn devices(device: Device) -> Result<Vec<String>, RenderError> {
+pub(crate) fn devices(device: DeviceChoice) -> Result<Vec<String>, RenderError> {
     let cpu = || vec!["cpu".to_owned()];
     let each = |kind: &str, count: usize| (0..count).map(|gpu| format!("{kind}:{gpu}")).collect();
     match device {
-        Device::Cpu => Ok(cpu()),
-        Device::Auto(None) => Ok(worker::cuda::devices().map_or_else(|_| cpu(), |count| each("auto", count))),
-        Device::Auto(Some(gpu)) => Ok(vec![format!("auto:{gpu}")]),
-        Device::Cuda(None) => worker::cuda::devices().map(|count| each("cuda", count)),
-        Device::Cuda(Some(gpu)) => worker::cuda::devices().map(|_| vec![format!("cuda:{gpu}")]),
+        DeviceChoice::Cpu => Ok(cpu()),
+        DeviceChoice::Auto(None) => Ok(worker::cuda::devices().map_or_else(|_| cpu(), |count| each("auto", count))),
+        DeviceChoice::Auto(Some(gpu)) => Ok(vec![format!("auto:{gpu}")]),
+        DeviceChoice::Cuda(None) => worker::cuda::devices().map(|count| each("cuda", count)),
+        DeviceChoice::Cuda(Some(gpu)) => worker::cuda::devices().map(|_| vec![format!("cuda:{gpu}")]),
     }
 }

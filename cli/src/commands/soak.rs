@@ -3,14 +3,14 @@
 //!
 //! It uses the public API and the integrity check (`server::audit`); it never helps the farm.
 
-mod catalogue;
-mod chance;
 mod kills;
 mod overload;
 mod probe;
 mod processes;
+mod report;
+mod rng;
 mod server;
-mod tally;
+mod workload;
 
 use std::path::PathBuf;
 use std::time::Duration;
@@ -19,11 +19,11 @@ use anyhow::Context;
 use clap::Args;
 
 use crate::signals::Signals;
-use crate::terminal::{note, say};
-use kills::Plan;
+use crate::terminal::{print_line, print_note};
+use kills::SoakPlan;
 
 /// Default duration of a soak in minutes.
-const USUAL_MINUTES: u32 = 2;
+const DEFAULT_MINUTES: u32 = 2;
 /// Lines of the servers' log that are shown after a breach.
 const LAST_LINES: usize = 40;
 
@@ -58,47 +58,48 @@ pub(crate) struct Arguments {
 
 impl Arguments {
     fn time(&self) -> Duration {
-        Duration::from_secs(60 * u64::from(self.minutes.unwrap_or(USUAL_MINUTES)))
+        Duration::from_secs(60 * u64::from(self.minutes.unwrap_or(DEFAULT_MINUTES)))
     }
 
-    fn plan(&self) -> Plan {
+    fn plan(&self) -> SoakPlan {
         let (worker_kills, server_kills, time) = match (self.worker_kills, self.server_kills) {
             (None, None) => (u32::MAX, u32::MAX, Some(self.time())),
             (workers, servers) => (workers.unwrap_or(0), servers.unwrap_or(0), None),
         };
-        Plan { kill: self.kill, worker_kills, server_kills, time, workers: self.workers, seed: self.seed }
+        SoakPlan { kill: self.kill, worker_kills, server_kills, time, workers: self.workers, seed: self.seed }
     }
 }
 
 /// Soaks, and fails if anything was amiss.
 pub(crate) async fn run(arguments: Arguments) -> anyhow::Result<()> {
-    let mut signals = Signals::catch()?;
+    let mut signals = Signals::install()?;
     let temporary = tempfile::tempdir().context("could not make a folder for the farm: free some space there")?;
     let data = arguments.data.clone().unwrap_or_else(|| temporary.path().join("data"));
     std::fs::create_dir_all(&data).with_context(|| format!("could not make {}", data.display()))?;
-    note("rendering what the pictures must be");
+    print_note("rendering what the pictures must be");
     let (seed, plan) = (arguments.seed, arguments.plan());
-    let tasks = tokio::task::spawn_blocking(move || catalogue::tasks(seed, None)).await.context("that panicked")??;
+    let tasks =
+        tokio::task::spawn_blocking(move || workload::reference_jobs(seed, None)).await.context("that panicked")??;
     let soaked = async {
         if arguments.overload {
             let report = overload::overload(&tasks, &data, arguments.time()).await?;
-            return anyhow::Ok((report.table(), report.breaches));
+            return anyhow::Ok((report.table(), report.violations));
         }
         let tally = kills::soak(&plan, &tasks, &data).await?;
-        Ok((tally.table(), tally.breaches))
+        Ok((tally.table(), tally.violations))
     };
     let (table, breaches) = tokio::select! {
         soaked = soaked => soaked?,
         () = signals.next() => anyhow::bail!("interrupted"),
     };
-    say(&table)?;
+    print_line(&table)?;
     if breaches.is_empty() {
         return Ok(());
     }
     let log = std::fs::read_to_string(data.join("soak.log")).unwrap_or_default();
     let lines: Vec<&str> = log.lines().collect();
     for line in &lines[lines.len().saturating_sub(LAST_LINES)..] {
-        note(line);
+        print_note(line);
     }
     anyhow::bail!("the farm did not keep its word: {}", breaches.join("; "))
 }

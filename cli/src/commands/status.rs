@@ -5,8 +5,8 @@ use clap::builder::FalseyValueParser;
 
 use crate::arguments::ServerArguments;
 use crate::counted::{counted, counted_len};
-use crate::overview::{Overview, duration, gather, scaled};
-use crate::terminal::say;
+use crate::overview::{Overview, duration, fetch, scaled};
+use crate::terminal::print_line;
 
 /// Jobs and workers that are listed, at most.
 const LISTED: usize = 8;
@@ -28,15 +28,15 @@ pub(crate) struct Arguments {
 pub(crate) async fn run(arguments: Arguments) -> anyhow::Result<()> {
     let client = arguments.server.client()?;
     if arguments.ready {
-        return say(&client.ready().await?.status);
+        return print_line(&client.ready().await?.status);
     }
-    let overview = gather(&client).await?;
+    let overview = fetch(&client).await?;
     if arguments.json {
-        say(&serde_json::to_string_pretty(&overview)?)?;
+        print_line(&serde_json::to_string_pretty(&overview)?)?;
     } else {
-        say(&lines(&overview).join("\n"))?;
+        print_line(&lines(&overview).join("\n"))?;
     }
-    anyhow::ensure!(overview.is_well(), "the farm is not well: {}", overview.health);
+    anyhow::ensure!(overview.is_healthy(), "the farm is not well: {}", overview.health);
     Ok(())
 }
 
@@ -96,7 +96,7 @@ fn lines(overview: &Overview) -> Vec<String> {
             lines.push(format!("         and {}", counted_len(all - LISTED, noun)));
         }
     }
-    match &overview.concerns[..] {
+    match &overview.warnings[..] {
         [] => lines.push("alerts   none".to_owned()),
         concerns => lines.extend(concerns.iter().map(|concern| format!("alert    {concern}"))),
     }
@@ -109,7 +109,7 @@ mod tests {
 
     #[test]
     fn a_farm_fits_on_a_screen() {
-        let text = lines(&crate::overview::tests::troubled()).join("\n");
+        let text = lines(&crate::overview::tests::unhealthy()).join("\n");
         let wanted = "\
 http://127.0.0.1:8080  ready, paused, sdfarm 1.2.3, up 3 h 20 min
 queue    1 running, 4 queued, 90 tiles ready, 8 leased; work for 1 h 1 min, the oldest is 2 h 1 min old

@@ -3,24 +3,24 @@
 use std::time::Duration;
 
 use clap::Args;
-use proto::client::Submission;
+use proto::client::SubmitOptions;
 use proto::job::JobView;
-use proto::{Client, ClientError, JobId, Keep};
+use proto::{Client, ClientError, JobId, Retention};
 use scene::{Format, Job};
 
 use crate::arguments::ServerArguments;
 use crate::counted::counted;
-use crate::failure::Misuse;
+use crate::error::UsageError;
 use crate::job_file::JobFile;
 use crate::output_file::{check_writable, format_of, is_folder};
-use crate::terminal::{note, say};
-use crate::{follow, sequence};
+use crate::terminal::{print_line, print_note};
+use crate::{follow, frame_files};
 
 /// Delays between attempts to submit.
-const FIRST_WAIT: Duration = Duration::from_millis(200);
-const LONGEST_WAIT: Duration = Duration::from_secs(3);
+const INITIAL_BACK_OFF: Duration = Duration::from_millis(200);
+const MAX_BACK_OFF: Duration = Duration::from_secs(3);
 /// How long a server that was reachable may be away: it restarts.
-const PATIENCE: Duration = Duration::from_secs(30);
+const SUBMIT_TIMEOUT: Duration = Duration::from_secs(30);
 
 /// Arguments of `submit`.
 #[derive(Debug, Args)]
@@ -44,7 +44,7 @@ pub(crate) struct Arguments {
     webhook: Vec<String>,
     /// Retention of the job and its pictures after it finishes: 36h, 7d, forever [default: the server's].
     #[arg(long, value_name = "AGE", env = "SDFARM_KEEP")]
-    keep: Option<Keep>,
+    keep: Option<Retention>,
 }
 
 /// Submits the job.
@@ -55,24 +55,24 @@ pub(crate) async fn run(arguments: Arguments) -> anyhow::Result<()> {
         check_writable(output)?;
     }
     let client = arguments.server.client()?;
-    let how = Submission {
+    let how = SubmitOptions {
         no_cache: arguments.no_cache,
         idempotency_key: Some(JobId::new().to_string()),
         webhooks: arguments.webhook.clone(),
         keep: arguments.keep,
     };
-    let job = hand_in(&client, &file.text, &how).await.map_err(|error| file.refused(error))?;
+    let job = submit(&client, &file.text, &how).await.map_err(|error| file.invalid(error))?;
     for warning in &job.warnings {
-        note(&format!("{}: warning: {warning}", file.name));
+        print_note(&format!("{}: warning: {warning}", file.name));
     }
     // Standard output is the picture's where it was asked for there.
     if arguments.output.as_deref() == Some("-") {
-        note(&job.id.to_string());
+        print_note(&job.id.to_string());
     } else {
-        say(&job.id.to_string())?;
+        print_line(&job.id.to_string())?;
     }
     if arguments.wait {
-        follow::until_done(&client, job.id).await?;
+        follow::wait_for_success(&client, job.id).await?;
     }
     match &arguments.output {
         Some(output) => save(&client, &job, output).await,
@@ -83,31 +83,34 @@ pub(crate) async fn run(arguments: Arguments) -> anyhow::Result<()> {
 /// Saves what the output names, and says what became of the other frames.
 async fn save(client: &Client, job: &JobView, output: &str) -> anyhow::Result<()> {
     if is_folder(output) {
-        return sequence::save(client, job.id, output, false).await;
+        return frame_files::save(client, job.id, output, false).await;
     }
     follow::fetch(client, job.id, 0, output).await?;
     if let others @ 1.. = job.frames.total.saturating_sub(1) {
         let (others, are) = (counted(others, "other frame"), if others == 1 { "is" } else { "are" });
-        note(&format!("that is frame 0; the {others} {are} stored too: `sdfarm fetch {} -o DIR/` saves all", job.id));
+        print_note(&format!(
+            "that is frame 0; the {others} {are} stored too: `sdfarm fetch {} -o DIR/` saves all",
+            job.id
+        ));
     }
     Ok(())
 }
 
 /// Submits the job with an idempotency key, so that a broken connection can be retried without creating it
 /// twice.
-async fn hand_in(client: &Client, text: &[u8], how: &Submission) -> Result<JobView, ClientError> {
+async fn submit(client: &Client, text: &[u8], how: &SubmitOptions) -> Result<JobView, ClientError> {
     let mut sent = false;
-    let mut wait = FIRST_WAIT;
-    let mut left = PATIENCE;
+    let mut wait = INITIAL_BACK_OFF;
+    let mut left = SUBMIT_TIMEOUT;
     loop {
         match client.submit_with(text.to_vec(), how).await {
-            Err(ClientError::Broken { .. }) if left > Duration::ZERO => sent = true,
+            Err(ClientError::ConnectionLost { .. }) if left > Duration::ZERO => sent = true,
             Err(ClientError::Unreachable { .. }) if sent && left > Duration::ZERO => {}
             answered => return answered,
         }
         tokio::time::sleep(wait).await;
         left = left.saturating_sub(wait);
-        wait = (wait * 2).min(LONGEST_WAIT);
+        wait = (wait * 2).min(MAX_BACK_OFF);
     }
 }
 
@@ -118,7 +121,7 @@ fn check_output(job: &Job, output: &str) -> anyhow::Result<()> {
     }
     let asked = job.image.format;
     match format_of(output)? {
-        Some(named) if named != asked => Err(Misuse(format!(
+        Some(named) if named != asked => Err(UsageError(format!(
             "the job asks for {} and {output} is named otherwise: rename the file, or set image.format",
             match asked {
                 Format::Png => "png",

@@ -13,8 +13,8 @@ use ratatui::text::Line;
 use ratatui::widgets::{Block, Borders, Cell, Gauge, Paragraph, Row, Sparkline, Table};
 
 use crate::arguments::ServerArguments;
-use crate::failure::Misuse;
-use crate::overview::{Overview, duration, gather, scaled};
+use crate::error::UsageError;
+use crate::overview::{Overview, duration, fetch, scaled};
 
 /// Speeds that are remembered: the width of a wide terminal.
 const HISTORY: usize = 400;
@@ -53,11 +53,11 @@ impl Screen {
 /// Shows it until q is pressed.
 pub(crate) async fn run(arguments: Arguments) -> anyhow::Result<()> {
     if !std::io::stdout().is_terminal() {
-        return Err(Misuse("top needs a terminal: use `sdfarm status`, with --json for programs".to_owned()).into());
+        return Err(UsageError("top needs a terminal: use `sdfarm status`, with --json for programs".to_owned()).into());
     }
     let client = arguments.server.client()?;
     let mut screen = Screen::default();
-    screen.show(gather(&client).await?);
+    screen.show(fetch(&client).await?);
     let mut terminal = ratatui::try_init().context("could not take over the terminal")?;
     let done = async {
         let mut ticks = tokio::time::interval(Duration::from_secs(arguments.every));
@@ -65,11 +65,11 @@ pub(crate) async fn run(arguments: Arguments) -> anyhow::Result<()> {
         loop {
             terminal.draw(|frame| draw(frame, &screen)).context("could not draw on the terminal")?;
             tokio::select! {
-                _ = ticks.tick() => match gather(&client).await {
+                _ = ticks.tick() => match fetch(&client).await {
                     Ok(overview) => screen.show(overview),
                     Err(error) => screen.trouble = Some(error.to_string()),
                 },
-                _ = keys.tick() => if wants_to_end()? {
+                _ = keys.tick() => if is_quit_requested()? {
                     return Ok(());
                 },
             }
@@ -80,7 +80,7 @@ pub(crate) async fn run(arguments: Arguments) -> anyhow::Result<()> {
     done
 }
 
-fn wants_to_end() -> anyhow::Result<bool> {
+fn is_quit_requested() -> anyhow::Result<bool> {
     while event::poll(Duration::ZERO).context("could not read the keyboard")? {
         if let Event::Key(key) = event::read().context("could not read the keyboard")?
             && key.kind == KeyEventKind::Press
@@ -96,7 +96,7 @@ fn wants_to_end() -> anyhow::Result<bool> {
 
 fn draw(frame: &mut Frame<'_>, screen: &Screen) {
     let Some(overview) = &screen.overview else { return };
-    let concerns = screen.trouble.iter().chain(&overview.concerns).collect::<Vec<_>>();
+    let concerns = screen.trouble.iter().chain(&overview.warnings).collect::<Vec<_>>();
     let rows = [
         Constraint::Length(4),
         Constraint::Length(3),
@@ -105,7 +105,7 @@ fn draw(frame: &mut Frame<'_>, screen: &Screen) {
         Constraint::Length(concerns.len().clamp(1, 5) as u16 + 1),
     ];
     let [head, speed, jobs, workers, foot] = Layout::vertical(rows).areas(frame.area());
-    frame.render_widget(Paragraph::new(heading(overview)), head);
+    frame.render_widget(Paragraph::new(header(overview)), head);
     let [graph, disk] = Layout::horizontal([Constraint::Percentage(60), Constraint::Percentage(40)]).areas(speed);
     let title = format!(" {}rays/s ", scaled(overview.queue.rays_per_second));
     frame.render_widget(Sparkline::default().data(&screen.speeds).block(titled(title)), graph);
@@ -123,9 +123,9 @@ fn titled(title: String) -> Block<'static> {
     Block::new().borders(Borders::TOP).title(title)
 }
 
-fn heading(overview: &Overview) -> Vec<Line<'static>> {
+fn header(overview: &Overview) -> Vec<Line<'static>> {
     let queue = &overview.queue;
-    let health = if overview.is_well() { overview.health.clone().green() } else { overview.health.clone().red() };
+    let health = if overview.is_healthy() { overview.health.clone().green() } else { overview.health.clone().red() };
     let work = queue.work_seconds.map_or_else(|| "nobody to do it".to_owned(), duration);
     let pool = overview.pool;
     let paused = if overview.paused { "  PAUSED".yellow() } else { "".into() };
@@ -146,7 +146,7 @@ fn heading(overview: &Overview) -> Vec<Line<'static>> {
         format!("tiles  {} ready, {} leased; work for {work}", queue.tiles_ready, queue.tiles_leased).into(),
         format!(
             "pool   {} of {} ready; {} held back, {} fenced",
-            pool.ready, pool.workers, overview.totals.held_back, overview.totals.fenced
+            pool.ready, pool.workers, overview.totals.rate_limited, overview.totals.fenced
         )
         .into(),
     ]
@@ -224,7 +224,7 @@ mod tests {
     #[test]
     fn a_farm_is_readable_on_a_small_terminal() {
         let mut screen = Screen::default();
-        screen.show(crate::overview::tests::troubled());
+        screen.show(crate::overview::tests::unhealthy());
         let text = shown(&screen, 80, 24);
         for words in [
             "http://127.0.0.1:8080  ready  PAUSED  sdfarm 1.2.3, up 3 h 20 min",
@@ -246,9 +246,9 @@ mod tests {
     }
 
     #[test]
-    fn a_server_that_went_away_is_told_and_the_last_picture_stays() {
+    fn an_unreachable_server_is_reported_and_the_last_values_stay() {
         let mut screen = Screen::default();
-        screen.show(crate::overview::tests::troubled());
+        screen.show(crate::overview::tests::unhealthy());
         screen.trouble = Some("no server answers".to_owned());
         let text = shown(&screen, 80, 24);
         assert!(text.contains("no server answers") && text.contains("fjord"), "{text}");
@@ -257,7 +257,7 @@ mod tests {
     #[test]
     fn a_terminal_of_any_size_is_drawn_on() {
         let mut screen = Screen::default();
-        screen.show(crate::overview::tests::troubled());
+        screen.show(crate::overview::tests::unhealthy());
         for (width, height) in [(1, 1), (20, 5), (300, 100)] {
             shown(&screen, width, height);
         }

@@ -5,7 +5,7 @@ use clap::Args;
 use crate::arguments::ServerArguments;
 use crate::follow;
 use crate::job_name::JobName;
-use crate::terminal::say;
+use crate::terminal::print_line;
 
 /// Arguments of `watch`.
 #[derive(Debug, Args)]
@@ -20,6 +20,6 @@ pub(crate) struct Arguments {
 /// Follows it; a job that failed or was cancelled is a failure.
 pub(crate) async fn run(arguments: Arguments) -> anyhow::Result<()> {
     let client = arguments.server.client()?;
-    let job = follow::until_done(&client, arguments.id.find(&client).await?).await?;
-    say(&follow::line(&job))
+    let job = follow::wait_for_success(&client, arguments.id.find(&client).await?).await?;
+    print_line(&follow::line(&job))
 }

@@ -4,18 +4,18 @@ use std::path::PathBuf;
 
 use clap::{Args, Subcommand};
 
-use crate::failure::Misuse;
-use crate::terminal::say;
+use crate::error::UsageError;
+use crate::terminal::print_line;
 
 /// Arguments of `webhook`.
 #[derive(Debug, Args)]
 pub(crate) struct Arguments {
     #[command(subcommand)]
-    action: Action,
+    action: WebhookCommand,
 }
 
 #[derive(Debug, Subcommand)]
-enum Action {
+enum WebhookCommand {
     /// Print the secret that webhooks are signed with.
     Secret {
         /// Folder of the server's database and pictures.
@@ -26,9 +26,9 @@ enum Action {
 
 /// Shows it.
 pub(crate) fn run(arguments: &Arguments) -> anyhow::Result<()> {
-    let Action::Secret { data } = &arguments.action;
+    let WebhookCommand::Secret { data } = &arguments.action;
     if !data.is_dir() {
-        return Err(Misuse(format!("there is no folder {}: name the server's with --data", data.display())).into());
+        return Err(UsageError(format!("there is no folder {}: name the server's with --data", data.display())).into());
     }
-    say(server::webhook_secret(data)?.expose())
+    print_line(server::webhook_secret(data)?.expose())
 }

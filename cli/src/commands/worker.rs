@@ -2,14 +2,14 @@
 
 use anyhow::Context;
 use clap::Args;
-use proto::work::TOKEN_VARIABLE;
+use proto::worker_protocol::TOKEN_ENV_VAR;
 use rustix::process::nice;
 use tokio_util::sync::CancellationToken;
 use worker::agent::{self, AgentConfig, AgentError};
 
-use crate::arguments::{AccessArguments, RendererArguments};
-use crate::commands::selftest::prove;
-use crate::failure::NoDevice;
+use crate::arguments::{AuthArguments, RendererArguments};
+use crate::commands::selftest::check;
+use crate::error::UnusableDevice;
 use crate::signals::Signals;
 
 /// The device of a renderer on a processor.
@@ -24,7 +24,7 @@ pub(crate) struct Arguments {
     #[arg(long, value_name = "URL", env = "SDFARM_SERVER", default_value = crate::arguments::DEFAULT_SERVER)]
     server: String,
     #[command(flatten)]
-    access: AccessArguments,
+    access: AuthArguments,
     #[command(flatten)]
     renderer: RendererArguments,
     /// A label for people [default: this host's name and the process id].
@@ -41,27 +41,27 @@ pub(crate) async fn run(arguments: Arguments) -> anyhow::Result<()> {
         // Render threads are started from here, and yield to the server and to previews.
         nice(POOL_NICENESS).context("could not give way to the server")?;
     }
-    let signals = Signals::catch()?;
+    let signals = Signals::install()?;
     let shutdown = CancellationToken::new();
-    let renderer = arguments.renderer.renderer().map_err(|error| NoDevice(error.into()))?;
+    let renderer = arguments.renderer.renderer().map_err(|error| UnusableDevice(error.into()))?;
     if renderer.device() == CPU {
         // A GPU has proved itself when it was started.
-        prove(&*renderer).map_err(NoDevice)?;
+        check(&*renderer).map_err(UnusableDevice)?;
     }
     // Pool workers send the pool's token; a key in the server's environment is not meant for them.
-    let access = match std::env::var(TOKEN_VARIABLE) {
+    let access = match std::env::var(TOKEN_ENV_VAR) {
         Ok(token) => arguments.access.with_key(token.into())?,
-        Err(_) => arguments.access.access()?,
+        Err(_) => arguments.access.auth()?,
     };
     let config = AgentConfig {
-        access,
+        auth: access,
         // A killed server leaves no worker behind: its end of the pipe closes.
-        of_pool: arguments.pool,
+        is_pool_worker: arguments.pool,
         ..AgentConfig::new(arguments.server, arguments.name.unwrap_or_else(own_name))
     };
-    signals.stop_gracefully(shutdown.clone());
+    signals.cancel_then_exit(shutdown.clone());
     match agent::run(config, renderer, shutdown).await {
-        Err(retired @ AgentError::Retired { .. }) => Err(NoDevice(retired.into()).into()),
+        Err(retired @ AgentError::DeviceLost { .. }) => Err(UnusableDevice(retired.into()).into()),
         ended => Ok(ended?),
     }
 }

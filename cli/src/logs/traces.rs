@@ -16,7 +16,7 @@ use tracing_subscriber::Layer;
 use tracing_subscriber::filter::filter_fn;
 use tracing_subscriber::registry::LookupSpan;
 
-use crate::failure::Misuse;
+use crate::error::UsageError;
 
 /// Time limit of a request to the collector.
 const TIMEOUT: Duration = Duration::from_secs(5);
@@ -26,22 +26,24 @@ const PATH: &str = "/v1/traces";
 const POLL: &str = "poll";
 
 /// Sends the last traces when dropped.
-pub(crate) struct Traces(SdkTracerProvider);
+pub(crate) struct TraceExporter(SdkTracerProvider);
 
-impl fmt::Debug for Traces {
+impl fmt::Debug for TraceExporter {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str("Traces")
+        f.write_str("TraceExporter")
     }
 }
 
-impl Traces {
+impl TraceExporter {
     /// Traces our own spans to the collector at this address.
     pub(super) fn start<S>(address: &str) -> anyhow::Result<(Box<dyn Layer<S> + Send + Sync>, Self)>
     where
         S: Subscriber + for<'a> LookupSpan<'a> + Send + Sync,
     {
         if !address.starts_with("http://") && !address.starts_with("https://") {
-            return Err(Misuse(format!("--otlp {address:?} is no address: write it as http://127.0.0.1:4318")).into());
+            return Err(
+                UsageError(format!("--otlp {address:?} is no address: write it as http://127.0.0.1:4318")).into()
+            );
         }
         // Fails only where one was chosen before.
         let _ = rustls::crypto::ring::default_provider().install_default();
@@ -60,18 +62,18 @@ impl Traces {
             .build();
         let provider = SdkTracerProvider::builder().with_batch_exporter(exporter).with_resource(resource).build();
         let layer = tracing_opentelemetry::layer().with_tracer(provider.tracer("sdfarm"));
-        Ok((layer.with_filter(filter_fn(is_worth_it)).boxed(), Self(provider)))
+        Ok((layer.with_filter(filter_fn(is_traced)).boxed(), Self(provider)))
     }
 }
 
-impl Drop for Traces {
+impl Drop for TraceExporter {
     fn drop(&mut self) {
         // If the collector is gone, its traces are lost.
         let _ = self.0.shutdown_with_timeout(TIMEOUT);
     }
 }
 
-fn is_worth_it(metadata: &Metadata<'_>) -> bool {
+fn is_traced(metadata: &Metadata<'_>) -> bool {
     let is_ours = ["server", "worker", "sdfarm"].iter().any(|name| metadata.target().split("::").next() == Some(name));
     metadata.is_span() && is_ours && metadata.name() != POLL && *metadata.level() <= tracing::Level::INFO
 }

@@ -6,14 +6,15 @@ use reqwest::header::{ACCEPT, CACHE_CONTROL, CONTENT_TYPE, HeaderValue};
 use reqwest::{Method, Response, StatusCode};
 
 use super::{Client, ClientError};
-use crate::change::{DeletePreview, FramePage, JobPatch};
-use crate::event::{JobEvent, Lines, Message};
+use crate::event::{JobEvent, SseMessage, SseParser};
+use crate::frame::FramePage;
+use crate::job::{DeleteDryRun, JobPatch};
 use crate::job::{JobPage, JobView};
-use crate::{JobId, Keep};
+use crate::{JobId, Retention};
 
 /// Options of a submission.
 #[derive(Clone, Debug, Default)]
-pub struct Submission {
+pub struct SubmitOptions {
     /// Render it even if its pictures are stored already.
     pub no_cache: bool,
     /// Idempotency key: repeating the request with it returns the same job.
@@ -21,20 +22,20 @@ pub struct Submission {
     /// Webhook addresses to notify when it has finished.
     pub webhooks: Vec<String>,
     /// How long it is kept after it finishes; `None` means the server's default.
-    pub keep: Option<Keep>,
+    pub keep: Option<Retention>,
 }
 
 /// Stream of a job's events.
 #[derive(Debug)]
-pub struct Events {
+pub struct EventStream {
     client: Client,
     response: Response,
-    lines: Lines,
-    ready: std::collections::VecDeque<Message>,
+    lines: SseParser,
+    ready: std::collections::VecDeque<SseMessage>,
     last_id: Option<String>,
 }
 
-impl Events {
+impl EventStream {
     /// Next event of a type that this version knows; `None` when the server has ended the stream.
     pub async fn next(&mut self) -> Result<Option<JobEvent>, ClientError> {
         loop {
@@ -42,11 +43,11 @@ impl Events {
                 if message.id.is_some() {
                     self.last_id = message.id;
                 }
-                if let Some(event) = JobEvent::read(&message.event, &message.data) {
+                if let Some(event) = JobEvent::parse(&message.event, &message.data) {
                     return Ok(Some(event));
                 }
             }
-            let chunk = self.response.chunk().await.map_err(|source| self.client.broken(source))?;
+            let chunk = self.response.chunk().await.map_err(|source| self.client.connection_lost(source))?;
             let Some(chunk) = chunk else { return Ok(None) };
             self.ready.extend(self.lines.push(&chunk));
         }
@@ -60,18 +61,18 @@ impl Events {
 
 impl Client {
     /// Submits a job file.
-    pub async fn submit_with(&self, job: Vec<u8>, how: &Submission) -> Result<JobView, ClientError> {
+    pub async fn submit_with(&self, job: Vec<u8>, options: &SubmitOptions) -> Result<JobView, ClientError> {
         let mut request = self.request(Method::POST, "/v1/jobs").header(CONTENT_TYPE, "application/json").body(job);
-        if how.no_cache {
+        if options.no_cache {
             request = request.header(CACHE_CONTROL, "no-cache");
         }
-        if let Some(key) = &how.idempotency_key {
+        if let Some(key) = &options.idempotency_key {
             request = request.header("idempotency-key", key);
         }
-        if let Some(keep) = how.keep {
+        if let Some(keep) = options.keep {
             request = request.query(&[("keep", keep.to_string())]);
         }
-        for webhook in &how.webhooks {
+        for webhook in &options.webhooks {
             request = request.query(&[("webhook", webhook)]);
         }
         self.json(request).await
@@ -79,7 +80,7 @@ impl Client {
 
     /// Subscribes to a job's events, from the first or after the given one; `None` if no event will
     /// follow that one.
-    pub async fn events(&self, id: JobId, after: Option<&str>) -> Result<Option<Events>, ClientError> {
+    pub async fn events(&self, id: JobId, after: Option<&str>) -> Result<Option<EventStream>, ClientError> {
         let mut request =
             self.request(Method::GET, &format!("/v1/jobs/{id}/events")).header(ACCEPT, "text/event-stream");
         if let Some(after) = after {
@@ -91,12 +92,12 @@ impl Client {
         }
         let kind = response.headers().get(CONTENT_TYPE).map(HeaderValue::as_bytes);
         if !kind.is_some_and(|kind| kind.starts_with(b"text/event-stream")) {
-            return Err(self.foreign(response.status().as_u16(), b"no event stream"));
+            return Err(self.unexpected_response(response.status().as_u16(), b"no event stream"));
         }
-        Ok(Some(Events {
+        Ok(Some(EventStream {
             client: self.clone(),
             response,
-            lines: Lines::default(),
+            lines: SseParser::default(),
             ready: std::collections::VecDeque::new(),
             last_id: after.map(ToOwned::to_owned),
         }))
@@ -120,7 +121,7 @@ impl Client {
 
     /// Writes a job's file to `out`; returns its size in bytes.
     pub async fn file(&self, id: JobId, out: &mut (dyn Write + Send)) -> Result<u64, ClientError> {
-        self.save(self.request(Method::GET, &format!("/v1/jobs/{id}/file")), out).await
+        self.download(self.request(Method::GET, &format!("/v1/jobs/{id}/file")), out).await
     }
 
     /// Submits a job's file again, changed by a JSON merge patch (RFC 7396) if there is one.
@@ -136,7 +137,7 @@ impl Client {
     }
 
     /// What deleting a job would delete.
-    pub async fn delete_preview(&self, id: JobId) -> Result<DeletePreview, ClientError> {
+    pub async fn delete_dry_run(&self, id: JobId) -> Result<DeleteDryRun, ClientError> {
         self.json(self.request(Method::DELETE, &format!("/v1/jobs/{id}")).query(&[("dry_run", "true")])).await
     }
 
@@ -156,7 +157,7 @@ impl Client {
         let request = if partial { request.query(&[("partial", "true")]) } else { request };
         let mut response = self.send(request).await?;
         let mut size_bytes = 0;
-        while let Some(chunk) = response.chunk().await.map_err(|source| self.broken(source))? {
+        while let Some(chunk) = response.chunk().await.map_err(|source| self.connection_lost(source))? {
             out.write_all(&chunk).map_err(ClientError::Write)?;
             size_bytes += chunk.len() as u64;
         }

@@ -7,7 +7,7 @@ use reqwest::Method;
 use super::{Client, ClientError};
 use crate::JobId;
 use crate::link::{LinkRequest, LinkView};
-use crate::retention::Collection;
+use crate::retention::GcReport;
 
 impl Client {
     /// Writes a PNG of what is finished of a frame to `out`; returns its size in bytes.
@@ -22,7 +22,7 @@ impl Client {
         if let Some(width_px) = width_px {
             request = request.query(&[("width", width_px)]);
         }
-        self.save(request, out).await
+        self.download(request, out).await
     }
 
     /// Has a link to a frame's picture signed.
@@ -31,7 +31,7 @@ impl Client {
     }
 
     /// Deletes the jobs past their retention, or lists them.
-    pub async fn collect(&self, dry_run: bool) -> Result<Collection, ClientError> {
+    pub async fn collect_garbage(&self, dry_run: bool) -> Result<GcReport, ClientError> {
         self.json(self.request(Method::POST, "/v1/gc").query(&[("dry_run", dry_run)])).await
     }
 }

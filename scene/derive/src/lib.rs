@@ -1,7 +1,7 @@
 //! `#[derive(Seek)]`: the walk over every number of a type, so that no field of the job language can be missed.
 //!
 //! A field whose type does not implement `scene::seek::Seek` does not compile. Fields that serde skips are
-//! derived from the others: they implement `Renew`, and are renewed when a number beside them is animated.
+//! derived from the others: they implement `Invalidate`, and are invalidated when a number beside them is animated.
 
 use proc_macro2::TokenStream;
 use quote::{format_ident, quote};
@@ -45,8 +45,8 @@ fn implementation(input: &DeriveInput) -> syn::Result<TokenStream> {
         impl #impl_generics crate::seek::Seek for #name #type_generics #where_clause {
             fn seek(
                 &mut self,
-                clock: &mut crate::seek::Clock<'_>,
-            ) -> ::core::result::Result<bool, ::std::boxed::Box<crate::seek::Misfit>> {
+                clock: &mut crate::seek::FrameTime<'_>,
+            ) -> ::core::result::Result<bool, ::std::boxed::Box<crate::seek::SeekError>> {
                 let is_animated = { #walk };
                 #then
                 ::core::result::Result::Ok(is_animated)
@@ -95,7 +95,7 @@ fn arm(variant: &Ident, fields: &Fields) -> syn::Result<TokenStream> {
     }
     Ok(quote! {
         Self::#variant #pattern => {
-            let mut inside = || -> ::core::result::Result<bool, ::std::boxed::Box<crate::seek::Misfit>> {
+            let mut inside = || -> ::core::result::Result<bool, ::std::boxed::Box<crate::seek::SeekError>> {
                 ::core::result::Result::Ok(#walk)
             };
             inside().map_err(|misfit| misfit.inside(#key))?
@@ -109,7 +109,7 @@ fn walk(fields: &Fields, places: &[TokenStream]) -> syn::Result<TokenStream> {
     let (mut seeks, mut renewals) = (Vec::new(), Vec::new());
     for ((index, field), place) in fields.iter().enumerate().zip(places) {
         if is_skipped(&field.attrs)? {
-            renewals.push(quote! { crate::seek::Renew::renew(#place); });
+            renewals.push(quote! { crate::seek::Invalidate::invalidate(#place); });
             continue;
         }
         let seek = quote! { crate::seek::Seek::seek(#place, clock) };
@@ -126,7 +126,7 @@ fn walk(fields: &Fields, places: &[TokenStream]) -> syn::Result<TokenStream> {
     if seeks.is_empty() {
         return Ok(quote! { false });
     }
-    let renew = (!renewals.is_empty()).then(|| {
+    let invalidate = (!renewals.is_empty()).then(|| {
         quote! {
             if is_animated {
                 #(#renewals)*
@@ -136,7 +136,7 @@ fn walk(fields: &Fields, places: &[TokenStream]) -> syn::Result<TokenStream> {
     Ok(quote! { {
         let mut is_animated = false;
         #(#seeks)*
-        #renew
+        #invalidate
         is_animated
     } })
 }

@@ -3,26 +3,26 @@
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use super::{Backdrop, Exemplary};
+use super::{Backdrop, HasExamples};
 use crate::real::{Real, Vec3};
 use crate::seek::Seek;
 use crate::values::Color;
 
-/// A colour straight ahead and behind, black to all sides.
+/// A color straight ahead and behind, black to all sides.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
 #[serde(deny_unknown_fields)]
 pub struct AddedBackground {
-    /// The colour.
+    /// The color.
     pub color: Color,
 }
 
-impl Exemplary for AddedBackground {
+impl HasExamples for AddedBackground {
     const EXAMPLE: &str = r#"{ "color": [0.3, 0.6, 0.9] }"#;
 }
 
 impl Backdrop for AddedBackground {
     #[inline(always)]
-    fn toward<R: Real>(&self, direction: Vec3<R>) -> Vec3<R> {
-        Vec3::given(direction.x, self.color.get()) * direction.z.abs()
+    fn radiance<R: Real>(&self, direction: Vec3<R>) -> Vec3<R> {
+        Vec3::uniform(direction.x, self.color.get()) * direction.z.abs()
     }
 }

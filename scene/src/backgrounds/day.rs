@@ -3,10 +3,10 @@
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use super::{Backdrop, Exemplary};
-use crate::nodes::NodeFault;
+use super::{Backdrop, HasExamples};
+use crate::nodes::NodeError;
 use crate::real::{Real, Vec3, vec3};
-use crate::seek::{Misfit, Renew, Seek};
+use crate::seek::{Invalidate, Seek, SeekError};
 use crate::values::{Color, Direction, Strength, Turbidity};
 
 /// A clear sky by day, lit by the sun; the ground below the horizon. The sun itself is not seen: let
@@ -18,25 +18,25 @@ use crate::values::{Color, Direction, Strength, Turbidity};
 #[serde(deny_unknown_fields)]
 #[seek(then = follow)]
 pub struct Day {
-    /// Towards the sun; not below the horizon.
+    /// Toward the sun; not below the horizon.
     pub sun: Direction,
     /// How hazy the air is: 2 is clear, 6 is hazy.
-    #[serde(default = "clear")]
+    #[serde(default = "default_turbidity")]
     pub turbidity: Turbidity,
-    /// The colour of the ground.
-    #[serde(default = "earth")]
+    /// The color of the ground.
+    #[serde(default = "default_ground")]
     pub ground: Color,
     /// How bright all of it is.
-    #[serde(default = "full")]
+    #[serde(default = "default_strength")]
     pub strength: Strength,
     /// What all directions share.
     #[serde(skip)]
-    model: Model,
+    model: PreethamModel,
 }
 
 /// The numbers of a [`Day`].
 #[derive(Clone, Debug, Default, PartialEq)]
-struct Model {
+struct PreethamModel {
     /// Perez' A to E of the luminance Y and the chromaticities x and y.
     perez: [[f32; 5]; 3],
     /// Y, x and y at the zenith over the formula's value there.
@@ -45,8 +45,8 @@ struct Model {
     sun_color: [f32; 3],
 }
 
-impl Renew for Model {
-    fn renew(&mut self) {
+impl Invalidate for PreethamModel {
+    fn invalidate(&mut self) {
         *self = Self::default();
     }
 }
@@ -56,11 +56,11 @@ const PER_KILOCANDELA: f32 = 1.0 / 32.0;
 
 impl Day {
     /// After a number in it has changed.
-    fn follow(&mut self) -> Result<(), Box<Misfit>> {
-        if let Some(NodeFault { place, message }) = self.fault() {
-            return Err(Misfit::new(&message).inside(&place));
+    fn follow(&mut self) -> Result<(), Box<SeekError>> {
+        if let Some(NodeError { pointer: place, message }) = self.validate() {
+            return Err(SeekError::new(&message).inside(&place));
         }
-        self.model = Model::of(self);
+        self.model = PreethamModel::new(self);
         Ok(())
     }
 
@@ -71,33 +71,33 @@ impl Day {
     }
 }
 
-impl Exemplary for Day {
+impl HasExamples for Day {
     const EXAMPLE: &'static str = r#"{ "sun": [0.8, 0.5, 0.4] }"#;
-    const MORE: &'static [&'static str] =
+    const MORE_EXAMPLES: &'static [&'static str] =
         &[r#"{ "sun": [-0.6, 0.06, -0.8], "turbidity": 5, "ground": [0.3, 0.25, 0.2], "strength": 3 }"#];
 }
 
 impl Backdrop for Day {
-    fn toward<R: Real>(&self, direction: Vec3<R>) -> Vec3<R> {
+    fn radiance<R: Real>(&self, direction: Vec3<R>) -> Vec3<R> {
         direction.x.vectorize(
             #[inline(always)]
             || {
                 let like = direction.x;
-                let cosine = direction.dot_known(self.sun.unit());
+                let cosine = direction.dot_uniform(self.sun.unit());
                 let angle = cosine.acos();
-                let per_height = like.splat(1.0) / direction.y.at_least(0.01);
+                let per_height = like.constant(1.0) / direction.y.at_least(0.01);
                 let value = |channel: usize| {
                     let [a, b, c, d, e] = self.model.perez[channel].map(
                         #[inline(always)]
-                        |number| like.given(number),
+                        |number| like.uniform(number),
                     );
-                    let by_height = a.mul_add((b * per_height).exp(), like.splat(1.0));
-                    let by_angle = e.mul_add(cosine.square(), c.mul_add((d * angle).exp(), like.splat(1.0)));
-                    by_height * by_angle * like.given(self.model.zenith[channel])
+                    let by_height = a.mul_add((b * per_height).exp(), like.constant(1.0));
+                    let by_angle = e.mul_add(cosine.square(), c.mul_add((d * angle).exp(), like.constant(1.0)));
+                    by_height * by_angle * like.uniform(self.model.zenith[channel])
                 };
                 let (luminance, x, y) = (value(0), value(1), value(2));
                 let per_y = luminance / y.at_least(1e-3);
-                let (big_x, big_z) = (x * per_y, (like.splat(1.0) - x - y) * per_y);
+                let (big_x, big_z) = (x * per_y, (like.constant(1.0) - x - y) * per_y);
                 // XYZ to linear sRGB: IEC 61966-2-1.
                 let sky = vec3(
                     big_x * 3.240_97 - luminance * 1.537_383 - big_z * 0.498_611,
@@ -109,7 +109,7 @@ impl Backdrop for Day {
                     |channel| channel.at_least(0.0),
                 );
                 let [red, green, blue] = self.model.ground;
-                let ground = Vec3::given(like, vec3(red, green, blue));
+                let ground = Vec3::uniform(like, vec3(red, green, blue));
                 let below = (-direction.y * 12.0).at_least(0.0).at_most(1.0);
                 (ground - sky).mul_add(below, sky)
             },
@@ -120,18 +120,18 @@ impl Backdrop for Day {
         Some(self)
     }
 
-    fn fault(&self) -> Option<NodeFault> {
+    fn validate(&self) -> Option<NodeError> {
         (self.sun.unit().y < 0.0)
-            .then(|| NodeFault::new("sun", "is below the horizon: give the sun's direction a y of 0 or more"))
+            .then(|| NodeError::new("sun", "is below the horizon: give the sun's direction a y of 0 or more"))
     }
 
-    fn prepare(&mut self) {
-        self.model = Model::of(self);
+    fn precompute(&mut self) {
+        self.model = PreethamModel::new(self);
     }
 }
 
-impl Model {
-    fn of(day: &Day) -> Self {
+impl PreethamModel {
+    fn new(day: &Day) -> Self {
         let t = day.turbidity.get();
         let sun = day.sun.unit();
         let strength = day.strength.get() * PER_KILOCANDELA;
@@ -179,7 +179,7 @@ impl Model {
             (1.0 + a * Real::exp(b)) * (1.0 + c * Real::exp(d * angle) + e * cosine * cosine)
         });
         let zenith = [luminance / at_zenith[0], x / at_zenith[1], y / at_zenith[2]];
-        let sun_color = transmitted(t, angle).map(|channel| channel * SUN_KILOCANDELAS * strength);
+        let sun_color = sun_transmittance(t, angle).map(|channel| channel * SUN_KILOCANDELAS * strength);
         let albedo: [f32; 3] = day.ground.get().into();
         let ground = std::array::from_fn(|i| albedo[i] * (sun_color[i] * sun.y.max(0.0) + luminance));
         Self { perez, zenith, ground, sun_color }
@@ -191,7 +191,7 @@ const SUN_KILOCANDELAS: f32 = 40.7;
 
 /// What the air lets through of the sun's red, green and blue: Rayleigh's scattering and Ångström's
 /// haze, as in the appendix of Preetham et al.
-fn transmitted(turbidity: f32, angle: f32) -> [f32; 3] {
+fn sun_transmittance(turbidity: f32, angle: f32) -> [f32; 3] {
     const WAVELENGTHS_UM: [f32; 3] = [0.615, 0.545, 0.465];
     let degrees = angle * (180.0 / std::f32::consts::PI);
     let mass = 1.0 / (Real::cos(angle) + 0.15 * Real::powf(93.885 - degrees, -1.253));
@@ -202,15 +202,15 @@ fn transmitted(turbidity: f32, angle: f32) -> [f32; 3] {
     })
 }
 
-fn clear() -> Turbidity {
+fn default_turbidity() -> Turbidity {
     Turbidity::new(2.5).expect("2.5 is in range")
 }
 
-fn earth() -> Color {
+fn default_ground() -> Color {
     Color::new(0.25, 0.23, 0.2)
 }
 
-fn full() -> Strength {
+fn default_strength() -> Strength {
     Strength::new(1.0).expect("1 is in range")
 }
 
@@ -221,13 +221,13 @@ mod tests {
 
     fn day(sun: &str) -> Background {
         let mut sky: Background = serde_json::from_str(&format!(r#"{{ "day": {{ "sun": {sun} }} }}"#)).unwrap();
-        sky.prepare();
+        sky.precompute();
         sky
     }
 
     #[test]
     fn noon_is_blue_above_and_the_evening_sun_is_red() {
-        let noon = day("[0.2, 1, 0]").toward(vec3(-0.3_f32, 0.9, 0.0).normalize());
+        let noon = day("[0.2, 1, 0]").radiance(vec3(-0.3_f32, 0.9, 0.0).normalize());
         assert!(noon.z > 1.5 * noon.x && noon.x > 0.02, "{noon:?}");
         let high = day("[0, 1, 0]").day().unwrap().sun_color();
         let low = day("[1, 0.05, 0]").day().unwrap().sun_color();

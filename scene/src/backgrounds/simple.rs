@@ -1,14 +1,14 @@
-//! Backgrounds without a sky's model: one colour, a gradient, and nothing.
+//! Backgrounds without a sky's model: one color, a gradient, and nothing.
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use super::{Backdrop, Exemplary};
+use super::{Backdrop, HasExamples};
 use crate::real::{Real, Vec3, vec3};
 use crate::seek::Seek;
 use crate::values::Color;
 
-/// One colour.
+/// One color.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
 pub struct SolidColor(pub Color);
 
@@ -26,49 +26,49 @@ pub struct SkyGradient {
 #[derive(Clone, Copy, Debug)]
 pub struct Transparent;
 
-impl Exemplary for SolidColor {
+impl HasExamples for SolidColor {
     const EXAMPLE: &'static str = r##""#8fb3c9""##;
 }
 
 impl Backdrop for SolidColor {
     #[inline(always)]
-    fn toward<R: Real>(&self, direction: Vec3<R>) -> Vec3<R> {
-        Vec3::given(direction.x, self.0.get())
+    fn radiance<R: Real>(&self, direction: Vec3<R>) -> Vec3<R> {
+        Vec3::uniform(direction.x, self.0.get())
     }
 
     #[inline(always)]
-    fn mean_over<R: Real>(&self, normal: Vec3<R>) -> Option<Vec3<R>> {
-        Some(self.toward(normal))
+    fn cosine_mean<R: Real>(&self, normal: Vec3<R>) -> Option<Vec3<R>> {
+        Some(self.radiance(normal))
     }
 }
 
-impl Exemplary for SkyGradient {
+impl HasExamples for SkyGradient {
     const EXAMPLE: &'static str = r##"{ "bottom": "#f2c9a0", "top": "#35507f" }"##;
 }
 
 impl Backdrop for SkyGradient {
     #[inline(always)]
-    fn toward<R: Real>(&self, direction: Vec3<R>) -> Vec3<R> {
-        between(&self.bottom, &self.top, direction.y, 0.5)
+    fn radiance<R: Real>(&self, direction: Vec3<R>) -> Vec3<R> {
+        gradient_at(&self.bottom, &self.top, direction.y, 0.5)
     }
 
     /// Of a gradient's t the mean is ½ + n.y/3.
     #[inline(always)]
-    fn mean_over<R: Real>(&self, normal: Vec3<R>) -> Option<Vec3<R>> {
-        Some(between(&self.bottom, &self.top, normal.y, 1.0 / 3.0))
+    fn cosine_mean<R: Real>(&self, normal: Vec3<R>) -> Option<Vec3<R>> {
+        Some(gradient_at(&self.bottom, &self.top, normal.y, 1.0 / 3.0))
     }
 }
 
 impl Backdrop for Transparent {
     #[inline(always)]
-    fn toward<R: Real>(&self, direction: Vec3<R>) -> Vec3<R> {
-        let zero = direction.x.splat(0.0);
+    fn radiance<R: Real>(&self, direction: Vec3<R>) -> Vec3<R> {
+        let zero = direction.x.constant(0.0);
         vec3(zero, zero, zero)
     }
 
     #[inline(always)]
-    fn mean_over<R: Real>(&self, normal: Vec3<R>) -> Option<Vec3<R>> {
-        Some(self.toward(normal))
+    fn cosine_mean<R: Real>(&self, normal: Vec3<R>) -> Option<Vec3<R>> {
+        Some(self.radiance(normal))
     }
 
     fn is_transparent(&self) -> bool {
@@ -78,11 +78,11 @@ impl Backdrop for Transparent {
 
 /// A gradient at ½ + `share` · `height`.
 #[inline(always)]
-fn between<R: Real>(bottom: &Color, top: &Color, height: R, share: f32) -> Vec3<R> {
-    let share = height.mul_add(height.splat(share), height.splat(0.5));
+fn gradient_at<R: Real>(bottom: &Color, top: &Color, height: R, share: f32) -> Vec3<R> {
+    let share = height.mul_add(height.constant(share), height.constant(0.5));
     let (bottom, top) = (bottom.get(), top.get());
     let rise = vec3(top.x - bottom.x, top.y - bottom.y, top.z - bottom.z);
-    Vec3::given(height, rise).mul_add(share, Vec3::given(height, bottom))
+    Vec3::uniform(height, rise).mul_add(share, Vec3::uniform(height, bottom))
 }
 
 #[cfg(test)]
@@ -94,7 +94,7 @@ mod tests {
     fn a_gradients_mean_is_that_of_many_directions() {
         let sky = Background::default();
         let normal = vec3(0.48_f32, 0.6, 0.64);
-        let mean = sky.mean_over(normal).unwrap();
+        let mean = sky.cosine_mean(normal).unwrap();
         let (mut sum, mut weight) = (vec3(0.0, 0.0, 0.0), 0.0);
         for step in 0..40_000 {
             let (height, turn) = ((step as f32 + 0.5) / 20_000.0 - 1.0, step as f32 * 2.399_963);
@@ -102,7 +102,7 @@ mod tests {
             let across = Real::sqrt(1.0 - height * height);
             let direction = vec3(across * c, height, across * s);
             let cosine = direction.dot(normal).max(0.0);
-            sum = sky.toward(direction).mul_add(cosine, sum);
+            sum = sky.radiance(direction).mul_add(cosine, sum);
             weight += cosine;
         }
         assert!((sum.x / weight - mean.x).abs() < 2e-3, "{} {}", sum.x / weight, mean.x);

@@ -1,7 +1,7 @@
 //! How space becomes a picture: the list of projections, and what a projection must say of itself.
 //!
 //! A projection is one documented struct in a file under `camera/projections/`, one `impl` of [`Project`], and one
-//! entry in the list; with fields it has an `impl` of [`Exemplary`] too; without fields it is written as its name alone.
+//! entry in the list; with fields it has an `impl` of [`HasExamples`] too; without fields it is written as its name alone.
 
 #[cfg(test)]
 mod added;
@@ -21,7 +21,7 @@ pub use perspective::Perspective;
 use super::{Matrix, Ray, View};
 use crate::bounds::Bounds;
 use crate::job::Image;
-pub use crate::kinds::{Example, Exemplary};
+pub use crate::kinds::{Example, HasExamples};
 use crate::march::Tolerance;
 use crate::real::{Real, Vec3};
 use crate::seek::Seek;
@@ -40,7 +40,7 @@ pub struct Extent {
 
 /// Where a camera is and where it looks: each direction to the right and up is as long as the picture's half extent.
 #[derive(Clone, Copy, Debug)]
-pub struct Axes<R> {
+pub struct CameraAxes<R> {
     /// Where the camera is.
     pub origin: Vec3<R>,
     /// To the right.
@@ -59,7 +59,7 @@ pub trait Project {
     }
 
     /// Why a camera must not say a field of view, if it must not.
-    fn fov_fault(&self) -> Option<&'static str> {
+    fn validate_fov(&self) -> Option<&'static str> {
         None
     }
 
@@ -67,7 +67,7 @@ pub trait Project {
     fn extent(&self, fov: Option<&FieldOfView>, aspect: f32, height: f32) -> Extent;
 
     /// The ray through a point of the picture: −1 to 1 across and upwards.
-    fn ray<R: Real>(&self, axes: &Axes<R>, across: R, upwards: R) -> Ray<R>;
+    fn ray<R: Real>(&self, axes: &CameraAxes<R>, across: R, upwards: R) -> Ray<R>;
 
     /// Whether no ray of the picture meets the box, however long it is. It may be false although no ray does.
     fn is_beside(&self, view: &View, bounds: Bounds) -> bool;
@@ -123,10 +123,10 @@ macro_rules! projections {
                 }
             }
 
-            fn fov_fault(&self) -> Option<&'static str> {
+            fn validate_fov(&self) -> Option<&'static str> {
                 match self {
-                    $($(#[$attribute])* Self::$Kind(projection) => projection.fov_fault(),)*
-                    $(Self::$Unit => $Unit.fov_fault(),)*
+                    $($(#[$attribute])* Self::$Kind(projection) => projection.validate_fov(),)*
+                    $(Self::$Unit => $Unit.validate_fov(),)*
                 }
             }
 
@@ -138,7 +138,7 @@ macro_rules! projections {
             }
 
             #[inline(always)]
-            fn ray<R: Real>(&self, axes: &Axes<R>, across: R, upwards: R) -> Ray<R> {
+            fn ray<R: Real>(&self, axes: &CameraAxes<R>, across: R, upwards: R) -> Ray<R> {
                 match self {
                     $($(#[$attribute])* Self::$Kind(projection) => projection.ray(axes, across, upwards),)*
                     $(Self::$Unit => $Unit.ray(axes, across, upwards),)*

@@ -3,7 +3,7 @@
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use super::{Exemplary, Incoming, LightSource};
+use super::{HasExamples, LightSample, LightSource};
 use crate::backgrounds::Day;
 use crate::real::{Real, Vec3};
 use crate::seek::Seek;
@@ -13,28 +13,28 @@ use crate::values::{Color, Direction};
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
 #[serde(deny_unknown_fields)]
 pub struct AddedLight {
-    /// Towards the light.
+    /// Toward the light.
     pub direction: Direction,
-    /// Its colour at height 0.
+    /// Its color at height 0.
     pub color: Color,
 }
 
-impl Exemplary for AddedLight {
+impl HasExamples for AddedLight {
     const EXAMPLE: &str = r#"{ "direction": [0.2, 0.3, 1], "color": [0.5, 0.9, 0.4] }"#;
 }
 
 impl LightSource for AddedLight {
     #[inline(always)]
-    fn arriving<R: Real>(
+    fn sample<R: Real>(
         &self,
         p: Vec3<R>,
         farthest: R,
         _: Option<&Day>,
         _: impl FnOnce() -> (R, R),
-    ) -> Option<(Incoming<R>, R)> {
-        let one = p.x.splat(1.0);
-        let radiance = Vec3::given(p.x, self.color.get()) * (one / (p.y.square() + one));
-        Some((Incoming { direction: Vec3::given(p.x, self.direction.unit()), radiance }, farthest))
+    ) -> Option<(LightSample<R>, R)> {
+        let one = p.x.constant(1.0);
+        let radiance = Vec3::uniform(p.x, self.color.get()) * (one / (p.y.square() + one));
+        Some((LightSample { direction: Vec3::uniform(p.x, self.direction.unit()), radiance }, farthest))
     }
 
     fn casts_shadows(&self) -> bool {

@@ -3,47 +3,47 @@
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use super::{Exemplary, Incoming, LightSource, narrow, white, wide, yes};
+use super::{HasExamples, LightSample, LightSource, default_angle, default_color, default_shadow, sample_cone};
 use crate::backgrounds::Day;
 use crate::real::{Real, Vec3};
 use crate::seek::Seek;
-use crate::values::{Aperture, Color, Direction};
+use crate::values::{Color, Direction, FullAngle};
 
 /// Light from far away, the same everywhere.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
 #[serde(deny_unknown_fields)]
 pub struct Directional {
-    /// Towards the light; of any length.
+    /// Toward the light; of any length.
     pub direction: Direction,
-    /// Its colour and strength.
-    #[serde(default = "white")]
+    /// Its color and strength.
+    #[serde(default = "default_color")]
     pub color: Color,
     /// How wide it is, in degrees: shadows have soft edges. The sun is 0.53 wide.
-    #[serde(default = "narrow")]
-    pub angle: Aperture,
+    #[serde(default = "default_angle")]
+    pub angle: FullAngle,
     /// Whether things cast shadows in it.
-    #[serde(default = "yes")]
+    #[serde(default = "default_shadow")]
     pub shadow: bool,
 }
 
-impl Exemplary for Directional {
+impl HasExamples for Directional {
     const EXAMPLE: &'static str = r#"{ "direction": [-0.5, 0.8, 0.6] }"#;
-    const MORE: &'static [&'static str] =
+    const MORE_EXAMPLES: &'static [&'static str] =
         &[r#"{ "direction": [-0.9, 0.5, 0.3], "color": [1, 0.72, 0.42], "angle": 12 }"#];
 }
 
 impl LightSource for Directional {
     #[inline(always)]
-    fn arriving<R: Real>(
+    fn sample<R: Real>(
         &self,
         p: Vec3<R>,
         farthest: R,
         _: Option<&Day>,
         pair: impl FnOnce() -> (R, R),
-    ) -> Option<(Incoming<R>, R)> {
-        let direction = wide(p.x, self.direction.unit(), &self.angle, pair);
-        let radiance = Vec3::given(p.x, self.color.get());
-        Some((Incoming { direction, radiance }, farthest))
+    ) -> Option<(LightSample<R>, R)> {
+        let direction = sample_cone(p.x, self.direction.unit(), &self.angle, pair);
+        let radiance = Vec3::uniform(p.x, self.color.get());
+        Some((LightSample { direction, radiance }, farthest))
     }
 
     fn casts_shadows(&self) -> bool {

@@ -3,7 +3,7 @@
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use super::{Exemplary, Incoming, LightSource, white, yes};
+use super::{HasExamples, LightSample, LightSource, default_color, default_shadow};
 use crate::backgrounds::Day;
 use crate::real::{Real, Vec3};
 use crate::seek::Seek;
@@ -15,32 +15,32 @@ use crate::values::{Color, Point};
 pub struct PointLight {
     /// Where it is.
     pub position: Point,
-    /// Its colour, and its strength at a distance of 1.
-    #[serde(default = "white")]
+    /// Its color, and its strength at a distance of 1.
+    #[serde(default = "default_color")]
     pub color: Color,
     /// Whether things cast shadows in it.
-    #[serde(default = "yes")]
+    #[serde(default = "default_shadow")]
     pub shadow: bool,
 }
 
-impl Exemplary for PointLight {
+impl HasExamples for PointLight {
     const EXAMPLE: &'static str = r#"{ "position": [-1.1, 0.9, 1.5], "color": [2.6, 2.3, 1.9] }"#;
 }
 
 impl LightSource for PointLight {
     #[inline(always)]
-    fn arriving<R: Real>(
+    fn sample<R: Real>(
         &self,
         p: Vec3<R>,
         _: R,
         _: Option<&Day>,
         _: impl FnOnce() -> (R, R),
-    ) -> Option<(Incoming<R>, R)> {
-        let towards = Vec3::given(p.x, self.position.get()) - p;
-        let distance = towards.length().at_least(1e-6);
-        let per_distance = p.x.splat(1.0) / distance;
-        let radiance = Vec3::given(p.x, self.color.get()) * per_distance.square();
-        Some((Incoming { direction: towards * per_distance, radiance }, distance))
+    ) -> Option<(LightSample<R>, R)> {
+        let toward = Vec3::uniform(p.x, self.position.get()) - p;
+        let distance = toward.length().at_least(1e-6);
+        let per_distance = p.x.constant(1.0) / distance;
+        let radiance = Vec3::uniform(p.x, self.color.get()) * per_distance.square();
+        Some((LightSample { direction: toward * per_distance, radiance }, distance))
     }
 
     fn casts_shadows(&self) -> bool {

@@ -3,33 +3,36 @@
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use super::{Exemplary, Lighting, Place, Shade};
+use super::{HasExamples, IncidentLight, Shade, ShadingPoint};
 use crate::real::{Real, Vec3};
 use crate::seek::Seek;
 use crate::values::Color;
 
-/// A colour where light falls, however steeply.
+/// A color where light falls, however steeply.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
 #[serde(deny_unknown_fields)]
 pub struct AddedMaterial {
-    /// The colour.
+    /// The color.
     pub color: Color,
 }
 
-impl Exemplary for AddedMaterial {
+impl HasExamples for AddedMaterial {
     const EXAMPLE: &str = r#"{ "color": [0.8, 0.4, 0.1] }"#;
 }
 
 impl Shade for AddedMaterial {
     #[inline(always)]
-    fn shade<R: Real>(&self, place: &Place<R>, light: &Lighting<R>) -> Vec3<R> {
+    fn shade<R: Real>(&self, place: &ShadingPoint<R>, light: &IncidentLight<R>) -> Vec3<R> {
         let own = self.albedo(place);
-        light.lights.iter().fold(own * place.distance.splat(0.0), |sum, light| own.by_channel(light.radiance) + sum)
+        light
+            .lights
+            .iter()
+            .fold(own * place.camera_t.constant(0.0), |sum, light| own.mul_elementwise(light.radiance) + sum)
     }
 
     #[inline(always)]
-    fn albedo<R: Real>(&self, place: &Place<R>) -> Vec3<R> {
-        Vec3::given(place.distance, self.color.get())
+    fn albedo<R: Real>(&self, place: &ShadingPoint<R>) -> Vec3<R> {
+        Vec3::uniform(place.camera_t, self.color.get())
     }
 
     fn is_lit(&self) -> bool {

@@ -1,9 +1,9 @@
-//! The paper's matt material with a highlight.
+//! The paper's matte material with a highlight.
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use super::{Exemplary, Level, Lighting, Place, Shade, Texture, Tint};
+use super::{ColorParam, HasExamples, IncidentLight, ScalarParam, Shade, ShadingPoint, Texture};
 use crate::real::{Real, Vec3, vec3};
 use crate::seek::Seek;
 use crate::values::Shininess;
@@ -16,41 +16,41 @@ use crate::values::Shininess;
 pub struct Diffuse {
     /// Color of scattered light.
     #[serde(default = "default_kd")]
-    pub kd: Tint,
+    pub kd: ColorParam,
     /// Color of the highlight.
-    #[serde(default = "Tint::black")]
-    pub ks: Tint,
+    #[serde(default = "ColorParam::black")]
+    pub ks: ColorParam,
     /// Color for ambient light; `kd` when absent.
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub ka: Option<Tint>,
+    pub ka: Option<ColorParam>,
     /// Ambient light.
     #[serde(default = "default_ambient")]
-    pub ambient: Tint,
+    pub ambient: ColorParam,
     /// Exponent of the highlight: larger is narrower.
     #[serde(default = "default_shininess")]
-    pub shininess: Level<Shininess>,
+    pub shininess: ScalarParam<Shininess>,
 }
 
 impl Diffuse {
     /// Reflected ambient light, given its `kd` here.
     #[inline(always)]
-    fn ambient<R: Real>(&self, place: &Place<R>, kd: Vec3<R>) -> Vec3<R> {
+    fn ambient<R: Real>(&self, place: &ShadingPoint<R>, kd: Vec3<R>) -> Vec3<R> {
         let answer = self.ka.as_ref().unwrap_or(&self.kd);
-        if let (Some(ka), Some(la)) = (answer.plain(), self.ambient.plain()) {
+        if let (Some(ka), Some(la)) = (answer.as_constant(), self.ambient.as_constant()) {
             let (ka, la) = (ka.get(), la.get());
-            return Vec3::given(place.normal.x, vec3(ka.x * la.x, ka.y * la.y, ka.z * la.z));
+            return Vec3::uniform(place.normal.x, vec3(ka.x * la.x, ka.y * la.y, ka.z * la.z));
         }
         let ka = match &self.ka {
             Some(ka) => ka.at(place),
             None => kd,
         };
-        ka.by_channel(self.ambient.at(place))
+        ka.mul_elementwise(self.ambient.at(place))
     }
 }
 
-impl Exemplary for Diffuse {
+impl HasExamples for Diffuse {
     const EXAMPLE: &'static str = r##"{ "kd": "#4f7fb8", "ks": [0.3, 0.3, 0.3], "shininess": 40 }"##;
-    const MORE: &'static [&'static str] = &[
+    const MORE_EXAMPLES: &'static [&'static str] = &[
         r##"{ "kd": { "checker": { "cell": 0.4, "colors": ["#b5432f", "#e8dcc0"] } }, "ka": [0.5, 0.5, 0.6],
               "ambient": [0.2, 0.2, 0.2] }"##,
         r##"{ "kd": "#2d2f38",
@@ -63,35 +63,35 @@ impl Exemplary for Diffuse {
 
 impl Shade for Diffuse {
     #[inline(always)]
-    fn shade<R: Real>(&self, place: &Place<R>, light: &Lighting<R>) -> Vec3<R> {
+    fn shade<R: Real>(&self, place: &ShadingPoint<R>, light: &IncidentLight<R>) -> Vec3<R> {
         let like = place.normal.x;
         let kd = self.kd.at(place);
         let gloss = if self.ks.is_black() { None } else { Some((self.ks.at(place), self.shininess.at(place))) };
         let mut sum = self.ambient(place, kd);
-        if let Some(openness) = light.openness {
+        if let Some(openness) = light.ambient_visibility {
             sum = sum * openness;
         }
-        if let Some(around) = light.surrounding {
-            sum = kd.mul_add_by_channel(around, sum);
+        if let Some(around) = light.ambient {
+            sum = kd.mul_add_elementwise(around, sum);
         }
         for light in &light.lights {
             let facing = place.normal.dot(light.direction).at_least(0.0);
             let scattered = light.radiance * facing;
-            sum = kd.mul_add_by_channel(scattered, sum);
+            sum = kd.mul_add_elementwise(scattered, sum);
             if let Some((ks, shininess)) = gloss {
                 let mirrored = place.normal.mul_add(facing + facing, -light.direction);
-                let towards = mirrored.dot(place.to_viewer).at_least(0.0);
-                let highlight = towards.powf(shininess);
-                let highlight = R::select(facing.above(0.0), highlight, like.splat(0.0));
+                let toward = mirrored.dot(place.to_viewer).at_least(0.0);
+                let highlight = toward.powf(shininess);
+                let highlight = R::select(facing.above(0.0), highlight, like.constant(0.0));
                 let glossy = light.radiance * highlight;
-                sum = ks.mul_add_by_channel(glossy, sum);
+                sum = ks.mul_add_elementwise(glossy, sum);
             }
         }
         sum
     }
 
     #[inline(always)]
-    fn albedo<R: Real>(&self, place: &Place<R>) -> Vec3<R> {
+    fn albedo<R: Real>(&self, place: &ShadingPoint<R>) -> Vec3<R> {
         self.kd.at(place)
     }
 
@@ -101,24 +101,24 @@ impl Shade for Diffuse {
 
     fn is_black_without_light(&self) -> bool {
         const FAINT: f32 = 0.1;
-        self.ambient.plain().is_some_and(|ambient| ambient.get().max_element() <= FAINT && !ambient.is_moving())
+        self.ambient.as_constant().is_some_and(|ambient| ambient.get().max_element() <= FAINT && !ambient.is_animated())
     }
 
     fn textures(&self) -> Vec<&Texture> {
         let Self { kd, ks, ka, ambient, shininess } = self;
         let tints = [Some(kd), Some(ks), ka.as_ref(), Some(ambient)].into_iter().flatten();
-        tints.filter_map(Tint::texture).chain(shininess.texture()).collect()
+        tints.filter_map(ColorParam::texture).chain(shininess.texture()).collect()
     }
 }
 
-fn default_kd() -> Tint {
-    Tint::plain_of(0.8, 0.8, 0.8)
+fn default_kd() -> ColorParam {
+    ColorParam::constant(0.8, 0.8, 0.8)
 }
 
-fn default_ambient() -> Tint {
-    Tint::plain_of(0.1, 0.1, 0.1)
+fn default_ambient() -> ColorParam {
+    ColorParam::constant(0.1, 0.1, 0.1)
 }
 
-fn default_shininess() -> Level<Shininess> {
-    Level::Plain(Shininess::new(16.0).expect("16 is in range"))
+fn default_shininess() -> ScalarParam<Shininess> {
+    ScalarParam::Constant(Shininess::new(16.0).expect("16 is in range"))
 }

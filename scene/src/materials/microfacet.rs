@@ -18,14 +18,14 @@ pub const MIN_ALPHA: f32 = 0.002;
 /// Brent Burley, "Physically based shading at Disney", 2012,
 /// <https://disneyanimation.com/publications/physically-based-shading-at-disney/>.
 #[inline(always)]
-pub fn alpha<R: Real>(roughness: R) -> R {
+pub fn alpha_from_roughness<R: Real>(roughness: R) -> R {
     roughness.square().at_least(MIN_ALPHA)
 }
 
 /// π times the GGX distribution of normals D, by a half vector's cosine and its squared sine
 /// (which, for a small angle, 1 − cosine² would not give).
 #[inline(always)]
-pub fn distribution<R: Real>(alpha: R, cosine: R, sine_squared: R) -> R {
+pub fn ggx_distribution<R: Real>(alpha: R, cosine: R, sine_squared: R) -> R {
     let scaled = alpha * cosine;
     let width = scaled.square_add(sine_squared).at_least(1e-7);
     (alpha / width).square()
@@ -33,16 +33,16 @@ pub fn distribution<R: Real>(alpha: R, cosine: R, sine_squared: R) -> R {
 
 /// √(α² + (1 − α²)·cosine²), a term of Smith's functions, at a direction's cosine.
 #[inline(always)]
-fn spread<R: Real>(alpha_squared: R, cosine: R) -> R {
-    (cosine.splat(1.0) - alpha_squared).mul_add(cosine.square(), alpha_squared).sqrt()
+fn smith_root<R: Real>(alpha_squared: R, cosine: R) -> R {
+    (cosine.constant(1.0) - alpha_squared).mul_add(cosine.square(), alpha_squared).sqrt()
 }
 
 /// Smith's G₂ of light and viewer, over 4·(N·L)·(N·V).
 #[inline(always)]
-pub fn visibility<R: Real>(alpha: R, to_light: R, to_viewer: R) -> R {
+pub fn smith_visibility<R: Real>(alpha: R, to_light: R, to_viewer: R) -> R {
     let square = alpha.square();
     let (to_light, to_viewer) = (to_light.at_least(MIN_COSINE), to_viewer.at_least(MIN_COSINE));
-    to_light.splat(0.5) / to_light.mul_add(spread(square, to_viewer), to_viewer * spread(square, to_light))
+    to_light.constant(0.5) / to_light.mul_add(smith_root(square, to_viewer), to_viewer * smith_root(square, to_light))
 }
 
 /// Cosines less than this are taken as this where they divide.
@@ -50,10 +50,10 @@ const MIN_COSINE: f32 = 1e-4;
 
 /// Smith's G₂/G₁(viewer): the weight, next to Fresnel's, of light reflected by a visible normal.
 #[inline(always)]
-pub fn shadowing<R: Real>(alpha: R, to_light: R, to_viewer: R) -> R {
+pub fn smith_g2_over_g1<R: Real>(alpha: R, to_light: R, to_viewer: R) -> R {
     let square = alpha.square();
     let (to_light, to_viewer) = (to_light.at_least(MIN_COSINE), to_viewer.at_least(MIN_COSINE));
-    let (light, viewer) = (to_viewer * spread(square, to_light), to_light * spread(square, to_viewer));
+    let (light, viewer) = (to_viewer * smith_root(square, to_light), to_light * smith_root(square, to_viewer));
     // G₂ = 2·nl·nv/(nl·Sv + nv·Sl) and G₁ = 2·nv/(nv + Sv).
     let masked = to_light.mul_add(to_viewer, viewer);
     masked / (viewer + light)
@@ -64,8 +64,8 @@ pub fn shadowing<R: Real>(alpha: R, to_light: R, to_viewer: R) -> R {
 ///
 /// Christophe Schlick, "An inexpensive BRDF model for physically-based rendering", 1994.
 #[inline(always)]
-pub fn grazing<R: Real>(cosine: R) -> R {
-    let rest = (cosine.splat(1.0) - cosine).at_least(0.0).at_most(1.0);
+pub fn schlick_weight<R: Real>(cosine: R) -> R {
+    let rest = (cosine.constant(1.0) - cosine).at_least(0.0).at_most(1.0);
     let square = rest.square();
     square.square() * rest
 }
@@ -73,16 +73,16 @@ pub fn grazing<R: Real>(cosine: R) -> R {
 /// Fresnel's reflectance by Schlick's formula, from that at the normal and the cosine to a mirror's normal.
 #[inline(always)]
 pub fn fresnel<R: Real>(at_normal: Vec3<R>, cosine: R) -> Vec3<R> {
-    let rise = grazing(cosine);
+    let rise = schlick_weight(cosine);
     at_normal.map(
         #[inline(always)]
-        |f| (f.splat(1.0) - f).mul_add(rise, f),
+        |f| (f.constant(1.0) - f).mul_add(rise, f),
     )
 }
 
 /// Fresnel's reflectance at the normal, of a border between media: ((n − 1)/(n + 1))².
 #[inline(always)]
-pub fn reflectance_at_normal<R: Real>(ior: R) -> R {
+pub fn f0_from_ior<R: Real>(ior: R) -> R {
     ((ior - 1.0) / (ior + 1.0)).square()
 }
 
@@ -91,8 +91,8 @@ pub fn reflectance_at_normal<R: Real>(ior: R) -> R {
 /// Tom Duff et al., "Building an orthonormal basis, revisited", JCGT 6(1), 2017,
 /// <https://jcgt.org/published/0006/01/01/>.
 #[inline(always)]
-pub fn frame<R: Real>(normal: Vec3<R>) -> (Vec3<R>, Vec3<R>) {
-    let one = normal.z.splat(1.0);
+pub fn orthonormal_basis<R: Real>(normal: Vec3<R>) -> (Vec3<R>, Vec3<R>) {
+    let one = normal.z.constant(1.0);
     let sign = R::select(normal.z.below(0.0), -one, one);
     let a = -(one / (sign + normal.z));
     let b = normal.x * normal.y * a;
@@ -102,7 +102,7 @@ pub fn frame<R: Real>(normal: Vec3<R>) -> (Vec3<R>, Vec3<R>) {
 }
 
 /// Samples a microfacet normal visible to the viewer, in the local frame, from two numbers uniform in 0..1.
-/// Light reflected by it has the weight [`fresnel`] · [`shadowing`].
+/// Light reflected by it has the weight [`fresnel`] · [`smith_g2_over_g1`].
 ///
 /// Jonathan Dupuy and Anis Benyoub, "Sampling visible GGX normals with spherical caps", 2023,
 /// <https://arxiv.org/abs/2306.05044>.
@@ -111,7 +111,7 @@ pub fn sample_visible_normal<R: Real>(to_viewer: Vec3<R>, alpha: R, u: R, v: R) 
     // Stretched, the mirrors are a half sphere, whose visible normals are a spherical cap.
     let viewer = vec3(to_viewer.x * alpha, to_viewer.y * alpha, to_viewer.z).normalize();
     let (sine, cosine) = (u * TAU).sin_cos();
-    let one = u.splat(1.0);
+    let one = u.constant(1.0);
     let z = (one - v).mul_add(one + viewer.z, -viewer.z);
     let radius = (one - z.square()).at_most(1.0).sqrt();
     let cap = vec3(radius * cosine, radius * sine, z) + viewer;

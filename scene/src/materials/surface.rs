@@ -3,15 +3,15 @@
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use super::microfacet::{alpha, distribution, grazing, reflectance_at_normal, visibility};
-use super::tint::mix;
-use super::{Exemplary, Finish, Level, Lighting, Place, Shade, Texture, Tint};
-use crate::lights::Incoming;
+use super::microfacet::{alpha_from_roughness, f0_from_ior, ggx_distribution, schlick_weight, smith_visibility};
+use super::param::lerp;
+use super::{ColorParam, HasExamples, IncidentLight, ScalarParam, Shade, ShadingPoint, SpecularBsdf, Texture};
+use crate::lights::LightSample;
 use crate::real::{Real, Vec3, bundle, vec3};
 use crate::seek::Seek;
-use crate::values::{RefractiveIndex, Share};
+use crate::values::{Fraction, RefractiveIndex};
 
-/// A physically based surface: a matt body under a border that mirrors, or metal; under a clear coat if it has one.
+/// A physically based surface: a matte body under a border that mirrors, or metal; under a clear coat if it has one.
 ///
 /// Parameters are those of glTF 2.0 and its extensions `KHR_materials_ior`, `clearcoat` and `transmission`
 /// (<https://registry.khronos.org/glTF/specs/2.0/glTF-2.0.html#appendix-b-brdf-implementation>), after Brent Burley,
@@ -24,82 +24,82 @@ use crate::values::{RefractiveIndex, Share};
 pub struct Surface {
     /// Color of the body, or of a metal's reflections; channels above 1 count as 1.
     #[serde(default = "default_base_color")]
-    pub base_color: Tint,
+    pub base_color: ColorParam,
     /// Whether it is a metal: 1, or not: 0.
-    #[serde(default = "none")]
-    pub metallic: Level<Share>,
+    #[serde(default = "default_fraction")]
+    pub metallic: ScalarParam<Fraction>,
     /// Roughness: 0 is a mirror, 1 is matte. Its square is the α of GGX, at least 0.002.
     #[serde(default = "default_roughness")]
-    pub roughness: Level<Share>,
+    pub roughness: ScalarParam<Fraction>,
     /// Index of refraction of the body.
     #[serde(default = "default_ior")]
-    pub ior: Level<RefractiveIndex>,
+    pub ior: ScalarParam<RefractiveIndex>,
     /// Emitted light.
-    #[serde(default = "Tint::black")]
-    pub emission: Tint,
+    #[serde(default = "ColorParam::black")]
+    pub emission: ColorParam,
     /// Fraction of it under a clear coat, whose index of refraction is 1.5.
-    #[serde(default = "none")]
-    pub clearcoat: Level<Share>,
+    #[serde(default = "default_fraction")]
+    pub clearcoat: ScalarParam<Fraction>,
     /// Roughness of the clear coat.
     #[serde(default = "default_clearcoat_roughness")]
-    pub clearcoat_roughness: Level<Share>,
+    pub clearcoat_roughness: ScalarParam<Fraction>,
     /// Fraction of the light that enters the body and is transmitted, tinted by the root of `base_color`
     /// on the way in and out.
-    #[serde(default = "none")]
-    pub transmission: Level<Share>,
+    #[serde(default = "default_fraction")]
+    pub transmission: ScalarParam<Fraction>,
 }
 
 /// Reflectance at the normal of a clear coat.
-const COAT_AT_NORMAL: f32 = 0.04;
+const CLEARCOAT_F0: f32 = 0.04;
 
 /// A clear coat at a place.
 #[derive(Clone, Copy)]
-struct Coat<R> {
+struct Clearcoat<R> {
     amount: R,
     alpha: R,
 }
 
-bundle!(Coat { amount, alpha });
+bundle!(Clearcoat { amount, alpha });
 
-impl<R: Real> Coat<R> {
+impl<R: Real> Clearcoat<R> {
     /// Fraction of the light that it reflects, given the cosine's [`grazing`] part.
     #[inline(always)]
     fn mirrored(&self, grazing: R) -> R {
-        self.amount * grazing.mul_add(grazing.splat(1.0 - COAT_AT_NORMAL), grazing.splat(COAT_AT_NORMAL))
+        self.amount * grazing.mul_add(grazing.constant(1.0 - CLEARCOAT_F0), grazing.constant(CLEARCOAT_F0))
     }
 
     /// Fraction of the light that it transmits.
     #[inline(always)]
-    fn passed(&self, grazing: R) -> R {
-        grazing.splat(1.0) - self.mirrored(grazing)
+    fn transmitted(&self, grazing: R) -> R {
+        grazing.constant(1.0) - self.mirrored(grazing)
     }
 }
 
 /// The surface at a place: its parameters as the formulas want them.
 #[derive(Clone, Copy)]
-struct Layers<R: Real> {
+struct SurfaceTerms<R: Real> {
     to_viewer: Vec3<R>,
     normal: Vec3<R>,
     /// Cosine to the viewer.
-    facing: R,
+    n_dot_v: R,
     /// Its [`grazing`] part.
-    viewer_grazing: R,
+    viewer_schlick: R,
     /// Reflectance at the normal.
-    at_normal: Vec3<R>,
+    f0: Vec3<R>,
     /// Color of the light that the body scatters, without the terms that depend on directions.
-    body: Vec3<R>,
+    diffuse_color: Vec3<R>,
     alpha: R,
-    coat: Option<Coat<R>>,
+    clearcoat: Option<Clearcoat<R>>,
 }
 
-bundle!(Layers { to_viewer, normal, facing, viewer_grazing, at_normal, body, alpha, coat });
+bundle!(SurfaceTerms { to_viewer, normal, n_dot_v, viewer_schlick, f0, diffuse_color, alpha, clearcoat });
 
 impl Surface {
     #[inline(always)]
-    fn base<R: Real>(&self, place: &Place<R>) -> Vec3<R> {
-        if let Some(color) = self.base_color.plain() {
+    fn base<R: Real>(&self, place: &ShadingPoint<R>) -> Vec3<R> {
+        if let Some(color) = self.base_color.as_constant() {
             let color = color.get();
-            return Vec3::given(place.normal.x, vec3(color.x.min(1.0), color.y.min(1.0), color.z.min(1.0)));
+            return Vec3::uniform(place.normal.x, vec3(color.x.min(1.0), color.y.min(1.0), color.z.min(1.0)));
         }
         self.base_color.at(place).map(
             #[inline(always)]
@@ -109,10 +109,10 @@ impl Surface {
 
     /// Reflectance at the normal, of the border and by channel of the whole.
     #[inline(always)]
-    fn at_normal<R: Real>(&self, place: &Place<R>, base: Vec3<R>) -> (R, Vec3<R>) {
+    fn f0<R: Real>(&self, place: &ShadingPoint<R>, base: Vec3<R>) -> (R, Vec3<R>) {
         let border = match &self.ior {
-            Level::Plain(ior) => base.x.given(reflectance_at_normal(ior.get())),
-            Level::Varied(_) => reflectance_at_normal(self.ior.at(place)),
+            ScalarParam::Constant(ior) => base.x.uniform(f0_from_ior(ior.get())),
+            ScalarParam::Textured(_) => f0_from_ior(self.ior.at(place)),
         };
         if self.metallic.is_zero() {
             return (border, vec3(border, border, border));
@@ -120,54 +120,57 @@ impl Surface {
         let metallic = self.metallic.at(place);
         let whole = base.map(
             #[inline(always)]
-            |c| mix(border, c, metallic),
+            |c| lerp(border, c, metallic),
         );
         (border, whole)
     }
 
     /// Fraction of the light that enters and is scattered by the body, and fraction that is transmitted.
     #[inline(always)]
-    fn entering<R: Real>(&self, place: &Place<R>) -> (R, R) {
-        let one = place.normal.x.splat(1.0);
+    fn diffuse_and_transmitted<R: Real>(&self, place: &ShadingPoint<R>) -> (R, R) {
+        let one = place.normal.x.constant(1.0);
         let body = if self.metallic.is_zero() { one } else { one - self.metallic.at(place) };
         if self.transmission.is_zero() {
-            return (body, one.splat(0.0));
+            return (body, one.constant(0.0));
         }
         let through = body * self.transmission.at(place);
         (body - through, through)
     }
 
     #[inline(always)]
-    fn coat<R: Real>(&self, place: &Place<R>) -> Option<Coat<R>> {
+    fn clearcoat<R: Real>(&self, place: &ShadingPoint<R>) -> Option<Clearcoat<R>> {
         if self.clearcoat.is_zero() {
             return None;
         }
-        Some(Coat { amount: self.clearcoat.at(place), alpha: alpha(self.clearcoat_roughness.at(place)) })
+        Some(Clearcoat {
+            amount: self.clearcoat.at(place),
+            alpha: alpha_from_roughness(self.clearcoat_roughness.at(place)),
+        })
     }
 
     #[inline(always)]
-    fn layers<R: Real>(&self, place: &Place<R>) -> Layers<R> {
+    fn layers<R: Real>(&self, place: &ShadingPoint<R>) -> SurfaceTerms<R> {
         let base = self.base(place);
-        let (border, at_normal) = self.at_normal(place, base);
-        let (scattered, _) = self.entering(place);
-        let coat = self.coat(place);
+        let (border, at_normal) = self.f0(place, base);
+        let (scattered, _) = self.diffuse_and_transmitted(place);
+        let coat = self.clearcoat(place);
         let facing = place.normal.dot(place.to_viewer).at_least(0.0);
         // Light that leaves is mirrored back at the border by its average, 1/21 above that at the normal,
         // and scattered again: so the body is divided by what passes on average.
         let share = match coat {
             None => scattered * (21.0 / 20.0),
-            Some(coat) => scattered / average_passed(coat.amount),
+            Some(coat) => scattered / average_transmittance(coat.amount),
         };
-        let share = share * (share.splat(1.0) - border);
-        Layers {
+        let share = share * (share.constant(1.0) - border);
+        SurfaceTerms {
             to_viewer: place.to_viewer,
             normal: place.normal,
-            facing,
-            viewer_grazing: grazing(facing),
-            at_normal,
-            body: base * share,
-            alpha: alpha(self.roughness.at(place)),
-            coat,
+            n_dot_v: facing,
+            viewer_schlick: schlick_weight(facing),
+            f0: at_normal,
+            diffuse_color: base * share,
+            alpha: alpha_from_roughness(self.roughness.at(place)),
+            clearcoat: coat,
         }
     }
 }
@@ -175,39 +178,39 @@ impl Surface {
 /// The average over all directions, by cosine, of (1 − s)·(1 − c·(f + (1 − f)·s)): what passes the border and the
 /// coat, s = (1 − cosine)⁵, without the border's 1 − F₀. The averages of s and s² are 1/21 and 1/66.
 #[inline(always)]
-fn average_passed<R: Real>(amount: R) -> R {
-    const LOST: f32 = COAT_AT_NORMAL * (20.0 / 21.0) + (1.0 - COAT_AT_NORMAL) * (1.0 / 21.0 - 1.0 / 66.0);
-    amount.mul_add(amount.splat(-LOST), amount.splat(20.0 / 21.0))
+fn average_transmittance<R: Real>(amount: R) -> R {
+    const CLEARCOAT_LOSS: f32 = CLEARCOAT_F0 * (20.0 / 21.0) + (1.0 - CLEARCOAT_F0) * (1.0 / 21.0 - 1.0 / 66.0);
+    amount.mul_add(amount.constant(-CLEARCOAT_LOSS), amount.constant(20.0 / 21.0))
 }
 
-impl<R: Real> Layers<R> {
+impl<R: Real> SurfaceTerms<R> {
     /// Fraction of the light between the body and one direction that passes border and coat, without 1 −
     /// F₀.
     #[inline(always)]
-    fn passed(&self, grazing: R) -> R {
-        let border = grazing.splat(1.0) - grazing;
-        match self.coat {
+    fn transmitted(&self, grazing: R) -> R {
+        let border = grazing.constant(1.0) - grazing;
+        match self.clearcoat {
             None => border,
-            Some(coat) => border * coat.passed(grazing),
+            Some(coat) => border * coat.transmitted(grazing),
         }
     }
 
     /// Light from all around, sent back by the body.
     #[inline(always)]
-    fn around(&self, light: Vec3<R>) -> Vec3<R> {
+    fn reflect_ambient(&self, light: Vec3<R>) -> Vec3<R> {
         // Over all directions the light that enters makes up for the division by what passes on average.
-        let share = match self.coat {
-            None => self.viewer_grazing.splat(20.0 / 21.0),
-            Some(coat) => average_passed(coat.amount),
+        let share = match self.clearcoat {
+            None => self.viewer_schlick.constant(20.0 / 21.0),
+            Some(coat) => average_transmittance(coat.amount),
         };
-        self.body.by_channel(light) * (self.passed(self.viewer_grazing) * share)
+        self.diffuse_color.mul_elementwise(light) * (self.transmitted(self.viewer_schlick) * share)
     }
 
     /// Light from one direction, sent back to the viewer: one step for all surfaces and lights.
     #[inline(always)]
-    fn answer(self, light: Incoming<R>) -> Vec3<R> {
-        self.facing.shared(
-            if self.coat.is_some() { "coated_surface" } else { "surface" },
+    fn reflect(self, light: LightSample<R>) -> Vec3<R> {
+        self.n_dot_v.call(
+            if self.clearcoat.is_some() { "coated_surface" } else { "surface" },
             (self, light),
             #[inline(always)]
             |(layers, light)| layers.reflected(&light),
@@ -215,27 +218,28 @@ impl<R: Real> Layers<R> {
     }
 
     #[inline(always)]
-    fn reflected(&self, light: &Incoming<R>) -> Vec3<R> {
-        let like = self.facing;
-        let towards = self.normal.dot(light.direction).at_least(0.0);
+    fn reflected(&self, light: &LightSample<R>) -> Vec3<R> {
+        let like = self.n_dot_v;
+        let toward = self.normal.dot(light.direction).at_least(0.0);
         let half = (light.direction + self.to_viewer).normalize();
         let cosine = self.normal.dot(half).at_least(0.0);
         let sine_squared = self.normal.cross(half).length_squared();
-        let rise = grazing(self.to_viewer.dot(half));
-        let light_grazing = grazing(towards);
+        let rise = schlick_weight(self.to_viewer.dot(half));
+        let light_grazing = schlick_weight(toward);
 
-        let shine = distribution(self.alpha, cosine, sine_squared) * visibility(self.alpha, towards, self.facing);
-        let border = self.at_normal.map(
+        let shine =
+            ggx_distribution(self.alpha, cosine, sine_squared) * smith_visibility(self.alpha, toward, self.n_dot_v);
+        let border = self.f0.map(
             #[inline(always)]
-            |f| (like.splat(1.0) - f).mul_add(rise, f) * shine,
+            |f| (like.constant(1.0) - f).mul_add(rise, f) * shine,
         );
-        let body = self.body * (self.passed(light_grazing) * self.passed(self.viewer_grazing));
-        let sum = match self.coat {
+        let body = self.diffuse_color * (self.transmitted(light_grazing) * self.transmitted(self.viewer_schlick));
+        let sum = match self.clearcoat {
             None => body + border,
             Some(coat) => {
-                let through = coat.passed(light_grazing) * coat.passed(self.viewer_grazing);
-                let shine =
-                    distribution(coat.alpha, cosine, sine_squared) * visibility(coat.alpha, towards, self.facing);
+                let through = coat.transmitted(light_grazing) * coat.transmitted(self.viewer_schlick);
+                let shine = ggx_distribution(coat.alpha, cosine, sine_squared)
+                    * smith_visibility(coat.alpha, toward, self.n_dot_v);
                 let mirrored = coat.mirrored(rise) * shine;
                 (border * through + body).map(
                     #[inline(always)]
@@ -243,13 +247,13 @@ impl<R: Real> Layers<R> {
                 )
             }
         };
-        sum.by_channel(light.radiance * towards)
+        sum.mul_elementwise(light.radiance * toward)
     }
 }
 
-impl Exemplary for Surface {
+impl HasExamples for Surface {
     const EXAMPLE: &'static str = r##"{ "base_color": "#c8452d", "roughness": 0.35 }"##;
-    const MORE: &'static [&'static str] = &[
+    const MORE_EXAMPLES: &'static [&'static str] = &[
         r#"{ "base_color": [1.0, 0.71, 0.29], "metallic": 1, "roughness": 0.25 }"#,
         r##"{ "base_color": "#0b3d6b", "roughness": 0.6, "clearcoat": 1, "clearcoat_roughness": 0.05 }"##,
         r##"{ "base_color": "#e8fff4", "roughness": 0, "transmission": 1, "ior": 1.5 }"##,
@@ -266,27 +270,27 @@ impl Exemplary for Surface {
 
 impl Shade for Surface {
     #[inline(always)]
-    fn shade<R: Real>(&self, place: &Place<R>, light: &Lighting<R>) -> Vec3<R> {
+    fn shade<R: Real>(&self, place: &ShadingPoint<R>, light: &IncidentLight<R>) -> Vec3<R> {
         let layers = self.layers(place);
         let like = place.normal.x;
-        let mut sum = vec3(like.splat(0.0), like.splat(0.0), like.splat(0.0));
+        let mut sum = vec3(like.constant(0.0), like.constant(0.0), like.constant(0.0));
         if !self.emission.is_black() {
             sum = self.emission.at(place);
-            if let Some(coat) = layers.coat {
-                sum = sum * coat.passed(layers.viewer_grazing);
+            if let Some(coat) = layers.clearcoat {
+                sum = sum * coat.transmitted(layers.viewer_schlick);
             }
         }
-        if let Some(around) = light.surrounding {
-            sum = sum + layers.around(around);
+        if let Some(around) = light.ambient {
+            sum = sum + layers.reflect_ambient(around);
         }
         for &light in &light.lights {
-            sum = sum + layers.answer(light);
+            sum = sum + layers.reflect(light);
         }
         sum
     }
 
     #[inline(always)]
-    fn albedo<R: Real>(&self, place: &Place<R>) -> Vec3<R> {
+    fn albedo<R: Real>(&self, place: &ShadingPoint<R>) -> Vec3<R> {
         self.base(place)
     }
 
@@ -299,31 +303,34 @@ impl Shade for Surface {
     }
 
     #[inline(always)]
-    fn finish<R: Real>(&self, place: &Place<R>) -> Option<Finish<R>> {
+    fn specular<R: Real>(&self, place: &ShadingPoint<R>) -> Option<SpecularBsdf<R>> {
         let base = self.base(place);
-        let (_, at_normal) = self.at_normal(place, base);
+        let (_, at_normal) = self.f0(place, base);
         let roughness = self.roughness.at(place);
         let ior = self.ior.at(place);
-        let zero = ior.splat(0.0);
+        let zero = ior.constant(0.0);
         let passed = if self.transmission.is_zero() {
             vec3(zero, zero, zero)
         } else {
-            let (_, through) = self.entering(place);
+            let (_, through) = self.diffuse_and_transmitted(place);
             base.map(
                 #[inline(always)]
                 |c| c.sqrt() * through,
             )
         };
-        let (mirrored, roughness) =
-            if self.clearcoat.is_zero() { (at_normal, roughness) } else { self.coated(place, at_normal, roughness) };
-        Some(Finish { mirrored, roughness, passed, ior })
+        let (mirrored, roughness) = if self.clearcoat.is_zero() {
+            (at_normal, roughness)
+        } else {
+            self.combined_f0_and_roughness(place, at_normal, roughness)
+        };
+        Some(SpecularBsdf { f0: mirrored, roughness, transmission: passed, ior })
     }
 
-    fn sends_on(&self) -> bool {
+    fn is_specular(&self) -> bool {
         true
     }
 
-    fn lets_through(&self) -> bool {
+    fn is_transmissive(&self) -> bool {
         !self.transmission.is_zero()
     }
 
@@ -331,8 +338,8 @@ impl Shade for Surface {
         let Self { base_color, metallic, roughness, ior, emission, clearcoat, clearcoat_roughness, transmission } =
             self;
         let shares = [metallic, roughness, clearcoat, clearcoat_roughness, transmission];
-        let tints = [base_color, emission].into_iter().filter_map(Tint::texture);
-        tints.chain(shares.into_iter().filter_map(Level::texture)).chain(ior.texture()).collect()
+        let tints = [base_color, emission].into_iter().filter_map(ColorParam::texture);
+        tints.chain(shares.into_iter().filter_map(ScalarParam::texture)).chain(ior.texture()).collect()
     }
 }
 
@@ -340,9 +347,14 @@ impl Surface {
     /// Combined reflectance of coat and border at normal incidence, and their roughness: the mean
     /// weighted by reflectance.
     #[inline(always)]
-    fn coated<R: Real>(&self, place: &Place<R>, at_normal: Vec3<R>, roughness: R) -> (Vec3<R>, R) {
-        let coat = self.clearcoat.at(place) * COAT_AT_NORMAL;
-        let through = (coat.splat(1.0) - coat).square();
+    fn combined_f0_and_roughness<R: Real>(
+        &self,
+        place: &ShadingPoint<R>,
+        at_normal: Vec3<R>,
+        roughness: R,
+    ) -> (Vec3<R>, R) {
+        let coat = self.clearcoat.at(place) * CLEARCOAT_F0;
+        let through = (coat.constant(1.0) - coat).square();
         let border = at_normal * through;
         let weight = (border.x + border.y + border.z) * (1.0 / 3.0);
         // 1e-6 where neither mirrors anything: any roughness will do.
@@ -356,26 +368,26 @@ impl Surface {
     }
 }
 
-fn default_base_color() -> Tint {
-    Tint::plain_of(0.8, 0.8, 0.8)
+fn default_base_color() -> ColorParam {
+    ColorParam::constant(0.8, 0.8, 0.8)
 }
 
-fn share(value: f32) -> Level<Share> {
-    Level::Plain(Share::new(value).expect("a share is from 0 to 1"))
+fn constant_fraction(value: f32) -> ScalarParam<Fraction> {
+    ScalarParam::Constant(Fraction::new(value).expect("a share is from 0 to 1"))
 }
 
-fn none() -> Level<Share> {
-    share(0.0)
+fn default_fraction() -> ScalarParam<Fraction> {
+    constant_fraction(0.0)
 }
 
-fn default_roughness() -> Level<Share> {
-    share(0.5)
+fn default_roughness() -> ScalarParam<Fraction> {
+    constant_fraction(0.5)
 }
 
-fn default_clearcoat_roughness() -> Level<Share> {
-    share(0.03)
+fn default_clearcoat_roughness() -> ScalarParam<Fraction> {
+    constant_fraction(0.03)
 }
 
-fn default_ior() -> Level<RefractiveIndex> {
-    Level::Plain(RefractiveIndex::new(1.5).expect("1.5 is in range"))
+fn default_ior() -> ScalarParam<RefractiveIndex> {
+    ScalarParam::Constant(RefractiveIndex::new(1.5).expect("1.5 is in range"))
 }

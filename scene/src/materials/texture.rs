@@ -1,15 +1,15 @@
-//! Textures: what gives a colour at every place. They are solid: most ask only for the point, none needs a mapping.
+//! Textures: what gives a color at every place. They are solid: most ask only for the point, none needs a mapping.
 //!
 //! A texture is one documented struct, an `impl` of [`Pattern`] and of [`super::Exemplary`], and one entry in the list.
 
 #[cfg(test)]
 mod added;
-mod bands;
 mod bricks;
 mod checker;
 mod gradient;
-mod noisy;
+mod noise;
 mod ramp;
+mod stripes;
 mod wave;
 
 use schemars::JsonSchema;
@@ -17,28 +17,28 @@ use serde::{Deserialize, Serialize};
 
 #[cfg(test)]
 pub use added::AddedTexture;
-pub use bands::Stripes;
 pub use bricks::Bricks;
 pub use checker::{Axes, Checker};
 pub use gradient::{Gradient, GradientBy};
-pub use noisy::{Marble, NoiseRamp, Wood};
-pub use ramp::{Ramp, Stop};
+pub use noise::{Marble, NoiseRamp, Wood};
+pub use ramp::{Ramp, RampStop};
+pub use stripes::Stripes;
 
-use super::{Example, Place, Tint};
+use super::{ColorParam, Example, ShadingPoint};
 use crate::nodes::snake_case;
 use crate::real::{Real, Vec3};
 use crate::seek::Seek;
 
 /// What a texture means.
 pub trait Pattern {
-    /// The colour at a place, linear RGB.
-    fn color<R: Real>(&self, place: &Place<R>) -> Vec3<R>;
+    /// The color at a place, linear RGB.
+    fn color<R: Real>(&self, place: &ShadingPoint<R>) -> Vec3<R>;
 
-    /// Its colours, which may be textures.
-    fn tints(&self) -> Vec<&Tint>;
+    /// Its colors, which may be textures.
+    fn color_params(&self) -> Vec<&ColorParam>;
 
-    /// Whether it looks at `Place::own_normal` itself.
-    fn looks_at_own_normal(&self) -> bool {
+    /// Whether it looks at `ShadingPoint::local_normal` itself.
+    fn uses_local_normal(&self) -> bool {
         false
     }
 
@@ -51,7 +51,7 @@ pub trait Pattern {
 /// The list: each texture's name, and its struct.
 macro_rules! textures {
     ($($(#[$attribute:meta])* $Kind:ident: $Struct:ident),* $(,)?) => {
-        /// A colour at every place: keyed by its name.
+        /// A color at every place: keyed by its name.
         #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
         #[serde(rename_all = "snake_case")]
         pub enum Texture {
@@ -59,22 +59,22 @@ macro_rules! textures {
         }
 
         impl Texture {
-            /// The colour at a place, linear RGB.
-            pub fn at<R: Real>(&self, place: &Place<R>) -> Vec3<R> {
-                place.point.x.vectorize(
+            /// The color at a place, linear RGB.
+            pub fn at<R: Real>(&self, place: &ShadingPoint<R>) -> Vec3<R> {
+                place.local_point.x.vectorize(
                     #[inline(always)]
                     || match self { $($(#[$attribute])* Self::$Kind(texture) => texture.color(place)),* },
                 )
             }
 
-            /// Its colours, which may be textures.
-            fn tints(&self) -> Vec<&Tint> {
-                match self { $($(#[$attribute])* Self::$Kind(texture) => texture.tints()),* }
+            /// Its colors, which may be textures.
+            fn color_params(&self) -> Vec<&ColorParam> {
+                match self { $($(#[$attribute])* Self::$Kind(texture) => texture.color_params()),* }
             }
 
-            /// Whether it looks at `Place::own_normal` itself.
-            fn looks_at_own_normal(&self) -> bool {
-                match self { $($(#[$attribute])* Self::$Kind(texture) => texture.looks_at_own_normal()),* }
+            /// Whether it looks at `ShadingPoint::local_normal` itself.
+            fn uses_local_normal(&self) -> bool {
+                match self { $($(#[$attribute])* Self::$Kind(texture) => texture.uses_local_normal()),* }
             }
 
             /// Whether it looks at `Place::footprint` itself.
@@ -115,40 +115,50 @@ textures![
 impl Texture {
     /// How deep textures nest in it, itself included.
     pub fn depth(&self) -> usize {
-        let inside = self.tints().into_iter().filter_map(Tint::texture);
+        let inside = self.color_params().into_iter().filter_map(ColorParam::texture);
         1 + inside.map(Self::depth).max().unwrap_or(0)
     }
 
-    /// Whether it, or a texture in it, looks at `Place::own_normal`.
+    /// Whether it, or a texture in it, looks at `ShadingPoint::local_normal`.
     pub fn needs_own_normal(&self) -> bool {
-        self.looks_at_own_normal() || self.tints().into_iter().filter_map(Tint::texture).any(Self::needs_own_normal)
+        self.uses_local_normal()
+            || self.color_params().into_iter().filter_map(ColorParam::texture).any(Self::needs_own_normal)
     }
 }
 
 impl Texture {
     /// Whether it, or a texture in it, looks at `Place::footprint`.
     pub fn needs_footprint(&self) -> bool {
-        self.looks_at_footprint() || self.tints().into_iter().filter_map(Tint::texture).any(Self::needs_footprint)
+        self.looks_at_footprint()
+            || self.color_params().into_iter().filter_map(ColorParam::texture).any(Self::needs_footprint)
     }
 }
 
-/// Black and white: the colours of textures that name none.
-fn black_and_white() -> [Tint; 2] {
-    [Tint::black(), Tint::white()]
+/// Black and white: the colors of textures that name none.
+fn default_colors() -> [ColorParam; 2] {
+    [ColorParam::black(), ColorParam::white()]
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::real::{Flag, vec3};
+    use crate::real::{MaskValue, vec3};
 
     /// A place on a face that looks at the viewer.
-    pub(super) fn at(x: f32, y: f32, z: f32) -> Place<f32> {
+    pub(super) fn at(x: f32, y: f32, z: f32) -> ShadingPoint<f32> {
         let facing = vec3(0.0, 0.0, 1.0);
         let point = vec3(x, y, z);
         let footprint = [vec3(0.0, 0.0, 0.0); 2];
-        let inside = Flag(false);
-        Place { normal: facing, to_viewer: facing, point, own_normal: facing, distance: 4.0, footprint, inside }
+        let inside = MaskValue(false);
+        ShadingPoint {
+            normal: facing,
+            to_viewer: facing,
+            local_point: point,
+            local_normal: facing,
+            camera_t: 4.0,
+            footprint,
+            is_inside: inside,
+        }
     }
 
     #[test]

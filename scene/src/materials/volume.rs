@@ -3,12 +3,12 @@
 use schemars::JsonSchema;
 use serde::{Deserialize, Deserializer, Serialize};
 
-use super::{Exemplary, Finish, Lighting, Place, Shade};
+use super::{HasExamples, IncidentLight, Shade, ShadingPoint, SpecularBsdf};
 use crate::limits::{MAX_LIGHT_STEPS, MAX_MEDIUM_STEPS};
 use crate::noise::Noise;
 use crate::real::{Real, Vec3, vec3};
 use crate::seek::Seek;
-use crate::values::{Amount, Anisotropy, Color, Density, Share, whole};
+use crate::values::{Anisotropy, Color, Density, Fraction, LengthOrZero, integer_in_range};
 
 /// Clouds as Robles, Lee, Yin and Dhar draw them, "Procedural Rendering with Ray Marching": noise on a
 /// surface, or summed along the ray inside the shape.
@@ -21,16 +21,16 @@ pub struct Clouds {
     #[serde(default)]
     pub mapping: Mapping,
     /// Color of the clouds. On a surface it is lit like that of `diffuse`.
-    #[serde(default = "white")]
+    #[serde(default = "default_color")]
     pub color: Color,
     /// Inside a shape: the extinction coefficient where the noise is 1, per scene unit.
-    #[serde(default = "thick")]
+    #[serde(default = "default_density")]
     pub density: Density,
     /// Noise below this is clear air.
-    #[serde(default = "none")]
-    pub threshold: Share,
+    #[serde(default = "default_threshold")]
+    pub threshold: Fraction,
     /// Inside a shape: steps of a ray from corner to corner of its bounds.
-    #[serde(default = "thirty_two", deserialize_with = "steps")]
+    #[serde(default = "default_cloud_steps", deserialize_with = "steps")]
     #[schemars(range(min = 1, max = MAX_MEDIUM_STEPS))]
     pub steps: u32,
 }
@@ -61,30 +61,30 @@ pub struct Volume {
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub noise: Option<Noise>,
     /// Fraction of the noise's range that is filled.
-    #[serde(default = "half")]
-    pub coverage: Share,
+    #[serde(default = "default_coverage")]
+    pub coverage: Fraction,
     /// Depth below its shape's surface at which it reaches full density, in scene units.
-    #[serde(default = "sharp")]
-    pub edge: Amount,
+    #[serde(default = "default_edge")]
+    pub edge: LengthOrZero,
     /// Fraction of the light that is scattered and not absorbed, by channel.
-    #[serde(default = "white")]
+    #[serde(default = "default_color")]
     pub albedo: Color,
     /// Whether light is scattered onwards (above 0) or back.
-    #[serde(default = "evenly")]
+    #[serde(default = "default_anisotropy")]
     pub anisotropy: Anisotropy,
     /// Orders of scattering: 1 is exact, more are approximated and brighter.
-    #[serde(default = "one", deserialize_with = "orders")]
+    #[serde(default = "default_orders", deserialize_with = "orders")]
     #[schemars(range(min = 1, max = MAX_ORDERS))]
     pub orders: u32,
     /// Emitted light.
-    #[serde(default = "black")]
+    #[serde(default = "default_emission")]
     pub emission: Color,
     /// Steps of a ray from corner to corner of its shape's bounds.
-    #[serde(default = "forty_eight", deserialize_with = "steps")]
+    #[serde(default = "default_volume_steps", deserialize_with = "steps")]
     #[schemars(range(min = 1, max = MAX_MEDIUM_STEPS))]
     pub steps: u32,
     /// Steps of a ray toward a light.
-    #[serde(default = "eight", deserialize_with = "light_steps")]
+    #[serde(default = "default_light_steps", deserialize_with = "light_steps")]
     #[schemars(range(min = 1, max = MAX_LIGHT_STEPS))]
     pub light_steps: u32,
 }
@@ -93,32 +93,32 @@ const MAX_ORDERS: u32 = 8;
 
 /// Medium that fills an object.
 #[derive(Clone, Copy, Debug)]
-pub enum Filling<'a> {
+pub enum MediumMaterial<'a> {
     /// Clouds inside a shape.
     Clouds(&'a Clouds),
     /// A volume.
     Volume(&'a Volume),
 }
 
-impl Exemplary for Clouds {
+impl HasExamples for Clouds {
     const EXAMPLE: &'static str =
         r#"{ "noise": { "perlin": { "scale": 2, "octaves": 4 } }, "density": 6, "threshold": 0.35 }"#;
-    const MORE: &'static [&'static str] = &[
+    const MORE_EXAMPLES: &'static [&'static str] = &[
         r#"{ "noise": { "perlin": { "scale": 2, "octaves": 4 } }, "mapping": "surface", "threshold": 0.4 }"#,
         r#"{ "noise": { "gardner": {} }, "density": 4 }"#,
         r#"{ "noise": { "gardner": {} }, "mapping": "surface" }"#,
     ];
 }
 
-impl Exemplary for Volume {
+impl HasExamples for Volume {
     const EXAMPLE: &'static str = r#"{ "density": 14, "noise": { "perlin": { "scale": 2, "octaves": 4 } }, "edge": 0.3, "anisotropy": 0.3, "orders": 4 }"#;
-    const MORE: &'static [&'static str] = &[
+    const MORE_EXAMPLES: &'static [&'static str] = &[
         r#"{ "density": 1.5, "albedo": [0.9, 0.5, 0.3] }"#,
         r#"{ "density": 2, "edge": 0.5, "emission": [1.5, 0.4, 0.1] }"#,
     ];
 }
 
-impl Filling<'_> {
+impl MediumMaterial<'_> {
     pub(crate) fn steps(&self) -> u32 {
         match self {
             Self::Clouds(clouds) => clouds.steps,
@@ -145,22 +145,22 @@ impl Filling<'_> {
     #[inline(always)]
     pub(crate) fn extinction<R: Real>(&self, p: Vec3<R>, depth: R) -> R {
         match self {
-            Self::Clouds(clouds) => clouds.thickness(p) * p.x.given(clouds.density.get()),
+            Self::Clouds(clouds) => clouds.density_at(p) * p.x.uniform(clouds.density.get()),
             Self::Volume(volume) => volume.extinction(p, depth),
         }
     }
 
     /// The light it sends out for each unit of extinction.
     #[inline(always)]
-    pub(crate) fn glow<R: Real>(&self, like: R) -> Vec3<R> {
+    pub(crate) fn emission<R: Real>(&self, like: R) -> Vec3<R> {
         match self {
-            Self::Clouds(clouds) => Vec3::given(like, clouds.color.get()),
-            Self::Volume(volume) => Vec3::given(like, volume.emission.get()),
+            Self::Clouds(clouds) => Vec3::uniform(like, clouds.color.get()),
+            Self::Volume(volume) => Vec3::uniform(like, volume.emission.get()),
         }
     }
 
     /// The volume that scatters light, if it does.
-    pub(crate) fn scatters(&self) -> Option<&Volume> {
+    pub(crate) fn as_scattering(&self) -> Option<&Volume> {
         match self {
             Self::Clouds(_) => None,
             Self::Volume(volume) => Some(volume),
@@ -170,47 +170,47 @@ impl Filling<'_> {
 
 /// A noise's value at `p`, scaled from its range to 0 to 1.
 #[inline(always)]
-fn of_range<R: Real>(noise: &Noise, p: Vec3<R>) -> R {
+fn normalized_noise<R: Real>(noise: &Noise, p: Vec3<R>) -> R {
     let (low, high) = noise.range();
     let per_range = 1.0 / (high - low).max(1e-6);
-    noise.value(p).mul_add(p.x.given(per_range), p.x.given(-low * per_range)).at_least(0.0).at_most(1.0)
+    noise.value(p).mul_add(p.x.uniform(per_range), p.x.uniform(-low * per_range)).at_least(0.0).at_most(1.0)
 }
 
 /// Part of a fraction above a threshold, scaled to 0 to 1.
 #[inline(always)]
-fn above<R: Real>(share: R, threshold: f32) -> R {
+fn above_threshold<R: Real>(share: R, threshold: f32) -> R {
     let per_rest = 1.0 / (1.0 - threshold).max(1e-3);
-    share.mul_add(share.given(per_rest), share.given(-threshold * per_rest)).at_least(0.0)
+    share.mul_add(share.uniform(per_rest), share.uniform(-threshold * per_rest)).at_least(0.0)
 }
 
 impl Clouds {
     /// Density at `p`, 0 to 1.
     #[inline(always)]
-    fn thickness<R: Real>(&self, p: Vec3<R>) -> R {
-        above(of_range(&self.noise, p), self.threshold.get())
+    fn density_at<R: Real>(&self, p: Vec3<R>) -> R {
+        above_threshold(normalized_noise(&self.noise, p), self.threshold.get())
     }
 }
 
 impl Shade for Clouds {
     #[inline(always)]
-    fn shade<R: Real>(&self, place: &Place<R>, light: &Lighting<R>) -> Vec3<R> {
+    fn shade<R: Real>(&self, place: &ShadingPoint<R>, light: &IncidentLight<R>) -> Vec3<R> {
         const AMBIENT: f32 = 0.1;
-        let like = place.distance;
-        let ambient = light.openness.map_or(like.splat(AMBIENT), |openness| openness * AMBIENT);
+        let like = place.camera_t;
+        let ambient = light.ambient_visibility.map_or(like.constant(AMBIENT), |openness| openness * AMBIENT);
         let mut sum = vec3(ambient, ambient, ambient);
-        if let Some(around) = light.surrounding {
+        if let Some(around) = light.ambient {
             sum = sum + around;
         }
         for light in &light.lights {
             let facing = place.normal.dot(light.direction).at_least(0.0);
             sum = light.radiance.mul_add(facing, sum);
         }
-        sum.by_channel(Vec3::given(like, self.color.get())) * self.cover(place)
+        sum.mul_elementwise(Vec3::uniform(like, self.color.get())) * self.coverage_at(place)
     }
 
     #[inline(always)]
-    fn albedo<R: Real>(&self, place: &Place<R>) -> Vec3<R> {
-        Vec3::given(place.distance, self.color.get())
+    fn albedo<R: Real>(&self, place: &ShadingPoint<R>) -> Vec3<R> {
+        Vec3::uniform(place.camera_t, self.color.get())
     }
 
     fn is_lit(&self) -> bool {
@@ -218,22 +218,22 @@ impl Shade for Clouds {
     }
 
     #[inline(always)]
-    fn finish<R: Real>(&self, place: &Place<R>) -> Option<Finish<R>> {
-        let (zero, one) = (place.distance.splat(0.0), place.distance.splat(1.0));
-        let passed = one - self.cover(place);
-        Some(Finish {
-            mirrored: vec3(zero, zero, zero),
+    fn specular<R: Real>(&self, place: &ShadingPoint<R>) -> Option<SpecularBsdf<R>> {
+        let (zero, one) = (place.camera_t.constant(0.0), place.camera_t.constant(1.0));
+        let passed = one - self.coverage_at(place);
+        Some(SpecularBsdf {
+            f0: vec3(zero, zero, zero),
             roughness: zero,
-            passed: vec3(passed, passed, passed),
+            transmission: vec3(passed, passed, passed),
             ior: one,
         })
     }
 
-    fn sends_on(&self) -> bool {
+    fn is_specular(&self) -> bool {
         true
     }
 
-    fn lets_through(&self) -> bool {
+    fn is_transmissive(&self) -> bool {
         true
     }
 
@@ -245,8 +245,8 @@ impl Shade for Clouds {
         !self.is_medium()
     }
 
-    fn filling(&self) -> Option<Filling<'_>> {
-        (self.mapping == Mapping::Depth).then_some(Filling::Clouds(self))
+    fn as_medium(&self) -> Option<MediumMaterial<'_>> {
+        (self.mapping == Mapping::Depth).then_some(MediumMaterial::Clouds(self))
     }
 
     fn is_textured(&self) -> bool {
@@ -257,21 +257,21 @@ impl Shade for Clouds {
 impl Clouds {
     /// Fraction of a surface covered by clouds; 0 seen from inside.
     #[inline(always)]
-    fn cover<R: Real>(&self, place: &Place<R>) -> R {
-        R::select(place.inside.0, place.distance.splat(0.0), self.thickness(place.point).at_most(1.0))
+    fn coverage_at<R: Real>(&self, place: &ShadingPoint<R>) -> R {
+        R::select(place.is_inside.0, place.camera_t.constant(0.0), self.density_at(place.local_point).at_most(1.0))
     }
 }
 
 impl Volume {
     #[inline(always)]
     fn extinction<R: Real>(&self, p: Vec3<R>, depth: R) -> R {
-        let mut thick = p.x.given(self.density.get());
+        let mut thick = p.x.uniform(self.density.get());
         if !self.edge.is_zero() {
-            thick = thick * (depth * p.x.given(1.0 / self.edge.get().max(1e-6))).at_least(0.0).at_most(1.0);
+            thick = thick * (depth * p.x.uniform(1.0 / self.edge.get().max(1e-6))).at_least(0.0).at_most(1.0);
         }
         match &self.noise {
             None => thick,
-            Some(noise) => above(of_range(noise, p), 1.0 - self.coverage.get()) * thick,
+            Some(noise) => above_threshold(normalized_noise(noise, p), 1.0 - self.coverage.get()) * thick,
         }
     }
 
@@ -279,12 +279,12 @@ impl Volume {
     /// light's color is over π, and the phase function over 4π.
     #[inline(always)]
     pub(crate) fn phase<R: Real>(&self, cosine: R, depth: R) -> R {
-        let mut sum = cosine.splat(0.0);
+        let mut sum = cosine.constant(0.0);
         let mut share = 1.0;
         for _ in 0..self.orders {
             let g = self.anisotropy.get() * share;
-            let below = (cosine * cosine.given(-2.0 * g) + cosine.given(1.0 + g * g)).at_least(1e-4);
-            let phase = cosine.given(0.25 * (1.0 - g * g)) / (below * below.sqrt());
+            let below = (cosine * cosine.uniform(-2.0 * g) + cosine.uniform(1.0 + g * g)).at_least(1e-4);
+            let phase = cosine.uniform(0.25 * (1.0 - g * g)) / (below * below.sqrt());
             let left = (-(depth * share)).exp() * share;
             sum = phase.mul_add(left, sum);
             share *= 0.5;
@@ -294,20 +294,20 @@ impl Volume {
 
     /// Fraction of the light that is scattered.
     #[inline(always)]
-    pub(crate) fn scattered<R: Real>(&self, like: R) -> Vec3<R> {
-        Vec3::given(like, self.albedo.get())
+    pub(crate) fn scattering_albedo<R: Real>(&self, like: R) -> Vec3<R> {
+        Vec3::uniform(like, self.albedo.get())
     }
 }
 
 impl Shade for Volume {
     #[inline(always)]
-    fn shade<R: Real>(&self, place: &Place<R>, _: &Lighting<R>) -> Vec3<R> {
-        Vec3::given(place.distance, self.emission.get())
+    fn shade<R: Real>(&self, place: &ShadingPoint<R>, _: &IncidentLight<R>) -> Vec3<R> {
+        Vec3::uniform(place.camera_t, self.emission.get())
     }
 
     #[inline(always)]
-    fn albedo<R: Real>(&self, place: &Place<R>) -> Vec3<R> {
-        Vec3::given(place.distance, self.albedo.get())
+    fn albedo<R: Real>(&self, place: &ShadingPoint<R>) -> Vec3<R> {
+        Vec3::uniform(place.camera_t, self.albedo.get())
     }
 
     fn is_lit(&self) -> bool {
@@ -322,63 +322,63 @@ impl Shade for Volume {
         self.emission.is_black()
     }
 
-    fn filling(&self) -> Option<Filling<'_>> {
-        Some(Filling::Volume(self))
+    fn as_medium(&self) -> Option<MediumMaterial<'_>> {
+        Some(MediumMaterial::Volume(self))
     }
 }
 
-fn white() -> Color {
+fn default_color() -> Color {
     Color::new(1.0, 1.0, 1.0)
 }
 
-fn black() -> Color {
+fn default_emission() -> Color {
     Color::new(0.0, 0.0, 0.0)
 }
 
-fn thick() -> Density {
+fn default_density() -> Density {
     Density::new(2.0).expect("2 is in range")
 }
 
-fn none() -> Share {
-    Share::new(0.0).expect("0 is in range")
+fn default_threshold() -> Fraction {
+    Fraction::new(0.0).expect("0 is in range")
 }
 
-fn half() -> Share {
-    Share::new(0.5).expect("0.5 is in range")
+fn default_coverage() -> Fraction {
+    Fraction::new(0.5).expect("0.5 is in range")
 }
 
-fn sharp() -> Amount {
-    Amount::new(0.0).expect("0 is in range")
+fn default_edge() -> LengthOrZero {
+    LengthOrZero::new(0.0).expect("0 is in range")
 }
 
-fn evenly() -> Anisotropy {
+fn default_anisotropy() -> Anisotropy {
     Anisotropy::new(0.0).expect("0 is in range")
 }
 
-fn one() -> u32 {
+fn default_orders() -> u32 {
     1
 }
 
-fn eight() -> u32 {
+fn default_light_steps() -> u32 {
     8
 }
 
-fn thirty_two() -> u32 {
+fn default_cloud_steps() -> u32 {
     32
 }
 
-fn forty_eight() -> u32 {
+fn default_volume_steps() -> u32 {
     48
 }
 
 fn steps<'de, D: Deserializer<'de>>(deserializer: D) -> Result<u32, D::Error> {
-    whole(deserializer, 1, MAX_MEDIUM_STEPS, "steps")
+    integer_in_range(deserializer, 1, MAX_MEDIUM_STEPS, "steps")
 }
 
 fn light_steps<'de, D: Deserializer<'de>>(deserializer: D) -> Result<u32, D::Error> {
-    whole(deserializer, 1, MAX_LIGHT_STEPS, "steps")
+    integer_in_range(deserializer, 1, MAX_LIGHT_STEPS, "steps")
 }
 
 fn orders<'de, D: Deserializer<'de>>(deserializer: D) -> Result<u32, D::Error> {
-    whole(deserializer, 1, MAX_ORDERS, "orders")
+    integer_in_range(deserializer, 1, MAX_ORDERS, "orders")
 }

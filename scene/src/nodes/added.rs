@@ -22,11 +22,11 @@ impl Primitive for AddedNode {
 
     #[inline(always)]
     fn distance<R: Real>(&self, p: Vec3<R>) -> R {
-        p.z.abs() - p.z.given(0.5 * self.depth.get())
+        p.z.abs() - p.z.uniform(0.5 * self.depth.get())
     }
 
-    fn bounds(&self, level: f32) -> Bounds {
-        let reach = 0.5 * self.depth.get() + level;
+    fn bounds(&self, isolevel: f32) -> Bounds {
+        let reach = 0.5 * self.depth.get() + isolevel;
         Bounds::symmetric(f32::INFINITY, f32::INFINITY, reach)
     }
 }

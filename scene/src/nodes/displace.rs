@@ -5,12 +5,12 @@ use std::f32::consts::TAU;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use super::meaning::NOISE_COST;
+use super::displacement_bounds::MAX_LIPSCHITZ;
+use super::displacement_bounds::{CachedDisplacementBounds, DisplacementBounds};
 use super::per_axis::PerAxis;
-use super::relief::STEEPEST;
-use super::relief::{FoundRelief, Relief};
+use super::sdf::NOISE_COST;
 use super::transforms::around_child;
-use super::{Child, Exactness, Node, Sample, Sdf};
+use super::{Child, Exactness, Node, Sdf, SdfValue};
 use crate::bounds::Bounds;
 use crate::noise::Noise;
 use crate::real::{Real, Vec3};
@@ -25,20 +25,20 @@ use crate::values::Coordinate;
 #[serde(deny_unknown_fields)]
 pub struct Displace {
     /// The bumps.
-    pub by: Bumps,
+    pub by: DisplacementFunction,
     /// Factor of the displacement.
     pub amplitude: Coordinate,
     /// The shape.
     pub child: Child,
     /// Where the displacement need not be evaluated.
     #[serde(skip)]
-    pub relief: FoundRelief,
+    pub bounds_cache: CachedDisplacementBounds,
 }
 
 /// Function added to a distance, keyed by its kind.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
 #[serde(rename_all = "snake_case")]
-pub enum Bumps {
+pub enum DisplacementFunction {
     /// Waves along all axes: sin(φx)·sin(φy)·sin(φz).
     Sine(Sine),
     /// A noise.
@@ -57,8 +57,8 @@ impl Sine {
     #[inline(always)]
     fn value<R: Real>(&self, p: Vec3<R>) -> R {
         let frequency = self.frequency.get();
-        let sine = wave(p.x, frequency.x) * wave(p.y, frequency.y);
-        sine * wave(p.z, frequency.z)
+        let sine = periodic_sine(p.x, frequency.x) * periodic_sine(p.y, frequency.y);
+        sine * periodic_sine(p.z, frequency.z)
     }
 
     /// The greatest frequency: with sᵢ, cᵢ the sines and cosines, the square of the gradient is
@@ -72,12 +72,12 @@ impl Sine {
 
 /// sin(φ·c), accurate at any angle: whole turns are subtracted first.
 #[inline(always)]
-fn wave<R: Real>(c: R, frequency: f32) -> R {
-    let turns = c * c.given(frequency / TAU);
+fn periodic_sine<R: Real>(c: R, frequency: f32) -> R {
+    let turns = c * c.uniform(frequency / TAU);
     ((turns - (turns + 0.5).floor()) * TAU).sin()
 }
 
-impl Bumps {
+impl DisplacementFunction {
     #[inline(always)]
     fn value<R: Real>(&self, p: Vec3<R>) -> R {
         match self {
@@ -102,18 +102,18 @@ impl Bumps {
 }
 
 impl Displace {
-    fn relief(&self) -> Relief {
+    fn bounds_cache(&self) -> DisplacementBounds {
         let amplitude = self.amplitude.get();
         let (low, high) = self.by.range();
         let steepening = amplitude.abs() * self.by.lipschitz() / self.child.stretch();
-        Relief::new([low * amplitude, high * amplitude], steepening)
+        DisplacementBounds::new([low * amplitude, high * amplitude], steepening)
     }
 }
 
 impl Sdf for Displace {
     const EXAMPLE: &str = r#"{ "by": { "noise": { "perlin": { "scale": 5 } } }, "amplitude": -0.1,
         "child": { "sphere": { "radius": 1 } } }"#;
-    const MORE: &[&str] = &[
+    const MORE_EXAMPLES: &[&str] = &[
         r#"{ "by": { "sine": { "frequency": 9 } }, "amplitude": 0.05, "child": { "sphere": { "radius": 1.1 } } }"#,
         r#"{ "by": { "sine": { "frequency": [20, 0.7, 0.7] } }, "amplitude": -0.2,
             "child": { "torus": { "radius": 0.8, "tube": 0.3 } } }"#,
@@ -124,37 +124,37 @@ impl Sdf for Displace {
     ];
 
     #[inline(always)]
-    fn sample<R: Real, V: Sample<R>>(&self, p: Vec3<R>) -> V {
+    fn eval<R: Real, V: SdfValue<R>>(&self, p: Vec3<R>) -> V {
         let child: V = self.child.sample(p);
-        let relief = self.relief.0.unwrap_or_else(|| self.relief());
-        let distance = relief.added(
+        let relief = self.bounds_cache.0.unwrap_or_else(|| self.bounds_cache());
+        let distance = relief.displaced(
             child.distance(),
             #[inline(always)]
-            || self.by.value(p) * p.x.given(self.amplitude.get()),
+            || self.by.value(p) * p.x.uniform(self.amplitude.get()),
         );
-        child.at(distance)
+        child.with_distance(distance)
     }
 
     around_child!();
 
-    fn prepare(&mut self, _: bool) {
-        self.relief = FoundRelief(Some(self.relief()));
+    fn precompute(&mut self, _: bool) {
+        self.bounds_cache = CachedDisplacementBounds(Some(self.bounds_cache()));
     }
 
-    fn stretch(&self) -> f32 {
-        (self.child.stretch() + self.amplitude.get().abs() * self.by.lipschitz()).min(STEEPEST)
+    fn lipschitz(&self) -> f32 {
+        (self.child.stretch() + self.amplitude.get().abs() * self.by.lipschitz()).min(MAX_LIPSCHITZ)
     }
 
     fn exactness(&self) -> Exactness {
-        self.child.exactness().at_best_bound()
+        self.child.exactness().capped_at_bound()
     }
 
     fn is_fine(&self) -> bool {
-        matches!(self.by, Bumps::Noise(_)) || self.child.is_fine()
+        matches!(self.by, DisplacementFunction::Noise(_)) || self.child.is_fine()
     }
 
-    fn bounds(&self, level: f32) -> Bounds {
-        self.child.bounds(self.relief().level(level))
+    fn bounds(&self, isolevel: f32) -> Bounds {
+        self.child.bounds(self.bounds_cache().inflate(isolevel))
     }
 
     fn formula_cost(&self) -> f32 {
@@ -180,7 +180,7 @@ mod tests {
             let turn = |speed: f32| Real::sin(speed * step as f32);
             let p = vec3(turn(1.3), turn(2.1), turn(0.7)).normalize() * 1.25;
             let want: f32 = 0.05 * Real::sin(9.0 * p.x) * Real::sin(9.0 * p.y) * Real::sin(9.0 * p.z);
-            let got = node.sample::<f32, super::super::Distance<f32>>(p).distance();
+            let got = node.eval::<f32, super::super::Distance<f32>>(p).distance();
             assert!((got - want).abs() < 1e-6, "{got} at {p:?} should be {want}");
         }
     }

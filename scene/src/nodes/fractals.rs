@@ -26,15 +26,15 @@ use crate::limits::MAX_ITERATIONS;
 use crate::real::{Real, Vec3, vec3};
 
 /// Keeps the growth of a derivative within the range of a divisor.
-const LARGEST_SLOPE: f32 = 1e30;
+const MAX_DERIVATIVE: f32 = 1e30;
 
 /// Clamps an estimate to the distance from a simple hull of the fractal. Farther than `margin` from the hull
 /// the hull's distance is used, which is never more than the fractal's; nearer, the greater of the two is
 /// used, so that parts of an unfinished fractal outside its hull are cut off.
 #[inline(always)]
-fn held_to_hull<R: Real>(from_hull: R, margin: f32, estimate: impl FnOnce() -> R) -> R {
+fn clamp_to_hull<R: Real>(from_hull: R, margin: f32, estimate: impl FnOnce() -> R) -> R {
     R::when(
-        !from_hull.given(margin).lt(from_hull),
+        !from_hull.uniform(margin).lt(from_hull),
         from_hull,
         #[inline(always)]
         || estimate().max(from_hull),
@@ -44,7 +44,7 @@ fn held_to_hull<R: Real>(from_hull: R, margin: f32, estimate: impl FnOnce() -> R
 /// The distance from a box around the origin, at most 0 inside.
 #[inline(always)]
 fn distance_from_box<R: Real>(p: Vec3<R>, half: Vec3<f32>) -> R {
-    let past_face = vec3(p.x.abs(), p.y.abs(), p.z.abs()) - Vec3::given(p.x, half);
+    let past_face = vec3(p.x.abs(), p.y.abs(), p.z.abs()) - Vec3::uniform(p.x, half);
     let outside = past_face
         .map(
             #[inline(always)]
@@ -56,5 +56,5 @@ fn distance_from_box<R: Real>(p: Vec3<R>, half: Vec3<f32>) -> R {
 
 /// Reads a number of iterations that is in range.
 fn iterations<'de, D: serde::Deserializer<'de>>(deserializer: D) -> Result<u32, D::Error> {
-    crate::values::whole(deserializer, 1, MAX_ITERATIONS, "iterations")
+    crate::values::integer_in_range(deserializer, 1, MAX_ITERATIONS, "iterations")
 }

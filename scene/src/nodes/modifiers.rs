@@ -2,9 +2,9 @@
 
 mod bend;
 mod cached;
-mod copies;
-mod lengthening;
+mod elongation;
 mod mirror;
+mod nearest_copy;
 mod polar_repeat;
 mod repeat;
 mod taper;
@@ -15,7 +15,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 pub use bend::Bend;
-pub use lengthening::{Elongate, Stretch};
+pub use elongation::{Elongate, Stretch};
 pub use mirror::Mirror;
 pub use polar_repeat::PolarRepeat;
 pub use repeat::{Copies, Repeat};
@@ -24,9 +24,9 @@ pub use thickness::{Onion, Round};
 pub use twist::Twist;
 
 use super::transforms::around_child;
-use super::{Child, Node, Sample, Sdf};
+use super::{Child, Node, Sdf, SdfValue};
 use crate::bounds::Bounds;
-use crate::materials::MaterialUse;
+use crate::materials::MaterialRef;
 use crate::real::{Real, Vec3};
 use crate::seek::Seek;
 
@@ -35,7 +35,7 @@ use crate::seek::Seek;
 #[serde(deny_unknown_fields)]
 pub struct Paint {
     /// The material: a name from `materials`, or one in place.
-    pub material: MaterialUse,
+    pub material: MaterialRef,
     /// The shape.
     pub child: Child,
 }
@@ -47,22 +47,22 @@ impl Sdf for Paint {
     }"##;
 
     #[inline(always)]
-    fn sample<R: Real, V: Sample<R>>(&self, p: Vec3<R>) -> V {
+    fn eval<R: Real, V: SdfValue<R>>(&self, p: Vec3<R>) -> V {
         let child: V = self.child.sample(p);
         child.paint(self.material.slot(), p)
     }
 
-    fn material(&self) -> Option<&MaterialUse> {
+    fn material(&self) -> Option<&MaterialRef> {
         Some(&self.material)
     }
 
-    fn material_mut(&mut self) -> Option<&mut MaterialUse> {
+    fn material_mut(&mut self) -> Option<&mut MaterialRef> {
         Some(&mut self.material)
     }
 
     around_child!();
 
-    fn bounds(&self, level: f32) -> Bounds {
-        self.child.bounds(level)
+    fn bounds(&self, isolevel: f32) -> Bounds {
+        self.child.bounds(isolevel)
     }
 }

@@ -6,24 +6,24 @@
 //!
 //! All are bounds: exact where one child alone is near.
 
-mod joins;
-mod reliefs;
+mod carving;
+mod seams;
 mod xor;
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-pub use joins::{Chamfer, Columns, Join, Stairs};
-pub use reliefs::{Engrave, Groove, Morph, Tongue};
+pub use carving::{Engrave, Groove, Morph, Tongue};
+pub use seams::{Chamfer, Columns, SeamKind, Stairs};
 pub use xor::Xor;
 
-use super::runs::{Run, Runs};
-use super::sample::indicator;
-use super::{Exactness, Node, Sample, Sdf};
+use super::bvh::{BvhNode, UnionBvh};
+use super::value::indicator;
+use super::{Exactness, Node, Sdf, SdfValue};
 use crate::bounds::Bounds;
 use crate::real::{Real, Vec3};
 use crate::seek::Seek;
-use crate::values::Amount;
+use crate::values::LengthOrZero;
 
 /// The points inside any of the shapes.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
@@ -33,11 +33,11 @@ pub struct Union {
     #[schemars(length(min = 1))]
     pub of: Vec<Node>,
     /// Width of the melted seam; 0 is sharp.
-    #[serde(default = "sharp")]
-    pub smooth: Amount,
+    #[serde(default = "default_smooth")]
+    pub smooth: LengthOrZero,
     /// Bounding volume hierarchy of the shapes.
     #[serde(skip)]
-    pub runs: Runs,
+    pub bvh: UnionBvh,
 }
 
 /// The points inside all of the shapes.
@@ -48,8 +48,8 @@ pub struct Intersection {
     #[schemars(length(min = 1))]
     pub of: Vec<Node>,
     /// Width of the melted seam; 0 is sharp.
-    #[serde(default = "sharp")]
-    pub smooth: Amount,
+    #[serde(default = "default_smooth")]
+    pub smooth: LengthOrZero,
 }
 
 /// The first shape without the others.
@@ -60,13 +60,13 @@ pub struct Difference {
     #[schemars(length(min = 1))]
     pub of: Vec<Node>,
     /// Width of the melted seam; 0 is sharp.
-    #[serde(default = "sharp")]
-    pub smooth: Amount,
+    #[serde(default = "default_smooth")]
+    pub smooth: LengthOrZero,
 }
 
 /// Smooth minimum, blended over `smooth`.
 #[inline(always)]
-fn least<R: Real, V: Sample<R>>(a: V, b: V, smooth: &Amount) -> V {
+fn smooth_min<R: Real, V: SdfValue<R>>(a: V, b: V, smooth: &LengthOrZero) -> V {
     let (da, db) = (a.distance(), b.distance());
     if smooth.is_zero() {
         return a.blend(
@@ -76,19 +76,19 @@ fn least<R: Real, V: Sample<R>>(a: V, b: V, smooth: &Amount) -> V {
             || indicator(da, db.lt(da)),
         );
     }
-    let overlap = overlap(da, db, smooth);
-    let distance = overlap.square().mul_add(da.given(-0.25 * per(smooth.get())), da.min(db));
+    let overlap = seam_depth(da, db, smooth);
+    let distance = overlap.square().mul_add(da.uniform(-0.25 * per(smooth.get())), da.min(db));
     a.blend(
         b,
         distance,
         #[inline(always)]
-        || share(overlap, smooth, db.lt(da)),
+        || seam_weight(overlap, smooth, db.lt(da)),
     )
 }
 
 /// Smooth maximum, blended over `smooth`.
 #[inline(always)]
-fn greatest<R: Real, V: Sample<R>>(a: V, b: V, smooth: &Amount) -> V {
+fn smooth_max<R: Real, V: SdfValue<R>>(a: V, b: V, smooth: &LengthOrZero) -> V {
     let (da, db) = (a.distance(), b.distance());
     if smooth.is_zero() {
         return a.blend(
@@ -98,26 +98,26 @@ fn greatest<R: Real, V: Sample<R>>(a: V, b: V, smooth: &Amount) -> V {
             || indicator(da, da.lt(db)),
         );
     }
-    let overlap = overlap(da, db, smooth);
-    let distance = overlap.square().mul_add(da.given(0.25 * per(smooth.get())), da.max(db));
+    let overlap = seam_depth(da, db, smooth);
+    let distance = overlap.square().mul_add(da.uniform(0.25 * per(smooth.get())), da.max(db));
     a.blend(
         b,
         distance,
         #[inline(always)]
-        || share(overlap, smooth, da.lt(db)),
+        || seam_weight(overlap, smooth, da.lt(db)),
     )
 }
 
 /// The first without the second.
 #[inline(always)]
-fn cut<R: Real, V: Sample<R>>(a: V, b: V, smooth: &Amount) -> V {
-    greatest(a, negated(b), smooth)
+fn smooth_subtract<R: Real, V: SdfValue<R>>(a: V, b: V, smooth: &LengthOrZero) -> V {
+    smooth_max(a, negated(b), smooth)
 }
 
 /// h = max(k − |a − b|, 0): how far into the seam.
 #[inline(always)]
-fn overlap<R: Real>(a: R, b: R, smooth: &Amount) -> R {
-    (a.given(smooth.get()) - (a - b).abs()).at_least(0.0)
+fn seam_depth<R: Real>(a: R, b: R, smooth: &LengthOrZero) -> R {
+    (a.uniform(smooth.get()) - (a - b).abs()).at_least(0.0)
 }
 
 /// One over a seam's width or its square; 0 if an animated seam has width 0, because then no point is in it.
@@ -128,20 +128,20 @@ fn per(width: f32) -> f32 {
 
 /// Weight of the second child, whether it wins or loses: the loser has ½(h/k)².
 #[inline(always)]
-fn share<R: Real>(overlap: R, smooth: &Amount, second_wins: R::Mask) -> R {
-    let loser = overlap.square() * overlap.given(0.5 * per(smooth.get() * smooth.get()));
-    R::select(second_wins, loser.splat(1.0) - loser, loser)
+fn seam_weight<R: Real>(overlap: R, smooth: &LengthOrZero, second_wins: R::Mask) -> R {
+    let loser = overlap.square() * overlap.uniform(0.5 * per(smooth.get() * smooth.get()));
+    R::select(second_wins, loser.constant(1.0) - loser, loser)
 }
 
 #[inline(always)]
-fn negated<R: Real, V: Sample<R>>(v: V) -> V {
+fn negated<R: Real, V: SdfValue<R>>(v: V) -> V {
     let distance = -v.distance();
-    v.at(distance)
+    v.with_distance(distance)
 }
 
 /// All shapes joined, one after another.
 #[inline(always)]
-fn joined<R: Real, V: Sample<R>>(of: &[Node], p: Vec3<R>, join: impl Fn(V, V) -> V) -> V {
+fn fold_children<R: Real, V: SdfValue<R>>(of: &[Node], p: Vec3<R>, join: impl Fn(V, V) -> V) -> V {
     let mut sum: V = of[0].sample(p);
     for other in &of[1..] {
         sum = join(sum, other.sample(p));
@@ -151,12 +151,12 @@ fn joined<R: Real, V: Sample<R>>(of: &[Node], p: Vec3<R>, join: impl Fn(V, V) ->
 
 macro_rules! around_list {
     ($join_bounds:expr) => {
-        const HAS_LIST: bool = true;
+        const HAS_CHILD_LIST: bool = true;
 
-        fn bounds(&self, level: f32) -> Bounds {
+        fn bounds(&self, isolevel: f32) -> Bounds {
             // Each seam bulges by a quarter of its width at most.
             let bulge = self.smooth.get() * 0.25 * (self.of.len() - 1) as f32;
-            let mut of = self.of.iter().map(|shape| shape.bounds(level + bulge));
+            let mut of = self.of.iter().map(|shape| shape.bounds(isolevel + bulge));
             let first = of.next().expect("a list has one shape or more");
             of.fold(first, $join_bounds)
         }
@@ -182,54 +182,54 @@ impl Sdf for Union {
     ] }"#;
 
     #[inline(always)]
-    fn sample<R: Real, V: Sample<R>>(&self, p: Vec3<R>) -> V {
-        match &self.runs.0 {
-            Some(all) => self.join_run(all, self.of[0].sample(p), p),
-            None => joined(
+    fn eval<R: Real, V: SdfValue<R>>(&self, p: Vec3<R>) -> V {
+        match &self.bvh.0 {
+            Some(all) => self.union_bvh(all, self.of[0].sample(p), p),
+            None => fold_children(
                 &self.of,
                 p,
                 #[inline(always)]
-                |a, b| least(a, b, &self.smooth),
+                |a, b| smooth_min(a, b, &self.smooth),
             ),
         }
     }
 
-    fn prepare(&mut self, moves: bool) {
-        self.runs = Runs::of(&self.of, moves);
+    fn precompute(&mut self, is_animated: bool) {
+        self.bvh = UnionBvh::new(&self.of, is_animated);
     }
 
-    around_list!(Bounds::hull);
+    around_list!(Bounds::union);
 }
 
 impl Union {
     /// Merges the shapes of a BVH node into the result so far, if the node is near enough: shapes farther
     /// away than the seam is wide do not change the minimum.
-    fn join_run<R: Real, V: Sample<R>>(&self, run: &Run, sum: V, p: Vec3<R>) -> V {
+    fn union_bvh<R: Real, V: SdfValue<R>>(&self, run: &BvhNode, sum: V, p: Vec3<R>) -> V {
         p.x.vectorize(
             #[inline(always)]
             || match &run.bounds {
                 Some(bounds) => {
-                    let beyond = bounds.distance_below(p);
-                    let beyond = if self.smooth.is_zero() { beyond } else { beyond - p.x.given(self.smooth.get()) };
-                    sum.unless_beyond(
+                    let beyond = bounds.distance_lower_bound(p);
+                    let beyond = if self.smooth.is_zero() { beyond } else { beyond - p.x.uniform(self.smooth.get()) };
+                    sum.combine_unless_farther(
                         beyond,
                         #[inline(always)]
-                        |sum| self.join_shapes(run, sum, p),
+                        |sum| self.union_children(run, sum, p),
                     )
                 }
-                None => self.join_shapes(run, sum, p),
+                None => self.union_children(run, sum, p),
             },
         )
     }
 
     #[inline(always)]
-    fn join_shapes<R: Real, V: Sample<R>>(&self, run: &Run, sum: V, p: Vec3<R>) -> V {
-        if let Some([first, second]) = run.halves.as_deref() {
-            return self.join_run(second, self.join_run(first, sum, p), p);
+    fn union_children<R: Real, V: SdfValue<R>>(&self, run: &BvhNode, sum: V, p: Vec3<R>) -> V {
+        if let Some([first, second]) = run.children.as_deref() {
+            return self.union_bvh(second, self.union_bvh(first, sum, p), p);
         }
         let mut sum = sum;
         for shape in &self.of[run.shapes.clone()] {
-            sum = least(sum, shape.sample(p), &self.smooth);
+            sum = smooth_min(sum, shape.sample(p), &self.smooth);
         }
         sum
     }
@@ -242,16 +242,16 @@ impl Sdf for Intersection {
     ] }"#;
 
     #[inline(always)]
-    fn sample<R: Real, V: Sample<R>>(&self, p: Vec3<R>) -> V {
-        joined(
+    fn eval<R: Real, V: SdfValue<R>>(&self, p: Vec3<R>) -> V {
+        fold_children(
             &self.of,
             p,
             #[inline(always)]
-            |a, b| greatest(a, b, &self.smooth),
+            |a, b| smooth_max(a, b, &self.smooth),
         )
     }
 
-    around_list!(Bounds::overlap);
+    around_list!(Bounds::intersection);
 }
 
 impl Sdf for Difference {
@@ -261,12 +261,12 @@ impl Sdf for Difference {
     ] }"#;
 
     #[inline(always)]
-    fn sample<R: Real, V: Sample<R>>(&self, p: Vec3<R>) -> V {
-        joined(
+    fn eval<R: Real, V: SdfValue<R>>(&self, p: Vec3<R>) -> V {
+        fold_children(
             &self.of,
             p,
             #[inline(always)]
-            |a, b| cut(a, b, &self.smooth),
+            |a, b| smooth_subtract(a, b, &self.smooth),
         )
     }
 
@@ -277,6 +277,6 @@ impl Sdf for Difference {
     }
 }
 
-fn sharp() -> Amount {
-    Amount::new(0.0).expect("0 is in range")
+fn default_smooth() -> LengthOrZero {
+    LengthOrZero::new(0.0).expect("0 is in range")
 }

@@ -1,41 +1,41 @@
 //! Shapes with a closed formula. Unless noted otherwise each is exact: its value is the Euclidean distance to
 //! the surface, negative inside.
 
+mod box_variants;
 mod cones;
 mod curves;
-mod cut;
-mod frames;
+mod cut_spheres;
+mod flat_faces;
 mod periodic;
+mod polygon_sides;
 mod polyhedra;
-mod regular;
+mod prisms;
+mod pyramid_face;
 mod rings;
-mod round;
-mod sheets;
-mod sides;
-mod slopes;
+mod rounded;
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 pub use cones::{CappedCone, Cone, InfiniteCone, RoundCone, SolidAngle};
 pub use curves::BezierTube;
-pub use cut::{CutHollowSphere, CutSphere, DeathStar};
+pub use cut_spheres::{CutHollowSphere, CutSphere, DeathStar};
+pub use flat_faces::{Quad, Triangle};
 pub use rings::{CappedTorus, Horseshoe, Link, U};
-pub use round::{Ellipsoid, RoundedCylinder, Vesica};
-pub use sheets::{Quad, Triangle};
+pub use rounded::{Ellipsoid, RoundedCylinder, Vesica};
 
-pub use frames::{BoxFrame, Rhombus};
+pub use box_variants::{BoxFrame, Rhombus};
 pub use periodic::{Diamond, Gyroid, SchwarzP};
+pub use polygon_sides::PolygonSides;
 pub use polyhedra::{Dodecahedron, Icosahedron, Octahedron, Tetrahedron};
-pub use regular::{HexagonalPrism, OctagonalPrism, RegularPyramid};
-pub use sides::Sides;
+pub use prisms::{HexagonalPrism, OctagonalPrism, RegularPyramid};
 
-use self::slopes::Slope;
-use super::{Exactness, NodeFault, Primitive};
+use self::pyramid_face::PyramidFace;
+use super::{Exactness, NodeError, Primitive};
 use crate::bounds::Bounds;
 use crate::real::{Real, Vec3, vec3};
 use crate::seek::Seek;
-use crate::values::{Amount, Coordinate, Direction, Length, Point};
+use crate::values::{Coordinate, Direction, Length, LengthOrZero, Point};
 
 /// A ball around the origin.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
@@ -50,12 +50,12 @@ impl Primitive for Sphere {
 
     #[inline(always)]
     fn distance<R: Real>(&self, p: Vec3<R>) -> R {
-        p.length() - p.x.given(self.radius.get())
+        p.length() - p.x.uniform(self.radius.get())
     }
 
-    fn bounds(&self, level: f32) -> Bounds {
+    fn bounds(&self, isolevel: f32) -> Bounds {
         let radius = self.radius.get();
-        Bounds::symmetric(radius, radius, radius).widened(level)
+        Bounds::symmetric(radius, radius, radius).expanded(isolevel)
     }
 }
 
@@ -68,8 +68,8 @@ pub struct Box {
     /// Whole extents along x, y and z.
     pub size: [Length; 3],
     /// Radius of its rounded edges, inside `size`.
-    #[serde(default = "nothing")]
-    pub round: Amount,
+    #[serde(default = "default_round")]
+    pub round: LengthOrZero,
 }
 
 impl Primitive for Box {
@@ -80,9 +80,9 @@ impl Primitive for Box {
         let [x, y, z] = &self.size;
         let (half, round) = (0.5, self.round.get());
         let past_face = vec3(
-            p.x.abs() - p.x.given(x.get() * half - round),
-            p.y.abs() - p.x.given(y.get() * half - round),
-            p.z.abs() - p.x.given(z.get() * half - round),
+            p.x.abs() - p.x.uniform(x.get() * half - round),
+            p.y.abs() - p.x.uniform(y.get() * half - round),
+            p.z.abs() - p.x.uniform(z.get() * half - round),
         );
         let outside = past_face
             .map(
@@ -91,22 +91,22 @@ impl Primitive for Box {
             )
             .length();
         let inside = past_face.max_element().at_most(0.0);
-        outside + inside - p.x.given(round)
+        outside + inside - p.x.uniform(round)
     }
 
-    fn fault(&self) -> Option<NodeFault> {
+    fn validate(&self) -> Option<NodeError> {
         let most = self.size.iter().map(Length::get).fold(f32::MAX, f32::min) / 2.0;
         (self.round.get() > most).then(|| {
-            NodeFault::new(
+            NodeError::new(
                 "round",
                 format!("must be at most half the least size, inside which it rounds: make round {most} or less"),
             )
         })
     }
 
-    fn bounds(&self, level: f32) -> Bounds {
+    fn bounds(&self, isolevel: f32) -> Bounds {
         let [x, y, z] = &self.size;
-        Bounds::symmetric(x.get() / 2.0, y.get() / 2.0, z.get() / 2.0).widened(level)
+        Bounds::symmetric(x.get() / 2.0, y.get() / 2.0, z.get() / 2.0).expanded(isolevel)
     }
 }
 
@@ -125,16 +125,16 @@ impl Primitive for Plane {
 
     #[inline(always)]
     fn distance<R: Real>(&self, p: Vec3<R>) -> R {
-        p.dot_known(self.normal.unit()) - p.x.given(self.offset.get())
+        p.dot_uniform(self.normal.unit()) - p.x.uniform(self.offset.get())
     }
 
-    fn bounds(&self, level: f32) -> Bounds {
-        let farthest = self.offset.get() + level;
+    fn bounds(&self, isolevel: f32) -> Bounds {
+        let farthest = self.offset.get() + isolevel;
         // Behind a plane perpendicular to an axis, that coordinate is bounded.
         let low = |slope: f32| if slope == -1.0 { -farthest } else { f32::NEG_INFINITY };
         let high = |slope: f32| if slope == 1.0 { farthest } else { f32::INFINITY };
         let normal = self.normal.unit();
-        Bounds { low: normal.map(low), high: normal.map(high) }
+        Bounds { min: normal.map(low), max: normal.map(high) }
     }
 }
 
@@ -153,15 +153,15 @@ impl Primitive for Cylinder {
 
     #[inline(always)]
     fn distance<R: Real>(&self, p: Vec3<R>) -> R {
-        let past_side = p.x.square_add(p.z.square()).sqrt() - p.x.given(self.radius.get());
-        let past_cap = p.y.abs() - p.x.given(self.height.get() / 2.0);
+        let past_side = p.x.square_add(p.z.square()).sqrt() - p.x.uniform(self.radius.get());
+        let past_cap = p.y.abs() - p.x.uniform(self.height.get() / 2.0);
         let (side, cap) = (past_side.at_least(0.0), past_cap.at_least(0.0));
         side.square_add(cap.square()).sqrt() + past_side.max(past_cap).at_most(0.0)
     }
 
-    fn bounds(&self, level: f32) -> Bounds {
+    fn bounds(&self, isolevel: f32) -> Bounds {
         let radius = self.radius.get();
-        Bounds::symmetric(radius, self.height.get() / 2.0, radius).widened(level)
+        Bounds::symmetric(radius, self.height.get() / 2.0, radius).expanded(isolevel)
     }
 }
 
@@ -178,12 +178,12 @@ impl Primitive for InfiniteCylinder {
 
     #[inline(always)]
     fn distance<R: Real>(&self, p: Vec3<R>) -> R {
-        p.x.square_add(p.z.square()).sqrt() - p.x.given(self.radius.get())
+        p.x.square_add(p.z.square()).sqrt() - p.x.uniform(self.radius.get())
     }
 
-    fn bounds(&self, level: f32) -> Bounds {
+    fn bounds(&self, isolevel: f32) -> Bounds {
         let radius = self.radius.get();
-        Bounds::symmetric(radius, f32::INFINITY, radius).widened(level)
+        Bounds::symmetric(radius, f32::INFINITY, radius).expanded(isolevel)
     }
 }
 
@@ -206,19 +206,19 @@ impl Primitive for TriangularPrism {
     #[inline(always)]
     fn distance<R: Real>(&self, p: Vec3<R>) -> R {
         const COS_30: f32 = 0.866_025_4;
-        let past_end = p.z.abs() - p.x.given(self.length.get() / 2.0);
+        let past_end = p.z.abs() - p.x.uniform(self.length.get() / 2.0);
         let slope = p.x.abs() * COS_30 + p.y * 0.5;
-        past_end.max(slope.max(-p.y) - p.x.given(self.height.get() / 2.0))
+        past_end.max(slope.max(-p.y) - p.x.uniform(self.height.get() / 2.0))
     }
 
     fn exactness(&self) -> Exactness {
         Exactness::Bound
     }
 
-    fn bounds(&self, level: f32) -> Bounds {
+    fn bounds(&self, isolevel: f32) -> Bounds {
         // Further out, the triangle is a larger one; none of its corners is further away than its apex.
-        let apex = self.height.get() + 2.0 * level;
-        Bounds::symmetric(apex, apex, self.length.get() / 2.0 + level)
+        let apex = self.height.get() + 2.0 * isolevel;
+        Bounds::symmetric(apex, apex, self.length.get() / 2.0 + isolevel)
     }
 }
 
@@ -238,19 +238,19 @@ pub struct Pyramid {
 
 impl Primitive for Pyramid {
     const EXAMPLE: &str = r#"{ "height": 0.9 }"#;
-    const MORE: &[&str] = &[r#"{ "height": 0.7, "base": [1.8, 0.9] }"#];
+    const MORE_EXAMPLES: &[&str] = &[r#"{ "height": 0.7, "base": [1.8, 0.9] }"#];
 
     #[inline(always)]
     fn distance<R: Real>(&self, p: Vec3<R>) -> R {
         if let Some(base) = &self.base {
             return p.x.vectorize(
                 #[inline(always)]
-                || over_rectangle(p, base.each_ref().map(Length::get), self.height.get()),
+                || rectangular_pyramid(p, base.each_ref().map(Length::get), self.height.get()),
             );
         }
         let slant = self.height.get() * self.height.get() + 0.25;
-        let (over_slant, over_base) = (p.x.given(1.0 / slant), p.x.given(1.0 / (slant + 0.25)));
-        let (height, slant) = (p.x.given(self.height.get()), p.x.given(slant));
+        let (over_slant, over_base) = (p.x.uniform(1.0 / slant), p.x.uniform(1.0 / (slant + 0.25)));
+        let (height, slant) = (p.x.uniform(self.height.get()), p.x.uniform(slant));
         // By symmetry, the face toward +x; its base edge runs along z at x = 0.
         let (x, z) = (p.x.abs(), p.z.abs());
         let (x, z) = (x.max(z) - 0.5, x.min(z) - 0.5);
@@ -261,30 +261,30 @@ impl Primitive for Pyramid {
         let share = ((up - z * 0.5) * over_base).at_least(0.0).at_most(1.0);
         let to_slant_edge = (along + share * 0.5).square() * slant + (up - share * slant).square();
         let over_face = up.min(-along * slant - up * 0.5).above(0.0);
-        let beside = R::select(over_face, p.y.splat(0.0), to_base_edge.min(to_slant_edge));
+        let beside = R::select(over_face, p.y.constant(0.0), to_base_edge.min(to_slant_edge));
         let to_face = (beside + out.square()) * over_slant;
         let to_base = x.at_least(0.0).square_add(z.at_least(0.0).square_add(p.y.square()));
         let distance = to_face.min(to_base).sqrt();
         R::select(out.max(-p.y).below(0.0), -distance, distance)
     }
 
-    fn bounds(&self, level: f32) -> Bounds {
+    fn bounds(&self, isolevel: f32) -> Bounds {
         let [x, z] = self.base.as_ref().map_or([0.5; 2], |base| base.each_ref().map(|extent| extent.get() / 2.0));
-        Bounds { low: vec3(-x, 0.0, -z), high: vec3(x, self.height.get(), z) }.widened(level)
+        Bounds { min: vec3(-x, 0.0, -z), max: vec3(x, self.height.get(), z) }.expanded(isolevel)
     }
 }
 
 /// Distance to a pyramid over a rectangle of these whole extents along x and z.
 #[inline(always)]
-fn over_rectangle<R: Real>(p: Vec3<R>, base: [f32; 2], height: f32) -> R {
+fn rectangular_pyramid<R: Real>(p: Vec3<R>, base: [f32; 2], height: f32) -> R {
     let [half_x, half_z] = base.map(
         #[inline(always)]
         |extent| extent * 0.5,
     );
     let (x, z) = (p.x.abs(), p.z.abs());
-    let (to_side, past_side) = Slope::new(half_x, half_z, height).reach(x, z, p.y);
-    let (to_front, past_front) = Slope::new(half_z, half_x, height).reach(z, x, p.y);
-    let (past_x, past_z) = ((x - p.x.given(half_x)).at_least(0.0), (z - p.x.given(half_z)).at_least(0.0));
+    let (to_side, past_side) = PyramidFace::new(half_x, half_z, height).distance_and_depth(x, z, p.y);
+    let (to_front, past_front) = PyramidFace::new(half_z, half_x, height).distance_and_depth(z, x, p.y);
+    let (past_x, past_z) = ((x - p.x.uniform(half_x)).at_least(0.0), (z - p.x.uniform(half_z)).at_least(0.0));
     let to_base = past_x.square_add(past_z.square_add(p.y.square()));
     let distance = to_side.min(to_front).min(to_base).sqrt();
     R::select(past_side.max(past_front).max(-p.y).below(0.0), -distance, distance)
@@ -305,17 +305,17 @@ impl Primitive for Torus {
 
     #[inline(always)]
     fn distance<R: Real>(&self, p: Vec3<R>) -> R {
-        let off_circle = p.x.square_add(p.z.square()).sqrt() - p.x.given(self.radius.get());
-        off_circle.square_add(p.y.square()).sqrt() - p.x.given(self.tube.get())
+        let off_circle = p.x.square_add(p.z.square()).sqrt() - p.x.uniform(self.radius.get());
+        off_circle.square_add(p.y.square()).sqrt() - p.x.uniform(self.tube.get())
     }
 
-    fn fault(&self) -> Option<NodeFault> {
-        swallowed_hole("tube", self.tube.get(), "radius", self.radius.get())
+    fn validate(&self) -> Option<NodeError> {
+        closed_hole_error("tube", self.tube.get(), "radius", self.radius.get())
     }
 
-    fn bounds(&self, level: f32) -> Bounds {
+    fn bounds(&self, isolevel: f32) -> Bounds {
         let (across, up) = (self.radius.get() + self.tube.get(), self.tube.get());
-        Bounds::symmetric(across, up, across).widened(level)
+        Bounds::symmetric(across, up, across).expanded(isolevel)
     }
 }
 
@@ -342,34 +342,34 @@ impl Primitive for Capsule {
         let axis = vec3(b.x - a.x, b.y - a.y, b.z - a.z);
         // If both ends coincide, the shape is a ball: every point of a zero axis is the same.
         let axis_over_square = scaled(axis, 1.0 / axis.length_squared().max(1e-20));
-        let from_a = p - Vec3::given(p.x, a);
-        let share = from_a.dot_known(axis_over_square).at_least(0.0).at_most(1.0);
-        let nearest = Vec3::given(p.x, vec3(-axis.x, -axis.y, -axis.z)).mul_add(share, from_a);
-        nearest.length() - p.x.given(self.radius.get())
+        let from_a = p - Vec3::uniform(p.x, a);
+        let share = from_a.dot_uniform(axis_over_square).at_least(0.0).at_most(1.0);
+        let nearest = Vec3::uniform(p.x, vec3(-axis.x, -axis.y, -axis.z)).mul_add(share, from_a);
+        nearest.length() - p.x.uniform(self.radius.get())
     }
 
-    fn bounds(&self, level: f32) -> Bounds {
+    fn bounds(&self, isolevel: f32) -> Bounds {
         let (a, b) = (self.a.get(), self.b.get());
-        Bounds { low: a, high: a }.hull(Bounds { low: b, high: b }).widened(self.radius.get() + level)
+        Bounds { min: a, max: a }.union(Bounds { min: b, max: b }).expanded(self.radius.get() + isolevel)
     }
 }
 
 /// Distance of a point from the y axis.
 #[inline(always)]
-fn away_from_axis<R: Real>(p: Vec3<R>) -> R {
-    length_of(p.x, p.z)
+fn distance_from_y_axis<R: Real>(p: Vec3<R>) -> R {
+    hypot(p.x, p.z)
 }
 
 /// The length of a vector in the plane.
 #[inline(always)]
-fn length_of<R: Real>(x: R, y: R) -> R {
+fn hypot<R: Real>(x: R, y: R) -> R {
     x.square_add(y.square()).sqrt()
 }
 
 /// Error for a ring so thick that its hole closes: `thick` must be less than `limit`.
-fn swallowed_hole(place: &str, thick: f32, limit_name: &str, limit: f32) -> Option<NodeFault> {
+fn closed_hole_error(place: &str, thick: f32, limit_name: &str, limit: f32) -> Option<NodeError> {
     (thick >= limit).then(|| {
-        NodeFault::new(
+        NodeError::new(
             place,
             format!("must be less than {limit_name}, or the ring has no hole: make {place} less than {limit}"),
         )
@@ -380,6 +380,6 @@ fn scaled(v: Vec3<f32>, factor: f32) -> Vec3<f32> {
     vec3(v.x * factor, v.y * factor, v.z * factor)
 }
 
-fn nothing() -> Amount {
-    Amount::new(0.0).expect("0 is in range")
+fn default_round() -> LengthOrZero {
+    LengthOrZero::new(0.0).expect("0 is in range")
 }

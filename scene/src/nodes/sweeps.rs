@@ -3,12 +3,12 @@
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use super::{Exactness, NodeFault, Primitive};
+use super::{Exactness, NodeError, Primitive};
 use crate::bounds::Bounds;
 use crate::profiles::Profile;
 use crate::real::{Real, Vec3, vec3};
 use crate::seek::Seek;
-use crate::values::{Amount, Coordinate, Length};
+use crate::values::{Coordinate, Length, LengthOrZero};
 
 /// A flat profile given a height along z, its middle at z = 0.
 ///
@@ -23,8 +23,8 @@ pub struct Extrude {
     /// Whole height along z.
     pub height: Length,
     /// Radius of the rounded edges around both ends, inside the sharp solid.
-    #[serde(default = "sharp")]
-    pub round: Amount,
+    #[serde(default = "default_round")]
+    pub round: LengthOrZero,
 }
 
 /// A flat profile turned about the y axis.
@@ -38,7 +38,7 @@ pub struct Revolve {
     /// The profile: its y is the axis, its x leads away from it.
     pub profile: Profile,
     /// Distance of the profile's origin from the axis.
-    #[serde(default = "on_axis")]
+    #[serde(default = "default_offset")]
     pub offset: Coordinate,
 }
 
@@ -55,10 +55,10 @@ impl Primitive for Extrude {
     #[inline(always)]
     fn distance<R: Real>(&self, p: Vec3<R>) -> R {
         let round = self.round.get();
-        let past_outline = self.profile.distance(p.x, p.y) + p.x.given(round);
-        let past_end = p.z.abs() - p.x.given(self.height.get() / 2.0 - round);
+        let past_outline = self.profile.distance(p.x, p.y) + p.x.uniform(round);
+        let past_end = p.z.abs() - p.x.uniform(self.height.get() / 2.0 - round);
         let (out, up) = (past_outline.at_least(0.0), past_end.at_least(0.0));
-        out.square_add(up.square()).sqrt() + past_outline.max(past_end).at_most(0.0) - p.x.given(round)
+        out.square_add(up.square()).sqrt() + past_outline.max(past_end).at_most(0.0) - p.x.uniform(round)
     }
 
     // Its factor is 1, rounded or not: it is a norm of two numbers of which one changes with x and y
@@ -68,20 +68,20 @@ impl Primitive for Extrude {
         self.profile.exactness().max(worst_rounding)
     }
 
-    fn fault(&self) -> Option<NodeFault> {
+    fn validate(&self) -> Option<NodeError> {
         let most = self.height.get() / 2.0;
         let message = format!("must be at most half of the height: make round {most} or less");
-        let round = (self.round.get() > most).then(|| NodeFault::new("round", message));
-        of_profile(&self.profile).or(round)
+        let round = (self.round.get() > most).then(|| NodeError::new("round", message));
+        profile_error(&self.profile).or(round)
     }
 
-    fn bounds(&self, level: f32) -> Bounds {
-        let (extent, up) = (self.profile.extent(level), self.height.get() / 2.0 + level);
+    fn bounds(&self, isolevel: f32) -> Bounds {
+        let (extent, up) = (self.profile.extent(isolevel), self.height.get() / 2.0 + isolevel);
         let ([low_x, low_y], [high_x, high_y]) = (extent.low, extent.high);
-        Bounds { low: vec3(low_x, low_y, -up), high: vec3(high_x, high_y, up) }
+        Bounds { min: vec3(low_x, low_y, -up), max: vec3(high_x, high_y, up) }
     }
 
-    fn weight(&self) -> u32 {
+    fn size_in_nodes(&self) -> u32 {
         self.profile.weight()
     }
 }
@@ -89,7 +89,7 @@ impl Primitive for Extrude {
 impl Primitive for Revolve {
     const EXAMPLE: &str = r#"{ "profile": { "star": { "points": 5, "outer": 0.5, "inner": 0.25 } }, "offset": 0.7 }"#;
 
-    const MORE: &'static [&'static str] = &[
+    const MORE_EXAMPLES: &'static [&'static str] = &[
         r#"{ "profile": { "polygon": { "points": [[0, -1.1], [0.7, -1], [0.85, -0.5], [0.3, 0.3], [0.25, 0.7], [0.5, 1], [0.4, 1.05],
             [0.1, 0.7], [0.15, 0.2], [0.7, -0.55], [0.6, -0.85], [0, -0.95]] } } }"#,
         r#"{ "profile": { "bezier": { "points": [[-0.1, -0.6], [0.9, -0.7], [0.5, 0.5]], "thickness": 0.12 } }, "offset": 0.3 }"#,
@@ -102,7 +102,7 @@ impl Primitive for Revolve {
     #[inline(always)]
     fn distance<R: Real>(&self, p: Vec3<R>) -> R {
         let from_axis = p.x.square_add(p.z.square()).sqrt();
-        self.profile.distance(from_axis - p.x.given(self.offset.get()), p.y)
+        self.profile.distance(from_axis - p.x.uniform(self.offset.get()), p.y)
     }
 
     fn exactness(&self) -> Exactness {
@@ -112,35 +112,35 @@ impl Primitive for Revolve {
         self.profile.exactness().max(worst_cut)
     }
 
-    fn fault(&self) -> Option<NodeFault> {
+    fn validate(&self) -> Option<NodeError> {
         let reach = self.profile.extent(0.0).high[0];
         let message =
             format!("puts the profile beyond the axis, where nothing is turned: make offset more than {}", -reach);
-        let beyond = (self.offset.get() + reach <= 0.0).then(|| NodeFault::new("offset", message));
-        of_profile(&self.profile).or(beyond)
+        let beyond = (self.offset.get() + reach <= 0.0).then(|| NodeError::new("offset", message));
+        profile_error(&self.profile).or(beyond)
     }
 
-    fn bounds(&self, level: f32) -> Bounds {
-        let extent = self.profile.extent(level);
+    fn bounds(&self, isolevel: f32) -> Bounds {
+        let extent = self.profile.extent(isolevel);
         let across = (extent.high[0] + self.offset.get()).max(0.0);
-        Bounds { low: vec3(-across, extent.low[1], -across), high: vec3(across, extent.high[1], across) }
+        Bounds { min: vec3(-across, extent.low[1], -across), max: vec3(across, extent.high[1], across) }
     }
 
-    fn weight(&self) -> u32 {
+    fn size_in_nodes(&self) -> u32 {
         self.profile.weight()
     }
 }
 
 /// Error in the profile, with its pointer in the node around it.
-fn of_profile(profile: &Profile) -> Option<NodeFault> {
-    let NodeFault { place, message } = profile.fault()?;
-    Some(NodeFault::new(format!("profile/{}/{place}", profile.name()), message))
+fn profile_error(profile: &Profile) -> Option<NodeError> {
+    let NodeError { pointer: place, message } = profile.fault()?;
+    Some(NodeError::new(format!("profile/{}/{place}", profile.name()), message))
 }
 
-fn sharp() -> Amount {
-    Amount::new(0.0).expect("0 is in range")
+fn default_round() -> LengthOrZero {
+    LengthOrZero::new(0.0).expect("0 is in range")
 }
 
-fn on_axis() -> Coordinate {
+fn default_offset() -> Coordinate {
     Coordinate::new(0.0).expect("0 is in range")
 }

@@ -3,8 +3,8 @@
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use super::meaning::NOISE_COST;
-use super::relief::Relief;
+use super::displacement_bounds::DisplacementBounds;
+use super::sdf::NOISE_COST;
 use super::{Exactness, Primitive};
 use crate::bounds::Bounds;
 use crate::noise::Noise;
@@ -29,7 +29,7 @@ pub struct HeightField {
 
 impl HeightField {
     /// Lipschitz factor of the formula, less 1.
-    fn steepening(&self) -> f32 {
+    fn slope_bound(&self) -> f32 {
         let slope = self.height.get() * self.noise.lipschitz();
         // √(1 + slope²) − 1, without cancellation; for a large slope, whose square may overflow, the
         // slope itself.
@@ -37,17 +37,17 @@ impl HeightField {
     }
 
     #[inline(always)]
-    fn relief(&self) -> Relief {
+    fn relief(&self) -> DisplacementBounds {
         let (low, high) = self.noise.range();
         let height = self.height.get();
-        Relief::new([-height * low, -height * high], self.steepening())
+        DisplacementBounds::new([-height * low, -height * high], self.slope_bound())
     }
 }
 
 impl Primitive for HeightField {
     const EXAMPLE: &str =
         r#"{ "noise": { "perlin": { "scale": 1.7, "octaves": 5 } }, "height": 0.6, "size": [1.6, 1, 1.6] }"#;
-    const MORE: &[&str] = &[
+    const MORE_EXAMPLES: &[&str] = &[
         r#"{ "noise": { "perlin": { "octaves": 3, "seed": 4, "scale": 2, "fractal": "ridged" } }, "height": 0.4, "size": [1.6, 0.8, 1.6] }"#,
         r#"{ "noise": { "simplex": { "octaves": 3 } }, "height": 0.3 }"#,
     ];
@@ -55,22 +55,22 @@ impl Primitive for HeightField {
     #[inline(always)]
     fn distance<R: Real>(&self, p: Vec3<R>) -> R {
         let like = p.x;
-        let land = self.relief().added(
+        let land = self.relief().displaced(
             p.y,
             #[inline(always)]
-            || self.noise.value(vec3(p.x, like.splat(0.0), p.z)) * like.given(-self.height.get()),
+            || self.noise.value(vec3(p.x, like.constant(0.0), p.z)) * like.uniform(-self.height.get()),
         );
         match &self.size {
             None => land,
             Some(size) => {
-                let half = Vec3::given(like, halved(size));
+                let half = Vec3::uniform(like, half_extents(size));
                 land.max((vec3(p.x.abs(), p.y.abs(), p.z.abs()) - half).max_element())
             }
         }
     }
 
-    fn stretch(&self) -> f32 {
-        1.0 + self.steepening()
+    fn lipschitz(&self) -> f32 {
+        1.0 + self.slope_bound()
     }
 
     fn exactness(&self) -> Exactness {
@@ -81,12 +81,12 @@ impl Primitive for HeightField {
         true
     }
 
-    fn bounds(&self, level: f32) -> Bounds {
-        let top = self.relief().level(level);
-        let land = Bounds { high: vec3(f32::INFINITY, top, f32::INFINITY), ..Bounds::EVERYWHERE };
+    fn bounds(&self, isolevel: f32) -> Bounds {
+        let top = self.relief().inflate(isolevel);
+        let land = Bounds { max: vec3(f32::INFINITY, top, f32::INFINITY), ..Bounds::INFINITE };
         self.size.as_ref().map_or(land, |size| {
-            let Vec3 { x, y, z } = halved(size);
-            land.overlap(Bounds::symmetric(x, y, z).widened(level))
+            let Vec3 { x, y, z } = half_extents(size);
+            land.intersection(Bounds::symmetric(x, y, z).expanded(isolevel))
         })
     }
 
@@ -99,6 +99,6 @@ impl Primitive for HeightField {
     }
 }
 
-fn halved([x, y, z]: &[Length; 3]) -> Vec3<f32> {
+fn half_extents([x, y, z]: &[Length; 3]) -> Vec3<f32> {
     vec3(x.get() * 0.5, y.get() * 0.5, z.get() * 0.5)
 }

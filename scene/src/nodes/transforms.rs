@@ -3,11 +3,11 @@
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use super::{Child, Node, Sample, Sdf};
+use super::{Child, Node, Sdf, SdfValue};
 use crate::bounds::Bounds;
 use crate::real::{Real, Vec3, vec3};
 use crate::seek::Seek;
-use crate::values::{Factor, Point, Rotation};
+use crate::values::{Point, Rotation, ScaleFactor};
 
 /// A shape moved.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
@@ -34,7 +34,7 @@ pub struct Rotate {
 #[serde(deny_unknown_fields)]
 pub struct Scale {
     /// Scale factor.
-    pub by: Factor,
+    pub by: ScaleFactor,
     /// The shape.
     pub child: Child,
 }
@@ -57,19 +57,19 @@ impl Sdf for Translate {
     const EXAMPLE: &str = r#"{ "by": [0.6, 0.3, 0], "child": { "box": { "size": [1, 1, 1] } } }"#;
 
     #[inline(always)]
-    fn sample<R: Real, V: Sample<R>>(&self, p: Vec3<R>) -> V {
+    fn eval<R: Real, V: SdfValue<R>>(&self, p: Vec3<R>) -> V {
         let by = self.by.get();
-        self.child.sample(p - Vec3::given(p.x, by))
+        self.child.sample(p - Vec3::uniform(p.x, by))
     }
 
     around_child!();
 
-    fn bounds(&self, level: f32) -> Bounds {
-        self.child.bounds(level).moved(self.by.get())
+    fn bounds(&self, isolevel: f32) -> Bounds {
+        self.child.bounds(isolevel).translated(self.by.get())
     }
 
     fn is_placement_animated(&self) -> bool {
-        self.by.is_moving()
+        self.by.is_animated()
     }
 }
 
@@ -77,15 +77,15 @@ impl Sdf for Rotate {
     const EXAMPLE: &str = r#"{ "degrees": [30, 40, 0], "child": { "box": { "size": [1.2, 0.8, 1.6] } } }"#;
 
     #[inline(always)]
-    fn sample<R: Real, V: Sample<R>>(&self, p: Vec3<R>) -> V {
+    fn eval<R: Real, V: SdfValue<R>>(&self, p: Vec3<R>) -> V {
         let [x, y, z] = self.degrees.inverse_rows();
-        self.child.sample(vec3(p.dot_known(x), p.dot_known(y), p.dot_known(z)))
+        self.child.sample(vec3(p.dot_uniform(x), p.dot_uniform(y), p.dot_uniform(z)))
     }
 
     around_child!();
 
-    fn bounds(&self, level: f32) -> Bounds {
-        self.child.bounds(level).turned(self.degrees.inverse_rows())
+    fn bounds(&self, isolevel: f32) -> Bounds {
+        self.child.bounds(isolevel).rotated(self.degrees.inverse_rows())
     }
 
     fn rotation(&self) -> Option<&Rotation> {
@@ -93,7 +93,7 @@ impl Sdf for Rotate {
     }
 
     fn is_placement_animated(&self) -> bool {
-        self.degrees.is_moving()
+        self.degrees.is_animated()
     }
 }
 
@@ -101,16 +101,16 @@ impl Sdf for Scale {
     const EXAMPLE: &str = r#"{ "by": 1.4, "child": { "torus": { "radius": 0.6, "tube": 0.2 } } }"#;
 
     #[inline(always)]
-    fn sample<R: Real, V: Sample<R>>(&self, p: Vec3<R>) -> V {
+    fn eval<R: Real, V: SdfValue<R>>(&self, p: Vec3<R>) -> V {
         let by = self.by.get();
-        let child: V = self.child.sample(p * p.x.given(1.0 / by));
-        let distance = child.distance() * p.x.given(by);
-        child.at(distance)
+        let child: V = self.child.sample(p * p.x.uniform(1.0 / by));
+        let distance = child.distance() * p.x.uniform(by);
+        child.with_distance(distance)
     }
 
     around_child!();
 
-    fn bounds(&self, level: f32) -> Bounds {
-        self.child.bounds(level / self.by.get()).scaled(self.by.get())
+    fn bounds(&self, isolevel: f32) -> Bounds {
+        self.child.bounds(isolevel / self.by.get()).scaled(self.by.get())
     }
 }

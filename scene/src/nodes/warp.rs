@@ -3,10 +3,10 @@
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use super::meaning::NOISE_COST;
-use super::relief::STEEPEST;
+use super::displacement_bounds::MAX_LIPSCHITZ;
+use super::sdf::NOISE_COST;
 use super::transforms::around_child;
-use super::{Child, Exactness, Node, Sample, Sdf};
+use super::{Child, Exactness, Node, Sdf, SdfValue};
 use crate::bounds::Bounds;
 use crate::noise::Noise;
 use crate::real::{Real, Vec3};
@@ -32,37 +32,38 @@ pub struct Warp {
 impl Sdf for Warp {
     const EXAMPLE: &str = r#"{ "noise": { "perlin": { "scale": 2 } }, "amplitude": 0.25,
         "child": { "box": { "size": [1.2, 1.2, 1.2] } } }"#;
-    const MORE: &[&str] = &[r#"{ "noise": { "value": { "scale": 1.5, "octaves": 2, "seed": 3 } }, "amplitude": 0.2,
+    const MORE_EXAMPLES: &[&str] =
+        &[r#"{ "noise": { "value": { "scale": 1.5, "octaves": 2, "seed": 3 } }, "amplitude": 0.2,
         "child": { "torus": { "radius": 0.8, "tube": 0.25 } } }"#];
 
     #[inline(always)]
-    fn sample<R: Real, V: Sample<R>>(&self, p: Vec3<R>) -> V {
+    fn eval<R: Real, V: SdfValue<R>>(&self, p: Vec3<R>) -> V {
         let (low, high) = self.noise.range();
         let shift = self.noise.vector(p).map(
             #[inline(always)]
             |c| c - (low + high) * 0.5,
         );
-        self.child.sample(shift.mul_add(p.x.given(self.amplitude.get()), p))
+        self.child.sample(shift.mul_add(p.x.uniform(self.amplitude.get()), p))
     }
 
     around_child!();
 
-    fn stretch(&self) -> f32 {
+    fn lipschitz(&self) -> f32 {
         let shift = self.amplitude.get().abs() * Real::sqrt(3.0_f32) * self.noise.lipschitz();
-        (self.child.stretch() * (1.0 + shift)).min(STEEPEST)
+        (self.child.stretch() * (1.0 + shift)).min(MAX_LIPSCHITZ)
     }
 
     fn exactness(&self) -> Exactness {
-        self.child.exactness().at_best_bound()
+        self.child.exactness().capped_at_bound()
     }
 
     fn is_fine(&self) -> bool {
         true
     }
 
-    fn bounds(&self, level: f32) -> Bounds {
+    fn bounds(&self, isolevel: f32) -> Bounds {
         let (low, high) = self.noise.range();
-        self.child.bounds(level).widened(self.amplitude.get().abs() * (high - low) * 0.5)
+        self.child.bounds(isolevel).expanded(self.amplitude.get().abs() * (high - low) * 0.5)
     }
 
     fn formula_cost(&self) -> f32 {

@@ -5,7 +5,7 @@
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use super::lattice::{Index, cell};
+use super::lattice::{LatticeHash, cell};
 use crate::real::{Real, Vec3, vec3};
 use crate::seek::Seek;
 
@@ -23,18 +23,18 @@ pub enum Feature {
 /// Squared distances to the nearest and the second point, each at most 1. Any point nearer than 1 is in the
 /// cell or one of the 26 around it, so there is no step at the edge of the search.
 #[inline(always)]
-fn nearest_two<R: Real>(p: Vec3<R>, seed: R) -> (R, R) {
-    p.x.shared(
+fn f1_f2_squared<R: Real>(p: Vec3<R>, seed: R) -> (R, R) {
+    p.x.call(
         "cellular",
         (p, seed),
         #[inline(always)]
         |(p, seed)| {
             let (corner, fraction) = cell(p);
-            let (mut first, mut second) = (seed.splat(1.0), seed.splat(1.0));
+            let (mut first, mut second) = (seed.constant(1.0), seed.constant(1.0));
             for place in 0..27_u8 {
                 let step = [place % 3, place / 3 % 3, place / 9].map(|n| f32::from(n) - 1.0);
-                let step = vec3(seed.splat(step[0]), seed.splat(step[1]), seed.splat(step[2]));
-                let word = Index::new(corner + step, seed).stirred_word();
+                let step = vec3(seed.constant(step[0]), seed.constant(step[1]), seed.constant(step[2]));
+                let word = LatticeHash::new(corner + step, seed).mixed_hash();
                 let point = vec3(
                     R::from_bits((word >> 9) | 0x3f80_0000),
                     R::from_bits(((word << 1) & 0x007f_ffff) | 0x3f80_0000),
@@ -54,7 +54,7 @@ fn nearest_two<R: Real>(p: Vec3<R>, seed: R) -> (R, R) {
 /// Cellular noise, 0 to 1.
 #[inline(always)]
 pub(super) fn cellular<R: Real>(p: Vec3<R>, seed: R, feature: Feature) -> R {
-    let (first, second) = nearest_two(p, seed);
+    let (first, second) = f1_f2_squared(p, seed);
     match feature {
         Feature::F1 => first.sqrt(),
         Feature::F2MinusF1 => second.sqrt() - first.sqrt(),

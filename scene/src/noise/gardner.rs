@@ -12,43 +12,43 @@
 
 use std::f32::consts::{FRAC_PI_2, PI, TAU};
 
-use super::lattice::one_to_two;
+use super::lattice::float_in_1_2;
 use crate::real::{Real, Vec3, vec3};
 
 /// Fewest and most waves in a sum.
-pub(super) const FEWEST_WAVES: u32 = 3;
-pub(super) const MOST_WAVES: u32 = 8;
+pub(super) const MIN_WAVES: u32 = 3;
+pub(super) const MAX_WAVES: u32 = 8;
 
 /// Weight of a wave relative to the previous one.
-const FADING: f32 = 0.707;
+const WAVE_GAIN: f32 = 0.707;
 
 /// Sine and cosine of an angle.
-type Turn<R> = (R, R);
+type SinCos<R> = (R, R);
 
 /// Sine and cosine of an angle in whole turns.
 #[inline(always)]
-fn turned<R: Real>(turns: R) -> Turn<R> {
+fn sin_cos_of_turns<R: Real>(turns: R) -> SinCos<R> {
     ((turns - (turns + 0.5).floor()) * TAU).sin_cos()
 }
 
 /// Sine and cosine of twice the angle.
 #[inline(always)]
-fn twice<R: Real>((sine, cosine): Turn<R>) -> Turn<R> {
+fn double_angle<R: Real>((sine, cosine): SinCos<R>) -> SinCos<R> {
     let product = sine * cosine;
     (product + product, cosine.mul_add(cosine, -(sine * sine)))
 }
 
 /// The sine of the wave's own angle plus its phase: π/2·`across` + π·`along`.
 #[inline(always)]
-fn wave<R: Real>(own: Turn<R>, across: R, along: R) -> R {
-    let phase = across.mul_add(across.splat(FRAC_PI_2), along * PI);
+fn wave<R: Real>(own: SinCos<R>, across: R, along: R) -> R {
+    let phase = across.mul_add(across.constant(FRAC_PI_2), along * PI);
     let (sine, cosine) = phase.sin_cos();
     own.0.mul_add(cosine, own.1 * sine)
 }
 
 /// The weights of the waves, together 1.
 fn weights(waves: u32) -> impl Iterator<Item = f32> {
-    let weights = (0..waves).scan(1.0_f32, |next, _| Some(std::mem::replace(next, *next * FADING)));
+    let weights = (0..waves).scan(1.0_f32, |next, _| Some(std::mem::replace(next, *next * WAVE_GAIN)));
     let sum: f32 = weights.clone().sum();
     weights.map(move |weight| weight / sum)
 }
@@ -57,23 +57,24 @@ fn weights(waves: u32) -> impl Iterator<Item = f32> {
 #[inline(always)]
 pub(super) fn gardner<R: Real>(p: Vec3<R>, seed: R, waves: u32) -> R {
     let word = seed.to_bits() * 0x9e37_79b1;
-    let phases = vec3(one_to_two(word), one_to_two(word << 7), one_to_two(word << 14));
+    let phases = vec3(float_in_1_2(word), float_in_1_2(word << 7), float_in_1_2(word << 14));
     // All waves together repeat after four units of x and y and two of z.
-    let p = phases.mul_add(p.x.splat(4.0), p);
-    let (mut x_low, mut y_low, mut z) = (turned(p.x * 0.25), turned(p.y * 0.25), turned(p.z * 0.5));
-    let (mut x_middle, mut y_middle) = (twice(x_low), twice(y_low));
-    let (mut x_sum, mut y_sum) = (seed.splat(1.0), seed.splat(1.0));
+    let p = phases.mul_add(p.x.constant(4.0), p);
+    let (mut x_low, mut y_low, mut z) =
+        (sin_cos_of_turns(p.x * 0.25), sin_cos_of_turns(p.y * 0.25), sin_cos_of_turns(p.z * 0.5));
+    let (mut x_middle, mut y_middle) = (double_angle(x_low), double_angle(y_low));
+    let (mut x_sum, mut y_sum) = (seed.constant(1.0), seed.constant(1.0));
     for weight in weights(waves) {
-        let (x, y) = (twice(x_middle), twice(y_middle));
-        let (across_x, across_y) = p.x.shared(
+        let (x, y) = (double_angle(x_middle), double_angle(y_middle));
+        let (across_x, across_y) = p.x.call(
             "gardner_wave",
             ((x, y_low.0), (y, x_low.0), z.0),
             #[inline(always)]
             |((x, y_low), (y, x_low), z)| (wave(x, y_low, z), wave(y, x_low, z)),
         );
-        x_sum = across_x.mul_add(seed.splat(weight), x_sum);
-        y_sum = across_y.mul_add(seed.splat(weight), y_sum);
-        (x_low, x_middle, y_low, y_middle, z) = (x_middle, x, y_middle, y, twice(z));
+        x_sum = across_x.mul_add(seed.constant(weight), x_sum);
+        y_sum = across_y.mul_add(seed.constant(weight), y_sum);
+        (x_low, x_middle, y_low, y_middle, z) = (x_middle, x, y_middle, y, double_angle(z));
     }
     x_sum * y_sum * 0.25
 }
@@ -84,11 +85,11 @@ pub(super) fn gardner<R: Real>(p: Vec3<R>, seed: R, waves: u32) -> R {
 /// T = X·X′/4, and the parts of 4·∇T along the axes are at most X′·Y + π/8·X·Y′, π/8·X′·Y + X·Y′ and π/2·(X′·Y + X·Y′).
 /// The length of that is convex in (X, Y) as in (X′, Y′), so it is greatest where both are extreme points of
 /// what Σ wᵢ·sin θᵢ, Σ wᵢ·fᵢ·cos θᵢ can be together: a curve. A test goes along it for both.
-const LIPSCHITZ: [f32; (MOST_WAVES - FEWEST_WAVES + 1) as usize] = [15.72, 22.87, 33.39, 48.81, 71.34, 104.13];
+const LIPSCHITZ: [f32; (MAX_WAVES - MIN_WAVES + 1) as usize] = [15.72, 22.87, 33.39, 48.81, 71.34, 104.13];
 
 /// Lipschitz factor, per unit.
 pub(super) fn lipschitz(waves: u32) -> f32 {
-    LIPSCHITZ[(waves - FEWEST_WAVES) as usize]
+    LIPSCHITZ[(waves - MIN_WAVES) as usize]
 }
 
 #[cfg(test)]
@@ -109,7 +110,7 @@ mod tests {
 
     #[test]
     fn no_two_sums_are_steeper_together_than_the_factor_says() {
-        for waves in FEWEST_WAVES..=MOST_WAVES {
+        for waves in MIN_WAVES..=MAX_WAVES {
             let curve: Vec<_> = (0..400)
                 .scan(1e-5_f32, |slope, _| Some(std::mem::replace(slope, *slope * 1.05)))
                 .map(|slope| extreme(waves, slope))

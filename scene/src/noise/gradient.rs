@@ -1,7 +1,7 @@
 //! Perlin's noise, value noise and simplex noise: something random at the points of a lattice,
 //! smoothly mixed in between.
 
-use super::lattice::{Index, along_gradient, between_corners, cell, corner_words, from_corners, one_to_two};
+use super::lattice::{LatticeHash, cell, corner_hashes, corner_offsets, float_in_1_2, gradient_dot, trilinear};
 use crate::real::{Real, Vec3, vec3};
 
 // Each corner's gradient or value is drawn alone, so the steepest slope along a direction u at a point is the
@@ -19,19 +19,19 @@ pub(super) const SIMPLEX_LIPSCHITZ: f32 = 0.090_621 * SIMPLEX_SCALE;
 /// gradients at the corners of unit cubes, mixed by a quintic.
 #[inline(always)]
 pub(super) fn perlin<R: Real>(p: Vec3<R>, seed: R) -> R {
-    p.x.shared(
+    p.x.call(
         "perlin",
         (p, seed),
         #[inline(always)]
         |(p, seed)| {
             let (corner, fraction) = cell(p);
-            let words = corner_words(Index::pair(corner, seed));
-            let away = from_corners(fraction);
+            let words = corner_hashes(LatticeHash::pair(corner, seed));
+            let away = corner_offsets(fraction);
             let mut corners = [seed; 8];
             for n in 0..8 {
-                corners[n] = along_gradient(away[n], words[n]);
+                corners[n] = gradient_dot(away[n], words[n]);
             }
-            between_corners(corners, fraction)
+            trilinear(corners, fraction)
         },
     )
 }
@@ -39,24 +39,24 @@ pub(super) fn perlin<R: Real>(p: Vec3<R>, seed: R) -> R {
 /// Random values at the corners of unit cubes, −1 to 1, interpolated by the same quintic.
 #[inline(always)]
 pub(super) fn value<R: Real>(p: Vec3<R>, seed: R) -> R {
-    p.x.shared(
+    p.x.call(
         "value_noise",
         (p, seed),
         #[inline(always)]
         |(p, seed)| {
             let (corner, fraction) = cell(p);
-            let words = corner_words(Index::pair(corner, seed));
+            let words = corner_hashes(LatticeHash::pair(corner, seed));
             let mut corners = [seed; 8];
             for n in 0..8 {
-                corners[n] = one_to_two(words[n]);
+                corners[n] = float_in_1_2(words[n]);
             }
-            between_corners(corners, fraction).mul_add(seed.splat(2.0), seed.splat(-3.0))
+            trilinear(corners, fraction).mul_add(seed.constant(2.0), seed.constant(-3.0))
         },
     )
 }
 
 /// Twice this is the furthest cell of the lattice.
-const FARTHEST: f32 = 2_097_151.0;
+const MAX_CELL: f32 = 2_097_151.0;
 /// One over the maximum of the sum of a simplex's four corners, which is 0.013007157.
 const SIMPLEX_SCALE: f32 = 76.88;
 
@@ -66,16 +66,16 @@ const SIMPLEX_SCALE: f32 = 76.88;
 /// is continuous.
 #[inline(always)]
 pub(super) fn simplex<R: Real>(p: Vec3<R>, seed: R) -> R {
-    p.x.shared(
+    p.x.call(
         "simplex",
         (p, seed),
         #[inline(always)]
         |(p, seed)| {
-            let (one, none) = (seed.splat(1.0), seed.splat(0.0));
+            let (one, none) = (seed.constant(1.0), seed.constant(0.0));
             // Skewed, the lattice is one of cubes, each cut into six simplices by the order of the coordinates.
             let p = p.map(
                 #[inline(always)]
-                |c| c.at_least(-FARTHEST).at_most(FARTHEST),
+                |c| c.at_least(-MAX_CELL).at_most(MAX_CELL),
             );
             let skew = (p.x + p.y + p.z) * (1.0 / 3.0);
             let (corner, f) = cell(vec3(p.x + skew, p.y + skew, p.z + skew));
@@ -95,10 +95,10 @@ pub(super) fn simplex<R: Real>(p: Vec3<R>, seed: R) -> R {
                 let skewed = f - step;
                 let unskew = (skewed.x + skewed.y + skewed.z) * (-1.0 / 6.0);
                 let away = vec3(skewed.x + unskew, skewed.y + unskew, skewed.z + unskew);
-                let near = (seed.splat(0.5) - away.length_squared()).at_least(0.0);
+                let near = (seed.constant(0.5) - away.length_squared()).at_least(0.0);
                 let kernel = near.square().square();
-                let word = Index::new(corner + step, seed).word();
-                sum = kernel.mul_add(along_gradient(away, word), sum);
+                let word = LatticeHash::new(corner + step, seed).hash();
+                sum = kernel.mul_add(gradient_dot(away, word), sum);
             }
             sum * SIMPLEX_SCALE
         },
@@ -117,9 +117,9 @@ mod tests {
     }
 
     /// A corner's or a simplex point's weight, that weight's gradient, and the way from there.
-    type Part = (f32, Vec3<f32>, Vec3<f32>);
+    type LatticePart = (f32, Vec3<f32>, Vec3<f32>);
 
-    fn cube_parts(p: Vec3<f32>) -> Vec<Part> {
+    fn cube_parts(p: Vec3<f32>) -> Vec<LatticePart> {
         let fade = |t: f32| t * t * t * (t * (t * 6.0 - 15.0) + 10.0);
         let slope = |t: f32| 30.0 * t * t * (t - 1.0) * (t - 1.0);
         let along =
@@ -134,7 +134,7 @@ mod tests {
     }
 
     /// For skewed coordinates in falling order; the other simplices are this one with the axes swapped.
-    fn simplex_parts(p: Vec3<f32>) -> Vec<Part> {
+    fn simplex_parts(p: Vec3<f32>) -> Vec<LatticePart> {
         let mut f = [p.x, p.y, p.z];
         f.sort_by(|a, b| b.total_cmp(a));
         (0..4)
@@ -150,7 +150,7 @@ mod tests {
     }
 
     /// The greatest value and slope that can be drawn, by a search from many places.
-    fn search(parts: fn(Vec3<f32>) -> Vec<Part>, score: impl Fn(&[Part], Vec3<f32>) -> f32) -> f32 {
+    fn search(parts: fn(Vec3<f32>) -> Vec<LatticePart>, score: impl Fn(&[LatticePart], Vec3<f32>) -> f32) -> f32 {
         let mut state = 1_u32;
         let mut random = || {
             state = state.wrapping_mul(747_796_405).wrapping_add(2_891_336_453);
@@ -175,15 +175,15 @@ mod tests {
         greatest
     }
 
-    fn value(parts: &[Part], _: Vec3<f32>) -> f32 {
+    fn value(parts: &[LatticePart], _: Vec3<f32>) -> f32 {
         parts.iter().map(|&(weight, _, away)| weight * most(away)).sum()
     }
 
-    fn slope(parts: &[Part], u: Vec3<f32>) -> f32 {
+    fn slope(parts: &[LatticePart], u: Vec3<f32>) -> f32 {
         parts.iter().map(|&(weight, change, away)| most(u * weight + away * u.dot(change))).sum()
     }
 
-    fn slope_of_values(parts: &[Part], u: Vec3<f32>) -> f32 {
+    fn slope_of_values(parts: &[LatticePart], u: Vec3<f32>) -> f32 {
         parts.iter().map(|&(_, change, _)| u.dot(change).abs()).sum()
     }
 

@@ -4,12 +4,12 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Deserializer, Serialize};
 
 use super::cellular::{Feature, cellular};
-use super::gardner::{FEWEST_WAVES, MOST_WAVES, gardner};
-use super::layers::{Fractal, Layers, MAX_OCTAVES};
+use super::gardner::{MAX_WAVES, MIN_WAVES, gardner};
+use super::octaves::{Fractal, FractalSum, MAX_OCTAVES};
 use super::{Basis, gradient};
 use crate::real::{Real, Vec3};
 use crate::seek::Seek;
-use crate::values::{Amount, Factor, Gain, Lacunarity, whole};
+use crate::values::{Gain, Lacunarity, LengthOrZero, ScaleFactor, integer_in_range};
 
 /// Defines the struct of each kind, with the common and its own parameters, and the enum of all kinds.
 macro_rules! noises {
@@ -23,35 +23,35 @@ macro_rules! noises {
             pub struct $Kind {
                 $($(#[$about])* pub $field: $Type,)*
                 /// Number of cells or waves per scene unit.
-                #[serde(default = "one")]
-                pub scale: Factor,
+                #[serde(default = "default_scale")]
+                pub scale: ScaleFactor,
                 /// Which of the noises of this kind it is.
                 #[serde(default, deserialize_with = "seed")]
                 pub seed: u32,
                 /// Number of summed octaves, each finer than the previous one.
-                #[serde(default = "one_octave", deserialize_with = "octaves")]
+                #[serde(default = "default_octaves", deserialize_with = "octaves")]
                 #[schemars(range(min = 1, max = MAX_OCTAVES))]
                 pub octaves: u32,
                 /// Ratio of the frequencies of successive octaves.
-                #[serde(default = "double")]
+                #[serde(default = "default_lacunarity")]
                 pub lacunarity: Lacunarity,
                 /// Ratio of the weights of successive octaves.
-                #[serde(default = "half")]
+                #[serde(default = "default_gain")]
                 pub gain: Gain,
                 /// Contribution of each octave to the sum.
                 #[serde(default)]
                 pub fractal: Fractal,
                 /// Distance by which the noise is shifted by another one of its kind, in its
                 /// own cells or waves.
-                #[serde(default = "nothing")]
-                pub warp: Amount,
+                #[serde(default = "default_warp")]
+                pub warp: LengthOrZero,
             }
 
             impl $Kind {
                 /// Combination of its octaves.
                 #[inline(always)]
-                pub(super) fn layers(&self) -> Layers<'_> {
-                    Layers {
+                pub(super) fn layers(&self) -> FractalSum<'_> {
+                    FractalSum {
                         scale: self.scale.get(),
                         seed: self.seed,
                         octaves: self.octaves,
@@ -88,7 +88,7 @@ macro_rules! noises {
 
             /// Another noise for each salt.
             #[inline(always)]
-            pub(super) fn salted<R: Real>(&self, p: Vec3<R>, salt: u32) -> R {
+            pub(super) fn with_salt<R: Real>(&self, p: Vec3<R>, salt: u32) -> R {
                 p.x.vectorize(
                     #[inline(always)]
                     || match self {
@@ -120,8 +120,8 @@ noises! {
     /// Gardner's noise: a product of two sums of sine waves that bend each other; clouds and trees of 1985.
     Gardner {
         /// Number of waves in each sum.
-        #[serde(default = "five_waves", deserialize_with = "waves")]
-        #[schemars(range(min = FEWEST_WAVES, max = MOST_WAVES))]
+        #[serde(default = "default_waves", deserialize_with = "waves")]
+        #[schemars(range(min = MIN_WAVES, max = MAX_WAVES))]
         waves: u32,
     }
 }
@@ -195,38 +195,38 @@ impl Basis for Gardner {
     }
 }
 
-fn one() -> Factor {
-    Factor::new(1.0).expect("1 is in range")
+fn default_scale() -> ScaleFactor {
+    ScaleFactor::new(1.0).expect("1 is in range")
 }
 
-fn double() -> Lacunarity {
+fn default_lacunarity() -> Lacunarity {
     Lacunarity::new(2.0).expect("2 is in range")
 }
 
-fn half() -> Gain {
+fn default_gain() -> Gain {
     Gain::new(0.5).expect("0.5 is in range")
 }
 
-fn nothing() -> Amount {
-    Amount::new(0.0).expect("0 is in range")
+fn default_warp() -> LengthOrZero {
+    LengthOrZero::new(0.0).expect("0 is in range")
 }
 
-fn one_octave() -> u32 {
+fn default_octaves() -> u32 {
     1
 }
 
-fn five_waves() -> u32 {
+fn default_waves() -> u32 {
     5
 }
 
 fn seed<'de, D: Deserializer<'de>>(deserializer: D) -> Result<u32, D::Error> {
-    whole(deserializer, 0, u32::MAX, "as a seed")
+    integer_in_range(deserializer, 0, u32::MAX, "as a seed")
 }
 
 fn octaves<'de, D: Deserializer<'de>>(deserializer: D) -> Result<u32, D::Error> {
-    whole(deserializer, 1, MAX_OCTAVES, "octaves")
+    integer_in_range(deserializer, 1, MAX_OCTAVES, "octaves")
 }
 
 fn waves<'de, D: Deserializer<'de>>(deserializer: D) -> Result<u32, D::Error> {
-    whole(deserializer, FEWEST_WAVES, MOST_WAVES, "waves")
+    integer_in_range(deserializer, MIN_WAVES, MAX_WAVES, "waves")
 }

@@ -7,9 +7,9 @@
 use crate::real::{Real, Vec3, vec3};
 
 /// All cells farther out than this are the same along an axis: an `f32` has hardly any fraction left there.
-const FARTHEST_CELL: f32 = 4_194_303.0;
+const MAX_CELL: f32 = 4_194_303.0;
 /// Puts a whole number of up to ±2²² into the low bits of an `f32`.
-const TO_WHOLE: f32 = 12_582_912.0;
+const INTEGER_BIAS: f32 = 12_582_912.0;
 
 /// The odd constants of x, y and z.
 const X_STEP: u32 = 0x8da6_b343;
@@ -18,7 +18,7 @@ const Z_STEP: u32 = 0xcb1a_b31f;
 
 /// The index along each axis of a point's cell, or of a corner, as it enters the hash.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Index<R: Real> {
+pub(super) struct LatticeHash<R: Real> {
     x: R::Bits,
     y: R::Bits,
     z: R::Bits,
@@ -29,20 +29,20 @@ pub(super) struct Index<R: Real> {
 pub(super) fn cell<R: Real>(p: Vec3<R>) -> (Vec3<R>, Vec3<R>) {
     let p = p.map(
         #[inline(always)]
-        |c| c.at_least(-FARTHEST_CELL).at_most(FARTHEST_CELL),
+        |c| c.at_least(-MAX_CELL).at_most(MAX_CELL),
     );
     let corner = vec3(p.x.floor(), p.y.floor(), p.z.floor());
     (corner, p - corner)
 }
 
-impl<R: Real> Index<R> {
-    /// Hash of the corner at integers up to ±2²², with `seed` from [`start`].
+impl<R: Real> LatticeHash<R> {
+    /// Hash of the corner at integers up to ±2²², with `seed` from [`octave_seed`].
     #[inline(always)]
     pub(super) fn new(corner: Vec3<R>, seed: R) -> Self {
         Self {
-            x: ((corner.x + TO_WHOLE).to_bits() * X_STEP) ^ seed.to_bits(),
-            y: (corner.y + TO_WHOLE).to_bits() * Y_STEP,
-            z: (corner.z + TO_WHOLE).to_bits() * Z_STEP,
+            x: ((corner.x + INTEGER_BIAS).to_bits() * X_STEP) ^ seed.to_bits(),
+            y: (corner.y + INTEGER_BIAS).to_bits() * Y_STEP,
+            z: (corner.z + INTEGER_BIAS).to_bits() * Z_STEP,
         }
     }
 
@@ -50,15 +50,15 @@ impl<R: Real> Index<R> {
     #[inline(always)]
     pub(super) fn pair(corner: Vec3<R>, seed: R) -> [Self; 2] {
         let seed = seed.to_bits();
-        let x = (corner.x + TO_WHOLE).to_bits() * X_STEP;
-        let y = (corner.y + TO_WHOLE).to_bits() * Y_STEP;
-        let z = (corner.z + TO_WHOLE).to_bits() * Z_STEP;
+        let x = (corner.x + INTEGER_BIAS).to_bits() * X_STEP;
+        let y = (corner.y + INTEGER_BIAS).to_bits() * Y_STEP;
+        let z = (corner.z + INTEGER_BIAS).to_bits() * Z_STEP;
         [Self { x: x ^ seed, y, z }, Self { x: (x + X_STEP) ^ seed, y: y + Y_STEP, z: z + Z_STEP }]
     }
 
     /// A random word: its upper bits are the best.
     #[inline(always)]
-    pub(super) fn word(self) -> R::Bits {
+    pub(super) fn hash(self) -> R::Bits {
         Self::word_of(self.x, self.y, self.z)
     }
 
@@ -71,7 +71,7 @@ impl<R: Real> Index<R> {
     /// A random word whose bits are all as good (Chris Wellons, "Prospecting for hash functions",
     /// <https://nullprogram.com/blog/2018/07/31/>).
     #[inline(always)]
-    pub(super) fn stirred_word(self) -> R::Bits {
+    pub(super) fn mixed_hash(self) -> R::Bits {
         let word = self.x ^ self.y ^ self.z;
         let word = (word ^ (word >> 16)) * 0x7feb_352d;
         let word = (word ^ (word >> 15)) * 0x846c_a68b;
@@ -81,8 +81,8 @@ impl<R: Real> Index<R> {
 
 /// Hashes of a cell's eight corners; x changes fastest.
 #[inline(always)]
-pub(super) fn corner_words<R: Real>([low, high]: [Index<R>; 2]) -> [R::Bits; 8] {
-    let word = Index::<R>::word_of;
+pub(super) fn corner_hashes<R: Real>([low, high]: [LatticeHash<R>; 2]) -> [R::Bits; 8] {
+    let word = LatticeHash::<R>::word_of;
     [
         word(low.x, low.y, low.z),
         word(high.x, low.y, low.z),
@@ -98,7 +98,7 @@ pub(super) fn corner_words<R: Real>([low, high]: [Index<R>; 2]) -> [R::Bits; 8] 
 /// Seed of an octave as a number with random bits that is finite, normal and not 0; and the octave's offset
 /// within its cells, so that the corners of several octaves do not coincide.
 #[inline(always)]
-pub(super) fn start(seed: u32, salt: u32) -> (f32, Vec3<f32>) {
+pub(super) fn octave_seed(seed: u32, salt: u32) -> (f32, Vec3<f32>) {
     let word = crate::sampling::frame_key(seed, salt);
     let places = word.wrapping_mul(0x9e37_79b9);
     let part = |low: u32| (places >> low & 0x3ff) as f32 / 1024.0;
@@ -107,11 +107,11 @@ pub(super) fn start(seed: u32, salt: u32) -> (f32, Vec3<f32>) {
 
 /// A number from 1 to 2, without 2, from the upper 23 bits of a word.
 #[inline(always)]
-pub(super) fn one_to_two<R: Real>(word: R::Bits) -> R {
+pub(super) fn float_in_1_2<R: Real>(word: R::Bits) -> R {
     R::from_bits((word >> 9) | 0x3f80_0000)
 }
 
-/// `number`, negated if the sign bit of `word` is set.
+/// `number`, negated if the sign bit of `hash` is set.
 #[inline(always)]
 pub(super) fn with_sign<R: Real>(number: R, word: R::Bits) -> R {
     R::from_bits(number.to_bits() ^ (word & 0x8000_0000))
@@ -120,7 +120,7 @@ pub(super) fn with_sign<R: Real>(number: R, word: R::Bits) -> R {
 /// The product of `v` with one of the twelve directions to the middles of a cube's edges, (±1, ±1, 0)
 /// and so on, which a random word chooses: Ken Perlin's gradients.
 #[inline(always)]
-pub(super) fn along_gradient<R: Real>(v: Vec3<R>, word: R::Bits) -> R {
+pub(super) fn gradient_dot<R: Real>(v: Vec3<R>, word: R::Bits) -> R {
     let third = R::from_bits(((word >> 7) & 0x007f_ffff) | 0x3f80_0000);
     let first = R::select(third.below(5.0 / 3.0), v.x, v.y);
     let second = R::select(third.below(4.0 / 3.0), v.y, v.z);
@@ -130,7 +130,7 @@ pub(super) fn along_gradient<R: Real>(v: Vec3<R>, word: R::Bits) -> R {
 /// t³(6t² − 15t + 10): from 0 to 1 with no slope and no curvature at either end (Perlin 2002).
 #[inline(always)]
 fn fade<R: Real>(t: R) -> R {
-    let curve = t.mul_add(t.mul_add(t.splat(6.0), t.splat(-15.0)), t.splat(10.0));
+    let curve = t.mul_add(t.mul_add(t.constant(6.0), t.constant(-15.0)), t.constant(10.0));
     t * t * t * curve
 }
 
@@ -141,7 +141,7 @@ fn mix<R: Real>(a: R, b: R, t: R) -> R {
 
 /// The values of a cell's corners, x changing fastest, mixed by how near `fraction` is to each.
 #[inline(always)]
-pub(super) fn between_corners<R: Real>(corners: [R; 8], fraction: Vec3<R>) -> R {
+pub(super) fn trilinear<R: Real>(corners: [R; 8], fraction: Vec3<R>) -> R {
     let Vec3 { x, y, z } = fraction.map(
         #[inline(always)]
         |t| fade(t),
@@ -154,7 +154,7 @@ pub(super) fn between_corners<R: Real>(corners: [R; 8], fraction: Vec3<R>) -> R 
 
 /// The vectors from a cell's eight corners to the point at `fraction`.
 #[inline(always)]
-pub(super) fn from_corners<R: Real>(low: Vec3<R>) -> [Vec3<R>; 8] {
+pub(super) fn corner_offsets<R: Real>(low: Vec3<R>) -> [Vec3<R>; 8] {
     let high = low.map(
         #[inline(always)]
         |c| c - 1.0,

@@ -14,16 +14,16 @@ use serde::Serialize;
 use serde::de::DeserializeOwned;
 
 use super::depends::is_sure;
-use super::form::{self, FormFault, FormFaultKind};
+use super::form::{self, FormError, FormErrorKind};
 use super::stand_ins;
-use super::tree::{self, Misfit, Value};
-use super::{MAX_FAULTS, too_deep, twice};
+use super::tree::{self, TreeError, Value};
+use super::{MAX_ERRORS, too_deep, twice};
 use crate::document::JobDocument;
-use crate::fault::{Fault, Lines};
+use crate::error::{LineIndex, ValidationError};
+use crate::json_scan::unescape;
 use crate::lights::Light;
 use crate::materials::Material;
 use crate::nodes::Node;
-use crate::outline::unescape;
 use crate::scene::Object;
 
 /// Bytes that are read again to look for more faults, of all parts together.
@@ -33,7 +33,7 @@ const MIN_READ_BYTES: usize = 256;
 
 /// A part of a job that is read by itself.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Part {
+enum DocumentPart {
     /// The job, without its objects, materials and lights.
     Job,
     /// An object, without its shape.
@@ -44,10 +44,10 @@ enum Part {
     Light,
 }
 
-impl Part {
+impl DocumentPart {
     /// The first fault of a text that should be such a part.
-    fn read(self, text: &str) -> Result<(), FormFault> {
-        fn read<T: DeserializeOwned + Serialize>(text: &str) -> Result<(), FormFault> {
+    fn read(self, text: &str) -> Result<(), FormError> {
+        fn read<T: DeserializeOwned + Serialize>(text: &str) -> Result<(), FormError> {
             form::read_strictly::<T>(text).map(drop)
         }
         match self {
@@ -124,7 +124,7 @@ impl Part {
 }
 
 /// A fault, and where it is.
-struct Found {
+struct CollectedErrors {
     pointer: String,
     offset: usize,
     message: String,
@@ -136,7 +136,7 @@ struct Found {
 struct Collector<'a> {
     text: &'a str,
     root: Value,
-    found: Vec<Found>,
+    found: Vec<CollectedErrors>,
     /// Pointers and messages of what is not told again.
     told: HashSet<(String, String)>,
     /// Pointers, as they are read, of what something stands in for.
@@ -148,10 +148,10 @@ struct Collector<'a> {
 /// All faults of a text that is sound JSON, in the order of their places; none if it is a sound job.
 ///
 /// `meaning` gives pointer and message of what is wrong with a text that is sound in form.
-pub(super) fn all(text: &str, meaning: impl Fn(&str) -> Vec<(String, String)>) -> Vec<Fault> {
-    let mut collector = Collector::of(text);
-    collector.part(Part::Job, &[]);
-    if collector.goes_on() {
+pub(super) fn all(text: &str, meaning: impl Fn(&str) -> Vec<(String, String)>) -> Vec<ValidationError> {
+    let mut collector = Collector::new(text);
+    collector.part(DocumentPart::Job, &[]);
+    if collector.can_continue() {
         collector.meaning(meaning);
     }
     collector.faults()
@@ -159,49 +159,49 @@ pub(super) fn all(text: &str, meaning: impl Fn(&str) -> Vec<(String, String)>) -
 
 /// All faults of form, and the bytes that were read to find them.
 #[cfg(test)]
-pub(super) fn counted(text: &str) -> (Vec<Fault>, usize) {
-    let mut collector = Collector::of(text);
-    collector.part(Part::Job, &[]);
+pub(super) fn counted(text: &str) -> (Vec<ValidationError>, usize) {
+    let mut collector = Collector::new(text);
+    collector.part(DocumentPart::Job, &[]);
     let read = collector.bytes_read;
     (collector.faults(), read)
 }
 
 impl<'a> Collector<'a> {
-    fn of(text: &'a str) -> Self {
-        let (root, misfits) = tree::read(text, MAX_FAULTS);
+    fn new(text: &'a str) -> Self {
+        let (root, misfits) = tree::read(text, MAX_ERRORS);
         let (found, told, repaired) = (Vec::new(), HashSet::new(), Vec::new());
         let mut collector = Self { text, root, found, told, repaired, bytes_read: 0 };
         collector.outline(misfits);
         collector
     }
 
-    fn goes_on(&self) -> bool {
-        self.found.len() < MAX_FAULTS && self.bytes_read < MAX_READ_BYTES.saturating_add(self.text.len())
+    fn can_continue(&self) -> bool {
+        self.found.len() < MAX_ERRORS && self.bytes_read < MAX_READ_BYTES.saturating_add(self.text.len())
     }
 
-    fn outline(&mut self, misfits: Vec<Misfit>) {
+    fn outline(&mut self, misfits: Vec<TreeError>) {
         for misfit in misfits {
             let (path, offset, message) = match misfit {
-                Misfit::DoubledKey { path, start } => {
+                TreeError::DuplicateMember { path, start } => {
                     let key = self.root.member_at(&path).map(|member| member.key.clone()).unwrap_or_default();
                     (path, start, twice(&key))
                 }
-                Misfit::TooDeep { path, start } => (path, start, too_deep()),
+                TreeError::TooDeep { path, start } => (path, start, too_deep()),
             };
             let pointer = self.root.pointer(&path, false);
-            self.found.push(Found { pointer, offset, message, is_left_out: false });
+            self.found.push(CollectedErrors { pointer, offset, message, is_left_out: false });
         }
     }
 
     /// Reads a part and those in it.
-    fn part(&mut self, part: Part, path: &[usize]) {
+    fn part(&mut self, part: DocumentPart, path: &[usize]) {
         let mut known = HashSet::new();
         for (part, path) in self.inside(part, path) {
             self.part(part, &path);
             known.insert(path);
         }
-        for _ in 0..MAX_FAULTS {
-            if !self.goes_on() {
+        for _ in 0..MAX_ERRORS {
+            if !self.can_continue() {
                 return;
             }
             match self.read(part, path) {
@@ -217,14 +217,14 @@ impl<'a> Collector<'a> {
         }
     }
 
-    fn inside(&self, part: Part, path: &[usize]) -> Vec<(Part, Vec<usize>)> {
+    fn inside(&self, part: DocumentPart, path: &[usize]) -> Vec<(DocumentPart, Vec<usize>)> {
         let Some(value) = self.root.at(path) else { return Vec::new() };
         let below = part.inside(value).into_iter();
         below.map(|(part, below)| (part, [path, &below].concat())).collect()
     }
 
     /// The first fault of a part, as it is with its repairs.
-    fn read(&mut self, part: Part, path: &[usize]) -> Result<(), FormFault> {
+    fn read(&mut self, part: DocumentPart, path: &[usize]) -> Result<(), FormError> {
         let Some(value) = self.root.at(path) else { return Ok(()) };
         let mut text = String::new();
         value.write(self.text, &mut text, &mut Vec::new(), &|path, value| part.cut(path, value));
@@ -233,17 +233,17 @@ impl<'a> Collector<'a> {
     }
 
     /// Tells a fault of the form of what `path` leads to, unless it is known.
-    fn tell(&mut self, path: &[usize], fault: &FormFault) {
+    fn tell(&mut self, path: &[usize], fault: &FormError) {
         if !self.told.insert((self.root.pointer(path, true), fault.message.clone())) {
             return;
         }
         let key = self.root.member_at(path).filter(|_| fault.is_key).map(|member| member.start);
         let Some(offset) = key.or_else(|| self.root.at(path).map(|value| value.start)) else { return };
-        self.found.push(Found {
+        self.found.push(CollectedErrors {
             pointer: self.root.pointer(path, false),
             offset,
             message: fault.message.clone(),
-            is_left_out: matches!(fault.kind, FormFaultKind::UnknownKey(_)),
+            is_left_out: matches!(fault.kind, FormErrorKind::UnknownKey(_)),
         });
     }
 
@@ -261,19 +261,19 @@ impl<'a> Collector<'a> {
             let (path, _) = self.root.path_of(&steps(&pointer));
             let Some(value) = self.root.at(&path) else { continue };
             let (pointer, offset) = (self.root.pointer(&path, false), value.start);
-            self.found.push(Found { pointer, offset, message, is_left_out: false });
+            self.found.push(CollectedErrors { pointer, offset, message, is_left_out: false });
         }
     }
 
     /// What was found, in order.
-    fn faults(mut self) -> Vec<Fault> {
+    fn faults(mut self) -> Vec<ValidationError> {
         let left_out: Vec<String> =
             self.found.iter().filter(|found| found.is_left_out).map(|found| format!("{}/", found.pointer)).collect();
         self.found.retain(|found| !left_out.iter().any(|place| found.pointer.starts_with(place)));
         self.found.sort_by_key(|found| found.offset);
-        self.found.truncate(MAX_FAULTS);
-        let lines = Lines::of(self.text);
-        let place = |found: Found| lines.fault(found.offset, found.pointer, found.message);
+        self.found.truncate(MAX_ERRORS);
+        let lines = LineIndex::new(self.text);
+        let place = |found: CollectedErrors| lines.fault(found.offset, found.pointer, found.message);
         self.found.into_iter().map(place).collect()
     }
 }

@@ -1,6 +1,6 @@
 //! What makes a text no JSON, in the words of someone who wrote it by hand: a comment, a comma too many, a missing quote.
 
-use crate::fault::{Fault, Lines};
+use crate::error::{LineIndex, ValidationError};
 
 /// Words that other languages write, and JSON's.
 const WORDS: [(&str, &str); 6] = [
@@ -13,17 +13,17 @@ const WORDS: [(&str, &str); 6] = [
 ];
 
 /// The fault of a text that serde can't read.
-pub(super) fn fault(text: &str, error: &serde_json::Error) -> Fault {
-    let lines = Lines::of(text);
+pub(super) fn fault(text: &str, error: &serde_json::Error) -> ValidationError {
+    let lines = LineIndex::new(text);
     let reached = lines.offset(error.line(), error.column());
     // A later oddity is not what serde stopped at.
     match first_oddity(text).filter(|oddity| oddity.offset <= reached + 1) {
-        Some(Oddity { offset, message }) => lines.fault(offset, String::new(), message),
+        Some(SyntaxOddity { offset, message }) => lines.fault(offset, String::new(), message),
         None => {
             let (line, column) = (error.line() as u32, error.column().max(1) as u32);
-            Fault {
+            ValidationError {
                 pointer: String::new(),
-                message: words(&super::form::without_place(&error.to_string())),
+                message: words(&super::form::strip_position(&error.to_string())),
                 line,
                 column,
             }
@@ -45,7 +45,7 @@ fn words(message: &str) -> String {
 }
 
 /// Something that JSON does not have.
-struct Oddity {
+struct SyntaxOddity {
     offset: usize,
     message: String,
 }
@@ -72,13 +72,13 @@ struct Scanner<'a> {
     open: Vec<usize>,
 }
 
-fn first_oddity(text: &str) -> Option<Oddity> {
+fn first_oddity(text: &str) -> Option<SyntaxOddity> {
     let mut scanner = Scanner { text, bytes: text.as_bytes(), at: 0, before: Token::Start, open: Vec::new() };
     loop {
         scanner.at += scanner.blanks_at(scanner.at);
         let Some(&byte) = scanner.bytes.get(scanner.at) else { return Some(scanner.end()) };
         if let Some(message) = scanner.token(byte) {
-            return Some(Oddity { offset: scanner.at, message });
+            return Some(SyntaxOddity { offset: scanner.at, message });
         }
     }
 }
@@ -187,10 +187,10 @@ impl Scanner<'_> {
     }
 
     /// The text ends before its job does.
-    fn end(&self) -> Oddity {
+    fn end(&self) -> SyntaxOddity {
         let message = match self.open.last() {
             Some(&open) => {
-                let place = Lines::of(&self.text[..open]).fault(open, String::new(), String::new());
+                let place = LineIndex::new(&self.text[..open]).fault(open, String::new(), String::new());
                 let (bracket, close) = if self.bytes[open] == b'{' { ("{", "}") } else { ("[", "]") };
                 format!(
                     "the text ends too early (EOF): the `{bracket}` at {}:{} lacks its `{close}`",
@@ -199,7 +199,7 @@ impl Scanner<'_> {
             }
             None => "the text ends too early (EOF): write a job, which is one JSON object".to_owned(),
         };
-        Oddity { offset: self.text.trim_end().len().saturating_sub(1), message }
+        SyntaxOddity { offset: self.text.trim_end().len().saturating_sub(1), message }
     }
 }
 
@@ -235,7 +235,7 @@ mod tests {
     /// Line, column and message of the fault of a text.
     fn of(text: &str) -> (u32, u32, String) {
         let error = serde_json::from_str::<serde::de::IgnoredAny>(text).expect_err(text);
-        let Fault { line, column, message, .. } = fault(text, &error);
+        let ValidationError { line, column, message, .. } = fault(text, &error);
         (line, column, message)
     }
 

@@ -1,7 +1,7 @@
 //! Every fault is told at its place, in bounded time, and none that is none.
 
 use super::*;
-use crate::fault::Fault;
+use crate::error::ValidationError;
 use crate::materials::Material;
 
 const SEVERAL: &str = include_str!("../../../tests/bad_input/several.txt");
@@ -14,11 +14,11 @@ fn around(objects: &str) -> String {
     )
 }
 
-fn faults(text: &str) -> Vec<Fault> {
+fn faults(text: &str) -> Vec<ValidationError> {
     match parse(text.as_bytes()) {
         Ok(_) => Vec::new(),
-        Err(Refusal::Wrong(faults)) => faults,
-        Err(Refusal::NotJson(fault)) => panic!("{fault}: {text}"),
+        Err(ParseError::Invalid(faults)) => faults,
+        Err(ParseError::NotJson(fault)) => panic!("{fault}: {text}"),
     }
 }
 
@@ -37,7 +37,7 @@ fn unmarked(text: &str) -> (String, Vec<(u32, u32)>) {
 }
 
 #[test]
-fn each_of_several_faults_is_told_once_and_nothing_else_is() {
+fn each_of_several_faults_is_reported_once_and_nothing_else_is() {
     let mut wrong = Vec::new();
     for case in SEVERAL.split("\n## ").skip(1) {
         let (name, rest) = case.split_once('\n').expect("a name");
@@ -53,7 +53,7 @@ fn each_of_several_faults_is_told_once_and_nothing_else_is() {
                 fault.pointer == *pointer && fault.message.contains(words) && (fault.line, fault.column) == *place
             });
         if !is_right {
-            let found: Vec<String> = found.iter().map(Fault::to_string).collect();
+            let found: Vec<String> = found.iter().map(ValidationError::to_string).collect();
             wrong.push(format!("{name}: at {places:?} should be\n{told:#?}\nbut there is\n{}", found.join("\n")));
         }
     }
@@ -62,7 +62,7 @@ fn each_of_several_faults_is_told_once_and_nothing_else_is() {
 }
 
 /// Each place of a value of an example, with the value made wrong, and a fault of its own beside.
-fn broken(value: &serde_json::Value, visit: &mut impl FnMut(&str, &serde_json::Value)) {
+fn syntax_error(value: &serde_json::Value, visit: &mut impl FnMut(&str, &serde_json::Value)) {
     fn places(value: &serde_json::Value, pointer: String, all: &mut Vec<String>) {
         match value {
             serde_json::Value::Object(members) => {
@@ -91,7 +91,7 @@ fn whatever_is_wrong_in_a_node_or_a_material_hides_nothing_else() {
     let mut wrong = Vec::new();
     for (json, is_shape) in shapes.chain(materials) {
         let example: serde_json::Value = serde_json::from_str(&json).expect("an example");
-        broken(&example, &mut |pointer, broken| {
+        syntax_error(&example, &mut |pointer, broken| {
             let object = if is_shape {
                 format!(r#"{{ "shape": {broken} }}"#)
             } else {
@@ -105,7 +105,7 @@ fn whatever_is_wrong_in_a_node_or_a_material_hides_nothing_else() {
                 && found.len() >= 2
                 && found[..found.len() - 1].iter().all(|fault| fault.pointer.starts_with(&place));
             if !is_right {
-                let found: Vec<String> = found.iter().map(Fault::to_string).collect();
+                let found: Vec<String> = found.iter().map(ValidationError::to_string).collect();
                 wrong.push(format!("{pointer} of {json}: {}", found.join("\n    ")));
             }
         });
@@ -114,10 +114,10 @@ fn whatever_is_wrong_in_a_node_or_a_material_hides_nothing_else() {
 }
 
 #[test]
-fn no_more_than_a_hundred_faults_are_told_and_they_are_the_first() {
+fn no_more_than_a_hundred_faults_are_reported_and_they_are_the_first() {
     let objects = vec![r#"{ "shape": { "sphere": { "radius": -1 } } }"#; 5000].join(",\n");
     let found = faults(&around(&objects));
-    assert_eq!(found.len(), MAX_FAULTS);
+    assert_eq!(found.len(), MAX_ERRORS);
     assert_eq!(found[99].pointer, "/scene/objects/99/shape/sphere/radius");
 }
 
@@ -134,6 +134,6 @@ fn work_for_a_large_text_is_bounded_by_its_bytes() {
     let keys: String = (0..200_000).map(|key| format!("\"unknown {key}\": 1, ")).collect();
     let text = around(&format!(r#"{{ {keys} "shape": {{ "sphere": {{ "radius": 1 }} }} }}"#));
     let (all, bytes) = collect::counted(&text);
-    assert!(!all.is_empty() && all.len() <= MAX_FAULTS, "{}", all.len());
+    assert!(!all.is_empty() && all.len() <= MAX_ERRORS, "{}", all.len());
     assert!(bytes <= (32 << 20) + 3 * text.len(), "{bytes} of {}", text.len());
 }

@@ -1,8 +1,8 @@
 //! A JSON text as a tree that knows where each value stands, and of which parts can be replaced: the text itself
 //! stays as it is, so that a fault that is found after a repair still has its place in the user's text.
 
+use crate::json_scan::escape;
 use crate::limits::MAX_JSON_DEPTH;
-use crate::outline::escape;
 
 /// A value of the text.
 #[derive(Clone, Debug)]
@@ -49,15 +49,15 @@ pub(super) struct Member {
 
 /// What is wrong with the outline of the text: the path to the member or the value.
 #[derive(Debug)]
-pub(super) enum Misfit {
+pub(super) enum TreeError {
     /// A key that the object has already; the later one is left out.
-    DoubledKey { path: Vec<usize>, start: usize },
+    DuplicateMember { path: Vec<usize>, start: usize },
     /// A value that nests too deep; it is not read.
     TooDeep { path: Vec<usize>, start: usize },
 }
 
 /// The tree of a text that is sound JSON, and at most `limit` misfits of its outline.
-pub(super) fn read(text: &str, limit: usize) -> (Value, Vec<Misfit>) {
+pub(super) fn read(text: &str, limit: usize) -> (Value, Vec<TreeError>) {
     let mut reader = Reader { bytes: text.as_bytes(), text, at: 0, path: Vec::new(), misfits: Vec::new(), limit };
     let root = reader.value();
     (root, reader.misfits)
@@ -68,7 +68,7 @@ struct Reader<'a> {
     text: &'a str,
     at: usize,
     path: Vec<usize>,
-    misfits: Vec<Misfit>,
+    misfits: Vec<TreeError>,
     limit: usize,
 }
 
@@ -96,7 +96,7 @@ impl Reader<'_> {
             Some(b'[' | b'{') if self.path.len() >= MAX_JSON_DEPTH => {
                 self.pass();
                 if self.misfits.len() < self.limit {
-                    self.misfits.push(Misfit::TooDeep { path: self.path.clone(), start });
+                    self.misfits.push(TreeError::TooDeep { path: self.path.clone(), start });
                 }
                 Body::StandIn("null".to_owned())
             }
@@ -166,7 +166,7 @@ impl Reader<'_> {
             self.path.push(members.len());
             let is_removed = !known.insert(key.clone());
             if is_removed && self.misfits.len() < self.limit {
-                self.misfits.push(Misfit::DoubledKey { path: self.path.clone(), start });
+                self.misfits.push(TreeError::DuplicateMember { path: self.path.clone(), start });
             }
             let value = self.value();
             self.path.pop();
@@ -346,8 +346,8 @@ mod tests {
     fn doubled_keys_and_deep_values_are_found_and_left_out() {
         let text = format!(r#"{{"a": 1, "\u0061": 2, "b": {}{}}}"#, "[".repeat(9000), "]".repeat(9000));
         let (root, misfits) = read(&text, 9);
-        assert!(matches!(&misfits[0], Misfit::DoubledKey { path, start: 9 } if *path == [1]), "{misfits:?}");
-        assert!(matches!(&misfits[1], Misfit::TooDeep { path, .. } if path.len() == MAX_JSON_DEPTH), "{misfits:?}");
+        assert!(matches!(&misfits[0], TreeError::DuplicateMember { path, start: 9 } if *path == [1]), "{misfits:?}");
+        assert!(matches!(&misfits[1], TreeError::TooDeep { path, .. } if path.len() == MAX_JSON_DEPTH), "{misfits:?}");
         assert!(written(&root, &text).starts_with(r#"{"a":1,"b":[["#));
     }
 }

@@ -3,7 +3,7 @@
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use super::{Extent, Planar};
+use super::{Bounds2, ProfileSdf};
 use crate::real::Real;
 use crate::seek::Seek;
 use crate::values::Length;
@@ -16,16 +16,16 @@ pub struct AddedProfile {
     pub height: Length,
 }
 
-impl Planar for AddedProfile {
+impl ProfileSdf for AddedProfile {
     const EXAMPLE: &str = r#"{ "height": 0.8 }"#;
-    const IS_MIRRORED: bool = true;
+    const IS_SYMMETRIC: bool = true;
 
     #[inline(always)]
     fn distance<R: Real>(&self, _: R, y: R) -> R {
-        y.abs() - y.given(0.5 * self.height.get())
+        y.abs() - y.uniform(0.5 * self.height.get())
     }
 
-    fn extent(&self, level: f32) -> Extent {
-        Extent::symmetric(f32::INFINITY, 0.5 * self.height.get() + level)
+    fn extent(&self, isolevel: f32) -> Bounds2 {
+        Bounds2::symmetric(f32::INFINITY, 0.5 * self.height.get() + isolevel)
     }
 }

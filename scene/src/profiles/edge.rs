@@ -4,7 +4,7 @@ use crate::real::Real;
 
 /// State of a scan over an outline's edges: the squared distance to the nearest edge so far, and a sign that
 /// changes at each edge that a ray to the right crosses.
-pub(super) type Found<R> = (R, R);
+pub(super) type EdgeScan<R> = (R, R);
 
 /// An edge from one corner to the next.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -25,16 +25,16 @@ impl Edge {
     ///
     /// Inigo Quilez, "2D distance functions": <https://iquilezles.org/articles/distfunctions2d/>.
     #[inline(always)]
-    pub(super) fn pass<R: Real>(&self, x: R, y: R, found: Found<R>) -> Found<R> {
+    pub(super) fn scan<R: Real>(&self, x: R, y: R, found: EdgeScan<R>) -> EdgeScan<R> {
         let Self { from, to, over_square } = *self;
-        x.shared(
+        x.call(
             "outline_edge",
             (
                 (x, y),
                 found,
-                (x.given(from[0]), x.given(from[1])),
-                (x.given(to[0] - from[0]), x.given(to[1] - from[1])),
-                (x.given(over_square), x.given(to[1])),
+                (x.uniform(from[0]), x.uniform(from[1])),
+                (x.uniform(to[0] - from[0]), x.uniform(to[1] - from[1])),
+                (x.uniform(over_square), x.uniform(to[1])),
             ),
             #[inline(always)]
             |((x, y), (nearest, sign), (from_x, from_y), (along_x, along_y), (over_square, to_y))| {

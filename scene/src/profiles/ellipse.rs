@@ -3,7 +3,7 @@
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use super::{Extent, Planar};
+use super::{Bounds2, ProfileSdf};
 use crate::real::Real;
 use crate::seek::Seek;
 use crate::values::Length;
@@ -12,7 +12,7 @@ use crate::values::Length;
 /// thin ellipse's end.
 const MAX_STEPS: u32 = 24;
 /// Tolerance of the nearest point, as a fraction of the ellipse's size.
-const NEAR: f32 = 1e-6;
+const TOLERANCE: f32 = 1e-6;
 
 /// An ellipse around the origin, its axes along x and y.
 ///
@@ -29,21 +29,21 @@ pub struct Ellipse {
     pub size: [Length; 2],
 }
 
-impl Planar for Ellipse {
+impl ProfileSdf for Ellipse {
     const EXAMPLE: &str = r#"{ "size": [2.2, 1.2] }"#;
-    const MORE: &'static [&'static str] = &[r#"{ "size": [0.3, 2] }"#, r#"{ "size": [1.4, 1.4] }"#];
-    const IS_MIRRORED: bool = true;
+    const MORE_EXAMPLES: &'static [&'static str] = &[r#"{ "size": [0.3, 2] }"#, r#"{ "size": [1.4, 1.4] }"#];
+    const IS_SYMMETRIC: bool = true;
 
     #[inline(always)]
     fn distance<R: Real>(&self, x: R, y: R) -> R {
         let [width, height] = self.size.each_ref().map(|extent| extent.get() / 2.0);
         let (a, b) = (width.max(height), width.min(height));
-        let is_tall = x.given(width).lt(x.given(height));
+        let is_tall = x.uniform(width).lt(x.uniform(height));
         let (along, across) = (R::select(is_tall, y, x).abs(), R::select(is_tall, x, y).abs());
         // Never quite on the long axis, where s would be 0.
-        let across = across.max(x.given(b * NEAR));
-        let eccentric = x.given((a - b) * (a + b));
-        let (along_a, across_b) = (along * x.given(a), across * x.given(b));
+        let across = across.max(x.uniform(b * TOLERANCE));
+        let eccentric = x.uniform((a - b) * (a + b));
+        let (along_a, across_b) = (along * x.uniform(a), across * x.uniform(b));
         // For either of these the point is on the ellipse's bounding square or further out.
         let start = (along_a - eccentric).max(across_b);
         let s = R::repeat(
@@ -51,23 +51,23 @@ impl Planar for Ellipse {
             start,
             #[inline(always)]
             |s| {
-                let one = s.splat(1.0);
+                let one = s.constant(1.0);
                 let (over_long, over_short) = (one / (s + eccentric), one / s);
                 let (u, v) = ((along_a * over_long).square(), (across_b * over_short).square());
                 let square = u + v;
                 let excess = (square.sqrt() - 1.0).at_least(0.0);
                 let step = excess * square / u.mul_add(over_long, v * over_short);
-                (excess.above(NEAR), s + step)
+                (excess.above(TOLERANCE), s + step)
             },
         );
         // From the nearest point it is (s − b²) times the ellipse's normal there.
-        let one = s.splat(1.0);
+        let one = s.constant(1.0);
         let normal = (along * (one / (s + eccentric))).square_add((across * (one / s)).square()).sqrt();
-        (s - x.given(b * b)) * normal
+        (s - x.uniform(b * b)) * normal
     }
 
-    fn extent(&self, level: f32) -> Extent {
+    fn extent(&self, isolevel: f32) -> Bounds2 {
         let [width, height] = &self.size;
-        Extent::symmetric(width.get() / 2.0, height.get() / 2.0).widened(level)
+        Bounds2::symmetric(width.get() / 2.0, height.get() / 2.0).widened(isolevel)
     }
 }

@@ -6,17 +6,17 @@ use schemars::{JsonSchema, Schema, SchemaGenerator, json_schema};
 use serde::{Deserialize, Serialize};
 
 use super::edge::Edge;
-use super::{Extent, Planar, Spot};
-use crate::nodes::NodeFault;
+use super::{Bounds2, Point2, ProfileSdf};
+use crate::nodes::NodeError;
 use crate::real::Real;
-use crate::seek::{Clock, Misfit, Seek};
+use crate::seek::{FrameTime, Seek, SeekError};
 
 /// Fewest points of a polygon.
 const MIN_POINTS: usize = 3;
 /// Most points of a polygon.
 const MAX_POINTS: usize = 256;
 /// Further than anything is, squared, and yet a number.
-const FAR: f32 = 1e30;
+const MISS_DISTANCE: f32 = 1e30;
 
 /// A polygon given by its corners, in either orientation. It need not be convex.
 ///
@@ -25,40 +25,40 @@ const FAR: f32 = 1e30;
 #[serde(deny_unknown_fields)]
 pub struct Polygon {
     /// Its corners, 3 to 256 of them, in the order of a walk around it.
-    pub points: Points,
+    pub points: PolygonVertices,
 }
 
 /// The corners of a polygon, and the edges between them.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(try_from = "Vec<Spot>", into = "Vec<Spot>")]
-pub struct Points {
-    spots: Vec<Spot>,
+#[serde(try_from = "Vec<Point2>", into = "Vec<Point2>")]
+pub struct PolygonVertices {
+    spots: Vec<Point2>,
     edges: Vec<Edge>,
 }
 
 /// Error returned for an invalid number of corners.
 #[derive(Debug, thiserror::Error)]
 #[error("has {0} points: a polygon has {MIN_POINTS} to {MAX_POINTS}")]
-pub struct WrongCount(usize);
+pub struct VertexCountError(usize);
 
-impl TryFrom<Vec<Spot>> for Points {
-    type Error = WrongCount;
+impl TryFrom<Vec<Point2>> for PolygonVertices {
+    type Error = VertexCountError;
 
-    fn try_from(spots: Vec<Spot>) -> Result<Self, WrongCount> {
+    fn try_from(spots: Vec<Point2>) -> Result<Self, VertexCountError> {
         if !(MIN_POINTS..=MAX_POINTS).contains(&spots.len()) {
-            return Err(WrongCount(spots.len()));
+            return Err(VertexCountError(spots.len()));
         }
         Ok(Self { edges: edges(&spots), spots })
     }
 }
 
-fn edges(spots: &[Spot]) -> Vec<Edge> {
+fn edges(spots: &[Point2]) -> Vec<Edge> {
     let ends = spots.iter().zip(spots.iter().cycle().skip(1));
     ends.map(|(from, to)| Edge::new(from.get(), to.get())).collect()
 }
 
-impl Seek for Points {
-    fn seek(&mut self, clock: &mut Clock<'_>) -> Result<bool, Box<Misfit>> {
+impl Seek for PolygonVertices {
+    fn seek(&mut self, clock: &mut FrameTime<'_>) -> Result<bool, Box<SeekError>> {
         let Self { spots, edges: between } = self;
         let is_animated = spots.seek(clock)?;
         if is_animated {
@@ -68,19 +68,19 @@ impl Seek for Points {
     }
 }
 
-impl From<Points> for Vec<Spot> {
-    fn from(points: Points) -> Self {
+impl From<PolygonVertices> for Vec<Point2> {
+    fn from(points: PolygonVertices) -> Self {
         points.spots
     }
 }
 
-impl JsonSchema for Points {
+impl JsonSchema for PolygonVertices {
     fn schema_name() -> Cow<'static, str> {
-        "Points".into()
+        "PolygonVertices".into()
     }
 
     fn json_schema(generator: &mut SchemaGenerator) -> Schema {
-        let spot = generator.subschema_for::<Spot>();
+        let spot = generator.subschema_for::<Point2>();
         json_schema!({
             "type": "array", "items": spot, "minItems": MIN_POINTS, "maxItems": MAX_POINTS,
             "description": "The corners of a polygon, in the order of a walk around it."
@@ -88,55 +88,55 @@ impl JsonSchema for Points {
     }
 }
 
-impl Planar for Polygon {
+impl ProfileSdf for Polygon {
     const EXAMPLE: &str = r#"{ "points": [[-0.9, -0.8], [0.9, -0.8], [0.9, -0.3], [0.3, -0.3], [0.3, 0.9], [-0.3, 0.9], [-0.3, -0.3], [-0.9, -0.3]] }"#;
-    const MORE: &'static [&'static str] = &[
+    const MORE_EXAMPLES: &'static [&'static str] = &[
         r#"{ "points": [[0, 1], [1, -0.2], [0.1, 0.2], [-0.8, -0.9], [-0.5, 0.3]] }"#,
         r#"{ "points": [[0.2, -0.6], [0.9, 0.1], [0.7, 0.8]] }"#,
     ];
 
     #[inline(always)]
     fn distance<R: Real>(&self, x: R, y: R) -> R {
-        let mut found = (x.splat(FAR), x.splat(1.0));
+        let mut found = (x.constant(MISS_DISTANCE), x.constant(1.0));
         for edge in &self.points.edges {
-            found = edge.pass(x, y, found);
+            found = edge.scan(x, y, found);
         }
         let (nearest, sign) = found;
         sign * nearest.sqrt()
     }
 
-    fn extent(&self, level: f32) -> Extent {
-        Extent::around(self.points.edges.iter().map(|edge| edge.from)).widened(level)
+    fn extent(&self, isolevel: f32) -> Bounds2 {
+        Bounds2::from_points(self.points.edges.iter().map(|edge| edge.from)).widened(isolevel)
     }
 
-    fn fault(&self) -> Option<NodeFault> {
+    fn validate(&self) -> Option<NodeError> {
         let edges = &self.points.edges;
         let count = edges.len();
-        let (number, message) = (0..count).find_map(|number| doubled(edges, number)).or_else(|| {
-            (0..count).find_map(|number| (0..number).find_map(|earlier| crossing(edges, earlier, number)))
+        let (number, message) = (0..count).find_map(|number| duplicate_vertex(edges, number)).or_else(|| {
+            (0..count).find_map(|number| (0..number).find_map(|earlier| self_intersection(edges, earlier, number)))
         })?;
-        Some(NodeFault::new(format!("points/{number}"), message))
+        Some(NodeError::new(format!("points/{number}"), message))
     }
 
-    fn weight(&self) -> u32 {
+    fn size_in_nodes(&self) -> u32 {
         self.points.edges.len() as u32 / 2
     }
 }
 
 /// Error for a corner at the position of an earlier one.
-fn doubled(edges: &[Edge], number: usize) -> Option<(usize, String)> {
+fn duplicate_vertex(edges: &[Edge], number: usize) -> Option<(usize, String)> {
     let earlier = (0..number).find(|&earlier| edges[earlier].from == edges[number].from)?;
     Some((number, format!("is the same point as points/{earlier}: remove or move one of them")))
 }
 
 /// Error for an edge that touches an earlier one anywhere but at a shared corner.
-fn crossing(edges: &[Edge], earlier: usize, number: usize) -> Option<(usize, String)> {
+fn self_intersection(edges: &[Edge], earlier: usize, number: usize) -> Option<(usize, String)> {
     let (a, b) = (edges[earlier], edges[number]);
     let count = edges.len();
     if a.to == b.from || b.to == a.from {
         // Neighbors share one corner, unless the second goes back along the first.
         let (corner, before, after) = if a.to == b.from { (a.to, a.from, b.to) } else { (b.to, b.from, a.to) };
-        let goes_back = turn(before, corner, after) == 0.0 && !is_between(corner, before, after);
+        let goes_back = orientation(before, corner, after) == 0.0 && !is_between(corner, before, after);
         let back = format!("goes back along the edge before it: remove or move points/{number}");
         return goes_back.then_some((number, back));
     }
@@ -146,12 +146,14 @@ fn crossing(edges: &[Edge], earlier: usize, number: usize) -> Option<(usize, Str
         "begins an edge, to points/{next}, that crosses the one from points/{earlier} to points/{}: {cure}",
         earlier + 1
     );
-    do_touch(a, b).then_some((number, message))
+    segments_touch(a, b).then_some((number, message))
 }
 
 /// Whether two edges have a point in common.
-fn do_touch(a: Edge, b: Edge) -> bool {
-    let sides = |edge: Edge, other: Edge| [turn(edge.from, edge.to, other.from), turn(edge.from, edge.to, other.to)];
+fn segments_touch(a: Edge, b: Edge) -> bool {
+    let sides = |edge: Edge, other: Edge| {
+        [orientation(edge.from, edge.to, other.from), orientation(edge.from, edge.to, other.to)]
+    };
     let ([p, q], [r, s]) = (sides(a, b), sides(b, a));
     if p * q < 0.0 && r * s < 0.0 {
         return true;
@@ -163,7 +165,7 @@ fn do_touch(a: Edge, b: Edge) -> bool {
 }
 
 /// Orientation of the triangle (a, b, c): positive if counter-clockwise, negative if clockwise, 0 if collinear.
-fn turn(a: [f32; 2], b: [f32; 2], c: [f32; 2]) -> f64 {
+fn orientation(a: [f32; 2], b: [f32; 2], c: [f32; 2]) -> f64 {
     let along = |axis: usize, to: [f32; 2]| f64::from(to[axis]) - f64::from(a[axis]);
     along(0, b) * along(1, c) - along(1, b) * along(0, c)
 }

@@ -6,11 +6,11 @@
 use schemars::JsonSchema;
 use serde::{Deserialize, Deserializer, Serialize};
 
-use super::{Extent, Planar};
-use crate::nodes::NodeFault;
+use super::{Bounds2, ProfileSdf};
+use crate::nodes::NodeError;
 use crate::real::Real;
 use crate::seek::Seek;
-use crate::values::{Amount, Length, whole};
+use crate::values::{Length, LengthOrZero, integer_in_range};
 
 /// Most sides of a regular polygon and points of a star.
 const MAX_SIDES: u32 = 64;
@@ -28,8 +28,8 @@ pub struct RegularPolygon {
     /// Radius of the circle through its corners.
     pub radius: Length,
     /// Radius of its rounded corners, inside the sharp polygon.
-    #[serde(default = "super::nothing")]
-    pub round: Amount,
+    #[serde(default = "super::default_round")]
+    pub round: LengthOrZero,
 }
 
 /// A star around the origin, a point at the top.
@@ -49,7 +49,7 @@ pub struct Star {
 }
 
 /// Sine and cosine of π/n.
-fn wedge(n: u32) -> (f32, f32) {
+fn half_sector_sin_cos(n: u32) -> (f32, f32) {
     Real::sin_cos(std::f32::consts::PI / n as f32)
 }
 
@@ -62,8 +62,8 @@ fn fold<R: Real>(x: R, y: R, n: u32) -> (R, R) {
         // What is further round than half of the wedges, rounded up, is reflected about their end.
         wedges = wedges.div_ceil(2);
         let (s, c) = Real::sin_cos(std::f32::consts::PI * wedges as f32 / n as f32);
-        let beyond = up.mul_add(x.given(s), -(across * x.given(c))).at_most(0.0);
-        (up, across) = (beyond.mul_add(x.given(-2.0 * s), up), beyond.mul_add(x.given(2.0 * c), across));
+        let beyond = up.mul_add(x.uniform(s), -(across * x.uniform(c))).at_most(0.0);
+        (up, across) = (beyond.mul_add(x.uniform(-2.0 * s), up), beyond.mul_add(x.uniform(2.0 * c), across));
     }
     (up, across)
 }
@@ -71,71 +71,74 @@ fn fold<R: Real>(x: R, y: R, n: u32) -> (R, R) {
 impl RegularPolygon {
     /// Distance from the origin to a side.
     fn apothem(&self) -> f32 {
-        self.radius.get() * wedge(self.sides).1
+        self.radius.get() * half_sector_sin_cos(self.sides).1
     }
 }
 
-impl Planar for RegularPolygon {
+impl ProfileSdf for RegularPolygon {
     const EXAMPLE: &str = r#"{ "sides": 6, "radius": 1, "round": 0.15 }"#;
-    const MORE: &'static [&'static str] = &[r#"{ "sides": 3, "radius": 1.1 }"#, r#"{ "sides": 13, "radius": 0.8 }"#];
-    const IS_MIRRORED: bool = true;
+    const MORE_EXAMPLES: &'static [&'static str] =
+        &[r#"{ "sides": 3, "radius": 1.1 }"#, r#"{ "sides": 13, "radius": 0.8 }"#];
+    const IS_SYMMETRIC: bool = true;
 
     #[inline(always)]
     fn distance<R: Real>(&self, x: R, y: R) -> R {
-        let (s, c) = wedge(self.sides);
+        let (s, c) = half_sector_sin_cos(self.sides);
         let apothem = self.apothem() - self.round.get();
         let (up, across) = fold(x, y, self.sides);
-        let past_side = up.mul_add(x.given(c), across.mul_add(x.given(s), -x.given(apothem)));
+        let past_side = up.mul_add(x.uniform(c), across.mul_add(x.uniform(s), -x.uniform(apothem)));
         // Half of a side is its apothem times the tangent of half its angle.
-        let past_end = up.mul_add(x.given(s), -across.mul_add(x.given(c), x.given(apothem * (s / c)))).at_least(0.0);
+        let past_end =
+            up.mul_add(x.uniform(s), -across.mul_add(x.uniform(c), x.uniform(apothem * (s / c)))).at_least(0.0);
         let outside = past_end.square_add(past_side.at_least(0.0).square()).sqrt();
-        R::select(past_side.below(0.0), past_side, outside) - x.given(self.round.get())
+        R::select(past_side.below(0.0), past_side, outside) - x.uniform(self.round.get())
     }
 
-    fn extent(&self, level: f32) -> Extent {
-        Extent::symmetric(self.radius.get(), self.radius.get()).widened(level)
+    fn extent(&self, isolevel: f32) -> Bounds2 {
+        Bounds2::symmetric(self.radius.get(), self.radius.get()).widened(isolevel)
     }
 
-    fn fault(&self) -> Option<NodeFault> {
+    fn validate(&self) -> Option<NodeError> {
         let most = self.apothem();
         let message = format!("must be at most the distance from the middle to a side: make round {most} or less");
-        (self.round.get() > most).then(|| NodeFault::new("round", message))
+        (self.round.get() > most).then(|| NodeError::new("round", message))
     }
 }
 
-impl Planar for Star {
+impl ProfileSdf for Star {
     const EXAMPLE: &str = r#"{ "points": 5, "outer": 1.1, "inner": 0.5 }"#;
-    const MORE: &'static [&'static str] =
+    const MORE_EXAMPLES: &'static [&'static str] =
         &[r#"{ "points": 12, "outer": 1, "inner": 0.8 }"#, r#"{ "points": 4, "outer": 0.5, "inner": 1 }"#];
-    const IS_MIRRORED: bool = true;
+    const IS_SYMMETRIC: bool = true;
 
     #[inline(always)]
     fn distance<R: Real>(&self, x: R, y: R) -> R {
-        let (s, c) = wedge(self.points);
+        let (s, c) = half_sector_sin_cos(self.points);
         let (outer, inner) = (self.outer.get(), self.inner.get());
         // The edge from the point down to the notch.
         let (edge_up, edge_across) = (inner * c - outer, inner * s);
         let over_square = 1.0 / (edge_up * edge_up + edge_across * edge_across);
         let (up, across) = fold(x, y, self.points);
-        let up = up - x.given(outer);
-        let along = up.mul_add(x.given(edge_up * over_square), across * x.given(edge_across * over_square));
+        let up = up - x.uniform(outer);
+        let along = up.mul_add(x.uniform(edge_up * over_square), across * x.uniform(edge_across * over_square));
         let share = along.at_least(0.0).at_most(1.0);
-        let (off_up, off_across) = (share.mul_add(x.given(-edge_up), up), share.mul_add(x.given(-edge_across), across));
+        let (off_up, off_across) =
+            (share.mul_add(x.uniform(-edge_up), up), share.mul_add(x.uniform(-edge_across), across));
         let distance = off_up.square_add(off_across.square()).sqrt();
-        let outward = up.mul_add(x.given(edge_across), -(across * x.given(edge_up)));
+        let outward = up.mul_add(x.uniform(edge_across), -(across * x.uniform(edge_up)));
         R::select(outward.below(0.0), -distance, distance)
     }
 
-    fn extent(&self, level: f32) -> Extent {
+    fn extent(&self, isolevel: f32) -> Bounds2 {
         let radius = self.outer.get().max(self.inner.get());
-        Extent::symmetric(radius, radius).widened(level)
+        Bounds2::symmetric(radius, radius).widened(isolevel)
     }
 }
 
 fn sides<'de, D: Deserializer<'de>>(deserializer: D) -> Result<u32, D::Error> {
-    whole(deserializer, 3, MAX_SIDES, "sides")
+    integer_in_range(deserializer, 3, MAX_SIDES, "sides")
 }
 
 fn star_points<'de, D: Deserializer<'de>>(deserializer: D) -> Result<u32, D::Error> {
-    whole(deserializer, 3, MAX_SIDES, "points")
+    integer_in_range(deserializer, 3, MAX_SIDES, "points")
 }

@@ -3,11 +3,11 @@
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use super::{Extent, Planar};
-use crate::nodes::NodeFault;
+use super::{Bounds2, ProfileSdf};
+use crate::nodes::NodeError;
 use crate::real::Real;
 use crate::seek::Seek;
-use crate::values::{Amount, Length};
+use crate::values::{Length, LengthOrZero};
 
 /// A disc around the origin.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
@@ -17,17 +17,17 @@ pub struct Circle {
     pub radius: Length,
 }
 
-impl Planar for Circle {
+impl ProfileSdf for Circle {
     const EXAMPLE: &str = r#"{ "radius": 0.9 }"#;
-    const IS_MIRRORED: bool = true;
+    const IS_SYMMETRIC: bool = true;
 
     #[inline(always)]
     fn distance<R: Real>(&self, x: R, y: R) -> R {
-        x.square_add(y.square()).sqrt() - x.given(self.radius.get())
+        x.square_add(y.square()).sqrt() - x.uniform(self.radius.get())
     }
 
-    fn extent(&self, level: f32) -> Extent {
-        Extent::symmetric(self.radius.get(), self.radius.get()).widened(level)
+    fn extent(&self, isolevel: f32) -> Bounds2 {
+        Bounds2::symmetric(self.radius.get(), self.radius.get()).widened(isolevel)
     }
 }
 
@@ -40,33 +40,33 @@ pub struct Rectangle {
     /// Whole extents along x and y.
     pub size: [Length; 2],
     /// Radius of its rounded corners, inside `size`.
-    #[serde(default = "super::nothing")]
-    pub round: Amount,
+    #[serde(default = "super::default_round")]
+    pub round: LengthOrZero,
 }
 
-impl Planar for Rectangle {
+impl ProfileSdf for Rectangle {
     const EXAMPLE: &str = r#"{ "size": [1.8, 1.2], "round": 0.25 }"#;
-    const MORE: &'static [&'static str] = &[r#"{ "size": [0.5, 1.1] }"#];
-    const IS_MIRRORED: bool = true;
+    const MORE_EXAMPLES: &'static [&'static str] = &[r#"{ "size": [0.5, 1.1] }"#];
+    const IS_SYMMETRIC: bool = true;
 
     #[inline(always)]
     fn distance<R: Real>(&self, x: R, y: R) -> R {
         let ([width, height], round) = (&self.size, self.round.get());
-        let past_side = x.abs() - x.given(width.get() / 2.0 - round);
-        let past_top = y.abs() - x.given(height.get() / 2.0 - round);
+        let past_side = x.abs() - x.uniform(width.get() / 2.0 - round);
+        let past_top = y.abs() - x.uniform(height.get() / 2.0 - round);
         let (right, up) = (past_side.at_least(0.0), past_top.at_least(0.0));
-        right.square_add(up.square()).sqrt() + past_side.max(past_top).at_most(0.0) - x.given(round)
+        right.square_add(up.square()).sqrt() + past_side.max(past_top).at_most(0.0) - x.uniform(round)
     }
 
-    fn extent(&self, level: f32) -> Extent {
+    fn extent(&self, isolevel: f32) -> Bounds2 {
         let [width, height] = &self.size;
-        Extent::symmetric(width.get() / 2.0, height.get() / 2.0).widened(level)
+        Bounds2::symmetric(width.get() / 2.0, height.get() / 2.0).widened(isolevel)
     }
 
-    fn fault(&self) -> Option<NodeFault> {
+    fn validate(&self) -> Option<NodeError> {
         let [width, height] = &self.size;
         let most = width.get().min(height.get()) / 2.0;
         let message = format!("must be at most half of the shorter side: make round {most} or less");
-        (self.round.get() > most).then(|| NodeFault::new("round", message))
+        (self.round.get() > most).then(|| NodeError::new("round", message))
     }
 }

@@ -3,12 +3,12 @@
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use super::quadratic::{HalfParabola, Quadratic};
-use super::{Extent, Planar, Spot};
+use super::bezier::{HalfParabola, QuadraticBezier};
+use super::{Bounds2, Point2, ProfileSdf};
 use crate::nodes::Exactness;
 use crate::real::Real;
 use crate::seek::Seek;
-use crate::values::{Length, Turn, sin_cos_degrees};
+use crate::values::{Length, SweepAngle, sin_cos_degrees};
 
 /// A part of a ring around the origin with round ends, its middle at the top.
 ///
@@ -19,37 +19,37 @@ pub struct Arc {
     /// Radius of the line in its middle.
     pub radius: Length,
     /// Angle between its ends at the origin.
-    pub degrees: Turn,
+    pub degrees: SweepAngle,
     /// Thickness.
     pub thickness: Length,
 }
 
-impl Planar for Arc {
+impl ProfileSdf for Arc {
     const EXAMPLE: &str = r#"{ "radius": 0.8, "degrees": 250, "thickness": 0.4 }"#;
-    const MORE: &'static [&'static str] = &[
+    const MORE_EXAMPLES: &'static [&'static str] = &[
         r#"{ "radius": 1, "degrees": 60, "thickness": 0.3 }"#,
         r#"{ "radius": 0.8, "degrees": 340, "thickness": 0.5 }"#,
         r#"{ "radius": 0.7, "degrees": 360, "thickness": 0.2 }"#,
     ];
-    const IS_MIRRORED: bool = true;
+    const IS_SYMMETRIC: bool = true;
 
     #[inline(always)]
     fn distance<R: Real>(&self, x: R, y: R) -> R {
         let (s, c) = sin_cos_degrees(self.degrees.get() / 2.0);
         let radius = self.radius.get();
         let across = x.abs();
-        let (from_end_x, from_end_y) = (across - x.given(s * radius), y - x.given(c * radius));
+        let (from_end_x, from_end_y) = (across - x.uniform(s * radius), y - x.uniform(c * radius));
         let from_end = from_end_x.square_add(from_end_y.square()).sqrt();
-        let from_ring = (across.square_add(y.square()).sqrt() - x.given(radius)).abs();
-        let is_past_end = (y * x.given(s)).lt(across * x.given(c));
-        R::select(is_past_end, from_end, from_ring) - x.given(self.thickness.get() / 2.0)
+        let from_ring = (across.square_add(y.square()).sqrt() - x.uniform(radius)).abs();
+        let is_past_end = (y * x.uniform(s)).lt(across * x.uniform(c));
+        R::select(is_past_end, from_end, from_ring) - x.uniform(self.thickness.get() / 2.0)
     }
 
-    fn extent(&self, level: f32) -> Extent {
+    fn extent(&self, isolevel: f32) -> Bounds2 {
         let (s, c) = sin_cos_degrees(self.degrees.get() / 2.0);
         let radius = self.radius.get();
         let across = if c < 0.0 { radius } else { radius * s };
-        Extent { low: [-across, radius * c], high: [across, radius] }.widened(self.thickness.get() / 2.0 + level)
+        Bounds2 { low: [-across, radius * c], high: [across, radius] }.widened(self.thickness.get() / 2.0 + isolevel)
     }
 
     fn exactness(&self) -> Exactness {
@@ -73,22 +73,22 @@ impl Planar for Arc {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
 #[serde(deny_unknown_fields)]
 pub struct Bezier {
-    /// Its start, the point it is drawn towards, and its end.
-    pub points: [Spot; 3],
+    /// Its start, the point it is drawn toward, and its end.
+    pub points: [Point2; 3],
     /// Thickness.
     pub thickness: Length,
 }
 
 impl Bezier {
-    fn curve(&self) -> Quadratic {
-        let [from, control, to] = self.points.each_ref().map(Spot::get);
-        Quadratic { from, control, to }
+    fn curve(&self) -> QuadraticBezier {
+        let [from, control, to] = self.points.each_ref().map(Point2::get);
+        QuadraticBezier { from, control, to }
     }
 }
 
-impl Planar for Bezier {
+impl ProfileSdf for Bezier {
     const EXAMPLE: &str = r#"{ "points": [[-0.9, -0.7], [0, 1.8], [0.9, -0.7]], "thickness": 0.3 }"#;
-    const MORE: &'static [&'static str] = &[
+    const MORE_EXAMPLES: &'static [&'static str] = &[
         r#"{ "points": [[-1, -0.4], [-0.4, 0.9], [1, 0.5]], "thickness": 0.2 }"#,
         r#"{ "points": [[-0.9, -0.5], [0, 0], [0.9, 0.5]], "thickness": 0.4 }"#,
         r#"{ "points": [[-0.3, -0.8], [0.1, 2.4], [0.3, -0.6]], "thickness": 0.5 }"#,
@@ -99,12 +99,12 @@ impl Planar for Bezier {
         let curve = self.curve();
         let [first, second] = curve.split(curve.vertex()).map(HalfParabola::new);
         // Further than anything is, squared, and yet a number.
-        let nearest = second.nearer(x, y, first.nearer(x, y, x.splat(1e30)));
-        nearest.sqrt() - x.given(self.thickness.get() / 2.0)
+        let nearest = second.min_distance_squared(x, y, first.min_distance_squared(x, y, x.constant(1e30)));
+        nearest.sqrt() - x.uniform(self.thickness.get() / 2.0)
     }
 
-    fn extent(&self, level: f32) -> Extent {
-        self.curve().extent().widened(self.thickness.get() / 2.0 + level)
+    fn extent(&self, isolevel: f32) -> Bounds2 {
+        self.curve().extent().widened(self.thickness.get() / 2.0 + isolevel)
     }
 
     fn exactness(&self) -> Exactness {
@@ -115,7 +115,7 @@ impl Planar for Bezier {
         if is_slack { Exactness::Exact } else { Exactness::Bound }
     }
 
-    fn weight(&self) -> u32 {
+    fn size_in_nodes(&self) -> u32 {
         2
     }
 }

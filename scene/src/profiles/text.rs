@@ -3,9 +3,9 @@
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use super::edge::Found;
-use super::lettering::{Letter, Lettering, Piece};
-use super::{Extent, Planar};
+use super::edge::EdgeScan;
+use super::text_outline::{GlyphOutline, OutlineSegment, TextOutline};
+use super::{Bounds2, ProfileSdf};
 use crate::nodes::Exactness;
 use crate::real::Real;
 use crate::seek::Seek;
@@ -19,44 +19,44 @@ use crate::values::Length;
 #[serde(deny_unknown_fields)]
 pub struct Text {
     /// The text, up to 64 characters: Latin letters, digits, punctuation and arrows.
-    pub string: Lettering,
+    pub string: TextOutline,
     /// Size of the font: capitals are 0.73 of it high.
     pub size: Length,
 }
 
-impl Letter {
+impl GlyphOutline {
     /// The square of a distance that some point of the outline has.
     #[inline(always)]
-    fn square_at_most<R: Real>(&self, x: R, y: R) -> R {
+    fn distance_squared_upper_bound<R: Real>(&self, x: R, y: R) -> R {
         let [anchor_x, anchor_y] = self.anchor;
-        (x - x.given(anchor_x)).square_add((y - x.given(anchor_y)).square())
+        (x - x.uniform(anchor_x)).square_add((y - x.uniform(anchor_y)).square())
     }
 
     /// The square of a distance that no point of the outline is nearer than.
     #[inline(always)]
-    fn square_at_least<R: Real>(&self, x: R, y: R) -> R {
+    fn distance_squared_lower_bound<R: Real>(&self, x: R, y: R) -> R {
         // Far more than rounding errors, so that every letter that may be nearest is evaluated.
         const MARGIN: f32 = 1e-4;
-        let Extent { low, high } = self.extent.widened(MARGIN);
-        let beyond_x = (x.given(low[0]) - x).max(x - x.given(high[0])).at_least(0.0);
-        let beyond_y = (x.given(low[1]) - y).max(y - x.given(high[1])).at_least(0.0);
+        let Bounds2 { low, high } = self.extent.widened(MARGIN);
+        let beyond_x = (x.uniform(low[0]) - x).max(x - x.uniform(high[0])).at_least(0.0);
+        let beyond_y = (x.uniform(low[1]) - y).max(y - x.uniform(high[1])).at_least(0.0);
         beyond_x.square_add(beyond_y.square())
     }
 
     /// Adds this letter to a scan. Outside of its bounds a ray to the right crosses its closed outline an
     /// even number of times, so a letter that is too far away can be skipped.
     #[inline(always)]
-    fn pass<R: Real>(&self, x: R, y: R, found: Found<R>) -> Found<R> {
+    fn scan<R: Real>(&self, x: R, y: R, found: EdgeScan<R>) -> EdgeScan<R> {
         R::when(
-            self.square_at_least(x, y).lt(found.0),
+            self.distance_squared_lower_bound(x, y).lt(found.0),
             found,
             #[inline(always)]
             || {
                 let mut found = found;
                 for piece in &self.pieces {
                     found = match piece {
-                        Piece::Line(edge) => edge.pass(x, y, found),
-                        Piece::Curve(curve) => curve.pass(x, y, found),
+                        OutlineSegment::Line(edge) => edge.scan(x, y, found),
+                        OutlineSegment::Curve(curve) => curve.pass(x, y, found),
                     };
                 }
                 found
@@ -65,31 +65,31 @@ impl Letter {
     }
 }
 
-impl Planar for Text {
+impl ProfileSdf for Text {
     const EXAMPLE: &str = r#"{ "string": "sdf", "size": 1 }"#;
-    const MORE: &'static [&'static str] = &[r#"{ "string": "AV&Q8", "size": 0.6 }"#];
+    const MORE_EXAMPLES: &'static [&'static str] = &[r#"{ "string": "AV&Q8", "size": 0.6 }"#];
 
     #[inline(always)]
     fn distance<R: Real>(&self, x: R, y: R) -> R {
         let size = self.size.get();
-        let (x, y) = (x * x.given(1.0 / size), y * x.given(1.0 / size));
-        let mut nearest = x.splat(1e30);
+        let (x, y) = (x * x.uniform(1.0 / size), y * x.uniform(1.0 / size));
+        let mut nearest = x.constant(1e30);
         for letter in self.string.letters() {
-            nearest = nearest.min(letter.square_at_most(x, y));
+            nearest = nearest.min(letter.distance_squared_upper_bound(x, y));
         }
-        let mut found = (nearest, x.splat(1.0));
+        let mut found = (nearest, x.constant(1.0));
         for letter in self.string.letters() {
-            found = letter.pass(x, y, found);
+            found = letter.scan(x, y, found);
         }
         let (nearest, sign) = found;
-        sign * nearest.sqrt() * x.given(size)
+        sign * nearest.sqrt() * x.uniform(size)
     }
 
-    fn extent(&self, level: f32) -> Extent {
+    fn extent(&self, isolevel: f32) -> Bounds2 {
         let size = self.size.get();
         let letters = self.string.letters().iter();
         let corners = letters.flat_map(|letter| [letter.extent.low, letter.extent.high]);
-        Extent::around(corners.map(|corner| corner.map(|c| c * size))).widened(level)
+        Bounds2::from_points(corners.map(|corner| corner.map(|c| c * size))).widened(isolevel)
     }
 
     fn exactness(&self) -> Exactness {
@@ -98,14 +98,14 @@ impl Planar for Text {
         if is_apart { Exactness::Exact } else { Exactness::Bound }
     }
 
-    fn weight(&self) -> u32 {
+    fn size_in_nodes(&self) -> u32 {
         // As a GPU's compiler takes its time over them.
         const LINE: u32 = 1;
         const CURVE: u32 = 4;
         let pieces = self.string.letters().iter().flat_map(|letter| &letter.pieces);
-        let weight = |piece: &Piece| match piece {
-            Piece::Line(_) => LINE,
-            Piece::Curve(_) => CURVE,
+        let weight = |piece: &OutlineSegment| match piece {
+            OutlineSegment::Line(_) => LINE,
+            OutlineSegment::Curve(_) => CURVE,
         };
         pieces.map(weight).sum()
     }

@@ -3,7 +3,7 @@
 use super::{Real, Vec3};
 
 /// Merges two values into one.
-pub trait Join<R: Real> {
+pub trait Merge<R: Real> {
     /// Joins two numbers.
     fn number(&mut self, a: R, b: R) -> R;
     /// Joins two conditions.
@@ -13,23 +13,23 @@ pub trait Join<R: Real> {
 /// Any struct of numbers and conditions.
 pub trait Bundle<R: Real>: Copy + 'static {
     /// Joins two bundles part by part, in a fixed order.
-    fn join(self, other: Self, how: &mut impl Join<R>) -> Self;
+    fn merge(self, other: Self, how: &mut impl Merge<R>) -> Self;
 }
 
 /// A condition as part of a [`Bundle`].
 #[derive(Clone, Copy, Debug)]
-pub struct Flag<R: Real>(pub R::Mask);
+pub struct MaskValue<R: Real>(pub R::Mask);
 
 impl<R: Real> Bundle<R> for R {
     #[inline(always)]
-    fn join(self, other: Self, how: &mut impl Join<R>) -> Self {
+    fn merge(self, other: Self, how: &mut impl Merge<R>) -> Self {
         how.number(self, other)
     }
 }
 
-impl<R: Real> Bundle<R> for Flag<R> {
+impl<R: Real> Bundle<R> for MaskValue<R> {
     #[inline(always)]
-    fn join(self, other: Self, how: &mut impl Join<R>) -> Self {
+    fn merge(self, other: Self, how: &mut impl Merge<R>) -> Self {
         Self(how.mask(self.0, other.0))
     }
 }
@@ -39,8 +39,8 @@ macro_rules! bundle {
     ($Struct:ident { $($field:ident),+ }) => {
         impl<R: $crate::real::Real> $crate::real::Bundle<R> for $Struct<R> {
             #[inline(always)]
-            fn join(self, other: Self, how: &mut impl $crate::real::Join<R>) -> Self {
-                Self { $($field: self.$field.join(other.$field, how)),+ }
+            fn merge(self, other: Self, how: &mut impl $crate::real::Merge<R>) -> Self {
+                Self { $($field: self.$field.merge(other.$field, how)),+ }
             }
         }
     };
@@ -53,9 +53,9 @@ bundle!(Vec3 { x, y, z });
 /// An option that depends on the scene's structure: merged values are both present or both absent.
 impl<R: Real, T: Bundle<R>> Bundle<R> for Option<T> {
     #[inline(always)]
-    fn join(self, other: Self, how: &mut impl Join<R>) -> Self {
+    fn merge(self, other: Self, how: &mut impl Merge<R>) -> Self {
         match (self, other) {
-            (Some(a), Some(b)) => Some(a.join(b, how)),
+            (Some(a), Some(b)) => Some(a.merge(b, how)),
             (alone, _) => alone,
         }
     }
@@ -65,8 +65,8 @@ macro_rules! tuples {
     ($(($($Part:ident $index:tt),+)),+ $(,)?) => { $(
         impl<R: Real, $($Part: Bundle<R>),+> Bundle<R> for ($($Part,)+) {
             #[inline(always)]
-            fn join(self, other: Self, how: &mut impl Join<R>) -> Self {
-                ($(self.$index.join(other.$index, how),)+)
+            fn merge(self, other: Self, how: &mut impl Merge<R>) -> Self {
+                ($(self.$index.merge(other.$index, how),)+)
             }
         }
     )+ };

@@ -2,7 +2,7 @@
 //!
 //! Polynomials and range reductions are those of Stephen L. Moshier's Cephes Mathematical
 //! Library, single precision (<https://www.netlib.org/cephes/>), evaluated here with fused
-//! operations. Each is compiled once, hence [`Real::shared`], and called.
+//! operations. Each is compiled once, hence [`Real::call`], and called.
 //! The errors in the docs of [`Real`] are measured by this module's tests.
 
 use std::f32::consts::{FRAC_2_PI, FRAC_PI_2, FRAC_PI_4, LOG2_E, PI, TAU};
@@ -12,69 +12,69 @@ use super::Real;
 /// Evaluates a polynomial at `x`, highest coefficient first, by Horner's rule.
 #[inline(always)]
 fn polynomial<R: Real>(x: R, coefficients: &[f32]) -> R {
-    let mut sum = x.splat(coefficients[0]);
+    let mut sum = x.constant(coefficients[0]);
     for &coefficient in &coefficients[1..] {
-        sum = sum.mul_add(x, x.splat(coefficient));
+        sum = sum.mul_add(x, x.constant(coefficient));
     }
     sum
 }
 
 pub(super) fn sin_cos<R: Real>(x: R) -> (R, R) {
-    x.shared(
+    x.call(
         "sin_cos",
         x,
         #[inline(always)]
         |x| {
             let quarter = (x * FRAC_2_PI + 0.5).floor();
             // π/2 in three parts; the first two have trailing zeros, so that their products are exact.
-            let r = quarter.mul_add(x.splat(-1.570_312_5), x);
-            let r = quarter.mul_add(x.splat(-4.837_512_969_970_703e-4), r);
-            let r = quarter.mul_add(x.splat(-7.549_789_948_768_648e-8), r);
-            quarter_turned(quarter, r)
+            let r = quarter.mul_add(x.constant(-1.570_312_5), x);
+            let r = quarter.mul_add(x.constant(-4.837_512_969_970_703e-4), r);
+            let r = quarter.mul_add(x.constant(-7.549_789_948_768_648e-8), r);
+            rotate_quadrant(quarter, r)
         },
     )
 }
 
 pub(super) fn sin_cos_turns<R: Real>(turns: R) -> (R, R) {
-    turns.shared(
+    turns.call(
         "sin_cos_turns",
         turns,
         #[inline(always)]
         |turns| {
             let quarter = (turns * 4.0 + 0.5).floor();
             // The remainder is exact, and at most an eighth of a turn.
-            let rest = quarter.mul_add(turns.splat(-0.25), turns);
-            quarter_turned(quarter, rest * TAU)
+            let rest = quarter.mul_add(turns.constant(-0.25), turns);
+            rotate_quadrant(quarter, rest * TAU)
         },
     )
 }
 
 /// Sine and cosine of a number of quarter turns plus `r`, which is at most an eighth of a turn.
 #[inline(always)]
-fn quarter_turned<R: Real>(quarter: R, r: R) -> (R, R) {
+fn rotate_quadrant<R: Real>(quarter: R, r: R) -> (R, R) {
     let square = r * r;
     let sine =
         (square * r).mul_add(polynomial(square, &[-1.951_529_589_1e-4, 8.332_160_873_6e-3, -1.666_665_461_1e-1]), r);
     let cosine = (square * square).mul_add(
         polynomial(square, &[2.443_315_711_809_948e-5, -1.388_731_625_493_765e-3, 4.166_664_568_298_827e-2]),
-        square.mul_add(r.splat(-0.5), r.splat(1.0)),
+        square.mul_add(r.constant(-0.5), r.constant(1.0)),
     );
     let half = (quarter * 0.5).floor();
-    let odd = quarter.mul_add(r.splat(1.0), half * -2.0).above(0.5);
-    let lower = half.mul_add(r.splat(1.0), (half * 0.5).floor() * -2.0).above(0.5);
+    let odd = quarter.mul_add(r.constant(1.0), half * -2.0).above(0.5);
+    let lower = half.mul_add(r.constant(1.0), (half * 0.5).floor() * -2.0).above(0.5);
     let (s, c) = (R::select(odd, cosine, sine), R::select(odd, -sine, cosine));
     (R::select(lower, -s, s), R::select(lower, -c, c))
 }
 
 pub(super) fn acos<R: Real>(x: R) -> R {
-    x.shared(
+    x.call(
         "acos",
         x,
         #[inline(always)]
         |x| {
             let size = x.abs().at_most(1.0);
             let large = size.above(0.5);
-            let square = R::select(large, (x.splat(1.0) - size) * 0.5, size * size);
+            let square = R::select(large, (x.constant(1.0) - size) * 0.5, size * size);
             let root = R::select(large, square.sqrt(), size);
             let sine = (square * root).mul_add(
                 polynomial(
@@ -89,14 +89,14 @@ pub(super) fn acos<R: Real>(x: R) -> R {
                 ),
                 root,
             );
-            let of_size = R::select(large, sine * 2.0, x.splat(FRAC_PI_2) - sine);
-            R::select(x.below(0.0), x.splat(PI) - of_size, of_size)
+            let of_size = R::select(large, sine * 2.0, x.constant(FRAC_PI_2) - sine);
+            R::select(x.below(0.0), x.constant(PI) - of_size, of_size)
         },
     )
 }
 
 pub(super) fn atan2<R: Real>(y: R, x: R) -> R {
-    x.shared(
+    x.call(
         "atan2",
         (y, x),
         #[inline(always)]
@@ -116,15 +116,15 @@ pub(super) fn atan2<R: Real>(y: R, x: R) -> R {
                 r,
             );
             let angle = R::select(far, part + FRAC_PI_4, part);
-            let angle = R::select(steep, x.splat(FRAC_PI_2) - angle, angle);
-            let angle = R::select(x.below(0.0), x.splat(PI) - angle, angle);
+            let angle = R::select(steep, x.constant(FRAC_PI_2) - angle, angle);
+            let angle = R::select(x.below(0.0), x.constant(PI) - angle, angle);
             R::select(y.below(0.0), -angle, angle)
         },
     )
 }
 
 pub(super) fn exp<R: Real>(x: R) -> R {
-    x.shared(
+    x.call(
         "exp",
         x,
         #[inline(always)]
@@ -132,8 +132,8 @@ pub(super) fn exp<R: Real>(x: R) -> R {
             let x = x.at_least(-87.0).at_most(88.0);
             let power = (x * LOG2_E + 0.5).floor();
             // ln 2 in two parts.
-            let r = power.mul_add(x.splat(-0.693_359_375), x);
-            let r = power.mul_add(x.splat(2.121_944_4e-4), r);
+            let r = power.mul_add(x.constant(-0.693_359_375), x);
+            let r = power.mul_add(x.constant(2.121_944_4e-4), r);
             let tail = polynomial(
                 r,
                 &[1.987_569_15e-4, 1.398_199_950_7e-3, 8.333_451_907_3e-3, 4.166_579_589_4e-2, 1.666_666_545_9e-1, 0.5],
@@ -147,21 +147,21 @@ pub(super) fn exp<R: Real>(x: R) -> R {
 }
 
 pub(super) fn ln<R: Real>(x: R) -> R {
-    x.shared(
+    x.call(
         "ln",
         x,
         #[inline(always)]
-        |x| ln_in_parts(x).0,
+        |x| ln_hi_lo(x).0,
     )
 }
 
 pub(super) fn powf<R: Real>(x: R, exponent: R) -> R {
-    x.shared(
+    x.call(
         "powf",
         (x, exponent),
         #[inline(always)]
         |(x, exponent)| {
-            let (high, low) = ln_in_parts(x);
+            let (high, low) = ln_hi_lo(x);
             let product = high * exponent;
             let lost = low.mul_add(exponent, high.mul_add(exponent, -product));
             let power = exp(product);
@@ -172,7 +172,7 @@ pub(super) fn powf<R: Real>(x: R, exponent: R) -> R {
 
 /// The logarithm as a sum of two numbers, the second much smaller.
 #[inline(always)]
-fn ln_in_parts<R: Real>(x: R) -> (R, R) {
+fn ln_hi_lo<R: Real>(x: R) -> (R, R) {
     let bits = x.at_least(f32::MIN_POSITIVE).to_bits();
     let exponent = R::from_bits((bits >> 23) | 0x4b00_0000) - (8_388_608.0 + 126.0);
     let mantissa = R::from_bits((bits & 0x007f_ffff) | 0x3f00_0000);
@@ -195,7 +195,7 @@ fn ln_in_parts<R: Real>(x: R) -> (R, R) {
         ],
     );
     let tail = (square * r).mul_add(tail, exponent * -2.121_944_4e-4);
-    let fraction = r + square.mul_add(x.splat(-0.5), tail);
+    let fraction = r + square.mul_add(x.constant(-0.5), tail);
     // The first product is exact; the rounding error of the sum is kept (Dekker's Fast2Sum).
     let whole = exponent * 0.693_359_375;
     let sum = whole + fraction;

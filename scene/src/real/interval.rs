@@ -6,8 +6,8 @@
 
 use std::ops::{Add, BitAnd, BitOr, BitXor, Div, Mul, Neg, Not, Shl, Shr, Sub};
 
-use super::reference::Word;
-use super::{Bits, Bundle, Join, Real};
+use super::reference::F32Bits;
+use super::{Bits, Bundle, Merge, Real};
 
 /// All numbers from `low` to `high`, both included.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -20,18 +20,18 @@ pub struct Interval {
 
 /// Truth of a condition over a box.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Truth {
+pub enum Tribool {
     /// True everywhere.
-    Yes,
+    True,
     /// False everywhere.
-    No,
+    False,
     /// Unknown: it may hold in some places.
-    Maybe,
+    Unknown,
 }
 
 /// The bits of an interval: known when it is a single number.
 #[derive(Clone, Copy, Debug)]
-pub struct IntervalBits(Option<Word>);
+pub struct IntervalBits(Option<F32Bits>);
 
 impl Interval {
     const ALL: Self = Self { low: f32::NEG_INFINITY, high: f32::INFINITY };
@@ -51,7 +51,7 @@ impl Interval {
     }
 
     /// The hull of some values; of everything if one is undefined.
-    fn around<const N: usize>(values: [f32; N]) -> Self {
+    fn hull_of<const N: usize>(values: [f32; N]) -> Self {
         if values.iter().any(|value| value.is_nan()) {
             return Self::ALL;
         }
@@ -60,36 +60,36 @@ impl Interval {
     }
 
     /// Widens by the error of a transcendental.
-    fn widened(self) -> Self {
+    fn with_error(self) -> Self {
         const ERROR: f32 = 32.0 * f32::EPSILON;
         let wide = |end: f32| end.abs() * ERROR + f32::MIN_POSITIVE;
         Self { low: self.low - wide(self.low), high: self.high + wide(self.high) }
     }
 }
 
-impl Not for Truth {
+impl Not for Tribool {
     type Output = Self;
     fn not(self) -> Self {
         match self {
-            Self::Yes => Self::No,
-            Self::No => Self::Yes,
-            Self::Maybe => Self::Maybe,
+            Self::True => Self::False,
+            Self::False => Self::True,
+            Self::Unknown => Self::Unknown,
         }
     }
 }
 
-impl BitAnd for Truth {
+impl BitAnd for Tribool {
     type Output = Self;
     fn bitand(self, other: Self) -> Self {
         match (self, other) {
-            (Self::No, _) | (_, Self::No) => Self::No,
-            (Self::Yes, Self::Yes) => Self::Yes,
-            (Self::Maybe, Self::Yes | Self::Maybe) | (Self::Yes, Self::Maybe) => Self::Maybe,
+            (Self::False, _) | (_, Self::False) => Self::False,
+            (Self::True, Self::True) => Self::True,
+            (Self::Unknown, Self::True | Self::Unknown) | (Self::True, Self::Unknown) => Self::Unknown,
         }
     }
 }
 
-impl BitOr for Truth {
+impl BitOr for Tribool {
     type Output = Self;
     fn bitor(self, other: Self) -> Self {
         !(!self & !other)
@@ -99,21 +99,21 @@ impl BitOr for Truth {
 impl Add for Interval {
     type Output = Self;
     fn add(self, other: Self) -> Self {
-        Self::around([self.low + other.low, self.high + other.high])
+        Self::hull_of([self.low + other.low, self.high + other.high])
     }
 }
 
 impl Sub for Interval {
     type Output = Self;
     fn sub(self, other: Self) -> Self {
-        Self::around([self.low - other.high, self.high - other.low])
+        Self::hull_of([self.low - other.high, self.high - other.low])
     }
 }
 
 impl Mul for Interval {
     type Output = Self;
     fn mul(self, other: Self) -> Self {
-        Self::around([self.low * other.low, self.low * other.high, self.high * other.low, self.high * other.high])
+        Self::hull_of([self.low * other.low, self.low * other.high, self.high * other.low, self.high * other.high])
     }
 }
 
@@ -123,7 +123,7 @@ impl Div for Interval {
         if other.contains(0.0) {
             return Self::ALL;
         }
-        Self::around([self.low / other.low, self.low / other.high, self.high / other.low, self.high / other.high])
+        Self::hull_of([self.low / other.low, self.low / other.high, self.high / other.low, self.high / other.high])
     }
 }
 
@@ -169,23 +169,23 @@ bit_operators![Add add, Mul mul, BitXor bitxor, BitAnd bitand, BitOr bitor, Shl 
 impl Bits for IntervalBits {}
 
 /// Merges two bundles into one that contains both.
-struct Hull;
+struct HullMerge;
 
-impl Join<Interval> for Hull {
+impl Merge<Interval> for HullMerge {
     fn number(&mut self, a: Interval, b: Interval) -> Interval {
         a.hull(b)
     }
 
-    fn mask(&mut self, a: Truth, b: Truth) -> Truth {
-        if a == b { a } else { Truth::Maybe }
+    fn mask(&mut self, a: Tribool, b: Tribool) -> Tribool {
+        if a == b { a } else { Tribool::Unknown }
     }
 }
 
 impl Real for Interval {
-    type Mask = Truth;
+    type Mask = Tribool;
     type Bits = IntervalBits;
 
-    fn splat(self, value: f32) -> Self {
+    fn constant(self, value: f32) -> Self {
         Self::new(value, value)
     }
 
@@ -195,7 +195,7 @@ impl Real for Interval {
         let [c, d] = corner(self.low, factor.high);
         let [e, f] = corner(self.high, factor.low);
         let [g, h] = corner(self.high, factor.high);
-        Self::around([a, b, c, d, e, f, g, h])
+        Self::hull_of([a, b, c, d, e, f, g, h])
     }
 
     fn sqrt(self) -> Self {
@@ -224,30 +224,30 @@ impl Real for Interval {
         Self::new(self.low.max(other.low), self.high.max(other.high))
     }
 
-    fn lt(self, other: Self) -> Truth {
+    fn lt(self, other: Self) -> Tribool {
         if self.high < other.low {
-            Truth::Yes
+            Tribool::True
         } else if self.low >= other.high {
-            Truth::No
+            Tribool::False
         } else {
-            Truth::Maybe
+            Tribool::Unknown
         }
     }
 
-    fn select(mask: Truth, yes: Self, no: Self) -> Self {
+    fn select(mask: Tribool, yes: Self, no: Self) -> Self {
         match mask {
-            Truth::Yes => yes,
-            Truth::No => no,
-            Truth::Maybe => yes.hull(no),
+            Tribool::True => yes,
+            Tribool::False => no,
+            Tribool::Unknown => yes.hull(no),
         }
     }
 
     fn to_bits(self) -> IntervalBits {
-        IntervalBits((self.low.to_bits() == self.high.to_bits()).then(|| Word(self.low.to_bits())))
+        IntervalBits((self.low.to_bits() == self.high.to_bits()).then(|| F32Bits(self.low.to_bits())))
     }
 
     fn from_bits(bits: IntervalBits) -> Self {
-        bits.0.map_or(Self::ALL, |word| Self::around([f32::from_bits(word.0)]))
+        bits.0.map_or(Self::ALL, |word| Self::hull_of([f32::from_bits(word.0)]))
     }
 
     fn square(self) -> Self {
@@ -261,7 +261,7 @@ impl Real for Interval {
     }
 
     fn sin_cos(self) -> (Self, Self) {
-        let all = Self::new(-1.0, 1.0).widened();
+        let all = Self::new(-1.0, 1.0).with_error();
         (all, all)
     }
 
@@ -278,46 +278,46 @@ impl Real for Interval {
     }
 
     fn acos(self) -> Self {
-        Self::around([Real::acos(self.high), Real::acos(self.low)]).widened()
+        Self::hull_of([Real::acos(self.high), Real::acos(self.low)]).with_error()
     }
 
     fn atan2(self, _: Self) -> Self {
-        Self::new(-std::f32::consts::PI, std::f32::consts::PI).widened()
+        Self::new(-std::f32::consts::PI, std::f32::consts::PI).with_error()
     }
 
     fn exp(self) -> Self {
-        Self::around([Real::exp(self.low), Real::exp(self.high)]).widened()
+        Self::hull_of([Real::exp(self.low), Real::exp(self.high)]).with_error()
     }
 
     fn ln(self) -> Self {
-        Self::around([Real::ln(self.low), Real::ln(self.high)]).widened()
+        Self::hull_of([Real::ln(self.low), Real::ln(self.high)]).with_error()
     }
 
     fn powf(self, exponent: Self) -> Self {
-        (self.ln() * exponent).exp().widened()
+        (self.ln() * exponent).exp().with_error()
     }
 
-    fn when<T: Bundle<Self>>(mask: Truth, otherwise: T, then: impl FnOnce() -> T) -> T {
+    fn when<T: Bundle<Self>>(mask: Tribool, otherwise: T, then: impl FnOnce() -> T) -> T {
         match mask {
-            Truth::Yes => then(),
-            Truth::No => otherwise,
-            Truth::Maybe => then().join(otherwise, &mut Hull),
+            Tribool::True => then(),
+            Tribool::False => otherwise,
+            Tribool::Unknown => then().merge(otherwise, &mut HullMerge),
         }
     }
 
-    fn repeat<T: Bundle<Self>>(limit: u32, state: T, mut step: impl FnMut(T) -> (Truth, T)) -> T {
+    fn repeat<T: Bundle<Self>>(limit: u32, state: T, mut step: impl FnMut(T) -> (Tribool, T)) -> T {
         let mut state = state;
         let mut stopped: Option<T> = None;
         for _ in 0..limit {
             let (again, next) = step(state);
             state = next;
             match again {
-                Truth::Yes => {}
-                Truth::No => break,
+                Tribool::True => {}
+                Tribool::False => break,
                 // Some points stop here, others continue: keep the hull of the stopped ones.
-                Truth::Maybe => stopped = Some(stopped.map_or(state, |ends| ends.join(state, &mut Hull))),
+                Tribool::Unknown => stopped = Some(stopped.map_or(state, |ends| ends.merge(state, &mut HullMerge))),
             }
         }
-        stopped.map_or(state, |ends| ends.join(state, &mut Hull))
+        stopped.map_or(state, |ends| ends.merge(state, &mut HullMerge))
     }
 }

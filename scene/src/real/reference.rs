@@ -2,15 +2,15 @@
 
 use std::ops::{Add, BitAnd, BitOr, BitXor, Mul, Shl, Shr};
 
-use super::{Bits, Bundle, Join, Real, SQRT_FLOOR};
+use super::{Bits, Bundle, Merge, Real, SQRT_FLOOR};
 
 /// The bits of an `f32`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Word(pub u32);
+pub struct F32Bits(pub u32);
 
 macro_rules! word_operators {
     ($($Op:ident $op:ident $apply:expr),* $(,)?) => { $(
-        impl $Op<u32> for Word {
+        impl $Op<u32> for F32Bits {
             type Output = Self;
             #[inline(always)]
             fn $op(self, other: u32) -> Self {
@@ -18,7 +18,7 @@ macro_rules! word_operators {
                 Self(apply(self.0, other))
             }
         }
-        impl $Op for Word {
+        impl $Op for F32Bits {
             type Output = Self;
             #[inline(always)]
             fn $op(self, other: Self) -> Self {
@@ -38,14 +38,14 @@ word_operators![
     Shr shr u32::wrapping_shr,
 ];
 
-impl Bits for Word {}
+impl Bits for F32Bits {}
 
 /// `a · b + c` rounded once, on any CPU.
 ///
 /// The product of two `f32` is exact in `f64`; the sum is rounded to odd (Boldo and Melquiond,
 /// "Emulation of a FMA and correctly rounded sums: proved algorithms using rounding to odd",
 /// IEEE Transactions on Computers 57(4), 2008), which makes the second rounding harmless.
-fn fused(a: f32, b: f32, c: f32) -> f32 {
+fn fma(a: f32, b: f32, c: f32) -> f32 {
     let product = f64::from(a) * f64::from(b);
     let term = f64::from(c);
     let sum = product + term;
@@ -61,9 +61,9 @@ fn fused(a: f32, b: f32, c: f32) -> f32 {
 }
 
 /// Picks one of two bundles.
-struct Pick(bool);
+struct SelectMerge(bool);
 
-impl Join<f32> for Pick {
+impl Merge<f32> for SelectMerge {
     #[inline(always)]
     fn number(&mut self, yes: f32, no: f32) -> f32 {
         if self.0 { yes } else { no }
@@ -77,16 +77,16 @@ impl Join<f32> for Pick {
 
 impl Real for f32 {
     type Mask = bool;
-    type Bits = Word;
+    type Bits = F32Bits;
 
     #[inline(always)]
-    fn splat(self, value: f32) -> Self {
+    fn constant(self, value: f32) -> Self {
         value
     }
 
     #[inline(always)]
     fn mul_add(self, factor: Self, term: Self) -> Self {
-        fused(self, factor, term)
+        fma(self, factor, term)
     }
 
     #[inline(always)]
@@ -125,18 +125,18 @@ impl Real for f32 {
     }
 
     #[inline(always)]
-    fn to_bits(self) -> Word {
-        Word(f32::to_bits(self))
+    fn to_bits(self) -> F32Bits {
+        F32Bits(f32::to_bits(self))
     }
 
     #[inline(always)]
-    fn from_bits(bits: Word) -> Self {
+    fn from_bits(bits: F32Bits) -> Self {
         f32::from_bits(bits.0)
     }
 
     #[inline(always)]
     fn when<T: Bundle<Self>>(mask: bool, otherwise: T, then: impl FnOnce() -> T) -> T {
-        if mask { then().join(otherwise, &mut Pick(true)) } else { otherwise }
+        if mask { then().merge(otherwise, &mut SelectMerge(true)) } else { otherwise }
     }
 
     #[inline(always)]
@@ -174,7 +174,7 @@ mod tests {
         let mut tested = 0;
         while tested < 2_000_000 {
             let (a, b, c) = (random(), random(), random());
-            let (got, want) = (fused(a, b, c), fused_exactly(a, b, c));
+            let (got, want) = (fma(a, b, c), fused_exactly(a, b, c));
             if want.is_nan() {
                 continue;
             }
@@ -195,7 +195,7 @@ mod tests {
             (1.5 * f32::MIN_POSITIVE, 0.5, -tiny),
             (f32::MAX, 2.0, -f32::MAX),
         ] {
-            assert_eq!(fused(a, b, c).to_bits(), fused_exactly(a, b, c).to_bits(), "{a:e} * {b:e} + {c:e}");
+            assert_eq!(fma(a, b, c).to_bits(), fused_exactly(a, b, c).to_bits(), "{a:e} * {b:e} + {c:e}");
         }
     }
 

@@ -24,8 +24,8 @@ pub const fn vec3<R>(x: R, y: R, z: R) -> Vec3<R> {
 impl<R: Real> Vec3<R> {
     /// A vector of the scene in every lane of numbers like `like`.
     #[inline(always)]
-    pub fn given(like: R, vector: Vec3<f32>) -> Self {
-        vec3(like.given(vector.x), like.given(vector.y), like.given(vector.z))
+    pub fn uniform(like: R, vector: Vec3<f32>) -> Self {
+        vec3(like.uniform(vector.x), like.uniform(vector.y), like.uniform(vector.z))
     }
 
     /// Applies `f` to each coordinate.
@@ -42,8 +42,8 @@ impl<R: Real> Vec3<R> {
 
     /// Scalar product with a vector of the scene.
     #[inline(always)]
-    pub fn dot_known(self, other: Vec3<f32>) -> R {
-        self.dot(Self::given(self.x, other))
+    pub fn dot_uniform(self, other: Vec3<f32>) -> R {
+        self.dot(Self::uniform(self.x, other))
     }
 
     /// Vector product.
@@ -71,7 +71,7 @@ impl<R: Real> Vec3<R> {
     /// The vector of length 1 in this direction; of a vector shorter than 10⁻¹⁴, nearly 0.
     #[inline(always)]
     pub fn normalize(self) -> Self {
-        self * (self.x.splat(1.0) / self.length().at_least(1e-14))
+        self * (self.x.constant(1.0) / self.length().at_least(1e-14))
     }
 
     /// `self · factor + term`, fused by coordinate: a point along a ray.
@@ -88,13 +88,13 @@ impl<R: Real> Vec3<R> {
 
     /// Each coordinate times the other vector's: light through a filter.
     #[inline(always)]
-    pub fn by_channel(self, other: Self) -> Self {
+    pub fn mul_elementwise(self, other: Self) -> Self {
         vec3(self.x * other.x, self.y * other.y, self.z * other.z)
     }
 
     /// `self` times `factor` plus `term`, element by element, fused.
     #[inline(always)]
-    pub fn mul_add_by_channel(self, factor: Self, term: Self) -> Self {
+    pub fn mul_add_elementwise(self, factor: Self, term: Self) -> Self {
         vec3(self.x.mul_add(factor.x, term.x), self.y.mul_add(factor.y, term.y), self.z.mul_add(factor.z, term.z))
     }
 

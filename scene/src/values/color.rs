@@ -9,12 +9,12 @@ use serde::{Deserialize, Deserializer, Serialize, Serializer};
 
 use super::Channel;
 use crate::real::{Vec3, vec3};
-use crate::seek::{Clock, Misfit, Seek};
+use crate::seek::{FrameTime, Seek, SeekError};
 
 /// A color in linear light; above 1 is allowed. Two are equal if their channels are.
 #[derive(Clone, Debug)]
 pub struct Color {
-    light: Vec3<f32>,
+    linear: Vec3<f32>,
     /// Its channels, if one of them is animated.
     channels: Option<Box<[Channel; 3]>>,
 }
@@ -22,25 +22,25 @@ pub struct Color {
 impl Color {
     /// The color with these channels.
     pub const fn new(red: f32, green: f32, blue: f32) -> Self {
-        Self { light: vec3(red, green, blue), channels: None }
+        Self { linear: vec3(red, green, blue), channels: None }
     }
 
     /// Red, green, blue, in linear light.
     #[inline(always)]
     pub fn get(&self) -> Vec3<f32> {
-        self.light
+        self.linear
     }
 
     /// Whether any of its channels moves.
     #[inline(always)]
-    pub fn is_moving(&self) -> bool {
+    pub fn is_animated(&self) -> bool {
         self.channels.is_some()
     }
 
     /// Whether it is black in every frame: then a formula may leave its term out.
     #[inline(always)]
     pub fn is_black(&self) -> bool {
-        self.light == vec3(0.0, 0.0, 0.0) && !self.is_moving()
+        self.linear == vec3(0.0, 0.0, 0.0) && !self.is_animated()
     }
 }
 
@@ -50,8 +50,8 @@ fn light_of(channels: &[Channel; 3]) -> Vec3<f32> {
 }
 
 impl Seek for Color {
-    fn seek(&mut self, clock: &mut Clock<'_>) -> Result<bool, Box<Misfit>> {
-        let Self { light, channels: Some(channels) } = self else { return Ok(false) };
+    fn seek(&mut self, clock: &mut FrameTime<'_>) -> Result<bool, Box<SeekError>> {
+        let Self { linear: light, channels: Some(channels) } = self else { return Ok(false) };
         channels.seek(clock)?;
         *light = light_of(channels);
         Ok(true)
@@ -60,7 +60,7 @@ impl Seek for Color {
 
 impl PartialEq for Color {
     fn eq(&self, other: &Self) -> bool {
-        self.light == other.light
+        self.linear == other.linear
     }
 }
 
@@ -71,7 +71,7 @@ impl<'de> Visitor<'de> for ColorVisitor {
     type Value = Color;
 
     fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str("a colour: [red, green, blue] in linear light, or \"#rrggbb\" in sRGB")
+        f.write_str("a color: [red, green, blue] in linear light, or \"#rrggbb\" in sRGB")
     }
 
     fn visit_str<E: Error>(self, text: &str) -> Result<Color, E> {
@@ -86,7 +86,7 @@ impl<'de> Visitor<'de> for ColorVisitor {
         let mut next = |n: usize| channels.next_element::<Channel>()?.ok_or_else(|| A::Error::invalid_length(n, &self));
         let read = [next(0)?, next(1)?, next(2)?];
         let light = light_of(&read);
-        let color = Color { light, channels: read.iter().any(Channel::is_moving).then(|| Box::new(read)) };
+        let color = Color { linear: light, channels: read.iter().any(Channel::is_animated).then(|| Box::new(read)) };
         if channels.next_element::<serde::de::IgnoredAny>()?.is_some() {
             return Err(A::Error::invalid_length(4, &self));
         }
@@ -95,7 +95,7 @@ impl<'de> Visitor<'de> for ColorVisitor {
 
     fn visit_map<A: MapAccess<'de>>(self, _: A) -> Result<Color, A::Error> {
         Err(A::Error::custom(
-            "takes no texture: write [red, green, blue], where a channel may be a track; a material's colours take textures",
+            "takes no texture: write [red, green, blue], where a channel may be a track; a material's colors take textures",
         ))
     }
 }
@@ -110,7 +110,7 @@ impl Serialize for Color {
     fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
         match &self.channels {
             Some(channels) => channels.serialize(serializer),
-            None => <[f32; 3]>::from(self.light).serialize(serializer),
+            None => <[f32; 3]>::from(self.linear).serialize(serializer),
         }
     }
 }
@@ -123,7 +123,7 @@ impl JsonSchema for Color {
     fn json_schema(generator: &mut SchemaGenerator) -> Schema {
         let channel = generator.subschema_for::<Channel>();
         json_schema!({
-            "description": "A colour: red, green, blue in linear light, or \"#rrggbb\" in sRGB.",
+            "description": "A color: red, green, blue in linear light, or \"#rrggbb\" in sRGB.",
             "anyOf": [
                 { "type": "array", "items": channel, "minItems": 3, "maxItems": 3 },
                 { "type": "string", "pattern": "^#[0-9a-fA-F]{6}$" }

@@ -2,7 +2,7 @@
 //!
 //! A number with a track stores it, next to its value at the time it was last evaluated for.
 
-mod keys;
+mod keyframes;
 
 use std::borrow::Cow;
 use std::fmt;
@@ -14,21 +14,21 @@ use serde::de::{Error, MapAccess, Visitor};
 use serde::ser::SerializeStruct;
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
 
-use self::keys::Keys;
-use super::Replayed;
-use crate::limits::{MAX_KEY_SECONDS, MAX_KEYS};
+use self::keyframes::KeyframeSpan;
+use super::PeekedMap;
+use crate::limits::{MAX_KEYFRAME_SECONDS, MAX_KEYFRAMES};
 use crate::materials::Texture;
 
 /// A kind of number, with its range.
-pub(super) trait Ranged: Sized {
+pub(super) trait RangedNumber: Sized {
     /// Range of a number of this kind, as words for messages.
-    const WORDS: &'static str;
+    const EXPECTED: &'static str;
 
     /// Whether a number is in range.
-    fn holds(value: f32) -> bool;
+    fn is_in_range(value: f32) -> bool;
 
     /// The number, if it is in range.
-    fn ranged(value: f32) -> Option<Self>;
+    fn in_range(value: f32) -> Option<Self>;
 
     /// The number.
     fn value(&self) -> f32;
@@ -38,13 +38,13 @@ pub(super) trait Ranged: Sized {
 }
 
 /// A number of JSON as one of its kind; finite and in range, or what it should be.
-pub(super) fn number<T: Ranged, E: Error>(value: f64) -> Result<T, E> {
+pub(super) fn number<T: RangedNumber, E: Error>(value: f64) -> Result<T, E> {
     let number = value as f32;
     if !number.is_finite() {
         return Err(E::custom(format_args!("{value:e} is too large: numbers go up to 3.4e38")));
     }
     // No result depends on the sign of a zero, and no key should either.
-    T::ranged(number + 0.0).ok_or_else(|| E::custom(format_args!("must be {}, not {}", T::WORDS, number + 0.0)))
+    T::in_range(number + 0.0).ok_or_else(|| E::custom(format_args!("must be {}, not {}", T::EXPECTED, number + 0.0)))
 }
 
 macro_rules! visit_numbers {
@@ -64,9 +64,9 @@ macro_rules! visit_numbers {
 }
 
 /// Deserializes a number that cannot be animated.
-pub(super) struct Unmoved<T>(PhantomData<T>);
+pub(super) struct ConstantVisitor<T>(PhantomData<T>);
 
-impl<T: Ranged> Visitor<'_> for Unmoved<T> {
+impl<T: RangedNumber> Visitor<'_> for ConstantVisitor<T> {
     type Value = T;
 
     fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
@@ -79,7 +79,7 @@ impl<T: Ranged> Visitor<'_> for Unmoved<T> {
 /// Reads a number, or a track.
 pub(super) struct NumberOrTrack<T>(PhantomData<T>);
 
-impl<'de, T: Ranged> Visitor<'de> for NumberOrTrack<T> {
+impl<'de, T: RangedNumber> Visitor<'de> for NumberOrTrack<T> {
     type Value = T;
 
     fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
@@ -95,25 +95,25 @@ impl<'de, T: Ranged> Visitor<'de> for NumberOrTrack<T> {
                 "takes no texture: write a number or a track; a material's numbers take textures",
             ));
         }
-        let read = ReadTrack::<T>::deserialize(MapAccessDeserializer::new(Replayed::new(first, map)))?;
+        let read = ReadTrack::<T>::deserialize(MapAccessDeserializer::new(PeekedMap::new(first, map)))?;
         Ok(T::on_track(Track { keys: read.keys.0, ease: read.ease }))
     }
 }
 
 /// Deserializes a number that cannot be animated.
-pub(super) fn read_still<'de, T: Ranged, D: Deserializer<'de>>(d: D) -> Result<T, D::Error> {
-    d.deserialize_f64(Unmoved(PhantomData))
+pub(super) fn read_constant<'de, T: RangedNumber, D: Deserializer<'de>>(d: D) -> Result<T, D::Error> {
+    d.deserialize_f64(ConstantVisitor(PhantomData))
 }
 
 /// Reads a number, or a track.
-pub(super) fn read<'de, T: Ranged, D: Deserializer<'de>>(d: D) -> Result<T, D::Error> {
+pub(super) fn read<'de, T: RangedNumber, D: Deserializer<'de>>(d: D) -> Result<T, D::Error> {
     d.deserialize_any(NumberOrTrack(PhantomData))
 }
 
 /// Serializes a number; an animated one as a track with one keyframe, so that it is still animated when it is
 /// read again.
-pub(super) fn write<S: Serializer>(value: f32, is_moving: bool, serializer: S) -> Result<S::Ok, S::Error> {
-    if !is_moving {
+pub(super) fn write<S: Serializer>(value: f32, is_animated: bool, serializer: S) -> Result<S::Ok, S::Error> {
+    if !is_animated {
         return serializer.serialize_f32(value);
     }
     let mut track = serializer.serialize_struct("Track", 1)?;
@@ -135,7 +135,7 @@ pub(crate) enum Ease {
 }
 
 impl Ease {
-    fn eased(self, share: f64) -> f64 {
+    fn apply(self, share: f64) -> f64 {
         match self {
             Self::Linear => share,
             Self::Smooth => share * share * (3.0 - 2.0 * share),
@@ -154,11 +154,11 @@ pub(crate) struct Track {
 
 impl Track {
     /// The times of its keyframes.
-    pub(super) fn key_seconds(&self) -> impl Iterator<Item = f64> {
+    pub(super) fn keyframe_times(&self) -> impl Iterator<Item = f64> {
         self.keys.iter().map(|&(seconds, _)| seconds)
     }
 
-    /// The number at a time. `holds` tells whether a number is in range.
+    /// The number at a time. `is_in_range` tells whether a number is in range.
     pub(super) fn at(&self, now: f64, holds: fn(f32) -> bool) -> f32 {
         let next = self.keys.partition_point(|&(seconds, _)| seconds <= now);
         let (from, before) = self.keys[next.saturating_sub(1)];
@@ -167,7 +167,7 @@ impl Track {
         if length <= 0.0 || now <= from {
             return before;
         }
-        let share = self.ease.eased((now - from) / length);
+        let share = self.ease.apply((now - from) / length);
         let (low, high) = (f64::from(before), f64::from(after));
         let value = ((low + (high - low) * share) as f32).clamp(before.min(after), before.max(after)) + 0.0;
         if holds(value) {
@@ -180,9 +180,9 @@ impl Track {
 
 /// A track as it is read.
 #[derive(Deserialize)]
-#[serde(rename = "Track", deny_unknown_fields, bound(deserialize = "T: Ranged"))]
+#[serde(rename = "Track", deny_unknown_fields, bound(deserialize = "T: RangedNumber"))]
 struct ReadTrack<T> {
-    keys: Keys<T>,
+    keys: KeyframeSpan<T>,
     #[serde(default)]
     ease: Ease,
 }
@@ -203,11 +203,11 @@ impl JsonSchema for TrackSchema {
             "properties": {
                 "keys": {
                     "description": "Pairs of seconds, which rise, and the number there, in the range of what is moved.",
-                    "type": "array", "minItems": 1, "maxItems": MAX_KEYS,
+                    "type": "array", "minItems": 1, "maxItems": MAX_KEYFRAMES,
                     "items": {
                         "type": "array", "minItems": 2, "maxItems": 2,
                         "prefixItems": [
-                            { "type": "number", "minimum": -MAX_KEY_SECONDS, "maximum": MAX_KEY_SECONDS },
+                            { "type": "number", "minimum": -MAX_KEYFRAME_SECONDS, "maximum": MAX_KEYFRAME_SECONDS },
                             { "type": "number" }
                         ]
                     }
@@ -233,12 +233,12 @@ pub(super) fn or_track(mut schema: Schema, generator: &mut SchemaGenerator) -> S
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::seek::{Clock, Seek};
-    use crate::values::{Amount, Color, Coordinate, Direction, FrameRate, Length, Point, Rotation};
+    use crate::seek::{FrameTime, Seek};
+    use crate::values::{Color, Coordinate, Direction, FrameRate, Length, LengthOrZero, Point, Rotation};
 
     fn at<T: serde::de::DeserializeOwned + Seek>(seconds: f64, text: &str) -> T {
         let mut value: T = serde_json::from_str(text).unwrap_or_else(|error| panic!("{text}: {error}"));
-        value.seek(&mut Clock::at(seconds)).unwrap_or_else(|misfit| panic!("{text}: {misfit:?}"));
+        value.seek(&mut FrameTime::at(seconds)).unwrap_or_else(|misfit| panic!("{text}: {misfit:?}"));
         value
     }
 
@@ -261,14 +261,14 @@ mod tests {
     #[test]
     fn a_number_knows_that_it_moves_wherever_it_stands() {
         const TRACK: &str = r#"{ "keys": [[0, 0], [2, 1]] }"#;
-        let [first, later] = [0.0, 1.0].map(|seconds| at::<Amount>(seconds, TRACK));
-        assert!(first.is_moving() && first.get() == 0.0 && !first.is_zero());
-        assert!(later.is_moving() && later.get() == 0.5);
-        assert!(at::<Amount>(0.0, "0").is_zero() && !at::<Amount>(0.0, "0").is_moving());
+        let [first, later] = [0.0, 1.0].map(|seconds| at::<LengthOrZero>(seconds, TRACK));
+        assert!(first.is_animated() && first.get() == 0.0 && !first.is_zero());
+        assert!(later.is_animated() && later.get() == 0.5);
+        assert!(at::<LengthOrZero>(0.0, "0").is_zero() && !at::<LengthOrZero>(0.0, "0").is_animated());
         assert!(!at::<Color>(0.0, &format!("[0, {TRACK}, 0]")).is_black() && at::<Color>(0.0, "[0, 0, 0]").is_black());
         assert_eq!(at::<Color>(1.0, &format!("[0, {TRACK}, 0]")).get().y, 0.5);
-        assert!(at::<Direction>(1.0, &format!("[1, {TRACK}, 0]")).is_moving());
-        assert!(at::<Rotation>(1.0, &format!("[0, {TRACK}, 0]")).is_moving());
+        assert!(at::<Direction>(1.0, &format!("[1, {TRACK}, 0]")).is_animated());
+        assert!(at::<Rotation>(1.0, &format!("[0, {TRACK}, 0]")).is_animated());
         assert_eq!(at::<Point>(1.0, &format!("[7, {TRACK}, 0]")).get().y, 0.5);
     }
 
@@ -277,23 +277,23 @@ mod tests {
         let number = at::<Length>(1.0, r#"{ "keys": [[0, 1], [4, 3]] }"#);
         let text = serde_json::to_string(&number).unwrap();
         let again = at::<Length>(9.0, &text);
-        assert!(again.is_moving() && again.get() == 1.5, "{text}");
+        assert!(again.is_animated() && again.get() == 1.5, "{text}");
         let color: Color = at(1.0, r#"[1, { "keys": [[0, 1], [4, 3]] }, 0]"#);
         let again: Color = serde_json::from_str(&serde_json::to_string(&color).unwrap()).unwrap();
-        assert!(again.is_moving() && again.get() == color.get());
+        assert!(again.is_animated() && again.get() == color.get());
     }
 
     #[test]
     fn an_amount_between_nothing_and_the_least_size_is_one_of_them() {
-        let amount = |seconds| at::<Amount>(seconds, r#"{ "keys": [[0, 0], [1, 1]] }"#).get();
+        let amount = |seconds| at::<LengthOrZero>(seconds, r#"{ "keys": [[0, 0], [1, 1]] }"#).get();
         assert_eq!(amount(1e-7), 0.0);
         assert_eq!(amount(0.5), 0.5);
-        let amount = |seconds| at::<Amount>(seconds, r#"{ "keys": [[0, 0], [1, 1e-6]] }"#).get();
+        let amount = |seconds| at::<LengthOrZero>(seconds, r#"{ "keys": [[0, 0], [1, 1e-6]] }"#).get();
         assert_eq!([0.25, 0.75].map(amount), [0.0, 1e-6]);
     }
 
     #[test]
-    fn a_fault_of_a_track_is_told_at_its_place() {
+    fn a_fault_of_a_track_is_reported_at_its_place() {
         for (text, place, words) in [
             (r#"{ "keys": [] }"#, "keys", "needs a key"),
             (r#"{ "keys": [[0, 1], [2, -3]] }"#, "keys[1][1]", "from 1e-6"),
@@ -311,13 +311,13 @@ mod tests {
             let told = refusal::<Length>(text);
             assert!(told.starts_with(&format!("{place}: ")) && told.contains(words), "{text}: {told}");
         }
-        let long: Vec<String> = (0..=MAX_KEYS).map(|key| format!("[{key}, 1]")).collect();
+        let long: Vec<String> = (0..=MAX_KEYFRAMES).map(|key| format!("[{key}, 1]")).collect();
         let told = refusal::<Length>(&format!(r#"{{ "keys": [{}] }}"#, long.join(",")));
         assert!(told.starts_with("keys: ") && told.contains("10000"), "{told}");
     }
 
     #[test]
-    fn what_frames_are_counted_by_does_not_move() {
+    fn frame_counts_cannot_be_tracks() {
         assert!(refusal::<FrameRate>(r#"{ "keys": [[0, 24]] }"#).contains("a number"));
     }
 }

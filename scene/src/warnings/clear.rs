@@ -2,19 +2,19 @@
 
 use super::objects;
 use crate::bounds::Bounds;
-use crate::materials::{Material, Place, Shade};
+use crate::materials::{Material, Shade, ShadingPoint};
 use crate::nodes::Node;
-use crate::real::{Flag, Vec3, vec3};
+use crate::real::{MaskValue, Vec3, vec3};
 use crate::scene::Scene;
 
 /// Places that are looked at of each pair of clear objects.
-const PLACES: usize = 400;
+const GRID_POINTS: usize = 400;
 /// Surfaces that are nearer to each other than this part of the smaller one's size are one.
 const COINCIDENT: f32 = 2e-5;
 /// Pairs of objects that are looked at.
 const MAX_PAIRS: usize = 32;
 /// More work at a look is not done.
-const MAX_WORK: f32 = 500.0;
+const MAX_EVALUATIONS: f32 = 500.0;
 /// What sends on more of the light than this is metal or glass.
 const MIN_SENT_ON: f32 = 0.5;
 
@@ -22,8 +22,8 @@ const MIN_SENT_ON: f32 = 0.5;
 pub(super) fn touching(scene: &Scene) -> Option<String> {
     let is_clear = |index: &usize| {
         let object = &scene.objects[*index];
-        let material = &scene.slots()[object.material.slot() as usize];
-        material.lets_through() && !material.is_medium() && object.shape.work() <= MAX_WORK
+        let material = &scene.used_materials()[object.material.slot() as usize];
+        material.is_transmissive() && !material.is_medium() && object.shape.evaluation_cost() <= MAX_EVALUATIONS
     };
     let clear: Vec<usize> = (0..scene.objects.len()).filter(is_clear).collect();
     let pairs = clear.iter().enumerate().flat_map(|(n, &one)| clear[n + 1..].iter().map(move |&other| (one, other)));
@@ -40,25 +40,22 @@ pub(super) fn touching(scene: &Scene) -> Option<String> {
 /// Whether two surfaces are one over an area: then places of one, all over it, lie on the other.
 fn coincide(one: &Node, other: &Node) -> bool {
     let (a, b) = (one.bounds(0.0), other.bounds(0.0));
-    let common = a.overlap(b);
-    if !common.is_finite()
-        || common.low.x > common.high.x
-        || common.low.y > common.high.y
-        || common.low.z > common.high.z
+    let common = a.intersection(b);
+    if !common.is_finite() || common.min.x > common.max.x || common.min.y > common.max.y || common.min.z > common.max.z
     {
         return false;
     }
     let size = [a, b].into_iter().filter(|bounds| bounds.is_finite()).map(Bounds::diagonal).fold(f32::MAX, f32::min);
     let tolerance = COINCIDENT * size;
     let mut met = 0;
-    for place in 0..PLACES {
+    for place in 0..GRID_POINTS {
         let Some(p) = on_surface(one, strewn(common, place), tolerance) else { continue };
         if other.distance(p).abs() < tolerance {
             met += 1;
         }
     }
     // Surfaces that only cross each other meet along a line, and hardly any place lies on that.
-    met >= PLACES / 40
+    met >= GRID_POINTS / 40
 }
 
 /// A place in a box: Martin Roberts, "The unreasonable effectiveness of quasirandom sequences",
@@ -68,7 +65,7 @@ fn strewn(bounds: Bounds, number: usize) -> Vec3<f32> {
         let share = (0.5 + step * (number + 1) as f64).fract() as f32;
         low + share * (high - low)
     };
-    let (low, high) = (bounds.low, bounds.high);
+    let (low, high) = (bounds.min, bounds.max);
     vec3(
         along(0.819_172_513_396_164_4, low.x, high.x),
         along(0.671_043_606_703_789_2, low.y, high.y),
@@ -100,7 +97,7 @@ pub(super) fn nothing_to_mirror(scene: &Scene) -> Option<String> {
     if !scene.is_transparent() {
         return None;
     }
-    let slots = scene.slots();
+    let slots = scene.used_materials();
     let shiny: Vec<usize> = (0..scene.objects.len())
         .filter(|&index| slots.get(scene.objects[index].material.slot() as usize).is_some_and(is_shiny))
         .collect();
@@ -113,16 +110,16 @@ pub(super) fn nothing_to_mirror(scene: &Scene) -> Option<String> {
 
 fn is_shiny(material: &Material) -> bool {
     let up = vec3(0.0, 0.0, 1.0);
-    let place = Place {
+    let place = ShadingPoint {
         normal: up,
         to_viewer: up,
-        point: vec3(0.0, 0.0, 0.0),
-        own_normal: up,
+        local_point: vec3(0.0, 0.0, 0.0),
+        local_normal: up,
         footprint: [vec3(0.0, 0.0, 0.0); 2],
-        distance: 1.0,
-        inside: Flag(false),
+        camera_t: 1.0,
+        is_inside: MaskValue(false),
     };
     material
-        .finish(&place)
-        .is_some_and(|finish| finish.mirrored.max_element() > MIN_SENT_ON || finish.passed.max_element() > MIN_SENT_ON)
+        .specular(&place)
+        .is_some_and(|finish| finish.f0.max_element() > MIN_SENT_ON || finish.transmission.max_element() > MIN_SENT_ON)
 }

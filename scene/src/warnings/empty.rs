@@ -2,14 +2,14 @@
 
 use crate::nodes::{Exactness, Node};
 use crate::real::{Vec3, vec3};
-use crate::scene::{Scene, child_steps};
+use crate::scene::{Scene, child_pointers};
 
 /// Boxes that are looked at in a difference until it is not known.
 const MAX_BOXES: usize = 512;
 /// Boxes that are looked at in all differences of a scene.
 const MAX_ALL_BOXES: usize = 8192;
 /// More work at a look is not done.
-const MAX_WORK: f32 = 2000.0;
+const MAX_EVALUATIONS: f32 = 2000.0;
 
 /// A difference whose parts are all cut away.
 pub(super) fn difference(scene: &Scene) -> Option<String> {
@@ -28,7 +28,7 @@ fn empty_difference(node: &Node, pointer: &mut String, boxes_left: &mut usize) -
         return Some(format!("{pointer}/{}", node.name()));
     }
     let length = pointer.len();
-    node.children().iter().zip(child_steps(node)).find_map(|(child, step)| {
+    node.children().iter().zip(child_pointers(node)).find_map(|(child, step)| {
         pointer.push_str(&step);
         let found = empty_difference(child, pointer, boxes_left);
         pointer.truncate(length);
@@ -41,10 +41,14 @@ fn empty_difference(node: &Node, pointer: &mut String, boxes_left: &mut usize) -
 fn is_empty(node: &Node, boxes_left: &mut usize) -> bool {
     let bounds = node.bounds(0.0);
     let stretch = node.stretch();
-    if !bounds.is_finite() || node.exactness() == Exactness::Estimate || node.work() > MAX_WORK || stretch.is_nan() {
+    if !bounds.is_finite()
+        || node.exactness() == Exactness::Estimate
+        || node.evaluation_cost() > MAX_EVALUATIONS
+        || stretch.is_nan()
+    {
         return false;
     }
-    let mut boxes = vec![(bounds.low, bounds.high)];
+    let mut boxes = vec![(bounds.min, bounds.max)];
     for _ in 0..MAX_BOXES.min(*boxes_left) {
         let Some((low, high)) = boxes.pop() else { return true };
         *boxes_left -= 1;

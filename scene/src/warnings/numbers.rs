@@ -4,7 +4,7 @@ use serde_json::Value;
 
 use crate::materials::Shade;
 use crate::nodes::Node;
-use crate::scene::{Scene, child_steps};
+use crate::scene::{Scene, child_pointers};
 
 /// Keys of colors that say what part of the light comes back, and cannot be much above 1.
 const REFLECTANCES: [&str; 7] = ["albedo", "base_color", "colors", "ka", "kd", "ks", "ramp"];
@@ -20,7 +20,7 @@ const MAX_BESIDE: f64 = 0.01;
 /// Colors whose channels go to 255.
 pub(super) fn colors_of_255(scene: &Scene) -> Option<String> {
     for (index, object) in scene.objects.iter().enumerate() {
-        let material = scene.slots().get(object.material.slot() as usize)?;
+        let material = scene.used_materials().get(object.material.slot() as usize)?;
         if material.is_medium() {
             continue;
         }
@@ -66,7 +66,7 @@ fn color_of_255(value: &Value, pointer: &mut String, is_reflectance: bool) -> Op
 
 /// Angles that are in radians.
 pub(super) fn radians(scene: &Scene) -> Option<String> {
-    if let Some(fov) = scene.camera.fov.as_ref().filter(|fov| fov.get() < MIN_FOV && !fov.is_moving()) {
+    if let Some(fov) = scene.camera.fov.as_ref().filter(|fov| fov.get() < MIN_FOV && !fov.is_animated()) {
         let degrees = f64::from(fov.get()).to_degrees().round();
         let fov = fov.get();
         return Some(format!(
@@ -92,7 +92,7 @@ fn rotation_in_radians(node: &Node, pointer: &mut String) -> Option<String> {
         ));
     }
     let length = pointer.len();
-    node.children().iter().zip(child_steps(node)).find_map(|(child, step)| {
+    node.children().iter().zip(child_pointers(node)).find_map(|(child, step)| {
         pointer.push_str(&step);
         let found = rotation_in_radians(child, pointer);
         pointer.truncate(length);

@@ -2,13 +2,13 @@
 
 use crate::materials::Shade;
 use crate::nodes::Node;
-use crate::scene::{Scene, child_steps};
+use crate::scene::{Scene, child_pointers};
 
 /// Shapes that move under a texture which does not.
 pub(super) fn swims(scene: &Scene) -> Option<String> {
     scene.objects.iter().enumerate().find_map(|(index, object)| {
         let is_textured = |slot: u32| {
-            scene.slots().get(slot as usize).is_some_and(|material| material.is_textured() && !material.is_medium())
+            scene.used_materials().get(slot as usize).is_some_and(|material| material.is_textured() && !material.is_medium())
         };
         let mut pointer = format!("/scene/objects/{index}/shape");
         let place = moves_under(&object.shape, is_textured(object.material.slot()), &is_textured, &mut pointer)?;
@@ -30,7 +30,7 @@ fn moves_under(
         return Some(format!("{pointer}/{}", node.name()));
     }
     let length = pointer.len();
-    node.children().iter().zip(child_steps(node)).find_map(|(child, step)| {
+    node.children().iter().zip(child_pointers(node)).find_map(|(child, step)| {
         pointer.push_str(&step);
         let found = moves_under(child, is_under_texture, is_textured, pointer);
         pointer.truncate(length);

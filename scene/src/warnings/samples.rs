@@ -8,23 +8,26 @@ use crate::materials::Shade;
 use crate::scene::Scene;
 
 /// So many rays of a pixel leave edges that are right to a step of 8 bits.
-const ENOUGH: u32 = 256;
+const MIN_SAMPLES: u32 = 256;
 
 /// More samples than a picture without noise can show.
 pub(super) fn too_many(scene: &Scene, image: &Image) -> Option<String> {
     let is_coarse = image.format == Format::Png && image.bits == Bits::Eight;
     let samples = image.samples;
-    if samples <= ENOUGH || !is_coarse || has_noise(scene) {
+    if samples <= MIN_SAMPLES || !is_coarse || has_noise(scene) {
         return None;
     }
     Some(format!(
-        "/image/samples is {samples}, and nothing in the scene is noise: beyond {ENOUGH} an edge of 8 bits shows no difference; use {ENOUGH} or fewer"
+        "/image/samples is {samples}, and nothing in the scene is noise: beyond {MIN_SAMPLES} an edge of 8 bits shows no difference; use {MIN_SAMPLES} or fewer"
     ))
 }
 
 /// Whether anything in it is chosen by chance, so that more samples make it less grainy.
 fn has_noise(scene: &Scene) -> bool {
-    scene.slots().iter().any(|material| material.sends_on() || material.is_medium() || material.is_textured())
+    scene
+        .used_materials()
+        .iter()
+        .any(|material| material.is_specular() || material.is_medium() || material.is_textured())
         || scene.fog.is_some()
         || scene.lights.iter().any(is_wide)
 }

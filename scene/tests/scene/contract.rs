@@ -1,8 +1,8 @@
 //! What every node promises, tested on each node's own example: nothing here names a node.
 
 use crate::subject as scene;
-use scene::nodes::{Exactness, Example, Node};
-use scene::real::{Interval, Real, Truth, Vec3, vec3};
+use scene::nodes::{Exactness, Node, NodeExample};
+use scene::real::{Interval, Real, Tribool, Vec3, vec3};
 
 /// A small generator with a fixed start: failures repeat.
 struct Random(u32);
@@ -29,7 +29,8 @@ impl Random {
 }
 
 fn each_node(mut check: impl FnMut(&str, &Node)) {
-    for Example { kind, number, node } in Node::examples().into_iter().filter(|example| crate::is_tested(example.kind))
+    for NodeExample { kind, index: number, node } in
+        Node::examples().into_iter().filter(|example| crate::is_tested(example.kind))
     {
         check(&format!("{kind} {number}"), &serde_json::from_str(&node).expect("an example is a node"));
     }
@@ -46,7 +47,7 @@ fn a_node_survives_the_way_through_json() {
 #[test]
 fn the_schema_describes_every_node_and_each_of_its_keys() {
     let schema = scene::schema();
-    for Example { kind, node, .. } in Node::examples() {
+    for NodeExample { kind, node, .. } in Node::examples() {
         let definition = &schema["$defs"][kind];
         assert!(definition["description"].is_string(), "{kind} has no description");
         assert_eq!(definition["additionalProperties"], false, "{kind} takes unknown keys");
@@ -181,12 +182,12 @@ fn an_exact_distance_reaches_the_surface_and_no_shorter_one_does() {
 #[test]
 fn conditions_over_boxes_follow_three_valued_logic() {
     let box_of = |low, high| Interval::new(low, high);
-    assert_eq!(box_of(0.0, 1.0).lt(box_of(2.0, 3.0)), Truth::Yes);
-    assert_eq!(box_of(2.0, 3.0).lt(box_of(0.0, 1.0)), Truth::No);
-    assert_eq!(box_of(0.0, 2.0).lt(box_of(1.0, 3.0)), Truth::Maybe);
-    assert_eq!(Truth::Maybe & Truth::No, Truth::No);
-    assert_eq!(Truth::Maybe | Truth::Yes, Truth::Yes);
-    assert_eq!(!Truth::Maybe, Truth::Maybe);
+    assert_eq!(box_of(0.0, 1.0).lt(box_of(2.0, 3.0)), Tribool::True);
+    assert_eq!(box_of(2.0, 3.0).lt(box_of(0.0, 1.0)), Tribool::False);
+    assert_eq!(box_of(0.0, 2.0).lt(box_of(1.0, 3.0)), Tribool::Unknown);
+    assert_eq!(Tribool::Unknown & Tribool::False, Tribool::False);
+    assert_eq!(Tribool::Unknown | Tribool::True, Tribool::True);
+    assert_eq!(!Tribool::Unknown, Tribool::Unknown);
 }
 
 #[test]
@@ -198,9 +199,9 @@ fn bounds_hold_every_point_near_the_shape() {
             for _ in 0..20_000 {
                 let p = random.point(3.0);
                 let inside = [
-                    (p.x, bounds.low.x, bounds.high.x),
-                    (p.y, bounds.low.y, bounds.high.y),
-                    (p.z, bounds.low.z, bounds.high.z),
+                    (p.x, bounds.min.x, bounds.max.x),
+                    (p.y, bounds.min.y, bounds.max.y),
+                    (p.z, bounds.min.z, bounds.max.z),
                 ]
                 .iter()
                 .all(|&(c, low, high)| (low - 1e-5..=high + 1e-5).contains(&c));

@@ -2,8 +2,8 @@
 
 use std::panic::{AssertUnwindSafe, catch_unwind};
 
-use scene::Refusal;
-use scene::nodes::{Example, Node};
+use scene::ParseError;
+use scene::nodes::{Node, NodeExample};
 use scene::real::{Vec3, vec3};
 use serde_json::{Number, Value, json};
 
@@ -96,8 +96,8 @@ fn wrong_with(node: &Value) -> Option<String> {
     });
     let shape = match scene::parse(job.to_string().as_bytes()) {
         Ok(job) => job.scene.objects[0].shape.clone(),
-        Err(Refusal::NotJson(fault)) => return Some(format!("is no JSON: {fault}")),
-        Err(Refusal::Wrong(faults)) => {
+        Err(ParseError::NotJson(fault)) => return Some(format!("is no JSON: {fault}")),
+        Err(ParseError::Invalid(faults)) => {
             let stray = faults.iter().find(|fault| {
                 !fault.pointer.starts_with("/scene/objects/0/shape") || fault.message.split(' ').count() < 3
             });
@@ -108,7 +108,7 @@ fn wrong_with(node: &Value) -> Option<String> {
         return Some(format!("has a Lipschitz factor of {}", shape.stretch()));
     }
     let bounds = shape.bounds(0.5);
-    let sides: [[f32; 3]; 2] = [bounds.low.into(), bounds.high.into()];
+    let sides: [[f32; 3]; 2] = [bounds.min.into(), bounds.max.into()];
     if sides.as_flattened().iter().any(|side| side.is_nan()) {
         return Some(format!("has the bounds {bounds:?}"));
     }
@@ -142,7 +142,7 @@ fn places_of(example: &Value) -> Vec<Place> {
 
 fn each_example(mut check: impl FnMut(&Value, &[Place]) -> Vec<String>) {
     let mut wrong = Vec::new();
-    for Example { kind, number, node } in Node::examples() {
+    for NodeExample { kind, index: number, node } in Node::examples() {
         let example: Value = serde_json::from_str(&node).expect("an example is JSON");
         let found = check(&example, &places_of(&example));
         wrong.extend(found.into_iter().map(|reason| format!("{kind} {number} {reason}")));
@@ -151,7 +151,7 @@ fn each_example(mut check: impl FnMut(&Value, &[Place]) -> Vec<String>) {
 }
 
 #[test]
-fn a_number_at_an_end_of_its_range_is_refused_for_a_reason_or_gives_finite_distances() {
+fn a_number_at_an_end_of_its_range_is_rejected_for_a_reason_or_gives_finite_distances() {
     each_example(|example, places| {
         let changes = places.iter().flat_map(|place| place.ends.iter().map(|end| (place.pointer.as_str(), end)));
         changes.filter_map(|change| wrong_with_changes(example, &[change])).collect()
@@ -159,7 +159,7 @@ fn a_number_at_an_end_of_its_range_is_refused_for_a_reason_or_gives_finite_dista
 }
 
 #[test]
-fn two_numbers_at_the_ends_of_their_ranges_are_refused_for_a_reason_or_give_finite_distances() {
+fn two_numbers_at_the_ends_of_their_ranges_are_rejected_for_a_reason_or_give_finite_distances() {
     each_example(|example, places| {
         let mut wrong = Vec::new();
         for (index, first) in places.iter().enumerate() {

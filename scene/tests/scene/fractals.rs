@@ -1,7 +1,7 @@
 //! What an estimate promises, tested on each such node's own examples: along no ray does a step of
 //! value/stretch pass a piece of the fractal that small steps find.
 
-use scene::nodes::{Exactness, Example, Node};
+use scene::nodes::{Exactness, Node, NodeExample};
 use scene::real::{Vec3, vec3};
 
 /// A small generator with a fixed start: failures repeat.
@@ -37,7 +37,7 @@ fn tolerance(t: f32) -> f32 {
 /// The published estimate of the Mandelbulb knows nothing of its poles: marches pass, claims do not.
 const CLAIMS_TOO_MUCH: &[&str] = &["Mandelbulb 0"];
 
-/// A ray from outside towards the middle half of a node.
+/// A ray from outside toward the middle half of a node.
 fn ray(random: &mut Random) -> impl Fn(f32) -> Vec3<f32> + use<> {
     let origin = random.direction() * 2.0;
     let aim = random.direction() * random.next(0.0, 1.1);
@@ -46,7 +46,7 @@ fn ray(random: &mut Random) -> impl Fn(f32) -> Vec3<f32> + use<> {
 }
 
 fn each_estimate(mut check: impl FnMut(&str, &Node)) {
-    for Example { kind, number, node } in Node::examples() {
+    for NodeExample { kind, index: number, node } in Node::examples() {
         let node: Node = serde_json::from_str(&node).expect("an example is a node");
         if node.exactness() == Exactness::Estimate {
             check(&format!("{kind} {number}"), &node);

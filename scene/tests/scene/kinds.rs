@@ -8,7 +8,7 @@ use scene::backgrounds::Background;
 use scene::camera::Projection;
 use scene::kinds::Example;
 use scene::lights::Light;
-use scene::{Job, Program, effects};
+use scene::{Integrator, Job, effects};
 use serde_json::{Value, json};
 
 /// A family of kinds: its examples, its place in the schema, and a scene that has one of it.
@@ -44,7 +44,7 @@ fn families() -> [Family; 4] {
     ]
 }
 
-/// The text of a job with these keys in its scene: a ball on a floor, matt and without light of their own.
+/// The text of a job with these keys in its scene: a ball on a floor, matte and without light of their own.
 fn text(keys: &Value) -> String {
     let material = json!({ "diffuse": { "ambient": [0.02, 0.02, 0.02], "ks": [0.2, 0.2, 0.2] } });
     let mut scene = json!({ "camera": { "position": [1.5, 1.4, 3.2], "look_at": [0, 0.6, 0], "fov": 60 }, "objects": [
@@ -66,7 +66,7 @@ fn each(mut check: impl FnMut(&str, &Family, &Example, &Value)) {
     for family in families() {
         for example in &family.examples {
             let value = serde_json::from_str(&example.json).expect("an example is JSON");
-            check(&format!("{} {} {}", family.name, example.name, example.number), &family, example, &value);
+            check(&format!("{} {} {}", family.name, example.name, example.index), &family, example, &value);
         }
     }
 }
@@ -74,7 +74,7 @@ fn each(mut check: impl FnMut(&str, &Family, &Example, &Value)) {
 /// Every channel of the job's picture, by plain `f32`.
 fn pixels(job: &Job) -> Vec<f32> {
     let still = job.at(0).expect("the job is sound");
-    let program = Program::new(&still);
+    let program = Integrator::new(&still);
     let mut channels = Vec::new();
     for (x, y) in (0..job.image.height).flat_map(|y| (0..job.image.width).map(move |x| (x, y))) {
         let seen = program.pixel(x as f32, y as f32);
@@ -157,10 +157,10 @@ fn every_example_has_a_picture_and_a_key_of_its_own() {
             .iter()
             .map(|example| {
                 let value = serde_json::from_str(&example.json).expect("an example is JSON");
-                (format!("{} {}", example.name, example.number), job(&(family.scene)(&value)))
+                (format!("{} {}", example.name, example.index), job(&(family.scene)(&value)))
             })
             .collect();
-        let seen: Vec<(Vec<f32>, _)> = jobs.iter().map(|(_, job)| (pixels(job), job.picture_key(0))).collect();
+        let seen: Vec<(Vec<f32>, _)> = jobs.iter().map(|(_, job)| (pixels(job), job.cache_key(0))).collect();
         for (one, other) in (0..jobs.len()).flat_map(|one| (0..one).map(move |other| (one, other))) {
             let names = format!("{} {} and {}", family.name, jobs[one].0, jobs[other].0);
             assert!(seen[one].0 != seen[other].0, "{names} look the same");

@@ -1,17 +1,17 @@
 //! The picture's mathematics by what the crate offers: nodes, materials, profiles, noise, shadows and warnings.
 
+mod animation;
 mod contract;
-mod copies;
 mod extremes;
 mod fractals;
-mod joins;
 mod kinds;
 mod materials;
-mod motion;
 mod noise;
 mod penumbra;
 mod profiles;
-mod round;
+mod repetition;
+mod rounded;
+mod seams;
 mod surface;
 mod warnings;
 mod witness;

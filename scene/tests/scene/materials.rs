@@ -1,9 +1,9 @@
 //! What every material and every texture promises, tested on each one's own examples: nothing here names one.
 
 use crate::subject as scene;
-use scene::lights::Incoming;
-use scene::materials::{Example, Lighting, Material, Place, Shade, Texture};
-use scene::real::{Flag, Vec3, vec3};
+use scene::lights::LightSample;
+use scene::materials::{Example, IncidentLight, Material, Shade, ShadingPoint, Texture};
+use scene::real::{MaskValue, Vec3, vec3};
 use serde::Serialize;
 use serde::de::DeserializeOwned;
 use serde_json::{Value, json};
@@ -32,7 +32,7 @@ impl Random {
     }
 
     /// A place anywhere, seen from the side its normal is on, often edge on.
-    fn place(&mut self, reach: f32) -> Place<f32> {
+    fn place(&mut self, reach: f32) -> ShadingPoint<f32> {
         let normal = self.direction();
         let mut to_viewer = self.direction();
         let facing = normal.dot(to_viewer);
@@ -42,36 +42,36 @@ impl Random {
         if self.next(0.0, 1.0) < 0.3 {
             to_viewer = normal.mul_add(-facing.abs() * self.next(0.99, 1.0), to_viewer).normalize();
         }
-        Place {
+        ShadingPoint {
             normal,
             to_viewer,
-            point: self.point(reach),
-            own_normal: self.direction(),
-            distance: self.next(0.0, reach),
+            local_point: self.point(reach),
+            local_normal: self.direction(),
+            camera_t: self.next(0.0, reach),
             footprint: [self.point(0.1), self.point(0.1)],
-            inside: Flag(self.next(0.0, 1.0) < 0.5),
+            is_inside: MaskValue(self.next(0.0, 1.0) < 0.5),
         }
     }
 
-    fn light(&mut self) -> Incoming<f32> {
+    fn light(&mut self) -> LightSample<f32> {
         let brightness = self.next(0.0, 10.0);
-        Incoming { direction: self.direction(), radiance: vec3(brightness, 1.0, 0.0) }
+        LightSample { direction: self.direction(), radiance: vec3(brightness, 1.0, 0.0) }
     }
 }
 
 fn parsed<T: DeserializeOwned>(example: &Example) -> T {
-    serde_json::from_str(&example.json).unwrap_or_else(|error| panic!("{} {}: {error}", example.kind, example.number))
+    serde_json::from_str(&example.json).unwrap_or_else(|error| panic!("{} {}: {error}", example.kind, example.index))
 }
 
 fn each_material(mut check: impl FnMut(&str, &Material)) {
     for example in Material::examples() {
-        check(&format!("{} {}", example.kind, example.number), &parsed(&example));
+        check(&format!("{} {}", example.kind, example.index), &parsed(&example));
     }
 }
 
 fn each_texture(mut check: impl FnMut(&str, &Texture)) {
     for example in Texture::examples() {
-        check(&format!("{} {}", example.kind, example.number), &parsed(&example));
+        check(&format!("{} {}", example.kind, example.index), &parsed(&example));
     }
 }
 
@@ -80,7 +80,7 @@ fn assert_survives_json<T: Serialize + DeserializeOwned + PartialEq + std::fmt::
     assert_eq!(&serde_json::from_str::<T>(&text).unwrap(), value, "{kind}");
 }
 
-fn assert_finite(kind: &str, color: Vec3<f32>, place: &Place<f32>) {
+fn assert_finite(kind: &str, color: Vec3<f32>, place: &ShadingPoint<f32>) {
     let is_light = |c: f32| c.is_finite() && c >= 0.0;
     assert!(is_light(color.x) && is_light(color.y) && is_light(color.z), "{kind} is {color:?} at {place:?}");
 }
@@ -129,10 +129,10 @@ fn shaded_light_is_finite_and_never_negative() {
         for reach in [0.0, 1e-6, 1.0, 10.0, 1e3, 1e6] {
             for round in 0..1_000 {
                 let place = random.place(reach);
-                let light = Lighting {
+                let light = IncidentLight {
                     lights: (0..round % 3).map(|_| random.light()).collect(),
-                    surrounding: (round % 2 == 0).then(|| vec3(1.0, 0.5, 0.0)),
-                    openness: (round % 5 == 0).then(|| random.next(0.0, 1.0)),
+                    ambient: (round % 2 == 0).then(|| vec3(1.0, 0.5, 0.0)),
+                    ambient_visibility: (round % 5 == 0).then(|| random.next(0.0, 1.0)),
                 };
                 assert_finite(kind, material.shade(&place, &light), &place);
                 assert_finite(kind, material.albedo(&place), &place);
@@ -147,10 +147,10 @@ fn what_a_material_sends_on_is_no_more_than_arrives() {
         let mut random = Random(3);
         for _ in 0..2_000 {
             let place = random.place(3.0);
-            let Some(finish) = material.finish(&place) else { return };
+            let Some(finish) = material.specular(&place) else { return };
             assert!((0.0..=1.000_001).contains(&finish.roughness), "{kind} has a roughness of {}", finish.roughness);
             assert!(finish.ior.is_finite() && finish.ior >= 1.0, "{kind} has an index of refraction of {}", finish.ior);
-            for (mirrored, passed) in <[f32; 3]>::from(finish.mirrored).into_iter().zip(<[f32; 3]>::from(finish.passed))
+            for (mirrored, passed) in <[f32; 3]>::from(finish.f0).into_iter().zip(<[f32; 3]>::from(finish.transmission))
             {
                 assert!((0.0..=1.000_001).contains(&mirrored), "{kind} mirrors {mirrored}");
                 assert!((0.0..=1.000_001).contains(&passed), "{kind} lets {passed} through");
@@ -164,29 +164,29 @@ fn who_needs_no_own_normal_does_not_look_at_it() {
     let mut random = Random(4);
     let mut pairs = || {
         let place = random.place(3.0);
-        (place, Place { own_normal: random.direction(), ..place })
+        (place, ShadingPoint { local_normal: random.direction(), ..place })
     };
     each_texture(|kind, texture| {
         let differs = (0..500).map(|_| pairs()).any(|(one, other)| texture.at(&one) != texture.at(&other));
         assert_eq!(differs, texture.needs_own_normal(), "{kind}");
     });
     each_material(|kind, material| {
-        let light = Lighting { surrounding: Some(vec3(1.0, 1.0, 1.0)), openness: None, lights: Vec::new() };
-        let shade = |place: &Place<f32>| material.shade(place, &light);
+        let light = IncidentLight { ambient: Some(vec3(1.0, 1.0, 1.0)), ambient_visibility: None, lights: Vec::new() };
+        let shade = |place: &ShadingPoint<f32>| material.shade(place, &light);
         let differs = (0..500).map(|_| pairs()).any(|(one, other)| shade(&one) != shade(&other));
-        assert!(!differs || material.needs_own_normal(), "{kind}");
+        assert!(!differs || material.needs_local_normal(), "{kind}");
     });
 }
 
 #[test]
-fn materials_that_look_at_no_light_have_the_same_colour_in_any() {
+fn materials_that_look_at_no_light_have_the_same_color_in_any() {
     each_material(|kind, material| {
         let mut random = Random(5);
         let mut differs = false;
         for _ in 0..200 {
             let place = random.place(3.0);
-            let lit = Lighting { lights: vec![random.light()], surrounding: None, openness: None };
-            differs |= material.shade(&place, &lit) != material.shade(&place, &Lighting::default());
+            let lit = IncidentLight { lights: vec![random.light()], ambient: None, ambient_visibility: None };
+            differs |= material.shade(&place, &lit) != material.shade(&place, &IncidentLight::default());
         }
         assert_eq!(differs, material.is_lit(), "{kind}");
     });
@@ -200,7 +200,7 @@ fn fault(material: &str) -> (String, String) {
             "image": {{ "width": 8, "height": 8 }} }}"#
     );
     match scene::parse(text.as_bytes()) {
-        Err(scene::Refusal::Wrong(faults)) if faults.len() == 1 => {
+        Err(scene::ParseError::Invalid(faults)) if faults.len() == 1 => {
             let fault = &faults[0];
             assert!(fault.line > 0 && fault.column > 1, "{fault} has no place");
             (fault.pointer.clone(), fault.message.clone())
@@ -210,7 +210,7 @@ fn fault(material: &str) -> (String, String) {
 }
 
 #[test]
-fn a_wrong_texture_is_refused_where_it_is_wrong_and_with_a_cure() {
+fn a_wrong_texture_is_rejected_where_it_is_wrong_and_with_a_cure() {
     let flat = |texture: &str| format!(r#"{{ "flat": {{ "color": {texture} }} }}"#);
     let ramp = |stops: &str| flat(&format!(r#"{{ "gradient": {{ "by": {{ "facing": {{}} }}, "ramp": {stops} }} }}"#));
     let many: Vec<String> = (0..33).map(|stop| format!("[{}, [0, 0, 0]]", f64::from(stop) / 32.0)).collect();
@@ -224,11 +224,11 @@ fn a_wrong_texture_is_refused_where_it_is_wrong_and_with_a_cure() {
         (ramp("[[0.5, [0, 0, 0]]]"), "/flat/color/gradient/ramp", "at least 2 stops"),
         (ramp(&format!("[{}]", many.join(", "))), "/flat/color/gradient/ramp", "more than 32 stops"),
         (ramp("[[0, [0, 0, 0]], [1.5, [1, 1, 1]]]"), "/flat/color/gradient/ramp/1/0", "a share from 0 to 1"),
-        (ramp(r##"[[0, [0, 0, 0]], [1, "#12"]]"##), "/flat/color/gradient/ramp/1/1", "a colour"),
+        (ramp(r##"[[0, [0, 0, 0]], [1, "#12"]]"##), "/flat/color/gradient/ramp/1/1", "a color"),
         (flat(r#"{ "checker": { "cell": 0 } }"#), "/flat/color/checker/cell", "a size from 1e-6"),
         (flat(r#"{ "checker": { "cell": 1, "colour": 1 } }"#), "/flat/color/checker/colour", "did you mean `colors`?"),
         (flat(r#"{ "chequer": { "cell": 1 } }"#), "/flat/color/chequer", "did you mean `checker`?"),
-        (flat("[1, 2]"), "/flat/color", "a colour"),
+        (flat("[1, 2]"), "/flat/color", "a color"),
         (flat("7"), "/flat/color", "or a texture"),
         (flat(&nested), "/flat/color", "nest at most 4"),
         (metallic("2"), "/surface/metallic", "a share from 0 to 1"),
@@ -244,7 +244,7 @@ fn a_wrong_texture_is_refused_where_it_is_wrong_and_with_a_cure() {
 }
 
 #[test]
-fn a_texture_where_none_can_be_is_refused_with_a_cure() {
+fn a_texture_where_none_can_be_is_rejected_with_a_cure() {
     let sphere = |radius: &str, color: &str| {
         let text = format!(
             r#"{{ "scene": {{ "camera": {{ "position": [0, 0, 5], "look_at": [0, 0, 0] }}, "background": {{ "color": {color} }},
@@ -279,7 +279,7 @@ fn numbers(value: &Value, pointer: &str, found: &mut Vec<String>) {
 }
 
 #[test]
-fn a_number_of_a_material_or_a_texture_that_moves_gives_the_colour_of_one_that_does_not() {
+fn a_number_of_a_material_or_a_texture_that_moves_gives_the_color_of_one_that_does_not() {
     // A texture is seen through the material that is nothing else.
     let textures = Texture::examples()
         .into_iter()
@@ -303,7 +303,7 @@ fn a_number_of_a_material_or_a_texture_that_moves_gives_the_colour_of_one_that_d
             let mut random = Random(6);
             for _ in 0..100 {
                 let place = random.place(2.0);
-                let light = Lighting { lights: vec![random.light()], surrounding: None, openness: None };
+                let light = IncidentLight { lights: vec![random.light()], ambient: None, ambient_visibility: None };
                 let (got, want) = (moving.shade(&place, &light), still.shade(&place, &light));
                 let off = (got - want).length();
                 assert!(off <= 1e-4 * want.length().max(1.0), "{} {pointer}: {got:?} for {want:?}", example.kind);

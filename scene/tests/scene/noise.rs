@@ -114,7 +114,7 @@ fn a_noise_survives_the_way_through_json() {
 }
 
 #[test]
-fn wrong_numbers_are_refused_with_what_would_be_right() {
+fn wrong_numbers_are_rejected_with_what_would_be_right() {
     for form in forms() {
         for (wrong, words) in [
             (json!({ "octaves": 99 }), "must be 1 to 12 octaves, not 99"),

@@ -4,7 +4,7 @@
 
 use std::f64::consts::PI;
 
-use scene::{Job, Program};
+use scene::{Integrator, Job};
 
 /// Surfaces count as met within a part of a pixel: pixels are small beside the penumbra.
 const WIDTH_PX: u32 = 1280;
@@ -39,7 +39,7 @@ fn job(light: &str, samples: u32) -> Job {
 fn floor(light: &str, samples: u32) -> Vec<(f64, f64)> {
     let job = job(light, samples);
     let still = job.at(0).expect("a still job");
-    let program = Program::new(&still);
+    let program = Integrator::new(&still);
     (0..WIDTH_PX)
         .step_by(STRIDE_PX)
         .map(|x| {

@@ -98,7 +98,7 @@ fn an_ellipse_is_where_its_curve_is() {
             .map(|step| f64::from(step) / 10_000.0)
             .map(|t| ((1.0 - t * t) / (1.0 + t * t) * width / 2.0, t / (1.0 + t * t) * height))
             .collect();
-        // On the axes and at the centres of curvature, too, where the nearest point is not one alone.
+        // On the axes and at the centers of curvature, too, where the nearest point is not one alone.
         let cusp = ((width * width - height * height) / (2.0 * width)) as f32;
         let special = [(0.0, 0.0), (cusp, 0.0), (cusp * 0.99, 1e-7), (0.3, 0.0), (0.0, 0.3), (1e-8, -1e-8)];
         for (x, y) in places(200).chain(special) {
@@ -130,12 +130,12 @@ fn fault(shape: &str) -> (String, String) {
             "objects": [{{ "shape": {shape} }}] }}, "image": {{ "width": 32, "height": 32 }} }}"#
     );
     match scene::parse(text.as_bytes()).expect_err("it is wrong") {
-        scene::Refusal::Wrong(mut faults) => {
+        scene::ParseError::Invalid(mut faults) => {
             let fault = faults.remove(0);
             let within = fault.pointer.strip_prefix("/scene/objects/0/shape/").expect("it is in the shape");
             (within.to_owned(), fault.message)
         }
-        other @ scene::Refusal::NotJson(_) => panic!("{other}"),
+        other @ scene::ParseError::NotJson(_) => panic!("{other}"),
     }
 }
 
@@ -244,6 +244,6 @@ fn a_long_text_counts_as_many_nodes() {
         );
         serde_json::from_str(&shape).expect("it is a node")
     };
-    assert_eq!(node("I").count(), 4);
-    assert!(node("Sphere tracing").count() > 100);
+    assert_eq!(node("I").node_count(), 4);
+    assert!(node("Sphere tracing").node_count() > 100);
 }

@@ -6,10 +6,10 @@
 
 use std::f64::consts::{PI, TAU};
 
-use scene::lights::Incoming;
-use scene::materials::microfacet::{alpha, frame, sample_visible_normal, shadowing};
-use scene::materials::{Lighting, Material, Place, Shade};
-use scene::real::{Flag, Vec3, vec3};
+use scene::lights::LightSample;
+use scene::materials::microfacet::{alpha_from_roughness, orthonormal_basis, sample_visible_normal, smith_g2_over_g1};
+use scene::materials::{IncidentLight, Material, Shade, ShadingPoint};
+use scene::real::{MaskValue, Vec3, vec3};
 
 type V = [f64; 3];
 
@@ -44,24 +44,24 @@ fn surface(parameters: &str) -> Material {
 }
 
 /// A place whose normal is +z.
-fn place(to_viewer: V) -> Place<f32> {
+fn place(to_viewer: V) -> ShadingPoint<f32> {
     let normal = vec3(0.0, 0.0, 1.0);
     let point = vec3(0.1, 0.2, 0.3);
-    Place {
+    ShadingPoint {
         normal,
         to_viewer: single(to_viewer),
-        point,
-        own_normal: normal,
-        distance: 3.0,
+        local_point: point,
+        local_normal: normal,
+        camera_t: 3.0,
         footprint: [single([0.0; 3]); 2],
-        inside: Flag(false),
+        is_inside: MaskValue(false),
     }
 }
 
 /// π·BRDF·cosine of a material, in its red channel.
 fn answer(material: &Material, to_viewer: V, to_light: V) -> f64 {
-    let light = Incoming { direction: single(to_light), radiance: vec3(1.0, 1.0, 1.0) };
-    let lighting = Lighting { lights: vec![light], surrounding: None, openness: None };
+    let light = LightSample { direction: single(to_light), radiance: vec3(1.0, 1.0, 1.0) };
+    let lighting = IncidentLight { lights: vec![light], ambient: None, ambient_visibility: None };
     f64::from(material.shade(&place(to_viewer), &lighting).x)
 }
 
@@ -156,7 +156,7 @@ fn single_scattering(f0: f64, alpha: f64, to_viewer: V) -> f64 {
 }
 
 fn alpha_of(roughness: f64) -> f64 {
-    f64::from(alpha(roughness as f32))
+    f64::from(alpha_from_roughness(roughness as f32))
 }
 
 #[test]
@@ -232,7 +232,8 @@ fn light_from_all_around_is_scattered_as_light_from_every_direction_is() {
                 .map(|light| (answer(&material, viewer, light) - answer(&none, viewer, light)) / light[2])
                 .sum::<f64>()
                 / 40_000.0;
-            let around = Lighting { surrounding: Some(vec3(1.0, 1.0, 1.0)), lights: Vec::new(), openness: None };
+            let around =
+                IncidentLight { ambient: Some(vec3(1.0, 1.0, 1.0)), lights: Vec::new(), ambient_visibility: None };
             let got = f64::from(material.shade(&place(viewer), &around).x);
             assert!((got - body).abs() < 1e-3, "{got} for {body}, coat {coat}, cosine {cosine}");
         }
@@ -334,7 +335,7 @@ fn mirrored_samples_weigh_what_single_scattering_sends_back() {
             let normal = sample_visible_normal(single(viewer), alpha as f32, u as f32, v as f32);
             let light = mirrored(viewer, <[f32; 3]>::from(normal).map(f64::from));
             if light[2] > 0.0 {
-                sum += f64::from(shadowing(alpha as f32, light[2] as f32, cosine as f32));
+                sum += f64::from(smith_g2_over_g1(alpha as f32, light[2] as f32, cosine as f32));
             }
         }
         let (got, want) = (sum / f64::from(STEPS * STEPS), single_scattering(1.0, alpha, viewer));
@@ -346,7 +347,7 @@ fn mirrored_samples_weigh_what_single_scattering_sends_back() {
 fn a_frame_is_of_three_directions_at_right_angles() {
     for normal in [[0.0, 0.0, 1.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0], [0.6, -0.64, -0.48], [1e-4, -1e-4, -1.0]] {
         let normal = single(normalize(normal));
-        let (x, y) = frame(normal);
+        let (x, y) = orthonormal_basis(normal);
         for (a, b, want) in [(x, x, 1.0), (y, y, 1.0), (x, y, 0.0), (x, normal, 0.0), (y, normal, 0.0)] {
             assert!((a.dot(b) - want).abs() < 1e-6, "{x:?}, {y:?}, {normal:?}");
         }

@@ -70,7 +70,7 @@ fn shipped_scenes_have_no_warnings() {
 }
 
 #[test]
-fn camera_inside_what_is_opaque_is_told_and_inside_glass_or_mist_is_not() {
+fn camera_inside_what_is_opaque_is_reported_and_inside_glass_or_mist_is_not() {
     let around = |material: &str| {
         let large = format!(r#"{{ "material": {material}, "shape": {{ "sphere": {{ "radius": 9 }} }} }}"#);
         of_objects(&format!("{SPHERE}, {large}"))
@@ -87,7 +87,7 @@ fn camera_inside_what_is_opaque_is_told_and_inside_glass_or_mist_is_not() {
 }
 
 #[test]
-fn orthographic_picture_that_starts_inside_something_is_told() {
+fn orthographic_picture_that_starts_inside_something_is_reported() {
     let of = |height: f32| {
         let camera = format!(
             r#""position": [0, 4, 5], "look_at": [0, 0, 0], "projection": {{ "orthographic": {{ "height": {height} }} }}"#
@@ -100,7 +100,7 @@ fn orthographic_picture_that_starts_inside_something_is_told() {
 }
 
 #[test]
-fn nothing_in_view_is_told_for_every_projection() {
+fn nothing_in_view_is_reported_for_every_projection() {
     let at = |x: f32, y: f32, z: f32| {
         format!(
             r#""objects": [{{ "shape": {{ "translate": {{ "by": [{x}, {y}, {z}],
@@ -138,17 +138,17 @@ fn nothing_in_view_is_told_for_every_projection() {
 fn floor_is_out_of_view_only_from_above_the_horizon() {
     let floor = r#""objects": [{ "shape": { "plane": { "normal": [0, 1, 0], "offset": 0 } } }],
         "fog": { "density": 0.1 }"#;
-    let towards = |y: f32| {
+    let toward = |y: f32| {
         let camera = format!(r#""position": [0, 1, 0], "look_at": [3, {y}, 4], "fov": 40"#);
         seen_from(&camera, floor, "").warnings()
     };
-    none(&towards(1.0));
-    none(&towards(2.5));
-    one(&towards(5.0), &["outside of the view"]);
+    none(&toward(1.0));
+    none(&toward(2.5));
+    one(&toward(5.0), &["outside of the view"]);
 }
 
 #[test]
-fn what_comes_into_view_later_is_no_matter() {
+fn objects_seen_in_later_frames_do_not_warn() {
     let moving = |last: f32| {
         let objects = format!(
             r#""objects": [{{ "shape": {{ "translate": {{ "by": [{{ "keys": [[0, 90], [1, {last}]] }}, 0, 0],
@@ -169,7 +169,7 @@ fn frame_that_is_wrong_is_named() {
 }
 
 #[test]
-fn rays_that_run_out_of_steps_are_told_with_their_share() {
+fn rays_that_run_out_of_steps_are_reported_with_their_share() {
     let gyroid = |steps: u32| {
         of(&format!(
             r#""march": {{ "max_steps": {steps} }}, "objects": [{{ "shape": {{ "intersection": {{ "of": [
@@ -190,7 +190,7 @@ fn many_nodes_are_not_probed() {
 }
 
 #[test]
-fn copies_of_copies_without_end_are_told_and_not_looked_at() {
+fn copies_of_copies_without_end_are_reported_and_not_evaluated() {
     let nested = |depth: usize| {
         let open = r#"{ "polar_repeat": { "count": 5, "child": "#.repeat(depth);
         of_objects(&format!(r#"{{ "shape": {open}{{ "sphere": {{ "radius": 1 }} }}{} }}"#, " } }".repeat(depth)))
@@ -200,7 +200,7 @@ fn copies_of_copies_without_end_are_told_and_not_looked_at() {
 }
 
 #[test]
-fn steps_that_a_shape_makes_tiny_are_told_with_their_cause() {
+fn steps_that_a_shape_makes_tiny_are_reported_with_their_cause() {
     let displaced = |amplitude: f32| {
         of_objects(&format!(
             r#"{SPHERE}, {{ "shape": {{ "union": {{ "of": [{{ "sphere": {{ "radius": 1 }} }},
@@ -213,7 +213,7 @@ fn steps_that_a_shape_makes_tiny_are_told_with_their_cause() {
 }
 
 #[test]
-fn lights_without_use_and_scenes_without_light_are_told() {
+fn lights_without_use_and_scenes_without_light_are_reported() {
     let flat = r##"{ "flat": { "color": "#808080" } }"##;
     let lit = r#", "lights": [{ "point": { "position": [0, 9, 0] } }]"#;
     none(&filled(flat, ""));
@@ -228,7 +228,7 @@ fn lights_without_use_and_scenes_without_light_are_told() {
 }
 
 #[test]
-fn volume_too_thick_for_its_steps_is_told_with_enough_steps() {
+fn volume_too_thick_for_its_steps_is_reported_with_enough_steps() {
     let volume = |density: f32| filled(&format!(r#"{{ "volume": {{ "density": {density} }} }}"#), "");
     none(&volume(20.0));
     // 500 × the diagonal of a cube of 2, over 8.
@@ -250,7 +250,7 @@ fn glass_wants_two_bounces() {
 }
 
 #[test]
-fn colors_that_go_to_255_are_told_with_what_to_write() {
+fn colors_that_go_to_255_are_reported_with_what_to_write() {
     let of = |material: &str| filled(material, "");
     let told = of(r#"{ "surface": { "base_color": [255, 51, 0] } }"#);
     one(&told, &["/surface/base_color", "object 0", "[1, 0.2, 0]", "\"#ff3300\""]);
@@ -264,7 +264,7 @@ fn colors_that_go_to_255_are_told_with_what_to_write() {
 }
 
 #[test]
-fn angles_in_radians_are_told_with_their_degrees() {
+fn angles_in_radians_are_reported_with_their_degrees() {
     let turned = |degrees: &str| {
         of_objects(&format!(
             r#"{{ "shape": {{ "rotate": {{ "degrees": {degrees}, "child": {{ "sphere": {{ "radius": 1 }} }} }} }} }}"#
@@ -283,7 +283,7 @@ fn angles_in_radians_are_told_with_their_degrees() {
 }
 
 #[test]
-fn texture_that_stays_behind_is_told_and_one_that_is_painted_on_is_not() {
+fn texture_that_stays_behind_is_reported_and_one_that_is_painted_on_is_not() {
     const CHECKERS: &str = r#"{ "flat": { "color": { "checker": { "cell": 1 } } } }"#;
     let moved = |material: &str, child: &str| {
         let objects = format!(
@@ -300,7 +300,7 @@ fn texture_that_stays_behind_is_told_and_one_that_is_painted_on_is_not() {
 }
 
 #[test]
-fn difference_that_leaves_nothing_is_told() {
+fn difference_that_leaves_nothing_is_reported() {
     let cut = |first: &str, second: &str| {
         of_objects(&format!(
             r#"{SPHERE}, {{ "shape": {{ "union": {{ "of": [{{ "difference": {{ "of": [{first}, {second}] }} }},
@@ -316,7 +316,7 @@ fn difference_that_leaves_nothing_is_told() {
 }
 
 #[test]
-fn liquid_that_touches_its_glass_is_told() {
+fn liquid_that_touches_its_glass_is_reported() {
     let liquid = |radius: f32| {
         let glass = r#""material": { "surface": { "transmission": 1 } }"#;
         of_objects(&format!(
@@ -331,7 +331,7 @@ fn liquid_that_touches_its_glass_is_told() {
 }
 
 #[test]
-fn metal_before_nothing_is_told() {
+fn metal_before_nothing_is_reported() {
     let before = |material: &str, background: &str| filled(material, &format!(r#", "background": {background}"#));
     let (metal, glass) = (r#"{ "surface": { "metallic": 1 } }"#, r#"{ "surface": { "transmission": 1 } }"#);
     one(&before(metal, r#""transparent""#), &["/scene/background", "object 0"]);
@@ -341,7 +341,7 @@ fn metal_before_nothing_is_told() {
 }
 
 #[test]
-fn more_samples_than_are_seen_are_told() {
+fn more_samples_than_are_seen_are_reported() {
     let of = |samples: u32, more: &str, material: &str| {
         job(&format!(
             r#"{{ "scene": {{ "camera": {{ {CAMERA} }}, "objects": [{{ "material": {material},
@@ -350,10 +350,10 @@ fn more_samples_than_are_seen_are_told() {
         ))
         .warnings()
     };
-    let matt = r#"{ "diffuse": {} }"#;
-    one(&of(257, "", matt), &["/image/samples is 257", "256"]);
-    none(&of(256, "", matt));
-    none(&of(1024, r#", "bits": 16"#, matt));
-    none(&of(1024, r#", "format": "exr""#, matt));
+    let matte = r#"{ "diffuse": {} }"#;
+    one(&of(257, "", matte), &["/image/samples is 257", "256"]);
+    none(&of(256, "", matte));
+    none(&of(1024, r#", "bits": 16"#, matte));
+    none(&of(1024, r#", "format": "exr""#, matte));
     none(&of(1024, "", r#"{ "surface": {} }"#));
 }

@@ -1,30 +1,30 @@
 //! Properties that the API cannot show quickly: old events are pruned, and slow subscribers miss none.
 
 use proto::JobId;
-use proto::event::{Lines, Message, Snapshot};
+use proto::event::{Snapshot, SseMessage, SseParser};
 use proto::job::JobState;
 use tokio_util::sync::CancellationToken;
 
-use super::{Events, Follower, RECENT, Start};
-use crate::clock::{Clock, Hand};
+use super::{EventHub, EventSubscriber, MAX_RECENT, SubscribeOutcome};
+use crate::clock::{Clock, ManualClock};
+use crate::database::{Database, Durability};
 use crate::queue::{NewJob, Queue};
-use crate::store::{Durability, Store};
 
-struct Bench {
+struct Fixture {
     queue: Queue,
-    events: Events,
-    hand: Hand,
-    store: std::sync::Arc<Store>,
+    events: EventHub,
+    hand: ManualClock,
+    store: std::sync::Arc<Database>,
     _folder: tempfile::TempDir,
 }
 
-impl Bench {
+impl Fixture {
     async fn new() -> Self {
         let folder = tempfile::tempdir().expect("a temporary folder");
-        let store = std::sync::Arc::new(Store::open(folder.path()).await.expect("opens"));
-        let (clock, hand) = Clock::by_hand();
+        let store = std::sync::Arc::new(Database::open(folder.path()).await.expect("opens"));
+        let (clock, hand) = Clock::manual();
         let (queue, _) = Queue::open(std::sync::Arc::clone(&store), clock, 1000).await.expect("opens");
-        Self { events: Events::new(queue.clone()), queue, hand, store, _folder: folder }
+        Self { events: EventHub::new(queue.clone()), queue, hand, store, _folder: folder }
     }
 
     async fn submit(&self) -> JobId {
@@ -54,17 +54,17 @@ impl Bench {
             .expect("written");
     }
 
-    async fn follow(&self, job: JobId, after: Option<i64>) -> Option<Box<Follower>> {
-        match Follower::start(&self.events, job, after, CancellationToken::new()).await.expect("reads") {
-            Start::Follow(follower) => Some(follower),
-            Start::Over | Start::Unknown => None,
+    async fn follow(&self, job: JobId, after: Option<i64>) -> Option<Box<EventSubscriber>> {
+        match EventSubscriber::start(&self.events, job, after, CancellationToken::new()).await.expect("reads") {
+            SubscribeOutcome::Subscribed(follower) => Some(follower),
+            SubscribeOutcome::Ended | SubscribeOutcome::UnknownJob => None,
         }
     }
 }
 
 /// Messages that a subscriber receives, up to `count`.
-async fn told(follower: &mut Follower, count: usize) -> Vec<Message> {
-    let (mut lines, mut messages) = (Lines::default(), Vec::new());
+async fn told(follower: &mut EventSubscriber, count: usize) -> Vec<SseMessage> {
+    let (mut lines, mut messages) = (SseParser::default(), Vec::new());
     while messages.len() < count
         && let Some(bytes) = follower.next().await.expect("reads")
     {
@@ -75,25 +75,25 @@ async fn told(follower: &mut Follower, count: usize) -> Vec<Message> {
 
 #[tokio::test]
 async fn a_follower_that_falls_behind_what_is_at_hand_misses_nothing() {
-    let bench = Bench::new().await;
+    let bench = Fixture::new().await;
     let id = bench.submit().await;
-    let job = bench.queue.followed(id).await.expect("reads").expect("there").job;
+    let job = bench.queue.event_position(id).await.expect("reads").expect("there").job;
     let mut slow = bench.follow(id, None).await.expect("a job");
     let mut quick = bench.follow(id, None).await.expect("a job");
     assert_eq!(told(&mut quick, 1).await[0].event, "state");
     for _ in 0..3 {
-        bench.happen(job, RECENT).await;
-        bench.events.tell().await.expect("tells");
-        assert_eq!(told(&mut quick, RECENT).await.len(), RECENT);
+        bench.happen(job, MAX_RECENT).await;
+        bench.events.publish().await.expect("tells");
+        assert_eq!(told(&mut quick, MAX_RECENT).await.len(), MAX_RECENT);
     }
-    let all = told(&mut slow, 3 * RECENT + 1).await;
+    let all = told(&mut slow, 3 * MAX_RECENT + 1).await;
     let bodies: Vec<usize> = all[1..].iter().map(|message| message.data.parse().expect("a number")).collect();
-    assert_eq!(bodies, (0..3 * RECENT).map(|number| number % RECENT).collect::<Vec<_>>());
+    assert_eq!(bodies, (0..3 * MAX_RECENT).map(|number| number % MAX_RECENT).collect::<Vec<_>>());
 }
 
 #[tokio::test]
 async fn events_of_a_job_that_ended_a_day_ago_are_dropped_and_a_snapshot_stands_for_them() {
-    let bench = Bench::new().await;
+    let bench = Fixture::new().await;
     let (old, open) = (bench.submit().await, bench.submit().await);
     bench.queue.cancel(old).await.expect("cancels");
     bench.hand.advance(std::time::Duration::from_hours(23));
@@ -112,9 +112,9 @@ async fn events_of_a_job_that_ended_a_day_ago_are_dropped_and_a_snapshot_stands_
 
 #[tokio::test]
 async fn the_oldest_events_give_way_where_there_are_too_many() {
-    let bench = Bench::new().await;
+    let bench = Fixture::new().await;
     let id = bench.submit().await;
-    let job = bench.queue.followed(id).await.expect("reads").expect("there").job;
+    let job = bench.queue.event_position(id).await.expect("reads").expect("there").job;
     bench.happen(job, 100).await;
     let dropped = bench.queue.prune_surplus(10).await.expect("prunes");
     assert_eq!(dropped, 91);

@@ -10,26 +10,26 @@ use axum::extract::{MatchedPath, RawPathParams, Request, State};
 use axum::http::{Method, StatusCode, Uri, header};
 use axum::middleware::Next;
 use axum::response::Response;
-use proto::key::AuditPage;
+use proto::audit::AuditPage;
 use proto::{JobId, Problem};
 use serde::Deserialize;
 
+use super::auth::{Caller, Peer};
 use super::body;
-use super::caller::{Caller, Peer};
 use super::error::ApiError;
-use super::trace::RequestId;
-use crate::deeds::Deed;
+use super::request_id::RequestId;
+use crate::audit_log::AuditRecord;
 use crate::farm::Farm;
 
 /// Default number of entries on a page.
-const PAGE: u32 = 100;
+const DEFAULT_PAGE_SIZE: u32 = 100;
 /// Entries on a page, at most.
 const MAX_PAGE: u32 = 1000;
 /// Characters of a path that is no route's.
 const MAX_PATH_CHARACTERS: usize = 200;
 
 /// Records the outcome of a request in the audit log.
-pub(super) async fn tell(
+pub(super) async fn record_request(
     State(farm): State<Arc<Farm>>,
     parameters: Result<RawPathParams, RawPathParamsRejection>,
     request: Request,
@@ -45,16 +45,16 @@ pub(super) async fn tell(
         parameters.iter().find(|(name, _)| *name == "id").and_then(|(_, id)| id.parse::<JobId>().ok())
     });
     let response = next.run(request).await;
-    let changes = ![Method::GET, Method::HEAD, Method::OPTIONS].contains(&method) && is_told(route.as_deref());
-    if changes || is_refusal(response.status()) {
-        let caller = response.extensions().get::<Caller>().cloned().unwrap_or(Caller::Nobody);
-        farm.doors.audit.note(Deed {
-            who: caller.name().to_owned(),
+    let changes = ![Method::GET, Method::HEAD, Method::OPTIONS].contains(&method) && is_recorded(route.as_deref());
+    if changes || is_rejection(response.status()) {
+        let caller = response.extensions().get::<Caller>().cloned().unwrap_or(Caller::Anonymous);
+        farm.admission.audit.record(AuditRecord {
+            actor: caller.name().to_owned(),
             key: caller.key().map(|key| key.id().to_owned()),
             address,
             method: method.to_string(),
             route: route.unwrap_or(path),
-            job: named.or_else(|| made(&response)),
+            job: named.or_else(|| created_job(&response)),
             status: response.status().as_u16(),
             code: response.extensions().get::<Problem>().map(|problem| problem.code.clone()),
             request_id,
@@ -64,16 +64,16 @@ pub(super) async fn tell(
 }
 
 /// Whether changes by this route are recorded; a request without a route changes nothing.
-fn is_told(route: Option<&str>) -> bool {
-    route.is_some_and(|route| !route.starts_with("/v1/worker/") || route == proto::work::REGISTER)
+fn is_recorded(route: Option<&str>) -> bool {
+    route.is_some_and(|route| !route.starts_with("/v1/worker/") || route == proto::worker_protocol::REGISTER_PATH)
 }
 
-fn is_refusal(status: StatusCode) -> bool {
+fn is_rejection(status: StatusCode) -> bool {
     [StatusCode::UNAUTHORIZED, StatusCode::FORBIDDEN, StatusCode::TOO_MANY_REQUESTS].contains(&status)
 }
 
 /// Id of the job that a response reports as created.
-fn made(response: &Response) -> Option<JobId> {
+fn created_job(response: &Response) -> Option<JobId> {
     response.headers().get(header::LOCATION)?.to_str().ok()?.strip_prefix("/v1/jobs/")?.parse().ok()
 }
 
@@ -88,7 +88,7 @@ struct PageQuery {
 ///
 /// Every change and every rejection, newest first; the newest 100,000 are kept.
 #[utoipa::path(
-    get, path = "/v1/audit", tag = "doors", operation_id = "audit",
+    get, path = "/v1/audit", tag = "keys", operation_id = "audit",
     params(
         ("limit" = Option<u32>, Query, description = "Most entries, 1 to 1000"),
         ("cursor" = Option<String>, Query, description = "The `next_cursor` of the page before"),
@@ -100,9 +100,9 @@ struct PageQuery {
 )]
 pub(super) async fn list(State(farm): State<Arc<Farm>>, uri: Uri) -> Result<Json<AuditPage>, ApiError> {
     let query: PageQuery = body::read_query(&uri)?;
-    let limit = query.limit.unwrap_or(PAGE);
+    let limit = query.limit.unwrap_or(DEFAULT_PAGE_SIZE);
     if !(1..=MAX_PAGE).contains(&limit) {
         return Err(ApiError::WrongQuery(format!("limit is {limit}: say 1 to {MAX_PAGE}")));
     }
-    Ok(Json(farm.doors.audit.page(query.cursor, limit).await?))
+    Ok(Json(farm.admission.audit.page(query.cursor, limit).await?))
 }

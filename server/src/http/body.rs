@@ -5,13 +5,13 @@ use axum::extract::Query;
 use axum::http::{HeaderMap, Uri, header};
 use bytes::{Bytes, BytesMut};
 use futures_util::StreamExt;
-use proto::problem::FaultView;
+use proto::problem::ValidationErrorView;
 use serde::de::DeserializeOwned;
 
 use super::error::ApiError;
 
 /// Of a body that is too large, this much is read and discarded, so that the client reads the response.
-const DRAINED_BYTES: usize = 64 << 20;
+const MAX_DISCARDED_BYTES: usize = 64 << 20;
 
 /// Rejects a body whose content type is not JSON; a body without a content type is taken as JSON.
 pub(super) fn expect_json(headers: &HeaderMap) -> Result<(), ApiError> {
@@ -35,7 +35,7 @@ pub(super) async fn read(body: Body, limit_bytes: usize) -> Result<Bytes, ApiErr
             bytes.extend_from_slice(&chunk);
         } else {
             bytes = BytesMut::new();
-            if size_bytes > limit_bytes + DRAINED_BYTES {
+            if size_bytes > limit_bytes + MAX_DISCARDED_BYTES {
                 break;
             }
         }
@@ -55,16 +55,16 @@ pub(super) async fn read_json<T: DeserializeOwned>(
     expect_json(headers)?;
     let bytes = read(body, limit_bytes).await?;
     let mut reader = serde_json::Deserializer::from_slice(&bytes);
-    let value = serde_path_to_error::deserialize(&mut reader).map_err(|error| refuse(&error))?;
+    let value = serde_path_to_error::deserialize(&mut reader).map_err(|error| reject(&error))?;
     reader.end().map_err(|error| not_json(&error))?;
     // serde would also read a list of values in order, which no client means.
     if bytes.trim_ascii_start().first() == Some(&b'[') {
-        return Err(wrong("", "this is a list: send an object".to_owned()));
+        return Err(invalid_body("", "this is a list: send an object".to_owned()));
     }
     Ok(value)
 }
 
-fn refuse(error: &serde_path_to_error::Error<serde_json::Error>) -> ApiError {
+fn reject(error: &serde_path_to_error::Error<serde_json::Error>) -> ApiError {
     let inner = error.inner();
     if inner.is_data() {
         let pointer = error.path().iter().fold(String::new(), |pointer, segment| format!("{pointer}/{segment}"));
@@ -74,10 +74,10 @@ fn refuse(error: &serde_path_to_error::Error<serde_json::Error>) -> ApiError {
     }
 }
 
-fn fault(pointer: String, error: &serde_json::Error) -> FaultView {
+fn fault(pointer: String, error: &serde_json::Error) -> ValidationErrorView {
     let text = error.to_string();
     let message = text.split(" at line ").next().unwrap_or(&text).to_owned();
-    FaultView { pointer, message, line: error.line() as u32, column: error.column() as u32 }
+    ValidationErrorView { pointer, message, line: error.line() as u32, column: error.column() as u32 }
 }
 
 /// Error for a body that is not JSON.
@@ -86,8 +86,8 @@ pub(super) fn not_json(error: &serde_json::Error) -> ApiError {
 }
 
 /// Error for an invalid value in a JSON body.
-pub(super) fn wrong(pointer: &str, message: String) -> ApiError {
-    ApiError::WrongBody(vec![FaultView { pointer: pointer.to_owned(), message, line: 1, column: 1 }])
+pub(super) fn invalid_body(pointer: &str, message: String) -> ApiError {
+    ApiError::WrongBody(vec![ValidationErrorView { pointer: pointer.to_owned(), message, line: 1, column: 1 }])
 }
 
 /// Reads a request's query.

@@ -2,29 +2,29 @@
 
 use axum::http::{HeaderValue, StatusCode, header};
 use axum::response::{IntoResponse, Response};
+use proto::api_key::Scope;
 use proto::job::JobState;
-use proto::key::Scope;
-use proto::problem::FaultView;
+use proto::problem::ValidationErrorView;
 use proto::{JobId, Problem};
 
-use crate::farm::TurnError;
-use crate::jobs::JobError;
-use crate::keys::KeyError;
+use crate::api_keys::ApiKeyError;
+use crate::content_store::ContentError;
+use crate::database::DatabaseError;
+use crate::farm::SyncError;
+use crate::job_cache::JobLoadError;
 use crate::listen::SlowBody;
-use crate::pictures::PictureError;
+use crate::preview_helper::HelperError;
 use crate::retention::RetentionError;
-use crate::sketches::SketchError;
-use crate::store::StoreError;
 
 /// Reason for an error response, with its fix.
 #[derive(Debug, thiserror::Error)]
 pub(crate) enum ApiError {
     #[error("the body is not JSON: {}", first(.0))]
-    NotJson(Vec<FaultView>),
+    NotJson(Vec<ValidationErrorView>),
     #[error("the job has {} (see errors): {}", faults(.0), first(.0))]
-    WrongJob(Vec<FaultView>),
+    WrongJob(Vec<ValidationErrorView>),
     #[error("the body is not what this route takes: {}", first(.0))]
-    WrongBody(Vec<FaultView>),
+    WrongBody(Vec<ValidationErrorView>),
     #[error("invalid query: {0}")]
     WrongQuery(String),
     #[error("invalid header: {0}")]
@@ -32,7 +32,7 @@ pub(crate) enum ApiError {
     #[error("{0}")]
     WrongWebhook(String),
     #[error("this Idempotency-Key was used for another job: use a new key for a new job")]
-    OtherWish,
+    IdempotencyKeyReused,
     #[error(
         "{stored} of the {total} pictures of job {job} are stored: wait for the rest, or get the stored ones with ?partial=true"
     )]
@@ -61,7 +61,7 @@ pub(crate) enum ApiError {
     #[error("job {job} is {}, which is final: it cannot be changed any more", .state.name())]
     Finished { job: JobId, state: JobState },
     #[error("job {job} is {} and has no dead tiles: only failed jobs can be retried", .state.name())]
-    NothingDead { job: JobId, state: JobState },
+    NoDeadTiles { job: JobId, state: JobState },
     #[error("job {0} is running: cancel it first, then delete it")]
     Running(JobId),
     #[error("the range is outside the picture, which has {size_bytes} bytes")]
@@ -85,7 +85,7 @@ pub(crate) enum ApiError {
     #[error("this key has expired: ask the farm's administrator for a new one")]
     ExpiredKey,
     #[error("this key was revoked, or has just expired: ask the farm's administrator for a new one")]
-    EndedKey,
+    RevokedKey,
     #[error("the key of {name} lacks scope {}: use a key that has it, or ask an administrator for one", .scope.name())]
     MissingScope { scope: Scope, name: String },
     #[error("more than {per_second} requests per second: retry in {retry_seconds} s")]
@@ -97,13 +97,13 @@ pub(crate) enum ApiError {
     #[error("the body arrived too slowly, or not at all: send it without pauses")]
     SlowBody,
     #[error("the server could not respond within {limit_seconds} s: retry")]
-    TooLong { limit_seconds: u64 },
+    ResponseTimeout { limit_seconds: u64 },
     #[error(transparent)]
-    WrongKey(KeyError),
+    InvalidNewKey(ApiKeyError),
     #[error(transparent)]
-    KeyConflict(KeyError),
+    TooManyKeys(ApiKeyError),
     #[error(transparent)]
-    NoKey(KeyError),
+    KeyNotFound(ApiKeyError),
     #[error("unknown worker {0}: it was silent for too long and has to register again")]
     UnknownWorker(String),
     #[error("the worker renders picture version {found}, the server requires {wanted}: run the same release of both")]
@@ -121,9 +121,9 @@ pub(crate) enum ApiError {
     #[error("the signature is not this link's: use the link unchanged, or request a new one")]
     WrongSignature,
     #[error(transparent)]
-    NoSketch(SketchError),
+    PreviewFailed(HelperError),
     #[error("the server is shutting down: retry in a few seconds")]
-    Closing,
+    ShuttingDown,
     #[error("the disk is full: free space for the data folder, then retry")]
     DiskFull,
     #[error("the database is damaged: stop the server, and restore the data folder from a backup")]
@@ -132,14 +132,14 @@ pub(crate) enum ApiError {
     Internal(#[source] Box<dyn std::error::Error + Send + Sync>),
 }
 
-fn first(faults: &[FaultView]) -> String {
+fn first(faults: &[ValidationErrorView]) -> String {
     faults.first().map_or_else(String::new, |fault| {
         let place = if fault.pointer.is_empty() { String::new() } else { format!("{}: ", fault.pointer) };
         format!("{place}{} (line {}, column {})", fault.message, fault.line, fault.column)
     })
 }
 
-fn faults(faults: &[FaultView]) -> String {
+fn faults(faults: &[ValidationErrorView]) -> String {
     if faults.len() == 1 { "an error".to_owned() } else { format!("{} errors", faults.len()) }
 }
 
@@ -155,7 +155,7 @@ fn not_stored(job: &JobId, frame: u32, state: JobState) -> String {
 
 impl ApiError {
     /// Status, stable code, and title.
-    fn sort(&self) -> (StatusCode, &'static str, &'static str) {
+    fn classify(&self) -> (StatusCode, &'static str, &'static str) {
         match self {
             Self::NotJson(_) => (StatusCode::BAD_REQUEST, "not_json", "The body is not JSON"),
             Self::WrongJob(_) => (StatusCode::UNPROCESSABLE_ENTITY, "wrong_job", "The job is invalid"),
@@ -163,7 +163,9 @@ impl ApiError {
             Self::WrongQuery(_) => (StatusCode::UNPROCESSABLE_ENTITY, "wrong_query", "The query is invalid"),
             Self::WrongHeader(_) => (StatusCode::BAD_REQUEST, "wrong_header", "A header is invalid"),
             Self::WrongWebhook(_) => (StatusCode::UNPROCESSABLE_ENTITY, "wrong_webhook", "The webhook is not allowed"),
-            Self::OtherWish => (StatusCode::UNPROCESSABLE_ENTITY, "key_reused", "The idempotency key was used before"),
+            Self::IdempotencyKeyReused => {
+                (StatusCode::UNPROCESSABLE_ENTITY, "key_reused", "The idempotency key was used before")
+            }
             Self::FramesMissing { .. } => (StatusCode::CONFLICT, "frames_missing", "Some pictures are not stored"),
             Self::TooLarge { .. } => (StatusCode::PAYLOAD_TOO_LARGE, "too_large", "The body is too large"),
             Self::WrongType { .. } => {
@@ -177,7 +179,7 @@ impl ApiError {
             Self::UnknownRoute { .. } => (StatusCode::NOT_FOUND, "unknown_route", "There is no such route"),
             Self::WrongMethod { .. } => (StatusCode::METHOD_NOT_ALLOWED, "wrong_method", "The method is not allowed"),
             Self::Finished { .. } => (StatusCode::CONFLICT, "job_finished", "The job has finished"),
-            Self::NothingDead { .. } => (StatusCode::CONFLICT, "nothing_dead", "There is nothing to retry"),
+            Self::NoDeadTiles { .. } => (StatusCode::CONFLICT, "nothing_dead", "There is nothing to retry"),
             Self::Running(_) => (StatusCode::CONFLICT, "job_running", "The job is running"),
             Self::WrongRange { .. } => {
                 (StatusCode::RANGE_NOT_SATISFIABLE, "wrong_range", "The range is not satisfiable")
@@ -188,16 +190,16 @@ impl ApiError {
             Self::MissingKey => (StatusCode::UNAUTHORIZED, "missing_key", "A key is required"),
             Self::UnknownKey => (StatusCode::UNAUTHORIZED, "unknown_key", "The key is unknown"),
             Self::ExpiredKey => (StatusCode::UNAUTHORIZED, "expired_key", "The key has expired"),
-            Self::EndedKey => (StatusCode::UNAUTHORIZED, "revoked_key", "The key was revoked"),
+            Self::RevokedKey => (StatusCode::UNAUTHORIZED, "revoked_key", "The key was revoked"),
             Self::MissingScope { .. } => (StatusCode::FORBIDDEN, "missing_scope", "The key lacks a scope"),
             Self::TooManyRequests { .. } => (StatusCode::TOO_MANY_REQUESTS, "too_many_requests", "Too many requests"),
             Self::QueueFull { .. } => (StatusCode::TOO_MANY_REQUESTS, "queue_full", "The queue is full"),
             Self::Quota { .. } => (StatusCode::TOO_MANY_REQUESTS, "quota", "The submitter's quota is used up"),
             Self::SlowBody => (StatusCode::REQUEST_TIMEOUT, "slow_body", "The body arrived too slowly"),
-            Self::TooLong { .. } => (StatusCode::SERVICE_UNAVAILABLE, "too_long", "The response timed out"),
-            Self::WrongKey(_) => (StatusCode::UNPROCESSABLE_ENTITY, "wrong_key", "The new key is invalid"),
-            Self::KeyConflict(_) => (StatusCode::CONFLICT, "too_many_keys", "There are too many keys"),
-            Self::NoKey(_) => (StatusCode::NOT_FOUND, "no_such_key", "There is no such key"),
+            Self::ResponseTimeout { .. } => (StatusCode::SERVICE_UNAVAILABLE, "too_long", "The response timed out"),
+            Self::InvalidNewKey(_) => (StatusCode::UNPROCESSABLE_ENTITY, "wrong_key", "The new key is invalid"),
+            Self::TooManyKeys(_) => (StatusCode::CONFLICT, "too_many_keys", "There are too many keys"),
+            Self::KeyNotFound(_) => (StatusCode::NOT_FOUND, "no_such_key", "There is no such key"),
             Self::UnknownWorker(_) => (StatusCode::NOT_FOUND, "unknown_worker", "There is no such worker"),
             Self::WrongPictureVersion { .. } => {
                 (StatusCode::UNPROCESSABLE_ENTITY, "wrong_picture_version", "The worker has another picture version")
@@ -210,8 +212,8 @@ impl ApiError {
             Self::LostPicture => (StatusCode::INTERNAL_SERVER_ERROR, "lost_picture", "The picture's file is gone"),
             Self::LinkExpired(_) => (StatusCode::GONE, "link_expired", "The link has expired"),
             Self::WrongSignature => (StatusCode::FORBIDDEN, "wrong_signature", "The signature is invalid"),
-            Self::NoSketch(_) => (StatusCode::SERVICE_UNAVAILABLE, "no_preview", "The preview failed"),
-            Self::Closing => (StatusCode::SERVICE_UNAVAILABLE, "closing", "The server is shutting down"),
+            Self::PreviewFailed(_) => (StatusCode::SERVICE_UNAVAILABLE, "no_preview", "The preview failed"),
+            Self::ShuttingDown => (StatusCode::SERVICE_UNAVAILABLE, "closing", "The server is shutting down"),
             Self::DiskFull => (StatusCode::INSUFFICIENT_STORAGE, "disk_full", "The disk is full"),
             Self::DamagedDatabase => (StatusCode::SERVICE_UNAVAILABLE, "damaged_database", "The database is damaged"),
             Self::Internal(_) => (StatusCode::INTERNAL_SERVER_ERROR, "internal", "The server failed"),
@@ -233,7 +235,7 @@ impl ApiError {
     }
 
     fn problem(&self) -> Problem {
-        let (status, code, title) = self.sort();
+        let (status, code, title) = self.classify();
         let errors = match self {
             Self::NotJson(faults) | Self::WrongJob(faults) | Self::WrongBody(faults) => faults.clone(),
             _ => Vec::new(),
@@ -257,12 +259,12 @@ impl IntoResponse for ApiError {
             tracing::error!(error = %chain(error.as_ref()), "a request failed");
         }
         let problem = self.problem();
-        let mut response = self.sort().0.into_response();
+        let mut response = self.classify().0.into_response();
         match &self {
             Self::WrongToken | Self::MissingKey => {
                 response.headers_mut().insert(header::WWW_AUTHENTICATE, HeaderValue::from_static("Bearer"));
             }
-            Self::UnknownKey | Self::ExpiredKey | Self::EndedKey => {
+            Self::UnknownKey | Self::ExpiredKey | Self::RevokedKey => {
                 let value = HeaderValue::from_static("Bearer error=\"invalid_token\"");
                 response.headers_mut().insert(header::WWW_AUTHENTICATE, value);
             }
@@ -278,7 +280,7 @@ impl IntoResponse for ApiError {
             Self::QueueFull { .. } | Self::Quota { .. } => {
                 response.headers_mut().insert(header::RETRY_AFTER, HeaderValue::from_static("10"));
             }
-            Self::Closing | Self::TooLong { .. } | Self::NoSketch(_) => {
+            Self::ShuttingDown | Self::ResponseTimeout { .. } | Self::PreviewFailed(_) => {
                 response.headers_mut().insert(header::RETRY_AFTER, HeaderValue::from_static("5"));
             }
             Self::WrongRange { size_bytes } => {
@@ -304,93 +306,96 @@ fn chain(error: &(dyn std::error::Error + 'static)) -> String {
     text
 }
 
-impl From<StoreError> for ApiError {
-    fn from(error: StoreError) -> Self {
+impl From<DatabaseError> for ApiError {
+    fn from(error: DatabaseError) -> Self {
         if error.is_full() {
             tracing::error!(error = %chain(&error), "the disk is full");
             return Self::DiskFull;
         }
-        if error.is_damage() {
+        if error.is_corruption() {
             tracing::error!(error = %chain(&error), "the database is damaged");
             return Self::DamagedDatabase;
         }
         match error {
-            StoreError::Closed => Self::Closing,
-            error @ (StoreError::Sql(_) | StoreError::Rows { .. } | StoreError::Value { .. }) => {
+            DatabaseError::Closed => Self::ShuttingDown,
+            error @ (DatabaseError::Sql(_) | DatabaseError::Rows { .. } | DatabaseError::Value { .. }) => {
                 Self::Internal(Box::new(error))
             }
         }
     }
 }
 
-impl From<KeyError> for ApiError {
-    fn from(error: KeyError) -> Self {
+impl From<ApiKeyError> for ApiError {
+    fn from(error: ApiKeyError) -> Self {
         match error {
-            KeyError::Store(error) => error.into(),
-            error @ KeyError::Random(_) => Self::Internal(Box::new(error)),
-            error @ (KeyError::Name(_) | KeyError::NoScope | KeyError::Limit { .. } | KeyError::FirstNotAdmin) => {
-                Self::WrongKey(error)
-            }
-            error @ (KeyError::BothTaken { .. } | KeyError::TooMany) => Self::KeyConflict(error),
-            error @ KeyError::Unknown(_) => Self::NoKey(error),
+            ApiKeyError::Store(error) => error.into(),
+            error @ ApiKeyError::Random(_) => Self::Internal(Box::new(error)),
+            error @ (ApiKeyError::Name(_)
+            | ApiKeyError::NoScope
+            | ApiKeyError::Limit { .. }
+            | ApiKeyError::FirstNotAdmin) => Self::InvalidNewKey(error),
+            error @ (ApiKeyError::TooManyLive { .. } | ApiKeyError::TooMany) => Self::TooManyKeys(error),
+            error @ ApiKeyError::Unknown(_) => Self::KeyNotFound(error),
         }
     }
 }
 
-impl From<PictureError> for ApiError {
-    fn from(error: PictureError) -> Self {
+impl From<ContentError> for ApiError {
+    fn from(error: ContentError) -> Self {
         if error.is_full() {
             tracing::error!(error = %chain(&error), "the disk is full");
             return Self::DiskFull;
         }
         match error {
-            PictureError::Mismatch { .. } => Self::WrongBytes(error.to_string()),
-            PictureError::TooLarge { limit_bytes } => Self::TooLarge { limit_bytes },
-            PictureError::Broken(error) => Self::broken_body(&error),
-            error @ PictureError::Store { .. } => Self::Internal(Box::new(error)),
+            ContentError::Mismatch { .. } => Self::WrongBytes(error.to_string()),
+            ContentError::TooLarge { limit_bytes } => Self::TooLarge { limit_bytes },
+            ContentError::Broken(error) => Self::broken_body(&error),
+            error @ ContentError::Store { .. } => Self::Internal(Box::new(error)),
         }
     }
 }
 
-impl From<TurnError> for ApiError {
-    fn from(error: TurnError) -> Self {
+impl From<SyncError> for ApiError {
+    fn from(error: SyncError) -> Self {
         match error {
-            TurnError::Store(error) => error.into(),
-            TurnError::Pictures(error) => error.into(),
+            SyncError::Store(error) => error.into(),
+            SyncError::Pictures(error) => error.into(),
         }
     }
 }
 
-impl From<SketchError> for ApiError {
-    fn from(error: SketchError) -> Self {
+impl From<HelperError> for ApiError {
+    fn from(error: HelperError) -> Self {
         tracing::warn!(%error, "a preview could not be drawn");
-        Self::NoSketch(error)
+        Self::PreviewFailed(error)
     }
 }
 
 impl From<RetentionError> for ApiError {
     fn from(error: RetentionError) -> Self {
         match error {
-            RetentionError::Store(error) => error.into(),
+            RetentionError::Database(error) => error.into(),
             error @ RetentionError::Size(_) => Self::Internal(Box::new(error)),
         }
     }
 }
 
-impl From<JobError> for ApiError {
-    fn from(error: JobError) -> Self {
+impl From<JobLoadError> for ApiError {
+    fn from(error: JobLoadError) -> Self {
         match error {
-            JobError::Store(error) => error.into(),
-            error @ (JobError::Gone | JobError::Refused(_) | JobError::Thread) => Self::Internal(Box::new(error)),
+            JobLoadError::Store(error) => error.into(),
+            error @ (JobLoadError::Gone | JobLoadError::Refused(_) | JobLoadError::Thread) => {
+                Self::Internal(Box::new(error))
+            }
         }
     }
 }
 
-impl From<scene::Refusal> for ApiError {
-    fn from(refusal: scene::Refusal) -> Self {
+impl From<scene::ParseError> for ApiError {
+    fn from(refusal: scene::ParseError) -> Self {
         match refusal {
-            scene::Refusal::NotJson(fault) => Self::NotJson(vec![(&fault).into()]),
-            scene::Refusal::Wrong(faults) => Self::WrongJob(faults.iter().map(Into::into).collect()),
+            scene::ParseError::NotJson(fault) => Self::NotJson(vec![(&fault).into()]),
+            scene::ParseError::Invalid(faults) => Self::WrongJob(faults.iter().map(Into::into).collect()),
         }
     }
 }

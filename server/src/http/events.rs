@@ -12,7 +12,7 @@ use serde::Deserialize;
 use super::body;
 use super::error::ApiError;
 use super::jobs::job_id;
-use crate::events::{Follower, Start};
+use crate::events::{EventSubscriber, SubscribeOutcome};
 use crate::farm::Farm;
 
 /// Header that browsers send when they reconnect.
@@ -54,10 +54,10 @@ pub(super) async fn follow(
     let header = headers.get(LAST_EVENT_ID).map(|value| value.to_str().unwrap_or("?").to_owned());
     let after =
         header.or(query.last_event_id).filter(|text| !text.is_empty()).map(|text| event_id(&text)).transpose()?;
-    match Follower::start(&farm.events, job, after, farm.ending.clone()).await? {
-        Start::Follow(follower) => Ok(streamed(*follower)),
-        Start::Over => Ok(StatusCode::NO_CONTENT.into_response()),
-        Start::Unknown => Err(ApiError::UnknownJob(id)),
+    match EventSubscriber::start(&farm.events, job, after, farm.shutdown.clone()).await? {
+        SubscribeOutcome::Subscribed(follower) => Ok(streamed(*follower)),
+        SubscribeOutcome::Ended => Ok(StatusCode::NO_CONTENT.into_response()),
+        SubscribeOutcome::UnknownJob => Err(ApiError::UnknownJob(id)),
     }
 }
 
@@ -67,7 +67,7 @@ fn event_id(text: &str) -> Result<i64, ApiError> {
     })
 }
 
-fn streamed(follower: Follower) -> Response {
+fn streamed(follower: EventSubscriber) -> Response {
     let bytes = stream::unfold(Some(follower), async |follower| {
         let mut follower = follower?;
         match follower.next().await {

@@ -8,7 +8,7 @@ use axum::http::{HeaderMap, Uri, header};
 use axum::response::{IntoResponse, Response};
 use proto::JobId;
 
-use super::caller::Caller;
+use super::auth::Caller;
 use super::error::ApiError;
 use super::jobs::{Submission, job_id};
 use super::{body, merge_patch};

@@ -8,7 +8,7 @@ use axum::extract::{Path, State};
 use axum::http::{HeaderValue, Uri, header};
 use axum::response::{IntoResponse, Response};
 use futures_util::stream;
-use proto::change::FramePage;
+use proto::frame::FramePage;
 use serde::Deserialize;
 
 use super::body;
@@ -18,7 +18,7 @@ use crate::archive::Archive;
 use crate::farm::Farm;
 
 /// Default number of frames on a page.
-const PAGE: u32 = 100;
+const DEFAULT_PAGE_SIZE: u32 = 100;
 /// Frames on a page, at most.
 const MAX_PAGE: u32 = 1000;
 
@@ -57,7 +57,7 @@ pub(super) async fn list(
 ) -> Result<Json<FramePage>, ApiError> {
     let job = job_id(&id)?;
     let query: ListQuery = body::read_query(&uri)?;
-    let limit = query.limit.unwrap_or(PAGE);
+    let limit = query.limit.unwrap_or(DEFAULT_PAGE_SIZE);
     if !(1..=MAX_PAGE).contains(&limit) {
         return Err(ApiError::WrongQuery(format!("limit is {limit}, but must be from 1 to {MAX_PAGE}")));
     }
@@ -101,7 +101,7 @@ pub(super) async fn archive(
     if frames.stored < frames.total && !query.partial {
         return Err(ApiError::FramesMissing { job, stored: frames.stored, total: frames.total });
     }
-    let disposition = format!("attachment; filename=\"{}.zip\"", frames.plain_name());
+    let disposition = format!("attachment; filename=\"{}.zip\"", frames.file_stem());
     let pieces = stream::unfold(Some(Archive::new(farm, frames)), async |archive| {
         let mut archive = archive?;
         match archive.next().await {

@@ -12,7 +12,7 @@ use super::error::ApiError;
 use crate::farm::Farm;
 
 /// Content type of `/metrics`.
-const OPEN_METRICS: &str = "application/openmetrics-text; version=1.0.0; charset=utf-8";
+const OPENMETRICS_TYPE: &str = "application/openmetrics-text; version=1.0.0; charset=utf-8";
 
 /// Is the process up?
 #[utoipa::path(
@@ -34,7 +34,7 @@ pub(super) async fn livez() -> &'static str {
 )]
 pub(super) async fn readyz(State(farm): State<Arc<Farm>>) -> Result<Json<Value>, ApiError> {
     farm.queue.check().await?;
-    farm.pictures.check().await?;
+    farm.content.check_writable().await?;
     let workers = farm.queue.workers().await?.workers;
     let status = if workers.is_empty() { "degraded" } else { "ready" };
     let names: Vec<String> = workers.into_iter().map(|worker| worker.name).collect();
@@ -50,5 +50,5 @@ pub(super) async fn readyz(State(farm): State<Arc<Farm>>) -> Result<Json<Value>,
     )
 )]
 pub(super) async fn metrics(State(farm): State<Arc<Farm>>) -> Result<Response, ApiError> {
-    Ok(([(header::CONTENT_TYPE, OPEN_METRICS)], farm.watch.text(&farm).await?).into_response())
+    Ok(([(header::CONTENT_TYPE, OPENMETRICS_TYPE)], farm.telemetry.text(&farm).await?).into_response())
 }

@@ -10,9 +10,9 @@ use proto::JobId;
 
 use super::error::ApiError;
 use super::jobs::job_id;
-use super::range::{self, Asked};
+use super::range::{self, ByteRange};
+use crate::content_store::{ContentHash, ContentKind};
 use crate::farm::Farm;
-use crate::pictures::{Kind, Name};
 use crate::queue::StoredImage;
 
 /// A frame's picture never changes.
@@ -30,7 +30,7 @@ pub(super) const IMMUTABLE: &str = "public, max-age=31536000, immutable";
         (status = 416, description = "No such range", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
     )
 )]
-pub(super) async fn first(
+pub(super) async fn first_frame(
     State(farm): State<Arc<Farm>>,
     Path(id): Path<String>,
     headers: HeaderMap,
@@ -88,23 +88,25 @@ pub(super) async fn answer(farm: &Farm, job: JobId, frame: u32, headers: &Header
     if headers
         .get(header::IF_NONE_MATCH)
         .and_then(|value| value.to_str().ok())
-        .is_some_and(|named| range::names(named, &tag))
+        .is_some_and(|named| range::matches_etag(named, &tag))
     {
-        return Ok(describe(StatusCode::NOT_MODIFIED.into_response(), &tag));
+        return Ok(set_cache_headers(StatusCode::NOT_MODIFIED.into_response(), &tag));
     }
     let asked = match headers.get(header::IF_RANGE) {
-        Some(condition) if condition.as_bytes() != tag.as_bytes() => Asked::Whole,
-        Some(_) | None => range::asked(headers.get(header::RANGE).and_then(|value| value.to_str().ok()), size_bytes),
+        Some(condition) if condition.as_bytes() != tag.as_bytes() => ByteRange::Full,
+        Some(_) | None => {
+            range::parse_range(headers.get(header::RANGE).and_then(|value| value.to_str().ok()), size_bytes)
+        }
     };
     let (status, part) = match asked {
-        Asked::Whole => (StatusCode::OK, None),
-        Asked::Part(part) => (StatusCode::PARTIAL_CONTENT, Some(part)),
-        Asked::Nothing => return Err(ApiError::WrongRange { size_bytes }),
+        ByteRange::Full => (StatusCode::OK, None),
+        ByteRange::Part(part) => (StatusCode::PARTIAL_CONTENT, Some(part)),
+        ByteRange::Unsatisfiable => return Err(ApiError::WrongRange { size_bytes }),
     };
-    let name = Name::parse(&hash).ok_or(ApiError::LostPicture)?;
-    let found = farm.pictures.get(Kind::Picture, &name, part.clone()).await?;
+    let name = ContentHash::parse(&hash).ok_or(ApiError::LostPicture)?;
+    let found = farm.content.get(ContentKind::Picture, &name, part.clone()).await?;
     let Some((length_bytes, bytes)) = found else { return Err(ApiError::LostPicture) };
-    let mut response = describe((status, Body::from_stream(bytes)).into_response(), &tag);
+    let mut response = set_cache_headers((status, Body::from_stream(bytes)).into_response(), &tag);
     set(&mut response, header::CONTENT_TYPE, &media_type);
     set(&mut response, header::CONTENT_LENGTH, &length_bytes.to_string());
     if let Some(part) = part {
@@ -113,7 +115,7 @@ pub(super) async fn answer(farm: &Farm, job: JobId, frame: u32, headers: &Header
     Ok(response)
 }
 
-fn describe(mut response: Response, tag: &str) -> Response {
+fn set_cache_headers(mut response: Response, tag: &str) -> Response {
     set(&mut response, header::ETAG, tag);
     set(&mut response, header::CACHE_CONTROL, IMMUTABLE);
     set(&mut response, header::ACCEPT_RANGES, "bytes");

@@ -7,24 +7,24 @@ use axum::body::Body;
 use axum::extract::{Path, State};
 use axum::http::{HeaderMap, HeaderValue, StatusCode, Uri, header};
 use axum::response::{IntoResponse, Response};
-use proto::fail::{self, Point};
+use proto::fail_point::{self, FailPoint};
 use proto::job::{DryRun, JobPage, JobState, JobView};
-use proto::{JobId, Keep};
+use proto::{JobId, Retention};
 use serde::Deserialize;
 use tracing::Instrument;
 
+use super::auth::Caller;
 use super::body;
-use super::caller::Caller;
 use super::error::ApiError;
-use super::{prefer, quota, traces, wish};
+use super::{prefer, quota, submit_options, trace_context};
+use crate::content_store::ContentKind;
 use crate::estimate;
 use crate::farm::Farm;
-use crate::pictures::Kind;
-use crate::plan::Plan;
-use crate::queue::{Cancelled, NewJob, Submitted};
+use crate::queue::{CancelOutcome, NewJob, SubmitOutcome};
+use crate::tile_plan::TilePlan;
 
 /// Default number of jobs on a page.
-const PAGE: u32 = 100;
+const DEFAULT_PAGE_SIZE: u32 = 100;
 /// Jobs on a page, at most.
 const MAX_PAGE: u32 = 1000;
 
@@ -112,7 +112,7 @@ pub(super) struct Submission {
     uri: Uri,
     headers: HeaderMap,
     query: SubmitQuery,
-    keep: Option<Keep>,
+    keep: Option<Retention>,
     is_known: bool,
 }
 
@@ -120,14 +120,14 @@ impl Submission {
     /// Refuses what no text could save: a farm that is closing, a quota that is used up, a wrong query.
     pub(super) async fn begin(farm: &Farm, caller: Caller, uri: Uri, headers: HeaderMap) -> Result<Self, ApiError> {
         let query: SubmitQuery = body::read_query(&uri)?;
-        if farm.closing.is_cancelled() && !query.dry_run {
-            return Err(ApiError::Closing);
+        if farm.is_shutting_down.is_cancelled() && !query.dry_run {
+            return Err(ApiError::ShuttingDown);
         }
-        let is_known = wish::is_known(farm, &caller, &headers).await?;
+        let is_known = submit_options::is_replay(farm, &caller, &headers).await?;
         if !query.dry_run && !is_known {
             quota::check_jobs(farm, &caller).await?;
         }
-        let keep: Option<Keep> = match query.keep.as_deref().map(str::parse).transpose() {
+        let keep: Option<Retention> = match query.keep.as_deref().map(str::parse).transpose() {
             Ok(keep) => keep,
             Err(error) => return Err(ApiError::WrongQuery(format!("keep: {error}"))),
         };
@@ -137,13 +137,13 @@ impl Submission {
     /// Accepts the job of this text, or checks it.
     pub(super) async fn finish(self, farm: &Arc<Farm>, text: bytes::Bytes) -> Result<Response, ApiError> {
         let Self { caller, uri, headers, query, keep, is_known } = self;
-        let wish = wish::read(&uri, &headers, &text, &farm.webhooks.guard)?;
+        let wish = submit_options::read(&uri, &headers, &text, &farm.webhooks.guard)?;
         let parsed = farm.jobs.parse(text.clone(), |parsed| parsed.map(|job| (job.warnings(), job))).await?;
         let (warnings, job) = parsed?;
-        let plan = Plan::of(&job, farm.config.tile_px);
+        let plan = TilePlan::new(&job, farm.config.tile_edge_px);
         if query.dry_run {
             let (tiles, rays) = (plan.tiles_total(), plan.rays_total());
-            let estimate = estimate::estimate(farm, file_text(text)?, plan).await;
+            let estimate = estimate::estimate(farm, into_utf8(text)?, plan).await;
             let frames = plan.frames.into();
             return Ok(Json(DryRun { valid: true, tiles, frames, rays, estimate, warnings }).into_response());
         }
@@ -160,18 +160,18 @@ impl Submission {
             plan,
             media_type: media_type(&job.image),
             warnings,
-            fresh: has_no_cache(&headers),
-            keep,
-            text: file_text(text)?,
+            no_cache: has_no_cache(&headers),
+            retention: keep,
+            file_text: into_utf8(text)?,
         };
-        traces::keep(farm, id, &headers).await?;
+        trace_context::store_trace(farm, id, &headers).await?;
         let submitting = farm.submit(new, Arc::new(job), wish);
         let (status, id) = match submitting.instrument(tracing::info_span!("submit", job = %id)).await? {
-            Submitted::New(_) => (StatusCode::CREATED, id),
-            Submitted::Same(id) => (StatusCode::OK, id),
-            Submitted::Other => return Err(ApiError::OtherWish),
+            SubmitOutcome::Created(_) => (StatusCode::CREATED, id),
+            SubmitOutcome::Replayed(id) => (StatusCode::OK, id),
+            SubmitOutcome::KeyReused => return Err(ApiError::IdempotencyKeyReused),
         };
-        fail::pass_by(Point::SubmitCommitted);
+        fail_point::trigger_infallible(FailPoint::SubmitCommitted);
         let mut response = prefer::answer(farm, id, &headers, status).await?;
         if let Ok(location) = HeaderValue::from_str(&format!("/v1/jobs/{id}")) {
             response.headers_mut().insert(header::LOCATION, location);
@@ -181,7 +181,7 @@ impl Submission {
 }
 
 /// The text of a job file that was read.
-fn file_text(text: bytes::Bytes) -> Result<String, ApiError> {
+fn into_utf8(text: bytes::Bytes) -> Result<String, ApiError> {
     String::from_utf8(text.into()).map_err(|error| ApiError::Internal(Box::new(error)))
 }
 
@@ -204,7 +204,7 @@ fn file_text(text: bytes::Bytes) -> Result<String, ApiError> {
 )]
 pub(super) async fn list(State(farm): State<Arc<Farm>>, caller: Caller, uri: Uri) -> Result<Json<JobPage>, ApiError> {
     let query: ListQuery = body::read_query(&uri)?;
-    let limit = query.limit.unwrap_or(PAGE);
+    let limit = query.limit.unwrap_or(DEFAULT_PAGE_SIZE);
     if !(1..=MAX_PAGE).contains(&limit) {
         return Err(ApiError::WrongQuery(format!("limit is {limit}, but must be from 1 to {MAX_PAGE}")));
     }
@@ -212,7 +212,7 @@ pub(super) async fn list(State(farm): State<Arc<Farm>>, caller: Caller, uri: Uri
         if query.state.is_some() || query.cursor.is_some() {
             return Err(ApiError::WrongQuery("match goes with limit alone: leave state and cursor out".into()));
         }
-        return Ok(Json(farm.queue.jobs_like(caller.sees_only(), &text, limit).await?));
+        return Ok(Json(farm.queue.jobs_like(caller.visible_submitter(), &text, limit).await?));
     }
     let before = match query.cursor {
         None => None,
@@ -220,7 +220,7 @@ pub(super) async fn list(State(farm): State<Arc<Farm>>, caller: Caller, uri: Uri
             ApiError::WrongQuery(format!("{cursor:?} is no cursor: pass the next_cursor of the page before"))
         })?),
     };
-    Ok(Json(farm.queue.jobs(caller.sees_only(), query.state, limit, before).await?))
+    Ok(Json(farm.queue.jobs(caller.visible_submitter(), query.state, limit, before).await?))
 }
 
 /// Get a job.
@@ -261,9 +261,9 @@ pub(super) async fn view(farm: &Farm, id: JobId) -> Result<Json<JobView>, ApiErr
 pub(super) async fn cancel(State(farm): State<Arc<Farm>>, Path(id): Path<String>) -> Result<Json<JobView>, ApiError> {
     let job = job_id(&id)?;
     match farm.queue.cancel(job).await? {
-        Cancelled::Done { blobs } => farm.sweep_later(Kind::Blob, blobs),
-        Cancelled::Final(state) => return Err(ApiError::Finished { job, state }),
-        Cancelled::Unknown => return Err(ApiError::UnknownJob(id)),
+        CancelOutcome::Done { blobs } => farm.sweep_later(ContentKind::Blob, blobs),
+        CancelOutcome::AlreadyFinished(state) => return Err(ApiError::Finished { job, state }),
+        CancelOutcome::Unknown => return Err(ApiError::UnknownJob(id)),
     }
     view(&farm, job).await
 }

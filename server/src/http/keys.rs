@@ -7,7 +7,7 @@ use axum::body::Body;
 use axum::extract::{Path, State};
 use axum::http::{HeaderMap, HeaderValue, StatusCode, header};
 use axum::response::{IntoResponse, Response};
-use proto::key::{KeyList, NewKey};
+use proto::api_key::{ApiKeyList, NewApiKey};
 
 use super::body;
 use super::error::ApiError;
@@ -18,11 +18,11 @@ const MAX_BYTES: usize = 16 << 10;
 
 /// List the keys.
 #[utoipa::path(
-    get, path = "/v1/keys", tag = "doors", operation_id = "list_keys",
-    responses((status = 200, description = "Every key, newest first, without secrets", body = ref("#/components/schemas/KeyList")))
+    get, path = "/v1/keys", tag = "keys", operation_id = "list_keys",
+    responses((status = 200, description = "Every key, newest first, without secrets", body = ref("#/components/schemas/ApiKeyList")))
 )]
-pub(super) async fn list(State(farm): State<Arc<Farm>>) -> Json<KeyList> {
-    Json(KeyList { keys: farm.doors.keys.list() })
+pub(super) async fn list(State(farm): State<Arc<Farm>>) -> Json<ApiKeyList> {
+    Json(ApiKeyList { keys: farm.admission.keys.list() })
 }
 
 /// Make a key.
@@ -31,10 +31,10 @@ pub(super) async fn list(State(farm): State<Arc<Farm>>) -> Json<KeyList> {
 /// can be put in the old one's place. The first key of a farm closes it to everyone without one, so it needs the scope
 /// `admin`.
 #[utoipa::path(
-    post, path = "/v1/keys", tag = "doors", operation_id = "make_key",
-    request_body(content = ref("#/components/schemas/NewKey"), content_type = "application/json"),
+    post, path = "/v1/keys", tag = "keys", operation_id = "create_key",
+    request_body(content = ref("#/components/schemas/NewApiKey"), content_type = "application/json"),
     responses(
-        (status = 201, description = "Made", body = ref("#/components/schemas/IssuedKey")),
+        (status = 201, description = "Made", body = ref("#/components/schemas/IssuedApiKey")),
         (status = 400, description = "Not JSON", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
         (status = 409, description = "The name has two live keys, or there are too many keys", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
         (status = 413, description = "Too large", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
@@ -47,8 +47,8 @@ pub(super) async fn make(
     headers: HeaderMap,
     request: Body,
 ) -> Result<Response, ApiError> {
-    let new: NewKey = body::read_json(&headers, request, MAX_BYTES).await?;
-    let issued = farm.doors.keys.make(new).await?;
+    let new: NewApiKey = body::read_json(&headers, request, MAX_BYTES).await?;
+    let issued = farm.admission.keys.create(new).await?;
     let mut response = (StatusCode::CREATED, Json(issued)).into_response();
     response.headers_mut().insert(header::CACHE_CONTROL, HeaderValue::from_static("no-store"));
     Ok(response)
@@ -58,13 +58,16 @@ pub(super) async fn make(
 ///
 /// Open requests that use the key end immediately with 401.
 #[utoipa::path(
-    delete, path = "/v1/keys/{id}", tag = "doors", operation_id = "revoke_key",
+    delete, path = "/v1/keys/{id}", tag = "keys", operation_id = "revoke_key",
     params(("id" = String, Path, description = "A key's id, or a name: then all its keys")),
     responses(
-        (status = 200, description = "The keys that are revoked now", body = ref("#/components/schemas/KeyList")),
+        (status = 200, description = "The keys that are revoked now", body = ref("#/components/schemas/ApiKeyList")),
         (status = 404, description = "No such key, or revoked already", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
     )
 )]
-pub(super) async fn revoke(State(farm): State<Arc<Farm>>, Path(id): Path<String>) -> Result<Json<KeyList>, ApiError> {
-    Ok(Json(KeyList { keys: farm.doors.keys.revoke(&id).await? }))
+pub(super) async fn revoke(
+    State(farm): State<Arc<Farm>>,
+    Path(id): Path<String>,
+) -> Result<Json<ApiKeyList>, ApiError> {
+    Ok(Json(ApiKeyList { keys: farm.admission.keys.revoke(&id).await? }))
 }

@@ -7,7 +7,7 @@ use axum::body::Body;
 use axum::extract::{Path, State};
 use axum::http::{HeaderMap, HeaderValue, Uri, header};
 use axum::response::Response;
-use proto::link::{LinkRequest, LinkView, Shown};
+use proto::link::{LinkContent, LinkRequest, LinkView};
 use serde::Deserialize;
 
 use super::error::ApiError;
@@ -15,15 +15,15 @@ use super::jobs::job_id;
 use super::{body, images, previews};
 use crate::clock::rfc3339;
 use crate::farm::Farm;
-use crate::links::Linked;
 use crate::queue::StoredImage;
+use crate::signed_links::LinkClaims;
 
 /// Maximum size of a request for a link.
 const MAX_BYTES: usize = 4 << 10;
 
 #[derive(Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
-struct Signed {
+struct LinkQuery {
     expires: i64,
     signature: String,
 }
@@ -62,7 +62,7 @@ pub(super) async fn sign(
         StoredImage::NoJob => return Err(ApiError::UnknownJob(id)),
     }
     let expires_seconds = farm.queue.wall_seconds() + i64::from(wish.expires_in_seconds);
-    let signature = farm.links.sign(&Linked { job, frame, shown: wish.shows, expires_seconds });
+    let signature = farm.links.sign(&LinkClaims { job, frame, content: wish.shows, expires_seconds });
     Ok(Json(LinkView {
         url: format!(
             "/v1/pictures/{job}/{frame}/{}?expires={expires_seconds}&signature={signature}",
@@ -76,7 +76,7 @@ pub(super) async fn sign(
 ///
 /// Needs no key: the signature is the permission.
 #[utoipa::path(
-    get, path = "/v1/pictures/{id}/{frame}/{shown}", tag = "pictures", operation_id = "follow_link", security(()),
+    get, path = "/v1/pictures/{id}/{frame}/{content}", tag = "pictures", operation_id = "follow_link", security(()),
     params(
         ("id" = String, Path, description = "The job"),
         ("frame" = u32, Path, description = "The frame, from 0"),
@@ -98,25 +98,25 @@ pub(super) async fn sign(
 )]
 pub(super) async fn follow(
     State(farm): State<Arc<Farm>>,
-    Path((id, frame, shown)): Path<(String, String, String)>,
+    Path((id, frame, content)): Path<(String, String, String)>,
     uri: Uri,
     headers: HeaderMap,
 ) -> Result<Response, ApiError> {
-    let signed: Signed = body::read_query(&uri)?;
-    let shown = [Shown::Image, Shown::Preview].into_iter().find(|known| known.name() == shown);
-    let (Ok(job), Ok(frame), Some(shown)) = (job_id(&id), frame.parse(), shown) else {
+    let signed: LinkQuery = body::read_query(&uri)?;
+    let content = [LinkContent::Image, LinkContent::Preview].into_iter().find(|known| known.name() == content);
+    let (Ok(job), Ok(frame), Some(content)) = (job_id(&id), frame.parse(), content) else {
         return Err(ApiError::WrongSignature);
     };
-    let linked = Linked { job, frame, shown, expires_seconds: signed.expires };
-    if !farm.links.is_signed(&linked, &signed.signature) {
+    let linked = LinkClaims { job, frame, content, expires_seconds: signed.expires };
+    if !farm.links.verify(&linked, &signed.signature) {
         return Err(ApiError::WrongSignature);
     }
     if farm.queue.wall_seconds() >= signed.expires {
         return Err(ApiError::LinkExpired(rfc3339(signed.expires.saturating_mul(1000))));
     }
-    let mut response = match shown {
-        Shown::Image => images::answer(&farm, job, frame, &headers).await?,
-        Shown::Preview => previews::answer(&farm, job, frame, None, &headers).await?,
+    let mut response = match content {
+        LinkContent::Image => images::answer(&farm, job, frame, &headers).await?,
+        LinkContent::Preview => previews::answer(&farm, job, frame, None, &headers).await?,
     };
     // A cached copy must be revalidated, or it would outlive the link.
     response.headers_mut().insert(header::CACHE_CONTROL, HeaderValue::from_static("private, no-cache"));

@@ -17,7 +17,7 @@ type Members = BTreeMap<String, Box<RawValue>>;
 pub(super) fn apply(file: &str, patch: &[u8]) -> Result<String, ApiError> {
     let patch: Box<RawValue> = serde_json::from_slice(patch).map_err(|error| body::not_json(&error))?;
     if members(&patch).is_none() {
-        return Err(body::wrong("", "this is no object: send the keys that are to change".to_owned()));
+        return Err(body::invalid_body("", "this is no object: send the keys that are to change".to_owned()));
     }
     let file: Option<Box<RawValue>> = serde_json::from_str(file).ok();
     merged(file, &patch, 0).map(|merged| merged.get().to_owned())
@@ -31,7 +31,10 @@ fn members(value: &RawValue) -> Option<Members> {
 fn merged(target: Option<Box<RawValue>>, patch: &RawValue, depth: usize) -> Result<Box<RawValue>, ApiError> {
     let Some(changes) = members(patch) else { return Ok(patch.to_owned()) };
     if depth == MAX_DEPTH {
-        return Err(body::wrong("", format!("nests deeper than {MAX_DEPTH} objects: submit a job file of its own")));
+        return Err(body::invalid_body(
+            "",
+            format!("nests deeper than {MAX_DEPTH} objects: submit a job file of its own"),
+        ));
     }
     let mut target = target.as_deref().and_then(members).unwrap_or_default();
     for (key, change) in changes {
@@ -84,7 +87,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_no_patch_is_refused() {
+    fn what_is_no_patch_is_rejected() {
         let deep = format!("{}1{}", r#"{"a":"#.repeat(MAX_DEPTH + 1), "}".repeat(MAX_DEPTH + 1));
         for patch in ["[1]", "7", "null", "{", "", &deep] {
             assert!(apply("{}", patch.as_bytes()).is_err(), "{patch}");

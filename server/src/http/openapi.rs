@@ -1,7 +1,7 @@
 //! The API's own description: routes from their handlers, schemas from the types that are sent.
 
-mod doors;
 mod portable;
+mod security;
 
 use std::sync::Arc;
 
@@ -10,13 +10,15 @@ use axum::extract::State;
 use axum::http::header;
 use axum::response::{IntoResponse, Response};
 use proto::Problem;
-use proto::change::{DeletePreview, FramePage, JobPatch};
+use proto::api_key::{ApiKeyList, IssuedApiKey, NewApiKey};
+use proto::audit::AuditPage;
 use proto::farm::{FarmView, StartView};
+use proto::frame::FramePage;
+use proto::job::{DeleteDryRun, JobPatch};
 use proto::job::{DryRun, JobPage, JobView};
-use proto::key::{AuditPage, IssuedKey, KeyList, NewKey};
 use proto::link::{LinkRequest, LinkView};
 use proto::pool::{PoolSize, PoolView, WorkerList};
-use proto::retention::Collection;
+use proto::retention::GcReport;
 use proto::webhook::DeliveryList;
 use schemars::generate::SchemaSettings;
 use serde_json::{Map, Value};
@@ -44,7 +46,7 @@ impl Document {
         schemas.extend(job_file());
         document["components"]["schemas"] = Value::Object(schemas);
         portable::rewrite(&mut document);
-        doors::describe(&mut document);
+        security::describe(&mut document);
         Self(Arc::new(document))
     }
 
@@ -74,7 +76,7 @@ fn requests() -> Map<String, Value> {
     generator.subschema_for::<JobPatch>();
     generator.subschema_for::<LinkRequest>();
     generator.subschema_for::<PoolSize>();
-    generator.subschema_for::<NewKey>();
+    generator.subschema_for::<NewApiKey>();
     generator.take_definitions(true)
 }
 
@@ -83,17 +85,17 @@ fn answers() -> Map<String, Value> {
     generator.subschema_for::<JobView>();
     generator.subschema_for::<JobPage>();
     generator.subschema_for::<DryRun>();
-    generator.subschema_for::<DeletePreview>();
+    generator.subschema_for::<DeleteDryRun>();
     generator.subschema_for::<FarmView>();
     generator.subschema_for::<StartView>();
     generator.subschema_for::<LinkView>();
-    generator.subschema_for::<Collection>();
+    generator.subschema_for::<GcReport>();
     generator.subschema_for::<FramePage>();
     generator.subschema_for::<DeliveryList>();
     generator.subschema_for::<WorkerList>();
     generator.subschema_for::<PoolView>();
-    generator.subschema_for::<IssuedKey>();
-    generator.subschema_for::<KeyList>();
+    generator.subschema_for::<IssuedApiKey>();
+    generator.subschema_for::<ApiKeyList>();
     generator.subschema_for::<AuditPage>();
     generator.subschema_for::<Problem>();
     generator.take_definitions(true)
@@ -110,12 +112,12 @@ fn job_file() -> Map<String, Value> {
     };
     schemas.insert("Job".to_owned(), schema);
     for definition in schemas.values_mut() {
-        move_references(definition);
+        rewrite_refs(definition);
     }
     schemas
 }
 
-fn move_references(value: &mut Value) {
+fn rewrite_refs(value: &mut Value) {
     match value {
         Value::Object(members) => {
             for (key, member) in members {
@@ -125,11 +127,11 @@ fn move_references(value: &mut Value) {
                             *target = format!("{COMPONENTS}{name}");
                         }
                     }
-                    member => move_references(member),
+                    member => rewrite_refs(member),
                 }
             }
         }
-        Value::Array(members) => members.iter_mut().for_each(move_references),
+        Value::Array(members) => members.iter_mut().for_each(rewrite_refs),
         Value::Null | Value::Bool(_) | Value::Number(_) | Value::String(_) => {}
     }
 }
@@ -163,7 +165,7 @@ mod tests {
     #[test]
     fn a_job_is_described_as_its_schema_does() {
         let (document, mut schema) = (super::super::document(), scene::schema());
-        move_references(&mut schema);
+        rewrite_refs(&mut schema);
         let served = &document.value()["components"]["schemas"];
         for (name, definition) in schema["$defs"].as_object().expect("definitions") {
             assert_eq!(served[name], *definition, "{name}");

@@ -31,7 +31,7 @@ pub(super) async fn workers(State(farm): State<Arc<Farm>>) -> Result<Json<Worker
 )]
 pub(super) async fn get(State(farm): State<Arc<Farm>>) -> Result<Json<PoolView>, ApiError> {
     let ready = farm.queue.pool_ready().await?;
-    Ok(Json(PoolView { workers: farm.pool.wanted(), ready }))
+    Ok(Json(PoolView { workers: farm.pool.target_size(), ready }))
 }
 
 /// Change the number of local workers.

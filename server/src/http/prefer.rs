@@ -9,7 +9,7 @@ use proto::JobId;
 use proto::job::JobView;
 
 use super::error::ApiError;
-use crate::clock::instant;
+use crate::clock::monotonic_now;
 use crate::farm::Farm;
 
 /// Maximum wait; a client that wants to wait longer repeats the request.
@@ -26,7 +26,7 @@ pub(super) async fn answer(
 ) -> Result<Response, ApiError> {
     let wait = wait(headers);
     if let Some(wait) = wait {
-        until_ended(farm, id, wait).await?;
+        wait_until_finished(farm, id, wait).await?;
     }
     let view: JobView = farm.queue.job(id).await?.ok_or_else(|| ApiError::UnknownJob(id.to_string()))?;
     let mut response = (status, Json(view)).into_response();
@@ -38,16 +38,16 @@ pub(super) async fn answer(
     Ok(response)
 }
 
-async fn until_ended(farm: &Farm, id: JobId, wait: Duration) -> Result<(), ApiError> {
-    let deadline = instant() + wait;
-    let Some(followed) = farm.queue.followed(id).await? else { return Ok(()) };
+async fn wait_until_finished(farm: &Farm, id: JobId, wait: Duration) -> Result<(), ApiError> {
+    let deadline = monotonic_now() + wait;
+    let Some(followed) = farm.queue.event_position(id).await? else { return Ok(()) };
     let topic = farm.events.topic(followed.job).await?;
-    let mut bell = topic.bell();
+    let mut bell = topic.changes();
     while farm.queue.has_ended(followed.job).await? == Some(false) {
         tokio::select! {
             rung = bell.changed() => if rung.is_err() { break },
             () = tokio::time::sleep_until(deadline) => break,
-            () = farm.closing.cancelled() => break,
+            () = farm.is_shutting_down.cancelled() => break,
         }
     }
     Ok(())

@@ -8,14 +8,14 @@ use axum::http::{HeaderMap, HeaderValue, StatusCode, Uri, header};
 use axum::response::{IntoResponse, Response};
 use proto::JobId;
 use proto::job::JobState;
-use proto::sketch::Sketch;
+use proto::preview_helper::HelperRequest;
 use serde::Deserialize;
 
 use super::error::ApiError;
 use super::{body, images, range};
+use crate::content_store::{ContentHash, ContentKind};
 use crate::farm::Farm;
-use crate::pictures::{Kind, Name};
-use crate::queue::Parts;
+use crate::queue::FrameContents;
 
 /// Default width of a preview.
 const PREVIEW_PX: u32 = 960;
@@ -98,11 +98,11 @@ pub(super) async fn thumbnail(
 ) -> Result<Response, ApiError> {
     let width_px = WidthQuery::read(&uri)?.unwrap_or(THUMBNAIL_PX);
     let (job, frame) = images::frame_of(&farm, &id, &frame).await?;
-    match farm.queue.parts(job, frame).await? {
-        Parts::Stored { hash } => scaled(&farm, &hash, width_px, images::IMMUTABLE, &headers).await,
-        Parts::Unfinished { state, .. } => Err(ApiError::NotStored { job, frame, state }),
-        Parts::NoFrame(frames) => Err(ApiError::UnknownFrame { job, frame: frame.to_string(), frames }),
-        Parts::NoJob => Err(ApiError::UnknownJob(job.to_string())),
+    match farm.queue.frame_contents(job, frame).await? {
+        FrameContents::Stored { hash } => scaled(&farm, &hash, width_px, images::IMMUTABLE, &headers).await,
+        FrameContents::Unfinished { state, .. } => Err(ApiError::NotStored { job, frame, state }),
+        FrameContents::NoFrame(frames) => Err(ApiError::UnknownFrame { job, frame: frame.to_string(), frames }),
+        FrameContents::NoJob => Err(ApiError::UnknownJob(job.to_string())),
     }
 }
 
@@ -115,11 +115,13 @@ pub(super) async fn answer(
     headers: &HeaderMap,
 ) -> Result<Response, ApiError> {
     let width_px = width_px.unwrap_or(PREVIEW_PX);
-    match farm.queue.parts(job, frame).await? {
-        Parts::Stored { hash } => scaled(farm, &hash, width_px, "no-cache", headers).await,
-        Parts::Unfinished { state, blobs } => unfinished(farm, job, frame, width_px, state, blobs, headers).await,
-        Parts::NoFrame(frames) => Err(ApiError::UnknownFrame { job, frame: frame.to_string(), frames }),
-        Parts::NoJob => Err(ApiError::UnknownJob(job.to_string())),
+    match farm.queue.frame_contents(job, frame).await? {
+        FrameContents::Stored { hash } => scaled(farm, &hash, width_px, "no-cache", headers).await,
+        FrameContents::Unfinished { state, blobs } => {
+            unfinished(farm, job, frame, width_px, state, blobs, headers).await
+        }
+        FrameContents::NoFrame(frames) => Err(ApiError::UnknownFrame { job, frame: frame.to_string(), frames }),
+        FrameContents::NoJob => Err(ApiError::UnknownJob(job.to_string())),
     }
 }
 
@@ -134,12 +136,12 @@ async fn scaled(
     if is_known(headers, &tag) {
         return Ok(describe(StatusCode::NOT_MODIFIED.into_response(), &tag, cache));
     }
-    let name = Name::parse(hash).ok_or(ApiError::LostPicture)?;
-    if farm.pictures.size_bytes(Kind::Picture, &name).await?.is_none() {
+    let name = ContentHash::parse(hash).ok_or(ApiError::LostPicture)?;
+    if farm.content.size_bytes(ContentKind::Picture, &name).await?.is_none() {
         return Err(ApiError::LostPicture);
     }
-    let sketch = Sketch::Stored { file: Kind::Picture.file(&farm.config.data, hash), width_px };
-    let picture = farm.sketches.picture(&tag, &sketch).await?;
+    let sketch = HelperRequest::Thumbnail { file: ContentKind::Picture.file(&farm.config.data, hash), width_px };
+    let picture = farm.preview_helper.picture(&tag, &sketch).await?;
     Ok(png(picture, &tag, cache))
 }
 
@@ -158,21 +160,21 @@ async fn unfinished(
         return Ok(describe(StatusCode::NOT_MODIFIED.into_response(), &tag, "no-cache"));
     }
     let text = farm.queue.file(job).await?.ok_or_else(|| ApiError::UnknownJob(job.to_string()))?;
-    let sketch = Sketch::Unfinished {
+    let sketch = HelperRequest::Preview {
         job: text,
         frame,
         width_px,
-        tiles: blobs.iter().map(|hash| Kind::Blob.file(&farm.config.data, hash)).collect(),
-        coarse: farm.sketches.coarse(job, frame),
+        tiles: blobs.iter().map(|hash| ContentKind::Blob.file(&farm.config.data, hash)).collect(),
+        coarse: farm.preview_helper.coarse(job, frame),
         coarse_ms: COARSE_MS,
     };
-    let picture = farm.sketches.picture(&tag, &sketch).await?;
+    let picture = farm.preview_helper.picture(&tag, &sketch).await?;
     Ok(png(picture, &tag, "no-cache"))
 }
 
 fn is_known(headers: &HeaderMap, tag: &str) -> bool {
     let known = headers.get(header::IF_NONE_MATCH).and_then(|value| value.to_str().ok());
-    known.is_some_and(|named| range::names(named, tag))
+    known.is_some_and(|named| range::matches_etag(named, tag))
 }
 
 fn png(picture: bytes::Bytes, tag: &str, cache: &'static str) -> Response {

@@ -2,7 +2,7 @@
 //!
 //! Concurrent submissions may exceed a limit together, by at most their number.
 
-use super::caller::Caller;
+use super::auth::Caller;
 use super::error::ApiError;
 use crate::farm::Farm;
 

@@ -5,7 +5,7 @@ use std::sync::Arc;
 use axum::Json;
 use axum::extract::State;
 use axum::http::Uri;
-use proto::retention::Collection;
+use proto::retention::GcReport;
 use serde::Deserialize;
 
 use super::body;
@@ -28,11 +28,11 @@ struct CollectQuery {
     post, path = "/v1/gc", tag = "jobs", operation_id = "collect_garbage",
     params(("dry_run" = Option<bool>, Query, description = "Only tell what would go")),
     responses(
-        (status = 200, description = "What went, or would go", body = ref("#/components/schemas/Collection")),
+        (status = 200, description = "What went, or would go", body = ref("#/components/schemas/GcReport")),
         (status = 422, description = "Wrong query", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
     )
 )]
-pub(super) async fn collect(State(farm): State<Arc<Farm>>, uri: Uri) -> Result<Json<Collection>, ApiError> {
+pub(super) async fn collect(State(farm): State<Arc<Farm>>, uri: Uri) -> Result<Json<GcReport>, ApiError> {
     let query: CollectQuery = body::read_query(&uri)?;
     Ok(Json(retention::collect(&farm, query.dry_run).await?))
 }

@@ -17,7 +17,7 @@ use crate::farm::Farm;
 
 /// Jobs that the page lists, newest first.
 const JOBS: u32 = 8;
-const PAGE: &str = include_str!("start_page.html");
+const START_PAGE_HTML: &str = include_str!("start_page.html");
 /// Styles of the page itself, and nothing from anywhere.
 const POLICY: &str = "default-src 'none'; style-src 'unsafe-inline'; img-src data:; base-uri 'none'; \
                       form-action 'none'; frame-ancestors 'none'";
@@ -32,7 +32,7 @@ const POLICY: &str = "default-src 'none'; style-src 'unsafe-inline'; img-src dat
 )]
 pub(super) async fn get(State(farm): State<Arc<Farm>>, request: Request) -> Result<Response, ApiError> {
     let wants_page = wants_html(request.headers());
-    let needs_key = farm.doors.keys.are_wanted();
+    let needs_key = farm.admission.keys.are_required();
     let mut view = StartView {
         name: "sdfarm".to_owned(),
         version: env!("CARGO_PKG_VERSION").to_owned(),
@@ -68,7 +68,7 @@ pub(super) async fn get(State(farm): State<Arc<Farm>>, request: Request) -> Resu
 
 /// The farm's numbers, as they were at most a second ago.
 async fn counts(farm: &Farm) -> Result<FarmCounts, ApiError> {
-    let counts = farm.watch.counts(farm).await?;
+    let counts = farm.telemetry.counts(farm).await?;
     let jobs = |state: JobState| counts.jobs_in(state.name()).unsigned_abs();
     let ready = counts.workers.iter().filter(|group| group.state == "ready").map(|group| group.number).sum::<i64>();
     Ok(FarmCounts {
@@ -126,7 +126,8 @@ fn page(view: &StartView, jobs: &[JobView], address: &str) -> String {
         }
         Some(farm) => glance(farm, jobs),
     };
-    PAGE.replace("{version}", &escaped(&view.version))
+    START_PAGE_HTML
+        .replace("{version}", &escaped(&view.version))
         .replace("{examples}", &escaped(&examples))
         // Last, for what jobs are called may look like one of the names above.
         .replace("{state}", &state)

@@ -24,6 +24,6 @@ pub(super) async fn list(
     Path(id): Path<String>,
 ) -> Result<Json<DeliveryList>, ApiError> {
     let job = job_id(&id)?;
-    farm.queue.followed(job).await?.ok_or(ApiError::UnknownJob(id))?;
+    farm.queue.event_position(job).await?.ok_or(ApiError::UnknownJob(id))?;
     Ok(Json(DeliveryList { deliveries: farm.queue.deliveries(job).await? }))
 }

@@ -3,10 +3,10 @@
 use rustix::process::{Resource, Rlimit, getrlimit, setrlimit};
 
 /// Files reserved for the database, pictures and workers.
-const KEPT_FILES: u64 = 512;
+const RESERVED_FILES: u64 = 512;
 
 /// Has the system grant as many files as it will, and returns how many connections of those wanted that leaves.
-pub(crate) fn most_connections(wanted: u32) -> usize {
+pub(crate) fn connection_limit(wanted: u32) -> usize {
     let Rlimit { current, maximum } = getrlimit(Resource::Nofile);
     let raised = setrlimit(Resource::Nofile, Rlimit { current: maximum, maximum });
     if let Err(error) = &raised {
@@ -14,7 +14,7 @@ pub(crate) fn most_connections(wanted: u32) -> usize {
     }
     // No limit is reported as none.
     let files = if raised.is_ok() { maximum } else { current }.unwrap_or(u64::MAX);
-    let room = files.saturating_sub(KEPT_FILES).max(files / 2);
+    let room = files.saturating_sub(RESERVED_FILES).max(files / 2);
     let connections = room.min(wanted.into());
     if connections < wanted.into() {
         tracing::warn!(

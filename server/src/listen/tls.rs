@@ -19,7 +19,7 @@ use tokio_rustls::server::TlsStream;
 use tokio_util::sync::CancellationToken;
 
 /// Interval at which the files are checked.
-const LOOK: Duration = Duration::from_secs(1);
+const FILE_CHECK_INTERVAL: Duration = Duration::from_secs(1);
 
 /// Error of a certificate.
 #[derive(Debug, thiserror::Error)]
@@ -53,7 +53,7 @@ type Stamp = [Option<(SystemTime, u64)>; 2];
 /// Accepts connections over TLS.
 pub(crate) struct Tls {
     acceptor: TlsAcceptor,
-    shown: Arc<Shown>,
+    shown: Arc<CurrentCertificate>,
     certificate: PathBuf,
     key: PathBuf,
 }
@@ -66,15 +66,15 @@ impl std::fmt::Debug for Tls {
 }
 
 /// The certificate that is shown at present.
-struct Shown(RwLock<Arc<CertifiedKey>>);
+struct CurrentCertificate(RwLock<Arc<CertifiedKey>>);
 
-impl std::fmt::Debug for Shown {
+impl std::fmt::Debug for CurrentCertificate {
     fn fmt(&self, formatter: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        formatter.write_str("Shown")
+        formatter.write_str("CurrentCertificate")
     }
 }
 
-impl ResolvesServerCert for Shown {
+impl ResolvesServerCert for CurrentCertificate {
     fn resolve(&self, _: ClientHello<'_>) -> Option<Arc<CertifiedKey>> {
         Some(Arc::clone(&self.0.read().expect("no holder panics")))
     }
@@ -83,7 +83,7 @@ impl ResolvesServerCert for Shown {
 impl Tls {
     /// Reads a chain of certificates, the server's own first, and its key.
     pub(crate) fn open(certificate: &Path, key: &Path) -> Result<Self, TlsError> {
-        let shown = Arc::new(Shown(RwLock::new(Arc::new(read(certificate, key)?))));
+        let shown = Arc::new(CurrentCertificate(RwLock::new(Arc::new(read(certificate, key)?))));
         let mut config = ServerConfig::builder_with_provider(Arc::new(ring::default_provider()))
             .with_safe_default_protocol_versions()?
             .with_no_client_auth()
@@ -99,14 +99,14 @@ impl Tls {
     }
 
     /// Reloads the files when they change, and at SIGHUP, until shutdown.
-    pub(crate) async fn follow(&self, end: CancellationToken) {
+    pub(crate) async fn watch_files(&self, end: CancellationToken) {
         let mut seen = self.stamp();
         let mut hang_up = signal(SignalKind::hangup()).ok();
         loop {
             let asked = tokio::select! {
                 () = end.cancelled() => return,
-                () = tokio::time::sleep(LOOK) => false,
-                () = hung_up(&mut hang_up) => true,
+                () = tokio::time::sleep(FILE_CHECK_INTERVAL) => false,
+                () = sighup(&mut hang_up) => true,
             };
             self.look(&mut seen, asked);
         }
@@ -138,7 +138,7 @@ impl Tls {
     }
 }
 
-async fn hung_up(signal: &mut Option<tokio::signal::unix::Signal>) {
+async fn sighup(signal: &mut Option<tokio::signal::unix::Signal>) {
     match signal {
         Some(signal) => {
             signal.recv().await;
@@ -151,11 +151,11 @@ fn read(certificate: &Path, key: &Path) -> Result<CertifiedKey, TlsError> {
     let wrong = |file: &Path, reason: String| TlsError::File { file: file.to_owned(), reason };
     let chain = CertificateDer::pem_file_iter(certificate)
         .and_then(Iterator::collect::<Result<Vec<_>, _>>)
-        .map_err(|error| wrong(certificate, words(&error)))?;
+        .map_err(|error| wrong(certificate, pem_error_text(&error)))?;
     if chain.is_empty() {
         return Err(wrong(certificate, "it holds no certificate".to_owned()));
     }
-    let secret = PrivateKeyDer::from_pem_file(key).map_err(|error| wrong(key, words(&error)))?;
+    let secret = PrivateKeyDer::from_pem_file(key).map_err(|error| wrong(key, pem_error_text(&error)))?;
     let secret = ring::sign::any_supported_type(&secret).map_err(|error| wrong(key, error.to_string()))?;
     let pair = CertifiedKey::new(chain, secret);
     pair.keys_match().map_err(|error| TlsError::Pair {
@@ -167,7 +167,7 @@ fn read(certificate: &Path, key: &Path) -> Result<CertifiedKey, TlsError> {
 }
 
 /// The PEM reader's message, without the content it read.
-fn words(error: &rustls::pki_types::pem::Error) -> String {
+fn pem_error_text(error: &rustls::pki_types::pem::Error) -> String {
     use rustls::pki_types::pem::Error;
     match error {
         Error::Io(error) => error.to_string(),

@@ -15,7 +15,7 @@ pub(crate) struct Backlog {
 }
 
 /// The row that counts everyone's; no key has this name.
-const EVERYONE: &str = "*";
+const ALL_SUBMITTERS: &str = "*";
 
 impl Queue {
     /// Unfinished jobs and rays of a submitter.
@@ -29,7 +29,7 @@ impl Queue {
 
     /// Unfinished jobs and rays of all submitters.
     pub(crate) async fn backlog(&self) -> Result<Backlog> {
-        self.backlog_of(EVERYONE).await
+        self.backlog_of(ALL_SUBMITTERS).await
     }
 
     /// Submitter of a job; `None` if the job does not exist.

@@ -4,32 +4,32 @@
 //! scene this worker renders; a stitch is for anyone. A job's next frame is opened when none of its
 //! tiles is ready; that needs the frame's key, which the caller computes outside.
 
-use proto::work::{LeasedTile, Part, Run, Work};
+use proto::worker_protocol::{Batch, BatchWork, LeasedTile, StitchInput};
 use proto::{JobId, LeaseId, Rect, WorkerId};
 use sqlx::query::Query;
 use sqlx::sqlite::{SqliteArguments, SqliteRow};
 use sqlx::{Row, Sqlite};
 
-use super::lease::LOST_BEFORE_ALONE;
-use super::share::{self, Frame, Ready};
-use super::straggler::{self, Straggling};
-use super::{Connection, Moment, Result, counted, end, fair, known};
-use crate::plan::Plan;
+use super::batch_size::{self, FrameLoad, ReadyTile};
+use super::lease::LOSSES_BEFORE_ISOLATION;
+use super::straggler::{self, StragglerOutcome};
+use super::{Connection, Result, TransitionContext, expect_rows, fair_share, finish, parse_column};
+use crate::tile_plan::TilePlan;
 
 /// A job with something to claim, by priority and age. Checked by a test to need no full scan.
-const NEXT_JOB: &str = include_str!("next_job.sql");
+const NEXT_JOB_SQL: &str = include_str!("next_job.sql");
 
 /// The job's next ready tile.
-const NEXT_TILE: &str = include_str!("next_tile.sql");
+const NEXT_TILE_SQL: &str = include_str!("next_tile.sql");
 
 /// The ready tiles of a frame.
-const READY_TILES: &str = "SELECT id, position, x_px, y_px, width_px, height_px, rays, lost FROM tile
+const READY_TILES_SQL: &str = "SELECT id, position, x_px, y_px, width_px, height_px, rays, lost FROM tile
      WHERE job = ?5 AND frame = ?7 AND kind = 'render' AND state = 'ready' AND not_before_ms <= ?1
        AND (avoid IS NULL OR avoid <> ?2 OR ?6 > ?3)
      ORDER BY position";
 
 /// Time at which the first backed-off tile becomes ready.
-const NEXT_READY: &str =
+const NEXT_RETRY_SQL: &str =
     "SELECT min(not_before_ms) FROM tile WHERE state = 'ready' AND not_before_ms > 0 AND not_before_ms > ?";
 
 /// The `max_nodes` of a worker that takes any scene.
@@ -37,7 +37,7 @@ pub(super) const ANY_NODES: i64 = i64::MAX;
 
 /// Worker that claims.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Claimant {
+pub(super) struct ClaimRequest {
     /// The worker.
     pub(super) worker: WorkerId,
     /// Its measured camera rays a second.
@@ -47,13 +47,13 @@ pub(super) struct Claimant {
 }
 
 /// Tiles and the leases they are to be held by.
-pub(super) type Grants = Vec<(i64, LeaseId)>;
+pub(super) type NewLeases = Vec<(i64, LeaseId)>;
 
 /// Result of a claim.
 #[derive(Clone, Debug)]
-pub(super) enum Claimed {
+pub(super) enum ClaimOutcome {
     /// A run, leased.
-    Run(Run),
+    Run(Batch),
     /// This frame has to be opened first.
     NeedsFrame {
         /// The job's number.
@@ -61,31 +61,31 @@ pub(super) enum Claimed {
         /// The frame.
         frame: u32,
         /// How its frames are cut into tiles.
-        plan: Plan,
+        plan: TilePlan,
     },
     /// No work now; the first backed-off tile is ready in this many milliseconds.
     Nothing(Option<i64>),
 }
 
 /// Job whose tiles may be leased.
-pub(super) struct Job {
+pub(super) struct ClaimableJob {
     pub(super) number: i64,
     pub(super) id: JobId,
-    plan: Plan,
+    plan: TilePlan,
     frames_opened: u32,
     nodes: i64,
     /// None of its tiles has been leased before.
     queued: bool,
-    share: fair::Share,
+    share: fair_share::FairShare,
 }
 
-impl Job {
+impl ClaimableJob {
     fn read(row: &SqliteRow) -> Result<Self> {
         let id: String = row.try_get("id")?;
         Ok(Self {
             number: row.try_get("number")?,
-            id: known("job.id", &id, |id| id.parse().ok())?,
-            plan: Plan {
+            id: parse_column("job.id", &id, |id| id.parse().ok())?,
+            plan: TilePlan {
                 width_px: row.try_get("width_px")?,
                 height_px: row.try_get("height_px")?,
                 samples: row.try_get("samples")?,
@@ -96,14 +96,14 @@ impl Job {
             frames_opened: row.try_get("frames_opened")?,
             nodes: row.try_get("nodes")?,
             queued: row.try_get("queued")?,
-            share: fair::Share { submitter: row.try_get("submitter")?, priority: row.try_get("priority")? },
+            share: fair_share::FairShare { submitter: row.try_get("submitter")?, priority: row.try_get("priority")? },
         })
     }
 }
 
 /// Which tiles a claim may take: back-off ended, scene small enough for the worker, and not to be avoided by
 /// this worker unless no other could render it.
-pub(super) struct View {
+pub(super) struct ClaimFilter {
     now_ms: i64,
     pub(super) worker: String,
     /// Largest scene that some other worker renders, in nodes; -1 if there is no other worker.
@@ -112,7 +112,7 @@ pub(super) struct View {
     max_nodes: i64,
 }
 
-impl View {
+impl ClaimFilter {
     /// Binds the parameters ?1 to ?4, which all statements of a claim share.
     pub(super) fn bind(&self, statement: &'static str) -> Query<'_, Sqlite, SqliteArguments> {
         sqlx::query(statement).bind(self.now_ms).bind(&self.worker).bind(self.others_max_nodes).bind(self.max_nodes)
@@ -120,17 +120,23 @@ impl View {
 }
 
 /// Claims work for a worker.
-pub(super) async fn claim(connection: &mut Connection, claimant: Claimant, moment: Moment) -> Result<Claimed> {
+pub(super) async fn claim(
+    connection: &mut Connection,
+    claimant: ClaimRequest,
+    moment: TransitionContext,
+) -> Result<ClaimOutcome> {
     let worker = claimant.worker.to_string();
-    let Some(others_max_nodes) = look_around(connection, &worker).await? else { return Ok(Claimed::Nothing(None)) };
-    let view = View { now_ms: moment.now_ms, worker, others_max_nodes, max_nodes: claimant.max_nodes };
-    let Some(row) = view.bind(NEXT_JOB).fetch_optional(&mut *connection).await? else {
+    let Some(others_max_nodes) = largest_other_capacity(connection, &worker).await? else {
+        return Ok(ClaimOutcome::Nothing(None));
+    };
+    let view = ClaimFilter { now_ms: moment.now_ms, worker, others_max_nodes, max_nodes: claimant.max_nodes };
+    let Some(row) = view.bind(NEXT_JOB_SQL).fetch_optional(&mut *connection).await? else {
         return claim_straggler(connection, &view, claimant, moment).await;
     };
-    let job = Job::read(&row)?;
-    let next = view.bind(NEXT_TILE).bind(job.number).bind(job.nodes).fetch_optional(&mut *connection).await?;
+    let job = ClaimableJob::read(&row)?;
+    let next = view.bind(NEXT_TILE_SQL).bind(job.number).bind(job.nodes).fetch_optional(&mut *connection).await?;
     let Some(next) = next else {
-        return Ok(Claimed::NeedsFrame { job: job.number, frame: job.frames_opened, plan: job.plan });
+        return Ok(ClaimOutcome::NeedsFrame { job: job.number, frame: job.frames_opened, plan: job.plan });
     };
     let frame: u32 = next.try_get("frame")?;
     let work = if next.try_get::<String, _>("kind")? == "stitch" {
@@ -141,28 +147,28 @@ pub(super) async fn claim(connection: &mut Connection, claimant: Claimant, momen
         claim_tiles(connection, &job, frame, &view, claimant, moment).await?
     };
     if job.queued {
-        end::start(connection, job.number, moment).await?;
+        finish::mark_started(connection, job.number, moment).await?;
     }
-    Ok(Claimed::Run(Run { job: job.id, frame, work }))
+    Ok(ClaimOutcome::Run(Batch { job: job.id, frame, work }))
 }
 
 /// Called when no tile is ready: looks for a straggler to duplicate.
 async fn claim_straggler(
     connection: &mut Connection,
-    view: &View,
-    claimant: Claimant,
-    moment: Moment,
-) -> Result<Claimed> {
+    view: &ClaimFilter,
+    claimant: ClaimRequest,
+    moment: TransitionContext,
+) -> Result<ClaimOutcome> {
     let again_ms = match straggler::claim(connection, view, claimant, moment).await? {
-        Straggling::Run(run) => return Ok(Claimed::Run(run)),
-        Straggling::Nothing(again_ms) => again_ms,
+        StragglerOutcome::Run(run) => return Ok(ClaimOutcome::Run(run)),
+        StragglerOutcome::Nothing(again_ms) => again_ms,
     };
-    let ready_ms: Option<i64> = sqlx::query_scalar(NEXT_READY).bind(moment.now_ms).fetch_one(connection).await?;
-    Ok(Claimed::Nothing(again_ms.into_iter().chain(ready_ms.map(|ready_ms| ready_ms - moment.now_ms)).min()))
+    let ready_ms: Option<i64> = sqlx::query_scalar(NEXT_RETRY_SQL).bind(moment.now_ms).fetch_one(connection).await?;
+    Ok(ClaimOutcome::Nothing(again_ms.into_iter().chain(ready_ms.map(|ready_ms| ready_ms - moment.now_ms)).min()))
 }
 
 /// A job by its number.
-pub(super) async fn job(connection: &mut Connection, number: i64) -> Result<Job> {
+pub(super) async fn job(connection: &mut Connection, number: i64) -> Result<ClaimableJob> {
     let row = sqlx::query(
         "SELECT number, id, width_px, height_px, samples, pixel_bytes, edge_px, frames_total, frames_opened, nodes,
                 state = 'queued' AS queued, submitter, priority FROM job WHERE number = ?",
@@ -170,23 +176,23 @@ pub(super) async fn job(connection: &mut Connection, number: i64) -> Result<Job>
     .bind(number)
     .fetch_one(connection)
     .await?;
-    Job::read(&row)
+    ClaimableJob::read(&row)
 }
 
 /// Load of a job's frame, for the batch size.
-pub(super) fn whole_frame(job: &Job) -> Frame {
+pub(super) fn frame_load(job: &ClaimableJob) -> FrameLoad {
     let frames_behind = job.plan.frames.saturating_sub(job.frames_opened);
-    Frame {
+    FrameLoad {
         tiles: job.plan.tiles().len() as u64,
         rays: job.plan.frame_rays(),
         size_bytes: job.plan.frame_bytes(),
-        rays_behind: u64::from(frames_behind) * job.plan.frame_rays(),
+        rays_unopened: u64::from(frames_behind) * job.plan.frame_rays(),
     }
 }
 
 /// Largest scene that a ready worker other than this one renders, in nodes; -1 if there is none; `None` while
 /// the farm is paused.
-async fn look_around(connection: &mut Connection, worker: &str) -> Result<Option<i64>> {
+async fn largest_other_capacity(connection: &mut Connection, worker: &str) -> Result<Option<i64>> {
     let row = sqlx::query(
         "SELECT (SELECT value <> 0 FROM meta WHERE name = 'paused') AS paused,
                 (SELECT coalesce(max(coalesce(max_nodes, ?)), -1) FROM worker
@@ -226,26 +232,27 @@ async fn peers(connection: &mut Connection, worker: &str, nodes: i64) -> Result<
 
 async fn claim_tiles(
     connection: &mut Connection,
-    job: &Job,
+    job: &ClaimableJob,
     frame: u32,
-    view: &View,
-    claimant: Claimant,
-    moment: Moment,
-) -> Result<Work> {
+    view: &ClaimFilter,
+    claimant: ClaimRequest,
+    moment: TransitionContext,
+) -> Result<BatchWork> {
     let Peers { idle, fastest_other } = peers(connection, &view.worker, job.nodes).await?;
-    let rows = view.bind(READY_TILES).bind(job.number).bind(job.nodes).bind(frame).fetch_all(&mut *connection).await?;
-    let whole = whole_frame(job);
+    let rows =
+        view.bind(READY_TILES_SQL).bind(job.number).bind(job.nodes).bind(frame).fetch_all(&mut *connection).await?;
+    let whole = frame_load(job);
     let ready = rows.iter().map(read_ready).collect::<Result<Vec<_>>>()?;
-    let length = share::run_length(&ready, whole, claimant.rays_per_second, idle, fastest_other);
-    let (tiles, grants) = leased_tiles(&rows[..length])?;
+    let length = batch_size::batch_len(&ready, whole, claimant.rays_per_second, idle, fastest_other);
+    let (tiles, grants) = new_leases(&rows[..length])?;
     grant(connection, &grants, &view.worker, moment).await?;
     let rays = ready[..length].iter().map(|tile| tile.rays).sum();
-    fair::charge(connection, &job.share, rays, claimant.rays_per_second.or(fastest_other)).await?;
-    Ok(Work::Render { whole_frame: share::is_whole(length, whole), tiles })
+    fair_share::charge(connection, &job.share, rays, claimant.rays_per_second.or(fastest_other)).await?;
+    Ok(BatchWork::Render { whole_frame: batch_size::is_whole_frame(length, whole), tiles })
 }
 
 /// New leases on tiles, both as sent to the worker and as recorded.
-pub(super) fn leased_tiles(rows: &[SqliteRow]) -> Result<(Vec<LeasedTile>, Grants)> {
+pub(super) fn new_leases(rows: &[SqliteRow]) -> Result<(Vec<LeasedTile>, NewLeases)> {
     let mut tiles = Vec::with_capacity(rows.len());
     let mut grants = Vec::with_capacity(rows.len());
     for row in rows {
@@ -266,8 +273,8 @@ pub(super) fn leased_tiles(rows: &[SqliteRow]) -> Result<(Vec<LeasedTile>, Grant
 }
 
 /// Ready tile, with what the batch size needs.
-pub(super) fn read_ready(row: &SqliteRow) -> Result<Ready> {
-    Ok(Ready { rays: row.try_get("rays")?, alone: row.try_get::<i64, _>("lost")? >= LOST_BEFORE_ALONE })
+pub(super) fn read_ready(row: &SqliteRow) -> Result<ReadyTile> {
+    Ok(ReadyTile { rays: row.try_get("rays")?, is_isolated: row.try_get::<i64, _>("lost")? >= LOSSES_BEFORE_ISOLATION })
 }
 
 /// The stitch of a frame.
@@ -280,7 +287,12 @@ pub(super) async fn stitch_tile(connection: &mut Connection, job: i64, frame: u3
 }
 
 /// Inputs of a stitch.
-pub(super) async fn stitch_work(connection: &mut Connection, job: i64, frame: u32, lease: LeaseId) -> Result<Work> {
+pub(super) async fn stitch_work(
+    connection: &mut Connection,
+    job: i64,
+    frame: u32,
+    lease: LeaseId,
+) -> Result<BatchWork> {
     let rows = sqlx::query(
         "SELECT position, x_px, y_px, width_px, height_px, blob, blob_bytes FROM tile
          WHERE job = ? AND frame = ? AND kind = 'render' ORDER BY position",
@@ -290,11 +302,11 @@ pub(super) async fn stitch_work(connection: &mut Connection, job: i64, frame: u3
     .fetch_all(connection)
     .await?;
     let parts = rows.iter().map(read_part).collect::<Result<Vec<_>>>()?;
-    Ok(Work::Stitch { lease, parts })
+    Ok(BatchWork::Stitch { lease, inputs: parts })
 }
 
-fn read_part(row: &SqliteRow) -> Result<Part> {
-    Ok(Part {
+fn read_part(row: &SqliteRow) -> Result<StitchInput> {
+    Ok(StitchInput {
         index: row.try_get("position")?,
         rect: Rect {
             x: row.try_get("x_px")?,
@@ -308,7 +320,12 @@ fn read_part(row: &SqliteRow) -> Result<Part> {
 }
 
 /// Leases tiles to a worker, each under its next epoch.
-async fn grant(connection: &mut Connection, grants: &[(i64, LeaseId)], worker: &str, moment: Moment) -> Result<()> {
+async fn grant(
+    connection: &mut Connection,
+    grants: &[(i64, LeaseId)],
+    worker: &str,
+    moment: TransitionContext,
+) -> Result<()> {
     let tiles = super::json_numbers(grants.iter().map(|(tile, _)| *tile));
     let leased = sqlx::query(
         "UPDATE tile SET state = 'leased', epoch = epoch + 1, not_before_ms = 0
@@ -317,7 +334,7 @@ async fn grant(connection: &mut Connection, grants: &[(i64, LeaseId)], worker: &
     .bind(tiles)
     .execute(&mut *connection)
     .await?;
-    counted("tile: ready to leased", grants.len() as u64, &leased)?;
+    expect_rows("tile: ready to leased", grants.len() as u64, &leased)?;
     make_leases(connection, grants, worker, moment).await
 }
 
@@ -326,7 +343,7 @@ pub(super) async fn make_leases(
     connection: &mut Connection,
     grants: &[(i64, LeaseId)],
     worker: &str,
-    moment: Moment,
+    moment: TransitionContext,
 ) -> Result<()> {
     let pairs: Vec<(i64, String)> = grants.iter().map(|(tile, lease)| (*tile, lease.to_string())).collect();
     let made = sqlx::query(
@@ -341,5 +358,5 @@ pub(super) async fn make_leases(
     .bind(serde_json::json!(pairs).to_string())
     .execute(connection)
     .await?;
-    counted("lease: granted", grants.len() as u64, &made)
+    expect_rows("lease: granted", grants.len() as u64, &made)
 }

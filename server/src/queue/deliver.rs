@@ -6,28 +6,28 @@
 
 use std::collections::{BTreeMap, HashMap};
 
-use proto::work::{Outcome, Report};
+use proto::worker_protocol::{LeaseOutcome, LeaseReport};
 use proto::{LeaseId, WorkerId};
 
-use super::lease::{self, Cause, Held};
-use super::{Connection, Moment, Result, Ring, counted, end, pace, picture, rows, stitch};
+use super::lease::{self, LeaseEnd, LiveLease};
+use super::{Connection, Result, TransitionContext, Wake, durations, expect_rows, finish, picture, row_count, stitch};
 
 /// Outcome of a set of results.
 #[derive(Clone, Debug, Default)]
-pub(super) struct Delivered {
+pub(super) struct DeliverResult {
     /// Leases that were no longer live: their results had no effect.
     pub(super) lost: Vec<LeaseId>,
     /// Number of results that differ from the first result of the same tile.
     pub(super) nondeterministic: u64,
     /// Wake signals to send.
-    pub(super) ring: Ring,
+    pub(super) ring: Wake,
     /// Blobs of frames that are stored now.
     pub(super) leftovers: Vec<String>,
 }
 
 /// A finished tile.
-struct Finished<'a> {
-    held: Held,
+struct FinishedTile<'a> {
+    held: LiveLease,
     hash: &'a str,
     size_bytes: u64,
 }
@@ -36,58 +36,60 @@ struct Finished<'a> {
 pub(super) async fn deliver(
     connection: &mut Connection,
     worker: WorkerId,
-    reports: &[Report],
-    moment: Moment,
-) -> Result<Delivered> {
-    let mut delivered = Delivered::default();
+    reports: &[LeaseReport],
+    moment: TransitionContext,
+) -> Result<DeliverResult> {
+    let mut delivered = DeliverResult::default();
     let mut pictures: BTreeMap<(&str, u64), Vec<LeaseId>> = BTreeMap::new();
     let (mut blobs, mut others) = (Vec::new(), Vec::new());
     for report in reports {
         match &report.outcome {
-            Outcome::Picture { hash, size_bytes } => {
+            LeaseOutcome::Picture { hash, size_bytes } => {
                 pictures.entry((hash, *size_bytes)).or_default().push(report.lease);
             }
-            Outcome::Blob { hash, size_bytes } => blobs.push((report.lease, hash.as_str(), *size_bytes)),
-            Outcome::BadBlobs { .. } | Outcome::Failed { .. } | Outcome::HandedBack => others.push(report),
+            LeaseOutcome::Blob { hash, size_bytes } => blobs.push((report.lease, hash.as_str(), *size_bytes)),
+            LeaseOutcome::BadBlobs { .. } | LeaseOutcome::Failed { .. } | LeaseOutcome::Released => others.push(report),
         }
     }
     for ((hash, size_bytes), leases) in pictures {
-        picture::take(connection, worker, &leases, hash, size_bytes, moment, &mut delivered).await?;
+        picture::accept_picture(connection, worker, &leases, hash, size_bytes, moment, &mut delivered).await?;
     }
-    take_blobs(connection, worker, &blobs, moment, &mut delivered).await?;
+    accept_blobs(connection, worker, &blobs, moment, &mut delivered).await?;
     for report in others {
-        take_other(connection, worker, report, moment, &mut delivered).await?;
+        accept_failure(connection, worker, report, moment, &mut delivered).await?;
     }
     Ok(delivered)
 }
 
 /// Takes in finished tiles, frame by frame.
-async fn take_blobs(
+async fn accept_blobs(
     connection: &mut Connection,
     worker: WorkerId,
     blobs: &[(LeaseId, &str, u64)],
-    moment: Moment,
-    delivered: &mut Delivered,
+    moment: TransitionContext,
+    delivered: &mut DeliverResult,
 ) -> Result<()> {
     if blobs.is_empty() {
         return Ok(());
     }
     let leases: Vec<LeaseId> = blobs.iter().map(|(lease, _, _)| *lease).collect();
-    let held = lease::held(connection, worker, &leases).await?;
-    let mut live: HashMap<String, Held> = held.into_iter().map(|held| (held.lease.clone(), held)).collect();
-    let mut frames: BTreeMap<(i64, u32), Vec<Finished<'_>>> = BTreeMap::new();
+    let held = lease::live_leases_among(connection, worker, &leases).await?;
+    let mut live: HashMap<String, LiveLease> = held.into_iter().map(|held| (held.lease.clone(), held)).collect();
+    let mut frames: BTreeMap<(i64, u32), Vec<FinishedTile<'_>>> = BTreeMap::new();
     for &(lease, hash, size_bytes) in blobs {
         match live.remove(&lease.to_string()) {
             None => {
                 delivered.lost.push(lease);
-                delivered.nondeterministic += compare(connection, FIRST_BLOB, lease, hash).await?;
+                delivered.nondeterministic += count_mismatches(connection, FIRST_BLOB_SQL, lease, hash).await?;
             }
             Some(held) if held.stitch => {
                 let message = "its worker answered with what was not asked for";
-                delivered.ring.add(lease::give_up(connection, &held, Cause::Failed, message, moment).await?);
+                delivered
+                    .ring
+                    .add(lease::end_without_result(connection, &held, LeaseEnd::Failed, message, moment).await?);
             }
             Some(held) => {
-                frames.entry((held.job, held.frame)).or_default().push(Finished { held, hash, size_bytes });
+                frames.entry((held.job, held.frame)).or_default().push(FinishedTile { held, hash, size_bytes });
             }
         }
     }
@@ -98,26 +100,28 @@ async fn take_blobs(
 }
 
 /// Takes in a result without pixels.
-async fn take_other(
+async fn accept_failure(
     connection: &mut Connection,
     worker: WorkerId,
-    report: &Report,
-    moment: Moment,
-    delivered: &mut Delivered,
+    report: &LeaseReport,
+    moment: TransitionContext,
+    delivered: &mut DeliverResult,
 ) -> Result<()> {
-    let Some(held) = lease::held(connection, worker, &[report.lease]).await?.pop() else {
+    let Some(held) = lease::live_leases_among(connection, worker, &[report.lease]).await?.pop() else {
         delivered.lost.push(report.lease);
         return Ok(());
     };
     let ring = match &report.outcome {
-        Outcome::BadBlobs { tiles } if held.stitch => stitch::reopen(connection, &held, tiles, moment).await?,
-        Outcome::Failed { message } => lease::give_up(connection, &held, Cause::Failed, message, moment).await?,
-        Outcome::HandedBack => {
-            lease::give_up(connection, &held, Cause::Interrupted, "it was handed back", moment).await?
+        LeaseOutcome::BadBlobs { tiles } if held.stitch => stitch::redo_tiles(connection, &held, tiles, moment).await?,
+        LeaseOutcome::Failed { message } => {
+            lease::end_without_result(connection, &held, LeaseEnd::Failed, message, moment).await?
         }
-        Outcome::Blob { .. } | Outcome::BadBlobs { .. } | Outcome::Picture { .. } => {
+        LeaseOutcome::Released => {
+            lease::end_without_result(connection, &held, LeaseEnd::Released, "it was handed back", moment).await?
+        }
+        LeaseOutcome::Blob { .. } | LeaseOutcome::BadBlobs { .. } | LeaseOutcome::Picture { .. } => {
             let message = "its worker answered with what was not asked for";
-            lease::give_up(connection, &held, Cause::Failed, message, moment).await?
+            lease::end_without_result(connection, &held, LeaseEnd::Failed, message, moment).await?
         }
     };
     delivered.ring.add(ring);
@@ -125,11 +129,11 @@ async fn take_other(
 }
 
 /// The blob that a lease's tile has, if it is done.
-const FIRST_BLOB: &str = "SELECT tile.blob FROM lease JOIN tile ON tile.id = lease.tile WHERE lease.id = ?";
+const FIRST_BLOB_SQL: &str = "SELECT tile.blob FROM lease JOIN tile ON tile.id = lease.tile WHERE lease.id = ?";
 
 /// Compares late results with the first result of their tile; returns how many differ. A late result has no
 /// effect.
-pub(super) async fn compare(
+pub(super) async fn count_mismatches(
     connection: &mut Connection,
     statement: &'static str,
     lease: LeaseId,
@@ -150,16 +154,16 @@ async fn finish_tiles(
     connection: &mut Connection,
     job: i64,
     frame: u32,
-    tiles: &[Finished<'_>],
-    moment: Moment,
-) -> Result<Ring> {
+    tiles: &[FinishedTile<'_>],
+    moment: TransitionContext,
+) -> Result<Wake> {
     let count = tiles.len() as u64;
     let ended =
         sqlx::query("UPDATE lease SET ended = 'done' WHERE ended IS NULL AND id IN (SELECT value FROM json_each(?))")
             .bind(super::json_list(tiles.iter().map(|tile| &tile.held.lease)))
             .execute(&mut *connection)
             .await?;
-    counted("lease: live to ended", count, &ended)?;
+    expect_rows("lease: live to ended", count, &ended)?;
     let results: Vec<_> = tiles.iter().map(|tile| (tile.held.tile, tile.hash, tile.size_bytes)).collect();
     let done = sqlx::query(
         "UPDATE tile SET state = 'done', blob = result.value ->> 1, blob_bytes = result.value ->> 2
@@ -168,37 +172,43 @@ async fn finish_tiles(
     .bind(serde_json::json!(results).to_string())
     .execute(&mut *connection)
     .await?;
-    counted("tile: leased to done", count, &done)?;
-    let mut ring = lease::void_others(connection, tiles.iter().map(|tile| tile.held.tile)).await?;
-    let by = end::Progress { tiles: rows(tiles.len()), rays: tiles.iter().map(|tile| tile.held.rays).sum(), frames: 0 };
-    let number = end::progress(connection, job, by).await?;
-    note_pace(connection, tiles.iter().map(|tile| &tile.held), number, moment).await?;
+    expect_rows("tile: leased to done", count, &done)?;
+    let mut ring = lease::revoke_duplicates(connection, tiles.iter().map(|tile| tile.held.tile)).await?;
+    let by = finish::ProgressDelta {
+        tiles: row_count(tiles.len()),
+        rays: tiles.iter().map(|tile| tile.held.rays).sum(),
+        frames: 0,
+    };
+    let number = finish::progress(connection, job, by).await?;
+    record_durations(connection, tiles.iter().map(|tile| &tile.held), number, moment).await?;
     let complete: bool = sqlx::query_scalar(
         "UPDATE frame SET tiles_done = tiles_done + ? WHERE job = ? AND number = ? AND state = 'open'
          RETURNING tiles_done = tiles_total",
     )
-    .bind(rows(tiles.len()))
+    .bind(row_count(tiles.len()))
     .bind(job)
     .bind(frame)
     .fetch_one(&mut *connection)
     .await?;
     if complete {
-        stitch::begin(connection, job, frame).await?;
-        ring.add(Ring::WORK);
+        stitch::create(connection, job, frame).await?;
+        ring.add(Wake::WORK);
     }
     Ok(ring)
 }
 
 /// Remembers how long tiles that were delivered together took; `number` counts the job's tiles that are done.
-pub(super) async fn note_pace<'a>(
+pub(super) async fn record_durations<'a>(
     connection: &mut Connection,
-    held: impl IntoIterator<Item = &'a Held>,
+    held: impl IntoIterator<Item = &'a LiveLease>,
     number: i64,
-    moment: Moment,
+    moment: TransitionContext,
 ) -> Result<()> {
     let first = held.into_iter().min_by_key(|held| held.granted_ms);
     match first {
-        Some(first) => pace::note(connection, first.job, number, moment.now_ms - first.granted_ms).await,
+        Some(first) => {
+            durations::record_duration(connection, first.job, number, moment.now_ms - first.granted_ms).await
+        }
         None => Ok(()),
     }
 }

@@ -5,22 +5,22 @@
 
 use proto::JobId;
 use proto::event::{ProgressEvent, Snapshot, TileEvent};
-use proto::job::{Count, JobState};
+use proto::job::{DoneOfTotal, JobState};
 use proto::rounding;
 use sqlx::Row;
 use sqlx::sqlite::SqliteRow;
 
-use super::{Connection, Queue, Result, end};
-use crate::store::Durability;
+use super::{Connection, Queue, Result, finish};
+use crate::database::Durability;
 
 /// How long events of finished jobs are kept.
-const KEEP_MS: i64 = 24 * 3_600_000;
+const RETENTION_MS: i64 = 24 * 3_600_000;
 /// Maximum number of events in all; beyond it the oldest are pruned, also those of running jobs.
 const MAX_EVENTS: i64 = 500_000;
 /// Jobs whose events are dropped in one transaction.
-const JOBS_AT_ONCE: i64 = 100;
+const JOBS_BATCH: i64 = 100;
 /// Events dropped in one transaction, of jobs that still run.
-const EVENTS_AT_ONCE: i64 = 5_000;
+const EVENTS_BATCH: i64 = 5_000;
 /// Maximum number of rectangles in a snapshot.
 const MAX_RECTANGLES: i64 = 20_000;
 
@@ -51,7 +51,7 @@ impl Event {
         Ok(Self {
             number: row.try_get("number")?,
             job: row.try_get("job")?,
-            state: state.map(|state| end::job_state(&state)).transpose()?,
+            state: state.map(|state| finish::job_state(&state)).transpose()?,
             body: if kind == "progress" { rounded(body) } else { body },
             kind,
         })
@@ -67,7 +67,7 @@ fn rounded(body: String) -> String {
 
 /// State that a subscriber needs before its first event.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) struct Followed {
+pub(crate) struct EventPosition {
     /// The job's number.
     pub(crate) job: i64,
     /// Nothing will change any more.
@@ -79,11 +79,11 @@ pub(crate) struct Followed {
 }
 
 /// Numbers that were given, whether their rows are still there or not.
-const NEWEST: &str = "SELECT coalesce((SELECT seq FROM sqlite_sequence WHERE name = 'outbox'), 0)";
+const NEWEST_SQL: &str = "SELECT coalesce((SELECT seq FROM sqlite_sequence WHERE name = 'outbox'), 0)";
 
 impl Queue {
     /// State that a subscriber to a job needs before its first event.
-    pub(crate) async fn followed(&self, id: JobId) -> Result<Option<Followed>> {
+    pub(crate) async fn event_position(&self, id: JobId) -> Result<Option<EventPosition>> {
         let row = sqlx::query(
             "SELECT number, finished_at_ms IS NOT NULL AS ended, events_pruned,
                     coalesce((SELECT seq FROM sqlite_sequence WHERE name = 'outbox'), 0) AS newest
@@ -93,7 +93,7 @@ impl Queue {
         .fetch_optional(self.readers())
         .await?;
         row.map(|row| {
-            Ok(Followed {
+            Ok(EventPosition {
                 job: row.try_get("number")?,
                 ended: row.try_get("ended")?,
                 pruned: row.try_get("events_pruned")?,
@@ -113,7 +113,7 @@ impl Queue {
 
     /// The number of the newest event.
     pub(crate) async fn newest_event(&self) -> Result<i64> {
-        Ok(sqlx::query_scalar(NEWEST).fetch_one(self.readers()).await?)
+        Ok(sqlx::query_scalar(NEWEST_SQL).fetch_one(self.readers()).await?)
     }
 
     /// The next events of all jobs.
@@ -151,7 +151,7 @@ impl Queue {
         .fetch_optional(&mut *reading)
         .await?;
         let Some(row) = row else { return Ok(None) };
-        let newest: i64 = sqlx::query_scalar(NEWEST).fetch_one(&mut *reading).await?;
+        let newest: i64 = sqlx::query_scalar(NEWEST_SQL).fetch_one(&mut *reading).await?;
         let numbers: Vec<u32> =
             sqlx::query_scalar("SELECT number FROM frame WHERE job = ? AND state = 'stored' ORDER BY number")
                 .bind(job)
@@ -170,26 +170,26 @@ impl Queue {
         reading.commit().await?;
         let error: Option<String> = row.try_get("error")?;
         let snapshot = Snapshot {
-            state: end::job_state(&row.try_get::<String, _>("state")?)?,
+            state: finish::job_state(&row.try_get::<String, _>("state")?)?,
             errors: error.into_iter().collect(),
             progress: rounding::fraction(
                 row.try_get::<i64, _>("rays_peak")? as f64 / row.try_get::<i64, _>("rays_total")? as f64,
             ),
-            tiles: Count { done: row.try_get("tiles_done")?, total: row.try_get("tiles_total")? },
-            frames: Count { done: row.try_get("frames_stored")?, total: row.try_get("frames_total")? },
-            stored: runs(&numbers),
-            rectangles: tiles.iter().map(rectangle).collect::<Result<_>>()?,
+            tiles: DoneOfTotal { done: row.try_get("tiles_done")?, total: row.try_get("tiles_total")? },
+            frames: DoneOfTotal { done: row.try_get("frames_stored")?, total: row.try_get("frames_total")? },
+            stored: contiguous_ranges(&numbers),
+            rectangles: tiles.iter().map(tile_event).collect::<Result<_>>()?,
         };
         Ok(Some((newest, snapshot)))
     }
 
     /// Prunes events of jobs that finished long ago, and the oldest beyond the maximum; returns how many.
     pub(crate) async fn prune_events(&self) -> Result<u64> {
-        let ended_before_ms = self.clock.wall_ms() - KEEP_MS;
+        let ended_before_ms = self.clock.wall_ms() - RETENTION_MS;
         let mut count = 0;
         loop {
             let dropped = self
-                .store
+                .database
                 .write(Durability::Relaxed, move |connection| {
                     Box::pin(async move { prune(connection, ended_before_ms).await })
                 })
@@ -206,7 +206,7 @@ impl Queue {
 impl Queue {
     /// Drops the oldest events beyond the newest `keep`.
     pub(crate) async fn prune_surplus(&self, keep: i64) -> Result<u64> {
-        self.store
+        self.database
             .write(Durability::Relaxed, move |connection| {
                 Box::pin(async move { prune_surplus(connection, keep).await })
             })
@@ -214,7 +214,7 @@ impl Queue {
     }
 }
 
-fn rectangle(row: &SqliteRow) -> Result<TileEvent> {
+fn tile_event(row: &SqliteRow) -> Result<TileEvent> {
     Ok(TileEvent {
         frame: row.try_get("frame")?,
         x: row.try_get("x_px")?,
@@ -226,7 +226,7 @@ fn rectangle(row: &SqliteRow) -> Result<TileEvent> {
 }
 
 /// First and last of each run of numbers that follow each other.
-fn runs(numbers: &[u32]) -> Vec<[u32; 2]> {
+fn contiguous_ranges(numbers: &[u32]) -> Vec<[u32; 2]> {
     let mut runs: Vec<[u32; 2]> = Vec::new();
     for &number in numbers {
         match runs.last_mut() {
@@ -246,7 +246,7 @@ async fn prune(connection: &mut Connection, ended_before_ms: i64) -> Result<u64>
          RETURNING number",
     )
     .bind(ended_before_ms)
-    .bind(JOBS_AT_ONCE)
+    .bind(JOBS_BATCH)
     .fetch_all(&mut *connection)
     .await?;
     if !jobs.is_empty() {
@@ -266,7 +266,7 @@ async fn prune_surplus(connection: &mut Connection, keep: i64) -> Result<u64> {
             .fetch_one(&mut *connection)
             .await?;
     let Some(oldest) = oldest.filter(|oldest| newest - oldest >= keep) else { return Ok(0) };
-    let last = (oldest + EVENTS_AT_ONCE - 1).min(newest - keep);
+    let last = (oldest + EVENTS_BATCH - 1).min(newest - keep);
     sqlx::query("UPDATE job SET events_pruned = ?1 WHERE number IN (SELECT job FROM outbox WHERE number <= ?1)")
         .bind(last)
         .execute(&mut *connection)
@@ -280,8 +280,8 @@ mod tests {
     use super::*;
 
     #[test]
-    fn runs_are_told_by_first_and_last() {
-        assert_eq!(runs(&[]), Vec::<[u32; 2]>::new());
-        assert_eq!(runs(&[0, 1, 2, 5, 7, 8]), [[0, 2], [5, 5], [7, 8]]);
+    fn runs_are_reported_by_first_and_last() {
+        assert_eq!(contiguous_ranges(&[]), Vec::<[u32; 2]>::new());
+        assert_eq!(contiguous_ranges(&[0, 1, 2, 5, 7, 8]), [[0, 2], [5, 5], [7, 8]]);
     }
 }

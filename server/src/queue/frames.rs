@@ -1,15 +1,15 @@
 //! A job's frames by number: the state of each, and its picture.
 
 use proto::JobId;
-use proto::change::{FrameState, FrameView};
+use proto::frame::{FrameState, FrameView};
 use sqlx::Row;
 use sqlx::sqlite::SqliteRow;
 
-use super::{Queue, Result, known};
+use super::{Queue, Result, parse_column};
 
 /// All frames of a job.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub(crate) struct Frames {
+pub(crate) struct FrameSet {
     /// The job's number.
     pub(crate) job: i64,
     /// The job's name.
@@ -22,15 +22,15 @@ pub(crate) struct Frames {
     pub(crate) stored: u32,
 }
 
-impl Frames {
+impl FrameSet {
     /// File name of a frame's picture, in characters that every file system takes.
     pub(crate) fn file_name(&self, frame: u32) -> String {
         let extension = if self.media_type == "image/x-exr" { "exr" } else { "png" };
-        format!("{}.{frame:04}.{extension}", self.plain_name())
+        format!("{}.{frame:04}.{extension}", self.file_stem())
     }
 
     /// The job's name, reduced to characters for a file name.
-    pub(crate) fn plain_name(&self) -> String {
+    pub(crate) fn file_stem(&self) -> String {
         const MAX_CHARACTERS: usize = 100;
         let is_plain = |character: char| character.is_ascii_alphanumeric() || "-_.".contains(character);
         let plain: String = self
@@ -57,13 +57,13 @@ pub(crate) struct StoredFrame {
 
 impl Queue {
     /// Lists all frames of a job.
-    pub(crate) async fn frames(&self, id: JobId) -> Result<Option<Frames>> {
+    pub(crate) async fn frames(&self, id: JobId) -> Result<Option<FrameSet>> {
         let row = sqlx::query("SELECT number, name, media_type, frames_total, frames_stored FROM job WHERE id = ?")
             .bind(id.to_string())
             .fetch_optional(self.readers())
             .await?;
         row.map(|row| {
-            Ok(Frames {
+            Ok(FrameSet {
                 job: row.try_get("number")?,
                 name: row.try_get("name")?,
                 media_type: row.try_get("media_type")?,
@@ -75,7 +75,13 @@ impl Queue {
     }
 
     /// The frames of a job from one on; those that are not reached yet have no row.
-    pub(crate) async fn frame_page(&self, id: JobId, frames: &Frames, from: u32, limit: u32) -> Result<Vec<FrameView>> {
+    pub(crate) async fn frame_page(
+        &self,
+        id: JobId,
+        frames: &FrameSet,
+        from: u32,
+        limit: u32,
+    ) -> Result<Vec<FrameView>> {
         let end = from.saturating_add(limit).min(frames.total);
         let rows = sqlx::query(
             "SELECT number, state, picture, size_bytes FROM frame
@@ -121,13 +127,13 @@ impl Queue {
     }
 }
 
-fn view(id: JobId, frames: &Frames, number: u32, row: Option<&SqliteRow>) -> Result<FrameView> {
+fn view(id: JobId, frames: &FrameSet, number: u32, row: Option<&SqliteRow>) -> Result<FrameView> {
     let Some(row) = row else {
         let state = FrameState::Waiting;
         return Ok(FrameView { number, state, picture: None, size_bytes: None, image: None, file: None });
     };
     let name: String = row.try_get("state")?;
-    let state = known("frame.state", &name, FrameState::read)?;
+    let state = parse_column("frame.state", &name, FrameState::parse)?;
     let is_stored = state == FrameState::Stored;
     Ok(FrameView {
         number,
@@ -147,7 +153,7 @@ mod tests {
     fn files_are_called_as_any_file_system_takes_it() {
         let named = |name: &str| {
             let frames =
-                Frames { job: 1, name: name.to_owned(), media_type: "image/png".to_owned(), total: 1, stored: 1 };
+                FrameSet { job: 1, name: name.to_owned(), media_type: "image/png".to_owned(), total: 1, stored: 1 };
             frames.file_name(7)
         };
         assert_eq!(named("csg"), "csg.0007.png");

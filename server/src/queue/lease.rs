@@ -7,16 +7,16 @@ use proto::{LeaseId, WorkerId};
 use sqlx::Row;
 use sqlx::sqlite::SqliteRow;
 
-use super::{Connection, Moment, Result, Ring, counted, end, json_list, strike};
+use super::{Connection, Result, TransitionContext, Wake, exclusion, expect_rows, finish, json_list};
 
 /// Renderer errors that a tile survives.
 const MAX_ERRORS: i64 = 3;
 /// Crashes of its worker that a tile survives.
 const MAX_CRASHES: i64 = 3;
 /// Vanished workers that a tile survives.
-const MAX_LOST: i64 = 50;
+const MAX_LOSSES: i64 = 50;
 /// A tile lost with its worker this many times is leased alone.
-pub(super) const LOST_BEFORE_ALONE: i64 = 2;
+pub(super) const LOSSES_BEFORE_ISOLATION: i64 = 2;
 /// The longest back-off.
 const MAX_BACK_OFF: Duration = Duration::from_secs(5);
 /// The first back-off; it doubles from there.
@@ -24,7 +24,7 @@ const BACK_OFF: Duration = Duration::from_millis(100);
 
 /// Why a lease ended without a result. Each cause has a counter of its own.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum Cause {
+pub(crate) enum LeaseEnd {
     /// The renderer failed.
     Failed,
     /// The worker crashed: the tile may be the cause.
@@ -32,16 +32,16 @@ pub(crate) enum Cause {
     /// The worker vanished, was killed, or did not renew in time.
     Lost,
     /// The worker released the tile, or never received the lease.
-    Interrupted,
+    Released,
 }
 
-impl Cause {
+impl LeaseEnd {
     fn name(self) -> &'static str {
         match self {
             Self::Failed => "failed",
             Self::Crashed => "crashed",
             Self::Lost => "lost",
-            Self::Interrupted => "interrupted",
+            Self::Released => "interrupted",
         }
     }
 }
@@ -57,46 +57,46 @@ pub(super) struct Counters {
 
 /// Consequence for the tile.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Verdict {
-    Ready { delay_ms: i64 },
+enum RetryDecision {
+    Retry { delay_ms: i64 },
     Dead,
 }
 
 impl Counters {
-    fn after(mut self, cause: Cause) -> Self {
+    fn incremented(mut self, cause: LeaseEnd) -> Self {
         match cause {
-            Cause::Failed => self.errors += 1,
-            Cause::Crashed => self.crashes += 1,
-            Cause::Lost => self.lost += 1,
-            Cause::Interrupted => self.interrupts += 1,
+            LeaseEnd::Failed => self.errors += 1,
+            LeaseEnd::Crashed => self.crashes += 1,
+            LeaseEnd::Lost => self.lost += 1,
+            LeaseEnd::Released => self.interrupts += 1,
         }
         self
     }
 
     /// `jitter` is from 0 to 1.
-    fn verdict(self, cause: Cause, jitter: f64) -> Verdict {
-        if self.errors >= MAX_ERRORS || self.crashes >= MAX_CRASHES || self.lost >= MAX_LOST {
-            return Verdict::Dead;
+    fn decide(self, cause: LeaseEnd, jitter: f64) -> RetryDecision {
+        if self.errors >= MAX_ERRORS || self.crashes >= MAX_CRASHES || self.lost >= MAX_LOSSES {
+            return RetryDecision::Dead;
         }
         let steps = match cause {
-            Cause::Failed => self.errors,
-            Cause::Crashed => self.crashes,
+            LeaseEnd::Failed => self.errors,
+            LeaseEnd::Crashed => self.crashes,
             // Hosts vanish for reasons of their own, so the first losses are free.
-            Cause::Lost => self.lost - LOST_BEFORE_ALONE,
-            Cause::Interrupted => 0,
+            LeaseEnd::Lost => self.lost - LOSSES_BEFORE_ISOLATION,
+            LeaseEnd::Released => 0,
         };
         if steps <= 0 {
-            return Verdict::Ready { delay_ms: 0 };
+            return RetryDecision::Retry { delay_ms: 0 };
         }
         let doubled = BACK_OFF * (1 << (steps - 1).min(10));
         let delay = doubled.min(MAX_BACK_OFF).mul_f64(0.5 + 0.5 * jitter);
-        Verdict::Ready { delay_ms: delay.as_millis() as i64 }
+        RetryDecision::Retry { delay_ms: delay.as_millis() as i64 }
     }
 }
 
 /// A live lease and its tile.
 #[derive(Clone, Debug)]
-pub(super) struct Held {
+pub(super) struct LiveLease {
     pub(super) lease: String,
     pub(super) worker: String,
     pub(super) tile: i64,
@@ -108,7 +108,7 @@ pub(super) struct Held {
     counters: Counters,
 }
 
-/// The columns of a [`Held`], before a condition.
+/// The columns of a [`LiveLease`], before a condition.
 macro_rules! held_where {
     ($condition:literal) => {
         concat!(
@@ -120,7 +120,7 @@ macro_rules! held_where {
     };
 }
 
-impl Held {
+impl LiveLease {
     fn read(row: &SqliteRow) -> Result<Self> {
         Ok(Self {
             lease: row.try_get("lease")?,
@@ -142,76 +142,83 @@ impl Held {
 }
 
 /// The live ones of some leases of a worker.
-pub(super) async fn held(connection: &mut Connection, worker: WorkerId, leases: &[LeaseId]) -> Result<Vec<Held>> {
+pub(super) async fn live_leases_among(
+    connection: &mut Connection,
+    worker: WorkerId,
+    leases: &[LeaseId],
+) -> Result<Vec<LiveLease>> {
     let rows = sqlx::query(held_where!("lease.worker = ? AND lease.id IN (SELECT value FROM json_each(?))"))
         .bind(worker.to_string())
         .bind(json_list(leases))
         .fetch_all(connection)
         .await?;
-    rows.iter().map(Held::read).collect()
+    rows.iter().map(LiveLease::read).collect()
 }
 
 /// The live leases of a worker.
-pub(super) async fn held_by(connection: &mut Connection, worker: &str) -> Result<Vec<String>> {
+pub(super) async fn live_lease_ids(connection: &mut Connection, worker: &str) -> Result<Vec<String>> {
     Ok(live_leases(connection, worker).await?.into_iter().map(|live| live.lease).collect())
 }
 
 /// Live lease, with what a sync needs of it.
-pub(super) struct Live {
+pub(super) struct LeaseGrant {
     pub(super) lease: String,
     pub(super) granted_ms: i64,
 }
 
 /// The live leases of a worker. By another index all that it ever held would be read.
-pub(super) async fn live_leases(connection: &mut Connection, worker: &str) -> Result<Vec<Live>> {
+pub(super) async fn live_leases(connection: &mut Connection, worker: &str) -> Result<Vec<LeaseGrant>> {
     let rows = sqlx::query(
         "SELECT id, granted_ms FROM lease INDEXED BY lease_live_by_worker WHERE worker = ? AND ended IS NULL",
     )
     .bind(worker)
     .fetch_all(connection)
     .await?;
-    rows.iter().map(|row| Ok(Live { lease: row.try_get("id")?, granted_ms: row.try_get("granted_ms")? })).collect()
+    rows.iter()
+        .map(|row| Ok(LeaseGrant { lease: row.try_get("id")?, granted_ms: row.try_get("granted_ms")? }))
+        .collect()
 }
 
 /// One lease, if it is live.
-pub(super) async fn live(connection: &mut Connection, lease: &str) -> Result<Option<Held>> {
+pub(super) async fn live_lease(connection: &mut Connection, lease: &str) -> Result<Option<LiveLease>> {
     let row = sqlx::query(held_where!("lease.id = ?")).bind(lease).fetch_optional(connection).await?;
-    row.as_ref().map(Held::read).transpose()
+    row.as_ref().map(LiveLease::read).transpose()
 }
 
 /// Ends a lease without a result. Its tile becomes ready again, or is dead and its job fails. A tile with a
 /// duplicate lease stays with the other worker.
-pub(super) async fn give_up(
+pub(super) async fn end_without_result(
     connection: &mut Connection,
-    held: &Held,
-    cause: Cause,
+    held: &LiveLease,
+    cause: LeaseEnd,
     message: &str,
-    moment: Moment,
-) -> Result<Ring> {
+    moment: TransitionContext,
+) -> Result<Wake> {
     end_lease(connection, &held.lease, cause.name()).await?;
-    if cause == Cause::Failed {
-        strike::note(connection, &held.worker, held.job, moment).await?;
+    if cause == LeaseEnd::Failed {
+        exclusion::record_error(connection, &held.worker, held.job, moment).await?;
     }
-    let counters = held.counters.after(cause);
+    let counters = held.counters.incremented(cause);
     if is_leased(connection, held.tile).await? {
-        count(connection, held, counters).await?;
-        return Ok(Ring::default());
+        store_counters(connection, held, counters).await?;
+        return Ok(Wake::default());
     }
-    match counters.verdict(cause, jitter()) {
-        Verdict::Ready { delay_ms } => {
+    match counters.decide(cause, jitter()) {
+        RetryDecision::Retry { delay_ms } => {
             let not_before_ms = if delay_ms == 0 { 0 } else { moment.now_ms + delay_ms };
-            let avoids = cause == Cause::Failed && !strike::bars_another(connection, held, moment).await?;
-            put_back(connection, held, counters, not_before_ms, avoids.then_some(held.worker.as_str())).await?;
-            Ok(Ring::WORK)
+            let avoids =
+                cause == LeaseEnd::Failed && !exclusion::is_other_worker_excluded(connection, held, moment).await?;
+            requeue(connection, held, counters, not_before_ms, avoids.then_some(held.worker.as_str())).await?;
+            Ok(Wake::WORK)
         }
-        Verdict::Dead => {
-            kill(connection, held, counters).await?;
+        RetryDecision::Dead => {
+            mark_dead(connection, held, counters).await?;
             let place = if held.stitch { "could not be stitched" } else { "could not be rendered" };
             let message = format!("frame {} {place}: {message}", held.frame);
-            let job = super::id_of(connection, held.job).await?;
+            let job = super::job_id(connection, held.job).await?;
             tracing::warn!(%job, frame = held.frame, tile = held.tile, %message, "a tile is dead");
-            end::fail(connection, held.job, &message, moment).await?;
-            Ok(Ring::NEWS)
+            finish::fail(connection, held.job, &message, moment).await?;
+            Ok(Wake::UPDATES)
         }
     }
 }
@@ -226,13 +233,16 @@ async fn is_leased(connection: &mut Connection, tile: i64) -> Result<bool> {
 }
 
 /// Ends the remaining leases of tiles that are done: their workers were slower.
-pub(super) async fn void_others(connection: &mut Connection, tiles: impl IntoIterator<Item = i64>) -> Result<Ring> {
+pub(super) async fn revoke_duplicates(
+    connection: &mut Connection,
+    tiles: impl IntoIterator<Item = i64>,
+) -> Result<Wake> {
     let void =
         sqlx::query("UPDATE lease SET ended = 'void' WHERE ended IS NULL AND tile IN (SELECT value FROM json_each(?))")
             .bind(super::json_numbers(tiles))
             .execute(connection)
             .await?;
-    Ok(if void.rows_affected() > 0 { Ring::NEWS } else { Ring::default() })
+    Ok(if void.rows_affected() > 0 { Wake::UPDATES } else { Wake::default() })
 }
 
 /// Ends one live lease.
@@ -242,12 +252,12 @@ pub(super) async fn end_lease(connection: &mut Connection, lease: &str, ended: &
         .bind(lease)
         .execute(connection)
         .await?;
-    counted("lease: live to ended", 1, &done)
+    expect_rows("lease: live to ended", 1, &done)
 }
 
-async fn put_back(
+async fn requeue(
     connection: &mut Connection,
-    held: &Held,
+    held: &LiveLease,
     counters: Counters,
     not_before_ms: i64,
     avoid: Option<&str>,
@@ -266,11 +276,11 @@ async fn put_back(
     .bind(held.tile)
     .execute(connection)
     .await?;
-    counted("tile: leased to ready", 1, &done)
+    expect_rows("tile: leased to ready", 1, &done)
 }
 
 /// Counts what happened to a tile that stays leased.
-async fn count(connection: &mut Connection, held: &Held, counters: Counters) -> Result<()> {
+async fn store_counters(connection: &mut Connection, held: &LiveLease, counters: Counters) -> Result<()> {
     let done = sqlx::query(
         "UPDATE tile SET errors = ?, crashes = ?, lost = ?, interrupts = ? WHERE id = ? AND state = 'leased'",
     )
@@ -281,10 +291,10 @@ async fn count(connection: &mut Connection, held: &Held, counters: Counters) -> 
     .bind(held.tile)
     .execute(connection)
     .await?;
-    counted("tile: counted", 1, &done)
+    expect_rows("tile: counted", 1, &done)
 }
 
-async fn kill(connection: &mut Connection, held: &Held, counters: Counters) -> Result<()> {
+async fn mark_dead(connection: &mut Connection, held: &LiveLease, counters: Counters) -> Result<()> {
     let done = sqlx::query(
         "UPDATE tile SET state = 'dead', errors = ?, crashes = ?, lost = ?, interrupts = ?
          WHERE id = ? AND state = 'leased'",
@@ -296,11 +306,11 @@ async fn kill(connection: &mut Connection, held: &Held, counters: Counters) -> R
     .bind(held.tile)
     .execute(connection)
     .await?;
-    counted("tile: leased to dead", 1, &done)
+    expect_rows("tile: leased to dead", 1, &done)
 }
 
 /// Renews live leases.
-pub(super) async fn renew(connection: &mut Connection, leases: &[&str], moment: Moment) -> Result<()> {
+pub(super) async fn renew(connection: &mut Connection, leases: &[&str], moment: TransitionContext) -> Result<()> {
     if leases.is_empty() {
         return Ok(());
     }
@@ -310,20 +320,20 @@ pub(super) async fn renew(connection: &mut Connection, leases: &[&str], moment: 
             .bind(json_list(leases))
             .execute(connection)
             .await?;
-    counted("lease: renewed", leases.len() as u64, &renewed)
+    expect_rows("lease: renewed", leases.len() as u64, &renewed)
 }
 
 /// Whether a lease is overdue or a remote worker is lost.
-const SOMETHING_IS_OVERDUE: &str = "
+const ANYTHING_EXPIRED_SQL: &str = "
     SELECT EXISTS (SELECT 1 FROM lease WHERE ended IS NULL AND expires_ms <= ?1)
         OR EXISTS (SELECT 1 FROM worker WHERE state <> 'gone' AND pool = 0 AND seen_ms <= ?2)";
 
 /// Expires overdue leases and marks remote workers as gone if they have not synced for one lease length.
-pub(super) async fn rescue(connection: &mut Connection, moment: Moment) -> Result<(u64, Ring)> {
-    let mut ring = Ring::default();
+pub(super) async fn rescue(connection: &mut Connection, moment: TransitionContext) -> Result<(u64, Wake)> {
+    let mut ring = Wake::default();
     let mut count = 0;
     let missed_ms = moment.now_ms - moment.lease_ms;
-    let look = sqlx::query_scalar(SOMETHING_IS_OVERDUE).bind(moment.now_ms).bind(missed_ms);
+    let look = sqlx::query_scalar(ANYTHING_EXPIRED_SQL).bind(moment.now_ms).bind(missed_ms);
     if !look.fetch_one(&mut *connection).await? {
         return Ok((count, ring));
     }
@@ -334,10 +344,13 @@ pub(super) async fn rescue(connection: &mut Connection, moment: Moment) -> Resul
             .await?;
     for lease in &expired {
         // The failure of a job, just before in this loop, may have ended more of these leases.
-        let Some(held) = live(connection, lease).await? else { continue };
-        let job = super::id_of(connection, held.job).await?;
+        let Some(held) = live_lease(connection, lease).await? else { continue };
+        let job = super::job_id(connection, held.job).await?;
         tracing::warn!(%lease, worker = %held.worker, %job, frame = held.frame, tile = held.tile, "a lease ran out");
-        ring.add(give_up(connection, &held, Cause::Lost, "its workers vanished again and again", moment).await?);
+        ring.add(
+            end_without_result(connection, &held, LeaseEnd::Lost, "its workers vanished again and again", moment)
+                .await?,
+        );
         count += 1;
     }
     sqlx::query("UPDATE worker SET state = 'gone' WHERE state <> 'gone' AND pool = 0 AND seen_ms <= ?")
@@ -356,45 +369,49 @@ pub(crate) fn jitter() -> f64 {
 mod tests {
     use super::*;
 
-    fn ends_after(cause: Cause) -> Option<i64> {
+    fn ends_after(cause: LeaseEnd) -> Option<i64> {
         let mut counters = Counters::default();
         (1..=1000).find(|_| {
-            counters = counters.after(cause);
-            counters.verdict(cause, 0.5) == Verdict::Dead
+            counters = counters.incremented(cause);
+            counters.decide(cause, 0.5) == RetryDecision::Dead
         })
     }
 
     #[test]
-    fn each_cause_has_its_own_patience() {
-        assert_eq!(ends_after(Cause::Failed), Some(3));
-        assert_eq!(ends_after(Cause::Crashed), Some(3));
-        assert_eq!(ends_after(Cause::Lost), Some(50));
-        assert_eq!(ends_after(Cause::Interrupted), None);
+    fn each_lease_end_has_its_own_limit() {
+        assert_eq!(ends_after(LeaseEnd::Failed), Some(3));
+        assert_eq!(ends_after(LeaseEnd::Crashed), Some(3));
+        assert_eq!(ends_after(LeaseEnd::Lost), Some(50));
+        assert_eq!(ends_after(LeaseEnd::Released), None);
     }
 
     #[test]
     fn back_off_grows_and_is_bounded() {
-        let lost = |lost| Counters { lost, ..Counters::default() }.verdict(Cause::Lost, 1.0);
-        assert_eq!(lost(1), Verdict::Ready { delay_ms: 0 });
-        assert_eq!(lost(2), Verdict::Ready { delay_ms: 0 });
-        assert_eq!(lost(3), Verdict::Ready { delay_ms: 100 });
-        assert_eq!(lost(4), Verdict::Ready { delay_ms: 200 });
-        assert_eq!(lost(49), Verdict::Ready { delay_ms: 5000 });
+        let lost = |lost| Counters { lost, ..Counters::default() }.decide(LeaseEnd::Lost, 1.0);
+        assert_eq!(lost(1), RetryDecision::Retry { delay_ms: 0 });
+        assert_eq!(lost(2), RetryDecision::Retry { delay_ms: 0 });
+        assert_eq!(lost(3), RetryDecision::Retry { delay_ms: 100 });
+        assert_eq!(lost(4), RetryDecision::Retry { delay_ms: 200 });
+        assert_eq!(lost(49), RetryDecision::Retry { delay_ms: 5000 });
     }
 
     #[test]
     fn failures_and_crashes_wait_longer_each_time_and_interrupts_never() {
-        let delay = |counters: Counters, cause, jitter| match counters.verdict(cause, jitter) {
-            Verdict::Ready { delay_ms } => delay_ms,
-            Verdict::Dead => panic!("{counters:?}"),
+        let delay = |counters: Counters, cause, jitter| match counters.decide(cause, jitter) {
+            RetryDecision::Retry { delay_ms } => delay_ms,
+            RetryDecision::Dead => panic!("{counters:?}"),
         };
         let failed = |errors| Counters { errors, ..Counters::default() };
         let crashed = |crashes| Counters { crashes, ..Counters::default() };
-        assert_eq!([1, 2].map(|errors| delay(failed(errors), Cause::Failed, 1.0)), [100, 200]);
-        assert_eq!([1, 2].map(|crashes| delay(crashed(crashes), Cause::Crashed, 1.0)), [100, 200]);
-        assert_eq!([1, 2].map(|errors| delay(failed(errors), Cause::Failed, 0.0)), [50, 100], "half of it is chance");
-        assert_eq!(delay(failed(2), Cause::Interrupted, 1.0), 0);
-        assert_eq!(delay(Counters { interrupts: 1000, ..Counters::default() }, Cause::Interrupted, 1.0), 0);
+        assert_eq!([1, 2].map(|errors| delay(failed(errors), LeaseEnd::Failed, 1.0)), [100, 200]);
+        assert_eq!([1, 2].map(|crashes| delay(crashed(crashes), LeaseEnd::Crashed, 1.0)), [100, 200]);
+        assert_eq!(
+            [1, 2].map(|errors| delay(failed(errors), LeaseEnd::Failed, 0.0)),
+            [50, 100],
+            "half of it is chance"
+        );
+        assert_eq!(delay(failed(2), LeaseEnd::Released, 1.0), 0);
+        assert_eq!(delay(Counters { interrupts: 1000, ..Counters::default() }, LeaseEnd::Released, 1.0), 0);
     }
 
     #[test]

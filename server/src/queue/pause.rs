@@ -3,58 +3,60 @@
 use proto::JobId;
 use proto::job::JobState;
 
-use super::{Connection, Queue, Result, Ring, counted, end};
-use crate::store::Durability;
+use super::{Connection, Queue, Result, Wake, expect_rows, finish};
+use crate::database::Durability;
 
 /// Outcome of pausing or resuming a job.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum Paused {
+pub(crate) enum PauseOutcome {
     /// The job is in the requested state.
     Done,
     /// The job had finished before.
-    Final(JobState),
+    AlreadyFinished(JobState),
     /// The job does not exist.
     Unknown,
 }
 
-async fn pause_job(connection: &mut Connection, id: JobId, paused: bool) -> Result<Paused> {
+async fn pause_job(connection: &mut Connection, id: JobId, paused: bool) -> Result<PauseOutcome> {
     let changed = sqlx::query("UPDATE job SET paused = ? WHERE id = ? AND finished_at_ms IS NULL")
         .bind(paused)
         .bind(id.to_string())
         .execute(&mut *connection)
         .await?;
     if changed.rows_affected() > 0 {
-        return Ok(Paused::Done);
+        return Ok(PauseOutcome::Done);
     }
     let state: Option<String> = sqlx::query_scalar("SELECT state FROM job WHERE id = ?")
         .bind(id.to_string())
         .fetch_optional(connection)
         .await?;
-    state.map_or(Ok(Paused::Unknown), |name| end::job_state(&name).map(Paused::Final))
+    state.map_or(Ok(PauseOutcome::Unknown), |name| finish::job_state(&name).map(PauseOutcome::AlreadyFinished))
 }
 
 async fn pause_farm(connection: &mut Connection, paused: bool) -> Result<()> {
     let changed =
         sqlx::query("UPDATE meta SET value = ? WHERE name = 'paused'").bind(paused).execute(connection).await?;
-    counted("meta: paused", 1, &changed)
+    expect_rows("meta: paused", 1, &changed)
 }
 
 impl Queue {
     /// Pauses or resumes a job that has not finished.
-    pub(crate) async fn pause(&self, job: JobId, paused: bool) -> Result<Paused> {
-        let done =
-            self.store.write(Durability::Full, move |connection| Box::pin(pause_job(connection, job, paused))).await?;
+    pub(crate) async fn pause(&self, job: JobId, paused: bool) -> Result<PauseOutcome> {
+        let done = self
+            .database
+            .write(Durability::Full, move |connection| Box::pin(pause_job(connection, job, paused)))
+            .await?;
         if !paused {
-            self.ring(Ring::WORK);
+            self.wake(Wake::WORK);
         }
         Ok(done)
     }
 
     /// Pauses or resumes the farm.
     pub(crate) async fn pause_all(&self, paused: bool) -> Result<()> {
-        self.store.write(Durability::Full, move |connection| Box::pin(pause_farm(connection, paused))).await?;
+        self.database.write(Durability::Full, move |connection| Box::pin(pause_farm(connection, paused))).await?;
         if !paused {
-            self.ring(Ring::WORK);
+            self.wake(Wake::WORK);
         }
         Ok(())
     }

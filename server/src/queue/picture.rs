@@ -8,41 +8,41 @@ use std::collections::BTreeMap;
 use proto::{LeaseId, WorkerId};
 use sqlx::Row;
 
-use super::deliver::{Delivered, compare, note_pace};
-use super::lease::{self, Cause, Held};
-use super::{Connection, Moment, Result, Ring, counted, end, rows};
-use crate::store::StoreError;
+use super::deliver::{DeliverResult, count_mismatches, record_durations};
+use super::lease::{self, LeaseEnd, LiveLease};
+use super::{Connection, Result, TransitionContext, Wake, expect_rows, finish, row_count};
+use crate::database::DatabaseError;
 
 /// A frame's picture: for its stitch, or for every tile of the frame at once.
-pub(super) async fn take(
+pub(super) async fn accept_picture(
     connection: &mut Connection,
     worker: WorkerId,
     leases: &[LeaseId],
     hash: &str,
     size_bytes: u64,
-    moment: Moment,
-    delivered: &mut Delivered,
+    moment: TransitionContext,
+    delivered: &mut DeliverResult,
 ) -> Result<()> {
-    let held = lease::held(connection, worker, leases).await?;
+    let held = lease::live_leases_among(connection, worker, leases).await?;
     let live: Vec<&str> = held.iter().map(|held| held.lease.as_str()).collect();
     for lease in leases.iter().filter(|lease| !live.contains(&lease.to_string().as_str())) {
         delivered.lost.push(*lease);
-        delivered.nondeterministic += compare(connection, FIRST_PICTURE, *lease, hash).await?;
+        delivered.nondeterministic += count_mismatches(connection, FIRST_PICTURE_SQL, *lease, hash).await?;
     }
-    let mut frames: BTreeMap<(i64, u32), Vec<Held>> = BTreeMap::new();
+    let mut frames: BTreeMap<(i64, u32), Vec<LiveLease>> = BTreeMap::new();
     for held in held {
         frames.entry((held.job, held.frame)).or_default().push(held);
     }
     for ((job, frame), held) in frames {
         let stitched = matches!(held.as_slice(), [held] if held.stitch);
-        if stitched || covers(connection, job, frame, held.len()).await? {
-            let picture = Picture { job, frame, hash, size_bytes };
+        if stitched || is_every_tile(connection, job, frame, held.len()).await? {
+            let picture = StoredPicture { job, frame, hash, size_bytes };
             store_frame(connection, &held, stitched, &picture, moment, delivered).await?;
             continue;
         }
         for held in held {
             let message = "its worker delivered a picture without holding the whole frame";
-            let ring = lease::give_up(connection, &held, Cause::Interrupted, message, moment).await?;
+            let ring = lease::end_without_result(connection, &held, LeaseEnd::Released, message, moment).await?;
             delivered.ring.add(ring);
         }
     }
@@ -50,17 +50,17 @@ pub(super) async fn take(
 }
 
 /// Whether this many leased tiles are all tiles of a frame.
-async fn covers(connection: &mut Connection, job: i64, frame: u32, tiles: usize) -> Result<bool> {
+async fn is_every_tile(connection: &mut Connection, job: i64, frame: u32, tiles: usize) -> Result<bool> {
     let total: Option<i64> =
         sqlx::query_scalar("SELECT tiles_total FROM frame WHERE job = ? AND number = ? AND state = 'open'")
             .bind(job)
             .bind(frame)
             .fetch_optional(connection)
             .await?;
-    Ok(total == Some(rows(tiles)))
+    Ok(total == Some(row_count(tiles)))
 }
 
-struct Picture<'a> {
+struct StoredPicture<'a> {
     job: i64,
     frame: u32,
     hash: &'a str,
@@ -69,11 +69,11 @@ struct Picture<'a> {
 
 async fn store_frame(
     connection: &mut Connection,
-    held: &[Held],
+    held: &[LiveLease],
     stitched: bool,
-    picture: &Picture<'_>,
-    moment: Moment,
-    delivered: &mut Delivered,
+    picture: &StoredPicture<'_>,
+    moment: TransitionContext,
+    delivered: &mut DeliverResult,
 ) -> Result<()> {
     delivered.ring.add(finish_all(connection, held).await?);
     let key: Option<String> = sqlx::query_scalar(
@@ -87,14 +87,15 @@ async fn store_frame(
     .bind(if stitched { "stitching" } else { "open" })
     .fetch_optional(&mut *connection)
     .await?;
-    let key = key.ok_or(StoreError::Rows { what: "frame: to stored", expected: 1, changed: 0 })?;
-    delivered.nondeterministic += remember(connection, picture, &key, moment).await?;
-    let (tiles, rays) = if stitched { (0, 0) } else { (rows(held.len()), held.iter().map(|held| held.rays).sum()) };
-    let number = end::progress(connection, picture.job, end::Progress { tiles, rays, frames: 1 }).await?;
+    let key = key.ok_or(DatabaseError::Rows { what: "frame: to stored", expected: 1, changed: 0 })?;
+    delivered.nondeterministic += cache_picture(connection, picture, &key, moment).await?;
+    let (tiles, rays) =
+        if stitched { (0, 0) } else { (row_count(held.len()), held.iter().map(|held| held.rays).sum()) };
+    let number = finish::progress(connection, picture.job, finish::ProgressDelta { tiles, rays, frames: 1 }).await?;
     if !stitched {
-        note_pace(connection, held, number, moment).await?;
+        record_durations(connection, held, number, moment).await?;
     }
-    end::succeed_if_stored(connection, picture.job, moment).await?;
+    finish::succeed_if_stored(connection, picture.job, moment).await?;
     if stitched {
         let blobs = sqlx::query("SELECT DISTINCT blob FROM tile WHERE job = ? AND frame = ? AND blob IS NOT NULL")
             .bind(picture.job)
@@ -108,28 +109,33 @@ async fn store_frame(
     Ok(())
 }
 
-async fn finish_all(connection: &mut Connection, held: &[Held]) -> Result<Ring> {
+async fn finish_all(connection: &mut Connection, held: &[LiveLease]) -> Result<Wake> {
     let ended =
         sqlx::query("UPDATE lease SET ended = 'done' WHERE ended IS NULL AND id IN (SELECT value FROM json_each(?))")
             .bind(super::json_list(held.iter().map(|held| &held.lease)))
             .execute(&mut *connection)
             .await?;
-    counted("lease: live to ended", held.len() as u64, &ended)?;
+    expect_rows("lease: live to ended", held.len() as u64, &ended)?;
     let done =
         sqlx::query("UPDATE tile SET state = 'done' WHERE state = 'leased' AND id IN (SELECT value FROM json_each(?))")
             .bind(super::json_numbers(held.iter().map(|held| held.tile)))
             .execute(&mut *connection)
             .await?;
-    counted("tile: leased to done", held.len() as u64, &done)?;
-    lease::void_others(connection, held.iter().map(|held| held.tile)).await
+    expect_rows("tile: leased to done", held.len() as u64, &done)?;
+    lease::revoke_duplicates(connection, held.iter().map(|held| held.tile)).await
 }
 
 /// The picture that a lease's frame has, if it is stored.
-const FIRST_PICTURE: &str = "SELECT frame.picture FROM lease JOIN tile ON tile.id = lease.tile
+const FIRST_PICTURE_SQL: &str = "SELECT frame.picture FROM lease JOIN tile ON tile.id = lease.tile
      JOIN frame ON frame.job = tile.job AND frame.number = tile.frame WHERE lease.id = ?";
 
 /// Lets later jobs have the picture; the first one of a key stays. How many differ from it.
-async fn remember(connection: &mut Connection, picture: &Picture<'_>, key: &str, moment: Moment) -> Result<u64> {
+async fn cache_picture(
+    connection: &mut Connection,
+    picture: &StoredPicture<'_>,
+    key: &str,
+    moment: TransitionContext,
+) -> Result<u64> {
     sqlx::query(
         "INSERT INTO picture (key, hash, size_bytes, media_type, stored_at_ms)
          SELECT ?1, ?2, ?3, media_type, ?4 FROM job WHERE number = ?5 ON CONFLICT (key) DO NOTHING",
@@ -146,7 +152,7 @@ async fn remember(connection: &mut Connection, picture: &Picture<'_>, key: &str,
     if first == picture.hash {
         return Ok(0);
     }
-    let job = super::id_of(connection, picture.job).await?;
+    let job = super::job_id(connection, picture.job).await?;
     tracing::error!(
         code = "nondeterministic_picture", %job, frame = picture.frame, %first,
         second = picture.hash, "one picture was rendered in two ways; later jobs are shown the first"

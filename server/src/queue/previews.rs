@@ -4,11 +4,11 @@ use proto::JobId;
 use proto::job::JobState;
 use sqlx::Row;
 
-use super::{Queue, Result, end};
+use super::{Queue, Result, finish};
 
 /// Contents of a frame so far.
 #[derive(Clone, Debug)]
-pub(crate) enum Parts {
+pub(crate) enum FrameContents {
     /// Its picture is stored under this hash.
     Stored {
         /// BLAKE3 of its bytes, in hex.
@@ -29,7 +29,7 @@ pub(crate) enum Parts {
 
 /// A worker that takes work, as an estimate counts it.
 #[derive(Clone, Debug)]
-pub(crate) struct Present {
+pub(crate) struct ReadyWorker {
     /// `cpu` or `cuda:0`.
     pub(crate) device: String,
     /// It is a child process of this server.
@@ -40,7 +40,7 @@ pub(crate) struct Present {
 
 impl Queue {
     /// Reads what exists of a frame.
-    pub(crate) async fn parts(&self, id: JobId, frame: u32) -> Result<Parts> {
+    pub(crate) async fn frame_contents(&self, id: JobId, frame: u32) -> Result<FrameContents> {
         let row = sqlx::query(
             "SELECT job.number, job.state, job.frames_total, frame.picture
              FROM job LEFT JOIN frame ON frame.job = job.number AND frame.number = ? WHERE job.id = ?",
@@ -49,13 +49,13 @@ impl Queue {
         .bind(id.to_string())
         .fetch_optional(self.readers())
         .await?;
-        let Some(row) = row else { return Ok(Parts::NoJob) };
+        let Some(row) = row else { return Ok(FrameContents::NoJob) };
         let frames: u32 = row.try_get("frames_total")?;
         if frame >= frames {
-            return Ok(Parts::NoFrame(frames));
+            return Ok(FrameContents::NoFrame(frames));
         }
         if let Some(hash) = row.try_get("picture")? {
-            return Ok(Parts::Stored { hash });
+            return Ok(FrameContents::Stored { hash });
         }
         let blobs = sqlx::query_scalar(
             "SELECT blob FROM tile WHERE job = ? AND frame = ? AND blob IS NOT NULL ORDER BY position",
@@ -64,18 +64,18 @@ impl Queue {
         .bind(frame)
         .fetch_all(self.readers())
         .await?;
-        Ok(Parts::Unfinished { state: end::job_state(&row.try_get::<String, _>("state")?)?, blobs })
+        Ok(FrameContents::Unfinished { state: finish::job_state(&row.try_get::<String, _>("state")?)?, blobs })
     }
 
     /// The workers that take work.
-    pub(crate) async fn present(&self) -> Result<Vec<Present>> {
+    pub(crate) async fn ready_workers(&self) -> Result<Vec<ReadyWorker>> {
         let rows = sqlx::query(
             "SELECT device, pool, rays_per_second FROM worker WHERE state <> 'gone' AND state IN ('starting', 'ready')",
         )
         .fetch_all(self.readers())
         .await?;
         let present = rows.iter().map(|row| {
-            Ok(Present {
+            Ok(ReadyWorker {
                 device: row.try_get("device")?,
                 pool: row.try_get("pool")?,
                 rays_per_second: row.try_get("rays_per_second")?,

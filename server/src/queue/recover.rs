@@ -2,14 +2,14 @@
 
 use sqlx::Row;
 
-use super::{Connection, Result, fair, json_numbers, rows, strike};
+use super::{Connection, Result, exclusion, fair_share, json_numbers, row_count};
 
 /// How long ended leases are kept, to recognize late results.
-const KEEP_LEASES_MS: u64 = 3_600_000;
+const LEASE_RETENTION_MS: u64 = 3_600_000;
 
 /// State left by the last server.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct Recovered {
+pub(crate) struct Recovery {
     /// Which boot of the server this is.
     pub(crate) generation: i64,
     /// Jobs that are not finished.
@@ -20,7 +20,7 @@ pub(crate) struct Recovered {
 
 /// The old pool is gone with its server, so its leases end at once. Leases of remote workers last for one
 /// more lease length on the clock that starts now.
-pub(super) async fn recover(connection: &mut Connection, now_ms: i64, lease_ms: i64) -> Result<Recovered> {
+pub(super) async fn recover(connection: &mut Connection, now_ms: i64, lease_ms: i64) -> Result<Recovery> {
     let generation: i64 =
         sqlx::query_scalar("UPDATE meta SET value = value + 1 WHERE name = 'boot_generation' RETURNING value")
             .fetch_one(&mut *connection)
@@ -51,16 +51,16 @@ pub(super) async fn recover(connection: &mut Connection, now_ms: i64, lease_ms: 
     sqlx::query("UPDATE tile SET not_before_ms = 0 WHERE state = 'ready' AND not_before_ms > 0")
         .execute(&mut *connection)
         .await?;
-    strike::recover(connection, now_ms).await?;
+    exclusion::recover(connection, now_ms).await?;
     let jobs =
         sqlx::query("SELECT count(*) AS jobs FROM job WHERE finished_at_ms IS NULL").fetch_one(connection).await?;
-    Ok(Recovered { generation, jobs: jobs.try_get("jobs")?, leases: rows(tiles.len()) })
+    Ok(Recovery { generation, jobs: jobs.try_get("jobs")?, leases: row_count(tiles.len()) })
 }
 
 /// Deletes leases that ended long ago or whose worker is gone, and workers that are gone.
 pub(super) async fn tidy(connection: &mut Connection) -> Result<()> {
     sqlx::query("DELETE FROM lease WHERE ended IS NOT NULL AND id < ?")
-        .bind(oldest_kept(uuid::Uuid::now_v7()))
+        .bind(min_kept_id(uuid::Uuid::now_v7()))
         .execute(&mut *connection)
         .await?;
     sqlx::query(
@@ -68,13 +68,13 @@ pub(super) async fn tidy(connection: &mut Connection) -> Result<()> {
     )
     .execute(&mut *connection)
     .await?;
-    fair::tidy(connection).await
+    fair_share::tidy(connection).await
 }
 
 /// Lease ids contain their time: the smallest id that is kept.
-pub(super) fn oldest_kept(now: uuid::Uuid) -> String {
+pub(super) fn min_kept_id(now: uuid::Uuid) -> String {
     let now_ms = now.as_u128() >> 80;
-    let kept_ms = now_ms.saturating_sub(u128::from(KEEP_LEASES_MS));
+    let kept_ms = now_ms.saturating_sub(u128::from(LEASE_RETENTION_MS));
     uuid::Uuid::from_u128(kept_ms << 80).to_string()
 }
 
@@ -85,7 +85,7 @@ mod tests {
     #[test]
     fn leases_of_the_last_hour_are_kept() {
         let now = uuid::Uuid::now_v7();
-        let oldest = oldest_kept(now);
+        let oldest = min_kept_id(now);
         assert!(oldest < now.to_string());
         assert_eq!((now.as_u128() >> 80) - (oldest.parse::<uuid::Uuid>().expect("an id").as_u128() >> 80), 3_600_000);
     }

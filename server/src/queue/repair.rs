@@ -3,9 +3,9 @@
 use sqlx::Row;
 use sqlx::sqlite::SqliteRow;
 
-use super::end::job_state;
-use super::{Connection, Opening, Result, counted, json_list, open, rows};
-use crate::plan::Plan;
+use super::finish::job_state;
+use super::{Connection, FrameOpening, Result, expect_rows, json_list, open_frame, row_count};
+use crate::tile_plan::TilePlan;
 
 /// Outcome for the frames of missing pictures.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -17,16 +17,16 @@ pub(crate) struct Reopened {
 }
 
 /// Frame whose picture is missing.
-struct Lost {
+struct LostFrame {
     job: i64,
     frame: u32,
     picture_key: String,
     tiles: i64,
-    plan: Plan,
-    is_wanted: bool,
+    plan: TilePlan,
+    is_rerenderable: bool,
 }
 
-impl Lost {
+impl LostFrame {
     fn read(row: &SqliteRow) -> Result<Self> {
         use proto::job::JobState::{Cancelled, Failed, Queued, Running, Succeeded};
         Ok(Self {
@@ -34,7 +34,7 @@ impl Lost {
             frame: row.try_get("frame")?,
             picture_key: row.try_get("picture_key")?,
             tiles: row.try_get("tiles_total")?,
-            plan: Plan {
+            plan: TilePlan {
                 width_px: row.try_get("width_px")?,
                 height_px: row.try_get("height_px")?,
                 samples: row.try_get("samples")?,
@@ -42,7 +42,7 @@ impl Lost {
                 edge_px: row.try_get("edge_px")?,
                 frames: row.try_get("frames_total")?,
             },
-            is_wanted: match job_state(&row.try_get::<String, _>("state")?)? {
+            is_rerenderable: match job_state(&row.try_get::<String, _>("state")?)? {
                 Queued | Running | Succeeded => true,
                 Failed | Cancelled => false,
             },
@@ -65,8 +65,8 @@ pub(crate) async fn forget_pictures(connection: &mut Connection, hashes: &[Strin
     .await?;
     let mut reopened = Reopened::default();
     for row in &lost {
-        let lost = Lost::read(row)?;
-        if lost.is_wanted {
+        let lost = LostFrame::read(row)?;
+        if lost.is_rerenderable {
             reopen(connection, &lost).await?;
             reopened.frames += 1;
         } else {
@@ -81,7 +81,7 @@ pub(crate) async fn forget_pictures(connection: &mut Connection, hashes: &[Strin
     Ok(reopened)
 }
 
-async fn reopen(connection: &mut Connection, lost: &Lost) -> Result<()> {
+async fn reopen(connection: &mut Connection, lost: &LostFrame) -> Result<()> {
     sqlx::query("DELETE FROM tile WHERE job = ? AND frame = ?")
         .bind(lost.job)
         .bind(lost.frame)
@@ -91,12 +91,12 @@ async fn reopen(connection: &mut Connection, lost: &Lost) -> Result<()> {
         "UPDATE frame SET state = 'open', picture = NULL, size_bytes = NULL, tiles_done = 0, tiles_total = ?
          WHERE job = ? AND number = ? AND state = 'stored'",
     )
-    .bind(rows(lost.plan.tiles().len()))
+    .bind(row_count(lost.plan.tiles().len()))
     .bind(lost.job)
     .bind(lost.frame)
     .execute(&mut *connection)
     .await?;
-    counted("frame: stored to open", 1, &opened)?;
+    expect_rows("frame: stored to open", 1, &opened)?;
     let running = sqlx::query(
         "UPDATE job SET state = 'running', finished_at_ms = NULL, frames_stored = frames_stored - 1,
                         tiles_done = tiles_done - ?, rays_done = rays_done - ?
@@ -107,18 +107,18 @@ async fn reopen(connection: &mut Connection, lost: &Lost) -> Result<()> {
     .bind(lost.job)
     .execute(&mut *connection)
     .await?;
-    counted("job: succeeded to running", 1, &running)?;
-    let opening = Opening {
+    expect_rows("job: succeeded to running", 1, &running)?;
+    let opening = FrameOpening {
         job: lost.job,
         frame: lost.frame,
         picture_key: lost.picture_key.clone(),
         tiles: lost.plan.tiles(),
         samples: lost.plan.samples,
     };
-    open::make_tiles(connection, &opening).await
+    open_frame::create_tiles(connection, &opening).await
 }
 
-async fn void(connection: &mut Connection, lost: &Lost) -> Result<()> {
+async fn void(connection: &mut Connection, lost: &LostFrame) -> Result<()> {
     let voided = sqlx::query(
         "UPDATE frame SET state = 'void', picture = NULL, size_bytes = NULL
          WHERE job = ? AND number = ? AND state = 'stored'",
@@ -127,10 +127,10 @@ async fn void(connection: &mut Connection, lost: &Lost) -> Result<()> {
     .bind(lost.frame)
     .execute(&mut *connection)
     .await?;
-    counted("frame: stored to void", 1, &voided)?;
+    expect_rows("frame: stored to void", 1, &voided)?;
     let counters = sqlx::query("UPDATE job SET frames_stored = frames_stored - 1 WHERE number = ?")
         .bind(lost.job)
         .execute(connection)
         .await?;
-    counted("job: counters", 1, &counters)
+    expect_rows("job: counters", 1, &counters)
 }

@@ -3,49 +3,49 @@
 //! Deletes only rows. The sweep deletes unreferenced bytes afterwards, so that a kill between the two leaves
 //! bytes without a row, which the next sweep finds, and never a row without bytes.
 
-use proto::{JobId, Keep};
+use proto::{JobId, Retention};
 use sqlx::Row;
 use sqlx::sqlite::SqliteRow;
 
-use super::{Connection, Queue, Result, end, json_numbers, known};
-use crate::store::Durability;
+use super::{Connection, Queue, Result, finish, json_numbers, parse_column};
+use crate::database::Durability;
 
 /// `job.keep_ms` of a job that is kept forever.
-const FOR_EVER: i64 = -1;
+const FOREVER: i64 = -1;
 /// Tiles deleted per transaction; a larger job loses its tiles in batches before its own row.
-const TILES_AT_ONCE: i64 = 5_000;
+const TILES_BATCH: i64 = 5_000;
 
 /// Jobs past their own retention.
-const OVER: &str = "SELECT number, id, name, finished_at_ms, keep_ms FROM job INDEXED BY job_by_own_end
+const OVER_SQL: &str = "SELECT number, id, name, finished_at_ms, keep_ms FROM job INDEXED BY job_by_own_end
      WHERE finished_at_ms IS NOT NULL AND keep_ms >= 0 AND finished_at_ms + keep_ms <= ?
      ORDER BY finished_at_ms + keep_ms LIMIT ?";
 
 /// Jobs without a retention of their own that finished before the given time.
-const OLD: &str = "SELECT number, id, name, finished_at_ms, keep_ms FROM job INDEXED BY job_by_finish
+const OLD_SQL: &str = "SELECT number, id, name, finished_at_ms, keep_ms FROM job INDEXED BY job_by_finish
      WHERE finished_at_ms IS NOT NULL AND keep_ms IS NULL AND finished_at_ms <= ?
      ORDER BY finished_at_ms LIMIT ?";
 
 /// Jobs that a full store may lose, from the oldest.
-const OLDEST: &str = "SELECT number, id, name, finished_at_ms, keep_ms FROM job INDEXED BY job_not_for_ever
+const OLDEST_SQL: &str = "SELECT number, id, name, finished_at_ms, keep_ms FROM job INDEXED BY job_not_for_ever
      WHERE finished_at_ms IS NOT NULL AND (keep_ms IS NULL OR keep_ms >= 0)
        AND (finished_at_ms, number) > (?, ?)
      ORDER BY finished_at_ms, number LIMIT ?";
 
 /// Bytes of the pictures of a job that no job shows but it and those of a list.
-const FREED: &str = "SELECT coalesce(sum(size_bytes), 0) FROM (
+const FREED_SQL: &str = "SELECT coalesce(sum(size_bytes), 0) FROM (
          SELECT DISTINCT picture, size_bytes FROM frame AS own
          WHERE own.job = ?1 AND own.picture IS NOT NULL AND NOT EXISTS (
              SELECT 1 FROM frame AS other WHERE other.picture = own.picture AND other.picture IS NOT NULL
              AND other.job <> ?1 AND other.job NOT IN (SELECT value FROM json_each(?2))))";
 
 /// Tiles of a finished job, a batch of them.
-const FEWER_TILES: &str = "DELETE FROM tile WHERE id IN (SELECT id FROM tile WHERE job = ?1 LIMIT ?2)
+const REMOVE_TILES_SQL: &str = "DELETE FROM tile WHERE id IN (SELECT id FROM tile WHERE job = ?1 LIMIT ?2)
      AND EXISTS (SELECT 1 FROM job WHERE number = ?1 AND finished_at_ms = ?3 AND keep_ms IS ?4
                  AND state IN ('succeeded', 'cancelled'))";
 
 /// Finished job, as it was when it was found.
 #[derive(Clone, Debug)]
-pub(crate) struct Ended {
+pub(crate) struct FinishedJob {
     /// Its number.
     pub(crate) number: i64,
     /// Its id.
@@ -59,7 +59,7 @@ pub(crate) struct Ended {
 
 /// Hashes that may be orphans after a job was deleted.
 #[derive(Clone, Debug)]
-pub(crate) struct Removed {
+pub(crate) struct RemovedContent {
     /// Hashes of its pictures.
     pub(crate) pictures: Vec<String>,
     /// Hashes of its tiles' blobs.
@@ -67,21 +67,21 @@ pub(crate) struct Removed {
 }
 
 /// Stores how long a job is to be kept.
-pub(super) async fn keep(connection: &mut Connection, job: i64, keep: Keep) -> Result<()> {
+pub(super) async fn keep(connection: &mut Connection, job: i64, keep: Retention) -> Result<()> {
     let keep_ms = match keep {
-        Keep::Forever => FOR_EVER,
-        Keep::For(time) => i64::try_from(time.as_millis()).unwrap_or(FOR_EVER),
+        Retention::Forever => FOREVER,
+        Retention::For(time) => i64::try_from(time.as_millis()).unwrap_or(FOREVER),
     };
     let kept =
         sqlx::query("UPDATE job SET keep_ms = ? WHERE number = ?").bind(keep_ms).bind(job).execute(connection).await?;
-    super::counted("job: kept", 1, &kept)
+    super::expect_rows("job: kept", 1, &kept)
 }
 
-fn read(row: &SqliteRow) -> Result<Ended> {
+fn read(row: &SqliteRow) -> Result<FinishedJob> {
     let id: String = row.try_get("id")?;
-    Ok(Ended {
+    Ok(FinishedJob {
         number: row.try_get("number")?,
-        id: known("job.id", &id, |id| id.parse().ok())?,
+        id: parse_column("job.id", &id, |id| id.parse().ok())?,
         name: row.try_get("name")?,
         finished_at_ms: row.try_get("finished_at_ms")?,
         keep_ms: row.try_get("keep_ms")?,
@@ -91,54 +91,54 @@ fn read(row: &SqliteRow) -> Result<Ended> {
 impl Queue {
     /// Jobs past their retention: their own, or the server's default for jobs without one. At most
     /// `limit` of each.
-    pub(crate) async fn outdated(&self, kept_ms: Option<i64>, limit: u32) -> Result<Vec<Ended>> {
+    pub(crate) async fn expired_jobs(&self, kept_ms: Option<i64>, limit: u32) -> Result<Vec<FinishedJob>> {
         let wall_ms = self.clock.wall_ms();
-        let mut rows = sqlx::query(OVER).bind(wall_ms).bind(limit).fetch_all(self.readers()).await?;
+        let mut rows = sqlx::query(OVER_SQL).bind(wall_ms).bind(limit).fetch_all(self.readers()).await?;
         if let Some(kept_ms) = kept_ms {
             let before_ms = wall_ms.saturating_sub(kept_ms);
-            rows.extend(sqlx::query(OLD).bind(before_ms).bind(limit).fetch_all(self.readers()).await?);
+            rows.extend(sqlx::query(OLD_SQL).bind(before_ms).bind(limit).fetch_all(self.readers()).await?);
         }
         rows.iter().map(read).collect()
     }
 
     /// Finished jobs not kept forever, from the oldest; only those after `after` if given.
-    pub(crate) async fn oldest(&self, after: Option<&Ended>, limit: u32) -> Result<Vec<Ended>> {
+    pub(crate) async fn oldest_jobs(&self, after: Option<&FinishedJob>, limit: u32) -> Result<Vec<FinishedJob>> {
         let (finished_at_ms, number) = after.map_or((i64::MIN, i64::MIN), |job| (job.finished_at_ms, job.number));
-        let query = sqlx::query(OLDEST).bind(finished_at_ms).bind(number).bind(limit);
+        let query = sqlx::query(OLDEST_SQL).bind(finished_at_ms).bind(number).bind(limit);
         query.fetch_all(self.readers()).await?.iter().map(read).collect()
     }
 
     /// Bytes of a job's pictures that no job uses once it and the jobs `gone` are deleted.
-    pub(crate) async fn freed_bytes(&self, job: &Ended, gone: &[i64]) -> Result<u64> {
-        let query = sqlx::query_scalar(FREED).bind(job.number).bind(json_numbers(gone.iter().copied()));
+    pub(crate) async fn freed_bytes(&self, job: &FinishedJob, gone: &[i64]) -> Result<u64> {
+        let query = sqlx::query_scalar(FREED_SQL).bind(job.number).bind(json_numbers(gone.iter().copied()));
         Ok(query.fetch_one(self.readers()).await?)
     }
 
     /// Deletes a job if it has not changed since it was found; `None` if it has.
-    pub(crate) async fn remove(&self, job: &Ended) -> Result<Option<Removed>> {
+    pub(crate) async fn remove(&self, job: &FinishedJob) -> Result<Option<RemovedContent>> {
         loop {
             let few = job.clone();
             let fewer = self
-                .store
+                .database
                 .write(Durability::Relaxed, move |connection| {
-                    Box::pin(async move { fewer_tiles(connection, &few).await })
+                    Box::pin(async move { remove_tile_batch(connection, &few).await })
                 })
                 .await?;
-            if fewer < TILES_AT_ONCE as u64 {
+            if fewer < TILES_BATCH as u64 {
                 break;
             }
         }
         let job = job.clone();
-        self.store
+        self.database
             .write(Durability::Full, move |connection| Box::pin(async move { remove(connection, &job).await }))
             .await
     }
 }
 
-async fn fewer_tiles(connection: &mut Connection, job: &Ended) -> Result<u64> {
-    let fewer = sqlx::query(FEWER_TILES)
+async fn remove_tile_batch(connection: &mut Connection, job: &FinishedJob) -> Result<u64> {
+    let fewer = sqlx::query(REMOVE_TILES_SQL)
         .bind(job.number)
-        .bind(TILES_AT_ONCE)
+        .bind(TILES_BATCH)
         .bind(job.finished_at_ms)
         .bind(job.keep_ms)
         .execute(connection)
@@ -146,7 +146,7 @@ async fn fewer_tiles(connection: &mut Connection, job: &Ended) -> Result<u64> {
     Ok(fewer.rows_affected())
 }
 
-async fn remove(connection: &mut Connection, job: &Ended) -> Result<Option<Removed>> {
+async fn remove(connection: &mut Connection, job: &FinishedJob) -> Result<Option<RemovedContent>> {
     let same: Option<i64> =
         sqlx::query_scalar("SELECT number FROM job WHERE number = ? AND finished_at_ms = ? AND keep_ms IS ?")
             .bind(job.number)
@@ -155,22 +155,22 @@ async fn remove(connection: &mut Connection, job: &Ended) -> Result<Option<Remov
             .fetch_optional(&mut *connection)
             .await?;
     let Some(number) = same else { return Ok(None) };
-    let (pictures, blobs) = end::forget(connection, number).await?;
-    Ok(Some(Removed { pictures, blobs }))
+    let (pictures, blobs) = finish::delete_rows(connection, number).await?;
+    Ok(Some(RemovedContent { pictures, blobs }))
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
     use crate::clock::Clock;
-    use crate::store::Store;
+    use crate::database::Database;
 
     #[tokio::test]
     async fn jobs_to_remove_are_found_without_reading_a_table_from_end_to_end() {
         let folder = tempfile::tempdir().expect("a temporary folder");
-        let store = Store::open(folder.path()).await.expect("opens");
-        let (queue, _) = Queue::open(store.into(), Clock::by_hand().0, 1000).await.expect("opens");
-        for statement in [OVER, OLD, OLDEST, FREED, FEWER_TILES] {
+        let store = Database::open(folder.path()).await.expect("opens");
+        let (queue, _) = Queue::open(store.into(), Clock::manual().0, 1000).await.expect("opens");
+        for statement in [OVER_SQL, OLD_SQL, OLDEST_SQL, FREED_SQL, REMOVE_TILES_SQL] {
             let plan = format!("EXPLAIN QUERY PLAN {statement}");
             let rows = sqlx::query(sqlx::AssertSqlSafe(plan)).fetch_all(queue.readers()).await.expect("explains");
             for row in rows {

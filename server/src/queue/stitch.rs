@@ -1,16 +1,16 @@
 //! Stitches: created when a frame's last tile is done, undone when its blobs prove damaged.
 
-use super::lease::{self, Cause, Held};
-use super::{Connection, Moment, Result, Ring, counted, end, rows};
+use super::lease::{self, LeaseEnd, LiveLease};
+use super::{Connection, Result, TransitionContext, Wake, expect_rows, finish, row_count};
 
 /// Makes a frame's stitch ready when its last tile is done.
-pub(super) async fn begin(connection: &mut Connection, job: i64, frame: u32) -> Result<()> {
+pub(super) async fn create(connection: &mut Connection, job: i64, frame: u32) -> Result<()> {
     let stitching = sqlx::query("UPDATE frame SET state = 'stitching' WHERE job = ? AND number = ? AND state = 'open'")
         .bind(job)
         .bind(frame)
         .execute(&mut *connection)
         .await?;
-    counted("frame: open to stitching", 1, &stitching)?;
+    expect_rows("frame: open to stitching", 1, &stitching)?;
     let made = sqlx::query(
         "INSERT INTO tile (job, frame, kind, position, x_px, y_px, width_px, height_px, rays, state)
          SELECT number, ?2, 'stitch', -1, 0, 0, width_px, height_px, 0, 'ready' FROM job WHERE number = ?1
@@ -20,19 +20,20 @@ pub(super) async fn begin(connection: &mut Connection, job: i64, frame: u32) -> 
     .bind(frame)
     .execute(connection)
     .await?;
-    counted("tile: stitch made", 1, &made)
+    expect_rows("tile: stitch made", 1, &made)
 }
 
 /// Reopens the tiles whose blobs a stitch found missing or damaged; the stitch follows when they are rendered
 /// again.
-pub(super) async fn reopen(
+pub(super) async fn redo_tiles(
     connection: &mut Connection,
-    held: &Held,
+    held: &LiveLease,
     positions: &[u32],
-    moment: Moment,
-) -> Result<Ring> {
+    moment: TransitionContext,
+) -> Result<Wake> {
     let mut ring =
-        lease::give_up(connection, held, Cause::Lost, "its blobs were damaged again and again", moment).await?;
+        lease::end_without_result(connection, held, LeaseEnd::Lost, "its blobs were damaged again and again", moment)
+            .await?;
     if !is_stitching(connection, held).await? {
         return Ok(ring);
     }
@@ -49,16 +50,16 @@ pub(super) async fn reopen(
     if rays.is_empty() {
         return Ok(ring);
     }
-    ring.add(Ring::WORK);
-    ring.add(lease::void_others(connection, [held.tile]).await?);
-    let job = super::id_of(connection, held.job).await?;
+    ring.add(Wake::WORK);
+    ring.add(lease::revoke_duplicates(connection, [held.tile]).await?);
+    let job = super::job_id(connection, held.job).await?;
     tracing::warn!(%job, frame = held.frame, tiles = rays.len(), "blobs are damaged; rendering them again");
     let void = sqlx::query("UPDATE tile SET state = 'void' WHERE id = ? AND state IN ('ready', 'leased')")
         .bind(held.tile)
         .execute(&mut *connection)
         .await?;
-    counted("tile: stitch void", 1, &void)?;
-    let count = rows(rays.len());
+    expect_rows("tile: stitch void", 1, &void)?;
+    let count = row_count(rays.len());
     let open = sqlx::query(
         "UPDATE frame SET state = 'open', tiles_done = tiles_done - ? WHERE job = ? AND number = ? AND state = 'stitching'",
     )
@@ -67,13 +68,13 @@ pub(super) async fn reopen(
     .bind(held.frame)
     .execute(&mut *connection)
     .await?;
-    counted("frame: stitching to open", 1, &open)?;
-    let back = end::Progress { tiles: -count, rays: -rays.iter().sum::<i64>(), frames: 0 };
-    end::progress(connection, held.job, back).await?;
+    expect_rows("frame: stitching to open", 1, &open)?;
+    let back = finish::ProgressDelta { tiles: -count, rays: -rays.iter().sum::<i64>(), frames: 0 };
+    finish::progress(connection, held.job, back).await?;
     Ok(ring)
 }
 
-async fn is_stitching(connection: &mut Connection, held: &Held) -> Result<bool> {
+async fn is_stitching(connection: &mut Connection, held: &LiveLease) -> Result<bool> {
     let stitching: Option<bool> =
         sqlx::query_scalar("SELECT state = 'stitching' FROM frame WHERE job = ? AND number = ?")
             .bind(held.job)

@@ -4,28 +4,28 @@
 use std::collections::HashMap;
 
 use proto::LeaseId;
-use proto::work::{Run, Work};
+use proto::worker_protocol::{Batch, BatchWork};
 use sqlx::Row;
 
-use super::claim::{self, Claimant, View};
-use super::{Connection, Moment, Result, counted, pace, rows, share};
+use super::claim::{self, ClaimFilter, ClaimRequest};
+use super::{Connection, Result, TransitionContext, batch_size, durations, expect_rows, row_count};
 
 /// A lease older than this many times the job's median tile duration is a straggler's.
-const MEDIANS: i64 = 3;
+const MAX_MEDIANS: i64 = 3;
 /// No tile straggles before.
 const MIN_AGE_MS: i64 = 500;
 /// Minimum age of a stitch that counts as a straggler: tile durations do not predict a stitch's.
 const MIN_STITCH_AGE_MS: i64 = 10_000;
 /// Interval before a job without any delivery is checked again.
-const UNKNOWN_PACE_MS: i64 = 1000;
+const NO_MEDIAN_RETRY_MS: i64 = 1000;
 /// Number of the oldest leases that are checked.
-const LOOKED_AT: i64 = 256;
+const MAX_CANDIDATES: i64 = 256;
 
 /// Oldest leases of other workers whose tile this worker can render and that have no duplicate lease yet.
-const OLDEST: &str = include_str!("oldest_leases.sql");
+const OLDEST_LEASES_SQL: &str = include_str!("stragglers.sql");
 
 /// The tiles of a frame that one worker alone has held for long.
-const HELD_TILES: &str = "SELECT tile.id, position, x_px, y_px, width_px, height_px, rays, lost
+const STRAGGLER_TILES_SQL: &str = "SELECT tile.id, position, x_px, y_px, width_px, height_px, rays, lost
      FROM lease INDEXED BY lease_live_by_worker JOIN tile ON tile.id = lease.tile
      WHERE lease.worker = ? AND lease.ended IS NULL AND lease.granted_ms <= ?
        AND tile.job = ? AND tile.frame = ? AND tile.kind = 'render'
@@ -34,14 +34,14 @@ const HELD_TILES: &str = "SELECT tile.id, position, x_px, y_px, width_px, height
      ORDER BY position";
 
 /// Result of the search for a straggler.
-pub(super) enum Straggling {
+pub(super) enum StragglerOutcome {
     /// A batch with duplicate leases.
-    Run(Run),
+    Run(Batch),
     /// No straggler now; check again in this many milliseconds.
     Nothing(Option<i64>),
 }
 
-struct Old {
+struct OldLease {
     job: i64,
     frame: u32,
     stitch: bool,
@@ -52,15 +52,15 @@ struct Old {
 /// Grants a duplicate lease on the oldest straggler.
 pub(super) async fn claim(
     connection: &mut Connection,
-    view: &View,
-    claimant: Claimant,
-    moment: Moment,
-) -> Result<Straggling> {
-    let found = view.bind(OLDEST).bind(LOOKED_AT).fetch_all(&mut *connection).await?;
+    view: &ClaimFilter,
+    claimant: ClaimRequest,
+    moment: TransitionContext,
+) -> Result<StragglerOutcome> {
+    let found = view.bind(OLDEST_LEASES_SQL).bind(MAX_CANDIDATES).fetch_all(&mut *connection).await?;
     let mut patience: HashMap<i64, Option<i64>> = HashMap::new();
     let mut again_ms: Option<i64> = None;
     for row in &found {
-        let old = Old {
+        let old = OldLease {
             job: row.try_get("job")?,
             frame: row.try_get("frame")?,
             stitch: row.try_get::<String, _>("kind")? == "stitch",
@@ -69,69 +69,74 @@ pub(super) async fn claim(
         };
         let median_ms = match patience.get(&old.job) {
             Some(known) => *known,
-            None => *patience.entry(old.job).or_insert(pace::median_ms(connection, old.job).await?),
+            None => *patience.entry(old.job).or_insert(durations::median_ms(connection, old.job).await?),
         };
         let least_ms = if old.stitch { MIN_STITCH_AGE_MS } else { MIN_AGE_MS };
         let left_ms = match median_ms {
-            Some(median_ms) => old.granted_ms + (MEDIANS * median_ms).max(least_ms) - moment.now_ms,
-            None => UNKNOWN_PACE_MS,
+            Some(median_ms) => old.granted_ms + (MAX_MEDIANS * median_ms).max(least_ms) - moment.now_ms,
+            None => NO_MEDIAN_RETRY_MS,
         };
         if left_ms > 0 {
             again_ms = Some(again_ms.map_or(left_ms, |again_ms| again_ms.min(left_ms)));
             continue;
         }
-        let job = super::id_of(connection, old.job).await?;
+        let job = super::job_id(connection, old.job).await?;
         tracing::info!(%job, frame = old.frame, holder = %old.worker, "a straggler is leased once more");
-        return Ok(Straggling::Run(lease_again(connection, &old, view, claimant, moment).await?));
+        return Ok(StragglerOutcome::Run(duplicate_leases(connection, &old, view, claimant, moment).await?));
     }
-    Ok(Straggling::Nothing(again_ms))
+    Ok(StragglerOutcome::Nothing(again_ms))
 }
 
-async fn lease_again(
+async fn duplicate_leases(
     connection: &mut Connection,
-    old: &Old,
-    view: &View,
-    claimant: Claimant,
-    moment: Moment,
-) -> Result<Run> {
+    old: &OldLease,
+    view: &ClaimFilter,
+    claimant: ClaimRequest,
+    moment: TransitionContext,
+) -> Result<Batch> {
     let job = claim::job(connection, old.job).await?;
     if old.stitch {
         let tile = claim::stitch_tile(connection, job.number, old.frame).await?;
         let lease = LeaseId::new();
         grant(connection, &[(tile, lease)], view, moment).await?;
         let work = claim::stitch_work(connection, job.number, old.frame, lease).await?;
-        return Ok(Run { job: job.id, frame: old.frame, work });
+        return Ok(Batch { job: job.id, frame: old.frame, work });
     }
-    let held = sqlx::query(HELD_TILES)
+    let held = sqlx::query(STRAGGLER_TILES_SQL)
         .bind(&old.worker)
         .bind(old.granted_ms)
         .bind(old.job)
         .bind(old.frame)
         .fetch_all(&mut *connection)
         .await?;
-    let whole = claim::whole_frame(&job);
-    let length = if share::is_whole(held.len(), whole) {
+    let whole = claim::frame_load(&job);
+    let length = if batch_size::is_whole_frame(held.len(), whole) {
         // Its holder encodes a whole picture, so the helper must do the same, or neither finishes
         // before the other.
         held.len()
     } else {
         let ready = held.iter().map(claim::read_ready).collect::<Result<Vec<_>>>()?;
-        share::run_length(&ready, whole, claimant.rays_per_second, 1, None)
+        batch_size::batch_len(&ready, whole, claimant.rays_per_second, 1, None)
     };
-    let (tiles, grants) = claim::leased_tiles(&held[..length])?;
+    let (tiles, grants) = claim::new_leases(&held[..length])?;
     grant(connection, &grants, view, moment).await?;
-    let work = Work::Render { whole_frame: share::is_whole(length, whole), tiles };
-    Ok(Run { job: job.id, frame: old.frame, work })
+    let work = BatchWork::Render { whole_frame: batch_size::is_whole_frame(length, whole), tiles };
+    Ok(Batch { job: job.id, frame: old.frame, work })
 }
 
 /// Leases tiles that are leased already, each under its next epoch.
-async fn grant(connection: &mut Connection, grants: &[(i64, LeaseId)], view: &View, moment: Moment) -> Result<()> {
+async fn grant(
+    connection: &mut Connection,
+    grants: &[(i64, LeaseId)],
+    view: &ClaimFilter,
+    moment: TransitionContext,
+) -> Result<()> {
     let again = sqlx::query(
         "UPDATE tile SET epoch = epoch + 1 WHERE state = 'leased' AND id IN (SELECT value FROM json_each(?))",
     )
     .bind(super::json_numbers(grants.iter().map(|(tile, _)| *tile)))
     .execute(&mut *connection)
     .await?;
-    counted("tile: leased once more", rows(grants.len()).unsigned_abs(), &again)?;
+    expect_rows("tile: leased once more", row_count(grants.len()).unsigned_abs(), &again)?;
     claim::make_leases(connection, grants, &view.worker, moment).await
 }

@@ -1,9 +1,9 @@
 //! Accepting a job: one row and its file. Frames and tiles are created when the job reaches them.
 
-use proto::{JobId, Keep};
+use proto::{JobId, Retention};
 
-use super::{Connection, Moment, Result, retention};
-use crate::plan::Plan;
+use super::{Connection, Result, TransitionContext, retention};
+use crate::tile_plan::TilePlan;
 
 /// Job that passed validation.
 #[derive(Clone, Debug)]
@@ -19,17 +19,17 @@ pub(crate) struct NewJob {
     /// Nodes of its scene; 0 if not known.
     pub(crate) nodes: u32,
     /// How its frames are cut into tiles.
-    pub(crate) plan: Plan,
+    pub(crate) plan: TilePlan,
     /// Media type of its pictures.
     pub(crate) media_type: &'static str,
     /// Warnings for its author; the job renders all the same.
     pub(crate) warnings: Vec<String>,
     /// Render it even if its pictures are stored.
-    pub(crate) fresh: bool,
+    pub(crate) no_cache: bool,
     /// How long it is kept; `None` is the server's default.
-    pub(crate) keep: Option<Keep>,
+    pub(crate) retention: Option<Retention>,
     /// The bytes that were posted.
-    pub(crate) text: String,
+    pub(crate) file_text: String,
 }
 
 #[cfg(test)]
@@ -42,18 +42,18 @@ impl NewJob {
             submitter: "local".to_owned(),
             priority: 0,
             nodes: 1,
-            plan: Plan { width_px: 64, height_px: 64, samples: 1, pixel_bytes: 16, edge_px: Some(64), frames: 1 },
+            plan: TilePlan { width_px: 64, height_px: 64, samples: 1, pixel_bytes: 16, edge_px: Some(64), frames: 1 },
             media_type: "image/png",
             warnings: Vec::new(),
-            fresh: true,
-            keep: None,
-            text: "{}".to_owned(),
+            no_cache: true,
+            retention: None,
+            file_text: "{}".to_owned(),
         }
     }
 }
 
 /// Writes a job's row and its file; returns its number.
-pub(super) async fn submit(connection: &mut Connection, job: &NewJob, moment: Moment) -> Result<i64> {
+pub(super) async fn submit(connection: &mut Connection, job: &NewJob, moment: TransitionContext) -> Result<i64> {
     let plan = job.plan;
     let number: i64 = sqlx::query_scalar(
         "INSERT INTO job (id, name, submitter, priority, state, fresh, width_px, height_px, samples, pixel_bytes,
@@ -65,7 +65,7 @@ pub(super) async fn submit(connection: &mut Connection, job: &NewJob, moment: Mo
     .bind(&job.name)
     .bind(&job.submitter)
     .bind(job.priority)
-    .bind(job.fresh)
+    .bind(job.no_cache)
     .bind(plan.width_px)
     .bind(plan.height_px)
     .bind(plan.samples)
@@ -82,10 +82,10 @@ pub(super) async fn submit(connection: &mut Connection, job: &NewJob, moment: Mo
     .await?;
     sqlx::query("INSERT INTO job_file (job, text) VALUES (?, ?)")
         .bind(number)
-        .bind(&job.text)
+        .bind(&job.file_text)
         .execute(&mut *connection)
         .await?;
-    if let Some(keep) = job.keep {
+    if let Some(keep) = job.retention {
         retention::keep(connection, number, keep).await?;
     }
     Ok(number)

@@ -1,28 +1,28 @@
 //! Properties that the API cannot show: statements use indexes, the queue follows its model under random
 //! operations, and shares are fair.
 
-mod fair;
+mod fair_share;
 mod model;
 mod plans;
 mod sequences;
 
-use proto::work::{Hello, Work};
+use proto::worker_protocol::{BatchWork, RegisterRequest};
 use proto::{JobId, WorkerId};
 
-use super::{NewJob, NewWorker, Next, Opening, Queue, Turn};
-use crate::clock::{Clock, Hand};
-use crate::plan::Plan;
-use crate::store::Store;
+use super::{FrameOpening, NewJob, NewWorker, NextWork, Queue, SyncInput};
+use crate::clock::{Clock, ManualClock};
+use crate::database::Database;
+use crate::tile_plan::TilePlan;
 
 const LEASE_MS: i64 = 1000;
 
-struct Bench {
+struct Fixture {
     queue: Queue,
-    hand: Hand,
+    hand: ManualClock,
     folder: tempfile::TempDir,
 }
 
-impl Bench {
+impl Fixture {
     async fn new() -> Self {
         Self::in_folder(tempfile::tempdir().expect("a temporary folder")).await
     }
@@ -35,21 +35,21 @@ impl Bench {
     }
 
     async fn in_folder(folder: tempfile::TempDir) -> Self {
-        let store = Store::open(folder.path()).await.expect("opens");
+        let store = Database::open(folder.path()).await.expect("opens");
         Self::with_store(store, folder).await
     }
 
-    async fn with_store(store: Store, folder: tempfile::TempDir) -> Self {
-        let (clock, hand) = Clock::by_hand();
+    async fn with_store(store: Database, folder: tempfile::TempDir) -> Self {
+        let (clock, hand) = Clock::manual();
         let (queue, _) = Queue::open(store.into(), clock, LEASE_MS).await.expect("opens");
         Self { queue, hand, folder }
     }
 
     /// Ends the server and starts another on the same database; its clock starts at zero.
     async fn restart(&mut self) {
-        self.queue.store.close().await;
-        let store = Store::open(self.folder.path()).await.expect("opens again");
-        let (clock, hand) = Clock::by_hand();
+        self.queue.database.close().await;
+        let store = Database::open(self.folder.path()).await.expect("opens again");
+        let (clock, hand) = Clock::manual();
         let (queue, _) = Queue::open(store.into(), clock, LEASE_MS).await.expect("opens again");
         (self.queue, self.hand) = (queue, hand);
     }
@@ -57,14 +57,18 @@ impl Bench {
     /// A worker, which is of the pool if it has a process.
     async fn register(&self, max_nodes: Option<u32>, process: Option<u32>) -> WorkerId {
         let pool = process.is_some();
-        let hello = Hello {
+        let hello = RegisterRequest {
             name: String::new(),
             device: "cpu".to_owned(),
             picture_version: 1,
             max_nodes,
             process: process.unwrap_or_default(),
         };
-        self.queue.register(NewWorker { hello, pool, name: "test".to_owned() }).await.expect("registered").worker
+        self.queue
+            .register(NewWorker { request: hello, pool, name: "test".to_owned() })
+            .await
+            .expect("registered")
+            .worker
     }
 
     /// The process of a worker.
@@ -85,13 +89,13 @@ impl Bench {
     }
 
     /// A worker's sync, with frames opened as needed.
-    async fn turn(&self, mut turn: Turn) -> Option<super::Turned> {
+    async fn turn(&self, mut turn: SyncInput) -> Option<super::SyncOutcome> {
         loop {
             let turned = self.queue.turn(turn.clone()).await.expect("a turn")?;
-            let Next::Frame { job, frame, plan } = turned.next else { return Some(turned) };
+            let NextWork::OpenFrame { job, frame, plan } = turned.next else { return Some(turned) };
             let picture_key = format!("key {job} {frame}");
-            turn.results.clear();
-            turn.opening = Some(Opening { job, frame, picture_key, tiles: plan.tiles(), samples: plan.samples });
+            turn.reports.clear();
+            turn.opening = Some(FrameOpening { job, frame, picture_key, tiles: plan.tiles(), samples: plan.samples });
         }
     }
 
@@ -138,44 +142,44 @@ fn new_job(frames: u32) -> NewJob {
         submitter: "local".to_owned(),
         priority: 0,
         nodes: 1,
-        plan: Plan { width_px: 128, height_px: 96, samples: 1, pixel_bytes: 16, edge_px: Some(32), frames },
+        plan: TilePlan { width_px: 128, height_px: 96, samples: 1, pixel_bytes: 16, edge_px: Some(32), frames },
         media_type: "image/png",
         warnings: Vec::new(),
-        fresh: true,
-        keep: None,
-        text: "{}".to_owned(),
+        no_cache: true,
+        retention: None,
+        file_text: "{}".to_owned(),
     }
 }
 
-fn turn(worker: WorkerId) -> Turn {
-    Turn {
+fn turn(worker: WorkerId) -> SyncInput {
+    SyncInput {
         worker,
         rays_per_second: None,
-        holding: Vec::new(),
-        results: Vec::new(),
+        held_leases: Vec::new(),
+        reports: Vec::new(),
         wants_work: false,
-        leaving: false,
+        shutting_down: false,
         opening: None,
     }
 }
 
-fn leases(run: &proto::work::Run) -> impl Iterator<Item = proto::LeaseId> {
+fn leases(run: &proto::worker_protocol::Batch) -> impl Iterator<Item = proto::LeaseId> {
     let leases: Vec<_> = match &run.work {
-        Work::Render { tiles, .. } => tiles.iter().map(|tile| tile.lease).collect(),
-        Work::Stitch { lease, .. } => vec![*lease],
+        BatchWork::Render { tiles, .. } => tiles.iter().map(|tile| tile.lease).collect(),
+        BatchWork::Stitch { lease, .. } => vec![*lease],
     };
     leases.into_iter()
 }
 
 #[tokio::test]
 async fn a_full_disk_refuses_a_job_and_room_on_it_takes_the_next() {
-    let bench = Bench::new().await;
+    let bench = Fixture::new().await;
     let worker = bench.worker(None).await;
     let limit = async |statement: &'static str| {
         bench
             .queue
-            .store
-            .write(crate::store::Durability::Relaxed, move |connection| {
+            .database
+            .write(crate::database::Durability::Relaxed, move |connection| {
                 Box::pin(async move {
                     sqlx::query(statement).execute(connection).await?;
                     Ok(())
@@ -186,19 +190,19 @@ async fn a_full_disk_refuses_a_job_and_room_on_it_takes_the_next() {
     };
     limit("PRAGMA max_page_count = 1").await;
     let mut new = new_job(1);
-    new.text = " ".repeat(1 << 20);
+    new.file_text = " ".repeat(1 << 20);
     let refused = bench.queue.submit(new.clone()).await.expect_err("there is no room");
     assert!(refused.is_full(), "{refused:?}");
     limit("PRAGMA max_page_count = 1000000").await;
     bench.queue.submit(new).await.expect("there is room");
-    let said = Turn { wants_work: true, ..turn(worker) };
-    assert!(matches!(bench.turn(said).await.expect("known").next, Next::Run(_)));
+    let said = SyncInput { wants_work: true, ..turn(worker) };
+    assert!(matches!(bench.turn(said).await.expect("known").next, NextWork::Run(_)));
     bench.check().await;
 }
 
 #[tokio::test]
 async fn an_operation_that_fails_takes_no_other_with_it() {
-    let bench = Bench::new().await;
+    let bench = Fixture::new().await;
     let good = (0..20).map(|_| bench.queue.submit(new_job(1)));
     let taken = new_job(1);
     bench.queue.submit(taken.clone()).await.expect("accepted");
@@ -211,10 +215,10 @@ async fn an_operation_that_fails_takes_no_other_with_it() {
 
 #[tokio::test]
 async fn a_job_whose_nodes_are_not_known_is_for_any_worker() {
-    let bench = Bench::new().await;
+    let bench = Fixture::new().await;
     let worker = bench.worker(Some(1)).await;
     let job = bench.submit(1, 0).await;
-    let said = Turn { wants_work: true, ..turn(worker) };
-    let Next::Run(run) = bench.turn(said).await.expect("known").next else { panic!("there is work") };
+    let said = SyncInput { wants_work: true, ..turn(worker) };
+    let NextWork::Run(run) = bench.turn(said).await.expect("known").next else { panic!("there is work") };
     assert_eq!(run.job, job);
 }

@@ -9,16 +9,16 @@ use proto::webhook::{DeliveryState, DeliveryView};
 use sqlx::Row;
 use sqlx::sqlite::SqliteRow;
 
-use super::{Queue, Result, counted, known};
+use super::{Queue, Result, expect_rows, parse_column};
 use crate::clock::rfc3339;
-use crate::store::Durability;
+use crate::database::Durability;
 
 /// How long finished deliveries are kept.
-const KEEP_MS: i64 = 7 * 24 * 3_600_000;
+const RETENTION_MS: i64 = 7 * 24 * 3_600_000;
 /// Deliveries dropped in one transaction.
-const DROPPED_AT_ONCE: i64 = 5_000;
+const DROP_BATCH: i64 = 5_000;
 /// Deliveries of a job that are shown, at most.
-const SHOWN: i64 = 1_000;
+const MAX_LISTED: i64 = 1_000;
 
 /// A delivery that is due.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -56,7 +56,7 @@ pub(crate) enum Attempt {
         /// Reason.
         error: String,
         /// When to try again; `None` means never.
-        again_in: Option<Duration>,
+        retry_in: Option<Duration>,
     },
 }
 
@@ -88,17 +88,17 @@ impl Queue {
     }
 
     /// Writes down what became of an attempt.
-    pub(crate) async fn attempted(&self, number: i64, attempt: Attempt) -> Result<()> {
+    pub(crate) async fn record_attempt(&self, number: i64, attempt: Attempt) -> Result<()> {
         let wall_ms = self.clock.wall_ms();
         let (state, status, error, again_in) = match attempt {
             Attempt::Delivered { status } => ("delivered", Some(status), None, None),
-            Attempt::Failed { status, error, again_in: None } => ("failed", status, Some(error), None),
-            Attempt::Failed { status, error, again_in } => ("pending", status, Some(error), again_in),
+            Attempt::Failed { status, error, retry_in: None } => ("failed", status, Some(error), None),
+            Attempt::Failed { status, error, retry_in: again_in } => ("pending", status, Some(error), again_in),
         };
         let next_at_ms =
             again_in.map(|wait| wall_ms.saturating_add(i64::try_from(wait.as_millis()).unwrap_or(i64::MAX)));
         let finished_at_ms = next_at_ms.is_none().then_some(wall_ms);
-        self.store
+        self.database
             .write(Durability::Relaxed, move |connection| {
                 Box::pin(async move {
                     let done = sqlx::query(
@@ -114,7 +114,7 @@ impl Queue {
                     .bind(number)
                     .execute(connection)
                     .await?;
-                    counted("delivery: attempted", 1, &done)
+                    expect_rows("delivery: attempted", 1, &done)
                 })
             })
             .await
@@ -127,7 +127,7 @@ impl Queue {
              WHERE job = ? ORDER BY number LIMIT ?",
         )
         .bind(job.to_string())
-        .bind(SHOWN)
+        .bind(MAX_LISTED)
         .fetch_all(self.readers())
         .await?;
         rows.iter().map(view).collect()
@@ -135,11 +135,11 @@ impl Queue {
 
     /// Deletes deliveries that finished long ago; returns how many.
     pub(crate) async fn prune_deliveries(&self) -> Result<u64> {
-        let ended_before_ms = self.clock.wall_ms() - KEEP_MS;
+        let ended_before_ms = self.clock.wall_ms() - RETENTION_MS;
         let mut count = 0;
         loop {
             let dropped = self
-                .store
+                .database
                 .write(Durability::Relaxed, move |connection| {
                     Box::pin(async move {
                         let dropped = sqlx::query(
@@ -148,7 +148,7 @@ impl Queue {
                                  WHERE finished_at_ms IS NOT NULL AND finished_at_ms < ? LIMIT ?)",
                         )
                         .bind(ended_before_ms)
-                        .bind(DROPPED_AT_ONCE)
+                        .bind(DROP_BATCH)
                         .execute(connection)
                         .await?;
                         Ok(dropped.rows_affected())
@@ -174,7 +174,7 @@ fn view(row: &SqliteRow) -> Result<DeliveryView> {
         id: row.try_get("id")?,
         event: row.try_get("event")?,
         receiver: receiver(&row.try_get::<String, _>("url")?),
-        state: known("delivery.state", &state, DeliveryState::read)?,
+        state: parse_column("delivery.state", &state, DeliveryState::parse)?,
         attempts: row.try_get("attempts")?,
         next_at: row.try_get::<Option<i64>, _>("next_at_ms")?.map(rfc3339),
         status: row.try_get("status")?,

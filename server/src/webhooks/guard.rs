@@ -15,7 +15,7 @@ use reqwest::dns::{Addrs, Name, Resolve, Resolving};
 const FIRST_FREE_PORT: u16 = 1024;
 
 /// Ranges outside the public internet, from IANA's special-purpose registry for IPv4, and multicast.
-const CLOSED_V4: [&str; 17] = [
+const NON_PUBLIC_V4: [&str; 17] = [
     "0.0.0.0/8",
     "10.0.0.0/8",
     "100.64.0.0/10",
@@ -35,10 +35,10 @@ const CLOSED_V4: [&str; 17] = [
     "224.0.0.0/3",
 ];
 /// All of IPv6 that is given to the public internet.
-const OPEN_V6: &str = "2000::/3";
+const GLOBAL_UNICAST_V6: &str = "2000::/3";
 /// Ranges within that which are not public: protocols (Teredo, ORCHID, benchmarks), documentation, and
 /// embedded IPv4.
-const CLOSED_V6: [&str; 5] = ["2001::/23", "2001:db8::/32", "2002::/16", "2620:4f:8000::/48", "3fff::/20"];
+const NON_PUBLIC_V6: [&str; 5] = ["2001::/23", "2001:db8::/32", "2002::/16", "2620:4f:8000::/48", "3fff::/20"];
 
 /// Addresses that belong together, as an operator writes them: `10.0.0.0/8`, or one address.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -58,7 +58,7 @@ impl FromStr for AddressRange {
 
 /// Reason why a webhook may not reach an address.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-pub(crate) enum Refused {
+pub(crate) enum AddressRejected {
     /// It is not an http or https URL.
     #[error("a webhook's address can't be read ({0}): write it as https://HOST/PATH")]
     Unreadable(String),
@@ -75,43 +75,43 @@ pub(crate) enum Refused {
     #[error(
         "a webhook may not go to {0}, which is not on the public internet: the operator allows it with --allow-webhook-to"
     )]
-    Closed(String),
+    NotPublic(String),
 }
 
 /// Judges addresses.
 #[derive(Clone, Debug, Default)]
-pub(crate) struct Guard {
+pub(crate) struct AddressPolicy {
     allowed: Arc<[AddressRange]>,
 }
 
-impl Guard {
+impl AddressPolicy {
     /// A guard that also lets through to these.
     pub(crate) fn new(allowed: &[AddressRange]) -> Self {
         Self { allowed: allowed.into() }
     }
 
     /// Parses a webhook's address, and rejects one that is invalid whatever its name resolves to.
-    pub(crate) fn check(&self, text: &str) -> Result<Url, Refused> {
-        let mut url = Url::parse(text).map_err(|error| Refused::Unreadable(error.to_string()))?;
+    pub(crate) fn check(&self, text: &str) -> Result<Url, AddressRejected> {
+        let mut url = Url::parse(text).map_err(|error| AddressRejected::Unreadable(error.to_string()))?;
         let is_http = url.scheme() == "http";
         if !is_http && url.scheme() != "https" {
-            return Err(Refused::Scheme(url.scheme().to_owned()));
+            return Err(AddressRejected::Scheme(url.scheme().to_owned()));
         }
         if !url.username().is_empty() || url.password().is_some() {
-            return Err(Refused::Credentials);
+            return Err(AddressRejected::Credentials);
         }
         url.set_fragment(None);
         let host = url.host_str().unwrap_or_default().to_owned();
-        match literal(&host) {
-            Some(address) if !self.may_connect(address, is_http) => return Err(Refused::Closed(host)),
+        match ip_host(&host) {
+            Some(address) if !self.may_connect(address, is_http) => return Err(AddressRejected::NotPublic(host)),
             Some(address) if self.is_allowed(address) => return Ok(url),
-            None if is_http && self.allowed.is_empty() => return Err(Refused::Scheme("http".to_owned())),
-            None if is_local(&host) && self.allowed.is_empty() => return Err(Refused::Closed(host)),
+            None if is_http && self.allowed.is_empty() => return Err(AddressRejected::Scheme("http".to_owned())),
+            None if is_local(&host) && self.allowed.is_empty() => return Err(AddressRejected::NotPublic(host)),
             Some(_) | None => {}
         }
         match url.port_or_known_default() {
             Some(port) if port >= FIRST_FREE_PORT || port == 443 || port == 80 => Ok(url),
-            port => Err(Refused::Port(port.unwrap_or_default())),
+            port => Err(AddressRejected::Port(port.unwrap_or_default())),
         }
     }
 
@@ -126,12 +126,12 @@ impl Guard {
 
     /// Resolves names for connections over TLS, or over plain HTTP, and returns only permitted addresses.
     pub(crate) fn resolver(&self, is_http: bool) -> Arc<dyn Resolve> {
-        Arc::new(Resolver { guard: self.clone(), is_http })
+        Arc::new(GuardedResolver { guard: self.clone(), is_http })
     }
 }
 
 /// The address that a host of a URL is, if it is no name.
-fn literal(host: &str) -> Option<IpAddr> {
+fn ip_host(host: &str) -> Option<IpAddr> {
     host.strip_prefix('[').and_then(|host| host.strip_suffix(']')).unwrap_or(host).parse().ok()
 }
 
@@ -144,9 +144,9 @@ fn is_local(host: &str) -> bool {
 /// Whether an address is of the public internet.
 fn is_public(address: IpAddr) -> bool {
     match address {
-        IpAddr::V4(address) => !CLOSED_V4.iter().any(|net| v4(net).contains(&address)),
+        IpAddr::V4(address) => !NON_PUBLIC_V4.iter().any(|net| v4(net).contains(&address)),
         IpAddr::V6(address) => {
-            v6(OPEN_V6).contains(&address) && !CLOSED_V6.iter().any(|net| v6(net).contains(&address))
+            v6(GLOBAL_UNICAST_V6).contains(&address) && !NON_PUBLIC_V6.iter().any(|net| v6(net).contains(&address))
         }
     }
 }
@@ -159,19 +159,19 @@ fn v6(net: &str) -> Ipv6Net {
     net.parse().expect("the table above holds networks")
 }
 
-struct Resolver {
-    guard: Guard,
+struct GuardedResolver {
+    guard: AddressPolicy,
     is_http: bool,
 }
 
-impl Resolve for Resolver {
+impl Resolve for GuardedResolver {
     fn resolve(&self, name: Name) -> Resolving {
         let (guard, is_http) = (self.guard.clone(), self.is_http);
         Box::pin(async move {
             let found = tokio::net::lookup_host((name.as_str(), 0)).await?;
             let open: Vec<SocketAddr> = found.filter(|address| guard.may_connect(address.ip(), is_http)).collect();
             if open.is_empty() {
-                return Err(Refused::Closed(name.as_str().to_owned()).into());
+                return Err(AddressRejected::NotPublic(name.as_str().to_owned()).into());
             }
             Ok(Box::new(open.into_iter()) as Addrs)
         })
@@ -278,10 +278,14 @@ mod tests {
     ];
 
     #[test]
-    fn addresses_that_are_not_public_are_refused_however_they_are_spelt() {
-        let guard = Guard::default();
+    fn addresses_that_are_not_public_are_rejected_however_they_are_spelt() {
+        let guard = AddressPolicy::default();
         for closed in CLOSED {
-            assert!(matches!(guard.check(closed), Err(Refused::Closed(_))), "{closed}: {:?}", guard.check(closed));
+            assert!(
+                matches!(guard.check(closed), Err(AddressRejected::NotPublic(_))),
+                "{closed}: {:?}",
+                guard.check(closed)
+            );
         }
         for wrong in WRONG {
             assert!(guard.check(wrong).is_err(), "{wrong}");
@@ -293,7 +297,7 @@ mod tests {
 
     #[test]
     fn operators_open_ranges_and_nothing_beside_them() {
-        let guard = Guard::new(&["10.1.0.0/16".parse().expect("a range"), "::1".parse().expect("an address")]);
+        let guard = AddressPolicy::new(&["10.1.0.0/16".parse().expect("a range"), "::1".parse().expect("an address")]);
         for open in ["https://10.1.2.3/", "http://10.1.2.3:81/", "http://[::1]:9/", "http://render.internal/hook"] {
             assert!(guard.check(open).is_ok(), "{open}: {:?}", guard.check(open));
         }
@@ -308,8 +312,8 @@ mod tests {
     #[tokio::test]
     async fn names_that_lead_to_this_machine_are_not_followed() {
         let name = || "localhost".parse::<Name>().expect("a name");
-        assert!(Guard::default().resolver(false).resolve(name()).await.is_err());
-        let guard = Guard::new(&["127.0.0.0/8".parse().expect("a range"), "::1".parse().expect("an address")]);
+        assert!(AddressPolicy::default().resolver(false).resolve(name()).await.is_err());
+        let guard = AddressPolicy::new(&["127.0.0.0/8".parse().expect("a range"), "::1".parse().expect("an address")]);
         assert!(guard.resolver(true).resolve(name()).await.is_ok());
     }
 }

@@ -38,7 +38,7 @@ pub enum SecretError {
     },
     /// It is not a webhook secret.
     #[error("the webhooks' secret is none: it has to be whsec_ and 24 to 64 bytes in base64")]
-    Form,
+    Malformed,
 }
 
 /// Signs messages.
@@ -56,9 +56,9 @@ impl std::fmt::Debug for Signer {
 impl Signer {
     /// Signs with this secret.
     pub(crate) fn new(secret: &Secret) -> Result<Self, SecretError> {
-        let encoded = secret.expose().trim().strip_prefix(PREFIX).ok_or(SecretError::Form)?;
-        let key = STANDARD.decode(encoded).map_err(|_| SecretError::Form)?;
-        if ALLOWED_BYTES.contains(&key.len()) { Ok(Self { key }) } else { Err(SecretError::Form) }
+        let encoded = secret.expose().trim().strip_prefix(PREFIX).ok_or(SecretError::Malformed)?;
+        let key = STANDARD.decode(encoded).map_err(|_| SecretError::Malformed)?;
+        if ALLOWED_BYTES.contains(&key.len()) { Ok(Self { key }) } else { Err(SecretError::Malformed) }
     }
 
     /// The value of `webhook-signature`.

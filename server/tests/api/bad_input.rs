@@ -1,6 +1,6 @@
 //! What users do wrong, and what they are told.
 
-use proto::work;
+use proto::worker_protocol;
 use reqwest::header::{ALLOW, AUTHORIZATION, CONTENT_TYPE, HOST, HeaderName, ORIGIN};
 use reqwest::{Method, Response, StatusCode};
 use serde_json::json;
@@ -16,7 +16,7 @@ async fn send(farm: &Farm, method: Method, path: &str, headers: &[(HeaderName, &
 }
 
 #[tokio::test]
-async fn a_job_that_is_not_sound_is_refused_with_the_place() {
+async fn a_job_that_is_not_valid_is_rejected_with_the_place() {
     let farm = Farm::start().await;
     let mut job = small_job(1);
     job["image"]["width"] = 0.into();
@@ -29,7 +29,7 @@ async fn a_job_that_is_not_sound_is_refused_with_the_place() {
 }
 
 #[tokio::test]
-async fn what_is_not_json_is_refused_whatever_it_is() {
+async fn what_is_not_json_is_rejected_whatever_it_is() {
     let farm = Farm::start().await;
     for body in [b"".to_vec(), b"{\"name\": ".to_vec(), b"{\"name\": \"\xff\"}".to_vec(), b"nonsense".to_vec()] {
         let problem = refused(farm.post("/v1/jobs", body).await, 400, "not_json").await;
@@ -41,7 +41,7 @@ async fn what_is_not_json_is_refused_whatever_it_is() {
 }
 
 #[tokio::test]
-async fn bodies_of_the_wrong_kind_or_size_are_refused() {
+async fn bodies_of_the_wrong_kind_or_size_are_rejected() {
     let farm = Farm::start().await;
     let large = " ".repeat(9 << 20);
     let problem = refused(farm.post("/v1/jobs", large).await, 413, "too_large").await;
@@ -75,7 +75,7 @@ async fn unknown_routes_jobs_and_methods_are_problems_too() {
 }
 
 #[tokio::test]
-async fn a_pool_of_an_impossible_size_is_refused() {
+async fn a_pool_of_an_impossible_size_is_rejected() {
     let farm = Farm::start().await;
     for body in [json!({"workers": -1}), json!({"workers": 10_000}), json!({"workers": "two"}), json!({"workers": 1.5})]
     {
@@ -112,17 +112,17 @@ async fn foreign_hosts_and_origins_are_kept_out() {
 }
 
 #[tokio::test]
-async fn workers_with_a_wrong_token_a_wrong_release_or_no_name_are_refused() {
+async fn workers_with_a_wrong_token_a_wrong_release_or_no_name_are_rejected() {
     let farm = Farm::start().await;
-    for route in [work::REGISTER, work::SYNC] {
+    for route in [worker_protocol::REGISTER_PATH, worker_protocol::SYNC_PATH] {
         let token = [(AUTHORIZATION, "Bearer nonsense")];
         let answer = send(&farm, Method::POST, route, &token, "{}").await;
         assert_eq!(answer.headers()["www-authenticate"], "Bearer");
         refused(answer, 401, "wrong_token").await;
     }
     let hello = json!({"name": "old", "device": "cpu", "picture_version": 0, "max_nodes": null, "process": 1});
-    refused(farm.post(work::REGISTER, hello.to_string()).await, 422, "wrong_picture_version").await;
-    refused(farm.post(work::REGISTER, "{}").await, 422, "wrong_body").await;
+    refused(farm.post(worker_protocol::REGISTER_PATH, hello.to_string()).await, 422, "wrong_picture_version").await;
+    refused(farm.post(worker_protocol::REGISTER_PATH, "{}").await, 422, "wrong_body").await;
     let mut stranger = farm.worker("known").await;
     stranger.id = proto::WorkerId::new();
     refused(stranger.try_sync(Said::default()).await, 404, "unknown_worker").await;
@@ -130,16 +130,22 @@ async fn workers_with_a_wrong_token_a_wrong_release_or_no_name_are_refused() {
 }
 
 #[tokio::test]
-async fn bytes_under_another_name_are_refused_and_not_kept() {
+async fn bytes_under_another_name_are_rejected_and_not_kept() {
     let farm = Farm::start().await;
     let worker = farm.worker("liar").await;
     let hash = blake3::hash(b"the truth").to_hex().to_string();
-    for path in [work::blob_path(&hash), work::picture_path(&hash)] {
+    for path in [worker_protocol::blob_path(&hash), worker_protocol::picture_path(&hash)] {
         refused(worker.put(&path, b"a lie".to_vec()).await, 422, "wrong_bytes").await;
     }
-    refused(farm.get(&work::blob_path(&hash)).await, 404, "unknown_blob").await;
-    refused(worker.put(&work::blob_path("../../farm.sqlite"), b"a lie".to_vec()).await, 404, "unknown_route").await;
-    refused(worker.put(&work::blob_path("..%2Ffarm.sqlite"), b"a lie".to_vec()).await, 422, "wrong_hash").await;
+    refused(farm.get(&worker_protocol::blob_path(&hash)).await, 404, "unknown_blob").await;
+    refused(
+        worker.put(&worker_protocol::blob_path("../../farm.sqlite"), b"a lie".to_vec()).await,
+        404,
+        "unknown_route",
+    )
+    .await;
+    refused(worker.put(&worker_protocol::blob_path("..%2Ffarm.sqlite"), b"a lie".to_vec()).await, 422, "wrong_hash")
+        .await;
     for folder in ["tiles", "pictures"] {
         assert_eq!(std::fs::read_dir(farm.folder.path().join(folder)).expect("lists").count(), 0);
     }

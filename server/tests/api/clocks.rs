@@ -15,13 +15,13 @@ async fn wall_clock_that_jumps_expires_nothing() {
     let worker = farm.worker("w").await;
     let run = worker.claim().await.expect("a run");
     for jump_ms in [YEAR_MS, -3 * YEAR_MS, 5 * YEAR_MS] {
-        farm.hand.set_wall_clock_by(jump_ms);
+        farm.hand.shift_wall_clock(jump_ms);
         farm.hand.advance(Duration::from_secs(1));
         let reply = worker.sync(Said { holding: leases(&run), ..Said::default() }).await;
-        assert_eq!(reply.lost, [], "a jump of {jump_ms} ms ended a lease");
+        assert_eq!(reply.revoked_leases, [], "a jump of {jump_ms} ms ended a lease");
     }
     let results = worker.results(&run).await;
-    assert_eq!(worker.report(results).await.lost, []);
+    assert_eq!(worker.report(results).await.revoked_leases, []);
     assert_state(&farm, id, JobState::Succeeded).await;
     farm.stop().await;
 }
@@ -32,7 +32,7 @@ async fn wall_clock_that_is_set_back_keeps_no_lease_alive() {
     let id = farm.submit(&small_job(2)).await.id;
     let sleeper = farm.worker("sleeper").await;
     let run = sleeper.claim().await.expect("a run");
-    farm.hand.set_wall_clock_by(-YEAR_MS);
+    farm.hand.shift_wall_clock(-YEAR_MS);
     farm.hand.advance(2 * LEASE);
     let heir = farm.worker("heir").await;
     assert!(heir.work_once().await, "what ran out is leased again");

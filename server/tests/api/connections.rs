@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use proto::{Access, Client, ClientError};
+use proto::{Client, ClientAuth, ClientError};
 use rcgen::{BasicConstraints, CertificateParams, IsCa, Issuer, KeyPair};
 use reqwest::StatusCode;
 use server::{StartError, TlsFiles};
@@ -40,8 +40,8 @@ impl Authority {
 }
 
 fn client(farm: &Farm, authority: &Path) -> Client {
-    let access = Access::new(None, Some(authority)).expect("an authority");
-    Client::with_access(&format!("https://{}", farm.address), access).expect("a client")
+    let access = ClientAuth::new(None, Some(authority)).expect("an authority");
+    Client::with_auth(&format!("https://{}", farm.address), access).expect("a client")
 }
 
 #[tokio::test]
@@ -67,7 +67,7 @@ async fn health_answers_when_every_connection_is_taken_by_someone_idle() {
 }
 
 #[tokio::test]
-async fn heads_that_are_too_large_or_have_too_many_headers_are_refused() {
+async fn heads_that_are_too_large_or_have_too_many_headers_are_rejected() {
     let farm = Farm::start().await;
     for head in [format!("X-Long: {}\r\n", "x".repeat(100 << 10)), "X: y\r\n".repeat(200)] {
         let mut stream = TcpStream::connect(farm.address).await.expect("connects");
@@ -96,7 +96,7 @@ async fn https_is_spoken_to_those_who_trust_the_authority() {
     Authority::new().write(others.path());
     let wary = client(&farm, &others.path().join("ca.pem"));
     let error = in_time(wary.jobs(None, 1, None)).await.expect_err("another authority");
-    assert!(matches!(error, ClientError::Unreachable { .. } | ClientError::Broken { .. }), "{error:?}");
+    assert!(matches!(error, ClientError::Unreachable { .. } | ClientError::ConnectionLost { .. }), "{error:?}");
 
     // Plain HTTP is no TLS handshake, and harms nobody.
     let plain = in_time(farm.client.get(farm.url("/livez")).send()).await;

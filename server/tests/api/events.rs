@@ -3,9 +3,9 @@
 use std::time::Duration;
 
 use futures_util::future::join_all;
-use proto::event::{JobEvent, Lines, Message, Snapshot};
+use proto::event::{JobEvent, Snapshot, SseMessage, SseParser};
 use proto::job::{JobState, JobView};
-use proto::work::Work;
+use proto::worker_protocol::BatchWork;
 use proto::{Client, JobId};
 use reqwest::StatusCode;
 use serde_json::json;
@@ -13,7 +13,7 @@ use serde_json::json;
 use super::harness::{Farm, in_time, job, leases, read, refused, small_job};
 
 /// Everything that is told of a job until the server ends the stream.
-async fn story(farm: &Farm, id: JobId, after: Option<&str>) -> Vec<Message> {
+async fn story(farm: &Farm, id: JobId, after: Option<&str>) -> Vec<SseMessage> {
     let mut request = farm.client.get(farm.url(&format!("/v1/jobs/{id}/events")));
     if let Some(after) = after {
         request = request.header("Last-Event-ID", after);
@@ -24,15 +24,15 @@ async fn story(farm: &Farm, id: JobId, after: Option<&str>) -> Vec<Message> {
     }
     assert_eq!(response.status(), StatusCode::OK);
     assert_eq!(response.headers()["content-type"], "text/event-stream");
-    Lines::default().push(&in_time(response.bytes()).await.expect("the stream ends"))
+    SseParser::default().push(&in_time(response.bytes()).await.expect("the stream ends"))
 }
 
-fn numbers(story: &[Message]) -> Vec<i64> {
+fn numbers(story: &[SseMessage]) -> Vec<i64> {
     story.iter().map(|message| message.id.as_ref().expect("an id").parse().expect("a number")).collect()
 }
 
-fn events(story: &[Message]) -> Vec<JobEvent> {
-    story.iter().map(|message| JobEvent::read(&message.event, &message.data).expect("a known event")).collect()
+fn events(story: &[SseMessage]) -> Vec<JobEvent> {
+    story.iter().map(|message| JobEvent::parse(&message.event, &message.data).expect("a known event")).collect()
 }
 
 /// A job of two frames and several tiles each.
@@ -49,7 +49,7 @@ async fn work_slowly(farm: &Farm) {
     assert!(worker.work_off().await > 2);
 }
 
-fn check_story(farm_story: &[Message], posted: &JobView) {
+fn check_story(farm_story: &[SseMessage], posted: &JobView) {
     let numbers = numbers(farm_story);
     assert!(numbers.is_sorted_by(|left, right| left < right), "{numbers:?}");
     let (mut tiles, mut frames, mut progress, mut states) = (0, Vec::new(), 0.0, Vec::new());
@@ -76,7 +76,7 @@ fn check_story(farm_story: &[Message], posted: &JobView) {
 }
 
 #[tokio::test]
-async fn a_follower_is_told_every_state_tile_and_frame_once_and_in_order() {
+async fn a_subscriber_receives_each_event_once_and_in_order() {
     let farm = Farm::start().await;
     let posted = farm.submit(&animation()).await;
     let (live, ()) = tokio::join!(story(&farm, posted.id, None), work_slowly(&farm));
@@ -86,7 +86,7 @@ async fn a_follower_is_told_every_state_tile_and_frame_once_and_in_order() {
 }
 
 #[tokio::test]
-async fn whoever_comes_back_is_told_exactly_what_was_missed_also_by_the_next_server() {
+async fn whoever_comes_back_is_reported_exactly_what_was_missed_also_by_the_next_server() {
     let farm = Farm::start().await;
     let posted = farm.submit(&animation()).await;
     work_slowly(&farm).await;
@@ -134,14 +134,14 @@ async fn an_id_that_was_never_given_gets_a_snapshot() {
     let path = format!("/v1/jobs/{}/events?last_event_id=1000000", posted.id);
     let mut response = farm.get(&path).await;
     let bytes = in_time(response.chunk()).await.expect("bytes").expect("something");
-    let first = Lines::default().push(&bytes).remove(0);
+    let first = SseParser::default().push(&bytes).remove(0);
     assert_eq!(first.event, "snapshot");
     let snapshot: Snapshot = serde_json::from_str(&first.data).expect("a snapshot");
     assert_eq!(snapshot.state, JobState::Running);
     assert_eq!(snapshot.rectangles.len() as u64, snapshot.tiles.done);
     assert!(snapshot.tiles.done > 0 && snapshot.stored.is_empty());
     work_slowly(&farm).await;
-    let rest = Lines::default().push(&in_time(response.bytes()).await.expect("the stream ends"));
+    let rest = SseParser::default().push(&in_time(response.bytes()).await.expect("the stream ends"));
     let tiles = events(&rest).iter().filter(|event| matches!(event, JobEvent::Tile(_))).count() as u64;
     assert_eq!(snapshot.tiles.done + tiles, posted.tiles.total, "nothing twice, nothing left out");
     farm.stop().await;
@@ -159,7 +159,7 @@ async fn a_thousand_follow_one_job() {
 }
 
 #[tokio::test]
-async fn wrong_ids_and_unknown_jobs_are_refused() {
+async fn wrong_ids_and_unknown_jobs_are_rejected() {
     let farm = Farm::start().await;
     let posted = farm.submit(&small_job(1)).await;
     for wrong in ["x", "-1", "1.5", "99999999999999999999"] {
@@ -191,9 +191,9 @@ async fn fail(farm: &Farm) {
     for name in ["one", "two", "three"] {
         let worker = farm.worker(name).await;
         let Some(run) = worker.claim().await else { continue };
-        let results = leases(&run).into_iter().map(|lease| proto::work::Report {
+        let results = leases(&run).into_iter().map(|lease| proto::worker_protocol::LeaseReport {
             lease,
-            outcome: proto::work::Outcome::Failed { message: "it is no good".to_owned() },
+            outcome: proto::worker_protocol::LeaseOutcome::Failed { message: "it is no good".to_owned() },
         });
         worker.report(results.collect()).await;
         farm.hand.advance(Duration::from_secs(10));
@@ -223,7 +223,7 @@ async fn a_failed_job_is_retried_with_what_it_had_and_others_are_not() {
     let worker = farm.worker("good").await;
     let mut rendered = 0;
     while let Some(run) = worker.claim().await {
-        if let Work::Render { tiles, .. } = &run.work {
+        if let BatchWork::Render { tiles, .. } = &run.work {
             rendered += tiles.len() as u64;
         }
         worker.report(worker.results(&run).await).await;

@@ -6,7 +6,7 @@ use serde_json::{Value, json};
 
 use super::harness::{Farm, in_time, read, refused, small_job};
 use super::keys::{locked_farm, make, new_key, send};
-use proto::key::Scope;
+use proto::api_key::Scope;
 
 /// The jobs that a text may mean.
 async fn found(farm: &Farm, text: &str) -> Vec<proto::JobId> {

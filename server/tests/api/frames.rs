@@ -2,7 +2,7 @@
 
 use std::process::Command;
 
-use proto::change::{FramePage, FrameState};
+use proto::frame::{FramePage, FrameState};
 use reqwest::StatusCode;
 use serde_json::{Value, json};
 

@@ -4,13 +4,16 @@ use std::net::SocketAddr;
 use std::path::Path;
 use std::time::Duration;
 
-use proto::access::client_builder;
+use proto::client_auth::client_builder;
 use proto::job::{JobState, JobView};
-use proto::work::{self, Hello, Measured, Outcome, Report, Run, SyncReply, SyncRequest, Welcome, Work};
+use proto::worker_protocol::{
+    self, Batch, BatchWork, LeaseOutcome, LeaseReport, RegisterRequest, RegisterResponse, SyncRequest, SyncResponse,
+    WorkerMetrics,
+};
 use proto::{JobId, LeaseId, Problem, WorkerId};
 use reqwest::{Client, Response, StatusCode};
 use serde_json::{Value, json};
-use server::{Clock, Config, Hand, Server};
+use server::{Clock, Config, ManualClock, Server};
 use tempfile::TempDir;
 use tokio::task::JoinHandle;
 use tokio_util::sync::CancellationToken;
@@ -30,7 +33,7 @@ pub(crate) struct Farm {
     pub(crate) folder: TempDir,
     pub(crate) address: SocketAddr,
     pub(crate) client: Client,
-    pub(crate) hand: Hand,
+    pub(crate) hand: ManualClock,
     shutdown: CancellationToken,
     task: JoinHandle<Result<(), server::ServeError>>,
 }
@@ -55,7 +58,7 @@ impl Farm {
     pub(crate) async fn start_in(folder: TempDir, change: impl FnOnce(&mut Config)) -> Self {
         let mut config = config(folder.path());
         change(&mut config);
-        let (clock, hand) = Clock::by_hand();
+        let (clock, hand) = Clock::manual();
         let server = Server::start_with_clock(config, clock).await.expect("the server starts");
         let address = server.address();
         let shutdown = CancellationToken::new();
@@ -150,23 +153,26 @@ pub(crate) struct Worker<'a> {
 #[derive(Default)]
 pub(crate) struct Said {
     pub(crate) holding: Vec<LeaseId>,
-    pub(crate) results: Vec<Report>,
+    pub(crate) results: Vec<LeaseReport>,
     pub(crate) wants_work: bool,
     pub(crate) wait: Duration,
-    pub(crate) measured: Measured,
+    pub(crate) measured: WorkerMetrics,
 }
 
 impl<'a> Worker<'a> {
     async fn register(farm: &'a Farm, name: &str, max_nodes: Option<u32>) -> Self {
-        let hello = Hello {
+        let hello = RegisterRequest {
             name: name.to_owned(),
             device: "cpu".to_owned(),
             picture_version: scene::PICTURE_VERSION,
             max_nodes,
             process: 1,
         };
-        let welcome: Welcome =
-            read(farm.post(work::REGISTER, serde_json::to_string(&hello).expect("json")).await, StatusCode::OK).await;
+        let welcome: RegisterResponse = read(
+            farm.post(worker_protocol::REGISTER_PATH, serde_json::to_string(&hello).expect("json")).await,
+            StatusCode::OK,
+        )
+        .await;
         assert_eq!(welcome.lease_ms, LEASE.as_millis() as u64);
         Self { farm, id: welcome.worker, rays_per_second: None }
     }
@@ -175,31 +181,31 @@ impl<'a> Worker<'a> {
         let request = SyncRequest {
             worker: self.id,
             rays_per_second: self.rays_per_second,
-            holding: said.holding,
-            results: said.results,
+            held_leases: said.holding,
+            reports: said.results,
             wants_work: said.wants_work,
             wait_ms: said.wait.as_millis() as u64,
-            leaving: false,
-            measured: said.measured,
+            shutting_down: false,
+            metrics: said.measured,
         };
-        self.farm.post(work::SYNC, serde_json::to_string(&request).expect("json")).await
+        self.farm.post(worker_protocol::SYNC_PATH, serde_json::to_string(&request).expect("json")).await
     }
 
-    pub(crate) async fn sync(&self, said: Said) -> SyncReply {
+    pub(crate) async fn sync(&self, said: Said) -> SyncResponse {
         read(self.try_sync(said).await, StatusCode::OK).await
     }
 
     /// Takes a run if there is one at once.
-    pub(crate) async fn claim(&self) -> Option<Run> {
-        self.sync(Said { wants_work: true, ..Said::default() }).await.run
+    pub(crate) async fn claim(&self) -> Option<Batch> {
+        self.sync(Said { wants_work: true, ..Said::default() }).await.batch
     }
 
     /// Waits for a run.
-    pub(crate) async fn next(&self) -> Run {
-        self.sync(Said { wants_work: true, wait: DEADLINE, ..Said::default() }).await.run.expect("a run in time")
+    pub(crate) async fn next(&self) -> Batch {
+        self.sync(Said { wants_work: true, wait: DEADLINE, ..Said::default() }).await.batch.expect("a run in time")
     }
 
-    pub(crate) async fn report(&self, results: Vec<Report>) -> SyncReply {
+    pub(crate) async fn report(&self, results: Vec<LeaseReport>) -> SyncResponse {
         self.sync(Said { results, ..Said::default() }).await
     }
 
@@ -208,23 +214,23 @@ impl<'a> Worker<'a> {
     }
 
     /// Puts a picture and says so for these leases.
-    pub(crate) async fn picture(&self, leases: &[LeaseId], bytes: &[u8]) -> Vec<Report> {
+    pub(crate) async fn picture(&self, leases: &[LeaseId], bytes: &[u8]) -> Vec<LeaseReport> {
         let hash = blake3::hash(bytes).to_hex().to_string();
-        let put = self.put(&work::picture_path(&hash), bytes.to_vec()).await;
+        let put = self.put(&worker_protocol::picture_path(&hash), bytes.to_vec()).await;
         assert_eq!(put.status(), StatusCode::NO_CONTENT);
         let size_bytes = bytes.len() as u64;
         leases
             .iter()
-            .map(|&lease| Report { lease, outcome: Outcome::Picture { hash: hash.clone(), size_bytes } })
+            .map(|&lease| LeaseReport { lease, outcome: LeaseOutcome::Picture { hash: hash.clone(), size_bytes } })
             .collect()
     }
 
     /// Puts a blob and says so.
-    pub(crate) async fn blob(&self, lease: LeaseId, bytes: &[u8]) -> Report {
+    pub(crate) async fn blob(&self, lease: LeaseId, bytes: &[u8]) -> LeaseReport {
         let hash = blake3::hash(bytes).to_hex().to_string();
-        let put = self.put(&work::blob_path(&hash), bytes.to_vec()).await;
+        let put = self.put(&worker_protocol::blob_path(&hash), bytes.to_vec()).await;
         assert_eq!(put.status(), StatusCode::NO_CONTENT);
-        Report { lease, outcome: Outcome::Blob { hash, size_bytes: bytes.len() as u64 } }
+        LeaseReport { lease, outcome: LeaseOutcome::Blob { hash, size_bytes: bytes.len() as u64 } }
     }
 
     /// Does one run as a good worker does; false if there is none.
@@ -232,18 +238,18 @@ impl<'a> Worker<'a> {
         let Some(run) = self.claim().await else { return false };
         let results = self.results(&run).await;
         let reply = self.report(results).await;
-        assert_eq!(reply.lost, []);
+        assert_eq!(reply.revoked_leases, []);
         true
     }
 
     /// What a good worker reports of a run.
-    pub(crate) async fn results(&self, run: &Run) -> Vec<Report> {
+    pub(crate) async fn results(&self, run: &Batch) -> Vec<LeaseReport> {
         let picture = format!("picture of frame {} of {}", run.frame, run.job);
         match &run.work {
-            Work::Render { whole_frame: true, .. } | Work::Stitch { .. } => {
+            BatchWork::Render { whole_frame: true, .. } | BatchWork::Stitch { .. } => {
                 self.picture(&leases(run), picture.as_bytes()).await
             }
-            Work::Render { tiles, whole_frame: false } => {
+            BatchWork::Render { tiles, whole_frame: false } => {
                 let mut results = Vec::new();
                 for tile in tiles {
                     let bytes = format!("tile {} of {picture}", tile.index);
@@ -265,10 +271,10 @@ impl<'a> Worker<'a> {
 }
 
 /// All leases of a run.
-pub(crate) fn leases(run: &Run) -> Vec<LeaseId> {
+pub(crate) fn leases(run: &Batch) -> Vec<LeaseId> {
     match &run.work {
-        Work::Render { tiles, .. } => tiles.iter().map(|tile| tile.lease).collect(),
-        Work::Stitch { lease, .. } => vec![*lease],
+        BatchWork::Render { tiles, .. } => tiles.iter().map(|tile| tile.lease).collect(),
+        BatchWork::Stitch { lease, .. } => vec![*lease],
     }
 }
 

@@ -1,7 +1,7 @@
 //! The life of a job as its user sees it.
 
 use proto::job::{DryRun, JobPage, JobState, JobView};
-use proto::work::Work;
+use proto::worker_protocol::BatchWork;
 use reqwest::StatusCode;
 use reqwest::header::{CACHE_CONTROL, LOCATION};
 use serde_json::json;
@@ -21,10 +21,10 @@ async fn a_small_job_is_rendered_whole_and_its_picture_is_served() {
 
     let worker = farm.worker("one").await;
     let run = worker.claim().await.expect("there is work");
-    assert!(matches!(&run.work, Work::Render { whole_frame: true, tiles } if tiles.len() == 1), "{run:?}");
+    assert!(matches!(&run.work, BatchWork::Render { whole_frame: true, tiles } if tiles.len() == 1), "{run:?}");
     assert_state(&farm, posted.id, JobState::Running).await;
     let results = worker.results(&run).await;
-    assert_eq!(worker.report(results).await.lost, []);
+    assert_eq!(worker.report(results).await.revoked_leases, []);
 
     let done = farm.job(posted.id).await;
     assert_eq!(done.state, JobState::Succeeded);
@@ -48,14 +48,14 @@ async fn a_large_frame_is_rendered_in_tiles_stitched_and_its_blobs_are_removed()
         let run = worker.claim().await.expect("there is work");
         let results = worker.results(&run).await;
         match &run.work {
-            Work::Render { whole_frame, tiles: some } => {
+            BatchWork::Render { whole_frame, tiles: some } => {
                 assert!(!whole_frame);
                 tiles += some.len() as u64;
             }
-            Work::Stitch { parts, .. } => {
-                assert_eq!(parts.len() as u64, posted.tiles.total);
-                let blob = farm.get(&proto::work::blob_path(&parts[1].hash)).await;
-                assert_eq!(in_time(blob.bytes()).await.expect("bytes").len() as u64, parts[1].size_bytes);
+            BatchWork::Stitch { inputs, .. } => {
+                assert_eq!(inputs.len() as u64, posted.tiles.total);
+                let blob = farm.get(&proto::worker_protocol::blob_path(&inputs[1].hash)).await;
+                assert_eq!(in_time(blob.bytes()).await.expect("bytes").len() as u64, inputs[1].size_bytes);
                 assert_eq!(farm.job(posted.id).await.progress, 1.0);
                 worker.report(results).await;
                 break;
@@ -198,11 +198,11 @@ async fn cancelling_ends_the_leases_and_tells_their_worker_at_once() {
     let cancel_path = format!("/v1/jobs/{}/cancel", posted.id);
     let cancel = farm.post(&cancel_path, "");
     let (reply, cancelled) = tokio::join!(waiting, cancel);
-    assert_eq!(reply.lost, held);
+    assert_eq!(reply.revoked_leases, held);
     let cancelled: JobView = read(cancelled, StatusCode::OK).await;
     assert_eq!(cancelled.state, JobState::Cancelled);
     let late = worker.picture(&held, b"too late").await;
-    assert_eq!(worker.report(late).await.lost, held);
+    assert_eq!(worker.report(late).await.revoked_leases, held);
     assert_state(&farm, posted.id, JobState::Cancelled).await;
     assert!(worker.claim().await.is_none());
     refused(farm.post(&format!("/v1/jobs/{}/cancel", posted.id), "").await, 409, "job_finished").await;

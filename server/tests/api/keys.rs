@@ -2,18 +2,19 @@
 
 use std::time::Duration;
 
-use proto::key::{AuditPage, IssuedKey, KeyList, KeyState, NewKey, Scope};
-use proto::work;
+use proto::api_key::{ApiKeyList, ApiKeyState, IssuedApiKey, NewApiKey, Scope};
+use proto::audit::AuditPage;
+use proto::worker_protocol;
 use reqwest::header::AUTHORIZATION;
 use reqwest::{Method, Response, StatusCode};
 use serde_json::{Value, json};
-use server::KeyFolder;
+use server::OfflineApiKeys;
 
 use super::harness::{Farm, config, in_time, read, refused, small_job};
 
 /// A key to make, otherwise ordinary.
-pub(crate) fn new_key(name: &str, scopes: &[Scope]) -> NewKey {
-    NewKey {
+pub(crate) fn new_key(name: &str, scopes: &[Scope]) -> NewApiKey {
+    NewApiKey {
         name: name.to_owned(),
         scopes: scopes.to_vec(),
         expires_in_seconds: None,
@@ -26,8 +27,8 @@ pub(crate) fn new_key(name: &str, scopes: &[Scope]) -> NewKey {
 /// A farm that has one key, of an administrator.
 pub(crate) async fn locked_farm() -> (Farm, String) {
     let folder = tempfile::tempdir().expect("a temporary folder");
-    let mut keys = KeyFolder::open_or_make(folder.path()).await.expect("a folder of keys");
-    let admin = keys.make(new_key("root", &[Scope::Admin])).await.expect("a key").secret;
+    let mut keys = OfflineApiKeys::open_or_create(folder.path()).await.expect("a folder of keys");
+    let admin = keys.create(new_key("root", &[Scope::Admin])).await.expect("a key").secret;
     keys.close().await.expect("closes");
     (Farm::start_in(folder, |_| {}).await, admin)
 }
@@ -45,7 +46,7 @@ pub(crate) async fn send(
 }
 
 /// Makes a key over HTTP.
-pub(crate) async fn make(farm: &Farm, admin: &str, new: &NewKey) -> IssuedKey {
+pub(crate) async fn make(farm: &Farm, admin: &str, new: &NewApiKey) -> IssuedApiKey {
     let body = serde_json::to_string(new).expect("JSON");
     read(send(farm, admin, Method::POST, "/v1/keys", body).await, StatusCode::CREATED).await
 }
@@ -65,7 +66,7 @@ async fn farm_with_a_key_lets_nobody_in_without_one() {
     for open in ["/livez", "/readyz", "/docs/", "/openapi.json", "/v1/schema/job"] {
         assert_eq!(farm.get(open).await.status(), StatusCode::OK, "{open}");
     }
-    refused(farm.post(work::REGISTER, "{}").await, 401, "missing_key").await;
+    refused(farm.post(worker_protocol::REGISTER_PATH, "{}").await, 401, "missing_key").await;
     farm.stop().await;
 }
 
@@ -89,7 +90,7 @@ async fn submitter_sees_and_ends_its_own_jobs_only() {
 }
 
 #[tokio::test]
-async fn key_is_rotated_without_a_gap_and_a_third_is_refused() {
+async fn key_is_rotated_without_a_gap_and_a_third_is_rejected() {
     let (farm, admin) = locked_farm().await;
     let old = make(&farm, &admin, &new_key("anna", &[Scope::Read])).await;
     let new = make(&farm, &admin, &new_key("anna", &[Scope::Read])).await;
@@ -100,10 +101,10 @@ async fn key_is_rotated_without_a_gap_and_a_third_is_refused() {
         assert_eq!(send(&farm, secret, Method::GET, "/v1/jobs", "").await.status(), StatusCode::OK);
     }
     let path = format!("/v1/keys/{}", old.key.id);
-    let revoked: KeyList = read(send(&farm, &admin, Method::DELETE, &path, "").await, StatusCode::OK).await;
+    let revoked: ApiKeyList = read(send(&farm, &admin, Method::DELETE, &path, "").await, StatusCode::OK).await;
     assert_eq!(
         revoked.keys.iter().map(|key| (&key.id, key.state)).collect::<Vec<_>>(),
-        [(&old.key.id, KeyState::Revoked)]
+        [(&old.key.id, ApiKeyState::Revoked)]
     );
     refused(send(&farm, &old.secret, Method::GET, "/v1/jobs", "").await, 401, "revoked_key").await;
     assert_eq!(send(&farm, &new.secret, Method::GET, "/v1/jobs", "").await.status(), StatusCode::OK);
@@ -118,14 +119,14 @@ async fn first_key_of_a_farm_is_an_administrators_or_none_is_made() {
     let worker = serde_json::to_string(&new_key("host-7", &[Scope::Worker])).expect("JSON");
     let problem = refused(farm.post("/v1/keys", worker.clone()).await, 422, "wrong_key").await;
     assert!(problem.detail.contains("sdfarm key new admin --scope admin"), "{problem:?}");
-    let mut keys = KeyFolder::open(farm.folder.path()).await.expect("the folder is there");
+    let mut keys = OfflineApiKeys::open(farm.folder.path()).await.expect("the folder is there");
     let error =
-        keys.make(new_key("anna", &[Scope::Submit, Scope::Read])).await.expect_err("it would lock its maker out");
+        keys.create(new_key("anna", &[Scope::Submit, Scope::Read])).await.expect_err("it would lock its maker out");
     assert!(error.to_string().contains("--scope admin"), "{error}");
     assert!(keys.list().await.expect("reads").is_empty());
     assert_eq!(farm.get("/v1/jobs").await.status(), StatusCode::OK, "the farm is still open");
-    let admin = keys.make(new_key("admin", &[Scope::Admin])).await.expect("a key").secret;
-    keys.make(new_key("anna", &[Scope::Read])).await.expect("a second key may allow less");
+    let admin = keys.create(new_key("admin", &[Scope::Admin])).await.expect("a key").secret;
+    keys.create(new_key("anna", &[Scope::Read])).await.expect("a second key may allow less");
     keys.close().await.expect("closes");
     in_time(async {
         while farm.get("/v1/jobs").await.status() != StatusCode::UNAUTHORIZED {
@@ -140,7 +141,7 @@ async fn first_key_of_a_farm_is_an_administrators_or_none_is_made() {
 #[tokio::test]
 async fn key_expires_by_the_clock() {
     let (farm, admin) = locked_farm().await;
-    let hour = NewKey { expires_in_seconds: Some(3600), ..new_key("anna", &[Scope::Read]) };
+    let hour = NewApiKey { expires_in_seconds: Some(3600), ..new_key("anna", &[Scope::Read]) };
     let key = make(&farm, &admin, &hour).await.secret;
     assert_eq!(send(&farm, &key, Method::GET, "/v1/jobs", "").await.status(), StatusCode::OK);
     farm.hand.advance(Duration::from_hours(1));
@@ -149,25 +150,33 @@ async fn key_expires_by_the_clock() {
 }
 
 #[tokio::test]
-async fn revoked_worker_is_told_while_it_waits() {
+async fn a_waiting_worker_ends_when_its_key_is_revoked() {
     let (farm, admin) = locked_farm().await;
     let key = make(&farm, &admin, &new_key("host-7", &[Scope::Worker])).await;
     let hello = json!({"name": "w", "device": "cpu", "picture_version": scene::PICTURE_VERSION, "max_nodes": null, "process": 1});
-    let welcome: work::Welcome =
-        read(send(&farm, &key.secret, Method::POST, work::REGISTER, hello.to_string()).await, StatusCode::OK).await;
-    let wait = json!({"worker": welcome.worker, "rays_per_second": null, "holding": [], "results": [],
+    let welcome: worker_protocol::RegisterResponse = read(
+        send(&farm, &key.secret, Method::POST, worker_protocol::REGISTER_PATH, hello.to_string()).await,
+        StatusCode::OK,
+    )
+    .await;
+    let wait = json!({"worker": welcome.worker, "rays_per_second": null, "held_leases": [], "reports": [],
         "wants_work": true, "wait_ms": 30_000});
-    let waiting = send(&farm, &key.secret, Method::POST, work::SYNC, wait.to_string());
+    let waiting = send(&farm, &key.secret, Method::POST, worker_protocol::SYNC_PATH, wait.to_string());
     let revoke = async {
         // Made beside the server, as the command line does; the server has to notice by itself.
-        let mut keys = KeyFolder::open(farm.folder.path()).await.expect("the folder is there");
+        let mut keys = OfflineApiKeys::open(farm.folder.path()).await.expect("the folder is there");
         let revoked = keys.revoke("host-7").await.expect("it is live");
         keys.close().await.expect("closes");
         assert_eq!(revoked.len(), 1);
     };
     let (answer, ()) = tokio::join!(waiting, revoke);
     refused(answer, 401, "revoked_key").await;
-    refused(send(&farm, &key.secret, Method::POST, work::SYNC, wait.to_string()).await, 401, "revoked_key").await;
+    refused(
+        send(&farm, &key.secret, Method::POST, worker_protocol::SYNC_PATH, wait.to_string()).await,
+        401,
+        "revoked_key",
+    )
+    .await;
     farm.stop().await;
 }
 
@@ -175,8 +184,8 @@ async fn revoked_worker_is_told_while_it_waits() {
 async fn keys_of_the_folder_open_the_running_server() {
     let farm = Farm::start().await;
     assert_eq!(farm.get("/v1/jobs").await.status(), StatusCode::OK);
-    let mut keys = KeyFolder::open(farm.folder.path()).await.expect("the folder is there");
-    let secret = keys.make(new_key("anna", &[Scope::Admin])).await.expect("a key").secret;
+    let mut keys = OfflineApiKeys::open(farm.folder.path()).await.expect("the folder is there");
+    let secret = keys.create(new_key("anna", &[Scope::Admin])).await.expect("a key").secret;
     in_time(async {
         while farm.get("/v1/jobs").await.status() != StatusCode::UNAUTHORIZED {
             tokio::task::yield_now().await;
@@ -198,7 +207,7 @@ async fn keys_of_the_folder_open_the_running_server() {
 }
 
 #[tokio::test]
-async fn keys_that_can_not_be_are_refused_with_the_cure() {
+async fn keys_that_can_not_be_are_rejected_with_the_cure() {
     let (farm, admin) = locked_farm().await;
     for (body, code) in [
         (json!({"name": "", "scopes": ["read"]}), "wrong_key"),
@@ -222,7 +231,7 @@ async fn keys_that_can_not_be_are_refused_with_the_cure() {
 #[tokio::test]
 async fn quotas_and_rates_are_held_and_say_when_to_come_again() {
     let (farm, admin) = locked_farm().await;
-    let key = NewKey { max_jobs: Some(2), ..new_key("anna", &[Scope::Submit]) };
+    let key = NewApiKey { max_jobs: Some(2), ..new_key("anna", &[Scope::Submit]) };
     let anna = make(&farm, &admin, &key).await.secret;
     let submit = async |key: &str, job: Value| send(&farm, key, Method::POST, "/v1/jobs", job.to_string()).await;
     let first: Value = read(submit(&anna, small_job(1)).await, StatusCode::CREATED).await;
@@ -235,12 +244,12 @@ async fn quotas_and_rates_are_held_and_say_when_to_come_again() {
     assert_eq!(send(&farm, &anna, Method::POST, &cancel, "").await.status(), StatusCode::OK);
     assert_eq!(submit(&anna, small_job(3)).await.status(), StatusCode::CREATED);
 
-    let key = NewKey { max_rays: Some(5000), ..new_key("bert", &[Scope::Submit]) };
+    let key = NewApiKey { max_rays: Some(5000), ..new_key("bert", &[Scope::Submit]) };
     let bert = make(&farm, &admin, &key).await.secret;
     assert_eq!(submit(&bert, small_job(1)).await.status(), StatusCode::CREATED);
     refused(submit(&bert, small_job(2)).await, 429, "quota").await;
 
-    let key = NewKey { requests_per_second: Some(1), ..new_key("carl", &[Scope::Read]) };
+    let key = NewApiKey { requests_per_second: Some(1), ..new_key("carl", &[Scope::Read]) };
     let carl = make(&farm, &admin, &key).await.secret;
     let first = send(&farm, &carl, Method::GET, "/v1/jobs", "").await;
     assert_eq!(first.headers()["ratelimit-policy"], "\"requests\";q=1;w=1");
@@ -260,7 +269,7 @@ async fn quotas_and_rates_are_held_and_say_when_to_come_again() {
 }
 
 #[tokio::test]
-async fn full_queue_is_refused_before_the_body_is_read() {
+async fn full_queue_is_rejected_before_the_body_is_read() {
     let folder = tempfile::tempdir().expect("a temporary folder");
     let farm = Farm::start_in(folder, |config| config.max_queued_jobs = 1).await;
     farm.submit(&small_job(1)).await;
@@ -273,7 +282,7 @@ async fn full_queue_is_refused_before_the_body_is_read() {
 }
 
 #[tokio::test]
-async fn audit_log_says_who_did_what_and_who_was_refused() {
+async fn audit_log_says_who_did_what_and_who_was_rejected() {
     let (farm, admin) = locked_farm().await;
     let anna = make(&farm, &admin, &new_key("anna", &[Scope::Submit])).await;
     let job: Value =
@@ -317,7 +326,7 @@ async fn audit_log_says_who_did_what_and_who_was_refused() {
 }
 
 #[tokio::test]
-async fn exposed_address_is_refused_until_there_is_a_key() {
+async fn exposed_address_is_rejected_until_there_is_a_key() {
     let folder = tempfile::tempdir().expect("a temporary folder");
     let exposed = || {
         let mut config = config(folder.path());
@@ -326,8 +335,8 @@ async fn exposed_address_is_refused_until_there_is_a_key() {
     };
     let error = exposed().await.expect_err("there is no key").to_string();
     assert!(error.contains("sdfarm key new") && error.contains("--insecure"), "{error}");
-    let mut keys = KeyFolder::open(folder.path()).await.expect("a folder of keys");
-    keys.make(new_key("root", &[Scope::Admin])).await.expect("a key");
+    let mut keys = OfflineApiKeys::open(folder.path()).await.expect("a folder of keys");
+    keys.create(new_key("root", &[Scope::Admin])).await.expect("a key");
     keys.close().await.expect("closes");
     exposed().await.expect("there is a key");
 }
@@ -358,7 +367,7 @@ async fn submitter_lists_the_jobs_of_its_own_name() {
 #[tokio::test]
 async fn wish_that_was_granted_is_answered_also_when_the_quota_is_used_up() {
     let (farm, admin) = locked_farm().await;
-    let key = NewKey { max_jobs: Some(1), ..new_key("anna", &[Scope::Submit]) };
+    let key = NewApiKey { max_jobs: Some(1), ..new_key("anna", &[Scope::Submit]) };
     let anna = make(&farm, &admin, &key).await.secret;
     let wish = async |name: &str| {
         let request = farm.client.post(farm.url("/v1/jobs")).header(AUTHORIZATION, format!("Bearer {anna}"));

@@ -4,13 +4,13 @@ use std::time::Duration;
 
 use proto::job::JobState;
 use proto::pool::WorkerList;
-use proto::work::{Outcome, Report, SyncReply, Work};
+use proto::worker_protocol::{BatchWork, LeaseOutcome, LeaseReport, SyncResponse};
 use reqwest::StatusCode;
 
 use super::harness::{Farm, LEASE, Said, assert_state, in_time, job, leases, read, refused, small_job};
 
-fn failed(lease: proto::LeaseId, message: &str) -> Report {
-    Report { lease, outcome: Outcome::Failed { message: message.to_owned() } }
+fn failed(lease: proto::LeaseId, message: &str) -> LeaseReport {
+    LeaseReport { lease, outcome: LeaseOutcome::Failed { message: message.to_owned() } }
 }
 
 #[tokio::test]
@@ -39,9 +39,9 @@ async fn a_renewed_lease_does_not_expire() {
     let run = worker.claim().await.expect("work");
     for _ in 0..4 {
         farm.hand.advance(LEASE / 2);
-        assert_eq!(worker.sync(Said { holding: leases(&run), ..Said::default() }).await.lost, []);
+        assert_eq!(worker.sync(Said { holding: leases(&run), ..Said::default() }).await.revoked_leases, []);
     }
-    assert_eq!(worker.report(worker.results(&run).await).await.lost, []);
+    assert_eq!(worker.report(worker.results(&run).await).await.revoked_leases, []);
     assert_state(&farm, posted.id, JobState::Succeeded).await;
     farm.stop().await;
 }
@@ -66,11 +66,11 @@ async fn a_result_delivered_twice_counts_once() {
     let worker = farm.worker("twice").await;
     let run = worker.claim().await.expect("work");
     let results = worker.results(&run).await;
-    assert_eq!(worker.report(results.clone()).await.lost, []);
+    assert_eq!(worker.report(results.clone()).await.revoked_leases, []);
     let done = farm.job(posted.id).await;
-    assert_eq!(worker.report(results.clone()).await.lost, leases(&run));
+    assert_eq!(worker.report(results.clone()).await.revoked_leases, leases(&run));
     let other = worker.blob(leases(&run)[0], b"another result").await;
-    assert_eq!(worker.report(vec![other]).await.lost, [leases(&run)[0]]);
+    assert_eq!(worker.report(vec![other]).await.revoked_leases, [leases(&run)[0]]);
     assert_eq!(farm.job(posted.id).await.tiles, done.tiles);
     let metrics = in_time(farm.get("/metrics").await.text()).await.expect("text");
     assert!(metrics.contains("sdfarm_results_fenced_total 2"), "{metrics}");
@@ -86,8 +86,8 @@ async fn three_errors_kill_a_tile_and_its_job_says_why() {
     for _ in 0..3 {
         farm.hand.advance(Duration::from_secs(6));
         let said = Said { wants_work: true, holding: leases(&other), ..Said::default() };
-        let run = worker.sync(said).await.run.expect("work");
-        assert!(matches!(&run.work, Work::Render { tiles, .. } if tiles[0].index == 1), "{run:?}");
+        let run = worker.sync(said).await.batch.expect("work");
+        assert!(matches!(&run.work, BatchWork::Render { tiles, .. } if tiles[0].index == 1), "{run:?}");
         let held = leases(&run);
         let results = vec![failed(held[0], "the scene has no inside")];
         let said = Said { results, holding: leases(&other), ..Said::default() };
@@ -97,7 +97,7 @@ async fn three_errors_kill_a_tile_and_its_job_says_why() {
     assert_eq!(failed.state, JobState::Failed);
     assert_eq!(failed.errors, ["frame 0 could not be rendered: the scene has no inside"]);
     let reply = worker.sync(Said { holding: leases(&other), ..Said::default() }).await;
-    assert_eq!(reply.lost, leases(&other), "the job's other tiles are void");
+    assert_eq!(reply.revoked_leases, leases(&other), "the job's other tiles are void");
     assert!(worker.claim().await.is_none());
     farm.stop().await;
 }
@@ -122,7 +122,7 @@ async fn handing_back_costs_nothing_however_often() {
     let worker = farm.worker("unsteady").await;
     for _ in 0..60 {
         let held = leases(&worker.claim().await.expect("the tile is ready at once"));
-        worker.report(vec![Report { lease: held[0], outcome: Outcome::HandedBack }]).await;
+        worker.report(vec![LeaseReport { lease: held[0], outcome: LeaseOutcome::Released }]).await;
     }
     worker.work_off().await;
     assert_state(&farm, posted.id, JobState::Succeeded).await;
@@ -156,12 +156,12 @@ async fn damaged_blobs_are_rendered_again_and_progress_does_not_fall() {
     let worker = farm.worker("one").await;
     let stitch = loop {
         let run = worker.claim().await.expect("work");
-        if matches!(run.work, Work::Stitch { .. }) {
+        if matches!(run.work, BatchWork::Stitch { .. }) {
             break run;
         }
         worker.report(worker.results(&run).await).await;
     };
-    let bad = Report { lease: leases(&stitch)[0], outcome: Outcome::BadBlobs { tiles: vec![1, 3] } };
+    let bad = LeaseReport { lease: leases(&stitch)[0], outcome: LeaseOutcome::BadBlobs { tiles: vec![1, 3] } };
     worker.report(vec![bad]).await;
     let reopened = farm.job(posted.id).await;
     assert_eq!(reopened.tiles.done, reopened.tiles.total - 2);
@@ -169,11 +169,11 @@ async fn damaged_blobs_are_rendered_again_and_progress_does_not_fall() {
     let mut again = Vec::new();
     while let Some(run) = worker.claim().await {
         match &run.work {
-            Work::Render { tiles, whole_frame } => {
+            BatchWork::Render { tiles, whole_frame } => {
                 assert!(!whole_frame);
                 again.extend(tiles.iter().map(|tile| tile.index));
             }
-            Work::Stitch { parts, .. } => assert_eq!(parts.len() as u64, posted.tiles.total),
+            BatchWork::Stitch { inputs, .. } => assert_eq!(inputs.len() as u64, posted.tiles.total),
         }
         worker.report(worker.results(&run).await).await;
     }
@@ -189,8 +189,8 @@ async fn a_result_without_its_bytes_is_no_result() {
     let worker = farm.worker("hollow").await;
     let run = worker.claim().await.expect("work");
     let hash = blake3::hash(b"never put").to_hex().to_string();
-    let outcome = Outcome::Picture { hash, size_bytes: 9 };
-    worker.report(vec![Report { lease: leases(&run)[0], outcome }]).await;
+    let outcome = LeaseOutcome::Picture { hash, size_bytes: 9 };
+    worker.report(vec![LeaseReport { lease: leases(&run)[0], outcome }]).await;
     assert_state(&farm, posted.id, JobState::Running).await;
     assert_eq!(worker.work_off().await, 1);
     assert_state(&farm, posted.id, JobState::Succeeded).await;
@@ -210,7 +210,7 @@ async fn idle_workers_share_a_large_frame() {
     assert_eq!((leases(&first).len() + leases(&second).len()) as u64, posted.tiles.total);
     one.report(one.results(&first).await).await;
     two.report(two.results(&second).await).await;
-    assert!(matches!(one.claim().await.expect("the stitch").work, Work::Stitch { .. }));
+    assert!(matches!(one.claim().await.expect("the stitch").work, BatchWork::Stitch { .. }));
     farm.stop().await;
 }
 
@@ -222,7 +222,7 @@ async fn a_worker_that_needs_a_moment_for_a_frame_shares_it_with_nobody() {
     one.rays_per_second = Some(1e9);
     two.rays_per_second = Some(1e9);
     let run = one.claim().await.expect("work");
-    assert!(matches!(&run.work, Work::Render { whole_frame: true, .. }), "{run:?}");
+    assert!(matches!(&run.work, BatchWork::Render { whole_frame: true, .. }), "{run:?}");
     assert_eq!(leases(&run).len() as u64, posted.tiles.total);
     assert!(two.claim().await.is_none(), "nothing is left");
     farm.stop().await;
@@ -235,7 +235,7 @@ async fn a_fast_worker_alone_takes_the_frame_whole() {
     let mut worker = farm.worker("fast").await;
     worker.rays_per_second = Some(1e9);
     let run = worker.claim().await.expect("work");
-    assert!(matches!(&run.work, Work::Render { whole_frame: true, .. }), "{run:?}");
+    assert!(matches!(&run.work, BatchWork::Render { whole_frame: true, .. }), "{run:?}");
     worker.report(worker.results(&run).await).await;
     let done = farm.job(posted.id).await;
     assert_eq!(done.state, JobState::Succeeded);
@@ -251,7 +251,7 @@ async fn part_of_a_whole_frame_is_not_taken_for_the_whole() {
     worker.rays_per_second = Some(1e9);
     let held = leases(&worker.claim().await.expect("work"));
     let mut results = worker.picture(&held[1..], b"half a picture").await;
-    results.push(Report { lease: held[0], outcome: Outcome::HandedBack });
+    results.push(LeaseReport { lease: held[0], outcome: LeaseOutcome::Released });
     worker.report(results).await;
     let open = farm.job(posted.id).await;
     assert_eq!((open.state, open.tiles.done), (JobState::Running, 0));
@@ -284,7 +284,7 @@ async fn workers_are_listed_with_what_they_hold() {
     let [listed] = list.workers.as_slice() else { panic!("{list:?}") };
     assert_eq!((listed.id, listed.name.as_str(), listed.device.as_str()), (worker.id, "lister", "cpu"));
     assert_eq!((listed.leases, listed.rays_per_second), (1, Some(5e6)));
-    let held: SyncReply = worker.sync(Said::default()).await;
+    let held: SyncResponse = worker.sync(Said::default()).await;
     assert!(!held.drain);
     farm.stop().await;
 }
@@ -306,7 +306,7 @@ async fn a_worker_that_has_delivered_hears_of_the_next_job_at_once() {
         assert_eq!(run.job, posted.id);
         let results = worker.results(&run).await;
         let said = Said { results, wants_work: true, ..Said::default() };
-        assert!(worker.sync(said).await.run.is_none());
+        assert!(worker.sync(said).await.batch.is_none());
     }
     farm.stop().await;
 }

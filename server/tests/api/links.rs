@@ -81,7 +81,7 @@ async fn a_link_to_a_picture_that_is_not_stored_yet_waits_for_it_and_outlives_a_
 }
 
 #[tokio::test]
-async fn a_wish_for_a_link_that_makes_no_sense_is_refused_where_it_is_wrong() {
+async fn a_wish_for_a_link_that_makes_no_sense_is_rejected_where_it_is_wrong() {
     let (farm, frame) = stored().await;
     for (wish, pointer) in [
         (r#"{"expires_in_seconds": 0}"#, "/expires_in_seconds"),

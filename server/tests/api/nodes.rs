@@ -2,7 +2,7 @@
 
 use proto::JobId;
 use proto::job::{JobPage, JobState};
-use proto::work::{Outcome, Report, Work};
+use proto::worker_protocol::{BatchWork, LeaseOutcome, LeaseReport};
 use reqwest::StatusCode;
 use serde_json::{Value, json};
 
@@ -44,7 +44,7 @@ async fn a_tile_of_a_large_scene_that_went_back_waits_for_a_worker_that_renders_
     let posted = farm.submit(&with_nodes(small_job(1), 501)).await;
     let any = farm.worker("any").await;
     let held = leases(&any.claim().await.expect("work"));
-    any.report(vec![Report { lease: held[0], outcome: Outcome::HandedBack }]).await;
+    any.report(vec![LeaseReport { lease: held[0], outcome: LeaseOutcome::Released }]).await;
     let small = farm.small_worker("small", MAX_NODES).await;
     assert!(small.claim().await.is_none());
     assert_eq!(any.work_off().await, 1);
@@ -65,7 +65,7 @@ async fn any_worker_stitches_but_opens_no_frame_of_a_large_scene() {
             assert!(any.work_once().await);
         }
         let stitch = small.claim().await.expect("the stitch");
-        assert!(matches!(stitch.work, Work::Stitch { .. }), "{stitch:?}");
+        assert!(matches!(stitch.work, BatchWork::Stitch { .. }), "{stitch:?}");
         assert_eq!(stitch.frame, frame);
         assert!(small.claim().await.is_none(), "the rest is for others");
         small.report(small.results(&stitch).await).await;
@@ -85,9 +85,9 @@ async fn a_stitch_of_a_later_frame_goes_past_the_tiles_of_an_earlier_one() {
     for _ in 1..posted.tiles.total {
         assert!(any.work_once().await);
     }
-    any.report(vec![Report { lease: first, outcome: Outcome::HandedBack }]).await;
+    any.report(vec![LeaseReport { lease: first, outcome: LeaseOutcome::Released }]).await;
     let run = small.claim().await.expect("a stitch");
-    assert!(matches!(run.work, Work::Stitch { .. }) && run.frame == 1, "{run:?}");
+    assert!(matches!(run.work, BatchWork::Stitch { .. }) && run.frame == 1, "{run:?}");
     assert!(small.claim().await.is_none());
     farm.stop().await;
 }
@@ -100,7 +100,7 @@ async fn a_large_frame_is_not_kept_for_workers_that_do_not_render_it() {
     let mut any = farm.worker("any").await;
     any.rays_per_second = Some(1e9);
     let run = any.claim().await.expect("work");
-    assert!(matches!(run.work, Work::Render { whole_frame: true, .. }), "{run:?}");
+    assert!(matches!(run.work, BatchWork::Render { whole_frame: true, .. }), "{run:?}");
     farm.stop().await;
 }
 
@@ -110,7 +110,7 @@ async fn a_tile_that_failed_goes_back_to_the_only_worker_that_renders_its_scene(
     farm.submit(&with_nodes(small_job(1), 501)).await;
     let (any, small) = (farm.worker("any").await, farm.small_worker("small", MAX_NODES).await);
     let held = leases(&any.claim().await.expect("work"));
-    any.report(vec![Report { lease: held[0], outcome: Outcome::Failed { message: "no".to_owned() } }]).await;
+    any.report(vec![LeaseReport { lease: held[0], outcome: LeaseOutcome::Failed { message: "no".to_owned() } }]).await;
     farm.hand.advance(std::time::Duration::from_secs(6));
     assert!(small.claim().await.is_none());
     assert!(any.claim().await.is_some());

@@ -6,7 +6,7 @@ use std::time::Duration;
 
 use proto::job::JobState;
 use proto::pool::{PoolView, WorkerList};
-use proto::work::{self, Hello, Welcome};
+use proto::worker_protocol::{self, RegisterRequest, RegisterResponse};
 use reqwest::StatusCode;
 use serde_json::json;
 
@@ -55,16 +55,16 @@ fn on_device(folder: &Path, device: &str) -> Vec<(u32, String)> {
 }
 
 /// Registers as a started process would.
-async fn register(farm: &Farm, process: u32, said: &str) -> Welcome {
+async fn register(farm: &Farm, process: u32, said: &str) -> RegisterResponse {
     let token = said.split(' ').next().expect("a token");
-    let hello = Hello {
+    let hello = RegisterRequest {
         name: "whatever".to_owned(),
         device: "cpu".to_owned(),
         picture_version: scene::PICTURE_VERSION,
         max_nodes: None,
         process,
     };
-    let request = farm.client.post(farm.url(work::REGISTER)).bearer_auth(token).json(&hello);
+    let request = farm.client.post(farm.url(worker_protocol::REGISTER_PATH)).bearer_auth(token).json(&hello);
     read(in_time(request.send()).await.expect("an answer"), StatusCode::OK).await
 }
 
@@ -90,7 +90,7 @@ async fn the_pool_grows_shrinks_replaces_its_dead_and_leaves_no_orphan() {
     let farm = Farm::start_in(folder, |config| {
         config.workers = Some(1);
         config.worker_program = program;
-        config.grace = Duration::from_secs(3);
+        config.shutdown_grace = Duration::from_secs(3);
     })
     .await;
     let (process, said) = until(|| started(programs.path()).pop()).await;

@@ -5,7 +5,7 @@ use reqwest::StatusCode;
 use super::harness::{Farm, read, refused, small_job};
 
 #[tokio::test]
-async fn previews_of_what_is_not_there_are_refused() {
+async fn previews_of_what_is_not_there_are_rejected() {
     let farm = Farm::start().await;
     let job = farm.submit(&small_job(1)).await.id;
     for what in ["preview", "thumbnail"] {

@@ -5,7 +5,7 @@ use std::time::Duration;
 use proto::farm::FarmView;
 use proto::job::{JobState, JobView};
 use proto::pool::{WorkerList, WorkerState};
-use proto::work::{Outcome, Report, Work};
+use proto::worker_protocol::{BatchWork, LeaseOutcome, LeaseReport};
 use reqwest::StatusCode;
 
 use super::harness::{Farm, LEASE, Said, Worker, assert_state, in_time, job, leases, read, refused, small_job};
@@ -17,8 +17,8 @@ fn three_tiles(seed: u32) -> serde_json::Value {
     three
 }
 
-fn failed(lease: proto::LeaseId) -> Vec<Report> {
-    vec![Report { lease, outcome: Outcome::Failed { message: "no".to_owned() } }]
+fn failed(lease: proto::LeaseId) -> Vec<LeaseReport> {
+    vec![LeaseReport { lease, outcome: LeaseOutcome::Failed { message: "no".to_owned() } }]
 }
 
 async fn metric(farm: &Farm, name: &str) -> String {
@@ -36,7 +36,7 @@ async fn a_paused_job_finishes_what_is_leased_and_starts_nothing() {
     let path = |verb: &str| format!("/v1/jobs/{}/{verb}", posted.id);
     let paused: JobView = read(farm.post(&path("pause"), "").await, StatusCode::OK).await;
     assert!(paused.paused && paused.state == JobState::Running && paused.eta_seconds.is_none(), "{paused:?}");
-    assert!(worker.sync(Said { holding: leases(&run), ..Said::default() }).await.lost.is_empty());
+    assert!(worker.sync(Said { holding: leases(&run), ..Said::default() }).await.revoked_leases.is_empty());
     worker.report(worker.results(&run).await).await;
     assert_eq!(farm.job(posted.id).await.tiles.done, leases(&run).len() as u64);
     assert!(worker.claim().await.is_none());
@@ -75,7 +75,7 @@ async fn a_paused_farm_stays_paused_over_a_restart() {
 }
 
 /// Leaves one tile of a job to `slow`, does the others by `quick`, a moment each, and waits until it straggles.
-async fn straggle(farm: &Farm, slow: &Worker<'_>, quick: &Worker<'_>) -> (JobView, proto::work::Run) {
+async fn straggle(farm: &Farm, slow: &Worker<'_>, quick: &Worker<'_>) -> (JobView, proto::worker_protocol::Batch) {
     let posted = farm.submit(&three_tiles(1)).await;
     let held = slow.claim().await.expect("work");
     assert_eq!(leases(&held).len(), 1);
@@ -96,18 +96,21 @@ async fn a_straggler_is_leased_once_more_and_the_first_result_counts() {
     let (slow, quick, third) = (farm.worker("slow").await, farm.worker("quick").await, farm.worker("third").await);
     let (posted, held) = straggle(&farm, &slow, &quick).await;
     let again = quick.claim().await.expect("the straggler");
-    let index = |run: &proto::work::Run| match &run.work {
-        Work::Render { tiles, .. } => tiles.iter().map(|tile| tile.index).collect::<Vec<_>>(),
-        Work::Stitch { .. } => panic!("{run:?}"),
+    let index = |run: &proto::worker_protocol::Batch| match &run.work {
+        BatchWork::Render { tiles, .. } => tiles.iter().map(|tile| tile.index).collect::<Vec<_>>(),
+        BatchWork::Stitch { .. } => panic!("{run:?}"),
     };
     assert_eq!(index(&again), index(&held));
     assert!(third.claim().await.is_none(), "it is leased twice at most");
-    assert!(slow.sync(Said { holding: leases(&held), ..Said::default() }).await.lost.is_empty(), "both may finish");
-    assert_eq!(quick.report(quick.results(&again).await).await.lost, []);
+    assert!(
+        slow.sync(Said { holding: leases(&held), ..Said::default() }).await.revoked_leases.is_empty(),
+        "both may finish"
+    );
+    assert_eq!(quick.report(quick.results(&again).await).await.revoked_leases, []);
     let told = slow.sync(Said { holding: leases(&held), ..Said::default() }).await;
-    assert_eq!(told.lost, leases(&held));
+    assert_eq!(told.revoked_leases, leases(&held));
     let late = slow.blob(leases(&held)[0], b"not the same").await;
-    assert_eq!(slow.report(vec![late]).await.lost, leases(&held));
+    assert_eq!(slow.report(vec![late]).await.revoked_leases, leases(&held));
     assert_eq!(metric(&farm, "sdfarm_nondeterministic_tiles_total").await, "1");
     let tiles = farm.job(posted.id).await.tiles;
     assert_eq!(tiles.done, tiles.total);
@@ -124,7 +127,7 @@ async fn one_of_two_leases_given_up_leaves_the_tile_with_the_other() {
     let again = quick.claim().await.expect("the straggler");
     slow.report(failed(leases(&held)[0])).await;
     assert!(slow.claim().await.is_none(), "the other lease still lives");
-    assert_eq!(quick.report(quick.results(&again).await).await.lost, []);
+    assert_eq!(quick.report(quick.results(&again).await).await.revoked_leases, []);
     quick.work_off().await;
     assert_state(&farm, posted.id, JobState::Succeeded).await;
     farm.stop().await;
@@ -136,9 +139,9 @@ async fn a_straggler_that_answers_first_voids_the_second_lease() {
     let (slow, quick) = (farm.worker("slow").await, farm.worker("quick").await);
     let (posted, held) = straggle(&farm, &slow, &quick).await;
     let again = quick.claim().await.expect("the straggler");
-    assert_eq!(slow.report(slow.results(&held).await).await.lost, []);
+    assert_eq!(slow.report(slow.results(&held).await).await.revoked_leases, []);
     let told = quick.sync(Said { holding: leases(&again), ..Said::default() }).await;
-    assert_eq!(told.lost, leases(&again));
+    assert_eq!(told.revoked_leases, leases(&again));
     quick.work_off().await;
     assert_state(&farm, posted.id, JobState::Succeeded).await;
     assert_eq!(metric(&farm, "sdfarm_nondeterministic_tiles_total").await, "0");
@@ -161,10 +164,10 @@ async fn a_whole_frame_that_straggles_is_leased_whole() {
     farm.hand.advance(Duration::from_secs(1));
     let again = quick.claim().await.expect("the frame that straggles");
     assert_eq!(again.frame, held.frame);
-    assert!(matches!(again.work, Work::Render { whole_frame: true, .. }), "{again:?}");
-    assert_eq!(slow.report(slow.results(&held).await).await.lost, []);
+    assert!(matches!(again.work, BatchWork::Render { whole_frame: true, .. }), "{again:?}");
+    assert_eq!(slow.report(slow.results(&held).await).await.revoked_leases, []);
     assert_state(&farm, posted.id, JobState::Succeeded).await;
-    assert_eq!(quick.report(quick.results(&again).await).await.lost, leases(&again));
+    assert_eq!(quick.report(quick.results(&again).await).await.revoked_leases, leases(&again));
     assert_eq!(metric(&farm, "sdfarm_nondeterministic_tiles_total").await, "0");
     farm.stop().await;
 }

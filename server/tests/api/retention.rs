@@ -3,7 +3,7 @@
 use std::time::Duration;
 
 use proto::JobId;
-use proto::retention::{Collection, Reason};
+use proto::retention::{GcReport, RemovalReason};
 use reqwest::StatusCode;
 use serde_json::Value;
 
@@ -27,11 +27,11 @@ async fn store(worker: &Worker<'_>, letter: u8, size_bytes: usize) {
     worker.report(results).await;
 }
 
-async fn collect(farm: &Farm, dry_run: bool) -> Collection {
+async fn collect(farm: &Farm, dry_run: bool) -> GcReport {
     read(farm.post(&format!("/v1/gc?dry_run={dry_run}"), "").await, StatusCode::OK).await
 }
 
-fn ids(collection: &Collection) -> Vec<JobId> {
+fn ids(collection: &GcReport) -> Vec<JobId> {
     collection.jobs.iter().map(|job| job.id).collect()
 }
 
@@ -52,7 +52,7 @@ async fn until_pictures(farm: &Farm, count: usize) {
 
 #[tokio::test]
 async fn jobs_go_when_their_own_time_or_the_servers_is_over() {
-    let farm = start(|config| config.keep_jobs = Some(10 * DAY)).await;
+    let farm = start(|config| config.job_retention = Some(10 * DAY)).await;
     let worker = farm.worker("one").await;
     let mut jobs = Vec::new();
     for (seed, keep) in ["", "?keep=2d", "?keep=30d", "?keep=forever", "?keep=0s"].into_iter().enumerate() {
@@ -72,7 +72,7 @@ async fn jobs_go_when_their_own_time_or_the_servers_is_over() {
         }
         let done = collect(&farm, false).await;
         assert_eq!((ids(&done), done.freed_bytes), (gone.clone(), told.freed_bytes));
-        assert!(done.jobs.iter().all(|job| job.reason == Reason::Age && job.freed_bytes == 100), "{done:?}");
+        assert!(done.jobs.iter().all(|job| job.reason == RemovalReason::Age && job.freed_bytes == 100), "{done:?}");
         for id in gone {
             refused(farm.get(&format!("/v1/jobs/{id}")).await, 404, "unknown_job").await;
         }
@@ -95,7 +95,7 @@ async fn a_full_store_loses_the_jobs_that_finished_first_until_it_fits() {
     let told = collect(&farm, true).await;
     assert_eq!((told.store_bytes, told.max_store_bytes, told.freed_bytes), (4_000, Some(2_500), 2_000));
     assert_eq!(ids(&told), [jobs[0], jobs[2]]);
-    assert!(told.jobs.iter().all(|job| job.reason == Reason::Size));
+    assert!(told.jobs.iter().all(|job| job.reason == RemovalReason::Size));
     assert_eq!(ids(&collect(&farm, false).await), [jobs[0], jobs[2]]);
     until_pictures(&farm, 2).await;
     assert_eq!(ids(&collect(&farm, false).await), []);
@@ -158,7 +158,7 @@ async fn a_server_that_starts_removes_what_is_over_by_then() {
 }
 
 #[tokio::test]
-async fn a_time_that_is_none_is_refused() {
+async fn a_time_that_is_none_is_rejected() {
     let farm = Farm::start().await;
     for keep in ["7", "soon", "-1d", "7.5d", "101000w"] {
         let answer = farm.post(&format!("/v1/jobs?keep={keep}"), small_job(1).to_string()).await;

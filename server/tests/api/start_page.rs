@@ -77,7 +77,7 @@ async fn programs_get_json_with_the_numbers() {
 #[tokio::test]
 async fn a_farm_with_keys_says_only_that_it_needs_one() {
     let (farm, admin) = locked_farm().await;
-    let anna = make(&farm, &admin, &new_key("anna", &[proto::key::Scope::Submit])).await.secret;
+    let anna = make(&farm, &admin, &new_key("anna", &[proto::api_key::Scope::Submit])).await.secret;
     let mut job = small_job(1);
     job["name"] = "secret project".into();
     let posted = send(&farm, &anna, reqwest::Method::POST, "/v1/jobs", job.to_string()).await;

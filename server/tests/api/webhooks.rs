@@ -67,7 +67,7 @@ async fn take(
 async fn farm() -> Farm {
     let folder = tempfile::tempdir().expect("a temporary folder");
     Farm::start_in(folder, |config| {
-        config.allow_webhooks_to = vec!["127.0.0.0/8".parse().expect("a range")];
+        config.allowed_webhook_ranges = vec!["127.0.0.0/8".parse().expect("a range")];
         config.webhook_secret = Some(Secret::from(SECRET.to_owned()));
     })
     .await
@@ -104,7 +104,7 @@ fn is_over(deliveries: &[DeliveryView]) -> bool {
 }
 
 #[tokio::test]
-async fn a_webhook_is_told_once_signed_and_with_what_happened() {
+async fn a_webhook_is_sent_once_signed_with_the_event() {
     let (address, receiver, task) = receive(&[]).await;
     let farm = farm().await;
     let job = submit(&farm, &format!("webhook={address}"), 1).await;
@@ -204,7 +204,7 @@ async fn events_are_chosen_and_what_was_not_sent_is_sent_by_the_next_server() {
     farm.worker("one").await.work_off().await;
     let folder = farm.stop().await;
     let farm = Farm::start_in(folder, |config| {
-        config.allow_webhooks_to = vec!["127.0.0.1".parse().expect("an address")];
+        config.allowed_webhook_ranges = vec!["127.0.0.1".parse().expect("an address")];
         config.webhook_secret = Some(Secret::from(SECRET.to_owned()));
     })
     .await;
@@ -218,7 +218,7 @@ async fn events_are_chosen_and_what_was_not_sent_is_sent_by_the_next_server() {
 }
 
 #[tokio::test]
-async fn webhooks_that_may_not_be_are_refused() {
+async fn webhooks_that_may_not_be_are_rejected() {
     let farm = Farm::start().await;
     for (query, code) in [
         ("webhook=http://farm.example/", "wrong_webhook"),

@@ -5,48 +5,50 @@ use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use proto::Rect;
-use proto::work::{Outcome, Phase};
+use proto::worker_protocol::{LeaseOutcome, Phase};
 use scene::Job;
 use tokio::sync::SemaphorePermit;
 use tokio::task::{JoinSet, spawn_blocking};
 use tracing::Instrument;
 
-use super::workbench::{Event, Frame, Hold, MEMORY_KIB, Stop, Workbench, chain, nobody_waits, panic_message};
-use crate::renderer::{Pixels, RenderError, TileRun, chunk_length};
+use super::executor::{
+    BatchEvent, BatchExecutor, CancelOnDrop, FrameTask, LeaseHandle, MEMORY_KIB, all_dropped, chain, panic_message,
+};
+use crate::renderer::{RenderError, TilePixels, TileRequest, chunk_length};
 
 /// Maximum memory of one batch of tiles, rendered and not yet delivered.
-const TILES_KIB: u64 = 512 << 10;
+const MAX_BATCH_KIB: u64 = 512 << 10;
 
 /// A tile to render, and for whom.
 #[derive(Clone, Debug)]
-pub(super) struct Place {
+pub(super) struct TileTask {
     /// Its pixels.
     pub(super) rect: Rect,
     /// The hold on it.
-    pub(super) hold: Hold,
+    pub(super) hold: LeaseHandle,
 }
 
 /// A finished tile.
 #[derive(Debug)]
 pub(super) struct Rendered {
     /// Its pixels.
-    pub(super) pixels: Pixels,
+    pub(super) pixels: TilePixels,
     /// The hold on it.
-    pub(super) hold: Hold,
+    pub(super) hold: LeaseHandle,
 }
 
 /// Outcome of giving tiles to the device.
-enum Launched {
-    Pixels(Vec<Pixels>),
+enum RenderOutcome {
+    Pixels(Vec<TilePixels>),
     /// Their leases were dropped.
     Dropped,
     /// The device failed.
     Refused(String),
 }
 
-impl Workbench {
+impl BatchExecutor {
     /// Renders tiles, each delivered as a blob while the next ones render.
-    pub(super) async fn render_tiles(self: &Arc<Self>, frame: Frame, places: &[Place]) {
+    pub(super) async fn render_tiles(self: &Arc<Self>, frame: FrameTask, places: &[TileTask]) {
         let memory = self.reserve(&frame.job, places).await;
         let mut device = Some(self.device.acquire().await.expect("the semaphore is never closed"));
         let (start, mut deliveries) = (Instant::now(), JoinSet::new());
@@ -55,14 +57,14 @@ impl Workbench {
             let rendered = self.render_chunk(&frame, chunk).await;
             if chunks.peek().is_none() {
                 device = None;
-                self.tell(Event::Rendered(Some(start.elapsed())));
+                self.send(BatchEvent::Rendered(Some(start.elapsed())));
             }
             for rendered in rendered {
-                while deliveries.len() >= self.deliveries() {
+                while deliveries.len() >= self.max_uploads() {
                     deliveries.join_next().await;
                 }
                 let span = tracing::info_span!("tile", tile = rendered.hold.tile);
-                deliveries.spawn(self.clone().deliver_blob(rendered).instrument(span));
+                deliveries.spawn(self.clone().upload_blob(rendered).instrument(span));
             }
         }
         debug_assert!(device.is_none(), "a run has a tile");
@@ -75,7 +77,7 @@ impl Workbench {
 
     /// Renders a whole frame and delivers its picture. If some tile failed or was dropped,
     /// the others are delivered as blobs.
-    pub(super) async fn render_whole(self: &Arc<Self>, frame: Frame, places: &[Place]) {
+    pub(super) async fn render_whole(self: &Arc<Self>, frame: FrameTask, places: &[TileTask]) {
         let memory = self.reserve(&frame.job, places).await;
         let device = self.device.acquire().await.expect("the semaphore is never closed");
         let (start, mut rendered) = (Instant::now(), Vec::with_capacity(places.len()));
@@ -84,49 +86,49 @@ impl Workbench {
         }
         drop(device);
         let render = start.elapsed();
-        self.tell(Event::Rendered(Some(render)));
+        self.send(BatchEvent::Rendered(Some(render)));
         if rendered.len() == places.len() {
-            self.deliver_frame(&frame, rendered, render).await;
+            self.upload_frame(&frame, rendered, render).await;
         } else {
             for rendered in rendered {
                 let span = tracing::info_span!("tile", tile = rendered.hold.tile);
-                self.clone().deliver_blob(rendered).instrument(span).await;
+                self.clone().upload_blob(rendered).instrument(span).await;
             }
         }
         drop(memory);
     }
 
     /// Waits until there is memory for a batch's pixels.
-    async fn reserve(&self, job: &Job, places: &[Place]) -> SemaphorePermit<'_> {
+    async fn reserve(&self, job: &Job, places: &[TileTask]) -> SemaphorePermit<'_> {
         let pixels: u64 = places.iter().map(|place| place.rect.pixels()).sum();
-        let kib = (pixels * u64::from(job.image.pixel_bytes())).div_ceil(1 << 10).min(TILES_KIB);
+        let kib = (pixels * u64::from(job.image.pixel_bytes())).div_ceil(1 << 10).min(MAX_BATCH_KIB);
         let kib = u32::try_from(kib).expect("it is at most that").min(MEMORY_KIB);
         self.memory.acquire_many(kib).await.expect("the semaphore is never closed")
     }
 
-    fn chunks<'a>(&self, job: &Job, places: &'a [Place]) -> std::slice::Chunks<'a, Place> {
+    fn chunks<'a>(&self, job: &Job, places: &'a [TileTask]) -> std::slice::Chunks<'a, TileTask> {
         places.chunks(chunk_length(&*self.renderer, job, places.iter().map(|place| place.rect)))
     }
 
     /// Renders tiles together, without those that were dropped or failed; failures are reported.
-    async fn render_chunk(&self, frame: &Frame, chunk: &[Place]) -> Vec<Rendered> {
-        let wanted: Vec<Place> = chunk.iter().filter(|place| !place.hold.dropped.is_cancelled()).cloned().collect();
-        if wanted.is_empty() || self.is_retired() {
+    async fn render_chunk(&self, frame: &FrameTask, chunk: &[TileTask]) -> Vec<Rendered> {
+        let wanted: Vec<TileTask> = chunk.iter().filter(|place| !place.hold.dropped.is_cancelled()).cloned().collect();
+        if wanted.is_empty() || self.report_if_device_lost() {
             return Vec::new();
         }
         let span = tracing::info_span!("render", tile = wanted[0].hold.tile, tiles = wanted.len());
         let message = match self.launch(frame, &wanted).instrument(span).await {
-            Launched::Pixels(pixels) => {
+            RenderOutcome::Pixels(pixels) => {
                 let pairs = pixels.into_iter().zip(wanted);
-                return pairs.map(|(pixels, Place { hold, .. })| Rendered { pixels, hold }).collect();
+                return pairs.map(|(pixels, TileTask { hold, .. })| Rendered { pixels, hold }).collect();
             }
-            Launched::Dropped => return Vec::new(),
-            Launched::Refused(message) => message,
+            RenderOutcome::Dropped => return Vec::new(),
+            RenderOutcome::Refused(message) => message,
         };
-        if self.is_retired() {
+        if self.report_if_device_lost() {
             return Vec::new();
         }
-        let [Place { hold, .. }] = &wanted[..] else {
+        let [TileTask { hold, .. }] = &wanted[..] else {
             // Rendering each tile alone shows which one causes the error.
             tracing::debug!(message, tiles = wanted.len(), "tiles could not be rendered together");
             let mut rendered = Vec::with_capacity(wanted.len());
@@ -136,34 +138,35 @@ impl Workbench {
             return rendered;
         };
         tracing::warn!(message, tile = hold.tile, lease = %hold.lease, "a tile could not be rendered");
-        self.finish([hold], &Outcome::Failed { message });
+        self.finish([hold], &LeaseOutcome::Failed { message });
         Vec::new()
     }
 
     /// Whether the device is lost; if so, reports it to the session.
-    fn is_retired(&self) -> bool {
-        let Some(reason) = self.renderer.retired() else { return false };
-        self.tell(Event::Retired(reason));
+    fn report_if_device_lost(&self) -> bool {
+        let Some(reason) = self.renderer.lost_reason() else { return false };
+        self.send(BatchEvent::DeviceLost(reason));
         true
     }
 
     /// Gives tiles to the device until all their leases are dropped.
-    async fn launch(&self, frame: &Frame, places: &[Place]) -> Launched {
-        let (rects, holds): (Vec<Rect>, Vec<Hold>) =
-            places.iter().map(|Place { rect, hold }| (*rect, hold.clone())).unzip();
+    async fn launch(&self, frame: &FrameTask, places: &[TileTask]) -> RenderOutcome {
+        let (rects, holds): (Vec<Rect>, Vec<LeaseHandle>) =
+            places.iter().map(|TileTask { rect, hold }| (*rect, hold.clone())).unzip();
         let rays = rects.iter().map(|rect| rect.pixels()).sum::<u64>() as f64 * f64::from(frame.job.image.samples);
-        let stop = Stop::default();
+        let stop = CancelOnDrop::default();
         let (renderer, job, number, cancel) = (self.renderer.clone(), frame.job.clone(), frame.number, stop.0.clone());
         let start = Instant::now();
         let mut rendering = spawn_blocking(move || {
-            let runs: Vec<TileRun<'_>> = rects.iter().map(|&rect| TileRun { job: &job, frame: number, rect }).collect();
-            let rendered = renderer.render_all(&runs, &cancel, &|_| {})?;
+            let runs: Vec<TileRequest<'_>> =
+                rects.iter().map(|&rect| TileRequest { job: &job, frame: number, rect }).collect();
+            let rendered = renderer.render_tiles(&runs, &cancel, &|_| {})?;
             assert_eq!(rendered.len(), runs.len(), "a renderer renders all tiles or none");
             Ok(rendered)
         });
         let rendered = tokio::select! {
             rendered = &mut rendering => rendered,
-            () = nobody_waits(&holds) => {
+            () = all_dropped(&holds) => {
                 stop.0.cancel();
                 rendering.await
             }
@@ -171,13 +174,13 @@ impl Workbench {
         match rendered {
             Ok(Ok(pixels)) => {
                 let spent = start.elapsed().saturating_sub(self.renderer.take_setup_time());
-                self.tell(Event::Speed { rays, seconds: spent.as_secs_f64().max(1e-6) });
-                self.tell(Event::Took { phase: Phase::Render, took: spent, rays: rays as u64 });
-                Launched::Pixels(pixels)
+                self.send(BatchEvent::Speed { rays, seconds: spent.as_secs_f64().max(1e-6) });
+                self.send(BatchEvent::Timed { phase: Phase::Render, took: spent, rays: rays as u64 });
+                RenderOutcome::Pixels(pixels)
             }
-            Ok(Err(RenderError::Cancelled)) if stop.0.is_cancelled() => Launched::Dropped,
-            Ok(Err(error)) => Launched::Refused(chain(&error)),
-            Err(panic) => Launched::Refused(panic_message("the renderer", panic)),
+            Ok(Err(RenderError::Cancelled)) if stop.0.is_cancelled() => RenderOutcome::Dropped,
+            Ok(Err(error)) => RenderOutcome::Refused(chain(&error)),
+            Err(panic) => RenderOutcome::Refused(panic_message("the renderer", panic)),
         }
     }
 }

@@ -7,7 +7,7 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use proto::LeaseId;
-use proto::work::{Outcome, Report, Run, SyncReply, SyncRequest, Welcome};
+use proto::worker_protocol::{Batch, LeaseOutcome, LeaseReport, RegisterResponse, SyncRequest, SyncResponse};
 use tokio::sync::mpsc::{self, UnboundedReceiver, UnboundedSender};
 use tokio::task::{JoinError, JoinSet};
 use tokio::time::{Instant, sleep_until};
@@ -16,128 +16,129 @@ use tracing::Instrument;
 
 use super::AgentConfig;
 use super::back_off::BackOff;
-use super::link::{Link, LinkError};
-use super::measuring::Measurements;
+use super::executor::{BatchEvent, BatchExecutor, LeaseHandle, leases};
+use super::metrics::MetricsBuffer;
 use super::rendering::milliseconds;
-use super::store::Store;
-use super::workbench::{Event, Hold, Workbench, leases};
+use super::server_client::{ServerClient, ServerError};
+use super::store_access::StoreAccess;
 use crate::image::Encoders;
 use crate::renderer::Renderer;
 
 /// A batch that used the device for at most this long is short: the next one is requested while one renders,
 /// so that the device does not wait for the server. Longer ones are not requested ahead.
-const SHORT_RUN: Duration = Duration::from_millis(50);
+const SHORT_BATCH: Duration = Duration::from_millis(50);
 /// How long a call may take beyond the wait requested of the server.
-const CALL_MARGIN: Duration = Duration::from_secs(10);
+const TIMEOUT_MARGIN: Duration = Duration::from_secs(10);
 /// The least time from one waiting call to the next.
-const PAUSE: Duration = Duration::from_millis(50);
+const MIN_SYNC_INTERVAL: Duration = Duration::from_millis(50);
 /// While a batch is unfinished, its reports are held back for up to 200 ms and sent together, because each call costs the server a commit.
-const GATHER: Duration = Duration::from_millis(200);
+const REPORT_DELAY: Duration = Duration::from_millis(200);
 /// Timeout of the last call of a session.
-const FAREWELL: Duration = Duration::from_secs(2);
+const FINAL_SYNC_TIMEOUT: Duration = Duration::from_secs(2);
 
 /// Reason for the end of a session.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub(super) enum Ending {
+pub(super) enum SessionEnd {
     /// The worker was drained, and holds no leases.
     Drained,
     /// The server does not know this worker, or no longer.
-    Unknown,
+    NotRegistered,
     /// The device is lost, for this reason; no leases are held any more.
-    Retired(String),
+    DeviceLost(String),
 }
 
 /// The state of the talk.
 pub(super) struct Session {
-    link: Arc<Link>,
-    welcome: Welcome,
+    link: Arc<ServerClient>,
+    registration: RegisterResponse,
     lease: Duration,
     grace: Duration,
-    workbench: Arc<Workbench>,
-    events: UnboundedReceiver<Event>,
+    workbench: Arc<BatchExecutor>,
+    events: UnboundedReceiver<BatchEvent>,
     /// Kept so that `events` never closes.
-    _events: UnboundedSender<Event>,
+    _events: UnboundedSender<BatchEvent>,
     runs: JoinSet<()>,
     /// Number of batches still rendering.
     rendering: usize,
     /// The last run was short.
-    is_quick: bool,
+    last_batch_was_short: bool,
     /// Why the device is lost, if it is.
-    retired: Option<String>,
-    holds: HashMap<LeaseId, Hold>,
-    outbox: Vec<Report>,
-    speed: Speed,
-    measurements: Measurements,
+    device_lost: Option<String>,
+    holds: HashMap<LeaseId, LeaseHandle>,
+    pending_reports: Vec<LeaseReport>,
+    speed: ThroughputEstimate,
+    measurements: MetricsBuffer,
     draining: bool,
     /// No work was ready: ask again when something has changed here.
-    asked: bool,
+    awaits_change: bool,
     /// Start of the last call that the server responded to.
     last_renewal: Instant,
     /// No heartbeat is due before.
     heartbeat_at: Instant,
     /// Results wait for company until then, as long as something else is held.
-    gather_until: Instant,
+    report_after: Instant,
     /// Earliest time of the next call after a failed one.
     retry_at: Instant,
-    retries: BackOff,
+    call_back_off: BackOff,
     /// No work is wanted before: the server could not store the last.
-    work_at: Instant,
-    refusals: BackOff,
+    claim_after: Instant,
+    store_back_off: BackOff,
 }
 
 /// Rays and the time they took, of which the older counts less and less.
 #[derive(Clone, Copy, Debug, Default)]
-struct Speed {
+struct ThroughputEstimate {
     rays: f64,
     seconds: f64,
 }
 
-impl Speed {
+impl ThroughputEstimate {
     /// Measurements older than about this long hardly count.
-    const MEMORY_SECONDS: f64 = 4.0;
+    const DECAY_SECONDS: f64 = 4.0;
     /// Added to the measured time, so that one very short first batch does not produce a huge speed estimate.
-    const DOUBT_SECONDS: f64 = 0.05;
+    const PRIOR_SECONDS: f64 = 0.05;
 
-    fn learn(&mut self, rays: f64, seconds: f64) {
-        let fade = (1.0 - seconds / Self::MEMORY_SECONDS).max(0.0);
+    fn update(&mut self, rays: f64, seconds: f64) {
+        let fade = (1.0 - seconds / Self::DECAY_SECONDS).max(0.0);
         *self = Self { rays: self.rays * fade + rays, seconds: self.seconds * fade + seconds };
     }
 
     fn rays_per_second(self) -> Option<f64> {
-        (self.seconds > 0.0).then(|| self.rays / (self.seconds + Self::DOUBT_SECONDS))
+        (self.seconds > 0.0).then(|| self.rays / (self.seconds + Self::PRIOR_SECONDS))
     }
 }
 
-struct Call {
+struct PendingSync {
     request: SyncRequest,
     start: Instant,
-    answer: Pin<Box<dyn Future<Output = Result<SyncReply, LinkError>> + Send>>,
+    answer: Pin<Box<dyn Future<Output = Result<SyncResponse, ServerError>> + Send>>,
 }
 
-impl Call {
+impl PendingSync {
     /// Whether the call may be dropped: it reports nothing, and nothing can be lost with its response.
     fn is_heartbeat(&self) -> bool {
-        self.request.results.is_empty() && !self.request.wants_work
+        self.request.reports.is_empty() && !self.request.wants_work
     }
 }
 
 impl Session {
     pub(super) fn new(
         config: &AgentConfig,
-        welcome: Welcome,
-        link: Arc<Link>,
+        welcome: RegisterResponse,
+        link: Arc<ServerClient>,
         renderer: Arc<dyn Renderer>,
         encoders: Encoders,
     ) -> Self {
         let (sender, events) = mpsc::unbounded_channel();
-        let measurements = Measurements::new(&renderer.device());
-        let folders = welcome.folders.clone().filter(|_| config.of_pool);
-        let store = folders.map_or_else(|| Store::Server(link.clone()), Store::Folders);
-        let workbench = Workbench::new(link.clone(), store, renderer, encoders, config.scratch.clone(), sender.clone());
+        let measurements = MetricsBuffer::new(&renderer.device());
+        let folders = welcome.folders.clone().filter(|_| config.is_pool_worker);
+        let store = folders.map_or_else(|| StoreAccess::Server(link.clone()), StoreAccess::Folders);
+        let workbench =
+            BatchExecutor::new(link.clone(), store, renderer, encoders, config.scratch.clone(), sender.clone());
         let now = Instant::now();
         Self {
             lease: Duration::from_millis(welcome.lease_ms),
-            welcome,
+            registration: welcome,
             grace: config.grace,
             workbench: Arc::new(workbench),
             link,
@@ -145,75 +146,75 @@ impl Session {
             _events: sender,
             runs: JoinSet::new(),
             rendering: 0,
-            is_quick: false,
-            retired: None,
+            last_batch_was_short: false,
+            device_lost: None,
             holds: HashMap::new(),
-            outbox: Vec::new(),
-            speed: Speed::default(),
+            pending_reports: Vec::new(),
+            speed: ThroughputEstimate::default(),
             measurements,
             draining: false,
-            asked: false,
+            awaits_change: false,
             last_renewal: now,
             heartbeat_at: now,
-            gather_until: now,
+            report_after: now,
             retry_at: now,
-            retries: BackOff::new(Duration::from_millis(50), Duration::from_secs(2)),
-            work_at: now,
-            refusals: BackOff::new(Duration::from_secs(1), Duration::from_secs(30)),
+            call_back_off: BackOff::new(Duration::from_millis(50), Duration::from_secs(2)),
+            claim_after: now,
+            store_back_off: BackOff::new(Duration::from_secs(1), Duration::from_secs(30)),
         }
     }
 
     /// Runs until the worker is drained or unknown; an error is the server's rejection.
-    pub(super) async fn work(mut self, shutdown: &CancellationToken) -> Result<Ending, LinkError> {
-        let mut call: Option<Call> = None;
+    pub(super) async fn work(mut self, shutdown: &CancellationToken) -> Result<SessionEnd, ServerError> {
+        let mut call: Option<PendingSync> = None;
         let mut hand_back_at: Option<Instant> = None;
         let ending = loop {
-            if let Some(reason) = self.retired.take() {
-                self.hand_back();
-                break Ok(Ending::Retired(reason));
+            if let Some(reason) = self.device_lost.take() {
+                self.release_leases();
+                break Ok(SessionEnd::DeviceLost(reason));
             }
             if self.is_done() {
-                break Ok(Ending::Drained);
+                break Ok(SessionEnd::Drained);
             }
-            if call.as_ref().is_some_and(Call::is_heartbeat) && self.has_to_call(Instant::now()) {
+            if call.as_ref().is_some_and(PendingSync::is_heartbeat) && self.must_sync(Instant::now()) {
                 call = None;
             }
             if call.is_none() {
-                call = self.due_call();
+                call = self.next_sync();
             }
-            let has_heartbeat = call.as_ref().is_some_and(Call::is_heartbeat);
+            let has_heartbeat = call.as_ref().is_some_and(PendingSync::is_heartbeat);
             let (holding, is_quiet) = (!self.holds.is_empty(), call.is_none() || has_heartbeat);
-            let (next_at, give_up_at) = (self.next_instant(has_heartbeat), self.give_up_at());
+            let (next_at, give_up_at) = (self.next_instant(has_heartbeat), self.leases_expire_at());
             tokio::select! {
-                (answered, answer) = answered(&mut call) => match answer {
-                    Ok(reply) => self.hear(&answered, reply),
-                    Err(error) if error.is_not_found() => break Ok(Ending::Unknown),
-                    Err(error) if error.is_passing() => self.miss(answered, &error),
+                (answered, answer) = response_of(&mut call) => match answer {
+                    Ok(reply) => self.on_response(&answered, reply),
+                    Err(error) if error.is_not_found() => break Ok(SessionEnd::NotRegistered),
+                    Err(error) if error.is_transient() => self.on_failure(answered, &error),
                     Err(error) => break Err(error),
                 },
-                Some(event) = self.events.recv() => self.absorb(event),
-                Some(ended) = self.runs.join_next() => self.end_run(ended),
+                Some(event) = self.events.recv() => self.on_event(event),
+                Some(ended) = self.runs.join_next() => self.on_batch_end(ended),
                 () = sleep_until(next_at), if is_quiet => {}
                 () = sleep_until(give_up_at), if holding => {
                     tracing::warn!(leases = self.holds.len(), "could not renew the leases in time; stopping their work");
-                    self.recall(call.take());
-                    self.hand_back();
+                    self.take_back_reports(call.take());
+                    self.release_leases();
                 }
                 () = shutdown.cancelled(), if hand_back_at.is_none() => {
                     self.draining = true;
                     hand_back_at = Some(Instant::now() + self.grace);
                     // Cancels a request for work that is still waiting.
-                    call = call.filter(|call| !call.request.wants_work || !call.request.results.is_empty());
+                    call = call.filter(|call| !call.request.wants_work || !call.request.reports.is_empty());
                 }
                 () = sleep_until(hand_back_at.unwrap_or(next_at)), if hand_back_at.is_some() => {
-                    self.hand_back();
-                    break Ok(Ending::Drained);
+                    self.release_leases();
+                    break Ok(SessionEnd::Drained);
                 }
             }
         };
-        if let Ok(Ending::Drained | Ending::Retired(_)) = ending {
-            self.recall(call);
-            self.farewell().await;
+        if let Ok(SessionEnd::Drained | SessionEnd::DeviceLost(_)) = ending {
+            self.take_back_reports(call);
+            self.final_sync().await;
         }
         for hold in self.holds.values() {
             hold.dropped.cancel();
@@ -222,108 +223,109 @@ impl Session {
     }
 
     fn is_done(&self) -> bool {
-        self.draining && self.holds.is_empty() && self.outbox.is_empty() && self.runs.is_empty()
+        self.draining && self.holds.is_empty() && self.pending_reports.is_empty() && self.runs.is_empty()
     }
 
     /// Whether there is something to report that must not wait for an open heartbeat.
-    fn has_to_call(&self, now: Instant) -> bool {
-        now >= self.retry_at && (self.wants_work(now) || !(self.outbox.is_empty() || self.gathers(now)))
+    fn must_sync(&self, now: Instant) -> bool {
+        now >= self.retry_at
+            && (self.wants_work(now) || !(self.pending_reports.is_empty() || self.is_batching_reports(now)))
     }
 
     fn wants_work(&self, now: Instant) -> bool {
-        self.has_room() && (self.holds.is_empty() || !self.asked) && !self.draining && now >= self.work_at
+        self.has_room() && (self.holds.is_empty() || !self.awaits_change) && !self.draining && now >= self.claim_after
     }
 
     /// Whether results wait for those of what is still held.
-    fn gathers(&self, now: Instant) -> bool {
-        !self.holds.is_empty() && now < self.gather_until
+    fn is_batching_reports(&self, now: Instant) -> bool {
+        !self.holds.is_empty() && now < self.report_after
     }
 
     /// The call to make now, if any.
-    fn due_call(&mut self) -> Option<Call> {
+    fn next_sync(&mut self) -> Option<PendingSync> {
         let now = Instant::now();
-        if now < self.retry_at || !(self.has_to_call(now) || now >= self.heartbeat_at) {
+        if now < self.retry_at || !(self.must_sync(now) || now >= self.heartbeat_at) {
             return None;
         }
         let (mut holding, mut results): (Vec<_>, _) = (self.holds.keys().copied().collect(), Vec::new());
-        if self.gathers(now) {
-            holding.extend(self.outbox.iter().map(|report| report.lease));
+        if self.is_batching_reports(now) {
+            holding.extend(self.pending_reports.iter().map(|report| report.lease));
         } else {
-            results = std::mem::take(&mut self.outbox);
+            results = std::mem::take(&mut self.pending_reports);
             // Reports may make work ready: the last tile of a frame readies its stitch.
-            self.asked &= results.is_empty();
+            self.awaits_change &= results.is_empty();
         }
         let wants_work = self.wants_work(now);
         // Results are answered at once, so that their loss is noticed.
         let wait = match (results.is_empty(), wants_work) {
             (true, true) if self.holds.is_empty() => self.lease / 3,
-            (true, false) if now < self.work_at => (self.lease / 6).min(self.work_at - now),
+            (true, false) if now < self.claim_after => (self.lease / 6).min(self.claim_after - now),
             (true, false) => self.lease / 6,
             (true, true) | (false, _) => Duration::ZERO,
         };
         if !results.is_empty() {
-            self.gather_until = now + GATHER;
+            self.report_after = now + REPORT_DELAY;
         }
         let request = SyncRequest {
-            worker: self.welcome.worker,
+            worker: self.registration.worker,
             rays_per_second: self.speed.rays_per_second(),
-            holding,
-            results,
+            held_leases: holding,
+            reports: results,
             wants_work,
             wait_ms: wait.as_millis() as u64,
-            leaving: false,
-            measured: self.measurements.take(),
+            shutting_down: false,
+            metrics: self.measurements.take(),
         };
         // A waiting call is opened only after a pause in other calls.
-        self.heartbeat_at = now + wait.max(PAUSE);
-        Some(self.call(request, wait + CALL_MARGIN))
+        self.heartbeat_at = now + wait.max(MIN_SYNC_INTERVAL);
+        Some(self.call(request, wait + TIMEOUT_MARGIN))
     }
 
     /// Whether one more run would be worked off soon.
     fn has_room(&self) -> bool {
-        let rendering = if self.is_quick { 2 } else { 1 };
+        let rendering = if self.last_batch_was_short { 2 } else { 1 };
         let delivering = self.runs.len().saturating_sub(self.rendering);
-        self.rendering < rendering && delivering < self.workbench.deliveries()
+        self.rendering < rendering && delivering < self.workbench.max_uploads()
     }
 
-    fn call(&self, request: SyncRequest, timeout: Duration) -> Call {
+    fn call(&self, request: SyncRequest, timeout: Duration) -> PendingSync {
         let (link, sent) = (self.link.clone(), request.clone());
-        Call { request, start: Instant::now(), answer: Box::pin(async move { link.sync(&sent, timeout).await }) }
+        PendingSync { request, start: Instant::now(), answer: Box::pin(async move { link.sync(&sent, timeout).await }) }
     }
 
     /// When the next call may become due on its own.
     fn next_instant(&self, has_heartbeat: bool) -> Instant {
         let now = Instant::now();
         let heartbeat = (!has_heartbeat).then_some(self.heartbeat_at);
-        let company_until = if self.holds.is_empty() { now } else { self.gather_until };
-        let results = (!self.outbox.is_empty()).then_some(company_until);
-        let work = (self.work_at > now).then_some(self.work_at);
+        let company_until = if self.holds.is_empty() { now } else { self.report_after };
+        let results = (!self.pending_reports.is_empty()).then_some(company_until);
+        let work = (self.claim_after > now).then_some(self.claim_after);
         let first = heartbeat.into_iter().chain(results).chain(work).min();
         first.unwrap_or(now + self.lease).max(self.retry_at)
     }
 
     /// When the held leases can no longer be trusted.
-    fn give_up_at(&self) -> Instant {
+    fn leases_expire_at(&self) -> Instant {
         self.last_renewal + self.lease * 2 / 3
     }
 
-    fn hear(&mut self, call: &Call, reply: SyncReply) {
+    fn on_response(&mut self, call: &PendingSync, reply: SyncResponse) {
         let sync_ms = milliseconds(call.start.elapsed());
-        let (results, wait_ms, has_run) = (call.request.results.len(), call.request.wait_ms, reply.run.is_some());
+        let (results, wait_ms, has_run) = (call.request.reports.len(), call.request.wait_ms, reply.batch.is_some());
         tracing::debug!(results, wait_ms, has_run, sync_ms, "synced");
         self.last_renewal = call.start;
-        self.retries.reset();
-        if !reply.lost.is_empty() {
+        self.call_back_off.reset();
+        if !reply.revoked_leases.is_empty() {
             self.heartbeat_at = Instant::now();
-        } else if reply.run.is_none() && call.request.wait_ms > 0 {
+        } else if reply.batch.is_none() && call.request.wait_ms > 0 {
             // A server that does not wait is not to be asked without pause.
-            self.retry_at = call.start + PAUSE;
+            self.retry_at = call.start + MIN_SYNC_INTERVAL;
         }
-        if self.outbox.iter().any(|report| reply.lost.contains(&report.lease)) {
+        if self.pending_reports.iter().any(|report| reply.revoked_leases.contains(&report.lease)) {
             // It was late, and the server still compares it with the first result.
-            self.gather_until = Instant::now();
+            self.report_after = Instant::now();
         }
-        for lease in &reply.lost {
+        for lease in &reply.revoked_leases {
             if let Some(hold) = self.holds.remove(lease) {
                 tracing::info!(%lease, "lease lost; dropping its work");
                 hold.dropped.cancel();
@@ -333,107 +335,108 @@ impl Session {
             tracing::info!("told to drain");
             self.draining = true;
         }
-        self.asked = call.request.wants_work && reply.run.is_none();
-        if let Some(run) = reply.run {
+        self.awaits_change = call.request.wants_work && reply.batch.is_none();
+        if let Some(run) = reply.batch {
             // From soon on a waiting call is open, through which its loss would be heard of.
-            self.heartbeat_at = self.heartbeat_at.min(Instant::now() + PAUSE);
-            self.take(run, reply.trace);
+            self.heartbeat_at = self.heartbeat_at.min(Instant::now() + MIN_SYNC_INTERVAL);
+            self.accept_batch(run, reply.trace);
         }
     }
 
-    fn miss(&mut self, call: Call, error: &LinkError) {
+    fn on_failure(&mut self, call: PendingSync, error: &ServerError) {
         tracing::debug!(%error, "a sync failed");
-        self.recall(Some(call));
-        self.retry_at = Instant::now() + self.retries.next();
+        self.take_back_reports(Some(call));
+        self.retry_at = Instant::now() + self.call_back_off.next();
         self.heartbeat_at = self.retry_at;
     }
 
     /// Takes back the reports of a call that the server may not have received.
-    fn recall(&mut self, call: Option<Call>) {
+    fn take_back_reports(&mut self, call: Option<PendingSync>) {
         if let Some(call) = call {
-            self.outbox.splice(..0, call.request.results);
+            self.pending_reports.splice(..0, call.request.reports);
         }
     }
 
-    fn take(&mut self, run: Run, trace: Option<String>) {
-        let holds: Vec<Hold> = leases(&run).map(|(lease, tile)| Hold::new(lease, tile)).collect();
+    fn accept_batch(&mut self, run: Batch, trace: Option<String>) {
+        let holds: Vec<LeaseHandle> = leases(&run).map(|(lease, tile)| LeaseHandle::new(lease, tile)).collect();
         if self.draining {
-            self.outbox.extend(holds.iter().map(|hold| hold.report(Outcome::HandedBack)));
+            self.pending_reports.extend(holds.iter().map(|hold| hold.report(LeaseOutcome::Released)));
             return;
         }
         self.holds.extend(holds.iter().map(|hold| (hold.lease, hold.clone())));
         self.rendering += 1;
-        let span = tracing::info_span!("run", job = %run.job, frame = run.frame, worker = %self.welcome.worker);
+        let span = tracing::info_span!("batch", job = %run.job, frame = run.frame, worker = %self.registration.worker);
         if let Some(trace) = trace {
-            proto::trace::adopt(&span, &trace);
+            proto::trace_context::set_parent(&span, &trace);
         }
-        self.runs.spawn(self.workbench.clone().run(run, holds).instrument(span));
+        self.runs.spawn(self.workbench.clone().execute(run, holds).instrument(span));
     }
 
-    fn absorb(&mut self, event: Event) {
+    fn on_event(&mut self, event: BatchEvent) {
         // An event that frees no memory makes no work possible.
-        self.asked &= !matches!(event, Event::Rendered(_) | Event::Retired(_) | Event::NotStored);
+        self.awaits_change &=
+            !matches!(event, BatchEvent::Rendered(_) | BatchEvent::DeviceLost(_) | BatchEvent::NotStored);
         match event {
-            Event::Finished(reports) => {
+            BatchEvent::Finished(reports) => {
                 // Reports on leases revoked in the meantime are dropped.
                 let wanted = reports.into_iter().filter(|report| self.holds.remove(&report.lease).is_some());
-                self.outbox.extend(wanted);
+                self.pending_reports.extend(wanted);
             }
-            Event::Rendered(render) => {
+            BatchEvent::Rendered(render) => {
                 self.rendering = self.rendering.saturating_sub(1);
-                self.is_quick = render.map_or(self.is_quick, |render| render < SHORT_RUN);
+                self.last_batch_was_short = render.map_or(self.last_batch_was_short, |render| render < SHORT_BATCH);
             }
-            Event::Retired(reason) => self.retired = Some(reason),
-            Event::Speed { rays, seconds } => self.speed.learn(rays, seconds),
-            Event::Took { phase, took, rays } => self.measurements.add(phase, took, rays),
-            Event::Stored => self.refusals.reset(),
-            Event::NotStored => self.work_at = Instant::now() + self.refusals.next(),
+            BatchEvent::DeviceLost(reason) => self.device_lost = Some(reason),
+            BatchEvent::Speed { rays, seconds } => self.speed.update(rays, seconds),
+            BatchEvent::Timed { phase, took, rays } => self.measurements.add(phase, took, rays),
+            BatchEvent::Stored => self.store_back_off.reset(),
+            BatchEvent::NotStored => self.claim_after = Instant::now() + self.store_back_off.next(),
         }
     }
 
-    fn end_run(&mut self, ended: Result<(), JoinError>) {
-        self.asked = false;
+    fn on_batch_end(&mut self, ended: Result<(), JoinError>) {
+        self.awaits_change = false;
         if let Err(error) = ended {
             tracing::error!(%error, "a run ended in a panic");
         }
         if self.runs.is_empty() {
             // Leases still held then have no work in progress.
-            self.hand_back();
+            self.release_leases();
             self.rendering = 0;
         }
     }
 
     /// Stops all work and gives back what is held.
-    fn hand_back(&mut self) {
+    fn release_leases(&mut self) {
         while let Ok(event) = self.events.try_recv() {
-            self.absorb(event);
+            self.on_event(event);
         }
         for (_, hold) in self.holds.drain() {
             hold.dropped.cancel();
-            self.outbox.push(hold.report(Outcome::HandedBack));
+            self.pending_reports.push(hold.report(LeaseOutcome::Released));
         }
     }
 
     /// The last call: sends the remaining reports. The server may be gone as well.
-    async fn farewell(&mut self) {
+    async fn final_sync(&mut self) {
         let request = SyncRequest {
-            worker: self.welcome.worker,
+            worker: self.registration.worker,
             rays_per_second: self.speed.rays_per_second(),
-            holding: Vec::new(),
-            results: std::mem::take(&mut self.outbox),
+            held_leases: Vec::new(),
+            reports: std::mem::take(&mut self.pending_reports),
             wants_work: false,
             wait_ms: 0,
-            leaving: true,
-            measured: self.measurements.take(),
+            shutting_down: true,
+            metrics: self.measurements.take(),
         };
-        if let Err(error) = self.link.sync(&request, FAREWELL).await {
+        if let Err(error) = self.link.sync(&request, FINAL_SYNC_TIMEOUT).await {
             tracing::debug!(%error, "the last sync failed; what was held will be leased again");
         }
     }
 }
 
 /// Waits for a call's response; forever if there is no call.
-async fn answered(call: &mut Option<Call>) -> (Call, Result<SyncReply, LinkError>) {
+async fn response_of(call: &mut Option<PendingSync>) -> (PendingSync, Result<SyncResponse, ServerError>) {
     match call {
         Some(open) => {
             let answer = open.answer.as_mut().await;

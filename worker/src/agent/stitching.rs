@@ -6,71 +6,71 @@ use std::time::{Duration, Instant};
 
 use futures_util::stream::{self, StreamExt};
 use proto::Rect;
-use proto::fail::{self, Point};
-use proto::work::{Outcome, Part};
+use proto::fail_point::{self, FailPoint};
+use proto::worker_protocol::{LeaseOutcome, StitchInput};
 use scene::Job;
 use tokio::task::spawn_blocking;
 use tracing::Instrument;
 
 use super::back_off::BackOff;
-use super::deliver::{Delivered, encode};
-use super::link::LinkError;
+use super::executor::{BatchEvent, BatchExecutor, CancelOnDrop, FrameTask, LeaseHandle, panic_message};
 use super::rendering::milliseconds;
-use super::workbench::{Event, Frame, Hold, Stop, Workbench, panic_message};
+use super::server_client::ServerError;
+use super::upload::{UploadTimes, encode};
 use crate::blob;
-use crate::stitch::Blobs;
+use crate::stitch::BlobRows;
 
 /// Blobs fetched and checked at a time.
-const FETCHES: usize = 4;
+const MAX_CONCURRENT_FETCHES: usize = 4;
 
-impl Workbench {
+impl BatchExecutor {
     /// Stitches a frame and delivers its picture.
-    pub(super) async fn stitch(&self, frame: &Frame, parts: &[Part], hold: &Hold) {
+    pub(super) async fn stitch(&self, frame: &FrameTask, parts: &[StitchInput], hold: &LeaseHandle) {
         let start = Instant::now();
         let fetched = tokio::select! {
             fetched = self.fetch(&frame.job, parts) => fetched,
-            () = hold.dropped.cancelled() => return self.tell(Event::Rendered(None)),
+            () = hold.dropped.cancelled() => return self.send(BatchEvent::Rendered(None)),
         };
         let (file, places) = match fetched {
             Ok(fetched) => fetched,
             Err(outcome) => {
-                self.tell(Event::Rendered(None));
-                if let Outcome::HandedBack = outcome {
-                    self.tell(Event::NotStored);
+                self.send(BatchEvent::Rendered(None));
+                if let LeaseOutcome::Released = outcome {
+                    self.send(BatchEvent::NotStored);
                 }
                 return self.finish([hold], &outcome);
             }
         };
-        fail::pass_by(Point::Stitching);
+        fail_point::trigger_infallible(FailPoint::Stitching);
         let fetch_ms = milliseconds(start.elapsed());
-        let (stop, encoders, scratch) = (Stop::default(), self.encoders.clone(), self.scratch.clone());
+        let (stop, encoders, scratch) = (CancelOnDrop::default(), self.encoders.clone(), self.scratch.clone());
         let (job, number, cancel) = (frame.job.clone(), frame.number, stop.0.clone());
         let encoding = spawn_blocking(move || {
-            encoders.run(|| encode(&job, number, &mut Blobs::new(file, places), &scratch, &cancel))
+            encoders.run(|| encode(&job, number, &mut BlobRows::new(file, places), &scratch, &cancel))
         });
         let encoded = tokio::select! {
-            () = hold.dropped.cancelled() => return self.tell(Event::Rendered(None)),
+            () = hold.dropped.cancelled() => return self.send(BatchEvent::Rendered(None)),
             encoded = encoding.instrument(tracing::info_span!("encode")) => encoded,
         };
-        self.tell(Event::Rendered(Some(start.elapsed())));
-        let delivered = self.deliver_picture(encoded, std::slice::from_ref(hold)).await;
-        if let Some(Delivered { encode_ms, put_ms, size_bytes }) = delivered {
+        self.send(BatchEvent::Rendered(Some(start.elapsed())));
+        let delivered = self.upload_picture(encoded, std::slice::from_ref(hold)).await;
+        if let Some(UploadTimes { encode_ms, put_ms, size_bytes }) = delivered {
             let (job, tiles) = (frame.id, parts.len());
             tracing::debug!(%job, frame = number, tiles, size_bytes, fetch_ms, encode_ms, put_ms, "a picture is put");
         }
     }
 
     /// Fetches all blobs into one unnamed file, or returns the outcome to report instead.
-    async fn fetch(&self, job: &Job, parts: &[Part]) -> Result<(File, Vec<(Rect, u64)>), Outcome> {
+    async fn fetch(&self, job: &Job, parts: &[StitchInput]) -> Result<(File, Vec<(Rect, u64)>), LeaseOutcome> {
         let full = |error: std::io::Error| {
             tracing::warn!(%error, "could not write blobs to the scratch folder");
-            Outcome::HandedBack
+            LeaseOutcome::Released
         };
         let planes = job.image.channels().len();
         let mut file = tempfile::tempfile_in(&self.scratch).map_err(full)?;
         let (mut places, mut bad, mut end) = (Vec::new(), Vec::new(), 0);
         let fetches: Vec<_> = parts.iter().map(|part| self.fetch_part(part, planes)).collect();
-        let mut fetched = stream::iter(fetches).buffered(FETCHES);
+        let mut fetched = stream::iter(fetches).buffered(MAX_CONCURRENT_FETCHES);
         for part in parts {
             let Some(bytes) = fetched.next().await.transpose()?.flatten() else {
                 tracing::warn!(tile = part.index, hash = part.hash, "a blob is missing or damaged");
@@ -82,42 +82,42 @@ impl Workbench {
             let written = spawn_blocking(move || file.write_all(&bytes).map(|()| file)).await;
             file = written.map_err(std::io::Error::other).flatten().map_err(full)?;
         }
-        if bad.is_empty() { Ok((file, places)) } else { Err(Outcome::BadBlobs { tiles: bad }) }
+        if bad.is_empty() { Ok((file, places)) } else { Err(LeaseOutcome::BadBlobs { tiles: bad }) }
     }
 
     /// Fetches a blob; `None` if it is missing or damaged.
-    async fn fetch_part(&self, part: &Part, planes: usize) -> Result<Option<Vec<u8>>, Outcome> {
+    async fn fetch_part(&self, part: &StitchInput, planes: usize) -> Result<Option<Vec<u8>>, LeaseOutcome> {
         let mut back_off = BackOff::new(Duration::from_millis(50), Duration::from_secs(2));
         loop {
             match self.store.blob(&part.hash, part.size_bytes).await {
                 Ok(None) => return Ok(None),
                 Ok(Some(bytes)) => {
                     let part = part.clone();
-                    let checked = spawn_blocking(move || is_whole(&bytes, &part, planes).then_some(bytes));
+                    let checked = spawn_blocking(move || is_intact(&bytes, &part, planes).then_some(bytes));
                     return checked.await.map_err(|panic| {
                         let message = panic_message("checking a blob", panic);
-                        Outcome::Failed { message }
+                        LeaseOutcome::Failed { message }
                     });
                 }
-                Err(error) if error.is_absence() => back_off.pause().await,
+                Err(error) if error.is_unavailable() => back_off.pause().await,
                 Err(
-                    error @ (LinkError::Answered { .. }
-                    | LinkError::Garbled(_)
-                    | LinkError::File(_)
-                    | LinkError::Store(_)),
+                    error @ (ServerError::Status { .. }
+                    | ServerError::InvalidResponse(_)
+                    | ServerError::File(_)
+                    | ServerError::Store(_)),
                 ) => {
                     tracing::warn!(%error, "could not fetch a blob");
-                    return Err(Outcome::HandedBack);
+                    return Err(LeaseOutcome::Released);
                 }
-                Err(LinkError::Unreachable(_)) => unreachable!("that is an absence"),
+                Err(ServerError::Unreachable(_)) => unreachable!("that is an absence"),
             }
         }
     }
 }
 
-fn is_whole(bytes: &[u8], part: &Part, planes: usize) -> bool {
-    let header = blob::Reader::open_at(std::io::Cursor::new(bytes), 0);
-    blob::key(bytes) == part.hash
+fn is_intact(bytes: &[u8], part: &StitchInput, planes: usize) -> bool {
+    let header = blob::BlobReader::open_at(std::io::Cursor::new(bytes), 0);
+    blob::hash(bytes) == part.hash
         && bytes.len() as u64 == blob::size_bytes(part.rect, planes)
         && header.is_ok_and(|header| header.rect() == part.rect && header.planes() == planes)
 }

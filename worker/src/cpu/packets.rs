@@ -1,19 +1,19 @@
 //! Packets: a block of neighboring pixels rendered together, one per lane.
 
 use fearless_simd::{Level, Simd as Token};
-use scene::{Image, Layer, Program};
+use scene::{Image, Integrator, Layer};
 
 use crate::lanes::Lanes;
 use crate::simd::{Simd, with_instructions};
-use crate::{Cancel, RenderError};
+use crate::{CancelFlag, RenderError};
 
 /// Renders packets with one CPU's vector instructions.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Packets(Level);
 
 /// State shared by all packets of a band.
-struct Band<'a, 'b> {
-    program: &'a Program<'a>,
+struct PacketRows<'a, 'b> {
+    program: &'a Integrator<'a>,
     image: &'a Image,
     left: u32,
     top: u32,
@@ -38,7 +38,7 @@ impl Packets {
     }
 
     /// Number of evaluations of the scene's distance for a row of pixels.
-    pub(crate) fn evaluations(self, program: &Program<'_>, left: u32, row: u32, width: usize) -> u64 {
+    pub(crate) fn evaluations(self, program: &Integrator<'_>, left: u32, row: u32, width: usize) -> u64 {
         with_instructions!(self.0, token, N => row_evaluations::<_, N>(token, program, left, row, width))
     }
 
@@ -46,15 +46,15 @@ impl Packets {
     #[expect(clippy::too_many_arguments, reason = "the parts of one band")]
     pub(crate) fn band(
         self,
-        program: &Program<'_>,
+        program: &Integrator<'_>,
         image: &Image,
         left: u32,
         top: u32,
         width: usize,
         planes: Vec<&mut [f32]>,
-        cancel: &Cancel,
+        cancel: &CancelFlag,
     ) -> bool {
-        let mut band = Band { program, image, left, top, width, planes };
+        let mut band = PacketRows { program, image, left, top, width, planes };
         with_instructions!(self.0, token, N => band.render::<_, N>(token, cancel))
     }
 }
@@ -70,7 +70,7 @@ fn block<S: Token, const N: usize>(_: S) -> (usize, usize) {
 #[inline(always)]
 fn row_evaluations<S: Token, const N: usize>(
     token: S,
-    program: &Program<'_>,
+    program: &Integrator<'_>,
     left: u32,
     row: u32,
     width: usize,
@@ -95,9 +95,9 @@ fn row_evaluations<S: Token, const N: usize>(
     sum
 }
 
-impl Band<'_, '_> {
+impl PacketRows<'_, '_> {
     #[inline(always)]
-    fn render<S: Token, const N: usize>(&mut self, token: S, cancel: &Cancel) -> bool {
+    fn render<S: Token, const N: usize>(&mut self, token: S, cancel: &CancelFlag) -> bool {
         let (columns, _) = block::<_, N>(token);
         for column in (0..self.width).step_by(columns) {
             if cancel.is_cancelled() {
@@ -115,22 +115,22 @@ impl Band<'_, '_> {
         let x = Lanes::<S, N>::from_fn(
             token,
             #[inline(always)]
-            |lane| (left + self.place::<_, N>(token, column, lane).0) as f32,
+            |lane| (left + self.lane_position::<_, N>(token, column, lane).0) as f32,
         );
         let y = Lanes::<S, N>::from_fn(
             token,
             #[inline(always)]
-            |lane| (top + self.place::<_, N>(token, column, lane).1) as f32,
+            |lane| (top + self.lane_position::<_, N>(token, column, lane).1) as f32,
         );
         let seen = self.program.pixel(x, y);
         let color = [seen.color.x, seen.color.y, seen.color.z, seen.alpha];
         for (plane, numbers) in color.into_iter().enumerate() {
-            self.put(plane, column, numbers);
+            self.store(plane, column, numbers);
         }
         if self.image.layers.is_empty() {
             return;
         }
-        let met = self.program.layers(x, y);
+        let met = self.program.aovs(x, y);
         let mut plane = color.len();
         for layer in &self.image.layers {
             let numbers: &[Lanes<S, N>] = match layer {
@@ -142,7 +142,7 @@ impl Band<'_, '_> {
                 Layer::Albedo => &<[_; 3]>::from(met.albedo),
             };
             for &numbers in numbers {
-                self.put(plane, column, numbers);
+                self.store(plane, column, numbers);
                 plane += 1;
             }
         }
@@ -150,7 +150,7 @@ impl Band<'_, '_> {
 
     /// Column and row in the band of a packet's lane. Lanes beyond the band's edge repeat its last pixels.
     #[inline(always)]
-    fn place<S: Token, const N: usize>(&self, token: S, column: usize, lane: usize) -> (usize, usize) {
+    fn lane_position<S: Token, const N: usize>(&self, token: S, column: usize, lane: usize) -> (usize, usize) {
         let (columns, _) = block::<_, N>(token);
         let rows = self.planes[0].len() / self.width;
         ((column + lane % columns).min(self.width - 1), (lane / columns).min(rows - 1))
@@ -158,12 +158,12 @@ impl Band<'_, '_> {
 
     /// Writes the numbers of a packet that starts in `column` of the band.
     #[inline(always)]
-    fn put<S: Token, const N: usize>(&mut self, plane: usize, column: usize, numbers: Lanes<S, N>) {
+    fn store<S: Token, const N: usize>(&mut self, plane: usize, column: usize, numbers: Lanes<S, N>) {
         let mut buffer = [0.0; 64];
         // A file must not distinguish zeros by their sign.
         (numbers + 0.0).store(&mut buffer);
         for (lane, &number) in buffer[..Lanes::<S, N>::COUNT].iter().enumerate() {
-            let (x, y) = self.place::<_, N>(numbers.token(), column, lane);
+            let (x, y) = self.lane_position::<_, N>(numbers.token(), column, lane);
             self.planes[plane][y * self.width + x] = number;
         }
     }

@@ -4,7 +4,14 @@
 use std::io::Write;
 use std::path::{Path, PathBuf};
 
-use super::device::Shape;
+use super::device::BlockDim;
+
+/// Default folder of the kernel cache: the user's cache folder.
+pub fn default_cache_folder() -> Option<PathBuf> {
+    let absolute = |name| std::env::var_os(name).map(PathBuf::from).filter(|path| path.is_absolute());
+    let cache = absolute("XDG_CACHE_HOME").or_else(|| absolute("HOME").map(|home| home.join(".cache")))?;
+    Some(cache.join("sdfarm").join("kernels"))
+}
 
 /// Cached kernels in a folder.
 #[derive(Clone, Debug)]
@@ -14,10 +21,10 @@ pub(super) struct Cache {
 
 /// Cache entry of a kernel.
 #[derive(Clone, Debug)]
-pub(super) struct Kept {
+pub(super) struct CachedKernel {
     pub(super) code: Vec<u8>,
     /// Fastest block shape found.
-    pub(super) shape: Shape,
+    pub(super) shape: BlockDim,
 }
 
 /// Bytes before the code: its hash, and the shape's columns and rows.
@@ -42,25 +49,25 @@ impl Cache {
     }
 
     /// The name of a program: of all that the compiler is given, and of the compiler.
-    pub(super) fn key(text: &str, options: &[String], compiler: &str) -> blake3::Hash {
+    pub(super) fn entry_name(text: &str, options: &[String], compiler: &str) -> blake3::Hash {
         let mut hasher = blake3::Hasher::new();
         hasher.update(format!("nvrtc {compiler} {}\n", options.join(" ")).as_bytes()).update(text.as_bytes());
         hasher.finalize()
     }
 
     /// Entry under this name.
-    pub(super) fn get(&self, key: blake3::Hash) -> Option<Kept> {
+    pub(super) fn get(&self, key: blake3::Hash) -> Option<CachedKernel> {
         let file = std::fs::read(self.path(key)?).ok()?;
         let (head, code) = file.split_at_checked(HEAD_BYTES)?;
         if blake3::hash(&file[32..]).as_bytes() != &head[..32] {
             return None;
         }
         let word = |at: usize| head[at..at + 4].try_into().map(u32::from_le_bytes).ok();
-        Some(Kept { code: code.to_vec(), shape: Shape { columns: word(32)?, rows: word(36)? } })
+        Some(CachedKernel { code: code.to_vec(), shape: BlockDim { columns: word(32)?, rows: word(36)? } })
     }
 
     /// Keeps a program, whole or not at all.
-    pub(super) fn put(&self, key: blake3::Hash, kept: &Kept) {
+    pub(super) fn put(&self, key: blake3::Hash, kept: &CachedKernel) {
         let Some(path) = self.path(key) else { return };
         let put = || {
             let mut file = tempfile::NamedTempFile::new_in(path.parent().unwrap_or(&path))?;
@@ -88,14 +95,14 @@ mod tests {
 
     #[test]
     fn whatever_the_compiler_is_given_changes_the_name() {
-        let key = Cache::key("a", &options(90), "13.0");
-        assert_ne!(key, Cache::key("b", &options(90), "13.0"));
-        assert_ne!(key, Cache::key("a", &options(90), "13.1"));
-        assert_ne!(key, Cache::key("a", &options(75), "13.0"));
+        let key = Cache::entry_name("a", &options(90), "13.0");
+        assert_ne!(key, Cache::entry_name("b", &options(90), "13.0"));
+        assert_ne!(key, Cache::entry_name("a", &options(90), "13.1"));
+        assert_ne!(key, Cache::entry_name("a", &options(75), "13.0"));
         for index in 0..options(90).len() {
             let mut fewer = options(90);
             fewer.remove(index);
-            assert_ne!(key, Cache::key("a", &fewer, "13.0"));
+            assert_ne!(key, Cache::entry_name("a", &fewer, "13.0"));
         }
     }
 
@@ -104,10 +111,10 @@ mod tests {
         let folder = tempfile::tempdir().expect("a scratch folder");
         let cache = Cache::new(Some(&folder.path().join("new")));
         let options = options(90);
-        let key = Cache::key("a", &options, "13.0");
+        let key = Cache::entry_name("a", &options, "13.0");
         assert!(cache.get(key).is_none());
-        let shape = Shape { columns: 16, rows: 8 };
-        cache.put(key, &Kept { code: vec![1, 2, 3], shape });
+        let shape = BlockDim { columns: 16, rows: 8 };
+        cache.put(key, &CachedKernel { code: vec![1, 2, 3], shape });
         let kept = cache.get(key).expect("it was kept");
         assert_eq!((kept.code, kept.shape), (vec![1, 2, 3], shape));
         let path = cache.path(key).expect("there is a folder");
@@ -126,8 +133,8 @@ mod tests {
         let folder = tempfile::NamedTempFile::new().expect("a scratch file");
         let cache = Cache::new(Some(&folder.path().join("below-a-file")));
         assert!(cache.folder().is_none());
-        let key = Cache::key("a", &options(90), "13.0");
-        cache.put(key, &Kept { code: vec![1], shape: Shape { columns: 8, rows: 8 } });
+        let key = Cache::entry_name("a", &options(90), "13.0");
+        cache.put(key, &CachedKernel { code: vec![1], shape: BlockDim { columns: 8, rows: 8 } });
         assert!(cache.get(key).is_none());
     }
 }

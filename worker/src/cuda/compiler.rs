@@ -11,7 +11,7 @@ use std::sync::OnceLock;
 use cudarc::nvrtc::result::NvrtcError;
 use cudarc::nvrtc::{result, sys};
 
-use super::trouble::Trouble;
+use super::error::CudaError;
 
 /// Every function that is called here.
 const FUNCTIONS: [&str; 11] = [
@@ -41,19 +41,19 @@ pub struct Compiler {
 
 impl Compiler {
     /// Finds the compiler.
-    pub fn find() -> Result<Self, Trouble> {
-        static LACKS: OnceLock<Option<&str>> = OnceLock::new();
-        // SAFETY: loading a library runs its initialisers; NVRTC's only set up its own state.
+    pub fn find() -> Result<Self, CudaError> {
+        static MISSING_FUNCTION: OnceLock<Option<&str>> = OnceLock::new();
+        // SAFETY: loading a library runs its initializers; NVRTC's only set up its own state.
         if !unsafe { sys::is_culib_present() } {
-            return Err(Trouble::NoCompiler);
+            return Err(CudaError::NoCompiler);
         }
-        let lacks = LACKS.get_or_init(|| {
+        let lacks = MISSING_FUNCTION.get_or_init(|| {
             // SAFETY: the library is present, so this does not panic; the symbols are only looked
             // up, never called.
             FUNCTIONS.into_iter().find(|name| unsafe { sys::culib().get::<*const ()>(name.as_bytes()) }.is_err())
         });
         if let Some(missing) = lacks {
-            return Err(Trouble::OldCompiler { missing });
+            return Err(CudaError::OldCompiler { missing });
         }
         let (mut major, mut minor, mut count) = (0, 0, 0);
         // SAFETY: both functions write the integers they are given, and their presence was checked.
@@ -69,17 +69,17 @@ impl Compiler {
     }
 
     /// Compiles a program for an architecture: 90 for compute capability 9.0.
-    pub fn compile(&self, text: &str, architecture: u32) -> Result<Vec<u8>, Trouble> {
+    pub fn compile(&self, text: &str, architecture: u32) -> Result<Vec<u8>, CudaError> {
         if !self.architectures.contains(&architecture) {
-            return Err(Trouble::UnknownArchitecture { version: self.version.clone(), architecture });
+            return Err(CudaError::UnknownArchitecture { version: self.version.clone(), architecture });
         }
         let text = CString::new(text).expect("a program has no byte 0 in it");
-        let program = Program(result::create_program(&text, Some(c"scene.cu")).map_err(refused)?);
+        let program = NvrtcProgram(result::create_program(&text, Some(c"scene.cu")).map_err(refused)?);
         let options = options(architecture);
         // SAFETY: the program was created above and is destroyed only when it is dropped.
         match unsafe { result::compile_program(program.0, &options) } {
             Ok(()) => program.machine_code(),
-            Err(_) => Err(Trouble::Compile { log: program.log(), kept: None }),
+            Err(_) => Err(CudaError::Compile { log: program.log(), kept: None }),
         }
     }
 }
@@ -90,16 +90,16 @@ pub(super) fn options(architecture: u32) -> Vec<String> {
 }
 
 /// A program of the compiler's.
-struct Program(sys::nvrtcProgram);
+struct NvrtcProgram(sys::nvrtcProgram);
 
-impl Drop for Program {
+impl Drop for NvrtcProgram {
     fn drop(&mut self) {
         // SAFETY: the compiler created it, and nothing uses it any more. A failure cannot be handled.
         unsafe { result::destroy_program(self.0) }.unwrap_or_default();
     }
 }
 
-impl Program {
+impl NvrtcProgram {
     fn log(&self) -> String {
         // SAFETY: the program is alive.
         let log = unsafe { result::get_program_log(self.0) }.unwrap_or_default();
@@ -107,7 +107,7 @@ impl Program {
         String::from_utf8_lossy(&bytes).trim().to_owned()
     }
 
-    fn machine_code(&self) -> Result<Vec<u8>, Trouble> {
+    fn machine_code(&self) -> Result<Vec<u8>, CudaError> {
         let mut length = 0;
         // SAFETY: the program is alive and compiled, and the function writes one integer.
         unsafe { check(sys::nvrtcGetCUBINSize(self.0, &raw mut length)) }?;
@@ -119,19 +119,19 @@ impl Program {
 }
 
 /// Writes a rejected source and the compiler's log to files.
-pub(super) fn keep(trouble: Trouble, text: &str, folder: Option<&Path>) -> Trouble {
-    let Trouble::Compile { log, .. } = trouble else { return trouble };
+pub(super) fn save_rejected_source(trouble: CudaError, text: &str, folder: Option<&Path>) -> CudaError {
+    let CudaError::Compile { log, .. } = trouble else { return trouble };
     let path =
         folder.map(|folder| folder.join(format!("refused-{}.cu", &blake3::hash(text.as_bytes()).to_hex()[..16])));
     let commented = log.lines().collect::<Vec<_>>().join("\n// ");
     let kept = path.filter(|path| std::fs::write(path, format!("{text}\n// {commented}\n")).is_ok());
-    Trouble::Compile { log, kept }
+    CudaError::Compile { log, kept }
 }
 
-fn check(code: sys::nvrtcResult) -> Result<(), Trouble> {
+fn check(code: sys::nvrtcResult) -> Result<(), CudaError> {
     code.result().map_err(refused)
 }
 
-fn refused(error: NvrtcError) -> Trouble {
-    Trouble::Compile { log: format!("{:?}", error.0), kept: None }
+fn refused(error: NvrtcError) -> CudaError {
+    CudaError::Compile { log: format!("{:?}", error.0), kept: None }
 }

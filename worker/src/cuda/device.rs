@@ -13,8 +13,8 @@ use cudarc::driver::{
 };
 use cudarc::nvrtc::Ptx;
 
-use super::plan::{GROUP, Layout};
-use super::trouble::Trouble;
+use super::error::CudaError;
+use super::launches::{BLOCK_GROUP, LaunchLayout};
 
 /// Every function of the driver that is called, by cudarc for us.
 const FUNCTIONS: [&str; 38] = [
@@ -58,9 +58,18 @@ const FUNCTIONS: [&str; 38] = [
     "cuMemGetInfo_v2",
 ];
 
+/// Shapes of blocks that are tried for each program.
+pub const BLOCK_DIMS: [BlockDim; 5] = [
+    BlockDim { columns: 8, rows: 8 },
+    BlockDim { columns: 16, rows: 8 },
+    BlockDim { columns: 16, rows: 16 },
+    BlockDim { columns: 32, rows: 8 },
+    BlockDim { columns: 128, rows: 1 },
+];
+
 /// Threads of a block: columns and rows.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Shape {
+pub struct BlockDim {
     /// Threads side by side.
     pub columns: u32,
     /// Threads one below the other.
@@ -70,26 +79,27 @@ pub struct Shape {
 /// Text that is no shape of blocks.
 #[derive(Debug, thiserror::Error)]
 #[error("say columns x rows of threads, such as 16x8, at most 1024 in all")]
-pub struct NoShape;
+pub struct ParseBlockDimError;
 
-impl std::str::FromStr for Shape {
-    type Err = NoShape;
+impl std::str::FromStr for BlockDim {
+    type Err = ParseBlockDimError;
 
-    fn from_str(text: &str) -> Result<Self, NoShape> {
-        let (columns, rows) = text.split_once('x').ok_or(NoShape)?;
+    fn from_str(text: &str) -> Result<Self, ParseBlockDimError> {
+        let (columns, rows) = text.split_once('x').ok_or(ParseBlockDimError)?;
         let number = |text: &str| text.parse().ok().filter(|number| (1..=1024).contains(number));
-        let shape = Self { columns: number(columns).ok_or(NoShape)?, rows: number(rows).ok_or(NoShape)? };
-        if shape.threads() <= 1024 { Ok(shape) } else { Err(NoShape) }
+        let shape =
+            Self { columns: number(columns).ok_or(ParseBlockDimError)?, rows: number(rows).ok_or(ParseBlockDimError)? };
+        if shape.threads() <= 1024 { Ok(shape) } else { Err(ParseBlockDimError) }
     }
 }
 
-impl std::fmt::Display for Shape {
+impl std::fmt::Display for BlockDim {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         write!(f, "{}x{}", self.columns, self.rows)
     }
 }
 
-impl Shape {
+impl BlockDim {
     /// Threads of the block.
     pub fn threads(self) -> u32 {
         self.columns * self.rows
@@ -115,19 +125,19 @@ unsafe impl DeviceRepr for DeviceTile {}
 /// Order in which launches process blocks; matches `kernel.cu`.
 #[derive(Clone, Copy, Debug)]
 #[repr(C)]
-struct Order {
+struct BlockOrder {
     first: u32,
     stride: u32,
     groups: u32,
-    group: u32,
+    group_size: u32,
 }
 
 // SAFETY: as above.
-unsafe impl DeviceRepr for Order {}
+unsafe impl DeviceRepr for BlockOrder {}
 
 /// A layout whose tiles are on the GPU.
 #[derive(Debug)]
-pub(super) struct LaidOut {
+pub(super) struct UploadedLayout {
     tiles: CudaSlice<DeviceTile>,
     stride: u32,
     groups: u32,
@@ -149,7 +159,7 @@ pub(super) struct Device {
 
 /// A scene's program on a GPU.
 #[derive(Debug)]
-pub(super) struct Loaded {
+pub(super) struct LoadedModule {
     module: Arc<CudaModule>,
     render: CudaFunction,
     layers: Option<CudaFunction>,
@@ -175,7 +185,7 @@ pub(super) struct Buffer {
 
 /// Blocks and samples of one launch.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Part {
+pub(super) struct LaunchRange {
     pub(super) first_block: u32,
     pub(super) blocks: u32,
     pub(super) first_sample: u32,
@@ -185,37 +195,37 @@ pub(super) struct Part {
 
 /// A launch under way.
 #[derive(Debug)]
-pub(super) struct Launched {
+pub(super) struct PendingLaunch {
     start: CudaEvent,
     end: CudaEvent,
 }
 
-impl Launched {
+impl PendingLaunch {
     /// Waits for completion; returns the duration in milliseconds.
-    pub(super) fn wait(&self) -> Result<f64, Trouble> {
-        self.start.elapsed_ms(&self.end).map(f64::from).map_err(Trouble::of("render on the GPU"))
+    pub(super) fn wait(&self) -> Result<f64, CudaError> {
+        self.start.elapsed_ms(&self.end).map(f64::from).map_err(CudaError::driver_error("render on the GPU"))
     }
 }
 
 /// Number of GPUs; an error if no usable driver is installed.
-pub(super) fn count() -> Result<usize, Trouble> {
-    static LACKS: OnceLock<Option<&str>> = OnceLock::new();
-    // SAFETY: loading the driver's library runs its initialisers, which only set up its own state.
+pub(super) fn count() -> Result<usize, CudaError> {
+    static MISSING_FUNCTION: OnceLock<Option<&str>> = OnceLock::new();
+    // SAFETY: loading the driver's library runs its initializers, which only set up its own state.
     if !unsafe { sys::is_culib_present() } {
-        return Err(Trouble::NoDriver);
+        return Err(CudaError::NoDriver);
     }
-    let lacks = LACKS.get_or_init(|| {
+    let lacks = MISSING_FUNCTION.get_or_init(|| {
         // SAFETY: the library is present, so this does not panic; the symbols are only looked up,
         // never called.
         FUNCTIONS.into_iter().find(|name| unsafe { sys::culib().get::<*const ()>(name.as_bytes()) }.is_err())
     });
     if let Some(missing) = lacks {
-        return Err(Trouble::OldDriver { version: version(), missing });
+        return Err(CudaError::OldDriver { version: version(), missing });
     }
     match result::init().and_then(|()| result::device::get_count()) {
         Ok(count) => Ok(usize::try_from(count).unwrap_or(0)),
         Err(error) if error.0 == sys::CUresult::CUDA_ERROR_NO_DEVICE => Ok(0),
-        Err(error) => Err(Trouble::of("start the NVIDIA driver")(error)),
+        Err(error) => Err(CudaError::driver_error("start the NVIDIA driver")(error)),
     }
 }
 
@@ -230,13 +240,13 @@ fn version() -> String {
 
 impl Device {
     /// Takes the GPU of this number.
-    pub(super) fn open(ordinal: usize) -> Result<Self, Trouble> {
+    pub(super) fn open(ordinal: usize) -> Result<Self, CudaError> {
         let count = count()?;
         if count == 0 {
-            return Err(Trouble::NoDevice);
+            return Err(CudaError::NoDevice);
         }
         if ordinal >= count {
-            return Err(Trouble::NoSuchDevice { ordinal, count });
+            return Err(CudaError::NoSuchDevice { ordinal, count });
         }
         let open = || {
             let context = CudaContext::new(ordinal)?;
@@ -252,21 +262,21 @@ impl Device {
                 context,
             })
         };
-        open().map_err(Trouble::of("open the GPU"))
+        open().map_err(CudaError::driver_error("open the GPU"))
     }
 
     /// Loads machine code, of a program that has layers or has none.
-    pub(super) fn load(&self, code: &[u8], has_layers: bool) -> Result<Loaded, Trouble> {
+    pub(super) fn load(&self, code: &[u8], has_layers: bool) -> Result<LoadedModule, CudaError> {
         let load = || {
             let module = self.context.load_module(Ptx::from_binary(code.to_vec()))?;
             let render = module.load_function("render")?;
-            Ok(Loaded { render, layers: has_layers.then(|| module.load_function("layers")).transpose()?, module })
+            Ok(LoadedModule { render, layers: has_layers.then(|| module.load_function("layers")).transpose()?, module })
         };
-        load().map_err(Trouble::of("load the scene's program"))
+        load().map_err(CudaError::driver_error("load the scene's program"))
     }
 
     /// Allocates this many numbers on host and device.
-    pub(super) fn buffer(&self, numbers: usize) -> Result<Buffer, Trouble> {
+    pub(super) fn buffer(&self, numbers: usize) -> Result<Buffer, CudaError> {
         // SAFETY: both are memory without a value yet; the device's is written by a kernel before it
         // is copied, and of the host's only the part that was copied to is read.
         let allocate = || unsafe {
@@ -274,43 +284,52 @@ impl Device {
             Ok(Buffer { device: self.compute.alloc(numbers)?, host })
         };
         allocate().map_err(|error: cudarc::driver::DriverError| match error.0 {
-            sys::CUresult::CUDA_ERROR_OUT_OF_MEMORY => Trouble::OutOfMemory { bytes: numbers * size_of::<f32>() },
-            _ => Trouble::of("find memory on the GPU")(error),
+            sys::CUresult::CUDA_ERROR_OUT_OF_MEMORY => CudaError::OutOfMemory { bytes: numbers * size_of::<f32>() },
+            _ => CudaError::driver_error("find memory on the GPU")(error),
         })
     }
 
     /// Sets a kernel's constants: later launches see them, earlier ones do not.
-    pub(super) fn set_numbers(&self, program: &Loaded, bits: &[u32]) -> Result<(), Trouble> {
+    pub(super) fn set_uniforms(&self, program: &LoadedModule, bits: &[u32]) -> Result<(), CudaError> {
         let set = || {
             let bytes: Vec<u8> = bits.iter().flat_map(|bits| bits.to_ne_bytes()).collect();
-            let mut place = program.module.get_global("k", &self.compute)?;
+            let mut place = program.module.get_global("uniforms", &self.compute)?;
             self.compute.memcpy_htod(&bytes, &mut place)
         };
-        if bits.is_empty() { Ok(()) } else { set().map_err(Trouble::of("give the scene's numbers to the GPU")) }
+        if bits.is_empty() {
+            Ok(())
+        } else {
+            set().map_err(CudaError::driver_error("give the scene's numbers to the GPU"))
+        }
     }
 
     /// Puts the tiles of a layout on the GPU.
-    pub(super) fn lay_out(&self, layout: &Layout) -> Result<LaidOut, Trouble> {
-        let tiles = self.compute.clone_htod(&layout.tiles).map_err(Trouble::of("give tiles to the GPU"))?;
-        Ok(LaidOut { tiles, stride: layout.stride, groups: layout.groups })
+    pub(super) fn lay_out(&self, layout: &LaunchLayout) -> Result<UploadedLayout, CudaError> {
+        let tiles = self.compute.clone_htod(&layout.tiles).map_err(CudaError::driver_error("give tiles to the GPU"))?;
+        Ok(UploadedLayout { tiles, stride: layout.stride, groups: layout.groups })
     }
 
     /// Starts a part of a render; all pixels of the layout fit into the buffer.
     pub(super) fn launch(
         &self,
-        program: &Loaded,
-        shape: Shape,
-        layout: &LaidOut,
-        part: Part,
+        program: &LoadedModule,
+        shape: BlockDim,
+        layout: &UploadedLayout,
+        part: LaunchRange,
         out: &mut Buffer,
-    ) -> Result<Launched, Trouble> {
+    ) -> Result<PendingLaunch, CudaError> {
         let config = LaunchConfig {
             grid_dim: (part.blocks, 1, 1),
             block_dim: (shape.columns, shape.rows, 1),
             shared_mem_bytes: 0,
         };
         let (tiles, count) = (&layout.tiles, layout.tiles.len() as u32);
-        let order = Order { first: part.first_block, stride: layout.stride, groups: layout.groups, group: GROUP };
+        let order = BlockOrder {
+            first: part.first_block,
+            stride: layout.stride,
+            groups: layout.groups,
+            group_size: BLOCK_GROUP,
+        };
         let (first, end, is_last) = (part.first_sample as f32, part.end_sample as f32, u32::from(part.is_last));
         let event = || self.compute.record_event(Some(CUevent_flags::CU_EVENT_DEFAULT));
         let mut launch = || {
@@ -327,31 +346,31 @@ impl Device {
                 // SAFETY: as above, for `layers`.
                 unsafe { render.launch(config) }?;
             }
-            Ok(Launched { start, end: event()? })
+            Ok(PendingLaunch { start, end: event()? })
         };
-        launch().map_err(Trouble::of("start a render on the GPU"))
+        launch().map_err(CudaError::driver_error("start a render on the GPU"))
     }
 
     /// Starts to copy the first numbers of a buffer back, once all that was launched has written them.
-    pub(super) fn fetch(&self, buffer: &mut Buffer, numbers: usize) -> Result<(), Trouble> {
+    pub(super) fn start_copy(&self, buffer: &mut Buffer, numbers: usize) -> Result<(), CudaError> {
         let mut fetch = || {
             let source = buffer.device.slice(..numbers);
             self.copies.memcpy_dtoh(&source, &mut buffer.host.as_mut_slice()?[..numbers])
         };
-        fetch().map_err(Trouble::of("copy pixels from the GPU"))
+        fetch().map_err(CudaError::driver_error("copy pixels from the GPU"))
     }
 
     /// Waits for copies; the numbers of a buffer.
-    pub(super) fn fetched<'a>(&self, buffer: &'a Buffer) -> Result<&'a [f32], Trouble> {
+    pub(super) fn wait_copy<'a>(&self, buffer: &'a Buffer) -> Result<&'a [f32], CudaError> {
         let wait = || {
             self.copies.synchronize()?;
             buffer.host.as_slice()
         };
-        wait().map_err(Trouble::of("copy pixels from the GPU"))
+        wait().map_err(CudaError::driver_error("copy pixels from the GPU"))
     }
 
     /// Resources of a kernel, and its occupancy for a block shape.
-    pub(super) fn resources(&self, program: &Loaded, shape: Shape) -> Result<Resources, Trouble> {
+    pub(super) fn resources(&self, program: &LoadedModule, shape: BlockDim) -> Result<Resources, CudaError> {
         let look = || {
             let threads = shape.threads();
             let blocks = program.render.occupancy_max_active_blocks_per_multiprocessor(threads, 0, None)?;
@@ -363,12 +382,12 @@ impl Device {
                 occupancy: f64::from(blocks * threads) / f64::from(most.max(1)),
             })
         };
-        look().map_err(Trouble::of("ask the GPU about the scene's program"))
+        look().map_err(CudaError::driver_error("ask the GPU about the scene's program"))
     }
 }
 
 impl Buffer {
-    pub(super) fn numbers(&self) -> usize {
+    pub(super) fn floats(&self) -> usize {
         self.host.len()
     }
 }

@@ -5,68 +5,68 @@
 
 #ifdef __CUDACC_RTC__
 
-#define STEP static __device__ __forceinline__
-#define CALLED_STEP static __device__ __noinline__
+#define INLINE_FN static __device__ __forceinline__
+#define NOINLINE_FN static __device__ __noinline__
 
 // Constant memory holds 64 KiB.
-#if NUMBERS <= 16384
-__constant__ float k[NUMBERS];
+#if UNIFORM_COUNT <= 16384
+__constant__ float uniforms[UNIFORM_COUNT];
 #else
-__device__ float k[NUMBERS];
+__device__ float uniforms[UNIFORM_COUNT];
 #endif
 
-STEP unsigned bits_of(float x) { return __float_as_uint(x); }
-STEP float number_of(unsigned bits) { return __uint_as_float(bits); }
-STEP float fused(float a, float b, float c) { return __fmaf_rn(a, b, c); }
+INLINE_FN unsigned bits_of(float x) { return __float_as_uint(x); }
+INLINE_FN float float_from_bits(unsigned bits) { return __uint_as_float(bits); }
+INLINE_FN float fma_rn(float a, float b, float c) { return __fmaf_rn(a, b, c); }
 
 // Correctly rounded for x from 1e-28 to 1e37, without a branch: the approximate reciprocal root,
 // and one step of Newton's method whose error is computed exactly (Peter Markstein, "IA-64 and
 // Elementary Functions", 2000). Below, 0 by definition.
-STEP float root(float x) {
+INLINE_FN float sqrt_rn(float x) {
     float r;
     asm("rsqrt.approx.ftz.f32 %0, %1;" : "=f"(r) : "f"(x));
     const float g = x * r, h = 0.5f * r;
-    return x < 1e-28f ? 0.0f : fused(fused(-g, g, x), h, g);
+    return x < 1e-28f ? 0.0f : fma_rn(fma_rn(-g, g, x), h, g);
 }
 
 // Correctly rounded where the divisor's size is from 2^-100 to 2^100 and neither the quotient nor
 // a/2^24 is below 2^-126, or a is 0; in the same way.
-STEP float quotient(float a, float b) {
+INLINE_FN float div_rn(float a, float b) {
     float r;
     asm("rcp.approx.ftz.f32 %0, %1;" : "=f"(r) : "f"(b));
-    r = fused(r, fused(-b, r, 1.0f), r);
+    r = fma_rn(r, fma_rn(-b, r, 1.0f), r);
     const float q = a * r;
-    return fused(fused(-b, q, a), r, q);
+    return fma_rn(fma_rn(-b, q, a), r, q);
 }
 
-STEP float least(float a, float b) { return fminf(a, b); }
-STEP float greatest(float a, float b) { return fmaxf(a, b); }
-STEP float absolute(float x) { return fabsf(x); }
-STEP float floored(float x) { return floorf(x); }
+INLINE_FN float min_f(float a, float b) { return fminf(a, b); }
+INLINE_FN float max_f(float a, float b) { return fmaxf(a, b); }
+INLINE_FN float abs_f(float x) { return fabsf(x); }
+INLINE_FN float floor_f(float x) { return floorf(x); }
 
 #else
 
 #include <math.h>
 #include <string.h>
 
-#define STEP static inline
-#define CALLED_STEP static
+#define INLINE_FN static inline
+#define NOINLINE_FN static
 #define __global__
 #define __restrict__
 
 struct Index { unsigned x, y, z; };
 static Index blockIdx, blockDim, threadIdx;
-static float k[NUMBERS];
+static float uniforms[UNIFORM_COUNT];
 
-STEP unsigned bits_of(float x) { unsigned bits; memcpy(&bits, &x, 4); return bits; }
-STEP float number_of(unsigned bits) { float x; memcpy(&x, &bits, 4); return x; }
-STEP float fused(float a, float b, float c) { return fmaf(a, b, c); }
-STEP float root(float x) { return x < 1e-28f ? 0.0f : sqrtf(x); }
-STEP float quotient(float a, float b) { return a / b; }
-STEP float least(float a, float b) { return b < a ? b : a; }
-STEP float greatest(float a, float b) { return a < b ? b : a; }
-STEP float absolute(float x) { return fabsf(x); }
-STEP float floored(float x) { return floorf(x); }
+INLINE_FN unsigned bits_of(float x) { unsigned bits; memcpy(&bits, &x, 4); return bits; }
+INLINE_FN float float_from_bits(unsigned bits) { float x; memcpy(&x, &bits, 4); return x; }
+INLINE_FN float fma_rn(float a, float b, float c) { return fmaf(a, b, c); }
+INLINE_FN float sqrt_rn(float x) { return x < 1e-28f ? 0.0f : sqrtf(x); }
+INLINE_FN float div_rn(float a, float b) { return a / b; }
+INLINE_FN float min_f(float a, float b) { return b < a ? b : a; }
+INLINE_FN float max_f(float a, float b) { return a < b ? b : a; }
+INLINE_FN float abs_f(float x) { return fabsf(x); }
+INLINE_FN float floor_f(float x) { return floorf(x); }
 
 #endif
 
@@ -84,20 +84,20 @@ struct Tile {
 struct Pixel {
     float x, y;
     // Its place in the result, and from one plane to the next.
-    unsigned long long place, stride;
+    unsigned long long offset, stride;
     bool is_inside;
 };
 
 // Each launch takes groups of blocks from all over the picture, so that all launches are about as
-// dear; the blocks of a group are neighbours, and do much the same.
-struct Order {
-    unsigned first, stride, groups, group;
+// dear; the blocks of a group are neighbors, and do much the same.
+struct BlockOrder {
+    unsigned first, stride, groups, group_size;
 };
 
-STEP Pixel pixel_of(const Tile* tiles, unsigned tile_count, Order order) {
-    const unsigned turn = order.first + blockIdx.x;
-    const unsigned group = (unsigned)((unsigned long long)(turn / order.group) * order.stride % order.groups);
-    const unsigned block = group * order.group + turn % order.group;
+INLINE_FN Pixel pixel_of(const Tile* tiles, unsigned tile_count, BlockOrder order) {
+    const unsigned launch_index = order.first + blockIdx.x;
+    const unsigned group = (unsigned)((unsigned long long)(launch_index / order.group_size) * order.stride % order.groups);
+    const unsigned block = group * order.group_size + launch_index % order.group_size;
     // The last tile that starts at this block or before it.
     unsigned low = 0, high = tile_count;
     while (high - low > 1) {
@@ -113,18 +113,18 @@ STEP Pixel pixel_of(const Tile* tiles, unsigned tile_count, Order order) {
     pixel.x = (float)(tile.x + column);
     pixel.y = (float)(tile.y + row);
     pixel.stride = (unsigned long long)tile.width * tile.height;
-    pixel.place = tile.start + (unsigned long long)row * tile.width + column;
+    pixel.offset = tile.start + (unsigned long long)row * tile.width + column;
     // The last group may have blocks that are in no tile.
     pixel.is_inside = column < tile.width && row < tile.height;
     return pixel;
 }
 
 // Adds the samples from `first` until before `end` to what `out` holds (nothing, if `first` is 0).
-extern "C" __global__ void render(const Tile* __restrict__ tiles, unsigned tile_count, Order order, float first,
+extern "C" __global__ void render(const Tile* __restrict__ tiles, unsigned tile_count, BlockOrder order, float first,
                                   float end, unsigned is_last, float* __restrict__ out) {
     const Pixel pixel = pixel_of(tiles, tile_count, order);
     if (!pixel.is_inside) return;
-    float* red = out + pixel.place;
+    float* red = out + pixel.offset;
     float* green = red + pixel.stride;
     float* blue = green + pixel.stride;
     float* alpha = blue + pixel.stride;
@@ -147,13 +147,13 @@ extern "C" __global__ void render(const Tile* __restrict__ tiles, unsigned tile_
     *alpha = mean.f3 + 0.0f;
 }
 
-#ifdef LAYER_PLANES
-// Writes the planes behind the colour's.
-extern "C" __global__ void layers(const Tile* __restrict__ tiles, unsigned tile_count, Order order,
+#ifdef AOV_PLANES
+// Writes the planes behind the color's.
+extern "C" __global__ void layers(const Tile* __restrict__ tiles, unsigned tile_count, BlockOrder order,
                                   float* __restrict__ out) {
     const Pixel pixel = pixel_of(tiles, tile_count, order);
     if (!pixel.is_inside) return;
     const layers_result seen = step_layers(pixel.x, pixel.y);
-    write_layers(seen, out + pixel.place + 4 * pixel.stride, pixel.stride);
+    write_layers(seen, out + pixel.offset + 4 * pixel.stride, pixel.stride);
 }
 #endif

@@ -2,21 +2,21 @@
 
 use std::fmt::Write;
 
-use scene::pixel::{Met, Radiance};
+use scene::integrator::{Aovs, Radiance};
 use scene::real::{Real, vec3};
-use scene::{Image, Layer, Program, Still};
+use scene::{Image, Integrator, JobAtFrame, Layer};
 
 use crate::tape::{Expr, Tape, record};
 
-const FRAME: &str = include_str!("kernel.cu");
-const PLACE: &str = "// ---- the picture ----\n";
+const KERNEL_TEMPLATE: &str = include_str!("kernel.cu");
+const INSERTION_POINT: &str = "// ---- the picture ----\n";
 
 /// Input of a GPU render of a frame.
 #[derive(Clone, Debug)]
-pub struct Source {
+pub struct KernelSource {
     /// Kernel source; the same for all frames and all numbers of a scene's structure.
     pub text: String,
-    /// The frame's numbers, which the program calls `k`, by their bits.
+    /// The frame's numbers, which the program calls `uniforms`, by their bits.
     pub parameters: Vec<u32>,
     /// Number of statements of the integrator's steps.
     pub statements: usize,
@@ -24,26 +24,27 @@ pub struct Source {
     pub distance_operations: Option<u64>,
 }
 
-impl Source {
+impl KernelSource {
     /// The program of a frame of a job.
-    pub fn new(still: &Still<'_>) -> Self {
+    pub fn new(still: &JobAtFrame<'_>) -> Self {
         let image = still.image();
-        let tape = picture(&Program::new(still), image);
-        let steps = tape.text();
-        let (before, after) = FRAME.split_once(PLACE).expect("kernel.cu has a place for the picture");
-        let numbers = tape.parameters().len().max(1);
+        let tape = record_tape(&Integrator::new(still), image);
+        let steps = tape.to_c();
+        let (before, after) =
+            KERNEL_TEMPLATE.split_once(INSERTION_POINT).expect("kernel.cu has a place for the picture");
+        let numbers = tape.uniforms().len().max(1);
         let (has_layers, write_layers) = layers(image);
         Self {
-            text: format!("#define NUMBERS {numbers}\n{has_layers}{before}{}{write_layers}{after}", steps.code),
-            parameters: tape.parameters().to_vec(),
+            text: format!("#define UNIFORM_COUNT {numbers}\n{has_layers}{before}{}{write_layers}{after}", steps.code),
+            parameters: tape.uniforms().to_vec(),
             statements: steps.statements,
-            distance_operations: tape.operations("distance"),
+            distance_operations: tape.flops_per_call("distance"),
         }
     }
 }
 
-fn picture(program: &Program<'_>, image: &Image) -> Tape {
-    let sum = |[r, g, b, alpha]: [Expr; 4]| Radiance { color: vec3(r, g, b), alpha, evaluations: alpha.splat(0.0) };
+fn record_tape(program: &Integrator<'_>, image: &Image) -> Tape {
+    let sum = |[r, g, b, alpha]: [Expr; 4]| Radiance { color: vec3(r, g, b), alpha, evaluations: alpha.constant(0.0) };
     let planes = |light: Radiance<Expr>| vec![light.color.x, light.color.y, light.color.z, light.alpha];
     record(|recording| {
         recording.entry("accumulate", |[x, y, first, end, r, g, b, alpha]| {
@@ -52,15 +53,15 @@ fn picture(program: &Program<'_>, image: &Image) -> Tape {
         recording.entry("mean", |all| planes(program.mean(sum(all))));
         if !image.layers.is_empty() {
             recording.entry("layers", |[x, y]| {
-                let met = program.layers(x, y);
-                image.layers.iter().flat_map(|&layer| numbers(&met, layer)).collect()
+                let met = program.aovs(x, y);
+                image.layers.iter().flat_map(|&layer| aov_values(&met, layer)).collect()
             });
         }
     })
 }
 
 /// The numbers of a layer, one a channel.
-fn numbers(met: &Met<Expr>, layer: Layer) -> Vec<Expr> {
+fn aov_values(met: &Aovs<Expr>, layer: Layer) -> Vec<Expr> {
     match layer {
         Layer::Depth => vec![met.depth],
         Layer::Object => vec![met.object],
@@ -78,9 +79,9 @@ fn layers(image: &Image) -> (String, String) {
         return (String::new(), String::new());
     }
     let mut writer =
-        "STEP void write_layers(const layers_result& seen, float* out, unsigned long long stride) {\n".to_owned();
+        "INLINE_FN void write_layers(const layers_result& seen, float* out, unsigned long long stride) {\n".to_owned();
     for plane in 0..count {
         let _ = writeln!(writer, "    out[{plane} * stride] = seen.f{plane} + 0.0f;");
     }
-    (format!("#define LAYER_PLANES {count}\n"), writer + "}\n\n")
+    (format!("#define AOV_PLANES {count}\n"), writer + "}\n\n")
 }

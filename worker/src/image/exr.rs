@@ -20,9 +20,9 @@ use rayon::prelude::*;
 use scene::Precision;
 
 use super::provenance::KEYWORD;
-use super::{ImageError, Picture};
-use crate::renderer::Cancel;
-use crate::stitch::{Band, Source};
+use super::{ImageError, PictureSpec};
+use crate::renderer::CancelFlag;
+use crate::stitch::{RowBand, RowSource};
 
 /// Rows compressed together.
 const BLOCK_ROWS: u32 = 16;
@@ -34,7 +34,7 @@ const REC_709: Chromaticities =
     Chromaticities { red: Vec2(0.64, 0.33), green: Vec2(0.3, 0.6), blue: Vec2(0.15, 0.06), white: Vec2(0.3127, 0.329) };
 
 /// Rows pulled at a time: two blocks for each thread, if memory allows.
-pub fn band_rows(picture: &Picture) -> u32 {
+pub fn band_rows(picture: &PictureSpec) -> u32 {
     let row_bytes = u64::from(picture.width) * picture.channels.len() as u64 * size_of::<f32>() as u64;
     let fits = (BAND_BYTES / row_bytes) as u32 / BLOCK_ROWS * BLOCK_ROWS;
     (rayon::current_num_threads() as u32).saturating_mul(2 * BLOCK_ROWS).min(fits).max(BLOCK_ROWS)
@@ -42,16 +42,16 @@ pub fn band_rows(picture: &Picture) -> u32 {
 
 /// Writes a picture, reading this many rows at a time, rounded up to whole blocks.
 pub fn write(
-    picture: &Picture,
-    source: &mut dyn Source,
+    picture: &PictureSpec,
+    source: &mut dyn RowSource,
     out: &mut (impl Write + Seek),
-    cancel: &Cancel,
+    cancel: &CancelFlag,
     band_rows: u32,
 ) -> Result<(), ImageError> {
-    let channels = Channels::of(picture);
+    let channels = Channels::new(picture);
     let header = channels.header(picture);
     let band_rows = band_rows.next_multiple_of(BLOCK_ROWS);
-    let mut band = Band::new(picture.width, picture.channels.len());
+    let mut band = RowBand::new(picture.width, picture.channels.len());
     let mut refused = None;
     let written = exr::block::write(out, [header].into_iter().collect(), true, |meta, file| {
         let header = &meta.headers[0];
@@ -75,7 +75,12 @@ pub fn write(
     }
 }
 
-fn pull(source: &mut dyn Source, rows: Range<u32>, band: &mut Band, cancel: &Cancel) -> Result<(), ImageError> {
+fn pull(
+    source: &mut dyn RowSource,
+    rows: Range<u32>,
+    band: &mut RowBand,
+    cancel: &CancelFlag,
+) -> Result<(), ImageError> {
     if cancel.is_cancelled() {
         return Err(ImageError::Cancelled);
     }
@@ -92,20 +97,20 @@ struct Channel {
 }
 
 impl Channels {
-    fn of(picture: &Picture) -> Self {
-        let colour = match picture.precision {
+    fn new(picture: &PictureSpec) -> Self {
+        let color = match picture.precision {
             Precision::Half => SampleType::F16,
             Precision::Float => SampleType::F32,
         };
         let planes = picture.channels.iter().enumerate();
         let mut channels: Vec<_> = planes
-            .map(|(plane, &name)| Channel { name, plane, sample: if plane < 4 { colour } else { SampleType::F32 } })
+            .map(|(plane, &name)| Channel { name, plane, sample: if plane < 4 { color } else { SampleType::F32 } })
             .collect();
         channels.sort_by_key(|channel| channel.name);
         Self(channels)
     }
 
-    fn header(&self, picture: &Picture) -> Header {
+    fn header(&self, picture: &PictureSpec) -> Header {
         let size = Vec2(picture.width as usize, picture.height as usize);
         let channels =
             self.0.iter().map(|channel| ChannelDescription::new(text(channel.name), channel.sample, false)).collect();
@@ -123,7 +128,7 @@ impl Channels {
         header
     }
 
-    fn compress(&self, header: &Header, band: &Band, top: u32) -> exr::error::Result<Chunk> {
+    fn compress(&self, header: &Header, band: &RowBand, top: u32) -> exr::error::Result<Chunk> {
         let tile = TileCoordinates { tile_index: Vec2(0, (top / BLOCK_ROWS) as usize), level_index: Vec2(0, 0) };
         let section = header.get_absolute_block_pixel_coordinates(tile)?;
         let first = (top - band.rows().start) as usize;
@@ -148,18 +153,18 @@ fn text(ascii: &str) -> Text {
 fn append(row: &[f32], sample: SampleType, halves: &mut Vec<f16>, bytes: &mut Vec<u8>) {
     match sample {
         SampleType::F16 => {
-            let clean: Vec<f32> = row.iter().map(|&value| defined(value)).collect();
+            let clean: Vec<f32> = row.iter().map(|&value| canonical_float(value)).collect();
             halves.resize(row.len(), f16::ZERO);
             halves.convert_from_f32_slice(&clean);
             // A half rounds small negatives to -0.0 again.
             bytes.extend(halves.iter().flat_map(|&half| if half == f16::ZERO { [0; 2] } else { half.to_ne_bytes() }));
         }
-        SampleType::F32 => bytes.extend(row.iter().flat_map(|&value| defined(value).to_ne_bytes())),
+        SampleType::F32 => bytes.extend(row.iter().flat_map(|&value| canonical_float(value).to_ne_bytes())),
         SampleType::U32 => unreachable!("no channel is an integer"),
     }
 }
 
 /// Without -0.0, and with 0 for what is no number.
-fn defined(value: f32) -> f32 {
+fn canonical_float(value: f32) -> f32 {
     if value.is_nan() { 0.0 } else { value + 0.0 }
 }

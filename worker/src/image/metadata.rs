@@ -2,7 +2,7 @@
 //!
 //! A picture's cache key covers all of them: the camera as a part of the scene, the rate on its own.
 
-use scene::Still;
+use scene::JobAtFrame;
 use scene::camera::Matrix;
 
 /// OpenEXR's standard attributes about the camera and the time.
@@ -18,7 +18,7 @@ pub struct Metadata {
 
 impl Metadata {
     /// Attributes of a job at a frame.
-    pub fn of(still: &Still<'_>) -> Self {
+    pub fn new(still: &JobAtFrame<'_>) -> Self {
         let image = still.image();
         let view = still.scene().camera.view(image.width, image.height);
         Self {

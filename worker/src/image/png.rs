@@ -15,27 +15,27 @@ use std::ops::Range;
 use png::{BitDepth, ColorType, DeflateCompression, Encoder, Filter, SrgbRenderingIntent};
 use rayon::prelude::*;
 use scene::Bits;
-use scene::color::{Grade, level_of_256};
+use scene::color::{DisplayTransform, level_of_256};
 use scene::sampling::thresholds;
 
 use super::provenance::KEYWORD;
-use super::{ImageError, Picture};
-use crate::renderer::Cancel;
-use crate::stitch::{Band, Source, StitchError};
+use super::{ImageError, PictureSpec};
+use crate::renderer::CancelFlag;
+use crate::stitch::{RowBand, RowSource, StitchError};
 
 /// Rows pulled at a time.
 pub const BAND_ROWS: u32 = 64;
 
 /// Writes a picture, reading this many rows at a time.
 pub fn write(
-    picture: &Picture,
-    source: &mut dyn Source,
+    picture: &PictureSpec,
+    source: &mut dyn RowSource,
     out: &mut (impl Write + Send),
-    cancel: &Cancel,
+    cancel: &CancelFlag,
     band_rows: u32,
 ) -> Result<(), ImageError> {
-    let Picture { opaque, bits, grade, .. } = *picture;
-    let layout = Layout { width: picture.width as usize, opaque, bits, grade };
+    let PictureSpec { opaque, bits, display_transform: grade, .. } = *picture;
+    let layout = PixelLayout { width: picture.width as usize, opaque, bits, display_transform: grade };
     let mut encoder = Encoder::new(out, picture.width, picture.height);
     encoder.set_color(if picture.opaque { ColorType::Rgb } else { ColorType::Rgba });
     encoder.set_depth(match picture.bits {
@@ -49,7 +49,7 @@ pub fn write(
     let mut header = encoder.write_header()?;
     let mut stream = header.stream_writer_with_size(CHUNK_BYTES)?;
 
-    let mut rows = Rows { layout, source, band: Band::new(picture.width, picture.channels.len()) };
+    let mut rows = Rows { layout, source, band: RowBand::new(picture.width, picture.channels.len()) };
     let (mut ready, mut next) = (Vec::new(), Vec::new());
     let mut bands = bands(picture.height, band_rows);
     rows.encode(bands.next(), &mut ready)?;
@@ -73,9 +73,9 @@ fn bands(height: u32, band_rows: u32) -> impl Iterator<Item = Range<u32>> + Send
 
 /// A picture's rows on their way to bytes.
 struct Rows<'a> {
-    layout: Layout,
-    source: &'a mut dyn Source,
-    band: Band,
+    layout: PixelLayout,
+    source: &'a mut dyn RowSource,
+    band: RowBand,
 }
 
 impl Rows<'_> {
@@ -103,14 +103,14 @@ const CHUNK_BYTES: usize = 1 << 16;
 const BLOCK: usize = 256;
 
 #[derive(Clone, Copy)]
-struct Layout {
+struct PixelLayout {
     width: usize,
     opaque: bool,
     bits: Bits,
-    grade: Grade,
+    display_transform: DisplayTransform,
 }
 
-impl Layout {
+impl PixelLayout {
     fn channels(self) -> usize {
         if self.opaque { 3 } else { 4 }
     }
@@ -123,33 +123,33 @@ impl Layout {
         self.width * self.channels() * sample_bytes
     }
 
-    fn encode_row(self, band: &Band, row: usize, samples: &mut Vec<f32>, bytes: &mut [u8]) {
+    fn encode_row(self, band: &RowBand, row: usize, samples: &mut Vec<f32>, bytes: &mut [u8]) {
         samples.clear();
-        for colour in 0..3 {
-            let linear = band.row(colour, row);
+        for color in 0..3 {
+            let linear = band.row(color, row);
             if self.opaque {
-                samples.extend(linear.iter().map(|&value| light(value)));
+                samples.extend(linear.iter().map(|&value| finite_or_zero(value)));
             } else {
                 let pairs = linear.iter().zip(band.row(3, row));
-                samples.extend(pairs.map(|(&value, &alpha)| light(straight(value, alpha))));
+                samples.extend(pairs.map(|(&value, &alpha)| finite_or_zero(unpremultiply(value, alpha))));
             }
         }
-        crate::srgb::encode(samples, self.grade);
+        crate::srgb::encode(samples, self.display_transform);
         if !self.opaque {
-            samples.extend(band.row(3, row).iter().map(|&alpha| unit(alpha)));
+            samples.extend(band.row(3, row).iter().map(|&alpha| clamp_unit(alpha)));
         }
         match self.bits {
             Bits::Eight => {
                 self.choose_levels(samples, band.rows().start + row as u32);
-                self.interleave(samples, bytes, |value| [whole(value) as u8]);
+                self.interleave(samples, bytes, |value| [truncate(value) as u8]);
             }
             Bits::Sixteen => {
-                self.interleave(samples, bytes, |value| (whole(value * 65535.0 + 0.5) as u16).to_be_bytes());
+                self.interleave(samples, bytes, |value| (truncate(value * 65535.0 + 0.5) as u16).to_be_bytes());
             }
         }
     }
 
-    /// Rounds colours differently from pixel to pixel, but by the pixel's place in the picture alone; alpha evenly.
+    /// Rounds colors differently from pixel to pixel, but by the pixel's place in the picture alone; alpha evenly.
     fn choose_levels(self, samples: &mut [f32], y: u32) {
         let (colors, alpha) = samples.split_at_mut(3 * self.width);
         let (red, others) = colors.split_at_mut(self.width);
@@ -165,16 +165,16 @@ impl Layout {
         }
     }
 
-    fn interleave<const N: usize>(self, planes: &[f32], bytes: &mut [u8], quantise: impl Fn(f32) -> [u8; N]) {
+    fn interleave<const N: usize>(self, planes: &[f32], bytes: &mut [u8], quantize: impl Fn(f32) -> [u8; N]) {
         let stride = self.channels() * N;
-        let mut quantised = [[0; N]; BLOCK];
+        let mut quantized = [[0; N]; BLOCK];
         for (channel, plane) in planes.chunks_exact(self.width).enumerate() {
             // A separate rounding loop is vectorized; storing to every third position is not.
             for (values, pixels) in plane.chunks(BLOCK).zip(bytes.chunks_mut(BLOCK * stride)) {
-                for (to, &value) in quantised.iter_mut().zip(values) {
-                    *to = quantise(value);
+                for (to, &value) in quantized.iter_mut().zip(values) {
+                    *to = quantize(value);
                 }
-                for (pixel, value) in pixels.chunks_exact_mut(stride).zip(&quantised) {
+                for (pixel, value) in pixels.chunks_exact_mut(stride).zip(&quantized) {
                     pixel[channel * N..][..N].copy_from_slice(value);
                 }
             }
@@ -183,23 +183,23 @@ impl Layout {
 }
 
 /// Light; what is no number is none.
-fn light(value: f32) -> f32 {
+fn finite_or_zero(value: f32) -> f32 {
     if value.is_nan() { 0.0 } else { value }
 }
 
 /// Within 0 and 1; what is no number is 0.
-fn unit(value: f32) -> f32 {
+fn clamp_unit(value: f32) -> f32 {
     if value.is_nan() { 0.0 } else { value.clamp(0.0, 1.0) }
 }
 
 /// The whole part of a number of 0 to 2²², in the low 22 bits: as a cast gives it, but in vectors.
-fn whole(value: f32) -> u32 {
+fn truncate(value: f32) -> u32 {
     const SHIFT: f32 = 8_388_608.0;
     let nearest = value + SHIFT;
     nearest.to_bits() - u32::from(nearest - SHIFT > value)
 }
 
-fn straight(premultiplied: f32, alpha: f32) -> f32 {
+fn unpremultiply(premultiplied: f32, alpha: f32) -> f32 {
     if alpha > 0.0 { premultiplied / alpha } else { 0.0 }
 }
 
@@ -207,26 +207,31 @@ fn straight(premultiplied: f32, alpha: f32) -> f32 {
 mod tests {
     use super::*;
 
-    /// The levels of a square of one colour, by channel.
+    /// The levels of a square of one color, by channel.
     fn levels(srgb: f32) -> [Vec<u32>; 3] {
         const WIDTH: usize = 64;
         let job = br#"{ "scene": { "camera": { "position": [0, 0, 5], "look_at": [0, 0, 0] },
             "objects": [{ "shape": { "sphere": { "radius": 1 } } }] }, "image": { "width": 64, "height": 64 } }"#;
         let image = scene::parse(job).expect("a job").image;
-        let layout = Layout { width: WIDTH, opaque: true, bits: Bits::Eight, grade: Grade::of(&image) };
+        let layout = PixelLayout {
+            width: WIDTH,
+            opaque: true,
+            bits: Bits::Eight,
+            display_transform: DisplayTransform::new(&image),
+        };
         let mut levels = [const { Vec::new() }; 3];
         for y in 0..64 {
             let mut samples = vec![srgb; 3 * WIDTH];
             layout.choose_levels(&mut samples, y);
             for (levels, plane) in levels.iter_mut().zip(samples.chunks(WIDTH)) {
-                levels.extend(plane.iter().map(|&value| u32::from(whole(value) as u8)));
+                levels.extend(plane.iter().map(|&value| u32::from(truncate(value) as u8)));
             }
         }
         levels
     }
 
     #[test]
-    fn between_two_levels_pixels_share_out_and_their_mean_is_the_colour() {
+    fn between_two_levels_pixels_share_out_and_their_mean_is_the_color() {
         for wanted in [0.25, 3.5, 100.3, 254.8] {
             let [red, green, blue] = levels(wanted / 255.0);
             for levels in [&red, &green, &blue] {
@@ -239,7 +244,7 @@ mod tests {
     }
 
     #[test]
-    fn an_even_colour_that_is_a_level_stays_even() {
+    fn an_even_color_that_is_a_level_stays_even() {
         for level in 0..=255_u16 {
             let srgb = f32::from(level) / 255.0;
             for near in [srgb.next_down().max(0.0), srgb, srgb.next_up().min(1.0)] {
@@ -252,12 +257,12 @@ mod tests {
     fn whole_parts_are_those_of_a_cast() {
         for bits in (0..256.0_f32.to_bits()).step_by(97) {
             let value = f32::from_bits(bits);
-            assert_eq!(whole(value) as u8, value as u8, "{value}");
+            assert_eq!(truncate(value) as u8, value as u8, "{value}");
         }
         for twentieths in 0..20 * 65536 {
             let value = twentieths as f32 / 20.0;
             let around = [value.next_down().max(0.0), value, value.next_up().min(65535.9)];
-            assert!(around.iter().all(|&value| whole(value) as u16 == value as u16), "{value}");
+            assert!(around.iter().all(|&value| truncate(value) as u16 == value as u16), "{value}");
         }
     }
 }

@@ -2,7 +2,7 @@
 //!
 //! No times, no names, no machines: they would make equal pictures differ.
 
-use scene::Still;
+use scene::JobAtFrame;
 use serde::{Deserialize, Serialize};
 
 /// The name of the PNG chunk and of the EXR attribute.
@@ -24,7 +24,7 @@ pub struct Provenance {
 
 impl Provenance {
     /// The provenance of a job's frame.
-    pub fn of(still: &Still<'_>) -> Self {
+    pub fn new(still: &JobAtFrame<'_>) -> Self {
         Self {
             scene: still.scene_hash().to_hex().to_string(),
             picture_version: scene::PICTURE_VERSION,

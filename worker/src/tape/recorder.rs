@@ -7,9 +7,9 @@ use std::any::Any;
 use std::cell::RefCell;
 use std::collections::HashMap;
 
-use scene::real::{Bundle, Join};
+use scene::real::{Bundle, Merge};
 
-use super::{Condition, Definition, Expr, Function, Id, Kind, Operation, Statement, Tape};
+use super::{BoolExpr, Expr, Function, Instruction, Operation, Statement, Tape, ValueId, ValueType};
 
 thread_local! {
     static RECORDER: RefCell<Option<Recorder>> = const { RefCell::new(None) };
@@ -20,28 +20,28 @@ thread_local! {
 struct Recorder {
     tape: Tape,
     /// Functions being recorded, the innermost last.
-    open: Vec<OpenFunction>,
-    shared: HashMap<&'static str, Shared>,
+    open: Vec<FunctionBuilder>,
+    shared: HashMap<&'static str, RecordedFunction>,
     /// Index of the function that defined each value, counted from the first function.
-    owners: Vec<u32>,
+    defining_function: Vec<u32>,
     begun: u32,
 }
 
-struct OpenFunction {
+struct FunctionBuilder {
     number: u32,
-    arguments: Vec<Id>,
-    blocks: Vec<OpenBlock>,
+    arguments: Vec<ValueId>,
+    blocks: Vec<BlockBuilder>,
 }
 
 /// Statements, and which value each definition already has in them.
 #[derive(Default)]
-struct OpenBlock {
+struct BlockBuilder {
     statements: Vec<Statement>,
-    known: HashMap<Definition, Id>,
+    value_numbers: HashMap<Instruction, ValueId>,
 }
 
 /// A function to call again.
-struct Shared {
+struct RecordedFunction {
     function: usize,
     /// A bundle of the type that it gives.
     example: Box<dyn Any>,
@@ -63,7 +63,7 @@ impl Recording {
     /// Records a function that the text's reader calls.
     pub fn entry<const N: usize>(&self, name: &'static str, formula: impl FnOnce([Expr; N]) -> Vec<Expr>) {
         begin();
-        let arguments = std::array::from_fn(|_| Expr(argument(Kind::Number)));
+        let arguments = std::array::from_fn(|_| Expr(argument(ValueType::F32)));
         let results = formula(arguments).into_iter().map(|number| number.0).collect();
         end(name, results, true);
     }
@@ -74,25 +74,25 @@ fn with<T>(act: impl FnOnce(&mut Recorder) -> T) -> T {
 }
 
 impl Recorder {
-    fn function(&mut self) -> &mut OpenFunction {
+    fn function(&mut self) -> &mut FunctionBuilder {
         self.open.last_mut().expect("symbols are only used in a function")
     }
 
-    fn block(&mut self) -> &mut OpenBlock {
+    fn block(&mut self) -> &mut BlockBuilder {
         self.function().blocks.last_mut().expect("a function has a block until it ends")
     }
 
-    fn new_value(&mut self, kind: Kind, operation: Operation, operands: [Option<Id>; 3]) -> Id {
-        let id = Id(self.tape.definitions.len() as u32);
-        self.tape.definitions.push(Definition { kind, operation, operands });
+    fn new_value(&mut self, kind: ValueType, operation: Operation, operands: [Option<ValueId>; 3]) -> ValueId {
+        let id = ValueId(self.tape.instructions.len() as u32);
+        self.tape.instructions.push(Instruction { kind, operation, operands });
         let owner = self.function().number;
-        self.owners.push(owner);
+        self.defining_function.push(owner);
         id
     }
 
     /// Stops a formula that uses a value of another function than the one being recorded.
-    fn check(&mut self, id: Id) {
-        let is_own = self.owners[id.0 as usize] == self.function().number;
+    fn check(&mut self, id: ValueId) {
+        let is_own = self.defining_function[id.0 as usize] == self.function().number;
         assert!(
             is_own || self.tape.definition(id).operation.is_constant(),
             "a shared step used a number that it was not given"
@@ -101,24 +101,24 @@ impl Recorder {
 }
 
 /// Value of an operation: an existing one if it is the same.
-pub(super) fn define(kind: Kind, operation: Operation, operands: &[Id]) -> Id {
+pub(super) fn emit(kind: ValueType, operation: Operation, operands: &[ValueId]) -> ValueId {
     with(|recorder| {
         let mut all = [None; 3];
         for (place, &operand) in all.iter_mut().zip(operands) {
             recorder.check(operand);
             *place = Some(operand);
         }
-        if operation.is_symmetric() && all[1] < all[0] {
+        if operation.is_commutative() && all[1] < all[0] {
             all.swap(0, 1);
         }
-        let definition = Definition { kind, operation, operands: all };
-        let known = recorder.function().blocks.iter().find_map(|block| block.known.get(&definition).copied());
+        let definition = Instruction { kind, operation, operands: all };
+        let known = recorder.function().blocks.iter().find_map(|block| block.value_numbers.get(&definition).copied());
         known.unwrap_or_else(|| {
             let id = recorder.new_value(kind, operation, all);
             let block = recorder.block();
-            block.known.insert(definition, id);
+            block.value_numbers.insert(definition, id);
             if !operation.is_constant() {
-                block.statements.push(Statement::Define(id));
+                block.statements.push(Statement::Emit(id));
             }
             id
         })
@@ -126,23 +126,23 @@ pub(super) fn define(kind: Kind, operation: Operation, operands: &[Id]) -> Id {
 }
 
 /// A number of the scene, by its bits.
-pub(super) fn parameter(kind: Kind, bits: u32) -> Id {
+pub(super) fn uniform(kind: ValueType, bits: u32) -> ValueId {
     with(|recorder| {
-        let place = recorder.tape.parameters.len() as u32;
-        recorder.tape.parameters.push(bits);
-        recorder.new_value(kind, Operation::Parameter(place), [None; 3])
+        let place = recorder.tape.uniforms.len() as u32;
+        recorder.tape.uniforms.push(bits);
+        recorder.new_value(kind, Operation::Uniform(place), [None; 3])
     })
 }
 
 pub(super) fn note(name: &'static str) {
-    with(|recorder| recorder.block().statements.push(Statement::Note(name)));
+    with(|recorder| recorder.block().statements.push(Statement::Comment(name)));
 }
 
-fn fresh(kind: Kind, operation: Operation) -> Id {
+fn fresh(kind: ValueType, operation: Operation) -> ValueId {
     with(|recorder| recorder.new_value(kind, operation, [None; 3]))
 }
 
-fn argument(kind: Kind) -> Id {
+fn argument(kind: ValueType) -> ValueId {
     let id = fresh(kind, Operation::Argument);
     with(|recorder| recorder.function().arguments.push(id));
     id
@@ -152,16 +152,16 @@ fn begin() {
     with(|recorder| {
         let number = recorder.begun;
         recorder.begun += 1;
-        recorder.open.push(OpenFunction { number, arguments: Vec::new(), blocks: vec![OpenBlock::default()] });
+        recorder.open.push(FunctionBuilder { number, arguments: Vec::new(), blocks: vec![BlockBuilder::default()] });
     });
 }
 
-fn end(name: &'static str, results: Vec<Id>, is_entry: bool) -> usize {
+fn end(name: &'static str, results: Vec<ValueId>, is_entry: bool) -> usize {
     with(|recorder| {
         for &id in &results {
             recorder.check(id);
         }
-        let OpenFunction { arguments, mut blocks, .. } = recorder.open.pop().expect("a function was begun");
+        let FunctionBuilder { arguments, mut blocks, .. } = recorder.open.pop().expect("a function was begun");
         let body = blocks.pop().expect("a function has a block until it ends").statements;
         recorder.tape.functions.push(Function { name, arguments, body, results, is_entry });
         recorder.tape.functions.len() - 1
@@ -170,7 +170,7 @@ fn end(name: &'static str, results: Vec<Id>, is_entry: bool) -> usize {
 
 /// Records the operations of `inside` as a block.
 fn block<T>(inside: impl FnOnce() -> T) -> (T, Vec<Statement>) {
-    with(|recorder| recorder.function().blocks.push(OpenBlock::default()));
+    with(|recorder| recorder.function().blocks.push(BlockBuilder::default()));
     let value = inside();
     let block = with(|recorder| recorder.function().blocks.pop()).expect("it was opened above");
     (value, block.statements)
@@ -181,58 +181,58 @@ fn push(statement: Statement) {
 }
 
 /// Lists the parts of a bundle.
-struct Parts(Vec<Id>);
+struct CollectIds(Vec<ValueId>);
 
-impl Join<Expr> for Parts {
+impl Merge<Expr> for CollectIds {
     fn number(&mut self, a: Expr, _: Expr) -> Expr {
         self.0.push(a.0);
         a
     }
 
-    fn mask(&mut self, a: Condition, _: Condition) -> Condition {
+    fn mask(&mut self, a: BoolExpr, _: BoolExpr) -> BoolExpr {
         self.0.push(a.0);
         a
     }
 }
 
 /// Creates a bundle of new values.
-struct Renew<F>(F);
+struct FreshValues<F>(F);
 
-impl<F: FnMut(Kind) -> Id> Join<Expr> for Renew<F> {
+impl<F: FnMut(ValueType) -> ValueId> Merge<Expr> for FreshValues<F> {
     fn number(&mut self, _: Expr, _: Expr) -> Expr {
-        Expr((self.0)(Kind::Number))
+        Expr((self.0)(ValueType::F32))
     }
 
-    fn mask(&mut self, _: Condition, _: Condition) -> Condition {
-        Condition((self.0)(Kind::Condition))
+    fn mask(&mut self, _: BoolExpr, _: BoolExpr) -> BoolExpr {
+        BoolExpr((self.0)(ValueType::Bool))
     }
 }
 
-fn parts<T: Bundle<Expr>>(bundle: T) -> Vec<Id> {
-    let mut parts = Parts(Vec::new());
-    bundle.join(bundle, &mut parts);
+fn parts<T: Bundle<Expr>>(bundle: T) -> Vec<ValueId> {
+    let mut parts = CollectIds(Vec::new());
+    bundle.merge(bundle, &mut parts);
     parts.0
 }
 
-fn renewed<T: Bundle<Expr>>(example: T, operation: Operation) -> T {
-    example.join(example, &mut Renew(|kind| fresh(kind, operation)))
+fn fresh_values<T: Bundle<Expr>>(example: T, operation: Operation) -> T {
+    example.merge(example, &mut FreshValues(|kind| fresh(kind, operation)))
 }
 
-pub(super) fn when<T: Bundle<Expr>>(condition: Condition, otherwise: T, then: impl FnOnce() -> T) -> T {
+pub(super) fn when<T: Bundle<Expr>>(condition: BoolExpr, otherwise: T, then: impl FnOnce() -> T) -> T {
     let (then, body) = block(then);
-    let variables = renewed(otherwise, Operation::Variable);
+    let variables = fresh_values(otherwise, Operation::Variable);
     push(Statement::When {
         condition: condition.0,
         variables: parts(variables),
         otherwise: parts(otherwise),
         body,
-        then: parts(then),
+        value: parts(then),
     });
     variables
 }
 
-pub(super) fn repeat<T: Bundle<Expr>>(limit: u32, start: T, step: impl FnOnce(T) -> (Condition, T)) -> T {
-    let variables = renewed(start, Operation::Variable);
+pub(super) fn repeat<T: Bundle<Expr>>(limit: u32, start: T, step: impl FnOnce(T) -> (BoolExpr, T)) -> T {
+    let variables = fresh_values(start, Operation::Variable);
     let ((again, next), body) = block(|| step(variables));
     push(Statement::Repeat {
         limit,
@@ -257,13 +257,13 @@ pub(super) fn shared<A: Bundle<Expr>, T: Bundle<Expr>>(
     });
     let (function, example) = known.unwrap_or_else(|| {
         begin();
-        let formal = arguments.join(arguments, &mut Renew(argument));
+        let formal = arguments.merge(arguments, &mut FreshValues(argument));
         let result = step(formal);
         let function = end(name, parts(result), false);
-        with(|recorder| recorder.shared.insert(name, Shared { function, example: Box::new(result) }));
+        with(|recorder| recorder.shared.insert(name, RecordedFunction { function, example: Box::new(result) }));
         (function, result)
     });
-    let result = renewed(example, Operation::Returned);
+    let result = fresh_values(example, Operation::CallResult);
     push(Statement::Call { function, arguments: parts(arguments), returned: parts(result) });
     result
 }

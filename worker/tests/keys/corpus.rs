@@ -33,7 +33,7 @@ fn ball() -> Value {
     json!({ "sphere": { "radius": 1.1 } })
 }
 
-fn grey() -> Value {
+fn gray() -> Value {
     json!({ "diffuse": { "kd": [0.6, 0.5, 0.4] } })
 }
 
@@ -69,7 +69,7 @@ fn written<T: Serialize + DeserializeOwned>(json: &str) -> Value {
 pub(crate) fn jobs() -> Vec<Value> {
     let mut scenes = surroundings();
     let nodes = Node::examples();
-    scenes.extend(nodes.iter().map(|node| scene(&written::<Node>(&node.node), &grey(), &sun(), &gradient())));
+    scenes.extend(nodes.iter().map(|node| scene(&written::<Node>(&node.node), &gray(), &sun(), &gradient())));
     let examples = Material::examples();
     scenes.extend(examples.iter().map(|one| scene(&ball(), &written::<Material>(&one.json), &sun(), &gradient())));
     scenes.extend(Texture::examples().iter().map(|texture| {
@@ -77,11 +77,11 @@ pub(crate) fn jobs() -> Vec<Value> {
         scene(&ball(), &material, &sun(), &gradient())
     }));
     scenes.extend(materials().iter().map(|material| scene(&ball(), material, &sun(), &gradient())));
-    scenes.extend(shapes().iter().map(|shape| scene(shape, &grey(), &sun(), &gradient())));
+    scenes.extend(shapes().iter().map(|shape| scene(shape, &gray(), &sun(), &gradient())));
     [plain(), png(), graded(), ungraded(), layered()].into_iter().chain(scenes.iter().map(job)).collect()
 }
 
-/// A PNG whose colours are too bright for it.
+/// A PNG whose colors are too bright for it.
 fn graded() -> Value {
     let mut job = png();
     job["image"]["exposure"] = json!(1.5);
@@ -119,15 +119,15 @@ fn surroundings() -> Vec<Value> {
         sky(false, json!({ "color": [0.4, 0.5, 0.9] })),
     ]
     .iter()
-    .map(|lights| scene(&ball(), &grey(), lights, &gradient()))
+    .map(|lights| scene(&ball(), &gray(), lights, &gradient()))
     .collect();
     let sun_of_day = json!([{ "sun": { "strength": 1, "angle": 5, "shadow": true } }, { "sky": { "shadow": false } }]);
-    scenes.push(scene(&ball(), &grey(), &sun_of_day, &day));
+    scenes.push(scene(&ball(), &gray(), &sun_of_day, &day));
     for background in [json!({ "color": [0.2, 0.3, 0.4] }), json!("transparent"), json!({ "color": "#336699" })] {
-        scenes.push(scene(&ball(), &grey(), &sun(), &background));
+        scenes.push(scene(&ball(), &gray(), &sun(), &background));
     }
     let mut add = |key: &str, value: Value| {
-        let mut scene = scene(&ball(), &grey(), &sky(false, Value::Null), &gradient());
+        let mut scene = scene(&ball(), &gray(), &sky(false, Value::Null), &gradient());
         scene[key] = value;
         scenes.push(scene);
     };

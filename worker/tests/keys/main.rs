@@ -9,10 +9,10 @@ use std::io::Cursor;
 
 use proto::Rect;
 use serde_json::{Value, json};
-use worker::cuda::Source;
-use worker::image::Picture;
-use worker::stitch::Tiles;
-use worker::{Cancel, CpuRenderer, Renderer, Simd, TileRun};
+use worker::cuda::KernelSource;
+use worker::image::PictureSpec;
+use worker::stitch::TileRows;
+use worker::{CancelFlag, CpuRenderer, Renderer, Simd, TileRequest};
 
 use schema::{Position, Schema};
 
@@ -33,16 +33,16 @@ struct Shot {
 fn shot(renderer: &CpuRenderer, job: &Value) -> Option<Shot> {
     let job = scene::parse(job.to_string().as_bytes()).ok()?;
     let still = job.at(FRAME).ok()?;
-    let run = TileRun { job: &job, frame: FRAME, rect: Rect::whole(job.image.width, job.image.height) };
-    let pixels = renderer.render(&run, &Cancel::new(), &|_| ()).unwrap();
+    let run = TileRequest { job: &job, frame: FRAME, rect: Rect::full(job.image.width, job.image.height) };
+    let pixels = renderer.render(&run, &CancelFlag::new(), &|_| ()).unwrap();
     let bits = pixels.planes.iter().flatten().map(|value| value.to_bits()).collect();
     let mut file = Cursor::new(Vec::new());
-    Picture::of(&still).write(&mut Tiles(&[pixels]), &mut file, &Cancel::new()).unwrap();
+    PictureSpec::new(&still).write(&mut TileRows(&[pixels]), &mut file, &CancelFlag::new()).unwrap();
     Some(Shot {
         pixels: (job.image.channels(), bits),
         bytes: file.into_inner(),
-        key: job.picture_key(FRAME).to_hex().to_string(),
-        pixels_key: still.pixels_key().to_hex().to_string(),
+        key: job.cache_key(FRAME).to_hex().to_string(),
+        pixels_key: still.pixels_cache_key().to_hex().to_string(),
         scene_hash: still.scene_hash().to_hex().to_string(),
     })
 }
@@ -131,7 +131,7 @@ fn what_no_byte_depends_on_changes_no_key() {
 /// A kernel is kept by the hash of its text, architecture and compiler: all that a scene may change of it is text.
 #[test]
 fn jobs_that_differ_in_shape_differ_in_the_text_of_their_kernels_or_in_its_numbers() {
-    let source = |job: &Value| Source::new(&scene::parse(job.to_string().as_bytes()).unwrap().at(FRAME).unwrap());
+    let source = |job: &Value| KernelSource::new(&scene::parse(job.to_string().as_bytes()).unwrap().at(FRAME).unwrap());
     let jobs = corpus::jobs();
     let mut seen: BTreeMap<(String, Vec<u32>), (&Value, Vec<u32>)> = BTreeMap::new();
     let renderer = CpuRenderer::new(Some(1), Simd::Auto).unwrap();

@@ -12,7 +12,7 @@ use proto::JobId;
 use scene::Job;
 use tokio_util::sync::CancellationToken;
 use worker::agent::{self, AgentConfig, AgentError};
-use worker::{Cancel, Pixels, RenderError, Renderer, TileRun};
+use worker::{CancelFlag, RenderError, Renderer, TilePixels, TileRequest};
 
 use crate::fake_renderer::{FakeRenderer, job_text};
 use crate::fake_server::FakeServer;
@@ -64,7 +64,7 @@ struct Acting<F>(F);
 
 impl<F> Renderer for Acting<F>
 where
-    F: Fn(&TileRun<'_>, &Cancel) -> Result<(), RenderError> + Send + Sync,
+    F: Fn(&TileRequest<'_>, &CancelFlag) -> Result<(), RenderError> + Send + Sync,
 {
     fn device(&self) -> String {
         "acting".to_owned()
@@ -72,17 +72,17 @@ where
 
     fn render(
         &self,
-        run: &TileRun<'_>,
-        cancel: &Cancel,
+        run: &TileRequest<'_>,
+        cancel: &CancelFlag,
         progress: &(dyn Fn(u64) + Sync),
-    ) -> Result<Pixels, RenderError> {
+    ) -> Result<TilePixels, RenderError> {
         (self.0)(run, cancel)?;
-        FakeRenderer.render(run, &Cancel::new(), progress)
+        FakeRenderer.render(run, &CancelFlag::new(), progress)
     }
 }
 
 /// Goes on until it is cancelled, which it looks for as often as a renderer should.
-fn until_cancelled(cancel: &Cancel) -> RenderError {
+fn until_cancelled(cancel: &CancelFlag) -> RenderError {
     while !cancel.is_cancelled() {
         std::thread::park_timeout(Duration::from_millis(1));
     }
@@ -110,7 +110,7 @@ impl Happening {
 /// A renderer that says when it has begun, and waits for `go`.
 fn gated(begun: &Happening, go: &Happening) -> impl Renderer + use<> {
     let (begun, go) = (begun.clone(), go.clone());
-    Acting(move |_: &TileRun<'_>, cancel: &Cancel| {
+    Acting(move |_: &TileRequest<'_>, cancel: &CancelFlag| {
         begun.happen();
         go.wait();
         assert!(!cancel.is_cancelled(), "nothing was lost");

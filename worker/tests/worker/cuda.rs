@@ -14,9 +14,9 @@ use scene::lights::Light;
 use scene::real::Real;
 use scene::{Image, Job, effects};
 use serde_json::{Value, json};
-use worker::cuda::{Compiler, Source};
+use worker::cuda::{Compiler, KernelSource};
 use worker::tape::{Expr, record};
-use worker::{Cancel, CpuRenderer, Pixels, Renderer, Simd, TileRun};
+use worker::{CancelFlag, CpuRenderer, Renderer, Simd, TilePixels, TileRequest};
 
 use crate::shipped::{LAYERS, Shipped, shipped};
 use crate::skip::skip;
@@ -24,7 +24,7 @@ use crate::skip::skip;
 /// What is compiled in every run of the tests; the long ones compile all.
 const FEW: [&str; 6] = ["csg", "dice", "mandelbulb", "paper/clouds", "turntable", "vitrine"];
 
-/// Runs the kernels on the host, a thread after another: reads `k`, the planes, a tile and the
+/// Runs the kernels on the host, a thread after another: reads `uniforms`, the planes, a tile and the
 /// samples; renders in two parts, so that sums are taken up again; writes the planes.
 const HOST_MAIN: &str = r"
 #include <stdio.h>
@@ -32,7 +32,7 @@ const HOST_MAIN: &str = r"
 int main() {
     unsigned planes, samples;
     Tile tile;
-    if (fread(k, 4, NUMBERS, stdin) != NUMBERS || fread(&planes, 4, 1, stdin) != 1) return 1;
+    if (fread(uniforms, 4, UNIFORM_COUNT, stdin) != UNIFORM_COUNT || fread(&planes, 4, 1, stdin) != 1) return 1;
     if (fread(&samples, 4, 1, stdin) != 1 || fread(&tile, sizeof tile, 1, stdin) != 1) return 1;
     size_t numbers = (size_t)tile.width * tile.height * planes;
     float* out = (float*)calloc(numbers, 4);
@@ -43,7 +43,7 @@ int main() {
             for (threadIdx.y = 0; threadIdx.y < 4; ++threadIdx.y)
                 for (threadIdx.x = 0; threadIdx.x < 8; ++threadIdx.x) {
                     render(&tile, 1, {0, 1, blocks, 1}, part ? middle : 0, part ? samples : middle, part, out);
-#ifdef LAYER_PLANES
+#ifdef AOV_PLANES
                     if (part) layers(&tile, 1, {0, 1, blocks, 1}, out);
 #endif
                 }
@@ -71,8 +71,8 @@ fn compile_text(source: &str, folder: &Path) -> PathBuf {
     program
 }
 
-fn render_on_host(job: &Job, folder: &Path) -> Pixels {
-    let source = Source::new(&job.at(0).expect("a shipped scene is right"));
+fn render_on_host(job: &Job, folder: &Path) -> TilePixels {
+    let source = KernelSource::new(&job.at(0).expect("a shipped scene is right"));
     let program = compile_text(&format!("{}{HOST_MAIN}", source.text), folder);
     let planes = job.image.channels().len();
     let Image { width, height, samples, .. } = job.image;
@@ -87,14 +87,14 @@ fn render_on_host(job: &Job, folder: &Path) -> Pixels {
     assert!(output.status.success());
     let numbers: Vec<f32> =
         output.stdout.chunks_exact(4).map(|bytes| f32::from_ne_bytes(bytes.try_into().expect("four bytes"))).collect();
-    let rect = Rect::whole(width, height);
-    Pixels { rect, planes: numbers.chunks_exact((width * height) as usize).map(<[f32]>::to_vec).collect() }
+    let rect = Rect::full(width, height);
+    TilePixels { rect, planes: numbers.chunks_exact((width * height) as usize).map(<[f32]>::to_vec).collect() }
 }
 
-fn render_on_cpu(job: &Job) -> Pixels {
+fn render_on_cpu(job: &Job) -> TilePixels {
     let renderer = CpuRenderer::new(None, Simd::Auto).expect("this machine has a CPU");
-    let rect = Rect::whole(job.image.width, job.image.height);
-    renderer.render(&TileRun { job, frame: 0, rect }, &Cancel::new(), &|_| {}).expect("nobody cancels it")
+    let rect = Rect::full(job.image.width, job.image.height);
+    renderer.render(&TileRequest { job, frame: 0, rect }, &CancelFlag::new(), &|_| {}).expect("nobody cancels it")
 }
 
 /// Compares what the host's compiler makes of these jobs with the CPU's pixels, several at a time.
@@ -127,7 +127,7 @@ fn assert_compiled(scenes: &[Shipped]) {
         Err(missing) => return skip("nvrtc", format_args!("no scene was compiled for a GPU: {missing}")),
     };
     for shipped in scenes {
-        let source = Source::new(&shipped.job().at(0).expect("a shipped scene is right"));
+        let source = KernelSource::new(&shipped.job().at(0).expect("a shipped scene is right"));
         for architecture in [75, 90] {
             let code = compiler.compile(&source.text, architecture);
             let code = code.unwrap_or_else(|trouble| panic!("{} for sm_{architecture}: {trouble}", shipped.name));
@@ -167,7 +167,7 @@ fn jobs_of_all_kinds() -> Vec<Job> {
 }
 
 #[test]
-fn the_text_of_every_light_background_projection_and_effect_renders_the_same_bits() {
+fn the_text_of_every_light_background_projection_and_effect_renders_identical_bits() {
     let jobs = jobs_of_all_kinds().into_iter().enumerate();
     let jobs: Vec<(String, Job)> = jobs.map(|(index, job)| (format!("job {index} of all kinds"), job)).collect();
     assert_same_on_host(&jobs);
@@ -182,13 +182,13 @@ fn few() -> Vec<Shipped> {
 }
 
 #[test]
-fn the_text_compiled_by_the_host_renders_the_same_bits() {
+fn the_text_compiled_by_the_host_renders_identical_bits() {
     assert_same_on_host(&in_small(&few()));
 }
 
 #[test]
 #[ignore = "long: the text of every shipped scene compiled by the host's compiler; two minutes"]
-fn the_text_of_every_scene_compiled_by_the_host_renders_the_same_bits() {
+fn the_text_of_every_scene_compiled_by_the_host_renders_identical_bits() {
     assert_same_on_host(&in_small(&shipped()));
 }
 
@@ -204,7 +204,7 @@ fn the_run_time_compiler_takes_every_scene() {
 }
 
 #[test]
-fn a_program_that_is_none_is_refused_with_the_compilers_words() {
+fn a_program_that_is_none_is_rejected_with_the_compilers_words() {
     let compiler = match Compiler::find() {
         Ok(compiler) => compiler,
         Err(missing) => return skip("nvrtc", format_args!("nothing could be refused: {missing}")),
@@ -236,9 +236,9 @@ fn no_number_of_a_scene_is_in_its_text() {
         let mut changed: Value = serde_json::from_slice(&text).expect("a scene is JSON");
         nudge(&mut changed["scene"]);
         let before = scene::parse(&text).expect("a shipped scene is right");
-        let before = Source::new(&before.at(0).expect("nothing moves in it"));
+        let before = KernelSource::new(&before.at(0).expect("nothing moves in it"));
         let after = scene::parse(changed.to_string().as_bytes()).expect("a little larger is in range");
-        let after = Source::new(&after.at(3).expect("nothing moves in it"));
+        let after = KernelSource::new(&after.at(3).expect("nothing moves in it"));
         assert_ne!(before.parameters, after.parameters, "{name} has other numbers now");
         assert!(before.text == after.text, "numbers of {name} are in its text");
     }
@@ -248,7 +248,7 @@ fn no_number_of_a_scene_is_in_its_text() {
 fn loop_states_change_together_and_unused_values_are_not_printed() {
     let tape = record(|recording| {
         recording.entry("swap", |[a, b, count]: [Expr; 3]| {
-            let zero = a.splat(0.0);
+            let zero = a.constant(0.0);
             let unused = (a + b).sqrt();
             let (a, b, _, _) = Real::repeat(100, (a, b, zero, unused), |(a, b, n, unused)| {
                 let next = n + 1.0;
@@ -257,8 +257,8 @@ fn loop_states_change_together_and_unused_values_are_not_printed() {
             vec![a, b]
         });
     });
-    let text = tape.text().code;
-    assert!(!text.contains("root") && !text.contains("* 2.0f"), "{text}");
+    let text = tape.to_c().code;
+    assert!(!text.contains("sqrt_rn") && !text.contains("* 2.0f"), "{text}");
     let main = r"
 #include <stdio.h>
 int main() {
@@ -267,6 +267,6 @@ int main() {
 }
 ";
     let folder = tempfile::tempdir().expect("a scratch folder");
-    let program = compile_text(&format!("#define STEP static\n{text}{main}"), folder.path());
+    let program = compile_text(&format!("#define INLINE_FN static\n{text}{main}"), folder.path());
     assert!(Command::new(program).status().expect("it runs").success(), "{text}");
 }

@@ -3,7 +3,7 @@
 
 use proto::Rect;
 use scene::Job;
-use worker::{Cancel, Pixels, RenderError, Renderer, TileRun};
+use worker::{CancelFlag, RenderError, Renderer, TilePixels, TileRequest};
 
 /// Every layer, in an order that is not the file's.
 pub(crate) const ALL_LAYERS: &str = r#"["steps", "depth", "normal", "position", "albedo", "object"]"#;
@@ -43,9 +43,9 @@ fn is_hit(x: u32, y: u32) -> bool {
     !(x / 16 + y / 16).is_multiple_of(3)
 }
 
-pub(crate) fn pixels(job: &Job, frame: u32, rect: Rect) -> Pixels {
+pub(crate) fn pixels(job: &Job, frame: u32, rect: Rect) -> TilePixels {
     let channels = job.image.channels();
-    let mut pixels = Pixels::zeroed(rect, channels.len());
+    let mut pixels = TilePixels::zeroed(rect, channels.len());
     for (plane, (name, samples)) in channels.iter().zip(&mut pixels.planes).enumerate() {
         for (index, value) in samples.iter_mut().enumerate() {
             let (x, y) = (rect.x + index as u32 % rect.width, rect.y + index as u32 / rect.width);
@@ -77,10 +77,10 @@ impl Renderer for FakeRenderer {
 
     fn render(
         &self,
-        run: &TileRun<'_>,
-        cancel: &Cancel,
+        run: &TileRequest<'_>,
+        cancel: &CancelFlag,
         progress: &(dyn Fn(u64) + Sync),
-    ) -> Result<Pixels, RenderError> {
+    ) -> Result<TilePixels, RenderError> {
         if cancel.is_cancelled() {
             return Err(RenderError::Cancelled);
         }

@@ -12,7 +12,10 @@ use axum::http::StatusCode;
 use axum::response::{IntoResponse, Response};
 use axum::routing::{get, post, put};
 use axum::{Json, Router};
-use proto::work::{self, Hello, LeasedTile, Outcome, Report, Run, SyncReply, SyncRequest, Welcome, Work};
+use proto::worker_protocol::{
+    self, Batch, BatchWork, LeaseOutcome, LeaseReport, LeasedTile, RegisterRequest, RegisterResponse, SyncRequest,
+    SyncResponse,
+};
 use proto::{JobId, LeaseId, Rect, WorkerId};
 use tokio::runtime::Runtime;
 use tokio::sync::Notify;
@@ -25,7 +28,7 @@ const DEADLINE: Duration = Duration::from_secs(20);
 pub(crate) struct Farm {
     pub(crate) lease_ms: u64,
     pub(crate) jobs: HashMap<JobId, String>,
-    pub(crate) queue: VecDeque<Run>,
+    pub(crate) queue: VecDeque<Batch>,
     pub(crate) live: HashSet<LeaseId>,
     pub(crate) drain: bool,
     /// Status and body to answer registrations with.
@@ -36,10 +39,10 @@ pub(crate) struct Farm {
     pub(crate) hold_puts: bool,
     /// Pictures that wait.
     pub(crate) putting: usize,
-    pub(crate) hellos: Vec<Hello>,
+    pub(crate) hellos: Vec<RegisterRequest>,
     pub(crate) workers: HashSet<WorkerId>,
     pub(crate) syncs: Vec<SyncRequest>,
-    pub(crate) reports: Vec<Report>,
+    pub(crate) reports: Vec<LeaseReport>,
     pub(crate) blobs: HashMap<String, Vec<u8>>,
     pub(crate) pictures: HashMap<String, Vec<u8>>,
     pub(crate) jobs_read: usize,
@@ -52,7 +55,7 @@ impl Farm {
         let tiles: Vec<LeasedTile> =
             (0..).zip(rects).map(|(index, &rect)| LeasedTile { lease: LeaseId::new(), index, rect }).collect();
         let leases = tiles.iter().map(|tile| tile.lease).collect();
-        self.queue.push_back(Run { job, frame: 3, work: Work::Render { tiles, whole_frame } });
+        self.queue.push_back(Batch { job, frame: 3, work: BatchWork::Render { tiles, whole_frame } });
         leases
     }
 
@@ -63,12 +66,12 @@ impl Farm {
     }
 
     /// What became of a lease, if it is known.
-    pub(crate) fn outcome(&self, lease: LeaseId) -> Option<&Outcome> {
+    pub(crate) fn outcome(&self, lease: LeaseId) -> Option<&LeaseOutcome> {
         self.reports.iter().find(|report| report.lease == lease).map(|report| &report.outcome)
     }
 
     fn lost(&self, sync: &SyncRequest) -> Vec<LeaseId> {
-        sync.holding.iter().copied().filter(|lease| !self.live.contains(lease)).collect()
+        sync.held_leases.iter().copied().filter(|lease| !self.live.contains(lease)).collect()
     }
 }
 
@@ -152,7 +155,7 @@ impl FakeServer {
     }
 
     /// Waits until all these leases are reported, and answers how.
-    pub(crate) fn outcomes(&self, leases: &[LeaseId]) -> Vec<Outcome> {
+    pub(crate) fn outcomes(&self, leases: &[LeaseId]) -> Vec<LeaseOutcome> {
         self.until("all leases are reported", |farm| leases.iter().map(|&lease| farm.outcome(lease).cloned()).collect())
     }
 }
@@ -167,8 +170,8 @@ impl Drop for FakeServer {
 
 fn router(shared: Shared) -> Router {
     Router::new()
-        .route(work::REGISTER, post(register))
-        .route(work::SYNC, post(sync))
+        .route(worker_protocol::REGISTER_PATH, post(register))
+        .route(worker_protocol::SYNC_PATH, post(sync))
         .route("/v1/worker/jobs/{job}", get(read_job))
         .route("/v1/worker/blobs/{hash}", put(put_blob).get(read_blob))
         .route("/v1/worker/pictures/{hash}", put(put_picture))
@@ -176,7 +179,7 @@ fn router(shared: Shared) -> Router {
         .with_state(shared)
 }
 
-async fn register(State(shared): State<Shared>, Json(hello): Json<Hello>) -> Response {
+async fn register(State(shared): State<Shared>, Json(hello): Json<RegisterRequest>) -> Response {
     shared.change(|farm| {
         if let Some((status, body)) = &farm.refusal {
             return (*status, body.clone()).into_response();
@@ -184,13 +187,13 @@ async fn register(State(shared): State<Shared>, Json(hello): Json<Hello>) -> Res
         farm.hellos.push(hello);
         let worker = WorkerId::new();
         farm.workers.insert(worker);
-        Json(Welcome { worker, lease_ms: farm.lease_ms, folders: None }).into_response()
+        Json(RegisterResponse { worker, lease_ms: farm.lease_ms, folders: None }).into_response()
     })
 }
 
 async fn sync(State(shared): State<Shared>, Json(sync): Json<SyncRequest>) -> Response {
     let known = shared.change(|farm| {
-        for report in &sync.results {
+        for report in &sync.reports {
             if farm.live.remove(&report.lease) {
                 farm.reports.push(report.clone());
             }
@@ -213,24 +216,30 @@ async fn sync(State(shared): State<Shared>, Json(sync): Json<SyncRequest>) -> Re
         shared.farm().waiting += 1;
         shared.farm.1.notify_all();
         if tokio::time::timeout_at(end, rung).await.is_err() {
-            return Json(SyncReply { run: None, lost: Vec::new(), drain: false, trace: None }).into_response();
+            return Json(SyncResponse { batch: None, revoked_leases: Vec::new(), drain: false, trace: None })
+                .into_response();
         }
     }
 }
 
 /// What there is to say at once.
-fn answer(shared: &Shared, sync: &SyncRequest) -> Option<SyncReply> {
+fn answer(shared: &Shared, sync: &SyncRequest) -> Option<SyncResponse> {
     let mut farm = shared.farm();
     let lost = farm.lost(sync);
     let run = if sync.wants_work && !farm.drain { farm.queue.pop_front() } else { None };
     match run.as_ref().map(|run| &run.work) {
-        Some(Work::Render { tiles, .. }) => farm.live.extend(tiles.iter().map(|tile| tile.lease)),
-        Some(Work::Stitch { lease, .. }) => _ = farm.live.insert(*lease),
+        Some(BatchWork::Render { tiles, .. }) => farm.live.extend(tiles.iter().map(|tile| tile.lease)),
+        Some(BatchWork::Stitch { lease, .. }) => _ = farm.live.insert(*lease),
         None => {}
     }
     let drain = farm.drain;
     shared.farm.1.notify_all();
-    (run.is_some() || !lost.is_empty() || drain).then_some(SyncReply { run, lost, drain, trace: None })
+    (run.is_some() || !lost.is_empty() || drain).then_some(SyncResponse {
+        batch: run,
+        revoked_leases: lost,
+        drain,
+        trace: None,
+    })
 }
 
 async fn read_job(State(shared): State<Shared>, Path(job): Path<JobId>) -> Response {

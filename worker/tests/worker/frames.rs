@@ -5,14 +5,14 @@ use std::sync::atomic::{AtomicU64, Ordering};
 
 use proto::Rect;
 use scene::Job;
-use worker::Cancel;
-use worker::frame::{FrameError, render_frame};
-use worker::stitch::Tiles;
+use worker::CancelFlag;
+use worker::frame::{RenderFrameError, render_frame};
+use worker::stitch::TileRows;
 
 use crate::fake_renderer::FakeRenderer;
 use crate::pictures::{encode, jobs, tiles};
 
-fn render(job: &Job, tile_px: Option<u32>, cancel: &Cancel, rays: &AtomicU64) -> Result<Vec<u8>, FrameError> {
+fn render(job: &Job, tile_px: Option<u32>, cancel: &CancelFlag, rays: &AtomicU64) -> Result<Vec<u8>, RenderFrameError> {
     let scratch = tempfile::tempdir().unwrap();
     let mut out = Cursor::new(Vec::new());
     let progress = |more| _ = rays.fetch_add(more, Ordering::Relaxed);
@@ -23,11 +23,11 @@ fn render(job: &Job, tile_px: Option<u32>, cancel: &Cancel, rays: &AtomicU64) ->
 #[test]
 fn a_frame_is_the_same_file_whatever_its_tiles() {
     for job in jobs() {
-        let whole = tiles(&job, &[Rect::whole(job.image.width, job.image.height)]);
-        let expected = encode(&job, &mut Tiles(&whole), 64).unwrap();
+        let whole = tiles(&job, &[Rect::full(job.image.width, job.image.height)]);
+        let expected = encode(&job, &mut TileRows(&whole), 64).unwrap();
         for tile_px in [None, Some(1), Some(32), Some(96)] {
             let rays = AtomicU64::new(0);
-            let got = render(&job, tile_px, &Cancel::new(), &rays).unwrap();
+            let got = render(&job, tile_px, &CancelFlag::new(), &rays).unwrap();
             assert_eq!(got, expected, "{tile_px:?}, {:?}", job.image);
             let asked = u64::from(job.image.width * job.image.height * job.image.samples);
             assert_eq!(rays.into_inner(), asked);
@@ -37,7 +37,7 @@ fn a_frame_is_the_same_file_whatever_its_tiles() {
 
 #[test]
 fn a_cancelled_frame_says_so() {
-    let cancel = Cancel::new();
+    let cancel = CancelFlag::new();
     cancel.cancel();
     let error = render(&jobs()[0], None, &cancel, &AtomicU64::new(0)).unwrap_err();
     assert!(error.is_cancelled(), "{error:?}");

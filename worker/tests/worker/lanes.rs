@@ -8,9 +8,9 @@ use scene::kinds::Example;
 use scene::lights::Light;
 use scene::materials::{Material, Shade, Texture};
 use scene::nodes::Node;
-use scene::{Image, Job, Layer, Program, effects};
+use scene::{Image, Integrator, Job, Layer, effects};
 use serde_json::{Value, json};
-use worker::{Cancel, CpuRenderer, Renderer, Simd, TileRun};
+use worker::{CancelFlag, CpuRenderer, Renderer, Simd, TileRequest};
 
 use crate::skip::skip;
 
@@ -26,8 +26,8 @@ pub(crate) fn levels() -> impl Iterator<Item = Simd> {
 }
 
 fn job(node: &str) -> Job {
-    let grey = r#"{ "diffuse": { "ks": [0.4, 0.4, 0.4] } }"#;
-    job_of(&format!(r#"{{ "shape": {node}, "material": {grey} }}"#))
+    let gray = r#"{ "diffuse": { "ks": [0.4, 0.4, 0.4] } }"#;
+    job_of(&format!(r#"{{ "shape": {node}, "material": {gray} }}"#))
 }
 
 /// The job of an object over a floor.
@@ -47,9 +47,9 @@ fn job_of(object: &str) -> Job {
 }
 
 /// The pixel by plain `f32`, channel by channel.
-fn reference(program: &Program<'_>, image: &Image, x: u32, y: u32) -> Vec<f32> {
+fn reference(program: &Integrator<'_>, image: &Image, x: u32, y: u32) -> Vec<f32> {
     let seen = program.pixel(x as f32, y as f32);
-    let met = program.layers(x as f32, y as f32);
+    let met = program.aovs(x as f32, y as f32);
     let mut channels = vec![seen.color.x, seen.color.y, seen.color.z, seen.alpha];
     for layer in &image.layers {
         match layer {
@@ -67,12 +67,12 @@ fn reference(program: &Program<'_>, image: &Image, x: u32, y: u32) -> Vec<f32> {
 /// Renders a job at every width and compares it with the reference.
 fn compare(name: &str, job: &Job) {
     let still = job.at(0).unwrap();
-    let program = Program::new(&still);
-    let rect = Rect::whole(job.image.width, job.image.height);
+    let program = Integrator::new(&still);
+    let rect = Rect::full(job.image.width, job.image.height);
     for simd in levels() {
         let renderer = CpuRenderer::new(Some(1), simd).unwrap();
-        let run = TileRun { job, frame: 0, rect };
-        let pixels = renderer.render(&run, &Cancel::new(), &|_| ()).unwrap();
+        let run = TileRequest { job, frame: 0, rect };
+        let pixels = renderer.render(&run, &CancelFlag::new(), &|_| ()).unwrap();
         for (x, y) in (0..rect.height).flat_map(|y| (0..rect.width).map(move |x| (x, y))) {
             let want = reference(&program, &job.image, x, y);
             for (plane, want) in pixels.planes.iter().zip(want) {
@@ -176,8 +176,9 @@ fn a_tile_has_the_bits_of_its_part_of_the_picture() {
     let example = Node::examples().swap_remove(0);
     let job = job(&example.node);
     let renderer = CpuRenderer::new(Some(2), Simd::Auto).unwrap();
-    let render = |rect| renderer.render(&TileRun { job: &job, frame: 0, rect }, &Cancel::new(), &|_| ()).unwrap();
-    let whole = render(Rect::whole(job.image.width, job.image.height));
+    let render =
+        |rect| renderer.render(&TileRequest { job: &job, frame: 0, rect }, &CancelFlag::new(), &|_| ()).unwrap();
+    let whole = render(Rect::full(job.image.width, job.image.height));
     for part in [Rect { x: 32, y: 0, width: 5, height: 29 }, Rect { x: 0, y: 19, width: 37, height: 3 }] {
         let tile = render(part);
         for (plane, want) in tile.planes.iter().zip(&whole.planes) {
@@ -194,8 +195,8 @@ fn a_tile_has_the_bits_of_its_part_of_the_picture() {
 fn a_raised_flag_stops_a_render() {
     let job = job(&Node::examples().swap_remove(0).node);
     let renderer = CpuRenderer::new(Some(1), Simd::Auto).unwrap();
-    let cancel = Cancel::new();
+    let cancel = CancelFlag::new();
     cancel.cancel();
-    let run = TileRun { job: &job, frame: 0, rect: Rect::whole(37, 29) };
+    let run = TileRequest { job: &job, frame: 0, rect: Rect::full(37, 29) };
     assert!(matches!(renderer.render(&run, &cancel, &|_| ()), Err(worker::RenderError::Cancelled)));
 }

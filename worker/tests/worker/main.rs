@@ -1,6 +1,8 @@
 //! The worker by what the crate offers: pictures, blobs, frames, the agent, every arithmetic, the generated pages.
 
 mod agent;
+mod animation;
+mod bit_identical;
 mod blobs;
 mod cuda;
 mod docs;
@@ -8,10 +10,8 @@ mod fake_renderer;
 mod fake_server;
 mod frames;
 mod lanes;
-mod motion;
 mod pictures;
 mod read_back;
-mod same_bits;
 mod shipped;
 mod silhouettes;
 #[path = "../../../tests/skip.rs"]

@@ -5,9 +5,9 @@ use std::io::Cursor;
 use proto::Rect;
 use scene::{Format, Job};
 use worker::blob;
-use worker::image::{ImageError, Picture, Provenance, exr, png};
-use worker::stitch::{Blobs, Source, StitchError, Tiles};
-use worker::{Cancel, Pixels};
+use worker::image::{ImageError, PictureSpec, Provenance, exr, png};
+use worker::stitch::{BlobRows, RowSource, StitchError, TileRows};
+use worker::{CancelFlag, TilePixels};
 
 use crate::fake_renderer::{ALL_LAYERS, cut, job, pixels, transparent_job};
 
@@ -26,16 +26,16 @@ pub(crate) fn jobs() -> Vec<Job> {
     ]
 }
 
-pub(crate) fn tiles(job: &Job, rects: &[Rect]) -> Vec<Pixels> {
+pub(crate) fn tiles(job: &Job, rects: &[Rect]) -> Vec<TilePixels> {
     rects.iter().map(|&rect| pixels(job, 3, rect)).collect()
 }
 
-pub(crate) fn encode(job: &Job, source: &mut dyn Source, band_rows: u32) -> Result<Vec<u8>, ImageError> {
-    let picture = Picture::of(&job.at(3).unwrap());
+pub(crate) fn encode(job: &Job, source: &mut dyn RowSource, band_rows: u32) -> Result<Vec<u8>, ImageError> {
+    let picture = PictureSpec::new(&job.at(3).unwrap());
     let mut out = Cursor::new(Vec::new());
     match picture.format {
-        Format::Png => png::write(&picture, source, &mut out, &Cancel::new(), band_rows)?,
-        Format::Exr => exr::write(&picture, source, &mut out, &Cancel::new(), band_rows)?,
+        Format::Png => png::write(&picture, source, &mut out, &CancelFlag::new(), band_rows)?,
+        Format::Exr => exr::write(&picture, source, &mut out, &CancelFlag::new(), band_rows)?,
     }
     Ok(out.into_inner())
 }
@@ -44,13 +44,13 @@ pub(crate) fn encode(job: &Job, source: &mut dyn Source, band_rows: u32) -> Resu
 fn no_tiling_and_no_band_changes_a_byte() {
     for job in jobs() {
         let (width, height) = (job.image.width, job.image.height);
-        let whole = tiles(&job, &[Rect::whole(width, height)]);
-        let expected = encode(&job, &mut Tiles(&whole), 64).unwrap();
+        let whole = tiles(&job, &[Rect::full(width, height)]);
+        let expected = encode(&job, &mut TileRows(&whole), 64).unwrap();
         for (tile_width, tile_height) in [(32, 32), (width, 5), (17, height), (64, 23)] {
             let mut tiles = tiles(&job, &cut(width, height, tile_width, tile_height));
             tiles.reverse();
             for band_rows in [1, 7, 64, 1000] {
-                let got = encode(&job, &mut Tiles(&tiles), band_rows).unwrap();
+                let got = encode(&job, &mut TileRows(&tiles), band_rows).unwrap();
                 assert_eq!(got, expected, "{tile_width}×{tile_height}, {band_rows} rows, {:?}", job.image);
                 let got = encode(&job, &mut in_blobs(&tiles), band_rows).unwrap();
                 assert_eq!(got, expected, "{tile_width}×{tile_height} in blobs, {band_rows} rows, {:?}", job.image);
@@ -63,21 +63,22 @@ fn no_tiling_and_no_band_changes_a_byte() {
 fn no_number_of_threads_changes_a_byte() {
     let pool = rayon::ThreadPoolBuilder::new().num_threads(3).build().unwrap();
     for job in jobs() {
-        let tiles = tiles(&job, &[Rect::whole(job.image.width, job.image.height)]);
+        let tiles = tiles(&job, &[Rect::full(job.image.width, job.image.height)]);
         let mut files = [Cursor::new(Vec::new()), Cursor::new(Vec::new())];
         let [one, other] = &mut files;
-        Picture::of(&job.at(3).unwrap()).write(&mut Tiles(&tiles), one, &Cancel::new()).unwrap();
-        pool.install(|| Picture::of(&job.at(3).unwrap()).write(&mut Tiles(&tiles), other, &Cancel::new())).unwrap();
+        PictureSpec::new(&job.at(3).unwrap()).write(&mut TileRows(&tiles), one, &CancelFlag::new()).unwrap();
+        pool.install(|| PictureSpec::new(&job.at(3).unwrap()).write(&mut TileRows(&tiles), other, &CancelFlag::new()))
+            .unwrap();
         assert_eq!(files[0], files[1]);
     }
 }
 
 #[test]
-fn a_missing_tile_is_told_and_not_painted_over() {
+fn a_missing_tile_is_reported_and_not_painted_over() {
     for job in jobs() {
         let mut tiles = tiles(&job, &cut(job.image.width, job.image.height, 32, 32));
         tiles.pop();
-        let error = encode(&job, &mut Tiles(&tiles), 64).unwrap_err();
+        let error = encode(&job, &mut TileRows(&tiles), 64).unwrap_err();
         assert!(matches!(error, ImageError::Stitch(StitchError::Uncovered { .. })), "{error:?}");
         let error = encode(&job, &mut in_blobs(&tiles), 64).unwrap_err();
         assert!(matches!(error, ImageError::Stitch(StitchError::Uncovered { .. })), "{error:?}");
@@ -85,35 +86,35 @@ fn a_missing_tile_is_told_and_not_painted_over() {
 }
 
 #[test]
-fn a_truncated_blob_is_told() {
+fn a_truncated_blob_is_reported() {
     let job = job(64, 64, "");
-    let tile = pixels(&job, 3, Rect::whole(64, 64));
+    let tile = pixels(&job, 3, Rect::full(64, 64));
     let mut bytes = blob::encode(&tile);
     bytes.pop();
-    let error = encode(&job, &mut Blobs::new(Cursor::new(bytes), vec![(tile.rect, 0)]), 64).unwrap_err();
+    let error = encode(&job, &mut BlobRows::new(Cursor::new(bytes), vec![(tile.rect, 0)]), 64).unwrap_err();
     assert!(matches!(error, ImageError::Stitch(StitchError::Blob { .. })), "{error:?}");
 }
 
 #[test]
 fn a_raised_flag_ends_the_writing() {
-    let cancel = Cancel::new();
+    let cancel = CancelFlag::new();
     cancel.cancel();
     for job in jobs() {
-        let tiles = tiles(&job, &[Rect::whole(job.image.width, job.image.height)]);
+        let tiles = tiles(&job, &[Rect::full(job.image.width, job.image.height)]);
         let mut out = Cursor::new(Vec::new());
-        let error = Picture::of(&job.at(3).unwrap()).write(&mut Tiles(&tiles), &mut out, &cancel).unwrap_err();
+        let error = PictureSpec::new(&job.at(3).unwrap()).write(&mut TileRows(&tiles), &mut out, &cancel).unwrap_err();
         assert!(matches!(error, ImageError::Cancelled), "{error:?}");
     }
 }
 
-fn in_blobs(tiles: &[Pixels]) -> Blobs<Cursor<Vec<u8>>> {
+fn in_blobs(tiles: &[TilePixels]) -> BlobRows<Cursor<Vec<u8>>> {
     let mut file = b"something before".to_vec();
     let mut places = Vec::new();
     for tile in tiles {
         places.push((tile.rect, file.len() as u64));
         blob::write(tile, &mut file).unwrap();
     }
-    Blobs::new(Cursor::new(file), places)
+    BlobRows::new(Cursor::new(file), places)
 }
 
 /// The compressors are other people's code: a new version of theirs must not change pictures unseen.
@@ -129,10 +130,10 @@ fn the_bytes_of_a_picture_are_pinned() {
     ];
     for (job, expected) in pinned {
         let provenance = Provenance { scene: "0".repeat(64), picture_version: 1, frame: 0, seed: 0 };
-        let picture = Picture { provenance, ..Picture::of(&job.at(0).unwrap()) };
-        let tiles = tiles(&job, &[Rect::whole(70, 50)]);
+        let picture = PictureSpec { provenance, ..PictureSpec::new(&job.at(0).unwrap()) };
+        let tiles = tiles(&job, &[Rect::full(70, 50)]);
         let mut out = Cursor::new(Vec::new());
-        picture.write(&mut Tiles(&tiles), &mut out, &Cancel::new()).unwrap();
-        assert_eq!(blob::key(&out.into_inner()), expected, "{:?}", job.image);
+        picture.write(&mut TileRows(&tiles), &mut out, &CancelFlag::new()).unwrap();
+        assert_eq!(blob::hash(&out.into_inner()), expected, "{:?}", job.image);
     }
 }

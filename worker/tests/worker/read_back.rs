@@ -5,20 +5,20 @@ use std::process::{Command, Stdio};
 
 use half::f16;
 use proto::Rect;
-use scene::values::Stops;
+use scene::values::ExposureStops;
 use scene::{Bits, Image, Job, Precision, ToneMap};
-use worker::Pixels;
-use worker::stitch::Tiles;
+use worker::TilePixels;
+use worker::stitch::TileRows;
 
 use crate::fake_renderer::{ALL_LAYERS, job, transparent_job};
 use crate::pictures::{encode, jobs, tiles};
 
-fn whole(job: &Job) -> Pixels {
-    tiles(job, &[Rect::whole(job.image.width, job.image.height)]).remove(0)
+fn whole(job: &Job) -> TilePixels {
+    tiles(job, &[Rect::full(job.image.width, job.image.height)]).remove(0)
 }
 
-fn file(job: &Job, pixels: &Pixels) -> Vec<u8> {
-    encode(job, &mut Tiles(std::slice::from_ref(pixels)), 64).unwrap()
+fn file(job: &Job, pixels: &TilePixels) -> Vec<u8> {
+    encode(job, &mut TileRows(std::slice::from_ref(pixels)), 64).unwrap()
 }
 
 fn pngs() -> impl Iterator<Item = Job> {
@@ -51,8 +51,9 @@ fn srgb(linear: f64) -> f64 {
 /// A graded PNG of each kind: two stops brighter and filmic, or half a stop darker alone.
 fn graded() -> impl Iterator<Item = Job> {
     pngs().flat_map(|job| {
-        let filmic = Image { exposure: Stops::new(2.0).unwrap(), tone_map: ToneMap::Filmic, ..job.image.clone() };
-        let darker = Image { exposure: Stops::new(-0.5).unwrap(), ..job.image.clone() };
+        let filmic =
+            Image { exposure: ExposureStops::new(2.0).unwrap(), tone_map: ToneMap::Filmic, ..job.image.clone() };
+        let darker = Image { exposure: ExposureStops::new(-0.5).unwrap(), ..job.image.clone() };
         [filmic, darker].map(|image| job.clone().with_image(image))
     })
 }
@@ -226,7 +227,7 @@ fn an_exr_holds_no_negative_zero_and_no_nan() {
     let layers = format!(r#""format": "exr", "precision": "float", "layers": {ALL_LAYERS}"#);
     for job in [transparent_job(4, 1, &layers), transparent_job(4, 1, r#""format": "exr""#)] {
         let planes = vec![vec![-0.0, f32::NAN, -1e-12, 1e9]; job.image.channels().len()];
-        let image = decode_exr(&file(&job, &Pixels { rect: Rect::whole(4, 1), planes }));
+        let image = decode_exr(&file(&job, &TilePixels { rect: Rect::full(4, 1), planes }));
         for channel in &image.layer_data[0].channel_data.list {
             let bits: Vec<u32> = channel.sample_data.values_as_f32().map(f32::to_bits).collect();
             let half = matches!(channel.sample_data, exr::image::FlatSamples::F16(_));
@@ -241,7 +242,7 @@ fn halves_round_to_the_nearest_even() {
     let job = job(4, 1, r#""format": "exr""#);
     let step = 1.0 / 1024.0;
     let row = vec![1.0 + step * 0.5, 1.0 + step * 1.5, 1.0 + step * 0.501, 65519.0];
-    let image = decode_exr(&file(&job, &Pixels { rect: Rect::whole(4, 1), planes: vec![row; 4] }));
+    let image = decode_exr(&file(&job, &TilePixels { rect: Rect::full(4, 1), planes: vec![row; 4] }));
     let values: Vec<f32> = image.layer_data[0].channel_data.list[0].sample_data.values_as_f32().collect();
     assert_eq!(values, [1.0, 1.0 + step * 2.0, 1.0 + step, 65504.0]);
 }

@@ -7,12 +7,12 @@ use std::path::Path;
 use proto::Rect;
 use scene::real::vec3;
 use serde_json::{Value, json};
-use worker::{Cancel, CpuRenderer, Renderer, Simd, TileRun};
+use worker::{CancelFlag, CpuRenderer, Renderer, Simd, TileRequest};
 
 /// Pixels along an edge.
 const SIZE: usize = 256;
 /// The paper's least step.
-const LEAST_STEP: f64 = 0.001;
+const MIN_STEP: f64 = 0.001;
 /// What is near zero: the paper does not say.
 const NEAR: f64 = 1e-4;
 /// Where its rays end.
@@ -42,13 +42,13 @@ fn cross(a: Point, b: Point) -> Point {
     [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
 }
 
-fn sphere(p: Point, centre: Point, radius: f64) -> f64 {
-    length(less(p, centre)) - radius
+fn sphere(p: Point, center: Point, radius: f64) -> f64 {
+    length(less(p, center)) - radius
 }
 
 /// |max(q,0)| + min(max(qx,qy,qz),0), q = |p|−B.
-fn block(p: Point, centre: Point, half_edges: Point) -> f64 {
-    let q = less(less(p, centre).map(f64::abs), half_edges);
+fn block(p: Point, center: Point, half_edges: Point) -> f64 {
+    let q = less(less(p, center).map(f64::abs), half_edges);
     length(q.map(|part| part.max(0.0))) + q[0].max(q[1]).max(q[2]).min(0.0)
 }
 
@@ -87,8 +87,8 @@ fn teaser(p: Point) -> f64 {
 }
 
 fn clouds(p: Point) -> f64 {
-    let centres = [-2.1, 2.1].map(|x| [-2.1, 2.1].map(|y| [x, y, -5.0]));
-    centres.into_iter().flatten().map(|centre| sphere(p, centre, 2.0)).fold(f64::INFINITY, f64::min)
+    let centers = [-2.1, 2.1].map(|x| [-2.1, 2.1].map(|y| [x, y, -5.0]));
+    centers.into_iter().flatten().map(|center| sphere(p, center, 2.0)).fold(f64::INFINITY, f64::min)
 }
 
 /// t = 0; near zero: hit; else t += max(D, 0.001).
@@ -99,7 +99,7 @@ fn is_hit(start: Point, direction: Point, distance: fn(Point) -> f64) -> bool {
         if gap < NEAR {
             return true;
         }
-        t += gap.max(LEAST_STEP);
+        t += gap.max(MIN_STEP);
     }
     false
 }
@@ -146,8 +146,8 @@ impl Paper {
 fn rendered(job: &Value) -> Vec<bool> {
     let job = scene::parse(job.to_string().as_bytes()).expect("it is right");
     let renderer = CpuRenderer::new(None, Simd::Auto).expect("there is a CPU");
-    let run = TileRun { job: &job, frame: 0, rect: Rect::whole(SIZE as u32, SIZE as u32) };
-    let pixels = renderer.render(&run, &Cancel::new(), &|_| ()).expect("it renders");
+    let run = TileRequest { job: &job, frame: 0, rect: Rect::full(SIZE as u32, SIZE as u32) };
+    let pixels = renderer.render(&run, &CancelFlag::new(), &|_| ()).expect("it renders");
     pixels.planes[3].iter().map(|&alpha| alpha > 0.5).collect()
 }
 

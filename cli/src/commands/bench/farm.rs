@@ -9,14 +9,14 @@ use serde::Serialize;
 use server::{Config, Server};
 use tokio_util::sync::CancellationToken;
 
-use crate::commands::serve::own_program;
+use crate::commands::serve::current_executable;
 
 /// Interval between two reads of a measured job.
-const PAUSE: Duration = Duration::from_millis(1);
+const POLL_INTERVAL: Duration = Duration::from_millis(1);
 /// Jobs before the first that counts.
 const WARM_UP: usize = 3;
 /// Time limit for workers to start: a GPU's self-test is compiled at the first start.
-const START: Duration = Duration::from_mins(1);
+const START_TIMEOUT: Duration = Duration::from_mins(1);
 
 /// Times of a farm.
 #[derive(Clone, Debug, Serialize)]
@@ -41,7 +41,7 @@ pub(crate) async fn measure(text: &[u8], devices: Vec<String>, jobs: usize, fram
     let config = Config {
         listen: ([127, 0, 0, 1], 0).into(),
         data: data.path().to_owned(),
-        worker_program: own_program()?,
+        worker_program: current_executable()?,
         devices,
         ..Config::default()
     };
@@ -62,8 +62,12 @@ async fn farm(client: &Client, text: &[u8], jobs: usize, frames: u32) -> anyhow:
         if pool.ready > 0 && pool.ready >= pool.workers {
             break;
         }
-        anyhow::ensure!(start.elapsed() < START, "not every worker was ready after {} s", START.as_secs());
-        tokio::time::sleep(PAUSE).await;
+        anyhow::ensure!(
+            start.elapsed() < START_TIMEOUT,
+            "not every worker was ready after {} s",
+            START_TIMEOUT.as_secs()
+        );
+        tokio::time::sleep(POLL_INTERVAL).await;
     }
     let mut devices: Vec<String> = client.workers().await?.workers.into_iter().map(|worker| worker.device).collect();
     devices.sort();
@@ -101,7 +105,7 @@ async fn until_stored(client: &Client, id: JobId) -> anyhow::Result<()> {
             JobState::Failed | JobState::Cancelled => {
                 anyhow::bail!("job {id} did not succeed: {}", job.errors.join("; "))
             }
-            JobState::Queued | JobState::Running => tokio::time::sleep(PAUSE).await,
+            JobState::Queued | JobState::Running => tokio::time::sleep(POLL_INTERVAL).await,
         }
     }
 }

@@ -13,13 +13,13 @@ use clap::Args;
 use scene::Job;
 use serde::Serialize;
 use worker::bench::{GpuReport, RenderReport, render, render_on_gpu};
-use worker::cuda::Shape;
+use worker::cuda::BlockDim;
 use worker::{CpuRenderer, Simd};
 
-use crate::arguments::{Device, RendererArguments};
+use crate::arguments::{DeviceChoice, RendererArguments};
 use crate::shipped;
-use crate::terminal::{note, say};
-use profile::Profile;
+use crate::terminal::{print_line, print_note};
+use profile::StepProfile;
 use published::{Published, published};
 
 /// The scene of Table 1.
@@ -27,12 +27,12 @@ const SCENE: &str = "paper/five-spheres";
 /// Camera rays a pixel, as in Table 1.
 const SAMPLES: u32 = 8;
 /// Blocks of threads, as in Table 1.
-const BLOCKS: [Shape; 5] = [
-    Shape { columns: 8, rows: 8 },
-    Shape { columns: 16, rows: 16 },
-    Shape { columns: 32, rows: 8 },
-    Shape { columns: 128, rows: 1 },
-    Shape { columns: 256, rows: 1 },
+const BLOCKS: [BlockDim; 5] = [
+    BlockDim { columns: 8, rows: 8 },
+    BlockDim { columns: 16, rows: 16 },
+    BlockDim { columns: 32, rows: 8 },
+    BlockDim { columns: 128, rows: 1 },
+    BlockDim { columns: 256, rows: 1 },
 ];
 
 /// Arguments of `bench paper`.
@@ -92,7 +92,7 @@ struct GpuRow {
     registers: u32,
     theoretical_occupancy_percent: f64,
     #[serde(flatten)]
-    profile: Profile,
+    profile: StepProfile,
 }
 
 /// Measures it.
@@ -114,7 +114,7 @@ pub(crate) fn run(arguments: &Arguments) -> anyhow::Result<()> {
     let cpu = cpu.context("no resolution was asked for: name one, such as --resolutions 256")?;
     let gpu = gpu.map(|gpu| gpu.name);
     let table = Table { scene: SCENE, samples: SAMPLES, gpu, simd: cpu.simd, threads: cpu.threads, rows };
-    if arguments.json { say(&serde_json::to_string_pretty(&table)?) } else { table::say_all(&table) }
+    if arguments.json { print_line(&serde_json::to_string_pretty(&table)?) } else { table::say_all(&table) }
 }
 
 /// The scene at this size, as text and read.
@@ -142,14 +142,14 @@ impl<'a> Gpu<'a> {
     /// The requested GPU, or any; prints a notice if there is none.
     fn find(arguments: &'a Arguments) -> anyhow::Result<Option<Self>> {
         let ordinal = match arguments.renderer.device {
-            Device::Cpu => {
-                note("the GPU is skipped, as --device cpu asks for");
+            DeviceChoice::Cpu => {
+                print_note("the GPU is skipped, as --device cpu asks for");
                 return Ok(None);
             }
-            Device::Cuda(ordinal) => ordinal,
-            Device::Auto(ordinal) => {
+            DeviceChoice::Cuda(ordinal) => ordinal,
+            DeviceChoice::Auto(ordinal) => {
                 if let Err(error) = worker::cuda::devices() {
-                    note(&format!("the GPU is skipped: {error}"));
+                    print_note(&format!("the GPU is skipped: {error}"));
                     return Ok(None);
                 }
                 ordinal
@@ -162,25 +162,25 @@ impl<'a> Gpu<'a> {
         Ok(Some(Self { arguments, ordinal, name, counter, profiled: Some(folder) }))
     }
 
-    fn measure(&mut self, text: &str, job: &Job, block: Shape) -> anyhow::Result<(GpuReport, Profile)> {
-        let renderer = self.arguments.renderer.cuda.in_blocks(block).renderer(self.ordinal)?;
+    fn measure(&mut self, text: &str, job: &Job, block: BlockDim) -> anyhow::Result<(GpuReport, StepProfile)> {
+        let renderer = self.arguments.renderer.cuda.with_block(block).renderer(self.ordinal)?;
         let report = render_on_gpu(job, &renderer, &self.counter, self.arguments.runs as usize)?;
         drop(renderer);
         Ok((report, self.profile(text, block)?))
     }
 
     /// Counters of `ncu`; none if it is missing or not permitted.
-    fn profile(&mut self, text: &str, block: Shape) -> anyhow::Result<Profile> {
-        let Some(folder) = &self.profiled else { return Ok(Profile::default()) };
+    fn profile(&mut self, text: &str, block: BlockDim) -> anyhow::Result<StepProfile> {
+        let Some(folder) = &self.profiled else { return Ok(StepProfile::default()) };
         let path: PathBuf = folder.path().join("job.json");
         std::fs::write(&path, text).with_context(|| format!("could not write {}", path.display()))?;
         let device = format!("cuda:{}", self.ordinal);
         match profile::profile(&path, &device, block, self.arguments.renderer.cuda.cache()) {
             Ok(counted) => Ok(counted),
             Err(why) => {
-                note(&format!("achieved occupancy, branches and lanes are skipped: {why}"));
+                print_note(&format!("achieved occupancy, branches and lanes are skipped: {why}"));
                 self.profiled = None;
-                Ok(Profile::default())
+                Ok(StepProfile::default())
             }
         }
     }
@@ -189,10 +189,10 @@ impl<'a> Gpu<'a> {
 impl Row {
     fn new(
         resolution: u32,
-        block: Shape,
+        block: BlockDim,
         serial: &RenderReport,
         simd: &RenderReport,
-        gpu: Option<(GpuReport, Profile)>,
+        gpu: Option<(GpuReport, StepProfile)>,
     ) -> Self {
         let published = published(resolution, block);
         Self {

@@ -1,9 +1,9 @@
 //! `sdfarm bench queue`: the throughput and response times of a server's queue. A real server in a fresh
 //! folder, called over HTTP; its workers only simulate rendering, except the one that is stopped by a cancel.
 
+mod fake_worker;
 mod latency;
 mod load;
-mod pretender;
 
 use std::sync::Arc;
 use std::time::Duration;
@@ -15,8 +15,8 @@ use serde::Serialize;
 use server::{Config, Server};
 use tokio_util::sync::CancellationToken;
 
-use crate::commands::serve::own_program;
-use crate::terminal::{note, say};
+use crate::commands::serve::current_executable;
+use crate::terminal::{print_line, print_note};
 
 /// Arguments of `bench queue`.
 #[derive(Debug, Args)]
@@ -51,7 +51,7 @@ pub(crate) struct Times {
 }
 
 impl Times {
-    fn of(mut times: Vec<Duration>) -> Self {
+    fn new(mut times: Vec<Duration>) -> Self {
         times.sort();
         let at = |share: f64| {
             let index = ((times.len() as f64 * share).ceil() as usize).clamp(1, times.len().max(1)) - 1;
@@ -63,7 +63,7 @@ impl Times {
 
 /// Everything measured.
 #[derive(Debug, Serialize)]
-struct Report {
+struct QueueBenchReport {
     clients: u32,
     jobs: u32,
     submits_per_second: f64,
@@ -77,23 +77,23 @@ struct Report {
 }
 
 /// A server in a fresh folder, until it is stopped.
-pub(super) struct Farm {
+pub(super) struct BenchFarm {
     pub(super) client: Client,
     shutdown: CancellationToken,
     serving: tokio::task::JoinHandle<Result<(), server::ServeError>>,
     _data: tempfile::TempDir,
 }
 
-impl Farm {
+impl BenchFarm {
     pub(super) async fn start(workers: u32, tile_px: Option<u32>) -> anyhow::Result<Self> {
         let data = tempfile::tempdir().context("could not make a folder for the farm: free some space there")?;
         let config = Config {
             listen: ([127, 0, 0, 1], 0).into(),
             data: data.path().to_owned(),
-            worker_program: own_program()?,
+            worker_program: current_executable()?,
             devices: vec!["cpu".to_owned()],
             workers: Some(workers),
-            tile_px,
+            tile_edge_px: tile_px,
             ..Config::default()
         };
         let server = Server::start(config).await?;
@@ -112,20 +112,20 @@ impl Farm {
 /// Measures it.
 pub(crate) async fn run(arguments: &Arguments) -> anyhow::Result<()> {
     let seconds = Duration::from_secs(arguments.seconds);
-    let farm = Arc::new(Farm::start(0, Some(load::TILE_PX)).await?);
-    note(&format!("handing in {} jobs of 100 tiles", arguments.jobs));
+    let farm = Arc::new(BenchFarm::start(0, Some(load::TILE_PX)).await?);
+    print_note(&format!("handing in {} jobs of 100 tiles", arguments.jobs));
     let (submits_per_second, submit) = load::submit(&farm, arguments.clients, arguments.jobs).await?;
-    note("claiming among them");
+    print_note("claiming among them");
     let claim = load::claim(&farm).await?;
-    note("working off tiles, with questions how jobs stand");
-    let load::Work { tiles_per_second, status_per_second, status } =
+    print_note("working off tiles, with questions how jobs stand");
+    let load::Throughput { tiles_per_second, status_per_second, status } =
         load::work(&farm, arguments.workers, seconds).await?;
     Arc::into_inner(farm).context("a client still uses the farm")?.stop().await?;
-    note("timing starts and cancels");
+    print_note("timing starts and cancels");
     let start = latency::start(arguments.runs).await?;
-    let cancel = latency::cancel(arguments.runs.min(latency::MOST_CANCELS)).await?;
+    let cancel = latency::cancel(arguments.runs.min(latency::MAX_CANCELS)).await?;
     let (clients, jobs) = (arguments.clients, arguments.jobs);
-    let report = Report {
+    let report = QueueBenchReport {
         clients,
         jobs,
         submits_per_second,
@@ -137,18 +137,18 @@ pub(crate) async fn run(arguments: &Arguments) -> anyhow::Result<()> {
         start,
         cancel,
     };
-    if arguments.json { say(&serde_json::to_string_pretty(&report)?) } else { table(&report) }
+    if arguments.json { print_line(&serde_json::to_string_pretty(&report)?) } else { table(&report) }
 }
 
-fn table(report: &Report) -> anyhow::Result<()> {
+fn table(report: &QueueBenchReport) -> anyhow::Result<()> {
     let row = |what: &str, rate: Option<f64>, times: Option<Times>| {
         let rate = rate.map_or_else(String::new, |rate| format!("{rate:.0}"));
         let times = times.map_or_else(String::new, |times| {
             format!("{:>10.2} {:>10.2} {:>10.2}", times.median_ms, times.p99_ms, times.longest_ms)
         });
-        say(&format!("{what:<52} {rate:>9} {times}"))
+        print_line(&format!("{what:<52} {rate:>9} {times}"))
     };
-    say(&format!("{:<52} {:>9} {:>10} {:>10} {:>10}", "", "a second", "median ms", "p99 ms", "longest"))?;
+    print_line(&format!("{:<52} {:>9} {:>10} {:>10} {:>10}", "", "a second", "median ms", "p99 ms", "longest"))?;
     row(
         &format!("jobs handed in by {} clients", report.clients),
         Some(report.submits_per_second),

@@ -6,10 +6,10 @@ use std::time::Instant;
 
 use anyhow::Context;
 use clap::Args;
-use scene::{Job, Program};
+use scene::{Integrator, Job};
 use serde::Serialize;
 
-use crate::terminal::say;
+use crate::terminal::print_line;
 
 /// Frames of the job.
 const FRAMES: u32 = 240;
@@ -34,7 +34,7 @@ pub(crate) struct Arguments {
 
 /// What it took.
 #[derive(Debug, Serialize)]
-struct Report {
+struct SetupReport {
     size_bytes: usize,
     nodes: u32,
     frames: u32,
@@ -58,7 +58,7 @@ struct Spread {
 }
 
 impl Spread {
-    fn of(mut us: Vec<f64>) -> Self {
+    fn new(mut us: Vec<f64>) -> Self {
         us.sort_by(f64::total_cmp);
         let at = |share: f64| us[((us.len() - 1) as f64 * share) as usize];
         Self { least: at(0.0), median: at(0.5), percentile_95: at(0.95), greatest: at(1.0) }
@@ -77,34 +77,34 @@ pub(crate) fn run(arguments: &Arguments) -> anyhow::Result<()> {
     let text = job_file(arguments.kib as usize * 1024);
     let parse = || scene::parse(text.as_bytes()).context("the job that is measured is wrong");
     let job = parse()?;
-    let report = Report {
+    let report = SetupReport {
         size_bytes: text.len(),
         nodes: job.nodes(),
         frames: job.frames.count,
-        parse_us: Spread::of((0..arguments.runs).map(|_| timed(|| drop(black_box(parse())))).collect()),
+        parse_us: Spread::new((0..arguments.runs).map(|_| timed(|| drop(black_box(parse())))).collect()),
         at_us: each_frame(&job, arguments.runs, |frame| drop(black_box(job.at(frame)))),
         program_us: each_frame(&job, arguments.runs, |frame| {
             if let Ok(still) = job.at(frame) {
-                black_box(Program::new(&still));
+                black_box(Integrator::new(&still));
             }
         }),
         key_us: each_frame(&job, arguments.runs, |frame| {
-            black_box(job.picture_key(frame));
+            black_box(job.cache_key(frame));
         }),
     };
     if arguments.json {
-        return say(&serde_json::to_string_pretty(&report)?);
+        return print_line(&serde_json::to_string_pretty(&report)?);
     }
-    say(&format!("a job of {} bytes and {} nodes, {} frames", report.size_bytes, report.nodes, report.frames))?;
-    say(&report.parse_us.line("read and checked"))?;
-    say(&report.at_us.line("a frame"))?;
-    say(&report.program_us.line("a frame, made ready"))?;
-    say(&report.key_us.line("a frame's cache key"))
+    print_line(&format!("a job of {} bytes and {} nodes, {} frames", report.size_bytes, report.nodes, report.frames))?;
+    print_line(&report.parse_us.line("read and checked"))?;
+    print_line(&report.at_us.line("a frame"))?;
+    print_line(&report.program_us.line("a frame, made ready"))?;
+    print_line(&report.key_us.line("a frame's cache key"))
 }
 
 fn each_frame(job: &Job, runs: u32, mut set_up: impl FnMut(u32)) -> Spread {
     let frames = (0..runs).flat_map(|_| 0..job.frames.count);
-    Spread::of(frames.map(|frame| timed(|| set_up(frame))).collect())
+    Spread::new(frames.map(|frame| timed(|| set_up(frame))).collect())
 }
 
 fn timed(work: impl FnOnce()) -> f64 {
@@ -170,7 +170,7 @@ mod tests {
             let text = job_file(kib * 1024);
             assert!(text.len() >= kib * 1024 && text.len() < (kib + 2) * 1024, "{}", text.len());
             let job = scene::parse(text.as_bytes()).expect("a sound job");
-            assert!(job.is_moving() && job.at(FRAMES - 1).is_ok());
+            assert!(job.is_animated() && job.at(FRAMES - 1).is_ok());
         }
     }
 }

@@ -1,6 +1,6 @@
 //! How large a job is, counted, and what it takes, judged by a sample.
 
-use proto::sketch::Sample;
+use proto::preview_helper::CostSample;
 use proto::tile::Tiling;
 use scene::{Bits, Format, Image, Job, Precision};
 use serde_json::{Value, json};
@@ -40,13 +40,13 @@ struct Judged {
 
 impl Outlook {
     /// That of a job on so many threads; without a sample nobody knows how long it takes.
-    pub(super) fn new(job: &Job, threads: usize, sample: Option<&Sample>) -> Self {
+    pub(super) fn new(job: &Job, threads: usize, sample: Option<&CostSample>) -> Self {
         let image = job.image.clone();
         let Image { width, height, samples, .. } = image;
         let frames = u64::from(job.frames.count);
-        let tiling = Tiling { width, height, samples, pixel_bytes: image.pixel_bytes(), edge: None };
+        let tiling = Tiling { width, height, samples, pixel_bytes: image.pixel_bytes(), tile_edge: None };
         let (rays, tiles) = (job.rays_per_frame() * frames, tiling.tiles().len() as u64 * frames);
-        let judge = |sample: &Sample| Judged {
+        let judge = |sample: &CostSample| Judged {
             core_seconds: sample.core_seconds(rays, tiles, image.pixels() * frames),
             memory_bytes: sample.memory_bytes,
             sample_rays: sample.rays,
@@ -54,7 +54,7 @@ impl Outlook {
         Self {
             nodes: job.nodes(),
             objects: job.scene.objects.len(),
-            materials: job.scene.slots().len(),
+            materials: job.scene.used_materials().len(),
             lights: job.scene.lights.len(),
             frames: job.frames.count,
             rays,
@@ -204,7 +204,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn numbers_are_told_as_people_say_them() {
+    fn numbers_are_reported_as_people_say_them() {
         assert_eq!(count(1, "frame"), "1 frame");
         assert_eq!(count(1_234_567, "ray"), "1,234,567 rays");
         let told = [0.0, 0.0123, 0.5, 2.345, 61.0, 400.0, 9000.0, 1e6].map(duration);
@@ -220,7 +220,7 @@ mod tests {
                 "image": { "width": 64, "height": 32, "samples": 4 }, "frames": { "count": 2 } }"#,
         )
         .expect("sound");
-        let sample = Sample {
+        let sample = CostSample {
             rays: 10,
             thread_seconds_per_ray: 1e-3,
             setup_seconds_per_tile: 0.0,

@@ -9,25 +9,25 @@ use std::time::{Duration, Instant};
 use anyhow::Context;
 use proto::job::JobState;
 use proto::{ClientError, JobId};
-use server::{DoneTile, audit};
+use server::{DoneTile, check_integrity};
 
-use super::catalogue::Task;
-use super::chance::Chance;
 use super::processes;
-use super::server::{LOOK, Launch, Said, Server};
-use super::tally::Tally;
-use crate::terminal::note;
+use super::report::SoakReport;
+use super::rng::SeededRng;
+use super::server::{Launch, POLL_INTERVAL, ServerLog, ServerProcess};
+use super::workload::ReferenceJob;
+use crate::terminal::print_note;
 
 /// A server must be ready by then.
 const READY_LIMIT: Duration = Duration::from_secs(2);
 /// Target number of unfinished jobs in the queue.
-const QUEUED: usize = 4;
+const TARGET_QUEUE: usize = 4;
 /// The longest pause before a kill.
-const PAUSE: Duration = Duration::from_millis(400);
+const KILL_INTERVAL: Duration = Duration::from_millis(400);
 /// Time limit for a fail point to trigger.
-const STRIKE: Duration = Duration::from_secs(2);
+const FAIL_POINT_TIMEOUT: Duration = Duration::from_secs(2);
 /// Time limit for the remaining jobs at the end.
-const LAST_JOBS: Duration = Duration::from_mins(5);
+const LAST_JOBS_TIMEOUT: Duration = Duration::from_mins(5);
 /// Workers killed in a life of the server, where no number was given.
 const WORKERS_A_SERVER: u64 = 3;
 /// Workers killed in a life of the server, once it is killed no more.
@@ -49,7 +49,7 @@ const WORKER_POINTS: [&str; 3] = ["blob_put", "picture_put", "stitching"];
 
 /// Settings of a soak.
 #[derive(Clone, Debug)]
-pub(super) struct Plan {
+pub(super) struct SoakPlan {
     /// Kill anything at all.
     pub(super) kill: bool,
     /// Workers to kill.
@@ -66,43 +66,43 @@ pub(super) struct Plan {
 
 /// The soak under way.
 struct Soak<'a> {
-    plan: &'a Plan,
-    tasks: &'a [Task],
+    plan: &'a SoakPlan,
+    reference_jobs: &'a [ReferenceJob],
     data: &'a Path,
-    chance: Chance,
-    said: Arc<Said>,
+    chance: SeededRng,
+    log: Arc<ServerLog>,
     start: Instant,
     accepted: BTreeSet<JobId>,
     /// Jobs that were accepted and are not checked yet, with their task.
     waiting: BTreeMap<JobId, usize>,
     done: BTreeMap<i64, DoneTile>,
-    tally: Tally,
+    tally: SoakReport,
     next_task: usize,
 }
 
 /// Works and kills until the plan is fulfilled, then lets everything finish.
-pub(super) async fn soak(plan: &Plan, tasks: &[Task], data: &Path) -> anyhow::Result<Tally> {
+pub(super) async fn soak(plan: &SoakPlan, tasks: &[ReferenceJob], data: &Path) -> anyhow::Result<SoakReport> {
     let mut soak = Soak {
         plan,
-        tasks,
+        reference_jobs: tasks,
         data,
-        chance: Chance::new(plan.seed),
-        said: Arc::default(),
+        chance: SeededRng::new(plan.seed),
+        log: Arc::default(),
         start: Instant::now(),
         accepted: BTreeSet::new(),
         waiting: BTreeMap::new(),
         done: BTreeMap::new(),
-        tally: Tally::default(),
+        tally: SoakReport::default(),
         next_task: 0,
     };
     let mut told = 0;
-    while !soak.is_fulfilled() && soak.tally.breaches.is_empty() {
-        soak.life().await?;
-        soak.count_strikes();
+    while !soak.is_fulfilled() && soak.tally.violations.is_empty() {
+        soak.run_server_once().await?;
+        soak.count_fail_points();
         let kills = soak.tally.all_server_kills();
         if kills >= told + 10 {
             told = kills;
-            note(&format!("{} workers and {kills} servers killed", soak.tally.all_worker_kills()));
+            print_note(&format!("{} workers and {kills} servers killed", soak.tally.all_worker_kills()));
         }
     }
     soak.finish().await?;
@@ -125,13 +125,13 @@ impl Soak<'_> {
     }
 
     /// Runs one server from its start to its end.
-    async fn life(&mut self) -> anyhow::Result<()> {
+    async fn run_server_once(&mut self) -> anyhow::Result<()> {
         let (points, strikes_server) = self.choose_points();
         let Some(mut server) = self.start(&points).await? else { return Ok(()) };
-        let last = Instant::now() + STRIKE;
-        for _ in 0..self.kills_in_a_life() {
-            self.hand_in(&mut server).await?;
-            tokio::time::sleep(self.chance.pause(PAUSE)).await;
+        let last = Instant::now() + FAIL_POINT_TIMEOUT;
+        for _ in 0..self.kills_per_server() {
+            self.submit(&mut server).await?;
+            tokio::time::sleep(self.chance.pause(KILL_INTERVAL)).await;
             if server.has_ended()? {
                 break;
             }
@@ -140,14 +140,14 @@ impl Soak<'_> {
                 self.tally.worker_kills += 1;
             }
         }
-        self.hand_in(&mut server).await?;
+        self.submit(&mut server).await?;
         if !self.plan.kill {
-            tokio::time::sleep(STRIKE).await;
+            tokio::time::sleep(FAIL_POINT_TIMEOUT).await;
             return self.end(server).await;
         }
-        tokio::time::sleep(self.chance.pause(PAUSE)).await;
+        tokio::time::sleep(self.chance.pause(KILL_INTERVAL)).await;
         while strikes_server && Instant::now() < last && !server.has_ended()? {
-            tokio::time::sleep(LOOK).await;
+            tokio::time::sleep(POLL_INTERVAL).await;
         }
         if self.servers_left() == 0 {
             return self.end(server).await;
@@ -157,12 +157,12 @@ impl Soak<'_> {
         }
         let orphans = server.kill().await?;
         if orphans > 0 {
-            self.tally.breach(format!("{orphans} workers outlived their server"));
+            self.tally.violation(format!("{orphans} workers outlived their server"));
         }
         Ok(())
     }
 
-    fn kills_in_a_life(&self) -> u64 {
+    fn kills_per_server(&self) -> u64 {
         match (self.plan.kill, self.servers_left()) {
             (false, _) => 0,
             (true, 0) => self.workers_left().min(WORKERS_LAST),
@@ -187,32 +187,32 @@ impl Soak<'_> {
     }
 
     /// Starts a server and checks what the last one left; `None` if it was struck at its start.
-    async fn start(&mut self, fail_points: &str) -> anyhow::Result<Option<Server>> {
+    async fn start(&mut self, fail_points: &str) -> anyhow::Result<Option<ServerProcess>> {
         let launch = Launch { data: self.data, workers: self.plan.workers, flags: &[], fail_points };
-        let Some(server) = Server::start(&launch, &self.said).await? else { return Ok(None) };
+        let Some(server) = ServerProcess::start(&launch, &self.log).await? else { return Ok(None) };
         self.tally.slowest_ready = self.tally.slowest_ready.max(server.ready);
         self.tally.ready = (self.tally.ready.0 + server.ready, self.tally.ready.1 + 1);
         if server.ready > READY_LIMIT {
-            self.tally.breach(format!("a server was ready after {:?} only", server.ready));
+            self.tally.violation(format!("a server was ready after {:?} only", server.ready));
         }
         self.audit().await?;
         Ok(Some(server))
     }
 
     async fn audit(&mut self) -> anyhow::Result<()> {
-        let found = audit(self.data).await?;
-        self.tally.audits += 1;
-        for breach in found.breaches {
-            self.tally.breach(breach);
+        let found = check_integrity(self.data).await?;
+        self.tally.integrity_checks += 1;
+        for breach in found.violations {
+            self.tally.violation(breach);
         }
         let lost = self.accepted.difference(&found.jobs).count();
         if lost > 0 {
-            self.tally.breach(format!("{lost} jobs that were answered with 201 are gone"));
+            self.tally.violation(format!("{lost} jobs that were answered with 201 are gone"));
         }
         for (tile, was) in &self.done {
             match found.done.get(tile) {
-                None => self.tally.breach(format!("tile {tile} was done, and is not any more")),
-                Some(is) if is != was => self.tally.breach(format!("tile {tile} was done, and was leased again")),
+                None => self.tally.violation(format!("tile {tile} was done, and is not any more")),
+                Some(is) if is != was => self.tally.violation(format!("tile {tile} was done, and was leased again")),
                 Some(_) => {}
             }
         }
@@ -223,27 +223,27 @@ impl Soak<'_> {
 
     /// Checks the finished jobs, and refills the queue. A server that is killed meanwhile is no
     /// violation.
-    async fn hand_in(&mut self, server: &mut Server) -> anyhow::Result<()> {
-        server.look_at_workers();
+    async fn submit(&mut self, server: &mut ServerProcess) -> anyhow::Result<()> {
+        server.refresh_workers();
         for (id, task) in self.waiting.clone() {
-            match self.look_at(server, id, task).await {
+            match self.check_job(server, id, task).await {
                 Ok(true) => drop(self.waiting.remove(&id)),
                 Ok(false) => {}
-                Err(ClientError::Problem(problem)) => self.tally.breach(format!("job {id}: {}", problem.detail)),
+                Err(ClientError::Problem(problem)) => self.tally.violation(format!("job {id}: {}", problem.detail)),
                 Err(_) => return Ok(()),
             }
         }
-        while self.waiting.len() < QUEUED {
-            let task = self.next_task % self.tasks.len();
+        while self.waiting.len() < TARGET_QUEUE {
+            let task = self.next_task % self.reference_jobs.len();
             self.next_task += 1;
-            match server.client.submit(self.tasks[task].text.clone(), true).await {
+            match server.client.submit(self.reference_jobs[task].text.clone(), true).await {
                 Ok(job) => {
                     self.tally.accepted += 1;
                     self.accepted.insert(job.id);
                     self.waiting.insert(job.id, task);
                 }
                 Err(ClientError::Problem(problem)) => {
-                    self.tally.breach(format!("a sound job was refused: {}", problem.detail));
+                    self.tally.violation(format!("a sound job was refused: {}", problem.detail));
                     return Ok(());
                 }
                 Err(_) => {
@@ -256,67 +256,67 @@ impl Soak<'_> {
     }
 
     /// Whether a job is finished; then its pictures are what they must be, or that is a breach.
-    async fn look_at(&mut self, server: &Server, id: JobId, task: usize) -> Result<bool, ClientError> {
+    async fn check_job(&mut self, server: &ServerProcess, id: JobId, task: usize) -> Result<bool, ClientError> {
         let job = server.client.job(id).await?;
         match job.state {
             JobState::Queued | JobState::Running => return Ok(false),
             JobState::Failed | JobState::Cancelled => {
-                self.tally.breach(format!("job {id} is {}: {}", job.state.name(), job.errors.join("; ")));
+                self.tally.violation(format!("job {id} is {}: {}", job.state.name(), job.errors.join("; ")));
                 return Ok(true);
             }
             JobState::Succeeded => {}
         }
-        for (frame, wanted) in self.tasks[task].pictures.iter().enumerate() {
+        for (frame, wanted) in self.reference_jobs[task].pictures.iter().enumerate() {
             let mut picture = Vec::new();
             server.client.image(id, frame as u32, &mut picture).await?;
             self.tally.pictures += 1;
             if blake3::hash(&picture) != *wanted {
-                self.tally.breach(format!("frame {frame} of job {id} is not as an undisturbed render makes it"));
+                self.tally.violation(format!("frame {frame} of job {id} is not as an undisturbed render makes it"));
             }
         }
         self.tally.succeeded += 1;
         Ok(true)
     }
 
-    async fn end(&mut self, server: Server) -> anyhow::Result<()> {
+    async fn end(&mut self, server: ServerProcess) -> anyhow::Result<()> {
         if !server.terminate().await? {
-            self.tally.breach("a server that was asked to end did not end in order".to_owned());
+            self.tally.violation("a server that was asked to end did not end in order".to_owned());
         }
         Ok(())
     }
 
-    fn count_strikes(&mut self) {
-        self.tally.struck_workers = self.said.struck_workers.load(Ordering::Relaxed);
-        self.tally.struck_servers = self.said.struck_servers.load(Ordering::Relaxed);
+    fn count_fail_points(&mut self) {
+        self.tally.workers_hit = self.log.workers_hit.load(Ordering::Relaxed);
+        self.tally.servers_hit = self.log.servers_hit.load(Ordering::Relaxed);
     }
 
     /// Finishes all accepted jobs, on an undisturbed server.
     async fn finish(&mut self) -> anyhow::Result<()> {
         let mut server = self.start("").await?.context("a server ended as soon as it was started")?;
         let start = Instant::now();
-        while !self.waiting.is_empty() && start.elapsed() < LAST_JOBS {
+        while !self.waiting.is_empty() && start.elapsed() < LAST_JOBS_TIMEOUT {
             for (id, task) in self.waiting.clone() {
-                if self.look_at(&server, id, task).await? {
+                if self.check_job(&server, id, task).await? {
                     self.waiting.remove(&id);
                 }
             }
             anyhow::ensure!(!server.has_ended()?, "the last server ended by itself");
-            tokio::time::sleep(LOOK).await;
+            tokio::time::sleep(POLL_INTERVAL).await;
         }
         if !self.waiting.is_empty() {
-            self.tally.breach(format!("{} jobs did not end within {LAST_JOBS:?}", self.waiting.len()));
+            self.tally.violation(format!("{} jobs did not end within {LAST_JOBS_TIMEOUT:?}", self.waiting.len()));
         }
         self.audit().await?;
         self.end(server).await?;
         for (count, what) in [
-            (self.said.panics.load(Ordering::Relaxed), "panics"),
-            (self.said.differences.load(Ordering::Relaxed), "tiles or pictures that came out differently"),
+            (self.log.panics.load(Ordering::Relaxed), "panics"),
+            (self.log.differences.load(Ordering::Relaxed), "tiles or pictures that came out differently"),
         ] {
             if count > 0 {
-                self.tally.breach(format!("{count} {what}"));
+                self.tally.violation(format!("{count} {what}"));
             }
         }
-        self.count_strikes();
+        self.count_fail_points();
         Ok(())
     }
 }

@@ -11,11 +11,11 @@ use anyhow::Context;
 use proto::job::JobState;
 use serde_json::json;
 
-use super::catalogue::Task;
 use super::probe;
 use super::processes::resident_bytes;
-use super::server::{Launch, Said, Server};
-use crate::terminal::note;
+use super::server::{Launch, ServerLog, ServerProcess};
+use super::workload::ReferenceJob;
+use crate::terminal::print_note;
 
 /// Clients that submit jobs regardless of the responses.
 const CLIENTS: usize = 32;
@@ -23,14 +23,14 @@ const CLIENTS: usize = 32;
 const EXCESS: u64 = 12;
 /// Pause of each client before its next job once the multiple is reached, and before that; much less than
 /// Retry-After asks for.
-const PAUSE: Duration = Duration::from_millis(100);
-const HASTE: Duration = Duration::from_millis(10);
+const CLIENT_INTERVAL: Duration = Duration::from_millis(100);
+const EXCESS_DELAY: Duration = Duration::from_millis(10);
 /// Unfinished jobs the farm takes.
 const MAX_QUEUED_JOBS: &str = "200";
 /// Memory is compared with what it was after this time: the first jobs fill caches once.
 const WARM_UP: Duration = Duration::from_secs(10);
 /// Interval between two health checks.
-const BEAT: Duration = Duration::from_millis(50);
+const HEALTH_INTERVAL: Duration = Duration::from_millis(50);
 /// A health check that takes longer is a breach.
 const HEALTH_LIMIT: Duration = Duration::from_millis(50);
 /// Maximum growth of memory, in percent.
@@ -44,63 +44,66 @@ struct Counts {
     taken: AtomicU64,
     refused: AtomicU64,
     /// Rejections without a Retry-After.
-    rude: AtomicU64,
+    without_retry_after: AtomicU64,
     other: AtomicU64,
     is_over: AtomicBool,
 }
 
 /// Result of an overload.
 #[derive(Debug, Default)]
-pub(super) struct Report {
+pub(super) struct OverloadReport {
     rows: Vec<(&'static str, String)>,
     /// Violations.
-    pub(super) breaches: Vec<String>,
+    pub(super) violations: Vec<String>,
 }
 
-impl Report {
+impl OverloadReport {
     /// The table.
     pub(super) fn table(&self) -> String {
         let mut table = String::new();
         for (name, value) in &self.rows {
             writeln!(table, "{name:<42} {value}").expect("writing to a string");
         }
-        write!(table, "{:<42} {}", "breaches", self.breaches.len()).expect("writing to a string");
+        write!(table, "{:<42} {}", "breaches", self.violations.len()).expect("writing to a string");
         table
     }
 
     fn expect(&mut self, is_so: bool, breach: String) {
         if !is_so {
-            self.breaches.push(breach);
+            self.violations.push(breach);
         }
     }
 }
 
 /// Overloads a temporary farm for some time.
-pub(super) async fn overload(tasks: &[Task], data: &Path, time: Duration) -> anyhow::Result<Report> {
-    let said = Arc::<Said>::default();
+pub(super) async fn overload(tasks: &[ReferenceJob], data: &Path, time: Duration) -> anyhow::Result<OverloadReport> {
+    let said = Arc::<ServerLog>::default();
     let flags = ["--max-queued-jobs", MAX_QUEUED_JOBS];
     let launch = Launch { data, workers: 1, flags: &flags, fail_points: "" };
-    let server = Server::start(&launch, &said).await?.context("the server ended as soon as it was started")?;
-    note(&format!("{CLIENTS} clients hand in jobs for {time:?}"));
+    let server = ServerProcess::start(&launch, &said).await?.context("the server ended as soon as it was started")?;
+    print_note(&format!("{CLIENTS} clients hand in jobs for {time:?}"));
     let counts = Arc::<Counts>::default();
     let task = tasks.first().context("there are tasks")?;
     let clients: Vec<_> = (0..CLIENTS)
-        .map(|_| tokio::spawn(hand_in(server.address.clone(), task.text.clone(), Arc::clone(&counts))))
+        .map(|_| tokio::spawn(submit(server.address.clone(), task.text.clone(), Arc::clone(&counts))))
         .collect();
     let (health, memory) = watch(&server, time).await?;
     counts.is_over.store(true, Ordering::Relaxed);
     for client in clients {
         client.await.context("a client panicked")?;
     }
-    let mut report = Report::default();
+    let mut report = OverloadReport::default();
     let count = |counter: &AtomicU64| counter.load(Ordering::Relaxed);
     let (taken, refused) = (count(&counts.taken), count(&counts.refused));
     report.rows.push(("jobs taken, refused with 429", format!("{taken}, {refused}")));
     report.rows.push(("jobs answered otherwise", count(&counts.other).to_string()));
     report.expect(refused > 9 * taken, format!("{refused} refused for {taken} taken are no tenfold overload"));
-    report.expect(count(&counts.rude) == 0, format!("{} refusals without Retry-After", count(&counts.rude)));
+    report.expect(
+        count(&counts.without_retry_after) == 0,
+        format!("{} refusals without Retry-After", count(&counts.without_retry_after)),
+    );
     report.expect(count(&counts.other) == 0, format!("{} answers that are neither 201 nor 429", count(&counts.other)));
-    judge_health(&mut report, health);
+    check_health(&mut report, health);
     let (start, end) = memory;
     report.rows.push(("memory at its start and end, MiB", format!("{}, {}", start >> 20, end >> 20)));
     let limit = start + start * GROWTH_LIMIT_PERCENT / 100;
@@ -111,13 +114,13 @@ pub(super) async fn overload(tasks: &[Task], data: &Path, time: Duration) -> any
     Ok(report)
 }
 
-async fn hand_in(address: String, text: Vec<u8>, counts: Arc<Counts>) {
+async fn submit(address: String, text: Vec<u8>, counts: Arc<Counts>) {
     while !counts.is_over.load(Ordering::Relaxed) {
         let counter = match probe::post(&address, "/v1/jobs", &text).await {
             Some((201, _)) => &counts.taken,
             Some((429, has_time)) => {
                 if !has_time {
-                    counts.rude.fetch_add(1, Ordering::Relaxed);
+                    counts.without_retry_after.fetch_add(1, Ordering::Relaxed);
                 }
                 &counts.refused
             }
@@ -125,12 +128,12 @@ async fn hand_in(address: String, text: Vec<u8>, counts: Arc<Counts>) {
         };
         counter.fetch_add(1, Ordering::Relaxed);
         let is_enough = counts.refused.load(Ordering::Relaxed) >= EXCESS * counts.taken.load(Ordering::Relaxed);
-        tokio::time::sleep(if is_enough { PAUSE } else { HASTE }).await;
+        tokio::time::sleep(if is_enough { CLIENT_INTERVAL } else { EXCESS_DELAY }).await;
     }
 }
 
 /// Durations of health checks during the overload, and the memory after its start and at its end.
-async fn watch(server: &Server, time: Duration) -> anyhow::Result<(Vec<Duration>, (u64, u64))> {
+async fn watch(server: &ServerProcess, time: Duration) -> anyhow::Result<(Vec<Duration>, (u64, u64))> {
     let start = Instant::now();
     let mut health = Vec::new();
     let mut first = None;
@@ -142,13 +145,13 @@ async fn watch(server: &Server, time: Duration) -> anyhow::Result<(Vec<Duration>
         if first.is_none() && start.elapsed() >= WARM_UP.min(time / 4) {
             first = resident_bytes(server.process());
         }
-        tokio::time::sleep(BEAT).await;
+        tokio::time::sleep(HEALTH_INTERVAL).await;
     }
     let last = resident_bytes(server.process()).context("could not read how much memory the server has")?;
     Ok((health, (first.unwrap_or(last), last)))
 }
 
-fn judge_health(report: &mut Report, mut health: Vec<Duration>) {
+fn check_health(report: &mut OverloadReport, mut health: Vec<Duration>) {
     health.sort();
     let at = |percent: usize| health.get((health.len() * percent / 100).min(health.len() - 1)).copied();
     let (median, p99, most) =
@@ -158,7 +161,7 @@ fn judge_health(report: &mut Report, mut health: Vec<Duration>) {
 }
 
 /// A farm that was overloaded takes a job again, and finishes it before those that wait.
-async fn recover(server: &Server, task: &Task, report: &mut Report) -> anyhow::Result<()> {
+async fn recover(server: &ServerProcess, task: &ReferenceJob, report: &mut OverloadReport) -> anyhow::Result<()> {
     let start = Instant::now();
     let mut job: serde_json::Value = serde_json::from_slice(&task.text).context("a task is no JSON")?;
     job["priority"] = json!(100);
@@ -168,10 +171,10 @@ async fn recover(server: &Server, task: &Task, report: &mut Report) -> anyhow::R
             Ok(job) => break job.id,
             Err(error) => anyhow::ensure!(start.elapsed() < RECOVERY_LIMIT, "no job is taken any more: {error}"),
         }
-        tokio::time::sleep(BEAT).await;
+        tokio::time::sleep(HEALTH_INTERVAL).await;
     };
     while server.client.job(id).await?.state != JobState::Succeeded && start.elapsed() < RECOVERY_LIMIT {
-        tokio::time::sleep(BEAT).await;
+        tokio::time::sleep(HEALTH_INTERVAL).await;
     }
     report.rows.push(("a job taken and finished after it", format!("{:.1?}", start.elapsed())));
     report.expect(start.elapsed() < RECOVERY_LIMIT, format!("no job was finished within {RECOVERY_LIMIT:?}"));

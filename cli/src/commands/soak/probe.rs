@@ -8,7 +8,7 @@ use tokio::io::{AsyncReadExt, AsyncWriteExt};
 use tokio::net::TcpStream;
 
 /// Time limit of a request.
-const PATIENCE: Duration = Duration::from_secs(5);
+const PROBE_TIMEOUT: Duration = Duration::from_secs(5);
 /// `HTTP/1.1 200`
 const STATUS_LINE_BYTES: usize = 12;
 
@@ -23,7 +23,7 @@ pub(super) async fn status(address: &str, path: &str) -> Option<u16> {
         connection.read_exact(&mut line).await?;
         std::io::Result::Ok(line)
     };
-    let line = tokio::time::timeout(PATIENCE, asked).await.ok()?.ok()?;
+    let line = tokio::time::timeout(PROBE_TIMEOUT, asked).await.ok()?.ok()?;
     std::str::from_utf8(&line[9..]).ok()?.parse().ok()
 }
 
@@ -43,7 +43,7 @@ pub(super) async fn post(address: &str, path: &str, body: &[u8]) -> Option<(u16,
         connection.read_to_end(&mut answer).await?;
         std::io::Result::Ok(answer)
     };
-    let answer = tokio::time::timeout(PATIENCE, asked).await.ok()?.ok()?;
+    let answer = tokio::time::timeout(PROBE_TIMEOUT, asked).await.ok()?.ok()?;
     let head = String::from_utf8_lossy(&answer).to_lowercase();
     let status = head.get(9..STATUS_LINE_BYTES)?.parse().ok()?;
     Some((status, head.contains("\r\nretry-after:")))

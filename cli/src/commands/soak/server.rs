@@ -9,35 +9,35 @@ use std::sync::{Arc, mpsc};
 use std::time::{Duration, Instant};
 
 use anyhow::Context;
-use proto::{Client, fail};
+use proto::{Client, fail_point};
 
 use super::{probe, processes};
-use crate::commands::serve::own_program;
+use crate::commands::serve::current_executable;
 
 /// A server that is not ready by then never will be.
-const START: Duration = Duration::from_secs(30);
+const START_TIMEOUT: Duration = Duration::from_secs(30);
 /// Poll interval.
-pub(super) const LOOK: Duration = Duration::from_millis(2);
+pub(super) const POLL_INTERVAL: Duration = Duration::from_millis(2);
 /// Time limit for children of a killed server to exit.
-const ORPHANED: Duration = Duration::from_secs(5);
+const ORPHAN_TIMEOUT: Duration = Duration::from_secs(5);
 
 /// Standard error of the soak's servers.
 #[derive(Debug, Default)]
-pub(super) struct Said {
+pub(super) struct ServerLog {
     /// Panics.
     pub(super) panics: AtomicU64,
     /// Tiles or pictures that came out differently the second time.
     pub(super) differences: AtomicU64,
     /// Workers that a fail point killed.
-    pub(super) struck_workers: AtomicU64,
+    pub(super) workers_hit: AtomicU64,
     /// Servers that a fail point killed.
-    pub(super) struck_servers: AtomicU64,
+    pub(super) servers_hit: AtomicU64,
 }
 
 /// A running server.
 #[derive(Debug)]
-pub(super) struct Server {
-    child: Owned,
+pub(super) struct ServerProcess {
+    child: KillOnDrop,
     workers: Vec<u32>,
     /// `http://127.0.0.1:PORT`.
     pub(super) address: String,
@@ -60,11 +60,11 @@ pub(super) struct Launch<'a> {
     pub(super) fail_points: &'a str,
 }
 
-impl Server {
+impl ServerProcess {
     /// Starts one and waits until it is ready; `None` if a fail point killed it first.
-    pub(super) async fn start(launch: &Launch<'_>, said: &Arc<Said>) -> anyhow::Result<Option<Self>> {
+    pub(super) async fn start(launch: &Launch<'_>, said: &Arc<ServerLog>) -> anyhow::Result<Option<Self>> {
         let start = Instant::now();
-        let mut child = Owned(spawn(launch)?);
+        let mut child = KillOnDrop(spawn(launch)?);
         let errors = child.0.stderr.take().context("the server has no standard error")?;
         let log = File::options()
             .create(true)
@@ -83,8 +83,12 @@ impl Server {
             if server.has_ended()? {
                 return Ok(None);
             }
-            anyhow::ensure!(start.elapsed() < START, "the server was not ready after {} s", START.as_secs());
-            tokio::time::sleep(LOOK).await;
+            anyhow::ensure!(
+                start.elapsed() < START_TIMEOUT,
+                "the server was not ready after {} s",
+                START_TIMEOUT.as_secs()
+            );
+            tokio::time::sleep(POLL_INTERVAL).await;
         }
         server.ready = start.elapsed();
         Ok(Some(server))
@@ -101,7 +105,7 @@ impl Server {
     }
 
     /// Refreshes its workers: a dead server has none, even if one is still running.
-    pub(super) fn look_at_workers(&mut self) {
+    pub(super) fn refresh_workers(&mut self) {
         let workers = processes::children(self.process());
         if !workers.is_empty() {
             self.workers = workers;
@@ -115,7 +119,7 @@ impl Server {
 
     /// Kills it, or finds it dead; returns how many of its workers outlived it for too long.
     pub(super) async fn kill(mut self) -> anyhow::Result<usize> {
-        self.look_at_workers();
+        self.refresh_workers();
         // The process id of an exited child may belong to another process by now.
         if !self.has_ended()? {
             processes::kill(self.process());
@@ -130,11 +134,11 @@ impl Server {
         let process = process.context("the server has no process id")?;
         rustix::process::kill_process(process, rustix::process::Signal::TERM).context("could not ask it to end")?;
         let start = Instant::now();
-        while start.elapsed() < START {
+        while start.elapsed() < START_TIMEOUT {
             if let Some(status) = self.child.0.try_wait().context("could not look after the server")? {
                 return Ok(status.success());
             }
-            tokio::time::sleep(LOOK).await;
+            tokio::time::sleep(POLL_INTERVAL).await;
         }
         Ok(false)
     }
@@ -142,9 +146,9 @@ impl Server {
 
 /// A process that does not outlive what is done with it.
 #[derive(Debug)]
-struct Owned(Child);
+struct KillOnDrop(Child);
 
-impl Drop for Owned {
+impl Drop for KillOnDrop {
     fn drop(&mut self) {
         // Both fail only if it has exited already.
         let _ = self.0.kill();
@@ -153,14 +157,14 @@ impl Drop for Owned {
 }
 
 fn spawn(launch: &Launch<'_>) -> anyhow::Result<Child> {
-    let mut command = Command::new(own_program()?);
+    let mut command = Command::new(current_executable()?);
     for (name, _) in std::env::vars_os().filter(|(name, _)| name.to_string_lossy().starts_with("SDFARM_")) {
         command.env_remove(name);
     }
     command.args(["serve", "--listen", "127.0.0.1:0", "--device", "cpu", "--tile", "64", "--data"]).arg(launch.data);
     command.args(["--workers", &launch.workers.to_string()]).args(launch.flags);
     if !launch.fail_points.is_empty() {
-        command.arg(fail::FLAG).env(fail::VARIABLE, launch.fail_points);
+        command.arg(fail_point::FLAG).env(fail_point::ENV_VAR, launch.fail_points);
     }
     command.stdin(Stdio::null()).stdout(Stdio::piped()).stderr(Stdio::piped());
     command.spawn().context("could not start a server")
@@ -177,11 +181,11 @@ fn address(child: &mut Child) -> anyhow::Result<Option<String>> {
         let _ = sender.send(line);
         let _ = std::io::copy(&mut output, &mut std::io::sink());
     });
-    let line = receiver.recv_timeout(START).context("the server said nothing")?;
+    let line = receiver.recv_timeout(START_TIMEOUT).context("the server said nothing")?;
     Ok(line.split_whitespace().find(|word| word.starts_with("http://")).map(str::to_owned))
 }
 
-fn listen(errors: ChildStderr, mut log: File, said: &Said) {
+fn listen(errors: ChildStderr, mut log: File, said: &ServerLog) {
     for line in BufReader::new(errors).lines().map_while(Result::ok) {
         // A log that can't be written is no reason to stop counting.
         let _ = writeln!(log, "{line}");
@@ -192,8 +196,8 @@ fn listen(errors: ChildStderr, mut log: File, said: &Said) {
         if line.contains("nondeterministic_") {
             count(&said.differences);
         }
-        if line.contains(fail::MARK) && line.contains(": kill") && !line.contains("it last said") {
-            count(if line.starts_with(fail::MARK) { &said.struck_servers } else { &said.struck_workers });
+        if line.contains(fail_point::LOG_PREFIX) && line.contains(": kill") && !line.contains("it last said") {
+            count(if line.starts_with(fail_point::LOG_PREFIX) { &said.servers_hit } else { &said.workers_hit });
         }
     }
 }
@@ -203,9 +207,9 @@ async fn orphans(workers: &[u32]) -> usize {
     let start = Instant::now();
     loop {
         let alive = workers.iter().filter(|&&worker| processes::is_alive(worker)).count();
-        if alive == 0 || start.elapsed() > ORPHANED {
+        if alive == 0 || start.elapsed() > ORPHAN_TIMEOUT {
             return alive;
         }
-        tokio::time::sleep(LOOK).await;
+        tokio::time::sleep(POLL_INTERVAL).await;
     }
 }

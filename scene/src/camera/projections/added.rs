@@ -3,7 +3,7 @@
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use super::{Axes, Exemplary, Extent, Project};
+use super::{CameraAxes, Extent, HasExamples, Project};
 use crate::bounds::Bounds;
 use crate::camera::{Ray, View};
 use crate::march::Tolerance;
@@ -19,7 +19,7 @@ pub struct AddedProjection {
     pub shift: Length,
 }
 
-impl Exemplary for AddedProjection {
+impl HasExamples for AddedProjection {
     const EXAMPLE: &str = r#"{ "shift": 0.25 }"#;
 }
 
@@ -30,8 +30,8 @@ impl Project for AddedProjection {
     }
 
     #[inline(always)]
-    fn ray<R: Real>(&self, axes: &Axes<R>, across: R, upwards: R) -> Ray<R> {
-        let shifted = upwards + upwards.given(self.shift.get());
+    fn ray<R: Real>(&self, axes: &CameraAxes<R>, across: R, upwards: R) -> Ray<R> {
+        let shifted = upwards + upwards.uniform(self.shift.get());
         let direction = axes.right.mul_add(across, axes.up.mul_add(shifted, axes.forward));
         Ray { origin: axes.origin, direction: direction.normalize() }
     }

@@ -3,7 +3,7 @@
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use super::{Axes, Exemplary, Extent, Project};
+use super::{CameraAxes, Extent, HasExamples, Project};
 use crate::bounds::Bounds;
 use crate::camera::{Matrix, Ray, View};
 use crate::job::Image;
@@ -23,12 +23,12 @@ pub struct Orthographic {
 /// Places of a picture, along an edge of it, that may be inside something.
 const PLACES: u32 = 5;
 
-impl Exemplary for Orthographic {
+impl HasExamples for Orthographic {
     const EXAMPLE: &'static str = r#"{ "height": 4.2 }"#;
 }
 
 impl Project for Orthographic {
-    fn fov_fault(&self) -> Option<&'static str> {
+    fn validate_fov(&self) -> Option<&'static str> {
         Some("means nothing in an orthographic picture: leave it out, and choose its height")
     }
 
@@ -39,19 +39,19 @@ impl Project for Orthographic {
     }
 
     #[inline(always)]
-    fn ray<R: Real>(&self, axes: &Axes<R>, across: R, upwards: R) -> Ray<R> {
+    fn ray<R: Real>(&self, axes: &CameraAxes<R>, across: R, upwards: R) -> Ray<R> {
         let origin = axes.right.mul_add(across, axes.up.mul_add(upwards, axes.origin));
         Ray { origin, direction: axes.forward }
     }
 
     fn is_beside(&self, view: &View, bounds: Bounds) -> bool {
-        let seen = view.in_front(bounds);
+        let seen = view.to_view_space(bounds);
         let is_off = |low: f32, high: f32| high < -1.0 || low > 1.0;
-        is_off(seen.low.x, seen.high.x) || is_off(seen.low.y, seen.high.y) || seen.high.z < 0.0
+        is_off(seen.min.x, seen.max.x) || is_off(seen.min.y, seen.max.y) || seen.max.z < 0.0
     }
 
     fn is_beyond(&self, view: &View, bounds: Bounds, distance: f32) -> bool {
-        view.in_front(bounds).low.z > distance
+        view.to_view_space(bounds).min.z > distance
     }
 
     fn ray_origins(&self, view: &View, image: &Image) -> Vec<Vec3<f32>> {

@@ -1,6 +1,6 @@
 //! A camera that sees all around it.
 
-use super::{Axes, Extent, Project};
+use super::{CameraAxes, Extent, Project};
 use crate::bounds::Bounds;
 use crate::camera::{Ray, View};
 use crate::job::Image;
@@ -14,7 +14,7 @@ use crate::values::FieldOfView;
 pub struct Panorama;
 
 impl Project for Panorama {
-    fn fov_fault(&self) -> Option<&'static str> {
+    fn validate_fov(&self) -> Option<&'static str> {
         Some("means nothing in a panorama, which sees all: leave it out")
     }
 
@@ -24,7 +24,7 @@ impl Project for Panorama {
     }
 
     #[inline(always)]
-    fn ray<R: Real>(&self, axes: &Axes<R>, across: R, upwards: R) -> Ray<R> {
+    fn ray<R: Real>(&self, axes: &CameraAxes<R>, across: R, upwards: R) -> Ray<R> {
         let (east, ahead) = (across * std::f32::consts::PI).sin_cos();
         let (above, level) = (upwards * std::f32::consts::FRAC_PI_2).sin_cos();
         let around = axes.right.mul_add(east, axes.forward * ahead);

@@ -1,6 +1,6 @@
 //! A pinhole camera.
 
-use super::{Axes, Extent, Project};
+use super::{CameraAxes, Extent, Project};
 use crate::bounds::Bounds;
 use crate::camera::{Matrix, Ray, View};
 use crate::march::Tolerance;
@@ -16,7 +16,7 @@ pub struct Perspective;
 
 impl Project for Perspective {
     fn default_fov(&self) -> Option<FieldOfView> {
-        Some(forty_degrees())
+        Some(default_fov())
     }
 
     fn extent(&self, fov: Option<&FieldOfView>, aspect: f32, height: f32) -> Extent {
@@ -28,7 +28,7 @@ impl Project for Perspective {
     }
 
     #[inline(always)]
-    fn ray<R: Real>(&self, axes: &Axes<R>, across: R, upwards: R) -> Ray<R> {
+    fn ray<R: Real>(&self, axes: &CameraAxes<R>, across: R, upwards: R) -> Ray<R> {
         let direction = axes.right.mul_add(across, axes.up.mul_add(upwards, axes.forward));
         Ray { origin: axes.origin, direction: direction.normalize() }
     }
@@ -38,10 +38,10 @@ impl Project for Perspective {
     }
 
     fn is_beside(&self, view: &View, bounds: Bounds) -> bool {
-        view.is_beside_pyramid(bounds.moved(-view.origin()))
+        view.is_outside_pyramid(bounds.translated(-view.origin()))
     }
 }
 
-fn forty_degrees() -> FieldOfView {
+fn default_fov() -> FieldOfView {
     FieldOfView::new(DEFAULT_FOV_DEGREES).expect("40 is in range")
 }

@@ -4,34 +4,34 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::Pattern;
-use crate::materials::{Exemplary, Place, Tint};
+use crate::materials::{ColorParam, HasExamples, ShadingPoint};
 use crate::real::{Real, Vec3};
 use crate::seek::Seek;
 use crate::values::Length;
 
-/// A colour that rises from black along z, again in each period.
+/// A color that rises from black along z, again in each period.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
 #[serde(deny_unknown_fields)]
 pub struct AddedTexture {
     /// The length of a period.
     pub period: Length,
-    /// The colour at the brightest.
-    pub color: Tint,
+    /// The color at the brightest.
+    pub color: ColorParam,
 }
 
-impl Exemplary for AddedTexture {
+impl HasExamples for AddedTexture {
     const EXAMPLE: &str = r#"{ "period": 0.7, "color": [0.9, 0.5, 0.2] }"#;
 }
 
 impl Pattern for AddedTexture {
     #[inline(always)]
-    fn color<R: Real>(&self, place: &Place<R>) -> Vec3<R> {
-        let periods = place.point.z * place.point.z.given(1.0 / self.period.get());
+    fn color<R: Real>(&self, place: &ShadingPoint<R>) -> Vec3<R> {
+        let periods = place.local_point.z * place.local_point.z.uniform(1.0 / self.period.get());
         let share = periods - periods.floor();
         self.color.at(place) * share
     }
 
-    fn tints(&self) -> Vec<&Tint> {
+    fn color_params(&self) -> Vec<&ColorParam> {
         vec![&self.color]
     }
 }

@@ -4,13 +4,13 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::Pattern;
-use super::checker::sharp;
+use super::checker::default_softness;
 use super::wave::{kept, softened};
-use crate::materials::tint::mix_colors;
-use crate::materials::{Exemplary, Place, Tint};
+use crate::materials::param::lerp_colors;
+use crate::materials::{ColorParam, HasExamples, ShadingPoint};
 use crate::real::{Real, Vec3, vec3};
 use crate::seek::Seek;
-use crate::values::{Amount, Length, Share};
+use crate::values::{Fraction, Length, LengthOrZero};
 
 /// Bricks in rows with mortar between them; tiles where rows do not move.
 ///
@@ -25,58 +25,58 @@ pub struct Bricks {
     pub size: [Length; 2],
     /// Width of the mortar.
     #[serde(default = "default_mortar")]
-    pub mortar: Amount,
+    pub mortar: LengthOrZero,
     /// How far a row moves against the one below, as a share of a brick's width.
-    #[serde(default = "half")]
-    pub shift: Share,
-    /// Each brick has a colour between these two.
+    #[serde(default = "default_shift")]
+    pub shift: Fraction,
+    /// Each brick has a color between these two.
     #[serde(default = "default_colors")]
-    pub colors: [Tint; 2],
-    /// Colour of the mortar.
+    pub colors: [ColorParam; 2],
+    /// Color of the mortar.
     #[serde(default = "default_mortar_color")]
-    pub mortar_color: Tint,
+    pub mortar_color: ColorParam,
     /// Width of the transition from brick to mortar.
-    #[serde(default = "sharp")]
-    pub softness: Amount,
+    #[serde(default = "default_softness")]
+    pub softness: LengthOrZero,
 }
 
-impl Exemplary for Bricks {
+impl HasExamples for Bricks {
     const EXAMPLE: &'static str = r#"{ "size": [0.5, 0.2], "mortar": 0.03, "softness": 0.01 }"#;
-    const MORE: &'static [&'static str] = &[r##"{ "size": [0.3, 0.3], "shift": 0, "mortar": 0.02,
+    const MORE_EXAMPLES: &'static [&'static str] = &[r##"{ "size": [0.3, 0.3], "shift": 0, "mortar": 0.02,
         "colors": ["#2f6f8f", "#8cc7c1"], "mortar_color": "#f2f0e6" }"##];
 }
 
 /// What the flat pattern shows.
-type Laid<R> = (R, R);
+type BrickSample<R> = (R, R);
 
 impl Bricks {
     /// At a point of the plane, of which a footprint is seen: 1 in a brick and 0 in mortar; and where between its
-    /// two colours the brick's is.
+    /// two colors the brick's is.
     #[inline(always)]
-    fn laid<R: Real>(&self, across: (R, R), up: (R, R), plane: u32) -> Laid<R> {
+    fn sample_plane<R: Real>(&self, across: (R, R), up: (R, R), plane: u32) -> BrickSample<R> {
         let (width, height) = (self.size[0].get(), self.size[1].get());
         let ((across, seen_across), (up, seen_up)) = (across, up);
-        let v = up * up.given(1.0 / height);
+        let v = up * up.uniform(1.0 / height);
         let row = v.floor();
-        let u = row.mul_add(row.given(self.shift.get()), across * across.given(1.0 / width));
+        let u = row.mul_add(row.uniform(self.shift.get()), across * across.uniform(1.0 / width));
         let column = u.floor();
         let inside = self.inside(u - column, width, seen_across) * self.inside(v - row, height, seen_up);
         let kept = kept(seen_across, 2.0 * width).min(kept(seen_up, 2.0 * height));
-        (inside, (random(column, row, plane) - 0.5).mul_add(kept, u.splat(0.5)))
+        (inside, (random(column, row, plane) - 0.5).mul_add(kept, u.constant(0.5)))
     }
 
     /// The share of brick along one edge of it, `part` of whose length has passed, where a footprint is seen.
     #[inline(always)]
     fn inside<R: Real>(&self, part: R, length: f32, seen: R) -> R {
-        let half = part.given(0.5 * self.mortar.get());
+        let half = part.uniform(0.5 * self.mortar.get());
         let window = softened(self.softness.get(), seen);
-        // The part of the window that is before a place: mortar is between the two edges of the joint.
-        let from_middle = (part - 0.5).abs().mul_add(part.given(-length), part.given(0.5 * length));
+        // The fraction of the window before a distance from the joint's middle: mortar is between the joint's edges.
+        let from_middle = (part - 0.5).abs().mul_add(part.uniform(-length), part.uniform(0.5 * length));
         let before = |edge: R| ((edge - from_middle) / window + 0.5).at_least(0.0).at_most(1.0);
         let mortar = before(half) - before(-half);
-        let mean = part.given((self.mortar.get() / length).min(1.0));
+        let mean = part.uniform((self.mortar.get() / length).min(1.0));
         let kept = kept(seen, 2.0 * length);
-        part.splat(1.0) - (mortar - mean).mul_add(kept, mean).at_most(1.0)
+        part.constant(1.0) - (mortar - mean).mul_add(kept, mean).at_most(1.0)
     }
 }
 
@@ -87,8 +87,8 @@ impl Bricks {
 #[inline(always)]
 fn random<R: Real>(column: R, row: R, plane: u32) -> R {
     /// 1.5·2²³: added to a whole number of up to seven digits, it leaves it in the low bits.
-    const WHOLE: f32 = 12_582_912.0;
-    let word = (column + WHOLE).to_bits() * 0x9e37_79b1 + (row + WHOLE).to_bits() * 0x85eb_ca77 + plane;
+    const INTEGER_BIAS: f32 = 12_582_912.0;
+    let word = (column + INTEGER_BIAS).to_bits() * 0x9e37_79b1 + (row + INTEGER_BIAS).to_bits() * 0x85eb_ca77 + plane;
     let word = (word ^ (word >> 16)) * 0x7feb_352d;
     let word = (word ^ (word >> 15)) * 0x846c_a68b;
     let word = word ^ (word >> 16);
@@ -97,15 +97,15 @@ fn random<R: Real>(column: R, row: R, plane: u32) -> R {
 
 impl Pattern for Bricks {
     #[inline(always)]
-    fn color<R: Real>(&self, place: &Place<R>) -> Vec3<R> {
-        let p = place.point;
+    fn color<R: Real>(&self, place: &ShadingPoint<R>) -> Vec3<R> {
+        let p = place.local_point;
         // A face that is turned away by more than 73° shows nothing of a plane.
-        let weights = place.own_normal.map(
+        let weights = place.local_normal.map(
             #[inline(always)]
             |n| (n.abs() - 0.3).at_least(0.0).square(),
         );
         let whole = (weights.x + weights.y + weights.z).at_least(1e-6);
-        let mut sum = (p.x.splat(0.0), p.x.splat(0.0));
+        let mut sum = (p.x.constant(0.0), p.x.constant(0.0));
         let x = (p.x, place.width_along(vec3(1.0, 0.0, 0.0)));
         let y = (p.y, place.width_along(vec3(0.0, 1.0, 0.0)));
         let z = (p.z, place.width_along(vec3(0.0, 0.0, 1.0)));
@@ -115,16 +115,16 @@ impl Pattern for Bricks {
                 sum,
                 #[inline(always)]
                 || {
-                    let (brick, color) = self.laid(across, up, plane);
+                    let (brick, color) = self.sample_plane(across, up, plane);
                     (brick.mul_add(weight, sum.0), color.mul_add(weight, sum.1))
                 },
             );
         }
-        let brick = mix_colors(self.colors[0].at(place), self.colors[1].at(place), (sum.1 / whole).at_most(1.0));
-        mix_colors(self.mortar_color.at(place), brick, (sum.0 / whole).at_most(1.0))
+        let brick = lerp_colors(self.colors[0].at(place), self.colors[1].at(place), (sum.1 / whole).at_most(1.0));
+        lerp_colors(self.mortar_color.at(place), brick, (sum.0 / whole).at_most(1.0))
     }
 
-    fn tints(&self) -> Vec<&Tint> {
+    fn color_params(&self) -> Vec<&ColorParam> {
         self.colors.iter().chain([&self.mortar_color]).collect()
     }
 
@@ -132,7 +132,7 @@ impl Pattern for Bricks {
         true
     }
 
-    fn looks_at_own_normal(&self) -> bool {
+    fn uses_local_normal(&self) -> bool {
         true
     }
 }
@@ -141,20 +141,20 @@ fn default_size() -> [Length; 2] {
     [0.5, 0.2].map(|edge| Length::new(edge).expect("a size in range"))
 }
 
-fn default_mortar() -> Amount {
-    Amount::new(0.03).expect("a size in range")
+fn default_mortar() -> LengthOrZero {
+    LengthOrZero::new(0.03).expect("a size in range")
 }
 
-fn half() -> Share {
-    Share::new(0.5).expect("0.5 is in range")
+fn default_shift() -> Fraction {
+    Fraction::new(0.5).expect("0.5 is in range")
 }
 
-fn default_colors() -> [Tint; 2] {
-    [Tint::plain_of(0.25, 0.05, 0.03), Tint::plain_of(0.45, 0.14, 0.07)]
+fn default_colors() -> [ColorParam; 2] {
+    [ColorParam::constant(0.25, 0.05, 0.03), ColorParam::constant(0.45, 0.14, 0.07)]
 }
 
-fn default_mortar_color() -> Tint {
-    Tint::plain_of(0.5, 0.48, 0.44)
+fn default_mortar_color() -> ColorParam {
+    ColorParam::constant(0.5, 0.48, 0.44)
 }
 
 #[cfg(test)]
@@ -167,7 +167,7 @@ mod tests {
 
     fn wall(x: f32, y: f32) -> Vec3<f32> {
         let bricks: Bricks = serde_json::from_str(WALL).unwrap();
-        bricks.color(&Place { own_normal: vec3(0.0, 0.0, 1.0), ..at(x, y, 0.3) })
+        bricks.color(&ShadingPoint { local_normal: vec3(0.0, 0.0, 1.0), ..at(x, y, 0.3) })
     }
 
     #[test]
@@ -184,7 +184,7 @@ mod tests {
     }
 
     #[test]
-    fn a_brick_has_one_colour_and_its_neighbours_have_others() {
+    fn a_brick_has_one_color_and_its_neighbors_have_others() {
         assert_eq!(wall(0.2, 0.2).y, wall(0.8, 0.4).y);
         let colors: Vec<f32> = (0..50).map(|column| wall(column as f32 + 0.5, 0.25).y).collect();
         let mean = colors.iter().sum::<f32>() / 50.0;

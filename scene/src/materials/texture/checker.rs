@@ -1,31 +1,31 @@
-//! Cubes or squares of two colours by turns.
+//! Cubes or squares of two colors by turns.
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::wave::square_wave;
-use super::{Pattern, black_and_white};
-use crate::materials::tint::mix_colors;
-use crate::materials::{Exemplary, Place, Tint};
+use super::{Pattern, default_colors};
+use crate::materials::param::lerp_colors;
+use crate::materials::{ColorParam, HasExamples, ShadingPoint};
 use crate::real::{Real, Vec3, vec3};
 use crate::seek::Seek;
-use crate::values::{Amount, Length};
+use crate::values::{Length, LengthOrZero};
 
-/// Cubes of two colours by turns, or squares where only two axes count.
+/// Cubes of two colors by turns, or squares where only two axes count.
 ///
-/// A flat face that lies in a border between cubes shows both colours: leave its axis out, or move the cubes.
+/// A flat face that lies in a border between cubes shows both colors: leave its axis out, or move the cubes.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
 #[serde(deny_unknown_fields)]
 pub struct Checker {
     /// Edge of a cube or square; corners lie at multiples of it.
     pub cell: Length,
-    /// The two colours.
-    #[serde(default = "black_and_white")]
-    pub colors: [Tint; 2],
+    /// The two colors.
+    #[serde(default = "default_colors")]
+    pub colors: [ColorParam; 2],
     /// Width of the transition at a border.
-    #[serde(default = "sharp")]
-    pub softness: Amount,
-    /// The axes along which colours change.
+    #[serde(default = "default_softness")]
+    pub softness: LengthOrZero,
+    /// The axes along which colors change.
     #[serde(default)]
     pub axes: Axes,
 }
@@ -45,9 +45,9 @@ pub enum Axes {
     Yz,
 }
 
-impl Exemplary for Checker {
+impl HasExamples for Checker {
     const EXAMPLE: &'static str = r##"{ "cell": 0.35, "colors": ["#2b3a55", "#e9e2d0"] }"##;
-    const MORE: &'static [&'static str] = &[
+    const MORE_EXAMPLES: &'static [&'static str] = &[
         r##"{ "cell": 0.5, "softness": 0.2, "axes": "xz", "colors": ["#7a2330", "#f0c987"] }"##,
         r##"{ "cell": 0.6, "axes": "xy", "colors": ["#d9d4c7",
               { "checker": { "cell": 0.1, "axes": "xy", "colors": ["#3d6b66", "#9cc5b0"] } }] }"##,
@@ -58,18 +58,18 @@ impl Exemplary for Checker {
 impl Checker {
     /// Which kind of cell a coordinate lies in: 1 or −1, and between on a border.
     #[inline(always)]
-    fn side<R: Real>(&self, x: R, seen: R) -> R {
+    fn parity<R: Real>(&self, x: R, seen: R) -> R {
         square_wave(x, self.cell.get(), self.softness.get(), seen)
     }
 }
 
 impl Pattern for Checker {
     #[inline(always)]
-    fn color<R: Real>(&self, place: &Place<R>) -> Vec3<R> {
-        let p = place.point;
-        let x = || self.side(p.x, place.width_along(vec3(1.0, 0.0, 0.0)));
-        let y = || self.side(p.y, place.width_along(vec3(0.0, 1.0, 0.0)));
-        let z = || self.side(p.z, place.width_along(vec3(0.0, 0.0, 1.0)));
+    fn color<R: Real>(&self, place: &ShadingPoint<R>) -> Vec3<R> {
+        let p = place.local_point;
+        let x = || self.parity(p.x, place.width_along(vec3(1.0, 0.0, 0.0)));
+        let y = || self.parity(p.y, place.width_along(vec3(0.0, 1.0, 0.0)));
+        let z = || self.parity(p.z, place.width_along(vec3(0.0, 0.0, 1.0)));
         let sides = match self.axes {
             Axes::Xyz => x() * y() * z(),
             Axes::Xz => x() * z(),
@@ -77,10 +77,10 @@ impl Pattern for Checker {
             Axes::Yz => y() * z(),
         };
         let (first, second) = (self.colors[0].at(place), self.colors[1].at(place));
-        mix_colors(first, second, sides.mul_add(sides.splat(-0.5), sides.splat(0.5)))
+        lerp_colors(first, second, sides.mul_add(sides.constant(-0.5), sides.constant(0.5)))
     }
 
-    fn tints(&self) -> Vec<&Tint> {
+    fn color_params(&self) -> Vec<&ColorParam> {
         self.colors.iter().collect()
     }
 
@@ -89,8 +89,8 @@ impl Pattern for Checker {
     }
 }
 
-pub(super) fn sharp() -> Amount {
-    Amount::new(0.0).expect("0 is in range")
+pub(super) fn default_softness() -> LengthOrZero {
+    LengthOrZero::new(0.0).expect("0 is in range")
 }
 
 #[cfg(test)]
@@ -99,7 +99,7 @@ mod tests {
     use crate::materials::texture::tests::at;
 
     #[test]
-    fn colours_change_from_cube_to_cube() {
+    fn colors_change_from_cube_to_cube() {
         let checker: Checker = serde_json::from_str(r#"{ "cell": 0.5 }"#).unwrap();
         let brightness = |x: f32, y: f32, z: f32| checker.color(&at(x, y, z)).x;
         assert_eq!(brightness(0.25, 0.25, 0.25), 0.0);

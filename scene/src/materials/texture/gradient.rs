@@ -1,22 +1,22 @@
-//! A ramp of colours by where a place is, or how it lies.
+//! A ramp of colors by where a place is, or how it lies.
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::{Pattern, Ramp};
-use crate::materials::{Exemplary, Place, Tint};
+use crate::materials::{ColorParam, HasExamples, ShadingPoint};
 use crate::real::{Real, Vec3, vec3};
 use crate::seek::Seek;
-use crate::values::{Amount, Direction, Point};
+use crate::values::{Direction, LengthOrZero, Point};
 
-/// A ramp of colours by position, normal, distance or angle of view.
+/// A ramp of colors by position, normal, distance or angle of view.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
 #[serde(deny_unknown_fields)]
 pub struct Gradient {
     /// What decides.
     pub by: GradientBy,
-    /// The colours.
-    #[serde(default = "Ramp::grey")]
+    /// The colors.
+    #[serde(default = "Ramp::black_to_white")]
     pub ramp: Ramp,
 }
 
@@ -34,13 +34,13 @@ pub enum GradientBy {
     /// The distance from a point.
     Radius {
         /// The point.
-        #[serde(default = "origin")]
+        #[serde(default = "default_center")]
         center: Point,
         /// Distance where the ramp starts.
-        #[serde(default = "nothing")]
-        from: Amount,
+        #[serde(default = "default_from")]
+        from: LengthOrZero,
         /// Distance where it ends.
-        to: Amount,
+        to: LengthOrZero,
     },
     /// The normal: the ramp starts where it points away from a direction and ends where it points along it.
     Normal {
@@ -50,18 +50,18 @@ pub enum GradientBy {
     /// The distance from the camera, along the ray.
     Distance {
         /// Distance where the ramp starts.
-        from: Amount,
+        from: LengthOrZero,
         /// Distance where it ends.
-        to: Amount,
+        to: LengthOrZero,
     },
     /// The angle of view: the ramp starts where the surface is seen edge on and ends where it faces the viewer.
     Facing {},
 }
 
-impl Exemplary for Gradient {
+impl HasExamples for Gradient {
     const EXAMPLE: &'static str = r##"{ "by": { "position": { "from": [0, -1, 0], "to": [0, 1, 0] } },
         "ramp": [[0, "#20304a"], [0.45, "#b9545c"], [0.7, "#f2b36b"], [1, "#fff2c8"]] }"##;
-    const MORE: &'static [&'static str] = &[
+    const MORE_EXAMPLES: &'static [&'static str] = &[
         r##"{ "by": { "normal": { "direction": [0, 1, 0] } },
               "ramp": [[0, "#3a2c22"], [0.6, "#7b5a3c"], [0.75, "#f5f7fa"], [1, "#ffffff"]] }"##,
         r##"{ "by": { "radius": { "center": [0.5, 0.4, 0.7], "from": 0.2, "to": 1.2 } },
@@ -79,14 +79,14 @@ fn slope(from: f32, to: f32) -> f32 {
 
 /// 0 where `x` is `from`, 1 where it is `to`.
 #[inline(always)]
-fn between<R: Real>(x: R, from: &Amount, to: &Amount) -> R {
-    (x - x.given(from.get())) * x.given(slope(from.get(), to.get()))
+fn between<R: Real>(x: R, from: &LengthOrZero, to: &LengthOrZero) -> R {
+    (x - x.uniform(from.get())) * x.uniform(slope(from.get(), to.get()))
 }
 
 impl GradientBy {
     /// The place on the ramp.
     #[inline(always)]
-    fn share<R: Real>(&self, place: &Place<R>) -> R {
+    fn position<R: Real>(&self, place: &ShadingPoint<R>) -> R {
         let like = place.normal.x;
         match self {
             Self::Position { from, to } => {
@@ -94,15 +94,15 @@ impl GradientBy {
                 let way = vec3(to.x - from.x, to.y - from.y, to.z - from.z);
                 let scale = 1.0 / way.length_squared().max(1e-12);
                 let way = vec3(way.x * scale, way.y * scale, way.z * scale);
-                (place.point - Vec3::given(like, from)).dot_known(way)
+                (place.local_point - Vec3::uniform(like, from)).dot_uniform(way)
             }
             Self::Radius { center, from, to } => {
-                between((place.point - Vec3::given(like, center.get())).length(), from, to)
+                between((place.local_point - Vec3::uniform(like, center.get())).length(), from, to)
             }
             Self::Normal { direction } => {
-                place.own_normal.dot_known(direction.unit()).mul_add(like.splat(0.5), like.splat(0.5))
+                place.local_normal.dot_uniform(direction.unit()).mul_add(like.constant(0.5), like.constant(0.5))
             }
-            Self::Distance { from, to } => between(place.distance, from, to),
+            Self::Distance { from, to } => between(place.camera_t, from, to),
             Self::Facing {} => place.normal.dot(place.to_viewer),
         }
     }
@@ -110,25 +110,25 @@ impl GradientBy {
 
 impl Pattern for Gradient {
     #[inline(always)]
-    fn color<R: Real>(&self, place: &Place<R>) -> Vec3<R> {
-        self.ramp.at(self.by.share(place), place)
+    fn color<R: Real>(&self, place: &ShadingPoint<R>) -> Vec3<R> {
+        self.ramp.at(self.by.position(place), place)
     }
 
-    fn tints(&self) -> Vec<&Tint> {
-        self.ramp.tints().collect()
+    fn color_params(&self) -> Vec<&ColorParam> {
+        self.ramp.color_params().collect()
     }
 
-    fn looks_at_own_normal(&self) -> bool {
+    fn uses_local_normal(&self) -> bool {
         matches!(self.by, GradientBy::Normal { .. })
     }
 }
 
-fn origin() -> Point {
+fn default_center() -> Point {
     serde_json::from_str("[0, 0, 0]").expect("a point")
 }
 
-fn nothing() -> Amount {
-    Amount::new(0.0).expect("0 is in range")
+fn default_from() -> LengthOrZero {
+    LengthOrZero::new(0.0).expect("0 is in range")
 }
 
 #[cfg(test)]
@@ -136,7 +136,7 @@ mod tests {
     use super::*;
     use crate::materials::texture::tests::at;
 
-    fn brightness(by: &str, place: &Place<f32>) -> f32 {
+    fn brightness(by: &str, place: &ShadingPoint<f32>) -> f32 {
         let gradient: Gradient = serde_json::from_str(&format!(r#"{{ "by": {by} }}"#)).unwrap();
         gradient.color(place).x
     }
@@ -150,20 +150,20 @@ mod tests {
         let normal = |x, y| {
             brightness(
                 r#"{ "normal": { "direction": [0, 2, 0] } }"#,
-                &Place { own_normal: vec3(x, y, 0.0), ..at(0.0, 0.0, 0.0) },
+                &ShadingPoint { local_normal: vec3(x, y, 0.0), ..at(0.0, 0.0, 0.0) },
             )
         };
         assert_eq!([normal(0.0, -1.0), normal(1.0, 0.0), normal(0.0, 1.0)], [0.0, 0.5, 1.0]);
         let distance = r#"{ "distance": { "from": 6, "to": 2 } }"#;
-        assert!((brightness(distance, &Place { distance: 3.0, ..at(0.0, 0.0, 0.0) }) - 0.75).abs() < 1e-6);
-        let side = Place { to_viewer: vec3(1.0, 0.0, 0.0), ..at(0.0, 0.0, 0.0) };
+        assert!((brightness(distance, &ShadingPoint { camera_t: 3.0, ..at(0.0, 0.0, 0.0) }) - 0.75).abs() < 1e-6);
+        let side = ShadingPoint { to_viewer: vec3(1.0, 0.0, 0.0), ..at(0.0, 0.0, 0.0) };
         assert_eq!(brightness(r#"{ "facing": {} }"#, &side), 0.0);
     }
 
     #[test]
-    fn a_way_of_no_length_has_one_colour_on_each_side() {
+    fn a_way_of_no_length_has_one_color_on_each_side() {
         let distance = r#"{ "distance": { "from": 2, "to": 2 } }"#;
-        let away = |distance_away| brightness(distance, &Place { distance: distance_away, ..at(0.0, 0.0, 0.0) });
+        let away = |distance_away| brightness(distance, &ShadingPoint { camera_t: distance_away, ..at(0.0, 0.0, 0.0) });
         assert_eq!([away(1.9), away(2.1)], [0.0, 1.0]);
     }
 }

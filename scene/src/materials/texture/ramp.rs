@@ -1,4 +1,4 @@
-//! A ramp of colours: what turns a number into a colour.
+//! A ramp of colors: what turns a number into a color.
 
 use std::borrow::Cow;
 use std::fmt;
@@ -8,50 +8,50 @@ use serde::de::{DeserializeSeed, Error, SeqAccess, Visitor};
 use serde::{Deserialize, Deserializer, Serialize};
 
 use crate::limits::MAX_RAMP_STOPS;
-use crate::materials::tint::mix_colors;
-use crate::materials::{Place, Tint};
+use crate::materials::param::lerp_colors;
+use crate::materials::{ColorParam, ShadingPoint};
 use crate::real::{Real, Vec3};
-use crate::seek::{Clock, Misfit, Seek};
-use crate::values::Share;
+use crate::seek::{FrameTime, Seek, SeekError};
+use crate::values::Fraction;
 
 /// The narrowest way from a stop to the next: two stops in one place make an edge of this width.
 const MIN_STEP: f32 = 1e-6;
 
-/// Colours at numbers from 0 to 1, in order, and straight ways between them.
+/// Colors at numbers from 0 to 1, in order, and straight ways between them.
 #[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct Ramp(Vec<Stop>);
+pub struct Ramp(Vec<RampStop>);
 
-/// A colour on a ramp: `[place, colour]`.
+/// A color on a ramp: `[place, color]`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
-pub struct Stop(pub Share, pub Tint);
+pub struct RampStop(pub Fraction, pub ColorParam);
 
 impl Ramp {
     /// From black to white.
-    pub(super) fn grey() -> Self {
-        let end = |place, color| Stop(Share::new(place).expect("an end of the range"), color);
-        Self(vec![end(0.0, Tint::black()), end(1.0, Tint::white())])
+    pub(super) fn black_to_white() -> Self {
+        let end = |place, color| RampStop(Fraction::new(place).expect("an end of the range"), color);
+        Self(vec![end(0.0, ColorParam::black()), end(1.0, ColorParam::white())])
     }
 
-    /// The colour at `share`; before the first stop that one's, behind the last that one's.
+    /// The color at `share`; before the first stop that one's, behind the last that one's.
     #[inline(always)]
-    pub fn at<R: Real>(&self, share: R, place: &Place<R>) -> Vec3<R> {
+    pub fn at<R: Real>(&self, share: R, place: &ShadingPoint<R>) -> Vec3<R> {
         let mut color = self.0[0].1.at(place);
         for pair in self.0.windows(2) {
             let (from, to) = (pair[0].0.get(), pair[1].0.get());
             let slope = 1.0 / (to - from).max(MIN_STEP);
-            let way = ((share - share.given(from)) * share.given(slope)).at_least(0.0).at_most(1.0);
-            color = mix_colors(color, pair[1].1.at(place), way);
+            let way = ((share - share.uniform(from)) * share.uniform(slope)).at_least(0.0).at_most(1.0);
+            color = lerp_colors(color, pair[1].1.at(place), way);
         }
         color
     }
 
-    /// Its colours, which may be textures.
-    pub(super) fn tints(&self) -> impl Iterator<Item = &Tint> {
-        self.0.iter().map(|Stop(_, tint)| tint)
+    /// Its colors, which may be textures.
+    pub(super) fn color_params(&self) -> impl Iterator<Item = &ColorParam> {
+        self.0.iter().map(|RampStop(_, tint)| tint)
     }
 }
 
-fn out_of_order(before: &Stop, stop: &Stop) -> String {
+fn out_of_order(before: &RampStop, stop: &RampStop) -> String {
     format!(
         "is at {}, before the stop at {} that it follows: put stops in order, from 0 to 1",
         stop.0.get(),
@@ -60,25 +60,25 @@ fn out_of_order(before: &Stop, stop: &Stop) -> String {
 }
 
 impl Seek for Ramp {
-    fn seek(&mut self, clock: &mut Clock<'_>) -> Result<bool, Box<Misfit>> {
+    fn seek(&mut self, clock: &mut FrameTime<'_>) -> Result<bool, Box<SeekError>> {
         let Self(stops) = self;
         let is_animated = stops.seek(clock)?;
         let mut steps = stops.windows(2).enumerate();
         if is_animated && let Some((index, pair)) = steps.find(|(_, pair)| pair[1].0 < pair[0].0) {
-            return Err(Misfit::new(out_of_order(&pair[0], &pair[1])).inside(&(index + 1).to_string()));
+            return Err(SeekError::new(out_of_order(&pair[0], &pair[1])).inside(&(index + 1).to_string()));
         }
         Ok(is_animated)
     }
 }
 
 /// Reads a stop that may not be before another.
-struct NextStop<'a>(Option<&'a Stop>);
+struct RampStopSeed<'a>(Option<&'a RampStop>);
 
-impl<'de> DeserializeSeed<'de> for NextStop<'_> {
-    type Value = Stop;
+impl<'de> DeserializeSeed<'de> for RampStopSeed<'_> {
+    type Value = RampStop;
 
-    fn deserialize<D: Deserializer<'de>>(self, deserializer: D) -> Result<Stop, D::Error> {
-        let stop = Stop::deserialize(deserializer)?;
+    fn deserialize<D: Deserializer<'de>>(self, deserializer: D) -> Result<RampStop, D::Error> {
+        let stop = RampStop::deserialize(deserializer)?;
         match self.0 {
             Some(before) if stop.0 < before.0 => Err(D::Error::custom(out_of_order(before, &stop))),
             _ => Ok(stop),
@@ -93,12 +93,12 @@ impl<'de> Visitor<'de> for RampVisitor {
     type Value = Ramp;
 
     fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str("a ramp: [[0, colour], …, [1, colour]]")
+        f.write_str("a ramp: [[0, color], …, [1, color]]")
     }
 
     fn visit_seq<A: SeqAccess<'de>>(self, mut list: A) -> Result<Ramp, A::Error> {
-        let mut stops: Vec<Stop> = Vec::new();
-        while let Some(stop) = list.next_element_seed(NextStop(stops.last()))? {
+        let mut stops: Vec<RampStop> = Vec::new();
+        while let Some(stop) = list.next_element_seed(RampStopSeed(stops.last()))? {
             stops.push(stop);
             if stops.len() > MAX_RAMP_STOPS {
                 let message = format_args!("has more than {MAX_RAMP_STOPS} stops: leave some out");
@@ -107,7 +107,7 @@ impl<'de> Visitor<'de> for RampVisitor {
         }
         if stops.len() < 2 {
             let count = stops.len();
-            let message = format_args!("has {count} of at least 2 stops: for one colour write it without a texture");
+            let message = format_args!("has {count} of at least 2 stops: for one color write it without a texture");
             return Err(A::Error::custom(message));
         }
         Ok(Ramp(stops))
@@ -126,10 +126,10 @@ impl JsonSchema for Ramp {
     }
 
     fn json_schema(generator: &mut SchemaGenerator) -> Schema {
-        let stop = generator.subschema_for::<Stop>();
+        let stop = generator.subschema_for::<RampStop>();
         json_schema!({
             "type": "array", "items": stop, "minItems": 2, "maxItems": MAX_RAMP_STOPS,
-            "description": "Colours at numbers from 0 to 1, in order: [[0, colour], …, [1, colour]]."
+            "description": "Colors at numbers from 0 to 1, in order: [[0, color], …, [1, color]]."
         })
     }
 }

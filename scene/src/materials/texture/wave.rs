@@ -8,23 +8,23 @@ use crate::real::Real;
 #[inline(always)]
 pub(super) fn bands<R: Real>(x: R, width: f32) -> R {
     let period = 2.0 * width;
-    let turns = x.mul_add(x.given(1.0 / period), x.splat(0.25));
+    let turns = x.mul_add(x.uniform(1.0 / period), x.constant(0.25));
     let part = turns - turns.floor();
     // A triangle wave through 0 at every border.
-    ((part - 0.5).abs() - 0.25) * x.given(-period)
+    ((part - 0.5).abs() - 0.25) * x.uniform(-period)
 }
 
 /// The share of itself that a pattern keeps where `width` of it is seen at once: all up to half of its period,
 /// nothing from its whole period on, where each value is as likely as the other.
 #[inline(always)]
 pub(super) fn kept<R: Real>(width: R, period: f32) -> R {
-    width.mul_add(width.given(-2.0 / period), width.splat(2.0)).at_least(0.0).at_most(1.0)
+    width.mul_add(width.uniform(-2.0 / period), width.constant(2.0)).at_least(0.0).at_most(1.0)
 }
 
 /// A border `softness` wide, seen through a footprint of `width`.
 #[inline(always)]
 pub(super) fn softened<R: Real>(softness: f32, width: R) -> R {
-    let softness = width.given(softness.max(MIN_LENGTH));
+    let softness = width.uniform(softness.max(MIN_LENGTH));
     width.square_add(softness.square()).sqrt()
 }
 
@@ -32,14 +32,14 @@ pub(super) fn softened<R: Real>(softness: f32, width: R) -> R {
 /// `seen` shows it.
 #[inline(always)]
 pub(super) fn square_wave<R: Real>(x: R, width: f32, softness: f32, seen: R) -> R {
-    let slope = x.splat(2.0) / softened(softness, seen);
+    let slope = x.constant(2.0) / softened(softness, seen);
     (bands(x, width) * slope).at_least(-1.0).at_most(1.0) * kept(seen, 2.0 * width)
 }
 
 /// From 0 at whole turns to 1 at half turns and back, smoothly: within 0.01 of (1 − cos 2πx)/2, at any size of x.
 #[inline(always)]
-pub(super) fn swing<R: Real>(turns: R) -> R {
+pub(super) fn smooth_wave<R: Real>(turns: R) -> R {
     let part = turns - turns.floor();
-    let rise = part.splat(1.0) - (part + part - 1.0).abs();
-    rise.square() * rise.mul_add(rise.splat(-2.0), rise.splat(3.0))
+    let rise = part.constant(1.0) - (part + part - 1.0).abs();
+    rise.square() * rise.mul_add(rise.constant(-2.0), rise.constant(3.0))
 }

@@ -3,7 +3,7 @@
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use super::{LARGEST_SLOPE, folds, held_to_hull, iterations};
+use super::{MAX_DERIVATIVE, clamp_to_hull, folds, iterations};
 use crate::bounds::Bounds;
 use crate::limits::MAX_ITERATIONS;
 use crate::nodes::{Exactness, Primitive};
@@ -30,17 +30,17 @@ pub struct ApollonianGasket {
 }
 
 /// Coordinate of the center of the ball toward (1, 1, 1), where each of the four balls has radius 1.
-const BALL: f32 = std::f32::consts::FRAC_1_SQRT_2;
+const BALL_CENTER: f32 = std::f32::consts::FRAC_1_SQRT_2;
 /// Radius of the ball around all four: 1 + √(3/2).
-const HULL: f32 = 2.224_744_9;
+const HULL_RADIUS: f32 = 2.224_744_9;
 /// Square of the radius of the sphere through the points where the four touch.
-const CORE_SQUARED: f32 = 0.5;
+const CORE_RADIUS_SQUARED: f32 = 0.5;
 /// Square of a radius within the ball in the middle, which the hull is inverted to, of radius ½/HULL.
-const DEEP_SQUARED: f32 = 0.02;
+const INNER_RADIUS_SQUARED: f32 = 0.02;
 /// Coordinates of the middle of the sphere through the points where the hull and three balls touch, which leaves
 /// out that of (1, 1, 1): at right angles to all of them, its middle is (1/2 + HULL²)·√(3/2) away from the
 /// origin.
-const FAR: f32 = -3.853_372_6;
+const OUTER_CENTER: f32 = -3.853_372_6;
 /// Square of that sphere's radius: 3·FAR² − HULL².
 const FAR_SQUARED: f32 = 39.595_917;
 /// Distance from the hull within which the estimate is used, in radii of the hull.
@@ -50,13 +50,13 @@ const NOWHERE: f32 = 1e3;
 
 impl Primitive for ApollonianGasket {
     const EXAMPLE: &str = r#"{ "radius": 1.15, "iterations": 4 }"#;
-    const MORE: &[&str] = &[r#"{ "radius": 1, "iterations": 1 }"#, r#"{ "radius": 1, "iterations": 64 }"#];
+    const MORE_EXAMPLES: &[&str] = &[r#"{ "radius": 1, "iterations": 1 }"#, r#"{ "radius": 1, "iterations": 64 }"#];
 
     #[inline(always)]
     fn distance<R: Real>(&self, p: Vec3<R>) -> R {
         let radius = self.radius.get();
-        held_to_hull(
-            p.length() - p.x.given(radius),
+        clamp_to_hull(
+            p.length() - p.x.uniform(radius),
             MARGIN * radius,
             #[inline(always)]
             || self.estimate(p),
@@ -69,7 +69,7 @@ impl Primitive for ApollonianGasket {
 
     /// Ratio of the estimate (distance from a ball at its last position over the derivative) to the
     /// distance from the original ball: tested against a list of all balls.
-    fn stretch(&self) -> f32 {
+    fn lipschitz(&self) -> f32 {
         1.25
     }
 
@@ -77,8 +77,8 @@ impl Primitive for ApollonianGasket {
         true
     }
 
-    fn bounds(&self, level: f32) -> Bounds {
-        let reach = self.radius.get() + level;
+    fn bounds(&self, isolevel: f32) -> Bounds {
+        let reach = self.radius.get() + isolevel;
         Bounds::symmetric(reach, reach, reach)
     }
 }
@@ -86,35 +86,37 @@ impl Primitive for ApollonianGasket {
 impl ApollonianGasket {
     #[inline(always)]
     fn estimate<R: Real>(&self, p: Vec3<R>) -> R {
-        let one = p.x.splat(1.0);
-        let far = vec3(one * FAR, one * FAR, one * FAR);
-        let start = p * p.x.given(HULL / self.radius.get());
+        let one = p.x.constant(1.0);
+        let far = vec3(one * OUTER_CENTER, one * OUTER_CENTER, one * OUTER_CENTER);
+        let start = p * p.x.uniform(HULL_RADIUS / self.radius.get());
         let (place, slope, hull) = R::repeat(
             self.iterations,
-            (start, one, one.splat(NOWHERE)),
+            (start, one, one.constant(NOWHERE)),
             #[inline(always)]
             |(place, slope, hull)| {
                 // Away from (1, 1, 1), to where the sphere that leaves out its ball is.
                 let away = -folds::tetrahedral(-place) - far;
                 let squared = away.length_squared();
-                let outer = R::select(squared.below(FAR_SQUARED), one.splat(FAR_SQUARED) / squared.at_least(1.0), one);
+                let outer =
+                    R::select(squared.below(FAR_SQUARED), one.constant(FAR_SQUARED) / squared.at_least(1.0), one);
                 let place = away.mul_add(outer, far);
                 let squared = place.length_squared();
-                let is_in_core = squared.below(CORE_SQUARED);
-                let is_deep = squared.below(DEEP_SQUARED);
-                let inner = one.splat(CORE_SQUARED) / squared.at_least(DEEP_SQUARED);
+                let is_in_core = squared.below(CORE_RADIUS_SQUARED);
+                let is_deep = squared.below(INNER_RADIUS_SQUARED);
+                let inner = one.constant(CORE_RADIUS_SQUARED) / squared.at_least(INNER_RADIUS_SQUARED);
                 let inner = R::select(is_in_core & !is_deep, inner, one);
                 // From then on the hull stands for a ball inside; deep in that ball no
                 // inversion is needed.
-                let hull = R::select(is_in_core, one.splat(HULL), hull);
+                let hull = R::select(is_in_core, one.constant(HULL_RADIUS), hull);
                 let hull = R::select(is_deep, -one, hull);
-                let slope = (slope * outer * inner).at_most(LARGEST_SLOPE);
+                let slope = (slope * outer * inner).at_most(MAX_DERIVATIVE);
                 ((outer * inner).above(1.0), (place * inner, slope, hull))
             },
         );
-        let from_ball = (folds::tetrahedral(place) - vec3(one * BALL, one * BALL, one * BALL)).length() - 1.0;
+        let from_ball =
+            (folds::tetrahedral(place) - vec3(one * BALL_CENTER, one * BALL_CENTER, one * BALL_CENTER)).length() - 1.0;
         let nearest = from_ball.min(hull - place.length());
-        nearest / slope * p.x.given(self.radius.get() / HULL)
+        nearest / slope * p.x.uniform(self.radius.get() / HULL_RADIUS)
     }
 }
 
@@ -149,10 +151,10 @@ mod tests {
 
     /// All balls made by `inversions` inversions, except those smaller than `least`.
     fn packing(inversions: u32, least: f32) -> Vec<Ball> {
-        let mut mirrors = vec![ball([0.0; 3], 0.0, CORE_SQUARED.sqrt())];
-        mirrors.extend(CORNERS.map(|corner| ball(corner, FAR, FAR_SQUARED.sqrt())));
-        let mut all = vec![ball([0.0; 3], 0.0, HULL)];
-        all.extend(CORNERS.map(|corner| ball(corner, BALL, 1.0)));
+        let mut mirrors = vec![ball([0.0; 3], 0.0, CORE_RADIUS_SQUARED.sqrt())];
+        mirrors.extend(CORNERS.map(|corner| ball(corner, OUTER_CENTER, FAR_SQUARED.sqrt())));
+        let mut all = vec![ball([0.0; 3], 0.0, HULL_RADIUS)];
+        all.extend(CORNERS.map(|corner| ball(corner, BALL_CENTER, 1.0)));
         let mut newest = all.clone();
         for _ in 0..inversions {
             let mut next: Vec<Ball> = Vec::new();
@@ -170,9 +172,9 @@ mod tests {
     }
 
     fn places() -> impl Iterator<Item = Vec3<f32>> {
-        let turn = |speed: f32, step: u32| HULL * Real::sin(speed * step as f32);
+        let turn = |speed: f32, step: u32| HULL_RADIUS * Real::sin(speed * step as f32);
         let all = (0..40_000).map(move |step| vec3(turn(1.3, step), turn(2.1, step), turn(0.7, step)));
-        all.filter(|p| p.length() < HULL)
+        all.filter(|p| p.length() < HULL_RADIUS)
     }
 
     #[test]
@@ -180,7 +182,11 @@ mod tests {
         let all = packing(4, 0.15);
         assert!(all.len() > 50, "{} balls", all.len());
         for (index, a) in all.iter().enumerate() {
-            assert!(a.middle.length() + a.radius < HULL + 1e-4, "{a:?} leaves the hull", a = (a.middle, a.radius));
+            assert!(
+                a.middle.length() + a.radius < HULL_RADIUS + 1e-4,
+                "{a:?} leaves the hull",
+                a = (a.middle, a.radius)
+            );
             for b in &all[..index] {
                 let gap = (a.middle - b.middle).length() - a.radius - b.radius;
                 assert!(gap > -1e-3, "{:?} and {:?} overlap by {gap}", (a.middle, a.radius), (b.middle, b.radius));
@@ -192,7 +198,7 @@ mod tests {
     fn no_estimate_is_more_than_the_distance_to_the_nearest_of_all_balls() {
         let balls = packing(8, 0.06);
         for iterations in [1, 2, 3] {
-            let gasket = ApollonianGasket { radius: Length::new(HULL).unwrap(), iterations };
+            let gasket = ApollonianGasket { radius: Length::new(HULL_RADIUS).unwrap(), iterations };
             // Few inversions do not lead to all balls.
             let solid: Vec<&Ball> = balls.iter().filter(|ball| gasket.distance(ball.middle) < 0.0).collect();
             let (mut outside, mut worst) = (0, (0.0, vec3(0.0, 0.0, 0.0)));
@@ -208,7 +214,7 @@ mod tests {
                 }
             }
             assert!(outside > 1_000, "only {outside} places are in gaps");
-            assert!(worst.0 <= Primitive::stretch(&gasket), "{worst:?} with {iterations} iterations");
+            assert!(worst.0 <= Primitive::lipschitz(&gasket), "{worst:?} with {iterations} iterations");
         }
     }
 }

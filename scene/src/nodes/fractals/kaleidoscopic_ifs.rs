@@ -6,7 +6,7 @@ use serde::{Deserialize, Serialize};
 use super::{folds, iterations};
 use crate::bounds::Bounds;
 use crate::limits::MAX_ITERATIONS;
-use crate::nodes::{Exactness, NodeFault, Primitive};
+use crate::nodes::{Exactness, NodeError, Primitive};
 use crate::real::{Real, Vec3, vec3};
 use crate::seek::Seek;
 use crate::values::{GrowthFactor, Point, Rotation};
@@ -55,7 +55,7 @@ pub enum KaleidoscopicFolds {
 impl Primitive for KaleidoscopicIfs {
     const EXAMPLE: &str = r#"{ "folds": "menger_like", "scale": 3, "offset": [0.66, 0.66, 0.66],
         "turn_before": [0, 0, 12], "turn_after": [8, 0, 0], "iterations": 8 }"#;
-    const MORE: &[&str] = &[
+    const MORE_EXAMPLES: &[&str] = &[
         r#"{ "folds": "tetrahedral", "scale": 2, "offset": [0.65, 0.65, 0.65], "turn_before": [0, 20, 0], "iterations": 12 }"#,
         r#"{ "folds": "octahedral", "scale": 2, "offset": [1.1, 0, 0], "turn_after": [15, 0, 25], "iterations": 12 }"#,
         r#"{ "folds": "menger_like", "scale": 3, "offset": [0.66, 0.66, 0.66], "iterations": 64 }"#,
@@ -68,11 +68,11 @@ impl Primitive for KaleidoscopicIfs {
         // Space is not scaled; the step of each iteration shrinks instead, so that nothing grows out
         // of range.
         let share = (scale - 1.0) / scale;
-        let step = Vec3::given(p.x, offset.map(|c| c * share));
-        let shrink = p.x.given(1.0 / scale);
+        let step = Vec3::uniform(p.x, offset.map(|c| c * share));
+        let shrink = p.x.uniform(1.0 / scale);
         let (place, size) = R::repeat(
             self.iterations,
-            (p, p.x.splat(1.0)),
+            (p, p.x.constant(1.0)),
             #[inline(always)]
             |(place, size)| {
                 let place = turned(place, self.turn_before.as_ref());
@@ -94,26 +94,26 @@ impl Primitive for KaleidoscopicIfs {
                 (size.above(1e-9), (place, size))
             },
         );
-        size.mul_add(-p.x.given(self.reach()), place.length())
+        size.mul_add(-p.x.uniform(self.bounding_radius()), place.length())
     }
 
     fn exactness(&self) -> Exactness {
         Exactness::Bound
     }
 
-    fn fault(&self) -> Option<NodeFault> {
+    fn validate(&self) -> Option<NodeError> {
         let is_nothing = self.offset.get().map(f32::abs).max_element() < 1e-6;
-        is_nothing.then(|| NodeFault::new("offset", "has no length, so the shape has no size: make a coordinate 1"))
+        is_nothing.then(|| NodeError::new("offset", "has no length, so the shape has no size: make a coordinate 1"))
     }
 
     fn is_fine(&self) -> bool {
         true
     }
 
-    fn bounds(&self, level: f32) -> Bounds {
+    fn bounds(&self, isolevel: f32) -> Bounds {
         // A step multiplies a length by scale and subtracts |offset|·(scale − 1): beyond |offset| no
         // orbit returns.
-        let reach = self.reach() + level;
+        let reach = self.bounding_radius() + isolevel;
         Bounds::symmetric(reach, reach, reach)
     }
 }
@@ -121,7 +121,7 @@ impl Primitive for KaleidoscopicIfs {
 impl KaleidoscopicIfs {
     /// Radius of the ball that holds it.
     #[inline(always)]
-    fn reach(&self) -> f32 {
+    fn bounding_radius(&self) -> f32 {
         self.offset.get().length()
     }
 }
@@ -132,7 +132,7 @@ fn turned<R: Real>(p: Vec3<R>, rotation: Option<&Rotation>) -> Vec3<R> {
     match rotation {
         Some(rotation) => {
             let [x, y, z] = rotation.inverse_rows();
-            vec3(p.dot_known(x), p.dot_known(y), p.dot_known(z))
+            vec3(p.dot_uniform(x), p.dot_uniform(y), p.dot_uniform(z))
         }
         None => p,
     }

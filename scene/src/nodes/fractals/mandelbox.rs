@@ -3,10 +3,10 @@
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use super::{LARGEST_SLOPE, distance_from_box, held_to_hull, iterations};
+use super::{MAX_DERIVATIVE, clamp_to_hull, distance_from_box, iterations};
 use crate::bounds::Bounds;
 use crate::limits::MAX_ITERATIONS;
-use crate::nodes::{Exactness, NodeFault, Primitive};
+use crate::nodes::{Exactness, NodeError, Primitive};
 use crate::real::{Real, Vec3, vec3};
 use crate::seek::Seek;
 use crate::values::{Length, MandelboxScale};
@@ -31,7 +31,7 @@ pub struct Mandelbox {
     #[serde(default = "one")]
     pub fold: Length,
     /// Inside a ball of this radius the sphere fold is a plain growth.
-    #[serde(default = "half")]
+    #[serde(default = "default_min_radius")]
     pub min_radius: Length,
     /// Radius of the sphere that inverts the shell between it and the inner ball.
     #[serde(default = "one")]
@@ -47,7 +47,7 @@ const MARGIN: f32 = 0.25;
 
 impl Primitive for Mandelbox {
     const EXAMPLE: &str = r#"{ "size": 1.36, "scale": 2, "iterations": 10 }"#;
-    const MORE: &[&str] = &[
+    const MORE_EXAMPLES: &[&str] = &[
         r#"{ "size": 1.3, "scale": -1.5, "iterations": 12 }"#,
         r#"{ "size": 1.3, "scale": 3, "iterations": 8, "min_radius": 0.25, "fold": 0.9 }"#,
     ];
@@ -56,7 +56,7 @@ impl Primitive for Mandelbox {
     fn distance<R: Real>(&self, p: Vec3<R>) -> R {
         let half = self.size.get() * 0.5;
         let from_cube = distance_from_box(p, vec3(half, half, half));
-        held_to_hull(
+        clamp_to_hull(
             from_cube,
             MARGIN * half,
             #[inline(always)]
@@ -68,20 +68,20 @@ impl Primitive for Mandelbox {
         Exactness::Estimate
     }
 
-    fn fault(&self) -> Option<NodeFault> {
+    fn validate(&self) -> Option<NodeError> {
         let (least, fixed, fold) = (self.min_radius.get(), self.fixed_radius.get(), self.fold.get());
         if least > fixed {
             let cure = format!("must not be more than fixed_radius: make min_radius {fixed} or less");
-            return Some(NodeFault::new("min_radius", cure));
+            return Some(NodeError::new("min_radius", cure));
         }
         if fixed > 100.0 * least {
             let cure = format!("is less than a hundredth of fixed_radius: make min_radius {} or more", fixed * 0.01);
-            return Some(NodeFault::new("min_radius", cure));
+            return Some(NodeError::new("min_radius", cure));
         }
         let is_near = (0.01 * fold..=100.0 * fold).contains(&fixed);
         (!is_near).then(|| {
             let cure = format!("must be from a hundredth of fold to a hundred times as much: make fixed_radius {fold}");
-            NodeFault::new("fixed_radius", cure)
+            NodeError::new("fixed_radius", cure)
         })
     }
 
@@ -89,9 +89,9 @@ impl Primitive for Mandelbox {
         true
     }
 
-    fn bounds(&self, level: f32) -> Bounds {
+    fn bounds(&self, isolevel: f32) -> Bounds {
         let half = self.size.get() * 0.5;
-        Bounds::symmetric(half, half, half).widened(level)
+        Bounds::symmetric(half, half, half).expanded(isolevel)
     }
 }
 
@@ -102,10 +102,10 @@ impl Mandelbox {
         // In units of the fold, so that no number is far from 1.
         let unit = self.size.get() * 0.5 / self.half_edge();
         let (least, fixed) = (self.min_radius.get() / fold, self.fixed_radius.get() / fold);
-        let (least, fixed) = (p.x.given(least * least), p.x.given(fixed * fixed));
-        let (growth, slope_growth) = (fixed * p.x.given(scale), fixed * p.x.given(scale.abs()));
-        let start = p * p.x.given(1.0 / unit);
-        let one = p.x.splat(1.0);
+        let (least, fixed) = (p.x.uniform(least * least), p.x.uniform(fixed * fixed));
+        let (growth, slope_growth) = (fixed * p.x.uniform(scale), fixed * p.x.uniform(scale.abs()));
+        let start = p * p.x.uniform(1.0 / unit);
+        let one = p.x.constant(1.0);
         let (_, squared, slope) = R::repeat(
             self.iterations,
             (start, one, one),
@@ -113,16 +113,16 @@ impl Mandelbox {
             |(z, _, slope)| {
                 let folded = z.map(
                     #[inline(always)]
-                    |c| c.at_least(-1.0).at_most(1.0).mul_add(c.splat(2.0), -c),
+                    |c| c.at_least(-1.0).at_most(1.0).mul_add(c.constant(2.0), -c),
                 );
                 let inverse = one / folded.length_squared().max(least).min(fixed);
                 let z = folded.mul_add(inverse * growth, start);
-                let slope = (inverse * slope_growth).mul_add(slope, one).at_most(LARGEST_SLOPE);
+                let slope = (inverse * slope_growth).mul_add(slope, one).at_most(MAX_DERIVATIVE);
                 let squared = z.length_squared();
                 (squared.below(ESCAPE_RADIUS * ESCAPE_RADIUS), (z, squared, slope))
             },
         );
-        (squared.sqrt() - SURFACE_RADIUS) / slope * p.x.given(unit)
+        (squared.sqrt() - SURFACE_RADIUS) / slope * p.x.uniform(unit)
     }
 
     /// Half the edge of the cube that holds it, in folds.
@@ -142,7 +142,7 @@ fn one() -> Length {
     Length::new(1.0).expect("1 is in range")
 }
 
-fn half() -> Length {
+fn default_min_radius() -> Length {
     Length::new(0.5).expect("0.5 is in range")
 }
 

@@ -3,10 +3,10 @@
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use super::{distance_from_box, held_to_hull, iterations};
+use super::{clamp_to_hull, distance_from_box, iterations};
 use crate::bounds::Bounds;
 use crate::limits::MAX_ITERATIONS;
-use crate::nodes::{Exactness, NodeFault, Primitive};
+use crate::nodes::{Exactness, NodeError, Primitive};
 use crate::real::{Real, Vec3, vec3};
 use crate::seek::Seek;
 use crate::values::{Coordinate, Length};
@@ -27,10 +27,10 @@ pub struct MandelbrotRelief {
     /// Height of the slab, in scene units.
     pub height: Length,
     /// The complex number in its middle: real and imaginary part, within ±2.
-    #[serde(default = "middle_of_the_set")]
+    #[serde(default = "default_center")]
     pub center: [Coordinate; 2],
     /// Edge of the square in the complex plane, from 0.0001 to 8: the smaller the closer.
-    #[serde(default = "width_of_the_set")]
+    #[serde(default = "default_width")]
     pub width: Length,
     /// Maximum number of iterations of z → z² + c: more give finer detail.
     #[schemars(range(min = 1, max = MAX_ITERATIONS))]
@@ -43,13 +43,13 @@ const ESCAPE_SQUARED: f32 = 256.0;
 /// Logarithm of that radius.
 const ESCAPE_LOGARITHM: f32 = 2.772_588_7;
 /// Keeps the square of a derivative within the range of a divisor.
-const LARGEST_SLOPE: f32 = 1e14;
+const MAX_DERIVATIVE: f32 = 1e14;
 /// Distance from its box within which the estimate is used, in widths.
 const MARGIN: f32 = 0.25;
 
 impl Primitive for MandelbrotRelief {
     const EXAMPLE: &str = r#"{ "size": 1.8, "height": 0.3, "center": [-0.65, 0], "width": 2.6, "iterations": 40 }"#;
-    const MORE: &[&str] = &[
+    const MORE_EXAMPLES: &[&str] = &[
         r#"{ "size": 1.6, "height": 0.2, "center": [-0.745, 0.113], "width": 0.05, "iterations": 64 }"#,
         r#"{ "size": 1.6, "height": 0.5, "iterations": 6 }"#,
     ];
@@ -57,14 +57,14 @@ impl Primitive for MandelbrotRelief {
     #[inline(always)]
     fn distance<R: Real>(&self, p: Vec3<R>) -> R {
         let (half, half_height) = (self.size.get() * 0.5, self.height.get() * 0.5);
-        let p = vec3(p.x, p.y - p.x.given(half_height), p.z);
-        held_to_hull(
+        let p = vec3(p.x, p.y - p.x.uniform(half_height), p.z);
+        clamp_to_hull(
             distance_from_box(p, vec3(half, half_height, half)),
             MARGIN * self.size.get(),
             #[inline(always)]
             || {
-                let across = self.in_the_plane(p.x, p.z);
-                let along = p.y.abs() - p.x.given(half_height);
+                let across = self.planar_distance(p.x, p.z);
+                let along = p.y.abs() - p.x.uniform(half_height);
                 let outside = across.at_least(0.0).square_add(along.at_least(0.0).square()).sqrt();
                 outside + across.max(along).at_most(0.0)
             },
@@ -75,77 +75,77 @@ impl Primitive for MandelbrotRelief {
         Exactness::Estimate
     }
 
-    fn fault(&self) -> Option<NodeFault> {
+    fn validate(&self) -> Option<NodeError> {
         let [real, imaginary] = self.center.each_ref().map(Coordinate::get);
         if real.abs().max(imaginary.abs()) > 2.0 {
-            return Some(NodeFault::new("center", "is far from the set: make both numbers within ±2"));
+            return Some(NodeError::new("center", "is far from the set: make both numbers within ±2"));
         }
         let is_near = (1e-4..=8.0).contains(&self.width.get());
-        (!is_near).then(|| NodeFault::new("width", "must be from 0.0001 to 8: make it 3 to see the whole set"))
+        (!is_near).then(|| NodeError::new("width", "must be from 0.0001 to 8: make it 3 to see the whole set"))
     }
 
     fn is_fine(&self) -> bool {
         true
     }
 
-    fn bounds(&self, level: f32) -> Bounds {
+    fn bounds(&self, isolevel: f32) -> Bounds {
         let (half, height) = (self.size.get() * 0.5, self.height.get());
-        Bounds { low: vec3(-half, 0.0, -half), high: vec3(half, height, half) }.widened(level)
+        Bounds { min: vec3(-half, 0.0, -half), max: vec3(half, height, half) }.expanded(isolevel)
     }
 }
 
 impl MandelbrotRelief {
     /// No more than the distance to the set in the plane, in scene units; little below 0 inside.
     #[inline(always)]
-    fn in_the_plane<R: Real>(&self, x: R, z: R) -> R {
+    fn planar_distance<R: Real>(&self, x: R, z: R) -> R {
         let [real, imaginary] = self.center.each_ref().map(Coordinate::get);
-        let unit = x.given(self.width.get() / self.size.get());
-        let (cx, cy) = (x.mul_add(unit, x.given(real)), x.given(imaginary) - z * unit);
-        let one = x.splat(1.0);
+        let unit = x.uniform(self.width.get() / self.size.get());
+        let (cx, cy) = (x.mul_add(unit, x.uniform(real)), x.uniform(imaginary) - z * unit);
+        let one = x.constant(1.0);
         // Points that have not escaped by the last iteration are solid: their potential is at most ln
         // E/2ᴺ.
-        let level = x.given(ESCAPE_LOGARITHM * halved(self.iterations));
-        let start = ((cx, cy), (one, one.splat(0.0)), cx.square_add(cy.square()), level, one);
-        let (_, (dx, dy), squared, level, share) = R::repeat(
+        let isolevel = x.uniform(ESCAPE_LOGARITHM * half_extents(self.iterations));
+        let start = ((cx, cy), (one, one.constant(0.0)), cx.square_add(cy.square()), isolevel, one);
+        let (_, (dx, dy), squared, isolevel, share) = R::repeat(
             self.iterations,
             start,
             #[inline(always)]
-            |((a, b), (da, db), _, level, share)| {
+            |((a, b), (da, db), _, isolevel, share)| {
                 let (twice_a, twice_b) = (a * 2.0, b * 2.0);
                 let next_da = twice_a.mul_add(da, one - twice_b * db);
                 let next_db = twice_a.mul_add(db, twice_b * da);
                 let (a, b) = (a.square_add(cx - b.square()), twice_a.mul_add(b, cy));
                 let squared = a.square_add(b.square());
-                let slope = (limited(next_da), limited(next_db));
-                (squared.below(ESCAPE_SQUARED), ((a, b), slope, squared, level * 2.0, share * 0.5))
+                let slope = (clamp_derivative(next_da), clamp_derivative(next_db));
+                (squared.below(ESCAPE_SQUARED), ((a, b), slope, squared, isolevel * 2.0, share * 0.5))
             },
         );
         let squared = squared.at_least(1e-12);
         // Both in units of this iteration's fraction of the potential.
-        let above = squared.ln() * 0.5 - level;
+        let above = squared.ln() * 0.5 - isolevel;
         let slope = dx.square_add(dy.square()).at_least(1.0);
         let bound = above / (share * above.at_least(0.0) * 2.0 + 1.0);
-        (squared / slope).sqrt() * bound * (x.given(self.size.get() / self.width.get()) * 0.5)
+        (squared / slope).sqrt() * bound * (x.uniform(self.size.get() / self.width.get()) * 0.5)
     }
 }
 
 /// 1/2ⁿ.
 #[inline(always)]
-fn halved(times: u32) -> f32 {
+fn half_extents(times: u32) -> f32 {
     1.0 / (1_u64 << times.min(63)) as f32
 }
 
 /// Component of a derivative, clamped so that its square is finite.
 #[inline(always)]
-fn limited<R: Real>(slope: R) -> R {
-    slope.at_most(LARGEST_SLOPE).at_least(-LARGEST_SLOPE)
+fn clamp_derivative<R: Real>(slope: R) -> R {
+    slope.at_most(MAX_DERIVATIVE).at_least(-MAX_DERIVATIVE)
 }
 
-fn middle_of_the_set() -> [Coordinate; 2] {
+fn default_center() -> [Coordinate; 2] {
     [-0.75, 0.0].map(|c| Coordinate::new(c).expect("it is in range"))
 }
 
-fn width_of_the_set() -> Length {
+fn default_width() -> Length {
     Length::new(3.0).expect("3 is in range")
 }
 

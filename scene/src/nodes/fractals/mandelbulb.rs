@@ -3,10 +3,10 @@
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use super::{LARGEST_SLOPE, held_to_hull, iterations};
+use super::{MAX_DERIVATIVE, clamp_to_hull, iterations};
 use crate::bounds::Bounds;
 use crate::limits::MAX_ITERATIONS;
-use crate::nodes::{Exactness, NodeFault, Primitive};
+use crate::nodes::{Exactness, NodeError, Primitive};
 use crate::real::{Real, Vec3, vec3};
 use crate::seek::Seek;
 use crate::values::{Point, Power};
@@ -43,11 +43,11 @@ const JULIA_ESCAPE_LOGARITHM: f32 = 1.098_612_3;
 /// Distance from the bounding ball of a Julia set within which the estimate is used.
 const MARGIN: f32 = 0.25;
 /// A constant this long keeps every Julia set well within the escape radius.
-const LONGEST_CONSTANT: f32 = 1.5;
+const MAX_JULIA_LENGTH: f32 = 1.5;
 
 impl Primitive for Mandelbulb {
     const EXAMPLE: &str = r#"{ "power": 8, "iterations": 8 }"#;
-    const MORE: &[&str] = &[
+    const MORE_EXAMPLES: &[&str] = &[
         r#"{ "power": 8, "iterations": 4, "julia": [-0.8, 0.3, 0.3] }"#,
         r#"{ "power": 3, "iterations": 6, "julia": [-0.4, 0.1, 0.6] }"#,
     ];
@@ -55,13 +55,13 @@ impl Primitive for Mandelbulb {
     #[inline(always)]
     fn distance<R: Real>(&self, p: Vec3<R>) -> R {
         match &self.julia {
-            Some(constant) => held_to_hull(
-                p.length() - p.x.given(self.bounding_radius()),
+            Some(constant) => clamp_to_hull(
+                p.length() - p.x.uniform(self.bounding_radius()),
                 MARGIN,
                 #[inline(always)]
-                || self.of_julia_set(p, Vec3::given(p.x, constant.get())),
+                || self.julia_distance(p, Vec3::uniform(p.x, constant.get())),
             ),
-            None => self.of_bulb(p),
+            None => self.bulb_distance(p),
         }
     }
 
@@ -69,16 +69,16 @@ impl Primitive for Mandelbulb {
         Exactness::Estimate
     }
 
-    fn fault(&self) -> Option<NodeFault> {
-        if self.julia.is_some() && whole(&self.power).is_none() {
+    fn validate(&self) -> Option<NodeError> {
+        if self.julia.is_some() && as_integer(&self.power).is_none() {
             let cure =
                 format!("must be a whole number for a Julia set, or space tears: make it {}", self.power.get().round());
-            return Some(NodeFault::new("power", cure));
+            return Some(NodeError::new("power", cure));
         }
-        let is_long = self.julia.as_ref().is_some_and(|constant| constant.get().length() > LONGEST_CONSTANT);
+        let is_long = self.julia.as_ref().is_some_and(|constant| constant.get().length() > MAX_JULIA_LENGTH);
         is_long.then(|| {
             let cure = "is longer than 1.5, which leaves nothing but dust: make the sum of its squares 2.25 or less";
-            NodeFault::new("julia", cure)
+            NodeError::new("julia", cure)
         })
     }
 
@@ -86,20 +86,20 @@ impl Primitive for Mandelbulb {
         true
     }
 
-    fn bounds(&self, level: f32) -> Bounds {
+    fn bounds(&self, isolevel: f32) -> Bounds {
         // Inside the escape ball the estimate hardly depends on the distance to the surface.
         let ball = self.bounding_radius();
-        let radius = if level > 0.0 { (ball + level).max(ESCAPE_RADIUS) } else { ball };
+        let radius = if isolevel > 0.0 { (ball + isolevel).max(ESCAPE_RADIUS) } else { ball };
         Bounds::symmetric(radius, radius, radius)
     }
 }
 
 impl Mandelbulb {
     #[inline(always)]
-    fn of_bulb<R: Real>(&self, p: Vec3<R>) -> R {
+    fn bulb_distance<R: Real>(&self, p: Vec3<R>) -> R {
         let away = p.length();
-        let one = away.splat(1.0);
-        let power = away.given(self.power.get());
+        let one = away.constant(1.0);
+        let power = away.uniform(self.power.get());
         let bounded = !away.above(ESCAPE_RADIUS);
         let (_, radius, slope) = R::when(
             bounded,
@@ -112,14 +112,14 @@ impl Mandelbulb {
                     #[inline(always)]
                     |(z, radius, slope)| {
                         let radius = radius.at_least(1e-6);
-                        let (next, growth) = match whole(&self.power) {
+                        let (next, growth) = match as_integer(&self.power) {
                             Some(whole) => {
-                                let Turned { next, growth, .. } = turned_by_products(z, radius, whole, p);
+                                let PowerStep { next, growth, .. } = power_by_products(z, radius, whole, p);
                                 (next, growth)
                             }
-                            None => turned_by_angles(z, radius, power, p),
+                            None => power_by_angles(z, radius, power, p),
                         };
-                        let slope = (growth * power).mul_add(slope, one).at_most(LARGEST_SLOPE);
+                        let slope = (growth * power).mul_add(slope, one).at_most(MAX_DERIVATIVE);
                         let radius = next.length();
                         (!radius.above(ESCAPE_RADIUS), (next, radius, slope))
                     },
@@ -128,35 +128,35 @@ impl Mandelbulb {
         );
         let radius = radius.at_least(1e-6);
         let estimate = radius.ln() * radius / slope * 0.5;
-        R::select(away.above(ESCAPE_RADIUS), estimate.min(away - away.given(self.bounding_radius())), estimate)
+        R::select(away.above(ESCAPE_RADIUS), estimate.min(away - away.uniform(self.bounding_radius())), estimate)
     }
 
     /// Estimate for a Julia set. Orbits diverge by at most n·rⁿ⁻¹ along a meridian, and around the axis
     /// in proportion to their distance from it.
     #[inline(always)]
-    fn of_julia_set<R: Real>(&self, p: Vec3<R>, constant: Vec3<R>) -> R {
-        let one = p.x.splat(1.0);
+    fn julia_distance<R: Real>(&self, p: Vec3<R>, constant: Vec3<R>) -> R {
+        let one = p.x.constant(1.0);
         let whole = self.power.get() as u32;
-        let power = one.given(self.power.get());
+        let power = one.uniform(self.power.get());
         // Points that have not escaped by the last iteration are solid: their potential is at most ln
         // E/nᴺ.
         let share = Real::powf(self.power.get(), -(self.iterations as f32));
-        let level = one.given(JULIA_ESCAPE_LOGARITHM * share);
-        let (_, radius, slope, level) = R::repeat(
+        let isolevel = one.uniform(JULIA_ESCAPE_LOGARITHM * share);
+        let (_, radius, slope, isolevel) = R::repeat(
             self.iterations,
-            (p, p.length(), one, level),
+            (p, p.length(), one, isolevel),
             #[inline(always)]
-            |(z, radius, slope, level)| {
+            |(z, radius, slope, isolevel)| {
                 let radius = radius.at_least(1e-6);
-                let Turned { next, growth, around } = turned_by_products(z, radius, whole, constant);
+                let PowerStep { next, growth, around } = power_by_products(z, radius, whole, constant);
                 // At 0 orbits do not part, but near it they do.
-                let slope = (growth.max(around) * power * slope).at_least(1.0).at_most(LARGEST_SLOPE);
+                let slope = (growth.max(around) * power * slope).at_least(1.0).at_most(MAX_DERIVATIVE);
                 let radius = next.length();
-                (!radius.above(JULIA_ESCAPE_RADIUS), (next, radius, slope, level * power))
+                (!radius.above(JULIA_ESCAPE_RADIUS), (next, radius, slope, isolevel * power))
             },
         );
         let radius = radius.at_least(1e-6);
-        (radius.ln() - level) * radius / slope * 0.5
+        (radius.ln() - isolevel) * radius / slope * 0.5
     }
 
     /// Beyond the radius R where Rⁿ − |c| = R orbits only grow; in a Julia set |c| is at most 1.5.
@@ -170,13 +170,13 @@ impl Mandelbulb {
 }
 
 /// The power, if it is a whole number: then its formula is code, not data.
-fn whole(power: &Power) -> Option<u32> {
-    (power.get() % 1.0 == 0.0 && !power.is_moving()).then_some(power.get() as u32)
+fn as_integer(power: &Power) -> Option<u32> {
+    (power.get() % 1.0 == 0.0 && !power.is_animated()).then_some(power.get() as u32)
 }
 
 /// zⁿ + p and rⁿ⁻¹ for any power n.
 #[inline(always)]
-fn turned_by_angles<R: Real>(z: Vec3<R>, radius: R, power: R, p: Vec3<R>) -> (Vec3<R>, R) {
+fn power_by_angles<R: Real>(z: Vec3<R>, radius: R, power: R, p: Vec3<R>) -> (Vec3<R>, R) {
     let (sin_theta, cos_theta) = ((z.z / radius).acos() * power).sin_cos();
     let (sin_phi, cos_phi) = (z.y.atan2(z.x) * power).sin_cos();
     let growth = radius.powf(power - 1.0);
@@ -185,7 +185,7 @@ fn turned_by_angles<R: Real>(z: Vec3<R>, radius: R, power: R, p: Vec3<R>) -> (Ve
 }
 
 /// A point turned by products.
-struct Turned<R> {
+struct PowerStep<R> {
     /// zⁿ + p.
     next: Vec3<R>,
     /// rⁿ⁻¹.
@@ -197,25 +197,25 @@ struct Turned<R> {
 /// Power for integers, which needs no angles: (z + iρ)ⁿ is rⁿ(cos nθ + i sin nθ), and the unit number (x +
 /// iy)/ρ to the power n is cos nφ + i sin nφ, by de Moivre's formula.
 #[inline(always)]
-fn turned_by_products<R: Real>(z: Vec3<R>, radius: R, power: u32, p: Vec3<R>) -> Turned<R> {
+fn power_by_products<R: Real>(z: Vec3<R>, radius: R, power: u32, p: Vec3<R>) -> PowerStep<R> {
     let from_axis = z.x.square_add(z.y.square()).sqrt();
-    let per_axis = z.x.splat(1.0) / from_axis.at_least(1e-12);
+    let per_axis = z.x.constant(1.0) / from_axis.at_least(1e-12);
     let (along, across) = complex_power((z.z, from_axis), power);
     let (cosine, sine) = complex_power((z.x * per_axis, z.y * per_axis), power);
     let next = vec3(across.mul_add(cosine, p.x), across.mul_add(sine, p.y), along + p.z);
-    let growth = by_squares(
+    let growth = pow_by_squaring(
         radius,
         power - 1,
         #[inline(always)]
         |a: R, b: R| a * b,
     );
-    Turned { next, growth, around: (across * per_axis).abs() }
+    PowerStep { next, growth, around: (across * per_axis).abs() }
 }
 
 /// Real and imaginary part of a + bi to an integer power, 1 or more.
 #[inline(always)]
 fn complex_power<R: Real>(number: (R, R), power: u32) -> (R, R) {
-    by_squares(
+    pow_by_squaring(
         number,
         power,
         #[inline(always)]
@@ -225,7 +225,7 @@ fn complex_power<R: Real>(number: (R, R), power: u32) -> (R, R) {
 
 /// Product of `power` factors `base`, 1 or more, by repeated squaring.
 #[inline(always)]
-fn by_squares<T: Copy>(base: T, power: u32, product: impl Fn(T, T) -> T) -> T {
+fn pow_by_squaring<T: Copy>(base: T, power: u32, product: impl Fn(T, T) -> T) -> T {
     let mut result = base;
     for bit in (0..power.ilog2()).rev() {
         result = product(result, result);
@@ -251,8 +251,8 @@ mod tests {
                 if radius < 0.1 {
                     continue;
                 }
-                let got = turned_by_products(z, radius, power, p);
-                let (want, want_growth) = turned_by_angles(z, radius, exponent, p);
+                let got = power_by_products(z, radius, power, p);
+                let (want, want_growth) = power_by_angles(z, radius, exponent, p);
                 let error = (got.next - want).length();
                 assert!(error < 3e-6 * exponent * want_growth.max(1.0), "power {power} of {z:?}: {error}");
                 assert!((got.growth - want_growth).abs() < 1e-5 * want_growth, "power {power} of {z:?}");

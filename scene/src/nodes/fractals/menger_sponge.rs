@@ -29,7 +29,7 @@ pub struct MengerSponge {
 
 impl Primitive for MengerSponge {
     const EXAMPLE: &str = r#"{ "size": 1.36, "iterations": 4 }"#;
-    const MORE: &[&str] = &[r#"{ "size": 1.3, "iterations": 1 }"#, r#"{ "size": 1.3, "iterations": 64 }"#];
+    const MORE_EXAMPLES: &[&str] = &[r#"{ "size": 1.3, "iterations": 1 }"#, r#"{ "size": 1.3, "iterations": 64 }"#];
 
     #[inline(always)]
     fn distance<R: Real>(&self, p: Vec3<R>) -> R {
@@ -37,14 +37,14 @@ impl Primitive for MengerSponge {
         let cube = distance_from_box(p, vec3(half, half, half));
         let place = vec3(p.x.abs(), p.y.abs(), p.z.abs());
         // Bars are a third of their cell wide: `third` is the width, half of it the greatest depth.
-        let third = p.x.given(self.size.get() / 3.0);
+        let third = p.x.uniform(self.size.get() / 3.0);
         let (_, _, distance) = R::repeat(
             self.iterations,
             (place, third, cube),
             #[inline(always)]
             |(place, third, distance)| {
                 // In a bar along an axis both other coordinates are small.
-                let bars = third.mul_add(third.splat(0.5), -folds::middle(place));
+                let bars = third.mul_add(third.constant(0.5), -folds::middle(place));
                 let distance = distance.max(bars);
                 // To the middle of the nearest of three cells in a row.
                 let place = place.map(
@@ -67,8 +67,8 @@ impl Primitive for MengerSponge {
         true
     }
 
-    fn bounds(&self, level: f32) -> Bounds {
+    fn bounds(&self, isolevel: f32) -> Bounds {
         let half = self.size.get() * 0.5;
-        Bounds::symmetric(half, half, half).widened(level)
+        Bounds::symmetric(half, half, half).expanded(isolevel)
     }
 }

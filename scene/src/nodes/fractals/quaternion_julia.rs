@@ -3,10 +3,10 @@
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use super::{held_to_hull, iterations};
+use super::{clamp_to_hull, iterations};
 use crate::bounds::Bounds;
 use crate::limits::MAX_ITERATIONS;
-use crate::nodes::{Exactness, NodeFault, Primitive};
+use crate::nodes::{Exactness, NodeError, Primitive};
 use crate::real::{Real, Vec3, vec3};
 use crate::seek::Seek;
 use crate::values::Coordinate;
@@ -33,21 +33,21 @@ const ESCAPE_SQUARED: f32 = 256.0;
 /// Logarithm of that square.
 const ESCAPE_LOGARITHM: f32 = 5.545_177_5;
 /// Keeps the square of a derivative where a quotient by it still has a root.
-const LARGEST_SLOPE_SQUARED: f32 = 1e26;
+const MAX_DERIVATIVE_SQUARED: f32 = 1e26;
 /// Distance from the bounding ball within which the estimate is used.
 const MARGIN: f32 = 0.25;
 
 impl Primitive for QuaternionJulia {
     const EXAMPLE: &str = r#"{ "c": [-0.2, 0.6, 0.2, 0.2], "iterations": 12 }"#;
-    const MORE: &[&str] = &[
+    const MORE_EXAMPLES: &[&str] = &[
         r#"{ "c": [-0.213, -0.041, -0.563, -0.56], "iterations": 10 }"#,
         r#"{ "c": [0, 0, 0, 0], "iterations": 64 }"#,
     ];
 
     #[inline(always)]
     fn distance<R: Real>(&self, p: Vec3<R>) -> R {
-        held_to_hull(
-            p.length() - p.x.given(self.reach()),
+        clamp_to_hull(
+            p.length() - p.x.uniform(self.bounding_radius()),
             MARGIN,
             #[inline(always)]
             || self.estimate(p),
@@ -58,10 +58,10 @@ impl Primitive for QuaternionJulia {
         Exactness::Estimate
     }
 
-    fn fault(&self) -> Option<NodeFault> {
+    fn validate(&self) -> Option<NodeError> {
         (self.length() > 2.0).then(|| {
             let cure = "is longer than 2, which leaves nothing but dust: make the sum of its squares 4 or less";
-            NodeFault::new("c", cure)
+            NodeError::new("c", cure)
         })
     }
 
@@ -69,8 +69,8 @@ impl Primitive for QuaternionJulia {
         true
     }
 
-    fn bounds(&self, level: f32) -> Bounds {
-        let reach = self.reach() + level;
+    fn bounds(&self, isolevel: f32) -> Bounds {
+        let reach = self.bounding_radius() + isolevel;
         Bounds::symmetric(reach, reach, reach)
     }
 }
@@ -79,28 +79,28 @@ impl QuaternionJulia {
     #[inline(always)]
     fn estimate<R: Real>(&self, p: Vec3<R>) -> R {
         let [real, x, y, z] = self.c.each_ref().map(Coordinate::get);
-        let real = p.x.given(real);
-        let imaginary = Vec3::given(p.x, vec3(x, y, z));
-        let start = vec3(p.y, p.z, p.x.splat(0.0));
+        let real = p.x.uniform(real);
+        let imaginary = Vec3::uniform(p.x, vec3(x, y, z));
+        let start = vec3(p.y, p.z, p.x.constant(0.0));
         let squared = p.length_squared();
         // Points that have not escaped by the last iteration are solid: their potential is at most ln
         // E/2ᴺ.
-        let level = p.x.given(ESCAPE_LOGARITHM / (1_u64 << self.iterations.min(63)) as f32);
-        let (_, _, squared, slope, level) = R::repeat(
+        let isolevel = p.x.uniform(ESCAPE_LOGARITHM / (1_u64 << self.iterations.min(63)) as f32);
+        let (_, _, squared, slope, isolevel) = R::repeat(
             self.iterations,
-            (p.x, start, squared, p.x.splat(1.0), level),
+            (p.x, start, squared, p.x.constant(1.0), isolevel),
             #[inline(always)]
-            |(a, v, squared, slope, level)| {
+            |(a, v, squared, slope, isolevel)| {
                 // At 0 orbits do not part, but near it they do.
-                let slope = ((squared * 4.0).at_least(1.0) * slope).at_most(LARGEST_SLOPE_SQUARED);
+                let slope = ((squared * 4.0).at_least(1.0) * slope).at_most(MAX_DERIVATIVE_SQUARED);
                 let next = a.square_add(real) - v.length_squared();
                 let v = v.mul_add(a * 2.0, imaginary);
                 let squared = next.square_add(v.length_squared());
-                (squared.below(ESCAPE_SQUARED), (next, v, squared, slope, level * 2.0))
+                (squared.below(ESCAPE_SQUARED), (next, v, squared, slope, isolevel * 2.0))
             },
         );
         let squared = squared.at_least(1e-12);
-        (squared / slope).sqrt() * (squared.ln() - level) * 0.25
+        (squared / slope).sqrt() * (squared.ln() - isolevel) * 0.25
     }
 
     fn length(&self) -> f32 {
@@ -110,7 +110,7 @@ impl QuaternionJulia {
 
     /// Radius of the ball that holds it: where |z|² − |c| = |z|, beyond which orbits only grow.
     #[inline(always)]
-    fn reach(&self) -> f32 {
+    fn bounding_radius(&self) -> f32 {
         0.5 + 0.5 * Real::sqrt(1.0 + 4.0 * self.length())
     }
 }

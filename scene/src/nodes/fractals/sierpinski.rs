@@ -30,13 +30,13 @@ pub struct Sierpinski {
 
 impl Primitive for Sierpinski {
     const EXAMPLE: &str = r#"{ "size": 1.36, "iterations": 5 }"#;
-    const MORE: &[&str] = &[r#"{ "size": 1.3, "iterations": 1 }"#];
+    const MORE_EXAMPLES: &[&str] = &[r#"{ "size": 1.3, "iterations": 1 }"#];
 
     #[inline(always)]
     fn distance<R: Real>(&self, p: Vec3<R>) -> R {
-        let half = p.x.given(self.size.get() * 0.5);
+        let half = p.x.uniform(self.size.get() * 0.5);
         // Below this size no f32 distinguishes two neighboring tetrahedra.
-        let finest = p.x.given(self.size.get() * 1e-8);
+        let finest = p.x.uniform(self.size.get() * 1e-8);
         let (place, half) = R::repeat(
             self.iterations,
             (p, half),
@@ -54,9 +54,9 @@ impl Primitive for Sierpinski {
         true
     }
 
-    fn bounds(&self, level: f32) -> Bounds {
+    fn bounds(&self, isolevel: f32) -> Bounds {
         let half = self.size.get() * 0.5;
-        Bounds::symmetric(half, half, half).widened(level)
+        Bounds::symmetric(half, half, half).expanded(isolevel)
     }
 }
 

@@ -1,13 +1,13 @@
 //! A shape bent upwards: the x axis becomes a circle through the origin.
 //!
-//! With a curvature of k radians a unit the circle's centre is (0, 1/k). A point at the angle a from
-//! straight down, r from the centre, is where (a/k, 1/k − r) was: points at the same height r are drawn
+//! With a curvature of k radians a unit the circle's center is (0, 1/k). A point at the angle a from
+//! straight down, r from the center, is where (a/k, 1/k − r) was: points at the same height r are drawn
 //! apart by 1/(k·r), and by nothing upwards. So with the shape below y, all of it is further than 1/k − y
-//! from the centre, and L = (1 + g)/(1 − k·y), or 1, is a Lipschitz factor for every r ≥ (1/k − y)/(1 + g).
+//! from the center, and L = (1 + g)/(1 − k·y), or 1, is a Lipschitz factor for every r ≥ (1/k − y)/(1 + g).
 //!
-//! What is left is the half-plane above the centre, where the ends of the angle meet: with `beyond`, no
+//! What is left is the half-plane above the center, where the ends of the angle meet: with `beyond`, no
 //! more than the distance to what holds the bent shape, and s, the distance to that half-plane, the value is
-//! max(L·beyond, min(d, L·g·s)). At the half-plane, and nearer to the centre than said, it is L·beyond, on
+//! max(L·beyond, min(d, L·g·s)). At the half-plane, and nearer to the center than said, it is L·beyond, on
 //! both sides alike; in the shape s is not 0, so that the surface stays where it is.
 
 use std::f32::consts::{FRAC_PI_2, PI};
@@ -16,21 +16,21 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::cached::Cached;
-use super::copies::ended;
-use super::twist::fault_unless_bounded;
+use super::nearest_copy::ended;
+use super::twist::require_bounded;
 use crate::bounds::Bounds;
 use crate::nodes::transforms::around_child;
-use crate::nodes::{Child, Exactness, Node, NodeFault, Sample, Sdf};
+use crate::nodes::{Child, Exactness, Node, NodeError, Sdf, SdfValue};
 use crate::real::{Real, Vec3, vec3};
 use crate::seek::Seek;
 use crate::values::Degrees;
 
 /// g: how far the factor holds beyond the shape, and how soon the half-plane is felt.
-const GUARD: f32 = 0.125;
+const GUARD_FRACTION: f32 = 0.125;
 /// Minimum distance of the shape from the circle's center, as a fraction of the radius.
-const LEAST_RADIUS: f32 = 0.1;
+const MIN_RADIUS_FRACTION: f32 = 0.1;
 /// A curvature as good as none, in radians a unit.
-const STRAIGHT: f32 = 1e-6;
+const MIN_CURVATURE: f32 = 1e-6;
 
 /// Bends a shape in the plane of x and y: its x axis becomes a circle through the origin, its ends go up.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
@@ -43,12 +43,12 @@ pub struct Bend {
     /// Derived from these.
     #[serde(skip)]
     #[schemars(skip)]
-    arc: Cached<Arc>,
+    arc: Cached<BentBounds>,
 }
 
 /// Piece of a ring that contains the bent shape. Up is toward the circle's center.
 #[derive(Clone, Debug)]
-struct Arc {
+struct BentBounds {
     /// −1 if the shape is bent down.
     up: f32,
     curvature: f32,
@@ -68,12 +68,12 @@ struct Arc {
 
 impl Bend {
     #[inline(always)]
-    fn arc(&self) -> &Arc {
+    fn arc(&self) -> &BentBounds {
         self.arc.get(|| {
-            let Bounds { low, high } = ended(self.child.bounds(0.0));
+            let Bounds { min: low, max: high } = ended(self.child.bounds(0.0));
             let curvature = self.degrees_per_unit.get().to_radians();
             let up = if curvature < 0.0 { -1.0 } else { 1.0 };
-            let curvature = curvature.abs().max(STRAIGHT);
+            let curvature = curvature.abs().max(MIN_CURVATURE);
             let (low_y, high_y) = if up < 0.0 { (-high.y, -low.y) } else { (low.y, high.y) };
             let angle = (curvature * low.x.abs().max(high.x.abs())).min(PI);
             let (sin, cos) = Real::sin_cos(angle);
@@ -81,9 +81,9 @@ impl Bend {
             let half_sin = Real::sin(0.5 * angle);
             let rise = 2.0 * half_sin * half_sin / curvature;
             let widest = if angle < FRAC_PI_2 { sin } else { 1.0 };
-            let nearest = (1.0 - curvature * high_y).max(0.5 * LEAST_RADIUS);
-            let stretch = self.child.stretch() * ((1.0 + GUARD) / nearest).max(1.0) * (1.0 + 1e-6);
-            Arc {
+            let nearest = (1.0 - curvature * high_y).max(0.5 * MIN_RADIUS_FRACTION);
+            let stretch = self.child.stretch() * ((1.0 + GUARD_FRACTION) / nearest).max(1.0) * (1.0 + 1e-6);
+            BentBounds {
                 up,
                 curvature,
                 low: low_y,
@@ -103,7 +103,7 @@ impl Sdf for Bend {
     const EXAMPLE: &'static str = r#"{ "degrees_per_unit": 70, "child": {
         "box": { "size": [2.2, 0.4, 0.7], "round": 0.05 }
     } }"#;
-    const MORE: &'static [&'static str] = &[
+    const MORE_EXAMPLES: &'static [&'static str] = &[
         r#"{ "degrees_per_unit": -100, "child": { "translate": { "by": [0.2, 0.1, 0], "child": {
             "capsule": { "a": [-1.3, 0, 0], "b": [1.3, 0, 0], "radius": 0.15 }
         } } } }"#,
@@ -111,31 +111,33 @@ impl Sdf for Bend {
     ];
 
     #[inline(always)]
-    fn sample<R: Real, V: Sample<R>>(&self, p: Vec3<R>) -> V {
-        let Arc { up, curvature, low, high, middle_z, half_z, end: (sin, cos), reach, top, stretch } = *self.arc();
-        let (x, y) = (p.x, p.y * p.x.given(up));
+    fn eval<R: Real, V: SdfValue<R>>(&self, p: Vec3<R>) -> V {
+        let BentBounds { up, curvature, low, high, middle_z, half_z, end: (sin, cos), reach, top, stretch } =
+            *self.arc();
+        let (x, y) = (p.x, p.y * p.x.uniform(up));
         // All in radii of the circle, relative to its center.
-        let (across, down) = (x * p.x.given(curvature), y.mul_add(p.x.given(-curvature), p.x.given(1.0)));
+        let (across, down) = (x * p.x.uniform(curvature), y.mul_add(p.x.uniform(-curvature), p.x.uniform(1.0)));
         let away = across.square_add(down.square()).sqrt();
         // 1/k − r, in a form that stays accurate if k is close to 0.
-        let height = (y + y - x.square_add(y.square()) * p.x.given(curvature)) / (away + 1.0);
-        let along = across.atan2(down) * p.x.given(1.0 / curvature);
-        let child: V = self.child.sample(vec3(along, height * p.x.given(up), p.z));
-        let past_end = x.abs().mul_add(p.x.given(cos), y.mul_add(p.x.given(sin), p.x.given(-sin / curvature)));
-        let beyond = (p.x.given(low) - height)
-            .max(height - p.x.given(high))
-            .max((p.z - p.x.given(middle_z)).abs() - p.x.given(half_z))
+        let height = (y + y - x.square_add(y.square()) * p.x.uniform(curvature)) / (away + 1.0);
+        let along = across.atan2(down) * p.x.uniform(1.0 / curvature);
+        let child: V = self.child.sample(vec3(along, height * p.x.uniform(up), p.z));
+        let past_end = x.abs().mul_add(p.x.uniform(cos), y.mul_add(p.x.uniform(sin), p.x.uniform(-sin / curvature)));
+        let beyond = (p.x.uniform(low) - height)
+            .max(height - p.x.uniform(high))
+            .max((p.z - p.x.uniform(middle_z)).abs() - p.x.uniform(half_z))
             .max(past_end)
-            .max(x.abs() - p.x.given(reach))
-            .max(y - p.x.given(top));
-        let to_half_plane = R::select(down.below(0.0), across.abs(), away) * p.x.given(stretch * GUARD / curvature);
-        let distance = child.distance().min(to_half_plane).max(beyond * p.x.given(stretch));
-        child.at(distance)
+            .max(x.abs() - p.x.uniform(reach))
+            .max(y - p.x.uniform(top));
+        let to_half_plane =
+            R::select(down.below(0.0), across.abs(), away) * p.x.uniform(stretch * GUARD_FRACTION / curvature);
+        let distance = child.distance().min(to_half_plane).max(beyond * p.x.uniform(stretch));
+        child.with_distance(distance)
     }
 
     around_child!();
 
-    fn stretch(&self) -> f32 {
+    fn lipschitz(&self) -> f32 {
         self.arc().stretch
     }
 
@@ -143,16 +145,19 @@ impl Sdf for Bend {
         self.child.exactness().max(Exactness::Bound)
     }
 
-    fn fault(&self) -> Option<NodeFault> {
-        if let Some(fault) = fault_unless_bounded(&self.child, &['x', 'y'], "where a bend would wind it up") {
+    fn validate(&self) -> Option<NodeError> {
+        if let Some(fault) = require_bounded(&self.child, &['x', 'y'], "where a bend would wind it up") {
             return Some(fault);
         }
-        let Bounds { low, high } = self.child.bounds(0.0);
+        let Bounds { min: low, max: high } = self.child.bounds(0.0);
         let degrees = self.degrees_per_unit.get();
         let far = low.x.abs().max(high.x.abs());
         let high = if degrees < 0.0 { -low.y } else { high.y };
-        let most =
-            (180.0 / far).min(if high > 0.0 { ((1.0 - LEAST_RADIUS) / high).to_degrees() } else { f32::INFINITY });
+        let most = (180.0 / far).min(if high > 0.0 {
+            ((1.0 - MIN_RADIUS_FRACTION) / high).to_degrees()
+        } else {
+            f32::INFINITY
+        });
         if degrees.abs() < most {
             return None;
         }
@@ -160,14 +165,14 @@ impl Sdf for Bend {
             "bends the shape until it meets itself: of a shape that reaches to x = {far} and y = {high}, \
              make it less than {most}, or make the shape smaller"
         );
-        Some(NodeFault::new("degrees_per_unit", message))
+        Some(NodeError::new("degrees_per_unit", message))
     }
 
-    fn bounds(&self, level: f32) -> Bounds {
-        let Arc { up, low, middle_z, half_z, reach, top, stretch, .. } = *self.arc();
+    fn bounds(&self, isolevel: f32) -> Bounds {
+        let BentBounds { up, low, middle_z, half_z, reach, top, stretch, .. } = *self.arc();
         let (low, high) = if up < 0.0 { (-top, -low) } else { (low, top) };
-        let bounds = Bounds { low: vec3(-reach, low, middle_z - half_z), high: vec3(reach, high, middle_z + half_z) };
-        bounds.widened(level / stretch)
+        let bounds = Bounds { min: vec3(-reach, low, middle_z - half_z), max: vec3(reach, high, middle_z + half_z) };
+        bounds.expanded(isolevel / stretch)
     }
 
     fn lipschitz_advice(&self) -> &'static str {

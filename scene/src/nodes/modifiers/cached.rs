@@ -2,7 +2,7 @@
 
 use std::sync::OnceLock;
 
-use crate::seek::Renew;
+use crate::seek::Invalidate;
 
 /// Value computed once. All are equal, because they follow from the node's numbers.
 #[derive(Clone, Debug)]
@@ -22,8 +22,8 @@ impl<T> Default for Cached<T> {
     }
 }
 
-impl<T> Renew for Cached<T> {
-    fn renew(&mut self) {
+impl<T> Invalidate for Cached<T> {
+    fn invalidate(&mut self) {
         *self = Self::default();
     }
 }

@@ -4,10 +4,10 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::cached::Cached;
-use super::copies::{Held, Original};
+use super::nearest_copy::{ChildBounds, RepeatedChild};
 use crate::bounds::Bounds;
 use crate::nodes::transforms::around_child;
-use crate::nodes::{Child, Exactness, Node, Sample, Sdf};
+use crate::nodes::{Child, Exactness, Node, Sdf, SdfValue};
 use crate::real::{Real, Vec3, vec3};
 use crate::seek::Seek;
 use crate::values::{Coordinate, Direction};
@@ -19,40 +19,40 @@ pub struct Mirror {
     /// A direction at right angles to the plane, of any length.
     pub normal: Direction,
     /// Offset of the plane from the origin along the normal.
-    #[serde(default = "nothing")]
+    #[serde(default = "default_offset")]
     pub offset: Coordinate,
     /// The shape.
     pub child: Child,
     /// Derived from these.
     #[serde(skip)]
     #[schemars(skip)]
-    sides: Cached<Sides>,
+    sides: Cached<MirrorSides>,
 }
 
 /// On which sides of the plane the shape is.
 #[derive(Clone, Debug)]
-struct Sides {
+struct MirrorSides {
     /// The side of its box's middle: −1 or 1.
     main: f32,
     /// Whether its box lies on that side alone and does not touch the plane.
-    is_apart: bool,
-    held: Held,
+    is_one_sided: bool,
+    held: ChildBounds,
 }
 
 impl Mirror {
     #[inline(always)]
-    fn sides(&self) -> &Sides {
+    fn sides(&self) -> &MirrorSides {
         self.sides.get(|| {
-            let held = Held::new(&self.child);
+            let held = ChildBounds::new(&self.child);
             let bounds = held.bounds;
             let normal = self.normal.unit();
-            let half = (bounds.high - bounds.low) * 0.5;
-            let middle = Vec3::dot(normal, (bounds.high + bounds.low) * 0.5) - self.offset.get();
+            let half = (bounds.max - bounds.min) * 0.5;
+            let middle = Vec3::dot(normal, (bounds.max + bounds.min) * 0.5) - self.offset.get();
             let reach = Vec3::dot(normal.map(f32::abs), half);
             // A box that touches the plane counts as crossing it, and so does one that rounding
             // cannot distinguish from it.
             let is_apart = middle.abs() > reach * (1.0 + 1e-6);
-            Sides { main: if middle < 0.0 { -1.0 } else { 1.0 }, is_apart, held }
+            MirrorSides { main: if middle < 0.0 { -1.0 } else { 1.0 }, is_one_sided: is_apart, held }
         })
     }
 }
@@ -61,7 +61,7 @@ impl Sdf for Mirror {
     const EXAMPLE: &'static str = r#"{ "normal": [1, 0, 0], "child": {
         "capsule": { "a": [0.9, -0.7, 0], "b": [-0.2, 0.6, 0], "radius": 0.25 }
     } }"#;
-    const MORE: &'static [&'static str] = &[
+    const MORE_EXAMPLES: &'static [&'static str] = &[
         r#"{ "normal": [1, 2, 0], "offset": -0.1, "child": {
             "translate": { "by": [-0.5, -0.4, 0], "child": { "box": { "size": [0.5, 0.3, 0.9] } } }
         } }"#,
@@ -71,22 +71,22 @@ impl Sdf for Mirror {
     ];
 
     #[inline(always)]
-    fn sample<R: Real, V: Sample<R>>(&self, p: Vec3<R>) -> V {
-        let Sides { main, is_apart, ref held } = *self.sides();
-        let original = Original::new(&self.child, held);
+    fn eval<R: Real, V: SdfValue<R>>(&self, p: Vec3<R>) -> V {
+        let MirrorSides { main, is_one_sided: is_apart, ref held } = *self.sides();
+        let original = RepeatedChild::new(&self.child, held);
         // Along the normal on the side of the shape: the mirror image of a point there is farther
         // away.
         let normal = self.normal.unit() * main;
         let offset = self.offset.get() * main;
-        let copies = p.x.given(if is_apart { 1.0 } else { 2.0 });
-        let folded = Vec3::given(p.x, normal).mul_add(height(p, normal, offset).at_most(0.0) * -2.0, p);
+        let copies = p.x.uniform(if is_apart { 1.0 } else { 2.0 });
+        let folded = Vec3::uniform(p.x, normal).mul_add(height(p, normal, offset).at_most(0.0) * -2.0, p);
         let (_, _, nearest) = R::repeat(
             2,
-            (p.x.splat(1.0), folded, Original::none(p)),
+            (p.x.constant(1.0), folded, RepeatedChild::start(p)),
             #[inline(always)]
             |(looked_at, place, nearest)| {
                 let nearest = original.nearer(place, nearest);
-                let image = Vec3::given(p.x, normal).mul_add(height(place, normal, offset) * -2.0, place);
+                let image = Vec3::uniform(p.x, normal).mul_add(height(place, normal, offset) * -2.0, place);
                 (looked_at.lt(copies), (looked_at + 1.0, image, nearest))
             },
         );
@@ -97,18 +97,18 @@ impl Sdf for Mirror {
 
     fn exactness(&self) -> Exactness {
         let child = self.child.exactness();
-        if self.sides().is_apart { child } else { child.max(Exactness::Bound) }
+        if self.sides().is_one_sided { child } else { child.max(Exactness::Bound) }
     }
 
-    fn bounds(&self, level: f32) -> Bounds {
-        let (child, normal) = (self.child.bounds(level), self.normal.unit());
+    fn bounds(&self, isolevel: f32) -> Bounds {
+        let (child, normal) = (self.child.bounds(isolevel), self.normal.unit());
         let column = |axis: Vec3<f32>, along: f32| axis - normal * (2.0 * along);
-        let image = child.turned([
+        let image = child.rotated([
             column(vec3(1.0, 0.0, 0.0), normal.x),
             column(vec3(0.0, 1.0, 0.0), normal.y),
             column(vec3(0.0, 0.0, 1.0), normal.z),
         ]);
-        child.hull(image.moved(normal * (2.0 * self.offset.get())))
+        child.union(image.translated(normal * (2.0 * self.offset.get())))
     }
 
     fn child_evaluations(&self) -> f32 {
@@ -119,9 +119,9 @@ impl Sdf for Mirror {
 /// Height of a point above a plane.
 #[inline(always)]
 fn height<R: Real>(p: Vec3<R>, normal: Vec3<f32>, offset: f32) -> R {
-    p.dot_known(normal) - p.x.given(offset)
+    p.dot_uniform(normal) - p.x.uniform(offset)
 }
 
-fn nothing() -> Coordinate {
+fn default_offset() -> Coordinate {
     Coordinate::new(0.0).expect("0 is in range")
 }

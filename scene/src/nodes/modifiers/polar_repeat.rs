@@ -10,18 +10,18 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Deserializer, Serialize};
 
 use super::cached::Cached;
-use super::copies::{Held, Original, nearest_whole, within_reach};
+use super::nearest_copy::{ChildBounds, RepeatedChild, max_overlapping, nearest_whole};
 use crate::bounds::Bounds;
 use crate::nodes::transforms::around_child;
-use crate::nodes::{Child, Exactness, Node, NodeFault, Sample, Sdf};
+use crate::nodes::{Child, Exactness, Node, NodeError, Sdf, SdfValue};
 use crate::real::{Real, Vec3, vec3};
 use crate::seek::Seek;
-use crate::values::whole;
+use crate::values::integer_in_range;
 
 /// Copies of a ring.
 const MAX_COPIES: u32 = 10_000;
 /// Maximum number of copies evaluated for one point.
-const MAX_LOOKED_AT: u32 = 64;
+const MAX_EVALUATED_COPIES: u32 = 64;
 
 /// Copies of a shape in a ring about the y axis, one of them where the shape is.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
@@ -36,12 +36,12 @@ pub struct PolarRepeat {
     /// Derived from these.
     #[serde(skip)]
     #[schemars(skip)]
-    ring: Cached<Ring>,
+    ring: Cached<RingLayout>,
 }
 
 /// The shape's place in the ring.
 #[derive(Clone, Debug)]
-struct Ring {
+struct RingLayout {
     /// The angle of its middle, in radians from x to z.
     middle: f32,
     /// Width, in radians.
@@ -50,7 +50,7 @@ struct Ring {
     reach: f32,
     /// Sine and cosine of a sector.
     turn: (f32, f32),
-    held: Held,
+    held: ChildBounds,
 }
 
 impl PolarRepeat {
@@ -59,18 +59,18 @@ impl PolarRepeat {
     }
 
     #[inline(always)]
-    fn ring(&self) -> &Ring {
+    fn ring(&self) -> &RingLayout {
         self.ring.get(|| {
-            let held = Held::new(&self.child);
+            let held = ChildBounds::new(&self.child);
             let (middle, width) = angles(held.bounds);
-            let reach = within_reach(width, self.sector()).min(self.count as f32);
-            Ring { middle, width, reach, turn: Real::sin_cos(self.sector()), held }
+            let reach = max_overlapping(width, self.sector()).min(self.count as f32);
+            RingLayout { middle, width, reach, turn: Real::sin_cos(self.sector()), held }
         })
     }
 }
 
 /// The angle of a box's middle about the y axis, and how wide it is seen from there.
-fn angles(Bounds { low, high }: Bounds) -> (f32, f32) {
+fn angles(Bounds { min: low, max: high }: Bounds) -> (f32, f32) {
     if low.x <= 0.0 && high.x >= 0.0 && low.z <= 0.0 && high.z >= 0.0 {
         return (0.0, TAU);
     }
@@ -88,7 +88,7 @@ impl Sdf for PolarRepeat {
     const EXAMPLE: &'static str = r#"{ "count": 9, "child": {
         "translate": { "by": [0.85, 0, 0], "child": { "box": { "size": [0.4, 0.9, 0.2], "round": 0.05 } } }
     } }"#;
-    const MORE: &'static [&'static str] = &[
+    const MORE_EXAMPLES: &'static [&'static str] = &[
         r#"{ "count": 7, "child": { "capsule": { "a": [0.4, -0.5, -0.5], "b": [0.7, 0.5, 0.6], "radius": 0.12 } } }"#,
         r#"{ "count": 3, "child": { "box": { "size": [2, 0.3, 0.2] } } }"#,
         r#"{ "count": 24, "child": { "translate": { "by": [-0.7, 0.1, 0.6], "child": {
@@ -97,24 +97,24 @@ impl Sdf for PolarRepeat {
     ];
 
     #[inline(always)]
-    fn sample<R: Real, V: Sample<R>>(&self, p: Vec3<R>) -> V {
-        let (sector, Ring { middle, reach, turn, held, .. }) = (self.sector(), self.ring());
-        let original = Original::new(&self.child, held);
+    fn eval<R: Real, V: SdfValue<R>>(&self, p: Vec3<R>) -> V {
+        let (sector, RingLayout { middle, reach, turn, held, .. }) = (self.sector(), self.ring());
+        let original = RepeatedChild::new(&self.child, held);
         let angle = p.z.atan2(p.x);
-        let (near, side) = nearest_whole((angle - angle.given(*middle)) * angle.given(1.0 / sector));
-        let first = side.mul_add(angle.given(-((reach - 1.0) * 0.5).floor()), near);
+        let (near, side) = nearest_whole((angle - angle.uniform(*middle)) * angle.uniform(1.0 / sector));
+        let first = side.mul_add(angle.uniform(-((reach - 1.0) * 0.5).floor()), near);
         // From here on, each copy is one sector further to that side.
-        let (sin, cos) = (first * angle.given(sector)).sin_cos();
+        let (sin, cos) = (first * angle.uniform(sector)).sin_cos();
         let place = vec3(p.x.mul_add(cos, p.z * sin), p.y, p.z.mul_add(cos, -(p.x * sin)));
-        let (sin, cos) = (side * angle.given(turn.0), angle.given(turn.1));
+        let (sin, cos) = (side * angle.uniform(turn.0), angle.uniform(turn.1));
         let (_, _, nearest) = R::repeat(
-            MAX_LOOKED_AT,
-            (angle.splat(1.0), place, Original::none(p)),
+            MAX_EVALUATED_COPIES,
+            (angle.constant(1.0), place, RepeatedChild::start(p)),
             #[inline(always)]
             |(looked_at, place, nearest)| {
                 let nearest = original.nearer(place, nearest);
                 let next = vec3(place.x.mul_add(cos, place.z * sin), place.y, place.z.mul_add(cos, -(place.x * sin)));
-                (looked_at.lt(angle.given(*reach)), (looked_at + 1.0, next, nearest))
+                (looked_at.lt(angle.uniform(*reach)), (looked_at + 1.0, next, nearest))
             },
         );
         original.sample(nearest)
@@ -133,23 +133,23 @@ impl Sdf for PolarRepeat {
         }
     }
 
-    fn fault(&self) -> Option<NodeFault> {
+    fn validate(&self) -> Option<NodeError> {
         let reach = self.ring().reach;
         let fault = || {
             let message = format!(
-                "makes {reach} copies reach over one another, where {MAX_LOOKED_AT} may: make it less, \
+                "makes {reach} copies reach over one another, where {MAX_EVALUATED_COPIES} may: make it less, \
                  or move the shape away from the y axis"
             );
-            NodeFault::new("count", message)
+            NodeError::new("count", message)
         };
-        (reach > MAX_LOOKED_AT as f32).then(fault)
+        (reach > MAX_EVALUATED_COPIES as f32).then(fault)
     }
 
-    fn bounds(&self, level: f32) -> Bounds {
-        let Bounds { low, high } = self.child.bounds(level);
+    fn bounds(&self, isolevel: f32) -> Bounds {
+        let Bounds { min: low, max: high } = self.child.bounds(isolevel);
         let (x, z) = (low.x.abs().max(high.x.abs()), low.z.abs().max(high.z.abs()));
         let radius = Real::sqrt(x * x + z * z);
-        Bounds { low: vec3(-radius, low.y, -radius), high: vec3(radius, high.y, radius) }
+        Bounds { min: vec3(-radius, low.y, -radius), max: vec3(radius, high.y, radius) }
     }
 
     fn child_evaluations(&self) -> f32 {
@@ -158,5 +158,5 @@ impl Sdf for PolarRepeat {
 }
 
 fn copies<'de, D: Deserializer<'de>>(deserializer: D) -> Result<u32, D::Error> {
-    whole(deserializer, 1, MAX_COPIES, "copies")
+    integer_in_range(deserializer, 1, MAX_COPIES, "copies")
 }

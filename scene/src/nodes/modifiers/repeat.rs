@@ -8,18 +8,18 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Deserializer, Serialize};
 
 use super::cached::Cached;
-use super::copies::{Held, Original, nearest_whole, within_reach};
+use super::nearest_copy::{ChildBounds, RepeatedChild, max_overlapping, nearest_whole};
 use crate::bounds::Bounds;
 use crate::nodes::transforms::around_child;
-use crate::nodes::{Child, Exactness, Node, NodeFault, Sample, Sdf};
+use crate::nodes::{Child, Exactness, Node, NodeError, Sdf, SdfValue};
 use crate::real::{Bundle, Real, Vec3, vec3};
 use crate::seek::Seek;
-use crate::values::{Spacing, whole};
+use crate::values::{Spacing, integer_in_range};
 
 /// Maximum width of a shape, in cells.
 const MAX_CELLS: f32 = 4.0;
 /// Maximum number of copies along an axis evaluated for one point.
-const MAX_LOOKED_AT: u32 = 5;
+const MAX_EVALUATED_COPIES: u32 = 5;
 /// Copies along an axis.
 const MAX_COPIES: u32 = 1_000_000;
 
@@ -37,7 +37,7 @@ pub struct Repeat {
     /// Derived from these.
     #[serde(skip)]
     #[schemars(skip)]
-    grid: Cached<Grid>,
+    grid: Cached<GridLayout>,
 }
 
 /// Number of copies along an axis.
@@ -46,15 +46,15 @@ pub struct Copies(#[schemars(range(min = 1, max = MAX_COPIES))] u32);
 
 impl<'de> Deserialize<'de> for Copies {
     fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
-        whole(deserializer, 1, MAX_COPIES, "copies").map(Self)
+        integer_in_range(deserializer, 1, MAX_COPIES, "copies").map(Self)
     }
 }
 
 /// The axes along which there are copies, and a box that holds the shape.
 #[derive(Clone, Debug)]
-struct Grid {
+struct GridLayout {
     axes: [Option<Axis>; 3],
-    held: Held,
+    held: ChildBounds,
 }
 
 /// Copies along an axis.
@@ -70,14 +70,14 @@ struct Axis {
     /// Indices of the outermost copies, if their number is finite.
     ends: Option<(f32, f32)>,
     /// Number of copies evaluated.
-    looked_at: f32,
+    evaluated: f32,
 }
 
 impl Axis {
     fn new(cell: f32, count: Option<Copies>, low: f32, high: f32) -> Self {
         let count = count.map(|Copies(count)| count);
         let width = high - low;
-        let looked_at = within_reach(width, cell).min(MAX_LOOKED_AT as f32);
+        let looked_at = max_overlapping(width, cell).min(MAX_EVALUATED_COPIES as f32);
         let half = count.map(|count| (count / 2) as f32);
         let is_even = count.is_some_and(|count| count % 2 == 0);
         Self {
@@ -86,7 +86,7 @@ impl Axis {
             width,
             shift: if is_even { 0.5 } else { 0.0 },
             ends: half.map(|half| (-half, if is_even { half - 1.0 } else { half })),
-            looked_at: if count == Some(1) { 1.0 } else { looked_at },
+            evaluated: if count == Some(1) { 1.0 } else { looked_at },
         }
     }
 
@@ -99,24 +99,24 @@ impl Axis {
 
 /// Visits the copies along an axis that may be the nearest, each with the coordinate `c` in its own space.
 #[inline(always)]
-fn along<R: Real, T: Bundle<R>>(axis: Option<&Axis>, c: R, found: T, mut visit: impl FnMut(R, T) -> T) -> T {
+fn for_each_copy<R: Real, T: Bundle<R>>(axis: Option<&Axis>, c: R, found: T, mut visit: impl FnMut(R, T) -> T) -> T {
     let Some(axis) = axis else {
         return visit(c, found);
     };
     let (near, side) =
-        nearest_whole(c.mul_add(c.given(1.0 / axis.cell), c.given(-axis.middle / axis.cell - axis.shift)));
-    let first = side.mul_add(c.given(-((axis.looked_at - 1.0) * 0.5).floor()), near);
+        nearest_whole(c.mul_add(c.uniform(1.0 / axis.cell), c.uniform(-axis.middle / axis.cell - axis.shift)));
+    let first = side.mul_add(c.uniform(-((axis.evaluated - 1.0) * 0.5).floor()), near);
     let (_, _, found) = R::repeat(
-        MAX_LOOKED_AT,
-        (first, c.splat(1.0), found),
+        MAX_EVALUATED_COPIES,
+        (first, c.constant(1.0), found),
         #[inline(always)]
         |(number, looked_at, found)| {
             let copy = match axis.ends {
-                Some((low, high)) => number.max(c.given(low)).min(c.given(high)),
+                Some((low, high)) => number.max(c.uniform(low)).min(c.uniform(high)),
                 None => number,
             };
-            let found = visit((copy + c.given(axis.shift)).mul_add(c.given(-axis.cell), c), found);
-            (looked_at.lt(c.given(axis.looked_at)), (number + side, looked_at + 1.0, found))
+            let found = visit((copy + c.uniform(axis.shift)).mul_add(c.uniform(-axis.cell), c), found);
+            (looked_at.lt(c.uniform(axis.evaluated)), (number + side, looked_at + 1.0, found))
         },
     );
     found
@@ -124,16 +124,16 @@ fn along<R: Real, T: Bundle<R>>(axis: Option<&Axis>, c: R, found: T, mut visit: 
 
 impl Repeat {
     #[inline(always)]
-    fn grid(&self) -> &Grid {
+    fn grid(&self) -> &GridLayout {
         self.grid.get(|| {
-            let held = Held::new(&self.child);
+            let held = ChildBounds::new(&self.child);
             let bounds = held.bounds;
-            let ends = [(bounds.low.x, bounds.high.x), (bounds.low.y, bounds.high.y), (bounds.low.z, bounds.high.z)];
+            let ends = [(bounds.min.x, bounds.max.x), (bounds.min.y, bounds.max.y), (bounds.min.z, bounds.max.z)];
             let axis = |index: usize| {
                 let (low, high) = ends[index];
                 self.cell[index].as_ref().map(|cell| Axis::new(cell.get(), self.count[index], low, high))
             };
-            Grid { axes: [axis(0), axis(1), axis(2)], held }
+            GridLayout { axes: [axis(0), axis(1), axis(2)], held }
         })
     }
 }
@@ -142,7 +142,7 @@ impl Sdf for Repeat {
     const EXAMPLE: &'static str = r#"{ "cell": [0.6, 0.6, 0.6], "count": [3, 2, 3], "child": {
         "box": { "size": [0.4, 0.4, 0.4], "round": 0.05 }
     } }"#;
-    const MORE: &'static [&'static str] = &[
+    const MORE_EXAMPLES: &'static [&'static str] = &[
         r#"{ "cell": [0.8, null, 0.8], "child": { "cylinder": { "radius": 0.25, "height": 1.4 } } }"#,
         r#"{ "cell": [0.5, null, null], "count": [4, null, null], "child": {
             "capsule": { "a": [-0.5, -0.6, 0], "b": [0.5, 0.6, 0.2], "radius": 0.1 }
@@ -153,22 +153,22 @@ impl Sdf for Repeat {
     ];
 
     #[inline(always)]
-    fn sample<R: Real, V: Sample<R>>(&self, p: Vec3<R>) -> V {
-        let Grid { axes: [x_axis, y_axis, z_axis], held } = self.grid();
-        let original = Original::new(&self.child, held);
-        let nearest = along(
+    fn eval<R: Real, V: SdfValue<R>>(&self, p: Vec3<R>) -> V {
+        let GridLayout { axes: [x_axis, y_axis, z_axis], held } = self.grid();
+        let original = RepeatedChild::new(&self.child, held);
+        let nearest = for_each_copy(
             x_axis.as_ref(),
             p.x,
-            Original::none(p),
+            RepeatedChild::start(p),
             #[inline(always)]
             |x, found| {
-                along(
+                for_each_copy(
                     y_axis.as_ref(),
                     p.y,
                     found,
                     #[inline(always)]
                     |y, found| {
-                        along(
+                        for_each_copy(
                             z_axis.as_ref(),
                             p.z,
                             found,
@@ -196,19 +196,19 @@ impl Sdf for Repeat {
         }
     }
 
-    fn fault(&self) -> Option<NodeFault> {
+    fn validate(&self) -> Option<NodeError> {
         if self.cell.iter().all(Option::is_none) {
-            return Some(NodeFault::new("cell", "repeats along no axis: give x, y or z a distance from copy to copy"));
+            return Some(NodeError::new("cell", "repeats along no axis: give x, y or z a distance from copy to copy"));
         }
         let bounds = self.child.bounds(0.0);
-        let widths = [bounds.high.x - bounds.low.x, bounds.high.y - bounds.low.y, bounds.high.z - bounds.low.z];
+        let widths = [bounds.max.x - bounds.min.x, bounds.max.y - bounds.min.y, bounds.max.z - bounds.min.z];
         for (index, (cell, name)) in self.cell.iter().zip(["x", "y", "z"]).enumerate() {
             let (place, width) = (format!("cell/{index}"), widths[index]);
             let Some(cell) = cell.as_ref().map(Spacing::get) else {
                 if self.count[index].is_some() {
                     let message =
                         format!("counts copies along {name}, which is not repeated: give it a cell, or null here");
-                    return Some(NodeFault::new(format!("count/{index}"), message));
+                    return Some(NodeError::new(format!("count/{index}"), message));
                 }
                 continue;
             };
@@ -217,7 +217,7 @@ impl Sdf for Repeat {
                     "repeats a shape along {name} that has no end there: use null, \
                      or bound the shape by an intersection"
                 );
-                return Some(NodeFault::new(place, message));
+                return Some(NodeError::new(place, message));
             }
             if width > MAX_CELLS * cell {
                 let message = format!(
@@ -225,19 +225,19 @@ impl Sdf for Repeat {
                      make it {} or more",
                     width / MAX_CELLS
                 );
-                return Some(NodeFault::new(place, message));
+                return Some(NodeError::new(place, message));
             }
         }
         None
     }
 
-    fn bounds(&self, level: f32) -> Bounds {
-        let child = self.child.bounds(level);
+    fn bounds(&self, isolevel: f32) -> Bounds {
+        let child = self.child.bounds(isolevel);
         let [x, y, z] = self.grid().axes.map(|axis| axis.map_or((0.0, 0.0), |axis| axis.reach()));
-        child.moved(vec3(x.0, y.0, z.0)).hull(child.moved(vec3(x.1, y.1, z.1)))
+        child.translated(vec3(x.0, y.0, z.0)).union(child.translated(vec3(x.1, y.1, z.1)))
     }
 
     fn child_evaluations(&self) -> f32 {
-        self.grid().axes.iter().flatten().map(|axis| axis.looked_at).product()
+        self.grid().axes.iter().flatten().map(|axis| axis.evaluated).product()
     }
 }

@@ -10,14 +10,14 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::cached::Cached;
-use super::copies::ended;
-use super::twist::{fault_unless_bounded, radius_about_y};
+use super::nearest_copy::ended;
+use super::twist::{radius_about_y, require_bounded};
 use crate::bounds::Bounds;
 use crate::nodes::transforms::around_child;
-use crate::nodes::{Child, Exactness, Node, NodeFault, Sample, Sdf};
+use crate::nodes::{Child, Exactness, Node, NodeError, Sdf, SdfValue};
 use crate::real::{Real, Vec3, vec3};
 use crate::seek::Seek;
-use crate::values::{Coordinate, Factor};
+use crate::values::{Coordinate, ScaleFactor};
 
 /// Multiplies a shape's width along x and z by a factor that changes evenly from `bottom` to `top`, and is
 /// constant beyond them.
@@ -29,21 +29,21 @@ pub struct Taper {
     /// The y at which the factor is `top_factor`.
     pub top: Coordinate,
     /// Factor at the bottom.
-    #[serde(default = "one")]
-    pub bottom_factor: Factor,
+    #[serde(default = "default_bottom_factor")]
+    pub bottom_factor: ScaleFactor,
     /// Factor at the top.
-    pub top_factor: Factor,
+    pub top_factor: ScaleFactor,
     /// The shape, which must be bounded along x and z.
     pub child: Child,
     /// Derived from these.
     #[serde(skip)]
     #[schemars(skip)]
-    frustum: Cached<Frustum>,
+    frustum: Cached<BoundingFrustum>,
 }
 
 /// A frustum that holds the shape.
 #[derive(Clone, Debug)]
-struct Frustum {
+struct BoundingFrustum {
     /// Radius of the shape without the taper.
     radius: f32,
     low: f32,
@@ -53,14 +53,14 @@ struct Frustum {
     /// Cosine of the angle between its side and the y axis: how far the side is for each unit across.
     slant: f32,
     /// One over the greatest factor if that is above 1, else 1: factor of the value.
-    shrink: f32,
+    value_scale: f32,
     /// The Lipschitz factor.
     stretch: f32,
 }
 
 impl Taper {
     #[inline(always)]
-    fn frustum(&self) -> &Frustum {
+    fn frustum(&self) -> &BoundingFrustum {
         self.frustum.get(|| {
             let bounds = ended(self.child.bounds(0.0));
             let radius = radius_about_y(bounds);
@@ -74,7 +74,15 @@ impl Taper {
             let child = self.child.stretch();
             let stretch = (child * drawn_apart + 0.5 * shear) * shrink * (1.0 + 1e-6);
             let slant = 1.0 / Real::sqrt(1.0 + shear * shear);
-            Frustum { radius, low: bounds.low.y, high: bounds.high.y, slope, slant, shrink, stretch }
+            BoundingFrustum {
+                radius,
+                low: bounds.min.y,
+                high: bounds.max.y,
+                slope,
+                slant,
+                value_scale: shrink,
+                stretch,
+            }
         })
     }
 }
@@ -83,31 +91,31 @@ impl Sdf for Taper {
     const EXAMPLE: &'static str = r#"{ "bottom": -0.9, "top": 0.9, "top_factor": 0.3, "child": {
         "box": { "size": [1.4, 1.8, 1.4], "round": 0.05 }
     } }"#;
-    const MORE: &'static [&'static str] =
+    const MORE_EXAMPLES: &'static [&'static str] =
         &[r#"{ "bottom": -0.5, "top": 0.6, "bottom_factor": 0.4, "top_factor": 1.5, "child": {
         "translate": { "by": [0.1, 0, 0], "child": { "cylinder": { "radius": 0.5, "height": 1.9 } } }
     } }"#];
 
     #[inline(always)]
-    fn sample<R: Real, V: Sample<R>>(&self, p: Vec3<R>) -> V {
-        let Frustum { radius, low, high, slope, slant, shrink, stretch } = *self.frustum();
+    fn eval<R: Real, V: SdfValue<R>>(&self, p: Vec3<R>) -> V {
+        let BoundingFrustum { radius, low, high, slope, slant, value_scale: shrink, stretch } = *self.frustum();
         let (bottom, top) = (self.bottom_factor.get(), self.top_factor.get());
-        let y = p.y.max(p.x.given(low)).min(p.x.given(high));
-        let factor = (y - p.x.given(self.bottom.get())).mul_add(p.x.given(slope), p.x.given(bottom));
-        let factor = factor.max(p.x.given(bottom.min(top))).min(p.x.given(bottom.max(top)));
+        let y = p.y.max(p.x.uniform(low)).min(p.x.uniform(high));
+        let factor = (y - p.x.uniform(self.bottom.get())).mul_add(p.x.uniform(slope), p.x.uniform(bottom));
+        let factor = factor.max(p.x.uniform(bottom.min(top))).min(p.x.uniform(bottom.max(top)));
         let away = p.x.square_add(p.z.square()).sqrt();
-        let inwards = p.x.splat(1.0) / factor.max(away * p.x.given(1.0 / radius));
+        let inwards = p.x.constant(1.0) / factor.max(away * p.x.uniform(1.0 / radius));
         let child: V = self.child.sample(vec3(p.x * inwards, y, p.z * inwards));
-        let held =
-            child.distance().max(p.x.given(-0.5 * radius)).min(p.x.given(0.5 * radius)) * (factor * p.x.given(shrink));
-        let beyond = (away - factor * p.x.given(radius)) * p.x.given(slant);
-        let beyond = beyond.max(p.y - p.x.given(high)).max(p.x.given(low) - p.y);
-        child.at(held.max(beyond * p.x.given(stretch)))
+        let held = child.distance().max(p.x.uniform(-0.5 * radius)).min(p.x.uniform(0.5 * radius))
+            * (factor * p.x.uniform(shrink));
+        let beyond = (away - factor * p.x.uniform(radius)) * p.x.uniform(slant);
+        let beyond = beyond.max(p.y - p.x.uniform(high)).max(p.x.uniform(low) - p.y);
+        child.with_distance(held.max(beyond * p.x.uniform(stretch)))
     }
 
     around_child!();
 
-    fn stretch(&self) -> f32 {
+    fn lipschitz(&self) -> f32 {
         self.frustum().stretch
     }
 
@@ -115,20 +123,20 @@ impl Sdf for Taper {
         self.child.exactness().max(Exactness::Bound)
     }
 
-    fn fault(&self) -> Option<NodeFault> {
+    fn validate(&self) -> Option<NodeError> {
         if self.top.get() - self.bottom.get() < 1e-6 {
             let message = format!("must be above bottom: make top more than {}", self.bottom.get());
-            return Some(NodeFault::new("top", message));
+            return Some(NodeError::new("top", message));
         }
-        fault_unless_bounded(&self.child, &['x', 'z'], "where a taper would move it without limit")
+        require_bounded(&self.child, &['x', 'z'], "where a taper would move it without limit")
     }
 
-    fn bounds(&self, level: f32) -> Bounds {
-        let Frustum { radius, low, high, slant, stretch, .. } = *self.frustum();
-        let beyond = level / stretch;
+    fn bounds(&self, isolevel: f32) -> Bounds {
+        let BoundingFrustum { radius, low, high, slant, stretch, .. } = *self.frustum();
+        let beyond = isolevel / stretch;
         let radius = radius * self.bottom_factor.get().max(self.top_factor.get());
         let radius = radius + beyond / slant;
-        Bounds { low: vec3(-radius, low - beyond, -radius), high: vec3(radius, high + beyond, radius) }
+        Bounds { min: vec3(-radius, low - beyond, -radius), max: vec3(radius, high + beyond, radius) }
     }
 
     fn lipschitz_advice(&self) -> &'static str {
@@ -136,6 +144,6 @@ impl Sdf for Taper {
     }
 }
 
-fn one() -> Factor {
-    Factor::new(1.0).expect("1 is in range")
+fn default_bottom_factor() -> ScaleFactor {
+    ScaleFactor::new(1.0).expect("1 is in range")
 }

@@ -5,17 +5,17 @@ use serde::{Deserialize, Serialize};
 
 use crate::bounds::Bounds;
 use crate::nodes::transforms::around_child;
-use crate::nodes::{Child, Exactness, Node, Sample, Sdf};
+use crate::nodes::{Child, Exactness, Node, Sdf, SdfValue};
 use crate::real::{Real, Vec3};
 use crate::seek::Seek;
-use crate::values::{Amount, Length};
+use crate::values::{Length, LengthOrZero};
 
 /// A shape grown by a radius on all sides, its outer edges rounded by it.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
 #[serde(deny_unknown_fields)]
 pub struct Round {
     /// By how much it grows.
-    pub radius: Amount,
+    pub radius: LengthOrZero,
     /// The shape.
     pub child: Child,
 }
@@ -39,8 +39,8 @@ macro_rules! at_a_distance {
             self.child.exactness().max(Exactness::Bound)
         }
 
-        fn bounds(&$self, level: f32) -> Bounds {
-            $self.child.bounds(level + $grown)
+        fn bounds(&$self, isolevel: f32) -> Bounds {
+            $self.child.bounds(isolevel + $grown)
         }
     };
 }
@@ -49,10 +49,10 @@ impl Sdf for Round {
     const EXAMPLE: &'static str = r#"{ "radius": 0.2, "child": { "pyramid": { "height": 0.9 } } }"#;
 
     #[inline(always)]
-    fn sample<R: Real, V: Sample<R>>(&self, p: Vec3<R>) -> V {
+    fn eval<R: Real, V: SdfValue<R>>(&self, p: Vec3<R>) -> V {
         let child: V = self.child.sample(p);
-        let distance = child.distance() - p.x.given(self.radius.get());
-        child.at(distance)
+        let distance = child.distance() - p.x.uniform(self.radius.get());
+        child.with_distance(distance)
     }
 
     at_a_distance!(self, self.radius.get());
@@ -63,15 +63,16 @@ impl Sdf for Onion {
         { "sphere": { "radius": 1 } },
         { "translate": { "by": [0.3, 1, 0.7], "child": { "box": { "size": [1.8, 1.4, 1.4] } } } }
     ] } } }"#;
-    const MORE: &'static [&'static str] = &[r#"{ "thickness": 0.1, "child": { "onion": { "thickness": 0.3, "child": {
+    const MORE_EXAMPLES: &'static [&'static str] =
+        &[r#"{ "thickness": 0.1, "child": { "onion": { "thickness": 0.3, "child": {
         "torus": { "radius": 0.7, "tube": 0.3 }
     } } } }"#];
 
     #[inline(always)]
-    fn sample<R: Real, V: Sample<R>>(&self, p: Vec3<R>) -> V {
+    fn eval<R: Real, V: SdfValue<R>>(&self, p: Vec3<R>) -> V {
         let child: V = self.child.sample(p);
-        let distance = child.distance().abs() - p.x.given(0.5 * self.thickness.get());
-        child.at(distance)
+        let distance = child.distance().abs() - p.x.uniform(0.5 * self.thickness.get());
+        child.with_distance(distance)
     }
 
     at_a_distance!(self, 0.5 * self.thickness.get());

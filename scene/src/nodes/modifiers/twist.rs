@@ -11,10 +11,10 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::cached::Cached;
-use super::copies::ended;
+use super::nearest_copy::ended;
 use crate::bounds::Bounds;
 use crate::nodes::transforms::around_child;
-use crate::nodes::{Child, Exactness, Node, NodeFault, Sample, Sdf};
+use crate::nodes::{Child, Exactness, Node, NodeError, Sdf, SdfValue};
 use crate::real::{Real, Vec3, vec3};
 use crate::seek::Seek;
 use crate::values::Degrees;
@@ -30,12 +30,12 @@ pub struct Twist {
     /// Derived from these.
     #[serde(skip)]
     #[schemars(skip)]
-    cylinder: Cached<Cylinder>,
+    cylinder: Cached<BoundingCylinder>,
 }
 
 /// A cylinder that holds the shape.
 #[derive(Clone, Debug)]
-struct Cylinder {
+struct BoundingCylinder {
     radius: f32,
     low: f32,
     high: f32,
@@ -45,7 +45,7 @@ struct Cylinder {
 
 impl Twist {
     #[inline(always)]
-    fn cylinder(&self) -> &Cylinder {
+    fn cylinder(&self) -> &BoundingCylinder {
         self.cylinder.get(|| {
             let bounds = ended(self.child.bounds(0.0));
             let radius = radius_about_y(bounds);
@@ -53,20 +53,20 @@ impl Twist {
             let drawn_apart = 0.5 * (shear + Real::sqrt(shear * shear + 4.0));
             // A little more than rounding could take away.
             let stretch = self.child.stretch() * drawn_apart * (1.0 + 1e-6);
-            Cylinder { radius, low: bounds.low.y, high: bounds.high.y, stretch }
+            BoundingCylinder { radius, low: bounds.min.y, high: bounds.max.y, stretch }
         })
     }
 }
 
 /// The radius of a cylinder about the y axis that holds a box; not 0.
-pub(super) fn radius_about_y(Bounds { low, high }: Bounds) -> f32 {
+pub(super) fn radius_about_y(Bounds { min: low, max: high }: Bounds) -> f32 {
     let (x, z) = (low.x.abs().max(high.x.abs()), low.z.abs().max(high.z.abs()));
     Real::sqrt(x * x + z * z).max(1e-6)
 }
 
 /// Error for a shape that is unbounded along one of `axes`, if it is.
-pub(super) fn fault_unless_bounded(child: &Node, axes: &[char], what: &str) -> Option<NodeFault> {
-    let Bounds { low, high } = child.bounds(0.0);
+pub(super) fn require_bounded(child: &Node, axes: &[char], what: &str) -> Option<NodeError> {
+    let Bounds { min: low, max: high } = child.bounds(0.0);
     let endless = axes.iter().find(|axis| {
         let (low, high) = match axis {
             'x' => (low.x, high.x),
@@ -76,36 +76,36 @@ pub(super) fn fault_unless_bounded(child: &Node, axes: &[char], what: &str) -> O
         !(low.is_finite() && high.is_finite())
     })?;
     let message = format!("has no end along {endless}, {what}: bound it by an intersection, inside");
-    Some(NodeFault::new("child", message))
+    Some(NodeError::new("child", message))
 }
 
 impl Sdf for Twist {
     const EXAMPLE: &'static str = r#"{ "degrees_per_unit": 60, "child": {
         "box": { "size": [0.9, 1.9, 0.9], "round": 0.05 }
     } }"#;
-    const MORE: &'static [&'static str] = &[r#"{ "degrees_per_unit": -90, "child": { "union": { "of": [
+    const MORE_EXAMPLES: &'static [&'static str] = &[r#"{ "degrees_per_unit": -90, "child": { "union": { "of": [
         { "translate": { "by": [0.35, 0, 0], "child": { "cylinder": { "radius": 0.2, "height": 1.9 } } } },
         { "translate": { "by": [-0.35, 0, 0], "child": { "cylinder": { "radius": 0.2, "height": 1.9 } } } }
     ] } } }"#];
 
     #[inline(always)]
-    fn sample<R: Real, V: Sample<R>>(&self, p: Vec3<R>) -> V {
-        let Cylinder { radius, low, high, stretch } = *self.cylinder();
+    fn eval<R: Real, V: SdfValue<R>>(&self, p: Vec3<R>) -> V {
+        let BoundingCylinder { radius, low, high, stretch } = *self.cylinder();
         let away = p.x.square_add(p.z.square()).sqrt();
-        let y = p.y.max(p.x.given(low)).min(p.x.given(high));
-        let inwards = p.x.given(radius) / away.max(p.x.given(radius));
-        let turns = y * p.x.given(self.degrees_per_unit.get() / 360.0);
+        let y = p.y.max(p.x.uniform(low)).min(p.x.uniform(high));
+        let inwards = p.x.uniform(radius) / away.max(p.x.uniform(radius));
+        let turns = y * p.x.uniform(self.degrees_per_unit.get() / 360.0);
         let (sin, cos) = ((turns - turns.floor()) * TAU).sin_cos();
         let (x, z) = (p.x * inwards, p.z * inwards);
         let child: V = self.child.sample(vec3(x.mul_add(cos, -(z * sin)), y, x.mul_add(sin, z * cos)));
-        let beyond = (away - p.x.given(radius)).max(p.y - p.x.given(high)).max(p.x.given(low) - p.y);
-        let distance = child.distance().max(beyond * p.x.given(stretch));
-        child.at(distance)
+        let beyond = (away - p.x.uniform(radius)).max(p.y - p.x.uniform(high)).max(p.x.uniform(low) - p.y);
+        let distance = child.distance().max(beyond * p.x.uniform(stretch));
+        child.with_distance(distance)
     }
 
     around_child!();
 
-    fn stretch(&self) -> f32 {
+    fn lipschitz(&self) -> f32 {
         self.cylinder().stretch
     }
 
@@ -113,13 +113,13 @@ impl Sdf for Twist {
         self.child.exactness().max(Exactness::Bound)
     }
 
-    fn fault(&self) -> Option<NodeFault> {
-        fault_unless_bounded(&self.child, &['x', 'z'], "where a twist would wind it without limit")
+    fn validate(&self) -> Option<NodeError> {
+        require_bounded(&self.child, &['x', 'z'], "where a twist would wind it without limit")
     }
 
-    fn bounds(&self, level: f32) -> Bounds {
-        let Cylinder { radius, low, high, stretch } = *self.cylinder();
-        Bounds { low: vec3(-radius, low, -radius), high: vec3(radius, high, radius) }.widened(level / stretch)
+    fn bounds(&self, isolevel: f32) -> Bounds {
+        let BoundingCylinder { radius, low, high, stretch } = *self.cylinder();
+        Bounds { min: vec3(-radius, low, -radius), max: vec3(radius, high, radius) }.expanded(isolevel / stretch)
     }
 
     fn lipschitz_advice(&self) -> &'static str {

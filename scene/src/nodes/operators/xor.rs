@@ -3,11 +3,11 @@
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use super::joined;
-use super::joins::around_joined;
+use super::fold_children;
+use super::seams::around_joined;
 use crate::bounds::Bounds;
-use crate::nodes::sample::indicator;
-use crate::nodes::{Exactness, Node, Sample, Sdf};
+use crate::nodes::value::indicator;
+use crate::nodes::{Exactness, Node, Sdf, SdfValue};
 use crate::real::{Real, Vec3};
 use crate::seek::Seek;
 
@@ -25,29 +25,29 @@ impl Sdf for Xor {
         { "box": { "size": [1.5, 1.5, 1.5] } },
         { "translate": { "by": [0.2, 0.3, 0.4], "child": { "sphere": { "radius": 0.75 } } } }
     ] }"#;
-    const MORE: &'static [&'static str] = &[r#"{ "of": [
+    const MORE_EXAMPLES: &'static [&'static str] = &[r#"{ "of": [
         { "sphere": { "radius": 1 } },
         { "infinite_cylinder": { "radius": 0.6 } },
         { "box": { "size": [0.8, 3, 0.8] } }
     ] }"#];
 
     #[inline(always)]
-    fn sample<R: Real, V: Sample<R>>(&self, p: Vec3<R>) -> V {
-        joined(&self.of, p, either)
+    fn eval<R: Real, V: SdfValue<R>>(&self, p: Vec3<R>) -> V {
+        fold_children(&self.of, p, xor_distance)
     }
 
     around_joined!();
 
-    fn bounds(&self, level: f32) -> Bounds {
+    fn bounds(&self, isolevel: f32) -> Bounds {
         // It is never less than the least of the distances.
-        self.of.iter().map(|shape| shape.bounds(level)).reduce(Bounds::hull).unwrap_or(Bounds::EVERYWHERE)
+        self.of.iter().map(|shape| shape.bounds(isolevel)).reduce(Bounds::union).unwrap_or(Bounds::INFINITE)
     }
 }
 
 /// Exclusive or of two values: max(min(a, b), −max(a, b)), the nearer of the two surfaces with a sign of its
 /// own. That surface is the one that is seen.
 #[inline(always)]
-fn either<R: Real, V: Sample<R>>(a: V, b: V) -> V {
+fn xor_distance<R: Real, V: SdfValue<R>>(a: V, b: V) -> V {
     let (da, db) = (a.distance(), b.distance());
     let (less, greater) = (da.min(db), -da.max(db));
     a.blend(
@@ -56,7 +56,7 @@ fn either<R: Real, V: Sample<R>>(a: V, b: V) -> V {
         #[inline(always)]
         || {
             let is_less = indicator(da, db.lt(da));
-            R::select(less.lt(greater), da.splat(1.0) - is_less, is_less)
+            R::select(less.lt(greater), da.constant(1.0) - is_less, is_less)
         },
     )
 }

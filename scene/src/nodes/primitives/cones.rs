@@ -3,12 +3,12 @@
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use super::{away_from_axis, length_of};
+use super::{distance_from_y_axis, hypot};
 use crate::bounds::Bounds;
-use crate::nodes::{NodeFault, Prepare, Prepared, Primitive};
+use crate::nodes::{NodeError, Precompute, Precomputed, Primitive};
 use crate::real::{Real, Vec3, vec3};
 use crate::seek::Seek;
-use crate::values::{Amount, ConeAngle, HalfAperture, Length, sin_cos_degrees};
+use crate::values::{AcuteHalfAngle, HalfAngle, Length, LengthOrZero, sin_cos_degrees};
 
 /// A cone around the y axis, its middle at the origin: the base at y = −height/2, the apex at y = height/2.
 ///
@@ -30,9 +30,9 @@ impl Primitive for Cone {
         to_capped_cone(p, self.radius.get(), 0.0, self.height.get())
     }
 
-    fn bounds(&self, level: f32) -> Bounds {
+    fn bounds(&self, isolevel: f32) -> Bounds {
         let radius = self.radius.get();
-        Bounds::symmetric(radius, self.height.get() / 2.0, radius).widened(level)
+        Bounds::symmetric(radius, self.height.get() / 2.0, radius).expanded(isolevel)
     }
 }
 
@@ -43,9 +43,9 @@ impl Primitive for Cone {
 #[serde(deny_unknown_fields)]
 pub struct CappedCone {
     /// Radius at y = −height/2.
-    pub bottom_radius: Amount,
+    pub bottom_radius: LengthOrZero,
     /// Radius at y = height/2.
-    pub top_radius: Amount,
+    pub top_radius: LengthOrZero,
     /// Its whole height.
     pub height: Length,
 }
@@ -53,26 +53,26 @@ pub struct CappedCone {
 impl Primitive for CappedCone {
     const EXAMPLE: &str = r#"{ "bottom_radius": 0.9, "top_radius": 0.4, "height": 1.4 }"#;
 
-    const MORE: &[&str] = &[r#"{ "bottom_radius": 0, "top_radius": 0.8, "height": 1.2 }"#];
+    const MORE_EXAMPLES: &[&str] = &[r#"{ "bottom_radius": 0, "top_radius": 0.8, "height": 1.2 }"#];
 
     #[inline(always)]
     fn distance<R: Real>(&self, p: Vec3<R>) -> R {
         to_capped_cone(p, self.bottom_radius.get(), self.top_radius.get(), self.height.get())
     }
 
-    fn fault(&self) -> Option<NodeFault> {
+    fn validate(&self) -> Option<NodeError> {
         let (bottom, top) = (self.bottom_radius.get(), self.top_radius.get());
         (bottom.max(top) == 0.0).then(|| {
-            NodeFault::new(
+            NodeError::new(
                 "bottom_radius",
                 "and top_radius are both 0, which leaves nothing: make one of them larger than 0",
             )
         })
     }
 
-    fn bounds(&self, level: f32) -> Bounds {
+    fn bounds(&self, isolevel: f32) -> Bounds {
         let radius = self.bottom_radius.get().max(self.top_radius.get());
-        Bounds::symmetric(radius, self.height.get() / 2.0, radius).widened(level)
+        Bounds::symmetric(radius, self.height.get() / 2.0, radius).expanded(isolevel)
     }
 }
 
@@ -83,17 +83,17 @@ fn to_capped_cone<R: Real>(p: Vec3<R>, bottom: f32, top: f32, height: f32) -> R 
     // In the half plane of (away from the axis, up), the side runs from (bottom, −half) by `side`.
     let side = (top - bottom, height);
     let per_square = 1.0 / (side.0 * side.0 + side.1 * side.1);
-    let across = away_from_axis(p);
-    let radius = R::select(p.y.below(0.0), across.given(bottom), across.given(top));
-    let (past_disc, past_cap) = ((across - radius).at_least(0.0), p.y.abs() - across.given(half));
-    let from_bottom = (across - across.given(bottom), p.y + across.given(half));
+    let across = distance_from_y_axis(p);
+    let radius = R::select(p.y.below(0.0), across.uniform(bottom), across.uniform(top));
+    let (past_disc, past_cap) = ((across - radius).at_least(0.0), p.y.abs() - across.uniform(half));
+    let from_bottom = (across - across.uniform(bottom), p.y + across.uniform(half));
     let share = from_bottom
         .0
-        .mul_add(across.given(side.0 * per_square), from_bottom.1 * across.given(side.1 * per_square))
+        .mul_add(across.uniform(side.0 * per_square), from_bottom.1 * across.uniform(side.1 * per_square))
         .at_least(0.0)
         .at_most(1.0);
-    let off_side = share.mul_add(across.given(-side.0), from_bottom.0);
-    let up_side = share.mul_add(across.given(-side.1), from_bottom.1);
+    let off_side = share.mul_add(across.uniform(-side.0), from_bottom.0);
+    let up_side = share.mul_add(across.uniform(-side.1), from_bottom.1);
     let to_disc = past_disc.square_add(past_cap.square());
     let to_side = off_side.square_add(up_side.square());
     let distance = to_disc.min(to_side).sqrt();
@@ -103,19 +103,19 @@ fn to_capped_cone<R: Real>(p: Vec3<R>, bottom: f32, top: f32, height: f32) -> R 
 /// A cone without a base: its apex at the origin, opening downwards for ever.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
 #[serde(rename = "InfiniteCone", deny_unknown_fields)]
-pub struct GivenInfiniteCone {
+pub struct InfiniteConeParams {
     /// Half its aperture: the angle between the axis and the side.
-    pub degrees: ConeAngle,
+    pub degrees: AcuteHalfAngle,
 }
 
-/// `GivenInfiniteCone` with its derived values.
-pub type InfiniteCone = Prepared<GivenInfiniteCone>;
+/// `InfiniteConeParams` with its derived values.
+pub type InfiniteCone = Precomputed<InfiniteConeParams>;
 
-impl Prepare for GivenInfiniteCone {
+impl Precompute for InfiniteConeParams {
     /// Sine and cosine of the angle.
-    type Ready = (f32, f32);
+    type Derived = (f32, f32);
 
-    fn ready(&self) -> (f32, f32) {
+    fn derive(&self) -> (f32, f32) {
         sin_cos_degrees(self.degrees.get())
     }
 }
@@ -125,16 +125,16 @@ impl Primitive for InfiniteCone {
 
     #[inline(always)]
     fn distance<R: Real>(&self, p: Vec3<R>) -> R {
-        let (sine, cosine) = *self.ready();
-        let across = away_from_axis(p);
-        let (sine, cosine) = (across.given(sine), across.given(cosine));
+        let (sine, cosine) = *self.derive();
+        let across = distance_from_y_axis(p);
+        let (sine, cosine) = (across.uniform(sine), across.uniform(cosine));
         let down_side = across.mul_add(sine, -(p.y * cosine));
         let off_side = across.mul_add(cosine, p.y * sine);
         R::select(down_side.above(0.0), off_side, p.length())
     }
 
-    fn bounds(&self, level: f32) -> Bounds {
-        Bounds { high: vec3(f32::INFINITY, level, f32::INFINITY), ..Bounds::EVERYWHERE }
+    fn bounds(&self, isolevel: f32) -> Bounds {
+        Bounds { max: vec3(f32::INFINITY, isolevel, f32::INFINITY), ..Bounds::INFINITE }
     }
 }
 
@@ -157,7 +157,7 @@ pub struct RoundCone {
 impl Primitive for RoundCone {
     const EXAMPLE: &str = r#"{ "bottom_radius": 0.7, "top_radius": 0.3, "height": 2 }"#;
 
-    const MORE: &[&str] = &[r#"{ "bottom_radius": 0.3, "top_radius": 0.6, "height": 1.7 }"#];
+    const MORE_EXAMPLES: &[&str] = &[r#"{ "bottom_radius": 0.3, "top_radius": 0.6, "height": 1.7 }"#];
 
     #[inline(always)]
     fn distance<R: Real>(&self, p: Vec3<R>) -> R {
@@ -166,17 +166,17 @@ impl Primitive for RoundCone {
         // Growth of the radius along the axis: the sine of the angle between axis and side.
         let growth = ((top - bottom) / apart.max(1e-12)).clamp(-1.0, 1.0);
         let slope = growth / Real::sqrt((1.0 - growth) * (1.0 + growth)).max(1e-6);
-        let across = away_from_axis(p);
-        let up = p.y + across.given(height / 2.0 - bottom);
-        let along = across.mul_add(across.given(slope), up).at_least(0.0).min(across.given(apart));
-        let to_center = length_of(across, up - along);
-        along.mul_add(across.given(-growth), to_center - across.given(bottom))
+        let across = distance_from_y_axis(p);
+        let up = p.y + across.uniform(height / 2.0 - bottom);
+        let along = across.mul_add(across.uniform(slope), up).at_least(0.0).min(across.uniform(apart));
+        let to_center = hypot(across, up - along);
+        along.mul_add(across.uniform(-growth), to_center - across.uniform(bottom))
     }
 
-    fn fault(&self) -> Option<NodeFault> {
+    fn validate(&self) -> Option<NodeError> {
         let least = 2.0 * self.bottom_radius.get().max(self.top_radius.get());
         (self.height.get() < least).then(|| {
-            NodeFault::new(
+            NodeError::new(
                 "height",
                 format!(
                     "must be at least twice the larger radius, or that ball sticks out: make height {least} or more"
@@ -185,9 +185,9 @@ impl Primitive for RoundCone {
         })
     }
 
-    fn bounds(&self, level: f32) -> Bounds {
+    fn bounds(&self, isolevel: f32) -> Bounds {
         let radius = self.bottom_radius.get().max(self.top_radius.get());
-        Bounds::symmetric(radius, self.height.get() / 2.0, radius).widened(level)
+        Bounds::symmetric(radius, self.height.get() / 2.0, radius).expanded(isolevel)
     }
 }
 
@@ -196,21 +196,21 @@ impl Primitive for RoundCone {
 /// Inigo Quilez, "Distance functions": <https://iquilezles.org/articles/distfunctions/>.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
 #[serde(rename = "SolidAngle", deny_unknown_fields)]
-pub struct GivenSolidAngle {
+pub struct SolidAngleParams {
     /// Half its aperture: the angle between the axis and the side. Above 90 it is a ball with a cone cut out.
-    pub degrees: HalfAperture,
+    pub degrees: HalfAngle,
     /// Radius of the ball.
     pub radius: Length,
 }
 
-/// `GivenSolidAngle` with its derived values.
-pub type SolidAngle = Prepared<GivenSolidAngle>;
+/// `SolidAngleParams` with its derived values.
+pub type SolidAngle = Precomputed<SolidAngleParams>;
 
-impl Prepare for GivenSolidAngle {
+impl Precompute for SolidAngleParams {
     /// Sine and cosine of the angle.
-    type Ready = (f32, f32);
+    type Derived = (f32, f32);
 
-    fn ready(&self) -> (f32, f32) {
+    fn derive(&self) -> (f32, f32) {
         sin_cos_degrees(self.degrees.get())
     }
 }
@@ -218,25 +218,25 @@ impl Prepare for GivenSolidAngle {
 impl Primitive for SolidAngle {
     const EXAMPLE: &str = r#"{ "degrees": 40, "radius": 1.1 }"#;
 
-    const MORE: &[&str] = &[r#"{ "degrees": 130, "radius": 0.9 }"#];
+    const MORE_EXAMPLES: &[&str] = &[r#"{ "degrees": 130, "radius": 0.9 }"#];
 
     #[inline(always)]
     fn distance<R: Real>(&self, p: Vec3<R>) -> R {
-        let (sine, cosine) = *self.ready();
-        let across = away_from_axis(p);
-        let (sine, cosine, radius) = (across.given(sine), across.given(cosine), across.given(self.radius.get()));
+        let (sine, cosine) = *self.derive();
+        let across = distance_from_y_axis(p);
+        let (sine, cosine, radius) = (across.uniform(sine), across.uniform(cosine), across.uniform(self.radius.get()));
         let past_ball = p.length() - radius;
         let along = across.mul_add(sine, p.y * cosine).at_least(0.0).min(radius);
-        let to_side = length_of(across - sine * along, p.y - cosine * along);
+        let to_side = hypot(across - sine * along, p.y - cosine * along);
         let outside = across.mul_add(cosine, -(p.y * sine)).above(0.0);
         past_ball.max(R::select(outside, to_side, -to_side))
     }
 
-    fn bounds(&self, level: f32) -> Bounds {
+    fn bounds(&self, isolevel: f32) -> Bounds {
         let radius = self.radius.get();
-        let (sine, cosine) = *self.ready();
+        let (sine, cosine) = *self.derive();
         let across = if cosine < 0.0 { radius } else { radius * sine };
         let low = (radius * cosine).min(0.0);
-        Bounds { low: vec3(-across, low, -across), high: vec3(across, radius, across) }.widened(level)
+        Bounds { min: vec3(-across, low, -across), max: vec3(across, radius, across) }.expanded(isolevel)
     }
 }

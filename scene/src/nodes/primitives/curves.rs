@@ -4,7 +4,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use crate::bounds::Bounds;
-use crate::nodes::{Exactness, Prepare, Prepared, Primitive};
+use crate::nodes::{Exactness, Precompute, Precomputed, Primitive};
 use crate::real::{Real, Vec3, vec3};
 use crate::seek::Seek;
 use crate::values::{Length, Point};
@@ -19,7 +19,7 @@ use crate::values::{Length, Point};
 /// to its first. The nearest point is one of the two, since a root between them is a point of greatest distance.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
 #[serde(rename = "BezierTube", deny_unknown_fields)]
-pub struct GivenBezierTube {
+pub struct BezierTubeParams {
     /// Start of the curve.
     pub a: Point,
     /// Control point: the curve leaves `a` toward it, and arrives at `c` from it.
@@ -30,17 +30,17 @@ pub struct GivenBezierTube {
     pub radius: Length,
 }
 
-/// `GivenBezierTube` with its derived values.
-pub type BezierTube = Prepared<GivenBezierTube>;
+/// `BezierTubeParams` with its derived values.
+pub type BezierTube = Precomputed<BezierTubeParams>;
 
 /// Newton's steps at most: enough for 10⁻⁵ of the curve's length on the sharpest bend.
 const NEWTON_STEPS: u32 = 16;
 /// A step so short, in the curve's t, is the last one: what is left of the error counts by its square.
-const LAST_STEP: f32 = 1e-4;
+const NEWTON_TOLERANCE: f32 = 1e-4;
 
 /// The curve a + t·slope + t²·bend, and what its formula takes from it.
 #[derive(Clone, Debug)]
-pub struct Curve {
+pub struct BezierCoefficients {
     slope: Vec3<f32>,
     bend: Vec3<f32>,
     /// The t of the parabola's vertex, or the nearest end.
@@ -52,15 +52,15 @@ pub struct Curve {
     cubic: [f32; 3],
 }
 
-impl Prepare for GivenBezierTube {
-    type Ready = Curve;
+impl Precompute for BezierTubeParams {
+    type Derived = BezierCoefficients;
 
-    fn ready(&self) -> Curve {
+    fn derive(&self) -> BezierCoefficients {
         let [a, b, c] = [&self.a, &self.b, &self.c].map(Point::get);
         let (slope, bend) = ((b - a) * 2.0, (a - b) + (c - b));
         let (along, bends) = (slope.length_squared(), bend.length_squared());
         let over_size = 1.0 / (along + bends).max(1e-20);
-        Curve {
+        BezierCoefficients {
             slope,
             bend,
             vertex: vertex(slope, bend),
@@ -83,7 +83,7 @@ fn vertex(slope: Vec3<f32>, bend: Vec3<f32>) -> f32 {
     }
 }
 
-impl Curve {
+impl BezierCoefficients {
     /// Its least radius of curvature: |v|³/|v × v′|, least at the vertex; infinite for a line.
     fn least_bend_radius(&self) -> f32 {
         let velocity = self.slope + self.bend * (2.0 * self.vertex);
@@ -110,73 +110,73 @@ impl<R: Real> Cubic<R> {
     fn newton(&self, t: R) -> (R, R) {
         let value = self.third.mul_add(t, self.second).mul_add(t, self.first).mul_add(t, self.constant);
         let rise = (self.third * 3.0).mul_add(t, self.second * 2.0).mul_add(t, self.first);
-        (value, t.splat(1.0) / rise.at_least(1e-7))
+        (value, t.constant(1.0) / rise.at_least(1e-7))
     }
 }
 
 /// The squared distance to the curve's point at t, from a point that sees its start at `from_p`.
 #[inline(always)]
-fn square_to<R: Real>(from_p: Vec3<R>, curve: &Curve, t: R) -> R {
-    let (slope, bend) = (Vec3::given(t, curve.slope), Vec3::given(t, curve.bend));
+fn distance_squared_at<R: Real>(from_p: Vec3<R>, curve: &BezierCoefficients, t: R) -> R {
+    let (slope, bend) = (Vec3::uniform(t, curve.slope), Vec3::uniform(t, curve.bend));
     bend.mul_add(t, slope).mul_add(t, from_p).length_squared()
 }
 
 impl Primitive for BezierTube {
     const EXAMPLE: &str = r#"{ "a": [-1, -0.7, 0.2], "b": [0, 1.8, -0.5], "c": [0.9, -0.6, 0.3], "radius": 0.2 }"#;
 
-    const MORE: &[&str] = &[r#"{ "a": [-0.7, -0.8, 0], "b": [2, 0, 0], "c": [-0.7, 0.8, 0], "radius": 0.2 }"#];
+    const MORE_EXAMPLES: &[&str] = &[r#"{ "a": [-0.7, -0.8, 0], "b": [2, 0, 0], "c": [-0.7, 0.8, 0], "radius": 0.2 }"#];
 
     #[inline(always)]
     fn distance<R: Real>(&self, p: Vec3<R>) -> R {
-        let curve = self.ready();
-        let vertex = p.x.given(curve.vertex);
-        let from_p = Vec3::given(p.x, self.a.get()) - p;
+        let curve = self.derive();
+        let vertex = p.x.uniform(curve.vertex);
+        let from_p = Vec3::uniform(p.x, self.a.get()) - p;
         // The slope of half the squared distance, over the square of the curve's size.
         let [third, second, first] = curve.cubic;
-        let (third, second) = (p.x.given(third), p.x.given(second));
-        let first = from_p.dot_known(curve.bend_over_size) + p.x.given(first);
-        let constant = from_p.dot_known(curve.slope_over_size);
+        let (third, second) = (p.x.uniform(third), p.x.uniform(second));
+        let first = from_p.dot_uniform(curve.bend_over_size) + p.x.uniform(first);
+        let constant = from_p.dot_uniform(curve.slope_over_size);
         let cubic = Cubic { third, second, first, constant };
         let last = R::repeat(
             NEWTON_STEPS,
-            p.x.splat(1.0),
+            p.x.constant(1.0),
             #[inline(always)]
             |t| {
                 let (value, over_rise) = cubic.newton(t);
                 let next = (t - value.at_least(0.0) * over_rise).max(vertex);
-                ((t - next).above(LAST_STEP), next)
+                ((t - next).above(NEWTON_TOLERANCE), next)
             },
         );
         let first = R::repeat(
             NEWTON_STEPS,
-            p.x.splat(0.0),
+            p.x.constant(0.0),
             #[inline(always)]
             |t| {
                 let (value, over_rise) = cubic.newton(t);
                 let next = (t - value.at_most(0.0) * over_rise).min(vertex);
-                ((next - t).above(LAST_STEP), next)
+                ((next - t).above(NEWTON_TOLERANCE), next)
             },
         );
-        let nearest = square_to(from_p, curve, first).min(square_to(from_p, curve, last));
-        nearest.sqrt() - p.x.given(self.radius.get())
+        let nearest = distance_squared_at(from_p, curve, first).min(distance_squared_at(from_p, curve, last));
+        nearest.sqrt() - p.x.uniform(self.radius.get())
     }
 
     fn exactness(&self) -> Exactness {
         // Where a bend is sharper than the tube is thick, the inside is deeper than the formula's
         // value.
-        if self.ready().least_bend_radius() >= self.radius.get() { Exactness::Exact } else { Exactness::Bound }
+        if self.derive().least_bend_radius() >= self.radius.get() { Exactness::Exact } else { Exactness::Bound }
     }
 
-    fn bounds(&self, level: f32) -> Bounds {
+    fn bounds(&self, isolevel: f32) -> Bounds {
         let (a, c) = (self.a.get(), self.c.get());
-        let &Curve { slope, bend, .. } = self.ready();
+        let &BezierCoefficients { slope, bend, .. } = self.derive();
         // Along an axis, the curve is farthest where its derivative is 0.
         let furthest = |a: f32, slope: f32, bend: f32| {
             let t = if bend == 0.0 { 0.0 } else { (-slope / (2.0 * bend)).clamp(0.0, 1.0) };
             a + t * (slope + t * bend)
         };
         let turn = vec3(furthest(a.x, slope.x, bend.x), furthest(a.y, slope.y, bend.y), furthest(a.z, slope.z, bend.z));
-        let at = |corner: Vec3<f32>| Bounds { low: corner, high: corner };
-        at(a).hull(at(c)).hull(at(turn)).widened(self.radius.get() + level)
+        let at = |corner: Vec3<f32>| Bounds { min: corner, max: corner };
+        at(a).union(at(c)).union(at(turn)).expanded(self.radius.get() + isolevel)
     }
 }

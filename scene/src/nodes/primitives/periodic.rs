@@ -11,7 +11,7 @@ use std::f32::consts::{PI, TAU};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use super::super::{Exactness, NodeFault, Primitive};
+use super::super::{Exactness, NodeError, Primitive};
 use crate::bounds::Bounds;
 use crate::real::{Real, Vec3, vec3};
 use crate::seek::Seek;
@@ -59,20 +59,20 @@ pub struct Diamond {
 }
 
 /// The largest gradient of each f: √3.
-const STEEPEST: f32 = 1.732_050_8;
+const MAX_GRADIENT: f32 = 1.732_050_8;
 
 impl Primitive for Gyroid {
     const EXAMPLE: &str = r#"{ "cell": 1.2, "thickness": 0.08 }"#;
-    const MORE: &[&str] = &[r#"{ "cell": 1.6 }"#];
+    const MORE_EXAMPLES: &[&str] = &[r#"{ "cell": 1.6 }"#];
 
     #[inline(always)]
     fn distance<R: Real>(&self, p: Vec3<R>) -> R {
         // ∂f/∂x = cos x cos y − sin z sin x is the product of (cos x, −sin x) and (cos y, sin z): its
         // square is at most cos²y + sin²z. Likewise those of ∂f/∂y and ∂f/∂z are at most
         // cos²z + sin²x and cos²x + sin²y. The sum is 3.
-        let (sine, cosine) = waves(p, &self.cell);
+        let (sine, cosine) = cell_sin_cos(p, &self.cell);
         let f = sine.x.mul_add(cosine.y, sine.y.mul_add(cosine.z, sine.z * cosine.x));
-        wall(f, &self.cell, self.thickness.as_ref())
+        slab_around_zero(f, &self.cell, self.thickness.as_ref())
     }
 
     fn exactness(&self) -> Exactness {
@@ -80,24 +80,24 @@ impl Primitive for Gyroid {
     }
 
     fn bounds(&self, _: f32) -> Bounds {
-        Bounds::EVERYWHERE
+        Bounds::INFINITE
     }
 
-    fn fault(&self) -> Option<NodeFault> {
+    fn validate(&self) -> Option<NodeError> {
         // sin x cos y is at most (sin²x + cos²y)/2, so |f| is at most 3/2.
-        too_thick(&self.cell, self.thickness.as_ref(), 1.5)
+        thickness_error(&self.cell, self.thickness.as_ref(), 1.5)
     }
 }
 
 impl Primitive for SchwarzP {
     const EXAMPLE: &str = r#"{ "cell": 1.1, "thickness": 0.1 }"#;
-    const MORE: &[&str] = &[r#"{ "cell": 1.4 }"#];
+    const MORE_EXAMPLES: &[&str] = &[r#"{ "cell": 1.4 }"#];
 
     #[inline(always)]
     fn distance<R: Real>(&self, p: Vec3<R>) -> R {
         // The gradient (−sin x, −sin y, −sin z) has a square of 3 at most.
-        let (_, cosine) = waves(p, &self.cell);
-        wall(cosine.x + (cosine.y + cosine.z), &self.cell, self.thickness.as_ref())
+        let (_, cosine) = cell_sin_cos(p, &self.cell);
+        slab_around_zero(cosine.x + (cosine.y + cosine.z), &self.cell, self.thickness.as_ref())
     }
 
     fn exactness(&self) -> Exactness {
@@ -105,17 +105,17 @@ impl Primitive for SchwarzP {
     }
 
     fn bounds(&self, _: f32) -> Bounds {
-        Bounds::EVERYWHERE
+        Bounds::INFINITE
     }
 
-    fn fault(&self) -> Option<NodeFault> {
-        too_thick(&self.cell, self.thickness.as_ref(), 3.0)
+    fn validate(&self) -> Option<NodeError> {
+        thickness_error(&self.cell, self.thickness.as_ref(), 3.0)
     }
 }
 
 impl Primitive for Diamond {
     const EXAMPLE: &str = r#"{ "cell": 1.5, "thickness": 0.08 }"#;
-    const MORE: &[&str] = &[r#"{ "cell": 2 }"#];
+    const MORE_EXAMPLES: &[&str] = &[r#"{ "cell": 2 }"#];
 
     #[inline(always)]
     fn distance<R: Real>(&self, p: Vec3<R>) -> R {
@@ -124,11 +124,11 @@ impl Primitive for Diamond {
         // cosines and sines of 2x, 2y, 2z, then |∇f|² = (3 + 3·c₁c₂c₃ − (s₁s₂ + s₂s₃ + s₃s₁))/2.
         // As |c| ≤ 1, 3·c₁c₂c₃ ≤ 3·(c₁²c₂²c₃²)^⅓ ≤ Σc² by the means; and −(s₁s₂ + s₂s₃ + s₃s₁) =
         // (Σs² − (Σs)²)/2 ≤ Σs². Since c² + s² = 1, both together are at most 3, and |∇f|² is too.
-        let (sine, cosine) = waves(p, &self.cell);
+        let (sine, cosine) = cell_sin_cos(p, &self.cell);
         let of_difference = cosine.y.mul_add(cosine.z, sine.y * sine.z);
         let of_sum = sine.y.mul_add(cosine.z, cosine.y * sine.z);
         let f = sine.x.mul_add(of_difference, cosine.x * of_sum);
-        wall(f, &self.cell, self.thickness.as_ref())
+        slab_around_zero(f, &self.cell, self.thickness.as_ref())
     }
 
     fn exactness(&self) -> Exactness {
@@ -136,19 +136,19 @@ impl Primitive for Diamond {
     }
 
     fn bounds(&self, _: f32) -> Bounds {
-        Bounds::EVERYWHERE
+        Bounds::INFINITE
     }
 
-    fn fault(&self) -> Option<NodeFault> {
+    fn validate(&self) -> Option<NodeError> {
         // f² is at most cos²(y − z) + sin²(y + z) = 1 + sin 2y sin 2z.
-        too_thick(&self.cell, self.thickness.as_ref(), std::f32::consts::SQRT_2)
+        thickness_error(&self.cell, self.thickness.as_ref(), std::f32::consts::SQRT_2)
     }
 }
 
 /// Sines and cosines of a point's coordinates, which grow by 2π a cell.
 #[inline(always)]
-fn waves<R: Real>(p: Vec3<R>, cell: &Length) -> (Vec3<R>, Vec3<R>) {
-    let per_cell = p.x.given(1.0 / cell.get());
+fn cell_sin_cos<R: Real>(p: Vec3<R>, cell: &Length) -> (Vec3<R>, Vec3<R>) {
+    let per_cell = p.x.uniform(1.0 / cell.get());
     let (sine_x, cosine_x) = (p.x * per_cell).sin_cos_turns();
     let (sine_y, cosine_y) = (p.y * per_cell).sin_cos_turns();
     let (sine_z, cosine_z) = (p.z * per_cell).sin_cos_turns();
@@ -157,19 +157,19 @@ fn waves<R: Real>(p: Vec3<R>, cell: &Length) -> (Vec3<R>, Vec3<R>) {
 
 /// The bound from `f`: of the side where it is negative, or of a wall around its zero set.
 #[inline(always)]
-fn wall<R: Real>(f: R, cell: &Length, thickness: Option<&Length>) -> R {
-    let scale = f.given(cell.get() / (TAU * STEEPEST));
+fn slab_around_zero<R: Real>(f: R, cell: &Length, thickness: Option<&Length>) -> R {
+    let scale = f.uniform(cell.get() / (TAU * MAX_GRADIENT));
     match thickness {
-        Some(thickness) => f.abs().mul_add(scale, -f.given(thickness.get() * 0.5)),
+        Some(thickness) => f.abs().mul_add(scale, -f.uniform(thickness.get() * 0.5)),
         None => f * scale,
     }
 }
 
 /// Error for a wall that fills all of space, because |f| is nowhere above `greatest`.
-fn too_thick(cell: &Length, thickness: Option<&Length>, greatest: f32) -> Option<NodeFault> {
-    let most = cell.get() * greatest / (PI * STEEPEST);
+fn thickness_error(cell: &Length, thickness: Option<&Length>, greatest: f32) -> Option<NodeError> {
+    let most = cell.get() * greatest / (PI * MAX_GRADIENT);
     thickness.filter(|thickness| thickness.get() >= most).map(|_| {
-        NodeFault::new("thickness", format!("fills all of space: make thickness less than {most}, or cell larger"))
+        NodeError::new("thickness", format!("fills all of space: make thickness less than {most}, or cell larger"))
     })
 }
 
@@ -194,12 +194,12 @@ mod tests {
     fn walls_that_just_leave_room_are_open_somewhere() {
         let cell = Length::new(1.0).expect("a length");
         let room = |most: f32| Length::new(most * 0.999);
-        let most = 1.0 / (PI * STEEPEST);
+        let most = 1.0 / (PI * MAX_GRADIENT);
         let gyroid = Gyroid { cell: cell.clone(), thickness: room(1.5 * most) };
-        assert!(gyroid.fault().is_none() && gyroid.distance(vec3(0.125, 0.125, 0.125)) > 0.0);
+        assert!(gyroid.validate().is_none() && gyroid.distance(vec3(0.125, 0.125, 0.125)) > 0.0);
         let schwarz = SchwarzP { cell: cell.clone(), thickness: room(3.0 * most) };
-        assert!(schwarz.fault().is_none() && schwarz.distance(vec3(0.0, 0.0, 0.0)) > 0.0);
+        assert!(schwarz.validate().is_none() && schwarz.distance(vec3(0.0, 0.0, 0.0)) > 0.0);
         let diamond = Diamond { cell, thickness: room(std::f32::consts::SQRT_2 * most) };
-        assert!(diamond.fault().is_none() && diamond.distance(vec3(0.125, 0.125, 0.125)) > 0.0);
+        assert!(diamond.validate().is_none() && diamond.distance(vec3(0.125, 0.125, 0.125)) > 0.0);
     }
 }

@@ -52,7 +52,7 @@ pub struct Icosahedron {
 }
 
 /// The golden ratio φ = (1 + √5)/2.
-const GOLDEN: f32 = 1.618_034;
+const GOLDEN_RATIO: f32 = 1.618_034;
 /// √½.
 const ROOT_OF_HALF: f32 = 0.707_106_77;
 /// √⅓.
@@ -69,15 +69,15 @@ impl Primitive for Tetrahedron {
         const HALF_EDGE: f32 = 0.816_496_6;
         let p = fold_tetrahedron(p);
         let radius = self.radius.get();
-        let before = -p.y - p.x.given(radius / 3.0);
-        let past_edge = p.z - p.x.given(radius * TO_EDGE);
-        beside_edge(before, past_edge, p.x - p.x.given(radius * HALF_EDGE))
+        let before = -p.y - p.x.uniform(radius / 3.0);
+        let past_edge = p.z - p.x.uniform(radius * TO_EDGE);
+        distance_to_edge(before, past_edge, p.x - p.x.uniform(radius * HALF_EDGE))
     }
 
-    fn bounds(&self, level: f32) -> Bounds {
+    fn bounds(&self, isolevel: f32) -> Bounds {
         // The base's corners are 2√2/3 of the radius from the axis.
         let (radius, across) = (self.radius.get(), self.radius.get() * 0.942_809_1);
-        Bounds { low: vec3(-across, -radius / 3.0, -across), high: vec3(across, radius, across) }.widened(level)
+        Bounds { min: vec3(-across, -radius / 3.0, -across), max: vec3(across, radius, across) }.expanded(isolevel)
     }
 }
 
@@ -90,17 +90,17 @@ impl Primitive for Octahedron {
         let least = x.min(y).min(z);
         let most = x.max(y).max(z);
         let middle = x.min(y).max(x.max(y).min(z));
-        let radius = p.x.given(self.radius.get());
+        let radius = p.x.uniform(self.radius.get());
         // The nearest edge joins the corners of the two greater coordinates.
         let over = middle + (most - radius);
         let past_edge = (over - least * 2.0) * (ROOT_OF_HALF * ROOT_OF_THIRD);
         let past_end = ((most - middle) - radius) * ROOT_OF_HALF;
-        beside_edge((over + least) * ROOT_OF_THIRD, past_edge, past_end)
+        distance_to_edge((over + least) * ROOT_OF_THIRD, past_edge, past_end)
     }
 
-    fn bounds(&self, level: f32) -> Bounds {
+    fn bounds(&self, isolevel: f32) -> Bounds {
         let radius = self.radius.get();
-        Bounds::symmetric(radius, radius, radius).widened(level)
+        Bounds::symmetric(radius, radius, radius).expanded(isolevel)
     }
 }
 
@@ -115,14 +115,14 @@ impl Primitive for Dodecahedron {
         const NORMAL: (f32, f32) = (0.525_731_1, 0.850_650_8);
         let p = fold_icosahedron(p);
         let radius = self.radius.get();
-        let from_edge = p.z - p.x.given(radius * TO_EDGE);
-        beside_face(NORMAL, p.y, from_edge, p.x - p.x.given(radius * HALF_EDGE))
+        let from_edge = p.z - p.x.uniform(radius * TO_EDGE);
+        distance_to_face(NORMAL, p.y, from_edge, p.x - p.x.uniform(radius * HALF_EDGE))
     }
 
-    fn bounds(&self, level: f32) -> Bounds {
+    fn bounds(&self, isolevel: f32) -> Bounds {
         // The middles of edges on the axes are as far out as any corner's coordinate.
         let reach = self.radius.get() * 0.934_172_4;
-        Bounds::symmetric(reach, reach, reach).widened(level)
+        Bounds::symmetric(reach, reach, reach).expanded(isolevel)
     }
 }
 
@@ -137,30 +137,30 @@ impl Primitive for Icosahedron {
         const NORMAL: (f32, f32) = (0.356_822_1, 0.934_172_4);
         let p = fold_icosahedron(p);
         let radius = self.radius.get();
-        let from_edge = p.z - p.x.given(radius * TO_EDGE);
-        beside_face(NORMAL, p.x, from_edge, p.y - p.x.given(radius * HALF_EDGE))
+        let from_edge = p.z - p.x.uniform(radius * TO_EDGE);
+        distance_to_face(NORMAL, p.x, from_edge, p.y - p.x.uniform(radius * HALF_EDGE))
     }
 
-    fn bounds(&self, level: f32) -> Bounds {
+    fn bounds(&self, isolevel: f32) -> Bounds {
         // The middles of edges on the axes are as far out as any corner's coordinate.
         let reach = self.radius.get() * 0.850_650_8;
-        Bounds::symmetric(reach, reach, reach).widened(level)
+        Bounds::symmetric(reach, reach, reach).expanded(isolevel)
     }
 }
 
 /// Distance to a face, given the point's offset from the middle of the face's edge: `across` and `up`, in
 /// which `normal` is the face's normal; `past_end` is how far it is beyond the edge's end.
 #[inline(always)]
-fn beside_face<R: Real>(normal: (f32, f32), across: R, up: R, past_end: R) -> R {
-    let (normal_across, normal_up) = (up.splat(normal.0), up.splat(normal.1));
+fn distance_to_face<R: Real>(normal: (f32, f32), across: R, up: R, past_end: R) -> R {
+    let (normal_across, normal_up) = (up.constant(normal.0), up.constant(normal.1));
     let before = across.mul_add(normal_across, up * normal_up);
     let past_edge = up.mul_add(normal_across, -(across * normal_up));
-    beside_edge(before, past_edge, past_end)
+    distance_to_edge(before, past_edge, past_end)
 }
 
 /// Distance to a face: `before` its plane if the point projects into it, else to its edge or corner.
 #[inline(always)]
-fn beside_edge<R: Real>(before: R, past_edge: R, past_end: R) -> R {
+fn distance_to_edge<R: Real>(before: R, past_edge: R, past_end: R) -> R {
     let to_edge = before.square_add(past_edge.square_add(past_end.at_least(0.0).square())).sqrt();
     R::select(past_edge.above(0.0), to_edge, before)
 }
@@ -169,8 +169,8 @@ fn beside_edge<R: Real>(before: R, past_edge: R, past_end: R) -> R {
 #[inline(always)]
 fn mirror<R: Real>(p: (R, R), normal: (f32, f32)) -> (R, R) {
     let (a, b) = p;
-    let behind = a.mul_add(a.splat(normal.0), b * normal.1).at_most(0.0);
-    (behind.mul_add(a.splat(-2.0 * normal.0), a), behind.mul_add(a.splat(-2.0 * normal.1), b))
+    let behind = a.mul_add(a.constant(normal.0), b * normal.1).at_most(0.0);
+    (behind.mul_add(a.constant(-2.0 * normal.0), a), behind.mul_add(a.constant(-2.0 * normal.1), b))
 }
 
 /// Folds space into the wedge of the bottom face, with its edge across +z, and the end of that edge at +x.
@@ -189,7 +189,7 @@ fn fold_tetrahedron<R: Real>(p: Vec3<R>) -> Vec3<R> {
 /// Folds space into the wedge between (0, 0, 1), (0, 1, φ) and (1, 0, φ²).
 #[inline(always)]
 fn fold_icosahedron<R: Real>(p: Vec3<R>) -> Vec3<R> {
-    p.x.shared(
+    p.x.call(
         "fold_icosahedron",
         p,
         #[inline(always)]
@@ -205,15 +205,15 @@ fn fold_icosahedron<R: Real>(p: Vec3<R>) -> Vec3<R> {
 
 #[inline(always)]
 fn mirror_icosahedron<R: Real>(p: Vec3<R>) -> Vec3<R> {
-    const NORMAL: Vec3<f32> = vec3(-0.5 * GOLDEN, -0.5, 0.5 / GOLDEN);
+    const NORMAL: Vec3<f32> = vec3(-0.5 * GOLDEN_RATIO, -0.5, 0.5 / GOLDEN_RATIO);
     let like = p.x;
-    let twice =
-        like.mul_add(like.splat(-2.0 * NORMAL.x), p.y.mul_add(like.splat(-2.0 * NORMAL.y), p.z * (-2.0 * NORMAL.z)));
+    let twice = like
+        .mul_add(like.constant(-2.0 * NORMAL.x), p.y.mul_add(like.constant(-2.0 * NORMAL.y), p.z * (-2.0 * NORMAL.z)));
     let behind = twice.at_least(0.0);
     vec3(
-        behind.mul_add(like.splat(NORMAL.x), p.x),
-        behind.mul_add(like.splat(NORMAL.y), p.y),
-        behind.mul_add(like.splat(NORMAL.z), p.z),
+        behind.mul_add(like.constant(NORMAL.x), p.x),
+        behind.mul_add(like.constant(NORMAL.y), p.y),
+        behind.mul_add(like.constant(NORMAL.z), p.z),
     )
 }
 
@@ -232,7 +232,7 @@ mod tests {
             let p = turned(step);
             let folded = fold_icosahedron(p);
             assert!((folded.length() - p.length()).abs() < 2e-6, "{p:?} to {folded:?}");
-            let beside = folded.z - GOLDEN * (GOLDEN * folded.x + folded.y);
+            let beside = folded.z - GOLDEN_RATIO * (GOLDEN_RATIO * folded.x + folded.y);
             assert!(folded.x.min(folded.y).min(beside) > -4e-6, "{p:?} to {folded:?}");
             let folded = fold_tetrahedron(p);
             assert!((folded.length() - p.length()).abs() < 2e-6, "{p:?} to {folded:?}");
@@ -246,7 +246,7 @@ mod tests {
         let radius = || Length::new(1.0).expect("a length");
         let (icosahedron, dodecahedron) = (Icosahedron { radius: radius() }, Dodecahedron { radius: radius() });
         let tetrahedron = Tetrahedron { radius: radius() };
-        for (x, y, z) in [(0.0, 1.0, GOLDEN), (1.0, -GOLDEN, 0.0), (-GOLDEN, 0.0, 1.0)] {
+        for (x, y, z) in [(0.0, 1.0, GOLDEN_RATIO), (1.0, -GOLDEN_RATIO, 0.0), (-GOLDEN_RATIO, 0.0, 1.0)] {
             let axis = vec3(x, y, z).normalize();
             assert!((icosahedron.distance(axis + axis) - 1.0).abs() < 1e-6);
             // The inscribed ball of a dodecahedron has √((5 + 2√5)/15) of the radius.

@@ -3,35 +3,35 @@
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use super::{length_of, swallowed_hole};
+use super::{closed_hole_error, hypot};
 use crate::bounds::Bounds;
-use crate::nodes::{Exactness, NodeFault, Prepare, Prepared, Primitive};
+use crate::nodes::{Exactness, NodeError, Precompute, Precomputed, Primitive};
 use crate::real::{Real, Vec3, vec3};
 use crate::seek::Seek;
-use crate::values::{Amount, ArcLength, Length, sin_cos_degrees};
+use crate::values::{ArcAngle, Length, LengthOrZero, sin_cos_degrees};
 
 /// A part of a ring around the y axis, with round ends. The middle of its arc is at +z.
 ///
 /// Inigo Quilez, "Distance functions": <https://iquilezles.org/articles/distfunctions/>.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
 #[serde(rename = "CappedTorus", deny_unknown_fields)]
-pub struct GivenCappedTorus {
+pub struct CappedTorusParams {
     /// Radius of the circle in the middle of the tube.
     pub radius: Length,
     /// Radius of the tube.
     pub tube: Length,
     /// The whole arc, from end to end.
-    pub degrees: ArcLength,
+    pub degrees: ArcAngle,
 }
 
-/// `GivenCappedTorus` with its derived values.
-pub type CappedTorus = Prepared<GivenCappedTorus>;
+/// `CappedTorusParams` with its derived values.
+pub type CappedTorus = Precomputed<CappedTorusParams>;
 
-impl Prepare for GivenCappedTorus {
+impl Precompute for CappedTorusParams {
     /// End of the arc at x above 0: its x and z.
-    type Ready = (f32, f32);
+    type Derived = (f32, f32);
 
-    fn ready(&self) -> (f32, f32) {
+    fn derive(&self) -> (f32, f32) {
         let (sine, cosine) = sin_cos_degrees(self.degrees.get() / 2.0);
         (sine * self.radius.get(), cosine * self.radius.get())
     }
@@ -40,7 +40,7 @@ impl Prepare for GivenCappedTorus {
 impl Primitive for CappedTorus {
     const EXAMPLE: &str = r#"{ "radius": 0.85, "tube": 0.22, "degrees": 250 }"#;
 
-    const MORE: &[&str] = &[
+    const MORE_EXAMPLES: &[&str] = &[
         r#"{ "radius": 0.9, "tube": 0.15, "degrees": 100 }"#,
         r#"{ "radius": 0.8, "tube": 0.3, "degrees": 345 }"#,
         r#"{ "radius": 0.8, "tube": 0.2, "degrees": 360 }"#,
@@ -48,32 +48,32 @@ impl Primitive for CappedTorus {
 
     #[inline(always)]
     fn distance<R: Real>(&self, p: Vec3<R>) -> R {
-        let (end_x, end_z) = *self.ready();
-        let (end_x, end_z) = (p.x.given(end_x), p.x.given(end_z));
+        let (end_x, end_z) = *self.derive();
+        let (end_x, end_z) = (p.x.uniform(end_x), p.x.uniform(end_z));
         let x = p.x.abs();
         let past_end = (p.z * end_x).lt(x * end_z);
-        let off_circle = length_of(x, p.z) - p.x.given(self.radius.get());
+        let off_circle = hypot(x, p.z) - p.x.uniform(self.radius.get());
         let to_end = (x - end_x).square_add((p.z - end_z).square());
         let in_plane = R::select(past_end, to_end, off_circle.square());
-        p.y.square_add(in_plane).sqrt() - p.x.given(self.tube.get())
+        p.y.square_add(in_plane).sqrt() - p.x.uniform(self.tube.get())
     }
 
     fn exactness(&self) -> Exactness {
         // Where the two ends have grown together, the inside is deeper than the formula's value.
-        let (end_x, end_z) = *self.ready();
+        let (end_x, end_z) = *self.derive();
         let apart = end_z >= 0.0 || end_x >= self.tube.get() || self.degrees.get() == 360.0;
         if apart { Exactness::Exact } else { Exactness::Bound }
     }
 
-    fn fault(&self) -> Option<NodeFault> {
-        swallowed_hole("tube", self.tube.get(), "radius", self.radius.get())
+    fn validate(&self) -> Option<NodeError> {
+        closed_hole_error("tube", self.tube.get(), "radius", self.radius.get())
     }
 
-    fn bounds(&self, level: f32) -> Bounds {
+    fn bounds(&self, isolevel: f32) -> Bounds {
         let radius = self.radius.get();
-        let (end_x, end_z) = *self.ready();
+        let (end_x, end_z) = *self.derive();
         let across = if end_z < 0.0 { radius } else { end_x };
-        Bounds { low: vec3(-across, 0.0, end_z), high: vec3(across, 0.0, radius) }.widened(self.tube.get() + level)
+        Bounds { min: vec3(-across, 0.0, end_z), max: vec3(across, 0.0, radius) }.expanded(self.tube.get() + isolevel)
     }
 }
 
@@ -103,16 +103,16 @@ impl Primitive for Link {
 
     #[inline(always)]
     fn distance<R: Real>(&self, p: Vec3<R>) -> R {
-        let past_side = (p.y.abs() - p.x.given(self.half_side())).at_least(0.0);
-        let off_line = length_of(p.x, past_side) - p.x.given(self.radius.get());
-        length_of(off_line, p.z) - p.x.given(self.tube.get())
+        let past_side = (p.y.abs() - p.x.uniform(self.half_side())).at_least(0.0);
+        let off_line = hypot(p.x, past_side) - p.x.uniform(self.radius.get());
+        hypot(off_line, p.z) - p.x.uniform(self.tube.get())
     }
 
-    fn fault(&self) -> Option<NodeFault> {
+    fn validate(&self) -> Option<NodeError> {
         let least = 2.0 * (self.radius.get() + self.tube.get());
-        swallowed_hole("tube", self.tube.get(), "radius", self.radius.get()).or_else(|| {
+        closed_hole_error("tube", self.tube.get(), "radius", self.radius.get()).or_else(|| {
             (self.height.get() < least).then(|| {
-                NodeFault::new(
+                NodeError::new(
                     "height",
                     format!("must leave room for two bends of radius and tube: make height {least} or more"),
                 )
@@ -120,9 +120,9 @@ impl Primitive for Link {
         })
     }
 
-    fn bounds(&self, level: f32) -> Bounds {
+    fn bounds(&self, isolevel: f32) -> Bounds {
         let (radius, tube) = (self.radius.get(), self.tube.get());
-        Bounds::symmetric(radius + tube, self.half_side() + radius + tube, tube).widened(level)
+        Bounds::symmetric(radius + tube, self.half_side() + radius + tube, tube).expanded(isolevel)
     }
 }
 
@@ -132,27 +132,27 @@ impl Primitive for Link {
 /// Inigo Quilez, "Distance functions": <https://iquilezles.org/articles/distfunctions/>.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
 #[serde(rename = "Horseshoe", deny_unknown_fields)]
-pub struct GivenHorseshoe {
+pub struct HorseshoeParams {
     /// Radius of the arc, to the middle of the band.
     pub radius: Length,
     /// The whole arc, from leg to leg.
-    pub degrees: ArcLength,
+    pub degrees: ArcAngle,
     /// Length of the straight legs, to the middle of their round ends.
-    pub leg: Amount,
+    pub leg: LengthOrZero,
     /// Whole width of the band, across its way.
     pub width: Length,
     /// Whole extent along z.
     pub thickness: Length,
 }
 
-/// `GivenHorseshoe` with its derived values.
-pub type Horseshoe = Prepared<GivenHorseshoe>;
+/// `HorseshoeParams` with its derived values.
+pub type Horseshoe = Precomputed<HorseshoeParams>;
 
-impl Prepare for GivenHorseshoe {
-    type Ready = Band;
+impl Precompute for HorseshoeParams {
+    type Derived = Ribbon;
 
-    fn ready(&self) -> Band {
-        Band {
+    fn derive(&self) -> Ribbon {
+        Ribbon {
             radius: self.radius.get(),
             turn: sin_cos_degrees(self.degrees.get() / 2.0),
             leg: self.leg.get(),
@@ -165,22 +165,22 @@ impl Prepare for GivenHorseshoe {
 impl Primitive for Horseshoe {
     const EXAMPLE: &str = r#"{ "radius": 0.7, "degrees": 230, "leg": 0.35, "width": 0.3, "thickness": 0.25 }"#;
 
-    const MORE: &[&str] = &[
+    const MORE_EXAMPLES: &[&str] = &[
         r#"{ "radius": 0.9, "degrees": 80, "leg": 0.4, "width": 0.2, "thickness": 0.6 }"#,
         r#"{ "radius": 0.9, "degrees": 300, "leg": 0, "width": 0.3, "thickness": 0.1 }"#,
     ];
 
     #[inline(always)]
     fn distance<R: Real>(&self, p: Vec3<R>) -> R {
-        self.ready().distance(p)
+        self.derive().distance(p)
     }
 
-    fn fault(&self) -> Option<NodeFault> {
-        self.ready().fault()
+    fn validate(&self) -> Option<NodeError> {
+        self.derive().fault()
     }
 
-    fn bounds(&self, level: f32) -> Bounds {
-        self.ready().bounds(level)
+    fn bounds(&self, isolevel: f32) -> Bounds {
+        self.derive().bounds(isolevel)
     }
 }
 
@@ -193,7 +193,7 @@ pub struct U {
     /// Radius of the bend, to the middle of the band.
     pub radius: Length,
     /// Length of the straight legs, to the middle of their round ends.
-    pub leg: Amount,
+    pub leg: LengthOrZero,
     /// Whole width of the band, across its way.
     pub width: Length,
     /// Whole extent along z.
@@ -208,18 +208,18 @@ impl Primitive for U {
         self.band().distance(p)
     }
 
-    fn fault(&self) -> Option<NodeFault> {
+    fn validate(&self) -> Option<NodeError> {
         self.band().fault()
     }
 
-    fn bounds(&self, level: f32) -> Bounds {
-        self.band().bounds(level)
+    fn bounds(&self, isolevel: f32) -> Bounds {
+        self.band().bounds(isolevel)
     }
 }
 
 impl U {
-    fn band(&self) -> Band {
-        Band {
+    fn band(&self) -> Ribbon {
+        Ribbon {
             radius: self.radius.get(),
             turn: (1.0, 0.0),
             leg: self.leg.get(),
@@ -231,7 +231,7 @@ impl U {
 
 /// A bent band: what [`Horseshoe`] and [`U`] are.
 #[derive(Clone, Debug)]
-pub struct Band {
+pub struct Ribbon {
     radius: f32,
     /// Sine and cosine of half the arc.
     turn: (f32, f32),
@@ -240,7 +240,7 @@ pub struct Band {
     thickness: f32,
 }
 
-impl Band {
+impl Ribbon {
     /// End of a leg at x above 0: its x and y.
     fn end(&self) -> (f32, f32) {
         let (sine, cosine) = self.turn;
@@ -249,37 +249,37 @@ impl Band {
 
     #[inline(always)]
     fn distance<R: Real>(&self, p: Vec3<R>) -> R {
-        let (sine, cosine) = (p.x.given(self.turn.0), p.x.given(self.turn.1));
-        let (radius, x) = (p.x.given(self.radius), p.x.abs());
+        let (sine, cosine) = (p.x.uniform(self.turn.0), p.x.uniform(self.turn.1));
+        let (radius, x) = (p.x.uniform(self.radius), p.x.abs());
         // Along a leg, from the end of the arc, and away from the origin.
         let along = x.mul_add(cosine, p.y * sine);
         let out = x.mul_add(sine, -(p.y * cosine));
         let on_leg = along.above(0.0);
-        let past_end = (along - p.x.given(self.leg)).at_least(0.0);
+        let past_end = (along - p.x.uniform(self.leg)).at_least(0.0);
         let to_leg = past_end.square_add((out - radius).square());
         let to_center = x.square_add(p.y.square());
         let length = R::select(on_leg, to_leg, to_center).sqrt();
-        let to_line = (length - R::select(on_leg, p.x.splat(0.0), radius)).abs();
-        let past_side = to_line - p.x.given(self.width / 2.0);
-        let past_face = p.z.abs() - p.x.given(self.thickness / 2.0);
-        length_of(past_side.at_least(0.0), past_face.at_least(0.0)) + past_side.max(past_face).at_most(0.0)
+        let to_line = (length - R::select(on_leg, p.x.constant(0.0), radius)).abs();
+        let past_side = to_line - p.x.uniform(self.width / 2.0);
+        let past_face = p.z.abs() - p.x.uniform(self.thickness / 2.0);
+        hypot(past_side.at_least(0.0), past_face.at_least(0.0)) + past_side.max(past_face).at_most(0.0)
     }
 
-    fn fault(&self) -> Option<NodeFault> {
+    fn fault(&self) -> Option<NodeError> {
         let meets = self.turn.1 < 0.0 && self.end().0 < self.width / 2.0;
-        swallowed_hole("width", self.width, "twice the radius", 2.0 * self.radius).or_else(|| {
+        closed_hole_error("width", self.width, "twice the radius", 2.0 * self.radius).or_else(|| {
             meets.then(|| {
-                NodeFault::new("leg", "runs into the other one: make degrees, leg or width less, or radius larger")
+                NodeError::new("leg", "runs into the other one: make degrees, leg or width less, or radius larger")
             })
         })
     }
 
-    fn bounds(&self, level: f32) -> Bounds {
+    fn bounds(&self, isolevel: f32) -> Bounds {
         let (end_x, end_y) = self.end();
         let arc_x = if self.turn.1 < 0.0 { self.radius } else { self.radius * self.turn.0 };
         let across = arc_x.max(end_x) + self.width / 2.0;
         let (low, high) = (-self.radius - self.width / 2.0, end_y.max(-self.radius * self.turn.1) + self.width / 2.0);
         let half = self.thickness / 2.0;
-        Bounds { low: vec3(-across, low, -half), high: vec3(across, high, half) }.widened(level)
+        Bounds { min: vec3(-across, low, -half), max: vec3(across, high, half) }.expanded(isolevel)
     }
 }

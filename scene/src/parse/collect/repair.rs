@@ -1,7 +1,7 @@
 //! Something valid in the place of what is wrong, as near to the fault as it will do.
 
-use super::{Collector, Part, steps};
-use crate::parse::form::{FormFault, FormFaultKind};
+use super::{Collector, DocumentPart, steps};
+use crate::parse::form::{FormError, FormErrorKind};
 use crate::parse::stand_ins::VALUES;
 use crate::parse::tree::{Body, Member, Value};
 
@@ -10,21 +10,21 @@ const ORDERED: [&str; 2] = ["keys", "ramp"];
 
 impl Collector<'_> {
     /// Tells a fault of a part, and mends the part so that it has another fault, or none.
-    pub(super) fn repair(&mut self, part: Part, place: &[usize], fault: &FormFault) {
+    pub(super) fn repair(&mut self, part: DocumentPart, place: &[usize], fault: &FormError) {
         let fault_steps = steps(&fault.pointer);
         let value = self.root.at(place);
         let (below, _) = value.map(|value| value.path_of(&fault_steps)).unwrap_or_default();
         let mut target = [place, &below].concat();
         let is_known = match &fault.kind {
-            FormFaultKind::MissingKey(key) => self.removed(&target, key).is_some() || self.may_be_misnamed(&target),
-            FormFaultKind::UnknownKey(_) | FormFaultKind::UnknownName(_) | FormFaultKind::Value => false,
+            FormErrorKind::MissingKey(key) => self.removed(&target, key).is_some() || self.may_be_misnamed(&target),
+            FormErrorKind::UnknownKey(_) | FormErrorKind::UnknownName(_) | FormErrorKind::Value => false,
         };
         let is_theirs = self.root.at(&target).is_some_and(|value| !matches!(value.body, Body::StandIn(_)));
         if !is_known && (is_theirs || fault.is_key) {
             self.tell(&target, fault);
         }
         let is_mended = match &fault.kind {
-            FormFaultKind::UnknownKey(meant) => {
+            FormErrorKind::UnknownKey(meant) => {
                 if self.rename(part, place, &target, meant.as_deref()) {
                     self.note_repair(&target);
                 } else {
@@ -32,17 +32,17 @@ impl Collector<'_> {
                 }
                 true
             }
-            FormFaultKind::UnknownName(meant) if fault.is_key => {
+            FormErrorKind::UnknownName(meant) if fault.is_key => {
                 let is_renamed = self.rename(part, place, &target, meant.as_deref());
                 if !is_renamed && target.len() > place.len() {
                     target.pop();
                 }
                 is_renamed
             }
-            FormFaultKind::MissingKey(key) => self.add(part, place, &target, key),
-            FormFaultKind::UnknownName(_) | FormFaultKind::Value => false,
+            FormErrorKind::MissingKey(key) => self.add(part, place, &target, key),
+            FormErrorKind::UnknownName(_) | FormErrorKind::Value => false,
         };
-        if is_mended || !self.goes_on() {
+        if is_mended || !self.can_continue() {
             return;
         }
         self.leave_ordered_list(place, &mut target);
@@ -71,7 +71,7 @@ impl Collector<'_> {
     }
 
     /// Reads a key as the one that was meant, if its object lacks that; its value may be replaced too.
-    fn rename(&mut self, part: Part, place: &[usize], target: &[usize], meant: Option<&str>) -> bool {
+    fn rename(&mut self, part: DocumentPart, place: &[usize], target: &[usize], meant: Option<&str>) -> bool {
         let Some(meant) = meant else { return false };
         let Some((_, parent)) = target.split_last() else { return false };
         let Some(object) = self.root.at(parent) else { return false };
@@ -113,7 +113,7 @@ impl Collector<'_> {
     }
 
     /// Gives an object a key that it lacks.
-    fn add(&mut self, part: Part, place: &[usize], target: &[usize], key: &str) -> bool {
+    fn add(&mut self, part: DocumentPart, place: &[usize], target: &[usize], key: &str) -> bool {
         if let Some(removed) = self.removed(target, key) {
             if let Some(member) = self.root.member_at_mut(&removed) {
                 member.is_removed = false;
@@ -135,7 +135,7 @@ impl Collector<'_> {
     }
 
     /// Leaves a value out, or puts something valid in its place; whether that helped.
-    fn replace(&mut self, part: Part, place: &[usize], target: &[usize], fault: &FormFault) -> bool {
+    fn replace(&mut self, part: DocumentPart, place: &[usize], target: &[usize], fault: &FormError) -> bool {
         if target.len() > place.len()
             && let Some(member) = self.root.member_at_mut(target)
         {
@@ -151,12 +151,18 @@ impl Collector<'_> {
         self.replace_value(part, place, target, Some(fault))
     }
 
-    fn replace_value(&mut self, part: Part, place: &[usize], target: &[usize], fault: Option<&FormFault>) -> bool {
+    fn replace_value(
+        &mut self,
+        part: DocumentPart,
+        place: &[usize],
+        target: &[usize],
+        fault: Option<&FormError>,
+    ) -> bool {
         let Some(value) = self.root.at_mut(target) else { return false };
         let before = std::mem::replace(&mut value.body, Body::StandIn(String::new()));
         let known = fault.and_then(|fault| first_choice(&fault.message));
         for json in known.iter().map(String::as_str).chain(VALUES) {
-            if !self.goes_on() {
+            if !self.can_continue() {
                 break;
             }
             if let Some(value) = self.root.at_mut(target) {
@@ -184,7 +190,7 @@ impl Collector<'_> {
         self.repaired.push(self.root.pointer(target, true));
     }
 
-    fn is_mended(&mut self, part: Part, place: &[usize], target: &[usize], fault: Option<&FormFault>) -> bool {
+    fn is_mended(&mut self, part: DocumentPart, place: &[usize], target: &[usize], fault: Option<&FormError>) -> bool {
         match self.read(part, place) {
             Ok(()) => true,
             Err(next) => self.is_beside(place, target, &next, fault),
@@ -192,14 +198,14 @@ impl Collector<'_> {
     }
 
     /// Whether a fault that remains has nothing to do with what was done at `target`.
-    fn is_beside(&self, place: &[usize], target: &[usize], next: &FormFault, fault: Option<&FormFault>) -> bool {
+    fn is_beside(&self, place: &[usize], target: &[usize], next: &FormError, fault: Option<&FormError>) -> bool {
         if fault.is_some_and(|fault| fault.pointer == next.pointer && fault.message == next.message) {
             return false;
         }
         let (whole, part) = (self.root.pointer(target, true), self.root.pointer(place, true));
         let done = steps(&whole).split_off(steps(&part).len());
         let mut wrong = steps(&next.pointer);
-        if let FormFaultKind::MissingKey(key) = &next.kind {
+        if let FormErrorKind::MissingKey(key) = &next.kind {
             wrong.push(key.clone());
             return !wrong.starts_with(&done);
         }

@@ -2,7 +2,7 @@
 
 use scene::backgrounds::Backdrop;
 use scene::real::Vec3;
-use scene::{Job, Program};
+use scene::{Integrator, Job};
 
 /// Two walls and a floor that meet at the origin, seen along (−1, −1, −1); `planes` of them.
 fn corner(planes: &str, camera: &str, rest: &str) -> Job {
@@ -26,7 +26,7 @@ fn plane(normal: &str) -> String {
 /// The red of some pixels.
 fn reds(job: &Job, pixels: &[(f32, f32)]) -> Vec<f32> {
     let still = job.at(0).expect("a first frame");
-    let program = Program::new(&still);
+    let program = Integrator::new(&still);
     pixels.iter().map(|&(x, y)| program.pixel(x, y).color.x).collect()
 }
 
@@ -66,11 +66,11 @@ fn a_normal_near_an_edge_is_that_of_its_face() {
             "objects": [{ "shape": { "box": { "size": [1, 1, 1] } } }] },
         "image": { "width": 256, "height": 256, "samples": 1 } }"#);
     let still = job.at(0).expect("a first frame");
-    let program = Program::new(&still);
+    let program = Integrator::new(&still);
     let (mut hits, mut blended) = (0, 0);
     for y in 0..256_u16 {
         for x in 0..256_u16 {
-            let met = program.layers(f32::from(x), f32::from(y));
+            let met = program.aovs(f32::from(x), f32::from(y));
             let Vec3 { x: a, y: b, z: c } = met.normal;
             let greatest = a.max(b).max(c);
             hits += u32::from(greatest > 0.0);
@@ -89,10 +89,10 @@ fn rays_beyond_a_horizon_miss_and_no_normal_is_turned_over() {
             "march": { "max_distance": 100000, "max_steps": 4096 } },
         "image": { "width": 64, "height": 400, "samples": 1 } }"#);
     let still = job.at(0).expect("a first frame");
-    let program = Program::new(&still);
+    let program = Integrator::new(&still);
     let view = still.scene().camera.view(64, 400);
     for y in 0..400_u16 {
-        let met = program.layers(31.0, f32::from(y));
+        let met = program.aovs(31.0, f32::from(y));
         let down = f64::from(view.ray(31.5_f32, f32::from(y) + 0.5).direction.y);
         let want = if down < 0.0 { -1.0 / down } else { f64::INFINITY };
         if want > 5e4 {
@@ -106,20 +106,20 @@ fn rays_beyond_a_horizon_miss_and_no_normal_is_turned_over() {
 }
 
 #[test]
-fn fog_without_a_colour_has_the_horizons_below_the_horizon() {
+fn fog_without_a_color_has_the_horizons_below_the_horizon() {
     let job = job(r#"{ "scene": { "camera": { "position": [0, 2, 0], "look_at": [0, 1, -5] },
             "background": { "day": { "sun": [0.3, 0.6, -0.4], "ground": [0.4, 0.2, 0.05] } },
             "fog": { "density": 2 },
             "objects": [{ "shape": { "plane": { "normal": [0, 1, 0], "offset": 0 } } }] },
         "image": { "width": 9, "height": 65, "samples": 1 } }"#);
     let still = job.at(0).expect("a first frame");
-    let program = Program::new(&still);
+    let program = Integrator::new(&still);
     let view = still.scene().camera.view(9, 65);
     for y in [40.0, 50.0, 60.0_f32] {
         let Vec3 { x, z, .. } = view.ray(4.5, y + 0.5).direction;
         let level = 1.0 / (x * x + z * z).sqrt();
         let horizon = scene::real::vec3(x * level, 0.0, z * level);
-        let want = still.scene().background.toward(horizon);
+        let want = still.scene().background.radiance(horizon);
         let got = program.pixel(4.0, y).color;
         assert!((got - want).length() < 0.02 * want.length(), "row {y}: {got:?} for {want:?}");
     }

@@ -4,7 +4,7 @@
 use std::path::{Path, PathBuf};
 
 use scene::real::{Vec3, vec3};
-use scene::{Program, parse};
+use scene::{Integrator, parse};
 
 use super::double::Double;
 
@@ -25,7 +25,7 @@ const STEPS: u32 = 60_000;
 
 /// A scene's distance along a ray, in double precision.
 struct Witness<'a> {
-    program: &'a Program<'a>,
+    program: &'a Integrator<'a>,
     origin: Vec3<Double>,
     direction: Vec3<Double>,
 }
@@ -89,7 +89,7 @@ fn measure(path: &Path) -> (usize, usize, usize, String) {
     let text = std::fs::read(path).expect("a scene");
     let job = parse(&text).unwrap_or_else(|fault| panic!("{}: {fault:?}", path.display()));
     let still = job.at(0).expect("a first frame");
-    let program = Program::new(&still);
+    let program = Integrator::new(&still);
     let (scene, image) = (still.scene(), still.image());
     let view = scene.camera.view(image.width, image.height);
     let farthest = f64::from(scene.march.max_distance.get());
@@ -103,7 +103,7 @@ fn measure(path: &Path) -> (usize, usize, usize, String) {
                 untold += 1;
                 continue;
             };
-            let got = f64::from(program.layers(x as f32, y as f32).depth);
+            let got = f64::from(program.aovs(x as f32, y as f32).depth);
             looked += 1;
             if got != want && (got - want).abs() >= EXACT * want {
                 if witness.is_unclear(got, want) {

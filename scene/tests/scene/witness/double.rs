@@ -2,7 +2,7 @@
 
 use std::ops::{Add, BitAnd, BitOr, BitXor, Div, Mul, Neg, Shl, Shr, Sub};
 
-use scene::real::{Bits, Bundle, Join, Real};
+use scene::real::{Bits, Bundle, Merge, Real};
 
 /// The bits of a number in single precision.
 #[derive(Clone, Copy, Debug)]
@@ -71,7 +71,7 @@ impl Neg for Double {
 /// Picks one of two bundles.
 struct Pick(bool);
 
-impl Join<Double> for Pick {
+impl Merge<Double> for Pick {
     fn number(&mut self, yes: Double, no: Double) -> Double {
         if self.0 { yes } else { no }
     }
@@ -85,7 +85,7 @@ impl Real for Double {
     type Mask = bool;
     type Bits = Word;
 
-    fn splat(self, value: f32) -> Self {
+    fn constant(self, value: f32) -> Self {
         Self(f64::from(value))
     }
 
@@ -131,7 +131,7 @@ impl Real for Double {
     }
 
     fn when<T: Bundle<Self>>(mask: bool, otherwise: T, then: impl FnOnce() -> T) -> T {
-        if mask { then().join(otherwise, &mut Pick(true)) } else { otherwise }
+        if mask { then().merge(otherwise, &mut Pick(true)) } else { otherwise }
     }
 
     fn repeat<T: Bundle<Self>>(limit: u32, state: T, mut step: impl FnMut(T) -> (bool, T)) -> T {

@@ -7,7 +7,7 @@ use serde_json::{Map, Value, json};
 const WITHOUT_BODY: [&str; 1] = ["resubmit_job"];
 
 /// Parameters that are words, and the schemas that list those.
-const WORDS: [(&str, &str); 2] = [("state", "JobState"), ("shown", "Shown")];
+const WORDS: [(&str, &str); 2] = [("state", "JobState"), ("content", "LinkContent")];
 
 /// The schemas that belong to no type: what a route may answer under one status.
 pub(super) fn schemas() -> Map<String, Value> {

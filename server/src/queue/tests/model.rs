@@ -4,11 +4,11 @@
 use std::collections::BTreeMap;
 
 use proto::job::{JobState, JobView};
-use proto::work::{Outcome, Report, Run, Work};
+use proto::worker_protocol::{Batch, BatchWork, LeaseOutcome, LeaseReport};
 use proto::{JobId, LeaseId, WorkerId};
 
 use super::LEASE_MS;
-use crate::queue::Cause;
+use crate::queue::LeaseEnd;
 
 /// Tiles of a frame of the jobs in these tests.
 pub(super) const TILES: u32 = 12;
@@ -78,7 +78,7 @@ impl Model {
     }
 
     /// Takes note of a run, which must have been legal to grant.
-    pub(super) fn grant(&mut self, worker: WorkerId, takes_large: bool, run: &Run) {
+    pub(super) fn grant(&mut self, worker: WorkerId, takes_large: bool, run: &Batch) {
         assert!(!self.farm_paused, "the farm is paused: {run:?}");
         let job = self.jobs.get_mut(&run.job).expect("the job is there");
         assert!(!job.state.is_final() && !job.paused, "{:?}, paused: {}: {run:?}", job.state, job.paused);
@@ -90,7 +90,7 @@ impl Model {
             tiles: (0..i64::from(TILES)).map(|position| (position, Tile::default())).collect(),
         });
         let granted: Vec<(i64, LeaseId)> = match &run.work {
-            Work::Stitch { lease, parts } => {
+            BatchWork::Stitch { lease, inputs: parts } => {
                 assert_eq!(frame.state, FrameState::Stitching);
                 assert_eq!(parts.len() as u32, TILES);
                 for part in parts {
@@ -98,7 +98,7 @@ impl Model {
                 }
                 vec![(STITCH, *lease)]
             }
-            Work::Render { tiles, whole_frame } => {
+            BatchWork::Render { tiles, whole_frame } => {
                 assert!(takes_large || !large, "too large a scene: {run:?}");
                 assert_eq!(*whole_frame, tiles.len() as u32 == TILES);
                 assert_eq!(frame.state, FrameState::Open);
@@ -134,11 +134,11 @@ impl Model {
     }
 
     /// A worker's results and what it still holds; answers the leases it must hear are lost.
-    pub(super) fn report(&mut self, worker: WorkerId, results: &[Report], holding: &[LeaseId]) -> Vec<LeaseId> {
+    pub(super) fn report(&mut self, worker: WorkerId, results: &[LeaseReport], holding: &[LeaseId]) -> Vec<LeaseId> {
         let mut lost = Vec::new();
         let mut pictures: BTreeMap<&str, Vec<LeaseId>> = BTreeMap::new();
         for report in results {
-            if let Outcome::Picture { hash, .. } = &report.outcome {
+            if let LeaseOutcome::Picture { hash, .. } = &report.outcome {
                 pictures.entry(hash).or_default().push(report.lease);
             }
         }
@@ -148,9 +148,9 @@ impl Model {
             self.picture(&live);
         }
         for blobs in [true, false] {
-            for Report { lease, outcome } in results {
-                let is_blob = matches!(outcome, Outcome::Blob { .. });
-                if matches!(outcome, Outcome::Picture { .. }) || is_blob != blobs {
+            for LeaseReport { lease, outcome } in results {
+                let is_blob = matches!(outcome, LeaseOutcome::Blob { .. });
+                if matches!(outcome, LeaseOutcome::Picture { .. }) || is_blob != blobs {
                 } else if self.is_held(worker, *lease) {
                     self.result(*lease, outcome);
                 } else {
@@ -182,7 +182,7 @@ impl Model {
             let frame = self.frame((job, number, STITCH));
             if !stitched && (frame.state != FrameState::Open || leases.len() as u32 != TILES) {
                 for lease in leases {
-                    self.give_up(lease, Cause::Interrupted);
+                    self.give_up(lease, LeaseEnd::Released);
                 }
                 continue;
             }
@@ -196,10 +196,10 @@ impl Model {
         }
     }
 
-    fn result(&mut self, lease: LeaseId, outcome: &Outcome) {
+    fn result(&mut self, lease: LeaseId, outcome: &LeaseOutcome) {
         let tile = self.leases[&lease].tile;
         match outcome {
-            Outcome::Blob { hash, .. } if tile.2 != STITCH => {
+            LeaseOutcome::Blob { hash, .. } if tile.2 != STITCH => {
                 self.end_where(|other| other.tile == tile);
                 let frame = self.frame(tile);
                 let done = frame.tiles.get_mut(&tile.2).expect("the tile");
@@ -212,8 +212,8 @@ impl Model {
                     frame.tiles.get_mut(&STITCH).expect("the stitch").done = true;
                 }
             }
-            Outcome::BadBlobs { tiles } if tile.2 == STITCH => {
-                self.give_up(lease, Cause::Lost);
+            LeaseOutcome::BadBlobs { tiles } if tile.2 == STITCH => {
+                self.give_up(lease, LeaseEnd::Lost);
                 let frame = self.frame(tile);
                 if frame.state != FrameState::Stitching {
                     return;
@@ -227,24 +227,27 @@ impl Model {
                     self.end_where(|other| other.tile == tile);
                 }
             }
-            Outcome::HandedBack => self.give_up(lease, Cause::Interrupted),
-            Outcome::Failed { .. } | Outcome::Blob { .. } | Outcome::BadBlobs { .. } | Outcome::Picture { .. } => {
-                self.give_up(lease, Cause::Failed);
+            LeaseOutcome::Released => self.give_up(lease, LeaseEnd::Released),
+            LeaseOutcome::Failed { .. }
+            | LeaseOutcome::Blob { .. }
+            | LeaseOutcome::BadBlobs { .. }
+            | LeaseOutcome::Picture { .. } => {
+                self.give_up(lease, LeaseEnd::Failed);
             }
         }
     }
 
-    fn give_up(&mut self, id: LeaseId, cause: Cause) {
+    fn give_up(&mut self, id: LeaseId, cause: LeaseEnd) {
         let lease = self.leases.get_mut(&id).expect("the lease");
         lease.live = false;
         let key = lease.tile;
         let is_leased = self.live(key).next().is_some();
         let tile = self.frame(key).tiles.get_mut(&key.2).expect("the tile");
         match cause {
-            Cause::Failed => tile.errors += 1,
-            Cause::Crashed => tile.crashes += 1,
-            Cause::Lost => tile.lost += 1,
-            Cause::Interrupted => {}
+            LeaseEnd::Failed => tile.errors += 1,
+            LeaseEnd::Crashed => tile.crashes += 1,
+            LeaseEnd::Lost => tile.lost += 1,
+            LeaseEnd::Released => {}
         }
         if !is_leased && (tile.errors >= 3 || tile.crashes >= 3 || tile.lost >= 50) {
             self.jobs.get_mut(&key.0).expect("the job").dead = true;
@@ -288,15 +291,15 @@ impl Model {
     pub(super) fn pass(&mut self, ms: i64) {
         self.now_ms += ms;
         let now_ms = self.now_ms;
-        self.give_up_where(Cause::Lost, |lease| lease.expires_ms <= now_ms);
+        self.give_up_where(LeaseEnd::Lost, |lease| lease.expires_ms <= now_ms);
     }
 
     /// A worker's process has ended.
-    pub(super) fn reap(&mut self, worker: WorkerId, cause: Cause) {
+    pub(super) fn reap(&mut self, worker: WorkerId, cause: LeaseEnd) {
         self.give_up_where(cause, |lease| lease.worker == worker);
     }
 
-    fn give_up_where(&mut self, cause: Cause, which: impl Fn(&Lease) -> bool) {
+    fn give_up_where(&mut self, cause: LeaseEnd, which: impl Fn(&Lease) -> bool) {
         let mut ending: Vec<LeaseId> =
             self.leases.iter().filter(|(_, lease)| lease.live && which(lease)).map(|(id, _)| *id).collect();
         ending.sort_by_key(|id| (self.leases[id].expires_ms, *id));

@@ -15,8 +15,8 @@ use tracing::span::{Attributes, Id, Record};
 use tracing::{Event, Metadata, Subscriber};
 
 use super::sequences::{Pair, sequence};
-use super::{Bench, new_job};
-use crate::store::Store;
+use super::{Fixture, new_job};
+use crate::database::Database;
 
 /// Sequences that are recorded.
 const SEQUENCES: usize = 40;
@@ -77,7 +77,7 @@ impl Subscriber for Recorder {
 }
 
 /// Statements that the sequences do not run.
-async fn ask(bench: &Bench) {
+async fn ask(bench: &Fixture) {
     let queue = &bench.queue;
     let new = new_job(2);
     let id = new.id;
@@ -93,13 +93,13 @@ async fn ask(bench: &Bench) {
     queue.image(id, 0).await.expect("reads");
     queue.workers().await.expect("lists");
     queue.pool_ready().await.expect("counts");
-    queue.unneeded_blobs(&hashes).await.expect("reads");
-    queue.unneeded_pictures(&hashes).await.expect("reads");
+    queue.orphan_blobs(&hashes).await.expect("reads");
+    queue.orphan_pictures(&hashes).await.expect("reads");
     queue.has_picture("no key").await.expect("reads");
     queue.is_paused().await.expect("reads");
     queue.delete_preview(id).await.expect("reads");
     queue.check().await.expect("answers");
-    queue.refuse(number, "no".to_owned()).await.expect("refuses");
+    queue.fail_unreadable(number, "no".to_owned()).await.expect("refuses");
 }
 
 /// A step that reads more than it needs.
@@ -124,15 +124,15 @@ async fn every_statement_finds_its_rows_by_an_index() {
     let mut runner = TestRunner::deterministic();
     for _ in 0..SEQUENCES {
         let folder = tempfile::tempdir().expect("a temporary folder");
-        let store = Store::open_recorded(folder.path()).await.expect("opens");
-        let mut pair = Pair::new(Bench::with_store(store, folder).await).await;
+        let store = Database::open_traced(folder.path()).await.expect("opens");
+        let mut pair = Pair::new(Fixture::with_store(store, folder).await).await;
         for operation in &sequence().new_tree(&mut runner).expect("a sequence").current() {
             pair.apply(operation).await;
         }
         pair.work_off().await;
         ask(&pair.bench).await;
     }
-    let bench = Bench::new().await;
+    let bench = Fixture::new().await;
     let seen = SEEN.lock().expect("no holder panics").clone();
     let (mut explained, mut wasteful) = (0, Vec::new());
     for statement in &seen {
@@ -152,7 +152,7 @@ async fn every_statement_finds_its_rows_by_an_index() {
 
 #[tokio::test]
 async fn a_claim_sorts_nothing() {
-    let bench = Bench::new().await;
+    let bench = Fixture::new().await;
     for statement in [include_str!("../next_job.sql"), include_str!("../next_tile.sql")] {
         let plan = plan(bench.queue.readers(), statement).await;
         assert!(!plan.iter().any(|step| step.contains("TEMP B-TREE")), "{plan:?}");

@@ -5,13 +5,13 @@ use std::time::Duration;
 
 use proptest::prelude::{Just, Strategy, any, prop_oneof};
 use proptest::test_runner::{Config, RngAlgorithm, TestCaseError, TestRng, TestRunner};
-use proto::change::JobPatch;
-use proto::work::{Outcome, Report, Run, Work};
+use proto::job::JobPatch;
+use proto::worker_protocol::{Batch, BatchWork, LeaseOutcome, LeaseReport};
 use proto::{JobId, LeaseId, WorkerId};
 
 use super::model::{Model, TILES};
-use super::{Bench, leases, new_job, turn};
-use crate::queue::{Cause, Deleted, NewJob, Next, Opening, Turn};
+use super::{Fixture, leases, new_job, turn};
+use crate::queue::{DeleteOutcome, FrameOpening, LeaseEnd, NewJob, NextWork, SyncInput};
 
 /// Sequences in every run of the tests.
 const SEQUENCES: u32 = 100;
@@ -85,7 +85,7 @@ struct Worker {
     id: WorkerId,
     takes_large: bool,
     pool: bool,
-    runs: Vec<Run>,
+    runs: Vec<Batch>,
 }
 
 impl Worker {
@@ -96,7 +96,7 @@ impl Worker {
 
 /// The queue and the model of it.
 pub(super) struct Pair {
-    pub(super) bench: Bench,
+    pub(super) bench: Fixture,
     model: Model,
     jobs: Vec<JobId>,
     workers: Vec<Worker>,
@@ -104,7 +104,7 @@ pub(super) struct Pair {
 }
 
 impl Pair {
-    pub(super) async fn new(bench: Bench) -> Self {
+    pub(super) async fn new(bench: Fixture) -> Self {
         let mut pair = Self { bench, model: Model::default(), jobs: Vec::new(), workers: Vec::new(), count: 0 };
         for (takes_large, pool) in [(true, false), (false, true), (true, true)] {
             let id = pair.register(takes_large, pool).await;
@@ -124,12 +124,12 @@ impl Pair {
     }
 
     /// A worker's sync; an unknown worker registers again. Returns the granted and the revoked leases.
-    async fn call(&mut self, index: usize, results: Vec<Report>, claim: Option<f64>) -> Option<Run> {
+    async fn call(&mut self, index: usize, results: Vec<LeaseReport>, claim: Option<f64>) -> Option<Batch> {
         let worker = &self.workers[index];
         let (id, holding) = (worker.id, worker.holding());
-        let mut said = Turn {
-            results: results.clone(),
-            holding: holding.clone(),
+        let mut said = SyncInput {
+            reports: results.clone(),
+            held_leases: holding.clone(),
             wants_work: claim.is_some(),
             rays_per_second: claim,
             ..turn(id)
@@ -142,13 +142,13 @@ impl Pair {
                 self.workers[index].id = id;
                 return None;
             };
-            lost.extend(turned.lost);
-            let Next::Frame { job, frame, plan } = turned.next else {
-                break if let Next::Run(run) = turned.next { Some(run) } else { None };
+            lost.extend(turned.revoked_leases);
+            let NextWork::OpenFrame { job, frame, plan } = turned.next else {
+                break if let NextWork::Run(run) = turned.next { Some(run) } else { None };
             };
             let picture_key = format!("key {job} {frame}");
-            said.results.clear();
-            said.opening = Some(Opening { job, frame, picture_key, tiles: plan.tiles(), samples: plan.samples });
+            said.reports.clear();
+            said.opening = Some(FrameOpening { job, frame, picture_key, tiles: plan.tiles(), samples: plan.samples });
         };
         let mut expected = self.model.report(id, &results, &holding);
         lost.sort();
@@ -174,36 +174,36 @@ impl Pair {
         }
         let run = runs.swap_remove(run % runs.len());
         let (stitch, whole) = match run.work {
-            Work::Stitch { .. } => (true, false),
-            Work::Render { whole_frame, .. } => (false, whole_frame),
+            BatchWork::Stitch { .. } => (true, false),
+            BatchWork::Render { whole_frame, .. } => (false, whole_frame),
         };
         self.count += 1;
         let hash = blake3::hash(&self.count.to_le_bytes()).to_hex().to_string();
         let outcome = match die % 8 {
-            0 => Outcome::HandedBack,
-            1 | 2 => Outcome::Failed { message: "no".to_owned() },
-            3 if stitch => Outcome::BadBlobs { tiles: vec![u32::from(die) % TILES, 3] },
-            4 if whole => Outcome::Blob { hash, size_bytes: 1 },
-            _ if stitch || whole => Outcome::Picture { hash, size_bytes: 1 },
-            _ => Outcome::Blob { hash, size_bytes: 1 },
+            0 => LeaseOutcome::Released,
+            1 | 2 => LeaseOutcome::Failed { message: "no".to_owned() },
+            3 if stitch => LeaseOutcome::BadBlobs { tiles: vec![u32::from(die) % TILES, 3] },
+            4 if whole => LeaseOutcome::Blob { hash, size_bytes: 1 },
+            _ if stitch || whole => LeaseOutcome::Picture { hash, size_bytes: 1 },
+            _ => LeaseOutcome::Blob { hash, size_bytes: 1 },
         };
         // Some report only part of their results.
         let skipped = usize::from(die >= 200);
-        let results = leases(&run).skip(skipped).map(|lease| Report { lease, outcome: outcome.clone() }).collect();
+        let results = leases(&run).skip(skipped).map(|lease| LeaseReport { lease, outcome: outcome.clone() }).collect();
         self.call(index, results, None).await;
     }
 
     async fn pass(&mut self, ms: i64) {
         self.bench.hand.advance(Duration::from_millis(ms.unsigned_abs()));
-        self.bench.queue.rescue().await.expect("rescues");
+        self.bench.queue.expire_leases().await.expect("rescues");
         self.model.pass(ms);
     }
 
-    async fn reap(&mut self, index: usize, cause: Cause) {
+    async fn reap(&mut self, index: usize, cause: LeaseEnd) {
         let worker = &mut self.workers[index];
         worker.runs.clear();
         let process = self.bench.process(worker.id).await;
-        let reaped = self.bench.queue.reaped(process, cause, "it ended".to_owned()).await.expect("reaps");
+        let reaped = self.bench.queue.worker_exited(process, cause, "it ended".to_owned()).await.expect("reaps");
         if reaped.is_some() {
             self.model.reap(worker.id, cause);
         }
@@ -224,7 +224,7 @@ impl Pair {
 
     async fn delete(&mut self, id: JobId) {
         let deleted = self.bench.queue.delete(id).await.expect("an answer");
-        if let Deleted::Done { .. } = deleted {
+        if let DeleteOutcome::Done { .. } = deleted {
             assert_ne!(self.model.jobs.get(&id).expect("known").state, proto::job::JobState::Running);
             self.model.jobs.remove(&id);
             self.jobs.retain(|job| *job != id);
@@ -246,10 +246,10 @@ impl Pair {
             Operation::Report { worker, run, outcome } => self.report(worker, run, outcome).await,
             Operation::Pass { ms } => self.pass(ms).await,
             Operation::Reap { worker, crashed } => {
-                self.reap(worker, if crashed { Cause::Crashed } else { Cause::Lost }).await;
+                self.reap(worker, if crashed { LeaseEnd::Crashed } else { LeaseEnd::Lost }).await;
             }
             Operation::Restart => self.restart().await,
-            Operation::Tidy => queue.tidy().await.expect("tidies"),
+            Operation::Tidy => queue.prune().await.expect("tidies"),
             Operation::PauseFarm(paused) => {
                 queue.pause_all(paused).await.expect("an answer");
                 self.model.farm_paused = paused;
@@ -302,7 +302,7 @@ impl Pair {
         }
         // The pool workers end, so that nothing waits for them.
         for index in 1..self.workers.len() {
-            self.reap(index, Cause::Lost).await;
+            self.reap(index, LeaseEnd::Lost).await;
         }
         self.workers[0].runs.clear();
         for _ in 0..400 {
@@ -326,7 +326,7 @@ impl Pair {
 }
 
 async fn run(operations: &[Operation]) {
-    let mut pair = Pair::new(Bench::in_memory().await).await;
+    let mut pair = Pair::new(Fixture::in_memory().await).await;
     for operation in operations {
         pair.apply(operation).await;
         pair.check().await;

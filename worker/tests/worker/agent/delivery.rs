@@ -1,11 +1,11 @@
 //! What a worker makes, and brings back.
 
 use proto::Rect;
-use proto::work::{Outcome, Part, Run, Work};
+use proto::worker_protocol::{Batch, BatchWork, LeaseOutcome, StitchInput};
 use proto::{JobId, LeaseId};
 use scene::Job;
 use worker::blob;
-use worker::stitch::Tiles;
+use worker::stitch::TileRows;
 
 use super::{Acting, Agent, add_job};
 use crate::fake_renderer::{ALL_LAYERS, FakeRenderer, cut, pixels};
@@ -14,8 +14,8 @@ use crate::pictures::{encode, tiles};
 use axum::http::StatusCode;
 
 fn expected(job: &Job) -> Vec<u8> {
-    let whole = tiles(job, &[Rect::whole(job.image.width, job.image.height)]);
-    encode(job, &mut Tiles(&whole), 64).unwrap()
+    let whole = tiles(job, &[Rect::full(job.image.width, job.image.height)]);
+    encode(job, &mut TileRows(&whole), 64).unwrap()
 }
 
 #[test]
@@ -26,12 +26,12 @@ fn a_whole_frame_comes_back_as_its_picture() {
         let (id, job) = add_job(&server, 90, 70, image);
         let leases = server.change(|farm| farm.give(id, &cut(90, 70, 32, 32), true));
         for outcome in server.outcomes(&leases) {
-            let Outcome::Picture { hash, size_bytes } = outcome else { panic!("{outcome:?}") };
+            let LeaseOutcome::Picture { hash, size_bytes } = outcome else { panic!("{outcome:?}") };
             let picture = server.change(|farm| farm.pictures[&hash].clone());
             assert_eq!(picture.len() as u64, size_bytes);
             assert_eq!(picture, expected(&job));
         }
-        let together = server.change(|farm| farm.syncs.iter().any(|sync| sync.results.len() == leases.len()));
+        let together = server.change(|farm| farm.syncs.iter().any(|sync| sync.reports.len() == leases.len()));
         assert!(together, "the leases of one picture are settled in one call");
     }
     agent.stop().unwrap();
@@ -46,27 +46,28 @@ fn tiles_come_back_as_blobs_and_are_stitched() {
     let rects = cut(90, 70, 32, 32);
     let parts = render_to_blobs(&server, id, &job, &rects);
     let outcome = stitch(&server, id, parts);
-    let Outcome::Picture { hash, .. } = outcome else { panic!("{outcome:?}") };
+    let LeaseOutcome::Picture { hash, .. } = outcome else { panic!("{outcome:?}") };
     assert_eq!(server.change(|farm| farm.pictures[&hash].clone()), expected(&job));
     assert_eq!(server.change(|farm| farm.jobs_read), 1, "a job's file is read once");
     agent.stop().unwrap();
 }
 
-fn render_to_blobs(server: &FakeServer, id: JobId, job: &Job, rects: &[Rect]) -> Vec<Part> {
+fn render_to_blobs(server: &FakeServer, id: JobId, job: &Job, rects: &[Rect]) -> Vec<StitchInput> {
     let leases = server.change(|farm| farm.give(id, rects, false));
     let outcomes = server.outcomes(&leases);
     let parts = (0..).zip(rects).zip(outcomes).map(|((index, &rect), outcome)| {
-        let Outcome::Blob { hash, size_bytes } = outcome else { panic!("{outcome:?}") };
+        let LeaseOutcome::Blob { hash, size_bytes } = outcome else { panic!("{outcome:?}") };
         let bytes = server.change(|farm| farm.blobs[&hash].clone());
         assert_eq!(bytes, blob::encode(&pixels(job, 3, rect)));
-        Part { index, rect, hash, size_bytes }
+        StitchInput { index, rect, hash, size_bytes }
     });
     parts.collect()
 }
 
-fn stitch(server: &FakeServer, job: JobId, parts: Vec<Part>) -> Outcome {
+fn stitch(server: &FakeServer, job: JobId, parts: Vec<StitchInput>) -> LeaseOutcome {
     let lease = LeaseId::new();
-    server.change(|farm| farm.queue.push_back(Run { job, frame: 3, work: Work::Stitch { lease, parts } }));
+    server
+        .change(|farm| farm.queue.push_back(Batch { job, frame: 3, work: BatchWork::Stitch { lease, inputs: parts } }));
     server.outcomes(&[lease]).remove(0)
 }
 
@@ -84,7 +85,7 @@ fn damaged_and_missing_blobs_are_named() {
         farm.blobs.get_mut(&parts[6].hash).unwrap().pop();
     });
     let outcome = stitch(&server, id, parts);
-    let Outcome::BadBlobs { tiles } = outcome else { panic!("{outcome:?}") };
+    let LeaseOutcome::BadBlobs { tiles } = outcome else { panic!("{outcome:?}") };
     assert_eq!(tiles, [1, 3, 4, 6]);
     agent.stop().unwrap();
 }
@@ -92,7 +93,7 @@ fn damaged_and_missing_blobs_are_named() {
 #[test]
 fn a_failing_tile_is_reported_in_its_words_and_spares_the_others() {
     let server = FakeServer::start(30_000);
-    let renderer = Acting(|run: &worker::TileRun<'_>, _: &worker::Cancel| {
+    let renderer = Acting(|run: &worker::TileRequest<'_>, _: &worker::CancelFlag| {
         assert!(run.rect.x != 64, "no good at {}", run.rect.x);
         if run.rect.x == 32 {
             let (device, reason) = ("the card".to_owned(), "it is on fire".to_owned());
@@ -105,10 +106,10 @@ fn a_failing_tile_is_reported_in_its_words_and_spares_the_others() {
     for whole_frame in [true, false] {
         let leases = server.change(|farm| farm.give(id, &cut(96, 32, 32, 32), whole_frame));
         let outcomes = server.outcomes(&leases);
-        assert!(matches!(outcomes[0], Outcome::Blob { .. }), "{outcomes:?}");
-        let Outcome::Failed { message } = &outcomes[1] else { panic!("{outcomes:?}") };
+        assert!(matches!(outcomes[0], LeaseOutcome::Blob { .. }), "{outcomes:?}");
+        let LeaseOutcome::Failed { message } = &outcomes[1] else { panic!("{outcomes:?}") };
         assert_eq!(message, "the card could not render: it is on fire");
-        let Outcome::Failed { message } = &outcomes[2] else { panic!("{outcomes:?}") };
+        let LeaseOutcome::Failed { message } = &outcomes[2] else { panic!("{outcomes:?}") };
         assert_eq!(message, "the renderer panicked: no good at 64");
     }
     agent.stop().unwrap();
@@ -122,14 +123,14 @@ fn a_full_server_gets_the_lease_back_and_a_rest() {
     for whole_frame in [true, false] {
         server.change(|farm| farm.put_refusals = [StatusCode::INSUFFICIENT_STORAGE].into());
         let leases = server.change(|farm| farm.give(id, &cut(32, 32, 32, 32), whole_frame));
-        assert!(matches!(server.outcomes(&leases)[..], [Outcome::HandedBack]));
+        assert!(matches!(server.outcomes(&leases)[..], [LeaseOutcome::Released]));
         let rests = server.until("the worker syncs again", |farm| {
-            let place = farm.syncs.iter().rposition(|sync| !sync.results.is_empty())?;
+            let place = farm.syncs.iter().rposition(|sync| !sync.reports.is_empty())?;
             Some(!farm.syncs[place].wants_work)
         });
         assert!(rests);
         let leases = server.change(|farm| farm.give(id, &cut(32, 32, 32, 32), whole_frame));
-        assert!(!matches!(server.outcomes(&leases)[..], [Outcome::HandedBack]));
+        assert!(!matches!(server.outcomes(&leases)[..], [LeaseOutcome::Released]));
     }
     agent.stop().unwrap();
 }
@@ -140,8 +141,8 @@ fn a_job_that_can_not_be_read_fails_and_one_that_is_gone_is_handed_back() {
     let mut agent = Agent::start(&server, FakeRenderer);
     let broken = server.change(|farm| farm.add_job("{".to_owned()));
     let leases = server.change(|farm| farm.give(broken, &cut(64, 32, 32, 32), true));
-    assert!(matches!(server.outcomes(&leases)[..], [Outcome::Failed { .. }, Outcome::Failed { .. }]));
+    assert!(matches!(server.outcomes(&leases)[..], [LeaseOutcome::Failed { .. }, LeaseOutcome::Failed { .. }]));
     let leases = server.change(|farm| farm.give(JobId::new(), &cut(32, 32, 32, 32), true));
-    assert!(matches!(server.outcomes(&leases)[..], [Outcome::HandedBack]));
+    assert!(matches!(server.outcomes(&leases)[..], [LeaseOutcome::Released]));
     agent.stop().unwrap();
 }

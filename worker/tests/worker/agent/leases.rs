@@ -3,8 +3,8 @@
 use std::time::Duration;
 
 use proto::Rect;
-use proto::work::Outcome;
-use worker::{Cancel, TileRun};
+use proto::worker_protocol::LeaseOutcome;
+use worker::{CancelFlag, TileRequest};
 
 use super::{Acting, Agent, Happening, add_job, gated, until_cancelled};
 use crate::fake_renderer::{FakeRenderer, cut};
@@ -13,7 +13,7 @@ use crate::fake_server::FakeServer;
 const TILE: Rect = Rect { x: 0, y: 0, width: 32, height: 32 };
 
 /// Hangs in tiles that do not start at the left edge.
-fn hangs_beside_the_edge(run: &TileRun<'_>, cancel: &Cancel) -> Result<(), worker::RenderError> {
+fn hangs_beside_the_edge(run: &TileRequest<'_>, cancel: &CancelFlag) -> Result<(), worker::RenderError> {
     if run.rect.x == 0 { Ok(()) } else { Err(until_cancelled(cancel)) }
 }
 
@@ -25,11 +25,11 @@ fn leases_are_renewed_while_a_tile_renders() {
     let (id, _) = add_job(&server, 64, 32, "");
     let leases = server.change(|farm| farm.give(id, &cut(64, 32, 32, 32), false));
     server.until("both leases were renewed twenty times", |farm| {
-        let renewals = farm.syncs.iter().filter(|sync| leases.iter().all(|lease| sync.holding.contains(lease)));
+        let renewals = farm.syncs.iter().filter(|sync| leases.iter().all(|lease| sync.held_leases.contains(lease)));
         (renewals.count() >= 20).then_some(())
     });
     go.happen();
-    assert!(matches!(server.outcomes(&leases)[..], [Outcome::Blob { .. }, Outcome::Blob { .. }]));
+    assert!(matches!(server.outcomes(&leases)[..], [LeaseOutcome::Blob { .. }, LeaseOutcome::Blob { .. }]));
     agent.stop().unwrap();
 }
 
@@ -41,15 +41,15 @@ fn a_lost_lease_cancels_its_render_and_no_other() {
     for whole_frame in [false, true] {
         let leases = server.change(|farm| farm.give(id, &cut(64, 64, 32, 64), whole_frame));
         server.until("the tiles are leased and a heartbeat waits", |farm| {
-            let held = farm.syncs.last().is_some_and(|sync| sync.holding.contains(&leases[1]));
+            let held = farm.syncs.last().is_some_and(|sync| sync.held_leases.contains(&leases[1]));
             held.then_some(())
         });
         server.change(|farm| farm.live.remove(&leases[1]));
-        assert!(matches!(server.outcomes(&leases[..1])[..], [Outcome::Blob { .. }]));
+        assert!(matches!(server.outcomes(&leases[..1])[..], [LeaseOutcome::Blob { .. }]));
         let next = server.change(|farm| farm.give(id, &[TILE], false));
-        assert!(matches!(server.outcomes(&next)[..], [Outcome::Blob { .. }]));
+        assert!(matches!(server.outcomes(&next)[..], [LeaseOutcome::Blob { .. }]));
         let silent = server
-            .change(|farm| farm.syncs.iter().flat_map(|sync| &sync.results).all(|report| report.lease != leases[1]));
+            .change(|farm| farm.syncs.iter().flat_map(|sync| &sync.reports).all(|report| report.lease != leases[1]));
         assert!(silent, "nothing is said of a lease that is lost");
     }
     agent.stop().unwrap();
@@ -60,7 +60,7 @@ fn a_worker_that_is_cut_off_stops_by_itself() {
     let mut server = FakeServer::start(900);
     let (begun, cancelled) = (Happening::default(), Happening::default());
     let (begins, ends) = (begun.clone(), cancelled.clone());
-    let renderer = Acting(move |_: &TileRun<'_>, cancel: &Cancel| {
+    let renderer = Acting(move |_: &TileRequest<'_>, cancel: &CancelFlag| {
         begins.happen();
         let error = until_cancelled(cancel);
         ends.happen();
@@ -73,7 +73,7 @@ fn a_worker_that_is_cut_off_stops_by_itself() {
     server.kill();
     cancelled.wait();
     server.up();
-    assert!(matches!(server.outcomes(&leases)[..], [Outcome::HandedBack]));
+    assert!(matches!(server.outcomes(&leases)[..], [LeaseOutcome::Released]));
     agent.stop().unwrap();
 }
 
@@ -90,7 +90,7 @@ fn a_restart_of_the_server_costs_no_result() {
         go.happen();
         server.up();
         let outcomes = server.outcomes(&leases);
-        let stored = |outcome| matches!(outcome, &(Outcome::Blob { .. } | Outcome::Picture { .. }));
+        let stored = |outcome| matches!(outcome, &(LeaseOutcome::Blob { .. } | LeaseOutcome::Picture { .. }));
         assert!(outcomes.iter().all(stored), "{outcomes:?}");
         assert_eq!(server.change(|farm| farm.hellos.len()), 1);
         agent.stop().unwrap();
@@ -108,7 +108,7 @@ fn a_drained_worker_finishes_what_it_holds_and_ends() {
     server.change(|farm| farm.drain = true);
     go.happen();
     agent.ended().unwrap();
-    assert!(matches!(server.outcomes(&leases)[..], [Outcome::Blob { .. }, Outcome::Blob { .. }]));
+    assert!(matches!(server.outcomes(&leases)[..], [LeaseOutcome::Blob { .. }, LeaseOutcome::Blob { .. }]));
 }
 
 #[test]
@@ -117,10 +117,10 @@ fn a_worker_that_is_shut_down_hands_back_what_would_take_too_long() {
     let mut agent = Agent::with_grace(&server, Acting(hangs_beside_the_edge), Duration::ZERO);
     let (id, _) = add_job(&server, 96, 32, "");
     let leases = server.change(|farm| farm.give(id, &cut(96, 32, 32, 32), false));
-    assert!(matches!(server.outcomes(&leases[..1])[..], [Outcome::Blob { .. }]));
+    assert!(matches!(server.outcomes(&leases[..1])[..], [LeaseOutcome::Blob { .. }]));
     agent.stop().unwrap();
     let outcomes = server.outcomes(&leases);
-    assert!(matches!(outcomes[1..], [Outcome::HandedBack, Outcome::HandedBack]), "{outcomes:?}");
+    assert!(matches!(outcomes[1..], [LeaseOutcome::Released, LeaseOutcome::Released]), "{outcomes:?}");
 }
 
 #[test]
@@ -134,7 +134,7 @@ fn a_worker_that_is_shut_down_finishes_what_ends_in_time() {
     agent.shutdown.cancel();
     go.happen();
     agent.ended().unwrap();
-    assert!(matches!(server.outcomes(&leases)[..], [Outcome::Picture { .. }]));
+    assert!(matches!(server.outcomes(&leases)[..], [LeaseOutcome::Picture { .. }]));
 }
 
 #[test]

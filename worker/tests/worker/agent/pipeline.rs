@@ -4,10 +4,10 @@
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex};
 
-use proto::work::Outcome;
+use proto::worker_protocol::LeaseOutcome;
 use proto::{JobId, LeaseId, Rect};
 use worker::agent::AgentError;
-use worker::{Cancel, Pixels, RenderError, Renderer, TileRun};
+use worker::{CancelFlag, RenderError, Renderer, TilePixels, TileRequest};
 
 use super::{Agent, Happening, add_job, gated, until_cancelled};
 use crate::fake_renderer::{FakeRenderer, cut};
@@ -22,31 +22,31 @@ struct Together<F>(F);
 
 impl<F> Renderer for Together<F>
 where
-    F: Fn(&[TileRun<'_>], &Cancel) -> Result<(), RenderError> + Send + Sync,
+    F: Fn(&[TileRequest<'_>], &CancelFlag) -> Result<(), RenderError> + Send + Sync,
 {
     fn device(&self) -> String {
         "together".to_owned()
     }
 
-    fn render(&self, _: &TileRun<'_>, _: &Cancel, _: &(dyn Fn(u64) + Sync)) -> Result<Pixels, RenderError> {
+    fn render(&self, _: &TileRequest<'_>, _: &CancelFlag, _: &(dyn Fn(u64) + Sync)) -> Result<TilePixels, RenderError> {
         panic!("it renders together")
     }
 
-    fn render_all(
+    fn render_tiles(
         &self,
-        runs: &[TileRun<'_>],
-        cancel: &Cancel,
+        runs: &[TileRequest<'_>],
+        cancel: &CancelFlag,
         progress: &(dyn Fn(u64) + Sync),
-    ) -> Result<Vec<Pixels>, RenderError> {
+    ) -> Result<Vec<TilePixels>, RenderError> {
         (self.0)(runs, cancel)?;
-        runs.iter().map(|run| FakeRenderer.render(run, &Cancel::new(), progress)).collect()
+        runs.iter().map(|run| FakeRenderer.render(run, &CancelFlag::new(), progress)).collect()
     }
 
-    fn batch(&self) -> usize {
+    fn preferred_tiles(&self) -> usize {
         BATCH
     }
 
-    fn encoders(&self) -> usize {
+    fn encoder_threads(&self) -> usize {
         ENCODERS
     }
 
@@ -66,15 +66,20 @@ impl Renderer for Failing {
         "failing".to_owned()
     }
 
-    fn render(&self, run: &TileRun<'_>, _: &Cancel, more: &(dyn Fn(u64) + Sync)) -> Result<Pixels, RenderError> {
+    fn render(
+        &self,
+        run: &TileRequest<'_>,
+        _: &CancelFlag,
+        more: &(dyn Fn(u64) + Sync),
+    ) -> Result<TilePixels, RenderError> {
         if run.rect.x < 32 {
-            return FakeRenderer.render(run, &Cancel::new(), more);
+            return FakeRenderer.render(run, &CancelFlag::new(), more);
         }
         self.is_lost.store(true, Ordering::Relaxed);
         Err(RenderError::Device { device: self.device(), reason: "error 79".to_owned() })
     }
 
-    fn retired(&self) -> Option<String> {
+    fn lost_reason(&self) -> Option<String> {
         self.is_lost.load(Ordering::Relaxed).then(|| "it fell off the bus".to_owned())
     }
 }
@@ -83,8 +88,8 @@ fn give(server: &FakeServer, id: JobId) -> Vec<LeaseId> {
     server.change(|farm| farm.give(id, &[TILE], true))
 }
 
-fn is_picture(outcome: &Outcome) -> bool {
-    matches!(outcome, Outcome::Picture { .. })
+fn is_picture(outcome: &LeaseOutcome) -> bool {
+    matches!(outcome, LeaseOutcome::Picture { .. })
 }
 
 #[test]
@@ -94,7 +99,7 @@ fn tiles_are_rendered_together_and_a_lost_one_stops_no_other() {
     let (begins, goes, seen) = (begun.clone(), go.clone(), counts.clone());
     let mut agent = Agent::start(
         &server,
-        Together(move |runs: &[TileRun<'_>], cancel: &Cancel| {
+        Together(move |runs: &[TileRequest<'_>], cancel: &CancelFlag| {
             seen.lock().unwrap().push(runs.len());
             begins.happen();
             goes.wait();
@@ -110,13 +115,13 @@ fn tiles_are_rendered_together_and_a_lost_one_stops_no_other() {
         farm.live.remove(&leases[4]);
     });
     server.until("the worker knows what is lost", |farm| {
-        farm.syncs.last().is_some_and(|sync| sync.holding.len() == 7).then_some(())
+        farm.syncs.last().is_some_and(|sync| sync.held_leases.len() == 7).then_some(())
     });
     go.happen();
     leases.remove(4);
     leases.remove(1);
     let outcomes = server.outcomes(&leases);
-    assert!(outcomes.iter().all(|outcome| matches!(outcome, Outcome::Blob { .. })), "{outcomes:?}");
+    assert!(outcomes.iter().all(|outcome| matches!(outcome, LeaseOutcome::Blob { .. })), "{outcomes:?}");
     assert_eq!(*counts.lock().unwrap(), [4, 3, 1], "nine tiles by fours, one of the second chunk lost before it began");
     agent.stop().unwrap();
 }
@@ -124,7 +129,7 @@ fn tiles_are_rendered_together_and_a_lost_one_stops_no_other() {
 #[test]
 fn tiles_that_nobody_waits_for_are_cancelled_together() {
     let server = FakeServer::start(30_000);
-    let hangs = |runs: &[TileRun<'_>], cancel: &Cancel| {
+    let hangs = |runs: &[TileRequest<'_>], cancel: &CancelFlag| {
         if runs.len() > 1 { Err(until_cancelled(cancel)) } else { Ok(()) }
     };
     let mut agent = Agent::start(&server, Together(hangs));
@@ -132,7 +137,7 @@ fn tiles_that_nobody_waits_for_are_cancelled_together() {
     for whole_frame in [false, true] {
         let leases = server.change(|farm| farm.give(id, &cut(96, 32, 32, 32), whole_frame));
         server.until("the tiles are held", |farm| {
-            farm.syncs.last().is_some_and(|sync| sync.holding.len() == leases.len()).then_some(())
+            farm.syncs.last().is_some_and(|sync| sync.held_leases.len() == leases.len()).then_some(())
         });
         server.change(|farm| leases.iter().for_each(|lease| _ = farm.live.remove(lease)));
         let next = give(&server, small);
@@ -144,7 +149,7 @@ fn tiles_that_nobody_waits_for_are_cancelled_together() {
 #[test]
 fn a_tile_that_fails_among_others_fails_alone() {
     let server = FakeServer::start(30_000);
-    let fails = |runs: &[TileRun<'_>], _: &Cancel| {
+    let fails = |runs: &[TileRequest<'_>], _: &CancelFlag| {
         let is_bad = runs.iter().any(|run| run.rect.x == 32);
         let error = || RenderError::Device { device: "the card".to_owned(), reason: "no".to_owned() };
         if is_bad { Err(error()) } else { Ok(()) }
@@ -154,7 +159,8 @@ fn a_tile_that_fails_among_others_fails_alone() {
     for whole_frame in [false, true] {
         let leases = server.change(|farm| farm.give(id, &cut(96, 32, 32, 32), whole_frame));
         let outcomes = server.outcomes(&leases);
-        let [Outcome::Blob { .. }, Outcome::Failed { message }, Outcome::Blob { .. }] = &outcomes[..] else {
+        let [LeaseOutcome::Blob { .. }, LeaseOutcome::Failed { message }, LeaseOutcome::Blob { .. }] = &outcomes[..]
+        else {
             panic!("{outcomes:?}")
         };
         assert_eq!(message, "the card could not render: no");
@@ -173,12 +179,12 @@ fn a_worker_whose_device_is_lost_hands_everything_back_and_ends() {
         server.until("a picture is on its way", |farm| (farm.putting == 1).then_some(()));
         let leases = server.change(|farm| farm.give(id, &cut(96, 32, 32, 32), whole_frame));
         let error = agent.ended().unwrap_err();
-        assert!(matches!(&error, AgentError::Retired { reason } if reason == "it fell off the bus"), "{error:?}");
+        assert!(matches!(&error, AgentError::DeviceLost { reason } if reason == "it fell off the bus"), "{error:?}");
         let outcomes = server.outcomes(&[delivered, leases].concat());
         // The first tile of the second run may have arrived before the second one was tried.
-        let is_harmless = |outcome| matches!(outcome, &(Outcome::HandedBack | Outcome::Blob { .. }));
+        let is_harmless = |outcome| matches!(outcome, &(LeaseOutcome::Released | LeaseOutcome::Blob { .. }));
         assert!(outcomes.iter().all(is_harmless), "{outcomes:?}");
-        assert!(matches!(outcomes[2..], [Outcome::HandedBack, Outcome::HandedBack]), "{outcomes:?}");
+        assert!(matches!(outcomes[2..], [LeaseOutcome::Released, LeaseOutcome::Released]), "{outcomes:?}");
     }
 }
 
@@ -189,7 +195,7 @@ fn one_short_run_is_asked_for_ahead_and_no_more() {
     let (begins, goes) = (begun.clone(), go.clone());
     let mut agent = Agent::start(
         &server,
-        Together(move |_: &[TileRun<'_>], _: &Cancel| {
+        Together(move |_: &[TileRequest<'_>], _: &CancelFlag| {
             let mut count = count.lock().unwrap();
             *count += 1;
             if *count > 1 {
@@ -205,7 +211,7 @@ fn one_short_run_is_asked_for_ahead_and_no_more() {
     begun.wait();
     server.until("the worker holds two runs, and wants no third", |farm| {
         let sync = farm.syncs.last()?;
-        (sync.holding.len() == 2 && !sync.wants_work).then_some(())
+        (sync.held_leases.len() == 2 && !sync.wants_work).then_some(())
     });
     assert_eq!(server.change(|farm| farm.queue.len()), 1);
     go.happen();
@@ -223,7 +229,7 @@ fn nothing_is_asked_for_ahead_before_runs_are_known_to_be_short() {
     begun.wait();
     server.until("the worker renews its lease, and wants no more", |farm| {
         let sync = farm.syncs.last()?;
-        (sync.holding.len() == 1 && !sync.wants_work).then_some(())
+        (sync.held_leases.len() == 1 && !sync.wants_work).then_some(())
     });
     assert_eq!(server.change(|farm| farm.queue.len()), 1);
     go.happen();
@@ -235,12 +241,12 @@ fn nothing_is_asked_for_ahead_before_runs_are_known_to_be_short() {
 fn pictures_are_on_their_way_while_others_render() {
     let server = FakeServer::start(30_000);
     server.change(|farm| farm.hold_puts = true);
-    let mut agent = Agent::start(&server, Together(|_: &[TileRun<'_>], _: &Cancel| Ok(())));
+    let mut agent = Agent::start(&server, Together(|_: &[TileRequest<'_>], _: &CancelFlag| Ok(())));
     let (id, _) = add_job(&server, 32, 32, "");
     let leases: Vec<LeaseId> = (0..20).flat_map(|_| give(&server, id)).collect();
     server.until("one picture for each encoder is on its way, and no more is wanted", |farm| {
         let sync = farm.syncs.last()?;
-        (farm.putting >= ENCODERS && sync.holding.len() == farm.putting && !sync.wants_work).then_some(())
+        (farm.putting >= ENCODERS && sync.held_leases.len() == farm.putting && !sync.wants_work).then_some(())
     });
     let (putting, waiting) = server.change(|farm| (farm.putting, farm.queue.len()));
     assert!(putting <= ENCODERS + 1 && putting + waiting == leases.len(), "{putting} on their way, {waiting} wait");
@@ -250,9 +256,9 @@ fn pictures_are_on_their_way_while_others_render() {
 }
 
 #[test]
-fn a_renderers_limits_are_told_to_the_server() {
+fn a_renderers_limits_are_reported_to_the_server() {
     let server = FakeServer::start(30_000);
-    let mut agent = Agent::start(&server, Together(|_: &[TileRun<'_>], _: &Cancel| Ok(())));
+    let mut agent = Agent::start(&server, Together(|_: &[TileRequest<'_>], _: &CancelFlag| Ok(())));
     let hello = server.until("the worker registers", |farm| farm.hellos.pop());
     assert_eq!(hello.max_nodes, Some(500));
     agent.stop().unwrap();

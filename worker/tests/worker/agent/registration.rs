@@ -2,7 +2,7 @@
 
 use axum::http::StatusCode;
 use proto::Rect;
-use proto::work::Outcome;
+use proto::worker_protocol::LeaseOutcome;
 use tokio_util::sync::CancellationToken;
 use worker::agent::{AgentConfig, AgentError, run};
 
@@ -46,17 +46,17 @@ fn a_worker_that_the_server_forgot_registers_again() {
     let (id, _) = add_job(&server, 32, 32, "");
     let leases = server.change(|farm| {
         farm.workers.clear();
-        farm.give(id, &[Rect::whole(32, 32)], false)
+        farm.give(id, &[Rect::full(32, 32)], false)
     });
     server.until("it registers again", |farm| (farm.hellos.len() == 2).then_some(()));
-    let next = server.change(|farm| farm.give(id, &[Rect::whole(32, 32)], false));
-    assert!(matches!(server.outcomes(&next)[..], [Outcome::Blob { .. }]));
+    let next = server.change(|farm| farm.give(id, &[Rect::full(32, 32)], false));
+    assert!(matches!(server.outcomes(&next)[..], [LeaseOutcome::Blob { .. }]));
     drop(leases);
     agent.stop().unwrap();
 }
 
 #[tokio::test]
-async fn an_address_that_is_none_is_refused() {
+async fn an_address_that_is_none_is_rejected() {
     for server in ["", "farm", "ftp://farm", "http://", "file:///tmp"] {
         let ended =
             run(AgentConfig::new(server, "x"), std::sync::Arc::new(FakeRenderer), CancellationToken::default()).await;

@@ -104,7 +104,7 @@ pub(crate) fn page() -> Page {
     for (heading, folder, definition, examples, job) in families {
         page.text += heading;
         for example in examples {
-            let file = file(folder, &example.name, example.number);
+            let file = file(folder, &example.name, example.index);
             page.text += &kind_section(&schema, definition, &example, &file);
             page.pictures.push(Picture { file, job: job(&example.json) });
         }

@@ -14,7 +14,7 @@ page is made from them: `SDFARM_WRITE_DOCS=1 cargo test -p worker --test worker 
 ";
 
 const WIDTH: u32 = 400;
-const MOST_SAMPLES: u32 = 12;
+const MAX_SAMPLES: u32 = 12;
 
 fn jobs(folder: &Path) -> Vec<(String, Job)> {
     let entries = std::fs::read_dir(folder).expect("there are scenes");
@@ -32,7 +32,7 @@ fn jobs(folder: &Path) -> Vec<(String, Job)> {
 /// The job as the page shows it.
 fn small(job: Job) -> Job {
     let height = (WIDTH * job.image.height).div_ceil(job.image.width);
-    let samples = job.image.samples.min(MOST_SAMPLES);
+    let samples = job.image.samples.min(MAX_SAMPLES);
     let image = Image { width: WIDTH, height, samples, format: Format::Png, layers: Vec::new(), ..job.image.clone() };
     job.with_image(image)
 }

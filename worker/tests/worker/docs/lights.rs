@@ -28,7 +28,7 @@ pub(crate) fn page() -> Page {
     let schema = scene::schema();
     let mut page = Page { name: "lights.md", text: HEAD.to_owned(), pictures: Vec::new() };
     for example in Light::examples() {
-        let file = file("lights", &example.name, example.number);
+        let file = file("lights", &example.name, example.index);
         page.text += &kind_section(&schema, "Light", &example, &file);
         let job = stage(
             &format!(

@@ -10,7 +10,7 @@ use super::{Page, Picture, file};
 const HEAD: &str = "# Materials
 
 How surfaces answer light. Each is keyed by its name; each picture shows the JSON below it on a ball and a box.
-A colour is `[red, green, blue]` in linear light, `\"#rrggbb\"` in sRGB, or a [texture](#textures). A number of a
+A color is `[red, green, blue]` in linear light, `\"#rrggbb\"` in sRGB, or a [texture](#textures). A number of a
 material may be varied by one: `{\"low\": 0.1, \"high\": 0.6, \"by\": TEXTURE}`. This page is made from the code:
 `SDFARM_WRITE_DOCS=1 cargo test -p worker --test worker docs`.
 ";
@@ -18,8 +18,8 @@ material may be varied by one: `{\"low\": 0.1, \"high\": 0.6, \"by\": TEXTURE}`.
 const TEXTURES: &str = "
 # Textures
 
-What gives a colour at every place, in the space of the `paint` that says the material, else in the scene's. The
-colours in a texture may be textures again, four deep.
+What gives a color at every place, in the space of the `paint` that says the material, else in the scene's. The
+colors in a texture may be textures again, four deep.
 ";
 
 const PARTS: &str = "
@@ -39,7 +39,7 @@ fn ball_and_box(material: &str) -> String {
 /// Adds sections and pictures of some examples, each shown as `material` makes it one.
 fn add(page: &mut Page, schema: &Value, folder: &str, examples: &[Example], material: impl Fn(&str) -> String) {
     for example in examples {
-        let file = file(folder, &example.name, example.number);
+        let file = file(folder, &example.name, example.index);
         page.text += &kind_section(schema, "", example, &file);
         page.pictures.push(Picture { file, job: on_a_floor(&ball_and_box(&material(&example.json))) });
     }

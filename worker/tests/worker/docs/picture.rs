@@ -4,7 +4,7 @@ use std::io::Cursor;
 
 use scene::Job;
 use worker::image::Provenance;
-use worker::{Cancel, CpuRenderer, Simd};
+use worker::{CancelFlag, CpuRenderer, Simd};
 
 /// A job of some objects, as JSON, on a floor.
 pub(crate) fn on_a_floor(objects: &str) -> Job {
@@ -32,7 +32,7 @@ pub(crate) fn render(job: &Job) -> Vec<u8> {
     let renderer = CpuRenderer::new(None, Simd::Auto).expect("this CPU renders");
     let mut file = Cursor::new(Vec::new());
     let scratch = std::env::temp_dir();
-    worker::frame::render_frame(&renderer, job, 0, None, &scratch, &mut file, &Cancel::new(), &|_| ())
+    worker::frame::render_frame(&renderer, job, 0, None, &scratch, &mut file, &CancelFlag::new(), &|_| ())
         .expect("a small picture renders");
     file.into_inner()
 }
@@ -41,7 +41,7 @@ pub(crate) fn render(job: &Job) -> Vec<u8> {
 pub(crate) fn says_it_shows(png: &[u8], job: &Job) -> bool {
     let Ok(reader) = png::Decoder::new(Cursor::new(png)).read_info() else { return false };
     let info = reader.info();
-    let wanted = Provenance::of(&job.at(0).expect("an example has a first frame")).json();
+    let wanted = Provenance::new(&job.at(0).expect("an example has a first frame")).json();
     let said = info.utf8_text.iter().filter_map(|chunk| chunk.get_text().ok()).any(|text| text == wanted);
     said && (info.width, info.height) == (job.image.width, job.image.height)
 }

@@ -62,7 +62,7 @@ pub(crate) fn table(schema: &Value, definition: &Value) -> String {
 /// The section of a kind's example: what the schema says of the kind before the first, and each one's picture and JSON.
 pub(crate) fn kind_section(schema: &Value, family: &str, example: &Example, file: &str) -> String {
     let shown = shown(&example.name, file, &example.json);
-    if example.number > 0 {
+    if example.index > 0 {
         return shown;
     }
     let name = &example.name;

@@ -4,9 +4,9 @@ use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 
 use serde::Serialize;
-use worker::cuda::Shape;
+use worker::cuda::BlockDim;
 
-use crate::commands::serve::own_program;
+use crate::commands::serve::current_executable;
 
 /// The kernel that renders.
 const KERNEL: &str = "render";
@@ -16,7 +16,7 @@ const LANES: &str = "smsp__thread_inst_executed_per_inst_executed.ratio";
 
 /// Counters of a kernel.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
-pub(super) struct Profile {
+pub(super) struct StepProfile {
     /// Active fraction of the GPU's warps, in percent.
     pub(super) achieved_occupancy_percent: Option<f64>,
     /// Fraction of branches that all threads of a warp take alike, in percent.
@@ -26,10 +26,10 @@ pub(super) struct Profile {
 }
 
 /// Counts what the first launch of a frame does, without the self-test's before it.
-pub(super) fn profile(job: &Path, device: &str, block: Shape, cache: Option<&Path>) -> Result<Profile, String> {
+pub(super) fn profile(job: &Path, device: &str, block: BlockDim, cache: Option<&Path>) -> Result<StepProfile, String> {
     let folder = job.parent().unwrap_or(Path::new("."));
     let (log, picture): (PathBuf, PathBuf) = (folder.join("ncu.csv"), folder.join("profiled.png"));
-    let program = own_program().map_err(|error| format!("{error:#}"))?;
+    let program = current_executable().map_err(|error| format!("{error:#}"))?;
     let mut command = Command::new("ncu");
     command.args(["--csv", "--print-units", "base", "--kernel-name", KERNEL]);
     command.args(["--metrics", &[OCCUPANCY, UNIFORM, LANES].join(",")]).arg("--log-file").arg(&log);
@@ -41,7 +41,7 @@ pub(super) fn profile(job: &Path, device: &str, block: Shape, cache: Option<&Pat
     let output = command.stdin(Stdio::null()).output().map_err(|error| format!("ncu could not be run: {error}"))?;
     let log = std::fs::read_to_string(&log).unwrap_or_default();
     let counted = read(&log, block);
-    if counted == Profile::default() {
+    if counted == StepProfile::default() {
         let told = log.lines().find(|line| line.contains("==ERROR==")).map(str::to_owned);
         let why = told.unwrap_or_else(|| format!("it ended with {}", output.status));
         return Err(format!("ncu counted nothing: {why}"));
@@ -50,14 +50,14 @@ pub(super) fn profile(job: &Path, device: &str, block: Shape, cache: Option<&Pat
 }
 
 /// The figures of the launch with the most blocks of this shape; of several, the first.
-fn read(log: &str, block: Shape) -> Profile {
+fn read(log: &str, block: BlockDim) -> StepProfile {
     let mut rows = log.lines().skip_while(|line| !line.starts_with("\"ID\"")).map(fields);
     let heads = rows.next().unwrap_or_default();
     let place = |name: &str| heads.iter().position(|head| *head == name);
     let (Some(id), Some(shape), Some(grid), Some(metric), Some(value)) =
         (place("ID"), place("Block Size"), place("Grid Size"), place("Metric Name"), place("Metric Value"))
     else {
-        return Profile::default();
+        return StepProfile::default();
     };
     let rows: Vec<Vec<&str>> = rows
         .filter(|row| row.len() == heads.len() && numbers(row[shape])[..2] == [block.columns, block.rows])
@@ -65,13 +65,13 @@ fn read(log: &str, block: Shape) -> Profile {
     let blocks = |row: &[&str]| numbers(row[grid]).iter().product::<u32>();
     // `max_by_key` returns the last of equal elements, so the rows are reversed.
     let Some(launch) = rows.iter().rev().max_by_key(|row| blocks(row)).map(|row| row[id]) else {
-        return Profile::default();
+        return StepProfile::default();
     };
     let figure = |name: &str| {
         let row = rows.iter().find(|row| row[id] == launch && row[metric] == name)?;
         row[value].replace(',', "").parse().ok()
     };
-    Profile {
+    StepProfile {
         achieved_occupancy_percent: figure(OCCUPANCY),
         branch_efficiency_percent: figure(UNIFORM),
         active_lanes: figure(LANES),
@@ -105,8 +105,8 @@ mod tests {
 
     #[test]
     fn figures_of_the_largest_launch_are_read() {
-        let got = read(LOG, Shape { columns: 8, rows: 8 });
-        let want = Profile {
+        let got = read(LOG, BlockDim { columns: 8, rows: 8 });
+        let want = StepProfile {
             achieved_occupancy_percent: Some(41.25),
             branch_efficiency_percent: Some(97.5),
             active_lanes: None,
@@ -116,7 +116,7 @@ mod tests {
 
     #[test]
     fn nothing_is_read_from_a_log_without_figures_or_of_other_blocks() {
-        assert_eq!(read("==ERROR== ERR_NVGPUCTRPERM", Shape { columns: 8, rows: 8 }), Profile::default());
-        assert_eq!(read(LOG, Shape { columns: 16, rows: 16 }), Profile::default());
+        assert_eq!(read("==ERROR== ERR_NVGPUCTRPERM", BlockDim { columns: 8, rows: 8 }), StepProfile::default());
+        assert_eq!(read(LOG, BlockDim { columns: 16, rows: 16 }), StepProfile::default());
     }
 }

@@ -6,7 +6,7 @@
 //! on one NVIDIA H200 by this project.
 
 use serde::Serialize;
-use worker::cuda::Shape;
+use worker::cuda::BlockDim;
 
 /// Hardware of the other figures of the table.
 pub(super) const HARDWARE: &str = "published: RTX 3070 laptop and one core of a Ryzen; H200: the paper's program there";
@@ -18,7 +18,7 @@ pub(super) struct Published {
     #[serde(skip)]
     resolution: u32,
     #[serde(skip)]
-    block: Shape,
+    block: BlockDim,
     /// On the GPU, in milliseconds.
     pub(super) parallel_ms: f64,
     /// On one core, in seconds.
@@ -41,7 +41,7 @@ const fn row(resolution: u32, block: (u32, u32), times: [f64; 3], kernel: [f64; 
     let [branch_efficiency_percent, achieved_occupancy_percent, theoretical_occupancy_percent] = kernel;
     Published {
         resolution,
-        block: Shape { columns: block.0, rows: block.1 },
+        block: BlockDim { columns: block.0, rows: block.1 },
         parallel_ms,
         serial_s,
         speed_up,
@@ -64,7 +64,7 @@ const TABLE: [Published; 8] = [
 ];
 
 /// Row of a resolution and block dimensions, if there is one.
-pub(super) fn published(resolution: u32, block: Shape) -> Option<Published> {
+pub(super) fn published(resolution: u32, block: BlockDim) -> Option<Published> {
     TABLE.into_iter().find(|row| (row.resolution, row.block) == (resolution, block))
 }
 

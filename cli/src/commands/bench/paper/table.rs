@@ -2,25 +2,25 @@
 
 use super::published::HARDWARE;
 use super::{GpuRow, Row, Table};
-use crate::terminal::say;
+use crate::terminal::print_line;
 
 /// Prints all of it.
 pub(super) fn say_all(table: &Table) -> anyhow::Result<()> {
     let gpu = table.gpu.as_deref().unwrap_or("no GPU");
-    say(&format!(
+    print_line(&format!(
         "{}, {} samples, on {gpu} and {} threads of {}",
         table.scene, table.samples, table.threads, table.simd
     ))?;
-    say("\nhere: ms of kernels, of one scalar thread and of all threads; times as fast as the one")?;
-    say(&format!(
+    print_line("\nhere: ms of kernels, of one scalar thread and of all threads; times as fast as the one")?;
+    print_line(&format!(
         "{:<11} {:>8} {:>10} {:>9} {:>9} {:>7} {:>9} {:>17} {:>9} {:>6}",
         "", "GPU ms", "serial ms", "SIMD ms", "GPU ×", "SIMD ×", "registers", "occ. ach./theor.", "uniform", "lanes"
     ))?;
     for row in &table.rows {
-        say(&measured(row))?;
+        print_line(&measured(row))?;
     }
-    say(&format!("\n{HARDWARE}"))?;
-    say(&format!(
+    print_line(&format!("\n{HARDWARE}"))?;
+    print_line(&format!(
         "{:<11} {:>8} {:>10} {:>9} {:>17} {:>9} {:>9} {:>12}",
         "", "GPU ms", "serial s", "GPU ×", "occ. ach./theor.", "uniform", "H200 ms", "over it here"
     ))?;
@@ -29,7 +29,7 @@ pub(super) fn say_all(table: &Table) -> anyhow::Result<()> {
         let over = row.gpu.as_ref().and_then(|gpu| gpu.over_the_papers_program);
         let occupancy =
             format!("{:.1}/{:.1}", published.achieved_occupancy_percent, published.theoretical_occupancy_percent);
-        say(&format!(
+        print_line(&format!(
             "{:<11} {:>8.0} {:>10.1} {:>9.0} {occupancy:>17} {:>9.2} {:>9.2} {:>12}",
             head(row),
             published.parallel_ms,

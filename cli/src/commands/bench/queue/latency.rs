@@ -5,17 +5,17 @@ use std::time::{Duration, Instant};
 use proto::job::JobState;
 use proto::{Client, JobId};
 
-use super::pretender::Pretender;
-use super::{Farm, Times};
+use super::fake_worker::FakeWorker;
+use super::{BenchFarm, Times};
 
 /// Cancels that are timed, at most: each waits until its job has begun.
-pub(super) const MOST_CANCELS: u32 = 50;
+pub(super) const MAX_CANCELS: u32 = 50;
 /// How long a worker's sync waits at the server.
 const WAIT: Duration = Duration::from_secs(10);
 /// Until then a worker's call waits at the server.
-const SETTLED: Duration = Duration::from_millis(20);
+const SETTLE_DELAY: Duration = Duration::from_millis(20);
 /// Interval between two reads of a job.
-const PAUSE: Duration = Duration::from_millis(1);
+const POLL_INTERVAL: Duration = Duration::from_millis(1);
 /// How long a job renders before it is cancelled.
 const RENDERED: Duration = Duration::from_millis(100);
 
@@ -34,12 +34,12 @@ fn job(width: u32, samples: u32) -> Vec<u8> {
 
 /// Time from the 201 until the waiting worker has the job.
 pub(super) async fn start(runs: u32) -> anyhow::Result<Times> {
-    let farm = Farm::start(0, None).await?;
-    let worker = Pretender::register(farm.client.server(), None).await?;
+    let farm = BenchFarm::start(0, None).await?;
+    let worker = FakeWorker::register(farm.client.server(), None).await?;
     let mut times = Vec::new();
     for _ in 0..runs {
         let submit = async {
-            tokio::time::sleep(SETTLED).await;
+            tokio::time::sleep(SETTLE_DELAY).await;
             farm.client.submit(job(64, 1), true).await?;
             anyhow::Ok(Instant::now())
         };
@@ -54,12 +54,12 @@ pub(super) async fn start(runs: u32) -> anyhow::Result<Times> {
         worker.sync(worker.results(&run).await?, false, Duration::ZERO).await?;
     }
     farm.stop().await?;
-    Ok(Times::of(times))
+    Ok(Times::new(times))
 }
 
 /// Time from the response to a cancel until the rendering worker starts the next job.
 pub(super) async fn cancel(runs: u32) -> anyhow::Result<Times> {
-    let farm = Farm::start(1, None).await?;
+    let farm = BenchFarm::start(1, None).await?;
     let mut times = Vec::new();
     for _ in 0..runs {
         let heavy = farm.client.submit(job(8192, 64), true).await?.id;
@@ -73,7 +73,7 @@ pub(super) async fn cancel(runs: u32) -> anyhow::Result<Times> {
         until(&farm.client, next, JobState::Succeeded).await?;
     }
     farm.stop().await?;
-    Ok(Times::of(times))
+    Ok(Times::new(times))
 }
 
 /// Waits until a job is in a state, or has succeeded meanwhile.
@@ -84,6 +84,6 @@ async fn until(client: &Client, id: JobId, state: JobState) -> anyhow::Result<()
             return Ok(());
         }
         anyhow::ensure!(!now.is_final(), "job {id} is {} all of a sudden", now.name());
-        tokio::time::sleep(PAUSE).await;
+        tokio::time::sleep(POLL_INTERVAL).await;
     }
 }

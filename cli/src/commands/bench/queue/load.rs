@@ -6,18 +6,18 @@ use std::time::{Duration, Instant};
 
 use anyhow::Context;
 use proto::JobId;
-use proto::work::Work as RunWork;
+use proto::worker_protocol::BatchWork as RunWork;
 use tokio::task::JoinSet;
 
-use super::pretender::Pretender;
-use super::{Farm, Times};
+use super::fake_worker::FakeWorker;
+use super::{BenchFarm, Times};
 
 /// Claims that are timed.
 const CLAIMS: u32 = 1000;
 /// Clients that read jobs, and the interval of each: together they read more than a thousand times per
 /// second, and leave the rest of the CPU to the workers.
-const ASKING: usize = 4;
-const ASK_EVERY: Duration = Duration::from_millis(2);
+const POLLERS: usize = 4;
+const POLL_INTERVAL: Duration = Duration::from_millis(2);
 /// Edge of the tiles, in pixels.
 pub(super) const TILE_PX: u32 = 32;
 /// A worker so fast is given about ten tiles of these jobs at a time.
@@ -38,7 +38,7 @@ fn job(seed: u32) -> Vec<u8> {
 }
 
 /// Submits jobs from several clients; returns the rate and the duration of each submission.
-pub(super) async fn submit(farm: &Arc<Farm>, clients: u32, jobs: u32) -> anyhow::Result<(f64, Times)> {
+pub(super) async fn submit(farm: &Arc<BenchFarm>, clients: u32, jobs: u32) -> anyhow::Result<(f64, Times)> {
     let start = Instant::now();
     let mut tasks = JoinSet::new();
     for client in 0..clients {
@@ -54,7 +54,7 @@ pub(super) async fn submit(farm: &Arc<Farm>, clients: u32, jobs: u32) -> anyhow:
         });
     }
     let times = gather(tasks).await?;
-    Ok((f64::from(jobs) / start.elapsed().as_secs_f64(), Times::of(times)))
+    Ok((f64::from(jobs) / start.elapsed().as_secs_f64(), Times::new(times)))
 }
 
 async fn gather(mut tasks: JoinSet<anyhow::Result<Vec<Duration>>>) -> anyhow::Result<Vec<Duration>> {
@@ -66,8 +66,8 @@ async fn gather(mut tasks: JoinSet<anyhow::Result<Vec<Duration>>>) -> anyhow::Re
 }
 
 /// Times claims of one worker, while all the jobs wait.
-pub(super) async fn claim(farm: &Farm) -> anyhow::Result<Times> {
-    let worker = Pretender::register(farm.client.server(), Some(TEN_TILES_A_SECOND)).await?;
+pub(super) async fn claim(farm: &BenchFarm) -> anyhow::Result<Times> {
+    let worker = FakeWorker::register(farm.client.server(), Some(TEN_TILES_A_SECOND)).await?;
     let mut times = Vec::new();
     for _ in 0..CLAIMS {
         let start = Instant::now();
@@ -75,30 +75,30 @@ pub(super) async fn claim(farm: &Farm) -> anyhow::Result<Times> {
         times.push(start.elapsed());
         worker.sync(worker.results(&run).await?, false, Duration::ZERO).await?;
     }
-    Ok(Times::of(times))
+    Ok(Times::new(times))
 }
 
 /// Work done in the measured time.
-pub(super) struct Work {
+pub(super) struct Throughput {
     pub(super) tiles_per_second: f64,
     pub(super) status_per_second: f64,
     pub(super) status: Times,
 }
 
 /// Lets workers claim and complete tiles for the given time while clients read jobs.
-pub(super) async fn work(farm: &Arc<Farm>, workers: u32, time: Duration) -> anyhow::Result<Work> {
+pub(super) async fn work(farm: &Arc<BenchFarm>, workers: u32, time: Duration) -> anyhow::Result<Throughput> {
     let (tiles, over) = (Arc::new(AtomicU64::new(0)), Arc::new(AtomicBool::new(false)));
     let mut working = JoinSet::new();
     for _ in 0..workers {
-        let worker = Pretender::register(farm.client.server(), Some(TEN_TILES_A_SECOND)).await?;
+        let worker = FakeWorker::register(farm.client.server(), Some(TEN_TILES_A_SECOND)).await?;
         let (tiles, over) = (Arc::clone(&tiles), Arc::clone(&over));
-        working.spawn(async move { pretend(&worker, &tiles, &over).await.map(|()| Vec::new()) });
+        working.spawn(async move { run_fake_worker(&worker, &tiles, &over).await.map(|()| Vec::new()) });
     }
     let asked: Vec<JobId> = farm.client.jobs(None, 100, None).await?.jobs.iter().map(|job| job.id).collect();
     let mut asking = JoinSet::new();
-    for index in 0..ASKING {
+    for index in 0..POLLERS {
         let (farm, over, asked) = (Arc::clone(farm), Arc::clone(&over), asked.clone());
-        asking.spawn(async move { ask(&farm, asked.iter().cycle().skip(index), &over).await });
+        asking.spawn(async move { poll_status(&farm, asked.iter().cycle().skip(index), &over).await });
     }
     let start = Instant::now();
     tiles.store(0, Ordering::Relaxed);
@@ -107,14 +107,14 @@ pub(super) async fn work(farm: &Arc<Farm>, workers: u32, time: Duration) -> anyh
     let (seconds, tiles) = (start.elapsed().as_secs_f64(), tiles.load(Ordering::Relaxed));
     gather(working).await?;
     let times = gather(asking).await?;
-    Ok(Work {
+    Ok(Throughput {
         tiles_per_second: tiles as f64 / seconds,
         status_per_second: times.len() as f64 / seconds,
-        status: Times::of(times),
+        status: Times::new(times),
     })
 }
 
-async fn pretend(worker: &Pretender, tiles: &AtomicU64, over: &AtomicBool) -> anyhow::Result<()> {
+async fn run_fake_worker(worker: &FakeWorker, tiles: &AtomicU64, over: &AtomicBool) -> anyhow::Result<()> {
     let (mut results, mut rendered) = (Vec::new(), 0);
     while !over.load(Ordering::Relaxed) {
         let run = worker.sync(std::mem::take(&mut results), true, Duration::ZERO).await?;
@@ -126,9 +126,13 @@ async fn pretend(worker: &Pretender, tiles: &AtomicU64, over: &AtomicBool) -> an
     Ok(())
 }
 
-async fn ask(farm: &Farm, jobs: impl Iterator<Item = &JobId>, over: &AtomicBool) -> anyhow::Result<Vec<Duration>> {
+async fn poll_status(
+    farm: &BenchFarm,
+    jobs: impl Iterator<Item = &JobId>,
+    over: &AtomicBool,
+) -> anyhow::Result<Vec<Duration>> {
     let mut times = Vec::new();
-    let mut pace = tokio::time::interval(ASK_EVERY);
+    let mut pace = tokio::time::interval(POLL_INTERVAL);
     for job in jobs.take_while(|_| !over.load(Ordering::Relaxed)) {
         pace.tick().await;
         let start = Instant::now();

@@ -1,0 +1,48 @@
+//! `sdfarm preview-helper`: the server's helper process. It reads a request in one line, writes the response to
+//! standard output, and exits when standard input closes.
+
+use std::io::{BufRead, BufReader, Read};
+
+use anyhow::Context;
+use proto::preview_helper::HelperRequest;
+use rustix::process::{Resource, Rlimit, nice, setrlimit};
+
+use crate::preview_helper;
+use crate::terminal::write_bytes;
+
+/// Bytes of the line; a job file in it is written as a JSON string.
+const MAX_LINE_BYTES: u64 = 64 << 20;
+/// Stack of the thread that works: deep job files are read on it.
+const STACK_BYTES: usize = 32 << 20;
+/// Limit of the address space for drawing.
+const MAX_HELPER_BYTES: u64 = 4 << 30;
+/// A sample yields to everything except the pool's own workers.
+const SAMPLE_NICENESS: i32 = 10;
+
+/// Handles the request.
+pub(crate) fn run() -> anyhow::Result<()> {
+    let mut input = BufReader::new(std::io::stdin());
+    let mut line = Vec::new();
+    input.by_ref().take(MAX_LINE_BYTES).read_until(b'\n', &mut line).context("could not read what to draw")?;
+    let sketch: HelperRequest = serde_json::from_slice(&line).context("could not understand what to draw")?;
+    set_limits(&sketch)?;
+    std::thread::spawn(move || {
+        // A killed server leaves no helper behind: its end of the pipe closes.
+        drop(std::io::copy(&mut input, &mut std::io::sink()));
+        std::process::exit(1);
+    });
+    let work = std::thread::Builder::new().name("preview-helper".to_owned()).stack_size(STACK_BYTES);
+    let answer = work.spawn(move || preview_helper::handle(&sketch)).context("could not start a thread")?;
+    write_bytes(&answer.join().map_err(|_| anyhow::anyhow!("drawing panicked"))??)
+}
+
+/// Keeps a child within its bounds.
+fn set_limits(sketch: &HelperRequest) -> anyhow::Result<()> {
+    match sketch {
+        HelperRequest::Preview { .. } | HelperRequest::Thumbnail { .. } => {
+            let most = Some(MAX_HELPER_BYTES);
+            setrlimit(Resource::As, Rlimit { current: most, maximum: most }).context("could not limit memory")
+        }
+        HelperRequest::MeasureCost { .. } => nice(SAMPLE_NICENESS).map(drop).context("could not give way to others"),
+    }
+}

@@ -1,0 +1,123 @@
+//! The coarse first pass: a frame rendered small, one sample a pixel, as large as a time limit allows.
+
+use std::path::Path;
+use std::sync::mpsc::{self, RecvTimeoutError};
+use std::time::{Duration, Instant};
+
+use anyhow::Context;
+use image::Rgba32FImage;
+use image::imageops::{self, FilterType};
+use proto::Rect;
+use scene::Job;
+use scene::color::DisplayTransform;
+use worker::{CancelFlag, CpuRenderer, Renderer, Simd, TilePixels, TileRequest, blob};
+
+use super::canvas::shown;
+
+/// Width of the first and smallest try, in pixels.
+const FIRST_PX: u32 = 32;
+/// Width of the last, in pixels.
+const LAST_PX: u32 = 480;
+/// Threads it is rendered on, at most.
+const MAX_THREADS: usize = 4;
+/// A try twice as wide takes about four times as long; a little more, to be on the safe side.
+const GROWTH_ESTIMATE: f64 = 4.5;
+
+/// Path of a coarse pass, and its cost limit.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct CoarseCache<'a> {
+    /// The file; read if it is there, else written.
+    pub(super) file: &'a Path,
+    /// Most time for rendering, in milliseconds.
+    pub(super) limit_ms: u64,
+}
+
+impl CoarseCache<'_> {
+    /// The coarse pass of a frame, kept or made now; `None` where not even a small one can be made in time.
+    pub(super) fn pixels(self, job: &Job, frame: u32) -> anyhow::Result<Option<TilePixels>> {
+        if let Some(kept) = std::fs::read(self.file).ok().and_then(|bytes| blob::decode(&bytes).ok())
+            && kept.planes.len() == 4
+        {
+            return Ok(Some(kept));
+        }
+        let made = render(job, frame, Duration::from_millis(self.limit_ms))?;
+        if let Some(pixels) = &made {
+            // Written under a name of its own until it is complete, because two helpers may write
+            // it. If that fails, it is rendered again next time.
+            let half = self.file.with_extension(std::process::id().to_string());
+            drop(std::fs::write(&half, blob::encode(pixels)).and_then(|()| std::fs::rename(&half, self.file)));
+        }
+        Ok(made)
+    }
+}
+
+/// Renders ever larger until the next would take too long.
+fn render(job: &Job, frame: u32, limit: Duration) -> anyhow::Result<Option<TilePixels>> {
+    let start = Instant::now();
+    let cores = std::thread::available_parallelism().map_or(1, usize::from);
+    let renderer = CpuRenderer::new(Some(cores.min(MAX_THREADS)), Simd::Auto)?;
+    let cancel = CancelFlag::new();
+    let (done, over) = mpsc::channel::<()>();
+    let last = job.image.width.min(LAST_PX);
+    std::thread::scope(|scope| {
+        let flag = cancel.clone();
+        scope.spawn(move || {
+            if over.recv_timeout(limit * 2) == Err(RecvTimeoutError::Timeout) {
+                flag.cancel();
+            }
+        });
+        let mut best = None;
+        let mut width = last.min(FIRST_PX);
+        loop {
+            let begun = Instant::now();
+            let small = with_width(job, width);
+            let rect = Rect::full(small.image.width, small.image.height);
+            match renderer.render(&TileRequest { job: &small, frame, rect }, &cancel, &|_| ()) {
+                Ok(pixels) => best = Some(pixels),
+                Err(worker::RenderError::Cancelled) => break,
+                Err(error) => {
+                    drop(done);
+                    return Err(error).context("could not render a coarse pass");
+                }
+            }
+            let next = begun.elapsed().mul_f64(GROWTH_ESTIMATE);
+            if width == last || start.elapsed() + next > limit {
+                break;
+            }
+            width = (width * 2).min(last);
+        }
+        drop(done);
+        Ok(best)
+    })
+}
+
+/// The same job, at this width.
+fn with_width(job: &Job, width: u32) -> Job {
+    let mut small = job.clone();
+    let height = u64::from(job.image.height) * u64::from(width) / u64::from(job.image.width);
+    small.image.width = width;
+    small.image.height = u32::try_from(height).unwrap_or(1).clamp(1, 4 * LAST_PX);
+    small.image.samples = 1;
+    small.image.layers.clear();
+    small
+}
+
+/// Scales a coarse pass up to this size, smoothly, as it is shown.
+pub(super) fn scaled(
+    coarse: &TilePixels,
+    grade: DisplayTransform,
+    opaque: bool,
+    [width, height]: [u32; 2],
+) -> Option<Rgba32FImage> {
+    let [r, g, b, a] = coarse.planes.as_slice() else { return None };
+    let colors = r.iter().zip(g).zip(b).zip(a);
+    let light = colors.flat_map(|(((r, g), b), a)| shown([*r, *g, *b, *a], grade, opaque)).collect();
+    let small = Rgba32FImage::from_raw(coarse.rect.width, coarse.rect.height, light)?;
+    let mut large = imageops::resize(&small, width, height, FilterType::CatmullRom);
+    // The filter overshoots the range of its input slightly.
+    for pixel in large.pixels_mut() {
+        let alpha = pixel.0[3].clamp(0.0, 1.0);
+        pixel.0 = [pixel.0[0].clamp(0.0, alpha), pixel.0[1].clamp(0.0, alpha), pixel.0[2].clamp(0.0, alpha), alpha];
+    }
+    Some(large)
+}

@@ -1,0 +1,227 @@
+//! Estimates the cost of a job from a sixteenth of its pixels: small blocks all over its frames are rendered
+//! as in the picture, on all threads at once, for a limited time.
+//!
+//! It measures CPU time rather than elapsed time, because the farm may be busy.
+
+use std::io::Cursor;
+use std::sync::Mutex;
+use std::sync::atomic::{AtomicU64, AtomicUsize, Ordering};
+use std::sync::mpsc::{self, RecvTimeoutError};
+use std::time::{Duration, Instant};
+
+use anyhow::{Context, ensure};
+use proto::Rect;
+use proto::preview_helper::CostSample;
+use scene::{Integrator, Job};
+use worker::image::{Encoders, PictureSpec};
+use worker::stitch::TileRows;
+use worker::{CancelFlag, CpuRenderer, Renderer, Simd, TilePixels, TileRequest};
+
+/// Edge of a block, in pixels.
+const BLOCK_PX: u32 = 16;
+/// In each square with this edge, one block is rendered: a sixteenth.
+const CELL_PX: u32 = 64;
+/// Maximum rays per pixel of a sample; more would add little precision.
+const MAX_SAMPLES: u32 = 4;
+/// Maximum number of sampled frames of an animation, spread evenly from the first to the last.
+const MAX_FRAMES: u32 = 5;
+/// Most data of a frame that a worker holds, in bytes.
+const MAX_FRAME_BYTES: u64 = 256 << 20;
+
+/// Samples a job on `threads` threads for about `render_ms`.
+pub(crate) fn sample(job: &Job, threads: usize, render_ms: u64) -> anyhow::Result<CostSample> {
+    let count = job.frames.count.min(MAX_FRAMES);
+    let spread = |index: u32| u64::from(job.frames.count - 1) * u64::from(index) / u64::from((count - 1).max(1));
+    let limit = Duration::from_millis(render_ms) / count;
+    let renderers: Vec<CpuRenderer> =
+        (0..threads.max(1)).map(|_| CpuRenderer::new(Some(1), Simd::Auto)).collect::<Result<_, _>>()?;
+    let mut sum = FrameCost::default();
+    for index in 0..count {
+        sum.add(&measure(job, spread(index) as u32, &renderers, limit)?);
+    }
+    let frames = f64::from(count);
+    ensure!(sum.rays > 0, "its pixels take too long for a sample of them");
+    let frame_bytes = job.image.pixels() * u64::from(job.image.pixel_bytes());
+    Ok(CostSample {
+        rays: sum.rays,
+        thread_seconds_per_ray: sum.seconds_per_ray / frames,
+        setup_seconds_per_tile: sum.setup_seconds / frames,
+        encode_seconds_per_pixel: sum.encode_seconds_per_pixel / frames,
+        memory_bytes: peak_memory_bytes() + frame_bytes.min(MAX_FRAME_BYTES),
+    })
+}
+
+/// Cost of one frame, or of several in sum.
+#[derive(Clone, Copy, Debug, Default)]
+struct FrameCost {
+    rays: u64,
+    seconds_per_ray: f64,
+    setup_seconds: f64,
+    encode_seconds_per_pixel: f64,
+}
+
+impl FrameCost {
+    fn add(&mut self, other: &Self) {
+        self.rays += other.rays;
+        self.seconds_per_ray += other.seconds_per_ray;
+        self.setup_seconds += other.setup_seconds;
+        self.encode_seconds_per_pixel += other.encode_seconds_per_pixel;
+    }
+}
+
+fn measure(job: &Job, frame: u32, renderers: &[CpuRenderer], limit: Duration) -> anyhow::Result<FrameCost> {
+    let start = Instant::now();
+    let still = job.at(frame)?;
+    std::hint::black_box(Integrator::new(&still));
+    let setup_seconds = start.elapsed().as_secs_f64();
+    let picture = PictureSpec::new(&still);
+    let mut job = job.clone();
+    if job.image.layers.is_empty() {
+        job.image.samples = job.image.samples.min(MAX_SAMPLES);
+    }
+    let (rays, blocks) = (AtomicU64::new(0), AtomicUsize::new(0));
+    let done = Mutex::new(Vec::new());
+    let program_start = Instant::now();
+    let moved = job.at(frame)?;
+    std::hint::black_box(Integrator::new(&moved));
+    let program_seconds = program_start.elapsed().as_secs_f64();
+    let before = cpu_seconds();
+    let start = Instant::now();
+    render(&job, frame, renderers, limit, &|pixels: Option<TilePixels>, more: u64| {
+        rays.fetch_add(more, Ordering::Relaxed);
+        if let Some(pixels) = pixels {
+            blocks.fetch_add(1, Ordering::Relaxed);
+            done.lock().expect("no holder panics").push(pixels);
+        }
+    })?;
+    let passed = start.elapsed().as_secs_f64();
+    let used = match (before, cpu_seconds()) {
+        (Some(before), Some(after)) => after - before,
+        _ => passed * renderers.len() as f64,
+    };
+    let (rays, blocks) = (rays.into_inner(), blocks.into_inner());
+    let rendering = (used - blocks as f64 * program_seconds).max(used / 10.0);
+    let encode_seconds_per_pixel = encode(picture, done.into_inner().expect("no holder panics"))?;
+    Ok(FrameCost { rays, seconds_per_ray: rendering / rays.max(1) as f64, setup_seconds, encode_seconds_per_pixel })
+}
+
+/// Renders blocks until the time is over, on all renderers at once. `found` receives finished rays, and
+/// finished blocks.
+fn render(
+    job: &Job,
+    frame: u32,
+    renderers: &[CpuRenderer],
+    limit: Duration,
+    found: &(dyn Fn(Option<TilePixels>, u64) + Sync),
+) -> anyhow::Result<()> {
+    let rects = blocks(job.image.width, job.image.height);
+    let next = AtomicUsize::new(0);
+    let start = Instant::now();
+    let cancel = CancelFlag::new();
+    let (done, over) = mpsc::channel::<()>();
+    std::thread::scope(|scope| {
+        let flag = cancel.clone();
+        // A block that takes too long is cancelled.
+        scope.spawn(move || {
+            if over.recv_timeout(limit * 2) == Err(RecvTimeoutError::Timeout) {
+                flag.cancel();
+            }
+        });
+        let (rects, next, cancel) = (&rects, &next, &cancel);
+        let work = move |renderer: &CpuRenderer| {
+            while start.elapsed() < limit {
+                let Some(&rect) = rects.get(next.fetch_add(1, Ordering::Relaxed)) else { break };
+                match renderer.render(&TileRequest { job, frame, rect }, cancel, &|rays| found(None, rays)) {
+                    Ok(pixels) => found(Some(pixels), 0),
+                    Err(worker::RenderError::Cancelled) => break,
+                    Err(error) => return Err(error),
+                }
+            }
+            Ok(())
+        };
+        let threads: Vec<_> = renderers.iter().map(|renderer| scope.spawn(move || work(renderer))).collect();
+        let ended: Vec<_> = threads.into_iter().map(std::thread::ScopedJoinHandle::join).collect();
+        drop(done);
+        for end in ended {
+            end.map_err(|_| anyhow::anyhow!("a rendering thread panicked"))?.context("could not render a sample")?;
+        }
+        Ok(())
+    })
+}
+
+/// A block in each cell of a picture, ordered so that the first few are spread all over it.
+fn blocks(width: u32, height: u32) -> Vec<Rect> {
+    let mut dice = 0x9e37_79b9_7f4a_7c15_u64;
+    let mut roll = |sides: u32| {
+        dice = dice.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+        ((dice >> 33) % u64::from(sides)) as u32
+    };
+    let mut rects = Vec::new();
+    for top in (0..height).step_by(CELL_PX as usize) {
+        for left in (0..width).step_by(CELL_PX as usize) {
+            let (x, y) = (left + roll(CELL_PX), top + roll(CELL_PX));
+            let (x, y) = (x.min(width.saturating_sub(BLOCK_PX)), y.min(height.saturating_sub(BLOCK_PX)));
+            rects.push(Rect { x, y, width: BLOCK_PX.min(width - x), height: BLOCK_PX.min(height - y) });
+        }
+    }
+    for last in (1..rects.len()).rev() {
+        let other = roll(u32::try_from(last + 1).unwrap_or(u32::MAX)) as usize;
+        rects.swap(last, other);
+    }
+    rects
+}
+
+/// Time to encode a pixel into the picture's file, in seconds, measured on a picture made of blocks side by
+/// side.
+fn encode(mut picture: PictureSpec, mut blocks: Vec<TilePixels>) -> anyhow::Result<f64> {
+    blocks.retain(|block| (block.rect.width, block.rect.height) == (BLOCK_PX, BLOCK_PX));
+    if blocks.is_empty() {
+        return Ok(0.0);
+    }
+    for (block, x) in blocks.iter_mut().zip((0..).step_by(BLOCK_PX as usize)) {
+        block.rect = Rect { x, y: 0, width: BLOCK_PX, height: BLOCK_PX };
+    }
+    picture.width = blocks.len() as u32 * BLOCK_PX;
+    picture.height = BLOCK_PX;
+    let start = Instant::now();
+    let mut file = Cursor::new(Vec::new());
+    Encoders::new(1)?.run(|| picture.write(&mut TileRows(&blocks), &mut file, &CancelFlag::new()))?;
+    Ok(start.elapsed().as_secs_f64() / Rect::full(picture.width, picture.height).pixels() as f64)
+}
+
+/// CPU time of this process's threads, in seconds; `None` if the system does not report it.
+fn cpu_seconds() -> Option<f64> {
+    let mut nanoseconds = 0_u64;
+    for task in std::fs::read_dir("/proc/self/task").ok()?.flatten() {
+        let text = std::fs::read_to_string(task.path().join("schedstat")).ok()?;
+        nanoseconds += text.split_whitespace().next()?.parse::<u64>().ok()?;
+    }
+    Some(nanoseconds as f64 / 1e9)
+}
+
+/// Peak memory of this process, in bytes; 0 if the system does not report it.
+fn peak_memory_bytes() -> u64 {
+    let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
+    let peak = status.lines().find_map(|line| line.strip_prefix("VmHWM:"));
+    let kibibytes = peak.and_then(|peak| peak.trim().strip_suffix(" kB")?.parse::<u64>().ok());
+    kibibytes.unwrap_or(0) << 10
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn blocks_lie_within_the_picture_and_are_a_sixteenth_of_a_large_one() {
+        for (width, height) in [(1, 1), (7, 300), (16, 16), (64, 64), (100, 65), (1920, 1080)] {
+            let rects = blocks(width, height);
+            assert!(!rects.is_empty());
+            for rect in rects {
+                assert!(rect.pixels() > 0, "{rect:?}");
+                assert!(rect.x + rect.width <= width && rect.y + rect.height <= height, "{rect:?} in {width}×{height}");
+            }
+        }
+        let sampled: u64 = blocks(1920, 1088).into_iter().map(Rect::pixels).sum();
+        assert_eq!(sampled * 16, 1920 * 1088);
+    }
+}

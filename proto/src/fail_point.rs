@@ -1,0 +1,222 @@
+//! Fail points: named places where a process can be made to exit, fail or wait, so that a test can hit the
+//! instant between two steps that random kills rarely hit.
+//!
+//! They are in every build, so that tests run the binary that operators run; a disarmed point costs the load
+//! of one atomic. Only the program's own hidden flag arms them, once: the environment variable alone does
+//! nothing. This module knows nothing of the code around its points.
+
+use std::fmt;
+use std::str::FromStr;
+use std::sync::OnceLock;
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::time::Duration;
+
+/// Environment variable with the armed points and their actions, read only if the hidden flag is given.
+pub const ENV_VAR: &str = "SDFARM_FAIL_POINTS";
+/// The hidden flag.
+pub const FLAG: &str = "--allow-fail-points";
+/// Prefix of the line that a process writes to standard error when a point is triggered.
+pub const LOG_PREFIX: &str = "fail point";
+
+macro_rules! points {
+    ($($(#[doc = $doc:literal])+ $point:ident = $name:literal,)+) => {
+        /// A place in the program.
+        #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+        pub enum FailPoint { $($(#[doc = $doc])+ $point,)+ }
+
+        impl FailPoint {
+            /// Every point.
+            pub const ALL: &[Self] = &[$(Self::$point),+];
+
+            /// Its name in [`ENV_VAR`].
+            pub fn name(self) -> &'static str {
+                match self { $(Self::$point => $name,)+ }
+            }
+        }
+    };
+}
+
+points! {
+    /// Server: the database is open, its tables are not brought up to date.
+    Migrating = "migrating",
+    /// Server: the tables are up to date, what the last server left is not put right.
+    Migrated = "migrated",
+    /// Server: a job is committed, its 201 is not sent.
+    SubmitCommitted = "submit_committed",
+    /// Server: a run is leased and committed, its worker has not heard of it.
+    Claimed = "claimed",
+    /// Server: a group is committed, no caller has its response.
+    GroupCommitted = "group_committed",
+    /// Server: a remote tile's blob is in the store, its worker has no response.
+    BlobStored = "blob_stored",
+    /// Server: a remote picture is fsynced, no row names it.
+    PictureStored = "picture_stored",
+    /// Server: leftover bytes are known to be unneeded, and still there.
+    Sweeping = "sweeping",
+    /// Server: one operation on the database begins.
+    DatabaseWrite = "database_write",
+    /// Server: a group of operations is about to be committed.
+    DatabaseCommit = "database_commit",
+    /// Server, or a worker of its pool: bytes are about to be stored.
+    StorePut = "store_put",
+    /// Server, or a worker of its pool: stored bytes are about to be read.
+    StoreGet = "store_get",
+    /// Worker: a blob is put, its tile is not reported.
+    BlobPut = "blob_put",
+    /// Worker: a picture is put, it is not reported.
+    PicturePut = "picture_put",
+    /// Worker: a frame's blobs are fetched, its picture is not encoded.
+    Stitching = "stitching",
+}
+
+/// Action of a triggered point.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum FailAction {
+    /// The process kills itself, as `kill -9` would.
+    Kill,
+    /// The step fails.
+    Err,
+    /// The step takes longer.
+    Slow(Duration),
+}
+
+/// Armed fail point.
+#[derive(Debug)]
+struct ArmedFailPoint {
+    point: FailPoint,
+    action: FailAction,
+    /// Pass at which it triggers, from 1; `None` for each.
+    pass: Option<u64>,
+    passes: AtomicU64,
+}
+
+/// The fail point that struck.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("{LOG_PREFIX} {} struck", .0.name())]
+pub struct FailPointError(pub FailPoint);
+
+/// [`ENV_VAR`] has no list of fail points.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[error(
+    "{part:?} is no fail point: write NAME=kill, NAME=error or NAME=slow:MILLISECONDS, then @N for the N-th pass alone; names are {}",
+    names()
+)]
+pub struct ParseFailPointsError {
+    /// The part that can't be read.
+    part: String,
+}
+
+fn names() -> String {
+    FailPoint::ALL.iter().map(|point| point.name()).collect::<Vec<_>>().join(", ")
+}
+
+static ARMED: OnceLock<Vec<ArmedFailPoint>> = OnceLock::new();
+
+/// Arms the points of a list such as `submit_committed=kill@3,store_put=slow:50`, for the rest of the process's life.
+pub fn arm(list: &str) -> Result<(), ParseFailPointsError> {
+    let parts = list.split(',').map(str::trim).filter(|part| !part.is_empty());
+    let traps = parts.map(str::parse).collect::<Result<Vec<ArmedFailPoint>, _>>()?;
+    // A second list would be a second flag, which the command line does not take.
+    let _ = ARMED.set(traps);
+    Ok(())
+}
+
+/// Whether points are armed in this process; its children inherit that.
+pub fn is_armed() -> bool {
+    ARMED.get().is_some()
+}
+
+/// Passes a point.
+pub fn trigger(point: FailPoint) -> Result<(), FailPointError> {
+    match ARMED.get() {
+        None => Ok(()),
+        Some(traps) => traps.iter().filter(|trap| trap.point == point).try_for_each(ArmedFailPoint::trigger),
+    }
+}
+
+/// Passes a point in code that cannot fail: only a kill or a delay has an effect.
+pub fn trigger_infallible(point: FailPoint) {
+    // An error is for steps that can fail.
+    let _ = trigger(point);
+}
+
+impl ArmedFailPoint {
+    fn trigger(&self) -> Result<(), FailPointError> {
+        let pass = self.passes.fetch_add(1, Ordering::Relaxed) + 1;
+        if self.pass.is_some_and(|wanted| wanted != pass) {
+            return Ok(());
+        }
+        eprintln!("{LOG_PREFIX} {} strikes at pass {pass}: {}", self.point.name(), self.action);
+        match self.action {
+            FailAction::Kill => loop {
+                // Whatever this returns, the process cannot continue.
+                let _ = rustix::process::kill_process(rustix::process::getpid(), rustix::process::Signal::KILL);
+            },
+            FailAction::Err => Err(FailPointError(self.point)),
+            FailAction::Slow(delay) => {
+                std::thread::sleep(delay);
+                Ok(())
+            }
+        }
+    }
+}
+
+impl fmt::Display for FailAction {
+    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Kill => formatter.write_str("kill"),
+            Self::Err => formatter.write_str("error"),
+            Self::Slow(delay) => write!(formatter, "slow:{}", delay.as_millis()),
+        }
+    }
+}
+
+impl FromStr for ArmedFailPoint {
+    type Err = ParseFailPointsError;
+
+    fn from_str(part: &str) -> Result<Self, ParseFailPointsError> {
+        let wrong = || ParseFailPointsError { part: part.to_owned() };
+        let (name, rest) = part.split_once('=').ok_or_else(wrong)?;
+        let (action, pass) = match rest.split_once('@') {
+            Some((action, pass)) => (action, Some(pass.parse().map_err(|_| wrong())?)),
+            None => (rest, None),
+        };
+        let action = match action.split_once(':') {
+            None if action == "kill" => FailAction::Kill,
+            None if action == "error" => FailAction::Err,
+            Some(("slow", delay_ms)) => FailAction::Slow(Duration::from_millis(delay_ms.parse().map_err(|_| wrong())?)),
+            _ => return Err(wrong()),
+        };
+        let point = FailPoint::ALL.iter().find(|point| point.name() == name).copied().ok_or_else(wrong)?;
+        Ok(Self { point, action, pass, passes: AtomicU64::new(0) })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn each_action_is_read_and_written_alike() {
+        for text in ["kill", "error", "slow:50"] {
+            let trap: ArmedFailPoint = format!("claimed={text}@7").parse().expect("sound");
+            assert_eq!((trap.point, trap.pass, trap.action.to_string().as_str()), (FailPoint::Claimed, Some(7), text));
+        }
+    }
+
+    #[test]
+    fn what_is_no_point_is_rejected_with_the_names() {
+        for bad in ["claimed", "claimed=", "nowhere=kill", "claimed=kill@x", "claimed=slow", "claimed=slow:x", "=kill"]
+        {
+            let refused = bad.parse::<ArmedFailPoint>().expect_err(bad).to_string();
+            assert!(refused.contains("submit_committed"), "{refused}");
+        }
+    }
+
+    #[test]
+    fn a_trap_strikes_at_its_pass_alone() {
+        let trap: ArmedFailPoint = "store_put=error@2".parse().expect("sound");
+        let struck: Vec<bool> = (0..4).map(|_| trap.trigger().is_err()).collect();
+        assert_eq!(struck, [false, true, false, false]);
+    }
+}

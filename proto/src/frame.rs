@@ -1,0 +1,59 @@
+//! A job's frames, as the HTTP API returns them.
+
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+/// Lifecycle of a frame: waiting, open, stitching, then stored or void.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum FrameState {
+    /// Not reached yet.
+    Waiting,
+    /// Its tiles are rendered.
+    Open,
+    /// Its picture is being made from its tiles.
+    Stitching,
+    /// Its picture is stored.
+    Stored,
+    /// Its job finished before it was stored.
+    Void,
+}
+
+impl FrameState {
+    /// Reads a state as the database spells it.
+    pub fn parse(name: &str) -> Option<Self> {
+        Some(match name {
+            "open" => Self::Open,
+            "stitching" => Self::Stitching,
+            "stored" => Self::Stored,
+            "void" => Self::Void,
+            _ => return None,
+        })
+    }
+}
+
+/// Frame, as `GET /v1/jobs/{id}/frames` returns it.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+pub struct FrameView {
+    /// Its number, from 0.
+    pub number: u32,
+    /// State.
+    pub state: FrameState,
+    /// BLAKE3 of its picture's bytes, in hex; null until it is stored.
+    pub picture: Option<String>,
+    /// Size of its picture; null until it is stored.
+    pub size_bytes: Option<u64>,
+    /// Its picture's address on this server; null until it is stored.
+    pub image: Option<String>,
+    /// Suggested file name of its picture; null until it is stored.
+    pub file: Option<String>,
+}
+
+/// A page of a job's frames, by number.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+pub struct FramePage {
+    /// The frames.
+    pub frames: Vec<FrameView>,
+    /// `cursor` of the next page; null on the last.
+    pub next_cursor: Option<String>,
+}

@@ -1,0 +1,263 @@
+//! The workers' own protocol, under `/v1/worker/`; not for users.
+//!
+//! A worker registers, then calls `sync` repeatedly: each call renews all its leases, reports results and
+//! asks for work, and waits at the server while there is none. Bytes (job files, tile blobs, pictures) have
+//! routes of their own, keyed by content; pool workers write blobs and pictures directly into the server's
+//! folders.
+
+use serde::{Deserialize, Serialize};
+
+use crate::{JobId, LeaseId, Rect, WorkerId};
+
+/// Route of registration: `POST`, [`RegisterRequest`] → [`RegisterResponse`].
+pub const REGISTER_PATH: &str = "/v1/worker/register";
+/// Route of syncs: `POST`, [`SyncRequest`] → [`SyncResponse`].
+pub const SYNC_PATH: &str = "/v1/worker/sync";
+/// Environment variable through which the pool gives its children their token.
+pub const TOKEN_ENV_VAR: &str = "SDFARM_WORKER_TOKEN";
+/// Exit code of a worker whose device can't render: no driver, a bad card, a failed self-test. Starting it
+/// again would not help, so the pool does not.
+pub const EXIT_UNUSABLE_DEVICE: u8 = 3;
+
+/// Route of a job's file: `GET`, the submitted JSON.
+pub fn job_path(job: JobId) -> String {
+    format!("/v1/worker/jobs/{job}")
+}
+
+/// Route of a tile blob, by the BLAKE3 of its bytes in hex: `PUT` and `GET`.
+pub fn blob_path(hash: &str) -> String {
+    format!("/v1/worker/blobs/{hash}")
+}
+
+/// Route of a picture, by the BLAKE3 of its bytes in hex: `PUT`.
+pub fn picture_path(hash: &str) -> String {
+    format!("/v1/worker/pictures/{hash}")
+}
+
+/// Registration of a worker.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct RegisterRequest {
+    /// A label for people.
+    pub name: String,
+    /// Device: `cpu` or `cuda:0`.
+    pub device: String,
+    /// Picture version it was built with; the server rejects a different one.
+    pub picture_version: u32,
+    /// Largest scene it renders, in nodes; `None` for any. It is offered no larger one, but stitches of any.
+    pub max_nodes: Option<u32>,
+    /// Process id, which the local pool knows its children by.
+    pub process: u32,
+}
+
+/// The answer to [`RegisterRequest`].
+#[derive(Clone, Debug, Serialize, Deserialize)]
+pub struct RegisterResponse {
+    /// The worker's id until it exits.
+    pub worker: WorkerId,
+    /// Length of a lease, in milliseconds. A worker that could not sync for two thirds of it stops rendering.
+    pub lease_ms: u64,
+    /// Folders that a worker on the server's own machine writes to directly; `None` means the routes of
+    /// this module.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub folders: Option<ContentFolders>,
+}
+
+/// The server's folders, where each file is named by the BLAKE3 of its bytes in hex.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct ContentFolders {
+    /// Folder of tile blobs.
+    pub blobs: String,
+    /// Folder of pictures: a file in it, and its name, are fsynced before they are reported.
+    pub pictures: String,
+}
+
+/// Marks the name of a partial file, after its final name.
+pub const PARTIAL_MARKER: char = '#';
+
+/// A worker's call: heartbeat, results, and a request for work.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct SyncRequest {
+    /// Calling worker.
+    pub worker: WorkerId,
+    /// Measured camera rays a second; `None` before the first tile.
+    pub rays_per_second: Option<f64>,
+    /// Leases it holds and still works on; all are renewed.
+    pub held_leases: Vec<LeaseId>,
+    /// Leases it has finished with.
+    pub reports: Vec<LeaseReport>,
+    /// Whether it wants a run.
+    pub wants_work: bool,
+    /// How long the server may wait before it responds, in milliseconds.
+    pub wait_ms: u64,
+    /// The worker is shutting down: the leases it holds, and any granted in a lost response, are
+    /// released.
+    #[serde(default)]
+    pub shutting_down: bool,
+    /// Measurements since its last call, for the server's metrics; no decision depends on them.
+    #[serde(default)]
+    pub metrics: WorkerMetrics,
+}
+
+/// Maximum number of [`Timing`]s in one call; the excess is dropped.
+pub const MAX_TIMINGS: usize = 1000;
+
+/// Measurements of a worker since its last call.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct WorkerMetrics {
+    /// Durations of phases.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub timings: Vec<Timing>,
+    /// The memory of its device, if that is not the machine's own.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub memory: Option<DeviceMemory>,
+}
+
+/// Duration of one phase.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Timing {
+    /// Phase.
+    pub phase: Phase,
+    /// Duration, in milliseconds.
+    pub took_ms: f64,
+    /// Camera rays that were rendered; 0 of everything else.
+    #[serde(default)]
+    pub rays: u64,
+}
+
+/// A part of a worker's work.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Phase {
+    /// Rendering tiles.
+    Render,
+    /// Making a file of a picture.
+    Encode,
+    /// Sending a blob or a picture to the server.
+    Deliver,
+}
+
+/// Memory of a device that has its own.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct DeviceMemory {
+    /// In use, by anyone.
+    pub used_bytes: u64,
+    /// Total bytes.
+    pub total_bytes: u64,
+}
+
+/// Report on one lease.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct LeaseReport {
+    /// The lease.
+    pub lease: LeaseId,
+    /// Outcome.
+    pub outcome: LeaseOutcome,
+}
+
+/// Outcome of one lease.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case", deny_unknown_fields)]
+pub enum LeaseOutcome {
+    /// The tile's pixels were put as a blob.
+    Blob {
+        /// BLAKE3 of the blob, in hex.
+        hash: String,
+        /// Its size.
+        size_bytes: u64,
+    },
+    /// The whole frame's picture was stored; reported for each of the frame's tiles, or for its stitch.
+    Picture {
+        /// BLAKE3 of the picture, in hex.
+        hash: String,
+        /// Its size.
+        size_bytes: u64,
+    },
+    /// Blobs of these tiles, by index in the frame, are missing or damaged: the stitch can't be done.
+    BadBlobs {
+        /// The tiles' indices.
+        tiles: Vec<u32>,
+    },
+    /// The renderer failed.
+    Failed {
+        /// Error message.
+        message: String,
+    },
+    /// Released without a result: the worker is shutting down.
+    Released,
+}
+
+/// The answer to [`SyncRequest`].
+#[derive(Clone, Debug, Serialize, Deserialize)]
+pub struct SyncResponse {
+    /// Work to do, if any was wanted and there was some.
+    pub batch: Option<Batch>,
+    /// Leases of `held_leases` and `reports` that are no longer live: the worker stops them and drops their
+    /// results.
+    pub revoked_leases: Vec<LeaseId>,
+    /// Finish what is held, then exit.
+    pub drain: bool,
+    /// Which trace the run belongs to: a W3C `traceparent`.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub trace: Option<String>,
+}
+
+/// Work of one frame, leased together.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+pub struct Batch {
+    /// The job.
+    pub job: JobId,
+    /// The frame, from 0.
+    pub frame: u32,
+    /// Work of the batch.
+    pub work: BatchWork,
+}
+
+/// Work that a batch asks for.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum BatchWork {
+    /// Render tiles.
+    Render {
+        /// The tiles.
+        tiles: Vec<LeasedTile>,
+        /// They are all of the frame, and small enough: deliver the picture instead of blobs.
+        whole_frame: bool,
+    },
+    /// Make the frame's picture from its tiles' blobs.
+    Stitch {
+        /// The hold on the stitch.
+        lease: LeaseId,
+        /// The tiles.
+        inputs: Vec<StitchInput>,
+    },
+}
+
+/// A tile to render.
+#[derive(Clone, Copy, Debug, Serialize, Deserialize)]
+pub struct LeasedTile {
+    /// The hold on it.
+    pub lease: LeaseId,
+    /// Its index in the frame.
+    pub index: u32,
+    /// Its pixels.
+    pub rect: Rect,
+}
+
+/// A finished tile to stitch.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+pub struct StitchInput {
+    /// Its index in the frame.
+    pub index: u32,
+    /// Its pixels.
+    pub rect: Rect,
+    /// BLAKE3 of its blob, in hex.
+    pub hash: String,
+    /// The blob's size.
+    pub size_bytes: u64,
+}

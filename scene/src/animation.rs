@@ -1,0 +1,212 @@
+//! Jobs that move: a job as it stands in one of its frames.
+//!
+//! Every number holds its track, so a frame is a clone of the scene whose animated numbers were taken to its time.
+
+use std::borrow::Cow;
+use std::collections::BTreeSet;
+
+use crate::job::{Frames, Image, Job};
+use crate::limits::{MAX_FULL_CHECK_BYTES, MIN_SAMPLED_FRAMES};
+use crate::scene::Scene;
+use crate::seek::{FrameTime, Seek, SeekError};
+
+/// A job as it stands in one of its frames: what a picture is made of.
+#[derive(Clone, Debug)]
+pub struct JobAtFrame<'a> {
+    scene: Cow<'a, Scene>,
+    image: Cow<'a, Image>,
+    frames: &'a Frames,
+    frame: u32,
+    is_animated: bool,
+}
+
+impl JobAtFrame<'_> {
+    /// What there is to see, with every number as it is in this frame.
+    pub fn scene(&self) -> &Scene {
+        &self.scene
+    }
+
+    /// The picture's size and file format, with every number as it is in this frame.
+    pub fn image(&self) -> &Image {
+        &self.image
+    }
+
+    /// Number of frames of its job, and their rate.
+    pub fn frames(&self) -> &Frames {
+        self.frames
+    }
+
+    /// Which frame it is, from 0.
+    pub fn frame(&self) -> u32 {
+        self.frame
+    }
+
+    /// Whether other frames of its job differ from it in more than their sampling noise.
+    pub fn is_animated(&self) -> bool {
+        self.is_animated
+    }
+}
+
+/// Why one frame of a job has no picture: its numbers do not go together then.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+#[error("{pointer} {message} (in frame {frame}, at {seconds} seconds)")]
+pub struct FrameError {
+    /// JSON pointer to what is wrong.
+    pub pointer: String,
+    /// What is wrong and what to do about it, as it reads behind the place.
+    pub message: String,
+    /// The frame, from 0.
+    pub frame: u32,
+    /// Its time.
+    pub seconds: f64,
+}
+
+impl Job {
+    /// Whether its frames differ in more than their sampling noise.
+    pub fn is_animated(&self) -> bool {
+        self.is_animated
+    }
+
+    /// The job as it stands in a frame.
+    ///
+    /// It is refused where the frame alone has a fault, and the job too many frames for each to be
+    /// looked over by [`crate::parse`].
+    pub fn at(&self, frame: u32) -> Result<JobAtFrame<'_>, FrameError> {
+        if !self.is_animated {
+            let (scene, image) = (Cow::Borrowed(&self.scene), Cow::Borrowed(&self.image));
+            return Ok(JobAtFrame { scene, image, frames: &self.frames, frame, is_animated: false });
+        }
+        let seconds = self.frames.time_of(frame);
+        let (mut scene, mut image) = (self.scene.clone(), self.image.clone());
+        let error = |pointer, message| FrameError { pointer, message, frame, seconds };
+        let clock = &mut FrameTime::at(seconds);
+        scene.seek(clock).map_err(|misfit| error(self.pointer_in_scene(&misfit), misfit.message))?;
+        image.seek(clock).map_err(|misfit| error(format!("/image{}", misfit.pointer), misfit.message))?;
+        scene.camera.apply_turntable(frame, &self.frames);
+        if let Some((key, message)) = scene.camera.validate() {
+            return Err(error(format!("/scene/camera/{key}"), message.to_owned()));
+        }
+        let (scene, image) = (Cow::Owned(scene), Cow::Owned(image));
+        Ok(JobAtFrame { scene, image, frames: &self.frames, frame, is_animated: true })
+    }
+
+    /// Where in the document a misfit of the scene stands, whose materials are in slots.
+    fn pointer_in_scene(&self, misfit: &SeekError) -> String {
+        let in_slot = misfit.pointer.strip_prefix("/materials/").and_then(|rest| {
+            let (slot, rest) = rest.split_once('/')?;
+            let place = self.material_pointers.get(slot.parse::<usize>().ok()?)?;
+            Some(format!("/scene{place}/{rest}"))
+        });
+        in_slot.unwrap_or_else(|| format!("/scene{}", misfit.pointer))
+    }
+}
+
+/// The frames behind the first that are looked over when a job of so many bytes is handed in: all
+/// of them if that is cheap, else those around keys and others between them.
+pub(crate) fn frames_to_check(frames: &Frames, key_seconds: &[f64], bytes: usize) -> BTreeSet<u32> {
+    let count = frames.count;
+    let most = (MAX_FULL_CHECK_BYTES / (bytes as u64).max(1)).max(MIN_SAMPLED_FRAMES.into());
+    if u64::from(count) <= most {
+        return (1..count).collect();
+    }
+    let most = most as usize;
+    let near_key = |seconds: &f64| {
+        let frame = seconds * f64::from(frames.fps.get());
+        [frame.floor(), frame.ceil()]
+    };
+    let last = f64::from(count - 1);
+    let near_keys = key_seconds.iter().flat_map(near_key).filter(|frame| (1.0..=last).contains(frame));
+    let near_keys: BTreeSet<u32> = near_keys.map(|frame| frame as u32).collect();
+    let every = near_keys.len().div_ceil(most / 2).max(1);
+    let mut chosen: BTreeSet<u32> = near_keys.into_iter().step_by(every).collect();
+    let others = (most - chosen.len()) as u64;
+    chosen.extend((1..=others).map(|other| (u64::from(count - 1) * other / others) as u32));
+    chosen
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::error::ParseError;
+    use crate::parse;
+    use crate::values::FrameRate;
+
+    /// A job whose sphere has the radius `radius`, with `more` behind its image.
+    fn text(radius: &str, more: &str) -> String {
+        format!(
+            r#"{{ "scene": {{ "camera": {{ "position": [0, 0, 3], "look_at": [0, 0, 0] }},
+                "objects": [{{ "shape": {{ "sphere": {{ "radius": {radius} }} }} }}] }},
+                "image": {{ "width": 8, "height": 8 }}{more} }}"#
+        )
+    }
+
+    const GROWS: &str = r#"{ "keys": [[0, 1], [1, 3]] }"#;
+
+    fn job(radius: &str, more: &str) -> Job {
+        parse(text(radius, more).as_bytes()).unwrap_or_else(|refusal| panic!("{refusal}"))
+    }
+
+    #[test]
+    fn a_frame_shows_numbers_as_they_are_then() {
+        let job = job(GROWS, r#", "frames": { "count": 9, "fps": 4 }"#);
+        assert!(job.is_animated());
+        let reach = |frame| {
+            let still = job.at(frame).unwrap();
+            let seen: f32 = still.scene().objects[0].shape.bounds(0.0).max.x;
+            seen
+        };
+        assert_eq!([0, 1, 2, 4, 8].map(reach), [1.0, 1.5, 2.0, 3.0, 3.0]);
+    }
+
+    #[test]
+    fn a_frame_keeps_the_size_that_was_asked_for_last() {
+        let mut job = job(GROWS, r#", "frames": { "count": 2 }"#);
+        job.image.width = 5;
+        assert_eq!(job.at(1).unwrap().image().width, 5);
+    }
+
+    #[test]
+    fn what_does_not_move_is_not_copied() {
+        let job = job("1", r#", "frames": { "count": 2 }"#);
+        assert!(!job.is_animated());
+        assert!(std::ptr::eq(job.at(1).unwrap().scene(), &raw const job.scene));
+    }
+
+    #[test]
+    fn keys_are_those_of_the_scene_as_it_stands() {
+        let frames = r#", "frames": { "count": 3, "fps": 1 }"#;
+        let (slow, fast) = (job(GROWS, frames), job(r#"{ "keys": [[0, 1], [1, 3], [2, 9]] }"#, frames));
+        assert_eq!([0, 1].map(|n| slow.cache_key(n)), [0, 1].map(|n| fast.cache_key(n)));
+        assert_ne!(slow.cache_key(2), fast.cache_key(2));
+        assert_ne!(slow.cache_key(1), slow.cache_key(2));
+    }
+
+    #[test]
+    fn only_a_job_in_which_nothing_moves_is_warned_of_that() {
+        let frames = r#", "frames": { "count": 2 }"#;
+        assert!(job("1", frames).warnings()[0].contains("nothing in the scene moves"));
+        assert_eq!(job(GROWS, frames).warnings(), Vec::<String>::new());
+        assert!(job(GROWS, "").warnings()[0].contains("frames.count"));
+    }
+
+    #[test]
+    fn a_fault_of_a_later_frame_names_the_frame() {
+        let camera = r#"{ "keys": [[0, 3], [2, -1]] }"#;
+        let wrong =
+            text("1", r#", "frames": { "count": 5, "fps": 2 }"#).replace("0, 0, 3]", &format!("0, 0, {camera}]"));
+        let Err(ParseError::Invalid(faults)) = parse(wrong.as_bytes()) else { panic!("{wrong} is right") };
+        assert_eq!(faults[0].pointer, "/scene/camera/look_at");
+        assert!(faults[0].message.contains("frame 3"), "{}", faults[0].message);
+    }
+
+    #[test]
+    fn many_frames_are_looked_over_around_keys_and_evenly() {
+        let frames = Frames { count: 100_000, fps: FrameRate::new(10.0).unwrap() };
+        let chosen = frames_to_check(&frames, &[-4.0, 777.77, 1e6], 1 << 24);
+        assert!(chosen.len() <= 64 && chosen.len() > 48, "{chosen:?}");
+        assert!([7_777, 7_778, 99_999].iter().all(|frame| chosen.contains(frame)), "{chosen:?}");
+        assert!(!chosen.contains(&0));
+        let all = frames_to_check(&Frames { count: 50, ..frames }, &[], 1 << 24);
+        assert!(all.into_iter().eq(1..50));
+    }
+}

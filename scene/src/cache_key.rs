@@ -1,0 +1,141 @@
+//! What a picture is known by: hashes of all that decides its bytes, and of nothing else.
+
+use serde::Serialize;
+
+use crate::PICTURE_VERSION;
+use crate::animation::JobAtFrame;
+use crate::job::{Bits, Format, Image, Job, Layer, Precision, ToneMap};
+use crate::scene::Scene;
+use crate::values::{ExposureStops, FrameRate};
+
+/// All that decides a frame's pixels.
+#[derive(Serialize)]
+struct CanonicalPixels<'a> {
+    version: u32,
+    scene: &'a Scene,
+    width: u32,
+    height: u32,
+    samples: u32,
+    seed: u32,
+    frame: u32,
+    layers: &'a [Layer],
+}
+
+/// All that decides the bytes of a frame's picture.
+#[derive(Serialize)]
+struct CanonicalPicture<'a> {
+    pixels: String,
+    format: Format,
+    bits: Option<Bits>,
+    precision: Option<Precision>,
+    /// In the header of an EXR; what else is there follows from the pixels' scene.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    fps: Option<&'a FrameRate>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    graded: Option<(&'a ExposureStops, ToneMap)>,
+}
+
+fn hash(value: &impl Serialize) -> blake3::Hash {
+    let mut hasher = blake3::Hasher::new();
+    serde_json::to_writer(&mut hasher, value).expect("a hasher takes all that is written, and a job has no odd keys");
+    hasher.finalize()
+}
+
+impl Job {
+    /// Of all that decides the bytes of a frame's picture.
+    pub fn cache_key(&self, frame: u32) -> blake3::Hash {
+        match self.at(frame) {
+            Ok(still) => still.cache_key(),
+            // No frame but this one of this scene can be refused so, and it gets no picture.
+            Err(error) => hash(&(&self.scene, frame, error.to_string())),
+        }
+    }
+}
+
+impl JobAtFrame<'_> {
+    /// Of the scene alone, as provenance in its picture.
+    pub fn scene_hash(&self) -> blake3::Hash {
+        hash(self.scene())
+    }
+
+    /// Of all that decides its pixels.
+    pub fn pixels_cache_key(&self) -> blake3::Hash {
+        // Without `..`: a field that is new does not compile until it is decided on, here and in `cache_key`.
+        let Image { width, height, samples, seed, layers, format: _, bits: _, precision: _, exposure: _, tone_map: _ } =
+            self.image();
+        hash(&CanonicalPixels {
+            version: PICTURE_VERSION,
+            scene: self.scene(),
+            width: *width,
+            height: *height,
+            samples: *samples,
+            seed: *seed,
+            frame: self.frame(),
+            layers,
+        })
+    }
+
+    /// Of all that decides the bytes of its picture.
+    pub fn cache_key(&self) -> blake3::Hash {
+        let image = self.image();
+        let Image { format, bits, precision, exposure, tone_map, width: _, height: _, samples: _, seed: _, layers: _ } =
+            image;
+        let (bits, precision, fps) = match format {
+            Format::Png => (Some(*bits), None, None),
+            Format::Exr => (None, Some(*precision), Some(&self.frames().fps)),
+        };
+        hash(&CanonicalPicture {
+            pixels: self.pixels_cache_key().to_hex().to_string(),
+            format: *format,
+            bits,
+            precision,
+            fps,
+            graded: image.has_display_transform().then_some((exposure, *tone_map)),
+        })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn job(materials: &str, name: &str, radius: f32, samples: u32) -> Job {
+        let text = format!(
+            r#"{{ "name": "{name}", "scene": {{ "camera": {{ "position": [0, 0, 3], "look_at": [0, 0, 0] }},
+                "materials": {{ {materials} }},
+                "objects": [{{ "material": "{name}", "shape": {{ "sphere": {{ "radius": {radius} }} }} }}] }},
+                "image": {{ "width": 8, "height": 8, "samples": {samples} }} }}"#
+        );
+        crate::parse(text.as_bytes()).unwrap()
+    }
+
+    #[test]
+    fn names_and_unused_materials_do_not_change_the_key() {
+        let a = job(r#""a": { "flat": { "color": [1, 0, 0] } }"#, "a", 1.0, 4);
+        let b = job(r##""x": { "normals": {} }, "b": { "flat": { "color": "#ff0000" } }"##, "b", 1.0, 4);
+        assert_eq!(a.cache_key(0), b.cache_key(0));
+    }
+
+    #[test]
+    fn what_changes_the_bytes_changes_the_key() {
+        let red = r#""a": { "flat": { "color": [1, 0, 0] } }"#;
+        let first = job(red, "a", 1.0, 4);
+        assert_ne!(first.cache_key(0), first.cache_key(1));
+        assert_ne!(first.cache_key(0), job(red, "a", 1.5, 4).cache_key(0));
+        assert_ne!(first.cache_key(0), job(red, "a", 1.0, 5).cache_key(0));
+        let mut other = first.clone();
+        other.image.tone_map = ToneMap::Filmic;
+        assert_ne!(first.cache_key(0), other.cache_key(0));
+        assert_eq!(first.at(0).unwrap().pixels_cache_key(), other.at(0).unwrap().pixels_cache_key());
+        let mut other = first.clone();
+        other.image.format = Format::Exr;
+        assert_ne!(first.cache_key(0), other.cache_key(0));
+        let mut faster = other.clone();
+        faster.frames.fps = FrameRate::new(25.0).unwrap();
+        assert_ne!(faster.cache_key(0), other.cache_key(0), "an EXR tells its rate");
+        faster.image.format = Format::Png;
+        assert_eq!(faster.cache_key(0), first.cache_key(0), "a PNG does not");
+        let pixels_key = |job: &Job| job.at(0).unwrap().pixels_cache_key();
+        assert_eq!(pixels_key(&first), pixels_key(&other));
+    }
+}

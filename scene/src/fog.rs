@@ -1,0 +1,63 @@
+//! Fog: the share of light that comes through, and its color.
+
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+use crate::camera::Ray;
+use crate::kinds::HasExamples;
+use crate::real::{Real, Vec3, vec3};
+use crate::seek::Seek;
+use crate::values::{Color, Density};
+
+/// Fog: what is further away fades into it.
+///
+/// With a falloff it lies on the ground: Inigo Quilez, "Better fog", <https://iquilezles.org/articles/fog/>.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
+#[serde(deny_unknown_fields)]
+pub struct Fog {
+    /// How thick it is, at height 0 if it falls off.
+    pub density: Density,
+    /// By what share of itself it gets thinner on a unit of height; 0 is as thick everywhere.
+    #[serde(default = "default_falloff")]
+    pub falloff: Density,
+    /// Its color; the background's in each direction when absent, and the horizon's below the horizon.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub color: Option<Color>,
+}
+
+impl HasExamples for Fog {
+    const EXAMPLE: &'static str = r##"{ "density": 0.12, "color": "#c3ccd6" }"##;
+    const MORE_EXAMPLES: &'static [&'static str] =
+        &[r##"{ "density": 0.07, "falloff": 2, "color": "#e6e2da" }"##, r#"{ "density": 0.09 }"#];
+}
+
+impl Fog {
+    /// What fog without a color of its own shows in a direction: the direction that the background is asked for.
+    #[inline(always)]
+    pub fn direction_of_color<R: Real>(direction: Vec3<R>) -> Vec3<R> {
+        let level = vec3(direction.x, direction.y.at_least(0.0), direction.z);
+        level * (direction.x.constant(1.0) / level.length().at_least(1e-3))
+    }
+
+    /// The share of the light that comes through `length` of the ray.
+    #[inline(always)]
+    pub fn transmittance<R: Real>(&self, ray: &Ray<R>, length: R) -> R {
+        let density = length.uniform(self.density.get());
+        if self.falloff.is_zero() {
+            return (-(density * length)).exp();
+        }
+        // ∫ exp(−falloff·(y + t·dy)) dt, where the ray climbs by more than nothing.
+        let falloff = length.uniform(self.falloff.get());
+        let start = (-(ray.origin.y * falloff)).at_most(20.0).exp();
+        let slope = falloff * ray.direction.y;
+        let level = slope.abs().below(1e-6);
+        let slope = R::select(level, slope.constant(1e-6), slope);
+        let climbed = (-(slope * length)).at_most(40.0).exp();
+        let through = ((length.constant(1.0) - climbed) / slope).at_least(0.0);
+        (-(density * start * R::select(level, length, through))).exp()
+    }
+}
+
+fn default_falloff() -> Density {
+    Density::new(0.0).expect("0 is in range")
+}

@@ -1,0 +1,440 @@
+//! What one pixel looks like: rays, march, normal, lights, materials. Written once for every back end.
+
+mod lighting;
+mod media;
+mod path;
+mod scene_distance;
+mod shading;
+mod step_budget;
+
+use crate::animation::JobAtFrame;
+use crate::backgrounds::Backdrop;
+use crate::bounds::Bounds;
+use crate::camera::{Ray, View};
+use crate::limits::MAX_SAMPLES;
+use crate::march::{Approach, MarchRange, MarchResult, RELAXATION, Tolerance, find_root, march_to_root};
+use crate::materials::{Material, Shade, ShadingPoint};
+use crate::real::{MaskValue, Real, Vec3, bundle, vec3};
+use crate::sampling::{PixelJitter, Sampler, frame_key};
+use crate::scene::Scene;
+use media::Media;
+use shading::MaterialTable;
+
+/// A frame of a job, ready to be asked for its pixels.
+///
+/// Its larger steps enter through [`Real::call`] instead of being inlined into one another:
+/// for thirty lanes a call costs little, and code for each instruction set is made once.
+#[derive(Clone, Debug)]
+pub struct Integrator<'a> {
+    scene: &'a Scene,
+    /// One over each object's Lipschitz factor; `None` where that is 1.
+    step_scales: Vec<Option<f32>>,
+    /// The objects that are surfaces, by index; the others are clouds and volumes.
+    surfaces: Vec<usize>,
+    materials: MaterialTable,
+    media: Option<Media<'a>>,
+    /// Whether rays go on from some surface.
+    sends_on: bool,
+    /// Whether rays go through some surface.
+    lets_through: bool,
+    /// Boxes of objects that need not be looked at from far away; empty if there are none.
+    cull_bounds: Vec<Option<Bounds>>,
+    /// Whether its distance is so long that all who ask for it share one that also names the object.
+    shares_nearest: bool,
+    /// Holds all there is to see.
+    bounds: Bounds,
+    view: View,
+    samples: u32,
+    frame_key: u32,
+    tolerance: Tolerance,
+    resolution: Tolerance,
+    /// Half the edge of the tetrahedron that normals are measured on, at most.
+    normal_epsilon: Tolerance,
+    /// Half of what a sample sees: of a pixel's height, over the root of their number.
+    seen: Tolerance,
+    /// Surfaces whose normals are means over a pixel.
+    fine: Vec<usize>,
+}
+
+/// From so many nodes on, one formula for the distance and another for the nearest object would be too much text.
+const SHARED_DISTANCE_NODES: u32 = 32;
+
+/// The color of a pixel.
+#[derive(Clone, Copy, Debug)]
+pub struct Radiance<R> {
+    /// Linear RGB, premultiplied by alpha.
+    pub color: Vec3<R>,
+    /// Coverage, where the background is transparent; else 1.
+    pub alpha: R,
+    /// How often the scene's distance was evaluated.
+    pub evaluations: R,
+}
+
+/// What the ray through a pixel's center meets.
+#[derive(Clone, Copy, Debug)]
+pub struct Aovs<R> {
+    /// Distance along the ray; infinite where nothing is hit.
+    pub depth: R,
+    /// Normal, toward the viewer's side; 0 where nothing is hit.
+    pub normal: Vec3<R>,
+    /// Where; 0 where nothing is hit.
+    pub position: Vec3<R>,
+    /// The surface's own color; 0 where nothing is hit.
+    pub albedo: Vec3<R>,
+    /// Index of the object; −1 where nothing is hit.
+    pub object: R,
+    /// Steps of the march.
+    pub steps: R,
+}
+
+/// A place on a surface.
+#[derive(Clone, Copy)]
+struct Hit<R: Real> {
+    t: R,
+    position: Vec3<R>,
+    normal: Vec3<R>,
+    /// Whether the surface is seen from inside.
+    is_inside: MaskValue<R>,
+}
+
+bundle!(Radiance { color, alpha, evaluations });
+bundle!(Hit { t, position, normal, is_inside });
+
+impl<R: Real> ShadingPoint<R> {
+    #[inline(always)]
+    fn new(hit: &Hit<R>, ray: &Ray<R>, footprint: [Vec3<R>; 2]) -> Self {
+        Self {
+            footprint,
+            normal: hit.normal,
+            to_viewer: -ray.direction,
+            local_point: hit.position,
+            local_normal: hit.normal,
+            camera_t: hit.t,
+            is_inside: hit.is_inside,
+        }
+    }
+}
+
+impl<'a> Integrator<'a> {
+    /// The picture of one frame.
+    pub fn new(still: &'a JobAtFrame<'_>) -> Self {
+        let (scene, image, moves) = (still.scene(), still.image(), still.is_animated());
+        let view = scene.camera.view(image.width, image.height);
+        let clothes = MaterialTable::new(scene);
+        let is_worn = |of: fn(&Material) -> bool| clothes.slots().any(|slot| of(&scene.used_materials()[slot]));
+        let (sends_on, lets_through) = (is_worn(Shade::is_specular), is_worn(Shade::is_transmissive));
+        let surfaces: Vec<usize> =
+            (0..scene.objects.len()).filter(|&index| !scene.material_of(index).is_medium()).collect();
+        let boxes: Vec<Option<Bounds>> =
+            scene.objects.iter().map(|object| object.shape.culling_bounds(moves)).collect();
+        let shapes = surfaces.iter().map(|&index| scene.objects[index].shape.bounds(0.0));
+        let bounds = shapes.reduce(Bounds::union).unwrap_or(Bounds::EMPTY);
+        Self {
+            scene,
+            cull_bounds: if boxes.iter().all(Option::is_none) { Vec::new() } else { boxes },
+            shares_nearest: scene.nodes() >= SHARED_DISTANCE_NODES,
+            bounds: bounds.with_margin(view.origin()),
+            step_scales: scene.objects.iter().map(|object| shrink(object.shape.stretch(), moves)).collect(),
+            media: Media::new(scene, view.origin()),
+            sends_on,
+            lets_through,
+            materials: clothes,
+            fine: surfaces.iter().copied().filter(|&index| scene.objects[index].shape.is_fine()).collect(),
+            surfaces,
+            tolerance: view.tolerance(),
+            resolution: view.resolution(),
+            normal_epsilon: view.normal_epsilon(),
+            seen: view.footprint().scaled(1.0 / Real::sqrt(image.samples as f32)),
+            view,
+            samples: image.samples,
+            frame_key: frame_key(image.seed, still.frame()),
+        }
+    }
+
+    /// The color of the pixel in column `x` and row `y`, both whole.
+    #[inline(always)]
+    pub fn pixel<R: Real>(&self, x: R, y: R) -> Radiance<R> {
+        let zero = x.constant(0.0);
+        let nothing = Radiance { color: vec3(zero, zero, zero), alpha: zero, evaluations: zero };
+        self.mean(self.accumulate(x, y, zero, x.constant(self.samples as f32), nothing))
+    }
+
+    /// `sum` and the light of more of a pixel's samples: from `first`, until before `end`, which is
+    /// above `first`. Sums of parts, in order, have the same bits as one sum of all.
+    pub fn accumulate<R: Real>(&self, x: R, y: R, first: R, end: R, sum: Radiance<R>) -> Radiance<R> {
+        x.vectorize(
+            #[inline(always)]
+            || {
+                let add = |sum: Radiance<R>, seen: Radiance<R>| Radiance {
+                    color: sum.color + seen.color,
+                    alpha: sum.alpha + seen.alpha,
+                    evaluations: sum.evaluations + seen.evaluations,
+                };
+                let zero = x.constant(0.0);
+                let dice = Sampler { x, y, sample: zero, bounce: zero, frame_key: self.frame_key };
+                if self.samples == 1 {
+                    return add(sum, self.radiance(x + 0.5, y + 0.5, &dice));
+                }
+                let jitter = PixelJitter::new(x, y, self.frame_key);
+                let (_, sum) = R::repeat(
+                    MAX_SAMPLES,
+                    (first, sum),
+                    #[inline(always)]
+                    |(sample, sum)| {
+                        let (jx, jy) = jitter.offset(sample);
+                        let next = sample + 1.0;
+                        let seen = self.radiance(x + jx, y + jy, &Sampler { sample, ..dice });
+                        (next.lt(end), (next, add(sum, seen)))
+                    },
+                );
+                sum
+            },
+        )
+    }
+
+    /// The color of a pixel whose samples are all in `sum`.
+    #[inline(always)]
+    pub fn mean<R: Real>(&self, sum: Radiance<R>) -> Radiance<R> {
+        if self.samples == 1 {
+            return sum;
+        }
+        let share = sum.alpha.uniform(1.0 / self.samples as f32);
+        Radiance { color: sum.color * share, alpha: sum.alpha * share, evaluations: sum.evaluations }
+    }
+
+    /// What the ray through the center of the pixel in column `x` and row `y` meets.
+    pub fn aovs<R: Real>(&self, x: R, y: R) -> Aovs<R> {
+        x.vectorize(
+            #[inline(always)]
+            || {
+                let ray = self.view.ray(x + 0.5, y + 0.5);
+                let marched = if self.fine.is_empty() { self.march(&ray) } else { self.march_to_depth(&ray) };
+                let zero = x.constant(0.0);
+                let nothing = vec3(zero, zero, zero);
+                let missed = (x.constant(f32::INFINITY), nothing, nothing, nothing, zero.constant(-1.0));
+                let (depth, normal, position, albedo, object) = R::when(
+                    marched.hit.0,
+                    missed,
+                    #[inline(always)]
+                    || {
+                        let hit = self.hit(&ray, &marched);
+                        let object = self.nearest_object(hit.position).1;
+                        let albedo = self.albedo(&hit, &ray, object);
+                        (hit.t, hit.normal, ray.at(hit.t), albedo, object)
+                    },
+                );
+                Aovs { depth, normal, position, albedo, object, steps: marched.steps }
+            },
+        )
+    }
+
+    /// The light along the ray through a point of the picture, in pixels from its top left.
+    fn radiance<R: Real>(&self, x: R, y: R, dice: &Sampler<R>) -> Radiance<R> {
+        x.vectorize(
+            #[inline(always)]
+            || {
+                let ray = self.view.ray(x, y);
+                if self.sends_on || self.media.is_some() || self.scene.fog.is_some() {
+                    return self.path(&ray, dice);
+                }
+                let marched = self.march(&ray);
+                let (background, alpha) = self.background(ray.direction);
+                let (color, alpha, evaluations) = R::when(
+                    marched.hit.0,
+                    (background, alpha, marched.steps),
+                    #[inline(always)]
+                    || {
+                        let (color, evaluations) = self.surface(&ray, &marched, dice);
+                        (color, x.constant(1.0), marched.steps + evaluations)
+                    },
+                );
+                Radiance { color, alpha, evaluations }
+            },
+        )
+    }
+
+    /// What is seen where nothing is, and its alpha.
+    #[inline(always)]
+    fn background<R: Real>(&self, direction: Vec3<R>) -> (Vec3<R>, R) {
+        let alpha = if self.scene.background.is_transparent() { 0.0 } else { 1.0 };
+        (self.scene.background.radiance(direction), direction.x.constant(alpha))
+    }
+
+    fn march<R: Real>(&self, ray: &Ray<R>) -> MarchResult<R> {
+        ray.direction.x.call(
+            "march",
+            *ray,
+            #[inline(always)]
+            |ray| {
+                let Tolerance { slope, floor } = self.tolerance;
+                self.march_in_bounds(&ray, ray.direction.x.uniform(slope), ray.direction.x.uniform(floor), false)
+            },
+        )
+    }
+
+    /// The same to a root of surfaces with details of every size, too: a way that only depth is worth.
+    fn march_to_depth<R: Real>(&self, ray: &Ray<R>) -> MarchResult<R> {
+        ray.direction.x.call(
+            "march_to_depth",
+            *ray,
+            #[inline(always)]
+            |ray| {
+                let Tolerance { slope, floor } = self.tolerance;
+                self.march_in_bounds(&ray, ray.direction.x.uniform(slope), ray.direction.x.uniform(floor), true)
+            },
+        )
+    }
+
+    /// Marches within the scene's bounds; what is near enough grows by `slope` from `near`. To be near enough is
+    /// to have met a surface with details of every size, unless its `depth` is asked for.
+    #[inline(always)]
+    fn march_in_bounds<R: Real>(&self, ray: &Ray<R>, slope: R, near: R, depth: bool) -> MarchResult<R> {
+        let approach = self.approach(slope, near, depth);
+        let zero = ray.direction.x.constant(0.0);
+        let farthest = zero.uniform(self.scene.march.max_distance.get());
+        let (nearest, farthest) = self.bounds.intersect_ray(ray, farthest);
+        let missed = MarchResult {
+            t: farthest,
+            near: farthest,
+            distance: farthest,
+            steps: zero,
+            hit: MaskValue(zero.below(0.0)),
+        };
+        R::when(
+            nearest.lt(farthest),
+            missed,
+            #[inline(always)]
+            || {
+                // Depth among details takes many steps of a distance that is next to none.
+                let (times, relaxation) = if depth { (16, 1.0) } else { (1, RELAXATION) };
+                let max_steps = self.scene.march.max_steps * times;
+                let reach = MarchRange { t_min: nearest, t_max: farthest, max_steps, relaxation };
+                let marched = march_to_root(
+                    ray,
+                    reach,
+                    approach,
+                    #[inline(always)]
+                    |p| self.distance(p),
+                    #[inline(always)]
+                    |p| self.is_fine(p),
+                );
+                // Out of steps: a hit if what the pixel sees touches the surface.
+                let seen = self.view.footprint().at(marched.t);
+                let touches = !marched.hit.0 & marched.distance.lt(seen) & marched.t.lt(farthest);
+                if !self.fine.is_empty() {
+                    return MarchResult { hit: MaskValue(marched.hit.0 | touches), ..marched };
+                }
+                // And if there is a root: a ray along a surface has none.
+                let wide = Approach { slope: zero, near: seen, ..approach };
+                R::when(
+                    touches,
+                    marched,
+                    #[inline(always)]
+                    || {
+                        find_root(
+                            ray,
+                            &marched,
+                            wide,
+                            None,
+                            #[inline(always)]
+                            |p| self.distance(p),
+                        )
+                    },
+                )
+            },
+        )
+    }
+
+    #[inline(always)]
+    fn approach<R>(&self, slope: R, near: R, among_details: bool) -> Approach<R> {
+        Approach { slope, near, resolution: self.resolution, both_sides: self.lets_through, among_details }
+    }
+
+    /// Where exactly a march that came near the surface meets it, and the normal there.
+    fn hit<R: Real>(&self, ray: &Ray<R>, marched: &MarchResult<R>) -> Hit<R> {
+        marched.t.call(
+            "hit",
+            (*ray, *marched),
+            #[inline(always)]
+            |(ray, marched)| {
+                let MarchResult { t: root, near, distance: gap, .. } = marched;
+                let fine = self.is_fine(ray.at(near));
+                let from = fine.map_or(root, |fine| R::select(fine, near, root));
+                let p = ray.at(from);
+                let normal = self.normal(p, self.normal_epsilon(p, from, fine));
+                let facing = -normal.dot(ray.direction);
+                let steepness = if self.lets_through { facing.abs() } else { facing };
+                // One step of Newton's method along the ray; cautious where it grazes the surface.
+                let about = (near + gap / steepness.at_least(0.25)).at_least(0.0);
+                // Where the march ran out of steps there is no root.
+                let distance = R::select(near.lt(root) | root.lt(near), root, about);
+                let position = ray.at(fine.map_or(distance, |fine| R::select(fine, about, distance)));
+                let inside = facing.below(0.0);
+                let normal = Vec3::select(inside, -normal, normal);
+                Hit { t: distance, position, normal, is_inside: MaskValue(inside) }
+            },
+        )
+    }
+
+    /// Whether the surface at `p` has details of every size; `None` where none has. Among them a root is one of
+    /// many: what is seen is the surface at the march's tolerance around them, and its normal is the mean over a pixel.
+    #[inline(always)]
+    fn is_fine<R: Real>(&self, p: Vec3<R>) -> Option<R::Mask> {
+        let zero = p.x.constant(0.0);
+        if self.fine.is_empty() || self.fine.len() == self.surfaces.len() {
+            return (!self.fine.is_empty()).then(|| zero.below(1.0));
+        }
+        let object = self.nearest_object(p).1;
+        let nowhere = zero.above(1.0);
+        Some(self.fine.iter().fold(
+            nowhere,
+            #[inline(always)]
+            |mask, &index| mask | (object - index as f32).abs().below(0.5),
+        ))
+    }
+
+    /// How far from a hit its normal is measured: as little as `f32` allows, so that no edge nearby is seen; but
+    /// half of half a pixel where the surface has finer details.
+    #[inline(always)]
+    fn normal_epsilon<R: Real>(&self, p: Vec3<R>, distance: R, fine: Option<R::Mask>) -> R {
+        /// Of a coordinate: some thousand times what it is right to.
+        const OF_COORDINATE: f32 = 2.5e-4;
+        /// Of what is the most: a fortieth of half a pixel.
+        const OF_MOST: f32 = 0.05;
+        let most = self.normal_epsilon.at(distance);
+        let size = vec3(p.x.abs(), p.y.abs(), p.z.abs()).max_element();
+        let least = distance.uniform(self.resolution.floor * 50.0);
+        let sharp = (size * OF_COORDINATE).max(most * OF_MOST).max(least).min(most);
+        fine.map_or(sharp, |fine| R::select(fine, most, sharp))
+    }
+
+    /// The gradient's direction, from four taps on a tetrahedron.
+    #[inline(always)]
+    #[expect(
+        clippy::redundant_closure_for_method_calls,
+        reason = "a closure can be inlined always, a method named can't"
+    )]
+    fn normal<R: Real>(&self, p: Vec3<R>, size: R) -> Vec3<R> {
+        let a = self.distance(p + vec3(size, -size, -size));
+        let b = self.distance(p + vec3(-size, -size, size));
+        let c = self.distance(p + vec3(-size, size, -size));
+        let d = self.distance(p + vec3(size, size, size));
+        let (ad, bc) = (a + d, b + c);
+        let (ca, db) = (c - a, d - b);
+        // Scaled up, so that the squares of small differences do not vanish.
+        let gradient = vec3(ad - bc, ca + db, (d - c) + (b - a));
+        let largest = gradient
+            .map(
+                #[inline(always)]
+                |c| c.abs(),
+            )
+            .max_element()
+            .at_least(1e-20);
+        (gradient * (size.constant(1.0) / largest)).normalize()
+    }
+}
+
+/// What an object's distance is multiplied by: nothing if it is 1, but in all frames alike.
+fn shrink(stretch: f32, moves: bool) -> Option<f32> {
+    (stretch != 1.0 || moves).then(|| 1.0 / stretch)
+}

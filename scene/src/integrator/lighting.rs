@@ -1,0 +1,186 @@
+//! The light that arrives at a place, and what stands in its way.
+
+use super::{Hit, Integrator};
+use crate::ambient_occlusion::AmbientOcclusion;
+use crate::backgrounds::Backdrop;
+use crate::camera::Ray;
+use crate::lights::{AmbientLight, Light, LightSample, LightSource};
+use crate::march::{MarchRange, MarchResult, RELAXATION, march};
+use crate::materials::microfacet::orthonormal_basis;
+use crate::materials::{IncidentLight, Shade};
+use crate::real::{Real, Vec3};
+use crate::sampling::Sampler;
+
+/// What a pair of numbers is for, see [`Sampler::get_2d`]: the light of this index has `DIM_LIGHTS` + index.
+pub(super) const DIM_BSDF: u32 = 0;
+pub(super) const DIM_LOBE: u32 = 1;
+const DIM_LIGHTS: u32 = 2;
+/// Evaluations that a normal takes.
+pub(super) const NORMAL_EVALUATIONS: f32 = 4.0;
+
+impl Integrator<'_> {
+    /// The color of a surface, and how many evaluations it cost.
+    #[inline(always)]
+    pub(super) fn surface<R: Real>(&self, ray: &Ray<R>, marched: &MarchResult<R>, dice: &Sampler<R>) -> (Vec3<R>, R) {
+        let hit = self.hit(ray, marched);
+        let (light, evaluations) = self.incident_light(&hit, dice);
+        (self.shade(&hit, ray, &light), evaluations + NORMAL_EVALUATIONS)
+    }
+
+    /// The light at a hit, and how often the scene was evaluated for it.
+    #[inline(always)]
+    pub(super) fn incident_light<R: Real>(&self, hit: &Hit<R>, dice: &Sampler<R>) -> (IncidentLight<R>, R) {
+        let zero = hit.t.constant(0.0);
+        let mut evaluations = zero;
+        let mut light = IncidentLight { lights: Vec::new(), ambient: None, ambient_visibility: None };
+        if !self.materials.slots().any(|slot| self.scene.used_materials()[slot].is_lit()) {
+            return (light, evaluations);
+        }
+        light.ambient_visibility = self.ambient_visibility(hit);
+        if light.ambient_visibility.is_some() {
+            evaluations = evaluations + AmbientOcclusion::SAMPLES;
+        }
+        let farthest = zero.uniform(self.scene.march.max_distance.get());
+        for (index, source) in self.scene.lights.iter().enumerate() {
+            let pair = || dice.get_2d(DIM_LIGHTS + index as u32);
+            let background = &self.scene.background;
+            if let Some((mut incoming, distance)) = source.sample(hit.position, farthest, background.day(), pair) {
+                if source.casts_shadows() {
+                    let (visible, steps) = self.shadow_visibility(hit, incoming.direction, distance);
+                    incoming.radiance = incoming.radiance * visible;
+                    evaluations = evaluations + steps;
+                }
+                light.lights.push(incoming);
+            } else if let Some(sky) = source.ambient(background) {
+                let (around, steps) = self.sky_light(sky, source.casts_shadows(), hit, light.ambient_visibility, pair);
+                evaluations = evaluations + steps;
+                light.ambient = Some(light.ambient.map_or(around, |sum| sum + around));
+            }
+        }
+        (light, evaluations)
+    }
+
+    #[inline(always)]
+    fn ambient_visibility<R: Real>(&self, hit: &Hit<R>) -> Option<R> {
+        let occlusion = self.scene.ambient_occlusion.as_ref()?;
+        Some(occlusion.visibility(
+            hit.position,
+            hit.normal,
+            #[inline(always)]
+            |p| self.distance(p),
+        ))
+    }
+
+    /// Light from all around, and the steps it took to see what hides it.
+    #[inline(always)]
+    fn sky_light<R: Real>(
+        &self,
+        sky: AmbientLight<'_>,
+        casts_shadows: bool,
+        hit: &Hit<R>,
+        openness: Option<R>,
+        pair: impl FnOnce() -> (R, R),
+    ) -> (Vec3<R>, R) {
+        let strength = hit.t.uniform(sky.strength);
+        if !casts_shadows && let Some(mean) = sky.from.cosine_mean(hit.normal) {
+            let mean = mean * strength;
+            return (openness.map_or(mean, |openness| mean * openness), hit.t.constant(0.0));
+        }
+        let direction = sample_cosine_hemisphere(hit.normal, pair());
+        let seen = sky.from.radiance(direction) * strength;
+        if !casts_shadows {
+            return (openness.map_or(seen, |openness| seen * openness), hit.t.constant(0.0));
+        }
+        let farthest = hit.t.uniform(self.scene.march.max_distance.get());
+        let (visible, steps) = self.shadow_visibility(hit, direction, farthest);
+        (seen * visible, steps)
+    }
+
+    /// The share of the light from `direction` that reaches the place, and the steps it took to see.
+    pub(super) fn shadow_visibility<R: Real>(&self, hit: &Hit<R>, direction: Vec3<R>, farthest: R) -> (R, R) {
+        farthest.call(
+            "visibility",
+            (*hit, direction, farthest),
+            #[inline(always)]
+            |(hit, direction, farthest)| {
+                let zero = farthest.constant(0.0);
+                // Off the surface by more than the march was off it.
+                let near = self.tolerance.at(hit.t);
+                let ray = Ray { origin: hit.normal.mul_add(near * 4.0, hit.position), direction };
+                let faces = hit.normal.dot(direction).above(0.0);
+                R::when(
+                    faces,
+                    (zero, zero),
+                    #[inline(always)]
+                    || {
+                        let (visible, steps) = self.is_unoccluded(&ray, near, farthest);
+                        match &self.media {
+                            None => (visible, steps),
+                            Some(media) => R::when(
+                                visible.above(0.0),
+                                (visible, steps),
+                                #[inline(always)]
+                                || (self.transmittance(media, &ray, farthest), steps),
+                            ),
+                        }
+                    },
+                )
+            },
+        )
+    }
+
+    /// 1 where no surface is on the ray nearer than `farthest`, else 0; and the steps it took to see.
+    #[inline(always)]
+    pub(super) fn is_unoccluded<R: Real>(&self, ray: &Ray<R>, near: R, farthest: R) -> (R, R) {
+        let (zero, one) = (farthest.constant(0.0), farthest.constant(1.0));
+        let (nearest, farthest) = self.bounds.intersect_ray(ray, farthest);
+        R::when(
+            nearest.lt(farthest),
+            (one, zero),
+            #[inline(always)]
+            || {
+                let reach = MarchRange {
+                    t_min: nearest,
+                    t_max: farthest,
+                    max_steps: self.scene.march.max_steps,
+                    relaxation: RELAXATION,
+                };
+                let marched = march(
+                    ray,
+                    reach,
+                    #[inline(always)]
+                    |t| t.mul_add(t.constant(4e-7), near),
+                    #[inline(always)]
+                    |p| self.distance(p),
+                );
+                (R::select(marched.hit.0, zero, one), marched.steps)
+            },
+        )
+    }
+}
+
+/// A direction around a normal, as likely as its cosine: a point of the unit disc, raised to the half sphere.
+#[inline(always)]
+fn sample_cosine_hemisphere<R: Real>(normal: Vec3<R>, (u, v): (R, R)) -> Vec3<R> {
+    let (right, up) = orthonormal_basis(normal);
+    let (sine, cosine) = (v * std::f32::consts::TAU).sin_cos();
+    let away = u.sqrt();
+    let height = (u.constant(1.0) - u).sqrt();
+    let along = normal.mul_add(height, right * (away * cosine));
+    up.mul_add(away * sine, along)
+}
+
+/// All lights as they arrive at a point in the air, unhindered, with their places among the lights.
+#[inline(always)]
+pub(super) fn sample_lights<'a, R: Real>(
+    program: &'a Integrator<'_>,
+    p: Vec3<R>,
+    dice: &'a Sampler<R>,
+) -> impl Iterator<Item = (&'a Light, LightSample<R>, R)> {
+    let farthest = p.x.uniform(program.scene.march.max_distance.get());
+    program.scene.lights.iter().enumerate().filter_map(move |(index, source)| {
+        let day = program.scene.background.day();
+        let (incoming, distance) = source.sample(p, farthest, day, || dice.get_2d(DIM_LIGHTS + index as u32))?;
+        Some((source, incoming, distance))
+    })
+}

@@ -1,0 +1,312 @@
+//! Clouds and volumes: what a ray gathers and loses inside shapes that are filled, not bounded.
+//!
+//! The light that is lost on the way falls as Beer and Lambert say; what is scattered toward the
+//! viewer is scattered once, and comes straight from the lights.
+
+use super::Integrator;
+use super::lighting::sample_lights;
+use crate::backgrounds::Backdrop;
+use crate::bounds::Bounds;
+use crate::camera::Ray;
+use crate::lights::{AmbientLight, Light, LightSource};
+use crate::materials::{MediumMaterial, Shade};
+use crate::real::{Real, Vec3, bundle, vec3};
+use crate::sampling::Sampler;
+use crate::scene::Scene;
+
+/// The filled objects of a scene.
+#[derive(Clone, Debug)]
+pub(super) struct Media<'a> {
+    all: Vec<Medium<'a>>,
+    /// Holds all of them.
+    bounds: Bounds,
+    /// Steps of a ray through the air at most.
+    max_steps: u32,
+    /// Steps of a ray of light at most.
+    light_steps: u32,
+}
+
+/// A filled object.
+#[derive(Clone, Debug)]
+struct Medium<'a> {
+    object: usize,
+    material: MediumMaterial<'a>,
+    /// Length of a step inside.
+    step: f32,
+}
+
+/// What a ray has gathered on its way through the air.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct MediumSegment<R> {
+    /// Light scattered toward the viewer.
+    pub(super) color: Vec3<R>,
+    /// Share of the light from the far end that is left.
+    pub(super) transmittance: R,
+    pub(super) evaluations: R,
+}
+
+bundle!(MediumSegment { color, transmittance, evaluations });
+
+/// What fills a point of space.
+struct MediumProperties<R> {
+    /// The extinction coefficient.
+    extinction: R,
+    /// The extinction times the color that is sent to the viewer.
+    source: Vec3<R>,
+}
+
+/// So little is left that nobody sees what is behind.
+const MIN_TRANSMITTANCE: f32 = 1.0 / 256.0;
+/// Steps outside of all shapes, on the way to one of them.
+const MAX_EMPTY_STEPS: u32 = 96;
+
+impl<'a> Media<'a> {
+    /// The filled objects, if there are any; `origin` is where the camera is.
+    pub(super) fn new(scene: &'a Scene, origin: Vec3<f32>) -> Option<Self> {
+        let mut all = Vec::new();
+        let mut bounds = Bounds::EMPTY;
+        let (mut max_steps, mut light_steps) = (0, 0);
+        for (object, tree) in scene.objects.iter().enumerate() {
+            let Some(filling) = scene.material_of(object).as_medium() else { continue };
+            let own = tree.shape.bounds(0.0);
+            let within = if own.is_finite() { own.diagonal() } else { scene.march.max_distance.get() };
+            all.push(Medium { object, step: within / filling.steps() as f32, material: filling });
+            bounds = if all.len() == 1 { own } else { bounds.union(own) };
+            max_steps += filling.steps();
+            light_steps = light_steps.max(filling.light_steps());
+        }
+        (!all.is_empty()).then(|| Self { all, bounds: bounds.with_margin(origin), max_steps, light_steps })
+    }
+}
+
+impl Integrator<'_> {
+    /// What a ray gathers until `farthest`.
+    pub(super) fn integrate_media<R: Real>(
+        &self,
+        media: &Media<'_>,
+        ray: &Ray<R>,
+        farthest: R,
+        dice: &Sampler<R>,
+    ) -> MediumSegment<R> {
+        farthest.vectorize(
+            #[inline(always)]
+            || {
+                let (zero, one) = (farthest.constant(0.0), farthest.constant(1.0));
+                let nothing = MediumSegment { color: vec3(zero, zero, zero), transmittance: one, evaluations: zero };
+                let (near, far) = media.bounds.intersect_ray(ray, farthest);
+                R::when(
+                    near.lt(far),
+                    nothing,
+                    #[inline(always)]
+                    || {
+                        let (_, jitter) = dice.get_2d(super::lighting::DIM_LOBE);
+                        let (_, crossed) = R::repeat(
+                            media.max_steps + MAX_EMPTY_STEPS,
+                            (near, nothing),
+                            #[inline(always)]
+                            |(t, crossed)| {
+                                let (step, crossed) = self.media_step(media, ray, t, jitter, &crossed, dice);
+                                let next = t + step;
+                                (next.lt(far) & crossed.transmittance.above(MIN_TRANSMITTANCE), (next, crossed))
+                            },
+                        );
+                        crossed
+                    },
+                )
+            },
+        )
+    }
+
+    /// The length of a step from `t` on a ray, and what has been gathered at its end.
+    #[inline(always)]
+    fn media_step<R: Real>(
+        &self,
+        media: &Media<'_>,
+        ray: &Ray<R>,
+        t: R,
+        jitter: R,
+        crossed: &MediumSegment<R>,
+        dice: &Sampler<R>,
+    ) -> (R, MediumSegment<R>) {
+        let p = ray.at(t);
+        let (mut outside, mut inside_step) = (t.constant(1e9), t.constant(1e9));
+        let mut depths = Vec::with_capacity(media.all.len());
+        for medium in &media.all {
+            let distance = self.object_distance(medium.object, p);
+            let step = t.uniform(medium.step);
+            inside_step = inside_step.min(R::select(distance.below(0.0), step, inside_step));
+            // Into the shape by a part of a step that differs from ray to ray, or its rim would show.
+            outside = outside.min(R::select(distance.below(0.0), outside, jitter.mul_add(step, distance)));
+            depths.push(-distance);
+        }
+        let is_inside = inside_step.below(1e9);
+        let step = R::select(is_inside, inside_step.min(outside), outside).at_least(1e-6);
+        let here = MediumSegment { evaluations: crossed.evaluations + 1.0, ..*crossed };
+        let crossed = R::when(
+            is_inside,
+            here,
+            #[inline(always)]
+            || {
+                let stuff = self.medium_properties(media, p, &depths, ray.direction, dice);
+                let left = (-(stuff.extinction * step)).exp();
+                let share = (left.constant(1.0) - left) * here.transmittance / stuff.extinction.at_least(1e-9);
+                let sent = stuff.source * share;
+                let sent = match &self.scene.fog {
+                    None => sent,
+                    Some(fog) => {
+                        let clear = fog.transmittance(ray, t);
+                        let veiled = (clear.constant(1.0) - clear) * share * stuff.extinction;
+                        self.fog_color(fog, ray.direction).mul_add(veiled, sent * clear)
+                    }
+                };
+                MediumSegment {
+                    color: here.color + sent,
+                    transmittance: here.transmittance * left,
+                    evaluations: here.evaluations,
+                }
+            },
+        );
+        (step, crossed)
+    }
+
+    /// What fills `p`, so deep inside each medium, and what it sends against `direction`.
+    #[inline(always)]
+    fn medium_properties<R: Real>(
+        &self,
+        media: &Media<'_>,
+        p: Vec3<R>,
+        depths: &[R],
+        direction: Vec3<R>,
+        dice: &Sampler<R>,
+    ) -> MediumProperties<R> {
+        let zero = p.x.constant(0.0);
+        let black = vec3(zero, zero, zero);
+        let mut stuff = MediumProperties { extinction: zero, source: black };
+        let mut scattering = Vec::new();
+        for (medium, &depth) in media.all.iter().zip(depths) {
+            let extinction = medium.material.extinction(p, depth);
+            stuff.extinction = stuff.extinction + extinction;
+            stuff.source = medium.material.emission(p.x).mul_add(extinction, stuff.source);
+            if let Some(volume) = medium.material.as_scattering() {
+                scattering.push((volume, extinction));
+            }
+        }
+        if scattering.is_empty() {
+            return stuff;
+        }
+        let thick = scattering.iter().fold(zero, |sum, (_, extinction)| sum + *extinction).above(1e-6);
+        let sent = stuff.source;
+        stuff.source = R::when(
+            thick,
+            sent,
+            #[inline(always)]
+            || {
+                let mut sent = sent;
+                for (source, incoming, distance) in sample_lights(self, p, dice) {
+                    let lit = self.light_optical_depth(media, source, p, incoming.direction, distance);
+                    let cosine = direction.dot(incoming.direction);
+                    for (volume, extinction) in &scattering {
+                        let phase = volume.phase(cosine, lit);
+                        sent = incoming
+                            .radiance
+                            .mul_elementwise(volume.scattering_albedo(p.x))
+                            .mul_add(phase * *extinction, sent);
+                    }
+                }
+                for source in &self.scene.lights {
+                    let Some(AmbientLight { from, strength }) = source.ambient(&self.scene.background) else {
+                        continue;
+                    };
+                    let (up, down) = (vec3(zero, zero.constant(1.0), zero), vec3(zero, zero.constant(-1.0), zero));
+                    let mean = (from.radiance(up) + from.radiance(down)) * zero.uniform(0.5 * strength);
+                    for (volume, extinction) in &scattering {
+                        sent = mean.mul_elementwise(volume.scattering_albedo(p.x)).mul_add(*extinction, sent);
+                    }
+                }
+                sent
+            },
+        );
+        stuff
+    }
+
+    /// Optical depth τ between a light and `p`; 80 if a surface is in between, so that exp(−τ) is 0.
+    #[inline(always)]
+    fn light_optical_depth<R: Real>(
+        &self,
+        media: &Media<'_>,
+        source: &Light,
+        p: Vec3<R>,
+        direction: Vec3<R>,
+        distance: R,
+    ) -> R {
+        const OPAQUE_DEPTH: f32 = 80.0;
+        if !source.casts_shadows() {
+            return p.x.constant(0.0);
+        }
+        let ray = Ray { origin: p, direction };
+        let depth = self.optical_depth(media, &ray, distance);
+        if self.surfaces.is_empty() {
+            return depth;
+        }
+        let near = p.x.uniform(self.tolerance.floor) + p.x.uniform(self.tolerance.slope);
+        let (visible, _) = self.is_unoccluded(&ray, near, distance);
+        depth + (visible.constant(1.0) - visible) * OPAQUE_DEPTH
+    }
+
+    /// The share of the light that comes along a ray through the air.
+    #[inline(always)]
+    pub(super) fn transmittance<R: Real>(&self, media: &Media<'_>, ray: &Ray<R>, farthest: R) -> R {
+        (-self.optical_depth(media, ray, farthest)).exp()
+    }
+
+    /// The integral of the extinction along a ray until `farthest`.
+    fn optical_depth<R: Real>(&self, media: &Media<'_>, ray: &Ray<R>, farthest: R) -> R {
+        farthest.call(
+            "optical_depth",
+            (*ray, farthest),
+            #[inline(always)]
+            |(ray, farthest)| {
+                let zero = farthest.constant(0.0);
+                let (near, far) = media.bounds.intersect_ray(&ray, farthest);
+                R::when(
+                    near.lt(far),
+                    zero,
+                    #[inline(always)]
+                    || {
+                        let step = (far - near) * zero.constant(1.0 / media.light_steps as f32);
+                        let start = step.mul_add(zero.constant(0.5), near);
+                        let (_, sum) = R::repeat(
+                            media.light_steps,
+                            (start, zero),
+                            #[inline(always)]
+                            |(t, sum)| {
+                                let here = self.extinction(media, ray.at(t));
+                                let sum = here.mul_add(step, sum);
+                                (sum.below(20.0), (t + step, sum))
+                            },
+                        );
+                        sum
+                    },
+                )
+            },
+        )
+    }
+
+    /// The extinction of all that fills `p`.
+    #[inline(always)]
+    fn extinction<R: Real>(&self, media: &Media<'_>, p: Vec3<R>) -> R {
+        let zero = p.x.constant(0.0);
+        let mut sum = zero;
+        for medium in &media.all {
+            let depth = -self.object_distance(medium.object, p);
+            let own = R::when(
+                depth.above(0.0),
+                zero,
+                #[inline(always)]
+                || medium.material.extinction(p, depth),
+            );
+            sum = sum + own;
+        }
+        sum
+    }
+}

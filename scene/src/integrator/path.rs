@@ -1,0 +1,294 @@
+//! A ray on its way: what it meets, and how it goes on where surfaces mirror it or let it through.
+
+use super::lighting::{DIM_BSDF, DIM_LOBE, NORMAL_EVALUATIONS};
+use super::{Hit, Integrator, Radiance};
+use crate::camera::Ray;
+use crate::fog::Fog;
+use crate::march::MarchResult;
+use crate::materials::SpecularBsdf;
+use crate::materials::microfacet::{
+    alpha_from_roughness, orthonormal_basis, sample_visible_normal, schlick_weight, smith_g2_over_g1,
+};
+use crate::real::{MaskValue, Real, Vec3, bundle, vec3};
+use crate::sampling::Sampler;
+
+/// A ray that has been sent on some times.
+#[derive(Clone, Copy)]
+struct PathState<R: Real> {
+    ray: Ray<R>,
+    /// How near is near enough where it starts.
+    epsilon: R,
+    /// How far it has come.
+    t: R,
+    /// The share of what it meets that reaches the camera.
+    throughput: Vec3<R>,
+    color: Vec3<R>,
+    /// The share of what lies straight behind that reaches the camera.
+    background_weight: R,
+    evaluations: R,
+    bounce: R,
+    is_active: MaskValue<R>,
+}
+
+bundle!(PathState { ray, epsilon, t, throughput, color, background_weight, evaluations, bounce, is_active });
+
+/// Where a ray goes on, and the share of what it meets then.
+#[derive(Clone, Copy)]
+struct BsdfSample<R: Real> {
+    direction: Vec3<R>,
+    weight: Vec3<R>,
+    /// Whether it goes to the other side of the surface.
+    is_transmitted: MaskValue<R>,
+}
+
+/// What is met by a ray that was sent on counts as this bright at most: a sharp highlight that few rays meet
+/// would leave specks.
+const MAX_INDIRECT_RADIANCE: f32 = 6.0;
+/// Less than this of what a ray meets would not be seen.
+const MIN_THROUGHPUT: f32 = 1.0 / 512.0;
+
+impl Integrator<'_> {
+    /// The light along a ray from the camera.
+    #[inline(always)]
+    pub(super) fn path<R: Real>(&self, ray: &Ray<R>, dice: &Sampler<R>) -> Radiance<R> {
+        let (zero, one) = (dice.x.constant(0.0), dice.x.constant(1.0));
+        let start = PathState {
+            ray: *ray,
+            epsilon: zero.uniform(self.tolerance.floor),
+            t: zero,
+            throughput: vec3(one, one, one),
+            color: vec3(zero, zero, zero),
+            background_weight: one,
+            evaluations: zero,
+            bounce: zero,
+            is_active: MaskValue(zero.below(1.0)),
+        };
+        let end = if self.sends_on {
+            R::repeat(
+                self.scene.march.max_bounces + 1,
+                start,
+                #[inline(always)]
+                |path| {
+                    let next = self.trace_segment(path, dice);
+                    (next.is_active.0, next)
+                },
+            )
+        } else {
+            self.trace_segment(start, dice)
+        };
+        // What would be met after the last bounce is taken to be the background.
+        let rest = end.throughput.mul_elementwise(self.background(end.ray.direction).0);
+        let color = Vec3::select(end.is_active.0, end.color + rest, end.color);
+        let alpha = self.background(end.ray.direction).1;
+        let alpha = end.background_weight.mul_add(alpha - 1.0, one);
+        Radiance { color, alpha, evaluations: end.evaluations }
+    }
+
+    /// A path until it meets the next surface, and on from there.
+    fn trace_segment<R: Real>(&self, path: PathState<R>, dice: &Sampler<R>) -> PathState<R> {
+        path.epsilon.vectorize(
+            #[inline(always)]
+            || {
+                let dice = Sampler { bounce: path.bounce, ..*dice };
+                let marched = self.march_from(&path.ray, path.epsilon);
+                let mut path = path;
+                path.evaluations = path.evaluations + marched.steps;
+                self.apply_media(&mut path, &marched, &dice);
+                let (background, _) = self.background(path.ray.direction);
+                let missed = PathState {
+                    color: path.color + path.throughput.mul_elementwise(background),
+                    is_active: MaskValue(path.epsilon.below(0.0)),
+                    ..path
+                };
+                R::when(
+                    marched.hit.0,
+                    missed,
+                    #[inline(always)]
+                    || self.scatter(path, &marched, &dice),
+                )
+            },
+        )
+    }
+
+    /// Clouds, volumes and fog between the start of a ray and where it ends.
+    #[inline(always)]
+    fn apply_media<R: Real>(&self, path: &mut PathState<R>, marched: &MarchResult<R>, dice: &Sampler<R>) {
+        let farthest = path.epsilon.uniform(self.scene.march.max_distance.get());
+        let length = R::select(marched.hit.0, marched.t, farthest);
+        if let Some(media) = &self.media {
+            let crossed = self.integrate_media(media, &path.ray, length, dice);
+            path.color = path.color + path.throughput.mul_elementwise(crossed.color);
+            path.throughput = path.throughput * crossed.transmittance;
+            path.background_weight = path.background_weight * crossed.transmittance;
+            path.evaluations = path.evaluations + crossed.evaluations;
+        }
+        if let Some(fog) = &self.scene.fog {
+            let clear = fog.transmittance(&path.ray, length);
+            let color = self.fog_color(fog, path.ray.direction);
+            path.color = path.color + path.throughput.mul_elementwise(color) * (clear.constant(1.0) - clear);
+            path.throughput = path.throughput * clear;
+            path.background_weight = path.background_weight * clear;
+        }
+    }
+
+    /// What fog shows in a direction.
+    #[inline(always)]
+    pub(super) fn fog_color<R: Real>(&self, fog: &Fog, direction: Vec3<R>) -> Vec3<R> {
+        match &fog.color {
+            Some(color) => Vec3::uniform(direction.x, color.get()),
+            None => self.background(Fog::direction_of_color(direction)).0,
+        }
+    }
+
+    /// A path at the surface it has met.
+    #[inline(always)]
+    fn scatter<R: Real>(&self, path: PathState<R>, marched: &MarchResult<R>, dice: &Sampler<R>) -> PathState<R> {
+        let zero = path.epsilon.constant(0.0);
+        let met = self.hit(&path.ray, marched);
+        let hit = Hit { t: met.t + path.t, ..met };
+        let (light, evaluations) = self.incident_light(&hit, dice);
+        let evaluations = path.evaluations + evaluations + NORMAL_EVALUATIONS;
+        if !self.sends_on {
+            let color = path.color + path.throughput.mul_elementwise(self.shade(&hit, &path.ray, &light));
+            return PathState {
+                color,
+                evaluations,
+                background_weight: zero,
+                is_active: MaskValue(zero.above(0.0)),
+                ..path
+            };
+        }
+        let (seen, finish) = self.shade_with_specular(&hit, &path.ray, &light);
+        let seen = Vec3::select(path.bounce.above(0.5), clamp_indirect(seen), seen);
+        let color = path.color + path.throughput.mul_elementwise(seen);
+        let onward = self.sample_bsdf(&hit, -path.ray.direction, &finish, dice);
+        let near = self.tolerance.at(hit.t);
+        let side = R::select(onward.is_transmitted.0, near * -4.0, near * 4.0);
+        let ray = Ray { origin: hit.normal.mul_add(side, hit.position), direction: onward.direction };
+        let throughput = path.throughput.mul_elementwise(onward.weight);
+        // What goes straight through leaves the background behind it to be seen.
+        let straight = onward.is_transmitted.0 & (finish.ior - 1.0).abs().below(1e-4);
+        let see_through = R::select(straight, path.background_weight * onward.weight.mean(), zero);
+        PathState {
+            ray,
+            epsilon: near,
+            t: hit.t,
+            throughput,
+            color,
+            background_weight: see_through,
+            evaluations,
+            bounce: path.bounce + 1.0,
+            is_active: MaskValue(throughput.max_element().above(MIN_THROUGHPUT)),
+        }
+    }
+
+    /// Where a ray goes on from a surface: mirrored, or through it where that is what its numbers choose.
+    ///
+    /// Bruce Walter et al., "Microfacet models for refraction through rough surfaces", EGSR 2007.
+    #[inline(always)]
+    fn sample_bsdf<R: Real>(
+        &self,
+        hit: &Hit<R>,
+        to_viewer: Vec3<R>,
+        finish: &SpecularBsdf<R>,
+        dice: &Sampler<R>,
+    ) -> BsdfSample<R> {
+        let (zero, one) = (hit.t.constant(0.0), hit.t.constant(1.0));
+        let frame = ShadingFrame::from_normal(hit.normal);
+        let viewer = frame.local(to_viewer);
+        let viewer = vec3(viewer.x, viewer.y, viewer.z.at_least(1e-3));
+        let alpha = alpha_from_roughness(finish.roughness);
+        let (u, v) = dice.get_2d(DIM_BSDF);
+        let facet = sample_visible_normal(viewer, alpha, u, v);
+        let cosine = facet.dot(viewer).at_least(1e-4);
+        let mirrored = facet.mul_add(cosine + cosine, -viewer);
+        let ratio = R::select(hit.is_inside.0, finish.ior, one / finish.ior.at_least(1e-3));
+        let beyond = ratio.square() * (one - cosine.square());
+        let cosine_beyond = (one - beyond).sqrt();
+        let steep = R::select(finish.ior.above(1.0) & hit.is_inside.0, cosine_beyond, cosine);
+        let reflected = fresnel(finish.f0, steep);
+        let masked = smith_g2_over_g1(alpha, mirrored.z, viewer.z);
+        if !self.lets_through {
+            let weight = reflected * R::select(mirrored.z.above(1e-4), masked, zero);
+            return BsdfSample {
+                direction: frame.world(mirrored).normalize(),
+                weight,
+                is_transmitted: MaskValue(zero.above(0.0)),
+            };
+        }
+        let total = beyond.above(1.0) & finish.transmission.max_element().above(0.0);
+        let reflected = Vec3::select(total, vec3(one, one, one), reflected);
+        let passed = vec3(one - reflected.x, one - reflected.y, one - reflected.z).mul_elementwise(finish.transmission);
+        let (of_mirror, of_passage) = (reflected.mean(), passed.mean());
+        let likely = of_mirror / (of_mirror + of_passage).at_least(1e-6);
+        // Rarely chosen ways would be noise.
+        let likely = R::select(likely.below(0.01), zero, likely);
+        let (choice, _) = dice.get_2d(DIM_LOBE);
+        let mirrors = choice.lt(likely) | of_passage.below(1e-6);
+        let refracted = facet.mul_add(ratio.mul_add(cosine, -cosine_beyond), viewer * -ratio);
+        let through = passed * (one / (one - likely).at_least(1e-3));
+        let back = reflected * (R::select(mirrored.z.above(1e-4), masked, zero) / likely.at_least(1e-3));
+        let direction = Vec3::select(mirrors, mirrored, refracted);
+        BsdfSample {
+            direction: frame.world(direction).normalize(),
+            weight: Vec3::select(mirrors, back, through),
+            is_transmitted: MaskValue(!mirrors),
+        }
+    }
+
+    /// Marches on from a surface, or from the camera. `epsilon` is how near is near enough at the start.
+    fn march_from<R: Real>(&self, ray: &Ray<R>, near: R) -> MarchResult<R> {
+        near.call(
+            "march_on",
+            (*ray, near),
+            #[inline(always)]
+            |(ray, near)| self.march_in_bounds(&ray, near.uniform(self.tolerance.slope), near, false),
+        )
+    }
+}
+
+/// A color no brighter than [`MAX_INDIRECT_RADIANCE`], in the same hue.
+#[inline(always)]
+fn clamp_indirect<R: Real>(color: Vec3<R>) -> Vec3<R> {
+    let brightest = color.max_element().at_least(MAX_INDIRECT_RADIANCE);
+    color * (brightest.constant(MAX_INDIRECT_RADIANCE) / brightest)
+}
+
+/// Schlick's approximation of Fresnel's equations; what mirrors next to nothing does so at every angle.
+///
+/// Sébastien Lagarde, "Memo on Fresnel equations", 2013: <https://seblagarde.wordpress.com/2013/04/29/memo-on-fresnel-equations/>.
+#[inline(always)]
+fn fresnel<R: Real>(head_on: Vec3<R>, cosine: R) -> Vec3<R> {
+    let most = (head_on.max_element() * 50.0).at_most(1.0);
+    let rise = schlick_weight(cosine);
+    head_on.map(
+        #[inline(always)]
+        |channel| (most - channel).at_least(0.0).mul_add(rise, channel),
+    )
+}
+
+/// A frame around a normal.
+#[derive(Clone, Copy)]
+struct ShadingFrame<R> {
+    right: Vec3<R>,
+    up: Vec3<R>,
+    normal: Vec3<R>,
+}
+
+impl<R: Real> ShadingFrame<R> {
+    #[inline(always)]
+    fn from_normal(normal: Vec3<R>) -> Self {
+        let (right, up) = orthonormal_basis(normal);
+        Self { right, up, normal }
+    }
+
+    #[inline(always)]
+    fn local(&self, v: Vec3<R>) -> Vec3<R> {
+        vec3(v.dot(self.right), v.dot(self.up), v.dot(self.normal))
+    }
+
+    #[inline(always)]
+    fn world(&self, v: Vec3<R>) -> Vec3<R> {
+        self.normal.mul_add(v.z, self.up.mul_add(v.y, self.right * v.x))
+    }
+}

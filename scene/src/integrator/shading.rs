@@ -1,0 +1,257 @@
+//! Material shading at a hit: evaluates each material there and blends the results by weight.
+
+use super::{Hit, Integrator};
+use crate::camera::Ray;
+use crate::materials::microfacet::orthonormal_basis;
+use crate::materials::{IncidentLight, Shade, ShadingPoint, SpecularBsdf};
+use crate::nodes::{DistanceWithMaterials, MaterialWeight, SdfValue};
+use crate::real::{Bundle, Real, Vec3, vec3};
+use crate::scene::Scene;
+
+/// Which materials are worn where: what a scene's structure tells.
+#[derive(Clone, Debug)]
+pub(super) struct MaterialTable {
+    /// Whether an object's tree says materials of its own.
+    has_own_materials: Vec<bool>,
+    /// Materials that some surface may wear.
+    surface_slots: Vec<usize>,
+    /// The material of all surfaces, where there is only one and it looks the same from every space.
+    single_slot: Option<usize>,
+    /// Whether some material needs the normal in its own space.
+    needs_own_normal: bool,
+    /// Whether some texture needs the footprint in its own space.
+    needs_footprint: bool,
+}
+
+/// A material on a surface.
+struct HitMaterial<R> {
+    slot: usize,
+    weight: R,
+    point: Vec3<R>,
+    own_normal: Vec3<R>,
+    footprint: [Vec3<R>; 2],
+}
+
+impl MaterialTable {
+    pub(super) fn new(scene: &Scene) -> Self {
+        let slots = scene.used_materials();
+        let painted: Vec<bool> = scene.objects.iter().map(|object| object.shape.has_own_materials()).collect();
+        let worn: Vec<usize> = (0..slots.len()).filter(|&slot| !slots[slot].is_medium()).collect();
+        let is_textured = |slot: usize| slots[slot].is_textured() && painted.contains(&true);
+        let only = match worn[..] {
+            [only] if slots.len() == 1 && !is_textured(only) => Some(only),
+            _ => None,
+        };
+        let needs_own_normal = worn.iter().any(|&slot| slots[slot].needs_local_normal());
+        let needs_footprint = worn.iter().any(|&slot| slots[slot].needs_footprint());
+        Self { has_own_materials: painted, surface_slots: worn, single_slot: only, needs_own_normal, needs_footprint }
+    }
+
+    pub(super) fn slots(&self) -> impl Iterator<Item = usize> + '_ {
+        self.surface_slots.iter().copied()
+    }
+}
+
+impl Integrator<'_> {
+    /// The surface's own color at a hit of an object.
+    #[inline(always)]
+    pub(super) fn albedo<R: Real>(&self, hit: &Hit<R>, ray: &Ray<R>, object: R) -> Vec3<R> {
+        let black = vec3(object.constant(0.0), object.constant(0.0), object.constant(0.0));
+        self.blend(
+            hit,
+            ray,
+            // Layers are what is in the middle of a pixel.
+            [black; 2],
+            object,
+            black,
+            #[inline(always)]
+            |slot, place| self.scene.used_materials()[slot].albedo(place),
+            #[inline(always)]
+            |sum, color, share| color.mul_add(share, sum),
+        )
+    }
+
+    /// The shaded color at a hit.
+    pub(super) fn shade<R: Real>(&self, hit: &Hit<R>, ray: &Ray<R>, light: &IncidentLight<R>) -> Vec3<R> {
+        hit.t.vectorize(
+            #[inline(always)]
+            || {
+                if let Some(only) = self.materials.single_slot {
+                    return self.scene.used_materials()[only]
+                        .shade(&ShadingPoint::new(hit, ray, self.footprint(hit, ray)), light);
+                }
+                let object = self.nearest_object(hit.position).1;
+                let black = vec3(object.constant(0.0), object.constant(0.0), object.constant(0.0));
+                self.blend(
+                    hit,
+                    ray,
+                    self.footprint(hit, ray),
+                    object,
+                    black,
+                    #[inline(always)]
+                    |slot, place| self.scene.used_materials()[slot].shade(place, light),
+                    #[inline(always)]
+                    |sum, color, share| color.mul_add(share, sum),
+                )
+            },
+        )
+    }
+
+    /// The shaded color at a hit, and how it sends rays on.
+    pub(super) fn shade_with_specular<R: Real>(
+        &self,
+        hit: &Hit<R>,
+        ray: &Ray<R>,
+        light: &IncidentLight<R>,
+    ) -> (Vec3<R>, SpecularBsdf<R>) {
+        hit.t.vectorize(
+            #[inline(always)]
+            || {
+                let (zero, one) = (hit.t.constant(0.0), hit.t.constant(1.0));
+                let black = vec3(zero, zero, zero);
+                let matte = SpecularBsdf { f0: black, roughness: one, transmission: black, ior: one };
+                if let Some(only) = self.materials.single_slot {
+                    return self.shade_slot(only, &ShadingPoint::new(hit, ray, self.footprint(hit, ray)), light, matte);
+                }
+                let object = self.nearest_object(hit.position).1;
+                let none = SpecularBsdf { roughness: zero, ior: zero, ..matte };
+                self.blend(
+                    hit,
+                    ray,
+                    self.footprint(hit, ray),
+                    object,
+                    (black, none),
+                    #[inline(always)]
+                    |slot, place| self.shade_slot(slot, place, light, matte),
+                    #[inline(always)]
+                    |(sum, finish), (color, own), share| {
+                        let finish = SpecularBsdf {
+                            f0: own.f0.mul_add(share, finish.f0),
+                            roughness: own.roughness.mul_add(share, finish.roughness),
+                            transmission: own.transmission.mul_add(share, finish.transmission),
+                            ior: own.ior.mul_add(share, finish.ior),
+                        };
+                        (color.mul_add(share, sum), finish)
+                    },
+                )
+            },
+        )
+    }
+
+    #[inline(always)]
+    fn shade_slot<R: Real>(
+        &self,
+        slot: usize,
+        place: &ShadingPoint<R>,
+        light: &IncidentLight<R>,
+        matte: SpecularBsdf<R>,
+    ) -> (Vec3<R>, SpecularBsdf<R>) {
+        let material = &self.scene.used_materials()[slot];
+        (material.shade(place, light), material.specular(place).unwrap_or(matte))
+    }
+
+    /// What the materials at a hit of an object give, added up by their shares.
+    #[inline(always)]
+    fn blend<R: Real, T: Bundle<R>>(
+        &self,
+        hit: &Hit<R>,
+        ray: &Ray<R>,
+        footprint: [Vec3<R>; 2],
+        object: R,
+        nothing: T,
+        of_slot: impl Fn(usize, &ShadingPoint<R>) -> T,
+        add: impl Fn(T, T, R) -> T,
+    ) -> T {
+        let mut sum = nothing;
+        for worn in self.hit_materials(hit, footprint, object) {
+            let place = ShadingPoint {
+                local_point: worn.point,
+                local_normal: worn.own_normal,
+                ..ShadingPoint::new(hit, ray, worn.footprint)
+            };
+            let part = R::when(
+                worn.weight.above(0.0),
+                nothing,
+                #[inline(always)]
+                || of_slot(worn.slot, &place),
+            );
+            sum = add(sum, part, worn.weight);
+        }
+        sum
+    }
+
+    /// What one sample of a pixel covers of the surface at a hit: two ways of half its width, at right angles to
+    /// each other as the camera sees them. A surface seen edge on counts as seen at a fiftieth of its length.
+    #[inline(always)]
+    fn footprint<R: Real>(&self, hit: &Hit<R>, ray: &Ray<R>) -> [Vec3<R>; 2] {
+        let half = self.seen.at(hit.t);
+        let facing = (-ray.direction.dot(hit.normal)).at_least(0.02);
+        let (right, up) = orthonormal_basis(ray.direction);
+        [right, up].map(
+            #[inline(always)]
+            |side| ray.direction.mul_add(side.dot(hit.normal) / facing, side) * half,
+        )
+    }
+
+    /// The materials at a hit of an object, and where each sees it.
+    #[inline(always)]
+    fn hit_materials<R: Real>(&self, hit: &Hit<R>, footprint: [Vec3<R>; 2], object: R) -> Vec<HitMaterial<R>> {
+        let (p, zero) = (hit.position, object.constant(0.0));
+        let worn = |slot| HitMaterial { slot, weight: zero, point: p, own_normal: hit.normal, footprint };
+        let mut all: Vec<HitMaterial<R>> = self.materials.slots().map(worn).collect();
+        let place_of = |slot: u32| self.materials.surface_slots.iter().position(|&worn| worn == slot as usize);
+        for &index in &self.surfaces {
+            let tree = &self.scene.objects[index];
+            let here = (object - index as f32).abs().below(0.5);
+            let own = tree.material.slot();
+            if !self.materials.has_own_materials[index] {
+                if let Some(place) = place_of(own) {
+                    all[place].weight = R::select(here, zero.constant(1.0), all[place].weight);
+                }
+                continue;
+            }
+            let coats = self.material_weights(index, p);
+            // How the normal's own space sees a short way along it.
+            let further = self
+                .materials
+                .needs_own_normal
+                .then(|| self.material_weights(index, hit.normal.mul_add(probe_offset(p), p)));
+            // The footprint in that space: where its ends are seen.
+            let ends =
+                self.materials.needs_footprint.then(|| footprint.map(|end| self.material_weights(index, p + end)));
+            for (number, coat) in coats.iter().enumerate() {
+                let Some(place) = place_of(coat.slot.unwrap_or(own)) else { continue };
+                let worn = &mut all[place];
+                worn.weight = R::select(here, coat.weight, zero) + worn.weight;
+                if self.scene.used_materials()[worn.slot].is_textured() {
+                    worn.point = Vec3::select(here, coat.point, worn.point);
+                    if let Some(further) = &further {
+                        let own_normal = (further[number].point - coat.point).normalize();
+                        worn.own_normal = Vec3::select(here, own_normal, worn.own_normal);
+                    }
+                    if let Some(ends) = &ends {
+                        for (seen, end) in worn.footprint.iter_mut().zip(ends) {
+                            *seen = Vec3::select(here, end[number].point - coat.point, *seen);
+                        }
+                    }
+                }
+            }
+        }
+        all
+    }
+
+    /// The coats of an object's tree at `p`.
+    #[inline(always)]
+    fn material_weights<R: Real>(&self, index: usize, p: Vec3<R>) -> Vec<MaterialWeight<R>> {
+        let tree = &self.scene.objects[index];
+        let sample: DistanceWithMaterials<R> = tree.shape.sample(p);
+        sample.paint(tree.material.slot(), p).weights().to_vec()
+    }
+}
+
+/// How far along a normal one goes to see it from another space.
+#[inline(always)]
+fn probe_offset<R: Real>(p: Vec3<R>) -> R {
+    let size = vec3(p.x.abs(), p.y.abs(), p.z.abs()).max_element();
+    (size + 1.0) * 1e-2
+}

@@ -1,0 +1,58 @@
+//! What becomes of some rays of a picture, found in plain numbers before anything is rendered.
+
+use super::Integrator;
+use crate::march::{MarchRange, RELAXATION, Tolerance, march_to_root};
+
+/// Rays that are looked at, at most.
+const MAX_PROBE_RAYS: u32 = 256;
+/// Fewer rays tell nothing.
+const MIN_PROBE_RAYS: u32 = 64;
+/// Evaluations of one node that all rays may take together: some milliseconds.
+const MAX_NODE_EVALUATIONS: f32 = 400_000.0;
+
+impl Integrator<'_> {
+    /// The share of the picture's rays that run out of steps before they come near enough to a surface to
+    /// show it, as some rays tell; `None` where looking at them would take too long. `work` is how many
+    /// simple nodes it takes to know a distance.
+    pub(crate) fn fraction_out_of_steps(&self, width: u32, height: u32, work: f32) -> Option<f32> {
+        let max_steps = self.scene.march.max_steps;
+        let mut left = (MAX_NODE_EVALUATIONS / work.max(1.0)) as u32;
+        let (mut rays, mut out) = (0, 0);
+        for number in 0..MAX_PROBE_RAYS {
+            if left == 0 {
+                break;
+            }
+            let (across, down) = r2_point(number);
+            let ray = self.view.ray(across * width as f32, down * height as f32);
+            let (nearest, farthest) = self.bounds.intersect_ray(&ray, self.scene.march.max_distance.get());
+            rays += 1;
+            if nearest >= farthest {
+                continue;
+            }
+            let reach =
+                MarchRange { t_min: nearest, t_max: farthest, max_steps: max_steps.min(left), relaxation: RELAXATION };
+            let Tolerance { slope, floor: near } = self.tolerance;
+            let approach = self.approach(slope, near, false);
+            let marched = march_to_root(&ray, reach, approach, |p| self.distance(p), |p| self.is_fine(p));
+            left -= (marched.steps as u32).min(left);
+            let seen: f32 = self.view.footprint().at(marched.t);
+            if marched.hit.0 || marched.t >= farthest || marched.distance < seen {
+                continue;
+            }
+            if reach.max_steps < max_steps {
+                rays -= 1;
+                break;
+            }
+            out += 1;
+        }
+        (rays >= MIN_PROBE_RAYS).then(|| out as f32 / rays as f32)
+    }
+}
+
+/// Places spread evenly over a square, however many they are, by the plastic number: Martin Roberts, "The
+/// unreasonable effectiveness of quasirandom sequences", <https://extremelearning.com.au/unreasonable-effectiveness-of-quasirandom-sequences/>.
+fn r2_point(number: u32) -> (f32, f32) {
+    const STEPS: (f64, f64) = (0.754_877_666_246_693, 0.569_840_290_998_053);
+    let along = |step: f64| ((f64::from(number) + 0.5) * step).fract() as f32;
+    (along(STEPS.0), along(STEPS.1))
+}

@@ -1,0 +1,268 @@
+//! Scan of a JSON text: its nesting depth, duplicate members, and the position of the value of a JSON
+//! pointer.
+//!
+//! It does not check syntax: it stops at a syntax error, and the parser reports it.
+
+use std::collections::HashSet;
+
+/// Error found by the scan.
+#[derive(Debug, PartialEq, Eq)]
+pub(crate) struct ScanError {
+    /// Byte of the text.
+    pub offset: usize,
+    /// JSON pointer to the place.
+    pub pointer: String,
+    /// Kind of error: nesting too deep, or a duplicate member.
+    pub kind: ScanErrorKind,
+}
+
+/// Kind of error found by the scan.
+#[derive(Debug, PartialEq, Eq)]
+pub(crate) enum ScanErrorKind {
+    /// Arrays and objects nest deeper than allowed.
+    TooDeep,
+    /// An object has this member twice.
+    DuplicateMember(String),
+}
+
+/// Open array or object, and the position in it.
+enum OpenContainer {
+    Array { index: usize },
+    Object { key: Option<String>, seen: HashSet<String> },
+}
+
+/// One step of the scan.
+enum JsonToken<'a> {
+    /// A member name at this offset.
+    Key { offset: usize, key: &'a str },
+    /// A value begins at this offset.
+    Value { offset: usize },
+}
+
+/// Scans for errors that a parser would not detect or not survive.
+pub(crate) fn check(text: &str, max_depth: usize) -> Result<(), ScanError> {
+    let mut fault = None;
+    walk(text, |levels, event| {
+        let (offset, kind) = match event {
+            JsonToken::Value { offset } => {
+                if levels.len() <= max_depth {
+                    return true;
+                }
+                (offset, ScanErrorKind::TooDeep)
+            }
+            JsonToken::Key { offset, key } => {
+                let is_new = match levels.last_mut() {
+                    Some(OpenContainer::Object { seen, .. }) => seen.insert(key.to_owned()),
+                    Some(OpenContainer::Array { .. }) | None => true,
+                };
+                if is_new {
+                    return true;
+                }
+                (offset, ScanErrorKind::DuplicateMember(key.to_owned()))
+            }
+        };
+        // A pointer thousands of levels deep would not help.
+        let shown = levels.len().min(max_depth);
+        fault = Some(ScanError { offset, pointer: pointer(&levels[..shown]), kind });
+        false
+    });
+    fault.map_or(Ok(()), Err)
+}
+
+/// Start of the value at `pointer`.
+pub(crate) fn locate_value(text: &str, pointer: &str) -> Option<usize> {
+    locate(text, pointer, |event| match event {
+        JsonToken::Key { .. } => None,
+        JsonToken::Value { offset } => Some(*offset),
+    })
+}
+
+/// Start of the member name of the value at `pointer`.
+pub(crate) fn locate_member(text: &str, pointer: &str) -> Option<usize> {
+    locate(text, pointer, |event| match event {
+        JsonToken::Key { offset, .. } => Some(*offset),
+        JsonToken::Value { .. } => None,
+    })
+}
+
+fn locate(text: &str, pointer: &str, place: impl Fn(&JsonToken<'_>) -> Option<usize>) -> Option<usize> {
+    let wanted: Vec<String> = pointer.split('/').skip(1).map(unescape).collect();
+    let mut found = None;
+    walk(text, |levels, event| {
+        if points_at(levels, &wanted) {
+            found = place(&event);
+        }
+        found.is_none()
+    });
+    found
+}
+
+fn points_at(levels: &[OpenContainer], wanted: &[String]) -> bool {
+    levels.len() == wanted.len()
+        && levels.iter().zip(wanted).rev().all(|(level, wanted)| match level {
+            OpenContainer::Array { index } => wanted.parse() == Ok(*index),
+            OpenContainer::Object { key, .. } => key.as_ref() == Some(wanted),
+        })
+}
+
+fn pointer(levels: &[OpenContainer]) -> String {
+    levels
+        .iter()
+        .map(|level| match level {
+            OpenContainer::Array { index } => format!("/{index}"),
+            OpenContainer::Object { key, .. } => format!("/{}", escape(key.as_deref().unwrap_or_default())),
+        })
+        .collect()
+}
+
+/// A key as RFC 6901 writes it in a pointer.
+pub(crate) fn escape(key: &str) -> String {
+    key.replace('~', "~0").replace('/', "~1")
+}
+
+/// A part of a pointer as the key it stands for.
+pub(crate) fn unescape(part: &str) -> String {
+    part.replace("~1", "/").replace("~0", "~")
+}
+
+/// Scans a text as long as it is valid and `visit` returns true.
+fn walk(text: &str, mut visit: impl FnMut(&mut Vec<OpenContainer>, JsonToken<'_>) -> bool) {
+    let bytes = text.as_bytes();
+    let mut levels: Vec<OpenContainer> = Vec::new();
+    let mut at = 0;
+    while at < bytes.len() {
+        match bytes[at] {
+            b' ' | b'\t' | b'\n' | b'\r' | b':' => at += 1,
+            b',' => {
+                match levels.last_mut() {
+                    Some(OpenContainer::Array { index }) => *index += 1,
+                    Some(OpenContainer::Object { key, .. }) => *key = None,
+                    None => return,
+                }
+                at += 1;
+            }
+            b']' | b'}' => {
+                levels.pop();
+                at += 1;
+            }
+            b'"' => {
+                let Some(end) = string_end(bytes, at) else { return };
+                let wants_key = matches!(levels.last(), Some(OpenContainer::Object { key: None, .. }));
+                let go_on = if wants_key {
+                    let Ok(name) = serde_json::from_str::<String>(&text[at..end]) else { return };
+                    if let Some(OpenContainer::Object { key, .. }) = levels.last_mut() {
+                        *key = Some(name.clone());
+                    }
+                    visit(&mut levels, JsonToken::Key { offset: at, key: &name })
+                } else {
+                    visit(&mut levels, JsonToken::Value { offset: at })
+                };
+                if !go_on {
+                    return;
+                }
+                at = end;
+            }
+            opening @ (b'[' | b'{') => {
+                if !visit(&mut levels, JsonToken::Value { offset: at }) {
+                    return;
+                }
+                levels.push(if opening == b'[' {
+                    OpenContainer::Array { index: 0 }
+                } else {
+                    OpenContainer::Object { key: None, seen: HashSet::new() }
+                });
+                at += 1;
+            }
+            _ => {
+                if !visit(&mut levels, JsonToken::Value { offset: at }) {
+                    return;
+                }
+                at = bytes[at..].iter().position(|byte| b" \t\r\n,]}".contains(byte)).map_or(bytes.len(), |n| at + n);
+            }
+        }
+    }
+}
+
+/// The byte after the string that begins at `start`.
+fn string_end(bytes: &[u8], start: usize) -> Option<usize> {
+    let mut at = start + 1;
+    loop {
+        match bytes.get(at)? {
+            b'"' => return Some(at + 1),
+            b'\\' => at += 2,
+            _ => at += 1,
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn finds_values_by_pointer() {
+        let text = r#"{"a": [1, {"b/c": 22}], "d": "x"}"#;
+        let value = |pointer| locate_value(text, pointer).map(|offset| &text[offset..]);
+        assert!(value("/a/0").unwrap().starts_with("1,"));
+        assert!(value("/a/1/b~1c").unwrap().starts_with("22"));
+        assert!(value("/d").unwrap().starts_with("\"x\""));
+        assert_eq!(value("/e"), None);
+        assert_eq!(value(""), Some(text));
+        assert!(text[locate_member(text, "/a/1/b~1c").unwrap()..].starts_with("\"b/c\""));
+    }
+
+    #[test]
+    fn sees_a_doubled_key_however_it_is_spelled() {
+        let fault = check(r#"{"a": {"b": 1, "\u0062": 2}}"#, 9).unwrap_err();
+        assert_eq!(fault.kind, ScanErrorKind::DuplicateMember("b".into()));
+        assert_eq!(fault.pointer, "/a/b");
+        assert_eq!(fault.offset, 15);
+    }
+
+    #[test]
+    fn sees_deep_nesting_without_recursion() {
+        let deep = "[".repeat(100_000);
+        assert_eq!(check(&deep, 64).unwrap_err().kind, ScanErrorKind::TooDeep);
+        assert_eq!(check("[[[1]]]", 3), Ok(()));
+        assert_eq!(check("[[[1]]]", 2).unwrap_err().offset, 3);
+    }
+
+    #[test]
+    fn broken_text_is_left_to_the_parser() {
+        for text in ["{", "\"abc", "]]", "{\"a\\", "nul", "[1,,2]"] {
+            assert_eq!(check(text, 8), Ok(()));
+        }
+    }
+
+    #[test]
+    fn finds_values_past_every_kind_of_value() {
+        let text = "{\t\"s\\\"]\": [ true ,\r\n{}, [[], -1.5e3], null ], \"~\" : {\"\\u0041\":\"\\\\\"}, \"z\":0}";
+        let value = |pointer| locate_value(text, pointer).map(|offset| &text[offset..]);
+        for (pointer, begins) in [
+            ("/s\"]", "[ true"),
+            ("/s\"]/0", "true ,"),
+            ("/s\"]/1", "{}, [["),
+            ("/s\"]/2/0", "[], -1.5e3"),
+            ("/s\"]/2/1", "-1.5e3]"),
+            ("/s\"]/3", "null"),
+            ("/~0/A", "\"\\\\\"}"),
+            ("/z", "0}"),
+        ] {
+            assert!(value(pointer).is_some_and(|value| value.starts_with(begins)), "{pointer}: {:?}", value(pointer));
+        }
+        for pointer in ["/s\"]/4", "/s\"]/x", "/s\"]/2/2", "/~01", "/z/0", "/s"] {
+            assert_eq!(value(pointer), None, "{pointer}");
+        }
+        assert_eq!(locate_member(text, "/s\"]/0"), None, "an entry of a list has no key");
+        assert!(text[locate_member(text, "/z").unwrap()..].starts_with("\"z\":0"));
+    }
+
+    #[test]
+    fn tells_the_place_of_a_fault_as_a_pointer() {
+        let doubled = check(r#"{"l": [0, {"a/b": 1, "a/b": 2}]}"#, 9).unwrap_err();
+        assert_eq!((doubled.pointer.as_str(), doubled.offset), ("/l/1/a~1b", 21));
+        let deep = check(r#"{"a": [{"b": {"c": 1}}]}"#, 3).unwrap_err();
+        assert_eq!((deep.kind, deep.pointer.as_str()), (ScanErrorKind::TooDeep, "/a/0/b"));
+        assert_eq!(check(r#"[{"a": 1}, {"a": 2}, {"b": {"a": 3}}]"#, 9), Ok(()), "a key may be in several objects");
+    }
+}

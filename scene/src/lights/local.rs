@@ -1,0 +1,143 @@
+//! Lights with a place and a shape.
+
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+use super::{HasExamples, LightSample, LightSource, default_color, default_shadow, direction_around};
+use crate::backgrounds::Day;
+use crate::materials::microfacet::orthonormal_basis;
+use crate::real::{Real, Vec3};
+use crate::seek::Seek;
+use crate::values::{Color, Direction, Fraction, FullAngle, Length, Point};
+
+/// Light from a point within a cone; its strength falls as 1/d².
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
+#[serde(deny_unknown_fields)]
+pub struct SpotLight {
+    /// Where it is.
+    pub position: Point,
+    /// Where it shines to; of any length.
+    pub direction: Direction,
+    /// The cone's whole angle, in degrees.
+    #[serde(default = "default_angle")]
+    pub angle: FullAngle,
+    /// Share of the cone, from its edge inwards, over which the light fades in.
+    #[serde(default = "default_softness")]
+    pub softness: Fraction,
+    /// Its color, and its strength at a distance of 1.
+    #[serde(default = "default_color")]
+    pub color: Color,
+    /// Whether things cast shadows in it.
+    #[serde(default = "default_shadow")]
+    pub shadow: bool,
+}
+
+/// Light from a ball. It lights what is far away as a point light of the same color does, and its
+/// shadows have soft edges. The ball itself is not seen.
+///
+/// Peter Shirley, Changyaw Wang, Kurt Zimmerman, "Monte Carlo techniques for direct lighting
+/// calculations", ACM Transactions on Graphics 15(1), 1996: directions in the cone that it fills.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
+#[serde(deny_unknown_fields)]
+pub struct SphereLight {
+    /// Its middle.
+    pub position: Point,
+    /// Its radius.
+    pub radius: Length,
+    /// Its color, and its strength at a distance of 1 from a point that shines as much.
+    #[serde(default = "default_color")]
+    pub color: Color,
+    /// Whether things cast shadows in it.
+    #[serde(default = "default_shadow")]
+    pub shadow: bool,
+}
+
+impl HasExamples for SpotLight {
+    const EXAMPLE: &'static str =
+        r#"{ "position": [-1.6, 3.2, 2.6], "direction": [1.7, -4.4, -2.5], "angle": 30, "color": [26, 24, 21] }"#;
+    const MORE_EXAMPLES: &'static [&'static str] = &[
+        r#"{ "position": [-1.6, 3.2, 2.6], "direction": [1.7, -4.4, -2.5], "angle": 40, "softness": 1, "color": [26, 24, 21] }"#,
+    ];
+}
+
+impl LightSource for SpotLight {
+    #[inline(always)]
+    fn sample<R: Real>(
+        &self,
+        p: Vec3<R>,
+        _: R,
+        _: Option<&Day>,
+        _: impl FnOnce() -> (R, R),
+    ) -> Option<(LightSample<R>, R)> {
+        let toward = Vec3::uniform(p.x, self.position.get()) - p;
+        let distance = toward.length().at_least(1e-6);
+        let per_distance = p.x.constant(1.0) / distance;
+        let direction = toward * per_distance;
+        let half = self.angle.get() * (std::f32::consts::PI / 360.0);
+        let (edge, full) = (Real::cos(half), Real::cos(half * (1.0 - self.softness.get())));
+        let inside = -direction.dot_uniform(self.direction.unit());
+        let share = (inside - p.x.uniform(edge)) * p.x.uniform(1.0 / (full - edge).max(1e-6));
+        let share = share.at_least(0.0).at_most(1.0);
+        let fade = share.square() * (share.constant(3.0) - share * 2.0);
+        let radiance = Vec3::uniform(p.x, self.color.get()) * (per_distance.square() * fade);
+        Some((LightSample { direction, radiance }, distance))
+    }
+
+    fn casts_shadows(&self) -> bool {
+        self.shadow
+    }
+
+    fn is_dark(&self) -> bool {
+        self.color.is_black()
+    }
+}
+
+impl HasExamples for SphereLight {
+    const EXAMPLE: &'static str = r#"{ "position": [-1.3, 1.5, 1.5], "radius": 0.5, "color": [4.6, 4.2, 3.6] }"#;
+}
+
+impl LightSource for SphereLight {
+    #[inline(always)]
+    fn sample<R: Real>(
+        &self,
+        p: Vec3<R>,
+        _: R,
+        _: Option<&Day>,
+        pair: impl FnOnce() -> (R, R),
+    ) -> Option<(LightSample<R>, R)> {
+        let (u, v) = pair();
+        let one = p.x.constant(1.0);
+        let radius = p.x.uniform(self.radius.get());
+        let toward = Vec3::uniform(p.x, self.position.get()) - p;
+        // Inside the ball light comes from all of a half space.
+        let distance = toward.length().max(radius);
+        let per_distance = one / distance;
+        let axis = (toward * per_distance).normalize();
+        let sine = (radius * per_distance).at_most(1.0);
+        let versine_of_edge = sine.square() / (one + (one - sine.square()).sqrt());
+        let (right, up) = orthonormal_basis(axis);
+        let direction = direction_around(axis, right, up, u * versine_of_edge, v);
+        let along = direction.dot(toward);
+        let to_surface = along - (radius.square() - (distance.square() - along.square())).sqrt();
+        // Its radiance is color/r², over 2π·versine of solid angle, and π is left out of lights.
+        let strength = versine_of_edge * 2.0 * p.x.uniform(1.0 / (self.radius.get() * self.radius.get()).max(1e-20));
+        let radiance = Vec3::uniform(p.x, self.color.get()) * strength;
+        Some((LightSample { direction, radiance }, to_surface.at_least(1e-6)))
+    }
+
+    fn casts_shadows(&self) -> bool {
+        self.shadow
+    }
+
+    fn is_dark(&self) -> bool {
+        self.color.is_black()
+    }
+}
+
+fn default_angle() -> FullAngle {
+    FullAngle::new(40.0).expect("40 is in range")
+}
+
+fn default_softness() -> Fraction {
+    Fraction::new(0.2).expect("0.2 is in range")
+}

@@ -1,0 +1,118 @@
+//! Reference to a material: by name or in place in a job file, by slot in a scene.
+
+use std::borrow::Cow;
+use std::collections::BTreeMap;
+
+use schemars::{JsonSchema, Schema, SchemaGenerator, json_schema};
+use serde::de::{MapAccess, Visitor, value::MapAccessDeserializer};
+use serde::{Deserialize, Deserializer, Serialize, Serializer};
+
+use super::Material;
+use crate::seek::{FrameTime, Seek, SeekError};
+
+/// A material where it is used: a name from the scene's `materials`, or one in place.
+#[derive(Clone, Debug, PartialEq)]
+pub enum MaterialRef {
+    /// In a job file: by name.
+    Name(String),
+    /// In a job file: in place.
+    InPlace(Box<Material>),
+    /// In a scene: index among the materials in use.
+    Slot(u32),
+}
+
+impl MaterialRef {
+    /// Its index among the scene's materials in use; 0 until it is resolved.
+    #[inline(always)]
+    pub fn slot(&self) -> u32 {
+        match self {
+            Self::Name(_) | Self::InPlace(_) => 0,
+            Self::Slot(slot) => *slot,
+        }
+    }
+
+    /// Moves it to a slot in `used`, the materials in use so far; returns the name if there is no such
+    /// material.
+    pub(crate) fn resolve(
+        &mut self,
+        named: &BTreeMap<String, Material>,
+        used: &mut Vec<Material>,
+        slots: &mut BTreeMap<String, u32>,
+    ) -> Result<(), String> {
+        let slot = match std::mem::replace(self, Self::Slot(0)) {
+            Self::Name(name) => {
+                let Some(material) = named.get(&name) else { return Err(name) };
+                *slots.entry(name).or_insert_with(|| add_slot(used, material.clone()))
+            }
+            Self::InPlace(material) => add_slot(used, *material),
+            Self::Slot(slot) => slot,
+        };
+        *self = Self::Slot(slot);
+        Ok(())
+    }
+}
+
+fn add_slot(used: &mut Vec<Material>, material: Material) -> u32 {
+    used.push(material);
+    used.len() as u32 - 1
+}
+
+impl Seek for MaterialRef {
+    fn seek(&mut self, clock: &mut FrameTime<'_>) -> Result<bool, Box<SeekError>> {
+        match self {
+            // The materials themselves are sought once, among those in use.
+            Self::Name(_) | Self::Slot(_) => Ok(false),
+            Self::InPlace(material) => material.seek(clock),
+        }
+    }
+}
+
+/// Deserializes a name or a material; errors inside a material keep their place.
+struct MaterialUseVisitor;
+
+impl<'de> Visitor<'de> for MaterialUseVisitor {
+    type Value = MaterialRef;
+
+    fn expecting(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.write_str("the name of a material, or a material in place")
+    }
+
+    fn visit_str<E>(self, name: &str) -> Result<MaterialRef, E> {
+        Ok(MaterialRef::Name(name.to_owned()))
+    }
+
+    fn visit_map<A: MapAccess<'de>>(self, map: A) -> Result<MaterialRef, A::Error> {
+        Material::deserialize(MapAccessDeserializer::new(map)).map(|material| MaterialRef::InPlace(Box::new(material)))
+    }
+}
+
+impl<'de> Deserialize<'de> for MaterialRef {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        deserializer.deserialize_any(MaterialUseVisitor)
+    }
+}
+
+impl Serialize for MaterialRef {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        match self {
+            Self::Name(name) => name.serialize(serializer),
+            Self::InPlace(material) => material.serialize(serializer),
+            // As a name: a scene has no other names, and its hash stands in pictures.
+            Self::Slot(slot) => serializer.collect_str(slot),
+        }
+    }
+}
+
+impl JsonSchema for MaterialRef {
+    fn schema_name() -> Cow<'static, str> {
+        "MaterialRef".into()
+    }
+
+    fn json_schema(generator: &mut SchemaGenerator) -> Schema {
+        let material = generator.subschema_for::<Material>();
+        json_schema!({
+            "description": "The name of an entry of `materials`, or a material in place.",
+            "anyOf": [{ "type": "string" }, material]
+        })
+    }
+}

@@ -1,0 +1,72 @@
+//! Materials that ignore light.
+
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+use super::{ColorParam, HasExamples, IncidentLight, Shade, ShadingPoint, Texture};
+use crate::real::{Real, Vec3};
+use crate::seek::Seek;
+
+/// One color, independent of light.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
+#[serde(deny_unknown_fields)]
+pub struct Flat {
+    /// The color.
+    pub color: ColorParam,
+}
+
+impl HasExamples for Flat {
+    const EXAMPLE: &'static str = r##"{ "color": "#e07a3c" }"##;
+    const MORE_EXAMPLES: &'static [&'static str] = &[r##"{ "color": { "gradient": {
+        "by": { "position": { "from": [0, -1, 0], "to": [0, 1, 0] } },
+        "ramp": [[0, "#26304f"], [0.5, "#c8506a"], [1, "#ffd9a0"]]
+    } } }"##];
+}
+
+impl Shade for Flat {
+    #[inline(always)]
+    fn shade<R: Real>(&self, place: &ShadingPoint<R>, _: &IncidentLight<R>) -> Vec3<R> {
+        self.albedo(place)
+    }
+
+    #[inline(always)]
+    fn albedo<R: Real>(&self, place: &ShadingPoint<R>) -> Vec3<R> {
+        self.color.at(place)
+    }
+
+    fn is_lit(&self) -> bool {
+        false
+    }
+
+    fn textures(&self) -> Vec<&Texture> {
+        self.color.texture().into_iter().collect()
+    }
+}
+
+/// The normal N as a color: (N + 1)/2.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
+#[serde(deny_unknown_fields)]
+pub struct Normals {}
+
+impl HasExamples for Normals {
+    const EXAMPLE: &'static str = "{}";
+}
+
+impl Shade for Normals {
+    #[inline(always)]
+    fn shade<R: Real>(&self, place: &ShadingPoint<R>, _: &IncidentLight<R>) -> Vec3<R> {
+        self.albedo(place)
+    }
+
+    #[inline(always)]
+    fn albedo<R: Real>(&self, place: &ShadingPoint<R>) -> Vec3<R> {
+        place.normal.map(
+            #[inline(always)]
+            |c| c.mul_add(c.constant(0.5), c.constant(0.5)),
+        )
+    }
+
+    fn is_lit(&self) -> bool {
+        false
+    }
+}

@@ -1,0 +1,86 @@
+//! Bounding volume hierarchy over a union's shapes: a BVH node farther away than the nearest result so far is
+//! skipped.
+//!
+//! Skipping a BVH node leaves the least distance unchanged, which is never more than the distance to its
+//! shapes: no ray passes a surface. Every arithmetic skips alike, so the results stay bit-identical.
+
+use std::ops::Range;
+
+use super::Node;
+use crate::bounds::Bounds;
+use crate::seek::Invalidate;
+
+/// A run of fewer nodes is not worth a box.
+pub(crate) const MIN_BVH_NODES: u32 = 8;
+
+/// A run of shapes and, if it is long, its two halves.
+#[derive(Clone, Debug)]
+pub(super) struct BvhNode {
+    pub(super) shapes: Range<usize>,
+    /// Box around them, if skipping is worthwhile.
+    pub(super) bounds: Option<Bounds>,
+    pub(super) children: Option<Box<[BvhNode; 2]>>,
+}
+
+/// Hierarchy of a list; empty until it is built. Ignored by comparisons, because it follows from the list.
+#[derive(Clone, Debug, Default)]
+pub struct UnionBvh(pub(super) Option<Box<BvhNode>>);
+
+impl Invalidate for UnionBvh {
+    fn invalidate(&mut self) {
+        *self = Self::default();
+    }
+}
+
+impl PartialEq for UnionBvh {
+    fn eq(&self, _: &Self) -> bool {
+        true
+    }
+}
+
+impl UnionBvh {
+    /// Hierarchy of all shapes but the first; empty if skipping is not worthwhile.
+    pub(super) fn new(shapes: &[Node], is_animated: bool) -> Self {
+        let measured = |shape| Measured { bounds: finite_bounds(shape, is_animated), nodes: shape.node_count() };
+        let measured: Vec<Measured> = shapes.iter().map(measured).collect();
+        let all = (shapes.len() > 1).then(|| build(&measured, 1..shapes.len()));
+        // In a box of its own, so that nodes stay small.
+        Self(all.filter(BvhNode::has_bounds).map(Box::new))
+    }
+}
+
+impl BvhNode {
+    fn has_bounds(&self) -> bool {
+        self.bounds.is_some() || self.children.iter().flat_map(|halves| halves.iter()).any(Self::has_bounds)
+    }
+}
+
+fn build(shapes: &[Measured], range: Range<usize>) -> BvhNode {
+    let own = &shapes[range.clone()];
+    let nodes: u32 = own.iter().map(|shape| shape.nodes).sum();
+    let bounds = own.iter().map(|shape| shape.bounds).reduce(|a, b| Some(a?.union(b?))).flatten();
+    let middle = range.start + range.len() / 2;
+    let is_long = range.len() > 1 && nodes >= 2 * MIN_BVH_NODES;
+    let halves = is_long.then(|| Box::new([range.start..middle, middle..range.end].map(|half| build(shapes, half))));
+    BvhNode { shapes: range, bounds: bounds.filter(|_| nodes >= MIN_BVH_NODES), children: halves }
+}
+
+/// What a run needs to know of a shape: found once, though the shape is in several runs.
+struct Measured {
+    bounds: Option<Bounds>,
+    nodes: u32,
+}
+
+/// A shape's box, if it has an end in every direction. Where the job moves there is one in any case:
+/// what has no end in one frame, a tilted plane say, may have one in the next.
+fn finite_bounds(shape: &Node, is_animated: bool) -> Option<Bounds> {
+    let bounds = shape.bounds(0.0);
+    if is_animated { Some(bounds.clamped_to_finite()) } else { Some(bounds).filter(|bounds| bounds.is_finite()) }
+}
+
+impl Node {
+    /// The box that a ray near this object is held against, if it is worth it.
+    pub(crate) fn culling_bounds(&self, is_animated: bool) -> Option<Bounds> {
+        finite_bounds(self, is_animated).filter(|_| self.node_count() >= MIN_BVH_NODES)
+    }
+}

@@ -1,0 +1,106 @@
+//! Longer shapes: elongated in the middle, or stretched as a whole.
+
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+use crate::bounds::Bounds;
+use crate::nodes::transforms::around_child;
+use crate::nodes::{Child, Exactness, Node, Sdf, SdfValue};
+use crate::real::{Real, Vec3, vec3};
+use crate::seek::Seek;
+use crate::values::{LengthOrZero, ScaleFactor};
+
+/// A shape cut through its middle and drawn apart, the gap filled with the cut.
+///
+/// Inigo Quilez, "Distance functions", elongation: <https://iquilezles.org/articles/distfunctions/>.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
+#[serde(deny_unknown_fields)]
+pub struct Elongate {
+    /// Added length along x, y and z.
+    pub by: [LengthOrZero; 3],
+    /// The shape.
+    pub child: Child,
+}
+
+/// Scales a shape along each axis separately.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
+#[serde(deny_unknown_fields)]
+pub struct Stretch {
+    /// Factors along x, y and z.
+    pub by: [ScaleFactor; 3],
+    /// The shape.
+    pub child: Child,
+}
+
+impl Sdf for Elongate {
+    const EXAMPLE: &'static str = r#"{ "by": [0.8, 0, 0.4], "child": { "torus": { "radius": 0.4, "tube": 0.2 } } }"#;
+    const MORE_EXAMPLES: &'static [&'static str] =
+        &[r#"{ "by": [0, 0.9, 0], "child": { "sphere": { "radius": 0.6 } } }"#];
+
+    #[inline(always)]
+    fn eval<R: Real, V: SdfValue<R>>(&self, p: Vec3<R>) -> V {
+        let [x, y, z] = &self.by;
+        self.child.sample(vec3(elongated(p.x, x), elongated(p.y, y), elongated(p.z, z)))
+    }
+
+    // No two points become further apart, so the child's factor is that of the whole.
+    around_child!();
+
+    fn exactness(&self) -> Exactness {
+        self.child.exactness().max(Exactness::Bound)
+    }
+
+    fn bounds(&self, isolevel: f32) -> Bounds {
+        let Bounds { min: low, max: high } = self.child.bounds(isolevel);
+        let [x, y, z] = self.by.each_ref().map(|by| 0.5 * by.get());
+        Bounds { min: vec3(low.x - x, low.y - y, low.z - z), max: vec3(high.x + x, high.y + y, high.z + z) }
+    }
+}
+
+/// Coordinate before elongation.
+#[inline(always)]
+fn elongated<R: Real>(c: R, by: &LengthOrZero) -> R {
+    let half = c.uniform(0.5 * by.get());
+    c - c.min(half).max(-half)
+}
+
+impl Stretch {
+    fn factors(&self) -> Vec3<f32> {
+        let [x, y, z] = self.by.each_ref().map(ScaleFactor::get);
+        vec3(x, y, z)
+    }
+
+    fn min_factor(&self) -> f32 {
+        let Vec3 { x, y, z } = self.factors();
+        x.min(y).min(z)
+    }
+}
+
+impl Sdf for Stretch {
+    const EXAMPLE: &'static str = r#"{ "by": [1.1, 0.5, 0.8], "child": { "sphere": { "radius": 1 } } }"#;
+    const MORE_EXAMPLES: &'static [&'static str] = &[r#"{ "by": [1.5, 1, 0.6], "child": { "rotate": {
+        "degrees": [0, 0, 30], "child": { "torus": { "radius": 0.5, "tube": 0.2 } }
+    } } }"#];
+
+    #[inline(always)]
+    fn eval<R: Real, V: SdfValue<R>>(&self, p: Vec3<R>) -> V {
+        let per = Vec3::uniform(p.x, self.factors().map(|factor| 1.0 / factor));
+        let child: V = self.child.sample(vec3(p.x * per.x, p.y * per.y, p.z * per.z));
+        let distance = child.distance() * p.x.uniform(self.min_factor());
+        child.with_distance(distance)
+    }
+
+    // Distances grow by at most 1/least, by which the value is multiplied: the child's Lipschitz factor
+    // remains.
+    around_child!();
+
+    fn exactness(&self) -> Exactness {
+        self.child.exactness().max(Exactness::Bound)
+    }
+
+    fn bounds(&self, isolevel: f32) -> Bounds {
+        let Bounds { min: low, max: high } = self.child.bounds(isolevel / self.min_factor());
+        let Vec3 { x, y, z } = self.factors();
+        Bounds { min: vec3(low.x * x, low.y * y, low.z * z), max: vec3(high.x * x, high.y * y, high.z * z) }
+    }
+}

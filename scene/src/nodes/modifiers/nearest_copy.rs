@@ -1,0 +1,98 @@
+//! The nearest of several copies of a shape.
+//!
+//! Copies are evaluated in a loop, so that the shape's formula occurs once, whatever their number. A copy is
+//! skipped if its box is farther away than the nearest copy so far.
+
+use crate::bounds::Bounds;
+use crate::nodes::{Node, SdfValue};
+use crate::real::{Real, Vec3};
+
+/// A shape with fewer nodes is evaluated as fast as its box.
+const MIN_CULL_NODES: u32 = 4;
+
+/// Limit of finite coordinates and lengths.
+const MISS_DISTANCE: f32 = 1e7;
+
+/// The nearest copy so far: its distance, and the point in its shape's space.
+pub(super) type NearestCopy<R> = (R, Vec3<R>);
+
+/// Box around a shape, with whether copies are skipped by it.
+#[derive(Clone, Debug)]
+pub(super) struct ChildBounds {
+    pub(super) bounds: Bounds,
+    is_worth_testing: bool,
+}
+
+impl ChildBounds {
+    /// The box around a shape.
+    pub(super) fn new(shape: &Node) -> Self {
+        Self { bounds: ended(shape.bounds(0.0)), is_worth_testing: shape.node_count() >= MIN_CULL_NODES }
+    }
+}
+
+/// Shape that is repeated, with its box if skipping is worthwhile.
+pub(super) struct RepeatedChild<'a> {
+    shape: &'a Node,
+    bounds: Option<&'a Bounds>,
+}
+
+impl<'a> RepeatedChild<'a> {
+    #[inline(always)]
+    pub(super) fn new(shape: &'a Node, held: &'a ChildBounds) -> Self {
+        Self { shape, bounds: held.is_worth_testing.then_some(&held.bounds) }
+    }
+
+    /// State before the first copy.
+    #[inline(always)]
+    pub(super) fn start<R: Real>(p: Vec3<R>) -> NearestCopy<R> {
+        (p.x.constant(f32::MAX), p)
+    }
+
+    /// The nearer of the nearest copy so far and the copy for which the point is at `place`.
+    #[inline(always)]
+    pub(super) fn nearer<R: Real>(&self, place: Vec3<R>, found: NearestCopy<R>) -> NearestCopy<R> {
+        match self.bounds {
+            Some(bounds) => R::when(
+                bounds.distance_lower_bound(place).lt(found.0),
+                found,
+                #[inline(always)]
+                || self.nearer_unculled(place, found),
+            ),
+            None => self.nearer_unculled(place, found),
+        }
+    }
+
+    #[inline(always)]
+    fn nearer_unculled<R: Real>(&self, place: Vec3<R>, found: NearestCopy<R>) -> NearestCopy<R> {
+        let distance = self.shape.distance(place);
+        let nearer = distance.lt(found.0);
+        (R::select(nearer, distance, found.0), Vec3::select(nearer, place, found.1))
+    }
+
+    /// Value of the nearest copy.
+    #[inline(always)]
+    pub(super) fn sample<R: Real, V: SdfValue<R>>(&self, (distance, place): NearestCopy<R>) -> V {
+        V::from_known_distance(self.shape, place, distance)
+    }
+}
+
+/// The box with finite ends, farther away than any point.
+pub(super) fn ended(bounds: Bounds) -> Bounds {
+    let ended = |c: f32| c.clamp(-MISS_DISTANCE, MISS_DISTANCE);
+    Bounds { min: bounds.min.map(ended), max: bounds.max.map(ended) }
+}
+
+/// Number of copies, `spacing` apart, of which one may be the nearest to a point, for a shape of this width.
+/// For each point of the shape the nearest of its copies is at most half a spacing away, so the centers of
+/// the copies lie within (width + spacing)/2 of the point. Rounding must not add a copy if the shape fills
+/// its cell.
+pub(super) fn max_overlapping(width: f32, spacing: f32) -> f32 {
+    ((width / spacing + 1.0) * (1.0 - 1e-6)).ceil().max(1.0)
+}
+
+/// The whole number nearest to `t`, and the side, −1 or 1, on which `t` lies of it.
+#[inline(always)]
+pub(super) fn nearest_whole<R: Real>(t: R) -> (R, R) {
+    let nearest = (t + 0.5).floor();
+    (nearest, R::select(t.lt(nearest), t.constant(-1.0), t.constant(1.0)))
+}

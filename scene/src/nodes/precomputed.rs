@@ -1,0 +1,95 @@
+//! Primitives whose formula wants numbers that cost more to derive than the formula itself does.
+
+use std::ops::Deref;
+
+use schemars::{JsonSchema, Schema, SchemaGenerator};
+use serde::{Deserialize, Deserializer, Serialize, Serializer};
+
+use crate::seek::{FrameTime, Seek, SeekError};
+
+/// A primitive's numbers as a user gives them.
+pub trait Precompute {
+    /// Values that its formula uses.
+    type Derived: Clone;
+
+    /// Derives it.
+    fn derive(&self) -> Self::Derived;
+}
+
+/// A primitive's parameters, with the values derived from them once, when it is read.
+#[derive(Debug)]
+pub struct Precomputed<G: Precompute> {
+    given: G,
+    // Boxed, so that nodes stay small.
+    derive: Box<G::Derived>,
+}
+
+impl<G: Precompute> Precomputed<G> {
+    /// Derived values.
+    #[inline(always)]
+    pub(super) fn derive(&self) -> &G::Derived {
+        &self.derive
+    }
+}
+
+impl<G: Precompute> From<G> for Precomputed<G> {
+    fn from(given: G) -> Self {
+        let ready = Box::new(given.derive());
+        Self { given, derive: ready }
+    }
+}
+
+/// The numbers as given.
+impl<G: Precompute> Deref for Precomputed<G> {
+    type Target = G;
+
+    #[inline(always)]
+    fn deref(&self) -> &G {
+        &self.given
+    }
+}
+
+impl<G: Precompute + Seek> Seek for Precomputed<G> {
+    fn seek(&mut self, clock: &mut FrameTime<'_>) -> Result<bool, Box<SeekError>> {
+        let Self { given, derive: ready } = self;
+        let is_animated = given.seek(clock)?;
+        if is_animated {
+            **ready = given.derive();
+        }
+        Ok(is_animated)
+    }
+}
+
+impl<G: Precompute + Clone> Clone for Precomputed<G> {
+    fn clone(&self) -> Self {
+        Self { given: self.given.clone(), derive: self.derive.clone() }
+    }
+}
+
+impl<G: Precompute + PartialEq> PartialEq for Precomputed<G> {
+    fn eq(&self, other: &Self) -> bool {
+        self.given == other.given
+    }
+}
+
+impl<'de, G: Precompute + Deserialize<'de>> Deserialize<'de> for Precomputed<G> {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        G::deserialize(deserializer).map(Self::from)
+    }
+}
+
+impl<G: Precompute + Serialize> Serialize for Precomputed<G> {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        self.given.serialize(serializer)
+    }
+}
+
+impl<G: Precompute + JsonSchema> JsonSchema for Precomputed<G> {
+    fn schema_name() -> std::borrow::Cow<'static, str> {
+        G::schema_name()
+    }
+
+    fn json_schema(generator: &mut SchemaGenerator) -> Schema {
+        G::json_schema(generator)
+    }
+}

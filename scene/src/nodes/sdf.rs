@@ -1,0 +1,262 @@
+//! The interface of a node.
+
+use super::{Node, SdfValue};
+use crate::bounds::Bounds;
+use crate::materials::MaterialRef;
+use crate::real::{Real, Vec3};
+use crate::values::Rotation;
+
+/// Cost of noise at a point, in evaluations of a simple node.
+pub(super) const NOISE_COST: f32 = 20.0;
+/// Cost of a fractal.
+const FRACTAL_COST: f32 = 32.0;
+
+/// How a node's value relates to the Euclidean distance to its surface, best first.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub enum Exactness {
+    /// The value is the distance.
+    Exact,
+    /// The value divided by its Lipschitz factor is never more than the distance.
+    Bound,
+    /// An estimate, which no Lipschitz factor bounds everywhere; a step of value/stretch still passes no surface.
+    Estimate,
+}
+
+impl Exactness {
+    /// This exactness, but at most a bound: for a formula around it that gives a bound.
+    pub(crate) fn capped_at_bound(self) -> Self {
+        match self {
+            Self::Exact | Self::Bound => Self::Bound,
+            Self::Estimate => Self::Estimate,
+        }
+    }
+}
+
+/// What is wrong with the numbers of a node, a light or a background taken together.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct NodeError {
+    /// Where in it: a key, or a path of keys and places such as `points/2`.
+    pub pointer: String,
+    /// Message with the fix, continuing a sentence after the pointer.
+    pub message: String,
+}
+
+impl NodeError {
+    /// Error at a pointer within the node.
+    pub fn new(place: impl Into<String>, message: impl Into<String>) -> Self {
+        Self { pointer: place.into(), message: message.into() }
+    }
+
+    /// The same, seen from what holds it under a key.
+    pub(crate) fn inside(self, key: &str) -> Self {
+        let separator = if self.pointer.is_empty() { "" } else { "/" };
+        Self { pointer: format!("{key}{separator}{}", self.pointer), message: self.message }
+    }
+}
+
+/// A node: a shape or an operator.
+pub trait Sdf {
+    /// A small valid value, as a user would write it: the picture in docs/nodes.md and the contract tests use it.
+    const EXAMPLE: &'static str;
+
+    /// Further values that take other ways through the formula, drawn and tested like the first.
+    const MORE_EXAMPLES: &'static [&'static str] = &[];
+
+    /// All values to be drawn and tested.
+    fn examples() -> Vec<String> {
+        std::iter::once(&Self::EXAMPLE).chain(Self::MORE_EXAMPLES).map(ToString::to_string).collect()
+    }
+
+    /// The signed distance at `p`, negative inside, with materials where `V` keeps them.
+    fn eval<R: Real, V: SdfValue<R>>(&self, p: Vec3<R>) -> V;
+
+    /// Whether its children are a list under `of`, and not one under `child`.
+    const HAS_CHILD_LIST: bool = false;
+
+    /// The nodes inside, in order.
+    fn children(&self) -> &[Node] {
+        &[]
+    }
+
+    /// Mutable access to the children.
+    fn children_mut(&mut self) -> &mut [Node] {
+        &mut []
+    }
+
+    /// Precomputes what speeds up its evaluation; its children have done so before. If the job is
+    /// animated, the result must have the same form in all frames.
+    fn precompute(&mut self, is_animated: bool) {
+        let _ = is_animated;
+    }
+
+    /// Material that it names, if any.
+    fn material(&self) -> Option<&MaterialRef> {
+        None
+    }
+
+    /// Mutable access to that material.
+    fn material_mut(&mut self) -> Option<&mut MaterialRef> {
+        None
+    }
+
+    /// A Lipschitz factor: |d(p) − d(q)| ≤ stretch · |p − q|. A march divides by it.
+    fn lipschitz(&self) -> f32 {
+        self.children().iter().map(Node::stretch).fold(1.0, f32::max)
+    }
+
+    /// Relation of its value to the true distance: the worst of its children's.
+    fn exactness(&self) -> Exactness {
+        self.children().iter().map(Node::exactness).fold(Exactness::Exact, Exactness::max)
+    }
+
+    /// Whether its surface has details of every size, so that some are smaller than any pixel: a normal is then
+    /// the mean over a pixel.
+    fn is_fine(&self) -> bool {
+        self.children().iter().any(Node::is_fine)
+    }
+
+    /// Error in its numbers taken together, if any; each alone is in range.
+    fn validate(&self) -> Option<NodeError> {
+        None
+    }
+
+    /// A box that holds every point whose distance is at most `level`, which is not below 0.
+    fn bounds(&self, isolevel: f32) -> Bounds;
+
+    /// Its size in simple nodes, without its children.
+    fn size_in_nodes(&self) -> u32 {
+        1
+    }
+
+    /// Cost of its own formula beyond its weight, in evaluations of a simple node.
+    fn formula_cost(&self) -> f32 {
+        let is_fractal = self.children().is_empty() && self.exactness() == Exactness::Estimate;
+        if is_fractal { FRACTAL_COST } else { 0.0 }
+    }
+
+    /// How many times one evaluation of it evaluates the nodes inside, at most.
+    fn child_evaluations(&self) -> f32 {
+        1.0
+    }
+
+    /// Whether it takes its further children away from the first.
+    fn subtracts(&self) -> bool {
+        false
+    }
+
+    /// The angles about the axes by which it turns its child, if it does that alone.
+    fn rotation(&self) -> Option<&Rotation> {
+        None
+    }
+
+    /// Whether its child is carried to another place over the frames.
+    fn is_placement_animated(&self) -> bool {
+        false
+    }
+
+    /// What to change if its Lipschitz factor is so high that steps are tiny: the fix in the warning of that.
+    fn lipschitz_advice(&self) -> &'static str {
+        "change it less, or over a greater length"
+    }
+}
+
+/// Node without children, described by its distance alone.
+pub trait Primitive {
+    /// A small valid value, as a user would write it.
+    const EXAMPLE: &'static str;
+
+    /// Further values that take other ways through the formula.
+    const MORE_EXAMPLES: &'static [&'static str] = &[];
+
+    /// All values to be drawn and tested.
+    fn examples() -> Vec<String> {
+        std::iter::once(&Self::EXAMPLE).chain(Self::MORE_EXAMPLES).map(ToString::to_string).collect()
+    }
+
+    /// The signed distance from `p` to the surface, negative inside.
+    fn distance<R: Real>(&self, p: Vec3<R>) -> R;
+
+    /// A box that holds every point whose distance is at most `level`, which is not below 0.
+    fn bounds(&self, isolevel: f32) -> Bounds;
+
+    /// A Lipschitz factor: |d(p) − d(q)| ≤ stretch · |p − q|.
+    fn lipschitz(&self) -> f32 {
+        1.0
+    }
+
+    /// Relation of its value to the true distance.
+    fn exactness(&self) -> Exactness {
+        Exactness::Exact
+    }
+
+    /// Whether its surface has details of every size, see [`Sdf::is_fine`].
+    fn is_fine(&self) -> bool {
+        false
+    }
+
+    /// Error in its numbers taken together, if any; each alone is in range.
+    fn validate(&self) -> Option<NodeError> {
+        None
+    }
+
+    /// Its size in simple nodes.
+    fn size_in_nodes(&self) -> u32 {
+        1
+    }
+
+    /// Cost of its own formula beyond its weight, in evaluations of a simple node.
+    fn formula_cost(&self) -> f32 {
+        if self.exactness() == Exactness::Estimate { FRACTAL_COST } else { 0.0 }
+    }
+
+    /// What to change if its Lipschitz factor is so high that steps are tiny: the fix in the warning of that.
+    fn lipschitz_advice(&self) -> &'static str {
+        "change it less, or over a greater length"
+    }
+}
+
+impl<P: Primitive> Sdf for P {
+    const EXAMPLE: &'static str = <P as Primitive>::EXAMPLE;
+    const MORE_EXAMPLES: &'static [&'static str] = <P as Primitive>::MORE_EXAMPLES;
+
+    fn examples() -> Vec<String> {
+        <P as Primitive>::examples()
+    }
+
+    #[inline(always)]
+    fn eval<R: Real, V: SdfValue<R>>(&self, p: Vec3<R>) -> V {
+        V::new(self.distance(p))
+    }
+
+    fn lipschitz(&self) -> f32 {
+        Primitive::lipschitz(self)
+    }
+
+    fn exactness(&self) -> Exactness {
+        Primitive::exactness(self)
+    }
+
+    fn is_fine(&self) -> bool {
+        Primitive::is_fine(self)
+    }
+
+    fn validate(&self) -> Option<NodeError> {
+        Primitive::validate(self)
+    }
+
+    fn bounds(&self, isolevel: f32) -> Bounds {
+        Primitive::bounds(self, isolevel)
+    }
+
+    fn size_in_nodes(&self) -> u32 {
+        Primitive::size_in_nodes(self)
+    }
+
+    fn formula_cost(&self) -> f32 {
+        Primitive::formula_cost(self)
+    }
+
+    fn lipschitz_advice(&self) -> &'static str {
+        Primitive::lipschitz_advice(self)
+    }
+}

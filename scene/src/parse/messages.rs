@@ -1,0 +1,134 @@
+//! Serde's words about a form that does not fit, in the words of someone who writes job files.
+
+use serde_json::Value;
+
+use super::form::{last, parent};
+use crate::json_scan;
+
+/// The place and the fault, given where serde found it and what serde says; `text` is sound JSON.
+pub(super) fn rewrite_serde_error(text: &str, pointer: String, message: String) -> (String, String) {
+    let place = |pointer: &str| json_scan::locate_value(text, pointer);
+    match message.as_str() {
+        "number out of range" => (pointer, "is too large: numbers go up to 3.4e38".to_owned()),
+        "invalid type: unit variant, expected newtype variant" => {
+            let name = last(&pointer);
+            let message = format!("needs its parameters: write {{ \"{name}\": {{ … }} }}");
+            (if place(&pointer).is_some() { pointer } else { parent(&pointer).to_owned() }, message)
+        }
+        "invalid type: map, expected unit" => {
+            let message = format!("has no parameters: write \"{}\" alone", last(&pointer));
+            (parent(&pointer).to_owned(), message)
+        }
+        "expected value" | "trailing comma" | "trailing characters" | "invalid type: map, expected enum" => {
+            let message = place(&pointer).and_then(|offset| shape_error(&text[offset..], &message)).unwrap_or(message);
+            (pointer, message)
+        }
+        _ => {
+            let message = type_error(&message).unwrap_or(message);
+            (pointer, message)
+        }
+    }
+}
+
+/// What is wrong with a value where serde says only that it expected something else: it wants an object of one
+/// key, or a list with fewer entries.
+fn shape_error(text: &str, message: &str) -> Option<String> {
+    let value = serde_json::Deserializer::from_str(text).into_iter::<Value>().next()?.ok()?;
+    Some(match value {
+        Value::Object(keys) if keys.is_empty() => {
+            "is empty: write one key, which says what it is, with its parameters inside".to_owned()
+        }
+        Value::Object(keys) => format!("has {} keys: keep the one that says what it is", keys.len()),
+        Value::Array(entries) if message == "trailing characters" => {
+            format!("has {} entries: leave out the last", entries.len())
+        }
+        Value::Null | Value::Bool(_) | Value::Number(_) | Value::String(_) | Value::Array(_) => {
+            "must be an object of one key, which says what it is, with its parameters inside".to_owned()
+        }
+    })
+}
+
+/// "invalid type: string "one", expected a number" as "must be a number, not "one"".
+fn type_error(message: &str) -> Option<String> {
+    let (got, wanted) = message.split_once(", expected ")?;
+    if let Some(length) = got.strip_prefix("invalid length ") {
+        let entries = if length == "1" { "entry" } else { "entries" };
+        return Some(match wanted {
+            wanted if wanted.starts_with("struct ") => "must be an object, not a list".to_owned(),
+            wanted => format!("has {length} {entries}: write {}", expected_form(wanted)),
+        });
+    }
+    let got = got.strip_prefix("invalid type: ").or_else(|| got.strip_prefix("invalid value: "))?;
+    Some(format!("must be {}, not {}", expected_form(wanted), actual_form(got)))
+}
+
+/// What is wanted, without the names of types.
+fn expected_form(wanted: &str) -> String {
+    if wanted.starts_with("struct ") {
+        return "an object".to_owned();
+    }
+    if wanted.starts_with("tuple struct Point") {
+        return "a list of 3 numbers".to_owned();
+    }
+    let length = wanted.strip_prefix("an array of length ").or_else(|| wanted.strip_prefix("a tuple of size "));
+    match (length, wanted) {
+        (Some(length), _) => format!("a list of {length}"),
+        (None, "a sequence") => "a list".to_owned(),
+        (None, "a map") => "an object".to_owned(),
+        (None, wanted) => wanted.to_owned(),
+    }
+}
+
+/// What is there instead.
+fn actual_form(got: &str) -> &str {
+    let quoted = got.split_once('`').and_then(|(_, rest)| rest.strip_suffix('`'));
+    match (quoted, got) {
+        (Some(value), _) => value,
+        (None, "map") => "an object",
+        (None, "sequence") => "a list",
+        (None, got) => got.strip_prefix("string ").unwrap_or(got),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn of(text: &str, pointer: &str, message: &str) -> (String, String) {
+        rewrite_serde_error(text, pointer.to_owned(), message.to_owned())
+    }
+
+    #[test]
+    fn types_are_reported_as_json_has_them() {
+        for (serde, ours) in [
+            (r#"invalid type: string "one", expected a number"#, r#"must be a number, not "one""#),
+            ("invalid type: integer `3`, expected struct Surface", "must be an object, not 3"),
+            ("invalid type: map, expected a sequence", "must be a list, not an object"),
+            (
+                "invalid length 2, expected tuple struct Point with 3 elements",
+                "has 2 entries: write a list of 3 numbers",
+            ),
+            ("invalid length 1, expected struct Job with 5 elements", "must be an object, not a list"),
+            ("missing field `by`", "missing field `by`"),
+        ] {
+            assert_eq!(of("{}", "", serde).1, ours);
+        }
+    }
+
+    #[test]
+    fn misfits_are_counted_where_they_are() {
+        let counted = |text: &str, serde: &str| of(text, "/a", serde).1;
+        assert!(counted(r#"{"a": {}}"#, "expected value").contains("is empty"));
+        assert!(counted(r#"{"a": {"b": 1, "c": 2}}"#, "trailing comma").contains("has 2 keys"));
+        assert!(counted(r#"{"a": [1, 2, 3, 4]}"#, "trailing characters").contains("has 4 entries"));
+        assert!(counted(r#"{"a": 7}"#, "expected value").contains("one key"));
+    }
+
+    #[test]
+    fn name_without_parameters_is_placed_where_it_stands() {
+        let serde = "invalid type: unit variant, expected newtype variant";
+        let (pointer, message) = of(r#"{"shape": "sphere"}"#, "/shape/sphere", serde);
+        assert_eq!(pointer, "/shape");
+        assert!(message.contains(r#"{ "sphere": { … } }"#), "{message}");
+    }
+}

@@ -1,0 +1,93 @@
+//! Where the camera is and what its rays meet.
+
+use super::{Warning, WarningKind, objects};
+use crate::animation::JobAtFrame;
+use crate::camera::{Project, View};
+use crate::integrator::Integrator;
+use crate::job::Image;
+use crate::materials::Shade;
+use crate::nodes::Node;
+use crate::scene::Scene;
+
+/// More rays than this must not run out of steps.
+const MAX_OUT_OF_STEPS: f32 = 0.01;
+/// What takes more simple nodes to look at is not looked at.
+const MAX_COST: f32 = 200_000.0;
+
+/// What is wrong with the view; where nothing is seen, nothing else is.
+pub(super) fn of(still: &JobAtFrame<'_>) -> Option<Warning> {
+    let (scene, image) = (still.scene(), still.image());
+    let view = scene.camera.view(image.width, image.height);
+    if let Some(text) = nothing_in_view(scene, &view) {
+        return Some(Warning { kind: WarningKind::NothingInView, text });
+    }
+    let work: f32 = scene.objects.iter().map(|object| object.shape.evaluation_cost()).sum();
+    if work > MAX_COST {
+        return None;
+    }
+    if let Some(text) = inside(scene, image, &view) {
+        return Some(Warning { kind: WarningKind::CameraInside, text });
+    }
+    let program = Integrator::new(still);
+    let share = program.fraction_out_of_steps(image.width, image.height, work)?;
+    (share > MAX_OUT_OF_STEPS).then(|| Warning { kind: WarningKind::OutOfSteps, text: out_of_steps(scene, share) })
+}
+
+fn nothing_in_view(scene: &Scene, view: &View) -> Option<String> {
+    let farthest = scene.march.max_distance.get();
+    let mut is_one_beyond = false;
+    for object in &scene.objects {
+        let bounds = object.shape.bounds(0.0);
+        if view.is_outside_view(bounds) {
+            continue;
+        }
+        if !view.is_farther_than(bounds, farthest) {
+            return None;
+        }
+        is_one_beyond = true;
+    }
+    Some(if is_one_beyond {
+        format!(
+            "nothing is seen: all that is in view is further away than march.max_distance, {farthest}: raise it, or move the camera nearer"
+        )
+    } else {
+        "nothing is seen: all objects are outside of the view: change camera.position, look_at or the field of view"
+            .to_owned()
+    })
+}
+
+/// Objects that the camera, or a part of an orthographic picture's plane, is inside of.
+fn inside(scene: &Scene, image: &Image, view: &View) -> Option<String> {
+    let origins = scene.camera.projection.ray_origins(view, image);
+    let solid = scene.objects.iter().enumerate().filter(|(_, object)| {
+        let material = &scene.used_materials()[object.material.slot() as usize];
+        !material.is_medium() && !material.is_transmissive() && !is_transmissive(scene, &object.shape)
+    });
+    let around: Vec<usize> = solid
+        .filter(|(_, object)| {
+            let bounds = object.shape.bounds(0.0);
+            let mut near = origins.iter().filter(|&&origin| bounds.contains(origin));
+            near.any(|&origin| object.shape.distance(origin) <= 0.0)
+        })
+        .map(|(index, _)| index)
+        .collect();
+    if around.is_empty() {
+        return None;
+    }
+    let (what, cure) = scene.camera.projection.inside_warning();
+    Some(format!("{what} {}, and sees only that from within: {cure}, or cut a room into it", objects(&around)))
+}
+
+/// Whether a part of a shape is painted with what lets rays through.
+fn is_transmissive(scene: &Scene, node: &Node) -> bool {
+    node.material().is_some_and(|material| scene.used_materials()[material.slot() as usize].is_transmissive())
+        || node.children().iter().any(|child| is_transmissive(scene, child))
+}
+
+fn out_of_steps(scene: &Scene, share: f32) -> String {
+    let max_steps = scene.march.max_steps;
+    let percent = (share * 100.0).round().max(1.0);
+    format!(
+        "about {percent} % of the rays run out of steps before they meet a surface or pass all of them, and show what is behind: raise march.max_steps above {max_steps}, or look at less that is grazed"
+    )
+}

@@ -1,0 +1,80 @@
+//! What holds for every number of every node's example when it moves: nothing here names a node.
+
+use scene::nodes::{Node, NodeExample};
+use scene::real::vec3;
+use serde_json::{Value, json};
+
+/// The JSON pointers of all numbers in a value.
+fn numbers(value: &Value, pointer: &str, found: &mut Vec<String>) {
+    match value {
+        Value::Number(_) => found.push(pointer.to_owned()),
+        Value::Array(items) => {
+            items.iter().enumerate().for_each(|(index, item)| numbers(item, &format!("{pointer}/{index}"), found));
+        }
+        Value::Object(entries) => {
+            entries.iter().for_each(|(key, entry)| numbers(entry, &format!("{pointer}/{key}"), found));
+        }
+        Value::Null | Value::Bool(_) | Value::String(_) => {}
+    }
+}
+
+/// Calls `check` with each node, a number of it, and a maker of the node with something else in the number's place.
+fn each_number(mut check: impl FnMut(&str, &Node, f64, &dyn Fn(Value) -> Result<Node, serde_json::Error>)) {
+    for NodeExample { kind, index: number, node } in Node::examples() {
+        let value: Value = serde_json::from_str(&node).unwrap();
+        let still: Node = serde_json::from_str(&node).unwrap();
+        let mut found = Vec::new();
+        numbers(&value, "", &mut found);
+        for pointer in found {
+            let own = value.pointer(&pointer).and_then(Value::as_f64).unwrap();
+            let with = |other: Value| {
+                let mut changed = value.clone();
+                *changed.pointer_mut(&pointer).unwrap() = other;
+                serde_json::from_value(changed)
+            };
+            check(&format!("{kind} {number} {pointer}"), &still, own, &with);
+        }
+    }
+}
+
+fn points() -> impl Iterator<Item = scene::real::Vec3<f32>> {
+    let place = |index: u32, step: u32| index.wrapping_mul(step) as f32 / u32::MAX as f32 * 5.0 - 2.5;
+    (0..4_000).map(move |index| vec3(place(index, 0x9e37_79b9), place(index, 0xc13f_a9a9), place(index, 0x91e1_0da5)))
+}
+
+#[test]
+fn every_number_is_a_count_or_may_move() {
+    each_number(|name, _, own, with| match with(json!({ "keys": [[0, own], [1, own]] })) {
+        Ok(_) => {}
+        Err(error) => assert!(error.to_string().contains("is a count"), "{name}: {error}"),
+    });
+}
+
+#[test]
+fn a_number_that_moves_gives_the_distance_of_one_that_does_not() {
+    each_number(|name, still, own, with| {
+        let Ok(moving) = with(json!({ "keys": [[0, own]] })) else { return };
+        for p in points() {
+            let (got, want) = (moving.distance(p), still.distance(p));
+            let rounding = 2e-5 * want.abs().max(1.0);
+            assert!((got - want).abs() <= rounding, "{name}: {got} at {p:?}, which is {want} where nothing moves");
+        }
+    });
+}
+
+#[test]
+fn a_number_that_is_0_for_a_moment_leaves_distances_finite() {
+    each_number(|name, _, _, with| {
+        // Some numbers may not be 0, and of some together not all.
+        let Ok(moving) = with(json!({ "keys": [[0, 0], [1, 1]] })) else { return };
+        for p in points() {
+            let distance = moving.distance(p);
+            assert!(distance.is_finite(), "{name}: {distance} at {p:?}");
+        }
+        let (bounds, stretch) = (moving.bounds(0.0), moving.stretch());
+        assert!(
+            stretch.is_finite() && !bounds.min.x.is_nan() && !bounds.max.x.is_nan(),
+            "{name}: {stretch}, {bounds:?}"
+        );
+    });
+}

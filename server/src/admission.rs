@@ -1,0 +1,198 @@
+//! Admission: API keys, request rates, the audit log.
+//!
+//! It knows nothing of routes and responses; the HTTP layer calls it.
+
+use std::net::IpAddr;
+use std::num::NonZeroU32;
+use std::sync::Arc;
+use std::time::Duration;
+
+use axum::http::{HeaderName, HeaderValue};
+use governor::clock::{Clock as _, DefaultClock};
+use governor::middleware::StateInformationMiddleware;
+use governor::state::keyed::DefaultKeyedStateStore;
+use governor::{Quota, RateLimiter};
+use tokio_util::sync::CancellationToken;
+
+use crate::api_keys::{ApiKey, ApiKeys};
+use crate::audit_log::AuditLog;
+use crate::clock::Clock;
+use crate::database::{Database, DatabaseError};
+
+/// Requests per second of one address on a farm without keys.
+const REQUESTS_PER_ADDRESS: NonZeroU32 = NonZeroU32::new(1000).expect("it is not 0");
+/// Rejections per second of one address whose reason is sent.
+const REJECTIONS_PER_ADDRESS: NonZeroU32 = NonZeroU32::new(20).expect("it is not 0");
+/// Addresses that are remembered before those that are quiet are forgotten.
+const MAX_TRACKED_ADDRESSES: usize = 10_000;
+/// Interval at which idle addresses are removed from the limiters.
+const PRUNE_INTERVAL: Duration = Duration::from_secs(10);
+
+/// Rate limiter with one cell for each address.
+type AddressLimiter = RateLimiter<IpAddr, DefaultKeyedStateStore<IpAddr>, DefaultClock, StateInformationMiddleware>;
+
+/// Too many requests.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct RateLimited {
+    /// Permitted requests per second.
+    pub(crate) per_second: u32,
+    /// Seconds until the next attempt can succeed.
+    pub(crate) retry_seconds: u64,
+}
+
+/// Remaining rate of a caller.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct RateLimitStatus {
+    per_second: u32,
+    remaining: u32,
+}
+
+impl RateLimitStatus {
+    /// The `RateLimit` headers of a response.
+    pub(crate) fn headers(self) -> impl Iterator<Item = (HeaderName, HeaderValue)> {
+        let policy = format!("\"requests\";q={};w=1", self.per_second);
+        let left = format!("\"requests\";r={};t=1", self.remaining);
+        [("ratelimit-policy", policy), ("ratelimit", left)]
+            .into_iter()
+            .filter_map(|(name, value)| Some((HeaderName::from_static(name), HeaderValue::from_str(&value).ok()?)))
+    }
+}
+
+/// Keys, rates, the audit log.
+#[derive(Debug)]
+pub(crate) struct Admission {
+    /// API keys.
+    pub(crate) keys: ApiKeys,
+    /// Audit log.
+    pub(crate) audit: AuditLog,
+    address_limiter: AddressLimiter,
+    rejection_limiter: AddressLimiter,
+}
+
+impl Admission {
+    /// Opens the keys and the audit log of a farm.
+    pub(crate) async fn open(store: Arc<Database>, clock: Clock) -> Result<Self, DatabaseError> {
+        Ok(Self {
+            keys: ApiKeys::open(Arc::clone(&store), clock.clone()).await?,
+            audit: AuditLog::new(store, clock),
+            address_limiter: RateLimiter::keyed(Quota::per_second(REQUESTS_PER_ADDRESS)).with_middleware(),
+            rejection_limiter: RateLimiter::keyed(Quota::per_second(REJECTIONS_PER_ADDRESS)).with_middleware(),
+        })
+    }
+
+    /// Counts a request of a key, or of an address on a farm without keys; requests from this machine are
+    /// not counted.
+    pub(crate) fn admit(
+        &self,
+        key: Option<&ApiKey>,
+        peer: Option<IpAddr>,
+        is_local: bool,
+    ) -> Result<Option<RateLimitStatus>, RateLimited> {
+        let state = match (key, peer) {
+            (Some(key), _) => key.limiter().check(),
+            (None, Some(peer)) if is_local && !peer.is_loopback() => self.address_limiter.check_key(&peer),
+            (None, _) => return Ok(None),
+        };
+        match state {
+            Ok(state) => Ok(Some(RateLimitStatus {
+                per_second: state.quota().burst_size().get(),
+                remaining: state.remaining_burst_capacity(),
+            })),
+            Err(until) => Err(RateLimited {
+                per_second: until.quota().burst_size().get(),
+                retry_seconds: round_up_seconds(until.wait_time_from(DefaultClock::default().now())),
+            }),
+        }
+    }
+
+    /// Counts a rejection; beyond the limit of an address, rejections are sent without their reason.
+    pub(crate) fn count_rejection(&self, peer: Option<IpAddr>) -> Result<(), RateLimited> {
+        let Some(peer) = peer else { return Ok(()) };
+        match self.rejection_limiter.check_key(&peer) {
+            Ok(_) => Ok(()),
+            Err(until) => Err(RateLimited {
+                per_second: REJECTIONS_PER_ADDRESS.get(),
+                retry_seconds: round_up_seconds(until.wait_time_from(DefaultClock::default().now())),
+            }),
+        }
+    }
+
+    /// Reloads keys, writes the audit log and removes idle addresses until shutdown.
+    pub(crate) async fn run(&self, end: CancellationToken) {
+        tokio::join!(self.keys.run(end.clone()), self.audit.run(end.clone()), self.prune(end));
+    }
+
+    async fn prune(&self, end: CancellationToken) {
+        loop {
+            tokio::select! {
+                () = end.cancelled() => return,
+                () = tokio::time::sleep(PRUNE_INTERVAL) => {}
+            }
+            for limiter in [&self.address_limiter, &self.rejection_limiter] {
+                if limiter.len() > MAX_TRACKED_ADDRESSES {
+                    limiter.retain_recent();
+                    limiter.shrink_to_fit();
+                }
+            }
+        }
+    }
+}
+
+/// A time to wait, as whole seconds, at least one.
+fn round_up_seconds(wait: Duration) -> u64 {
+    wait.as_secs() + u64::from(wait.subsec_nanos() > 0).max(u64::from(wait.is_zero()))
+}
+
+#[cfg(test)]
+mod tests {
+    use std::net::Ipv4Addr;
+
+    use super::*;
+
+    const ELSEWHERE: IpAddr = IpAddr::V4(Ipv4Addr::new(10, 1, 2, 3));
+    const HERE: IpAddr = IpAddr::V4(Ipv4Addr::LOCALHOST);
+    /// More than any of the limits, however slowly they are counted.
+    const MANY: u32 = 1_000_000;
+
+    async fn doors() -> (Admission, tempfile::TempDir) {
+        let folder = tempfile::tempdir().expect("a temporary folder");
+        let store = Arc::new(Database::open(folder.path()).await.expect("opens"));
+        (Admission::open(store, Clock::manual().0).await.expect("opens"), folder)
+    }
+
+    #[tokio::test]
+    async fn an_address_without_a_key_has_a_rate_and_this_machine_has_none() {
+        let (doors, _folder) = doors().await;
+        let pace = doors.admit(None, Some(ELSEWHERE), true).expect("the first").expect("it is counted");
+        assert_eq!((pace.per_second, pace.remaining), (1000, 999));
+        let headers: Vec<_> = pace.headers().map(|(name, value)| (name.to_string(), value)).collect();
+        let wanted = [("ratelimit-policy", "\"requests\";q=1000;w=1"), ("ratelimit", "\"requests\";r=999;t=1")];
+        assert_eq!(headers, wanted.map(|(name, value)| (name.to_owned(), HeaderValue::from_static(value))));
+        let admitted =
+            (1..MANY).find_map(|count| doors.admit(None, Some(ELSEWHERE), true).err().map(|refusal| (count, refusal)));
+        let (admitted, refusal) = admitted.expect("there is a limit");
+        assert!(admitted >= 1000, "{admitted} were admitted");
+        assert_eq!((refusal.per_second, refusal.retry_seconds), (1000, 1));
+        for (peer, is_local) in [(Some(HERE), true), (Some(ELSEWHERE), false), (None, true)] {
+            assert!((0..3000).all(|_| matches!(doors.admit(None, peer, is_local), Ok(None))), "{peer:?} {is_local}");
+        }
+    }
+
+    #[tokio::test]
+    async fn refusals_of_an_address_are_counted_and_others_are_not_held_for_them() {
+        let (doors, _folder) = doors().await;
+        let told = (0..MANY).find_map(|count| doors.count_rejection(Some(HERE)).err().map(|refusal| (count, refusal)));
+        let (told, refusal) = told.expect("there is a limit");
+        assert!(told >= 20, "{told} were told why");
+        assert_eq!((refusal.per_second, refusal.retry_seconds), (20, 1));
+        assert!(doors.count_rejection(Some(ELSEWHERE)).is_ok());
+        assert!((0..100).all(|_| doors.count_rejection(None).is_ok()));
+    }
+
+    #[test]
+    fn a_wait_is_reported_in_whole_seconds_that_are_enough() {
+        for (millis, seconds) in [(0, 1), (1, 1), (999, 1), (1000, 1), (1001, 2), (2500, 3), (4000, 4)] {
+            assert_eq!(round_up_seconds(Duration::from_millis(millis)), seconds, "{millis} ms");
+        }
+    }
+}

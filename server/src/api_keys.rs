@@ -1,0 +1,265 @@
+//! API keys. The table is reread every 500 ms, so keys created or revoked by another process take effect
+//! within a second; open requests of a revoked key end at once.
+//!
+//! It knows nothing of routes: the HTTP layer asks for a key's scopes.
+
+mod key;
+mod offline;
+mod rows;
+mod secret;
+
+use std::collections::HashMap;
+use std::sync::{Arc, Mutex, RwLock};
+use std::time::Duration;
+
+use proto::api_key::{ApiKeyView, IssuedApiKey, NewApiKey, Scope};
+use tokio_util::sync::CancellationToken;
+
+use crate::clock::Clock;
+use crate::database::{Database, DatabaseError, Durability};
+
+pub(crate) use key::ApiKey;
+pub use offline::{OfflineApiKeys, OfflineApiKeysError};
+pub(crate) use secret::constant_time_eq;
+
+/// Interval at which the table is reread.
+const RELOAD_INTERVAL: Duration = Duration::from_millis(500);
+/// Precision of the stored last-used times.
+const LAST_USED_PRECISION_MS: i64 = 60_000;
+/// Maximum number of live keys of one name: the old one and its replacement.
+pub(crate) const MAX_LIVE_OF_A_NAME: i64 = 2;
+/// Keys that are not revoked, of all names.
+pub(crate) const MAX_KEYS: usize = 1000;
+/// Characters of a key's name.
+pub(crate) const MAX_NAME_CHARACTERS: usize = 64;
+/// Names that mean something else: who submits without keys, the server's own workers.
+const RESERVED: [&str; 2] = ["local", "pool"];
+/// The longest life of a key that expires.
+const MAX_LIFE_SECONDS: u64 = 100 * 366 * 24 * 3600;
+
+/// Error when creating, finding or revoking a key.
+#[derive(Debug, thiserror::Error)]
+pub(crate) enum ApiKeyError {
+    /// The name is none.
+    #[error(
+        "{0:?} can't name a key: take 1 to 64 letters, digits, dots, dashes and underscores, but not local or pool"
+    )]
+    Name(String),
+    /// It has no scope, so it would allow nothing.
+    #[error("a key needs a scope: submit, read, worker or admin")]
+    NoScope,
+    /// A limit of it is out of range.
+    #[error("{what} of a key is {found}: say 1 to {most}, or leave it out")]
+    Limit {
+        /// Which.
+        what: &'static str,
+        /// Requested value.
+        found: u64,
+        /// Maximum.
+        most: u64,
+    },
+    /// The first key would lock out whoever makes it.
+    #[error(
+        "a farm's first key closes it to everyone without a key, so it has to be an administrator's: \
+         make one by `sdfarm key new admin --scope admin`, then this one"
+    )]
+    FirstNotAdmin,
+    /// The name has both its keys.
+    #[error(
+        "{name} has {MAX_LIVE_OF_A_NAME} live keys already: revoke one, by `sdfarm key revoke ID`, before making another"
+    )]
+    TooManyLive {
+        /// The name.
+        name: String,
+    },
+    /// There are too many keys.
+    #[error(
+        "there are {MAX_KEYS} keys already: revoke those that nobody needs (`sdfarm key list` says when each was used)"
+    )]
+    TooMany,
+    /// There is no such key.
+    #[error("no key that could be revoked has the id or name {0:?}: `sdfarm key list` shows them all")]
+    Unknown(String),
+    /// The system has no random bits.
+    #[error("the system gave no random bits for a key: {0}")]
+    Random(getrandom::Error),
+    /// The database could not do it.
+    #[error(transparent)]
+    Store(#[from] DatabaseError),
+}
+
+/// Whether one more key may be made where `made` were made before, of which `kept` are not revoked.
+fn check_room(order: &key::KeySpec, made: usize, kept: usize) -> Result<(), ApiKeyError> {
+    if made == 0 && !order.scopes.has(Scope::Admin) {
+        return Err(ApiKeyError::FirstNotAdmin);
+    }
+    if kept >= MAX_KEYS {
+        return Err(ApiKeyError::TooMany);
+    }
+    Ok(())
+}
+
+/// Result of looking up a secret.
+#[derive(Clone, Debug)]
+pub(crate) enum KeyLookup {
+    /// Secret of a live key.
+    Live(Arc<ApiKey>),
+    /// Secret of an expired key.
+    Expired,
+    /// Secret of a revoked key.
+    Revoked,
+    /// Unknown secret.
+    Unknown,
+}
+
+/// Keys of a farm, at most 500 ms old.
+#[derive(Debug)]
+pub(crate) struct ApiKeys {
+    store: Arc<Database>,
+    clock: Clock,
+    known: RwLock<Arc<Vec<Arc<ApiKey>>>>,
+    /// When each key's last use was last written to the table.
+    written: Mutex<HashMap<i64, i64>>,
+}
+
+impl ApiKeys {
+    /// Reads the keys of a database.
+    pub(crate) async fn open(store: Arc<Database>, clock: Clock) -> Result<Self, DatabaseError> {
+        let keys = Self { store, clock, known: RwLock::default(), written: Mutex::default() };
+        keys.refresh().await?;
+        Ok(keys)
+    }
+
+    /// Whether a key was ever created: from then on every request needs one.
+    pub(crate) fn are_required(&self) -> bool {
+        !self.all().is_empty()
+    }
+
+    /// Keys that let someone in.
+    pub(crate) fn live(&self) -> usize {
+        let now_ms = self.clock.wall_ms();
+        self.all().iter().filter(|key| key.is_live(now_ms)).count()
+    }
+
+    /// Looks up a secret.
+    pub(crate) fn find(&self, secret: &str) -> KeyLookup {
+        let digest = secret::digest(secret);
+        // Compares with all keys, so that the duration reveals nothing.
+        let all = self.all();
+        let found = all.iter().fold(None, |found, key| if key.has(&digest) { Some(key) } else { found });
+        let Some(key) = found else { return KeyLookup::Unknown };
+        let now_ms = self.clock.wall_ms();
+        if key.is_revoked() {
+            KeyLookup::Revoked
+        } else if key.is_live(now_ms) {
+            key.mark_used(now_ms);
+            KeyLookup::Live(Arc::clone(key))
+        } else {
+            KeyLookup::Expired
+        }
+    }
+
+    /// Every key, newest first.
+    pub(crate) fn list(&self) -> Vec<ApiKeyView> {
+        let now_ms = self.clock.wall_ms();
+        self.all().iter().map(|key| key.view(now_ms)).collect()
+    }
+
+    /// Creates a key; it is valid when this returns.
+    pub(crate) async fn create(&self, new: NewApiKey) -> Result<IssuedApiKey, ApiKeyError> {
+        let order = key::KeySpec::check(new, self.clock.wall_ms())?;
+        let all = self.all();
+        check_room(&order, all.len(), all.iter().filter(|key| !key.is_revoked()).count())?;
+        let issue = secret::generate()?;
+        let (id, name, digest) = (issue.id.clone(), order.name.clone(), issue.digest);
+        let made = self
+            .store
+            .write(Durability::Full, move |connection| {
+                Box::pin(async move { rows::insert(connection, &id, &digest, &order).await })
+            })
+            .await?;
+        self.refresh().await?;
+        match self.list().into_iter().find(|key| key.id == issue.id) {
+            Some(key) if made => Ok(IssuedApiKey { secret: issue.secret, key }),
+            _ => Err(ApiKeyError::TooManyLive { name }),
+        }
+    }
+
+    /// Revokes the key with this id, or all keys of this name, and ends their open requests.
+    pub(crate) async fn revoke(&self, id_or_name: &str) -> Result<Vec<ApiKeyView>, ApiKeyError> {
+        let (which, now_ms) = (id_or_name.to_owned(), self.clock.wall_ms());
+        let revoked = self
+            .store
+            .write(Durability::Full, move |connection| {
+                Box::pin(async move { rows::revoke(connection, &which, now_ms).await })
+            })
+            .await?;
+        self.refresh().await?;
+        if revoked.is_empty() {
+            return Err(ApiKeyError::Unknown(id_or_name.to_owned()));
+        }
+        Ok(self.list().into_iter().filter(|key| revoked.contains(&key.id)).collect())
+    }
+
+    /// Reads the table again.
+    pub(crate) async fn refresh(&self) -> Result<(), DatabaseError> {
+        let rows = rows::all(self.store.readers()).await?;
+        let old = self.all();
+        let now_ms = self.clock.wall_ms();
+        let keys = rows.into_iter().map(|row| {
+            let known = old.iter().find(|key| key.number() == row.number);
+            let key = ApiKey::new(row, known.map(|key| &**key));
+            key.revoke_if_expired(now_ms);
+            Arc::new(key)
+        });
+        let keys = Arc::new(keys.collect::<Vec<_>>());
+        *self.known.write().expect("no holder panics") = keys;
+        Ok(())
+    }
+
+    /// Reloads the keys from the table and stores their last use until shutdown.
+    pub(crate) async fn run(&self, end: CancellationToken) {
+        let mut tick = tokio::time::interval(RELOAD_INTERVAL);
+        tick.set_missed_tick_behavior(tokio::time::MissedTickBehavior::Delay);
+        loop {
+            let done = tokio::select! {
+                () = end.cancelled() => return,
+                _ = tick.tick() => async { self.refresh().await?; self.write_uses().await }.await,
+            };
+            if let Err(error) = done {
+                tracing::error!(%error, cause = ?std::error::Error::source(&error), "the keys could not be read again");
+            }
+        }
+    }
+
+    async fn write_uses(&self) -> Result<(), DatabaseError> {
+        let uses: Vec<(i64, i64)> = {
+            let mut written = self.written.lock().expect("no holder panics");
+            let is_due = |written: &HashMap<i64, i64>, number: i64, used_ms: i64| {
+                written.get(&number).is_none_or(|before| used_ms >= before + LAST_USED_PRECISION_MS)
+            };
+            let uses = self.all();
+            let uses = uses.iter().filter_map(|key| Some((key.number(), key.last_used_ms()?)));
+            let due: Vec<_> = uses.filter(|&(number, used_ms)| is_due(&written, number, used_ms)).collect();
+            written.extend(due.iter().copied());
+            due
+        };
+        if uses.is_empty() {
+            return Ok(());
+        }
+        self.store
+            .write(Durability::Relaxed, move |connection| {
+                Box::pin(async move {
+                    for (number, used_ms) in uses {
+                        rows::set_last_used(connection, number, used_ms).await?;
+                    }
+                    Ok(())
+                })
+            })
+            .await
+    }
+
+    fn all(&self) -> Arc<Vec<Arc<ApiKey>>> {
+        Arc::clone(&self.known.read().expect("no holder panics"))
+    }
+}

@@ -1,0 +1,153 @@
+//! The keys of a data folder, for the command line: whether a server runs on it or not.
+//!
+//! A running server notices what is changed here within a second.
+
+use std::path::{Path, PathBuf};
+use std::time::Duration;
+
+use proto::api_key::{ApiKeyView, IssuedApiKey, NewApiKey};
+use sqlx::Connection;
+use sqlx::sqlite::SqliteConnection;
+
+use super::key::{ApiKey, KeySpec};
+use super::{ApiKeyError, rows, secret};
+use crate::clock::Clock;
+use crate::database::{Database, DatabaseError, OpenError};
+use crate::lock::{FolderLock, LockError};
+
+/// How long to wait for the database while a running server writes.
+const LOCK_TIMEOUT: Duration = Duration::from_secs(10);
+
+/// Error when changing or listing the keys of a data folder.
+#[derive(Debug, thiserror::Error)]
+pub enum OfflineApiKeysError {
+    /// The folder or its database can't be used.
+    #[error("the keys of the data folder {folder} can't be reached: {reason}; {cure}")]
+    Folder {
+        /// The folder.
+        folder: PathBuf,
+        /// Reason.
+        reason: String,
+        /// Fix.
+        cure: &'static str,
+    },
+    /// The change is invalid.
+    #[error("{0}")]
+    Refused(String),
+}
+
+const USE_OTHER_FOLDER_FIX: &str = "name the server's folder with --data";
+const SAME_RELEASE: &str = "run the same release of sdfarm as the server that runs on it";
+
+/// The keys of a data folder.
+#[derive(Debug)]
+pub struct OfflineApiKeys {
+    connection: SqliteConnection,
+    folder: PathBuf,
+    // While no server runs, the lock keeps one from starting on a half-made database.
+    _lock: Option<FolderLock>,
+}
+
+impl OfflineApiKeys {
+    /// Opens the keys of a folder that a server has used.
+    pub async fn open(folder: &Path) -> Result<Self, OfflineApiKeysError> {
+        let wrong = |reason: String, cure| OfflineApiKeysError::Folder { folder: folder.to_owned(), reason, cure };
+        if !Database::file(folder).is_file() {
+            return Err(wrong("there is no farm in it".to_owned(), USE_OTHER_FOLDER_FIX));
+        }
+        Self::open_or_create(folder).await
+    }
+
+    /// Opens a data folder, creating it if missing, so that keys can be created before the first start of
+    /// a server.
+    pub async fn open_or_create(folder: &Path) -> Result<Self, OfflineApiKeysError> {
+        let wrong = |reason: String, cure| OfflineApiKeysError::Folder { folder: folder.to_owned(), reason, cure };
+        std::fs::create_dir_all(folder).map_err(|error| wrong(error.to_string(), USE_OTHER_FOLDER_FIX))?;
+        let lock = match FolderLock::acquire(folder) {
+            Ok(lock) => {
+                let store =
+                    Database::open(folder).await.map_err(|error| wrong(explain(&error), USE_OTHER_FOLDER_FIX))?;
+                store.close().await;
+                Some(lock)
+            }
+            Err(LockError::InUse(_)) => None,
+            Err(LockError::Io(error)) => return Err(wrong(error.to_string(), USE_OTHER_FOLDER_FIX)),
+        };
+        let mut connection = Database::connect_external(folder, LOCK_TIMEOUT)
+            .await
+            .map_err(|error| wrong(error.to_string(), USE_OTHER_FOLDER_FIX))?;
+        rows::all(&mut connection).await.map_err(|error| wrong(cause(&error), SAME_RELEASE))?;
+        Ok(Self { connection, folder: folder.to_owned(), _lock: lock })
+    }
+
+    /// Creates a key. Only the returned value has its secret.
+    pub async fn create(&mut self, new: NewApiKey) -> Result<IssuedApiKey, OfflineApiKeysError> {
+        let order = KeySpec::check(new, now_ms()).map_err(refused)?;
+        let rows = self.rows().await?;
+        let kept = rows.iter().filter(|row| row.revoked_at_ms.is_none()).count();
+        super::check_room(&order, rows.len(), kept).map_err(refused)?;
+        let issue = secret::generate().map_err(refused)?;
+        let made = rows::insert(&mut self.connection, &issue.id, &issue.digest, &order).await;
+        let made = made.map_err(|error| self.failed(&error))?;
+        match self.list().await?.into_iter().find(|key| key.id == issue.id) {
+            Some(key) if made => Ok(IssuedApiKey { secret: issue.secret, key }),
+            _ => Err(refused(ApiKeyError::TooManyLive { name: order.name })),
+        }
+    }
+
+    /// Every key, newest first.
+    pub async fn list(&mut self) -> Result<Vec<ApiKeyView>, OfflineApiKeysError> {
+        let now_ms = now_ms();
+        Ok(self.rows().await?.into_iter().map(|row| ApiKey::new(row, None).view(now_ms)).collect())
+    }
+
+    /// Revokes the key of an id, or all of a name.
+    pub async fn revoke(&mut self, id_or_name: &str) -> Result<Vec<ApiKeyView>, OfflineApiKeysError> {
+        let revoked = rows::revoke(&mut self.connection, id_or_name, now_ms()).await;
+        let revoked = revoked.map_err(|error| self.failed(&error))?;
+        if revoked.is_empty() {
+            return Err(refused(ApiKeyError::Unknown(id_or_name.to_owned())));
+        }
+        Ok(self.list().await?.into_iter().filter(|key| revoked.contains(&key.id)).collect())
+    }
+
+    /// Closes the database.
+    pub async fn close(self) -> Result<(), OfflineApiKeysError> {
+        let folder = self.folder;
+        self.connection.close().await.map_err(|error| OfflineApiKeysError::Folder {
+            folder,
+            reason: error.to_string(),
+            cure: USE_OTHER_FOLDER_FIX,
+        })
+    }
+
+    async fn rows(&mut self) -> Result<Vec<super::key::KeyRow>, OfflineApiKeysError> {
+        rows::all(&mut self.connection).await.map_err(|error| self.failed(&error))
+    }
+
+    fn failed(&self, error: &DatabaseError) -> OfflineApiKeysError {
+        OfflineApiKeysError::Folder { folder: self.folder.clone(), reason: cause(error), cure: USE_OTHER_FOLDER_FIX }
+    }
+}
+
+fn refused(error: ApiKeyError) -> OfflineApiKeysError {
+    match error {
+        ApiKeyError::Store(error) => OfflineApiKeysError::Refused(cause(&error)),
+        error => OfflineApiKeysError::Refused(error.to_string()),
+    }
+}
+
+fn cause(error: &DatabaseError) -> String {
+    match std::error::Error::source(error) {
+        Some(source) => format!("{error}: {source}"),
+        None => error.to_string(),
+    }
+}
+
+fn explain(error: &OpenError) -> String {
+    error.to_string()
+}
+
+fn now_ms() -> i64 {
+    Clock::system().wall_ms()
+}

@@ -1,0 +1,118 @@
+//! The table of keys: one function is one statement.
+//!
+//! Secrets never reach this module, only their hashes.
+
+use proto::api_key::Scope;
+use sqlx::Row as _;
+use sqlx::sqlite::{SqliteConnection, SqliteExecutor, SqliteRow};
+
+use super::MAX_LIVE_OF_A_NAME;
+use super::key::{KeyRow, KeySpec, Scopes};
+use crate::database::DatabaseError;
+
+/// Writes a key's row, unless its name has both its live keys; whether it did.
+pub(super) async fn insert(
+    connection: &mut SqliteConnection,
+    id: &str,
+    digest: &[u8; 32],
+    order: &KeySpec,
+) -> Result<bool, DatabaseError> {
+    let done = sqlx::query(
+        "INSERT INTO key (id, name, digest, may_submit, may_read, may_work, may_administer, max_jobs, max_rays,
+                          requests_per_second, created_at_ms, expires_at_ms)
+         SELECT ?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8, ?9, ?10, ?11, ?12
+         WHERE (SELECT count(*) FROM key WHERE name = ?2 AND revoked_at_ms IS NULL
+                AND (expires_at_ms IS NULL OR expires_at_ms > ?11)) < ?13",
+    )
+    .bind(id)
+    .bind(&order.name)
+    .bind(digest.as_slice())
+    .bind(order.scopes.has(Scope::Submit))
+    .bind(order.scopes.has(Scope::Read))
+    .bind(order.scopes.has(Scope::Worker))
+    .bind(order.scopes.has(Scope::Admin))
+    .bind(order.max_jobs)
+    .bind(order.max_rays)
+    .bind(order.requests_per_second)
+    .bind(order.created_at_ms)
+    .bind(order.expires_at_ms)
+    .bind(MAX_LIVE_OF_A_NAME)
+    .execute(connection)
+    .await?;
+    Ok(done.rows_affected() == 1)
+}
+
+/// Revokes the key of an id, or every key of a name; returns their ids.
+pub(super) async fn revoke(
+    connection: &mut SqliteConnection,
+    id_or_name: &str,
+    now_ms: i64,
+) -> Result<Vec<String>, DatabaseError> {
+    let ids = sqlx::query_scalar(
+        "UPDATE key SET revoked_at_ms = ?2 WHERE (id = ?1 OR name = ?1) AND revoked_at_ms IS NULL RETURNING id",
+    )
+    .bind(id_or_name)
+    .bind(now_ms)
+    .fetch_all(connection)
+    .await?;
+    Ok(ids)
+}
+
+/// Writes down when a key was used.
+pub(super) async fn set_last_used(
+    connection: &mut SqliteConnection,
+    number: i64,
+    used_ms: i64,
+) -> Result<(), DatabaseError> {
+    // No row is no error: the key may have been deleted in the meantime.
+    sqlx::query("UPDATE key SET last_used_at_ms = ? WHERE number = ?")
+        .bind(used_ms)
+        .bind(number)
+        .execute(connection)
+        .await?;
+    Ok(())
+}
+
+/// Every key, newest first.
+pub(super) async fn all<'e>(connection: impl SqliteExecutor<'e>) -> Result<Vec<KeyRow>, DatabaseError> {
+    let rows = sqlx::query(
+        "SELECT number, id, name, digest, may_submit, may_read, may_work, may_administer, max_jobs, max_rays,
+                requests_per_second, created_at_ms, expires_at_ms, revoked_at_ms, last_used_at_ms
+         FROM key ORDER BY number DESC",
+    )
+    .fetch_all(connection)
+    .await?;
+    rows.iter().map(read).collect()
+}
+
+fn read(row: &SqliteRow) -> Result<KeyRow, DatabaseError> {
+    let digest: Vec<u8> = row.try_get("digest")?;
+    let may: [bool; 4] = [
+        row.try_get("may_submit")?,
+        row.try_get("may_read")?,
+        row.try_get("may_work")?,
+        row.try_get("may_administer")?,
+    ];
+    let may = |scope| match scope {
+        Scope::Submit => may[0],
+        Scope::Read => may[1],
+        Scope::Worker => may[2],
+        Scope::Admin => may[3],
+    };
+    Ok(KeyRow {
+        number: row.try_get("number")?,
+        id: row.try_get("id")?,
+        name: row.try_get("name")?,
+        digest: digest
+            .try_into()
+            .map_err(|_| DatabaseError::Value { column: "key.digest", value: "other than 32 bytes".to_owned() })?,
+        scopes: Scopes::from_fn(may),
+        max_jobs: row.try_get("max_jobs")?,
+        max_rays: row.try_get("max_rays")?,
+        requests_per_second: row.try_get("requests_per_second")?,
+        created_at_ms: row.try_get("created_at_ms")?,
+        expires_at_ms: row.try_get("expires_at_ms")?,
+        revoked_at_ms: row.try_get("revoked_at_ms")?,
+        last_used_at_ms: row.try_get("last_used_at_ms")?,
+    })
+}

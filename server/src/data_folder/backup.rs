@@ -1,0 +1,178 @@
+//! Backup of a running farm: the database as of one instant, then the pictures it names.
+//!
+//! Pictures never change, so only new ones are taken. Tile blobs are left out: what lacks them is rendered again.
+
+use std::collections::HashSet;
+use std::fs::{self, File};
+use std::path::Path;
+
+use sqlx::{AssertSqlSafe, Connection};
+
+use super::database::PictureRef;
+use super::manifest::{self, Manifest};
+use super::{DataFolderError, database, hashed_files};
+use crate::clock::{Clock, rfc3339};
+
+/// How many times the database is copied again, if pictures that it names were deleted in the meantime.
+const MAX_ATTEMPTS: u32 = 4;
+/// Larger files of a data folder are none of ours.
+const MAX_FILE_BYTES: u64 = 1 << 20;
+
+/// Result of a backup.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct Backup {
+    /// Pictures in it.
+    pub pictures: u64,
+    /// Of those, copied by this backup.
+    pub copied: u64,
+    /// Bytes taken now.
+    pub copied_bytes: u64,
+    /// Pictures of earlier backups that no job has any more, which were dropped.
+    pub removed: u64,
+    /// Pictures that the database names and the store has lost.
+    pub missing: Vec<String>,
+}
+
+/// Copies the farm in `data` to `folder`, which is empty or holds an earlier backup.
+pub async fn back_up(data: &Path, folder: &Path) -> Result<Backup, DataFolderError> {
+    let mut live = database::open(data).await?;
+    let earlier = prepare(data, folder)?;
+    let part = folder.join("farm.sqlite.part");
+    for round in 1.. {
+        if part.exists() {
+            fs::remove_file(&part).map_err(DataFolderError::file("remove", &part))?;
+        }
+        let into = sqlx::query("VACUUM INTO ?").bind(part.to_string_lossy().into_owned());
+        into.execute(&mut live).await.map_err(DataFolderError::database(&crate::database::Database::file(data)))?;
+        let names = picture_refs(&part).await?;
+        let backup = copy_pictures(data, folder, &names)?;
+        if !backup.missing.is_empty()
+            && round < MAX_ATTEMPTS
+            && !missing_in_farm(&mut live, &backup.missing, data).await?
+        {
+            continue;
+        }
+        return finish(data, folder, earlier.as_ref(), &names, backup);
+    }
+    unreachable!("the rounds end")
+}
+
+fn prepare(data: &Path, folder: &Path) -> Result<Option<Manifest>, DataFolderError> {
+    fs::create_dir_all(folder).map_err(DataFolderError::file("make", folder))?;
+    let real = |path: &Path| fs::canonicalize(path).map_err(DataFolderError::file("find", path));
+    if real(folder)?.starts_with(real(data)?) {
+        return Err(DataFolderError::BackupInsideData(folder.to_owned()));
+    }
+    let earlier = Manifest::read(folder)?;
+    let is_ours = |name: &str| name == "pictures" || name == "farm.sqlite.part" || name == manifest::PARTIAL_FILE;
+    let entries = fs::read_dir(folder).map_err(DataFolderError::file("read", folder))?;
+    let is_other = entries.flatten().any(|entry| !is_ours(&entry.file_name().to_string_lossy()));
+    // The marker file comes first, so that an interrupted backup is recognized as one.
+    let begun = folder.join(manifest::PARTIAL_FILE);
+    if earlier.is_none() && is_other && !begun.exists() {
+        return Err(DataFolderError::NotABackup(folder.to_owned()));
+    }
+    File::create(&begun).map_err(DataFolderError::file("write", &begun))?;
+    let pictures = folder.join("pictures");
+    fs::create_dir_all(&pictures).map_err(DataFolderError::file("make", &pictures))?;
+    Ok(earlier)
+}
+
+async fn picture_refs(copy: &Path) -> Result<Vec<PictureRef>, DataFolderError> {
+    let mut connection = database::open_file(copy).await?;
+    let faults = database::integrity_errors(&mut connection).await.map_err(DataFolderError::database(copy))?;
+    if let Some(reason) = faults.into_iter().next() {
+        return Err(DataFolderError::Damaged { path: copy.to_owned(), reason });
+    }
+    let names = database::pictures(&mut connection).await.map_err(DataFolderError::database(copy))?;
+    connection.close().await.map_err(DataFolderError::database(copy))?;
+    Ok(names)
+}
+
+/// Links or copies the pictures that are not there yet, each checked by its hash.
+fn copy_pictures(data: &Path, folder: &Path, names: &[PictureRef]) -> Result<Backup, DataFolderError> {
+    let mut backup = Backup { pictures: names.len() as u64, ..Backup::default() };
+    for named in names {
+        let (from, to) = (data.join("pictures").join(&named.hash), folder.join("pictures").join(&named.hash));
+        if fs::metadata(&to).is_ok_and(|there| there.len() == named.size_bytes) {
+            continue;
+        }
+        match hashed_files::link(&from, &to, &named.hash) {
+            Ok(true) => {
+                backup.copied += 1;
+                backup.copied_bytes += named.size_bytes;
+            }
+            Ok(false) => backup.missing.push(named.hash.clone()),
+            Err(error) if error.kind() == std::io::ErrorKind::NotFound => backup.missing.push(named.hash.clone()),
+            Err(error) => return Err(DataFolderError::file("copy", &from)(error)),
+        }
+    }
+    Ok(backup)
+}
+
+/// Whether the farm itself misses some of these pictures; else they were deleted with their jobs just now.
+async fn missing_in_farm(
+    live: &mut sqlx::sqlite::SqliteConnection,
+    missing: &[String],
+    data: &Path,
+) -> Result<bool, DataFolderError> {
+    let missing = serde_json::json!(missing).to_string();
+    let query = "SELECT EXISTS (SELECT 1 FROM json_each(?1) WHERE EXISTS (
+                     SELECT 1 FROM frame WHERE frame.picture IS NOT NULL AND frame.picture = value)
+                 OR EXISTS (SELECT 1 FROM picture WHERE picture.hash = value))";
+    let named = sqlx::query_scalar::<_, bool>(AssertSqlSafe(query)).bind(missing).fetch_one(live).await;
+    named.map_err(DataFolderError::database(&crate::database::Database::file(data)))
+}
+
+/// Puts the copies in place, the list last of all, and drops what is in no list any more.
+fn finish(
+    data: &Path,
+    folder: &Path,
+    earlier: Option<&Manifest>,
+    names: &[PictureRef],
+    mut backup: Backup,
+) -> Result<Backup, DataFolderError> {
+    let part = folder.join("farm.sqlite.part");
+    let (database, _) = hashed_files::hash(&part).map_err(DataFolderError::file("read", &part))?;
+    let manifest = Manifest {
+        version: env!("CARGO_PKG_VERSION").to_owned(),
+        made_at: rfc3339(Clock::system().wall_ms()),
+        database,
+        pictures: names.len() as u64,
+        files: copy_files(data, folder)?,
+    };
+    let file = manifest.database_file(folder);
+    let placed = File::open(&part).and_then(|copy| copy.sync_all()).and_then(|()| fs::rename(&part, &file));
+    placed.map_err(DataFolderError::file("write", &file))?;
+    let pictures = folder.join("pictures");
+    hashed_files::sync_folder(&pictures).map_err(DataFolderError::file("write", &pictures))?;
+    manifest.write(folder)?;
+    if let Some(old) = earlier.filter(|old| old.database != manifest.database) {
+        let old = old.database_file(folder);
+        fs::remove_file(&old).map_err(DataFolderError::file("remove", &old))?;
+    }
+    let kept: HashSet<&str> = names.iter().map(|named| named.hash.as_str()).collect();
+    for entry in fs::read_dir(&pictures).map_err(DataFolderError::file("read", &pictures))?.flatten() {
+        if !kept.contains(&*entry.file_name().to_string_lossy()) {
+            fs::remove_file(entry.path()).map_err(DataFolderError::file("remove", &entry.path()))?;
+            backup.removed += 1;
+        }
+    }
+    Ok(backup)
+}
+
+/// Copies the small files of a data folder: secrets, with their permissions.
+fn copy_files(data: &Path, folder: &Path) -> Result<Vec<String>, DataFolderError> {
+    let mut names = Vec::new();
+    for entry in fs::read_dir(data).map_err(DataFolderError::file("read", data))?.flatten() {
+        let name = entry.file_name().to_string_lossy().into_owned();
+        let is_small = entry.metadata().is_ok_and(|file| file.is_file() && file.len() <= MAX_FILE_BYTES);
+        if !is_small || name == "lock" || name.starts_with("farm.sqlite") || name.starts_with("backup") {
+            continue;
+        }
+        fs::copy(entry.path(), folder.join(&name)).map_err(DataFolderError::file("copy", &entry.path()))?;
+        names.push(name);
+    }
+    names.sort();
+    Ok(names)
+}

@@ -1,0 +1,99 @@
+//! Read-only view of a farm's database for backup and checks.
+
+use std::path::Path;
+
+use sqlx::sqlite::{SqliteConnectOptions, SqliteConnection};
+use sqlx::{ConnectOptions, Row};
+
+use super::DataFolderError;
+use crate::database::Database;
+
+/// A picture that the database names.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(super) struct PictureRef {
+    /// BLAKE3 of its bytes, in hex.
+    pub(super) hash: String,
+    /// Total size of the pictures.
+    pub(super) size_bytes: u64,
+}
+
+/// Opens the database of a data folder for reading, also next to a running server.
+pub(super) async fn open(data: &Path) -> Result<SqliteConnection, DataFolderError> {
+    let file = Database::file(data);
+    if !file.is_file() {
+        return Err(DataFolderError::NoDatabase(data.to_owned()));
+    }
+    open_file(&file).await
+}
+
+/// Opens any database to be read.
+pub(super) async fn open_file(file: &Path) -> Result<SqliteConnection, DataFolderError> {
+    let options = SqliteConnectOptions::new().filename(file).read_only(true).disable_statement_logging();
+    options.connect().await.map_err(DataFolderError::database(file))
+}
+
+/// Lines found by `integrity_check` and `foreign_key_check`; empty if the database is intact.
+pub(super) async fn integrity_errors(connection: &mut SqliteConnection) -> Result<Vec<String>, sqlx::Error> {
+    let mut faults: Vec<String> = sqlx::query_scalar("PRAGMA integrity_check(20)").fetch_all(&mut *connection).await?;
+    faults.retain(|line| line != "ok");
+    for row in sqlx::query("PRAGMA foreign_key_check").fetch_all(connection).await?.iter().take(20) {
+        let (table, parent): (String, String) = (row.try_get("table")?, row.try_get("parent")?);
+        faults.push(format!("a row of {table} names a row of {parent} that is not there"));
+    }
+    Ok(faults)
+}
+
+/// Every picture that the database names.
+pub(super) async fn pictures(connection: &mut SqliteConnection) -> Result<Vec<PictureRef>, sqlx::Error> {
+    let rows = sqlx::query(
+        "SELECT picture AS hash, size_bytes FROM frame WHERE picture IS NOT NULL
+         UNION SELECT hash, size_bytes FROM picture ORDER BY 1",
+    )
+    .fetch_all(connection)
+    .await?;
+    rows.iter()
+        .map(|row| Ok(PictureRef { hash: row.try_get("hash")?, size_bytes: row.try_get("size_bytes")? }))
+        .collect()
+}
+
+/// Every blob that a frame still needs.
+pub(super) async fn blobs(connection: &mut SqliteConnection) -> Result<Vec<String>, sqlx::Error> {
+    sqlx::query_scalar(
+        "SELECT DISTINCT tile.blob FROM tile JOIN frame ON frame.job = tile.job AND frame.number = tile.frame
+         WHERE tile.blob IS NOT NULL AND frame.state IN ('open', 'stitching')",
+    )
+    .fetch_all(connection)
+    .await
+}
+
+/// Submission time of the newest job, by the wall clock.
+pub(super) async fn newest_ms(connection: &mut SqliteConnection) -> Result<Option<i64>, sqlx::Error> {
+    sqlx::query_scalar("SELECT created_at_ms FROM job ORDER BY number DESC LIMIT 1").fetch_optional(connection).await
+}
+
+/// What is unusual about a database's migrations, in one line, and whether the next start fixes it.
+pub(super) async fn migrations(connection: &mut SqliteConnection) -> Result<Vec<(String, bool)>, sqlx::Error> {
+    let rows =
+        sqlx::query("SELECT version, checksum, success FROM _sqlx_migrations ORDER BY version").fetch_all(connection);
+    let mut odd = Vec::new();
+    let mut done = Vec::new();
+    for row in rows.await? {
+        let (version, checksum): (i64, Vec<u8>) = (row.try_get("version")?, row.try_get("checksum")?);
+        match crate::database::migrations().find(|(known, _)| *known == version) {
+            None => odd.push((format!("migration {version} is of a newer release"), false)),
+            Some((_, known)) if known != checksum => {
+                odd.push((format!("migration {version} is not the one of this release"), false));
+            }
+            Some(_) if !row.try_get::<bool, _>("success")? => {
+                odd.push((format!("migration {version} broke off"), false));
+            }
+            Some(_) => {}
+        }
+        done.push(version);
+    }
+    let missing = crate::database::migrations().filter(|(version, _)| !done.contains(version)).count();
+    if missing > 0 {
+        odd.push((format!("{missing} migrations are still to be done"), true));
+    }
+    Ok(odd)
+}

@@ -1,0 +1,274 @@
+//! Whether all is well with a farm: its database, its store, its disk, the machine's clock and limits.
+//!
+//! Every finding that is not ok has a fix. Only a repair changes anything, and only while no server runs.
+
+use std::fs;
+use std::path::Path;
+use std::sync::Arc;
+
+use sqlx::sqlite::SqliteConnection;
+
+use super::store_check::{self, StoreComparison};
+use super::{DataFolderError, database};
+use crate::clock::Clock;
+use crate::database::{Database, Durability};
+use crate::lock::{FolderLock, LockError};
+use crate::queue::{Reopened, forget_pictures};
+use crate::telemetry::host;
+
+/// With less free disk, a warning.
+const MIN_DISK_BYTES: u64 = 5 << 30;
+/// With less free disk, an error: the farm stops.
+const NO_DISK_BYTES: u64 = 500 << 20;
+/// Open files that a busy server needs.
+const MIN_OPEN_FILES: u64 = 4096;
+/// A longer log is not folded into its file.
+const LARGE_WAL_BYTES: u64 = 1 << 30;
+/// Maximum difference between clocks.
+const SKEW_MS: i64 = 60_000;
+/// No clock that is right shows less: the first of January 2026.
+const MIN_PLAUSIBLE_MS: i64 = 1_767_225_600_000;
+
+/// Severity of a finding.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Severity {
+    /// As it should be.
+    Ok,
+    /// Works, but needs attention.
+    Warning,
+    /// Does not work, or will stop working soon.
+    Error,
+}
+
+/// Finding of a check.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Finding {
+    /// Severity.
+    pub severity: Severity,
+    /// Subject of the check: one word.
+    pub subject: &'static str,
+    /// Message.
+    pub message: String,
+    /// Fix; `None` if the finding is ok.
+    pub cure: Option<String>,
+}
+
+impl Finding {
+    /// All is well.
+    pub fn ok(subject: &'static str, text: impl Into<String>) -> Self {
+        Self { severity: Severity::Ok, subject, message: text.into(), cure: None }
+    }
+
+    /// Warning: works, but needs attention.
+    pub fn warning(subject: &'static str, text: impl Into<String>, cure: impl Into<String>) -> Self {
+        Self { severity: Severity::Warning, subject, message: text.into(), cure: Some(cure.into()) }
+    }
+
+    /// Error: does not work.
+    pub fn error(subject: &'static str, text: impl Into<String>, cure: impl Into<String>) -> Self {
+        Self { severity: Severity::Error, subject, message: text.into(), cure: Some(cure.into()) }
+    }
+}
+
+/// How thoroughly the store is checked.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Depth {
+    /// Names and sizes.
+    Names,
+    /// Every byte.
+    Bytes,
+}
+
+/// Whether anything is put right.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Repair {
+    /// Changes nothing.
+    None,
+    /// Deletes orphans; frames whose pictures are missing are rendered again.
+    Store,
+}
+
+const RESTORE_FIX: &str = "stop the server and restore a backup to a new folder (`sdfarm restore`)";
+const REPAIR_FIX: &str = "stop the server and run `sdfarm doctor --repair`";
+
+/// Checks a farm, and repairs it if asked.
+pub async fn run_checks(data: &Path, depth: Depth, repair: Repair) -> Result<Vec<Finding>, DataFolderError> {
+    let mut findings = Vec::new();
+    let mut connection = database::open(data).await?;
+    let (lock, serving) = match FolderLock::acquire(data) {
+        Ok(lock) => (Some(lock), None),
+        Err(LockError::InUse(holder)) => (None, Some(holder)),
+        Err(LockError::Io(error)) => {
+            let cure = "mend its permissions, or run this as the server's user";
+            findings.push(Finding::error("folder", format!("{} can't be written: {error}", data.display()), cure));
+            (None, None)
+        }
+    };
+    if let (Repair::Store, Some(holder)) = (repair, &serving) {
+        return Err(DataFolderError::InUse { folder: data.to_owned(), holder: holder.clone() });
+    }
+    findings.push(match &serving {
+        Some(holder) => Finding::ok("server", format!("a server (pid {holder}) uses {}", data.display())),
+        None => Finding::ok("server", format!("no server uses {}", data.display())),
+    });
+    let is_sound = check_database(data, &mut connection, &mut findings).await;
+    if is_sound {
+        check_clock(&mut connection, data, &mut findings).await?;
+        let found = check_store(data, &mut connection, depth, serving.is_some()).await?;
+        let repaired = match repair {
+            Repair::Store if lock.is_some() => Some(repair_store(data, &found).await?),
+            Repair::Store | Repair::None => None,
+        };
+        findings.extend(store_findings(&found, repaired));
+    }
+    check_host(data, &mut findings);
+    drop(lock);
+    Ok(findings)
+}
+
+async fn check_database(data: &Path, connection: &mut SqliteConnection, findings: &mut Vec<Finding>) -> bool {
+    let file = Database::file(data);
+    match database::integrity_errors(connection).await {
+        Ok(faults) if faults.is_empty() => {
+            let text = format!("{} is sound: {} bytes", file.display(), host::file_bytes(&file));
+            findings.push(Finding::ok("database", text));
+        }
+        Ok(faults) => {
+            findings.push(Finding::error("database", format!("it is damaged: {}", faults.join("; ")), RESTORE_FIX));
+            return false;
+        }
+        Err(error) => {
+            findings.push(Finding::error("database", format!("it can't be read: {error}"), RESTORE_FIX));
+            return false;
+        }
+    }
+    let log_bytes = host::file_bytes(&file.with_extension("sqlite-wal"));
+    if log_bytes > LARGE_WAL_BYTES {
+        let cure = "restart the server; something may hold the database open for long: look for other readers";
+        findings.push(Finding::warning("database", format!("its log has {log_bytes} bytes"), cure));
+    }
+    match database::migrations(connection).await {
+        Ok(odd) if odd.is_empty() => {
+            findings.push(Finding::ok("schema", "its tables are those of this release"));
+            true
+        }
+        Ok(odd) => {
+            for (text, is_mended_at_start) in &odd {
+                findings.push(if *is_mended_at_start {
+                    Finding::warning(
+                        "schema",
+                        text,
+                        "back up, then start this release: it brings the tables up to date",
+                    )
+                } else {
+                    Finding::error("schema", text, "run the release that made the tables, or a newer one")
+                });
+            }
+            false
+        }
+        Err(error) => {
+            findings.push(Finding::error("schema", format!("this is no farm's database: {error}"), RESTORE_FIX));
+            false
+        }
+    }
+}
+
+async fn check_clock(
+    connection: &mut SqliteConnection,
+    data: &Path,
+    findings: &mut Vec<Finding>,
+) -> Result<(), DataFolderError> {
+    let newest_ms = database::newest_ms(connection).await.map_err(DataFolderError::database(&Database::file(data)))?;
+    let now_ms = Clock::system().wall_ms();
+    let ahead_ms = newest_ms.map_or(0, |newest_ms| newest_ms - now_ms);
+    findings.push(if now_ms < MIN_PLAUSIBLE_MS || ahead_ms > SKEW_MS {
+        let text = format!("it is behind: the newest job is of {} s from now", ahead_ms.max(0) / 1000);
+        Finding::warning(
+            "clock",
+            text,
+            "have the clock set by NTP (`timedatectl set-ntp true`); leases do not depend on it",
+        )
+    } else {
+        Finding::ok("clock", "it agrees with the newest job")
+    });
+    Ok(())
+}
+
+async fn check_store(
+    data: &Path,
+    connection: &mut SqliteConnection,
+    depth: Depth,
+    serving: bool,
+) -> Result<StoreComparison, DataFolderError> {
+    let failed = DataFolderError::database(&Database::file(data));
+    let pictures = database::pictures(connection).await.map_err(&failed)?;
+    let blobs = database::blobs(connection).await.map_err(&failed)?;
+    store_check::compare_store(data, &pictures, &blobs, depth == Depth::Bytes, serving)
+}
+
+/// Removes orphans and damaged pictures, and has the frames of lost pictures rendered again.
+async fn repair_store(data: &Path, found: &StoreComparison) -> Result<Reopened, DataFolderError> {
+    for path in &found.orphans {
+        fs::remove_file(path).map_err(DataFolderError::file("remove", path))?;
+    }
+    let lost: Vec<String> = found.missing.iter().chain(&found.damaged).cloned().collect();
+    if lost.is_empty() {
+        return Ok(Reopened::default());
+    }
+    let store = Arc::new(Database::open(data).await?);
+    let hashes = lost.clone();
+    let reopened = store
+        .write(Durability::Full, move |connection| Box::pin(async move { forget_pictures(connection, &hashes).await }))
+        .await;
+    store.close().await;
+    // The rows first: a picture without a row is only an orphan.
+    let reopened = reopened?;
+    for hash in &found.damaged {
+        let path = data.join("pictures").join(hash);
+        fs::remove_file(&path).map_err(DataFolderError::file("remove", &path))?;
+    }
+    Ok(reopened)
+}
+
+fn store_findings(found: &StoreComparison, repaired: Option<Reopened>) -> Vec<Finding> {
+    let mut findings = vec![Finding::ok("store", format!("{} pictures are there", found.intact))];
+    for (what, hashes) in [("are gone", &found.missing), ("have other bytes", &found.damaged)] {
+        let Some(first) = hashes.first() else { continue };
+        let text = format!("{} pictures {what}, {first} first", hashes.len());
+        findings.push(match repaired {
+            None => Finding::error("store", text, format!("{REPAIR_FIX}: their frames are rendered again")),
+            Some(Reopened { frames, void }) => Finding::ok(
+                "store",
+                format!("{text}: mended, {frames} frames will be rendered again, {void} of ended jobs were given up"),
+            ),
+        });
+    }
+    if !found.orphans.is_empty() {
+        let text = format!("{} files ({} bytes) belong to nothing", found.orphans.len(), found.orphan_bytes);
+        findings.push(match repaired {
+            None => Finding::warning("store", text, format!("a running server removes them in time; or {REPAIR_FIX}")),
+            Some(_) => Finding::ok("store", format!("{text}: removed")),
+        });
+    }
+    findings
+}
+
+fn check_host(data: &Path, findings: &mut Vec<Finding>) {
+    let disk = host::disk(data);
+    let text = format!("{} MiB of {} MiB are free", disk.free_bytes >> 20, disk.total_bytes >> 20);
+    let cure = "make room, or move the data folder to a larger disk";
+    findings.push(if disk.free_bytes < NO_DISK_BYTES {
+        Finding::error("disk", text, cure)
+    } else if disk.free_bytes < MIN_DISK_BYTES {
+        Finding::warning("disk", text, cure)
+    } else {
+        Finding::ok("disk", text)
+    });
+    let files = host::process().max_files;
+    findings.push(if files < MIN_OPEN_FILES {
+        let cure = "raise it: `ulimit -n 65536`, or LimitNOFILE=65536 in the unit";
+        Finding::warning("limits", format!("a process may open {files} files"), cure)
+    } else {
+        Finding::ok("limits", format!("a process may open {files} files"))
+    });
+}

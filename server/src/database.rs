@@ -1,0 +1,198 @@
+//! The database file: opened, migrated, checked; one connection writes (see `writer`),
+//! several read.
+//!
+//! No statement about jobs, tiles or leases is here: those are `queue`'s.
+
+mod external;
+mod wal;
+mod writer;
+
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::time::Duration;
+
+use futures_util::future::BoxFuture;
+use proto::fail_point::{self, FailPoint};
+use sqlx::ConnectOptions;
+use sqlx::sqlite::{
+    SqliteConnectOptions, SqliteConnection, SqliteJournalMode, SqlitePool, SqlitePoolOptions, SqliteSynchronous,
+};
+
+use wal::Wal;
+use writer::Writer;
+pub(crate) use writer::{CommitTimes, Durability};
+
+/// Number of reading connections.
+const READER_CONNECTIONS: u32 = 4;
+/// Rows that the engine's thread reads ahead of who asked for them.
+const ROW_BUFFER: usize = 1024;
+/// Pages of the WAL (of 4 KiB) after which the engine checkpoints it: the commit that reaches this number has
+/// to wait for the checkpoint.
+const AUTOCHECKPOINT_PAGES: &str = "4000";
+/// Databases up to this size are checked page by page at start.
+const MAX_START_CHECK_BYTES: u64 = 16 << 20;
+
+static MIGRATIONS: sqlx::migrate::Migrator = sqlx::migrate!("../migrations");
+
+/// Every migration of this release: its version and its checksum.
+pub(crate) fn migrations() -> impl Iterator<Item = (i64, &'static [u8])> {
+    MIGRATIONS.iter().map(|migration| (migration.version, &*migration.checksum))
+}
+
+/// Error when reading or writing the database.
+#[derive(Clone, Debug, thiserror::Error)]
+pub(crate) enum DatabaseError {
+    /// The engine failed.
+    #[error("the database could not do it")]
+    Sql(#[source] Arc<sqlx::Error>),
+    /// A statement touched another number of rows than its transition means to.
+    #[error("{what} changed {changed} rows instead of {expected}")]
+    Rows {
+        /// The statement, as table and transition.
+        what: &'static str,
+        /// Rows it should have changed.
+        expected: u64,
+        /// Rows it changed.
+        changed: u64,
+    },
+    /// A row holds what this version does not know.
+    #[error("{column} holds {value:?}, which this version does not know")]
+    Value {
+        /// Table and column.
+        column: &'static str,
+        /// Stored value.
+        value: String,
+    },
+    /// The server is ending.
+    #[error("the database is closed")]
+    Closed,
+}
+
+impl From<sqlx::Error> for DatabaseError {
+    fn from(error: sqlx::Error) -> Self {
+        Self::Sql(Arc::new(error))
+    }
+}
+
+impl DatabaseError {
+    /// The disk, or the quota, is full.
+    pub(crate) fn is_full(&self) -> bool {
+        self.code() == Some(13)
+    }
+
+    /// Whether the file is not, or no longer, an intact database.
+    pub(crate) fn is_corruption(&self) -> bool {
+        matches!(self.code(), Some(11 | 26))
+    }
+
+    /// The engine's primary result code.
+    fn code(&self) -> Option<i32> {
+        let Self::Sql(error) = self else { return None };
+        error.as_database_error()?.code()?.parse::<i32>().ok().map(|code| code & 0xff)
+    }
+}
+
+/// Error when opening the database.
+#[derive(Debug, thiserror::Error)]
+pub(crate) enum OpenError {
+    /// It could not be opened or read.
+    #[error(transparent)]
+    Sql(#[from] sqlx::Error),
+    /// Its tables could not be brought up to date.
+    #[error(transparent)]
+    Migrate(#[from] sqlx::migrate::MigrateError),
+    /// It is damaged.
+    #[error("it is damaged: {0}")]
+    Damaged(String),
+}
+
+/// The database.
+#[derive(Debug)]
+pub(crate) struct Database {
+    writer: Writer,
+    readers: SqlitePool,
+    commits: CommitTimes,
+}
+
+impl Database {
+    /// The database's file in a data folder.
+    pub(crate) fn file(data: &Path) -> PathBuf {
+        data.join("farm.sqlite")
+    }
+
+    /// Opens or creates the database of a data folder and applies pending migrations.
+    pub(crate) async fn open(data: &Path) -> Result<Self, OpenError> {
+        Self::open_with(data, SqliteConnectOptions::new().disable_statement_logging()).await
+    }
+
+    /// Opens the database and emits an event for every statement, for tests that check them.
+    #[cfg(test)]
+    pub(crate) async fn open_traced(data: &Path) -> Result<Self, OpenError> {
+        Self::open_with(data, SqliteConnectOptions::new()).await
+    }
+
+    async fn open_with(data: &Path, options: SqliteConnectOptions) -> Result<Self, OpenError> {
+        let file = Self::file(data);
+        let size_bytes = std::fs::metadata(&file).map_or(0, |metadata| metadata.len());
+        let options = options
+            .filename(&file)
+            .create_if_missing(true)
+            .journal_mode(SqliteJournalMode::Wal)
+            .synchronous(SqliteSynchronous::Full)
+            .foreign_keys(true)
+            .busy_timeout(Duration::from_secs(5))
+            .row_buffer_size(ROW_BUFFER)
+            .pragma("wal_autocheckpoint", AUTOCHECKPOINT_PAGES);
+        let mut connection = options.connect().await?;
+        if size_bytes <= MAX_START_CHECK_BYTES {
+            let verdict: String = sqlx::query_scalar("PRAGMA quick_check(1)").fetch_one(&mut connection).await?;
+            if verdict != "ok" {
+                return Err(OpenError::Damaged(verdict));
+            }
+        }
+        fail_point::trigger_infallible(FailPoint::Migrating);
+        MIGRATIONS.run(&mut connection).await?;
+        fail_point::trigger_infallible(FailPoint::Migrated);
+        let readers = SqlitePoolOptions::new()
+            .max_connections(READER_CONNECTIONS)
+            .test_before_acquire(false)
+            .connect_with(options.read_only(true).create_if_missing(false))
+            .await?;
+        let commits = CommitTimes::default();
+        Ok(Self {
+            writer: Writer::start(connection, commits.clone(), Wal::new(&file, wal::LIMIT_BYTES)),
+            readers,
+            commits,
+        })
+    }
+
+    /// Runs `operation` in a transaction of the writer's and answers when it is committed.
+    pub(crate) async fn write<T, F>(&self, durability: Durability, operation: F) -> Result<T, DatabaseError>
+    where
+        T: Send + 'static,
+        F: for<'c> FnOnce(&'c mut SqliteConnection) -> BoxFuture<'c, Result<T, DatabaseError>> + Send + 'static,
+    {
+        self.writer.write(durability, operation).await
+    }
+
+    /// Durations of commits.
+    pub(crate) fn commits(&self) -> &CommitTimes {
+        &self.commits
+    }
+
+    /// Signal sent after every commit.
+    pub(crate) fn commit_signal(&self) -> tokio::sync::watch::Receiver<()> {
+        self.writer.bell()
+    }
+
+    /// The connections that read.
+    pub(crate) fn readers(&self) -> &SqlitePool {
+        &self.readers
+    }
+
+    /// Finishes what is being written, folds the log into the file and closes it.
+    pub(crate) async fn close(&self) {
+        self.readers.close().await;
+        self.writer.close().await;
+    }
+}

@@ -1,0 +1,119 @@
+//! The write-ahead log (WAL), kept small even if the database is never idle.
+//!
+//! The engine checkpoints the WAL every few thousand pages, but restarts it only when no reader needs it any
+//! more; under constant reading it would grow without limit. This module must not delay writes for long.
+
+use std::path::{Path, PathBuf};
+
+use sqlx::sqlite::SqliteConnection;
+
+/// A WAL of this size is checkpointed between two commits, and restarted.
+pub(super) const LIMIT_BYTES: u64 = 64 << 20;
+/// If a reader prevented that, the next attempt follows after this many commits.
+const RETRY_AFTER_COMMITS: u32 = 64;
+/// How long writes wait for readers then, and how long otherwise.
+const WAIT_FOR_READERS: &str = "PRAGMA busy_timeout = 50";
+const WAIT_FOR_LOCKS: &str = "PRAGMA busy_timeout = 5000";
+
+/// The log of a database.
+#[derive(Debug)]
+pub(super) struct Wal {
+    file: PathBuf,
+    limit_bytes: u64,
+    /// Commits before the next try.
+    commits_until_retry: u32,
+}
+
+impl Wal {
+    /// The WAL next to a database's file.
+    pub(super) fn new(database: &Path, limit_bytes: u64) -> Self {
+        Self { file: database.with_extension("sqlite-wal"), limit_bytes, commits_until_retry: 0 }
+    }
+
+    /// Its size.
+    pub(super) fn size_bytes(&self) -> u64 {
+        std::fs::metadata(&self.file).map_or(0, |metadata| metadata.len())
+    }
+
+    /// Folds the log into the database if it is large; not inside a transaction.
+    pub(super) async fn checkpoint_if_large(&mut self, connection: &mut SqliteConnection) {
+        if self.size_bytes() < self.limit_bytes {
+            return;
+        }
+        if self.commits_until_retry > 0 {
+            self.commits_until_retry -= 1;
+            return;
+        }
+        for statement in [WAIT_FOR_READERS, "PRAGMA wal_checkpoint(TRUNCATE)", WAIT_FOR_LOCKS] {
+            if let Err(error) = sqlx::query(statement).execute(&mut *connection).await {
+                tracing::warn!(%error, "the database's log could not be folded into its file");
+            }
+        }
+        let size_bytes = self.size_bytes();
+        if size_bytes >= self.limit_bytes {
+            self.commits_until_retry = RETRY_AFTER_COMMITS;
+            tracing::warn!(size_bytes, "the database's log stays large: something reads an old state of it");
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use sqlx::sqlite::{SqliteConnectOptions, SqliteJournalMode};
+    use sqlx::{ConnectOptions, Connection};
+
+    use super::*;
+
+    const LIMIT: u64 = 1 << 20;
+
+    async fn connect(file: &Path) -> SqliteConnection {
+        let options = SqliteConnectOptions::new().filename(file).create_if_missing(true);
+        options.journal_mode(SqliteJournalMode::Wal).connect().await.expect("connects")
+    }
+
+    async fn write(connection: &mut SqliteConnection, log: &mut Wal) {
+        let text = "x".repeat(32 << 10);
+        sqlx::query("INSERT INTO t VALUES (?)").bind(text).execute(&mut *connection).await.expect("writes");
+        log.checkpoint_if_large(connection).await;
+    }
+
+    #[tokio::test]
+    async fn the_log_stays_small_although_somebody_always_reads() {
+        let folder = tempfile::tempdir().expect("a temporary folder");
+        let file = folder.path().join("farm.sqlite");
+        let (mut writer, mut log) = (connect(&file).await, Wal::new(&file, LIMIT));
+        // The engine never checkpoints it automatically then.
+        sqlx::query("PRAGMA wal_autocheckpoint = 0").execute(&mut writer).await.expect("sets");
+        sqlx::query("CREATE TABLE t (text TEXT)").execute(&mut writer).await.expect("creates");
+        let mut readers = [connect(&file).await, connect(&file).await];
+        for round in 0..100 {
+            for reader in &mut readers {
+                sqlx::query("SELECT count(*) FROM t").fetch_one(reader).await.expect("reads");
+            }
+            write(&mut writer, &mut log).await;
+            assert!(log.size_bytes() <= 2 * LIMIT, "{} bytes in round {round}", log.size_bytes());
+        }
+        let rows: i64 = sqlx::query_scalar("SELECT count(*) FROM t").fetch_one(&mut readers[0]).await.expect("reads");
+        assert_eq!(rows, 100);
+    }
+
+    #[tokio::test]
+    async fn a_reader_of_an_old_state_holds_back_no_write() {
+        let folder = tempfile::tempdir().expect("a temporary folder");
+        let file = folder.path().join("farm.sqlite");
+        let (mut writer, mut log) = (connect(&file).await, Wal::new(&file, LIMIT));
+        sqlx::query("CREATE TABLE t (text TEXT)").execute(&mut writer).await.expect("creates");
+        let mut reader = connect(&file).await;
+        let mut old = reader.begin().await.expect("begins");
+        sqlx::query("SELECT count(*) FROM t").fetch_one(&mut *old).await.expect("reads");
+        for _ in 0..100 {
+            write(&mut writer, &mut log).await;
+        }
+        assert!(log.size_bytes() > 3 * LIMIT, "it is needed");
+        old.rollback().await.expect("ends");
+        for _ in 0..70 {
+            write(&mut writer, &mut log).await;
+        }
+        assert!(log.size_bytes() <= 2 * LIMIT, "{} bytes", log.size_bytes());
+    }
+}

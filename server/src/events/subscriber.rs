@@ -1,0 +1,129 @@
+//! Subscriber to one job: missed events first, then new ones, then the end.
+
+use std::sync::Arc;
+use std::time::Duration;
+
+use bytes::{Bytes, BytesMut};
+use proto::JobId;
+use tokio::sync::watch;
+use tokio_util::sync::CancellationToken;
+
+use super::{EncodedEvent, EventHub, Topic, encode_event};
+use crate::database::DatabaseError;
+use crate::queue::Queue;
+
+/// Events read from the database at a time.
+const EVENTS_PER_PAGE: u32 = 256;
+/// After this long without events a comment is sent, so that no proxy takes the connection for dead.
+const KEEP_ALIVE_INTERVAL: Duration = Duration::from_secs(15);
+/// The comment.
+const KEEP_ALIVE_COMMENT: &[u8] = b":\n\n";
+
+/// Result of subscribing.
+#[derive(Debug)]
+pub(crate) enum SubscribeOutcome {
+    /// There are events, now or later.
+    Subscribed(Box<EventSubscriber>),
+    /// The job has finished, and the client has received all its events.
+    Ended,
+    /// The job does not exist.
+    UnknownJob,
+}
+
+/// One follower of one job.
+#[derive(Debug)]
+pub(crate) struct EventSubscriber {
+    queue: Queue,
+    topic: Arc<Topic>,
+    bell: watch::Receiver<()>,
+    ending: CancellationToken,
+    /// Number of the last event sent.
+    last: i64,
+    first: Option<Bytes>,
+    /// The last event sent is the job's final one.
+    ended: bool,
+}
+
+impl EventSubscriber {
+    /// Subscribes to a job from its first event, or after the given one.
+    pub(crate) async fn start(
+        events: &EventHub,
+        job: JobId,
+        after: Option<i64>,
+        ending: CancellationToken,
+    ) -> Result<SubscribeOutcome, DatabaseError> {
+        let queue = events.queue.clone();
+        let Some(found) = queue.event_position(job).await? else { return Ok(SubscribeOutcome::UnknownJob) };
+        let topic = events.topic(found.job).await?;
+        let bell = topic.changes();
+        let mut last = after.unwrap_or(0);
+        let mut first = Bytes::from_static(KEEP_ALIVE_COMMENT);
+        let mut ended = false;
+        // A number that was not given yet is of another farm, or of one before it was restored.
+        if last < found.pruned || last > found.newest {
+            let Some((newest, snapshot)) = queue.snapshot(found.job).await? else {
+                return Ok(SubscribeOutcome::UnknownJob);
+            };
+            ended = snapshot.state.is_final();
+            let body = serde_json::to_string(&snapshot).expect("a snapshot is plain numbers and text");
+            first = encode_event(newest, "snapshot", &body);
+            last = newest;
+        } else if found.ended && queue.job_events_after(found.job, last, 1).await?.is_empty() {
+            return Ok(SubscribeOutcome::Ended);
+        }
+        Ok(SubscribeOutcome::Subscribed(Box::new(Self { queue, topic, bell, ending, last, first: Some(first), ended })))
+    }
+
+    /// The next bytes to send; `None` at the end.
+    pub(crate) async fn next(&mut self) -> Result<Option<Bytes>, DatabaseError> {
+        if let Some(first) = self.first.take() {
+            return Ok(Some(first));
+        }
+        loop {
+            self.bell.borrow_and_update();
+            let news = self.next_events().await?;
+            if let Some(last) = news.last() {
+                (self.last, self.ended) = (last.number, last.is_final);
+                return Ok(Some(joined(&news)));
+            }
+            if self.ended {
+                return Ok(None);
+            }
+            let rung = tokio::select! {
+                () = self.ending.cancelled() => return Ok(None),
+                rung = tokio::time::timeout(KEEP_ALIVE_INTERVAL, self.bell.changed()) => rung,
+            };
+            if rung.is_err() {
+                // A deleted job has no further events.
+                let there = self.queue.has_ended(self.topic.job).await?.is_some();
+                return Ok(there.then(|| Bytes::from_static(KEEP_ALIVE_COMMENT)));
+            }
+        }
+    }
+
+    /// New events: from the list of recent events, or a page from the database.
+    async fn next_events(&mut self) -> Result<Vec<EncodedEvent>, DatabaseError> {
+        loop {
+            let reaches_back_to = match self.topic.after(self.last) {
+                Ok(recent) => return Ok(recent),
+                Err(from) => from,
+            };
+            let page = self.queue.job_events_after(self.topic.job, self.last, EVENTS_PER_PAGE).await?;
+            if !page.is_empty() {
+                return Ok(page.iter().map(EncodedEvent::new).collect());
+            }
+            self.last = reaches_back_to;
+        }
+    }
+}
+
+fn joined(news: &[EncodedEvent]) -> Bytes {
+    if let [told] = news {
+        return told.text.clone();
+    }
+    let mut bytes = BytesMut::with_capacity(news.iter().map(|told| told.text.len()).sum());
+    for told in news {
+        bytes.extend_from_slice(&told.text);
+    }
+    bytes.freeze()
+}

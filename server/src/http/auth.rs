@@ -1,0 +1,266 @@
+//! Authentication and authorization: no request passes without the permission that its route requires.
+//!
+//! `rules` has the permission of each route; `audit` records the outcome in the audit log.
+
+use std::net::IpAddr;
+use std::sync::Arc;
+use std::time::Duration;
+
+use axum::body::Body;
+use axum::extract::{FromRequestParts, MatchedPath, RawPathParams, Request, State};
+use axum::http::{HeaderMap, Method, header};
+use axum::middleware::Next;
+use axum::response::{IntoResponse, Response};
+use futures_util::StreamExt;
+use proto::JobId;
+use proto::api_key::Scope;
+
+use super::error::ApiError;
+use super::permissions::{Permission, required_permission};
+use crate::admission::{RateLimitStatus, RateLimited};
+use crate::api_keys::{ApiKey, KeyLookup, constant_time_eq};
+use crate::farm::Farm;
+
+/// An answer has to begin within this time, unless its route waits or takes in much.
+const RESPONSE_TIMEOUT: Duration = Duration::from_mins(1);
+
+/// Submitter of all jobs while there are no keys.
+const KEYLESS_SUBMITTER: &str = "local";
+
+/// Address of the client.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Peer(pub(crate) IpAddr);
+
+/// Caller of a request; an extension of every request and response.
+#[derive(Clone, Debug)]
+pub(crate) enum Caller {
+    /// Unknown, on a public route, or rejected.
+    Anonymous,
+    /// Any client of a farm without keys.
+    Keyless,
+    /// One of the server's own workers.
+    Pool,
+    /// The bearer of a live key.
+    Key(Arc<ApiKey>),
+}
+
+impl Caller {
+    /// Name under which jobs are submitted.
+    pub(crate) fn name(&self) -> &str {
+        match self {
+            Self::Anonymous => "-",
+            Self::Keyless => KEYLESS_SUBMITTER,
+            Self::Pool => "pool",
+            Self::Key(key) => key.name(),
+        }
+    }
+
+    /// The name whose jobs are all that it sees; `None` if it sees every job.
+    pub(crate) fn visible_submitter(&self) -> Option<&str> {
+        self.key().filter(|key| !key.scopes().is_allowed(Scope::Read)).map(|key| key.name())
+    }
+
+    /// The key, if it is one.
+    pub(crate) fn key(&self) -> Option<&Arc<ApiKey>> {
+        match self {
+            Self::Key(key) => Some(key),
+            Self::Anonymous | Self::Keyless | Self::Pool => None,
+        }
+    }
+}
+
+/// Authenticates and authorizes a request; one that waits under a key ends with the key.
+pub(super) async fn authenticate_and_authorize(
+    State(farm): State<Arc<Farm>>,
+    parameters: Result<RawPathParams, axum::extract::rejection::RawPathParamsRejection>,
+    mut request: Request,
+    next: Next,
+) -> Response {
+    let route = request.extensions().get::<MatchedPath>().map_or("", MatchedPath::as_str);
+    let need = required_permission(request.method(), route);
+    let peer = request.extensions().get::<Peer>().map(|peer| peer.0);
+    let caller = match caller(&farm, need, peer, request.headers()) {
+        Ok(caller) => caller,
+        Err(error) => return reject(&farm, peer, Caller::Anonymous, error),
+    };
+    let job = parameters.ok().and_then(|parameters| {
+        parameters.iter().find(|(name, _)| *name == "id").and_then(|(_, id)| id.parse::<JobId>().ok())
+    });
+    if let Err(error) = authorize(&farm, need, &caller, job).await {
+        return reject(&farm, peer, caller, error);
+    }
+    let pace = match farm.admission.admit(caller.key().map(|key| &**key), peer, matches!(caller, Caller::Keyless)) {
+        Ok(pace) => pace,
+        Err(refusal) => return with_caller(ApiError::from(refusal).into_response(), caller),
+    };
+    request.extensions_mut().insert(caller.clone());
+    let route = request.extensions().get::<MatchedPath>().map_or("", MatchedPath::as_str);
+    let limit = response_timeout(route, &request);
+    let Some(key) = caller.key() else { return with_caller(with_timeout(next.run(request), limit).await, caller) };
+    let response = tokio::select! {
+        response = with_timeout(next.run(request), limit) => response,
+        () = key.revoked().cancelled() => ApiError::RevokedKey.into_response(),
+    };
+    let response = end_with_key(with_rate_limit_headers(response, pace), key);
+    with_caller(response, caller)
+}
+
+/// Time until a response must begin; request bodies have a minimum rate instead.
+fn response_timeout(route: &str, request: &Request) -> Option<Duration> {
+    let takes_in = route.starts_with("/v1/worker/") || (route == "/v1/jobs" && request.method() == Method::POST);
+    let waits = route.ends_with("/events") || request.headers().contains_key("prefer");
+    (!takes_in && !waits).then_some(RESPONSE_TIMEOUT)
+}
+
+async fn with_timeout(answer: impl Future<Output = Response>, limit: Option<Duration>) -> Response {
+    let Some(limit) = limit else { return answer.await };
+    match tokio::time::timeout(limit, answer).await {
+        Ok(response) => response,
+        Err(_) => ApiError::ResponseTimeout { limit_seconds: limit.as_secs() }.into_response(),
+    }
+}
+
+fn with_caller(mut response: Response, caller: Caller) -> Response {
+    response.extensions_mut().insert(caller);
+    response
+}
+
+/// Rejects the request. After 20 rejections a second from one address, the response is 429 instead of the reason.
+fn reject(farm: &Farm, peer: Option<IpAddr>, caller: Caller, error: ApiError) -> Response {
+    let error = match farm.admission.count_rejection(peer) {
+        Ok(()) => error,
+        Err(refusal) => refusal.into(),
+    };
+    with_caller(error.into_response(), caller)
+}
+
+/// Caller of this request.
+fn caller(farm: &Farm, need: Permission, peer: Option<IpAddr>, headers: &HeaderMap) -> Result<Caller, ApiError> {
+    let keys = &farm.admission.keys;
+    let bearer = headers.get(header::AUTHORIZATION).map(|value| {
+        let text = value.to_str().unwrap_or_default();
+        text.split_once(' ')
+            .filter(|(scheme, _)| scheme.eq_ignore_ascii_case("bearer"))
+            .map_or("", |(_, key)| key.trim())
+    });
+    let is_workers = need == Permission::Scope(Scope::Worker);
+    if is_workers && bearer.is_some_and(|token| constant_time_eq(token, farm.pool.token())) {
+        return Ok(Caller::Pool);
+    }
+    if !keys.are_required() {
+        // Without keys the server listens on loopback only, or was started with `--insecure`.
+        return if is_workers && bearer.is_some() { Err(ApiError::WrongToken) } else { Ok(Caller::Keyless) };
+    }
+    if need == Permission::Public {
+        return Ok(Caller::Anonymous);
+    }
+    match bearer {
+        None => Err(ApiError::MissingKey),
+        Some(secret) => match keys.find(secret) {
+            KeyLookup::Live(key) => Ok(Caller::Key(key)),
+            KeyLookup::Expired => Err(ApiError::ExpiredKey),
+            KeyLookup::Revoked => Err(ApiError::RevokedKey),
+            KeyLookup::Unknown => {
+                tracing::debug!(?peer, "an unknown key was brought");
+                Err(ApiError::UnknownKey)
+            }
+        },
+    }
+}
+
+/// Whether the caller has the permission.
+async fn authorize(farm: &Farm, need: Permission, caller: &Caller, job: Option<JobId>) -> Result<(), ApiError> {
+    let Caller::Key(key) = caller else { return Ok(()) };
+    let scope = match need {
+        Permission::Public => return Ok(()),
+        Permission::Scope(scope) | Permission::OwnJob(scope) => scope,
+    };
+    if key.scopes().is_allowed(scope) {
+        return Ok(());
+    }
+    if matches!(need, Permission::OwnJob(_)) && key.scopes().is_allowed(Scope::Submit) {
+        let Some(job) = job else { return Ok(()) };
+        // For a job that does not exist, the handler responds.
+        if farm.queue.submitter(job).await?.is_none_or(|submitter| submitter == key.name()) {
+            return Ok(());
+        }
+    }
+    Err(ApiError::MissingScope { scope, name: key.name().to_owned() })
+}
+
+/// Adds headers with the remaining rate.
+fn with_rate_limit_headers(mut response: Response, pace: Option<RateLimitStatus>) -> Response {
+    if let Some(pace) = pace {
+        for (name, value) in pace.headers() {
+            response.headers_mut().insert(name, value);
+        }
+    }
+    response
+}
+
+/// Ends a response of unknown length, such as an event stream, when the key is revoked.
+fn end_with_key(response: Response, key: &ApiKey) -> Response {
+    use axum::body::HttpBody;
+    if response.body().size_hint().exact().is_some() {
+        return response;
+    }
+    let ended = key.revoked().clone().cancelled_owned();
+    response.map(|body| Body::from_stream(body.into_data_stream().take_until(ended)))
+}
+
+impl<S: Sync> FromRequestParts<S> for Caller {
+    type Rejection = std::convert::Infallible;
+
+    async fn from_request_parts(parts: &mut axum::http::request::Parts, _state: &S) -> Result<Self, Self::Rejection> {
+        Ok(parts.extensions.get().cloned().unwrap_or(Self::Anonymous))
+    }
+}
+
+impl From<RateLimited> for ApiError {
+    fn from(refusal: RateLimited) -> Self {
+        Self::TooManyRequests { per_second: refusal.per_second, retry_seconds: refusal.retry_seconds }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn limited(method: Method, route: &str, header: Option<&str>) -> bool {
+        let mut request = Request::builder().method(method).uri("/");
+        if let Some(name) = header {
+            request = request.header(name, "wait=5");
+        }
+        response_timeout(route, &request.body(Body::empty()).expect("a request")) == Some(RESPONSE_TIMEOUT)
+    }
+
+    #[test]
+    fn answers_begin_in_time_but_where_they_wait_or_bodies_are_sent_in() {
+        assert!(limited(Method::GET, "/v1/jobs", None));
+        assert!(limited(Method::POST, "/v1/jobs/{id}/cancel", None));
+        assert!(limited(Method::PATCH, "/v1/jobs/{id}", Some("accept")));
+        assert!(!limited(Method::POST, "/v1/jobs", None));
+        assert!(!limited(Method::GET, "/v1/jobs/{id}", Some("prefer")));
+        assert!(!limited(Method::GET, "/v1/jobs/{id}/events", None));
+        assert!(!limited(Method::PUT, "/v1/worker/blobs/{hash}", None));
+    }
+
+    #[tokio::test]
+    async fn answer_that_does_not_begin_is_given_up() {
+        let answer = with_timeout(std::future::pending(), Some(Duration::from_millis(1))).await;
+        assert_eq!(answer.status(), ApiError::ResponseTimeout { limit_seconds: 0 }.into_response().status());
+        assert!(answer.status().is_server_error());
+        for limit in [None, Some(RESPONSE_TIMEOUT)] {
+            assert!(with_timeout(std::future::ready(Response::default()), limit).await.status().is_success());
+        }
+    }
+
+    #[test]
+    fn each_caller_has_its_name() {
+        assert_eq!(
+            [Caller::Anonymous, Caller::Keyless, Caller::Pool].map(|caller| caller.name().to_owned()),
+            ["-", "local", "pool"]
+        );
+        assert!(Caller::Keyless.visible_submitter().is_none() && Caller::Pool.key().is_none());
+    }
+}

@@ -1,0 +1,128 @@
+//! Changing a job that is there: retry, priority, and deleting it, or seeing what that would take along.
+
+use std::sync::Arc;
+
+use axum::Json;
+use axum::body::Body;
+use axum::extract::{Path, State};
+use axum::http::{HeaderMap, StatusCode, Uri};
+use axum::response::{IntoResponse, Response};
+use proto::job::JobPatch;
+use proto::job::{JobState, JobView};
+use serde::Deserialize;
+
+use super::body;
+use super::error::ApiError;
+use super::jobs::{job_id, view};
+use crate::content_store::ContentKind;
+use crate::farm::Farm;
+use crate::queue::{ChangeOutcome, DeleteOutcome};
+
+/// No honest body of these routes is larger.
+const MAX_BYTES: usize = 4096;
+
+#[derive(Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct DeleteQuery {
+    #[serde(default)]
+    dry_run: bool,
+}
+
+/// Retry a failed job.
+///
+/// Requeues the job's dead tiles with reset retry counters, and the tiles that were skipped when it failed.
+#[utoipa::path(
+    post, path = "/v1/jobs/{id}/retry", tag = "jobs", operation_id = "retry_job",
+    params(("id" = String, Path, description = "The job")),
+    responses(
+        (status = 200, description = "It is running again", body = ref("#/components/schemas/JobView")),
+        (status = 404, description = "No such job", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
+        (status = 409, description = "None of its tiles is dead", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
+    )
+)]
+pub(super) async fn retry(State(farm): State<Arc<Farm>>, Path(id): Path<String>) -> Result<Json<JobView>, ApiError> {
+    let job = job_id(&id)?;
+    match farm.queue.retry(job).await? {
+        ChangeOutcome::Done => view(&farm, job).await,
+        ChangeOutcome::WrongState(state) => Err(ApiError::NoDeadTiles { job, state }),
+        ChangeOutcome::Unknown => Err(ApiError::UnknownJob(id)),
+    }
+}
+
+/// Change a job that has not finished.
+#[utoipa::path(
+    patch, path = "/v1/jobs/{id}", tag = "jobs", operation_id = "change_job",
+    params(("id" = String, Path, description = "The job")),
+    request_body(content = ref("#/components/schemas/JobPatch"), content_type = "application/json"),
+    responses(
+        (status = 200, description = "The job, as it is now", body = ref("#/components/schemas/JobView")),
+        (status = 400, description = "Not JSON", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
+        (status = 404, description = "No such job", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
+        (status = 409, description = "It has ended", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
+        (status = 413, description = "Too large", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
+        (status = 415, description = "Wrong content type", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
+        (status = 422, description = "An unknown key, or a value out of its range", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
+    )
+)]
+pub(super) async fn patch(
+    State(farm): State<Arc<Farm>>,
+    Path(id): Path<String>,
+    headers: HeaderMap,
+    request: Body,
+) -> Result<Json<JobView>, ApiError> {
+    let job = job_id(&id)?;
+    let patch: JobPatch = body::read_json(&headers, request, MAX_BYTES).await?;
+    if let Some(priority) = patch.priority
+        && !(-100..=100).contains(&priority)
+    {
+        return Err(body::invalid_body(
+            "/priority",
+            format!("{priority} is no priority: say a number from -100 to 100"),
+        ));
+    }
+    match farm.queue.patch(job, patch).await? {
+        ChangeOutcome::Done => view(&farm, job).await,
+        ChangeOutcome::WrongState(state) => Err(ApiError::Finished { job, state }),
+        ChangeOutcome::Unknown => Err(ApiError::UnknownJob(id)),
+    }
+}
+
+/// Forget a job and its pictures.
+#[utoipa::path(
+    delete, path = "/v1/jobs/{id}", tag = "jobs", operation_id = "delete_job",
+    params(
+        ("id" = String, Path, description = "The job"),
+        ("dry_run" = Option<bool>, Query, description = "Only tell what would go"),
+    ),
+    responses(
+        (status = 200, description = "What would go (dry run)", body = ref("#/components/schemas/DeleteDryRun")),
+        (status = 204, description = "It is forgotten"),
+        (status = 404, description = "No such job", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
+        (status = 409, description = "It is running", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
+        (status = 422, description = "Wrong query", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
+    )
+)]
+pub(super) async fn delete(
+    State(farm): State<Arc<Farm>>,
+    Path(id): Path<String>,
+    uri: Uri,
+) -> Result<Response, ApiError> {
+    let job = job_id(&id)?;
+    let query: DeleteQuery = body::read_query(&uri)?;
+    if query.dry_run {
+        return match farm.queue.delete_preview(job).await? {
+            Some((JobState::Running, _)) => Err(ApiError::Running(job)),
+            Some((_, preview)) => Ok(Json(preview).into_response()),
+            None => Err(ApiError::UnknownJob(id)),
+        };
+    }
+    match farm.queue.delete(job).await? {
+        DeleteOutcome::Done { pictures, blobs } => {
+            farm.sweep_later(ContentKind::Picture, pictures);
+            farm.sweep_later(ContentKind::Blob, blobs);
+            Ok(StatusCode::NO_CONTENT.into_response())
+        }
+        DeleteOutcome::Running => Err(ApiError::Running(job)),
+        DeleteOutcome::Unknown => Err(ApiError::UnknownJob(id)),
+    }
+}

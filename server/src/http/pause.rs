@@ -1,0 +1,79 @@
+//! Pausing and resuming: of a job, and of the farm as a whole.
+
+use std::sync::Arc;
+
+use axum::Json;
+use axum::extract::{Path, State};
+use proto::farm::FarmView;
+use proto::job::JobView;
+
+use super::error::ApiError;
+use super::jobs::{job_id, view};
+use crate::farm::Farm;
+use crate::queue::PauseOutcome;
+
+/// Pause a job: no new tiles are leased; leased tiles finish and count.
+#[utoipa::path(
+    post, path = "/v1/jobs/{id}/pause", tag = "jobs", operation_id = "pause_job",
+    params(("id" = String, Path, description = "The job")),
+    responses(
+        (status = 200, description = "It is paused", body = ref("#/components/schemas/JobView")),
+        (status = 404, description = "No such job", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
+        (status = 409, description = "It has ended", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
+    )
+)]
+pub(super) async fn pause_job(farm: State<Arc<Farm>>, id: Path<String>) -> Result<Json<JobView>, ApiError> {
+    set_job(&farm, &id, true).await
+}
+
+/// Resume a paused job.
+#[utoipa::path(
+    post, path = "/v1/jobs/{id}/resume", tag = "jobs", operation_id = "resume_job",
+    params(("id" = String, Path, description = "The job")),
+    responses(
+        (status = 200, description = "It goes on", body = ref("#/components/schemas/JobView")),
+        (status = 404, description = "No such job", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
+        (status = 409, description = "It has ended", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
+    )
+)]
+pub(super) async fn resume_job(farm: State<Arc<Farm>>, id: Path<String>) -> Result<Json<JobView>, ApiError> {
+    set_job(&farm, &id, false).await
+}
+
+async fn set_job(farm: &Farm, id: &str, paused: bool) -> Result<Json<JobView>, ApiError> {
+    let job = job_id(id)?;
+    match farm.queue.pause(job, paused).await? {
+        PauseOutcome::Done => view(farm, job).await,
+        PauseOutcome::AlreadyFinished(state) => Err(ApiError::Finished { job, state }),
+        PauseOutcome::Unknown => Err(ApiError::UnknownJob(id.to_owned())),
+    }
+}
+
+/// Get the state of the farm.
+#[utoipa::path(
+    get, path = "/v1/farm", tag = "farm", operation_id = "get_farm",
+    responses((status = 200, description = "The farm", body = ref("#/components/schemas/FarmView")))
+)]
+pub(super) async fn get(State(farm): State<Arc<Farm>>) -> Result<Json<FarmView>, ApiError> {
+    Ok(Json(FarmView { paused: farm.queue.is_paused().await? }))
+}
+
+/// Pause the farm: no new tiles are leased; leased tiles finish and count.
+#[utoipa::path(
+    post, path = "/v1/farm/pause", tag = "farm", operation_id = "pause_farm",
+    responses((status = 200, description = "It is paused", body = ref("#/components/schemas/FarmView")))
+)]
+pub(super) async fn pause(farm: State<Arc<Farm>>) -> Result<Json<FarmView>, ApiError> {
+    farm.queue.pause_all(true).await?;
+    get(farm).await
+}
+
+/// Resume a paused farm.
+#[utoipa::path(
+    post, path = "/v1/farm/resume", tag = "farm", operation_id = "resume_farm",
+    responses((status = 200, description = "It goes on", body = ref("#/components/schemas/FarmView")))
+)]
+pub(super) async fn resume(farm: State<Arc<Farm>>) -> Result<Json<FarmView>, ApiError> {
+    farm.queue.pause_all(false).await?;
+    get(farm).await
+}

@@ -1,0 +1,85 @@
+//! Every request has an id: in its log lines, in its answer's header, and in its problem.
+
+use std::sync::Arc;
+
+use axum::body::Body;
+use axum::extract::{MatchedPath, Request, State};
+use axum::http::{HeaderName, HeaderValue, header};
+use axum::middleware::Next;
+use axum::response::Response;
+use proto::problem::PROBLEM_JSON;
+use proto::{JobId, Problem};
+use tracing::field::Empty;
+use tracing::{Instrument, Span};
+
+use super::trace_context;
+use crate::clock::monotonic_now;
+use crate::farm::Farm;
+
+const REQUEST_ID: HeaderName = HeaderName::from_static("x-request-id");
+/// Maximum length of request ids sent by clients.
+const MAX_ID_CHARACTERS: usize = 64;
+
+/// A request's id, for those who write it down.
+#[derive(Clone, Debug)]
+pub(super) struct RequestId(pub(super) String);
+
+/// Assigns a request its id, logs it, and writes the body of a problem.
+pub(super) async fn trace(State(farm): State<Arc<Farm>>, mut request: Request, next: Next) -> Response {
+    let id = client_request_id(&request).unwrap_or_else(|| uuid::Uuid::now_v7().to_string());
+    request.extensions_mut().insert(RequestId(id.clone()));
+    let method = request.method().clone();
+    let route = request.extensions().get::<MatchedPath>().map_or("", MatchedPath::as_str).to_owned();
+    let span = span_of(&request, &id, &route);
+    trace_context::set_parent(&span, request.headers());
+    let start = monotonic_now();
+    async move {
+        let mut response = next.run(request).await;
+        let elapsed_ms = start.elapsed().as_secs_f64() * 1e3;
+        farm.telemetry.metrics.record_response(&route, method.as_str(), response.status().as_u16(), start.elapsed());
+        if response.status().is_server_error() {
+            tracing::warn!(status = response.status().as_u16(), elapsed_ms, %route, "answered");
+        } else {
+            tracing::debug!(status = response.status().as_u16(), elapsed_ms, %route, "answered");
+        }
+        if let Some(problem) = response.extensions_mut().remove::<Problem>() {
+            write_problem(&mut response, &Problem { request_id: Some(id.clone()), ..problem });
+        }
+        if let Ok(value) = HeaderValue::from_str(&id) {
+            response.headers_mut().insert(REQUEST_ID, value);
+        }
+        response
+    }
+    .instrument(span)
+    .await
+}
+
+/// Polling routes get a span with another name, which is not exported.
+fn span_of(request: &Request, id: &str, route: &str) -> Span {
+    let (method, path) = (request.method(), request.uri().path());
+    let asks_again = [proto::worker_protocol::SYNC_PATH, "/livez", "/readyz", "/metrics"].contains(&route);
+    let span = if asks_again {
+        tracing::info_span!("poll", request_id = %id, %method, %path, job = Empty)
+    } else {
+        tracing::info_span!("request", request_id = %id, %method, %path, job = Empty)
+    };
+    if let Some(job) = path.strip_prefix("/v1/jobs/").and_then(|rest| rest.split('/').next()?.parse::<JobId>().ok()) {
+        span.record("job", tracing::field::display(job));
+    }
+    span
+}
+
+fn client_request_id(request: &Request) -> Option<String> {
+    let id = request.headers().get(REQUEST_ID)?.to_str().ok()?;
+    let is_plain = |byte: u8| byte.is_ascii_alphanumeric() || b"-_.:".contains(&byte);
+    (!id.is_empty() && id.len() <= MAX_ID_CHARACTERS && id.bytes().all(is_plain)).then(|| id.to_owned())
+}
+
+fn write_problem(response: &mut Response, problem: &Problem) {
+    let text = serde_json::to_vec(problem).expect("a problem is plain text and numbers");
+    let headers = response.headers_mut();
+    headers.insert(header::CONTENT_TYPE, HeaderValue::from_static(PROBLEM_JSON));
+    headers.insert(header::CONTENT_LENGTH, HeaderValue::from(text.len()));
+    headers.insert(header::CACHE_CONTROL, HeaderValue::from_static("no-store"));
+    *response.body_mut() = Body::from(text);
+}

@@ -1,0 +1,106 @@
+//! Options of a submission, read from headers and query: `Idempotency-Key`, webhooks.
+
+use axum::http::{HeaderMap, Uri};
+use reqwest::Url;
+
+use super::auth::Caller;
+use super::error::ApiError;
+use crate::farm::Farm;
+use crate::queue::{IdempotencyKey, NewWebhook, SubmitOptions};
+use crate::webhooks::{AddressPolicy, EVENTS, FINAL_EVENTS};
+
+/// Header with the idempotency key.
+const IDEMPOTENCY_KEY: &str = "idempotency-key";
+/// Maximum length of an idempotency key.
+const MAX_KEY_BYTES: usize = 255;
+/// Other query parameters of a submission.
+const OTHER_PARAMETERS: [&str; 2] = ["dry_run", "keep"];
+/// Maximum number of webhooks of a job.
+const MAX_WEBHOOKS: usize = 4;
+/// Maximum length of a webhook's address.
+const MAX_URL_BYTES: usize = 2048;
+
+/// Reads the options of a job with this text.
+pub(super) fn read(
+    uri: &Uri,
+    headers: &HeaderMap,
+    text: &[u8],
+    guard: &AddressPolicy,
+) -> Result<SubmitOptions, ApiError> {
+    let (mut urls, mut events) = (Vec::new(), Vec::new());
+    let query = Url::parse(&format!("http://query/?{}", uri.query().unwrap_or_default()))
+        .map_err(|error| ApiError::WrongQuery(error.to_string()))?;
+    for (name, value) in query.query_pairs() {
+        match name.as_ref() {
+            "webhook" => urls.push(webhook_url(&value, guard)?),
+            "webhook_event" => events.push(event(&value)?),
+            name if OTHER_PARAMETERS.contains(&name) => {}
+            unknown => {
+                return Err(ApiError::WrongQuery(format!(
+                    "{unknown:?} is no parameter of this route: there are webhook, webhook_event, {}",
+                    OTHER_PARAMETERS.join(", ")
+                )));
+            }
+        }
+    }
+    if urls.len() > MAX_WEBHOOKS {
+        return Err(ApiError::WrongQuery(format!(
+            "there are {} webhooks, but {MAX_WEBHOOKS} are the most",
+            urls.len()
+        )));
+    }
+    if urls.is_empty() && !events.is_empty() {
+        return Err(ApiError::WrongQuery("webhook_event says what a webhook is told, but there is no webhook".into()));
+    }
+    if events.is_empty() {
+        events = FINAL_EVENTS.to_vec();
+    }
+    let webhooks = urls.into_iter().map(|url| NewWebhook { url, events: events.clone() }).collect();
+    let once = key(headers)?.map(|key| IdempotencyKey { key, fingerprint: fingerprint(uri, headers, text) });
+    Ok(SubmitOptions { idempotency: once, webhooks })
+}
+
+/// Whether the request is a replay, which takes no room in the queue.
+pub(super) async fn is_replay(farm: &Farm, caller: &Caller, headers: &HeaderMap) -> Result<bool, ApiError> {
+    match key(headers)? {
+        Some(key) => Ok(farm.queue.has_idempotency_key(caller.name(), &key).await?),
+        None => Ok(false),
+    }
+}
+
+fn webhook_url(text: &str, guard: &AddressPolicy) -> Result<String, ApiError> {
+    if text.len() > MAX_URL_BYTES {
+        return Err(ApiError::WrongWebhook(format!("a webhook's address has more than {MAX_URL_BYTES} bytes")));
+    }
+    guard.check(text).map(|url| url.to_string()).map_err(|error| ApiError::WrongWebhook(error.to_string()))
+}
+
+fn event(name: &str) -> Result<&'static str, ApiError> {
+    EVENTS.into_iter().find(|event| *event == name).ok_or_else(|| {
+        ApiError::WrongQuery(format!("webhook_event {name:?} is unknown: there are {}", EVENTS.join(", ")))
+    })
+}
+
+fn key(headers: &HeaderMap) -> Result<Option<String>, ApiError> {
+    let mut keys = headers.get_all(IDEMPOTENCY_KEY).iter();
+    let Some(key) = keys.next() else { return Ok(None) };
+    let is_plain = |key: &&str| {
+        !key.is_empty() && key.len() <= MAX_KEY_BYTES && key.bytes().all(|byte| (0x20..0x7f).contains(&byte))
+    };
+    match key.to_str().ok().map(str::trim).filter(is_plain) {
+        Some(key) if keys.next().is_none() => Ok(Some(key.to_owned())),
+        Some(_) | None => Err(ApiError::WrongHeader(format!(
+            "Idempotency-Key has to be there once, with 1 to {MAX_KEY_BYTES} printable ASCII characters"
+        ))),
+    }
+}
+
+/// Hash of the request: the job's text and every option that changes the outcome.
+fn fingerprint(uri: &Uri, headers: &HeaderMap, text: &[u8]) -> String {
+    let mut hasher = blake3::Hasher::new();
+    for part in [uri.query().unwrap_or_default().as_bytes(), &[u8::from(super::jobs::has_no_cache(headers))], text] {
+        hasher.update(&(part.len() as u64).to_le_bytes());
+        hasher.update(part);
+    }
+    hasher.finalize().to_hex().to_string()
+}

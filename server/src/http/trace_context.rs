@@ -1,0 +1,52 @@
+//! Trace context through the farm: from the submission of a job through its leases to the workers and back.
+//!
+//! No decision depends on a trace; a farm without traces does the same work.
+
+use axum::http::HeaderMap;
+use proto::worker_protocol::{Batch, BatchWork};
+use proto::{JobId, WorkerId, trace_context};
+use tracing::Span;
+
+use crate::database::DatabaseError;
+use crate::farm::Farm;
+
+/// Makes a request's span a child of the trace that the request names, if it names one.
+pub(super) fn set_parent(span: &Span, headers: &HeaderMap) {
+    if let Some(traceparent) = client_traceparent(headers) {
+        trace_context::set_parent(span, traceparent);
+    }
+}
+
+/// Stores the current trace context with a job about to be accepted; or the context of its request, for
+/// workers that export traces if this server does not.
+pub(super) async fn store_trace(farm: &Farm, job: JobId, headers: &HeaderMap) -> Result<(), DatabaseError> {
+    let named = || {
+        client_traceparent(headers).filter(|traceparent| trace_context::is_valid(traceparent)).map(ToOwned::to_owned)
+    };
+    match trace_context::current_traceparent().or_else(named) {
+        Some(traceparent) => farm.queue.keep_trace(job, traceparent).await,
+        None => Ok(()),
+    }
+}
+
+/// Trace context of a worker's batch: a span of its own, below the submission's.
+pub(super) async fn batch_traceparent(farm: &Farm, worker: WorkerId, run: &Batch) -> Option<String> {
+    let kept = match farm.telemetry.trace_of(farm, run.job).await {
+        Ok(kept) => kept?,
+        Err(error) => {
+            tracing::warn!(%error, job = %run.job, "the trace of a job could not be read");
+            return None;
+        }
+    };
+    let tiles = match &run.work {
+        BatchWork::Render { tiles, .. } => tiles.len(),
+        BatchWork::Stitch { inputs: parts, .. } => parts.len(),
+    };
+    let span = tracing::info_span!("lease", job = %run.job, frame = run.frame, %worker, tiles);
+    trace_context::set_parent(&span, &kept);
+    Some(trace_context::traceparent_of(&span).unwrap_or(kept))
+}
+
+fn client_traceparent(headers: &HeaderMap) -> Option<&str> {
+    headers.get(trace_context::TRACEPARENT)?.to_str().ok()
+}

@@ -1,0 +1,188 @@
+//! The workers' own protocol, `/v1/worker/`: see `proto::work`. Not for users.
+
+use std::pin::pin;
+use std::sync::Arc;
+use std::time::Duration;
+
+use axum::Json;
+use axum::body::Body;
+use axum::extract::{Path, State};
+use axum::http::{HeaderMap, StatusCode, header};
+use axum::response::{IntoResponse, Response};
+use futures_util::TryStreamExt;
+use proto::WorkerId;
+use proto::fail_point::{self, FailPoint};
+use proto::worker_protocol::{ContentFolders, RegisterRequest, RegisterResponse, SyncRequest, SyncResponse};
+use tracing::Instrument;
+
+use super::auth::Caller;
+use super::body;
+use super::error::ApiError;
+use super::jobs::job_id;
+use super::trace_context;
+use crate::clock::monotonic_now;
+use crate::content_store::{ContentHash, ContentKind};
+use crate::farm::Farm;
+use crate::queue::{NewWorker, NextWork, SyncInput, SyncOutcome};
+
+/// No honest greeting is larger.
+const MAX_REGISTER_BYTES: usize = 16 << 10;
+/// Results of the largest frame fit.
+const MAX_SYNC_BYTES: usize = 4 << 20;
+/// Maximum time that a sync waits for work.
+const MAX_WAIT: Duration = Duration::from_secs(30);
+/// Maximum wait of a draining worker that still has leases.
+const MAX_DRAINING_WAIT: Duration = Duration::from_millis(250);
+
+/// Takes in a worker.
+pub(super) async fn register(
+    State(farm): State<Arc<Farm>>,
+    caller: Caller,
+    headers: HeaderMap,
+    request: Body,
+) -> Result<Json<RegisterResponse>, ApiError> {
+    let hello: RegisterRequest = body::read_json(&headers, request, MAX_REGISTER_BYTES).await?;
+    if hello.picture_version != scene::PICTURE_VERSION {
+        return Err(ApiError::WrongPictureVersion { found: hello.picture_version, wanted: scene::PICTURE_VERSION });
+    }
+    let label = matches!(caller, Caller::Pool).then(|| farm.pool.label(hello.process)).flatten();
+    let (pool, device) = (label.is_some(), hello.device.clone());
+    let name = label.unwrap_or_else(|| hello.name.clone());
+    let worker = farm.queue.register(NewWorker { request: hello, pool, name: name.clone() }).await?.worker;
+    farm.telemetry.record_worker(worker, &name, &device);
+    tracing::info!(%worker, %name, pool, "a worker registered");
+    let folders = if pool { folders(&farm) } else { None };
+    Ok(Json(RegisterResponse { worker, lease_ms: farm.queue.lease_ms().unsigned_abs(), folders }))
+}
+
+/// Folders that a pool worker writes to directly; `None` if a folder's name is not UTF-8.
+fn folders(farm: &Farm) -> Option<ContentFolders> {
+    let folder = |kind: ContentKind| {
+        let folder = std::path::absolute(kind.path(&farm.config.data)).ok()?;
+        folder.into_os_string().into_string().ok()
+    };
+    Some(ContentFolders { blobs: folder(ContentKind::Blob)?, pictures: folder(ContentKind::Picture)? })
+}
+
+/// Runs a worker's sync, and waits until there is work, a lease has ended, or the worker must drain.
+///
+/// Results are confirmed at once. If the client hangs up, the wait ends with its connection.
+pub(super) async fn sync(
+    State(farm): State<Arc<Farm>>,
+    headers: HeaderMap,
+    request: Body,
+) -> Result<Json<SyncResponse>, ApiError> {
+    let request: SyncRequest = body::read_json(&headers, request, MAX_SYNC_BYTES).await?;
+    farm.telemetry.record_metrics(request.worker, &request.metrics);
+    let mut deadline = monotonic_now() + max_wait(&farm, &request);
+    let mut turn = SyncInput {
+        worker: request.worker,
+        rays_per_second: request.rays_per_second.filter(|rate| rate.is_finite() && *rate > 0.0),
+        held_leases: request.held_leases,
+        reports: request.reports,
+        wants_work: request.wants_work,
+        shutting_down: request.shutting_down,
+        opening: None,
+    };
+    loop {
+        let bell = farm.queue.wake_signals();
+        let (mut work, mut news) = (pin!(bell.work.notified()), pin!(bell.updates.notified()));
+        // From here on no ring is missed.
+        work.as_mut().enable();
+        news.as_mut().enable();
+        let prompt = turn.has_reports();
+        let again = SyncInput { reports: Vec::new(), ..turn.clone() };
+        let begun = monotonic_now();
+        let turned = farm.sync(turn).await?.ok_or_else(|| ApiError::UnknownWorker(again.worker.to_string()))?;
+        let now = monotonic_now();
+        if again.wants_work {
+            farm.telemetry.metrics.record_claim(now - begun);
+        }
+        if turned.drain && !again.held_leases.is_empty() {
+            // The worker may already know that it must drain; it must not poll without pause
+            // while it finishes.
+            deadline = deadline.min(now + MAX_DRAINING_WAIT);
+        }
+        let drains = turned.drain && again.held_leases.is_empty();
+        if prompt || drains || turned.needs_response() || now >= deadline || farm.shutdown.is_cancelled() {
+            return Ok(Json(reply(&farm, again.worker, turned).await));
+        }
+        let wake = turned.retry_in().map_or(deadline, |wait| deadline.min(now + wait));
+        tokio::select! {
+            () = &mut work, if again.wants_work => {}
+            () = &mut news => {}
+            () = tokio::time::sleep_until(wake) => {}
+            () = farm.shutdown.cancelled() => {}
+        }
+        turn = again;
+    }
+}
+
+/// A worker that holds leases is answered in time to renew them.
+fn max_wait(farm: &Farm, request: &SyncRequest) -> Duration {
+    let asked = Duration::from_millis(request.wait_ms).min(MAX_WAIT);
+    let third = Duration::from_millis(farm.queue.lease_ms().unsigned_abs() / 3);
+    asked.min(third)
+}
+
+async fn reply(farm: &Farm, worker: WorkerId, turned: SyncOutcome) -> SyncResponse {
+    let run = match turned.next {
+        NextWork::Run(run) => {
+            fail_point::trigger_infallible(FailPoint::Claimed);
+            Some(run)
+        }
+        NextWork::OpenFrame { .. } | NextWork::Nothing(_) => None,
+    };
+    let trace = match &run {
+        Some(run) => trace_context::batch_traceparent(farm, worker, run).await,
+        None => None,
+    };
+    SyncResponse { batch: run, revoked_leases: turned.revoked_leases, drain: turned.drain, trace }
+}
+
+/// The JSON of a job, as it was posted.
+pub(super) async fn job(State(farm): State<Arc<Farm>>, Path(id): Path<String>) -> Result<Response, ApiError> {
+    let text = farm.queue.file(job_id(&id)?).await?.ok_or(ApiError::UnknownJob(id))?;
+    Ok(([(header::CONTENT_TYPE, "application/json")], text).into_response())
+}
+
+/// Stores a tile's blob.
+pub(super) async fn put_blob(
+    State(farm): State<Arc<Farm>>,
+    Path(hash): Path<String>,
+    request: Body,
+) -> Result<StatusCode, ApiError> {
+    put(&farm, ContentKind::Blob, hash, request).await
+}
+
+/// Stores a frame's picture; durable when answered.
+pub(super) async fn put_picture(
+    State(farm): State<Arc<Farm>>,
+    Path(hash): Path<String>,
+    request: Body,
+) -> Result<StatusCode, ApiError> {
+    put(&farm, ContentKind::Picture, hash, request).await
+}
+
+async fn put(farm: &Farm, kind: ContentKind, hash: String, request: Body) -> Result<StatusCode, ApiError> {
+    let name = ContentHash::parse(&hash).ok_or_else(|| ApiError::WrongHash(hash.clone()))?;
+    let bytes = request.into_data_stream().map_err(std::io::Error::other);
+    let span = tracing::info_span!("store", ?kind, %hash);
+    farm.content.put(kind, &name, bytes).instrument(span).await?;
+    fail_point::trigger_infallible(match kind {
+        ContentKind::Blob => FailPoint::BlobStored,
+        ContentKind::Picture => FailPoint::PictureStored,
+    });
+    Ok(StatusCode::NO_CONTENT)
+}
+
+/// A tile's blob.
+pub(super) async fn get_blob(State(farm): State<Arc<Farm>>, Path(hash): Path<String>) -> Result<Response, ApiError> {
+    let Some(name) = ContentHash::parse(&hash) else { return Err(ApiError::WrongHash(hash)) };
+    match farm.content.get(ContentKind::Blob, &name, None).await? {
+        Some((length_bytes, bytes)) => {
+            Ok(([(header::CONTENT_LENGTH, length_bytes)], Body::from_stream(bytes)).into_response())
+        }
+        None => Err(ApiError::UnknownBlob(hash)),
+    }
+}

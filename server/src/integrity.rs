@@ -1,0 +1,132 @@
+//! Checks the invariants of a data folder, with or without a running server: everything that must hold after
+//! any crash.
+//!
+//! It only reads; `sdfarm soak` runs it after each kill.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::io;
+use std::path::Path;
+
+use proto::JobId;
+use sqlx::sqlite::{SqliteConnectOptions, SqliteConnection};
+use sqlx::{ConnectOptions, Connection, Row};
+
+use crate::database::Database;
+
+/// Error that prevents the check.
+#[derive(Debug, thiserror::Error)]
+pub enum IntegrityError {
+    /// The database can't be read.
+    #[error("the database could not be looked over")]
+    Database(#[from] sqlx::Error),
+}
+
+/// Finished tile, as read by the check.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct DoneTile {
+    /// Leases it ever had, by the number of its last one.
+    pub leases: i64,
+}
+
+/// Result of an integrity check.
+#[derive(Clone, Debug, Default)]
+pub struct IntegrityReport {
+    /// Violations, one sentence each; empty in an intact farm.
+    pub violations: Vec<String>,
+    /// Every tile that is done, by its row.
+    pub done: BTreeMap<i64, DoneTile>,
+    /// The jobs there are.
+    pub jobs: BTreeSet<JobId>,
+}
+
+/// Each statement counts or names violations of one invariant, and is run unchanged.
+const INVARIANTS: [(&str, &str); 8] = [
+    (
+        "a tile has two results with effect",
+        "SELECT tile FROM lease WHERE ended = 'done' GROUP BY tile HAVING count(*) > 1",
+    ),
+    (
+        "a job's tiles done are not those that are done",
+        "SELECT number FROM job WHERE tiles_done <> (SELECT coalesce(sum(tiles_done), 0) FROM frame WHERE frame.job = job.number)",
+    ),
+    (
+        "a frame's tiles done are not those that are done",
+        "SELECT frame.job FROM frame WHERE state IN ('open', 'stitching') AND tiles_done <>
+         (SELECT count(*) FROM tile WHERE tile.job = frame.job AND tile.frame = frame.number
+          AND kind = 'render' AND tile.state = 'done')",
+    ),
+    (
+        "a job's frames stored are not those that are stored",
+        "SELECT job.number FROM job WHERE frames_stored <>
+         (SELECT count(*) FROM frame WHERE frame.job = job.number AND frame.state = 'stored')",
+    ),
+    (
+        "a tile is leased without a lease",
+        "SELECT id FROM tile WHERE state = 'leased'
+         AND NOT EXISTS (SELECT 1 FROM lease WHERE lease.tile = tile.id AND ended IS NULL)",
+    ),
+    (
+        "a lease is live on a tile that is not leased",
+        "SELECT lease.id FROM lease JOIN tile ON tile.id = lease.tile WHERE ended IS NULL AND state <> 'leased'",
+    ),
+    (
+        "a job succeeded more than once, or unsaid",
+        "SELECT number FROM job WHERE state = 'succeeded' AND
+         (SELECT count(*) FROM outbox WHERE outbox.job = job.number AND outbox.state = 'succeeded') <> 1",
+    ),
+    ("a row refers to one that is not there", "SELECT \"table\" FROM pragma_foreign_key_check"),
+];
+
+/// Checks the database and the pictures of a data folder.
+pub async fn check_integrity(data: &Path) -> Result<IntegrityReport, IntegrityError> {
+    let options =
+        SqliteConnectOptions::new().filename(Database::file(data)).read_only(true).disable_statement_logging();
+    let mut connection = options.connect().await?;
+    // One transaction for all statements, so that all see the same state of a running server.
+    sqlx::query("BEGIN").execute(&mut connection).await?;
+    let mut audit = IntegrityReport::default();
+    for verdict in sqlx::query_scalar::<_, String>("PRAGMA integrity_check").fetch_all(&mut connection).await? {
+        if verdict != "ok" {
+            audit.violations.push(format!("integrity_check: {verdict}"));
+        }
+    }
+    for (breach, statement) in INVARIANTS {
+        let broken = sqlx::query(statement).fetch_all(&mut connection).await?.len();
+        if broken > 0 {
+            audit.violations.push(format!("{breach} ({broken})"));
+        }
+    }
+    for id in sqlx::query_scalar::<_, String>("SELECT id FROM job").fetch_all(&mut connection).await? {
+        match id.parse() {
+            Ok(id) => drop(audit.jobs.insert(id)),
+            Err(_) => audit.violations.push(format!("{id:?} is no job's id")),
+        }
+    }
+    let done = sqlx::query("SELECT id, epoch FROM tile WHERE state = 'done'").fetch_all(&mut connection).await?;
+    for row in done {
+        audit.done.insert(row.try_get("id")?, DoneTile { leases: row.try_get("epoch")? });
+    }
+    check_pictures(&mut connection, data, &mut audit).await?;
+    connection.close().await?;
+    Ok(audit)
+}
+
+/// A row that shows a picture was written after the picture was flushed: its file is there, and whole.
+async fn check_pictures(
+    connection: &mut SqliteConnection,
+    data: &Path,
+    audit: &mut IntegrityReport,
+) -> Result<(), IntegrityError> {
+    let pictures = sqlx::query_scalar::<_, String>("SELECT DISTINCT picture FROM frame WHERE picture IS NOT NULL");
+    for hash in pictures.fetch_all(connection).await? {
+        match std::fs::read(data.join("pictures").join(&hash)) {
+            Ok(bytes) if blake3::hash(&bytes).to_hex().as_str() == hash => {}
+            Ok(_) => audit.violations.push(format!("picture {hash} holds other bytes than its name says")),
+            Err(error) if error.kind() == io::ErrorKind::NotFound => {
+                audit.violations.push(format!("picture {hash} is shown, but not there"));
+            }
+            Err(error) => audit.violations.push(format!("picture {hash} can't be read: {error}")),
+        }
+    }
+    Ok(())
+}

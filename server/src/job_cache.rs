@@ -1,0 +1,117 @@
+//! Parsed job files: parsed on threads with stack for deep files, and a few cached.
+//!
+//! The cache is bounded: waiting jobs are in the database only.
+
+use std::collections::VecDeque;
+use std::sync::{Arc, Mutex};
+
+use tokio::sync::{Semaphore, oneshot};
+
+use crate::database::DatabaseError;
+use crate::queue::Queue;
+
+/// Stack of a thread that parses.
+const STACK_BYTES: usize = 16 << 20;
+/// Maximum number of cached jobs.
+const MAX_CACHED_JOBS: usize = 8;
+/// Maximum size of their files together, unless there is only one.
+const MAX_CACHED_BYTES: usize = 8 << 20;
+
+/// Error when loading a job of the queue.
+#[derive(Debug, thiserror::Error)]
+pub(crate) enum JobLoadError {
+    /// The database could not be read.
+    #[error(transparent)]
+    Store(#[from] DatabaseError),
+    /// Its file is gone: the job was deleted in the meantime.
+    #[error("the job's file is gone")]
+    Gone,
+    /// Its file was accepted once, but is invalid now.
+    #[error("the job's file is refused by this version: {0}")]
+    Refused(#[from] scene::ParseError),
+    /// No thread to parse it on.
+    #[error("no thread could be started to parse the job")]
+    Thread,
+}
+
+/// Parses jobs, and keeps a few.
+#[derive(Debug)]
+pub(crate) struct JobCache {
+    kept: Mutex<VecDeque<CachedJob>>,
+    permits: Semaphore,
+}
+
+#[derive(Debug)]
+struct CachedJob {
+    number: i64,
+    text_bytes: usize,
+    job: Arc<scene::Job>,
+}
+
+impl JobCache {
+    /// Parses as many files at a time as there are cores.
+    pub(crate) fn new() -> Self {
+        let cores = std::thread::available_parallelism().map_or(1, usize::from);
+        Self { kept: Mutex::default(), permits: Semaphore::new(cores) }
+    }
+
+    /// Parses a job file on a thread of its own, and calls `work` with the result there.
+    pub(crate) async fn parse<T: Send + 'static>(
+        &self,
+        text: bytes::Bytes,
+        work: impl FnOnce(Result<scene::Job, scene::ParseError>) -> T + Send + 'static,
+    ) -> Result<T, JobLoadError> {
+        self.run_on_parser_thread(move || work(scene::parse(&text))).await
+    }
+
+    /// What a frame's picture is known by; the scene of a job that moves is copied for that.
+    pub(crate) async fn picture_key(&self, job: &Arc<scene::Job>, frame: u32) -> Result<String, JobLoadError> {
+        let (moves, job) = (job.is_animated(), Arc::clone(job));
+        let key = move || job.cache_key(frame).to_hex().to_string();
+        if moves { self.run_on_parser_thread(key).await } else { Ok(key()) }
+    }
+
+    async fn run_on_parser_thread<T: Send + 'static>(
+        &self,
+        work: impl FnOnce() -> T + Send + 'static,
+    ) -> Result<T, JobLoadError> {
+        let _permit = self.permits.acquire().await.map_err(|_| JobLoadError::Thread)?;
+        let (reply, answer) = oneshot::channel();
+        std::thread::Builder::new()
+            .name("parse".to_owned())
+            .stack_size(STACK_BYTES)
+            .spawn(move || drop(reply.send(work())))
+            .map_err(|_| JobLoadError::Thread)?;
+        answer.await.map_err(|_| JobLoadError::Thread)
+    }
+
+    /// Caches a job; the ones cached longest are dropped.
+    pub(crate) fn insert(&self, number: i64, text_bytes: usize, job: Arc<scene::Job>) {
+        let mut kept = self.kept.lock().expect("no holder panics");
+        kept.push_front(CachedJob { number, text_bytes, job });
+        let mut sum_bytes = 0;
+        let mut count = 0;
+        kept.retain(|job| {
+            sum_bytes += job.text_bytes;
+            count += 1;
+            count == 1 || (count <= MAX_CACHED_JOBS && sum_bytes <= MAX_CACHED_BYTES)
+        });
+    }
+
+    /// A job of the queue, from the cache or from the database.
+    pub(crate) async fn get(&self, queue: &Queue, number: i64) -> Result<Arc<scene::Job>, JobLoadError> {
+        if let Some(job) = self.find(number) {
+            return Ok(job);
+        }
+        let text = queue.file_of(number).await?.ok_or(JobLoadError::Gone)?;
+        let text_bytes = text.len();
+        let job = Arc::new(self.parse(text.into(), |parsed| parsed).await??);
+        self.insert(number, text_bytes, Arc::clone(&job));
+        Ok(job)
+    }
+
+    fn find(&self, number: i64) -> Option<Arc<scene::Job>> {
+        let kept = self.kept.lock().expect("no holder panics");
+        kept.iter().find(|kept| kept.number == number).map(|kept| Arc::clone(&kept.job))
+    }
+}

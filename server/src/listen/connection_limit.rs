@@ -1,0 +1,262 @@
+//! Connection limit: counts connections, knows the idle ones, and evicts when there are too many.
+//!
+//! A connection is busy from a request's head until its response has been sent. Only idle connections are
+//! evicted, the longest idle first, so health routes respond however many connections are idle.
+
+use std::collections::BTreeMap;
+use std::pin::Pin;
+use std::sync::atomic::{AtomicUsize, Ordering};
+use std::sync::{Arc, Mutex};
+use std::task::{Context, Poll};
+
+use axum::body::Body;
+use bytes::Bytes;
+use hyper::body::{Body as HttpBody, Frame, SizeHint};
+use tokio::sync::{OwnedSemaphorePermit, Semaphore};
+use tokio_util::sync::CancellationToken;
+
+/// The connections of a listener.
+#[derive(Debug)]
+pub(crate) struct ConnectionLimit {
+    slots: Arc<Semaphore>,
+    waiting: AtomicUsize,
+    idle: Mutex<Idle>,
+}
+
+/// Idle connections, by since when.
+#[derive(Debug, Default)]
+struct Idle {
+    idle_sequence: u64,
+    since: BTreeMap<u64, CancellationToken>,
+}
+
+/// One connection's place.
+#[derive(Debug)]
+pub(super) struct ConnectionSlot(Arc<SlotState>);
+
+#[derive(Debug)]
+struct SlotState {
+    crowd: Arc<ConnectionLimit>,
+    evicted: CancellationToken,
+    requests: AtomicUsize,
+    idle_since: Mutex<Option<u64>>,
+    _permit: OwnedSemaphorePermit,
+}
+
+/// A request that is being answered.
+#[derive(Debug)]
+pub(super) struct ActiveRequest(Arc<SlotState>);
+
+impl ConnectionLimit {
+    /// Slots for this many connections.
+    pub(crate) fn new(connections: usize) -> Arc<Self> {
+        let places = connections.clamp(1, Semaphore::MAX_PERMITS);
+        Arc::new(Self { slots: Arc::new(Semaphore::new(places)), waiting: AtomicUsize::new(0), idle: Mutex::default() })
+    }
+
+    /// Takes a slot; if none is free, evicts the connection that has been idle longest.
+    pub(super) async fn acquire(self: &Arc<Self>) -> ConnectionSlot {
+        let permit = if let Ok(permit) = Arc::clone(&self.slots).try_acquire_owned() {
+            permit
+        } else {
+            let _waiting = WaiterGuard::new(self);
+            self.evict_idle();
+            let permit = Arc::clone(&self.slots).acquire_owned().await;
+            permit.expect("the places are never closed")
+        };
+        let place = ConnectionSlot(Arc::new(SlotState {
+            crowd: Arc::clone(self),
+            evicted: CancellationToken::new(),
+            requests: AtomicUsize::new(0),
+            idle_since: Mutex::new(None),
+            _permit: permit,
+        }));
+        place.0.mark_idle();
+        place
+    }
+
+    /// Evicts the connection that has been idle longest, if any is idle.
+    pub(super) fn evict_idle(&self) {
+        let oldest = self.idle.lock().expect("no holder panics").since.pop_first();
+        if let Some((_, oldest)) = oldest {
+            oldest.cancel();
+        }
+    }
+}
+
+/// Counts a waiter until it is dropped.
+struct WaiterGuard<'a>(&'a ConnectionLimit);
+
+impl<'a> WaiterGuard<'a> {
+    fn new(crowd: &'a ConnectionLimit) -> Self {
+        crowd.waiting.fetch_add(1, Ordering::SeqCst);
+        Self(crowd)
+    }
+}
+
+impl Drop for WaiterGuard<'_> {
+    fn drop(&mut self) {
+        self.0.waiting.fetch_sub(1, Ordering::SeqCst);
+    }
+}
+
+impl ConnectionSlot {
+    /// Starts a request; it ends when the returned guard is dropped.
+    pub(super) fn begin_request(&self) -> ActiveRequest {
+        if self.0.requests.fetch_add(1, Ordering::SeqCst) == 0 {
+            self.0.mark_busy();
+        }
+        ActiveRequest(Arc::clone(&self.0))
+    }
+
+    /// Whether a request is being answered.
+    pub(super) fn is_busy(&self) -> bool {
+        self.0.requests.load(Ordering::SeqCst) > 0
+    }
+
+    /// Returns when the connection is evicted.
+    pub(super) async fn evicted(&self) {
+        self.0.evicted.cancelled().await;
+    }
+}
+
+impl SlotState {
+    /// Marks the connection idle; it is evicted if another one waits for a slot.
+    fn mark_idle(&self) {
+        {
+            let mut idle = self.crowd.idle.lock().expect("no holder panics");
+            idle.idle_sequence += 1;
+            let turn = idle.idle_sequence;
+            idle.since.insert(turn, self.evicted.clone());
+            *self.idle_since.lock().expect("no holder panics") = Some(turn);
+        }
+        if self.crowd.waiting.load(Ordering::SeqCst) > 0 {
+            self.crowd.evict_idle();
+        }
+    }
+
+    /// Marks the connection busy.
+    fn mark_busy(&self) {
+        if let Some(turn) = self.idle_since.lock().expect("no holder panics").take() {
+            self.crowd.idle.lock().expect("no holder panics").since.remove(&turn);
+        }
+    }
+}
+
+impl Drop for SlotState {
+    fn drop(&mut self) {
+        self.mark_busy();
+    }
+}
+
+impl Drop for ActiveRequest {
+    fn drop(&mut self) {
+        if self.0.requests.fetch_sub(1, Ordering::SeqCst) == 1 {
+            self.0.mark_idle();
+        }
+    }
+}
+
+/// An answer's body, during which its connection is busy.
+#[derive(Debug)]
+pub(super) struct TrackedBody {
+    body: Body,
+    _busy: ActiveRequest,
+}
+
+impl TrackedBody {
+    /// The body of an answer.
+    pub(super) fn new(body: Body, busy: ActiveRequest) -> Self {
+        Self { body, _busy: busy }
+    }
+}
+
+impl HttpBody for TrackedBody {
+    type Data = Bytes;
+    type Error = axum::Error;
+
+    fn poll_frame(mut self: Pin<&mut Self>, cx: &mut Context<'_>) -> Poll<Option<Result<Frame<Bytes>, axum::Error>>> {
+        Pin::new(&mut self.body).poll_frame(cx)
+    }
+
+    fn is_end_stream(&self) -> bool {
+        self.body.is_end_stream()
+    }
+
+    fn size_hint(&self) -> SizeHint {
+        self.body.size_hint()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[tokio::test]
+    async fn who_has_been_idle_longest_goes_first_and_the_busy_stay() {
+        let crowd = ConnectionLimit::new(3);
+        let (one, two, three) = (crowd.acquire().await, crowd.acquire().await, crowd.acquire().await);
+        let busy = one.begin_request();
+        let next = tokio::spawn({
+            let crowd = Arc::clone(&crowd);
+            async move { crowd.acquire().await }
+        });
+        two.evicted().await;
+        assert!(!three.0.evicted.is_cancelled() && !one.0.evicted.is_cancelled());
+        drop(two);
+        drop(next.await.expect("a place"));
+        drop(busy);
+        assert!(!one.is_busy());
+    }
+
+    #[tokio::test]
+    async fn who_becomes_idle_while_others_wait_goes() {
+        let crowd = ConnectionLimit::new(1);
+        let only = crowd.acquire().await;
+        let busy = only.begin_request();
+        let waiting = tokio::spawn({
+            let crowd = Arc::clone(&crowd);
+            async move { crowd.acquire().await }
+        });
+        while crowd.waiting.load(Ordering::SeqCst) == 0 {
+            tokio::task::yield_now().await;
+        }
+        assert!(!only.0.evicted.is_cancelled());
+        drop(busy);
+        only.evicted().await;
+        drop(only);
+        drop(waiting.await.expect("a place"));
+    }
+
+    #[tokio::test]
+    async fn who_worked_since_is_idle_for_a_shorter_time_than_who_came_later() {
+        let crowd = ConnectionLimit::new(3);
+        let (one, two, three) = (crowd.acquire().await, crowd.acquire().await, crowd.acquire().await);
+        let (first, second) = (one.begin_request(), one.begin_request());
+        drop(first);
+        assert!(one.is_busy(), "another request is being answered");
+        assert_eq!(crowd.idle.lock().expect("no holder panics").since.len(), 2);
+        drop(second);
+        assert_eq!(crowd.idle.lock().expect("no holder panics").since.len(), 3);
+        crowd.evict_idle();
+        assert!(two.0.evicted.is_cancelled() && !one.0.evicted.is_cancelled());
+        drop(three);
+        crowd.evict_idle();
+        assert!(one.0.evicted.is_cancelled(), "who has left is in nobody's way");
+        assert!(crowd.idle.lock().expect("no holder panics").since.is_empty());
+        crowd.evict_idle();
+    }
+
+    #[tokio::test]
+    async fn answer_keeps_its_connection_busy_and_its_length() {
+        let crowd = ConnectionLimit::new(0);
+        let only = crowd.acquire().await;
+        let body = TrackedBody::new(Body::from("12345"), only.begin_request());
+        assert_eq!((body.size_hint().exact(), body.is_end_stream()), (Some(5), false));
+        assert!(only.is_busy());
+        let sent = axum::body::to_bytes(Body::new(body), 100).await.expect("a body");
+        assert_eq!(&sent[..], b"12345");
+        assert!(!only.is_busy());
+        assert!(TrackedBody::new(Body::empty(), only.begin_request()).is_end_stream());
+    }
+}

@@ -1,0 +1,89 @@
+//! The addresses that a server is reached at: its own, and with TLS one more on loopback for its own workers,
+//! which no certificate names.
+
+use std::io;
+use std::net::{Ipv4Addr, SocketAddr};
+use std::sync::Arc;
+
+use tokio::net::TcpListener;
+use tokio_util::sync::CancellationToken;
+
+use super::{ConnectionLimit, Tls, connection_limit, serve};
+use crate::config::Config;
+use crate::startup::StartError;
+
+/// Connections of the server's own workers.
+const POOL_CONNECTIONS: usize = 4096;
+
+/// The addresses that a server is reached at.
+#[derive(Debug)]
+pub(crate) struct Listeners {
+    public: TcpListener,
+    address: SocketAddr,
+    tls: Option<Arc<Tls>>,
+    pool: Option<(TcpListener, SocketAddr)>,
+    crowd: Arc<ConnectionLimit>,
+}
+
+impl Listeners {
+    /// Takes the addresses, and reads the certificate.
+    pub(crate) async fn open(config: &Config) -> Result<Self, StartError> {
+        let tls = match &config.tls {
+            Some(files) => {
+                let tls = Tls::open(&files.certificate, &files.key);
+                Some(Arc::new(tls.map_err(|error| StartError::Tls(error.to_string()))?))
+            }
+            None => None,
+        };
+        let (public, address) = bind(config.listen).await?;
+        let pool = match &tls {
+            Some(_) => Some(bind((Ipv4Addr::LOCALHOST, 0).into()).await?),
+            None => None,
+        };
+        let crowd = ConnectionLimit::new(connection_limit(config.max_connections));
+        Ok(Self { public, address, tls, pool, crowd })
+    }
+
+    /// Public address.
+    pub(crate) fn address(&self) -> SocketAddr {
+        self.address
+    }
+
+    /// Address for the server's own workers, without TLS.
+    pub(crate) fn pool_address(&self) -> SocketAddr {
+        self.pool.as_ref().map_or(self.address, |(_, address)| *address)
+    }
+
+    /// Serves until `ending`, and until what is being answered then is answered.
+    pub(crate) async fn serve(self, router: axum::Router, ending: CancellationToken) -> io::Result<()> {
+        let Self { public, tls, pool, crowd, .. } = self;
+        let follow = async {
+            if let Some(tls) = &tls {
+                tls.watch_files(ending.clone()).await;
+            }
+            // The connections decide when it ends.
+            std::future::pending::<()>().await;
+        };
+        let inside = async {
+            match pool {
+                Some((listener, _)) => {
+                    serve(listener, None, router.clone(), ConnectionLimit::new(POOL_CONNECTIONS), ending.clone()).await
+                }
+                None => Ok(()),
+            }
+        };
+        let outside = serve(public, tls.clone(), router.clone(), crowd, ending.clone());
+        let served = async { tokio::try_join!(inside, outside).map(drop) };
+        tokio::select! {
+            served = served => served,
+            () = follow => Ok(()),
+        }
+    }
+}
+
+async fn bind(address: SocketAddr) -> Result<(TcpListener, SocketAddr), StartError> {
+    let wrong = |source| StartError::Listen { address, source };
+    let listener = TcpListener::bind(address).await.map_err(wrong)?;
+    let bound = listener.local_addr().map_err(wrong)?;
+    Ok((listener, bound))
+}

@@ -1,0 +1,118 @@
+//! Periodic maintenance: expires leases, deletes orphaned content, prunes old rows.
+//!
+//! It changes no state itself; it calls the queue and the store.
+
+use std::sync::Arc;
+use std::time::Duration;
+
+use futures_util::stream::TryStreamExt;
+use tokio::sync::mpsc;
+use tokio_util::sync::CancellationToken;
+
+use crate::content_store::{self, ContentKind};
+use crate::database::DatabaseError;
+use crate::farm::{Farm, OrphanCandidates};
+use crate::retention;
+
+/// Interval at which leases are checked.
+const LEASE_CHECK_INTERVAL: Duration = Duration::from_secs(1);
+/// Interval at which rows and folders are cleaned up.
+const CLEANUP_INTERVAL: Duration = Duration::from_mins(10);
+/// Bytes without a report are kept this long.
+const ORPHAN_GRACE: Duration = Duration::from_mins(10);
+/// Hashes per database query.
+const LOOKUP_BATCH: usize = 500;
+
+/// Works until the farm is closed.
+pub(crate) async fn run(
+    farm: Arc<Farm>,
+    mut leftovers: mpsc::UnboundedReceiver<OrphanCandidates>,
+    end: CancellationToken,
+) {
+    let mut rescue = tokio::time::interval(LEASE_CHECK_INTERVAL);
+    rescue.set_missed_tick_behavior(tokio::time::MissedTickBehavior::Delay);
+    let mut tidy = tokio::time::interval(CLEANUP_INTERVAL);
+    loop {
+        let done = tokio::select! {
+            () = end.cancelled() => return,
+            Some(left) = leftovers.recv() => sweep(&farm, left.kind, &left.hashes).await,
+            _ = rescue.tick() => expire_leases(&farm).await,
+            _ = tidy.tick() => clean_up(&farm).await,
+        };
+        if let Err(error) = done {
+            tracing::error!(%error, cause = ?std::error::Error::source(&error), "maintenance could not be done");
+        }
+    }
+}
+
+async fn expire_leases(farm: &Farm) -> Result<(), DatabaseError> {
+    let count = farm.queue.expire_leases().await?;
+    farm.totals.expired.fetch_add(count, std::sync::atomic::Ordering::Relaxed);
+    Ok(())
+}
+
+async fn sweep(farm: &Arc<Farm>, kind: ContentKind, hashes: &[String]) -> Result<(), DatabaseError> {
+    let queue = &farm.queue;
+    let (count, young) = match kind {
+        ContentKind::Blob => farm.content.sweep(kind, hashes, async |names| queue.orphan_blobs(&names).await).await?,
+        ContentKind::Picture => {
+            farm.content.sweep(kind, hashes, async |names| queue.orphan_pictures(&names).await).await?
+        }
+    };
+    if !young.is_empty() {
+        let farm = Arc::clone(farm);
+        tokio::spawn(async move {
+            tokio::time::sleep(content_store::MIN_SWEEP_AGE).await;
+            farm.sweep_later(kind, young);
+        });
+    }
+    if count > 0 {
+        tracing::debug!(count, ?kind, "removed bytes that nobody needs");
+    }
+    Ok(())
+}
+
+async fn clean_up(farm: &Arc<Farm>) -> Result<(), DatabaseError> {
+    farm.queue.prune().await?;
+    farm.queue.drop_traces().await?;
+    farm.queue.prune_events().await?;
+    if let Err(error) = retention::collect_until_done(farm).await {
+        tracing::error!(%error, cause = ?std::error::Error::source(&error), "old jobs could not be removed");
+    }
+    if let Err(error) = farm.preview_helper.prune_coarse() {
+        tracing::warn!(%error, "old previews could not be removed");
+    }
+    farm.queue.prune_idempotency_keys().await?;
+    farm.queue.prune_deliveries().await?;
+    let data = farm.config.data.clone();
+    let removed = tokio::task::spawn_blocking(move || content_store::remove_partial_writes(&data, ORPHAN_GRACE)).await;
+    if let Err(error) = removed.map_err(std::io::Error::other).flatten() {
+        tracing::warn!(%error, "what half-done writes left could not be removed");
+    }
+    for kind in [ContentKind::Blob, ContentKind::Picture] {
+        let names = match unreported_hashes(farm, kind).await {
+            Ok(names) => names,
+            Err(error) => {
+                tracing::warn!(%error, ?kind, "a folder could not be listed");
+                continue;
+            }
+        };
+        for batch in names.chunks(LOOKUP_BATCH) {
+            sweep(farm, kind, batch).await?;
+        }
+    }
+    Ok(())
+}
+
+async fn unreported_hashes(farm: &Farm, kind: ContentKind) -> object_store::Result<Vec<String>> {
+    let now_seconds = farm.queue.wall_seconds();
+    farm.content
+        .list(kind)
+        .try_filter_map(async |meta| {
+            let age_seconds = now_seconds - meta.last_modified.timestamp();
+            let is_old = age_seconds > ORPHAN_GRACE.as_secs().cast_signed();
+            Ok(meta.location.filename().filter(|_| is_old).map(ToOwned::to_owned))
+        })
+        .try_collect()
+        .await
+}

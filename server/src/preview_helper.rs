@@ -1,0 +1,195 @@
+//! Child processes that draw previews and measure samples: this process never touches a pixel and never
+//! runs a scene, so that no scene can kill or stall it.
+//!
+//! A helper process is started on demand, a few at a time, with a time limit; it exits when its standard
+//! input closes, so a killed server leaves none behind.
+
+use std::collections::VecDeque;
+use std::io;
+use std::path::{Path, PathBuf};
+use std::process::Stdio;
+use std::sync::Mutex;
+use std::time::{Duration, SystemTime};
+
+use bytes::Bytes;
+use proto::JobId;
+use proto::preview_helper::{self, CostSample, HelperRequest};
+use tokio::io::{AsyncReadExt, AsyncWriteExt};
+use tokio::process::{Child, Command};
+use tokio::sync::Semaphore;
+
+/// Maximum number of helper processes.
+const MAX_CHILDREN: usize = 2;
+/// Time limit of a helper process.
+const TIME_LIMIT: Duration = Duration::from_secs(20);
+/// How long a request waits for a free helper.
+const MAX_WAIT: Duration = Duration::from_secs(10);
+/// Bytes of an answer.
+const MAX_ANSWER_BYTES: u64 = 64 << 20;
+/// Maximum number of bytes kept of a helper's standard error.
+const MAX_STDERR_BYTES: u64 = 2 << 10;
+/// Maximum number of cached pictures.
+const MAX_CACHED_PICTURES: usize = 32;
+/// Maximum size of the cached pictures together, unless there is only one.
+const MAX_CACHED_BYTES: usize = 16 << 20;
+/// Maximum number of coarse passes kept in the folder.
+const MAX_COARSE_FILES: usize = 256;
+/// The folder of coarse passes.
+const FOLDER: &str = "previews";
+
+/// Error that prevents a picture or a sample.
+#[derive(Debug, thiserror::Error)]
+pub(crate) enum HelperError {
+    /// Too many ask.
+    #[error("too many previews and estimates are asked for at once: try again in a moment")]
+    Busy,
+    /// It took too long.
+    #[error("the preview or estimate was given up after {} s", TIME_LIMIT.as_secs())]
+    TimedOut,
+    /// The child could not be started.
+    #[error("the program that draws previews could not be started: {0}")]
+    Start(io::Error),
+    /// The helper failed.
+    #[error("the preview or estimate could not be made: {0}")]
+    Failed(String),
+}
+
+/// Starts children that draw.
+#[derive(Debug)]
+pub(crate) struct PreviewHelper {
+    program: PathBuf,
+    folder: PathBuf,
+    permits: Semaphore,
+    kept: Mutex<VecDeque<(String, Bytes)>>,
+}
+
+impl PreviewHelper {
+    /// Opens the folder of coarse passes and empties it: they are rendered again on demand.
+    pub(crate) fn open(data: &Path, program: &Path) -> io::Result<Self> {
+        let folder = data.join(FOLDER);
+        match std::fs::remove_dir_all(&folder) {
+            Err(error) if error.kind() != io::ErrorKind::NotFound => return Err(error),
+            Ok(()) | Err(_) => {}
+        }
+        std::fs::create_dir_all(&folder)?;
+        let permits = Semaphore::new(MAX_CHILDREN);
+        Ok(Self { program: program.to_owned(), folder, permits, kept: Mutex::default() })
+    }
+
+    /// Path of a frame's coarse pass.
+    pub(crate) fn coarse(&self, job: JobId, frame: u32) -> PathBuf {
+        self.folder.join(format!("{job}-{frame}"))
+    }
+
+    /// Picture of a tag, cached or drawn now.
+    pub(crate) async fn picture(&self, tag: &str, request: &HelperRequest) -> Result<Bytes, HelperError> {
+        if let Some(kept) = self.find(tag) {
+            return Ok(kept);
+        }
+        let permit = self.permit().await?;
+        // Another request may have drawn the same picture in the meantime.
+        if let Some(kept) = self.find(tag) {
+            return Ok(kept);
+        }
+        let picture = Bytes::from(self.run(request).await?);
+        drop(permit);
+        self.keep(tag, &picture);
+        Ok(picture)
+    }
+
+    /// A sample of a job.
+    pub(crate) async fn sample(&self, request: &HelperRequest) -> Result<CostSample, HelperError> {
+        let _permit = self.permit().await?;
+        let answer = self.run(request).await?;
+        serde_json::from_slice(&answer).map_err(|error| HelperError::Failed(error.to_string()))
+    }
+
+    async fn permit(&self) -> Result<impl Drop + '_, HelperError> {
+        match tokio::time::timeout(MAX_WAIT, self.permits.acquire()).await {
+            Ok(Ok(permit)) => Ok(permit),
+            Ok(Err(_)) | Err(_) => Err(HelperError::Busy),
+        }
+    }
+
+    /// Has a child do something; dropped or late, it is killed.
+    async fn run(&self, request: &HelperRequest) -> Result<Vec<u8>, HelperError> {
+        let mut child = Command::new(&self.program)
+            .arg(preview_helper::HELPER_COMMAND)
+            .stdin(Stdio::piped())
+            .stdout(Stdio::piped())
+            .stderr(Stdio::piped())
+            .process_group(0)
+            .kill_on_drop(true)
+            .spawn()
+            .map_err(HelperError::Start)?;
+        let mut line = serde_json::to_vec(request).map_err(|error| HelperError::Failed(error.to_string()))?;
+        line.push(b'\n');
+        match tokio::time::timeout(TIME_LIMIT, answer(&mut child, &line)).await {
+            Ok(answer) => answer,
+            Err(_) => Err(HelperError::TimedOut),
+        }
+    }
+
+    fn find(&self, tag: &str) -> Option<Bytes> {
+        let kept = self.kept.lock().expect("no holder panics");
+        kept.iter().find(|(known, _)| known == tag).map(|(_, picture)| picture.clone())
+    }
+
+    fn keep(&self, tag: &str, picture: &Bytes) {
+        let mut kept = self.kept.lock().expect("no holder panics");
+        kept.push_front((tag.to_owned(), picture.clone()));
+        let mut sum_bytes = 0;
+        let mut count = 0;
+        kept.retain(|(_, picture)| {
+            sum_bytes += picture.len();
+            count += 1;
+            count == 1 || (count <= MAX_CACHED_PICTURES && sum_bytes <= MAX_CACHED_BYTES)
+        });
+    }
+
+    /// Removes the oldest coarse passes, if they are many.
+    pub(crate) fn prune_coarse(&self) -> io::Result<()> {
+        let mut files = Vec::new();
+        for entry in std::fs::read_dir(&self.folder)? {
+            let entry = entry?;
+            files.push((entry.metadata()?.modified().unwrap_or(SystemTime::UNIX_EPOCH), entry.path()));
+        }
+        files.sort();
+        for (_, path) in files.iter().take(files.len().saturating_sub(MAX_COARSE_FILES)) {
+            std::fs::remove_file(path)?;
+        }
+        Ok(())
+    }
+}
+
+/// Sends a request to a helper, and reads its response. Its standard input stays open as long as the helper
+/// should live.
+async fn answer(child: &mut Child, line: &[u8]) -> Result<Vec<u8>, HelperError> {
+    let lost = || HelperError::Start(io::Error::other("its pipes are missing"));
+    let mut input = child.stdin.take().ok_or_else(lost)?;
+    let output = child.stdout.take().ok_or_else(lost)?;
+    let errors = child.stderr.take().ok_or_else(lost)?;
+    let write = async {
+        // A helper that rejects its input reports the reason itself.
+        drop(input.write_all(line).await);
+    };
+    let read = async {
+        let mut bytes = Vec::new();
+        output.take(MAX_ANSWER_BYTES).read_to_end(&mut bytes).await.map(|_| bytes)
+    };
+    let listen = async {
+        let mut words = Vec::new();
+        errors.take(MAX_STDERR_BYTES).read_to_end(&mut words).await.map(|_| words)
+    };
+    let ((), bytes, words) = tokio::join!(write, read, listen);
+    let failed = |error: io::Error| HelperError::Failed(error.to_string());
+    let (bytes, words) = (bytes.map_err(failed)?, words.map_err(failed)?);
+    let status = child.wait().await.map_err(failed)?;
+    drop(input);
+    if status.success() {
+        return Ok(bytes);
+    }
+    let words = String::from_utf8_lossy(&words);
+    let last = words.lines().last().unwrap_or("").trim();
+    Err(HelperError::Failed(if last.is_empty() { status.to_string() } else { format!("{last} ({status})") }))
+}

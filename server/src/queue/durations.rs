@@ -1,0 +1,31 @@
+//! Durations of a job's tiles from lease to result: the measure for stragglers.
+
+use super::{Connection, Result};
+
+/// Deliveries of a job that are remembered.
+const WINDOW: i64 = 15;
+
+/// Remembers how long a delivery of a job took; `number` counts its tiles that are done.
+pub(super) async fn record_duration(connection: &mut Connection, job: i64, number: i64, took_ms: i64) -> Result<()> {
+    sqlx::query(
+        "INSERT INTO pace (job, slot, took_ms) SELECT number, ?2, ?3 FROM job WHERE number = ?1 AND finished_at_ms IS NULL
+         ON CONFLICT (job, slot) DO UPDATE SET took_ms = excluded.took_ms",
+    )
+    .bind(job)
+    .bind(number.rem_euclid(WINDOW))
+    .bind(took_ms.max(0))
+    .execute(connection)
+    .await?;
+    Ok(())
+}
+
+/// The median of what is remembered, in milliseconds.
+pub(super) async fn median_ms(connection: &mut Connection, job: i64) -> Result<Option<i64>> {
+    Ok(sqlx::query_scalar(
+        "SELECT took_ms FROM pace WHERE job = ?1 ORDER BY took_ms
+         LIMIT 1 OFFSET (SELECT count(*) / 2 FROM pace WHERE job = ?1)",
+    )
+    .bind(job)
+    .fetch_optional(connection)
+    .await?)
+}

@@ -1,0 +1,93 @@
+//! Failing workers: a worker that errs repeatedly in one job is excluded from it for an hour; one excluded
+//! from many jobs is quarantined. This module decides about workers, never about tiles.
+//!
+//! Both hold only while another worker can do the work, so that a single worker never stops the farm.
+
+use super::lease::LiveLease;
+use super::{Connection, Result, TransitionContext};
+
+/// Errors of a worker in one job, from which on it is not offered the job.
+const ERRORS_BEFORE_EXCLUSION: i64 = 3;
+/// Duration of an exclusion.
+const EXCLUSION_MS: i64 = 3_600_000;
+/// Number of exclusions that quarantines a worker. Jobs that failed as a whole do not count, because they
+/// failed on every worker.
+const EXCLUSIONS_BEFORE_QUARANTINE: i64 = 3;
+
+/// Notes a worker's error in a job.
+pub(super) async fn record_error(
+    connection: &mut Connection,
+    worker: &str,
+    job: i64,
+    moment: TransitionContext,
+) -> Result<()> {
+    let errors: i64 = sqlx::query_scalar(
+        "INSERT INTO strike (job, worker, errors, until_ms) VALUES (?1, ?2, 1, NULL)
+         ON CONFLICT (job, worker) DO UPDATE SET
+             errors = iif(until_ms <= ?3, 1, errors + 1),
+             until_ms = iif(iif(until_ms <= ?3, 1, errors + 1) >= ?4, ?3 + ?5, NULL)
+         RETURNING errors",
+    )
+    .bind(job)
+    .bind(worker)
+    .bind(moment.now_ms)
+    .bind(ERRORS_BEFORE_EXCLUSION)
+    .bind(EXCLUSION_MS)
+    .fetch_one(&mut *connection)
+    .await?;
+    if errors != ERRORS_BEFORE_EXCLUSION {
+        return Ok(());
+    }
+    let job = super::job_id(connection, job).await?;
+    tracing::warn!(worker, %job, errors, "a worker erred too often in a job; others are offered it first");
+    quarantine(connection, worker, moment).await
+}
+
+/// Quarantines a worker that is excluded from three jobs or more, unless it is the last ready worker.
+async fn quarantine(connection: &mut Connection, worker: &str, moment: TransitionContext) -> Result<()> {
+    let quarantined = sqlx::query(
+        "UPDATE worker SET state = 'quarantined' WHERE id = ?1 AND state = 'ready'
+         AND (SELECT count(*) FROM strike JOIN job ON job.number = strike.job
+              WHERE strike.worker = ?1 AND until_ms > ?2 AND job.state <> 'failed') >= ?3
+         AND EXISTS (SELECT 1 FROM worker AS other
+              WHERE other.state <> 'gone' AND other.state = 'ready' AND other.id <> ?1)",
+    )
+    .bind(worker)
+    .bind(moment.now_ms)
+    .bind(EXCLUSIONS_BEFORE_QUARANTINE)
+    .execute(connection)
+    .await?;
+    if quarantined.rows_affected() > 0 {
+        tracing::error!(
+            code = "worker_quarantined",
+            worker,
+            "a worker erred in too many jobs and gets no more work: check its device, then start it again"
+        );
+    }
+    Ok(())
+}
+
+/// Whether a worker other than the lease's is excluded from its job: then the tile must not avoid this one.
+pub(super) async fn is_other_worker_excluded(
+    connection: &mut Connection,
+    held: &LiveLease,
+    moment: TransitionContext,
+) -> Result<bool> {
+    let barred: Option<i64> =
+        sqlx::query_scalar("SELECT 1 FROM strike WHERE job = ? AND worker <> ? AND until_ms > ? LIMIT 1")
+            .bind(held.job)
+            .bind(&held.worker)
+            .bind(moment.now_ms)
+            .fetch_optional(connection)
+            .await?;
+    Ok(barred.is_some())
+}
+
+/// Restarts all exclusions with full length after a start, because the monotonic clock starts at zero.
+pub(super) async fn recover(connection: &mut Connection, now_ms: i64) -> Result<()> {
+    sqlx::query("UPDATE strike SET until_ms = ? WHERE until_ms IS NOT NULL")
+        .bind(now_ms + EXCLUSION_MS)
+        .execute(connection)
+        .await?;
+    Ok(())
+}

@@ -1,0 +1,166 @@
+//! Options of a submitted job: the idempotency key, so that a repeated request creates one job, and its webhooks.
+//!
+//! All of it is written in the transaction that accepts the job, so that no kill can separate them.
+
+use proto::JobId;
+use sqlx::Row;
+
+use super::{Connection, NewJob, Queue, Result, TransitionContext, Wake, expect_rows, parse_column, submit};
+use crate::database::Durability;
+
+/// How long idempotency keys are kept.
+const RETENTION_MS: i64 = 48 * 3_600_000;
+/// Names dropped in one transaction.
+const DROP_BATCH: i64 = 5_000;
+
+/// Idempotency key and the fingerprint of its request.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(crate) struct IdempotencyKey {
+    /// The client's `Idempotency-Key`.
+    pub(crate) key: String,
+    /// BLAKE3 of all that was asked for.
+    pub(crate) fingerprint: String,
+}
+
+/// Webhook to register for the job.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(crate) struct NewWebhook {
+    /// The address.
+    pub(crate) url: String,
+    /// The names of the events it wants.
+    pub(crate) events: Vec<&'static str>,
+}
+
+/// Options of a submitted job.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub(crate) struct SubmitOptions {
+    /// Makes the submission idempotent.
+    pub(crate) idempotency: Option<IdempotencyKey>,
+    /// Webhooks of the job.
+    pub(crate) webhooks: Vec<NewWebhook>,
+}
+
+/// Outcome of a submission.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(crate) enum SubmitOutcome {
+    /// The job was accepted, under this number.
+    Created(i64),
+    /// The job was accepted before, as this one.
+    Replayed(JobId),
+    /// The idempotency key belongs to another request.
+    KeyReused,
+}
+
+impl Queue {
+    /// Accepts a job, once for each idempotency key; durable when it returns.
+    pub(crate) async fn submit_with(&self, job: NewJob, options: SubmitOptions) -> Result<SubmitOutcome> {
+        let moment = self.context();
+        let submitted = self
+            .database
+            .write(Durability::Full, move |connection| {
+                Box::pin(async move { accept(connection, &job, &options, moment).await })
+            })
+            .await?;
+        self.wake(Wake::WORK);
+        Ok(submitted)
+    }
+
+    /// Whether a submitter has used this idempotency key before.
+    pub(crate) async fn has_idempotency_key(&self, submitter: &str, key: &str) -> Result<bool> {
+        let known: Option<i64> = sqlx::query_scalar("SELECT 1 FROM idempotency WHERE submitter = ? AND key = ?")
+            .bind(submitter)
+            .bind(key)
+            .fetch_optional(self.readers())
+            .await?;
+        Ok(known.is_some())
+    }
+
+    /// Deletes expired idempotency keys; returns how many.
+    pub(crate) async fn prune_idempotency_keys(&self) -> Result<u64> {
+        let made_before_ms = self.clock.wall_ms() - RETENTION_MS;
+        let mut count = 0;
+        loop {
+            let dropped = self
+                .database
+                .write(Durability::Relaxed, move |connection| {
+                    Box::pin(async move { prune(connection, made_before_ms).await })
+                })
+                .await?;
+            count += dropped;
+            if dropped == 0 {
+                return Ok(count);
+            }
+        }
+    }
+}
+
+async fn accept(
+    connection: &mut Connection,
+    job: &NewJob,
+    wish: &SubmitOptions,
+    moment: TransitionContext,
+) -> Result<SubmitOutcome> {
+    if let Some(once) = &wish.idempotency
+        && let Some(granted) = earlier_submission(connection, &job.submitter, once).await?
+    {
+        return Ok(granted);
+    }
+    let number = submit::submit(connection, job, moment).await?;
+    if let Some(once) = &wish.idempotency {
+        let kept = sqlx::query(
+            "INSERT INTO idempotency (submitter, key, fingerprint, job, created_at_ms) VALUES (?, ?, ?, ?, ?)",
+        )
+        .bind(&job.submitter)
+        .bind(&once.key)
+        .bind(&once.fingerprint)
+        .bind(number)
+        .bind(moment.wall_ms)
+        .execute(&mut *connection)
+        .await?;
+        expect_rows("idempotency: kept", 1, &kept)?;
+    }
+    for webhook in &wish.webhooks {
+        let kept = sqlx::query("INSERT INTO webhook (job, url, events) VALUES (?, ?, ?)")
+            .bind(number)
+            .bind(&webhook.url)
+            .bind(format!(",{},", webhook.events.join(",")))
+            .execute(&mut *connection)
+            .await?;
+        expect_rows("webhook: kept", 1, &kept)?;
+    }
+    Ok(SubmitOutcome::Created(number))
+}
+
+/// Job that was accepted under this idempotency key before.
+async fn earlier_submission(
+    connection: &mut Connection,
+    submitter: &str,
+    once: &IdempotencyKey,
+) -> Result<Option<SubmitOutcome>> {
+    let row = sqlx::query(
+        "SELECT idempotency.fingerprint, job.id FROM idempotency CROSS JOIN job ON job.number = idempotency.job
+         WHERE idempotency.submitter = ? AND idempotency.key = ?",
+    )
+    .bind(submitter)
+    .bind(&once.key)
+    .fetch_optional(connection)
+    .await?;
+    let Some(row) = row else { return Ok(None) };
+    if row.try_get::<String, _>("fingerprint")? != once.fingerprint {
+        return Ok(Some(SubmitOutcome::KeyReused));
+    }
+    let id: String = row.try_get("id")?;
+    Ok(Some(SubmitOutcome::Replayed(parse_column("job.id", &id, |id| id.parse().ok())?)))
+}
+
+async fn prune(connection: &mut Connection, made_before_ms: i64) -> Result<u64> {
+    let dropped = sqlx::query(
+        "DELETE FROM idempotency WHERE (submitter, key) IN (
+             SELECT submitter, key FROM idempotency WHERE created_at_ms < ? ORDER BY created_at_ms LIMIT ?)",
+    )
+    .bind(made_before_ms)
+    .bind(DROP_BATCH)
+    .execute(connection)
+    .await?;
+    Ok(dropped.rows_affected())
+}

@@ -1,0 +1,124 @@
+//! Changes of an existing job by its users: retry, priority, and a preview of what deleting it would remove.
+
+use proto::JobId;
+use proto::job::JobState;
+use proto::job::{DeleteDryRun, JobPatch};
+use sqlx::Row;
+
+use super::{Connection, Queue, Result, TransitionContext, Wake, finish};
+use crate::database::Durability;
+
+/// Outcome of a change to a job.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum ChangeOutcome {
+    /// The change was made.
+    Done,
+    /// The job's state does not allow it.
+    WrongState(JobState),
+    /// The job does not exist.
+    Unknown,
+}
+
+impl Queue {
+    /// Has the dead tiles of a failed job rendered again.
+    pub(crate) async fn retry(&self, job: JobId) -> Result<ChangeOutcome> {
+        let moment = self.context();
+        let changed = self
+            .database
+            .write(Durability::Full, move |connection| Box::pin(async move { retry(connection, job, moment).await }))
+            .await?;
+        self.wake(Wake::WORK);
+        Ok(changed)
+    }
+
+    /// Changes a job that has not finished.
+    pub(crate) async fn patch(&self, job: JobId, patch: JobPatch) -> Result<ChangeOutcome> {
+        self.database
+            .write(Durability::Full, move |connection| Box::pin(async move { change(connection, job, &patch).await }))
+            .await
+    }
+
+    /// What deleting a job would remove; `None` if the job does not exist.
+    pub(crate) async fn delete_preview(&self, job: JobId) -> Result<Option<(JobState, DeleteDryRun)>> {
+        let row = sqlx::query(DRY_RUN_SQL).bind(job.to_string()).fetch_optional(self.readers()).await?;
+        row.map(|row| {
+            let picture_bytes: i64 = row.try_get("picture_bytes")?;
+            let blob_bytes: i64 = row.try_get("blob_bytes")?;
+            let preview = DeleteDryRun {
+                pictures: row.try_get("pictures")?,
+                blobs: row.try_get("blobs")?,
+                size_bytes: picture_bytes.saturating_add(blob_bytes).unsigned_abs(),
+                rows: row.try_get("rows")?,
+            };
+            Ok((finish::job_state(&row.try_get::<String, _>("state")?)?, preview))
+        })
+        .transpose()
+    }
+}
+
+/// Bytes that only this job has, and its rows.
+const DRY_RUN_SQL: &str = "
+    WITH this AS (SELECT number, state FROM job WHERE id = ?),
+    alone AS (
+        SELECT DISTINCT frame.picture, frame.size_bytes FROM this CROSS JOIN frame ON frame.job = this.number
+        WHERE frame.picture IS NOT NULL AND NOT EXISTS (
+            SELECT 1 FROM frame AS other
+            WHERE other.picture IS NOT NULL AND other.picture = frame.picture AND other.job <> this.number)),
+    unneeded AS (
+        SELECT DISTINCT tile.blob, tile.blob_bytes FROM this CROSS JOIN tile ON tile.job = this.number
+        CROSS JOIN frame ON frame.job = tile.job AND frame.number = tile.frame
+        WHERE tile.blob IS NOT NULL AND frame.state <> 'stored' AND NOT EXISTS (
+            SELECT 1 FROM tile AS other WHERE other.blob IS NOT NULL AND other.blob = tile.blob AND other.job <> this.number))
+    SELECT state,
+           (SELECT count(*) FROM alone) AS pictures,
+           (SELECT coalesce(sum(size_bytes), 0) FROM alone) AS picture_bytes,
+           (SELECT count(*) FROM unneeded) AS blobs,
+           (SELECT coalesce(sum(blob_bytes), 0) FROM unneeded) AS blob_bytes,
+           2 + (SELECT count(*) FROM frame WHERE frame.job = this.number)
+             + (SELECT count(*) FROM tile WHERE tile.job = this.number)
+             + (SELECT count(*) FROM outbox WHERE outbox.job = this.number) AS rows
+    FROM this";
+
+async fn state(connection: &mut Connection, id: JobId) -> Result<ChangeOutcome> {
+    let state: Option<String> = sqlx::query_scalar("SELECT state FROM job WHERE id = ?")
+        .bind(id.to_string())
+        .fetch_optional(connection)
+        .await?;
+    state.map_or(Ok(ChangeOutcome::Unknown), |name| finish::job_state(&name).map(ChangeOutcome::WrongState))
+}
+
+/// A failed job runs again: what was dead, and what was not rendered because of it.
+async fn retry(connection: &mut Connection, id: JobId, moment: TransitionContext) -> Result<ChangeOutcome> {
+    let job: Option<i64> = sqlx::query_scalar(
+        "UPDATE job SET state = 'running', error = NULL, finished_at_ms = NULL, tiles_dead = 0, events_kept = 1,
+                        retried_at_ms = ?1, started_at_ms = coalesce(started_at_ms, ?1)
+         WHERE id = ?2 AND state = 'failed' AND tiles_dead > 0 RETURNING number",
+    )
+    .bind(moment.wall_ms)
+    .bind(id.to_string())
+    .fetch_optional(&mut *connection)
+    .await?;
+    let Some(job) = job else { return state(connection, id).await };
+    for statement in [
+        "UPDATE frame SET state = CASE WHEN tiles_done = tiles_total THEN 'stitching' ELSE 'open' END
+         WHERE job = ? AND state = 'void'",
+        "UPDATE tile SET state = 'ready', not_before_ms = 0, avoid = NULL, errors = 0, crashes = 0, lost = 0,
+                         interrupts = 0, blob = NULL, blob_bytes = NULL
+         WHERE job = ? AND state IN ('dead', 'void') AND (kind = 'render' OR EXISTS (
+             SELECT 1 FROM frame
+             WHERE frame.job = tile.job AND frame.number = tile.frame AND frame.state = 'stitching'))",
+    ] {
+        sqlx::query(statement).bind(job).execute(&mut *connection).await?;
+    }
+    Ok(ChangeOutcome::Done)
+}
+
+async fn change(connection: &mut Connection, id: JobId, patch: &JobPatch) -> Result<ChangeOutcome> {
+    let changed =
+        sqlx::query("UPDATE job SET priority = coalesce(?, priority) WHERE id = ? AND finished_at_ms IS NULL")
+            .bind(patch.priority)
+            .bind(id.to_string())
+            .execute(&mut *connection)
+            .await?;
+    if changed.rows_affected() == 1 { Ok(ChangeOutcome::Done) } else { state(connection, id).await }
+}

@@ -1,0 +1,119 @@
+//! Opening a frame: creates its row and its tiles, or stores it at once from a picture that exists already.
+
+use proto::Rect;
+
+use super::{Connection, Result, TransitionContext, expect_rows, finish, row_count};
+
+/// Everything needed to open a frame.
+#[derive(Clone, Debug)]
+pub(crate) struct FrameOpening {
+    /// The job's number.
+    pub(crate) job: i64,
+    /// The frame, which must be the job's next.
+    pub(crate) frame: u32,
+    /// Cache key of the frame's picture.
+    pub(crate) picture_key: String,
+    /// The frame's tiles.
+    pub(crate) tiles: Vec<Rect>,
+    /// Rays a pixel.
+    pub(crate) samples: u32,
+}
+
+/// Outcome of opening a frame.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum OpenOutcome {
+    /// Its picture was there already.
+    Stored,
+    /// Its tiles have to be rendered.
+    Open,
+    /// It is not the job's next frame: it was opened by another call, or the job has finished.
+    Stale,
+}
+
+/// Opens a frame: from the store if it can, else with tiles to render.
+pub(super) async fn open(
+    connection: &mut Connection,
+    opening: &FrameOpening,
+    moment: TransitionContext,
+) -> Result<OpenOutcome> {
+    match open_from_cache(connection, opening, moment).await? {
+        OpenOutcome::Open => {}
+        settled @ (OpenOutcome::Stored | OpenOutcome::Stale) => return Ok(settled),
+    }
+    count_opened(connection, opening).await?;
+    sqlx::query("INSERT INTO frame (job, number, state, picture_key, tiles_total) VALUES (?, ?, 'open', ?, ?)")
+        .bind(opening.job)
+        .bind(opening.frame)
+        .bind(&opening.picture_key)
+        .bind(row_count(opening.tiles.len()))
+        .execute(&mut *connection)
+        .await?;
+    create_tiles(connection, opening).await?;
+    Ok(OpenOutcome::Open)
+}
+
+/// Creates the tiles of a frame.
+pub(super) async fn create_tiles(connection: &mut Connection, opening: &FrameOpening) -> Result<()> {
+    let rects: Vec<[u32; 4]> = opening.tiles.iter().map(|rect| [rect.x, rect.y, rect.width, rect.height]).collect();
+    let made = sqlx::query(
+        "INSERT INTO tile (job, frame, kind, position, x_px, y_px, width_px, height_px, rays, state)
+         SELECT ?1, ?2, 'render', key, value ->> 0, value ->> 1, value ->> 2, value ->> 3,
+                (value ->> 2) * (value ->> 3) * ?3, 'ready'
+         FROM json_each(?4)",
+    )
+    .bind(opening.job)
+    .bind(opening.frame)
+    .bind(opening.samples)
+    .bind(serde_json::json!(rects).to_string())
+    .execute(connection)
+    .await?;
+    expect_rows("tile: made", opening.tiles.len() as u64, &made)
+}
+
+/// Stores a frame from a picture that is already there, unless the job asked for a fresh one.
+pub(super) async fn open_from_cache(
+    connection: &mut Connection,
+    opening: &FrameOpening,
+    moment: TransitionContext,
+) -> Result<OpenOutcome> {
+    let fresh: Option<bool> =
+        sqlx::query_scalar("SELECT fresh FROM job WHERE number = ? AND frames_opened = ? AND finished_at_ms IS NULL")
+            .bind(opening.job)
+            .bind(opening.frame)
+            .fetch_optional(&mut *connection)
+            .await?;
+    match fresh {
+        None => return Ok(OpenOutcome::Stale),
+        Some(true) => return Ok(OpenOutcome::Open),
+        Some(false) => {}
+    }
+    let stored = sqlx::query(
+        "INSERT INTO frame (job, number, state, picture_key, tiles_total, tiles_done, picture, size_bytes)
+         SELECT ?1, ?2, 'stored', key, ?3, ?3, hash, size_bytes FROM picture WHERE key = ?4",
+    )
+    .bind(opening.job)
+    .bind(opening.frame)
+    .bind(row_count(opening.tiles.len()))
+    .bind(&opening.picture_key)
+    .execute(&mut *connection)
+    .await?;
+    if stored.rows_affected() == 0 {
+        return Ok(OpenOutcome::Open);
+    }
+    count_opened(connection, opening).await?;
+    let rays: u64 = opening.tiles.iter().map(|rect| rect.pixels() * u64::from(opening.samples)).sum();
+    let counters = finish::ProgressDelta { tiles: row_count(opening.tiles.len()), rays: rays.cast_signed(), frames: 1 };
+    finish::progress(connection, opening.job, counters).await?;
+    finish::succeed_if_stored(connection, opening.job, moment).await?;
+    Ok(OpenOutcome::Stored)
+}
+
+async fn count_opened(connection: &mut Connection, opening: &FrameOpening) -> Result<()> {
+    let advanced =
+        sqlx::query("UPDATE job SET frames_opened = frames_opened + 1 WHERE number = ? AND frames_opened = ?")
+            .bind(opening.job)
+            .bind(opening.frame)
+            .execute(connection)
+            .await?;
+    expect_rows("job: next frame", 1, &advanced)
+}

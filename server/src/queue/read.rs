@@ -1,0 +1,306 @@
+//! Reads for users, through the reading connections.
+
+use proto::JobId;
+use proto::job::{DoneOfTotal, JobPage, JobState, JobView};
+use proto::pool::{WorkerList, WorkerState, WorkerView};
+use proto::rounding;
+use sqlx::Row;
+use sqlx::sqlite::{SqlitePool, SqliteRow};
+
+use super::{Queue, Result, finish, parse_column};
+use crate::clock::rfc3339;
+
+/// What stands for the newest job.
+const LATEST: &str = "latest";
+/// Characters of an id.
+const ID_CHARACTERS: usize = 36;
+/// Fewer characters of an id are no hint.
+const MIN_ID_CHARACTERS: usize = 4;
+/// Jobs that are looked through for a name or a part of an id.
+const MAX_SCANNED_ROWS: u32 = 100_000;
+
+/// The columns of a [`JobView`], before a condition.
+macro_rules! jobs_where {
+    ($condition:literal) => {
+        concat!(
+            "SELECT number, id, name, submitter, priority, state, frames_total, frames_stored, tiles_total, tiles_done, rays_total, rays_peak,
+                    paused, warnings, error, created_at_ms, started_at_ms, finished_at_ms, nodes,
+                    finished_at_ms IS NULL AND (frames_opened < frames_total OR EXISTS (
+                        SELECT 1 FROM tile WHERE tile.job = job.number AND tile.state = 'ready' AND kind = 'render'))
+                    AS waits,
+                    (SELECT max(coalesce(max_nodes, 9223372036854775807)) FROM worker
+                     WHERE state <> 'gone' AND state IN ('starting', 'ready')) AS farm_max_nodes,
+                    (SELECT value <> 0 FROM meta WHERE name = 'paused') AS farm_paused
+             FROM job WHERE ",
+            $condition
+        )
+    };
+}
+
+/// A frame's picture, as far as the database knows it.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(crate) enum StoredImage {
+    /// The picture is stored.
+    Stored {
+        /// BLAKE3 of its bytes, in hex.
+        hash: String,
+        /// Its size.
+        size_bytes: u64,
+        /// Its media type.
+        media_type: String,
+    },
+    /// The picture is not stored; its job is in this state.
+    NotYet(JobState),
+    /// The job has fewer frames.
+    NoFrame(u32),
+    /// The job does not exist.
+    NoJob,
+}
+
+/// Whether a picture of this key is stored.
+pub(super) async fn has_picture(readers: &SqlitePool, key: &str) -> Result<bool> {
+    let found: Option<i64> =
+        sqlx::query_scalar("SELECT 1 FROM picture WHERE key = ?").bind(key).fetch_optional(readers).await?;
+    Ok(found.is_some())
+}
+
+fn read_job(row: &SqliteRow, wall_ms: i64) -> Result<JobView> {
+    let id: String = row.try_get("id")?;
+    let state = finish::job_state(&row.try_get::<String, _>("state")?)?;
+    let warnings: String = row.try_get("warnings")?;
+    let mut warnings: Vec<String> = parse_column("job.warnings", &warnings, |text| serde_json::from_str(text).ok())?;
+    warnings.extend(too_large(row)?);
+    let started_at_ms: Option<i64> = row.try_get("started_at_ms")?;
+    let rays_total: i64 = row.try_get("rays_total")?;
+    let progress = row.try_get::<i64, _>("rays_peak")? as f64 / rays_total as f64;
+    let error: Option<String> = row.try_get("error")?;
+    let (paused, farm_paused): (bool, bool) = (row.try_get("paused")?, row.try_get("farm_paused")?);
+    Ok(JobView {
+        id: parse_column("job.id", &id, |id| id.parse().ok())?,
+        name: row.try_get("name")?,
+        submitter: row.try_get("submitter")?,
+        priority: row.try_get("priority")?,
+        state,
+        paused,
+        progress: rounding::fraction(progress),
+        tiles: DoneOfTotal { done: row.try_get("tiles_done")?, total: row.try_get("tiles_total")? },
+        frames: DoneOfTotal { done: row.try_get("frames_stored")?, total: row.try_get("frames_total")? },
+        errors: error.into_iter().collect(),
+        warnings,
+        created_at: rfc3339(row.try_get("created_at_ms")?),
+        started_at: started_at_ms.map(rfc3339),
+        finished_at: row.try_get::<Option<i64>, _>("finished_at_ms")?.map(rfc3339),
+        eta_seconds: started_at_ms
+            .filter(|_| state == JobState::Running && !paused && !farm_paused)
+            .and_then(|start| eta(start, wall_ms, progress)),
+    })
+}
+
+/// Warning for a job whose scene is larger than every present worker can render.
+fn too_large(row: &SqliteRow) -> Result<Option<String>> {
+    let nodes: i64 = row.try_get("nodes")?;
+    let farm_max_nodes: Option<i64> = row.try_get("farm_max_nodes")?;
+    let waits: bool = row.try_get("waits")?;
+    Ok(farm_max_nodes.filter(|max_nodes| waits && *max_nodes < nodes).map(|max_nodes| {
+        format!(
+            "no worker of this farm takes scenes of more than {max_nodes} nodes, and this one has {nodes}: \
+             start a CPU worker (`sdfarm worker --device cpu`)"
+        )
+    }))
+}
+
+/// Estimated seconds left, assuming constant speed.
+fn eta(started_at_ms: i64, wall_ms: i64, progress: f64) -> Option<f64> {
+    let elapsed_seconds = (wall_ms - started_at_ms).max(0) as f64 / 1000.0;
+    (progress > 0.0).then(|| rounding::seconds(elapsed_seconds * (1.0 - progress) / progress))
+}
+
+impl Queue {
+    /// A job, as users see it.
+    pub(crate) async fn job(&self, id: JobId) -> Result<Option<JobView>> {
+        let row = sqlx::query(jobs_where!("id = ?")).bind(id.to_string()).fetch_optional(self.readers()).await?;
+        row.map(|row| read_job(&row, self.clock.wall_ms())).transpose()
+    }
+
+    /// A page of jobs, newest first, from below `before`; only those of a submitter, if one is named.
+    pub(crate) async fn jobs(
+        &self,
+        submitter: Option<&str>,
+        state: Option<JobState>,
+        limit: u32,
+        before: Option<i64>,
+    ) -> Result<JobPage> {
+        let query = match (submitter, state) {
+            (None, None) => sqlx::query(jobs_where!("number < ? ORDER BY number DESC LIMIT ?")),
+            (None, Some(state)) => {
+                sqlx::query(jobs_where!("state = ? AND number < ? ORDER BY number DESC LIMIT ?")).bind(state.name())
+            }
+            (Some(submitter), None) => {
+                sqlx::query(jobs_where!("submitter = ? AND number < ? ORDER BY number DESC LIMIT ?")).bind(submitter)
+            }
+            (Some(submitter), Some(state)) => {
+                sqlx::query(jobs_where!("submitter = ? AND state = ? AND number < ? ORDER BY number DESC LIMIT ?"))
+                    .bind(submitter)
+                    .bind(state.name())
+            }
+        };
+        let query = query.bind(before.unwrap_or(i64::MAX));
+        let mut rows = query.bind(limit + 1).fetch_all(self.readers()).await?;
+        let more = rows.len() > limit as usize;
+        rows.truncate(limit as usize);
+        let last: Option<i64> = rows.last().filter(|_| more).map(|row| row.try_get("number")).transpose()?;
+        let wall_ms = self.clock.wall_ms();
+        let jobs = rows.iter().map(|row| read_job(row, wall_ms)).collect::<Result<Vec<_>>>()?;
+        Ok(JobPage { jobs, next_cursor: last.map(|number| number.to_string()) })
+    }
+
+    /// The jobs that a person may mean by a few characters, newest first: `latest`, a whole id, its first or last
+    /// characters, or a name; only those of a submitter, if one is named.
+    pub(crate) async fn jobs_like(&self, submitter: Option<&str>, text: &str, limit: u32) -> Result<JobPage> {
+        if text == LATEST {
+            let mut page = self.jobs(submitter, None, 1, None).await?;
+            page.next_cursor = None;
+            return Ok(page);
+        }
+        let id = text.to_ascii_lowercase();
+        let is_part = (MIN_ID_CHARACTERS..=ID_CHARACTERS).contains(&id.len())
+            && id.bytes().all(|byte| byte == b'-' || byte.is_ascii_hexdigit());
+        // The newest jobs are looked through: what is older is found by its whole id.
+        let rows = sqlx::query(jobs_where!(
+            "number IN (
+                 SELECT number FROM (SELECT number, id, name, submitter FROM job ORDER BY number DESC LIMIT ?1)
+                 WHERE (?2 IS NULL OR submitter = ?2) AND (name = ?3 OR (?4 AND (substr(id, 1, ?5) = ?6 OR substr(id, -?5) = ?6)))
+                 UNION SELECT number FROM job WHERE id = ?6 AND (?2 IS NULL OR submitter = ?2)
+             ) ORDER BY number DESC LIMIT ?7"
+        ))
+        .bind(MAX_SCANNED_ROWS)
+        .bind(submitter)
+        .bind(text)
+        .bind(is_part)
+        .bind(id.len() as i64)
+        .bind(&id)
+        .bind(limit)
+        .fetch_all(self.readers())
+        .await?;
+        let wall_ms = self.clock.wall_ms();
+        let jobs = rows.iter().map(|row| read_job(row, wall_ms)).collect::<Result<Vec<_>>>()?;
+        Ok(JobPage { jobs, next_cursor: None })
+    }
+
+    /// The file of a job by its id, as it was posted.
+    pub(crate) async fn file(&self, id: JobId) -> Result<Option<String>> {
+        Ok(sqlx::query_scalar("SELECT text FROM job_file JOIN job ON number = job WHERE id = ?")
+            .bind(id.to_string())
+            .fetch_optional(self.readers())
+            .await?)
+    }
+
+    /// The file of a job by its number, as it was posted.
+    pub(crate) async fn file_of(&self, number: i64) -> Result<Option<String>> {
+        Ok(sqlx::query_scalar("SELECT text FROM job_file WHERE job = ?")
+            .bind(number)
+            .fetch_optional(self.readers())
+            .await?)
+    }
+
+    /// A frame's picture.
+    pub(crate) async fn image(&self, id: JobId, frame: u32) -> Result<StoredImage> {
+        let row = sqlx::query(
+            "SELECT job.state, job.frames_total, job.media_type, frame.picture, frame.size_bytes
+             FROM job LEFT JOIN frame ON frame.job = job.number AND frame.number = ? WHERE job.id = ?",
+        )
+        .bind(frame)
+        .bind(id.to_string())
+        .fetch_optional(self.readers())
+        .await?;
+        let Some(row) = row else { return Ok(StoredImage::NoJob) };
+        let frames: u32 = row.try_get("frames_total")?;
+        if frame >= frames {
+            return Ok(StoredImage::NoFrame(frames));
+        }
+        let state = finish::job_state(&row.try_get::<String, _>("state")?)?;
+        Ok(match row.try_get::<Option<String>, _>("picture")? {
+            None => StoredImage::NotYet(state),
+            Some(hash) => StoredImage::Stored {
+                hash,
+                size_bytes: row.try_get("size_bytes")?,
+                media_type: row.try_get("media_type")?,
+            },
+        })
+    }
+
+    /// Every worker that is not gone.
+    pub(crate) async fn workers(&self) -> Result<WorkerList> {
+        let rows = sqlx::query(
+            "SELECT id, name, device, state, rays_per_second,
+                    (SELECT count(*) FROM lease INDEXED BY lease_live_by_worker
+                     WHERE lease.worker = worker.id AND lease.ended IS NULL) AS leases
+             FROM worker WHERE state <> 'gone' ORDER BY id",
+        )
+        .fetch_all(self.readers())
+        .await?;
+        let workers = rows.iter().map(read_worker).collect::<Result<Vec<_>>>()?;
+        Ok(WorkerList { workers })
+    }
+
+    /// Workers of the pool that take work.
+    pub(crate) async fn pool_ready(&self) -> Result<u32> {
+        Ok(sqlx::query_scalar("SELECT count(*) FROM worker WHERE state <> 'gone' AND state = 'ready' AND pool = 1")
+            .fetch_one(self.readers())
+            .await?)
+    }
+
+    /// Which of some blobs no unfinished frame needs.
+    pub(crate) async fn orphan_blobs(&self, hashes: &[String]) -> Result<Vec<String>> {
+        Ok(sqlx::query_scalar(
+            "SELECT value FROM json_each(?) WHERE NOT EXISTS (
+                 SELECT 1 FROM tile JOIN frame ON frame.job = tile.job AND frame.number = tile.frame
+                 WHERE tile.blob = value AND frame.state IN ('open', 'stitching'))",
+        )
+        .bind(super::json_list(hashes))
+        .fetch_all(self.readers())
+        .await?)
+    }
+
+    /// Which of some pictures no job shows.
+    pub(crate) async fn orphan_pictures(&self, hashes: &[String]) -> Result<Vec<String>> {
+        Ok(sqlx::query_scalar(
+            "SELECT value FROM json_each(?)
+             WHERE NOT EXISTS (SELECT 1 FROM frame WHERE frame.picture IS NOT NULL AND frame.picture = value)
+               AND NOT EXISTS (SELECT 1 FROM picture WHERE picture.hash = value)",
+        )
+        .bind(super::json_list(hashes))
+        .fetch_all(self.readers())
+        .await?)
+    }
+
+    /// Whether the database answers.
+    pub(crate) async fn check(&self) -> Result<()> {
+        sqlx::query("SELECT value FROM meta").fetch_one(self.readers()).await?;
+        Ok(())
+    }
+}
+
+fn read_worker(row: &SqliteRow) -> Result<WorkerView> {
+    let id: String = row.try_get("id")?;
+    let state: String = row.try_get("state")?;
+    Ok(WorkerView {
+        id: parse_column("worker.id", &id, |id| id.parse().ok())?,
+        name: row.try_get("name")?,
+        device: row.try_get("device")?,
+        state: parse_column("worker.state", &state, worker_state)?,
+        rays_per_second: row.try_get::<Option<f64>, _>("rays_per_second")?.map(rounding::rate),
+        leases: row.try_get("leases")?,
+    })
+}
+
+fn worker_state(name: &str) -> Option<WorkerState> {
+    Some(match name {
+        "starting" => WorkerState::Starting,
+        "ready" => WorkerState::Ready,
+        "draining" => WorkerState::Draining,
+        "gone" => WorkerState::Gone,
+        "quarantined" => WorkerState::Quarantined,
+        _ => return None,
+    })
+}

@@ -1,0 +1,132 @@
+//! Fair share between submitters, with the real queue and a manual clock.
+
+use std::time::Duration;
+
+use proto::worker_protocol::{Batch, BatchWork, LeaseOutcome, LeaseReport};
+use proto::{JobId, WorkerId};
+
+use super::{Fixture, leases, new_job, turn};
+use crate::queue::{NewJob, NextWork, SyncInput};
+use crate::tile_plan::TilePlan;
+
+/// A worker's speed, of which a tile of `large` takes a second.
+const RAYS_PER_SECOND: f64 = 1024.0;
+
+/// A job of this many tiles, of one second each.
+fn job_of(submitter: &str, tiles: u32, priority: i32) -> NewJob {
+    let plan =
+        TilePlan { width_px: 32 * tiles, height_px: 32, samples: 1, pixel_bytes: 16, edge_px: Some(32), frames: 1 };
+    NewJob { submitter: submitter.to_owned(), priority, plan, ..new_job(1) }
+}
+
+async fn submit(bench: &Fixture, new: NewJob) -> JobId {
+    let id = new.id;
+    bench.queue.submit(new).await.expect("accepted");
+    id
+}
+
+async fn claim(bench: &Fixture, worker: WorkerId) -> Option<Batch> {
+    let said = SyncInput { wants_work: true, rays_per_second: Some(RAYS_PER_SECOND), ..turn(worker) };
+    match bench.turn(said).await.expect("known").next {
+        NextWork::Run(run) => Some(run),
+        NextWork::OpenFrame { .. } | NextWork::Nothing(_) => None,
+    }
+}
+
+/// Finishes a run and lets the time pass that it takes.
+async fn finish(bench: &Fixture, worker: WorkerId, run: &Batch) {
+    let count = leases(run).count() as u32;
+    for _ in 0..count {
+        bench.hand.advance(Duration::from_millis(900));
+        let holding = leases(run).collect();
+        bench.turn(SyncInput { held_leases: holding, ..turn(worker) }).await;
+    }
+    let hash = blake3::hash(b"pixels").to_hex().to_string();
+    let whole = !matches!(run.work, BatchWork::Render { whole_frame: false, .. });
+    let outcome =
+        if whole { LeaseOutcome::Picture { hash, size_bytes: 1 } } else { LeaseOutcome::Blob { hash, size_bytes: 1 } };
+    let results = leases(run).map(|lease| LeaseReport { lease, outcome: outcome.clone() }).collect();
+    bench.turn(SyncInput { reports: results, ..turn(worker) }).await;
+}
+
+#[tokio::test]
+async fn a_hundred_thousand_tiles_delay_anothers_tile_by_two_leases_at_most() {
+    let bench = Fixture::new().await;
+    let worker = bench.worker(None).await;
+    for _ in 0..100 {
+        submit(&bench, job_of("many", 1000, 0)).await;
+    }
+    for round in 0..20 {
+        for _ in 0..round % 3 {
+            let run = claim(&bench, worker).await.expect("work");
+            finish(&bench, worker, &run).await;
+        }
+        let few = submit(&bench, job_of("few", 1, 0)).await;
+        let mut leases_before = 0;
+        loop {
+            let run = claim(&bench, worker).await.expect("work");
+            finish(&bench, worker, &run).await;
+            if run.job == few {
+                break;
+            }
+            leases_before += 1;
+        }
+        assert!(leases_before <= 2, "{leases_before} leases in round {round}");
+    }
+    bench.check().await;
+}
+
+#[tokio::test]
+async fn submitters_are_served_by_turns_whatever_they_queue() {
+    let bench = Fixture::new().await;
+    let worker = bench.worker(None).await;
+    let mut of = std::collections::HashMap::new();
+    for (submitter, jobs) in [("a", 1), ("b", 3), ("c", 9)] {
+        for _ in 0..jobs {
+            of.insert(submit(&bench, job_of(submitter, 100, 0)).await, submitter);
+        }
+    }
+    let mut served = std::collections::BTreeMap::<_, i32>::new();
+    for _ in 0..60 {
+        let run = claim(&bench, worker).await.expect("work");
+        *served.entry(of[&run.job]).or_default() += 1;
+        finish(&bench, worker, &run).await;
+    }
+    assert!(served.values().all(|count| (18..=22).contains(count)), "{served:?}");
+}
+
+#[tokio::test]
+async fn priority_goes_before_fairness() {
+    let bench = Fixture::new().await;
+    let worker = bench.worker(None).await;
+    submit(&bench, job_of("few", 1, 0)).await;
+    let urgent = submit(&bench, job_of("many", 50, 1)).await;
+    for _ in 0..50 {
+        let run = claim(&bench, worker).await.expect("work");
+        assert_eq!(run.job, urgent);
+        finish(&bench, worker, &run).await;
+    }
+}
+
+#[tokio::test]
+async fn a_job_that_was_paused_saves_up_no_credit() {
+    let bench = Fixture::new().await;
+    let worker = bench.worker(None).await;
+    let other = submit(&bench, job_of("steady", 1000, 0)).await;
+    let paused = submit(&bench, job_of("paused", 1000, 0)).await;
+    bench.queue.pause(paused, true).await.expect("pauses");
+    for _ in 0..200 {
+        let run = claim(&bench, worker).await.expect("work");
+        assert_eq!(run.job, other, "nothing of a paused job is leased");
+        finish(&bench, worker, &run).await;
+    }
+    bench.queue.pause(paused, false).await.expect("resumes");
+    let mut served = 0;
+    for _ in 0..20 {
+        let run = claim(&bench, worker).await.expect("work");
+        served += i32::from(run.job == paused);
+        finish(&bench, worker, &run).await;
+    }
+    assert!((9..=11).contains(&served), "{served} of 20");
+    bench.check().await;
+}

@@ -1,0 +1,53 @@
+//! Trace of a job, so that all later work on the job continues it.
+//!
+//! No decision depends on a trace; without one, nothing else changes.
+
+use proto::JobId;
+
+use super::{Queue, Result, expect_rows, recover};
+use crate::database::Durability;
+
+impl Queue {
+    /// Keeps the trace of a job that is about to be accepted.
+    pub(crate) async fn keep_trace(&self, job: JobId, traceparent: String) -> Result<()> {
+        self.database
+            .write(Durability::Relaxed, move |connection| {
+                Box::pin(async move {
+                    let kept = sqlx::query("INSERT INTO job_trace (job, traceparent) VALUES (?, ?)")
+                        .bind(job.to_string())
+                        .bind(traceparent)
+                        .execute(connection)
+                        .await?;
+                    expect_rows("job_trace: kept", 1, &kept)
+                })
+            })
+            .await
+    }
+
+    /// The trace that a job belongs to, if it has one.
+    pub(crate) async fn trace_of(&self, job: JobId) -> Result<Option<String>> {
+        Ok(sqlx::query_scalar("SELECT traceparent FROM job_trace WHERE job = ?")
+            .bind(job.to_string())
+            .fetch_optional(self.readers())
+            .await?)
+    }
+
+    /// Drops the traces of jobs that are finished, forgotten, or were never accepted, unless they are young; returns how
+    /// many.
+    pub(crate) async fn drop_traces(&self) -> Result<u64> {
+        self.database
+            .write(Durability::Relaxed, move |connection| {
+                Box::pin(async move {
+                    let dropped = sqlx::query(
+                        "DELETE FROM job_trace WHERE job < ? AND NOT EXISTS (
+                             SELECT 1 FROM job WHERE job.id = job_trace.job AND finished_at_ms IS NULL)",
+                    )
+                    .bind(recover::min_kept_id(uuid::Uuid::now_v7()))
+                    .execute(connection)
+                    .await?;
+                    Ok(dropped.rows_affected())
+                })
+            })
+            .await
+    }
+}

@@ -1,0 +1,173 @@
+//! Startup: checks everything about the server's environment before it serves, with an error and its fix for
+//! each problem.
+
+use std::io;
+use std::net::SocketAddr;
+use std::path::PathBuf;
+use std::sync::Arc;
+
+use tokio::sync::mpsc;
+use tokio_util::sync::CancellationToken;
+
+use crate::Server;
+use crate::admission::Admission;
+use crate::clock::Clock;
+use crate::config::Config;
+use crate::content_store::ContentStore;
+use crate::database::{Database, DatabaseError, OpenError};
+use crate::events::EventHub;
+use crate::farm::{Farm, ServerCounters};
+use crate::job_cache::JobCache;
+use crate::listen::Listeners;
+use crate::lock::{FolderLock, LockError};
+use crate::pool::Pool;
+use crate::preview_helper::PreviewHelper;
+use crate::queue::Queue;
+use crate::signed_links::LinkSigner;
+use crate::telemetry::Telemetry;
+use crate::webhooks::{AddressPolicy, SecretError, Signer, Webhooks, webhook_secret};
+
+/// Error that prevents the start, with its fix.
+#[derive(Debug, thiserror::Error)]
+pub enum StartError {
+    /// The address is not loopback's, and there are no keys.
+    #[error(
+        "refusing to listen on {0}: it is not a loopback address, there are no keys, and anyone who reaches it could \
+         use the farm; make a key (sdfarm key new NAME --scope admin --data FOLDER), listen on 127.0.0.1, or say \
+         --insecure if that is meant"
+    )]
+    NoKeysBeyondLoopback(SocketAddr),
+    /// The data folder can't be used.
+    #[error("the data folder {folder} can't be used: {source}; make it writable, or name another with --data")]
+    DataFolder {
+        /// The folder.
+        folder: PathBuf,
+        /// Error of the system.
+        source: io::Error,
+    },
+    /// Another server has the data folder.
+    #[error(
+        "data folder {folder} is in use by another server (pid {holder}): stop that one, or name another folder with --data"
+    )]
+    InUse {
+        /// The folder.
+        folder: PathBuf,
+        /// The other server's process id.
+        holder: String,
+    },
+    /// The database can't be used.
+    #[error("the database {file} can't be used: {reason}; {cure}")]
+    Database {
+        /// The file.
+        file: PathBuf,
+        /// Reason.
+        reason: String,
+        /// Fix.
+        cure: &'static str,
+    },
+    /// The certificate can't be used.
+    #[error("can't offer TLS: {0}; name PEM files with --tls-cert and --tls-key")]
+    Tls(String),
+    /// There is no secret to sign webhooks with.
+    #[error("{0}; set SDFARM_WEBHOOK_SECRET, or move the file away to have a new one made")]
+    WebhookSecret(#[from] SecretError),
+    /// The address can't be had.
+    #[error("can't listen on {address}: {source}; stop what listens there, or choose another address with --listen")]
+    Listen {
+        /// The address.
+        address: SocketAddr,
+        /// Error of the system.
+        source: io::Error,
+    },
+}
+
+const RESTORE_FIX: &str = "restore it from a backup, or move it away to start with an empty farm";
+const MAKE_ROOM_FIX: &str = "make room on its disk";
+const MAKE_WRITABLE_FIX: &str = "make it and its folder writable, or name another folder with --data";
+const UPGRADE_FIX: &str = "it may be of a newer release: run that one";
+
+/// See [`Server::start`].
+pub(crate) async fn start(config: Config, clock: Clock) -> Result<Server, StartError> {
+    let folder = |source| StartError::DataFolder { folder: config.data.clone(), source };
+    std::fs::create_dir_all(&config.data).map_err(folder)?;
+    let lock = FolderLock::acquire(&config.data).map_err(|error| match error {
+        LockError::InUse(holder) => StartError::InUse { folder: config.data.clone(), holder },
+        LockError::Io(source) => folder(source),
+    })?;
+    let pictures = ContentStore::open(&config.data).map_err(folder)?;
+    let links = LinkSigner::open(&config.data).map_err(folder)?;
+    let sketches = PreviewHelper::open(&config.data, &config.worker_program).map_err(folder)?;
+    let entrance = Listeners::open(&config).await?;
+    let file = Database::file(&config.data);
+    let store = Arc::new(Database::open(&config.data).await.map_err(|error| database_error(file.clone(), error))?);
+    let lease_ms = i64::try_from(config.lease.as_millis()).unwrap_or(i64::MAX / 4).max(1);
+    let admission = Admission::open(Arc::clone(&store), clock.clone())
+        .await
+        .map_err(|error| explain_store(file.clone(), &error))?;
+    if !entrance.address().ip().is_loopback() && !config.insecure && admission.keys.live() == 0 {
+        store.close().await;
+        return Err(StartError::NoKeysBeyondLoopback(config.listen));
+    }
+    let (queue, recovered) =
+        Queue::open(Arc::clone(&store), clock, lease_ms).await.map_err(|error| explain_store(file, &error))?;
+    tracing::info!(
+        data = %config.data.display(), boot = recovered.generation, unfinished_jobs = recovered.jobs,
+        handed_back = recovered.leases, "opened the data folder"
+    );
+    let webhooks = webhooks(&config)?;
+    let (left, leftovers) = mpsc::unbounded_channel();
+    let farm = Arc::new(Farm {
+        events: EventHub::new(queue.clone()),
+        webhooks,
+        queue,
+        content: pictures,
+        jobs: JobCache::new(),
+        admission,
+        pool: Pool::new(config.pool_workers()),
+        preview_helper: sketches,
+        links,
+        totals: ServerCounters::default(),
+        telemetry: Telemetry::new(config.data.clone(), &store),
+        orphans: left,
+        is_shutting_down: CancellationToken::new(),
+        shutdown: CancellationToken::new(),
+        config,
+    });
+    Ok(Server { listeners: entrance, farm, store, orphans: leftovers, lock })
+}
+
+/// Creates the sender of webhooks, with the operator's secret or the data folder's own.
+fn webhooks(config: &Config) -> Result<Webhooks, StartError> {
+    let secret = match &config.webhook_secret {
+        Some(secret) => secret.clone(),
+        None => webhook_secret(&config.data)?,
+    };
+    Ok(Webhooks::new(AddressPolicy::new(&config.allowed_webhook_ranges), Signer::new(&secret)?))
+}
+
+fn database_error(file: PathBuf, error: OpenError) -> StartError {
+    match error {
+        OpenError::Sql(error) | OpenError::Migrate(sqlx::migrate::MigrateError::Execute(error)) => {
+            explain_store(file, &error.into())
+        }
+        OpenError::Migrate(error) => StartError::Database { file, reason: error.to_string(), cure: UPGRADE_FIX },
+        OpenError::Damaged(verdict) => {
+            StartError::Database { file, reason: format!("it is damaged ({verdict})"), cure: RESTORE_FIX }
+        }
+    }
+}
+
+fn explain_store(file: PathBuf, error: &DatabaseError) -> StartError {
+    let reason = match error {
+        DatabaseError::Sql(error) => error.to_string(),
+        DatabaseError::Rows { .. } | DatabaseError::Value { .. } | DatabaseError::Closed => error.to_string(),
+    };
+    let cure = if error.is_full() {
+        MAKE_ROOM_FIX
+    } else if error.is_corruption() {
+        RESTORE_FIX
+    } else {
+        MAKE_WRITABLE_FIX
+    };
+    StartError::Database { file, reason, cure }
+}

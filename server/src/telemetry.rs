@@ -1,0 +1,261 @@
+//! Metrics and status for operators, and how they are collected.
+//!
+//! It only reads and counts; nothing in the farm depends on it. Counting takes a bounded fraction of the
+//! time: counts are cached for 1 s, or longer if counting took long.
+
+pub(crate) mod host;
+mod metrics;
+
+use std::collections::{HashMap, VecDeque};
+use std::path::PathBuf;
+use std::sync::Mutex;
+use std::sync::atomic::Ordering;
+use std::time::Duration;
+
+use proto::worker_protocol::{DeviceMemory, MAX_TIMINGS, WorkerMetrics};
+use proto::{JobId, WorkerId};
+use tokio::time::Instant;
+
+use crate::clock::monotonic_now;
+use crate::database::{Database, DatabaseError};
+use crate::farm::{Farm, ServerCounters};
+use crate::queue::QueueStats;
+use host::{Disk, Process};
+use metrics::{Labels, replace};
+pub(crate) use metrics::{Metrics, counts, seconds};
+
+/// How long counts are cached.
+const COUNTS_TTL: Duration = Duration::from_secs(1);
+/// How long the sizes of folders are cached.
+const SIZES_TTL: Duration = Duration::from_secs(30);
+/// Counting takes at most one part in this many of the time.
+const MAX_COUNTING_FRACTION: u32 = 20;
+/// How long a worker's GPU is shown after its last report.
+const DEVICE_TTL: Duration = Duration::from_mins(2);
+/// Jobs whose traces are remembered.
+const MAX_CACHED_TRACES: usize = 64;
+/// Longer than any phase of a batch; longer durations are rejected as invalid.
+const MAX_TOOK_MS: f64 = 1e9;
+
+/// Metrics and caches of the server.
+#[derive(Debug)]
+pub(crate) struct Telemetry {
+    /// Metrics counted as they happen.
+    pub(crate) metrics: Metrics,
+    started: Instant,
+    data: PathBuf,
+    counts: tokio::sync::Mutex<Option<Expiring<QueueStats>>>,
+    sizes: tokio::sync::Mutex<Option<Expiring<FolderSizes>>>,
+    devices: Mutex<HashMap<WorkerId, DeviceStatus>>,
+    traces: Mutex<VecDeque<(JobId, Option<String>)>>,
+}
+
+/// Sizes in the data folder.
+#[derive(Clone, Copy, Debug, Default)]
+pub(crate) struct FolderSizes {
+    pictures_bytes: u64,
+    blobs_bytes: u64,
+    disk: Disk,
+}
+
+/// Cached value and its expiry.
+#[derive(Debug)]
+struct Expiring<T> {
+    value: T,
+    until: Instant,
+}
+
+impl<T: Clone> Expiring<T> {
+    fn get(kept: Option<&Self>) -> Option<T> {
+        kept.filter(|kept| monotonic_now() < kept.until).map(|kept| kept.value.clone())
+    }
+
+    fn new(value: T, begun: Instant, keep: Duration) -> Self {
+        Self { value, until: monotonic_now() + keep.max(begun.elapsed() * MAX_COUNTING_FRACTION) }
+    }
+}
+
+/// A worker's device.
+#[derive(Debug)]
+struct DeviceStatus {
+    name: String,
+    device: String,
+    memory: Option<DeviceMemory>,
+    at: Instant,
+}
+
+impl Telemetry {
+    /// Watches a server that starts now.
+    pub(crate) fn new(data: PathBuf, store: &Database) -> Self {
+        Self {
+            metrics: Metrics::new(store.commits()),
+            started: monotonic_now(),
+            data,
+            counts: tokio::sync::Mutex::default(),
+            sizes: tokio::sync::Mutex::default(),
+            devices: Mutex::default(),
+            traces: Mutex::default(),
+        }
+    }
+
+    /// A worker registered.
+    pub(crate) fn record_worker(&self, worker: WorkerId, name: &str, device: &str) {
+        let mut devices = self.devices.lock().expect("no holder panics");
+        devices.retain(|_, seen| seen.at.elapsed() < DEVICE_TTL);
+        let seen = DeviceStatus { name: name.to_owned(), device: device.to_owned(), memory: None, at: monotonic_now() };
+        devices.insert(worker, seen);
+    }
+
+    /// Records a worker's measurements. For a worker that registered with an earlier server, only its
+    /// speed is known.
+    pub(crate) fn record_metrics(&self, worker: WorkerId, measured: &WorkerMetrics) {
+        let mut devices = self.devices.lock().expect("no holder panics");
+        let Some(seen) = devices.get_mut(&worker) else { return };
+        seen.at = monotonic_now();
+        seen.memory = measured.memory.or(seen.memory);
+        let is_sound = |took_ms: f64| (0.0..MAX_TOOK_MS).contains(&took_ms);
+        for timing in measured.timings.iter().take(MAX_TIMINGS).filter(|timing| is_sound(timing.took_ms)) {
+            self.metrics.record_timing(&seen.device, timing);
+        }
+    }
+
+    /// The trace that a job belongs to, of which the newest are remembered.
+    pub(crate) async fn trace_of(&self, farm: &Farm, job: JobId) -> Result<Option<String>, DatabaseError> {
+        let known = |traces: &VecDeque<(JobId, Option<String>)>| {
+            traces.iter().find(|(id, _)| *id == job).map(|(_, trace)| trace.clone())
+        };
+        if let Some(trace) = known(&self.traces.lock().expect("no holder panics")) {
+            return Ok(trace);
+        }
+        let trace = farm.queue.trace_of(job).await?;
+        let mut traces = self.traces.lock().expect("no holder panics");
+        traces.push_front((job, trace.clone()));
+        traces.truncate(MAX_CACHED_TRACES);
+        Ok(trace)
+    }
+
+    /// Time since the start.
+    pub(crate) fn uptime(&self) -> Duration {
+        self.started.elapsed()
+    }
+
+    /// Current counts, cached for a short time.
+    pub(crate) async fn counts(&self, farm: &Farm) -> Result<QueueStats, DatabaseError> {
+        let mut kept = self.counts.lock().await;
+        if let Some(counts) = Expiring::get(kept.as_ref()) {
+            return Ok(counts);
+        }
+        let begun = monotonic_now();
+        let counts = farm.queue.counts().await?;
+        *kept = Some(Expiring::new(counts.clone(), begun, COUNTS_TTL));
+        Ok(counts)
+    }
+
+    /// Sizes in the data folder, cached for 30 s.
+    pub(crate) async fn sizes(&self) -> FolderSizes {
+        let mut kept = self.sizes.lock().await;
+        if let Some(sizes) = Expiring::get(kept.as_ref()) {
+            return sizes;
+        }
+        let (begun, data) = (monotonic_now(), self.data.clone());
+        let measure = move || FolderSizes {
+            pictures_bytes: host::folder_bytes(&data.join("pictures")),
+            blobs_bytes: host::folder_bytes(&data.join("tiles")),
+            disk: host::disk(&data),
+        };
+        let sizes = tokio::task::spawn_blocking(measure).await.unwrap_or_default();
+        *kept = Some(Expiring::new(sizes, begun, SIZES_TTL));
+        sizes
+    }
+
+    /// Every metric, in the `OpenMetrics` format.
+    pub(crate) async fn text(&self, farm: &Farm) -> Result<String, DatabaseError> {
+        let counts = self.counts(farm).await?;
+        let sizes = self.sizes().await;
+        self.set_queue(&counts, farm.pool.target_size());
+        self.set_totals(&farm.totals);
+        self.set_machine(sizes, host::process());
+        self.set_devices();
+        Ok(self.metrics.text())
+    }
+
+    fn set_queue(&self, counts: &QueueStats, pool_workers: u32) {
+        let metrics = &self.metrics;
+        let state = |name: &str| vec![("state", name.to_owned())];
+        let jobs = ["queued", "running", "succeeded", "failed", "cancelled"];
+        replace(&metrics.jobs, jobs.map(|name| (state(name), counts.jobs_in(name) as f64)));
+        let unopened = (counts.tiles_left - counts.tiles_ready - counts.leases).max(0);
+        let tiles = [
+            ("ready", counts.tiles_ready),
+            ("leased", counts.leases),
+            ("done", counts.tiles_done),
+            ("unopened", unopened),
+        ];
+        replace(&metrics.tiles, tiles.map(|(name, number)| (state(name), number as f64)));
+        let mut workers: HashMap<&str, i64> =
+            ["starting", "ready", "draining", "quarantined"].map(|name| (name, 0)).into();
+        let mut speeds: HashMap<&str, f64> = HashMap::new();
+        for group in &counts.workers {
+            *workers.entry(&group.state).or_default() += group.number;
+            if group.state == "ready" {
+                *speeds.entry(&group.device).or_default() += group.rays_per_second;
+            }
+        }
+        replace(&metrics.workers, workers.into_iter().map(|(name, number)| (state(name), number as f64)));
+        let device = |name: &str| vec![("device", name.to_owned())];
+        replace(&metrics.rays_per_second, speeds.into_iter().map(|(name, speed)| (device(name), speed)));
+        metrics.pool_workers.set(pool_workers.into());
+        metrics.oldest_seconds.set(counts.oldest_seconds);
+        metrics.oldest_queued_seconds.set(counts.oldest_queued_seconds);
+        metrics.rays_left.set(counts.rays_left as f64);
+        metrics.work_seconds.set(counts.work_seconds());
+    }
+
+    fn set_totals(&self, totals: &ServerCounters) {
+        let metrics = &self.metrics;
+        for (counter, total) in [
+            (&metrics.expired, &totals.expired),
+            (&metrics.fenced, &totals.fenced),
+            (&metrics.nondeterministic, &totals.nondeterministic),
+            (&metrics.webhook_failures, &totals.webhook_failures),
+        ] {
+            counter.inner().store(total.load(Ordering::Relaxed), Ordering::Relaxed);
+        }
+    }
+
+    fn set_machine(&self, sizes: FolderSizes, process: Process) {
+        let metrics = &self.metrics;
+        let kind = |name: &str| vec![("kind", name.to_owned())];
+        let stored = [("pictures", sizes.pictures_bytes), ("tiles", sizes.blobs_bytes)];
+        replace(&metrics.store_bytes, stored.map(|(name, bytes)| (kind(name), bytes as f64)));
+        let file = Database::file(&self.data);
+        for (level, value) in [
+            (&metrics.uptime_seconds, self.uptime().as_secs_f64()),
+            (&metrics.database_bytes, host::file_bytes(&file) as f64),
+            (&metrics.wal_bytes, host::file_bytes(&file.with_extension("sqlite-wal")) as f64),
+            (&metrics.disk_free_bytes, sizes.disk.free_bytes as f64),
+            (&metrics.disk_bytes, sizes.disk.total_bytes as f64),
+            (&metrics.resident_bytes, process.resident_bytes as f64),
+            (&metrics.open_files, process.open_files as f64),
+            (&metrics.max_files, process.max_files as f64),
+        ] {
+            level.set(value);
+        }
+        metrics.cpu_seconds.inner().store(process.cpu_seconds.to_bits(), Ordering::Relaxed);
+    }
+
+    fn set_devices(&self) {
+        let mut devices = self.devices.lock().expect("no holder panics");
+        devices.retain(|_, seen| seen.at.elapsed() < DEVICE_TTL);
+        let memories: Vec<(Labels, DeviceMemory)> = devices
+            .values()
+            .filter_map(|seen| {
+                Some((vec![("worker", seen.name.clone()), ("device", seen.device.clone())], seen.memory?))
+            })
+            .collect();
+        let used = memories.iter().map(|(labels, memory)| (labels.clone(), memory.used_bytes as f64));
+        replace(&self.metrics.gpu_used_bytes, used);
+        let total = memories.iter().map(|(labels, memory)| (labels.clone(), memory.total_bytes as f64));
+        replace(&self.metrics.gpu_bytes, total);
+    }
+}

@@ -1,0 +1,87 @@
+//! A job becomes frames and tiles: arithmetic only.
+
+use proto::Rect;
+use proto::tile::Tiling;
+
+/// How every frame of a job is cut into tiles.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) struct TilePlan {
+    /// Picture width, in pixels.
+    pub(crate) width_px: u32,
+    /// Picture height, in pixels.
+    pub(crate) height_px: u32,
+    /// Rays a pixel.
+    pub(crate) samples: u32,
+    /// Bytes of finished data a pixel.
+    pub(crate) pixel_bytes: u32,
+    /// Edge that the operator asked for, in pixels.
+    pub(crate) edge_px: Option<u32>,
+    /// Frames of the job.
+    pub(crate) frames: u32,
+}
+
+impl TilePlan {
+    /// Plan of a job; `chosen_edge_px` is the operator's tile edge, if any.
+    pub(crate) fn new(job: &scene::Job, edge_px: Option<u32>) -> Self {
+        Self {
+            width_px: job.image.width,
+            height_px: job.image.height,
+            samples: job.image.samples,
+            pixel_bytes: job.image.pixel_bytes(),
+            edge_px,
+            frames: job.frames.count,
+        }
+    }
+
+    /// The tiles of any one frame, row by row.
+    pub(crate) fn tiles(&self) -> Vec<Rect> {
+        Tiling {
+            width: self.width_px,
+            height: self.height_px,
+            samples: self.samples,
+            pixel_bytes: self.pixel_bytes,
+            tile_edge: self.edge_px,
+        }
+        .tiles()
+    }
+
+    /// Tiles of all frames.
+    pub(crate) fn tiles_total(&self) -> u64 {
+        self.tiles().len() as u64 * u64::from(self.frames)
+    }
+
+    /// Camera rays of one frame.
+    pub(crate) fn frame_rays(&self) -> u64 {
+        self.rays(Rect::full(self.width_px, self.height_px))
+    }
+
+    /// Camera rays of all frames.
+    pub(crate) fn rays_total(&self) -> u64 {
+        self.frame_rays().saturating_mul(u64::from(self.frames))
+    }
+
+    /// Bytes of one frame's finished data.
+    pub(crate) fn frame_bytes(&self) -> u64 {
+        Rect::full(self.width_px, self.height_px).pixels() * u64::from(self.pixel_bytes)
+    }
+
+    /// Camera rays of a rectangle.
+    pub(crate) fn rays(&self, rect: Rect) -> u64 {
+        rect.pixels() * u64::from(self.samples)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn tiles_carry_all_the_rays_of_a_frame() {
+        let plan =
+            TilePlan { width_px: 1920, height_px: 1080, samples: 4, pixel_bytes: 16, edge_px: Some(256), frames: 3 };
+        let rays: u64 = plan.tiles().into_iter().map(|rect| plan.rays(rect)).sum();
+        assert_eq!(rays, plan.frame_rays());
+        assert_eq!(plan.rays_total(), 3 * rays);
+        assert_eq!(plan.tiles_total(), 3 * 8 * 5);
+    }
+}

@@ -1,0 +1,140 @@
+//! A server's life: what it refuses to start with, what a restart keeps, its health.
+
+use std::net::TcpListener;
+use std::path::Path;
+
+use proto::job::JobState;
+use proto::worker_protocol;
+use reqwest::StatusCode;
+use serde_json::{Value, json};
+use server::{Server, StartError};
+
+use super::harness::{Farm, assert_state, config, in_time, leases, read, refused, small_job};
+
+async fn start_error(data: &Path, change: impl FnOnce(&mut server::Config)) -> StartError {
+    let mut config = config(data);
+    change(&mut config);
+    Server::start(config).await.expect_err("the server must not start")
+}
+
+#[tokio::test]
+async fn a_restart_keeps_jobs_and_pictures_and_a_worker_from_elsewhere_keeps_its_lease() {
+    let farm = Farm::start().await;
+    let done = farm.submit(&small_job(1)).await;
+    farm.worker("one").await.work_off().await;
+    let open = farm.submit(&small_job(2)).await;
+    let waiting = farm.submit(&small_job(3)).await;
+    let worker = farm.worker("two").await;
+    let run = worker.claim().await.expect("work");
+    let id = worker.id;
+    let folder = farm.stop().await;
+
+    let farm = Farm::start_in(folder, |_| {}).await;
+    assert_state(&farm, done.id, JobState::Succeeded).await;
+    assert_eq!(farm.get(&format!("/v1/jobs/{}/image", done.id)).await.status(), StatusCode::OK);
+    assert_state(&farm, waiting.id, JobState::Queued).await;
+    let mut worker = farm.worker("two").await;
+    worker.id = id;
+    assert_eq!(worker.report(worker.results(&run).await).await.revoked_leases, []);
+    assert_state(&farm, open.id, JobState::Succeeded).await;
+    farm.stop().await;
+}
+
+#[tokio::test]
+async fn a_data_folder_has_one_server() {
+    let farm = Farm::start().await;
+    let error = start_error(farm.folder.path(), |_| {}).await;
+    assert!(matches!(error, StartError::InUse { .. }), "{error:?}");
+    assert!(error.to_string().contains(&format!("pid {}", std::process::id())), "{error}");
+    farm.stop().await;
+}
+
+#[tokio::test]
+async fn a_busy_port_an_exposed_address_and_a_damaged_database_are_named_with_a_cure() {
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let busy = TcpListener::bind("127.0.0.1:0").expect("a free port");
+    let address = busy.local_addr().expect("an address");
+    let error = start_error(folder.path(), |config| config.listen = address).await.to_string();
+    assert!(error.contains(&address.to_string()) && error.contains("--listen"), "{error}");
+    let error = start_error(folder.path(), |config| config.listen = ([0, 0, 0, 0], 0).into()).await.to_string();
+    assert!(error.contains("--insecure"), "{error}");
+
+    for garbage in [vec![0x5a; 9000], b"short".to_vec()] {
+        let file = folder.path().join("farm.sqlite");
+        std::fs::write(&file, garbage).expect("writes");
+        let error = start_error(folder.path(), |_| {}).await.to_string();
+        assert!(error.contains("farm.sqlite") && error.contains("backup"), "{error}");
+        std::fs::remove_file(&file).expect("removes");
+    }
+}
+
+#[tokio::test]
+async fn a_page_of_the_database_that_was_overwritten_is_found_at_start() {
+    let farm = Farm::start().await;
+    for seed in 0..20 {
+        farm.submit(&small_job(seed)).await;
+    }
+    let folder = farm.stop().await;
+    let file = folder.path().join("farm.sqlite");
+    let mut bytes = std::fs::read(&file).expect("reads");
+    let middle = bytes.len() / 2;
+    bytes[4096..middle].fill(0xa5);
+    std::fs::write(&file, bytes).expect("writes");
+    let error = start_error(folder.path(), |_| {}).await.to_string();
+    assert!(error.contains("farm.sqlite") && error.contains("backup"), "{error}");
+}
+
+#[tokio::test]
+async fn a_data_folder_that_can_not_be_made_is_named_with_a_cure() {
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let file = folder.path().join("file");
+    std::fs::write(&file, "not a folder").expect("writes");
+    let error = start_error(&file.join("data"), |_| {}).await;
+    assert!(matches!(error, StartError::DataFolder { .. }), "{error:?}");
+    assert!(error.to_string().contains("--data"), "{error}");
+}
+
+#[tokio::test]
+async fn health_names_the_workers_and_metrics_count() {
+    let farm = Farm::start().await;
+    assert_eq!(farm.get("/livez").await.status(), StatusCode::OK);
+    let ready: Value = read(farm.get("/readyz").await, StatusCode::OK).await;
+    assert_eq!(ready, json!({"status": "degraded", "database": "ok", "store": "ok", "workers": []}));
+    farm.submit(&small_job(1)).await;
+    let worker = farm.worker("one").await;
+    worker.claim().await.expect("work");
+    let ready: Value = read(farm.get("/readyz").await, StatusCode::OK).await;
+    assert_eq!((&ready["status"], &ready["workers"]), (&json!("ready"), &json!(["one"])));
+    let text = in_time(farm.get("/metrics").await.text()).await.expect("text");
+    for line in [
+        "sdfarm_jobs{state=\"running\"} 1.0",
+        "sdfarm_tiles{state=\"leased\"} 1.0",
+        "sdfarm_workers{state=\"ready\"} 1.0",
+        "sdfarm_leases_expired_total 0",
+    ] {
+        assert!(text.lines().any(|found| found == line), "{line} in {text}");
+    }
+    farm.stop().await;
+}
+
+#[tokio::test]
+async fn a_store_that_fails_costs_a_retry_and_leaves_no_half_picture() {
+    let farm = Farm::start().await;
+    let posted = farm.submit(&small_job(1)).await;
+    let worker = farm.worker("one").await;
+    let run = worker.claim().await.expect("work");
+    let folder = farm.folder.path().join("pictures");
+    std::fs::remove_dir(&folder).expect("is empty");
+    std::fs::write(&folder, "in the way").expect("writes");
+    let hash = blake3::hash(b"a picture").to_hex().to_string();
+    let put = worker.put(&worker_protocol::picture_path(&hash), b"a picture".to_vec()).await;
+    refused(put, 500, "internal").await;
+    let handed_back =
+        worker_protocol::LeaseReport { lease: leases(&run)[0], outcome: worker_protocol::LeaseOutcome::Released };
+    worker.report(vec![handed_back]).await;
+    std::fs::remove_file(&folder).expect("removes");
+    std::fs::create_dir(&folder).expect("makes");
+    worker.work_off().await;
+    assert_state(&farm, posted.id, JobState::Succeeded).await;
+    farm.stop().await;
+}

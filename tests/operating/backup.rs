@@ -1,0 +1,238 @@
+//! Back-up, restoring and the doctor, by the real binary on real farms.
+
+use std::fs;
+use std::os::unix::fs::MetadataExt;
+use std::path::{Path, PathBuf};
+
+use crate::support::{Farm, eventually, run, sdfarm, succeed, text};
+
+/// A small job of several frames, unlike those of other seeds.
+fn job(seed: u32, frames: u32) -> String {
+    format!(
+        r#"{{"name": "kept", "scene": {{"camera": {{"position": [0, 0, 4], "look_at": [0, 0, 0]}},
+            "objects": [{{"material": {{"normals": {{}}}}, "shape": {{"sphere": {{"radius": {{"keys": [[0, 1], [1, 1.5]]}}}}}}}}]}},
+            "image": {{"width": 64, "height": 48, "samples": 1, "seed": {seed}}}, "frames": {{"count": {frames}}}}}"#
+    )
+}
+
+fn start(folder: &Path) -> Farm {
+    Farm::start_on(folder, &["--device", "cpu", "--workers", "1"])
+}
+
+fn word(path: &Path) -> &str {
+    path.to_str().expect("a plain name")
+}
+
+fn pictures(data: &Path) -> Vec<PathBuf> {
+    let mut pictures: Vec<PathBuf> =
+        fs::read_dir(data.join("pictures")).expect("a folder").map(|entry| entry.expect("an entry").path()).collect();
+    pictures.sort();
+    pictures
+}
+
+fn frame(farm: &Farm, job: &str, number: u32) -> Vec<u8> {
+    let answer = farm.get(&format!("/v1/jobs/{job}/frames/{number}/image"));
+    assert_eq!(answer.status, 200, "{}", answer.text());
+    answer.body
+}
+
+/// What `sdfarm doctor` says, and its exit code; its port is any free one.
+fn doctor(data: &Path, flags: &[&str]) -> (String, Option<i32>) {
+    let output = run(&[&["doctor", "--data", word(data), "--listen", "127.0.0.1:0"], flags].concat());
+    (text(&output.stdout) + &text(&output.stderr), output.status.code())
+}
+
+#[test]
+fn a_farm_is_backed_up_while_it_runs_and_restored_with_every_picture() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let (data, copy, new) = (folder.path().join("data"), folder.path().join("copy"), folder.path().join("new/data"));
+    let farm = start(folder.path());
+    let first = farm.accept(&job(1, 3));
+    farm.succeeded(&first);
+    fs::write(data.join("secret"), "of a webhook").expect("writes");
+    let told = succeed(&["backup", word(&copy), "--data", word(&data)]);
+    assert!(told.starts_with("3 pictures are in ") && told.contains(": 3 taken now"), "{told}");
+
+    // Only what is new is taken, and what no job has any more is dropped.
+    let second = farm.accept(&job(2, 2));
+    farm.succeeded(&second);
+    let dropped = farm.accept(&job(3, 1));
+    farm.succeeded(&dropped);
+    let told = succeed(&["backup", word(&copy), "--data", word(&data)]);
+    assert!(told.starts_with("6 pictures") && told.contains(": 3 taken now"), "{told}");
+    assert_eq!(farm.send("DELETE", &format!("/v1/jobs/{dropped}"), &[], Vec::new()).status, 204);
+    let told = succeed(&["backup", word(&copy), "--data", word(&data)]);
+    assert!(told.starts_with("5 pictures") && told.contains("0 taken now (0 bytes), 1 dropped"), "{told}");
+    let wanted: Vec<Vec<u8>> = (0..3).map(|number| frame(&farm, &first, number)).collect();
+    drop(farm);
+
+    let told = succeed(&["restore", word(&copy), "--data", word(&new)]);
+    assert!(told.contains("5 pictures are whole"), "{told}");
+    assert_eq!(fs::read_to_string(new.join("secret")).expect("restored"), "of a webhook");
+    let again = run(&["restore", word(&copy), "--data", word(&new)]);
+    assert_eq!(again.status.code(), Some(1));
+    assert!(text(&again.stderr).contains("is not empty"), "{}", text(&again.stderr));
+    let (told, code) = doctor(&new, &["--deep"]);
+    assert_eq!(code, Some(0), "{told}");
+
+    let farm = start(&folder.path().join("new"));
+    let got: Vec<Vec<u8>> = (0..3).map(|number| frame(&farm, &first, number)).collect();
+    assert_eq!(got, wanted, "every picture is there, byte by byte");
+    assert_eq!(farm.get(&format!("/v1/jobs/{dropped}")).status, 404);
+    assert!(farm.terminate().success());
+}
+
+#[test]
+fn a_backup_that_was_damaged_is_noticed() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let (data, copy) = (folder.path().join("data"), folder.path().join("copy"));
+    let farm = start(folder.path());
+    let id = farm.accept(&job(1, 2));
+    farm.succeeded(&id);
+    succeed(&["backup", word(&copy), "--data", word(&data)]);
+    assert!(farm.terminate().success());
+
+    // A copy of its own first: linked files are one.
+    let picture = &pictures(&copy)[0];
+    let bytes = fs::read(picture).expect("reads");
+    fs::remove_file(picture).expect("removes");
+    fs::write(picture, vec![0; bytes.len()]).expect("writes");
+    let new = folder.path().join("a");
+    let output = run(&["restore", word(&copy), "--data", word(&new)]);
+    assert_eq!(output.status.code(), Some(1));
+    assert!(text(&output.stderr).contains("1 pictures are lost"), "{}", text(&output.stderr));
+    assert_eq!(pictures(&new).len(), 1, "what is damaged is not restored");
+
+    let database = fs::read_dir(&copy)
+        .expect("a folder")
+        .flatten()
+        .find_map(|entry| entry.file_name().to_string_lossy().starts_with("farm-").then(|| entry.path()));
+    fs::write(database.expect("a copy of the database"), "no database").expect("writes");
+    let output = run(&["restore", word(&copy), "--data", word(&folder.path().join("b"))]);
+    assert_eq!(output.status.code(), Some(1));
+    assert!(text(&output.stderr).contains("database") && text(&output.stderr).contains("damaged"));
+    assert!(!folder.path().join("b/farm.sqlite").exists());
+}
+
+#[test]
+fn nothing_but_a_farm_is_backed_up_and_nothing_but_a_backup_is_overwritten() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let (data, copy) = (folder.path().join("data"), folder.path().join("copy"));
+    let refused = |arguments: &[&str], why: &str| {
+        let output = run(arguments);
+        assert_eq!(output.status.code(), Some(1), "{arguments:?}");
+        assert!(text(&output.stderr).contains(why), "{arguments:?}: {}", text(&output.stderr));
+    };
+    refused(&["backup", word(&copy), "--data", word(&data)], "there is no farm in");
+    refused(&["doctor", "--data", word(&data)], "there is no farm in");
+    assert!(start(folder.path()).terminate().success());
+    fs::create_dir_all(&copy).expect("makes");
+    fs::write(copy.join("a letter"), "dear reader").expect("writes");
+    refused(&["backup", word(&copy), "--data", word(&data)], "is no backup");
+    refused(&["backup", word(&data.join("copy")), "--data", word(&data)], "lies in the data folder");
+    refused(&["restore", word(&copy), "--data", word(&folder.path().join("new"))], "is no backup");
+    assert_eq!(fs::read_dir(&copy).expect("a folder").count(), 1, "nothing was added");
+}
+
+#[test]
+fn a_backup_shares_the_bytes_of_pictures_on_the_same_disk() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let (data, copy) = (folder.path().join("data"), folder.path().join("copy"));
+    let farm = start(folder.path());
+    let id = farm.accept(&job(1, 1));
+    farm.succeeded(&id);
+    succeed(&["backup", word(&copy), "--data", word(&data)]);
+    let node = |data: &Path| fs::metadata(&pictures(data)[0]).expect("there").ino();
+    assert_eq!(node(&data), node(&copy));
+    assert!(farm.terminate().success());
+}
+
+#[test]
+fn the_doctor_finds_what_is_lost_and_has_it_rendered_again() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let data = folder.path().join("data");
+    let farm = start(folder.path());
+    let id = farm.accept(&job(1, 3));
+    farm.succeeded(&id);
+    let wanted: Vec<Vec<u8>> = (0..3).map(|number| frame(&farm, &id, number)).collect();
+    let (told, code) = doctor(&data, &[]);
+    assert_eq!(code, Some(0), "{told}");
+    assert!(told.contains("a server (pid "), "{told}");
+    let output = run(&["doctor", "--repair", "--data", word(&data)]);
+    assert!(text(&output.stderr).contains("stop it first"), "{}", text(&output.stderr));
+    assert!(farm.terminate().success());
+
+    // One is gone, one has other bytes of the same number, and something lies there that belongs to nothing.
+    let there = pictures(&data);
+    fs::remove_file(&there[0]).expect("removes");
+    let length = fs::metadata(&there[1]).expect("there").len();
+    fs::write(&there[1], vec![0; length as usize]).expect("writes");
+    fs::write(data.join("pictures").join("f".repeat(64)), "nobody's").expect("writes");
+    let (told, code) = doctor(&data, &[]);
+    assert_eq!(code, Some(1), "{told}");
+    assert!(told.contains("1 pictures are gone") && !told.contains("have other bytes"), "{told}");
+    let (told, code) = doctor(&data, &["--deep", "--repair"]);
+    assert_eq!(code, Some(0), "{told}");
+    for line in ["1 pictures are gone", "1 pictures have other bytes", "2 frames will be rendered again", "removed"] {
+        assert!(told.contains(line), "{line}: {told}");
+    }
+    let (told, code) = doctor(&data, &["--deep", "--json"]);
+    assert_eq!(code, Some(0), "{told}");
+    let findings: Vec<serde_json::Value> = serde_json::from_str(&told).expect("JSON");
+    assert!(findings.iter().all(|finding| finding["severity"] != "error" && finding["subject"].is_string()), "{told}");
+
+    let farm = start(folder.path());
+    farm.succeeded(&id);
+    let got: Vec<Vec<u8>> = (0..3).map(|number| frame(&farm, &id, number)).collect();
+    assert_eq!(got, wanted, "they are the same pictures again");
+    assert!(farm.terminate().success());
+    let (told, code) = doctor(&data, &["--deep"]);
+    assert_eq!(code, Some(0), "{told}");
+}
+
+#[test]
+fn the_doctor_says_when_the_database_is_damaged_or_the_port_is_taken() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let data = folder.path().join("data");
+    assert!(start(folder.path()).terminate().success());
+    let taken = std::net::TcpListener::bind("127.0.0.1:0").expect("a port");
+    let address = taken.local_addr().expect("bound").to_string();
+    let output = run(&["doctor", "--data", word(&data), "--listen", &address]);
+    assert_eq!(output.status.code(), Some(1));
+    assert!(text(&output.stdout).contains("ERROR    port"), "{}", text(&output.stdout));
+
+    let file = data.join("farm.sqlite");
+    let mut bytes = fs::read(&file).expect("reads");
+    let half = bytes.len() / 2;
+    bytes[half..half + 4096].fill(0x5a);
+    fs::write(&file, bytes).expect("writes");
+    let (told, code) = doctor(&data, &[]);
+    assert_eq!(code, Some(1), "{told}");
+    assert!(told.contains("ERROR    database") && told.contains("sdfarm restore"), "{told}");
+}
+
+/// While jobs come, are rendered and go, each backup is a whole farm.
+#[test]
+fn backups_of_a_busy_farm_are_whole() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let (data, copy) = (folder.path().join("data"), folder.path().join("copy"));
+    let farm = start(folder.path());
+    for round in 0..3 {
+        let ids: Vec<String> = (0..4).map(|seed| farm.accept(&job(100 * round + seed, 2))).collect();
+        farm.succeeded(&ids[0]);
+        farm.send("DELETE", &format!("/v1/jobs/{}", ids[0]), &[], Vec::new());
+        let mut backup = sdfarm(&["backup", word(&copy), "--data", word(&data)]);
+        let output = backup.output().expect("runs");
+        assert!(output.status.success(), "{}", text(&output.stderr));
+        let new = folder.path().join(format!("restored-{round}"));
+        succeed(&["restore", word(&copy), "--data", word(&new)]);
+        let (told, code) = doctor(&new, &["--deep"]);
+        assert_eq!(code, Some(0), "{told}");
+    }
+    eventually("every job ends", || {
+        let list = farm.get("/v1/jobs").json();
+        let jobs = list["jobs"].as_array().expect("jobs");
+        jobs.iter().all(|job| job["state"] == "succeeded").then_some(())
+    });
+    assert!(farm.terminate().success());
+}

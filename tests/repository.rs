@@ -1,0 +1,117 @@
+//! The tree itself: sizes, openings, and what must not be in it.
+
+use std::path::{Path, PathBuf};
+use std::{fs, io};
+
+use crate::support::root;
+
+const MAX_LINES: usize = 500;
+const CODE: [&str; 7] = ["scene", "proto", "server", "worker", "cli", "tests", "docs"];
+
+/// Every file under some folders, by extension.
+fn files(folders: &[&str], extensions: &[&str]) -> Vec<(PathBuf, String)> {
+    let mut found = Vec::new();
+    for folder in folders {
+        let folder = root().join(folder);
+        if folder.is_dir() {
+            walk(&folder, extensions, &mut found).expect("the tree is readable");
+        }
+    }
+    found
+}
+
+fn walk(folder: &Path, extensions: &[&str], found: &mut Vec<(PathBuf, String)>) -> io::Result<()> {
+    for entry in fs::read_dir(folder)? {
+        let path = entry?.path();
+        if path.is_dir() {
+            walk(&path, extensions, found)?;
+        } else if path.extension().is_some_and(|extension| extensions.iter().any(|known| extension == *known)) {
+            let text = fs::read_to_string(&path)?;
+            found.push((path.strip_prefix(root()).expect("under the root").to_owned(), text));
+        }
+    }
+    Ok(())
+}
+
+fn assert_none(what: &str, bad: &[String]) {
+    assert!(bad.is_empty(), "{what}:\n{}", bad.join("\n"));
+}
+
+#[test]
+fn no_source_file_is_longer_than_five_hundred_lines() {
+    let long = files(&CODE, &["rs", "cu", "js", "sql"])
+        .into_iter()
+        .filter(|(_, text)| text.lines().count() > MAX_LINES)
+        .map(|(path, text)| format!("{}: {}", path.display(), text.lines().count()))
+        .collect::<Vec<_>>();
+    assert_none("too long", &long);
+}
+
+#[test]
+fn every_source_file_opens_with_what_it_is_for() {
+    let silent = files(&CODE, &["rs"])
+        .into_iter()
+        .filter(|(_, text)| !text.starts_with("//! ") || text.lines().next().is_some_and(|line| line.len() < 20))
+        .map(|(path, _)| path.display().to_string())
+        .collect::<Vec<_>>();
+    assert_none("no opening words", &silent);
+}
+
+#[test]
+fn no_unfinished_business_is_left_in_the_code() {
+    // Put together here, so that this file does not find itself.
+    let marks = [concat!("TO", "DO"), concat!("FIX", "ME"), concat!("XX", "X")].map(str::to_owned);
+    let macros = ["todo", "unimplemented", "dbg"].map(|name| format!("{name}!("));
+    let mut left = Vec::new();
+    for (path, text) in files(&CODE, &["rs", "cu", "sql", "toml", "md"]) {
+        for (number, line) in text.lines().enumerate() {
+            if marks.iter().chain(&macros).any(|mark| line.contains(mark.as_str())) {
+                left.push(format!("{}:{}: {line}", path.display(), number + 1));
+            }
+        }
+    }
+    assert_none("unfinished", &left);
+}
+
+#[test]
+fn no_file_names_a_place_on_somebodys_machine() {
+    let home = ["home", "root", "work", "Users"].map(|folder| format!("/{folder}/"));
+    let mut found = Vec::new();
+    let tree = [CODE.as_slice(), &["scenes", "migrations", "docker", ".ci"]].concat();
+    for (path, text) in files(&tree, &["rs", "toml", "md", "json", "sql", "yml", "yaml"]) {
+        for (number, line) in text.lines().enumerate() {
+            if home.iter().any(|folder| line.contains(folder.as_str())) {
+                found.push(format!("{}:{}: {line}", path.display(), number + 1));
+            }
+        }
+    }
+    assert_none("machine paths", &found);
+}
+
+#[test]
+fn no_module_is_named_mod() {
+    let named = files(&CODE, &["rs"])
+        .into_iter()
+        .filter(|(path, _)| path.ends_with("mod.rs"))
+        .map(|(path, _)| path.display().to_string())
+        .collect::<Vec<_>>();
+    assert_none("foo.rs + foo/ instead", &named);
+}
+
+#[test]
+fn required_files_exist() {
+    for name in
+        ["README.md", "ARCHITECTURE.md", "CHANGELOG.md", "LICENSE-MIT", "LICENSE-APACHE", "deny.toml", ".ci/run"]
+    {
+        assert!(root().join(name).is_file(), "{name} is missing");
+    }
+    let lines = |name: &str| fs::read_to_string(root().join(name)).expect("there").lines().count();
+    assert!(lines("README.md") <= 150, "the README is for a first visit");
+    assert!(lines("ARCHITECTURE.md") <= 200, "the architecture is for a first reading");
+}
+
+#[test]
+fn changelog_has_a_place_for_what_is_next() {
+    let changelog = fs::read_to_string(root().join("CHANGELOG.md")).expect("there");
+    assert!(changelog.contains("## Unreleased"));
+}

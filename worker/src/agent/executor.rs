@@ -1,0 +1,223 @@
+//! Executes batches one after another on the device, and encodes and delivers at the same time. It knows
+//! leases only as handles that may be dropped.
+
+use std::any::Any;
+use std::path::PathBuf;
+use std::sync::Arc;
+use std::time::Duration;
+
+use proto::worker_protocol::{Batch, BatchWork, LeaseOutcome, LeaseReport, Phase};
+use proto::{JobId, LeaseId};
+use scene::Job;
+use tokio::sync::Semaphore;
+use tokio::sync::mpsc::UnboundedSender;
+use tokio::task::JoinError;
+use tokio_util::sync::CancellationToken;
+
+use super::back_off::BackOff;
+use super::job_cache::{JobCache, JobFetchError};
+use super::rendering::TileTask;
+use super::server_client::ServerClient;
+use super::store_access::StoreAccess;
+use crate::image::Encoders;
+use crate::renderer::{CancelFlag, Renderer};
+
+/// The most runs, or tiles of a run, that are delivered at a time.
+const MAX_CONCURRENT_UPLOADS: usize = 8;
+/// Maximum memory of pixels being rendered or delivered, in KiB.
+pub(super) const MEMORY_KIB: u32 = 1 << 20;
+
+/// Event from a batch to its session.
+#[derive(Debug)]
+pub(super) enum BatchEvent {
+    /// Leases are finished with, together.
+    Finished(Vec<LeaseReport>),
+    /// A batch no longer needs the device; it used it for this long, if at all.
+    Rendered(Option<Duration>),
+    /// The device is lost, for this reason.
+    DeviceLost(String),
+    /// This many camera rays were rendered in this many seconds.
+    Speed { rays: f64, seconds: f64 },
+    /// Duration of a phase; for rendering, with its camera rays.
+    Timed { phase: Phase, took: Duration, rays: u64 },
+    /// The server stored something.
+    Stored,
+    /// The server could not store something.
+    NotStored,
+}
+
+/// A worker's side of a lease.
+#[derive(Clone, Debug)]
+pub(super) struct LeaseHandle {
+    /// Which one.
+    pub(super) lease: LeaseId,
+    /// The tile's index in its frame; none of a stitch.
+    pub(super) tile: Option<u32>,
+    /// Cancelled when its result is no longer wanted.
+    pub(super) dropped: CancellationToken,
+}
+
+impl LeaseHandle {
+    pub(super) fn new(lease: LeaseId, tile: Option<u32>) -> Self {
+        Self { lease, tile, dropped: CancellationToken::new() }
+    }
+
+    pub(super) fn report(&self, outcome: LeaseOutcome) -> LeaseReport {
+        LeaseReport { lease: self.lease, outcome }
+    }
+}
+
+/// Waits until all these leases are dropped.
+pub(super) async fn all_dropped(holds: &[LeaseHandle]) {
+    for hold in holds {
+        hold.dropped.cancelled().await;
+    }
+}
+
+/// Cancels a flag when it goes out of scope.
+#[derive(Debug, Default)]
+pub(super) struct CancelOnDrop(pub(super) CancelFlag);
+
+impl Drop for CancelOnDrop {
+    fn drop(&mut self) {
+        self.0.cancel();
+    }
+}
+
+/// A frame that is worked on.
+#[derive(Clone, Debug)]
+pub(super) struct FrameTask {
+    /// Its job's id.
+    pub(super) id: JobId,
+    /// Its job.
+    pub(super) job: Arc<Job>,
+    /// Its number in the job.
+    pub(super) number: u32,
+}
+
+/// The leases of a run and the indices of their tiles, in its order.
+pub(super) fn leases(run: &Batch) -> impl Iterator<Item = (LeaseId, Option<u32>)> {
+    let leases: Vec<(LeaseId, Option<u32>)> = match &run.work {
+        BatchWork::Render { tiles, .. } => tiles.iter().map(|tile| (tile.lease, Some(tile.index))).collect(),
+        BatchWork::Stitch { lease, .. } => vec![(*lease, None)],
+    };
+    leases.into_iter()
+}
+
+/// A device, and the way to the server.
+pub(super) struct BatchExecutor {
+    pub(super) link: Arc<ServerClient>,
+    pub(super) store: StoreAccess,
+    pub(super) scratch: PathBuf,
+    pub(super) renderer: Arc<dyn Renderer>,
+    pub(super) encoders: Encoders,
+    pub(super) device: Semaphore,
+    /// Permits for KiB of pixels.
+    pub(super) memory: Semaphore,
+    jobs: JobCache,
+    events: UnboundedSender<BatchEvent>,
+}
+
+impl BatchExecutor {
+    pub(super) fn new(
+        link: Arc<ServerClient>,
+        store: StoreAccess,
+        renderer: Arc<dyn Renderer>,
+        encoders: Encoders,
+        scratch: PathBuf,
+        events: UnboundedSender<BatchEvent>,
+    ) -> Self {
+        let (device, memory) = (Semaphore::new(1), Semaphore::new(MEMORY_KIB as usize));
+        Self { link, store, scratch, renderer, encoders, device, memory, jobs: JobCache::default(), events }
+    }
+
+    /// Number of batches, or tiles of a batch, delivered concurrently.
+    pub(super) fn max_uploads(&self) -> usize {
+        self.encoders.count().clamp(2, MAX_CONCURRENT_UPLOADS)
+    }
+
+    /// Executes a batch; every lease ends in a report, unless it was dropped.
+    pub(super) async fn execute(self: Arc<Self>, run: Batch, holds: Vec<LeaseHandle>) {
+        let job = tokio::select! {
+            job = self.job(run.job) => job,
+            () = all_dropped(&holds) => return self.send(BatchEvent::Rendered(None)),
+        };
+        let job = match job {
+            Ok(job) => job,
+            Err(error) => {
+                self.send(BatchEvent::Rendered(None));
+                return self.fail_all(&holds, &error);
+            }
+        };
+        let frame = FrameTask { id: run.job, job, number: run.frame };
+        match run.work {
+            BatchWork::Stitch { inputs: parts, .. } => self.stitch(&frame, &parts, &holds[0]).await,
+            BatchWork::Render { tiles, whole_frame } => {
+                let rects = tiles.iter().map(|tile| tile.rect);
+                let places: Vec<TileTask> = rects.zip(holds).map(|(rect, hold)| TileTask { rect, hold }).collect();
+                if whole_frame {
+                    self.render_whole(frame, &places).await;
+                } else {
+                    self.render_tiles(frame, &places).await;
+                }
+            }
+        }
+    }
+
+    /// A job, as soon as the server is there to give it.
+    async fn job(&self, id: JobId) -> Result<Arc<Job>, JobFetchError> {
+        let mut back_off = BackOff::new(Duration::from_millis(50), Duration::from_secs(2));
+        loop {
+            match self.jobs.get(&self.link, id).await {
+                Err(JobFetchError::Server(error)) if error.is_unavailable() => back_off.pause().await,
+                job => return job,
+            }
+        }
+    }
+
+    pub(super) fn send(&self, event: BatchEvent) {
+        // If the session has ended, no receiver is left.
+        self.events.send(event).unwrap_or_default();
+    }
+
+    /// Ends leases with the same outcome, all at once.
+    pub(super) fn finish<'a>(&self, holds: impl IntoIterator<Item = &'a LeaseHandle>, outcome: &LeaseOutcome) {
+        self.send(BatchEvent::Finished(holds.into_iter().map(|hold| hold.report(outcome.clone())).collect()));
+    }
+
+    fn fail_all(&self, holds: &[LeaseHandle], error: &JobFetchError) {
+        tracing::warn!(%error, "could not start a run");
+        match error {
+            JobFetchError::Server(_) => {
+                self.send(BatchEvent::NotStored);
+                self.finish(holds, &LeaseOutcome::Released);
+            }
+            JobFetchError::Refused(_) | JobFetchError::Panicked => {
+                self.finish(holds, &LeaseOutcome::Failed { message: error.to_string() });
+            }
+        }
+    }
+}
+
+/// An error and what caused it, in one line.
+pub(super) fn chain(error: &dyn std::error::Error) -> String {
+    let mut line = error.to_string();
+    let mut cause = error.source();
+    while let Some(error) = cause {
+        line = format!("{line}: {error}");
+        cause = error.source();
+    }
+    line
+}
+
+/// Message of a panic in a blocking task.
+pub(super) fn panic_message(who: &str, error: JoinError) -> String {
+    let Ok(panic) = error.try_into_panic() else { return format!("{who} was stopped") };
+    let text = panic_text(&*panic);
+    format!("{who} panicked: {text}")
+}
+
+fn panic_text(panic: &(dyn Any + Send)) -> &str {
+    let text = panic.downcast_ref::<String>().map(String::as_str);
+    text.or_else(|| panic.downcast_ref::<&str>().copied()).unwrap_or("no message")
+}

@@ -1,0 +1,190 @@
+//! The calls of a worker to its server, one function each. Nothing here retries or decides.
+
+use std::fs::File;
+use std::io::{self, Seek};
+use std::time::Duration;
+
+use bytes::Bytes;
+use proto::client_auth::server_url;
+use proto::worker_protocol::{self, RegisterRequest, RegisterResponse, SyncRequest, SyncResponse};
+use proto::{ClientAuth, JobId, Problem};
+use reqwest::{Body, Client, Method, RequestBuilder, Response, StatusCode, header};
+use serde::de::DeserializeOwned;
+use tokio_util::io::ReaderStream;
+
+use super::AgentError;
+
+/// Timeout for a response that the server does not delay.
+const SHORT_TIMEOUT: Duration = Duration::from_secs(10);
+/// For bytes, however slow the wire.
+const TRANSFER_TIMEOUT: Duration = Duration::from_mins(10);
+
+/// The bytes of a picture.
+#[derive(Debug)]
+pub(super) enum PictureBytes {
+    /// In memory.
+    Memory(Bytes),
+    /// In a nameless file.
+    File(File),
+}
+
+impl PictureBytes {
+    /// Another reader of the same bytes.
+    pub(super) fn try_clone(&self) -> io::Result<Self> {
+        Ok(match self {
+            Self::Memory(bytes) => Self::Memory(bytes.clone()),
+            Self::File(file) => Self::File(file.try_clone()?),
+        })
+    }
+}
+
+/// A server to call.
+#[derive(Debug)]
+pub(super) struct ServerClient {
+    client: Client,
+    server: String,
+    access: ClientAuth,
+}
+
+impl ServerClient {
+    pub(super) fn new(server: &str, access: ClientAuth) -> Result<Self, AgentError> {
+        let builder = access.client(&server_url(server)?);
+        let client = builder.no_proxy().connect_timeout(SHORT_TIMEOUT).build().map_err(AgentError::Client)?;
+        Ok(Self { client, server: server.trim_end_matches('/').to_owned(), access })
+    }
+
+    pub(super) async fn register(&self, hello: &RegisterRequest) -> Result<RegisterResponse, ServerError> {
+        read_json(self.request(Method::POST, worker_protocol::REGISTER_PATH, SHORT_TIMEOUT).json(hello)).await
+    }
+
+    pub(super) async fn sync(&self, sync: &SyncRequest, timeout: Duration) -> Result<SyncResponse, ServerError> {
+        read_json(self.request(Method::POST, worker_protocol::SYNC_PATH, timeout).json(sync)).await
+    }
+
+    pub(super) async fn job(&self, job: JobId) -> Result<Bytes, ServerError> {
+        let request = self.request(Method::GET, &worker_protocol::job_path(job), TRANSFER_TIMEOUT);
+        Ok(send(request).await?.bytes().await?)
+    }
+
+    pub(super) async fn put_blob(&self, hash: &str, bytes: Bytes) -> Result<(), ServerError> {
+        let request = self.request(Method::PUT, &worker_protocol::blob_path(hash), TRANSFER_TIMEOUT);
+        send(request.body(bytes)).await.map(drop)
+    }
+
+    /// Fetches a blob, or `None` where there are no more bytes than `size_bytes` but other ones.
+    pub(super) async fn blob(&self, hash: &str, size_bytes: u64) -> Result<Option<Vec<u8>>, ServerError> {
+        let mut response = send(self.request(Method::GET, &worker_protocol::blob_path(hash), TRANSFER_TIMEOUT)).await?;
+        let mut bytes = Vec::new();
+        while let Some(chunk) = response.chunk().await? {
+            if (bytes.len() + chunk.len()) as u64 > size_bytes {
+                return Ok(None);
+            }
+            bytes.extend_from_slice(&chunk);
+        }
+        Ok((bytes.len() as u64 == size_bytes).then_some(bytes))
+    }
+
+    pub(super) async fn put_picture(
+        &self,
+        hash: &str,
+        content: &PictureBytes,
+        size_bytes: u64,
+    ) -> Result<(), ServerError> {
+        let body = match content.try_clone()? {
+            PictureBytes::Memory(bytes) => Body::from(bytes),
+            PictureBytes::File(mut file) => {
+                file.rewind()?;
+                Body::wrap_stream(ReaderStream::with_capacity(tokio::fs::File::from_std(file), 1 << 18))
+            }
+        };
+        let request = self.request(Method::PUT, &worker_protocol::picture_path(hash), TRANSFER_TIMEOUT);
+        send(request.header(header::CONTENT_LENGTH, size_bytes).body(body)).await.map(drop)
+    }
+
+    fn request(&self, method: Method, path: &str, timeout: Duration) -> RequestBuilder {
+        let request = self.client.request(method, format!("{}{path}", self.server)).timeout(timeout);
+        self.access.authorize(match proto::trace_context::current_traceparent() {
+            Some(trace) => request.header(proto::trace_context::TRACEPARENT, trace),
+            None => request,
+        })
+    }
+}
+
+async fn read_json<T: DeserializeOwned>(request: RequestBuilder) -> Result<T, ServerError> {
+    let body = send(request).await?.bytes().await?;
+    serde_json::from_slice(&body).map_err(ServerError::InvalidResponse)
+}
+
+async fn send(request: RequestBuilder) -> Result<Response, ServerError> {
+    let response = request.send().await?;
+    let status = response.status();
+    if status.is_success() {
+        return Ok(response);
+    }
+    let body = response.bytes().await.unwrap_or_default();
+    let detail = match serde_json::from_slice::<Problem>(&body) {
+        Ok(problem) => problem.detail,
+        Err(_) => status.to_string(),
+    };
+    Err(ServerError::Status { status, detail })
+}
+
+/// Error of a call.
+#[derive(Debug, thiserror::Error)]
+pub(super) enum ServerError {
+    /// No answer.
+    #[error("the server can't be reached: {0}")]
+    Unreachable(#[from] reqwest::Error),
+    /// Another answer than the one hoped for.
+    #[error("{detail}")]
+    Status {
+        /// The status.
+        status: StatusCode,
+        /// The server's message.
+        detail: String,
+    },
+    /// The response is not valid.
+    #[error("the server's answer can't be read: {0}")]
+    InvalidResponse(#[source] serde_json::Error),
+    /// The file to send can't be read.
+    #[error("the file to send can't be read: {0}")]
+    File(#[from] io::Error),
+    /// The server's own folders can't be written to or read.
+    #[error("the server's folders can't be used: {0}")]
+    Store(#[source] io::Error),
+}
+
+impl ServerError {
+    /// Whether repeating the call later may succeed.
+    pub(super) fn is_transient(&self) -> bool {
+        match self {
+            Self::Unreachable(_) => true,
+            Self::Status { status, .. } => {
+                status.is_server_error()
+                    || [StatusCode::REQUEST_TIMEOUT, StatusCode::TOO_MANY_REQUESTS].contains(status)
+            }
+            Self::InvalidResponse(_) | Self::File(_) | Self::Store(_) => false,
+        }
+    }
+
+    /// Whether the server is away or coming up, rather than unwilling.
+    pub(super) fn is_unavailable(&self) -> bool {
+        match self {
+            Self::Unreachable(_) => true,
+            Self::Status { status, .. } => {
+                [StatusCode::SERVICE_UNAVAILABLE, StatusCode::BAD_GATEWAY, StatusCode::GATEWAY_TIMEOUT].contains(status)
+            }
+            Self::InvalidResponse(_) | Self::File(_) | Self::Store(_) => false,
+        }
+    }
+
+    /// Whether the server does not know the requested item, or the worker.
+    pub(super) fn is_not_found(&self) -> bool {
+        matches!(self, Self::Status { status, .. } if [StatusCode::NOT_FOUND, StatusCode::GONE].contains(status))
+    }
+
+    /// Whether the server has moved on: what this is about is no longer ours.
+    pub(super) fn is_conflict(&self) -> bool {
+        matches!(self, Self::Status { status, .. } if *status == StatusCode::CONFLICT)
+    }
+}

@@ -1,0 +1,137 @@
+//! Errors of a GPU, and their fixes.
+
+use std::path::PathBuf;
+
+use cudarc::driver::DriverError;
+use cudarc::driver::sys::CUresult;
+
+/// Error of a GPU operation.
+#[derive(Debug, thiserror::Error)]
+pub enum CudaError {
+    /// No driver is installed.
+    #[error("no NVIDIA driver is installed here (libcuda is missing): install one, or render with --device cpu")]
+    NoDriver,
+    /// The driver lacks something.
+    #[error("the NVIDIA driver is too old: it speaks CUDA {version} and lacks {missing}; install driver 570 or newer")]
+    OldDriver {
+        /// The CUDA version it speaks: 12.4.
+        version: String,
+        /// The function that it does not have.
+        missing: &'static str,
+    },
+    /// The driver is there, and no GPU.
+    #[error("the NVIDIA driver finds no GPU here: see what nvidia-smi says, or render with --device cpu")]
+    NoDevice,
+    /// There are GPUs, and not this one.
+    #[error("there is no GPU {ordinal} here: there are {count}, counted from 0")]
+    NoSuchDevice {
+        /// The one asked for.
+        ordinal: usize,
+        /// Number of GPUs.
+        count: usize,
+    },
+    /// No run-time compiler is installed.
+    #[error(
+        "CUDA's run-time compiler is missing (libnvrtc): install the package cuda-nvrtc, or put its folder on LD_LIBRARY_PATH"
+    )]
+    NoCompiler,
+    /// The compiler lacks something.
+    #[error("CUDA's run-time compiler is too old: it lacks {missing}; install cuda-nvrtc 12 or newer")]
+    OldCompiler {
+        /// The function that it does not have.
+        missing: &'static str,
+    },
+    /// The compiler does not know this GPU.
+    #[error(
+        "CUDA's run-time compiler {version} can't compile for this GPU (sm_{architecture}): install a newer cuda-nvrtc"
+    )]
+    UnknownArchitecture {
+        /// The compiler's version: 12.4.
+        version: String,
+        /// Major and minor compute capability: 90.
+        architecture: u32,
+    },
+    /// The compiler did not take the program.
+    #[error("the scene's program could not be compiled{}: {log}", kept.as_ref().map(|path| format!(" (kept as {})", path.display())).unwrap_or_default())]
+    Compile {
+        /// The compiler's log.
+        log: String,
+        /// Where the rejected source was written.
+        kept: Option<PathBuf>,
+    },
+    /// The scene is too large for straight-line code.
+    #[error("the scene has {nodes} nodes, and a GPU takes at most {most}: render it with --device cpu")]
+    TooLarge {
+        /// Its nodes.
+        nodes: u32,
+        /// Limit of the GPU.
+        most: u32,
+    },
+    /// The GPU has not enough memory.
+    #[error(
+        "the GPU is out of memory for {bytes} bytes of pixels: close what else uses it, or render smaller tiles (--tile)"
+    )]
+    OutOfMemory {
+        /// Requested size.
+        bytes: usize,
+    },
+    /// The GPU renders, but not the expected bits.
+    #[error(
+        "the GPU renders wrong bits: {differing} of {values} values of the self-test differ; let it render for no farm"
+    )]
+    SelfTestFailed {
+        /// Values that differ.
+        differing: usize,
+        /// All values.
+        values: usize,
+    },
+    /// Any other answer of the driver.
+    #[error("could not {action}: {name} ({text})")]
+    Driver {
+        /// Attempted action.
+        action: &'static str,
+        /// The driver's name for the error.
+        name: String,
+        /// The driver's message.
+        text: String,
+        /// Whether the GPU will not work for this process again.
+        is_lost: bool,
+    },
+    /// The job is invalid at this frame.
+    #[error("the job can't be rendered in this frame")]
+    InvalidFrame(#[from] scene::FrameError),
+    /// The render was asked to stop.
+    #[error("the render was cancelled")]
+    Cancelled,
+}
+
+impl CudaError {
+    /// Wraps an error of the driver with the attempted `action`.
+    pub(super) fn driver_error(action: &'static str) -> impl Fn(DriverError) -> Self {
+        move |error| {
+            let words = |text: Result<&std::ffi::CStr, DriverError>| {
+                text.map_or_else(|_| format!("error {}", error.0 as u32), |text| text.to_string_lossy().into_owned())
+            };
+            let (name, text) = (words(error.error_name()), words(error.error_string()));
+            Self::Driver { action, name, text, is_lost: is_lost(error.0) }
+        }
+    }
+
+    /// Whether the GPU will not work for this process again.
+    pub fn is_lost(&self) -> bool {
+        matches!(self, Self::Driver { is_lost: true, .. } | Self::SelfTestFailed { .. })
+    }
+}
+
+/// Errors after which every later call fails too: only a new process can help, if anything can.
+fn is_lost(code: CUresult) -> bool {
+    !matches!(
+        code,
+        CUresult::CUDA_ERROR_OUT_OF_MEMORY
+            | CUresult::CUDA_ERROR_INVALID_VALUE
+            | CUresult::CUDA_ERROR_INVALID_IMAGE
+            | CUresult::CUDA_ERROR_NO_BINARY_FOR_GPU
+            | CUresult::CUDA_ERROR_NOT_FOUND
+            | CUresult::CUDA_ERROR_LAUNCH_OUT_OF_RESOURCES
+    )
+}

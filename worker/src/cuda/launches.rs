@@ -1,0 +1,232 @@
+//! Splits a render into launches: each short enough to be cancelled after, and long enough to keep a GPU
+//! busy. Pure arithmetic.
+
+use super::device::{BlockDim, DeviceTile, LaunchRange};
+use proto::Rect;
+
+/// Target duration of a launch, in milliseconds; two are in flight at a time.
+const LAUNCH_MS: f64 = 12.0;
+/// Maximum growth from one launch to the next while little is known about the cost.
+const MAX_GROWTH: f64 = 6.0;
+/// Blocks side by side that are launched together.
+pub(super) const BLOCK_GROUP: u32 = 64;
+/// Samples of the first launch of all.
+const FIRST_SAMPLES: u32 = 4;
+
+/// Tiles laid out for blocks of some shape, their pixels one behind the other.
+#[derive(Clone, Debug)]
+pub(super) struct LaunchLayout {
+    pub(super) tiles: Vec<DeviceTile>,
+    /// Number of blocks, rounded up to whole groups.
+    pub(super) blocks: u32,
+    pub(super) groups: u32,
+    /// From one group to the next that is launched, counted around: they are far apart, so that no
+    /// launch is dearer than another because of what is to be seen there.
+    pub(super) stride: u32,
+}
+
+/// Lays out tiles.
+pub(super) fn lay_out(rects: &[Rect], planes: usize, shape: BlockDim) -> LaunchLayout {
+    let (mut first_block, mut start) = (0, 0);
+    let tiles = rects
+        .iter()
+        .map(|rect| {
+            let columns = rect.width.div_ceil(shape.columns);
+            let tile = DeviceTile {
+                x: rect.x,
+                y: rect.y,
+                width: rect.width,
+                height: rect.height,
+                first_block,
+                columns,
+                start,
+            };
+            first_block += columns * rect.height.div_ceil(shape.rows);
+            start += rect.pixels() * planes as u64;
+            tile
+        })
+        .collect();
+    let groups = first_block.div_ceil(BLOCK_GROUP);
+    LaunchLayout { tiles, blocks: groups * BLOCK_GROUP, groups, stride: stride(groups) }
+}
+
+impl LaunchLayout {
+    /// Orders rows for a single launch, so that similar blocks run together.
+    pub(super) fn ordered(self, cost: &CostModel, samples: u32) -> Self {
+        if cost.is_one_launch(self.blocks, samples) { self.row_major() } else { self }
+    }
+
+    /// The order of rows.
+    pub(super) fn row_major(self) -> Self {
+        Self { stride: 1, ..self }
+    }
+}
+
+/// A number near the golden section of `groups` that has no factor in common with it.
+fn stride(groups: u32) -> u32 {
+    const GOLDEN_SECTION: f64 = 0.618_034;
+    let common = |a: u32, b: u32| {
+        let (mut a, mut b) = (a, b);
+        while b != 0 {
+            (a, b) = (b, a % b);
+        }
+        a
+    };
+    let near = ((f64::from(groups) * GOLDEN_SECTION) as u32).max(1);
+    (near..=groups).find(|&stride| common(stride, groups) == 1).unwrap_or(1)
+}
+
+/// Measured cost of rendering with a kernel on a GPU.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct CostModel {
+    /// Milliseconds for one sample of all pixels of a block.
+    block_sample_ms: Option<f64>,
+    /// Block samples of the largest launch so far.
+    largest: f64,
+}
+
+impl CostModel {
+    /// Learns what a launch took.
+    pub(super) fn observe(&mut self, part: LaunchRange, ms: f64) {
+        let units = part.block_samples();
+        let now = ms / units;
+        // An expensive part may occur again, so the estimate decreases slowly.
+        self.block_sample_ms = Some(self.block_sample_ms.map_or(now, |before| now.max(0.8 * before)));
+        self.largest = self.largest.max(units);
+    }
+
+    /// Whether this many blocks are known to fit in one launch.
+    fn is_one_launch(&self, blocks: u32, samples: u32) -> bool {
+        let units = f64::from(blocks) * f64::from(samples);
+        self.block_sample_ms.is_some_and(|ms| units * ms <= LAUNCH_MS && units <= MAX_GROWTH * self.largest)
+    }
+
+    /// Number of block samples for the next launch.
+    fn next_size(&self, wave: u32) -> f64 {
+        let first = f64::from(wave) * f64::from(FIRST_SAMPLES);
+        self.block_sample_ms.map_or(first, |ms| (LAUNCH_MS / ms).min(MAX_GROWTH * self.largest.max(first)))
+    }
+}
+
+/// Time that launches took, in milliseconds.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct KernelTimes {
+    /// All together.
+    pub total_ms: f64,
+    /// The longest.
+    pub longest_ms: f64,
+}
+
+impl KernelTimes {
+    pub(super) fn add(&mut self, ms: f64) {
+        self.total_ms += ms;
+        self.longest_ms = self.longest_ms.max(ms);
+    }
+}
+
+/// The launches of a render, one after another.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Launches {
+    blocks: u32,
+    samples: u32,
+    /// Blocks that fill the GPU once.
+    resident_blocks: u32,
+    /// The blocks in progress, and the sample reached.
+    first_block: u32,
+    end_block: u32,
+    sample: u32,
+}
+
+impl LaunchRange {
+    fn block_samples(self) -> f64 {
+        f64::from(self.blocks) * f64::from(self.end_sample - self.first_sample)
+    }
+}
+
+impl Launches {
+    pub(super) fn new(blocks: u32, samples: u32, wave: u32) -> Self {
+        Self { blocks, samples, resident_blocks: wave.max(1), first_block: 0, end_block: 0, sample: 0 }
+    }
+
+    /// The next launch, if any is left.
+    pub(super) fn next(&mut self, cost: &CostModel) -> Option<LaunchRange> {
+        if self.sample == 0 {
+            if self.first_block == self.blocks {
+                return None;
+            }
+            // All samples of some blocks, at least as many as fill the GPU.
+            let fitting = (cost.next_size(self.resident_blocks) / f64::from(self.samples)) as u32;
+            self.end_block = self.first_block.saturating_add(fitting.max(self.resident_blocks)).min(self.blocks);
+        }
+        let blocks = self.end_block - self.first_block;
+        let fitting = (cost.next_size(self.resident_blocks) / f64::from(blocks)) as u32;
+        let end_sample = self.sample.saturating_add(fitting.max(1)).min(self.samples);
+        let is_last = end_sample == self.samples;
+        let part =
+            LaunchRange { first_block: self.first_block, blocks, first_sample: self.sample, end_sample, is_last };
+        self.sample = if is_last { 0 } else { end_sample };
+        if is_last {
+            self.first_block = self.end_block;
+        }
+        Some(part)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Runs all launches of a GPU on which a sample of a block takes `ms`; the longest launch.
+    fn longest_launch(blocks: u32, samples: u32, ms: impl Fn(u32) -> f64) -> f64 {
+        let blocks = blocks.next_multiple_of(BLOCK_GROUP);
+        let (groups, stride) = (u64::from(blocks / BLOCK_GROUP), u64::from(stride(blocks / BLOCK_GROUP)));
+        let order =
+            |turn: u32| (u64::from(turn / BLOCK_GROUP) * stride % groups) as u32 * BLOCK_GROUP + turn % BLOCK_GROUP;
+        let mut cost = CostModel::default();
+        let mut launches = Launches::new(blocks, samples, 1000);
+        let mut rendered = vec![0; blocks as usize];
+        let mut longest = 0.0_f64;
+        while let Some(part) = launches.next(&cost) {
+            let mut took = 0.0;
+            for block in (part.first_block..part.first_block + part.blocks).map(order) {
+                assert_eq!(rendered[block as usize], part.first_sample, "samples come in order");
+                rendered[block as usize] = part.end_sample;
+                took += ms(block) * f64::from(part.end_sample - part.first_sample);
+            }
+            assert_eq!(part.is_last, part.end_sample == samples);
+            cost.observe(part, took);
+            longest = longest.max(took);
+        }
+        assert!(rendered.iter().all(|&done| done == samples), "every sample of every block is rendered");
+        longest
+    }
+
+    #[test]
+    fn every_sample_is_rendered_once_and_in_order() {
+        for (blocks, samples) in [(1, 1), (7, 65_536), (8_100, 4), (500_000, 1), (3_000, 1_000)] {
+            assert!(longest_launch(blocks, samples, |_| 1e-5) <= 50.0);
+        }
+    }
+
+    #[test]
+    fn a_picture_that_is_dear_in_one_place_is_cut_evenly() {
+        let sky_then_fractal = |block: u32| if block < 30_000 { 2e-6 } else { 4e-5 };
+        assert!(longest_launch(60_000, 256, sky_then_fractal) <= 50.0);
+    }
+
+    #[test]
+    fn a_known_program_is_launched_whole() {
+        let mut cost = CostModel::default();
+        cost.observe(LaunchRange { first_block: 0, blocks: 8_100, first_sample: 0, end_sample: 4, is_last: true }, 1.0);
+        let part = Launches::new(8_100, 4, 1056).next(&cost).expect("there is work");
+        assert_eq!((part.blocks, part.end_sample, part.is_last), (8_100, 4, true));
+    }
+
+    #[test]
+    fn tiles_follow_one_another_in_blocks_and_numbers() {
+        let rects = [Rect { x: 0, y: 0, width: 33, height: 9 }, Rect { x: 64, y: 32, width: 32, height: 32 }];
+        let LaunchLayout { tiles, blocks, .. } = lay_out(&rects, 5, BlockDim { columns: 16, rows: 8 });
+        assert_eq!((tiles[0].columns, tiles[1].first_block, tiles[1].start), (3, 6, 33 * 9 * 5));
+        assert_eq!(blocks, BLOCK_GROUP, "6 and 8 blocks are less than a group");
+    }
+}

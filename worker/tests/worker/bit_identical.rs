@@ -1,0 +1,91 @@
+//! Same bits everywhere, in one process: every shipped job, as a PNG and as a float EXR with all layers, has the bytes
+//! of scalar code with all vector instructions, tiles and numbers of threads, and from run to run.
+//!
+//! `tests/bit_identical.rs` goes the whole way, by `render` and by farms, for a few of them.
+
+use std::io::Cursor;
+
+use scene::Job;
+use worker::frame::render_frame;
+use worker::{CancelFlag, CpuRenderer, Simd};
+
+use crate::lanes::levels;
+use crate::shipped::{Shipped, shipped};
+
+/// Wider than any picture.
+const WHOLE: u32 = 65535;
+const SAMPLES: u32 = 2;
+/// What every run of the tests renders.
+const SMALL_PX: u32 = 64;
+/// What the long tests render.
+const LARGE_PX: u32 = 128;
+
+/// A way to render, which must not show in the picture.
+struct Way {
+    name: String,
+    renderer: CpuRenderer,
+    /// Edge of its tiles; as a server would cut them, if `None`.
+    tile_px: Option<u32>,
+}
+
+impl Way {
+    fn new(simd: Simd, threads: usize, tile_px: Option<u32>) -> Self {
+        let name = format!("{simd}, {threads} threads, tiles of {tile_px:?}");
+        Self { name, renderer: CpuRenderer::new(Some(threads), simd).expect("a level of this CPU"), tile_px }
+    }
+
+    fn picture(&self, job: &Job) -> Vec<u8> {
+        let mut out = Cursor::new(Vec::new());
+        render_frame(
+            &self.renderer,
+            job,
+            0,
+            self.tile_px,
+            &std::env::temp_dir(),
+            &mut out,
+            &CancelFlag::new(),
+            &|_| (),
+        )
+        .unwrap_or_else(|error| panic!("{}: {error}", self.name));
+        out.into_inner()
+    }
+}
+
+/// Compares every shipped job, in the form that `form` gives it, over all ways.
+fn assert_same(form: impl Fn(&Shipped) -> Job) {
+    let reference = Way::new(Simd::Scalar, 1, Some(WHOLE));
+    let vectors = levels().filter(|&level| level != Simd::Scalar).map(|level| Way::new(level, 1, Some(WHOLE)));
+    let best = [(1, None), (3, None), (3, Some(32)), (2, Some(256)), (1, Some(WHOLE))];
+    let best = best.map(|(threads, tile_px)| Way::new(Simd::Auto, threads, tile_px));
+    let ways: Vec<Way> = vectors.chain(best).collect();
+    let mut wrong = Vec::new();
+    for shipped in shipped() {
+        let job = form(&shipped);
+        let want = reference.picture(&job);
+        let different = ways.iter().filter(|way| way.picture(&job) != want);
+        wrong.extend(different.map(|way| format!("{} by {}", shipped.name, way.name)));
+    }
+    assert!(wrong.is_empty(), "other bytes than by scalar code:\n{}", wrong.join("\n"));
+}
+
+#[test]
+fn every_small_png_has_the_bytes_of_scalar_code() {
+    assert_same(|shipped| shipped.png(SMALL_PX, SAMPLES));
+}
+
+#[test]
+fn every_small_exr_has_the_bytes_of_scalar_code() {
+    assert_same(|shipped| shipped.exr(SMALL_PX, SAMPLES));
+}
+
+#[test]
+#[ignore = "long: every shipped scene, larger, in all ways; two minutes"]
+fn every_larger_png_has_the_bytes_of_scalar_code() {
+    assert_same(|shipped| shipped.png(LARGE_PX, SAMPLES));
+}
+
+#[test]
+#[ignore = "long: every shipped scene, larger, in all ways; two minutes"]
+fn every_larger_exr_has_the_bytes_of_scalar_code() {
+    assert_same(|shipped| shipped.exr(LARGE_PX, SAMPLES));
+}
