@@ -128,7 +128,7 @@ fn a_job_is_moved_and_only_a_failed_one_retried() {
     assert!(good(&on(&farm, folder.path(), &["priority", &id, "-7"])).contains(&id[28..]));
     let refused = on(&farm, folder.path(), &["retry", &id]);
     assert_eq!(refused.status.code(), Some(1));
-    assert!(text(&refused.stderr).contains("only a failed job is retried"), "{}", text(&refused.stderr));
+    assert!(text(&refused.stderr).contains("only failed jobs can be retried"), "{}", text(&refused.stderr));
     assert_eq!(on(&farm, folder.path(), &["priority", &id, "101"]).status.code(), Some(2));
     let early = on(&farm, folder.path(), &["fetch", &id, "-o", "frames.zip"]);
     assert_eq!(early.status.code(), Some(1));

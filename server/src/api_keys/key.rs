@@ -320,7 +320,7 @@ mod tests {
         key.mark_used(2000);
         assert_eq!(key.last_used_ms(), Some(3000));
         let view = key.view(0);
-        assert_eq!(view.last_used_at.as_deref(), Some("1970-01-01T00:00:03Z"));
+        assert_eq!(view.last_used_at.as_deref(), Some("1970-01-01T00:00:03.000Z"));
         assert_eq!((view.max_jobs, view.max_rays, view.requests_per_second), (Some(3), Some(500), Some(9)));
         assert_eq!((&*view.id, &*view.name, &*view.scopes), ("key_1", "anna", &[Scope::Submit][..]));
         assert!(key.scopes().is_allowed(Scope::Submit) && !key.scopes().is_allowed(Scope::Admin));

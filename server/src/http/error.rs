@@ -50,7 +50,7 @@ pub(crate) enum ApiError {
     WrongRequest(&'static str),
     #[error("there is no job {0}: GET /v1/jobs (`sdfarm jobs`) lists those there are")]
     UnknownJob(String),
-    #[error("job {job} has no frame {frame}: its frames are 0 to {}", .frames.saturating_sub(1))]
+    #[error("job {job} has no frame {frame}: {}", numbered(*.frames))]
     UnknownFrame { job: JobId, frame: String, frames: u32 },
     #[error("{}", not_stored(.job, *.frame, *.state))]
     NotStored { job: JobId, frame: u32, state: JobState },
@@ -141,6 +141,13 @@ fn first(faults: &[ValidationErrorView]) -> String {
 
 fn faults(faults: &[ValidationErrorView]) -> String {
     if faults.len() == 1 { "an error".to_owned() } else { format!("{} errors", faults.len()) }
+}
+
+fn numbered(frames: u32) -> String {
+    match frames {
+        0 | 1 => "its only frame is 0".to_owned(),
+        _ => format!("its frames are 0 to {}", frames - 1),
+    }
 }
 
 fn not_stored(job: &JobId, frame: u32, state: JobState) -> String {

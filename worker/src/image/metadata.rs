@@ -33,7 +33,7 @@ impl Metadata {
 /// the rates of NTSC are, or else the simplest.
 fn fraction(number: f32) -> (i32, u32) {
     let whole = (f64::from(number) * 1.001).round();
-    if whole >= 1.0 && (whole / 1.001) as f32 == number {
+    if number.fract() != 0.0 && (whole / 1.001) as f32 == number {
         return (whole as i32 * 1000, 1001);
     }
     let half = |other: f32| 0.5 * (f64::from(number) + f64::from(other));

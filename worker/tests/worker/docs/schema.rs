@@ -70,9 +70,14 @@ pub(crate) fn kind_section(schema: &Value, family: &str, example: &Example, file
         let table = table(schema, &schema["$defs"][example.kind]);
         return format!("\n## {name}\n\n{}\n\n{table}{shown}", description(schema, example.kind));
     }
-    let choices = schema["$defs"][family]["oneOf"].as_array().expect("a family is a choice");
-    let own = choices.iter().find(|choice| choice["const"] == name.as_str()).expect("the schema has the word");
-    format!("\n## {name}\n\n{}\n{shown}", own["description"].as_str().expect("a word is described"))
+    let words = description(schema, &format!("{family}Word"));
+    format!("\n## {name}\n\n{}\n{shown}", word(words, name))
+}
+
+/// What a list of words, one an item, says of one of them.
+fn word<'a>(words: &'a str, name: &str) -> &'a str {
+    let mut items = words.split("- `\"").filter_map(|item| item.split_once("\"`: "));
+    items.find(|(word, _)| *word == name).expect("the schema has the word").1.trim_end()
 }
 
 /// A section on a type that others are made of: its choices, or its keys.
