@@ -1,7 +1,7 @@
 //! Profiles: 2D shapes in the plane of x and y, for `extrude` and `revolve`.
 //!
 //! A profile is one documented struct in a file of its family under `profiles/`, one `impl` of
-//! [`ProfileSdf`], and one word in the list below. Its examples are examples of `extrude` and
+//! [`ProfileSdf`], and one entry in the list below. Its examples are examples of `extrude` and
 //! `revolve`, so the contract tests and the pictures of docs/nodes.md follow from those.
 
 #[cfg(test)]
@@ -93,7 +93,7 @@ pub trait ProfileSdf {
     /// The signed distance from (`x`, `y`) to the outline, negative inside.
     fn distance<R: Real>(&self, x: R, y: R) -> R;
 
-    /// A rectangle that holds every point whose distance is at most `level`, which is not below 0.
+    /// Rectangle that contains every point whose distance is at most `isolevel`, which is at least 0.
     fn extent(&self, isolevel: f32) -> Bounds2;
 
     /// Relation of its value to the true distance.
@@ -148,7 +148,7 @@ macro_rules! profiles {
                 }
             }
 
-            /// A rectangle that holds every point whose distance is at most `level`, which is not below 0.
+            /// Rectangle that contains every point whose distance is at most `isolevel`, which is at least 0.
             pub fn extent(&self, isolevel: f32) -> Bounds2 {
                 match self {
                     $($(#[$attribute])* Self::$Kind(profile) => profile.extent(isolevel)),*

@@ -242,7 +242,7 @@ animatable_numbers! {
 }
 
 constant_numbers! {
-    /// Frames a second.
+    /// Frames per second.
     FrameRate: |v| (0.001..=1000.0).contains(&v), "a rate from 0.001 to 1000 frames a second",
         { "type": "number", "minimum": 0.001, "maximum": 1000, "description": "Frames a second." };
 }

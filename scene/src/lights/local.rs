@@ -27,7 +27,7 @@ pub struct SpotLight {
     /// Its color, and its strength at a distance of 1.
     #[serde(default = "default_color")]
     pub color: Color,
-    /// Whether things cast shadows in it.
+    /// Whether objects cast shadows in this light.
     #[serde(default = "default_shadow")]
     pub shadow: bool,
 }
@@ -42,12 +42,12 @@ pub struct SpotLight {
 pub struct SphereLight {
     /// Its middle.
     pub position: Point,
-    /// Its radius.
+    /// Radius.
     pub radius: Length,
     /// Its color, and its strength at a distance of 1 from a point that shines as much.
     #[serde(default = "default_color")]
     pub color: Color,
-    /// Whether things cast shadows in it.
+    /// Whether objects cast shadows in this light.
     #[serde(default = "default_shadow")]
     pub shadow: bool,
 }

@@ -10,7 +10,7 @@ use crate::real::{Real, Vec3, vec3};
 use crate::seek::Seek;
 use crate::values::{Coordinate, Length, LengthOrZero};
 
-/// A flat profile given a height along z, its middle at z = 0.
+/// A flat profile given a height along z, centered at z = 0.
 ///
 /// Inigo Quilez, "Distance functions": <https://iquilezles.org/articles/distfunctions/>. It is as
 /// exact as the profile where `round` is 0. With rounded edges it is a bound: near the profile's
@@ -20,7 +20,7 @@ use crate::values::{Coordinate, Length, LengthOrZero};
 pub struct Extrude {
     /// The profile, in the plane of x and y.
     pub profile: Profile,
-    /// Whole height along z.
+    /// Full height along z.
     pub height: Length,
     /// Radius of the rounded edges around both ends, inside the sharp solid.
     #[serde(default = "default_round")]

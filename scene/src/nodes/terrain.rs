@@ -22,7 +22,7 @@ pub struct HeightField {
     pub noise: Noise,
     /// Height of the land where the noise is 1.
     pub height: Length,
-    /// Whole extents of the box around the origin that the land is cut to.
+    /// Full extents of the box around the origin that the land is cut to.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub size: Option<[Length; 3]>,
 }

@@ -25,7 +25,7 @@ const TOLERANCE: f32 = 1e-6;
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
 #[serde(deny_unknown_fields)]
 pub struct Ellipse {
-    /// Whole extents along x and y.
+    /// Full extents along x and y.
     pub size: [Length; 2],
 }
 

@@ -11,7 +11,7 @@ use crate::real::Real;
 use crate::seek::Seek;
 use crate::values::Length;
 
-/// A line of bold text without serifs, its middle at the origin: half of its length along x, and
+/// A line of bold text without serifs, centered at the origin: half of its length along x, and
 /// half of a capital's height along y.
 ///
 /// It is exact unless letters overlap.

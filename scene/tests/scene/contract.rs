@@ -4,7 +4,7 @@ use crate::subject as scene;
 use scene::nodes::{Exactness, Node, NodeExample};
 use scene::real::{Interval, Real, Tribool, Vec3, vec3};
 
-/// A small generator with a fixed start: failures repeat.
+/// Pseudorandom numbers from a fixed seed, so that failures repeat.
 struct Random(u32);
 
 impl Random {

@@ -4,7 +4,7 @@
 use scene::nodes::{Exactness, Node, NodeExample};
 use scene::real::{Vec3, vec3};
 
-/// A small generator with a fixed start: failures repeat.
+/// Pseudorandom numbers from a fixed seed, so that failures repeat.
 struct Random(u32);
 
 impl Random {

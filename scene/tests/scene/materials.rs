@@ -8,7 +8,7 @@ use serde::Serialize;
 use serde::de::DeserializeOwned;
 use serde_json::{Value, json};
 
-/// A small generator with a fixed start: failures repeat.
+/// Pseudorandom numbers from a fixed seed, so that failures repeat.
 struct Random(u32);
 
 impl Random {

@@ -4,7 +4,7 @@ use scene::noise::Noise;
 use scene::real::{Interval, Vec3, vec3};
 use serde_json::{Value, json};
 
-/// A small generator with a fixed start: failures repeat.
+/// Pseudorandom numbers from a fixed seed, so that failures repeat.
 struct Random(u32);
 
 impl Random {

@@ -10,7 +10,7 @@ type P = [f64; 3];
 /// Whether a point is in a solid.
 type Holds = fn(P) -> bool;
 
-/// A small generator with a fixed start: failures repeat.
+/// Pseudorandom numbers from a fixed seed, so that failures repeat.
 struct Random(u64);
 
 impl Random {
