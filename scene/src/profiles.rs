@@ -49,9 +49,9 @@ impl Point2 {
 /// A rectangle along the axes, in scene units.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Bounds2 {
-    /// Its least coordinates.
+    /// Minimum coordinates.
     pub low: [f32; 2],
-    /// Its greatest coordinates.
+    /// Maximum coordinates.
     pub high: [f32; 2],
 }
 
@@ -67,13 +67,13 @@ impl Bounds2 {
         points.into_iter().fold(empty, |extent, point| extent.hull(Self { low: point, high: point }))
     }
 
-    /// The least rectangle that holds both.
+    /// Smallest rectangle that contains both.
     pub fn hull(self, other: Self) -> Self {
         let axis = |f: fn(f32, f32) -> f32, a: [f32; 2], b: [f32; 2]| [f(a[0], b[0]), f(a[1], b[1])];
         Self { low: axis(f32::min, self.low, other.low), high: axis(f32::max, self.high, other.high) }
     }
 
-    /// The rectangle with each side further out by `margin`.
+    /// Rectangle with each side moved out by `margin`.
     pub fn widened(self, margin: f32) -> Self {
         Self { low: self.low.map(|c| c - margin), high: self.high.map(|c| c + margin) }
     }
@@ -84,7 +84,7 @@ pub trait ProfileSdf {
     /// A small valid value, as a user would write it.
     const EXAMPLE: &'static str;
 
-    /// Further values that take other ways through the formula.
+    /// Further values that exercise other branches of the formula.
     const MORE_EXAMPLES: &'static [&'static str] = &[];
 
     /// Whether it is its own mirror image about the y axis.
@@ -101,7 +101,7 @@ pub trait ProfileSdf {
         Exactness::Exact
     }
 
-    /// Error in its numbers taken together, if any; each alone is in range.
+    /// Error in its numbers taken together, if any; each number alone is in range.
     fn validate(&self) -> Option<NodeError> {
         None
     }
@@ -114,7 +114,7 @@ pub trait ProfileSdf {
 
 macro_rules! profiles {
     ($($(#[$attribute:meta])* $Kind:ident),* $(,)?) => {
-        /// A flat shape in the plane of x and y, keyed by its name.
+        /// A flat shape in the plane of x and y: an object whose member is the profile's name.
         #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
         #[serde(rename_all = "snake_case")]
         pub enum Profile {

@@ -1,8 +1,8 @@
-//! Numbers with a meaning: parsed once, right ever after.
+//! Numbers with a meaning: validated once, when they are parsed.
 //!
-//! Each type is one kind of number of a job file, with its range in the type and in the schema.
-//! A number may have a `track`: then it holds it beside its value at one time, and `Seek` takes it to another.
-//! What chooses code by a number must ask whether it has one, since all frames share one compiled program.
+//! Each type is one kind of number of a job file, with its range in the type and in the schema. A number may have a
+//! `track`. It then stores the track next to its value at one time, and `Seek` evaluates it at another. Code that
+//! branches on a number's value must check `is_animated` first, because all frames share one compiled program.
 
 mod color;
 mod peeked_map;
@@ -71,7 +71,7 @@ macro_rules! constant_numbers {
     )* };
 }
 
-/// A number and, if it is animated, its track. Two are equal if the numbers are.
+/// A number and, if it is animated, its track. Two are equal if their values are.
 macro_rules! number_type {
     ($(#[$doc:meta])* $Name:ident: $is_in_range:expr, $words:literal) => {
         $(#[$doc])*
@@ -87,19 +87,20 @@ macro_rules! number_type {
                 <Self as track::RangedNumber>::is_in_range(value).then_some(Self { value, track: None })
             }
 
-            /// The number.
+            /// The value.
             #[inline(always)]
             pub fn get(&self) -> f32 {
                 self.value
             }
 
-            /// Whether a track gives this number a different value in other frames. If so, code must not branch on it: all frames share one compiled program.
+            /// Whether a track gives this number a different value in other frames. If so, code must not branch on it:
+            /// all frames share one compiled program.
             #[inline(always)]
             pub fn is_animated(&self) -> bool {
                 self.track.is_some()
             }
 
-            /// Whether it is 0 in every frame: then a formula may leave it out.
+            /// Whether it is 0 in every frame, so that a formula may leave it out.
             #[inline(always)]
             pub fn is_zero(&self) -> bool {
                 self.value == 0.0 && self.track.is_none()
@@ -167,7 +168,7 @@ animatable_numbers! {
     /// A length that may be 0, in scene units.
     LengthOrZero: |v| v == 0.0 || (MIN_LENGTH..=MAX_LENGTH).contains(&v), "0, or a size from 1e-6 to 1e6",
         { "type": "number", "minimum": 0, "maximum": 1e6, "description": "0, or a size from 1e-6 to 1e6, in scene units." };
-    /// The distance from copy to copy, in scene units.
+    /// The distance between copies, in scene units.
     Spacing: |v| (MIN_LENGTH..=MAX_LENGTH).contains(&v), "a distance from 1e-6 to 1e6, or null along an axis without copies",
         { "type": "number", "minimum": 1e-6, "maximum": 1e6, "description": "The distance from copy to copy, in scene units." };
     /// A fraction from 0 to 1.
@@ -188,10 +189,10 @@ animatable_numbers! {
     /// The angle between the axis of a cone and its side, in degrees.
     AcuteHalfAngle: |v| (0.1..=89.9).contains(&v), "an angle from 0.1 to 89.9 degrees",
         { "type": "number", "minimum": 0.1, "maximum": 89.9, "description": "The angle between the axis of a cone and its side, in degrees." };
-    /// Half an aperture, in degrees.
+    /// Half an opening angle, in degrees.
     HalfAngle: |v| (0.1..=179.9).contains(&v), "half an aperture from 0.1 to 179.9 degrees",
         { "type": "number", "minimum": 0.1, "maximum": 179.9, "description": "Half an aperture, in degrees." };
-    /// The length of an arc, in degrees.
+    /// The angle of an arc, in degrees.
     ArcAngle: |v| (0.1..=360.0).contains(&v), "an arc from 0.1 to 360 degrees",
         { "type": "number", "minimum": 0.1, "maximum": 360, "description": "The length of an arc, in degrees." };
     /// A sweep angle, in degrees.
@@ -230,10 +231,10 @@ animatable_numbers! {
     /// Extinction coefficient: the fraction of the light lost per scene unit.
     Density: |v| (0.0..=1e6).contains(&v), "a density from 0 to 1e6",
         { "type": "number", "minimum": 0, "maximum": 1e6, "description": "The extinction coefficient, per scene unit." };
-    /// Whether light is scattered onwards (above 0) or back: the mean cosine g.
+    /// Anisotropy g, the mean cosine of scattered light: above 0 forward, below 0 back.
     Anisotropy: |v| (-0.95..=0.95).contains(&v), "a mean cosine from -0.95 to 0.95",
         { "type": "number", "minimum": -0.95, "maximum": 0.95, "description": "The mean cosine g of scattered light: above 0 onwards, below 0 back." };
-    /// The whole angle of a cone, in degrees.
+    /// The full angle of a cone, in degrees.
     FullAngle: |v| (0.0..=180.0).contains(&v), "an angle from 0 to 180 degrees",
         { "type": "number", "minimum": 0, "maximum": 180, "description": "The whole angle of a cone, in degrees." };
     /// Turbidity of the air.
@@ -247,7 +248,7 @@ constant_numbers! {
         { "type": "number", "minimum": 0.001, "maximum": 1000, "description": "Frames a second." };
 }
 
-/// Reads any whole number that JSON can hold.
+/// Deserializes any integer that JSON can hold.
 struct IntegerVisitor;
 
 impl<'de> Visitor<'de> for IntegerVisitor {
@@ -278,12 +279,12 @@ impl<'de> Visitor<'de> for IntegerVisitor {
     }
 }
 
-/// Reads a whole number.
+/// Deserializes an integer.
 pub(crate) fn integer<'de, D: Deserializer<'de>>(d: D) -> Result<i64, D::Error> {
     d.deserialize_any(IntegerVisitor)
 }
 
-/// Reads a whole number of `what` from `low` to `high`.
+/// Deserializes an integer `what` from `low` to `high`.
 pub(crate) fn integer_in_range<'de, D: Deserializer<'de>>(
     d: D,
     low: u32,
@@ -308,14 +309,14 @@ impl Point {
         vec3(self.0.get(), self.1.get(), self.2.get())
     }
 
-    /// The point in range that is nearest to another.
+    /// The nearest point whose coordinates are in range.
     pub(crate) fn clamped(p: Vec3<f32>) -> Self {
         let [x, y, z] = <[f32; 3]>::from(p);
         let coordinate = |c: f32| Coordinate { value: c.clamp(-MAX_LENGTH, MAX_LENGTH), track: None };
         Self(coordinate(x), coordinate(y), coordinate(z))
     }
 
-    /// Whether any of them moves.
+    /// Whether any of its coordinates is animated.
     pub fn is_animated(&self) -> bool {
         self.0.is_animated() || self.1.is_animated() || self.2.is_animated()
     }
@@ -335,7 +336,7 @@ impl Direction {
         self.unit
     }
 
-    /// Whether any of its numbers moves.
+    /// Whether any of its numbers is animated.
     pub fn is_animated(&self) -> bool {
         self.components.is_animated()
     }
@@ -345,7 +346,7 @@ impl Direction {
 fn unit(given: &Point) -> Option<Vec3<f32>> {
     let numbers = <[f32; 3]>::from(given.get());
     let largest = numbers.iter().fold(0.0_f32, |largest, c| largest.max(c.abs()));
-    // Scaled first, so that squares neither overflow nor vanish.
+    // Scaled first, so that squares neither overflow nor underflow.
     let [x, y, z] = numbers.map(|c| c / largest);
     (largest >= MIN_LENGTH).then(|| vec3(x, y, z).normalize())
 }
@@ -405,7 +406,7 @@ impl Rotation {
         self.rows
     }
 
-    /// Whether any of its angles moves.
+    /// Whether any of its angles is animated.
     pub fn is_animated(&self) -> bool {
         self.degrees.iter().any(Degrees::is_animated)
     }

@@ -1,15 +1,15 @@
-//! Which parts of a job a fault of meaning depends on: where something stands in for one of them, the fault is not sure.
+//! Dependencies of semantic errors: an error is certain only if no part that it depends on was replaced.
 
-/// Whether what is wrong at a pointer is wrong whatever stands in at the pointers that were repaired.
+/// Whether an error at a pointer is certain, whatever replaced the values at the repaired pointers.
 pub(super) fn is_sure(pointer: &str, repaired: &[String]) -> bool {
     let needed = needed(pointer);
     !repaired.iter().any(|repaired| needed.iter().any(|needed| needed.is_touched_by(repaired)))
 }
 
-/// A part that a fault depends on.
+/// A part that an error depends on.
 struct Needed {
     pointer: String,
-    /// Whether it depends on all inside too.
+    /// Whether the error depends on all of the part's content too.
     is_whole: bool,
 }
 
@@ -19,7 +19,7 @@ impl Needed {
     }
 }
 
-/// Whether a pointer leads to another one's place or into it.
+/// Whether a pointer is equal to another one or below it.
 fn is_at_or_below(pointer: &str, other: &str) -> bool {
     pointer.strip_prefix(other).is_some_and(|rest| rest.is_empty() || rest.starts_with('/'))
 }
@@ -51,7 +51,7 @@ fn needed(pointer: &str) -> Vec<Needed> {
                 rest = below;
             }
             match rest {
-                // A material by its name, or one that fills.
+                // A material by its name, or a medium.
                 [_, "material"] => vec![whole(pointer), alone("/scene/materials")],
                 [] => vec![alone(pointer)],
                 [..] => vec![whole(&node)],

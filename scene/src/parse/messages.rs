@@ -1,11 +1,11 @@
-//! Serde's words about a form that does not fit, in the words of someone who writes job files.
+//! Rewrites serde's error messages for authors of job files.
 
 use serde_json::Value;
 
 use super::form::{last, parent};
 use crate::json_scan;
 
-/// The place and the fault, given where serde found it and what serde says; `text` is sound JSON.
+/// Pointer and message of an error, from serde's pointer and message; `text` is valid JSON.
 pub(super) fn rewrite_serde_error(text: &str, pointer: String, message: String) -> (String, String) {
     let place = |pointer: &str| json_scan::locate_value(text, pointer);
     match message.as_str() {
@@ -30,8 +30,8 @@ pub(super) fn rewrite_serde_error(text: &str, pointer: String, message: String) 
     }
 }
 
-/// What is wrong with a value where serde says only that it expected something else: it wants an object of one
-/// key, or a list with fewer entries.
+/// Message about a value for which serde only reports that it expected something else: an object of one key, or a list
+/// with fewer entries.
 fn shape_error(text: &str, message: &str) -> Option<String> {
     let value = serde_json::Deserializer::from_str(text).into_iter::<Value>().next()?.ok()?;
     Some(match value {
@@ -48,7 +48,7 @@ fn shape_error(text: &str, message: &str) -> Option<String> {
     })
 }
 
-/// "invalid type: string "one", expected a number" as "must be a number, not "one"".
+/// Rewrites "invalid type: string "one", expected a number" as "must be a number, not "one"".
 fn type_error(message: &str) -> Option<String> {
     let (got, wanted) = message.split_once(", expected ")?;
     if let Some(length) = got.strip_prefix("invalid length ") {
@@ -62,7 +62,7 @@ fn type_error(message: &str) -> Option<String> {
     Some(format!("must be {}, not {}", expected_form(wanted), actual_form(got)))
 }
 
-/// What is wanted, without the names of types.
+/// The expected form, without the names of Rust types.
 fn expected_form(wanted: &str) -> String {
     if wanted.starts_with("struct ") {
         return "an object".to_owned();
@@ -79,7 +79,7 @@ fn expected_form(wanted: &str) -> String {
     }
 }
 
-/// What is there instead.
+/// The actual form.
 fn actual_form(got: &str) -> &str {
     let quoted = got.split_once('`').and_then(|(_, rest)| rest.strip_suffix('`'));
     match (quoted, got) {

@@ -1,17 +1,17 @@
-//! "Did you mean `sphere`?": the name that there is nearest to one that there is not.
+//! Suggestions for unknown names, such as "did you mean `sphere`?": the nearest known name.
 
 use strsim::{damerau_levenshtein, jaro_winkler};
 
 use crate::nodes::snake_case;
 
-/// Longer lists of names are not printed.
+/// Maximum length of a list of names in a message.
 const MAX_LISTED: usize = 16;
-/// Longer names than this are no slip of the pen, and are not compared.
+/// Maximum length of a name that is compared: longer names are not typing errors.
 const MAX_COMPARED_CHARS: usize = 64;
-/// Names of one beginning are alike from this similarity (Jaro and Winkler's) on.
+/// Minimum similarity (Jaro and Winkler's) of names with the same beginning.
 const MIN_SIMILARITY: f64 = 0.88;
 
-/// What other tools, and people, call things: their word, and ours.
+/// Names from other tools and common usage, each with this language's name.
 const SYNONYMS: [(&str, &str); 84] = [
     ("aluminum", "surface"),
     ("amplitude", "height"),
@@ -99,7 +99,7 @@ const SYNONYMS: [(&str, &str); 84] = [
     ("ring", "torus"),
 ];
 
-/// The name in serde's words about one that there is not, and those that there are; `prefix` begins its message.
+/// The unknown name in a message of serde, and the known names; `prefix` begins the message.
 pub(super) fn unknown<'a>(message: &'a str, prefix: &str) -> Option<(&'a str, Vec<&'a str>)> {
     let rest = message.strip_prefix(prefix)?;
     if let Some((name, known)) = rest.rsplit_once("`, expected ") {
@@ -109,7 +109,7 @@ pub(super) fn unknown<'a>(message: &'a str, prefix: &str) -> Option<(&'a str, Ve
     Some((name, Vec::new()))
 }
 
-/// The one of the names that was probably meant.
+/// The known name that was probably meant.
 pub(super) fn nearest<'a>(name: &str, known: &[&'a str]) -> Option<&'a str> {
     if name.is_empty() || name.chars().count() > MAX_COMPARED_CHARS {
         return None;
@@ -133,14 +133,14 @@ pub(super) fn nearest<'a>(name: &str, known: &[&'a str]) -> Option<&'a str> {
     nearest.map(|(_, known)| known).or_else(|| alike().map(|(_, known)| known))
 }
 
-/// `RoundedCylinder`, `rounded-cylinder` and `ROUNDED CYLINDER` as we write names.
+/// Normalizes `RoundedCylinder`, `rounded-cylinder` and `ROUNDED CYLINDER` to snake_case.
 fn plain(name: &str) -> String {
     let is_shouted = !name.chars().any(|letter| letter.is_ascii_lowercase());
     let name = if is_shouted { name.to_ascii_lowercase() } else { snake_case(name) };
     name.trim().replace(['-', ' ', '.'], "_").replace("__", "_")
 }
 
-/// What to say of a name that there is not.
+/// Message for an unknown name.
 pub(super) fn unknown_name(name: &str, known: &[&str], pointer: &str) -> String {
     let name = shortened(name);
     match nearest(&name, known) {
@@ -153,7 +153,7 @@ pub(super) fn unknown_name(name: &str, known: &[&str], pointer: &str) -> String 
     }
 }
 
-/// What to say of a key that an object does not take.
+/// Message for an unknown key of an object.
 pub(super) fn unknown_key(key: &str, known: &[&str]) -> String {
     let key = shortened(key);
     match nearest(&key, known) {
@@ -163,7 +163,7 @@ pub(super) fn unknown_key(key: &str, known: &[&str]) -> String {
     }
 }
 
-/// What to say of a material that is not among those with a name.
+/// Message for a material name that is not defined.
 pub(super) fn unknown_material(name: &str, known: &[&str]) -> String {
     let name = shortened(name);
     let cure = match nearest(&name, known) {
@@ -185,7 +185,7 @@ fn listed(known: &[&str]) -> String {
     }
 }
 
-/// A name as long as a message should quote it.
+/// A name, shortened for a message.
 fn shortened(name: &str) -> String {
     if name.chars().count() <= MAX_COMPARED_CHARS {
         return name.to_owned();

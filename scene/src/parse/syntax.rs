@@ -1,8 +1,8 @@
-//! What makes a text no JSON, in the words of someone who wrote it by hand: a comment, a comma too many, a missing quote.
+//! Explains syntax errors of JSON written by hand: a comment, an extra comma, a missing quote.
 
 use crate::error::{LineIndex, ValidationError};
 
-/// Words that other languages write, and JSON's.
+/// Words of other languages, and their JSON equivalents.
 const WORDS: [(&str, &str); 6] = [
     ("True", "true"),
     ("False", "false"),
@@ -12,11 +12,11 @@ const WORDS: [(&str, &str); 6] = [
     ("FALSE", "false"),
 ];
 
-/// The fault of a text that serde can't read.
+/// The error of a text that serde cannot parse.
 pub(super) fn fault(text: &str, error: &serde_json::Error) -> ValidationError {
     let lines = LineIndex::new(text);
     let reached = lines.offset(error.line(), error.column());
-    // A later oddity is not what serde stopped at.
+    // Serde did not stop at an oddity after its own position.
     match first_oddity(text).filter(|oddity| oddity.offset <= reached + 1) {
         Some(SyntaxOddity { offset, message }) => lines.fault(offset, String::new(), message),
         None => {
@@ -31,7 +31,7 @@ pub(super) fn fault(text: &str, error: &serde_json::Error) -> ValidationError {
     }
 }
 
-/// What serde says, with a cure where it names none.
+/// The message of serde, with a fix added if it has none.
 fn words(message: &str) -> String {
     let cure = match message {
         "key must be a string" => "write it in double quotes",
@@ -44,7 +44,7 @@ fn words(message: &str) -> String {
     format!("{message}: {cure}")
 }
 
-/// Something that JSON does not have.
+/// Syntax that JSON does not have.
 struct SyntaxOddity {
     offset: usize,
     message: String,
@@ -58,17 +58,17 @@ enum Token {
     Colon,
     Comma,
     Open,
-    /// The text begins.
+    /// Start of the text.
     Start,
 }
 
-/// Goes over a text until something is odd.
+/// Scans a text up to the first oddity.
 struct Scanner<'a> {
     text: &'a str,
     bytes: &'a [u8],
     at: usize,
     before: Token,
-    /// Bytes at which open lists and objects begin.
+    /// Byte offsets of the open lists and objects.
     open: Vec<usize>,
 }
 
@@ -88,7 +88,7 @@ impl Scanner<'_> {
         self.bytes[at..].iter().take_while(|byte| b" \t\r\n".contains(byte)).count()
     }
 
-    /// What is odd about the token here; passes over one that is not.
+    /// The oddity of the token here, if it is one; otherwise the scan moves past the token.
     fn token(&mut self, byte: u8) -> Option<String> {
         match byte {
             b'/' if matches!(self.bytes.get(self.at + 1), Some(b'/' | b'*')) => Some(comment()),
@@ -170,7 +170,7 @@ impl Scanner<'_> {
         }
         let behind = self.at + word.len();
         if word.is_empty() {
-            // What it is, the parser says.
+            // The parser reports it.
             self.at = self.bytes.len();
             return None;
         }
@@ -186,7 +186,7 @@ impl Scanner<'_> {
         Some(format!("{} is no word of JSON: write text in double quotes", quoted(word)))
     }
 
-    /// The text ends before its job does.
+    /// The text ends before the job is complete.
     fn end(&self) -> SyntaxOddity {
         let message = match self.open.last() {
             Some(&open) => {
@@ -203,7 +203,7 @@ impl Scanner<'_> {
     }
 }
 
-/// Whether JSON writes numbers so, however large.
+/// Whether JSON allows a number to be written so, however large it is.
 fn is_number(text: &str) -> bool {
     let unsigned = text.strip_prefix('-').unwrap_or(text);
     let (mantissa, exponent) = unsigned.split_once(['e', 'E']).map_or((unsigned, None), |(m, e)| (m, Some(e)));
@@ -219,7 +219,7 @@ fn comment() -> String {
     "JSON has no comments: leave this one out".to_owned()
 }
 
-/// Text as long as a message should quote it.
+/// Text, shortened for a message.
 fn quoted(text: &str) -> String {
     const MAX_CHARS: usize = 40;
     if text.chars().count() <= MAX_CHARS {
@@ -232,7 +232,7 @@ fn quoted(text: &str) -> String {
 mod tests {
     use super::*;
 
-    /// Line, column and message of the fault of a text.
+    /// Line, column and message of the error of a text.
     fn of(text: &str) -> (u32, u32, String) {
         let error = serde_json::from_str::<serde::de::IgnoredAny>(text).expect_err(text);
         let ValidationError { line, column, message, .. } = fault(text, &error);

@@ -1,4 +1,4 @@
-//! Every fault is told at its place, in bounded time, and none that is none.
+//! Tests of error collection: every error is reported at its position, in bounded time, without false errors.
 
 use super::*;
 use crate::error::ValidationError;
@@ -6,7 +6,7 @@ use crate::materials::Material;
 
 const SEVERAL: &str = include_str!("../../../tests/bad_input/several.txt");
 
-/// A sound job around some objects.
+/// A valid job around some objects.
 fn around(objects: &str) -> String {
     format!(
         "{{ \"scene\": {{ \"camera\": {{ \"position\": [0, 0, 5], \"look_at\": [0, 0, 0] }}, \"objects\": [\n{objects}\n] }},\n\
@@ -22,7 +22,7 @@ fn faults(text: &str) -> Vec<ValidationError> {
     }
 }
 
-/// The text without its marks, and their lines and columns.
+/// The text without its marks, and the lines and columns of the marks.
 fn unmarked(text: &str) -> (String, Vec<(u32, u32)>) {
     let mut parts = text.split('¤');
     let mut plain = parts.next().unwrap_or_default().to_owned();
@@ -61,7 +61,7 @@ fn each_of_several_faults_is_reported_once_and_nothing_else_is() {
     assert!(SEVERAL.matches("\n## ").count() >= 20);
 }
 
-/// Each place of a value of an example, with the value made wrong, and a fault of its own beside.
+/// Each position of a value of an example, with the value made invalid, and an unrelated error next to it.
 fn syntax_error(value: &serde_json::Value, visit: &mut impl FnMut(&str, &serde_json::Value)) {
     fn places(value: &serde_json::Value, pointer: String, all: &mut Vec<String>) {
         match value {
@@ -130,7 +130,7 @@ fn shipped_examples_of_every_node_have_no_fault() {
 
 #[test]
 fn work_for_a_large_text_is_bounded_by_its_bytes() {
-    // Were the whole text read again for each fault, this would be 100 × 4 MB, and more for each value that is tried.
+    // If all the text were parsed again for each error, this would be 100 × 4 MB, and more for each stand-in tried.
     let keys: String = (0..200_000).map(|key| format!("\"unknown {key}\": 1, ")).collect();
     let text = around(&format!(r#"{{ {keys} "shape": {{ "sphere": {{ "radius": 1 }} }} }}"#));
     let (all, bytes) = collect::counted(&text);

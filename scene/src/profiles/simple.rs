@@ -9,7 +9,7 @@ use crate::real::Real;
 use crate::seek::Seek;
 use crate::values::{Length, LengthOrZero};
 
-/// A disc around the origin.
+/// A disk around the origin.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
 #[serde(deny_unknown_fields)]
 pub struct Circle {

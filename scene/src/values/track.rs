@@ -1,6 +1,6 @@
 //! Tracks: numbers that change over the frames of a job.
 //!
-//! A number with a track stores it, next to its value at the time it was last evaluated for.
+//! A number with a track stores the track, next to the number's value at the time of its last evaluation.
 
 mod keyframes;
 
@@ -21,29 +21,29 @@ use crate::materials::Texture;
 
 /// A kind of number, with its range.
 pub(super) trait RangedNumber: Sized {
-    /// Range of a number of this kind, as words for messages.
+    /// Range of a number of this kind, worded for messages.
     const EXPECTED: &'static str;
 
-    /// Whether a number is in range.
+    /// Whether a value is in range.
     fn is_in_range(value: f32) -> bool;
 
     /// The number, if it is in range.
     fn in_range(value: f32) -> Option<Self>;
 
-    /// The number.
+    /// The value.
     fn value(&self) -> f32;
 
-    /// The number that a track of such numbers gives, at second 0.
+    /// The number for a track of such numbers, at second 0.
     fn on_track(track: Track) -> Self;
 }
 
-/// A number of JSON as one of its kind; finite and in range, or what it should be.
+/// Converts a JSON number to this kind; fails with the expected range if it is not finite or not in range.
 pub(super) fn number<T: RangedNumber, E: Error>(value: f64) -> Result<T, E> {
     let number = value as f32;
     if !number.is_finite() {
         return Err(E::custom(format_args!("{value:e} is too large: numbers go up to 3.4e38")));
     }
-    // No result depends on the sign of a zero, and no key should either.
+    // No result depends on the sign of a zero, and no cache key should either.
     T::in_range(number + 0.0).ok_or_else(|| E::custom(format_args!("must be {}, not {}", T::EXPECTED, number + 0.0)))
 }
 
@@ -76,7 +76,7 @@ impl<T: RangedNumber> Visitor<'_> for ConstantVisitor<T> {
     visit_numbers!(T);
 }
 
-/// Reads a number, or a track.
+/// Deserializes a number, or a track.
 pub(super) struct NumberOrTrack<T>(PhantomData<T>);
 
 impl<'de, T: RangedNumber> Visitor<'de> for NumberOrTrack<T> {
@@ -105,13 +105,13 @@ pub(super) fn read_constant<'de, T: RangedNumber, D: Deserializer<'de>>(d: D) ->
     d.deserialize_f64(ConstantVisitor(PhantomData))
 }
 
-/// Reads a number, or a track.
+/// Deserializes a number, or a track.
 pub(super) fn read<'de, T: RangedNumber, D: Deserializer<'de>>(d: D) -> Result<T, D::Error> {
     d.deserialize_any(NumberOrTrack(PhantomData))
 }
 
-/// Serializes a number; an animated one as a track with one keyframe, so that it is still animated when it is
-/// read again.
+/// Serializes a number; an animated one as a track with one keyframe, so that it is still animated when it is parsed
+/// again.
 pub(super) fn write<S: Serializer>(value: f32, is_animated: bool, serializer: S) -> Result<S::Ok, S::Error> {
     if !is_animated {
         return serializer.serialize_f32(value);
@@ -125,12 +125,12 @@ pub(super) fn write<S: Serializer>(value: f32, is_animated: bool, serializer: S)
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub(crate) enum Ease {
-    /// Evenly.
+    /// Linear.
     #[default]
     Linear,
     /// Smooth: s²(3 − 2s) for the fraction s of the interval.
     Smooth,
-    /// Not at all: it is the earlier key's until the next one's time.
+    /// Constant: the earlier keyframe's number until the next keyframe.
     Step,
 }
 
@@ -153,12 +153,12 @@ pub(crate) struct Track {
 }
 
 impl Track {
-    /// The times of its keyframes.
+    /// Times of its keyframes.
     pub(super) fn keyframe_times(&self) -> impl Iterator<Item = f64> {
         self.keys.iter().map(|&(seconds, _)| seconds)
     }
 
-    /// The number at a time. `is_in_range` tells whether a number is in range.
+    /// The number at a time. `is_in_range` returns whether a number is in range.
     pub(super) fn at(&self, now: f64, holds: fn(f32) -> bool) -> f32 {
         let next = self.keys.partition_point(|&(seconds, _)| seconds <= now);
         let (from, before) = self.keys[next.saturating_sub(1)];
@@ -178,7 +178,7 @@ impl Track {
     }
 }
 
-/// A track as it is read.
+/// A track as it is parsed.
 #[derive(Deserialize)]
 #[serde(rename = "Track", deny_unknown_fields, bound(deserialize = "T: RangedNumber"))]
 struct ReadTrack<T> {
@@ -187,7 +187,7 @@ struct ReadTrack<T> {
     ease: Ease,
 }
 
-/// The schema of a track, whose numbers have the range of what it moves.
+/// Schema of a track, whose numbers have the range of the animated number.
 struct TrackSchema;
 
 impl JsonSchema for TrackSchema {
@@ -220,7 +220,7 @@ impl JsonSchema for TrackSchema {
     }
 }
 
-/// The schema of a number, as that of the number or a track of such numbers.
+/// Schema of a number, extended to allow a track of such numbers.
 pub(super) fn or_track(mut schema: Schema, generator: &mut SchemaGenerator) -> Schema {
     let track = generator.subschema_for::<TrackSchema>();
     // Its range applies to numbers only, so it stays in place.

@@ -1,4 +1,4 @@
-//! Shapes, materials and lights that do not go together.
+//! Warnings about shapes, materials and lights that do not fit together.
 
 use super::objects;
 use crate::lights::{LightSource, default_lights};
@@ -7,16 +7,16 @@ use crate::materials::{Material, Shade};
 use crate::nodes::Node;
 use crate::scene::{Scene, child_pointers};
 
-/// Steps that are a smaller part of the distance than one over this are worth a word.
+/// Lipschitz factor above which a shape gets a warning.
 const STEEPEST: f32 = 20.0;
-/// More nodes at a look are worth a word.
+/// Evaluation cost, in nodes, above which an object gets a warning.
 const MAX_COST: f32 = 1e6;
-/// So much of a volume must not be crossed in one step: of light, a 3000th is left.
+/// Maximum optical depth of one step of a medium: exp(−8), about 1/3000 of the light, is left.
 const MAX_STEP_DEPTH: f32 = 8.0;
-/// Bounces that it takes to get into a body and out of it again.
+/// Bounces needed to enter and leave a transparent object.
 const MIN_GLASS_BOUNCES: u32 = 2;
 
-/// Copies of copies that take too long.
+/// Nested copies that take too long.
 pub(super) fn high_cost(scene: &Scene) -> Option<String> {
     let works: Vec<f32> = scene.objects.iter().map(|object| object.shape.evaluation_cost()).collect();
     let heavy: Vec<usize> = (0..works.len()).filter(|&index| works[index] > MAX_COST).collect();
@@ -29,7 +29,7 @@ pub(super) fn high_cost(scene: &Scene) -> Option<String> {
     ))
 }
 
-/// Objects that make steps tiny.
+/// Objects whose Lipschitz factor makes steps tiny.
 pub(super) fn high_lipschitz(scene: &Scene) -> Option<String> {
     let stretches: Vec<f32> = scene.objects.iter().map(|object| object.shape.stretch()).collect();
     let steep: Vec<usize> = (0..stretches.len()).filter(|&index| stretches[index] > STEEPEST).collect();
@@ -42,7 +42,7 @@ pub(super) fn high_lipschitz(scene: &Scene) -> Option<String> {
     Some(format!("steps near {pointer} are {part} of the distance{others}, and rendering is slow: {cure}"))
 }
 
-/// The node that most of a tree's steepness comes from, and its place.
+/// The node that causes most of an object's Lipschitz factor, and its JSON pointer.
 fn main_cause<'a>(node: &'a Node, pointer: &mut String) -> &'a Node {
     let own = node.stretch();
     let children = node.children().iter().zip(child_pointers(node));
@@ -59,7 +59,7 @@ fn main_cause<'a>(node: &'a Node, pointer: &mut String) -> &'a Node {
     }
 }
 
-/// Lights that shine for nothing, and scenes that want light.
+/// Lights without effect, and materials without light.
 pub(super) fn light(scene: &Scene) -> Option<String> {
     let used = scene.used_materials();
     if !scene.lights.is_empty() && scene.lights != default_lights() && !used.iter().any(Shade::uses_lights) {
@@ -76,7 +76,7 @@ pub(super) fn light(scene: &Scene) -> Option<String> {
     None
 }
 
-/// Clouds and volumes that are too thick for their steps.
+/// Clouds and volumes that are too dense for their steps.
 pub(super) fn dense_media(scene: &Scene) -> Option<String> {
     let depths = scene.objects.iter().enumerate().filter_map(|(index, object)| {
         let filling = scene.material_of(index).as_medium()?;
@@ -101,7 +101,7 @@ pub(super) fn dense_media(scene: &Scene) -> Option<String> {
     ))
 }
 
-/// Glass that no ray gets through.
+/// Glass through which no ray gets because of the bounce limit.
 pub(super) fn bounces(scene: &Scene) -> Option<String> {
     let lets_through = |material: &&Material| material.is_transmissive() && !material.is_medium();
     scene.used_materials().iter().find(lets_through)?;

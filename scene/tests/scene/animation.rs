@@ -1,4 +1,4 @@
-//! What holds for every number of every node's example when it moves: nothing here names a node.
+//! Properties of every number of every node's example when it is animated. No test names a node.
 
 use scene::nodes::{Node, NodeExample};
 use scene::real::vec3;
@@ -18,7 +18,7 @@ fn numbers(value: &Value, pointer: &str, found: &mut Vec<String>) {
     }
 }
 
-/// Calls `check` with each node, a number of it, and a maker of the node with something else in the number's place.
+/// Calls `check` with each node, a number of it, and a function that replaces that number by something else.
 fn each_number(mut check: impl FnMut(&str, &Node, f64, &dyn Fn(Value) -> Result<Node, serde_json::Error>)) {
     for NodeExample { kind, index: number, node } in Node::examples() {
         let value: Value = serde_json::from_str(&node).unwrap();
@@ -65,7 +65,7 @@ fn a_number_that_moves_gives_the_distance_of_one_that_does_not() {
 #[test]
 fn a_number_that_is_0_for_a_moment_leaves_distances_finite() {
     each_number(|name, _, _, with| {
-        // Some numbers may not be 0, and of some together not all.
+        // Some numbers may not be 0, and some may not all be 0.
         let Ok(moving) = with(json!({ "keys": [[0, 0], [1, 1]] })) else { return };
         for p in points() {
             let distance = moving.distance(p);

@@ -1,4 +1,4 @@
-//! What every node promises, tested on each node's own example: nothing here names a node.
+//! Contract tests that every node must pass, run on each node's own examples. No test names a node.
 
 use crate::subject as scene;
 use scene::nodes::{Exactness, Node, NodeExample};
@@ -113,8 +113,8 @@ fn no_step_passes_a_surface() {
 #[test]
 fn distances_change_no_faster_than_the_stretch_says() {
     each_node(|kind, node| {
-        // An estimate is none of a distance's kind inside and at the fringe of a fractal;
-        // what counts there is that no step passes it.
+        // An estimate is not a distance inside a fractal and at its fringe; there it only matters that no step passes
+        // the surface.
         if node.exactness() == Exactness::Estimate {
             return;
         }
@@ -130,8 +130,8 @@ fn distances_change_no_faster_than_the_stretch_says() {
     });
 }
 
-/// How far from the surface one is after going to where a value says it is, by the best of some
-/// gradients around `p`: at a ridge of the distance a single one says nothing.
+/// Remaining distance to the surface after a step of the value's length, along the best of some gradients around `p`:
+/// at a ridge of the distance a single gradient is not representative.
 fn miss(node: &Node, p: Vec3<f32>, random: &mut Random) -> f32 {
     let distance = node.distance(p);
     let mut least = f32::INFINITY;
@@ -159,7 +159,7 @@ fn an_exact_distance_reaches_the_surface_and_no_shorter_one_does() {
         for _ in 0..3_000 {
             let p = random.point(2.0);
             let mut miss = miss(node, p, &mut random);
-            // Where many directions are as near, look for the best of them.
+            // If many directions are equally near, search for the best of them.
             let distance = node.distance(p);
             let (mut nearest, mut best) = (f32::INFINITY, random.direction());
             for round in 0..4_000 {

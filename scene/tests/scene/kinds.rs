@@ -1,5 +1,5 @@
-//! What every light, background, projection and effect promises, tested on each one's own examples: nothing here
-//! names one.
+//! Contract tests that every light, background, projection and effect must pass, run on each one's own examples. No
+//! test names a kind.
 
 use std::collections::BTreeSet;
 
@@ -11,11 +11,11 @@ use scene::lights::Light;
 use scene::{Integrator, Job, effects};
 use serde_json::{Value, json};
 
-/// A family of kinds: its examples, its place in the schema, and a scene that has one of it.
+/// A family of kinds: its examples, its position in the schema, and a scene with one of its values.
 struct Family {
     name: &'static str,
     examples: Vec<Example>,
-    /// The definition that lists the kinds; that of the scene, if each kind is a key of it.
+    /// The definition that lists the kinds, or that of the scene, if each kind is a key of it.
     definition: &'static str,
     scene: fn(&Value) -> Value,
 }
@@ -44,7 +44,7 @@ fn families() -> [Family; 4] {
     ]
 }
 
-/// The text of a job with these keys in its scene: a ball on a floor, matte and without light of their own.
+/// Text of a job with these keys in its scene: a ball on a floor, matte and without emission.
 fn text(keys: &Value) -> String {
     let material = json!({ "diffuse": { "ambient": [0.02, 0.02, 0.02], "ks": [0.2, 0.2, 0.2] } });
     let mut scene = json!({ "camera": { "position": [1.5, 1.4, 3.2], "look_at": [0, 0.6, 0], "fov": 60 }, "objects": [
@@ -61,7 +61,7 @@ fn job(keys: &Value) -> Job {
     scene::parse(text.as_bytes()).unwrap_or_else(|refusal| panic!("{refusal}\n{text}"))
 }
 
-/// Calls `check` with the name of each example, its family, and what it is.
+/// Calls `check` with the name of each example, its family, and its value.
 fn each(mut check: impl FnMut(&str, &Family, &Example, &Value)) {
     for family in families() {
         for example in &family.examples {
@@ -71,7 +71,7 @@ fn each(mut check: impl FnMut(&str, &Family, &Example, &Value)) {
     }
 }
 
-/// Every channel of the job's picture, by plain `f32`.
+/// Every channel of the job's picture, computed in `f32`.
 fn pixels(job: &Job) -> Vec<f32> {
     let still = job.at(0).expect("the job is sound");
     let program = Integrator::new(&still);
@@ -225,7 +225,7 @@ fn a_number_that_moves_gives_the_picture_of_one_that_does_not() {
             *number = json!({ "keys": [[0, number.clone()]] });
             let got = pixels(&job(&(family.scene)(&changed)));
             let off = got.iter().zip(&want).map(|(got, want)| (got - want).abs() / want.max(1.0)).fold(0.0, f32::max);
-            // A light whose angle may be 0 in another frame is met by chance in all of them.
+            // A light whose angle may be 0 in another frame is sampled in all of them.
             assert!(off <= 0.05, "{name} {pointer} is off by {off}");
         }
     });

@@ -1,4 +1,5 @@
-//! What every material and every texture promises, tested on each one's own examples: nothing here names one.
+//! Contract tests that every material and every texture must pass, run on each one's own examples. No test names a
+//! kind.
 
 use crate::subject as scene;
 use scene::lights::LightSample;
@@ -31,7 +32,7 @@ impl Random {
         }
     }
 
-    /// A place anywhere, seen from the side its normal is on, often edge on.
+    /// A random shading point, seen from the side of its normal, often edge-on.
     fn place(&mut self, reach: f32) -> ShadingPoint<f32> {
         let normal = self.direction();
         let mut to_viewer = self.direction();
@@ -192,7 +193,7 @@ fn materials_that_look_at_no_light_have_the_same_color_in_any() {
     });
 }
 
-/// The pointer and the message of the only fault of a job whose first material is this.
+/// Pointer and message of the only error of a job with this first material.
 fn fault(material: &str) -> (String, String) {
     let text = format!(
         r#"{{ "scene": {{ "camera": {{ "position": [0, 0, 5], "look_at": [0, 0, 0] }}, "materials": {{ "m": {material} }},
@@ -280,7 +281,7 @@ fn numbers(value: &Value, pointer: &str, found: &mut Vec<String>) {
 
 #[test]
 fn a_number_of_a_material_or_a_texture_that_moves_gives_the_color_of_one_that_does_not() {
-    // A texture is seen through the material that is nothing else.
+    // A texture is tested through a material that shows only its color.
     let textures = Texture::examples()
         .into_iter()
         .map(|example| Example { json: format!(r#"{{ "flat": {{ "color": {} }} }}"#, example.json), ..example });

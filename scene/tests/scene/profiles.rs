@@ -1,4 +1,4 @@
-//! Profiles: what every one of them promises in the plane, and what is wrong with some polygons.
+//! Profiles: contract tests in the plane, and errors of polygons.
 
 use scene::nodes::Exactness;
 use scene::profiles::Profile;
@@ -7,7 +7,7 @@ fn profile(json: &str) -> Profile {
     serde_json::from_str(json).expect("it is a profile")
 }
 
-/// Points all over a square of edge 4, in no pattern.
+/// Points all over a square of edge 4, without a pattern.
 fn places(count: u32) -> impl Iterator<Item = (f32, f32)> {
     let scattered = |n: u32, share: f64| ((f64::from(n) * share).fract() * 4.0 - 2.0) as f32;
     (1..=count).map(move |n| (scattered(n, 0.754_877_666_246_692_7), scattered(n, 0.569_840_290_998_053_2)))
@@ -43,7 +43,7 @@ fn a_circle_as_large_as_an_exact_distance_says_touches_the_outline() {
                 profile.distance(x + c * distance.abs(), y + s * distance.abs())
             });
             let least = around.map(|there| there * distance.signum()).fold(f32::INFINITY, f32::min);
-            // Between two of the directions tried, an outline's corner is missed by as much.
+            // Maximum amount by which a corner of the outline is missed between two of the tested directions.
             let spacing = distance.abs() * std::f32::consts::PI / f32::from(TURNS);
             assert!(least.abs() <= spacing + 1e-5, "{kind}: {distance} at {x}, {y}, {least} is left");
         }
@@ -59,7 +59,7 @@ fn a_mirrored_profile_is_its_own_mirror_image() {
     }
 }
 
-/// The polygon whose corners lie at these distances, evenly around the origin from the top on.
+/// The polygon whose corners have these distances from the origin, evenly spaced from the top.
 fn polygon_around(distances: impl Iterator<Item = f32> + Clone) -> Profile {
     let count = distances.clone().count() as f32;
     let corners: Vec<[f32; 2]> = distances
@@ -93,12 +93,12 @@ fn regular_polygons_and_stars_are_the_polygons_of_their_corners() {
 fn an_ellipse_is_where_its_curve_is() {
     for (width, height) in [(2.0, 1.0), (0.02, 1.8), (1.0, 1.0), (1.0, 0.99)] {
         let ellipse = profile(&format!(r#"{{ "ellipse": {{ "size": [{width}, {height}] }} }}"#));
-        // A quarter of it, by tangents of half the angle.
+        // A quarter of the ellipse, by tangents of half the angle.
         let curve: Vec<(f64, f64)> = (0..=10_000)
             .map(|step| f64::from(step) / 10_000.0)
             .map(|t| ((1.0 - t * t) / (1.0 + t * t) * width / 2.0, t / (1.0 + t * t) * height))
             .collect();
-        // On the axes and at the centers of curvature, too, where the nearest point is not one alone.
+        // Also on the axes and at the centers of curvature, where the nearest point is not unique.
         let cusp = ((width * width - height * height) / (2.0 * width)) as f32;
         let special = [(0.0, 0.0), (cusp, 0.0), (cusp * 0.99, 1e-7), (0.3, 0.0), (0.0, 0.3), (1e-8, -1e-8)];
         for (x, y) in places(200).chain(special) {
@@ -107,7 +107,7 @@ fn an_ellipse_is_where_its_curve_is() {
             let (share_x, share_y) = (2.0 * px / width, 2.0 * py / height);
             let is_inside = share_x * share_x + share_y * share_y < 1.0;
             let (want, got) = (if is_inside { -nearest } else { nearest }, f64::from(ellipse.distance(x, y)));
-            // The curve's points are at most 2e-4 apart, so it is never further than 1e-4 from one.
+            // The curve's points are at most 2e-4 apart, so it is never farther than 1e-4 from one.
             let missed = (nearest * nearest + 1e-4 * 1e-4).sqrt() - nearest;
             assert!((got - want).abs() <= missed + 3e-6, "{got}, not {want}, at {x}, {y} of {width} by {height}");
         }
@@ -123,7 +123,7 @@ fn a_polygon_is_the_same_either_way_round() {
     assert_same(&polygon(points), &polygon(reversed));
 }
 
-/// The pointer and the message of what is wrong with a scene of this one shape.
+/// Pointer and message of the error of a scene with this shape only.
 fn fault(shape: &str) -> (String, String) {
     let text = format!(
         r#"{{ "scene": {{ "camera": {{ "position": [0, 0, 4], "look_at": [0, 0, 0], "fov": 40 }},
@@ -189,7 +189,7 @@ fn text(string: &str) -> Profile {
 
 #[test]
 fn a_capital_i_is_the_rectangle_that_the_font_says() {
-    // 385 by 1493 of the font's 2048 units, half a unit left of the middle.
+    // 385 by 1493 of the font's 2048 units, half a unit left of the center.
     let size = [385.0 / 2048.0, 1493.0 / 2048.0];
     let rectangle = profile(&serde_json::json!({ "rectangle": { "size": size } }).to_string());
     let letter = text("I");

@@ -1,5 +1,4 @@
-//! Nodes that make copies, held against unions of the copies written out; and what nodes say of shapes
-//! that they cannot do with.
+//! Nodes that make copies, compared with unions of the copies written out, and their errors for unsuitable shapes.
 
 use scene::nodes::{DistanceWithMaterials, Node};
 use scene::real::{Real, Vec3, vec3};
@@ -12,7 +11,7 @@ fn union(shapes: &[String]) -> Node {
     node(&format!(r#"{{ "union": {{ "of": [{}] }} }}"#, shapes.join(", ")))
 }
 
-/// Points of a grid that no copy's symmetry shares.
+/// Points of a grid that has no symmetry with the copies.
 fn each_point(reach: f32, mut check: impl FnMut(Vec3<f32>)) {
     let at = |index: i32| reach * (index as f32 + 0.137) / 12.0;
     for x in -12..12 {
@@ -24,7 +23,7 @@ fn each_point(reach: f32, mut check: impl FnMut(Vec3<f32>)) {
     }
 }
 
-/// Rounding of coordinates up to 4 and of some turns, a few units in the last place.
+/// Rounding of coordinates up to 4 and of some rotations, a few units in the last place.
 const ROUNDING: f32 = 4e-6;
 
 fn assert_same(one: &Node, other: &Node, reach: f32) {
@@ -34,7 +33,7 @@ fn assert_same(one: &Node, other: &Node, reach: f32) {
     });
 }
 
-/// Shapes that fill their cell, reach into others, or lie beside the origin.
+/// Shapes that fill their cell, extend into others, or are away from the origin.
 const SHAPES: [&str; 4] = [
     r#"{ "box": { "size": [0.5, 0.6, 0.7] } }"#,
     r#"{ "capsule": { "a": [-0.4, -0.5, 0.1], "b": [0.5, 0.6, -0.2], "radius": 0.15 } }"#,
@@ -134,7 +133,7 @@ fn materials_pass_through_copies_and_stay_with_their_shape() {
     }
 }
 
-/// The pointer and the message of the one fault of a job with this shape.
+/// Pointer and message of the only error of a job with this shape.
 fn fault(shape: &str) -> (String, String) {
     let job = format!(
         r#"{{ "scene": {{ "camera": {{ "position": [0, 0, 5], "look_at": [0, 0, 0] }},

@@ -1,5 +1,5 @@
-//! The seams of joined shapes, at places where they are known: two planes at right angles, whose
-//! distances are a point's x and y.
+//! Seams of joined shapes, at points where they are known: two planes at right angles, whose distances are a point's x
+//! and y.
 
 use std::f32::consts::{FRAC_1_SQRT_2, SQRT_2};
 
@@ -13,7 +13,7 @@ fn node(text: &str) -> Node {
     serde_json::from_str(text).expect("a node")
 }
 
-/// Two planes joined, and the signs of x and y that take the other kinds to a union, and back.
+/// Two joined planes, and the signs of x and y that turn the other kinds into a union, and back.
 fn each_kind(name: &str, rest: &str, mut check: impl FnMut(&str, &dyn Fn(f32, f32) -> f32)) {
     for (kind, x, y) in [("union", 1.0, 1.0), ("intersection", -1.0, -1.0), ("difference", -1.0, 1.0)] {
         let joined = node(&format!(r#"{{ "{name}": {{ "kind": "{kind}", "size": 1, {rest} "of": [{X}, {Y}] }} }}"#));
@@ -63,7 +63,7 @@ fn a_row_has_as_many_columns_as_said() {
             let rooms = if is_union { count } else { count - 1.0 };
             let radius = SQRT_2 / (2.0 * rooms + SQRT_2);
             let depth = if is_union { FRAC_1_SQRT_2 - radius * SQRT_2 } else { (1.0 + radius) * FRAC_1_SQRT_2 };
-            // Columns stand out of the bevel of a union, and are left standing where others are cut.
+            // Columns protrude from the bevel of a union, and remain where others are cut.
             let sign = if is_union { 1.0 } else { -1.0 };
             for number in 0..columns {
                 let along = (number as f32 - 0.5 * (count - 1.0)) * 2.0 * radius;

@@ -1,4 +1,4 @@
-//! Scenes that are legal and look wrong say so; the shipped ones have nothing to say.
+//! Warnings: valid scenes with probable mistakes get one; the shipped scenes have none.
 
 use std::path::{Path, PathBuf};
 
@@ -8,7 +8,7 @@ fn job(text: &str) -> Job {
     scene::parse(text.as_bytes()).unwrap_or_else(|refusal| panic!("{refusal}\n{text}"))
 }
 
-/// A job of some objects: `scene` is what stands in its scene beside the camera, `more` what stands behind its image.
+/// A job with some objects: `scene` is added to its scene after the camera, `more` after its image.
 fn seen_from(camera: &str, scene: &str, more: &str) -> Job {
     job(&format!(
         r#"{{ "scene": {{ "camera": {{ {camera} }}, {scene} }}, "image": {{ "width": 64, "height": 48 }}{more} }}"#

@@ -1,10 +1,10 @@
-//! What corners, edges, fog and distant patterns look like, against values worked out by hand.
+//! Corners, edges, fog and distant patterns, compared with values calculated by hand.
 
 use scene::backgrounds::Backdrop;
 use scene::real::Vec3;
 use scene::{Integrator, Job};
 
-/// Two walls and a floor that meet at the origin, seen along (−1, −1, −1); `planes` of them.
+/// Two walls and a floor that intersect at the origin, seen along (−1, −1, −1); `planes` of them.
 fn corner(planes: &str, camera: &str, rest: &str) -> Job {
     job(&format!(
         r#"{{ "scene": {{ "camera": {{ {camera} }}, "background": {{ "color": [1, 1, 1] }}, "lights": [],
@@ -23,7 +23,7 @@ fn plane(normal: &str) -> String {
     format!(r#"{{ "material": "white", "shape": {{ "plane": {{ "normal": {normal}, "offset": 0 }} }} }}"#)
 }
 
-/// The red of some pixels.
+/// The red channel of some pixels.
 fn reds(job: &Job, pixels: &[(f32, f32)]) -> Vec<f32> {
     let still = job.at(0).expect("a first frame");
     let program = Integrator::new(&still);
@@ -78,7 +78,7 @@ fn a_normal_near_an_edge_is_that_of_its_face() {
         }
     }
     assert!(hits > 5_000, "{hits}");
-    // Of edges a thousand pixels are seen; where taps reach over half a pixel, as many are blended.
+    // About a thousand pixels show edges; if normals were measured over half a pixel, as many would be blended.
     assert!(blended * 400 < hits, "{blended} of {hits}");
 }
 
@@ -125,7 +125,7 @@ fn fog_without_a_color_has_the_horizons_below_the_horizon() {
     }
 }
 
-/// A floor with a texture under light that is even, seen at a slant; one sample a pixel.
+/// A textured floor under uniform light, seen at a slant; `samples` samples per pixel.
 fn floor_with(texture: &str, height: u32, samples: u32) -> Job {
     let width = height * 2;
     job(&format!(
@@ -138,7 +138,7 @@ fn floor_with(texture: &str, height: u32, samples: u32) -> Job {
     ))
 }
 
-/// The mean square of the difference between one sample a pixel and many, in some rows.
+/// Mean square of the difference between one sample per pixel and many, in some rows.
 fn roughness(texture: &str, rows: std::ops::Range<u16>) -> f64 {
     let (one, many) = (floor_with(texture, 96, 1), floor_with(texture, 96, 256));
     let pixels: Vec<(f32, f32)> =
@@ -155,7 +155,7 @@ fn distant_patterns_are_seen_as_their_mean() {
         (r#"{ "stripes": { "direction": [1, 0, 1], "width": 0.4 } }"#, 0.01),
         (r#"{ "bricks": { "size": [0.5, 0.3], "mortar": 0.06, "mortar_color": [1, 1, 1] } }"#, 0.01),
     ] {
-        // Black and white differ by 1: a pixel that sees one of them by chance is wrong by a half.
+        // Black and white differ by 1: a pixel that samples only one of them is wrong by a half.
         let error = roughness(texture, 42..60);
         println!("{error} for {texture}");
         assert!(error < most, "{error} for {texture}");
