@@ -81,7 +81,7 @@ fn names_a_variant(text: &str, family: &str) -> bool {
 }
 
 #[test]
-fn no_file_but_that_of_the_list_chooses_by_kinds() {
+fn only_the_file_of_the_list_branches_on_kinds() {
     for crate_name in ["scene", "proto", "server", "worker", "cli"] {
         for (path, text) in sources(crate_name) {
             for (family, list) in FAMILIES {

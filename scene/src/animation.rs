@@ -147,7 +147,7 @@ mod tests {
     }
 
     #[test]
-    fn a_frame_shows_numbers_as_they_are_then() {
+    fn a_frame_has_numbers_at_its_time() {
         let job = job(GROWS, r#", "frames": { "count": 9, "fps": 4 }"#);
         assert!(job.is_animated());
         let reach = |frame| {
@@ -159,21 +159,21 @@ mod tests {
     }
 
     #[test]
-    fn a_frame_keeps_the_size_that_was_asked_for_last() {
+    fn a_frame_has_the_size_set_last() {
         let mut job = job(GROWS, r#", "frames": { "count": 2 }"#);
         job.image.width = 5;
         assert_eq!(job.at(1).unwrap().image().width, 5);
     }
 
     #[test]
-    fn what_does_not_move_is_not_copied() {
+    fn constant_jobs_are_not_copied() {
         let job = job("1", r#", "frames": { "count": 2 }"#);
         assert!(!job.is_animated());
         assert!(std::ptr::eq(job.at(1).unwrap().scene(), &raw const job.scene));
     }
 
     #[test]
-    fn keys_are_those_of_the_scene_as_it_stands() {
+    fn cache_keys_are_those_of_the_evaluated_scene() {
         let frames = r#", "frames": { "count": 3, "fps": 1 }"#;
         let (slow, fast) = (job(GROWS, frames), job(r#"{ "keys": [[0, 1], [1, 3], [2, 9]] }"#, frames));
         assert_eq!([0, 1].map(|n| slow.cache_key(n)), [0, 1].map(|n| fast.cache_key(n)));
@@ -182,15 +182,15 @@ mod tests {
     }
 
     #[test]
-    fn only_a_job_in_which_nothing_moves_is_warned_of_that() {
+    fn only_a_job_without_animation_gets_that_warning() {
         let frames = r#", "frames": { "count": 2 }"#;
-        assert!(job("1", frames).warnings()[0].contains("nothing in the scene moves"));
+        assert!(job("1", frames).warnings()[0].contains("nothing in the scene is animated"));
         assert_eq!(job(GROWS, frames).warnings(), Vec::<String>::new());
         assert!(job(GROWS, "").warnings()[0].contains("frames.count"));
     }
 
     #[test]
-    fn a_fault_of_a_later_frame_names_the_frame() {
+    fn an_error_in_a_later_frame_names_the_frame() {
         let camera = r#"{ "keys": [[0, 3], [2, -1]] }"#;
         let wrong =
             text("1", r#", "frames": { "count": 5, "fps": 2 }"#).replace("0, 0, 3]", &format!("0, 0, {camera}]"));
@@ -200,7 +200,7 @@ mod tests {
     }
 
     #[test]
-    fn many_frames_are_looked_over_around_keys_and_evenly() {
+    fn many_frames_are_checked_around_keyframes_and_evenly() {
         let frames = Frames { count: 100_000, fps: FrameRate::new(10.0).unwrap() };
         let chosen = frames_to_check(&frames, &[-4.0, 777.77, 1e6], 1 << 24);
         assert!(chosen.len() <= 64 && chosen.len() > 48, "{chosen:?}");

@@ -110,14 +110,14 @@ mod tests {
     }
 
     #[test]
-    fn names_and_unused_materials_do_not_change_the_key() {
+    fn names_and_unused_materials_do_not_change_the_cache_key() {
         let a = job(r#""a": { "flat": { "color": [1, 0, 0] } }"#, "a", 1.0, 4);
         let b = job(r##""x": { "normals": {} }, "b": { "flat": { "color": "#ff0000" } }"##, "b", 1.0, 4);
         assert_eq!(a.cache_key(0), b.cache_key(0));
     }
 
     #[test]
-    fn what_changes_the_bytes_changes_the_key() {
+    fn cache_key_changes_with_everything_that_changes_the_bytes() {
         let red = r#""a": { "flat": { "color": [1, 0, 0] } }"#;
         let first = job(red, "a", 1.0, 4);
         assert_ne!(first.cache_key(0), first.cache_key(1));

@@ -223,7 +223,7 @@ mod tests {
     }
 
     #[test]
-    fn the_middle_looks_forward_and_the_edge_at_half_the_field_of_view() {
+    fn center_ray_is_forward_and_edge_ray_at_half_the_fov() {
         let view = view(r#"{ "position": [0, 0, 5], "look_at": [0, 0, 0], "fov": 90 }"#, 200, 100);
         assert!(is_near(view.ray(100.0_f32, 50.0).direction, [0.0, 0.0, -1.0]));
         let top = view.ray(100.0_f32, 0.0).direction;
@@ -235,7 +235,7 @@ mod tests {
     }
 
     #[test]
-    fn orthographic_rays_are_parallel_and_start_in_a_plane_of_the_given_height() {
+    fn orthographic_rays_are_parallel_and_start_in_a_plane() {
         let camera =
             r#"{ "position": [1, 2, 5], "look_at": [1, 2, 0], "projection": { "orthographic": { "height": 3 } } }"#;
         let view = view(camera, 200, 100);
@@ -253,7 +253,7 @@ mod tests {
     }
 
     #[test]
-    fn a_panorama_sees_each_direction_where_a_map_has_it() {
+    fn panorama_directions_match_longitude_and_latitude() {
         let view = view(r#"{ "position": [0, 1, 0], "look_at": [0, 1, -2], "projection": "panorama" }"#, 400, 200);
         for (x, y, direction) in [
             (200.0_f32, 100.0, [0.0, 0.0, -1.0]),
@@ -271,7 +271,7 @@ mod tests {
     }
 
     #[test]
-    fn a_turntable_goes_around_what_it_looks_at() {
+    fn a_turntable_rotates_around_look_at() {
         let camera: Camera = serde_json::from_str(
             r#"{ "position": [1, 3, 5], "look_at": [1, 2, 0], "up": [0, 2, 0], "turntable": { "turns": -2 } }"#,
         )

@@ -91,7 +91,7 @@ mod tests {
     }
 
     #[test]
-    fn a_whole_stop_is_exactly_a_factor_of_two_and_others_lie_between() {
+    fn an_integer_stop_is_exactly_a_factor_of_two() {
         for (stops, factor) in [(-20.0, 1.0 / 1_048_576.0), (-1.0, 0.5), (0.0, 1.0), (3.0, 8.0), (20.0, 1_048_576.0)] {
             assert_eq!(power_of_two(stops), factor);
         }
@@ -100,7 +100,7 @@ mod tests {
     }
 
     #[test]
-    fn the_filmic_curve_rises_from_0_to_1_and_has_its_authors_values() {
+    fn the_filmic_curve_rises_from_0_to_1_through_published_values() {
         assert_eq!(filmic(0.0_f32), 0.0);
         assert_eq!(filmic(-1.0_f32), 0.0);
         // (2.51 + 0.03)/(2.43 + 0.59 + 0.14), and the same for 0.18.

@@ -55,7 +55,7 @@ pub enum ParseError {
     #[error("the job is not JSON: {0}")]
     NotJson(ValidationError),
     /// JSON, but not a valid job: every error, in the order of their positions.
-    #[error("the job is wrong: {}", list(.0))]
+    #[error("the job is invalid: {}", list(.0))]
     Invalid(Vec<ValidationError>),
 }
 

@@ -211,7 +211,7 @@ mod tests {
     }
 
     #[test]
-    fn sees_a_doubled_key_however_it_is_spelled() {
+    fn finds_duplicate_members_with_escapes() {
         let fault = check(r#"{"a": {"b": 1, "\u0062": 2}}"#, 9).unwrap_err();
         assert_eq!(fault.kind, ScanErrorKind::DuplicateMember("b".into()));
         assert_eq!(fault.pointer, "/a/b");
@@ -219,7 +219,7 @@ mod tests {
     }
 
     #[test]
-    fn sees_deep_nesting_without_recursion() {
+    fn finds_deep_nesting_without_recursion() {
         let deep = "[".repeat(100_000);
         assert_eq!(check(&deep, 64).unwrap_err().kind, ScanErrorKind::TooDeep);
         assert_eq!(check("[[[1]]]", 3), Ok(()));
@@ -257,7 +257,7 @@ mod tests {
     }
 
     #[test]
-    fn tells_the_place_of_a_fault_as_a_pointer() {
+    fn reports_the_pointer_of_an_error() {
         let doubled = check(r#"{"l": [0, {"a/b": 1, "a/b": 2}]}"#, 9).unwrap_err();
         assert_eq!((doubled.pointer.as_str(), doubled.offset), ("/l/1/a~1b", 21));
         let deep = check(r#"{"a": [{"b": {"c": 1}}]}"#, 3).unwrap_err();

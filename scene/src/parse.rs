@@ -34,7 +34,7 @@ pub fn parse(text: &[u8]) -> Result<Job, ParseError> {
     let text = std::str::from_utf8(text).map_err(|error| not_utf8(text, error.valid_up_to()))?;
     let outline = json_scan::check(text, MAX_JSON_DEPTH);
     if text.starts_with('\u{feff}') {
-        let message = "begins with a byte order mark: save the file as UTF-8 without one";
+        let message = "begins with a byte order mark: save the file as UTF-8 without it";
         return Err(ParseError::NotJson(ValidationError::at(text, Some(0), String::new(), message)));
     }
     let first = outline.map_err(|fault| of_outline(text, fault));
@@ -87,7 +87,7 @@ fn in_later_frame(text: &str, error: FrameError) -> ParseError {
 }
 
 fn twice(key: &str) -> String {
-    format!("the key \"{key}\" stands here twice: keep one")
+    format!("duplicate key \"{key}\": remove one")
 }
 
 fn too_deep() -> String {
@@ -211,13 +211,16 @@ fn image(document: &JobDocument, fault: &mut impl FnMut(&str, String)) {
     let image = &document.image;
     if image.pixels() > MAX_PIXELS {
         let pixels = image.pixels();
-        fault("/image", format!("has {pixels} pixels: a frame may have {MAX_PIXELS}; make width or height less"));
+        fault(
+            "/image",
+            format!("has {pixels} pixels: a frame may have at most {MAX_PIXELS}; make width or height less"),
+        );
     }
     let rays = u128::from(image.rays()) * u128::from(document.frames.count);
     if rays > u128::from(MAX_RAYS) {
         fault(
             "/image",
-            format!("asks for {rays} rays: a job may have {MAX_RAYS}; use fewer pixels, samples or frames"),
+            format!("has {rays} rays: a job may have at most {MAX_RAYS}; use fewer pixels, samples or frames"),
         );
     }
     if image.format == Format::Png && !image.layers.is_empty() {
@@ -225,11 +228,11 @@ fn image(document: &JobDocument, fault: &mut impl FnMut(&str, String)) {
     }
     if image.format == Format::Exr && image.has_display_transform() {
         let key = if image.tone_map == ToneMap::None { "exposure" } else { "tone_map" };
-        fault(&format!("/image/{key}"), format!("an EXR stays linear: leave {key} out, or set format to \"png\""));
+        fault(&format!("/image/{key}"), format!("an EXR is linear: leave {key} out, or set format to \"png\""));
     }
     for (index, layer) in image.layers.iter().enumerate() {
         if image.layers[..index].contains(layer) {
-            fault(&format!("/image/layers/{index}"), "stands here twice: keep one".to_owned());
+            fault(&format!("/image/layers/{index}"), "is listed twice: remove one".to_owned());
         }
     }
 }

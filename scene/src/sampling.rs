@@ -154,7 +154,7 @@ mod tests {
     }
 
     #[test]
-    fn pairs_for_two_purposes_are_spread_evenly_together() {
+    fn pairs_of_two_dimensions_are_spread_evenly_together() {
         let dice = |sample: f32| Sampler { x: 3.0, y: 5.0, sample, bounce: 0.0, frame_key: frame_key(0, 0) };
         for (one, other) in [(0, 1), (0, 5), (2, 7)] {
             let mut cells = [0; 256];

@@ -124,7 +124,7 @@ impl Scene {
         let material = node.material().and_then(|material| self.materials.get(material.slot() as usize));
         if material.is_some_and(Shade::is_medium) {
             let message =
-                "fills a whole object and can't be painted on a part of one: make the part an object of its own";
+                "fills a whole object and cannot be painted on part of one: make the part an object of its own";
             faults.push((format!("{pointer}/{}/material", node.name()), message.to_owned()));
         }
         let length = pointer.len();

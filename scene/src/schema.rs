@@ -75,10 +75,10 @@ fn show(definitions: &mut Map<String, Value>) {
 ///
 /// - a choice of objects with one key each refers to a definition for each: `NodeSphere` is `{ "sphere": Sphere }`;
 /// - words are an `enum`, with a description of each;
-/// - an optional key is not nullable as well;
+/// - an optional key is not nullable;
 /// - the range of a number is next to its type;
 /// - every definition has its name as its title, no integer has a Rust-specific format, and defaults have only the
-/// digits that they need.
+///   digits that they need.
 pub fn tidy(definitions: &mut Map<String, Value>, references: &str) {
     let mut parts = BTreeMap::new();
     for (name, definition) in definitions.iter_mut() {
@@ -320,7 +320,7 @@ mod tests {
     }
 
     #[test]
-    fn words_are_an_enum_that_tells_them_apart() {
+    fn words_become_an_enum_with_descriptions() {
         let schema = schema();
         let layer = &schema["$defs"]["Layer"];
         assert_eq!(layer["enum"], json!(["depth", "normal", "position", "albedo", "object", "steps"]));
@@ -332,7 +332,7 @@ mod tests {
     }
 
     #[test]
-    fn what_may_be_left_out_is_not_null_and_what_must_be_there_may_be() {
+    fn only_required_members_can_be_null() {
         each_schema(&schema(), &mut |part| {
             for (key, property) in part["properties"].as_object().into_iter().flatten() {
                 let may_be_null = property["type"].as_array().is_some_and(|types| types.contains(&json!("null")))
@@ -351,7 +351,7 @@ mod tests {
     }
 
     #[test]
-    fn a_range_stands_beside_the_type_it_is_for() {
+    fn a_range_is_next_to_its_type() {
         let schema = schema();
         let length = &schema["$defs"]["Length"];
         assert_eq!(length["anyOf"][0], json!({ "type": "number", "minimum": 1e-6, "maximum": 1e6 }));
@@ -368,7 +368,7 @@ mod tests {
     }
 
     #[test]
-    fn every_example_is_what_its_definition_says() {
+    fn every_example_matches_its_definition() {
         let schema = schema();
         assert_eq!(crate::parse(schema["examples"][0].to_string().as_bytes()).expect("a sound job").name, "example");
         let mut count = 0;

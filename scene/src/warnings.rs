@@ -86,12 +86,12 @@ fn job_warnings(job: &Job) -> Vec<String> {
     let mut warnings = Vec::new();
     if job.frames.count > 1 && !job.is_animated() {
         warnings.push(format!(
-            "nothing in the scene moves: the {} frames differ in their sampling noise only",
+            "nothing in the scene is animated: the {} frames differ only in their sampling noise",
             job.frames.count
         ));
     }
     if job.frames.count == 1 && job.is_animated() {
-        warnings.push("the scene moves, but the job has one frame: set frames.count to see more of it".to_owned());
+        warnings.push("the scene is animated, but the job has one frame: set frames.count to render more".to_owned());
     }
     warnings.extend(job.scene.camera.projection.warning(&job.image));
     for name in &job.unused_materials {

@@ -163,7 +163,7 @@ mod tests {
     }
 
     #[test]
-    fn textures_in_textures_are_counted_and_asked_for_the_normal() {
+    fn nested_textures_count_and_can_need_the_normal() {
         let texture: Texture = serde_json::from_str(
             r#"{ "checker": { "cell": 1, "colors": [[0, 0, 0],
                  { "stripes": { "width": 1, "colors": [{ "bricks": {} }, [1, 1, 1]] } }] } }"#,

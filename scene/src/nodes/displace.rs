@@ -171,7 +171,7 @@ mod tests {
     use crate::real::vec3;
 
     #[test]
-    fn bumps_are_where_the_formula_says() {
+    fn bumps_match_the_formula() {
         let text =
             r#"{ "by": { "sine": { "frequency": 9 } }, "amplitude": 0.05, "child": { "sphere": { "radius": 1.25 } } }"#;
         let node: Displace = serde_json::from_str(text).unwrap();

@@ -112,8 +112,7 @@ impl Primitive for Revolve {
 
     fn validate(&self) -> Option<NodeError> {
         let reach = self.profile.extent(0.0).high[0];
-        let message =
-            format!("puts the profile beyond the axis, where nothing is turned: make offset more than {}", -reach);
+        let message = format!("puts the whole profile beyond the axis: make offset more than {}", -reach);
         let beyond = (self.offset.get() + reach <= 0.0).then(|| NodeError::new("offset", message));
         profile_error(&self.profile).or(beyond)
     }

@@ -109,7 +109,7 @@ mod tests {
     }
 
     #[test]
-    fn no_two_sums_are_steeper_together_than_the_factor_says() {
+    fn products_of_sums_stay_within_the_lipschitz_factor() {
         for waves in MIN_WAVES..=MAX_WAVES {
             let curve: Vec<_> = (0..400)
                 .scan(1e-5_f32, |slope, _| Some(std::mem::replace(slope, *slope * 1.05)))

@@ -188,7 +188,7 @@ mod tests {
     }
 
     #[test]
-    fn no_draw_of_gradients_exceeds_the_ranges_and_the_lipschitz_factors() {
+    fn random_gradients_stay_within_ranges_and_lipschitz_factors() {
         for (name, found, said) in [
             ("perlin's range", search(cube_parts, value), 1.036_354),
             ("perlin's slope", search(cube_parts, slope), PERLIN_LIPSCHITZ),

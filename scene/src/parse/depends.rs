@@ -74,7 +74,7 @@ mod tests {
     }
 
     #[test]
-    fn numbers_that_belong_together_are_doubted_together() {
+    fn errors_depend_on_related_repaired_numbers() {
         assert!(!sure("/scene/camera/look_at", "/scene/camera/position/0"));
         assert!(!sure("/scene/lights/1/sun", "/scene/background"));
         assert!(!sure("/scene/objects/0/shape/torus/tube", "/scene/objects/0/shape/torus/radius"));
@@ -85,7 +85,7 @@ mod tests {
     }
 
     #[test]
-    fn numbers_that_have_nothing_to_do_with_each_other_are_not() {
+    fn errors_do_not_depend_on_unrelated_numbers() {
         assert!(sure("/scene/camera/look_at", "/scene/objects/0/shape"));
         assert!(sure("/scene/lights/1/sun", "/scene/lights/10"));
         assert!(sure("/scene/objects/0/material", "/scene/materials/clay/diffuse/kd"));

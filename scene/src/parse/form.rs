@@ -57,7 +57,7 @@ pub(super) fn read_strictly<T: DeserializeOwned + Serialize>(text: &str) -> Resu
     let value = read(text)?;
     match list_form::list_instead_of_object(text, &value) {
         Some(pointer) => {
-            let message = "must be an object, not a list: write each value behind its key".to_owned();
+            let message = "must be an object, not a list: write each value after its key".to_owned();
             Err(FormError { pointer, is_key: false, kind: FormErrorKind::Value, message })
         }
         None => Ok(value),

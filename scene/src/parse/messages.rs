@@ -36,14 +36,14 @@ fn shape_error(text: &str, message: &str) -> Option<String> {
     let value = serde_json::Deserializer::from_str(text).into_iter::<Value>().next()?.ok()?;
     Some(match value {
         Value::Object(keys) if keys.is_empty() => {
-            "is empty: write one key, which says what it is, with its parameters inside".to_owned()
+            "is empty: write one key, the name of its kind, with its parameters inside".to_owned()
         }
-        Value::Object(keys) => format!("has {} keys: keep the one that says what it is", keys.len()),
+        Value::Object(keys) => format!("has {} keys: keep only the one that names its kind", keys.len()),
         Value::Array(entries) if message == "trailing characters" => {
             format!("has {} entries: leave out the last", entries.len())
         }
         Value::Null | Value::Bool(_) | Value::Number(_) | Value::String(_) | Value::Array(_) => {
-            "must be an object of one key, which says what it is, with its parameters inside".to_owned()
+            "must be an object of one key, the name of its kind, with its parameters inside".to_owned()
         }
     })
 }
@@ -99,7 +99,7 @@ mod tests {
     }
 
     #[test]
-    fn types_are_reported_as_json_has_them() {
+    fn messages_use_json_type_names() {
         for (serde, ours) in [
             (r#"invalid type: string "one", expected a number"#, r#"must be a number, not "one""#),
             ("invalid type: integer `3`, expected struct Surface", "must be an object, not 3"),
@@ -116,7 +116,7 @@ mod tests {
     }
 
     #[test]
-    fn misfits_are_counted_where_they_are() {
+    fn wrong_list_lengths_are_reported_with_their_count() {
         let counted = |text: &str, serde: &str| of(text, "/a", serde).1;
         assert!(counted(r#"{"a": {}}"#, "expected value").contains("is empty"));
         assert!(counted(r#"{"a": {"b": 1, "c": 2}}"#, "trailing comma").contains("has 2 keys"));
@@ -125,7 +125,7 @@ mod tests {
     }
 
     #[test]
-    fn name_without_parameters_is_placed_where_it_stands() {
+    fn a_name_without_parameters_has_its_position() {
         let serde = "invalid type: unit variant, expected newtype variant";
         let (pointer, message) = of(r#"{"shape": "sphere"}"#, "/shape/sphere", serde);
         assert_eq!(pointer, "/shape");

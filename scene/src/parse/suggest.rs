@@ -147,7 +147,7 @@ pub(super) fn unknown_name(name: &str, known: &[&str], pointer: &str) -> String 
         Some(meant) => format!("there is no `{name}`: did you mean `{meant}`?"),
         None if known.len() > MAX_LISTED => {
             let page = if pointer.contains("/shape") { "docs/nodes.md shows all of them, and " } else { "" };
-            format!("there is no `{name}`: {page}`sdfarm schema` lists the {} that there are", known.len())
+            format!("there is no `{name}`: {page}`sdfarm schema` lists all {}", known.len())
         }
         None => format!("there is no `{name}`: choose {}", listed(known)),
     }
@@ -158,7 +158,7 @@ pub(super) fn unknown_key(key: &str, known: &[&str]) -> String {
     let key = shortened(key);
     match nearest(&key, known) {
         Some(meant) => format!("unknown key `{key}`: did you mean `{meant}`?"),
-        None if known.is_empty() => format!("unknown key `{key}`: leave it out, for no key is taken here"),
+        None if known.is_empty() => format!("unknown key `{key}`: leave it out, because no keys are allowed here"),
         None => format!("unknown key `{key}`: leave it out, or choose {}", listed(known)),
     }
 }
@@ -169,7 +169,9 @@ pub(super) fn unknown_material(name: &str, known: &[&str]) -> String {
     let cure = match nearest(&name, known) {
         Some(meant) => format!("did you mean \"{meant}\"?"),
         None if known.is_empty() => "define it there, or write a material in place".to_owned(),
-        None if known.len() > MAX_LISTED => format!("define it there, or use one of the {} that are", known.len()),
+        None if known.len() > MAX_LISTED => {
+            format!("define it there, or use one of the {} that are defined", known.len())
+        }
         None => format!("choose one of {}", known.join(", ")),
     };
     format!("\"{name}\" is not in /scene/materials: {cure}")
@@ -213,7 +215,7 @@ mod tests {
     ];
 
     #[test]
-    fn slips_other_spellings_and_other_tools_words_are_understood() {
+    fn typos_and_names_from_other_tools_get_suggestions() {
         for (name, meant) in [
             ("spere", "sphere"),
             ("shpere", "sphere"),
@@ -236,21 +238,21 @@ mod tests {
     }
 
     #[test]
-    fn what_is_like_nothing_gets_no_guess() {
+    fn a_dissimilar_name_gets_no_suggestion() {
         for name in ["", "teapot", "x", "zzzzzz", &"sphere".repeat(1000)] {
             assert_eq!(nearest(name, &NODES), None, "{name}");
         }
     }
 
     #[test]
-    fn word_of_another_tool_means_what_is_there() {
+    fn a_synonym_suggests_a_name_of_the_list() {
         assert_eq!(nearest("color", &["material", "shape"]), Some("material"));
         assert_eq!(nearest("color", &["base_color", "roughness"]), Some("base_color"));
         assert_eq!(nearest("colour", &["color", "shadow"]), Some("color"));
     }
 
     #[test]
-    fn serdes_lists_are_read_however_long_they_are() {
+    fn name_lists_of_any_length_are_parsed() {
         let of = |message| unknown(message, "unknown field `");
         assert_eq!(of("unknown field `x`, expected `a`"), Some(("x", vec!["a"])));
         assert_eq!(of("unknown field `x`, expected `a` or `b`"), Some(("x", vec!["a", "b"])));

@@ -100,7 +100,7 @@ impl Scanner<'_> {
                 self.pass(1, Token::Value)
             }
             _ if self.before == Token::Value => Some(if self.open.is_empty() {
-                "something stands behind the end of the job: a file holds one job, leave out what follows".to_owned()
+                "text after the end of the job: a file has one job, remove the rest".to_owned()
             } else {
                 "a comma is missing before this: write one".to_owned()
             }),
@@ -109,7 +109,7 @@ impl Scanner<'_> {
                 self.pass(1, Token::Open)
             }
             b'"' => self.string(),
-            b'\'' => Some("single quotes mean nothing in JSON: write \" instead".to_owned()),
+            b'\'' => Some("single quotes are invalid in JSON: write \" instead".to_owned()),
             b'0'..=b'9' | b'-' | b'+' | b'.' => self.number(),
             _ => self.word(),
         }
@@ -125,11 +125,11 @@ impl Scanner<'_> {
         let next = self.at + 1 + self.blanks_at(self.at + 1);
         match self.bytes.get(next) {
             Some(b'}' | b']') => {
-                Some(format!("trailing comma: leave out the comma before `{}`", char::from(self.bytes[next])))
+                Some(format!("trailing comma: remove the comma before `{}`", char::from(self.bytes[next])))
             }
-            Some(b',') => Some("a comma too many: leave out one of the two".to_owned()),
+            Some(b',') => Some("two commas in a row: remove one".to_owned()),
             _ if matches!(self.before, Token::Open | Token::Colon) => {
-                Some("a comma with nothing before it: leave it out, or write a value".to_owned())
+                Some("a comma without a value before it: remove it, or write a value".to_owned())
             }
             _ => self.pass(1, Token::Comma),
         }
@@ -142,9 +142,7 @@ impl Scanner<'_> {
                 Some(b'"') => return self.pass(end + 1 - self.at, Token::Value),
                 Some(b'\\') => end += 2,
                 Some(b'\n') | None => {
-                    return Some(
-                        "a string that is not closed: write \" at its end; a new line in it is \\n".to_owned(),
-                    );
+                    return Some("unterminated string: write \" at its end; a new line in it is \\n".to_owned());
                 }
                 Some(_) => end += 1,
             }
@@ -158,7 +156,7 @@ impl Scanner<'_> {
         if is_number(number) {
             return self.pass(length, Token::Value);
         }
-        Some(format!("{} is no number of JSON: write it as in 0.5, -1 or 2e3", quoted(number)))
+        Some(format!("{} is not a JSON number: write it as in 0.5, -1 or 2e3", quoted(number)))
     }
 
     fn word(&mut self) -> Option<String> {
@@ -175,15 +173,15 @@ impl Scanner<'_> {
             return None;
         }
         if self.bytes.get(behind + self.blanks_at(behind)) == Some(&b':') {
-            return Some(format!("a key stands in double quotes: write {}", serde_json::Value::from(word)));
+            return Some(format!("a key needs double quotes: write {}", serde_json::Value::from(word)));
         }
         if let Some((_, ours)) = WORDS.iter().find(|(theirs, _)| *theirs == word) {
-            return Some(format!("{word} is no word of JSON: write {ours}"));
+            return Some(format!("{word} is not a JSON word: write {ours}"));
         }
         if matches!(word, "NaN" | "Infinity" | "inf" | "nan") {
-            return Some(format!("{word} is no number of JSON: write one that is finite"));
+            return Some(format!("{word} is not a JSON number: write a finite one"));
         }
-        Some(format!("{} is no word of JSON: write text in double quotes", quoted(word)))
+        Some(format!("{} is not a JSON word: write text in double quotes", quoted(word)))
     }
 
     /// The text ends before the job is complete.
@@ -216,7 +214,7 @@ fn is_number(text: &str) -> bool {
 }
 
 fn comment() -> String {
-    "JSON has no comments: leave this one out".to_owned()
+    "JSON has no comments: remove this one".to_owned()
 }
 
 /// Text, shortened for a message.
@@ -240,7 +238,7 @@ mod tests {
     }
 
     #[test]
-    fn what_people_write_by_hand_is_named_where_it_stands() {
+    fn common_syntax_mistakes_are_explained_at_their_position() {
         for (text, line, column, words) in [
             ("{\"a\": 1,\n}", 1, 8, "trailing comma"),
             ("[1, 2 , ]", 1, 7, "before `]`"),
@@ -254,8 +252,8 @@ mod tests {
             ("{\"a\": yes}", 1, 7, "double quotes"),
             ("{\"a\": True}", 1, 7, "write true"),
             ("{\"a\": NaN}", 1, 7, "NaN"),
-            ("{\"a\": .5}", 1, 7, ".5 is no number"),
-            ("{\"a\": 0x10}", 1, 7, "0x10 is no number"),
+            ("{\"a\": .5}", 1, 7, ".5 is not a JSON number"),
+            ("{\"a\": 0x10}", 1, 7, "0x10 is not a JSON number"),
             ("[1,, 2]", 1, 3, "too many"),
             ("[, 1]", 1, 2, "nothing before"),
             ("{\"a\": 1\n \"b\": 2}", 2, 2, "comma is missing"),
@@ -274,7 +272,7 @@ mod tests {
     }
 
     #[test]
-    fn what_looks_odd_inside_of_a_string_is_no_fault() {
+    fn odd_characters_inside_a_string_are_valid() {
         let (line, column, message) = of("{\"a\": \"// b, ]\", \"c\": \"'\",}");
         assert!(message.contains("trailing comma") && (line, column) == (1, 26), "{message} at {column}");
     }

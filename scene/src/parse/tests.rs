@@ -37,7 +37,7 @@ fn unmarked(text: &str) -> (String, Vec<(u32, u32)>) {
 }
 
 #[test]
-fn each_of_several_faults_is_reported_once_and_nothing_else_is() {
+fn each_of_several_errors_is_reported_exactly_once() {
     let mut wrong = Vec::new();
     for case in SEVERAL.split("\n## ").skip(1) {
         let (name, rest) = case.split_once('\n').expect("a name");
@@ -85,7 +85,7 @@ fn syntax_error(value: &serde_json::Value, visit: &mut impl FnMut(&str, &serde_j
 }
 
 #[test]
-fn whatever_is_wrong_in_a_node_or_a_material_hides_nothing_else() {
+fn an_invalid_value_does_not_hide_other_errors() {
     let shapes = Node::examples().into_iter().map(|example| (example.node, true));
     let materials = Material::examples().into_iter().map(|example| (example.json, false));
     let mut wrong = Vec::new();
@@ -114,7 +114,7 @@ fn whatever_is_wrong_in_a_node_or_a_material_hides_nothing_else() {
 }
 
 #[test]
-fn no_more_than_a_hundred_faults_are_reported_and_they_are_the_first() {
+fn the_first_hundred_errors_are_reported() {
     let objects = vec![r#"{ "shape": { "sphere": { "radius": -1 } } }"#; 5000].join(",\n");
     let found = faults(&around(&objects));
     assert_eq!(found.len(), MAX_ERRORS);
@@ -122,7 +122,7 @@ fn no_more_than_a_hundred_faults_are_reported_and_they_are_the_first() {
 }
 
 #[test]
-fn shipped_examples_of_every_node_have_no_fault() {
+fn examples_of_every_node_have_no_errors() {
     for example in Node::examples() {
         assert_eq!(faults(&around(&format!(r#"{{ "shape": {} }}"#, example.node))), [], "{}", example.node);
     }

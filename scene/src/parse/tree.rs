@@ -332,7 +332,7 @@ mod tests {
     }
 
     #[test]
-    fn tree_is_written_as_it_was_read() {
+    fn an_unchanged_tree_is_written_as_parsed() {
         let text = r#"{ "a" : [1, {"b/c": -2.5e3}, "x\"]"], "d": {}, "e": [], "f": true }"#;
         let (root, misfits) = read(text, 9);
         assert!(misfits.is_empty());
@@ -344,7 +344,7 @@ mod tests {
     }
 
     #[test]
-    fn doubled_keys_and_deep_values_are_found_and_left_out() {
+    fn duplicate_keys_and_deep_values_are_found_and_removed() {
         let text = format!(r#"{{"a": 1, "\u0061": 2, "b": {}{}}}"#, "[".repeat(9000), "]".repeat(9000));
         let (root, misfits) = read(&text, 9);
         assert!(matches!(&misfits[0], TreeError::DuplicateMember { path, start: 9 } if *path == [1]), "{misfits:?}");

@@ -10,7 +10,6 @@ use crate::values::Length;
 
 /// Maximum number of Newton steps; the largest number found was 17, near the center of curvature of a thin ellipse's
 /// end.
-/// thin ellipse's end.
 const MAX_STEPS: u32 = 24;
 /// Tolerance of the nearest point, as a fraction of the ellipse's size.
 const TOLERANCE: f32 = 1e-6;

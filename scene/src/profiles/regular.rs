@@ -100,7 +100,7 @@ impl ProfileSdf for RegularPolygon {
 
     fn validate(&self) -> Option<NodeError> {
         let most = self.apothem();
-        let message = format!("must be at most the distance from the middle to a side: make round {most} or less");
+        let message = format!("must be at most the distance from the center to a side: make round {most} or less");
         (self.round.get() > most).then(|| NodeError::new("round", message))
     }
 }

@@ -232,7 +232,7 @@ mod tests {
     }
 
     #[test]
-    fn errors_are_those_of_the_docs() {
+    fn measured_errors_match_the_docs() {
         let wide = || between(-1e4, 1e4).chain(between(-7.0, 7.0));
         check("sin", largest_error(wide(), |x| (Real::sin(x), f64::from(x).sin()), 1.0), SIN_ULP);
         check("cos", largest_error(wide(), |x| (Real::cos(x), f64::from(x).cos()), 1.0), SIN_ULP);

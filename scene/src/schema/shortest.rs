@@ -45,7 +45,7 @@ mod tests {
     }
 
     #[test]
-    fn no_number_of_the_schema_has_digits_that_nobody_wrote() {
+    fn numbers_of_the_schema_have_no_excess_digits() {
         fn check(value: &Value) {
             match value {
                 Value::Number(number) => {

@@ -198,11 +198,11 @@ impl JsonSchema for TrackSchema {
     fn json_schema(generator: &mut SchemaGenerator) -> Schema {
         let ease = generator.subschema_for::<Ease>();
         json_schema!({
-            "description": "A number over time: frame i shows it at i/fps seconds. Before the first key it is that key's, and behind the last one that one's.",
+            "description": "A number over time: frame i has its value at i/fps seconds. Before the first keyframe the value is the first keyframe's; after the last, the last keyframe's.",
             "type": "object",
             "properties": {
                 "keys": {
-                    "description": "Pairs of seconds, which rise, and the number there, in the range of what is moved.",
+                    "description": "Keyframes: pairs of increasing seconds and the number at that time, in the range of the animated number.",
                     "type": "array", "minItems": 1, "maxItems": MAX_KEYFRAMES,
                     "items": {
                         "type": "array", "minItems": 2, "maxItems": 2,
@@ -212,7 +212,7 @@ impl JsonSchema for TrackSchema {
                         ]
                     }
                 },
-                "ease": { "description": "How it goes from one key to the next.", "anyOf": [ease], "default": "linear" }
+                "ease": { "description": "Interpolation between keyframes.", "anyOf": [ease], "default": "linear" }
             },
             "required": ["keys"],
             "additionalProperties": false
@@ -249,7 +249,7 @@ mod tests {
     }
 
     #[test]
-    fn a_track_holds_its_ends_and_goes_between_its_keys() {
+    fn a_track_clamps_at_its_ends_and_interpolates_between_keyframes() {
         let linear = |seconds| at::<Coordinate>(seconds, r#"{ "keys": [[1, 2], [3, 6], [4, -2]] }"#).get();
         assert_eq!([0.0, 1.0, 1.5, 2.0, 3.0, 3.25, 4.0, 9.0].map(linear), [2.0, 2.0, 3.0, 4.0, 6.0, 4.0, -2.0, -2.0]);
         let step = |seconds| at::<Coordinate>(seconds, r#"{ "ease": "step", "keys": [[1, 2], [3, 6]] }"#).get();
@@ -259,7 +259,7 @@ mod tests {
     }
 
     #[test]
-    fn a_number_knows_that_it_moves_wherever_it_stands() {
+    fn an_animated_number_is_animated_at_every_time() {
         const TRACK: &str = r#"{ "keys": [[0, 0], [2, 1]] }"#;
         let [first, later] = [0.0, 1.0].map(|seconds| at::<LengthOrZero>(seconds, TRACK));
         assert!(first.is_animated() && first.get() == 0.0 && !first.is_zero());
@@ -273,7 +273,7 @@ mod tests {
     }
 
     #[test]
-    fn a_moving_number_survives_the_way_through_json() {
+    fn an_animated_number_survives_a_json_round_trip() {
         let number = at::<Length>(1.0, r#"{ "keys": [[0, 1], [4, 3]] }"#);
         let text = serde_json::to_string(&number).unwrap();
         let again = at::<Length>(9.0, &text);
@@ -284,7 +284,7 @@ mod tests {
     }
 
     #[test]
-    fn an_amount_between_nothing_and_the_least_size_is_one_of_them() {
+    fn a_value_between_0_and_the_minimum_snaps_to_one() {
         let amount = |seconds| at::<LengthOrZero>(seconds, r#"{ "keys": [[0, 0], [1, 1]] }"#).get();
         assert_eq!(amount(1e-7), 0.0);
         assert_eq!(amount(0.5), 0.5);
@@ -293,7 +293,7 @@ mod tests {
     }
 
     #[test]
-    fn a_fault_of_a_track_is_reported_at_its_place() {
+    fn an_error_in_a_track_has_its_pointer() {
         for (text, place, words) in [
             (r#"{ "keys": [] }"#, "keys", "needs a key"),
             (r#"{ "keys": [[0, 1], [2, -3]] }"#, "keys[1][1]", "from 1e-6"),

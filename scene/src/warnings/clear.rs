@@ -32,7 +32,7 @@ pub(super) fn touching(scene: &Scene) -> Option<String> {
         coincide(one, other)
     })?;
     Some(format!(
-        "the surfaces of {} coincide, and both let light through, so that rays cannot tell which they enter: let one reach into the other by a thousandth of its size, or leave a gap",
+        "the surfaces of {} coincide, and both transmit light, so that rays cannot tell which they enter: let one overlap the other by a thousandth of its size, or leave a gap",
         objects(&[one, other])
     ))
 }
@@ -103,7 +103,7 @@ pub(super) fn nothing_to_mirror(scene: &Scene) -> Option<String> {
         .collect();
     let (first, _) = shiny.split_first()?;
     Some(format!(
-        "/scene/background is transparent, and {} of metal or glass mirror it as black (the first is /scene/objects/{first}): choose another background, or another material",
+        "/scene/background is transparent, and {} of metal or glass reflect it as black (the first is /scene/objects/{first}): choose another background, or another material",
         objects(&shiny)
     ))
 }

@@ -18,7 +18,7 @@ pub(super) fn difference(scene: &Scene) -> Option<String> {
         let mut pointer = format!("/scene/objects/{index}/shape");
         let place = empty_difference(&object.shape, &mut pointer, &mut boxes_left)?;
         Some(format!(
-            "{place} leaves nothing: what it subtracts is larger than the first shape; the first is what is cut from, so change their order or their sizes"
+            "{place} is empty: the subtracted shapes contain the first shape, which they are cut from; change their order or their sizes"
         ))
     })
 }

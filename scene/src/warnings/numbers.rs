@@ -29,7 +29,7 @@ pub(super) fn colors_of_255(scene: &Scene) -> Option<String> {
             let [red, green, blue] = color.map(|channel| (channel / 255.0 * 1000.0).round() / 1000.0);
             let [r, g, b] = color;
             return Some(format!(
-                "the color [{r}, {g}, {b}] at {pointer} of the material of object {index} goes to 255, and colors go to 1: write [{red}, {green}, {blue}], or \"#{:02x}{:02x}{:02x}\" if it is in sRGB",
+                "the color [{r}, {g}, {b}] at {pointer} of the material of object {index} has a range of 0 to 255, but colors go from 0 to 1: write [{red}, {green}, {blue}], or \"#{:02x}{:02x}{:02x}\" if it is in sRGB",
                 r as u8, g as u8, b as u8
             ));
         }
@@ -86,7 +86,7 @@ fn rotation_in_radians(node: &Node, pointer: &mut String) -> Option<String> {
         let degrees: Vec<String> = angles.iter().map(|angle| format!("{}", angle.to_degrees().round())).collect();
         let angles: Vec<String> = angles.iter().map(|angle| angle.to_string()).collect();
         return Some(format!(
-            "{pointer}/rotate/degrees is [{}], which reads like radians: write [{}], the degrees",
+            "{pointer}/rotate/degrees is [{}], which looks like radians: write [{}], the degrees",
             angles.join(", "),
             degrees.join(", ")
         ));

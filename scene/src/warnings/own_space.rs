@@ -13,7 +13,7 @@ pub(super) fn swims(scene: &Scene) -> Option<String> {
         let mut pointer = format!("/scene/objects/{index}/shape");
         let place = moves_under(&object.shape, is_textured(object.material.slot()), &is_textured, &mut pointer)?;
         Some(format!(
-            "the texture stands still while {place} moves through it: put the movement around a `paint` with the material, whose texture then moves along"
+            "the texture does not follow {place}, which is animated: put a `paint` with the material inside the animated node"
         ))
     })
 }

@@ -18,7 +18,7 @@ pub(super) fn too_many(scene: &Scene, image: &Image) -> Option<String> {
         return None;
     }
     Some(format!(
-        "/image/samples is {samples}, and nothing in the scene is noise: beyond {MIN_SAMPLES} an edge of 8 bits shows no difference; use {MIN_SAMPLES} or fewer"
+        "/image/samples is {samples}, and the scene has no noise: more than {MIN_SAMPLES} make no difference with 8 bits; use {MIN_SAMPLES} or fewer"
     ))
 }
 

@@ -24,7 +24,7 @@ pub(super) fn high_cost(scene: &Scene) -> Option<String> {
         return None;
     }
     Some(format!(
-        "each look at {} takes more than {MAX_COST:e} nodes, copies and all, and rendering may not end: repeat what is smaller than its cell, and fewer copies of copies",
+        "one evaluation of {} visits more than {MAX_COST:e} nodes, nested copies included, and rendering may take too long: repeat shapes smaller than their cell, and use fewer copies of copies",
         objects(&heavy)
     ))
 }
@@ -36,7 +36,7 @@ pub(super) fn high_lipschitz(scene: &Scene) -> Option<String> {
     let steepest = steep.iter().copied().reduce(|a, b| if stretches[b] > stretches[a] { b } else { a })?;
     let mut pointer = format!("/scene/objects/{steepest}/shape");
     let cure = main_cause(&scene.objects[steepest].shape, &mut pointer).lipschitz_advice();
-    let others = if steep.len() > 1 { format!(" (so are those of {})", objects(&steep)) } else { String::new() };
+    let others = if steep.len() > 1 { format!(" (also near {})", objects(&steep)) } else { String::new() };
     let stretch = stretches[steepest];
     let part = if stretch < 1e6 { format!("1/{stretch:.0}") } else { "less than a millionth".to_owned() };
     Some(format!("steps near {pointer} are {part} of the distance{others}, and rendering is slow: {cure}"))
@@ -64,14 +64,16 @@ pub(super) fn light(scene: &Scene) -> Option<String> {
     let used = scene.used_materials();
     if !scene.lights.is_empty() && scene.lights != default_lights() && !used.iter().any(Shade::uses_lights) {
         return Some(
-            "the lights light nothing, for no material in use looks at them: choose diffuse or surface, or leave lights out"
+            "the lights have no effect, because no material in use depends on light: choose diffuse or surface, or remove lights"
                 .to_owned(),
         );
     }
     let shines = scene.lights.iter().any(|light| !light.is_dark());
     if !shines && used.iter().any(Shade::is_black_without_light) {
         let lack = if scene.lights.is_empty() { "there is no light" } else { "all lights are black" };
-        return Some(format!("{lack}, and materials want some: add one to scene.lights, or leave lights out"));
+        return Some(format!(
+            "{lack}, and the materials need light: add a light to scene.lights, or remove lights for the default lights"
+        ));
     }
     None
 }
@@ -95,7 +97,7 @@ pub(super) fn dense_media(scene: &Scene) -> Option<String> {
         "lower its density, or make it smaller".to_owned()
     };
     Some(format!(
-        "what fills {} is too thick for its {steps} steps: one goes {:.0} times as deep as light does (density × step): {cure}",
+        "the medium that fills {} is too dense for its {steps} steps: one step has an optical depth of {:.0} (density × step): {cure}",
         objects(&indices),
         depth / steps as f32
     ))
@@ -108,7 +110,7 @@ pub(super) fn bounces(scene: &Scene) -> Option<String> {
     let most = scene.march.max_bounces;
     (most < MIN_GLASS_BOUNCES).then(|| {
         format!(
-            "rays end inside of glass, for march.max_bounces is {most}, and a body takes {MIN_GLASS_BOUNCES}: raise it"
+            "rays end inside glass, because march.max_bounces is {most} and glass needs {MIN_GLASS_BOUNCES}: raise it"
         )
     })
 }

@@ -48,10 +48,10 @@ fn nothing_in_view(scene: &Scene, view: &View) -> Option<String> {
     }
     Some(if is_one_beyond {
         format!(
-            "nothing is seen: all that is in view is further away than march.max_distance, {farthest}: raise it, or move the camera nearer"
+            "no object is visible: all objects in view are farther away than march.max_distance, {farthest}: raise it, or move the camera nearer"
         )
     } else {
-        "nothing is seen: all objects are outside of the view: change camera.position, look_at or the field of view"
+        "no object is visible: all objects are outside the view: change camera.position, look_at or the field of view"
             .to_owned()
     })
 }
@@ -75,7 +75,7 @@ fn inside(scene: &Scene, image: &Image, view: &View) -> Option<String> {
         return None;
     }
     let (what, cure) = scene.camera.projection.inside_warning();
-    Some(format!("{what} {}, and sees only that from within: {cure}, or cut a room into it", objects(&around)))
+    Some(format!("{what} {}, so that only its inside is visible: {cure}, or cut a room into it", objects(&around)))
 }
 
 /// Whether a part of a shape is painted with a transmissive material.
@@ -88,6 +88,6 @@ fn out_of_steps(scene: &Scene, share: f32) -> String {
     let max_steps = scene.march.max_steps;
     let percent = (share * 100.0).round().max(1.0);
     format!(
-        "about {percent} % of the rays run out of steps before they meet a surface or pass all of them, and show what is behind: raise march.max_steps above {max_steps}, or look at less that is grazed"
+        "about {percent} % of the rays run out of steps before they hit a surface or miss all of them, and show the background: raise march.max_steps above {max_steps}, or show fewer surfaces at grazing angles"
     )
 }

@@ -43,7 +43,7 @@ fn points() -> impl Iterator<Item = scene::real::Vec3<f32>> {
 }
 
 #[test]
-fn every_number_is_a_count_or_may_move() {
+fn every_number_is_a_count_or_can_be_animated() {
     each_number(|name, _, own, with| match with(json!({ "keys": [[0, own], [1, own]] })) {
         Ok(_) => {}
         Err(error) => assert!(error.to_string().contains("is a count"), "{name}: {error}"),
@@ -51,7 +51,7 @@ fn every_number_is_a_count_or_may_move() {
 }
 
 #[test]
-fn a_number_that_moves_gives_the_distance_of_one_that_does_not() {
+fn animated_and_constant_numbers_give_the_same_distance() {
     each_number(|name, still, own, with| {
         let Ok(moving) = with(json!({ "keys": [[0, own]] })) else { return };
         for p in points() {
@@ -63,7 +63,7 @@ fn a_number_that_moves_gives_the_distance_of_one_that_does_not() {
 }
 
 #[test]
-fn a_number_that_is_0_for_a_moment_leaves_distances_finite() {
+fn a_number_animated_through_0_gives_finite_distances() {
     each_number(|name, _, _, with| {
         // Some numbers may not be 0, and some may not all be 0.
         let Ok(moving) = with(json!({ "keys": [[0, 0], [1, 1]] })) else { return };

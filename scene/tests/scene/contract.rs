@@ -37,7 +37,7 @@ fn each_node(mut check: impl FnMut(&str, &Node)) {
 }
 
 #[test]
-fn a_node_survives_the_way_through_json() {
+fn a_node_survives_a_json_round_trip() {
     each_node(|kind, node| {
         let text = serde_json::to_string(node).unwrap();
         assert_eq!(&serde_json::from_str::<Node>(&text).unwrap(), node, "{kind}");
@@ -111,7 +111,7 @@ fn no_step_passes_a_surface() {
 }
 
 #[test]
-fn distances_change_no_faster_than_the_stretch_says() {
+fn distances_change_within_the_lipschitz_factor() {
     each_node(|kind, node| {
         // An estimate is not a distance inside a fractal and at its fringe; there it only matters that no step passes
         // the surface.
@@ -149,7 +149,7 @@ fn miss(node: &Node, p: Vec3<f32>, random: &mut Random) -> f32 {
 }
 
 #[test]
-fn an_exact_distance_reaches_the_surface_and_no_shorter_one_does() {
+fn an_exact_distance_ends_on_the_surface() {
     each_node(|kind, node| {
         if node.exactness() != Exactness::Exact {
             return;
@@ -191,7 +191,7 @@ fn conditions_over_boxes_follow_three_valued_logic() {
 }
 
 #[test]
-fn bounds_hold_every_point_near_the_shape() {
+fn bounds_contain_every_point_near_the_shape() {
     each_node(|name, node| {
         let mut random = Random(11);
         for level in [0.0, 0.1, 0.7] {

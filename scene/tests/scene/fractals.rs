@@ -55,7 +55,7 @@ fn each_estimate(mut check: impl FnMut(&str, &Node)) {
 }
 
 #[test]
-fn no_value_claims_more_than_small_steps_find() {
+fn no_value_exceeds_the_distance_found_by_small_steps() {
     each_estimate(|name, node| {
         if CLAIMS_TOO_MUCH.contains(&name) {
             return;

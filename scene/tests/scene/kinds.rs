@@ -84,7 +84,7 @@ fn pixels(job: &Job) -> Vec<f32> {
 }
 
 #[test]
-fn every_kind_survives_the_way_through_json() {
+fn every_kind_survives_a_json_round_trip() {
     each(|name, family, _, value| {
         let mut keys = (family.scene)(value);
         let read = job(&keys);
@@ -129,7 +129,7 @@ fn the_schema_describes_every_kind_and_each_of_its_keys() {
 }
 
 #[test]
-fn the_list_of_effects_has_every_key_of_a_scene_that_may_be_absent() {
+fn the_list_of_effects_has_every_optional_effect_of_a_scene() {
     let schema = scene::schema();
     let required = schema["$defs"]["Scene"]["required"].as_array().expect("a scene needs some keys");
     let properties = schema["$defs"]["Scene"]["properties"].as_object().expect("a scene has keys").iter();
@@ -150,7 +150,7 @@ fn light_is_finite_and_never_negative_with_every_kind() {
 }
 
 #[test]
-fn every_example_has_a_picture_and_a_key_of_its_own() {
+fn every_example_has_its_own_picture_and_cache_key() {
     for family in families() {
         let jobs: Vec<(String, Job)> = family
             .examples
@@ -170,7 +170,7 @@ fn every_example_has_a_picture_and_a_key_of_its_own() {
 }
 
 #[test]
-fn no_example_is_warned_of() {
+fn examples_have_no_warnings() {
     each(|name, family, _, value| {
         let warnings = job(&(family.scene)(value)).warnings();
         assert!(warnings.is_empty(), "{name}: {warnings:?}");
@@ -178,7 +178,7 @@ fn no_example_is_warned_of() {
 }
 
 #[test]
-fn a_black_light_is_warned_of_and_lights_nothing() {
+fn a_black_light_gets_a_warning_and_has_no_effect() {
     let dark = pixels(&job(&json!({ "lights": [], "background": { "day": { "sun": [0.6, 0.5, 0.4] } } })));
     let lights = families().into_iter().find(|family| family.name == "light").expect("lights are a family");
     let schema = scene::schema();
@@ -214,7 +214,7 @@ fn numbers(value: &Value, pointer: &str, found: &mut Vec<String>) {
 }
 
 #[test]
-fn a_number_that_moves_gives_the_picture_of_one_that_does_not() {
+fn animated_and_constant_numbers_give_the_same_picture() {
     each(|name, family, _, value| {
         let mut found = Vec::new();
         numbers(value, "", &mut found);

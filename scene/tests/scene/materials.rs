@@ -87,7 +87,7 @@ fn assert_finite(kind: &str, color: Vec3<f32>, place: &ShadingPoint<f32>) {
 }
 
 #[test]
-fn materials_and_textures_survive_the_way_through_json() {
+fn materials_and_textures_survive_a_json_round_trip() {
     each_material(assert_survives_json);
     each_texture(assert_survives_json);
 }
@@ -143,7 +143,7 @@ fn shaded_light_is_finite_and_never_negative() {
 }
 
 #[test]
-fn what_a_material_sends_on_is_no_more_than_arrives() {
+fn a_material_reflects_and_transmits_no_more_than_arrives() {
     each_material(|kind, material| {
         let mut random = Random(3);
         for _ in 0..2_000 {
@@ -161,7 +161,7 @@ fn what_a_material_sends_on_is_no_more_than_arrives() {
 }
 
 #[test]
-fn who_needs_no_own_normal_does_not_look_at_it() {
+fn only_materials_that_need_the_local_normal_use_it() {
     let mut random = Random(4);
     let mut pairs = || {
         let place = random.place(3.0);
@@ -180,7 +180,7 @@ fn who_needs_no_own_normal_does_not_look_at_it() {
 }
 
 #[test]
-fn materials_that_look_at_no_light_have_the_same_color_in_any() {
+fn unlit_materials_have_the_same_color_in_any_light() {
     each_material(|kind, material| {
         let mut random = Random(5);
         let mut differs = false;
@@ -211,7 +211,7 @@ fn fault(material: &str) -> (String, String) {
 }
 
 #[test]
-fn a_wrong_texture_is_rejected_where_it_is_wrong_and_with_a_cure() {
+fn an_invalid_texture_is_rejected_with_pointer_and_fix() {
     let flat = |texture: &str| format!(r#"{{ "flat": {{ "color": {texture} }} }}"#);
     let ramp = |stops: &str| flat(&format!(r#"{{ "gradient": {{ "by": {{ "facing": {{}} }}, "ramp": {stops} }} }}"#));
     let many: Vec<String> = (0..33).map(|stop| format!("[{}, [0, 0, 0]]", f64::from(stop) / 32.0)).collect();
@@ -224,7 +224,7 @@ fn a_wrong_texture_is_rejected_where_it_is_wrong_and_with_a_cure() {
         (ramp("[[0.5, [0, 0, 0]], [0.2, [1, 1, 1]]]"), "/flat/color/gradient/ramp/1", "put stops in order"),
         (ramp("[[0.5, [0, 0, 0]]]"), "/flat/color/gradient/ramp", "at least 2 stops"),
         (ramp(&format!("[{}]", many.join(", "))), "/flat/color/gradient/ramp", "more than 32 stops"),
-        (ramp("[[0, [0, 0, 0]], [1.5, [1, 1, 1]]]"), "/flat/color/gradient/ramp/1/0", "a share from 0 to 1"),
+        (ramp("[[0, [0, 0, 0]], [1.5, [1, 1, 1]]]"), "/flat/color/gradient/ramp/1/0", "a fraction from 0 to 1"),
         (ramp(r##"[[0, [0, 0, 0]], [1, "#12"]]"##), "/flat/color/gradient/ramp/1/1", "a color"),
         (flat(r#"{ "checker": { "cell": 0 } }"#), "/flat/color/checker/cell", "a size from 1e-6"),
         (flat(r#"{ "checker": { "cell": 1, "colour": 1 } }"#), "/flat/color/checker/colour", "did you mean `colors`?"),
@@ -232,7 +232,7 @@ fn a_wrong_texture_is_rejected_where_it_is_wrong_and_with_a_cure() {
         (flat("[1, 2]"), "/flat/color", "a color"),
         (flat("7"), "/flat/color", "or a texture"),
         (flat(&nested), "/flat/color", "nest at most 4"),
-        (metallic("2"), "/surface/metallic", "a share from 0 to 1"),
+        (metallic("2"), "/surface/metallic", "a fraction from 0 to 1"),
         (metallic(r#"{ "bricks": {} }"#), "/surface/metallic", r#"{"low": …, "high": …, "by": {"bricks": …}}"#),
         (metallic(r#"{ "low": 0, "high": 2, "by": { "bricks": {} } }"#), "/surface/metallic/high", "from 0 to 1"),
         (metallic(r#"{ "low": 0, "by": { "bricks": {} } }"#), "/surface/metallic", "missing field `high`"),
@@ -245,7 +245,7 @@ fn a_wrong_texture_is_rejected_where_it_is_wrong_and_with_a_cure() {
 }
 
 #[test]
-fn a_texture_where_none_can_be_is_rejected_with_a_cure() {
+fn a_texture_where_none_is_allowed_is_rejected_with_a_fix() {
     let sphere = |radius: &str, color: &str| {
         let text = format!(
             r#"{{ "scene": {{ "camera": {{ "position": [0, 0, 5], "look_at": [0, 0, 0] }}, "background": {{ "color": {color} }},
@@ -280,7 +280,7 @@ fn numbers(value: &Value, pointer: &str, found: &mut Vec<String>) {
 }
 
 #[test]
-fn a_number_of_a_material_or_a_texture_that_moves_gives_the_color_of_one_that_does_not() {
+fn animated_and_constant_numbers_give_the_same_color() {
     // A texture is tested through a material that shows only its color.
     let textures = Texture::examples()
         .into_iter()

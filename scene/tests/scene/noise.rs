@@ -106,7 +106,7 @@ fn each_single_noise(mut check: impl FnMut(&str, &Noise)) {
 }
 
 #[test]
-fn a_noise_survives_the_way_through_json() {
+fn a_noise_survives_a_json_round_trip() {
     each_noise(|name, noise| {
         let text = serde_json::to_string(noise).unwrap();
         assert_eq!(&serde_json::from_str::<Noise>(&text).unwrap(), noise, "{name}");
@@ -114,7 +114,7 @@ fn a_noise_survives_the_way_through_json() {
 }
 
 #[test]
-fn wrong_numbers_are_rejected_with_what_would_be_right() {
+fn invalid_numbers_are_rejected_with_their_range() {
     for form in forms() {
         for (wrong, words) in [
             (json!({ "octaves": 99 }), "must be 1 to 12 octaves, not 99"),
@@ -174,12 +174,12 @@ fn check_slope(name: &str, noise: &Noise, pairs: u32) {
 }
 
 #[test]
-fn a_noise_changes_no_faster_than_its_lipschitz_factor_says() {
+fn a_noise_changes_within_its_lipschitz_factor() {
     each_single_noise(|name, noise| check_slope(name, noise, 100_000));
 }
 
 #[test]
-fn a_sum_of_octaves_changes_no_faster_than_its_lipschitz_factor_says() {
+fn a_sum_of_octaves_changes_within_its_lipschitz_factor() {
     each_noise(|name, noise| check_slope(name, noise, 10_000));
 }
 
@@ -268,7 +268,7 @@ fn seeds_make_different_noises_and_vectors_of_three() {
 }
 
 #[test]
-fn bits_are_those_of_the_goldens() {
+fn noise_values_are_bit_identical_to_the_golden_file() {
     let mut got = Vec::new();
     each_noise(|name, noise| {
         let mut random = Random(6);

@@ -79,14 +79,14 @@ fn assert_converges(light: &str, reach: f64) {
 }
 
 #[test]
-fn a_wide_sun_casts_the_penumbra_of_its_disc() {
+fn a_wide_sun_casts_the_penumbra_of_its_disk() {
     let half_angle: f64 = 5.0;
     let light = r#"{ "directional": { "direction": [0, 1, 0], "angle": 10, "color": [1, 1, 1] } }"#;
     assert_converges(light, EDGE * half_angle.to_radians().tan());
 }
 
 #[test]
-fn a_ball_of_light_casts_the_penumbra_of_its_disc() {
+fn a_sphere_light_casts_the_penumbra_of_its_disk() {
     // The edge is half as far from the floor as from the light: its image on the light moves twice as far as on the
     // floor.
     let light = r#"{ "sphere": { "position": [0, 6, 0], "radius": 0.4, "color": [36, 36, 36] } }"#;

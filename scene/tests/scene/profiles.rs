@@ -29,7 +29,7 @@ fn the_schema_describes_every_profile_and_each_of_its_keys() {
 }
 
 #[test]
-fn a_circle_as_large_as_an_exact_distance_says_touches_the_outline() {
+fn a_circle_of_the_exact_distance_touches_the_outline() {
     const TURNS: u16 = 1_000;
     for (kind, json) in Profile::examples() {
         let profile = profile(&json);
@@ -90,7 +90,7 @@ fn regular_polygons_and_stars_are_the_polygons_of_their_corners() {
 }
 
 #[test]
-fn an_ellipse_is_where_its_curve_is() {
+fn an_ellipse_matches_points_of_its_curve() {
     for (width, height) in [(2.0, 1.0), (0.02, 1.8), (1.0, 1.0), (1.0, 0.99)] {
         let ellipse = profile(&format!(r#"{{ "ellipse": {{ "size": [{width}, {height}] }} }}"#));
         // A quarter of the ellipse, by tangents of half the angle.
@@ -146,7 +146,7 @@ fn polygon_fault(points: &str) -> (String, String) {
 }
 
 #[test]
-fn a_polygon_that_is_none_says_where_and_what_to_do() {
+fn an_invalid_polygon_is_reported_with_pointer_and_fix() {
     let cases = [
         ("[[0, 0], [1, 0]]", "points", "has 2 points: a polygon has 3 to 256"),
         ("[[0, 0], [1, 0], [1, 1], [1, 1]]", "points/3", "is the same point as points/2"),
@@ -163,7 +163,7 @@ fn a_polygon_that_is_none_says_where_and_what_to_do() {
 }
 
 #[test]
-fn sweeps_that_cannot_be_say_where_and_what_to_do() {
+fn invalid_sweeps_are_reported_with_pointer_and_fix() {
     let cases = [
         (
             r#"{ "extrude": { "profile": { "circle": { "radius": 1 } }, "height": 0.5, "round": 0.3 } }"#,
@@ -171,7 +171,7 @@ fn sweeps_that_cannot_be_say_where_and_what_to_do() {
         ),
         (
             r#"{ "revolve": { "profile": { "circle": { "radius": 1 } }, "offset": -1.5 } }"#,
-            ("revolve/offset", "puts the profile beyond the axis, where nothing is turned: make offset more than -1"),
+            ("revolve/offset", "puts the whole profile beyond the axis: make offset more than -1"),
         ),
         (
             r#"{ "revolve": { "profile": { "rectangle": { "size": [1, 2], "round": 0.6 } } } }"#,
@@ -188,7 +188,7 @@ fn text(string: &str) -> Profile {
 }
 
 #[test]
-fn a_capital_i_is_the_rectangle_that_the_font_says() {
+fn a_capital_i_is_the_rectangle_of_the_font() {
     // 385 by 1493 of the font's 2048 units, half a unit left of the center.
     let size = [385.0 / 2048.0, 1493.0 / 2048.0];
     let rectangle = profile(&serde_json::json!({ "rectangle": { "size": size } }).to_string());
@@ -210,7 +210,7 @@ fn holes_of_letters_are_outside() {
 }
 
 #[test]
-fn letters_that_fit_together_stand_nearer() {
+fn kerned_letters_are_nearer() {
     let width = |string: &str| {
         let extent = text(string).extent(0.0);
         extent.high[0] - extent.low[0]
@@ -220,7 +220,7 @@ fn letters_that_fit_together_stand_nearer() {
 }
 
 #[test]
-fn a_text_that_cannot_be_set_says_why() {
+fn text_without_an_outline_is_reported_with_the_reason() {
     let cases = [
         ("東", "has '東', which the font lacks: it has Latin letters, digits, punctuation and arrows"),
         ("two\\nlines", "has '\\n', which the font lacks: it has Latin letters, digits, punctuation and arrows"),
@@ -237,7 +237,7 @@ fn a_text_that_cannot_be_set_says_why() {
 }
 
 #[test]
-fn a_long_text_counts_as_many_nodes() {
+fn a_long_text_counts_as_several_nodes() {
     let node = |string: &str| -> scene::nodes::Node {
         let shape = format!(
             r#"{{ "extrude": {{ "profile": {{ "text": {{ "string": "{string}", "size": 1 }} }}, "height": 1 }} }}"#

@@ -100,7 +100,7 @@ fn a_mirrored_shape_is_its_union_with_the_image() {
 }
 
 #[test]
-fn materials_pass_through_copies_and_stay_with_their_shape() {
+fn copies_have_the_material_of_their_shape() {
     let child = r#"{ "union": { "of": [
         { "paint": { "material": { "flat": { "color": [1, 0, 0] } }, "child": {
             "translate": { "by": [0, 0.3, 0], "child": { "sphere": { "radius": 0.2 } } } } } },
@@ -158,7 +158,7 @@ const SPHERE: &str = r#"{ "sphere": { "radius": 1 } }"#;
 const PLANE: &str = r#"{ "plane": { "normal": [0, 1, 0], "offset": 0 } }"#;
 
 #[test]
-fn copies_that_cannot_be_made_are_reported_with_the_cure() {
+fn impossible_copies_are_reported_with_the_fix() {
     let cases = [
         (r#""repeat": { "cell": [0, null, null]"#, SPHERE, "repeat/cell/0", "null along an axis"),
         (r#""repeat": { "cell": [null, null, null]"#, SPHERE, "repeat/cell", "give x, y or z"),
@@ -173,7 +173,7 @@ fn copies_that_cannot_be_made_are_reported_with_the_cure() {
 }
 
 #[test]
-fn a_shape_that_cannot_be_deformed_is_reported_with_the_cure() {
+fn a_shape_that_cannot_be_deformed_is_reported_with_the_fix() {
     let cases = [
         (r#""twist": { "degrees_per_unit": 9"#, PLANE, "twist/child", "by an intersection"),
         (r#""bend": { "degrees_per_unit": 9"#, PLANE, "bend/child", "by an intersection"),
@@ -186,7 +186,7 @@ fn a_shape_that_cannot_be_deformed_is_reported_with_the_cure() {
 }
 
 #[test]
-fn a_list_of_too_few_or_too_many_shapes_is_reported_with_the_number() {
+fn a_list_of_the_wrong_length_is_reported_with_the_number() {
     let engraved = format!(r#"{{ "engrave": {{ "depth": 0.1, "of": [{SPHERE}] }} }}"#);
     assert_fault(&engraved, "engrave/of", "has 1 shape: engrave takes exactly 2");
     let morphed = format!(r#"{{ "morph": {{ "amount": 0.5, "of": [{SPHERE}, {SPHERE}, {PLANE}] }} }}"#);
@@ -217,7 +217,7 @@ fn factors_multiply_through_nested_modifiers() {
 }
 
 #[test]
-fn a_bend_keeps_lengths_along_the_axis_and_heights() {
+fn a_bend_preserves_lengths_along_the_axis_and_heights() {
     let bent = node(r#"{ "bend": { "degrees_per_unit": 45, "child": { "box": { "size": [3, 0.4, 1] } } } }"#);
     let (radius, angle) = (4.0 / std::f32::consts::PI, 1.4 * std::f32::consts::FRAC_PI_4);
     for height in [-0.3, -0.2, -0.1, 0.0, 0.15, 0.2, 0.25] {
@@ -230,7 +230,7 @@ fn a_bend_keeps_lengths_along_the_axis_and_heights() {
 }
 
 #[test]
-fn the_least_and_the_greatest_numbers_give_finite_distances() {
+fn minimum_and_maximum_numbers_give_finite_distances() {
     let tiny = r#"{ "sphere": { "radius": 1e-6 } }"#;
     let huge = r#"{ "box": { "size": [1e6, 1e6, 1e6] } }"#;
     let texts = [

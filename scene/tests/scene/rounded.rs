@@ -148,7 +148,7 @@ fn between(from: P, to: P, t: f64) -> P {
 }
 
 #[test]
-fn a_distance_is_negative_just_where_the_solid_is() {
+fn a_distance_is_negative_only_inside_the_solid() {
     for (text, holds) in solids() {
         let (node, mut random, mut inside) = (node(text), Random(7), 0);
         for _ in 0..4_000 {
@@ -165,7 +165,7 @@ fn a_distance_is_negative_just_where_the_solid_is() {
 }
 
 #[test]
-fn a_bezier_tube_is_as_far_away_as_the_nearest_of_many_points_of_its_curve() {
+fn a_bezier_tube_matches_sampled_points_of_its_curve() {
     let mut random = Random(8);
     for round in 0..60 {
         let [a, mut b, c] = [(); 3].map(|()| random.point(1.0));
@@ -201,7 +201,7 @@ fn to_ellipsoid(radii: P, p: P) -> f64 {
 }
 
 #[test]
-fn an_ellipsoid_of_any_shape_is_never_nearer_than_it_says_and_hardly_further() {
+fn an_ellipsoid_distance_is_a_tight_lower_bound() {
     let mut random = Random(9);
     for _ in 0..200 {
         let radii = [(); 3].map(|()| 10_f64.powf(random.next(-1.5, 0.3)) as f32).map(f64::from);
@@ -295,7 +295,7 @@ fn faults(shape: &str) -> Vec<(String, String)> {
 }
 
 #[test]
-fn numbers_that_contradict_each_other_are_rejected_with_a_cure() {
+fn inconsistent_numbers_are_rejected_with_a_fix() {
     for (shape, pointer, cure) in [
         (r#"{ "box": { "size": [1, 2, 3], "round": 0.6 } }"#, "box/round", "make round 0.5 or less"),
         (r#"{ "torus": { "radius": 0.5, "tube": 0.5 } }"#, "torus/tube", "make tube less than 0.5"),
@@ -337,7 +337,7 @@ fn numbers_that_contradict_each_other_are_rejected_with_a_cure() {
             "death_star/distance",
             "between 0.5 and 1.5",
         ),
-        (r#"{ "vesica": { "a": [0, 1, 0], "b": [0, 1, 0], "radius": 1 } }"#, "vesica/b", "in different places"),
+        (r#"{ "vesica": { "a": [0, 1, 0], "b": [0, 1, 0], "radius": 1 } }"#, "vesica/b", "at different points"),
         (
             r#"{ "vesica": { "a": [0, 1, 0], "b": [0, 0, 0], "radius": 1 } }"#,
             "vesica/radius",
@@ -368,7 +368,7 @@ fn numbers_that_contradict_each_other_are_rejected_with_a_cure() {
 }
 
 #[test]
-fn following_the_cure_of_a_quad_makes_it_flat() {
+fn applying_the_fix_of_a_quad_makes_it_flat() {
     let quad = |d: &str| {
         faults(&format!(
             r#"{{ "quad": {{ "a": [0, 0, 0], "b": [1, 0.2, 0], "c": [1.5, 1.1, 0.3], "d": {d}, "radius": 0.1 }} }}"#

@@ -37,7 +37,7 @@ fn a_bevel_cuts_the_corner_at_its_size() {
 }
 
 #[test]
-fn a_flight_has_as_many_edges_as_steps() {
+fn a_flight_has_one_edge_per_step() {
     for steps in [1, 2, 5] {
         each_kind("stairs", &format!(r#""steps": {steps},"#), |kind, at| {
             let step = 1.0 / (steps + 1) as f32;
@@ -55,7 +55,7 @@ fn a_flight_has_as_many_edges_as_steps() {
 }
 
 #[test]
-fn a_row_has_as_many_columns_as_said() {
+fn a_row_has_the_given_number_of_columns() {
     for columns in [1, 2, 3, 6] {
         each_kind("columns", &format!(r#""columns": {columns},"#), |kind, at| {
             let count = columns as f32;
@@ -83,7 +83,7 @@ fn a_row_has_as_many_columns_as_said() {
 }
 
 #[test]
-fn a_seam_goes_from_one_material_to_the_other() {
+fn a_seam_blends_from_one_material_to_the_other() {
     for (name, rest) in [("chamfer", ""), ("stairs", r#""steps": 2,"#), ("columns", r#""columns": 2,"#)] {
         for (kind, x, y) in [("union", 1.0, 1.0), ("intersection", -1.0, -1.0), ("difference", -1.0, 1.0)] {
             let painted =
@@ -102,7 +102,7 @@ fn a_seam_goes_from_one_material_to_the_other() {
 }
 
 #[test]
-fn an_engraving_is_as_deep_as_said_and_twice_as_wide() {
+fn an_engraving_has_its_depth_and_twice_its_width() {
     let engraved = node(&format!(r#"{{ "engrave": {{ "depth": 0.2, "of": [{X}, {Y}] }} }}"#));
     let grooved = node(&format!(r#"{{ "groove": {{ "depth": 0.3, "width": 0.2, "of": [{X}, {Y}] }} }}"#));
     let ridged = node(&format!(r#"{{ "tongue": {{ "height": 0.3, "width": 0.2, "of": [{X}, {Y}] }} }}"#));

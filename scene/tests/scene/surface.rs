@@ -160,7 +160,7 @@ fn alpha_of(roughness: f64) -> f64 {
 }
 
 #[test]
-fn a_metal_sends_back_all_but_what_single_scattering_loses() {
+fn a_metal_loses_only_multiple_scattering() {
     for roughness in ROUGHNESSES {
         let metal = surface(&format!(r#""base_color": [1, 1, 1], "metallic": 1, "roughness": {roughness}"#));
         let alpha = alpha_of(roughness);
@@ -174,7 +174,7 @@ fn a_metal_sends_back_all_but_what_single_scattering_loses() {
 }
 
 #[test]
-fn a_white_body_sends_back_what_the_border_lets_in_and_mirrors() {
+fn a_white_dielectric_reflects_all_entering_light() {
     for (roughness, ior) in ROUGHNESSES.into_iter().flat_map(|roughness| [(roughness, 1.5), (roughness, 2.4)]) {
         let body = surface(&format!(r#""base_color": [1, 1, 1], "roughness": {roughness}, "ior": {ior}"#));
         let (alpha, f0) = (alpha_of(roughness), reflectance(ior));
@@ -190,7 +190,7 @@ fn a_white_body_sends_back_what_the_border_lets_in_and_mirrors() {
 }
 
 #[test]
-fn no_mixture_of_lobes_sends_back_more_than_arrives() {
+fn no_mixture_of_lobes_reflects_more_than_arrives() {
     for (metallic, coat, coat_roughness) in [(0.0, 1.0, 0.1), (1.0, 1.0, 0.3), (0.5, 0.5, 1.0), (0.5, 0.0, 0.0)] {
         for roughness in ROUGHNESSES {
             let mixed = surface(&format!(
@@ -207,7 +207,7 @@ fn no_mixture_of_lobes_sends_back_more_than_arrives() {
 }
 
 #[test]
-fn a_coat_on_a_white_body_takes_nothing_but_what_single_scattering_loses() {
+fn a_clear_coat_on_white_loses_only_multiple_scattering() {
     for (roughness, cosine) in [0.3, 1.0].into_iter().flat_map(|roughness| COSINES.map(|cosine| (roughness, cosine))) {
         let coated = surface(&format!(
             r#""base_color": [1, 1, 1], "ior": 1, "roughness": {roughness}, "clearcoat": 1, "clearcoat_roughness": {roughness}"#
@@ -220,7 +220,7 @@ fn a_coat_on_a_white_body_takes_nothing_but_what_single_scattering_loses() {
 }
 
 #[test]
-fn light_from_all_around_is_scattered_as_light_from_every_direction_is() {
+fn ambient_light_equals_the_sum_over_directions() {
     for coat in [0.0, 1.0] {
         // A smooth boundary and clear coat: their highlights have no effect because they are too small for the
         // directions by cosine.
@@ -288,7 +288,7 @@ fn grazing_directions_give_finite_light() {
 }
 
 #[test]
-fn visible_normals_are_spread_as_their_density_says() {
+fn sampled_visible_normals_match_their_density() {
     // Mean of some functions over the density G₁·max(v·h, 0)·D/(n·v), Heitz 2018, compared with that of samples.
     const STEPS: u32 = 256;
     let functions: [fn(V) -> f64; 4] = [|h| h[0], |h| h[2], |h| h[0] * h[0], |h| h[1] * h[1]];
@@ -325,7 +325,7 @@ fn visible_normals_are_spread_as_their_density_says() {
 }
 
 #[test]
-fn mirrored_samples_weigh_what_single_scattering_sends_back() {
+fn reflected_samples_sum_to_single_scattering() {
     const STEPS: u32 = 200;
     for (roughness, cosine) in ROUGHNESSES.into_iter().flat_map(|r| COSINES.map(|c| (r, c))) {
         let (alpha, viewer) = (alpha_of(roughness), at_cosine(cosine));
@@ -345,7 +345,7 @@ fn mirrored_samples_weigh_what_single_scattering_sends_back() {
 }
 
 #[test]
-fn a_frame_is_of_three_directions_at_right_angles() {
+fn a_frame_has_three_orthogonal_directions() {
     for normal in [[0.0, 0.0, 1.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0], [0.6, -0.64, -0.48], [1e-4, -1e-4, -1.0]] {
         let normal = single(normalize(normal));
         let (x, y) = orthonormal_basis(normal);

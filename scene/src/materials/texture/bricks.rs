@@ -171,7 +171,7 @@ mod tests {
     }
 
     #[test]
-    fn mortar_lies_between_bricks_and_rows_move() {
+    fn mortar_is_between_bricks_and_rows_are_shifted() {
         let mortar = |x, y| wall(x, y).z;
         assert_eq!(
             [mortar(0.5, 0.25), mortar(0.94, 0.25), mortar(0.97, 0.25), mortar(1.03, 0.25)],

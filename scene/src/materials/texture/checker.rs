@@ -110,7 +110,7 @@ mod tests {
     }
 
     #[test]
-    fn a_soft_border_goes_evenly_over_its_width() {
+    fn a_soft_border_is_linear_over_its_width() {
         let checker: Checker = serde_json::from_str(r#"{ "cell": 1, "softness": 0.2, "axes": "xz" }"#).unwrap();
         let brightness = |x: f32| checker.color(&at(x, 7.3, 0.5)).x;
         for (x, want) in [(0.5, 0.0), (0.89, 0.0), (0.95, 0.25), (1.0, 0.5), (1.05, 0.75), (1.11, 1.0)] {

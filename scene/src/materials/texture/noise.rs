@@ -184,7 +184,7 @@ mod tests {
     use crate::materials::texture::tests::at;
 
     #[test]
-    fn marble_without_strength_is_even_bands() {
+    fn marble_without_strength_is_straight_bands() {
         let text = r#"{ "strength": 0, "width": 2, "ramp": [[0, [0, 0, 0]], [1, [1, 1, 1]]] }"#;
         let marble: Marble = serde_json::from_str(text).unwrap();
         let brightness = |x: f32| marble.color(&at(x, 0.7, -0.3)).x;

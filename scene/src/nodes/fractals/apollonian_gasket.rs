@@ -194,7 +194,7 @@ mod tests {
     }
 
     #[test]
-    fn no_estimate_is_more_than_the_distance_to_the_nearest_of_all_balls() {
+    fn no_estimate_exceeds_the_distance_to_the_nearest_ball() {
         let balls = packing(8, 0.06);
         for iterations in [1, 2, 3] {
             let gasket = ApollonianGasket { radius: Length::new(HULL_RADIUS).unwrap(), iterations };

@@ -160,7 +160,7 @@ mod tests {
     }
 
     #[test]
-    fn mirrors_of_a_cube_make_the_menger_sponge() {
+    fn folds_of_a_cube_give_the_menger_sponge() {
         check(
             r#"{ "kaleidoscopic_ifs": { "folds": "menger_like", "scale": 3, "offset": [0.9, 0.9, 0.9], "iterations": 3 } }"#,
             r#"{ "menger_sponge": { "size": 1.8, "iterations": 3 } }"#,
@@ -169,7 +169,7 @@ mod tests {
     }
 
     #[test]
-    fn mirrors_of_a_tetrahedron_make_the_sierpinski_tetrahedron() {
+    fn folds_of_a_tetrahedron_give_the_sierpinski_tetrahedron() {
         check(
             r#"{ "kaleidoscopic_ifs": { "folds": "tetrahedral", "scale": 2, "offset": [0.9, 0.9, 0.9], "iterations": 3 } }"#,
             r#"{ "sierpinski": { "size": 1.8, "iterations": 3 } }"#,

@@ -154,7 +154,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn what_has_not_escaped_is_solid() {
+    fn points_that_have_not_escaped_are_solid() {
         let relief: MandelbrotRelief = serde_json::from_str(r#"{ "size": 3, "height": 1, "iterations": 20 }"#).unwrap();
         let mut counts = [0, 0];
         for (row, column) in (0..300).flat_map(|row| (0..300).map(move |column| (row, column))) {

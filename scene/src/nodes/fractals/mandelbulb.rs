@@ -241,7 +241,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn products_turn_as_far_as_angles() {
+    fn power_by_products_equals_power_by_angles() {
         for power in [2_u32, 3, 5, 8, 13] {
             for step in 0..200 {
                 let turn = |speed: f32| Real::sin(speed * step as f32);

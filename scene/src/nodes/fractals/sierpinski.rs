@@ -116,7 +116,7 @@ mod tests {
     }
 
     #[test]
-    fn finer_tetrahedra_lie_within_coarser_ones() {
+    fn finer_tetrahedra_are_inside_coarser_ones() {
         for p in places() {
             let mut coarser = with(1).distance(p);
             for iterations in 2..=MAX_ITERATIONS {

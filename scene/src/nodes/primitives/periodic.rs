@@ -177,7 +177,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn surfaces_repeat_far_away_to_the_bit() {
+    fn distant_cells_are_bit_identical() {
         let cell = Length::new(0.5).expect("a length");
         let gyroid = Gyroid { cell: cell.clone(), thickness: None };
         let diamond = Diamond { cell, thickness: None };
@@ -190,7 +190,7 @@ mod tests {
     }
 
     #[test]
-    fn walls_that_just_leave_room_are_open_somewhere() {
+    fn walls_just_below_the_maximum_thickness_leave_openings() {
         let cell = Length::new(1.0).expect("a length");
         let room = |most: f32| Length::new(most * 0.999);
         let most = 1.0 / (PI * MAX_GRADIENT);

@@ -133,7 +133,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn folding_keeps_the_radius_and_ends_in_the_wedge_for_any_number_of_sides() {
+    fn folding_preserves_the_radius_and_ends_in_the_wedge() {
         for sides in (3..=MAX_SIDES).filter_map(PolygonSides::new) {
             let (inradius, half_edge) = sides.inradius_and_half_edge(1.0);
             for step in 0..500 {
@@ -146,7 +146,7 @@ mod tests {
     }
 
     #[test]
-    fn hexagon_and_octagon_are_what_six_and_eight_sides_make() {
+    fn hexagon_and_octagon_equal_six_and_eight_sides() {
         for (constant, count) in [(PolygonSides::HEXAGON, 6), (PolygonSides::OCTAGON, 8)] {
             let made = PolygonSides::new(count).expect("a few sides");
             assert_eq!(constant.mirrors_used, made.mirrors_used);

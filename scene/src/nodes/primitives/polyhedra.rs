@@ -242,7 +242,7 @@ mod tests {
     }
 
     #[test]
-    fn corners_and_middles_of_faces_are_where_coxeter_has_them() {
+    fn corners_and_face_centers_match_coxeter() {
         let radius = || Length::new(1.0).expect("a length");
         let (icosahedron, dodecahedron) = (Icosahedron { radius: radius() }, Dodecahedron { radius: radius() });
         let tetrahedron = Tetrahedron { radius: radius() };

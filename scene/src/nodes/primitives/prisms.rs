@@ -116,7 +116,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_corner_and_the_middle_of_an_edge_are_on_the_pyramid() {
+    fn a_corner_and_an_edge_center_are_on_the_pyramid() {
         for sides in (3..=64).filter_map(PolygonSides::new) {
             let radius = Length::new(0.7).expect("a length");
             let pyramid = RegularPyramid { sides, radius: radius.clone(), height: radius };

@@ -109,7 +109,7 @@ impl Visitor<'_> for SecondsSeed {
         }
         match self.0 {
             Some(last) if seconds <= last => Err(E::custom(format_args!(
-                "must be more than {last}, the time of the key before: put keys in the order of time"
+                "must be more than {last}, the time of the previous key: put keys in the order of time"
             ))),
             Some(_) | None => Ok(seconds),
         }

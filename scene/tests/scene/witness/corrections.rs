@@ -31,7 +31,7 @@ fn reds(job: &Job, pixels: &[(f32, f32)]) -> Vec<f32> {
 }
 
 #[test]
-fn a_plane_keeps_all_light_from_around_a_right_angle_a_half_and_a_corner_a_quarter() {
+fn planes_and_corners_have_exact_ambient_visibility() {
     let [floor, wall, other] = ["[0, 1, 0]", "[1, 0, 0]", "[0, 0, 1]"].map(plane);
     let across =
         r#""position": [1, 2, 0], "look_at": [0, 1e-4, 0], "projection": { "orthographic": { "height": 0.001 } }"#;
@@ -48,7 +48,7 @@ fn a_plane_keeps_all_light_from_around_a_right_angle_a_half_and_a_corner_a_quart
 }
 
 #[test]
-fn no_bright_line_is_seen_along_a_crease() {
+fn a_crease_shows_no_bright_line() {
     let planes = ["[0, 1, 0]", "[1, 0, 0]"].map(plane).join(", ");
     let camera = r#""position": [2, 2, 0.1], "look_at": [0, 0, 0.1], "fov": 3"#;
     let job = corner(&planes, camera, "");
@@ -83,7 +83,7 @@ fn a_normal_near_an_edge_is_that_of_its_face() {
 }
 
 #[test]
-fn rays_beyond_a_horizon_miss_and_no_normal_is_turned_over() {
+fn rays_above_the_horizon_miss_and_normals_face_the_viewer() {
     let job = job(r#"{ "scene": { "camera": { "position": [0, 1, 0], "look_at": [0, 0.9, -5] },
             "objects": [{ "shape": { "plane": { "normal": [0, 1, 0], "offset": 0 } } }],
             "march": { "max_distance": 100000, "max_steps": 4096 } },
@@ -106,7 +106,7 @@ fn rays_beyond_a_horizon_miss_and_no_normal_is_turned_over() {
 }
 
 #[test]
-fn fog_without_a_color_has_the_horizons_below_the_horizon() {
+fn fog_without_color_uses_the_horizon_below_it() {
     let job = job(r#"{ "scene": { "camera": { "position": [0, 2, 0], "look_at": [0, 1, -5] },
             "background": { "day": { "sun": [0.3, 0.6, -0.4], "ground": [0.4, 0.2, 0.05] } },
             "fog": { "density": 2 },
@@ -149,7 +149,7 @@ fn roughness(texture: &str, rows: std::ops::Range<u16>) -> f64 {
 }
 
 #[test]
-fn distant_patterns_are_seen_as_their_mean() {
+fn distant_patterns_show_their_mean() {
     for (texture, most) in [
         (r#"{ "checker": { "cell": 0.5, "axes": "xz" } }"#, 0.02),
         (r#"{ "stripes": { "direction": [1, 0, 1], "width": 0.4 } }"#, 0.01),

@@ -131,7 +131,7 @@ fn scenes() -> Vec<PathBuf> {
 }
 
 #[test]
-fn depth_of_every_scene_is_that_of_double_precision() {
+fn depth_of_every_scene_matches_double_precision() {
     let chosen = std::env::var("SDFARM_SCENE").unwrap_or_default();
     let scenes: Vec<PathBuf> = scenes().into_iter().filter(|path| path.to_string_lossy().contains(&chosen)).collect();
     let next = std::sync::atomic::AtomicUsize::new(0);
