@@ -116,7 +116,7 @@ macro_rules! backgrounds {
         }
 
         impl Background {
-            /// Each kind's examples, as a user would write the whole background.
+            /// Each kind's examples, as a user would write the background.
             pub fn examples() -> Vec<Example> {
                 let mut examples = Vec::new();
                 $(

@@ -121,7 +121,8 @@ impl Camera {
         true
     }
 
-    /// Prepares the camera for a picture of this size, in pixels from the top left; the center of pixel (0, 0) is (0.5, 0.5).
+    /// Prepares the camera for a picture of this size, in pixels from the top left; the center of pixel (0, 0) is
+    /// (0.5, 0.5).
     pub fn view(&self, width: u32, height: u32) -> View {
         let (origin, to) = (self.position.get(), self.look_at.get());
         let forward = vec3(to.x - origin.x, to.y - origin.y, to.z - origin.z).normalize();

@@ -40,8 +40,8 @@ pub struct Integrator<'a> {
     lets_through: bool,
     /// Boxes of objects that are skipped when they are distant; empty if there are none.
     cull_bounds: Vec<Option<Bounds>>,
-    /// Whether the distance formula is so long that all callers use one function, which also returns the nearest
-    /// object.
+    /// Whether all callers share one distance function, which also returns the nearest object, because the formula is
+    /// long.
     shares_nearest: bool,
     /// Bounds of all surfaces.
     bounds: Bounds,

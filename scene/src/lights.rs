@@ -135,7 +135,7 @@ macro_rules! lights {
         }
 
         impl Light {
-            /// Each kind's examples, as a user would write the whole light.
+            /// Each kind's examples, as a user would write the light.
             pub fn examples() -> Vec<Example> {
                 let mut examples = Vec::new();
                 $(

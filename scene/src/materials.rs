@@ -225,7 +225,7 @@ macro_rules! materials {
         }
 
         impl Material {
-            /// Each kind's examples, as a user would write the whole material.
+            /// Each kind's examples, as a user would write the material.
             pub fn examples() -> Vec<Example> {
                 let mut examples = Vec::new();
                 $(

@@ -237,7 +237,7 @@ macro_rules! nodes {
                 }
             }
 
-            /// Each kind's examples, as a user would write the whole node.
+            /// Each kind's examples, as a user would write the node.
             pub fn examples() -> Vec<NodeExample> {
                 let mut examples = Vec::new();
                 $(

@@ -176,7 +176,7 @@ macro_rules! profiles {
                 }
             }
 
-            /// Each kind's examples: its type, and the whole profile as a user would write it.
+            /// Each kind's examples: its type, and the profile as a user would write it.
             pub fn examples() -> Vec<(&'static str, String)> {
                 let mut examples = Vec::new();
                 $(

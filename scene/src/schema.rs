@@ -16,7 +16,7 @@ use crate::materials::{self, Material};
 use crate::nodes::{self, Node};
 use crate::profiles::Profile;
 
-/// Where definitions are in a JSON Schema.
+/// Prefix of references to definitions in a JSON Schema.
 const DEFINITIONS: &str = "#/$defs/";
 /// Keywords that bound a number.
 const RANGE: [&str; 6] = ["minimum", "maximum", "exclusiveMinimum", "exclusiveMaximum", "multipleOf", "not"];

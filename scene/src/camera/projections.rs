@@ -190,7 +190,7 @@ macro_rules! projections {
         }
 
         impl Projection {
-            /// Each kind's examples, as a user would write the whole projection.
+            /// Each kind's examples, as a user would write the projection.
             pub fn examples() -> Vec<Example> {
                 let mut examples = vec![$(Example::unit(stringify!($Unit))),*];
                 $(

@@ -90,7 +90,8 @@ impl Integrator<'_> {
         )
     }
 
-    /// Merges one object into the nearest result so far. Skips the object if its bounds are farther away than that result.
+    /// Merges one object into the nearest result so far. Skips the object if its bounds are farther away than that
+    /// result.
     #[inline(always)]
     fn unless_beyond<R: Real, T: Bundle<R>>(
         &self,

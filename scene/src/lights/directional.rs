@@ -18,7 +18,7 @@ pub struct Directional {
     /// Its color and strength.
     #[serde(default = "default_color")]
     pub color: Color,
-    /// How wide it is, in degrees: shadows have soft edges. The sun is 0.53 wide.
+    /// Angular diameter, in degrees: above 0, shadows have soft edges. The sun has 0.53.
     #[serde(default = "default_angle")]
     pub angle: FullAngle,
     /// Whether objects cast shadows in this light.

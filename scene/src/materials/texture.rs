@@ -88,7 +88,7 @@ macro_rules! textures {
                 [$($(#[$attribute])* snake_case(stringify!($Kind))),*].iter().any(|known| known == name)
             }
 
-            /// Each kind's examples, as a user would write the whole texture.
+            /// Each kind's examples, as a user would write the texture.
             pub fn examples() -> Vec<Example> {
                 let mut examples = Vec::new();
                 $(

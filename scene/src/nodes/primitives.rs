@@ -274,7 +274,7 @@ impl Primitive for Pyramid {
     }
 }
 
-/// Distance to a pyramid over a rectangle of these whole extents along x and z.
+/// Distance to a pyramid over a rectangle of these full extents along x and z.
 #[inline(always)]
 fn rectangular_pyramid<R: Real>(p: Vec3<R>, base: [f32; 2], height: f32) -> R {
     let [half_x, half_z] = base.map(

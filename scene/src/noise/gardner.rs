@@ -122,7 +122,7 @@ mod tests {
             };
             let steepest = curve.iter().flat_map(|&a| curve.iter().map(move |&b| slope(a, b))).fold(0.0, f32::max);
             let said = lipschitz(waves);
-            assert!((0.99..0.999_9).contains(&(steepest / said)), "{waves} waves: {steepest}, said {said}");
+            assert!((0.99..0.999_9).contains(&(steepest / said)), "{waves} waves: {steepest}, expected {said}");
         }
     }
 }

@@ -41,7 +41,7 @@ fn each_of_several_errors_is_reported_exactly_once() {
     let mut wrong = Vec::new();
     for case in SEVERAL.split("\n## ").skip(1) {
         let (name, rest) = case.split_once('\n').expect("a name");
-        let (job, told) = rest.split_once("\n-- ").expect("what is told");
+        let (job, told) = rest.split_once("\n-- ").expect("expected errors");
         let job = job.strip_prefix("OBJECTS\n").map_or_else(|| job.to_owned(), around);
         let (text, places) = unmarked(&job);
         let told: Vec<(&str, &str)> =
@@ -54,7 +54,7 @@ fn each_of_several_errors_is_reported_exactly_once() {
             });
         if !is_right {
             let found: Vec<String> = found.iter().map(ValidationError::to_string).collect();
-            wrong.push(format!("{name}: at {places:?} should be\n{told:#?}\nbut there is\n{}", found.join("\n")));
+            wrong.push(format!("{name}: at {places:?} should have\n{told:#?}\nbut has\n{}", found.join("\n")));
         }
     }
     assert!(wrong.is_empty(), "{} cases:\n{}", wrong.len(), wrong.join("\n\n"));

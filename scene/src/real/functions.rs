@@ -228,7 +228,7 @@ mod tests {
 
     fn check(name: &str, error: f64, bound: f64) {
         println!("{name}: {error:.2} ulp");
-        assert!(error <= bound, "{name} is off by {error} ulp, its doc says {bound}");
+        assert!(error <= bound, "{name} is off by {error} ulp, its doc states {bound}");
     }
 
     #[test]

@@ -32,7 +32,7 @@ fn alternatives<'s>(root: &'s Value, schema: &'s Value) -> Vec<&'s Value> {
 fn places<'s>(root: &'s Value, schemas: &[&'s Value], value: &Value, pointer: &str, found: &mut Vec<Place>) {
     match value {
         Value::Object(map) => {
-            // Of a choice, what has all of the value's keys.
+            // The alternatives of a choice that have all of the value's keys.
             let fits = |schema: &&&Value| map.keys().all(|key| schema["properties"].get(key).is_some());
             for (key, inner) in map {
                 let of_key = |schema: &&'s Value| alternatives(root, &schema["properties"][key]);
@@ -96,12 +96,12 @@ fn wrong_with(node: &Value) -> Option<String> {
     });
     let shape = match scene::parse(job.to_string().as_bytes()) {
         Ok(job) => job.scene.objects[0].shape.clone(),
-        Err(ParseError::NotJson(fault)) => return Some(format!("is no JSON: {fault}")),
+        Err(ParseError::NotJson(fault)) => return Some(format!("is not JSON: {fault}")),
         Err(ParseError::Invalid(faults)) => {
             let stray = faults.iter().find(|fault| {
                 !fault.pointer.starts_with("/scene/objects/0/shape") || fault.message.split(' ').count() < 3
             });
-            return stray.map(|fault| format!("is refused without saying what to do: {fault}"));
+            return stray.map(|fault| format!("is rejected without a fix: {fault}"));
         }
     };
     if !(shape.stretch().is_finite() && shape.stretch() > 0.0) {
@@ -147,7 +147,7 @@ fn each_example(mut check: impl FnMut(&Value, &[Place]) -> Vec<String>) {
         let found = check(&example, &places_of(&example));
         wrong.extend(found.into_iter().map(|reason| format!("{kind} {number} {reason}")));
     }
-    assert!(wrong.is_empty(), "{} cases are wrong:\n{}", wrong.len(), wrong.join("\n"));
+    assert!(wrong.is_empty(), "{} cases fail:\n{}", wrong.len(), wrong.join("\n"));
 }
 
 #[test]

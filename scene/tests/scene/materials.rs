@@ -153,7 +153,7 @@ fn a_material_reflects_and_transmits_no_more_than_arrives() {
             assert!(finish.ior.is_finite() && finish.ior >= 1.0, "{kind} has an index of refraction of {}", finish.ior);
             for (mirrored, passed) in <[f32; 3]>::from(finish.f0).into_iter().zip(<[f32; 3]>::from(finish.transmission))
             {
-                assert!((0.0..=1.000_001).contains(&mirrored), "{kind} mirrors {mirrored}");
+                assert!((0.0..=1.000_001).contains(&mirrored), "{kind} reflects {mirrored}");
                 assert!((0.0..=1.000_001).contains(&passed), "{kind} lets {passed} through");
             }
         }
@@ -203,7 +203,7 @@ fn fault(material: &str) -> (String, String) {
     match scene::parse(text.as_bytes()) {
         Err(scene::ParseError::Invalid(faults)) if faults.len() == 1 => {
             let fault = &faults[0];
-            assert!(fault.line > 0 && fault.column > 1, "{fault} has no place");
+            assert!(fault.line > 0 && fault.column > 1, "{fault} has no position");
             (fault.pointer.clone(), fault.message.clone())
         }
         other => panic!("{material} gives {other:?}"),
@@ -260,7 +260,7 @@ fn a_texture_where_none_is_allowed_is_rejected_with_a_fix() {
         (sphere(texture, "[0, 0, 0]"), "/scene/objects/0/shape/sphere/radius: "),
         (sphere("1", texture), "/scene/background/color: "),
     ] {
-        let words = job.expect_err("a texture stands where none can be");
+        let words = job.expect_err("a texture is where none is allowed");
         assert!(words.contains(&format!("{pointer}takes no texture: write ")), "{words}");
     }
 }

@@ -197,7 +197,11 @@ fn lipschitz_factors_and_ranges_are_tight() {
             (least, most) = (least.min(ends[0]), most.max(ends[0]));
         }
         let (low, high) = noise.range();
-        assert!(noise.lipschitz() <= 2.5 * steepest, "{name}: {steepest} was seen, {} is said", noise.lipschitz());
+        assert!(
+            noise.lipschitz() <= 2.5 * steepest,
+            "{name}: {steepest} was found, the factor is {}",
+            noise.lipschitz()
+        );
         assert!(high - low <= 1.5 * (most - least), "{name}: {least} to {most} was seen, {low} to {high} is said");
     });
 }

@@ -1,6 +1,6 @@
 //! Soft shadows against geometry: the visible fraction of a light past a straight edge.
 
-#![expect(clippy::disallowed_methods, reason = "what is expected is computed in f64 by std's functions")]
+#![expect(clippy::disallowed_methods, reason = "expected values are computed in f64 by std's functions")]
 
 use std::f64::consts::PI;
 

@@ -129,7 +129,7 @@ fn fault(shape: &str) -> (String, String) {
         r#"{{ "scene": {{ "camera": {{ "position": [0, 0, 4], "look_at": [0, 0, 0], "fov": 40 }},
             "objects": [{{ "shape": {shape} }}] }}, "image": {{ "width": 32, "height": 32 }} }}"#
     );
-    match scene::parse(text.as_bytes()).expect_err("it is wrong") {
+    match scene::parse(text.as_bytes()).expect_err("it is invalid") {
         scene::ParseError::Invalid(mut faults) => {
             let fault = faults.remove(0);
             let within = fault.pointer.strip_prefix("/scene/objects/0/shape/").expect("it is in the shape");

@@ -2,7 +2,7 @@
 //!
 //! Expected values are computed here in `f64`, from the published formulas and by another quadrature.
 
-#![expect(clippy::disallowed_methods, reason = "what is expected is computed in f64 by std's functions")]
+#![expect(clippy::disallowed_methods, reason = "expected values are computed in f64 by std's functions")]
 
 use std::f64::consts::{PI, TAU};
 

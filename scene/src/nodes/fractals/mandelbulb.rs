@@ -71,8 +71,10 @@ impl Primitive for Mandelbulb {
 
     fn validate(&self) -> Option<NodeError> {
         if self.julia.is_some() && as_integer(&self.power).is_none() {
-            let cure =
-                format!("must be a whole number for a Julia set, or space tears: make it {}", self.power.get().round());
+            let cure = format!(
+                "must be a whole number for a Julia set, because other powers are discontinuous: make it {}",
+                self.power.get().round()
+            );
             return Some(NodeError::new("power", cure));
         }
         let is_long = self.julia.as_ref().is_some_and(|constant| constant.get().length() > MAX_JULIA_LENGTH);

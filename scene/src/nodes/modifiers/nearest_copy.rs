@@ -84,7 +84,7 @@ pub(super) fn ended(bounds: Bounds) -> Bounds {
 
 /// Number of copies, `spacing` apart, of which one may be the nearest to a point, for a shape of this width.
 /// For each point of the shape the nearest of its copies is at most half a spacing away, so the centers of
-/// the copies lie within (width + spacing)/2 of the point. Rounding must not add a copy if the shape fills
+/// the copies are within (width + spacing)/2 of the point. Rounding must not add a copy if the shape fills
 /// its cell.
 pub(super) fn max_overlapping(width: f32, spacing: f32) -> f32 {
     ((width / spacing + 1.0) * (1.0 - 1e-6)).ceil().max(1.0)

@@ -104,9 +104,7 @@ impl Primitive for CutHollowSphere {
             swallowed.then(|| {
                 NodeError::new(
                     "thickness",
-                    format!(
-                        "must be less than twice the radius, to leave a hollow: make thickness less than {most}"
-                    ),
+                    format!("must be less than twice the radius, to leave a hollow: make thickness less than {most}"),
                 )
             })
         })
@@ -178,10 +176,7 @@ impl Primitive for DeathStar {
         let (radius, bite, distance) = (self.radius.get(), self.bite.get(), self.distance.get());
         let (low, high) = ((radius - bite).abs(), radius + bite);
         (distance <= low || distance >= high).then(|| {
-            NodeError::new(
-                "distance",
-                format!("must make the two surfaces intersect: put it between {low} and {high}"),
-            )
+            NodeError::new("distance", format!("must make the two surfaces intersect: put it between {low} and {high}"))
         })
     }
 

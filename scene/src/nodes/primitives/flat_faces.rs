@@ -157,7 +157,7 @@ impl Primitive for Quad {
 /// A flat convex face, its corners in order around the normal.
 #[derive(Clone, Debug)]
 pub struct ConvexFace<const N: usize> {
-    /// Of length 1; 0 if the corners are on a line.
+    /// Normal of length 1; 0 if the corners are on a line.
     normal: Vec3<f32>,
     sides: [FaceEdge; N],
 }
@@ -170,7 +170,7 @@ struct FaceEdge {
     back: Vec3<f32>,
     /// The vector to its end over the square of its length.
     over_square: Vec3<f32>,
-    /// Of length 1, in the face's plane, toward the inside of the face.
+    /// Direction of length 1, in the face's plane, toward the inside of the face.
     inwards: Vec3<f32>,
 }
 

@@ -142,7 +142,7 @@ fn depth_of_every_scene_matches_double_precision() {
             scope.spawn(|| {
                 while let Some(path) = scenes.get(next.fetch_add(1, std::sync::atomic::Ordering::Relaxed)) {
                     let (looked, wrong, untold, examples) = measure(path);
-                    println!("{}: {wrong} of {looked} wrong, {untold} untold;{examples}", path.display());
+                    println!("{}: {wrong} of {looked} wrong, {untold} undecided;{examples}", path.display());
                     let is_close = CLOSE.0.iter().any(|name| path.ends_with(name));
                     let most = if is_close { CLOSE.1 } else { MOST };
                     let allowed = (looked as f64 * (1.0 - most)).ceil() as usize;
@@ -154,5 +154,5 @@ fn depth_of_every_scene_matches_double_precision() {
         }
     });
     let failures = failures.into_inner().expect("no thread panicked");
-    assert!(failures.is_empty(), "depth is wrong in {failures:?}");
+    assert!(failures.is_empty(), "depth is incorrect in {failures:?}");
 }
