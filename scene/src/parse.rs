@@ -34,7 +34,7 @@ pub fn parse(text: &[u8]) -> Result<Job, ParseError> {
     let text = std::str::from_utf8(text).map_err(|error| not_utf8(text, error.valid_up_to()))?;
     let outline = json_scan::check(text, MAX_JSON_DEPTH);
     if text.starts_with('\u{feff}') {
-        let message = "begins with a byte order mark: save the file as UTF-8 without it";
+        let message = "begins with a byte order mark: save the file as UTF-8 without one";
         return Err(ParseError::NotJson(ValidationError::at(text, Some(0), String::new(), message)));
     }
     let first = outline.map_err(|fault| of_outline(text, fault));

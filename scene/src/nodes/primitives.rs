@@ -99,7 +99,9 @@ impl Primitive for Box {
         (self.round.get() > most).then(|| {
             NodeError::new(
                 "round",
-                format!("must be at most half the least size, because edges are rounded inward: make round {most} or less"),
+                format!(
+                    "must be at most half the least size, because edges are rounded inward: make round {most} or less"
+                ),
             )
         })
     }

@@ -18,7 +18,7 @@ pub(super) fn difference(scene: &Scene) -> Option<String> {
         let mut pointer = format!("/scene/objects/{index}/shape");
         let place = empty_difference(&object.shape, &mut pointer, &mut boxes_left)?;
         Some(format!(
-            "{place} is empty: the subtracted shapes contain the first shape, which they are cut from; change their order or their sizes"
+            "{place} is empty: the shapes subtracted from the first one remove all of it; change their order or their sizes"
         ))
     })
 }

@@ -215,7 +215,9 @@ impl Primitive for Vesica {
         (self.radius.get() > half).then(|| {
             NodeError::new(
                 "radius",
-                format!("must be at most half the distance from a to b, so that it has tips: make radius {half} or less"),
+                format!(
+                    "must be at most half the distance from a to b, so that it has tips: make radius {half} or less"
+                ),
             )
         })
     }
