@@ -57,7 +57,7 @@ fn sources(crate_name: &str) -> Vec<(PathBuf, String)> {
 }
 
 #[test]
-fn an_added_kind_is_in_its_own_file_and_in_that_of_its_list() {
+fn an_added_kind_touches_its_own_file_and_the_list() {
     let sources = sources("scene");
     for (kind, own, list) in ADDED {
         let named = sources.iter().filter(|(path, text)| text.contains(kind) && path != Path::new("added.rs"));

@@ -224,7 +224,7 @@ mod tests {
     }
 
     #[test]
-    fn center_ray_is_forward_and_edge_ray_at_half_the_fov() {
+    fn edge_rays_are_at_half_the_field_of_view() {
         let view = view(r#"{ "position": [0, 0, 5], "look_at": [0, 0, 0], "fov": 90 }"#, 200, 100);
         assert!(is_near(view.ray(100.0_f32, 50.0).direction, [0.0, 0.0, -1.0]));
         let top = view.ray(100.0_f32, 0.0).direction;

@@ -99,7 +99,7 @@ mod tests {
     }
 
     #[test]
-    fn a_point_on_the_ray_of_a_pixel_projects_to_that_pixel() {
+    fn points_on_a_pixels_ray_project_to_that_pixel() {
         let slanted = r#""position": [3, 2, 5], "look_at": [-1, 0.5, 0], "up": [0.3, 1, 0]"#;
         for projection in ["\"fov\": 35", "\"projection\": { \"orthographic\": { \"height\": 3 } }"] {
             let view = view(&format!("{{ {slanted}, {projection} }}"));

@@ -133,7 +133,7 @@ pub(super) fn nearest<'a>(name: &str, known: &[&'a str]) -> Option<&'a str> {
     nearest.map(|(_, known)| known).or_else(|| alike().map(|(_, known)| known))
 }
 
-/// Normalizes `RoundedCylinder`, `rounded-cylinder` and `ROUNDED CYLINDER` to snake_case.
+/// Normalizes `RoundedCylinder`, `rounded-cylinder` and `ROUNDED CYLINDER` to `snake_case`.
 fn plain(name: &str) -> String {
     let is_shouted = !name.chars().any(|letter| letter.is_ascii_lowercase());
     let name = if is_shouted { name.to_ascii_lowercase() } else { snake_case(name) };

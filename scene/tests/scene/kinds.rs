@@ -129,7 +129,7 @@ fn the_schema_describes_every_kind_and_each_of_its_keys() {
 }
 
 #[test]
-fn the_list_of_effects_has_every_optional_effect_of_a_scene() {
+fn effects_list_every_optional_effect_of_a_scene() {
     let schema = scene::schema();
     let required = schema["$defs"]["Scene"]["required"].as_array().expect("a scene needs some keys");
     let properties = schema["$defs"]["Scene"]["properties"].as_object().expect("a scene has keys").iter();

@@ -93,7 +93,7 @@ fn materials_and_textures_survive_a_json_round_trip() {
 }
 
 #[test]
-fn the_schema_describes_every_material_and_texture_and_each_of_their_keys() {
+fn the_schema_describes_every_material_and_texture_with_keys() {
     let schema = scene::schema();
     for Example { kind, json, .. } in Material::examples().into_iter().chain(Texture::examples()) {
         let definition = &schema["$defs"][kind];
@@ -245,7 +245,7 @@ fn an_invalid_texture_is_rejected_with_pointer_and_fix() {
 }
 
 #[test]
-fn a_texture_where_none_is_allowed_is_rejected_with_a_fix() {
+fn a_misplaced_texture_is_rejected_with_a_fix() {
     let sphere = |radius: &str, color: &str| {
         let text = format!(
             r#"{{ "scene": {{ "camera": {{ "position": [0, 0, 5], "look_at": [0, 0, 0] }}, "background": {{ "color": {color} }},

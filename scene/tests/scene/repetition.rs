@@ -173,7 +173,7 @@ fn impossible_copies_are_reported_with_the_fix() {
 }
 
 #[test]
-fn a_shape_that_cannot_be_deformed_is_reported_with_the_fix() {
+fn an_undeformable_shape_is_reported_with_the_fix() {
     let cases = [
         (r#""twist": { "degrees_per_unit": 9"#, PLANE, "twist/child", "by an intersection"),
         (r#""bend": { "degrees_per_unit": 9"#, PLANE, "bend/child", "by an intersection"),
@@ -186,7 +186,7 @@ fn a_shape_that_cannot_be_deformed_is_reported_with_the_fix() {
 }
 
 #[test]
-fn a_list_of_the_wrong_length_is_reported_with_the_number() {
+fn a_list_of_invalid_length_is_reported_with_its_number() {
     let engraved = format!(r#"{{ "engrave": {{ "depth": 0.1, "of": [{SPHERE}] }} }}"#);
     assert_fault(&engraved, "engrave/of", "has 1 shape: engrave takes exactly 2");
     let morphed = format!(r#"{{ "morph": {{ "amount": 0.5, "of": [{SPHERE}, {SPHERE}, {PLANE}] }} }}"#);

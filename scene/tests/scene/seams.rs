@@ -121,7 +121,7 @@ fn an_engraving_has_its_depth_and_twice_its_width() {
 }
 
 #[test]
-fn a_morph_starts_and_ends_at_its_shapes_and_xor_is_the_parity() {
+fn morphs_end_at_their_shapes_and_xor_is_parity() {
     let shapes = [
         r#"{ "sphere": { "radius": 0.8 } }"#,
         r#"{ "box": { "size": [1, 2, 0.5] } }"#,

@@ -161,7 +161,7 @@ mod tests {
     }
 
     #[test]
-    fn a_gradient_of_no_length_has_one_color_on_each_side() {
+    fn a_gradient_of_length_0_has_two_colors() {
         let distance = r#"{ "distance": { "from": 2, "to": 2 } }"#;
         let away = |distance_away| brightness(distance, &ShadingPoint { camera_t: distance_away, ..at(0.0, 0.0, 0.0) });
         assert_eq!([away(1.9), away(2.1)], [0.0, 1.0]);

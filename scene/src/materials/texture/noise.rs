@@ -201,7 +201,7 @@ mod tests {
     }
 
     #[test]
-    fn the_ends_of_a_noise_are_the_ends_of_its_ramp() {
+    fn the_range_of_a_noise_spans_its_ramp() {
         let text = r#"{ "noise": { "cellular": {} }, "ramp": [[0, [1, 0, 0]], [1, [0, 1, 0]]] }"#;
         let texture: NoiseRamp = serde_json::from_str(text).unwrap();
         let colors = (0..4_000).map(|i| texture.color(&at(i as f32 * 0.173, i as f32 * 0.041, 0.0)));

@@ -35,13 +35,13 @@ const BALL_CENTER: f32 = std::f32::consts::FRAC_1_SQRT_2;
 const HULL_RADIUS: f32 = 2.224_744_9;
 /// Square of the radius of the sphere through the points where the four touch.
 const CORE_RADIUS_SQUARED: f32 = 0.5;
-/// Square of a radius inside the center ball, whose radius is ½/HULL_RADIUS and to which the hull is inverted.
+/// Square of a radius inside the center ball, whose radius is ½/`HULL_RADIUS` and to which the hull is inverted.
 const INNER_RADIUS_SQUARED: f32 = 0.02;
 /// Coordinates of the center of the sphere through the points where the hull touches three of the balls, without the
-/// ball toward (1, 1, 1). It is at right angles to all of them, so its center is (1/2 + HULL_RADIUS²)·√(3/2) from the
+/// ball toward (1, 1, 1). It is at right angles to all of them, so its center is (1/2 + `HULL_RADIUS`²)·√(3/2) from the
 /// origin.
 const OUTER_CENTER: f32 = -3.853_372_6;
-/// Square of that sphere's radius: 3·OUTER_CENTER² − HULL_RADIUS².
+/// Square of that sphere's radius: 3·`OUTER_CENTER`² − `HULL_RADIUS`².
 const FAR_SQUARED: f32 = 39.595_917;
 /// Distance from the hull within which the estimate is used, in radii of the hull.
 const MARGIN: f32 = 0.25;

@@ -56,13 +56,14 @@ impl Primitive for RoundedCylinder {
 
 /// An ellipsoid around the origin, its axes along x, y and z.
 ///
-/// The nearest point x satisfies p − x = t·∇, and so xᵢ = rᵢ²pᵢ/(t + rᵢ²), where t is such that x is on the surface:
-/// David Eberly, "Distance from a Point to an Ellipse, an Ellipsoid, or a Hyperellipsoid",
-/// <https://www.geometrictools.com/Documentation/DistancePointEllipseEllipsoid.pdf>. The inverse root of Σ(xᵢ/rᵢ)² = 1
-/// is nearly linear in t and concave, so that Newton's method converges from below and never overshoots: Jorge Moré
-/// and Danny Sorensen, "Computing a Trust Region Step", SIAM Journal on Scientific and Statistical Computing 4(3),
-/// 1983. With the normal n found there, the value is p·n − √Σ(rᵢnᵢ)², the distance to the tangent plane with that
-/// normal. No such plane is farther away than the surface, and an error of n has a quadratic effect.
+/// The nearest point x satisfies p − x = t·∇, and so xᵢ = rᵢ²pᵢ/(t + rᵢ²), where t is such that x is on the
+/// surface: David Eberly, "Distance from a Point to an Ellipse, an Ellipsoid, or a Hyperellipsoid",
+/// <https://www.geometrictools.com/Documentation/DistancePointEllipseEllipsoid.pdf>. The inverse root of
+/// Σ(xᵢ/rᵢ)² = 1 is nearly linear in t and concave, so that Newton's method converges from below and never
+/// overshoots: Jorge Moré and Danny Sorensen, "Computing a Trust Region Step", SIAM Journal on Scientific and
+/// Statistical Computing 4(3), 1983. With the normal n found there, the value is p·n − √Σ(rᵢnᵢ)², the distance to
+/// the tangent plane with that normal. No such plane is farther away than the surface, and an error of n has a
+/// quadratic effect.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
 #[serde(rename = "Ellipsoid", deny_unknown_fields)]
 pub struct EllipsoidParams {
