@@ -1,5 +1,5 @@
-//! One more kind of each family, in unit tests alone: it takes a file of its own and the file of the family's list,
-//! and the contract tests of the family hold for it.
+//! Unit tests of an added kind: each family gets one more kind, which takes a file of its own and a line in the
+//! family's list, and passes the family's contract tests.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -11,7 +11,7 @@ mod kinds;
 #[path = "../tests/scene/materials.rs"]
 mod materials;
 
-/// Each kind that is added, its file, and the file of its family's list.
+/// Each added kind, its file, and the file of its family's list.
 const ADDED: [(&str, &str, &str); 7] = [
     ("AddedNode", "nodes/added.rs", "nodes.rs"),
     ("AddedProfile", "profiles/added.rs", "profiles.rs"),
@@ -33,12 +33,12 @@ const FAMILIES: [(&str, &str); 7] = [
     ("Projection", "camera/projections.rs"),
 ];
 
-/// Whether the contract tests look at a node of this kind here: the others are looked at outside of the crate.
+/// Whether the contract tests check a node of this kind here; the others are checked outside the crate.
 pub(crate) fn is_tested(kind: &str) -> bool {
     kind.starts_with("Added")
 }
 
-/// All sources of a crate beside this one, or of this one, with their text.
+/// All sources of another crate, or of this one, with their text.
 fn sources(crate_name: &str) -> Vec<(PathBuf, String)> {
     let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("..").join(crate_name).join("src");
     let (mut found, mut folders) = (Vec::new(), vec![folder.clone()]);
@@ -57,7 +57,7 @@ fn sources(crate_name: &str) -> Vec<(PathBuf, String)> {
 }
 
 #[test]
-fn an_added_kind_is_in_its_own_file_and_in_that_of_its_list() {
+fn an_added_kind_touches_its_own_file_and_the_list() {
     let sources = sources("scene");
     for (kind, own, list) in ADDED {
         let named = sources.iter().filter(|(path, text)| text.contains(kind) && path != Path::new("added.rs"));
@@ -69,7 +69,7 @@ fn an_added_kind_is_in_its_own_file_and_in_that_of_its_list() {
     }
 }
 
-/// Whether the text names a variant of the enum: the name, two colons, and a word that begins with a capital.
+/// Whether the text names a variant of the enum: the name, two colons, and a word that begins with a capital letter.
 fn names_a_variant(text: &str, family: &str) -> bool {
     let path = format!("{family}::");
     text.match_indices(&path).any(|(index, _)| {
@@ -81,7 +81,7 @@ fn names_a_variant(text: &str, family: &str) -> bool {
 }
 
 #[test]
-fn no_file_but_that_of_the_list_chooses_by_kinds() {
+fn only_the_file_of_the_list_branches_on_kinds() {
     for crate_name in ["scene", "proto", "server", "worker", "cli"] {
         for (path, text) in sources(crate_name) {
             for (family, list) in FAMILIES {
@@ -104,9 +104,9 @@ fn a_job_may_have_one_of_each_added_kind() {
             { "shape": { "extrude": { "profile": { "added_profile": { "height": 0.2 } }, "height": 0.2 } },
               "material": { "flat": { "color": { "added": { "period": 1, "color": [1, 1, 1] } } } } }
         ] }, "image": { "width": 16, "height": 16 } }"#;
-    let job = crate::parse(text.as_bytes()).expect("every kind is known");
+    let job = crate::parse(text.as_bytes()).expect("every kind parses");
     assert_eq!(job.warnings(), [""; 0]);
-    let still = job.at(0).expect("the job is sound");
+    let still = job.at(0).expect("the job is valid");
     let seen = crate::Integrator::new(&still).pixel(8.0_f32, 8.0);
     assert!(seen.color.y > 0.1 && seen.color.x == 0.0, "{seen:?}");
 }

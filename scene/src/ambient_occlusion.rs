@@ -1,4 +1,4 @@
-//! Ambient occlusion: how much of the light from all around reaches a point, from distances alone.
+//! Ambient occlusion: the fraction of ambient light that reaches a point, computed from distances alone.
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -8,19 +8,19 @@ use crate::real::{Real, Vec3, vec3};
 use crate::seek::Seek;
 use crate::values::{Fraction, Length};
 
-/// How light from all around is lost in corners, found from distances alone.
+/// Darkens ambient light in corners, computed from distances alone.
 ///
-/// Five cones that touch the surface and share out the half space over it, one along the normal and four around it,
-/// are followed outwards through three balls each; a cone is lost as far as its ball is under a surface. As in Alex
-/// Evans, "Fast approximations for global illumination on dynamic scenes", SIGGRAPH 2006 course, a ball is compared
-/// with the distance at its middle; cones as Cyril Crassin et al. have them, "Interactive indirect illumination using
-/// voxel cone tracing", Computer Graphics Forum 30(7), 2011. A plane keeps all of its light, a right angle a half.
+/// Five cones touch the surface and divide the half space over it: one along the normal and four around it. Each is
+/// sampled with three balls. A cone is occluded by the fraction of its ball that is under a surface. As in Alex Evans,
+/// "Fast approximations for global illumination on dynamic scenes", SIGGRAPH 2006 course, a ball is compared with the
+/// distance at its center. The cones follow Cyril Crassin et al., "Interactive indirect illumination using voxel cone
+/// tracing", Computer Graphics Forum 30(7), 2011. A plane keeps all of its light, a right angle half.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
 #[serde(deny_unknown_fields)]
 pub struct AmbientOcclusion {
-    /// How far away things still matter.
+    /// Maximum distance at which surfaces occlude, in scene units.
     pub distance: Length,
-    /// How dark a corner gets.
+    /// Strength of the darkening, 0 to 1.
     #[serde(default = "default_strength")]
     pub strength: Fraction,
 }
@@ -29,19 +29,20 @@ impl HasExamples for AmbientOcclusion {
     const EXAMPLE: &'static str = r#"{ "distance": 0.8 }"#;
 }
 
-/// Middles of the balls along a cone, as shares of how far the last ball reaches, and their weights.
+/// Centers of the balls along a cone, as fractions of the reach of the last ball, and their weights.
 const BALLS: [(f32, f32); 3] = [(0.1, 0.4), (0.3, 0.35), (0.73, 0.25)];
-/// Sine and cosine of the angle between the normal and the cones around it: 60 degrees. A cone's ball, seen from
-/// its tip, has the cosine for its radius.
+/// Sine and cosine of the angle between the normal and the cones around it: 60 degrees. Seen from the cone's tip, a
+/// ball has the cosine as its radius.
 const ASIDE: (f32, f32) = (0.866_025_4, 0.5);
-/// Weight of the cone along the normal; the four around it share the rest.
+/// Weight of the cone along the normal; the four around it divide the rest equally.
 const ALONG: f32 = 0.2;
 
 impl AmbientOcclusion {
-    /// Evaluations of a distance that it takes.
+    /// Distance evaluations of one call of `visibility`.
     pub const SAMPLES: f32 = 15.0;
 
-    /// How open a place is, 0 to 1. `distance` tells how far a point is from the nearest surface.
+    /// Ambient visibility of a point, 0 (occluded) to 1. `distance` returns the distance from a point to the nearest
+    /// surface.
     #[inline(always)]
     pub fn visibility<R: Real>(&self, p: Vec3<R>, normal: Vec3<R>, distance: impl Fn(Vec3<R>) -> R) -> R {
         let (right, up) = frame_of_dome(normal);
@@ -54,8 +55,7 @@ impl AmbientOcclusion {
         (open - 1.0).mul_add(open.uniform(self.strength.get()), open.constant(1.0)).at_least(0.0).at_most(1.0)
     }
 
-    /// The share of a cone that nothing hides; its balls have middles `height` above the surface for each unit
-    /// along it.
+    /// Unoccluded fraction of a cone. Its balls have centers `height` above the surface for each unit along the cone.
     #[inline(always)]
     fn cone<R: Real>(&self, p: Vec3<R>, axis: Vec3<R>, height: f32, distance: impl Fn(Vec3<R>) -> R) -> R {
         let mut open = p.x.constant(1.0);
@@ -64,7 +64,7 @@ impl AmbientOcclusion {
             let way = self.distance.get() * share;
             let found = distance(axis.mul_add(p.x.uniform(way), p));
             let part = found.mul_add(p.x.uniform(0.5 / (way * height)), p.x.constant(0.5)).at_least(0.0).at_most(1.0);
-            // As a ball goes through a plane; and what one ball has lost no later one has.
+            // The fraction of a ball that a plane cuts off. A cone is as occluded as its most occluded ball so far.
             let part = part.square() * (p.x.constant(3.0) - part * 2.0);
             open = open.min(part);
             sum = open.mul_add(open.constant(weight), sum);
@@ -73,8 +73,8 @@ impl AmbientOcclusion {
     }
 }
 
-/// Two directions at right angles to a normal and to each other, which turn evenly with it except where it points
-/// straight down: there is no frame without such a place. Jeppe Revall Frisvad, "Building an orthonormal basis
+/// Two directions at right angles to a normal and to each other. They vary continuously with the normal, except where
+/// it points straight down; every such frame has an exception. Jeppe Revall Frisvad, "Building an orthonormal basis
 /// from a 3D unit vector without normalization", Journal of Graphics Tools 16(3), 2012.
 #[inline(always)]
 fn frame_of_dome<R: Real>(n: Vec3<R>) -> (Vec3<R>, Vec3<R>) {

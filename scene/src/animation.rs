@@ -1,6 +1,7 @@
-//! Jobs that move: a job as it stands in one of its frames.
+//! Animated jobs: evaluates a job at one of its frames.
 //!
-//! Every number holds its track, so a frame is a clone of the scene whose animated numbers were taken to its time.
+//! Every number holds its track, so a frame is a clone of the scene with each animated number evaluated at the frame's
+//! time.
 
 use std::borrow::Cow;
 use std::collections::BTreeSet;
@@ -10,7 +11,7 @@ use crate::limits::{MAX_FULL_CHECK_BYTES, MIN_SAMPLED_FRAMES};
 use crate::scene::Scene;
 use crate::seek::{FrameTime, Seek, SeekError};
 
-/// A job as it stands in one of its frames: what a picture is made of.
+/// Job evaluated at one of its frames: the input of rendering a picture.
 #[derive(Clone, Debug)]
 pub struct JobAtFrame<'a> {
     scene: Cow<'a, Scene>,
@@ -21,43 +22,43 @@ pub struct JobAtFrame<'a> {
 }
 
 impl JobAtFrame<'_> {
-    /// What there is to see, with every number as it is in this frame.
+    /// The scene, with every number evaluated at this frame.
     pub fn scene(&self) -> &Scene {
         &self.scene
     }
 
-    /// The picture's size and file format, with every number as it is in this frame.
+    /// The picture's size and file format, with every number evaluated at this frame.
     pub fn image(&self) -> &Image {
         &self.image
     }
 
-    /// Number of frames of its job, and their rate.
+    /// Number of frames of the job, and their rate.
     pub fn frames(&self) -> &Frames {
         self.frames
     }
 
-    /// Which frame it is, from 0.
+    /// Number of the frame, from 0.
     pub fn frame(&self) -> u32 {
         self.frame
     }
 
-    /// Whether other frames of its job differ from it in more than their sampling noise.
+    /// Whether frames of the job differ in more than their sampling noise.
     pub fn is_animated(&self) -> bool {
         self.is_animated
     }
 }
 
-/// Why one frame of a job has no picture: its numbers do not go together then.
+/// Error returned when a job cannot be evaluated at a frame because the numbers of that frame are inconsistent.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 #[error("{pointer} {message} (in frame {frame}, at {seconds} seconds)")]
 pub struct FrameError {
-    /// JSON pointer to what is wrong.
+    /// JSON pointer to the invalid value.
     pub pointer: String,
-    /// What is wrong and what to do about it, as it reads behind the place.
+    /// The problem and its fix, worded to follow the pointer.
     pub message: String,
-    /// The frame, from 0.
+    /// Number of the frame, from 0.
     pub frame: u32,
-    /// Its time.
+    /// Time of the frame, in seconds.
     pub seconds: f64,
 }
 
@@ -67,10 +68,9 @@ impl Job {
         self.is_animated
     }
 
-    /// The job as it stands in a frame.
+    /// Evaluates the job at a frame.
     ///
-    /// It is refused where the frame alone has a fault, and the job too many frames for each to be
-    /// looked over by [`crate::parse`].
+    /// Fails if only this frame is invalid and the job has too many frames for [`crate::parse`] to validate each.
     pub fn at(&self, frame: u32) -> Result<JobAtFrame<'_>, FrameError> {
         if !self.is_animated {
             let (scene, image) = (Cow::Borrowed(&self.scene), Cow::Borrowed(&self.image));
@@ -90,7 +90,7 @@ impl Job {
         Ok(JobAtFrame { scene, image, frames: &self.frames, frame, is_animated: true })
     }
 
-    /// Where in the document a misfit of the scene stands, whose materials are in slots.
+    /// JSON pointer in the document to an error in the scene, whose materials are stored by slot.
     fn pointer_in_scene(&self, misfit: &SeekError) -> String {
         let in_slot = misfit.pointer.strip_prefix("/materials/").and_then(|rest| {
             let (slot, rest) = rest.split_once('/')?;
@@ -101,8 +101,8 @@ impl Job {
     }
 }
 
-/// The frames behind the first that are looked over when a job of so many bytes is handed in: all
-/// of them if that is cheap, else those around keys and others between them.
+/// Frames after the first that are validated when a job of `bytes` bytes is submitted: all frames if that is cheap,
+/// else the frames around keyframes and a sample of the others.
 pub(crate) fn frames_to_check(frames: &Frames, key_seconds: &[f64], bytes: usize) -> BTreeSet<u32> {
     let count = frames.count;
     let most = (MAX_FULL_CHECK_BYTES / (bytes as u64).max(1)).max(MIN_SAMPLED_FRAMES.into());
@@ -131,7 +131,7 @@ mod tests {
     use crate::parse;
     use crate::values::FrameRate;
 
-    /// A job whose sphere has the radius `radius`, with `more` behind its image.
+    /// Job whose sphere has the radius `radius`, with `more` after its image.
     fn text(radius: &str, more: &str) -> String {
         format!(
             r#"{{ "scene": {{ "camera": {{ "position": [0, 0, 3], "look_at": [0, 0, 0] }},
@@ -147,7 +147,7 @@ mod tests {
     }
 
     #[test]
-    fn a_frame_shows_numbers_as_they_are_then() {
+    fn a_frame_has_numbers_at_its_time() {
         let job = job(GROWS, r#", "frames": { "count": 9, "fps": 4 }"#);
         assert!(job.is_animated());
         let reach = |frame| {
@@ -159,21 +159,21 @@ mod tests {
     }
 
     #[test]
-    fn a_frame_keeps_the_size_that_was_asked_for_last() {
+    fn a_frame_has_the_size_set_last() {
         let mut job = job(GROWS, r#", "frames": { "count": 2 }"#);
         job.image.width = 5;
         assert_eq!(job.at(1).unwrap().image().width, 5);
     }
 
     #[test]
-    fn what_does_not_move_is_not_copied() {
+    fn constant_jobs_are_not_copied() {
         let job = job("1", r#", "frames": { "count": 2 }"#);
         assert!(!job.is_animated());
         assert!(std::ptr::eq(job.at(1).unwrap().scene(), &raw const job.scene));
     }
 
     #[test]
-    fn keys_are_those_of_the_scene_as_it_stands() {
+    fn cache_keys_are_those_of_the_evaluated_scene() {
         let frames = r#", "frames": { "count": 3, "fps": 1 }"#;
         let (slow, fast) = (job(GROWS, frames), job(r#"{ "keys": [[0, 1], [1, 3], [2, 9]] }"#, frames));
         assert_eq!([0, 1].map(|n| slow.cache_key(n)), [0, 1].map(|n| fast.cache_key(n)));
@@ -182,15 +182,15 @@ mod tests {
     }
 
     #[test]
-    fn only_a_job_in_which_nothing_moves_is_warned_of_that() {
+    fn only_a_job_without_animation_gets_that_warning() {
         let frames = r#", "frames": { "count": 2 }"#;
-        assert!(job("1", frames).warnings()[0].contains("nothing in the scene moves"));
+        assert!(job("1", frames).warnings()[0].contains("nothing in the scene is animated"));
         assert_eq!(job(GROWS, frames).warnings(), Vec::<String>::new());
         assert!(job(GROWS, "").warnings()[0].contains("frames.count"));
     }
 
     #[test]
-    fn a_fault_of_a_later_frame_names_the_frame() {
+    fn an_error_in_a_later_frame_names_the_frame() {
         let camera = r#"{ "keys": [[0, 3], [2, -1]] }"#;
         let wrong =
             text("1", r#", "frames": { "count": 5, "fps": 2 }"#).replace("0, 0, 3]", &format!("0, 0, {camera}]"));
@@ -200,7 +200,7 @@ mod tests {
     }
 
     #[test]
-    fn many_frames_are_looked_over_around_keys_and_evenly() {
+    fn many_frames_are_checked_around_keyframes_and_evenly() {
         let frames = Frames { count: 100_000, fps: FrameRate::new(10.0).unwrap() };
         let chosen = frames_to_check(&frames, &[-4.0, 777.77, 1e6], 1 << 24);
         assert!(chosen.len() <= 64 && chosen.len() > 48, "{chosen:?}");

@@ -1,7 +1,7 @@
-//! What is seen where nothing is: the list of backgrounds, and what a background must say of itself.
+//! Registry of backgrounds, and the trait that each background implements.
 //!
 //! A background is one documented struct in a file under `backgrounds/`, one `impl` of [`Backdrop`], and one entry in
-//! the list; with fields it has an `impl` of [`HasExamples`] too; without fields it is written as its name alone.
+//! the list. If it has fields, it also has an `impl` of [`HasExamples`]; without fields, JSON has its name alone.
 
 #[cfg(test)]
 mod added;
@@ -22,34 +22,33 @@ use crate::real::{Real, Vec3};
 use crate::seek::Seek;
 use crate::values::Color;
 
-/// What a background means.
+/// Behavior of a background.
 pub trait Backdrop {
-    /// Linear RGB seen toward `direction`, of length 1; black where nothing is.
+    /// Linear RGB radiance from `direction`, of length 1; black where the background is transparent.
     fn radiance<R: Real>(&self, direction: Vec3<R>) -> Vec3<R>;
 
-    /// The mean of all it sends to a surface with this normal, weighted by the cosine; `None` where
-    /// that has no closed form.
+    /// Mean radiance over the half space of this normal, weighted by the cosine; `None` if it has no closed form.
     fn cosine_mean<R: Real>(&self, normal: Vec3<R>) -> Option<Vec3<R>> {
         let _ = normal;
         None
     }
 
-    /// The day it shows, if it does.
+    /// The background's `day`, if it is one.
     fn day(&self) -> Option<&Day> {
         None
     }
 
-    /// Whether nothing is there, and alpha is 0.
+    /// Whether the background is empty, so that alpha is 0.
     fn is_transparent(&self) -> bool {
         false
     }
 
-    /// What is wrong with it, if anything.
+    /// Error in the background's parameters, if there is one.
     fn validate(&self) -> Option<NodeError> {
         None
     }
 
-    /// Finds what all directions share.
+    /// Precomputes values that all directions use.
     fn precompute(&mut self) {}
 }
 
@@ -59,7 +58,7 @@ macro_rules! backgrounds {
         structs: [$($(#[$attribute:meta])* $Kind:ident: $Struct:ident),* $(,)?],
         units: [$($(#[$about:meta])* $Unit:ident),* $(,)?] $(,)?
     ) => {
-        /// What is seen where nothing is.
+        /// Background: seen by rays that hit nothing.
         #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
         #[serde(rename_all = "snake_case", deny_unknown_fields)]
         pub enum Background {
@@ -98,7 +97,7 @@ macro_rules! backgrounds {
                 }
             }
 
-            /// The same, at its place in the background's JSON.
+            /// Same error, with its pointer in the background's JSON.
             fn validate(&self) -> Option<NodeError> {
                 match self {
                     $($(#[$attribute])* Self::$Kind(background) => {
@@ -117,7 +116,7 @@ macro_rules! backgrounds {
         }
 
         impl Background {
-            /// Each kind's examples, as a user would write the whole background.
+            /// Each kind's examples, as a user would write the background.
             pub fn examples() -> Vec<Example> {
                 let mut examples = Vec::new();
                 $(
@@ -140,7 +139,7 @@ backgrounds![
         Added: AddedBackground,
     ],
     units: [
-        /// Nothing: alpha is 0 there.
+        /// Empty: alpha is 0.
         Transparent,
     ],
 ];

@@ -1,17 +1,17 @@
-//! Axis-aligned boxes around shapes: regions that a ray need not march outside of.
+//! Axis-aligned boxes around shapes: a ray need not march outside them.
 //!
-//! A box follows from a shape's numbers alone, in plain `f32`; it is expanded by far more than rounding
-//! errors before a ray is clipped by it, so that a surface is never outside.
+//! Bounds follow from a shape's numbers alone, in plain `f32`. Before a ray is clipped by a box, the box is expanded
+//! by far more than rounding errors, so that no surface is outside.
 
 use crate::camera::Ray;
 use crate::real::{Real, Vec3, vec3};
 
-/// Axis-aligned box; a side may be infinitely far away.
+/// Axis-aligned box; a side may be infinitely distant.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Bounds {
-    /// Its least coordinates.
+    /// Minimum coordinates.
     pub min: Vec3<f32>,
-    /// Its greatest coordinates.
+    /// Maximum coordinates.
     pub max: Vec3<f32>,
 }
 
@@ -22,7 +22,7 @@ impl Bounds {
         Self { min: vec3(-FAR, -FAR, -FAR), max: vec3(FAR, FAR, FAR) }
     };
 
-    /// No point at all.
+    /// Box without any point.
     pub const EMPTY: Self = {
         const FAR: f32 = 1e9;
         Self { min: vec3(FAR, FAR, FAR), max: vec3(-FAR, -FAR, -FAR) }
@@ -33,7 +33,7 @@ impl Bounds {
         Self { min: vec3(-x, -y, -z), max: vec3(x, y, z) }
     }
 
-    /// The least box that holds both.
+    /// Smallest box that contains both.
     pub fn union(self, other: Self) -> Self {
         Self { min: zip(self.min, other.min, f32::min), max: zip(self.max, other.max, f32::max) }
     }
@@ -43,13 +43,13 @@ impl Bounds {
         Self { min: zip(self.min, other.min, f32::max), max: zip(self.max, other.max, f32::min) }
     }
 
-    /// The box with each side further out by `margin`.
+    /// Box with each side moved out by `margin`.
     pub fn expanded(self, margin: f32) -> Self {
         let Self { min: low, max: high } = self;
         Self { min: low.map(|c| c - margin), max: high.map(|c| c + margin) }
     }
 
-    /// The box moved.
+    /// Box translated by a vector.
     pub fn translated(self, by: Vec3<f32>) -> Self {
         Self { min: zip(self.min, by, |c, by| c + by), max: zip(self.max, by, |c, by| c + by) }
     }
@@ -60,7 +60,7 @@ impl Bounds {
         Self { min: low.map(|c| c * factor), max: high.map(|c| c * factor) }
     }
 
-    /// A box around this one turned by the matrix of these columns.
+    /// Box around this box after its rotation by the matrix of these columns.
     pub fn rotated(self, columns: [Vec3<f32>; 3]) -> Self {
         let ends = [(self.min.x, self.max.x), (self.min.y, self.max.y), (self.min.z, self.max.z)];
         let mut turned = Self { min: vec3(0.0, 0.0, 0.0), max: vec3(0.0, 0.0, 0.0) };
@@ -72,8 +72,8 @@ impl Bounds {
         turned
     }
 
-    /// Box expanded by a fraction of its size and of its distance from `origin`, so that rounding along a
-    /// ray from there never puts a surface outside.
+    /// Box expanded by a fraction of its size and of its distance from `origin`, so that rounding along a ray from
+    /// `origin` never puts a surface outside.
     pub fn with_margin(self, origin: Vec3<f32>) -> Self {
         const OF_SIZE: f32 = 1e-3;
         const OF_DISTANCE: f32 = 1e-5;
@@ -83,19 +83,19 @@ impl Bounds {
         self.expanded(OF_SIZE * size + OF_DISTANCE * far)
     }
 
-    /// The distance between its farthest corners.
+    /// Distance between opposite corners.
     pub fn diagonal(self) -> f32 {
         zip(self.max, self.min, |high, low| high - low).length()
     }
 
-    /// Box with finite ends far beyond all coordinates where it is infinite.
+    /// Box with infinite sides replaced by finite ones far beyond all coordinates.
     pub(crate) fn clamped_to_finite(self) -> Self {
         const FINITE_LIMIT: f32 = 1e12;
         let ended = |c: f32| c.clamp(-FINITE_LIMIT, FINITE_LIMIT);
         Self { min: self.min.map(ended), max: self.max.map(ended) }
     }
 
-    /// Whether a point is in it.
+    /// Whether the box contains a point.
     pub(crate) fn contains(self, p: Vec3<f32>) -> bool {
         let between = |low: f32, c: f32, high: f32| low <= c && c <= high;
         between(self.min.x, p.x, self.max.x)
@@ -103,14 +103,14 @@ impl Bounds {
             && between(self.min.z, p.z, self.max.z)
     }
 
-    /// Whether it is bounded in every direction.
+    /// Whether the box is bounded in every direction.
     pub fn is_finite(self) -> bool {
         [self.min, self.max]
             .into_iter()
             .all(|corner| corner.x.is_finite() && corner.y.is_finite() && corner.z.is_finite())
     }
 
-    /// No more than the distance from `p` to anything in the box: its greatest part along an axis,
+    /// Lower bound of the distance from `p` to any point of the box: the largest coordinate difference along an axis,
     /// less a hundredth of the box's size.
     #[inline(always)]
     pub fn distance_lower_bound<R: Real>(&self, p: Vec3<R>) -> R {
@@ -121,8 +121,8 @@ impl Bounds {
         (vec3(away.x.abs(), away.y.abs(), away.z.abs()) - Vec3::uniform(p.x, half)).max_element()
     }
 
-    /// Interval of the ray inside the box, clamped to 0..`farthest`; a ray that misses the box leaves
-    /// before it enters.
+    /// Interval of the ray inside the box, clamped to 0..`farthest`. For a ray that misses the box, the end is less
+    /// than the start.
     #[inline(always)]
     pub fn intersect_ray<R: Real>(&self, ray: &Ray<R>, farthest: R) -> (R, R) {
         let (low, high) = (Vec3::uniform(farthest, self.min), Vec3::uniform(farthest, self.max));
@@ -134,7 +134,7 @@ impl Bounds {
     }
 }
 
-/// Interval in which a coordinate that starts at `origin` and grows by `slope` is between two ends.
+/// Interval of t in which `origin + slope · t` is between `low` and `high`.
 #[inline(always)]
 fn slab_interval<R: Real>(low: R, high: R, origin: R, slope: R) -> (R, R) {
     // Replaces a slope of 0, so that the quotient exists.

@@ -1,4 +1,4 @@
-//! What a picture is known by: hashes of all that decides its bytes, and of nothing else.
+//! Cache keys of pictures: hashes of everything that decides a picture's bytes, and of nothing else.
 
 use serde::Serialize;
 
@@ -8,7 +8,7 @@ use crate::job::{Bits, Format, Image, Job, Layer, Precision, ToneMap};
 use crate::scene::Scene;
 use crate::values::{ExposureStops, FrameRate};
 
-/// All that decides a frame's pixels.
+/// Everything that decides a frame's pixels.
 #[derive(Serialize)]
 struct CanonicalPixels<'a> {
     version: u32,
@@ -21,14 +21,14 @@ struct CanonicalPixels<'a> {
     layers: &'a [Layer],
 }
 
-/// All that decides the bytes of a frame's picture.
+/// Everything that decides the bytes of a frame's picture.
 #[derive(Serialize)]
 struct CanonicalPicture<'a> {
     pixels: String,
     format: Format,
     bits: Option<Bits>,
     precision: Option<Precision>,
-    /// In the header of an EXR; what else is there follows from the pixels' scene.
+    /// Frame rate, written to the header of an EXR. The rest of the header follows from the scene.
     #[serde(skip_serializing_if = "Option::is_none")]
     fps: Option<&'a FrameRate>,
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -37,30 +37,30 @@ struct CanonicalPicture<'a> {
 
 fn hash(value: &impl Serialize) -> blake3::Hash {
     let mut hasher = blake3::Hasher::new();
-    serde_json::to_writer(&mut hasher, value).expect("a hasher takes all that is written, and a job has no odd keys");
+    serde_json::to_writer(&mut hasher, value).expect("a hasher accepts all bytes, and member names are strings");
     hasher.finalize()
 }
 
 impl Job {
-    /// Of all that decides the bytes of a frame's picture.
+    /// Hash of everything that decides the bytes of a frame's picture.
     pub fn cache_key(&self, frame: u32) -> blake3::Hash {
         match self.at(frame) {
             Ok(still) => still.cache_key(),
-            // No frame but this one of this scene can be refused so, and it gets no picture.
+            // A frame that fails here gets no picture, so its key only has to differ from those of other frames.
             Err(error) => hash(&(&self.scene, frame, error.to_string())),
         }
     }
 }
 
 impl JobAtFrame<'_> {
-    /// Of the scene alone, as provenance in its picture.
+    /// Hash of the scene alone, written into its pictures as provenance.
     pub fn scene_hash(&self) -> blake3::Hash {
         hash(self.scene())
     }
 
-    /// Of all that decides its pixels.
+    /// Hash of everything that decides the frame's pixels.
     pub fn pixels_cache_key(&self) -> blake3::Hash {
-        // Without `..`: a field that is new does not compile until it is decided on, here and in `cache_key`.
+        // Without `..`, so that a new field does not compile until it is handled here and in `cache_key`.
         let Image { width, height, samples, seed, layers, format: _, bits: _, precision: _, exposure: _, tone_map: _ } =
             self.image();
         hash(&CanonicalPixels {
@@ -75,7 +75,7 @@ impl JobAtFrame<'_> {
         })
     }
 
-    /// Of all that decides the bytes of its picture.
+    /// Hash of everything that decides the bytes of the frame's picture.
     pub fn cache_key(&self) -> blake3::Hash {
         let image = self.image();
         let Image { format, bits, precision, exposure, tone_map, width: _, height: _, samples: _, seed: _, layers: _ } =
@@ -110,14 +110,14 @@ mod tests {
     }
 
     #[test]
-    fn names_and_unused_materials_do_not_change_the_key() {
+    fn names_and_unused_materials_do_not_change_the_cache_key() {
         let a = job(r#""a": { "flat": { "color": [1, 0, 0] } }"#, "a", 1.0, 4);
         let b = job(r##""x": { "normals": {} }, "b": { "flat": { "color": "#ff0000" } }"##, "b", 1.0, 4);
         assert_eq!(a.cache_key(0), b.cache_key(0));
     }
 
     #[test]
-    fn what_changes_the_bytes_changes_the_key() {
+    fn cache_key_changes_with_everything_that_changes_the_bytes() {
         let red = r#""a": { "flat": { "color": [1, 0, 0] } }"#;
         let first = job(red, "a", 1.0, 4);
         assert_ne!(first.cache_key(0), first.cache_key(1));
@@ -132,7 +132,7 @@ mod tests {
         assert_ne!(first.cache_key(0), other.cache_key(0));
         let mut faster = other.clone();
         faster.frames.fps = FrameRate::new(25.0).unwrap();
-        assert_ne!(faster.cache_key(0), other.cache_key(0), "an EXR tells its rate");
+        assert_ne!(faster.cache_key(0), other.cache_key(0), "an EXR stores its rate");
         faster.image.format = Format::Png;
         assert_eq!(faster.cache_key(0), first.cache_key(0), "a PNG does not");
         let pixels_key = |job: &Job| job.at(0).unwrap().pixels_cache_key();

@@ -1,4 +1,4 @@
-//! From a point of the picture to a ray.
+//! Camera: turns a point of the picture into a ray.
 
 mod culling;
 mod matrices;
@@ -18,67 +18,67 @@ use crate::real::{Real, Vec3, bundle, vec3};
 use crate::seek::Seek;
 use crate::values::{Direction, FieldOfView, Point, Revolutions, sin_cos_degrees};
 
-/// Where the scene is seen from, and how.
+/// Position, direction and projection of the camera.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
 #[serde(deny_unknown_fields)]
 pub struct Camera {
-    /// Where it is.
+    /// Position of the camera.
     pub position: Point,
-    /// A point in the middle of the picture; not where the camera is.
+    /// Point at the center of the picture; different from `position`.
     pub look_at: Point,
-    /// A direction that is up in the picture; not along the view.
+    /// Direction that is up in the picture; not parallel to the view.
     #[serde(default = "default_up")]
     pub up: Direction,
-    /// The vertical field of view of a perspective, 40 degrees when absent.
+    /// Vertical field of view of a perspective, in degrees; 40 when absent.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub fov: Option<FieldOfView>,
-    /// How space becomes a picture.
+    /// Projection of space onto the picture.
     #[serde(default, skip_serializing_if = "Projection::is_default")]
     pub projection: Projection,
-    /// Carries it around what it looks at, over the frames of the job.
+    /// Rotates the camera around `look_at` over the frames of the job.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub turntable: Option<Turntable>,
 }
 
-/// A camera's way around what it looks at, about the direction that is up.
+/// Rotation of the camera around `look_at`, about its `up` direction.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
 #[serde(deny_unknown_fields)]
 pub struct Turntable {
-    /// Turns over all frames, counter-clockwise from above: frame i is i/count of them on the way.
+    /// Revolutions over all frames, counter-clockwise from above: frame i has made i/count of them.
     #[serde(default = "default_turns")]
     pub turns: Revolutions,
 }
 
-/// A camera in front of a picture of some size, ready to make rays.
+/// Camera prepared for a picture's size, ready to generate rays.
 #[derive(Clone, Debug)]
 pub struct View {
     projection: Projection,
     origin: Vec3<f32>,
     forward: Vec3<f32>,
-    /// To the right, by the distance of half the picture's width; of length 1 in a panorama.
+    /// To the right; as long as half the picture's width at distance 1, and of length 1 in a panorama.
     right: Vec3<f32>,
-    /// Up, by the distance of half the picture's height; of length 1 in a panorama.
+    /// Up; as long as half the picture's height at distance 1, and of length 1 in a panorama.
     up: Vec3<f32>,
     /// 2/width and −2/height.
     scale: (f32, f32),
     footprint: Tolerance,
-    /// What numbers around the camera are right to, in scene units.
+    /// Rounding error of coordinates around the camera, in scene units.
     coordinate_error: f32,
 }
 
-/// A half line.
+/// A ray: a half line.
 #[derive(Clone, Copy, Debug)]
 pub struct Ray<R> {
-    /// Where it starts.
+    /// Start of the ray.
     pub origin: Vec3<R>,
-    /// Where it goes; of length 1.
+    /// Direction, of length 1.
     pub direction: Vec3<R>,
 }
 
 bundle!(Ray { origin, direction });
 
 impl<R: Real> Ray<R> {
-    /// The point at a distance.
+    /// Point at a distance along the ray.
     #[inline(always)]
     pub fn at(&self, distance: R) -> Vec3<R> {
         self.direction.mul_add(distance, self.origin)
@@ -86,14 +86,14 @@ impl<R: Real> Ray<R> {
 }
 
 impl Camera {
-    /// What is wrong with this camera, if anything: the key and the fault.
+    /// Error in the camera, if there is one: the JSON member and the message.
     pub(crate) fn validate(&self) -> Option<(&'static str, &'static str)> {
         let (from, to) = (self.position.get(), self.look_at.get());
         let away = vec3(to.x - from.x, to.y - from.y, to.z - from.z);
         if away.length() < 1e-6 {
             return Some((
                 "look_at",
-                "is where the camera is: move look_at or position, so that there is a direction to look in",
+                "is where the camera is: move look_at or position, so that the view has a direction",
             ));
         }
         let forward = away.normalize();
@@ -103,12 +103,12 @@ impl Camera {
         self.fov.as_ref().and(self.projection.validate_fov()).map(|message| ("fov", message))
     }
 
-    /// Says what was left open, so that cameras that see the same are equal.
+    /// Fills in defaults, so that cameras with the same view are equal.
     pub(crate) fn fill_defaults(&mut self) {
         self.fov = self.fov.take().or_else(|| self.projection.default_fov());
     }
 
-    /// Goes where the turntable has carried it in a frame, and steps off; whether there was one.
+    /// Applies the turntable's rotation for a frame and removes the turntable; returns whether there was one.
     pub(crate) fn apply_turntable(&mut self, frame: u32, frames: &Frames) -> bool {
         let Some(Turntable { turns }) = self.turntable.take() else { return false };
         let share = f64::from(frame) / f64::from(frames.count);
@@ -121,7 +121,8 @@ impl Camera {
         true
     }
 
-    /// Prepares the camera for a picture of this size, in pixels from the top left; the center of pixel (0, 0) is (0.5, 0.5).
+    /// Prepares the camera for a picture of this size, in pixels from the top left; the center of pixel (0, 0) is
+    /// (0.5, 0.5).
     pub fn view(&self, width: u32, height: u32) -> View {
         let (origin, to) = (self.position.get(), self.look_at.get());
         let forward = vec3(to.x - origin.x, to.y - origin.y, to.z - origin.z).normalize();
@@ -157,41 +158,41 @@ impl View {
         self.projection.ray(&CameraAxes { origin, right, up, forward }, across, upwards)
     }
 
-    /// Half a pixel's height, by the distance along a ray.
+    /// Half a pixel's height at a distance along a ray.
     pub fn footprint(&self) -> Tolerance {
         self.footprint
     }
 
-    /// How near a surface a ray must come: a quarter of half a pixel keeps silhouettes; the rest
-    /// keeps depth and the limits of `f32`.
+    /// Tolerance for a hit: a quarter of half a pixel's height keeps silhouettes accurate; the rest covers depth and
+    /// the precision of `f32`.
     pub fn tolerance(&self) -> Tolerance {
         let Tolerance { slope, floor } = self.footprint;
-        // Parallel rays: no more than a part of what the picture shows.
+        // For parallel rays: at most a fraction of the picture's extent.
         let shown = self.up.length();
         let floor = (0.25 * floor).min(5e-4 * shown) + self.coordinate_error;
         Tolerance { slope: (0.25 * slope).clamp(2e-6, 2.5e-4), floor }
     }
 
-    /// What a distance is right to, by the distance along the ray: below it, a surface has been met.
+    /// Rounding error of a distance along the ray; a surface closer than this counts as hit.
     pub fn resolution(&self) -> Tolerance {
         Tolerance { slope: 1.5e-7, floor: self.coordinate_error }
     }
 
-    /// Half the edge of the tetrahedron that normals are measured on, at most: half of half a pixel, and far
-    /// above the limits of `f32`.
+    /// Upper limit of half the edge of the tetrahedron for normals: a quarter of a pixel, and far above the precision
+    /// of `f32`.
     pub fn normal_epsilon(&self) -> Tolerance {
         let Tolerance { slope, floor } = self.footprint;
         let least = if floor > 0.0 { 2e-5 } else { 3e-4 };
         Tolerance { slope: (0.5 * slope).max(least), floor: (0.5 * floor).max(100.0 * self.coordinate_error) }
     }
 
-    /// Where the camera is.
+    /// Position of the camera.
     pub fn origin(&self) -> Vec3<f32> {
         self.origin
     }
 }
 
-/// A vector turned about an axis of length 1, by Olinde Rodrigues' formula:
+/// Vector rotated about an axis of length 1, by Olinde Rodrigues' formula:
 /// <https://en.wikipedia.org/wiki/Rodrigues%27_rotation_formula>.
 fn rotate_about_axis(v: Vec3<f32>, axis: Vec3<f32>, degrees: f32) -> Vec3<f32> {
     let (sine, cosine) = sin_cos_degrees(degrees);
@@ -223,19 +224,19 @@ mod tests {
     }
 
     #[test]
-    fn the_middle_looks_forward_and_the_edge_at_half_the_field_of_view() {
+    fn edge_rays_are_at_half_the_field_of_view() {
         let view = view(r#"{ "position": [0, 0, 5], "look_at": [0, 0, 0], "fov": 90 }"#, 200, 100);
         assert!(is_near(view.ray(100.0_f32, 50.0).direction, [0.0, 0.0, -1.0]));
         let top = view.ray(100.0_f32, 0.0).direction;
         assert!((top.y - top.z.abs()).abs() < 1e-6 && top.y > 0.0);
         let right = view.ray(200.0_f32, 50.0).direction;
         assert!((right.x - 2.0 * right.z.abs()).abs() < 1e-6 && right.x > 0.0);
-        // Half of one of 100 pixels that are 2 high together at distance 1.
+        // Half of one of 100 pixels that together are 2 high at distance 1.
         assert_eq!((view.footprint().slope * 100.0 - 1.0).abs() < 1e-6, view.footprint().floor == 0.0);
     }
 
     #[test]
-    fn orthographic_rays_are_parallel_and_start_in_a_plane_of_the_given_height() {
+    fn orthographic_rays_are_parallel_and_start_in_a_plane() {
         let camera =
             r#"{ "position": [1, 2, 5], "look_at": [1, 2, 0], "projection": { "orthographic": { "height": 3 } } }"#;
         let view = view(camera, 200, 100);
@@ -253,7 +254,7 @@ mod tests {
     }
 
     #[test]
-    fn a_panorama_sees_each_direction_where_a_map_has_it() {
+    fn panorama_directions_match_longitude_and_latitude() {
         let view = view(r#"{ "position": [0, 1, 0], "look_at": [0, 1, -2], "projection": "panorama" }"#, 400, 200);
         for (x, y, direction) in [
             (200.0_f32, 100.0, [0.0, 0.0, -1.0]),
@@ -271,7 +272,7 @@ mod tests {
     }
 
     #[test]
-    fn a_turntable_goes_around_what_it_looks_at() {
+    fn a_turntable_rotates_around_look_at() {
         let camera: Camera = serde_json::from_str(
             r#"{ "position": [1, 3, 5], "look_at": [1, 2, 0], "up": [0, 2, 0], "turntable": { "turns": -2 } }"#,
         )

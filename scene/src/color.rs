@@ -1,4 +1,4 @@
-//! From light to what is shown: exposure, tone map, and sRGB (IEC 61966-2-1).
+//! Display transform of linear light: exposure, tone map, and sRGB (IEC 61966-2-1).
 
 use crate::job::{Image, ToneMap};
 use crate::real::Real;
@@ -6,7 +6,7 @@ use crate::real::Real;
 /// Display transform of a picture.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct DisplayTransform {
-    /// Factor of the light.
+    /// Factor of the linear light.
     exposure: f32,
     tone_map: ToneMap,
 }
@@ -28,20 +28,20 @@ impl DisplayTransform {
     }
 }
 
-/// 2 to a power within ±120; exact for whole ones.
+/// 2 to a power within ±120; exact for integers.
 fn power_of_two(power: f32) -> f32 {
     let whole = power.floor();
     let exponent = (127.0 + whole) as u32;
     f32::from_bits(exponent << 23) * Real::powf(2.0_f32, power - whole)
 }
 
-/// A film's answer to a channel of linear light, 0 to 1, itself linear.
+/// Filmic tone map of a channel: linear light to linear display light, 0 to 1.
 ///
 /// Krzysztof Narkowicz, "ACES Filmic Tone Mapping Curve", 2016, a fit to the Academy's curve:
 /// <https://knarkowicz.wordpress.com/2016/01/06/aces-filmic-tone-mapping-curve/>.
 #[inline(always)]
 pub fn filmic<R: Real>(linear: R) -> R {
-    // Far above where it reaches 1, and so that no square overflows.
+    // Far above the input at which the curve reaches 1, and low enough that no square overflows.
     const MAX_INPUT: f32 = 1e4;
     let x = linear.at_least(0.0).at_most(MAX_INPUT);
     let over = x * x.mul_add(x.constant(2.51), x.constant(0.03));
@@ -49,7 +49,7 @@ pub fn filmic<R: Real>(linear: R) -> R {
     (over / under).at_most(1.0)
 }
 
-/// An sRGB value, 0 to 1, from linear light, which is clamped to 0 to 1 first.
+/// sRGB value, 0 to 1, of linear light, which is first clamped to 0 to 1.
 #[inline(always)]
 pub fn srgb_from_linear<R: Real>(linear: R) -> R {
     let linear = linear.at_least(0.0).at_most(1.0);
@@ -57,13 +57,13 @@ pub fn srgb_from_linear<R: Real>(linear: R) -> R {
     R::select(linear.below(0.003_130_8), linear * 12.92, curve).at_most(1.0)
 }
 
-/// Which of 256 levels shows an sRGB value, 0 to 1, before its fraction is cut off: rounded at `threshold`, which
-/// differs from pixel to pixel, so that no band is seen where colors change slowly.
+/// Level from 0 to 255 of an sRGB value, 0 to 1, before its fraction is truncated: rounded at `threshold`, which
+/// differs from pixel to pixel, so that slow gradients show no bands.
 ///
-/// What is a level but for rounding is that level everywhere: an even color stays even.
+/// A value within rounding error of a level gets that level at every pixel, so that a constant color stays constant.
 #[inline(always)]
 pub fn level_of_256<R: Real>(srgb: R, threshold: R) -> R {
-    /// How near a level one must be to be it.
+    /// Maximum distance from a level that counts as rounding error, in levels.
     const NEAR: f32 = 1.0 / 32.0;
     let value = srgb * 255.0;
     let nearest = (value + 0.5).floor();
@@ -91,7 +91,7 @@ mod tests {
     }
 
     #[test]
-    fn a_whole_stop_is_exactly_a_factor_of_two_and_others_lie_between() {
+    fn an_integer_stop_is_exactly_a_factor_of_two() {
         for (stops, factor) in [(-20.0, 1.0 / 1_048_576.0), (-1.0, 0.5), (0.0, 1.0), (3.0, 8.0), (20.0, 1_048_576.0)] {
             assert_eq!(power_of_two(stops), factor);
         }
@@ -100,7 +100,7 @@ mod tests {
     }
 
     #[test]
-    fn the_filmic_curve_rises_from_0_to_1_and_has_its_authors_values() {
+    fn the_filmic_curve_rises_through_published_values() {
         assert_eq!(filmic(0.0_f32), 0.0);
         assert_eq!(filmic(-1.0_f32), 0.0);
         // (2.51 + 0.03)/(2.43 + 0.59 + 0.14), and the same for 0.18.

@@ -1,6 +1,7 @@
-//! The document: a job as its file says it. Nothing is rendered from it; [`Job`](crate::Job) is made of it.
+//! The job document: a job as written in its file. Nothing is rendered from it; it is resolved to a
+//! [`Job`](crate::Job).
 //!
-//! Here materials have names and tracks have just been read. What is derived from that is in `scene.rs`.
+//! Here materials are referenced by name and tracks are freshly parsed. `scene.rs` has the types derived from it.
 
 use std::collections::BTreeMap;
 
@@ -19,74 +20,74 @@ use crate::materials::{Material, MaterialRef};
 use crate::nodes::Node;
 use crate::scene::{March, Object, Scene, child_pointers};
 
-/// What one POSTs.
+/// Body of a job submission.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename = "Job", deny_unknown_fields)]
 pub(crate) struct JobDocument {
-    /// A name for people.
+    /// Name of the job, for people.
     #[serde(default = "default_name")]
     #[schemars(length(max = crate::limits::MAX_NAME_CHARS))]
     pub name: String,
-    /// What there is to see.
+    /// The scene to render.
     pub scene: SceneDocument,
     /// The pictures' size and file format.
     pub image: Image,
-    /// How many pictures.
+    /// Number and rate of the pictures.
     #[serde(default)]
     pub frames: Frames,
-    /// Jobs of higher priority go first.
+    /// Jobs with higher priority start first.
     #[serde(default, deserialize_with = "priority")]
     #[schemars(range(min = -100, max = 100))]
     pub priority: i32,
 }
 
-/// What there is to see.
+/// The scene to render.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename = "Scene", deny_unknown_fields)]
 pub(crate) struct SceneDocument {
-    /// Where it is seen from.
+    /// The camera.
     pub camera: Camera,
-    /// What is seen where nothing is.
+    /// The background, seen by rays that hit nothing.
     #[serde(default)]
     pub background: Background,
-    /// The lights; an empty list is darkness.
+    /// The lights; an empty list means no light.
     #[serde(default = "default_lights")]
     #[schemars(length(max = MAX_LIGHTS))]
     pub lights: Vec<Light>,
     /// Fog; none when absent.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub fog: Option<Fog>,
-    /// Darker corners in light from all around; none when absent.
+    /// Ambient occlusion: darkens ambient and sky light in corners; off when absent.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub ambient_occlusion: Option<AmbientOcclusion>,
     /// Materials by name.
     #[serde(default)]
     pub materials: BTreeMap<String, Material>,
-    /// The objects, one or more; the nearest one is seen, the first of several.
+    /// The objects, one or more. The nearest one is visible; if several are equally near, the first of them.
     #[schemars(length(min = 1))]
     pub objects: Vec<Object>,
-    /// How far and how long rays march.
+    /// Limits of ray marching.
     #[serde(default)]
     pub march: March,
 }
 
-/// What became of a document's scene.
+/// Result of resolving a document's scene.
 #[derive(Debug)]
 pub(crate) struct Resolved {
-    /// The scene, not yet prepared.
+    /// The scene, before precomputation.
     pub scene: Scene,
-    /// Where in the document each of the materials in use stands: a JSON pointer in the scene.
+    /// JSON pointer in the scene, for each material in use.
     pub material_pointers: Vec<String>,
     /// Names of materials that no object and no node uses.
     pub unused_names: Vec<String>,
-    /// Names that no material has: JSON pointers in the scene, and the names.
+    /// Undefined material names: their JSON pointers in the scene, and the names.
     pub unknown: Vec<(String, String)>,
 }
 
 impl SceneDocument {
-    /// The scene with every material in its slot and defaults filled in.
+    /// Scene with every material in its slot and defaults filled in.
     pub(crate) fn resolve(self) -> Resolved {
-        // Without `..`: a field that is new does not compile until it has a place in the scene.
+        // Without `..`, so that a new field does not compile until it is stored in the scene.
         let Self { mut camera, background, lights, fog, ambient_occlusion, materials: named, mut objects, march } =
             self;
         camera.fill_defaults();
@@ -107,7 +108,7 @@ impl SceneDocument {
     }
 }
 
-/// Hands out slots.
+/// Assigns slots to materials in the order of first use, so that equal scenes hash alike.
 struct MaterialResolver<'a> {
     named: &'a BTreeMap<String, Material>,
     used: Vec<Material>,

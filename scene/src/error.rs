@@ -1,15 +1,15 @@
-//! Errors in a job, with their place in the text.
+//! Errors in a job, with their position in the text.
 
 use std::fmt;
 
 use crate::json_scan;
 
-/// One error in a job, with its place in the text.
+/// One error in a job, with its position in the text.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct ValidationError {
-    /// JSON pointer (RFC 6901): to the key where it is unknown or doubled, to the parent where one is missing.
+    /// JSON pointer (RFC 6901): to an unknown or duplicate member itself, or to the parent of a missing one.
     pub pointer: String,
-    /// What is wrong, and the fix.
+    /// The problem, and the fix.
     pub message: String,
     /// Line in the text, from 1.
     pub line: u32,
@@ -54,8 +54,8 @@ pub enum ParseError {
     /// Not JSON, or not UTF-8.
     #[error("the job is not JSON: {0}")]
     NotJson(ValidationError),
-    /// JSON, but not a job: every fault, in the order of their places.
-    #[error("the job is wrong: {}", list(.0))]
+    /// JSON, but not a valid job: every error, in the order of their positions.
+    #[error("the job is invalid: {}", list(.0))]
     Invalid(Vec<ValidationError>),
 }
 
@@ -63,25 +63,25 @@ fn list(faults: &[ValidationError]) -> String {
     faults.iter().map(ValidationError::to_string).collect::<Vec<_>>().join("; ")
 }
 
-/// Where the lines of a text begin: for the places of many faults.
+/// Byte offsets of the lines of a text, for finding the positions of many errors.
 #[derive(Debug)]
 pub(crate) struct LineIndex {
     starts: Vec<usize>,
 }
 
 impl LineIndex {
-    /// Those of a text.
+    /// Finds the lines of a text.
     pub(crate) fn new(text: &str) -> Self {
         let ends = text.bytes().enumerate().filter(|(_, byte)| *byte == b'\n');
         Self { starts: std::iter::once(0).chain(ends.map(|(end, _)| end + 1)).collect() }
     }
 
-    /// The byte at a line and a column, both from 1.
+    /// Byte offset of a line and a column, both from 1.
     pub(crate) fn offset(&self, line: usize, column: usize) -> usize {
         self.starts.get(line.saturating_sub(1)).copied().unwrap_or(0) + column.saturating_sub(1)
     }
 
-    /// A fault at a byte of the text.
+    /// Error at a byte offset of the text.
     pub(crate) fn fault(&self, offset: usize, pointer: String, message: String) -> ValidationError {
         let line = self.starts.partition_point(|&start| start <= offset).max(1);
         let column = offset - self.starts[line - 1] + 1;
@@ -89,7 +89,7 @@ impl LineIndex {
     }
 }
 
-/// Line and column, both from 1, of a byte of `text`.
+/// Line and column, both from 1, of a byte offset of `text`.
 fn line_and_column(text: &str, offset: usize) -> (u32, u32) {
     let before = &text.as_bytes()[..offset.min(text.len())];
     let line = before.split(|&byte| byte == b'\n').count();

@@ -1,4 +1,4 @@
-//! Fog: the share of light that comes through, and its color.
+//! Fog: its transmittance along a ray, and its color.
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -9,18 +9,18 @@ use crate::real::{Real, Vec3, vec3};
 use crate::seek::Seek;
 use crate::values::{Color, Density};
 
-/// Fog: what is further away fades into it.
+/// Fog: objects fade into it with distance.
 ///
-/// With a falloff it lies on the ground: Inigo Quilez, "Better fog", <https://iquilezles.org/articles/fog/>.
+/// With a falloff it is densest near the ground: Inigo Quilez, "Better fog", <https://iquilezles.org/articles/fog/>.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
 #[serde(deny_unknown_fields)]
 pub struct Fog {
-    /// How thick it is, at height 0 if it falls off.
+    /// Density: at height 0 if `falloff` is above 0, else everywhere.
     pub density: Density,
-    /// By what share of itself it gets thinner on a unit of height; 0 is as thick everywhere.
+    /// Rate at which the density decreases with height, per unit; 0 means constant density.
     #[serde(default = "default_falloff")]
     pub falloff: Density,
-    /// Its color; the background's in each direction when absent, and the horizon's below the horizon.
+    /// Color of the fog. When absent, the background's color in each direction, and the horizon's below the horizon.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub color: Option<Color>,
 }
@@ -32,21 +32,21 @@ impl HasExamples for Fog {
 }
 
 impl Fog {
-    /// What fog without a color of its own shows in a direction: the direction that the background is asked for.
+    /// Direction in which the background is evaluated for fog without a color of its own.
     #[inline(always)]
     pub fn direction_of_color<R: Real>(direction: Vec3<R>) -> Vec3<R> {
         let level = vec3(direction.x, direction.y.at_least(0.0), direction.z);
         level * (direction.x.constant(1.0) / level.length().at_least(1e-3))
     }
 
-    /// The share of the light that comes through `length` of the ray.
+    /// Transmittance along `length` of the ray.
     #[inline(always)]
     pub fn transmittance<R: Real>(&self, ray: &Ray<R>, length: R) -> R {
         let density = length.uniform(self.density.get());
         if self.falloff.is_zero() {
             return (-(density * length)).exp();
         }
-        // ∫ exp(−falloff·(y + t·dy)) dt, where the ray climbs by more than nothing.
+        // ∫ exp(−falloff·(y + t·dy)) dt, if the ray climbs.
         let falloff = length.uniform(self.falloff.get());
         let start = (-(ray.origin.y * falloff)).at_most(20.0).exp();
         let slope = falloff * ray.direction.y;

@@ -1,4 +1,5 @@
-//! What one pixel looks like: rays, march, normal, lights, materials. Written once for every back end.
+//! Integrator: computes the color of a pixel from rays, march, normal, lights and materials. Written once for all
+//! devices.
 
 mod lighting;
 mod media;
@@ -20,43 +21,44 @@ use crate::scene::Scene;
 use media::Media;
 use shading::MaterialTable;
 
-/// A frame of a job, ready to be asked for its pixels.
+/// A frame of a job, prepared for rendering its pixels.
 ///
-/// Its larger steps enter through [`Real::call`] instead of being inlined into one another:
-/// for thirty lanes a call costs little, and code for each instruction set is made once.
+/// Its larger steps go through [`Real::call`] instead of being inlined into one another: for thirty lanes a call costs
+/// little, and the code of each instruction set is generated once.
 #[derive(Clone, Debug)]
 pub struct Integrator<'a> {
     scene: &'a Scene,
-    /// One over each object's Lipschitz factor; `None` where that is 1.
+    /// Step scale of each object; `None` if it is 1.
     step_scales: Vec<Option<f32>>,
-    /// The objects that are surfaces, by index; the others are clouds and volumes.
+    /// Indices of the objects that are surfaces; the others are clouds and volumes.
     surfaces: Vec<usize>,
     materials: MaterialTable,
     media: Option<Media<'a>>,
-    /// Whether rays go on from some surface.
+    /// Whether some surface reflects or transmits rays.
     sends_on: bool,
-    /// Whether rays go through some surface.
+    /// Whether some surface transmits rays.
     lets_through: bool,
-    /// Boxes of objects that need not be looked at from far away; empty if there are none.
+    /// Boxes of objects that are skipped when they are distant; empty if there are none.
     cull_bounds: Vec<Option<Bounds>>,
-    /// Whether its distance is so long that all who ask for it share one that also names the object.
+    /// Whether all callers share one distance function, which also returns the nearest object, because the formula is
+    /// long.
     shares_nearest: bool,
-    /// Holds all there is to see.
+    /// Bounds of all surfaces.
     bounds: Bounds,
     view: View,
     samples: u32,
     frame_key: u32,
     tolerance: Tolerance,
     resolution: Tolerance,
-    /// Half the edge of the tetrahedron that normals are measured on, at most.
+    /// Maximum of half the edge of the tetrahedron for normals.
     normal_epsilon: Tolerance,
-    /// Half of what a sample sees: of a pixel's height, over the root of their number.
+    /// Half the height that a sample covers: half a pixel's height over the square root of the number of samples.
     seen: Tolerance,
-    /// Surfaces whose normals are means over a pixel.
+    /// Indices of the surfaces with fine detail, whose normals are averaged over a pixel.
     fine: Vec<usize>,
 }
 
-/// From so many nodes on, one formula for the distance and another for the nearest object would be too much text.
+/// From this number of nodes on, separate formulas for the distance and for the nearest object would be too much code.
 const SHARED_DISTANCE_NODES: u32 = 32;
 
 /// The color of a pixel.
@@ -64,22 +66,22 @@ const SHARED_DISTANCE_NODES: u32 = 32;
 pub struct Radiance<R> {
     /// Linear RGB, premultiplied by alpha.
     pub color: Vec3<R>,
-    /// Coverage, where the background is transparent; else 1.
+    /// Coverage if the background is transparent; else 1.
     pub alpha: R,
-    /// How often the scene's distance was evaluated.
+    /// Number of evaluations of the scene's distance.
     pub evaluations: R,
 }
 
-/// What the ray through a pixel's center meets.
+/// Layer (AOV) values at a pixel's center.
 #[derive(Clone, Copy, Debug)]
 pub struct Aovs<R> {
     /// Distance along the ray; infinite where nothing is hit.
     pub depth: R,
     /// Normal, toward the viewer's side; 0 where nothing is hit.
     pub normal: Vec3<R>,
-    /// Where; 0 where nothing is hit.
+    /// Position; 0 where nothing is hit.
     pub position: Vec3<R>,
-    /// The surface's own color; 0 where nothing is hit.
+    /// Albedo; 0 where nothing is hit.
     pub albedo: Vec3<R>,
     /// Index of the object; −1 where nothing is hit.
     pub object: R,
@@ -87,13 +89,13 @@ pub struct Aovs<R> {
     pub steps: R,
 }
 
-/// A place on a surface.
+/// A hit: a point on a surface.
 #[derive(Clone, Copy)]
 struct Hit<R: Real> {
     t: R,
     position: Vec3<R>,
     normal: Vec3<R>,
-    /// Whether the surface is seen from inside.
+    /// Whether the ray hit the surface from inside.
     is_inside: MaskValue<R>,
 }
 
@@ -116,7 +118,7 @@ impl<R: Real> ShadingPoint<R> {
 }
 
 impl<'a> Integrator<'a> {
-    /// The picture of one frame.
+    /// Prepares the integrator for one frame.
     pub fn new(still: &'a JobAtFrame<'_>) -> Self {
         let (scene, image, moves) = (still.scene(), still.image(), still.is_animated());
         let view = scene.camera.view(image.width, image.height);
@@ -151,7 +153,7 @@ impl<'a> Integrator<'a> {
         }
     }
 
-    /// The color of the pixel in column `x` and row `y`, both whole.
+    /// Color of the pixel in column `x` and row `y`, both integers.
     #[inline(always)]
     pub fn pixel<R: Real>(&self, x: R, y: R) -> Radiance<R> {
         let zero = x.constant(0.0);
@@ -159,8 +161,8 @@ impl<'a> Integrator<'a> {
         self.mean(self.accumulate(x, y, zero, x.constant(self.samples as f32), nothing))
     }
 
-    /// `sum` and the light of more of a pixel's samples: from `first`, until before `end`, which is
-    /// above `first`. Sums of parts, in order, have the same bits as one sum of all.
+    /// Adds samples of a pixel to `sum`: from `first` up to but excluding `end`, which is greater than `first`. Adding
+    /// in parts, in order, gives bit-identical sums.
     pub fn accumulate<R: Real>(&self, x: R, y: R, first: R, end: R, sum: Radiance<R>) -> Radiance<R> {
         x.vectorize(
             #[inline(always)]
@@ -192,7 +194,7 @@ impl<'a> Integrator<'a> {
         )
     }
 
-    /// The color of a pixel whose samples are all in `sum`.
+    /// Color of a pixel whose samples have all been added to `sum`.
     #[inline(always)]
     pub fn mean<R: Real>(&self, sum: Radiance<R>) -> Radiance<R> {
         if self.samples == 1 {
@@ -202,7 +204,7 @@ impl<'a> Integrator<'a> {
         Radiance { color: sum.color * share, alpha: sum.alpha * share, evaluations: sum.evaluations }
     }
 
-    /// What the ray through the center of the pixel in column `x` and row `y` meets.
+    /// Layer (AOV) values of the ray through the center of the pixel in column `x` and row `y`.
     pub fn aovs<R: Real>(&self, x: R, y: R) -> Aovs<R> {
         x.vectorize(
             #[inline(always)]
@@ -228,7 +230,7 @@ impl<'a> Integrator<'a> {
         )
     }
 
-    /// The light along the ray through a point of the picture, in pixels from its top left.
+    /// Radiance along the ray through a point of the picture, in pixels from its top left.
     fn radiance<R: Real>(&self, x: R, y: R, dice: &Sampler<R>) -> Radiance<R> {
         x.vectorize(
             #[inline(always)]
@@ -253,7 +255,7 @@ impl<'a> Integrator<'a> {
         )
     }
 
-    /// What is seen where nothing is, and its alpha.
+    /// Radiance of the background along a ray, and its alpha.
     #[inline(always)]
     fn background<R: Real>(&self, direction: Vec3<R>) -> (Vec3<R>, R) {
         let alpha = if self.scene.background.is_transparent() { 0.0 } else { 1.0 };
@@ -272,7 +274,7 @@ impl<'a> Integrator<'a> {
         )
     }
 
-    /// The same to a root of surfaces with details of every size, too: a way that only depth is worth.
+    /// Like `march`, but to an exact root also on surfaces with fine detail. Only the depth layer is worth its cost.
     fn march_to_depth<R: Real>(&self, ray: &Ray<R>) -> MarchResult<R> {
         ray.direction.x.call(
             "march_to_depth",
@@ -285,8 +287,8 @@ impl<'a> Integrator<'a> {
         )
     }
 
-    /// Marches within the scene's bounds; what is near enough grows by `slope` from `near`. To be near enough is
-    /// to have met a surface with details of every size, unless its `depth` is asked for.
+    /// Marches within the scene's bounds, with a tolerance that grows by `slope` from `near`. On surfaces with fine
+    /// detail, a point within the tolerance is a hit, unless `depth` is requested.
     #[inline(always)]
     fn march_in_bounds<R: Real>(&self, ray: &Ray<R>, slope: R, near: R, depth: bool) -> MarchResult<R> {
         let approach = self.approach(slope, near, depth);
@@ -305,7 +307,7 @@ impl<'a> Integrator<'a> {
             missed,
             #[inline(always)]
             || {
-                // Depth among details takes many steps of a distance that is next to none.
+                // Depth on fine detail takes many steps, because the distance is close to 0.
                 let (times, relaxation) = if depth { (16, 1.0) } else { (1, RELAXATION) };
                 let max_steps = self.scene.march.max_steps * times;
                 let reach = MarchRange { t_min: nearest, t_max: farthest, max_steps, relaxation };
@@ -318,13 +320,13 @@ impl<'a> Integrator<'a> {
                     #[inline(always)]
                     |p| self.is_fine(p),
                 );
-                // Out of steps: a hit if what the pixel sees touches the surface.
+                // Out of steps: a hit if the surface is within the pixel's footprint.
                 let seen = self.view.footprint().at(marched.t);
                 let touches = !marched.hit.0 & marched.distance.lt(seen) & marched.t.lt(farthest);
                 if !self.fine.is_empty() {
                     return MarchResult { hit: MaskValue(marched.hit.0 | touches), ..marched };
                 }
-                // And if there is a root: a ray along a surface has none.
+                // A root must exist, too: a ray along a surface has none.
                 let wide = Approach { slope: zero, near: seen, ..approach };
                 R::when(
                     touches,
@@ -350,7 +352,7 @@ impl<'a> Integrator<'a> {
         Approach { slope, near, resolution: self.resolution, both_sides: self.lets_through, among_details }
     }
 
-    /// Where exactly a march that came near the surface meets it, and the normal there.
+    /// Refines a march that came near the surface to the exact intersection, and computes the normal there.
     fn hit<R: Real>(&self, ray: &Ray<R>, marched: &MarchResult<R>) -> Hit<R> {
         marched.t.call(
             "hit",
@@ -364,9 +366,9 @@ impl<'a> Integrator<'a> {
                 let normal = self.normal(p, self.normal_epsilon(p, from, fine));
                 let facing = -normal.dot(ray.direction);
                 let steepness = if self.lets_through { facing.abs() } else { facing };
-                // One step of Newton's method along the ray; cautious where it grazes the surface.
+                // One step of Newton's method along the ray, limited at grazing angles.
                 let about = (near + gap / steepness.at_least(0.25)).at_least(0.0);
-                // Where the march ran out of steps there is no root.
+                // There is no root where the march ran out of steps.
                 let distance = R::select(near.lt(root) | root.lt(near), root, about);
                 let position = ray.at(fine.map_or(distance, |fine| R::select(fine, about, distance)));
                 let inside = facing.below(0.0);
@@ -376,8 +378,8 @@ impl<'a> Integrator<'a> {
         )
     }
 
-    /// Whether the surface at `p` has details of every size; `None` where none has. Among them a root is one of
-    /// many: what is seen is the surface at the march's tolerance around them, and its normal is the mean over a pixel.
+    /// Whether the surface at `p` has fine detail at every scale; `None` if no surface does. There a ray has many
+    /// roots, so the visible surface is the one at the march's tolerance, and its normal is averaged over a pixel.
     #[inline(always)]
     fn is_fine<R: Real>(&self, p: Vec3<R>) -> Option<R::Mask> {
         let zero = p.x.constant(0.0);
@@ -393,13 +395,13 @@ impl<'a> Integrator<'a> {
         ))
     }
 
-    /// How far from a hit its normal is measured: as little as `f32` allows, so that no edge nearby is seen; but
-    /// half of half a pixel where the surface has finer details.
+    /// Distance from a hit at which its normal is measured: as small as `f32` allows, so that nearby edges have no
+    /// effect; a quarter of a pixel if the surface has finer detail.
     #[inline(always)]
     fn normal_epsilon<R: Real>(&self, p: Vec3<R>, distance: R, fine: Option<R::Mask>) -> R {
-        /// Of a coordinate: some thousand times what it is right to.
+        /// Multiple of the coordinate: about a thousand times its rounding error.
         const OF_COORDINATE: f32 = 2.5e-4;
-        /// Of what is the most: a fortieth of half a pixel.
+        /// Fraction of the maximum: a fortieth of half a pixel.
         const OF_MOST: f32 = 0.05;
         let most = self.normal_epsilon.at(distance);
         let size = vec3(p.x.abs(), p.y.abs(), p.z.abs()).max_element();
@@ -408,11 +410,11 @@ impl<'a> Integrator<'a> {
         fine.map_or(sharp, |fine| R::select(fine, most, sharp))
     }
 
-    /// The gradient's direction, from four taps on a tetrahedron.
+    /// Direction of the gradient, from four evaluations at the corners of a tetrahedron.
     #[inline(always)]
     #[expect(
         clippy::redundant_closure_for_method_calls,
-        reason = "a closure can be inlined always, a method named can't"
+        reason = "closures can always be inlined, named methods cannot"
     )]
     fn normal<R: Real>(&self, p: Vec3<R>, size: R) -> Vec3<R> {
         let a = self.distance(p + vec3(size, -size, -size));
@@ -434,7 +436,7 @@ impl<'a> Integrator<'a> {
     }
 }
 
-/// What an object's distance is multiplied by: nothing if it is 1, but in all frames alike.
+/// Factor of an object's distance, `None` if it is 1 in all frames.
 fn shrink(stretch: f32, moves: bool) -> Option<f32> {
     (stretch != 1.0 || moves).then(|| 1.0 / stretch)
 }

@@ -1,4 +1,4 @@
-//! A job: a scene, and the pictures wanted of it.
+//! A job: a scene, and the pictures to render of it.
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Deserializer, Serialize};
@@ -9,23 +9,23 @@ use crate::seek::Seek;
 use crate::values::{ExposureStops, FrameRate, integer, integer_in_range};
 use crate::warnings;
 
-/// A job, read and found sound: a scene, and the pictures wanted of it.
+/// A parsed and validated job: a scene, and the pictures to render of it.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Job {
-    /// A name for people.
+    /// Name of the job, for people.
     pub name: String,
-    /// What there is to see, as it stands in the first frame; [`Job::at`] takes it to another.
+    /// The scene, evaluated at the first frame; [`Job::at`] evaluates it at another.
     pub scene: Scene,
     /// The pictures' size and file format.
     pub image: Image,
-    /// How many pictures.
+    /// Number and rate of the pictures.
     pub frames: Frames,
-    /// Jobs of higher priority go first.
+    /// Jobs with higher priority start first.
     pub priority: i32,
     pub(crate) is_animated: bool,
-    /// Where in the document each of the materials in use stands: a JSON pointer in the scene.
+    /// JSON pointer in the scene, for each material in use.
     pub(crate) material_pointers: Vec<String>,
-    /// Names of materials that are not in use.
+    /// Names of materials that no object uses.
     pub(crate) unused_materials: Vec<String>,
 }
 
@@ -41,31 +41,31 @@ pub struct Image {
     #[serde(deserialize_with = "image_edge")]
     #[schemars(range(min = 1, max = MAX_EDGE_PX))]
     pub height: u32,
-    /// Rays a pixel.
+    /// Rays per pixel.
     #[serde(default = "default_samples", deserialize_with = "samples")]
     #[schemars(range(min = 1, max = MAX_SAMPLES))]
     pub samples: u32,
-    /// Where in their pixels the rays pass: another seed, another noise.
+    /// Seed of the sampler: another seed gives other noise.
     #[serde(default, deserialize_with = "seed")]
     #[schemars(range(min = 0, max = u32::MAX))]
     pub seed: u32,
     /// File format.
     #[serde(default)]
     pub format: Format,
-    /// Bits a channel of a PNG.
+    /// Bits per channel of a PNG.
     #[serde(default)]
     pub bits: Bits,
     /// Precision of the color channels of an EXR.
     #[serde(default)]
     pub precision: Precision,
-    /// What an EXR holds beside the colors.
+    /// Layers that an EXR stores in addition to the colors.
     #[serde(default)]
     #[schemars(extend("uniqueItems" = true))]
     pub layers: Vec<Layer>,
-    /// How much brighter a PNG is than the light of the scene, in stops.
+    /// Exposure of a PNG, in stops above the scene's light.
     #[serde(default = "default_exposure")]
     pub exposure: ExposureStops,
-    /// How a PNG shows light that is too bright for it.
+    /// Tone map of a PNG, for light that is too bright for it.
     #[serde(default)]
     pub tone_map: ToneMap,
 }
@@ -81,7 +81,7 @@ pub enum Format {
     Exr,
 }
 
-/// Bits a channel of a PNG.
+/// Bits per channel of a PNG.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Seek)]
 pub enum Bits {
     /// 8 bits.
@@ -102,18 +102,18 @@ pub enum Precision {
     Float,
 }
 
-/// How light becomes what a screen can show, channel by channel.
+/// Tone map from linear light to displayable light, channel by channel.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema, Seek)]
 #[serde(rename_all = "snake_case")]
 pub enum ToneMap {
-    /// What is above 1 is shown as 1.
+    /// Clamps light above 1 to 1.
     #[default]
     None,
-    /// A film's curve: shadows a little deeper, highlights that fade to white.
+    /// A filmic curve: slightly deeper shadows, highlights that fade to white.
     Filmic,
 }
 
-/// What an EXR may hold beside the colors, taken at the pixel's center.
+/// A layer (AOV) of an EXR, sampled at the pixel's center.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize, JsonSchema, Seek)]
 #[serde(rename_all = "snake_case")]
 pub enum Layer {
@@ -123,23 +123,23 @@ pub enum Layer {
     Normal,
     /// `P.X P.Y P.Z`: the position.
     Position,
-    /// `albedo.R albedo.G albedo.B`: the surface's own color.
+    /// `albedo.R albedo.G albedo.B`: the surface's own color, without lighting.
     Albedo,
     /// `id`: index into the objects; −1 where nothing is hit.
     Object,
-    /// `steps`: of the march.
+    /// `steps`: steps of the march.
     Steps,
 }
 
-/// How many pictures, and how fast they follow.
+/// Number and rate of the pictures.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
 #[serde(deny_unknown_fields, default)]
 pub struct Frames {
-    /// How many.
+    /// Number of frames.
     #[serde(deserialize_with = "frame_count")]
     #[schemars(range(min = 1, max = MAX_FRAMES))]
     pub count: u32,
-    /// Frames a second: frame i is at i/fps seconds.
+    /// Frames per second: frame i is at i/fps seconds.
     pub fps: FrameRate,
 }
 
@@ -150,14 +150,14 @@ impl Default for Frames {
 }
 
 impl Frames {
-    /// When a frame is, in seconds.
+    /// Time of a frame, in seconds.
     pub(crate) fn time_of(&self, frame: u32) -> f64 {
         f64::from(frame) / f64::from(self.fps.get())
     }
 }
 
 impl Layer {
-    /// The EXR channels it fills, in the order of its values.
+    /// Names of the layer's EXR channels, in the order of its values.
     pub fn channels(self) -> &'static [&'static str] {
         match self {
             Self::Depth => &["Z"],
@@ -182,7 +182,7 @@ impl Image {
         4 * self.channels().len() as u32
     }
 
-    /// Whether a picture shows other light than the scene's.
+    /// Whether a display transform is applied to the scene's light.
     pub fn has_display_transform(&self) -> bool {
         self.exposure.get() != 0.0 || self.exposure.is_animated() || self.tone_map != ToneMap::None
     }
@@ -209,7 +209,7 @@ impl Job {
         self.image.rays()
     }
 
-    /// Nodes of all object trees.
+    /// Nodes of all objects.
     pub fn nodes(&self) -> u32 {
         self.scene.nodes()
     }
@@ -219,7 +219,7 @@ impl Job {
         self.scene.is_transparent()
     }
 
-    /// What its author should know although it renders. Looks at some rays of it, which takes milliseconds.
+    /// Warnings: suspicious properties of a valid job. Samples some rays of it, which takes milliseconds.
     pub fn warnings(&self) -> Vec<String> {
         warnings::of(self)
     }
@@ -250,7 +250,7 @@ impl JsonSchema for Bits {
     }
 
     fn json_schema(_: &mut schemars::SchemaGenerator) -> schemars::Schema {
-        schemars::json_schema!({ "type": "integer", "enum": [8, 16], "description": "Bits a channel of a PNG." })
+        schemars::json_schema!({ "type": "integer", "enum": [8, 16], "description": "Bits per channel of a PNG." })
     }
 }
 
@@ -303,6 +303,6 @@ mod tests {
             },
             "image": { "width": 8, "height": 8 }
         }"#;
-        assert_eq!(crate::parse(text).expect("a sound job").nodes(), 5);
+        assert_eq!(crate::parse(text).expect("a valid job").nodes(), 5);
     }
 }

@@ -1,5 +1,4 @@
-//! Scan of a JSON text: its nesting depth, duplicate members, and the position of the value of a JSON
-//! pointer.
+//! Scan of a JSON text: its nesting depth, duplicate members, and the position of the value of a JSON pointer.
 //!
 //! It does not check syntax: it stops at a syntax error, and the parser reports it.
 
@@ -8,9 +7,9 @@ use std::collections::HashSet;
 /// Error found by the scan.
 #[derive(Debug, PartialEq, Eq)]
 pub(crate) struct ScanError {
-    /// Byte of the text.
+    /// Byte offset in the text.
     pub offset: usize,
-    /// JSON pointer to the place.
+    /// JSON pointer to the error.
     pub pointer: String,
     /// Kind of error: nesting too deep, or a duplicate member.
     pub kind: ScanErrorKind,
@@ -115,17 +114,17 @@ fn pointer(levels: &[OpenContainer]) -> String {
         .collect()
 }
 
-/// A key as RFC 6901 writes it in a pointer.
+/// A member name, escaped for a JSON pointer (RFC 6901).
 pub(crate) fn escape(key: &str) -> String {
     key.replace('~', "~0").replace('/', "~1")
 }
 
-/// A part of a pointer as the key it stands for.
+/// The member name of an escaped part of a JSON pointer.
 pub(crate) fn unescape(part: &str) -> String {
     part.replace("~1", "/").replace("~0", "~")
 }
 
-/// Scans a text as long as it is valid and `visit` returns true.
+/// Scans a text while it is valid and `visit` returns true.
 fn walk(text: &str, mut visit: impl FnMut(&mut Vec<OpenContainer>, JsonToken<'_>) -> bool) {
     let bytes = text.as_bytes();
     let mut levels: Vec<OpenContainer> = Vec::new();
@@ -212,7 +211,7 @@ mod tests {
     }
 
     #[test]
-    fn sees_a_doubled_key_however_it_is_spelled() {
+    fn finds_duplicate_members_with_escapes() {
         let fault = check(r#"{"a": {"b": 1, "\u0062": 2}}"#, 9).unwrap_err();
         assert_eq!(fault.kind, ScanErrorKind::DuplicateMember("b".into()));
         assert_eq!(fault.pointer, "/a/b");
@@ -220,7 +219,7 @@ mod tests {
     }
 
     #[test]
-    fn sees_deep_nesting_without_recursion() {
+    fn finds_deep_nesting_without_recursion() {
         let deep = "[".repeat(100_000);
         assert_eq!(check(&deep, 64).unwrap_err().kind, ScanErrorKind::TooDeep);
         assert_eq!(check("[[[1]]]", 3), Ok(()));
@@ -253,16 +252,20 @@ mod tests {
         for pointer in ["/s\"]/4", "/s\"]/x", "/s\"]/2/2", "/~01", "/z/0", "/s"] {
             assert_eq!(value(pointer), None, "{pointer}");
         }
-        assert_eq!(locate_member(text, "/s\"]/0"), None, "an entry of a list has no key");
+        assert_eq!(locate_member(text, "/s\"]/0"), None, "an entry of a list has no member name");
         assert!(text[locate_member(text, "/z").unwrap()..].starts_with("\"z\":0"));
     }
 
     #[test]
-    fn tells_the_place_of_a_fault_as_a_pointer() {
+    fn reports_the_pointer_of_an_error() {
         let doubled = check(r#"{"l": [0, {"a/b": 1, "a/b": 2}]}"#, 9).unwrap_err();
         assert_eq!((doubled.pointer.as_str(), doubled.offset), ("/l/1/a~1b", 21));
         let deep = check(r#"{"a": [{"b": {"c": 1}}]}"#, 3).unwrap_err();
         assert_eq!((deep.kind, deep.pointer.as_str()), (ScanErrorKind::TooDeep, "/a/0/b"));
-        assert_eq!(check(r#"[{"a": 1}, {"a": 2}, {"b": {"a": 3}}]"#, 9), Ok(()), "a key may be in several objects");
+        assert_eq!(
+            check(r#"[{"a": 1}, {"a": 2}, {"b": {"a": 3}}]"#, 9),
+            Ok(()),
+            "several objects may have the same member"
+        );
     }
 }

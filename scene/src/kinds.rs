@@ -1,27 +1,27 @@
-//! What the kinds of every family show of themselves: examples, which tests and docs are made from.
+//! Examples of the kinds of every family, for tests and docs.
 //!
-//! A family is a list of kinds in the file that names it (`nodes.rs`, `materials.rs`, `lights.rs` and so on). The
-//! list is the dispatch: no file outside of a family's own chooses by its kinds.
+//! A family is a list of kinds in the file that names it (`nodes.rs`, `materials.rs`, `lights.rs` and so on). The list
+//! is the dispatch: no file outside the family branches on its kinds.
 
 use crate::nodes::snake_case;
 
-/// What a kind shows of itself.
+/// Kind with examples.
 pub trait HasExamples {
-    /// A small valid value, as a user would write it: the picture in the docs and the contract tests use it.
+    /// A small valid value, as a user would write it, for the picture in the docs and for the contract tests.
     const EXAMPLE: &'static str;
 
-    /// Further values that take other ways through the formula, drawn and tested like the first.
+    /// Further values that exercise other branches of the formula, rendered and tested like the first.
     const MORE_EXAMPLES: &'static [&'static str] = &[];
 }
 
-/// A value of a kind to draw and to test with.
+/// A value of a kind, to render and to test with.
 #[derive(Clone, Debug)]
 pub struct Example {
-    /// Its type, as in the schema.
+    /// Name of its type, as in the schema.
     pub kind: &'static str,
     /// Its name in JSON.
     pub name: String,
-    /// Its place among the examples of its type, from 0.
+    /// Index among the examples of its type, from 0.
     pub index: usize,
     /// Its JSON.
     pub json: String,
@@ -34,7 +34,7 @@ impl Example {
         values.map(|(number, value)| Self { kind, name: name.to_owned(), index: number, json: json(value) }).collect()
     }
 
-    /// The examples of one type, each an object whose key is the name of the `variant`.
+    /// The examples of one type, each an object whose member is the name of the `variant`.
     pub(crate) fn keyed<E: HasExamples>(kind: &'static str, variant: &str) -> Vec<Self> {
         let name = snake_case(variant);
         Self::each::<E>(kind, &name, |value| format!("{{ \"{name}\": {value} }}"))

@@ -1,7 +1,7 @@
-//! What a picture is: the job and scene language, and the exact arithmetic that turns a scene into pixels.
+//! The job and scene language, and the exact arithmetic that turns a scene into pixels.
 //!
-//! Pure maths: no input or output, no threads, no `unsafe`, no GPU. Every formula is generic over
-//! [`real::Real`] and gives the same bits in each arithmetic.
+//! Pure math: no input or output, no threads, no `unsafe`, no GPU. Every formula is generic over [`real::Real`] and
+//! gives bit-identical results in each arithmetic.
 
 #[cfg(test)]
 mod added;
@@ -45,9 +45,9 @@ pub use parse::parse;
 pub use scene::Scene;
 pub use schema::schema;
 
-// Some tests of the public interface also run inside the crate, and find it under this name.
+// Some tests of the public interface also run inside the crate, and refer to it by this name.
 #[cfg(test)]
 use {crate as subject, added::is_tested};
 
-/// The definition of a picture's bits: raised only when some picture's bits change, never with a release.
+/// Version of the picture's exact bits: raised only when some picture's bits change, never with a release.
 pub const PICTURE_VERSION: u32 = 3;

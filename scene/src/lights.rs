@@ -1,8 +1,8 @@
-//! Where light comes from: the list of lights, and what a light must say of itself.
+//! Registry of lights, and the trait that each light implements.
 //!
 //! A light is one documented struct in a file under `lights/`, one `impl` of [`LightSource`] and of [`HasExamples`],
-//! and one entry in the list. A light's color is such that a matte white surface that faces it sends back the color:
-//! the light's irradiance over π. Area lights are sampled: each pixel sample takes one point on the light.
+//! and one entry in the list. A matte white surface that faces a light reflects the light's color: the color is its
+//! irradiance over π. Area lights are sampled: each pixel sample takes one point on the light.
 
 #[cfg(test)]
 mod added;
@@ -31,31 +31,31 @@ use crate::real::{Real, Vec3, bundle};
 use crate::seek::Seek;
 use crate::values::{Color, FullAngle, Strength};
 
-/// A light as it arrives at a place.
+/// Light that arrives at a point from one direction.
 #[derive(Clone, Copy, Debug)]
 pub struct LightSample<R> {
     /// Toward the light, of length 1.
     pub direction: Vec3<R>,
-    /// Its linear RGB there; 0 in shadow.
+    /// Linear RGB radiance at the point; 0 in shadow.
     pub radiance: Vec3<R>,
 }
 
 bundle!(LightSample { direction, radiance });
 
-/// Light from all directions at once.
+/// Ambient light: from all directions at once.
 #[derive(Clone, Copy, Debug)]
 pub struct AmbientLight<'a> {
-    /// What shines.
+    /// Background that emits the light.
     pub from: &'a Background,
-    /// How bright it is beside what is seen of it.
+    /// Factor of the background's radiance.
     pub strength: f32,
 }
 
-/// What a light means.
+/// Behavior of a light.
 pub trait LightSource {
-    /// How the light arrives at `p` with nothing in its way, and how far it has come
-    /// (at most `farthest`, for light from far away). Of a light with a size, the point that the pair
-    /// of numbers from 0 to 1 tells. `None` of light from all around, and of the sun of no day.
+    /// Light that arrives at `p` unoccluded, and its distance, which is `farthest` for distant lights. For an area
+    /// light, the pair of numbers from 0 to 1 chooses the point on the light. `None` for ambient light, and for a sun
+    /// if the background is not a day.
     fn sample<R: Real>(
         &self,
         p: Vec3<R>,
@@ -64,32 +64,32 @@ pub trait LightSource {
         pair: impl FnOnce() -> (R, R),
     ) -> Option<(LightSample<R>, R)>;
 
-    /// Light from all directions before this background, if that is what it is.
+    /// The ambient light of this light in front of the background, if it is one.
     fn ambient<'a>(&'a self, background: &'a Background) -> Option<AmbientLight<'a>> {
         let _ = background;
         None
     }
 
-    /// Whether things cast shadows in it.
+    /// Whether objects cast shadows in this light.
     fn casts_shadows(&self) -> bool;
 
-    /// Whether it is black in every frame: a scene with no other lights gets a warning.
+    /// Whether the light is black in every frame. If all lights are, the scene gets a warning.
     fn is_dark(&self) -> bool;
 
-    /// What is wrong with it before this background, if anything.
+    /// Error in the light's parameters with this background, if there is one.
     fn validate(&self, background: &Background) -> Option<NodeError> {
         let _ = background;
         None
     }
 
-    /// Finds what all places share.
+    /// Precomputes values that all points use.
     fn precompute(&mut self) {}
 }
 
 /// The list: each light's name, and its struct.
 macro_rules! lights {
     ($($(#[$attribute:meta])* $Kind:ident: $Struct:ident),* $(,)?) => {
-        /// A light: keyed by its name.
+        /// A light: an object whose member is the light's name.
         #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
         #[serde(rename_all = "snake_case")]
         pub enum Light {
@@ -120,7 +120,7 @@ macro_rules! lights {
                 match self { $($(#[$attribute])* Self::$Kind(light) => light.is_dark()),* }
             }
 
-            /// The same, at its place in the light's JSON.
+            /// Same error, with its pointer in the light's JSON.
             fn validate(&self, background: &Background) -> Option<NodeError> {
                 match self {
                     $($(#[$attribute])* Self::$Kind(light) => {
@@ -135,7 +135,7 @@ macro_rules! lights {
         }
 
         impl Light {
-            /// Each kind's examples, as a user would write the whole light.
+            /// Each kind's examples, as a user would write the light.
             pub fn examples() -> Vec<Example> {
                 let mut examples = Vec::new();
                 $(
@@ -159,7 +159,7 @@ lights![
     Added: AddedLight,
 ];
 
-/// A direction inside a cone of this whole angle, each as likely as any other.
+/// Direction inside a cone of this full angle, with uniform probability.
 #[inline(always)]
 fn sample_cone<R: Real>(like: R, axis: Vec3<f32>, angle: &FullAngle, pair: impl FnOnce() -> (R, R)) -> Vec3<R> {
     if angle.is_zero() {
@@ -167,13 +167,13 @@ fn sample_cone<R: Real>(like: R, axis: Vec3<f32>, angle: &FullAngle, pair: impl 
     }
     let (u, v) = pair();
     let half = Real::sin(angle.get() * (std::f32::consts::PI / 720.0));
-    // 1 − cos θ, evenly from 0 to 1 − cos(angle/2) = 2 sin²(angle/4).
+    // 1 − cos θ, uniform from 0 to 1 − cos(angle/2) = 2 sin²(angle/4).
     let versine = u * like.uniform(2.0 * half * half);
     let (right, up) = orthonormal_basis(axis);
     direction_around(Vec3::uniform(like, axis), Vec3::uniform(like, right), Vec3::uniform(like, up), versine, v)
 }
 
-/// The direction at a versine (1 − cosine) from an axis and a share of a turn around it.
+/// Direction from a versine (1 − cosine) to an axis, and an angle around it as a fraction of a revolution.
 #[inline(always)]
 pub(crate) fn direction_around<R: Real>(axis: Vec3<R>, right: Vec3<R>, up: Vec3<R>, versine: R, turn: R) -> Vec3<R> {
     let (sine, cosine) = (turn * std::f32::consts::TAU).sin_cos();
@@ -182,7 +182,7 @@ pub(crate) fn direction_around<R: Real>(axis: Vec3<R>, right: Vec3<R>, up: Vec3<
     up.mul_add(away * sine, along)
 }
 
-/// The lights of a scene that names none.
+/// The lights of a scene without a `lights` member.
 pub(crate) fn default_lights() -> Vec<Light> {
     let direction = serde_json::from_str("[0.6, 0.7, 0.5]").expect("a direction");
     vec![Light::Directional(Directional { direction, color: default_color(), angle: default_angle(), shadow: true })]

@@ -1,52 +1,52 @@
 //! Limits of a job. Exceeding one is an error that names it, never a crash.
 
-/// Bytes of a job file.
+/// Maximum bytes of a job file.
 pub const MAX_BODY_BYTES: usize = 8 << 20;
-/// Nesting of JSON arrays and objects, checked before parsing.
+/// Maximum nesting of JSON arrays and objects, checked before parsing.
 pub const MAX_JSON_DEPTH: usize = 256;
-/// Nesting of nodes.
+/// Maximum nesting of nodes.
 pub const MAX_NODE_DEPTH: usize = 64;
-/// Nodes of a scene.
+/// Maximum number of nodes of a scene.
 pub const MAX_NODES: usize = 100_000;
-/// Materials in use in a scene.
+/// Maximum number of materials in use in a scene.
 pub const MAX_MATERIALS: usize = 1_024;
-/// Lights of a scene.
+/// Maximum number of lights of a scene.
 pub const MAX_LIGHTS: usize = 64;
-/// Pixels of a frame.
+/// Maximum number of pixels of a frame.
 pub const MAX_PIXELS: u64 = 1 << 28;
-/// Pixels of a picture's edge.
+/// Maximum width and height of a picture, in pixels.
 pub const MAX_EDGE_PX: u32 = 65_535;
-/// Rays a pixel.
+/// Maximum number of rays per pixel.
 pub const MAX_SAMPLES: u32 = 65_536;
-/// Frames of a job.
+/// Maximum number of frames of a job.
 pub const MAX_FRAMES: u32 = 100_000;
-/// Camera rays of a job.
+/// Maximum number of camera rays of a job.
 pub const MAX_RAYS: u64 = 1 << 44;
-/// Characters of a name.
+/// Maximum number of characters of a name.
 pub const MAX_NAME_CHARS: usize = 200;
-/// Steps of one ray.
+/// Maximum number of steps of one ray.
 pub const MAX_STEPS: u32 = 65_536;
-/// Steps of a ray through a cloud or a volume.
+/// Maximum number of steps of a ray through a cloud or a volume.
 pub const MAX_MEDIUM_STEPS: u32 = 1_024;
-/// Steps of a ray through a volume toward a light.
+/// Maximum number of steps of a ray through a volume toward a light.
 pub const MAX_LIGHT_STEPS: u32 = 64;
-/// Times that a ray is mirrored or refracted.
+/// Maximum number of reflections and refractions of a ray.
 pub const MAX_BOUNCES: u32 = 32;
 /// Largest coordinate or length, in scene units.
 pub const MAX_LENGTH: f32 = 1e6;
 /// Smallest size, in scene units.
 pub const MIN_LENGTH: f32 = 1e-6;
-/// Iterations of a fractal.
+/// Maximum number of iterations of a fractal.
 pub const MAX_ITERATIONS: u32 = 64;
-/// Keys of a track.
+/// Maximum number of keyframes of a track.
 pub const MAX_KEYFRAMES: usize = 10_000;
-/// Seconds of a key, before or after frame 0.
+/// Maximum time of a keyframe, in seconds before or after frame 0.
 pub const MAX_KEYFRAME_SECONDS: f64 = 1e9;
-/// Bytes of a job that moves, times its frames, up to which every frame is looked over when it is handed in.
+/// Bytes of an animated job, times its frames, up to which every frame is validated at submission.
 pub const MAX_FULL_CHECK_BYTES: u64 = 1 << 30;
-/// Frames of a longer one that are.
+/// Minimum number of frames validated in larger animated jobs.
 pub const MIN_SAMPLED_FRAMES: u32 = 16;
-/// Textures in the colors of textures.
+/// Maximum nesting of textures in the colors of textures.
 pub const MAX_TEXTURE_DEPTH: usize = 4;
-/// Stops of a color ramp.
+/// Maximum number of stops of a color ramp.
 pub const MAX_RAMP_STOPS: usize = 32;

@@ -1,4 +1,4 @@
-//! Sphere tracing: along a ray by the distance to the nearest surface, until that is within a
+//! Sphere tracing: advances along a ray by the distance to the nearest surface, until that distance is within a
 //! tolerance that grows with the pixel's cone.
 //!
 //! John C. Hart, "Sphere tracing: a geometric method for the antialiased ray tracing of implicit
@@ -7,68 +7,70 @@
 use crate::camera::Ray;
 use crate::real::{MaskValue, Real, Vec3, bundle};
 
-/// How near is near enough: `slope · t + floor` at distance t.
+/// Tolerance: `slope · t + floor` at distance t along the ray.
 #[derive(Clone, Copy, Debug)]
 pub struct Tolerance {
-    /// By distance along the ray.
+    /// Growth per distance along the ray.
     pub slope: f32,
-    /// At least, in scene units.
+    /// Minimum, in scene units.
     pub floor: f32,
 }
 
-/// Where a march starts, and where it ends if it does not hit.
+/// Interval and limits of a march.
 #[derive(Clone, Copy, Debug)]
 pub struct MarchRange<R> {
-    /// Distance at which it starts.
+    /// Distance along the ray at which the march starts.
     pub t_min: R,
-    /// Distance at which the ray misses.
+    /// Distance along the ray at which it ends without a hit.
     pub t_max: R,
-    /// Steps after which it gives up.
+    /// Maximum number of steps.
     pub max_steps: u32,
-    /// How far a step goes, in radii of the sphere around its start.
+    /// Step length, in radii of the sphere around the step's start.
     pub relaxation: f32,
 }
 
-/// Where a march ended.
+/// Result of a march.
 #[derive(Clone, Copy, Debug)]
 pub struct MarchResult<R: Real> {
     /// Distance along the ray.
     pub t: R,
-    /// Where the march came near enough; the same distance where no root was looked for or none was found.
+    /// Distance along the ray where the march came within the tolerance; equal to `t` if no root was searched or
+    /// found.
     pub near: R,
-    /// Distance to the nearest surface there.
+    /// Value of the distance field there.
     pub distance: R,
     /// Steps taken.
     pub steps: R,
-    /// Whether it came near enough.
+    /// Whether the march came within the tolerance.
     pub hit: MaskValue<R>,
 }
 
 bundle!(MarchResult { t, near, distance, steps, hit });
 
-/// How near a march must come, and on which sides of a surface it goes.
+/// Tolerances of a march, and the sides of the surface on which it runs.
 #[derive(Clone, Copy, Debug)]
 pub struct Approach<R> {
-    /// What is near enough grows with the distance along the ray by this.
+    /// Growth of the tolerance per distance along the ray.
     pub slope: R,
-    /// What is near enough where the ray starts.
+    /// Tolerance at the start of the ray.
     pub near: R,
-    /// Below this a distance is no more than rounding.
+    /// Rounding error of a distance: smaller distances are not significant.
     pub resolution: Tolerance,
-    /// Whether rays go inside shapes, too: then the sign of a distance tells the side alone.
+    /// Whether rays also travel inside shapes, so that the sign of a distance tells only the side.
     pub both_sides: bool,
-    /// Whether the root is looked for among details of every size, too: then no step toward it is longer than
-    /// what is known to be free, as the slope here says nothing about the way ahead. Else to be near them is enough.
+    /// Whether the root is also searched on surfaces with fine detail at every scale. There the slope at a point does
+    /// not predict the distance ahead, so no step is longer than the distance. If false, a point within the tolerance
+    /// is a hit.
     pub among_details: bool,
 }
 
 impl Tolerance {
-    /// The same, `factor` times as much.
+    /// The same approach with tolerances `factor` times as large.
     pub fn scaled(self, factor: f32) -> Self {
         Self { slope: self.slope * factor, floor: self.floor * factor }
     }
 
-    /// What is near enough at a distance along the ray.
+    /// Tolerance at a distance along the ray.
     #[inline(always)]
     pub fn at<R: Real>(self, distance: R) -> R {
         distance.mul_add(distance.uniform(self.slope), distance.uniform(self.floor))
@@ -82,17 +84,17 @@ impl<R: Real> Approach<R> {
     }
 }
 
-/// How far a step goes, in radii of the sphere around its start. 1.25 to 1.4 save a seventh of the
-/// steps of the shipped scenes; more makes too many steps go back.
+/// Step length, in radii of the sphere around the step's start. 1.25 to 1.4 save a seventh of the steps of the shipped
+/// scenes; with more, too many steps are taken back.
 pub const RELAXATION: f32 = 1.3;
 /// Overstep of a step that stayed inside its sphere. Less than any distance, so the step is never taken back.
 const NO_OVERSTEP: f32 = -1e30;
 
-/// Marches along `ray` through `field`, which never tells more than the distance to its surface, until it
-/// meets the surface: the distance is then that of a root of the field.
+/// Marches along `ray` through `field`, which never exceeds the distance to its surface, until it intersects the
+/// surface: the resulting distance is that of a root of the field.
 ///
-/// A ray that only passes near a surface goes on: what is near enough says where the search for the root begins.
-/// `is_fine` tells where a surface has details of every size; `None` if nowhere.
+/// A ray that only passes near a surface continues. The tolerance decides where the search for the root begins.
+/// `is_fine` returns whether a point's surface has fine detail at every scale; `None` if no surface does.
 #[inline(always)]
 pub fn march_to_root<R: Real>(
     ray: &Ray<R>,
@@ -146,7 +148,7 @@ pub fn march_to_root<R: Real>(
     )
 }
 
-/// Two points of a ray and the field's values there, the nearer one outside the surface.
+/// Two points of a ray and the field's values there; the nearer point is outside the surface.
 #[derive(Clone, Copy)]
 struct Search<R: Real> {
     before: R,
@@ -159,21 +161,22 @@ struct Search<R: Real> {
 
 bundle!(Search { before, value_before, after, value_after, steps, met });
 
-/// Steps of a search for a root. A bracket is narrow enough after ten or so; a ray along a surface takes more.
+/// Maximum number of steps of a search for a root. A bracket is narrow enough after about ten; a ray along a surface
+/// takes more.
 const MAX_SEARCH_STEPS: u32 = 48;
-/// The longest step before the root is between two points, in tolerances: about two pixels.
+/// Maximum step before the root is bracketed, in tolerances: about two pixels.
 const MAX_STEP: f32 = 16.0;
-/// The step of a ray that moves away from the surface, in tolerances.
+/// Step of a ray that moves away from the surface, in tolerances.
 const STEP_AWAY: f32 = 8.0;
-/// Among details of every size to be near is not yet to meet: this part of a resolution is.
+/// Fraction of the resolution within which a point counts as a hit on fine detail.
 const AMONG_DETAILS: f32 = 1.0 / 64.0;
-/// How exact a root must be before the last correction, in tolerances.
+/// Maximum error of a root before the last correction, in tolerances.
 const EXACTNESS: f32 = 0.125;
 
-/// Where exactly a ray that has come near a surface meets it; not a hit where it passes it by.
+/// Finds the exact intersection of a ray that has come near a surface; not a hit if the ray passes the surface.
 ///
-/// The secant method until the root is between two points, then regula falsi as the Illinois algorithm has it:
-/// M. Dowell, P. Jarratt, "A modified regula falsi method for computing the root of an equation", BIT 11, 1971.
+/// The secant method until the root is bracketed, then the Illinois variant of regula falsi: M. Dowell, P. Jarratt, "A
+/// modified regula falsi method for computing the root of an equation", BIT 11, 1971.
 #[inline(always)]
 pub fn find_root<R: Real>(
     ray: &Ray<R>,
@@ -183,9 +186,9 @@ pub fn find_root<R: Real>(
     field: impl Fn(Vec3<R>) -> R,
 ) -> MarchResult<R> {
     let one = near.distance.constant(1.0);
-    // From inside, distances are negative before the surface.
+    // For a ray that starts inside, distances are negative before the surface.
     let side = if approach.both_sides { R::select(field(ray.at(near.t)).below(0.0), -one, one) } else { one };
-    // As if one had come here straight toward the surface.
+    // Initial slope: as if the ray had approached the surface at a right angle.
     let is_inside = near.distance.below(1e-30);
     let start = Search {
         before: near.t - near.distance,
@@ -218,7 +221,7 @@ pub fn find_root<R: Real>(
 }
 
 impl<R: Real> Search<R> {
-    /// Whether the search goes on, and with which points.
+    /// Whether the search continues, and its two points.
     #[inline(always)]
     fn step(
         self,
@@ -247,18 +250,18 @@ impl<R: Real> Search<R> {
         let exactness = tolerance * EXACTNESS;
         let fall = R::select(is_between, fall, value_after - value);
         let way = R::select(is_between, width, here - after);
-        // By how much the root is further along the ray.
+        // Distance along the ray to the estimated root.
         let further = value * (way / fall.at_least(1e-12));
         let level = is_fine.map_or(resolution, |fine| R::select(fine, resolution * AMONG_DETAILS, resolution));
         let is_level = value.abs().lt(level);
         let is_near = further.abs().lt(exactness) & fall.above(0.0);
-        // Among details of every size a slope toward a root may end before it.
+        // On fine detail, a slope toward a root may end before the root.
         let is_near = is_fine.map_or(is_near, |fine| is_near & (!fine | is_between));
         let met = is_level | is_near | (is_between & width.lt(exactness));
         let passes = !is_between & tolerance.lt(value);
         let corrected = here + further.max(-exactness).min(exactness);
 
-        // The end that stays twice counts half.
+        // Illinois: the end that is retained twice counts half.
         let is_outside = zero.lt(value);
         let kept_before = R::select(is_outside, value, value_before * half);
         let kept_after = R::select(is_outside, value_after * half, value);
@@ -274,12 +277,12 @@ impl<R: Real> Search<R> {
     }
 }
 
-/// Marches along `ray` through `field`, which never tells more than the distance to its surface.
-/// `tolerance` is what is near enough at a distance along the ray.
+/// Marches along `ray` through `field`, which never exceeds the distance to its surface. `tolerance` is the tolerance
+/// at a distance along the ray.
 ///
-/// Steps go past the end of the sphere around their start. If the sphere around their end does not
-/// reach back to it, they are taken back to it: Benjamin Keinert et al., "Enhanced sphere tracing",
-/// Smart Tools and Apps for Graphics, 2014.
+/// Steps are longer than the radius of the sphere around their start. If the sphere around a step's end does not
+/// overlap the one around its start, the step is taken back to the first sphere: Benjamin Keinert et al., "Enhanced
+/// sphere tracing", Smart Tools and Apps for Graphics, 2014.
 #[inline(always)]
 pub fn march<R: Real>(
     ray: &Ray<R>,
@@ -299,7 +302,7 @@ pub fn march<R: Real>(
             let is_torn = gap.lt(past);
             let hit = gap.lt(tolerance(t)) & !is_torn;
             let (end, further) = (t + gap, gap * (reach.relaxation - 1.0));
-            // The last step must see all that is left of the ray.
+            // The last step must cover the rest of the ray.
             let goes_past = (end + further).lt(reach.t_max) & !is_torn;
             let ahead = R::select(goes_past, end + further, R::select(is_torn, t - past, end));
             let next = R::select(hit, t, ahead);

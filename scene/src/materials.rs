@@ -1,6 +1,6 @@
 //! Appearance of surfaces: the registry of materials, and the trait that each implements.
 //!
-//! Like a node, a material is one documented struct, one `impl` of [`Shade`] and one word in the list.
+//! Like a node, a material is one documented struct, one `impl` of [`Shade`] and one entry in the list.
 
 #[cfg(test)]
 mod added;
@@ -31,27 +31,28 @@ use crate::lights::LightSample;
 use crate::real::{MaskValue, Real, Vec3, bundle};
 use crate::seek::Seek;
 
-/// Shading point: what a material knows about a hit.
+/// Shading point: the input of a material at a hit.
 #[derive(Clone, Copy, Debug)]
 pub struct ShadingPoint<R: Real> {
     /// The surface's normal, of length 1, on the viewer's side.
     pub normal: Vec3<R>,
     /// The direction to the viewer, of length 1.
     pub to_viewer: Vec3<R>,
-    /// The point in the space of textures: that of the `paint` that names the material, else the scene's.
+    /// The point in the space of textures: the space of the `paint` that names the material, else the scene's.
     pub local_point: Vec3<R>,
     /// The normal in that space.
     pub local_normal: Vec3<R>,
     /// Distance from the camera, along the ray.
     pub camera_t: R,
-    /// What a sample's part of the pixel covers of the surface, as textures see it: from `local_point`, two ways of half its width.
+    /// Footprint of one sample on the surface, in the space of textures: two vectors of half its width from
+    /// `local_point`.
     pub footprint: [Vec3<R>; 2],
     /// Whether the surface is seen from inside its shape.
     pub is_inside: MaskValue<R>,
 }
 
 impl<R: Real> ShadingPoint<R> {
-    /// How much of a direction, of length 1, the footprint takes up.
+    /// Width of the footprint along a direction of length 1.
     #[inline(always)]
     pub fn width_along(&self, direction: Vec3<f32>) -> R {
         let [across, along] = self.footprint;
@@ -59,7 +60,7 @@ impl<R: Real> ShadingPoint<R> {
         squared.sqrt() * 2.0
     }
 
-    /// The footprint's width along its longer way.
+    /// Width of the footprint along its longer axis.
     #[inline(always)]
     pub fn width(&self) -> R {
         let [across, along] = self.footprint;
@@ -67,7 +68,7 @@ impl<R: Real> ShadingPoint<R> {
     }
 }
 
-/// The light that arrives at a place.
+/// Light that arrives at a point.
 #[derive(Clone, Debug, Default)]
 pub struct IncidentLight<R> {
     /// Light from single directions.
@@ -98,29 +99,29 @@ pub trait Shade {
     /// Radiance toward the viewer, linear RGB.
     fn shade<R: Real>(&self, place: &ShadingPoint<R>, light: &IncidentLight<R>) -> Vec3<R>;
 
-    /// The surface's own color, without light: the `albedo` layer.
+    /// Albedo: the surface's own color, without light.
     fn albedo<R: Real>(&self, place: &ShadingPoint<R>) -> Vec3<R>;
 
     /// Whether `shade` uses the lights.
     fn is_lit(&self) -> bool;
 
-    /// Whether it uses the lights, on its surface or inside: a scene whose lights are never used gets a warning.
+    /// Whether it uses the lights, on its surface or inside. If no material does, a scene with lights gets a warning.
     fn uses_lights(&self) -> bool {
         self.is_lit()
     }
 
-    /// Whether it is black or nearly so without lights: a scene of such materials without lights gets a warning.
+    /// Whether it is black or nearly so without lights. If all materials are, a scene without lights gets a warning.
     fn is_black_without_light(&self) -> bool {
         self.is_lit()
     }
 
-    /// How it sends rays on; `None` if it never does.
+    /// Specular BSDF at a shading point; `None` if it never reflects or transmits rays.
     fn specular<R: Real>(&self, place: &ShadingPoint<R>) -> Option<SpecularBsdf<R>> {
         let _ = place;
         None
     }
 
-    /// Whether `specular` ever sends a ray on.
+    /// Whether `specular` ever reflects or transmits a ray.
     fn is_specular(&self) -> bool {
         false
     }
@@ -130,17 +131,17 @@ pub trait Shade {
         false
     }
 
-    /// Whether it fills an object instead of covering it.
+    /// Whether it is a medium inside an object instead of covering its surface.
     fn is_medium(&self) -> bool {
         self.as_medium().is_some()
     }
 
-    /// What it fills an object with, if it does.
+    /// The medium inside an object, if it is one.
     fn as_medium(&self) -> Option<MediumMaterial<'_>> {
         None
     }
 
-    /// The textures that its parameters have.
+    /// Textures of its parameters.
     fn textures(&self) -> Vec<&Texture> {
         Vec::new()
     }
@@ -163,7 +164,7 @@ pub trait Shade {
 
 macro_rules! materials {
     ($($(#[$attribute:meta])* $Kind:ident),* $(,)?) => {
-        /// How a surface answers light: keyed by its name.
+        /// Reflection and emission of a surface: an object whose member is the material's name.
         #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
         #[serde(rename_all = "snake_case")]
         pub enum Material {
@@ -224,7 +225,7 @@ macro_rules! materials {
         }
 
         impl Material {
-            /// Each kind's examples, as a user would write the whole material.
+            /// Each kind's examples, as a user would write the material.
             pub fn examples() -> Vec<Example> {
                 let mut examples = Vec::new();
                 $(

@@ -1,7 +1,7 @@
-//! Everything that has a distance: the registry of nodes, and the trait that each implements.
+//! Signed distance functions: the registry of nodes, and the trait that each implements.
 //!
 //! A node is one documented struct in a file of its family under `nodes/`, one `impl` of
-//! [`Primitive`] or [`Sdf`], and one word in the list below. Parsing, schema, evaluation in every
+//! [`Primitive`] or [`Sdf`], and one entry in the list below. Parsing, schema, evaluation in every
 //! arithmetic, the contract tests and its picture in docs/nodes.md follow from those.
 
 #[cfg(test)]
@@ -72,7 +72,7 @@ macro_rules! nodes {
         @ [$($Inlined:ident),*] [$($(#[$called:meta])* $Called:ident),*]
         $($(#[$attribute:meta])* $Kind:ident),* $(,)?
     ) => {
-        /// A shape: one node of the scene's tree, keyed by its name.
+        /// A shape: one node of an object's tree; an object whose member is the node's name.
         #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
         #[serde(rename_all = "snake_case")]
         #[seek(then = follow)]
@@ -96,7 +96,7 @@ macro_rules! nodes {
                 )
             }
 
-            /// The nodes inside, in order.
+            /// Its child nodes, in order.
             pub fn children(&self) -> &[Node] {
                 match self {
                     $($(#[$attribute])* Self::$Kind(node) => node.children()),*
@@ -110,7 +110,7 @@ macro_rules! nodes {
                 }
             }
 
-            /// Precomputes what speeds up its evaluation; its children have done so before.
+            /// Precomputes values that speed up its evaluation; its children have been precomputed before.
             fn prepare_alone(&mut self, is_animated: bool) {
                 match self {
                     $($(#[$attribute])* Self::$Kind(node) => Sdf::precompute(node, is_animated)),*
@@ -131,14 +131,14 @@ macro_rules! nodes {
                 }
             }
 
-            /// Whether its children are a list under `of`, and not one under `child`.
+            /// Whether its children are a list under `of` instead of one under `child`.
             pub(crate) fn has_child_list(&self) -> bool {
                 match self {
                     $($(#[$attribute])* Self::$Kind(_) => <$Kind as Sdf>::HAS_CHILD_LIST),*
                 }
             }
 
-            /// A Lipschitz factor: |d(p) − d(q)| ≤ stretch · |p − q|.
+            /// A Lipschitz factor L: |d(p) − d(q)| ≤ L · |p − q|.
             pub fn stretch(&self) -> f32 {
                 match self {
                     $($(#[$attribute])* Self::$Kind(node) => Sdf::lipschitz(node)),*
@@ -147,14 +147,14 @@ macro_rules! nodes {
 
             /// Relation of its value to the true distance.
             pub fn exactness(&self) -> Exactness {
-                // Without the black box, LLVM 22 at level 2 takes a child's value for never
-                // exact, and the worse of exact and bound becomes exact.
+                // Without the black box, LLVM 22 at level 2 assumes that a child's value is never exact, and the worse
+                // of exact and bound becomes exact.
                 std::hint::black_box(match self {
                     $($(#[$attribute])* Self::$Kind(node) => Sdf::exactness(node)),*
                 })
             }
 
-            /// Whether its surface has details of every size, see [`Sdf::is_fine`].
+            /// Whether its surface has fine detail at every scale, see [`Sdf::is_fine`].
             pub(crate) fn is_fine(&self) -> bool {
                 match self {
                     $($(#[$attribute])* Self::$Kind(node) => Sdf::is_fine(node)),*
@@ -181,7 +181,7 @@ macro_rules! nodes {
                 snake_case(self.kind())
             }
 
-            /// A box that holds every point whose distance is at most `level`, which is not below 0.
+            /// Box that contains every point whose distance is at most `isolevel`, which is at least 0.
             pub fn bounds(&self, isolevel: f32) -> Bounds {
                 match self {
                     $($(#[$attribute])* Self::$Kind(node) => Sdf::bounds(node, isolevel)),*
@@ -202,42 +202,42 @@ macro_rules! nodes {
                 }
             }
 
-            /// How many times one evaluation of it evaluates the nodes inside, at most.
+            /// Maximum number of child evaluations in one evaluation of the node.
             fn child_evaluations(&self) -> f32 {
                 match self {
                     $($(#[$attribute])* Self::$Kind(node) => Sdf::child_evaluations(node)),*
                 }
             }
 
-            /// Whether it takes its further children away from the first.
+            /// Whether it subtracts its other children from the first.
             pub(crate) fn subtracts(&self) -> bool {
                 match self {
                     $($(#[$attribute])* Self::$Kind(node) => Sdf::subtracts(node)),*
                 }
             }
 
-            /// The angles about the axes by which it turns its child, if it does that alone.
+            /// The angles by which it rotates its child about the axes, if it does nothing else.
             pub(crate) fn rotation(&self) -> Option<&Rotation> {
                 match self {
                     $($(#[$attribute])* Self::$Kind(node) => Sdf::rotation(node)),*
                 }
             }
 
-            /// Whether its child is carried to another place over the frames.
+            /// Whether its child's position is animated.
             pub(crate) fn is_placement_animated(&self) -> bool {
                 match self {
                     $($(#[$attribute])* Self::$Kind(node) => Sdf::is_placement_animated(node)),*
                 }
             }
 
-            /// What to change if its Lipschitz factor is so high that steps are tiny.
+            /// Advice if its Lipschitz factor is so high that steps are tiny.
             pub(crate) fn lipschitz_advice(&self) -> &'static str {
                 match self {
                     $($(#[$attribute])* Self::$Kind(node) => Sdf::lipschitz_advice(node)),*
                 }
             }
 
-            /// Each kind's examples, as a user would write the whole node.
+            /// Each kind's examples, as a user would write the node.
             pub fn examples() -> Vec<NodeExample> {
                 let mut examples = Vec::new();
                 $(
@@ -345,21 +345,21 @@ nodes![
 pub struct NodeExample {
     /// The node's type.
     pub kind: &'static str,
-    /// Its place among the examples of its type, from 0.
+    /// Index among the examples of its type, from 0.
     pub index: usize,
     /// Its JSON.
     pub node: String,
 }
 
 impl Node {
-    /// Precomputes what speeds up its evaluation and its children's, in the same form for all frames if
-    /// the job is animated.
+    /// Precomputes values that speed up its evaluation and its children's. If the job is animated, they have the same
+    /// form in all frames.
     pub(crate) fn precompute(&mut self, is_animated: bool) {
         self.children_mut().iter_mut().for_each(|child| child.precompute(is_animated));
         self.prepare_alone(is_animated);
     }
 
-    /// After a number in it has changed: refuses numbers that do not go together, and prepares it again.
+    /// Validates its numbers together after one has changed, and recomputes its derived values.
     fn follow(&mut self) -> Result<(), std::boxed::Box<SeekError>> {
         if let Some(NodeError { pointer: place, message }) = self.fault() {
             return Err(SeekError::new(message).inside(&place).inside(&self.name()));
@@ -385,7 +385,7 @@ impl Node {
     }
 }
 
-/// `InfiniteCylinder` as `infinite_cylinder`: the name in JSON.
+/// Name in JSON: `InfiniteCylinder` becomes `infinite_cylinder`.
 pub fn snake_case(name: &str) -> String {
     let mut snake = String::new();
     for (index, letter) in name.char_indices() {

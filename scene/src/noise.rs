@@ -1,8 +1,8 @@
-//! Noise: random numbers that change smoothly over space, for displaced shapes, textures and clouds.
+//! Noise: pseudorandom values that vary smoothly over space, for displacement, textures and clouds.
 //!
-//! A noise is one kind of `Basis`, one to twelve octaves of which are summed. Each kind's range and
-//! Lipschitz factor are proved where the factor stands; those of the sum follow from them in `Layers`.
-//! It depends on the seed and the place alone, and has the same bits everywhere.
+//! A noise is a sum of one to twelve octaves of one `Basis`. The range and the Lipschitz factor of each kind are
+//! derived next to the factor; those of the sum follow from them in `FractalSum`. A noise depends on the seed and the
+//! point alone, and is bit-identical in every arithmetic.
 
 mod cellular;
 mod gardner;
@@ -19,10 +19,10 @@ use crate::real::{Real, Vec3, vec3};
 
 /// One octave of a noise.
 trait Basis {
-    /// Its least and greatest value.
+    /// Minimum and maximum value.
     const RANGE: (f32, f32);
 
-    /// Its value at `p`; `seed` is a seed of [`lattice::start`].
+    /// Value at `p`; `seed` is an [`octave_seed`](lattice::octave_seed).
     fn at<R: Real>(&self, p: Vec3<R>, seed: R) -> R;
 
     /// Its Lipschitz factor.
@@ -36,7 +36,7 @@ impl Noise {
         self.with_salt(p, 0)
     }
 
-    /// Three noises at `p` that differ in their seed alone; each is in the noise's range.
+    /// Three noises at `p` that differ only in their seed; each is in the noise's range.
     #[inline(always)]
     pub fn vector<R: Real>(&self, p: Vec3<R>) -> Vec3<R> {
         vec3(self.with_salt(p, 1), self.with_salt(p, 2), self.with_salt(p, 3))

@@ -1,4 +1,4 @@
-//! From the text of a job file to a [`Job`], or to what is wrong with it.
+//! Parses the text of a job file into a [`Job`], or reports every error in it.
 
 mod collect;
 mod depends;
@@ -26,10 +26,10 @@ use crate::nodes::{Node, NodeError};
 use crate::scene::child_pointers;
 use crate::seek::{FrameTime, Seek};
 
-/// No answer lists more faults than this.
+/// Maximum number of errors in one response.
 const MAX_ERRORS: usize = 100;
 
-/// Reads a job: strictly, and with the place of every fault.
+/// Parses a job strictly, and reports the position of every error.
 pub fn parse(text: &[u8]) -> Result<Job, ParseError> {
     let text = std::str::from_utf8(text).map_err(|error| not_utf8(text, error.valid_up_to()))?;
     let outline = json_scan::check(text, MAX_JSON_DEPTH);
@@ -40,7 +40,7 @@ pub fn parse(text: &[u8]) -> Result<Job, ParseError> {
     let first = outline.map_err(|fault| of_outline(text, fault));
     if let Err(error) = serde_json::from_str::<IgnoredAny>(text) {
         return Err(match first {
-            // How deep it is matters more than how it ends.
+            // The nesting depth is reported before any syntax error.
             Err((refusal, ScanErrorKind::TooDeep)) => refusal,
             Err((_, ScanErrorKind::DuplicateMember(_))) | Ok(()) => ParseError::NotJson(syntax::fault(text, &error)),
         });
@@ -59,7 +59,7 @@ pub fn parse(text: &[u8]) -> Result<Job, ParseError> {
     Err(if all.is_empty() { first } else { ParseError::Invalid(all) })
 }
 
-/// Error of the scan of a text, as a refusal.
+/// Error of the scan of a text, as a parse error.
 fn of_outline(text: &str, fault: ScanError) -> (ParseError, ScanErrorKind) {
     let ScanError { offset, pointer, kind } = fault;
     let message = match &kind {
@@ -69,7 +69,7 @@ fn of_outline(text: &str, fault: ScanError) -> (ParseError, ScanErrorKind) {
     (ParseError::Invalid(vec![ValidationError::at(text, Some(offset), pointer, message)]), kind)
 }
 
-/// Reads JSON that passed the scan: a job, or the first error of its form, or every error of its meaning.
+/// Parses JSON that passed the scan: returns a job, or the first error of its form, or every error of its meaning.
 fn sound(text: &str) -> Result<Job, ParseError> {
     let (job, key_seconds) = read(text)?;
     if job.is_animated {
@@ -87,14 +87,14 @@ fn in_later_frame(text: &str, error: FrameError) -> ParseError {
 }
 
 fn twice(key: &str) -> String {
-    format!("the key \"{key}\" stands here twice: keep one")
+    format!("duplicate key \"{key}\": remove one")
 }
 
 fn too_deep() -> String {
     format!("nests deeper than {MAX_JSON_DEPTH} arrays and objects: nest nodes at most {MAX_NODE_DEPTH} deep")
 }
 
-/// Reads a sound text's job, and the times of all keyframes.
+/// Parses a valid JSON text into a job, with the times of all keyframes.
 fn read(text: &str) -> Result<(Job, Vec<f64>), ParseError> {
     let document: JobDocument =
         form::read_strictly(text).map_err(|fault| ParseError::Invalid(vec![fault.placed(text)]))?;
@@ -110,10 +110,10 @@ fn not_utf8(text: &[u8], offset: usize) -> ParseError {
     ParseError::NotJson(ValidationError::at(&valid, Some(valid.len()), String::new(), message))
 }
 
-/// Pointer and message of every fault of meaning.
+/// Pointer and message of every semantic error.
 type SemanticErrors = Vec<(String, String)>;
 
-/// Looks at what the parts mean together, and makes a job that is ready to be rendered; with the times of all
+/// Validates the parts of a document together, and creates a job that is ready to be rendered, with the times of all
 /// keyframes.
 fn validate(document: JobDocument) -> Result<(Job, Vec<f64>), SemanticErrors> {
     let mut faults = faults_of_document(&document);
@@ -145,7 +145,7 @@ fn validate(document: JobDocument) -> Result<(Job, Vec<f64>), SemanticErrors> {
     Ok((job, key_seconds))
 }
 
-/// What is wrong with a document before its materials are looked up.
+/// Errors in a document that do not depend on its materials.
 fn faults_of_document(document: &JobDocument) -> SemanticErrors {
     let mut faults = SemanticErrors::new();
     let mut fault = |pointer: &str, message: String| faults.push((pointer.to_owned(), message));
@@ -173,8 +173,8 @@ fn faults_of_document(document: &JobDocument) -> SemanticErrors {
     faults
 }
 
-/// Looks at a node and at all in it; says whether they are sound, so that they may be asked for their
-/// bounds. What is wrong inside a node is told first: only of sound shapes can it say what is wrong with them.
+/// Validates a node and all nodes in it. Returns whether they are valid, so that their bounds may be computed. Errors
+/// inside a node are reported first, because a node can be validated only if its children are valid.
 fn validate_node(
     node: &Node,
     pointer: &mut String,
@@ -211,13 +211,16 @@ fn image(document: &JobDocument, fault: &mut impl FnMut(&str, String)) {
     let image = &document.image;
     if image.pixels() > MAX_PIXELS {
         let pixels = image.pixels();
-        fault("/image", format!("has {pixels} pixels: a frame may have {MAX_PIXELS}; make width or height less"));
+        fault(
+            "/image",
+            format!("has {pixels} pixels: a frame may have at most {MAX_PIXELS}; make width or height less"),
+        );
     }
     let rays = u128::from(image.rays()) * u128::from(document.frames.count);
     if rays > u128::from(MAX_RAYS) {
         fault(
             "/image",
-            format!("asks for {rays} rays: a job may have {MAX_RAYS}; use fewer pixels, samples or frames"),
+            format!("has {rays} rays: a job may have at most {MAX_RAYS}; use fewer pixels, samples or frames"),
         );
     }
     if image.format == Format::Png && !image.layers.is_empty() {
@@ -225,11 +228,11 @@ fn image(document: &JobDocument, fault: &mut impl FnMut(&str, String)) {
     }
     if image.format == Format::Exr && image.has_display_transform() {
         let key = if image.tone_map == ToneMap::None { "exposure" } else { "tone_map" };
-        fault(&format!("/image/{key}"), format!("an EXR stays linear: leave {key} out, or set format to \"png\""));
+        fault(&format!("/image/{key}"), format!("an EXR is linear: leave {key} out, or set format to \"png\""));
     }
     for (index, layer) in image.layers.iter().enumerate() {
         if image.layers[..index].contains(layer) {
-            fault(&format!("/image/layers/{index}"), "stands here twice: keep one".to_owned());
+            fault(&format!("/image/layers/{index}"), "is listed twice: remove one".to_owned());
         }
     }
 }

@@ -1,7 +1,7 @@
 //! Profiles: 2D shapes in the plane of x and y, for `extrude` and `revolve`.
 //!
 //! A profile is one documented struct in a file of its family under `profiles/`, one `impl` of
-//! [`ProfileSdf`], and one word in the list below. Its examples are examples of `extrude` and
+//! [`ProfileSdf`], and one entry in the list below. Its examples are examples of `extrude` and
 //! `revolve`, so the contract tests and the pictures of docs/nodes.md follow from those.
 
 #[cfg(test)]
@@ -49,9 +49,9 @@ impl Point2 {
 /// A rectangle along the axes, in scene units.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Bounds2 {
-    /// Its least coordinates.
+    /// Minimum coordinates.
     pub low: [f32; 2],
-    /// Its greatest coordinates.
+    /// Maximum coordinates.
     pub high: [f32; 2],
 }
 
@@ -67,13 +67,13 @@ impl Bounds2 {
         points.into_iter().fold(empty, |extent, point| extent.hull(Self { low: point, high: point }))
     }
 
-    /// The least rectangle that holds both.
+    /// Smallest rectangle that contains both.
     pub fn hull(self, other: Self) -> Self {
         let axis = |f: fn(f32, f32) -> f32, a: [f32; 2], b: [f32; 2]| [f(a[0], b[0]), f(a[1], b[1])];
         Self { low: axis(f32::min, self.low, other.low), high: axis(f32::max, self.high, other.high) }
     }
 
-    /// The rectangle with each side further out by `margin`.
+    /// Rectangle with each side moved out by `margin`.
     pub fn widened(self, margin: f32) -> Self {
         Self { low: self.low.map(|c| c - margin), high: self.high.map(|c| c + margin) }
     }
@@ -84,7 +84,7 @@ pub trait ProfileSdf {
     /// A small valid value, as a user would write it.
     const EXAMPLE: &'static str;
 
-    /// Further values that take other ways through the formula.
+    /// Further values that exercise other branches of the formula.
     const MORE_EXAMPLES: &'static [&'static str] = &[];
 
     /// Whether it is its own mirror image about the y axis.
@@ -93,7 +93,7 @@ pub trait ProfileSdf {
     /// The signed distance from (`x`, `y`) to the outline, negative inside.
     fn distance<R: Real>(&self, x: R, y: R) -> R;
 
-    /// A rectangle that holds every point whose distance is at most `level`, which is not below 0.
+    /// Rectangle that contains every point whose distance is at most `isolevel`, which is at least 0.
     fn extent(&self, isolevel: f32) -> Bounds2;
 
     /// Relation of its value to the true distance.
@@ -101,7 +101,7 @@ pub trait ProfileSdf {
         Exactness::Exact
     }
 
-    /// Error in its numbers taken together, if any; each alone is in range.
+    /// Error in its numbers taken together, if any; each number alone is in range.
     fn validate(&self) -> Option<NodeError> {
         None
     }
@@ -114,7 +114,7 @@ pub trait ProfileSdf {
 
 macro_rules! profiles {
     ($($(#[$attribute:meta])* $Kind:ident),* $(,)?) => {
-        /// A flat shape in the plane of x and y, keyed by its name.
+        /// A flat shape in the plane of x and y: an object whose member is the profile's name.
         #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
         #[serde(rename_all = "snake_case")]
         pub enum Profile {
@@ -148,7 +148,7 @@ macro_rules! profiles {
                 }
             }
 
-            /// A rectangle that holds every point whose distance is at most `level`, which is not below 0.
+            /// Rectangle that contains every point whose distance is at most `isolevel`, which is at least 0.
             pub fn extent(&self, isolevel: f32) -> Bounds2 {
                 match self {
                     $($(#[$attribute])* Self::$Kind(profile) => profile.extent(isolevel)),*
@@ -176,7 +176,7 @@ macro_rules! profiles {
                 }
             }
 
-            /// Each kind's examples: its type, and the whole profile as a user would write it.
+            /// Each kind's examples: its type, and the profile as a user would write it.
             pub fn examples() -> Vec<(&'static str, String)> {
                 let mut examples = Vec::new();
                 $(

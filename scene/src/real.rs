@@ -1,11 +1,10 @@
-//! The number a formula is written in.
+//! The number type in which formulas are written.
 //!
-//! Every formula of a picture is written once, generic over [`Real`], and runs in several arithmetics: `f32`
-//! is the reference, SIMD lanes render on CPUs, [`Interval`] gives bounds, and a recorder generates CUDA. All
-//! of them must give the reference's bits, so everything here is defined to the bit: IEEE-754 binary32,
-//! rounded to nearest even, fused only where [`Real::mul_add`] is written. No result may depend on the sign
-//! of a zero, and no formula may produce a NaN. There is no `if` on a value: use [`Real::select`],
-//! [`Real::when`], [`Real::repeat`].
+//! Every formula of a picture is written once, generic over [`Real`], and runs in several arithmetics: `f32` is the
+//! reference, SIMD lanes render on CPUs, [`Interval`] gives bounds, and a recorder generates CUDA. All of them must be
+//! bit-identical to the reference. So every operation here is defined to the bit: IEEE-754 binary32, rounded to
+//! nearest even, fused only where [`Real::mul_add`] is written. No result may depend on the sign of a zero, and no
+//! formula may produce a NaN. There is no `if` on a value: use [`Real::select`], [`Real::when`], [`Real::repeat`].
 
 mod bundle;
 mod functions;
@@ -29,7 +28,7 @@ pub trait Mask: Copy + Debug + BitAnd<Output = Self> + BitOr<Output = Self> + No
 
 impl<M: Copy + Debug + BitAnd<Output = M> + BitOr<Output = M> + Not<Output = M>> Mask for M {}
 
-/// 32 bits of a [`Real`], as an unsigned integer; sums and products wrap.
+/// The 32 bits of a [`Real`], as an unsigned integer; sums and products wrap.
 pub trait Bits:
     Copy
     + Debug
@@ -46,7 +45,7 @@ pub trait Bits:
 {
 }
 
-/// A number: one, a vector of them, a range of them, or a symbol for one.
+/// A number: one value, a vector of values, a range of values, or a symbol for a value.
 pub trait Real:
     Copy
     + 'static
@@ -69,14 +68,14 @@ pub trait Real:
     /// `value` in every lane of a number like this one.
     fn constant(self, value: f32) -> Self;
 
-    /// `value`, a number of the scene, in every lane: data to a compiled formula, where what is
-    /// splatted is code.
+    /// `value`, a number of the scene, in every lane. It is an input of a compiled formula, whereas a `constant` is
+    /// part of its code.
     #[inline(always)]
     fn uniform(self, value: f32) -> Self {
         self.constant(value)
     }
 
-    /// `word`, data as [`Real::uniform`] has it.
+    /// `word`, an input like [`Real::uniform`].
     #[inline(always)]
     #[expect(clippy::erasing_op, reason = "lanes of 0 are made of other lanes")]
     fn uniform_bits(self, word: u32) -> Self::Bits {
@@ -89,7 +88,7 @@ pub trait Real:
     fn sqrt(self) -> Self;
     /// Absolute value.
     fn abs(self) -> Self;
-    /// Largest whole number not above this one.
+    /// Largest integer not above this number.
     fn floor(self) -> Self;
     /// The lesser of two.
     fn min(self, other: Self) -> Self;
@@ -98,7 +97,7 @@ pub trait Real:
 
     /// Mask of lanes in which this number is less than `other`.
     fn lt(self, other: Self) -> Self::Mask;
-    /// `yes` where `mask` holds, else `no`.
+    /// `yes` where `mask` is true, else `no`.
     fn select(mask: Self::Mask, yes: Self, no: Self) -> Self;
 
     /// The bits of this number.
@@ -106,21 +105,21 @@ pub trait Real:
     /// The number with these bits.
     fn from_bits(bits: Self::Bits) -> Self;
 
-    /// `then` where `mask` holds, `otherwise` elsewhere. `then` is skipped if no lane needs it.
+    /// `then` where `mask` is true, `otherwise` elsewhere. `then` is skipped if no lane needs it.
     fn when<T: Bundle<Self>>(mask: Self::Mask, otherwise: T, then: impl FnOnce() -> T) -> T;
 
-    /// Runs `step` at least once and at most `limit` times (at least 1), as long as the mask that it
-    /// returns with the next state holds.
+    /// Runs `step` at least once and at most `limit` times (at least 1), while the mask that it returns with the next
+    /// state is true.
     fn repeat<T: Bundle<Self>>(limit: u32, state: T, step: impl FnMut(T) -> (Self::Mask, T)) -> T;
 
-    /// Runs `f` with this number's instruction set enabled. A function that is not inlined into its
-    /// caller enters here; what it calls must be `#[inline(always)]`.
+    /// Runs `f` with this number's instruction set enabled. A function that is not inlined into its caller starts with
+    /// this; the functions that it calls must be `#[inline(always)]`.
     #[inline(always)]
     fn vectorize<T>(self, f: impl FnOnce() -> T) -> T {
         f()
     }
 
-    /// A named step that a formula uses in several places. A name stands for one step: all numbers that
+    /// Calls a named function that a formula uses in several places. A name identifies one function: all numbers that
     /// differ from call to call are in `arguments`, and `step` captures only the scene.
     #[inline(always)]
     fn call<A: Bundle<Self>, T: Bundle<Self>>(self, name: &'static str, arguments: A, step: impl FnOnce(A) -> T) -> T {
@@ -150,13 +149,13 @@ pub trait Real:
         self.mul_add(self, term)
     }
 
-    /// The greater of this and a known number.
+    /// The greater of this and a constant.
     #[inline(always)]
     fn at_least(self, low: f32) -> Self {
         self.max(self.constant(low))
     }
 
-    /// The lesser of this and a known number.
+    /// The lesser of this and a constant.
     #[inline(always)]
     fn at_most(self, high: f32) -> Self {
         self.min(self.constant(high))
@@ -186,14 +185,14 @@ pub trait Real:
         functions::sin_cos(self).1
     }
 
-    /// Sine and cosine of one angle, sharing the work.
+    /// Sine and cosine of one angle, cheaper than both separately.
     #[inline(always)]
     fn sin_cos(self) -> (Self, Self) {
         functions::sin_cos(self)
     }
 
-    /// Sine and cosine of an angle in whole turns, of any size, so that periodic functions stay accurate
-    /// far from the origin. Largest error measured: 0.9 ulp of 1.
+    /// Sine and cosine of an angle in full turns, of any size, so that periodic functions stay accurate far from the
+    /// origin. Largest error measured: 0.9 ulp of 1.
     #[inline(always)]
     fn sin_cos_turns(self) -> (Self, Self) {
         functions::sin_cos_turns(self)

@@ -1,14 +1,13 @@
-//! Where in a pixel its rays pass: a pure function of pixel, sample, frame and seed.
+//! Sampler: quasirandom numbers as a pure function of pixel, sample, frame and seed.
 //!
-//! Each pixel has a hashed start, and its samples step from there along the R2 sequence, so that
-//! any number of them is spread evenly: Martin Roberts, "The unreasonable effectiveness of
-//! quasirandom sequences", <https://extremelearning.com.au/unreasonable-effectiveness-of-quasirandom-sequences/>.
-//! What else is chosen by chance (a point of a light, a mirrored direction) has a pair of numbers of
-//! its own, stepping along the square roots of two primes, so that all pairs are spread evenly together:
-//! R. D. Richtmyer, "The evaluation of definite integrals, and a quasi-Monte-Carlo method based on the
-//! properties of algebraic numbers", Los Alamos LA-1342, 1951.
-//! The hash is pcg3d: Mark Jarzynski and Marc Olano, "Hash functions for GPU rendering",
-//! Journal of Computer Graphics Techniques 9(3), 2020, <https://jcgt.org/published/0009/03/02/>.
+//! Each pixel has a hashed start, and its samples step from there along the R2 sequence, so that any number of them is
+//! spread evenly: Martin Roberts, "The unreasonable effectiveness of quasirandom sequences",
+//! <https://extremelearning.com.au/unreasonable-effectiveness-of-quasirandom-sequences/>. Every other random decision
+//! (a point of a light, a reflected direction) has its own pair of numbers, which steps along the square roots of two
+//! primes, so that all pairs together are spread evenly: R. D. Richtmyer, "The evaluation of definite integrals, and a
+//! quasi-Monte-Carlo method based on the properties of algebraic numbers", Los Alamos LA-1342, 1951. The hash is
+//! pcg3d: Mark Jarzynski and Marc Olano, "Hash functions for GPU rendering", Journal of Computer Graphics Techniques
+//! 9(3), 2020, <https://jcgt.org/published/0009/03/02/>.
 
 use crate::real::Real;
 
@@ -36,7 +35,7 @@ const RICHTMYER_STEPS: [(u32, u32); 16] = [
     (0x44f9_3635, 0x720d_cdfd),
 ];
 
-/// One number for all pixels of a frame.
+/// Key of a frame, the same for all its pixels.
 pub fn frame_key(seed: u32, frame: u32) -> u32 {
     let mut key = seed.wrapping_mul(0x9e37_79b9) ^ frame.wrapping_mul(0x85eb_ca6b);
     key = (key ^ (key >> 16)).wrapping_mul(0x7feb_352d);
@@ -44,7 +43,7 @@ pub fn frame_key(seed: u32, frame: u32) -> u32 {
     key ^ (key >> 16)
 }
 
-/// Where a pixel's samples start.
+/// Start of a pixel's sample sequence.
 #[derive(Clone, Copy, Debug)]
 pub struct PixelJitter<R: Real> {
     x: R::Bits,
@@ -52,14 +51,14 @@ pub struct PixelJitter<R: Real> {
 }
 
 impl<R: Real> PixelJitter<R> {
-    /// Of the pixel (`x`, `y`), whole numbers below 2²³.
+    /// Start for the pixel (`x`, `y`), integers below 2²³.
     #[inline(always)]
     pub fn new(x: R, y: R, frame_key: u32) -> Self {
         let [x, y, _] = pcg3d::<R>(to_u32(x), to_u32(y), x.uniform_bits(frame_key));
         Self { x, y }
     }
 
-    /// The offset in the pixel, 0 to 1 without 1, of a sample: a whole number below 2²³.
+    /// Offset of a sample in the pixel, 0 to 1 excluding 1; the sample is an integer below 2²³.
     #[inline(always)]
     pub fn offset(self, sample: R) -> (R, R) {
         self.stepped(sample, (STEP_X, STEP_Y))
@@ -72,40 +71,40 @@ impl<R: Real> PixelJitter<R> {
     }
 }
 
-/// Pairs of numbers by chance for one sample of one pixel.
+/// Pairs of quasirandom numbers for one sample of one pixel.
 #[derive(Clone, Copy, Debug)]
 pub struct Sampler<R> {
-    /// Column of the pixel, whole.
+    /// Column of the pixel, an integer.
     pub x: R,
-    /// Row of the pixel, whole.
+    /// Row of the pixel, an integer.
     pub y: R,
-    /// The sample, whole.
+    /// Number of the sample, an integer.
     pub sample: R,
-    /// How often the ray has been sent on, whole.
+    /// Number of bounces so far, an integer.
     pub bounce: R,
     /// See [`frame_key`].
     pub frame_key: u32,
 }
 
 impl<R: Real> Sampler<R> {
-    /// Two numbers, 0 to 1 without 1, for one purpose: each has a number of its own.
+    /// Two numbers, 0 to 1 excluding 1, for one dimension; each decision has its own dimension.
     #[inline(always)]
     pub fn get_2d(&self, dimension: u32) -> (R, R) {
         let key = frame_key(self.frame_key, dimension.wrapping_add(1));
-        // Bounces move the pixel by more than any picture is wide.
+        // Bounces offset the pixel by more than the width of any picture.
         let start = PixelJitter::new(self.bounce.mul_add(self.bounce.constant(65_536.0), self.x), self.y, key);
         start.stepped(self.sample, RICHTMYER_STEPS[dimension as usize % RICHTMYER_STEPS.len()])
     }
 }
 
-/// Three numbers, 0 to 1 without 1, for the pixel (`x`, `y`), whole numbers below 2²³: what its red, green and blue
-/// are rounded at, so that neighbors share out what is between two levels.
+/// Dither thresholds, 0 to 1 excluding 1, for the red, green and blue of the pixel (`x`, `y`), integers below 2²³.
+/// Neighboring pixels have different thresholds.
 #[inline(always)]
 pub fn thresholds<R: Real>(x: R, y: R) -> [R; 3] {
     pcg3d::<R>(to_u32(x), to_u32(y), x.uniform_bits(0)).map(to_unit_float)
 }
 
-/// Jarzynski's and Olano's hash.
+/// The pcg3d hash of Jarzynski and Olano.
 #[inline(always)]
 fn pcg3d<R: Real>(a: R::Bits, b: R::Bits, c: R::Bits) -> [R::Bits; 3] {
     let (mut a, mut b, mut c) = (lcg_step::<R>(a), lcg_step::<R>(b), lcg_step::<R>(c));
@@ -118,7 +117,7 @@ fn pcg3d<R: Real>(a: R::Bits, b: R::Bits, c: R::Bits) -> [R::Bits; 3] {
     [a, b, c]
 }
 
-/// The integer of a whole number below 2²³.
+/// Converts a number with an integer value below 2²³ to an integer.
 #[inline(always)]
 fn to_u32<R: Real>(number: R) -> R::Bits {
     (number + 8_388_608.0).to_bits() & 0x007f_ffff
@@ -130,7 +129,7 @@ fn lcg_step<R: Real>(word: R::Bits) -> R::Bits {
     word * 1_664_525 + 1_013_904_223
 }
 
-/// A number from 0 to 1, without 1, from the upper 23 bits: put under the exponent of 1, less 1.
+/// Number from 0 to 1, excluding 1, from the upper 23 bits: combined with the exponent of 1, less 1.
 #[inline(always)]
 fn to_unit_float<R: Real>(word: R::Bits) -> R {
     R::from_bits((word >> 9) | 0x3f80_0000) - 1.0
@@ -155,7 +154,7 @@ mod tests {
     }
 
     #[test]
-    fn pairs_for_two_purposes_are_spread_evenly_together() {
+    fn pairs_of_two_dimensions_are_spread_evenly_together() {
         let dice = |sample: f32| Sampler { x: 3.0, y: 5.0, sample, bounce: 0.0, frame_key: frame_key(0, 0) };
         for (one, other) in [(0, 1), (0, 5), (2, 7)] {
             let mut cells = [0; 256];

@@ -14,28 +14,28 @@ use crate::nodes::{Node, NodeError};
 use crate::seek::Seek;
 use crate::values::{Length, integer_in_range};
 
-/// What there is to see: materials are in slots, and everything stands as it does at one time.
+/// The scene to render: materials are in slots, and every number is evaluated at one time.
 ///
-/// Its serialized form is what pictures are known by, so no field of it is left out there.
+/// Its serialized form is hashed to identify pictures, so no field may be missing there.
 #[derive(Clone, Debug, PartialEq, Serialize, Seek)]
 pub struct Scene {
-    /// Where it is seen from.
+    /// The camera.
     pub camera: Camera,
-    /// What is seen where nothing is.
+    /// The background, seen by rays that hit nothing.
     pub background: Background,
-    /// The lights; an empty list is darkness.
+    /// The lights; an empty list means no light.
     pub lights: Vec<Light>,
     /// Fog, if there is any.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub fog: Option<Fog>,
-    /// Darker corners in light from all around, if there are any.
+    /// Ambient occlusion: darkens ambient and sky light in corners; off when absent.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub ambient_occlusion: Option<AmbientOcclusion>,
     /// The materials in use, in the order of their first use.
     pub(crate) materials: Vec<Material>,
-    /// The objects, one or more; the nearest one is seen, the first of several.
+    /// The objects, one or more. The nearest one is visible; if several are equally near, the first of them.
     pub objects: Vec<Object>,
-    /// How far and how long rays march.
+    /// Limits of ray marching.
     pub march: March,
 }
 
@@ -50,17 +50,17 @@ pub struct Object {
     pub shape: Node,
 }
 
-/// How far and how long rays march.
+/// Limits of ray marching.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
 #[serde(deny_unknown_fields, default)]
 pub struct March {
-    /// Where a ray misses, in scene units.
+    /// Distance after which a ray misses, in scene units.
     pub max_distance: Length,
-    /// Steps after which a ray gives up.
+    /// Maximum number of steps of a ray.
     #[serde(deserialize_with = "max_steps")]
     #[schemars(range(min = 1, max = MAX_STEPS))]
     pub max_steps: u32,
-    /// How often a ray is mirrored or refracted at most; what would come after is taken from the background.
+    /// Maximum number of reflections and refractions of a ray; after that, the background's radiance is used.
     #[serde(deserialize_with = "max_bounces")]
     #[schemars(range(min = 0, max = MAX_BOUNCES))]
     pub max_bounces: u32,
@@ -73,18 +73,18 @@ impl Default for March {
 }
 
 impl Scene {
-    /// The materials in use; a [`MaterialRef`] has its place in this list.
+    /// The materials in use; a [`MaterialRef`] is an index into this list.
     #[inline(always)]
     pub fn used_materials(&self) -> &[Material] {
         &self.materials
     }
 
-    /// The material that an object says.
+    /// The material named by an object.
     pub(crate) fn material_of(&self, object: usize) -> &Material {
         &self.materials[self.objects[object].material.slot() as usize]
     }
 
-    /// Nodes of all object trees.
+    /// Nodes of all objects.
     pub fn nodes(&self) -> u32 {
         self.objects.iter().map(|object| object.shape.node_count()).sum()
     }
@@ -94,14 +94,15 @@ impl Scene {
         self.background.is_transparent()
     }
 
-    /// Finds what makes its objects faster to look at; `moves` is whether frames differ in their numbers.
+    /// Precomputes values that speed up the evaluation of its objects; `moves` is whether frames differ in their
+    /// numbers.
     pub(crate) fn prepare(&mut self, moves: bool) {
         self.objects.iter_mut().for_each(|object| object.shape.precompute(moves));
         self.background.precompute();
         self.lights.iter_mut().for_each(LightSource::precompute);
     }
 
-    /// What lights, sky and materials mean wrongly together: JSON pointers in the scene, and why.
+    /// Errors from the combination of lights, sky and materials: JSON pointers in the scene, and messages.
     pub(crate) fn validation_errors(&self) -> Vec<(String, String)> {
         let mut faults = Vec::new();
         if let Some(NodeError { pointer: place, message }) = self.background.validate() {
@@ -118,12 +119,12 @@ impl Scene {
         faults
     }
 
-    /// Finds paints of what fills a whole object.
+    /// Finds `paint` nodes whose material is a medium, which only a whole object can have.
     fn medium_paint_errors(&self, node: &Node, pointer: &mut String, faults: &mut Vec<(String, String)>) {
         let material = node.material().and_then(|material| self.materials.get(material.slot() as usize));
         if material.is_some_and(Shade::is_medium) {
             let message =
-                "fills a whole object and can't be painted on a part of one: make the part an object of its own";
+                "fills a whole object and cannot be painted on part of one: make the part an object of its own";
             faults.push((format!("{pointer}/{}/material", node.name()), message.to_owned()));
         }
         let length = pointer.len();

@@ -1,8 +1,8 @@
-//! The JSON Schema of a job file, in a form that client generators turn into types with names.
+//! The JSON Schema of a job file, in a form from which client generators create named types.
 //!
-//! Schemas made by the derive macros describe each choice in place. Generators number such types
-//! (`Node17`), so that [`tidy`] gives each a definition of its own. It never changes which texts are valid, but that an
-//! optional key may no longer be null, which the parser still accepts.
+//! Schemas made by the derive macros describe each choice in place. Generators number such types (`Node17`), so
+//! [`tidy`] gives each a definition of its own. It does not change which texts are valid, except that an optional key
+//! may no longer be null, which the parser still accepts.
 
 mod shortest;
 
@@ -16,7 +16,7 @@ use crate::materials::{self, Material};
 use crate::nodes::{self, Node};
 use crate::profiles::Profile;
 
-/// Where definitions are in a JSON Schema.
+/// Prefix of references to definitions in a JSON Schema.
 const DEFINITIONS: &str = "#/$defs/";
 /// Keywords that bound a number.
 const RANGE: [&str; 6] = ["minimum", "maximum", "exclusiveMinimum", "exclusiveMaximum", "multipleOf", "not"];
@@ -71,14 +71,14 @@ fn show(definitions: &mut Map<String, Value>) {
     }
 }
 
-/// Rewrites definitions, which `references` leads to, for generators of clients:
+/// Rewrites definitions, which are referenced by `references`, for client generators:
 ///
-/// - a choice of objects of one key each refers to a definition for each: `NodeSphere` is `{ "sphere": Sphere }`;
-/// - words are an `enum`, and its description tells them apart;
-/// - a key that may be left out is not nullable as well;
-/// - the range of a number stands beside its type;
-/// - every definition has its name as its title, no integer has a format that only Rust knows, and defaults have as many
-///   digits as they need.
+/// - a choice of objects with one key each refers to a definition for each: `NodeSphere` is `{ "sphere": Sphere }`;
+/// - words are an `enum`, with a description of each;
+/// - an optional key is not nullable;
+/// - the range of a number is next to its type;
+/// - every definition has its name as its title, no integer has a Rust-specific format, and defaults have only the
+///   digits that they need.
 pub fn tidy(definitions: &mut Map<String, Value>, references: &str) {
     let mut parts = BTreeMap::new();
     for (name, definition) in definitions.iter_mut() {
@@ -97,7 +97,7 @@ pub fn tidy(definitions: &mut Map<String, Value>, references: &str) {
     }
 }
 
-/// Moves what a choice is between out of it, into `parts`; a choice of words becomes an `enum`.
+/// Moves the alternatives of a choice out of it, into `parts`; a choice of words becomes an `enum`.
 fn choices(name: &str, schema: &mut Map<String, Value>, references: &str, parts: &mut BTreeMap<String, Value>) {
     let Some(Value::Array(choices)) = schema.get("oneOf") else { return };
     let (words, others): (Vec<Value>, Vec<Value>) =
@@ -113,7 +113,7 @@ fn choices(name: &str, schema: &mut Map<String, Value>, references: &str, parts:
         .map(|mut choice| {
             let Some(key) = only_key(&choice) else { return choice };
             let part = format!("{name}{}", pascal_case(&key));
-            // What is written in place behind the key gets a name, too.
+            // A type written in place after the key gets a name, too.
             let about = choice["description"].clone();
             let inner = &mut choice["properties"][&key];
             if inner["type"] == "object" && inner["properties"].is_object() {
@@ -137,7 +137,7 @@ fn choices(name: &str, schema: &mut Map<String, Value>, references: &str, parts:
     schema.insert("oneOf".into(), kept.into());
 }
 
-/// The only key of an object that has one, and has to have it.
+/// The only key of an object with one required key.
 fn only_key(choice: &Value) -> Option<String> {
     let properties = choice["properties"].as_object().filter(|properties| properties.len() == 1)?;
     let key = properties.keys().next()?;
@@ -158,7 +158,7 @@ fn enumeration(about: Option<&str>, words: &[Value]) -> Map<String, Value> {
     schema
 }
 
-/// A part that only names a definition is described as the beginning of that one.
+/// A part that only names a definition gets the first paragraph of that definition's description.
 fn describe(parts: &mut BTreeMap<String, Value>, definitions: &Map<String, Value>, references: &str) {
     for part in parts.values_mut() {
         let inner = only_key(part).and_then(|key| part["properties"][key]["$ref"].as_str().map(ToOwned::to_owned));
@@ -170,7 +170,7 @@ fn describe(parts: &mut BTreeMap<String, Value>, definitions: &Map<String, Value
     }
 }
 
-/// Makes a schema plain, and all in it.
+/// Simplifies a schema and everything in it.
 fn plain(value: &mut Value) {
     match value {
         Value::Object(schema) => {
@@ -184,7 +184,7 @@ fn plain(value: &mut Value) {
     }
 }
 
-/// What may be left out need not be null as well.
+/// Removes null from optional members.
 fn required_or_not_null(schema: &mut Map<String, Value>) {
     let required = schema.get("required").cloned().unwrap_or_default();
     let Some(Value::Object(properties)) = schema.get_mut("properties") else { return };
@@ -196,7 +196,7 @@ fn required_or_not_null(schema: &mut Map<String, Value>) {
     }
 }
 
-/// Takes null out of what a schema allows.
+/// Removes null from the values that a schema allows.
 pub fn not_null(schema: &mut Map<String, Value>) {
     if schema.get("default") == Some(&Value::Null) {
         schema.remove("default");
@@ -219,7 +219,7 @@ pub fn not_null(schema: &mut Map<String, Value>) {
     }
 }
 
-/// Of a number or something else, the range is the number's.
+/// Moves the range into the number alternative of a number or something else.
 fn range_beside_type(schema: &mut Map<String, Value>) {
     let is_number = |choice: &&mut Value| choice["type"] == "number" || choice["type"] == "integer";
     let mut range = Map::new();
@@ -234,7 +234,7 @@ fn range_beside_type(schema: &mut Map<String, Value>) {
     }
 }
 
-/// An integer's format that generators do not know is said as a range.
+/// Replaces an integer format that generators do not know by a range.
 fn portable_integer(schema: &mut Map<String, Value>) {
     let largest = match schema.get("format").and_then(Value::as_str) {
         Some("uint8") => u64::from(u8::MAX),
@@ -250,7 +250,7 @@ fn portable_integer(schema: &mut Map<String, Value>) {
     }
 }
 
-/// `infinite_cylinder` as `InfiniteCylinder`.
+/// Converts `infinite_cylinder` to `InfiniteCylinder`.
 fn pascal_case(key: &str) -> String {
     key.split('_')
         .flat_map(|word| {
@@ -293,7 +293,7 @@ mod tests {
             assert_eq!(schema["$defs"][&name]["required"], json!([key]));
         }
         assert_eq!(schema["$defs"]["NodeSphere"]["properties"]["sphere"]["$ref"], "#/$defs/Sphere");
-        // Whatever is left in place behind a key would be numbered.
+        // A type left in place after a key would be numbered by generators.
         for (name, definition) in schema["$defs"].as_object().expect("definitions") {
             for choice in definition["oneOf"].as_array().into_iter().flatten() {
                 assert!(choice["$ref"].is_string(), "{name} has a choice without a name: {choice}");
@@ -320,7 +320,7 @@ mod tests {
     }
 
     #[test]
-    fn words_are_an_enum_that_tells_them_apart() {
+    fn words_become_an_enum_with_descriptions() {
         let schema = schema();
         let layer = &schema["$defs"]["Layer"];
         assert_eq!(layer["enum"], json!(["depth", "normal", "position", "albedo", "object", "steps"]));
@@ -332,7 +332,7 @@ mod tests {
     }
 
     #[test]
-    fn what_may_be_left_out_is_not_null_and_what_must_be_there_may_be() {
+    fn only_required_members_can_be_null() {
         each_schema(&schema(), &mut |part| {
             for (key, property) in part["properties"].as_object().into_iter().flatten() {
                 let may_be_null = property["type"].as_array().is_some_and(|types| types.contains(&json!("null")))
@@ -351,7 +351,7 @@ mod tests {
     }
 
     #[test]
-    fn a_range_stands_beside_the_type_it_is_for() {
+    fn a_range_is_next_to_its_type() {
         let schema = schema();
         let length = &schema["$defs"]["Length"];
         assert_eq!(length["anyOf"][0], json!({ "type": "number", "minimum": 1e-6, "maximum": 1e6 }));
@@ -368,7 +368,7 @@ mod tests {
     }
 
     #[test]
-    fn every_example_is_what_its_definition_says() {
+    fn every_example_matches_its_definition() {
         let schema = schema();
         assert_eq!(crate::parse(schema["examples"][0].to_string().as_bytes()).expect("a sound job").name, "example");
         let mut count = 0;

@@ -1,31 +1,31 @@
-//! The walk over every number of a job: to the time of a frame, or over the keyframes of its tracks.
+//! Visits every number of a job: evaluates them at the time of a frame, or lists the keyframes of their tracks.
 //!
-//! `#[derive(Seek)]` (scene/derive) writes it for each struct and enum of the language, so that a field whose
-//! type can't be sought does not compile.
+//! `#[derive(Seek)]` (scene/derive) implements it for each struct and enum of the language, so that a field whose type
+//! cannot be visited does not compile.
 
 pub(crate) use scene_derive::Seek;
 
-/// The time that numbers are taken to.
+/// The time at which numbers are evaluated.
 #[derive(Debug)]
 pub(crate) struct FrameTime<'a> {
     /// Seconds from frame 0.
     pub seconds: f64,
-    /// Where the times of all keyframes are noted, if somebody asks for them.
+    /// Collects the times of all keyframes, if they are requested.
     keyframe_times: Option<&'a mut Vec<f64>>,
 }
 
 impl<'a> FrameTime<'a> {
-    /// A clock that stands at a time.
+    /// Frame time at a number of seconds.
     pub(crate) fn at(seconds: f64) -> Self {
         Self { seconds, keyframe_times: None }
     }
 
-    /// The same, which notes the times of all keyframes.
+    /// Frame time that also collects the times of all keyframes.
     pub(crate) fn recording(seconds: f64, key_seconds: &'a mut Vec<f64>) -> Self {
         Self { seconds, keyframe_times: Some(key_seconds) }
     }
 
-    /// Notes the times of a track's keyframes.
+    /// Collects the times of a track's keyframes.
     pub(crate) fn record_keyframes(&mut self, seconds: impl Iterator<Item = f64>) {
         if let Some(noted) = &mut self.keyframe_times {
             noted.extend(seconds);
@@ -33,22 +33,22 @@ impl<'a> FrameTime<'a> {
     }
 }
 
-/// Numbers that do not go together at one time.
+/// Error returned when numbers are inconsistent at one time.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) struct SeekError {
-    /// JSON pointer from what was sought to what is wrong.
+    /// JSON pointer from the visited value to the invalid value.
     pub pointer: String,
-    /// What is wrong and what to do about it, as it reads behind the place.
+    /// The problem and its fix, worded to follow the pointer.
     pub message: String,
 }
 
 impl SeekError {
-    /// One of the value itself.
+    /// Error at the value itself.
     pub(crate) fn new(message: impl Into<String>) -> Box<Self> {
         Box::new(Self { pointer: String::new(), message: message.into() })
     }
 
-    /// The same, seen from the object or list that has the value under `key`.
+    /// The same error, with its pointer prefixed by the member `key` of the parent.
     pub(crate) fn inside(mut self: Box<Self>, key: &str) -> Box<Self> {
         self.pointer.insert_str(0, key);
         self.pointer.insert(0, '/');
@@ -56,16 +56,16 @@ impl SeekError {
     }
 }
 
-/// What stands in a job file: its numbers may be animated.
+/// A value of a job file, whose numbers may be animated.
 pub(crate) trait Seek {
-    /// Takes every animated number to the clock's time, and derives anew what follows from such. Says whether
-    /// there was one.
+    /// Evaluates every animated number at a time, and recomputes the values derived from them. Returns whether there
+    /// was one.
     fn seek(&mut self, clock: &mut FrameTime<'_>) -> Result<bool, Box<SeekError>>;
 }
 
-/// What follows from numbers beside it and does not stand in a job file.
+/// A value derived from other numbers of the same type, which is not in a job file.
 pub(crate) trait Invalidate {
-    /// Forgets what was derived from numbers that have changed.
+    /// Discards a value derived from numbers that have changed.
     fn invalidate(&mut self);
 }
 

@@ -1,8 +1,8 @@
-//! Numbers with a meaning: parsed once, right ever after.
+//! Numbers with a meaning: validated once, when they are parsed.
 //!
-//! Each type is one kind of number of a job file, with its range in the type and in the schema.
-//! A number may have a `track`: then it holds it beside its value at one time, and `Seek` takes it to another.
-//! What chooses code by a number must ask whether it has one, since all frames share one compiled program.
+//! Each type is one kind of number of a job file, with its range in the type and in the schema. A number may have a
+//! `track`. It then stores the track next to its value at one time, and `Seek` evaluates it at another. Code that
+//! branches on a number's value must check `is_animated` first, because all frames share one compiled program.
 
 mod color;
 mod peeked_map;
@@ -71,7 +71,7 @@ macro_rules! constant_numbers {
     )* };
 }
 
-/// A number and, if it is animated, its track. Two are equal if the numbers are.
+/// A number and, if it is animated, its track. Two are equal if their values are.
 macro_rules! number_type {
     ($(#[$doc:meta])* $Name:ident: $is_in_range:expr, $words:literal) => {
         $(#[$doc])*
@@ -87,19 +87,20 @@ macro_rules! number_type {
                 <Self as track::RangedNumber>::is_in_range(value).then_some(Self { value, track: None })
             }
 
-            /// The number.
+            /// The value.
             #[inline(always)]
             pub fn get(&self) -> f32 {
                 self.value
             }
 
-            /// Whether a track gives this number a different value in other frames. If so, code must not branch on it: all frames share one compiled program.
+            /// Whether a track gives this number a different value in other frames. If so, code must not branch on it:
+            /// all frames share one compiled program.
             #[inline(always)]
             pub fn is_animated(&self) -> bool {
                 self.track.is_some()
             }
 
-            /// Whether it is 0 in every frame: then a formula may leave it out.
+            /// Whether it is 0 in every frame, so that a formula may leave it out.
             #[inline(always)]
             pub fn is_zero(&self) -> bool {
                 self.value == 0.0 && self.track.is_none()
@@ -167,12 +168,12 @@ animatable_numbers! {
     /// A length that may be 0, in scene units.
     LengthOrZero: |v| v == 0.0 || (MIN_LENGTH..=MAX_LENGTH).contains(&v), "0, or a size from 1e-6 to 1e6",
         { "type": "number", "minimum": 0, "maximum": 1e6, "description": "0, or a size from 1e-6 to 1e6, in scene units." };
-    /// The distance from copy to copy, in scene units.
+    /// The distance between copies, in scene units.
     Spacing: |v| (MIN_LENGTH..=MAX_LENGTH).contains(&v), "a distance from 1e-6 to 1e6, or null along an axis without copies",
-        { "type": "number", "minimum": 1e-6, "maximum": 1e6, "description": "The distance from copy to copy, in scene units." };
+        { "type": "number", "minimum": 1e-6, "maximum": 1e6, "description": "The distance between copies, in scene units." };
     /// A fraction from 0 to 1.
-    Fraction: |v| (0.0..=1.0).contains(&v), "a share from 0 to 1",
-        { "type": "number", "minimum": 0, "maximum": 1, "description": "A share of something." };
+    Fraction: |v| (0.0..=1.0).contains(&v), "a fraction from 0 to 1",
+        { "type": "number", "minimum": 0, "maximum": 1, "description": "A fraction from 0 to 1." };
     /// A uniform scale.
     ScaleFactor: |v| (1e-6..=1e6).contains(&v), "a factor from 1e-6 to 1e6",
         { "type": "number", "minimum": 1e-6, "maximum": 1e6, "description": "A uniform scale." };
@@ -180,23 +181,23 @@ animatable_numbers! {
     Degrees: |v| v.abs() <= 36_000.0, "an angle within ±36000 degrees",
         { "type": "number", "minimum": -36000, "maximum": 36000, "description": "An angle, in degrees." };
     /// Revolutions of a turntable.
-    Revolutions: |v| v.abs() <= 1000.0, "a number of turns within ±1000",
-        { "type": "number", "minimum": -1000, "maximum": 1000, "description": "Turns, counter-clockwise from above." };
+    Revolutions: |v| v.abs() <= 1000.0, "a number of revolutions within ±1000",
+        { "type": "number", "minimum": -1000, "maximum": 1000, "description": "Revolutions, counter-clockwise from above." };
     /// Exposure: the power of 2 that light is multiplied by.
     ExposureStops: |v| v.abs() <= 20.0, "an exposure within ±20 stops",
         { "type": "number", "minimum": -20, "maximum": 20, "description": "Exposure in stops: n more is 2ⁿ times as bright." };
     /// The angle between the axis of a cone and its side, in degrees.
     AcuteHalfAngle: |v| (0.1..=89.9).contains(&v), "an angle from 0.1 to 89.9 degrees",
         { "type": "number", "minimum": 0.1, "maximum": 89.9, "description": "The angle between the axis of a cone and its side, in degrees." };
-    /// Half an aperture, in degrees.
-    HalfAngle: |v| (0.1..=179.9).contains(&v), "half an aperture from 0.1 to 179.9 degrees",
-        { "type": "number", "minimum": 0.1, "maximum": 179.9, "description": "Half an aperture, in degrees." };
-    /// The length of an arc, in degrees.
+    /// Half an opening angle, in degrees.
+    HalfAngle: |v| (0.1..=179.9).contains(&v), "half an opening angle from 0.1 to 179.9 degrees",
+        { "type": "number", "minimum": 0.1, "maximum": 179.9, "description": "Half an opening angle, in degrees." };
+    /// The angle of an arc, in degrees.
     ArcAngle: |v| (0.1..=360.0).contains(&v), "an arc from 0.1 to 360 degrees",
-        { "type": "number", "minimum": 0.1, "maximum": 360, "description": "The length of an arc, in degrees." };
+        { "type": "number", "minimum": 0.1, "maximum": 360, "description": "The angle of an arc, in degrees." };
     /// A sweep angle, in degrees.
     SweepAngle: |v| (0.01..=360.0).contains(&v), "an angle from 0.01 to 360 degrees",
-        { "type": "number", "minimum": 0.01, "maximum": 360, "description": "A part of a whole turn, in degrees." };
+        { "type": "number", "minimum": 0.01, "maximum": 360, "description": "A sweep angle, in degrees." };
     /// A vertical field of view, in degrees.
     FieldOfView: |v| (0.01..=179.0).contains(&v), "a field of view from 0.01 to 179 degrees",
         { "type": "number", "minimum": 0.01, "maximum": 179, "description": "A vertical field of view, in degrees." };
@@ -211,7 +212,7 @@ animatable_numbers! {
         { "type": "number", "minimum": 2, "maximum": 32, "description": "The power of a fractal." };
     /// Growth of an iteration of a kaleidoscopic system.
     GrowthFactor: |v| (1.05..=8.0).contains(&v), "a factor from 1.05 to 8",
-        { "type": "number", "minimum": 1.05, "maximum": 8, "description": "How much each iteration grows." };
+        { "type": "number", "minimum": 1.05, "maximum": 8, "description": "Growth factor of each iteration." };
     /// The scale of a Mandelbox.
     MandelboxScale: |v| (1.05..=4.0).contains(&v.abs()), "a scale from 1.05 to 4 or from -4 to -1.05",
         { "type": "number", "minimum": -4, "maximum": 4, "not": { "type": "number", "exclusiveMinimum": -1.05, "exclusiveMaximum": 1.05 }, "description": "The scale of a Mandelbox." };
@@ -220,34 +221,34 @@ animatable_numbers! {
         { "type": "number", "minimum": 0, "maximum": 1e6, "description": "One channel of a color, in linear light." };
     /// Ratio of the frequencies of successive octaves of a noise.
     Lacunarity: |v| (1.0..=4.0).contains(&v), "a lacunarity from 1 to 4",
-        { "type": "number", "minimum": 1, "maximum": 4, "description": "How many times finer each octave of a noise is than the one before." };
+        { "type": "number", "minimum": 1, "maximum": 4, "description": "Ratio of the frequencies of successive octaves of a noise." };
     /// Ratio of the weights of successive octaves of a noise.
     Gain: |v| (0.0..=1.0).contains(&v), "a gain from 0 to 1",
-        { "type": "number", "minimum": 0, "maximum": 1, "description": "How many times as strong each octave of a noise is as the one before." };
+        { "type": "number", "minimum": 0, "maximum": 1, "description": "Ratio of the weights of successive octaves of a noise." };
     /// Factor of a light's brightness.
     Strength: |v| (0.0..=1e6).contains(&v), "a strength from 0 to 1e6",
-        { "type": "number", "minimum": 0, "maximum": 1e6, "description": "How bright something is beside what it is by itself." };
+        { "type": "number", "minimum": 0, "maximum": 1e6, "description": "Factor of a brightness." };
     /// Extinction coefficient: the fraction of the light lost per scene unit.
     Density: |v| (0.0..=1e6).contains(&v), "a density from 0 to 1e6",
         { "type": "number", "minimum": 0, "maximum": 1e6, "description": "The extinction coefficient, per scene unit." };
-    /// Whether light is scattered onwards (above 0) or back: the mean cosine g.
+    /// Anisotropy g, the mean cosine of scattered light: above 0 forward, below 0 back.
     Anisotropy: |v| (-0.95..=0.95).contains(&v), "a mean cosine from -0.95 to 0.95",
-        { "type": "number", "minimum": -0.95, "maximum": 0.95, "description": "The mean cosine g of scattered light: above 0 onwards, below 0 back." };
-    /// The whole angle of a cone, in degrees.
+        { "type": "number", "minimum": -0.95, "maximum": 0.95, "description": "The mean cosine g of scattered light: above 0 forward, below 0 back." };
+    /// The full angle of a cone, in degrees.
     FullAngle: |v| (0.0..=180.0).contains(&v), "an angle from 0 to 180 degrees",
-        { "type": "number", "minimum": 0, "maximum": 180, "description": "The whole angle of a cone, in degrees." };
+        { "type": "number", "minimum": 0, "maximum": 180, "description": "The full angle of a cone, in degrees." };
     /// Turbidity of the air.
     Turbidity: |v| (2.0..=10.0).contains(&v), "a turbidity from 2 to 10",
-        { "type": "number", "minimum": 2, "maximum": 10, "description": "How hazy the air is: 2 is clear, 10 is thick haze." };
+        { "type": "number", "minimum": 2, "maximum": 10, "description": "Turbidity of the air: 2 is clear, 10 is thick haze." };
 }
 
 constant_numbers! {
-    /// Frames a second.
+    /// Frames per second.
     FrameRate: |v| (0.001..=1000.0).contains(&v), "a rate from 0.001 to 1000 frames a second",
         { "type": "number", "minimum": 0.001, "maximum": 1000, "description": "Frames a second." };
 }
 
-/// Reads any whole number that JSON can hold.
+/// Deserializes any integer that JSON can hold.
 struct IntegerVisitor;
 
 impl<'de> Visitor<'de> for IntegerVisitor {
@@ -274,16 +275,16 @@ impl<'de> Visitor<'de> for IntegerVisitor {
     }
 
     fn visit_map<A: MapAccess<'de>>(self, _: A) -> Result<i64, A::Error> {
-        Err(A::Error::custom("is a count, which can't be a track: write one whole number for all frames"))
+        Err(A::Error::custom("is a count, which cannot be a track: write one whole number for all frames"))
     }
 }
 
-/// Reads a whole number.
+/// Deserializes an integer.
 pub(crate) fn integer<'de, D: Deserializer<'de>>(d: D) -> Result<i64, D::Error> {
     d.deserialize_any(IntegerVisitor)
 }
 
-/// Reads a whole number of `what` from `low` to `high`.
+/// Deserializes an integer `what` from `low` to `high`.
 pub(crate) fn integer_in_range<'de, D: Deserializer<'de>>(
     d: D,
     low: u32,
@@ -308,14 +309,14 @@ impl Point {
         vec3(self.0.get(), self.1.get(), self.2.get())
     }
 
-    /// The point in range that is nearest to another.
+    /// The nearest point whose coordinates are in range.
     pub(crate) fn clamped(p: Vec3<f32>) -> Self {
         let [x, y, z] = <[f32; 3]>::from(p);
         let coordinate = |c: f32| Coordinate { value: c.clamp(-MAX_LENGTH, MAX_LENGTH), track: None };
         Self(coordinate(x), coordinate(y), coordinate(z))
     }
 
-    /// Whether any of them moves.
+    /// Whether any of its coordinates is animated.
     pub fn is_animated(&self) -> bool {
         self.0.is_animated() || self.1.is_animated() || self.2.is_animated()
     }
@@ -335,7 +336,7 @@ impl Direction {
         self.unit
     }
 
-    /// Whether any of its numbers moves.
+    /// Whether any of its numbers is animated.
     pub fn is_animated(&self) -> bool {
         self.components.is_animated()
     }
@@ -345,7 +346,7 @@ impl Direction {
 fn unit(given: &Point) -> Option<Vec3<f32>> {
     let numbers = <[f32; 3]>::from(given.get());
     let largest = numbers.iter().fold(0.0_f32, |largest, c| largest.max(c.abs()));
-    // Scaled first, so that squares neither overflow nor vanish.
+    // Scaled first, so that squares neither overflow nor underflow.
     let [x, y, z] = numbers.map(|c| c / largest);
     (largest >= MIN_LENGTH).then(|| vec3(x, y, z).normalize())
 }
@@ -405,7 +406,7 @@ impl Rotation {
         self.rows
     }
 
-    /// Whether any of its angles moves.
+    /// Whether any of its angles is animated.
     pub fn is_animated(&self) -> bool {
         self.degrees.iter().any(Degrees::is_animated)
     }
@@ -467,7 +468,7 @@ impl JsonSchema for Rotation {
         let degrees = generator.subschema_for::<Degrees>();
         json_schema!({
             "type": "array", "items": degrees, "minItems": 3, "maxItems": 3,
-            "description": "Angles in degrees about the fixed x, y and z axes, turned in this order."
+            "description": "Angles in degrees about the fixed x, y and z axes, rotated in this order."
         })
     }
 }

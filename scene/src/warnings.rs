@@ -1,6 +1,6 @@
-//! What the author of a job should know although it renders: scenes that are legal and look wrong.
+//! Warnings about a job that is valid but probably does not render as intended.
 //!
-//! Nothing here takes long, whatever the job: rays are counted, and frames are three at most.
+//! Every check is fast for any job: it samples a limited number of rays, and at most three frames.
 
 mod clear;
 mod empty;
@@ -14,10 +14,10 @@ use crate::animation::JobAtFrame;
 use crate::camera::Project;
 use crate::job::Job;
 
-/// What a warning is about: a job is warned of each thing once.
+/// Subject of a warning: a job gets at most one warning of each kind.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum WarningKind {
-    /// The camera is inside something.
+    /// The camera is inside an object.
     CameraInside,
     /// Nothing is in view.
     NothingInView,
@@ -25,31 +25,31 @@ enum WarningKind {
     OutOfSteps,
     /// A shape makes steps small.
     HighLipschitz,
-    /// A look at the scene takes long.
+    /// One evaluation of the scene takes long.
     HighCost,
-    /// Lights shine for nothing, or nothing shines.
+    /// Lights without effect, or materials without light.
     Lighting,
-    /// A volume is too thick for its steps.
+    /// A medium is too dense for its steps.
     DenseMedium,
-    /// Rays end inside glass.
+    /// Rays end inside glass because of the bounce limit.
     TooFewBounces,
-    /// Colors go to 255.
+    /// Colors have a range of 0 to 255.
     Colors,
     /// Angles are in radians.
     Radians,
-    /// A texture stays behind.
+    /// A texture does not follow its animated object.
     Swims,
-    /// A difference leaves nothing.
+    /// A difference is empty.
     Empty,
-    /// Clear surfaces coincide.
+    /// Transparent surfaces coincide.
     Touching,
-    /// Metal mirrors nothing.
+    /// Metal has nothing to reflect.
     Mirrors,
-    /// More samples than are seen.
+    /// More samples than make a visible difference.
     Samples,
 }
 
-/// Of one frame.
+/// Warning about one frame.
 #[derive(Debug)]
 struct Warning {
     kind: WarningKind,
@@ -73,7 +73,7 @@ pub(crate) fn of(job: &Job) -> Vec<String> {
             }
         }
     }
-    // What comes into view, or leaves it, may well do so.
+    // Objects may come into view, or leave it.
     told.retain(|(_, warning)| warning.kind != WarningKind::NothingInView || without_view == frames.len());
     warnings.extend(told.into_iter().map(|(frame, Warning { kind, text })| {
         let is_of_all = kind == WarningKind::NothingInView || !job.is_animated();
@@ -86,12 +86,12 @@ fn job_warnings(job: &Job) -> Vec<String> {
     let mut warnings = Vec::new();
     if job.frames.count > 1 && !job.is_animated() {
         warnings.push(format!(
-            "nothing in the scene moves: the {} frames differ in their sampling noise only",
+            "nothing in the scene is animated: the {} frames differ only in their sampling noise",
             job.frames.count
         ));
     }
     if job.frames.count == 1 && job.is_animated() {
-        warnings.push("the scene moves, but the job has one frame: set frames.count to see more of it".to_owned());
+        warnings.push("the scene is animated, but the job has one frame: set frames.count to render more".to_owned());
     }
     warnings.extend(job.scene.camera.projection.warning(&job.image));
     for name in &job.unused_materials {
@@ -121,7 +121,7 @@ fn frame_warnings(still: &JobAtFrame<'_>) -> Vec<Warning> {
     seen.into_iter().chain(known).collect()
 }
 
-/// "object 3", or "objects 3, 5 and 7 others".
+/// Names some objects: "object 3", or "objects 3, 5 and 7 others".
 fn objects(indices: &[usize]) -> String {
     match indices {
         [only] => format!("object {only}"),

@@ -70,7 +70,7 @@ pub(super) fn cases() -> Vec<Case> {
             LOOK_AT,
             r#""look_at": [0, 0, 0], "fov": ¤40, "projection": "panorama""#,
             "/scene/camera/fov",
-            "leave it out",
+            "remove it",
         ),
         changed(
             "unknown projection",

@@ -263,7 +263,7 @@ fn surroundings() -> Vec<Case> {
             LOOK_AT,
             r#""look_at": [0, 0, 0], "fov": ¤40, "projection": { "orthographic": { "height": 3 } }"#,
             "/scene/camera/fov",
-            "choose its height",
+            "set the height",
         ),
         changed(
             "no frames",

@@ -1,13 +1,13 @@
-//! `#[derive(Seek)]`: the walk over every number of a type, so that no field of the job language can be missed.
+//! `#[derive(Seek)]`: visits every number of a type, so that no field of the job language can be missed.
 //!
-//! A field whose type does not implement `scene::seek::Seek` does not compile. Fields that serde skips are
-//! derived from the others: they implement `Invalidate`, and are invalidated when a number beside them is animated.
+//! A field whose type does not implement `scene::seek::Seek` does not compile. Fields that serde skips are derived
+//! from the others. They implement `Invalidate`, and are invalidated when a number in the same type is animated.
 
 use proc_macro2::TokenStream;
 use quote::{format_ident, quote};
 use syn::{Attribute, Data, DeriveInput, Fields, Ident, Index, Member, parse_macro_input};
 
-/// Implements `crate::seek::Seek` by seeking every field of a struct, or of the variant that an enum is.
+/// Implements `crate::seek::Seek` by seeking every field of a struct, or of the current variant of an enum.
 ///
 /// `#[seek(then = method)]` on the type calls `self.method()`, which may fail with a message, after its fields if
 /// one of them is animated.
@@ -89,7 +89,7 @@ fn arm(variant: &Ident, fields: &Fields) -> syn::Result<TokenStream> {
     let places = bindings.iter().map(|binding| quote! { #binding }).collect::<Vec<_>>();
     let walk = walk(fields, &places)?;
     let key = snake_case(&variant.to_string());
-    // What has no parameters has no key of its own.
+    // A variant without parameters has no JSON member of its own.
     if fields.is_empty() {
         return Ok(quote! { Self::#variant #pattern => #walk, });
     }
@@ -103,7 +103,8 @@ fn arm(variant: &Ident, fields: &Fields) -> syn::Result<TokenStream> {
     })
 }
 
-/// Seeks the fields that stand in JSON, then renews those that do not. `places` are mutable references to them.
+/// Seeks the fields that appear in JSON, then recomputes the skipped ones. `places` are mutable references to the
+/// fields.
 fn walk(fields: &Fields, places: &[TokenStream]) -> syn::Result<TokenStream> {
     let is_transparent = matches!(fields, Fields::Unnamed(_)) && fields.len() == 1;
     let (mut seeks, mut renewals) = (Vec::new(), Vec::new());
@@ -141,14 +142,14 @@ fn walk(fields: &Fields, places: &[TokenStream]) -> syn::Result<TokenStream> {
     } })
 }
 
-/// Whether serde skips a field; a field that it renames would be named wrongly in a fault.
+/// Whether serde skips a field. Renamed fields are rejected, because errors would point to the wrong JSON member.
 fn is_skipped(attributes: &[Attribute]) -> syn::Result<bool> {
     let mut is_skipped = false;
     for attribute in attributes.iter().filter(|attribute| attribute.path().is_ident("serde")) {
         attribute.parse_nested_meta(|meta| {
             is_skipped |= meta.path.is_ident("skip");
             if meta.path.is_ident("rename") || meta.path.is_ident("flatten") {
-                return Err(meta.error("`Seek` names fields as Rust does: it knows no `rename` and no `flatten`"));
+                return Err(meta.error("`Seek` supports neither `rename` nor `flatten`: name fields as in JSON"));
             }
             if meta.input.peek(syn::Token![=]) {
                 meta.value()?.parse::<syn::Expr>()?;
@@ -159,7 +160,7 @@ fn is_skipped(attributes: &[Attribute]) -> syn::Result<bool> {
     Ok(is_skipped)
 }
 
-/// `CappedTorus` as `capped_torus`: the key of a variant in JSON.
+/// JSON name of a variant: `CappedTorus` becomes `capped_torus`.
 fn snake_case(name: &str) -> String {
     let mut snake = String::new();
     for (index, letter) in name.char_indices() {

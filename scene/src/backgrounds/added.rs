@@ -1,4 +1,4 @@
-//! A background that exists in unit tests alone: what it takes to add one.
+//! Background that exists in unit tests alone: shows what adding one takes.
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};

@@ -9,37 +9,37 @@ use crate::real::{Real, Vec3, vec3};
 use crate::seek::{Invalidate, Seek, SeekError};
 use crate::values::{Color, Direction, Strength, Turbidity};
 
-/// A clear sky by day, lit by the sun; the ground below the horizon. The sun itself is not seen: let
-/// the light `sun` shine.
+/// A clear sky by day, lit by the sun, with ground below the horizon. The sun itself is not visible: use the light
+/// `sun` for its light.
 ///
-/// A. J. Preetham, Peter Shirley, Brian Smits, "A practical analytic model for daylight", SIGGRAPH 1999.
-/// A radiance of 1 stands for 32 kcd/m².
+/// A. J. Preetham, Peter Shirley, Brian Smits, "A practical analytic model for daylight", SIGGRAPH 1999. A radiance of
+/// 1 means 32 kcd/m².
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
 #[serde(deny_unknown_fields)]
 #[seek(then = follow)]
 pub struct Day {
-    /// Toward the sun; not below the horizon.
+    /// Direction toward the sun, on or above the horizon.
     pub sun: Direction,
-    /// How hazy the air is: 2 is clear, 6 is hazy.
+    /// Turbidity (haze) of the air: 2 is clear, 6 is hazy.
     #[serde(default = "default_turbidity")]
     pub turbidity: Turbidity,
     /// The color of the ground.
     #[serde(default = "default_ground")]
     pub ground: Color,
-    /// How bright all of it is.
+    /// Factor of the background's radiance.
     #[serde(default = "default_strength")]
     pub strength: Strength,
-    /// What all directions share.
+    /// Values that all directions use.
     #[serde(skip)]
     model: PreethamModel,
 }
 
-/// The numbers of a [`Day`].
+/// Precomputed coefficients of a [`Day`].
 #[derive(Clone, Debug, Default, PartialEq)]
 struct PreethamModel {
     /// Perez' A to E of the luminance Y and the chromaticities x and y.
     perez: [[f32; 5]; 3],
-    /// Y, x and y at the zenith over the formula's value there.
+    /// Y, x and y at the zenith, divided by the formula's value there.
     zenith: [f32; 3],
     ground: [f32; 3],
     sun_color: [f32; 3],
@@ -55,7 +55,7 @@ impl Invalidate for PreethamModel {
 const PER_KILOCANDELA: f32 = 1.0 / 32.0;
 
 impl Day {
-    /// After a number in it has changed.
+    /// Validates the sun's direction after a number in the background has changed.
     fn follow(&mut self) -> Result<(), Box<SeekError>> {
         if let Some(NodeError { pointer: place, message }) = self.validate() {
             return Err(SeekError::new(&message).inside(&place));
@@ -64,7 +64,7 @@ impl Day {
         Ok(())
     }
 
-    /// The light of the sun on a surface that faces it, after its way through the air.
+    /// Irradiance of the sun over π on a surface that faces it, after atmospheric extinction.
     pub(crate) fn sun_color(&self) -> Vec3<f32> {
         let [red, green, blue] = self.model.sun_color;
         vec3(red, green, blue)
@@ -189,8 +189,8 @@ impl PreethamModel {
 /// The sun's illuminance above the air, 128 klx, over π.
 const SUN_KILOCANDELAS: f32 = 40.7;
 
-/// What the air lets through of the sun's red, green and blue: Rayleigh's scattering and Ångström's
-/// haze, as in the appendix of Preetham et al.
+/// Atmospheric transmittance of the sun's red, green and blue: Rayleigh scattering and Ångström's haze, as in the
+/// appendix of Preetham et al.
 fn sun_transmittance(turbidity: f32, angle: f32) -> [f32; 3] {
     const WAVELENGTHS_UM: [f32; 3] = [0.615, 0.545, 0.465];
     let degrees = angle * (180.0 / std::f32::consts::PI);

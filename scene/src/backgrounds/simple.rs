@@ -1,4 +1,4 @@
-//! Backgrounds without a sky's model: one color, a gradient, and nothing.
+//! Backgrounds without a sky model: one color, a gradient, and an empty one.
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -12,17 +12,17 @@ use crate::values::Color;
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
 pub struct SolidColor(pub Color);
 
-/// From `bottom` to `top` by t = (dir.y + 1)/2 of the ray's direction.
+/// A gradient from `bottom` to `top` by t = (dir.y + 1)/2 of the ray's direction.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
 #[serde(deny_unknown_fields)]
 pub struct SkyGradient {
-    /// Straight down.
+    /// Color straight down.
     pub bottom: Color,
-    /// Straight up.
+    /// Color straight up.
     pub top: Color,
 }
 
-/// Nothing: alpha is 0 there.
+/// Empty: alpha is 0.
 #[derive(Clone, Copy, Debug)]
 pub struct Transparent;
 
@@ -52,7 +52,7 @@ impl Backdrop for SkyGradient {
         gradient_at(&self.bottom, &self.top, direction.y, 0.5)
     }
 
-    /// Of a gradient's t the mean is ½ + n.y/3.
+    /// The mean of a gradient's t is ½ + n.y/3.
     #[inline(always)]
     fn cosine_mean<R: Real>(&self, normal: Vec3<R>) -> Option<Vec3<R>> {
         Some(gradient_at(&self.bottom, &self.top, normal.y, 1.0 / 3.0))
@@ -76,7 +76,7 @@ impl Backdrop for Transparent {
     }
 }
 
-/// A gradient at ½ + `share` · `height`.
+/// Color of a gradient at ½ + `share` · `height`.
 #[inline(always)]
 fn gradient_at<R: Real>(bottom: &Color, top: &Color, height: R, share: f32) -> Vec3<R> {
     let share = height.mul_add(height.constant(share), height.constant(0.5));

@@ -1,6 +1,6 @@
-//! A view as the two matrices that OpenEXR files carry.
+//! The two view matrices that OpenEXR files store.
 //!
-//! Both are for row vectors, `p · M` with rows one after another, as OpenEXR and RenderMan have them:
+//! Both multiply row vectors, `p · M`, and store rows one after another, as OpenEXR and RenderMan do:
 //! OpenEXR, "Standard Attributes", <https://openexr.com/en/latest/StandardAttributes.html>.
 
 use super::{Project, View};
@@ -13,20 +13,20 @@ pub type Matrix = [f32; 16];
 type Vector = [f64; 3];
 
 impl View {
-    /// From the scene to the camera: x to the right of the picture, y up, z away from the viewer; left-handed.
+    /// Matrix from the scene to the camera: x to the right of the picture, y up, z away from the viewer; left-handed.
     pub fn world_to_camera(&self) -> Matrix {
         let [right, up, forward] = [self.right, self.up, self.forward].map(|axis| wide(axis.normalize()));
         let origin = wide(self.origin);
         matrix([right, up, forward, [0.0; 3]], [-dot(origin, right), -dot(origin, up), -dot(origin, forward), 1.0])
     }
 
-    /// Matrix from the scene to the picture: (0, 0) is its top left corner and (1, 1) its bottom right one; z only orders
-    /// points by depth. `None` for a projection that no matrix describes.
+    /// Matrix from the scene to the picture: (0, 0) is its top left corner and (1, 1) its bottom right one; z only
+    /// orders points by depth. `None` for a projection that no matrix describes.
     pub fn world_to_ndc(&self) -> Option<Matrix> {
         self.projection.world_to_ndc(self)
     }
 
-    /// Of a pinhole camera.
+    /// Matrix of a pinhole camera.
     pub(super) fn pinhole_ndc(&self) -> Matrix {
         let (origin, forward) = (wide(self.origin), wide(self.forward));
         let (across, down) = self.half_axes();
@@ -35,7 +35,7 @@ impl View {
         matrix([x, y, forward, forward], last)
     }
 
-    /// Of parallel rays.
+    /// Matrix of parallel rays.
     pub(super) fn parallel_ndc(&self) -> Matrix {
         let (origin, forward) = (wide(self.origin), wide(self.forward));
         let (across, down) = self.half_axes();
@@ -43,7 +43,7 @@ impl View {
         matrix([across, down, forward, [0.0; 3]], last)
     }
 
-    /// Half the picture per unit of the distance from its center to its right and to its bottom edge.
+    /// Scale from distance to halves of the picture, along its right and its down direction.
     fn half_axes(&self) -> (Vector, Vector) {
         let half = |axis: Vec3<f32>, sign: f64| {
             let axis = wide(axis);
@@ -53,11 +53,11 @@ impl View {
     }
 }
 
-/// A matrix of four columns above its last row.
+/// Matrix of four columns above its last row.
 fn matrix(columns: [Vector; 4], last: [f64; 4]) -> Matrix {
     std::array::from_fn(|index| {
         let (row, column) = (index / 4, index % 4);
-        // No -0.0 reaches a file.
+        // Adding 0.0 turns -0.0 into 0.0.
         (columns[column].get(row).copied().unwrap_or(last[column]) + 0.0) as f32
     })
 }
@@ -99,7 +99,7 @@ mod tests {
     }
 
     #[test]
-    fn a_point_on_the_ray_of_a_pixel_comes_to_that_pixel() {
+    fn points_on_a_pixels_ray_project_to_that_pixel() {
         let slanted = r#""position": [3, 2, 5], "look_at": [-1, 0.5, 0], "up": [0.3, 1, 0]"#;
         for projection in ["\"fov\": 35", "\"projection\": { \"orthographic\": { \"height\": 3 } }"] {
             let view = view(&format!("{{ {slanted}, {projection} }}"));

@@ -1,7 +1,8 @@
-//! How space becomes a picture: the list of projections, and what a projection must say of itself.
+//! Registry of projections, and the trait that each projection implements.
 //!
 //! A projection is one documented struct in a file under `camera/projections/`, one `impl` of [`Project`], and one
-//! entry in the list; with fields it has an `impl` of [`HasExamples`] too; without fields it is written as its name alone.
+//! entry in the list. If it has fields, it also has an `impl` of [`HasExamples`]; without fields, JSON has its name
+//! alone.
 
 #[cfg(test)]
 mod added;
@@ -27,63 +28,63 @@ use crate::real::{Real, Vec3};
 use crate::seek::Seek;
 use crate::values::FieldOfView;
 
-/// How much of space a picture shows.
+/// Extent of the picture in space.
 #[derive(Clone, Copy, Debug)]
 pub struct Extent {
-    /// Half the picture's width at a distance of 1, or at any; 1 where that means nothing.
+    /// Half the picture's width at distance 1, or at any distance for parallel rays; 1 if it has no meaning.
     pub half_width: f32,
-    /// Half its height.
+    /// Half the picture's height, like `half_width`.
     pub half_height: f32,
-    /// Half a pixel's height, by the distance along a ray.
+    /// Half a pixel's height at a distance along a ray.
     pub footprint: Tolerance,
 }
 
-/// Where a camera is and where it looks: each direction to the right and up is as long as the picture's half extent.
+/// Position and directions of a camera; `right` and `up` are as long as the picture's half extent.
 #[derive(Clone, Copy, Debug)]
 pub struct CameraAxes<R> {
-    /// Where the camera is.
+    /// Position of the camera.
     pub origin: Vec3<R>,
     /// To the right.
     pub right: Vec3<R>,
     /// Up.
     pub up: Vec3<R>,
-    /// To the middle of the picture, of length 1.
+    /// To the center of the picture, of length 1.
     pub forward: Vec3<R>,
 }
 
-/// What a projection means.
+/// Behavior of a projection.
 pub trait Project {
-    /// The field of view that it has where the camera says none; `None` if it has none at all.
+    /// Field of view to use if the camera has none; `None` if the projection does not use one.
     fn default_fov(&self) -> Option<FieldOfView> {
         None
     }
 
-    /// Why a camera must not say a field of view, if it must not.
+    /// Error message if a camera with this projection has a field of view and must not.
     fn validate_fov(&self) -> Option<&'static str> {
         None
     }
 
-    /// How much of space a picture shows that is `aspect` times as wide as high, and `height` pixels high.
+    /// Extent of a picture that is `aspect` times as wide as high, and `height` pixels high.
     fn extent(&self, fov: Option<&FieldOfView>, aspect: f32, height: f32) -> Extent;
 
-    /// The ray through a point of the picture: −1 to 1 across and upwards.
+    /// Ray through a point of the picture, −1 to 1 across and up.
     fn ray<R: Real>(&self, axes: &CameraAxes<R>, across: R, upwards: R) -> Ray<R>;
 
-    /// Whether no ray of the picture meets the box, however long it is. It may be false although no ray does.
+    /// Whether no ray of the picture hits the box at any distance. May be false although no ray does.
     fn is_beside(&self, view: &View, bounds: Bounds) -> bool;
 
-    /// Whether no ray of the picture has come to the box at this distance.
+    /// Whether no ray of the picture reaches the box within this distance.
     fn is_beyond(&self, view: &View, bounds: Bounds, distance: f32) -> bool {
         view.is_out_of_reach(bounds, distance)
     }
 
-    /// Origins of the picture's rays, or some of them.
+    /// Origins of the picture's rays, or a sample of them.
     fn ray_origins(&self, view: &View, image: &Image) -> Vec<Vec3<f32>> {
         let _ = image;
         vec![view.origin()]
     }
 
-    /// Warning about a ray origin inside an object: what is inside, and the fix.
+    /// Words of the warning about a ray origin inside an object: the subject, and the fix.
     fn inside_warning(&self) -> (&'static str, &'static str) {
         ("the camera is inside", "move camera.position out of it")
     }
@@ -107,7 +108,7 @@ macro_rules! projections {
         structs: [$($(#[$attribute:meta])* $Kind:ident: $Struct:ident),* $(,)?],
         units: [$($(#[$about:meta])* $Unit:ident),* $(,)?] $(,)?
     ) => {
-        /// How space becomes a picture.
+        /// Projection of space onto the picture.
         #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
         #[serde(rename_all = "snake_case")]
         pub enum Projection {
@@ -189,7 +190,7 @@ macro_rules! projections {
         }
 
         impl Projection {
-            /// Each kind's examples, as a user would write the whole projection.
+            /// Each kind's examples, as a user would write the projection.
             pub fn examples() -> Vec<Example> {
                 let mut examples = vec![$(Example::unit(stringify!($Unit))),*];
                 $(
@@ -209,18 +210,18 @@ projections![
         Added: AddedProjection,
     ],
     units: [
-        /// A pinhole: what is further away is smaller.
+        /// A pinhole: more distant objects are smaller.
         #[default]
         Perspective,
-        /// All around the camera, 360 by 180 degrees: longitude across, latitude down (equirectangular);
-        /// what it looks at is in the middle.
+        /// All around the camera, 360 by 180 degrees: longitude across, latitude down (equirectangular), with
+        /// `look_at` at the center.
         Panorama,
     ],
 ];
 
 impl Projection {
-    /// Whether it is the one that a camera has that says none.
-    #[expect(clippy::trivially_copy_pass_by_ref, reason = "serde hands a reference")]
+    /// Whether it is the default projection.
+    #[expect(clippy::trivially_copy_pass_by_ref, reason = "serde passes a reference")]
     pub(super) fn is_default(&self) -> bool {
         *self == Self::default()
     }

@@ -1,4 +1,4 @@
-//! The light that arrives at a place, and what stands in its way.
+//! Incident light at a point, and its occlusion.
 
 use super::{Hit, Integrator};
 use crate::ambient_occlusion::AmbientOcclusion;
@@ -11,15 +11,15 @@ use crate::materials::{IncidentLight, Shade};
 use crate::real::{Real, Vec3};
 use crate::sampling::Sampler;
 
-/// What a pair of numbers is for, see [`Sampler::get_2d`]: the light of this index has `DIM_LIGHTS` + index.
+/// Sampler dimensions, see [`Sampler::get_2d`]: the light with index i uses `DIM_LIGHTS` + i.
 pub(super) const DIM_BSDF: u32 = 0;
 pub(super) const DIM_LOBE: u32 = 1;
 const DIM_LIGHTS: u32 = 2;
-/// Evaluations that a normal takes.
+/// Distance evaluations of one normal.
 pub(super) const NORMAL_EVALUATIONS: f32 = 4.0;
 
 impl Integrator<'_> {
-    /// The color of a surface, and how many evaluations it cost.
+    /// Color of a surface, and its number of distance evaluations.
     #[inline(always)]
     pub(super) fn surface<R: Real>(&self, ray: &Ray<R>, marched: &MarchResult<R>, dice: &Sampler<R>) -> (Vec3<R>, R) {
         let hit = self.hit(ray, marched);
@@ -27,7 +27,7 @@ impl Integrator<'_> {
         (self.shade(&hit, ray, &light), evaluations + NORMAL_EVALUATIONS)
     }
 
-    /// The light at a hit, and how often the scene was evaluated for it.
+    /// Incident light at a hit, and the number of distance evaluations it took.
     #[inline(always)]
     pub(super) fn incident_light<R: Real>(&self, hit: &Hit<R>, dice: &Sampler<R>) -> (IncidentLight<R>, R) {
         let zero = hit.t.constant(0.0);
@@ -71,7 +71,7 @@ impl Integrator<'_> {
         ))
     }
 
-    /// Light from all around, and the steps it took to see what hides it.
+    /// Ambient light, and the steps spent on its occlusion.
     #[inline(always)]
     fn sky_light<R: Real>(
         &self,
@@ -96,7 +96,7 @@ impl Integrator<'_> {
         (seen * visible, steps)
     }
 
-    /// The share of the light from `direction` that reaches the place, and the steps it took to see.
+    /// Fraction of the light from `direction` that reaches the hit, and the steps it took.
     pub(super) fn shadow_visibility<R: Real>(&self, hit: &Hit<R>, direction: Vec3<R>, farthest: R) -> (R, R) {
         farthest.call(
             "visibility",
@@ -104,7 +104,7 @@ impl Integrator<'_> {
             #[inline(always)]
             |(hit, direction, farthest)| {
                 let zero = farthest.constant(0.0);
-                // Off the surface by more than the march was off it.
+                // Start farther from the surface than the march ended.
                 let near = self.tolerance.at(hit.t);
                 let ray = Ray { origin: hit.normal.mul_add(near * 4.0, hit.position), direction };
                 let faces = hit.normal.dot(direction).above(0.0);
@@ -129,7 +129,7 @@ impl Integrator<'_> {
         )
     }
 
-    /// 1 where no surface is on the ray nearer than `farthest`, else 0; and the steps it took to see.
+    /// 1 if no surface is on the ray nearer than `farthest`, else 0; and the steps it took.
     #[inline(always)]
     pub(super) fn is_unoccluded<R: Real>(&self, ray: &Ray<R>, near: R, farthest: R) -> (R, R) {
         let (zero, one) = (farthest.constant(0.0), farthest.constant(1.0));
@@ -159,7 +159,7 @@ impl Integrator<'_> {
     }
 }
 
-/// A direction around a normal, as likely as its cosine: a point of the unit disc, raised to the half sphere.
+/// Cosine-weighted direction around a normal: a point of the unit disk, projected onto the hemisphere.
 #[inline(always)]
 fn sample_cosine_hemisphere<R: Real>(normal: Vec3<R>, (u, v): (R, R)) -> Vec3<R> {
     let (right, up) = orthonormal_basis(normal);
@@ -170,7 +170,7 @@ fn sample_cosine_hemisphere<R: Real>(normal: Vec3<R>, (u, v): (R, R)) -> Vec3<R>
     up.mul_add(away * sine, along)
 }
 
-/// All lights as they arrive at a point in the air, unhindered, with their places among the lights.
+/// All lights as they arrive unoccluded at a point inside a medium, with their indices.
 #[inline(always)]
 pub(super) fn sample_lights<'a, R: Real>(
     program: &'a Integrator<'_>,

@@ -1,7 +1,6 @@
-//! Clouds and volumes: what a ray gathers and loses inside shapes that are filled, not bounded.
+//! Participating media: emission, scattering and absorption along a ray through clouds and volumes.
 //!
-//! The light that is lost on the way falls as Beer and Lambert say; what is scattered toward the
-//! viewer is scattered once, and comes straight from the lights.
+//! Transmittance follows the Beer-Lambert law. Only single scattering of direct light is computed.
 
 use super::Integrator;
 use super::lighting::sample_lights;
@@ -14,19 +13,19 @@ use crate::real::{Real, Vec3, bundle, vec3};
 use crate::sampling::Sampler;
 use crate::scene::Scene;
 
-/// The filled objects of a scene.
+/// Media of a scene.
 #[derive(Clone, Debug)]
 pub(super) struct Media<'a> {
     all: Vec<Medium<'a>>,
-    /// Holds all of them.
+    /// Bounds of all media.
     bounds: Bounds,
-    /// Steps of a ray through the air at most.
+    /// Maximum number of steps of a camera ray through media.
     max_steps: u32,
-    /// Steps of a ray of light at most.
+    /// Maximum number of steps of a ray toward a light.
     light_steps: u32,
 }
 
-/// A filled object.
+/// An object with a medium material.
 #[derive(Clone, Debug)]
 struct Medium<'a> {
     object: usize,
@@ -35,33 +34,33 @@ struct Medium<'a> {
     step: f32,
 }
 
-/// What a ray has gathered on its way through the air.
+/// Result of integrating media along a segment of a ray.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct MediumSegment<R> {
-    /// Light scattered toward the viewer.
+    /// Light emitted or scattered toward the viewer.
     pub(super) color: Vec3<R>,
-    /// Share of the light from the far end that is left.
+    /// Transmittance of the segment.
     pub(super) transmittance: R,
     pub(super) evaluations: R,
 }
 
 bundle!(MediumSegment { color, transmittance, evaluations });
 
-/// What fills a point of space.
+/// Medium properties at a point.
 struct MediumProperties<R> {
-    /// The extinction coefficient.
+    /// Extinction coefficient.
     extinction: R,
-    /// The extinction times the color that is sent to the viewer.
+    /// Extinction times the radiance toward the viewer.
     source: Vec3<R>,
 }
 
-/// So little is left that nobody sees what is behind.
+/// Transmittance below which the ray stops, because the background is no longer visible.
 const MIN_TRANSMITTANCE: f32 = 1.0 / 256.0;
-/// Steps outside of all shapes, on the way to one of them.
+/// Maximum number of steps outside all media, on the way to one of them.
 const MAX_EMPTY_STEPS: u32 = 96;
 
 impl<'a> Media<'a> {
-    /// The filled objects, if there are any; `origin` is where the camera is.
+    /// The media, if the scene has any; `origin` is the camera position.
     pub(super) fn new(scene: &'a Scene, origin: Vec3<f32>) -> Option<Self> {
         let mut all = Vec::new();
         let mut bounds = Bounds::EMPTY;
@@ -80,7 +79,7 @@ impl<'a> Media<'a> {
 }
 
 impl Integrator<'_> {
-    /// What a ray gathers until `farthest`.
+    /// Integrates the media along a ray up to `farthest`.
     pub(super) fn integrate_media<R: Real>(
         &self,
         media: &Media<'_>,
@@ -117,7 +116,7 @@ impl Integrator<'_> {
         )
     }
 
-    /// The length of a step from `t` on a ray, and what has been gathered at its end.
+    /// Length of the step from `t` on a ray, and the media integrated to its end.
     #[inline(always)]
     fn media_step<R: Real>(
         &self,
@@ -135,7 +134,7 @@ impl Integrator<'_> {
             let distance = self.object_distance(medium.object, p);
             let step = t.uniform(medium.step);
             inside_step = inside_step.min(R::select(distance.below(0.0), step, inside_step));
-            // Into the shape by a part of a step that differs from ray to ray, or its rim would show.
+            // The first step into a medium is shortened by a random amount, else the rim would be visible.
             outside = outside.min(R::select(distance.below(0.0), outside, jitter.mul_add(step, distance)));
             depths.push(-distance);
         }
@@ -169,7 +168,7 @@ impl Integrator<'_> {
         (step, crossed)
     }
 
-    /// What fills `p`, so deep inside each medium, and what it sends against `direction`.
+    /// Medium properties at `p`, whose distances to the media are given, and the radiance sent against `direction`.
     #[inline(always)]
     fn medium_properties<R: Real>(
         &self,
@@ -253,13 +252,13 @@ impl Integrator<'_> {
         depth + (visible.constant(1.0) - visible) * OPAQUE_DEPTH
     }
 
-    /// The share of the light that comes along a ray through the air.
+    /// Transmittance of the media along a ray toward a light.
     #[inline(always)]
     pub(super) fn transmittance<R: Real>(&self, media: &Media<'_>, ray: &Ray<R>, farthest: R) -> R {
         (-self.optical_depth(media, ray, farthest)).exp()
     }
 
-    /// The integral of the extinction along a ray until `farthest`.
+    /// Optical depth along a ray up to `farthest`: the integral of the extinction.
     fn optical_depth<R: Real>(&self, media: &Media<'_>, ray: &Ray<R>, farthest: R) -> R {
         farthest.call(
             "optical_depth",
@@ -292,7 +291,7 @@ impl Integrator<'_> {
         )
     }
 
-    /// The extinction of all that fills `p`.
+    /// Total extinction of the media at `p`.
     #[inline(always)]
     fn extinction<R: Real>(&self, media: &Media<'_>, p: Vec3<R>) -> R {
         let zero = p.x.constant(0.0);

@@ -1,4 +1,4 @@
-//! A ray on its way: what it meets, and how it goes on where surfaces mirror it or let it through.
+//! Path tracing: follows a ray through reflections and transmissions at surfaces.
 
 use super::lighting::{DIM_BSDF, DIM_LOBE, NORMAL_EVALUATIONS};
 use super::{Hit, Integrator, Radiance};
@@ -12,18 +12,18 @@ use crate::materials::microfacet::{
 use crate::real::{MaskValue, Real, Vec3, bundle, vec3};
 use crate::sampling::Sampler;
 
-/// A ray that has been sent on some times.
+/// State of a path after some bounces.
 #[derive(Clone, Copy)]
 struct PathState<R: Real> {
     ray: Ray<R>,
-    /// How near is near enough where it starts.
+    /// Tolerance at the start of the current ray.
     epsilon: R,
-    /// How far it has come.
+    /// Distance from the camera along the path.
     t: R,
-    /// The share of what it meets that reaches the camera.
+    /// Throughput: fraction of the light at the path's end that reaches the camera.
     throughput: Vec3<R>,
     color: Vec3<R>,
-    /// The share of what lies straight behind that reaches the camera.
+    /// Fraction of the background straight behind that reaches the camera.
     background_weight: R,
     evaluations: R,
     bounce: R,
@@ -32,23 +32,22 @@ struct PathState<R: Real> {
 
 bundle!(PathState { ray, epsilon, t, throughput, color, background_weight, evaluations, bounce, is_active });
 
-/// Where a ray goes on, and the share of what it meets then.
+/// Ray that continues from a surface, and its weight.
 #[derive(Clone, Copy)]
 struct BsdfSample<R: Real> {
     direction: Vec3<R>,
     weight: Vec3<R>,
-    /// Whether it goes to the other side of the surface.
+    /// Whether the ray continues on the other side of the surface.
     is_transmitted: MaskValue<R>,
 }
 
-/// What is met by a ray that was sent on counts as this bright at most: a sharp highlight that few rays meet
-/// would leave specks.
+/// Maximum radiance found by rays after the first bounce: a sharp highlight that few rays find would leave specks.
 const MAX_INDIRECT_RADIANCE: f32 = 6.0;
-/// Less than this of what a ray meets would not be seen.
+/// Throughput below which a path ends, because its contribution is not visible.
 const MIN_THROUGHPUT: f32 = 1.0 / 512.0;
 
 impl Integrator<'_> {
-    /// The light along a ray from the camera.
+    /// Radiance along a ray from the camera.
     #[inline(always)]
     pub(super) fn path<R: Real>(&self, ray: &Ray<R>, dice: &Sampler<R>) -> Radiance<R> {
         let (zero, one) = (dice.x.constant(0.0), dice.x.constant(1.0));
@@ -76,7 +75,7 @@ impl Integrator<'_> {
         } else {
             self.trace_segment(start, dice)
         };
-        // What would be met after the last bounce is taken to be the background.
+        // After the last bounce, the background's radiance is used.
         let rest = end.throughput.mul_elementwise(self.background(end.ray.direction).0);
         let color = Vec3::select(end.is_active.0, end.color + rest, end.color);
         let alpha = self.background(end.ray.direction).1;
@@ -84,7 +83,7 @@ impl Integrator<'_> {
         Radiance { color, alpha, evaluations: end.evaluations }
     }
 
-    /// A path until it meets the next surface, and on from there.
+    /// Traces a path to its next surface, and samples the bounce there.
     fn trace_segment<R: Real>(&self, path: PathState<R>, dice: &Sampler<R>) -> PathState<R> {
         path.epsilon.vectorize(
             #[inline(always)]
@@ -110,7 +109,7 @@ impl Integrator<'_> {
         )
     }
 
-    /// Clouds, volumes and fog between the start of a ray and where it ends.
+    /// Applies clouds, volumes and fog between the start of a ray and its end.
     #[inline(always)]
     fn apply_media<R: Real>(&self, path: &mut PathState<R>, marched: &MarchResult<R>, dice: &Sampler<R>) {
         let farthest = path.epsilon.uniform(self.scene.march.max_distance.get());
@@ -131,7 +130,7 @@ impl Integrator<'_> {
         }
     }
 
-    /// What fog shows in a direction.
+    /// Color of the fog in a direction.
     #[inline(always)]
     pub(super) fn fog_color<R: Real>(&self, fog: &Fog, direction: Vec3<R>) -> Vec3<R> {
         match &fog.color {
@@ -140,7 +139,7 @@ impl Integrator<'_> {
         }
     }
 
-    /// A path at the surface it has met.
+    /// Shades the surface that a path has hit and continues the path.
     #[inline(always)]
     fn scatter<R: Real>(&self, path: PathState<R>, marched: &MarchResult<R>, dice: &Sampler<R>) -> PathState<R> {
         let zero = path.epsilon.constant(0.0);
@@ -166,7 +165,7 @@ impl Integrator<'_> {
         let side = R::select(onward.is_transmitted.0, near * -4.0, near * 4.0);
         let ray = Ray { origin: hit.normal.mul_add(side, hit.position), direction: onward.direction };
         let throughput = path.throughput.mul_elementwise(onward.weight);
-        // What goes straight through leaves the background behind it to be seen.
+        // Straight transmission leaves the background visible.
         let straight = onward.is_transmitted.0 & (finish.ior - 1.0).abs().below(1e-4);
         let see_through = R::select(straight, path.background_weight * onward.weight.mean(), zero);
         PathState {
@@ -182,7 +181,7 @@ impl Integrator<'_> {
         }
     }
 
-    /// Where a ray goes on from a surface: mirrored, or through it where that is what its numbers choose.
+    /// Samples the ray that continues from a surface: reflected or transmitted, chosen at random.
     ///
     /// Bruce Walter et al., "Microfacet models for refraction through rough surfaces", EGSR 2007.
     #[inline(always)]
@@ -221,7 +220,7 @@ impl Integrator<'_> {
         let passed = vec3(one - reflected.x, one - reflected.y, one - reflected.z).mul_elementwise(finish.transmission);
         let (of_mirror, of_passage) = (reflected.mean(), passed.mean());
         let likely = of_mirror / (of_mirror + of_passage).at_least(1e-6);
-        // Rarely chosen ways would be noise.
+        // Rarely chosen directions would be noise.
         let likely = R::select(likely.below(0.01), zero, likely);
         let (choice, _) = dice.get_2d(DIM_LOBE);
         let mirrors = choice.lt(likely) | of_passage.below(1e-6);
@@ -236,7 +235,7 @@ impl Integrator<'_> {
         }
     }
 
-    /// Marches on from a surface, or from the camera. `epsilon` is how near is near enough at the start.
+    /// Marches from a surface, or from the camera. `near` is the tolerance at the start.
     fn march_from<R: Real>(&self, ray: &Ray<R>, near: R) -> MarchResult<R> {
         near.call(
             "march_on",
@@ -247,16 +246,17 @@ impl Integrator<'_> {
     }
 }
 
-/// A color no brighter than [`MAX_INDIRECT_RADIANCE`], in the same hue.
+/// Color clamped to [`MAX_INDIRECT_RADIANCE`], with the same hue.
 #[inline(always)]
 fn clamp_indirect<R: Real>(color: Vec3<R>) -> Vec3<R> {
     let brightest = color.max_element().at_least(MAX_INDIRECT_RADIANCE);
     color * (brightest.constant(MAX_INDIRECT_RADIANCE) / brightest)
 }
 
-/// Schlick's approximation of Fresnel's equations; what mirrors next to nothing does so at every angle.
+/// Schlick's approximation of Fresnel's equations; a material that reflects almost nothing does so at every angle.
 ///
-/// Sébastien Lagarde, "Memo on Fresnel equations", 2013: <https://seblagarde.wordpress.com/2013/04/29/memo-on-fresnel-equations/>.
+/// Sébastien Lagarde, "Memo on Fresnel equations", 2013:
+/// <https://seblagarde.wordpress.com/2013/04/29/memo-on-fresnel-equations/>.
 #[inline(always)]
 fn fresnel<R: Real>(head_on: Vec3<R>, cosine: R) -> Vec3<R> {
     let most = (head_on.max_element() * 50.0).at_most(1.0);
@@ -267,7 +267,7 @@ fn fresnel<R: Real>(head_on: Vec3<R>, cosine: R) -> Vec3<R> {
     )
 }
 
-/// A frame around a normal.
+/// Orthonormal frame around a normal.
 #[derive(Clone, Copy)]
 struct ShadingFrame<R> {
     right: Vec3<R>,

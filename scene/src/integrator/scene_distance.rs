@@ -1,13 +1,13 @@
-//! The distance of a whole scene, and which object is the nearest.
+//! Distance of the whole scene, and the nearest object.
 
 use super::Integrator;
 use crate::real::{Bundle, Real, Vec3};
 
-/// How far away a surface is where there is none.
+/// Distance returned if there is no surface.
 const MISS_DISTANCE: f32 = 1e9;
 
 impl Integrator<'_> {
-    /// The distance of the whole scene at `p`, never more than to the nearest surface.
+    /// Distance of the whole scene at `p`: at most the distance to the nearest surface.
     #[inline(always)]
     pub fn distance<R: Real>(&self, p: Vec3<R>) -> R {
         if self.shares_nearest {
@@ -58,7 +58,8 @@ impl Integrator<'_> {
         )
     }
 
-    /// The same, and the index of the nearest object; of the first of several.
+    /// Distance of the whole scene at `p`, and the index of the nearest object; if several are equally near, of the
+    /// first.
     pub(super) fn nearest_object<R: Real>(&self, p: Vec3<R>) -> (R, R) {
         p.x.call(
             "nearest",
@@ -89,7 +90,8 @@ impl Integrator<'_> {
         )
     }
 
-    /// Merges one object into the nearest result so far. Skips the object if its bounds are farther away than that result.
+    /// Merges one object into the nearest result so far. Skips the object if its bounds are farther away than that
+    /// result.
     #[inline(always)]
     fn unless_beyond<R: Real, T: Bundle<R>>(
         &self,

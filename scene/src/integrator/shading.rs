@@ -8,14 +8,14 @@ use crate::nodes::{DistanceWithMaterials, MaterialWeight, SdfValue};
 use crate::real::{Bundle, Real, Vec3, vec3};
 use crate::scene::Scene;
 
-/// Which materials are worn where: what a scene's structure tells.
+/// Materials of the scene's surfaces, as far as its structure determines them.
 #[derive(Clone, Debug)]
 pub(super) struct MaterialTable {
-    /// Whether an object's tree says materials of its own.
+    /// Whether a node of an object names a material of its own.
     has_own_materials: Vec<bool>,
-    /// Materials that some surface may wear.
+    /// Slots of materials that surfaces can have.
     surface_slots: Vec<usize>,
-    /// The material of all surfaces, where there is only one and it looks the same from every space.
+    /// Slot of the only material of all surfaces, if it looks the same from every space.
     single_slot: Option<usize>,
     /// Whether some material needs the normal in its own space.
     needs_own_normal: bool,
@@ -23,7 +23,7 @@ pub(super) struct MaterialTable {
     needs_footprint: bool,
 }
 
-/// A material on a surface.
+/// A material at a hit.
 struct HitMaterial<R> {
     slot: usize,
     weight: R,
@@ -53,14 +53,14 @@ impl MaterialTable {
 }
 
 impl Integrator<'_> {
-    /// The surface's own color at a hit of an object.
+    /// Albedo at a hit of an object.
     #[inline(always)]
     pub(super) fn albedo<R: Real>(&self, hit: &Hit<R>, ray: &Ray<R>, object: R) -> Vec3<R> {
         let black = vec3(object.constant(0.0), object.constant(0.0), object.constant(0.0));
         self.blend(
             hit,
             ray,
-            // Layers are what is in the middle of a pixel.
+            // Layers are sampled at the center of a pixel.
             [black; 2],
             object,
             black,
@@ -71,7 +71,7 @@ impl Integrator<'_> {
         )
     }
 
-    /// The shaded color at a hit.
+    /// Shaded color at a hit.
     pub(super) fn shade<R: Real>(&self, hit: &Hit<R>, ray: &Ray<R>, light: &IncidentLight<R>) -> Vec3<R> {
         hit.t.vectorize(
             #[inline(always)]
@@ -97,7 +97,7 @@ impl Integrator<'_> {
         )
     }
 
-    /// The shaded color at a hit, and how it sends rays on.
+    /// Shaded color at a hit, and its specular BSDF.
     pub(super) fn shade_with_specular<R: Real>(
         &self,
         hit: &Hit<R>,
@@ -150,7 +150,7 @@ impl Integrator<'_> {
         (material.shade(place, light), material.specular(place).unwrap_or(matte))
     }
 
-    /// What the materials at a hit of an object give, added up by their shares.
+    /// Sum of a function of the materials at a hit of an object, weighted by their material weights.
     #[inline(always)]
     fn blend<R: Real, T: Bundle<R>>(
         &self,
@@ -180,8 +180,8 @@ impl Integrator<'_> {
         sum
     }
 
-    /// What one sample of a pixel covers of the surface at a hit: two ways of half its width, at right angles to
-    /// each other as the camera sees them. A surface seen edge on counts as seen at a fiftieth of its length.
+    /// Footprint of one pixel sample on the surface at a hit: two vectors of half its width, at right angles as seen
+    /// from the camera. At grazing angles its length is limited to fifty times its width.
     #[inline(always)]
     fn footprint<R: Real>(&self, hit: &Hit<R>, ray: &Ray<R>) -> [Vec3<R>; 2] {
         let half = self.seen.at(hit.t);
@@ -193,7 +193,7 @@ impl Integrator<'_> {
         )
     }
 
-    /// The materials at a hit of an object, and where each sees it.
+    /// Materials at a hit of an object, each with its point in the space of its textures.
     #[inline(always)]
     fn hit_materials<R: Real>(&self, hit: &Hit<R>, footprint: [Vec3<R>; 2], object: R) -> Vec<HitMaterial<R>> {
         let (p, zero) = (hit.position, object.constant(0.0));
@@ -211,12 +211,12 @@ impl Integrator<'_> {
                 continue;
             }
             let coats = self.material_weights(index, p);
-            // How the normal's own space sees a short way along it.
+            // Map a short offset along the normal to the local space.
             let further = self
                 .materials
                 .needs_own_normal
                 .then(|| self.material_weights(index, hit.normal.mul_add(probe_offset(p), p)));
-            // The footprint in that space: where its ends are seen.
+            // Footprint in that space, from its mapped end points.
             let ends =
                 self.materials.needs_footprint.then(|| footprint.map(|end| self.material_weights(index, p + end)));
             for (number, coat) in coats.iter().enumerate() {
@@ -240,7 +240,7 @@ impl Integrator<'_> {
         all
     }
 
-    /// The coats of an object's tree at `p`.
+    /// Material weights of an object at `p`.
     #[inline(always)]
     fn material_weights<R: Real>(&self, index: usize, p: Vec3<R>) -> Vec<MaterialWeight<R>> {
         let tree = &self.scene.objects[index];
@@ -249,7 +249,7 @@ impl Integrator<'_> {
     }
 }
 
-/// How far along a normal one goes to see it from another space.
+/// Offset along a normal for measuring it in another space.
 #[inline(always)]
 fn probe_offset<R: Real>(p: Vec3<R>) -> R {
     let size = vec3(p.x.abs(), p.y.abs(), p.z.abs()).max_element();

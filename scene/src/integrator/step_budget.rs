@@ -1,19 +1,18 @@
-//! What becomes of some rays of a picture, found in plain numbers before anything is rendered.
+//! Estimates before rendering, from a sample of rays, how often rays run out of steps.
 
 use super::Integrator;
 use crate::march::{MarchRange, RELAXATION, Tolerance, march_to_root};
 
-/// Rays that are looked at, at most.
+/// Maximum number of sample rays.
 const MAX_PROBE_RAYS: u32 = 256;
-/// Fewer rays tell nothing.
+/// Minimum number of sample rays; fewer would not be representative.
 const MIN_PROBE_RAYS: u32 = 64;
-/// Evaluations of one node that all rays may take together: some milliseconds.
+/// Maximum number of node evaluations of all rays together: some milliseconds.
 const MAX_NODE_EVALUATIONS: f32 = 400_000.0;
 
 impl Integrator<'_> {
-    /// The share of the picture's rays that run out of steps before they come near enough to a surface to
-    /// show it, as some rays tell; `None` where looking at them would take too long. `work` is how many
-    /// simple nodes it takes to know a distance.
+    /// Estimated fraction of the picture's rays that run out of steps before they come near enough to a surface to
+    /// show it. `None` if sampling would take too long. `work` is the cost of one distance, in simple nodes.
     pub(crate) fn fraction_out_of_steps(&self, width: u32, height: u32, work: f32) -> Option<f32> {
         let max_steps = self.scene.march.max_steps;
         let mut left = (MAX_NODE_EVALUATIONS / work.max(1.0)) as u32;
@@ -49,8 +48,9 @@ impl Integrator<'_> {
     }
 }
 
-/// Places spread evenly over a square, however many they are, by the plastic number: Martin Roberts, "The
-/// unreasonable effectiveness of quasirandom sequences", <https://extremelearning.com.au/unreasonable-effectiveness-of-quasirandom-sequences/>.
+/// Point `number` of a low-discrepancy sequence over the unit square, from the plastic number: Martin Roberts, "The
+/// unreasonable effectiveness of quasirandom sequences",
+/// <https://extremelearning.com.au/unreasonable-effectiveness-of-quasirandom-sequences/>.
 fn r2_point(number: u32) -> (f32, f32) {
     const STEPS: (f64, f64) = (0.754_877_666_246_693, 0.569_840_290_998_053);
     let along = |step: f64| ((f64::from(number) + 0.5) * step).fract() as f32;

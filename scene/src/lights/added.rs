@@ -1,4 +1,4 @@
-//! A light that exists in unit tests alone: what it takes to add one.
+//! Light that exists in unit tests alone: shows what adding one takes.
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -9,11 +9,11 @@ use crate::real::{Real, Vec3};
 use crate::seek::Seek;
 use crate::values::{Color, Direction};
 
-/// Light from far away that gets weaker upwards and casts no shadows.
+/// Light from a distant source that gets weaker with height and casts no shadows.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
 #[serde(deny_unknown_fields)]
 pub struct AddedLight {
-    /// Toward the light.
+    /// Direction toward the light.
     pub direction: Direction,
     /// Its color at height 0.
     pub color: Color,

@@ -1,4 +1,4 @@
-//! Light from far away.
+//! Light from a distant source.
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -9,7 +9,7 @@ use crate::real::{Real, Vec3};
 use crate::seek::Seek;
 use crate::values::{Color, Direction, FullAngle};
 
-/// Light from far away, the same everywhere.
+/// Light from a distant source, the same everywhere.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
 #[serde(deny_unknown_fields)]
 pub struct Directional {
@@ -18,10 +18,10 @@ pub struct Directional {
     /// Its color and strength.
     #[serde(default = "default_color")]
     pub color: Color,
-    /// How wide it is, in degrees: shadows have soft edges. The sun is 0.53 wide.
+    /// Angular diameter, in degrees: above 0, shadows have soft edges. The sun has 0.53.
     #[serde(default = "default_angle")]
     pub angle: FullAngle,
-    /// Whether things cast shadows in it.
+    /// Whether objects cast shadows in this light.
     #[serde(default = "default_shadow")]
     pub shadow: bool,
 }

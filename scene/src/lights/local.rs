@@ -1,4 +1,4 @@
-//! Lights with a place and a shape.
+//! Lights with a position and a shape.
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -14,40 +14,40 @@ use crate::values::{Color, Direction, Fraction, FullAngle, Length, Point};
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
 #[serde(deny_unknown_fields)]
 pub struct SpotLight {
-    /// Where it is.
+    /// Position of the light.
     pub position: Point,
-    /// Where it shines to; of any length.
+    /// Direction of the light; of any length.
     pub direction: Direction,
-    /// The cone's whole angle, in degrees.
+    /// The cone's full angle, in degrees.
     #[serde(default = "default_angle")]
     pub angle: FullAngle,
-    /// Share of the cone, from its edge inwards, over which the light fades in.
+    /// Fraction of the cone, from its edge inward, over which the light fades in.
     #[serde(default = "default_softness")]
     pub softness: Fraction,
     /// Its color, and its strength at a distance of 1.
     #[serde(default = "default_color")]
     pub color: Color,
-    /// Whether things cast shadows in it.
+    /// Whether objects cast shadows in this light.
     #[serde(default = "default_shadow")]
     pub shadow: bool,
 }
 
-/// Light from a ball. It lights what is far away as a point light of the same color does, and its
-/// shadows have soft edges. The ball itself is not seen.
+/// Light from a ball. It lights distant surfaces like a point light of the same color, and its shadows have soft
+/// edges. The ball itself is not visible.
 ///
 /// Peter Shirley, Changyaw Wang, Kurt Zimmerman, "Monte Carlo techniques for direct lighting
-/// calculations", ACM Transactions on Graphics 15(1), 1996: directions in the cone that it fills.
+/// calculations", ACM Transactions on Graphics 15(1), 1996: directions are sampled in the cone that it subtends.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
 #[serde(deny_unknown_fields)]
 pub struct SphereLight {
-    /// Its middle.
+    /// Center of the ball.
     pub position: Point,
-    /// Its radius.
+    /// Radius.
     pub radius: Length,
-    /// Its color, and its strength at a distance of 1 from a point that shines as much.
+    /// Its color, and its strength at a distance of 1 from an equivalent point light.
     #[serde(default = "default_color")]
     pub color: Color,
-    /// Whether things cast shadows in it.
+    /// Whether objects cast shadows in this light.
     #[serde(default = "default_shadow")]
     pub shadow: bool,
 }
@@ -109,7 +109,7 @@ impl LightSource for SphereLight {
         let one = p.x.constant(1.0);
         let radius = p.x.uniform(self.radius.get());
         let toward = Vec3::uniform(p.x, self.position.get()) - p;
-        // Inside the ball light comes from all of a half space.
+        // Inside the ball, light comes from a full half-space.
         let distance = toward.length().max(radius);
         let per_distance = one / distance;
         let axis = (toward * per_distance).normalize();

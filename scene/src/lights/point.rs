@@ -13,12 +13,12 @@ use crate::values::{Color, Point};
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
 #[serde(deny_unknown_fields)]
 pub struct PointLight {
-    /// Where it is.
+    /// Position of the light.
     pub position: Point,
     /// Its color, and its strength at a distance of 1.
     #[serde(default = "default_color")]
     pub color: Color,
-    /// Whether things cast shadows in it.
+    /// Whether objects cast shadows in this light.
     #[serde(default = "default_shadow")]
     pub shadow: bool,
 }

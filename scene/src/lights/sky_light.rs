@@ -1,4 +1,4 @@
-//! Light from all around.
+//! Ambient light from the background.
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -10,20 +10,20 @@ use crate::real::{Real, Vec3};
 use crate::seek::Seek;
 use crate::values::Strength;
 
-/// Light from all around, as the background shows it.
+/// Light from all directions, with the background's radiance.
 ///
-/// With shadows each sample looks in one direction, chosen by the cosine; without, a color or a gradient
-/// is summed in closed form, and `ambient_occlusion` darkens it.
+/// With shadows, each sample takes one direction, chosen by the cosine. Without shadows, a color or a gradient is
+/// integrated in closed form, and `ambient_occlusion` darkens it.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
 #[serde(deny_unknown_fields)]
 pub struct SkyLight {
-    /// How bright it is beside what is seen of it.
+    /// Factor of the background's radiance.
     #[serde(default = "default_strength")]
     pub strength: Strength,
-    /// What shines, where it is not the background.
+    /// Background that emits the light; the scene's when absent.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub from: Option<Background>,
-    /// Whether things cast shadows in it.
+    /// Whether objects cast shadows in this light.
     #[serde(default = "default_shadow")]
     pub shadow: bool,
 }
@@ -63,11 +63,14 @@ impl LightSource for SkyLight {
 
     fn validate(&self, background: &Background) -> Option<NodeError> {
         match &self.from {
-            None => background
-                .is_transparent()
-                .then(|| NodeError::new("", "comes from a background that is transparent: say what shines by `from`")),
+            None => background.is_transparent().then(|| {
+                NodeError::new(
+                    "",
+                    "uses the scene's background, which is transparent: set `from` to a color, a gradient or a day",
+                )
+            }),
             Some(from) if from.is_transparent() => {
-                Some(NodeError::new("from", "is nothing that shines: choose a color, a gradient or a day"))
+                Some(NodeError::new("from", "emits no light: choose a color, a gradient or a day"))
             }
             Some(from) => from.validate().map(|fault| fault.inside("from")),
         }

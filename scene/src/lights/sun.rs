@@ -1,4 +1,4 @@
-//! The sun of a background that has one.
+//! Light of the sun, for a background with a sun.
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -10,17 +10,17 @@ use crate::real::{Real, Vec3};
 use crate::seek::Seek;
 use crate::values::{FullAngle, Strength};
 
-/// The sun of the background's `day`: its direction and its color come from there.
+/// The sun of the background's `day`, which decides its direction and color.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
 #[serde(deny_unknown_fields)]
 pub struct Sun {
-    /// How bright it is beside the sky.
+    /// Factor of the sun's radiance.
     #[serde(default = "default_strength")]
     pub strength: Strength,
-    /// How wide it is, in degrees.
+    /// Angular diameter of the sun, in degrees.
     #[serde(default = "default_angle")]
     pub angle: FullAngle,
-    /// Whether things cast shadows in it.
+    /// Whether objects cast shadows in this light.
     #[serde(default = "default_shadow")]
     pub shadow: bool,
 }
@@ -56,7 +56,10 @@ impl LightSource for Sun {
 
     fn validate(&self, background: &Background) -> Option<NodeError> {
         background.day().is_none().then(|| {
-            NodeError::new("", "shines only by day: make the background a `day`, or use a `directional` light")
+            NodeError::new(
+                "",
+                "needs a background with a sun: make the background a `day`, or use a `directional` light",
+            )
         })
     }
 }

@@ -1,4 +1,4 @@
-//! A material that exists in unit tests alone: what it takes to add one.
+//! Material that exists in unit tests alone: shows what adding one takes.
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -8,7 +8,7 @@ use crate::real::{Real, Vec3};
 use crate::seek::Seek;
 use crate::values::Color;
 
-/// A color where light falls, however steeply.
+/// A constant color under light from any angle.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
 #[serde(deny_unknown_fields)]
 pub struct AddedMaterial {

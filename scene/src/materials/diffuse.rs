@@ -1,4 +1,4 @@
-//! The paper's matte material with a highlight.
+//! Matte material with a highlight, as in the paper.
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -32,7 +32,7 @@ pub struct Diffuse {
 }
 
 impl Diffuse {
-    /// Reflected ambient light, given its `kd` here.
+    /// Reflected ambient light, for the value of `kd` at the point.
     #[inline(always)]
     fn ambient<R: Real>(&self, place: &ShadingPoint<R>, kd: Vec3<R>) -> Vec3<R> {
         let answer = self.ka.as_ref().unwrap_or(&self.kd);

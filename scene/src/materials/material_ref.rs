@@ -10,7 +10,7 @@ use serde::{Deserialize, Deserializer, Serialize, Serializer};
 use super::Material;
 use crate::seek::{FrameTime, Seek, SeekError};
 
-/// A material where it is used: a name from the scene's `materials`, or one in place.
+/// Reference to a material: a name from the scene's `materials`, or a material in place.
 #[derive(Clone, Debug, PartialEq)]
 pub enum MaterialRef {
     /// In a job file: by name.
@@ -31,7 +31,7 @@ impl MaterialRef {
         }
     }
 
-    /// Moves it to a slot in `used`, the materials in use so far; returns the name if there is no such
+    /// Assigns the material a slot in `used`, the materials in use so far. Returns the name if there is no such
     /// material.
     pub(crate) fn resolve(
         &mut self,
@@ -60,7 +60,7 @@ fn add_slot(used: &mut Vec<Material>, material: Material) -> u32 {
 impl Seek for MaterialRef {
     fn seek(&mut self, clock: &mut FrameTime<'_>) -> Result<bool, Box<SeekError>> {
         match self {
-            // The materials themselves are sought once, among those in use.
+            // The materials in slots are sought once, in the list of used materials.
             Self::Name(_) | Self::Slot(_) => Ok(false),
             Self::InPlace(material) => material.seek(clock),
         }
@@ -97,7 +97,7 @@ impl Serialize for MaterialRef {
         match self {
             Self::Name(name) => name.serialize(serializer),
             Self::InPlace(material) => material.serialize(serializer),
-            // As a name: a scene has no other names, and its hash stands in pictures.
+            // Serialized like a name: a scene has no other names, and its hash is stored in pictures.
             Self::Slot(slot) => serializer.collect_str(slot),
         }
     }

@@ -1,4 +1,4 @@
-//! Light on a surface of many small mirrors: distribution, shadowing, Fresnel, and their sampling.
+//! Microfacet model: distribution, shadowing, Fresnel, and their sampling.
 //!
 //! The distribution is GGX: Bruce Walter et al., "Microfacet models for refraction through rough
 //! surfaces", EGSR 2007, <https://www.graphics.cornell.edu/~bjw/microfacetbsdf.pdf>. Masking and
@@ -10,7 +10,7 @@ use std::f32::consts::TAU;
 
 use crate::real::{Real, Vec3, vec3};
 
-/// The least α: below it a highlight would be a point of endless brightness.
+/// Minimum α: below it a highlight would be a point of almost infinite brightness.
 pub const MIN_ALPHA: f32 = 0.002;
 
 /// The α of a roughness from 0 to 1: its square, at least [`MIN_ALPHA`].
@@ -31,7 +31,7 @@ pub fn ggx_distribution<R: Real>(alpha: R, cosine: R, sine_squared: R) -> R {
     (alpha / width).square()
 }
 
-/// √(α² + (1 − α²)·cosine²), a term of Smith's functions, at a direction's cosine.
+/// √(α² + (1 − α²)·cosine²), a term of Smith's functions, for a direction's cosine.
 #[inline(always)]
 fn smith_root<R: Real>(alpha_squared: R, cosine: R) -> R {
     (cosine.constant(1.0) - alpha_squared).mul_add(cosine.square(), alpha_squared).sqrt()
@@ -45,7 +45,7 @@ pub fn smith_visibility<R: Real>(alpha: R, to_light: R, to_viewer: R) -> R {
     to_light.constant(0.5) / to_light.mul_add(smith_root(square, to_viewer), to_viewer * smith_root(square, to_light))
 }
 
-/// Cosines less than this are taken as this where they divide.
+/// Minimum cosine in divisors.
 const MIN_COSINE: f32 = 1e-4;
 
 /// Smith's G₂/G₁(viewer): the weight, next to Fresnel's, of light reflected by a visible normal.
@@ -59,8 +59,8 @@ pub fn smith_g2_over_g1<R: Real>(alpha: R, to_light: R, to_viewer: R) -> R {
     masked / (viewer + light)
 }
 
-/// Part of Fresnel's reflectance that rises toward grazing angles, (1 − cosine)⁵: reflectance is F₀ + (1 −
-/// F₀) times this.
+/// Fraction of Fresnel's reflectance that rises toward grazing angles, (1 − cosine)⁵: reflectance is F₀ + (1 − F₀)
+/// times this.
 ///
 /// Christophe Schlick, "An inexpensive BRDF model for physically-based rendering", 1994.
 #[inline(always)]
@@ -70,7 +70,7 @@ pub fn schlick_weight<R: Real>(cosine: R) -> R {
     square.square() * rest
 }
 
-/// Fresnel's reflectance by Schlick's formula, from that at the normal and the cosine to a mirror's normal.
+/// Fresnel's reflectance by Schlick's formula, from F₀ and the cosine between the light and the half vector.
 #[inline(always)]
 pub fn fresnel<R: Real>(at_normal: Vec3<R>, cosine: R) -> Vec3<R> {
     let rise = schlick_weight(cosine);
@@ -80,13 +80,13 @@ pub fn fresnel<R: Real>(at_normal: Vec3<R>, cosine: R) -> Vec3<R> {
     )
 }
 
-/// Fresnel's reflectance at the normal, of a border between media: ((n − 1)/(n + 1))².
+/// Fresnel's reflectance F₀ at normal incidence on a boundary between media: ((n − 1)/(n + 1))².
 #[inline(always)]
 pub fn f0_from_ior<R: Real>(ior: R) -> R {
     ((ior - 1.0) / (ior + 1.0)).square()
 }
 
-/// Two directions that make a right-handed frame with a normal of length 1: x, y, normal.
+/// Two directions that form a right-handed frame with a normal of length 1: x, y, normal.
 ///
 /// Tom Duff et al., "Building an orthonormal basis, revisited", JCGT 6(1), 2017,
 /// <https://jcgt.org/published/0006/01/01/>.
@@ -108,7 +108,7 @@ pub fn orthonormal_basis<R: Real>(normal: Vec3<R>) -> (Vec3<R>, Vec3<R>) {
 /// <https://arxiv.org/abs/2306.05044>.
 #[inline(always)]
 pub fn sample_visible_normal<R: Real>(to_viewer: Vec3<R>, alpha: R, u: R, v: R) -> Vec3<R> {
-    // Stretched, the mirrors are a half sphere, whose visible normals are a spherical cap.
+    // Stretched, the microfacets form a hemisphere, whose visible normals are a spherical cap.
     let viewer = vec3(to_viewer.x * alpha, to_viewer.y * alpha, to_viewer.z).normalize();
     let (sine, cosine) = (u * TAU).sin_cos();
     let one = u.constant(1.0);

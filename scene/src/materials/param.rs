@@ -1,4 +1,4 @@
-//! Parameters of materials: each is one value, or a texture that gives one at every place.
+//! Parameters of materials: each is one value, or a texture that varies it.
 
 use std::borrow::Cow;
 use std::fmt;
@@ -21,7 +21,7 @@ use crate::values::{Color, Fraction, PeekedMap, RefractiveIndex, Shininess};
 pub enum ColorParam {
     /// Constant color.
     Constant(Color),
-    /// A texture's.
+    /// Color from a texture.
     Textured(Box<Texture>),
 }
 
@@ -50,7 +50,7 @@ impl ColorParam {
         }
     }
 
-    /// The texture, where it is one.
+    /// The texture, if there is one.
     pub fn texture(&self) -> Option<&Texture> {
         match self {
             Self::Constant(_) => None,
@@ -58,7 +58,7 @@ impl ColorParam {
         }
     }
 
-    /// Whether it is black everywhere: then a formula may leave it out.
+    /// Whether it is black everywhere, so that a formula may leave it out.
     #[inline(always)]
     pub fn is_black(&self) -> bool {
         matches!(self, Self::Constant(color) if color.is_black())
@@ -74,7 +74,7 @@ impl ColorParam {
     }
 }
 
-/// Deserializes a color like [`Color`], or a texture; errors inside keep their place.
+/// Deserializes a color like [`Color`], or a texture; errors inside keep their pointers.
 struct TintVisitor;
 
 impl<'de> Visitor<'de> for TintVisitor {
@@ -134,13 +134,13 @@ impl JsonSchema for ColorParam {
 
     fn json_schema(generator: &mut SchemaGenerator) -> Schema {
         let (color, texture) = (generator.subschema_for::<Color>(), generator.subschema_for::<Texture>());
-        json_schema!({ "description": "A color, or a texture that gives one at every place.", "anyOf": [color, texture] })
+        json_schema!({ "description": "A color, or a texture that varies it.", "anyOf": [color, texture] })
     }
 }
 
 /// Kind of number that a texture may vary.
 pub trait ScalarKind: Clone + fmt::Debug + PartialEq + Serialize + JsonSchema + for<'de> Deserialize<'de> {
-    /// The number.
+    /// The value.
     fn value(&self) -> f32;
 
     /// Whether it is 0 in every frame.
@@ -165,12 +165,12 @@ macro_rules! parameters {
 
 parameters![Fraction, Shininess, RefractiveIndex];
 
-/// A number: one for all places, or one that a texture varies.
+/// A number: constant, or varied by a texture.
 #[derive(Clone, Debug, PartialEq)]
 pub enum ScalarParam<N> {
-    /// One number.
+    /// Constant number.
     Constant(N),
-    /// A texture's.
+    /// Number varied by a texture.
     Textured(Box<TexturedScalar<N>>),
 }
 
@@ -196,13 +196,13 @@ impl<N: ScalarKind> ScalarParam<N> {
         }
     }
 
-    /// Whether it is 0 everywhere: then a formula may leave its term out.
+    /// Whether it is 0 everywhere, so that a formula may leave its term out.
     #[inline(always)]
     pub fn is_zero(&self) -> bool {
         matches!(self, Self::Constant(number) if number.is_zero())
     }
 
-    /// The number at a place.
+    /// The number at a shading point.
     #[inline(always)]
     pub fn at<R: Real>(&self, place: &ShadingPoint<R>) -> R {
         let like = place.normal.x;
@@ -232,7 +232,7 @@ pub(super) fn lerp_colors<R: Real>(from: Vec3<R>, to: Vec3<R>, share: R) -> Vec3
     to.mul_add(share, from * (share.constant(1.0) - share))
 }
 
-/// Reads a number, or what varies one.
+/// Deserializes a number, or a number varied by a texture.
 struct LevelVisitor<N>(PhantomData<N>);
 
 impl<'de, N: ScalarKind> Visitor<'de> for LevelVisitor<N> {
@@ -259,11 +259,11 @@ impl<'de, N: ScalarKind> Visitor<'de> for LevelVisitor<N> {
         let name = first.as_deref().unwrap_or_default();
         if Texture::is_name(name) {
             let message = format_args!(
-                "a texture gives a color: to vary a number by it, write {{\"low\": …, \"high\": …, \"by\": {{\"{name}\": …}}}}"
+                "a texture is a color, not a number: to vary a number by it, write {{\"low\": …, \"high\": …, \"by\": {{\"{name}\": …}}}}"
             );
             return Err(A::Error::custom(message));
         }
-        // A track of keys is a number too.
+        // A track of keyframes is a number too.
         let is_number = matches!(name, "keys" | "ease");
         let map = MapAccessDeserializer::new(PeekedMap::new(first, map));
         if is_number {

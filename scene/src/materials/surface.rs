@@ -1,4 +1,4 @@
-//! A physically based material: metal, plastic, lacquer, glass and what glows.
+//! A physically based material: metal, plastic, lacquer, glass and emitters.
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -11,48 +11,48 @@ use crate::real::{Real, Vec3, bundle, vec3};
 use crate::seek::Seek;
 use crate::values::{Fraction, RefractiveIndex};
 
-/// A physically based surface: a matte body under a border that mirrors, or metal; under a clear coat if it has one.
+/// A physically based surface: a dielectric or metal, with an optional clear coat.
 ///
 /// Parameters are those of glTF 2.0 and its extensions `KHR_materials_ior`, `clearcoat` and `transmission`
 /// (<https://registry.khronos.org/glTF/specs/2.0/glTF-2.0.html#appendix-b-brdf-implementation>), after Brent Burley,
 /// "Physically based shading at Disney", 2012. Highlights are single-scattering GGX with Smith's height-correlated
-/// shadowing and Schlick's Fresnel. What enters the body was not mirrored, on the way in and out, so that the whole
-/// never sends back more than arrives and is the same with light and viewer exchanged.
-/// The scene around is mirrored and seen through as far as `march.max_bounces` allows.
+/// shadowing and Schlick's Fresnel. The diffuse term gets only light that is not reflected, on the way in and out, so
+/// that the surface conserves energy and is reciprocal. Reflected and transmitted rays show the scene, up to
+/// `march.max_bounces` bounces.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
 #[serde(deny_unknown_fields)]
 pub struct Surface {
-    /// Color of the body, or of a metal's reflections; channels above 1 count as 1.
+    /// Diffuse color, or the color of a metal's reflections; channels above 1 count as 1.
     #[serde(default = "default_base_color")]
     pub base_color: ColorParam,
-    /// Whether it is a metal: 1, or not: 0.
+    /// Metalness: 1 is a metal, 0 a dielectric.
     #[serde(default = "default_fraction")]
     pub metallic: ScalarParam<Fraction>,
     /// Roughness: 0 is a mirror, 1 is matte. Its square is the α of GGX, at least 0.002.
     #[serde(default = "default_roughness")]
     pub roughness: ScalarParam<Fraction>,
-    /// Index of refraction of the body.
+    /// Index of refraction.
     #[serde(default = "default_ior")]
     pub ior: ScalarParam<RefractiveIndex>,
     /// Emitted light.
     #[serde(default = "ColorParam::black")]
     pub emission: ColorParam,
-    /// Fraction of it under a clear coat, whose index of refraction is 1.5.
+    /// Fraction of the surface under a clear coat, whose index of refraction is 1.5.
     #[serde(default = "default_fraction")]
     pub clearcoat: ScalarParam<Fraction>,
     /// Roughness of the clear coat.
     #[serde(default = "default_clearcoat_roughness")]
     pub clearcoat_roughness: ScalarParam<Fraction>,
-    /// Fraction of the light that enters the body and is transmitted, tinted by the root of `base_color`
-    /// on the way in and out.
+    /// Fraction of the light entering the surface that is transmitted, tinted by the square root of `base_color` on
+    /// the way in and out.
     #[serde(default = "default_fraction")]
     pub transmission: ScalarParam<Fraction>,
 }
 
-/// Reflectance at the normal of a clear coat.
+/// F0 of a clear coat.
 const CLEARCOAT_F0: f32 = 0.04;
 
-/// A clear coat at a place.
+/// A clear coat at a shading point.
 #[derive(Clone, Copy)]
 struct Clearcoat<R> {
     amount: R,
@@ -62,7 +62,7 @@ struct Clearcoat<R> {
 bundle!(Clearcoat { amount, alpha });
 
 impl<R: Real> Clearcoat<R> {
-    /// Fraction of the light that it reflects, given the cosine's [`grazing`] part.
+    /// Fraction of the light that it reflects, for the cosine's [`schlick_weight`].
     #[inline(always)]
     fn mirrored(&self, grazing: R) -> R {
         self.amount * grazing.mul_add(grazing.constant(1.0 - CLEARCOAT_F0), grazing.constant(CLEARCOAT_F0))
@@ -75,18 +75,18 @@ impl<R: Real> Clearcoat<R> {
     }
 }
 
-/// The surface at a place: its parameters as the formulas want them.
+/// Terms of the surface at a shading point, as the formulas use them.
 #[derive(Clone, Copy)]
 struct SurfaceTerms<R: Real> {
     to_viewer: Vec3<R>,
     normal: Vec3<R>,
     /// Cosine to the viewer.
     n_dot_v: R,
-    /// Its [`grazing`] part.
+    /// Its [`schlick_weight`].
     viewer_schlick: R,
     /// Reflectance at the normal.
     f0: Vec3<R>,
-    /// Color of the light that the body scatters, without the terms that depend on directions.
+    /// Diffuse color, without the terms that depend on directions.
     diffuse_color: Vec3<R>,
     alpha: R,
     clearcoat: Option<Clearcoat<R>>,
@@ -107,7 +107,7 @@ impl Surface {
         )
     }
 
-    /// Reflectance at the normal, of the border and by channel of the whole.
+    /// F0 of the surface: of the dielectric, and by channel with metalness.
     #[inline(always)]
     fn f0<R: Real>(&self, place: &ShadingPoint<R>, base: Vec3<R>) -> (R, Vec3<R>) {
         let border = match &self.ior {
@@ -125,7 +125,7 @@ impl Surface {
         (border, whole)
     }
 
-    /// Fraction of the light that enters and is scattered by the body, and fraction that is transmitted.
+    /// Diffuse fraction of the light, and transmitted fraction.
     #[inline(always)]
     fn diffuse_and_transmitted<R: Real>(&self, place: &ShadingPoint<R>) -> (R, R) {
         let one = place.normal.x.constant(1.0);
@@ -155,8 +155,8 @@ impl Surface {
         let (scattered, _) = self.diffuse_and_transmitted(place);
         let coat = self.clearcoat(place);
         let facing = place.normal.dot(place.to_viewer).at_least(0.0);
-        // Light that leaves is mirrored back at the border by its average, 1/21 above that at the normal,
-        // and scattered again: so the body is divided by what passes on average.
+        // Light that leaves is reflected back at the boundary by its average reflectance, 1/21 above F₀, and scattered
+        // again. So the diffuse color is divided by the average transmittance.
         let share = match coat {
             None => scattered * (21.0 / 20.0),
             Some(coat) => scattered / average_transmittance(coat.amount),
@@ -175,8 +175,9 @@ impl Surface {
     }
 }
 
-/// The average over all directions, by cosine, of (1 − s)·(1 − c·(f + (1 − f)·s)): what passes the border and the
-/// coat, s = (1 − cosine)⁵, without the border's 1 − F₀. The averages of s and s² are 1/21 and 1/66.
+/// Average over all directions, weighted by cosine, of (1 − s)·(1 − c·(f + (1 − f)·s)): the transmittance of the
+/// boundary and the clear coat, s = (1 − cosine)⁵, without the boundary's factor 1 − F₀. The averages of s and s² are
+/// 1/21 and 1/66.
 #[inline(always)]
 fn average_transmittance<R: Real>(amount: R) -> R {
     const CLEARCOAT_LOSS: f32 = CLEARCOAT_F0 * (20.0 / 21.0) + (1.0 - CLEARCOAT_F0) * (1.0 / 21.0 - 1.0 / 66.0);
@@ -184,8 +185,7 @@ fn average_transmittance<R: Real>(amount: R) -> R {
 }
 
 impl<R: Real> SurfaceTerms<R> {
-    /// Fraction of the light between the body and one direction that passes border and coat, without 1 −
-    /// F₀.
+    /// Transmittance of boundary and clear coat between the diffuse term and one direction, without the factor 1 − F₀.
     #[inline(always)]
     fn transmitted(&self, grazing: R) -> R {
         let border = grazing.constant(1.0) - grazing;
@@ -195,10 +195,10 @@ impl<R: Real> SurfaceTerms<R> {
         }
     }
 
-    /// Light from all around, sent back by the body.
+    /// Ambient light reflected by the diffuse term.
     #[inline(always)]
     fn reflect_ambient(&self, light: Vec3<R>) -> Vec3<R> {
-        // Over all directions the light that enters makes up for the division by what passes on average.
+        // Over all directions, the incoming light cancels the division by the average transmittance.
         let share = match self.clearcoat {
             None => self.viewer_schlick.constant(20.0 / 21.0),
             Some(coat) => average_transmittance(coat.amount),
@@ -206,7 +206,7 @@ impl<R: Real> SurfaceTerms<R> {
         self.diffuse_color.mul_elementwise(light) * (self.transmitted(self.viewer_schlick) * share)
     }
 
-    /// Light from one direction, sent back to the viewer: one step for all surfaces and lights.
+    /// Light from one direction, reflected to the viewer. One function for all surfaces and lights.
     #[inline(always)]
     fn reflect(self, light: LightSample<R>) -> Vec3<R> {
         self.n_dot_v.call(
@@ -344,8 +344,7 @@ impl Shade for Surface {
 }
 
 impl Surface {
-    /// Combined reflectance of coat and border at normal incidence, and their roughness: the mean
-    /// weighted by reflectance.
+    /// Combined F0 of clear coat and surface, and their mean roughness, weighted by F0.
     #[inline(always)]
     fn combined_f0_and_roughness<R: Real>(
         &self,
@@ -357,7 +356,7 @@ impl Surface {
         let through = (coat.constant(1.0) - coat).square();
         let border = at_normal * through;
         let weight = (border.x + border.y + border.z) * (1.0 / 3.0);
-        // 1e-6 where neither mirrors anything: any roughness will do.
+        // 1e-6 if neither reflects anything: any roughness will do.
         let whole = (coat + weight).at_least(1e-6);
         let mean = self.clearcoat_roughness.at(place).mul_add(coat, roughness * weight) / whole;
         let mirrored = border.map(
@@ -373,7 +372,7 @@ fn default_base_color() -> ColorParam {
 }
 
 fn constant_fraction(value: f32) -> ScalarParam<Fraction> {
-    ScalarParam::Constant(Fraction::new(value).expect("a share is from 0 to 1"))
+    ScalarParam::Constant(Fraction::new(value).expect("a fraction is from 0 to 1"))
 }
 
 fn default_fraction() -> ScalarParam<Fraction> {

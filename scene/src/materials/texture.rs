@@ -1,6 +1,7 @@
-//! Textures: what gives a color at every place. They are solid: most ask only for the point, none needs a mapping.
+//! Textures: colors that vary over space. They are solid: most depend only on the point, none needs a mapping.
 //!
-//! A texture is one documented struct, an `impl` of [`Pattern`] and of [`super::Exemplary`], and one entry in the list.
+//! A texture is one documented struct, an `impl` of [`Pattern`] and of [`super::HasExamples`], and one entry in the
+//! list.
 
 #[cfg(test)]
 mod added;
@@ -29,20 +30,20 @@ use crate::nodes::snake_case;
 use crate::real::{Real, Vec3};
 use crate::seek::Seek;
 
-/// What a texture means.
+/// Behavior of a texture.
 pub trait Pattern {
-    /// The color at a place, linear RGB.
+    /// Color at a shading point, linear RGB.
     fn color<R: Real>(&self, place: &ShadingPoint<R>) -> Vec3<R>;
 
     /// Its colors, which may be textures.
     fn color_params(&self) -> Vec<&ColorParam>;
 
-    /// Whether it looks at `ShadingPoint::local_normal` itself.
+    /// Whether it uses `ShadingPoint::local_normal` directly.
     fn uses_local_normal(&self) -> bool {
         false
     }
 
-    /// Whether it looks at `Place::footprint` itself.
+    /// Whether it uses `ShadingPoint::footprint` directly.
     fn looks_at_footprint(&self) -> bool {
         false
     }
@@ -51,7 +52,7 @@ pub trait Pattern {
 /// The list: each texture's name, and its struct.
 macro_rules! textures {
     ($($(#[$attribute:meta])* $Kind:ident: $Struct:ident),* $(,)?) => {
-        /// A color at every place: keyed by its name.
+        /// A color that varies over space: an object whose member is the texture's name.
         #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
         #[serde(rename_all = "snake_case")]
         pub enum Texture {
@@ -59,7 +60,7 @@ macro_rules! textures {
         }
 
         impl Texture {
-            /// The color at a place, linear RGB.
+            /// Color at a shading point, linear RGB.
             pub fn at<R: Real>(&self, place: &ShadingPoint<R>) -> Vec3<R> {
                 place.local_point.x.vectorize(
                     #[inline(always)]
@@ -72,12 +73,12 @@ macro_rules! textures {
                 match self { $($(#[$attribute])* Self::$Kind(texture) => texture.color_params()),* }
             }
 
-            /// Whether it looks at `ShadingPoint::local_normal` itself.
+            /// Whether it uses `ShadingPoint::local_normal` directly.
             fn uses_local_normal(&self) -> bool {
                 match self { $($(#[$attribute])* Self::$Kind(texture) => texture.uses_local_normal()),* }
             }
 
-            /// Whether it looks at `Place::footprint` itself.
+            /// Whether it uses `ShadingPoint::footprint` directly.
             fn looks_at_footprint(&self) -> bool {
                 match self { $($(#[$attribute])* Self::$Kind(texture) => texture.looks_at_footprint()),* }
             }
@@ -87,7 +88,7 @@ macro_rules! textures {
                 [$($(#[$attribute])* snake_case(stringify!($Kind))),*].iter().any(|known| known == name)
             }
 
-            /// Each kind's examples, as a user would write the whole texture.
+            /// Each kind's examples, as a user would write the texture.
             pub fn examples() -> Vec<Example> {
                 let mut examples = Vec::new();
                 $(
@@ -113,13 +114,13 @@ textures![
 ];
 
 impl Texture {
-    /// How deep textures nest in it, itself included.
+    /// Nesting depth of its textures, itself included.
     pub fn depth(&self) -> usize {
         let inside = self.color_params().into_iter().filter_map(ColorParam::texture);
         1 + inside.map(Self::depth).max().unwrap_or(0)
     }
 
-    /// Whether it, or a texture in it, looks at `ShadingPoint::local_normal`.
+    /// Whether it, or a texture in it, uses `ShadingPoint::local_normal`.
     pub fn needs_own_normal(&self) -> bool {
         self.uses_local_normal()
             || self.color_params().into_iter().filter_map(ColorParam::texture).any(Self::needs_own_normal)
@@ -127,14 +128,14 @@ impl Texture {
 }
 
 impl Texture {
-    /// Whether it, or a texture in it, looks at `Place::footprint`.
+    /// Whether it, or a texture in it, uses `ShadingPoint::footprint`.
     pub fn needs_footprint(&self) -> bool {
         self.looks_at_footprint()
             || self.color_params().into_iter().filter_map(ColorParam::texture).any(Self::needs_footprint)
     }
 }
 
-/// Black and white: the colors of textures that name none.
+/// Black and white: the colors of textures without a `colors` member.
 fn default_colors() -> [ColorParam; 2] {
     [ColorParam::black(), ColorParam::white()]
 }
@@ -144,7 +145,7 @@ mod tests {
     use super::*;
     use crate::real::{MaskValue, vec3};
 
-    /// A place on a face that looks at the viewer.
+    /// A shading point on a face toward the viewer.
     pub(super) fn at(x: f32, y: f32, z: f32) -> ShadingPoint<f32> {
         let facing = vec3(0.0, 0.0, 1.0);
         let point = vec3(x, y, z);
@@ -162,7 +163,7 @@ mod tests {
     }
 
     #[test]
-    fn textures_in_textures_are_counted_and_asked_for_the_normal() {
+    fn nested_textures_count_and_can_need_the_normal() {
         let texture: Texture = serde_json::from_str(
             r#"{ "checker": { "cell": 1, "colors": [[0, 0, 0],
                  { "stripes": { "width": 1, "colors": [{ "bricks": {} }, [1, 1, 1]] } }] } }"#,

@@ -1,4 +1,4 @@
-//! Materials that fill a shape instead of covering it: clouds and volumes.
+//! Medium materials inside a shape: clouds and volumes.
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Deserializer, Serialize};
@@ -17,7 +17,7 @@ use crate::values::{Anisotropy, Color, Density, Fraction, LengthOrZero, integer_
 pub struct Clouds {
     /// Density of the clouds by place; its range is mapped to 0 to 1.
     pub noise: Noise,
-    /// Whether the noise lies on the surface or fills the shape.
+    /// Whether the noise is on the surface or inside the shape.
     #[serde(default)]
     pub mapping: Mapping,
     /// Color of the clouds. On a surface it is lit like that of `diffuse`.
@@ -46,21 +46,21 @@ pub enum Mapping {
     Depth,
 }
 
-/// Fills an object with what scatters and dims light: smoke, mist, lit clouds.
+/// A medium inside an object that scatters and absorbs light: smoke, mist, lit clouds.
 ///
-/// Light falls off as Beer and Lambert say and is scattered once, by the phase function of L. G. Henyey and
-/// J. L. Greenstein, "Diffuse radiation in the galaxy", Astrophysical Journal 93, 1941. Further orders are
-/// approximated as in Magnus Wrenninge et al., "Oz: the great and volumetric", SIGGRAPH 2013 talks: each has
-/// half the light of the one before, through half the depth, scattered half as much onwards.
+/// Transmittance follows the Beer-Lambert law, with single scattering by the phase function of L. G. Henyey and J. L.
+/// Greenstein, "Diffuse radiation in the galaxy", Astrophysical Journal 93, 1941. Further orders are approximated as
+/// in Magnus Wrenninge et al., "Oz: the great and volumetric", SIGGRAPH 2013 talks: each order has half the light of
+/// the previous one, half its optical depth, and half its anisotropy.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
 #[serde(deny_unknown_fields)]
 pub struct Volume {
-    /// The extinction coefficient where it is thickest, per scene unit.
+    /// The extinction coefficient at full density, per scene unit.
     pub density: Density,
-    /// Density by place; uniform when absent.
+    /// Noise that varies the density; uniform when absent.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub noise: Option<Noise>,
-    /// Fraction of the noise's range that is filled.
+    /// Fraction of the noise's range that counts as filled.
     #[serde(default = "default_coverage")]
     pub coverage: Fraction,
     /// Depth below its shape's surface at which it reaches full density, in scene units.
@@ -69,7 +69,7 @@ pub struct Volume {
     /// Fraction of the light that is scattered and not absorbed, by channel.
     #[serde(default = "default_color")]
     pub albedo: Color,
-    /// Whether light is scattered onwards (above 0) or back.
+    /// Anisotropy: above 0 light is scattered forward, below 0 back.
     #[serde(default = "default_anisotropy")]
     pub anisotropy: Anisotropy,
     /// Orders of scattering: 1 is exact, more are approximated and brighter.
@@ -91,7 +91,7 @@ pub struct Volume {
 
 const MAX_ORDERS: u32 = 8;
 
-/// Medium that fills an object.
+/// Medium inside an object.
 #[derive(Clone, Copy, Debug)]
 pub enum MediumMaterial<'a> {
     /// Clouds inside a shape.
@@ -126,7 +126,7 @@ impl MediumMaterial<'_> {
         }
     }
 
-    /// The extinction coefficient where it is thickest.
+    /// The extinction coefficient at full density.
     pub(crate) fn density(&self) -> f32 {
         match self {
             Self::Clouds(clouds) => clouds.density.get(),
@@ -141,7 +141,7 @@ impl MediumMaterial<'_> {
         }
     }
 
-    /// The extinction coefficient at a point so deep inside.
+    /// Extinction coefficient at a point at this depth inside the shape.
     #[inline(always)]
     pub(crate) fn extinction<R: Real>(&self, p: Vec3<R>, depth: R) -> R {
         match self {
@@ -150,7 +150,7 @@ impl MediumMaterial<'_> {
         }
     }
 
-    /// The light it sends out for each unit of extinction.
+    /// Emission per unit of extinction.
     #[inline(always)]
     pub(crate) fn emission<R: Real>(&self, like: R) -> Vec3<R> {
         match self {
@@ -159,7 +159,7 @@ impl MediumMaterial<'_> {
         }
     }
 
-    /// The volume that scatters light, if it does.
+    /// The volume, if it scatters light.
     pub(crate) fn as_scattering(&self) -> Option<&Volume> {
         match self {
             Self::Clouds(_) => None,
@@ -168,7 +168,7 @@ impl MediumMaterial<'_> {
     }
 }
 
-/// A noise's value at `p`, scaled from its range to 0 to 1.
+/// Noise value at `p`, scaled from its range to 0 to 1.
 #[inline(always)]
 fn normalized_noise<R: Real>(noise: &Noise, p: Vec3<R>) -> R {
     let (low, high) = noise.range();
@@ -176,7 +176,7 @@ fn normalized_noise<R: Real>(noise: &Noise, p: Vec3<R>) -> R {
     noise.value(p).mul_add(p.x.uniform(per_range), p.x.uniform(-low * per_range)).at_least(0.0).at_most(1.0)
 }
 
-/// Part of a fraction above a threshold, scaled to 0 to 1.
+/// Excess of a fraction above a threshold, scaled to 0 to 1.
 #[inline(always)]
 fn above_threshold<R: Real>(share: R, threshold: f32) -> R {
     let per_rest = 1.0 / (1.0 - threshold).max(1e-3);
@@ -255,7 +255,7 @@ impl Shade for Clouds {
 }
 
 impl Clouds {
-    /// Fraction of a surface covered by clouds; 0 seen from inside.
+    /// Fraction of a surface covered by clouds; 0 from inside.
     #[inline(always)]
     fn coverage_at<R: Real>(&self, place: &ShadingPoint<R>) -> R {
         R::select(place.is_inside.0, place.camera_t.constant(0.0), self.density_at(place.local_point).at_most(1.0))
@@ -275,8 +275,8 @@ impl Volume {
         }
     }
 
-    /// Fraction of a light's color scattered by an angle of this cosine, through this optical depth. The
-    /// light's color is over π, and the phase function over 4π.
+    /// Fraction of a light's color scattered by an angle of this cosine, through this optical depth. The light's color
+    /// is over π, and the phase function over 4π.
     #[inline(always)]
     pub(crate) fn phase<R: Real>(&self, cosine: R, depth: R) -> R {
         let mut sum = cosine.constant(0.0);

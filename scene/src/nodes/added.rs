@@ -1,4 +1,4 @@
-//! A node that exists in unit tests alone: what it takes to add one.
+//! Node that exists in unit tests alone: shows what adding one takes.
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -9,11 +9,11 @@ use crate::real::{Real, Vec3};
 use crate::seek::Seek;
 use crate::values::Length;
 
-/// All between two planes across z.
+/// Space between two planes across z.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
 #[serde(deny_unknown_fields)]
 pub struct AddedNode {
-    /// How far the planes are from each other.
+    /// Distance between the planes.
     pub depth: Length,
 }
 

@@ -1,8 +1,8 @@
 //! Bounding volume hierarchy over a union's shapes: a BVH node farther away than the nearest result so far is
 //! skipped.
 //!
-//! Skipping a BVH node leaves the least distance unchanged, which is never more than the distance to its
-//! shapes: no ray passes a surface. Every arithmetic skips alike, so the results stay bit-identical.
+//! Skipping a BVH node leaves the minimum distance unchanged, and that is never more than the distance to its shapes,
+//! so no ray passes through a surface. Every arithmetic skips alike, so the results stay bit-identical.
 
 use std::ops::Range;
 
@@ -10,10 +10,10 @@ use super::Node;
 use crate::bounds::Bounds;
 use crate::seek::Invalidate;
 
-/// A run of fewer nodes is not worth a box.
+/// Minimum number of scene nodes in a BVH node; a smaller one is not worth its bounds.
 pub(crate) const MIN_BVH_NODES: u32 = 8;
 
-/// A run of shapes and, if it is long, its two halves.
+/// A range of shapes and, if it is long, its two halves.
 #[derive(Clone, Debug)]
 pub(super) struct BvhNode {
     pub(super) shapes: Range<usize>,
@@ -44,7 +44,7 @@ impl UnionBvh {
         let measured = |shape| Measured { bounds: finite_bounds(shape, is_animated), nodes: shape.node_count() };
         let measured: Vec<Measured> = shapes.iter().map(measured).collect();
         let all = (shapes.len() > 1).then(|| build(&measured, 1..shapes.len()));
-        // In a box of its own, so that nodes stay small.
+        // Boxed, so that nodes stay small.
         Self(all.filter(BvhNode::has_bounds).map(Box::new))
     }
 }
@@ -65,21 +65,21 @@ fn build(shapes: &[Measured], range: Range<usize>) -> BvhNode {
     BvhNode { shapes: range, bounds: bounds.filter(|_| nodes >= MIN_BVH_NODES), children: halves }
 }
 
-/// What a run needs to know of a shape: found once, though the shape is in several runs.
+/// Size and bounds of a shape, measured once although the shape is in several BVH nodes.
 struct Measured {
     bounds: Option<Bounds>,
     nodes: u32,
 }
 
-/// A shape's box, if it has an end in every direction. Where the job moves there is one in any case:
-/// what has no end in one frame, a tilted plane say, may have one in the next.
+/// Bounds of a shape, if they are finite. For an animated job there are bounds in any case: an infinite shape, such as
+/// a tilted plane, may be finite in the next frame.
 fn finite_bounds(shape: &Node, is_animated: bool) -> Option<Bounds> {
     let bounds = shape.bounds(0.0);
     if is_animated { Some(bounds.clamped_to_finite()) } else { Some(bounds).filter(|bounds| bounds.is_finite()) }
 }
 
 impl Node {
-    /// The box that a ray near this object is held against, if it is worth it.
+    /// Bounds for skipping this object when a ray is distant, if that is worthwhile.
     pub(crate) fn culling_bounds(&self, is_animated: bool) -> Option<Bounds> {
         finite_bounds(self, is_animated).filter(|_| self.node_count() >= MIN_BVH_NODES)
     }

@@ -17,8 +17,7 @@ use crate::real::{Real, Vec3};
 use crate::seek::Seek;
 use crate::values::Coordinate;
 
-/// A shape with bumps: amplitude · bumps is added to its distance, so where that is negative the surface
-/// rises.
+/// A shape with bumps: amplitude · bumps is added to its distance, so the surface rises where the bumps are negative.
 ///
 /// A Lipschitz factor is the child's plus |amplitude| times that of the bumps.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
@@ -30,12 +29,12 @@ pub struct Displace {
     pub amplitude: Coordinate,
     /// The shape.
     pub child: Child,
-    /// Where the displacement need not be evaluated.
+    /// Cached region outside which the displacement is not evaluated.
     #[serde(skip)]
     pub bounds_cache: CachedDisplacementBounds,
 }
 
-/// Function added to a distance, keyed by its kind.
+/// Function added to a distance: an object whose member is the function's name.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
 #[serde(rename_all = "snake_case")]
 pub enum DisplacementFunction {
@@ -49,7 +48,7 @@ pub enum DisplacementFunction {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
 #[serde(deny_unknown_fields)]
 pub struct Sine {
-    /// φ, in radians a scene unit: one number, or one for each axis.
+    /// φ, in radians per scene unit: one number, or one for each axis.
     pub frequency: PerAxis,
 }
 
@@ -61,16 +60,16 @@ impl Sine {
         sine * periodic_sine(p.z, frequency.z)
     }
 
-    /// The greatest frequency: with sᵢ, cᵢ the sines and cosines, the square of the gradient is
-    /// Σ φᵢ²·cᵢ²·Πsⱼ² ≤ max φ² · Σ (1 − sᵢ²)·Πsⱼ², and that last sum is at most 1, as it is the chance that just
-    /// one of three independent things fails.
+    /// The greatest frequency. With sᵢ, cᵢ the sines and cosines, the square of the gradient is Σ φᵢ²·cᵢ²·Πsⱼ² ≤ max
+    /// φ² · Σ (1 − sᵢ²)·Πsⱼ². The last sum is at most 1, because it is the probability that exactly one of three
+    /// independent events fails.
     fn lipschitz(&self) -> f32 {
         let Vec3 { x, y, z } = self.frequency.get();
         x.abs().max(y.abs()).max(z.abs())
     }
 }
 
-/// sin(φ·c), accurate at any angle: whole turns are subtracted first.
+/// sin(φ·c), accurate at any angle: full turns are subtracted first.
 #[inline(always)]
 fn periodic_sine<R: Real>(c: R, frequency: f32) -> R {
     let turns = c * c.uniform(frequency / TAU);
@@ -172,7 +171,7 @@ mod tests {
     use crate::real::vec3;
 
     #[test]
-    fn bumps_are_where_the_formula_says() {
+    fn bumps_match_the_formula() {
         let text =
             r#"{ "by": { "sine": { "frequency": 9 } }, "amplitude": 0.05, "child": { "sphere": { "radius": 1.25 } } }"#;
         let node: Displace = serde_json::from_str(text).unwrap();

@@ -35,8 +35,8 @@ impl PartialEq for CachedDisplacementBounds {
 }
 
 impl DisplacementBounds {
-    /// Displacement by values from one of `ends` to the other, which makes the distance up to 1 +
-    /// `steepening` times as steep.
+    /// Displacement by values between the two `ends`, which makes the Lipschitz factor up to 1 + `steepening` times as
+    /// large.
     pub(super) fn new(ends: [f32; 2], steepening: f32) -> Self {
         let steepening = steepening.min(MAX_LIPSCHITZ);
         let (low, high) = (ends[0].min(ends[1]), ends[0].max(ends[1]));
@@ -49,12 +49,11 @@ impl DisplacementBounds {
         (isolevel - self.low).max(0.0)
     }
 
-    /// `distance` plus `amount`, held between steepness · (distance + low) and steepness · (distance + high).
+    /// `distance` plus `amount`, clamped between lipschitz · (distance + low) and lipschitz · (distance + high).
     ///
-    /// Neither end is steeper than the sum may be, and each has the sign of the sum wherever it replaces
-    /// it: the surface does not move, and a step may be as long as the distance to the nearest
-    /// displacement. Beyond `influence` from the middle only the ends are used, and the amount is not
-    /// evaluated.
+    /// Neither end has a larger Lipschitz factor than the sum, and each has the sign of the sum wherever it replaces
+    /// it. So the surface does not change, and a step may be as long as the distance to the nearest displacement.
+    /// Farther than `influence` from the middle of the range only the ends are used, and the amount is not evaluated.
     #[inline(always)]
     pub(super) fn displaced<R: Real>(self, distance: R, amount: impl FnOnce() -> R) -> R {
         let (middle, half) = ((self.low + self.high) * 0.5, (self.high - self.low) * 0.5);

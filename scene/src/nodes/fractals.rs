@@ -1,7 +1,7 @@
-//! Fractals: shapes of endless detail, cut off after a number of iterations.
+//! Fractals: shapes with infinite detail, limited to a number of iterations.
 //!
-//! Fractals made of length-preserving folds and one scale have an exact distance or a bound. The others have
-//! an estimate: how far a point's orbit has come, divided by how fast orbits diverge there.
+//! Fractals built from length-preserving folds and one scale have an exact distance or a bound. The others have an
+//! estimate: the distance of a point's orbit, divided by the rate at which orbits diverge there.
 
 mod apollonian_gasket;
 mod folds;
@@ -54,7 +54,7 @@ fn distance_from_box<R: Real>(p: Vec3<R>, half: Vec3<f32>) -> R {
     outside + past_face.max_element().at_most(0.0)
 }
 
-/// Reads a number of iterations that is in range.
+/// Deserializes a number of iterations and checks its range.
 fn iterations<'de, D: serde::Deserializer<'de>>(deserializer: D) -> Result<u32, D::Error> {
     crate::values::integer_in_range(deserializer, 1, MAX_ITERATIONS, "iterations")
 }

@@ -1,4 +1,4 @@
-//! Shapes changed in other ways than by moving them.
+//! Modifiers of a shape other than its position.
 
 mod bend;
 mod cached;
@@ -30,7 +30,7 @@ use crate::materials::MaterialRef;
 use crate::real::{Real, Vec3};
 use crate::seek::Seek;
 
-/// Gives a shape its own material; the innermost `paint` is seen.
+/// Gives a shape its own material; the innermost `paint` is visible.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
 #[serde(deny_unknown_fields)]
 pub struct Paint {

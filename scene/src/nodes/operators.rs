@@ -1,10 +1,10 @@
 //! Constructive solid geometry: combines shapes, sharply or smoothly.
 //!
-//! `of` is folded from the left. With `smooth` k > 0, h = max(k − |a − b|, 0) rounds the seam by h²/(4k):
-//! Inigo Quilez's quadratic polynomial minimum, <https://iquilezles.org/articles/smin/>. The child whose
-//! distance wins is seen; within the seam the other one has the weight ½(h/k)².
+//! `of` is folded from the left. With `smooth` k > 0, h = max(k − |a − b|, 0) rounds the seam by h²/(4k): Inigo
+//! Quilez's quadratic polynomial minimum, <https://iquilezles.org/articles/smin/>. The child whose distance is used is
+//! visible; within the seam the other one has the weight ½(h/k)².
 //!
-//! All are bounds: exact where one child alone is near.
+//! All are bounds: exact where only one child is near.
 
 mod carving;
 mod seams;
@@ -32,7 +32,7 @@ pub struct Union {
     /// The shapes, one or more.
     #[schemars(length(min = 1))]
     pub of: Vec<Node>,
-    /// Width of the melted seam; 0 is sharp.
+    /// Width of the smooth seam; 0 is sharp.
     #[serde(default = "default_smooth")]
     pub smooth: LengthOrZero,
     /// Bounding volume hierarchy of the shapes.
@@ -47,7 +47,7 @@ pub struct Intersection {
     /// The shapes, one or more.
     #[schemars(length(min = 1))]
     pub of: Vec<Node>,
-    /// Width of the melted seam; 0 is sharp.
+    /// Width of the smooth seam; 0 is sharp.
     #[serde(default = "default_smooth")]
     pub smooth: LengthOrZero,
 }
@@ -56,10 +56,10 @@ pub struct Intersection {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
 #[serde(deny_unknown_fields)]
 pub struct Difference {
-    /// The shape to cut from, then those to cut away.
+    /// The shape to cut from, then the shapes to subtract.
     #[schemars(length(min = 1))]
     pub of: Vec<Node>,
-    /// Width of the melted seam; 0 is sharp.
+    /// Width of the smooth seam; 0 is sharp.
     #[serde(default = "default_smooth")]
     pub smooth: LengthOrZero,
 }
@@ -114,7 +114,7 @@ fn smooth_subtract<R: Real, V: SdfValue<R>>(a: V, b: V, smooth: &LengthOrZero) -
     smooth_max(a, negated(b), smooth)
 }
 
-/// h = max(k − |a − b|, 0): how far into the seam.
+/// h = max(k − |a − b|, 0): depth into the seam.
 #[inline(always)]
 fn seam_depth<R: Real>(a: R, b: R, smooth: &LengthOrZero) -> R {
     (a.uniform(smooth.get()) - (a - b).abs()).at_least(0.0)
@@ -126,7 +126,7 @@ fn per(width: f32) -> f32 {
     if width == 0.0 { 0.0 } else { 1.0 / width }
 }
 
-/// Weight of the second child, whether it wins or loses: the loser has ½(h/k)².
+/// Weight of the second child: the child whose distance is not used has ½(h/k)².
 #[inline(always)]
 fn seam_weight<R: Real>(overlap: R, smooth: &LengthOrZero, second_wins: R::Mask) -> R {
     let loser = overlap.square() * overlap.uniform(0.5 * per(smooth.get() * smooth.get()));
@@ -139,7 +139,7 @@ fn negated<R: Real, V: SdfValue<R>>(v: V) -> V {
     v.with_distance(distance)
 }
 
-/// All shapes joined, one after another.
+/// Combines all shapes, one after another.
 #[inline(always)]
 fn fold_children<R: Real, V: SdfValue<R>>(of: &[Node], p: Vec3<R>, join: impl Fn(V, V) -> V) -> V {
     let mut sum: V = of[0].sample(p);
@@ -202,8 +202,8 @@ impl Sdf for Union {
 }
 
 impl Union {
-    /// Merges the shapes of a BVH node into the result so far, if the node is near enough: shapes farther
-    /// away than the seam is wide do not change the minimum.
+    /// Merges the shapes of a BVH node into the result so far, if the node is near enough: shapes farther away than
+    /// the seam is wide do not change the minimum.
     fn union_bvh<R: Real, V: SdfValue<R>>(&self, run: &BvhNode, sum: V, p: Vec3<R>) -> V {
         p.x.vectorize(
             #[inline(always)]

@@ -1,4 +1,4 @@
-//! One number for each axis, which may be written as a single number.
+//! One number for each axis; a single number in JSON sets all three.
 
 use std::borrow::Cow;
 use std::fmt;
@@ -28,7 +28,7 @@ impl PerAxis {
     }
 }
 
-/// Reads one number or three.
+/// Deserializes one number or three.
 struct PerAxisVisitor;
 
 impl<'de> Visitor<'de> for PerAxisVisitor {

@@ -1,4 +1,4 @@
-//! Primitives whose formula wants numbers that cost more to derive than the formula itself does.
+//! Primitives with derived values that cost more than the formula itself.
 
 use std::ops::Deref;
 
@@ -7,16 +7,16 @@ use serde::{Deserialize, Deserializer, Serialize, Serializer};
 
 use crate::seek::{FrameTime, Seek, SeekError};
 
-/// A primitive's numbers as a user gives them.
+/// Parameters of a primitive, as in JSON.
 pub trait Precompute {
     /// Values that its formula uses.
     type Derived: Clone;
 
-    /// Derives it.
+    /// Derives the values.
     fn derive(&self) -> Self::Derived;
 }
 
-/// A primitive's parameters, with the values derived from them once, when it is read.
+/// A primitive's parameters, with the values derived from them once, when the job is parsed.
 #[derive(Debug)]
 pub struct Precomputed<G: Precompute> {
     given: G,
@@ -39,7 +39,7 @@ impl<G: Precompute> From<G> for Precomputed<G> {
     }
 }
 
-/// The numbers as given.
+/// The parameters.
 impl<G: Precompute> Deref for Precomputed<G> {
     type Target = G;
 

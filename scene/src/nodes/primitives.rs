@@ -41,7 +41,7 @@ use crate::values::{Coordinate, Direction, Length, LengthOrZero, Point};
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
 #[serde(deny_unknown_fields)]
 pub struct Sphere {
-    /// Its radius.
+    /// Radius.
     pub radius: Length,
 }
 
@@ -65,7 +65,7 @@ impl Primitive for Sphere {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
 #[serde(deny_unknown_fields)]
 pub struct Box {
-    /// Whole extents along x, y and z.
+    /// Full extents along x, y and z.
     pub size: [Length; 3],
     /// Radius of its rounded edges, inside `size`.
     #[serde(default = "default_round")]
@@ -99,7 +99,9 @@ impl Primitive for Box {
         (self.round.get() > most).then(|| {
             NodeError::new(
                 "round",
-                format!("must be at most half the least size, inside which it rounds: make round {most} or less"),
+                format!(
+                    "must be at most half the least size, because edges are rounded inward: make round {most} or less"
+                ),
             )
         })
     }
@@ -110,11 +112,11 @@ impl Primitive for Box {
     }
 }
 
-/// Half of space: all that lies behind a plane.
+/// A half-space: all points behind a plane.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
 #[serde(deny_unknown_fields)]
 pub struct Plane {
-    /// Direction its surface faces, of any length.
+    /// Direction that the surface faces, of any length.
     pub normal: Direction,
     /// Distance of the surface from the origin, along the normal.
     pub offset: Coordinate,
@@ -138,13 +140,13 @@ impl Primitive for Plane {
     }
 }
 
-/// A cylinder around the y axis, its middle at the origin.
+/// A cylinder around the y axis, centered at the origin.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
 #[serde(deny_unknown_fields)]
 pub struct Cylinder {
-    /// Its radius.
+    /// Radius.
     pub radius: Length,
-    /// Its whole height.
+    /// Full height.
     pub height: Length,
 }
 
@@ -169,7 +171,7 @@ impl Primitive for Cylinder {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
 #[serde(deny_unknown_fields)]
 pub struct InfiniteCylinder {
-    /// Its radius.
+    /// Radius.
     pub radius: Length,
 }
 
@@ -196,7 +198,7 @@ impl Primitive for InfiniteCylinder {
 pub struct TriangularPrism {
     /// Radius of the triangle's circumcircle.
     pub height: Length,
-    /// Whole length along z.
+    /// Full length along z.
     pub length: Length,
 }
 
@@ -216,7 +218,7 @@ impl Primitive for TriangularPrism {
     }
 
     fn bounds(&self, isolevel: f32) -> Bounds {
-        // Further out, the triangle is a larger one; none of its corners is further away than its apex.
+        // At a larger isolevel, the triangle is a larger one; its apex is its farthest corner.
         let apex = self.height.get() + 2.0 * isolevel;
         Bounds::symmetric(apex, apex, self.length.get() / 2.0 + isolevel)
     }
@@ -231,7 +233,7 @@ impl Primitive for TriangularPrism {
 pub struct Pyramid {
     /// Height of its apex.
     pub height: Length,
-    /// Whole extents of its base along x and z; the unit square when absent.
+    /// Full extents of its base along x and z; the unit square when absent.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub base: Option<[Length; 2]>,
 }
@@ -274,7 +276,7 @@ impl Primitive for Pyramid {
     }
 }
 
-/// Distance to a pyramid over a rectangle of these whole extents along x and z.
+/// Distance to a pyramid over a rectangle of these full extents along x and z.
 #[inline(always)]
 fn rectangular_pyramid<R: Real>(p: Vec3<R>, base: [f32; 2], height: f32) -> R {
     let [half_x, half_z] = base.map(
@@ -294,7 +296,7 @@ fn rectangular_pyramid<R: Real>(p: Vec3<R>, base: [f32; 2], height: f32) -> R {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
 #[serde(deny_unknown_fields)]
 pub struct Torus {
-    /// Radius of the circle in the middle of the tube.
+    /// Radius of the circle at the center of the tube.
     pub radius: Length,
     /// Radius of the tube.
     pub tube: Length,

@@ -11,14 +11,14 @@ pub(super) const NOISE_COST: f32 = 20.0;
 /// Cost of a fractal.
 const FRACTAL_COST: f32 = 32.0;
 
-/// How a node's value relates to the Euclidean distance to its surface, best first.
+/// Relation of a node's value to the Euclidean distance to its surface, best first.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Exactness {
     /// The value is the distance.
     Exact,
     /// The value divided by its Lipschitz factor is never more than the distance.
     Bound,
-    /// An estimate, which no Lipschitz factor bounds everywhere; a step of value/stretch still passes no surface.
+    /// An estimate, which no Lipschitz factor bounds everywhere; a step of value/lipschitz still passes no surface.
     Estimate,
 }
 
@@ -32,10 +32,10 @@ impl Exactness {
     }
 }
 
-/// What is wrong with the numbers of a node, a light or a background taken together.
+/// Error in the numbers of a node, a light or a background taken together.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct NodeError {
-    /// Where in it: a key, or a path of keys and places such as `points/2`.
+    /// JSON pointer within it: a member name, or a path of names and indices such as `points/2`.
     pub pointer: String,
     /// Message with the fix, continuing a sentence after the pointer.
     pub message: String,
@@ -47,7 +47,7 @@ impl NodeError {
         Self { pointer: place.into(), message: message.into() }
     }
 
-    /// The same, seen from what holds it under a key.
+    /// The same error, with its pointer prefixed by the member of the parent.
     pub(crate) fn inside(self, key: &str) -> Self {
         let separator = if self.pointer.is_empty() { "" } else { "/" };
         Self { pointer: format!("{key}{separator}{}", self.pointer), message: self.message }
@@ -56,13 +56,13 @@ impl NodeError {
 
 /// A node: a shape or an operator.
 pub trait Sdf {
-    /// A small valid value, as a user would write it: the picture in docs/nodes.md and the contract tests use it.
+    /// A small valid value, as a user would write it, for the picture in docs/nodes.md and for the contract tests.
     const EXAMPLE: &'static str;
 
-    /// Further values that take other ways through the formula, drawn and tested like the first.
+    /// Further values that exercise other branches of the formula, rendered and tested like the first.
     const MORE_EXAMPLES: &'static [&'static str] = &[];
 
-    /// All values to be drawn and tested.
+    /// All values to be rendered and tested.
     fn examples() -> Vec<String> {
         std::iter::once(&Self::EXAMPLE).chain(Self::MORE_EXAMPLES).map(ToString::to_string).collect()
     }
@@ -70,10 +70,10 @@ pub trait Sdf {
     /// The signed distance at `p`, negative inside, with materials where `V` keeps them.
     fn eval<R: Real, V: SdfValue<R>>(&self, p: Vec3<R>) -> V;
 
-    /// Whether its children are a list under `of`, and not one under `child`.
+    /// Whether its children are a list under `of` instead of one under `child`.
     const HAS_CHILD_LIST: bool = false;
 
-    /// The nodes inside, in order.
+    /// Its child nodes, in order.
     fn children(&self) -> &[Node] {
         &[]
     }
@@ -83,7 +83,7 @@ pub trait Sdf {
         &mut []
     }
 
-    /// Precomputes what speeds up its evaluation; its children have done so before. If the job is
+    /// Precomputes values that speed up its evaluation; its children have been precomputed before. If the job is
     /// animated, the result must have the same form in all frames.
     fn precompute(&mut self, is_animated: bool) {
         let _ = is_animated;
@@ -99,7 +99,7 @@ pub trait Sdf {
         None
     }
 
-    /// A Lipschitz factor: |d(p) − d(q)| ≤ stretch · |p − q|. A march divides by it.
+    /// A Lipschitz factor L: |d(p) − d(q)| ≤ L · |p − q|. A march divides by it.
     fn lipschitz(&self) -> f32 {
         self.children().iter().map(Node::stretch).fold(1.0, f32::max)
     }
@@ -109,18 +109,18 @@ pub trait Sdf {
         self.children().iter().map(Node::exactness).fold(Exactness::Exact, Exactness::max)
     }
 
-    /// Whether its surface has details of every size, so that some are smaller than any pixel: a normal is then
-    /// the mean over a pixel.
+    /// Whether its surface has fine detail at every scale, some of it smaller than any pixel. A normal is then
+    /// averaged over a pixel.
     fn is_fine(&self) -> bool {
         self.children().iter().any(Node::is_fine)
     }
 
-    /// Error in its numbers taken together, if any; each alone is in range.
+    /// Error in its numbers taken together, if any; each number alone is in range.
     fn validate(&self) -> Option<NodeError> {
         None
     }
 
-    /// A box that holds every point whose distance is at most `level`, which is not below 0.
+    /// Box that contains every point whose distance is at most `isolevel`, which is at least 0.
     fn bounds(&self, isolevel: f32) -> Bounds;
 
     /// Its size in simple nodes, without its children.
@@ -134,27 +134,27 @@ pub trait Sdf {
         if is_fractal { FRACTAL_COST } else { 0.0 }
     }
 
-    /// How many times one evaluation of it evaluates the nodes inside, at most.
+    /// Maximum number of child evaluations in one evaluation of the node.
     fn child_evaluations(&self) -> f32 {
         1.0
     }
 
-    /// Whether it takes its further children away from the first.
+    /// Whether it subtracts its other children from the first.
     fn subtracts(&self) -> bool {
         false
     }
 
-    /// The angles about the axes by which it turns its child, if it does that alone.
+    /// The angles by which it rotates its child about the axes, if it does nothing else.
     fn rotation(&self) -> Option<&Rotation> {
         None
     }
 
-    /// Whether its child is carried to another place over the frames.
+    /// Whether its child's position is animated.
     fn is_placement_animated(&self) -> bool {
         false
     }
 
-    /// What to change if its Lipschitz factor is so high that steps are tiny: the fix in the warning of that.
+    /// Advice for the warning that its Lipschitz factor is so high that steps are tiny.
     fn lipschitz_advice(&self) -> &'static str {
         "change it less, or over a greater length"
     }
@@ -165,10 +165,10 @@ pub trait Primitive {
     /// A small valid value, as a user would write it.
     const EXAMPLE: &'static str;
 
-    /// Further values that take other ways through the formula.
+    /// Further values that exercise other branches of the formula.
     const MORE_EXAMPLES: &'static [&'static str] = &[];
 
-    /// All values to be drawn and tested.
+    /// All values to be rendered and tested.
     fn examples() -> Vec<String> {
         std::iter::once(&Self::EXAMPLE).chain(Self::MORE_EXAMPLES).map(ToString::to_string).collect()
     }
@@ -176,10 +176,10 @@ pub trait Primitive {
     /// The signed distance from `p` to the surface, negative inside.
     fn distance<R: Real>(&self, p: Vec3<R>) -> R;
 
-    /// A box that holds every point whose distance is at most `level`, which is not below 0.
+    /// Box that contains every point whose distance is at most `isolevel`, which is at least 0.
     fn bounds(&self, isolevel: f32) -> Bounds;
 
-    /// A Lipschitz factor: |d(p) − d(q)| ≤ stretch · |p − q|.
+    /// A Lipschitz factor L: |d(p) − d(q)| ≤ L · |p − q|.
     fn lipschitz(&self) -> f32 {
         1.0
     }
@@ -189,12 +189,12 @@ pub trait Primitive {
         Exactness::Exact
     }
 
-    /// Whether its surface has details of every size, see [`Sdf::is_fine`].
+    /// Whether its surface has fine detail at every scale, see [`Sdf::is_fine`].
     fn is_fine(&self) -> bool {
         false
     }
 
-    /// Error in its numbers taken together, if any; each alone is in range.
+    /// Error in its numbers taken together, if any; each number alone is in range.
     fn validate(&self) -> Option<NodeError> {
         None
     }
@@ -209,7 +209,7 @@ pub trait Primitive {
         if self.exactness() == Exactness::Estimate { FRACTAL_COST } else { 0.0 }
     }
 
-    /// What to change if its Lipschitz factor is so high that steps are tiny: the fix in the warning of that.
+    /// Advice for the warning that its Lipschitz factor is so high that steps are tiny.
     fn lipschitz_advice(&self) -> &'static str {
         "change it less, or over a greater length"
     }

@@ -1,4 +1,4 @@
-//! Solids swept by a flat profile: along z, or around y.
+//! Solids swept from a profile: along z, or around y.
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -10,32 +10,30 @@ use crate::real::{Real, Vec3, vec3};
 use crate::seek::Seek;
 use crate::values::{Coordinate, Length, LengthOrZero};
 
-/// A flat profile given a height along z, its middle at z = 0.
+/// A profile extruded along z, centered at z = 0.
 ///
-/// Inigo Quilez, "Distance functions": <https://iquilezles.org/articles/distfunctions/>. It is as
-/// exact as the profile where `round` is 0. With rounded edges it is a bound: near the profile's
-/// corners the distance is an under-estimate.
+/// Inigo Quilez, "Distance functions": <https://iquilezles.org/articles/distfunctions/>. It is as exact as the profile
+/// if `round` is 0. With rounded edges it is a bound: near the profile's corners the distance is an underestimate.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
 #[serde(deny_unknown_fields)]
 pub struct Extrude {
     /// The profile, in the plane of x and y.
     pub profile: Profile,
-    /// Whole height along z.
+    /// Full height along z.
     pub height: Length,
     /// Radius of the rounded edges around both ends, inside the sharp solid.
     #[serde(default = "default_round")]
     pub round: LengthOrZero,
 }
 
-/// A flat profile turned about the y axis.
+/// A profile rotated about the y axis.
 ///
-/// Inigo Quilez, "Distance functions": <https://iquilezles.org/articles/distfunctions/>. The part of the
-/// profile beyond the axis is cut away; the distance is then a bound, unless the profile is symmetric about
-/// the axis.
+/// Inigo Quilez, "Distance functions": <https://iquilezles.org/articles/distfunctions/>. The part of the profile
+/// beyond the axis is cut off; the distance is then a bound, unless the profile is symmetric about the axis.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
 #[serde(deny_unknown_fields)]
 pub struct Revolve {
-    /// The profile: its y is the axis, its x leads away from it.
+    /// The profile: its y is the axis, its x points away from the axis.
     pub profile: Profile,
     /// Distance of the profile's origin from the axis.
     #[serde(default = "default_offset")]
@@ -61,8 +59,8 @@ impl Primitive for Extrude {
         out.square_add(up.square()).sqrt() + past_outline.max(past_end).at_most(0.0) - p.x.uniform(round)
     }
 
-    // Its factor is 1, rounded or not: it is a norm of two numbers of which one changes with x and y
-    // alone and the other with z alone, neither faster than the point moves.
+    // Its factor is 1, rounded or not: it is a norm of two values, one of which changes with x and y alone and the
+    // other with z alone, neither faster than the point.
     fn exactness(&self) -> Exactness {
         let worst_rounding = if self.round.get() == 0.0 { Exactness::Exact } else { Exactness::Bound };
         self.profile.exactness().max(worst_rounding)
@@ -114,8 +112,7 @@ impl Primitive for Revolve {
 
     fn validate(&self) -> Option<NodeError> {
         let reach = self.profile.extent(0.0).high[0];
-        let message =
-            format!("puts the profile beyond the axis, where nothing is turned: make offset more than {}", -reach);
+        let message = format!("puts the whole profile beyond the axis: make offset more than {}", -reach);
         let beyond = (self.offset.get() + reach <= 0.0).then(|| NodeError::new("offset", message));
         profile_error(&self.profile).or(beyond)
     }

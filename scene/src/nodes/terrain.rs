@@ -1,4 +1,4 @@
-//! Land: heights over a plane, from noise.
+//! Terrain: heights over a plane, from noise.
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -12,7 +12,7 @@ use crate::real::{Real, Vec3, vec3};
 use crate::seek::Seek;
 use crate::values::Length;
 
-/// Land that is solid below y = height · noise(x, 0, z); without `size` it is infinite.
+/// Terrain that is solid below y = height · noise(x, 0, z); without `size` it is infinite.
 ///
 /// With a noise of Lipschitz factor L, the Lipschitz factor of y − height · noise is √(1 + (height·L)²).
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
@@ -20,9 +20,9 @@ use crate::values::Length;
 pub struct HeightField {
     /// The noise.
     pub noise: Noise,
-    /// Height of the land where the noise is 1.
+    /// Height of the terrain where the noise is 1.
     pub height: Length,
-    /// Whole extents of the box around the origin that the land is cut to.
+    /// Full extents of the box around the origin to which the terrain is cut.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub size: Option<[Length; 3]>,
 }

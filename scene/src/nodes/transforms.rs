@@ -1,4 +1,4 @@
-//! A shape somewhere else: moved, turned, resized. All keep an exact distance exact.
+//! Transforms of a shape: translated, rotated, scaled. An exact distance remains exact.
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -9,21 +9,21 @@ use crate::real::{Real, Vec3, vec3};
 use crate::seek::Seek;
 use crate::values::{Point, Rotation, ScaleFactor};
 
-/// A shape moved.
+/// A translated shape.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
 #[serde(deny_unknown_fields)]
 pub struct Translate {
-    /// By how much.
+    /// Offset, in scene units.
     pub by: Point,
     /// The shape.
     pub child: Child,
 }
 
-/// A shape turned about the fixed x, then y, then z axis.
+/// A shape rotated about the fixed x, then y, then z axis.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
 #[serde(deny_unknown_fields)]
 pub struct Rotate {
-    /// Angles about x, y and z.
+    /// Angles about x, y and z, in degrees.
     pub degrees: Rotation,
     /// The shape.
     pub child: Child,

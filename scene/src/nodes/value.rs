@@ -17,14 +17,15 @@ pub trait SdfValue<R: Real>: Clone {
     /// Two surfaces combined at `distance`; the second has the weight that `second` returns, 0 to 1.
     fn blend(self, other: Self, distance: R, second: impl FnOnce() -> R) -> Self;
 
-    /// Combines this value with a shape that is at least `lower_bound` away. May return `self` without calling `combine` if that shape cannot be nearer.
+    /// Combines this value with a shape that is at least `lower_bound` away. May return `self` without calling
+    /// `combine` if that shape cannot be nearer.
     fn combine_unless_farther(self, beyond: R, join: impl FnOnce(Self) -> Self) -> Self;
 
-    /// The surface of `node` as `point` sees it, where its distance is known already.
+    /// Value of `node` at `point`, whose distance is known already.
     fn from_known_distance(node: &Node, place: Vec3<R>, distance: R) -> Self;
 
-    /// The same surface with a material wherever no inner node names one; `p` is the point in the space
-    /// of the material's textures.
+    /// The same surface with a material wherever no inner node names one; `p` is the point in the space of the
+    /// material's textures.
     fn paint(self, slot: u32, p: Vec3<R>) -> Self;
 }
 
@@ -74,14 +75,14 @@ impl<R: Real> SdfValue<R> for Distance<R> {
     }
 }
 
-/// A material and its fraction of a surface.
+/// A material and its weight on a surface.
 #[derive(Clone, Copy, Debug)]
 pub struct MaterialWeight<R> {
     /// The material's slot; `None` is the object's own.
     pub slot: Option<u32>,
-    /// Its fraction, 0 to 1.
+    /// Weight, 0 to 1.
     pub weight: R,
-    /// The point in its textures' space; for a material in several places, that of the greatest fraction.
+    /// The point in the space of its textures; for a material in several spaces, that of the greatest weight.
     pub point: Vec3<R>,
 }
 
@@ -94,7 +95,7 @@ pub struct DistanceWithMaterials<R> {
 }
 
 impl<R: Real> DistanceWithMaterials<R> {
-    /// The materials' fractions; empty if nothing is painted.
+    /// The materials' weights; empty if nothing is painted.
     pub fn weights(&self) -> &[MaterialWeight<R>] {
         &self.weights
     }
@@ -169,7 +170,7 @@ impl<R: Real> SdfValue<R> for DistanceWithMaterials<R> {
     }
 }
 
-/// Adds a fraction to that of the same material, or as a new one.
+/// Adds a weight to that of the same material, or as a new one.
 #[inline(always)]
 fn add_weight<R: Real>(coats: &mut Vec<MaterialWeight<R>>, new: MaterialWeight<R>) {
     for coat in coats.iter_mut() {
@@ -182,7 +183,7 @@ fn add_weight<R: Real>(coats: &mut Vec<MaterialWeight<R>>, new: MaterialWeight<R
     coats.push(new);
 }
 
-/// 1 where `mask` holds, else 0.
+/// 1 where `mask` is true, else 0.
 #[inline(always)]
 pub(super) fn indicator<R: Real>(like: R, mask: R::Mask) -> R {
     R::select(mask, like.constant(1.0), like.constant(0.0))

@@ -1,4 +1,4 @@
-//! A shape in a space that noise has bent.
+//! A shape in a space distorted by noise.
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -14,10 +14,10 @@ use crate::seek::Seek;
 use crate::values::Coordinate;
 
 /// A shape evaluated with each point shifted by three noises: domain warping, as in Inigo Quilez,
-/// <https://iquilezles.org/articles/warp/>. The noises are the given one with three seeds, each less the
-/// center of its range.
+/// <https://iquilezles.org/articles/warp/>. The noises are `noise` with three seeds, each less the center of its
+/// range.
 ///
-/// The shift has no greater Lipschitz factor than |amplitude|·√3 times that of the noise.
+/// The Lipschitz factor of the shift is at most |amplitude|·√3 times that of the noise.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
 #[serde(deny_unknown_fields)]
 pub struct Warp {

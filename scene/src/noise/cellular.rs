@@ -1,4 +1,4 @@
-//! Cellular noise: how far the nearest of points are that are strewn one to a cell.
+//! Cellular noise: distance to the nearest of points scattered one per cell.
 //!
 //! Steven Worley, "A cellular texture basis function", SIGGRAPH 1996, <https://doi.org/10.1145/237170.237267>.
 
@@ -16,7 +16,7 @@ pub enum Feature {
     /// The distance to the nearest point, in cells, at most 1.
     #[default]
     F1,
-    /// Difference of the distances to the second and the nearest: 0 on the walls between cells.
+    /// Difference of the distances to the second and the nearest point: 0 on the walls between cells.
     F2MinusF1,
 }
 

@@ -1,4 +1,4 @@
-//! Gardner's noise: the product of two sums of sine waves that bend each other.
+//! Gardner's noise: the product of two sums of sine waves that shift each other's phases.
 //!
 //! Geoffrey Y. Gardner, "Visual simulation of clouds", SIGGRAPH 1985, <https://doi.org/10.1145/325334.325248>:
 //!
@@ -15,7 +15,7 @@ use std::f32::consts::{FRAC_PI_2, PI, TAU};
 use super::lattice::float_in_1_2;
 use crate::real::{Real, Vec3, vec3};
 
-/// Fewest and most waves in a sum.
+/// Minimum and maximum number of waves in a sum.
 pub(super) const MIN_WAVES: u32 = 3;
 pub(super) const MAX_WAVES: u32 = 8;
 
@@ -25,7 +25,7 @@ const WAVE_GAIN: f32 = 0.707;
 /// Sine and cosine of an angle.
 type SinCos<R> = (R, R);
 
-/// Sine and cosine of an angle in whole turns.
+/// Sine and cosine of an angle in full turns.
 #[inline(always)]
 fn sin_cos_of_turns<R: Real>(turns: R) -> SinCos<R> {
     ((turns - (turns + 0.5).floor()) * TAU).sin_cos()
@@ -46,7 +46,7 @@ fn wave<R: Real>(own: SinCos<R>, across: R, along: R) -> R {
     own.0.mul_add(cosine, own.1 * sine)
 }
 
-/// The weights of the waves, together 1.
+/// Weights of the waves, which sum to 1.
 fn weights(waves: u32) -> impl Iterator<Item = f32> {
     let weights = (0..waves).scan(1.0_f32, |next, _| Some(std::mem::replace(next, *next * WAVE_GAIN)));
     let sum: f32 = weights.clone().sum();
@@ -82,9 +82,9 @@ pub(super) fn gardner<R: Real>(p: Vec3<R>, seed: R, waves: u32) -> R {
 /// Maximum slope for each number of waves, per unit.
 ///
 /// With X, X′ the two sums over their weights wᵢ plus 1, and Y, Y′ the sums of wᵢ·fᵢ·|cos θᵢ| for the frequencies fᵢ,
-/// T = X·X′/4, and the parts of 4·∇T along the axes are at most X′·Y + π/8·X·Y′, π/8·X′·Y + X·Y′ and π/2·(X′·Y + X·Y′).
-/// The length of that is convex in (X, Y) as in (X′, Y′), so it is greatest where both are extreme points of
-/// what Σ wᵢ·sin θᵢ, Σ wᵢ·fᵢ·cos θᵢ can be together: a curve. A test goes along it for both.
+/// T = X·X′/4, and the parts of 4·∇T along the axes are at most X′·Y + π/8·X·Y′, π/8·X′·Y + X·Y′ and π/2·(X′·Y +
+/// X·Y′). The length of that vector is convex in (X, Y) and in (X′, Y′), so it is greatest where both are extreme
+/// points of the set of (Σ wᵢ·sin θᵢ, Σ wᵢ·fᵢ·cos θᵢ): a curve. A test searches that curve for both.
 const LIPSCHITZ: [f32; (MAX_WAVES - MIN_WAVES + 1) as usize] = [15.72, 22.87, 33.39, 48.81, 71.34, 104.13];
 
 /// Lipschitz factor, per unit.
@@ -109,7 +109,7 @@ mod tests {
     }
 
     #[test]
-    fn no_two_sums_are_steeper_together_than_the_factor_says() {
+    fn products_of_sums_stay_within_the_lipschitz_factor() {
         for waves in MIN_WAVES..=MAX_WAVES {
             let curve: Vec<_> = (0..400)
                 .scan(1e-5_f32, |slope, _| Some(std::mem::replace(slope, *slope * 1.05)))
@@ -122,7 +122,7 @@ mod tests {
             };
             let steepest = curve.iter().flat_map(|&a| curve.iter().map(move |&b| slope(a, b))).fold(0.0, f32::max);
             let said = lipschitz(waves);
-            assert!((0.99..0.999_9).contains(&(steepest / said)), "{waves} waves: {steepest}, said {said}");
+            assert!((0.99..0.999_9).contains(&(steepest / said)), "{waves} waves: {steepest}, expected {said}");
         }
     }
 }

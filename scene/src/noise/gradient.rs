@@ -1,22 +1,22 @@
-//! Perlin's noise, value noise and simplex noise: something random at the points of a lattice,
-//! smoothly mixed in between.
+//! Perlin noise, value noise and simplex noise: random values or gradients at the points of a lattice, interpolated
+//! smoothly.
 
 use super::lattice::{LatticeHash, cell, corner_hashes, corner_offsets, float_in_1_2, gradient_dot, trilinear};
 use crate::real::{Real, Vec3, vec3};
 
-// Each corner's gradient or value is drawn alone, so the steepest slope along a direction u at a point is the
-// sum over the corners of the most that each can give: w·g·u + (u·∇w)·(g·d) for a gradient g at distance d with
-// the weight w. The factors are the greatest of these sums over all points and directions; a test looks for greater.
+// Each corner's gradient or value is independent, so the maximum slope along a direction u at a point is the sum over
+// the corners of the maximum of each: w·g·u + (u·∇w)·(g·d) for a gradient g at distance d with the weight w. The
+// factors are the greatest of these sums over all points and directions; a test searches for greater ones.
 
-/// Perlin's noise is steepest in the middle of a cell.
+/// Perlin noise has its maximum slope at the center of a cell.
 pub(super) const PERLIN_LIPSCHITZ: f32 = 3.750_1;
-/// Value noise is steepest between two faces of opposite values: twice the quintic's greatest slope, 15/8.
+/// Value noise has its maximum slope between two faces of opposite values: twice the quintic's maximum slope, 15/8.
 pub(super) const VALUE_LIPSCHITZ: f32 = 3.750_1;
-/// The greatest sum is 0.090620090 before it is scaled.
+/// The maximum of the sum is 0.090620090 before scaling.
 pub(super) const SIMPLEX_LIPSCHITZ: f32 = 0.090_621 * SIMPLEX_SCALE;
 
-/// Ken Perlin, "Improving noise", SIGGRAPH 2002, <https://mrl.cs.nyu.edu/~perlin/paper445.pdf>:
-/// gradients at the corners of unit cubes, mixed by a quintic.
+/// Ken Perlin, "Improving noise", SIGGRAPH 2002, <https://mrl.cs.nyu.edu/~perlin/paper445.pdf>: gradients at the
+/// corners of unit cubes, interpolated by a quintic.
 #[inline(always)]
 pub(super) fn perlin<R: Real>(p: Vec3<R>, seed: R) -> R {
     p.x.call(
@@ -55,7 +55,7 @@ pub(super) fn value<R: Real>(p: Vec3<R>, seed: R) -> R {
     )
 }
 
-/// Twice this is the furthest cell of the lattice.
+/// Half the maximum cell coordinate of the lattice.
 const MAX_CELL: f32 = 2_097_151.0;
 /// One over the maximum of the sum of a simplex's four corners, which is 0.013007157.
 const SIMPLEX_SCALE: f32 = 76.88;
@@ -72,7 +72,7 @@ pub(super) fn simplex<R: Real>(p: Vec3<R>, seed: R) -> R {
         #[inline(always)]
         |(p, seed)| {
             let (one, none) = (seed.constant(1.0), seed.constant(0.0));
-            // Skewed, the lattice is one of cubes, each cut into six simplices by the order of the coordinates.
+            // Skewed, the lattice consists of cubes, each cut into six simplices by the order of the coordinates.
             let p = p.map(
                 #[inline(always)]
                 |c| c.at_least(-MAX_CELL).at_most(MAX_CELL),
@@ -116,7 +116,7 @@ mod tests {
         x + y + z - x.min(y).min(z)
     }
 
-    /// A corner's or a simplex point's weight, that weight's gradient, and the way from there.
+    /// Weight of a corner or a simplex point, the weight's gradient, and the vector from there.
     type LatticePart = (f32, Vec3<f32>, Vec3<f32>);
 
     fn cube_parts(p: Vec3<f32>) -> Vec<LatticePart> {
@@ -133,7 +133,7 @@ mod tests {
             .collect()
     }
 
-    /// For skewed coordinates in falling order; the other simplices are this one with the axes swapped.
+    /// Parts for skewed coordinates in descending order; the other simplices are this one with the axes swapped.
     fn simplex_parts(p: Vec3<f32>) -> Vec<LatticePart> {
         let mut f = [p.x, p.y, p.z];
         f.sort_by(|a, b| b.total_cmp(a));
@@ -149,7 +149,7 @@ mod tests {
             .collect()
     }
 
-    /// The greatest value and slope that can be drawn, by a search from many places.
+    /// Maximum value and slope, by a search from many starting points.
     fn search(parts: fn(Vec3<f32>) -> Vec<LatticePart>, score: impl Fn(&[LatticePart], Vec3<f32>) -> f32) -> f32 {
         let mut state = 1_u32;
         let mut random = || {
@@ -188,7 +188,7 @@ mod tests {
     }
 
     #[test]
-    fn no_draw_of_gradients_exceeds_the_ranges_and_the_lipschitz_factors() {
+    fn random_gradients_stay_within_ranges_and_lipschitz_factors() {
         for (name, found, said) in [
             ("perlin's range", search(cube_parts, value), 1.036_354),
             ("perlin's slope", search(cube_parts, slope), PERLIN_LIPSCHITZ),

@@ -25,7 +25,7 @@ macro_rules! noises {
                 /// Number of cells or waves per scene unit.
                 #[serde(default = "default_scale")]
                 pub scale: ScaleFactor,
-                /// Which of the noises of this kind it is.
+                /// Seed: another seed gives another noise of this kind.
                 #[serde(default, deserialize_with = "seed")]
                 pub seed: u32,
                 /// Number of summed octaves, each finer than the previous one.
@@ -41,8 +41,8 @@ macro_rules! noises {
                 /// Contribution of each octave to the sum.
                 #[serde(default)]
                 pub fractal: Fractal,
-                /// Distance by which the noise is shifted by another one of its kind, in its
-                /// own cells or waves.
+                /// Distance by which the noise is shifted by another noise of its kind, in cells or waves of the
+                /// noise.
                 #[serde(default = "default_warp")]
                 pub warp: LengthOrZero,
             }
@@ -64,7 +64,7 @@ macro_rules! noises {
             }
         )*
 
-        /// Random numbers that change smoothly over space: keyed by its kind.
+        /// Pseudorandom values that vary smoothly over space: an object whose member is the noise's kind.
         #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
         #[serde(rename_all = "snake_case")]
         pub enum Noise {
@@ -72,7 +72,7 @@ macro_rules! noises {
         }
 
         impl Noise {
-            /// Its least and greatest value.
+            /// Minimum and maximum value.
             pub fn range(&self) -> (f32, f32) {
                 match self {
                     $(Self::$Kind(noise) => noise.layers().range(noise)),*
@@ -104,20 +104,21 @@ noises! {
     /// Perlin's gradient noise: smooth hills and hollows, 0 at the corners of its cells.
     Perlin {}
 
-    /// Value noise: random values at the corners of cells, smoothly mixed; softer and blockier than Perlin's.
+    /// Value noise: random values at the corners of cells, interpolated smoothly; softer and blockier than Perlin's.
     Value {}
 
     /// Simplex noise: like Perlin's, on a lattice of tetrahedra that shows its axes less.
     Simplex {}
 
-    /// Worley's cellular noise: how far the nearest of points is that are strewn one to a cell.
+    /// Worley's cellular noise: distance to the nearest of points scattered one per cell.
     Cellular {
         /// Value computed from the distances to the nearest points.
         #[serde(default)]
         feature: Feature,
     }
 
-    /// Gardner's noise: a product of two sums of sine waves that bend each other; clouds and trees of 1985.
+    /// Gardner's noise: a product of two sums of sine waves that shift each other's phases; used for clouds and trees
+    /// in 1985.
     Gardner {
         /// Number of waves in each sum.
         #[serde(default = "default_waves", deserialize_with = "waves")]

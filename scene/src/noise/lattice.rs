@@ -1,14 +1,14 @@
 //! Common parts of lattice noises: the cell of a point, and a random hash of each of its corners.
 //!
-//! The hash multiplies each index by an odd constant, joins them and stirs once: a short form of
-//! those in Mark Jarzynski and Marc Olano, "Hash functions for GPU rendering", Journal of Computer
-//! Graphics Techniques 9(3), 2020, <https://jcgt.org/published/0009/03/02/>.
+//! The hash multiplies each index by an odd constant, adds them and mixes once: a short form of those in Mark
+//! Jarzynski and Marc Olano, "Hash functions for GPU rendering", Journal of Computer Graphics Techniques 9(3), 2020,
+//! <https://jcgt.org/published/0009/03/02/>.
 
 use crate::real::{Real, Vec3, vec3};
 
-/// All cells farther out than this are the same along an axis: an `f32` has hardly any fraction left there.
+/// Cell coordinates are clamped to this along each axis, because an `f32` has hardly any fraction left there.
 const MAX_CELL: f32 = 4_194_303.0;
-/// Puts a whole number of up to ±2²² into the low bits of an `f32`.
+/// Added to an integer of up to ±2²², it puts that integer into the low bits of an `f32`.
 const INTEGER_BIAS: f32 = 12_582_912.0;
 
 /// The odd constants of x, y and z.
@@ -16,7 +16,7 @@ const X_STEP: u32 = 0x8da6_b343;
 const Y_STEP: u32 = 0xd816_3841;
 const Z_STEP: u32 = 0xcb1a_b31f;
 
-/// The index along each axis of a point's cell, or of a corner, as it enters the hash.
+/// Index along each axis of a point's cell, or of a corner, in the form that the hash uses.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct LatticeHash<R: Real> {
     x: R::Bits,
@@ -24,7 +24,7 @@ pub(super) struct LatticeHash<R: Real> {
     z: R::Bits,
 }
 
-/// The least corner of the cell of `p`, in whole numbers, and where `p` is from there, 0 to 1 along each axis.
+/// Minimum corner of the cell of `p`, in integers, and the position of `p` in the cell, 0 to 1 along each axis.
 #[inline(always)]
 pub(super) fn cell<R: Real>(p: Vec3<R>) -> (Vec3<R>, Vec3<R>) {
     let p = p.map(
@@ -56,7 +56,7 @@ impl<R: Real> LatticeHash<R> {
         [Self { x: x ^ seed, y, z }, Self { x: (x + X_STEP) ^ seed, y: y + Y_STEP, z: z + Z_STEP }]
     }
 
-    /// A random word: its upper bits are the best.
+    /// Pseudorandom bits: the upper ones are the best.
     #[inline(always)]
     pub(super) fn hash(self) -> R::Bits {
         Self::word_of(self.x, self.y, self.z)
@@ -68,7 +68,7 @@ impl<R: Real> LatticeHash<R> {
         (word ^ (word >> 15)) * 0x27d4_eb2d
     }
 
-    /// A random word whose bits are all as good (Chris Wellons, "Prospecting for hash functions",
+    /// Pseudorandom bits, all equally good (Chris Wellons, "Prospecting for hash functions",
     /// <https://nullprogram.com/blog/2018/07/31/>).
     #[inline(always)]
     pub(super) fn mixed_hash(self) -> R::Bits {
@@ -95,8 +95,8 @@ pub(super) fn corner_hashes<R: Real>([low, high]: [LatticeHash<R>; 2]) -> [R::Bi
     ]
 }
 
-/// Seed of an octave as a number with random bits that is finite, normal and not 0; and the octave's offset
-/// within its cells, so that the corners of several octaves do not coincide.
+/// Seed of an octave as a number with random bits that is finite, normal and not 0; and the octave's offset within its
+/// cells, so that the corners of several octaves do not coincide.
 #[inline(always)]
 pub(super) fn octave_seed(seed: u32, salt: u32) -> (f32, Vec3<f32>) {
     let word = crate::sampling::frame_key(seed, salt);
@@ -105,7 +105,7 @@ pub(super) fn octave_seed(seed: u32, salt: u32) -> (f32, Vec3<f32>) {
     (f32::from_bits((word & 0xbfff_ffff) | 0x2000_0000), vec3(part(2), part(12), part(22)))
 }
 
-/// A number from 1 to 2, without 2, from the upper 23 bits of a word.
+/// Number from 1 to 2, excluding 2, from the upper 23 bits of a hash.
 #[inline(always)]
 pub(super) fn float_in_1_2<R: Real>(word: R::Bits) -> R {
     R::from_bits((word >> 9) | 0x3f80_0000)
@@ -117,8 +117,8 @@ pub(super) fn with_sign<R: Real>(number: R, word: R::Bits) -> R {
     R::from_bits(number.to_bits() ^ (word & 0x8000_0000))
 }
 
-/// The product of `v` with one of the twelve directions to the middles of a cube's edges, (±1, ±1, 0)
-/// and so on, which a random word chooses: Ken Perlin's gradients.
+/// Dot product of `v` with one of the twelve directions to the centers of a cube's edges, (±1, ±1, 0) and so on,
+/// selected by the hash: Ken Perlin's gradients.
 #[inline(always)]
 pub(super) fn gradient_dot<R: Real>(v: Vec3<R>, word: R::Bits) -> R {
     let third = R::from_bits(((word >> 7) & 0x007f_ffff) | 0x3f80_0000);
@@ -127,7 +127,7 @@ pub(super) fn gradient_dot<R: Real>(v: Vec3<R>, word: R::Bits) -> R {
     with_sign(first, word) + with_sign(second, word << 1)
 }
 
-/// t³(6t² − 15t + 10): from 0 to 1 with no slope and no curvature at either end (Perlin 2002).
+/// t³(6t² − 15t + 10): from 0 to 1 with zero slope and curvature at both ends (Perlin 2002).
 #[inline(always)]
 fn fade<R: Real>(t: R) -> R {
     let curve = t.mul_add(t.mul_add(t.constant(6.0), t.constant(-15.0)), t.constant(10.0));
@@ -139,7 +139,7 @@ fn mix<R: Real>(a: R, b: R, t: R) -> R {
     t.mul_add(b - a, a)
 }
 
-/// The values of a cell's corners, x changing fastest, mixed by how near `fraction` is to each.
+/// Trilinear interpolation of the values at a cell's corners, with x changing fastest.
 #[inline(always)]
 pub(super) fn trilinear<R: Real>(corners: [R; 8], fraction: Vec3<R>) -> R {
     let Vec3 { x, y, z } = fraction.map(

@@ -1,5 +1,5 @@
-//! Octaves of a noise put together: F. Kenton Musgrave's fractal sums (Ebert et al., "Texturing and Modeling: A
-//! Procedural Approach", 3rd edition, 2003, chapter 16), and domain warping (Inigo Quilez,
+//! Sums of a noise's octaves: F. Kenton Musgrave's fractal sums (Ebert et al., "Texturing and Modeling: A Procedural
+//! Approach", 3rd edition, 2003, chapter 16), and domain warping (Inigo Quilez,
 //! <https://iquilezles.org/articles/warp/>).
 //!
 //! The weights of the octaves are 1, gain, gain² … over their sum, so the range does not grow with their number.
@@ -13,21 +13,21 @@ use crate::real::{Real, Vec3, vec3};
 use crate::seek::Seek;
 use crate::values::LengthOrZero;
 
-/// Most octaves of a noise.
+/// Maximum number of octaves of a noise.
 pub(super) const MAX_OCTAVES: u32 = 12;
-/// Seeds of an octave and those of the warp differ by this salt.
+/// Salt by which the seeds of an octave and of the warp differ.
 const WARP_SALT: u32 = 8;
 
 /// Contribution of each octave to the sum.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema, Seek)]
 #[serde(rename_all = "snake_case")]
 pub enum Fractal {
-    /// The noise as it is: fractional Brownian motion.
+    /// The noise unchanged: fractional Brownian motion.
     #[default]
     Fbm,
-    /// Distance of the noise from the middle of its range, 0 to 1: creases where it crosses the middle.
+    /// Distance of the noise from the center of its range, 0 to 1: creases where it crosses the center.
     Turbulence,
-    /// 1 less that: sharp ridges there.
+    /// 1 minus that: sharp ridges there.
     Ridged,
 }
 
@@ -98,13 +98,12 @@ impl FractalSum<'_> {
             };
             sum = term.mul_add(like.uniform(weight), sum);
         }
-        // The result stays in range to the last bit, even if nothing is known of a cell's random
-        // hashes.
+        // The result stays in range to the last bit, even for an interval in which a cell's random hashes are unknown.
         let (low, high) = self.range(basis);
         sum.at_least(low).at_most(high)
     }
 
-    /// The least and the greatest sum.
+    /// Minimum and maximum of the sum.
     #[inline(always)]
     pub(super) fn range<B: Basis>(self, _: &B) -> (f32, f32) {
         match self.fractal {
@@ -113,10 +112,10 @@ impl FractalSum<'_> {
         }
     }
 
-    /// The sum's Lipschitz factor: each octave's is that of the basis times its frequency and weight. The
-    /// warp adds three noises of one octave, whose Jacobian has no norm above √3 times their factor.
+    /// The sum's Lipschitz factor: each octave's is that of the basis times its frequency and weight. The warp adds
+    /// three noises of one octave, whose Jacobian has a norm of at most √3 times their factor.
     pub(super) fn lipschitz<B: Basis>(self, basis: &B) -> f32 {
-        // More than all that rounding adds.
+        // More than all rounding errors add.
         const MARGIN: f32 = 1.000_1;
         let (low, high) = B::RANGE;
         let folded = match self.fractal {
@@ -129,7 +128,7 @@ impl FractalSum<'_> {
     }
 }
 
-/// Distance of a noise from the middle of its range, 0 to 1.
+/// Distance of a noise from the center of its range, 0 to 1.
 #[inline(always)]
 fn normalized_deviation<R: Real, B: Basis>(noise: R) -> R {
     let (low, high) = B::RANGE;

@@ -1,10 +1,10 @@
-//! Every fault of a job's text, not only the first that serde meets.
+//! Collects every error of a job's text, not only the first one that serde reports.
 //!
-//! A text with a fault of form is read in parts: the job without what is in its lists, then each object, node,
-//! named material and light by itself. Where a part has a fault, the fault is noted, something valid stands in
-//! for what is wrong, and the part is read again. The part is small, so that this takes long for no text, and its
-//! bytes are counted, so that it ends for every text. What remains is sound in form, and is asked what it means;
-//! what may be wrong only because of what stands in is not told.
+//! A text with an error of form is parsed in parts: the job without the contents of its lists, then each object, node,
+//! named material and light separately. If a part has an error, the error is recorded, a valid stand-in replaces the
+//! invalid value, and the part is parsed again. Parts are small, so this is fast, and the number of parsed bytes is
+//! limited, so it ends for every text. The repaired job is valid in form, and is then validated for its meaning.
+//! Errors that may be caused only by a stand-in are not reported.
 
 mod repair;
 
@@ -26,26 +26,26 @@ use crate::materials::Material;
 use crate::nodes::Node;
 use crate::scene::Object;
 
-/// Bytes that are read again to look for more faults, of all parts together.
+/// Maximum number of bytes parsed again to find more errors, of all parts together.
 const MAX_READ_BYTES: usize = 32 << 20;
-/// What reading a part costs at least, in bytes.
+/// Minimum cost of parsing a part, in bytes.
 const MIN_READ_BYTES: usize = 256;
 
-/// A part of a job that is read by itself.
+/// A part of a job that is parsed separately.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum DocumentPart {
     /// The job, without its objects, materials and lights.
     Job,
     /// An object, without its shape.
     Object,
-    /// A node, without those inside.
+    /// A node, without its child nodes.
     Node,
     Material,
     Light,
 }
 
 impl DocumentPart {
-    /// The first fault of a text that should be such a part.
+    /// The first error of a text that should be such a part.
     fn read(self, text: &str) -> Result<(), FormError> {
         fn read<T: DeserializeOwned + Serialize>(text: &str) -> Result<(), FormError> {
             form::read_strictly::<T>(text).map(drop)
@@ -59,7 +59,7 @@ impl DocumentPart {
         }
     }
 
-    /// A sound one.
+    /// A valid part of this kind.
     fn stand_in(self) -> &'static str {
         match self {
             Self::Job => stand_ins::JOB,
@@ -70,7 +70,7 @@ impl DocumentPart {
         }
     }
 
-    /// What stands in, while it is read, for a value in it that is read by itself.
+    /// Stand-in for a value in the part that is parsed separately.
     fn cut(self, path: &[String], value: &Value) -> Option<&'static str> {
         let path: Vec<&str> = path.iter().map(String::as_str).collect();
         let of_list = |json| match &value.body {
@@ -87,7 +87,7 @@ impl DocumentPart {
         }
     }
 
-    /// The paths in a value to what is read by itself.
+    /// Paths in a value to the parts that are parsed separately.
     fn inside(self, value: &Value) -> Vec<(Self, Vec<usize>)> {
         let below = |steps: &[&str], part: Self| {
             let steps: Vec<String> = steps.iter().map(ToString::to_string).collect();
@@ -123,31 +123,31 @@ impl DocumentPart {
     }
 }
 
-/// A fault, and where it is.
+/// An error, and its position.
 struct CollectedErrors {
     pointer: String,
     offset: usize,
     message: String,
-    /// Whether all in it is left out, and has no faults of its own.
+    /// Whether its whole content is left out, and has no errors of its own.
     is_left_out: bool,
 }
 
-/// Looks for all faults.
+/// Collector of all errors.
 struct Collector<'a> {
     text: &'a str,
     root: Value,
     found: Vec<CollectedErrors>,
-    /// Pointers and messages of what is not told again.
+    /// Pointers and messages that have been reported.
     told: HashSet<(String, String)>,
-    /// Pointers, as they are read, of what something stands in for.
+    /// Pointers, in the repaired job, of values that have been replaced.
     repaired: Vec<String>,
-    /// Bytes that were read again.
+    /// Bytes parsed again so far.
     bytes_read: usize,
 }
 
-/// All faults of a text that is sound JSON, in the order of their places; none if it is a sound job.
+/// All errors of a text that is valid JSON, in the order of their positions; none if it is a valid job.
 ///
-/// `meaning` gives pointer and message of what is wrong with a text that is sound in form.
+/// `meaning` returns pointer and message of the semantic errors of a text that is valid in form.
 pub(super) fn all(text: &str, meaning: impl Fn(&str) -> Vec<(String, String)>) -> Vec<ValidationError> {
     let mut collector = Collector::new(text);
     collector.part(DocumentPart::Job, &[]);
@@ -157,7 +157,7 @@ pub(super) fn all(text: &str, meaning: impl Fn(&str) -> Vec<(String, String)>) -
     collector.faults()
 }
 
-/// All faults of form, and the bytes that were read to find them.
+/// All errors of form, and the number of bytes parsed to find them.
 #[cfg(test)]
 pub(super) fn counted(text: &str) -> (Vec<ValidationError>, usize) {
     let mut collector = Collector::new(text);
@@ -193,7 +193,7 @@ impl<'a> Collector<'a> {
         }
     }
 
-    /// Reads a part and those in it.
+    /// Parses a part and the parts in it.
     fn part(&mut self, part: DocumentPart, path: &[usize]) {
         let mut known = HashSet::new();
         for (part, path) in self.inside(part, path) {
@@ -209,7 +209,7 @@ impl<'a> Collector<'a> {
                 Err(fault) => self.repair(part, path, &fault),
             }
         }
-        // A key that was mended may have more in it.
+        // A renamed key may have more parts in it.
         for (part, path) in self.inside(part, path) {
             if !known.contains(&path) {
                 self.part(part, &path);
@@ -223,7 +223,7 @@ impl<'a> Collector<'a> {
         below.map(|(part, below)| (part, [path, &below].concat())).collect()
     }
 
-    /// The first fault of a part, as it is with its repairs.
+    /// The first error of a part with its repairs.
     fn read(&mut self, part: DocumentPart, path: &[usize]) -> Result<(), FormError> {
         let Some(value) = self.root.at(path) else { return Ok(()) };
         let mut text = String::new();
@@ -232,7 +232,7 @@ impl<'a> Collector<'a> {
         part.read(&text)
     }
 
-    /// Tells a fault of the form of what `path` leads to, unless it is known.
+    /// Reports an error of form at `path`, unless it has been reported.
     fn tell(&mut self, path: &[usize], fault: &FormError) {
         if !self.told.insert((self.root.pointer(path, true), fault.message.clone())) {
             return;
@@ -247,7 +247,7 @@ impl<'a> Collector<'a> {
         });
     }
 
-    /// Asks the repaired job what it means.
+    /// Validates the meaning of the repaired job.
     fn meaning(&mut self, meaning: impl Fn(&str) -> Vec<(String, String)>) {
         let mut text = String::new();
         self.root.write(self.text, &mut text, &mut Vec::new(), &|_, _| None);
@@ -265,7 +265,7 @@ impl<'a> Collector<'a> {
         }
     }
 
-    /// What was found, in order.
+    /// The errors found, in the order of their positions.
     fn faults(mut self) -> Vec<ValidationError> {
         let left_out: Vec<String> =
             self.found.iter().filter(|found| found.is_left_out).map(|found| format!("{}/", found.pointer)).collect();

@@ -1,15 +1,15 @@
-//! Which parts of a job a fault of meaning depends on: where something stands in for one of them, the fault is not sure.
+//! Dependencies of semantic errors: an error is certain only if no part that it depends on was replaced.
 
-/// Whether what is wrong at a pointer is wrong whatever stands in at the pointers that were repaired.
+/// Whether an error at a pointer is certain, whatever replaced the values at the repaired pointers.
 pub(super) fn is_sure(pointer: &str, repaired: &[String]) -> bool {
     let needed = needed(pointer);
     !repaired.iter().any(|repaired| needed.iter().any(|needed| needed.is_touched_by(repaired)))
 }
 
-/// A part that a fault depends on.
+/// A part that an error depends on.
 struct Needed {
     pointer: String,
-    /// Whether it depends on all inside too.
+    /// Whether the error depends on all of the part's content too.
     is_whole: bool,
 }
 
@@ -19,7 +19,7 @@ impl Needed {
     }
 }
 
-/// Whether a pointer leads to another one's place or into it.
+/// Whether a pointer is equal to another one or below it.
 fn is_at_or_below(pointer: &str, other: &str) -> bool {
     pointer.strip_prefix(other).is_some_and(|rest| rest.is_empty() || rest.starts_with('/'))
 }
@@ -51,7 +51,7 @@ fn needed(pointer: &str) -> Vec<Needed> {
                 rest = below;
             }
             match rest {
-                // A material by its name, or one that fills.
+                // A material by its name, or a medium.
                 [_, "material"] => vec![whole(pointer), alone("/scene/materials")],
                 [] => vec![alone(pointer)],
                 [..] => vec![whole(&node)],
@@ -74,7 +74,7 @@ mod tests {
     }
 
     #[test]
-    fn numbers_that_belong_together_are_doubted_together() {
+    fn errors_depend_on_related_repaired_numbers() {
         assert!(!sure("/scene/camera/look_at", "/scene/camera/position/0"));
         assert!(!sure("/scene/lights/1/sun", "/scene/background"));
         assert!(!sure("/scene/objects/0/shape/torus/tube", "/scene/objects/0/shape/torus/radius"));
@@ -85,7 +85,7 @@ mod tests {
     }
 
     #[test]
-    fn numbers_that_have_nothing_to_do_with_each_other_are_not() {
+    fn errors_do_not_depend_on_unrelated_numbers() {
         assert!(sure("/scene/camera/look_at", "/scene/objects/0/shape"));
         assert!(sure("/scene/lights/1/sun", "/scene/lights/10"));
         assert!(sure("/scene/objects/0/material", "/scene/materials/clay/diffuse/kd"));

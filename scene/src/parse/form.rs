@@ -1,4 +1,4 @@
-//! Whether a text has the form of a type: serde's first complaint, in our words.
+//! Deserializes a text as a type: the first serde error, reworded for users.
 
 use std::fmt::Write as _;
 
@@ -10,41 +10,41 @@ use super::{list_form, messages, suggest};
 use crate::error::ValidationError;
 use crate::json_scan;
 
-/// A fault of the form of a text.
+/// An error of the form of a text.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(super) struct FormError {
     /// JSON pointer in the text.
     pub(super) pointer: String,
-    /// Whether it is of the key there, not of the value.
+    /// Whether the error is at the key, not at the value.
     pub(super) is_key: bool,
-    /// What is wrong.
+    /// Kind of error.
     pub(super) kind: FormErrorKind,
-    /// What is wrong and what would be right, in words.
+    /// The problem and its fix.
     pub(super) message: String,
 }
 
 impl FormError {
-    /// The fault at its place in the text.
+    /// The error with its position in the text.
     pub(super) fn placed(self, text: &str) -> ValidationError {
         let place = if self.is_key { ValidationError::at_member } else { ValidationError::at_value };
         place(text, self.pointer, self.message)
     }
 }
 
-/// What a repair must know of a fault.
+/// Information that a repair needs about an error.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(super) enum FormErrorKind {
-    /// A key that its object does not take, and the one that was probably meant.
+    /// An unknown key, and the key that was probably meant.
     UnknownKey(Option<String>),
-    /// A name that is none of those there are, and the one that was probably meant.
+    /// An unknown name, and the name that was probably meant.
     UnknownName(Option<String>),
-    /// An object lacks this key.
+    /// A missing key.
     MissingKey(String),
-    /// A value that does not fit.
+    /// An invalid value.
     Value,
 }
 
-/// Reads sound JSON; the first fault of its form otherwise.
+/// Deserializes valid JSON; fails with the first error of its form.
 pub(super) fn read<T: DeserializeOwned>(text: &str) -> Result<T, FormError> {
     let mut deserializer = serde_json::Deserializer::from_str(text);
     deserializer.disable_recursion_limit();
@@ -52,19 +52,19 @@ pub(super) fn read<T: DeserializeOwned>(text: &str) -> Result<T, FormError> {
         .map_err(|error| fault(text, pointer(error.path()), strip_position(&error.inner().to_string())))
 }
 
-/// The same, and no list is taken for an object.
+/// The same, but rejects a list in place of an object.
 pub(super) fn read_strictly<T: DeserializeOwned + Serialize>(text: &str) -> Result<T, FormError> {
     let value = read(text)?;
     match list_form::list_instead_of_object(text, &value) {
         Some(pointer) => {
-            let message = "must be an object, not a list: write each value behind its key".to_owned();
+            let message = "must be an object, not a list: write each value after its key".to_owned();
             Err(FormError { pointer, is_key: false, kind: FormErrorKind::Value, message })
         }
         None => Ok(value),
     }
 }
 
-/// What serde says of a text, at the pointer where it says it.
+/// The error of serde at a pointer.
 fn fault(text: &str, pointer: String, message: String) -> FormError {
     if let Some((name, known)) = suggest::unknown(&message, "unknown variant `") {
         let meant = suggest::nearest(name, &known).map(str::to_owned);
@@ -87,7 +87,7 @@ fn fault(text: &str, pointer: String, message: String) -> FormError {
     FormError { pointer, is_key: false, kind: FormErrorKind::Value, message }
 }
 
-/// Where a name that there is not stands: as a key, or as a value.
+/// Position of an unknown name: as a key, or as a value.
 fn place_of_name(text: &str, pointer: String, name: &str) -> (String, bool) {
     let key = format!("{pointer}/{}", json_scan::escape(name));
     if json_scan::locate_member(text, &key).is_some() {
@@ -96,12 +96,12 @@ fn place_of_name(text: &str, pointer: String, name: &str) -> (String, bool) {
     if last(&pointer) == json_scan::escape(name) && json_scan::locate_member(text, &pointer).is_some() {
         return (pointer, true);
     }
-    // Where the path ends in the choice itself, the text has no such place.
+    // If the path ends in the choice itself, the text has no such position.
     let place = if json_scan::locate_value(text, &pointer).is_some() { &pointer } else { parent(&pointer) };
     (place.to_owned(), false)
 }
 
-/// A message without the line and column that serde puts behind it.
+/// A message without the line and column that serde appends.
 pub(super) fn strip_position(message: &str) -> String {
     message.rsplit_once(" at line ").map_or(message, |(message, _)| message).to_owned()
 }

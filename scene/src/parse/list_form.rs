@@ -1,9 +1,9 @@
-//! Objects that are written as lists: serde takes them in the order of their keys, the schema does not.
+//! Detects objects written as lists: serde accepts values in the order of the fields, the schema does not.
 
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
-/// The JSON pointer of a list in a sound text where `value`, which was read from it, has an object.
+/// JSON pointer of a list in a valid text where `value`, which was parsed from it, has an object.
 pub(super) fn list_instead_of_object(text: &str, value: &impl Serialize) -> Option<String> {
     let mut deserializer = serde_json::Deserializer::from_str(text);
     deserializer.disable_recursion_limit();
@@ -13,7 +13,7 @@ pub(super) fn list_instead_of_object(text: &str, value: &impl Serialize) -> Opti
     find_mismatch(&given, &meant, &mut pointer).then_some(pointer)
 }
 
-/// Goes through both together; whether there is one, to which `pointer` then points.
+/// Walks both values together; returns whether there is a mismatch, at `pointer`.
 fn find_mismatch(given: &Value, meant: &Value, pointer: &mut String) -> bool {
     let length = pointer.len();
     let mut inside = |step: &str, given: &Value, meant: &Value| {

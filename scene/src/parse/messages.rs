@@ -1,11 +1,11 @@
-//! Serde's words about a form that does not fit, in the words of someone who writes job files.
+//! Rewrites serde's error messages for authors of job files.
 
 use serde_json::Value;
 
 use super::form::{last, parent};
 use crate::json_scan;
 
-/// The place and the fault, given where serde found it and what serde says; `text` is sound JSON.
+/// Pointer and message of an error, from serde's pointer and message; `text` is valid JSON.
 pub(super) fn rewrite_serde_error(text: &str, pointer: String, message: String) -> (String, String) {
     let place = |pointer: &str| json_scan::locate_value(text, pointer);
     match message.as_str() {
@@ -30,25 +30,25 @@ pub(super) fn rewrite_serde_error(text: &str, pointer: String, message: String) 
     }
 }
 
-/// What is wrong with a value where serde says only that it expected something else: it wants an object of one
-/// key, or a list with fewer entries.
+/// Message about a value for which serde only reports that it expected something else: an object of one key, or a list
+/// with fewer entries.
 fn shape_error(text: &str, message: &str) -> Option<String> {
     let value = serde_json::Deserializer::from_str(text).into_iter::<Value>().next()?.ok()?;
     Some(match value {
         Value::Object(keys) if keys.is_empty() => {
-            "is empty: write one key, which says what it is, with its parameters inside".to_owned()
+            "is empty: write one key, the name of its kind, with its parameters inside".to_owned()
         }
-        Value::Object(keys) => format!("has {} keys: keep the one that says what it is", keys.len()),
+        Value::Object(keys) => format!("has {} keys: keep only the one that names its kind", keys.len()),
         Value::Array(entries) if message == "trailing characters" => {
             format!("has {} entries: leave out the last", entries.len())
         }
         Value::Null | Value::Bool(_) | Value::Number(_) | Value::String(_) | Value::Array(_) => {
-            "must be an object of one key, which says what it is, with its parameters inside".to_owned()
+            "must be an object of one key, the name of its kind, with its parameters inside".to_owned()
         }
     })
 }
 
-/// "invalid type: string "one", expected a number" as "must be a number, not "one"".
+/// Rewrites "invalid type: string "one", expected a number" as "must be a number, not "one"".
 fn type_error(message: &str) -> Option<String> {
     let (got, wanted) = message.split_once(", expected ")?;
     if let Some(length) = got.strip_prefix("invalid length ") {
@@ -62,7 +62,7 @@ fn type_error(message: &str) -> Option<String> {
     Some(format!("must be {}, not {}", expected_form(wanted), actual_form(got)))
 }
 
-/// What is wanted, without the names of types.
+/// The expected form, without the names of Rust types.
 fn expected_form(wanted: &str) -> String {
     if wanted.starts_with("struct ") {
         return "an object".to_owned();
@@ -79,7 +79,7 @@ fn expected_form(wanted: &str) -> String {
     }
 }
 
-/// What is there instead.
+/// The actual form.
 fn actual_form(got: &str) -> &str {
     let quoted = got.split_once('`').and_then(|(_, rest)| rest.strip_suffix('`'));
     match (quoted, got) {
@@ -99,7 +99,7 @@ mod tests {
     }
 
     #[test]
-    fn types_are_reported_as_json_has_them() {
+    fn messages_use_json_type_names() {
         for (serde, ours) in [
             (r#"invalid type: string "one", expected a number"#, r#"must be a number, not "one""#),
             ("invalid type: integer `3`, expected struct Surface", "must be an object, not 3"),
@@ -116,7 +116,7 @@ mod tests {
     }
 
     #[test]
-    fn misfits_are_counted_where_they_are() {
+    fn wrong_list_lengths_are_reported_with_their_count() {
         let counted = |text: &str, serde: &str| of(text, "/a", serde).1;
         assert!(counted(r#"{"a": {}}"#, "expected value").contains("is empty"));
         assert!(counted(r#"{"a": {"b": 1, "c": 2}}"#, "trailing comma").contains("has 2 keys"));
@@ -125,7 +125,7 @@ mod tests {
     }
 
     #[test]
-    fn name_without_parameters_is_placed_where_it_stands() {
+    fn a_name_without_parameters_has_its_position() {
         let serde = "invalid type: unit variant, expected newtype variant";
         let (pointer, message) = of(r#"{"shape": "sphere"}"#, "/shape/sphere", serde);
         assert_eq!(pointer, "/shape");

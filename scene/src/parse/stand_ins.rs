@@ -1,4 +1,4 @@
-//! JSON that stands in for what is wrong, so that the rest can be read: one of these fits almost anywhere.
+//! Valid JSON that replaces invalid values, so that the rest can be parsed. One of these fits almost anywhere.
 
 /// A shape.
 pub(super) const NODE: &str = r#"{"sphere":{"radius":1}}"#;
@@ -18,7 +18,7 @@ const SCENE: &str =
 /// A job.
 pub(super) const JOB: &str = r#"{"scene":{"camera":{"position":[0,0,5],"look_at":[0,0,0]},"objects":[{"shape":{"sphere":{"radius":1}}}]},"image":{"width":32,"height":32}}"#;
 
-/// What is tried in turn, the plainest first.
+/// Stand-ins in the order in which they are tried, simplest first.
 pub(super) const VALUES: [&str; 32] = [
     "1",
     "2",

@@ -1,17 +1,17 @@
-//! "Did you mean `sphere`?": the name that there is nearest to one that there is not.
+//! Suggestions for unknown names, such as "did you mean `sphere`?": the nearest known name.
 
 use strsim::{damerau_levenshtein, jaro_winkler};
 
 use crate::nodes::snake_case;
 
-/// Longer lists of names are not printed.
+/// Maximum length of a list of names in a message.
 const MAX_LISTED: usize = 16;
-/// Longer names than this are no slip of the pen, and are not compared.
+/// Maximum length of a name that is compared: longer names are not typing errors.
 const MAX_COMPARED_CHARS: usize = 64;
-/// Names of one beginning are alike from this similarity (Jaro and Winkler's) on.
+/// Minimum similarity (Jaro and Winkler's) of names with the same beginning.
 const MIN_SIMILARITY: f64 = 0.88;
 
-/// What other tools, and people, call things: their word, and ours.
+/// Names from other tools and common usage, each with this language's name.
 const SYNONYMS: [(&str, &str); 84] = [
     ("aluminum", "surface"),
     ("amplitude", "height"),
@@ -99,7 +99,7 @@ const SYNONYMS: [(&str, &str); 84] = [
     ("ring", "torus"),
 ];
 
-/// The name in serde's words about one that there is not, and those that there are; `prefix` begins its message.
+/// The unknown name in a message of serde, and the known names; `prefix` begins the message.
 pub(super) fn unknown<'a>(message: &'a str, prefix: &str) -> Option<(&'a str, Vec<&'a str>)> {
     let rest = message.strip_prefix(prefix)?;
     if let Some((name, known)) = rest.rsplit_once("`, expected ") {
@@ -109,7 +109,7 @@ pub(super) fn unknown<'a>(message: &'a str, prefix: &str) -> Option<(&'a str, Ve
     Some((name, Vec::new()))
 }
 
-/// The one of the names that was probably meant.
+/// The known name that was probably meant.
 pub(super) fn nearest<'a>(name: &str, known: &[&'a str]) -> Option<&'a str> {
     if name.is_empty() || name.chars().count() > MAX_COMPARED_CHARS {
         return None;
@@ -133,43 +133,45 @@ pub(super) fn nearest<'a>(name: &str, known: &[&'a str]) -> Option<&'a str> {
     nearest.map(|(_, known)| known).or_else(|| alike().map(|(_, known)| known))
 }
 
-/// `RoundedCylinder`, `rounded-cylinder` and `ROUNDED CYLINDER` as we write names.
+/// Normalizes `RoundedCylinder`, `rounded-cylinder` and `ROUNDED CYLINDER` to `snake_case`.
 fn plain(name: &str) -> String {
     let is_shouted = !name.chars().any(|letter| letter.is_ascii_lowercase());
     let name = if is_shouted { name.to_ascii_lowercase() } else { snake_case(name) };
     name.trim().replace(['-', ' ', '.'], "_").replace("__", "_")
 }
 
-/// What to say of a name that there is not.
+/// Message for an unknown name.
 pub(super) fn unknown_name(name: &str, known: &[&str], pointer: &str) -> String {
     let name = shortened(name);
     match nearest(&name, known) {
         Some(meant) => format!("there is no `{name}`: did you mean `{meant}`?"),
         None if known.len() > MAX_LISTED => {
             let page = if pointer.contains("/shape") { "docs/nodes.md shows all of them, and " } else { "" };
-            format!("there is no `{name}`: {page}`sdfarm schema` lists the {} that there are", known.len())
+            format!("there is no `{name}`: {page}`sdfarm schema` lists all {}", known.len())
         }
         None => format!("there is no `{name}`: choose {}", listed(known)),
     }
 }
 
-/// What to say of a key that an object does not take.
+/// Message for an unknown key of an object.
 pub(super) fn unknown_key(key: &str, known: &[&str]) -> String {
     let key = shortened(key);
     match nearest(&key, known) {
         Some(meant) => format!("unknown key `{key}`: did you mean `{meant}`?"),
-        None if known.is_empty() => format!("unknown key `{key}`: leave it out, for no key is taken here"),
+        None if known.is_empty() => format!("unknown key `{key}`: leave it out, because no keys are allowed here"),
         None => format!("unknown key `{key}`: leave it out, or choose {}", listed(known)),
     }
 }
 
-/// What to say of a material that is not among those with a name.
+/// Message for a material name that is not defined.
 pub(super) fn unknown_material(name: &str, known: &[&str]) -> String {
     let name = shortened(name);
     let cure = match nearest(&name, known) {
         Some(meant) => format!("did you mean \"{meant}\"?"),
         None if known.is_empty() => "define it there, or write a material in place".to_owned(),
-        None if known.len() > MAX_LISTED => format!("define it there, or use one of the {} that are", known.len()),
+        None if known.len() > MAX_LISTED => {
+            format!("define it there, or use one of the {} that are defined", known.len())
+        }
         None => format!("choose one of {}", known.join(", ")),
     };
     format!("\"{name}\" is not in /scene/materials: {cure}")
@@ -185,7 +187,7 @@ fn listed(known: &[&str]) -> String {
     }
 }
 
-/// A name as long as a message should quote it.
+/// A name, shortened for a message.
 fn shortened(name: &str) -> String {
     if name.chars().count() <= MAX_COMPARED_CHARS {
         return name.to_owned();
@@ -213,7 +215,7 @@ mod tests {
     ];
 
     #[test]
-    fn slips_other_spellings_and_other_tools_words_are_understood() {
+    fn typos_and_names_from_other_tools_get_suggestions() {
         for (name, meant) in [
             ("spere", "sphere"),
             ("shpere", "sphere"),
@@ -236,21 +238,21 @@ mod tests {
     }
 
     #[test]
-    fn what_is_like_nothing_gets_no_guess() {
+    fn a_dissimilar_name_gets_no_suggestion() {
         for name in ["", "teapot", "x", "zzzzzz", &"sphere".repeat(1000)] {
             assert_eq!(nearest(name, &NODES), None, "{name}");
         }
     }
 
     #[test]
-    fn word_of_another_tool_means_what_is_there() {
+    fn a_synonym_suggests_a_name_of_the_list() {
         assert_eq!(nearest("color", &["material", "shape"]), Some("material"));
         assert_eq!(nearest("color", &["base_color", "roughness"]), Some("base_color"));
         assert_eq!(nearest("colour", &["color", "shadow"]), Some("color"));
     }
 
     #[test]
-    fn serdes_lists_are_read_however_long_they_are() {
+    fn name_lists_of_any_length_are_parsed() {
         let of = |message| unknown(message, "unknown field `");
         assert_eq!(of("unknown field `x`, expected `a`"), Some(("x", vec!["a"])));
         assert_eq!(of("unknown field `x`, expected `a` or `b`"), Some(("x", vec!["a", "b"])));

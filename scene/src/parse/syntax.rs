@@ -1,8 +1,8 @@
-//! What makes a text no JSON, in the words of someone who wrote it by hand: a comment, a comma too many, a missing quote.
+//! Explains syntax errors of JSON written by hand: a comment, an extra comma, a missing quote.
 
 use crate::error::{LineIndex, ValidationError};
 
-/// Words that other languages write, and JSON's.
+/// Words of other languages, and their JSON equivalents.
 const WORDS: [(&str, &str); 6] = [
     ("True", "true"),
     ("False", "false"),
@@ -12,11 +12,11 @@ const WORDS: [(&str, &str); 6] = [
     ("FALSE", "false"),
 ];
 
-/// The fault of a text that serde can't read.
+/// The error of a text that serde cannot parse.
 pub(super) fn fault(text: &str, error: &serde_json::Error) -> ValidationError {
     let lines = LineIndex::new(text);
     let reached = lines.offset(error.line(), error.column());
-    // A later oddity is not what serde stopped at.
+    // Serde did not stop at an oddity after its own position.
     match first_oddity(text).filter(|oddity| oddity.offset <= reached + 1) {
         Some(SyntaxOddity { offset, message }) => lines.fault(offset, String::new(), message),
         None => {
@@ -31,7 +31,7 @@ pub(super) fn fault(text: &str, error: &serde_json::Error) -> ValidationError {
     }
 }
 
-/// What serde says, with a cure where it names none.
+/// The message of serde, with a fix added if it has none.
 fn words(message: &str) -> String {
     let cure = match message {
         "key must be a string" => "write it in double quotes",
@@ -44,7 +44,7 @@ fn words(message: &str) -> String {
     format!("{message}: {cure}")
 }
 
-/// Something that JSON does not have.
+/// Syntax that JSON does not have.
 struct SyntaxOddity {
     offset: usize,
     message: String,
@@ -58,17 +58,17 @@ enum Token {
     Colon,
     Comma,
     Open,
-    /// The text begins.
+    /// Start of the text.
     Start,
 }
 
-/// Goes over a text until something is odd.
+/// Scans a text up to the first oddity.
 struct Scanner<'a> {
     text: &'a str,
     bytes: &'a [u8],
     at: usize,
     before: Token,
-    /// Bytes at which open lists and objects begin.
+    /// Byte offsets of the open lists and objects.
     open: Vec<usize>,
 }
 
@@ -88,7 +88,7 @@ impl Scanner<'_> {
         self.bytes[at..].iter().take_while(|byte| b" \t\r\n".contains(byte)).count()
     }
 
-    /// What is odd about the token here; passes over one that is not.
+    /// The oddity of the token here, if it is one; otherwise the scan moves past the token.
     fn token(&mut self, byte: u8) -> Option<String> {
         match byte {
             b'/' if matches!(self.bytes.get(self.at + 1), Some(b'/' | b'*')) => Some(comment()),
@@ -100,7 +100,7 @@ impl Scanner<'_> {
                 self.pass(1, Token::Value)
             }
             _ if self.before == Token::Value => Some(if self.open.is_empty() {
-                "something stands behind the end of the job: a file holds one job, leave out what follows".to_owned()
+                "text after the end of the job: a file has one job, remove the rest".to_owned()
             } else {
                 "a comma is missing before this: write one".to_owned()
             }),
@@ -109,7 +109,7 @@ impl Scanner<'_> {
                 self.pass(1, Token::Open)
             }
             b'"' => self.string(),
-            b'\'' => Some("single quotes mean nothing in JSON: write \" instead".to_owned()),
+            b'\'' => Some("single quotes are invalid in JSON: write \" instead".to_owned()),
             b'0'..=b'9' | b'-' | b'+' | b'.' => self.number(),
             _ => self.word(),
         }
@@ -125,11 +125,11 @@ impl Scanner<'_> {
         let next = self.at + 1 + self.blanks_at(self.at + 1);
         match self.bytes.get(next) {
             Some(b'}' | b']') => {
-                Some(format!("trailing comma: leave out the comma before `{}`", char::from(self.bytes[next])))
+                Some(format!("trailing comma: remove the comma before `{}`", char::from(self.bytes[next])))
             }
-            Some(b',') => Some("a comma too many: leave out one of the two".to_owned()),
+            Some(b',') => Some("two commas in a row: remove one".to_owned()),
             _ if matches!(self.before, Token::Open | Token::Colon) => {
-                Some("a comma with nothing before it: leave it out, or write a value".to_owned())
+                Some("a comma without a value before it: remove it, or write a value".to_owned())
             }
             _ => self.pass(1, Token::Comma),
         }
@@ -142,9 +142,7 @@ impl Scanner<'_> {
                 Some(b'"') => return self.pass(end + 1 - self.at, Token::Value),
                 Some(b'\\') => end += 2,
                 Some(b'\n') | None => {
-                    return Some(
-                        "a string that is not closed: write \" at its end; a new line in it is \\n".to_owned(),
-                    );
+                    return Some("unterminated string: write \" at its end; a new line in it is \\n".to_owned());
                 }
                 Some(_) => end += 1,
             }
@@ -158,7 +156,7 @@ impl Scanner<'_> {
         if is_number(number) {
             return self.pass(length, Token::Value);
         }
-        Some(format!("{} is no number of JSON: write it as in 0.5, -1 or 2e3", quoted(number)))
+        Some(format!("{} is not a JSON number: write it as in 0.5, -1 or 2e3", quoted(number)))
     }
 
     fn word(&mut self) -> Option<String> {
@@ -170,23 +168,23 @@ impl Scanner<'_> {
         }
         let behind = self.at + word.len();
         if word.is_empty() {
-            // What it is, the parser says.
+            // The parser reports it.
             self.at = self.bytes.len();
             return None;
         }
         if self.bytes.get(behind + self.blanks_at(behind)) == Some(&b':') {
-            return Some(format!("a key stands in double quotes: write {}", serde_json::Value::from(word)));
+            return Some(format!("a key needs double quotes: write {}", serde_json::Value::from(word)));
         }
         if let Some((_, ours)) = WORDS.iter().find(|(theirs, _)| *theirs == word) {
-            return Some(format!("{word} is no word of JSON: write {ours}"));
+            return Some(format!("{word} is not a JSON word: write {ours}"));
         }
         if matches!(word, "NaN" | "Infinity" | "inf" | "nan") {
-            return Some(format!("{word} is no number of JSON: write one that is finite"));
+            return Some(format!("{word} is not a JSON number: write a finite one"));
         }
-        Some(format!("{} is no word of JSON: write text in double quotes", quoted(word)))
+        Some(format!("{} is not a JSON word: write text in double quotes", quoted(word)))
     }
 
-    /// The text ends before its job does.
+    /// The text ends before the job is complete.
     fn end(&self) -> SyntaxOddity {
         let message = match self.open.last() {
             Some(&open) => {
@@ -203,7 +201,7 @@ impl Scanner<'_> {
     }
 }
 
-/// Whether JSON writes numbers so, however large.
+/// Whether JSON allows a number to be written so, however large it is.
 fn is_number(text: &str) -> bool {
     let unsigned = text.strip_prefix('-').unwrap_or(text);
     let (mantissa, exponent) = unsigned.split_once(['e', 'E']).map_or((unsigned, None), |(m, e)| (m, Some(e)));
@@ -216,10 +214,10 @@ fn is_number(text: &str) -> bool {
 }
 
 fn comment() -> String {
-    "JSON has no comments: leave this one out".to_owned()
+    "JSON has no comments: remove this one".to_owned()
 }
 
-/// Text as long as a message should quote it.
+/// Text, shortened for a message.
 fn quoted(text: &str) -> String {
     const MAX_CHARS: usize = 40;
     if text.chars().count() <= MAX_CHARS {
@@ -232,7 +230,7 @@ fn quoted(text: &str) -> String {
 mod tests {
     use super::*;
 
-    /// Line, column and message of the fault of a text.
+    /// Line, column and message of the error of a text.
     fn of(text: &str) -> (u32, u32, String) {
         let error = serde_json::from_str::<serde::de::IgnoredAny>(text).expect_err(text);
         let ValidationError { line, column, message, .. } = fault(text, &error);
@@ -240,7 +238,7 @@ mod tests {
     }
 
     #[test]
-    fn what_people_write_by_hand_is_named_where_it_stands() {
+    fn common_syntax_mistakes_are_explained_at_their_position() {
         for (text, line, column, words) in [
             ("{\"a\": 1,\n}", 1, 8, "trailing comma"),
             ("[1, 2 , ]", 1, 7, "before `]`"),
@@ -254,8 +252,8 @@ mod tests {
             ("{\"a\": yes}", 1, 7, "double quotes"),
             ("{\"a\": True}", 1, 7, "write true"),
             ("{\"a\": NaN}", 1, 7, "NaN"),
-            ("{\"a\": .5}", 1, 7, ".5 is no number"),
-            ("{\"a\": 0x10}", 1, 7, "0x10 is no number"),
+            ("{\"a\": .5}", 1, 7, ".5 is not a JSON number"),
+            ("{\"a\": 0x10}", 1, 7, "0x10 is not a JSON number"),
             ("[1,, 2]", 1, 3, "too many"),
             ("[, 1]", 1, 2, "nothing before"),
             ("{\"a\": 1\n \"b\": 2}", 2, 2, "comma is missing"),
@@ -274,7 +272,7 @@ mod tests {
     }
 
     #[test]
-    fn what_looks_odd_inside_of_a_string_is_no_fault() {
+    fn odd_characters_inside_a_string_are_valid() {
         let (line, column, message) = of("{\"a\": \"// b, ]\", \"c\": \"'\",}");
         assert!(message.contains("trailing comma") && (line, column) == (1, 26), "{message} at {column}");
     }

@@ -1,4 +1,4 @@
-//! Every fault is told at its place, in bounded time, and none that is none.
+//! Tests of error collection: every error is reported at its position, in bounded time, without false errors.
 
 use super::*;
 use crate::error::ValidationError;
@@ -6,7 +6,7 @@ use crate::materials::Material;
 
 const SEVERAL: &str = include_str!("../../../tests/bad_input/several.txt");
 
-/// A sound job around some objects.
+/// A valid job around some objects.
 fn around(objects: &str) -> String {
     format!(
         "{{ \"scene\": {{ \"camera\": {{ \"position\": [0, 0, 5], \"look_at\": [0, 0, 0] }}, \"objects\": [\n{objects}\n] }},\n\
@@ -22,7 +22,7 @@ fn faults(text: &str) -> Vec<ValidationError> {
     }
 }
 
-/// The text without its marks, and their lines and columns.
+/// The text without its marks, and the lines and columns of the marks.
 fn unmarked(text: &str) -> (String, Vec<(u32, u32)>) {
     let mut parts = text.split('¤');
     let mut plain = parts.next().unwrap_or_default().to_owned();
@@ -37,11 +37,11 @@ fn unmarked(text: &str) -> (String, Vec<(u32, u32)>) {
 }
 
 #[test]
-fn each_of_several_faults_is_reported_once_and_nothing_else_is() {
+fn each_of_several_errors_is_reported_exactly_once() {
     let mut wrong = Vec::new();
     for case in SEVERAL.split("\n## ").skip(1) {
         let (name, rest) = case.split_once('\n').expect("a name");
-        let (job, told) = rest.split_once("\n-- ").expect("what is told");
+        let (job, told) = rest.split_once("\n-- ").expect("expected errors");
         let job = job.strip_prefix("OBJECTS\n").map_or_else(|| job.to_owned(), around);
         let (text, places) = unmarked(&job);
         let told: Vec<(&str, &str)> =
@@ -54,14 +54,14 @@ fn each_of_several_faults_is_reported_once_and_nothing_else_is() {
             });
         if !is_right {
             let found: Vec<String> = found.iter().map(ValidationError::to_string).collect();
-            wrong.push(format!("{name}: at {places:?} should be\n{told:#?}\nbut there is\n{}", found.join("\n")));
+            wrong.push(format!("{name}: at {places:?} should have\n{told:#?}\nbut has\n{}", found.join("\n")));
         }
     }
     assert!(wrong.is_empty(), "{} cases:\n{}", wrong.len(), wrong.join("\n\n"));
     assert!(SEVERAL.matches("\n## ").count() >= 20);
 }
 
-/// Each place of a value of an example, with the value made wrong, and a fault of its own beside.
+/// Each position of a value of an example, with the value made invalid, and an unrelated error next to it.
 fn syntax_error(value: &serde_json::Value, visit: &mut impl FnMut(&str, &serde_json::Value)) {
     fn places(value: &serde_json::Value, pointer: String, all: &mut Vec<String>) {
         match value {
@@ -85,7 +85,7 @@ fn syntax_error(value: &serde_json::Value, visit: &mut impl FnMut(&str, &serde_j
 }
 
 #[test]
-fn whatever_is_wrong_in_a_node_or_a_material_hides_nothing_else() {
+fn an_invalid_value_does_not_hide_other_errors() {
     let shapes = Node::examples().into_iter().map(|example| (example.node, true));
     let materials = Material::examples().into_iter().map(|example| (example.json, false));
     let mut wrong = Vec::new();
@@ -114,7 +114,7 @@ fn whatever_is_wrong_in_a_node_or_a_material_hides_nothing_else() {
 }
 
 #[test]
-fn no_more_than_a_hundred_faults_are_reported_and_they_are_the_first() {
+fn the_first_hundred_errors_are_reported() {
     let objects = vec![r#"{ "shape": { "sphere": { "radius": -1 } } }"#; 5000].join(",\n");
     let found = faults(&around(&objects));
     assert_eq!(found.len(), MAX_ERRORS);
@@ -122,7 +122,7 @@ fn no_more_than_a_hundred_faults_are_reported_and_they_are_the_first() {
 }
 
 #[test]
-fn shipped_examples_of_every_node_have_no_fault() {
+fn examples_of_every_node_have_no_errors() {
     for example in Node::examples() {
         assert_eq!(faults(&around(&format!(r#"{{ "shape": {} }}"#, example.node))), [], "{}", example.node);
     }
@@ -130,7 +130,7 @@ fn shipped_examples_of_every_node_have_no_fault() {
 
 #[test]
 fn work_for_a_large_text_is_bounded_by_its_bytes() {
-    // Were the whole text read again for each fault, this would be 100 × 4 MB, and more for each value that is tried.
+    // If all the text were parsed again for each error, this would be 100 × 4 MB, and more for each stand-in tried.
     let keys: String = (0..200_000).map(|key| format!("\"unknown {key}\": 1, ")).collect();
     let text = around(&format!(r#"{{ {keys} "shape": {{ "sphere": {{ "radius": 1 }} }} }}"#));
     let (all, bytes) = collect::counted(&text);

@@ -1,5 +1,5 @@
-//! A JSON text as a tree that knows where each value stands, and of which parts can be replaced: the text itself
-//! stays as it is, so that a fault that is found after a repair still has its place in the user's text.
+//! A JSON text as a tree with the position of each value, in which parts can be replaced. The text itself is not
+//! changed, so an error found after a repair still has its position in the user's text.
 
 use crate::json_scan::escape;
 use crate::limits::MAX_JSON_DEPTH;
@@ -7,56 +7,56 @@ use crate::limits::MAX_JSON_DEPTH;
 /// A value of the text.
 #[derive(Clone, Debug)]
 pub(super) struct Value {
-    /// Byte of the text at which it begins.
+    /// Byte offset of its start in the text.
     pub(super) start: usize,
-    /// Byte of the text behind it.
+    /// Byte offset of its end in the text.
     end: usize,
-    /// What it is.
+    /// Content of the value.
     pub(super) body: Body,
 }
 
-/// What a value is.
+/// Content of a value.
 #[derive(Clone, Debug)]
 pub(super) enum Body {
-    /// A number, a string, or a word, as it stands in the text.
+    /// A number, a string, or a word, as written in the text.
     Scalar,
     /// A list.
     Array(Vec<Value>),
     /// An object.
     Object(Vec<Member>),
-    /// JSON that stands in for what was wrong.
+    /// JSON that replaces an invalid value.
     StandIn(String),
 }
 
 /// A key of an object, and its value.
 #[derive(Clone, Debug)]
 pub(super) struct Member {
-    /// Byte of the text at which the key begins.
+    /// Byte offset of the start of the key in the text.
     pub(super) start: usize,
-    /// The key of the text.
+    /// The key in the text.
     pub(super) key: String,
-    /// The key that is read instead.
+    /// The key that is parsed instead.
     pub(super) read_as: String,
     /// Whether it is left out.
     pub(super) is_removed: bool,
-    /// Whether its object does not take it.
+    /// Whether the key is unknown to its object.
     pub(super) is_unknown: bool,
-    /// Whether the text lacks it.
+    /// Whether it was added and is missing in the text.
     pub(super) is_added: bool,
     /// Its value.
     pub(super) value: Value,
 }
 
-/// What is wrong with the outline of the text: the path to the member or the value.
+/// An error of the text's structure: the path to the member or the value.
 #[derive(Debug)]
 pub(super) enum TreeError {
     /// A key that the object has already; the later one is left out.
     DuplicateMember { path: Vec<usize>, start: usize },
-    /// A value that nests too deep; it is not read.
+    /// A value that nests too deep; it is not parsed.
     TooDeep { path: Vec<usize>, start: usize },
 }
 
-/// The tree of a text that is sound JSON, and at most `limit` misfits of its outline.
+/// The tree of a text that is valid JSON, and at most `limit` structural errors.
 pub(super) fn read(text: &str, limit: usize) -> (Value, Vec<TreeError>) {
     let mut reader = Reader { bytes: text.as_bytes(), text, at: 0, path: Vec::new(), misfits: Vec::new(), limit };
     let root = reader.value();
@@ -116,7 +116,7 @@ impl Reader<'_> {
         Value { start, end: self.at, body }
     }
 
-    /// Passes over a list or an object, however deep it nests.
+    /// Skips a list or an object, whatever its nesting depth.
     fn pass(&mut self) {
         let mut depth = 0_usize;
         while let Some(byte) = self.bytes.get(self.at) {
@@ -136,7 +136,7 @@ impl Reader<'_> {
         }
     }
 
-    /// Whether the list or object ends here; passes over its bracket then.
+    /// Whether the list or object ends here; if so, moves past its bracket.
     fn ends(&mut self) -> bool {
         self.skip(b" \t\r\n,");
         let ends = self.bytes.get(self.at).is_none_or(|byte| b"]}".contains(byte));
@@ -185,7 +185,7 @@ impl Reader<'_> {
 }
 
 impl Member {
-    /// A key that the text lacks, with a value that stands in for it.
+    /// A key that is missing in the text, with a stand-in as its value.
     pub(super) fn added(key: &str, at: usize, json: &str) -> Self {
         let value = Value { start: at, end: at, body: Body::StandIn(json.to_owned()) };
         let (key, read_as) = (key.to_owned(), key.to_owned());
@@ -194,7 +194,7 @@ impl Member {
 }
 
 impl Value {
-    /// The value at a path of places in lists and objects.
+    /// The value at a path of indices in lists and objects.
     pub(super) fn at(&self, path: &[usize]) -> Option<&Value> {
         path.iter().try_fold(self, |value, &index| match &value.body {
             Body::Array(entries) => entries.get(index),
@@ -203,7 +203,7 @@ impl Value {
         })
     }
 
-    /// The same, to be changed.
+    /// Mutable access to that value.
     pub(super) fn at_mut(&mut self, path: &[usize]) -> Option<&mut Value> {
         path.iter().try_fold(self, |value, &index| match &mut value.body {
             Body::Array(entries) => entries.get_mut(index),
@@ -218,7 +218,7 @@ impl Value {
         self.at(parent)?.members().get(index)
     }
 
-    /// The same, to be changed.
+    /// Mutable access to that member.
     pub(super) fn member_at_mut(&mut self, path: &[usize]) -> Option<&mut Member> {
         let (&index, parent) = path.split_last()?;
         match &mut self.at_mut(parent)?.body {
@@ -227,7 +227,7 @@ impl Value {
         }
     }
 
-    /// Its members, none if it is no object.
+    /// Its members; empty if it is not an object.
     pub(super) fn members(&self) -> &[Member] {
         match &self.body {
             Body::Object(members) => members,
@@ -235,7 +235,7 @@ impl Value {
         }
     }
 
-    /// The path of what a JSON pointer's parts lead to, as far as there is something, and whether that is all of it.
+    /// The path of a JSON pointer's parts, as far as the values exist, and whether that is all of the pointer.
     pub(super) fn path_of(&self, steps: &[String]) -> (Vec<usize>, bool) {
         let mut path = Vec::new();
         let mut value = self;
@@ -256,7 +256,7 @@ impl Value {
         (path, true)
     }
 
-    /// The JSON pointer of a path, with the keys of the text or with those that are read instead.
+    /// JSON pointer of a path, with the keys of the text or with the keys that are parsed instead.
     pub(super) fn pointer(&self, path: &[usize], as_read: bool) -> String {
         let mut value = self;
         let mut pointer = String::new();
@@ -275,7 +275,8 @@ impl Value {
         pointer
     }
 
-    /// Writes it with its repairs; `cut` says what stands in for a value that is read by itself, given the path to it.
+    /// Writes the value with its repairs; `cut` returns the stand-in for a value that is parsed separately, from its
+    /// path.
     pub(super) fn write(
         &self,
         text: &str,
@@ -331,7 +332,7 @@ mod tests {
     }
 
     #[test]
-    fn tree_is_written_as_it_was_read() {
+    fn an_unchanged_tree_is_written_as_parsed() {
         let text = r#"{ "a" : [1, {"b/c": -2.5e3}, "x\"]"], "d": {}, "e": [], "f": true }"#;
         let (root, misfits) = read(text, 9);
         assert!(misfits.is_empty());
@@ -343,7 +344,7 @@ mod tests {
     }
 
     #[test]
-    fn doubled_keys_and_deep_values_are_found_and_left_out() {
+    fn duplicate_keys_and_deep_values_are_found_and_removed() {
         let text = format!(r#"{{"a": 1, "\u0061": 2, "b": {}{}}}"#, "[".repeat(9000), "]".repeat(9000));
         let (root, misfits) = read(&text, 9);
         assert!(matches!(&misfits[0], TreeError::DuplicateMember { path, start: 9 } if *path == [1]), "{misfits:?}");

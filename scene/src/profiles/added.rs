@@ -1,4 +1,4 @@
-//! A profile that exists in unit tests alone: what it takes to add one.
+//! Profile that exists in unit tests alone: shows what adding one takes.
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -8,11 +8,11 @@ use crate::real::Real;
 use crate::seek::Seek;
 use crate::values::Length;
 
-/// All between two lines across y.
+/// Area between two lines across y.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
 #[serde(deny_unknown_fields)]
 pub struct AddedProfile {
-    /// How far the lines are from each other.
+    /// Distance between the lines.
     pub height: Length,
 }
 

@@ -1,9 +1,8 @@
 //! Quadratic Bézier curves: segments of parabolas.
 //!
-//! If the parabola's vertex is not inside a segment, the squared distance to a point of it has a convex
-//! derivative (a cubic in the parameter), so Newton's method from the far end converges to its largest root
-//! without overshoot, and no cubic need be solved. The only other candidate for the nearest point is the
-//! segment's start.
+//! If the parabola's vertex is not inside a segment, the squared distance to a point of it has a convex derivative (a
+//! cubic in the parameter), so Newton's method from the far end converges to its largest root without overshoot, and
+//! no cubic needs to be solved. The only other candidate for the nearest point is the segment's start.
 
 use super::Bounds2;
 use super::edge::{EdgeScan, is_crossed};
@@ -20,8 +19,8 @@ pub(super) struct QuadraticBezier {
     pub(super) to: [f32; 2],
 }
 
-/// A piece of a parabola that lies on one side of its vertex, which it may touch with its start:
-/// start + 2·a·t + b·t² for t from 0 to 1, with a·b at least 0.
+/// A segment of a parabola on one side of its vertex, which may be its start: start + 2·a·t + b·t² for t from 0 to 1,
+/// with a·b at least 0.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct HalfParabola {
     start: [f32; 2],
@@ -72,7 +71,7 @@ impl QuadraticBezier {
         mix(mix(self.from, self.control, t), mix(self.control, self.to, t), t)
     }
 
-    /// Its two parts, up to a parameter and from there on.
+    /// Its two parts, before and after a parameter.
     pub(super) fn split(&self, t: f32) -> [Self; 2] {
         let middle = self.at(t);
         [
@@ -81,12 +80,12 @@ impl QuadraticBezier {
         ]
     }
 
-    /// The least rectangle that holds it.
+    /// Smallest rectangle that contains it.
     pub(super) fn extent(&self) -> Bounds2 {
         Bounds2::from_points([self.from, self.to, self.at(self.extreme(0)), self.at(self.extreme(1))])
     }
 
-    /// Whether it deviates invisibly little from the line between its ends.
+    /// Whether its deviation from the line between its ends is too small to be visible.
     pub(super) fn is_straight(&self) -> bool {
         let (a, b) = self.derivatives();
         let chord = [self.to[0] - self.from[0], self.to[1] - self.from[1]];
@@ -94,7 +93,7 @@ impl QuadraticBezier {
         cross(a, b).abs() <= 2.0 * FLATNESS_TOLERANCE * Real::sqrt(dot(chord, chord))
     }
 
-    /// The least radius of its curvature; infinite where it is straight.
+    /// Minimum radius of curvature; infinite if it is straight.
     pub(super) fn least_radius(&self) -> f32 {
         let ((a, b), t) = (self.derivatives(), self.vertex());
         let speed = [a[0] + b[0] * t, a[1] + b[1] * t];
@@ -110,7 +109,7 @@ impl HalfParabola {
         self.start
     }
 
-    /// The least rectangle that holds it.
+    /// Smallest rectangle that contains it.
     pub(super) fn extent(&self) -> Bounds2 {
         let control = [self.start[0] + self.a[0], self.start[1] + self.a[1]];
         QuadraticBezier { from: self.start, control, to: self.end }.extent()
@@ -146,9 +145,9 @@ impl HalfParabola {
 
     /// Adds this segment of an outline, which is monotonic in y, to a scan.
     ///
-    /// The side of the curve on which a point lies follows from its place in the frame of 2·a and
-    /// b, in which the curve is (t, t²): Charles Loop and Jim Blinn, "Resolution Independent Curve
-    /// Rendering using Programmable Graphics Hardware", <https://doi.org/10.1145/1073204.1073303>.
+    /// The side of the curve on which a point is follows from its position in the frame of 2·a and b, in which the
+    /// curve is (t, t²): Charles Loop and Jim Blinn, "Resolution Independent Curve Rendering using Programmable
+    /// Graphics Hardware", <https://doi.org/10.1145/1073204.1073303>.
     #[inline(always)]
     pub(super) fn pass<R: Real>(&self, x: R, y: R, found: EdgeScan<R>) -> EdgeScan<R> {
         let Self { start, end, a, b, over_turn } = *self;
@@ -168,7 +167,7 @@ impl HalfParabola {
                 let square = square(off, (a_x, a_y), (b_x, b_y));
                 let along = (off.0 * b_y - off.1 * b_x) * over_turn;
                 let up = (a_x * off.1 - a_y * off.0) * over_turn * 2.0;
-                // Beside the chord where that is further than beside the curve.
+                // Distance from the chord where that is greater than the distance from the curve.
                 let off_curve = (up - along.min(along.square())) * over_turn;
                 let is_crossed = is_crossed(y, start_y, end_y, off_curve.above(0.0));
                 (nearest.min(square), R::select(is_crossed, -sign, sign))

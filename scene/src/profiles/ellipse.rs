@@ -8,24 +8,23 @@ use crate::real::Real;
 use crate::seek::Seek;
 use crate::values::Length;
 
-/// Maximum number of steps to the nearest point; the most found was 17, near the center of curvature of a
-/// thin ellipse's end.
+/// Maximum number of Newton steps; the largest number found was 17, near the center of curvature of a thin ellipse's
+/// end.
 const MAX_STEPS: u32 = 24;
 /// Tolerance of the nearest point, as a fraction of the ellipse's size.
 const TOLERANCE: f32 = 1e-6;
 
 /// An ellipse around the origin, its axes along x and y.
 ///
-/// With half axes a ≥ b, the point nearest to (x, y) is (a²x/(s + a² − b²), b²y/s) for the greatest
-/// s that puts it on the ellipse: David Eberly, "Distance from a Point to an Ellipse, an Ellipsoid,
-/// or a Hyperellipsoid", <https://www.geometrictools.com/Documentation/DistancePointEllipseEllipsoid.pdf>.
-/// That s is found from below by Newton's method on one over the norm, as Moré and Sorensen do in
-/// "Computing a Trust Region Step", <https://doi.org/10.1137/0904038>: it takes three steps nearly
-/// everywhere.
+/// With half axes a ≥ b, the point nearest to (x, y) is (a²x/(s + a² − b²), b²y/s) for the greatest s that puts it on
+/// the ellipse: David Eberly, "Distance from a Point to an Ellipse, an Ellipsoid, or a Hyperellipsoid",
+/// <https://www.geometrictools.com/Documentation/DistancePointEllipseEllipsoid.pdf>. That s is found from below by
+/// Newton's method on one over the norm, as Moré and Sorensen do in "Computing a Trust Region Step",
+/// <https://doi.org/10.1137/0904038>. It takes three steps nearly everywhere.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
 #[serde(deny_unknown_fields)]
 pub struct Ellipse {
-    /// Whole extents along x and y.
+    /// Full extents along x and y.
     pub size: [Length; 2],
 }
 
@@ -40,11 +39,11 @@ impl ProfileSdf for Ellipse {
         let (a, b) = (width.max(height), width.min(height));
         let is_tall = x.uniform(width).lt(x.uniform(height));
         let (along, across) = (R::select(is_tall, y, x).abs(), R::select(is_tall, x, y).abs());
-        // Never quite on the long axis, where s would be 0.
+        // Never exactly on the long axis, where s would be 0.
         let across = across.max(x.uniform(b * TOLERANCE));
         let eccentric = x.uniform((a - b) * (a + b));
         let (along_a, across_b) = (along * x.uniform(a), across * x.uniform(b));
-        // For either of these the point is on the ellipse's bounding square or further out.
+        // For either of these the point is on the ellipse's bounding square or outside it.
         let start = (along_a - eccentric).max(across_b);
         let s = R::repeat(
             MAX_STEPS,

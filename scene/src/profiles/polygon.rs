@@ -11,20 +11,20 @@ use crate::nodes::NodeError;
 use crate::real::Real;
 use crate::seek::{FrameTime, Seek, SeekError};
 
-/// Fewest points of a polygon.
+/// Minimum number of points of a polygon.
 const MIN_POINTS: usize = 3;
-/// Most points of a polygon.
+/// Maximum number of points of a polygon.
 const MAX_POINTS: usize = 256;
-/// Further than anything is, squared, and yet a number.
+/// A squared distance greater than any, but finite.
 const MISS_DISTANCE: f32 = 1e30;
 
-/// A polygon given by its corners, in either orientation. It need not be convex.
+/// A polygon with these corners, in either orientation. It need not be convex.
 ///
 /// Inigo Quilez, "2D distance functions": <https://iquilezles.org/articles/distfunctions2d/>.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
 #[serde(deny_unknown_fields)]
 pub struct Polygon {
-    /// Its corners, 3 to 256 of them, in the order of a walk around it.
+    /// Its 3 to 256 corners, in order around the polygon.
     pub points: PolygonVertices,
 }
 
@@ -134,7 +134,7 @@ fn self_intersection(edges: &[Edge], earlier: usize, number: usize) -> Option<(u
     let (a, b) = (edges[earlier], edges[number]);
     let count = edges.len();
     if a.to == b.from || b.to == a.from {
-        // Neighbors share one corner, unless the second goes back along the first.
+        // Neighbors share one corner, unless the second reverses along the first.
         let (corner, before, after) = if a.to == b.from { (a.to, a.from, b.to) } else { (b.to, b.from, a.to) };
         let goes_back = orientation(before, corner, after) == 0.0 && !is_between(corner, before, after);
         let back = format!("goes back along the edge before it: remove or move points/{number}");
@@ -170,7 +170,7 @@ fn orientation(a: [f32; 2], b: [f32; 2], c: [f32; 2]) -> f64 {
     along(0, b) * along(1, c) - along(1, b) * along(0, c)
 }
 
-/// Whether `point`, which is on the line through `a` and `b`, lies between them or on one.
+/// Whether `point`, which is on the line through `a` and `b`, is between them or equal to one.
 fn is_between(point: [f32; 2], a: [f32; 2], b: [f32; 2]) -> bool {
     (0..2).all(|axis| (a[axis].min(b[axis])..=a[axis].max(b[axis])).contains(&point[axis]))
 }

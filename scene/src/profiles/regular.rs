@@ -1,7 +1,7 @@
 //! Profiles with rotational symmetry: regular polygons and stars. Each is exact.
 //!
-//! A point is first folded into the wedge between a corner and the middle of a side, by a
-//! reflection for each time that the number of wedges can be halved: no angle is ever taken.
+//! A point is first folded into the wedge between a corner and the center of a side, by one reflection for each time
+//! that the number of wedges can be halved. No angle is computed.
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Deserializer, Serialize};
@@ -12,7 +12,7 @@ use crate::real::Real;
 use crate::seek::Seek;
 use crate::values::{Length, LengthOrZero, integer_in_range};
 
-/// Most sides of a regular polygon and points of a star.
+/// Maximum number of sides of a regular polygon and of points of a star.
 const MAX_SIDES: u32 = 64;
 
 /// A polygon of equal sides around the origin, a corner at the top.
@@ -59,7 +59,7 @@ fn fold<R: Real>(x: R, y: R, n: u32) -> (R, R) {
     let (mut up, mut across) = (y, x.abs());
     let mut wedges = n;
     while wedges > 1 {
-        // What is further round than half of the wedges, rounded up, is reflected about their end.
+        // Points beyond half of the wedges, rounded up, are reflected about their end.
         wedges = wedges.div_ceil(2);
         let (s, c) = Real::sin_cos(std::f32::consts::PI * wedges as f32 / n as f32);
         let beyond = up.mul_add(x.uniform(s), -(across * x.uniform(c))).at_most(0.0);
@@ -100,7 +100,7 @@ impl ProfileSdf for RegularPolygon {
 
     fn validate(&self) -> Option<NodeError> {
         let most = self.apothem();
-        let message = format!("must be at most the distance from the middle to a side: make round {most} or less");
+        let message = format!("must be at most the distance from the center to a side: make round {most} or less");
         (self.round.get() > most).then(|| NodeError::new("round", message))
     }
 }

@@ -9,11 +9,11 @@ use crate::real::Real;
 use crate::seek::Seek;
 use crate::values::{Length, LengthOrZero};
 
-/// A disc around the origin.
+/// A disk around the origin.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
 #[serde(deny_unknown_fields)]
 pub struct Circle {
-    /// Its radius.
+    /// Radius.
     pub radius: Length,
 }
 
@@ -37,7 +37,7 @@ impl ProfileSdf for Circle {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
 #[serde(deny_unknown_fields)]
 pub struct Rectangle {
-    /// Whole extents along x and y.
+    /// Full extents along x and y.
     pub size: [Length; 2],
     /// Radius of its rounded corners, inside `size`.
     #[serde(default = "super::default_round")]

@@ -10,13 +10,13 @@ use crate::real::Real;
 use crate::seek::Seek;
 use crate::values::{Length, SweepAngle, sin_cos_degrees};
 
-/// A part of a ring around the origin with round ends, its middle at the top.
+/// A part of a ring around the origin with round ends, its center at the top.
 ///
 /// Inigo Quilez, "2D distance functions": <https://iquilezles.org/articles/distfunctions2d/>.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
 #[serde(deny_unknown_fields)]
 pub struct Arc {
-    /// Radius of the line in its middle.
+    /// Radius of the line's center.
     pub radius: Length,
     /// Angle between its ends at the origin.
     pub degrees: SweepAngle,
@@ -53,8 +53,8 @@ impl ProfileSdf for Arc {
     }
 
     fn exactness(&self) -> Exactness {
-        // Inside, the distance to the outline follows from the distance to the center line, unless
-        // the line's ends, or both sides of its circle, are closer to each other than the thickness.
+        // Inside, the distance to the outline follows from the distance to the center line, unless the line's ends, or
+        // both sides of its circle, are closer to each other than the thickness.
         let (s, c) = sin_cos_degrees(self.degrees.get() / 2.0);
         let (radius, half) = (self.radius.get(), self.thickness.get() / 2.0);
         let is_closed = s == 0.0;
@@ -68,12 +68,12 @@ impl ProfileSdf for Arc {
 
 /// A curve between two points, controlled by a third, with round ends: a quadratic Bézier curve.
 ///
-/// The distance is the lesser of those to the two halves of its parabola, each by Newton's method from the
-/// end at which it cannot overshoot.
+/// The distance is the lesser of the distances to the two halves of its parabola, each by Newton's method from the end
+/// at which it cannot overshoot.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
 #[serde(deny_unknown_fields)]
 pub struct Bezier {
-    /// Its start, the point it is drawn toward, and its end.
+    /// Its start, its control point, and its end.
     pub points: [Point2; 3],
     /// Thickness.
     pub thickness: Length,
@@ -98,7 +98,7 @@ impl ProfileSdf for Bezier {
     fn distance<R: Real>(&self, x: R, y: R) -> R {
         let curve = self.curve();
         let [first, second] = curve.split(curve.vertex()).map(HalfParabola::new);
-        // Further than anything is, squared, and yet a number.
+        // A squared distance greater than any, but finite.
         let nearest = second.min_distance_squared(x, y, first.min_distance_squared(x, y, x.constant(1e30)));
         nearest.sqrt() - x.uniform(self.thickness.get() / 2.0)
     }
@@ -108,9 +108,9 @@ impl ProfileSdf for Bezier {
     }
 
     fn exactness(&self) -> Exactness {
-        // Inside, the distance to the curve tells that to the outline as long as no circle of the
-        // thickness touches the curve twice; a parabola turns by less than half a turn, so none does
-        // that is not larger than its least circle of curvature.
+        // Inside, the distance to the outline follows from the distance to the curve, if no circle with the thickness
+        // as its diameter touches the curve twice. A parabola turns by less than 180 degrees, so no circle does unless
+        // it is larger than the smallest circle of curvature.
         let is_slack = self.thickness.get() / 2.0 <= self.curve().least_radius();
         if is_slack { Exactness::Exact } else { Exactness::Bound }
     }

@@ -11,8 +11,8 @@ use crate::real::Real;
 use crate::seek::Seek;
 use crate::values::Length;
 
-/// A line of bold text without serifs, its middle at the origin: half of its length along x, and
-/// half of a capital's height along y.
+/// A line of bold sans-serif text, centered at the origin: half of its length along x, and half of a capital's height
+/// along y.
 ///
 /// It is exact unless letters overlap.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
@@ -20,19 +20,19 @@ use crate::values::Length;
 pub struct Text {
     /// The text, up to 64 characters: Latin letters, digits, punctuation and arrows.
     pub string: TextOutline,
-    /// Size of the font: capitals are 0.73 of it high.
+    /// Size of the font: capitals are 0.73 times as high.
     pub size: Length,
 }
 
 impl GlyphOutline {
-    /// The square of a distance that some point of the outline has.
+    /// Squared distance to some point of the outline.
     #[inline(always)]
     fn distance_squared_upper_bound<R: Real>(&self, x: R, y: R) -> R {
         let [anchor_x, anchor_y] = self.anchor;
         (x - x.uniform(anchor_x)).square_add((y - x.uniform(anchor_y)).square())
     }
 
-    /// The square of a distance that no point of the outline is nearer than.
+    /// Lower bound of the squared distance to the outline.
     #[inline(always)]
     fn distance_squared_lower_bound<R: Real>(&self, x: R, y: R) -> R {
         // Far more than rounding errors, so that every letter that may be nearest is evaluated.
@@ -43,8 +43,8 @@ impl GlyphOutline {
         beyond_x.square_add(beyond_y.square())
     }
 
-    /// Adds this letter to a scan. Outside of its bounds a ray to the right crosses its closed outline an
-    /// even number of times, so a letter that is too far away can be skipped.
+    /// Adds this letter to a scan. Outside its bounds a ray to the right crosses its closed outline an even number of
+    /// times, so a letter that is too distant can be skipped.
     #[inline(always)]
     fn scan<R: Real>(&self, x: R, y: R, found: EdgeScan<R>) -> EdgeScan<R> {
         R::when(
@@ -99,7 +99,7 @@ impl ProfileSdf for Text {
     }
 
     fn size_in_nodes(&self) -> u32 {
-        // As a GPU's compiler takes its time over them.
+        // The GPU compiler needs long for them.
         const LINE: u32 = 1;
         const CURVE: u32 = 4;
         let pieces = self.string.letters().iter().flat_map(|letter| &letter.pieces);

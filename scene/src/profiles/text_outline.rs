@@ -1,4 +1,4 @@
-//! A line of text as outlines: letters of the embedded font, side by side.
+//! A line of text as outlines: glyphs of the embedded font, side by side.
 //!
 //! Lengths here are in ems: the size of the font is 1. The font is described in
 //! `scene/fonts/README.md`.
@@ -15,11 +15,11 @@ use super::edge::Edge;
 
 use crate::seek::{FrameTime, Seek, SeekError};
 
-/// Most characters of a text.
+/// Maximum number of characters of a text.
 const MAX_CHARACTERS: usize = 64;
-/// Most lines and curves of a text's outlines.
+/// Maximum number of lines and curves of a text's outlines.
 const MAX_SEGMENTS: usize = 2_000;
-/// Height of the middle of a capital above the baseline.
+/// Height of the center of a capital above the baseline.
 const CAP_HEIGHT_CENTER: f32 = 0.364_5;
 
 static FONT: &[u8] = include_bytes!("../../fonts/DejaVuSans-Bold-Latin.ttf");
@@ -45,32 +45,32 @@ impl Seek for TextOutline {
 pub(super) struct GlyphOutline {
     pub(super) pieces: Vec<OutlineSegment>,
     pub(super) extent: Bounds2,
-    /// A point of the outline, near its middle.
+    /// A point of the outline, near its center.
     pub(super) anchor: [f32; 2],
 }
 
 /// Segment of an outline.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) enum OutlineSegment {
-    /// A straight one.
+    /// A straight segment.
     Line(Edge),
     /// A curve that is monotonic in y.
     Curve(HalfParabola),
 }
 
-/// Reason why a text has no outline.
+/// Error returned when a text has no outline.
 #[derive(Debug, thiserror::Error)]
 pub enum TextOutlineError {
-    /// It has this many characters.
+    /// The text has this many characters, more than the maximum.
     #[error("has {0} characters: use at most {MAX_CHARACTERS}")]
     TooLong(usize),
-    /// A character is not in the font.
+    /// A character that the font lacks.
     #[error("has {0:?}, which the font lacks: it has Latin letters, digits, punctuation and arrows")]
     NoGlyph(char),
-    /// Its outlines have this many segments.
+    /// The outlines have this many segments, more than the maximum.
     #[error("has outlines of {0} lines and curves: use fewer letters, for at most {MAX_SEGMENTS}")]
     TooManySegments(usize),
-    /// No character leaves a mark.
+    /// No character is visible.
     #[error("shows nothing: write a letter or more")]
     Blank,
 }
@@ -119,7 +119,7 @@ impl TextOutline {
     }
 }
 
-/// Sets a line of text, its middle at x = 0, half a capital's height at y = 0.
+/// Lays out a line of text, centered at x = 0, with half a capital's height at y = 0.
 fn lay_out(string: &str) -> Result<Vec<GlyphOutline>, TextOutlineError> {
     let face = Face::parse(FONT, 0).expect("the embedded font is a font");
     let em = f32::from(face.units_per_em());
@@ -173,7 +173,7 @@ impl OutlineSegment {
     }
 }
 
-/// Takes a glyph's outline down.
+/// Collects a glyph's outline.
 struct OutlineCollector {
     scale: f32,
     left: f32,
@@ -194,9 +194,9 @@ impl OutlineCollector {
         self.pen = to;
     }
 
-    /// Adds a curve, cut at its vertex and where it turns from up to down.
+    /// Adds a curve, split at its vertex and at its vertical extremes.
     fn curve(&mut self, curve: QuadraticBezier) {
-        // Nearer to an end than this, no cut is made.
+        // No split nearer to an end than this.
         const MIN_SEGMENT: f32 = 1e-3;
         let inside =
             [curve.vertex(), curve.extreme(1)].into_iter().find(|t| (MIN_SEGMENT..=1.0 - MIN_SEGMENT).contains(t));
@@ -228,7 +228,7 @@ impl OutlineBuilder for OutlineCollector {
     }
 
     fn curve_to(&mut self, x1: f32, y1: f32, x2: f32, y2: f32, x: f32, y: f32) {
-        // A TrueType font has no cubic curves; this would be the nearest quadratic one.
+        // A TrueType font has no cubic curves; this would be the nearest quadratic curve.
         let ([x1, y1], [x2, y2], [x, y]) = (self.place(x1, y1), self.place(x2, y2), self.place(x, y));
         let control = [(3.0 * (x1 + x2) - self.pen[0] - x) / 4.0, (3.0 * (y1 + y2) - self.pen[1] - y) / 4.0];
         self.curve(QuadraticBezier { from: self.pen, control, to: [x, y] });

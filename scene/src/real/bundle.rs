@@ -1,18 +1,18 @@
-//! Several numbers and conditions that change together: the state of a loop, or what a branch gives.
+//! Several numbers and conditions that change together: the state of a loop, or the result of a branch.
 
 use super::{Real, Vec3};
 
 /// Merges two values into one.
 pub trait Merge<R: Real> {
-    /// Joins two numbers.
+    /// Merges two numbers.
     fn number(&mut self, a: R, b: R) -> R;
-    /// Joins two conditions.
+    /// Merges two conditions.
     fn mask(&mut self, a: R::Mask, b: R::Mask) -> R::Mask;
 }
 
 /// Any struct of numbers and conditions.
 pub trait Bundle<R: Real>: Copy + 'static {
-    /// Joins two bundles part by part, in a fixed order.
+    /// Merges two bundles field by field, in a fixed order.
     fn merge(self, other: Self, how: &mut impl Merge<R>) -> Self;
 }
 

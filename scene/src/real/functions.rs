@@ -1,9 +1,8 @@
 //! The transcendental functions, written once from exact operations.
 //!
-//! Polynomials and range reductions are those of Stephen L. Moshier's Cephes Mathematical
-//! Library, single precision (<https://www.netlib.org/cephes/>), evaluated here with fused
-//! operations. Each is compiled once, hence [`Real::call`], and called.
-//! The errors in the docs of [`Real`] are measured by this module's tests.
+//! Polynomials and range reductions are those of Stephen L. Moshier's Cephes Mathematical Library, single precision
+//! (<https://www.netlib.org/cephes/>), evaluated here with fused operations. Each is compiled once and called, hence
+//! [`Real::call`]. The errors in the docs of [`Real`] are measured by this module's tests.
 
 use std::f32::consts::{FRAC_2_PI, FRAC_PI_2, FRAC_PI_4, LOG2_E, PI, TAU};
 
@@ -139,7 +138,7 @@ pub(super) fn exp<R: Real>(x: R) -> R {
                 &[1.987_569_15e-4, 1.398_199_950_7e-3, 8.333_451_907_3e-3, 4.166_579_589_4e-2, 1.666_666_545_9e-1, 0.5],
             );
             let fraction = (r * r).mul_add(tail, r) + 1.0;
-            // 2^power: its biased exponent, counted in the low bits of a number of 24 bits, moved into place.
+            // 2^power: its biased exponent, counted in the low bits of a 24-bit number, shifted into position.
             let scale = R::from_bits((power + (8_388_608.0 + 127.0)).to_bits() << 23);
             fraction * scale
         },
@@ -196,7 +195,7 @@ fn ln_hi_lo<R: Real>(x: R) -> (R, R) {
     );
     let tail = (square * r).mul_add(tail, exponent * -2.121_944_4e-4);
     let fraction = r + square.mul_add(x.constant(-0.5), tail);
-    // The first product is exact; the rounding error of the sum is kept (Dekker's Fast2Sum).
+    // The first product is exact; the rounding error of the sum is stored (Dekker's Fast2Sum).
     let whole = exponent * 0.693_359_375;
     let sum = whole + fraction;
     (sum, (whole - sum) + fraction)
@@ -229,11 +228,11 @@ mod tests {
 
     fn check(name: &str, error: f64, bound: f64) {
         println!("{name}: {error:.2} ulp");
-        assert!(error <= bound, "{name} is off by {error} ulp, its doc says {bound}");
+        assert!(error <= bound, "{name} is off by {error} ulp, its doc states {bound}");
     }
 
     #[test]
-    fn errors_are_those_of_the_docs() {
+    fn measured_errors_match_the_docs() {
         let wide = || between(-1e4, 1e4).chain(between(-7.0, 7.0));
         check("sin", largest_error(wide(), |x| (Real::sin(x), f64::from(x).sin()), 1.0), SIN_ULP);
         check("cos", largest_error(wide(), |x| (Real::cos(x), f64::from(x).cos()), 1.0), SIN_ULP);

@@ -1,4 +1,4 @@
-//! Interval arithmetic: contains every value that a formula takes over a box of space.
+//! Interval arithmetic: contains every value that a formula has in a box of space.
 //!
 //! Rounding to nearest is monotonic, so the ends computed in `f32` contain every `f32` that the same
 //! operation gives inside; the polynomials of the transcendentals are not monotonic, so their intervals are
@@ -12,24 +12,24 @@ use super::{Bits, Bundle, Merge, Real};
 /// All numbers from `low` to `high`, both included.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Interval {
-    /// The least.
+    /// Minimum.
     pub low: f32,
-    /// The greatest.
+    /// Maximum.
     pub high: f32,
 }
 
-/// Truth of a condition over a box.
+/// Truth value of a condition over a box.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Tribool {
     /// True everywhere.
     True,
     /// False everywhere.
     False,
-    /// Unknown: it may hold in some places.
+    /// True at some points and false at others, or unknown.
     Unknown,
 }
 
-/// The bits of an interval: known when it is a single number.
+/// The bits of an interval: known if it is a single number.
 #[derive(Clone, Copy, Debug)]
 pub struct IntervalBits(Option<F32Bits>);
 
@@ -41,7 +41,7 @@ impl Interval {
         Self { low, high }
     }
 
-    /// Whether `value` lies inside.
+    /// Whether `value` is inside.
     pub fn contains(self, value: f32) -> bool {
         self.low <= value && value <= self.high
     }
@@ -50,7 +50,7 @@ impl Interval {
         Self { low: self.low.min(other.low), high: self.high.max(other.high) }
     }
 
-    /// The hull of some values; of everything if one is undefined.
+    /// The hull of some values; infinite if one is undefined.
     fn hull_of<const N: usize>(values: [f32; N]) -> Self {
         if values.iter().any(|value| value.is_nan()) {
             return Self::ALL;
@@ -59,7 +59,7 @@ impl Interval {
         values.into_iter().fold(Self::new(f32::INFINITY, f32::NEG_INFINITY), hull)
     }
 
-    /// Widens by the error of a transcendental.
+    /// Interval widened by the error of a transcendental function.
     fn with_error(self) -> Self {
         const ERROR: f32 = 32.0 * f32::EPSILON;
         let wide = |end: f32| end.abs() * ERROR + f32::MIN_POSITIVE;
@@ -314,7 +314,7 @@ impl Real for Interval {
             match again {
                 Tribool::True => {}
                 Tribool::False => break,
-                // Some points stop here, others continue: keep the hull of the stopped ones.
+                // Some points stop here, others continue: store the hull of the stopped ones.
                 Tribool::Unknown => stopped = Some(stopped.map_or(state, |ends| ends.merge(state, &mut HullMerge))),
             }
         }

@@ -49,7 +49,7 @@ fn fma(a: f32, b: f32, c: f32) -> f32 {
     let product = f64::from(a) * f64::from(b);
     let term = f64::from(c);
     let sum = product + term;
-    // Knuth's TwoSum: `error` is what `sum` lost.
+    // Knuth's TwoSum: `error` is the rounding error of `sum`.
     let term_part = sum - product;
     let error = (product - (sum - term_part)) + (term - term_part);
     if error == 0.0 || !sum.is_finite() || sum.to_bits() & 1 == 1 {
@@ -60,7 +60,7 @@ fn fma(a: f32, b: f32, c: f32) -> f32 {
     f64::from_bits(odd) as f32
 }
 
-/// Picks one of two bundles.
+/// Selects one of two bundles.
 struct SelectMerge(bool);
 
 impl Merge<f32> for SelectMerge {

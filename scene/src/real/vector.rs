@@ -68,7 +68,7 @@ impl<R: Real> Vec3<R> {
         self.length_squared().sqrt()
     }
 
-    /// The vector of length 1 in this direction; of a vector shorter than 10⁻¹⁴, nearly 0.
+    /// The vector of length 1 in this direction; nearly 0 for a vector shorter than 10⁻¹⁴.
     #[inline(always)]
     pub fn normalize(self) -> Self {
         self * (self.x.constant(1.0) / self.length().at_least(1e-14))
@@ -86,7 +86,7 @@ impl<R: Real> Vec3<R> {
         (self.x + self.y + self.z) * (1.0 / 3.0)
     }
 
-    /// Each coordinate times the other vector's: light through a filter.
+    /// Each coordinate times the other vector's, for example light through a filter.
     #[inline(always)]
     pub fn mul_elementwise(self, other: Self) -> Self {
         vec3(self.x * other.x, self.y * other.y, self.z * other.z)
@@ -104,7 +104,7 @@ impl<R: Real> Vec3<R> {
         self.x.max(self.y).max(self.z)
     }
 
-    /// `yes` where `mask` holds, else `no`.
+    /// `yes` where `mask` is true, else `no`.
     #[inline(always)]
     pub fn select(mask: R::Mask, yes: Self, no: Self) -> Self {
         vec3(R::select(mask, yes.x, no.x), R::select(mask, yes.y, no.y), R::select(mask, yes.z, no.z))

@@ -1,6 +1,6 @@
-//! Numbers of a schema in the fewest digits that name the same `f32`: `0.1`, not `0.10000000149011612`.
+//! Shortens numbers of a schema to the fewest digits that identify the same `f32`: `0.1`, not `0.10000000149011612`.
 //!
-//! It changes how numbers are written and nothing else; what a job's numbers mean is not decided here.
+//! It changes only how numbers are written, not the numbers of a job.
 
 use serde_json::{Number, Value};
 
@@ -45,7 +45,7 @@ mod tests {
     }
 
     #[test]
-    fn no_number_of_the_schema_has_digits_that_nobody_wrote() {
+    fn numbers_of_the_schema_have_no_excess_digits() {
         fn check(value: &Value) {
             match value {
                 Value::Number(number) => {

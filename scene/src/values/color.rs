@@ -31,13 +31,13 @@ impl Color {
         self.linear
     }
 
-    /// Whether any of its channels moves.
+    /// Whether any of its channels is animated.
     #[inline(always)]
     pub fn is_animated(&self) -> bool {
         self.channels.is_some()
     }
 
-    /// Whether it is black in every frame: then a formula may leave its term out.
+    /// Whether it is black in every frame, so that a formula may leave its term out.
     #[inline(always)]
     pub fn is_black(&self) -> bool {
         self.linear == vec3(0.0, 0.0, 0.0) && !self.is_animated()
@@ -64,7 +64,7 @@ impl PartialEq for Color {
     }
 }
 
-/// Reads `[r, g, b]` in linear light or `"#rrggbb"` in sRGB.
+/// Deserializes `[r, g, b]` in linear light or `"#rrggbb"` in sRGB.
 struct ColorVisitor;
 
 impl<'de> Visitor<'de> for ColorVisitor {

@@ -3,14 +3,14 @@
 use serde::de::value::StringDeserializer;
 use serde::de::{DeserializeSeed, MapAccess};
 
-/// A map whose first key was read already.
+/// A map whose first key has been read.
 pub(crate) struct PeekedMap<A> {
     first: Option<String>,
     rest: A,
 }
 
 impl<A> PeekedMap<A> {
-    /// The map that `rest` was before `first`, its first key if it has one, was read.
+    /// The map from before `first`, its first key if it has one, was read from `rest`.
     pub(crate) fn new(first: Option<String>, rest: A) -> Self {
         Self { first, rest }
     }

@@ -1,6 +1,6 @@
 //! Tracks: numbers that change over the frames of a job.
 //!
-//! A number with a track stores it, next to its value at the time it was last evaluated for.
+//! A number with a track stores the track, next to the number's value at the time of its last evaluation.
 
 mod keyframes;
 
@@ -21,29 +21,29 @@ use crate::materials::Texture;
 
 /// A kind of number, with its range.
 pub(super) trait RangedNumber: Sized {
-    /// Range of a number of this kind, as words for messages.
+    /// Range of a number of this kind, worded for messages.
     const EXPECTED: &'static str;
 
-    /// Whether a number is in range.
+    /// Whether a value is in range.
     fn is_in_range(value: f32) -> bool;
 
     /// The number, if it is in range.
     fn in_range(value: f32) -> Option<Self>;
 
-    /// The number.
+    /// The value.
     fn value(&self) -> f32;
 
-    /// The number that a track of such numbers gives, at second 0.
+    /// The number for a track of such numbers, at second 0.
     fn on_track(track: Track) -> Self;
 }
 
-/// A number of JSON as one of its kind; finite and in range, or what it should be.
+/// Converts a JSON number to this kind; fails with the expected range if it is not finite or not in range.
 pub(super) fn number<T: RangedNumber, E: Error>(value: f64) -> Result<T, E> {
     let number = value as f32;
     if !number.is_finite() {
         return Err(E::custom(format_args!("{value:e} is too large: numbers go up to 3.4e38")));
     }
-    // No result depends on the sign of a zero, and no key should either.
+    // No result depends on the sign of a zero, and no cache key should either.
     T::in_range(number + 0.0).ok_or_else(|| E::custom(format_args!("must be {}, not {}", T::EXPECTED, number + 0.0)))
 }
 
@@ -76,7 +76,7 @@ impl<T: RangedNumber> Visitor<'_> for ConstantVisitor<T> {
     visit_numbers!(T);
 }
 
-/// Reads a number, or a track.
+/// Deserializes a number, or a track.
 pub(super) struct NumberOrTrack<T>(PhantomData<T>);
 
 impl<'de, T: RangedNumber> Visitor<'de> for NumberOrTrack<T> {
@@ -105,13 +105,13 @@ pub(super) fn read_constant<'de, T: RangedNumber, D: Deserializer<'de>>(d: D) ->
     d.deserialize_f64(ConstantVisitor(PhantomData))
 }
 
-/// Reads a number, or a track.
+/// Deserializes a number, or a track.
 pub(super) fn read<'de, T: RangedNumber, D: Deserializer<'de>>(d: D) -> Result<T, D::Error> {
     d.deserialize_any(NumberOrTrack(PhantomData))
 }
 
-/// Serializes a number; an animated one as a track with one keyframe, so that it is still animated when it is
-/// read again.
+/// Serializes a number; an animated one as a track with one keyframe, so that it is still animated when it is parsed
+/// again.
 pub(super) fn write<S: Serializer>(value: f32, is_animated: bool, serializer: S) -> Result<S::Ok, S::Error> {
     if !is_animated {
         return serializer.serialize_f32(value);
@@ -125,12 +125,12 @@ pub(super) fn write<S: Serializer>(value: f32, is_animated: bool, serializer: S)
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub(crate) enum Ease {
-    /// Evenly.
+    /// Linear.
     #[default]
     Linear,
     /// Smooth: s²(3 − 2s) for the fraction s of the interval.
     Smooth,
-    /// Not at all: it is the earlier key's until the next one's time.
+    /// Constant: the earlier keyframe's number until the next keyframe.
     Step,
 }
 
@@ -153,12 +153,12 @@ pub(crate) struct Track {
 }
 
 impl Track {
-    /// The times of its keyframes.
+    /// Times of its keyframes.
     pub(super) fn keyframe_times(&self) -> impl Iterator<Item = f64> {
         self.keys.iter().map(|&(seconds, _)| seconds)
     }
 
-    /// The number at a time. `is_in_range` tells whether a number is in range.
+    /// The number at a time. `is_in_range` returns whether a number is in range.
     pub(super) fn at(&self, now: f64, holds: fn(f32) -> bool) -> f32 {
         let next = self.keys.partition_point(|&(seconds, _)| seconds <= now);
         let (from, before) = self.keys[next.saturating_sub(1)];
@@ -178,7 +178,7 @@ impl Track {
     }
 }
 
-/// A track as it is read.
+/// A track as it is parsed.
 #[derive(Deserialize)]
 #[serde(rename = "Track", deny_unknown_fields, bound(deserialize = "T: RangedNumber"))]
 struct ReadTrack<T> {
@@ -187,7 +187,7 @@ struct ReadTrack<T> {
     ease: Ease,
 }
 
-/// The schema of a track, whose numbers have the range of what it moves.
+/// Schema of a track, whose numbers have the range of the animated number.
 struct TrackSchema;
 
 impl JsonSchema for TrackSchema {
@@ -198,11 +198,11 @@ impl JsonSchema for TrackSchema {
     fn json_schema(generator: &mut SchemaGenerator) -> Schema {
         let ease = generator.subschema_for::<Ease>();
         json_schema!({
-            "description": "A number over time: frame i shows it at i/fps seconds. Before the first key it is that key's, and behind the last one that one's.",
+            "description": "A number over time: frame i has its value at i/fps seconds. Before the first keyframe the value is the first keyframe's; after the last, the last keyframe's.",
             "type": "object",
             "properties": {
                 "keys": {
-                    "description": "Pairs of seconds, which rise, and the number there, in the range of what is moved.",
+                    "description": "Keyframes: pairs of increasing seconds and the number at that time, in the range of the animated number.",
                     "type": "array", "minItems": 1, "maxItems": MAX_KEYFRAMES,
                     "items": {
                         "type": "array", "minItems": 2, "maxItems": 2,
@@ -212,7 +212,7 @@ impl JsonSchema for TrackSchema {
                         ]
                     }
                 },
-                "ease": { "description": "How it goes from one key to the next.", "anyOf": [ease], "default": "linear" }
+                "ease": { "description": "Interpolation between keyframes.", "anyOf": [ease], "default": "linear" }
             },
             "required": ["keys"],
             "additionalProperties": false
@@ -220,7 +220,7 @@ impl JsonSchema for TrackSchema {
     }
 }
 
-/// The schema of a number, as that of the number or a track of such numbers.
+/// Schema of a number, extended to allow a track of such numbers.
 pub(super) fn or_track(mut schema: Schema, generator: &mut SchemaGenerator) -> Schema {
     let track = generator.subschema_for::<TrackSchema>();
     // Its range applies to numbers only, so it stays in place.
@@ -249,7 +249,7 @@ mod tests {
     }
 
     #[test]
-    fn a_track_holds_its_ends_and_goes_between_its_keys() {
+    fn a_track_clamps_at_its_ends_and_interpolates_between_keyframes() {
         let linear = |seconds| at::<Coordinate>(seconds, r#"{ "keys": [[1, 2], [3, 6], [4, -2]] }"#).get();
         assert_eq!([0.0, 1.0, 1.5, 2.0, 3.0, 3.25, 4.0, 9.0].map(linear), [2.0, 2.0, 3.0, 4.0, 6.0, 4.0, -2.0, -2.0]);
         let step = |seconds| at::<Coordinate>(seconds, r#"{ "ease": "step", "keys": [[1, 2], [3, 6]] }"#).get();
@@ -259,7 +259,7 @@ mod tests {
     }
 
     #[test]
-    fn a_number_knows_that_it_moves_wherever_it_stands() {
+    fn an_animated_number_is_animated_at_every_time() {
         const TRACK: &str = r#"{ "keys": [[0, 0], [2, 1]] }"#;
         let [first, later] = [0.0, 1.0].map(|seconds| at::<LengthOrZero>(seconds, TRACK));
         assert!(first.is_animated() && first.get() == 0.0 && !first.is_zero());
@@ -273,7 +273,7 @@ mod tests {
     }
 
     #[test]
-    fn a_moving_number_survives_the_way_through_json() {
+    fn an_animated_number_survives_a_json_round_trip() {
         let number = at::<Length>(1.0, r#"{ "keys": [[0, 1], [4, 3]] }"#);
         let text = serde_json::to_string(&number).unwrap();
         let again = at::<Length>(9.0, &text);
@@ -284,7 +284,7 @@ mod tests {
     }
 
     #[test]
-    fn an_amount_between_nothing_and_the_least_size_is_one_of_them() {
+    fn a_value_between_0_and_the_minimum_snaps_to_one() {
         let amount = |seconds| at::<LengthOrZero>(seconds, r#"{ "keys": [[0, 0], [1, 1]] }"#).get();
         assert_eq!(amount(1e-7), 0.0);
         assert_eq!(amount(0.5), 0.5);
@@ -293,7 +293,7 @@ mod tests {
     }
 
     #[test]
-    fn a_fault_of_a_track_is_reported_at_its_place() {
+    fn an_error_in_a_track_has_its_pointer() {
         for (text, place, words) in [
             (r#"{ "keys": [] }"#, "keys", "needs a key"),
             (r#"{ "keys": [[0, 1], [2, -3]] }"#, "keys[1][1]", "from 1e-6"),

@@ -1,4 +1,4 @@
-//! Glass and metal: what touches, and what finds nothing to mirror.
+//! Warnings about glass and metal: coinciding surfaces, and reflections of an empty background.
 
 use super::objects;
 use crate::bounds::Bounds;
@@ -7,18 +7,18 @@ use crate::nodes::Node;
 use crate::real::{MaskValue, Vec3, vec3};
 use crate::scene::Scene;
 
-/// Places that are looked at of each pair of clear objects.
+/// Points tested on each pair of transparent objects.
 const GRID_POINTS: usize = 400;
-/// Surfaces that are nearer to each other than this part of the smaller one's size are one.
+/// Maximum distance of surfaces that count as coinciding, as a fraction of the smaller one's size.
 const COINCIDENT: f32 = 2e-5;
-/// Pairs of objects that are looked at.
+/// Maximum number of pairs of objects tested.
 const MAX_PAIRS: usize = 32;
-/// More work at a look is not done.
+/// Objects with a higher evaluation cost are not tested.
 const MAX_EVALUATIONS: f32 = 500.0;
-/// What sends on more of the light than this is metal or glass.
+/// Fraction of reflected or transmitted light above which a material counts as metal or glass.
 const MIN_SENT_ON: f32 = 0.5;
 
-/// Clear objects whose surfaces coincide.
+/// Transparent objects whose surfaces coincide.
 pub(super) fn touching(scene: &Scene) -> Option<String> {
     let is_clear = |index: &usize| {
         let object = &scene.objects[*index];
@@ -32,12 +32,12 @@ pub(super) fn touching(scene: &Scene) -> Option<String> {
         coincide(one, other)
     })?;
     Some(format!(
-        "the surfaces of {} coincide, and both let light through, so that rays cannot tell which they enter: let one reach into the other by a thousandth of its size, or leave a gap",
+        "the surfaces of {} coincide, and both transmit light, so that rays cannot tell which they enter: let one overlap the other by a thousandth of its size, or leave a gap",
         objects(&[one, other])
     ))
 }
 
-/// Whether two surfaces are one over an area: then places of one, all over it, lie on the other.
+/// Whether two surfaces coincide over an area: then points spread over one of them are on the other.
 fn coincide(one: &Node, other: &Node) -> bool {
     let (a, b) = (one.bounds(0.0), other.bounds(0.0));
     let common = a.intersection(b);
@@ -54,11 +54,11 @@ fn coincide(one: &Node, other: &Node) -> bool {
             met += 1;
         }
     }
-    // Surfaces that only cross each other meet along a line, and hardly any place lies on that.
+    // Surfaces that only intersect have a line in common, and hardly any point is on that line.
     met >= GRID_POINTS / 40
 }
 
-/// A place in a box: Martin Roberts, "The unreasonable effectiveness of quasirandom sequences",
+/// A point in a box: Martin Roberts, "The unreasonable effectiveness of quasirandom sequences",
 /// <https://extremelearning.com.au/unreasonable-effectiveness-of-quasirandom-sequences/>.
 fn strewn(bounds: Bounds, number: usize) -> Vec3<f32> {
     let along = |step: f64, low: f32, high: f32| {
@@ -73,7 +73,7 @@ fn strewn(bounds: Bounds, number: usize) -> Vec3<f32> {
     )
 }
 
-/// The surface near a place, found by Newton's method along the gradient.
+/// A point of the surface near `p`, found by Newton's method along the gradient.
 fn on_surface(node: &Node, mut p: Vec3<f32>, tolerance: f32) -> Option<Vec3<f32>> {
     for _ in 0..8 {
         let distance = node.distance(p);
@@ -92,7 +92,7 @@ fn on_surface(node: &Node, mut p: Vec3<f32>, tolerance: f32) -> Option<Vec3<f32>
     None
 }
 
-/// Metal or glass that has nothing to show but what else is in the scene.
+/// Metal or glass in front of a transparent background, which reflects only other objects.
 pub(super) fn nothing_to_mirror(scene: &Scene) -> Option<String> {
     if !scene.is_transparent() {
         return None;
@@ -103,7 +103,7 @@ pub(super) fn nothing_to_mirror(scene: &Scene) -> Option<String> {
         .collect();
     let (first, _) = shiny.split_first()?;
     Some(format!(
-        "/scene/background is transparent, and {} of metal or glass mirror it as black (the first is /scene/objects/{first}): choose another background, or another material",
+        "/scene/background is transparent, and {} of metal or glass reflect it as black (the first is /scene/objects/{first}): choose another background, or another material",
         objects(&shiny)
     ))
 }

@@ -1,24 +1,24 @@
-//! Differences of which nothing is left.
+//! Warnings about differences that are empty.
 
 use crate::nodes::{Exactness, Node};
 use crate::real::{Vec3, vec3};
 use crate::scene::{Scene, child_pointers};
 
-/// Boxes that are looked at in a difference until it is not known.
+/// Maximum number of boxes tested in one difference.
 const MAX_BOXES: usize = 512;
-/// Boxes that are looked at in all differences of a scene.
+/// Maximum number of boxes tested in all differences of a scene.
 const MAX_ALL_BOXES: usize = 8192;
-/// More work at a look is not done.
+/// Objects with a higher evaluation cost are not tested.
 const MAX_EVALUATIONS: f32 = 2000.0;
 
-/// A difference whose parts are all cut away.
+/// A difference that is empty.
 pub(super) fn difference(scene: &Scene) -> Option<String> {
     let mut boxes_left = MAX_ALL_BOXES;
     scene.objects.iter().enumerate().find_map(|(index, object)| {
         let mut pointer = format!("/scene/objects/{index}/shape");
         let place = empty_difference(&object.shape, &mut pointer, &mut boxes_left)?;
         Some(format!(
-            "{place} leaves nothing: what it subtracts is larger than the first shape; the first is what is cut from, so change their order or their sizes"
+            "{place} is empty: the shapes subtracted from the first one remove all of it; change their order or their sizes"
         ))
     })
 }
@@ -36,8 +36,8 @@ fn empty_difference(node: &Node, pointer: &mut String, boxes_left: &mut usize) -
     })
 }
 
-/// Whether a shape is known to have no inside: a box is outside of it where the distance at its middle, over the
-/// Lipschitz factor, is more than half its diagonal. Boxes that are not are halved.
+/// Whether a shape provably has no inside: a box is outside it if the distance at the box's center, over the Lipschitz
+/// factor, is more than half its diagonal. Other boxes are halved.
 fn is_empty(node: &Node, boxes_left: &mut usize) -> bool {
     let bounds = node.bounds(0.0);
     let stretch = node.stretch();

@@ -1,4 +1,4 @@
-//! Numbers in another tool's units: colors from 0 to 255, and angles in radians.
+//! Warnings about numbers in another tool's units: colors from 0 to 255, and angles in radians.
 
 use serde_json::Value;
 
@@ -6,18 +6,18 @@ use crate::materials::Shade;
 use crate::nodes::Node;
 use crate::scene::{Scene, child_pointers};
 
-/// Keys of colors that say what part of the light comes back, and cannot be much above 1.
+/// Names of colors that are reflectances, which cannot be much above 1.
 const REFLECTANCES: [&str; 7] = ["albedo", "base_color", "colors", "ka", "kd", "ks", "ramp"];
-/// A whole channel from this on is one of 255.
+/// Minimum integer channel that indicates a range of 0 to 255.
 const MIN_OF_255: f64 = 16.0;
-/// A field of view below this, in degrees, is one in radians.
+/// A field of view below this, in degrees, is probably in radians.
 const MIN_FOV: f32 = 3.2;
-/// Parts of half a turn that angles in radians are multiples of.
+/// Angles in radians are expected to be multiples of π over this number.
 const PARTS_OF_PI: f64 = 12.0;
-/// How far from such a multiple they may be, in such parts.
+/// Maximum deviation from such a multiple, in multiples.
 const MAX_BESIDE: f64 = 0.01;
 
-/// Colors whose channels go to 255.
+/// Colors whose channels have a range of 0 to 255.
 pub(super) fn colors_of_255(scene: &Scene) -> Option<String> {
     for (index, object) in scene.objects.iter().enumerate() {
         let material = scene.used_materials().get(object.material.slot() as usize)?;
@@ -29,7 +29,7 @@ pub(super) fn colors_of_255(scene: &Scene) -> Option<String> {
             let [red, green, blue] = color.map(|channel| (channel / 255.0 * 1000.0).round() / 1000.0);
             let [r, g, b] = color;
             return Some(format!(
-                "the color [{r}, {g}, {b}] at {pointer} of the material of object {index} goes to 255, and colors go to 1: write [{red}, {green}, {blue}], or \"#{:02x}{:02x}{:02x}\" if it is in sRGB",
+                "the color [{r}, {g}, {b}] at {pointer} of the material of object {index} has a range of 0 to 255, but colors go from 0 to 1: write [{red}, {green}, {blue}], or \"#{:02x}{:02x}{:02x}\" if it is in sRGB",
                 r as u8, g as u8, b as u8
             ));
         }
@@ -86,7 +86,7 @@ fn rotation_in_radians(node: &Node, pointer: &mut String) -> Option<String> {
         let degrees: Vec<String> = angles.iter().map(|angle| format!("{}", angle.to_degrees().round())).collect();
         let angles: Vec<String> = angles.iter().map(|angle| angle.to_string()).collect();
         return Some(format!(
-            "{pointer}/rotate/degrees is [{}], which reads like radians: write [{}], the degrees",
+            "{pointer}/rotate/degrees is [{}], which looks like radians: write [{}], the degrees",
             angles.join(", "),
             degrees.join(", ")
         ));
@@ -100,14 +100,14 @@ fn rotation_in_radians(node: &Node, pointer: &mut String) -> Option<String> {
     })
 }
 
-/// The angles of a rotation that stands still, as they are written.
+/// Angles of a constant rotation, as written.
 fn angles_of(node: &Node) -> Option<Vec<f64>> {
     let value = serde_json::to_string(node.rotation()?).ok()?;
     let angles: Vec<Value> = serde_json::from_str(&value).ok()?;
     angles.iter().map(Value::as_f64).collect()
 }
 
-/// Whether all that are not 0 are odd numbers and parts of a turn in radians.
+/// Whether all angles other than 0 are unusual in degrees and fractions of π in radians.
 fn are_radians(angles: &[f64]) -> bool {
     let mut turned = angles.iter().filter(|angle| **angle != 0.0).peekable();
     turned.peek().is_some()

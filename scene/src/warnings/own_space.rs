@@ -1,10 +1,10 @@
-//! Textures that stay behind when their object moves.
+//! Warnings about textures that do not follow their animated object.
 
 use crate::materials::Shade;
 use crate::nodes::Node;
 use crate::scene::{Scene, child_pointers};
 
-/// Shapes that move under a texture which does not.
+/// Animated shapes whose texture is fixed in another space.
 pub(super) fn swims(scene: &Scene) -> Option<String> {
     scene.objects.iter().enumerate().find_map(|(index, object)| {
         let is_textured = |slot: u32| {
@@ -13,12 +13,12 @@ pub(super) fn swims(scene: &Scene) -> Option<String> {
         let mut pointer = format!("/scene/objects/{index}/shape");
         let place = moves_under(&object.shape, is_textured(object.material.slot()), &is_textured, &mut pointer)?;
         Some(format!(
-            "the texture stands still while {place} moves through it: put the movement around a `paint` with the material, whose texture then moves along"
+            "the texture does not follow {place}, which is animated: put a `paint` with the material inside the animated node"
         ))
     })
 }
 
-/// The first node that moves under a texture of what is outside of it.
+/// The first node that is animated inside a fixed texture.
 fn moves_under(
     node: &Node,
     is_under_texture: bool,

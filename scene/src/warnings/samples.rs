@@ -1,4 +1,4 @@
-//! Rays that cannot be seen in the picture.
+//! Warnings about samples that make no visible difference.
 
 use serde_json::Value;
 
@@ -7,7 +7,7 @@ use crate::lights::Light;
 use crate::materials::Shade;
 use crate::scene::Scene;
 
-/// So many rays of a pixel leave edges that are right to a step of 8 bits.
+/// Rays per pixel with which edges are accurate to a level of 8 bits.
 const MIN_SAMPLES: u32 = 256;
 
 /// More samples than a picture without noise can show.
@@ -18,11 +18,11 @@ pub(super) fn too_many(scene: &Scene, image: &Image) -> Option<String> {
         return None;
     }
     Some(format!(
-        "/image/samples is {samples}, and nothing in the scene is noise: beyond {MIN_SAMPLES} an edge of 8 bits shows no difference; use {MIN_SAMPLES} or fewer"
+        "/image/samples is {samples}, and the scene has no noise: more than {MIN_SAMPLES} make no difference with 8 bits; use {MIN_SAMPLES} or fewer"
     ))
 }
 
-/// Whether anything in it is chosen by chance, so that more samples make it less grainy.
+/// Whether the scene has random sampling, so that more samples reduce noise.
 fn has_noise(scene: &Scene) -> bool {
     scene
         .used_materials()
@@ -32,7 +32,7 @@ fn has_noise(scene: &Scene) -> bool {
         || scene.lights.iter().any(is_wide)
 }
 
-/// Whether a light may have a size.
+/// Whether a light may be an area light.
 fn is_wide(light: &Light) -> bool {
     let Ok(Value::Object(light)) = serde_json::to_value(light) else { return true };
     light.iter().any(|(name, light)| {

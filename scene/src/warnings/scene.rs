@@ -1,4 +1,4 @@
-//! Shapes, materials and lights that do not go together.
+//! Warnings about shapes, materials and lights that do not fit together.
 
 use super::objects;
 use crate::lights::{LightSource, default_lights};
@@ -7,16 +7,16 @@ use crate::materials::{Material, Shade};
 use crate::nodes::Node;
 use crate::scene::{Scene, child_pointers};
 
-/// Steps that are a smaller part of the distance than one over this are worth a word.
+/// Lipschitz factor above which a shape gets a warning.
 const STEEPEST: f32 = 20.0;
-/// More nodes at a look are worth a word.
+/// Evaluation cost, in nodes, above which an object gets a warning.
 const MAX_COST: f32 = 1e6;
-/// So much of a volume must not be crossed in one step: of light, a 3000th is left.
+/// Maximum optical depth of one step of a medium: exp(−8), about 1/3000 of the light, is left.
 const MAX_STEP_DEPTH: f32 = 8.0;
-/// Bounces that it takes to get into a body and out of it again.
+/// Bounces needed to enter and leave a transparent object.
 const MIN_GLASS_BOUNCES: u32 = 2;
 
-/// Copies of copies that take too long.
+/// Nested copies that take too long.
 pub(super) fn high_cost(scene: &Scene) -> Option<String> {
     let works: Vec<f32> = scene.objects.iter().map(|object| object.shape.evaluation_cost()).collect();
     let heavy: Vec<usize> = (0..works.len()).filter(|&index| works[index] > MAX_COST).collect();
@@ -24,25 +24,25 @@ pub(super) fn high_cost(scene: &Scene) -> Option<String> {
         return None;
     }
     Some(format!(
-        "each look at {} takes more than {MAX_COST:e} nodes, copies and all, and rendering may not end: repeat what is smaller than its cell, and fewer copies of copies",
+        "one evaluation of {} visits more than {MAX_COST:e} nodes, nested copies included, and rendering may take too long: repeat shapes smaller than their cell, and use fewer copies of copies",
         objects(&heavy)
     ))
 }
 
-/// Objects that make steps tiny.
+/// Objects whose Lipschitz factor makes steps tiny.
 pub(super) fn high_lipschitz(scene: &Scene) -> Option<String> {
     let stretches: Vec<f32> = scene.objects.iter().map(|object| object.shape.stretch()).collect();
     let steep: Vec<usize> = (0..stretches.len()).filter(|&index| stretches[index] > STEEPEST).collect();
     let steepest = steep.iter().copied().reduce(|a, b| if stretches[b] > stretches[a] { b } else { a })?;
     let mut pointer = format!("/scene/objects/{steepest}/shape");
     let cure = main_cause(&scene.objects[steepest].shape, &mut pointer).lipschitz_advice();
-    let others = if steep.len() > 1 { format!(" (so are those of {})", objects(&steep)) } else { String::new() };
+    let others = if steep.len() > 1 { format!(" (also near {})", objects(&steep)) } else { String::new() };
     let stretch = stretches[steepest];
     let part = if stretch < 1e6 { format!("1/{stretch:.0}") } else { "less than a millionth".to_owned() };
     Some(format!("steps near {pointer} are {part} of the distance{others}, and rendering is slow: {cure}"))
 }
 
-/// The node that most of a tree's steepness comes from, and its place.
+/// The node that causes most of an object's Lipschitz factor, and its JSON pointer.
 fn main_cause<'a>(node: &'a Node, pointer: &mut String) -> &'a Node {
     let own = node.stretch();
     let children = node.children().iter().zip(child_pointers(node));
@@ -59,24 +59,26 @@ fn main_cause<'a>(node: &'a Node, pointer: &mut String) -> &'a Node {
     }
 }
 
-/// Lights that shine for nothing, and scenes that want light.
+/// Lights without effect, and materials without light.
 pub(super) fn light(scene: &Scene) -> Option<String> {
     let used = scene.used_materials();
     if !scene.lights.is_empty() && scene.lights != default_lights() && !used.iter().any(Shade::uses_lights) {
         return Some(
-            "the lights light nothing, for no material in use looks at them: choose diffuse or surface, or leave lights out"
+            "the lights have no effect, because no material in use depends on light: choose diffuse or surface, or remove lights"
                 .to_owned(),
         );
     }
     let shines = scene.lights.iter().any(|light| !light.is_dark());
     if !shines && used.iter().any(Shade::is_black_without_light) {
         let lack = if scene.lights.is_empty() { "there is no light" } else { "all lights are black" };
-        return Some(format!("{lack}, and materials want some: add one to scene.lights, or leave lights out"));
+        return Some(format!(
+            "{lack}, and the materials need light: add a light to scene.lights, or remove lights for the default lights"
+        ));
     }
     None
 }
 
-/// Clouds and volumes that are too thick for their steps.
+/// Clouds and volumes that are too dense for their steps.
 pub(super) fn dense_media(scene: &Scene) -> Option<String> {
     let depths = scene.objects.iter().enumerate().filter_map(|(index, object)| {
         let filling = scene.material_of(index).as_medium()?;
@@ -95,20 +97,20 @@ pub(super) fn dense_media(scene: &Scene) -> Option<String> {
         "lower its density, or make it smaller".to_owned()
     };
     Some(format!(
-        "what fills {} is too thick for its {steps} steps: one goes {:.0} times as deep as light does (density × step): {cure}",
+        "the medium that fills {} is too dense for its {steps} steps: one step has an optical depth of {:.0} (density × step): {cure}",
         objects(&indices),
         depth / steps as f32
     ))
 }
 
-/// Glass that no ray gets through.
+/// Glass through which no ray gets because of the bounce limit.
 pub(super) fn bounces(scene: &Scene) -> Option<String> {
     let lets_through = |material: &&Material| material.is_transmissive() && !material.is_medium();
     scene.used_materials().iter().find(lets_through)?;
     let most = scene.march.max_bounces;
     (most < MIN_GLASS_BOUNCES).then(|| {
         format!(
-            "rays end inside of glass, for march.max_bounces is {most}, and a body takes {MIN_GLASS_BOUNCES}: raise it"
+            "rays end inside glass, because march.max_bounces is {most} and glass needs {MIN_GLASS_BOUNCES}: raise it"
         )
     })
 }

@@ -1,4 +1,4 @@
-//! Where the camera is and what its rays meet.
+//! Warnings about the camera position and about what its rays hit.
 
 use super::{Warning, WarningKind, objects};
 use crate::animation::JobAtFrame;
@@ -9,12 +9,12 @@ use crate::materials::Shade;
 use crate::nodes::Node;
 use crate::scene::Scene;
 
-/// More rays than this must not run out of steps.
+/// Maximum fraction of rays that may run out of steps.
 const MAX_OUT_OF_STEPS: f32 = 0.01;
-/// What takes more simple nodes to look at is not looked at.
+/// Scenes with a higher evaluation cost, in simple nodes, are not probed.
 const MAX_COST: f32 = 200_000.0;
 
-/// What is wrong with the view; where nothing is seen, nothing else is.
+/// Warning about the view. If nothing is in view, only that is reported.
 pub(super) fn of(still: &JobAtFrame<'_>) -> Option<Warning> {
     let (scene, image) = (still.scene(), still.image());
     let view = scene.camera.view(image.width, image.height);
@@ -48,15 +48,15 @@ fn nothing_in_view(scene: &Scene, view: &View) -> Option<String> {
     }
     Some(if is_one_beyond {
         format!(
-            "nothing is seen: all that is in view is further away than march.max_distance, {farthest}: raise it, or move the camera nearer"
+            "no object is visible: all objects in view are farther away than march.max_distance, {farthest}: raise it, or move the camera nearer"
         )
     } else {
-        "nothing is seen: all objects are outside of the view: change camera.position, look_at or the field of view"
+        "no object is visible: all objects are outside the view: change camera.position, look_at or the field of view"
             .to_owned()
     })
 }
 
-/// Objects that the camera, or a part of an orthographic picture's plane, is inside of.
+/// Objects that contain the camera, or part of an orthographic picture's plane.
 fn inside(scene: &Scene, image: &Image, view: &View) -> Option<String> {
     let origins = scene.camera.projection.ray_origins(view, image);
     let solid = scene.objects.iter().enumerate().filter(|(_, object)| {
@@ -75,10 +75,10 @@ fn inside(scene: &Scene, image: &Image, view: &View) -> Option<String> {
         return None;
     }
     let (what, cure) = scene.camera.projection.inside_warning();
-    Some(format!("{what} {}, and sees only that from within: {cure}, or cut a room into it", objects(&around)))
+    Some(format!("{what} {}, so that only its inside is visible: {cure}, or cut a room into it", objects(&around)))
 }
 
-/// Whether a part of a shape is painted with what lets rays through.
+/// Whether a part of a shape is painted with a transmissive material.
 fn is_transmissive(scene: &Scene, node: &Node) -> bool {
     node.material().is_some_and(|material| scene.used_materials()[material.slot() as usize].is_transmissive())
         || node.children().iter().any(|child| is_transmissive(scene, child))
@@ -88,6 +88,6 @@ fn out_of_steps(scene: &Scene, share: f32) -> String {
     let max_steps = scene.march.max_steps;
     let percent = (share * 100.0).round().max(1.0);
     format!(
-        "about {percent} % of the rays run out of steps before they meet a surface or pass all of them, and show what is behind: raise march.max_steps above {max_steps}, or look at less that is grazed"
+        "about {percent} % of the rays run out of steps before they hit a surface or miss all of them, and show the background: raise march.max_steps above {max_steps}, or show fewer surfaces at grazing angles"
     )
 }

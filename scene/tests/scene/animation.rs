@@ -1,4 +1,4 @@
-//! What holds for every number of every node's example when it moves: nothing here names a node.
+//! Properties of every number of every node's example when it is animated. No test names a node.
 
 use scene::nodes::{Node, NodeExample};
 use scene::real::vec3;
@@ -18,7 +18,7 @@ fn numbers(value: &Value, pointer: &str, found: &mut Vec<String>) {
     }
 }
 
-/// Calls `check` with each node, a number of it, and a maker of the node with something else in the number's place.
+/// Calls `check` with each node, a number of it, and a function that replaces that number by something else.
 fn each_number(mut check: impl FnMut(&str, &Node, f64, &dyn Fn(Value) -> Result<Node, serde_json::Error>)) {
     for NodeExample { kind, index: number, node } in Node::examples() {
         let value: Value = serde_json::from_str(&node).unwrap();
@@ -43,7 +43,7 @@ fn points() -> impl Iterator<Item = scene::real::Vec3<f32>> {
 }
 
 #[test]
-fn every_number_is_a_count_or_may_move() {
+fn every_number_is_a_count_or_can_be_animated() {
     each_number(|name, _, own, with| match with(json!({ "keys": [[0, own], [1, own]] })) {
         Ok(_) => {}
         Err(error) => assert!(error.to_string().contains("is a count"), "{name}: {error}"),
@@ -51,7 +51,7 @@ fn every_number_is_a_count_or_may_move() {
 }
 
 #[test]
-fn a_number_that_moves_gives_the_distance_of_one_that_does_not() {
+fn animated_and_constant_numbers_give_the_same_distance() {
     each_number(|name, still, own, with| {
         let Ok(moving) = with(json!({ "keys": [[0, own]] })) else { return };
         for p in points() {
@@ -63,9 +63,9 @@ fn a_number_that_moves_gives_the_distance_of_one_that_does_not() {
 }
 
 #[test]
-fn a_number_that_is_0_for_a_moment_leaves_distances_finite() {
+fn a_number_animated_through_0_gives_finite_distances() {
     each_number(|name, _, _, with| {
-        // Some numbers may not be 0, and of some together not all.
+        // Some numbers may not be 0, and some may not all be 0.
         let Ok(moving) = with(json!({ "keys": [[0, 0], [1, 1]] })) else { return };
         for p in points() {
             let distance = moving.distance(p);

@@ -1,10 +1,10 @@
-//! What every node promises, tested on each node's own example: nothing here names a node.
+//! Contract tests that every node must pass, run on each node's own examples. No test names a node.
 
 use crate::subject as scene;
 use scene::nodes::{Exactness, Node, NodeExample};
 use scene::real::{Interval, Real, Tribool, Vec3, vec3};
 
-/// A small generator with a fixed start: failures repeat.
+/// Pseudorandom numbers from a fixed seed, so that failures repeat.
 struct Random(u32);
 
 impl Random {
@@ -37,7 +37,7 @@ fn each_node(mut check: impl FnMut(&str, &Node)) {
 }
 
 #[test]
-fn a_node_survives_the_way_through_json() {
+fn a_node_survives_a_json_round_trip() {
     each_node(|kind, node| {
         let text = serde_json::to_string(node).unwrap();
         assert_eq!(&serde_json::from_str::<Node>(&text).unwrap(), node, "{kind}");
@@ -111,10 +111,10 @@ fn no_step_passes_a_surface() {
 }
 
 #[test]
-fn distances_change_no_faster_than_the_stretch_says() {
+fn distances_change_within_the_lipschitz_factor() {
     each_node(|kind, node| {
-        // An estimate is none of a distance's kind inside and at the fringe of a fractal;
-        // what counts there is that no step passes it.
+        // An estimate is not a distance inside a fractal and at its fringe; there it only matters that no step passes
+        // the surface.
         if node.exactness() == Exactness::Estimate {
             return;
         }
@@ -130,8 +130,8 @@ fn distances_change_no_faster_than_the_stretch_says() {
     });
 }
 
-/// How far from the surface one is after going to where a value says it is, by the best of some
-/// gradients around `p`: at a ridge of the distance a single one says nothing.
+/// Remaining distance to the surface after a step of the value's length, along the best of some gradients around `p`:
+/// at a ridge of the distance a single gradient is not representative.
 fn miss(node: &Node, p: Vec3<f32>, random: &mut Random) -> f32 {
     let distance = node.distance(p);
     let mut least = f32::INFINITY;
@@ -149,7 +149,7 @@ fn miss(node: &Node, p: Vec3<f32>, random: &mut Random) -> f32 {
 }
 
 #[test]
-fn an_exact_distance_reaches_the_surface_and_no_shorter_one_does() {
+fn an_exact_distance_ends_on_the_surface() {
     each_node(|kind, node| {
         if node.exactness() != Exactness::Exact {
             return;
@@ -159,7 +159,7 @@ fn an_exact_distance_reaches_the_surface_and_no_shorter_one_does() {
         for _ in 0..3_000 {
             let p = random.point(2.0);
             let mut miss = miss(node, p, &mut random);
-            // Where many directions are as near, look for the best of them.
+            // If many directions are equally near, search for the best of them.
             let distance = node.distance(p);
             let (mut nearest, mut best) = (f32::INFINITY, random.direction());
             for round in 0..4_000 {
@@ -191,7 +191,7 @@ fn conditions_over_boxes_follow_three_valued_logic() {
 }
 
 #[test]
-fn bounds_hold_every_point_near_the_shape() {
+fn bounds_contain_every_point_near_the_shape() {
     each_node(|name, node| {
         let mut random = Random(11);
         for level in [0.0, 0.1, 0.7] {

@@ -1,4 +1,4 @@
-//! What every node does with its numbers at the ends of their ranges, by the schema: nothing here names a node.
+//! Tests every node with its numbers at the ends of their ranges, from the schema. No test names a node.
 
 use std::panic::{AssertUnwindSafe, catch_unwind};
 
@@ -7,13 +7,13 @@ use scene::nodes::{Node, NodeExample};
 use scene::real::{Vec3, vec3};
 use serde_json::{Number, Value, json};
 
-/// A number of an example, by its place, and the ends of its range.
+/// A number of an example: its pointer, and the ends of its range.
 struct Place {
     pointer: String,
     ends: Vec<Number>,
 }
 
-/// What a schema says, past references.
+/// The schema after following references.
 fn resolved<'s>(root: &'s Value, schema: &'s Value) -> &'s Value {
     match schema["$ref"].as_str() {
         Some(reference) => resolved(root, root.pointer(reference.trim_start_matches('#')).expect("a definition")),
@@ -21,18 +21,18 @@ fn resolved<'s>(root: &'s Value, schema: &'s Value) -> &'s Value {
     }
 }
 
-/// The schemas that may describe a value: all alternatives, and what stands beside them.
+/// The schemas that may describe a value: all alternatives, and the keywords next to them.
 fn alternatives<'s>(root: &'s Value, schema: &'s Value) -> Vec<&'s Value> {
     let schema = resolved(root, schema);
     let choices = ["oneOf", "anyOf", "allOf"].into_iter().filter_map(|key| schema[key].as_array()).flatten();
     std::iter::once(schema).chain(choices.flat_map(|choice| alternatives(root, choice))).collect()
 }
 
-/// The places of all numbers in `value`, which the schemas describe.
+/// Pointers and ranges of all numbers in `value`, which the schemas describe.
 fn places<'s>(root: &'s Value, schemas: &[&'s Value], value: &Value, pointer: &str, found: &mut Vec<Place>) {
     match value {
         Value::Object(map) => {
-            // Of a choice, what has all of the value's keys.
+            // The alternatives of a choice that have all of the value's keys.
             let fits = |schema: &&&Value| map.keys().all(|key| schema["properties"].get(key).is_some());
             for (key, inner) in map {
                 let of_key = |schema: &&'s Value| alternatives(root, &schema["properties"][key]);
@@ -53,7 +53,7 @@ fn places<'s>(root: &'s Value, schemas: &[&'s Value], value: &Value, pointer: &s
     }
 }
 
-/// The least and the greatest number of each range that schemas allow, and 0 where it lies between.
+/// Minimum and maximum of each range that schemas allow, and 0 if it is in between.
 fn ends(schemas: &[&Value]) -> Vec<Number> {
     let is_whole = schemas.iter().any(|schema| schema["type"] == "integer");
     let largest_word = json!(u32::MAX);
@@ -68,7 +68,7 @@ fn ends(schemas: &[&Value]) -> Vec<Number> {
             found.extend([Some(low), Some(high), zero].into_iter().flatten());
         }
     }
-    // JSON takes no 1.0 for a whole number.
+    // JSON does not accept 1.0 as an integer.
     let number = |end: f64| if is_whole { Some(Number::from(end as i64)) } else { Number::from_f64(end) };
     found.into_iter().filter_map(number).collect()
 }
@@ -88,7 +88,7 @@ fn points() -> impl Iterator<Item = Vec3<f32>> {
     })
 }
 
-/// What is wrong with a node of these numbers, if it is neither refused for a reason nor finite everywhere.
+/// The problem with a node of these numbers, if it is neither rejected with a reason nor finite everywhere.
 fn wrong_with(node: &Value) -> Option<String> {
     let job = json!({
         "scene": { "camera": { "position": [0, 0, 5], "look_at": [0, 0, 0] }, "objects": [{ "shape": node }] },
@@ -96,12 +96,12 @@ fn wrong_with(node: &Value) -> Option<String> {
     });
     let shape = match scene::parse(job.to_string().as_bytes()) {
         Ok(job) => job.scene.objects[0].shape.clone(),
-        Err(ParseError::NotJson(fault)) => return Some(format!("is no JSON: {fault}")),
+        Err(ParseError::NotJson(fault)) => return Some(format!("is not JSON: {fault}")),
         Err(ParseError::Invalid(faults)) => {
             let stray = faults.iter().find(|fault| {
                 !fault.pointer.starts_with("/scene/objects/0/shape") || fault.message.split(' ').count() < 3
             });
-            return stray.map(|fault| format!("is refused without saying what to do: {fault}"));
+            return stray.map(|fault| format!("is rejected without a fix: {fault}"));
         }
     };
     if !(shape.stretch().is_finite() && shape.stretch() > 0.0) {
@@ -118,7 +118,7 @@ fn wrong_with(node: &Value) -> Option<String> {
     })
 }
 
-/// What is wrong with an example when some of its numbers are changed.
+/// The problem with an example when some of its numbers are changed.
 fn wrong_with_changes(example: &Value, changes: &[(&str, &Number)]) -> Option<String> {
     let mut changed = example.clone();
     for &(pointer, number) in changes {
@@ -129,7 +129,7 @@ fn wrong_with_changes(example: &Value, changes: &[(&str, &Number)]) -> Option<St
     Some(format!("with {} {reason}", changes.join(" and ")))
 }
 
-/// The places of an example's numbers, each of which has a range.
+/// Pointers and ranges of an example's numbers, each of which must have a range.
 fn places_of(example: &Value) -> Vec<Place> {
     let schema = scene::schema();
     let mut found = Vec::new();
@@ -147,11 +147,11 @@ fn each_example(mut check: impl FnMut(&Value, &[Place]) -> Vec<String>) {
         let found = check(&example, &places_of(&example));
         wrong.extend(found.into_iter().map(|reason| format!("{kind} {number} {reason}")));
     }
-    assert!(wrong.is_empty(), "{} cases are wrong:\n{}", wrong.len(), wrong.join("\n"));
+    assert!(wrong.is_empty(), "{} cases fail:\n{}", wrong.len(), wrong.join("\n"));
 }
 
 #[test]
-fn a_number_at_an_end_of_its_range_is_rejected_for_a_reason_or_gives_finite_distances() {
+fn extreme_numbers_are_rejected_or_give_finite_distances() {
     each_example(|example, places| {
         let changes = places.iter().flat_map(|place| place.ends.iter().map(|end| (place.pointer.as_str(), end)));
         changes.filter_map(|change| wrong_with_changes(example, &[change])).collect()
@@ -159,7 +159,7 @@ fn a_number_at_an_end_of_its_range_is_rejected_for_a_reason_or_gives_finite_dist
 }
 
 #[test]
-fn two_numbers_at_the_ends_of_their_ranges_are_rejected_for_a_reason_or_give_finite_distances() {
+fn pairs_of_extreme_numbers_are_rejected_or_give_finite_distances() {
     each_example(|example, places| {
         let mut wrong = Vec::new();
         for (index, first) in places.iter().enumerate() {

@@ -1,10 +1,10 @@
-//! What an estimate promises, tested on each such node's own examples: along no ray does a step of
-//! value/stretch pass a piece of the fractal that small steps find.
+//! Contract tests of estimates, run on each such node's own examples: on no ray does a step of value/lipschitz pass a
+//! piece of the fractal that small steps find.
 
 use scene::nodes::{Exactness, Node, NodeExample};
 use scene::real::{Vec3, vec3};
 
-/// A small generator with a fixed start: failures repeat.
+/// Pseudorandom numbers from a fixed seed, so that failures repeat.
 struct Random(u32);
 
 impl Random {
@@ -24,20 +24,20 @@ impl Random {
     }
 }
 
-/// The small step: pieces are as thick or thicker.
+/// The small step: pieces are at least as thick.
 const STEP: f32 = 1e-3;
 /// Small steps along a ray.
 const STEPS: usize = 4_000;
 
-/// How near is near enough on a march of length `t`.
+/// Tolerance of a march at distance `t`.
 fn tolerance(t: f32) -> f32 {
     2.5e-4 * t.max(0.1)
 }
 
-/// The published estimate of the Mandelbulb knows nothing of its poles: marches pass, claims do not.
+/// The published estimate of the Mandelbulb ignores its poles: marches pass the test, single values do not.
 const CLAIMS_TOO_MUCH: &[&str] = &["Mandelbulb 0"];
 
-/// A ray from outside toward the middle half of a node.
+/// A ray from outside toward the central half of a node.
 fn ray(random: &mut Random) -> impl Fn(f32) -> Vec3<f32> + use<> {
     let origin = random.direction() * 2.0;
     let aim = random.direction() * random.next(0.0, 1.1);
@@ -55,7 +55,7 @@ fn each_estimate(mut check: impl FnMut(&str, &Node)) {
 }
 
 #[test]
-fn no_value_claims_more_than_small_steps_find() {
+fn no_value_exceeds_the_distance_found_by_small_steps() {
     each_estimate(|name, node| {
         if CLAIMS_TOO_MUCH.contains(&name) {
             return;
@@ -67,7 +67,7 @@ fn no_value_claims_more_than_small_steps_find() {
             let mut is_found = false;
             for step in 0..STEPS {
                 let value = node.distance(at(step as f32 * STEP));
-                // A piece is two small steps long or more.
+                // A piece is at least two small steps long.
                 is_found = value < 0.0 && values.last().is_some_and(|last| *last < 0.0);
                 if is_found {
                     break;

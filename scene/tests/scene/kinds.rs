@@ -1,5 +1,5 @@
-//! What every light, background, projection and effect promises, tested on each one's own examples: nothing here
-//! names one.
+//! Contract tests that every light, background, projection and effect must pass, run on each one's own examples. No
+//! test names a kind.
 
 use std::collections::BTreeSet;
 
@@ -11,11 +11,11 @@ use scene::lights::Light;
 use scene::{Integrator, Job, effects};
 use serde_json::{Value, json};
 
-/// A family of kinds: its examples, its place in the schema, and a scene that has one of it.
+/// A family of kinds: its examples, its position in the schema, and a scene with one of its values.
 struct Family {
     name: &'static str,
     examples: Vec<Example>,
-    /// The definition that lists the kinds; that of the scene, if each kind is a key of it.
+    /// The definition that lists the kinds, or that of the scene, if each kind is a key of it.
     definition: &'static str,
     scene: fn(&Value) -> Value,
 }
@@ -44,7 +44,7 @@ fn families() -> [Family; 4] {
     ]
 }
 
-/// The text of a job with these keys in its scene: a ball on a floor, matte and without light of their own.
+/// Text of a job with these keys in its scene: a ball on a floor, matte and without emission.
 fn text(keys: &Value) -> String {
     let material = json!({ "diffuse": { "ambient": [0.02, 0.02, 0.02], "ks": [0.2, 0.2, 0.2] } });
     let mut scene = json!({ "camera": { "position": [1.5, 1.4, 3.2], "look_at": [0, 0.6, 0], "fov": 60 }, "objects": [
@@ -61,7 +61,7 @@ fn job(keys: &Value) -> Job {
     scene::parse(text.as_bytes()).unwrap_or_else(|refusal| panic!("{refusal}\n{text}"))
 }
 
-/// Calls `check` with the name of each example, its family, and what it is.
+/// Calls `check` with the name of each example, its family, and its value.
 fn each(mut check: impl FnMut(&str, &Family, &Example, &Value)) {
     for family in families() {
         for example in &family.examples {
@@ -71,9 +71,9 @@ fn each(mut check: impl FnMut(&str, &Family, &Example, &Value)) {
     }
 }
 
-/// Every channel of the job's picture, by plain `f32`.
+/// Every channel of the job's picture, computed in `f32`.
 fn pixels(job: &Job) -> Vec<f32> {
-    let still = job.at(0).expect("the job is sound");
+    let still = job.at(0).expect("the job is valid");
     let program = Integrator::new(&still);
     let mut channels = Vec::new();
     for (x, y) in (0..job.image.height).flat_map(|y| (0..job.image.width).map(move |x| (x, y))) {
@@ -84,7 +84,7 @@ fn pixels(job: &Job) -> Vec<f32> {
 }
 
 #[test]
-fn every_kind_survives_the_way_through_json() {
+fn every_kind_survives_a_json_round_trip() {
     each(|name, family, _, value| {
         let mut keys = (family.scene)(value);
         let read = job(&keys);
@@ -129,7 +129,7 @@ fn the_schema_describes_every_kind_and_each_of_its_keys() {
 }
 
 #[test]
-fn the_list_of_effects_has_every_key_of_a_scene_that_may_be_absent() {
+fn effects_list_every_optional_effect_of_a_scene() {
     let schema = scene::schema();
     let required = schema["$defs"]["Scene"]["required"].as_array().expect("a scene needs some keys");
     let properties = schema["$defs"]["Scene"]["properties"].as_object().expect("a scene has keys").iter();
@@ -150,7 +150,7 @@ fn light_is_finite_and_never_negative_with_every_kind() {
 }
 
 #[test]
-fn every_example_has_a_picture_and_a_key_of_its_own() {
+fn every_example_has_its_own_picture_and_cache_key() {
     for family in families() {
         let jobs: Vec<(String, Job)> = family
             .examples
@@ -170,7 +170,7 @@ fn every_example_has_a_picture_and_a_key_of_its_own() {
 }
 
 #[test]
-fn no_example_is_warned_of() {
+fn examples_have_no_warnings() {
     each(|name, family, _, value| {
         let warnings = job(&(family.scene)(value)).warnings();
         assert!(warnings.is_empty(), "{name}: {warnings:?}");
@@ -178,7 +178,7 @@ fn no_example_is_warned_of() {
 }
 
 #[test]
-fn a_black_light_is_warned_of_and_lights_nothing() {
+fn a_black_light_gets_a_warning_and_has_no_effect() {
     let dark = pixels(&job(&json!({ "lights": [], "background": { "day": { "sun": [0.6, 0.5, 0.4] } } })));
     let lights = families().into_iter().find(|family| family.name == "light").expect("lights are a family");
     let schema = scene::schema();
@@ -214,7 +214,7 @@ fn numbers(value: &Value, pointer: &str, found: &mut Vec<String>) {
 }
 
 #[test]
-fn a_number_that_moves_gives_the_picture_of_one_that_does_not() {
+fn animated_and_constant_numbers_give_the_same_picture() {
     each(|name, family, _, value| {
         let mut found = Vec::new();
         numbers(value, "", &mut found);
@@ -225,7 +225,7 @@ fn a_number_that_moves_gives_the_picture_of_one_that_does_not() {
             *number = json!({ "keys": [[0, number.clone()]] });
             let got = pixels(&job(&(family.scene)(&changed)));
             let off = got.iter().zip(&want).map(|(got, want)| (got - want).abs() / want.max(1.0)).fold(0.0, f32::max);
-            // A light whose angle may be 0 in another frame is met by chance in all of them.
+            // A light whose angle may be 0 in another frame is sampled in all of them.
             assert!(off <= 0.05, "{name} {pointer} is off by {off}");
         }
     });

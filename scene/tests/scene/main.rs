@@ -1,4 +1,5 @@
-//! The picture's mathematics by what the crate offers: nodes, materials, profiles, noise, shadows and warnings.
+//! Tests of the picture's mathematics through the public interface: nodes, materials, profiles, noise, shadows,
+//! warnings.
 
 mod animation;
 mod contract;
@@ -16,10 +17,10 @@ mod surface;
 mod warnings;
 mod witness;
 
-// Some of these tests run inside of the crate too, and find it under this name.
+// Some of these tests also run inside the crate, and refer to it by this name.
 use scene as subject;
 
-/// Whether the contract tests look at a node of this kind here: at every one.
+/// Whether the contract tests check a node of this kind here: all of them.
 fn is_tested(_kind: &str) -> bool {
     true
 }

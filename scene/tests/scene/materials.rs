@@ -1,4 +1,5 @@
-//! What every material and every texture promises, tested on each one's own examples: nothing here names one.
+//! Contract tests that every material and every texture must pass, run on each one's own examples. No test names a
+//! kind.
 
 use crate::subject as scene;
 use scene::lights::LightSample;
@@ -8,7 +9,7 @@ use serde::Serialize;
 use serde::de::DeserializeOwned;
 use serde_json::{Value, json};
 
-/// A small generator with a fixed start: failures repeat.
+/// Pseudorandom numbers from a fixed seed, so that failures repeat.
 struct Random(u32);
 
 impl Random {
@@ -31,7 +32,7 @@ impl Random {
         }
     }
 
-    /// A place anywhere, seen from the side its normal is on, often edge on.
+    /// A random shading point, seen from the side of its normal, often edge-on.
     fn place(&mut self, reach: f32) -> ShadingPoint<f32> {
         let normal = self.direction();
         let mut to_viewer = self.direction();
@@ -86,13 +87,13 @@ fn assert_finite(kind: &str, color: Vec3<f32>, place: &ShadingPoint<f32>) {
 }
 
 #[test]
-fn materials_and_textures_survive_the_way_through_json() {
+fn materials_and_textures_survive_a_json_round_trip() {
     each_material(assert_survives_json);
     each_texture(assert_survives_json);
 }
 
 #[test]
-fn the_schema_describes_every_material_and_texture_and_each_of_their_keys() {
+fn the_schema_describes_every_material_and_texture_with_keys() {
     let schema = scene::schema();
     for Example { kind, json, .. } in Material::examples().into_iter().chain(Texture::examples()) {
         let definition = &schema["$defs"][kind];
@@ -142,7 +143,7 @@ fn shaded_light_is_finite_and_never_negative() {
 }
 
 #[test]
-fn what_a_material_sends_on_is_no_more_than_arrives() {
+fn a_material_reflects_and_transmits_no_more_than_arrives() {
     each_material(|kind, material| {
         let mut random = Random(3);
         for _ in 0..2_000 {
@@ -152,7 +153,7 @@ fn what_a_material_sends_on_is_no_more_than_arrives() {
             assert!(finish.ior.is_finite() && finish.ior >= 1.0, "{kind} has an index of refraction of {}", finish.ior);
             for (mirrored, passed) in <[f32; 3]>::from(finish.f0).into_iter().zip(<[f32; 3]>::from(finish.transmission))
             {
-                assert!((0.0..=1.000_001).contains(&mirrored), "{kind} mirrors {mirrored}");
+                assert!((0.0..=1.000_001).contains(&mirrored), "{kind} reflects {mirrored}");
                 assert!((0.0..=1.000_001).contains(&passed), "{kind} lets {passed} through");
             }
         }
@@ -160,7 +161,7 @@ fn what_a_material_sends_on_is_no_more_than_arrives() {
 }
 
 #[test]
-fn who_needs_no_own_normal_does_not_look_at_it() {
+fn only_materials_that_need_the_local_normal_use_it() {
     let mut random = Random(4);
     let mut pairs = || {
         let place = random.place(3.0);
@@ -179,7 +180,7 @@ fn who_needs_no_own_normal_does_not_look_at_it() {
 }
 
 #[test]
-fn materials_that_look_at_no_light_have_the_same_color_in_any() {
+fn unlit_materials_have_the_same_color_in_any_light() {
     each_material(|kind, material| {
         let mut random = Random(5);
         let mut differs = false;
@@ -192,7 +193,7 @@ fn materials_that_look_at_no_light_have_the_same_color_in_any() {
     });
 }
 
-/// The pointer and the message of the only fault of a job whose first material is this.
+/// Pointer and message of the only error of a job with this first material.
 fn fault(material: &str) -> (String, String) {
     let text = format!(
         r#"{{ "scene": {{ "camera": {{ "position": [0, 0, 5], "look_at": [0, 0, 0] }}, "materials": {{ "m": {material} }},
@@ -202,7 +203,7 @@ fn fault(material: &str) -> (String, String) {
     match scene::parse(text.as_bytes()) {
         Err(scene::ParseError::Invalid(faults)) if faults.len() == 1 => {
             let fault = &faults[0];
-            assert!(fault.line > 0 && fault.column > 1, "{fault} has no place");
+            assert!(fault.line > 0 && fault.column > 1, "{fault} has no position");
             (fault.pointer.clone(), fault.message.clone())
         }
         other => panic!("{material} gives {other:?}"),
@@ -210,7 +211,7 @@ fn fault(material: &str) -> (String, String) {
 }
 
 #[test]
-fn a_wrong_texture_is_rejected_where_it_is_wrong_and_with_a_cure() {
+fn an_invalid_texture_is_rejected_with_pointer_and_fix() {
     let flat = |texture: &str| format!(r#"{{ "flat": {{ "color": {texture} }} }}"#);
     let ramp = |stops: &str| flat(&format!(r#"{{ "gradient": {{ "by": {{ "facing": {{}} }}, "ramp": {stops} }} }}"#));
     let many: Vec<String> = (0..33).map(|stop| format!("[{}, [0, 0, 0]]", f64::from(stop) / 32.0)).collect();
@@ -223,7 +224,7 @@ fn a_wrong_texture_is_rejected_where_it_is_wrong_and_with_a_cure() {
         (ramp("[[0.5, [0, 0, 0]], [0.2, [1, 1, 1]]]"), "/flat/color/gradient/ramp/1", "put stops in order"),
         (ramp("[[0.5, [0, 0, 0]]]"), "/flat/color/gradient/ramp", "at least 2 stops"),
         (ramp(&format!("[{}]", many.join(", "))), "/flat/color/gradient/ramp", "more than 32 stops"),
-        (ramp("[[0, [0, 0, 0]], [1.5, [1, 1, 1]]]"), "/flat/color/gradient/ramp/1/0", "a share from 0 to 1"),
+        (ramp("[[0, [0, 0, 0]], [1.5, [1, 1, 1]]]"), "/flat/color/gradient/ramp/1/0", "a fraction from 0 to 1"),
         (ramp(r##"[[0, [0, 0, 0]], [1, "#12"]]"##), "/flat/color/gradient/ramp/1/1", "a color"),
         (flat(r#"{ "checker": { "cell": 0 } }"#), "/flat/color/checker/cell", "a size from 1e-6"),
         (flat(r#"{ "checker": { "cell": 1, "colour": 1 } }"#), "/flat/color/checker/colour", "did you mean `colors`?"),
@@ -231,7 +232,7 @@ fn a_wrong_texture_is_rejected_where_it_is_wrong_and_with_a_cure() {
         (flat("[1, 2]"), "/flat/color", "a color"),
         (flat("7"), "/flat/color", "or a texture"),
         (flat(&nested), "/flat/color", "nest at most 4"),
-        (metallic("2"), "/surface/metallic", "a share from 0 to 1"),
+        (metallic("2"), "/surface/metallic", "a fraction from 0 to 1"),
         (metallic(r#"{ "bricks": {} }"#), "/surface/metallic", r#"{"low": …, "high": …, "by": {"bricks": …}}"#),
         (metallic(r#"{ "low": 0, "high": 2, "by": { "bricks": {} } }"#), "/surface/metallic/high", "from 0 to 1"),
         (metallic(r#"{ "low": 0, "by": { "bricks": {} } }"#), "/surface/metallic", "missing field `high`"),
@@ -244,7 +245,7 @@ fn a_wrong_texture_is_rejected_where_it_is_wrong_and_with_a_cure() {
 }
 
 #[test]
-fn a_texture_where_none_can_be_is_rejected_with_a_cure() {
+fn a_misplaced_texture_is_rejected_with_a_fix() {
     let sphere = |radius: &str, color: &str| {
         let text = format!(
             r#"{{ "scene": {{ "camera": {{ "position": [0, 0, 5], "look_at": [0, 0, 0] }}, "background": {{ "color": {color} }},
@@ -259,7 +260,7 @@ fn a_texture_where_none_can_be_is_rejected_with_a_cure() {
         (sphere(texture, "[0, 0, 0]"), "/scene/objects/0/shape/sphere/radius: "),
         (sphere("1", texture), "/scene/background/color: "),
     ] {
-        let words = job.expect_err("a texture stands where none can be");
+        let words = job.expect_err("a texture is where none is allowed");
         assert!(words.contains(&format!("{pointer}takes no texture: write ")), "{words}");
     }
 }
@@ -279,8 +280,8 @@ fn numbers(value: &Value, pointer: &str, found: &mut Vec<String>) {
 }
 
 #[test]
-fn a_number_of_a_material_or_a_texture_that_moves_gives_the_color_of_one_that_does_not() {
-    // A texture is seen through the material that is nothing else.
+fn animated_and_constant_numbers_give_the_same_color() {
+    // A texture is tested through a material that shows only its color.
     let textures = Texture::examples()
         .into_iter()
         .map(|example| Example { json: format!(r#"{{ "flat": {{ "color": {} }} }}"#, example.json), ..example });

@@ -1,10 +1,10 @@
-//! What every noise promises, tested on each kind with each way of summing it: nothing here names a kind.
+//! Contract tests that every noise must pass, run on each kind with each way of summing it. No test names a kind.
 
 use scene::noise::Noise;
 use scene::real::{Interval, Vec3, vec3};
 use serde_json::{Value, json};
 
-/// A small generator with a fixed start: failures repeat.
+/// Pseudorandom numbers from a fixed seed, so that failures repeat.
 struct Random(u32);
 
 impl Random {
@@ -28,7 +28,7 @@ impl Random {
     }
 }
 
-/// Every value of a noise's form: each kind, and what each key of it may be.
+/// Every form of a noise: each kind, with each possible value of each key.
 fn forms() -> Vec<Value> {
     let schema = serde_json::to_value(schemars::schema_for!(Noise)).unwrap();
     let mut forms = Vec::new();
@@ -51,7 +51,7 @@ fn forms() -> Vec<Value> {
     forms
 }
 
-/// The words that a property may be, if it is one of some.
+/// The words that a property allows, if it is an enum.
 fn choices(schema: &Value, property: &Value) -> Vec<Value> {
     let definition = match property["$ref"].as_str() {
         Some(place) => &schema["$defs"][place.rsplit('/').next().unwrap()],
@@ -67,7 +67,7 @@ fn with(value: &Value, key: &str, word: Value) -> Value {
     value
 }
 
-/// How octaves may be put together.
+/// Parameters of the sum of octaves.
 fn sums() -> [Value; 4] {
     [
         json!({}),
@@ -87,7 +87,7 @@ fn noise(form: &Value, sum: &Value) -> (String, Noise) {
     (form.to_string(), noise)
 }
 
-/// Each form in each sum.
+/// Each form with each sum.
 fn each_noise(mut check: impl FnMut(&str, &Noise)) {
     for form in forms() {
         for sum in &sums() {
@@ -106,7 +106,7 @@ fn each_single_noise(mut check: impl FnMut(&str, &Noise)) {
 }
 
 #[test]
-fn a_noise_survives_the_way_through_json() {
+fn a_noise_survives_a_json_round_trip() {
     each_noise(|name, noise| {
         let text = serde_json::to_string(noise).unwrap();
         assert_eq!(&serde_json::from_str::<Noise>(&text).unwrap(), noise, "{name}");
@@ -114,7 +114,7 @@ fn a_noise_survives_the_way_through_json() {
 }
 
 #[test]
-fn wrong_numbers_are_rejected_with_what_would_be_right() {
+fn invalid_numbers_are_rejected_with_their_range() {
     for form in forms() {
         for (wrong, words) in [
             (json!({ "octaves": 99 }), "must be 1 to 12 octaves, not 99"),
@@ -158,7 +158,7 @@ fn values_are_finite_and_in_range_everywhere() {
     }
 }
 
-/// Looks at pairs of points near each other, most of them in one cell.
+/// Checks pairs of points near each other, most of them in one cell.
 fn check_slope(name: &str, noise: &Noise, pairs: u32) {
     let mut random = Random(2);
     let lipschitz = noise.lipschitz();
@@ -167,19 +167,19 @@ fn check_slope(name: &str, noise: &Noise, pairs: u32) {
         let q = random.direction().mul_add(size * size * size, p);
         let (a, b) = (noise.value(p), noise.value(q));
         let apart = vec3(p.x - q.x, p.y - q.y, p.z - q.z).length();
-        // The points themselves are rounded before the noise sees them, to 8 units of their last place.
+        // The points themselves are rounded before the noise is evaluated, to 8 units of their last place.
         let rounding = 8.0 * f32::EPSILON * (1.0 + 6.0 * lipschitz);
         assert!((a - b).abs() <= lipschitz * apart + rounding, "{name}: {a} at {p:?}, {b} at {q:?}");
     }
 }
 
 #[test]
-fn a_noise_changes_no_faster_than_its_lipschitz_factor_says() {
+fn a_noise_changes_within_its_lipschitz_factor() {
     each_single_noise(|name, noise| check_slope(name, noise, 100_000));
 }
 
 #[test]
-fn a_sum_of_octaves_changes_no_faster_than_its_lipschitz_factor_says() {
+fn a_sum_of_octaves_changes_within_its_lipschitz_factor() {
     each_noise(|name, noise| check_slope(name, noise, 10_000));
 }
 
@@ -197,7 +197,11 @@ fn lipschitz_factors_and_ranges_are_tight() {
             (least, most) = (least.min(ends[0]), most.max(ends[0]));
         }
         let (low, high) = noise.range();
-        assert!(noise.lipschitz() <= 2.5 * steepest, "{name}: {steepest} was seen, {} is said", noise.lipschitz());
+        assert!(
+            noise.lipschitz() <= 2.5 * steepest,
+            "{name}: {steepest} was found, the factor is {}",
+            noise.lipschitz()
+        );
         assert!(high - low <= 1.5 * (most - least), "{name}: {least} to {most} was seen, {low} to {high} is said");
     });
 }
@@ -243,7 +247,7 @@ fn no_axis_and_no_sign_is_preferred() {
             let mean = sum / POINTS as f32;
             assert!(mean.abs() < 0.02, "{name}: the mean is {mean}");
         }
-        // Gardner's waves run along x and y, and z bends both.
+        // Gardner's waves run along x and y, and z shifts both.
         let [x, y, _] = slopes;
         let least = slopes.into_iter().fold(f32::INFINITY, f32::min);
         let most = slopes.into_iter().fold(0.0, f32::max);
@@ -268,7 +272,7 @@ fn seeds_make_different_noises_and_vectors_of_three() {
 }
 
 #[test]
-fn bits_are_those_of_the_goldens() {
+fn noise_values_are_bit_identical_to_the_golden_file() {
     let mut got = Vec::new();
     each_noise(|name, noise| {
         let mut random = Random(6);

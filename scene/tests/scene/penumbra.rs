@@ -1,17 +1,18 @@
-//! Soft shadows against geometry: how much of a light is seen past a straight edge.
+//! Soft shadows against geometry: the visible fraction of a light past a straight edge.
 
-#![expect(clippy::disallowed_methods, reason = "what is expected is computed in f64 by std's functions")]
+#![expect(clippy::disallowed_methods, reason = "expected values are computed in f64 by std's functions")]
 
 use std::f64::consts::PI;
 
 use scene::{Integrator, Job};
 
-/// Surfaces count as met within a part of a pixel: pixels are small beside the penumbra.
+/// Width of the picture; the tolerance of a hit is a fraction of a pixel, so pixels must be small compared to the
+/// penumbra.
 const WIDTH_PX: u32 = 1280;
 const STRIDE_PX: usize = 32;
-/// Rows that see the same.
+/// Rows with the same light.
 const ROWS: u32 = 8;
-/// How high above the floor the edge is, in scene units.
+/// Height of the edge above the floor, in scene units.
 const EDGE: f64 = 2.0;
 /// Width of the picture, in scene units.
 const SEEN: f64 = 1.2;
@@ -35,7 +36,7 @@ fn job(light: &str, samples: u32) -> Job {
     scene::parse(text.as_bytes()).unwrap_or_else(|fault| panic!("{fault:?}"))
 }
 
-/// Where values were taken in x, and the light on the floor there, as the mean of the rows.
+/// Sampled x coordinates, and the light on the floor there, averaged over the rows.
 fn floor(light: &str, samples: u32) -> Vec<(f64, f64)> {
     let job = job(light, samples);
     let still = job.at(0).expect("a still job");
@@ -50,25 +51,25 @@ fn floor(light: &str, samples: u32) -> Vec<(f64, f64)> {
         .collect()
 }
 
-/// The share of a disc of radius 1 on one side of a line at `s` from its middle.
+/// Fraction of a disk of radius 1 on one side of a line at `s` from its center.
 fn share_of_disc(s: f64) -> f64 {
     let s = s.clamp(-1.0, 1.0);
     1.0 - (s.acos() - s * (1.0 - s * s).sqrt()) / PI
 }
 
-/// The greatest difference, as a share of the whole light, from the share of a disc past a line;
-/// `reach` is how far from the shadow's middle the penumbra goes.
+/// Maximum difference, as a fraction of the full light, from the fraction of a disk past a line; `reach` is the
+/// distance of the penumbra's edge from the shadow's center.
 fn difference(light: &str, samples: u32, reach: f64) -> f64 {
     let floor = floor(light, samples);
-    // Where the penumbra ends: further on, a light that has a place is further away.
+    // At the end of the penumbra: farther away, a light with a position is also more distant.
     let (_, whole) = *floor.iter().find(|(x, _)| *x > reach).expect("a place in full light");
     assert!(whole > 0.1 && floor[0].1 == 0.0, "from light to shadow: {floor:?}");
     let differences = floor.iter().map(|(x, light)| (light / whole - share_of_disc(x / reach)).abs());
     differences.fold(0.0, f64::max)
 }
 
-/// The difference falls as the root of the number of samples: four standard deviations of so many yes or no
-/// are the bound, and the picture's own exactness.
+/// The difference falls as the root of the number of samples: the bound is four standard deviations of that number of
+/// binary samples, plus the picture's own precision.
 fn assert_converges(light: &str, reach: f64) {
     for samples in [16, 256, 4096] {
         let deviation = (0.25 / f64::from(samples * ROWS)).sqrt();
@@ -78,15 +79,16 @@ fn assert_converges(light: &str, reach: f64) {
 }
 
 #[test]
-fn a_wide_sun_casts_the_penumbra_of_its_disc() {
+fn a_wide_sun_casts_the_penumbra_of_its_disk() {
     let half_angle: f64 = 5.0;
     let light = r#"{ "directional": { "direction": [0, 1, 0], "angle": 10, "color": [1, 1, 1] } }"#;
     assert_converges(light, EDGE * half_angle.to_radians().tan());
 }
 
 #[test]
-fn a_ball_of_light_casts_the_penumbra_of_its_disc() {
-    // The edge is half as far from the floor as from the light: its image on the light moves twice as far as the floor.
+fn a_sphere_light_casts_the_penumbra_of_its_disk() {
+    // The edge is half as far from the floor as from the light: its image on the light moves twice as far as on the
+    // floor.
     let light = r#"{ "sphere": { "position": [0, 6, 0], "radius": 0.4, "color": [36, 36, 36] } }"#;
     assert_converges(light, 0.4 * EDGE / (6.0 - EDGE));
 }

@@ -1,4 +1,4 @@
-//! Profiles: what every one of them promises in the plane, and what is wrong with some polygons.
+//! Profiles: contract tests in the plane, and errors of polygons.
 
 use scene::nodes::Exactness;
 use scene::profiles::Profile;
@@ -7,7 +7,7 @@ fn profile(json: &str) -> Profile {
     serde_json::from_str(json).expect("it is a profile")
 }
 
-/// Points all over a square of edge 4, in no pattern.
+/// Points all over a square of edge 4, without a pattern.
 fn places(count: u32) -> impl Iterator<Item = (f32, f32)> {
     let scattered = |n: u32, share: f64| ((f64::from(n) * share).fract() * 4.0 - 2.0) as f32;
     (1..=count).map(move |n| (scattered(n, 0.754_877_666_246_692_7), scattered(n, 0.569_840_290_998_053_2)))
@@ -29,7 +29,7 @@ fn the_schema_describes_every_profile_and_each_of_its_keys() {
 }
 
 #[test]
-fn a_circle_as_large_as_an_exact_distance_says_touches_the_outline() {
+fn a_circle_of_the_exact_distance_touches_the_outline() {
     const TURNS: u16 = 1_000;
     for (kind, json) in Profile::examples() {
         let profile = profile(&json);
@@ -43,7 +43,7 @@ fn a_circle_as_large_as_an_exact_distance_says_touches_the_outline() {
                 profile.distance(x + c * distance.abs(), y + s * distance.abs())
             });
             let least = around.map(|there| there * distance.signum()).fold(f32::INFINITY, f32::min);
-            // Between two of the directions tried, an outline's corner is missed by as much.
+            // Maximum amount by which a corner of the outline is missed between two of the tested directions.
             let spacing = distance.abs() * std::f32::consts::PI / f32::from(TURNS);
             assert!(least.abs() <= spacing + 1e-5, "{kind}: {distance} at {x}, {y}, {least} is left");
         }
@@ -59,7 +59,7 @@ fn a_mirrored_profile_is_its_own_mirror_image() {
     }
 }
 
-/// The polygon whose corners lie at these distances, evenly around the origin from the top on.
+/// The polygon whose corners have these distances from the origin, evenly spaced from the top.
 fn polygon_around(distances: impl Iterator<Item = f32> + Clone) -> Profile {
     let count = distances.clone().count() as f32;
     let corners: Vec<[f32; 2]> = distances
@@ -90,15 +90,15 @@ fn regular_polygons_and_stars_are_the_polygons_of_their_corners() {
 }
 
 #[test]
-fn an_ellipse_is_where_its_curve_is() {
+fn an_ellipse_matches_points_of_its_curve() {
     for (width, height) in [(2.0, 1.0), (0.02, 1.8), (1.0, 1.0), (1.0, 0.99)] {
         let ellipse = profile(&format!(r#"{{ "ellipse": {{ "size": [{width}, {height}] }} }}"#));
-        // A quarter of it, by tangents of half the angle.
+        // A quarter of the ellipse, by tangents of half the angle.
         let curve: Vec<(f64, f64)> = (0..=10_000)
             .map(|step| f64::from(step) / 10_000.0)
             .map(|t| ((1.0 - t * t) / (1.0 + t * t) * width / 2.0, t / (1.0 + t * t) * height))
             .collect();
-        // On the axes and at the centers of curvature, too, where the nearest point is not one alone.
+        // Also on the axes and at the centers of curvature, where the nearest point is not unique.
         let cusp = ((width * width - height * height) / (2.0 * width)) as f32;
         let special = [(0.0, 0.0), (cusp, 0.0), (cusp * 0.99, 1e-7), (0.3, 0.0), (0.0, 0.3), (1e-8, -1e-8)];
         for (x, y) in places(200).chain(special) {
@@ -107,7 +107,7 @@ fn an_ellipse_is_where_its_curve_is() {
             let (share_x, share_y) = (2.0 * px / width, 2.0 * py / height);
             let is_inside = share_x * share_x + share_y * share_y < 1.0;
             let (want, got) = (if is_inside { -nearest } else { nearest }, f64::from(ellipse.distance(x, y)));
-            // The curve's points are at most 2e-4 apart, so it is never further than 1e-4 from one.
+            // The curve's points are at most 2e-4 apart, so it is never farther than 1e-4 from one.
             let missed = (nearest * nearest + 1e-4 * 1e-4).sqrt() - nearest;
             assert!((got - want).abs() <= missed + 3e-6, "{got}, not {want}, at {x}, {y} of {width} by {height}");
         }
@@ -123,13 +123,13 @@ fn a_polygon_is_the_same_either_way_round() {
     assert_same(&polygon(points), &polygon(reversed));
 }
 
-/// The pointer and the message of what is wrong with a scene of this one shape.
+/// Pointer and message of the error of a scene with this shape only.
 fn fault(shape: &str) -> (String, String) {
     let text = format!(
         r#"{{ "scene": {{ "camera": {{ "position": [0, 0, 4], "look_at": [0, 0, 0], "fov": 40 }},
             "objects": [{{ "shape": {shape} }}] }}, "image": {{ "width": 32, "height": 32 }} }}"#
     );
-    match scene::parse(text.as_bytes()).expect_err("it is wrong") {
+    match scene::parse(text.as_bytes()).expect_err("it is invalid") {
         scene::ParseError::Invalid(mut faults) => {
             let fault = faults.remove(0);
             let within = fault.pointer.strip_prefix("/scene/objects/0/shape/").expect("it is in the shape");
@@ -146,7 +146,7 @@ fn polygon_fault(points: &str) -> (String, String) {
 }
 
 #[test]
-fn a_polygon_that_is_none_says_where_and_what_to_do() {
+fn an_invalid_polygon_is_reported_with_pointer_and_fix() {
     let cases = [
         ("[[0, 0], [1, 0]]", "points", "has 2 points: a polygon has 3 to 256"),
         ("[[0, 0], [1, 0], [1, 1], [1, 1]]", "points/3", "is the same point as points/2"),
@@ -163,7 +163,7 @@ fn a_polygon_that_is_none_says_where_and_what_to_do() {
 }
 
 #[test]
-fn sweeps_that_cannot_be_say_where_and_what_to_do() {
+fn invalid_sweeps_are_reported_with_pointer_and_fix() {
     let cases = [
         (
             r#"{ "extrude": { "profile": { "circle": { "radius": 1 } }, "height": 0.5, "round": 0.3 } }"#,
@@ -171,7 +171,7 @@ fn sweeps_that_cannot_be_say_where_and_what_to_do() {
         ),
         (
             r#"{ "revolve": { "profile": { "circle": { "radius": 1 } }, "offset": -1.5 } }"#,
-            ("revolve/offset", "puts the profile beyond the axis, where nothing is turned: make offset more than -1"),
+            ("revolve/offset", "puts the whole profile beyond the axis: make offset more than -1"),
         ),
         (
             r#"{ "revolve": { "profile": { "rectangle": { "size": [1, 2], "round": 0.6 } } } }"#,
@@ -188,8 +188,8 @@ fn text(string: &str) -> Profile {
 }
 
 #[test]
-fn a_capital_i_is_the_rectangle_that_the_font_says() {
-    // 385 by 1493 of the font's 2048 units, half a unit left of the middle.
+fn a_capital_i_is_the_rectangle_of_the_font() {
+    // 385 by 1493 of the font's 2048 units, half a unit left of the center.
     let size = [385.0 / 2048.0, 1493.0 / 2048.0];
     let rectangle = profile(&serde_json::json!({ "rectangle": { "size": size } }).to_string());
     let letter = text("I");
@@ -210,7 +210,7 @@ fn holes_of_letters_are_outside() {
 }
 
 #[test]
-fn letters_that_fit_together_stand_nearer() {
+fn kerned_letters_are_nearer() {
     let width = |string: &str| {
         let extent = text(string).extent(0.0);
         extent.high[0] - extent.low[0]
@@ -220,7 +220,7 @@ fn letters_that_fit_together_stand_nearer() {
 }
 
 #[test]
-fn a_text_that_cannot_be_set_says_why() {
+fn text_without_an_outline_is_reported_with_the_reason() {
     let cases = [
         ("東", "has '東', which the font lacks: it has Latin letters, digits, punctuation and arrows"),
         ("two\\nlines", "has '\\n', which the font lacks: it has Latin letters, digits, punctuation and arrows"),
@@ -237,7 +237,7 @@ fn a_text_that_cannot_be_set_says_why() {
 }
 
 #[test]
-fn a_long_text_counts_as_many_nodes() {
+fn a_long_text_counts_as_several_nodes() {
     let node = |string: &str| -> scene::nodes::Node {
         let shape = format!(
             r#"{{ "extrude": {{ "profile": {{ "text": {{ "string": "{string}", "size": 1 }} }}, "height": 1 }} }}"#

@@ -1,5 +1,4 @@
-//! Nodes that make copies, held against unions of the copies written out; and what nodes say of shapes
-//! that they cannot do with.
+//! Nodes that make copies, compared with unions of the copies written out, and their errors for unsuitable shapes.
 
 use scene::nodes::{DistanceWithMaterials, Node};
 use scene::real::{Real, Vec3, vec3};
@@ -12,7 +11,7 @@ fn union(shapes: &[String]) -> Node {
     node(&format!(r#"{{ "union": {{ "of": [{}] }} }}"#, shapes.join(", ")))
 }
 
-/// Points of a grid that no copy's symmetry shares.
+/// Points of a grid that has no symmetry with the copies.
 fn each_point(reach: f32, mut check: impl FnMut(Vec3<f32>)) {
     let at = |index: i32| reach * (index as f32 + 0.137) / 12.0;
     for x in -12..12 {
@@ -24,7 +23,7 @@ fn each_point(reach: f32, mut check: impl FnMut(Vec3<f32>)) {
     }
 }
 
-/// Rounding of coordinates up to 4 and of some turns, a few units in the last place.
+/// Rounding of coordinates up to 4 and of some rotations, a few units in the last place.
 const ROUNDING: f32 = 4e-6;
 
 fn assert_same(one: &Node, other: &Node, reach: f32) {
@@ -34,7 +33,7 @@ fn assert_same(one: &Node, other: &Node, reach: f32) {
     });
 }
 
-/// Shapes that fill their cell, reach into others, or lie beside the origin.
+/// Shapes that fill their cell, extend into others, or are away from the origin.
 const SHAPES: [&str; 4] = [
     r#"{ "box": { "size": [0.5, 0.6, 0.7] } }"#,
     r#"{ "capsule": { "a": [-0.4, -0.5, 0.1], "b": [0.5, 0.6, -0.2], "radius": 0.15 } }"#,
@@ -101,7 +100,7 @@ fn a_mirrored_shape_is_its_union_with_the_image() {
 }
 
 #[test]
-fn materials_pass_through_copies_and_stay_with_their_shape() {
+fn copies_have_the_material_of_their_shape() {
     let child = r#"{ "union": { "of": [
         { "paint": { "material": { "flat": { "color": [1, 0, 0] } }, "child": {
             "translate": { "by": [0, 0.3, 0], "child": { "sphere": { "radius": 0.2 } } } } } },
@@ -134,7 +133,7 @@ fn materials_pass_through_copies_and_stay_with_their_shape() {
     }
 }
 
-/// The pointer and the message of the one fault of a job with this shape.
+/// Pointer and message of the only error of a job with this shape.
 fn fault(shape: &str) -> (String, String) {
     let job = format!(
         r#"{{ "scene": {{ "camera": {{ "position": [0, 0, 5], "look_at": [0, 0, 0] }},
@@ -159,7 +158,7 @@ const SPHERE: &str = r#"{ "sphere": { "radius": 1 } }"#;
 const PLANE: &str = r#"{ "plane": { "normal": [0, 1, 0], "offset": 0 } }"#;
 
 #[test]
-fn copies_that_cannot_be_made_are_reported_with_the_cure() {
+fn impossible_copies_are_reported_with_the_fix() {
     let cases = [
         (r#""repeat": { "cell": [0, null, null]"#, SPHERE, "repeat/cell/0", "null along an axis"),
         (r#""repeat": { "cell": [null, null, null]"#, SPHERE, "repeat/cell", "give x, y or z"),
@@ -174,7 +173,7 @@ fn copies_that_cannot_be_made_are_reported_with_the_cure() {
 }
 
 #[test]
-fn a_shape_that_cannot_be_deformed_is_reported_with_the_cure() {
+fn an_undeformable_shape_is_reported_with_the_fix() {
     let cases = [
         (r#""twist": { "degrees_per_unit": 9"#, PLANE, "twist/child", "by an intersection"),
         (r#""bend": { "degrees_per_unit": 9"#, PLANE, "bend/child", "by an intersection"),
@@ -187,7 +186,7 @@ fn a_shape_that_cannot_be_deformed_is_reported_with_the_cure() {
 }
 
 #[test]
-fn a_list_of_too_few_or_too_many_shapes_is_reported_with_the_number() {
+fn a_list_of_invalid_length_is_reported_with_its_number() {
     let engraved = format!(r#"{{ "engrave": {{ "depth": 0.1, "of": [{SPHERE}] }} }}"#);
     assert_fault(&engraved, "engrave/of", "has 1 shape: engrave takes exactly 2");
     let morphed = format!(r#"{{ "morph": {{ "amount": 0.5, "of": [{SPHERE}, {SPHERE}, {PLANE}] }} }}"#);
@@ -218,7 +217,7 @@ fn factors_multiply_through_nested_modifiers() {
 }
 
 #[test]
-fn a_bend_keeps_lengths_along_the_axis_and_heights() {
+fn a_bend_preserves_lengths_along_the_axis_and_heights() {
     let bent = node(r#"{ "bend": { "degrees_per_unit": 45, "child": { "box": { "size": [3, 0.4, 1] } } } }"#);
     let (radius, angle) = (4.0 / std::f32::consts::PI, 1.4 * std::f32::consts::FRAC_PI_4);
     for height in [-0.3, -0.2, -0.1, 0.0, 0.15, 0.2, 0.25] {
@@ -231,7 +230,7 @@ fn a_bend_keeps_lengths_along_the_axis_and_heights() {
 }
 
 #[test]
-fn the_least_and_the_greatest_numbers_give_finite_distances() {
+fn minimum_and_maximum_numbers_give_finite_distances() {
     let tiny = r#"{ "sphere": { "radius": 1e-6 } }"#;
     let huge = r#"{ "box": { "size": [1e6, 1e6, 1e6] } }"#;
     let texts = [

@@ -1,4 +1,4 @@
-//! The round primitives beside what they are defined to be: sets of points that know nothing of distances.
+//! Round primitives compared with their definitions as sets of points, without distances.
 
 #![expect(clippy::disallowed_methods, reason = "the C library's functions are the independent witness here")]
 
@@ -10,7 +10,7 @@ type P = [f64; 3];
 /// Whether a point is in a solid.
 type Holds = fn(P) -> bool;
 
-/// A small generator with a fixed start: failures repeat.
+/// Pseudorandom numbers from a fixed seed, so that failures repeat.
 struct Random(u64);
 
 impl Random {
@@ -44,12 +44,12 @@ fn minus(a: P, b: P) -> P {
     [a[0] - b[0], a[1] - b[1], a[2] - b[2]]
 }
 
-/// The least of a function at many places from 0 to 1.
+/// Minimum of a function over many values from 0 to 1.
 fn least(f: impl Fn(f64) -> f64) -> f64 {
     (0..=2_000).map(|step| f(f64::from(step) / 2_000.0)).fold(f64::INFINITY, f64::min)
 }
 
-/// A shape's JSON beside the same solid in other words.
+/// A shape's JSON with an independent definition of the same solid.
 fn solids() -> Vec<(&'static str, Holds)> {
     vec![
         (r#"{ "cone": { "radius": 0.8, "height": 1.8 } }"#, |p| {
@@ -62,7 +62,7 @@ fn solids() -> Vec<(&'static str, Holds)> {
         (r#"{ "round_cone": { "bottom_radius": 0.6, "top_radius": 0.2, "height": 1.8 } }"#, |p| {
             least(|t| length(minus(p, [0.0, -0.3 + t, 0.0])) - (0.6 - 0.4 * t)) <= 0.0
         }),
-        // The upper ball fills the whole height.
+        // The upper ball fills the full height.
         (r#"{ "round_cone": { "bottom_radius": 0.3, "top_radius": 0.6, "height": 1.2 } }"#, |p| length(p) <= 0.6),
         (r#"{ "solid_angle": { "degrees": 120, "radius": 1 } }"#, |p| {
             length(p) <= 1.0 && p[1] >= length(p) * 120_f64.to_radians().cos()
@@ -73,7 +73,7 @@ fn solids() -> Vec<(&'static str, Holds)> {
         (r#"{ "cut_sphere": { "radius": 1, "cut": -0.4 } }"#, |p| length(p) <= 1.0 && p[1] >= -0.4),
         (r#"{ "cut_sphere": { "radius": 1, "cut": 0.4 } }"#, |p| length(p) <= 1.0 && p[1] >= 0.4),
         (r#"{ "cut_hollow_sphere": { "radius": 1, "cut": 0.5, "thickness": 0.3 } }"#, |p| {
-            // Down the bowl from its brim, which is 60 degrees off the axis.
+            // Down the bowl from its brim, which is 60 degrees from the axis.
             let angle = |t: f64| (60.0 + 120.0 * t).to_radians();
             least(|t| (across(p) - angle(t).sin()).hypot(p[1] - angle(t).cos())) <= 0.15
         }),
@@ -87,7 +87,7 @@ fn solids() -> Vec<(&'static str, Holds)> {
         }),
         // As thick as it is long: a ball.
         (r#"{ "vesica": { "a": [0, -0.8, 0], "b": [0, 0.8, 0], "radius": 0.8 } }"#, |p| length(p) <= 0.8),
-        // Corners in a line: a capsule.
+        // Collinear corners: a capsule.
         (r#"{ "triangle": { "a": [-0.8, 0, 0], "b": [0.8, 0, 0], "c": [0.4, 0, 0], "radius": 0.3 } }"#, |p| {
             (p[0].abs() - 0.8).max(0.0).hypot(p[1]).hypot(p[2]) <= 0.3
         }),
@@ -106,7 +106,7 @@ fn solids() -> Vec<(&'static str, Holds)> {
             least(|t| length(minus(p, [0.9 * angle(t).sin(), 0.0, 0.9 * angle(t).cos()]))) <= 0.2
         }),
         (r#"{ "link": { "height": 2.2, "radius": 0.4, "tube": 0.2 } }"#, |p| {
-            // The middle of the tube: all that is 0.4 away from a segment of half length 0.5.
+            // The center of the tube: all points 0.4 away from a segment of half length 0.5.
             let out = p[0].hypot((p[1].abs() - 0.5).max(0.0)) - 0.4;
             out.hypot(p[2]) <= 0.2
         }),
@@ -126,7 +126,7 @@ fn solids() -> Vec<(&'static str, Holds)> {
     ]
 }
 
-/// Whether a point is in a band of half an arc in degrees, and of radius, leg, width and thickness.
+/// Whether a point is in a ribbon of half an arc in degrees, and of radius, leg, width and thickness.
 fn in_band(p: P, half_arc: f64, [radius, leg, width, thickness]: [f64; 4]) -> bool {
     let flat = |x: f64, y: f64| (p[0].abs() - x).hypot(p[1] - y);
     let (sine, cosine) = half_arc.to_radians().sin_cos();
@@ -148,13 +148,13 @@ fn between(from: P, to: P, t: f64) -> P {
 }
 
 #[test]
-fn a_distance_is_negative_just_where_the_solid_is() {
+fn a_distance_is_negative_only_inside_the_solid() {
     for (text, holds) in solids() {
         let (node, mut random, mut inside) = (node(text), Random(7), 0);
         for _ in 0..4_000 {
             let p = random.point(1.3);
             let distance = distance(&node, p);
-            // What is sampled has gaps of a thousandth.
+            // The samples are a thousandth apart.
             if distance.abs() > 1e-3 {
                 assert_eq!(distance < 0.0, holds(p), "{text}: {distance} at {p:?}");
                 inside += u32::from(distance < 0.0);
@@ -165,12 +165,12 @@ fn a_distance_is_negative_just_where_the_solid_is() {
 }
 
 #[test]
-fn a_bezier_tube_is_as_far_away_as_the_nearest_of_many_points_of_its_curve() {
+fn a_bezier_tube_matches_sampled_points_of_its_curve() {
     let mut random = Random(8);
     for round in 0..60 {
         let [a, mut b, c] = [(); 3].map(|()| random.point(1.0));
         if round % 3 == 0 {
-            // Nearly straight, and sometimes turning back on itself.
+            // Nearly straight, and sometimes reversing on itself.
             let (share, off) = (random.next(-0.5, 1.5), random.point(1e-4));
             b = [0, 1, 2].map(|axis: usize| a[axis] + (c[axis] - a[axis]) * share + off[axis]);
         }
@@ -179,7 +179,7 @@ fn a_bezier_tube_is_as_far_away_as_the_nearest_of_many_points_of_its_curve() {
             let p = random.point(2.0);
             let want = least(|t| length(minus(p, curve([a, b, c], t)))) - 0.1;
             let got = distance(&node, p);
-            // A sample is never nearer than the curve; where p is near the curve, the samples' gaps show.
+            // A sample is never nearer than the curve; if p is near the curve, the spacing of the samples matters.
             assert!(got < want + 1e-5 && got > want - 2e-3, "{a:?} {b:?} {c:?}: {got}, not {want}, at {p:?}");
         }
     }
@@ -201,7 +201,7 @@ fn to_ellipsoid(radii: P, p: P) -> f64 {
 }
 
 #[test]
-fn an_ellipsoid_of_any_shape_is_never_nearer_than_it_says_and_hardly_further() {
+fn an_ellipsoid_distance_is_a_tight_lower_bound() {
     let mut random = Random(9);
     for _ in 0..200 {
         let radii = [(); 3].map(|()| 10_f64.powf(random.next(-1.5, 0.3)) as f32).map(f64::from);
@@ -220,7 +220,7 @@ fn a_quad_is_the_two_triangles_of_its_corners() {
     let whole = node(
         r#"{ "quad": { "a": [-1, -0.5, 0], "b": [0.7, -0.8, 0.2], "c": [0.9, 0.6, 0.9], "d": [-0.8, 0.9, 0.7], "radius": 0.1 } }"#,
     );
-    // The corners lie in one plane but for their last digits.
+    // The corners are in one plane except for their last digits.
     let half = |b: &str| {
         node(&format!(r#"{{ "triangle": {{ "a": [-1, -0.5, 0], "b": {b}, "c": [0.9, 0.6, 0.9], "radius": 0.1 }} }}"#))
     };
@@ -278,7 +278,7 @@ impl Fitted {
     }
 }
 
-/// The faults of a job with one shape: where in the shape, and what.
+/// The errors of a job with one shape: pointer in the shape, and message.
 fn faults(shape: &str) -> Vec<(String, String)> {
     let job = format!(
         r#"{{ "scene": {{ "camera": {{ "position": [0, 0, 5], "look_at": [0, 0, 0] }}, "objects": [ {{ "shape": {shape} }} ] }},
@@ -295,7 +295,7 @@ fn faults(shape: &str) -> Vec<(String, String)> {
 }
 
 #[test]
-fn numbers_that_contradict_each_other_are_rejected_with_a_cure() {
+fn inconsistent_numbers_are_rejected_with_a_fix() {
     for (shape, pointer, cure) in [
         (r#"{ "box": { "size": [1, 2, 3], "round": 0.6 } }"#, "box/round", "make round 0.5 or less"),
         (r#"{ "torus": { "radius": 0.5, "tube": 0.5 } }"#, "torus/tube", "make tube less than 0.5"),
@@ -337,7 +337,7 @@ fn numbers_that_contradict_each_other_are_rejected_with_a_cure() {
             "death_star/distance",
             "between 0.5 and 1.5",
         ),
-        (r#"{ "vesica": { "a": [0, 1, 0], "b": [0, 1, 0], "radius": 1 } }"#, "vesica/b", "in different places"),
+        (r#"{ "vesica": { "a": [0, 1, 0], "b": [0, 1, 0], "radius": 1 } }"#, "vesica/b", "at different points"),
         (
             r#"{ "vesica": { "a": [0, 1, 0], "b": [0, 0, 0], "radius": 1 } }"#,
             "vesica/radius",
@@ -368,7 +368,7 @@ fn numbers_that_contradict_each_other_are_rejected_with_a_cure() {
 }
 
 #[test]
-fn following_the_cure_of_a_quad_makes_it_flat() {
+fn applying_the_fix_of_a_quad_makes_it_flat() {
     let quad = |d: &str| {
         faults(&format!(
             r#"{{ "quad": {{ "a": [0, 0, 0], "b": [1, 0.2, 0], "c": [1.5, 1.1, 0.3], "d": {d}, "radius": 0.1 }} }}"#

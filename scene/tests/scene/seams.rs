@@ -1,5 +1,5 @@
-//! The seams of joined shapes, at places where they are known: two planes at right angles, whose
-//! distances are a point's x and y.
+//! Seams of joined shapes, at points where they are known: two planes at right angles, whose distances are a point's x
+//! and y.
 
 use std::f32::consts::{FRAC_1_SQRT_2, SQRT_2};
 
@@ -13,7 +13,7 @@ fn node(text: &str) -> Node {
     serde_json::from_str(text).expect("a node")
 }
 
-/// Two planes joined, and the signs of x and y that take the other kinds to a union, and back.
+/// Two joined planes, and the signs of x and y that turn the other kinds into a union, and back.
 fn each_kind(name: &str, rest: &str, mut check: impl FnMut(&str, &dyn Fn(f32, f32) -> f32)) {
     for (kind, x, y) in [("union", 1.0, 1.0), ("intersection", -1.0, -1.0), ("difference", -1.0, 1.0)] {
         let joined = node(&format!(r#"{{ "{name}": {{ "kind": "{kind}", "size": 1, {rest} "of": [{X}, {Y}] }} }}"#));
@@ -37,7 +37,7 @@ fn a_bevel_cuts_the_corner_at_its_size() {
 }
 
 #[test]
-fn a_flight_has_as_many_edges_as_steps() {
+fn a_flight_has_one_edge_per_step() {
     for steps in [1, 2, 5] {
         each_kind("stairs", &format!(r#""steps": {steps},"#), |kind, at| {
             let step = 1.0 / (steps + 1) as f32;
@@ -55,7 +55,7 @@ fn a_flight_has_as_many_edges_as_steps() {
 }
 
 #[test]
-fn a_row_has_as_many_columns_as_said() {
+fn a_row_has_the_given_number_of_columns() {
     for columns in [1, 2, 3, 6] {
         each_kind("columns", &format!(r#""columns": {columns},"#), |kind, at| {
             let count = columns as f32;
@@ -63,7 +63,7 @@ fn a_row_has_as_many_columns_as_said() {
             let rooms = if is_union { count } else { count - 1.0 };
             let radius = SQRT_2 / (2.0 * rooms + SQRT_2);
             let depth = if is_union { FRAC_1_SQRT_2 - radius * SQRT_2 } else { (1.0 + radius) * FRAC_1_SQRT_2 };
-            // Columns stand out of the bevel of a union, and are left standing where others are cut.
+            // Columns protrude from the bevel of a union, and remain where others are cut.
             let sign = if is_union { 1.0 } else { -1.0 };
             for number in 0..columns {
                 let along = (number as f32 - 0.5 * (count - 1.0)) * 2.0 * radius;
@@ -83,7 +83,7 @@ fn a_row_has_as_many_columns_as_said() {
 }
 
 #[test]
-fn a_seam_goes_from_one_material_to_the_other() {
+fn a_seam_blends_from_one_material_to_the_other() {
     for (name, rest) in [("chamfer", ""), ("stairs", r#""steps": 2,"#), ("columns", r#""columns": 2,"#)] {
         for (kind, x, y) in [("union", 1.0, 1.0), ("intersection", -1.0, -1.0), ("difference", -1.0, 1.0)] {
             let painted =
@@ -102,7 +102,7 @@ fn a_seam_goes_from_one_material_to_the_other() {
 }
 
 #[test]
-fn an_engraving_is_as_deep_as_said_and_twice_as_wide() {
+fn an_engraving_has_its_depth_and_twice_its_width() {
     let engraved = node(&format!(r#"{{ "engrave": {{ "depth": 0.2, "of": [{X}, {Y}] }} }}"#));
     let grooved = node(&format!(r#"{{ "groove": {{ "depth": 0.3, "width": 0.2, "of": [{X}, {Y}] }} }}"#));
     let ridged = node(&format!(r#"{{ "tongue": {{ "height": 0.3, "width": 0.2, "of": [{X}, {Y}] }} }}"#));
@@ -121,7 +121,7 @@ fn an_engraving_is_as_deep_as_said_and_twice_as_wide() {
 }
 
 #[test]
-fn a_morph_starts_and_ends_at_its_shapes_and_xor_is_the_parity() {
+fn morphs_end_at_their_shapes_and_xor_is_parity() {
     let shapes = [
         r#"{ "sphere": { "radius": 0.8 } }"#,
         r#"{ "box": { "size": [1, 2, 0.5] } }"#,

@@ -1,8 +1,8 @@
 //! The physically based material against its own mathematics: energy, reciprocity, edges, sampling.
 //!
-//! What is expected is computed here in `f64`, from the published formulas and by another quadrature.
+//! Expected values are computed here in `f64`, from the published formulas and by another quadrature.
 
-#![expect(clippy::disallowed_methods, reason = "what is expected is computed in f64 by std's functions")]
+#![expect(clippy::disallowed_methods, reason = "expected values are computed in f64 by std's functions")]
 
 use std::f64::consts::{PI, TAU};
 
@@ -29,7 +29,7 @@ fn at_cosine(cosine: f64) -> V {
     [(1.0 - cosine * cosine).sqrt(), 0.0, cosine]
 }
 
-/// Where a direction goes by a mirror with this normal.
+/// Direction of reflection by a mirror with this normal.
 fn mirrored(v: V, h: V) -> V {
     let twice = 2.0 * dot(v, h);
     [twice * h[0] - v[0], twice * h[1] - v[1], twice * h[2] - v[2]]
@@ -43,7 +43,7 @@ fn surface(parameters: &str) -> Material {
     serde_json::from_str(&format!(r#"{{ "surface": {{ {parameters} }} }}"#)).unwrap()
 }
 
-/// A place whose normal is +z.
+/// A shading point whose normal is +z.
 fn place(to_viewer: V) -> ShadingPoint<f32> {
     let normal = vec3(0.0, 0.0, 1.0);
     let point = vec3(0.1, 0.2, 0.3);
@@ -71,8 +71,8 @@ fn density_of_normals(alpha: f64, cosine: f64) -> f64 {
     alpha * alpha * cosine / (PI * width * width)
 }
 
-/// Directions of light and their weights, evenly spread over `steps`² cells, by half vectors of one
-/// roughness or, where that is none, by the cosine.
+/// Directions of light and their weights, evenly spread over `steps`² cells, by half vectors of one roughness or,
+/// without one, by the cosine.
 fn directions(to_viewer: V, alpha: Option<f64>, steps: u32) -> impl Iterator<Item = V> {
     (0..steps * steps).filter_map(move |cell| {
         let (u, v) = (f64::from(cell / steps) + 0.5, f64::from(cell % steps) + 0.5);
@@ -96,8 +96,8 @@ fn density(to_viewer: V, to_light: V, alpha: Option<f64>) -> f64 {
     density_of_normals(alpha, half[2]) / (4.0 * dot(to_viewer, half))
 }
 
-/// The share of light from all around that a material sends back: the integral of [`answer`] over
-/// the half sphere, divided by π, by several sets of directions weighted by the balance heuristic.
+/// Fraction of ambient light that a material reflects: the integral of [`answer`] over the hemisphere, divided by π,
+/// by several sets of directions weighted by the balance heuristic.
 fn furnace(material: &Material, to_viewer: V, alphas: &[f64], steps: u32) -> f64 {
     let sets: Vec<Option<f64>> = alphas.iter().copied().map(Some).chain([None]).collect();
     let count = f64::from(steps * steps);
@@ -112,7 +112,7 @@ fn furnace(material: &Material, to_viewer: V, alphas: &[f64], steps: u32) -> f64
     sum / count
 }
 
-/// At the normal of a body with this index of refraction.
+/// F0 of a dielectric with this index of refraction.
 fn reflectance(ior: f64) -> f64 {
     ((ior - 1.0) / (ior + 1.0)).powi(2)
 }
@@ -127,8 +127,8 @@ fn lambda(alpha: f64, cosine: f64) -> f64 {
     f64::midpoint(-1.0, (1.0 + alpha * alpha * tangent_squared).sqrt())
 }
 
-/// What single scattering sends back of light from all around, given the reflectance at the normal,
-/// by half vectors over the whole half sphere of normals in slope space.
+/// Ambient light reflected by single scattering, for this F0, by half vectors over the full hemisphere of normals in
+/// slope space.
 fn single_scattering(f0: f64, alpha: f64, to_viewer: V) -> f64 {
     const STEPS: u32 = 400;
     let mut sum = 0.0;
@@ -160,7 +160,7 @@ fn alpha_of(roughness: f64) -> f64 {
 }
 
 #[test]
-fn a_metal_sends_back_all_but_what_single_scattering_loses() {
+fn a_metal_loses_only_multiple_scattering() {
     for roughness in ROUGHNESSES {
         let metal = surface(&format!(r#""base_color": [1, 1, 1], "metallic": 1, "roughness": {roughness}"#));
         let alpha = alpha_of(roughness);
@@ -174,14 +174,14 @@ fn a_metal_sends_back_all_but_what_single_scattering_loses() {
 }
 
 #[test]
-fn a_white_body_sends_back_what_the_border_lets_in_and_mirrors() {
+fn a_white_dielectric_reflects_all_entering_light() {
     for (roughness, ior) in ROUGHNESSES.into_iter().flat_map(|roughness| [(roughness, 1.5), (roughness, 2.4)]) {
         let body = surface(&format!(r#""base_color": [1, 1, 1], "roughness": {roughness}, "ior": {ior}"#));
         let (alpha, f0) = (alpha_of(roughness), reflectance(ior));
         for cosine in COSINES {
             let viewer = at_cosine(cosine);
             let got = furnace(&body, viewer, &[alpha], 160);
-            // All that enters comes out again; what is mirrored is single scattering's.
+            // All light that enters is scattered out again; the reflected light is single scattering's.
             let want = (1.0 - schlick(f0, cosine)) + single_scattering(f0, alpha, viewer);
             assert!((got - want).abs() <= 0.005, "{got} for {want} at {roughness}, {ior}, cosine {cosine}");
             assert!(got <= 1.005, "{got} of 1 at roughness {roughness}, ior {ior}, cosine {cosine}");
@@ -190,7 +190,7 @@ fn a_white_body_sends_back_what_the_border_lets_in_and_mirrors() {
 }
 
 #[test]
-fn no_mixture_of_lobes_sends_back_more_than_arrives() {
+fn no_mixture_of_lobes_reflects_more_than_arrives() {
     for (metallic, coat, coat_roughness) in [(0.0, 1.0, 0.1), (1.0, 1.0, 0.3), (0.5, 0.5, 1.0), (0.5, 0.0, 0.0)] {
         for roughness in ROUGHNESSES {
             let mixed = surface(&format!(
@@ -207,7 +207,7 @@ fn no_mixture_of_lobes_sends_back_more_than_arrives() {
 }
 
 #[test]
-fn a_coat_on_a_white_body_takes_nothing_but_what_single_scattering_loses() {
+fn a_clear_coat_on_white_loses_only_multiple_scattering() {
     for (roughness, cosine) in [0.3, 1.0].into_iter().flat_map(|roughness| COSINES.map(|cosine| (roughness, cosine))) {
         let coated = surface(&format!(
             r#""base_color": [1, 1, 1], "ior": 1, "roughness": {roughness}, "clearcoat": 1, "clearcoat_roughness": {roughness}"#
@@ -220,9 +220,10 @@ fn a_coat_on_a_white_body_takes_nothing_but_what_single_scattering_loses() {
 }
 
 #[test]
-fn light_from_all_around_is_scattered_as_light_from_every_direction_is() {
+fn ambient_light_equals_the_sum_over_directions() {
     for coat in [0.0, 1.0] {
-        // A smooth border and coat: their highlights are left out by being too small for the directions by cosine.
+        // A smooth boundary and clear coat: their highlights have no effect because they are too small for the
+        // directions by cosine.
         let parameters = |ks: &str| format!(r#""base_color": [0.6, 0.6, 0.6], "clearcoat": {coat}{ks}"#);
         let material = surface(&parameters(r#", "roughness": 1"#));
         let none = surface(&parameters(r#", "roughness": 1, "transmission": 1"#));
@@ -287,8 +288,8 @@ fn grazing_directions_give_finite_light() {
 }
 
 #[test]
-fn visible_normals_are_spread_as_their_density_says() {
-    // Mean of some functions over the density G₁·max(v·h, 0)·D/(n·v), Heitz 2018, against that of samples.
+fn sampled_visible_normals_match_their_density() {
+    // Mean of some functions over the density G₁·max(v·h, 0)·D/(n·v), Heitz 2018, compared with that of samples.
     const STEPS: u32 = 256;
     let functions: [fn(V) -> f64; 4] = [|h| h[0], |h| h[2], |h| h[0] * h[0], |h| h[1] * h[1]];
     for (roughness, cosine) in [0.3, 0.6, 1.0].into_iter().flat_map(|r| [1.0, 0.6, 0.2, 0.05].map(|c| (r, c))) {
@@ -324,7 +325,7 @@ fn visible_normals_are_spread_as_their_density_says() {
 }
 
 #[test]
-fn mirrored_samples_weigh_what_single_scattering_sends_back() {
+fn reflected_samples_sum_to_single_scattering() {
     const STEPS: u32 = 200;
     for (roughness, cosine) in ROUGHNESSES.into_iter().flat_map(|r| COSINES.map(|c| (r, c))) {
         let (alpha, viewer) = (alpha_of(roughness), at_cosine(cosine));
@@ -344,7 +345,7 @@ fn mirrored_samples_weigh_what_single_scattering_sends_back() {
 }
 
 #[test]
-fn a_frame_is_of_three_directions_at_right_angles() {
+fn a_frame_has_three_orthogonal_directions() {
     for normal in [[0.0, 0.0, 1.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0], [0.6, -0.64, -0.48], [1e-4, -1e-4, -1.0]] {
         let normal = single(normalize(normal));
         let (x, y) = orthonormal_basis(normal);

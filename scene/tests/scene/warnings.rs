@@ -1,4 +1,4 @@
-//! Scenes that are legal and look wrong say so; the shipped ones have nothing to say.
+//! Warnings: valid scenes with probable mistakes get one; the shipped scenes have none.
 
 use std::path::{Path, PathBuf};
 
@@ -8,7 +8,7 @@ fn job(text: &str) -> Job {
     scene::parse(text.as_bytes()).unwrap_or_else(|refusal| panic!("{refusal}\n{text}"))
 }
 
-/// A job of some objects: `scene` is what stands in its scene beside the camera, `more` what stands behind its image.
+/// A job with some objects: `scene` is added to its scene after the camera, `more` after its image.
 fn seen_from(camera: &str, scene: &str, more: &str) -> Job {
     job(&format!(
         r#"{{ "scene": {{ "camera": {{ {camera} }}, {scene} }}, "image": {{ "width": 64, "height": 48 }}{more} }}"#
@@ -34,7 +34,7 @@ fn filled(material: &str, more: &str) -> Vec<String> {
 fn one(warnings: &[String], words: &[&str]) {
     assert_eq!(warnings.len(), 1, "{warnings:?}");
     for word in words {
-        assert!(warnings[0].contains(word), "{} does not say {word:?}", warnings[0]);
+        assert!(warnings[0].contains(word), "{} does not contain {word:?}", warnings[0]);
     }
 }
 
@@ -70,7 +70,7 @@ fn shipped_scenes_have_no_warnings() {
 }
 
 #[test]
-fn camera_inside_what_is_opaque_is_reported_and_inside_glass_or_mist_is_not() {
+fn camera_inside_an_opaque_object_is_reported() {
     let around = |material: &str| {
         let large = format!(r#"{{ "material": {material}, "shape": {{ "sphere": {{ "radius": 9 }} }} }}"#);
         of_objects(&format!("{SPHERE}, {large}"))
@@ -87,7 +87,7 @@ fn camera_inside_what_is_opaque_is_reported_and_inside_glass_or_mist_is_not() {
 }
 
 #[test]
-fn orthographic_picture_that_starts_inside_something_is_reported() {
+fn orthographic_picture_that_starts_inside_an_object_is_reported() {
     let of = |height: f32| {
         let camera = format!(
             r#""position": [0, 4, 5], "look_at": [0, 0, 0], "projection": {{ "orthographic": {{ "height": {height} }} }}"#
@@ -116,9 +116,9 @@ fn nothing_in_view_is_reported_for_every_projection() {
         let of = |x, y, z| seen_from(camera, &at(x, y, z), "").warnings();
         none(&of(0.0, 0.0, 0.0));
         none(&of(1.0, -1.0, 0.0));
-        one(&of(0.0, 0.0, 50.0), &["outside of the view", "look_at"]);
-        one(&of(90.0, 0.0, 1.0), &["outside of the view"]);
-        one(&of(0.0, -90.0, 1.0), &["outside of the view"]);
+        one(&of(0.0, 0.0, 50.0), &["outside the view", "look_at"]);
+        one(&of(90.0, 0.0, 1.0), &["outside the view"]);
+        one(&of(0.0, -90.0, 1.0), &["outside the view"]);
         one(&of(0.0, 0.0, -2000.0), &["max_distance", "1000"]);
         assert!(of(0.0, 0.0, -990.0).is_empty());
     }
@@ -135,7 +135,7 @@ fn nothing_in_view_is_reported_for_every_projection() {
 }
 
 #[test]
-fn floor_is_out_of_view_only_from_above_the_horizon() {
+fn floor_is_out_of_view_only_above_the_horizon() {
     let floor = r#""objects": [{ "shape": { "plane": { "normal": [0, 1, 0], "offset": 0 } } }],
         "fog": { "density": 0.1 }"#;
     let toward = |y: f32| {
@@ -144,7 +144,7 @@ fn floor_is_out_of_view_only_from_above_the_horizon() {
     };
     none(&toward(1.0));
     none(&toward(2.5));
-    one(&toward(5.0), &["outside of the view"]);
+    one(&toward(5.0), &["outside the view"]);
 }
 
 #[test]
@@ -157,11 +157,11 @@ fn objects_seen_in_later_frames_do_not_warn() {
         seen_from(CAMERA, &objects, r#", "frames": { "count": 11, "fps": 10 }"#).warnings()
     };
     none(&moving(0.0));
-    one(&moving(80.0), &["outside of the view"]);
+    one(&moving(80.0), &["outside the view"]);
 }
 
 #[test]
-fn frame_that_is_wrong_is_named() {
+fn the_frame_of_a_warning_is_named() {
     let camera = r#""position": [0, 0, { "keys": [[0, 5], [1, 0.5]] }], "look_at": [0, 0, -9]"#;
     let objects = format!(r#""objects": [{SPHERE}]"#);
     let warnings = seen_from(camera, &objects, r#", "frames": { "count": 11, "fps": 10 }"#).warnings();
@@ -169,7 +169,7 @@ fn frame_that_is_wrong_is_named() {
 }
 
 #[test]
-fn rays_that_run_out_of_steps_are_reported_with_their_share() {
+fn rays_out_of_steps_are_reported_with_their_fraction() {
     let gyroid = |steps: u32| {
         of(&format!(
             r#""march": {{ "max_steps": {steps} }}, "objects": [{{ "shape": {{ "intersection": {{ "of": [
@@ -190,17 +190,17 @@ fn many_nodes_are_not_probed() {
 }
 
 #[test]
-fn copies_of_copies_without_end_are_reported_and_not_evaluated() {
+fn deeply_nested_copies_are_reported_and_not_evaluated() {
     let nested = |depth: usize| {
         let open = r#"{ "polar_repeat": { "count": 5, "child": "#.repeat(depth);
         of_objects(&format!(r#"{{ "shape": {open}{{ "sphere": {{ "radius": 1 }} }}{} }}"#, " } }".repeat(depth)))
     };
     none(&nested(2));
-    one(&nested(63), &["each look at object 0", "fewer copies"]);
+    one(&nested(63), &["one evaluation of object 0", "fewer copies"]);
 }
 
 #[test]
-fn steps_that_a_shape_makes_tiny_are_reported_with_their_cause() {
+fn tiny_steps_are_reported_with_their_cause() {
     let displaced = |amplitude: f32| {
         of_objects(&format!(
             r#"{SPHERE}, {{ "shape": {{ "union": {{ "of": [{{ "sphere": {{ "radius": 1 }} }},
@@ -213,12 +213,12 @@ fn steps_that_a_shape_makes_tiny_are_reported_with_their_cause() {
 }
 
 #[test]
-fn lights_without_use_and_scenes_without_light_are_reported() {
+fn unused_lights_and_scenes_without_light_are_reported() {
     let flat = r##"{ "flat": { "color": "#808080" } }"##;
     let lit = r#", "lights": [{ "point": { "position": [0, 9, 0] } }]"#;
     none(&filled(flat, ""));
     none(&filled(flat, r#", "lights": []"#));
-    one(&filled(flat, lit), &["lights light nothing"]);
+    one(&filled(flat, lit), &["lights have no effect"]);
     none(&filled(r#"{ "diffuse": {} }"#, lit));
     one(&filled(r#"{ "diffuse": {} }"#, r#", "lights": []"#), &["there is no light"]);
     none(&filled(r#"{ "diffuse": { "ambient": [1, 1, 1] } }"#, r#", "lights": []"#));
@@ -228,7 +228,7 @@ fn lights_without_use_and_scenes_without_light_are_reported() {
 }
 
 #[test]
-fn volume_too_thick_for_its_steps_is_reported_with_enough_steps() {
+fn a_volume_too_dense_is_reported_with_enough_steps() {
     let volume = |density: f32| filled(&format!(r#"{{ "volume": {{ "density": {density} }} }}"#), "");
     none(&volume(20.0));
     // 500 × the diagonal of a cube of 2, over 8.
@@ -238,19 +238,19 @@ fn volume_too_thick_for_its_steps_is_reported_with_enough_steps() {
 }
 
 #[test]
-fn glass_wants_two_bounces() {
+fn glass_needs_two_bounces() {
     let glass = |bounces: u32| {
         let march = format!(r#", "march": {{ "max_bounces": {bounces} }}"#);
         filled(r#"{ "surface": { "transmission": 1 } }"#, &march)
     };
     none(&glass(2));
-    one(&glass(1), &["inside of glass", "max_bounces is 1"]);
+    one(&glass(1), &["inside glass", "max_bounces is 1"]);
     one(&glass(0), &["max_bounces is 0"]);
     none(&filled(r#"{ "surface": { "metallic": 1 } }"#, r#", "march": { "max_bounces": 0 }"#));
 }
 
 #[test]
-fn colors_that_go_to_255_are_reported_with_what_to_write() {
+fn colors_up_to_255_are_reported_with_the_fix() {
     let of = |material: &str| filled(material, "");
     let told = of(r#"{ "surface": { "base_color": [255, 51, 0] } }"#);
     one(&told, &["/surface/base_color", "object 0", "[1, 0.2, 0]", "\"#ff3300\""]);
@@ -283,7 +283,7 @@ fn angles_in_radians_are_reported_with_their_degrees() {
 }
 
 #[test]
-fn texture_that_stays_behind_is_reported_and_one_that_is_painted_on_is_not() {
+fn a_texture_that_does_not_follow_is_reported() {
     const CHECKERS: &str = r#"{ "flat": { "color": { "checker": { "cell": 1 } } } }"#;
     let moved = |material: &str, child: &str| {
         let objects = format!(
@@ -300,7 +300,7 @@ fn texture_that_stays_behind_is_reported_and_one_that_is_painted_on_is_not() {
 }
 
 #[test]
-fn difference_that_leaves_nothing_is_reported() {
+fn an_empty_difference_is_reported() {
     let cut = |first: &str, second: &str| {
         of_objects(&format!(
             r#"{SPHERE}, {{ "shape": {{ "union": {{ "of": [{{ "difference": {{ "of": [{first}, {second}] }} }},
@@ -331,7 +331,7 @@ fn liquid_that_touches_its_glass_is_reported() {
 }
 
 #[test]
-fn metal_before_nothing_is_reported() {
+fn metal_with_a_transparent_background_is_reported() {
     let before = |material: &str, background: &str| filled(material, &format!(r#", "background": {background}"#));
     let (metal, glass) = (r#"{ "surface": { "metallic": 1 } }"#, r#"{ "surface": { "transmission": 1 } }"#);
     one(&before(metal, r#""transparent""#), &["/scene/background", "object 0"]);
@@ -341,7 +341,7 @@ fn metal_before_nothing_is_reported() {
 }
 
 #[test]
-fn more_samples_than_are_seen_are_reported() {
+fn samples_without_visible_effect_are_reported() {
     let of = |samples: u32, more: &str, material: &str| {
         job(&format!(
             r#"{{ "scene": {{ "camera": {{ {CAMERA} }}, "objects": [{{ "material": {material},

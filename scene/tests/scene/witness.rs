@@ -1,4 +1,4 @@
-//! Pictures against what is known by other means: double precision, or a value worked out by hand.
+//! Pictures compared with independent results: double precision, or values calculated by hand.
 
 #![expect(clippy::disallowed_methods, reason = "the witness computes in f64 by std's functions")]
 

@@ -1,4 +1,4 @@
-//! A projection that exists in unit tests alone: what it takes to add one.
+//! Projection that exists in unit tests alone: shows what adding one takes.
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -11,11 +11,11 @@ use crate::real::Real;
 use crate::seek::Seek;
 use crate::values::{FieldOfView, Length};
 
-/// A pinhole through which all is seen lower than it is.
+/// A pinhole with a picture shifted down.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
 #[serde(deny_unknown_fields)]
 pub struct AddedProjection {
-    /// By what part of the picture's height.
+    /// Shift, as a fraction of the picture's height.
     pub shift: Length,
 }
 

@@ -1,4 +1,4 @@
-//! A camera whose rays are parallel.
+//! Orthographic camera, with parallel rays.
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -12,15 +12,15 @@ use crate::real::{Real, Vec3};
 use crate::seek::Seek;
 use crate::values::{FieldOfView, Length};
 
-/// Along parallel rays from a plane through the camera: no size changes with distance.
+/// Parallel rays from a plane through the camera: sizes do not change with distance.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
 #[serde(deny_unknown_fields)]
 pub struct Orthographic {
-    /// From the bottom of the picture to its top, in scene units.
+    /// Height of the picture, in scene units.
     pub height: Length,
 }
 
-/// Places of a picture, along an edge of it, that may be inside something.
+/// Ray origins tested along an edge of the picture for being inside an object.
 const PLACES: u32 = 5;
 
 impl HasExamples for Orthographic {
@@ -29,7 +29,7 @@ impl HasExamples for Orthographic {
 
 impl Project for Orthographic {
     fn validate_fov(&self) -> Option<&'static str> {
-        Some("means nothing in an orthographic picture: leave it out, and choose its height")
+        Some("has no effect in an orthographic picture: remove it, and set the height")
     }
 
     fn extent(&self, _: Option<&FieldOfView>, aspect: f32, height: f32) -> Extent {
@@ -65,6 +65,6 @@ impl Project for Orthographic {
     }
 
     fn inside_warning(&self) -> (&'static str, &'static str) {
-        ("a part of the picture starts inside", "move camera.position back")
+        ("part of the picture starts inside", "move camera.position back")
     }
 }

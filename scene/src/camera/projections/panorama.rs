@@ -1,4 +1,4 @@
-//! A camera that sees all around it.
+//! Panoramic camera, which shows all directions.
 
 use super::{CameraAxes, Extent, Project};
 use crate::bounds::Bounds;
@@ -8,14 +8,14 @@ use crate::march::Tolerance;
 use crate::real::Real;
 use crate::values::FieldOfView;
 
-/// All around the camera, 360 by 180 degrees: longitude across, latitude down (equirectangular);
-/// what it looks at is in the middle.
+/// All around the camera, 360 by 180 degrees: longitude across, latitude down (equirectangular), with `look_at` at the
+/// center.
 #[derive(Clone, Copy, Debug)]
 pub struct Panorama;
 
 impl Project for Panorama {
     fn validate_fov(&self) -> Option<&'static str> {
-        Some("means nothing in a panorama, which sees all: leave it out")
+        Some("has no effect in a panorama, which shows all directions: remove it")
     }
 
     fn extent(&self, _: Option<&FieldOfView>, _: f32, height: f32) -> Extent {

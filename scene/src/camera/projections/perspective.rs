@@ -1,4 +1,4 @@
-//! A pinhole camera.
+//! Perspective camera: a pinhole.
 
 use super::{CameraAxes, Extent, Project};
 use crate::bounds::Bounds;

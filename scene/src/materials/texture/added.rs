@@ -1,4 +1,4 @@
-//! A texture that exists in unit tests alone: what it takes to add one.
+//! Texture that exists in unit tests alone: shows what adding one takes.
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -9,13 +9,13 @@ use crate::real::{Real, Vec3};
 use crate::seek::Seek;
 use crate::values::Length;
 
-/// A color that rises from black along z, again in each period.
+/// A color that rises from black along z, repeated with a period.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
 #[serde(deny_unknown_fields)]
 pub struct AddedTexture {
-    /// The length of a period.
+    /// Length of a period.
     pub period: Length,
-    /// The color at the brightest.
+    /// Color at the end of a period.
     pub color: ColorParam,
 }
 

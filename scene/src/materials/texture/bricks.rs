@@ -1,4 +1,4 @@
-//! Bricks or tiles with mortar between them, on every side of a body.
+//! Bricks or tiles with mortar between them, on every side of a shape.
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -12,9 +12,9 @@ use crate::real::{Real, Vec3, vec3};
 use crate::seek::Seek;
 use crate::values::{Fraction, Length, LengthOrZero};
 
-/// Bricks in rows with mortar between them; tiles where rows do not move.
+/// Bricks in rows with mortar between them, or tiles if rows are not shifted.
 ///
-/// The flat pattern is laid along all three axes and blended by the normal: triplanar mapping
+/// The flat pattern is projected along all three axes and blended by the normal: triplanar mapping
 /// (Ryan Geiss, "Generating complex procedural terrains using the GPU", GPU Gems 3, 2007, chapter 1,
 /// <https://developer.nvidia.com/gpugems/gpugems3/part-i-geometry/chapter-1-generating-complex-procedural-terrains-using-gpu>).
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
@@ -26,7 +26,7 @@ pub struct Bricks {
     /// Width of the mortar.
     #[serde(default = "default_mortar")]
     pub mortar: LengthOrZero,
-    /// How far a row moves against the one below, as a share of a brick's width.
+    /// Shift of a row relative to the row below, as a fraction of a brick's width.
     #[serde(default = "default_shift")]
     pub shift: Fraction,
     /// Each brick has a color between these two.
@@ -46,12 +46,12 @@ impl HasExamples for Bricks {
         "colors": ["#2f6f8f", "#8cc7c1"], "mortar_color": "#f2f0e6" }"##];
 }
 
-/// What the flat pattern shows.
+/// Sample of the flat pattern: brick mask, color position.
 type BrickSample<R> = (R, R);
 
 impl Bricks {
-    /// At a point of the plane, of which a footprint is seen: 1 in a brick and 0 in mortar; and where between its
-    /// two colors the brick's is.
+    /// Sample at a point of the plane with a footprint: 1 in a brick and 0 in mortar, and the position of the brick's
+    /// color between its two colors.
     #[inline(always)]
     fn sample_plane<R: Real>(&self, across: (R, R), up: (R, R), plane: u32) -> BrickSample<R> {
         let (width, height) = (self.size[0].get(), self.size[1].get());
@@ -65,12 +65,12 @@ impl Bricks {
         (inside, (random(column, row, plane) - 0.5).mul_add(kept, u.constant(0.5)))
     }
 
-    /// The share of brick along one edge of it, `part` of whose length has passed, where a footprint is seen.
+    /// Fraction of brick along one edge of it, at the fraction `part` of its length, averaged over a footprint.
     #[inline(always)]
     fn inside<R: Real>(&self, part: R, length: f32, seen: R) -> R {
         let half = part.uniform(0.5 * self.mortar.get());
         let window = softened(self.softness.get(), seen);
-        // The fraction of the window before a distance from the joint's middle: mortar is between the joint's edges.
+        // Fraction of the footprint before a distance from the joint's center: mortar is between the joint's edges.
         let from_middle = (part - 0.5).abs().mul_add(part.uniform(-length), part.uniform(0.5 * length));
         let before = |edge: R| ((edge - from_middle) / window + 0.5).at_least(0.0).at_most(1.0);
         let mortar = before(half) - before(-half);
@@ -80,13 +80,13 @@ impl Bricks {
     }
 }
 
-/// A number from 0 to 1 for each brick of a plane.
+/// A pseudorandom number from 0 to 1 for each brick of a plane.
 ///
 /// The hash is Chris Wellons' lowbias32, "Prospecting for hash functions", 2018,
 /// <https://nullprogram.com/blog/2018/07/31/>.
 #[inline(always)]
 fn random<R: Real>(column: R, row: R, plane: u32) -> R {
-    /// 1.5·2²³: added to a whole number of up to seven digits, it leaves it in the low bits.
+    /// 1.5·2²³: added to an integer of up to seven digits, it leaves the integer in the low bits.
     const INTEGER_BIAS: f32 = 12_582_912.0;
     let word = (column + INTEGER_BIAS).to_bits() * 0x9e37_79b1 + (row + INTEGER_BIAS).to_bits() * 0x85eb_ca77 + plane;
     let word = (word ^ (word >> 16)) * 0x7feb_352d;
@@ -99,7 +99,7 @@ impl Pattern for Bricks {
     #[inline(always)]
     fn color<R: Real>(&self, place: &ShadingPoint<R>) -> Vec3<R> {
         let p = place.local_point;
-        // A face that is turned away by more than 73° shows nothing of a plane.
+        // A face more than 73° away from a plane's normal shows nothing of that plane.
         let weights = place.local_normal.map(
             #[inline(always)]
             |n| (n.abs() - 0.3).at_least(0.0).square(),
@@ -171,7 +171,7 @@ mod tests {
     }
 
     #[test]
-    fn mortar_lies_between_bricks_and_rows_move() {
+    fn mortar_is_between_bricks_and_rows_are_shifted() {
         let mortar = |x, y| wall(x, y).z;
         assert_eq!(
             [mortar(0.5, 0.25), mortar(0.94, 0.25), mortar(0.97, 0.25), mortar(1.03, 0.25)],

@@ -1,4 +1,4 @@
-//! Cubes or squares of two colors by turns.
+//! Alternating cubes or squares of two colors.
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -11,13 +11,13 @@ use crate::real::{Real, Vec3, vec3};
 use crate::seek::Seek;
 use crate::values::{Length, LengthOrZero};
 
-/// Cubes of two colors by turns, or squares where only two axes count.
+/// Alternating cubes of two colors, or squares if only two axes are selected.
 ///
-/// A flat face that lies in a border between cubes shows both colors: leave its axis out, or move the cubes.
+/// A flat face in a border between cubes shows both colors: remove its axis, or translate the cubes.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
 #[serde(deny_unknown_fields)]
 pub struct Checker {
-    /// Edge of a cube or square; corners lie at multiples of it.
+    /// Edge of a cube or square; corners are at multiples of it.
     pub cell: Length,
     /// The two colors.
     #[serde(default = "default_colors")]
@@ -25,7 +25,7 @@ pub struct Checker {
     /// Width of the transition at a border.
     #[serde(default = "default_softness")]
     pub softness: LengthOrZero,
-    /// The axes along which colors change.
+    /// Axes along which colors change.
     #[serde(default)]
     pub axes: Axes,
 }
@@ -56,7 +56,7 @@ impl HasExamples for Checker {
 }
 
 impl Checker {
-    /// Which kind of cell a coordinate lies in: 1 or −1, and between on a border.
+    /// Parity of a coordinate's cell: 1 or −1, and in between on a border.
     #[inline(always)]
     fn parity<R: Real>(&self, x: R, seen: R) -> R {
         square_wave(x, self.cell.get(), self.softness.get(), seen)
@@ -110,7 +110,7 @@ mod tests {
     }
 
     #[test]
-    fn a_soft_border_goes_evenly_over_its_width() {
+    fn a_soft_border_is_linear_over_its_width() {
         let checker: Checker = serde_json::from_str(r#"{ "cell": 1, "softness": 0.2, "axes": "xz" }"#).unwrap();
         let brightness = |x: f32| checker.color(&at(x, 7.3, 0.5)).x;
         for (x, want) in [(0.5, 0.0), (0.89, 0.0), (0.95, 0.25), (1.0, 0.5), (1.05, 0.75), (1.11, 1.0)] {

@@ -1,4 +1,4 @@
-//! A ramp of colors by where a place is, or how it lies.
+//! A color ramp by position, normal, distance or view angle.
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -9,26 +9,26 @@ use crate::real::{Real, Vec3, vec3};
 use crate::seek::Seek;
 use crate::values::{Direction, LengthOrZero, Point};
 
-/// A ramp of colors by position, normal, distance or angle of view.
+/// A color ramp by position, normal, distance or view angle.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
 #[serde(deny_unknown_fields)]
 pub struct Gradient {
-    /// What decides.
+    /// Quantity that decides the position on the ramp.
     pub by: GradientBy,
     /// The colors.
     #[serde(default = "Ramp::black_to_white")]
     pub ramp: Ramp,
 }
 
-/// What a gradient goes by.
+/// Quantity that a gradient follows.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
 #[serde(rename_all = "snake_case", deny_unknown_fields)]
 pub enum GradientBy {
-    /// The way from one point to another.
+    /// Position between two points.
     Position {
-        /// Where the ramp starts.
+        /// Point where the ramp starts.
         from: Point,
-        /// Where it ends.
+        /// Point where it ends.
         to: Point,
     },
     /// The distance from a point.
@@ -42,7 +42,7 @@ pub enum GradientBy {
         /// Distance where it ends.
         to: LengthOrZero,
     },
-    /// The normal: the ramp starts where it points away from a direction and ends where it points along it.
+    /// The normal: the ramp starts where it points opposite to a direction and ends where it points along it.
     Normal {
         /// The direction; of any length.
         direction: Direction,
@@ -54,7 +54,7 @@ pub enum GradientBy {
         /// Distance where it ends.
         to: LengthOrZero,
     },
-    /// The angle of view: the ramp starts where the surface is seen edge on and ends where it faces the viewer.
+    /// The view angle: the ramp starts where the surface is seen edge-on and ends where it faces the viewer.
     Facing {},
 }
 
@@ -71,20 +71,20 @@ impl HasExamples for Gradient {
     ];
 }
 
-/// How steeply a share rises between two distances, which may be in either order.
+/// Slope of a fraction that rises between two distances, which may be in either order.
 fn slope(from: f32, to: f32) -> f32 {
     let way = to - from;
     if way < 0.0 { 1.0 / way.min(-1e-6) } else { 1.0 / way.max(1e-6) }
 }
 
-/// 0 where `x` is `from`, 1 where it is `to`.
+/// 0 if `x` is `from`, 1 if it is `to`.
 #[inline(always)]
 fn between<R: Real>(x: R, from: &LengthOrZero, to: &LengthOrZero) -> R {
     (x - x.uniform(from.get())) * x.uniform(slope(from.get(), to.get()))
 }
 
 impl GradientBy {
-    /// The place on the ramp.
+    /// Position on the ramp.
     #[inline(always)]
     fn position<R: Real>(&self, place: &ShadingPoint<R>) -> R {
         let like = place.normal.x;
@@ -161,7 +161,7 @@ mod tests {
     }
 
     #[test]
-    fn a_way_of_no_length_has_one_color_on_each_side() {
+    fn a_gradient_of_length_0_has_two_colors() {
         let distance = r#"{ "distance": { "from": 2, "to": 2 } }"#;
         let away = |distance_away| brightness(distance, &ShadingPoint { camera_t: distance_away, ..at(0.0, 0.0, 0.0) });
         assert_eq!([away(1.9), away(2.1)], [0.0, 1.0]);

@@ -1,4 +1,4 @@
-//! Textures made of noise: plain, as marble and as wood.
+//! Textures from noise: plain, marble and wood.
 //!
 //! Bands bent by noise are Ken Perlin's marble ("An image synthesizer", SIGGRAPH 1985) and, as rings,
 //! Darwyn Peachey's wood ("Solid texturing of complex surfaces", SIGGRAPH 1985).
@@ -15,7 +15,7 @@ use crate::real::{Real, Vec3};
 use crate::seek::Seek;
 use crate::values::{Direction, Length, LengthOrZero};
 
-/// A noise through a ramp of colors: 0 is the least value that the noise can have, 1 the greatest.
+/// A noise mapped to a color ramp: 0 is the minimum of the noise, 1 its maximum.
 ///
 /// Sums of octaves rarely come near the ends: put stops between 0.25 and 0.75 for strong colors.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
@@ -28,17 +28,17 @@ pub struct NoiseRamp {
     pub ramp: Ramp,
 }
 
-/// Bands of a ramp of colors, to its end and back, bent by a noise.
+/// Bands of a color ramp, to its end and back, distorted by a noise.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
 #[serde(deny_unknown_fields)]
 pub struct Marble {
-    /// Across the bands; of any length.
+    /// Direction across the bands; of any length.
     #[serde(default = "x_axis")]
     pub direction: Direction,
     /// Width of a band: from the ramp's start to its end and back.
     #[serde(default = "default_width")]
     pub width: Length,
-    /// How many bands the noise shifts them by, where it is 1.
+    /// Shift of the bands by a noise value of 1, in bands.
     #[serde(default = "default_strength")]
     pub strength: LengthOrZero,
     /// The noise.
@@ -49,30 +49,30 @@ pub struct Marble {
     pub ramp: Ramp,
 }
 
-/// Rings around an axis, bent by a noise that is drawn out along it: slowly through a ramp of colors, and fast back.
+/// Rings around an axis, distorted by a noise that is elongated along it: slowly through a color ramp, and fast back.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
 #[serde(deny_unknown_fields)]
 pub struct Wood {
-    /// Along the trunk, whose middle passes through the origin; of any length.
+    /// Direction along the trunk, whose center passes through the origin; of any length.
     #[serde(default = "y_axis")]
     pub direction: Direction,
-    /// Width of a year's ring.
+    /// Width of an annual ring.
     #[serde(default = "default_ring")]
     pub width: Length,
-    /// How many rings the noise shifts them by, where it is 1.
+    /// Shift of the rings by a noise value of 1, in rings.
     #[serde(default = "default_strength")]
     pub strength: LengthOrZero,
     /// The noise.
     #[serde(default = "default_wood_noise")]
     pub noise: Noise,
-    /// The colors, from a year's early wood to its late wood.
+    /// The colors, from a ring's earlywood to its latewood.
     #[serde(default = "default_wood_ramp")]
     pub ramp: Ramp,
 }
 
-/// How many times longer than wide the noise of wood is.
+/// Elongation of the wood noise along the trunk.
 const GRAIN_STRETCH: f32 = 6.0;
-/// Part of a year's ring that is early wood.
+/// Fraction of an annual ring that is earlywood.
 const EARLYWOOD_FRACTION: f32 = 0.85;
 
 impl HasExamples for NoiseRamp {
@@ -184,7 +184,7 @@ mod tests {
     use crate::materials::texture::tests::at;
 
     #[test]
-    fn marble_without_strength_is_even_bands() {
+    fn marble_without_strength_is_straight_bands() {
         let text = r#"{ "strength": 0, "width": 2, "ramp": [[0, [0, 0, 0]], [1, [1, 1, 1]]] }"#;
         let marble: Marble = serde_json::from_str(text).unwrap();
         let brightness = |x: f32| marble.color(&at(x, 0.7, -0.3)).x;
@@ -201,7 +201,7 @@ mod tests {
     }
 
     #[test]
-    fn the_ends_of_a_noise_are_the_ends_of_its_ramp() {
+    fn the_range_of_a_noise_spans_its_ramp() {
         let text = r#"{ "noise": { "cellular": {} }, "ramp": [[0, [1, 0, 0]], [1, [0, 1, 0]]] }"#;
         let texture: NoiseRamp = serde_json::from_str(text).unwrap();
         let colors = (0..4_000).map(|i| texture.color(&at(i as f32 * 0.173, i as f32 * 0.041, 0.0)));

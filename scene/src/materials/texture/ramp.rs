@@ -1,4 +1,4 @@
-//! A ramp of colors: what turns a number into a color.
+//! A color ramp: maps a number to a color.
 
 use std::borrow::Cow;
 use std::fmt;
@@ -14,14 +14,14 @@ use crate::real::{Real, Vec3};
 use crate::seek::{FrameTime, Seek, SeekError};
 use crate::values::Fraction;
 
-/// The narrowest way from a stop to the next: two stops in one place make an edge of this width.
+/// Minimum width between stops: two stops at one position make an edge of this width.
 const MIN_STEP: f32 = 1e-6;
 
-/// Colors at numbers from 0 to 1, in order, and straight ways between them.
+/// Colors at numbers from 0 to 1, in order, interpolated linearly between them.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Ramp(Vec<RampStop>);
 
-/// A color on a ramp: `[place, color]`.
+/// A color on a ramp: `[position, color]`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
 pub struct RampStop(pub Fraction, pub ColorParam);
 
@@ -32,7 +32,7 @@ impl Ramp {
         Self(vec![end(0.0, ColorParam::black()), end(1.0, ColorParam::white())])
     }
 
-    /// The color at `share`; before the first stop that one's, behind the last that one's.
+    /// Color at `share`; before the first stop that stop's color, after the last stop the last's.
     #[inline(always)]
     pub fn at<R: Real>(&self, share: R, place: &ShadingPoint<R>) -> Vec3<R> {
         let mut color = self.0[0].1.at(place);
@@ -53,7 +53,7 @@ impl Ramp {
 
 fn out_of_order(before: &RampStop, stop: &RampStop) -> String {
     format!(
-        "is at {}, before the stop at {} that it follows: put stops in order, from 0 to 1",
+        "is at {}, less than the stop before it at {}: put stops in order, from 0 to 1",
         stop.0.get(),
         before.0.get()
     )
@@ -71,7 +71,7 @@ impl Seek for Ramp {
     }
 }
 
-/// Reads a stop that may not be before another.
+/// Deserializes a stop that must not be before another.
 struct RampStopSeed<'a>(Option<&'a RampStop>);
 
 impl<'de> DeserializeSeed<'de> for RampStopSeed<'_> {
@@ -86,7 +86,7 @@ impl<'de> DeserializeSeed<'de> for RampStopSeed<'_> {
     }
 }
 
-/// Reads the stops of a ramp.
+/// Deserializes the stops of a ramp.
 struct RampVisitor;
 
 impl<'de> Visitor<'de> for RampVisitor {
@@ -101,13 +101,14 @@ impl<'de> Visitor<'de> for RampVisitor {
         while let Some(stop) = list.next_element_seed(RampStopSeed(stops.last()))? {
             stops.push(stop);
             if stops.len() > MAX_RAMP_STOPS {
-                let message = format_args!("has more than {MAX_RAMP_STOPS} stops: leave some out");
+                let message = format_args!("has more than {MAX_RAMP_STOPS} stops: remove some");
                 return Err(A::Error::custom(message));
             }
         }
         if stops.len() < 2 {
             let count = stops.len();
-            let message = format_args!("has {count} of at least 2 stops: for one color write it without a texture");
+            let message =
+                format_args!("has {count} of at least 2 stops: for a single color, write the color without a texture");
             return Err(A::Error::custom(message));
         }
         Ok(Ramp(stops))

@@ -12,11 +12,11 @@ use crate::real::{Real, Vec3};
 use crate::seek::Seek;
 use crate::values::{Direction, Length, LengthOrZero};
 
-/// Flat layers of two colors by turns.
+/// Flat layers of two alternating colors.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
 #[serde(deny_unknown_fields)]
 pub struct Stripes {
-    /// Across the stripes; of any length.
+    /// Direction across the stripes; of any length.
     #[serde(default = "x_axis")]
     pub direction: Direction,
     /// Width of one stripe; one starts at the origin.

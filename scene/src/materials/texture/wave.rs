@@ -1,10 +1,10 @@
-//! Waves and edges that patterns are made of.
+//! Waves and edges for patterns.
 
 use crate::limits::MIN_LENGTH;
 use crate::real::Real;
 
-/// How far `x` is from the nearest border between bands of a width, positive in the bands that
-/// start at even multiples of it.
+/// Distance of `x` from the nearest border between bands of a width, positive in the bands that start at even
+/// multiples of it.
 #[inline(always)]
 pub(super) fn bands<R: Real>(x: R, width: f32) -> R {
     let period = 2.0 * width;
@@ -14,29 +14,29 @@ pub(super) fn bands<R: Real>(x: R, width: f32) -> R {
     ((part - 0.5).abs() - 0.25) * x.uniform(-period)
 }
 
-/// The share of itself that a pattern keeps where `width` of it is seen at once: all up to half of its period,
-/// nothing from its whole period on, where each value is as likely as the other.
+/// Contrast of a pattern averaged over `width`: all up to half of its period, none from a full period on, because both
+/// colors are then equally likely.
 #[inline(always)]
 pub(super) fn kept<R: Real>(width: R, period: f32) -> R {
     width.mul_add(width.uniform(-2.0 / period), width.constant(2.0)).at_least(0.0).at_most(1.0)
 }
 
-/// A border `softness` wide, seen through a footprint of `width`.
+/// A border `softness` wide, averaged over a footprint of `width`.
 #[inline(always)]
 pub(super) fn softened<R: Real>(softness: f32, width: R) -> R {
     let softness = width.uniform(softness.max(MIN_LENGTH));
     width.square_add(softness.square()).sqrt()
 }
 
-/// By turns 1 and −1 in bands of a width, the first from 0 on, with borders `softness` wide, as a footprint of
-/// `seen` shows it.
+/// Alternating 1 and −1 in bands of a width, the first from 0 on, with borders `softness` wide, averaged over a
+/// footprint of `seen`.
 #[inline(always)]
 pub(super) fn square_wave<R: Real>(x: R, width: f32, softness: f32, seen: R) -> R {
     let slope = x.constant(2.0) / softened(softness, seen);
     (bands(x, width) * slope).at_least(-1.0).at_most(1.0) * kept(seen, 2.0 * width)
 }
 
-/// From 0 at whole turns to 1 at half turns and back, smoothly: within 0.01 of (1 − cos 2πx)/2, at any size of x.
+/// Smooth wave: 0 at integer x, 1 at half-integer x; within 0.01 of (1 − cos 2πx)/2, at any size of x.
 #[inline(always)]
 pub(super) fn smooth_wave<R: Real>(turns: R) -> R {
     let part = turns - turns.floor();

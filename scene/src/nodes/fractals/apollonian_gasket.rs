@@ -11,8 +11,8 @@ use crate::real::{Real, Vec3, vec3};
 use crate::seek::Seek;
 use crate::values::Length;
 
-/// The Apollonian gasket in space: a ball packed with four equal balls that touch, and every gap with the
-/// largest ball that fits, for ever.
+/// The Apollonian gasket in space: a ball packed with four equal balls that touch, and every remaining space with the
+/// largest ball that fits, to infinity.
 ///
 /// The packing is Frederick Soddy's, "The bowl of integers and the hexlet", Nature 139, 1937, and its group of
 /// inversions David W. Boyd's, "The osculatory packing of a three dimensional sphere", Canadian Journal of
@@ -35,17 +35,17 @@ const BALL_CENTER: f32 = std::f32::consts::FRAC_1_SQRT_2;
 const HULL_RADIUS: f32 = 2.224_744_9;
 /// Square of the radius of the sphere through the points where the four touch.
 const CORE_RADIUS_SQUARED: f32 = 0.5;
-/// Square of a radius within the ball in the middle, which the hull is inverted to, of radius ½/HULL.
+/// Square of a radius inside the center ball, whose radius is ½/`HULL_RADIUS` and to which the hull is inverted.
 const INNER_RADIUS_SQUARED: f32 = 0.02;
-/// Coordinates of the middle of the sphere through the points where the hull and three balls touch, which leaves
-/// out that of (1, 1, 1): at right angles to all of them, its middle is (1/2 + HULL²)·√(3/2) away from the
+/// Coordinates of the center of the sphere through the points where the hull touches three of the balls, without the
+/// ball toward (1, 1, 1). It is at right angles to all of them, so its center is (1/2 + `HULL_RADIUS`²)·√(3/2) from the
 /// origin.
 const OUTER_CENTER: f32 = -3.853_372_6;
-/// Square of that sphere's radius: 3·FAR² − HULL².
+/// Square of that sphere's radius: 3·`OUTER_CENTER`² − `HULL_RADIUS`².
 const FAR_SQUARED: f32 = 39.595_917;
 /// Distance from the hull within which the estimate is used, in radii of the hull.
 const MARGIN: f32 = 0.25;
-/// Further from anything than any ball.
+/// Greater than any distance from a ball.
 const NOWHERE: f32 = 1e3;
 
 impl Primitive for ApollonianGasket {
@@ -67,8 +67,8 @@ impl Primitive for ApollonianGasket {
         Exactness::Estimate
     }
 
-    /// Ratio of the estimate (distance from a ball at its last position over the derivative) to the
-    /// distance from the original ball: tested against a list of all balls.
+    /// Maximum ratio of the estimate (distance from a ball at its last position over the derivative) to the distance
+    /// from the original ball: tested against a list of all balls.
     fn lipschitz(&self) -> f32 {
         1.25
     }
@@ -94,7 +94,7 @@ impl ApollonianGasket {
             (start, one, one.constant(NOWHERE)),
             #[inline(always)]
             |(place, slope, hull)| {
-                // Away from (1, 1, 1), to where the sphere that leaves out its ball is.
+                // Opposite to (1, 1, 1), toward the center of the sphere that leaves out that ball.
                 let away = -folds::tetrahedral(-place) - far;
                 let squared = away.length_squared();
                 let outer =
@@ -105,8 +105,7 @@ impl ApollonianGasket {
                 let is_deep = squared.below(INNER_RADIUS_SQUARED);
                 let inner = one.constant(CORE_RADIUS_SQUARED) / squared.at_least(INNER_RADIUS_SQUARED);
                 let inner = R::select(is_in_core & !is_deep, inner, one);
-                // From then on the hull stands for a ball inside; deep in that ball no
-                // inversion is needed.
+                // From here on the hull represents a ball inside; deep inside that ball no inversion is needed.
                 let hull = R::select(is_in_core, one.constant(HULL_RADIUS), hull);
                 let hull = R::select(is_deep, -one, hull);
                 let slope = (slope * outer * inner).at_most(MAX_DERIVATIVE);
@@ -124,7 +123,7 @@ impl ApollonianGasket {
 mod tests {
     use super::*;
 
-    /// A sphere, where the four balls have radius 1.
+    /// A sphere, in units in which the four balls have radius 1.
     #[derive(Clone, Copy)]
     struct Ball {
         middle: Vec3<f32>,
@@ -149,7 +148,7 @@ mod tests {
         }
     }
 
-    /// All balls made by `inversions` inversions, except those smaller than `least`.
+    /// All balls after `inversions` inversions, except those smaller than `least`.
     fn packing(inversions: u32, least: f32) -> Vec<Ball> {
         let mut mirrors = vec![ball([0.0; 3], 0.0, CORE_RADIUS_SQUARED.sqrt())];
         mirrors.extend(CORNERS.map(|corner| ball(corner, OUTER_CENTER, FAR_SQUARED.sqrt())));
@@ -195,11 +194,11 @@ mod tests {
     }
 
     #[test]
-    fn no_estimate_is_more_than_the_distance_to_the_nearest_of_all_balls() {
+    fn no_estimate_exceeds_the_distance_to_the_nearest_ball() {
         let balls = packing(8, 0.06);
         for iterations in [1, 2, 3] {
             let gasket = ApollonianGasket { radius: Length::new(HULL_RADIUS).unwrap(), iterations };
-            // Few inversions do not lead to all balls.
+            // A few inversions do not reach all balls.
             let solid: Vec<&Ball> = balls.iter().filter(|ball| gasket.distance(ball.middle) < 0.0).collect();
             let (mut outside, mut worst) = (0, (0.0, vec3(0.0, 0.0, 0.0)));
             for p in places() {
@@ -213,7 +212,7 @@ mod tests {
                     worst = if value / nearest > worst.0 { (value / nearest, p) } else { worst };
                 }
             }
-            assert!(outside > 1_000, "only {outside} places are in gaps");
+            assert!(outside > 1_000, "only {outside} points are outside all balls");
             assert!(worst.0 <= Primitive::lipschitz(&gasket), "{worst:?} with {iterations} iterations");
         }
     }

@@ -1,9 +1,9 @@
-//! Reflections that fold space onto a part of it: each keeps lengths, and none tears.
+//! Reflections that fold space onto a part of it: each preserves lengths and is continuous.
 
 use crate::real::{Real, Vec3, vec3};
 
-/// Of a point and its mirror image across the plane between two corners of a tetrahedron, (1, 1, 1) and
-/// another, the one nearer to (1, 1, 1). `a` and `b` are the coordinates in which the corners differ.
+/// The nearer to (1, 1, 1) of a point and its mirror image across the plane between two corners of a tetrahedron, (1,
+/// 1, 1) and another. `a` and `b` are the coordinates in which the corners differ.
 #[inline(always)]
 fn to_corner<R: Real>(a: R, b: R) -> (R, R) {
     let is_beyond = (a + b).below(0.0);
@@ -29,7 +29,7 @@ pub(super) fn octahedral<R: Real>(p: Vec3<R>) -> Vec3<R> {
     vec3(x, y.max(z), y.min(z))
 }
 
-/// The middle one of three numbers.
+/// The median of three numbers.
 #[inline(always)]
 pub(super) fn middle<R: Real>(p: Vec3<R>) -> R {
     p.x.min(p.y).max(p.x.max(p.y).min(p.z))

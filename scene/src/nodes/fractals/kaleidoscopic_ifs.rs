@@ -25,7 +25,7 @@ pub struct KaleidoscopicIfs {
     pub folds: KaleidoscopicFolds,
     /// Growth of each iteration: 2 and 3 give the classical shapes.
     pub scale: GrowthFactor,
-    /// The point that stays in its place. The ball around the origin through it holds the shape.
+    /// The fixed point of the growth. The ball around the origin through it contains the shape.
     pub offset: Point,
     /// A rotation before the folds.
     #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -43,12 +43,13 @@ pub struct KaleidoscopicIfs {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema, Seek)]
 #[serde(rename_all = "snake_case")]
 pub enum KaleidoscopicFolds {
-    /// The mirrors between a corner of a tetrahedron and the others: with offset (1, 1, 1), Sierpiński's tetrahedron.
+    /// The mirror planes between a corner of a tetrahedron and the others: with offset (1, 1, 1), Sierpiński's
+    /// tetrahedron.
     Tetrahedral,
-    /// All mirrors of a cube: with offset (1, 0, 0), Sierpiński's octahedron.
+    /// All mirror planes of a cube: with offset (1, 0, 0), Sierpiński's octahedron.
     Octahedral,
-    /// Those of a tetrahedron, and one between the middle and the end of an edge: with scale 3 and offset
-    /// (1, 1, 1), Menger's sponge.
+    /// The planes of a tetrahedron, and one between the center and the end of an edge: with scale 3 and offset (1, 1,
+    /// 1), Menger's sponge.
     MengerLike,
 }
 
@@ -65,8 +66,7 @@ impl Primitive for KaleidoscopicIfs {
     fn distance<R: Real>(&self, p: Vec3<R>) -> R {
         let offset = self.offset.get();
         let scale = self.scale.get();
-        // Space is not scaled; the step of each iteration shrinks instead, so that nothing grows out
-        // of range.
+        // Space is not scaled; the step of each iteration shrinks instead, so that no value overflows.
         let share = (scale - 1.0) / scale;
         let step = Vec3::uniform(p.x, offset.map(|c| c * share));
         let shrink = p.x.uniform(1.0 / scale);
@@ -89,7 +89,7 @@ impl Primitive for KaleidoscopicIfs {
                         vec3(place.x - step.x, place.y - step.y, mirror - (place.z - mirror).abs())
                     }
                 };
-                // Balls smaller than this are smaller than f32 sees.
+                // Smaller balls are below the precision of f32.
                 let size = size * shrink;
                 (size.above(1e-9), (place, size))
             },
@@ -111,22 +111,21 @@ impl Primitive for KaleidoscopicIfs {
     }
 
     fn bounds(&self, isolevel: f32) -> Bounds {
-        // A step multiplies a length by scale and subtracts |offset|·(scale − 1): beyond |offset| no
-        // orbit returns.
+        // A step multiplies a length by scale and subtracts |offset|·(scale − 1): beyond |offset| no orbit returns.
         let reach = self.bounding_radius() + isolevel;
         Bounds::symmetric(reach, reach, reach)
     }
 }
 
 impl KaleidoscopicIfs {
-    /// Radius of the ball that holds it.
+    /// Radius of the ball that contains it.
     #[inline(always)]
     fn bounding_radius(&self) -> f32 {
         self.offset.get().length()
     }
 }
 
-/// The point turned, if it is to be.
+/// The point, rotated if there is a rotation.
 #[inline(always)]
 fn turned<R: Real>(p: Vec3<R>, rotation: Option<&Rotation>) -> Vec3<R> {
     match rotation {
@@ -143,7 +142,7 @@ mod tests {
     use super::*;
     use crate::nodes::Node;
 
-    /// Checks that a system's balls hold all of a classical shape, and reach out of it by no more than their size.
+    /// Checks that a system's balls contain all of a classical shape, and extend beyond it by no more than their size.
     fn check(system: &str, shape: &str, ball: f32) {
         let [system, shape]: [Node; 2] = [system, shape].map(|text| serde_json::from_str(text).unwrap());
         let turn = |speed: f32, step: u32| Real::sin(speed * step as f32);
@@ -161,7 +160,7 @@ mod tests {
     }
 
     #[test]
-    fn mirrors_of_a_cube_make_the_menger_sponge() {
+    fn folds_of_a_cube_give_the_menger_sponge() {
         check(
             r#"{ "kaleidoscopic_ifs": { "folds": "menger_like", "scale": 3, "offset": [0.9, 0.9, 0.9], "iterations": 3 } }"#,
             r#"{ "menger_sponge": { "size": 1.8, "iterations": 3 } }"#,
@@ -170,7 +169,7 @@ mod tests {
     }
 
     #[test]
-    fn mirrors_of_a_tetrahedron_make_the_sierpinski_tetrahedron() {
+    fn folds_of_a_tetrahedron_give_the_sierpinski_tetrahedron() {
         check(
             r#"{ "kaleidoscopic_ifs": { "folds": "tetrahedral", "scale": 2, "offset": [0.9, 0.9, 0.9], "iterations": 3 } }"#,
             r#"{ "sierpinski": { "size": 1.8, "iterations": 3 } }"#,

@@ -19,7 +19,7 @@ use crate::values::{Length, MandelboxScale};
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
 #[serde(deny_unknown_fields)]
 pub struct Mandelbox {
-    /// Edge of the cube that holds it. All other lengths are in the formula's own units.
+    /// Edge of the cube that contains it. All other lengths are in the formula's own units.
     pub size: Length,
     /// Growth of each iteration: 2 and −1.5 are the best known.
     pub scale: MandelboxScale,
@@ -30,7 +30,7 @@ pub struct Mandelbox {
     /// Coordinate at which space is folded.
     #[serde(default = "one")]
     pub fold: Length,
-    /// Inside a ball of this radius the sphere fold is a plain growth.
+    /// Inside a ball of this radius the sphere fold only scales.
     #[serde(default = "default_min_radius")]
     pub min_radius: Length,
     /// Radius of the sphere that inverts the shell between it and the inner ball.
@@ -71,7 +71,7 @@ impl Primitive for Mandelbox {
     fn validate(&self) -> Option<NodeError> {
         let (least, fixed, fold) = (self.min_radius.get(), self.fixed_radius.get(), self.fold.get());
         if least > fixed {
-            let cure = format!("must not be more than fixed_radius: make min_radius {fixed} or less");
+            let cure = format!("is more than fixed_radius: make min_radius {fixed} or less");
             return Some(NodeError::new("min_radius", cure));
         }
         if fixed > 100.0 * least {
@@ -80,7 +80,7 @@ impl Primitive for Mandelbox {
         }
         let is_near = (0.01 * fold..=100.0 * fold).contains(&fixed);
         (!is_near).then(|| {
-            let cure = format!("must be from a hundredth of fold to a hundred times as much: make fixed_radius {fold}");
+            let cure = format!("must be from fold/100 to fold·100: make fixed_radius {fold}");
             NodeError::new("fixed_radius", cure)
         })
     }
@@ -99,7 +99,7 @@ impl Mandelbox {
     #[inline(always)]
     fn estimate<R: Real>(&self, p: Vec3<R>) -> R {
         let (scale, fold) = (self.scale.get(), self.fold.get());
-        // In units of the fold, so that no number is far from 1.
+        // In units of the fold, so that all numbers are near 1.
         let unit = self.size.get() * 0.5 / self.half_edge();
         let (least, fixed) = (self.min_radius.get() / fold, self.fixed_radius.get() / fold);
         let (least, fixed) = (p.x.uniform(least * least), p.x.uniform(fixed * fixed));
@@ -125,12 +125,12 @@ impl Mandelbox {
         (squared.sqrt() - SURFACE_RADIUS) / slope * p.x.uniform(unit)
     }
 
-    /// Half the edge of the cube that holds it, in folds.
+    /// Half the edge of the cube that contains it, in folds.
     ///
-    /// Let x be one coordinate of the orbit, a that of the point, both in folds, and s the scale. For
-    /// s > 1 and a = 2(s + 1)/(s − 1) + e the second step makes x < −2 and the third x ≥ a + s(s − 1)e,
-    /// and so on, faster and faster, as no fold makes a length less than growth makes it more. For s < −1
-    /// and a = 2 + e each step makes x − 2 at least |s| times as much.
+    /// Let x be one coordinate of the orbit, a that of the point, both in folds, and s the scale. For s > 1 and a =
+    /// 2(s + 1)/(s − 1) + e the second step makes x < −2 and the third x ≥ a + s(s − 1)e, and so on, faster and
+    /// faster, because no fold reduces a length by more than the growth increases it. For s < −1 and a = 2 + e each
+    /// step multiplies x − 2 by at least |s|.
     #[inline(always)]
     fn half_edge(&self) -> f32 {
         let scale = self.scale.get();
@@ -150,7 +150,7 @@ fn default_min_radius() -> Length {
 mod tests {
     use super::*;
 
-    /// Whether a point's orbit, in folds and twice as precise, leaves for good.
+    /// Whether a point's orbit escapes, computed in folds and in double precision.
     fn escapes(p: [f64; 3], scale: f64) -> bool {
         let mut z = p;
         for _ in 0..400 {

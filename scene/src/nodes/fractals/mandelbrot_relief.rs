@@ -11,14 +11,14 @@ use crate::real::{Real, Vec3, vec3};
 use crate::seek::Seek;
 use crate::values::{Coordinate, Length};
 
-/// A square part of the Mandelbrot set as a slab on the plane y = 0: seen from above with −z up the page, the
-/// real axis runs along x and the imaginary axis up.
+/// A square part of the Mandelbrot set as a slab on the plane y = 0: seen from above with −z up the page, the real
+/// axis runs along x and the imaginary axis up.
 ///
-/// The distance in the plane is estimated from the potential G and its slope: it is at least
-/// (1 − e⁻²ᴳ)/(4·|G′|), hence at least ½·G/((1 + 2·G)·|G′|), with G = ln |z|/2ⁿ and |G′| = |z′|/(|z|·2ⁿ).
-/// What is solid after N iterations is where G is at most ln E/2ᴺ, so that much is taken from G.
-/// John Milnor, "Self-similarity and hairiness in the Mandelbrot set", 1989, and Inigo Quilez, "Distance to
-/// fractals": <https://iquilezles.org/articles/distancefractals/>.
+/// The distance in the plane is estimated from the potential G and its slope: it is at least (1 − e⁻²ᴳ)/(4·|G′|),
+/// hence at least ½·G/((1 + 2·G)·|G′|), with G = ln |z|/2ⁿ and |G′| = |z′|/(|z|·2ⁿ). After N iterations, points with G
+/// of at most ln E/2ᴺ are solid, so that value is subtracted from G. John Milnor, "Self-similarity and hairiness in
+/// the Mandelbrot set", 1989, and Inigo Quilez, "Distance to fractals":
+/// <https://iquilezles.org/articles/distancefractals/>.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
 #[serde(deny_unknown_fields)]
 pub struct MandelbrotRelief {
@@ -26,10 +26,10 @@ pub struct MandelbrotRelief {
     pub size: Length,
     /// Height of the slab, in scene units.
     pub height: Length,
-    /// The complex number in its middle: real and imaginary part, within ±2.
+    /// The complex number at its center: real and imaginary part, within ±2.
     #[serde(default = "default_center")]
     pub center: [Coordinate; 2],
-    /// Edge of the square in the complex plane, from 0.0001 to 8: the smaller the closer.
+    /// Edge of the square in the complex plane, from 0.0001 to 8: smaller values zoom in.
     #[serde(default = "default_width")]
     pub width: Length,
     /// Maximum number of iterations of z → z² + c: more give finer detail.
@@ -38,7 +38,7 @@ pub struct MandelbrotRelief {
     pub iterations: u32,
 }
 
-/// Square of the radius where a point has escaped; large, so that the potential is near its limit.
+/// Square of the escape radius; large, so that the potential is near its limit.
 const ESCAPE_SQUARED: f32 = 256.0;
 /// Logarithm of that radius.
 const ESCAPE_LOGARITHM: f32 = 2.772_588_7;
@@ -78,7 +78,7 @@ impl Primitive for MandelbrotRelief {
     fn validate(&self) -> Option<NodeError> {
         let [real, imaginary] = self.center.each_ref().map(Coordinate::get);
         if real.abs().max(imaginary.abs()) > 2.0 {
-            return Some(NodeError::new("center", "is far from the set: make both numbers within ±2"));
+            return Some(NodeError::new("center", "is outside ±2, where the set is: make both numbers from -2 to 2"));
         }
         let is_near = (1e-4..=8.0).contains(&self.width.get());
         (!is_near).then(|| NodeError::new("width", "must be from 0.0001 to 8: make it 3 to see the whole set"))
@@ -95,7 +95,7 @@ impl Primitive for MandelbrotRelief {
 }
 
 impl MandelbrotRelief {
-    /// No more than the distance to the set in the plane, in scene units; little below 0 inside.
+    /// Lower bound of the distance to the set in the plane, in scene units; slightly below 0 inside.
     #[inline(always)]
     fn planar_distance<R: Real>(&self, x: R, z: R) -> R {
         let [real, imaginary] = self.center.each_ref().map(Coordinate::get);
@@ -154,7 +154,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn what_has_not_escaped_is_solid() {
+    fn points_that_have_not_escaped_are_solid() {
         let relief: MandelbrotRelief = serde_json::from_str(r#"{ "size": 3, "height": 1, "iterations": 20 }"#).unwrap();
         let mut counts = [0, 0];
         for (row, column) in (0..300).flat_map(|row| (0..300).map(move |column| (row, column))) {

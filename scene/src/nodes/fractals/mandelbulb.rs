@@ -13,13 +13,13 @@ use crate::values::{Point, Power};
 
 /// The Mandelbulb: z → zⁿ + p in polar coordinates about the z axis.
 ///
-/// Daniel White and Paul Nylander's formula; the distance estimate is ½·ln r·r/dr with dr → n·rⁿ⁻¹·dr + 1,
-/// as in Mikael Christensen, "Distance Estimated 3D Fractals", part V:
+/// Daniel White and Paul Nylander's formula; the distance estimate is ½·ln r·r/dr with dr → n·rⁿ⁻¹·dr + 1, as in
+/// Mikael Christensen, "Distance Estimated 3D Fractals", part V:
 /// <http://blog.hvidtfeldts.net/index.php/2011/09/distance-estimated-3d-fractals-v-the-mandelbulb-different-de-approximations/>.
-/// Far away, where the estimate grows faster than the distance, it is held to the distance from the
-/// ball of radius 1.5 that holds every bulb of power 3 or more (of radius 2 for lower powers). Near its
-/// poles, where orbits part faster around the axis than dr says, the estimate may be more than the distance to
-/// a thin piece; that of the Julia sets counts this in.
+/// At large distances the estimate grows faster than the distance. It is therefore clamped to the distance from the
+/// ball of radius 1.5 that contains every bulb of power 3 or more (of radius 2 for lower powers). Near the poles,
+/// where orbits diverge faster around the axis than dr, the estimate may exceed the distance to a thin piece; the
+/// estimate of the Julia sets accounts for this.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
 #[serde(deny_unknown_fields)]
 pub struct Mandelbulb {
@@ -29,20 +29,20 @@ pub struct Mandelbulb {
     #[schemars(range(min = 1, max = MAX_ITERATIONS))]
     #[serde(deserialize_with = "iterations")]
     pub iterations: u32,
-    /// A constant to add in place of the point, no longer than 1.5: the Julia set that belongs to it.
+    /// A constant to add instead of the point, of length 1.5 or less: the shape is then the corresponding Julia set.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub julia: Option<Point>,
 }
 
 /// Escape radius.
 const ESCAPE_RADIUS: f32 = 2.0;
-/// Escape radius of a Julia set, whose 32nd power still has a finite square.
+/// Escape radius of a Julia set, small enough that its 32nd power has a finite square.
 const JULIA_ESCAPE_RADIUS: f32 = 3.0;
 /// Logarithm of that radius.
 const JULIA_ESCAPE_LOGARITHM: f32 = 1.098_612_3;
 /// Distance from the bounding ball of a Julia set within which the estimate is used.
 const MARGIN: f32 = 0.25;
-/// A constant this long keeps every Julia set well within the escape radius.
+/// Maximum length of the constant, which keeps every Julia set well within the escape radius.
 const MAX_JULIA_LENGTH: f32 = 1.5;
 
 impl Primitive for Mandelbulb {
@@ -71,13 +71,15 @@ impl Primitive for Mandelbulb {
 
     fn validate(&self) -> Option<NodeError> {
         if self.julia.is_some() && as_integer(&self.power).is_none() {
-            let cure =
-                format!("must be a whole number for a Julia set, or space tears: make it {}", self.power.get().round());
+            let cure = format!(
+                "must be a whole number for a Julia set, because other powers are discontinuous: make it {}",
+                self.power.get().round()
+            );
             return Some(NodeError::new("power", cure));
         }
         let is_long = self.julia.as_ref().is_some_and(|constant| constant.get().length() > MAX_JULIA_LENGTH);
         is_long.then(|| {
-            let cure = "is longer than 1.5, which leaves nothing but dust: make the sum of its squares 2.25 or less";
+            let cure = "is longer than 1.5, so the set is only dust: make the sum of its squares 2.25 or less";
             NodeError::new("julia", cure)
         })
     }
@@ -131,8 +133,8 @@ impl Mandelbulb {
         R::select(away.above(ESCAPE_RADIUS), estimate.min(away - away.uniform(self.bounding_radius())), estimate)
     }
 
-    /// Estimate for a Julia set. Orbits diverge by at most n·rⁿ⁻¹ along a meridian, and around the axis
-    /// in proportion to their distance from it.
+    /// Estimate for a Julia set. Orbits diverge by at most n·rⁿ⁻¹ along a meridian, and around the axis in proportion
+    /// to their distance from it.
     #[inline(always)]
     fn julia_distance<R: Real>(&self, p: Vec3<R>, constant: Vec3<R>) -> R {
         let one = p.x.constant(1.0);
@@ -149,7 +151,7 @@ impl Mandelbulb {
             |(z, radius, slope, isolevel)| {
                 let radius = radius.at_least(1e-6);
                 let PowerStep { next, growth, around } = power_by_products(z, radius, whole, constant);
-                // At 0 orbits do not part, but near it they do.
+                // Orbits do not diverge at 0, but they do near it.
                 let slope = (growth.max(around) * power * slope).at_least(1.0).at_most(MAX_DERIVATIVE);
                 let radius = next.length();
                 (!radius.above(JULIA_ESCAPE_RADIUS), (next, radius, slope, isolevel * power))
@@ -169,7 +171,7 @@ impl Mandelbulb {
     }
 }
 
-/// The power, if it is a whole number: then its formula is code, not data.
+/// The power, if it is an integer. The formula then depends on it in code, not in data.
 fn as_integer(power: &Power) -> Option<u32> {
     (power.get() % 1.0 == 0.0 && !power.is_animated()).then_some(power.get() as u32)
 }
@@ -184,7 +186,7 @@ fn power_by_angles<R: Real>(z: Vec3<R>, radius: R, power: R, p: Vec3<R>) -> (Vec
     (turned.mul_add(growth * radius, p), growth)
 }
 
-/// A point turned by products.
+/// One step of the power by products.
 struct PowerStep<R> {
     /// zⁿ + p.
     next: Vec3<R>,
@@ -241,7 +243,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn products_turn_as_far_as_angles() {
+    fn power_by_products_equals_power_by_angles() {
         for power in [2_u32, 3, 5, 8, 13] {
             for step in 0..200 {
                 let turn = |speed: f32| Real::sin(speed * step as f32);

@@ -11,7 +11,7 @@ use crate::real::{Real, Vec3, vec3};
 use crate::seek::Seek;
 use crate::values::Length;
 
-/// The Menger sponge: a cube from which crosses of square bars are taken, smaller and smaller ones.
+/// The Menger sponge: a cube minus crosses of square bars of ever smaller sizes.
 ///
 /// After Inigo Quilez, "Menger fractal": <https://iquilezles.org/articles/menger/>; cells are found by
 /// reflections, which leave no seams. A bound: the greatest of the distances to the cube and into the bars,
@@ -19,7 +19,7 @@ use crate::values::Length;
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
 #[serde(deny_unknown_fields)]
 pub struct MengerSponge {
-    /// The cube's edge.
+    /// Edge of the cube.
     pub size: Length,
     /// Number of sizes of bars that are removed.
     #[schemars(range(min = 1, max = MAX_ITERATIONS))]
@@ -43,16 +43,16 @@ impl Primitive for MengerSponge {
             (place, third, cube),
             #[inline(always)]
             |(place, third, distance)| {
-                // In a bar along an axis both other coordinates are small.
+                // In a bar along an axis the other two coordinates are small.
                 let bars = third.mul_add(third.constant(0.5), -folds::middle(place));
                 let distance = distance.max(bars);
-                // To the middle of the nearest of three cells in a row.
+                // Relative to the center of the nearest of three cells in a row.
                 let place = place.map(
                     #[inline(always)]
                     |c| c.min((c - third).abs()),
                 );
                 let third = third * (1.0 / 3.0);
-                // Smaller bars have no effect where they cannot reach that far.
+                // Smaller bars have no effect if they do not extend that far.
                 (distance.lt(third * 0.5), (place, third, distance))
             },
         );

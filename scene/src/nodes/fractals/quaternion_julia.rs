@@ -13,14 +13,15 @@ use crate::values::Coordinate;
 
 /// The filled Julia set of z → z² + c for quaternions, cut where the last part is 0.
 ///
-/// John C. Hart, Daniel J. Sandin, Louis H. Kauffman, "Ray tracing deterministic 3-D fractals", Computer
-/// Graphics 23(3) (SIGGRAPH), 1989: <https://www.evl.uic.edu/hypercomplex/html/book/rtqjs.pdf>. The distance
-/// estimate is ½·|z|·ln |z|/|z′| with |z′| → 2·|z|·|z′|; from the potential ln |z|/2ⁿ that of the last iteration's
-/// escape radius is taken, where the solid ends.
+/// John C. Hart, Daniel J. Sandin, Louis H. Kauffman, "Ray tracing deterministic 3-D fractals", Computer Graphics
+/// 23(3) (SIGGRAPH), 1989: <https://www.evl.uic.edu/hypercomplex/html/book/rtqjs.pdf>. The distance estimate is
+/// ½·|z|·ln |z|/|z′| with |z′| → 2·|z|·|z′|. The potential of the escape radius in the last iteration, where the solid
+/// ends, is subtracted from the potential ln |z|/2ⁿ.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
 #[serde(deny_unknown_fields)]
 pub struct QuaternionJulia {
-    /// The quaternion c: its real part, along x, and its parts along y, z and the direction that is not seen; no longer than 2.
+    /// The quaternion c: its real part, along x, and its parts along y, z and the invisible fourth axis; of length 2
+    /// or less.
     pub c: [Coordinate; 4],
     /// Maximum number of iterations: more give finer detail.
     #[schemars(range(min = 1, max = MAX_ITERATIONS))]
@@ -28,7 +29,7 @@ pub struct QuaternionJulia {
     pub iterations: u32,
 }
 
-/// Square of the radius where a point has escaped.
+/// Square of the escape radius.
 const ESCAPE_SQUARED: f32 = 256.0;
 /// Logarithm of that square.
 const ESCAPE_LOGARITHM: f32 = 5.545_177_5;
@@ -60,7 +61,7 @@ impl Primitive for QuaternionJulia {
 
     fn validate(&self) -> Option<NodeError> {
         (self.length() > 2.0).then(|| {
-            let cure = "is longer than 2, which leaves nothing but dust: make the sum of its squares 4 or less";
+            let cure = "is longer than 2, so the set is only dust: make the sum of its squares 4 or less";
             NodeError::new("c", cure)
         })
     }
@@ -91,7 +92,7 @@ impl QuaternionJulia {
             (p.x, start, squared, p.x.constant(1.0), isolevel),
             #[inline(always)]
             |(a, v, squared, slope, isolevel)| {
-                // At 0 orbits do not part, but near it they do.
+                // Orbits do not diverge at 0, but they do near it.
                 let slope = ((squared * 4.0).at_least(1.0) * slope).at_most(MAX_DERIVATIVE_SQUARED);
                 let next = a.square_add(real) - v.length_squared();
                 let v = v.mul_add(a * 2.0, imaginary);
@@ -108,7 +109,7 @@ impl QuaternionJulia {
         Real::sqrt(a * a + x * x + y * y + z * z)
     }
 
-    /// Radius of the ball that holds it: where |z|² − |c| = |z|, beyond which orbits only grow.
+    /// Radius of the ball that contains it: where |z|² − |c| = |z|, beyond which orbits only grow.
     #[inline(always)]
     fn bounding_radius(&self) -> f32 {
         0.5 + 0.5 * Real::sqrt(1.0 + 4.0 * self.length())

@@ -11,16 +11,16 @@ use crate::real::{Real, Vec3, vec3};
 use crate::seek::Seek;
 use crate::values::Length;
 
-/// The Sierpiński tetrahedron: four of half the size at the corners, and each of them again.
+/// The Sierpiński tetrahedron: four of half the size at its corners, recursively.
 ///
 /// By folds as in Mikael Christensen, "Distance Estimated 3D Fractals", part III:
 /// <http://blog.hvidtfeldts.net/index.php/2011/08/distance-estimated-3d-fractals-iii-folding-space/>, with a
-/// whole tetrahedron at the end. Exact: the quarter of space around a corner contains the tetrahedron there,
-/// and the other three are its mirror images.
+/// full tetrahedron at the end. Exact: the quarter of space around a corner contains the tetrahedron there, and the
+/// other three are its mirror images.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
 #[serde(deny_unknown_fields)]
 pub struct Sierpinski {
-    /// Edge of the cube that four of its corners are the tetrahedron's; one of them is where x, y and z are greatest.
+    /// Edge of the cube of whose corners four are the tetrahedron's; one of them has the greatest x, y and z.
     pub size: Length,
     /// Number of subdivisions of the tetrahedra.
     #[schemars(range(min = 1, max = MAX_ITERATIONS))]
@@ -74,7 +74,7 @@ fn tetrahedron<R: Real>(p: Vec3<R>, half: R) -> R {
     let middle = folds::middle(p);
     let (above, across) = (high - half, middle - low);
     let from_face = (above + across) * PER_ROOT_3;
-    // Along the face from the edge, and along the edge from its middle.
+    // Along the face from the edge, and along the edge from its center.
     let inwards = (across - above * 2.0) * PER_ROOT_6;
     let past_corner = ((middle + low - half * 2.0) * PER_ROOT_2).at_least(0.0);
     let from_edge = from_face.square_add(inwards.square_add(past_corner.square())).sqrt();
@@ -85,7 +85,7 @@ fn tetrahedron<R: Real>(p: Vec3<R>, half: R) -> R {
 mod tests {
     use super::*;
 
-    /// Least distance to any of the tetrahedra, computed without folds of more than one.
+    /// Minimum distance to any of the tetrahedra, computed without folding more than once.
     fn by_all(p: Vec3<f32>, half: f32, iterations: u32) -> f32 {
         const CORNERS: [[f32; 3]; 4] = [[1.0, 1.0, 1.0], [1.0, -1.0, -1.0], [-1.0, 1.0, -1.0], [-1.0, -1.0, 1.0]];
         if iterations == 0 {
@@ -116,7 +116,7 @@ mod tests {
     }
 
     #[test]
-    fn finer_tetrahedra_lie_within_coarser_ones() {
+    fn finer_tetrahedra_are_inside_coarser_ones() {
         for p in places() {
             let mut coarser = with(1).distance(p);
             for iterations in 2..=MAX_ITERATIONS {

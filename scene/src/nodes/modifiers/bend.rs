@@ -1,14 +1,14 @@
 //! A shape bent upwards: the x axis becomes a circle through the origin.
 //!
-//! With a curvature of k radians a unit the circle's center is (0, 1/k). A point at the angle a from
-//! straight down, r from the center, is where (a/k, 1/k − r) was: points at the same height r are drawn
-//! apart by 1/(k·r), and by nothing upwards. So with the shape below y, all of it is further than 1/k − y
-//! from the center, and L = (1 + g)/(1 − k·y), or 1, is a Lipschitz factor for every r ≥ (1/k − y)/(1 + g).
+//! With a curvature of k radians per unit the circle's center is (0, 1/k). A point at the angle a from straight down,
+//! at distance r from the center, comes from (a/k, 1/k − r): points at the same height r are stretched by 1/(k·r)
+//! horizontally, and not at all vertically. If the shape is below y, all of it is farther than 1/k − y from the
+//! center, and L = (1 + g)/(1 − k·y), or 1, is a Lipschitz factor for every r ≥ (1/k − y)/(1 + g).
 //!
-//! What is left is the half-plane above the center, where the ends of the angle meet: with `beyond`, no
-//! more than the distance to what holds the bent shape, and s, the distance to that half-plane, the value is
-//! max(L·beyond, min(d, L·g·s)). At the half-plane, and nearer to the center than said, it is L·beyond, on
-//! both sides alike; in the shape s is not 0, so that the surface stays where it is.
+//! The half-plane above the center remains, where the two ends of the angle coincide. Let `beyond` be a lower bound of
+//! the distance to the bent shape's bounds, and s the distance to that half-plane. The value is max(L·beyond, min(d,
+//! L·g·s)). At the half-plane, and nearer to the center than assumed, it is L·beyond on both sides. In the shape s is
+//! not 0, so the surface does not change.
 
 use std::f32::consts::{FRAC_PI_2, PI};
 
@@ -25,22 +25,22 @@ use crate::real::{Real, Vec3, vec3};
 use crate::seek::Seek;
 use crate::values::Degrees;
 
-/// g: how far the factor holds beyond the shape, and how soon the half-plane is felt.
+/// g: how far beyond the shape the factor is valid, and how soon the half-plane has an effect.
 const GUARD_FRACTION: f32 = 0.125;
 /// Minimum distance of the shape from the circle's center, as a fraction of the radius.
 const MIN_RADIUS_FRACTION: f32 = 0.1;
-/// A curvature as good as none, in radians a unit.
+/// Curvature below which a shape is not bent, in radians per unit.
 const MIN_CURVATURE: f32 = 1e-6;
 
 /// Bends a shape in the plane of x and y: its x axis becomes a circle through the origin, its ends go up.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
 #[serde(deny_unknown_fields)]
 pub struct Bend {
-    /// Change of direction per scene unit along x; below 0 the ends go down.
+    /// Curvature per scene unit along x; below 0 the ends go down.
     pub degrees_per_unit: Degrees,
-    /// The shape, which must be bounded along x and y and must not reach the circle's center.
+    /// The shape, which must be bounded along x and y and must not extend to the circle's center.
     pub child: Child,
-    /// Derived from these.
+    /// Values derived from the fields above.
     #[serde(skip)]
     #[schemars(skip)]
     arc: Cached<BentBounds>,
@@ -55,7 +55,7 @@ struct BentBounds {
     /// Vertical range of the shape before bending.
     low: f32,
     high: f32,
-    /// Middle and half of its extent along z.
+    /// Center and half of its extent along z.
     middle_z: f32,
     half_z: f32,
     /// Sine and cosine of the angle at its end.
@@ -146,7 +146,7 @@ impl Sdf for Bend {
     }
 
     fn validate(&self) -> Option<NodeError> {
-        if let Some(fault) = require_bounded(&self.child, &['x', 'y'], "where a bend would wind it up") {
+        if let Some(fault) = require_bounded(&self.child, &['x', 'y'], "so a bend would wind it up") {
             return Some(fault);
         }
         let Bounds { min: low, max: high } = self.child.bounds(0.0);
@@ -162,7 +162,7 @@ impl Sdf for Bend {
             return None;
         }
         let message = format!(
-            "bends the shape until it meets itself: of a shape that reaches to x = {far} and y = {high}, \
+            "makes the shape overlap itself: for a shape that extends to x = {far} and y = {high}, \
              make it less than {most}, or make the shape smaller"
         );
         Some(NodeError::new("degrees_per_unit", message))

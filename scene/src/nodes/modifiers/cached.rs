@@ -4,7 +4,7 @@ use std::sync::OnceLock;
 
 use crate::seek::Invalidate;
 
-/// Value computed once. All are equal, because they follow from the node's numbers.
+/// Value computed once. Ignored by `==`, because it follows from the node's numbers.
 #[derive(Clone, Debug)]
 pub(super) struct Cached<T>(OnceLock<T>);
 

@@ -1,4 +1,4 @@
-//! Longer shapes: elongated in the middle, or stretched as a whole.
+//! Longer shapes: elongated at the center, or stretched along each axis.
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -10,7 +10,7 @@ use crate::real::{Real, Vec3, vec3};
 use crate::seek::Seek;
 use crate::values::{LengthOrZero, ScaleFactor};
 
-/// A shape cut through its middle and drawn apart, the gap filled with the cut.
+/// A shape cut at its center and pulled apart; the cut's cross-section fills the space between.
 ///
 /// Inigo Quilez, "Distance functions", elongation: <https://iquilezles.org/articles/distfunctions/>.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
@@ -43,7 +43,7 @@ impl Sdf for Elongate {
         self.child.sample(vec3(elongated(p.x, x), elongated(p.y, y), elongated(p.z, z)))
     }
 
-    // No two points become further apart, so the child's factor is that of the whole.
+    // No two points become farther apart, so the child's Lipschitz factor remains.
     around_child!();
 
     fn exactness(&self) -> Exactness {
@@ -90,8 +90,7 @@ impl Sdf for Stretch {
         child.with_distance(distance)
     }
 
-    // Distances grow by at most 1/least, by which the value is multiplied: the child's Lipschitz factor
-    // remains.
+    // Distances grow by at most 1/min_factor, by which the value is multiplied: the child's Lipschitz factor remains.
     around_child!();
 
     fn exactness(&self) -> Exactness {

@@ -12,7 +12,7 @@ use crate::real::{Real, Vec3, vec3};
 use crate::seek::Seek;
 use crate::values::{Coordinate, Direction};
 
-/// A shape together with its image in a plane, on whichever side of it the shape is, or across it.
+/// A shape together with its mirror image in a plane. The shape may be on either side of the plane, or across it.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
 #[serde(deny_unknown_fields)]
 pub struct Mirror {
@@ -23,18 +23,18 @@ pub struct Mirror {
     pub offset: Coordinate,
     /// The shape.
     pub child: Child,
-    /// Derived from these.
+    /// Values derived from the fields above.
     #[serde(skip)]
     #[schemars(skip)]
     sides: Cached<MirrorSides>,
 }
 
-/// On which sides of the plane the shape is.
+/// Sides of the plane that the shape occupies.
 #[derive(Clone, Debug)]
 struct MirrorSides {
-    /// The side of its box's middle: −1 or 1.
+    /// Side of the center of its bounds: −1 or 1.
     main: f32,
-    /// Whether its box lies on that side alone and does not touch the plane.
+    /// Whether its bounds are entirely on that side and do not touch the plane.
     is_one_sided: bool,
     held: ChildBounds,
 }
@@ -74,8 +74,7 @@ impl Sdf for Mirror {
     fn eval<R: Real, V: SdfValue<R>>(&self, p: Vec3<R>) -> V {
         let MirrorSides { main, is_one_sided: is_apart, ref held } = *self.sides();
         let original = RepeatedChild::new(&self.child, held);
-        // Along the normal on the side of the shape: the mirror image of a point there is farther
-        // away.
+        // Along the normal on the side of the shape: the mirror image of a point there is farther away.
         let normal = self.normal.unit() * main;
         let offset = self.offset.get() * main;
         let copies = p.x.uniform(if is_apart { 1.0 } else { 2.0 });

@@ -1,13 +1,13 @@
 //! The nearest of several copies of a shape.
 //!
-//! Copies are evaluated in a loop, so that the shape's formula occurs once, whatever their number. A copy is
-//! skipped if its box is farther away than the nearest copy so far.
+//! Copies are evaluated in a loop, so that the shape's formula occurs only once. A copy is skipped if its bounds are
+//! farther away than the nearest copy so far.
 
 use crate::bounds::Bounds;
 use crate::nodes::{Node, SdfValue};
 use crate::real::{Real, Vec3};
 
-/// A shape with fewer nodes is evaluated as fast as its box.
+/// A shape with fewer nodes is evaluated as fast as its bounds.
 const MIN_CULL_NODES: u32 = 4;
 
 /// Limit of finite coordinates and lengths.
@@ -16,7 +16,7 @@ const MISS_DISTANCE: f32 = 1e7;
 /// The nearest copy so far: its distance, and the point in its shape's space.
 pub(super) type NearestCopy<R> = (R, Vec3<R>);
 
-/// Box around a shape, with whether copies are skipped by it.
+/// Bounds of a shape, and whether copies are skipped by them.
 #[derive(Clone, Debug)]
 pub(super) struct ChildBounds {
     pub(super) bounds: Bounds,
@@ -24,13 +24,13 @@ pub(super) struct ChildBounds {
 }
 
 impl ChildBounds {
-    /// The box around a shape.
+    /// Bounds of a shape.
     pub(super) fn new(shape: &Node) -> Self {
         Self { bounds: ended(shape.bounds(0.0)), is_worth_testing: shape.node_count() >= MIN_CULL_NODES }
     }
 }
 
-/// Shape that is repeated, with its box if skipping is worthwhile.
+/// Shape that is repeated, with its bounds if skipping is worthwhile.
 pub(super) struct RepeatedChild<'a> {
     shape: &'a Node,
     bounds: Option<&'a Bounds>,
@@ -48,7 +48,7 @@ impl<'a> RepeatedChild<'a> {
         (p.x.constant(f32::MAX), p)
     }
 
-    /// The nearer of the nearest copy so far and the copy for which the point is at `place`.
+    /// The nearer of the nearest copy so far and the copy in whose space the point is `place`.
     #[inline(always)]
     pub(super) fn nearer<R: Real>(&self, place: Vec3<R>, found: NearestCopy<R>) -> NearestCopy<R> {
         match self.bounds {
@@ -76,7 +76,7 @@ impl<'a> RepeatedChild<'a> {
     }
 }
 
-/// The box with finite ends, farther away than any point.
+/// Bounds with finite sides, farther away than any point.
 pub(super) fn ended(bounds: Bounds) -> Bounds {
     let ended = |c: f32| c.clamp(-MISS_DISTANCE, MISS_DISTANCE);
     Bounds { min: bounds.min.map(ended), max: bounds.max.map(ended) }
@@ -84,13 +84,13 @@ pub(super) fn ended(bounds: Bounds) -> Bounds {
 
 /// Number of copies, `spacing` apart, of which one may be the nearest to a point, for a shape of this width.
 /// For each point of the shape the nearest of its copies is at most half a spacing away, so the centers of
-/// the copies lie within (width + spacing)/2 of the point. Rounding must not add a copy if the shape fills
+/// the copies are within (width + spacing)/2 of the point. Rounding must not add a copy if the shape fills
 /// its cell.
 pub(super) fn max_overlapping(width: f32, spacing: f32) -> f32 {
     ((width / spacing + 1.0) * (1.0 - 1e-6)).ceil().max(1.0)
 }
 
-/// The whole number nearest to `t`, and the side, −1 or 1, on which `t` lies of it.
+/// Integer nearest to `t`, and the side, −1 or 1, of it on which `t` is.
 #[inline(always)]
 pub(super) fn nearest_whole<R: Real>(t: R) -> (R, R) {
     let nearest = (t + 0.5).floor();

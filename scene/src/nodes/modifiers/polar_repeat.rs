@@ -1,8 +1,8 @@
-//! Copies in a ring, right across its sectors.
+//! Copies in a ring, correct across its sectors.
 //!
-//! For each point of a shape the nearest of its copies is the one at the nearest angle. So only copies within
-//! half the shape's own angle plus half a sector may be the nearest: two if the shape fits its sector, all if
-//! it reaches around the axis.
+//! For each point of a shape, the nearest of its copies is the one at the nearest angle. So only copies within half
+//! the shape's own angle plus half a sector may be the nearest: two if the shape fits its sector, all if it extends
+//! around the axis.
 
 use std::f32::consts::{PI, TAU};
 
@@ -18,12 +18,12 @@ use crate::real::{Real, Vec3, vec3};
 use crate::seek::Seek;
 use crate::values::integer_in_range;
 
-/// Copies of a ring.
+/// Maximum number of copies of a ring.
 const MAX_COPIES: u32 = 10_000;
 /// Maximum number of copies evaluated for one point.
 const MAX_EVALUATED_COPIES: u32 = 64;
 
-/// Copies of a shape in a ring about the y axis, one of them where the shape is.
+/// Copies of a shape in a ring about the y axis, one of them at the shape's own position.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
 #[serde(deny_unknown_fields)]
 pub struct PolarRepeat {
@@ -31,18 +31,18 @@ pub struct PolarRepeat {
     #[serde(deserialize_with = "copies")]
     #[schemars(range(min = 1, max = MAX_COPIES))]
     pub count: u32,
-    /// The shape, moved away from the axis.
+    /// The shape, translated away from the axis.
     pub child: Child,
-    /// Derived from these.
+    /// Values derived from the fields above.
     #[serde(skip)]
     #[schemars(skip)]
     ring: Cached<RingLayout>,
 }
 
-/// The shape's place in the ring.
+/// Position of the shape in the ring.
 #[derive(Clone, Debug)]
 struct RingLayout {
-    /// The angle of its middle, in radians from x to z.
+    /// Angle of its center, in radians from x to z.
     middle: f32,
     /// Width, in radians.
     width: f32,
@@ -69,7 +69,7 @@ impl PolarRepeat {
     }
 }
 
-/// The angle of a box's middle about the y axis, and how wide it is seen from there.
+/// Angle of a box's center about the y axis, and the width of the box as an angle seen from the axis.
 fn angles(Bounds { min: low, max: high }: Bounds) -> (f32, f32) {
     if low.x <= 0.0 && high.x >= 0.0 && low.z <= 0.0 && high.z >= 0.0 {
         return (0.0, TAU);
@@ -103,7 +103,7 @@ impl Sdf for PolarRepeat {
         let angle = p.z.atan2(p.x);
         let (near, side) = nearest_whole((angle - angle.uniform(*middle)) * angle.uniform(1.0 / sector));
         let first = side.mul_add(angle.uniform(-((reach - 1.0) * 0.5).floor()), near);
-        // From here on, each copy is one sector further to that side.
+        // From here on, each copy is one sector farther to that side.
         let (sin, cos) = (first * angle.uniform(sector)).sin_cos();
         let place = vec3(p.x.mul_add(cos, p.z * sin), p.y, p.z.mul_add(cos, -(p.x * sin)));
         let (sin, cos) = (side * angle.uniform(turn.0), angle.uniform(turn.1));
@@ -127,8 +127,7 @@ impl Sdf for PolarRepeat {
             Exactness::Exact if self.count == 1 || self.ring().width < self.sector() => Exactness::Exact,
             Exactness::Exact => Exactness::Bound,
             child @ (Exactness::Bound | Exactness::Estimate) if self.ring().reach == self.count as f32 => child,
-            // The value may jump where the set of evaluated copies changes, but it stays less
-            // than the distance.
+            // The value may jump where the set of evaluated copies changes, but it stays less than the distance.
             Exactness::Bound | Exactness::Estimate => Exactness::Estimate,
         }
     }
@@ -137,7 +136,7 @@ impl Sdf for PolarRepeat {
         let reach = self.ring().reach;
         let fault = || {
             let message = format!(
-                "makes {reach} copies reach over one another, where {MAX_EVALUATED_COPIES} may: make it less, \
+                "makes {reach} copies overlap, more than {MAX_EVALUATED_COPIES}: make it less, \
                  or move the shape away from the y axis"
             );
             NodeError::new("count", message)

@@ -1,8 +1,8 @@
-//! Copies on a grid, right across its cells: Inigo Quilez, "Domain repetition",
+//! Copies on a grid, correct across its cells: Inigo Quilez, "Domain repetition",
 //! <https://iquilezles.org/articles/sdfrepetition/>.
 //!
-//! Along each axis only copies that may be the nearest are evaluated: two if the shape fits its cell, more if
-//! it reaches into others. The other copies are farther away.
+//! Along each axis only copies that may be the nearest are evaluated: two if the shape fits its cell, more if it
+//! extends into others. The other copies are farther away.
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Deserializer, Serialize};
@@ -20,21 +20,21 @@ use crate::values::{Spacing, integer_in_range};
 const MAX_CELLS: f32 = 4.0;
 /// Maximum number of copies along an axis evaluated for one point.
 const MAX_EVALUATED_COPIES: u32 = 5;
-/// Copies along an axis.
+/// Maximum number of copies along an axis.
 const MAX_COPIES: u32 = 1_000_000;
 
 /// Copies of a shape on a grid, infinitely many or a number along each axis.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
 #[serde(deny_unknown_fields)]
 pub struct Repeat {
-    /// The distance from copy to copy along x, y and z; null where it is not repeated.
+    /// The distance between copies along x, y and z; null along an axis without copies.
     pub cell: [Option<Spacing>; 3],
     /// Number of copies along x, y and z, centered on the shape; null for infinitely many.
     #[serde(default)]
     pub count: [Option<Copies>; 3],
     /// The shape, at most four cells wide.
     pub child: Child,
-    /// Derived from these.
+    /// Values derived from the fields above.
     #[serde(skip)]
     #[schemars(skip)]
     grid: Cached<GridLayout>,
@@ -50,7 +50,7 @@ impl<'de> Deserialize<'de> for Copies {
     }
 }
 
-/// The axes along which there are copies, and a box that holds the shape.
+/// Axes along which there are copies, and the bounds of the shape.
 #[derive(Clone, Debug)]
 struct GridLayout {
     axes: [Option<Axis>; 3],
@@ -61,11 +61,11 @@ struct GridLayout {
 #[derive(Clone, Copy, Debug)]
 struct Axis {
     cell: f32,
-    /// The middle of the shape.
+    /// Center of the shape.
     middle: f32,
     /// Width of the shape.
     width: f32,
-    /// A copy's place, in cells, is this more than a whole number: ½ if an even number straddles the middle.
+    /// Fractional part of the copies' positions, in cells: ½ if an even number is centered on the shape.
     shift: f32,
     /// Indices of the outermost copies, if their number is finite.
     ends: Option<(f32, f32)>,
@@ -198,7 +198,7 @@ impl Sdf for Repeat {
 
     fn validate(&self) -> Option<NodeError> {
         if self.cell.iter().all(Option::is_none) {
-            return Some(NodeError::new("cell", "repeats along no axis: give x, y or z a distance from copy to copy"));
+            return Some(NodeError::new("cell", "repeats along no axis: give x, y or z a distance between copies"));
         }
         let bounds = self.child.bounds(0.0);
         let widths = [bounds.max.x - bounds.min.x, bounds.max.y - bounds.min.y, bounds.max.z - bounds.min.z];
@@ -214,7 +214,7 @@ impl Sdf for Repeat {
             };
             if !width.is_finite() {
                 let message = format!(
-                    "repeats a shape along {name} that has no end there: use null, \
+                    "repeats a shape along {name}, where it is unbounded: use null, \
                      or bound the shape by an intersection"
                 );
                 return Some(NodeError::new(place, message));

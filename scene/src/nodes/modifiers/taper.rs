@@ -1,10 +1,10 @@
 //! Shapes that narrow or widen upward.
 //!
-//! With f(y) the factor of the cross-section, the value is f·d(x/f, y, z/f). Where the shape's radius
-//! about the y axis is at most r, f times the map's derivative is the matrix (1, r·f'; 0, f) of the
-//! directions outwards and up, whose greatest singular value, ½(√((1+f)² + r²f'²) + √((1−f)² + r²f'²)),
-//! is a Lipschitz factor; d itself, held to ±r/2, adds f'·r/2. Outside the frustum that holds the shape the shape is asked at the nearest
-//! point of its own cylinder, and the distance to the frustum, times the factor, takes over.
+//! With f(y) the factor of the cross-section, the value is f·d(x/f, y, z/f). If the shape's radius about the y axis is
+//! at most r, f times the map's derivative is the matrix (1, r·f'; 0, f) of the directions outwards and up. Its
+//! greatest singular value, ½(√((1+f)² + r²f'²) + √((1−f)² + r²f'²)), is a Lipschitz factor; d itself, clamped to
+//! ±r/2, adds f'·r/2. Outside the bounding frustum, the shape is evaluated at the nearest point of its own cylinder,
+//! and the distance to the frustum, times the factor, is used if it is greater.
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -19,8 +19,8 @@ use crate::real::{Real, Vec3, vec3};
 use crate::seek::Seek;
 use crate::values::{Coordinate, ScaleFactor};
 
-/// Multiplies a shape's width along x and z by a factor that changes evenly from `bottom` to `top`, and is
-/// constant beyond them.
+/// Multiplies a shape's width along x and z by a factor that changes linearly from `bottom` to `top`, and is constant
+/// outside them.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
 #[serde(deny_unknown_fields)]
 pub struct Taper {
@@ -35,13 +35,13 @@ pub struct Taper {
     pub top_factor: ScaleFactor,
     /// The shape, which must be bounded along x and z.
     pub child: Child,
-    /// Derived from these.
+    /// Values derived from the fields above.
     #[serde(skip)]
     #[schemars(skip)]
     frustum: Cached<BoundingFrustum>,
 }
 
-/// A frustum that holds the shape.
+/// Frustum that contains the shape.
 #[derive(Clone, Debug)]
 struct BoundingFrustum {
     /// Radius of the shape without the taper.
@@ -50,7 +50,7 @@ struct BoundingFrustum {
     high: f32,
     /// Change of the factor per unit upward.
     slope: f32,
-    /// Cosine of the angle between its side and the y axis: how far the side is for each unit across.
+    /// Cosine of the angle between its side and the y axis: distance to the side per unit of horizontal distance.
     slant: f32,
     /// One over the greatest factor if that is above 1, else 1: factor of the value.
     value_scale: f32,
@@ -128,7 +128,7 @@ impl Sdf for Taper {
             let message = format!("must be above bottom: make top more than {}", self.bottom.get());
             return Some(NodeError::new("top", message));
         }
-        require_bounded(&self.child, &['x', 'z'], "where a taper would move it without limit")
+        require_bounded(&self.child, &['x', 'z'], "so a taper would move it without limit")
     }
 
     fn bounds(&self, isolevel: f32) -> Bounds {

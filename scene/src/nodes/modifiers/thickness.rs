@@ -1,4 +1,4 @@
-//! Thicker and hollow shapes: surfaces at a distance from another.
+//! Thicker and hollow shapes: surfaces at a constant distance from a shape's surface.
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -14,7 +14,7 @@ use crate::values::{Length, LengthOrZero};
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
 #[serde(deny_unknown_fields)]
 pub struct Round {
-    /// By how much it grows.
+    /// Growth on all sides, in scene units.
     pub radius: LengthOrZero,
     /// The shape.
     pub child: Child,
@@ -24,13 +24,13 @@ pub struct Round {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
 #[serde(deny_unknown_fields)]
 pub struct Onion {
-    /// Whole thickness of the wall, half of it on either side of the shape's surface.
+    /// Full thickness of the wall, half of it on either side of the shape's surface.
     pub thickness: Length,
     /// The shape.
     pub child: Child,
 }
 
-/// A surface at a distance from another: the value stays below the distance inside a hollow edge.
+/// A surface at a constant distance from another. The value stays below the distance inside a concave edge.
 macro_rules! at_a_distance {
     ($self:ident, $grown:expr) => {
         around_child!();

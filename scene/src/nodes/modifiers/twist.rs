@@ -1,9 +1,9 @@
-//! A shape wound about the y axis.
+//! A shape twisted about the y axis.
 //!
-//! A twist of k radians per unit shears a point at radius r by k·r, which increases distances by a factor of
-//! up to (k·r + √(k²r² + 4))/2, the greatest singular value of that shear. So the shape is evaluated only
-//! inside its bounding cylinder, at the nearest point there; farther out, the distance to the cylinder times
-//! that factor is used. Both have that Lipschitz factor, and so does the greater of them.
+//! A twist of k radians per unit shears a point at radius r by k·r, which increases distances by a factor of up to
+//! (k·r + √(k²r² + 4))/2, the greatest singular value of that shear. So the shape is evaluated only inside its
+//! bounding cylinder, at the nearest point there. Farther out, the distance to the cylinder times that factor is used.
+//! Both have that Lipschitz factor, and so does the greater of them.
 
 use std::f32::consts::TAU;
 
@@ -19,21 +19,21 @@ use crate::real::{Real, Vec3, vec3};
 use crate::seek::Seek;
 use crate::values::Degrees;
 
-/// A shape wound about the y axis: what is higher is turned further, from z to x.
+/// A shape twisted about the y axis: points are rotated in proportion to their height, from z to x.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
 #[serde(deny_unknown_fields)]
 pub struct Twist {
-    /// By how much a point is turned for each scene unit that it is above the origin.
+    /// Rotation per scene unit of height above the origin.
     pub degrees_per_unit: Degrees,
     /// The shape, which must be bounded along x and z.
     pub child: Child,
-    /// Derived from these.
+    /// Values derived from the fields above.
     #[serde(skip)]
     #[schemars(skip)]
     cylinder: Cached<BoundingCylinder>,
 }
 
-/// A cylinder that holds the shape.
+/// Cylinder that contains the shape.
 #[derive(Clone, Debug)]
 struct BoundingCylinder {
     radius: f32,
@@ -51,14 +51,14 @@ impl Twist {
             let radius = radius_about_y(bounds);
             let shear = radius * self.degrees_per_unit.get().to_radians().abs();
             let drawn_apart = 0.5 * (shear + Real::sqrt(shear * shear + 4.0));
-            // A little more than rounding could take away.
+            // Slightly more than rounding could reduce it.
             let stretch = self.child.stretch() * drawn_apart * (1.0 + 1e-6);
             BoundingCylinder { radius, low: bounds.min.y, high: bounds.max.y, stretch }
         })
     }
 }
 
-/// The radius of a cylinder about the y axis that holds a box; not 0.
+/// Radius of a cylinder about the y axis that contains a box; not 0.
 pub(super) fn radius_about_y(Bounds { min: low, max: high }: Bounds) -> f32 {
     let (x, z) = (low.x.abs().max(high.x.abs()), low.z.abs().max(high.z.abs()));
     Real::sqrt(x * x + z * z).max(1e-6)
@@ -75,7 +75,7 @@ pub(super) fn require_bounded(child: &Node, axes: &[char], what: &str) -> Option
         };
         !(low.is_finite() && high.is_finite())
     })?;
-    let message = format!("has no end along {endless}, {what}: bound it by an intersection, inside");
+    let message = format!("is unbounded along {endless}, {what}: bound it by an intersection, inside");
     Some(NodeError::new("child", message))
 }
 
@@ -114,7 +114,7 @@ impl Sdf for Twist {
     }
 
     fn validate(&self) -> Option<NodeError> {
-        require_bounded(&self.child, &['x', 'z'], "where a twist would wind it without limit")
+        require_bounded(&self.child, &['x', 'z'], "so a twist would wind it without limit")
     }
 
     fn bounds(&self, isolevel: f32) -> Bounds {

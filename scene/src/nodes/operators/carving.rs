@@ -1,7 +1,7 @@
 //! Patterns carved into a shape where another surface passes through it, and interpolation between two
 //! shapes.
 //!
-//! Engraving, groove and tongue: Mercury, "`hg_sdf`: a GLSL library for building signed distance
+//! functions", <http://mercury.sexy/hg_sdf/>. The pattern's material is visible where it changes the shape.
 //! functions", <http://mercury.sexy/hg_sdf/>. The pattern's material is seen where it changes the shape.
 
 use std::f32::consts::FRAC_1_SQRT_2;
@@ -37,7 +37,7 @@ pub struct Groove {
     pub of: Vec<Node>,
     /// Depth of the channel.
     pub depth: Length,
-    /// Whole width of the channel.
+    /// Full width of the channel.
     pub width: Length,
 }
 
@@ -50,11 +50,11 @@ pub struct Tongue {
     pub of: Vec<Node>,
     /// Height of the ridge.
     pub height: Length,
-    /// Whole width of the ridge.
+    /// Full width of the ridge.
     pub width: Length,
 }
 
-/// A shape between two others: their distances mixed.
+/// A shape between two others: their distances are interpolated.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
 #[serde(deny_unknown_fields)]
 pub struct Morph {
@@ -198,7 +198,7 @@ impl Sdf for Morph {
     }
 
     fn bounds(&self, isolevel: f32) -> Bounds {
-        // A mean is never below the lesser.
+        // A mean is never less than the lesser.
         self.of[0].bounds(isolevel).union(self.of[1].bounds(isolevel))
     }
 }

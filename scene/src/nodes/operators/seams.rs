@@ -1,8 +1,8 @@
-//! Shapes joined by a seam that is worked: bevelled, stepped or set with columns.
+//! Shapes joined with a shaped seam: beveled, stepped or with columns.
 //!
 //! Mercury, "`hg_sdf`: a GLSL library for building signed distance functions",
-//! <http://mercury.sexy/hg_sdf/>. Each seam is a function of the two distances alone. Intersection and
-//! difference are unions of what is outside, seen from there.
+//! <http://mercury.sexy/hg_sdf/>. Each seam is a function of the two distances alone. Intersection and difference are
+//! unions of the shapes' complements.
 //!
 //! Across the seam the second shape's weight changes linearly from 0 to 1.
 
@@ -18,7 +18,7 @@ use crate::real::{Real, Vec3};
 use crate::seek::Seek;
 use crate::values::{Length, integer_in_range};
 
-/// Steps or columns of a seam.
+/// Maximum number of steps or columns of a seam.
 const MAX_SEAM_STEPS: u32 = 64;
 
 /// Kind of combination.
@@ -37,7 +37,7 @@ pub enum SeamKind {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
 #[serde(deny_unknown_fields)]
 pub struct Chamfer {
-    /// How the shapes are combined.
+    /// Kind of combination.
     pub kind: SeamKind,
     /// The shapes, one or more, combined from the left.
     #[schemars(length(min = 1))]
@@ -50,7 +50,7 @@ pub struct Chamfer {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
 #[serde(deny_unknown_fields)]
 pub struct Stairs {
-    /// How the shapes are combined.
+    /// Kind of combination.
     pub kind: SeamKind,
     /// The shapes, one or more, combined from the left.
     #[schemars(length(min = 1))]
@@ -67,7 +67,7 @@ pub struct Stairs {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
 #[serde(deny_unknown_fields)]
 pub struct Columns {
-    /// How the shapes are combined.
+    /// Kind of combination.
     pub kind: SeamKind,
     /// The shapes, one or more, combined from the left.
     #[schemars(length(min = 1))]
@@ -81,7 +81,7 @@ pub struct Columns {
 }
 
 impl SeamKind {
-    /// Combines two shapes by the seam of a union, given as a function of two distances.
+    /// Combines two shapes by the seam of a union, which is a function of two distances.
     #[inline(always)]
     fn combine<R: Real, V: SdfValue<R>>(self, a: V, b: V, size: &Length, seam: impl FnOnce(R, R) -> R) -> V {
         let (da, db) = match self {
@@ -105,9 +105,9 @@ impl SeamKind {
         )
     }
 
-    /// A box that holds every point whose value is at most `level`, for shapes folded from the left.
-    /// Where a union's value is at most `level`, the lesser of two distances is at most `reach` of it;
-    /// other joins are never less than the shapes that they cut from.
+    /// Box that contains every point whose value is at most `isolevel`, for shapes folded from the left. Where a
+    /// union's value is at most `isolevel`, the lesser of two distances is at most `reach` of it. The other kinds are
+    /// never less than the shapes that they cut from.
     fn bounds(self, of: &[Node], isolevel: f32, reach: impl Fn(f32) -> f32) -> Bounds {
         let first = &of[0];
         match self {
@@ -123,7 +123,7 @@ impl SeamKind {
     }
 }
 
-/// The Lipschitz factor of shapes folded from the left, of two at a time.
+/// The Lipschitz factor of shapes folded from the left, from a function of two factors.
 fn folded_lipschitz(of: &[Node], both: impl Fn(f32, f32) -> f32) -> f32 {
     of.iter().map(Node::stretch).reduce(|a, b| a.max(b).max(both(a, b))).unwrap_or(1.0)
 }
@@ -191,7 +191,7 @@ impl Sdf for Chamfer {
     }
 
     fn bounds(&self, isolevel: f32) -> Bounds {
-        // On the bevel a + b ≤ size + √2 level, so the lesser is at most half of that.
+        // On the bevel a + b ≤ size + √2 isolevel, so the lesser is at most half of that.
         let reach = |isolevel: f32| isolevel.max(self.size.get() * 0.5 + isolevel * FRAC_1_SQRT_2);
         self.kind.bounds(&self.of, isolevel, reach)
     }
@@ -240,19 +240,19 @@ impl Sdf for Stairs {
         )
     }
 
-    // With the zigzag's slope of ±1 the steps are ½(b + a ± (b − a)): they change like a or like b, so
-    // the greatest factor of the shapes is the factor of the whole.
+    // With the zigzag's slope of ±1 the steps are ½(b + a ± (b − a)): they change like a or like b, so the greatest
+    // factor of the shapes is the factor of the result.
     around_joined!();
 
     fn bounds(&self, isolevel: f32) -> Bounds {
-        // On the steps ½(a + b − size) ≤ level, so the lesser is at most level + size/2.
+        // On the steps ½(a + b − size) ≤ isolevel, so the lesser is at most isolevel + size/2.
         let reach = |isolevel: f32| isolevel + self.size.get() * 0.5;
         self.kind.bounds(&self.of, isolevel, reach)
     }
 }
 
 impl Columns {
-    /// A column's radius, and how far its middle lies along the diagonal from the seam.
+    /// A column's radius, and the distance of its center from the seam along the diagonal.
     fn column_layout(&self) -> (f32, f32) {
         let (size, count) = (self.size.get(), self.columns as f32);
         match self.kind {
@@ -320,13 +320,13 @@ impl Sdf for Columns {
     around_joined!();
 
     fn lipschitz(&self) -> f32 {
-        // In the plane of the two distances all is a Euclidean distance or less, so that it changes by
-        // at most √(La² + Lb²).
+        // In the plane of the two distances every value is at most a Euclidean distance, so it changes by at most
+        // √(La² + Lb²).
         folded_lipschitz(&self.of, |a, b| Real::sqrt(a * a + b * b))
     }
 
     fn bounds(&self, isolevel: f32) -> Bounds {
-        // No column extends farther than a bevel of the same size, a + b ≤ size + √2 level.
+        // No column extends farther than a bevel of the same size, a + b ≤ size + √2 isolevel.
         let reach = |isolevel: f32| isolevel.max(self.size.get() * 0.5 + isolevel * FRAC_1_SQRT_2);
         self.kind.bounds(&self.of, isolevel, reach)
     }

@@ -11,7 +11,7 @@ use crate::nodes::{Exactness, Node, Sdf, SdfValue};
 use crate::real::{Real, Vec3};
 use crate::seek::Seek;
 
-/// The points inside an odd number of the shapes: of two, inside one and outside the other.
+/// The points inside an odd number of the shapes; for two shapes, inside one and outside the other.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
 #[serde(deny_unknown_fields)]
 pub struct Xor {
@@ -44,8 +44,8 @@ impl Sdf for Xor {
     }
 }
 
-/// Exclusive or of two values: max(min(a, b), −max(a, b)), the nearer of the two surfaces with a sign of its
-/// own. That surface is the one that is seen.
+/// Exclusive or of two values: max(min(a, b), −max(a, b)), the nearer of the two surfaces with a sign of its own. The
+/// material of that surface is visible.
 #[inline(always)]
 fn xor_distance<R: Real, V: SdfValue<R>>(a: V, b: V) -> V {
     let (da, db) = (a.distance(), b.distance());

@@ -1,4 +1,4 @@
-//! Boxes of another kind: the twelve edges of one, and one with a slanted plan.
+//! Variants of a box: its twelve edges, and a box over a rhombus.
 //!
 //! The shapes are Inigo Quilez's, "Distance functions": <https://iquilezles.org/articles/distfunctions/>.
 
@@ -19,7 +19,7 @@ use crate::values::{Length, LengthOrZero};
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
 #[serde(deny_unknown_fields)]
 pub struct BoxFrame {
-    /// Whole extents along x, y and z.
+    /// Full extents along x, y and z.
     pub size: [Length; 3],
     /// Width of its beams, inside `size`; less than half of the least extent.
     pub thickness: Length,
@@ -36,9 +36,8 @@ impl Primitive for BoxFrame {
             |c| c * 0.5,
         );
         let thickness = p.x.uniform(self.thickness.get());
-        // Depth below the box's faces: by symmetry, from the corner where all coordinates are
-        // positive. A point is in a beam if two of the three are at most its thickness, and none is
-        // below 0.
+        // Depth below the box's faces: by symmetry, from the corner where all coordinates are positive. A point is in
+        // a beam if two of the three are at most its thickness, and none is below 0.
         let depth = Vec3::uniform(p.x, half) - vec3(p.x.abs(), p.y.abs(), p.z.abs());
         let past_face = depth.map(
             #[inline(always)]
@@ -48,7 +47,7 @@ impl Primitive for BoxFrame {
             #[inline(always)]
             |c| (c - thickness).at_least(0.0),
         );
-        // Squares of how far each coordinate is from a beam's length and from its section.
+        // Squares of each coordinate's distance from a beam's length and from its section.
         let (length, section) = (squares(past_face), squares(past_face + past_beam));
         let to_x = length.x + (section.y + section.z);
         let to_y = length.y + (section.z + section.x);
@@ -87,9 +86,9 @@ impl Primitive for BoxFrame {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
 #[serde(deny_unknown_fields)]
 pub struct Rhombus {
-    /// The rhombus's whole diagonals, along x and z.
+    /// Full diagonals of the rhombus, along x and z.
     pub diagonals: [Length; 2],
-    /// Its whole height along y.
+    /// Full height along y.
     pub height: Length,
     /// Radius of its rounded edges, inside the diagonals and the height; less than half of each.
     #[serde(default = "default_round")]

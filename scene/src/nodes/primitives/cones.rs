@@ -1,4 +1,4 @@
-//! Solids around the y axis with a straight side: cones and what is cut from them. All are exact.
+//! Solids around the y axis with straight sides: cones and parts of cones. All are exact.
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -10,7 +10,7 @@ use crate::real::{Real, Vec3, vec3};
 use crate::seek::Seek;
 use crate::values::{AcuteHalfAngle, HalfAngle, Length, LengthOrZero, sin_cos_degrees};
 
-/// A cone around the y axis, its middle at the origin: the base at y = −height/2, the apex at y = height/2.
+/// A cone around the y axis, centered at the origin: the base at y = −height/2, the apex at y = height/2.
 ///
 /// Inigo Quilez, "Distance functions": <https://iquilezles.org/articles/distfunctions/>.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
@@ -18,7 +18,7 @@ use crate::values::{AcuteHalfAngle, HalfAngle, Length, LengthOrZero, sin_cos_deg
 pub struct Cone {
     /// Radius of the base.
     pub radius: Length,
-    /// Its whole height.
+    /// Full height.
     pub height: Length,
 }
 
@@ -36,7 +36,7 @@ impl Primitive for Cone {
     }
 }
 
-/// A cone without its tip, around the y axis, its middle at the origin.
+/// A cone without its tip, around the y axis, centered at the origin.
 ///
 /// Inigo Quilez, "Distance functions": <https://iquilezles.org/articles/distfunctions/>.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
@@ -46,7 +46,7 @@ pub struct CappedCone {
     pub bottom_radius: LengthOrZero,
     /// Radius at y = height/2.
     pub top_radius: LengthOrZero,
-    /// Its whole height.
+    /// Full height.
     pub height: Length,
 }
 
@@ -65,7 +65,7 @@ impl Primitive for CappedCone {
         (bottom.max(top) == 0.0).then(|| {
             NodeError::new(
                 "bottom_radius",
-                "and top_radius are both 0, which leaves nothing: make one of them larger than 0",
+                "and top_radius are both 0, so the cone is empty: make one of them larger than 0",
             )
         })
     }
@@ -76,11 +76,11 @@ impl Primitive for CappedCone {
     }
 }
 
-/// The distance to a cone between two discs around the y axis: the lesser of those to a disc and to the side.
+/// Distance to a cone between two disks around the y axis: the lesser of the distances to a disk and to the side.
 #[inline(always)]
 fn to_capped_cone<R: Real>(p: Vec3<R>, bottom: f32, top: f32, height: f32) -> R {
     let half = height / 2.0;
-    // In the half plane of (away from the axis, up), the side runs from (bottom, −half) by `side`.
+    // In the half-plane of (away from the axis, up), the side runs from (bottom, −half) by `side`.
     let side = (top - bottom, height);
     let per_square = 1.0 / (side.0 * side.0 + side.1 * side.1);
     let across = distance_from_y_axis(p);
@@ -100,11 +100,11 @@ fn to_capped_cone<R: Real>(p: Vec3<R>, bottom: f32, top: f32, height: f32) -> R 
     R::select(off_side.below(0.0) & past_cap.below(0.0), -distance, distance)
 }
 
-/// A cone without a base: its apex at the origin, opening downwards for ever.
+/// An infinite cone: its apex at the origin, opening downward.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
 #[serde(rename = "InfiniteCone", deny_unknown_fields)]
 pub struct InfiniteConeParams {
-    /// Half its aperture: the angle between the axis and the side.
+    /// Half the cone's opening angle: between the axis and the side.
     pub degrees: AcuteHalfAngle,
 }
 
@@ -138,10 +138,10 @@ impl Primitive for InfiniteCone {
     }
 }
 
-/// Two balls on the y axis and the cone that touches both; the middle of its height is at the origin.
+/// Two balls on the y axis and the cone that touches both; the center of its height is at the origin.
 ///
-/// Each point between the ends of the axis has a ball whose radius grows evenly; the value is the least
-/// distance to any of them. The shape is Inigo Quilez's, "Distance functions":
+/// The union of a ball at each point between the ends of the axis, whose radius changes linearly; the value is the
+/// least distance to any of them. The shape is Inigo Quilez's, "Distance functions":
 /// <https://iquilezles.org/articles/distfunctions/>.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
 #[serde(deny_unknown_fields)]
@@ -150,7 +150,7 @@ pub struct RoundCone {
     pub bottom_radius: Length,
     /// Radius of the upper ball.
     pub top_radius: Length,
-    /// Its whole height, the balls' included.
+    /// Full height, including the balls.
     pub height: Length,
 }
 
@@ -178,9 +178,7 @@ impl Primitive for RoundCone {
         (self.height.get() < least).then(|| {
             NodeError::new(
                 "height",
-                format!(
-                    "must be at least twice the larger radius, or that ball sticks out: make height {least} or more"
-                ),
+                format!("must be at least twice the larger radius, to contain that ball: make height {least} or more"),
             )
         })
     }
@@ -197,7 +195,7 @@ impl Primitive for RoundCone {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
 #[serde(rename = "SolidAngle", deny_unknown_fields)]
 pub struct SolidAngleParams {
-    /// Half its aperture: the angle between the axis and the side. Above 90 it is a ball with a cone cut out.
+    /// Half the cone's opening angle: between the axis and the side. Above 90 the shape is a ball minus a cone.
     pub degrees: HalfAngle,
     /// Radius of the ball.
     pub radius: Length,

@@ -11,12 +11,12 @@ use crate::values::{Length, Point};
 
 /// All points within a radius of a quadratic Bézier curve.
 ///
-/// The squared distance to the point at t is a polynomial of degree four, whose slope is a cubic; see Inigo
-/// Quilez, "2D distance functions": <https://iquilezles.org/articles/distfunctions2d/>. Its roots are found
-/// here by Newton's method and not by Cardano's formula, which loses its digits where the curve is nearly
-/// straight. The cubic turns where the parabola has its vertex. After that it is convex, so that steps from
-/// t = 1 run down to its last root and never past it; before that, by symmetry, steps from t = 0 run up
-/// to its first. The nearest point is one of the two, since a root between them is a point of greatest distance.
+/// The squared distance to the point at t is a polynomial of degree four, whose derivative is a cubic; see Inigo
+/// Quilez, "2D distance functions": <https://iquilezles.org/articles/distfunctions2d/>. Its roots are found here by
+/// Newton's method instead of Cardano's formula, which loses precision if the curve is nearly straight. The cubic has
+/// its inflection at the parabola's vertex. After that it is convex, so that steps from t = 1 run down to its last
+/// root and never past it; before that, by symmetry, steps from t = 0 run up to its first. The nearest point is one of
+/// the two, because a root between them is a point of greatest distance.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
 #[serde(rename = "BezierTube", deny_unknown_fields)]
 pub struct BezierTubeParams {
@@ -33,12 +33,12 @@ pub struct BezierTubeParams {
 /// `BezierTubeParams` with its derived values.
 pub type BezierTube = Precomputed<BezierTubeParams>;
 
-/// Newton's steps at most: enough for 10⁻⁵ of the curve's length on the sharpest bend.
+/// Maximum number of Newton steps: enough for 10⁻⁵ of the curve's length on the sharpest bend.
 const NEWTON_STEPS: u32 = 16;
-/// A step so short, in the curve's t, is the last one: what is left of the error counts by its square.
+/// A step this short, in the curve's t, is the last one: the remaining error is of the order of its square.
 const NEWTON_TOLERANCE: f32 = 1e-4;
 
-/// The curve a + t·slope + t²·bend, and what its formula takes from it.
+/// The curve a + t·slope + t²·bend, and values derived from it.
 #[derive(Clone, Debug)]
 pub struct BezierCoefficients {
     slope: Vec3<f32>,
@@ -48,7 +48,7 @@ pub struct BezierCoefficients {
     /// Slope and twice the bend, over the square of the curve's size.
     slope_over_size: Vec3<f32>,
     bend_over_size: Vec3<f32>,
-    /// The cubic's known coefficients: of t³, of t², and a part of that of t.
+    /// The cubic's constant coefficients: of t³, of t², and part of that of t.
     cubic: [f32; 3],
 }
 
@@ -89,7 +89,7 @@ impl BezierCoefficients {
         let velocity = self.slope + self.bend * (2.0 * self.vertex);
         let turn = self.slope.cross(self.bend).length() * 2.0;
         let speed = velocity.length();
-        // A curve along a line may turn back on itself: still a line.
+        // A curve along a line may reverse on itself: it is still a line.
         let straight = turn <= 1e-6 * (self.slope.length_squared() + self.bend.length_squared());
         if straight { f32::INFINITY } else { speed * speed * speed / turn }
     }
@@ -104,8 +104,7 @@ struct Cubic<R> {
 }
 
 impl<R: Real> Cubic<R> {
-    /// Value of the cubic, and one over its derivative; where the derivative is 0, a step by the latter
-    /// leaves the curve.
+    /// Value of the cubic, and one over its derivative. If the derivative is 0, a step by the latter leaves the curve.
     #[inline(always)]
     fn newton(&self, t: R) -> (R, R) {
         let value = self.third.mul_add(t, self.second).mul_add(t, self.first).mul_add(t, self.constant);
@@ -114,7 +113,7 @@ impl<R: Real> Cubic<R> {
     }
 }
 
-/// The squared distance to the curve's point at t, from a point that sees its start at `from_p`.
+/// Squared distance to the curve's point at t, from a point whose vector from the curve's start is `from_p`.
 #[inline(always)]
 fn distance_squared_at<R: Real>(from_p: Vec3<R>, curve: &BezierCoefficients, t: R) -> R {
     let (slope, bend) = (Vec3::uniform(t, curve.slope), Vec3::uniform(t, curve.bend));
@@ -162,8 +161,7 @@ impl Primitive for BezierTube {
     }
 
     fn exactness(&self) -> Exactness {
-        // Where a bend is sharper than the tube is thick, the inside is deeper than the formula's
-        // value.
+        // If a bend is sharper than the tube is thick, the depth inside exceeds the formula's value.
         if self.derive().least_bend_radius() >= self.radius.get() { Exactness::Exact } else { Exactness::Bound }
     }
 

@@ -1,4 +1,4 @@
-//! Balls from which something is cut. All are exact.
+//! Parts of balls. All are exact.
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -53,22 +53,22 @@ impl Primitive for CutSphere {
     }
 }
 
-/// A bowl: what of the shell of a ball around the origin lies below a horizontal plane, with a round brim.
+/// A bowl: the part of a spherical shell around the origin below a horizontal plane, with a round brim.
 ///
 /// Inigo Quilez, "Distance functions": <https://iquilezles.org/articles/distfunctions/>.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
 #[serde(deny_unknown_fields)]
 pub struct CutHollowSphere {
-    /// Radius of the sphere in the middle of the shell.
+    /// Radius of the sphere at the center of the shell.
     pub radius: Length,
     /// Height of the plane.
     pub cut: Coordinate,
-    /// Whole thickness of the shell.
+    /// Full thickness of the shell.
     pub thickness: Length,
 }
 
 impl CutHollowSphere {
-    /// Whether the brim leaves a hole in its middle.
+    /// Whether the brim leaves a hole at its center.
     fn is_open(&self) -> bool {
         self.cut.get() <= 0.0 || rim(&self.radius, &self.cut) * 2.0 >= self.thickness.get()
     }
@@ -93,7 +93,7 @@ impl Primitive for CutHollowSphere {
     }
 
     fn exactness(&self) -> Exactness {
-        // Where the brim has closed, its inside is deeper than the formula's value.
+        // If the brim has closed, the depth inside exceeds the formula's value.
         if self.is_open() { Exactness::Exact } else { Exactness::Bound }
     }
 
@@ -104,9 +104,7 @@ impl Primitive for CutHollowSphere {
             swallowed.then(|| {
                 NodeError::new(
                     "thickness",
-                    format!(
-                        "must be less than twice the radius, or nothing is hollow: make thickness less than {most}"
-                    ),
+                    format!("must be less than twice the radius, to leave a hollow: make thickness less than {most}"),
                 )
             })
         })
@@ -133,7 +131,7 @@ fn plane_misses_sphere(radius: &Length, cut: &Coordinate) -> Option<NodeError> {
         .then(|| NodeError::new("cut", format!("must pass through the ball: put it between {} and {radius}", -radius)))
 }
 
-/// A ball around the origin with a bite out of its top: the bite is a ball, too.
+/// A ball around the origin minus a smaller or larger ball at its top.
 ///
 /// Inigo Quilez, "Distance functions": <https://iquilezles.org/articles/distfunctions/>.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
@@ -141,9 +139,9 @@ fn plane_misses_sphere(radius: &Length, cut: &Coordinate) -> Option<NodeError> {
 pub struct DeathStar {
     /// Radius of the ball.
     pub radius: Length,
-    /// Radius of the bite.
+    /// Radius of the ball that is subtracted.
     pub bite: Length,
-    /// Height of the bite's center above the ball's.
+    /// Height of the subtracted ball's center above the other.
     pub distance: Length,
 }
 
@@ -178,10 +176,7 @@ impl Primitive for DeathStar {
         let (radius, bite, distance) = (self.radius.get(), self.bite.get(), self.distance.get());
         let (low, high) = ((radius - bite).abs(), radius + bite);
         (distance <= low || distance >= high).then(|| {
-            NodeError::new(
-                "distance",
-                format!("must make the bite meet the ball's surface: put it between {low} and {high}"),
-            )
+            NodeError::new("distance", format!("must make the two surfaces intersect: put it between {low} and {high}"))
         })
     }
 

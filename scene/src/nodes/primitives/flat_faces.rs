@@ -1,4 +1,4 @@
-//! Sheets between corners, with a thickness: all points within a radius of a flat face. All are exact.
+//! Flat faces between corners, with a thickness: all points within a radius of the face. All are exact.
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -50,7 +50,7 @@ impl Primitive for Triangle {
     }
 }
 
-/// All points within a radius of a flat face with four corners, given in order around it.
+/// All points within a radius of a flat face with four corners, in order around it.
 ///
 /// Inigo Quilez, "Distance functions": <https://iquilezles.org/articles/distfunctions/>.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
@@ -71,13 +71,13 @@ pub struct QuadParams {
 /// `QuadParams` with its derived values.
 pub type Quad = Precomputed<QuadParams>;
 
-/// Maximum distance of a corner from the plane of the four, as a fraction of the larger diagonal: as much as
-/// rounding coordinates to a few digits causes. The corner is then moved onto that plane.
+/// Maximum distance of a corner from the plane of the four, as a fraction of the larger diagonal: enough for
+/// coordinates rounded to a few digits. The corner is then moved onto that plane.
 const FLATNESS: f32 = 1e-3;
 
 impl QuadParams {
-    /// The normal of the plane through the middles of its sides, and how far above it the corners
-    /// a and c lie; b and d lie as far below.
+    /// Normal of the plane through the centers of its sides, and the height of the corners a and c above it; b and d
+    /// are as far below.
     fn plane(&self) -> (Vec3<f32>, f32) {
         let [a, b, c, d] = [&self.a, &self.b, &self.c, &self.d].map(Point::get);
         let normal = direction((c - a).cross(d - b));
@@ -116,7 +116,7 @@ impl QuadParams {
         back.map(|corner| {
             NodeError::new(
                 ["a", "b", "c", "d"][corner],
-                "makes the outline turn back: order the corners around a convex face, or make two triangles of them",
+                "makes the outline concave: order the corners around a convex face, or make two triangles of them",
             )
         })
     }
@@ -157,7 +157,7 @@ impl Primitive for Quad {
 /// A flat convex face, its corners in order around the normal.
 #[derive(Clone, Debug)]
 pub struct ConvexFace<const N: usize> {
-    /// Of length 1; 0 if the corners are on a line.
+    /// Normal of length 1; 0 if the corners are on a line.
     normal: Vec3<f32>,
     sides: [FaceEdge; N],
 }
@@ -170,7 +170,7 @@ struct FaceEdge {
     back: Vec3<f32>,
     /// The vector to its end over the square of its length.
     over_square: Vec3<f32>,
-    /// Of length 1, in the face's plane, toward the inside of the face.
+    /// Direction of length 1, in the face's plane, toward the inside of the face.
     inwards: Vec3<f32>,
 }
 
@@ -185,7 +185,7 @@ impl<const N: usize> ConvexFace<N> {
         Self { normal, sides: std::array::from_fn(side) }
     }
 
-    /// The distance to the face: to its plane where it is straight above or below, else to its nearest side.
+    /// Distance to the face: to its plane if the point projects into the face, else to its nearest side.
     #[inline(always)]
     fn distance<R: Real>(&self, p: Vec3<R>) -> R {
         let height = (p - Vec3::uniform(p.x, self.sides[0].start)).dot_uniform(self.normal);
@@ -208,9 +208,9 @@ impl<const N: usize> ConvexFace<N> {
     }
 }
 
-/// The vector of length 1 in a direction; 0 for none.
+/// Vector of length 1 in a direction; 0 for the zero vector.
 fn direction(vector: Vec3<f32>) -> Vec3<f32> {
-    // Scaled first, so that no square vanishes.
+    // Scaled first, so that no square underflows.
     let largest = vector.map(f32::abs).max_element();
     let scaled = vector * (1.0 / largest.max(f32::MIN_POSITIVE));
     if largest > 0.0 { scaled.normalize() } else { vector }

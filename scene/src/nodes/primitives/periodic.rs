@@ -1,10 +1,9 @@
-//! Triply periodic minimal surfaces: they repeat along all three axes and divide space into two mazes of the
-//! same kind.
+//! Triply periodic minimal surfaces: they repeat along all three axes and divide space into two congruent mazes.
 //!
-//! Each is approximated, as usual, by the zero set of a sum f of products of sines and cosines; for the
-//! surfaces see Alan H. Schoen, "Infinite periodic minimal surfaces without self-intersections", NASA TN
-//! D-5541, 1970. With angles of 2π per cell, f over its largest gradient is a bound of the distance. For all
-//! three that gradient has length √3, as each proves; the maximum is attained, so no smaller number would do.
+//! Each is approximated, as usual, by the zero set of a sum f of products of sines and cosines; for the surfaces see
+//! Alan H. Schoen, "Infinite periodic minimal surfaces without self-intersections", NASA TN D-5541, 1970. With angles
+//! of 2π per cell, f over its largest gradient is a bound of the distance. For all three that gradient has length √3,
+//! as proved at each. The maximum is attained, so no smaller number would do.
 
 use std::f32::consts::{PI, TAU};
 
@@ -17,7 +16,7 @@ use crate::real::{Real, Vec3, vec3};
 use crate::seek::Seek;
 use crate::values::Length;
 
-/// Schoen's gyroid, in all of space: intersect it with another shape.
+/// Schoen's gyroid, infinite: intersect it with another shape.
 ///
 /// f = sin x cos y + sin y cos z + sin z cos x.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
@@ -25,13 +24,13 @@ use crate::values::Length;
 pub struct Gyroid {
     /// Edge of the cube in which it repeats.
     pub cell: Length,
-    /// Thickness of the wall where it is thinnest; without one, all of one side is solid.
+    /// Thickness of the wall where it is thinnest; when absent, one side of the surface is solid.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub thickness: Option<Length>,
 }
 
-/// Schwarz's primitive surface, in all of space: intersect it with another shape. Its chambers are
-/// in the middles and at the corners of its cells.
+/// Schwarz's primitive surface, infinite: intersect it with another shape. Its chambers are at the centers and corners
+/// of its cells.
 ///
 /// f = cos x + cos y + cos z.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
@@ -39,13 +38,13 @@ pub struct Gyroid {
 pub struct SchwarzP {
     /// Edge of the cube in which it repeats.
     pub cell: Length,
-    /// Thickness of the wall where it is thinnest; without one, all of one side is solid.
+    /// Thickness of the wall where it is thinnest; when absent, one side of the surface is solid.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub thickness: Option<Length>,
 }
 
-/// Schwarz's diamond surface, in all of space: intersect it with another shape. Its tunnels meet in fours,
-/// like the bonds of a diamond.
+/// Schwarz's diamond surface, infinite: intersect it with another shape. Its tunnels join in fours, like the bonds of
+/// a diamond.
 ///
 /// f = sin x sin y sin z + sin x cos y cos z + cos x sin y cos z + cos x cos y sin z.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
@@ -53,7 +52,7 @@ pub struct SchwarzP {
 pub struct Diamond {
     /// Edge of the cube in which it repeats.
     pub cell: Length,
-    /// Thickness of the wall where it is thinnest; without one, all of one side is solid.
+    /// Thickness of the wall where it is thinnest; when absent, one side of the surface is solid.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub thickness: Option<Length>,
 }
@@ -119,11 +118,11 @@ impl Primitive for Diamond {
 
     #[inline(always)]
     fn distance<R: Real>(&self, p: Vec3<R>) -> R {
-        // f = sin x cos(y − z) + cos x sin(y + z), and so on around. Squaring ∂f/∂x = cos x cos(y − z) −
-        // sin x sin(y + z) and its like, with products made sums of double angles: let c and s be the
-        // cosines and sines of 2x, 2y, 2z, then |∇f|² = (3 + 3·c₁c₂c₃ − (s₁s₂ + s₂s₃ + s₃s₁))/2.
-        // As |c| ≤ 1, 3·c₁c₂c₃ ≤ 3·(c₁²c₂²c₃²)^⅓ ≤ Σc² by the means; and −(s₁s₂ + s₂s₃ + s₃s₁) =
-        // (Σs² − (Σs)²)/2 ≤ Σs². Since c² + s² = 1, both together are at most 3, and |∇f|² is too.
+        // f = sin x cos(y − z) + cos x sin(y + z), and cyclically. Squaring ∂f/∂x = cos x cos(y − z) − sin x sin(y +
+        // z) and the others, with products expanded to double angles: let c and s be the cosines and sines of 2x, 2y,
+        // 2z, then |∇f|² = (3 + 3·c₁c₂c₃ − (s₁s₂ + s₂s₃ + s₃s₁))/2. Because |c| ≤ 1, 3·c₁c₂c₃ ≤ 3·(c₁²c₂²c₃²)^⅓ ≤ Σc²
+        // by the inequality of means; and −(s₁s₂ + s₂s₃ + s₃s₁) = (Σs² − (Σs)²)/2 ≤ Σs². Since c² + s² = 1, both
+        // together are at most 3, and so is |∇f|².
         let (sine, cosine) = cell_sin_cos(p, &self.cell);
         let of_difference = cosine.y.mul_add(cosine.z, sine.y * sine.z);
         let of_sum = sine.y.mul_add(cosine.z, cosine.y * sine.z);
@@ -145,7 +144,7 @@ impl Primitive for Diamond {
     }
 }
 
-/// Sines and cosines of a point's coordinates, which grow by 2π a cell.
+/// Sines and cosines of a point's coordinates, scaled by 2π per cell.
 #[inline(always)]
 fn cell_sin_cos<R: Real>(p: Vec3<R>, cell: &Length) -> (Vec3<R>, Vec3<R>) {
     let per_cell = p.x.uniform(1.0 / cell.get());
@@ -155,7 +154,7 @@ fn cell_sin_cos<R: Real>(p: Vec3<R>, cell: &Length) -> (Vec3<R>, Vec3<R>) {
     (vec3(sine_x, sine_y, sine_z), vec3(cosine_x, cosine_y, cosine_z))
 }
 
-/// The bound from `f`: of the side where it is negative, or of a wall around its zero set.
+/// Distance bound from `f`: of the side where it is negative, or of a wall around its zero set.
 #[inline(always)]
 fn slab_around_zero<R: Real>(f: R, cell: &Length, thickness: Option<&Length>) -> R {
     let scale = f.uniform(cell.get() / (TAU * MAX_GRADIENT));
@@ -165,7 +164,7 @@ fn slab_around_zero<R: Real>(f: R, cell: &Length, thickness: Option<&Length>) ->
     }
 }
 
-/// Error for a wall that fills all of space, because |f| is nowhere above `greatest`.
+/// Error for a wall so thick that it fills all of space, because |f| never exceeds `greatest`.
 fn thickness_error(cell: &Length, thickness: Option<&Length>, greatest: f32) -> Option<NodeError> {
     let most = cell.get() * greatest / (PI * MAX_GRADIENT);
     thickness.filter(|thickness| thickness.get() >= most).map(|_| {
@@ -178,7 +177,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn surfaces_repeat_far_away_to_the_bit() {
+    fn distant_cells_are_bit_identical() {
         let cell = Length::new(0.5).expect("a length");
         let gyroid = Gyroid { cell: cell.clone(), thickness: None };
         let diamond = Diamond { cell, thickness: None };
@@ -191,7 +190,7 @@ mod tests {
     }
 
     #[test]
-    fn walls_that_just_leave_room_are_open_somewhere() {
+    fn walls_just_below_the_maximum_thickness_leave_openings() {
         let cell = Length::new(1.0).expect("a length");
         let room = |most: f32| Length::new(most * 0.999);
         let most = 1.0 / (PI * MAX_GRADIENT);

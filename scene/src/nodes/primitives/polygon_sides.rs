@@ -19,13 +19,13 @@ pub struct PolygonSides {
     count: u32,
     /// Sine and cosine of half of a side's angle.
     half_side: (f32, f32),
-    /// Sine and cosine of the angle of each mirror, from the middle of a side; the first few are in use.
+    /// Sine and cosine of the angle of each mirror, from the center of a side; the first `mirrors_used` are used.
     fold_angles: [(f32, f32); 6],
     mirrors_used: usize,
 }
 
 impl PolygonSides {
-    /// Of a hexagon.
+    /// Sides of a hexagon.
     pub(super) const HEXAGON: Self = Self {
         count: 6,
         half_side: (0.5, 0.866_025_4),
@@ -33,7 +33,7 @@ impl PolygonSides {
         mirrors_used: 2,
     };
 
-    /// Of an octagon.
+    /// Sides of an octagon.
     pub(super) const OCTAGON: Self = Self {
         count: 8,
         half_side: (0.382_683_43, 0.923_879_5),
@@ -48,14 +48,14 @@ impl PolygonSides {
         mirrors_used: 2,
     };
 
-    /// This many sides, if that many are allowed.
+    /// A polygon with this number of sides; `None` if it is out of range.
     pub fn new(count: u32) -> Option<Self> {
         if !(3..=MAX_SIDES).contains(&count) {
             return None;
         }
         let turned = |wedges: u32| Real::sin_cos(PI * wedges as f32 / count as f32);
         let mut sides = Self { count, half_side: turned(1), fold_angles: [(0.0, 1.0); 6], mirrors_used: 0 };
-        // Each mirror halves the number of remaining wedges, while that is even.
+        // Each mirror halves the number of remaining wedges while it is even.
         let mut wedges = if sides.is_even() { count / 2 } else { count };
         while wedges > 1 {
             wedges = wedges.div_ceil(2);
@@ -80,8 +80,8 @@ impl PolygonSides {
         (radius * self.half_side.1, radius * self.half_side.0)
     }
 
-    /// Folds the plane of x and z into the wedge from the +z axis to half a side's angle from it: gives
-    /// how far along the edge and how far out a point then is.
+    /// Folds the plane of x and z into the wedge from the +z axis to half a side's angle from it. Returns the point's
+    /// position along the edge and its distance outward.
     #[inline(always)]
     pub(super) fn fold<R: Real>(&self, x: R, z: R) -> (R, R) {
         let (mut along, mut out) = (x.abs(), if self.is_even() { z.abs() } else { z });
@@ -96,7 +96,7 @@ impl PolygonSides {
 
 impl Seek for PolygonSides {
     fn seek(&mut self, clock: &mut FrameTime<'_>) -> Result<bool, Box<SeekError>> {
-        // The rest follows from the count.
+        // The other fields follow from the count.
         let Self { count, half_side: _, fold_angles: _, mirrors_used: _ } = self;
         count.seek(clock)
     }
@@ -133,7 +133,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn folding_keeps_the_radius_and_ends_in_the_wedge_for_any_number_of_sides() {
+    fn folding_preserves_the_radius_and_ends_in_the_wedge() {
         for sides in (3..=MAX_SIDES).filter_map(PolygonSides::new) {
             let (inradius, half_edge) = sides.inradius_and_half_edge(1.0);
             for step in 0..500 {
@@ -146,7 +146,7 @@ mod tests {
     }
 
     #[test]
-    fn hexagon_and_octagon_are_what_six_and_eight_sides_make() {
+    fn hexagon_and_octagon_equal_six_and_eight_sides() {
         for (constant, count) in [(PolygonSides::HEXAGON, 6), (PolygonSides::OCTAGON, 8)] {
             let made = PolygonSides::new(count).expect("a few sides");
             assert_eq!(constant.mirrors_used, made.mirrors_used);

@@ -1,12 +1,12 @@
 //! Regular polyhedra around the origin, all exact.
 //!
-//! The mirrors of a polyhedron cut space into equal wedges with their tips at its middle. Each
-//! wedge holds a corner, the middle of an edge and the middle of a face, and what is nearest to a
-//! point of a wedge is in that wedge too (H. S. M. Coxeter, "Regular Polytopes", chapter V). So
-//! points are folded into one wedge by reflections, as in Mikael Christensen, "Folding space",
-//! <http://blog.hvidtfeldts.net/index.php/2011/08/distance-estimated-3d-fractals-iii-folding-space/>,
-//! and the distance is that to one face along one of its edges. The order of the mirrors is that of a
-//! reduced word of the group's longest element, which takes every wedge to the first.
+//! The mirrors of a polyhedron cut space into equal wedges with their tips at its center. Each wedge contains a
+//! corner, the center of an edge and the center of a face, and the surface nearest to a point of a wedge is in that
+//! wedge too (H. S. M. Coxeter, "Regular Polytopes", chapter V). So points are folded into one wedge by reflections,
+//! as in Mikael Christensen, "Folding space",
+//! <http://blog.hvidtfeldts.net/index.php/2011/08/distance-estimated-3d-fractals-iii-folding-space/>, and the distance
+//! is that to one face along one of its edges. The order of the mirrors is that of a reduced word of the group's
+//! longest element, which takes every wedge to the first.
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -21,7 +21,7 @@ use crate::values::Length;
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
 #[serde(deny_unknown_fields)]
 pub struct Tetrahedron {
-    /// From the origin to its corners.
+    /// Distance of its corners from the origin.
     pub radius: Length,
 }
 
@@ -31,23 +31,23 @@ pub struct Tetrahedron {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
 #[serde(deny_unknown_fields)]
 pub struct Octahedron {
-    /// From the origin to its corners.
+    /// Distance of its corners from the origin.
     pub radius: Length,
 }
 
-/// A polyhedron of twelve pentagons; the axes pass through the middles of edges.
+/// A polyhedron of twelve pentagons; the axes pass through the centers of edges.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
 #[serde(deny_unknown_fields)]
 pub struct Dodecahedron {
-    /// From the origin to its corners.
+    /// Distance of its corners from the origin.
     pub radius: Length,
 }
 
-/// A polyhedron of twenty triangles; the axes pass through the middles of edges.
+/// A polyhedron of twenty triangles; the axes pass through the centers of edges.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
 #[serde(deny_unknown_fields)]
 pub struct Icosahedron {
-    /// From the origin to its corners.
+    /// Distance of its corners from the origin.
     pub radius: Length,
 }
 
@@ -63,8 +63,8 @@ impl Primitive for Tetrahedron {
 
     #[inline(always)]
     fn distance<R: Real>(&self, p: Vec3<R>) -> R {
-        // Of the base, relative to its center: its edges are √2/3 of the radius away, and half an
-        // edge is √(2/3) of it.
+        // The base, relative to its center: its edges are √2/3 of the radius away, and half an edge is √(2/3) of the
+        // radius.
         const TO_EDGE: f32 = 0.471_404_52;
         const HALF_EDGE: f32 = 0.816_496_6;
         let p = fold_tetrahedron(p);
@@ -109,7 +109,7 @@ impl Primitive for Dodecahedron {
 
     #[inline(always)]
     fn distance<R: Real>(&self, p: Vec3<R>) -> R {
-        // A corner is along (1, 0, φ²), a face's middle along (0, 1, φ).
+        // A corner is along (1, 0, φ²), a face's center along (0, 1, φ).
         const TO_EDGE: f32 = 0.934_172_4;
         const HALF_EDGE: f32 = 0.356_822_1;
         const NORMAL: (f32, f32) = (0.525_731_1, 0.850_650_8);
@@ -120,7 +120,7 @@ impl Primitive for Dodecahedron {
     }
 
     fn bounds(&self, isolevel: f32) -> Bounds {
-        // The middles of edges on the axes are as far out as any corner's coordinate.
+        // The centers of edges on the axes have the greatest coordinate of all corners.
         let reach = self.radius.get() * 0.934_172_4;
         Bounds::symmetric(reach, reach, reach).expanded(isolevel)
     }
@@ -131,7 +131,7 @@ impl Primitive for Icosahedron {
 
     #[inline(always)]
     fn distance<R: Real>(&self, p: Vec3<R>) -> R {
-        // A corner is along (0, 1, φ), a face's middle along (1, 0, φ²).
+        // A corner is along (0, 1, φ), a face's center along (1, 0, φ²).
         const TO_EDGE: f32 = 0.850_650_8;
         const HALF_EDGE: f32 = 0.525_731_1;
         const NORMAL: (f32, f32) = (0.356_822_1, 0.934_172_4);
@@ -142,14 +142,14 @@ impl Primitive for Icosahedron {
     }
 
     fn bounds(&self, isolevel: f32) -> Bounds {
-        // The middles of edges on the axes are as far out as any corner's coordinate.
+        // The centers of edges on the axes have the greatest coordinate of all corners.
         let reach = self.radius.get() * 0.850_650_8;
         Bounds::symmetric(reach, reach, reach).expanded(isolevel)
     }
 }
 
-/// Distance to a face, given the point's offset from the middle of the face's edge: `across` and `up`, in
-/// which `normal` is the face's normal; `past_end` is how far it is beyond the edge's end.
+/// Distance to a face, given the point's offset from the center of the face's edge: `across` and `up`, in which
+/// `normal` is the face's normal; `past_end` is its distance beyond the edge's end.
 #[inline(always)]
 fn distance_to_face<R: Real>(normal: (f32, f32), across: R, up: R, past_end: R) -> R {
     let (normal_across, normal_up) = (up.constant(normal.0), up.constant(normal.1));
@@ -165,7 +165,7 @@ fn distance_to_edge<R: Real>(before: R, past_edge: R, past_end: R) -> R {
     R::select(past_edge.above(0.0), to_edge, before)
 }
 
-/// Mirrors what is behind a plane through the origin.
+/// Reflects points behind a plane through the origin to its front.
 #[inline(always)]
 fn mirror<R: Real>(p: (R, R), normal: (f32, f32)) -> (R, R) {
     let (a, b) = p;
@@ -176,7 +176,7 @@ fn mirror<R: Real>(p: (R, R), normal: (f32, f32)) -> (R, R) {
 /// Folds space into the wedge of the bottom face, with its edge across +z, and the end of that edge at +x.
 #[inline(always)]
 fn fold_tetrahedron<R: Real>(p: Vec3<R>) -> Vec3<R> {
-    // Mirrors: x = 0, one through the y axis and the end of the edge, one through the whole edge.
+    // Mirrors: x = 0, one through the y axis and the end of the edge, one through the full edge.
     const THROUGH_END: (f32, f32) = (-0.5, 0.866_025_4);
     const THROUGH_EDGE: (f32, f32) = (-0.816_496_6, -ROOT_OF_THIRD);
     let (x, z) = mirror((p.x.abs(), p.z), THROUGH_END);
@@ -194,8 +194,8 @@ fn fold_icosahedron<R: Real>(p: Vec3<R>) -> Vec3<R> {
         p,
         #[inline(always)]
         |p: Vec3<R>| {
-            // Mirrors: x = 0, y = 0, and the plane through the wedge's corners off the z axis. z = 0 is a
-            // mirror of the group too: with it, three rounds do what takes five without.
+            // Mirrors: x = 0, y = 0, and the plane through the wedge's corners off the z axis. z = 0 is a mirror of
+            // the group too: with it, three rounds suffice instead of five.
             let p = mirror_icosahedron(vec3(p.x.abs(), p.y.abs(), p.z.abs()));
             let p = mirror_icosahedron(vec3(p.x.abs(), p.y.abs(), p.z));
             mirror_icosahedron(vec3(p.x.abs(), p.y.abs(), p.z))
@@ -242,7 +242,7 @@ mod tests {
     }
 
     #[test]
-    fn corners_and_middles_of_faces_are_where_coxeter_has_them() {
+    fn corners_and_face_centers_match_coxeter() {
         let radius = || Length::new(1.0).expect("a length");
         let (icosahedron, dodecahedron) = (Icosahedron { radius: radius() }, Dodecahedron { radius: radius() });
         let tetrahedron = Tetrahedron { radius: radius() };

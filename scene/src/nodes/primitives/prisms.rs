@@ -1,9 +1,9 @@
 //! Prisms and pyramids over a regular polygon, around the y axis.
 //!
-//! Mirrors through the axis fold space into the wedge between the middle of one edge and a corner
-//! next to it; the surface nearest to a point of the wedge is in the wedge too, so the distance to
-//! that one face is the distance. The folding is that of Inigo Quilez's prisms, "Distance functions",
-//! <https://iquilezles.org/articles/distfunctions/>, for any number of sides.
+//! Mirrors through the axis fold space into the wedge between the center of one edge and a corner next to it. The
+//! surface nearest to a point of the wedge is in the wedge too, so the distance to that one face is the distance. The
+//! folding is that of Inigo Quilez's prisms, "Distance functions", <https://iquilezles.org/articles/distfunctions/>,
+//! for any number of sides.
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -16,23 +16,23 @@ use crate::real::{Real, Vec3, vec3};
 use crate::seek::Seek;
 use crate::values::Length;
 
-/// A prism of six sides along y, its middle at the origin, two of its sides across the z axis.
+/// A prism of six sides along y, centered at the origin, two of its sides across the z axis.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
 #[serde(deny_unknown_fields)]
 pub struct HexagonalPrism {
-    /// From the axis to its corners.
+    /// Distance of its corners from the axis.
     pub radius: Length,
-    /// Its whole height.
+    /// Full height.
     pub height: Length,
 }
 
-/// A prism of eight sides along y, its middle at the origin, four of its sides across the x and z axes.
+/// A prism of eight sides along y, centered at the origin, four of its sides across the x and z axes.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
 #[serde(deny_unknown_fields)]
 pub struct OctagonalPrism {
-    /// From the axis to its corners.
+    /// Distance of its corners from the axis.
     pub radius: Length,
-    /// Its whole height.
+    /// Full height.
     pub height: Length,
 }
 
@@ -42,7 +42,7 @@ pub struct OctagonalPrism {
 pub struct RegularPyramid {
     /// Number of sides of its base, 3 to 64.
     pub sides: PolygonSides,
-    /// From the axis to the corners of the base.
+    /// Distance of the base's corners from the axis.
     pub radius: Length,
     /// Height of its apex.
     pub height: Length,
@@ -116,7 +116,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_corner_and_the_middle_of_an_edge_are_on_the_pyramid() {
+    fn a_corner_and_an_edge_center_are_on_the_pyramid() {
         for sides in (3..=64).filter_map(PolygonSides::new) {
             let radius = Length::new(0.7).expect("a length");
             let pyramid = RegularPyramid { sides, radius: radius.clone(), height: radius };

@@ -2,13 +2,13 @@
 
 use crate::real::Real;
 
-/// Slanted face of a pyramid: a triangle from an edge of the base to the apex, in coordinates of its own.
+/// Slanted face of a pyramid: a triangle from an edge of the base to the apex, in its own coordinates.
 ///
-/// The base is on y = 0 and the apex above its center. A point is given by its distance out from the axis,
-/// its position along the edge from the edge's middle, and its height.
+/// The base is on y = 0 and the apex above its center. The coordinates of a point are its distance outward from the
+/// axis, its position along the edge from the edge's center, and its height.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct PyramidFace {
-    /// From the axis to the base's edge.
+    /// Distance of the base's edge from the axis.
     inradius: f32,
     /// Half of that edge.
     half_edge: f32,
@@ -30,9 +30,9 @@ impl PyramidFace {
         Self { inradius, half_edge, slant, normal, side }
     }
 
-    /// Squared distance to the triangle, for points beside the half of it with positive `along`, and the
-    /// signed distance of the point from its plane. Below the edge of the base it is at most the distance
-    /// to the corner: the base is nearer there.
+    /// Squared distance to the triangle, for points next to the half of it with positive `along`, and the signed
+    /// distance of the point from its plane. Below the edge of the base it is at most the distance to the corner,
+    /// because the base is nearer there.
     #[inline(always)]
     pub(super) fn distance_and_depth<R: Real>(&self, out: R, along: R, height: R) -> (R, R) {
         let (across, up) = (out.uniform(self.normal.0), out.uniform(self.normal.1));

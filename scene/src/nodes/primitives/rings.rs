@@ -1,4 +1,4 @@
-//! Rings, open and closed: a tube or a band along an arc.
+//! Rings, open and closed: a tube or a ribbon along an arc.
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -10,17 +10,17 @@ use crate::real::{Real, Vec3, vec3};
 use crate::seek::Seek;
 use crate::values::{ArcAngle, Length, LengthOrZero, sin_cos_degrees};
 
-/// A part of a ring around the y axis, with round ends. The middle of its arc is at +z.
+/// A part of a ring around the y axis, with round ends. The center of its arc is at +z.
 ///
 /// Inigo Quilez, "Distance functions": <https://iquilezles.org/articles/distfunctions/>.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
 #[serde(rename = "CappedTorus", deny_unknown_fields)]
 pub struct CappedTorusParams {
-    /// Radius of the circle in the middle of the tube.
+    /// Radius of the circle at the center of the tube.
     pub radius: Length,
     /// Radius of the tube.
     pub tube: Length,
-    /// The whole arc, from end to end.
+    /// The full arc, from end to end.
     pub degrees: ArcAngle,
 }
 
@@ -59,7 +59,7 @@ impl Primitive for CappedTorus {
     }
 
     fn exactness(&self) -> Exactness {
-        // Where the two ends have grown together, the inside is deeper than the formula's value.
+        // If the two ends overlap, the depth inside exceeds the formula's value.
         let (end_x, end_z) = *self.derive();
         let apart = end_z >= 0.0 || end_x >= self.tube.get() || self.degrees.get() == 360.0;
         if apart { Exactness::Exact } else { Exactness::Bound }
@@ -77,15 +77,15 @@ impl Primitive for CappedTorus {
     }
 }
 
-/// A link of a chain in the plane z = 0: a ring drawn out along y.
+/// A link of a chain in the plane z = 0: a ring elongated along y.
 ///
 /// Inigo Quilez, "Distance functions": <https://iquilezles.org/articles/distfunctions/>.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
 #[serde(deny_unknown_fields)]
 pub struct Link {
-    /// Its whole height.
+    /// Full height.
     pub height: Length,
-    /// Radius of its bends, to the middle of the tube.
+    /// Radius of its bends, to the center of the tube.
     pub radius: Length,
     /// Radius of the tube.
     pub tube: Length,
@@ -126,22 +126,22 @@ impl Primitive for Link {
     }
 }
 
-/// A band in the plane z = 0 that follows an arc around the origin and continues straight, with round ends.
-/// The arc's middle is at the bottom, its legs go up.
+/// A ribbon in the plane z = 0 that follows an arc around the origin and continues straight, with round ends. The
+/// arc's center is at the bottom, its legs go up.
 ///
 /// Inigo Quilez, "Distance functions": <https://iquilezles.org/articles/distfunctions/>.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
 #[serde(rename = "Horseshoe", deny_unknown_fields)]
 pub struct HorseshoeParams {
-    /// Radius of the arc, to the middle of the band.
+    /// Radius of the arc, to the center of the ribbon.
     pub radius: Length,
-    /// The whole arc, from leg to leg.
+    /// The full arc, from leg to leg.
     pub degrees: ArcAngle,
-    /// Length of the straight legs, to the middle of their round ends.
+    /// Length of the straight legs, to the center of their round ends.
     pub leg: LengthOrZero,
-    /// Whole width of the band, across its way.
+    /// Full width of the ribbon, across its path.
     pub width: Length,
-    /// Whole extent along z.
+    /// Full extent along z.
     pub thickness: Length,
 }
 
@@ -184,19 +184,19 @@ impl Primitive for Horseshoe {
     }
 }
 
-/// A band in the plane z = 0, bent like the letter: half a circle around the origin, and two legs that go up.
+/// A ribbon in the plane z = 0, shaped like the letter U: half a circle around the origin, and two legs that go up.
 ///
 /// Inigo Quilez, "Distance functions": <https://iquilezles.org/articles/distfunctions/>.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
 #[serde(deny_unknown_fields)]
 pub struct U {
-    /// Radius of the bend, to the middle of the band.
+    /// Radius of the bend, to the center of the ribbon.
     pub radius: Length,
-    /// Length of the straight legs, to the middle of their round ends.
+    /// Length of the straight legs, to the center of their round ends.
     pub leg: LengthOrZero,
-    /// Whole width of the band, across its way.
+    /// Full width of the ribbon, across its path.
     pub width: Length,
-    /// Whole extent along z.
+    /// Full extent along z.
     pub thickness: Length,
 }
 
@@ -229,7 +229,7 @@ impl U {
     }
 }
 
-/// A bent band: what [`Horseshoe`] and [`U`] are.
+/// A bent ribbon: the shape of [`Horseshoe`] and [`U`].
 #[derive(Clone, Debug)]
 pub struct Ribbon {
     radius: f32,

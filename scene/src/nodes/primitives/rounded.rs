@@ -10,15 +10,15 @@ use crate::real::{Real, Vec3, vec3};
 use crate::seek::Seek;
 use crate::values::{Length, LengthOrZero, Point};
 
-/// A cylinder around the y axis with rounded edges, its middle at the origin.
+/// A cylinder around the y axis with rounded edges, centered at the origin.
 ///
 /// Inigo Quilez, "Distance functions": <https://iquilezles.org/articles/distfunctions/>.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
 #[serde(deny_unknown_fields)]
 pub struct RoundedCylinder {
-    /// Its radius.
+    /// Radius.
     pub radius: Length,
-    /// Its whole height.
+    /// Full height.
     pub height: Length,
     /// Radius of its rounded edges, inside `radius` and `height`.
     pub round: LengthOrZero,
@@ -42,7 +42,7 @@ impl Primitive for RoundedCylinder {
             NodeError::new(
                 "round",
                 format!(
-                    "must be at most the radius and half the height, inside which it rounds: make round {most} or less"
+                    "must be at most the radius and half the height, because edges are rounded inward: make round {most} or less"
                 ),
             )
         })
@@ -56,14 +56,14 @@ impl Primitive for RoundedCylinder {
 
 /// An ellipsoid around the origin, its axes along x, y and z.
 ///
-/// The nearest point x satisfies p − x = t·∇, and so xᵢ = rᵢ²pᵢ/(t + rᵢ²), where t makes it lie on the
+/// The nearest point x satisfies p − x = t·∇, and so xᵢ = rᵢ²pᵢ/(t + rᵢ²), where t is such that x is on the
 /// surface: David Eberly, "Distance from a Point to an Ellipse, an Ellipsoid, or a Hyperellipsoid",
-/// <https://www.geometrictools.com/Documentation/DistancePointEllipseEllipsoid.pdf>. Of Σ(xᵢ/rᵢ)² = 1 the
-/// inverse root is nearly linear in t and concave, so that Newton's method closes in from below and never
-/// overshoots: Jorge Moré and Danny Sorensen, "Computing a Trust Region Step", SIAM Journal on
-/// Scientific and Statistical Computing 4(3), 1983. With the normal n found there, the value is
-/// p·n − √Σ(rᵢnᵢ)², the distance to the plane that touches the ellipsoid with that normal: no such plane
-/// is further away than the surface, and an error of n counts by its square.
+/// <https://www.geometrictools.com/Documentation/DistancePointEllipseEllipsoid.pdf>. The inverse root of
+/// Σ(xᵢ/rᵢ)² = 1 is nearly linear in t and concave, so that Newton's method converges from below and never
+/// overshoots: Jorge Moré and Danny Sorensen, "Computing a Trust Region Step", SIAM Journal on Scientific and
+/// Statistical Computing 4(3), 1983. With the normal n found there, the value is p·n − √Σ(rᵢnᵢ)², the distance to
+/// the tangent plane with that normal. No such plane is farther away than the surface, and an error of n has a
+/// quadratic effect.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
 #[serde(rename = "Ellipsoid", deny_unknown_fields)]
 pub struct EllipsoidParams {
@@ -79,7 +79,7 @@ const ELLIPSOID_STEPS: u32 = 12;
 /// Tolerance of √Σ(xᵢ/rᵢ)² around 1: the remaining error is its square.
 const ELLIPSOID_TOLERANCE: f32 = 2e-4;
 
-/// An ellipsoid's radii as parts of the largest, so that no square is out of range.
+/// An ellipsoid's radii as fractions of the largest, so that no square is out of range.
 #[derive(Clone, Debug)]
 pub struct ScaledRadii {
     largest: f32,
@@ -122,7 +122,7 @@ impl Primitive for Ellipsoid {
                 |c| c.at_least(1e-6),
             ),
         );
-        // No further than the root: for one coordinate alone, and for all as if on the largest ball.
+        // No greater than the root: for one coordinate alone, and for all as if on the largest ball.
         let start = (reach - past_least).max_element().max(reach.length() - past_least.max_element());
         let t = R::repeat(
             ELLIPSOID_STEPS,
@@ -147,7 +147,7 @@ impl Primitive for Ellipsoid {
     }
 }
 
-/// The nearest point over the radii, if `t` is `excess_squared` beyond −least²; and 1/(t + radius²).
+/// Nearest point divided by the radii, if `t` is `excess_squared` beyond −least²; and 1/(t + radius²).
 #[inline(always)]
 fn nearest_ratio<R: Real>(reach: Vec3<R>, past_least: Vec3<R>, t: R) -> (Vec3<R>, Vec3<R>) {
     let inverse = past_least.map(
@@ -157,13 +157,13 @@ fn nearest_ratio<R: Real>(reach: Vec3<R>, past_least: Vec3<R>, t: R) -> (Vec3<R>
     (times(reach, inverse), inverse)
 }
 
-/// The product of each coordinate.
+/// Product of each coordinate.
 #[inline(always)]
 fn times<R: Real>(a: Vec3<R>, b: Vec3<R>) -> Vec3<R> {
     vec3(a.x * b.x, a.y * b.y, a.z * b.z)
 }
 
-/// A spindle between two points: the arc of a circle through both, turned about the line between them.
+/// A spindle between two points: the arc of a circle through both, rotated about the line between them.
 ///
 /// Inigo Quilez, "Distance functions": <https://iquilezles.org/articles/distfunctions/>.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
@@ -173,12 +173,12 @@ pub struct Vesica {
     pub a: Point,
     /// The other tip.
     pub b: Point,
-    /// Its radius half way between them.
+    /// Radius halfway between the tips.
     pub radius: Length,
 }
 
 impl Vesica {
-    /// Half the way between the tips, from `a`.
+    /// Half the vector between the tips, from `a`.
     fn half_axis(&self) -> Vec3<f32> {
         (self.b.get() - self.a.get()) * 0.5
     }
@@ -191,7 +191,7 @@ impl Primitive for Vesica {
     fn distance<R: Real>(&self, p: Vec3<R>) -> R {
         let half_axis = self.half_axis();
         let (half, radius) = (half_axis.length(), self.radius.get());
-        // The arc's center lies this far behind the axis.
+        // The arc's center is this far behind the axis.
         let behind = ((half - radius) * (half + radius) / (2.0 * radius)).max(0.0);
         let around = behind + radius;
         let from_middle = p - Vec3::uniform(p.x, self.a.get() + half_axis);
@@ -203,7 +203,7 @@ impl Primitive for Vesica {
         let to_tip = across.square_add((along - half).square());
         let to_center = (across + behind).square_add(along.square());
         let distance = R::select(past_tip, to_tip, to_center).sqrt();
-        // Remaining offset to a far center, without subtracting large numbers.
+        // Remaining offset to a distant center, without subtracting large numbers.
         let over_circle = (across + behind * 2.0).mul_add(across, (along - half) * (along + half));
         R::select(past_tip, distance, over_circle / (distance + p.x.uniform(around)))
     }
@@ -211,12 +211,14 @@ impl Primitive for Vesica {
     fn validate(&self) -> Option<NodeError> {
         let half = self.half_axis().length();
         if half < crate::limits::MIN_LENGTH {
-            return Some(NodeError::new("b", "is where a is: put the two tips in different places"));
+            return Some(NodeError::new("b", "equals a: put the two tips at different points"));
         }
         (self.radius.get() > half).then(|| {
             NodeError::new(
                 "radius",
-                format!("must be at most half the way from a to b, or it has no tips: make radius {half} or less"),
+                format!(
+                    "must be at most half the distance from a to b, so that it has tips: make radius {half} or less"
+                ),
             )
         })
     }

@@ -1,15 +1,15 @@
-//! Something valid in the place of what is wrong, as near to the fault as it will do.
+//! Repairs of an invalid value: replaces as little as possible by something valid.
 
 use super::{Collector, DocumentPart, steps};
 use crate::parse::form::{FormError, FormErrorKind};
 use crate::parse::stand_ins::VALUES;
 use crate::parse::tree::{Body, Member, Value};
 
-/// Lists in which each entry is held against the one before: what stands in for one would make the next one wrong.
+/// Lists whose entries are compared with the previous entry: a stand-in for one entry would invalidate the next.
 const ORDERED: [&str; 2] = ["keys", "ramp"];
 
 impl Collector<'_> {
-    /// Tells a fault of a part, and mends the part so that it has another fault, or none.
+    /// Reports an error of a part, and repairs the part so that it has another error, or none.
     pub(super) fn repair(&mut self, part: DocumentPart, place: &[usize], fault: &FormError) {
         let fault_steps = steps(&fault.pointer);
         let value = self.root.at(place);
@@ -55,7 +55,7 @@ impl Collector<'_> {
         }
     }
 
-    /// From an entry, or the number that orders it, to the list.
+    /// Moves from an entry, or from the number that orders it, to the list.
     fn leave_ordered_list(&self, place: &[usize], target: &mut Vec<usize>) {
         for above in [1, 2] {
             let Some(list) = target.len().checked_sub(above).filter(|&length| length > place.len()) else { return };
@@ -70,7 +70,7 @@ impl Collector<'_> {
         }
     }
 
-    /// Reads a key as the one that was meant, if its object lacks that; its value may be replaced too.
+    /// Reads a key as the one that was probably meant, if its object lacks that key; its value may be replaced too.
     fn rename(&mut self, part: DocumentPart, place: &[usize], target: &[usize], meant: Option<&str>) -> bool {
         let Some(meant) = meant else { return false };
         let Some((_, parent)) = target.split_last() else { return false };
@@ -89,7 +89,7 @@ impl Collector<'_> {
         false
     }
 
-    /// Leaves out a key that is unknown.
+    /// Leaves out an unknown key.
     fn remove(&mut self, target: &[usize]) {
         self.note_repair(target);
         if let Some(member) = self.root.member_at_mut(target) {
@@ -98,21 +98,21 @@ impl Collector<'_> {
         }
     }
 
-    /// Whether an object has unknown keys for all that it lacks: then that is one mistake, not two.
+    /// Whether an object has unknown keys in place of all its missing ones: then that is one mistake, not two.
     fn may_be_misnamed(&self, object: &[usize]) -> bool {
         let members = self.root.at(object).map(Value::members).unwrap_or_default();
         let unknown = members.iter().filter(|member| member.is_unknown).count();
         unknown > members.iter().filter(|member| member.is_added).count()
     }
 
-    /// The path of a key that was left out of an object, and turned out to be needed.
+    /// Path of a key that was left out of an object and turned out to be needed.
     fn removed(&self, object: &[usize], key: &str) -> Option<Vec<usize>> {
         let members = self.root.at(object)?.members();
         let index = members.iter().position(|member| member.is_removed && member.read_as == key)?;
         Some([object, &[index]].concat())
     }
 
-    /// Gives an object a key that it lacks.
+    /// Adds a missing key to an object.
     fn add(&mut self, part: DocumentPart, place: &[usize], target: &[usize], key: &str) -> bool {
         if let Some(removed) = self.removed(target, key) {
             if let Some(member) = self.root.member_at_mut(&removed) {
@@ -134,7 +134,7 @@ impl Collector<'_> {
         false
     }
 
-    /// Leaves a value out, or puts something valid in its place; whether that helped.
+    /// Leaves a value out, or replaces it by something valid; returns whether that helped.
     fn replace(&mut self, part: DocumentPart, place: &[usize], target: &[usize], fault: &FormError) -> bool {
         if target.len() > place.len()
             && let Some(member) = self.root.member_at_mut(target)
@@ -197,7 +197,7 @@ impl Collector<'_> {
         }
     }
 
-    /// Whether a fault that remains has nothing to do with what was done at `target`.
+    /// Whether the next error has nothing to do with the repair at `target`.
     fn is_beside(&self, place: &[usize], target: &[usize], next: &FormError, fault: Option<&FormError>) -> bool {
         if fault.is_some_and(|fault| fault.pointer == next.pointer && fault.message == next.message) {
             return false;
@@ -213,7 +213,7 @@ impl Collector<'_> {
     }
 }
 
-/// The first of the names that a message lists, as JSON.
+/// The first name that a message lists, as JSON.
 fn first_choice(message: &str) -> Option<String> {
     let (_, list) = message.split_once("did you mean `").or_else(|| message.split_once("choose one of `"))?;
     let (name, _) = list.split_once('`')?;

@@ -1,4 +1,4 @@
-//! Deserializes the keyframes of a track one by one, so that each error has its place.
+//! Deserializes the keyframes of a track one by one, so that each error has its own pointer.
 
 use std::fmt;
 use std::marker::PhantomData;
@@ -43,7 +43,7 @@ impl<'de, T: RangedNumber> Visitor<'de> for KeysVisitor<T> {
     }
 }
 
-/// Reads `[seconds, number]`; seconds must be more than the last key's.
+/// Deserializes `[seconds, number]`; seconds must be more than the previous keyframe's.
 struct KeyframeSeed<T> {
     last: Option<f64>,
     value: PhantomData<T>,
@@ -76,7 +76,7 @@ impl<'de, T: RangedNumber> Visitor<'de> for KeyframeSeed<T> {
     }
 }
 
-/// A key's number, which is no track itself.
+/// A keyframe's number, which cannot be a track.
 struct Value<T>(T);
 
 impl<'de, T: RangedNumber> Deserialize<'de> for Value<T> {
@@ -85,7 +85,7 @@ impl<'de, T: RangedNumber> Deserialize<'de> for Value<T> {
     }
 }
 
-/// Reads a key's time, which is more than the last one's.
+/// Deserializes a keyframe's time, which must be more than the previous one's.
 struct SecondsSeed(Option<f64>);
 
 impl<'de> DeserializeSeed<'de> for SecondsSeed {
@@ -109,7 +109,7 @@ impl Visitor<'_> for SecondsSeed {
         }
         match self.0 {
             Some(last) if seconds <= last => Err(E::custom(format_args!(
-                "must be more than {last}, the time of the key before: put keys in the order of time"
+                "must be more than {last}, the time of the previous key: put keys in the order of time"
             ))),
             Some(_) | None => Ok(seconds),
         }

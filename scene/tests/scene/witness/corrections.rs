@@ -1,10 +1,10 @@
-//! What corners, edges, fog and distant patterns look like, against values worked out by hand.
+//! Corners, edges, fog and distant patterns, compared with values calculated by hand.
 
 use scene::backgrounds::Backdrop;
 use scene::real::Vec3;
 use scene::{Integrator, Job};
 
-/// Two walls and a floor that meet at the origin, seen along (−1, −1, −1); `planes` of them.
+/// Two walls and a floor that intersect at the origin, seen along (−1, −1, −1); `planes` of them.
 fn corner(planes: &str, camera: &str, rest: &str) -> Job {
     job(&format!(
         r#"{{ "scene": {{ "camera": {{ {camera} }}, "background": {{ "color": [1, 1, 1] }}, "lights": [],
@@ -23,7 +23,7 @@ fn plane(normal: &str) -> String {
     format!(r#"{{ "material": "white", "shape": {{ "plane": {{ "normal": {normal}, "offset": 0 }} }} }}"#)
 }
 
-/// The red of some pixels.
+/// The red channel of some pixels.
 fn reds(job: &Job, pixels: &[(f32, f32)]) -> Vec<f32> {
     let still = job.at(0).expect("a first frame");
     let program = Integrator::new(&still);
@@ -31,7 +31,7 @@ fn reds(job: &Job, pixels: &[(f32, f32)]) -> Vec<f32> {
 }
 
 #[test]
-fn a_plane_keeps_all_light_from_around_a_right_angle_a_half_and_a_corner_a_quarter() {
+fn planes_and_corners_have_exact_ambient_visibility() {
     let [floor, wall, other] = ["[0, 1, 0]", "[1, 0, 0]", "[0, 0, 1]"].map(plane);
     let across =
         r#""position": [1, 2, 0], "look_at": [0, 1e-4, 0], "projection": { "orthographic": { "height": 0.001 } }"#;
@@ -48,7 +48,7 @@ fn a_plane_keeps_all_light_from_around_a_right_angle_a_half_and_a_corner_a_quart
 }
 
 #[test]
-fn no_bright_line_is_seen_along_a_crease() {
+fn a_crease_shows_no_bright_line() {
     let planes = ["[0, 1, 0]", "[1, 0, 0]"].map(plane).join(", ");
     let camera = r#""position": [2, 2, 0.1], "look_at": [0, 0, 0.1], "fov": 3"#;
     let job = corner(&planes, camera, "");
@@ -78,12 +78,12 @@ fn a_normal_near_an_edge_is_that_of_its_face() {
         }
     }
     assert!(hits > 5_000, "{hits}");
-    // Of edges a thousand pixels are seen; where taps reach over half a pixel, as many are blended.
+    // About a thousand pixels show edges; if normals were measured over half a pixel, as many would be blended.
     assert!(blended * 400 < hits, "{blended} of {hits}");
 }
 
 #[test]
-fn rays_beyond_a_horizon_miss_and_no_normal_is_turned_over() {
+fn rays_above_the_horizon_miss_and_normals_face_the_viewer() {
     let job = job(r#"{ "scene": { "camera": { "position": [0, 1, 0], "look_at": [0, 0.9, -5] },
             "objects": [{ "shape": { "plane": { "normal": [0, 1, 0], "offset": 0 } } }],
             "march": { "max_distance": 100000, "max_steps": 4096 } },
@@ -106,7 +106,7 @@ fn rays_beyond_a_horizon_miss_and_no_normal_is_turned_over() {
 }
 
 #[test]
-fn fog_without_a_color_has_the_horizons_below_the_horizon() {
+fn fog_without_color_uses_the_horizon_below_it() {
     let job = job(r#"{ "scene": { "camera": { "position": [0, 2, 0], "look_at": [0, 1, -5] },
             "background": { "day": { "sun": [0.3, 0.6, -0.4], "ground": [0.4, 0.2, 0.05] } },
             "fog": { "density": 2 },
@@ -125,7 +125,7 @@ fn fog_without_a_color_has_the_horizons_below_the_horizon() {
     }
 }
 
-/// A floor with a texture under light that is even, seen at a slant; one sample a pixel.
+/// A textured floor under uniform light, seen at a slant; `samples` samples per pixel.
 fn floor_with(texture: &str, height: u32, samples: u32) -> Job {
     let width = height * 2;
     job(&format!(
@@ -138,7 +138,7 @@ fn floor_with(texture: &str, height: u32, samples: u32) -> Job {
     ))
 }
 
-/// The mean square of the difference between one sample a pixel and many, in some rows.
+/// Mean square of the difference between one sample per pixel and many, in some rows.
 fn roughness(texture: &str, rows: std::ops::Range<u16>) -> f64 {
     let (one, many) = (floor_with(texture, 96, 1), floor_with(texture, 96, 256));
     let pixels: Vec<(f32, f32)> =
@@ -149,13 +149,13 @@ fn roughness(texture: &str, rows: std::ops::Range<u16>) -> f64 {
 }
 
 #[test]
-fn distant_patterns_are_seen_as_their_mean() {
+fn distant_patterns_show_their_mean() {
     for (texture, most) in [
         (r#"{ "checker": { "cell": 0.5, "axes": "xz" } }"#, 0.02),
         (r#"{ "stripes": { "direction": [1, 0, 1], "width": 0.4 } }"#, 0.01),
         (r#"{ "bricks": { "size": [0.5, 0.3], "mortar": 0.06, "mortar_color": [1, 1, 1] } }"#, 0.01),
     ] {
-        // Black and white differ by 1: a pixel that sees one of them by chance is wrong by a half.
+        // Black and white differ by 1: a pixel that samples only one of them is wrong by a half.
         let error = roughness(texture, 42..60);
         println!("{error} for {texture}");
         assert!(error < most, "{error} for {texture}");

@@ -1,5 +1,5 @@
-//! Depth of every shipped scene against the same formulas in double precision, marched in another way: no
-//! relaxation, no tolerance, a root found by halving.
+//! Depth of every shipped scene compared with the same formulas in double precision, marched in another way: no
+//! relaxation, no tolerance, a root found by bisection.
 
 use std::path::{Path, PathBuf};
 
@@ -8,19 +8,20 @@ use scene::{Integrator, parse};
 
 use super::double::Double;
 
-/// About how many pixels of a scene are looked at.
+/// Approximate number of pixels of a scene that are compared.
 const PIXELS: f64 = 1500.0;
-/// How exact a depth must be, as a share of itself.
+/// Maximum relative error of a depth.
 const EXACT: f64 = 1e-4;
-/// The share of the pixels that must be as exact.
+/// Minimum fraction of the pixels with that precision.
 const MOST: f64 = 0.999;
-/// Scenes that are close to a fractal, where single precision does not find each needle's point: less must be exact.
+/// Scenes close to a fractal, where single precision does not find the tip of each needle: a smaller fraction is
+/// required.
 const CLOSE: ([&str; 2], f64) = (["mandelbulb-close.json", "paper/mandelbulb.json"], 0.99);
-/// What distances of about 1 are right to in single precision at best, after some hundred operations.
+/// Rounding error of distances of about 1 in single precision, after some hundred operations.
 const RESOLUTION: f64 = 5e-7;
-/// The share of the pixels of any scene that single precision may leave unclear.
+/// Maximum fraction of the pixels of any scene that single precision may leave undecided.
 const UNCLEAR: f64 = 0.05;
-/// Steps after which a ray of the witness gives up, and its pixel tells nothing.
+/// Steps after which a ray of the witness stops, and its pixel is not compared.
 const STEPS: u32 = 60_000;
 
 /// A scene's distance along a ray, in double precision.
@@ -35,7 +36,7 @@ impl Witness<'_> {
         self.program.distance(self.direction.mul_add(Double(t), self.origin)).0
     }
 
-    /// Where the surface is met: infinitely far away if it is not; `None` if it took too long to know.
+    /// Distance of the intersection: infinite if there is none; `None` if it takes too many steps.
     fn root(&self, farthest: f64) -> Option<f64> {
         let mut t = 0.0;
         for _ in 0..STEPS {
@@ -55,8 +56,8 @@ impl Witness<'_> {
         None
     }
 
-    /// Whether single precision may take one depth for the other: what is met at the nearer one is no deeper and no
-    /// further away than the distance in single precision is wrong by.
+    /// Whether single precision may confuse one depth with the other: at the nearer one, the surface is no deeper and
+    /// no farther away than the error of the distance in single precision.
     fn is_unclear(&self, got: f64, want: f64) -> bool {
         let nearer = got.min(want);
         let around = (-20..=40).map(|step| nearer * (1.0 + 0.025 * EXACT * f64::from(step)));
@@ -84,7 +85,7 @@ impl Witness<'_> {
     }
 }
 
-/// Of the pixels looked at: how many there are, how many are wrong, and how many tell nothing.
+/// Number of compared pixels, of incorrect pixels, and of undecided pixels.
 fn measure(path: &Path) -> (usize, usize, usize, String) {
     let text = std::fs::read(path).expect("a scene");
     let job = parse(&text).unwrap_or_else(|fault| panic!("{}: {fault:?}", path.display()));
@@ -130,7 +131,7 @@ fn scenes() -> Vec<PathBuf> {
 }
 
 #[test]
-fn depth_of_every_scene_is_that_of_double_precision() {
+fn depth_of_every_scene_matches_double_precision() {
     let chosen = std::env::var("SDFARM_SCENE").unwrap_or_default();
     let scenes: Vec<PathBuf> = scenes().into_iter().filter(|path| path.to_string_lossy().contains(&chosen)).collect();
     let next = std::sync::atomic::AtomicUsize::new(0);
@@ -141,7 +142,7 @@ fn depth_of_every_scene_is_that_of_double_precision() {
             scope.spawn(|| {
                 while let Some(path) = scenes.get(next.fetch_add(1, std::sync::atomic::Ordering::Relaxed)) {
                     let (looked, wrong, untold, examples) = measure(path);
-                    println!("{}: {wrong} of {looked} wrong, {untold} untold;{examples}", path.display());
+                    println!("{}: {wrong} of {looked} wrong, {untold} undecided;{examples}", path.display());
                     let is_close = CLOSE.0.iter().any(|name| path.ends_with(name));
                     let most = if is_close { CLOSE.1 } else { MOST };
                     let allowed = (looked as f64 * (1.0 - most)).ceil() as usize;
@@ -153,5 +154,5 @@ fn depth_of_every_scene_is_that_of_double_precision() {
         }
     });
     let failures = failures.into_inner().expect("no thread panicked");
-    assert!(failures.is_empty(), "depth is wrong in {failures:?}");
+    assert!(failures.is_empty(), "depth is incorrect in {failures:?}");
 }

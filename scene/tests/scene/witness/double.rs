@@ -1,4 +1,4 @@
-//! Numbers in double precision, for a witness: every formula of a scene runs in them.
+//! Double precision arithmetic for a witness: every formula of a scene runs in it.
 
 use std::ops::{Add, BitAnd, BitOr, BitXor, Div, Mul, Neg, Shl, Shr, Sub};
 
@@ -68,7 +68,7 @@ impl Neg for Double {
     }
 }
 
-/// Picks one of two bundles.
+/// Selects one of two bundles.
 struct Pick(bool);
 
 impl Merge<Double> for Pick {
@@ -121,7 +121,7 @@ impl Real for Double {
         if mask { yes } else { no }
     }
 
-    /// Hashes take the bits of whole numbers, which single precision holds.
+    /// Hashes use the bits of integers, which single precision can represent.
     fn to_bits(self) -> Word {
         Word((self.0 as f32).to_bits())
     }
