@@ -28,7 +28,9 @@ pub enum Retention {
 
 /// Error returned when a text is not a retention.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-#[error("{0:?} is not a retention: write a number and s, m, h, d or w, such as 36h or 7d (at most 100 years), or forever")]
+#[error(
+    "{0:?} is not a retention: write a number and s, m, h, d or w, such as 36h or 7d (at most 100 years), or forever"
+)]
 pub struct ParseRetentionError(String);
 
 impl FromStr for Retention {

@@ -12,7 +12,7 @@ use tokio_util::task::AbortOnDropHandle;
 
 /// Interval between readings of a GPU's memory.
 const MEMORY_INTERVAL: Duration = Duration::from_secs(15);
-/// Timeout of a reading.
+/// Timeout of a memory reading.
 const MEMORY_TIMEOUT: Duration = Duration::from_secs(5);
 const MIB: u64 = 1 << 20;
 
@@ -50,13 +50,13 @@ impl MetricsBuffer {
     }
 }
 
-/// Name that nvidia-smi uses for a GPU of this number: CUDA counts only the visible ones.
+/// Id that nvidia-smi uses for a GPU of this ordinal: CUDA counts only the visible GPUs.
 fn nvidia_smi_id(number: usize, visible: Option<&str>) -> String {
     let named = visible.and_then(|visible| visible.split(',').nth(number));
     named.map(str::trim).filter(|name| !name.is_empty()).map_or_else(|| number.to_string(), ToOwned::to_owned)
 }
 
-/// Reads a GPU's memory until the measurements are dropped.
+/// Reads a GPU's memory periodically until the measurements are dropped.
 async fn watch_memory(gpu: String, memory: Arc<Mutex<Option<DeviceMemory>>>) {
     loop {
         let asked = Command::new("nvidia-smi")
@@ -72,10 +72,10 @@ async fn watch_memory(gpu: String, memory: Arc<Mutex<Option<DeviceMemory>>>) {
                 }
             }
             Ok(Err(error)) => {
-                tracing::debug!(%error, "there is no nvidia-smi here to tell a GPU's memory");
+                tracing::debug!(%error, "no nvidia-smi: GPU memory is not measured");
                 return;
             }
-            Err(_) => tracing::debug!("nvidia-smi did not answer"),
+            Err(_) => tracing::debug!("nvidia-smi did not respond"),
         }
         tokio::time::sleep(MEMORY_INTERVAL).await;
     }
