@@ -33,7 +33,7 @@ fn a_refusal_ends_the_worker_in_the_servers_words() {
     ] {
         server.change(|farm| farm.refusal = Some((status, body.to_owned())));
         let error = Agent::start(&server, FakeRenderer).ended().unwrap_err();
-        let expected = format!("the server {} refused this worker: {said}", server.url());
+        let expected = format!("the server {} rejected this worker: {said}", server.url());
         assert_eq!(error.to_string(), expected);
     }
 }
