@@ -208,7 +208,7 @@ fn each_cuda_error_has_a_message() {
             &["start the NVIDIA driver", "CUDA_ERROR_SYSTEM_DRIVER_MISMATCH", "unsupported display driver"],
         ),
         ("newer", "cuda", &["13.0 cannot compile for this GPU (sm_120)", "newer cuda-nvrtc"]),
-        ("wrong_bits", "cuda", &["--device cuda:0", "wrong bits: 1 of 98304 values", "for no farm"]),
+        ("wrong_bits", "cuda", &["--device cuda:0", "results are wrong: 1 of 98304 values", "do not use it for a farm"]),
         ("memory:1000", "cuda", &["out of memory for 393216 bytes"]),
     ];
     for (fault, device, says) in faults {
@@ -249,7 +249,7 @@ fn auto_goes_on_with_the_cpu_where_the_gpu_is_bad_and_says_why() {
     let output = finish(with_fault("wrong_bits", &["render", "-", "-o", "-"]), job.to_string().as_bytes());
     assert!(output.status.success() && output.stdout == render_on_cpu(&job), "{}", told(&output));
     assert!(
-        told(&output).contains("rendering on the CPU: ") && told(&output).contains("wrong bits"),
+        told(&output).contains("rendering on the CPU: ") && told(&output).contains("results are wrong"),
         "{}",
         told(&output)
     );

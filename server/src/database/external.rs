@@ -1,4 +1,4 @@
-//! Database connection of another process than the server, which may be running: it changes no tables.
+//! Database connection for other processes than the server, which may be running: it changes no tables.
 
 use std::path::Path;
 use std::time::Duration;
