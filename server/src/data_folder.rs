@@ -25,7 +25,7 @@ use crate::lock::LockError;
 #[derive(Debug, thiserror::Error)]
 pub enum DataFolderError {
     /// The folder has no database.
-    #[error("no farm in {0}: pass a farm's data folder with --data")]
+    #[error("there is no farm in {0}: pass a farm's data folder with --data")]
     NoDatabase(PathBuf),
     /// A folder or file could not be read or written.
     #[error("could not {action} {path}: free space on its disk, or correct its permissions")]
@@ -54,7 +54,7 @@ pub enum DataFolderError {
     #[error("{0} has files that are not a backup: pass an empty folder, or one with an earlier backup")]
     NotABackup(PathBuf),
     /// The folder has no backup.
-    #[error("no backup in {0}: pass a folder that `sdfarm backup` wrote")]
+    #[error("there is no backup in {0}: pass a folder that `sdfarm backup` wrote")]
     NoBackup(PathBuf),
     /// The target folder has files, which would be overwritten.
     #[error("{0} is not empty: pass a new or empty folder with --data")]

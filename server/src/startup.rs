@@ -38,7 +38,7 @@ pub enum StartError {
     )]
     NoKeysBeyondLoopback(SocketAddr),
     /// The data folder cannot be used.
-    #[error("cannot use the data folder {folder}: {source}; make it writable, or pass another with --data")]
+    #[error("the data folder {folder} cannot be used: {source}; make it writable, or pass another with --data")]
     DataFolder {
         /// The folder.
         folder: PathBuf,
@@ -56,7 +56,7 @@ pub enum StartError {
         holder: String,
     },
     /// The database cannot be used.
-    #[error("cannot use the database {file}: {reason}; {cure}")]
+    #[error("the database {file} cannot be used: {reason}; {cure}")]
     Database {
         /// The file.
         file: PathBuf,
