@@ -145,7 +145,7 @@ async fn fifty_vanished_workers_kill_a_tile() {
     assert!(last.claim().await.is_none());
     let failed = farm.job(posted.id).await;
     assert_eq!(failed.state, JobState::Failed);
-    assert_eq!(failed.errors, ["frame 0 could not be rendered: its workers vanished again and again"]);
+    assert_eq!(failed.errors, ["frame 0 could not be rendered: its workers vanished repeatedly"]);
     farm.stop().await;
 }
 
