@@ -18,7 +18,7 @@ pub struct Problem {
     pub status: u16,
     /// Stable name for programs.
     pub code: String,
-    /// What went wrong in this request, and the fix.
+    /// Error in this request, and the fix.
     pub detail: String,
     /// Errors of an invalid job.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]

@@ -56,7 +56,7 @@ pub(crate) enum ApiKeyError {
         /// Maximum.
         most: u64,
     },
-    /// The first key lacks scope `admin`, so nobody could administer the farm.
+    /// The first key lacks scope `admin`, so no key could administer the farm.
     #[error(
         "a farm's first key closes it to everyone without a key, so it has to be an administrator's: \
          create one with `sdfarm key new admin --scope admin`, then this one"

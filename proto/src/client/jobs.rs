@@ -137,7 +137,7 @@ impl Client {
         self.json(request).await
     }
 
-    /// What deleting a job would remove; deletes nothing.
+    /// Dry run of a deletion: the contents that it would remove.
     pub async fn delete_dry_run(&self, id: JobId) -> Result<DeleteDryRun, ClientError> {
         self.json(self.request(Method::DELETE, &format!("/v1/jobs/{id}")).query(&[("dry_run", "true")])).await
     }

@@ -38,7 +38,7 @@ impl Queue {
             .await
     }
 
-    /// What deleting a job would remove; `None` if the job does not exist.
+    /// Dry run of a deletion: the contents that it would remove; `None` if the job does not exist.
     pub(crate) async fn delete_preview(&self, job: JobId) -> Result<Option<(JobState, DeleteDryRun)>> {
         let row = sqlx::query(DRY_RUN_SQL).bind(job.to_string()).fetch_optional(self.readers()).await?;
         row.map(|row| {

@@ -1,4 +1,4 @@
-//! Handing a job in once, however often it is sent; and waiting for its end in the answer.
+//! Idempotent submissions, and responses that wait for the end of the job.
 
 use futures_util::future::join_all;
 use proto::api_key::{ApiKeyList, Scope};
@@ -53,7 +53,7 @@ async fn concurrent_submits_with_one_key_create_one_job() {
 }
 
 #[tokio::test]
-async fn keys_that_are_none_are_rejected() {
+async fn invalid_idempotency_keys_are_rejected() {
     let farm = Farm::start().await;
     let long = "x".repeat(256);
     for key in ["", "  ", "ä", long.as_str()] {
@@ -68,7 +68,7 @@ async fn keys_that_are_none_are_rejected() {
 }
 
 #[tokio::test]
-async fn an_answer_waits_until_the_job_has_ended_or_the_time_is_over() {
+async fn a_response_waits_until_the_job_finished_or_timeout() {
     let farm = Farm::start().await;
     let at_once = hand_in(&farm, "/v1/jobs", &small_job(1), ("Prefer", "wait=0")).await;
     assert_eq!(at_once.headers()["preference-applied"], "wait=0");
@@ -90,21 +90,21 @@ async fn an_answer_waits_until_the_job_has_ended_or_the_time_is_over() {
     assert_eq!(seen.state, JobState::Succeeded);
     let stored = hand_in(&farm, "/v1/jobs", &small_job(1), ("Prefer", "wait=50")).await;
     let stored: JobView = read(stored, StatusCode::CREATED).await;
-    assert_eq!(stored.state, JobState::Succeeded, "its picture was there");
+    assert_eq!(stored.state, JobState::Succeeded, "its picture was stored");
     let plain = farm.get(&path).await;
     assert!(!plain.headers().contains_key("preference-applied"));
     farm.stop().await;
 }
 
 #[tokio::test]
-async fn a_server_that_ends_lets_nobody_wait() {
+async fn a_server_shutdown_ends_waiting_requests() {
     let (farm, admin) = locked_farm().await;
     let reader = make(&farm, &admin, &new_key("reader", &[Scope::Read])).await;
     let posted = send(&farm, &admin, Method::POST, "/v1/jobs", small_job(1).to_string()).await;
     let posted: JobView = read(posted, StatusCode::CREATED).await;
     let request = farm.client.get(farm.url(&format!("/v1/jobs/{}", posted.id))).header("Prefer", "wait=55");
     let waiting = tokio::spawn(request.bearer_auth(&reader.secret).send());
-    // The server has the request when the key has been used.
+    // The server has received the request once the idempotency key is used.
     in_time(async {
         loop {
             let keys: ApiKeyList = read(send(&farm, &admin, Method::GET, "/v1/keys", "").await, StatusCode::OK).await;
@@ -114,7 +114,7 @@ async fn a_server_that_ends_lets_nobody_wait() {
         }
     })
     .await;
-    assert!(!waiting.is_finished(), "the job has not ended");
+    assert!(!waiting.is_finished(), "the job has not finished");
     farm.stop().await;
     let seen = in_time(waiting).await.expect("no panic").expect("an answer");
     assert_eq!(seen.status(), StatusCode::OK);

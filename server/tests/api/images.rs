@@ -71,7 +71,7 @@ async fn a_range_of_a_picture_is_served() {
 }
 
 #[tokio::test]
-async fn an_exr_is_served_as_one() {
+async fn an_exr_has_its_media_type() {
     let farm = Farm::start().await;
     let mut job = small_job(1);
     job["image"]["format"] = "exr".into();
