@@ -84,7 +84,7 @@ const ROWS: &[(&str, Row)] = &[
     ("PUT /v1/worker/pictures/{hash}", Worker),
 ];
 
-/// Status codes of the access control itself.
+/// Problem codes of the access control itself.
 const KEY_PROBLEMS: [&str; 5] = ["missing_key", "unknown_key", "expired_key", "revoked_key", "missing_scope"];
 
 /// Interval before a route is requested again.
@@ -97,7 +97,7 @@ fn is_undocumented(route: &str) -> bool {
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Bearer {
-    Nobody,
+    Anonymous,
     Unknown,
     Expired,
     Revoked,
@@ -115,7 +115,7 @@ fn expected(row: Row, bearer: Bearer) -> Option<StatusCode> {
     let in_if = |lets_in: bool| if lets_in { None } else { Some(StatusCode::FORBIDDEN) };
     match bearer {
         _ if row == Open => None,
-        Bearer::Nobody | Bearer::Unknown | Bearer::Expired | Bearer::Revoked => Some(StatusCode::UNAUTHORIZED),
+        Bearer::Anonymous | Bearer::Unknown | Bearer::Expired | Bearer::Revoked => Some(StatusCode::UNAUTHORIZED),
         Bearer::Reader => in_if([Read, ReadOrOwn, ReadOrSubmit].contains(&row)),
         Bearer::Worker => in_if(row == Worker),
         Bearer::Stranger => in_if([Submit, ReadOrSubmit].contains(&row)),
@@ -174,7 +174,7 @@ async fn each_route_authorizes_exactly_the_callers_of_the_table() {
     let job = job["id"].as_str().expect("an id");
     let mut wrong = Vec::new();
     for (bearer, key) in [
-        (Bearer::Nobody, None),
+        (Bearer::Anonymous, None),
         (Bearer::Unknown, Some("sdf_AAAAAAAAAAAAAAAAAAAAAAAAAAAAAAAAAAAAAAAAAAA")),
         (Bearer::Expired, Some(&*expired)),
         (Bearer::Revoked, Some(&*revoked)),

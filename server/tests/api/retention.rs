@@ -21,7 +21,7 @@ async fn submit(farm: &Farm, job: &Value, query: &str) -> JobId {
     read::<proto::job::JobView>(response, StatusCode::CREATED).await.id
 }
 
-/// Renders the next job as a picture of `size` bytes, different for each letter.
+/// Renders the next job as a picture of `size_bytes` bytes, different for each letter.
 async fn store(worker: &Worker<'_>, letter: u8, size_bytes: usize) {
     let run = worker.claim().await.expect("work");
     let results = worker.picture(&leases(&run), &vec![letter; size_bytes]).await;
