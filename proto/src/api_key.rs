@@ -23,7 +23,7 @@ impl Scope {
     /// Every scope.
     pub const ALL: [Self; 4] = [Self::Submit, Self::Read, Self::Worker, Self::Admin];
 
-    /// Its name, as flags and messages write it.
+    /// Name of the scope, as in flags and messages.
     pub fn name(self) -> &'static str {
         match self {
             Self::Submit => "submit",

@@ -199,7 +199,7 @@ mod tests {
     #[test]
     fn each_action_parses_to_what_it_prints() {
         for text in ["kill", "error", "slow:50"] {
-            let trap: ArmedFailPoint = format!("claimed={text}@7").parse().expect("sound");
+            let trap: ArmedFailPoint = format!("claimed={text}@7").parse().expect("valid");
             assert_eq!((trap.point, trap.pass, trap.action.to_string().as_str()), (FailPoint::Claimed, Some(7), text));
         }
     }
@@ -215,7 +215,7 @@ mod tests {
 
     #[test]
     fn a_fail_point_triggers_only_at_its_pass() {
-        let trap: ArmedFailPoint = "store_put=error@2".parse().expect("sound");
+        let trap: ArmedFailPoint = "store_put=error@2".parse().expect("valid");
         let struck: Vec<bool> = (0..4).map(|_| trap.trigger().is_err()).collect();
         assert_eq!(struck, [false, true, false, false]);
     }

@@ -58,7 +58,7 @@ pub(crate) enum ApiKeyError {
     },
     /// The first key lacks scope `admin`, so no key could administer the farm.
     #[error(
-        "a farm's first key closes it to everyone without a key, so it has to be an administrator's: \
+        "the first key needs the scope admin, because the farm then rejects all requests without a key: \
          create one with `sdfarm key new admin --scope admin`, then this one"
     )]
     FirstNotAdmin,

@@ -1,6 +1,7 @@
 //! The audit log: who did what, from where, with what outcome, as rows and as events of the log.
 //!
-//! Keeps the newest 100,000 entries and never blocks a request: if records arrive faster than they can be written, equal ones are counted together and the excess is dropped with a warning.
+//! Stores the newest 100,000 entries and never blocks a request: if records arrive faster than they can be
+//! written, equal ones are counted together and the excess is dropped with a warning.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};

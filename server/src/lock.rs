@@ -14,8 +14,8 @@ pub(crate) struct FolderLock {
 /// Error when acquiring the lock.
 #[derive(Debug, thiserror::Error)]
 pub(crate) enum LockError {
-    /// Another server holds it.
-    #[error("another server holds it (pid {0})")]
+    /// Another server has the lock.
+    #[error("another server has locked it (pid {0})")]
     InUse(String),
     /// The file could not be opened, read or written.
     #[error(transparent)]

@@ -110,7 +110,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_secret_survives_a_restart_and_only_its_owner_reads_it() {
+    fn the_secret_survives_restarts_and_only_its_owner_reads_it() {
         let folder = tempfile::tempdir().expect("a folder");
         let linked =
             LinkClaims { job: JobId::new(), frame: 3, content: LinkContent::Image, expires_seconds: 1_700_000_000 };

@@ -32,7 +32,7 @@ pub fn size_bytes(rect: Rect, planes: usize) -> u64 {
 /// Encodes a tile.
 pub fn encode(pixels: &TilePixels) -> Vec<u8> {
     let mut bytes = Vec::with_capacity(size_bytes(pixels.rect, pixels.planes.len()) as usize);
-    write(pixels, &mut bytes).expect("writing to memory can't fail");
+    write(pixels, &mut bytes).expect("writing to memory cannot fail");
     bytes
 }
 

@@ -1,4 +1,4 @@
-//! Health of a server.
+//! Client requests for the health of a server.
 
 use reqwest::Method;
 use serde::Deserialize;

@@ -58,7 +58,7 @@ async fn old_farm(data: &std::path::Path) {
 }
 
 #[tokio::test]
-async fn a_farm_of_the_first_release_is_migrated_with_its_data() {
+async fn a_first_release_farm_is_migrated_with_its_data() {
     let folder = tempfile::tempdir().expect("a temporary folder");
     old_farm(folder.path()).await;
     let before = run_checks(folder.path(), Depth::Names, Repair::None).await.expect("looks");

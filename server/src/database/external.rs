@@ -9,7 +9,7 @@ use sqlx::sqlite::{SqliteConnectOptions, SqliteConnection, SqliteJournalMode, Sq
 use super::Database;
 
 impl Database {
-    /// Connects to the existing database of a data folder; waits for a writer for at most `patience`.
+    /// Connects to an existing database; waits at most `patience` for another process's write.
     pub(crate) async fn connect_external(data: &Path, patience: Duration) -> Result<SqliteConnection, sqlx::Error> {
         SqliteConnectOptions::new()
             .filename(Self::file(data))

@@ -83,7 +83,7 @@ async fn a_slow_subscriber_reads_missed_events_from_the_database() {
     assert_eq!(told(&mut quick, 1).await[0].event, "state");
     for _ in 0..3 {
         bench.happen(job, MAX_RECENT).await;
-        bench.events.publish().await.expect("tells");
+        bench.events.publish().await.expect("publishes");
         assert_eq!(told(&mut quick, MAX_RECENT).await.len(), MAX_RECENT);
     }
     let all = told(&mut slow, 3 * MAX_RECENT + 1).await;

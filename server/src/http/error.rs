@@ -92,7 +92,7 @@ pub(crate) enum ApiError {
     TooManyRequests { per_second: u32, retry_seconds: u64 },
     #[error("the farm has its maximum of {limit} unfinished jobs: retry when some have finished")]
     QueueFull { limit: i64 },
-    #[error("{name} may have {limit} {what}: retry when some have finished, or cancel some")]
+    #[error("{name} may have at most {limit} {what}: retry when some have finished, or cancel some")]
     Quota { name: String, what: &'static str, limit: i64 },
     #[error("the body arrived too slowly, or not at all: send it without pauses")]
     SlowBody,
@@ -104,7 +104,7 @@ pub(crate) enum ApiError {
     TooManyKeys(ApiKeyError),
     #[error(transparent)]
     KeyNotFound(ApiKeyError),
-    #[error("unknown worker {0}: it was silent for too long and has to register again")]
+    #[error("unknown worker {0}: it did not sync for too long; register again")]
     UnknownWorker(String),
     #[error("the worker renders picture version {found}, the server requires {wanted}: run the same release of both")]
     WrongPictureVersion { found: u32, wanted: u32 },
@@ -118,7 +118,7 @@ pub(crate) enum ApiError {
     LostPicture,
     #[error("the link has expired ({0}): request a new one")]
     LinkExpired(String),
-    #[error("the signature is not this link's: use the link unchanged, or request a new one")]
+    #[error("the signature does not match the link: use the link unchanged, or request a new one")]
     WrongSignature,
     #[error(transparent)]
     PreviewFailed(HelperError),

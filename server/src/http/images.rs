@@ -1,4 +1,4 @@
-//! Stored pictures.
+//! Serves the stored pictures of frames.
 
 use std::sync::Arc;
 

@@ -6,7 +6,8 @@ use std::time::Duration;
 const SMALL_FRAME_RAYS: u64 = 1 << 22;
 /// Target duration of a batch.
 const TARGET_BATCH: Duration = Duration::from_secs(1);
-/// Batches up to this long go to any worker, and frames up to this long are not split, because the delay is not worth another claim.
+/// Batches up to this long go to any worker, and frames up to this long are not split, because the delay is not
+/// worth another claim.
 const MIN_BATCH: Duration = Duration::from_millis(50);
 /// Maximum pixel data for which one worker gets a complete frame.
 const MAX_WHOLE_FRAME_BYTES: u64 = 256 << 20;
@@ -101,7 +102,7 @@ mod tests {
     }
 
     #[test]
-    fn a_slow_worker_gets_less_than_a_fast_one_could_finish() {
+    fn a_slow_worker_gets_less_than_a_fast_one() {
         let (slow, fast) = (20.0 * MEGA as f64, 400.0 * MEGA as f64);
         // The fast worker would take 0.25 s for all tiles.
         assert_eq!(batch_len(&tiles(100), frame(100), Some(slow), 1, Some(fast)), 5);

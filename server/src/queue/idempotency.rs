@@ -117,7 +117,7 @@ async fn accept(
         .bind(moment.wall_ms)
         .execute(&mut *connection)
         .await?;
-        expect_rows("idempotency: kept", 1, &kept)?;
+        expect_rows("idempotency: stored", 1, &kept)?;
     }
     for webhook in &wish.webhooks {
         let kept = sqlx::query("INSERT INTO webhook (job, url, events) VALUES (?, ?, ?)")
@@ -126,7 +126,7 @@ async fn accept(
             .bind(format!(",{},", webhook.events.join(",")))
             .execute(&mut *connection)
             .await?;
-        expect_rows("webhook: kept", 1, &kept)?;
+        expect_rows("webhook: stored", 1, &kept)?;
     }
     Ok(SubmitOutcome::Created(number))
 }

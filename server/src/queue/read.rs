@@ -103,7 +103,7 @@ fn too_large(row: &SqliteRow) -> Result<Option<String>> {
     let waits: bool = row.try_get("waits")?;
     Ok(farm_max_nodes.filter(|max_nodes| waits && *max_nodes < nodes).map(|max_nodes| {
         format!(
-            "no worker of this farm takes scenes of more than {max_nodes} nodes, and this one has {nodes}: \
+            "no worker of this farm renders scenes of more than {max_nodes} nodes, and this scene has {nodes}: \
              start a CPU worker (`sdfarm worker --device cpu`)"
         )
     }))

@@ -75,7 +75,7 @@ pub(super) async fn keep(connection: &mut Connection, job: i64, keep: Retention)
     };
     let kept =
         sqlx::query("UPDATE job SET keep_ms = ? WHERE number = ?").bind(keep_ms).bind(job).execute(connection).await?;
-    super::expect_rows("job: kept", 1, &kept)
+    super::expect_rows("job: retention stored", 1, &kept)
 }
 
 fn read(row: &SqliteRow) -> Result<FinishedJob> {

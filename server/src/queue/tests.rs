@@ -91,7 +91,7 @@ impl Fixture {
     /// A worker's sync, with frames opened as needed.
     async fn turn(&self, mut turn: SyncInput) -> Option<super::SyncOutcome> {
         loop {
-            let turned = self.queue.turn(turn.clone()).await.expect("a turn")?;
+            let turned = self.queue.turn(turn.clone()).await.expect("a sync")?;
             let NextWork::OpenFrame { job, frame, plan } = turned.next else { return Some(turned) };
             let picture_key = format!("key {job} {frame}");
             turn.reports.clear();

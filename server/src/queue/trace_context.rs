@@ -18,7 +18,7 @@ impl Queue {
                         .bind(traceparent)
                         .execute(connection)
                         .await?;
-                    expect_rows("job_trace: kept", 1, &kept)
+                    expect_rows("job_trace: stored", 1, &kept)
                 })
             })
             .await

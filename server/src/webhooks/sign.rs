@@ -102,7 +102,7 @@ mod tests {
     }
 
     #[test]
-    fn the_secret_is_created_once_and_only_its_owner_reads_it() {
+    fn the_secret_is_created_once_for_its_owner_only() {
         use std::os::unix::fs::PermissionsExt;
         let folder = tempfile::tempdir().expect("a temporary folder");
         let first = webhook_secret(folder.path()).expect("made");

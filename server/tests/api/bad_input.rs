@@ -12,7 +12,7 @@ async fn send(farm: &Farm, method: Method, path: &str, headers: &[(HeaderName, &
     for (name, value) in headers {
         request = request.header(name, *value);
     }
-    in_time(request.send()).await.expect("an answer")
+    in_time(request.send()).await.expect("a response")
 }
 
 #[tokio::test]

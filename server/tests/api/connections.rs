@@ -67,7 +67,7 @@ async fn health_responds_when_every_connection_is_idle() {
 }
 
 #[tokio::test]
-async fn heads_that_are_too_large_or_have_too_many_headers_are_rejected() {
+async fn oversized_heads_and_too_many_headers_are_rejected() {
     let farm = Farm::start().await;
     for head in [format!("X-Long: {}\r\n", "x".repeat(100 << 10)), "X: y\r\n".repeat(200)] {
         let mut stream = TcpStream::connect(farm.address).await.expect("connects");
@@ -75,7 +75,7 @@ async fn heads_that_are_too_large_or_have_too_many_headers_are_rejected() {
         // The server may close the connection before it has received everything.
         drop(stream.write_all(request.as_bytes()).await);
         let mut answer = vec![0; 12];
-        in_time(stream.read_exact(&mut answer)).await.expect("an answer");
+        in_time(stream.read_exact(&mut answer)).await.expect("a response");
         assert_eq!(answer, b"HTTP/1.1 431");
     }
     assert_eq!(farm.get("/livez").await.status(), StatusCode::OK);
@@ -90,7 +90,7 @@ async fn clients_that_trust_the_ca_connect_over_https() {
     let files = authority.write(certificates.path());
     let farm = Farm::start_in(folder, |config| config.tls = Some(files)).await;
     let trusting = client(&farm, &certificates.path().join("ca.pem"));
-    assert!(in_time(trusting.jobs(None, 1, None)).await.expect("an answer").jobs.is_empty());
+    assert!(in_time(trusting.jobs(None, 1, None)).await.expect("a response").jobs.is_empty());
 
     let others = tempfile::tempdir().expect("a temporary folder");
     Authority::new().write(others.path());
@@ -156,7 +156,7 @@ async fn a_stalled_body_times_out() {
     let mut stalled = TcpStream::connect(farm.address).await.expect("connects");
     stalled.write_all(HALF_A_REQUEST.as_bytes()).await.expect("written");
     let mut answer = String::new();
-    in_time(stalled.read_to_string(&mut answer)).await.expect("an answer");
+    in_time(stalled.read_to_string(&mut answer)).await.expect("a response");
     assert!(answer.starts_with("HTTP/1.1 408") && answer.contains("slow_body"), "{answer}");
     assert_eq!(farm.get("/livez").await.status(), StatusCode::OK);
     farm.stop().await;
@@ -171,7 +171,7 @@ async fn an_interrupted_body_is_dropped_and_the_farm_continues() {
     broken.write_all(HALF_A_REQUEST.as_bytes()).await.expect("written");
     broken.shutdown().await.expect("shut");
     let mut answer = String::new();
-    in_time(broken.read_to_string(&mut answer)).await.expect("an answer");
+    in_time(broken.read_to_string(&mut answer)).await.expect("a response");
     assert!(answer.starts_with("HTTP/1.1 400") && answer.contains("broken_body"), "{answer}");
     assert_eq!(farm.get("/livez").await.status(), StatusCode::OK);
     refused(farm.post("/v1/jobs", "{").await, 400, "not_json").await;

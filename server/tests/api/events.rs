@@ -18,7 +18,7 @@ async fn story(farm: &Farm, id: JobId, after: Option<&str>) -> Vec<SseMessage> {
     if let Some(after) = after {
         request = request.header("Last-Event-ID", after);
     }
-    let response = in_time(request.send()).await.expect("an answer");
+    let response = in_time(request.send()).await.expect("a response");
     if response.status() == StatusCode::NO_CONTENT {
         return Vec::new();
     }
@@ -106,14 +106,14 @@ async fn a_client_resumes_its_stream_after_a_server_restart() {
     let farm = Farm::start().await;
     let posted = farm.submit(&small_job(1)).await;
     let client = Client::new(&farm.url("")).expect("an address");
-    let mut events = in_time(client.events(posted.id, None)).await.expect("an answer").expect("a stream");
+    let mut events = in_time(client.events(posted.id, None)).await.expect("a response").expect("a stream");
     let first = in_time(events.next()).await.expect("an event");
     assert!(matches!(first, Some(JobEvent::State(event)) if event.state == JobState::Queued));
     let farm = Farm::start_in(farm.stop().await, |_| {}).await;
     assert!(!matches!(in_time(events.next()).await, Ok(Some(_))), "the first server has exited");
     let client = Client::new(&farm.url("")).expect("an address");
     let again = client.events(posted.id, events.last_id());
-    let mut events = in_time(again).await.expect("an answer").expect("a stream");
+    let mut events = in_time(again).await.expect("a response").expect("a stream");
     farm.worker("one").await.work_off().await;
     let mut told = Vec::new();
     while let Some(event) = in_time(events.next()).await.expect("an event") {

@@ -78,11 +78,11 @@ impl Farm {
     }
 
     pub(crate) async fn get(&self, path: &str) -> Response {
-        in_time(self.client.get(self.url(path)).send()).await.expect("the server answers")
+        in_time(self.client.get(self.url(path)).send()).await.expect("the server responds")
     }
 
     pub(crate) async fn post(&self, path: &str, body: impl Into<reqwest::Body>) -> Response {
-        in_time(self.client.post(self.url(path)).body(body).send()).await.expect("the server answers")
+        in_time(self.client.post(self.url(path)).body(body).send()).await.expect("the server responds")
     }
 
     pub(crate) async fn submit(&self, job: &Value) -> JobView {
@@ -107,7 +107,7 @@ impl Farm {
 /// Reads a response that must have this status.
 pub(crate) async fn read<T: serde::de::DeserializeOwned>(response: Response, status: StatusCode) -> T {
     let actual = response.status();
-    let text = in_time(response.text()).await.expect("the answer has a body");
+    let text = in_time(response.text()).await.expect("the response has a body");
     assert_eq!(actual, status, "{text}");
     serde_json::from_str(&text).unwrap_or_else(|error| panic!("{error}: {text}"))
 }
@@ -210,7 +210,7 @@ impl<'a> Worker<'a> {
     }
 
     pub(crate) async fn put(&self, path: &str, bytes: Vec<u8>) -> Response {
-        in_time(self.farm.client.put(self.farm.url(path)).body(bytes).send()).await.expect("the server answers")
+        in_time(self.farm.client.put(self.farm.url(path)).body(bytes).send()).await.expect("the server responds")
     }
 
     /// Stores a picture and reports it for these leases.

@@ -11,7 +11,7 @@ use super::keys::{locked_farm, make, new_key, send};
 
 async fn hand_in(farm: &Farm, path: &str, job: &Value, header: (&str, &str)) -> Response {
     let request = farm.client.post(farm.url(path)).header(header.0, header.1).body(job.to_string());
-    in_time(request.send()).await.expect("an answer")
+    in_time(request.send()).await.expect("a response")
 }
 
 async fn jobs(farm: &Farm) -> usize {
@@ -22,7 +22,7 @@ async fn jobs(farm: &Farm) -> usize {
 #[tokio::test]
 async fn idempotency_survives_a_restart() {
     let farm = Farm::start().await;
-    let key = ("Idempotency-Key", "a wish");
+    let key = ("Idempotency-Key", "a request");
     let first: JobView = read(hand_in(&farm, "/v1/jobs", &small_job(1), key).await, StatusCode::CREATED).await;
     let response = hand_in(&farm, "/v1/jobs", &small_job(1), key).await;
     assert_eq!(response.headers()["location"], format!("/v1/jobs/{}", first.id));
@@ -34,7 +34,7 @@ async fn idempotency_survives_a_restart() {
     let farm = Farm::start_in(farm.stop().await, |_| {}).await;
     let again: JobView = read(hand_in(&farm, "/v1/jobs", &small_job(1), key).await, StatusCode::OK).await;
     assert_eq!(again.id, first.id);
-    let other = ("Idempotency-Key", "another wish");
+    let other = ("Idempotency-Key", "another request");
     let other: JobView = read(hand_in(&farm, "/v1/jobs", &small_job(1), other).await, StatusCode::CREATED).await;
     assert_ne!(other.id, first.id);
     assert_eq!(jobs(&farm).await, 2);
@@ -61,7 +61,7 @@ async fn invalid_idempotency_keys_are_rejected() {
         refused(answer, 400, "wrong_header").await;
     }
     let twice = farm.client.post(farm.url("/v1/jobs")).header("Idempotency-Key", "a").header("Idempotency-Key", "b");
-    let answer = in_time(twice.body(small_job(1).to_string()).send()).await.expect("an answer");
+    let answer = in_time(twice.body(small_job(1).to_string()).send()).await.expect("a response");
     refused(answer, 400, "wrong_header").await;
     assert_eq!(jobs(&farm).await, 0);
     farm.stop().await;
@@ -77,7 +77,7 @@ async fn a_response_waits_until_the_job_finished_or_timeout() {
     let path = format!("/v1/jobs/{}", posted.id);
     let looking = async {
         let request = farm.client.get(farm.url(&path)).header("Prefer", "respond-async, wait=50");
-        in_time(request.send()).await.expect("an answer")
+        in_time(request.send()).await.expect("a response")
     };
     let working = async {
         let worker = farm.worker("one").await;
@@ -116,7 +116,7 @@ async fn a_server_shutdown_ends_waiting_requests() {
     .await;
     assert!(!waiting.is_finished(), "the job has not finished");
     farm.stop().await;
-    let seen = in_time(waiting).await.expect("no panic").expect("an answer");
+    let seen = in_time(waiting).await.expect("no panic").expect("a response");
     assert_eq!(seen.status(), StatusCode::OK);
     let seen: JobView = read(seen, StatusCode::OK).await;
     assert_eq!(seen.state, JobState::Queued);

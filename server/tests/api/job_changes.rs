@@ -8,11 +8,11 @@ use serde_json::{Value, json};
 use super::harness::{Farm, in_time, job, read, refused, small_job};
 
 async fn patch(farm: &Farm, path: &str, body: &Value) -> Response {
-    in_time(farm.client.patch(farm.url(path)).body(body.to_string()).send()).await.expect("an answer")
+    in_time(farm.client.patch(farm.url(path)).body(body.to_string()).send()).await.expect("a response")
 }
 
 async fn delete(farm: &Farm, path: &str) -> Response {
-    in_time(farm.client.delete(farm.url(path)).send()).await.expect("an answer")
+    in_time(farm.client.delete(farm.url(path)).send()).await.expect("a response")
 }
 
 #[tokio::test]

@@ -169,7 +169,7 @@ async fn a_repeated_picture_is_cached_unless_the_cache_is_bypassed() {
     assert!(worker.claim().await.is_none());
 
     let request = farm.client.post(farm.url("/v1/jobs")).header(CACHE_CONTROL, "no-cache");
-    let fresh = in_time(request.body(small_job(1).to_string()).send()).await.expect("an answer");
+    let fresh = in_time(request.body(small_job(1).to_string()).send()).await.expect("a response");
     let fresh: JobView = read(fresh, StatusCode::CREATED).await;
     assert_eq!(fresh.state, JobState::Queued);
     assert_eq!(worker.claim().await.expect("work").job, fresh.id);
@@ -221,7 +221,7 @@ async fn deleting_a_job_deletes_pictures_only_it_used() {
     let run = worker.claim().await.expect("work");
 
     let delete =
-        async |id| in_time(farm.client.delete(farm.url(&format!("/v1/jobs/{id}"))).send()).await.expect("an answer");
+        async |id| in_time(farm.client.delete(farm.url(&format!("/v1/jobs/{id}"))).send()).await.expect("a response");
     refused(delete(running.id).await, 409, "job_running").await;
     assert_eq!(delete(kept.id).await.status(), StatusCode::NO_CONTENT);
     refused(delete(kept.id).await, 404, "unknown_job").await;

@@ -42,7 +42,7 @@ pub(crate) async fn send(
     body: impl Into<reqwest::Body>,
 ) -> Response {
     let request = farm.client.request(method, farm.url(path)).header(AUTHORIZATION, format!("Bearer {key}")).body(body);
-    in_time(request.send()).await.expect("the server answers")
+    in_time(request.send()).await.expect("the server responds")
 }
 
 /// Creates a key over HTTP.
@@ -373,7 +373,9 @@ async fn a_replay_succeeds_even_if_the_quota_is_used_up() {
     let anna = make(&farm, &admin, &key).await.secret;
     let wish = async |name: &str| {
         let request = farm.client.post(farm.url("/v1/jobs")).header(AUTHORIZATION, format!("Bearer {anna}"));
-        in_time(request.header("idempotency-key", name).body(small_job(1).to_string()).send()).await.expect("an answer")
+        in_time(request.header("idempotency-key", name).body(small_job(1).to_string()).send())
+            .await
+            .expect("a response")
     };
     let first: Value = read(wish("one").await, StatusCode::CREATED).await;
     let again: Value = read(wish("one").await, StatusCode::OK).await;

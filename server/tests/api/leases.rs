@@ -78,7 +78,7 @@ async fn a_result_delivered_twice_counts_once() {
 }
 
 #[tokio::test]
-async fn a_tile_is_dead_after_three_errors_and_its_job_fails() {
+async fn three_errors_kill_a_tile_and_fail_its_job() {
     let farm = Farm::start().await;
     let posted = farm.submit(&job(1920, 1080, 4)).await;
     let worker = farm.worker("one").await;

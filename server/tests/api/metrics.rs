@@ -130,7 +130,7 @@ async fn unknown_methods_and_routes_share_one_label() {
     for number in 0..20 {
         let method = reqwest::Method::from_bytes(format!("ODD{number}").as_bytes()).expect("a method");
         let url = farm.url(&format!("/no/such/{number}"));
-        in_time(farm.client.request(method, url).send()).await.expect("an answer");
+        in_time(farm.client.request(method, url).send()).await.expect("a response");
     }
     let metrics = Metrics::of(&farm).await;
     assert_eq!(metrics.0.lines().filter(|line| line.starts_with("sdfarm_http_answers_total")).count(), 1);
@@ -144,7 +144,8 @@ async fn the_trace_of_a_submission_is_sent_to_its_worker() {
     for (seed, sent, heard) in [(1, Some(trace), Some(trace)), (2, None, None), (3, Some("00-nonsense"), None)] {
         let request = farm.client.post(farm.url("/v1/jobs")).body(small_job(seed).to_string());
         let request = sent.into_iter().fold(request, |request, trace| request.header("traceparent", trace));
-        let _: proto::job::JobView = read(in_time(request.send()).await.expect("an answer"), StatusCode::CREATED).await;
+        let _: proto::job::JobView =
+            read(in_time(request.send()).await.expect("a response"), StatusCode::CREATED).await;
         let worker = farm.worker("traced").await;
         let reply = worker.sync(Said { wants_work: true, ..Said::default() }).await;
         assert_eq!(reply.trace.as_deref(), heard, "{sent:?}");

@@ -126,7 +126,7 @@ async fn a_job_has_a_warning_until_a_suitable_worker_exists() {
 
     farm.small_worker("smaller", 20).await;
     let small = farm.small_worker("small", MAX_NODES).await;
-    let sentence = "no worker of this farm takes scenes of more than 500 nodes, and this one has 812: \
+    let sentence = "no worker of this farm renders scenes of more than 500 nodes, and this scene has 812: \
                     start a CPU worker (`sdfarm worker --device cpu`)";
     assert_eq!(warnings(&farm, large.id).await, [sentence]);
     assert_eq!(warnings(&farm, fitting.id).await, [""; 0]);

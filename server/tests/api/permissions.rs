@@ -139,7 +139,7 @@ async fn walk(farm: &Farm, bearer: Bearer, key: Option<&str>, job: &str) -> Vec<
         let answer = loop {
             let answer = match key {
                 Some(key) => send(farm, key, method.clone(), &path, "").await,
-                None => in_time(farm.client.request(method.clone(), farm.url(&path)).send()).await.expect("an answer"),
+                None => in_time(farm.client.request(method.clone(), farm.url(&path)).send()).await.expect("a response"),
             };
             if answer.status() != StatusCode::TOO_MANY_REQUESTS {
                 break answer;

@@ -66,7 +66,7 @@ async fn register(farm: &Farm, process: u32, said: &str) -> RegisterResponse {
         process,
     };
     let request = farm.client.post(farm.url(worker_protocol::REGISTER_PATH)).bearer_auth(token).json(&hello);
-    read(in_time(request.send()).await.expect("an answer"), StatusCode::OK).await
+    read(in_time(request.send()).await.expect("a response"), StatusCode::OK).await
 }
 
 fn kill(process: u32) {
@@ -76,7 +76,7 @@ fn kill(process: u32) {
 
 async fn resize(farm: &Farm, workers: u32) -> PoolView {
     let put = farm.client.put(farm.url("/v1/pool")).json(&json!({ "workers": workers })).send();
-    read(in_time(put).await.expect("an answer"), StatusCode::OK).await
+    read(in_time(put).await.expect("a response"), StatusCode::OK).await
 }
 
 fn lives(process: u32) -> bool {
@@ -132,7 +132,7 @@ async fn the_pool_resizes_replaces_exited_workers_and_leaves_no_orphan() {
 }
 
 #[tokio::test]
-async fn each_device_has_a_worker_and_its_replacement_has_the_same() {
+async fn a_replacement_worker_has_the_same_device() {
     let folder = tempfile::tempdir().expect("a temporary folder");
     let programs = tempfile::tempdir().expect("a temporary folder");
     let program = stand_in(programs.path());

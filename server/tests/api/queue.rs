@@ -91,7 +91,7 @@ async fn straggle(farm: &Farm, slow: &Worker<'_>, quick: &Worker<'_>) -> (JobVie
 }
 
 #[tokio::test]
-async fn a_straggler_gets_a_duplicate_lease_and_the_first_result_counts() {
+async fn the_first_result_of_a_duplicated_straggler_counts() {
     let farm = Farm::start().await;
     let (slow, quick, third) = (farm.worker("slow").await, farm.worker("quick").await, farm.worker("third").await);
     let (posted, held) = straggle(&farm, &slow, &quick).await;

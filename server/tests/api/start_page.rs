@@ -8,7 +8,7 @@ use super::harness::{Farm, in_time, read, refused, small_job};
 use super::keys::{locked_farm, make, new_key, send};
 
 async fn page(farm: &Farm) -> Response {
-    in_time(farm.client.get(farm.url("/")).header(ACCEPT, "text/html,*/*;q=0.8").send()).await.expect("an answer")
+    in_time(farm.client.get(farm.url("/")).header(ACCEPT, "text/html,*/*;q=0.8").send()).await.expect("a response")
 }
 
 async fn text(response: Response) -> String {
@@ -90,6 +90,6 @@ async fn a_farm_with_keys_returns_only_that_it_needs_one() {
     let view: StartView = read(farm.get("/").await, StatusCode::OK).await;
     assert!(view.needs_key && view.farm.is_none(), "{view:?}");
     let foreign = in_time(farm.client.get(farm.url("/")).header("host", "evil.example").send()).await;
-    refused(foreign.expect("an answer"), 403, "foreign_host").await;
+    refused(foreign.expect("a response"), 403, "foreign_host").await;
     farm.stop().await;
 }

@@ -212,7 +212,7 @@ async fn chosen_events_are_delivered_after_a_restart() {
     let told = deliveries(&farm, job, Duration::from_mins(1), is_over).await;
     assert_eq!(told.iter().map(|told| told.event.as_str()).collect::<Vec<_>>(), ["job.running", "frame.stored"]);
     let messages = receiver.messages.lock().expect("no panic").clone();
-    let stored = messages.iter().map(Message::json).find(|body| body["type"] == "frame.stored").expect("told");
+    let stored = messages.iter().map(Message::json).find(|body| body["type"] == "frame.stored").expect("a message");
     assert_eq!(stored["data"]["image"], format!("/v1/jobs/{job}/frames/0/image"));
     task.abort();
     farm.stop().await;

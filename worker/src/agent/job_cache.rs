@@ -44,7 +44,7 @@ pub(super) enum JobFetchError {
     #[error("could not fetch the job: {0}")]
     Server(#[from] ServerError),
     /// The server accepted a job that this worker cannot parse.
-    #[error("this worker can't read the job: {0}")]
+    #[error("this worker cannot parse the job: {0}")]
     Refused(#[from] scene::ParseError),
     /// The parser panicked.
     #[error("reading the job panicked")]

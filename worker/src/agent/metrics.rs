@@ -110,7 +110,7 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn what_was_reported_is_not_reported_again() {
+    async fn a_reported_event_is_not_reported_again() {
         let mut measurements = MetricsBuffer::new("cpu");
         for _ in 0..2 * MAX_TIMINGS {
             measurements.add(Phase::Render, Duration::from_millis(5), 7);

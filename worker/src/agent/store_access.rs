@@ -119,7 +119,7 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn bytes_are_there_whole_or_not_at_all() {
+    async fn writes_are_atomic() {
         let (blobs, pictures) = (tempfile::tempdir().expect("a folder"), tempfile::tempdir().expect("a folder"));
         let text = |folder: &tempfile::TempDir| folder.path().to_str().expect("plain").to_owned();
         let store = StoreAccess::Folders(ContentFolders { blobs: text(&blobs), pictures: text(&pictures) });

@@ -115,7 +115,7 @@ mod tests {
         assert!(cache.get(key).is_none());
         let shape = BlockDim { columns: 16, rows: 8 };
         cache.put(key, &CachedKernel { code: vec![1, 2, 3], shape });
-        let kept = cache.get(key).expect("it was kept");
+        let kept = cache.get(key).expect("it was stored");
         assert_eq!((kept.code, kept.shape), (vec![1, 2, 3], shape));
         let path = cache.path(key).expect("there is a folder");
         let mut bytes = std::fs::read(&path).expect("it can be read");

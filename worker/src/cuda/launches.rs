@@ -189,7 +189,7 @@ mod tests {
         while let Some(part) = launches.next(&cost) {
             let mut took = 0.0;
             for block in (part.first_block..part.first_block + part.blocks).map(order) {
-                assert_eq!(rendered[block as usize], part.first_sample, "samples come in order");
+                assert_eq!(rendered[block as usize], part.first_sample, "samples are rendered in order");
                 rendered[block as usize] = part.end_sample;
                 took += ms(block) * f64::from(part.end_sample - part.first_sample);
             }
@@ -209,13 +209,13 @@ mod tests {
     }
 
     #[test]
-    fn a_picture_that_is_dear_in_one_place_is_cut_evenly() {
+    fn a_picture_with_an_expensive_part_is_split_evenly() {
         let sky_then_fractal = |block: u32| if block < 30_000 { 2e-6 } else { 4e-5 };
         assert!(longest_launch(60_000, 256, sky_then_fractal) <= 50.0);
     }
 
     #[test]
-    fn a_known_program_is_launched_whole() {
+    fn a_kernel_of_known_cost_needs_one_launch() {
         let mut cost = CostModel::default();
         cost.observe(LaunchRange { first_block: 0, blocks: 8_100, first_sample: 0, end_sample: 4, is_last: true }, 1.0);
         let part = Launches::new(8_100, 4, 1056).next(&cost).expect("there is work");

@@ -231,7 +231,7 @@ mod tests {
     }
 
     #[test]
-    fn between_two_levels_pixels_share_out_and_their_mean_is_the_color() {
+    fn dithered_pixels_have_the_color_as_their_mean() {
         for wanted in [0.25, 3.5, 100.3, 254.8] {
             let [red, green, blue] = levels(wanted / 255.0);
             for levels in [&red, &green, &blue] {
@@ -254,7 +254,7 @@ mod tests {
     }
 
     #[test]
-    fn whole_parts_are_those_of_a_cast() {
+    fn integer_parts_equal_a_cast() {
         for bits in (0..256.0_f32.to_bits()).step_by(97) {
             let value = f32::from_bits(bits);
             assert_eq!(truncate(value) as u8, value as u8, "{value}");

@@ -167,7 +167,7 @@ fn jobs_of_all_kinds() -> Vec<Job> {
 }
 
 #[test]
-fn source_of_every_light_background_projection_and_effect_is_bit_identical() {
+fn source_of_every_scene_part_is_bit_identical() {
     let jobs = jobs_of_all_kinds().into_iter().enumerate();
     let jobs: Vec<(String, Job)> = jobs.map(|(index, job)| (format!("job {index} of all kinds"), job)).collect();
     assert_same_on_host(&jobs);
@@ -188,7 +188,7 @@ fn source_compiled_by_the_host_is_bit_identical() {
 
 #[test]
 #[ignore = "long: compiles the source of every shipped scene with the host's compiler; 2 minutes"]
-fn source_of_every_scene_compiled_by_the_host_is_bit_identical() {
+fn every_scene_compiled_by_the_host_is_bit_identical() {
     assert_same_on_host(&in_small(&shipped()));
 }
 

@@ -85,7 +85,7 @@ mod tests {
             if operation["requestBody"].is_object() {
                 assert_eq!(operation["requestBody"]["required"], id != "resubmit_job", "{id}");
             }
-            for (status, answer) in operation["responses"].as_object().expect("answers") {
+            for (status, answer) in operation["responses"].as_object().expect("responses") {
                 let Some(content) = answer["content"].as_object() else { continue };
                 assert_eq!(content.len(), 1, "{id} has several types for {status}");
                 for (media_type, content) in content {

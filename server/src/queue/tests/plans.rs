@@ -98,8 +98,8 @@ async fn ask(bench: &Fixture) {
     queue.has_picture("no key").await.expect("reads");
     queue.is_paused().await.expect("reads");
     queue.delete_preview(id).await.expect("reads");
-    queue.check().await.expect("answers");
-    queue.fail_unreadable(number, "no".to_owned()).await.expect("refuses");
+    queue.check().await.expect("responds");
+    queue.fail_unreadable(number, "no".to_owned()).await.expect("fails the job");
 }
 
 /// Whether a step of a plan reads more than it needs.

@@ -136,7 +136,7 @@ impl Pair {
         };
         let mut lost = Vec::new();
         let run = loop {
-            let Some(turned) = self.bench.queue.turn(said.clone()).await.expect("a turn") else {
+            let Some(turned) = self.bench.queue.turn(said.clone()).await.expect("a sync") else {
                 let (takes_large, pool) = (worker.takes_large, worker.pool);
                 let id = self.register(takes_large, pool).await;
                 self.workers[index].id = id;
@@ -223,7 +223,7 @@ impl Pair {
     }
 
     async fn delete(&mut self, id: JobId) {
-        let deleted = self.bench.queue.delete(id).await.expect("an answer");
+        let deleted = self.bench.queue.delete(id).await.expect("a response");
         if let DeleteOutcome::Done { .. } = deleted {
             assert_ne!(self.model.jobs.get(&id).expect("known").state, proto::job::JobState::Running);
             self.model.jobs.remove(&id);
@@ -251,7 +251,7 @@ impl Pair {
             Operation::Restart => self.restart().await,
             Operation::Tidy => queue.prune().await.expect("tidies"),
             Operation::PauseFarm(paused) => {
-                queue.pause_all(paused).await.expect("an answer");
+                queue.pause_all(paused).await.expect("a response");
                 self.model.farm_paused = paused;
             }
             Operation::Cancel(job)
@@ -262,16 +262,16 @@ impl Pair {
                 let Some(id) = self.job(job) else { return };
                 match *operation {
                     Operation::Cancel(_) => {
-                        queue.cancel(id).await.expect("an answer");
+                        queue.cancel(id).await.expect("a response");
                         self.model.cancel(id);
                     }
                     Operation::Pause(_, paused) => self.pause(id, paused).await,
                     Operation::Retry(_) => {
-                        queue.retry(id).await.expect("an answer");
+                        queue.retry(id).await.expect("a response");
                         self.model.retry(id);
                     }
                     Operation::Move(_, priority) => {
-                        queue.patch(id, JobPatch { priority: Some(priority) }).await.expect("an answer");
+                        queue.patch(id, JobPatch { priority: Some(priority) }).await.expect("a response");
                     }
                     _ => self.delete(id).await,
                 }
@@ -280,7 +280,7 @@ impl Pair {
     }
 
     async fn pause(&mut self, id: JobId, paused: bool) {
-        self.bench.queue.pause(id, paused).await.expect("an answer");
+        self.bench.queue.pause(id, paused).await.expect("a response");
         let job = self.model.jobs.get_mut(&id).expect("known");
         if !job.state.is_final() {
             job.paused = paused;

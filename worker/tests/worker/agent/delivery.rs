@@ -116,7 +116,7 @@ fn a_failing_tile_is_reported_with_its_message_alone() {
 }
 
 #[test]
-fn a_worker_releases_and_backs_off_if_the_server_is_full() {
+fn a_full_server_makes_the_worker_release_and_back_off() {
     let server = FakeServer::start(30_000);
     let mut agent = Agent::start(&server, FakeRenderer);
     let (id, _) = add_job(&server, 32, 32, "");

@@ -147,7 +147,7 @@ fn tiles_without_live_leases_are_cancelled_together() {
 }
 
 #[test]
-fn only_the_failing_tile_of_a_batch_is_reported_as_failed() {
+fn only_the_failing_tile_of_a_batch_is_reported() {
     let server = FakeServer::start(30_000);
     let fails = |runs: &[TileRequest<'_>], _: &CancelFlag| {
         let is_bad = runs.iter().any(|run| run.rect.x == 32);
