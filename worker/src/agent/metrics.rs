@@ -93,7 +93,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_memory_of_a_gpu_is_read_in_mebibytes() {
+    fn gpu_memory_is_parsed_as_mebibytes() {
         let memory = read_memory("1024, 143771\n").expect("two numbers");
         assert_eq!(memory, DeviceMemory { used_bytes: 1 << 30, total_bytes: 143_771 << 20 });
         for odd in ["", "[N/A], [N/A]", "No devices were found", "12"] {
@@ -102,7 +102,7 @@ mod tests {
     }
 
     #[test]
-    fn the_driver_is_asked_for_the_gpu_that_cuda_sees() {
+    fn nvidia_smi_reads_the_gpu_that_cuda_sees() {
         assert_eq!(nvidia_smi_id(1, None), "1");
         assert_eq!(nvidia_smi_id(1, Some("3,5")), "5");
         assert_eq!(nvidia_smi_id(0, Some("GPU-8f3e")), "GPU-8f3e");
@@ -110,7 +110,7 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn a_reported_event_is_not_reported_again() {
+    async fn reported_measurements_are_not_reported_again() {
         let mut measurements = MetricsBuffer::new("cpu");
         for _ in 0..2 * MAX_TIMINGS {
             measurements.add(Phase::Render, Duration::from_millis(5), 7);

@@ -223,7 +223,7 @@ mod tests {
     }
 
     #[test]
-    fn tiles_follow_one_another_in_blocks_and_numbers() {
+    fn tiles_are_consecutive_in_blocks_and_numbers() {
         let rects = [Rect { x: 0, y: 0, width: 33, height: 9 }, Rect { x: 64, y: 32, width: 32, height: 32 }];
         let LaunchLayout { tiles, blocks, .. } = lay_out(&rects, 5, BlockDim { columns: 16, rows: 8 });
         assert_eq!((tiles[0].columns, tiles[1].first_block, tiles[1].start), (3, 6, 33 * 9 * 5));

@@ -68,7 +68,7 @@ mod tests {
     use super::fraction;
 
     #[test]
-    fn rates_are_the_fractions_that_people_mean() {
+    fn frame_rates_become_their_usual_fractions() {
         for (rate, wanted) in [
             (24.0, (24, 1)),
             (29.97, (2997, 100)),

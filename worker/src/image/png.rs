@@ -244,7 +244,7 @@ mod tests {
     }
 
     #[test]
-    fn an_even_color_that_is_a_level_stays_even() {
+    fn a_color_on_a_level_has_no_dither() {
         for level in 0..=255_u16 {
             let srgb = f32::from(level) / 255.0;
             for near in [srgb.next_down().max(0.0), srgb, srgb.next_up().min(1.0)] {

@@ -36,7 +36,7 @@ fn the_format_is_fixed() {
 }
 
 #[test]
-fn rows_are_read_without_the_rest() {
+fn rows_are_read_without_other_rows() {
     let tile = tile();
     let mut file = b"xyz".to_vec();
     file.extend(blob::encode(&tile));
