@@ -19,7 +19,7 @@ pub struct StartView {
     pub version: String,
     /// Path of the API's documentation page.
     pub docs: String,
-    /// Path of the OpenAPI document.
+    /// Path of the `OpenAPI` document.
     pub openapi: String,
     /// Path of the JSON Schema of a job file.
     pub job_schema: String,

@@ -117,7 +117,7 @@ pub(crate) fn router(farm: Arc<Farm>) -> axum::Router {
         .layer(middleware::from_fn_with_state(farm, request_id::trace))
 }
 
-/// OpenAPI document of the router.
+/// `OpenAPI` document of the router.
 #[cfg(test)]
 fn document() -> Document {
     Document::new(&user_routes().split_for_parts().1)

@@ -18,7 +18,7 @@ impl Client {
         self.json(self.request(Method::GET, "/readyz")).await
     }
 
-    /// Metrics in the OpenMetrics text format.
+    /// Metrics in the `OpenMetrics` text format.
     pub async fn metrics(&self) -> Result<String, ClientError> {
         let response = self.send(self.request(Method::GET, "/metrics")).await?;
         response.text().await.map_err(|source| self.connection_lost(source))

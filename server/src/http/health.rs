@@ -41,7 +41,7 @@ pub(super) async fn readyz(State(farm): State<Arc<Farm>>) -> Result<Json<Value>,
     Ok(Json(json!({ "status": status, "database": "ok", "store": "ok", "workers": names })))
 }
 
-/// Metrics in the OpenMetrics text format.
+/// Metrics in the `OpenMetrics` text format.
 #[utoipa::path(
     get, path = "/metrics", tag = "health", operation_id = "metrics",
     responses(

@@ -1,4 +1,4 @@
-//! OpenAPI document of the API: routes from their handlers, schemas from the types that are sent.
+//! `OpenAPI` document of the API: routes from their handlers, schemas from the types that are sent.
 
 mod portable;
 mod security;
@@ -23,12 +23,12 @@ use proto::webhook::DeliveryList;
 use schemars::generate::SchemaSettings;
 use serde_json::{Map, Value};
 
-/// Location of the definitions in the OpenAPI document.
+/// Location of the definitions in the `OpenAPI` document.
 const COMPONENTS: &str = "#/components/schemas/";
 /// Location of the definitions in a JSON Schema.
 const DEFINITIONS: &str = "#/$defs/";
 
-/// OpenAPI document, as it is served.
+/// `OpenAPI` document, as it is served.
 #[derive(Clone, Debug)]
 pub(super) struct Document(Arc<Value>);
 
@@ -50,7 +50,7 @@ impl Document {
         Self(Arc::new(document))
     }
 
-    /// OpenAPI document as JSON.
+    /// `OpenAPI` document as JSON.
     #[cfg(test)]
     pub(super) fn value(&self) -> &Value {
         &self.0
@@ -136,7 +136,7 @@ fn rewrite_refs(value: &mut Value) {
     }
 }
 
-/// Get the OpenAPI document.
+/// Get the `OpenAPI` document.
 pub(super) async fn openapi(State(document): State<Document>) -> Json<Value> {
     Json(Value::clone(&document.0))
 }

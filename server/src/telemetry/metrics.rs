@@ -155,7 +155,7 @@ impl Metrics {
         }
     }
 
-    /// All metrics as text, in the OpenMetrics format.
+    /// All metrics as text, in the `OpenMetrics` format.
     pub(super) fn text(&self) -> String {
         let mut text = String::new();
         encode(&mut text, &self.registry).expect("writing to a string");

@@ -1,4 +1,4 @@
-//! Completes the OpenAPI document for client generators: required bodies, files as bytes, parameters that are
+//! Completes the `OpenAPI` document for client generators: required bodies, files as bytes, parameters that are
 //! omitted instead of null, and an example.
 
 use serde_json::{Map, Value, json};
