@@ -208,7 +208,11 @@ fn each_cuda_error_has_a_message() {
             &["start the NVIDIA driver", "CUDA_ERROR_SYSTEM_DRIVER_MISMATCH", "unsupported display driver"],
         ),
         ("newer", "cuda", &["13.0 cannot compile for this GPU (sm_120)", "newer cuda-nvrtc"]),
-        ("wrong_bits", "cuda", &["--device cuda:0", "results are wrong: 1 of 98304 values", "do not use it for a farm"]),
+        (
+            "wrong_bits",
+            "cuda",
+            &["--device cuda:0", "results are wrong: 1 of 98304 values", "do not use it for a farm"],
+        ),
         ("memory:1000", "cuda", &["out of memory for 393216 bytes"]),
     ];
     for (fault, device, says) in faults {
