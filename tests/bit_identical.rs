@@ -87,7 +87,7 @@ fn assert_same_at(level: &str) {
     match render(&jobs::quick(), "png", &["--simd", level]) {
         Ok(_) => assert_same(&["--simd", level]),
         Err(told) => {
-            assert!(told.contains("can't render with"), "{told}");
+            assert!(told.contains("cannot render with"), "{told}");
             skip(level, format_args!("this machine has no {level}"));
         }
     }

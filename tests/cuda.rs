@@ -207,8 +207,12 @@ fn each_cuda_error_has_a_message() {
             "cuda",
             &["start the NVIDIA driver", "CUDA_ERROR_SYSTEM_DRIVER_MISMATCH", "unsupported display driver"],
         ),
-        ("newer", "cuda", &["13.0 can't compile for this GPU (sm_120)", "newer cuda-nvrtc"]),
-        ("wrong_bits", "cuda", &["--device cuda:0", "wrong bits: 1 of 98304 values", "for no farm"]),
+        ("newer", "cuda", &["13.0 cannot compile for this GPU (sm_120)", "newer cuda-nvrtc"]),
+        (
+            "wrong_bits",
+            "cuda",
+            &["--device cuda:0", "results are wrong: 1 of 98304 values", "do not use it for a farm"],
+        ),
         ("memory:1000", "cuda", &["out of memory for 393216 bytes"]),
     ];
     for (fault, device, says) in faults {
@@ -249,7 +253,7 @@ fn auto_goes_on_with_the_cpu_where_the_gpu_is_bad_and_says_why() {
     let output = finish(with_fault("wrong_bits", &["render", "-", "-o", "-"]), job.to_string().as_bytes());
     assert!(output.status.success() && output.stdout == render_on_cpu(&job), "{}", told(&output));
     assert!(
-        told(&output).contains("rendering on the CPU: ") && told(&output).contains("wrong bits"),
+        told(&output).contains("rendering on the CPU: ") && told(&output).contains("results are wrong"),
         "{}",
         told(&output)
     );
@@ -317,21 +321,21 @@ fn rejected_program_is_kept_for_whoever_looks_into_it() {
         command
     };
     let kept = |told: &str| {
-        let (_, path) = told.split_once("kept as ").expect("a path");
+        let (_, path) = told.split_once("saved as ").expect("a path");
         let (path, _) = path.split_once(')').expect("its end");
         fs::read_to_string(path).expect("the program's text")
     };
     // First the self-test's, then a scene's, with the self-test's kept from a good day.
     let told = render(with_cache("refuse"), &jobs::quick()).expect_err("it is refused");
     assert!(
-        told.contains("--device cuda:0: the scene's program could not be compiled")
+        told.contains("--device cuda:0: the scene's kernel could not be compiled")
             && told.contains("as the test asks for"),
         "{told}"
     );
     assert!(kept(&told).contains("void render("));
     render(with_cache(""), &jobs::as_png(&small("dice"))).expect("the compiler takes it");
     let told = render(with_cache("refuse"), &jobs::quick()).expect_err("it is refused");
-    assert!(told.contains("cuda:0 could not render: the scene's program could not be compiled"), "{told}");
+    assert!(told.contains("cuda:0 could not render: the scene's kernel could not be compiled"), "{told}");
     assert!(kept(&told).ends_with("// scene.cu(1): error: refused, as the test asks for\n"));
 }
 

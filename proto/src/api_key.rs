@@ -23,7 +23,7 @@ impl Scope {
     /// Every scope.
     pub const ALL: [Self; 4] = [Self::Submit, Self::Read, Self::Worker, Self::Admin];
 
-    /// Its name, as flags and messages write it.
+    /// Name of the scope, as in flags and messages.
     pub fn name(self) -> &'static str {
         match self {
             Self::Submit => "submit",
@@ -34,7 +34,7 @@ impl Scope {
     }
 }
 
-/// Whether a key lets anyone in.
+/// Whether a key is accepted.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum ApiKeyState {
@@ -46,7 +46,7 @@ pub enum ApiKeyState {
     Revoked,
 }
 
-/// A key to make: `POST /v1/keys`.
+/// Request for a new key: `POST /v1/keys`.
 #[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct NewApiKey {
@@ -55,7 +55,7 @@ pub struct NewApiKey {
     pub name: String,
     /// Scopes, at least one.
     pub scopes: Vec<Scope>,
-    /// Seconds until it expires; without, it never does.
+    /// Seconds until the key expires; absent means never.
     #[serde(default)]
     pub expires_in_seconds: Option<u64>,
     /// Maximum number of unfinished jobs of its name; the server's default if absent.
@@ -72,11 +72,11 @@ pub struct NewApiKey {
 /// A key, without its secret.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 pub struct ApiKeyView {
-    /// Its id, by which it is revoked.
+    /// Id of the key, used to revoke it.
     pub id: String,
     /// Owner's name.
     pub name: String,
-    /// Whether it lets anyone in.
+    /// Whether the key is accepted.
     pub state: ApiKeyState,
     /// Scopes.
     pub scopes: Vec<Scope>,
@@ -92,7 +92,7 @@ pub struct ApiKeyView {
     pub expires_at: Option<String>,
     /// Time of revocation.
     pub revoked_at: Option<String>,
-    /// Time of its last use, to about a minute.
+    /// Time of last use, accurate to about a minute.
     pub last_used_at: Option<String>,
 }
 

@@ -8,7 +8,7 @@ use crate::JobId;
 /// Entry of the audit log: a change or a rejection.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 pub struct AuditEntry {
-    /// Its number; later entries have higher ones.
+    /// Number of the entry; later entries have higher ones.
     pub number: i64,
     /// Time.
     pub at: String,
@@ -25,7 +25,7 @@ pub struct AuditEntry {
     pub route: String,
     /// The job it was about.
     pub job: Option<JobId>,
-    /// The answer's status.
+    /// Status of the response.
     pub status: u16,
     /// Problem code of a rejection.
     pub code: Option<String>,

@@ -23,9 +23,9 @@ use crate::{JobId, Problem};
 pub use jobs::{EventStream, SubmitOptions};
 
 const CONNECT_TIMEOUT: Duration = Duration::from_secs(10);
-/// No route of the users' API is silent for this long.
+/// Timeout: every route of the users' API sends something sooner.
 const READ_TIMEOUT: Duration = Duration::from_mins(2);
-/// Most of an unexpected answer that an error quotes, in characters.
+/// Maximum length of an unexpected response in an error, in characters.
 const MAX_QUOTED_CHARS: usize = 200;
 
 /// Error of a request, or the server's rejection.
@@ -35,7 +35,7 @@ pub enum ClientError {
     #[error("{}", .0.detail)]
     Problem(Box<Problem>),
     /// No server listens there.
-    #[error("no server answers at {server}: start one with `sdfarm serve`, or name another with --server")]
+    #[error("no server responds at {server}: start one with `sdfarm serve`, or pass another address with --server")]
     Unreachable {
         /// The address that was tried.
         server: String,
@@ -43,11 +43,11 @@ pub enum ClientError {
         #[source]
         source: reqwest::Error,
     },
-    /// The server's address, the key or the authority can't be used.
+    /// The server's address, the key or the CA certificates are invalid.
     #[error(transparent)]
     Auth(#[from] ClientAuthError),
-    /// The connection broke, or the server was silent for too long.
-    #[error("the connection to {server} broke: see the server's log, and try again")]
+    /// The connection was interrupted, or the server was silent for too long.
+    #[error("the connection to {server} was interrupted: see the server's log, and retry")]
     ConnectionLost {
         /// The address.
         server: String,
@@ -55,8 +55,8 @@ pub enum ClientError {
         #[source]
         source: reqwest::Error,
     },
-    /// Something answers there that does not speak as an sdfarm server does.
-    #[error("{server} answered {status}, but not as an sdfarm server does ({body:?}): check --server")]
+    /// The response is not one of an sdfarm server.
+    #[error("{server} responded {status}, but is not an sdfarm server ({body:?}): check --server")]
     UnexpectedResponse {
         /// The address.
         server: String,
@@ -71,7 +71,7 @@ pub enum ClientError {
 }
 
 impl ClientError {
-    /// The problem's stable code, if the server answered with a problem.
+    /// The problem's stable code, if the server responded with a problem.
     pub fn code(&self) -> Option<&str> {
         match self {
             Self::Problem(problem) => Some(&problem.code),
@@ -84,7 +84,7 @@ impl ClientError {
     }
 }
 
-/// A server to talk to.
+/// Client of one server.
 #[derive(Clone, Debug)]
 pub struct Client {
     http: reqwest::Client,
@@ -123,7 +123,7 @@ impl Client {
         self.json(request).await
     }
 
-    /// Has a job file checked, without handing it in.
+    /// Validates a job file without submitting it.
     pub async fn dry_run(&self, job: Vec<u8>) -> Result<DryRun, ClientError> {
         let request = self.request(Method::POST, "/v1/jobs").query(&[("dry_run", "true")]);
         self.json(request.header(CONTENT_TYPE, "application/json").body(job)).await
@@ -151,7 +151,7 @@ impl Client {
         self.json(request).await
     }
 
-    /// Stops a job.
+    /// Cancels a job.
     pub async fn cancel(&self, id: JobId) -> Result<JobView, ClientError> {
         self.json(self.request(Method::POST, &format!("/v1/jobs/{id}/cancel"))).await
     }
@@ -166,7 +166,7 @@ impl Client {
         self.json(self.request(Method::POST, &format!("/v1/jobs/{id}/resume"))).await
     }
 
-    /// The farm as a whole.
+    /// State of the farm.
     pub async fn farm(&self) -> Result<FarmView, ClientError> {
         self.json(self.request(Method::GET, "/v1/farm")).await
     }
@@ -181,7 +181,7 @@ impl Client {
         self.json(self.request(Method::POST, "/v1/farm/resume")).await
     }
 
-    /// Forgets a job that is not running.
+    /// Deletes a job that is not running.
     pub async fn delete(&self, id: JobId) -> Result<(), ClientError> {
         self.send(self.request(Method::DELETE, &format!("/v1/jobs/{id}"))).await.map(|_| ())
     }
@@ -206,12 +206,12 @@ impl Client {
         self.json(self.request(Method::GET, "/v1/workers")).await
     }
 
-    /// The local pool.
+    /// State of the local pool.
     pub async fn pool(&self) -> Result<PoolView, ClientError> {
         self.json(self.request(Method::GET, "/v1/pool")).await
     }
 
-    /// Sets how many workers the local pool should have.
+    /// Sets the target number of workers of the local pool.
     pub async fn set_pool(&self, size: PoolSize) -> Result<PoolView, ClientError> {
         self.json(self.request(Method::PUT, "/v1/pool").json(&size)).await
     }
@@ -237,7 +237,7 @@ impl Client {
         serde_json::from_slice(&body).map_err(|_| self.unexpected_response(status, &body))
     }
 
-    /// Sends a request; an answer that is no success is an error.
+    /// Sends a request; an unsuccessful response is an error.
     async fn send(&self, request: RequestBuilder) -> Result<Response, ClientError> {
         let response = request.send().await.map_err(|source| {
             if source.is_connect() {

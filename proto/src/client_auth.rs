@@ -10,7 +10,7 @@ use std::time::Duration;
 
 use reqwest::{Certificate, ClientBuilder, RequestBuilder, Url};
 
-/// Clients close connections idle for this long: sooner than any sdfarm server does.
+/// Idle time after which clients close a connection: shorter than any sdfarm server's.
 const IDLE_TIMEOUT: Duration = Duration::from_secs(15);
 
 /// Key or token; readable only through [`Secret::expose`].
@@ -47,22 +47,22 @@ impl fmt::Debug for Secret {
 /// Error when preparing calls to a server.
 #[derive(Debug, thiserror::Error)]
 pub enum ClientAuthError {
-    /// The server's address can't be used.
-    #[error("{server:?} is no server's address: write it as http://HOST:PORT or https://HOST:PORT")]
+    /// The server's address is invalid.
+    #[error("{server:?} is not a server address: write http://HOST:PORT or https://HOST:PORT")]
     Address {
         /// Given address.
         server: String,
     },
-    /// The authority's file can't be read.
-    #[error("the certificates of {file} can't be read ({reason}): name the authority's PEM file with --ca")]
+    /// The CA certificates cannot be read.
+    #[error("cannot read CA certificates from {file} ({reason}): pass a PEM file with --ca")]
     CaFile {
         /// The file.
         file: PathBuf,
         /// Reason.
         reason: String,
     },
-    /// A secret holds what no header can carry.
-    #[error("the key is empty or holds what no key does: give it in SDFARM_KEY as `sdfarm key new` printed it")]
+    /// The secret has characters that no header can carry.
+    #[error("the API key is empty or has invalid characters: set SDFARM_KEY to the key that `sdfarm key new` printed")]
     Key,
 }
 
@@ -74,8 +74,8 @@ pub struct ClientAuth {
 }
 
 impl ClientAuth {
-    /// Access with this key, to servers whose certificates the authorities of a PEM file vouch for;
-    /// without a file those of the system do.
+    /// Sends this key, to servers whose certificates are signed by the CAs of a PEM file, or by the system's
+    /// CAs without a file.
     pub fn new(key: Option<Secret>, authorities: Option<&Path>) -> Result<Self, ClientAuthError> {
         let is_plain = |key: &Secret| !key.0.is_empty() && key.0.bytes().all(|byte| byte.is_ascii_graphic());
         if !key.as_ref().is_none_or(is_plain) {
@@ -111,7 +111,7 @@ fn read_authorities(file: &Path) -> Result<Vec<Certificate>, ClientAuthError> {
     let wrong = |reason: String| ClientAuthError::CaFile { file: file.to_owned(), reason };
     let pem = std::fs::read(file).map_err(|error| wrong(error.to_string()))?;
     let certificates = Certificate::from_pem_bundle(&pem).map_err(|error| wrong(error.to_string()))?;
-    if certificates.is_empty() { Err(wrong("it holds none".to_owned())) } else { Ok(certificates) }
+    if certificates.is_empty() { Err(wrong("it has no certificates".to_owned())) } else { Ok(certificates) }
 }
 
 /// Reads a server's address: `http://HOST:PORT` or `https://HOST:PORT`.
@@ -126,11 +126,11 @@ pub fn server_url(server: &str) -> Result<Url, ClientAuthError> {
     if is_plain && ["http", "https"].contains(&url.scheme()) { Ok(url) } else { Err(wrong()) }
 }
 
-/// Starts every HTTP client of this process, because the process has to choose its cryptography before the
-/// first client is built.
+/// Starts every HTTP client of this process, because the process has to choose its TLS library before the first
+/// client is built.
 pub fn client_builder() -> ClientBuilder {
     static CRYPTO_PROVIDER: Once = Once::new();
-    // Fails only where another part of the process has chosen already, which is as good.
+    // Fails only if another part of the process has installed a provider already; that one is used.
     CRYPTO_PROVIDER.call_once(|| drop(rustls::crypto::ring::default_provider().install_default()));
     reqwest::Client::builder().pool_idle_timeout(IDLE_TIMEOUT)
 }
@@ -140,7 +140,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn only_addresses_of_servers_are_taken() {
+    fn invalid_server_addresses_are_rejected() {
         for good in ["http://127.0.0.1:8080", "http://farm.example:80/", "http://[::1]:9", "https://farm.example"] {
             assert!(server_url(good).is_ok(), "{good}");
         }
@@ -150,13 +150,13 @@ mod tests {
     }
 
     #[test]
-    fn secret_shows_in_no_debug_text() {
+    fn debug_output_hides_the_secret() {
         let access = ClientAuth::new(Some("sdf_geheim".parse().expect("a secret")), None).expect("plain");
         assert!(!format!("{access:?}").contains("geheim"));
     }
 
     #[test]
-    fn key_that_no_header_can_carry_is_rejected() {
+    fn key_with_invalid_header_characters_is_rejected() {
         for bad in ["", "a b", "a\nb", "ä"] {
             assert!(matches!(ClientAuth::new(Some(bad.to_owned().into()), None), Err(ClientAuthError::Key)), "{bad:?}");
         }
@@ -167,6 +167,6 @@ mod tests {
         let error = ClientAuth::new(None, Some(Path::new("/nonexistent.pem"))).expect_err("there is none").to_string();
         assert!(error.contains("/nonexistent.pem") && error.contains("--ca"), "{error}");
         let error = ClientAuth::new(None, Some(Path::new("/dev/null"))).expect_err("it is empty").to_string();
-        assert!(error.contains("holds none"), "{error}");
+        assert!(error.contains("no certificates"), "{error}");
     }
 }

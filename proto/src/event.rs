@@ -18,7 +18,7 @@ pub struct StateEvent {
     pub at: String,
 }
 
-/// Another hundredth of a job's rays is rendered.
+/// Sent each time another hundredth of a job's rays has been rendered.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct ProgressEvent {
     /// Fraction of its rays that are rendered, 0 to 1; never decreases.
@@ -27,7 +27,7 @@ pub struct ProgressEvent {
     pub tiles: DoneOfTotal,
 }
 
-/// A tile is rendered, or has to be rendered again.
+/// A tile was rendered, or has to be rendered again.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 pub struct TileEvent {
     /// The frame, from 0.
@@ -40,7 +40,7 @@ pub struct TileEvent {
     pub width: u32,
     /// Height, in pixels.
     pub height: u32,
-    /// False: its pixels were lost, and it will be rendered again.
+    /// False if the tile's pixels were lost, so that it will be rendered again.
     pub done: bool,
 }
 
@@ -76,12 +76,12 @@ pub struct Snapshot {
     pub rectangles: Vec<TileEvent>,
 }
 
-/// One of them.
+/// Event of any type.
 #[derive(Clone, Debug, PartialEq)]
 pub enum JobEvent {
     /// The job has reached a state.
     State(StateEvent),
-    /// Another hundredth is rendered.
+    /// Another hundredth of the rays has been rendered.
     Progress(ProgressEvent),
     /// A tile is rendered.
     Tile(TileEvent),
@@ -105,10 +105,10 @@ impl JobEvent {
     }
 }
 
-/// One event as it came.
+/// Event as received.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct SseMessage {
-    /// Its id: what to resume after.
+    /// Event id, from which the stream can be resumed.
     pub id: Option<String>,
     /// Its name.
     pub event: String,
@@ -124,7 +124,7 @@ pub struct SseParser {
 }
 
 impl SseParser {
-    /// The events that are whole with these bytes.
+    /// Adds bytes; returns the events completed by them.
     pub fn push(&mut self, bytes: &[u8]) -> Vec<SseMessage> {
         self.rest.extend_from_slice(bytes);
         let mut whole = Vec::new();
@@ -167,7 +167,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn events_are_read_however_their_bytes_are_cut() {
+    fn events_split_at_any_byte_are_parsed() {
         let text = ": a comment\n\nid: 7\nevent: tile\ndata: {\"frame\":0,\ndata: \"x\":1}\n\nretry: 5\n\nid: 8\r\ndata:x\r\n\r\n";
         let wanted = vec![
             SseMessage { id: Some("7".into()), event: "tile".into(), data: "{\"frame\":0,\n\"x\":1}".into() },
@@ -181,7 +181,7 @@ mod tests {
     }
 
     #[test]
-    fn events_of_later_versions_are_passed_over() {
+    fn unknown_event_types_are_skipped() {
         assert_eq!(JobEvent::parse("weather", "{}"), None);
         let data = r#"{"state":"failed","errors":["no"],"at":"2026-01-01T00:00:00Z","more":1}"#;
         assert!(

@@ -3,7 +3,7 @@
 //!
 //! They are in every build, so that tests run the binary that operators run; a disarmed point costs the load
 //! of one atomic. Only the program's own hidden flag arms them, once: the environment variable alone does
-//! nothing. This module knows nothing of the code around its points.
+//! nothing. This module does not depend on the code around its points.
 
 use std::fmt;
 use std::str::FromStr;
@@ -20,7 +20,7 @@ pub const LOG_PREFIX: &str = "fail point";
 
 macro_rules! points {
     ($($(#[doc = $doc:literal])+ $point:ident = $name:literal,)+) => {
-        /// A place in the program.
+        /// A named place in the program.
         #[derive(Clone, Copy, Debug, PartialEq, Eq)]
         pub enum FailPoint { $($(#[doc = $doc])+ $point,)+ }
 
@@ -37,13 +37,13 @@ macro_rules! points {
 }
 
 points! {
-    /// Server: the database is open, its tables are not brought up to date.
+    /// Server: the database is open, its migrations have not run.
     Migrating = "migrating",
-    /// Server: the tables are up to date, what the last server left is not put right.
+    /// Server: the migrations have run, the previous server's state has not been repaired.
     Migrated = "migrated",
-    /// Server: a job is committed, its 201 is not sent.
+    /// Server: a job is committed, its 201 has not been sent.
     SubmitCommitted = "submit_committed",
-    /// Server: a run is leased and committed, its worker has not heard of it.
+    /// Server: a batch is leased and committed, its worker has no response.
     Claimed = "claimed",
     /// Server: a group is committed, no caller has its response.
     GroupCommitted = "group_committed",
@@ -51,9 +51,9 @@ points! {
     BlobStored = "blob_stored",
     /// Server: a remote picture is fsynced, no row names it.
     PictureStored = "picture_stored",
-    /// Server: leftover bytes are known to be unneeded, and still there.
+    /// Server: orphaned bytes have been found, and not yet deleted.
     Sweeping = "sweeping",
-    /// Server: one operation on the database begins.
+    /// Server: a database operation begins.
     DatabaseWrite = "database_write",
     /// Server: a group of operations is about to be committed.
     DatabaseCommit = "database_commit",
@@ -61,11 +61,11 @@ points! {
     StorePut = "store_put",
     /// Server, or a worker of its pool: stored bytes are about to be read.
     StoreGet = "store_get",
-    /// Worker: a blob is put, its tile is not reported.
+    /// Worker: a blob is stored, its tile has not been reported.
     BlobPut = "blob_put",
-    /// Worker: a picture is put, it is not reported.
+    /// Worker: a picture is stored, it has not been reported.
     PicturePut = "picture_put",
-    /// Worker: a frame's blobs are fetched, its picture is not encoded.
+    /// Worker: a frame's blobs are fetched, its picture has not been encoded.
     Stitching = "stitching",
 }
 
@@ -85,24 +85,24 @@ enum FailAction {
 struct ArmedFailPoint {
     point: FailPoint,
     action: FailAction,
-    /// Pass at which it triggers, from 1; `None` for each.
+    /// Pass at which it triggers, from 1; `None` for every pass.
     pass: Option<u64>,
     passes: AtomicU64,
 }
 
-/// The fail point that struck.
+/// Error injected by a triggered fail point.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
-#[error("{LOG_PREFIX} {} struck", .0.name())]
+#[error("{LOG_PREFIX} {} triggered", .0.name())]
 pub struct FailPointError(pub FailPoint);
 
-/// [`ENV_VAR`] has no list of fail points.
+/// Error returned when [`ENV_VAR`] is not a list of fail points.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error(
-    "{part:?} is no fail point: write NAME=kill, NAME=error or NAME=slow:MILLISECONDS, then @N for the N-th pass alone; names are {}",
+    "{part:?} is not a fail point: write NAME=kill, NAME=error or NAME=slow:MILLISECONDS, and @N to trigger at pass N only; names are {}",
     names()
 )]
 pub struct ParseFailPointsError {
-    /// The part that can't be read.
+    /// The invalid part.
     part: String,
 }
 
@@ -116,12 +116,12 @@ static ARMED: OnceLock<Vec<ArmedFailPoint>> = OnceLock::new();
 pub fn arm(list: &str) -> Result<(), ParseFailPointsError> {
     let parts = list.split(',').map(str::trim).filter(|part| !part.is_empty());
     let traps = parts.map(str::parse).collect::<Result<Vec<ArmedFailPoint>, _>>()?;
-    // A second list would be a second flag, which the command line does not take.
+    // A second call would mean a second flag, which the command line rejects.
     let _ = ARMED.set(traps);
     Ok(())
 }
 
-/// Whether points are armed in this process; its children inherit that.
+/// Whether points are armed in this process; child processes inherit them.
 pub fn is_armed() -> bool {
     ARMED.get().is_some()
 }
@@ -134,9 +134,9 @@ pub fn trigger(point: FailPoint) -> Result<(), FailPointError> {
     }
 }
 
-/// Passes a point in code that cannot fail: only a kill or a delay has an effect.
+/// Passes a point in code that cannot fail: only a kill or a delay takes effect.
 pub fn trigger_infallible(point: FailPoint) {
-    // An error is for steps that can fail.
+    // An injected error would have no caller to handle it.
     let _ = trigger(point);
 }
 
@@ -146,10 +146,10 @@ impl ArmedFailPoint {
         if self.pass.is_some_and(|wanted| wanted != pass) {
             return Ok(());
         }
-        eprintln!("{LOG_PREFIX} {} strikes at pass {pass}: {}", self.point.name(), self.action);
+        eprintln!("{LOG_PREFIX} {} triggered at pass {pass}: {}", self.point.name(), self.action);
         match self.action {
             FailAction::Kill => loop {
-                // Whatever this returns, the process cannot continue.
+                // Whatever `kill` returns, the process must not continue.
                 let _ = rustix::process::kill_process(rustix::process::getpid(), rustix::process::Signal::KILL);
             },
             FailAction::Err => Err(FailPointError(self.point)),
@@ -197,15 +197,15 @@ mod tests {
     use super::*;
 
     #[test]
-    fn each_action_is_read_and_written_alike() {
+    fn each_action_parses_to_what_it_prints() {
         for text in ["kill", "error", "slow:50"] {
-            let trap: ArmedFailPoint = format!("claimed={text}@7").parse().expect("sound");
+            let trap: ArmedFailPoint = format!("claimed={text}@7").parse().expect("valid");
             assert_eq!((trap.point, trap.pass, trap.action.to_string().as_str()), (FailPoint::Claimed, Some(7), text));
         }
     }
 
     #[test]
-    fn what_is_no_point_is_rejected_with_the_names() {
+    fn invalid_points_are_rejected_with_the_valid_names() {
         for bad in ["claimed", "claimed=", "nowhere=kill", "claimed=kill@x", "claimed=slow", "claimed=slow:x", "=kill"]
         {
             let refused = bad.parse::<ArmedFailPoint>().expect_err(bad).to_string();
@@ -214,8 +214,8 @@ mod tests {
     }
 
     #[test]
-    fn a_trap_strikes_at_its_pass_alone() {
-        let trap: ArmedFailPoint = "store_put=error@2".parse().expect("sound");
+    fn a_fail_point_triggers_only_at_its_pass() {
+        let trap: ArmedFailPoint = "store_put=error@2".parse().expect("valid");
         let struck: Vec<bool> = (0..4).map(|_| trap.trigger().is_err()).collect();
         assert_eq!(struck, [false, true, false, false]);
     }

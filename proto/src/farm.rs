@@ -10,39 +10,39 @@ pub struct FarmView {
     pub paused: bool,
 }
 
-/// The farm at a glance, as `GET /` shows it to programs.
+/// Summary of the farm, as `GET /` returns it to programs.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 pub struct StartView {
     /// Always `sdfarm`.
     pub name: String,
-    /// The release.
+    /// Version of the server.
     pub version: String,
-    /// Path of the API's description as a page.
+    /// Path of the API's documentation page.
     pub docs: String,
-    /// Path of the OpenAPI document.
+    /// Path of the `OpenAPI` document.
     pub openapi: String,
     /// Path of the JSON Schema of a job file.
     pub job_schema: String,
     /// Whether requests need a key.
     pub needs_key: bool,
-    /// The farm's numbers; null where requests need a key.
+    /// The farm's numbers; null if requests need a key.
     pub farm: Option<FarmCounts>,
 }
 
-/// Numbers of a farm, at most a second old.
+/// Numbers of a farm, at most 1 s old.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 pub struct FarmCounts {
     /// Whether the farm is paused.
     pub paused: bool,
-    /// Jobs of which nothing was leased.
+    /// Jobs without a leased tile so far.
     pub queued: u64,
-    /// Jobs that run.
+    /// Jobs in progress.
     pub running: u64,
     /// Jobs whose frames are all stored.
     pub succeeded: u64,
-    /// Jobs with a tile that could not be rendered.
+    /// Failed jobs: a tile could not be rendered.
     pub failed: u64,
-    /// Jobs that a user stopped.
+    /// Jobs that a user cancelled.
     pub cancelled: u64,
     /// Workers that take work.
     pub workers_ready: u64,

@@ -7,11 +7,11 @@ use serde::{Deserialize, Serialize};
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum FrameState {
-    /// Not reached yet.
+    /// Its tiles have not been created.
     Waiting,
-    /// Its tiles are rendered.
+    /// Its tiles have been created and are being rendered.
     Open,
-    /// Its picture is being made from its tiles.
+    /// Its picture is being stitched.
     Stitching,
     /// Its picture is stored.
     Stored,
@@ -35,7 +35,7 @@ impl FrameState {
 /// Frame, as `GET /v1/jobs/{id}/frames` returns it.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 pub struct FrameView {
-    /// Its number, from 0.
+    /// Number of the frame, from 0.
     pub number: u32,
     /// State.
     pub state: FrameState,

@@ -22,7 +22,7 @@ macro_rules! ids {
                 Self(Uuid::now_v7())
             }
 
-            /// The last eight characters, which are random: enough for people, where few are alike.
+            /// The last eight characters, which are random: enough for people to tell ids apart.
             pub fn short(self) -> String {
                 self.to_string().split_off(28)
             }
@@ -51,10 +51,10 @@ macro_rules! ids {
 }
 
 ids![
-    /// A job: what one POST asked for.
+    /// A job: the result of one `POST /v1/jobs`.
     JobId,
     /// Worker process, from its start to its exit.
     WorkerId,
-    /// One worker's hold on one tile or stitch.
+    /// One worker's time-limited claim on one tile or stitch.
     LeaseId,
 ];

@@ -18,7 +18,7 @@ pub enum JobState {
     Succeeded,
     /// A tile could not be rendered.
     Failed,
-    /// Stopped by a user.
+    /// Cancelled by a user.
     Cancelled,
 }
 
@@ -46,12 +46,12 @@ impl JobState {
     }
 }
 
-/// Done and total of something counted.
+/// Progress of something counted.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 pub struct DoneOfTotal {
     /// Finished.
     pub done: u64,
-    /// In all.
+    /// In total.
     pub total: u64,
 }
 
@@ -60,7 +60,7 @@ pub struct DoneOfTotal {
 pub struct JobView {
     /// Its id.
     pub id: JobId,
-    /// The name its author gave it.
+    /// Name from the job file.
     pub name: String,
     /// Submitter: the name of a key, or `local` while the farm has no keys.
     #[serde(default)]
@@ -70,7 +70,7 @@ pub struct JobView {
     pub priority: i32,
     /// State.
     pub state: JobState,
-    /// No tiles of it are leased until it is resumed; leased tiles finish and count.
+    /// Paused: no tiles are leased until the job is resumed; leased tiles finish and count.
     #[serde(default)]
     pub paused: bool,
     /// Fraction of its rays that are rendered, 0 to 1; never decreases.
@@ -81,7 +81,7 @@ pub struct JobView {
     pub frames: DoneOfTotal,
     /// Error messages.
     pub errors: Vec<String>,
-    /// Warnings for its author; the job renders all the same.
+    /// Warnings for the author; the job renders all the same.
     pub warnings: Vec<String>,
     /// Time of acceptance: RFC 3339, UTC.
     pub created_at: String,
@@ -89,7 +89,7 @@ pub struct JobView {
     pub started_at: Option<String>,
     /// Time at which it reached a final state.
     pub finished_at: Option<String>,
-    /// Seconds until it should be finished; null where unknown.
+    /// Estimated seconds until it finishes; null if unknown.
     pub eta_seconds: Option<f64>,
 }
 
@@ -105,22 +105,22 @@ pub struct JobPage {
 /// Response to `POST /v1/jobs?dry_run=true`: the job is valid.
 #[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
 pub struct DryRun {
-    /// Always true: an unsound job is answered with a problem.
+    /// Always true: the response to an invalid job is a problem.
     pub valid: bool,
-    /// Tiles it would be cut into.
+    /// Tiles in all frames.
     pub tiles: u64,
-    /// Frames it would store.
+    /// Number of frames.
     pub frames: u64,
-    /// Camera rays it would trace.
+    /// Camera rays of all frames.
     pub rays: u64,
     /// Estimated cost; null if it could not be measured.
     #[serde(default)]
     pub estimate: Option<Estimate>,
-    /// Warnings for its author; the job would render all the same.
+    /// Warnings for the author; the job would render all the same.
     pub warnings: Vec<String>,
 }
 
-/// The body of `PATCH /v1/jobs/{id}`: what is left out stays as it is.
+/// The body of `PATCH /v1/jobs/{id}`: absent members do not change.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct JobPatch {
@@ -133,12 +133,12 @@ pub struct JobPatch {
 /// Response to `DELETE /v1/jobs/{id}?dry_run=true`: what would be deleted.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 pub struct DeleteDryRun {
-    /// Pictures that no other job shows.
+    /// Pictures that no other job uses.
     pub pictures: u64,
-    /// Blobs of finished tiles that no other frame needs.
+    /// Blobs of finished tiles that no other frame uses.
     pub blobs: u64,
     /// Bytes of those pictures and blobs.
     pub size_bytes: u64,
-    /// Rows of the database: the job, its file, frames, tiles and events.
+    /// Database rows: the job, its file, frames, tiles and events.
     pub rows: u64,
 }

@@ -17,12 +17,12 @@ pub enum LinkContent {
     /// The stored picture.
     #[default]
     Image,
-    /// The finished part so far, as PNG.
+    /// PNG of the finished part so far.
     Preview,
 }
 
 impl LinkContent {
-    /// The name used in addresses.
+    /// Name used in link addresses.
     pub fn name(self) -> &'static str {
         match self {
             Self::Image => "image",
@@ -67,7 +67,7 @@ impl Visitor<'_> for ExpiryVisitor {
 /// A signed link.
 #[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
 pub struct LinkView {
-    /// The address, to be put behind the server's.
+    /// Path and query of the link, to be appended to the server's address.
     pub url: String,
     /// Time of expiry: RFC 3339, UTC.
     pub expires_at: String,

@@ -15,15 +15,15 @@ pub const MAX_POOL_WORKERS: u32 = 256;
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum WorkerState {
-    /// Registered, and testing itself.
+    /// Registered and running its self-test.
     Starting,
     /// Takes work.
     Ready,
-    /// Finishes what it holds and takes no more.
+    /// Finishes its leased tiles and gets no more.
     Draining,
     /// Exited or lost.
     Gone,
-    /// Failed its test, or failed too often.
+    /// Failed its self-test, or failed too often.
     Quarantined,
 }
 
@@ -40,7 +40,7 @@ pub struct WorkerView {
     pub state: WorkerState,
     /// Measured camera rays a second; null before its first tile.
     pub rays_per_second: Option<f64>,
-    /// Leases it holds.
+    /// Number of its leases.
     pub leases: u64,
 }
 
@@ -55,7 +55,7 @@ pub struct WorkerList {
 #[derive(Clone, Copy, Debug, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct PoolSize {
-    /// Workers wanted, 0 to 256.
+    /// Target number of workers, 0 to 256.
     #[schemars(range(max = MAX_POOL_WORKERS))]
     #[serde(deserialize_with = "worker_count")]
     pub workers: u32,
@@ -84,7 +84,7 @@ impl Visitor<'_> for WorkerCountVisitor {
 /// The local pool.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 pub struct PoolView {
-    /// Workers wanted.
+    /// Target number of workers.
     pub workers: u32,
     /// Workers that take work.
     pub ready: u32,

@@ -6,7 +6,7 @@ use std::path::PathBuf;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-/// The command a child is started with, as first argument of the worker program.
+/// First argument that selects the helper in the worker program.
 pub const HELPER_COMMAND: &str = "preview-helper";
 
 /// Request to a helper process.
@@ -21,11 +21,11 @@ pub enum HelperRequest {
         frame: u32,
         /// Maximum width of the PNG, in pixels.
         width_px: u32,
-        /// Blobs of finished tiles; those that can't be read are left out.
+        /// Blobs of finished tiles; unreadable ones are left out.
         tiles: Vec<PathBuf>,
         /// Path of the coarse pass: read if it exists, otherwise rendered and written.
         coarse: PathBuf,
-        /// Most time for the coarse pass, in milliseconds.
+        /// Maximum time for the coarse pass, in milliseconds.
         coarse_ms: u64,
     },
     /// A PNG of a stored picture, scaled down.
@@ -41,7 +41,7 @@ pub enum HelperRequest {
         job: String,
         /// Threads to render on.
         threads: usize,
-        /// Most time for rendering, in milliseconds.
+        /// Maximum time for rendering, in milliseconds.
         render_ms: u64,
     },
 }
@@ -56,9 +56,9 @@ pub struct CostSample {
     /// Time of one thread to prepare a tile, in seconds: evaluating the job at the frame, and building
     /// its integrator.
     pub setup_seconds_per_tile: f64,
-    /// Time that one thread needs to put a pixel into the picture's file, in seconds.
+    /// Time that one thread needs to encode a pixel into the picture's file, in seconds.
     pub encode_seconds_per_pixel: f64,
-    /// Most memory that the sample took, in bytes.
+    /// Peak memory of the sample, in bytes.
     pub memory_bytes: u64,
 }
 
@@ -74,14 +74,14 @@ impl CostSample {
 /// Estimated cost of a job, from rendering a sample of its pixels.
 #[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
 pub struct Estimate {
-    /// Seconds until its last picture is stored, if the farm's present workers did nothing else; null
+    /// Seconds until the last picture is stored, if the farm's current workers rendered nothing else; null
     /// without workers.
     pub seconds: Option<f64>,
-    /// Seconds of one processor core.
+    /// CPU time, in seconds of one core.
     pub core_seconds: f64,
-    /// Camera rays it would trace.
+    /// Camera rays that the job would trace.
     pub rays: u64,
-    /// Camera rays of the sample that this was judged by.
+    /// Camera rays of the sample that the estimate is based on.
     pub sample_rays: u64,
     /// Memory of the worker that renders it, in bytes.
     pub memory_bytes: u64,

@@ -9,7 +9,7 @@ pub const PROBLEM_JSON: &str = "application/problem+json";
 /// RFC 9457 problem details, with a stable `code` for programs.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 pub struct Problem {
-    /// Where the code is described: `/docs#code`.
+    /// Address of the code's description: `/docs#code`.
     #[serde(rename = "type")]
     pub kind: String,
     /// Title of the problem type; the same for every problem with one code.
@@ -18,7 +18,7 @@ pub struct Problem {
     pub status: u16,
     /// Stable name for programs.
     pub code: String,
-    /// What went wrong in this request, and the fix.
+    /// Error in this request, and the fix.
     pub detail: String,
     /// Errors of an invalid job.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
@@ -31,9 +31,10 @@ pub struct Problem {
 /// One error of an invalid job.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 pub struct ValidationErrorView {
-    /// JSON pointer (RFC 6901) to the place; an unknown key points at the key, a missing one at its parent.
+    /// JSON pointer (RFC 6901) to the error; for an unknown member to that member, for a missing one to its
+    /// parent.
     pub pointer: String,
-    /// What is wrong there, and the fix.
+    /// The error, and the fix.
     pub message: String,
     /// Line in the body, from 1.
     pub line: u32,

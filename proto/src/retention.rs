@@ -1,6 +1,6 @@
 //! Retention as users write it (`36h`, `7d`, `forever`), and the result of a garbage collection.
 //!
-//! Nothing here knows the current time.
+//! Does not depend on the current time.
 
 use std::fmt;
 use std::str::FromStr;
@@ -28,7 +28,9 @@ pub enum Retention {
 
 /// Error returned when a text is not a retention.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-#[error("{0:?} is no age: write a number and s, m, h, d or w, such as 36h or 7d (at most 100 years), or forever")]
+#[error(
+    "{0:?} is not a retention: write a number and s, m, h, d or w, such as 36h or 7d (at most 100 years), or forever"
+)]
 pub struct ParseRetentionError(String);
 
 impl FromStr for Retention {
@@ -90,20 +92,20 @@ pub struct RemovedJob {
     pub finished_at: String,
     /// Reason for its deletion.
     pub reason: RemovalReason,
-    /// Bytes of pictures that no other job shows.
+    /// Bytes of pictures that no other job uses.
     pub freed_bytes: u64,
 }
 
 /// Response to `POST /v1/gc`: the jobs that were deleted, or would be.
 #[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
 pub struct GcReport {
-    /// Nothing was deleted; the response lists what would be.
+    /// True if nothing was deleted; the response lists the jobs that would be.
     pub dry_run: bool,
     /// Bytes of pictures and tiles before.
     pub store_bytes: u64,
     /// The store's limit; null means no limit.
     pub max_store_bytes: Option<u64>,
-    /// Bytes that the jobs' pictures take.
+    /// Bytes of the jobs' pictures.
     pub freed_bytes: u64,
     /// The jobs, in the order of deletion.
     pub jobs: Vec<RemovedJob>,

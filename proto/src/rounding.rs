@@ -1,12 +1,13 @@
-//! Numbers as people read them: no more digits than were measured, so that JSON has `0.3333` and not `0.33333333333333331`.
+//! Rounds numbers for display to the digits that were measured, so that JSON has `0.3333` and not
+//! `0.33333333333333331`.
 //!
-//! Used where a number is shown. Nothing is decided by a rounded number.
+//! Only for display: no decision depends on a rounded number.
 
-/// Steps of a fraction that is shown.
+/// Steps of one in a displayed fraction: four decimals.
 const FRACTION_STEPS: f64 = 1e4;
-/// Steps of a second that is shown.
+/// Steps of a second in a displayed duration: milliseconds.
 const STEPS_PER_SECOND: f64 = 1e3;
-/// What a product of a rounded fraction may lack of a whole step.
+/// How far below a whole step the product of a rounded fraction may be, as a fraction of the step.
 const SLACK: f64 = 1e-6;
 
 /// A fraction from 0 to 1 with four decimals, rounded down: it is 1 only at the end.
@@ -19,7 +20,7 @@ pub fn seconds(value: f64) -> f64 {
     (value * STEPS_PER_SECOND).round() / STEPS_PER_SECOND
 }
 
-/// A rate a second, without decimals; one below 1 is shown as it is.
+/// Rate a second without decimals; a rate below 1 is not rounded.
 pub fn rate(value: f64) -> f64 {
     if value < 1.0 { value } else { value.round() }
 }

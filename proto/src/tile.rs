@@ -1,14 +1,14 @@
-//! Tiles: how a frame is cut into rectangles that workers lease.
+//! Splits a frame into tiles: rectangles that workers lease.
 
 use serde::{Deserialize, Serialize};
 
 /// Tile edges are multiples of this many pixels, except at the picture's right and bottom edge.
 pub const GRID_PX: u32 = 32;
-/// Sample rays in a tile of ordinary size: about a second on one core.
+/// Sample rays in a tile of ordinary size: about one second on one core.
 pub const TARGET_TILE_RAYS: u64 = 1 << 20;
-/// No frame is cut into more tiles than this.
+/// Maximum number of tiles in a frame.
 pub const MAX_TILES_PER_FRAME: u64 = 1024;
-/// No tile carries more bytes of pixels than this.
+/// Maximum size of a tile's pixels, in bytes.
 pub const MAX_TILE_BYTES: u64 = 64 << 20;
 
 /// A rectangle of pixels; x to the right, y down, from the picture's top left.
@@ -30,7 +30,7 @@ impl Rect {
         u64::from(self.width) * u64::from(self.height)
     }
 
-    /// The whole of a picture.
+    /// Rectangle that covers a whole picture.
     pub fn full(width: u32, height: u32) -> Self {
         Self { x: 0, y: 0, width, height }
     }
@@ -47,14 +47,13 @@ pub struct Tiling {
     pub samples: u32,
     /// Bytes of finished data a pixel.
     pub pixel_bytes: u32,
-    /// Edge that the operator asked for, in pixels; rounded up to the grid.
+    /// Edge requested by the operator, in pixels; rounded up to the grid.
     pub tile_edge: Option<u32>,
 }
 
 impl Tiling {
-    /// Cuts a frame into tiles, row by row: squares of [`TARGET_TILE_RAYS`] rays unless an
-    /// edge was asked for, larger where the frame would otherwise have too many tiles,
-    /// smaller where one would carry too many bytes.
+    /// Cuts a frame into tiles, row by row: squares of [`TARGET_TILE_RAYS`] rays unless an edge was requested;
+    /// larger if the frame would otherwise have too many tiles, smaller if a tile would have too many bytes.
     pub fn tiles(&self) -> Vec<Rect> {
         let edge = self.chosen_edge_px();
         let rows = (0..self.height).step_by(edge as usize);
@@ -88,7 +87,7 @@ mod tests {
     }
 
     #[test]
-    fn full_hd_at_four_samples_is_a_handful_of_tiles() {
+    fn full_hd_at_four_samples_has_few_tiles() {
         let tiles = tiling(1920, 1080, 4).tiles();
         assert!((8..=12).contains(&tiles.len()), "{}", tiles.len());
     }

@@ -1,6 +1,6 @@
 //! Trace context between processes, as W3C `traceparent` headers carry it.
 //!
-//! Without an exporter, spans have no trace and all of this does nothing.
+//! Without an exporter, spans have no trace context and these functions do nothing.
 
 use opentelemetry::Context;
 use opentelemetry::trace::{SpanContext, SpanId, TraceContextExt, TraceFlags, TraceId, TraceState};
@@ -32,12 +32,12 @@ pub fn set_parent(span: &Span, traceparent: &str) {
     }
 }
 
-/// Whether this is a header's value that names a trace.
+/// Whether this is a valid `traceparent` with a trace id.
 pub fn is_valid(traceparent: &str) -> bool {
     parse(traceparent).is_some()
 }
 
-/// Reads the header's value, of version 00 or a later one.
+/// Parses a `traceparent` of version 00 or a later one.
 fn parse(traceparent: &str) -> Option<SpanContext> {
     let mut parts = traceparent.split('-');
     let (version, trace, span, flags) = (parts.next()?, parts.next()?, parts.next()?, parts.next()?);
@@ -59,7 +59,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn only_valid_headers_name_a_trace() {
+    fn only_valid_headers_have_a_trace() {
         let good = "00-4bf92f3577b34da6a3ce929d0e0e4736-00f067aa0ba902b7-01";
         assert!(is_valid(good));
         assert!(is_valid("01-4bf92f3577b34da6a3ce929d0e0e4736-00f067aa0ba902b7-01-later"));
@@ -79,7 +79,7 @@ mod tests {
     }
 
     #[test]
-    fn a_span_that_nobody_listens_to_has_no_trace() {
+    fn a_span_without_a_subscriber_has_no_trace() {
         assert_eq!(current_traceparent(), None);
     }
 }

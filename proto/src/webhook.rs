@@ -9,9 +9,9 @@ use serde::{Deserialize, Serialize};
 pub enum DeliveryState {
     /// An attempt is due now or later.
     Pending,
-    /// The receiver accepted it.
+    /// The receiver accepted the message.
     Delivered,
-    /// Its attempts are used up, or its receiver is gone.
+    /// All attempts failed, or the receiver responded 410 Gone.
     Failed,
 }
 
@@ -30,21 +30,21 @@ impl DeliveryState {
 /// A message to a webhook.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 pub struct DeliveryView {
-    /// Its id, as the header `webhook-id` has it in every attempt.
+    /// Message id, sent in the `webhook-id` header of every attempt.
     pub id: String,
     /// Event type.
     pub event: String,
-    /// Scheme, host and port of the receiver's address; its path may contain a secret.
+    /// Scheme, host and port of the receiver's address; the path is omitted because it may contain a secret.
     pub receiver: String,
     /// State.
     pub state: DeliveryState,
     /// Number of attempts so far.
     pub attempts: u32,
-    /// Time of the next attempt: RFC 3339, UTC; null at the end.
+    /// Time of the next attempt: RFC 3339, UTC; null if there is none.
     pub next_at: Option<String>,
-    /// HTTP status of the last attempt's answer.
+    /// HTTP status of the last attempt's response.
     pub status: Option<u16>,
-    /// Why the last attempt failed.
+    /// Error of the last attempt.
     pub error: Option<String>,
 }
 

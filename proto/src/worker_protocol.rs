@@ -1,7 +1,7 @@
 //! The workers' own protocol, under `/v1/worker/`; not for users.
 //!
 //! A worker registers, then calls `sync` repeatedly: each call renews all its leases, reports results and
-//! asks for work, and waits at the server while there is none. Bytes (job files, tile blobs, pictures) have
+//! requests work. If there is none, the call waits at the server. Bytes (job files, tile blobs, pictures) have
 //! routes of their own, keyed by content; pool workers write blobs and pictures directly into the server's
 //! folders.
 
@@ -13,10 +13,10 @@ use crate::{JobId, LeaseId, Rect, WorkerId};
 pub const REGISTER_PATH: &str = "/v1/worker/register";
 /// Route of syncs: `POST`, [`SyncRequest`] → [`SyncResponse`].
 pub const SYNC_PATH: &str = "/v1/worker/sync";
-/// Environment variable through which the pool gives its children their token.
+/// Environment variable with the token that the pool passes to its workers.
 pub const TOKEN_ENV_VAR: &str = "SDFARM_WORKER_TOKEN";
-/// Exit code of a worker whose device can't render: no driver, a bad card, a failed self-test. Starting it
-/// again would not help, so the pool does not.
+/// Exit code of a worker whose device cannot render: no driver, a defective card, a failed self-test. The pool
+/// does not restart such a worker, because the next start would fail too.
 pub const EXIT_UNUSABLE_DEVICE: u8 = 3;
 
 /// Route of a job's file: `GET`, the submitted JSON.
@@ -38,24 +38,25 @@ pub fn picture_path(hash: &str) -> String {
 #[derive(Clone, Debug, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct RegisterRequest {
-    /// A label for people.
+    /// Label for display.
     pub name: String,
     /// Device: `cpu` or `cuda:0`.
     pub device: String,
     /// Picture version it was built with; the server rejects a different one.
     pub picture_version: u32,
-    /// Largest scene it renders, in nodes; `None` for any. It is offered no larger one, but stitches of any.
+    /// Largest scene that the worker renders, in nodes; `None` for any. The server offers it no larger scene,
+    /// but stitches of scenes of any size.
     pub max_nodes: Option<u32>,
-    /// Process id, which the local pool knows its children by.
+    /// Process id, by which the local pool recognizes its workers.
     pub process: u32,
 }
 
-/// The answer to [`RegisterRequest`].
+/// Response to [`RegisterRequest`].
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct RegisterResponse {
-    /// The worker's id until it exits.
+    /// Worker id, valid until the worker exits.
     pub worker: WorkerId,
-    /// Length of a lease, in milliseconds. A worker that could not sync for two thirds of it stops rendering.
+    /// Length of a lease, in milliseconds. A worker whose syncs fail for two thirds of it stops rendering.
     pub lease_ms: u64,
     /// Folders that a worker on the server's own machine writes to directly; `None` means the routes of
     /// this module.
@@ -83,11 +84,11 @@ pub struct SyncRequest {
     pub worker: WorkerId,
     /// Measured camera rays a second; `None` before the first tile.
     pub rays_per_second: Option<f64>,
-    /// Leases it holds and still works on; all are renewed.
+    /// Leases that the worker still works on; all are renewed.
     pub held_leases: Vec<LeaseId>,
-    /// Leases it has finished with.
+    /// Results of leases that have finished.
     pub reports: Vec<LeaseReport>,
-    /// Whether it wants a run.
+    /// Whether the worker requests a batch.
     pub wants_work: bool,
     /// How long the server may wait before it responds, in milliseconds.
     pub wait_ms: u64,
@@ -123,28 +124,28 @@ pub struct Timing {
     pub phase: Phase,
     /// Duration, in milliseconds.
     pub took_ms: f64,
-    /// Camera rays that were rendered; 0 of everything else.
+    /// Camera rays rendered; 0 for all phases but rendering.
     #[serde(default)]
     pub rays: u64,
 }
 
-/// A part of a worker's work.
+/// Phase of a worker's work.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Phase {
     /// Rendering tiles.
     Render,
-    /// Making a file of a picture.
+    /// Encoding a picture.
     Encode,
     /// Sending a blob or a picture to the server.
     Deliver,
 }
 
-/// Memory of a device that has its own.
+/// Memory of a device that does not share the host's.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct DeviceMemory {
-    /// In use, by anyone.
+    /// Bytes used by all processes.
     pub used_bytes: u64,
     /// Total bytes.
     pub total_bytes: u64,
@@ -164,7 +165,7 @@ pub struct LeaseReport {
 #[derive(Clone, Debug, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case", deny_unknown_fields)]
 pub enum LeaseOutcome {
-    /// The tile's pixels were put as a blob.
+    /// The tile's pixels were stored as a blob.
     Blob {
         /// BLAKE3 of the blob, in hex.
         hash: String,
@@ -178,7 +179,7 @@ pub enum LeaseOutcome {
         /// Its size.
         size_bytes: u64,
     },
-    /// Blobs of these tiles, by index in the frame, are missing or damaged: the stitch can't be done.
+    /// Blobs of these tiles, by index in the frame, are missing or damaged, so the frame cannot be stitched.
     BadBlobs {
         /// The tiles' indices.
         tiles: Vec<u32>,
@@ -192,17 +193,17 @@ pub enum LeaseOutcome {
     Released,
 }
 
-/// The answer to [`SyncRequest`].
+/// Response to [`SyncRequest`].
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct SyncResponse {
-    /// Work to do, if any was wanted and there was some.
+    /// Work, if it was requested and there was some.
     pub batch: Option<Batch>,
-    /// Leases of `held_leases` and `reports` that are no longer live: the worker stops them and drops their
+    /// Leases of `held_leases` and `reports` that have ended: the worker stops their work and drops their
     /// results.
     pub revoked_leases: Vec<LeaseId>,
-    /// Finish what is held, then exit.
+    /// The worker should finish its leases, then exit.
     pub drain: bool,
-    /// Which trace the run belongs to: a W3C `traceparent`.
+    /// Trace of the batch: a W3C `traceparent`.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub trace: Option<String>,
 }
@@ -226,12 +227,12 @@ pub enum BatchWork {
     Render {
         /// The tiles.
         tiles: Vec<LeasedTile>,
-        /// They are all of the frame, and small enough: deliver the picture instead of blobs.
+        /// True if these are all tiles of a small frame: the worker delivers the picture instead of blobs.
         whole_frame: bool,
     },
-    /// Make the frame's picture from its tiles' blobs.
+    /// Stitch the frame's picture from its tiles' blobs.
     Stitch {
-        /// The hold on the stitch.
+        /// Lease of the stitch.
         lease: LeaseId,
         /// The tiles.
         inputs: Vec<StitchInput>,
@@ -241,7 +242,7 @@ pub enum BatchWork {
 /// A tile to render.
 #[derive(Clone, Copy, Debug, Serialize, Deserialize)]
 pub struct LeasedTile {
-    /// The hold on it.
+    /// Lease of the tile.
     pub lease: LeaseId,
     /// Its index in the frame.
     pub index: u32,

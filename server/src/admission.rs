@@ -1,6 +1,6 @@
 //! Admission: API keys, request rates, the audit log.
 //!
-//! It knows nothing of routes and responses; the HTTP layer calls it.
+//! Depends on no routes or responses; the HTTP layer calls it.
 
 use std::net::IpAddr;
 use std::num::NonZeroU32;
@@ -23,7 +23,7 @@ use crate::database::{Database, DatabaseError};
 const REQUESTS_PER_ADDRESS: NonZeroU32 = NonZeroU32::new(1000).expect("it is not 0");
 /// Rejections per second of one address whose reason is sent.
 const REJECTIONS_PER_ADDRESS: NonZeroU32 = NonZeroU32::new(20).expect("it is not 0");
-/// Addresses that are remembered before those that are quiet are forgotten.
+/// Number of tracked addresses above which idle ones are removed.
 const MAX_TRACKED_ADDRESSES: usize = 10_000;
 /// Interval at which idle addresses are removed from the limiters.
 const PRUNE_INTERVAL: Duration = Duration::from_secs(10);
@@ -31,16 +31,16 @@ const PRUNE_INTERVAL: Duration = Duration::from_secs(10);
 /// Rate limiter with one cell for each address.
 type AddressLimiter = RateLimiter<IpAddr, DefaultKeyedStateStore<IpAddr>, DefaultClock, StateInformationMiddleware>;
 
-/// Too many requests.
+/// Error returned when a caller exceeds its rate.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct RateLimited {
     /// Permitted requests per second.
     pub(crate) per_second: u32,
-    /// Seconds until the next attempt can succeed.
+    /// Seconds until a request can succeed.
     pub(crate) retry_seconds: u64,
 }
 
-/// Remaining rate of a caller.
+/// Remaining requests of a caller.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct RateLimitStatus {
     per_second: u32,
@@ -48,7 +48,7 @@ pub(crate) struct RateLimitStatus {
 }
 
 impl RateLimitStatus {
-    /// The `RateLimit` headers of a response.
+    /// `RateLimit` headers of a response.
     pub(crate) fn headers(self) -> impl Iterator<Item = (HeaderName, HeaderValue)> {
         let policy = format!("\"requests\";q={};w=1", self.per_second);
         let left = format!("\"requests\";r={};t=1", self.remaining);
@@ -58,7 +58,7 @@ impl RateLimitStatus {
     }
 }
 
-/// Keys, rates, the audit log.
+/// API keys, request rates and the audit log of a farm.
 #[derive(Debug)]
 pub(crate) struct Admission {
     /// API keys.
@@ -138,7 +138,7 @@ impl Admission {
     }
 }
 
-/// A time to wait, as whole seconds, at least one.
+/// Rounds a wait up to whole seconds, at least one.
 fn round_up_seconds(wait: Duration) -> u64 {
     wait.as_secs() + u64::from(wait.subsec_nanos() > 0).max(u64::from(wait.is_zero()))
 }
@@ -151,7 +151,7 @@ mod tests {
 
     const ELSEWHERE: IpAddr = IpAddr::V4(Ipv4Addr::new(10, 1, 2, 3));
     const HERE: IpAddr = IpAddr::V4(Ipv4Addr::LOCALHOST);
-    /// More than any of the limits, however slowly they are counted.
+    /// Number of requests above every limit, however slowly the test sends them.
     const MANY: u32 = 1_000_000;
 
     async fn doors() -> (Admission, tempfile::TempDir) {
@@ -161,7 +161,7 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn an_address_without_a_key_has_a_rate_and_this_machine_has_none() {
+    async fn requests_are_limited_per_address_but_not_from_this_machine() {
         let (doors, _folder) = doors().await;
         let pace = doors.admit(None, Some(ELSEWHERE), true).expect("the first").expect("it is counted");
         assert_eq!((pace.per_second, pace.remaining), (1000, 999));
@@ -179,18 +179,18 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn refusals_of_an_address_are_counted_and_others_are_not_held_for_them() {
+    async fn rejections_are_limited_for_each_address_separately() {
         let (doors, _folder) = doors().await;
         let told = (0..MANY).find_map(|count| doors.count_rejection(Some(HERE)).err().map(|refusal| (count, refusal)));
         let (told, refusal) = told.expect("there is a limit");
-        assert!(told >= 20, "{told} were told why");
+        assert!(told >= 20, "{told} were sent with a reason");
         assert_eq!((refusal.per_second, refusal.retry_seconds), (20, 1));
         assert!(doors.count_rejection(Some(ELSEWHERE)).is_ok());
         assert!((0..100).all(|_| doors.count_rejection(None).is_ok()));
     }
 
     #[test]
-    fn a_wait_is_reported_in_whole_seconds_that_are_enough() {
+    fn retry_times_are_rounded_up_to_whole_seconds() {
         for (millis, seconds) in [(0, 1), (1, 1), (999, 1), (1000, 1), (1001, 2), (2500, 3), (4000, 4)] {
             assert_eq!(round_up_seconds(Duration::from_millis(millis)), seconds, "{millis} ms");
         }

@@ -1,7 +1,7 @@
 //! API keys. The table is reread every 500 ms, so keys created or revoked by another process take effect
 //! within a second; open requests of a revoked key end at once.
 //!
-//! It knows nothing of routes: the HTTP layer asks for a key's scopes.
+//! Depends on no routes: the HTTP layer queries a key's scopes.
 
 mod key;
 mod offline;
@@ -28,67 +28,63 @@ const RELOAD_INTERVAL: Duration = Duration::from_millis(500);
 const LAST_USED_PRECISION_MS: i64 = 60_000;
 /// Maximum number of live keys of one name: the old one and its replacement.
 pub(crate) const MAX_LIVE_OF_A_NAME: i64 = 2;
-/// Keys that are not revoked, of all names.
+/// Maximum number of keys that are not revoked, of all names.
 pub(crate) const MAX_KEYS: usize = 1000;
-/// Characters of a key's name.
+/// Maximum length of a key's name, in characters.
 pub(crate) const MAX_NAME_CHARACTERS: usize = 64;
-/// Names that mean something else: who submits without keys, the server's own workers.
+/// Reserved names: the submitter on farms without keys, and the server's own workers.
 const RESERVED: [&str; 2] = ["local", "pool"];
-/// The longest life of a key that expires.
+/// Maximum lifetime of a key that expires, in seconds.
 const MAX_LIFE_SECONDS: u64 = 100 * 366 * 24 * 3600;
 
 /// Error when creating, finding or revoking a key.
 #[derive(Debug, thiserror::Error)]
 pub(crate) enum ApiKeyError {
-    /// The name is none.
-    #[error(
-        "{0:?} can't name a key: take 1 to 64 letters, digits, dots, dashes and underscores, but not local or pool"
-    )]
+    /// The name is invalid.
+    #[error("invalid key name {0:?}: use 1 to 64 letters, digits, dots, dashes and underscores, but not local or pool")]
     Name(String),
-    /// It has no scope, so it would allow nothing.
+    /// It has no scope, so it would permit nothing.
     #[error("a key needs a scope: submit, read, worker or admin")]
     NoScope,
-    /// A limit of it is out of range.
-    #[error("{what} of a key is {found}: say 1 to {most}, or leave it out")]
+    /// A limit is out of range.
+    #[error("{what} of a key is {found}: use a value from 1 to {most}, or leave it out")]
     Limit {
-        /// Which.
+        /// Name of the limit.
         what: &'static str,
         /// Requested value.
         found: u64,
         /// Maximum.
         most: u64,
     },
-    /// The first key would lock out whoever makes it.
+    /// The first key lacks scope `admin`, so no key could administer the farm.
     #[error(
-        "a farm's first key closes it to everyone without a key, so it has to be an administrator's: \
-         make one by `sdfarm key new admin --scope admin`, then this one"
+        "the first key needs the scope admin, because the farm then rejects all requests without a key: \
+         create one with `sdfarm key new admin --scope admin`, then this one"
     )]
     FirstNotAdmin,
-    /// The name has both its keys.
+    /// The name has two live keys already.
     #[error(
-        "{name} has {MAX_LIVE_OF_A_NAME} live keys already: revoke one, by `sdfarm key revoke ID`, before making another"
+        "{name} has {MAX_LIVE_OF_A_NAME} live keys already: revoke one with `sdfarm key revoke ID`, then create another"
     )]
     TooManyLive {
         /// The name.
         name: String,
     },
-    /// There are too many keys.
-    #[error(
-        "there are {MAX_KEYS} keys already: revoke those that nobody needs (`sdfarm key list` says when each was used)"
-    )]
+    /// The farm has its maximum of keys.
+    #[error("there are {MAX_KEYS} keys already: revoke unused ones (`sdfarm key list` shows when each was last used)")]
     TooMany,
-    /// There is no such key.
-    #[error("no key that could be revoked has the id or name {0:?}: `sdfarm key list` shows them all")]
+    /// No live key has this id or name.
+    #[error("no live key has the id or name {0:?}: `sdfarm key list` shows all keys")]
     Unknown(String),
-    /// The system has no random bits.
-    #[error("the system gave no random bits for a key: {0}")]
+    /// The system's random number generator failed.
+    #[error("cannot get random bytes for a key from the system: {0}")]
     Random(getrandom::Error),
-    /// The database could not do it.
+    /// The database failed.
     #[error(transparent)]
     Store(#[from] DatabaseError),
 }
 
-/// Whether one more key may be made where `made` were made before, of which `kept` are not revoked.
+/// Whether another key may be created on a farm that has `made` keys, of which `kept` are not revoked.
 fn check_room(order: &key::KeySpec, made: usize, kept: usize) -> Result<(), ApiKeyError> {
     if made == 0 && !order.scopes.has(Scope::Admin) {
         return Err(ApiKeyError::FirstNotAdmin);
@@ -130,12 +126,12 @@ impl ApiKeys {
         Ok(keys)
     }
 
-    /// Whether a key was ever created: from then on every request needs one.
+    /// Whether a key was ever created: after that, every request needs one.
     pub(crate) fn are_required(&self) -> bool {
         !self.all().is_empty()
     }
 
-    /// Keys that let someone in.
+    /// Live keys.
     pub(crate) fn live(&self) -> usize {
         let now_ms = self.clock.wall_ms();
         self.all().iter().filter(|key| key.is_live(now_ms)).count()
@@ -201,7 +197,7 @@ impl ApiKeys {
         Ok(self.list().into_iter().filter(|key| revoked.contains(&key.id)).collect())
     }
 
-    /// Reads the table again.
+    /// Rereads the table.
     pub(crate) async fn refresh(&self) -> Result<(), DatabaseError> {
         let rows = rows::all(self.store.readers()).await?;
         let old = self.all();
@@ -227,7 +223,7 @@ impl ApiKeys {
                 _ = tick.tick() => async { self.refresh().await?; self.write_uses().await }.await,
             };
             if let Err(error) = done {
-                tracing::error!(%error, cause = ?std::error::Error::source(&error), "the keys could not be read again");
+                tracing::error!(%error, cause = ?std::error::Error::source(&error), "could not reread the keys");
             }
         }
     }

@@ -2,7 +2,7 @@
 //! memory.
 //!
 //! Pictures are compressed already, so they are stored unchanged. Dates are fixed and names follow from the
-//! job, so the same pictures give the same bytes.
+//! job, so the archive of the same pictures always has the same bytes.
 
 use std::collections::VecDeque;
 use std::io::{self, Write};
@@ -23,7 +23,7 @@ use crate::queue::{FrameSet, StoredFrame};
 const CHUNK_BYTES: usize = 128 << 10;
 /// Frames per database query.
 const FRAMES_PER_PAGE: u32 = 500;
-/// Permissions of a file that is taken out.
+/// Permissions of extracted files.
 const FILE_MODE: u32 = 0o644;
 
 /// Error that interrupts an archive.
@@ -35,8 +35,8 @@ pub(crate) enum ArchiveError {
     /// A picture could not be read.
     #[error(transparent)]
     Picture(#[from] ContentError),
-    /// A picture could not be read to its end.
-    #[error("the picture of frame {frame} broke off")]
+    /// Reading a picture was interrupted.
+    #[error("reading the picture of frame {frame} was interrupted")]
     PictureRead {
         /// The frame.
         frame: u32,
@@ -44,13 +44,13 @@ pub(crate) enum ArchiveError {
         #[source]
         source: object_store::Error,
     },
-    /// A picture is recorded, but not there.
-    #[error("the picture of frame {0} is gone")]
+    /// A picture's file is missing.
+    #[error("the picture of frame {0} is missing from the store")]
     PictureMissing(u32),
-    /// The archive's form does not allow it.
+    /// The archive format cannot represent it.
     #[error("the archive could not be written")]
     Zip(#[from] zip::result::ZipError),
-    /// The archive's form does not allow it.
+    /// The archive format cannot represent it.
     #[error("the archive could not be written")]
     Write(#[from] io::Error),
 }
@@ -80,7 +80,7 @@ impl Write for SharedBuffer {
     }
 }
 
-/// A picture on its way into the archive.
+/// Picture being written into the archive.
 struct ArchiveEntry {
     frame: u32,
     bytes: BoxStream<'static, object_store::Result<Bytes>>,
@@ -91,7 +91,7 @@ pub(crate) struct Archive {
     farm: Arc<Farm>,
     frames: FrameSet,
     basket: SharedBuffer,
-    /// None: all is written.
+    /// `None` once everything is written.
     writer: Option<ZipWriter<StreamWriter<SharedBuffer>>>,
     waiting: VecDeque<StoredFrame>,
     next_frame: u32,
@@ -99,7 +99,7 @@ pub(crate) struct Archive {
 }
 
 impl Archive {
-    /// An archive of those pictures of these frames that are stored.
+    /// Starts an archive of the stored pictures among these frames.
     pub(crate) fn new(farm: Arc<Farm>, frames: FrameSet) -> Self {
         let basket = SharedBuffer::default();
         let writer = Some(ZipWriter::new_stream(basket.clone()));

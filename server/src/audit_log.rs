@@ -1,6 +1,7 @@
 //! The audit log: who did what, from where, with what outcome, as rows and as events of the log.
 //!
-//! Keeps the newest 100,000 entries and never blocks a request: if records arrive faster than they can be written, equal ones are counted together and the excess is dropped with a warning.
+//! Stores the newest 100,000 entries and never blocks a request: if records arrive faster than they can be
+//! written, equal ones are counted together and the excess is dropped with a warning.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -20,13 +21,13 @@ use crate::database::{Database, DatabaseError, Durability};
 const MAX_ENTRIES: i64 = 100_000;
 /// Maximum number of records waiting to be written.
 const QUEUE_CAPACITY: usize = 4096;
-/// How long records are gathered before they are written together.
+/// Delay in which records are collected before they are written together.
 const FLUSH_INTERVAL: Duration = Duration::from_millis(250);
 
 /// An action of a caller, or its rejection.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) struct AuditRecord {
-    /// The key's name, or who else it was.
+    /// The key's name, or `local`, `pool` or `-`.
     pub(crate) actor: String,
     /// The key's id.
     pub(crate) key: Option<String>,
@@ -36,9 +37,9 @@ pub(crate) struct AuditRecord {
     pub(crate) method: String,
     /// The route, with its parameters' names.
     pub(crate) route: String,
-    /// The job it was about.
+    /// Id of the job concerned.
     pub(crate) job: Option<JobId>,
-    /// The answer's status.
+    /// Status of the response.
     pub(crate) status: u16,
     /// Problem code of a rejection.
     pub(crate) code: Option<String>,
@@ -47,7 +48,7 @@ pub(crate) struct AuditRecord {
 }
 
 impl AuditRecord {
-    /// Whether it is the same rejection, apart from the request.
+    /// Whether it is the same rejection, apart from the request id.
     fn is_same_rejection(&self, other: &Self) -> bool {
         self.code.is_some() && *self == Self { request_id: self.request_id.clone(), ..other.clone() }
     }
@@ -72,7 +73,7 @@ pub(crate) struct AuditLog {
 }
 
 impl AuditLog {
-    /// The audit log of a database; it is written while [`AuditLog::run`] runs.
+    /// Opens the audit log of a database; records are written while [`AuditLog::run`] runs.
     pub(crate) fn new(store: Arc<Database>, clock: Clock) -> Self {
         let (deeds, waiting) = mpsc::channel(QUEUE_CAPACITY);
         Self { store, clock, deeds, waiting: Mutex::new(waiting), dropped: AtomicU64::new(0) }
@@ -85,7 +86,7 @@ impl AuditLog {
         }
     }
 
-    /// Writes records until shutdown, and then the remaining ones.
+    /// Writes records until shutdown, then the remaining ones.
     pub(crate) async fn run(&self, end: CancellationToken) {
         let mut waiting = self.waiting.lock().await;
         loop {
@@ -109,7 +110,7 @@ impl AuditLog {
                 tracing::warn!(target: "audit", unwritten, "audit records dropped: the queue is full");
             }
             if let Err(error) = self.write(gathered).await {
-                tracing::error!(%error, cause = ?std::error::Error::source(&error), "the audit log could not be written");
+                tracing::error!(%error, cause = ?std::error::Error::source(&error), "could not write the audit log");
             }
         }
     }
@@ -142,7 +143,7 @@ impl AuditLog {
             .await
     }
 
-    /// A page of entries, newest first, of those before a number.
+    /// A page of entries, newest first, before the given number.
     pub(crate) async fn page(&self, before: Option<i64>, limit: u32) -> Result<AuditPage, DatabaseError> {
         let rows = sqlx::query(
             "SELECT number, at_ms, who, key, address, method, route, job, status, code, request_id, times

@@ -1,5 +1,5 @@
-//! Time: leases and back-off use a monotonic clock that starts at 0 with the server, so that a jump of the
-//! wall clock expires nothing; users see the wall clock.
+//! Clocks: leases and back-off use a monotonic clock that starts at 0 with the server, so that a jump of the
+//! wall clock expires no lease; users see the wall clock.
 //!
 //! Nothing else in this crate reads the system's time of day.
 
@@ -7,7 +7,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicI64, Ordering};
 use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
-/// A source of time.
+/// Source of time.
 #[derive(Clone, Debug)]
 pub struct Clock(ClockSource);
 
@@ -29,7 +29,7 @@ impl Clock {
         (Self(ClockSource::Manual(hand.clone())), hand)
     }
 
-    /// Milliseconds since the server started; never falls.
+    /// Milliseconds since the server started; never decreases.
     pub(crate) fn now_ms(&self) -> i64 {
         match &self.0 {
             ClockSource::System(start) => i64::try_from(start.elapsed().as_millis()).unwrap_or(i64::MAX),
@@ -37,7 +37,7 @@ impl Clock {
         }
     }
 
-    /// Milliseconds since 1970, by the wall clock; for people only.
+    /// Milliseconds since 1970, by the wall clock; for display only.
     pub(crate) fn wall_ms(&self) -> i64 {
         match &self.0 {
             ClockSource::System(_) => time_of_day_ms(),
@@ -48,13 +48,13 @@ impl Clock {
     }
 }
 
-/// The machine's monotonic time, for waits and for measured durations; no decision depends on it.
-#[expect(clippy::disallowed_methods, reason = "this is where the machine is asked")]
+/// Monotonic time of the machine, for waits and measured durations; no decision depends on it.
+#[expect(clippy::disallowed_methods, reason = "this module is the only reader of the machine's clocks")]
 pub(crate) fn monotonic_now() -> tokio::time::Instant {
     tokio::time::Instant::now()
 }
 
-#[expect(clippy::disallowed_methods, reason = "this is where the machine is asked")]
+#[expect(clippy::disallowed_methods, reason = "this module is the only reader of the machine's clocks")]
 fn time_of_day_ms() -> i64 {
     let age = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
     i64::try_from(age.as_millis()).unwrap_or(i64::MAX)
@@ -64,17 +64,17 @@ fn time_of_day_ms() -> i64 {
 #[derive(Clone, Debug, Default)]
 pub struct ManualClock {
     now_ms: Arc<AtomicI64>,
-    /// Offset of the wall clock from that.
+    /// Offset of the wall clock from the monotonic clock.
     wall_offset_ms: Arc<AtomicI64>,
 }
 
 impl ManualClock {
-    /// Lets time pass.
+    /// Advances the monotonic clock.
     pub fn advance(&self, time: Duration) {
         self.now_ms.fetch_add(i64::try_from(time.as_millis()).unwrap_or(i64::MAX), Ordering::SeqCst);
     }
 
-    /// Sets the wall clock forward, or back; no time passes.
+    /// Moves the wall clock forward or back; the monotonic clock does not change.
     pub fn shift_wall_clock(&self, jump_ms: i64) {
         self.wall_offset_ms.fetch_add(jump_ms, Ordering::SeqCst);
     }
@@ -90,7 +90,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_manual_clock_moves_only_when_set() {
+    fn a_manual_clock_changes_only_when_set() {
         let (clock, hand) = Clock::manual();
         assert_eq!(clock.now_ms(), 0);
         hand.advance(Duration::from_secs(2));
@@ -98,7 +98,7 @@ mod tests {
     }
 
     #[test]
-    fn times_for_people_are_rfc_3339() {
+    fn displayed_times_are_rfc_3339() {
         assert_eq!(rfc3339(1_767_225_600_000), "2026-01-01T00:00:00.000Z");
         assert_eq!(rfc3339(1_767_225_600_120), "2026-01-01T00:00:00.120Z");
     }

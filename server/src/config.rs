@@ -15,12 +15,12 @@ pub const MAX_QUEUED_JOBS: u32 = 100_000;
 /// Default maximum of open connections.
 pub const MAX_CONNECTIONS: u32 = 16_384;
 
-/// Paths of a certificate and its key.
+/// Files of a certificate and its private key.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct TlsFiles {
-    /// A chain of certificates in PEM, the server's own first.
+    /// PEM file of a certificate chain, the server's own certificate first.
     pub certificate: PathBuf,
-    /// Its private key, in PEM.
+    /// PEM file of its private key.
     pub key: PathBuf,
 }
 
@@ -43,13 +43,13 @@ pub struct Config {
     pub tile_edge_px: Option<u32>,
     /// Length of a lease.
     pub lease: Duration,
-    /// Listen beyond loopback although there are no keys.
+    /// Whether to listen beyond loopback although there are no keys.
     pub insecure: bool,
-    /// The certificate to show; without one the server speaks plain HTTP.
+    /// TLS certificate; without one the server speaks plain HTTP.
     pub tls: Option<TlsFiles>,
-    /// Connections at a time; as many as the system grants files for, at most.
+    /// Maximum number of open connections; the system's limit of open files may lower it.
     pub max_connections: u32,
-    /// Unfinished jobs that the farm takes.
+    /// Maximum number of unfinished jobs.
     pub max_queued_jobs: u32,
     /// Host names, without port, that the `Host` header may contain in addition to loopback names and IP
     /// addresses.
@@ -58,21 +58,21 @@ pub struct Config {
     pub allowed_webhook_ranges: Vec<AddressRange>,
     /// Secret that signs webhooks; `None` means the one in the data folder.
     pub webhook_secret: Option<Secret>,
-    /// The program that local workers run as, with `worker` as first argument.
+    /// Program of the local workers, called with `worker` as first argument.
     pub worker_program: PathBuf,
-    /// How long finished jobs are kept that do not set it themselves; `None` means forever.
+    /// Retention of finished jobs that do not set their own; `None` means forever.
     pub job_retention: Option<Duration>,
     /// Maximum size of pictures and tiles; above it the jobs that finished first are deleted. `None`
     /// means no limit.
     pub max_store_bytes: Option<u64>,
-    /// Variables that local workers are given.
+    /// Environment variables for local workers.
     pub worker_env: Vec<(String, String)>,
     /// How long local workers may continue their leases at shutdown.
     pub shutdown_grace: Duration,
 }
 
 impl Config {
-    /// Workers that the pool starts with.
+    /// Number of workers that the pool starts with.
     pub(crate) fn pool_workers(&self) -> u32 {
         let one_for_each = || u32::try_from(self.devices.len()).unwrap_or(MAX_POOL_WORKERS).clamp(1, MAX_POOL_WORKERS);
         self.workers.unwrap_or_else(one_for_each)

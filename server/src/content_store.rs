@@ -1,4 +1,4 @@
-//! The bytes: pictures and tile blobs, each named by the BLAKE3 of its content.
+//! Content store: pictures and tile blobs, each named by the BLAKE3 of its content.
 //!
 //! A picture is fsynced before its row is written; a tile blob is not, because losing one costs only a
 //! re-render. This module does not interpret the bytes.
@@ -21,16 +21,16 @@ use tokio::io::{AsyncReadExt, AsyncSeekExt};
 use tokio::sync::RwLock;
 use tokio_util::io::ReaderStream;
 
-/// Bytes written at a time.
+/// Number of bytes written at a time.
 const WRITE_CHUNK_BYTES: usize = 1 << 20;
 /// Content younger than this is never swept, because workers hold reports back for up to 200 ms.
 pub(crate) const MIN_SWEEP_AGE: Duration = Duration::from_secs(1);
-/// Largest blob taken; a tile's data is at most half of it.
+/// Maximum size of a blob; the pixels of a tile are at most half of it.
 const MAX_BLOB_BYTES: u64 = 128 << 20;
-/// Largest picture taken.
+/// Maximum size of a picture.
 const MAX_PICTURE_BYTES: u64 = 16 << 30;
 
-/// Which of the two folders.
+/// Kind of content, each in its own folder.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum ContentKind {
     /// A frame's picture.
@@ -47,12 +47,12 @@ impl ContentKind {
         }
     }
 
-    /// The folder in a data folder.
+    /// Folder of this kind in a data folder.
     pub(crate) fn path(self, data: &FolderPath) -> PathBuf {
         data.join(self.folder())
     }
 
-    /// The file of a name in a data folder.
+    /// File of this name in a data folder.
     pub(crate) fn file(self, data: &FolderPath, name: &str) -> PathBuf {
         self.path(data).join(name)
     }
@@ -66,18 +66,18 @@ impl ContentKind {
     }
 }
 
-/// The name of stored bytes: their BLAKE3, in lower-case hex.
+/// Name of stored content: its BLAKE3, in lower-case hex.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) struct ContentHash(String);
 
 impl ContentHash {
-    /// Reads a name; `None` if it is none.
+    /// Parses a name; `None` if it is invalid.
     pub(crate) fn parse(text: &str) -> Option<Self> {
         let is_digit = |byte: u8| byte.is_ascii_digit() || (b'a'..=b'f').contains(&byte);
         (text.len() == 64 && text.bytes().all(is_digit)).then(|| Self(text.to_owned()))
     }
 
-    /// The name as text.
+    /// Name as text.
     pub(crate) fn as_str(&self) -> &str {
         &self.0
     }
@@ -91,35 +91,35 @@ pub(crate) enum ContentError {
     Store {
         /// Attempted action.
         action: &'static str,
-        /// The folder.
+        /// Kind of the content.
         kind: &'static str,
-        /// The name.
+        /// Name of the content.
         name: String,
         /// Error of the object store.
         #[source]
         source: object_store::Error,
     },
     /// The bytes do not match the hash in their name.
-    #[error("the bytes are not those of {expected}: their BLAKE3 is {actual}")]
+    #[error("the bytes do not match {expected}: their BLAKE3 is {actual}")]
     Mismatch {
-        /// The name they were given.
+        /// Hash in the given name.
         expected: String,
-        /// The name they should have.
+        /// Hash of the bytes.
         actual: String,
     },
-    /// There are too many.
+    /// The content is too large.
     #[error("there are more than {limit_bytes} bytes")]
     TooLarge {
         /// Maximum size.
         limit_bytes: u64,
     },
-    /// They stopped coming.
-    #[error("the bytes stopped coming")]
+    /// The stream was interrupted.
+    #[error("the stream of bytes was interrupted")]
     Broken(#[source] io::Error),
 }
 
 impl ContentError {
-    /// The disk, or the quota, is full.
+    /// Whether the disk, or the quota, is full.
     pub(crate) fn is_full(&self) -> bool {
         let Self::Store { source, .. } = self else { return false };
         let mut cause: Option<&(dyn std::error::Error + 'static)> = Some(source);
@@ -133,7 +133,7 @@ impl ContentError {
     }
 }
 
-/// The two folders, and the gate that keeps what is being reported from being swept away.
+/// The two folders, and the lock that protects content being reported from sweeps.
 #[derive(Debug)]
 pub(crate) struct ContentStore {
     durable: LocalFileSystem,
@@ -142,7 +142,7 @@ pub(crate) struct ContentStore {
 }
 
 impl ContentStore {
-    /// Opens the folders in a data folder, and removes what half-done writes left there.
+    /// Opens the folders in a data folder, and removes the partial files of interrupted writes.
     pub(crate) fn open(data: &FolderPath) -> io::Result<Self> {
         for kind in [ContentKind::Picture, ContentKind::Blob] {
             std::fs::create_dir_all(kind.path(data))?;
@@ -164,7 +164,7 @@ impl ContentStore {
         self.sweep_lock.read().await
     }
 
-    /// Stores a stream of bytes if they match the hash `name`; otherwise nothing is kept.
+    /// Stores a stream of bytes if they match the hash `name`; otherwise stores nothing.
     pub(crate) async fn put(
         &self,
         kind: ContentKind,
@@ -206,7 +206,7 @@ impl ContentStore {
             (Err(error), None) => Err(error),
             (Err(error), Some(mut upload)) => {
                 if let Err(error) = upload.abort().await {
-                    tracing::warn!(%error, "a half-done write could not be removed");
+                    tracing::warn!(%error, "could not remove a partial file");
                 }
                 Err(error)
             }
@@ -229,7 +229,7 @@ impl ContentStore {
         started.put_part(part.into()).await.map_err(failed("write", kind, name))
     }
 
-    /// The size of stored bytes; `None` if they are not there.
+    /// Size of stored content; `None` if it is missing.
     pub(crate) async fn size_bytes(&self, kind: ContentKind, name: &ContentHash) -> Result<Option<u64>, ContentError> {
         match self.store(kind).head(&path(kind, name)).await {
             Ok(meta) => Ok(Some(meta.size)),
@@ -238,7 +238,7 @@ impl ContentStore {
         }
     }
 
-    /// Stored bytes, or a range of them, and their number; `None` if they are not there.
+    /// Stored content, or a range of it, and its total size; `None` if it is missing.
     pub(crate) async fn get(
         &self,
         kind: ContentKind,
@@ -259,9 +259,9 @@ impl ContentStore {
         self.store(kind).list(Some(&Path::from(kind.folder()))).boxed()
     }
 
-    /// Deletes those of `names` that `unneeded` still lists while no report can arrive. Returns how many,
-    /// and the names that are too recent: the same bytes may just have been stored again without a report
-    /// yet.
+    /// Deletes those of `names` that `unneeded` still lists while no report can arrive. Returns the number
+    /// deleted, and the names that are too recent to delete: the same bytes may have been stored again without
+    /// a report yet.
     pub(crate) async fn sweep<E, F>(
         &self,
         kind: ContentKind,
@@ -283,7 +283,7 @@ impl ContentStore {
             match self.store(kind).delete(&path(kind, &name)).await {
                 Ok(()) => count += 1,
                 Err(object_store::Error::NotFound { .. }) => {}
-                Err(error) => tracing::warn!(%error, name = name.as_str(), "leftover bytes could not be removed"),
+                Err(error) => tracing::warn!(%error, name = name.as_str(), "could not remove orphaned content"),
             }
         }
         drop(shut);
@@ -311,7 +311,7 @@ pub(crate) fn remove_partial_writes(data: &FolderPath, age: Duration) -> io::Res
     for kind in [ContentKind::Picture, ContentKind::Blob] {
         for entry in std::fs::read_dir(kind.path(data))? {
             let entry = entry?;
-            // Its writer may finish it, or another sweep may delete it, at any time.
+            // The writer may finish this file, or another sweep may delete it, at any time.
             let is_old = || Ok::<_, io::Error>(entry.metadata()?.modified()?.elapsed().unwrap_or_default() >= age);
             if entry.file_name().to_string_lossy().contains(PARTIAL_MARKER) && is_old().unwrap_or(false) {
                 match std::fs::remove_file(entry.path()) {
@@ -341,7 +341,7 @@ fn path(kind: ContentKind, name: &ContentHash) -> Path {
     Path::from(format!("{}/{}", kind.folder(), name.as_str()))
 }
 
-/// Content in chunks large enough for a file's reader. The store's own chunks have 8 KiB, each read on
+/// Content in chunks large enough for a file's reader. The object store's own chunks have 8 KiB, each read on
 /// another thread, which takes a second for a frame's tiles.
 fn stream(found: GetResult) -> BoxStream<'static, object_store::Result<Bytes>> {
     const PIECE_BYTES: usize = 256 << 10;
@@ -361,7 +361,7 @@ fn stream(found: GetResult) -> BoxStream<'static, object_store::Result<Bytes>> {
     }
 }
 
-/// The error of a store that a fail point struck.
+/// Store error caused by a triggered fail point.
 fn fail_point_error(struck: fail_point::FailPointError) -> object_store::Error {
     object_store::Error::Generic { store: "file", source: struck.into() }
 }
@@ -388,7 +388,7 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn bytes_are_kept_only_under_their_own_name() {
+    async fn bytes_that_do_not_match_their_name_are_rejected() {
         let folder = tempfile::tempdir().expect("a temporary folder");
         let pictures = ContentStore::open(folder.path()).expect("opens");
         for bytes in [b"small".as_slice(), vec![7; 3 * WRITE_CHUNK_BYTES + 5].leak()] {
@@ -400,6 +400,6 @@ mod tests {
             assert_eq!(size, Some(bytes.len() as u64));
         }
         let files = std::fs::read_dir(folder.path().join("pictures")).expect("lists").count();
-        assert_eq!(files, 2, "a refused write leaves no file");
+        assert_eq!(files, 2, "a rejected write leaves no file");
     }
 }

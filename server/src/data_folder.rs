@@ -1,7 +1,7 @@
 //! Maintenance of data folders: backup, restore, and checks.
 //!
-//! It works with or without a running server. It reads next to a running server; it changes a data folder
-//! only while it holds the folder's lock.
+//! Works with or without a running server: it may read while a server runs, but changes a data folder only
+//! while it holds the folder's lock.
 
 mod backup;
 mod database;
@@ -24,11 +24,11 @@ use crate::lock::LockError;
 /// Error of a backup, a restore or a check, with its fix.
 #[derive(Debug, thiserror::Error)]
 pub enum DataFolderError {
-    /// No database is there.
-    #[error("there is no farm in {0}: name a data folder with --data")]
+    /// The folder has no database.
+    #[error("there is no farm in {0}: pass a farm's data folder with --data")]
     NoDatabase(PathBuf),
     /// A folder or file could not be read or written.
-    #[error("could not {action} {path}: make room on its disk, or mend its permissions")]
+    #[error("could not {action} {path}: free space on its disk, or correct its permissions")]
     File {
         /// Attempted action.
         action: &'static str,
@@ -38,8 +38,8 @@ pub enum DataFolderError {
         #[source]
         source: io::Error,
     },
-    /// The database did not answer.
-    #[error("could not read the database {file}: `sdfarm doctor` says what is wrong with it")]
+    /// The database could not be read.
+    #[error("could not read the database {file}: run `sdfarm doctor` to find out why")]
     Database {
         /// Its file.
         file: PathBuf,
@@ -48,29 +48,29 @@ pub enum DataFolderError {
         source: sqlx::Error,
     },
     /// The database could not be changed.
-    #[error("could not put the database right: restore it from a backup")]
+    #[error("could not repair the database: restore it from a backup")]
     Repair(#[source] Box<dyn std::error::Error + Send + Sync>),
-    /// The folder holds something else.
-    #[error("{0} holds something that is no backup: name an empty folder, or that of an earlier backup")]
+    /// The target folder has other files.
+    #[error("{0} has files that are not a backup: pass an empty folder, or one with an earlier backup")]
     NotABackup(PathBuf),
-    /// There is nothing to restore.
-    #[error("there is no backup in {0}: name a folder that `sdfarm backup` wrote")]
+    /// The folder has no backup.
+    #[error("there is no backup in {0}: pass a folder that `sdfarm backup` wrote")]
     NoBackup(PathBuf),
-    /// The folder has files, which would be overwritten.
-    #[error("{0} is not empty: a farm is restored to a new folder, so name another with --data")]
+    /// The target folder has files, which would be overwritten.
+    #[error("{0} is not empty: pass a new or empty folder with --data")]
     NotEmpty(PathBuf),
-    /// A backup inside of what it is of.
-    #[error("{0} lies in the data folder: back up to another place, best on another disk")]
+    /// The backup's folder is inside the data folder.
+    #[error("{0} is inside the data folder: back up to another folder, best on another disk")]
     BackupInsideData(PathBuf),
-    /// The backup's list can't be read.
-    #[error("the backup's list {path} can't be read: {reason}; use an earlier backup")]
+    /// The backup's manifest cannot be read.
+    #[error("cannot read the backup's manifest {path}: {reason}; use an earlier backup")]
     Manifest {
-        /// The list.
+        /// Path of the manifest.
         path: PathBuf,
         /// Reason.
         reason: String,
     },
-    /// The backup's database is not what was backed up.
+    /// The backup's database is not the one that was backed up.
     #[error("the backup's database {path} is damaged ({reason}): use an earlier backup")]
     Damaged {
         /// Its file.
@@ -83,7 +83,7 @@ pub enum DataFolderError {
     InUse {
         /// The data folder.
         folder: PathBuf,
-        /// Its process.
+        /// Process id of the server.
         holder: String,
     },
 }
@@ -103,7 +103,7 @@ impl DataFolderError {
         let folder = folder.to_owned();
         move |error| match error {
             LockError::InUse(holder) => Self::InUse { folder, holder },
-            LockError::Io(source) => Self::File { action: "take hold of", path: folder, source },
+            LockError::Io(source) => Self::File { action: "lock", path: folder, source },
         }
     }
 }

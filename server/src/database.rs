@@ -1,7 +1,7 @@
 //! The database file: opened, migrated, checked; one connection writes (see `writer`),
 //! several read.
 //!
-//! No statement about jobs, tiles or leases is here: those are `queue`'s.
+//! It has no statements about jobs, tiles or leases: those are in `queue`.
 
 mod external;
 mod wal;
@@ -24,7 +24,7 @@ pub(crate) use writer::{CommitTimes, Durability};
 
 /// Number of reading connections.
 const READER_CONNECTIONS: u32 = 4;
-/// Rows that the engine's thread reads ahead of who asked for them.
+/// Number of rows that the engine's thread reads ahead of the caller.
 const ROW_BUFFER: usize = 1024;
 /// Pages of the WAL (of 4 KiB) after which the engine checkpoints it: the commit that reaches this number has
 /// to wait for the checkpoint.
@@ -43,9 +43,9 @@ pub(crate) fn migrations() -> impl Iterator<Item = (i64, &'static [u8])> {
 #[derive(Clone, Debug, thiserror::Error)]
 pub(crate) enum DatabaseError {
     /// The engine failed.
-    #[error("the database could not do it")]
+    #[error("a database operation failed")]
     Sql(#[source] Arc<sqlx::Error>),
-    /// A statement touched another number of rows than its transition means to.
+    /// A statement changed another number of rows than its transition requires.
     #[error("{what} changed {changed} rows instead of {expected}")]
     Rows {
         /// The statement, as table and transition.
@@ -55,15 +55,15 @@ pub(crate) enum DatabaseError {
         /// Rows it changed.
         changed: u64,
     },
-    /// A row holds what this version does not know.
-    #[error("{column} holds {value:?}, which this version does not know")]
+    /// A row has a value that this version does not know.
+    #[error("{column} is {value:?}, which this version does not know")]
     Value {
         /// Table and column.
         column: &'static str,
         /// Stored value.
         value: String,
     },
-    /// The server is ending.
+    /// The server is shutting down.
     #[error("the database is closed")]
     Closed,
 }
@@ -75,7 +75,7 @@ impl From<sqlx::Error> for DatabaseError {
 }
 
 impl DatabaseError {
-    /// The disk, or the quota, is full.
+    /// Whether the disk, or the quota, is full.
     pub(crate) fn is_full(&self) -> bool {
         self.code() == Some(13)
     }
@@ -98,7 +98,7 @@ pub(crate) enum OpenError {
     /// It could not be opened or read.
     #[error(transparent)]
     Sql(#[from] sqlx::Error),
-    /// Its tables could not be brought up to date.
+    /// Migrations could not be applied.
     #[error(transparent)]
     Migrate(#[from] sqlx::migrate::MigrateError),
     /// It is damaged.
@@ -106,7 +106,7 @@ pub(crate) enum OpenError {
     Damaged(String),
 }
 
-/// The database.
+/// Handle to the database.
 #[derive(Debug)]
 pub(crate) struct Database {
     writer: Writer,
@@ -166,7 +166,7 @@ impl Database {
         })
     }
 
-    /// Runs `operation` in a transaction of the writer's and answers when it is committed.
+    /// Runs `operation` in a transaction of the writer and returns when it is committed.
     pub(crate) async fn write<T, F>(&self, durability: Durability, operation: F) -> Result<T, DatabaseError>
     where
         T: Send + 'static,
@@ -185,12 +185,12 @@ impl Database {
         self.writer.bell()
     }
 
-    /// The connections that read.
+    /// Connections for reading.
     pub(crate) fn readers(&self) -> &SqlitePool {
         &self.readers
     }
 
-    /// Finishes what is being written, folds the log into the file and closes it.
+    /// Finishes pending writes, checkpoints the WAL and closes the database.
     pub(crate) async fn close(&self) {
         self.readers.close().await;
         self.writer.close().await;

@@ -1,5 +1,5 @@
-//! Estimated time of a job: a helper process renders a sample of its pixels, and the result is scaled to the
-//! present workers.
+//! Estimates the time of a job: a helper process renders a sample of its pixels, and the result is scaled to
+//! the current workers.
 
 use proto::preview_helper::{CostSample, Estimate, HelperRequest};
 use proto::rounding;
@@ -8,7 +8,7 @@ use crate::farm::Farm;
 use crate::queue::ReadyWorker;
 use crate::tile_plan::TilePlan;
 
-/// Most time for rendering a sample, in milliseconds.
+/// Maximum time for rendering a sample, in milliseconds.
 const SAMPLE_BUDGET_MS: u64 = 700;
 /// Overhead of a job in seconds: claim, delivery, commits.
 const JOB_OVERHEAD_SECONDS: f64 = 0.01;
@@ -18,7 +18,7 @@ pub(crate) async fn estimate(farm: &Farm, text: String, plan: TilePlan) -> Optio
     let present = match farm.queue.ready_workers().await {
         Ok(present) => present,
         Err(error) => {
-            tracing::warn!(%error, "an estimate does without the workers' speed");
+            tracing::warn!(%error, "estimating without the workers' speeds");
             Vec::new()
         }
     };
@@ -27,7 +27,7 @@ pub(crate) async fn estimate(farm: &Farm, text: String, plan: TilePlan) -> Optio
     match farm.preview_helper.sample(&sketch).await {
         Ok(sample) => Some(estimate_from_sample(&sample, plan, &present, threads, farm.pool.target_size())),
         Err(error) => {
-            tracing::warn!(%error, "an estimate could not be made");
+            tracing::warn!(%error, "could not estimate a job");
             None
         }
     }
@@ -84,15 +84,15 @@ mod tests {
     }
 
     #[test]
-    fn a_job_takes_its_rays_its_frames_and_its_pixels() {
+    fn cost_grows_with_rays_frames_and_pixels() {
         let estimate = estimate_from_sample(&SAMPLE, PLAN, &[], 4, 0);
         assert_eq!((estimate.rays, estimate.sample_rays, estimate.memory_bytes), (8_000_000, 10, 7));
         assert!((estimate.core_seconds - 11.0).abs() < 1e-9, "{estimate:?}");
-        assert_eq!(estimate.seconds, None, "without a worker it never ends");
+        assert_eq!(estimate.seconds, None, "without a worker there is no estimate");
     }
 
     #[test]
-    fn the_pools_workers_share_the_cores_and_others_bring_what_they_measured() {
+    fn pool_workers_share_cores_and_remote_workers_use_measured_speeds() {
         let ours = worker("cpu", true, Some(3.0));
         let one = seconds(std::slice::from_ref(&ours), 1).expect("a worker is there");
         let two = seconds(&[ours.clone(), ours.clone()], 2).expect("workers are there");
@@ -102,6 +102,6 @@ mod tests {
         assert!((half - (11.0 / 2.0 + JOB_OVERHEAD_SECONDS)).abs() < 1e-9, "{half}");
         let gpu = worker("cuda:0", false, Some(8e6));
         assert!((seconds(&[gpu], 0).expect("a worker is there") - 1.0 - JOB_OVERHEAD_SECONDS).abs() < 1e-9);
-        assert_eq!(seconds(&[worker("cuda:0", false, None)], 0), None, "nobody knows how fast it is");
+        assert_eq!(seconds(&[worker("cuda:0", false, None)], 0), None, "its speed is unknown");
     }
 }

@@ -1,4 +1,4 @@
-//! Telling followers what happens to their jobs: one task reads new events once, however many follow.
+//! Distributes events to subscribers: one task reads new events once for all of them.
 //!
 //! A subscriber stores only the number of the last event it received. It reads newer events from its job's
 //! list of recent events or, if it has fallen behind that list, from the database, a page at a time.
@@ -23,7 +23,7 @@ pub(crate) use subscriber::{EventSubscriber, SubscribeOutcome};
 
 /// Recent events cached for a job with subscribers.
 const MAX_RECENT: usize = 1024;
-/// Events read at a time.
+/// Number of events read at a time.
 const EVENTS_PER_PAGE: u32 = 512;
 /// Minimum interval between two reads of new events; events in between are sent together.
 const POLL_INTERVAL: Duration = Duration::from_millis(20);
@@ -48,7 +48,7 @@ fn encode_event(number: i64, kind: &str, body: &str) -> Bytes {
     format!("id: {number}\nevent: {kind}\ndata: {body}\n\n").into()
 }
 
-/// A job that someone follows.
+/// Job with subscribers.
 #[derive(Debug)]
 pub(crate) struct Topic {
     job: i64,
@@ -58,7 +58,7 @@ pub(crate) struct Topic {
 
 #[derive(Debug)]
 struct Recent {
-    /// All of the job's events after this number that were read are in the list.
+    /// Number after which the list has all of the job's events that were read.
     from: i64,
     list: VecDeque<EncodedEvent>,
 }
@@ -83,7 +83,8 @@ impl Topic {
         }
     }
 
-    /// The events after this one, if the list reaches back to it; else from where it does.
+    /// The events after this number if the list reaches back to it; otherwise the number at which the list
+    /// starts.
     fn after(&self, number: i64) -> Result<Vec<EncodedEvent>, i64> {
         let recent = self.recent.lock().expect("no holder panics");
         if number < recent.from {
@@ -94,7 +95,7 @@ impl Topic {
     }
 }
 
-/// The jobs that are followed, and how far events were read for them.
+/// Jobs with subscribers, and the number of the last event read for them.
 #[derive(Debug, Default)]
 struct Subscriptions {
     position: i64,
@@ -150,7 +151,7 @@ impl EventHub {
             }
             let started = monotonic_now();
             if let Err(error) = self.publish().await {
-                tracing::error!(%error, "events could not be read");
+                tracing::error!(%error, "could not read events");
             }
             tokio::time::sleep_until(started + POLL_INTERVAL).await;
         }

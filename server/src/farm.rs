@@ -1,6 +1,6 @@
 //! State shared by all handlers (queue, content store, pool) and the operations that need more than one of them.
 //!
-//! Nothing here knows about HTTP.
+//! Depends on no HTTP types.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -38,25 +38,25 @@ pub(crate) struct OrphanCandidates {
     pub(crate) hashes: Vec<String>,
 }
 
-/// Numbers since the start, for `/metrics`.
+/// Counters since the start, for `/metrics`.
 #[derive(Debug, Default)]
 pub(crate) struct ServerCounters {
-    /// Leases that ran out.
+    /// Expired leases.
     pub(crate) expired: AtomicU64,
-    /// Results without effect.
+    /// Fenced results.
     pub(crate) fenced: AtomicU64,
     /// Tiles that two workers rendered differently.
     pub(crate) nondeterministic: AtomicU64,
-    /// Attempts to deliver a webhook that failed.
+    /// Failed attempts to deliver a webhook.
     pub(crate) webhook_failures: AtomicU64,
 }
 
 /// State shared by all handlers.
 #[derive(Debug)]
 pub(crate) struct Farm {
-    /// The operator's settings.
+    /// Settings of the operator.
     pub(crate) config: Config,
-    /// Jobs, tiles, leases, workers.
+    /// Queue of jobs, with tiles, leases and workers.
     pub(crate) queue: Queue,
     /// Sender of webhooks.
     pub(crate) webhooks: Webhooks,
@@ -70,17 +70,17 @@ pub(crate) struct Farm {
     pub(crate) admission: Admission,
     /// Local workers.
     pub(crate) pool: Pool,
-    /// Children that draw previews.
+    /// Helper processes that draw previews.
     pub(crate) preview_helper: PreviewHelper,
-    /// Signatures of links.
+    /// Signer of links.
     pub(crate) links: LinkSigner,
-    /// Numbers since the start.
+    /// Counters since the start.
     pub(crate) totals: ServerCounters,
     /// Metrics and status.
     pub(crate) telemetry: Telemetry,
     /// Channel that announces possible orphans to the maintenance task.
     pub(crate) orphans: mpsc::UnboundedSender<OrphanCandidates>,
-    /// No more jobs are taken.
+    /// Whether new jobs are rejected.
     pub(crate) is_shutting_down: CancellationToken,
     /// Cancelled when waiting requests must end.
     pub(crate) shutdown: CancellationToken,
@@ -89,16 +89,16 @@ pub(crate) struct Farm {
 /// Error of a worker's sync.
 #[derive(Debug, thiserror::Error)]
 pub(crate) enum SyncError {
-    /// The database could not do it.
+    /// The database failed.
     #[error(transparent)]
     Store(#[from] DatabaseError),
-    /// The store could not be asked.
+    /// The content store failed.
     #[error(transparent)]
     Pictures(#[from] ContentError),
 }
 
 impl Farm {
-    /// Accepts a job, and stores at once the frames whose pictures are there already.
+    /// Accepts a job, and at once stores its first frames whose pictures are cached.
     pub(crate) async fn submit(
         &self,
         new: NewJob,
@@ -113,7 +113,7 @@ impl Farm {
             return Ok(submitted);
         }
         for frame in 0..plan.frames.min(MAX_EAGER_CACHE_LOOKUPS) {
-            // Without a thread to read the job on, the frame is opened like any other.
+            // Without a thread to parse the job, the frame is opened like any other.
             let Ok(opening) = self.opening_of(number, frame, plan, &job).await else { break };
             if !self.queue.has_picture(&opening.picture_key).await?
                 || self.queue.reuse(opening).await? != OpenOutcome::Stored
@@ -141,7 +141,7 @@ impl Farm {
                 break;
             };
             let Some(more) = self.queue.turn(SyncInput { opening: Some(opening), ..again.clone() }).await? else {
-                tracing::warn!(%worker, "a worker was ended while it claimed");
+                tracing::warn!(%worker, "a worker exited while it claimed work");
                 return Ok(None);
             };
             self.count(&more);
@@ -171,12 +171,12 @@ impl Farm {
             Ok(opening) => Ok(Some(opening)),
             Err(JobLoadError::Store(error)) => Err(error),
             Err(error @ JobLoadError::Refused(_)) => {
-                tracing::error!(job = number, %error, "a job that was accepted once is refused now");
+                tracing::error!(job = number, %error, "an accepted job cannot be parsed any more");
                 self.queue.fail_unreadable(number, error.to_string()).await?;
                 Ok(None)
             }
             Err(error @ (JobLoadError::Gone | JobLoadError::Thread)) => {
-                tracing::error!(job = number, %error, "a frame could not be opened");
+                tracing::error!(job = number, %error, "could not open a frame");
                 Ok(None)
             }
         }
@@ -211,17 +211,17 @@ impl Farm {
             };
             last = Some((hash.clone(), there));
             if !there {
-                tracing::warn!(lease = %report.lease, %hash, "a result came without its bytes; its tile goes back");
+                tracing::warn!(lease = %report.lease, %hash, "a result's bytes are missing; its tile is requeued");
                 report.outcome = LeaseOutcome::Released;
             }
         }
         Ok(())
     }
 
-    /// Has the maintenance task delete those of the given bytes that no row refers to.
+    /// Requests the maintenance task to delete those of the given bytes that no row refers to.
     pub(crate) fn sweep_later(&self, kind: ContentKind, hashes: Vec<String>) {
         if !hashes.is_empty() {
-            // Without a janitor the server is ending; the next one sweeps.
+            // Without a maintenance task the server is shutting down; the next one sweeps.
             drop(self.orphans.send(OrphanCandidates { kind, hashes }));
         }
     }

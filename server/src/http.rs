@@ -50,7 +50,7 @@ use crate::farm::Farm;
 use error::ApiError;
 use openapi::Document;
 
-/// The users' routes; each is described where it is handled.
+/// Users' routes; each is documented at its handler.
 fn user_routes() -> OpenApiRouter<Arc<Farm>> {
     OpenApiRouter::new()
         .routes(routes!(start_page::get))
@@ -74,7 +74,7 @@ fn user_routes() -> OpenApiRouter<Arc<Farm>> {
         .routes(routes!(previews::preview))
         .routes(routes!(previews::thumbnail))
         .routes(routes!(links::sign))
-        // Needs no key: the link's signature is the permission.
+        // Needs no key: the link's signature authorizes the request.
         .routes(routes!(links::follow))
         .routes(routes!(retention::collect))
         .routes(routes!(pool::workers))
@@ -88,7 +88,7 @@ fn user_routes() -> OpenApiRouter<Arc<Farm>> {
         .routes(routes!(health::metrics))
 }
 
-/// The workers' routes: see `proto::work`.
+/// Workers' routes: see `proto::worker_protocol`.
 fn worker_routes() -> axum::Router<Arc<Farm>> {
     axum::Router::new()
         .route(proto::worker_protocol::REGISTER_PATH, post(worker_protocol::register))
@@ -98,7 +98,7 @@ fn worker_routes() -> axum::Router<Arc<Farm>> {
         .route("/v1/worker/pictures/{hash}", put(worker_protocol::put_picture))
 }
 
-/// The whole API.
+/// Router of the whole API.
 pub(crate) fn router(farm: Arc<Farm>) -> axum::Router {
     let (users, described) = user_routes().split_for_parts();
     let document = Document::new(&described);
@@ -117,7 +117,7 @@ pub(crate) fn router(farm: Arc<Farm>) -> axum::Router {
         .layer(middleware::from_fn_with_state(farm, request_id::trace))
 }
 
-/// The document that the router serves.
+/// `OpenAPI` document of the router.
 #[cfg(test)]
 fn document() -> Document {
     Document::new(&user_routes().split_for_parts().1)
@@ -131,7 +131,7 @@ async fn method_not_allowed(request: Request) -> ApiError {
     ApiError::WrongMethod { method: request.method().to_string(), path: request.uri().path().to_owned() }
 }
 
-#[expect(clippy::needless_pass_by_value, reason = "this is how the layer calls it")]
+#[expect(clippy::needless_pass_by_value, reason = "the panic layer requires this signature")]
 fn panic_response(panic: Box<dyn Any + Send>) -> Response {
     let text = panic.downcast_ref::<String>().map(String::as_str).or_else(|| panic.downcast_ref::<&str>().copied());
     ApiError::Internal(text.unwrap_or("a handler panicked").into()).into_response()

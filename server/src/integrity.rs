@@ -16,15 +16,15 @@ use crate::database::Database;
 /// Error that prevents the check.
 #[derive(Debug, thiserror::Error)]
 pub enum IntegrityError {
-    /// The database can't be read.
-    #[error("the database could not be looked over")]
+    /// The database cannot be read.
+    #[error("could not check the database")]
     Database(#[from] sqlx::Error),
 }
 
 /// Finished tile, as read by the check.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct DoneTile {
-    /// Leases it ever had, by the number of its last one.
+    /// Number of leases it ever had.
     pub leases: i64,
 }
 
@@ -33,30 +33,30 @@ pub struct DoneTile {
 pub struct IntegrityReport {
     /// Violations, one sentence each; empty in an intact farm.
     pub violations: Vec<String>,
-    /// Every tile that is done, by its row.
+    /// Every finished tile, by its row id.
     pub done: BTreeMap<i64, DoneTile>,
-    /// The jobs there are.
+    /// Ids of all jobs.
     pub jobs: BTreeSet<JobId>,
 }
 
-/// Each statement counts or names violations of one invariant, and is run unchanged.
+/// Each statement counts or names the violations of one invariant, and is run unchanged.
 const INVARIANTS: [(&str, &str); 8] = [
     (
         "a tile has two results with effect",
         "SELECT tile FROM lease WHERE ended = 'done' GROUP BY tile HAVING count(*) > 1",
     ),
     (
-        "a job's tiles done are not those that are done",
+        "a job's counter of finished tiles is wrong",
         "SELECT number FROM job WHERE tiles_done <> (SELECT coalesce(sum(tiles_done), 0) FROM frame WHERE frame.job = job.number)",
     ),
     (
-        "a frame's tiles done are not those that are done",
+        "a frame's counter of finished tiles is wrong",
         "SELECT frame.job FROM frame WHERE state IN ('open', 'stitching') AND tiles_done <>
          (SELECT count(*) FROM tile WHERE tile.job = frame.job AND tile.frame = frame.number
           AND kind = 'render' AND tile.state = 'done')",
     ),
     (
-        "a job's frames stored are not those that are stored",
+        "a job's counter of stored frames is wrong",
         "SELECT job.number FROM job WHERE frames_stored <>
          (SELECT count(*) FROM frame WHERE frame.job = job.number AND frame.state = 'stored')",
     ),
@@ -70,11 +70,11 @@ const INVARIANTS: [(&str, &str); 8] = [
         "SELECT lease.id FROM lease JOIN tile ON tile.id = lease.tile WHERE ended IS NULL AND state <> 'leased'",
     ),
     (
-        "a job succeeded more than once, or unsaid",
+        "a job does not have exactly one success event",
         "SELECT number FROM job WHERE state = 'succeeded' AND
          (SELECT count(*) FROM outbox WHERE outbox.job = job.number AND outbox.state = 'succeeded') <> 1",
     ),
-    ("a row refers to one that is not there", "SELECT \"table\" FROM pragma_foreign_key_check"),
+    ("a row refers to a missing row", "SELECT \"table\" FROM pragma_foreign_key_check"),
 ];
 
 /// Checks the database and the pictures of a data folder.
@@ -82,7 +82,7 @@ pub async fn check_integrity(data: &Path) -> Result<IntegrityReport, IntegrityEr
     let options =
         SqliteConnectOptions::new().filename(Database::file(data)).read_only(true).disable_statement_logging();
     let mut connection = options.connect().await?;
-    // One transaction for all statements, so that all see the same state of a running server.
+    // One transaction for all statements, so that all read the same state of a running server.
     sqlx::query("BEGIN").execute(&mut connection).await?;
     let mut audit = IntegrityReport::default();
     for verdict in sqlx::query_scalar::<_, String>("PRAGMA integrity_check").fetch_all(&mut connection).await? {
@@ -99,7 +99,7 @@ pub async fn check_integrity(data: &Path) -> Result<IntegrityReport, IntegrityEr
     for id in sqlx::query_scalar::<_, String>("SELECT id FROM job").fetch_all(&mut connection).await? {
         match id.parse() {
             Ok(id) => drop(audit.jobs.insert(id)),
-            Err(_) => audit.violations.push(format!("{id:?} is no job's id")),
+            Err(_) => audit.violations.push(format!("{id:?} is not a job id")),
         }
     }
     let done = sqlx::query("SELECT id, epoch FROM tile WHERE state = 'done'").fetch_all(&mut connection).await?;
@@ -111,7 +111,7 @@ pub async fn check_integrity(data: &Path) -> Result<IntegrityReport, IntegrityEr
     Ok(audit)
 }
 
-/// A row that shows a picture was written after the picture was flushed: its file is there, and whole.
+/// Checks that pictures are intact: a picture's row is written after its file was fsynced.
 async fn check_pictures(
     connection: &mut SqliteConnection,
     data: &Path,
@@ -121,11 +121,11 @@ async fn check_pictures(
     for hash in pictures.fetch_all(connection).await? {
         match std::fs::read(data.join("pictures").join(&hash)) {
             Ok(bytes) if blake3::hash(&bytes).to_hex().as_str() == hash => {}
-            Ok(_) => audit.violations.push(format!("picture {hash} holds other bytes than its name says")),
+            Ok(_) => audit.violations.push(format!("picture {hash} does not match the hash in its name")),
             Err(error) if error.kind() == io::ErrorKind::NotFound => {
-                audit.violations.push(format!("picture {hash} is shown, but not there"));
+                audit.violations.push(format!("picture {hash} is used, but missing"));
             }
-            Err(error) => audit.violations.push(format!("picture {hash} can't be read: {error}")),
+            Err(error) => audit.violations.push(format!("picture {hash} cannot be read: {error}")),
         }
     }
     Ok(())

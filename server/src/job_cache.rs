@@ -1,6 +1,6 @@
-//! Parsed job files: parsed on threads with stack for deep files, and a few cached.
+//! Parses job files, on threads with enough stack for deeply nested ones, and caches a few.
 //!
-//! The cache is bounded: waiting jobs are in the database only.
+//! The cache is bounded: waiting jobs are stored in the database only.
 
 use std::collections::VecDeque;
 use std::sync::{Arc, Mutex};
@@ -10,11 +10,11 @@ use tokio::sync::{Semaphore, oneshot};
 use crate::database::DatabaseError;
 use crate::queue::Queue;
 
-/// Stack of a thread that parses.
+/// Stack size of a parsing thread.
 const STACK_BYTES: usize = 16 << 20;
 /// Maximum number of cached jobs.
 const MAX_CACHED_JOBS: usize = 8;
-/// Maximum size of their files together, unless there is only one.
+/// Maximum size of their files in total, unless there is only one.
 const MAX_CACHED_BYTES: usize = 8 << 20;
 
 /// Error when loading a job of the queue.
@@ -23,18 +23,18 @@ pub(crate) enum JobLoadError {
     /// The database could not be read.
     #[error(transparent)]
     Store(#[from] DatabaseError),
-    /// Its file is gone: the job was deleted in the meantime.
-    #[error("the job's file is gone")]
+    /// The file is missing: the job was deleted in the meantime.
+    #[error("the job was deleted")]
     Gone,
-    /// Its file was accepted once, but is invalid now.
-    #[error("the job's file is refused by this version: {0}")]
+    /// The file was accepted once, but this version rejects it.
+    #[error("this version rejects the job's file: {0}")]
     Refused(#[from] scene::ParseError),
     /// No thread to parse it on.
     #[error("no thread could be started to parse the job")]
     Thread,
 }
 
-/// Parses jobs, and keeps a few.
+/// Parses and caches jobs.
 #[derive(Debug)]
 pub(crate) struct JobCache {
     kept: Mutex<VecDeque<CachedJob>>,
@@ -49,13 +49,13 @@ struct CachedJob {
 }
 
 impl JobCache {
-    /// Parses as many files at a time as there are cores.
+    /// Permits for parsing threads: as many files at a time as there are cores.
     pub(crate) fn new() -> Self {
         let cores = std::thread::available_parallelism().map_or(1, usize::from);
         Self { kept: Mutex::default(), permits: Semaphore::new(cores) }
     }
 
-    /// Parses a job file on a thread of its own, and calls `work` with the result there.
+    /// Parses a job file on its own thread, and calls `work` with the result there.
     pub(crate) async fn parse<T: Send + 'static>(
         &self,
         text: bytes::Bytes,
@@ -64,7 +64,7 @@ impl JobCache {
         self.run_on_parser_thread(move || work(scene::parse(&text))).await
     }
 
-    /// What a frame's picture is known by; the scene of a job that moves is copied for that.
+    /// Cache key of a frame's picture; for an animated job this copies the scene.
     pub(crate) async fn picture_key(&self, job: &Arc<scene::Job>, frame: u32) -> Result<String, JobLoadError> {
         let (moves, job) = (job.is_animated(), Arc::clone(job));
         let key = move || job.cache_key(frame).to_hex().to_string();

@@ -1,6 +1,6 @@
 //! The server of sdfarm: a queue in a database, an HTTP API, a pool of local workers.
 //!
-//! It plans, leases and stores; it never touches a pixel.
+//! It plans, leases and stores; it touches no pixel.
 
 mod admission;
 mod api_keys;
@@ -59,24 +59,24 @@ const RESPONSE_DRAIN_TIMEOUT: Duration = Duration::from_secs(5);
 #[derive(Debug, thiserror::Error)]
 pub enum ServeError {
     /// The listener failed.
-    #[error("the server can't take connections any more")]
+    #[error("the server cannot accept connections any more")]
     Listen(#[source] std::io::Error),
 }
 
-/// A server that has its data folder, its database and its address.
+/// A server that has locked its data folder, opened its database and bound its address.
 #[derive(Debug)]
 pub struct Server {
     listeners: Listeners,
     farm: Arc<Farm>,
     store: Arc<Database>,
     orphans: mpsc::UnboundedReceiver<OrphanCandidates>,
-    // Released last.
+    // Dropped last, so that the lock is held until everything is closed.
     lock: FolderLock,
 }
 
 impl Server {
-    /// Takes hold of the data folder, opens the database, puts right what the last server left,
-    /// and binds the address. Local workers start with [`Server::run`].
+    /// Locks the data folder, opens the database, repairs the state that the last server left, and binds the
+    /// address. Local workers start with [`Server::run`].
     pub async fn start(config: Config) -> Result<Self, StartError> {
         Self::start_with_clock(config, Clock::system()).await
     }
@@ -86,7 +86,7 @@ impl Server {
         startup::start(config, clock).await
     }
 
-    /// Address it listens on.
+    /// Address on which it listens.
     pub fn address(&self) -> SocketAddr {
         self.listeners.address()
     }
@@ -125,15 +125,13 @@ impl Server {
             Some(ended) => Some(ended),
             None => tokio::time::timeout(RESPONSE_DRAIN_TIMEOUT, serving).await.ok(),
         };
-        for (task, name) in
-            [(janitor, "the janitor"), (telling, "what tells followers"), (sending, "what tells webhooks")]
-        {
+        for (task, name) in [(janitor, "maintenance"), (telling, "event distribution"), (sending, "webhook delivery")] {
             if let Err(error) = task.await {
                 tracing::error!(%error, "{name} panicked");
             }
         }
         if let Err(error) = admission_task.await {
-            tracing::error!(%error, "the doors' keeper panicked");
+            tracing::error!(%error, "admission control panicked");
         }
         store.close().await;
         drop(lock);

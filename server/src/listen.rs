@@ -1,6 +1,6 @@
 //! The server's connections: accepted, bounded in number and by minimum rates, closed gracefully.
 //!
-//! Slow, silent or surplus connections never reach a handler. No decision about requests is made here.
+//! Slow, silent or surplus connections never reach a handler. This module decides nothing about requests.
 
 mod connection_limit;
 mod file_limit;
@@ -37,22 +37,22 @@ pub(crate) use min_rate::SlowBody;
 use min_rate::{TimedBody, TimedStream};
 use tls::Tls;
 
-/// Time limit for a request's head, and for a connection between two requests.
+/// Time limit for a request's head, and for an idle connection.
 const HEAD_TIMEOUT: Duration = Duration::from_secs(30);
 /// A request's line and headers.
 const MAX_HEAD_BYTES: usize = 32 << 10;
 /// Read-ahead buffer of a connection.
 const MAX_BUFFER_BYTES: usize = 64 << 10;
-/// Headers of a request.
+/// Maximum number of headers of a request.
 const MAX_HEADERS: usize = 100;
 /// Time limit for a TLS handshake.
 const HANDSHAKE_TIMEOUT: Duration = Duration::from_secs(10);
-/// Time that an evicted connection has to report that it has just become busy.
+/// Time in which an evicted connection may still become busy.
 const CLOSE_GRACE: Duration = Duration::from_millis(250);
 /// If no slot is free, the next attempt is made after this interval.
 const ACCEPT_RETRY_DELAY: Duration = Duration::from_millis(100);
 
-/// Takes in connections until `ending`, then waits until those that are busy have been answered.
+/// Accepts connections until `ending`, then waits until busy ones have been answered.
 pub(crate) async fn serve(
     listener: TcpListener,
     tls: Option<Arc<Tls>>,
@@ -70,7 +70,7 @@ pub(crate) async fn serve(
             Ok(accepted) => accepted,
             Err(error) if is_listener_error(&error) => break Some(error),
             Err(error) => {
-                tracing::warn!(%error, "a connection could not be taken");
+                tracing::warn!(%error, "could not accept a connection");
                 crowd.evict_idle();
                 tokio::time::sleep(ACCEPT_RETRY_DELAY).await;
                 continue;
@@ -94,8 +94,8 @@ pub(crate) async fn serve(
                     };
                     match handshake {
                         Ok(Ok(stream)) => serve_connection(stream, address, router, &place, &ending).await,
-                        Ok(Err(error)) => tracing::debug!(%address, %error, "a TLS handshake failed"),
-                        Err(_) => tracing::debug!(%address, "a TLS handshake took too long"),
+                        Ok(Err(error)) => tracing::debug!(%address, %error, "TLS handshake failed"),
+                        Err(_) => tracing::debug!(%address, "TLS handshake timed out"),
                     }
                 }
             }
@@ -107,12 +107,12 @@ pub(crate) async fn serve(
     failed.map_or(Ok(()), Err)
 }
 
-/// Whether the listener itself is broken, rather than one connection or the room for it.
+/// Whether the listener itself failed, rather than one connection or a resource limit.
 fn is_listener_error(error: &io::Error) -> bool {
     matches!(Errno::from_io_error(error), Some(Errno::BADF | Errno::INVAL | Errno::NOTSOCK | Errno::FAULT))
 }
 
-/// Answers the requests of one connection.
+/// Serves one connection.
 async fn serve_connection<S>(
     stream: S,
     address: SocketAddr,
@@ -157,7 +157,7 @@ async fn serve_connection<S>(
 
 fn tell(address: SocketAddr, ended: hyper::Result<()>) {
     if let Err(error) = ended {
-        tracing::debug!(%address, %error, "a connection broke");
+        tracing::debug!(%address, %error, "connection failed");
     }
 }
 

@@ -1,5 +1,5 @@
-//! One server per data folder: an advisory lock on a file in it, held while the server lives and released by
-//! the system when it dies.
+//! One server per data folder: an advisory lock on a file in it, held while the server runs and released by the
+//! system when it exits.
 
 use std::fs::{File, OpenOptions, TryLockError};
 use std::io::{self, Read, Seek, Write};
@@ -14,8 +14,8 @@ pub(crate) struct FolderLock {
 /// Error when acquiring the lock.
 #[derive(Debug, thiserror::Error)]
 pub(crate) enum LockError {
-    /// Another server holds it.
-    #[error("another server holds it (pid {0})")]
+    /// Another server has the lock.
+    #[error("another server has locked it (pid {0})")]
     InUse(String),
     /// The file could not be opened, read or written.
     #[error(transparent)]
@@ -23,7 +23,7 @@ pub(crate) enum LockError {
 }
 
 impl FolderLock {
-    /// Takes hold of `folder` and leaves this process's id in its `lock` file.
+    /// Locks `folder` and writes this process's id to its `lock` file.
     pub(crate) fn acquire(folder: &Path) -> Result<Self, LockError> {
         let path = folder.join("lock");
         let mut file = OpenOptions::new().create(true).truncate(false).read(true).write(true).open(path)?;
@@ -48,10 +48,10 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_folder_is_held_once_and_names_its_holder() {
+    fn a_second_lock_fails_with_the_holders_process_id() {
         let folder = tempfile::tempdir().expect("a temporary folder");
-        let held = FolderLock::acquire(folder.path()).expect("the first takes hold");
-        let refused = FolderLock::acquire(folder.path()).expect_err("the second is refused").to_string();
+        let held = FolderLock::acquire(folder.path()).expect("the first lock succeeds");
+        let refused = FolderLock::acquire(folder.path()).expect_err("the second lock fails").to_string();
         assert!(refused.contains(&std::process::id().to_string()), "{refused}");
         drop(held);
         FolderLock::acquire(folder.path()).expect("free again");

@@ -18,12 +18,12 @@ use crate::retention;
 const LEASE_CHECK_INTERVAL: Duration = Duration::from_secs(1);
 /// Interval at which rows and folders are cleaned up.
 const CLEANUP_INTERVAL: Duration = Duration::from_mins(10);
-/// Bytes without a report are kept this long.
+/// Minimum age at which content without a report is swept.
 const ORPHAN_GRACE: Duration = Duration::from_mins(10);
 /// Hashes per database query.
 const LOOKUP_BATCH: usize = 500;
 
-/// Works until the farm is closed.
+/// Runs maintenance until the farm is closed.
 pub(crate) async fn run(
     farm: Arc<Farm>,
     mut leftovers: mpsc::UnboundedReceiver<OrphanCandidates>,
@@ -40,7 +40,7 @@ pub(crate) async fn run(
             _ = tidy.tick() => clean_up(&farm).await,
         };
         if let Err(error) = done {
-            tracing::error!(%error, cause = ?std::error::Error::source(&error), "maintenance could not be done");
+            tracing::error!(%error, cause = ?std::error::Error::source(&error), "maintenance failed");
         }
     }
 }
@@ -67,7 +67,7 @@ async fn sweep(farm: &Arc<Farm>, kind: ContentKind, hashes: &[String]) -> Result
         });
     }
     if count > 0 {
-        tracing::debug!(count, ?kind, "removed bytes that nobody needs");
+        tracing::debug!(count, ?kind, "removed orphaned content");
     }
     Ok(())
 }
@@ -77,23 +77,23 @@ async fn clean_up(farm: &Arc<Farm>) -> Result<(), DatabaseError> {
     farm.queue.drop_traces().await?;
     farm.queue.prune_events().await?;
     if let Err(error) = retention::collect_until_done(farm).await {
-        tracing::error!(%error, cause = ?std::error::Error::source(&error), "old jobs could not be removed");
+        tracing::error!(%error, cause = ?std::error::Error::source(&error), "could not remove old jobs");
     }
     if let Err(error) = farm.preview_helper.prune_coarse() {
-        tracing::warn!(%error, "old previews could not be removed");
+        tracing::warn!(%error, "could not remove old previews");
     }
     farm.queue.prune_idempotency_keys().await?;
     farm.queue.prune_deliveries().await?;
     let data = farm.config.data.clone();
     let removed = tokio::task::spawn_blocking(move || content_store::remove_partial_writes(&data, ORPHAN_GRACE)).await;
     if let Err(error) = removed.map_err(std::io::Error::other).flatten() {
-        tracing::warn!(%error, "what half-done writes left could not be removed");
+        tracing::warn!(%error, "could not remove partial files");
     }
     for kind in [ContentKind::Blob, ContentKind::Picture] {
         let names = match unreported_hashes(farm, kind).await {
             Ok(names) => names,
             Err(error) => {
-                tracing::warn!(%error, ?kind, "a folder could not be listed");
+                tracing::warn!(%error, ?kind, "could not list a folder");
                 continue;
             }
         };

@@ -1,7 +1,7 @@
-//! The local pool: keeps the requested number of worker processes running as children of this server.
+//! The local pool: runs the requested number of worker processes as children of this server.
 //!
-//! When a child exits, its leases end at once and another child starts in its slot, on the same device. A
-//! surplus child finishes its leases first. A slot whose device cannot render stays empty until the pool is
+//! When a worker process exits, its leases end at once and another one starts in its slot, on the same device.
+//! A surplus worker finishes its leases first. A slot whose device cannot render stays empty until the pool is
 //! resized.
 
 mod worker_process;
@@ -20,17 +20,17 @@ use crate::config::Config;
 use crate::queue::{LeaseEnd, Queue};
 use worker_process::{Exit, WorkerLaunch, WorkerProcess};
 
-/// A child that exits sooner than this has failed to start.
+/// A worker process that exits sooner than this has failed to start.
 const EARLY_EXIT: Duration = Duration::from_secs(1);
 /// This many failed starts in a row are retried without delay.
 const EARLY_EXITS_BEFORE_BACK_OFF: u32 = 3;
-/// The first wait after more of them; it doubles from there.
+/// First delay after more failed starts; it doubles from there.
 const BACK_OFF: Duration = Duration::from_millis(250);
-/// The longest wait.
+/// Maximum delay.
 const MAX_BACK_OFF: Duration = Duration::from_secs(30);
-/// Part of the grace period for releasing leases that would not finish in time.
+/// Part of the grace period that is left for releasing unfinished leases.
 const RELEASE_TIMEOUT: Duration = Duration::from_secs(2);
-/// Time a child has after that before it is killed.
+/// Time after that before a worker process is killed.
 const KILL_DELAY: Duration = Duration::from_secs(1);
 
 /// Handle of the pool.
@@ -42,14 +42,14 @@ pub(crate) struct Pool {
     supervisor: std::sync::Mutex<Option<SupervisorChannels>>,
 }
 
-/// Channels for the supervisor, kept until it starts.
+/// Channels of the supervisor, stored until it starts.
 #[derive(Debug)]
 struct SupervisorChannels {
     target_size: watch::Receiver<u32>,
     labels_by_pid: watch::Sender<Vec<(u32, String)>>,
 }
 
-/// The running supervisor.
+/// Supervisor task.
 #[derive(Debug)]
 pub(crate) struct SupervisorHandle {
     end: mpsc::Sender<Duration>,
@@ -57,7 +57,7 @@ pub(crate) struct SupervisorHandle {
 }
 
 impl Pool {
-    /// Pool of this many workers, none of them started yet.
+    /// Pool of this many workers; none is started yet.
     pub(crate) fn new(workers: u32) -> Self {
         let (wanted, wanted_seen) = watch::channel(workers);
         let (processes, processes_seen) = watch::channel(Vec::new());
@@ -99,29 +99,29 @@ impl Pool {
         SupervisorHandle { end, task: tokio::spawn(supervisor.run(ending)) }
     }
 
-    /// Requests this many workers.
+    /// Sets the target number of workers.
     pub(crate) fn resize(&self, workers: u32) {
         self.target_size.send_replace(workers);
     }
 
-    /// Workers asked for.
+    /// Target number of workers.
     pub(crate) fn target_size(&self) -> u32 {
         *self.target_size.borrow()
     }
 
-    /// The secret that children prove themselves with.
+    /// Token with which pool workers authenticate.
     pub(crate) fn token(&self) -> &str {
         &self.token
     }
 
-    /// The label of a child of this server, by its process id.
+    /// Label of this server's worker with the given process id.
     pub(crate) fn label(&self, process: u32) -> Option<String> {
         self.labels_by_pid.borrow().iter().find(|(id, _)| *id == process).map(|(_, label)| label.clone())
     }
 }
 
 impl SupervisorHandle {
-    /// Ends the pool: its workers may continue their leases for `grace`.
+    /// Shuts the pool down: its workers may continue their leases for `grace`.
     pub(crate) async fn end(self, grace: Duration) {
         if self.end.send(grace).await.is_err() {
             tracing::error!("the pool's supervisor ended early");
@@ -132,7 +132,7 @@ impl SupervisorHandle {
     }
 }
 
-/// Address at which a child reaches a server that may listen on all interfaces.
+/// Address at which a pool worker reaches a server that may listen on all interfaces.
 fn loopback_if_unspecified(address: SocketAddr) -> SocketAddr {
     let mut address = address;
     if address.ip().is_unspecified() {
@@ -178,7 +178,7 @@ impl Supervisor {
         self.end(grace).await;
     }
 
-    /// Drains who is too much, those in the last places, and starts who is missing.
+    /// Drains surplus workers, those in the last slots, and starts missing ones.
     async fn reconcile(&mut self, wanted: usize) {
         for index in 0..self.children.len() {
             if self.children[index].slot() >= wanted && !self.children[index].is_draining() {
@@ -201,7 +201,7 @@ impl Supervisor {
         let label = format!("pool-{}", self.labels);
         match WorkerProcess::launch(&self.launch, label.clone(), place, wanted, &mut self.exits) {
             Ok(child) => {
-                tracing::info!(worker = %label, process = child.pid(), device = child.device(), "started a worker");
+                tracing::info!(worker = %label, process = child.pid(), device = child.device(), "worker started");
                 self.children.push(child);
                 self.publish_labels();
             }
@@ -209,7 +209,7 @@ impl Supervisor {
                 let program: PathBuf = self.launch.program.clone();
                 tracing::error!(
                     program = %program.display(), %error,
-                    "the worker program can't be started: check that it is there and may be run"
+                    "cannot start the worker program: check that the file exists and is executable"
                 );
                 self.early_exits = self.early_exits.max(EARLY_EXITS_BEFORE_BACK_OFF);
                 self.back_off();
@@ -227,7 +227,7 @@ impl Supervisor {
         let known = match self.queue.drain(process).await {
             Ok(known) => known,
             Err(error) => {
-                tracing::error!(%error, process, "a worker could not be told to drain");
+                tracing::error!(%error, process, "could not drain a worker");
                 false
             }
         };
@@ -241,7 +241,7 @@ impl Supervisor {
         let exit = match exit {
             Ok(exit) => exit,
             Err(error) => {
-                tracing::error!(%error, "the wait for a worker panicked");
+                tracing::error!(%error, "waiting for a worker panicked");
                 return;
             }
         };
@@ -254,15 +254,15 @@ impl Supervisor {
         if unfit {
             tracing::error!(
                 worker = child.label(), device = child.device(), %message,
-                "a worker's device can't render: its place in the pool stays empty until the pool is sized anew (sdfarm pool N)"
+                "a worker's device cannot render: its slot stays empty until the pool is resized (sdfarm pool N)"
             );
         } else if cause == LeaseEnd::Released {
-            tracing::info!(worker = child.label(), process = exit.pid, "a worker ended");
+            tracing::info!(worker = child.label(), process = exit.pid, "worker exited");
         } else {
-            tracing::warn!(worker = child.label(), process = exit.pid, %message, "a worker died");
+            tracing::warn!(worker = child.label(), process = exit.pid, %message, "worker failed");
         }
         if let Err(error) = self.queue.worker_exited(exit.pid, cause, message).await {
-            tracing::error!(%error, process = exit.pid, "a dead worker's leases could not be ended; they will run out");
+            tracing::error!(%error, process = exit.pid, "could not end an exited worker's leases; they will expire");
         }
         if unfit {
             self.disabled_slots.insert(child.slot());
@@ -272,7 +272,7 @@ impl Supervisor {
         }
     }
 
-    /// After too many early deaths in a row the next start waits.
+    /// After several failed starts in a row, the next start is delayed.
     fn back_off(&mut self) {
         let Some(steps) = self.early_exits.checked_sub(EARLY_EXITS_BEFORE_BACK_OFF) else { return };
         let wait = (BACK_OFF * (1 << steps.min(10))).min(MAX_BACK_OFF);
@@ -283,7 +283,8 @@ impl Supervisor {
         self.backed_off_until = Some(monotonic_now() + wait);
     }
 
-    /// Drains all workers; those that do not exit in time must release their leases, and are then killed.
+    /// Drains all workers; those that do not exit in time must release their leases, and are killed if they do
+    /// not.
     async fn end(mut self, grace: Duration) {
         let start = monotonic_now();
         for index in 0..self.children.len() {
@@ -293,7 +294,7 @@ impl Supervisor {
         }
         self.reap_until(start + grace.saturating_sub(RELEASE_TIMEOUT)).await;
         for child in &self.children {
-            tracing::info!(worker = child.label(), "a worker is told to hand back what it holds");
+            tracing::info!(worker = child.label(), "asking a worker to release its leases");
             child.terminate();
         }
         self.reap_until(start + grace).await;
@@ -302,7 +303,7 @@ impl Supervisor {
         }
         self.reap_until(start + grace + KILL_DELAY).await;
         for child in &self.children {
-            tracing::warn!(worker = child.label(), "a worker does not end; it is killed");
+            tracing::warn!(worker = child.label(), "killing a worker that did not exit");
             child.kill();
         }
         while let Some(exit) = self.exits.join_next().await {

@@ -1,5 +1,5 @@
-//! Child processes that draw previews and measure samples: this process never touches a pixel and never
-//! runs a scene, so that no scene can kill or stall it.
+//! Helper processes that draw previews and measure samples: the server touches no pixel and evaluates no scene,
+//! so that no scene can crash or stall it.
 //!
 //! A helper process is started on demand, a few at a time, with a time limit; it exits when its standard
 //! input closes, so a killed server leaves none behind.
@@ -24,37 +24,37 @@ const MAX_CHILDREN: usize = 2;
 const TIME_LIMIT: Duration = Duration::from_secs(20);
 /// How long a request waits for a free helper.
 const MAX_WAIT: Duration = Duration::from_secs(10);
-/// Bytes of an answer.
+/// Maximum size of a response.
 const MAX_ANSWER_BYTES: u64 = 64 << 20;
-/// Maximum number of bytes kept of a helper's standard error.
+/// Maximum number of bytes stored of a helper's standard error.
 const MAX_STDERR_BYTES: u64 = 2 << 10;
 /// Maximum number of cached pictures.
 const MAX_CACHED_PICTURES: usize = 32;
-/// Maximum size of the cached pictures together, unless there is only one.
+/// Maximum size of the cached pictures in total, unless there is only one.
 const MAX_CACHED_BYTES: usize = 16 << 20;
 /// Maximum number of coarse passes kept in the folder.
 const MAX_COARSE_FILES: usize = 256;
-/// The folder of coarse passes.
+/// Name of the folder of coarse passes.
 const FOLDER: &str = "previews";
 
-/// Error that prevents a picture or a sample.
+/// Error that prevents a preview or a sample.
 #[derive(Debug, thiserror::Error)]
 pub(crate) enum HelperError {
-    /// Too many ask.
-    #[error("too many previews and estimates are asked for at once: try again in a moment")]
+    /// Too many requests.
+    #[error("too many previews and estimates are requested: retry in a few seconds")]
     Busy,
     /// It took too long.
-    #[error("the preview or estimate was given up after {} s", TIME_LIMIT.as_secs())]
+    #[error("the preview or estimate timed out after {} s", TIME_LIMIT.as_secs())]
     TimedOut,
-    /// The child could not be started.
-    #[error("the program that draws previews could not be started: {0}")]
+    /// The helper could not be started.
+    #[error("could not start the preview helper: {0}")]
     Start(io::Error),
     /// The helper failed.
-    #[error("the preview or estimate could not be made: {0}")]
+    #[error("the preview helper failed: {0}")]
     Failed(String),
 }
 
-/// Starts children that draw.
+/// Starts helper processes.
 #[derive(Debug)]
 pub(crate) struct PreviewHelper {
     program: PathBuf,
@@ -64,7 +64,7 @@ pub(crate) struct PreviewHelper {
 }
 
 impl PreviewHelper {
-    /// Opens the folder of coarse passes and empties it: they are rendered again on demand.
+    /// Opens the folder of coarse passes and empties it; they are rendered again on demand.
     pub(crate) fn open(data: &Path, program: &Path) -> io::Result<Self> {
         let folder = data.join(FOLDER);
         match std::fs::remove_dir_all(&folder) {
@@ -81,13 +81,13 @@ impl PreviewHelper {
         self.folder.join(format!("{job}-{frame}"))
     }
 
-    /// Picture of a tag, cached or drawn now.
+    /// Picture with this entity tag, from the cache or drawn now.
     pub(crate) async fn picture(&self, tag: &str, request: &HelperRequest) -> Result<Bytes, HelperError> {
         if let Some(kept) = self.find(tag) {
             return Ok(kept);
         }
         let permit = self.permit().await?;
-        // Another request may have drawn the same picture in the meantime.
+        // Another request may have drawn the picture in the meantime.
         if let Some(kept) = self.find(tag) {
             return Ok(kept);
         }
@@ -97,7 +97,7 @@ impl PreviewHelper {
         Ok(picture)
     }
 
-    /// A sample of a job.
+    /// Measures a sample of a job.
     pub(crate) async fn sample(&self, request: &HelperRequest) -> Result<CostSample, HelperError> {
         let _permit = self.permit().await?;
         let answer = self.run(request).await?;
@@ -111,7 +111,7 @@ impl PreviewHelper {
         }
     }
 
-    /// Has a child do something; dropped or late, it is killed.
+    /// Runs a helper; it is killed if the caller is dropped or the time is up.
     async fn run(&self, request: &HelperRequest) -> Result<Vec<u8>, HelperError> {
         let mut child = Command::new(&self.program)
             .arg(preview_helper::HELPER_COMMAND)
@@ -147,7 +147,7 @@ impl PreviewHelper {
         });
     }
 
-    /// Removes the oldest coarse passes, if they are many.
+    /// Removes the oldest coarse passes beyond the maximum.
     pub(crate) fn prune_coarse(&self) -> io::Result<()> {
         let mut files = Vec::new();
         for entry in std::fs::read_dir(&self.folder)? {
@@ -162,8 +162,8 @@ impl PreviewHelper {
     }
 }
 
-/// Sends a request to a helper, and reads its response. Its standard input stays open as long as the helper
-/// should live.
+/// Sends a request to a helper and reads its response. Standard input stays open as long as the helper should
+/// run.
 async fn answer(child: &mut Child, line: &[u8]) -> Result<Vec<u8>, HelperError> {
     let lost = || HelperError::Start(io::Error::other("its pipes are missing"));
     let mut input = child.stdin.take().ok_or_else(lost)?;

@@ -1,8 +1,8 @@
 //! The queue: the only place that changes the state of a job, frame, tile, lease or worker.
 //!
 //! One function is one transition is one statement, and each statement's row count is checked. `Queue` is the
-//! entry point: it binds the time, runs transitions in the writer, and wakes the waiters that a change
-//! concerns. Nothing here knows about HTTP or files.
+//! entry point: it supplies the time, runs transitions in the writer, and wakes the waiters that a change
+//! concerns. It depends on no HTTP types or files.
 
 mod backlog;
 mod batch_size;
@@ -64,7 +64,7 @@ pub(crate) use sync::{NextWork, SyncInput, SyncOutcome};
 pub(crate) use webhooks::{Attempt, Delivery};
 pub(crate) use workers::{NewWorker, Registration};
 
-/// A transition's answer.
+/// Result of a transition.
 type Result<T> = std::result::Result<T, DatabaseError>;
 
 /// Time and lease terms of a transition.
@@ -76,11 +76,11 @@ pub(crate) struct TransitionContext {
     wall_ms: i64,
     /// Length of a lease.
     lease_ms: i64,
-    /// Which boot of the server this is.
+    /// Boot generation of the server.
     generation: i64,
 }
 
-/// Rung after the commit of what others wait for.
+/// Wake signals, sent after commits that others wait for.
 #[derive(Debug, Default)]
 pub(crate) struct WakeSignals {
     /// Wakes waiters for work.
@@ -89,7 +89,7 @@ pub(crate) struct WakeSignals {
     pub(crate) updates: Notify,
 }
 
-/// Wake signals that a transition asks for, sent after its commit.
+/// Wake signals requested by a transition, sent after its commit.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(crate) struct Wake {
     /// There may be work.
@@ -108,7 +108,7 @@ impl Wake {
     }
 }
 
-/// The queue.
+/// Handle to the queue.
 #[derive(Clone, Debug)]
 pub(crate) struct Queue {
     database: Arc<Database>,
@@ -119,7 +119,7 @@ pub(crate) struct Queue {
 }
 
 impl Queue {
-    /// The queue of a database, after what the last server left is put right.
+    /// Opens the queue of a database, after repairing the state that the last server left.
     pub(crate) async fn open(store: Arc<Database>, clock: Clock, lease_ms: i64) -> Result<(Self, Recovery)> {
         let now_ms = clock.now_ms();
         let recovered = store
@@ -174,8 +174,7 @@ impl Queue {
         Ok(number)
     }
 
-    /// Stores a job's next frame from a picture that is already stored; `OpenOutcome::Open` means there is
-    /// none.
+    /// Stores a job's next frame from a cached picture; `OpenOutcome::Open` means that there is none.
     pub(crate) async fn reuse(&self, opening: FrameOpening) -> Result<OpenOutcome> {
         let moment = self.context();
         self.database
@@ -185,12 +184,12 @@ impl Queue {
             .await
     }
 
-    /// Whether a picture of this key is stored.
+    /// Whether a picture with this cache key is stored.
     pub(crate) async fn has_picture(&self, key: &str) -> Result<bool> {
         read::has_picture(self.database.readers(), key).await
     }
 
-    /// One call of a worker: results in, leases renewed, work out.
+    /// Runs a worker's sync: takes results, renews leases, grants work.
     pub(crate) async fn turn(&self, turn: SyncInput) -> Result<Option<SyncOutcome>> {
         let moment = self.context();
         let durability = if turn.has_reports() { Durability::Full } else { Durability::Relaxed };
@@ -230,7 +229,7 @@ impl Queue {
         Ok(cancelled)
     }
 
-    /// Fails a job whose file can't be read any more.
+    /// Fails a job whose file cannot be parsed any more.
     pub(crate) async fn fail_unreadable(&self, job: i64, message: String) -> Result<()> {
         let moment = self.context();
         self.database
@@ -242,14 +241,14 @@ impl Queue {
         Ok(())
     }
 
-    /// Forgets a job that is not running.
+    /// Deletes a job that is not running.
     pub(crate) async fn delete(&self, job: JobId) -> Result<DeleteOutcome> {
         self.database
             .write(Durability::Full, move |connection| Box::pin(async move { finish::delete(connection, job).await }))
             .await
     }
 
-    /// Takes in a worker.
+    /// Registers a worker.
     pub(crate) async fn register(&self, worker: NewWorker) -> Result<Registration> {
         let moment = self.context();
         self.database
@@ -259,7 +258,7 @@ impl Queue {
             .await
     }
 
-    /// Asks the pool worker of this process to drain; false if it has not registered yet.
+    /// Asks the pool worker with this process id to drain; false if it has not registered yet.
     pub(crate) async fn drain(&self, process: u32) -> Result<bool> {
         let drained = self
             .database
@@ -289,7 +288,7 @@ impl Queue {
         Ok(worker)
     }
 
-    /// Deletes rows of workers that are gone and of leases past their use.
+    /// Deletes rows of exited workers and of leases past their use.
     pub(crate) async fn prune(&self) -> Result<()> {
         self.database
             .write(Durability::Relaxed, move |connection| Box::pin(async move { recover::tidy(connection).await }))
@@ -306,13 +305,13 @@ impl Queue {
         self.database.commit_signal()
     }
 
-    /// The database, for what only reads.
+    /// Connections for reading.
     pub(crate) fn readers(&self) -> &sqlx::sqlite::SqlitePool {
         self.database.readers()
     }
 }
 
-/// A job's id, as logs name it.
+/// Id of a job, for logs.
 async fn job_id(connection: &mut Connection, job: i64) -> Result<String> {
     Ok(sqlx::query_scalar("SELECT id FROM job WHERE number = ?").bind(job).fetch_one(connection).await?)
 }
@@ -323,12 +322,12 @@ fn expect_rows(what: &'static str, expected: u64, done: &sqlx::sqlite::SqliteQue
     if changed == expected { Ok(()) } else { Err(DatabaseError::Rows { what, expected, changed }) }
 }
 
-/// A number of rows, as the database counts.
+/// Converts a number of rows to the database's type.
 fn row_count(count: usize) -> i64 {
     (count as u64).cast_signed()
 }
 
-/// A list of anything with a name, as `json_each` reads it.
+/// JSON list of names, as `json_each` reads it.
 fn json_list<T: ToString>(items: impl IntoIterator<Item = T>) -> String {
     let items: Vec<serde_json::Value> = items.into_iter().map(|item| item.to_string().into()).collect();
     serde_json::Value::Array(items).to_string()
@@ -339,10 +338,10 @@ fn json_numbers(items: impl IntoIterator<Item = i64>) -> String {
     serde_json::Value::Array(items.into_iter().map(Into::into).collect()).to_string()
 }
 
-/// Reads a column that holds a name of ours.
+/// Parses a column with one of our names.
 fn parse_column<T>(column: &'static str, value: &str, parse: impl FnOnce(&str) -> Option<T>) -> Result<T> {
     parse(value).ok_or_else(|| DatabaseError::Value { column, value: value.to_owned() })
 }
 
-/// The connection every transition runs on: the writer's, inside its transaction.
+/// Connection on which every transition runs: the writer's, inside its transaction.
 type Connection = SqliteConnection;

@@ -22,11 +22,11 @@ const JOBS_PER_PAGE: u32 = 200;
 /// Error when deleting jobs.
 #[derive(Debug, thiserror::Error)]
 pub(crate) enum RetentionError {
-    /// The database could not do it.
+    /// The database failed.
     #[error(transparent)]
     Database(#[from] DatabaseError),
     /// The size of the store could not be determined.
-    #[error("could not find out how large the store is")]
+    #[error("could not determine the size of the store")]
     Size(#[from] object_store::Error),
 }
 
@@ -49,7 +49,7 @@ async fn remove(farm: &Farm, dry_run: bool, store_bytes: u64) -> Result<GcReport
     for Removal { job, reason, freed_bytes } in going {
         if !dry_run {
             let Some(removed) = farm.queue.remove(&job).await? else { continue };
-            tracing::info!(job = %job.id, reason = reason.name(), freed_bytes, "removed a job that need not be kept");
+            tracing::info!(job = %job.id, reason = reason.name(), freed_bytes, "deleted a job past its retention");
             farm.sweep_later(ContentKind::Picture, removed.pictures);
             farm.sweep_later(ContentKind::Blob, removed.blobs);
         }
@@ -63,7 +63,7 @@ async fn remove(farm: &Farm, dry_run: bool, store_bytes: u64) -> Result<GcReport
 /// Deletes all jobs past their retention, until shutdown.
 pub(crate) async fn collect_until_done(farm: &Farm) -> Result<(), RetentionError> {
     while !farm.shutdown.is_cancelled() {
-        // The store is listed only where its size decides something.
+        // The store is listed only if its size matters.
         let store_bytes = if farm.config.max_store_bytes.is_some() { store_bytes(farm).await? } else { 0 };
         if !remove(farm, false, store_bytes).await?.more {
             break;

@@ -1,7 +1,7 @@
-//! Signed, expiring links to pictures: HMAC-SHA256 over the content and the expiry, under a secret that is
-//! created at the first start and stays in the data folder.
+//! Signed, expiring links to pictures: HMAC-SHA256 over the content and the expiry, with a secret that is
+//! created at the first start and stored in the data folder.
 //!
-//! Nothing here knows the current time, or whether the picture exists.
+//! Does not depend on the current time, or on whether the picture exists.
 
 use std::fmt;
 use std::fs::{File, OpenOptions};
@@ -16,9 +16,9 @@ use proto::JobId;
 use proto::link::LinkContent;
 use sha2::Sha256;
 
-/// The secret's file in the data folder.
+/// Name of the secret's file in the data folder.
 const FILE: &str = "links.secret";
-/// Bytes of the secret.
+/// Size of the secret, in bytes.
 const SECRET_BYTES: usize = 32;
 /// Prefix of the signed text, so that a signature is valid for nothing else.
 const MAC_CONTEXT: &str = "sdfarm picture link, version 1";
@@ -30,13 +30,13 @@ pub(crate) struct LinkClaims {
     pub(crate) job: JobId,
     /// The frame, from 0.
     pub(crate) frame: u32,
-    /// Which picture of the frame.
+    /// Content: the picture or a preview.
     pub(crate) content: LinkContent,
     /// Expiry, in seconds since 1970.
     pub(crate) expires_seconds: i64,
 }
 
-/// Signs links, and checks them.
+/// Signs and verifies links.
 pub(crate) struct LinkSigner {
     secret: [u8; SECRET_BYTES],
 }
@@ -57,7 +57,7 @@ impl LinkSigner {
                 let mut bytes = Vec::new();
                 Read::by_ref(&mut file).take(SECRET_BYTES as u64 + 1).read_to_end(&mut bytes)?;
                 secret = bytes.try_into().map_err(|_| {
-                    io::Error::other(format!("{FILE} is damaged: remove it, which ends all links signed so far"))
+                    io::Error::other(format!("{FILE} is damaged: remove it, which invalidates all signed links"))
                 })?;
             }
             Err(error) if error.kind() == io::ErrorKind::NotFound => {
@@ -69,7 +69,7 @@ impl LinkSigner {
         Ok(Self { secret })
     }
 
-    /// The signature of a link.
+    /// Signature of a link.
     pub(crate) fn sign(&self, linked: &LinkClaims) -> String {
         BASE64_URL_SAFE_NO_PAD.encode(self.mac(linked).finalize().into_bytes())
     }
@@ -89,7 +89,7 @@ impl LinkSigner {
     }
 }
 
-/// Writes the secret so that it is there whole or not at all, for the owner's eyes only.
+/// Writes the secret atomically, readable by its owner only.
 fn write_secret(data: &Path, path: &Path, secret: &[u8]) -> io::Result<()> {
     let half = data.join(format!("{FILE}.part"));
     match std::fs::remove_file(&half) {
@@ -110,7 +110,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_secret_outlives_its_server_and_is_for_its_owner_only() {
+    fn the_secret_survives_restarts_and_only_its_owner_reads_it() {
         let folder = tempfile::tempdir().expect("a folder");
         let linked =
             LinkClaims { job: JobId::new(), frame: 3, content: LinkContent::Image, expires_seconds: 1_700_000_000 };
@@ -125,7 +125,7 @@ mod tests {
     }
 
     #[test]
-    fn a_signature_holds_for_what_was_signed_and_for_nothing_else() {
+    fn a_signature_is_valid_for_its_link_only() {
         let folder = tempfile::tempdir().expect("a folder");
         let links = LinkSigner::open(folder.path()).expect("made");
         let linked = LinkClaims { job: JobId::new(), frame: 3, content: LinkContent::Image, expires_seconds: 100 };
@@ -144,7 +144,7 @@ mod tests {
     }
 
     #[test]
-    fn a_damaged_secret_is_reported_with_its_cure() {
+    fn a_damaged_secret_is_reported_with_its_fix() {
         let folder = tempfile::tempdir().expect("a folder");
         std::fs::write(folder.path().join(FILE), b"short").expect("written");
         let error = LinkSigner::open(folder.path()).expect_err("too short").to_string();

@@ -1,5 +1,5 @@
-//! Startup: checks everything about the server's environment before it serves, with an error and its fix for
-//! each problem.
+//! Startup: checks everything in the server's environment before it serves; each problem has an error with its
+//! fix.
 
 use std::io;
 use std::net::SocketAddr;
@@ -30,24 +30,24 @@ use crate::webhooks::{AddressPolicy, SecretError, Signer, Webhooks, webhook_secr
 /// Error that prevents the start, with its fix.
 #[derive(Debug, thiserror::Error)]
 pub enum StartError {
-    /// The address is not loopback's, and there are no keys.
+    /// The address is not loopback, and there are no keys.
     #[error(
         "refusing to listen on {0}: it is not a loopback address, there are no keys, and anyone who reaches it could \
-         use the farm; make a key (sdfarm key new NAME --scope admin --data FOLDER), listen on 127.0.0.1, or say \
-         --insecure if that is meant"
+         use the farm; create a key (sdfarm key new NAME --scope admin --data FOLDER), listen on 127.0.0.1, or pass \
+         --insecure if that is intended"
     )]
     NoKeysBeyondLoopback(SocketAddr),
-    /// The data folder can't be used.
-    #[error("the data folder {folder} can't be used: {source}; make it writable, or name another with --data")]
+    /// The data folder cannot be used.
+    #[error("the data folder {folder} cannot be used: {source}; make it writable, or pass another with --data")]
     DataFolder {
         /// The folder.
         folder: PathBuf,
         /// Error of the system.
         source: io::Error,
     },
-    /// Another server has the data folder.
+    /// Another server uses the data folder.
     #[error(
-        "data folder {folder} is in use by another server (pid {holder}): stop that one, or name another folder with --data"
+        "data folder {folder} is in use by another server (pid {holder}): stop that server, or pass another folder with --data"
     )]
     InUse {
         /// The folder.
@@ -55,8 +55,8 @@ pub enum StartError {
         /// The other server's process id.
         holder: String,
     },
-    /// The database can't be used.
-    #[error("the database {file} can't be used: {reason}; {cure}")]
+    /// The database cannot be used.
+    #[error("the database {file} cannot be used: {reason}; {cure}")]
     Database {
         /// The file.
         file: PathBuf,
@@ -65,14 +65,16 @@ pub enum StartError {
         /// Fix.
         cure: &'static str,
     },
-    /// The certificate can't be used.
-    #[error("can't offer TLS: {0}; name PEM files with --tls-cert and --tls-key")]
+    /// The certificate cannot be used.
+    #[error("cannot set up TLS: {0}; pass PEM files with --tls-cert and --tls-key")]
     Tls(String),
-    /// There is no secret to sign webhooks with.
-    #[error("{0}; set SDFARM_WEBHOOK_SECRET, or move the file away to have a new one made")]
+    /// The webhook secret cannot be used.
+    #[error("{0}; set SDFARM_WEBHOOK_SECRET, or move the file away so that a new secret is created")]
     WebhookSecret(#[from] SecretError),
-    /// The address can't be had.
-    #[error("can't listen on {address}: {source}; stop what listens there, or choose another address with --listen")]
+    /// The server cannot listen on the address.
+    #[error(
+        "cannot listen on {address}: {source}; stop the program that uses it, or choose another address with --listen"
+    )]
     Listen {
         /// The address.
         address: SocketAddr,
@@ -82,9 +84,9 @@ pub enum StartError {
 }
 
 const RESTORE_FIX: &str = "restore it from a backup, or move it away to start with an empty farm";
-const MAKE_ROOM_FIX: &str = "make room on its disk";
-const MAKE_WRITABLE_FIX: &str = "make it and its folder writable, or name another folder with --data";
-const UPGRADE_FIX: &str = "it may be of a newer release: run that one";
+const MAKE_ROOM_FIX: &str = "free space on its disk";
+const MAKE_WRITABLE_FIX: &str = "make it and its folder writable, or pass another folder with --data";
+const UPGRADE_FIX: &str = "it may be from a newer release: run that one";
 
 /// See [`Server::start`].
 pub(crate) async fn start(config: Config, clock: Clock) -> Result<Server, StartError> {

@@ -1,7 +1,7 @@
 //! Metrics and status for operators, and how they are collected.
 //!
-//! It only reads and counts; nothing in the farm depends on it. Counting takes a bounded fraction of the
-//! time: counts are cached for 1 s, or longer if counting took long.
+//! It only reads and counts; nothing in the farm depends on it. Counting is limited to a fraction of the time:
+//! counts are cached for 1 s, or longer if counting took long.
 
 pub(crate) mod host;
 mod metrics;
@@ -24,17 +24,17 @@ use host::{Disk, Process};
 use metrics::{Labels, replace};
 pub(crate) use metrics::{Metrics, counts, seconds};
 
-/// How long counts are cached.
+/// Minimum time for which counts are cached.
 const COUNTS_TTL: Duration = Duration::from_secs(1);
-/// How long the sizes of folders are cached.
+/// Time for which the sizes of folders are cached.
 const SIZES_TTL: Duration = Duration::from_secs(30);
-/// Counting takes at most one part in this many of the time.
+/// Inverse of the maximum fraction of time spent on counting.
 const MAX_COUNTING_FRACTION: u32 = 20;
-/// How long a worker's GPU is shown after its last report.
+/// Time for which a worker's GPU is shown after its last report.
 const DEVICE_TTL: Duration = Duration::from_mins(2);
-/// Jobs whose traces are remembered.
+/// Number of jobs whose traces are cached.
 const MAX_CACHED_TRACES: usize = 64;
-/// Longer than any phase of a batch; longer durations are rejected as invalid.
+/// Maximum duration of a phase; longer ones are rejected as invalid.
 const MAX_TOOK_MS: f64 = 1e9;
 
 /// Metrics and caches of the server.
@@ -58,7 +58,7 @@ pub(crate) struct FolderSizes {
     disk: Disk,
 }
 
-/// Cached value and its expiry.
+/// Cached value with its expiry.
 #[derive(Debug)]
 struct Expiring<T> {
     value: T,
@@ -75,7 +75,7 @@ impl<T: Clone> Expiring<T> {
     }
 }
 
-/// A worker's device.
+/// Device of a worker.
 #[derive(Debug)]
 struct DeviceStatus {
     name: String,
@@ -85,7 +85,7 @@ struct DeviceStatus {
 }
 
 impl Telemetry {
-    /// Watches a server that starts now.
+    /// Metrics of a server that starts now.
     pub(crate) fn new(data: PathBuf, store: &Database) -> Self {
         Self {
             metrics: Metrics::new(store.commits()),
@@ -98,7 +98,7 @@ impl Telemetry {
         }
     }
 
-    /// A worker registered.
+    /// Records a worker's registration.
     pub(crate) fn record_worker(&self, worker: WorkerId, name: &str, device: &str) {
         let mut devices = self.devices.lock().expect("no holder panics");
         devices.retain(|_, seen| seen.at.elapsed() < DEVICE_TTL);
@@ -106,8 +106,8 @@ impl Telemetry {
         devices.insert(worker, seen);
     }
 
-    /// Records a worker's measurements. For a worker that registered with an earlier server, only its
-    /// speed is known.
+    /// Records a worker's measurements. If the worker registered with an earlier server, only its speed is
+    /// recorded.
     pub(crate) fn record_metrics(&self, worker: WorkerId, measured: &WorkerMetrics) {
         let mut devices = self.devices.lock().expect("no holder panics");
         let Some(seen) = devices.get_mut(&worker) else { return };
@@ -119,7 +119,7 @@ impl Telemetry {
         }
     }
 
-    /// The trace that a job belongs to, of which the newest are remembered.
+    /// Trace of a job; those of the newest jobs are cached.
     pub(crate) async fn trace_of(&self, farm: &Farm, job: JobId) -> Result<Option<String>, DatabaseError> {
         let known = |traces: &VecDeque<(JobId, Option<String>)>| {
             traces.iter().find(|(id, _)| *id == job).map(|(_, trace)| trace.clone())
@@ -139,7 +139,7 @@ impl Telemetry {
         self.started.elapsed()
     }
 
-    /// Current counts, cached for a short time.
+    /// Current counts, cached for at least 1 s.
     pub(crate) async fn counts(&self, farm: &Farm) -> Result<QueueStats, DatabaseError> {
         let mut kept = self.counts.lock().await;
         if let Some(counts) = Expiring::get(kept.as_ref()) {

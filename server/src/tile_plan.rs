@@ -1,4 +1,4 @@
-//! A job becomes frames and tiles: arithmetic only.
+//! Plans the frames and tiles of a job: arithmetic only.
 
 use proto::Rect;
 use proto::tile::Tiling;
@@ -10,11 +10,11 @@ pub(crate) struct TilePlan {
     pub(crate) width_px: u32,
     /// Picture height, in pixels.
     pub(crate) height_px: u32,
-    /// Rays a pixel.
+    /// Rays per pixel.
     pub(crate) samples: u32,
-    /// Bytes of finished data a pixel.
+    /// Bytes of finished data per pixel.
     pub(crate) pixel_bytes: u32,
-    /// Edge that the operator asked for, in pixels.
+    /// Edge of a tile requested by the operator, in pixels.
     pub(crate) edge_px: Option<u32>,
     /// Frames of the job.
     pub(crate) frames: u32,
@@ -33,7 +33,7 @@ impl TilePlan {
         }
     }
 
-    /// The tiles of any one frame, row by row.
+    /// Tiles of one frame, row by row; all frames have the same.
     pub(crate) fn tiles(&self) -> Vec<Rect> {
         Tiling {
             width: self.width_px,
@@ -76,7 +76,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn tiles_carry_all_the_rays_of_a_frame() {
+    fn tiles_have_all_rays_of_a_frame() {
         let plan =
             TilePlan { width_px: 1920, height_px: 1080, samples: 4, pixel_bytes: 16, edge_px: Some(256), frames: 3 };
         let rays: u64 = plan.tiles().into_iter().map(|rect| plan.rays(rect)).sum();

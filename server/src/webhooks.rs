@@ -1,4 +1,4 @@
-//! Telling webhooks: deliveries that are due are sent, signed, and what became of each attempt is written down.
+//! Delivers webhooks: sends due deliveries, signed, and records the outcome of each attempt.
 //!
 //! A delivery is sent at least once, under an id that stays the same, until the receiver accepts it or its
 //! attempts are used up. No redirect is followed, no proxy is used, and a response's body is not read.
@@ -31,7 +31,7 @@ pub(crate) const EVENTS: [&str; 5] = ["job.running", "job.succeeded", "job.faile
 /// Default event types of a webhook.
 pub(crate) const FINAL_EVENTS: [&str; 3] = ["job.succeeded", "job.failed", "job.cancelled"];
 
-/// Attempts under way at a time.
+/// Maximum number of concurrent attempts.
 const MAX_CONCURRENT: usize = 16;
 /// Time limit for connecting.
 const CONNECT_TIMEOUT: Duration = Duration::from_secs(5);
@@ -39,11 +39,11 @@ const CONNECT_TIMEOUT: Duration = Duration::from_secs(5);
 const TIMEOUT: Duration = Duration::from_secs(15);
 /// Interval between checks for due deliveries, in addition to those after commits.
 const POLL_INTERVAL: Duration = Duration::from_secs(1);
-/// And not more often than this.
+/// Minimum interval between two checks.
 const MIN_POLL_INTERVAL: Duration = Duration::from_millis(100);
-/// Waits after failed attempts, before jitter, in seconds; after the last the delivery has failed.
+/// Delays after failed attempts, before jitter, in seconds; after the last one the delivery has failed.
 const RETRY_DELAYS_SECONDS: [u64; 9] = [5, 30, 120, 600, 1_800, 7_200, 21_600, 43_200, 86_400];
-/// Most of an error that is written down, in characters.
+/// Maximum length of a recorded error, in characters.
 const ERROR_CHARACTERS: usize = 300;
 
 /// Sender of webhooks.
@@ -55,7 +55,7 @@ pub(crate) struct Webhooks {
 }
 
 impl Webhooks {
-    /// Sends to where the guard lets through, signed.
+    /// Creates a sender that signs messages and connects only to addresses that the guard permits.
     pub(crate) fn new(guard: AddressPolicy, signer: Signer) -> Self {
         Self { guard, signer }
     }
@@ -92,7 +92,7 @@ impl ClientPair {
     }
 }
 
-/// Sends what is due until the farm is closed.
+/// Sends due deliveries until the farm is closed.
 pub(crate) async fn run(farm: Arc<Farm>, end: CancellationToken) {
     let mut commits = farm.queue.commits();
     let mut clients = ClientPair::default();
@@ -105,10 +105,10 @@ pub(crate) async fn run(farm: Arc<Farm>, end: CancellationToken) {
                 Ok((number, written)) => {
                     under_way.remove(&number);
                     if let Err(error) = written {
-                        tracing::error!(%error, "a delivery's attempt could not be written down; it will be sent again");
+                        tracing::error!(%error, "could not record a webhook attempt; the message will be sent again");
                     }
                 }
-                Err(error) => tracing::error!(%error, "a delivery's attempt panicked"),
+                Err(error) => tracing::error!(%error, "a webhook attempt panicked"),
             },
             changed = tokio::time::timeout(POLL_INTERVAL, commits.changed()) => if matches!(changed, Ok(Err(_))) { return },
         }
@@ -116,7 +116,7 @@ pub(crate) async fn run(farm: Arc<Farm>, end: CancellationToken) {
         let due = match farm.queue.due_deliveries(limit as u32).await {
             Ok(due) => due,
             Err(error) => {
-                tracing::error!(%error, "deliveries could not be looked up");
+                tracing::error!(%error, "could not read due deliveries");
                 continue;
             }
         };
@@ -143,20 +143,20 @@ async fn attempt(farm: &Farm, client: Result<Client, String>, delivery: &Deliver
     };
     let (status, error) = match sent {
         Ok(status) if (200..300).contains(&status) => return Attempt::Delivered { status },
-        Ok(status) => (Some(status), format!("it was answered with {status}")),
+        Ok(status) => (Some(status), format!("the response was {status}")),
         Err(error) => (None, error.chars().take(ERROR_CHARACTERS).collect()),
     };
-    // The receiver reports 410 Gone: no further attempt.
+    // 410 Gone means that the receiver wants no further attempts.
     let again_in = if status == Some(410) { None } else { wait(delivery.attempts, jitter()) };
     farm.totals.webhook_failures.fetch_add(1, std::sync::atomic::Ordering::Relaxed);
     tracing::warn!(
         message = %delivery.id, job = %delivery.job, attempts = delivery.attempts + 1, %error,
-        gives_up = again_in.is_none(), "a webhook was not delivered"
+        gives_up = again_in.is_none(), "webhook not delivered"
     );
     Attempt::Failed { status, error, retry_in: again_in }
 }
 
-/// Sends a delivery, and returns the answer's status.
+/// Sends a delivery, and returns the status of the response.
 async fn send(farm: &Farm, client: &Client, delivery: &Delivery) -> Result<u16, String> {
     // An address that was permitted at submission may not be permitted any more.
     let url: Url = farm.webhooks.guard.check(&delivery.url).map_err(|error| error.to_string())?;
@@ -197,7 +197,7 @@ fn wait(attempts: u32, jitter: f64) -> Option<Duration> {
     Some(Duration::from_secs(seconds).mul_f64(0.8 + 0.4 * jitter))
 }
 
-/// An error with its causes, in one line.
+/// Joins an error and its causes in one line.
 fn chain(error: &dyn std::error::Error) -> String {
     let mut text = error.to_string();
     let mut cause = error.source();
@@ -213,7 +213,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn waits_grow_to_a_day_and_end() {
+    fn retry_delays_grow_to_a_day_and_end() {
         assert_eq!(wait(0, 0.5), Some(Duration::from_secs(5)));
         assert_eq!(wait(0, 0.0), Some(Duration::from_secs(4)));
         assert_eq!(wait(8, 1.0), Some(Duration::from_mins(24 * 60 * 6 / 5)));
@@ -221,7 +221,7 @@ mod tests {
     }
 
     #[test]
-    fn a_message_says_the_same_each_time() {
+    fn a_message_has_the_same_bytes_in_every_attempt() {
         let mut delivery = Delivery {
             number: 1,
             id: "msg_1".to_owned(),

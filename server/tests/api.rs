@@ -1,4 +1,4 @@
-//! The server through its HTTP door, with workers that only pretend to render.
+//! Tests of the server over HTTP, with workers that only pretend to render.
 
 #[path = "../../tests/skip.rs"]
 mod skip;

@@ -111,8 +111,8 @@ fn pool_keeps_a_bad_gpu_out_and_the_farm_up() {
     let folder = tempfile::tempdir().expect("a folder");
     let serve = with_fault("wrong_bits", &["serve"]);
     let farm = Farm::start_by(serve, folder.path(), &["--workers", "1", "--device", "cuda"]);
-    eventually("the pool heard of it", || farm.log().contains("a worker's device can't render").then_some(()));
-    assert!(farm.log().contains("wrong bits") && !farm.log().contains("panicked"), "{}", farm.log());
+    eventually("the pool heard of it", || farm.log().contains("a worker's device cannot render").then_some(()));
+    assert!(farm.log().contains("results are wrong") && !farm.log().contains("panicked"), "{}", farm.log());
     let job = jobs::quick();
     let id = farm.accept(&job.to_string());
     let _cpu = Worker::start(sdfarm(&["worker", "--device", "cpu"]), &farm, &folder.path().join("cpu"));
@@ -126,7 +126,7 @@ fn pool_left_to_choose_takes_the_cpu_where_the_gpu_is_bad() {
     let farm = Farm::start_by(with_fault("wrong_bits", &["serve"]), folder.path(), &[]);
     farm.ready(1);
     assert_eq!(workers(&farm)[0]["device"], "cpu");
-    eventually("it says why", || farm.log().contains("wrong bits").then_some(()));
+    eventually("it says why", || farm.log().contains("results are wrong").then_some(()));
     let job = jobs::quick();
     let id = farm.accept(&job.to_string());
     farm.succeeded(&id);

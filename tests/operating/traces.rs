@@ -201,7 +201,7 @@ fn check_log(log: &str, id: &str) {
             assert!(line[field].is_string(), "no {field} in {line}");
         }
     }
-    let put = lines.iter().find(|line| line["message"] == "a picture is put").expect("the worker's line");
+    let put = lines.iter().find(|line| line["message"] == "picture stored").expect("the worker's line");
     assert_eq!((&put["job"], &put["frame"]), (&id.into(), &0.into()), "{put}");
     assert!(put["worker"].as_str().is_some_and(|worker| worker.len() == 36) && put["label"] == "pool-1", "{put}");
     let posted = lines.iter().find(|line| line["request_id"] == "the-request").expect("the request's line");

@@ -1,7 +1,7 @@
-//! Runs a worker: registers with a server, takes batches of tiles, renders and delivers them, until it must
-//! stop.
+//! Runs a worker: registers with a server, takes batches of tiles, renders and delivers them, until it is
+//! drained or stopped.
 //!
-//! It keeps no state that matters: if it is killed at any instant, its tiles are leased again.
+//! Stateless: if it is killed at any instant, its tiles are leased again.
 
 mod back_off;
 mod executor;
@@ -34,21 +34,21 @@ use session::{Session, SessionEnd};
 pub struct AgentConfig {
     /// The server's address: `http://127.0.0.1:8080`.
     pub server: String,
-    /// A label for people.
+    /// Label for display.
     pub name: String,
     /// Certificates and key for calling the server.
     pub auth: ClientAuth,
-    /// Folder for data that does not fit in memory, in unnamed files.
+    /// Scratch folder for data that does not fit in memory, in unnamed files.
     pub scratch: PathBuf,
-    /// After a shutdown, how long to continue the leases it holds before releasing them.
+    /// Grace period: how long after a shutdown it continues its leases before it releases them.
     pub grace: Duration,
-    /// Started by a server on this machine: it exits at once when standard input closes, and writes
-    /// directly into the server's folders. Folder paths from any other server are ignored.
+    /// Whether a server on this machine started it: then it exits at once when standard input closes, and
+    /// writes directly into the server's folders. Folder paths from any other server are ignored.
     pub is_pool_worker: bool,
 }
 
 impl AgentConfig {
-    /// An agent of this name for this server, otherwise ordinary.
+    /// Default settings, with this name and server.
     pub fn new(server: impl Into<String>, name: impl Into<String>) -> Self {
         Self {
             server: server.into(),
@@ -109,7 +109,7 @@ async fn register(
             }
             Err(error) if error.is_transient() => {
                 if !is_told {
-                    tracing::warn!(error = %error, server = config.server, "waiting for a server; start one with `sdfarm serve`, or name another with --server");
+                    tracing::warn!(error = %error, server = config.server, "waiting for a server: start one with `sdfarm serve`, or pass another address with --server");
                     is_told = true;
                 }
                 back_off.pause().await;
@@ -139,17 +139,17 @@ fn exit_when_stdin_closes() {
 /// Error that stops an agent.
 #[derive(Debug, thiserror::Error)]
 pub enum AgentError {
-    /// No server can be there.
+    /// The server's address is invalid.
     #[error(transparent)]
     Access(#[from] ClientAuthError),
-    /// HTTP can't be spoken here.
+    /// The HTTP client could not be built.
     #[error("could not prepare to call the server")]
     Client(#[source] reqwest::Error),
-    /// The threads to encode on could not be started.
+    /// The encoding threads could not be started.
     #[error("could not start the encoding threads")]
     Encoders(#[source] rayon::ThreadPoolBuildError),
-    /// The server does not want this worker.
-    #[error("the server {server} refused this worker: {reason}")]
+    /// The server rejected the registration.
+    #[error("the server {server} rejected this worker: {reason}")]
     Refused {
         /// The server.
         server: String,
@@ -157,7 +157,7 @@ pub enum AgentError {
         reason: String,
     },
     /// The device is lost; its leases have been released.
-    #[error("the device will render no more: {reason}")]
+    #[error("the device is lost: {reason}")]
     DeviceLost {
         /// Reason.
         reason: String,

@@ -1,4 +1,4 @@
-//! Measures this machine: distances of a scene without marching, and whole frames.
+//! Benchmarks this machine: distances of a scene without marching, and complete frames.
 
 use std::time::{Duration, Instant};
 
@@ -14,7 +14,7 @@ use crate::lanes::Lanes;
 use crate::simd::with_instructions;
 use crate::{CancelFlag, CpuRenderer, RenderError, Renderer, Simd, TileRequest};
 
-/// Distances a second, of one core.
+/// Distances per second on one core.
 #[derive(Clone, Debug, Serialize)]
 pub struct PointsReport {
     /// The job's name.
@@ -38,7 +38,7 @@ pub struct RenderReport {
     pub rays: u64,
     /// Distances of the whole scene evaluated for the frame: marches, normals and shadows.
     pub evaluations: u64,
-    /// Least time of a run, in milliseconds.
+    /// Shortest run, in milliseconds.
     pub least_ms: f64,
     /// Median time of the runs, in milliseconds.
     pub median_ms: f64,
@@ -55,24 +55,23 @@ pub struct GpuReport {
     pub job: String,
     /// Product name of the GPU.
     pub gpu: String,
-    /// Printing, compiling and loading the scene's kernel, in milliseconds; `None` if it was cached on
-    /// disk.
+    /// Generating, compiling and loading the scene's kernel, in milliseconds; `None` if it was cached on disk.
     pub compile_ms: Option<f64>,
-    /// Printing and loading the cached kernel, in milliseconds.
+    /// Generating source and loading the cached kernel, in milliseconds.
     pub load_ms: f64,
-    /// Threads of a block: 16x8.
+    /// Block dimensions: 16x8.
     pub block: String,
-    /// Registers a thread.
+    /// Registers per thread.
     pub registers: u32,
-    /// Bytes a thread keeps in memory for want of registers.
+    /// Bytes per thread of spilled registers in local memory.
     pub local_bytes: u32,
     /// Occupancy: resident fraction of the GPU's threads.
     pub occupancy: f64,
     /// Median time of the frame's kernels, in milliseconds.
     pub kernel_ms: f64,
-    /// Least time of the frame's kernels, in milliseconds.
+    /// Shortest total time of the frame's kernels, in milliseconds.
     pub least_kernel_ms: f64,
-    /// The longest of their launches, after each of which a render can be cancelled, in milliseconds.
+    /// Longest launch, in milliseconds; a render can be cancelled after each launch.
     pub longest_launch_ms: f64,
     /// Median time until the pixels are in this process's memory, in milliseconds.
     pub median_ms: f64,
@@ -86,7 +85,7 @@ pub struct GpuReport {
     pub peak_share: Option<f64>,
 }
 
-/// Renders a frame of `job` some times on a GPU; `cpu` counts what that takes.
+/// Renders a frame of `job` several times on a GPU; `cpu` counts the evaluations.
 pub fn render_on_gpu(job: &Job, gpu: &CudaRenderer, cpu: &CpuRenderer, runs: usize) -> Result<GpuReport, RenderError> {
     let run = TileRequest { job, frame: 0, rect: Rect::full(job.image.width, job.image.height) };
     let source_time = Instant::now();
@@ -135,7 +134,7 @@ pub fn render_on_gpu(job: &Job, gpu: &CudaRenderer, cpu: &CpuRenderer, runs: usi
     })
 }
 
-/// Points that fit the first cache together.
+/// Number of points that fit into the L1 cache together.
 const POINTS: usize = 1024;
 
 /// Evaluates the scene's distance at points around the camera's target, for about `time`, on one thread.
@@ -181,7 +180,7 @@ fn distances<S: Token, const N: usize>(token: S, program: &Integrator<'_>, job: 
     last[0]
 }
 
-/// Renders a frame of `job` some times.
+/// Renders a frame of `job` several times.
 pub fn render(job: &Job, simd: Simd, threads: Option<usize>, runs: usize) -> Result<RenderReport, RenderError> {
     let renderer = CpuRenderer::new(threads, simd)?;
     let rect = Rect::full(job.image.width, job.image.height);

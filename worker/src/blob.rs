@@ -1,12 +1,12 @@
-//! A tile as bytes: a fixed header, then its planes, each row by row from the top.
+//! Tile blobs: a fixed header, then the planes, each row by row from the top.
 //!
 //! ```text
 //! "sdfb" · version · x · y · width · height · planes      u32, little-endian
 //! planes × height × width                                 f32, little-endian
 //! ```
 //!
-//! Uncompressed, so that a band of rows is read by one seek per plane; a blob lives for seconds. Nothing here
-//! interprets the pixels.
+//! Uncompressed, so that a band of rows is read with one seek per plane; a blob lives for seconds. This module
+//! does not interpret the pixels.
 
 use std::io::{self, Read, Seek, SeekFrom, Write};
 use std::ops::Range;
@@ -21,7 +21,7 @@ const VERSION: u32 = 1;
 pub const HEADER_BYTES: usize = 28;
 /// Maximum number of planes: four of color, and every layer.
 pub const MAX_PLANES: usize = 64;
-/// No picture has more pixels, and so no tile.
+/// Maximum number of pixels of a picture, and so of a tile.
 const MAX_PIXELS: u64 = 1 << 28;
 
 /// Size of a tile's blob, in bytes.
@@ -29,14 +29,14 @@ pub fn size_bytes(rect: Rect, planes: usize) -> u64 {
     HEADER_BYTES as u64 + rect.pixels() * planes as u64 * size_of::<f32>() as u64
 }
 
-/// A tile as bytes.
+/// Encodes a tile.
 pub fn encode(pixels: &TilePixels) -> Vec<u8> {
     let mut bytes = Vec::with_capacity(size_bytes(pixels.rect, pixels.planes.len()) as usize);
-    write(pixels, &mut bytes).expect("writing to memory can't fail");
+    write(pixels, &mut bytes).expect("writing to memory cannot fail");
     bytes
 }
 
-/// Writes a tile.
+/// Writes a tile to a file.
 pub fn write(pixels: &TilePixels, out: &mut impl Write) -> io::Result<()> {
     let Rect { x, y, width, height } = pixels.rect;
     let planes = u32::try_from(pixels.planes.len()).expect("planes are few");
@@ -55,12 +55,12 @@ pub fn write(pixels: &TilePixels, out: &mut impl Write) -> io::Result<()> {
     Ok(())
 }
 
-/// A blob's key: the BLAKE3 of its bytes, in hex.
+/// Key of a blob: the BLAKE3 of its bytes, in hex.
 pub fn hash(bytes: &[u8]) -> String {
     blake3::hash(bytes).to_hex().to_string()
 }
 
-/// Reads a blob, whole or a band of rows at a time.
+/// Reads a blob, completely or a band of rows at a time.
 #[derive(Debug)]
 pub struct BlobReader<R> {
     input: R,
@@ -89,12 +89,11 @@ impl<R: Read + Seek> BlobReader<R> {
         self.planes
     }
 
-    /// Reads rows of one plane as bytes, for [`floats_from_bytes`]. Rows are counted
-    /// from the tile's top.
+    /// Reads rows of one plane as bytes, for [`floats_from_bytes`]. Rows are counted from the tile's top.
     ///
     /// # Panics
     ///
-    /// Error if the tile has no such plane or rows.
+    /// Panics if the tile has no such plane or rows.
     pub fn read_rows(&mut self, plane: usize, rows: Range<u32>, bytes: &mut Vec<u8>) -> Result<(), BlobError> {
         assert!(plane < self.planes && rows.start <= rows.end && rows.end <= self.rect.height, "a tile's own rows");
         let row_bytes = u64::from(self.rect.width) * size_of::<f32>() as u64;
@@ -105,7 +104,7 @@ impl<R: Read + Seek> BlobReader<R> {
     }
 }
 
-/// Decodes a whole blob, and rejects one that is too long.
+/// Decodes a complete blob; a longer one is an error.
 pub fn decode(bytes: &[u8]) -> Result<TilePixels, BlobError> {
     let header = bytes.first_chunk::<HEADER_BYTES>().ok_or(BlobError::Truncated)?;
     let (rect, planes) = parse_header(header)?;
@@ -158,24 +157,24 @@ fn short_is_truncated(error: io::Error) -> BlobError {
 /// Reason why a blob is invalid.
 #[derive(Debug, thiserror::Error)]
 pub enum BlobError {
-    /// Wrong magic bytes.
+    /// The magic bytes are wrong.
     #[error("it is not a tile blob")]
     NotABlob,
-    /// Another sdfarm wrote it.
+    /// The format's version is another one.
     #[error("its format is version {0}, not {VERSION}")]
     Version(u32),
-    /// No tile is like this.
+    /// The header's sizes are impossible.
     #[error("its header is damaged: {rect:?} with {planes} planes")]
     Shape {
-        /// The rectangle it claims.
+        /// Rectangle in the header.
         rect: Rect,
-        /// The planes it claims.
+        /// Number of planes in the header.
         planes: usize,
     },
-    /// It ends early.
+    /// The blob is too short.
     #[error("it is truncated")]
     Truncated,
-    /// It has surplus bytes.
+    /// The blob is too long.
     #[error("it is longer than its {expected} bytes")]
     TooLong {
         /// Size according to its header.

@@ -89,7 +89,7 @@ impl Renderer for CpuRenderer {
     }
 }
 
-/// Cuts all planes into bands of `length` numbers: one list of slices a band, one slice a plane.
+/// Divides all planes into bands of `length` numbers: a list of slices per band, one slice per plane.
 fn bands(planes: &mut [Vec<f32>], length: usize) -> Vec<Vec<&mut [f32]>> {
     let count = planes.first().map_or(0, |plane| plane.len().div_ceil(length));
     let mut bands: Vec<Vec<&mut [f32]>> = (0..count).map(|_| Vec::with_capacity(planes.len())).collect();

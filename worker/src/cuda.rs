@@ -1,7 +1,7 @@
-//! Renders on an NVIDIA GPU: the picture's formulas as CUDA C, compiled at run time, run a thread
-//! a pixel. The pixels are those of every other renderer, to the bit.
+//! Renders on an NVIDIA GPU: the picture's formulas as CUDA C, compiled at run time, one thread per pixel. The
+//! pixels are bit-identical to every other renderer's.
 //!
-//! Only `cuda/device.rs` and `cuda/compiler.rs` are unsafe; no formula of a picture is written here.
+//! Only `cuda/device.rs` and `cuda/compiler.rs` are unsafe; this module has no formula of a picture.
 
 mod cache;
 mod compiler;
@@ -34,7 +34,7 @@ pub use source::KernelSource;
 
 /// Maximum size of a scene compiled to straight-line code, in nodes.
 pub const MAX_NODES: u32 = 500;
-/// Pixels that are on the GPU and on their way back at a time, in numbers.
+/// Maximum size of pixel buffers on the GPU or being copied, in numbers.
 const BUFFER_FLOATS: usize = 64 << 20;
 /// Maximum memory of freed planes kept for reuse, in numbers.
 const MAX_SPARE_FLOATS: usize = 128 << 20;
@@ -43,7 +43,7 @@ const MAX_PROGRAMS: usize = 64;
 /// Scene of the self-test, with a sample of every feature.
 const SELF_TEST: &str = include_str!("cuda/self_test.json");
 
-/// Number of usable GPUs on this machine; an error with the reason if there is none.
+/// Number of usable GPUs on this machine, or an error with the reason.
 pub fn devices() -> Result<usize, RenderError> {
     match device::count() {
         Ok(0) => Err(unavailable("cuda", &CudaError::NoDevice)),
@@ -59,22 +59,22 @@ pub struct CudaRenderer {
     device: Device,
     compiler: Compiler,
     cache: Cache,
-    /// One shape for all programs, instead of the fastest for each.
+    /// Block dimensions for all kernels; `None` means the fastest for each.
     shape: Option<BlockDim>,
     programs: Mutex<HashMap<blake3::Hash, Arc<Kernel>>>,
-    /// Held while a frame's launches are made, because they share the kernels' constants.
+    /// Locked while a frame's launches are created, because they share the kernels' constants.
     launching: Mutex<()>,
     buffers: Mutex<Vec<Buffer>>,
     lost_reason: Mutex<Option<String>>,
-    /// Memory of pixels that are not needed any more.
+    /// Planes that are no longer needed, to be reused.
     spare: Mutex<Vec<Vec<f32>>>,
     encoders: Option<usize>,
     kernels: Mutex<KernelTimes>,
-    /// Time that went into making programs.
+    /// Time spent on preparing kernels.
     setup_time: Mutex<Duration>,
 }
 
-/// A program on the GPU, and what is known of it.
+/// Kernel on the GPU, with what was measured of it.
 #[derive(Debug)]
 struct Kernel {
     loaded: LoadedModule,
@@ -85,11 +85,11 @@ struct Kernel {
 #[derive(Debug, Default)]
 struct KernelState {
     cost: CostModel,
-    /// The numbers that the program now has.
+    /// Current uniforms of the kernel.
     floats: Option<Vec<u32>>,
 }
 
-/// Tiles whose pixels are on their way.
+/// Tiles whose pixels are being copied to the host.
 struct InFlight {
     rects: Vec<Rect>,
     buffer: Buffer,
@@ -98,19 +98,19 @@ struct InFlight {
 /// Compiled kernel and its figures.
 #[derive(Clone, Copy, Debug)]
 pub struct CompileReport {
-    /// Compiling (or reading) it, loading it, and finding its shape of blocks.
+    /// Time to compile (or read) it, load it, and choose its block dimensions.
     pub time: Duration,
-    /// Whether its machine code was there already.
+    /// Whether its machine code was cached.
     pub was_cached: bool,
-    /// The shape of its blocks.
+    /// Block dimensions.
     pub shape: BlockDim,
     /// Resources.
     pub resources: Resources,
 }
 
 impl CudaRenderer {
-    /// Opens the GPU of this number, and verifies that it renders the expected bits. Compiled kernels are
-    /// stored in `cache`; blocks have `shape`, or the fastest one.
+    /// Opens the GPU with this ordinal, and verifies that it renders the expected bits. Compiled kernels are
+    /// stored in `cache`; blocks have `shape`, or the fastest dimensions.
     pub fn new(ordinal: usize, cache: Option<&Path>, shape: Option<BlockDim>) -> Result<Self, RenderError> {
         let name = format!("cuda:{ordinal}");
         let refused = |trouble: CudaError| unavailable(&name, &trouble);
@@ -136,7 +136,7 @@ impl CudaRenderer {
         Ok(renderer)
     }
 
-    /// Limits encoding to this many threads; all cores if `None`.
+    /// Limits encoding to this many threads; `None` means all cores.
     pub fn with_encoders(self, encoders: Option<usize>) -> Self {
         Self { encoders, ..self }
     }
@@ -146,18 +146,18 @@ impl CudaRenderer {
         &self.device.name
     }
 
-    /// The most operations on `f32` a second that the GPU could do, a fused one counted twice.
+    /// Maximum `f32` operations per second of the GPU; a fused operation counts as two.
     pub fn peak_flops(&self) -> f64 {
         let lanes = if matches!(self.device.architecture, 75 | 80) { 64.0 } else { 128.0 };
         2.0 * lanes * f64::from(self.device.multiprocessors) * f64::from(self.device.clock_khz) * 1e3
     }
 
-    /// Time that kernels have taken since the last time this was asked.
+    /// Time of kernels since the last call of this method.
     pub fn take_kernel_times(&self) -> KernelTimes {
         std::mem::take(&mut *lock(&self.kernels))
     }
 
-    /// Makes the kernel of a tile ready, and reports the time that took.
+    /// Prepares the kernel of a tile, and reports the time that took.
     pub fn compile(&self, run: &TileRequest<'_>) -> Result<CompileReport, RenderError> {
         let source = KernelSource::new(&run.job.at(run.frame)?);
         let start = Instant::now();
@@ -168,7 +168,7 @@ impl CudaRenderer {
         Ok(CompileReport { time, was_cached: was_kept, shape: program.shape, resources })
     }
 
-    /// Forgets the programs on the GPU; those on disk stay.
+    /// Unloads the kernels from the GPU; those on disk remain.
     pub fn clear_kernels(&self) {
         lock(&self.programs).clear();
     }
@@ -221,7 +221,7 @@ impl CudaRenderer {
         Ok((program, was_kept))
     }
 
-    /// Renders a part of a tile with each block shape, large enough for a meaningful time.
+    /// Measures each of the block dimensions on a part of a tile that is large enough for a meaningful time.
     fn tune_block_dim(
         &self,
         loaded: &LoadedModule,
@@ -238,7 +238,7 @@ impl CudaRenderer {
             let (x, y) = (run.rect.x + (run.rect.width - width) / 2, run.rect.y + (run.rect.height - height) / 2);
             let piece = Rect { x, y, width, height };
             let mut buffer = self.device.buffer(piece.pixels() as usize * run.job.image.channels().len())?;
-            // Once to warm up, and to see whether it is enough.
+            // The first run warms up, and shows whether the part is large enough.
             let ms = self.time_block_dim(loaded, BLOCK_DIMS[0], piece, run, &mut buffer)?;
             if ms < MIN_TIMED_MS && piece != run.rect {
                 edge *= 2;
@@ -249,13 +249,13 @@ impl CudaRenderer {
                     *best = best.min(self.time_block_dim(loaded, shape, piece, run, &mut buffer)?);
                 }
             }
-            tracing::debug!(?best, edge, "tried every shape of blocks");
+            tracing::debug!(?best, edge, "chose block dimensions");
             let fastest = (0..BLOCK_DIMS.len()).min_by(|&a, &b| best[a].total_cmp(&best[b]));
             return Ok(BLOCK_DIMS[fastest.unwrap_or(0)]);
         }
     }
 
-    /// Time of a part with one block shape, in milliseconds.
+    /// Time of a part with one choice of block dimensions, in milliseconds.
     fn time_block_dim(
         &self,
         loaded: &LoadedModule,
@@ -272,7 +272,7 @@ impl CudaRenderer {
         self.device.launch(loaded, shape, &laid_out, part, buffer)?.wait()
     }
 
-    /// Renders tiles, as many at a time as the buffers hold; one lot is copied while the next renders.
+    /// Renders tiles, as many at a time as the buffers hold; one group is copied while the next renders.
     fn render_groups(
         &self,
         runs: &[TileRequest<'_>],
@@ -393,7 +393,7 @@ impl CudaRenderer {
         Ok(finished)
     }
 
-    /// Buffer that is large enough; smaller ones are freed.
+    /// Returns a buffer that is large enough; smaller ones are freed.
     fn take_buffer(&self, numbers: usize) -> Result<Buffer, CudaError> {
         let mut buffers = lock(&self.buffers);
         buffers.retain(|buffer| buffer.floats() >= numbers);
@@ -403,7 +403,7 @@ impl CudaRenderer {
         }
     }
 
-    /// Copy of a plane, in reused memory if possible: new memory costs more than the copy.
+    /// Copies a plane, into reused memory if possible, because new memory costs more than the copy.
     fn copy_plane(&self, plane: &[f32]) -> Vec<f32> {
         let spare = {
             let mut spare = lock(&self.spare);
@@ -416,7 +416,7 @@ impl CudaRenderer {
         copy
     }
 
-    /// Notes a lost GPU; the trouble as a render's error.
+    /// Records a lost GPU; returns the CUDA error as a render error.
     fn render_error(&self, trouble: &CudaError) -> RenderError {
         if trouble.is_lost() {
             *lock(&self.lost_reason) = Some(format!("{}: {trouble}", self.name));
@@ -441,7 +441,7 @@ impl Renderer for CudaRenderer {
         progress: &(dyn Fn(u64) + Sync),
     ) -> Result<TilePixels, RenderError> {
         let mut finished = self.render_tiles(std::slice::from_ref(run), cancel, progress)?;
-        Ok(finished.pop().expect("a render gives every tile it was asked for"))
+        Ok(finished.pop().expect("a render returns every requested tile"))
     }
 
     fn render_tiles(

@@ -1,6 +1,6 @@
-//! One frame from job to file, here and now: no server, no leases.
+//! Renders one frame to a file in this process: no server, no leases.
 //!
-//! The bytes are those that any farm of workers gives.
+//! The bytes are those that every farm produces.
 
 use std::fs::File;
 use std::io::{self, BufWriter, Seek, Write};
@@ -16,10 +16,10 @@ use crate::image::{Encoders, ImageError, PictureSpec};
 use crate::renderer::{CancelFlag, RenderError, Renderer, TilePixels, TileRequest, chunk_length};
 use crate::stitch::{BlobRows, RowSource, TileRows};
 
-/// A frame larger than this is rendered through a file.
+/// Pixel data above this size passes through a file.
 const MEMORY_BYTES: u64 = 256 << 20;
 
-/// Durations of rendering a frame.
+/// Durations of a frame's phases.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct FrameTimes {
     /// Rendering its tiles.
@@ -31,7 +31,7 @@ pub struct FrameTimes {
 /// Renders a frame and writes its picture in the job's format. Tiles are cut as a server would cut them, or
 /// `tile_px` wide; a frame too large for memory passes through an unnamed file in `scratch`. `progress`
 /// receives the number of newly finished rays.
-#[expect(clippy::too_many_arguments, reason = "what, whither, and two ways to watch it; called in one place")]
+#[expect(clippy::too_many_arguments, reason = "job, output and progress; called in one place")]
 pub fn render_frame(
     renderer: &dyn Renderer,
     job: &Job,
@@ -67,7 +67,7 @@ pub fn render_frame(
     Ok(FrameTimes { render, encode: start.elapsed() })
 }
 
-/// The tiles a frame is cut into.
+/// Tiles of a frame.
 fn tiles(job: &Job, edge: Option<u32>) -> Vec<Rect> {
     let image = &job.image;
     let pixel_bytes = image.pixel_bytes();
@@ -103,7 +103,7 @@ impl TileBuffer {
     }
 }
 
-/// Error when making a picture.
+/// Error when rendering a frame to a file.
 #[derive(Debug, thiserror::Error)]
 pub enum RenderFrameError {
     /// A tile could not be rendered.
@@ -118,7 +118,7 @@ pub enum RenderFrameError {
 }
 
 impl RenderFrameError {
-    /// Whether it was cancelled.
+    /// Whether the error is a cancel.
     pub fn is_cancelled(&self) -> bool {
         matches!(self, Self::Render(RenderError::Cancelled) | Self::Image(ImageError::Cancelled))
     }

@@ -1,7 +1,6 @@
-//! Pictures as files: what a picture is, and the way to its format's writer.
+//! Encodes pictures as files: describes a picture, and calls the encoder of its format.
 //!
-//! The bytes depend on the pixels and the provenance alone, never on tiles, bands or
-//! threads.
+//! The bytes depend on the pixels and the provenance alone, never on tiles, bands or threads.
 
 pub mod encoders;
 pub mod exr;
@@ -32,7 +31,7 @@ pub struct PictureSpec {
     pub channels: Vec<&'static str>,
     /// The file format.
     pub format: Format,
-    /// Bits a channel of a PNG.
+    /// Bits per channel of a PNG.
     pub bits: Bits,
     /// Precision of R G B A in an EXR.
     pub precision: Precision,
@@ -47,7 +46,7 @@ pub struct PictureSpec {
 }
 
 impl PictureSpec {
-    /// The picture that a job's frame asks for.
+    /// Picture settings of a job at a frame.
     pub fn new(still: &JobAtFrame<'_>) -> Self {
         let image = still.image();
         Self {
@@ -64,8 +63,8 @@ impl PictureSpec {
         }
     }
 
-    /// Writes the file, pulling its rows from `source` a band at a time, on the threads of the
-    /// pool it is called on.
+    /// Writes the file, reading its rows from `source` a band at a time, on the threads of the pool on which it
+    /// is called.
     pub fn write(
         &self,
         source: &mut dyn RowSource,
@@ -82,19 +81,19 @@ impl PictureSpec {
 /// Error when writing a picture.
 #[derive(Debug, thiserror::Error)]
 pub enum ImageError {
-    /// The flag went up.
+    /// The render was cancelled.
     #[error("the picture was cancelled")]
     Cancelled,
-    /// Its rows can't be had.
+    /// A tile's rows could not be read.
     #[error("could not read the picture's tiles")]
     Stitch(#[from] StitchError),
-    /// The file can't be written.
+    /// The file could not be written.
     #[error("could not write the picture")]
     Io(#[from] io::Error),
     /// The job is invalid at this frame.
-    #[error("the job has no picture in this frame")]
+    #[error("the job is invalid in this frame")]
     Frame(#[from] ::scene::FrameError),
-    /// The format can't hold it.
+    /// The format cannot represent the picture.
     #[error("could not encode the picture: {0}")]
     Format(String),
 }

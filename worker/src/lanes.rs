@@ -1,4 +1,4 @@
-//! Many numbers at once: [`scene::real::Real`] on the CPU's vector registers.
+//! Vector arithmetic: [`scene::real::Real`] on the CPU's vector registers.
 //!
 //! A [`Lanes`] is several registers wide, so that a node's overhead is shared. Every operation gives each
 //! lane the bits of the scalar reference.
@@ -17,7 +17,7 @@ thread_local! {
     static ACTIVE_LANES: Cell<u64> = const { Cell::new(u64::MAX) };
 }
 
-/// Sets the live lanes until it is dropped.
+/// Sets the active lanes until it is dropped.
 struct ActiveLanesGuard {
     outer: u64,
 }
@@ -29,7 +29,7 @@ impl ActiveLanesGuard {
     }
 
     #[inline(always)]
-    #[expect(clippy::unused_self, reason = "lanes are set only while there is someone to set them back")]
+    #[expect(clippy::unused_self, reason = "lanes are set only while a guard exists to reset them")]
     fn set(&self, lanes: u64) {
         ACTIVE_LANES.set(lanes);
     }
@@ -46,11 +46,11 @@ impl Drop for ActiveLanesGuard {
 #[derive(Clone, Copy)]
 pub struct Lanes<S: Simd, const N: usize>([S::f32s; N]);
 
-/// A condition for each of the lanes.
+/// Condition for each lane.
 #[derive(Clone, Copy)]
 pub struct LaneMask<S: Simd, const N: usize>([S::mask32s; N]);
 
-/// The bits of each of the lanes.
+/// Bits of each lane.
 #[derive(Clone, Copy)]
 pub struct LaneBits<S: Simd, const N: usize>([S::u32s; N]);
 
@@ -59,7 +59,7 @@ impl<S: Simd, const N: usize> Lanes<S, N> {
     pub const COUNT: usize = <S::f32s as SimdBase<S>>::LEN * N;
     const ALL: u64 = u64::MAX >> (64 - Self::COUNT);
 
-    /// The numbers that `f` gives for each lane.
+    /// Values of `f` for each lane.
     #[inline(always)]
     pub fn from_fn(token: S, f: impl Fn(usize) -> f32) -> Self {
         let mut registers = [S::f32s::splat(token, 0.0); N];
@@ -71,7 +71,7 @@ impl<S: Simd, const N: usize> Lanes<S, N> {
         Self(registers)
     }
 
-    /// Reads as many numbers as it holds.
+    /// Loads as many numbers as there are lanes.
     #[inline(always)]
     pub fn load(token: S, numbers: &[f32]) -> Self {
         let length = <S::f32s as SimdBase<S>>::LEN;
@@ -82,7 +82,7 @@ impl<S: Simd, const N: usize> Lanes<S, N> {
         Self(registers)
     }
 
-    /// Writes as many numbers as it holds.
+    /// Stores as many numbers as there are lanes.
     #[inline(always)]
     pub fn store(&self, numbers: &mut [f32]) {
         let length = <S::f32s as SimdBase<S>>::LEN;
@@ -91,7 +91,7 @@ impl<S: Simd, const N: usize> Lanes<S, N> {
         }
     }
 
-    /// The proof that this CPU has the instructions.
+    /// Proof token that this CPU has the instructions.
     #[inline(always)]
     pub fn token(&self) -> S {
         self.0[0].token()
@@ -229,7 +229,7 @@ fn lacks_fma<S: Simd>(token: S) -> bool {
     }
 }
 
-/// A fused operation as a call: its many instructions in every formula would be too much code.
+/// Fused operation as a call, because inlining its many instructions into every formula would be too much code.
 #[inline(never)]
 fn software_fma<S: Simd, const N: usize>(mut a: Lanes<S, N>, b: Lanes<S, N>, c: Lanes<S, N>) -> Lanes<S, N> {
     a.token().vectorize(
@@ -243,7 +243,7 @@ fn software_fma<S: Simd, const N: usize>(mut a: Lanes<S, N>, b: Lanes<S, N>, c: 
     )
 }
 
-/// Takes the first bundle's parts where the mask holds.
+/// Selects the first bundle's parts where the mask is set.
 struct SelectMerge<S: Simd, const N: usize>(LaneMask<S, N>);
 
 impl<S: Simd, const N: usize> Merge<Lanes<S, N>> for SelectMerge<S, N> {
@@ -304,8 +304,8 @@ impl<S: Simd, const N: usize> Real for Lanes<S, N> {
         self
     }
 
-    // Without NaN, and where no result depends on a zero's sign, every platform's minimum and
-    // maximum agree with the reference's.
+    // Without NaN, and because no result depends on a zero's sign, every platform's minimum and maximum agree
+    // with the reference's.
     #[inline(always)]
     fn min(mut self, other: Self) -> Self {
         for n in 0..N {

@@ -1,5 +1,5 @@
-//! Renders tiles and encodes pictures: the renderers behind one trait, tile blobs, stitching, PNG and EXR,
-//! and the agent that works for a server.
+//! Renders tiles and encodes pictures: the renderers behind one trait, tile blobs, stitching, PNG and EXR, and
+//! the agent that works for a server.
 //!
 //! Stateless: everything it holds can be rendered again.
 

@@ -8,9 +8,9 @@ use std::time::Duration;
 
 use proto::Rect;
 
-/// Renders tiles on one device, with all of it.
+/// Renders tiles on one device, of which it has exclusive use.
 ///
-/// The pixels depend on the run alone: every renderer gives the same bits.
+/// The pixels depend only on the tiles requested: all renderers are bit-identical.
 pub trait Renderer: Send + Sync {
     /// Device: `cpu` or `cuda:0`.
     fn device(&self) -> String;
@@ -24,7 +24,7 @@ pub trait Renderer: Send + Sync {
         progress: &(dyn Fn(u64) + Sync),
     ) -> Result<TilePixels, RenderError>;
 
-    /// Renders tiles of one job and frame, in their order; all of them, or none.
+    /// Renders tiles of one job and frame, in the given order. Returns all of them or an error.
     fn render_tiles(
         &self,
         runs: &[TileRequest<'_>],
@@ -50,23 +50,23 @@ pub trait Renderer: Send + Sync {
         std::thread::available_parallelism().map_or(1, usize::from)
     }
 
-    /// Takes back pixels that are not needed any more, to render into their memory again.
+    /// Accepts pixels that are no longer needed, so that their memory can be reused.
     fn recycle(&self, pixels: Vec<TilePixels>) {
         drop(pixels);
     }
 
-    /// The largest scene it takes, in nodes; `None` for any.
+    /// Largest scene that it can render, in nodes; `None` for any.
     fn max_nodes(&self) -> Option<u32> {
         None
     }
 
-    /// Why its device is lost, if it is; it will never render again.
+    /// Reason why its device is lost; `Some` is final.
     fn lost_reason(&self) -> Option<String> {
         None
     }
 }
 
-/// The most data of tiles that are rendered at a time, if they are more than one.
+/// Maximum memory of tiles that are rendered together, unless there is only one.
 const CHUNK_BYTES: u64 = 256 << 20;
 
 /// Number of these tiles per call: the renderer's preference, limited by memory.
@@ -110,17 +110,17 @@ impl TilePixels {
 pub struct CancelFlag(Arc<AtomicBool>);
 
 impl CancelFlag {
-    /// A flag that is down.
+    /// A flag that is not set.
     pub fn new() -> Self {
         Self::default()
     }
 
-    /// Raises the flag, for good.
+    /// Sets the flag permanently.
     pub fn cancel(&self) {
         self.0.store(true, Ordering::Relaxed);
     }
 
-    /// Whether the flag is up.
+    /// Whether the flag is set.
     pub fn is_cancelled(&self) -> bool {
         self.0.load(Ordering::Relaxed)
     }
@@ -129,27 +129,27 @@ impl CancelFlag {
 /// Error of a render.
 #[derive(Debug, thiserror::Error)]
 pub enum RenderError {
-    /// The flag went up.
+    /// The render was cancelled.
     #[error("the render was cancelled")]
     Cancelled,
-    /// This machine lacks what was asked for.
-    #[error("this machine can't render with {requested}: {reason}")]
+    /// This machine lacks the requested feature.
+    #[error("this machine cannot render with {requested}: {reason}")]
     Unavailable {
         /// Requested SIMD level or device.
         requested: String,
-        /// What is missing, and the fix.
+        /// Missing feature, and the fix.
         reason: String,
     },
     /// The threads to render on could not be started.
     #[error("could not start the rendering threads")]
     Threads(#[source] rayon::ThreadPoolBuildError),
     /// The job is invalid at this frame.
-    #[error("the job can't be rendered in this frame")]
+    #[error("the job is invalid in this frame")]
     InvalidFrame(#[from] scene::FrameError),
-    /// The device gave up.
+    /// The device failed.
     #[error("{device} could not render: {reason}")]
     Device {
-        /// Which device.
+        /// Name of the device.
         device: String,
         /// Message.
         reason: String,

@@ -7,10 +7,10 @@ use fearless_simd::Level;
 
 use crate::RenderError;
 
-/// Vector instructions to render with. All give the same bits.
+/// Vector instructions to render with. All are bit-identical.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Simd {
-    /// The widest that this CPU has.
+    /// The widest level of this CPU.
     #[default]
     Auto,
     /// AVX-512: 16 lanes.
@@ -24,10 +24,10 @@ pub enum Simd {
 }
 
 impl Simd {
-    /// Every level that can be asked for by name, widest first.
+    /// Every level with a name, widest first.
     pub const LEVELS: [Self; 4] = [Self::Avx512, Self::Avx2, Self::Sse42, Self::Scalar];
 
-    /// The name, as flags spell it.
+    /// Name of the level, as flags spell it.
     pub fn name(self) -> &'static str {
         match self {
             Self::Auto => "auto",
@@ -38,12 +38,12 @@ impl Simd {
         }
     }
 
-    /// Whether this CPU has it.
+    /// Whether this CPU has the instructions.
     pub fn is_available(self) -> bool {
         self.level().is_ok()
     }
 
-    /// The level of this name that `Auto` means on this CPU; of other levels, themselves.
+    /// The level itself; for `Auto`, the widest level of this CPU.
     pub fn resolve_auto(self) -> Self {
         match self {
             Self::Auto => Self::LEVELS.into_iter().find(|level| level.is_available()).unwrap_or(Self::Scalar),
@@ -51,7 +51,7 @@ impl Simd {
         }
     }
 
-    /// The proof that this CPU has it.
+    /// Proof token that this CPU has the instructions.
     pub(crate) fn level(self) -> Result<Level, RenderError> {
         let here = Level::new();
         let level = match self {
@@ -79,9 +79,9 @@ impl fmt::Display for Simd {
     }
 }
 
-/// Compiles and runs `$body` for the instructions of a [`Level`], with their token and the number of
-/// registers per packet: more registers share the cost of walking the scene, fewer keep the pixels of a
-/// packet similar.
+/// Compiles and runs `$body` for the instructions of a [`Level`], with their token and the number of registers
+/// per packet: more registers share the cost of evaluating the scene, fewer keep the pixels of a packet
+/// similar.
 macro_rules! with_instructions {
     ($level:expr, $token:ident, $REGISTERS:ident => $body:expr) => {
         match $level {
@@ -107,9 +107,9 @@ macro_rules! with_instructions {
 
 pub(crate) use with_instructions;
 
-/// A name that is no SIMD level.
+/// Error returned when a name is not a SIMD level.
 #[derive(Debug, thiserror::Error)]
-#[error("\"{0}\" is no SIMD level: use auto, avx512, avx2, sse4.2 or scalar")]
+#[error("\"{0}\" is not a SIMD level: use auto, avx512, avx2, sse4.2 or scalar")]
 pub struct UnknownSimd(String);
 
 impl FromStr for Simd {

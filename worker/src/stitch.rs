@@ -1,7 +1,7 @@
-//! Puts a picture's tiles together again, a band of whole rows at a time, so that a
-//! picture needs a band of memory and not itself.
+//! Combines a picture's tiles, a band of whole rows at a time, so that memory is needed for a band and not for
+//! the picture.
 //!
-//! It copies floats and changes none.
+//! It copies floats unchanged.
 
 use std::io::{Read, Seek};
 use std::ops::Range;
@@ -11,7 +11,7 @@ use proto::Rect;
 use crate::blob::{self, BlobError};
 use crate::renderer::TilePixels;
 
-/// Whole rows of a picture, all its planes.
+/// Consecutive whole rows of a picture, with all planes.
 #[derive(Debug)]
 pub struct RowBand {
     rows: Range<u32>,
@@ -79,7 +79,7 @@ impl RowSource for TileRows<'_> {
     }
 }
 
-/// Tile blobs one behind the other in a file.
+/// Tile blobs, one after another in a file.
 #[derive(Debug)]
 pub struct BlobRows<F> {
     file: F,
@@ -88,7 +88,7 @@ pub struct BlobRows<F> {
 }
 
 impl<F: Read + Seek> BlobRows<F> {
-    /// The blobs of these rectangles, each starting at its place in the file.
+    /// Blobs of these rectangles, each starting at its offset in the file.
     pub fn new(file: F, places: Vec<(Rect, u64)>) -> Self {
         Self { file, offsets: places, bytes: Vec::new() }
     }
@@ -140,7 +140,7 @@ fn check_covered(band: &RowBand, covered: usize) -> Result<(), StitchError> {
 /// Error when combining tiles.
 #[derive(Debug, thiserror::Error)]
 pub enum StitchError {
-    /// A blob can't be read.
+    /// A blob could not be read.
     #[error("could not read the blob of the tile at {}, {}", rect.x, rect.y)]
     Blob {
         /// The tile.
@@ -149,23 +149,23 @@ pub enum StitchError {
         #[source]
         source: BlobError,
     },
-    /// A blob holds another tile.
-    #[error("the blob of the tile {expected:?} holds {found:?}")]
+    /// A blob has another rectangle than expected.
+    #[error("the blob of the tile {expected:?} has the tile {found:?}")]
     WrongRect {
-        /// The tile it was named for.
+        /// Expected rectangle.
         expected: Rect,
-        /// Rectangle according to its header.
+        /// Rectangle in the header.
         found: Rect,
     },
-    /// A tile is no part of this picture.
+    /// A tile is outside the picture, or has other planes.
     #[error("the tile {rect:?} with {planes} planes does not fit the picture")]
     WrongShape {
         /// The tile.
         rect: Rect,
-        /// The planes it has.
+        /// Number of planes.
         planes: usize,
     },
-    /// Tiles leave a gap, or overlap.
+    /// Rows are not covered exactly once.
     #[error("the tiles do not cover rows {} to {} exactly once", rows.start, rows.end)]
     Uncovered {
         /// The rows.

@@ -2,7 +2,7 @@
 //! formula once on symbols; source for a compiler is generated from the tape.
 //!
 //! The tape is typed and in static single assignment form: each value is defined once, before its uses, in a
-//! block that encloses them. Nothing here knows of GPUs.
+//! block that encloses them. Nothing here depends on GPUs.
 
 mod c_source;
 mod expr;
@@ -31,9 +31,9 @@ pub enum ValueType {
 /// Operation that defines a value.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum Operation {
-    /// A number of the formula, by its bits: code.
+    /// Constant of the formula, by its bits: part of the code.
     Constant(u32),
-    /// A number of the scene, by its place in [`Tape::uniforms`]: data.
+    /// Uniform of the scene, by its index in [`Tape::uniforms`]: data.
     Uniform(u32),
     /// Argument of the enclosing function.
     Argument,
@@ -51,27 +51,27 @@ pub enum Operation {
     Div,
     /// Fused product and sum.
     Fma,
-    /// The lesser.
+    /// Minimum.
     Min,
-    /// The greater.
+    /// Maximum.
     Max,
-    /// The opposite.
+    /// Negation.
     Neg,
-    /// Size without sign.
+    /// Absolute value.
     Abs,
-    /// Whole part, downwards.
+    /// Floor.
     Floor,
     /// Square root.
     Sqrt,
     /// Whether the first is less than the second.
     Less,
-    /// Both.
+    /// And.
     And,
-    /// One or both.
+    /// Or.
     Or,
-    /// The other one.
+    /// Not.
     Not,
-    /// The second where the first holds, else the third.
+    /// Select: the second operand if the first is true, otherwise the third.
     Select,
     /// The bits of a number.
     ToBits,
@@ -87,14 +87,14 @@ pub enum Operation {
     AndU32,
     /// Bits in any.
     OrU32,
-    /// Bits moved up.
+    /// Bits shifted left.
     ShiftLeft,
-    /// Bits moved down.
+    /// Bits shifted right.
     ShiftRight,
 }
 
 impl Operation {
-    /// Whether it needs no code: it is written where it is used.
+    /// Whether it needs no statement: it is written where it is used.
     fn is_constant(self) -> bool {
         matches!(self, Self::Constant(_) | Self::Uniform(_))
     }
@@ -155,7 +155,7 @@ pub struct Instruction {
     operands: [Option<ValueId>; 3],
 }
 
-/// One step of a block.
+/// Statement of a block.
 #[derive(Clone, Debug)]
 enum Statement {
     /// Computes a value.
@@ -164,7 +164,7 @@ enum Statement {
     Comment(&'static str),
     /// Calls a function.
     Call { function: usize, arguments: Vec<ValueId>, returned: Vec<ValueId> },
-    /// Assigns `value` to the variables where the condition holds, else `otherwise`.
+    /// Assigns `value` to the variables if the condition is true, otherwise `otherwise`.
     When {
         condition: ValueId,
         variables: Vec<ValueId>,
@@ -183,14 +183,14 @@ enum Statement {
     },
 }
 
-/// A step of the formula that is called by name.
+/// A step of the formula, called by name.
 #[derive(Clone, Debug)]
 struct Function {
     name: &'static str,
     arguments: Vec<ValueId>,
     body: Vec<Statement>,
     results: Vec<ValueId>,
-    /// Whether others than this tape call it: then all its arguments and results stay.
+    /// Whether code outside the tape calls it: then all its arguments and results stay.
     is_entry: bool,
 }
 
@@ -204,13 +204,13 @@ pub struct Tape {
 }
 
 impl Tape {
-    /// The numbers of the scene, by their bits, in the order of their use.
+    /// Uniforms of the scene, by their bits, in the order of their use.
     pub fn uniforms(&self) -> &[u32] {
         &self.uniforms
     }
 
-    /// Arithmetic operations in one call of a step: a fused one counts twice, a root as 7 and a quotient
-    /// as 10 (their cost on a GPU); `None` if it has loops or branches.
+    /// Arithmetic operations in one call of a step. A fused operation counts as 2, a root as 7 and a quotient
+    /// as 10 (their cost on a GPU); `None` if the step has loops or branches.
     pub fn flops_per_call(&self, step: &str) -> Option<u64> {
         let function = self.functions.iter().find(|function| function.name == step)?;
         let of_statement = |statement: &Statement| match statement {

@@ -249,9 +249,9 @@ mod tests {
     fn an_unreachable_server_is_reported_and_the_last_values_stay() {
         let mut screen = Screen::default();
         screen.show(crate::overview::tests::unhealthy());
-        screen.trouble = Some("no server answers".to_owned());
+        screen.trouble = Some("no server responds".to_owned());
         let text = shown(&screen, 80, 24);
-        assert!(text.contains("no server answers") && text.contains("fjord"), "{text}");
+        assert!(text.contains("no server responds") && text.contains("fjord"), "{text}");
     }
 
     #[test]

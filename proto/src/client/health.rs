@@ -1,4 +1,4 @@
-//! Health of a server.
+//! Client requests for the health of a server.
 
 use reqwest::Method;
 use serde::Deserialize;
@@ -13,12 +13,12 @@ pub struct Readiness {
 }
 
 impl Client {
-    /// Whether database and store can be used; if not, the problem is the error.
+    /// Whether the database and the content store can be used; if not, the error is the problem.
     pub async fn ready(&self) -> Result<Readiness, ClientError> {
         self.json(self.request(Method::GET, "/readyz")).await
     }
 
-    /// Every metric, as text.
+    /// Metrics in the `OpenMetrics` text format.
     pub async fn metrics(&self) -> Result<String, ClientError> {
         let response = self.send(self.request(Method::GET, "/metrics")).await?;
         response.text().await.map_err(|source| self.connection_lost(source))

@@ -1,4 +1,5 @@
-//! The client's ways with one job: handing it in safely, following it, changing it, fetching its frames.
+//! Client requests about one job: submitting it idempotently, following its events, changing it, fetching its
+//! frames.
 
 use std::io::Write;
 
@@ -21,7 +22,7 @@ pub struct SubmitOptions {
     pub idempotency_key: Option<String>,
     /// Webhook addresses to notify when it has finished.
     pub webhooks: Vec<String>,
-    /// How long it is kept after it finishes; `None` means the server's default.
+    /// Retention after it finishes; `None` means the server's default.
     pub keep: Option<Retention>,
 }
 
@@ -53,7 +54,7 @@ impl EventStream {
         }
     }
 
-    /// The id of the last event: what to resume after.
+    /// Id of the last event, from which the stream can be resumed.
     pub fn last_id(&self) -> Option<&str> {
         self.last_id.as_deref()
     }
@@ -78,8 +79,8 @@ impl Client {
         self.json(request).await
     }
 
-    /// Subscribes to a job's events, from the first or after the given one; `None` if no event will
-    /// follow that one.
+    /// Subscribes to a job's events, from the first or after the given one; `None` if no event will follow that
+    /// one.
     pub async fn events(&self, id: JobId, after: Option<&str>) -> Result<Option<EventStream>, ClientError> {
         let mut request =
             self.request(Method::GET, &format!("/v1/jobs/{id}/events")).header(ACCEPT, "text/event-stream");
@@ -103,7 +104,7 @@ impl Client {
         }))
     }
 
-    /// Has a failed job's dead tiles rendered again.
+    /// Requeues a failed job's dead tiles.
     pub async fn retry(&self, id: JobId) -> Result<JobView, ClientError> {
         self.json(self.request(Method::POST, &format!("/v1/jobs/{id}/retry"))).await
     }
@@ -113,7 +114,7 @@ impl Client {
         self.json(self.request(Method::PATCH, &format!("/v1/jobs/{id}")).json(patch)).await
     }
 
-    /// The jobs that a name, a part of an id, or `latest` may mean, newest first.
+    /// Jobs that match a name, a part of an id, or `latest`, newest first.
     pub async fn jobs_like(&self, text: &str, limit: u32) -> Result<JobPage, ClientError> {
         let limit = limit.to_string();
         self.json(self.request(Method::GET, "/v1/jobs").query(&[("match", text), ("limit", &limit)])).await
@@ -136,7 +137,7 @@ impl Client {
         self.json(request).await
     }
 
-    /// What deleting a job would delete.
+    /// Dry run of a deletion: the contents that it would remove.
     pub async fn delete_dry_run(&self, id: JobId) -> Result<DeleteDryRun, ClientError> {
         self.json(self.request(Method::DELETE, &format!("/v1/jobs/{id}")).query(&[("dry_run", "true")])).await
     }

@@ -1,4 +1,4 @@
-//! The client's routes for previews, links and retention.
+//! Client requests for previews, links and retention.
 
 use std::io::Write;
 
@@ -10,7 +10,7 @@ use crate::link::{LinkRequest, LinkView};
 use crate::retention::GcReport;
 
 impl Client {
-    /// Writes a PNG of what is finished of a frame to `out`; returns its size in bytes.
+    /// Writes a PNG of the finished part of a frame to `out`; returns its size in bytes.
     pub async fn preview(
         &self,
         id: JobId,
@@ -25,7 +25,7 @@ impl Client {
         self.download(request, out).await
     }
 
-    /// Has a link to a frame's picture signed.
+    /// Creates a signed link to a frame's picture.
     pub async fn link(&self, id: JobId, frame: u32, link: &LinkRequest) -> Result<LinkView, ClientError> {
         self.json(self.request(Method::POST, &format!("/v1/jobs/{id}/frames/{frame}/link")).json(link)).await
     }

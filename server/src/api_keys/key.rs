@@ -1,4 +1,4 @@
-//! One key: what it lets its bearer do, until when, and how often.
+//! API key: its scopes, expiry and limits.
 
 use std::num::NonZeroU32;
 use std::sync::Arc;
@@ -19,28 +19,28 @@ use crate::clock::rfc3339;
 const MAX_REQUESTS_PER_SECOND: u32 = 100_000;
 /// Default rate limit of a key, in requests per second.
 pub(crate) const REQUESTS_PER_SECOND: u32 = 1000;
-/// No key was ever used at this time.
+/// Sentinel for a key that was never used.
 const NEVER: i64 = i64::MIN;
 
 /// Rate limiter of one caller.
 pub(crate) type KeyLimiter = RateLimiter<NotKeyed, InMemoryState, DefaultClock, StateInformationMiddleware>;
 
-/// A set of scopes, each at its place in [`Scope::ALL`].
+/// Set of scopes; each bit's position is the scope's index in [`Scope::ALL`].
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(crate) struct Scopes([bool; Scope::ALL.len()]);
 
 impl Scopes {
-    /// Whether they allow what this scope does; `admin` allows everything.
+    /// Whether the set permits this scope; `admin` permits everything.
     pub(crate) fn is_allowed(self, scope: Scope) -> bool {
         self.has(scope) || self.has(Scope::Admin)
     }
 
-    /// The scopes that these tests hold for.
+    /// Set of the scopes for which `test` returns true.
     pub(super) fn from_fn(has: impl Fn(Scope) -> bool) -> Self {
         Self(Scope::ALL.map(has))
     }
 
-    /// Whether this very one is among them.
+    /// Whether the set has exactly this scope.
     pub(super) fn has(self, scope: Scope) -> bool {
         self.names().contains(&scope)
     }
@@ -63,7 +63,7 @@ pub(super) struct KeySpec {
 }
 
 impl KeySpec {
-    /// Checks what was asked for.
+    /// Validates a request for a key.
     pub(super) fn check(new: NewApiKey, now_ms: i64) -> Result<Self, ApiKeyError> {
         let is_plain = |byte: u8| byte.is_ascii_alphanumeric() || b"-_.".contains(&byte);
         let length = new.name.len();
@@ -77,10 +77,14 @@ impl KeySpec {
         if new.scopes.is_empty() {
             return Err(ApiKeyError::NoScope);
         }
-        check_range("the life in seconds", new.expires_in_seconds, MAX_LIFE_SECONDS)?;
+        check_range("the lifetime in seconds", new.expires_in_seconds, MAX_LIFE_SECONDS)?;
         check_range("the number of jobs", new.max_jobs.map(u64::from), u32::MAX.into())?;
         check_range("the number of rays", new.max_rays, i64::MAX.unsigned_abs())?;
-        check_range("the requests a second", new.requests_per_second.map(u64::from), MAX_REQUESTS_PER_SECOND.into())?;
+        check_range(
+            "the number of requests per second",
+            new.requests_per_second.map(u64::from),
+            MAX_REQUESTS_PER_SECOND.into(),
+        )?;
         Ok(Self {
             scopes: Scopes::from_fn(|scope| new.scopes.contains(&scope)),
             name: new.name,
@@ -100,7 +104,7 @@ fn check_range(what: &'static str, found: Option<u64>, most: u64) -> Result<(), 
     }
 }
 
-/// A key as the table has it.
+/// Row of a key in the table.
 #[derive(Clone, Debug)]
 pub(super) struct KeyRow {
     pub(super) number: i64,
@@ -133,7 +137,7 @@ struct KeyRuntime {
 }
 
 impl ApiKey {
-    /// Builds the key of a row; `known` is the same key as of the last reload.
+    /// Builds the key of a row; `known` is the same key as loaded before, whose state it shares.
     pub(super) fn new(row: KeyRow, known: Option<&Self>) -> Self {
         let ongoing = known.map_or_else(
             || {
@@ -176,18 +180,18 @@ impl ApiKey {
         self.ongoing.used_ms.fetch_max(now_ms, Ordering::Relaxed);
     }
 
-    /// When it was last used since the server started.
+    /// Time of the last use since the server started.
     pub(super) fn last_used_ms(&self) -> Option<i64> {
         let used_ms = self.ongoing.used_ms.load(Ordering::Relaxed);
         (used_ms != NEVER).then_some(used_ms)
     }
 
-    /// Its id, for people.
+    /// Id of the key.
     pub(crate) fn id(&self) -> &str {
         &self.row.id
     }
 
-    /// Name of its owner.
+    /// Name of the owner.
     pub(crate) fn name(&self) -> &str {
         &self.row.name
     }
@@ -261,7 +265,7 @@ mod tests {
     }
 
     #[test]
-    fn limits_of_a_key_hold_to_the_last_value() {
+    fn limits_accept_their_maximum_and_reject_more() {
         let (life, rays) = (Some(MAX_LIFE_SECONDS), Some(i64::MAX.unsigned_abs()));
         assert!(is_fine(NewApiKey { expires_in_seconds: life, max_rays: rays, ..new("a") }));
         assert!(!is_fine(NewApiKey { expires_in_seconds: life.map(|seconds| seconds + 1), ..new("a") }));
@@ -297,12 +301,12 @@ mod tests {
     }
 
     #[test]
-    fn key_lives_until_its_end_and_what_goes_on_ends_with_it() {
+    fn an_expired_key_ends_its_open_requests() {
         let key = ApiKey::new(row(Some(5000), None), None);
         assert!(key.is_live(4999) && !key.is_live(5000));
         key.revoke_if_expired(4999);
         assert!(!key.revoked().is_cancelled());
-        // The same key, read again: what goes on under it is told.
+        // Reloading the key must not lose its open requests.
         let again = ApiKey::new(row(Some(5000), Some(2000)), Some(&key));
         assert!(!again.is_live(3000) && again.is_revoked());
         again.revoke_if_expired(3000);
@@ -312,7 +316,7 @@ mod tests {
     }
 
     #[test]
-    fn view_of_a_key_shows_what_it_may_and_its_latest_use() {
+    fn the_view_shows_scopes_limits_and_last_use() {
         let key = ApiKey::new(row(None, None), None);
         assert_eq!(key.last_used_ms(), None);
         assert_eq!(key.view(0).last_used_at.as_deref(), Some("1970-01-01T00:00:01.000Z"));

@@ -1,6 +1,6 @@
-//! The keys of a data folder, for the command line: whether a server runs on it or not.
+//! API keys of a data folder, for the command line, with or without a running server.
 //!
-//! A running server notices what is changed here within a second.
+//! A running server applies changes made here within 1 s.
 
 use std::path::{Path, PathBuf};
 use std::time::Duration;
@@ -15,14 +15,14 @@ use crate::clock::Clock;
 use crate::database::{Database, DatabaseError, OpenError};
 use crate::lock::{FolderLock, LockError};
 
-/// How long to wait for the database while a running server writes.
+/// Timeout for the database while a running server writes.
 const LOCK_TIMEOUT: Duration = Duration::from_secs(10);
 
 /// Error when changing or listing the keys of a data folder.
 #[derive(Debug, thiserror::Error)]
 pub enum OfflineApiKeysError {
-    /// The folder or its database can't be used.
-    #[error("the keys of the data folder {folder} can't be reached: {reason}; {cure}")]
+    /// The folder or its database cannot be used.
+    #[error("cannot read the keys of the data folder {folder}: {reason}; {cure}")]
     Folder {
         /// The folder.
         folder: PathBuf,
@@ -36,24 +36,24 @@ pub enum OfflineApiKeysError {
     Refused(String),
 }
 
-const USE_OTHER_FOLDER_FIX: &str = "name the server's folder with --data";
-const SAME_RELEASE: &str = "run the same release of sdfarm as the server that runs on it";
+const USE_OTHER_FOLDER_FIX: &str = "pass the server's data folder with --data";
+const SAME_RELEASE: &str = "run the same release of sdfarm as the running server";
 
-/// The keys of a data folder.
+/// Access to the keys of a data folder.
 #[derive(Debug)]
 pub struct OfflineApiKeys {
     connection: SqliteConnection,
     folder: PathBuf,
-    // While no server runs, the lock keeps one from starting on a half-made database.
+    // If no server runs, the lock prevents one from starting while the database is being created.
     _lock: Option<FolderLock>,
 }
 
 impl OfflineApiKeys {
-    /// Opens the keys of a folder that a server has used.
+    /// Opens the keys of a folder that a server has used before.
     pub async fn open(folder: &Path) -> Result<Self, OfflineApiKeysError> {
         let wrong = |reason: String, cure| OfflineApiKeysError::Folder { folder: folder.to_owned(), reason, cure };
         if !Database::file(folder).is_file() {
-            return Err(wrong("there is no farm in it".to_owned(), USE_OTHER_FOLDER_FIX));
+            return Err(wrong("it has no farm".to_owned(), USE_OTHER_FOLDER_FIX));
         }
         Self::open_or_create(folder).await
     }
@@ -101,7 +101,7 @@ impl OfflineApiKeys {
         Ok(self.rows().await?.into_iter().map(|row| ApiKey::new(row, None).view(now_ms)).collect())
     }
 
-    /// Revokes the key of an id, or all of a name.
+    /// Revokes the key with this id, or all keys of this name.
     pub async fn revoke(&mut self, id_or_name: &str) -> Result<Vec<ApiKeyView>, OfflineApiKeysError> {
         let revoked = rows::revoke(&mut self.connection, id_or_name, now_ms()).await;
         let revoked = revoked.map_err(|error| self.failed(&error))?;

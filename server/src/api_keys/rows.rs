@@ -10,7 +10,7 @@ use super::MAX_LIVE_OF_A_NAME;
 use super::key::{KeyRow, KeySpec, Scopes};
 use crate::database::DatabaseError;
 
-/// Writes a key's row, unless its name has both its live keys; whether it did.
+/// Inserts a key's row, unless its name has two live keys already; returns whether it did.
 pub(super) async fn insert(
     connection: &mut SqliteConnection,
     id: &str,
@@ -42,7 +42,7 @@ pub(super) async fn insert(
     Ok(done.rows_affected() == 1)
 }
 
-/// Revokes the key of an id, or every key of a name; returns their ids.
+/// Revokes the key with this id, or every key of this name; returns their ids.
 pub(super) async fn revoke(
     connection: &mut SqliteConnection,
     id_or_name: &str,
@@ -58,13 +58,13 @@ pub(super) async fn revoke(
     Ok(ids)
 }
 
-/// Writes down when a key was used.
+/// Stores the time of a key's last use.
 pub(super) async fn set_last_used(
     connection: &mut SqliteConnection,
     number: i64,
     used_ms: i64,
 ) -> Result<(), DatabaseError> {
-    // No row is no error: the key may have been deleted in the meantime.
+    // No row is not an error: the key may have been deleted in the meantime.
     sqlx::query("UPDATE key SET last_used_at_ms = ? WHERE number = ?")
         .bind(used_ms)
         .bind(number)

@@ -9,9 +9,9 @@ use super::ApiKeyError;
 
 /// Prefix of every key, so that people and secret scanners recognize it.
 const PREFIX: &str = "sdf_";
-/// Random bytes of a key.
+/// Number of random bytes of a key.
 const SECRET_BYTES: usize = 32;
-/// Random bytes of a key's id.
+/// Number of random bytes of a key's id.
 const ID_BYTES: usize = 6;
 
 /// A new secret; it has no `Debug`, so that no log can show it.
@@ -47,7 +47,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn secrets_have_256_bits_and_are_never_the_same() {
+    fn secrets_have_256_bits_and_differ() {
         let (one, two) = (generate().expect("random bits"), generate().expect("random bits"));
         assert_ne!(one.secret, two.secret);
         assert_ne!(one.id, two.id);

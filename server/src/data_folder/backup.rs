@@ -1,6 +1,7 @@
 //! Backup of a running farm: the database as of one instant, then the pictures it names.
 //!
-//! Pictures never change, so only new ones are taken. Tile blobs are left out: what lacks them is rendered again.
+//! Pictures never change, so only new ones are copied. Tile blobs are left out: unfinished frames are rendered
+//! again.
 
 use std::collections::HashSet;
 use std::fs::{self, File};
@@ -13,23 +14,23 @@ use super::manifest::{self, Manifest};
 use super::{DataFolderError, database, hashed_files};
 use crate::clock::{Clock, rfc3339};
 
-/// How many times the database is copied again, if pictures that it names were deleted in the meantime.
+/// Maximum number of repeats if pictures in the database's copy were deleted in the meantime.
 const MAX_ATTEMPTS: u32 = 4;
-/// Larger files of a data folder are none of ours.
+/// Files of a data folder larger than this are not copied, because sdfarm has no such files.
 const MAX_FILE_BYTES: u64 = 1 << 20;
 
 /// Result of a backup.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Backup {
-    /// Pictures in it.
+    /// Number of pictures in the backup.
     pub pictures: u64,
-    /// Of those, copied by this backup.
+    /// Number of pictures copied by this run.
     pub copied: u64,
-    /// Bytes taken now.
+    /// Bytes copied by this run.
     pub copied_bytes: u64,
-    /// Pictures of earlier backups that no job has any more, which were dropped.
+    /// Number of pictures from earlier backups that were deleted because no job uses them any more.
     pub removed: u64,
-    /// Pictures that the database names and the store has lost.
+    /// Pictures in the database that are missing from the store.
     pub missing: Vec<String>,
 }
 
@@ -54,7 +55,7 @@ pub async fn back_up(data: &Path, folder: &Path) -> Result<Backup, DataFolderErr
         }
         return finish(data, folder, earlier.as_ref(), &names, backup);
     }
-    unreachable!("the rounds end")
+    unreachable!("the last round returns")
 }
 
 fn prepare(data: &Path, folder: &Path) -> Result<Option<Manifest>, DataFolderError> {
@@ -89,7 +90,7 @@ async fn picture_refs(copy: &Path) -> Result<Vec<PictureRef>, DataFolderError> {
     Ok(names)
 }
 
-/// Links or copies the pictures that are not there yet, each checked by its hash.
+/// Links or copies the missing pictures, each verified by its hash.
 fn copy_pictures(data: &Path, folder: &Path, names: &[PictureRef]) -> Result<Backup, DataFolderError> {
     let mut backup = Backup { pictures: names.len() as u64, ..Backup::default() };
     for named in names {
@@ -110,7 +111,8 @@ fn copy_pictures(data: &Path, folder: &Path, names: &[PictureRef]) -> Result<Bac
     Ok(backup)
 }
 
-/// Whether the farm itself misses some of these pictures; else they were deleted with their jobs just now.
+/// Whether the farm itself lacks some of these pictures; if not, they were deleted with their jobs in the
+/// meantime.
 async fn missing_in_farm(
     live: &mut sqlx::sqlite::SqliteConnection,
     missing: &[String],
@@ -124,7 +126,8 @@ async fn missing_in_farm(
     named.map_err(DataFolderError::database(&crate::database::Database::file(data)))
 }
 
-/// Puts the copies in place, the list last of all, and drops what is in no list any more.
+/// Moves the copies to their final names, the manifest last, and deletes files that are in no manifest any
+/// more.
 fn finish(
     data: &Path,
     folder: &Path,

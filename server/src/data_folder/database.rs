@@ -8,12 +8,12 @@ use sqlx::{ConnectOptions, Row};
 use super::DataFolderError;
 use crate::database::Database;
 
-/// A picture that the database names.
+/// Picture in the database.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(super) struct PictureRef {
     /// BLAKE3 of its bytes, in hex.
     pub(super) hash: String,
-    /// Total size of the pictures.
+    /// Its size in bytes.
     pub(super) size_bytes: u64,
 }
 
@@ -26,7 +26,7 @@ pub(super) async fn open(data: &Path) -> Result<SqliteConnection, DataFolderErro
     open_file(&file).await
 }
 
-/// Opens any database to be read.
+/// Opens any database file for reading.
 pub(super) async fn open_file(file: &Path) -> Result<SqliteConnection, DataFolderError> {
     let options = SqliteConnectOptions::new().filename(file).read_only(true).disable_statement_logging();
     options.connect().await.map_err(DataFolderError::database(file))
@@ -38,12 +38,12 @@ pub(super) async fn integrity_errors(connection: &mut SqliteConnection) -> Resul
     faults.retain(|line| line != "ok");
     for row in sqlx::query("PRAGMA foreign_key_check").fetch_all(connection).await?.iter().take(20) {
         let (table, parent): (String, String) = (row.try_get("table")?, row.try_get("parent")?);
-        faults.push(format!("a row of {table} names a row of {parent} that is not there"));
+        faults.push(format!("a row of {table} refers to a missing row of {parent}"));
     }
     Ok(faults)
 }
 
-/// Every picture that the database names.
+/// Every picture in the database.
 pub(super) async fn pictures(connection: &mut SqliteConnection) -> Result<Vec<PictureRef>, sqlx::Error> {
     let rows = sqlx::query(
         "SELECT picture AS hash, size_bytes FROM frame WHERE picture IS NOT NULL
@@ -56,7 +56,7 @@ pub(super) async fn pictures(connection: &mut SqliteConnection) -> Result<Vec<Pi
         .collect()
 }
 
-/// Every blob that a frame still needs.
+/// Every blob of an unfinished frame.
 pub(super) async fn blobs(connection: &mut SqliteConnection) -> Result<Vec<String>, sqlx::Error> {
     sqlx::query_scalar(
         "SELECT DISTINCT tile.blob FROM tile JOIN frame ON frame.job = tile.job AND frame.number = tile.frame
@@ -71,7 +71,8 @@ pub(super) async fn newest_ms(connection: &mut SqliteConnection) -> Result<Optio
     sqlx::query_scalar("SELECT created_at_ms FROM job ORDER BY number DESC LIMIT 1").fetch_optional(connection).await
 }
 
-/// What is unusual about a database's migrations, in one line, and whether the next start fixes it.
+/// Differences between the database's migrations and this release's, a line each, and whether the next start
+/// fixes it.
 pub(super) async fn migrations(connection: &mut SqliteConnection) -> Result<Vec<(String, bool)>, sqlx::Error> {
     let rows =
         sqlx::query("SELECT version, checksum, success FROM _sqlx_migrations ORDER BY version").fetch_all(connection);
@@ -80,12 +81,12 @@ pub(super) async fn migrations(connection: &mut SqliteConnection) -> Result<Vec<
     for row in rows.await? {
         let (version, checksum): (i64, Vec<u8>) = (row.try_get("version")?, row.try_get("checksum")?);
         match crate::database::migrations().find(|(known, _)| *known == version) {
-            None => odd.push((format!("migration {version} is of a newer release"), false)),
+            None => odd.push((format!("migration {version} is from a newer release"), false)),
             Some((_, known)) if known != checksum => {
-                odd.push((format!("migration {version} is not the one of this release"), false));
+                odd.push((format!("migration {version} differs from this release's"), false));
             }
             Some(_) if !row.try_get::<bool, _>("success")? => {
-                odd.push((format!("migration {version} broke off"), false));
+                odd.push((format!("migration {version} was interrupted"), false));
             }
             Some(_) => {}
         }
@@ -93,7 +94,7 @@ pub(super) async fn migrations(connection: &mut SqliteConnection) -> Result<Vec<
     }
     let missing = crate::database::migrations().filter(|(version, _)| !done.contains(version)).count();
     if missing > 0 {
-        odd.push((format!("{missing} migrations are still to be done"), true));
+        odd.push((format!("{missing} migrations are pending"), true));
     }
     Ok(odd)
 }

@@ -1,4 +1,4 @@
-//! Whether all is well with a farm: its database, its store, its disk, the machine's clock and limits.
+//! Checks a farm: its database, its store, its disk, the machine's clock and limits.
 //!
 //! Every finding that is not ok has a fix. Only a repair changes anything, and only while no server runs.
 
@@ -16,23 +16,23 @@ use crate::lock::{FolderLock, LockError};
 use crate::queue::{Reopened, forget_pictures};
 use crate::telemetry::host;
 
-/// With less free disk, a warning.
+/// Free disk space below which there is a warning.
 const MIN_DISK_BYTES: u64 = 5 << 30;
-/// With less free disk, an error: the farm stops.
+/// Free disk space below which there is an error: the farm stops.
 const NO_DISK_BYTES: u64 = 500 << 20;
-/// Open files that a busy server needs.
+/// Number of open files that a busy server needs.
 const MIN_OPEN_FILES: u64 = 4096;
-/// A longer log is not folded into its file.
+/// WAL size above which the WAL is not being checkpointed.
 const LARGE_WAL_BYTES: u64 = 1 << 30;
 /// Maximum difference between clocks.
 const SKEW_MS: i64 = 60_000;
-/// No clock that is right shows less: the first of January 2026.
+/// Earliest time that a correct clock shows: January 1, 2026.
 const MIN_PLAUSIBLE_MS: i64 = 1_767_225_600_000;
 
 /// Severity of a finding.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Severity {
-    /// As it should be.
+    /// No problem.
     Ok,
     /// Works, but needs attention.
     Warning,
@@ -54,7 +54,7 @@ pub struct Finding {
 }
 
 impl Finding {
-    /// All is well.
+    /// Ok: no problem.
     pub fn ok(subject: &'static str, text: impl Into<String>) -> Self {
         Self { severity: Severity::Ok, subject, message: text.into(), cure: None }
     }
@@ -73,13 +73,13 @@ impl Finding {
 /// How thoroughly the store is checked.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Depth {
-    /// Names and sizes.
+    /// Checks names and sizes.
     Names,
-    /// Every byte.
+    /// Checks every byte.
     Bytes,
 }
 
-/// Whether anything is put right.
+/// Whether problems are repaired.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Repair {
     /// Changes nothing.
@@ -99,8 +99,8 @@ pub async fn run_checks(data: &Path, depth: Depth, repair: Repair) -> Result<Vec
         Ok(lock) => (Some(lock), None),
         Err(LockError::InUse(holder)) => (None, Some(holder)),
         Err(LockError::Io(error)) => {
-            let cure = "mend its permissions, or run this as the server's user";
-            findings.push(Finding::error("folder", format!("{} can't be written: {error}", data.display()), cure));
+            let cure = "correct its permissions, or run this command as the server's user";
+            findings.push(Finding::error("folder", format!("cannot write to {}: {error}", data.display()), cure));
             (None, None)
         }
     };
@@ -130,7 +130,7 @@ async fn check_database(data: &Path, connection: &mut SqliteConnection, findings
     let file = Database::file(data);
     match database::integrity_errors(connection).await {
         Ok(faults) if faults.is_empty() => {
-            let text = format!("{} is sound: {} bytes", file.display(), host::file_bytes(&file));
+            let text = format!("{} is intact: {} bytes", file.display(), host::file_bytes(&file));
             findings.push(Finding::ok("database", text));
         }
         Ok(faults) => {
@@ -138,36 +138,32 @@ async fn check_database(data: &Path, connection: &mut SqliteConnection, findings
             return false;
         }
         Err(error) => {
-            findings.push(Finding::error("database", format!("it can't be read: {error}"), RESTORE_FIX));
+            findings.push(Finding::error("database", format!("it cannot be read: {error}"), RESTORE_FIX));
             return false;
         }
     }
     let log_bytes = host::file_bytes(&file.with_extension("sqlite-wal"));
     if log_bytes > LARGE_WAL_BYTES {
-        let cure = "restart the server; something may hold the database open for long: look for other readers";
-        findings.push(Finding::warning("database", format!("its log has {log_bytes} bytes"), cure));
+        let cure = "restart the server; if that does not help, find other programs that keep the database open";
+        findings.push(Finding::warning("database", format!("its WAL has {log_bytes} bytes"), cure));
     }
     match database::migrations(connection).await {
         Ok(odd) if odd.is_empty() => {
-            findings.push(Finding::ok("schema", "its tables are those of this release"));
+            findings.push(Finding::ok("schema", "its tables match this release"));
             true
         }
         Ok(odd) => {
             for (text, is_mended_at_start) in &odd {
                 findings.push(if *is_mended_at_start {
-                    Finding::warning(
-                        "schema",
-                        text,
-                        "back up, then start this release: it brings the tables up to date",
-                    )
+                    Finding::warning("schema", text, "back up, then start this release: it migrates the tables")
                 } else {
-                    Finding::error("schema", text, "run the release that made the tables, or a newer one")
+                    Finding::error("schema", text, "run the release that created the tables, or a newer one")
                 });
             }
             false
         }
         Err(error) => {
-            findings.push(Finding::error("schema", format!("this is no farm's database: {error}"), RESTORE_FIX));
+            findings.push(Finding::error("schema", format!("this is not a farm's database: {error}"), RESTORE_FIX));
             false
         }
     }
@@ -182,14 +178,15 @@ async fn check_clock(
     let now_ms = Clock::system().wall_ms();
     let ahead_ms = newest_ms.map_or(0, |newest_ms| newest_ms - now_ms);
     findings.push(if now_ms < MIN_PLAUSIBLE_MS || ahead_ms > SKEW_MS {
-        let text = format!("it is behind: the newest job is of {} s from now", ahead_ms.max(0) / 1000);
+        let text =
+            format!("the clock is behind: the newest job was submitted {} s in the future", ahead_ms.max(0) / 1000);
         Finding::warning(
             "clock",
             text,
-            "have the clock set by NTP (`timedatectl set-ntp true`); leases do not depend on it",
+            "synchronize the clock with NTP (`timedatectl set-ntp true`); leases do not depend on it",
         )
     } else {
-        Finding::ok("clock", "it agrees with the newest job")
+        Finding::ok("clock", "it is consistent with the newest job")
     });
     Ok(())
 }
@@ -206,7 +203,7 @@ async fn check_store(
     store_check::compare_store(data, &pictures, &blobs, depth == Depth::Bytes, serving)
 }
 
-/// Removes orphans and damaged pictures, and has the frames of lost pictures rendered again.
+/// Deletes orphans and damaged pictures, and requeues the frames of missing pictures.
 async fn repair_store(data: &Path, found: &StoreComparison) -> Result<Reopened, DataFolderError> {
     for path in &found.orphans {
         fs::remove_file(path).map_err(DataFolderError::file("remove", path))?;
@@ -231,22 +228,24 @@ async fn repair_store(data: &Path, found: &StoreComparison) -> Result<Reopened, 
 }
 
 fn store_findings(found: &StoreComparison, repaired: Option<Reopened>) -> Vec<Finding> {
-    let mut findings = vec![Finding::ok("store", format!("{} pictures are there", found.intact))];
-    for (what, hashes) in [("are gone", &found.missing), ("have other bytes", &found.damaged)] {
+    let mut findings = vec![Finding::ok("store", format!("{} pictures are intact", found.intact))];
+    for (what, hashes) in [("are missing", &found.missing), ("are damaged", &found.damaged)] {
         let Some(first) = hashes.first() else { continue };
         let text = format!("{} pictures {what}, {first} first", hashes.len());
         findings.push(match repaired {
             None => Finding::error("store", text, format!("{REPAIR_FIX}: their frames are rendered again")),
             Some(Reopened { frames, void }) => Finding::ok(
                 "store",
-                format!("{text}: mended, {frames} frames will be rendered again, {void} of ended jobs were given up"),
+                format!("{text}: repaired, {frames} frames will be rendered again, {void} frames of cancelled or failed jobs stay without a picture"),
             ),
         });
     }
     if !found.orphans.is_empty() {
-        let text = format!("{} files ({} bytes) belong to nothing", found.orphans.len(), found.orphan_bytes);
+        let text = format!("{} files ({} bytes) are orphans", found.orphans.len(), found.orphan_bytes);
         findings.push(match repaired {
-            None => Finding::warning("store", text, format!("a running server removes them in time; or {REPAIR_FIX}")),
+            None => {
+                Finding::warning("store", text, format!("a running server deletes them automatically; or {REPAIR_FIX}"))
+            }
             Some(_) => Finding::ok("store", format!("{text}: removed")),
         });
     }
@@ -256,7 +255,7 @@ fn store_findings(found: &StoreComparison, repaired: Option<Reopened>) -> Vec<Fi
 fn check_host(data: &Path, findings: &mut Vec<Finding>) {
     let disk = host::disk(data);
     let text = format!("{} MiB of {} MiB are free", disk.free_bytes >> 20, disk.total_bytes >> 20);
-    let cure = "make room, or move the data folder to a larger disk";
+    let cure = "free space, or move the data folder to a larger disk";
     findings.push(if disk.free_bytes < NO_DISK_BYTES {
         Finding::error("disk", text, cure)
     } else if disk.free_bytes < MIN_DISK_BYTES {

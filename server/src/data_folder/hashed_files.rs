@@ -1,13 +1,13 @@
-//! Files named by the BLAKE3 of their bytes: verified, linked and copied, never partially.
+//! Files named by the BLAKE3 of their bytes: verified, linked and copied, each one completely or not at all.
 
 use std::fs::{self, File};
 use std::io::{self, Read, Write};
 use std::path::Path;
 
-/// Read and written at a time.
+/// Number of bytes read and written at a time.
 const PIECE_BYTES: usize = 1 << 20;
 
-/// The BLAKE3 of a file's bytes, in hex, and how many there are.
+/// BLAKE3 of a file's bytes, in hex, and its size.
 pub(super) fn hash(path: &Path) -> io::Result<(String, u64)> {
     copy_bytes(&mut File::open(path)?, &mut io::sink())
 }
@@ -25,7 +25,7 @@ fn copy_bytes(from: &mut dyn Read, to: &mut dyn Write) -> io::Result<(String, u6
     }
 }
 
-/// Copies a file if its bytes match `name`; false if they do not, and then no file is left.
+/// Copies a file if its bytes match `name`; otherwise returns false and leaves no file.
 pub(super) fn copy(from: &Path, to: &Path, name: &str) -> io::Result<bool> {
     let part = to.with_extension("part");
     let mut source = File::open(from)?;
@@ -42,14 +42,14 @@ pub(super) fn copy(from: &Path, to: &Path, name: &str) -> io::Result<bool> {
             Ok(false)
         }
         Err(error) => {
-            // The disk may be full: the partial file only takes room.
+            // The disk may be full, so the partial file must not take space.
             let _ = fs::remove_file(&part);
             Err(error)
         }
     }
 }
 
-/// Links a file, or copies it where it can't be linked, if its bytes are those of `name`.
+/// Links a file, or copies it if it cannot be linked, provided that its bytes match `name`.
 pub(super) fn link(from: &Path, to: &Path, name: &str) -> io::Result<bool> {
     if hash(from)?.0 != name {
         return Ok(false);
@@ -61,7 +61,7 @@ pub(super) fn link(from: &Path, to: &Path, name: &str) -> io::Result<bool> {
     }
 }
 
-/// Has a folder's names on the disk.
+/// Fsyncs a folder, so that the names in it survive a power cut.
 pub(super) fn sync_folder(folder: &Path) -> io::Result<()> {
     File::open(folder)?.sync_all()
 }

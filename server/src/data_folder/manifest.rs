@@ -9,21 +9,21 @@ use serde::{Deserialize, Serialize};
 
 use super::{DataFolderError, hashed_files};
 
-/// The list's file.
+/// Name of the manifest.
 const FILE: &str = "backup.json";
-/// The list while it is written.
+/// Name of the manifest while it is written.
 pub(super) const PARTIAL_FILE: &str = "backup.json.part";
 
 /// Contents of a backup.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub(super) struct Manifest {
-    /// Release that made it.
+    /// Release that wrote it.
     pub(super) version: String,
     /// Time of the backup: RFC 3339, UTC.
     pub(super) made_at: String,
-    /// BLAKE3 of the database's copy, whose file is named by it.
+    /// BLAKE3 of the database's copy, which is its file name.
     pub(super) database: String,
-    /// Pictures that the copy names.
+    /// Pictures in the database's copy.
     pub(super) pictures: u64,
     /// Other files of the data folder: secrets.
     pub(super) files: Vec<String>,
@@ -45,11 +45,11 @@ impl Manifest {
         if is_hash && is_plain {
             Ok(Some(list))
         } else {
-            Err(DataFolderError::Manifest { path, reason: "it names what no backup holds".to_owned() })
+            Err(DataFolderError::Manifest { path, reason: "it names a file that no backup has".to_owned() })
         }
     }
 
-    /// The database's copy.
+    /// Path of the database's copy.
     pub(super) fn database_file(&self, folder: &Path) -> PathBuf {
         folder.join(format!("farm-{}.sqlite", self.database))
     }

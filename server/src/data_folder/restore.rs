@@ -15,9 +15,9 @@ use crate::lock::FolderLock;
 pub struct Restored {
     /// Time of the backup: RFC 3339, UTC.
     pub made_at: String,
-    /// Pictures that are there, and whole.
+    /// Number of restored pictures.
     pub pictures: u64,
-    /// Pictures that the backup has lost.
+    /// Number of pictures that the backup lacks.
     pub missing: Vec<String>,
 }
 

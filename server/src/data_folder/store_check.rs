@@ -8,25 +8,25 @@ use std::time::Duration;
 use super::database::PictureRef;
 use super::{DataFolderError, hashed_files};
 
-/// Files younger than this may not be reported yet to a running server.
+/// Minimum age of an orphan: newer files may not have been reported yet to a running server.
 const UNREPORTED_AGE: Duration = Duration::from_mins(10);
 
 /// Result of the comparison.
 #[derive(Clone, Debug, Default)]
 pub(super) struct StoreComparison {
-    /// Pictures that are named, and there.
+    /// Number of pictures in the database that are in the store.
     pub(super) intact: u64,
-    /// Hashes of pictures that are named, and are not there.
+    /// Hashes of pictures in the database that are missing from the store.
     pub(super) missing: Vec<String>,
-    /// Hashes of pictures that are there with other bytes.
+    /// Hashes of pictures with other bytes than their name says.
     pub(super) damaged: Vec<String>,
-    /// Files that no row names.
+    /// Files that no row refers to.
     pub(super) orphans: Vec<PathBuf>,
-    /// Their bytes.
+    /// Total size of those files, in bytes.
     pub(super) orphan_bytes: u64,
 }
 
-/// Compares the store of a data folder with what the database names; `deep` reads every byte.
+/// Compares the store of a data folder with its database; `deep` reads every byte.
 pub(super) fn compare_store(
     data: &Path,
     pictures: &[PictureRef],

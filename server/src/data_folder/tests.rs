@@ -1,11 +1,11 @@
-//! Databases of earlier releases are brought up to date with all that is in them.
+//! Migration: databases of earlier releases are migrated with all their data.
 
 use sqlx::{Connection, Row};
 
 use super::{Depth, Repair, Severity, run_checks};
 use crate::database::Database;
 
-/// The tables of the first release that was used: migrations 1 and 2, as their files have them.
+/// Tables of the first release: migrations 1 and 2, as their files have them.
 const FIRST_RELEASE: [(i64, &str, &str); 2] = [
     (1, "farm", include_str!("../../../migrations/0001_farm.sql")),
     (2, "nodes", include_str!("../../../migrations/0002_nodes.sql")),
@@ -34,7 +34,7 @@ const ROWS: &str = "
     UPDATE meta SET value = 4 WHERE name = 'boot_generation';
 ";
 
-/// Creates the database of an old farm, as a previous release left it.
+/// Creates the database of an old farm, as an earlier release left it.
 async fn old_farm(data: &std::path::Path) {
     let options = sqlx::sqlite::SqliteConnectOptions::new().filename(Database::file(data)).create_if_missing(true);
     let mut connection = sqlx::sqlite::SqliteConnection::connect_with(&options).await.expect("opens");
@@ -58,12 +58,12 @@ async fn old_farm(data: &std::path::Path) {
 }
 
 #[tokio::test]
-async fn a_farm_of_the_first_release_is_brought_up_to_date_with_all_that_is_in_it() {
+async fn a_first_release_farm_is_migrated_with_its_data() {
     let folder = tempfile::tempdir().expect("a temporary folder");
     old_farm(folder.path()).await;
     let before = run_checks(folder.path(), Depth::Names, Repair::None).await.expect("looks");
     let schema = before.iter().find(|finding| finding.subject == "schema").expect("a finding");
-    assert!(schema.severity != Severity::Error && schema.message.contains("to be done"), "{schema:?}");
+    assert!(schema.severity != Severity::Error && schema.message.contains("pending"), "{schema:?}");
 
     let store = Database::open(folder.path()).await.expect("upgrades");
     let (clock, _hand) = crate::clock::Clock::manual();
@@ -84,7 +84,7 @@ async fn a_farm_of_the_first_release_is_brought_up_to_date_with_all_that_is_in_i
     let named = |subject| after.iter().filter(move |finding| finding.subject == subject).collect::<Vec<_>>();
     assert!(named("schema").iter().all(|finding| finding.severity == Severity::Ok), "{after:?}");
     assert!(named("database").iter().all(|finding| finding.severity == Severity::Ok), "{after:?}");
-    assert!(named("store").iter().any(|finding| finding.message.contains("1 pictures are gone")), "{after:?}");
+    assert!(named("store").iter().any(|finding| finding.message.contains("1 pictures are missing")), "{after:?}");
 }
 
 #[tokio::test]
@@ -100,5 +100,5 @@ async fn data_of_a_newer_release_is_rejected_with_the_reason() {
     connection.close().await.expect("closes");
     let findings = run_checks(folder.path(), Depth::Names, Repair::None).await.expect("looks");
     let wrong = findings.iter().find(|finding| finding.severity == Severity::Error).expect("a finding");
-    assert_eq!(wrong.message, "migration 9999 is of a newer release");
+    assert_eq!(wrong.message, "migration 9999 is from a newer release");
 }

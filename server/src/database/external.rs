@@ -1,4 +1,4 @@
-//! Database connection of another process than the server, which may be running: it changes no tables.
+//! Database connection for other processes than the server, which may be running: it changes no tables.
 
 use std::path::Path;
 use std::time::Duration;
@@ -9,7 +9,7 @@ use sqlx::sqlite::{SqliteConnectOptions, SqliteConnection, SqliteJournalMode, Sq
 use super::Database;
 
 impl Database {
-    /// Connects to the existing database of a data folder; waits for a writer for at most `patience`.
+    /// Connects to an existing database; waits at most `patience` for another process's write.
     pub(crate) async fn connect_external(data: &Path, patience: Duration) -> Result<SqliteConnection, sqlx::Error> {
         SqliteConnectOptions::new()
             .filename(Self::file(data))

@@ -9,33 +9,33 @@ use sqlx::sqlite::SqliteConnection;
 
 /// A WAL of this size is checkpointed between two commits, and restarted.
 pub(super) const LIMIT_BYTES: u64 = 64 << 20;
-/// If a reader prevented that, the next attempt follows after this many commits.
+/// If a reader prevents that, the next attempt follows after this many commits.
 const RETRY_AFTER_COMMITS: u32 = 64;
-/// How long writes wait for readers then, and how long otherwise.
+/// Timeouts of writes for readers during a restart, and otherwise.
 const WAIT_FOR_READERS: &str = "PRAGMA busy_timeout = 50";
 const WAIT_FOR_LOCKS: &str = "PRAGMA busy_timeout = 5000";
 
-/// The log of a database.
+/// Write-ahead log of a database.
 #[derive(Debug)]
 pub(super) struct Wal {
     file: PathBuf,
     limit_bytes: u64,
-    /// Commits before the next try.
+    /// Commits before the next attempt.
     commits_until_retry: u32,
 }
 
 impl Wal {
-    /// The WAL next to a database's file.
+    /// WAL next to a database's file.
     pub(super) fn new(database: &Path, limit_bytes: u64) -> Self {
         Self { file: database.with_extension("sqlite-wal"), limit_bytes, commits_until_retry: 0 }
     }
 
-    /// Its size.
+    /// Size of the WAL.
     pub(super) fn size_bytes(&self) -> u64 {
         std::fs::metadata(&self.file).map_or(0, |metadata| metadata.len())
     }
 
-    /// Folds the log into the database if it is large; not inside a transaction.
+    /// Checkpoints the WAL if it is large; must be called outside a transaction.
     pub(super) async fn checkpoint_if_large(&mut self, connection: &mut SqliteConnection) {
         if self.size_bytes() < self.limit_bytes {
             return;
@@ -46,13 +46,13 @@ impl Wal {
         }
         for statement in [WAIT_FOR_READERS, "PRAGMA wal_checkpoint(TRUNCATE)", WAIT_FOR_LOCKS] {
             if let Err(error) = sqlx::query(statement).execute(&mut *connection).await {
-                tracing::warn!(%error, "the database's log could not be folded into its file");
+                tracing::warn!(%error, "could not checkpoint the database's WAL");
             }
         }
         let size_bytes = self.size_bytes();
         if size_bytes >= self.limit_bytes {
             self.commits_until_retry = RETRY_AFTER_COMMITS;
-            tracing::warn!(size_bytes, "the database's log stays large: something reads an old state of it");
+            tracing::warn!(size_bytes, "the database's WAL stays large: a reader uses an old state");
         }
     }
 }
@@ -78,11 +78,11 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn the_log_stays_small_although_somebody_always_reads() {
+    async fn the_wal_stays_small_under_constant_reading() {
         let folder = tempfile::tempdir().expect("a temporary folder");
         let file = folder.path().join("farm.sqlite");
         let (mut writer, mut log) = (connect(&file).await, Wal::new(&file, LIMIT));
-        // The engine never checkpoints it automatically then.
+        // Disables the engine's automatic checkpoints.
         sqlx::query("PRAGMA wal_autocheckpoint = 0").execute(&mut writer).await.expect("sets");
         sqlx::query("CREATE TABLE t (text TEXT)").execute(&mut writer).await.expect("creates");
         let mut readers = [connect(&file).await, connect(&file).await];
@@ -98,7 +98,7 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn a_reader_of_an_old_state_holds_back_no_write() {
+    async fn a_reader_of_an_old_state_does_not_delay_writes() {
         let folder = tempfile::tempdir().expect("a temporary folder");
         let file = folder.path().join("farm.sqlite");
         let (mut writer, mut log) = (connect(&file).await, Wal::new(&file, LIMIT));

@@ -1,7 +1,7 @@
-//! The one connection that writes: a task that commits together what waits together.
+//! The one connection that writes: a task that commits waiting operations together.
 //!
-//! Each operation runs under its own SAVEPOINT, so that a failing one affects no other. No operation is
-//! delayed to gather more of them: an operation alone is committed alone.
+//! Each operation runs under its own SAVEPOINT, so that a failing one affects no other. No operation waits for
+//! more of them: a single operation is committed at once.
 
 use std::time::Duration;
 
@@ -18,28 +18,28 @@ use super::wal::Wal;
 use crate::clock::monotonic_now;
 use crate::telemetry::{counts, seconds};
 
-/// Operations committed together, at most.
+/// Maximum number of operations committed together.
 const MAX_GROUP: usize = 256;
 /// Maximum number of waiting operations; beyond it callers wait.
 const QUEUE_CAPACITY: usize = 1024;
 /// After this long without writes, the WAL is checkpointed.
 const IDLE: Duration = Duration::from_secs(5);
 
-/// Whether an operation must survive a power cut once it is answered.
+/// Whether an operation must survive a power cut once it has returned.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Durability {
     /// Durable: the commit is fsynced.
     Full,
-    /// Not durable by itself: the next durable commit includes it.
+    /// Not durable on return: the next durable commit includes it.
     Relaxed,
 }
 
 /// Durations of commits.
 #[derive(Clone, Debug)]
 pub(crate) struct CommitTimes {
-    /// Time of each.
+    /// Duration of each commit.
     pub(crate) seconds: Histogram,
-    /// Operations that each took along.
+    /// Number of operations in each commit.
     pub(crate) operations: Histogram,
 }
 
@@ -67,7 +67,7 @@ impl Writer {
         Self { operations: std::sync::Mutex::new(Some(operations)), task: Mutex::new(Some(task)), bell }
     }
 
-    /// Runs one operation; see [`super::Store::write`].
+    /// Runs one operation; see [`super::Database::write`].
     pub(super) async fn write<T, F>(&self, durability: Durability, work: F) -> Result<T, DatabaseError>
     where
         T: Send + 'static,
@@ -85,7 +85,7 @@ impl Writer {
         self.bell.subscribe()
     }
 
-    /// Ends the task after the waiting operations.
+    /// Stops the task after the waiting operations.
     pub(super) async fn close(&self) {
         drop(self.operations.lock().expect("no holder panics").take());
         if let Some(task) = self.task.lock().await.take()
@@ -96,10 +96,10 @@ impl Writer {
     }
 }
 
-/// An operation on its way through the writer.
+/// Operation waiting for the writer.
 trait WriteOperation: Send {
     fn durability(&self) -> Durability;
-    /// Runs it; false: undo it.
+    /// Runs it; if this returns false, it must be rolled back.
     fn run<'c>(&'c mut self, connection: &'c mut SqliteConnection) -> BoxFuture<'c, bool>;
     /// Sends the result to the caller, once the transaction has ended.
     fn reply(self: Box<Self>, committed: Result<(), DatabaseError>);
@@ -140,7 +140,7 @@ where
             (Ok(()), None) => Err(DatabaseError::Closed),
             (Err(_), Some(Err(error))) | (Err(error), _) => Err(error),
         };
-        // A caller that no longer listens wanted the effect, not the answer.
+        // A caller that no longer waits wanted the effect, not the result.
         drop(self.reply.send(result));
     }
 }
@@ -184,7 +184,7 @@ impl WriterTask {
         }
         self.checkpoint().await;
         if let Err(error) = self.connection.close().await {
-            tracing::error!(%error, "the database did not close");
+            tracing::error!(%error, "could not close the database");
         }
     }
 
@@ -194,8 +194,7 @@ impl WriterTask {
         self.times.seconds.observe(begun.elapsed().as_secs_f64());
         self.times.operations.observe(group.len() as f64);
         if done.is_err() {
-            // SQLite ends a transaction automatically after some errors; then there is nothing to
-            // undo.
+            // SQLite ends a transaction automatically after some errors; then there is nothing to roll back.
             drop(sqlx::query("ROLLBACK").execute(&mut self.connection).await);
         }
         done
@@ -239,12 +238,12 @@ impl WriterTask {
 
     async fn checkpoint(&mut self) {
         if let Err(error) = sqlx::query("PRAGMA wal_checkpoint(TRUNCATE)").execute(&mut self.connection).await {
-            tracing::warn!(%error, "the database's log could not be folded into its file");
+            tracing::warn!(%error, "could not checkpoint the database's WAL");
         }
     }
 }
 
-/// The error of a write that a fail point struck.
+/// Write error caused by a triggered fail point.
 fn struck_down(struck: fail_point::FailPointError) -> DatabaseError {
     sqlx::Error::Io(std::io::Error::other(struck)).into()
 }

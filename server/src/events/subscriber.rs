@@ -12,9 +12,9 @@ use super::{EncodedEvent, EventHub, Topic, encode_event};
 use crate::database::DatabaseError;
 use crate::queue::Queue;
 
-/// Events read from the database at a time.
+/// Number of events read from the database at a time.
 const EVENTS_PER_PAGE: u32 = 256;
-/// After this long without events a comment is sent, so that no proxy takes the connection for dead.
+/// After this time without events a comment is sent, so that proxies do not close the connection.
 const KEEP_ALIVE_INTERVAL: Duration = Duration::from_secs(15);
 /// The comment.
 const KEEP_ALIVE_COMMENT: &[u8] = b":\n\n";
@@ -30,7 +30,7 @@ pub(crate) enum SubscribeOutcome {
     UnknownJob,
 }
 
-/// One follower of one job.
+/// Subscriber to one job.
 #[derive(Debug)]
 pub(crate) struct EventSubscriber {
     queue: Queue,
@@ -40,7 +40,7 @@ pub(crate) struct EventSubscriber {
     /// Number of the last event sent.
     last: i64,
     first: Option<Bytes>,
-    /// The last event sent is the job's final one.
+    /// Whether the last event sent is the job's final one.
     ended: bool,
 }
 
@@ -59,7 +59,7 @@ impl EventSubscriber {
         let mut last = after.unwrap_or(0);
         let mut first = Bytes::from_static(KEEP_ALIVE_COMMENT);
         let mut ended = false;
-        // A number that was not given yet is of another farm, or of one before it was restored.
+        // A number that was not assigned yet is from another farm, or from before a restore.
         if last < found.pruned || last > found.newest {
             let Some((newest, snapshot)) = queue.snapshot(found.job).await? else {
                 return Ok(SubscribeOutcome::UnknownJob);

@@ -34,7 +34,7 @@ impl Fixture {
         id
     }
 
-    /// Happenings as the triggers write them, many at a time.
+    /// Inserts many events at once, in the form that the triggers write.
     async fn happen(&self, job: i64, count: usize) {
         self.store
             .write(Durability::Relaxed, move |connection| {
@@ -74,7 +74,7 @@ async fn told(follower: &mut EventSubscriber, count: usize) -> Vec<SseMessage> {
 }
 
 #[tokio::test]
-async fn a_follower_that_falls_behind_what_is_at_hand_misses_nothing() {
+async fn a_slow_subscriber_reads_missed_events_from_the_database() {
     let bench = Fixture::new().await;
     let id = bench.submit().await;
     let job = bench.queue.event_position(id).await.expect("reads").expect("there").job;
@@ -83,7 +83,7 @@ async fn a_follower_that_falls_behind_what_is_at_hand_misses_nothing() {
     assert_eq!(told(&mut quick, 1).await[0].event, "state");
     for _ in 0..3 {
         bench.happen(job, MAX_RECENT).await;
-        bench.events.publish().await.expect("tells");
+        bench.events.publish().await.expect("publishes");
         assert_eq!(told(&mut quick, MAX_RECENT).await.len(), MAX_RECENT);
     }
     let all = told(&mut slow, 3 * MAX_RECENT + 1).await;
@@ -92,7 +92,7 @@ async fn a_follower_that_falls_behind_what_is_at_hand_misses_nothing() {
 }
 
 #[tokio::test]
-async fn events_of_a_job_that_ended_a_day_ago_are_dropped_and_a_snapshot_stands_for_them() {
+async fn events_of_old_finished_jobs_are_replaced_by_a_snapshot() {
     let bench = Fixture::new().await;
     let (old, open) = (bench.submit().await, bench.submit().await);
     bench.queue.cancel(old).await.expect("cancels");
@@ -111,7 +111,7 @@ async fn events_of_a_job_that_ended_a_day_ago_are_dropped_and_a_snapshot_stands_
 }
 
 #[tokio::test]
-async fn the_oldest_events_give_way_where_there_are_too_many() {
+async fn the_oldest_events_beyond_the_maximum_are_pruned() {
     let bench = Fixture::new().await;
     let id = bench.submit().await;
     let job = bench.queue.event_position(id).await.expect("reads").expect("there").job;

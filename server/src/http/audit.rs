@@ -25,7 +25,7 @@ use crate::farm::Farm;
 const DEFAULT_PAGE_SIZE: u32 = 100;
 /// Entries on a page, at most.
 const MAX_PAGE: u32 = 1000;
-/// Characters of a path that is no route's.
+/// Maximum length of a recorded path that matches no route, in characters.
 const MAX_PATH_CHARACTERS: usize = 200;
 
 /// Records the outcome of a request in the audit log.
@@ -84,13 +84,13 @@ struct PageQuery {
     cursor: Option<i64>,
 }
 
-/// See who did what.
+/// List the audit log.
 ///
-/// Every change and every rejection, newest first; the newest 100,000 are kept.
+/// Contains every change and every rejection, newest first; the newest 100,000 entries are kept.
 #[utoipa::path(
     get, path = "/v1/audit", tag = "keys", operation_id = "audit",
     params(
-        ("limit" = Option<u32>, Query, description = "Most entries, 1 to 1000"),
+        ("limit" = Option<u32>, Query, description = "Maximum number of entries, 1 to 1000"),
         ("cursor" = Option<String>, Query, description = "The `next_cursor` of the page before"),
     ),
     responses(
@@ -102,7 +102,7 @@ pub(super) async fn list(State(farm): State<Arc<Farm>>, uri: Uri) -> Result<Json
     let query: PageQuery = body::read_query(&uri)?;
     let limit = query.limit.unwrap_or(DEFAULT_PAGE_SIZE);
     if !(1..=MAX_PAGE).contains(&limit) {
-        return Err(ApiError::WrongQuery(format!("limit is {limit}: say 1 to {MAX_PAGE}")));
+        return Err(ApiError::WrongQuery(format!("limit is {limit}, but must be from 1 to {MAX_PAGE}")));
     }
     Ok(Json(farm.admission.audit.page(query.cursor, limit).await?))
 }

@@ -1,6 +1,6 @@
-//! Authentication and authorization: no request passes without the permission that its route requires.
+//! Authentication and authorization: each request must have the permission that its route requires.
 //!
-//! `rules` has the permission of each route; `audit` records the outcome in the audit log.
+//! `permissions` has the permission of each route; `audit` records the outcome in the audit log.
 
 use std::net::IpAddr;
 use std::sync::Arc;
@@ -21,10 +21,10 @@ use crate::admission::{RateLimitStatus, RateLimited};
 use crate::api_keys::{ApiKey, KeyLookup, constant_time_eq};
 use crate::farm::Farm;
 
-/// An answer has to begin within this time, unless its route waits or takes in much.
+/// Time limit for the start of a response, unless its route waits or receives a large body.
 const RESPONSE_TIMEOUT: Duration = Duration::from_mins(1);
 
-/// Submitter of all jobs while there are no keys.
+/// Submitter of all jobs on a farm without keys.
 const KEYLESS_SUBMITTER: &str = "local";
 
 /// Address of the client.
@@ -34,13 +34,13 @@ pub(crate) struct Peer(pub(crate) IpAddr);
 /// Caller of a request; an extension of every request and response.
 #[derive(Clone, Debug)]
 pub(crate) enum Caller {
-    /// Unknown, on a public route, or rejected.
+    /// Unknown: the route is public, or the request is rejected.
     Anonymous,
-    /// Any client of a farm without keys.
+    /// Client of a farm without keys.
     Keyless,
     /// One of the server's own workers.
     Pool,
-    /// The bearer of a live key.
+    /// Client that sent a live key.
     Key(Arc<ApiKey>),
 }
 
@@ -55,12 +55,12 @@ impl Caller {
         }
     }
 
-    /// The name whose jobs are all that it sees; `None` if it sees every job.
+    /// Name whose jobs are the only ones the caller may see; `None` if it may see every job.
     pub(crate) fn visible_submitter(&self) -> Option<&str> {
         self.key().filter(|key| !key.scopes().is_allowed(Scope::Read)).map(|key| key.name())
     }
 
-    /// The key, if it is one.
+    /// Key of the caller, if it sent one.
     pub(crate) fn key(&self) -> Option<&Arc<ApiKey>> {
         match self {
             Self::Key(key) => Some(key),
@@ -69,7 +69,7 @@ impl Caller {
     }
 }
 
-/// Authenticates and authorizes a request; one that waits under a key ends with the key.
+/// Authenticates and authorizes a request; if the caller's key is revoked, an open request ends.
 pub(super) async fn authenticate_and_authorize(
     State(farm): State<Arc<Farm>>,
     parameters: Result<RawPathParams, axum::extract::rejection::RawPathParamsRejection>,
@@ -105,7 +105,7 @@ pub(super) async fn authenticate_and_authorize(
     with_caller(response, caller)
 }
 
-/// Time until a response must begin; request bodies have a minimum rate instead.
+/// Time limit for the start of the response; request bodies have a minimum rate instead.
 fn response_timeout(route: &str, request: &Request) -> Option<Duration> {
     let takes_in = route.starts_with("/v1/worker/") || (route == "/v1/jobs" && request.method() == Method::POST);
     let waits = route.ends_with("/events") || request.headers().contains_key("prefer");
@@ -161,7 +161,7 @@ fn caller(farm: &Farm, need: Permission, peer: Option<IpAddr>, headers: &HeaderM
             KeyLookup::Expired => Err(ApiError::ExpiredKey),
             KeyLookup::Revoked => Err(ApiError::RevokedKey),
             KeyLookup::Unknown => {
-                tracing::debug!(?peer, "an unknown key was brought");
+                tracing::debug!(?peer, "request with an unknown key");
                 Err(ApiError::UnknownKey)
             }
         },
@@ -180,7 +180,7 @@ async fn authorize(farm: &Farm, need: Permission, caller: &Caller, job: Option<J
     }
     if matches!(need, Permission::OwnJob(_)) && key.scopes().is_allowed(Scope::Submit) {
         let Some(job) = job else { return Ok(()) };
-        // For a job that does not exist, the handler responds.
+        // For a job that does not exist, the handler sends the response.
         if farm.queue.submitter(job).await?.is_none_or(|submitter| submitter == key.name()) {
             return Ok(());
         }
@@ -188,7 +188,7 @@ async fn authorize(farm: &Farm, need: Permission, caller: &Caller, job: Option<J
     Err(ApiError::MissingScope { scope, name: key.name().to_owned() })
 }
 
-/// Adds headers with the remaining rate.
+/// Adds headers with the caller's remaining requests.
 fn with_rate_limit_headers(mut response: Response, pace: Option<RateLimitStatus>) -> Response {
     if let Some(pace) = pace {
         for (name, value) in pace.headers() {
@@ -235,7 +235,7 @@ mod tests {
     }
 
     #[test]
-    fn answers_begin_in_time_but_where_they_wait_or_bodies_are_sent_in() {
+    fn only_waiting_and_uploading_routes_have_no_response_limit() {
         assert!(limited(Method::GET, "/v1/jobs", None));
         assert!(limited(Method::POST, "/v1/jobs/{id}/cancel", None));
         assert!(limited(Method::PATCH, "/v1/jobs/{id}", Some("accept")));
@@ -246,7 +246,7 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn answer_that_does_not_begin_is_given_up() {
+    async fn a_response_that_does_not_start_times_out() {
         let answer = with_timeout(std::future::pending(), Some(Duration::from_millis(1))).await;
         assert_eq!(answer.status(), ApiError::ResponseTimeout { limit_seconds: 0 }.into_response().status());
         assert!(answer.status().is_server_error());

@@ -10,7 +10,7 @@ use serde::de::DeserializeOwned;
 
 use super::error::ApiError;
 
-/// Of a body that is too large, this much is read and discarded, so that the client reads the response.
+/// Of a body that is too large, this many bytes are read and discarded, so that the client reads the response.
 const MAX_DISCARDED_BYTES: usize = 64 << 20;
 
 /// Rejects a body whose content type is not JSON; a body without a content type is taken as JSON.
@@ -57,9 +57,9 @@ pub(super) async fn read_json<T: DeserializeOwned>(
     let mut reader = serde_json::Deserializer::from_slice(&bytes);
     let value = serde_path_to_error::deserialize(&mut reader).map_err(|error| reject(&error))?;
     reader.end().map_err(|error| not_json(&error))?;
-    // serde would also read a list of values in order, which no client means.
+    // serde would also accept a list of values in order, which no client intends.
     if bytes.trim_ascii_start().first() == Some(&b'[') {
-        return Err(invalid_body("", "this is a list: send an object".to_owned()));
+        return Err(invalid_body("", "the body is a list: send an object".to_owned()));
     }
     Ok(value)
 }

@@ -23,7 +23,7 @@ pub(crate) enum ApiError {
     NotJson(Vec<ValidationErrorView>),
     #[error("the job has {} (see errors): {}", faults(.0), first(.0))]
     WrongJob(Vec<ValidationErrorView>),
-    #[error("the body is not what this route takes: {}", first(.0))]
+    #[error("the body is invalid for this route: {}", first(.0))]
     WrongBody(Vec<ValidationErrorView>),
     #[error("invalid query: {0}")]
     WrongQuery(String),
@@ -37,7 +37,7 @@ pub(crate) enum ApiError {
         "{stored} of the {total} pictures of job {job} are stored: wait for the rest, or get the stored ones with ?partial=true"
     )]
     FramesMissing { job: JobId, stored: u32, total: u32 },
-    #[error("the body has more than {limit_bytes} bytes, the limit of this route: send a smaller one")]
+    #[error("the body has more than {limit_bytes} bytes, the limit of this route: send a smaller body")]
     TooLarge { limit_bytes: u64 },
     #[error(
         "the content type is {found:?}: send JSON as application/json (with curl: --json @FILE, or \
@@ -48,7 +48,7 @@ pub(crate) enum ApiError {
     BrokenBody(String),
     #[error("invalid request: {0}")]
     WrongRequest(&'static str),
-    #[error("there is no job {0}: GET /v1/jobs (`sdfarm jobs`) lists those there are")]
+    #[error("there is no job {0}: GET /v1/jobs (`sdfarm jobs`) lists all jobs")]
     UnknownJob(String),
     #[error("job {job} has no frame {frame}: {}", numbered(*.frames))]
     UnknownFrame { job: JobId, frame: String, frames: u32 },
@@ -56,9 +56,9 @@ pub(crate) enum ApiError {
     NotStored { job: JobId, frame: u32, state: JobState },
     #[error("there is no {method} {path}: /docs lists the routes")]
     UnknownRoute { method: String, path: String },
-    #[error("{path} does not take {method}: see the Allow header, and /docs")]
+    #[error("{path} does not support {method}: see the Allow header, and /docs")]
     WrongMethod { method: String, path: String },
-    #[error("job {job} is {}, which is final: it cannot be changed any more", .state.name())]
+    #[error("job {job} is {}, which is final: the job cannot be changed any more", .state.name())]
     Finished { job: JobId, state: JobState },
     #[error("job {job} is {} and has no dead tiles: only failed jobs can be retried", .state.name())]
     NoDeadTiles { job: JobId, state: JobState },
@@ -92,7 +92,7 @@ pub(crate) enum ApiError {
     TooManyRequests { per_second: u32, retry_seconds: u64 },
     #[error("the farm has its maximum of {limit} unfinished jobs: retry when some have finished")]
     QueueFull { limit: i64 },
-    #[error("{name} may have {limit} {what}: retry when some have finished, or cancel some")]
+    #[error("{name} may have at most {limit} {what}: retry when some have finished, or cancel some")]
     Quota { name: String, what: &'static str, limit: i64 },
     #[error("the body arrived too slowly, or not at all: send it without pauses")]
     SlowBody,
@@ -104,7 +104,7 @@ pub(crate) enum ApiError {
     TooManyKeys(ApiKeyError),
     #[error(transparent)]
     KeyNotFound(ApiKeyError),
-    #[error("unknown worker {0}: it was silent for too long and has to register again")]
+    #[error("unknown worker {0}: it did not sync for too long; register again")]
     UnknownWorker(String),
     #[error("the worker renders picture version {found}, the server requires {wanted}: run the same release of both")]
     WrongPictureVersion { found: u32, wanted: u32 },
@@ -118,7 +118,7 @@ pub(crate) enum ApiError {
     LostPicture,
     #[error("the link has expired ({0}): request a new one")]
     LinkExpired(String),
-    #[error("the signature is not this link's: use the link unchanged, or request a new one")]
+    #[error("the signature does not match the link: use the link unchanged, or request a new one")]
     WrongSignature,
     #[error(transparent)]
     PreviewFailed(HelperError),
@@ -155,7 +155,7 @@ fn not_stored(job: &JobId, frame: u32, state: JobState) -> String {
         format!("frame {frame} of job {job} was never stored: the job is {}", state.name())
     } else {
         format!(
-            "frame {frame} of job {job} is not stored yet: GET /v1/jobs/{job} (`sdfarm watch {job}`) says when it is"
+            "frame {frame} of job {job} is not stored yet: GET /v1/jobs/{job} (`sdfarm watch {job}`) shows its progress"
         )
     }
 }
@@ -234,7 +234,7 @@ impl ApiError {
             if error.is::<SlowBody>() {
                 return Self::SlowBody;
             }
-            // An input or output error hides what it wraps from its own `source`.
+            // The `source` of an I/O error skips the error it wraps.
             let wrapped = error.downcast_ref::<std::io::Error>().and_then(std::io::Error::get_ref);
             cause = wrapped.map(|error| error as &(dyn std::error::Error + 'static)).or_else(|| error.source());
         }
@@ -260,10 +260,10 @@ impl ApiError {
 }
 
 impl IntoResponse for ApiError {
-    /// The problem is an extension of the response; `trace` writes it, with the request's id.
+    /// Puts the problem into an extension of the response; `request_id` writes the body, with the request's id.
     fn into_response(self) -> Response {
         if let Self::Internal(error) = &self {
-            tracing::error!(error = %chain(error.as_ref()), "a request failed");
+            tracing::error!(error = %chain(error.as_ref()), "request failed");
         }
         let problem = self.problem();
         let mut response = self.classify().0.into_response();
@@ -302,7 +302,7 @@ impl IntoResponse for ApiError {
     }
 }
 
-/// An error with all its causes, in one line.
+/// Joins an error and its causes in one line.
 fn chain(error: &(dyn std::error::Error + 'static)) -> String {
     let mut text = error.to_string();
     let mut cause = error.source();
@@ -373,7 +373,7 @@ impl From<SyncError> for ApiError {
 
 impl From<HelperError> for ApiError {
     fn from(error: HelperError) -> Self {
-        tracing::warn!(%error, "a preview could not be drawn");
+        tracing::warn!(%error, "could not draw a preview");
         Self::PreviewFailed(error)
     }
 }

@@ -1,4 +1,4 @@
-//! A job's events as a stream that a browser's `EventSource`, curl and `sdfarm watch` read.
+//! Sends a job's events as a stream for a browser's `EventSource`, curl and `sdfarm watch`.
 
 use std::sync::Arc;
 
@@ -33,14 +33,14 @@ struct EventsQuery {
     get, path = "/v1/jobs/{id}/events", tag = "jobs", operation_id = "follow_job",
     params(
         ("id" = String, Path, description = "The job"),
-        ("last_event_id" = Option<String>, Query, description = "As the header, for those who can't send it"),
-        ("Last-Event-ID" = Option<String>, Header, description = "The last event that was read"),
+        ("last_event_id" = Option<String>, Query, description = "Like the header, for clients that cannot send headers"),
+        ("Last-Event-ID" = Option<String>, Header, description = "Id of the last event that was received"),
     ),
     responses(
         (status = 200, description = "Events, as they happen", body = serde_json::Value, content_type = "text/event-stream"),
-        (status = 204, description = "The job has ended, and nothing follows that event"),
+        (status = 204, description = "The job has finished, and no events follow that one"),
         (status = 404, description = "No such job", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
-        (status = 422, description = "The id is none that was told", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
+        (status = 422, description = "The event id is invalid", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
     )
 )]
 pub(super) async fn follow(
@@ -63,7 +63,7 @@ pub(super) async fn follow(
 
 fn event_id(text: &str) -> Result<i64, ApiError> {
     text.trim().parse().ok().filter(|number| *number >= 0).ok_or_else(|| {
-        ApiError::WrongQuery(format!("{text:?} is no event's id: pass the last id that was read, or none"))
+        ApiError::WrongQuery(format!("{text:?} is not an event id: send the last id that was received, or none"))
     })
 }
 
@@ -74,7 +74,7 @@ fn streamed(follower: EventSubscriber) -> Response {
             Ok(Some(bytes)) => Some((Ok(bytes), Some(follower))),
             Ok(None) => None,
             Err(error) => {
-                tracing::error!(%error, "a job could not be followed any further");
+                tracing::error!(%error, "could not read further events of a job");
                 Some((Err(error), None))
             }
         }
@@ -83,7 +83,7 @@ fn streamed(follower: EventSubscriber) -> Response {
     let headers = response.headers_mut();
     headers.insert(header::CONTENT_TYPE, HeaderValue::from_static("text/event-stream"));
     headers.insert(header::CACHE_CONTROL, HeaderValue::from_static("no-store"));
-    // Proxies that collect answers would hold events back.
+    // Some proxies buffer responses, which would delay events.
     headers.insert("x-accel-buffering", HeaderValue::from_static("no"));
     response
 }

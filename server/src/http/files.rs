@@ -1,4 +1,4 @@
-//! A job's file: given back as it was submitted, and submitted again, with changes or without.
+//! Job files: returned as they were submitted, and submitted again, with or without changes.
 
 use std::sync::Arc;
 
@@ -14,12 +14,12 @@ use super::jobs::{Submission, job_id};
 use super::{body, merge_patch};
 use crate::farm::Farm;
 
-/// Changes say little; what is more is a job file of its own.
+/// Maximum size of changes; a larger change should be a new job file.
 const MAX_CHANGES_BYTES: usize = 1 << 20;
 
 /// Get a job's file.
 ///
-/// The bytes that were submitted, or those that changes made of them.
+/// Returns the submitted bytes, or the result of a resubmission's changes to them.
 #[utoipa::path(
     get, path = "/v1/jobs/{id}/file", tag = "jobs", operation_id = "get_job_file",
     params(("id" = String, Path, description = "The job")),
@@ -35,31 +35,31 @@ pub(super) async fn file(State(farm): State<Arc<Farm>>, Path(id): Path<String>) 
 
 /// Submit a job's file again.
 ///
-/// Without a body it is the same job, and its pictures are those that are stored, unless the request says
-/// `Cache-Control: no-cache`. A body changes the file first: a JSON merge patch (RFC 7396). The new job belongs to the
-/// caller. Headers, query and answers are those of `POST /v1/jobs`.
+/// Without a body, the same file is submitted, and pictures that are already stored are not rendered again,
+/// unless the request has `Cache-Control: no-cache`. A body changes the file first: a JSON merge patch (RFC
+/// 7396). The new job belongs to the caller. Headers, query and responses are those of `POST /v1/jobs`.
 #[utoipa::path(
     post, path = "/v1/jobs/{id}/resubmit", tag = "jobs", operation_id = "resubmit_job",
     params(
         ("id" = String, Path, description = "The job whose file is submitted"),
-        ("dry_run" = Option<bool>, Query, description = "Only check the job, and say what it would take: 200 if it is sound"),
-        ("keep" = Option<String>, Query, description = "How long it is kept once it has finished: 36h, 7d, forever; else as the server was configured"),
-        ("webhook" = Option<Vec<String>>, Query, description = "An address that is told when the job has ended; up to four"),
-        ("webhook_event" = Option<Vec<String>>, Query, description = "What webhooks are told instead: job.running, job.succeeded, job.failed, job.cancelled, frame.stored"),
-        ("Idempotency-Key" = Option<String>, Header, description = "A name for this request: sent again with it, it is the same job"),
-        ("Prefer" = Option<String>, Header, description = "`wait=N`: answer when the job has ended, or after N seconds, at most 60"),
+        ("dry_run" = Option<bool>, Query, description = "Only validate the job and estimate its cost: 200 if it is valid"),
+        ("keep" = Option<String>, Query, description = "Retention after the job finishes: 36h, 7d, forever; by default the server's setting"),
+        ("webhook" = Option<Vec<String>>, Query, description = "Address to notify when the job has finished; up to four"),
+        ("webhook_event" = Option<Vec<String>>, Query, description = "Events to send instead: job.running, job.succeeded, job.failed, job.cancelled, frame.stored"),
+        ("Idempotency-Key" = Option<String>, Header, description = "Makes the request idempotent: repeating it with the same key returns the job created first"),
+        ("Prefer" = Option<String>, Header, description = "`wait=N`: respond when the job has finished, or after N seconds, at most 60"),
     ),
     request_body(content = ref("#/components/schemas/JobChanges"), content_type = "application/json"),
     responses(
         (status = 201, description = "Accepted: the new job", body = ref("#/components/schemas/JobView"),
          headers(("Location" = String, description = "The new job"))),
-        (status = 200, description = "It is sound (dry run); or the job that was accepted before under the same Idempotency-Key", body = ref("#/components/schemas/SubmitAnswer")),
+        (status = 200, description = "The job is valid (dry run), or the job that was accepted before with the same Idempotency-Key", body = ref("#/components/schemas/SubmitAnswer")),
         (status = 400, description = "Not JSON", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
         (status = 404, description = "No such job", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
         (status = 413, description = "Too large", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
-        (status = 415, description = "Wrong content type", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
-        (status = 422, description = "Not sound", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
-        (status = 429, description = "The queue is full, the submitter's quota is used up, or requests come too fast: see Retry-After", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
+        (status = 415, description = "The content type is not JSON", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
+        (status = 422, description = "The job is invalid", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
+        (status = 429, description = "The queue is full, the submitter's quota is used up, or there are too many requests: see Retry-After", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
         (status = 507, description = "Disk full", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
     )
 )]

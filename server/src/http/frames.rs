@@ -1,4 +1,4 @@
-//! The frames of an animation: a list, and all pictures as one archive.
+//! Frames of a job: a list, and all pictures as one archive.
 
 use std::sync::Arc;
 
@@ -19,7 +19,7 @@ use crate::farm::Farm;
 
 /// Default number of frames on a page.
 const DEFAULT_PAGE_SIZE: u32 = 100;
-/// Frames on a page, at most.
+/// Maximum number of frames on a page.
 const MAX_PAGE: u32 = 1000;
 
 #[derive(Debug, Deserialize)]
@@ -47,7 +47,7 @@ struct ArchiveQuery {
     responses(
         (status = 200, description = "A page", body = ref("#/components/schemas/FramePage")),
         (status = 404, description = "No such job", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
-        (status = 422, description = "Wrong query", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
+        (status = 422, description = "Invalid query parameters", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
     )
 )]
 pub(super) async fn list(
@@ -64,7 +64,7 @@ pub(super) async fn list(
     let from = match query.cursor {
         None => 0,
         Some(cursor) => cursor.parse().map_err(|_| {
-            ApiError::WrongQuery(format!("{cursor:?} is no cursor: pass the next_cursor of the page before"))
+            ApiError::WrongQuery(format!("{cursor:?} is not a cursor: pass the next_cursor of the page before"))
         })?,
     };
     let found = farm.queue.frames(job).await?.ok_or(ApiError::UnknownJob(id))?;
@@ -75,19 +75,19 @@ pub(super) async fn list(
 
 /// Get all pictures of a job as one ZIP archive.
 ///
-/// The pictures are stored unchanged, in frame order, as `NAME.0000.png` and so on; the same job gives the
-/// same bytes.
+/// The pictures are stored unchanged, in frame order, as `NAME.0000.png` and so on. The archive of the same job
+/// always has the same bytes.
 #[utoipa::path(
     get, path = "/v1/jobs/{id}/frames.zip", tag = "pictures", operation_id = "get_archive",
     params(
         ("id" = String, Path, description = "The job"),
-        ("partial" = Option<bool>, Query, description = "Also while some pictures are not stored: those that are"),
+        ("partial" = Option<bool>, Query, description = "Return the stored pictures even if some are missing"),
     ),
     responses(
         (status = 200, description = "The archive", body = Vec<u8>, content_type = "application/zip"),
         (status = 404, description = "No such job", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
         (status = 409, description = "Some pictures are not stored", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
-        (status = 422, description = "Wrong query", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
+        (status = 422, description = "Invalid query parameters", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
     )
 )]
 pub(super) async fn archive(
@@ -108,7 +108,7 @@ pub(super) async fn archive(
             Ok(Some(piece)) => Some((Ok(piece), Some(archive))),
             Ok(None) => None,
             Err(error) => {
-                tracing::error!(%error, "an archive broke off");
+                tracing::error!(%error, "an archive was interrupted");
                 Some((Err(error), None))
             }
         }

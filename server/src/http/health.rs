@@ -1,4 +1,4 @@
-//! Whether the server lives, is ready, and what it counts.
+//! Health of the server: liveness, readiness and metrics.
 
 use std::sync::Arc;
 
@@ -14,7 +14,7 @@ use crate::farm::Farm;
 /// Content type of `/metrics`.
 const OPENMETRICS_TYPE: &str = "application/openmetrics-text; version=1.0.0; charset=utf-8";
 
-/// Is the process up?
+/// Check that the process responds.
 #[utoipa::path(
     get, path = "/livez", tag = "health", operation_id = "livez",
     responses((status = 200, description = "It is", body = String))
@@ -23,11 +23,11 @@ pub(super) async fn livez() -> &'static str {
     "ok\n"
 }
 
-/// Are database and store usable?
+/// Check that the database and the content store can be used.
 #[utoipa::path(
     get, path = "/readyz", tag = "health", operation_id = "readyz",
     responses(
-        (status = 200, description = "They are; without a worker the status is `degraded`"),
+        (status = 200, description = "Both can be used; without a worker the status is `degraded`"),
         (status = 503, description = "The database is damaged", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
         (status = 507, description = "The disk is full", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
     )
@@ -41,7 +41,7 @@ pub(super) async fn readyz(State(farm): State<Arc<Farm>>) -> Result<Json<Value>,
     Ok(Json(json!({ "status": status, "database": "ok", "store": "ok", "workers": names })))
 }
 
-/// Metrics in the OpenMetrics text format.
+/// Metrics in the `OpenMetrics` text format.
 #[utoipa::path(
     get, path = "/metrics", tag = "health", operation_id = "metrics",
     responses(

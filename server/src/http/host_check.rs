@@ -1,6 +1,6 @@
 //! Host and origin check: accepts requests that name this server and do not come from another site's page.
 //!
-//! Authentication is in `caller`.
+//! Authentication is in `auth`.
 
 use std::net::IpAddr;
 use std::sync::Arc;
@@ -14,8 +14,8 @@ use axum::response::{IntoResponse, Response};
 use super::error::ApiError;
 use crate::farm::Farm;
 
-/// Rejects requests whose `Host` is not this server (DNS rebinding), and changes requested by other sites'
-/// pages.
+/// Rejects requests whose `Host` is not this server (DNS rebinding), and changes requested by pages of other
+/// sites.
 pub(super) async fn host_and_origin(State(farm): State<Arc<Farm>>, request: Request, next: Next) -> Response {
     match check_host_and_origin(&farm.config.allowed_hosts, &request) {
         Ok(()) => next.run(request).await,
@@ -25,7 +25,7 @@ pub(super) async fn host_and_origin(State(farm): State<Arc<Farm>>, request: Requ
 
 fn check_host_and_origin(hosts: &[String], request: &Request) -> Result<(), ApiError> {
     if request.headers().get_all(header::HOST).iter().count() > 1 {
-        // RFC 9112, section 3.2: a request with several is ambiguous.
+        // RFC 9112, section 3.2: a request with several Host headers is ambiguous.
         return Err(ApiError::WrongRequest("it has more than one Host header"));
     }
     if !is_utf8_path(request.uri().path()) {
@@ -48,7 +48,7 @@ fn check_host_and_origin(hosts: &[String], request: &Request) -> Result<(), ApiE
     Ok(())
 }
 
-/// Whether a path is UTF-8 once its escapes are undone.
+/// Whether a path is UTF-8 after percent-decoding.
 fn is_utf8_path(path: &str) -> bool {
     let mut parts = path.split('%');
     let mut bytes = parts.next().unwrap_or_default().as_bytes().to_vec();
@@ -64,7 +64,7 @@ fn text<'a>(headers: &'a HeaderMap, name: &header::HeaderName) -> &'a str {
     headers.get(name).map_or("", |value| value.to_str().unwrap_or("?"))
 }
 
-/// Addresses can't be rebound, so any of them will do; names have to be known.
+/// IP addresses cannot be rebound, so all of them are accepted; names must be known.
 fn is_known_host(hosts: &[String], named: &str) -> bool {
     let Ok(authority) = named.parse::<Authority>() else { return false };
     let host = authority.host();
@@ -79,7 +79,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn paths_are_text_once_their_escapes_are_undone() {
+    fn percent_decoded_paths_must_be_utf_8() {
         for text in ["/v1/jobs", "/%41", "/%d1%84", "/%", "/%zz", "/100%"] {
             assert!(is_utf8_path(text), "{text}");
         }
@@ -89,7 +89,7 @@ mod tests {
     }
 
     #[test]
-    fn addresses_localhost_and_known_names_are_ours() {
+    fn ip_addresses_localhost_and_known_names_are_accepted() {
         let hosts = ["farm.example".to_owned()];
         for ours in ["127.0.0.1:8080", "localhost", "LOCALHOST:1", "[::1]:80", "192.168.1.5:9", "farm.example:8080"] {
             assert!(is_known_host(&hosts, ours), "{ours}");

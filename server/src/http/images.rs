@@ -1,4 +1,4 @@
-//! Stored pictures.
+//! Serves the stored pictures of frames.
 
 use std::sync::Arc;
 
@@ -15,7 +15,7 @@ use crate::content_store::{ContentHash, ContentKind};
 use crate::farm::Farm;
 use crate::queue::StoredImage;
 
-/// A frame's picture never changes.
+/// Cache lifetime: a frame's picture never changes.
 pub(super) const IMMUTABLE: &str = "public, max-age=31536000, immutable";
 
 /// Get the picture of a job's first frame.
@@ -23,11 +23,11 @@ pub(super) const IMMUTABLE: &str = "public, max-age=31536000, immutable";
     get, path = "/v1/jobs/{id}/image", tag = "pictures", operation_id = "get_image",
     params(("id" = String, Path, description = "The job")),
     responses(
-        (status = 200, description = "The picture: image/png or image/x-exr, as the job says", body = Vec<u8>, content_type = "image/*"),
-        (status = 206, description = "The range asked for"),
-        (status = 304, description = "It is what the client has"),
+        (status = 200, description = "The picture: image/png or image/x-exr, depending on the job", body = Vec<u8>, content_type = "image/*"),
+        (status = 206, description = "The requested range"),
+        (status = 304, description = "The client has the current version"),
         (status = 404, description = "Not stored yet, or no such job", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
-        (status = 416, description = "No such range", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
+        (status = 416, description = "The range is outside the picture", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
     )
 )]
 pub(super) async fn first_frame(
@@ -46,11 +46,11 @@ pub(super) async fn first_frame(
         ("frame" = u32, Path, description = "The frame, from 0"),
     ),
     responses(
-        (status = 200, description = "The picture: image/png or image/x-exr, as the job says", body = Vec<u8>, content_type = "image/*"),
-        (status = 206, description = "The range asked for"),
-        (status = 304, description = "It is what the client has"),
+        (status = 200, description = "The picture: image/png or image/x-exr, depending on the job", body = Vec<u8>, content_type = "image/*"),
+        (status = 206, description = "The requested range"),
+        (status = 304, description = "The client has the current version"),
         (status = 404, description = "Not stored yet, or no such frame or job", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
-        (status = 416, description = "No such range", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
+        (status = 416, description = "The range is outside the picture", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
     )
 )]
 pub(super) async fn frame(
@@ -62,7 +62,7 @@ pub(super) async fn frame(
     answer(&farm, job, frame, &headers).await
 }
 
-/// Reads a job's id and a frame's number from a path.
+/// Parses a job id and a frame number from a path.
 pub(super) async fn frame_of(farm: &Farm, id: &str, frame: &str) -> Result<(JobId, u32), ApiError> {
     let job = job_id(id)?;
     match frame.parse() {
@@ -76,7 +76,7 @@ pub(super) async fn frame_of(farm: &Farm, id: &str, frame: &str) -> Result<(JobI
     }
 }
 
-/// A frame's stored picture.
+/// Response with a frame's stored picture.
 pub(super) async fn answer(farm: &Farm, job: JobId, frame: u32, headers: &HeaderMap) -> Result<Response, ApiError> {
     let (hash, size_bytes, media_type) = match farm.queue.image(job, frame).await? {
         StoredImage::Stored { hash, size_bytes, media_type } => (hash, size_bytes, media_type),

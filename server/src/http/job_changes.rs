@@ -1,4 +1,4 @@
-//! Changing a job that is there: retry, priority, and deleting it, or seeing what that would take along.
+//! Changes of an existing job: retry, priority, and deletion with its dry run.
 
 use std::sync::Arc;
 
@@ -18,7 +18,7 @@ use crate::content_store::ContentKind;
 use crate::farm::Farm;
 use crate::queue::{ChangeOutcome, DeleteOutcome};
 
-/// No honest body of these routes is larger.
+/// Maximum size of a request body; valid ones are smaller.
 const MAX_BYTES: usize = 4096;
 
 #[derive(Debug, Deserialize)]
@@ -35,9 +35,9 @@ struct DeleteQuery {
     post, path = "/v1/jobs/{id}/retry", tag = "jobs", operation_id = "retry_job",
     params(("id" = String, Path, description = "The job")),
     responses(
-        (status = 200, description = "It is running again", body = ref("#/components/schemas/JobView")),
+        (status = 200, description = "The job is running again", body = ref("#/components/schemas/JobView")),
         (status = 404, description = "No such job", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
-        (status = 409, description = "None of its tiles is dead", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
+        (status = 409, description = "The job has no dead tiles", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
     )
 )]
 pub(super) async fn retry(State(farm): State<Arc<Farm>>, Path(id): Path<String>) -> Result<Json<JobView>, ApiError> {
@@ -49,19 +49,19 @@ pub(super) async fn retry(State(farm): State<Arc<Farm>>, Path(id): Path<String>)
     }
 }
 
-/// Change a job that has not finished.
+/// Change a job's priority.
 #[utoipa::path(
     patch, path = "/v1/jobs/{id}", tag = "jobs", operation_id = "change_job",
     params(("id" = String, Path, description = "The job")),
     request_body(content = ref("#/components/schemas/JobPatch"), content_type = "application/json"),
     responses(
-        (status = 200, description = "The job, as it is now", body = ref("#/components/schemas/JobView")),
+        (status = 200, description = "The changed job", body = ref("#/components/schemas/JobView")),
         (status = 400, description = "Not JSON", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
         (status = 404, description = "No such job", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
-        (status = 409, description = "It has ended", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
+        (status = 409, description = "The job has finished", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
         (status = 413, description = "Too large", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
-        (status = 415, description = "Wrong content type", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
-        (status = 422, description = "An unknown key, or a value out of its range", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
+        (status = 415, description = "The content type is not JSON", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
+        (status = 422, description = "Unknown member, or value out of range", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
     )
 )]
 pub(super) async fn patch(
@@ -77,7 +77,7 @@ pub(super) async fn patch(
     {
         return Err(body::invalid_body(
             "/priority",
-            format!("{priority} is no priority: say a number from -100 to 100"),
+            format!("{priority} is not a priority: use a number from -100 to 100"),
         ));
     }
     match farm.queue.patch(job, patch).await? {
@@ -87,19 +87,19 @@ pub(super) async fn patch(
     }
 }
 
-/// Forget a job and its pictures.
+/// Delete a job and its pictures.
 #[utoipa::path(
     delete, path = "/v1/jobs/{id}", tag = "jobs", operation_id = "delete_job",
     params(
         ("id" = String, Path, description = "The job"),
-        ("dry_run" = Option<bool>, Query, description = "Only tell what would go"),
+        ("dry_run" = Option<bool>, Query, description = "Only report what would be deleted"),
     ),
     responses(
-        (status = 200, description = "What would go (dry run)", body = ref("#/components/schemas/DeleteDryRun")),
-        (status = 204, description = "It is forgotten"),
+        (status = 200, description = "What would be deleted (dry run)", body = ref("#/components/schemas/DeleteDryRun")),
+        (status = 204, description = "The job is deleted"),
         (status = 404, description = "No such job", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
-        (status = 409, description = "It is running", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
-        (status = 422, description = "Wrong query", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
+        (status = 409, description = "The job is running", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
+        (status = 422, description = "Invalid query parameters", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
     )
 )]
 pub(super) async fn delete(

@@ -1,4 +1,4 @@
-//! Jobs: submitted, read, cancelled, deleted.
+//! Jobs: submission, reading, cancelling.
 
 use std::sync::Arc;
 
@@ -25,7 +25,7 @@ use crate::tile_plan::TilePlan;
 
 /// Default number of jobs on a page.
 const DEFAULT_PAGE_SIZE: u32 = 100;
-/// Jobs on a page, at most.
+/// Maximum number of jobs on a page.
 const MAX_PAGE: u32 = 1000;
 
 #[derive(Debug, Deserialize)]
@@ -57,7 +57,7 @@ fn media_type(image: &scene::Image) -> &'static str {
     }
 }
 
-/// Whether the request asks to ignore the picture cache.
+/// Whether the request bypasses the picture cache.
 pub(super) fn has_no_cache(headers: &HeaderMap) -> bool {
     headers
         .get_all(header::CACHE_CONTROL)
@@ -73,23 +73,23 @@ pub(super) fn has_no_cache(headers: &HeaderMap) -> bool {
 #[utoipa::path(
     post, path = "/v1/jobs", tag = "jobs", operation_id = "submit_job",
     params(
-        ("dry_run" = Option<bool>, Query, description = "Only check the job, and say what it would take: 200 if it is sound"),
-        ("keep" = Option<String>, Query, description = "How long it is kept once it has finished: 36h, 7d, forever; else as the server was told"),
-        ("webhook" = Option<Vec<String>>, Query, description = "An address that is told when the job has ended; up to four"),
-        ("webhook_event" = Option<Vec<String>>, Query, description = "What webhooks are told instead: job.running, job.succeeded, job.failed, job.cancelled, frame.stored"),
+        ("dry_run" = Option<bool>, Query, description = "Only validate the job and estimate its cost: 200 if it is valid"),
+        ("keep" = Option<String>, Query, description = "Retention after the job finishes: 36h, 7d, forever; by default the server's setting"),
+        ("webhook" = Option<Vec<String>>, Query, description = "Address to notify when the job has finished; up to four"),
+        ("webhook_event" = Option<Vec<String>>, Query, description = "Events to send instead: job.running, job.succeeded, job.failed, job.cancelled, frame.stored"),
         ("Idempotency-Key" = Option<String>, Header, description = "Makes the request idempotent: repeating it with the same key returns the job created first"),
-        ("Prefer" = Option<String>, Header, description = "`wait=N`: answer when the job has ended, or after N seconds, at most 60"),
+        ("Prefer" = Option<String>, Header, description = "`wait=N`: respond when the job has finished, or after N seconds, at most 60"),
     ),
     request_body(content = ref("#/components/schemas/Job"), content_type = "application/json"),
     responses(
         (status = 201, description = "Accepted", body = ref("#/components/schemas/JobView"),
          headers(("Location" = String, description = "The job"))),
-        (status = 200, description = "It is sound (dry run); or, the job that was accepted before under the same Idempotency-Key", body = ref("#/components/schemas/SubmitAnswer")),
+        (status = 200, description = "The job is valid (dry run), or the job that was accepted before with the same Idempotency-Key", body = ref("#/components/schemas/SubmitAnswer")),
         (status = 400, description = "Not JSON", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
         (status = 413, description = "Too large", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
-        (status = 415, description = "Wrong content type", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
-        (status = 422, description = "Not sound: `errors` lists all faults", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
-        (status = 429, description = "The queue is full, the submitter's quota is used up, or requests come too fast: see Retry-After", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
+        (status = 415, description = "The content type is not JSON", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
+        (status = 422, description = "The job is invalid: `errors` lists all errors", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
+        (status = 429, description = "The queue is full, the submitter's quota is used up, or there are too many requests: see Retry-After", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
         (status = 507, description = "Disk full", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
     )
 )]
@@ -106,7 +106,7 @@ pub(super) async fn submit(
     submission.finish(&farm, text).await
 }
 
-/// A request to accept a job, as far as it can be judged before the job's text is there.
+/// Submission request, validated as far as possible before its body is read.
 pub(super) struct Submission {
     caller: Caller,
     uri: Uri,
@@ -117,7 +117,8 @@ pub(super) struct Submission {
 }
 
 impl Submission {
-    /// Refuses what no text could save: a farm that is closing, a quota that is used up, a wrong query.
+    /// Rejects requests that no body could make valid: the server is shutting down, a quota is used up, the
+    /// query is invalid.
     pub(super) async fn begin(farm: &Farm, caller: Caller, uri: Uri, headers: HeaderMap) -> Result<Self, ApiError> {
         let query: SubmitQuery = body::read_query(&uri)?;
         if farm.is_shutting_down.is_cancelled() && !query.dry_run {
@@ -134,7 +135,7 @@ impl Submission {
         Ok(Self { caller, uri, headers, query, keep, is_known })
     }
 
-    /// Accepts the job of this text, or checks it.
+    /// Accepts or validates a job with this text.
     pub(super) async fn finish(self, farm: &Arc<Farm>, text: bytes::Bytes) -> Result<Response, ApiError> {
         let Self { caller, uri, headers, query, keep, is_known } = self;
         let wish = submit_options::read(&uri, &headers, &text, &farm.webhooks.guard)?;
@@ -180,7 +181,7 @@ impl Submission {
     }
 }
 
-/// The text of a job file that was read.
+/// Body of a submission.
 fn into_utf8(text: bytes::Bytes) -> Result<String, ApiError> {
     String::from_utf8(text.into()).map_err(|error| ApiError::Internal(Box::new(error)))
 }
@@ -193,13 +194,13 @@ fn into_utf8(text: bytes::Bytes) -> Result<String, ApiError> {
     get, path = "/v1/jobs", tag = "jobs", operation_id = "list_jobs",
     params(
         ("state" = Option<String>, Query, description = "Only jobs in this state: queued, running, succeeded, failed, cancelled"),
-        ("match" = Option<String>, Query, description = "Only jobs of this id, of an id that begins or ends so (4 characters or more), or of this name; `latest` is the newest one. Goes with `limit` alone"),
+        ("match" = Option<String>, Query, description = "Only jobs with this id, with an id that starts or ends with this text (4 characters or more), or with this name; `latest` is the newest job. Can be combined with `limit` only"),
         ("limit" = Option<u32>, Query, description = "Jobs on the page", minimum = 1, maximum = 1000),
         ("cursor" = Option<String>, Query, description = "`next_cursor` of the page before"),
     ),
     responses(
         (status = 200, description = "A page", body = ref("#/components/schemas/JobPage")),
-        (status = 422, description = "Wrong query", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
+        (status = 422, description = "Invalid query parameters", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
     )
 )]
 pub(super) async fn list(State(farm): State<Arc<Farm>>, caller: Caller, uri: Uri) -> Result<Json<JobPage>, ApiError> {
@@ -210,14 +211,14 @@ pub(super) async fn list(State(farm): State<Arc<Farm>>, caller: Caller, uri: Uri
     }
     if let Some(text) = query.r#match {
         if query.state.is_some() || query.cursor.is_some() {
-            return Err(ApiError::WrongQuery("match goes with limit alone: leave state and cursor out".into()));
+            return Err(ApiError::WrongQuery("match can be combined with limit only: remove state and cursor".into()));
         }
         return Ok(Json(farm.queue.jobs_like(caller.visible_submitter(), &text, limit).await?));
     }
     let before = match query.cursor {
         None => None,
         Some(cursor) => Some(cursor.parse().map_err(|_| {
-            ApiError::WrongQuery(format!("{cursor:?} is no cursor: pass the next_cursor of the page before"))
+            ApiError::WrongQuery(format!("{cursor:?} is not a cursor: pass the next_cursor of the page before"))
         })?),
     };
     Ok(Json(farm.queue.jobs(caller.visible_submitter(), query.state, limit, before).await?))
@@ -228,7 +229,7 @@ pub(super) async fn list(State(farm): State<Arc<Farm>>, caller: Caller, uri: Uri
     get, path = "/v1/jobs/{id}", tag = "jobs", operation_id = "get_job",
     params(
         ("id" = String, Path, description = "The job"),
-        ("Prefer" = Option<String>, Header, description = "`wait=N`: answer when the job has ended, or after N seconds, at most 60"),
+        ("Prefer" = Option<String>, Header, description = "`wait=N`: respond when the job has finished, or after N seconds, at most 60"),
     ),
     responses(
         (status = 200, description = "The job", body = ref("#/components/schemas/JobView")),
@@ -243,7 +244,7 @@ pub(super) async fn get(
     prefer::answer(&farm, job_id(&id)?, &headers, StatusCode::OK).await
 }
 
-/// A job as it is now.
+/// Current view of a job.
 pub(super) async fn view(farm: &Farm, id: JobId) -> Result<Json<JobView>, ApiError> {
     farm.queue.job(id).await?.map(Json).ok_or_else(|| ApiError::UnknownJob(id.to_string()))
 }
@@ -253,9 +254,9 @@ pub(super) async fn view(farm: &Farm, id: JobId) -> Result<Json<JobView>, ApiErr
     post, path = "/v1/jobs/{id}/cancel", tag = "jobs", operation_id = "cancel_job",
     params(("id" = String, Path, description = "The job")),
     responses(
-        (status = 200, description = "It is cancelled", body = ref("#/components/schemas/JobView")),
+        (status = 200, description = "The job is cancelled", body = ref("#/components/schemas/JobView")),
         (status = 404, description = "No such job", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
-        (status = 409, description = "It has ended", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
+        (status = 409, description = "The job has finished", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
     )
 )]
 pub(super) async fn cancel(State(farm): State<Arc<Farm>>, Path(id): Path<String>) -> Result<Json<JobView>, ApiError> {

@@ -13,7 +13,7 @@ use super::body;
 use super::error::ApiError;
 use crate::farm::Farm;
 
-/// No honest body of this route is larger.
+/// Maximum size of a request body; valid ones are smaller.
 const MAX_BYTES: usize = 16 << 10;
 
 /// List the keys.
@@ -25,20 +25,20 @@ pub(super) async fn list(State(farm): State<Arc<Farm>>) -> Json<ApiKeyList> {
     Json(ApiKeyList { keys: farm.admission.keys.list() })
 }
 
-/// Make a key.
+/// Create a key.
 ///
-/// The answer holds its secret, which nobody can show again. Two keys of one name may be live, so that the new one
-/// can be put in the old one's place. The first key of a farm closes it to everyone without one, so it needs the scope
-/// `admin`.
+/// The response has the key's secret, which cannot be shown again. Two keys of one name may be live, so that a
+/// new one can replace the old one without a gap. After the first key has been created, the farm rejects
+/// requests without a key; therefore the first key needs the scope `admin`.
 #[utoipa::path(
     post, path = "/v1/keys", tag = "keys", operation_id = "create_key",
     request_body(content = ref("#/components/schemas/NewApiKey"), content_type = "application/json"),
     responses(
-        (status = 201, description = "Made", body = ref("#/components/schemas/IssuedApiKey")),
+        (status = 201, description = "Created", body = ref("#/components/schemas/IssuedApiKey")),
         (status = 400, description = "Not JSON", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
         (status = 409, description = "The name has two live keys, or there are too many keys", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
         (status = 413, description = "Too large", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
-        (status = 415, description = "Wrong content type", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
+        (status = 415, description = "The content type is not JSON", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
         (status = 422, description = "The key's name, scopes, expiry or limits are invalid", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
     )
 )]
@@ -59,9 +59,9 @@ pub(super) async fn make(
 /// Open requests that use the key end immediately with 401.
 #[utoipa::path(
     delete, path = "/v1/keys/{id}", tag = "keys", operation_id = "revoke_key",
-    params(("id" = String, Path, description = "A key's id, or a name: then all its keys")),
+    params(("id" = String, Path, description = "Id of a key, or a name, which revokes all its keys")),
     responses(
-        (status = 200, description = "The keys that are revoked now", body = ref("#/components/schemas/ApiKeyList")),
+        (status = 200, description = "The revoked keys", body = ref("#/components/schemas/ApiKeyList")),
         (status = 404, description = "No such key, or revoked already", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
     )
 )]

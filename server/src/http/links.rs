@@ -18,7 +18,7 @@ use crate::farm::Farm;
 use crate::queue::StoredImage;
 use crate::signed_links::LinkClaims;
 
-/// Maximum size of a request for a link.
+/// Maximum size of a request body.
 const MAX_BYTES: usize = 4 << 10;
 
 #[derive(Debug, Deserialize)]
@@ -44,8 +44,8 @@ struct LinkQuery {
         (status = 400, description = "Not JSON", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
         (status = 404, description = "No such frame or job", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
         (status = 413, description = "Too large", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
-        (status = 415, description = "Wrong content type", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
-        (status = 422, description = "Not a time from 1 second to 366 days", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
+        (status = 415, description = "The content type is not JSON", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
+        (status = 422, description = "The validity is not from 1 second to 366 days", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
     )
 )]
 pub(super) async fn sign(
@@ -72,27 +72,27 @@ pub(super) async fn sign(
     }))
 }
 
-/// Follow a signed link.
+/// Get a picture by a signed link.
 ///
-/// Needs no key: the signature is the permission.
+/// Needs no key: the link's signature authorizes the request.
 #[utoipa::path(
     get, path = "/v1/pictures/{id}/{frame}/{content}", tag = "pictures", operation_id = "follow_link", security(()),
     params(
         ("id" = String, Path, description = "The job"),
         ("frame" = u32, Path, description = "The frame, from 0"),
         ("shown" = String, Path, description = "`image` or `preview`"),
-        ("expires" = i64, Query, description = "When the link expires, in seconds since 1970"),
-        ("signature" = String, Query, description = "What makes it valid"),
+        ("expires" = i64, Query, description = "Expiry of the link, in seconds since 1970"),
+        ("signature" = String, Query, description = "Signature of the link"),
     ),
     responses(
-        (status = 200, description = "The picture: image/png or image/x-exr, as the job says", body = Vec<u8>, content_type = "image/*"),
-        (status = 206, description = "The range asked for"),
-        (status = 304, description = "It is what the client has"),
-        (status = 403, description = "The signature is not this link's", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
-        (status = 404, description = "Not stored yet, or the job is gone", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
-        (status = 410, description = "It has expired", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
-        (status = 416, description = "No such range", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
-        (status = 422, description = "Wrong query", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
+        (status = 200, description = "The picture: image/png or image/x-exr, depending on the job", body = Vec<u8>, content_type = "image/*"),
+        (status = 206, description = "The requested range"),
+        (status = 304, description = "The client has the current version"),
+        (status = 403, description = "The signature does not match the link", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
+        (status = 404, description = "Not stored yet, or the job was deleted", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
+        (status = 410, description = "The link has expired", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
+        (status = 416, description = "The range is outside the picture", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
+        (status = 422, description = "Invalid query parameters", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
         (status = 503, description = "The preview could not be drawn", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
     )
 )]

@@ -1,5 +1,5 @@
-//! JSON merge patches (RFC 7396) of a job's file. What a patch does not name keeps its text to the byte, so that no
-//! number is read and written on the way.
+//! JSON merge patches (RFC 7396) of a job's file. Members that a patch does not name keep their exact bytes, so
+//! that no number is parsed and rewritten.
 
 use std::collections::BTreeMap;
 
@@ -8,16 +8,19 @@ use serde_json::value::RawValue;
 use super::body;
 use super::error::ApiError;
 
-/// A patch may nest this deep: each level of the file above a change is read once.
+/// Maximum nesting of a patch: each level of the file above a change is parsed once.
 const MAX_DEPTH: usize = 64;
 
 type Members = BTreeMap<String, Box<RawValue>>;
 
-/// A sound file's text with a patch applied.
+/// Text of a valid file with a patch applied.
 pub(super) fn apply(file: &str, patch: &[u8]) -> Result<String, ApiError> {
     let patch: Box<RawValue> = serde_json::from_slice(patch).map_err(|error| body::not_json(&error))?;
     if members(&patch).is_none() {
-        return Err(body::invalid_body("", "this is no object: send the keys that are to change".to_owned()));
+        return Err(body::invalid_body(
+            "",
+            "the patch is not an object: send an object with the members to change".to_owned(),
+        ));
     }
     let file: Option<Box<RawValue>> = serde_json::from_str(file).ok();
     merged(file, &patch, 0).map(|merged| merged.get().to_owned())
@@ -33,7 +36,7 @@ fn merged(target: Option<Box<RawValue>>, patch: &RawValue, depth: usize) -> Resu
     if depth == MAX_DEPTH {
         return Err(body::invalid_body(
             "",
-            format!("nests deeper than {MAX_DEPTH} objects: submit a job file of its own"),
+            format!("nested deeper than {MAX_DEPTH} objects: submit a new job file instead"),
         ));
     }
     let mut target = target.as_deref().and_then(members).unwrap_or_default();
@@ -58,8 +61,8 @@ mod tests {
     }
 
     #[test]
-    fn patches_are_applied_as_rfc_7396_has_them() {
-        // The cases of its appendix A that patch objects.
+    fn patches_are_applied_according_to_rfc_7396() {
+        // Cases of RFC 7396, appendix A, whose patch is an object.
         for (file, patch, wanted) in [
             (r#"{"a":"b"}"#, r#"{"a":"c"}"#, r#"{"a":"c"}"#),
             (r#"{"a":"b"}"#, r#"{"b":"c"}"#, r#"{"a":"b","b":"c"}"#),
@@ -80,14 +83,14 @@ mod tests {
     }
 
     #[test]
-    fn numbers_that_are_not_named_keep_their_digits() {
+    fn unchanged_numbers_keep_their_digits() {
         let text = apply(r#"{ "a": { "x": 0.1000000000000000055511151231, "y": 1 } }"#, br#"{"a":{"y":2.50}}"#);
         let text = text.unwrap_or_else(|_| panic!("a patch"));
         assert_eq!(text, r#"{"a":{"x":0.1000000000000000055511151231,"y":2.50}}"#);
     }
 
     #[test]
-    fn what_is_no_patch_is_rejected() {
+    fn invalid_patches_are_rejected() {
         let deep = format!("{}1{}", r#"{"a":"#.repeat(MAX_DEPTH + 1), "}".repeat(MAX_DEPTH + 1));
         for patch in ["[1]", "7", "null", "{", "", &deep] {
             assert!(apply("{}", patch.as_bytes()).is_err(), "{patch}");

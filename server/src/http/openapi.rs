@@ -1,4 +1,4 @@
-//! The API's own description: routes from their handlers, schemas from the types that are sent.
+//! `OpenAPI` document of the API: routes from their handlers, schemas from the types that are sent.
 
 mod portable;
 mod security;
@@ -23,17 +23,17 @@ use proto::webhook::DeliveryList;
 use schemars::generate::SchemaSettings;
 use serde_json::{Map, Value};
 
-/// Location of the definitions in the OpenAPI document.
+/// Location of the definitions in the `OpenAPI` document.
 const COMPONENTS: &str = "#/components/schemas/";
 /// Location of the definitions in a JSON Schema.
 const DEFINITIONS: &str = "#/$defs/";
 
-/// The document, as it is served.
+/// `OpenAPI` document, as it is served.
 #[derive(Clone, Debug)]
 pub(super) struct Document(Arc<Value>);
 
 impl Document {
-    /// Completes the description of the routes with the schemas that they refer to.
+    /// Adds the schemas that the routes refer to.
     pub(super) fn new(routes: &utoipa::openapi::OpenApi) -> Self {
         let mut document = serde_json::to_value(routes).expect("an OpenAPI document is plain JSON");
         document["info"] = serde_json::json!({
@@ -50,7 +50,7 @@ impl Document {
         Self(Arc::new(document))
     }
 
-    /// The document as JSON.
+    /// `OpenAPI` document as JSON.
     #[cfg(test)]
     pub(super) fn value(&self) -> &Value {
         &self.0
@@ -60,7 +60,7 @@ impl Document {
 /// Schemas of the responses, and of request bodies other than jobs.
 fn views() -> Map<String, Value> {
     let mut schemas = requests();
-    // Responses have every key, also those that are null.
+    // Responses have every member, including those that are null.
     schemas.extend(answers());
     scene::schema::tidy(&mut schemas, COMPONENTS);
     schemas.extend(portable::schemas());
@@ -101,7 +101,7 @@ fn answers() -> Map<String, Value> {
     generator.take_definitions(true)
 }
 
-/// The schema of a job file and all it refers to.
+/// Schema of a job file, with all schemas that it refers to.
 fn job_file() -> Map<String, Value> {
     let mut schema = scene::schema();
     let Some(job) = schema.as_object_mut() else { return Map::new() };
@@ -136,12 +136,12 @@ fn rewrite_refs(value: &mut Value) {
     }
 }
 
-/// The document.
+/// Get the `OpenAPI` document.
 pub(super) async fn openapi(State(document): State<Document>) -> Json<Value> {
     Json(Value::clone(&document.0))
 }
 
-/// The JSON Schema of a job file.
+/// Get the JSON Schema of a job file.
 #[utoipa::path(
     get, path = "/v1/schema/job", tag = "schemas", operation_id = "job_schema",
     responses((status = 200, description = "JSON Schema 2020-12", body = serde_json::Value, content_type = "application/schema+json"))
@@ -155,7 +155,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_schemas_of_jobs_and_of_answers_have_no_name_in_common() {
+    fn job_and_response_schemas_have_distinct_names() {
         let views = views();
         let shared: Vec<String> =
             job_file().into_iter().map(|(name, _)| name).filter(|name| views.contains_key(name)).collect();
@@ -163,7 +163,7 @@ mod tests {
     }
 
     #[test]
-    fn a_job_is_described_as_its_schema_does() {
+    fn the_document_describes_jobs_by_their_schema() {
         let (document, mut schema) = (super::super::document(), scene::schema());
         rewrite_refs(&mut schema);
         let served = &document.value()["components"]["schemas"];
@@ -174,13 +174,13 @@ mod tests {
     }
 
     #[test]
-    fn every_reference_leads_to_a_schema() {
+    fn every_reference_has_a_schema() {
         let document = super::super::document();
         let text = document.value().to_string();
         let schemas = document.value()["components"]["schemas"].as_object().expect("schemas");
         let mut count = 0;
         for rest in text.split("\"$ref\":\"").skip(1) {
-            let target = rest.split('"').next().expect("a reference ends");
+            let target = rest.split('"').next().expect("a reference has a closing quote");
             let name = target.strip_prefix(COMPONENTS).unwrap_or_else(|| panic!("{target} leads out"));
             assert!(schemas.contains_key(name), "{name} is missing");
             count += 1;

@@ -1,4 +1,4 @@
-//! Pausing and resuming: of a job, and of the farm as a whole.
+//! Pausing and resuming a job or the whole farm.
 
 use std::sync::Arc;
 
@@ -17,9 +17,9 @@ use crate::queue::PauseOutcome;
     post, path = "/v1/jobs/{id}/pause", tag = "jobs", operation_id = "pause_job",
     params(("id" = String, Path, description = "The job")),
     responses(
-        (status = 200, description = "It is paused", body = ref("#/components/schemas/JobView")),
+        (status = 200, description = "The job is paused", body = ref("#/components/schemas/JobView")),
         (status = 404, description = "No such job", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
-        (status = 409, description = "It has ended", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
+        (status = 409, description = "The job has finished", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
     )
 )]
 pub(super) async fn pause_job(farm: State<Arc<Farm>>, id: Path<String>) -> Result<Json<JobView>, ApiError> {
@@ -31,9 +31,9 @@ pub(super) async fn pause_job(farm: State<Arc<Farm>>, id: Path<String>) -> Resul
     post, path = "/v1/jobs/{id}/resume", tag = "jobs", operation_id = "resume_job",
     params(("id" = String, Path, description = "The job")),
     responses(
-        (status = 200, description = "It goes on", body = ref("#/components/schemas/JobView")),
+        (status = 200, description = "The job is resumed", body = ref("#/components/schemas/JobView")),
         (status = 404, description = "No such job", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
-        (status = 409, description = "It has ended", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
+        (status = 409, description = "The job has finished", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
     )
 )]
 pub(super) async fn resume_job(farm: State<Arc<Farm>>, id: Path<String>) -> Result<Json<JobView>, ApiError> {
@@ -61,7 +61,7 @@ pub(super) async fn get(State(farm): State<Arc<Farm>>) -> Result<Json<FarmView>,
 /// Pause the farm: no new tiles are leased; leased tiles finish and count.
 #[utoipa::path(
     post, path = "/v1/farm/pause", tag = "farm", operation_id = "pause_farm",
-    responses((status = 200, description = "It is paused", body = ref("#/components/schemas/FarmView")))
+    responses((status = 200, description = "The farm is paused", body = ref("#/components/schemas/FarmView")))
 )]
 pub(super) async fn pause(farm: State<Arc<Farm>>) -> Result<Json<FarmView>, ApiError> {
     farm.queue.pause_all(true).await?;
@@ -71,7 +71,7 @@ pub(super) async fn pause(farm: State<Arc<Farm>>) -> Result<Json<FarmView>, ApiE
 /// Resume a paused farm.
 #[utoipa::path(
     post, path = "/v1/farm/resume", tag = "farm", operation_id = "resume_farm",
-    responses((status = 200, description = "It goes on", body = ref("#/components/schemas/FarmView")))
+    responses((status = 200, description = "The farm is resumed", body = ref("#/components/schemas/FarmView")))
 )]
 pub(super) async fn resume(farm: State<Arc<Farm>>) -> Result<Json<FarmView>, ApiError> {
     farm.queue.pause_all(false).await?;

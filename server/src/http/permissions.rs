@@ -1,4 +1,4 @@
-//! Permission that each route requires once there are keys. A route not listed here requires `admin`.
+//! Permission that each route requires if the farm has keys. A route not listed here requires `admin`.
 
 use axum::http::Method;
 use proto::api_key::Scope;
@@ -34,7 +34,7 @@ pub(super) fn required_permission(method: &Method, route: &str) -> Permission {
     }
 }
 
-/// Health, descriptions, and pictures by links that prove themselves; what is nowhere answers 404 to anyone.
+/// Public routes: health, descriptions, and pictures by signed link. Unknown paths respond 404 to every caller.
 fn is_public(route: &str) -> bool {
     matches!(route, "" | "/" | "/livez" | "/readyz" | "/openapi.json" | "/v1/schema/job")
         || route == "/docs"

@@ -12,7 +12,7 @@ use super::body;
 use super::error::ApiError;
 use crate::farm::Farm;
 
-/// No honest body of this route is larger.
+/// Maximum size of a request body; valid ones are smaller.
 const MAX_BYTES: usize = 4096;
 
 /// List the workers.
@@ -36,13 +36,13 @@ pub(super) async fn get(State(farm): State<Arc<Farm>>) -> Result<Json<PoolView>,
 
 /// Change the number of local workers.
 ///
-/// Surplus workers finish what they hold first.
+/// Surplus workers finish their leased tiles first.
 #[utoipa::path(
     put, path = "/v1/pool", tag = "workers", operation_id = "resize_pool",
     request_body(content = ref("#/components/schemas/PoolSize"), content_type = "application/json"),
     responses(
-        (status = 200, description = "The pool, as it is now", body = ref("#/components/schemas/PoolView")),
-        (status = 422, description = "Not a number of workers from 0 to 256", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
+        (status = 200, description = "The resized pool", body = ref("#/components/schemas/PoolView")),
+        (status = 422, description = "The number of workers is not from 0 to 256", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
     )
 )]
 pub(super) async fn put(

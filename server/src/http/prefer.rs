@@ -17,7 +17,7 @@ const MAX_WAIT: Duration = Duration::from_mins(1);
 const PREFER: &str = "prefer";
 const APPLIED: HeaderName = HeaderName::from_static("preference-applied");
 
-/// Responds with a job when it has finished or the wait is over.
+/// Responds with a job when it has finished or the wait has expired.
 pub(super) async fn answer(
     farm: &Farm,
     id: JobId,
@@ -53,7 +53,7 @@ async fn wait_until_finished(farm: &Farm, id: JobId, wait: Duration) -> Result<(
     Ok(())
 }
 
-/// Requested wait; an unreadable header is ignored, as RFC 7240 says.
+/// Requested wait; an unreadable header is ignored, as RFC 7240 requires.
 fn wait(headers: &HeaderMap) -> Option<Duration> {
     headers
         .get_all(PREFER)
@@ -71,7 +71,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn preferences_are_read_as_rfc_7240_has_them() {
+    fn preferences_are_parsed_according_to_rfc_7240() {
         for (value, seconds) in [
             ("wait=10", Some(10)),
             ("respond-async, wait=5", Some(5)),

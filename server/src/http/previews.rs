@@ -21,9 +21,9 @@ use crate::queue::FrameContents;
 const PREVIEW_PX: u32 = 960;
 /// Default width of a thumbnail.
 const THUMBNAIL_PX: u32 = 256;
-/// Widest preview or thumbnail.
+/// Maximum width of a preview or thumbnail.
 const MAX_WIDTH_PX: u32 = 2048;
-/// Most time for the coarse pass under a preview, in milliseconds.
+/// Maximum time for the coarse pass under a preview, in milliseconds.
 const COARSE_MS: u64 = 250;
 
 #[derive(Debug, Deserialize)]
@@ -53,14 +53,14 @@ impl WidthQuery {
     params(
         ("id" = String, Path, description = "The job"),
         ("frame" = u32, Path, description = "The frame, from 0"),
-        ("width" = Option<u32>, Query, description = "Most pixels in a row; 960 unless said", minimum = 1, maximum = 2048),
+        ("width" = Option<u32>, Query, description = "Maximum width, in pixels; 960 by default", minimum = 1, maximum = 2048),
     ),
     responses(
         (status = 200, description = "The preview", body = Vec<u8>, content_type = "image/png"),
-        (status = 304, description = "It is what the client has"),
+        (status = 304, description = "The client has the current version"),
         (status = 404, description = "No such frame or job", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
-        (status = 422, description = "Wrong query", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
-        (status = 503, description = "It could not be drawn", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
+        (status = 422, description = "Invalid query parameters", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
+        (status = 503, description = "The preview could not be drawn", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
     )
 )]
 pub(super) async fn preview(
@@ -80,14 +80,14 @@ pub(super) async fn preview(
     params(
         ("id" = String, Path, description = "The job"),
         ("frame" = u32, Path, description = "The frame, from 0"),
-        ("width" = Option<u32>, Query, description = "Most pixels in a row; 256 unless said", minimum = 1, maximum = 2048),
+        ("width" = Option<u32>, Query, description = "Maximum width, in pixels; 256 by default", minimum = 1, maximum = 2048),
     ),
     responses(
         (status = 200, description = "The thumbnail", body = Vec<u8>, content_type = "image/png"),
-        (status = 304, description = "It is what the client has"),
+        (status = 304, description = "The client has the current version"),
         (status = 404, description = "Not stored yet, or no such frame or job", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
-        (status = 422, description = "Wrong query", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
-        (status = 503, description = "It could not be drawn", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
+        (status = 422, description = "Invalid query parameters", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
+        (status = 503, description = "The preview could not be drawn", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
     )
 )]
 pub(super) async fn thumbnail(
@@ -106,7 +106,7 @@ pub(super) async fn thumbnail(
     }
 }
 
-/// A preview of a frame.
+/// Draws a preview of a frame.
 pub(super) async fn answer(
     farm: &Farm,
     job: JobId,

@@ -1,4 +1,4 @@
-//! Quotas: whether one more job fits, for all submitters together and for its own.
+//! Quotas: maximum unfinished jobs and rays, for the farm and for each submitter.
 //!
 //! Concurrent submissions may exceed a limit together, by at most their number.
 
@@ -6,7 +6,7 @@ use super::auth::Caller;
 use super::error::ApiError;
 use crate::farm::Farm;
 
-/// Rejects a job before its body is read, if its submitter or the farm has too many.
+/// Rejects a job before its body is read, if its submitter or the farm has too many unfinished jobs.
 pub(super) async fn check_jobs(farm: &Farm, caller: &Caller) -> Result<(), ApiError> {
     let limit = i64::from(farm.config.max_queued_jobs);
     if farm.queue.backlog().await?.jobs >= limit {

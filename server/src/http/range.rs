@@ -1,19 +1,19 @@
-//! Ranges and entity tags of pictures (RFC 9110): what part is asked for, and whether it is needed at all.
+//! Ranges and entity tags of pictures (RFC 9110).
 
 use std::ops::Range;
 
 /// Bytes that a `Range` header requests.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(super) enum ByteRange {
-    /// The full content: there is no range, or none that is understood.
+    /// The full content: there is no range, or none that the server supports.
     Full,
-    /// These bytes.
+    /// Requested bytes.
     Part(Range<u64>),
-    /// Bytes that are not there.
+    /// The range is outside the content.
     Unsatisfiable,
 }
 
-/// Reads a `Range` header for something of `size_bytes`. Several ranges are answered with everything.
+/// Parses a `Range` header for content of `size_bytes`. For several ranges, the response is the full content.
 pub(super) fn parse_range(header: Option<&str>, size_bytes: u64) -> ByteRange {
     let Some(spec) = header.and_then(|header| header.trim().strip_prefix("bytes=")) else { return ByteRange::Full };
     let Some((first, last)) = spec.split_once('-') else { return ByteRange::Full };
@@ -36,7 +36,8 @@ pub(super) fn parse_range(header: Option<&str>, size_bytes: u64) -> ByteRange {
     if range.start < range.end { ByteRange::Part(range) } else { ByteRange::Unsatisfiable }
 }
 
-/// Whether an `If-None-Match` header names this entity tag. The comparison is weak, as it should be there.
+/// Whether an `If-None-Match` header names this entity tag. The comparison is weak, as RFC 9110 requires for
+/// this header.
 pub(super) fn matches_etag(header: &str, tag: &str) -> bool {
     header.split(',').map(str::trim).any(|named| named == "*" || named.strip_prefix("W/").unwrap_or(named) == tag)
 }
@@ -46,7 +47,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn ranges_are_read_as_rfc_9110_has_them() {
+    fn ranges_are_parsed_according_to_rfc_9110() {
         for (header, wanted) in [
             ("bytes=0-9", ByteRange::Part(0..10)),
             ("bytes=90-", ByteRange::Part(90..100)),

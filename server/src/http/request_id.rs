@@ -1,4 +1,4 @@
-//! Every request has an id: in its log lines, in its answer's header, and in its problem.
+//! Request ids: each request has one in its log lines, in its response's header, and in its problem.
 
 use std::sync::Arc;
 
@@ -20,7 +20,7 @@ const REQUEST_ID: HeaderName = HeaderName::from_static("x-request-id");
 /// Maximum length of request ids sent by clients.
 const MAX_ID_CHARACTERS: usize = 64;
 
-/// A request's id, for those who write it down.
+/// Id of a request, as an extension for handlers that record it.
 #[derive(Clone, Debug)]
 pub(super) struct RequestId(pub(super) String);
 
@@ -54,7 +54,7 @@ pub(super) async fn trace(State(farm): State<Arc<Farm>>, mut request: Request, n
     .await
 }
 
-/// Polling routes get a span with another name, which is not exported.
+/// Polling routes have a span with another name, which is not exported.
 fn span_of(request: &Request, id: &str, route: &str) -> Span {
     let (method, path) = (request.method(), request.uri().path());
     let asks_again = [proto::worker_protocol::SYNC_PATH, "/livez", "/readyz", "/metrics"].contains(&route);

@@ -22,14 +22,14 @@ struct CollectQuery {
 
 /// Delete jobs past their retention.
 ///
-/// The server does this automatically every ten minutes. One request deletes at most 1000 jobs; `more` says
+/// The server does this automatically every 10 minutes. One request deletes at most 1,000 jobs; `more` says
 /// whether others may remain.
 #[utoipa::path(
     post, path = "/v1/gc", tag = "jobs", operation_id = "collect_garbage",
-    params(("dry_run" = Option<bool>, Query, description = "Only tell what would go")),
+    params(("dry_run" = Option<bool>, Query, description = "Only list what would be deleted")),
     responses(
-        (status = 200, description = "What went, or would go", body = ref("#/components/schemas/GcReport")),
-        (status = 422, description = "Wrong query", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
+        (status = 200, description = "What was deleted, or would be", body = ref("#/components/schemas/GcReport")),
+        (status = 422, description = "Invalid query parameters", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
     )
 )]
 pub(super) async fn collect(State(farm): State<Arc<Farm>>, uri: Uri) -> Result<Json<GcReport>, ApiError> {

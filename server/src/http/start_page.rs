@@ -1,6 +1,7 @@
-//! `GET /`: the farm's state at a glance and where to go next, as a page for browsers and as JSON for programs.
+//! `GET /`: the farm's state and links to the rest, as a page for browsers and as JSON for programs.
 //!
-//! The page loads nothing: no script, no font, no picture. Of a farm with keys it shows nothing that needs one.
+//! The page loads nothing: no script, no font, no picture. If the farm has keys, it shows nothing that requires
+//! one.
 
 use std::fmt::Write as _;
 use std::sync::Arc;
@@ -15,20 +16,20 @@ use proto::job::{JobState, JobView};
 use super::error::ApiError;
 use crate::farm::Farm;
 
-/// Jobs that the page lists, newest first.
+/// Number of newest jobs on the page.
 const JOBS: u32 = 8;
 const START_PAGE_HTML: &str = include_str!("start_page.html");
-/// Styles of the page itself, and nothing from anywhere.
+/// Content security policy: inline styles only, and nothing from other addresses.
 const POLICY: &str = "default-src 'none'; style-src 'unsafe-inline'; img-src data:; base-uri 'none'; \
                       form-action 'none'; frame-ancestors 'none'";
 
-/// See the farm at a glance.
+/// Get a summary of the farm.
 ///
-/// A page where the `Accept` header asks for `text/html`, else JSON. Of a farm with keys it tells nothing that needs
-/// one.
+/// Returns a page if the `Accept` header has `text/html`, otherwise JSON. If the farm has keys, the summary
+/// contains nothing that requires one.
 #[utoipa::path(
     get, path = "/", tag = "farm", operation_id = "get_start_page",
-    responses((status = 200, description = "The farm at a glance", body = ref("#/components/schemas/StartView")))
+    responses((status = 200, description = "Summary of the farm", body = ref("#/components/schemas/StartView")))
 )]
 pub(super) async fn get(State(farm): State<Arc<Farm>>, request: Request) -> Result<Response, ApiError> {
     let wants_page = wants_html(request.headers());
@@ -66,7 +67,7 @@ pub(super) async fn get(State(farm): State<Arc<Farm>>, request: Request) -> Resu
     Ok(response)
 }
 
-/// The farm's numbers, as they were at most a second ago.
+/// Numbers of the farm, at most 1 s old.
 async fn counts(farm: &Farm) -> Result<FarmCounts, ApiError> {
     let counts = farm.telemetry.counts(farm).await?;
     let jobs = |state: JobState| counts.jobs_in(state.name()).unsigned_abs();
@@ -82,7 +83,7 @@ async fn counts(farm: &Farm) -> Result<FarmCounts, ApiError> {
     })
 }
 
-/// Whether the client names HTML among what it accepts; `*/*` alone, as curl says, is a program's.
+/// Whether the client accepts HTML explicitly; `*/*` alone, as curl sends it, counts as a program.
 fn wants_html(headers: &HeaderMap) -> bool {
     headers
         .get_all(header::ACCEPT)
@@ -101,7 +102,7 @@ fn wants_html(headers: &HeaderMap) -> bool {
         })
 }
 
-/// The address that the client used, for the examples; the host was checked before.
+/// Address that the client used, for the examples; the host has been checked already.
 fn address(farm: &Farm, request: &Request) -> String {
     let scheme = if farm.config.tls.is_some() { "https" } else { "http" };
     let named = request.uri().authority().map(|authority| authority.as_str().to_owned());
@@ -129,7 +130,7 @@ fn page(view: &StartView, jobs: &[JobView], address: &str) -> String {
     START_PAGE_HTML
         .replace("{version}", &escaped(&view.version))
         .replace("{examples}", &escaped(&examples))
-        // Last, for what jobs are called may look like one of the names above.
+        // Replaced last, because a job's name may look like one of the placeholders above.
         .replace("{state}", &state)
 }
 
@@ -137,7 +138,7 @@ fn glance(farm: &FarmCounts, jobs: &[JobView]) -> String {
     let FarmCounts { paused, queued, running, succeeded, failed, cancelled, workers_ready } = farm;
     let mut text = String::new();
     if *paused {
-        text += "<p class=\"warning\">The farm is paused: <code>sdfarm resume</code> lets it go on.</p>\n";
+        text += "<p class=\"warning\">The farm is paused: run <code>sdfarm resume</code> to continue.</p>\n";
     } else if *workers_ready == 0 {
         text += "<p class=\"warning\">No worker is ready: <code>sdfarm pool 1</code> starts one on the server's \
                  machine.</p>\n";
@@ -150,7 +151,7 @@ fn glance(farm: &FarmCounts, jobs: &[JobView]) -> String {
     )
     .expect("a String takes all");
     if jobs.is_empty() {
-        return text + "<p>No job was submitted yet.</p>";
+        return text + "<p>No jobs yet.</p>";
     }
     text += "<table>\n<tr><th>Newest jobs</th><th>State</th><th>Done</th><th>Picture</th></tr>\n";
     for job in jobs {
@@ -171,7 +172,7 @@ fn glance(farm: &FarmCounts, jobs: &[JobView]) -> String {
     text + "</table>"
 }
 
-/// Text that a page shows as it is.
+/// Escapes text for HTML.
 fn escaped(text: &str) -> String {
     let mut safe = String::with_capacity(text.len());
     for letter in text.chars() {
@@ -192,7 +193,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn browsers_get_a_page_and_programs_do_not() {
+    fn browsers_get_html_and_programs_get_json() {
         for (accept, html) in [
             ("text/html,application/xhtml+xml,application/xml;q=0.9,*/*;q=0.8", true),
             ("application/json, TEXT/HTML; q=0.5", true),
@@ -208,7 +209,7 @@ mod tests {
     }
 
     #[test]
-    fn text_can_not_become_markup() {
+    fn text_is_escaped_in_html() {
         assert_eq!(escaped("<a href=\"x\">'&"), "&lt;a href=&quot;x&quot;&gt;&#39;&amp;");
     }
 }

@@ -20,7 +20,7 @@ const MAX_WEBHOOKS: usize = 4;
 /// Maximum length of a webhook's address.
 const MAX_URL_BYTES: usize = 2048;
 
-/// Reads the options of a job with this text.
+/// Parses the options of a job with this text.
 pub(super) fn read(
     uri: &Uri,
     headers: &HeaderMap,
@@ -37,20 +37,17 @@ pub(super) fn read(
             name if OTHER_PARAMETERS.contains(&name) => {}
             unknown => {
                 return Err(ApiError::WrongQuery(format!(
-                    "{unknown:?} is no parameter of this route: there are webhook, webhook_event, {}",
+                    "unknown query parameter {unknown:?}: this route has webhook, webhook_event, {}",
                     OTHER_PARAMETERS.join(", ")
                 )));
             }
         }
     }
     if urls.len() > MAX_WEBHOOKS {
-        return Err(ApiError::WrongQuery(format!(
-            "there are {} webhooks, but {MAX_WEBHOOKS} are the most",
-            urls.len()
-        )));
+        return Err(ApiError::WrongQuery(format!("there are {} webhooks: send at most {MAX_WEBHOOKS}", urls.len())));
     }
     if urls.is_empty() && !events.is_empty() {
-        return Err(ApiError::WrongQuery("webhook_event says what a webhook is told, but there is no webhook".into()));
+        return Err(ApiError::WrongQuery("webhook_event requires a webhook: add the parameter webhook".into()));
     }
     if events.is_empty() {
         events = FINAL_EVENTS.to_vec();
@@ -60,7 +57,7 @@ pub(super) fn read(
     Ok(SubmitOptions { idempotency: once, webhooks })
 }
 
-/// Whether the request is a replay, which takes no room in the queue.
+/// Whether the request is a replay, which adds no job to the queue.
 pub(super) async fn is_replay(farm: &Farm, caller: &Caller, headers: &HeaderMap) -> Result<bool, ApiError> {
     match key(headers)? {
         Some(key) => Ok(farm.queue.has_idempotency_key(caller.name(), &key).await?),
@@ -70,14 +67,16 @@ pub(super) async fn is_replay(farm: &Farm, caller: &Caller, headers: &HeaderMap)
 
 fn webhook_url(text: &str, guard: &AddressPolicy) -> Result<String, ApiError> {
     if text.len() > MAX_URL_BYTES {
-        return Err(ApiError::WrongWebhook(format!("a webhook's address has more than {MAX_URL_BYTES} bytes")));
+        return Err(ApiError::WrongWebhook(format!(
+            "the webhook's address has more than {MAX_URL_BYTES} bytes: use a shorter one"
+        )));
     }
     guard.check(text).map(|url| url.to_string()).map_err(|error| ApiError::WrongWebhook(error.to_string()))
 }
 
 fn event(name: &str) -> Result<&'static str, ApiError> {
     EVENTS.into_iter().find(|event| *event == name).ok_or_else(|| {
-        ApiError::WrongQuery(format!("webhook_event {name:?} is unknown: there are {}", EVENTS.join(", ")))
+        ApiError::WrongQuery(format!("webhook_event {name:?} is unknown: use one of {}", EVENTS.join(", ")))
     })
 }
 
@@ -90,7 +89,7 @@ fn key(headers: &HeaderMap) -> Result<Option<String>, ApiError> {
     match key.to_str().ok().map(str::trim).filter(is_plain) {
         Some(key) if keys.next().is_none() => Ok(Some(key.to_owned())),
         Some(_) | None => Err(ApiError::WrongHeader(format!(
-            "Idempotency-Key has to be there once, with 1 to {MAX_KEY_BYTES} printable ASCII characters"
+            "send Idempotency-Key once, with 1 to {MAX_KEY_BYTES} printable ASCII characters"
         ))),
     }
 }

@@ -1,6 +1,6 @@
-//! Trace context through the farm: from the submission of a job through its leases to the workers and back.
+//! Trace context of jobs: from a submission through the job's leases to the workers.
 //!
-//! No decision depends on a trace; a farm without traces does the same work.
+//! No decision depends on a trace; without traces, the farm works the same.
 
 use axum::http::HeaderMap;
 use proto::worker_protocol::{Batch, BatchWork};
@@ -10,7 +10,7 @@ use tracing::Span;
 use crate::database::DatabaseError;
 use crate::farm::Farm;
 
-/// Makes a request's span a child of the trace that the request names, if it names one.
+/// Makes a request's span a child of the trace in the request's header, if there is one.
 pub(super) fn set_parent(span: &Span, headers: &HeaderMap) {
     if let Some(traceparent) = client_traceparent(headers) {
         trace_context::set_parent(span, traceparent);
@@ -29,12 +29,12 @@ pub(super) async fn store_trace(farm: &Farm, job: JobId, headers: &HeaderMap) ->
     }
 }
 
-/// Trace context of a worker's batch: a span of its own, below the submission's.
+/// Trace context of a worker's batch: its own span, a child of the submission's.
 pub(super) async fn batch_traceparent(farm: &Farm, worker: WorkerId, run: &Batch) -> Option<String> {
     let kept = match farm.telemetry.trace_of(farm, run.job).await {
         Ok(kept) => kept?,
         Err(error) => {
-            tracing::warn!(%error, job = %run.job, "the trace of a job could not be read");
+            tracing::warn!(%error, job = %run.job, "could not read a job's trace context");
             return None;
         }
     };

@@ -1,4 +1,4 @@
-//! Deliveries of a job's webhooks.
+//! Lists the deliveries of a job's webhooks.
 
 use std::sync::Arc;
 
@@ -10,12 +10,12 @@ use super::error::ApiError;
 use super::jobs::job_id;
 use crate::farm::Farm;
 
-/// List the messages to a job's webhooks, and what became of them.
+/// List the deliveries of a job's webhooks, with their states.
 #[utoipa::path(
     get, path = "/v1/jobs/{id}/webhooks", tag = "jobs", operation_id = "list_deliveries",
     params(("id" = String, Path, description = "The job")),
     responses(
-        (status = 200, description = "The messages, oldest first", body = ref("#/components/schemas/DeliveryList")),
+        (status = 200, description = "The deliveries, oldest first", body = ref("#/components/schemas/DeliveryList")),
         (status = 404, description = "No such job", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
     )
 )]

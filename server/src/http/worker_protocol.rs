@@ -1,4 +1,4 @@
-//! The workers' own protocol, `/v1/worker/`: see `proto::work`. Not for users.
+//! The workers' protocol, `/v1/worker/`: see `proto::worker_protocol`. Not for users.
 
 use std::pin::pin;
 use std::sync::Arc;
@@ -25,16 +25,16 @@ use crate::content_store::{ContentHash, ContentKind};
 use crate::farm::Farm;
 use crate::queue::{NewWorker, NextWork, SyncInput, SyncOutcome};
 
-/// No honest greeting is larger.
+/// Maximum size of a registration; valid ones are smaller.
 const MAX_REGISTER_BYTES: usize = 16 << 10;
-/// Results of the largest frame fit.
+/// Maximum size of a sync; the results of the largest frame fit.
 const MAX_SYNC_BYTES: usize = 4 << 20;
 /// Maximum time that a sync waits for work.
 const MAX_WAIT: Duration = Duration::from_secs(30);
 /// Maximum wait of a draining worker that still has leases.
 const MAX_DRAINING_WAIT: Duration = Duration::from_millis(250);
 
-/// Takes in a worker.
+/// Registers a worker.
 pub(super) async fn register(
     State(farm): State<Arc<Farm>>,
     caller: Caller,
@@ -50,7 +50,7 @@ pub(super) async fn register(
     let name = label.unwrap_or_else(|| hello.name.clone());
     let worker = farm.queue.register(NewWorker { request: hello, pool, name: name.clone() }).await?.worker;
     farm.telemetry.record_worker(worker, &name, &device);
-    tracing::info!(%worker, %name, pool, "a worker registered");
+    tracing::info!(%worker, %name, pool, "worker registered");
     let folders = if pool { folders(&farm) } else { None };
     Ok(Json(RegisterResponse { worker, lease_ms: farm.queue.lease_ms().unsigned_abs(), folders }))
 }
@@ -66,7 +66,7 @@ fn folders(farm: &Farm) -> Option<ContentFolders> {
 
 /// Runs a worker's sync, and waits until there is work, a lease has ended, or the worker must drain.
 ///
-/// Results are confirmed at once. If the client hangs up, the wait ends with its connection.
+/// Results are confirmed at once. If the client disconnects, the wait ends with its connection.
 pub(super) async fn sync(
     State(farm): State<Arc<Farm>>,
     headers: HeaderMap,
@@ -87,7 +87,7 @@ pub(super) async fn sync(
     loop {
         let bell = farm.queue.wake_signals();
         let (mut work, mut news) = (pin!(bell.work.notified()), pin!(bell.updates.notified()));
-        // From here on no ring is missed.
+        // Subscribes before the first attempt, so that no wake signal is missed.
         work.as_mut().enable();
         news.as_mut().enable();
         let prompt = turn.has_reports();
@@ -99,8 +99,7 @@ pub(super) async fn sync(
             farm.telemetry.metrics.record_claim(now - begun);
         }
         if turned.drain && !again.held_leases.is_empty() {
-            // The worker may already know that it must drain; it must not poll without pause
-            // while it finishes.
+            // The worker may already know that it must drain; it must not poll continuously while it finishes.
             deadline = deadline.min(now + MAX_DRAINING_WAIT);
         }
         let drains = turned.drain && again.held_leases.is_empty();
@@ -118,7 +117,7 @@ pub(super) async fn sync(
     }
 }
 
-/// A worker that holds leases is answered in time to renew them.
+/// Wait of a worker with leases: it needs the response in time to renew them.
 fn max_wait(farm: &Farm, request: &SyncRequest) -> Duration {
     let asked = Duration::from_millis(request.wait_ms).min(MAX_WAIT);
     let third = Duration::from_millis(farm.queue.lease_ms().unsigned_abs() / 3);
@@ -140,7 +139,7 @@ async fn reply(farm: &Farm, worker: WorkerId, turned: SyncOutcome) -> SyncRespon
     SyncResponse { batch: run, revoked_leases: turned.revoked_leases, drain: turned.drain, trace }
 }
 
-/// The JSON of a job, as it was posted.
+/// Returns the JSON of a job, as it was submitted.
 pub(super) async fn job(State(farm): State<Arc<Farm>>, Path(id): Path<String>) -> Result<Response, ApiError> {
     let text = farm.queue.file(job_id(&id)?).await?.ok_or(ApiError::UnknownJob(id))?;
     Ok(([(header::CONTENT_TYPE, "application/json")], text).into_response())
@@ -155,7 +154,7 @@ pub(super) async fn put_blob(
     put(&farm, ContentKind::Blob, hash, request).await
 }
 
-/// Stores a frame's picture; durable when answered.
+/// Stores a frame's picture; it is durable when the response is sent.
 pub(super) async fn put_picture(
     State(farm): State<Arc<Farm>>,
     Path(hash): Path<String>,
@@ -176,7 +175,7 @@ async fn put(farm: &Farm, kind: ContentKind, hash: String, request: Body) -> Res
     Ok(StatusCode::NO_CONTENT)
 }
 
-/// A tile's blob.
+/// Returns a tile's blob.
 pub(super) async fn get_blob(State(farm): State<Arc<Farm>>, Path(hash): Path<String>) -> Result<Response, ApiError> {
     let Some(name) = ContentHash::parse(&hash) else { return Err(ApiError::WrongHash(hash)) };
     match farm.content.get(ContentKind::Blob, &name, None).await? {

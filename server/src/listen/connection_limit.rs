@@ -1,4 +1,4 @@
-//! Connection limit: counts connections, knows the idle ones, and evicts when there are too many.
+//! Connection limit: counts connections, tracks the idle ones, and evicts some when there are too many.
 //!
 //! A connection is busy from a request's head until its response has been sent. Only idle connections are
 //! evicted, the longest idle first, so health routes respond however many connections are idle.
@@ -15,7 +15,7 @@ use hyper::body::{Body as HttpBody, Frame, SizeHint};
 use tokio::sync::{OwnedSemaphorePermit, Semaphore};
 use tokio_util::sync::CancellationToken;
 
-/// The connections of a listener.
+/// Open connections of a listener.
 #[derive(Debug)]
 pub(crate) struct ConnectionLimit {
     slots: Arc<Semaphore>,
@@ -23,14 +23,14 @@ pub(crate) struct ConnectionLimit {
     idle: Mutex<Idle>,
 }
 
-/// Idle connections, by since when.
+/// Idle connections, ordered by the time since when they are idle.
 #[derive(Debug, Default)]
 struct Idle {
     idle_sequence: u64,
     since: BTreeMap<u64, CancellationToken>,
 }
 
-/// One connection's place.
+/// Slot of one connection.
 #[derive(Debug)]
 pub(super) struct ConnectionSlot(Arc<SlotState>);
 
@@ -43,7 +43,7 @@ struct SlotState {
     _permit: OwnedSemaphorePermit,
 }
 
-/// A request that is being answered.
+/// Request in progress.
 #[derive(Debug)]
 pub(super) struct ActiveRequest(Arc<SlotState>);
 
@@ -62,7 +62,7 @@ impl ConnectionLimit {
             let _waiting = WaiterGuard::new(self);
             self.evict_idle();
             let permit = Arc::clone(&self.slots).acquire_owned().await;
-            permit.expect("the places are never closed")
+            permit.expect("the semaphore is never closed")
         };
         let place = ConnectionSlot(Arc::new(SlotState {
             crowd: Arc::clone(self),
@@ -109,7 +109,7 @@ impl ConnectionSlot {
         ActiveRequest(Arc::clone(&self.0))
     }
 
-    /// Whether a request is being answered.
+    /// Whether a request is in progress.
     pub(super) fn is_busy(&self) -> bool {
         self.0.requests.load(Ordering::SeqCst) > 0
     }
@@ -157,7 +157,7 @@ impl Drop for ActiveRequest {
     }
 }
 
-/// An answer's body, during which its connection is busy.
+/// Body of a response; the connection is busy until it is dropped.
 #[derive(Debug)]
 pub(super) struct TrackedBody {
     body: Body,
@@ -165,7 +165,7 @@ pub(super) struct TrackedBody {
 }
 
 impl TrackedBody {
-    /// The body of an answer.
+    /// Body of a response.
     pub(super) fn new(body: Body, busy: ActiveRequest) -> Self {
         Self { body, _busy: busy }
     }
@@ -193,7 +193,7 @@ mod tests {
     use super::*;
 
     #[tokio::test]
-    async fn who_has_been_idle_longest_goes_first_and_the_busy_stay() {
+    async fn the_longest_idle_connection_is_evicted_and_busy_ones_stay() {
         let crowd = ConnectionLimit::new(3);
         let (one, two, three) = (crowd.acquire().await, crowd.acquire().await, crowd.acquire().await);
         let busy = one.begin_request();
@@ -210,7 +210,7 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn who_becomes_idle_while_others_wait_goes() {
+    async fn a_connection_that_becomes_idle_while_others_wait_is_evicted() {
         let crowd = ConnectionLimit::new(1);
         let only = crowd.acquire().await;
         let busy = only.begin_request();
@@ -229,12 +229,12 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn who_worked_since_is_idle_for_a_shorter_time_than_who_came_later() {
+    async fn idle_time_starts_after_the_last_response() {
         let crowd = ConnectionLimit::new(3);
         let (one, two, three) = (crowd.acquire().await, crowd.acquire().await, crowd.acquire().await);
         let (first, second) = (one.begin_request(), one.begin_request());
         drop(first);
-        assert!(one.is_busy(), "another request is being answered");
+        assert!(one.is_busy(), "another request is in progress");
         assert_eq!(crowd.idle.lock().expect("no holder panics").since.len(), 2);
         drop(second);
         assert_eq!(crowd.idle.lock().expect("no holder panics").since.len(), 3);
@@ -242,13 +242,13 @@ mod tests {
         assert!(two.0.evicted.is_cancelled() && !one.0.evicted.is_cancelled());
         drop(three);
         crowd.evict_idle();
-        assert!(one.0.evicted.is_cancelled(), "who has left is in nobody's way");
+        assert!(one.0.evicted.is_cancelled(), "a closed connection takes no slot");
         assert!(crowd.idle.lock().expect("no holder panics").since.is_empty());
         crowd.evict_idle();
     }
 
     #[tokio::test]
-    async fn answer_keeps_its_connection_busy_and_its_length() {
+    async fn a_response_keeps_its_connection_busy_and_its_length() {
         let crowd = ConnectionLimit::new(0);
         let only = crowd.acquire().await;
         let body = TrackedBody::new(Body::from("12345"), only.begin_request());

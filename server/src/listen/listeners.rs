@@ -1,5 +1,5 @@
-//! The addresses that a server is reached at: its own, and with TLS one more on loopback for its own workers,
-//! which no certificate names.
+//! Listening addresses: the public one, and with TLS another on loopback for the server's own workers, because
+//! no certificate names loopback.
 
 use std::io;
 use std::net::{Ipv4Addr, SocketAddr};
@@ -12,10 +12,10 @@ use super::{ConnectionLimit, Tls, connection_limit, serve};
 use crate::config::Config;
 use crate::startup::StartError;
 
-/// Connections of the server's own workers.
+/// Maximum number of connections of the server's own workers.
 const POOL_CONNECTIONS: usize = 4096;
 
-/// The addresses that a server is reached at.
+/// Listeners of a server.
 #[derive(Debug)]
 pub(crate) struct Listeners {
     public: TcpListener,
@@ -26,7 +26,7 @@ pub(crate) struct Listeners {
 }
 
 impl Listeners {
-    /// Takes the addresses, and reads the certificate.
+    /// Binds the addresses, and reads the certificate.
     pub(crate) async fn open(config: &Config) -> Result<Self, StartError> {
         let tls = match &config.tls {
             Some(files) => {
@@ -54,14 +54,14 @@ impl Listeners {
         self.pool.as_ref().map_or(self.address, |(_, address)| *address)
     }
 
-    /// Serves until `ending`, and until what is being answered then is answered.
+    /// Serves until `ending`, and until requests in progress have been answered.
     pub(crate) async fn serve(self, router: axum::Router, ending: CancellationToken) -> io::Result<()> {
         let Self { public, tls, pool, crowd, .. } = self;
         let follow = async {
             if let Some(tls) = &tls {
                 tls.watch_files(ending.clone()).await;
             }
-            // The connections decide when it ends.
+            // The accept loops decide when to stop.
             std::future::pending::<()>().await;
         };
         let inside = async {

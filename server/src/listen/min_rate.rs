@@ -15,9 +15,9 @@ use tokio::time::{Instant, Sleep};
 
 use crate::clock::monotonic_now;
 
-/// The longest pause.
+/// Maximum stall.
 const MAX_STALL: Duration = Duration::from_secs(20);
-/// Bytes that earn a second.
+/// Number of bytes that add one second to the budget.
 const MIN_BYTES_PER_SECOND: f64 = 1024.0;
 
 /// Remaining time budget of a transfer.
@@ -34,7 +34,7 @@ impl MinRateTimer {
         Self { left: max_pause, max_pause, since: None, alarm: None }
     }
 
-    /// Nothing was transferred; ready when the budget is used up.
+    /// Call when nothing was transferred; ready when the budget is used up.
     fn poll_expired(&mut self, cx: &mut Context<'_>) -> Poll<()> {
         if self.since.is_none() {
             let now = monotonic_now();
@@ -60,9 +60,9 @@ impl MinRateTimer {
     }
 }
 
-/// A body came too slowly.
+/// Error of a body that arrives too slowly.
 #[derive(Clone, Copy, Debug, thiserror::Error)]
-#[error("it came too slowly")]
+#[error("it arrived too slowly")]
 pub(crate) struct SlowBody;
 
 /// Request body that must keep up a minimum rate while the server waits for it.
@@ -136,7 +136,7 @@ impl<S> TimedStream<S> {
             }
             Poll::Pending => {
                 ready!(self.patience.poll_expired(cx));
-                Poll::Ready(Err(io::Error::new(io::ErrorKind::TimedOut, "the other end does not read its answer")))
+                Poll::Ready(Err(io::Error::new(io::ErrorKind::TimedOut, "the client does not read its response")))
             }
         }
     }
@@ -192,8 +192,8 @@ mod tests {
             patience.left
         };
         assert!(waited(0) <= seconds(4));
-        assert!(waited(3 << 10) <= seconds(3), "what was over is over");
-        assert!(waited(1 << 30) == seconds(10), "no more than the longest pause is earned");
-        assert!(waited(1) < seconds(5), "a byte a pause is too slow");
+        assert!(waited(3 << 10) <= seconds(3), "an expired budget is not refilled");
+        assert!(waited(1 << 30) == seconds(10), "the budget is at most the maximum stall");
+        assert!(waited(1) < seconds(5), "one byte per stall is too slow");
     }
 }

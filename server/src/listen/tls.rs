@@ -1,6 +1,6 @@
-//! TLS: the certificate and its key, read from files, and read again when those change.
+//! TLS: reads the certificate and its key from files, and rereads them when they change.
 //!
-//! Files that cannot be read while the server runs leave the old certificate in use.
+//! If the files become unreadable while the server runs, the old certificate stays in use.
 
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, RwLock};
@@ -24,8 +24,8 @@ const FILE_CHECK_INTERVAL: Duration = Duration::from_secs(1);
 /// Error of a certificate.
 #[derive(Debug, thiserror::Error)]
 pub(crate) enum TlsError {
-    /// A file can't be read.
-    #[error("{file} can't be read as PEM: {reason}")]
+    /// A file cannot be read.
+    #[error("cannot read {file} as PEM: {reason}")]
     File {
         /// The file.
         file: PathBuf,
@@ -33,7 +33,7 @@ pub(crate) enum TlsError {
         reason: String,
     },
     /// The certificate and the key do not match.
-    #[error("the certificate in {certificate} is not for the key in {key}: {reason}")]
+    #[error("the certificate in {certificate} does not match the key in {key}: {reason}")]
     Pair {
         /// The certificate's file.
         certificate: PathBuf,
@@ -42,8 +42,8 @@ pub(crate) enum TlsError {
         /// Reason.
         reason: String,
     },
-    /// TLS can't be spoken here.
-    #[error("TLS can't be set up: {0}")]
+    /// TLS cannot be set up.
+    #[error("cannot set up TLS: {0}")]
     Set(#[from] rustls::Error),
 }
 
@@ -58,14 +58,14 @@ pub(crate) struct Tls {
     key: PathBuf,
 }
 
-// A derived one might show the key.
+// A derived implementation might print the key.
 impl std::fmt::Debug for Tls {
     fn fmt(&self, formatter: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         formatter.debug_struct("Tls").field("certificate", &self.certificate).finish_non_exhaustive()
     }
 }
 
-/// The certificate that is shown at present.
+/// Certificate that is in use.
 struct CurrentCertificate(RwLock<Arc<CertifiedKey>>);
 
 impl std::fmt::Debug for CurrentCertificate {
@@ -81,7 +81,7 @@ impl ResolvesServerCert for CurrentCertificate {
 }
 
 impl Tls {
-    /// Reads a chain of certificates, the server's own first, and its key.
+    /// Reads a certificate chain, the server's own certificate first, and its key.
     pub(crate) fn open(certificate: &Path, key: &Path) -> Result<Self, TlsError> {
         let shown = Arc::new(CurrentCertificate(RwLock::new(Arc::new(read(certificate, key)?))));
         let mut config = ServerConfig::builder_with_provider(Arc::new(ring::default_provider()))
@@ -112,7 +112,7 @@ impl Tls {
         }
     }
 
-    /// Reloads the files if they have changed since they were `seen`, or on request.
+    /// Reloads the files if they have changed since `seen`, or on request.
     fn look(&self, seen: &mut Stamp, asked: bool) {
         let now = self.stamp();
         if now == *seen && !asked {
@@ -123,9 +123,9 @@ impl Tls {
         match read(&self.certificate, &self.key) {
             Ok(pair) => {
                 *self.shown.0.write().expect("no holder panics") = Arc::new(pair);
-                tracing::info!(certificate = %self.certificate.display(), "a new certificate is shown from now on");
+                tracing::info!(certificate = %self.certificate.display(), "reloaded the certificate");
             }
-            Err(error) => tracing::error!(%error, "the old certificate stays: the new one can't be used"),
+            Err(error) => tracing::error!(%error, "cannot use the new certificate: the old one stays in use"),
         }
     }
 
@@ -153,7 +153,7 @@ fn read(certificate: &Path, key: &Path) -> Result<CertifiedKey, TlsError> {
         .and_then(Iterator::collect::<Result<Vec<_>, _>>)
         .map_err(|error| wrong(certificate, pem_error_text(&error)))?;
     if chain.is_empty() {
-        return Err(wrong(certificate, "it holds no certificate".to_owned()));
+        return Err(wrong(certificate, "it has no certificate".to_owned()));
     }
     let secret = PrivateKeyDer::from_pem_file(key).map_err(|error| wrong(key, pem_error_text(&error)))?;
     let secret = ring::sign::any_supported_type(&secret).map_err(|error| wrong(key, error.to_string()))?;
@@ -171,7 +171,7 @@ fn pem_error_text(error: &rustls::pki_types::pem::Error) -> String {
     use rustls::pki_types::pem::Error;
     match error {
         Error::Io(error) => error.to_string(),
-        Error::NoItemsFound => "it holds none".to_owned(),
+        Error::NoItemsFound => "it has no certificate or key".to_owned(),
         _ => "it is not PEM, or damaged".to_owned(),
     }
 }
@@ -182,7 +182,7 @@ mod tests {
 
     use super::*;
 
-    /// Writes a certificate that vouches for itself, and its key.
+    /// Writes a self-signed certificate and its key.
     fn write(certificate: &Path, key: &Path) {
         let pair = rcgen::generate_simple_self_signed(["localhost".to_owned()]).expect("a certificate");
         fs::write(key, pair.signing_key.serialize_pem()).expect("written");
@@ -190,7 +190,7 @@ mod tests {
     }
 
     #[test]
-    fn a_certificate_that_can_not_be_used_is_never_shown() {
+    fn an_unusable_certificate_is_never_used() {
         let folder = tempfile::tempdir().expect("a temporary folder");
         let (certificate, key) = (folder.path().join("cert.pem"), folder.path().join("key.pem"));
         write(&certificate, &key);
@@ -201,7 +201,7 @@ mod tests {
         fs::write(&key, "no key").expect("written");
         tls.look(&mut seen, false);
         assert_eq!(shown(), first);
-        assert_eq!(seen, tls.stamp(), "it was looked at");
+        assert_eq!(seen, tls.stamp(), "the change was noticed");
         write(&certificate, &key);
         tls.look(&mut seen, true);
         assert_ne!(shown(), first);

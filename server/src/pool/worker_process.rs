@@ -1,4 +1,4 @@
-//! One worker process: its start, its commands, its exit.
+//! Starts, commands and reaps one worker process.
 
 use std::io::{self, Write};
 use std::os::unix::process::ExitStatusExt;
@@ -19,10 +19,10 @@ use crate::queue::LeaseEnd;
 
 /// Exit status of a Rust program that panicked.
 const PANIC_EXIT_CODE: i32 = 101;
-/// Maximum length of the last log line that is kept of a worker.
+/// Maximum length of the stored last log line of a worker.
 const MAX_LAST_LINE_CHARS: usize = 300;
 
-/// How workers are started.
+/// Settings for starting workers.
 #[derive(Debug)]
 pub(super) struct WorkerLaunch {
     pub(super) program: PathBuf,
@@ -35,7 +35,7 @@ pub(super) struct WorkerLaunch {
 }
 
 impl WorkerLaunch {
-    /// Device of the worker in a slot of the pool: each slot keeps its device.
+    /// Device of the worker in a slot of the pool: each slot always has the same device.
     fn device(&self, place: usize) -> &str {
         self.devices.get(place % self.devices.len().max(1)).map_or("auto", String::as_str)
     }
@@ -48,7 +48,7 @@ pub(super) struct WorkerProcess {
     label: String,
     slot: usize,
     device: String,
-    // Open while the worker should live: it exits when this closes, so a killed server leaves no orphan.
+    // Open while the worker should run: it exits when this closes, so that a killed server leaves no orphan.
     input: Option<ChildStdin>,
     started: Instant,
     draining: bool,
@@ -86,7 +86,7 @@ impl WorkerProcess {
             .process_group(0)
             .kill_on_drop(true)
             .spawn()?;
-        let process = child.id().ok_or_else(|| io::Error::other("it ended at once"))?;
+        let process = child.id().ok_or_else(|| io::Error::other("it exited at once"))?;
         let input = child.stdin.take();
         let errors = child.stderr.take();
         let name = label.clone();
@@ -95,8 +95,7 @@ impl WorkerProcess {
             let log = errors.map(|errors| tokio::spawn(forward_stderr(errors, name, Arc::clone(&last_line))));
             let status = child.wait().await;
             if let Some(log) = log {
-                // A grandchild may hold the pipe open; the worker's own lines have been read
-                // by then.
+                // A grandchild may keep the pipe open; the worker's own lines have been read by then.
                 drop(tokio::time::timeout(Duration::from_millis(100), log).await);
             }
             let last_line = last_line.lock().expect("no holder panics").clone();
@@ -113,7 +112,7 @@ impl WorkerProcess {
         &self.label
     }
 
-    /// Its place in the pool, from 0.
+    /// Slot in the pool, from 0.
     pub(super) fn slot(&self) -> usize {
         self.slot
     }
@@ -127,7 +126,7 @@ impl WorkerProcess {
         self.draining
     }
 
-    /// It must drain; its exit is expected.
+    /// Whether it must drain; its exit is then expected.
     pub(super) fn drain(&mut self) {
         self.draining = true;
     }
@@ -153,7 +152,7 @@ impl WorkerProcess {
     fn signal(&self, signal: Signal) {
         let Some(process) = i32::try_from(self.pid).ok().and_then(Pid::from_raw) else { return };
         if let Err(error) = kill_process(process, signal) {
-            tracing::debug!(process = self.pid, %error, "a worker that has just ended needs no signal");
+            tracing::debug!(process = self.pid, %error, "the worker has exited already; no signal needed");
         }
     }
 }
@@ -172,7 +171,7 @@ fn pass_on_line(worker: &str, line: String) -> String {
         tracing::info!(%worker, "{line}");
         return line;
     };
-    // It logs as JSON: its fields become fields of the forwarded line.
+    // Workers log as JSON: their fields become fields of the forwarded line.
     fields.insert("label".to_owned(), worker.into());
     let message = fields.get("message").and_then(|message| message.as_str()).unwrap_or("").to_owned();
     // If standard error is closed, the line is dropped.
@@ -181,7 +180,7 @@ fn pass_on_line(worker: &str, line: String) -> String {
 }
 
 impl Exit {
-    /// Cause that its exit counts as.
+    /// Cause to which the exit is attributed.
     pub(super) fn cause(&self, draining: bool) -> LeaseEnd {
         let Ok(status) = &self.status else { return LeaseEnd::Lost };
         let crashed = [Signal::SEGV, Signal::ABORT, Signal::BUS].map(Signal::as_raw);
@@ -194,7 +193,7 @@ impl Exit {
         }
     }
 
-    /// Its device can't render: starting it again would not help.
+    /// Whether its device cannot render, so that a restart would not help.
     pub(super) fn is_device_unusable(&self) -> bool {
         self.status.as_ref().is_ok_and(|status| status.code() == Some(EXIT_UNUSABLE_DEVICE.into()))
     }
@@ -203,7 +202,7 @@ impl Exit {
     pub(super) fn message(&self) -> String {
         let how = match &self.status {
             Ok(status) => status.to_string(),
-            Err(error) => format!("unknown end: {error}"),
+            Err(error) => format!("unknown exit: {error}"),
         };
         if self.last_line.is_empty() {
             format!("the worker process ended ({how})")

@@ -5,7 +5,7 @@ use proto::JobId;
 
 use super::{Queue, Result};
 
-/// Unfinished jobs, and their rays.
+/// Number of unfinished jobs, and of their rays.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(crate) struct Backlog {
     /// Jobs.
@@ -14,7 +14,7 @@ pub(crate) struct Backlog {
     pub(crate) rays: i64,
 }
 
-/// The row that counts everyone's; no key has this name.
+/// Row with the totals of all submitters; no key has this name.
 const ALL_SUBMITTERS: &str = "*";
 
 impl Queue {

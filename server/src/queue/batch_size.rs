@@ -1,31 +1,32 @@
-//! Number of a frame's tiles that one worker gets: arithmetic only.
+//! Batch size: the number of a frame's tiles that one worker gets. Arithmetic only.
 
 use std::time::Duration;
 
-/// Frames of at most this many rays go whole to a worker whose speed is not known.
+/// A worker without a measured speed gets frames up to this many rays complete.
 const SMALL_FRAME_RAYS: u64 = 1 << 22;
 /// Target duration of a batch.
 const TARGET_BATCH: Duration = Duration::from_secs(1);
-/// Batches up to this long go to any worker, and frames up to this long are not split, because the delay is not worth another claim.
+/// Batches up to this long go to any worker, and frames up to this long are not split, because the delay is not
+/// worth another claim.
 const MIN_BATCH: Duration = Duration::from_millis(50);
-/// Maximum data that a worker with a whole frame keeps of it.
+/// Maximum pixel data for which one worker gets a complete frame.
 const MAX_WHOLE_FRAME_BYTES: u64 = 256 << 20;
 
-/// Ready tile, with what the batch size needs.
+/// Ready tile, with the data that the batch size depends on.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct ReadyTile {
-    /// Its camera rays.
+    /// Camera rays of the tile.
     pub(super) rays: u64,
-    /// It was lost with its worker before: lease it alone.
+    /// Whether the tile was lost with its worker before, so that it is leased alone.
     pub(super) is_isolated: bool,
 }
 
-/// The frame the tiles are of.
+/// Frame of the tiles.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct FrameLoad {
-    /// All its tiles, ready or not.
+    /// Number of its tiles, ready or not.
     pub(super) tiles: u64,
-    /// Their rays.
+    /// Number of their rays.
     pub(super) rays: u64,
     /// Bytes of its finished data.
     pub(super) size_bytes: u64,
@@ -33,8 +34,8 @@ pub(super) struct FrameLoad {
     pub(super) rays_unopened: u64,
 }
 
-/// How many of `ready`, from the first, a worker gets. The batch takes it no longer than the fastest other
-/// worker would need for all that is left of the job.
+/// Number of `ready` tiles, from the first, that a worker gets. The batch takes the worker no longer than the
+/// fastest other worker would need for all remaining work of the job.
 pub(super) fn batch_len(
     ready: &[ReadyTile],
     frame: FrameLoad,
@@ -88,29 +89,29 @@ mod tests {
     }
 
     #[test]
-    fn an_unknown_worker_gets_a_small_frame_whole_and_one_tile_of_a_large_one() {
+    fn a_worker_without_speed_gets_small_frames_or_one_tile() {
         assert_eq!(batch_len(&tiles(4), frame(4), None, 3, None), 4);
         assert_eq!(batch_len(&tiles(9), frame(9), None, 1, None), 1);
     }
 
     #[test]
-    fn a_run_is_worth_a_second() {
+    fn a_batch_takes_about_a_second() {
         assert_eq!(batch_len(&tiles(100), frame(100), Some(5.5 * MEGA as f64), 1, None), 5);
         assert_eq!(batch_len(&tiles(100), frame(100), Some(1.0), 1, None), 1);
         assert_eq!(batch_len(&tiles(100), frame(100), Some(1e12), 1, None), 100);
     }
 
     #[test]
-    fn a_slow_worker_keeps_no_more_than_a_fast_one_needs_for_all() {
+    fn a_slow_worker_gets_less_than_a_fast_one() {
         let (slow, fast) = (20.0 * MEGA as f64, 400.0 * MEGA as f64);
-        // The fast one would take a quarter of a second for all.
+        // The fast worker would take 0.25 s for all tiles.
         assert_eq!(batch_len(&tiles(100), frame(100), Some(slow), 1, Some(fast)), 5);
         assert_eq!(batch_len(&tiles(100), frame(100), Some(fast), 1, Some(slow)), 100);
         assert_eq!(batch_len(&tiles(100), frame(100), Some(fast), 1, Some(fast)), 100);
-        // Of an animation it takes as much as it would alone, until little is left.
+        // For an animation it gets as much as it would alone, until little is left.
         let animation = FrameLoad { rays_unopened: 1000 * MEGA, ..frame(100) };
         assert_eq!(batch_len(&tiles(100), animation, Some(slow), 1, Some(fast)), 20);
-        // Something short is always worth it.
+        // A short batch is always granted.
         assert_eq!(batch_len(&tiles(8), frame(100), Some(slow), 1, Some(fast)), 1);
     }
 
@@ -118,11 +119,15 @@ mod tests {
     fn idle_workers_share_a_frame() {
         assert_eq!(batch_len(&tiles(9), frame(9), Some(100.0 * MEGA as f64), 3, None), 3);
         assert_eq!(batch_len(&tiles(2), frame(9), Some(100.0 * MEGA as f64), 3, None), 1);
-        assert_eq!(batch_len(&tiles(9), frame(9), Some(1e12), 3, None), 9, "it is done before another is asked");
+        assert_eq!(
+            batch_len(&tiles(9), frame(9), Some(1e12), 3, None),
+            9,
+            "the frame is finished before another worker could start"
+        );
     }
 
     #[test]
-    fn a_tile_that_vanished_twice_goes_alone() {
+    fn a_tile_lost_twice_is_leased_alone() {
         let mut ready = tiles(4);
         ready[2].is_isolated = true;
         assert_eq!(batch_len(&ready, frame(4), None, 1, None), 2);
@@ -130,7 +135,7 @@ mod tests {
     }
 
     #[test]
-    fn a_frame_too_large_to_hold_is_not_whole() {
+    fn a_frame_too_large_for_memory_is_not_granted_whole() {
         assert!(is_whole_frame(16, frame(16)));
         assert!(!is_whole_frame(15, frame(16)));
         assert!(!is_whole_frame(17, frame(17)));

@@ -1,8 +1,8 @@
-//! Claiming: the next run of tiles, or the next stitch, for one worker.
+//! Claims the next batch of tiles, or the next stitch, for one worker.
 //!
-//! The order is priority, the submitter served least (see `fair`), job, frame, tile, among the jobs whose
-//! scene this worker renders; a stitch is for anyone. A job's next frame is opened when none of its
-//! tiles is ready; that needs the frame's key, which the caller computes outside.
+//! The order is priority, the submitter served least (see `fair_share`), job, frame, tile, among the jobs whose
+//! scene this worker can render; any worker can stitch. If no tile of a job is ready, its next frame is opened;
+//! that needs the frame's cache key, which the caller computes outside the transaction.
 
 use proto::worker_protocol::{Batch, BatchWork, LeasedTile, StitchInput};
 use proto::{JobId, LeaseId, Rect, WorkerId};
@@ -16,13 +16,13 @@ use super::straggler::{self, StragglerOutcome};
 use super::{Connection, Result, TransitionContext, expect_rows, fair_share, finish, parse_column};
 use crate::tile_plan::TilePlan;
 
-/// A job with something to claim, by priority and age. Checked by a test to need no full scan.
+/// Job with something to claim, by priority and age. A test checks that this query needs no full scan.
 const NEXT_JOB_SQL: &str = include_str!("next_job.sql");
 
-/// The job's next ready tile.
+/// Next ready tile of the job.
 const NEXT_TILE_SQL: &str = include_str!("next_tile.sql");
 
-/// The ready tiles of a frame.
+/// Ready tiles of a frame.
 const READY_TILES_SQL: &str = "SELECT id, position, x_px, y_px, width_px, height_px, rays, lost FROM tile
      WHERE job = ?5 AND frame = ?7 AND kind = 'render' AND state = 'ready' AND not_before_ms <= ?1
        AND (avoid IS NULL OR avoid <> ?2 OR ?6 > ?3)
@@ -32,13 +32,13 @@ const READY_TILES_SQL: &str = "SELECT id, position, x_px, y_px, width_px, height
 const NEXT_RETRY_SQL: &str =
     "SELECT min(not_before_ms) FROM tile WHERE state = 'ready' AND not_before_ms > 0 AND not_before_ms > ?";
 
-/// The `max_nodes` of a worker that takes any scene.
+/// `max_nodes` of a worker that can render any scene.
 pub(super) const ANY_NODES: i64 = i64::MAX;
 
 /// Worker that claims.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct ClaimRequest {
-    /// The worker.
+    /// Id of the worker.
     pub(super) worker: WorkerId,
     /// Its measured camera rays a second.
     pub(super) rays_per_second: Option<f64>,
@@ -46,24 +46,24 @@ pub(super) struct ClaimRequest {
     pub(super) max_nodes: i64,
 }
 
-/// Tiles and the leases they are to be held by.
+/// Tiles and their new leases.
 pub(super) type NewLeases = Vec<(i64, LeaseId)>;
 
 /// Result of a claim.
 #[derive(Clone, Debug)]
 pub(super) enum ClaimOutcome {
-    /// A run, leased.
+    /// Granted batch.
     Run(Batch),
-    /// This frame has to be opened first.
+    /// This frame must be opened first.
     NeedsFrame {
         /// The job's number.
         job: i64,
         /// The frame.
         frame: u32,
-        /// How its frames are cut into tiles.
+        /// Tile plan of its frames.
         plan: TilePlan,
     },
-    /// No work now; the first backed-off tile is ready in this many milliseconds.
+    /// No work now; if a tile is backing off, it is ready after this many milliseconds.
     Nothing(Option<i64>),
 }
 
@@ -74,7 +74,7 @@ pub(super) struct ClaimableJob {
     plan: TilePlan,
     frames_opened: u32,
     nodes: i64,
-    /// None of its tiles has been leased before.
+    /// Whether none of its tiles has been leased before.
     queued: bool,
     share: fair_share::FairShare,
 }
@@ -101,8 +101,8 @@ impl ClaimableJob {
     }
 }
 
-/// Which tiles a claim may take: back-off ended, scene small enough for the worker, and not to be avoided by
-/// this worker unless no other could render it.
+/// Condition for the tiles that a claim may take: the back-off has ended, the scene is small enough for the
+/// worker, and the tile need not avoid this worker unless no other worker could render it.
 pub(super) struct ClaimFilter {
     now_ms: i64,
     pub(super) worker: String,
@@ -152,7 +152,7 @@ pub(super) async fn claim(
     Ok(ClaimOutcome::Run(Batch { job: job.id, frame, work }))
 }
 
-/// Called when no tile is ready: looks for a straggler to duplicate.
+/// Called if no tile is ready: searches for a straggler to duplicate.
 async fn claim_straggler(
     connection: &mut Connection,
     view: &ClaimFilter,
@@ -206,11 +206,11 @@ async fn largest_other_capacity(connection: &mut Connection, worker: &str) -> Re
     Ok(if paused { None } else { Some(row.try_get("others_max_nodes")?) })
 }
 
-/// Ready workers that can render a scene of this size, and so would share a frame with this one.
+/// Other ready workers that can render a scene of this size and would share a frame with this worker.
 struct Peers {
     /// Number of them without a lease.
     idle: u64,
-    /// Camera rays a second of the fastest other.
+    /// Camera rays per second of the fastest other worker.
     fastest_other: Option<f64>,
 }
 
@@ -251,7 +251,7 @@ async fn claim_tiles(
     Ok(BatchWork::Render { whole_frame: batch_size::is_whole_frame(length, whole), tiles })
 }
 
-/// New leases on tiles, both as sent to the worker and as recorded.
+/// New leases, both as sent to the worker and as stored.
 pub(super) fn new_leases(rows: &[SqliteRow]) -> Result<(Vec<LeasedTile>, NewLeases)> {
     let mut tiles = Vec::with_capacity(rows.len());
     let mut grants = Vec::with_capacity(rows.len());
@@ -272,12 +272,12 @@ pub(super) fn new_leases(rows: &[SqliteRow]) -> Result<(Vec<LeasedTile>, NewLeas
     Ok((tiles, grants))
 }
 
-/// Ready tile, with what the batch size needs.
+/// Ready tile, with the data that the batch size depends on.
 pub(super) fn read_ready(row: &SqliteRow) -> Result<ReadyTile> {
     Ok(ReadyTile { rays: row.try_get("rays")?, is_isolated: row.try_get::<i64, _>("lost")? >= LOSSES_BEFORE_ISOLATION })
 }
 
-/// The stitch of a frame.
+/// Tile row of a frame's stitch.
 pub(super) async fn stitch_tile(connection: &mut Connection, job: i64, frame: u32) -> Result<i64> {
     Ok(sqlx::query_scalar("SELECT id FROM tile WHERE job = ? AND frame = ? AND position = -1")
         .bind(job)
@@ -338,7 +338,7 @@ async fn grant(
     make_leases(connection, grants, worker, moment).await
 }
 
-/// Writes the leases of tiles that are leased now.
+/// Inserts the leases of newly leased tiles.
 pub(super) async fn make_leases(
     connection: &mut Connection,
     grants: &[(i64, LeaseId)],

@@ -1,8 +1,8 @@
 //! Results of leases: a tile's blob, a frame's picture, or an error.
 //!
-//! A result counts only under a live lease. Tile, frame, job and picture change in the one transaction that
-//! ends the lease, so that an effect happens once or not at all. Results of one frame in one call are taken
-//! by one statement together.
+//! A result counts only with a live lease. Tile, frame, job and picture change in the transaction that ends the
+//! lease, so that an effect happens once or not at all. One statement handles all results of one frame in one
+//! call.
 
 use std::collections::{BTreeMap, HashMap};
 
@@ -15,13 +15,13 @@ use super::{Connection, Result, TransitionContext, Wake, durations, expect_rows,
 /// Outcome of a set of results.
 #[derive(Clone, Debug, Default)]
 pub(super) struct DeliverResult {
-    /// Leases that were no longer live: their results had no effect.
+    /// Leases that had ended: their results had no effect.
     pub(super) lost: Vec<LeaseId>,
     /// Number of results that differ from the first result of the same tile.
     pub(super) nondeterministic: u64,
     /// Wake signals to send.
     pub(super) ring: Wake,
-    /// Blobs of frames that are stored now.
+    /// Blobs of frames that have been stored.
     pub(super) leftovers: Vec<String>,
 }
 
@@ -32,7 +32,7 @@ struct FinishedTile<'a> {
     size_bytes: u64,
 }
 
-/// Takes in a worker's results.
+/// Records a worker's results.
 pub(super) async fn deliver(
     connection: &mut Connection,
     worker: WorkerId,
@@ -61,7 +61,7 @@ pub(super) async fn deliver(
     Ok(delivered)
 }
 
-/// Takes in finished tiles, frame by frame.
+/// Records finished tiles, frame by frame.
 async fn accept_blobs(
     connection: &mut Connection,
     worker: WorkerId,
@@ -83,7 +83,7 @@ async fn accept_blobs(
                 delivered.nondeterministic += count_mismatches(connection, FIRST_BLOB_SQL, lease, hash).await?;
             }
             Some(held) if held.stitch => {
-                let message = "its worker answered with what was not asked for";
+                let message = "its worker sent a result that was not requested";
                 delivered
                     .ring
                     .add(lease::end_without_result(connection, &held, LeaseEnd::Failed, message, moment).await?);
@@ -99,7 +99,7 @@ async fn accept_blobs(
     Ok(())
 }
 
-/// Takes in a result without pixels.
+/// Records a result without pixels.
 async fn accept_failure(
     connection: &mut Connection,
     worker: WorkerId,
@@ -117,10 +117,10 @@ async fn accept_failure(
             lease::end_without_result(connection, &held, LeaseEnd::Failed, message, moment).await?
         }
         LeaseOutcome::Released => {
-            lease::end_without_result(connection, &held, LeaseEnd::Released, "it was handed back", moment).await?
+            lease::end_without_result(connection, &held, LeaseEnd::Released, "its worker released it", moment).await?
         }
         LeaseOutcome::Blob { .. } | LeaseOutcome::BadBlobs { .. } | LeaseOutcome::Picture { .. } => {
-            let message = "its worker answered with what was not asked for";
+            let message = "its worker sent a result that was not requested";
             lease::end_without_result(connection, &held, LeaseEnd::Failed, message, moment).await?
         }
     };
@@ -128,11 +128,11 @@ async fn accept_failure(
     Ok(())
 }
 
-/// The blob that a lease's tile has, if it is done.
+/// Blob of a lease's tile, if the tile is done.
 const FIRST_BLOB_SQL: &str = "SELECT tile.blob FROM lease JOIN tile ON tile.id = lease.tile WHERE lease.id = ?";
 
-/// Compares late results with the first result of their tile; returns how many differ. A late result has no
-/// effect.
+/// Compares late results with the first result of their tile; returns the number that differ. A late result has
+/// no effect.
 pub(super) async fn count_mismatches(
     connection: &mut Connection,
     statement: &'static str,
@@ -144,12 +144,12 @@ pub(super) async fn count_mismatches(
     let Some(first) = first.flatten().filter(|first| first != hash) else { return Ok(0) };
     tracing::error!(
         code = "nondeterministic_tile", %lease, %first, second = hash,
-        "two workers rendered one tile or frame differently; the first result stays"
+        "two workers rendered one tile or frame differently; the first result is kept"
     );
     Ok(1)
 }
 
-/// Tiles of a frame are done; the last ones make its stitch.
+/// Marks tiles of a frame as done; after the last one, creates the stitch.
 async fn finish_tiles(
     connection: &mut Connection,
     job: i64,
@@ -197,7 +197,7 @@ async fn finish_tiles(
     Ok(ring)
 }
 
-/// Remembers how long tiles that were delivered together took; `number` counts the job's tiles that are done.
+/// Records the duration of tiles that were delivered together; `number` is the job's count of finished tiles.
 pub(super) async fn record_durations<'a>(
     connection: &mut Connection,
     held: impl IntoIterator<Item = &'a LiveLease>,

@@ -1,11 +1,11 @@
-//! Durations of a job's tiles from lease to result: the measure for stragglers.
+//! Durations of a job's tiles from lease to result, to detect stragglers.
 
 use super::{Connection, Result};
 
-/// Deliveries of a job that are remembered.
+/// Number of recorded deliveries of a job.
 const WINDOW: i64 = 15;
 
-/// Remembers how long a delivery of a job took; `number` counts its tiles that are done.
+/// Records the duration of a delivery of a job; `number` is the job's count of finished tiles.
 pub(super) async fn record_duration(connection: &mut Connection, job: i64, number: i64, took_ms: i64) -> Result<()> {
     sqlx::query(
         "INSERT INTO pace (job, slot, took_ms) SELECT number, ?2, ?3 FROM job WHERE number = ?1 AND finished_at_ms IS NULL
@@ -19,7 +19,7 @@ pub(super) async fn record_duration(connection: &mut Connection, job: i64, numbe
     Ok(())
 }
 
-/// The median of what is remembered, in milliseconds.
+/// Median of the recorded durations, in milliseconds.
 pub(super) async fn median_ms(connection: &mut Connection, job: i64) -> Result<Option<i64>> {
     Ok(sqlx::query_scalar(
         "SELECT took_ms FROM pace WHERE job = ?1 ORDER BY took_ms

@@ -1,5 +1,5 @@
-//! A job's events: read in order, summarized by a snapshot where older ones were pruned, and pruned by age
-//! and number.
+//! A job's events: read in order, replaced by a snapshot if older ones were pruned, and pruned by age and
+//! number.
 //!
 //! Only the triggers of migration 0005 write events, in the transaction of the change.
 
@@ -13,13 +13,13 @@ use sqlx::sqlite::SqliteRow;
 use super::{Connection, Queue, Result, finish};
 use crate::database::Durability;
 
-/// How long events of finished jobs are kept.
+/// Minimum retention of events of finished jobs.
 const RETENTION_MS: i64 = 24 * 3_600_000;
-/// Maximum number of events in all; beyond it the oldest are pruned, also those of running jobs.
+/// Maximum number of events in total; beyond it the oldest are pruned, even those of running jobs.
 const MAX_EVENTS: i64 = 500_000;
-/// Jobs whose events are dropped in one transaction.
+/// Number of jobs whose events are pruned in one transaction.
 const JOBS_BATCH: i64 = 100;
-/// Events dropped in one transaction, of jobs that still run.
+/// Number of events of running jobs pruned in one transaction.
 const EVENTS_BATCH: i64 = 5_000;
 /// Maximum number of rectangles in a snapshot.
 const MAX_RECTANGLES: i64 = 20_000;
@@ -27,13 +27,13 @@ const MAX_RECTANGLES: i64 = 20_000;
 /// Event of a job, as sent to subscribers.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) struct Event {
-    /// Its number: events that happened later have greater ones.
+    /// Event number; later events have greater ones.
     pub(crate) number: i64,
     /// The job's number.
     pub(crate) job: i64,
     /// Event type.
     pub(crate) kind: String,
-    /// The job's state, if it is of that sort.
+    /// State of the job, if it is a `state` event.
     pub(crate) state: Option<JobState>,
     /// Payload, as JSON.
     pub(crate) body: String,
@@ -58,7 +58,7 @@ impl Event {
     }
 }
 
-/// The body of a progress event with its fraction rounded; the database's trigger stores every digit.
+/// Body of a progress event with its fraction rounded; the database's trigger stores every digit.
 fn rounded(body: String) -> String {
     let Ok(event) = serde_json::from_str::<ProgressEvent>(&body) else { return body };
     let event = ProgressEvent { progress: rounding::fraction(event.progress), ..event };
@@ -70,15 +70,15 @@ fn rounded(body: String) -> String {
 pub(crate) struct EventPosition {
     /// The job's number.
     pub(crate) job: i64,
-    /// Nothing will change any more.
+    /// Whether the job has finished.
     pub(crate) ended: bool,
     /// Number of the last pruned event.
     pub(crate) pruned: i64,
-    /// No event has a greater number yet.
+    /// Number of the newest event.
     pub(crate) newest: i64,
 }
 
-/// Numbers that were given, whether their rows are still there or not.
+/// Highest number that was ever assigned, even if its row was deleted.
 const NEWEST_SQL: &str = "SELECT coalesce((SELECT seq FROM sqlite_sequence WHERE name = 'outbox'), 0)";
 
 impl Queue {
@@ -111,7 +111,7 @@ impl Queue {
             .await?)
     }
 
-    /// The number of the newest event.
+    /// Number of the newest event.
     pub(crate) async fn newest_event(&self) -> Result<i64> {
         Ok(sqlx::query_scalar(NEWEST_SQL).fetch_one(self.readers()).await?)
     }
@@ -183,7 +183,8 @@ impl Queue {
         Ok(Some((newest, snapshot)))
     }
 
-    /// Prunes events of jobs that finished long ago, and the oldest beyond the maximum; returns how many.
+    /// Prunes events of jobs that finished long ago, and the oldest beyond the maximum; returns the number
+    /// pruned.
     pub(crate) async fn prune_events(&self) -> Result<u64> {
         let ended_before_ms = self.clock.wall_ms() - RETENTION_MS;
         let mut count = 0;
@@ -204,7 +205,7 @@ impl Queue {
 
 #[cfg(test)]
 impl Queue {
-    /// Drops the oldest events beyond the newest `keep`.
+    /// Deletes the oldest events beyond the newest `keep`.
     pub(crate) async fn prune_surplus(&self, keep: i64) -> Result<u64> {
         self.database
             .write(Durability::Relaxed, move |connection| {
@@ -225,7 +226,7 @@ fn tile_event(row: &SqliteRow) -> Result<TileEvent> {
     })
 }
 
-/// First and last of each run of numbers that follow each other.
+/// First and last of each run of consecutive numbers.
 fn contiguous_ranges(numbers: &[u32]) -> Vec<[u32; 2]> {
     let mut runs: Vec<[u32; 2]> = Vec::new();
     for &number in numbers {
@@ -259,7 +260,7 @@ async fn prune(connection: &mut Connection, ended_before_ms: i64) -> Result<u64>
     prune_surplus(connection, MAX_EVENTS).await
 }
 
-/// Drops the oldest events beyond the newest `keep`.
+/// Deletes the oldest events beyond the newest `keep`.
 async fn prune_surplus(connection: &mut Connection, keep: i64) -> Result<u64> {
     let (oldest, newest): (Option<i64>, i64) =
         sqlx::query_as("SELECT (SELECT min(number) FROM outbox), coalesce((SELECT max(number) FROM outbox), 0)")

@@ -1,12 +1,12 @@
-//! Failing workers: a worker that errs repeatedly in one job is excluded from it for an hour; one excluded
-//! from many jobs is quarantined. This module decides about workers, never about tiles.
+//! Failing workers: a worker with repeated errors in one job is excluded from it for 1 h; a worker excluded
+//! from three jobs is quarantined. This module decides about workers, never about tiles.
 //!
-//! Both hold only while another worker can do the work, so that a single worker never stops the farm.
+//! Both happen only if another worker can do the work, so that a single worker never stops the farm.
 
 use super::lease::LiveLease;
 use super::{Connection, Result, TransitionContext};
 
-/// Errors of a worker in one job, from which on it is not offered the job.
+/// Number of a worker's errors in one job that excludes it from the job.
 const ERRORS_BEFORE_EXCLUSION: i64 = 3;
 /// Duration of an exclusion.
 const EXCLUSION_MS: i64 = 3_600_000;
@@ -14,7 +14,7 @@ const EXCLUSION_MS: i64 = 3_600_000;
 /// failed on every worker.
 const EXCLUSIONS_BEFORE_QUARANTINE: i64 = 3;
 
-/// Notes a worker's error in a job.
+/// Records a worker's error in a job.
 pub(super) async fn record_error(
     connection: &mut Connection,
     worker: &str,
@@ -39,7 +39,7 @@ pub(super) async fn record_error(
         return Ok(());
     }
     let job = super::job_id(connection, job).await?;
-    tracing::warn!(worker, %job, errors, "a worker erred too often in a job; others are offered it first");
+    tracing::warn!(worker, %job, errors, "a worker failed too often in a job; it is excluded from the job");
     quarantine(connection, worker, moment).await
 }
 
@@ -61,13 +61,13 @@ async fn quarantine(connection: &mut Connection, worker: &str, moment: Transitio
         tracing::error!(
             code = "worker_quarantined",
             worker,
-            "a worker erred in too many jobs and gets no more work: check its device, then start it again"
+            "a worker failed in too many jobs and gets no more work: check its device, then restart it"
         );
     }
     Ok(())
 }
 
-/// Whether a worker other than the lease's is excluded from its job: then the tile must not avoid this one.
+/// Whether a worker other than the lease's is excluded from its job: then the tile must not avoid this worker.
 pub(super) async fn is_other_worker_excluded(
     connection: &mut Connection,
     held: &LiveLease,
@@ -83,7 +83,7 @@ pub(super) async fn is_other_worker_excluded(
     Ok(barred.is_some())
 }
 
-/// Restarts all exclusions with full length after a start, because the monotonic clock starts at zero.
+/// Restarts all exclusions at startup, with full length, because the monotonic clock starts at zero.
 pub(super) async fn recover(connection: &mut Connection, now_ms: i64) -> Result<()> {
     sqlx::query("UPDATE strike SET until_ms = ? WHERE until_ms IS NOT NULL")
         .bind(now_ms + EXCLUSION_MS)

@@ -1,16 +1,16 @@
-//! Fair share between submitters: the worker time each has been served, so that the least served is next.
+//! Fair share between submitters: the worker time that each has been served, so that the least served is next.
 //!
 //! Start-time fair queueing (Goyal, Vin, Cheng, "Start-time Fair Queuing", SIGCOMM 1996): a submitter that
-//! returns starts at the virtual time of the one served last. Triggers record which submitters take part.
+//! returns starts at the virtual time of the one served last. Triggers record which submitters have ready work.
 
 use super::{Connection, Result, expect_rows};
 
-/// Maximum credit that a submitter saves up while its jobs wait for anything but their turn.
+/// Maximum credit of a submitter whose jobs wait for something other than a worker.
 const MAX_CREDIT_US: i64 = 60_000_000;
 /// Assumed speed of a worker without a measurement, in camera rays per second.
 const DEFAULT_RAYS_PER_SECOND: f64 = 1e6;
 
-/// Whose work a batch is, and its cost.
+/// Submitter and cost of a batch.
 #[derive(Clone, Debug)]
 pub(super) struct FairShare {
     /// Submitter of the job.
@@ -19,7 +19,7 @@ pub(super) struct FairShare {
     pub(super) priority: i64,
 }
 
-/// Charges a run to its submitter.
+/// Charges a batch to its submitter.
 pub(super) async fn charge(
     connection: &mut Connection,
     share: &FairShare,

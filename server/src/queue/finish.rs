@@ -1,4 +1,4 @@
-//! How a job progresses and finishes: its counters, success, failure, cancelling, deleting.
+//! Progress and end of a job: its counters, success, failure, cancelling, deleting.
 
 use proto::JobId;
 use proto::job::JobState;
@@ -26,7 +26,7 @@ pub(crate) enum CancelOutcome {
         /// Hashes of blobs.
         blobs: Vec<String>,
     },
-    /// The job had finished before.
+    /// The job had finished already.
     AlreadyFinished(JobState),
     /// The job does not exist.
     Unknown,
@@ -48,12 +48,12 @@ pub(crate) enum DeleteOutcome {
     Unknown,
 }
 
-/// Reads a job's state as the database spells it.
+/// Parses a job's state from the database.
 pub(super) fn job_state(name: &str) -> Result<JobState> {
     parse_column("job.state", name, |name| JobState::ALL.into_iter().find(|state| state.name() == name))
 }
 
-/// The first lease of a job was granted.
+/// Marks a job as running when its first lease is granted.
 pub(super) async fn mark_started(connection: &mut Connection, job: i64, moment: TransitionContext) -> Result<()> {
     sqlx::query("UPDATE job SET state = 'running', started_at_ms = ? WHERE number = ? AND state = 'queued'")
         .bind(moment.wall_ms)
@@ -63,7 +63,7 @@ pub(super) async fn mark_started(connection: &mut Connection, job: i64, moment: 
     Ok(())
 }
 
-/// Moves a job's counters with its tiles; answers how many of them are done.
+/// Updates a job's counters; returns its number of finished tiles.
 pub(super) async fn progress(connection: &mut Connection, job: i64, by: ProgressDelta) -> Result<i64> {
     let done: Option<i64> = sqlx::query_scalar(
         "UPDATE job SET tiles_done = tiles_done + ?1, rays_done = rays_done + ?2, frames_stored = frames_stored + ?3,
@@ -79,7 +79,7 @@ pub(super) async fn progress(connection: &mut Connection, job: i64, by: Progress
     done.ok_or(DatabaseError::Rows { what: "job: counters", expected: 1, changed: 0 })
 }
 
-/// A job whose frames are all stored has succeeded.
+/// Marks a job as succeeded if all its frames are stored.
 pub(super) async fn succeed_if_stored(connection: &mut Connection, job: i64, moment: TransitionContext) -> Result<()> {
     sqlx::query(
         "UPDATE job SET state = 'succeeded', finished_at_ms = ?1, started_at_ms = coalesce(started_at_ms, ?1)
@@ -92,7 +92,7 @@ pub(super) async fn succeed_if_stored(connection: &mut Connection, job: i64, mom
     Ok(())
 }
 
-/// A tile is dead: so is its job.
+/// Fails the job of a dead tile.
 pub(super) async fn fail(
     connection: &mut Connection,
     job: i64,
@@ -164,7 +164,7 @@ async fn void_open_work(connection: &mut Connection, job: i64) -> Result<()> {
     Ok(())
 }
 
-/// Forgets a job that is not running, with all its rows, and the pictures only it had.
+/// Deletes a job that is not running, with all its rows, and the pictures that only it used.
 pub(super) async fn delete(connection: &mut Connection, id: JobId) -> Result<DeleteOutcome> {
     let row = sqlx::query("SELECT number, state FROM job WHERE id = ?")
         .bind(id.to_string())

@@ -1,4 +1,4 @@
-//! A job's frames by number: the state of each, and its picture.
+//! Frames of a job: the state and picture of each.
 
 use proto::JobId;
 use proto::frame::{FrameState, FrameView};
@@ -23,7 +23,7 @@ pub(crate) struct FrameSet {
 }
 
 impl FrameSet {
-    /// File name of a frame's picture, in characters that every file system takes.
+    /// File name of a frame's picture, valid on every file system.
     pub(crate) fn file_name(&self, frame: u32) -> String {
         let extension = if self.media_type == "image/x-exr" { "exr" } else { "png" };
         format!("{}.{frame:04}.{extension}", self.file_stem())
@@ -47,7 +47,7 @@ impl FrameSet {
 /// A frame whose picture is stored.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) struct StoredFrame {
-    /// Its number.
+    /// Number of the frame.
     pub(crate) number: u32,
     /// BLAKE3 of its picture's bytes, in hex.
     pub(crate) picture: String,
@@ -74,7 +74,7 @@ impl Queue {
         .transpose()
     }
 
-    /// The frames of a job from one on; those that are not reached yet have no row.
+    /// Frames of a job from the given number on; frames that have not been opened have no row.
     pub(crate) async fn frame_page(
         &self,
         id: JobId,
@@ -104,7 +104,7 @@ impl Queue {
         Ok(views)
     }
 
-    /// The next frames of a job whose pictures are stored.
+    /// Next stored frames of a job.
     pub(crate) async fn stored_frames(&self, job: i64, from: u32, limit: u32) -> Result<Vec<StoredFrame>> {
         let rows = sqlx::query(
             "SELECT number, picture, size_bytes FROM frame
@@ -150,7 +150,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn files_are_called_as_any_file_system_takes_it() {
+    fn file_names_are_valid_on_every_file_system() {
         let named = |name: &str| {
             let frames =
                 FrameSet { job: 1, name: name.to_owned(), media_type: "image/png".to_owned(), total: 1, stored: 1 };

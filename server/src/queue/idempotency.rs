@@ -1,6 +1,6 @@
 //! Options of a submitted job: the idempotency key, so that a repeated request creates one job, and its webhooks.
 //!
-//! All of it is written in the transaction that accepts the job, so that no kill can separate them.
+//! All options are written in the transaction that accepts the job, so that a crash cannot separate them.
 
 use proto::JobId;
 use sqlx::Row;
@@ -8,9 +8,9 @@ use sqlx::Row;
 use super::{Connection, NewJob, Queue, Result, TransitionContext, Wake, expect_rows, parse_column, submit};
 use crate::database::Durability;
 
-/// How long idempotency keys are kept.
+/// Retention of idempotency keys.
 const RETENTION_MS: i64 = 48 * 3_600_000;
-/// Names dropped in one transaction.
+/// Number of keys deleted in one transaction.
 const DROP_BATCH: i64 = 5_000;
 
 /// Idempotency key and the fingerprint of its request.
@@ -18,7 +18,7 @@ const DROP_BATCH: i64 = 5_000;
 pub(crate) struct IdempotencyKey {
     /// The client's `Idempotency-Key`.
     pub(crate) key: String,
-    /// BLAKE3 of all that was asked for.
+    /// BLAKE3 of the request.
     pub(crate) fingerprint: String,
 }
 
@@ -27,7 +27,7 @@ pub(crate) struct IdempotencyKey {
 pub(crate) struct NewWebhook {
     /// The address.
     pub(crate) url: String,
-    /// The names of the events it wants.
+    /// Event types to send.
     pub(crate) events: Vec<&'static str>,
 }
 
@@ -43,9 +43,9 @@ pub(crate) struct SubmitOptions {
 /// Outcome of a submission.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) enum SubmitOutcome {
-    /// The job was accepted, under this number.
+    /// The job was accepted, with this number.
     Created(i64),
-    /// The job was accepted before, as this one.
+    /// The job was accepted before, with this id.
     Replayed(JobId),
     /// The idempotency key belongs to another request.
     KeyReused,
@@ -75,7 +75,7 @@ impl Queue {
         Ok(known.is_some())
     }
 
-    /// Deletes expired idempotency keys; returns how many.
+    /// Deletes expired idempotency keys; returns the number deleted.
     pub(crate) async fn prune_idempotency_keys(&self) -> Result<u64> {
         let made_before_ms = self.clock.wall_ms() - RETENTION_MS;
         let mut count = 0;
@@ -117,7 +117,7 @@ async fn accept(
         .bind(moment.wall_ms)
         .execute(&mut *connection)
         .await?;
-        expect_rows("idempotency: kept", 1, &kept)?;
+        expect_rows("idempotency: stored", 1, &kept)?;
     }
     for webhook in &wish.webhooks {
         let kept = sqlx::query("INSERT INTO webhook (job, url, events) VALUES (?, ?, ?)")
@@ -126,12 +126,12 @@ async fn accept(
             .bind(format!(",{},", webhook.events.join(",")))
             .execute(&mut *connection)
             .await?;
-        expect_rows("webhook: kept", 1, &kept)?;
+        expect_rows("webhook: stored", 1, &kept)?;
     }
     Ok(SubmitOutcome::Created(number))
 }
 
-/// Job that was accepted under this idempotency key before.
+/// Job that was accepted with this idempotency key before.
 async fn earlier_submission(
     connection: &mut Connection,
     submitter: &str,

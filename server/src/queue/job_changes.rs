@@ -20,7 +20,7 @@ pub(crate) enum ChangeOutcome {
 }
 
 impl Queue {
-    /// Has the dead tiles of a failed job rendered again.
+    /// Requeues the dead tiles of a failed job.
     pub(crate) async fn retry(&self, job: JobId) -> Result<ChangeOutcome> {
         let moment = self.context();
         let changed = self
@@ -38,7 +38,7 @@ impl Queue {
             .await
     }
 
-    /// What deleting a job would remove; `None` if the job does not exist.
+    /// Dry run of a deletion: the contents that it would remove; `None` if the job does not exist.
     pub(crate) async fn delete_preview(&self, job: JobId) -> Result<Option<(JobState, DeleteDryRun)>> {
         let row = sqlx::query(DRY_RUN_SQL).bind(job.to_string()).fetch_optional(self.readers()).await?;
         row.map(|row| {
@@ -56,7 +56,7 @@ impl Queue {
     }
 }
 
-/// Bytes that only this job has, and its rows.
+/// Bytes that only this job uses, and the number of its rows.
 const DRY_RUN_SQL: &str = "
     WITH this AS (SELECT number, state FROM job WHERE id = ?),
     alone AS (
@@ -87,7 +87,7 @@ async fn state(connection: &mut Connection, id: JobId) -> Result<ChangeOutcome> 
     state.map_or(Ok(ChangeOutcome::Unknown), |name| finish::job_state(&name).map(ChangeOutcome::WrongState))
 }
 
-/// A failed job runs again: what was dead, and what was not rendered because of it.
+/// Marks a failed job as running; its dead tiles, and the tiles skipped because of them, become ready.
 async fn retry(connection: &mut Connection, id: JobId, moment: TransitionContext) -> Result<ChangeOutcome> {
     let job: Option<i64> = sqlx::query_scalar(
         "UPDATE job SET state = 'running', error = NULL, finished_at_ms = NULL, tiles_dead = 0, events_kept = 1,

@@ -9,20 +9,20 @@ use sqlx::sqlite::SqliteRow;
 
 use super::{Connection, Result, TransitionContext, Wake, exclusion, expect_rows, finish, json_list};
 
-/// Renderer errors that a tile survives.
+/// Number of renderer errors after which a tile is still retried.
 const MAX_ERRORS: i64 = 3;
-/// Crashes of its worker that a tile survives.
+/// Number of worker crashes after which a tile is still retried.
 const MAX_CRASHES: i64 = 3;
-/// Vanished workers that a tile survives.
+/// Number of lost workers after which a tile is still retried.
 const MAX_LOSSES: i64 = 50;
 /// A tile lost with its worker this many times is leased alone.
 pub(super) const LOSSES_BEFORE_ISOLATION: i64 = 2;
-/// The longest back-off.
+/// Maximum back-off.
 const MAX_BACK_OFF: Duration = Duration::from_secs(5);
-/// The first back-off; it doubles from there.
+/// Initial back-off; it doubles from there.
 const BACK_OFF: Duration = Duration::from_millis(100);
 
-/// Why a lease ended without a result. Each cause has a counter of its own.
+/// Reason why a lease ended without a result. Each reason has its own counter.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum LeaseEnd {
     /// The renderer failed.
@@ -46,7 +46,7 @@ impl LeaseEnd {
     }
 }
 
-/// How many times each cause has ended a lease of the tile.
+/// Number of times that each reason has ended a lease of the tile.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(super) struct Counters {
     errors: i64,
@@ -73,7 +73,7 @@ impl Counters {
         self
     }
 
-    /// `jitter` is from 0 to 1.
+    /// Back-off or death of the tile; `jitter` is from 0 to 1.
     fn decide(self, cause: LeaseEnd, jitter: f64) -> RetryDecision {
         if self.errors >= MAX_ERRORS || self.crashes >= MAX_CRASHES || self.lost >= MAX_LOSSES {
             return RetryDecision::Dead;
@@ -81,7 +81,7 @@ impl Counters {
         let steps = match cause {
             LeaseEnd::Failed => self.errors,
             LeaseEnd::Crashed => self.crashes,
-            // Hosts vanish for reasons of their own, so the first losses are free.
+            // Hosts vanish for reasons unrelated to the tile, so the first losses cause no delay.
             LeaseEnd::Lost => self.lost - LOSSES_BEFORE_ISOLATION,
             LeaseEnd::Released => 0,
         };
@@ -108,7 +108,7 @@ pub(super) struct LiveLease {
     counters: Counters,
 }
 
-/// The columns of a [`LiveLease`], before a condition.
+/// Columns of a [`LiveLease`], up to a condition.
 macro_rules! held_where {
     ($condition:literal) => {
         concat!(
@@ -141,7 +141,7 @@ impl LiveLease {
     }
 }
 
-/// The live ones of some leases of a worker.
+/// Those of the given leases of a worker that are live.
 pub(super) async fn live_leases_among(
     connection: &mut Connection,
     worker: WorkerId,
@@ -155,18 +155,19 @@ pub(super) async fn live_leases_among(
     rows.iter().map(LiveLease::read).collect()
 }
 
-/// The live leases of a worker.
+/// Live leases of a worker.
 pub(super) async fn live_lease_ids(connection: &mut Connection, worker: &str) -> Result<Vec<String>> {
     Ok(live_leases(connection, worker).await?.into_iter().map(|live| live.lease).collect())
 }
 
-/// Live lease, with what a sync needs of it.
+/// Live lease, with the data that a sync needs.
 pub(super) struct LeaseGrant {
     pub(super) lease: String,
     pub(super) granted_ms: i64,
 }
 
-/// The live leases of a worker. By another index all that it ever held would be read.
+/// Live leases of a worker. The index is forced, because with another one the query would read every lease the
+/// worker ever had.
 pub(super) async fn live_leases(connection: &mut Connection, worker: &str) -> Result<Vec<LeaseGrant>> {
     let rows = sqlx::query(
         "SELECT id, granted_ms FROM lease INDEXED BY lease_live_by_worker WHERE worker = ? AND ended IS NULL",
@@ -179,14 +180,14 @@ pub(super) async fn live_leases(connection: &mut Connection, worker: &str) -> Re
         .collect()
 }
 
-/// One lease, if it is live.
+/// A lease, if it is live.
 pub(super) async fn live_lease(connection: &mut Connection, lease: &str) -> Result<Option<LiveLease>> {
     let row = sqlx::query(held_where!("lease.id = ?")).bind(lease).fetch_optional(connection).await?;
     row.as_ref().map(LiveLease::read).transpose()
 }
 
-/// Ends a lease without a result. Its tile becomes ready again, or is dead and its job fails. A tile with a
-/// duplicate lease stays with the other worker.
+/// Ends a lease without a result. Its tile becomes ready again, or is dead and its job fails. If the tile has a
+/// duplicate lease, it stays with the other worker.
 pub(super) async fn end_without_result(
     connection: &mut Connection,
     held: &LiveLease,
@@ -216,7 +217,7 @@ pub(super) async fn end_without_result(
             let place = if held.stitch { "could not be stitched" } else { "could not be rendered" };
             let message = format!("frame {} {place}: {message}", held.frame);
             let job = super::job_id(connection, held.job).await?;
-            tracing::warn!(%job, frame = held.frame, tile = held.tile, %message, "a tile is dead");
+            tracing::warn!(%job, frame = held.frame, tile = held.tile, %message, "tile is dead");
             finish::fail(connection, held.job, &message, moment).await?;
             Ok(Wake::UPDATES)
         }
@@ -232,7 +233,7 @@ async fn is_leased(connection: &mut Connection, tile: i64) -> Result<bool> {
     Ok(live.is_some())
 }
 
-/// Ends the remaining leases of tiles that are done: their workers were slower.
+/// Ends the remaining leases of tiles that are done, because their workers were slower.
 pub(super) async fn revoke_duplicates(
     connection: &mut Connection,
     tiles: impl IntoIterator<Item = i64>,
@@ -279,7 +280,7 @@ async fn requeue(
     expect_rows("tile: leased to ready", 1, &done)
 }
 
-/// Counts what happened to a tile that stays leased.
+/// Updates the counters of a tile that stays leased.
 async fn store_counters(connection: &mut Connection, held: &LiveLease, counters: Counters) -> Result<()> {
     let done = sqlx::query(
         "UPDATE tile SET errors = ?, crashes = ?, lost = ?, interrupts = ? WHERE id = ? AND state = 'leased'",
@@ -343,13 +344,12 @@ pub(super) async fn rescue(connection: &mut Connection, moment: TransitionContex
             .fetch_all(&mut *connection)
             .await?;
     for lease in &expired {
-        // The failure of a job, just before in this loop, may have ended more of these leases.
+        // The failure of a job, earlier in this loop, may have ended more of these leases.
         let Some(held) = live_lease(connection, lease).await? else { continue };
         let job = super::job_id(connection, held.job).await?;
-        tracing::warn!(%lease, worker = %held.worker, %job, frame = held.frame, tile = held.tile, "a lease ran out");
+        tracing::warn!(%lease, worker = %held.worker, %job, frame = held.frame, tile = held.tile, "lease expired");
         ring.add(
-            end_without_result(connection, &held, LeaseEnd::Lost, "its workers vanished again and again", moment)
-                .await?,
+            end_without_result(connection, &held, LeaseEnd::Lost, "its workers vanished repeatedly", moment).await?,
         );
         count += 1;
     }
@@ -396,7 +396,7 @@ mod tests {
     }
 
     #[test]
-    fn failures_and_crashes_wait_longer_each_time_and_interrupts_never() {
+    fn back_off_grows_after_failures_and_crashes_but_not_releases() {
         let delay = |counters: Counters, cause, jitter| match counters.decide(cause, jitter) {
             RetryDecision::Retry { delay_ms } => delay_ms,
             RetryDecision::Dead => panic!("{counters:?}"),
@@ -408,14 +408,14 @@ mod tests {
         assert_eq!(
             [1, 2].map(|errors| delay(failed(errors), LeaseEnd::Failed, 0.0)),
             [50, 100],
-            "half of it is chance"
+            "half of it is random"
         );
         assert_eq!(delay(failed(2), LeaseEnd::Released, 1.0), 0);
         assert_eq!(delay(Counters { interrupts: 1000, ..Counters::default() }, LeaseEnd::Released, 1.0), 0);
     }
 
     #[test]
-    fn jitter_is_a_share_and_differs() {
+    fn jitter_is_a_fraction_and_varies() {
         let drawn: Vec<f64> = (0..100).map(|_| jitter()).collect();
         assert!(drawn.iter().all(|jitter| (0.0..=1.0).contains(jitter)), "{drawn:?}");
         assert!(drawn.iter().any(|&jitter| jitter < 0.4) && drawn.iter().any(|&jitter| jitter > 0.6), "{drawn:?}");

@@ -4,33 +4,33 @@ use proto::Rect;
 
 use super::{Connection, Result, TransitionContext, expect_rows, finish, row_count};
 
-/// Everything needed to open a frame.
+/// Data needed to open a frame.
 #[derive(Clone, Debug)]
 pub(crate) struct FrameOpening {
     /// The job's number.
     pub(crate) job: i64,
-    /// The frame, which must be the job's next.
+    /// Frame, which must be the job's next.
     pub(crate) frame: u32,
     /// Cache key of the frame's picture.
     pub(crate) picture_key: String,
     /// The frame's tiles.
     pub(crate) tiles: Vec<Rect>,
-    /// Rays a pixel.
+    /// Rays per pixel.
     pub(crate) samples: u32,
 }
 
 /// Outcome of opening a frame.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum OpenOutcome {
-    /// Its picture was there already.
+    /// The frame was stored from a cached picture.
     Stored,
-    /// Its tiles have to be rendered.
+    /// The frame's tiles must be rendered.
     Open,
-    /// It is not the job's next frame: it was opened by another call, or the job has finished.
+    /// The frame is not the job's next: another call opened it, or the job has finished.
     Stale,
 }
 
-/// Opens a frame: from the store if it can, else with tiles to render.
+/// Opens a frame: stores it from the cache if possible, otherwise creates its tiles.
 pub(super) async fn open(
     connection: &mut Connection,
     opening: &FrameOpening,
@@ -70,7 +70,7 @@ pub(super) async fn create_tiles(connection: &mut Connection, opening: &FrameOpe
     expect_rows("tile: made", opening.tiles.len() as u64, &made)
 }
 
-/// Stores a frame from a picture that is already there, unless the job asked for a fresh one.
+/// Stores a frame from a cached picture, unless the job bypasses the cache.
 pub(super) async fn open_from_cache(
     connection: &mut Connection,
     opening: &FrameOpening,

@@ -11,7 +11,7 @@ use crate::database::Durability;
 pub(crate) enum PauseOutcome {
     /// The job is in the requested state.
     Done,
-    /// The job had finished before.
+    /// The job had finished already.
     AlreadyFinished(JobState),
     /// The job does not exist.
     Unknown,

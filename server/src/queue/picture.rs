@@ -1,7 +1,6 @@
-//! Pictures: of a frame's stitch, or of every tile of a frame at once.
+//! Pictures: delivered for a frame's stitch, or for all tiles of a frame at once.
 //!
-//! The picture's bytes are durable before its row is written here; of two pictures for a frame, the second
-//! has no effect.
+//! The picture's bytes are durable before its row is written here; a second picture for a frame has no effect.
 
 use std::collections::BTreeMap;
 
@@ -13,7 +12,7 @@ use super::lease::{self, LeaseEnd, LiveLease};
 use super::{Connection, Result, TransitionContext, Wake, expect_rows, finish, row_count};
 use crate::database::DatabaseError;
 
-/// A frame's picture: for its stitch, or for every tile of the frame at once.
+/// Records a frame's picture: for its stitch, or for every tile of the frame at once.
 pub(super) async fn accept_picture(
     connection: &mut Connection,
     worker: WorkerId,
@@ -41,7 +40,7 @@ pub(super) async fn accept_picture(
             continue;
         }
         for held in held {
-            let message = "its worker delivered a picture without holding the whole frame";
+            let message = "its worker delivered a picture without leases for all tiles of the frame";
             let ring = lease::end_without_result(connection, &held, LeaseEnd::Released, message, moment).await?;
             delivered.ring.add(ring);
         }
@@ -49,7 +48,7 @@ pub(super) async fn accept_picture(
     Ok(())
 }
 
-/// Whether this many leased tiles are all tiles of a frame.
+/// Whether these leased tiles are all tiles of a frame.
 async fn is_every_tile(connection: &mut Connection, job: i64, frame: u32, tiles: usize) -> Result<bool> {
     let total: Option<i64> =
         sqlx::query_scalar("SELECT tiles_total FROM frame WHERE job = ? AND number = ? AND state = 'open'")
@@ -125,11 +124,12 @@ async fn finish_all(connection: &mut Connection, held: &[LiveLease]) -> Result<W
     lease::revoke_duplicates(connection, held.iter().map(|held| held.tile)).await
 }
 
-/// The picture that a lease's frame has, if it is stored.
+/// Picture of a lease's frame, if it is stored.
 const FIRST_PICTURE_SQL: &str = "SELECT frame.picture FROM lease JOIN tile ON tile.id = lease.tile
      JOIN frame ON frame.job = tile.job AND frame.number = tile.frame WHERE lease.id = ?";
 
-/// Lets later jobs have the picture; the first one of a key stays. How many differ from it.
+/// Adds a picture to the cache; the first one of a cache key is kept. Returns the number of pictures that
+/// differ from it.
 async fn cache_picture(
     connection: &mut Connection,
     picture: &StoredPicture<'_>,
@@ -155,7 +155,7 @@ async fn cache_picture(
     let job = super::job_id(connection, picture.job).await?;
     tracing::error!(
         code = "nondeterministic_picture", %job, frame = picture.frame, %first,
-        second = picture.hash, "one picture was rendered in two ways; later jobs are shown the first"
+        second = picture.hash, "one picture was rendered in two ways; later jobs get the first"
     );
     Ok(1)
 }

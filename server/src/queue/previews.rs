@@ -1,4 +1,4 @@
-//! What a preview or an estimate needs: a frame's finished tiles, and the present workers. Only reads.
+//! Data for previews and estimates: a frame's finished tiles, and the current workers. Only reads.
 
 use proto::JobId;
 use proto::job::JobState;
@@ -6,7 +6,7 @@ use sqlx::Row;
 
 use super::{Queue, Result, finish};
 
-/// Contents of a frame so far.
+/// Content of a frame so far.
 #[derive(Clone, Debug)]
 pub(crate) enum FrameContents {
     /// Its picture is stored under this hash.
@@ -27,19 +27,19 @@ pub(crate) enum FrameContents {
     NoJob,
 }
 
-/// A worker that takes work, as an estimate counts it.
+/// Ready worker, as an estimate counts it.
 #[derive(Clone, Debug)]
 pub(crate) struct ReadyWorker {
     /// `cpu` or `cuda:0`.
     pub(crate) device: String,
-    /// It is a child process of this server.
+    /// Whether it is a child process of this server.
     pub(crate) pool: bool,
     /// Its measured camera rays per second, over all scenes it rendered lately.
     pub(crate) rays_per_second: Option<f64>,
 }
 
 impl Queue {
-    /// Reads what exists of a frame.
+    /// Reads the content of a frame.
     pub(crate) async fn frame_contents(&self, id: JobId, frame: u32) -> Result<FrameContents> {
         let row = sqlx::query(
             "SELECT job.number, job.state, job.frames_total, frame.picture
@@ -67,7 +67,7 @@ impl Queue {
         Ok(FrameContents::Unfinished { state: finish::job_state(&row.try_get::<String, _>("state")?)?, blobs })
     }
 
-    /// The workers that take work.
+    /// Ready workers.
     pub(crate) async fn ready_workers(&self) -> Result<Vec<ReadyWorker>> {
         let rows = sqlx::query(
             "SELECT device, pool, rays_per_second FROM worker WHERE state <> 'gone' AND state IN ('starting', 'ready')",

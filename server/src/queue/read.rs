@@ -10,16 +10,16 @@ use sqlx::sqlite::{SqlitePool, SqliteRow};
 use super::{Queue, Result, finish, parse_column};
 use crate::clock::rfc3339;
 
-/// What stands for the newest job.
+/// Text that selects the newest job.
 const LATEST: &str = "latest";
-/// Characters of an id.
+/// Length of an id, in characters.
 const ID_CHARACTERS: usize = 36;
-/// Fewer characters of an id are no hint.
+/// Minimum length of a part of an id, in characters.
 const MIN_ID_CHARACTERS: usize = 4;
-/// Jobs that are looked through for a name or a part of an id.
+/// Number of newest jobs that are searched for a name or a part of an id.
 const MAX_SCANNED_ROWS: u32 = 100_000;
 
-/// The columns of a [`JobView`], before a condition.
+/// Columns of a [`JobView`], up to a condition.
 macro_rules! jobs_where {
     ($condition:literal) => {
         concat!(
@@ -37,7 +37,7 @@ macro_rules! jobs_where {
     };
 }
 
-/// A frame's picture, as far as the database knows it.
+/// Picture of a frame, as recorded in the database.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) enum StoredImage {
     /// The picture is stored.
@@ -57,7 +57,7 @@ pub(crate) enum StoredImage {
     NoJob,
 }
 
-/// Whether a picture of this key is stored.
+/// Whether a picture with this cache key is stored.
 pub(super) async fn has_picture(readers: &SqlitePool, key: &str) -> Result<bool> {
     let found: Option<i64> =
         sqlx::query_scalar("SELECT 1 FROM picture WHERE key = ?").bind(key).fetch_optional(readers).await?;
@@ -96,14 +96,14 @@ fn read_job(row: &SqliteRow, wall_ms: i64) -> Result<JobView> {
     })
 }
 
-/// Warning for a job whose scene is larger than every present worker can render.
+/// Warning for a job whose scene is too large for every current worker.
 fn too_large(row: &SqliteRow) -> Result<Option<String>> {
     let nodes: i64 = row.try_get("nodes")?;
     let farm_max_nodes: Option<i64> = row.try_get("farm_max_nodes")?;
     let waits: bool = row.try_get("waits")?;
     Ok(farm_max_nodes.filter(|max_nodes| waits && *max_nodes < nodes).map(|max_nodes| {
         format!(
-            "no worker of this farm takes scenes of more than {max_nodes} nodes, and this one has {nodes}: \
+            "no worker of this farm renders scenes of more than {max_nodes} nodes, and this scene has {nodes}: \
              start a CPU worker (`sdfarm worker --device cpu`)"
         )
     }))
@@ -116,13 +116,13 @@ fn eta(started_at_ms: i64, wall_ms: i64, progress: f64) -> Option<f64> {
 }
 
 impl Queue {
-    /// A job, as users see it.
+    /// A job's view.
     pub(crate) async fn job(&self, id: JobId) -> Result<Option<JobView>> {
         let row = sqlx::query(jobs_where!("id = ?")).bind(id.to_string()).fetch_optional(self.readers()).await?;
         row.map(|row| read_job(&row, self.clock.wall_ms())).transpose()
     }
 
-    /// A page of jobs, newest first, from below `before`; only those of a submitter, if one is named.
+    /// Page of jobs with numbers below `before`, newest first; only those of `submitter`, if given.
     pub(crate) async fn jobs(
         &self,
         submitter: Option<&str>,
@@ -154,8 +154,8 @@ impl Queue {
         Ok(JobPage { jobs, next_cursor: last.map(|number| number.to_string()) })
     }
 
-    /// The jobs that a person may mean by a few characters, newest first: `latest`, a whole id, its first or last
-    /// characters, or a name; only those of a submitter, if one is named.
+    /// Jobs that match a text, newest first: `latest`, a complete id, its first or last characters, or a name;
+    /// only those of `submitter`, if given.
     pub(crate) async fn jobs_like(&self, submitter: Option<&str>, text: &str, limit: u32) -> Result<JobPage> {
         if text == LATEST {
             let mut page = self.jobs(submitter, None, 1, None).await?;
@@ -165,7 +165,7 @@ impl Queue {
         let id = text.to_ascii_lowercase();
         let is_part = (MIN_ID_CHARACTERS..=ID_CHARACTERS).contains(&id.len())
             && id.bytes().all(|byte| byte == b'-' || byte.is_ascii_hexdigit());
-        // The newest jobs are looked through: what is older is found by its whole id.
+        // Only the newest jobs are searched; older ones are found by their complete id.
         let rows = sqlx::query(jobs_where!(
             "number IN (
                  SELECT number FROM (SELECT number, id, name, submitter FROM job ORDER BY number DESC LIMIT ?1)
@@ -187,7 +187,7 @@ impl Queue {
         Ok(JobPage { jobs, next_cursor: None })
     }
 
-    /// The file of a job by its id, as it was posted.
+    /// File of the job with this id, as it was submitted.
     pub(crate) async fn file(&self, id: JobId) -> Result<Option<String>> {
         Ok(sqlx::query_scalar("SELECT text FROM job_file JOIN job ON number = job WHERE id = ?")
             .bind(id.to_string())
@@ -195,7 +195,7 @@ impl Queue {
             .await?)
     }
 
-    /// The file of a job by its number, as it was posted.
+    /// File of the job with this number, as it was submitted.
     pub(crate) async fn file_of(&self, number: i64) -> Result<Option<String>> {
         Ok(sqlx::query_scalar("SELECT text FROM job_file WHERE job = ?")
             .bind(number)
@@ -203,7 +203,7 @@ impl Queue {
             .await?)
     }
 
-    /// A frame's picture.
+    /// Picture of a frame.
     pub(crate) async fn image(&self, id: JobId, frame: u32) -> Result<StoredImage> {
         let row = sqlx::query(
             "SELECT job.state, job.frames_total, job.media_type, frame.picture, frame.size_bytes
@@ -243,14 +243,14 @@ impl Queue {
         Ok(WorkerList { workers })
     }
 
-    /// Workers of the pool that take work.
+    /// Number of ready pool workers.
     pub(crate) async fn pool_ready(&self) -> Result<u32> {
         Ok(sqlx::query_scalar("SELECT count(*) FROM worker WHERE state <> 'gone' AND state = 'ready' AND pool = 1")
             .fetch_one(self.readers())
             .await?)
     }
 
-    /// Which of some blobs no unfinished frame needs.
+    /// Those of some blobs that no unfinished frame uses.
     pub(crate) async fn orphan_blobs(&self, hashes: &[String]) -> Result<Vec<String>> {
         Ok(sqlx::query_scalar(
             "SELECT value FROM json_each(?) WHERE NOT EXISTS (
@@ -262,7 +262,7 @@ impl Queue {
         .await?)
     }
 
-    /// Which of some pictures no job shows.
+    /// Those of some pictures that no job uses.
     pub(crate) async fn orphan_pictures(&self, hashes: &[String]) -> Result<Vec<String>> {
         Ok(sqlx::query_scalar(
             "SELECT value FROM json_each(?)
@@ -274,7 +274,7 @@ impl Queue {
         .await?)
     }
 
-    /// Whether the database answers.
+    /// Whether the database responds.
     pub(crate) async fn check(&self) -> Result<()> {
         sqlx::query("SELECT value FROM meta").fetch_one(self.readers()).await?;
         Ok(())

@@ -4,22 +4,22 @@ use sqlx::Row;
 
 use super::{Connection, Result, exclusion, fair_share, json_numbers, row_count};
 
-/// How long ended leases are kept, to recognize late results.
+/// Retention of ended leases, to recognize late results.
 const LEASE_RETENTION_MS: u64 = 3_600_000;
 
 /// State left by the last server.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Recovery {
-    /// Which boot of the server this is.
+    /// Boot generation of the server.
     pub(crate) generation: i64,
-    /// Jobs that are not finished.
+    /// Number of unfinished jobs.
     pub(crate) jobs: i64,
-    /// Leases of the old pool that were ended.
+    /// Number of leases of the old pool that were ended.
     pub(crate) leases: i64,
 }
 
-/// The old pool is gone with its server, so its leases end at once. Leases of remote workers last for one
-/// more lease length on the clock that starts now.
+/// Repairs the state at startup. The old pool exited with its server, so its leases end at once. Leases of
+/// remote workers last for one more lease length on the clock that starts now.
 pub(super) async fn recover(connection: &mut Connection, now_ms: i64, lease_ms: i64) -> Result<Recovery> {
     let generation: i64 =
         sqlx::query_scalar("UPDATE meta SET value = value + 1 WHERE name = 'boot_generation' RETURNING value")
@@ -71,7 +71,7 @@ pub(super) async fn tidy(connection: &mut Connection) -> Result<()> {
     fair_share::tidy(connection).await
 }
 
-/// Lease ids contain their time: the smallest id that is kept.
+/// Smallest lease id that is kept; ids contain their time.
 pub(super) fn min_kept_id(now: uuid::Uuid) -> String {
     let now_ms = now.as_u128() >> 80;
     let kept_ms = now_ms.saturating_sub(u128::from(LEASE_RETENTION_MS));

@@ -10,9 +10,9 @@ use crate::tile_plan::TilePlan;
 /// Outcome for the frames of missing pictures.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(crate) struct Reopened {
-    /// They are rendered again.
+    /// Number of frames that are rendered again.
     pub(crate) frames: u64,
-    /// They are of jobs that were cancelled or failed, and stay without a picture.
+    /// Number of frames of cancelled or failed jobs, which stay without a picture.
     pub(crate) void: u64,
 }
 
@@ -50,8 +50,8 @@ impl LostFrame {
     }
 }
 
-/// Deletes the rows of pictures whose bytes are missing. Frames that use them are opened again, and their
-/// jobs run again.
+/// Deletes the rows of pictures whose bytes are missing. Frames that use them are reopened, and their jobs run
+/// again.
 pub(crate) async fn forget_pictures(connection: &mut Connection, hashes: &[String]) -> Result<Reopened> {
     let hashes = json_list(hashes);
     let lost = sqlx::query(

@@ -12,7 +12,8 @@ use crate::database::Durability;
 
 /// `job.keep_ms` of a job that is kept forever.
 const FOREVER: i64 = -1;
-/// Tiles deleted per transaction; a larger job loses its tiles in batches before its own row.
+/// Number of tiles deleted per transaction; tiles of larger jobs are deleted in batches before the job's own
+/// row.
 const TILES_BATCH: i64 = 5_000;
 
 /// Jobs past their own retention.
@@ -25,25 +26,25 @@ const OLD_SQL: &str = "SELECT number, id, name, finished_at_ms, keep_ms FROM job
      WHERE finished_at_ms IS NOT NULL AND keep_ms IS NULL AND finished_at_ms <= ?
      ORDER BY finished_at_ms LIMIT ?";
 
-/// Jobs that a full store may lose, from the oldest.
+/// Jobs that may be deleted for the store's size, oldest first.
 const OLDEST_SQL: &str = "SELECT number, id, name, finished_at_ms, keep_ms FROM job INDEXED BY job_not_for_ever
      WHERE finished_at_ms IS NOT NULL AND (keep_ms IS NULL OR keep_ms >= 0)
        AND (finished_at_ms, number) > (?, ?)
      ORDER BY finished_at_ms, number LIMIT ?";
 
-/// Bytes of the pictures of a job that no job shows but it and those of a list.
+/// Bytes of pictures that only this job and the listed jobs use.
 const FREED_SQL: &str = "SELECT coalesce(sum(size_bytes), 0) FROM (
          SELECT DISTINCT picture, size_bytes FROM frame AS own
          WHERE own.job = ?1 AND own.picture IS NOT NULL AND NOT EXISTS (
              SELECT 1 FROM frame AS other WHERE other.picture = own.picture AND other.picture IS NOT NULL
              AND other.job <> ?1 AND other.job NOT IN (SELECT value FROM json_each(?2))))";
 
-/// Tiles of a finished job, a batch of them.
+/// Batch of the tiles of a finished job.
 const REMOVE_TILES_SQL: &str = "DELETE FROM tile WHERE id IN (SELECT id FROM tile WHERE job = ?1 LIMIT ?2)
      AND EXISTS (SELECT 1 FROM job WHERE number = ?1 AND finished_at_ms = ?3 AND keep_ms IS ?4
                  AND state IN ('succeeded', 'cancelled'))";
 
-/// Finished job, as it was when it was found.
+/// Finished job, as read from the database.
 #[derive(Clone, Debug)]
 pub(crate) struct FinishedJob {
     /// Its number.
@@ -52,7 +53,7 @@ pub(crate) struct FinishedJob {
     pub(crate) id: JobId,
     /// Its name.
     pub(crate) name: String,
-    /// When it finished, by the wall clock.
+    /// Time at which it finished, by the wall clock.
     pub(crate) finished_at_ms: i64,
     keep_ms: Option<i64>,
 }
@@ -66,7 +67,7 @@ pub(crate) struct RemovedContent {
     pub(crate) blobs: Vec<String>,
 }
 
-/// Stores how long a job is to be kept.
+/// Stores a job's retention.
 pub(super) async fn keep(connection: &mut Connection, job: i64, keep: Retention) -> Result<()> {
     let keep_ms = match keep {
         Retention::Forever => FOREVER,
@@ -74,7 +75,7 @@ pub(super) async fn keep(connection: &mut Connection, job: i64, keep: Retention)
     };
     let kept =
         sqlx::query("UPDATE job SET keep_ms = ? WHERE number = ?").bind(keep_ms).bind(job).execute(connection).await?;
-    super::expect_rows("job: kept", 1, &kept)
+    super::expect_rows("job: retention stored", 1, &kept)
 }
 
 fn read(row: &SqliteRow) -> Result<FinishedJob> {
@@ -114,7 +115,7 @@ impl Queue {
         Ok(query.fetch_one(self.readers()).await?)
     }
 
-    /// Deletes a job if it has not changed since it was found; `None` if it has.
+    /// Deletes a job if it has not changed since it was read; `None` if it has.
     pub(crate) async fn remove(&self, job: &FinishedJob) -> Result<Option<RemovedContent>> {
         loop {
             let few = job.clone();
@@ -166,7 +167,7 @@ mod tests {
     use crate::database::Database;
 
     #[tokio::test]
-    async fn jobs_to_remove_are_found_without_reading_a_table_from_end_to_end() {
+    async fn retention_queries_need_no_full_table_scan() {
         let folder = tempfile::tempdir().expect("a temporary folder");
         let store = Database::open(folder.path()).await.expect("opens");
         let (queue, _) = Queue::open(store.into(), Clock::manual().0, 1000).await.expect("opens");

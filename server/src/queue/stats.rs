@@ -6,10 +6,10 @@ use sqlx::Row;
 
 use super::{Queue, Result};
 
-/// Jobs by state; the index holds all that is read.
+/// Jobs by state; the index covers the query.
 const JOBS_SQL: &str = "SELECT state, count(*) AS number FROM job GROUP BY state";
 
-/// Remaining work of the unfinished jobs.
+/// Remaining work of unfinished jobs.
 const UNFINISHED_SQL: &str = "SELECT count(*) AS jobs, min(created_at_ms) AS oldest_ms,
         coalesce(sum(tiles_total - tiles_done), 0) AS tiles, coalesce(sum(tiles_done), 0) AS tiles_done,
         coalesce(sum(rays_total - rays_done), 0) AS rays
@@ -18,10 +18,10 @@ const UNFINISHED_SQL: &str = "SELECT count(*) AS jobs, min(created_at_ms) AS old
 /// Oldest job without any lease so far.
 const OLDEST_QUEUED_SQL: &str = "SELECT created_at_ms FROM job WHERE state = 'queued' ORDER BY number LIMIT 1";
 
-/// Tiles and stitches that could be leased.
+/// Tiles and stitches that are ready.
 const READY_SQL: &str = "SELECT count(*) FROM tile WHERE state = 'ready'";
 
-/// Leases that run.
+/// Live leases.
 const LEASED_SQL: &str = "SELECT count(*) FROM lease WHERE ended IS NULL";
 
 /// Workers that are not gone, by state and device.
@@ -29,7 +29,7 @@ const WORKERS_SQL: &str =
     "SELECT state, device, count(*) AS number, coalesce(sum(rays_per_second), 0.0) AS rays_per_second
      FROM worker WHERE state <> 'gone' GROUP BY state, device";
 
-/// All statements of this file, for the test that checks their query plans.
+/// All statements of this file, for a test that checks their query plans.
 #[cfg(test)]
 pub(super) const STATEMENTS: [&str; 6] =
     [JOBS_SQL, UNFINISHED_SQL, OLDEST_QUEUED_SQL, READY_SQL, LEASED_SQL, WORKERS_SQL];
@@ -52,7 +52,7 @@ pub(crate) struct WorkerCount {
 pub(crate) struct QueueStats {
     /// Jobs by state.
     pub(crate) jobs: Vec<(String, i64)>,
-    /// Jobs that are not finished.
+    /// Number of unfinished jobs.
     pub(crate) unfinished: i64,
     /// Age of the oldest of them, in seconds.
     pub(crate) oldest_seconds: f64,
@@ -62,9 +62,9 @@ pub(crate) struct QueueStats {
     pub(crate) tiles_left: i64,
     /// Tiles of unfinished jobs that are done.
     pub(crate) tiles_done: i64,
-    /// Tiles and stitches that could be leased.
+    /// Tiles and stitches that are ready.
     pub(crate) tiles_ready: i64,
-    /// Leases that run.
+    /// Live leases.
     pub(crate) leases: i64,
     /// Camera rays of unfinished jobs that are not rendered.
     pub(crate) rays_left: i64,
@@ -73,17 +73,17 @@ pub(crate) struct QueueStats {
 }
 
 impl QueueStats {
-    /// Camera rays a second of the workers that take work.
+    /// Camera rays per second of the ready workers.
     pub(crate) fn rays_per_second(&self) -> f64 {
         self.workers.iter().filter(|workers| workers.state == "ready").map(|workers| workers.rays_per_second).sum()
     }
 
-    /// Seconds of work in the queue, at the speed of the workers that take work: infinite if none is known to be there.
+    /// Seconds of work in the queue, at the speed of the ready workers; infinite if no speed is known.
     pub(crate) fn work_seconds(&self) -> f64 {
         if self.rays_left == 0 { 0.0 } else { self.rays_left as f64 / self.rays_per_second() }
     }
 
-    /// Jobs in a state.
+    /// Number of jobs in a state.
     pub(crate) fn jobs_in(&self, state: &str) -> i64 {
         self.jobs.iter().find(|(name, _)| name == state).map_or(0, |(_, number)| *number)
     }
@@ -149,7 +149,7 @@ mod tests {
     }
 
     #[test]
-    fn work_without_workers_takes_for_ever() {
+    fn work_without_workers_takes_infinite_time() {
         let idle = QueueStats::default();
         assert_eq!(idle.work_seconds(), 0.0);
         assert!(QueueStats { rays_left: 5, ..idle }.work_seconds().is_infinite());

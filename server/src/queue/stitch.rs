@@ -1,9 +1,9 @@
-//! Stitches: created when a frame's last tile is done, undone when its blobs prove damaged.
+//! Stitches: created when a frame's last tile is done, removed if its blobs are damaged.
 
 use super::lease::{self, LeaseEnd, LiveLease};
 use super::{Connection, Result, TransitionContext, Wake, expect_rows, finish, row_count};
 
-/// Makes a frame's stitch ready when its last tile is done.
+/// Makes a frame's stitch ready after its last tile.
 pub(super) async fn create(connection: &mut Connection, job: i64, frame: u32) -> Result<()> {
     let stitching = sqlx::query("UPDATE frame SET state = 'stitching' WHERE job = ? AND number = ? AND state = 'open'")
         .bind(job)
@@ -23,8 +23,8 @@ pub(super) async fn create(connection: &mut Connection, job: i64, frame: u32) ->
     expect_rows("tile: stitch made", 1, &made)
 }
 
-/// Reopens the tiles whose blobs a stitch found missing or damaged; the stitch follows when they are rendered
-/// again.
+/// Reopens the tiles whose blobs a stitch found missing or damaged; after they are rendered again, the stitch
+/// becomes ready again.
 pub(super) async fn redo_tiles(
     connection: &mut Connection,
     held: &LiveLease,
@@ -32,7 +32,7 @@ pub(super) async fn redo_tiles(
     moment: TransitionContext,
 ) -> Result<Wake> {
     let mut ring =
-        lease::end_without_result(connection, held, LeaseEnd::Lost, "its blobs were damaged again and again", moment)
+        lease::end_without_result(connection, held, LeaseEnd::Lost, "its blobs were damaged repeatedly", moment)
             .await?;
     if !is_stitching(connection, held).await? {
         return Ok(ring);
@@ -53,7 +53,7 @@ pub(super) async fn redo_tiles(
     ring.add(Wake::WORK);
     ring.add(lease::revoke_duplicates(connection, [held.tile]).await?);
     let job = super::job_id(connection, held.job).await?;
-    tracing::warn!(%job, frame = held.frame, tiles = rays.len(), "blobs are damaged; rendering them again");
+    tracing::warn!(%job, frame = held.frame, tiles = rays.len(), "blobs damaged; rendering their tiles again");
     let void = sqlx::query("UPDATE tile SET state = 'void' WHERE id = ? AND state IN ('ready', 'leased')")
         .bind(held.tile)
         .execute(&mut *connection)

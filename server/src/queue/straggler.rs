@@ -1,5 +1,5 @@
-//! Stragglers: if no tile is ready, a tile that takes far longer than others of its job gets a duplicate
-//! lease; its first lease stays live. The first result counts; `deliver` ends the other lease.
+//! Stragglers: if no tile is ready, a tile that takes far longer than others of its job gets a duplicate lease;
+//! its first lease stays live. The first result counts; `deliver` ends the other lease.
 
 use std::collections::HashMap;
 
@@ -12,7 +12,7 @@ use super::{Connection, Result, TransitionContext, batch_size, durations, expect
 
 /// A lease older than this many times the job's median tile duration is a straggler's.
 const MAX_MEDIANS: i64 = 3;
-/// No tile straggles before.
+/// Minimum age of a straggler's lease.
 const MIN_AGE_MS: i64 = 500;
 /// Minimum age of a stitch that counts as a straggler: tile durations do not predict a stitch's.
 const MIN_STITCH_AGE_MS: i64 = 10_000;
@@ -24,7 +24,7 @@ const MAX_CANDIDATES: i64 = 256;
 /// Oldest leases of other workers whose tile this worker can render and that have no duplicate lease yet.
 const OLDEST_LEASES_SQL: &str = include_str!("stragglers.sql");
 
-/// The tiles of a frame that one worker alone has held for long.
+/// Tiles of a frame that a single worker has leased for long.
 const STRAGGLER_TILES_SQL: &str = "SELECT tile.id, position, x_px, y_px, width_px, height_px, rays, lost
      FROM lease INDEXED BY lease_live_by_worker JOIN tile ON tile.id = lease.tile
      WHERE lease.worker = ? AND lease.ended IS NULL AND lease.granted_ms <= ?
@@ -81,7 +81,7 @@ pub(super) async fn claim(
             continue;
         }
         let job = super::job_id(connection, old.job).await?;
-        tracing::info!(%job, frame = old.frame, holder = %old.worker, "a straggler is leased once more");
+        tracing::info!(%job, frame = old.frame, holder = %old.worker, "granted a duplicate lease on a straggler");
         return Ok(StragglerOutcome::Run(duplicate_leases(connection, &old, view, claimant, moment).await?));
     }
     Ok(StragglerOutcome::Nothing(again_ms))
@@ -111,8 +111,8 @@ async fn duplicate_leases(
         .await?;
     let whole = claim::frame_load(&job);
     let length = if batch_size::is_whole_frame(held.len(), whole) {
-        // Its holder encodes a whole picture, so the helper must do the same, or neither finishes
-        // before the other.
+        // The holder encodes a complete picture, so the second worker must do the same: otherwise neither could
+        // finish before the other.
         held.len()
     } else {
         let ready = held.iter().map(claim::read_ready).collect::<Result<Vec<_>>>()?;
@@ -124,7 +124,7 @@ async fn duplicate_leases(
     Ok(Batch { job: job.id, frame: old.frame, work })
 }
 
-/// Leases tiles that are leased already, each under its next epoch.
+/// Leases tiles that are leased already, each with its next epoch.
 async fn grant(
     connection: &mut Connection,
     grants: &[(i64, LeaseId)],
@@ -137,6 +137,6 @@ async fn grant(
     .bind(super::json_numbers(grants.iter().map(|(tile, _)| *tile)))
     .execute(&mut *connection)
     .await?;
-    expect_rows("tile: leased once more", row_count(grants.len()).unsigned_abs(), &again)?;
+    expect_rows("tile: leased to leased twice", row_count(grants.len()).unsigned_abs(), &again)?;
     claim::make_leases(connection, grants, &view.worker, moment).await
 }

@@ -1,4 +1,4 @@
-//! Accepting a job: one row and its file. Frames and tiles are created when the job reaches them.
+//! Accepts a job: one row and its file. Frames and tiles are created later, when each frame is opened.
 
 use proto::{JobId, Retention};
 
@@ -10,25 +10,25 @@ use crate::tile_plan::TilePlan;
 pub(crate) struct NewJob {
     /// Its id.
     pub(crate) id: JobId,
-    /// The name its author gave it.
+    /// Name from the job file.
     pub(crate) name: String,
-    /// Submitter: a key's name, or `local` without keys. Fair share counts by submitter.
+    /// Submitter: a key's name, or `local` without keys. Fair share is computed by submitter.
     pub(crate) submitter: String,
     /// Jobs of higher priority are leased first.
     pub(crate) priority: i32,
-    /// Nodes of its scene; 0 if not known.
+    /// Number of nodes of its scene; 0 if unknown.
     pub(crate) nodes: u32,
-    /// How its frames are cut into tiles.
+    /// Tile plan of its frames.
     pub(crate) plan: TilePlan,
     /// Media type of its pictures.
     pub(crate) media_type: &'static str,
-    /// Warnings for its author; the job renders all the same.
+    /// Warnings for the author; the job renders all the same.
     pub(crate) warnings: Vec<String>,
     /// Render it even if its pictures are stored.
     pub(crate) no_cache: bool,
-    /// How long it is kept; `None` is the server's default.
+    /// Retention; `None` means the server's default.
     pub(crate) retention: Option<Retention>,
-    /// The bytes that were posted.
+    /// Submitted bytes.
     pub(crate) file_text: String,
 }
 
@@ -52,7 +52,7 @@ impl NewJob {
     }
 }
 
-/// Writes a job's row and its file; returns its number.
+/// Inserts a job's row and its file; returns its number.
 pub(super) async fn submit(connection: &mut Connection, job: &NewJob, moment: TransitionContext) -> Result<i64> {
     let plan = job.plan;
     let number: i64 = sqlx::query_scalar(

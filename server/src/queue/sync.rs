@@ -1,4 +1,4 @@
-//! A worker's sync in one transaction: takes results, renews leases, releases strays, claims work.
+//! A worker's sync in one transaction: records results, renews leases, releases unlisted leases, claims work.
 
 use std::collections::HashSet;
 use std::time::Duration;
@@ -13,7 +13,7 @@ use super::{Connection, FrameOpening, Result, TransitionContext, Wake, deliver, 
 use crate::tile_plan::TilePlan;
 
 /// A lease granted in a response that the worker never received is released after this time: the worker does
-/// not list it.
+/// not list it in its syncs.
 const UNHEARD_LEASE_MS: i64 = 2000;
 
 /// Input of a sync.
@@ -23,13 +23,13 @@ pub(crate) struct SyncInput {
     pub(crate) worker: WorkerId,
     /// Its measured camera rays a second.
     pub(crate) rays_per_second: Option<f64>,
-    /// The leases it holds.
+    /// Leases that the worker holds.
     pub(crate) held_leases: Vec<LeaseId>,
-    /// The leases it has finished with.
+    /// Results of leases that have finished.
     pub(crate) reports: Vec<LeaseReport>,
-    /// Whether it wants a run.
+    /// Whether the worker requests a batch.
     pub(crate) wants_work: bool,
-    /// The worker is shutting down.
+    /// Whether the worker is shutting down.
     pub(crate) shutting_down: bool,
     /// Frame that the previous pass of this sync asked to open.
     pub(crate) opening: Option<FrameOpening>,
@@ -45,17 +45,17 @@ impl SyncInput {
 /// Outcome of a sync.
 #[derive(Clone, Debug)]
 pub(crate) struct SyncOutcome {
-    /// Leases of the call that are no longer live.
+    /// Leases of the call that have ended.
     pub(crate) revoked_leases: Vec<LeaseId>,
     /// The worker should finish and exit.
     pub(crate) drain: bool,
     /// The granted work, or what prevents it.
     pub(crate) next: NextWork,
-    /// Blobs that may be orphans now.
+    /// Blobs that may be orphans.
     pub(crate) leftovers: Vec<String>,
     /// Number of leases found to be overdue.
     pub(crate) expired: u64,
-    /// Results without effect.
+    /// Number of fenced results.
     pub(crate) fenced: u64,
     /// Number of results that differ from the first result of the same tile.
     pub(crate) nondeterministic: u64,
@@ -80,15 +80,15 @@ impl SyncOutcome {
 /// The granted work, or what prevents it.
 #[derive(Clone, Debug)]
 pub(crate) enum NextWork {
-    /// A run.
+    /// Granted batch.
     Run(Batch),
-    /// A frame has to be opened first: repeat the sync with its [`FrameOpening`].
+    /// A frame must be opened first: repeat the sync with its [`FrameOpening`].
     OpenFrame {
         /// The job's number.
         job: i64,
         /// The frame.
         frame: u32,
-        /// How its frames are cut into tiles.
+        /// Tile plan of its frames.
         plan: TilePlan,
     },
     /// No work now; if a tile is backing off, it is ready in this many milliseconds.
@@ -140,7 +140,7 @@ enum SyncState {
     Other,
 }
 
-/// What a sync needs to know of its worker.
+/// Data about the worker that a sync needs.
 struct WorkerRow {
     state: SyncState,
     max_nodes: i64,
@@ -171,7 +171,7 @@ async fn touch_worker(
     Ok(Some(WorkerRow { state, max_nodes: row.try_get("max_nodes")? }))
 }
 
-/// Renews the leases that the worker lists, names those that ended, and releases those that it never
+/// Renews the leases that the worker lists, reports those that have ended, and releases those that it never
 /// received.
 async fn renew_leases(
     connection: &mut Connection,
@@ -187,11 +187,18 @@ async fn renew_leases(
     lease::renew(connection, &held, moment).await?;
     let mut ring = Wake::default();
     for unheard in unknown.into_iter().filter(|live| live.granted_ms <= moment.now_ms - UNHEARD_LEASE_MS) {
-        // The failure of a job, just before in this loop, may have ended more of these leases.
+        // The failure of a job, earlier in this loop, may have ended more of these leases.
         let Some(held) = lease::live_lease(connection, &unheard.lease).await? else { continue };
-        tracing::warn!(lease = %held.lease, worker = %turn.worker, "a worker never heard of its lease");
+        tracing::warn!(lease = %held.lease, worker = %turn.worker, "a worker never received its lease");
         ring.add(
-            lease::end_without_result(connection, &held, LeaseEnd::Released, "its worker forgot it", moment).await?,
+            lease::end_without_result(
+                connection,
+                &held,
+                LeaseEnd::Released,
+                "its worker never received the lease",
+                moment,
+            )
+            .await?,
         );
     }
     Ok(ring)

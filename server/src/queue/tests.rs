@@ -1,4 +1,4 @@
-//! Properties that the API cannot show: statements use indexes, the queue follows its model under random
+//! Properties that the API cannot show: statements use indexes, the queue matches its model under random
 //! operations, and shares are fair.
 
 mod fair_share;
@@ -45,7 +45,7 @@ impl Fixture {
         Self { queue, hand, folder }
     }
 
-    /// Ends the server and starts another on the same database; its clock starts at zero.
+    /// Stops the server and starts another on the same database; its clock starts at zero.
     async fn restart(&mut self) {
         self.queue.database.close().await;
         let store = Database::open(self.folder.path()).await.expect("opens again");
@@ -54,7 +54,7 @@ impl Fixture {
         (self.queue, self.hand) = (queue, hand);
     }
 
-    /// A worker, which is of the pool if it has a process.
+    /// Registers a worker; with a process id it belongs to the pool.
     async fn register(&self, max_nodes: Option<u32>, process: Option<u32>) -> WorkerId {
         let pool = process.is_some();
         let hello = RegisterRequest {
@@ -71,7 +71,7 @@ impl Fixture {
             .worker
     }
 
-    /// The process of a worker.
+    /// Process id of a worker.
     async fn process(&self, worker: WorkerId) -> u32 {
         let process = sqlx::query_scalar("SELECT process FROM worker WHERE id = ?").bind(worker.to_string());
         process.fetch_optional(self.queue.readers()).await.expect("reads").unwrap_or(u32::MAX)
@@ -91,7 +91,7 @@ impl Fixture {
     /// A worker's sync, with frames opened as needed.
     async fn turn(&self, mut turn: SyncInput) -> Option<super::SyncOutcome> {
         loop {
-            let turned = self.queue.turn(turn.clone()).await.expect("a turn")?;
+            let turned = self.queue.turn(turn.clone()).await.expect("a sync")?;
             let NextWork::OpenFrame { job, frame, plan } = turned.next else { return Some(turned) };
             let picture_key = format!("key {job} {frame}");
             turn.reports.clear();
@@ -172,7 +172,7 @@ fn leases(run: &proto::worker_protocol::Batch) -> impl Iterator<Item = proto::Le
 }
 
 #[tokio::test]
-async fn a_full_disk_refuses_a_job_and_room_on_it_takes_the_next() {
+async fn a_full_disk_rejects_jobs_until_space_is_freed() {
     let bench = Fixture::new().await;
     let worker = bench.worker(None).await;
     let limit = async |statement: &'static str| {
@@ -201,7 +201,7 @@ async fn a_full_disk_refuses_a_job_and_room_on_it_takes_the_next() {
 }
 
 #[tokio::test]
-async fn an_operation_that_fails_takes_no_other_with_it() {
+async fn a_failing_operation_affects_no_other() {
     let bench = Fixture::new().await;
     let good = (0..20).map(|_| bench.queue.submit(new_job(1)));
     let taken = new_job(1);
@@ -214,7 +214,7 @@ async fn an_operation_that_fails_takes_no_other_with_it() {
 }
 
 #[tokio::test]
-async fn a_job_whose_nodes_are_not_known_is_for_any_worker() {
+async fn a_job_of_unknown_size_goes_to_any_worker() {
     let bench = Fixture::new().await;
     let worker = bench.worker(Some(1)).await;
     let job = bench.submit(1, 0).await;

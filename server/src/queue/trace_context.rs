@@ -1,4 +1,4 @@
-//! Trace of a job, so that all later work on the job continues it.
+//! Trace context of a job, so that all later work on the job belongs to its trace.
 //!
 //! No decision depends on a trace; without one, nothing else changes.
 
@@ -8,7 +8,7 @@ use super::{Queue, Result, expect_rows, recover};
 use crate::database::Durability;
 
 impl Queue {
-    /// Keeps the trace of a job that is about to be accepted.
+    /// Stores the trace context of a job that is about to be accepted.
     pub(crate) async fn keep_trace(&self, job: JobId, traceparent: String) -> Result<()> {
         self.database
             .write(Durability::Relaxed, move |connection| {
@@ -18,13 +18,13 @@ impl Queue {
                         .bind(traceparent)
                         .execute(connection)
                         .await?;
-                    expect_rows("job_trace: kept", 1, &kept)
+                    expect_rows("job_trace: stored", 1, &kept)
                 })
             })
             .await
     }
 
-    /// The trace that a job belongs to, if it has one.
+    /// Trace context of a job, if it has one.
     pub(crate) async fn trace_of(&self, job: JobId) -> Result<Option<String>> {
         Ok(sqlx::query_scalar("SELECT traceparent FROM job_trace WHERE job = ?")
             .bind(job.to_string())
@@ -32,8 +32,8 @@ impl Queue {
             .await?)
     }
 
-    /// Drops the traces of jobs that are finished, forgotten, or were never accepted, unless they are young; returns how
-    /// many.
+    /// Deletes trace contexts of jobs that finished, were deleted, or were never accepted, except recent ones;
+    /// returns the number deleted.
     pub(crate) async fn drop_traces(&self) -> Result<u64> {
         self.database
             .write(Durability::Relaxed, move |connection| {

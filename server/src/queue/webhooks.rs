@@ -1,4 +1,4 @@
-//! Deliveries to webhooks: what is due, what became of each attempt, and what is dropped when it is old.
+//! Webhook deliveries: reads due ones, records attempts, and prunes old ones.
 //!
 //! The trigger of migration 0006 creates them, in the transaction of the event.
 
@@ -13,17 +13,17 @@ use super::{Queue, Result, expect_rows, parse_column};
 use crate::clock::rfc3339;
 use crate::database::Durability;
 
-/// How long finished deliveries are kept.
+/// Retention of finished deliveries.
 const RETENTION_MS: i64 = 7 * 24 * 3_600_000;
-/// Deliveries dropped in one transaction.
+/// Number of deliveries deleted in one transaction.
 const DROP_BATCH: i64 = 5_000;
-/// Deliveries of a job that are shown, at most.
+/// Maximum number of listed deliveries of a job.
 const MAX_LISTED: i64 = 1_000;
 
-/// A delivery that is due.
+/// Due delivery.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) struct Delivery {
-    /// Its number.
+    /// Row number of the delivery.
     pub(crate) number: i64,
     /// Message id, the same in every attempt.
     pub(crate) id: String,
@@ -46,22 +46,22 @@ pub(crate) struct Delivery {
 pub(crate) enum Attempt {
     /// The receiver accepted the message.
     Delivered {
-        /// The answer's status.
+        /// Status of the response.
         status: u16,
     },
     /// The attempt failed.
     Failed {
-        /// The answer's status, if there was one.
+        /// Status of the response, if there was one.
         status: Option<u16>,
         /// Reason.
         error: String,
-        /// When to try again; `None` means never.
+        /// Time of the next attempt; `None` means never.
         retry_in: Option<Duration>,
     },
 }
 
 impl Queue {
-    /// Deliveries that are due, the longest due first.
+    /// Due deliveries, the longest overdue first.
     pub(crate) async fn due_deliveries(&self, limit: u32) -> Result<Vec<Delivery>> {
         let rows = sqlx::query(
             "SELECT number, id, event, url, job, name, body, attempts FROM delivery
@@ -87,7 +87,7 @@ impl Queue {
             .collect()
     }
 
-    /// Writes down what became of an attempt.
+    /// Records the outcome of an attempt.
     pub(crate) async fn record_attempt(&self, number: i64, attempt: Attempt) -> Result<()> {
         let wall_ms = self.clock.wall_ms();
         let (state, status, error, again_in) = match attempt {
@@ -133,7 +133,7 @@ impl Queue {
         rows.iter().map(view).collect()
     }
 
-    /// Deletes deliveries that finished long ago; returns how many.
+    /// Deletes deliveries that finished long ago; returns the number deleted.
     pub(crate) async fn prune_deliveries(&self) -> Result<u64> {
         let ended_before_ms = self.clock.wall_ms() - RETENTION_MS;
         let mut count = 0;
@@ -163,7 +163,7 @@ impl Queue {
     }
 }
 
-/// Part of an address that may be shown.
+/// Part of an address that may be displayed.
 fn receiver(url: &str) -> String {
     reqwest::Url::parse(url).map_or_else(|_| String::new(), |url| url.origin().ascii_serialization())
 }

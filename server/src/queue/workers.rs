@@ -1,4 +1,4 @@
-//! Workers: registration, draining, and their end.
+//! Workers: registration, draining and exit.
 
 use proto::WorkerId;
 use proto::worker_protocol::RegisterRequest;
@@ -12,20 +12,20 @@ use super::{Connection, Result, TransitionContext, Wake, expect_rows, parse_colu
 pub(crate) struct NewWorker {
     /// Its registration request.
     pub(crate) request: RegisterRequest,
-    /// It is a child process of this server.
+    /// Whether it is a child process of this server.
     pub(crate) pool: bool,
     /// Its label.
     pub(crate) name: String,
 }
 
-/// A worker that was taken in.
+/// Registered worker.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Registration {
-    /// Its id until it exits.
+    /// Worker id, valid until it exits.
     pub(crate) worker: WorkerId,
 }
 
-/// Takes in a worker, ready to work.
+/// Registers a worker as ready.
 pub(super) async fn register(
     connection: &mut Connection,
     new: NewWorker,
@@ -50,7 +50,7 @@ pub(super) async fn register(
     Ok(Registration { worker })
 }
 
-/// Asks the pool worker of a process to drain; false if there is none yet.
+/// Asks the pool worker with this process id to drain; false if there is none yet.
 pub(super) async fn drain(connection: &mut Connection, process: u32) -> Result<bool> {
     let drained = sqlx::query(
         "UPDATE worker SET state = 'draining' WHERE process = ? AND pool = 1
@@ -97,7 +97,7 @@ pub(super) async fn deregister(
         .execute(&mut *connection)
         .await?;
     expect_rows("worker: gone", 1, &gone)?;
-    end_leases(connection, &id, LeaseEnd::Released, "its worker ended", moment).await
+    end_leases(connection, &id, LeaseEnd::Released, "its worker shut down", moment).await
 }
 
 async fn end_leases(

@@ -5,23 +5,23 @@
 use std::fs;
 use std::path::Path;
 
-/// Unit of the times in `/proc/self/stat`: hundredths of a second on every Linux.
+/// Unit of the times in `/proc/self/stat`: 1/100 s on every Linux.
 const TICKS_PER_SECOND: f64 = 100.0;
 
 /// Figures of this process.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(crate) struct Process {
-    /// Memory that is in use.
+    /// Resident memory, in bytes.
     pub(crate) resident_bytes: u64,
-    /// Time on any processor.
+    /// CPU time, in seconds.
     pub(crate) cpu_seconds: f64,
-    /// Files and connections that are open.
+    /// Number of open files and connections.
     pub(crate) open_files: u64,
     /// Maximum number of open files.
     pub(crate) max_files: u64,
 }
 
-/// Room on the disk of a folder.
+/// Space on the disk of a folder.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(crate) struct Disk {
     /// Free bytes for ordinary users.
@@ -61,12 +61,12 @@ pub(crate) fn disk(folder: &Path) -> Disk {
     })
 }
 
-/// The size of a file; 0 if it is not there.
+/// Size of a file; 0 if it is missing.
 pub(crate) fn file_bytes(file: &Path) -> u64 {
     fs::metadata(file).map_or(0, |metadata| metadata.len())
 }
 
-/// The sizes of a folder's files, together.
+/// Total size of a folder's files.
 pub(crate) fn folder_bytes(folder: &Path) -> u64 {
     let Ok(entries) = fs::read_dir(folder) else { return 0 };
     entries.flatten().filter_map(|entry| entry.metadata().ok()).map(|metadata| metadata.len()).sum()
@@ -77,14 +77,14 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_time_of_a_process_is_read_after_its_name() {
+    fn cpu_time_is_parsed_after_the_process_name() {
         let stat = "7 (a) b) (c) S 1 7 7 0 -1 4194560 100 0 0 0 250 50 0 0 20 0 1 0 5 6 7";
         assert_eq!(cpu_ticks(stat), Some(300));
         assert_eq!(cpu_ticks("7 (sdfarm"), None);
     }
 
     #[test]
-    fn this_process_has_memory_and_files_and_a_disk() {
+    fn figures_of_this_process_are_available() {
         let process = process();
         assert!(process.resident_bytes > 1 << 20 && process.open_files > 2, "{process:?}");
         let disk = disk(&std::env::temp_dir());

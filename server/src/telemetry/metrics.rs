@@ -1,7 +1,7 @@
 //! All metrics by name: those counted as they happen, and those set when `/metrics` is read.
 //!
-//! Names and meanings are in `docs/operations.md`, which a test compares with this file. Nothing here waits
-//! or reads.
+//! Names and meanings are in `docs/operations.md`, which a test compares with this file. Nothing here waits or
+//! does I/O.
 
 use std::sync::atomic::AtomicU64;
 use std::time::Duration;
@@ -19,22 +19,22 @@ use crate::database::CommitTimes;
 
 /// Labels of a sample.
 pub(super) type Labels = Vec<(&'static str, String)>;
-/// A number that rises and falls.
+/// Gauge metric.
 pub(super) type FloatGauge = Gauge<f64, AtomicU64>;
 /// Gauges by labels.
 pub(super) type GaugeFamily = Family<Labels, FloatGauge>;
-/// Times by labels.
+/// Histograms of durations by labels.
 type HistogramFamily = Family<Labels, Histogram>;
 
-/// Methods with a label value of their own; all others share one.
+/// HTTP methods with a label value of their own; all others share one.
 const METHODS: [&str; 7] = ["GET", "HEAD", "POST", "PUT", "PATCH", "DELETE", "OPTIONS"];
 
-/// From a tenth of a millisecond to 100 seconds.
+/// Buckets from 0.1 ms to 100 s.
 pub(crate) fn seconds() -> Histogram {
     Histogram::new(exponential_buckets(1e-4, 10f64.sqrt(), 13))
 }
 
-/// Counts of up to 512 things.
+/// Buckets of counts up to 512.
 pub(crate) fn counts() -> Histogram {
     Histogram::new(exponential_buckets(1.0, 2.0, 10))
 }
@@ -103,66 +103,66 @@ impl Registrar {
 }
 
 impl Metrics {
-    /// All of them, and those of the database's writer.
+    /// Creates all metrics, including those of the database's writer.
     pub(super) fn new(commits: &CommitTimes) -> Self {
         let mut book = Registrar(Registry::default());
         let build = vec![
             ("version", env!("CARGO_PKG_VERSION").to_owned()),
             ("picture_version", scene::PICTURE_VERSION.to_string()),
         ];
-        book.0.register("sdfarm_build", "What is running", Info::new(build));
-        book.add("sdfarm_commit_seconds", "Time of a commit of the database", commits.seconds.clone());
-        book.add("sdfarm_commit_operations", "Operations that one commit took along", commits.operations.clone());
+        book.0.register("sdfarm_build", "Version of the server", Info::new(build));
+        book.add("sdfarm_commit_seconds", "Duration of a database commit", commits.seconds.clone());
+        book.add("sdfarm_commit_operations", "Operations in one database commit", commits.operations.clone());
         Self {
             uptime_seconds: book.gauge("sdfarm_uptime_seconds", "Time since the server started"),
             jobs: book.gauges("sdfarm_jobs", "Jobs by state"),
             tiles: book.gauges("sdfarm_tiles", "Tiles of unfinished jobs by state"),
             workers: book.gauges("sdfarm_workers", "Workers by state"),
-            pool_workers: book.gauge("sdfarm_pool_workers", "Local workers asked for"),
+            pool_workers: book.gauge("sdfarm_pool_workers", "Target number of local workers"),
             oldest_seconds: book.gauge("sdfarm_queue_oldest_job_seconds", "Age of the oldest unfinished job"),
             oldest_queued_seconds: book
-                .gauge("sdfarm_queue_oldest_queued_job_seconds", "Age of the oldest job that nobody has begun"),
-            rays_left: book.gauge("sdfarm_queue_rays", "Camera rays of unfinished jobs that are not rendered"),
+                .gauge("sdfarm_queue_oldest_queued_job_seconds", "Age of the oldest job without a leased tile"),
+            rays_left: book.gauge("sdfarm_queue_rays", "Camera rays of unfinished jobs still to be rendered"),
             work_seconds: book
-                .gauge("sdfarm_queue_work_seconds", "Work in the queue at the speed of the workers that are ready"),
+                .gauge("sdfarm_queue_work_seconds", "Time to finish the queue at the speed of the ready workers"),
             rays_per_second: book
-                .gauges("sdfarm_rays_per_second", "Camera rays a second that ready workers measured, by device"),
-            expired: book.counter("sdfarm_leases_expired", "Leases that ran out"),
-            fenced: book.counter("sdfarm_results_fenced", "Results without effect, for their lease had ended"),
+                .gauges("sdfarm_rays_per_second", "Measured camera rays per second of ready workers, by device"),
+            expired: book.counter("sdfarm_leases_expired", "Expired leases"),
+            fenced: book.counter("sdfarm_results_fenced", "Results without effect because their lease had ended"),
             nondeterministic: book
                 .counter("sdfarm_nondeterministic_tiles", "Tiles that two workers rendered differently"),
-            webhook_failures: book.counter("sdfarm_webhook_failures", "Attempts to deliver a webhook that failed"),
+            webhook_failures: book.counter("sdfarm_webhook_failures", "Failed attempts to deliver a webhook"),
             database_bytes: book.gauge("sdfarm_database_bytes", "Size of the database's file"),
             wal_bytes: book.gauge("sdfarm_wal_bytes", "Size of the database's write-ahead log"),
             store_bytes: book.gauges("sdfarm_store_bytes", "Stored bytes, by kind"),
-            disk_free_bytes: book.gauge("sdfarm_disk_free_bytes", "Free room on the data folder's disk"),
+            disk_free_bytes: book.gauge("sdfarm_disk_free_bytes", "Free space on the data folder's disk"),
             disk_bytes: book.gauge("sdfarm_disk_bytes", "Size of the data folder's disk"),
-            gpu_used_bytes: book.gauges("sdfarm_gpu_memory_used_bytes", "Memory of a worker's GPU that is in use"),
+            gpu_used_bytes: book.gauges("sdfarm_gpu_memory_used_bytes", "Used memory of a worker's GPU"),
             gpu_bytes: book.gauges("sdfarm_gpu_memory_bytes", "Memory of a worker's GPU"),
             resident_bytes: book.gauge("process_resident_memory_bytes", "Memory of the server's process"),
-            cpu_seconds: book.add("process_cpu_seconds", "Processor time of the server's process", Counter::default()),
+            cpu_seconds: book.add("process_cpu_seconds", "CPU time of the server's process", Counter::default()),
             open_files: book.gauge("process_open_fds", "Open files of the server's process"),
-            max_files: book.gauge("process_max_fds", "Files that the server's process may open"),
-            rays: book.add("sdfarm_rays", "Camera rays that were rendered, by device", Family::default()),
+            max_files: book.gauge("process_max_fds", "Maximum number of open files of the server's process"),
+            rays: book.add("sdfarm_rays", "Rendered camera rays, by device", Family::default()),
             render: book
-                .histograms("sdfarm_render_seconds", "Time to render tiles that were given to the device together"),
-            encode: book.histograms("sdfarm_encode_seconds", "Time to make a file of a picture"),
-            deliver: book.histograms("sdfarm_deliver_seconds", "Time to bring a blob or a picture to the server"),
-            claim: book.add("sdfarm_claim_seconds", "Time to find work for a worker that asks", seconds()),
-            responses: book.add("sdfarm_http_answers", "Answers by route, method and status", Family::default()),
-            http: book.histograms("sdfarm_http_seconds", "Time to the first byte of an answer, by route"),
+                .histograms("sdfarm_render_seconds", "Time to render tiles that were sent to the device together"),
+            encode: book.histograms("sdfarm_encode_seconds", "Time to encode a picture"),
+            deliver: book.histograms("sdfarm_deliver_seconds", "Time to deliver a blob or a picture to the server"),
+            claim: book.add("sdfarm_claim_seconds", "Time to find work for a worker's request", seconds()),
+            responses: book.add("sdfarm_http_answers", "Responses by route, method and status", Family::default()),
+            http: book.histograms("sdfarm_http_seconds", "Time to the first byte of a response, by route"),
             registry: book.0,
         }
     }
 
-    /// All of them as text, in the `OpenMetrics` format.
+    /// All metrics as text, in the `OpenMetrics` format.
     pub(super) fn text(&self) -> String {
         let mut text = String::new();
         encode(&mut text, &self.registry).expect("writing to a string");
         text
     }
 
-    /// A request was answered.
+    /// Records a response.
     pub(crate) fn record_response(&self, route: &str, method: &str, status: u16, took: Duration) {
         let route = if route.is_empty() { "none" } else { route }.to_owned();
         let method = METHODS.into_iter().find(|known| *known == method).unwrap_or("other").to_owned();
@@ -176,7 +176,7 @@ impl Metrics {
         self.claim.observe(took.as_secs_f64());
     }
 
-    /// A worker on a device of this kind measured something.
+    /// Records a measurement of a worker on a device of this kind.
     pub(super) fn record_timing(&self, device: &str, timing: &Timing) {
         let (times, device) = match timing.phase {
             Phase::Render => (&self.render, device),
@@ -191,7 +191,7 @@ impl Metrics {
     }
 }
 
-/// Sets a metric's levels to these and no others.
+/// Sets a metric's gauges to these values and removes all others.
 pub(super) fn replace(levels: &GaugeFamily, values: impl IntoIterator<Item = (Labels, f64)>) {
     levels.clear();
     for (labels, value) in values {

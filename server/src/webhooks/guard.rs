@@ -1,7 +1,7 @@
 //! Permitted webhook addresses: public addresses over TLS, and ranges that the operator allows.
 //!
-//! Addresses are checked at submission and again for each connection, after the name was resolved, so that
-//! changing where a name points does not help an attacker.
+//! Addresses are checked at submission and again for each connection, after the name has been resolved, so that
+//! an attacker gains nothing by changing the address of a name.
 
 use std::net::{IpAddr, SocketAddr};
 use std::str::FromStr;
@@ -11,7 +11,7 @@ use ipnet::{IpNet, Ipv4Net, Ipv6Net};
 use reqwest::Url;
 use reqwest::dns::{Addrs, Name, Resolve, Resolving};
 
-/// Ports below this one are other services', but for those of the web.
+/// Ports below this one belong to other services, except those of the web.
 const FIRST_FREE_PORT: u16 = 1024;
 
 /// Ranges outside the public internet, from IANA's special-purpose registry for IPv4, and multicast.
@@ -34,13 +34,13 @@ const NON_PUBLIC_V4: [&str; 17] = [
     "203.0.113.0/24",
     "224.0.0.0/3",
 ];
-/// All of IPv6 that is given to the public internet.
+/// The range of IPv6 assigned to the public internet.
 const GLOBAL_UNICAST_V6: &str = "2000::/3";
-/// Ranges within that which are not public: protocols (Teredo, ORCHID, benchmarks), documentation, and
-/// embedded IPv4.
+/// Ranges within it that are not public: protocols (Teredo, ORCHID, benchmarks), documentation, and embedded
+/// IPv4.
 const NON_PUBLIC_V6: [&str; 5] = ["2001::/23", "2001:db8::/32", "2002::/16", "2620:4f:8000::/48", "3fff::/20"];
 
-/// Addresses that belong together, as an operator writes them: `10.0.0.0/8`, or one address.
+/// Range of addresses, as an operator writes it: `10.0.0.0/8`, or one address.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct AddressRange(IpNet);
 
@@ -52,7 +52,7 @@ impl FromStr for AddressRange {
         text.parse::<IpNet>()
             .or_else(|_| one())
             .map(|range| Self(range.trunc()))
-            .map_err(|_| format!("{text:?} is no range of addresses: write it as 10.0.0.0/8 or fd00::/8"))
+            .map_err(|_| format!("{text:?} is not an address range: write it as 10.0.0.0/8 or fd00::/8"))
     }
 }
 
@@ -60,32 +60,34 @@ impl FromStr for AddressRange {
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub(crate) enum AddressRejected {
     /// It is not an http or https URL.
-    #[error("a webhook's address can't be read ({0}): write it as https://HOST/PATH")]
+    #[error("invalid webhook address ({0}): write it as https://HOST/PATH")]
     Unreadable(String),
-    /// It would be unencrypted.
-    #[error("a webhook's address begins with {0}://: only https is taken, and http to where --allow-webhook-to says")]
+    /// The connection would be unencrypted.
+    #[error(
+        "webhook addresses with {0}:// are not allowed: use https; http works only to ranges of the server's --allow-webhook-to"
+    )]
     Scheme(String),
-    /// It contains a password.
-    #[error("a webhook's address holds a user name or password: put a token into its path")]
+    /// The address has a user name or password.
+    #[error("the webhook's address has a user name or password: put a token into its path instead")]
     Credentials,
     /// The port belongs to another service.
-    #[error("a webhook may not go to port {0}: 443, 80 and those from {FIRST_FREE_PORT} are taken")]
+    #[error("webhooks cannot use port {0}: use 443, 80, or a port from {FIRST_FREE_PORT}")]
     Port(u16),
-    /// It is not on the public internet.
+    /// The address is not on the public internet.
     #[error(
-        "a webhook may not go to {0}, which is not on the public internet: the operator allows it with --allow-webhook-to"
+        "webhooks cannot use {0}, which is not on the public internet: ask the operator to allow it with --allow-webhook-to"
     )]
     NotPublic(String),
 }
 
-/// Judges addresses.
+/// Decides which addresses are permitted.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct AddressPolicy {
     allowed: Arc<[AddressRange]>,
 }
 
 impl AddressPolicy {
-    /// A guard that also lets through to these.
+    /// Guard that also permits these ranges.
     pub(crate) fn new(allowed: &[AddressRange]) -> Self {
         Self { allowed: allowed.into() }
     }
@@ -130,18 +132,18 @@ impl AddressPolicy {
     }
 }
 
-/// The address that a host of a URL is, if it is no name.
+/// IP address of a URL's host, if the host is not a name.
 fn ip_host(host: &str) -> Option<IpAddr> {
     host.strip_prefix('[').and_then(|host| host.strip_suffix(']')).unwrap_or(host).parse().ok()
 }
 
-/// Names that can only mean this machine or its network.
+/// Whether a name can only mean this machine or its network.
 fn is_local(host: &str) -> bool {
     let host = host.trim_end_matches('.').to_ascii_lowercase();
     !host.contains('.') || [".localhost", ".local", ".internal", ".home.arpa"].iter().any(|end| host.ends_with(end))
 }
 
-/// Whether an address is of the public internet.
+/// Whether an address is on the public internet.
 fn is_public(address: IpAddr) -> bool {
     match address {
         IpAddr::V4(address) => !NON_PUBLIC_V4.iter().any(|net| v4(net).contains(&address)),
@@ -152,11 +154,11 @@ fn is_public(address: IpAddr) -> bool {
 }
 
 fn v4(net: &str) -> Ipv4Net {
-    net.parse().expect("the table above holds networks")
+    net.parse().expect("the table above has valid networks")
 }
 
 fn v6(net: &str) -> Ipv6Net {
-    net.parse().expect("the table above holds networks")
+    net.parse().expect("the table above has valid networks")
 }
 
 struct GuardedResolver {
@@ -278,7 +280,7 @@ mod tests {
     ];
 
     #[test]
-    fn addresses_that_are_not_public_are_rejected_however_they_are_spelt() {
+    fn non_public_addresses_are_rejected_in_every_spelling() {
         let guard = AddressPolicy::default();
         for closed in CLOSED {
             assert!(
@@ -296,7 +298,7 @@ mod tests {
     }
 
     #[test]
-    fn operators_open_ranges_and_nothing_beside_them() {
+    fn only_ranges_allowed_by_the_operator_are_added() {
         let guard = AddressPolicy::new(&["10.1.0.0/16".parse().expect("a range"), "::1".parse().expect("an address")]);
         for open in ["https://10.1.2.3/", "http://10.1.2.3:81/", "http://[::1]:9/", "http://render.internal/hook"] {
             assert!(guard.check(open).is_ok(), "{open}: {:?}", guard.check(open));
@@ -310,7 +312,7 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn names_that_lead_to_this_machine_are_not_followed() {
+    async fn names_that_resolve_to_this_machine_are_rejected() {
         let name = || "localhost".parse::<Name>().expect("a name");
         assert!(AddressPolicy::default().resolver(false).resolve(name()).await.is_err());
         let guard = AddressPolicy::new(&["127.0.0.0/8".parse().expect("a range"), "::1".parse().expect("an address")]);

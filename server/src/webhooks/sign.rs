@@ -1,4 +1,4 @@
-//! Signing messages by the Standard Webhooks specification (standardwebhooks.com), and the secret that it takes.
+//! Signs messages by the Standard Webhooks specification (standardwebhooks.com), and manages their secret.
 //!
 //! The secret is in a file of the data folder that only its owner can read, or comes from the operator; it
 //! appears in no log and no debug output.
@@ -16,20 +16,20 @@ use sha2::Sha256;
 
 /// Prefix of a secret.
 const PREFIX: &str = "whsec_";
-/// Bytes of a new secret.
+/// Size of a new secret, in bytes.
 const SECRET_BYTES: usize = 32;
-/// Bytes that a secret has to have, by the specification.
+/// Sizes of secrets that the specification permits, in bytes.
 const ALLOWED_BYTES: std::ops::RangeInclusive<usize> = 24..=64;
-/// The file in the data folder.
+/// Name of the secret's file in the data folder.
 const FILE: &str = "webhook-secret";
-/// Only its owner reads it.
+/// File mode: only the owner can read it.
 const MODE: u32 = 0o600;
 
-/// Error that leaves no secret to sign with.
+/// Error that prevents signing.
 #[derive(Debug, thiserror::Error)]
 pub enum SecretError {
     /// The file cannot be read or created.
-    #[error("the webhooks' secret can't be kept in {file}: {source}")]
+    #[error("cannot read or create the webhook secret {file}: {source}")]
     File {
         /// The file.
         file: std::path::PathBuf,
@@ -37,7 +37,7 @@ pub enum SecretError {
         source: io::Error,
     },
     /// It is not a webhook secret.
-    #[error("the webhooks' secret is none: it has to be whsec_ and 24 to 64 bytes in base64")]
+    #[error("the webhook secret is invalid: it must be whsec_ and 24 to 64 bytes in base64")]
     Malformed,
 }
 
@@ -61,7 +61,7 @@ impl Signer {
         if ALLOWED_BYTES.contains(&key.len()) { Ok(Self { key }) } else { Err(SecretError::Malformed) }
     }
 
-    /// The value of `webhook-signature`.
+    /// Value of the `webhook-signature` header.
     pub(crate) fn signature(&self, id: &str, timestamp_seconds: i64, body: &str) -> String {
         let mut mac = Hmac::<Sha256>::new_from_slice(&self.key).expect("a key may have any length");
         mac.update(format!("{id}.{timestamp_seconds}.{body}").as_bytes());
@@ -75,7 +75,7 @@ pub fn webhook_secret(data: &Path) -> Result<Secret, SecretError> {
     let failed = |source| SecretError::File { file: file.clone(), source };
     match fs::read_to_string(&file) {
         Ok(text) if !text.trim().is_empty() => return Ok(text.trim().to_owned().into()),
-        // A kill came between making and writing it.
+        // The process was killed between creating and writing the file.
         Ok(_) => fs::remove_file(&file).map_err(failed)?,
         Err(error) if error.kind() == io::ErrorKind::NotFound => {}
         Err(error) => return Err(failed(error)),
@@ -93,8 +93,8 @@ mod tests {
     use super::*;
 
     #[test]
-    fn signature_is_that_of_the_specifications_example() {
-        // The example of the Standard Webhooks libraries' own tests.
+    fn the_signature_matches_the_specifications_example() {
+        // Example from the tests of the Standard Webhooks libraries.
         let secret = Secret::from("whsec_MfKQ9r8GKYqrTwjUPD8ILPZIo2LaLaSw".to_owned());
         let signer = Signer::new(&secret).expect("a secret");
         let signature = signer.signature("msg_p5jXN8AQM9LWM0D4loKWxJek", 1_614_265_330, r#"{"test": 2432232314}"#);
@@ -102,7 +102,7 @@ mod tests {
     }
 
     #[test]
-    fn secret_is_made_once_and_read_by_nobody_else() {
+    fn the_secret_is_created_once_for_its_owner_only() {
         use std::os::unix::fs::PermissionsExt;
         let folder = tempfile::tempdir().expect("a temporary folder");
         let first = webhook_secret(folder.path()).expect("made");

@@ -1,4 +1,4 @@
-//! What users do wrong, and what they are told.
+//! Invalid requests of users, and their error responses.
 
 use proto::worker_protocol;
 use reqwest::header::{ALLOW, AUTHORIZATION, CONTENT_TYPE, HOST, HeaderName, ORIGIN};
@@ -12,11 +12,11 @@ async fn send(farm: &Farm, method: Method, path: &str, headers: &[(HeaderName, &
     for (name, value) in headers {
         request = request.header(name, *value);
     }
-    in_time(request.send()).await.expect("an answer")
+    in_time(request.send()).await.expect("a response")
 }
 
 #[tokio::test]
-async fn a_job_that_is_not_valid_is_rejected_with_the_place() {
+async fn an_invalid_job_is_rejected_with_a_json_pointer() {
     let farm = Farm::start().await;
     let mut job = small_job(1);
     job["image"]["width"] = 0.into();
@@ -29,7 +29,7 @@ async fn a_job_that_is_not_valid_is_rejected_with_the_place() {
 }
 
 #[tokio::test]
-async fn what_is_not_json_is_rejected_whatever_it_is() {
+async fn bodies_that_are_not_json_are_rejected() {
     let farm = Farm::start().await;
     for body in [b"".to_vec(), b"{\"name\": ".to_vec(), b"{\"name\": \"\xff\"}".to_vec(), b"nonsense".to_vec()] {
         let problem = refused(farm.post("/v1/jobs", body).await, 400, "not_json").await;
@@ -92,7 +92,7 @@ async fn a_pool_of_an_impossible_size_is_rejected() {
 }
 
 #[tokio::test]
-async fn foreign_hosts_and_origins_are_kept_out() {
+async fn foreign_hosts_and_origins_are_rejected() {
     let farm = Farm::start().await;
     for host in ["evil.example", "evil.example:8080", "localhost.evil.example"] {
         refused(send(&farm, Method::GET, "/livez", &[(HOST, host)], "").await, 403, "foreign_host").await;
@@ -112,7 +112,7 @@ async fn foreign_hosts_and_origins_are_kept_out() {
 }
 
 #[tokio::test]
-async fn workers_with_a_wrong_token_a_wrong_release_or_no_name_are_rejected() {
+async fn workers_with_invalid_token_release_or_name_are_rejected() {
     let farm = Farm::start().await;
     for route in [worker_protocol::REGISTER_PATH, worker_protocol::SYNC_PATH] {
         let token = [(AUTHORIZATION, "Bearer nonsense")];
@@ -130,7 +130,7 @@ async fn workers_with_a_wrong_token_a_wrong_release_or_no_name_are_rejected() {
 }
 
 #[tokio::test]
-async fn bytes_under_another_name_are_rejected_and_not_kept() {
+async fn bytes_that_do_not_match_their_hash_are_not_stored() {
     let farm = Farm::start().await;
     let worker = farm.worker("liar").await;
     let hash = blake3::hash(b"the truth").to_hex().to_string();
@@ -153,7 +153,7 @@ async fn bytes_under_another_name_are_rejected_and_not_kept() {
 }
 
 #[tokio::test]
-async fn a_request_keeps_the_id_it_brings() {
+async fn a_request_keeps_the_id_it_sends() {
     let farm = Farm::start().await;
     let id = HeaderName::from_static("x-request-id");
     let answer = send(&farm, Method::GET, "/v1/jobs/0", &[(id.clone(), "abc-1")], "").await;
@@ -165,7 +165,7 @@ async fn a_request_keeps_the_id_it_brings() {
 }
 
 #[tokio::test]
-async fn the_api_describes_itself_from_its_own_server() {
+async fn the_documentation_page_loads_nothing_from_other_servers() {
     let farm = Farm::start().await;
     let document: serde_json::Value = read(farm.get("/openapi.json").await, StatusCode::OK).await;
     assert!(document["openapi"].as_str().is_some_and(|version| version.starts_with("3.1")), "{}", document["openapi"]);
@@ -178,7 +178,7 @@ async fn the_api_describes_itself_from_its_own_server() {
     let page = in_time(page.text()).await.expect("text");
     assert!(!page.contains("//cdn") && !page.contains("https://"), "{page}");
     let schema: serde_json::Value = read(farm.get("/v1/schema/job").await, StatusCode::OK).await;
-    // As text and back: a reader may round a fraction otherwise than the writer.
+    // Compared as text and parsed again: parsing may round a fraction differently than serializing.
     let known: serde_json::Value = serde_json::from_str(&scene::schema().to_string()).expect("JSON");
     assert_eq!(schema, known);
     farm.stop().await;

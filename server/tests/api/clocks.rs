@@ -1,4 +1,4 @@
-//! A wall clock that is set forward or back, as by a person or a time service: no lease, no job and no worker minds.
+//! Jumps of the wall clock, set by a person or a time service: they affect no lease, job or worker.
 
 use std::time::Duration;
 
@@ -9,7 +9,7 @@ use super::harness::{Farm, LEASE, Said, assert_state, leases, small_job};
 const YEAR_MS: i64 = 365 * 24 * 3_600_000;
 
 #[tokio::test]
-async fn wall_clock_that_jumps_expires_nothing() {
+async fn a_jump_of_the_wall_clock_expires_no_lease() {
     let farm = Farm::start().await;
     let id = farm.submit(&small_job(1)).await.id;
     let worker = farm.worker("w").await;
@@ -27,7 +27,7 @@ async fn wall_clock_that_jumps_expires_nothing() {
 }
 
 #[tokio::test]
-async fn wall_clock_that_is_set_back_keeps_no_lease_alive() {
+async fn a_wall_clock_set_back_extends_no_lease() {
     let farm = Farm::start().await;
     let id = farm.submit(&small_job(2)).await.id;
     let sleeper = farm.worker("sleeper").await;
@@ -35,7 +35,7 @@ async fn wall_clock_that_is_set_back_keeps_no_lease_alive() {
     farm.hand.shift_wall_clock(-YEAR_MS);
     farm.hand.advance(2 * LEASE);
     let heir = farm.worker("heir").await;
-    assert!(heir.work_once().await, "what ran out is leased again");
+    assert!(heir.work_once().await, "the expired tile is leased again");
     assert_state(&farm, id, JobState::Succeeded).await;
     let late = sleeper.try_sync(Said { holding: leases(&run), ..Said::default() }).await;
     assert!(late.status() == 404 || late.text().await.is_ok_and(|reply| reply.contains(&leases(&run)[0].to_string())));

@@ -1,4 +1,4 @@
-//! Connections: those that do nothing, and too many of them; and TLS.
+//! Connections: idle ones, too many of them, slow bodies, and TLS.
 
 use std::path::Path;
 
@@ -11,7 +11,7 @@ use tokio::net::TcpStream;
 
 use super::harness::{Farm, config, in_time, refused};
 
-/// An authority of our own.
+/// A certificate authority for tests.
 struct Authority {
     issuer: Issuer<'static, KeyPair>,
     pem: String,
@@ -26,7 +26,7 @@ impl Authority {
         Self { issuer: Issuer::new(params, key), pem }
     }
 
-    /// Writes a certificate for this machine, its key, and the authority's own certificate.
+    /// Writes a certificate for this machine, its key, and the CA certificate.
     fn write(&self, folder: &Path) -> TlsFiles {
         let key = KeyPair::generate().expect("a key");
         let names = vec!["localhost".to_owned(), "127.0.0.1".to_owned()];
@@ -45,13 +45,13 @@ fn client(farm: &Farm, authority: &Path) -> Client {
 }
 
 #[tokio::test]
-async fn health_answers_when_every_connection_is_taken_by_someone_idle() {
+async fn health_responds_when_every_connection_is_idle() {
     let folder = tempfile::tempdir().expect("a temporary folder");
     let farm = Farm::start_in(folder, |config| config.max_connections = 8).await;
     let mut idle = Vec::new();
     for number in 0..40 {
         let mut stream = TcpStream::connect(farm.address).await.expect("connects");
-        // Half of them send the beginning of a request.
+        // Half of the connections send the beginning of a request.
         if number % 2 == 0 {
             stream.write_all(b"GET /livez HTTP/1.1\r\nHost: loc").await.expect("written");
         }
@@ -61,21 +61,21 @@ async fn health_answers_when_every_connection_is_taken_by_someone_idle() {
     assert_eq!(farm.get("/v1/jobs").await.status(), StatusCode::OK);
     let mut first = idle.swap_remove(0);
     let mut rest = Vec::new();
-    // The one that came first had to go first.
+    // The oldest connection was evicted first.
     drop(in_time(first.read_to_end(&mut rest)).await);
     farm.stop().await;
 }
 
 #[tokio::test]
-async fn heads_that_are_too_large_or_have_too_many_headers_are_rejected() {
+async fn oversized_heads_and_too_many_headers_are_rejected() {
     let farm = Farm::start().await;
     for head in [format!("X-Long: {}\r\n", "x".repeat(100 << 10)), "X: y\r\n".repeat(200)] {
         let mut stream = TcpStream::connect(farm.address).await.expect("connects");
         let request = format!("GET /livez HTTP/1.1\r\nHost: localhost\r\n{head}\r\n");
-        // The server may hang up before it has all.
+        // The server may close the connection before it has received everything.
         drop(stream.write_all(request.as_bytes()).await);
         let mut answer = vec![0; 12];
-        in_time(stream.read_exact(&mut answer)).await.expect("an answer");
+        in_time(stream.read_exact(&mut answer)).await.expect("a response");
         assert_eq!(answer, b"HTTP/1.1 431");
     }
     assert_eq!(farm.get("/livez").await.status(), StatusCode::OK);
@@ -83,14 +83,14 @@ async fn heads_that_are_too_large_or_have_too_many_headers_are_rejected() {
 }
 
 #[tokio::test]
-async fn https_is_spoken_to_those_who_trust_the_authority() {
+async fn clients_that_trust_the_ca_connect_over_https() {
     let folder = tempfile::tempdir().expect("a temporary folder");
     let certificates = tempfile::tempdir().expect("a temporary folder");
     let authority = Authority::new();
     let files = authority.write(certificates.path());
     let farm = Farm::start_in(folder, |config| config.tls = Some(files)).await;
     let trusting = client(&farm, &certificates.path().join("ca.pem"));
-    assert!(in_time(trusting.jobs(None, 1, None)).await.expect("an answer").jobs.is_empty());
+    assert!(in_time(trusting.jobs(None, 1, None)).await.expect("a response").jobs.is_empty());
 
     let others = tempfile::tempdir().expect("a temporary folder");
     Authority::new().write(others.path());
@@ -98,7 +98,7 @@ async fn https_is_spoken_to_those_who_trust_the_authority() {
     let error = in_time(wary.jobs(None, 1, None)).await.expect_err("another authority");
     assert!(matches!(error, ClientError::Unreachable { .. } | ClientError::ConnectionLost { .. }), "{error:?}");
 
-    // Plain HTTP is no TLS handshake, and harms nobody.
+    // Plain HTTP is not a TLS handshake, and affects no other connection.
     let plain = in_time(farm.client.get(farm.url("/livez")).send()).await;
     assert!(plain.is_err());
     assert!(in_time(trusting.jobs(None, 1, None)).await.is_ok());
@@ -106,7 +106,7 @@ async fn https_is_spoken_to_those_who_trust_the_authority() {
 }
 
 #[tokio::test]
-async fn new_certificate_is_shown_without_a_restart() {
+async fn a_new_certificate_is_used_without_a_restart() {
     let folder = tempfile::tempdir().expect("a temporary folder");
     let certificates = tempfile::tempdir().expect("a temporary folder");
     let files = Authority::new().write(certificates.path());
@@ -124,7 +124,7 @@ async fn new_certificate_is_shown_without_a_restart() {
 }
 
 #[tokio::test]
-async fn certificates_that_can_not_be_used_are_named() {
+async fn unusable_certificates_are_named_in_the_error() {
     let certificates = tempfile::tempdir().expect("a temporary folder");
     let others = tempfile::tempdir().expect("a temporary folder");
     let good = Authority::new().write(certificates.path());
@@ -140,30 +140,30 @@ async fn certificates_that_can_not_be_used_are_named() {
         let folder = tempfile::tempdir().expect("a temporary folder");
         let mut config = config(folder.path());
         config.tls = Some(TlsFiles { certificate, key });
-        let error = server::Server::start(config).await.expect_err("it can't be used");
+        let error = server::Server::start(config).await.expect_err("the certificate is unusable");
         assert!(matches!(error, StartError::Tls(_)), "{error:?}");
         assert!(error.to_string().contains(word) && error.to_string().contains("--tls-cert"), "{error}");
     }
 }
 
-/// The head of a job's request, and not all of its body.
+/// Head of a submission, with only part of its body.
 const HALF_A_REQUEST: &str = "POST /v1/jobs HTTP/1.1\r\nHost: localhost\r\nContent-Length: 100000\r\n\r\n{\"name\":";
 
 #[tokio::test]
-#[ignore = "long: as long as the server's patience, 20 s"]
-async fn body_that_comes_to_a_halt_is_given_up() {
+#[ignore = "long: waits for the server's limit of 20 s"]
+async fn a_stalled_body_times_out() {
     let farm = Farm::start().await;
     let mut stalled = TcpStream::connect(farm.address).await.expect("connects");
     stalled.write_all(HALF_A_REQUEST.as_bytes()).await.expect("written");
     let mut answer = String::new();
-    in_time(stalled.read_to_string(&mut answer)).await.expect("an answer");
+    in_time(stalled.read_to_string(&mut answer)).await.expect("a response");
     assert!(answer.starts_with("HTTP/1.1 408") && answer.contains("slow_body"), "{answer}");
     assert_eq!(farm.get("/livez").await.status(), StatusCode::OK);
     farm.stop().await;
 }
 
 #[tokio::test]
-async fn body_that_stops_midway_is_given_up_and_the_farm_goes_on() {
+async fn an_interrupted_body_is_dropped_and_the_farm_continues() {
     let farm = Farm::start().await;
     let mut stalled = TcpStream::connect(farm.address).await.expect("connects");
     stalled.write_all(HALF_A_REQUEST.as_bytes()).await.expect("written");
@@ -171,7 +171,7 @@ async fn body_that_stops_midway_is_given_up_and_the_farm_goes_on() {
     broken.write_all(HALF_A_REQUEST.as_bytes()).await.expect("written");
     broken.shutdown().await.expect("shut");
     let mut answer = String::new();
-    in_time(broken.read_to_string(&mut answer)).await.expect("an answer");
+    in_time(broken.read_to_string(&mut answer)).await.expect("a response");
     assert!(answer.starts_with("HTTP/1.1 400") && answer.contains("broken_body"), "{answer}");
     assert_eq!(farm.get("/livez").await.status(), StatusCode::OK);
     refused(farm.post("/v1/jobs", "{").await, 400, "not_json").await;

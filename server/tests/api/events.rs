@@ -1,4 +1,4 @@
-//! Following a job: every event once and in order, however often the reader has to come back.
+//! Events of a job: each one is received once and in order, even if the client reconnects.
 
 use std::time::Duration;
 
@@ -12,13 +12,13 @@ use serde_json::json;
 
 use super::harness::{Farm, in_time, job, leases, read, refused, small_job};
 
-/// Everything that is told of a job until the server ends the stream.
+/// All events of a job until the server ends the stream.
 async fn story(farm: &Farm, id: JobId, after: Option<&str>) -> Vec<SseMessage> {
     let mut request = farm.client.get(farm.url(&format!("/v1/jobs/{id}/events")));
     if let Some(after) = after {
         request = request.header("Last-Event-ID", after);
     }
-    let response = in_time(request.send()).await.expect("an answer");
+    let response = in_time(request.send()).await.expect("a response");
     if response.status() == StatusCode::NO_CONTENT {
         return Vec::new();
     }
@@ -35,14 +35,14 @@ fn events(story: &[SseMessage]) -> Vec<JobEvent> {
     story.iter().map(|message| JobEvent::parse(&message.event, &message.data).expect("a known event")).collect()
 }
 
-/// A job of two frames and several tiles each.
+/// A job of two frames with several tiles each.
 fn animation() -> serde_json::Value {
     let mut animation = job(1920, 1080, 1);
     animation["frames"] = json!({ "count": 2, "fps": 24 });
     animation
 }
 
-/// Renders all there is a few tiles at a time.
+/// Renders all ready work, a few tiles at a time.
 async fn work_slowly(farm: &Farm) {
     let mut worker = farm.worker("slow").await;
     worker.rays_per_second = Some(1.0);
@@ -68,7 +68,7 @@ fn check_story(farm_story: &[SseMessage], posted: &JobView) {
                 progress = now.progress;
             }
             JobEvent::State(now) => states.push(now.state),
-            JobEvent::Snapshot(snapshot) => panic!("nothing was missed: {snapshot:?}"),
+            JobEvent::Snapshot(snapshot) => panic!("unexpected snapshot: {snapshot:?}"),
         }
     }
     assert_eq!((tiles, frames, progress), (posted.tiles.total, vec![0, 1], 1.0));
@@ -81,12 +81,12 @@ async fn a_subscriber_receives_each_event_once_and_in_order() {
     let posted = farm.submit(&animation()).await;
     let (live, ()) = tokio::join!(story(&farm, posted.id, None), work_slowly(&farm));
     check_story(&live, &posted);
-    assert_eq!(story(&farm, posted.id, None).await, live, "told again later, it is the same");
+    assert_eq!(story(&farm, posted.id, None).await, live, "a later subscription receives the same events");
     farm.stop().await;
 }
 
 #[tokio::test]
-async fn whoever_comes_back_is_reported_exactly_what_was_missed_also_by_the_next_server() {
+async fn a_reconnecting_client_receives_missed_events_after_a_restart() {
     let farm = Farm::start().await;
     let posted = farm.submit(&animation()).await;
     work_slowly(&farm).await;
@@ -97,23 +97,23 @@ async fn whoever_comes_back_is_reported_exactly_what_was_missed_also_by_the_next
     }
     let last = whole.last().and_then(|message| message.id.clone()).expect("an id");
     let path = format!("/v1/jobs/{}/events?last_event_id={last}", posted.id);
-    assert_eq!(farm.get(&path).await.status(), StatusCode::NO_CONTENT, "a browser need not come back");
+    assert_eq!(farm.get(&path).await.status(), StatusCode::NO_CONTENT, "a browser stops reconnecting");
     farm.stop().await;
 }
 
 #[tokio::test]
-async fn a_follower_goes_on_where_it_was_after_the_server_has_started_anew() {
+async fn a_client_resumes_its_stream_after_a_server_restart() {
     let farm = Farm::start().await;
     let posted = farm.submit(&small_job(1)).await;
     let client = Client::new(&farm.url("")).expect("an address");
-    let mut events = in_time(client.events(posted.id, None)).await.expect("an answer").expect("a stream");
+    let mut events = in_time(client.events(posted.id, None)).await.expect("a response").expect("a stream");
     let first = in_time(events.next()).await.expect("an event");
     assert!(matches!(first, Some(JobEvent::State(event)) if event.state == JobState::Queued));
     let farm = Farm::start_in(farm.stop().await, |_| {}).await;
-    assert!(!matches!(in_time(events.next()).await, Ok(Some(_))), "the first server is gone");
+    assert!(!matches!(in_time(events.next()).await, Ok(Some(_))), "the first server has exited");
     let client = Client::new(&farm.url("")).expect("an address");
     let again = client.events(posted.id, events.last_id());
-    let mut events = in_time(again).await.expect("an answer").expect("a stream");
+    let mut events = in_time(again).await.expect("a response").expect("a stream");
     farm.worker("one").await.work_off().await;
     let mut told = Vec::new();
     while let Some(event) = in_time(events.next()).await.expect("an event") {
@@ -125,7 +125,7 @@ async fn a_follower_goes_on_where_it_was_after_the_server_has_started_anew() {
 }
 
 #[tokio::test]
-async fn an_id_that_was_never_given_gets_a_snapshot() {
+async fn an_unknown_event_id_gets_a_snapshot() {
     let farm = Farm::start().await;
     let posted = farm.submit(&animation()).await;
     let mut worker = farm.worker("slow").await;
@@ -143,12 +143,12 @@ async fn an_id_that_was_never_given_gets_a_snapshot() {
     work_slowly(&farm).await;
     let rest = SseParser::default().push(&in_time(response.bytes()).await.expect("the stream ends"));
     let tiles = events(&rest).iter().filter(|event| matches!(event, JobEvent::Tile(_))).count() as u64;
-    assert_eq!(snapshot.tiles.done + tiles, posted.tiles.total, "nothing twice, nothing left out");
+    assert_eq!(snapshot.tiles.done + tiles, posted.tiles.total, "no event is repeated or missing");
     farm.stop().await;
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_thousand_follow_one_job() {
+async fn a_thousand_clients_follow_one_job() {
     let farm = Farm::start().await;
     let posted = farm.submit(&animation()).await;
     let stories = join_all((0..1000).map(|_| story(&farm, posted.id, None)));
@@ -159,7 +159,7 @@ async fn a_thousand_follow_one_job() {
 }
 
 #[tokio::test]
-async fn wrong_ids_and_unknown_jobs_are_rejected() {
+async fn invalid_event_ids_and_unknown_jobs_are_rejected() {
     let farm = Farm::start().await;
     let posted = farm.submit(&small_job(1)).await;
     for wrong in ["x", "-1", "1.5", "99999999999999999999"] {
@@ -171,7 +171,7 @@ async fn wrong_ids_and_unknown_jobs_are_rejected() {
 }
 
 #[tokio::test]
-async fn a_follower_hears_of_a_retry_and_of_the_end_after_it() {
+async fn a_subscriber_receives_a_retry_and_its_end() {
     let farm = Farm::start().await;
     let posted = farm.submit(&small_job(1)).await;
     fail(&farm).await;
@@ -186,14 +186,14 @@ async fn a_follower_hears_of_a_retry_and_of_the_end_after_it() {
     farm.stop().await;
 }
 
-/// Has a job's tile fail until it is dead.
+/// Fails a job's tile until it is dead.
 async fn fail(farm: &Farm) {
     for name in ["one", "two", "three"] {
         let worker = farm.worker(name).await;
         let Some(run) = worker.claim().await else { continue };
         let results = leases(&run).into_iter().map(|lease| proto::worker_protocol::LeaseReport {
             lease,
-            outcome: proto::worker_protocol::LeaseOutcome::Failed { message: "it is no good".to_owned() },
+            outcome: proto::worker_protocol::LeaseOutcome::Failed { message: "the renderer failed".to_owned() },
         });
         worker.report(results.collect()).await;
         farm.hand.advance(Duration::from_secs(10));
@@ -201,7 +201,7 @@ async fn fail(farm: &Farm) {
 }
 
 #[tokio::test]
-async fn a_failed_job_is_retried_with_what_it_had_and_others_are_not() {
+async fn retrying_a_failed_job_keeps_its_finished_tiles() {
     let farm = Farm::start().await;
     let posted = farm.submit(&job(1920, 1080, 4)).await;
     let retry = format!("/v1/jobs/{}/retry", posted.id);
@@ -229,7 +229,7 @@ async fn a_failed_job_is_retried_with_what_it_had_and_others_are_not() {
         worker.report(worker.results(&run).await).await;
     }
     assert_eq!(farm.job(posted.id).await.state, JobState::Succeeded);
-    assert_eq!(rendered + before, posted.tiles.total, "what was done is not rendered again");
+    assert_eq!(rendered + before, posted.tiles.total, "finished tiles are not rendered again");
     refused(farm.post(&retry, "").await, 409, "nothing_dead").await;
     farm.stop().await;
 }

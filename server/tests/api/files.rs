@@ -1,4 +1,4 @@
-//! A job's file: given back, and submitted again; and jobs found by what people call them.
+//! Job files: returned, and submitted again; and jobs found by name or part of an id.
 
 use proto::job::{JobPage, JobView};
 use reqwest::{Method, StatusCode};
@@ -8,7 +8,7 @@ use super::harness::{Farm, in_time, read, refused, small_job};
 use super::keys::{locked_farm, make, new_key, send};
 use proto::api_key::Scope;
 
-/// The jobs that a text may mean.
+/// Jobs that match a text.
 async fn found(farm: &Farm, text: &str) -> Vec<proto::JobId> {
     let page: JobPage = read(farm.get(&format!("/v1/jobs?match={text}")).await, StatusCode::OK).await;
     page.jobs.iter().map(|job| job.id).collect()
@@ -21,7 +21,7 @@ fn named(name: &str, seed: u32) -> Value {
 }
 
 #[tokio::test]
-async fn a_file_is_given_back_to_the_byte() {
+async fn a_job_file_is_returned_byte_for_byte() {
     let farm = Farm::start().await;
     let text = format!("  {}\n\n", serde_json::to_string_pretty(&small_job(1)).expect("JSON"));
     let job: JobView = read(farm.post("/v1/jobs", text.clone()).await, StatusCode::CREATED).await;
@@ -34,7 +34,7 @@ async fn a_file_is_given_back_to_the_byte() {
 }
 
 #[tokio::test]
-async fn a_job_is_submitted_again_with_changes_or_without() {
+async fn a_job_is_resubmitted_with_or_without_changes() {
     let farm = Farm::start().await;
     let first = farm.submit(&small_job(1)).await.id;
     let path = format!("/v1/jobs/{first}/resubmit");
@@ -63,7 +63,7 @@ async fn a_job_is_submitted_again_with_changes_or_without() {
 }
 
 #[tokio::test]
-async fn a_job_is_found_by_its_name_by_parts_of_its_id_and_as_the_latest() {
+async fn jobs_are_found_by_name_part_of_id_or_latest() {
     let farm = Farm::start().await;
     let castle = farm.submit(&named("castle", 1)).await.id;
     let twins = [farm.submit(&named("twin", 2)).await.id, farm.submit(&named("twin", 3)).await.id];
@@ -73,7 +73,7 @@ async fn a_job_is_found_by_its_name_by_parts_of_its_id_and_as_the_latest() {
     assert_eq!(found(&farm, &castle.short()).await, [castle]);
     assert_eq!(found(&farm, &castle.short().to_uppercase()).await, [castle]);
     assert_eq!(found(&farm, &castle.to_string()).await, [castle]);
-    // All ids of a minute begin alike; three characters are no hint, and a wildcard is none either.
+    // All ids of one minute start alike, so three characters match nothing; a wildcard matches nothing either.
     assert_eq!(found(&farm, &castle.to_string()[..8]).await.len(), 3);
     for text in [&castle.short()[5..], "cast", "%25", "____", "nothing"] {
         assert_eq!(found(&farm, text).await, [], "{text}");
@@ -83,7 +83,7 @@ async fn a_job_is_found_by_its_name_by_parts_of_its_id_and_as_the_latest() {
 }
 
 #[tokio::test]
-async fn a_key_that_may_not_read_finds_its_own_jobs_alone() {
+async fn a_key_without_scope_read_finds_only_its_own_jobs() {
     let (farm, admin) = locked_farm().await;
     let owner = make(&farm, &admin, &new_key("owner", &[Scope::Submit])).await.secret;
     let other = make(&farm, &admin, &new_key("other", &[Scope::Submit])).await.secret;

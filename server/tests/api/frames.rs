@@ -1,4 +1,4 @@
-//! The frames of an animation: their list, and the archive of their pictures as other programs read it.
+//! Frames of an animation: their list, and the archive of their pictures as other programs read it.
 
 use std::process::Command;
 
@@ -18,7 +18,7 @@ fn animation(frames: u32) -> Value {
 }
 
 #[tokio::test]
-async fn frames_are_listed_by_pages_with_their_pictures() {
+async fn frames_are_listed_in_pages_with_their_pictures() {
     let farm = Farm::start().await;
     let posted = farm.submit(&animation(5)).await;
     let worker = farm.worker("one").await;
@@ -47,7 +47,7 @@ async fn frames_are_listed_by_pages_with_their_pictures() {
 }
 
 #[tokio::test]
-async fn an_archive_holds_every_picture_in_order_and_is_the_same_each_time() {
+async fn an_archive_has_every_picture_in_order_and_identical_bytes() {
     let farm = Farm::start().await;
     let posted = farm.submit(&animation(12)).await;
     let path = format!("/v1/jobs/{}/frames.zip", posted.id);
@@ -72,7 +72,7 @@ async fn an_archive_holds_every_picture_in_order_and_is_the_same_each_time() {
     farm.stop().await;
 }
 
-/// What Python's reader finds in an archive: names and texts. Without Python, what the library finds.
+/// Names and texts in an archive, as read by Python; without Python, as read by the library.
 async fn members(farm: &Farm, path: &str) -> Vec<(String, String)> {
     const READER: &str = "import json, sys, zipfile
 z = zipfile.ZipFile(sys.argv[1])
@@ -84,7 +84,7 @@ print(json.dumps([[i.filename, z.read(i).decode()] for i in z.infolist()]))";
     let file = folder.path().join("frames.zip");
     std::fs::write(&file, &bytes).expect("writes");
     let Ok(read) = Command::new("python3").arg("-c").arg(READER).arg(&file).output() else {
-        skip("python3", "reading the archive by another program, for there is no python3");
+        skip("python3", "reading the archive with another program: python3 is not installed");
         return own_members(&bytes);
     };
     assert!(read.status.success(), "{}", String::from_utf8_lossy(&read.stderr));

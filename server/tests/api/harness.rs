@@ -1,4 +1,4 @@
-//! A server on a free port with a folder of its own, and a worker that pretends to render.
+//! Test harness: a server on a free port with its own folder, and a worker that pretends to render.
 
 use std::net::SocketAddr;
 use std::path::Path;
@@ -18,12 +18,12 @@ use tempfile::TempDir;
 use tokio::task::JoinHandle;
 use tokio_util::sync::CancellationToken;
 
-/// Whatever takes longer has failed.
+/// Timeout of every operation; an operation that takes longer has failed.
 const DEADLINE: Duration = Duration::from_mins(1);
-/// Length of a lease in these tests, by the clock in the test's hand.
+/// Length of a lease in these tests, by the manual clock.
 pub(crate) const LEASE: Duration = Duration::from_secs(30);
 
-/// Waits for something, but not for ever.
+/// Waits for a future, up to the timeout.
 pub(crate) async fn in_time<T>(work: impl Future<Output = T>) -> T {
     tokio::time::timeout(DEADLINE, work).await.expect("it takes too long")
 }
@@ -66,10 +66,10 @@ impl Farm {
         Self { folder, address, client: client_builder().build().expect("a client"), hand, shutdown, task }
     }
 
-    /// Ends the server gracefully; its folder is left.
+    /// Stops the server gracefully; its folder is kept.
     pub(crate) async fn stop(self) -> TempDir {
         self.shutdown.cancel();
-        in_time(self.task).await.expect("the server does not panic").expect("the server ends well");
+        in_time(self.task).await.expect("the server does not panic").expect("the server shuts down without an error");
         self.folder
     }
 
@@ -78,11 +78,11 @@ impl Farm {
     }
 
     pub(crate) async fn get(&self, path: &str) -> Response {
-        in_time(self.client.get(self.url(path)).send()).await.expect("the server answers")
+        in_time(self.client.get(self.url(path)).send()).await.expect("the server responds")
     }
 
     pub(crate) async fn post(&self, path: &str, body: impl Into<reqwest::Body>) -> Response {
-        in_time(self.client.post(self.url(path)).body(body).send()).await.expect("the server answers")
+        in_time(self.client.post(self.url(path)).body(body).send()).await.expect("the server responds")
     }
 
     pub(crate) async fn submit(&self, job: &Value) -> JobView {
@@ -98,21 +98,21 @@ impl Farm {
         Worker::register(self, name, None).await
     }
 
-    /// A worker that renders no scene of more nodes.
+    /// Worker that renders only scenes with at most this many nodes.
     pub(crate) async fn small_worker(&self, name: &str, max_nodes: u32) -> Worker<'_> {
         Worker::register(self, name, Some(max_nodes)).await
     }
 }
 
-/// Reads an answer that must have this status.
+/// Reads a response that must have this status.
 pub(crate) async fn read<T: serde::de::DeserializeOwned>(response: Response, status: StatusCode) -> T {
     let actual = response.status();
-    let text = in_time(response.text()).await.expect("the answer has a body");
+    let text = in_time(response.text()).await.expect("the response has a body");
     assert_eq!(actual, status, "{text}");
     serde_json::from_str(&text).unwrap_or_else(|error| panic!("{error}: {text}"))
 }
 
-/// Reads an answer that must be this problem.
+/// Reads a response that must be this problem.
 pub(crate) async fn refused(response: Response, status: u16, code: &str) -> Problem {
     assert_eq!(response.headers()["content-type"], "application/problem+json");
     let id = response.headers()["x-request-id"].to_str().expect("text").to_owned();
@@ -123,7 +123,7 @@ pub(crate) async fn refused(response: Response, status: u16, code: &str) -> Prob
     problem
 }
 
-/// A sound job of this size.
+/// A valid job of this size.
 pub(crate) fn job(width: u32, height: u32, samples: u32) -> Value {
     json!({
         "name": "test",
@@ -135,7 +135,7 @@ pub(crate) fn job(width: u32, height: u32, samples: u32) -> Value {
     })
 }
 
-/// A job of one tile, unlike those of other seeds.
+/// A job of one tile, different for each seed.
 pub(crate) fn small_job(seed: u32) -> Value {
     let mut job = job(64, 64, 1);
     job["image"]["seed"] = seed.into();
@@ -149,7 +149,7 @@ pub(crate) struct Worker<'a> {
     pub(crate) rays_per_second: Option<f64>,
 }
 
-/// What a worker says, besides who it is.
+/// Content of a worker's sync, except its id.
 #[derive(Default)]
 pub(crate) struct Said {
     pub(crate) holding: Vec<LeaseId>,
@@ -195,12 +195,12 @@ impl<'a> Worker<'a> {
         read(self.try_sync(said).await, StatusCode::OK).await
     }
 
-    /// Takes a run if there is one at once.
+    /// Claims a batch, if one is ready at once.
     pub(crate) async fn claim(&self) -> Option<Batch> {
         self.sync(Said { wants_work: true, ..Said::default() }).await.batch
     }
 
-    /// Waits for a run.
+    /// Waits for a batch.
     pub(crate) async fn next(&self) -> Batch {
         self.sync(Said { wants_work: true, wait: DEADLINE, ..Said::default() }).await.batch.expect("a run in time")
     }
@@ -210,10 +210,10 @@ impl<'a> Worker<'a> {
     }
 
     pub(crate) async fn put(&self, path: &str, bytes: Vec<u8>) -> Response {
-        in_time(self.farm.client.put(self.farm.url(path)).body(bytes).send()).await.expect("the server answers")
+        in_time(self.farm.client.put(self.farm.url(path)).body(bytes).send()).await.expect("the server responds")
     }
 
-    /// Puts a picture and says so for these leases.
+    /// Stores a picture and reports it for these leases.
     pub(crate) async fn picture(&self, leases: &[LeaseId], bytes: &[u8]) -> Vec<LeaseReport> {
         let hash = blake3::hash(bytes).to_hex().to_string();
         let put = self.put(&worker_protocol::picture_path(&hash), bytes.to_vec()).await;
@@ -225,7 +225,7 @@ impl<'a> Worker<'a> {
             .collect()
     }
 
-    /// Puts a blob and says so.
+    /// Stores a blob and reports it.
     pub(crate) async fn blob(&self, lease: LeaseId, bytes: &[u8]) -> LeaseReport {
         let hash = blake3::hash(bytes).to_hex().to_string();
         let put = self.put(&worker_protocol::blob_path(&hash), bytes.to_vec()).await;
@@ -233,7 +233,7 @@ impl<'a> Worker<'a> {
         LeaseReport { lease, outcome: LeaseOutcome::Blob { hash, size_bytes: bytes.len() as u64 } }
     }
 
-    /// Does one run as a good worker does; false if there is none.
+    /// Renders one batch as a correct worker does; false if there is none.
     pub(crate) async fn work_once(&self) -> bool {
         let Some(run) = self.claim().await else { return false };
         let results = self.results(&run).await;
@@ -242,7 +242,7 @@ impl<'a> Worker<'a> {
         true
     }
 
-    /// What a good worker reports of a run.
+    /// Reports of a correct worker for a batch.
     pub(crate) async fn results(&self, run: &Batch) -> Vec<LeaseReport> {
         let picture = format!("picture of frame {} of {}", run.frame, run.job);
         match &run.work {

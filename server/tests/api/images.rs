@@ -14,7 +14,7 @@ async fn stored(farm: &Farm) -> String {
 async fn get(farm: &Farm, path: &str, headers: &[(reqwest::header::HeaderName, &str)]) -> Response {
     let headers: HeaderMap =
         headers.iter().map(|(name, value)| (name.clone(), value.parse().expect("a value"))).collect();
-    in_time(farm.client.get(farm.url(path)).headers(headers).send()).await.expect("an answer")
+    in_time(farm.client.get(farm.url(path)).headers(headers).send()).await.expect("a response")
 }
 
 async fn text(response: Response) -> String {
@@ -41,7 +41,7 @@ async fn a_picture_has_a_strong_tag_and_never_changes() {
     let other = get(&farm, &path, &[(IF_NONE_MATCH, "\"another\"")]).await;
     assert_eq!(other.status(), StatusCode::OK);
 
-    let head = in_time(farm.client.head(farm.url(&path)).send()).await.expect("an answer");
+    let head = in_time(farm.client.head(farm.url(&path)).send()).await.expect("a response");
     assert_eq!(head.headers()["content-length"], bytes.len().to_string());
     farm.stop().await;
 }
@@ -71,7 +71,7 @@ async fn a_range_of_a_picture_is_served() {
 }
 
 #[tokio::test]
-async fn an_exr_is_served_as_one() {
+async fn an_exr_has_its_media_type() {
     let farm = Farm::start().await;
     let mut job = small_job(1);
     job["image"]["format"] = "exr".into();

@@ -1,4 +1,4 @@
-//! What a user changes of a job that is there: its priority, and deleting it.
+//! Changes of an existing job: its priority, and deletion.
 
 use proto::job::DeleteDryRun;
 use proto::job::JobView;
@@ -8,15 +8,15 @@ use serde_json::{Value, json};
 use super::harness::{Farm, in_time, job, read, refused, small_job};
 
 async fn patch(farm: &Farm, path: &str, body: &Value) -> Response {
-    in_time(farm.client.patch(farm.url(path)).body(body.to_string()).send()).await.expect("an answer")
+    in_time(farm.client.patch(farm.url(path)).body(body.to_string()).send()).await.expect("a response")
 }
 
 async fn delete(farm: &Farm, path: &str) -> Response {
-    in_time(farm.client.delete(farm.url(path)).send()).await.expect("an answer")
+    in_time(farm.client.delete(farm.url(path)).send()).await.expect("a response")
 }
 
 #[tokio::test]
-async fn a_job_is_moved_before_others_until_it_has_ended() {
+async fn the_priority_of_an_unfinished_job_can_change() {
     let farm = Farm::start().await;
     let first = farm.submit(&small_job(1)).await.id;
     let second = farm.submit(&small_job(2)).await.id;
@@ -33,7 +33,7 @@ async fn a_job_is_moved_before_others_until_it_has_ended() {
 }
 
 #[tokio::test]
-async fn a_change_that_can_not_be_meant_is_rejected_with_its_place() {
+async fn an_invalid_change_is_rejected_with_a_json_pointer() {
     let farm = Farm::start().await;
     let path = format!("/v1/jobs/{}", farm.submit(&small_job(1)).await.id);
     for (body, pointer) in [
@@ -52,7 +52,7 @@ async fn a_change_that_can_not_be_meant_is_rejected_with_its_place() {
 }
 
 #[tokio::test]
-async fn a_dry_run_of_deleting_tells_what_would_go_and_keeps_it() {
+async fn a_dry_run_of_deletion_reports_and_deletes_nothing() {
     let farm = Farm::start().await;
     let kept = farm.submit(&small_job(1)).await.id;
     let twin = farm.submit(&small_job(1)).await.id;
@@ -60,7 +60,7 @@ async fn a_dry_run_of_deleting_tells_what_would_go_and_keeps_it() {
     let dry = format!("{path}?dry_run=true");
     farm.worker("one").await.work_off().await;
     let preview: DeleteDryRun = read(delete(&farm, &dry).await, StatusCode::OK).await;
-    assert_eq!((preview.pictures, preview.size_bytes), (0, 0), "its twin shows the picture too");
+    assert_eq!((preview.pictures, preview.size_bytes), (0, 0), "an equal job uses the picture too");
     assert!(preview.rows >= 4, "{preview:?}");
     assert_eq!(delete(&farm, &format!("/v1/jobs/{twin}")).await.status(), StatusCode::NO_CONTENT);
     let preview: DeleteDryRun = read(delete(&farm, &dry).await, StatusCode::OK).await;
@@ -72,7 +72,7 @@ async fn a_dry_run_of_deleting_tells_what_would_go_and_keeps_it() {
 }
 
 #[tokio::test]
-async fn a_dry_run_of_deleting_counts_the_blobs_of_an_unfinished_frame() {
+async fn a_dry_run_of_deletion_counts_blobs_of_unfinished_frames() {
     let farm = Farm::start().await;
     let posted = farm.submit(&job(1920, 1080, 4)).await;
     let mut worker = farm.worker("slow").await;

@@ -1,4 +1,4 @@
-//! The life of a job as its user sees it.
+//! Life of a job as its user observes it.
 
 use proto::job::{DryRun, JobPage, JobState, JobView};
 use proto::worker_protocol::BatchWork;
@@ -9,7 +9,7 @@ use serde_json::json;
 use super::harness::{Farm, Said, assert_state, in_time, job, leases, read, refused, small_job};
 
 #[tokio::test]
-async fn a_small_job_is_rendered_whole_and_its_picture_is_served() {
+async fn a_small_job_is_rendered_in_one_batch_and_served() {
     let farm = Farm::start().await;
     let response = farm.post("/v1/jobs", job(640, 360, 1).to_string()).await;
     let location = response.headers()[LOCATION].to_str().expect("text").to_owned();
@@ -39,7 +39,7 @@ async fn a_small_job_is_rendered_whole_and_its_picture_is_served() {
 }
 
 #[tokio::test]
-async fn a_large_frame_is_rendered_in_tiles_stitched_and_its_blobs_are_removed() {
+async fn a_large_frame_is_stitched_and_its_blobs_deleted() {
     let farm = Farm::start().await;
     let posted = farm.submit(&job(1920, 1080, 4)).await;
     let worker = farm.worker("one").await;
@@ -77,7 +77,7 @@ async fn a_large_frame_is_rendered_in_tiles_stitched_and_its_blobs_are_removed()
 }
 
 #[tokio::test]
-async fn a_dry_run_checks_and_keeps_nothing() {
+async fn a_dry_run_stores_nothing() {
     let farm = Farm::start().await;
     let answer: DryRun =
         read(farm.post("/v1/jobs?dry_run=true", job(1920, 1080, 4).to_string()).await, StatusCode::OK).await;
@@ -89,7 +89,7 @@ async fn a_dry_run_checks_and_keeps_nothing() {
 }
 
 #[tokio::test]
-async fn pages_hold_every_job_once_newest_first_while_more_come_in() {
+async fn pages_list_every_job_once_while_others_are_submitted() {
     let farm = Farm::start().await;
     let mut posted = Vec::new();
     for seed in 0..7 {
@@ -114,7 +114,7 @@ async fn pages_hold_every_job_once_newest_first_while_more_come_in() {
 }
 
 #[tokio::test]
-async fn higher_priority_goes_first_and_then_the_older_job() {
+async fn higher_priority_is_first_then_the_older_job() {
     let farm = Farm::start().await;
     let first = farm.submit(&small_job(1)).await.id;
     let second = farm.submit(&small_job(2)).await.id;
@@ -131,7 +131,7 @@ async fn higher_priority_goes_first_and_then_the_older_job() {
 }
 
 #[tokio::test]
-async fn frames_are_opened_one_after_the_other() {
+async fn frames_are_opened_in_order() {
     let farm = Farm::start().await;
     let mut animation = small_job(1);
     animation["frames"] = json!({ "count": 3, "fps": 24 });
@@ -153,14 +153,14 @@ async fn frames_are_opened_one_after_the_other() {
 }
 
 #[tokio::test]
-async fn a_picture_asked_for_again_comes_from_the_store_unless_it_must_be_fresh() {
+async fn a_repeated_picture_is_cached_unless_the_cache_is_bypassed() {
     let farm = Farm::start().await;
     let first = farm.submit(&small_job(1)).await;
     let worker = farm.worker("one").await;
     assert_eq!(worker.work_off().await, 1);
 
     let mut renamed = small_job(1);
-    renamed["name"] = "the same by another name".into();
+    renamed["name"] = "same scene, another name".into();
     let again = farm.submit(&renamed).await;
     assert_ne!(again.id, first.id);
     assert_eq!(again.state, JobState::Succeeded);
@@ -169,7 +169,7 @@ async fn a_picture_asked_for_again_comes_from_the_store_unless_it_must_be_fresh(
     assert!(worker.claim().await.is_none());
 
     let request = farm.client.post(farm.url("/v1/jobs")).header(CACHE_CONTROL, "no-cache");
-    let fresh = in_time(request.body(small_job(1).to_string()).send()).await.expect("an answer");
+    let fresh = in_time(request.body(small_job(1).to_string()).send()).await.expect("a response");
     let fresh: JobView = read(fresh, StatusCode::CREATED).await;
     assert_eq!(fresh.state, JobState::Queued);
     assert_eq!(worker.claim().await.expect("work").job, fresh.id);
@@ -177,7 +177,7 @@ async fn a_picture_asked_for_again_comes_from_the_store_unless_it_must_be_fresh(
 }
 
 #[tokio::test]
-async fn a_job_whose_twin_was_rendered_meanwhile_is_stored_when_it_is_reached() {
+async fn a_frame_is_stored_from_the_cache_when_opened() {
     let farm = Farm::start().await;
     farm.submit(&small_job(1)).await;
     let twin = farm.submit(&small_job(1)).await;
@@ -188,7 +188,7 @@ async fn a_job_whose_twin_was_rendered_meanwhile_is_stored_when_it_is_reached() 
 }
 
 #[tokio::test]
-async fn cancelling_ends_the_leases_and_tells_their_worker_at_once() {
+async fn cancelling_revokes_leases_and_notifies_their_worker_at_once() {
     let farm = Farm::start().await;
     let posted = farm.submit(&small_job(1)).await;
     let worker = farm.worker("one").await;
@@ -211,7 +211,7 @@ async fn cancelling_ends_the_leases_and_tells_their_worker_at_once() {
 }
 
 #[tokio::test]
-async fn a_deleted_job_is_gone_with_the_picture_only_it_had() {
+async fn deleting_a_job_deletes_pictures_only_it_used() {
     let farm = Farm::start().await;
     let kept = farm.submit(&small_job(1)).await;
     let twin = farm.submit(&small_job(1)).await;
@@ -221,7 +221,7 @@ async fn a_deleted_job_is_gone_with_the_picture_only_it_had() {
     let run = worker.claim().await.expect("work");
 
     let delete =
-        async |id| in_time(farm.client.delete(farm.url(&format!("/v1/jobs/{id}"))).send()).await.expect("an answer");
+        async |id| in_time(farm.client.delete(farm.url(&format!("/v1/jobs/{id}"))).send()).await.expect("a response");
     refused(delete(running.id).await, 409, "job_running").await;
     assert_eq!(delete(kept.id).await.status(), StatusCode::NO_CONTENT);
     refused(delete(kept.id).await, 404, "unknown_job").await;

@@ -1,4 +1,4 @@
-//! Keys: who comes in with which, how long, and what is remembered of it.
+//! API keys: authorization, revocation, limits, and the audit log.
 
 use std::time::Duration;
 
@@ -12,7 +12,7 @@ use server::OfflineApiKeys;
 
 use super::harness::{Farm, config, in_time, read, refused, small_job};
 
-/// A key to make, otherwise ordinary.
+/// Request for a key, with defaults for the rest.
 pub(crate) fn new_key(name: &str, scopes: &[Scope]) -> NewApiKey {
     NewApiKey {
         name: name.to_owned(),
@@ -24,7 +24,7 @@ pub(crate) fn new_key(name: &str, scopes: &[Scope]) -> NewApiKey {
     }
 }
 
-/// A farm that has one key, of an administrator.
+/// A farm that has one key, with scope admin.
 pub(crate) async fn locked_farm() -> (Farm, String) {
     let folder = tempfile::tempdir().expect("a temporary folder");
     let mut keys = OfflineApiKeys::open_or_create(folder.path()).await.expect("a folder of keys");
@@ -42,17 +42,17 @@ pub(crate) async fn send(
     body: impl Into<reqwest::Body>,
 ) -> Response {
     let request = farm.client.request(method, farm.url(path)).header(AUTHORIZATION, format!("Bearer {key}")).body(body);
-    in_time(request.send()).await.expect("the server answers")
+    in_time(request.send()).await.expect("the server responds")
 }
 
-/// Makes a key over HTTP.
+/// Creates a key over HTTP.
 pub(crate) async fn make(farm: &Farm, admin: &str, new: &NewApiKey) -> IssuedApiKey {
     let body = serde_json::to_string(new).expect("JSON");
     read(send(farm, admin, Method::POST, "/v1/keys", body).await, StatusCode::CREATED).await
 }
 
 #[tokio::test]
-async fn farm_with_a_key_lets_nobody_in_without_one() {
+async fn a_farm_with_keys_rejects_requests_without_one() {
     let (farm, admin) = locked_farm().await;
     let none = farm.get("/v1/jobs").await;
     assert_eq!(none.headers()["www-authenticate"], "Bearer");
@@ -71,7 +71,7 @@ async fn farm_with_a_key_lets_nobody_in_without_one() {
 }
 
 #[tokio::test]
-async fn submitter_sees_and_ends_its_own_jobs_only() {
+async fn a_submitter_reads_and_cancels_only_its_own_jobs() {
     let (farm, admin) = locked_farm().await;
     let anna = make(&farm, &admin, &new_key("anna", &[Scope::Submit])).await.secret;
     let bert = make(&farm, &admin, &new_key("bert", &[Scope::Submit, Scope::Read])).await.secret;
@@ -90,7 +90,7 @@ async fn submitter_sees_and_ends_its_own_jobs_only() {
 }
 
 #[tokio::test]
-async fn key_is_rotated_without_a_gap_and_a_third_is_rejected() {
+async fn a_name_has_at_most_two_live_keys() {
     let (farm, admin) = locked_farm().await;
     let old = make(&farm, &admin, &new_key("anna", &[Scope::Read])).await;
     let new = make(&farm, &admin, &new_key("anna", &[Scope::Read])).await;
@@ -114,19 +114,21 @@ async fn key_is_rotated_without_a_gap_and_a_third_is_rejected() {
 }
 
 #[tokio::test]
-async fn first_key_of_a_farm_is_an_administrators_or_none_is_made() {
+async fn the_first_key_must_have_scope_admin() {
     let farm = Farm::start().await;
     let worker = serde_json::to_string(&new_key("host-7", &[Scope::Worker])).expect("JSON");
     let problem = refused(farm.post("/v1/keys", worker.clone()).await, 422, "wrong_key").await;
     assert!(problem.detail.contains("sdfarm key new admin --scope admin"), "{problem:?}");
     let mut keys = OfflineApiKeys::open(farm.folder.path()).await.expect("the folder is there");
-    let error =
-        keys.create(new_key("anna", &[Scope::Submit, Scope::Read])).await.expect_err("it would lock its maker out");
+    let error = keys
+        .create(new_key("anna", &[Scope::Submit, Scope::Read]))
+        .await
+        .expect_err("no key could administer the farm");
     assert!(error.to_string().contains("--scope admin"), "{error}");
     assert!(keys.list().await.expect("reads").is_empty());
-    assert_eq!(farm.get("/v1/jobs").await.status(), StatusCode::OK, "the farm is still open");
+    assert_eq!(farm.get("/v1/jobs").await.status(), StatusCode::OK, "the farm still requires no key");
     let admin = keys.create(new_key("admin", &[Scope::Admin])).await.expect("a key").secret;
-    keys.create(new_key("anna", &[Scope::Read])).await.expect("a second key may allow less");
+    keys.create(new_key("anna", &[Scope::Read])).await.expect("a second key needs no scope admin");
     keys.close().await.expect("closes");
     in_time(async {
         while farm.get("/v1/jobs").await.status() != StatusCode::UNAUTHORIZED {
@@ -139,7 +141,7 @@ async fn first_key_of_a_farm_is_an_administrators_or_none_is_made() {
 }
 
 #[tokio::test]
-async fn key_expires_by_the_clock() {
+async fn a_key_expires_by_the_clock() {
     let (farm, admin) = locked_farm().await;
     let hour = NewApiKey { expires_in_seconds: Some(3600), ..new_key("anna", &[Scope::Read]) };
     let key = make(&farm, &admin, &hour).await.secret;
@@ -163,7 +165,7 @@ async fn a_waiting_worker_ends_when_its_key_is_revoked() {
         "wants_work": true, "wait_ms": 30_000});
     let waiting = send(&farm, &key.secret, Method::POST, worker_protocol::SYNC_PATH, wait.to_string());
     let revoke = async {
-        // Made beside the server, as the command line does; the server has to notice by itself.
+        // Revoked on the data folder, as the command line does; the server has to notice without a request.
         let mut keys = OfflineApiKeys::open(farm.folder.path()).await.expect("the folder is there");
         let revoked = keys.revoke("host-7").await.expect("it is live");
         keys.close().await.expect("closes");
@@ -181,7 +183,7 @@ async fn a_waiting_worker_ends_when_its_key_is_revoked() {
 }
 
 #[tokio::test]
-async fn keys_of_the_folder_open_the_running_server() {
+async fn keys_created_offline_work_on_the_running_server() {
     let farm = Farm::start().await;
     assert_eq!(farm.get("/v1/jobs").await.status(), StatusCode::OK);
     let mut keys = OfflineApiKeys::open(farm.folder.path()).await.expect("the folder is there");
@@ -195,7 +197,7 @@ async fn keys_of_the_folder_open_the_running_server() {
     assert_eq!(send(&farm, &secret, Method::GET, "/v1/jobs", "").await.status(), StatusCode::OK);
     keys.revoke("anna").await.expect("it is live");
     keys.close().await.expect("closes");
-    // A farm that had a key is not opened to all by the loss of the last.
+    // A farm that had a key still requires one after the last has been revoked.
     in_time(async {
         while send(&farm, &secret, Method::GET, "/v1/jobs", "").await.status() != StatusCode::UNAUTHORIZED {
             tokio::task::yield_now().await;
@@ -207,7 +209,7 @@ async fn keys_of_the_folder_open_the_running_server() {
 }
 
 #[tokio::test]
-async fn keys_that_can_not_be_are_rejected_with_the_cure() {
+async fn invalid_keys_are_rejected_with_the_fix() {
     let (farm, admin) = locked_farm().await;
     for (body, code) in [
         (json!({"name": "", "scopes": ["read"]}), "wrong_key"),
@@ -229,7 +231,7 @@ async fn keys_that_can_not_be_are_rejected_with_the_cure() {
 }
 
 #[tokio::test]
-async fn quotas_and_rates_are_held_and_say_when_to_come_again() {
+async fn quotas_and_rates_are_enforced_with_retry_after() {
     let (farm, admin) = locked_farm().await;
     let key = NewApiKey { max_jobs: Some(2), ..new_key("anna", &[Scope::Submit]) };
     let anna = make(&farm, &admin, &key).await.secret;
@@ -253,7 +255,7 @@ async fn quotas_and_rates_are_held_and_say_when_to_come_again() {
     let carl = make(&farm, &admin, &key).await.secret;
     let first = send(&farm, &carl, Method::GET, "/v1/jobs", "").await;
     assert_eq!(first.headers()["ratelimit-policy"], "\"requests\";q=1;w=1");
-    // A machine that stands still for a second between two of these has earned its next request.
+    // If the machine stalls for 1 s between two of these requests, the next one is permitted again.
     let mut limited = None;
     for _ in 0..50 {
         let answer = send(&farm, &carl, Method::GET, "/v1/jobs", "").await;
@@ -262,14 +264,14 @@ async fn quotas_and_rates_are_held_and_say_when_to_come_again() {
             break;
         }
     }
-    let limited = limited.expect("the second request of a second is one too many");
+    let limited = limited.expect("the second request within 1 s exceeds the rate");
     assert_eq!(limited.headers()["retry-after"], "1");
     refused(limited, 429, "too_many_requests").await;
     farm.stop().await;
 }
 
 #[tokio::test]
-async fn full_queue_is_rejected_before_the_body_is_read() {
+async fn a_full_queue_rejects_before_the_body_is_read() {
     let folder = tempfile::tempdir().expect("a temporary folder");
     let farm = Farm::start_in(folder, |config| config.max_queued_jobs = 1).await;
     farm.submit(&small_job(1)).await;
@@ -282,7 +284,7 @@ async fn full_queue_is_rejected_before_the_body_is_read() {
 }
 
 #[tokio::test]
-async fn audit_log_says_who_did_what_and_who_was_rejected() {
+async fn the_audit_log_has_changes_and_rejections() {
     let (farm, admin) = locked_farm().await;
     let anna = make(&farm, &admin, &new_key("anna", &[Scope::Submit])).await;
     let job: Value =
@@ -326,7 +328,7 @@ async fn audit_log_says_who_did_what_and_who_was_rejected() {
 }
 
 #[tokio::test]
-async fn exposed_address_is_rejected_until_there_is_a_key() {
+async fn a_public_address_is_rejected_until_a_key_exists() {
     let folder = tempfile::tempdir().expect("a temporary folder");
     let exposed = || {
         let mut config = config(folder.path());
@@ -342,7 +344,7 @@ async fn exposed_address_is_rejected_until_there_is_a_key() {
 }
 
 #[tokio::test]
-async fn submitter_lists_the_jobs_of_its_own_name() {
+async fn a_submitter_lists_only_jobs_of_its_name() {
     let (farm, admin) = locked_farm().await;
     let mut ids = Vec::new();
     for name in ["anna", "bert"] {
@@ -365,13 +367,15 @@ async fn submitter_lists_the_jobs_of_its_own_name() {
 }
 
 #[tokio::test]
-async fn wish_that_was_granted_is_answered_also_when_the_quota_is_used_up() {
+async fn a_replay_succeeds_even_if_the_quota_is_used_up() {
     let (farm, admin) = locked_farm().await;
     let key = NewApiKey { max_jobs: Some(1), ..new_key("anna", &[Scope::Submit]) };
     let anna = make(&farm, &admin, &key).await.secret;
     let wish = async |name: &str| {
         let request = farm.client.post(farm.url("/v1/jobs")).header(AUTHORIZATION, format!("Bearer {anna}"));
-        in_time(request.header("idempotency-key", name).body(small_job(1).to_string()).send()).await.expect("an answer")
+        in_time(request.header("idempotency-key", name).body(small_job(1).to_string()).send())
+            .await
+            .expect("a response")
     };
     let first: Value = read(wish("one").await, StatusCode::CREATED).await;
     let again: Value = read(wish("one").await, StatusCode::OK).await;

@@ -1,4 +1,4 @@
-//! Leases: what counts, what does not, and what becomes of tiles whose worker let them down.
+//! Leases: results that count, results that do not, and tiles whose worker failed.
 
 use std::time::Duration;
 
@@ -47,12 +47,12 @@ async fn a_renewed_lease_does_not_expire() {
 }
 
 #[tokio::test]
-async fn a_lease_its_worker_never_heard_of_goes_back() {
+async fn a_lease_its_worker_never_received_is_released() {
     let farm = Farm::start().await;
     farm.submit(&small_job(1)).await;
     let worker = farm.worker("deaf").await;
     let unheard = leases(&worker.claim().await.expect("work"));
-    assert!(worker.claim().await.is_none(), "it may be on its way");
+    assert!(worker.claim().await.is_none(), "the response may still arrive");
     farm.hand.advance(Duration::from_secs(3));
     let heard = leases(&worker.claim().await.expect("the tile again"));
     assert_ne!(heard, unheard);
@@ -78,7 +78,7 @@ async fn a_result_delivered_twice_counts_once() {
 }
 
 #[tokio::test]
-async fn three_errors_kill_a_tile_and_its_job_says_why() {
+async fn three_errors_kill_a_tile_and_fail_its_job() {
     let farm = Farm::start().await;
     let posted = farm.submit(&job(1920, 1080, 4)).await;
     let worker = farm.worker("one").await;
@@ -103,7 +103,7 @@ async fn three_errors_kill_a_tile_and_its_job_says_why() {
 }
 
 #[tokio::test]
-async fn a_tile_that_failed_goes_to_another_worker_first() {
+async fn a_failed_tile_is_offered_to_another_worker_first() {
     let farm = Farm::start().await;
     farm.submit(&small_job(1)).await;
     let (bad, good) = (farm.worker("bad").await, farm.worker("good").await);
@@ -116,7 +116,7 @@ async fn a_tile_that_failed_goes_to_another_worker_first() {
 }
 
 #[tokio::test]
-async fn handing_back_costs_nothing_however_often() {
+async fn releasing_a_tile_repeatedly_has_no_penalty() {
     let farm = Farm::start().await;
     let posted = farm.submit(&small_job(1)).await;
     let worker = farm.worker("unsteady").await;
@@ -130,7 +130,7 @@ async fn handing_back_costs_nothing_however_often() {
 }
 
 #[tokio::test]
-async fn fifty_vanished_workers_kill_a_tile() {
+async fn a_tile_is_dead_after_fifty_lost_workers() {
     let farm = Farm::start().await;
     let posted = farm.submit(&small_job(1)).await;
     for number in 0..50 {
@@ -145,12 +145,12 @@ async fn fifty_vanished_workers_kill_a_tile() {
     assert!(last.claim().await.is_none());
     let failed = farm.job(posted.id).await;
     assert_eq!(failed.state, JobState::Failed);
-    assert_eq!(failed.errors, ["frame 0 could not be rendered: its workers vanished again and again"]);
+    assert_eq!(failed.errors, ["frame 0 could not be rendered: its workers vanished repeatedly"]);
     farm.stop().await;
 }
 
 #[tokio::test]
-async fn damaged_blobs_are_rendered_again_and_progress_does_not_fall() {
+async fn tiles_of_damaged_blobs_are_rendered_again_without_losing_progress() {
     let farm = Farm::start().await;
     let posted = farm.submit(&job(1920, 1080, 4)).await;
     let worker = farm.worker("one").await;
@@ -183,7 +183,7 @@ async fn damaged_blobs_are_rendered_again_and_progress_does_not_fall() {
 }
 
 #[tokio::test]
-async fn a_result_without_its_bytes_is_no_result() {
+async fn a_result_without_its_bytes_is_dropped() {
     let farm = Farm::start().await;
     let posted = farm.submit(&small_job(1)).await;
     let worker = farm.worker("hollow").await;
@@ -215,7 +215,7 @@ async fn idle_workers_share_a_large_frame() {
 }
 
 #[tokio::test]
-async fn a_worker_that_needs_a_moment_for_a_frame_shares_it_with_nobody() {
+async fn a_frame_that_renders_quickly_is_not_split() {
     let farm = Farm::start().await;
     let posted = farm.submit(&job(1920, 1080, 4)).await;
     let (mut one, mut two) = (farm.worker("one").await, farm.worker("two").await);
@@ -224,12 +224,12 @@ async fn a_worker_that_needs_a_moment_for_a_frame_shares_it_with_nobody() {
     let run = one.claim().await.expect("work");
     assert!(matches!(&run.work, BatchWork::Render { whole_frame: true, .. }), "{run:?}");
     assert_eq!(leases(&run).len() as u64, posted.tiles.total);
-    assert!(two.claim().await.is_none(), "nothing is left");
+    assert!(two.claim().await.is_none(), "no tile is left");
     farm.stop().await;
 }
 
 #[tokio::test]
-async fn a_fast_worker_alone_takes_the_frame_whole() {
+async fn a_single_fast_worker_gets_the_complete_frame() {
     let farm = Farm::start().await;
     let posted = farm.submit(&job(1920, 1080, 4)).await;
     let mut worker = farm.worker("fast").await;
@@ -244,7 +244,7 @@ async fn a_fast_worker_alone_takes_the_frame_whole() {
 }
 
 #[tokio::test]
-async fn part_of_a_whole_frame_is_not_taken_for_the_whole() {
+async fn a_picture_needs_leases_for_all_tiles_of_its_frame() {
     let farm = Farm::start().await;
     let posted = farm.submit(&job(1920, 1080, 4)).await;
     let mut worker = farm.worker("fast").await;
@@ -261,11 +261,11 @@ async fn part_of_a_whole_frame_is_not_taken_for_the_whole() {
 }
 
 #[tokio::test]
-async fn a_waiting_worker_hears_of_new_work_at_once() {
+async fn a_waiting_worker_receives_new_work_at_once() {
     let farm = Farm::start().await;
     let worker = farm.worker("waiting").await;
     let submitted = async {
-        // The worker's call is on its way or waiting already; either way it must not wait out its time.
+        // The worker's call is arriving or waiting already; in both cases it must not wait until its timeout.
         farm.submit(&small_job(1)).await
     };
     let (run, posted) = tokio::join!(worker.next(), submitted);
@@ -274,7 +274,7 @@ async fn a_waiting_worker_hears_of_new_work_at_once() {
 }
 
 #[tokio::test]
-async fn workers_are_listed_with_what_they_hold() {
+async fn workers_are_listed_with_their_leases() {
     let farm = Farm::start().await;
     farm.submit(&small_job(1)).await;
     let mut worker = farm.worker("lister").await;
@@ -290,13 +290,13 @@ async fn workers_are_listed_with_what_they_hold() {
 }
 
 #[tokio::test]
-async fn a_worker_that_has_delivered_hears_of_the_next_job_at_once() {
+async fn a_worker_that_delivered_receives_the_next_job_at_once() {
     let farm = Farm::start().await;
     let worker = farm.worker("steady").await;
     for seed in 0..3 {
         let waiting = worker.next();
         let submitted = async {
-            // By then the worker's call waits at the server.
+            // By this time the worker's call waits at the server.
             for _ in 0..20 {
                 assert_eq!(farm.get("/v1/workers").await.status(), StatusCode::OK);
             }

@@ -1,4 +1,4 @@
-//! Signed links: whoever has one sees that picture, and nothing else, until it expires.
+//! Signed links: any client with a link can read that picture, and nothing else, until the link expires.
 
 use std::time::Duration;
 
@@ -7,7 +7,7 @@ use reqwest::StatusCode;
 
 use super::harness::{Farm, in_time, read, refused, small_job};
 
-/// A farm with one stored picture, and the address of its frame.
+/// A farm with one stored picture, and the path of its frame.
 async fn stored() -> (Farm, String) {
     let farm = Farm::start().await;
     farm.hand.advance(Duration::from_hours(24));
@@ -22,7 +22,7 @@ async fn sign(farm: &Farm, frame: &str, wish: &str) -> LinkView {
 }
 
 #[tokio::test]
-async fn a_link_shows_the_picture_until_it_expires() {
+async fn a_link_returns_the_picture_until_it_expires() {
     let (farm, frame) = stored().await;
     let link = sign(&farm, &frame, r#"{"expires_in_seconds": 60}"#).await;
     assert_eq!(link.expires_at, "1970-01-02T00:01:00.000Z");
@@ -40,7 +40,7 @@ async fn a_link_shows_the_picture_until_it_expires() {
 }
 
 #[tokio::test]
-async fn a_changed_link_shows_nothing() {
+async fn a_changed_link_is_rejected() {
     let (farm, frame) = stored().await;
     let other = farm.submit(&small_job(2)).await;
     let link = sign(&farm, &frame, r#"{"expires_in_seconds": 60}"#).await.url;
@@ -67,7 +67,7 @@ async fn a_changed_link_shows_nothing() {
 }
 
 #[tokio::test]
-async fn a_link_to_a_picture_that_is_not_stored_yet_waits_for_it_and_outlives_a_restart() {
+async fn a_link_signed_before_its_picture_survives_a_restart() {
     let farm = Farm::start().await;
     farm.hand.advance(Duration::from_hours(24));
     let posted = farm.submit(&small_job(1)).await;
@@ -81,7 +81,7 @@ async fn a_link_to_a_picture_that_is_not_stored_yet_waits_for_it_and_outlives_a_
 }
 
 #[tokio::test]
-async fn a_wish_for_a_link_that_makes_no_sense_is_rejected_where_it_is_wrong() {
+async fn an_invalid_link_request_is_rejected_with_a_json_pointer() {
     let (farm, frame) = stored().await;
     for (wish, pointer) in [
         (r#"{"expires_in_seconds": 0}"#, "/expires_in_seconds"),

@@ -1,4 +1,4 @@
-//! Many jobs at once.
+//! Load: many queued jobs at once.
 
 use std::collections::HashSet;
 use std::time::Instant;
@@ -8,24 +8,24 @@ use proto::job::JobState;
 
 use super::harness::{Farm, assert_state, small_job};
 
-/// Jobs that wait, in every run of the tests and in the long ones.
+/// Number of queued jobs, in every run of the tests and in the long ones.
 const JOBS: [u32; 2] = [500, 10_000];
-/// Claims that are timed.
+/// Number of claims that are timed.
 const CLAIMS: usize = 100;
 
-#[expect(clippy::disallowed_methods, reason = "the time is reported, nothing is decided by it")]
+#[expect(clippy::disallowed_methods, reason = "the time is only printed")]
 fn now() -> Instant {
     Instant::now()
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn hundreds_of_jobs_wait_and_each_is_claimed_once() {
+async fn hundreds_of_jobs_are_each_claimed_once() {
     assert_claimed_once(JOBS[0]).await;
 }
 
 #[tokio::test(flavor = "multi_thread")]
-#[ignore = "long: ten thousand jobs; half a minute"]
-async fn ten_thousand_jobs_wait_and_each_is_claimed_once() {
+#[ignore = "long: 10,000 jobs; 30 s"]
+async fn ten_thousand_jobs_are_each_claimed_once() {
     assert_claimed_once(JOBS[1]).await;
 }
 
@@ -54,7 +54,7 @@ async fn assert_claimed_once(jobs: u32) {
     }
     times.sort();
     eprintln!(
-        "{jobs} jobs handed in by 64 clients in {submitting:.1?}; a claim, with its request: median {:.2?}, longest {:.2?}",
+        "{jobs} jobs submitted by 64 clients in {submitting:.1?}; a claim, with its request: median {:.2?}, longest {:.2?}",
         times[CLAIMS / 2],
         times[CLAIMS - 1]
     );

@@ -1,4 +1,4 @@
-//! What operators can ask: metrics by name, what they count, and that the papers name them all.
+//! Metrics: their names, their values, and their documentation.
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -9,7 +9,7 @@ use reqwest::StatusCode;
 
 use super::harness::{Farm, LEASE, Said, in_time, job, read, small_job};
 
-/// A metric's samples: the text after its name, and the value.
+/// Samples of a metric: the text after its name, and the value.
 struct Metrics(String);
 
 impl Metrics {
@@ -21,7 +21,7 @@ impl Metrics {
         Self(in_time(answer.text()).await.expect("text"))
     }
 
-    /// The value of a sample, by its name with labels.
+    /// Value of a sample, by its name with labels.
     fn value(&self, sample: &str) -> f64 {
         let line = self.0.lines().find_map(|line| line.strip_prefix(sample)?.strip_prefix(' '));
         line.unwrap_or_else(|| panic!("no {sample} in {}", self.0)).parse().expect("a number")
@@ -34,7 +34,7 @@ impl Metrics {
     }
 }
 
-/// A farm in which everything has happened that is counted by label.
+/// A farm in which every event that has a label has happened.
 async fn busy_farm() -> Farm {
     let farm = Farm::start().await;
     farm.submit(&job(1920, 1080, 4)).await;
@@ -56,7 +56,7 @@ async fn busy_farm() -> Farm {
 }
 
 #[tokio::test]
-async fn the_papers_name_every_metric_and_no_other() {
+async fn the_documentation_lists_exactly_the_metrics() {
     let farm = busy_farm().await;
     let metrics = Metrics::of(&farm).await;
     let page = Path::new(env!("CARGO_MANIFEST_DIR")).join("../docs/operations.md");
@@ -71,12 +71,12 @@ async fn the_papers_name_every_metric_and_no_other() {
             Some((name.to_owned(), (*kind).to_owned()))
         })
         .collect();
-    assert_eq!(metrics.kinds(), told, "left: what is measured; right: what docs/operations.md tells");
+    assert_eq!(metrics.kinds(), told, "left: measured; right: documented in docs/operations.md");
     farm.stop().await;
 }
 
 #[tokio::test]
-async fn what_workers_measure_is_reported_by_device() {
+async fn worker_measurements_are_reported_by_device() {
     let farm = busy_farm().await;
     let metrics = Metrics::of(&farm).await;
     for (sample, value) in [
@@ -100,13 +100,13 @@ async fn what_workers_measure_is_reported_by_device() {
 }
 
 #[tokio::test]
-async fn the_queue_says_how_much_work_waits_and_for_how_long() {
+async fn queue_metrics_report_waiting_work_and_age() {
     let farm = Farm::start().await;
     farm.submit(&small_job(1)).await;
     farm.hand.advance(Duration::from_secs(90));
     let metrics = Metrics::of(&farm).await;
     assert_eq!(metrics.value("sdfarm_queue_rays"), 4096.0);
-    assert!(metrics.value("sdfarm_queue_work_seconds").is_infinite(), "nobody is there to do it");
+    assert!(metrics.value("sdfarm_queue_work_seconds").is_infinite(), "there is no worker");
     assert_eq!(metrics.value("sdfarm_queue_oldest_job_seconds"), 90.0);
     assert_eq!(metrics.value("sdfarm_queue_oldest_queued_job_seconds"), 90.0);
     assert_eq!(metrics.value("sdfarm_tiles{state=\"unopened\"}"), 1.0);
@@ -114,7 +114,7 @@ async fn the_queue_says_how_much_work_waits_and_for_how_long() {
 }
 
 #[tokio::test]
-async fn leases_that_run_out_are_counted() {
+async fn expired_leases_are_counted() {
     let farm = Farm::start().await;
     farm.submit(&small_job(1)).await;
     farm.worker("slow").await.claim().await.expect("work");
@@ -125,12 +125,12 @@ async fn leases_that_run_out_are_counted() {
 }
 
 #[tokio::test]
-async fn strange_methods_and_routes_make_no_metrics_of_their_own() {
+async fn unknown_methods_and_routes_share_one_label() {
     let farm = Farm::start().await;
     for number in 0..20 {
         let method = reqwest::Method::from_bytes(format!("ODD{number}").as_bytes()).expect("a method");
         let url = farm.url(&format!("/no/such/{number}"));
-        in_time(farm.client.request(method, url).send()).await.expect("an answer");
+        in_time(farm.client.request(method, url).send()).await.expect("a response");
     }
     let metrics = Metrics::of(&farm).await;
     assert_eq!(metrics.0.lines().filter(|line| line.starts_with("sdfarm_http_answers_total")).count(), 1);
@@ -138,13 +138,14 @@ async fn strange_methods_and_routes_make_no_metrics_of_their_own() {
 }
 
 #[tokio::test]
-async fn a_trace_that_a_job_came_with_goes_to_its_worker() {
+async fn the_trace_of_a_submission_is_sent_to_its_worker() {
     let farm = Farm::start().await;
     let trace = "00-4bf92f3577b34da6a3ce929d0e0e4736-00f067aa0ba902b7-01";
     for (seed, sent, heard) in [(1, Some(trace), Some(trace)), (2, None, None), (3, Some("00-nonsense"), None)] {
         let request = farm.client.post(farm.url("/v1/jobs")).body(small_job(seed).to_string());
         let request = sent.into_iter().fold(request, |request, trace| request.header("traceparent", trace));
-        let _: proto::job::JobView = read(in_time(request.send()).await.expect("an answer"), StatusCode::CREATED).await;
+        let _: proto::job::JobView =
+            read(in_time(request.send()).await.expect("a response"), StatusCode::CREATED).await;
         let worker = farm.worker("traced").await;
         let reply = worker.sync(Said { wants_work: true, ..Said::default() }).await;
         assert_eq!(reply.trace.as_deref(), heard, "{sent:?}");

@@ -1,4 +1,4 @@
-//! Scenes that are too large for some workers: who gets them, and what their author is told.
+//! Scenes that are too large for some workers: which workers get them, and the warnings of their jobs.
 
 use proto::JobId;
 use proto::job::{JobPage, JobState};
@@ -8,10 +8,10 @@ use serde_json::{Value, json};
 
 use super::harness::{Farm, LEASE, Said, assert_state, job, leases, read, small_job};
 
-/// What a small worker of these tests renders.
+/// Largest scene that a small worker of these tests renders, in nodes.
 const MAX_NODES: u32 = 500;
 
-/// Makes a job's scene one of so many nodes.
+/// Gives a job a scene with `nodes` nodes.
 fn with_nodes(mut job: Value, nodes: usize) -> Value {
     let spheres = vec![json!({ "sphere": { "radius": 1 } }); nodes - 1];
     job["scene"]["objects"][0]["shape"] = json!({ "union": { "of": spheres } });
@@ -23,7 +23,7 @@ async fn warnings(farm: &Farm, id: JobId) -> Vec<String> {
 }
 
 #[tokio::test]
-async fn a_worker_never_gets_a_larger_scene_than_it_renders_and_others_do() {
+async fn a_worker_never_gets_a_scene_above_its_maximum() {
     let farm = Farm::start().await;
     let mut large = with_nodes(small_job(1), 501);
     large["priority"] = 5.into();
@@ -39,7 +39,7 @@ async fn a_worker_never_gets_a_larger_scene_than_it_renders_and_others_do() {
 }
 
 #[tokio::test]
-async fn a_tile_of_a_large_scene_that_went_back_waits_for_a_worker_that_renders_it() {
+async fn a_released_large_tile_waits_for_a_suitable_worker() {
     let farm = Farm::start().await;
     let posted = farm.submit(&with_nodes(small_job(1), 501)).await;
     let any = farm.worker("any").await;
@@ -53,7 +53,7 @@ async fn a_tile_of_a_large_scene_that_went_back_waits_for_a_worker_that_renders_
 }
 
 #[tokio::test]
-async fn any_worker_stitches_but_opens_no_frame_of_a_large_scene() {
+async fn a_small_worker_stitches_large_scenes_but_opens_no_frame() {
     let farm = Farm::start().await;
     let mut two_frames = with_nodes(job(1920, 1080, 4), 501);
     two_frames["frames"] = json!({ "count": 2 });
@@ -67,7 +67,7 @@ async fn any_worker_stitches_but_opens_no_frame_of_a_large_scene() {
         let stitch = small.claim().await.expect("the stitch");
         assert!(matches!(stitch.work, BatchWork::Stitch { .. }), "{stitch:?}");
         assert_eq!(stitch.frame, frame);
-        assert!(small.claim().await.is_none(), "the rest is for others");
+        assert!(small.claim().await.is_none(), "the other tiles are too large for it");
         small.report(small.results(&stitch).await).await;
     }
     assert_state(&farm, posted.id, JobState::Succeeded).await;
@@ -75,7 +75,7 @@ async fn any_worker_stitches_but_opens_no_frame_of_a_large_scene() {
 }
 
 #[tokio::test]
-async fn a_stitch_of_a_later_frame_goes_past_the_tiles_of_an_earlier_one() {
+async fn a_later_frames_stitch_does_not_wait_for_earlier_tiles() {
     let farm = Farm::start().await;
     let mut two_frames = with_nodes(job(1920, 1080, 4), 501);
     two_frames["frames"] = json!({ "count": 2 });
@@ -93,7 +93,7 @@ async fn a_stitch_of_a_later_frame_goes_past_the_tiles_of_an_earlier_one() {
 }
 
 #[tokio::test]
-async fn a_large_frame_is_not_kept_for_workers_that_do_not_render_it() {
+async fn a_large_frame_is_not_shared_with_unsuitable_workers() {
     let farm = Farm::start().await;
     farm.submit(&with_nodes(job(1920, 1080, 4), 501)).await;
     farm.small_worker("idle", MAX_NODES).await;
@@ -105,7 +105,7 @@ async fn a_large_frame_is_not_kept_for_workers_that_do_not_render_it() {
 }
 
 #[tokio::test]
-async fn a_tile_that_failed_goes_back_to_the_only_worker_that_renders_its_scene() {
+async fn a_failed_tile_returns_to_the_only_suitable_worker() {
     let farm = Farm::start().await;
     farm.submit(&with_nodes(small_job(1), 501)).await;
     let (any, small) = (farm.worker("any").await, farm.small_worker("small", MAX_NODES).await);
@@ -118,15 +118,15 @@ async fn a_tile_that_failed_goes_back_to_the_only_worker_that_renders_its_scene(
 }
 
 #[tokio::test]
-async fn a_job_says_that_no_worker_renders_its_scene_until_one_does() {
+async fn a_job_has_a_warning_until_a_suitable_worker_exists() {
     let farm = Farm::start().await;
     let large = farm.submit(&with_nodes(small_job(1), 812)).await;
     let fitting = farm.submit(&with_nodes(small_job(2), 500)).await;
-    assert_eq!(warnings(&farm, large.id).await, [""; 0], "a farm without workers says so elsewhere");
+    assert_eq!(warnings(&farm, large.id).await, [""; 0], "a farm without workers reports that elsewhere");
 
     farm.small_worker("smaller", 20).await;
     let small = farm.small_worker("small", MAX_NODES).await;
-    let sentence = "no worker of this farm takes scenes of more than 500 nodes, and this one has 812: \
+    let sentence = "no worker of this farm renders scenes of more than 500 nodes, and this scene has 812: \
                     start a CPU worker (`sdfarm worker --device cpu`)";
     assert_eq!(warnings(&farm, large.id).await, [sentence]);
     assert_eq!(warnings(&farm, fitting.id).await, [""; 0]);
@@ -137,7 +137,7 @@ async fn a_job_says_that_no_worker_renders_its_scene_until_one_does() {
     assert_eq!(warnings(&farm, large.id).await, [""; 0]);
     assert_eq!(any.claim().await.expect("work").job, large.id);
 
-    // That worker vanishes with its tile, the small one stays.
+    // That worker vanishes with its tile; the small one stays.
     for _ in 0..2 {
         farm.hand.advance(LEASE / 2);
         small.sync(Said::default()).await;
@@ -150,6 +150,6 @@ async fn a_job_says_that_no_worker_renders_its_scene_until_one_does() {
         small.sync(Said::default()).await;
     }
     assert_state(&farm, large.id, JobState::Succeeded).await;
-    assert_eq!(warnings(&farm, large.id).await, [""; 0], "what is done waits for nobody");
+    assert_eq!(warnings(&farm, large.id).await, [""; 0], "a finished job waits for no worker");
     farm.stop().await;
 }

@@ -1,6 +1,6 @@
-//! Every route for every kind of key: who is let in, who is not.
+//! Every route with every kind of key: which callers are authorized.
 //!
-//! The routes are those of the served document and the workers'; one that has no row here fails the test.
+//! The routes are those of the served document and the workers'; a route without a row here fails the test.
 
 use std::collections::BTreeSet;
 use std::time::Duration;
@@ -13,20 +13,20 @@ use serde_json::Value;
 use super::harness::{Farm, in_time, read, small_job};
 use super::keys::{locked_farm, make, new_key, send};
 
-/// Who is let in by a key of one scope; `admin` is everywhere.
+/// Callers that a route authorizes; `admin` is always authorized.
 #[derive(Clone, Copy, PartialEq, Eq)]
 enum Row {
-    /// Anyone.
+    /// Every caller.
     Open,
-    /// Whoever may read.
+    /// Keys with scope read.
     Read,
-    /// Whoever may submit.
+    /// Keys with scope submit.
     Submit,
-    /// Whoever may read, and who may submit: that one sees its own.
+    /// Keys with scope read or submit; submit alone sees its own jobs.
     ReadOrSubmit,
-    /// Whoever may read, and whose job it is.
+    /// Keys with scope read, and the job's submitter.
     ReadOrOwn,
-    /// Whose job it is.
+    /// The job's submitter.
     Own,
     /// Workers.
     Worker,
@@ -84,38 +84,38 @@ const ROWS: &[(&str, Row)] = &[
     ("PUT /v1/worker/pictures/{hash}", Worker),
 ];
 
-/// What the doors themselves answer.
+/// Problem codes of the access control itself.
 const KEY_PROBLEMS: [&str; 5] = ["missing_key", "unknown_key", "expired_key", "revoked_key", "missing_scope"];
 
-/// How soon a route is asked again.
+/// Interval before a route is requested again.
 const POLL_INTERVAL: Duration = Duration::from_millis(5);
 
-/// Rows whose routes the document leaves out.
+/// Rows whose routes are not in the document.
 fn is_undocumented(route: &str) -> bool {
     route.contains("/v1/worker/") || ["GET /docs/", "GET /openapi.json"].contains(&route)
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Bearer {
-    Nobody,
+    Anonymous,
     Unknown,
     Expired,
     Revoked,
     Reader,
     Worker,
-    /// Of another name than the job's.
+    /// A submitter with another name than the job's.
     Stranger,
-    /// Who handed the job in.
+    /// The job's submitter.
     Owner,
     Admin,
 }
 
-/// What a bearer is answered: 401, 403, or anything else.
+/// Response to a bearer: 401, 403, or any other status.
 fn expected(row: Row, bearer: Bearer) -> Option<StatusCode> {
     let in_if = |lets_in: bool| if lets_in { None } else { Some(StatusCode::FORBIDDEN) };
     match bearer {
         _ if row == Open => None,
-        Bearer::Nobody | Bearer::Unknown | Bearer::Expired | Bearer::Revoked => Some(StatusCode::UNAUTHORIZED),
+        Bearer::Anonymous | Bearer::Unknown | Bearer::Expired | Bearer::Revoked => Some(StatusCode::UNAUTHORIZED),
         Bearer::Reader => in_if([Read, ReadOrOwn, ReadOrSubmit].contains(&row)),
         Bearer::Worker => in_if(row == Worker),
         Bearer::Stranger => in_if([Submit, ReadOrSubmit].contains(&row)),
@@ -124,7 +124,7 @@ fn expected(row: Row, bearer: Bearer) -> Option<StatusCode> {
     }
 }
 
-/// Asks each route as one bearer; returns what differs from the table.
+/// Requests each route with one key; returns the differences from the table.
 async fn walk(farm: &Farm, bearer: Bearer, key: Option<&str>, job: &str) -> Vec<String> {
     let mut wrong = Vec::new();
     for (route, row) in ROWS {
@@ -135,11 +135,11 @@ async fn walk(farm: &Farm, bearer: Bearer, key: Option<&str>, job: &str) -> Vec<
             .replace("{content}", "image")
             .replace("{hash}", &"0".repeat(64));
         let method: Method = method.parse().expect("a method");
-        // Refusals are counted, and too many in a second are answered otherwise: then it is asked again.
+        // Rejections are limited per second; above the limit the response is 429, and the request is repeated.
         let answer = loop {
             let answer = match key {
                 Some(key) => send(farm, key, method.clone(), &path, "").await,
-                None => in_time(farm.client.request(method.clone(), farm.url(&path)).send()).await.expect("an answer"),
+                None => in_time(farm.client.request(method.clone(), farm.url(&path)).send()).await.expect("a response"),
             };
             if answer.status() != StatusCode::TOO_MANY_REQUESTS {
                 break answer;
@@ -147,7 +147,7 @@ async fn walk(farm: &Farm, bearer: Bearer, key: Option<&str>, job: &str) -> Vec<
             tokio::time::sleep(POLL_INTERVAL).await;
         };
         let status = answer.status();
-        // A route may refuse for reasons of its own, as a link that is signed wrongly; those are not meant.
+        // A route may reject a request for its own reasons, such as a wrong signature; those do not count.
         let refused = [StatusCode::UNAUTHORIZED, StatusCode::FORBIDDEN].contains(&status)
             && KEY_PROBLEMS.contains(&&*read::<Problem>(answer, status).await.code);
         if expected(*row, bearer) != refused.then_some(status) {
@@ -158,7 +158,7 @@ async fn walk(farm: &Farm, bearer: Bearer, key: Option<&str>, job: &str) -> Vec<
 }
 
 #[tokio::test]
-async fn every_route_lets_in_whom_the_table_says_and_nobody_else() {
+async fn each_route_authorizes_exactly_the_callers_of_the_table() {
     let (farm, admin) = locked_farm().await;
     let key = async |new: NewApiKey| make(&farm, &admin, &new).await.secret;
     let expired = key(NewApiKey { expires_in_seconds: Some(1), ..new_key("late", &Scope::ALL) }).await;
@@ -174,7 +174,7 @@ async fn every_route_lets_in_whom_the_table_says_and_nobody_else() {
     let job = job["id"].as_str().expect("an id");
     let mut wrong = Vec::new();
     for (bearer, key) in [
-        (Bearer::Nobody, None),
+        (Bearer::Anonymous, None),
         (Bearer::Unknown, Some("sdf_AAAAAAAAAAAAAAAAAAAAAAAAAAAAAAAAAAAAAAAAAAA")),
         (Bearer::Expired, Some(&*expired)),
         (Bearer::Revoked, Some(&*revoked)),
@@ -203,7 +203,7 @@ async fn every_route_has_a_row_and_every_row_a_route() {
     let rows: BTreeSet<String> =
         ROWS.iter().map(|(route, _)| (*route).to_owned()).filter(|route| !is_undocumented(route)).collect();
     let missing: Vec<_> = routes.difference(&rows).collect();
-    assert!(missing.is_empty(), "these routes have no row in the table of who may what: {missing:?}");
+    assert!(missing.is_empty(), "these routes have no row in the table of permissions: {missing:?}");
     let stale: Vec<_> = rows.difference(&routes).collect();
     assert!(stale.is_empty(), "these rows have no route: {stale:?}");
     farm.stop().await;

@@ -1,4 +1,4 @@
-//! The pool: as many processes as were asked for, each on the device of its place.
+//! The pool: as many processes as requested, each on the device of its slot.
 
 use std::os::unix::fs::PermissionsExt;
 use std::path::Path;
@@ -12,7 +12,8 @@ use serde_json::json;
 
 use super::harness::{Farm, Said, assert_state, in_time, leases, read, refused, small_job};
 
-/// A program that says who it is, and lives until its input ends, unless its device is `cuda:9`, which can't render.
+/// A program that records its arguments, and runs until its input ends, unless its device is `cuda:9`, which
+/// cannot render.
 fn stand_in(folder: &Path) -> std::path::PathBuf {
     let program = folder.join("stand-in");
     let text = "#!/bin/sh\nmkdir -p \"$(dirname \"$0\")/started\"\n\
@@ -24,7 +25,7 @@ fn stand_in(folder: &Path) -> std::path::PathBuf {
     program
 }
 
-/// Waits until something is so.
+/// Waits until a condition is true.
 async fn until<T>(mut look: impl FnMut() -> Option<T>) -> T {
     in_time(async {
         loop {
@@ -37,7 +38,7 @@ async fn until<T>(mut look: impl FnMut() -> Option<T>) -> T {
     .await
 }
 
-/// The processes that have started, with what they said.
+/// Started processes, with their arguments.
 fn started(folder: &Path) -> Vec<(u32, String)> {
     let Ok(entries) = std::fs::read_dir(folder.join("started")) else { return Vec::new() };
     entries
@@ -48,13 +49,13 @@ fn started(folder: &Path) -> Vec<(u32, String)> {
         .collect()
 }
 
-/// The started processes on a device, whether they live or not.
+/// Started processes on a device, running or not.
 fn on_device(folder: &Path, device: &str) -> Vec<(u32, String)> {
     let flag = format!("--device {device} ");
     started(folder).into_iter().filter(|(_, said)| said.contains(&flag)).collect()
 }
 
-/// Registers as a started process would.
+/// Registers like a started process.
 async fn register(farm: &Farm, process: u32, said: &str) -> RegisterResponse {
     let token = said.split(' ').next().expect("a token");
     let hello = RegisterRequest {
@@ -65,7 +66,7 @@ async fn register(farm: &Farm, process: u32, said: &str) -> RegisterResponse {
         process,
     };
     let request = farm.client.post(farm.url(worker_protocol::REGISTER_PATH)).bearer_auth(token).json(&hello);
-    read(in_time(request.send()).await.expect("an answer"), StatusCode::OK).await
+    read(in_time(request.send()).await.expect("a response"), StatusCode::OK).await
 }
 
 fn kill(process: u32) {
@@ -75,7 +76,7 @@ fn kill(process: u32) {
 
 async fn resize(farm: &Farm, workers: u32) -> PoolView {
     let put = farm.client.put(farm.url("/v1/pool")).json(&json!({ "workers": workers })).send();
-    read(in_time(put).await.expect("an answer"), StatusCode::OK).await
+    read(in_time(put).await.expect("a response"), StatusCode::OK).await
 }
 
 fn lives(process: u32) -> bool {
@@ -83,7 +84,7 @@ fn lives(process: u32) -> bool {
 }
 
 #[tokio::test]
-async fn the_pool_grows_shrinks_replaces_its_dead_and_leaves_no_orphan() {
+async fn the_pool_resizes_replaces_exited_workers_and_leaves_no_orphan() {
     let folder = tempfile::tempdir().expect("a temporary folder");
     let programs = tempfile::tempdir().expect("a temporary folder");
     let program = stand_in(programs.path());
@@ -96,14 +97,14 @@ async fn the_pool_grows_shrinks_replaces_its_dead_and_leaves_no_orphan() {
     let (process, said) = until(|| started(programs.path()).pop()).await;
     assert!(said.contains("worker --server http://127.0.0.1:") && said.contains("--pool"), "{said}");
 
-    // The test speaks for the process.
+    // The test sends the process's requests.
     let welcome = register(&farm, process, &said).await;
     let list: WorkerList = read(farm.get("/v1/workers").await, StatusCode::OK).await;
     assert_eq!(list.workers[0].name, "pool-1");
     let pool: PoolView = read(farm.get("/v1/pool").await, StatusCode::OK).await;
     assert_eq!(pool, PoolView { workers: 1, ready: 1 });
 
-    // Its death is noticed at once, by a clock that stands still.
+    // Its exit is noticed at once, although the clock does not advance.
     let posted = farm.submit(&small_job(1)).await;
     let mut child = farm.worker("helper").await;
     let helper = child.id;
@@ -119,7 +120,7 @@ async fn the_pool_grows_shrinks_replaces_its_dead_and_leaves_no_orphan() {
     child.id = welcome.worker;
     refused(child.try_sync(Said::default()).await, 404, "unknown_worker").await;
 
-    // Another took its place; more come when asked for, and go again.
+    // Another process took its slot; the pool grows and shrinks on request.
     assert_eq!(resize(&farm, 3).await.workers, 3);
     until(|| (started(programs.path()).len() == 4).then_some(())).await;
     let alive = || started(programs.path()).iter().filter(|(process, _)| lives(*process)).count();
@@ -131,7 +132,7 @@ async fn the_pool_grows_shrinks_replaces_its_dead_and_leaves_no_orphan() {
 }
 
 #[tokio::test]
-async fn each_device_has_a_worker_and_its_replacement_has_the_same() {
+async fn a_replacement_worker_has_the_same_device() {
     let folder = tempfile::tempdir().expect("a temporary folder");
     let programs = tempfile::tempdir().expect("a temporary folder");
     let program = stand_in(programs.path());
@@ -147,7 +148,7 @@ async fn each_device_has_a_worker_and_its_replacement_has_the_same() {
     until(|| (on("cuda:0").len() == 2).then_some(())).await;
     kill(on("cuda:1")[0].0);
     until(|| (on("cuda:1").len() == 2).then_some(())).await;
-    // More workers than devices take them in turn, and the last to come go first.
+    // If there are more workers than devices, they share them in order; the last slots are drained first.
     assert_eq!(resize(&farm, 4).await.workers, 4);
     until(|| (on("cuda:0").len() == 3 && on("cuda:1").len() == 3).then_some(())).await;
     resize(&farm, 1).await;
@@ -158,7 +159,7 @@ async fn each_device_has_a_worker_and_its_replacement_has_the_same() {
 }
 
 #[tokio::test]
-async fn a_device_that_can_not_render_is_left_alone_until_the_pool_is_sized_anew() {
+async fn a_failed_device_is_not_restarted_until_a_resize() {
     let folder = tempfile::tempdir().expect("a temporary folder");
     let programs = tempfile::tempdir().expect("a temporary folder");
     let program = stand_in(programs.path());
@@ -173,7 +174,7 @@ async fn a_device_that_can_not_render_is_left_alone_until_the_pool_is_sized_anew
     let (mut process, mut said) = until(|| on("cuda:0").pop()).await;
     until(|| (!lives(bad)).then_some(())).await;
 
-    // The other place is filled again and again; at each time the bad one could have been, too.
+    // The other slot is refilled repeatedly; each time, the failed slot could have been refilled too.
     for replacements in 1..=3 {
         let before = on("cuda:0");
         kill(process);
@@ -184,7 +185,7 @@ async fn a_device_that_can_not_render_is_left_alone_until_the_pool_is_sized_anew
     let pool: PoolView = read(farm.get("/v1/pool").await, StatusCode::OK).await;
     assert_eq!(pool, PoolView { workers: 2, ready: 1 });
 
-    // Who asks again, even for the same number, has it tried again.
+    // A resize, even to the same number, starts the failed slot again.
     resize(&farm, 2).await;
     until(|| (on("cuda:9").len() == 2).then_some(())).await;
     assert!(lives(process));
@@ -192,7 +193,7 @@ async fn a_device_that_can_not_render_is_left_alone_until_the_pool_is_sized_anew
 }
 
 #[tokio::test]
-async fn a_worker_program_that_is_not_there_does_not_stop_the_server() {
+async fn a_missing_worker_program_does_not_stop_the_server() {
     let folder = tempfile::tempdir().expect("a temporary folder");
     let farm = Farm::start_in(folder, |config| config.workers = Some(2)).await;
     let pool: PoolView = read(farm.get("/v1/pool").await, StatusCode::OK).await;

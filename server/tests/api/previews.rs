@@ -1,11 +1,11 @@
-//! Previews without a program that could draw them: what is refused, and that nothing else suffers.
+//! Previews without a working helper program: they are rejected, and nothing else is affected.
 
 use reqwest::StatusCode;
 
 use super::harness::{Farm, read, refused, small_job};
 
 #[tokio::test]
-async fn previews_of_what_is_not_there_are_rejected() {
+async fn previews_of_missing_jobs_and_frames_are_rejected() {
     let farm = Farm::start().await;
     let job = farm.submit(&small_job(1)).await.id;
     for what in ["preview", "thumbnail"] {
@@ -22,7 +22,7 @@ async fn previews_of_what_is_not_there_are_rejected() {
 }
 
 #[tokio::test]
-async fn a_program_that_can_not_draw_costs_the_preview_and_nothing_else() {
+async fn a_failing_helper_affects_only_the_preview() {
     for program in ["/nonexistent/sdfarm", "/bin/false", "/bin/cat"] {
         let folder = tempfile::tempdir().expect("a temporary folder");
         let farm = Farm::start_in(folder, |config| config.worker_program = program.into()).await;

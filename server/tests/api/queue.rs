@@ -1,4 +1,4 @@
-//! The queue through its door: pauses, stragglers, workers that fail.
+//! The queue over HTTP: pauses, stragglers, failing workers.
 
 use std::time::Duration;
 
@@ -10,7 +10,7 @@ use reqwest::StatusCode;
 
 use super::harness::{Farm, LEASE, Said, Worker, assert_state, in_time, job, leases, read, refused, small_job};
 
-/// Three tiles, each beyond what a worker of unknown speed takes along.
+/// A job of three tiles, each more than a worker without a measured speed gets with another.
 fn three_tiles(seed: u32) -> serde_json::Value {
     let mut three = job(3072, 1024, 2);
     three["image"]["seed"] = seed.into();
@@ -28,7 +28,7 @@ async fn metric(farm: &Farm, name: &str) -> String {
 }
 
 #[tokio::test]
-async fn a_paused_job_finishes_what_is_leased_and_starts_nothing() {
+async fn a_paused_job_finishes_leased_tiles_and_starts_none() {
     let farm = Farm::start().await;
     let posted = farm.submit(&three_tiles(1)).await;
     let worker = farm.worker("one").await;
@@ -56,7 +56,7 @@ async fn a_paused_job_finishes_what_is_leased_and_starts_nothing() {
 }
 
 #[tokio::test]
-async fn a_paused_farm_stays_paused_over_a_restart() {
+async fn a_paused_farm_stays_paused_after_a_restart() {
     let farm = Farm::start().await;
     let posted = farm.submit(&small_job(1)).await;
     let view: FarmView = read(farm.post("/v1/farm/pause", "").await, StatusCode::OK).await;
@@ -74,7 +74,7 @@ async fn a_paused_farm_stays_paused_over_a_restart() {
     farm.stop().await;
 }
 
-/// Leaves one tile of a job to `slow`, does the others by `quick`, a moment each, and waits until it straggles.
+/// Leaves one tile of a job to `slow`, renders the others with `quick`, and waits until the tile straggles.
 async fn straggle(farm: &Farm, slow: &Worker<'_>, quick: &Worker<'_>) -> (JobView, proto::worker_protocol::Batch) {
     let posted = farm.submit(&three_tiles(1)).await;
     let held = slow.claim().await.expect("work");
@@ -85,13 +85,13 @@ async fn straggle(farm: &Farm, slow: &Worker<'_>, quick: &Worker<'_>) -> (JobVie
         quick.report(quick.results(&run).await).await;
         slow.sync(Said { holding: leases(&held), ..Said::default() }).await;
     }
-    assert!(quick.claim().await.is_none(), "nothing is ready, and it is not late yet");
+    assert!(quick.claim().await.is_none(), "no tile is ready, and none straggles yet");
     farm.hand.advance(Duration::from_millis(500));
     (posted, held)
 }
 
 #[tokio::test]
-async fn a_straggler_is_leased_once_more_and_the_first_result_counts() {
+async fn the_first_result_of_a_duplicated_straggler_counts() {
     let farm = Farm::start().await;
     let (slow, quick, third) = (farm.worker("slow").await, farm.worker("quick").await, farm.worker("third").await);
     let (posted, held) = straggle(&farm, &slow, &quick).await;
@@ -101,10 +101,10 @@ async fn a_straggler_is_leased_once_more_and_the_first_result_counts() {
         BatchWork::Stitch { .. } => panic!("{run:?}"),
     };
     assert_eq!(index(&again), index(&held));
-    assert!(third.claim().await.is_none(), "it is leased twice at most");
+    assert!(third.claim().await.is_none(), "it has at most two leases");
     assert!(
         slow.sync(Said { holding: leases(&held), ..Said::default() }).await.revoked_leases.is_empty(),
-        "both may finish"
+        "neither lease is revoked"
     );
     assert_eq!(quick.report(quick.results(&again).await).await.revoked_leases, []);
     let told = slow.sync(Said { holding: leases(&held), ..Said::default() }).await;
@@ -120,13 +120,13 @@ async fn a_straggler_is_leased_once_more_and_the_first_result_counts() {
 }
 
 #[tokio::test]
-async fn one_of_two_leases_given_up_leaves_the_tile_with_the_other() {
+async fn releasing_one_of_two_leases_keeps_the_other() {
     let farm = Farm::start().await;
     let (slow, quick) = (farm.worker("slow").await, farm.worker("quick").await);
     let (posted, held) = straggle(&farm, &slow, &quick).await;
     let again = quick.claim().await.expect("the straggler");
     slow.report(failed(leases(&held)[0])).await;
-    assert!(slow.claim().await.is_none(), "the other lease still lives");
+    assert!(slow.claim().await.is_none(), "the other lease is still live");
     assert_eq!(quick.report(quick.results(&again).await).await.revoked_leases, []);
     quick.work_off().await;
     assert_state(&farm, posted.id, JobState::Succeeded).await;
@@ -134,7 +134,7 @@ async fn one_of_two_leases_given_up_leaves_the_tile_with_the_other() {
 }
 
 #[tokio::test]
-async fn a_straggler_that_answers_first_voids_the_second_lease() {
+async fn a_straggler_that_delivers_first_voids_the_duplicate_lease() {
     let farm = Farm::start().await;
     let (slow, quick) = (farm.worker("slow").await, farm.worker("quick").await);
     let (posted, held) = straggle(&farm, &slow, &quick).await;
@@ -149,7 +149,7 @@ async fn a_straggler_that_answers_first_voids_the_second_lease() {
 }
 
 #[tokio::test]
-async fn a_whole_frame_that_straggles_is_leased_whole() {
+async fn a_straggling_complete_frame_is_duplicated_as_a_whole() {
     let farm = Farm::start().await;
     let mut animation = small_job(1);
     animation["frames"] = serde_json::json!({ "count": 3 });
@@ -162,7 +162,7 @@ async fn a_whole_frame_that_straggles_is_leased_whole() {
         quick.report(quick.results(&run).await).await;
     }
     farm.hand.advance(Duration::from_secs(1));
-    let again = quick.claim().await.expect("the frame that straggles");
+    let again = quick.claim().await.expect("the straggling frame");
     assert_eq!(again.frame, held.frame);
     assert!(matches!(again.work, BatchWork::Render { whole_frame: true, .. }), "{again:?}");
     assert_eq!(slow.report(slow.results(&held).await).await.revoked_leases, []);
@@ -173,7 +173,7 @@ async fn a_whole_frame_that_straggles_is_leased_whole() {
 }
 
 #[tokio::test]
-async fn a_worker_that_errs_thrice_in_a_job_is_not_offered_it_for_an_hour() {
+async fn a_worker_with_three_errors_is_excluded_for_an_hour() {
     let farm = Farm::start().await;
     let posted = farm.submit(&job(4096, 4096, 4)).await;
     let (bad, good) = (farm.worker("bad").await, farm.worker("good").await);
@@ -181,12 +181,12 @@ async fn a_worker_that_errs_thrice_in_a_job_is_not_offered_it_for_an_hour() {
         let run = bad.claim().await.expect("work");
         bad.report(failed(leases(&run)[0])).await;
     }
-    assert!(bad.claim().await.is_none(), "there are tiles left, but not for this one");
+    assert!(bad.claim().await.is_none(), "tiles are left, but the worker is excluded");
     let other = farm.submit(&small_job(1)).await;
     let run = bad.claim().await.expect("another job");
     assert_eq!(run.job, other.id);
     bad.report(bad.results(&run).await).await;
-    let run = good.claim().await.expect("the job goes on");
+    let run = good.claim().await.expect("the job continues");
     assert_eq!(run.job, posted.id);
     for _ in 0..=(3600 / (LEASE.as_secs() / 2)) {
         farm.hand.advance(LEASE / 2);
@@ -198,7 +198,7 @@ async fn a_worker_that_errs_thrice_in_a_job_is_not_offered_it_for_an_hour() {
 }
 
 #[tokio::test]
-async fn a_job_is_never_left_without_any_worker() {
+async fn the_last_worker_is_never_excluded() {
     let farm = Farm::start().await;
     let posted = farm.submit(&job(4096, 4096, 4)).await;
     let workers = [farm.worker("one").await, farm.worker("two").await];
@@ -218,7 +218,7 @@ async fn a_job_is_never_left_without_any_worker() {
 }
 
 #[tokio::test]
-async fn a_worker_that_errs_in_many_jobs_is_quarantined() {
+async fn a_worker_excluded_from_many_jobs_is_quarantined() {
     let farm = Farm::start().await;
     let (bad, good) = (farm.worker("bad").await, farm.worker("good").await);
     for seed in 0..3 {
@@ -237,12 +237,12 @@ async fn a_worker_that_errs_in_many_jobs_is_quarantined() {
     assert_eq!((state(bad.id), state(good.id)), (WorkerState::Quarantined, WorkerState::Ready));
     assert!(good.claim().await.is_some());
     farm.submit(&small_job(1)).await;
-    assert!(bad.claim().await.is_none(), "it gets no more work at all");
+    assert!(bad.claim().await.is_none(), "it gets no more work");
     farm.stop().await;
 }
 
 #[tokio::test]
-async fn a_tile_that_vanished_twice_is_leased_alone() {
+async fn a_tile_lost_twice_is_leased_alone() {
     let farm = Farm::start().await;
     farm.submit(&job(1920, 1080, 4)).await;
     for name in ["first", "second"] {

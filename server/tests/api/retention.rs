@@ -1,4 +1,5 @@
-//! Retention: jobs go by age and by size, oldest first; what others show stays. The clock is in the test's hand.
+//! Retention: jobs are deleted by age and by size, oldest first; pictures that others use stay. The clock is
+//! manual.
 
 use std::time::Duration;
 
@@ -20,7 +21,7 @@ async fn submit(farm: &Farm, job: &Value, query: &str) -> JobId {
     read::<proto::job::JobView>(response, StatusCode::CREATED).await.id
 }
 
-/// Renders the next job as a picture of so many bytes, unlike others of another letter.
+/// Renders the next job as a picture of `size_bytes` bytes, different for each letter.
 async fn store(worker: &Worker<'_>, letter: u8, size_bytes: usize) {
     let run = worker.claim().await.expect("work");
     let results = worker.picture(&leases(&run), &vec![letter; size_bytes]).await;
@@ -39,7 +40,7 @@ async fn is_there(farm: &Farm, id: JobId) -> bool {
     farm.get(&format!("/v1/jobs/{id}")).await.status() == StatusCode::OK
 }
 
-/// Waits until the folder holds so many pictures: bytes are swept behind the answer.
+/// Waits until the folder has this many pictures: content is swept after the response.
 async fn until_pictures(farm: &Farm, count: usize) {
     let folder = farm.folder.path().join("pictures");
     in_time(async {
@@ -51,7 +52,7 @@ async fn until_pictures(farm: &Farm, count: usize) {
 }
 
 #[tokio::test]
-async fn jobs_go_when_their_own_time_or_the_servers_is_over() {
+async fn jobs_are_deleted_after_their_own_or_the_default_retention() {
     let farm = start(|config| config.job_retention = Some(10 * DAY)).await;
     let worker = farm.worker("one").await;
     let mut jobs = Vec::new();
@@ -68,7 +69,7 @@ async fn jobs_go_when_their_own_time_or_the_servers_is_over() {
         let told = collect(&farm, true).await;
         assert_eq!((ids(&told), told.dry_run), (gone.clone(), true), "after {days} days");
         for id in &gone {
-            assert!(is_there(&farm, *id).await, "a dry run removes nothing");
+            assert!(is_there(&farm, *id).await, "a dry run deletes nothing");
         }
         let done = collect(&farm, false).await;
         assert_eq!((ids(&done), done.freed_bytes), (gone.clone(), told.freed_bytes));
@@ -83,7 +84,7 @@ async fn jobs_go_when_their_own_time_or_the_servers_is_over() {
 }
 
 #[tokio::test]
-async fn a_full_store_loses_the_jobs_that_finished_first_until_it_fits() {
+async fn a_full_store_deletes_the_jobs_that_finished_first() {
     let farm = start(|config| config.max_store_bytes = Some(2_500)).await;
     let worker = farm.worker("one").await;
     let mut jobs = Vec::new();
@@ -104,7 +105,7 @@ async fn a_full_store_loses_the_jobs_that_finished_first_until_it_fits() {
 }
 
 #[tokio::test]
-async fn a_picture_that_a_kept_job_shows_stays_and_its_other_jobs_do_not_go_in_vain() {
+async fn jobs_whose_pictures_would_stay_are_not_deleted() {
     let farm = start(|config| config.max_store_bytes = Some(1_500)).await;
     let worker = farm.worker("one").await;
     let first = submit(&farm, &small_job(1), "").await;
@@ -123,7 +124,7 @@ async fn a_picture_that_a_kept_job_shows_stays_and_its_other_jobs_do_not_go_in_v
 }
 
 #[tokio::test]
-async fn two_jobs_with_one_picture_free_it_together() {
+async fn a_shared_picture_is_deleted_with_both_jobs() {
     let farm = start(|config| config.max_store_bytes = Some(500)).await;
     let worker = farm.worker("one").await;
     let first = submit(&farm, &small_job(1), "").await;
@@ -133,14 +134,14 @@ async fn two_jobs_with_one_picture_free_it_together() {
     let done = collect(&farm, false).await;
     assert_eq!((ids(&done), done.freed_bytes), (vec![first, again], 1_000));
     until_pictures(&farm, 0).await;
-    // What is gone is rendered again.
+    // A deleted picture is rendered again.
     submit(&farm, &small_job(1), "").await;
     assert!(worker.claim().await.is_some());
     farm.stop().await;
 }
 
 #[tokio::test]
-async fn a_server_that_starts_removes_what_is_over_by_then() {
+async fn a_starting_server_deletes_jobs_past_their_retention() {
     let farm = start(|_| {}).await;
     let worker = farm.worker("one").await;
     let job = submit(&farm, &small_job(1), "?keep=0s").await;
@@ -158,7 +159,7 @@ async fn a_server_that_starts_removes_what_is_over_by_then() {
 }
 
 #[tokio::test]
-async fn a_time_that_is_none_is_rejected() {
+async fn an_invalid_retention_is_rejected() {
     let farm = Farm::start().await;
     for keep in ["7", "soon", "-1d", "7.5d", "101000w"] {
         let answer = farm.post(&format!("/v1/jobs?keep={keep}"), small_job(1).to_string()).await;

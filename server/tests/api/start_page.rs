@@ -1,4 +1,4 @@
-//! `GET /`: a page for people, JSON for programs, and nothing private in either.
+//! `GET /`: a page for browsers, JSON for programs, and nothing private in either.
 
 use proto::farm::StartView;
 use reqwest::header::ACCEPT;
@@ -8,7 +8,7 @@ use super::harness::{Farm, in_time, read, refused, small_job};
 use super::keys::{locked_farm, make, new_key, send};
 
 async fn page(farm: &Farm) -> Response {
-    in_time(farm.client.get(farm.url("/")).header(ACCEPT, "text/html,*/*;q=0.8").send()).await.expect("an answer")
+    in_time(farm.client.get(farm.url("/")).header(ACCEPT, "text/html,*/*;q=0.8").send()).await.expect("a response")
 }
 
 async fn text(response: Response) -> String {
@@ -16,7 +16,7 @@ async fn text(response: Response) -> String {
 }
 
 #[tokio::test]
-async fn people_see_the_farm_at_a_glance_and_where_to_go_next() {
+async fn the_page_has_a_summary_and_examples() {
     let farm = Farm::start().await;
     let mut job = small_job(1);
     job["name"] = "<script>alert(1)</script> {state}".into();
@@ -49,7 +49,7 @@ async fn people_see_the_farm_at_a_glance_and_where_to_go_next() {
 }
 
 #[tokio::test]
-async fn a_pause_is_the_first_thing_on_the_page() {
+async fn the_page_warns_of_a_paused_farm() {
     let farm = Farm::start().await;
     farm.post("/v1/farm/pause", "").await;
     assert!(text(page(&farm).await).await.contains("The farm is paused"));
@@ -59,13 +59,13 @@ async fn a_pause_is_the_first_thing_on_the_page() {
 }
 
 #[tokio::test]
-async fn programs_get_json_with_the_numbers() {
+async fn programs_get_json_with_counts() {
     let farm = Farm::start().await;
     farm.submit(&small_job(1)).await;
     farm.post("/v1/farm/pause", "").await;
     let view: StartView = read(farm.get("/").await, StatusCode::OK).await;
     assert_eq!((view.name.as_str(), view.needs_key), ("sdfarm", false));
-    let counts = view.farm.expect("an open farm shows its numbers");
+    let counts = view.farm.expect("a farm without keys returns its numbers");
     assert_eq!((counts.queued, counts.running, counts.workers_ready, counts.paused), (1, 0, 0, true));
     for path in [view.docs, view.openapi, view.job_schema] {
         assert_eq!(farm.get(&path).await.status(), StatusCode::OK, "{path}");
@@ -75,7 +75,7 @@ async fn programs_get_json_with_the_numbers() {
 }
 
 #[tokio::test]
-async fn a_farm_with_keys_says_only_that_it_needs_one() {
+async fn a_farm_with_keys_returns_only_that_it_needs_one() {
     let (farm, admin) = locked_farm().await;
     let anna = make(&farm, &admin, &new_key("anna", &[proto::api_key::Scope::Submit])).await.secret;
     let mut job = small_job(1);
@@ -90,6 +90,6 @@ async fn a_farm_with_keys_says_only_that_it_needs_one() {
     let view: StartView = read(farm.get("/").await, StatusCode::OK).await;
     assert!(view.needs_key && view.farm.is_none(), "{view:?}");
     let foreign = in_time(farm.client.get(farm.url("/")).header("host", "evil.example").send()).await;
-    refused(foreign.expect("an answer"), 403, "foreign_host").await;
+    refused(foreign.expect("a response"), 403, "foreign_host").await;
     farm.stop().await;
 }

@@ -1,4 +1,4 @@
-//! A server's life: what it refuses to start with, what a restart keeps, its health.
+//! Startup: errors that prevent it, state that survives a restart, and health.
 
 use std::net::TcpListener;
 use std::path::Path;
@@ -18,7 +18,7 @@ async fn start_error(data: &Path, change: impl FnOnce(&mut server::Config)) -> S
 }
 
 #[tokio::test]
-async fn a_restart_keeps_jobs_and_pictures_and_a_worker_from_elsewhere_keeps_its_lease() {
+async fn a_restart_keeps_jobs_pictures_and_leases_of_remote_workers() {
     let farm = Farm::start().await;
     let done = farm.submit(&small_job(1)).await;
     farm.worker("one").await.work_off().await;
@@ -50,7 +50,7 @@ async fn a_data_folder_has_one_server() {
 }
 
 #[tokio::test]
-async fn a_busy_port_an_exposed_address_and_a_damaged_database_are_named_with_a_cure() {
+async fn startup_errors_have_a_fix() {
     let folder = tempfile::tempdir().expect("a temporary folder");
     let busy = TcpListener::bind("127.0.0.1:0").expect("a free port");
     let address = busy.local_addr().expect("an address");
@@ -69,7 +69,7 @@ async fn a_busy_port_an_exposed_address_and_a_damaged_database_are_named_with_a_
 }
 
 #[tokio::test]
-async fn a_page_of_the_database_that_was_overwritten_is_found_at_start() {
+async fn an_overwritten_database_page_is_detected_at_startup() {
     let farm = Farm::start().await;
     for seed in 0..20 {
         farm.submit(&small_job(seed)).await;
@@ -85,7 +85,7 @@ async fn a_page_of_the_database_that_was_overwritten_is_found_at_start() {
 }
 
 #[tokio::test]
-async fn a_data_folder_that_can_not_be_made_is_named_with_a_cure() {
+async fn an_unusable_data_folder_is_named_with_a_fix() {
     let folder = tempfile::tempdir().expect("a temporary folder");
     let file = folder.path().join("file");
     std::fs::write(&file, "not a folder").expect("writes");
@@ -95,7 +95,7 @@ async fn a_data_folder_that_can_not_be_made_is_named_with_a_cure() {
 }
 
 #[tokio::test]
-async fn health_names_the_workers_and_metrics_count() {
+async fn health_reports_workers_and_metrics_have_counts() {
     let farm = Farm::start().await;
     assert_eq!(farm.get("/livez").await.status(), StatusCode::OK);
     let ready: Value = read(farm.get("/readyz").await, StatusCode::OK).await;
@@ -118,7 +118,7 @@ async fn health_names_the_workers_and_metrics_count() {
 }
 
 #[tokio::test]
-async fn a_store_that_fails_costs_a_retry_and_leaves_no_half_picture() {
+async fn a_failing_store_causes_a_retry_and_no_partial_picture() {
     let farm = Farm::start().await;
     let posted = farm.submit(&small_job(1)).await;
     let worker = farm.worker("one").await;

@@ -1,4 +1,5 @@
-//! Webhooks: signed messages to a local receiver, tried again until they are taken, and never where they may not go.
+//! Webhooks: signed messages to a local receiver, retried until they are accepted, and only to permitted
+//! addresses.
 
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
@@ -35,12 +36,12 @@ impl Message {
 
 #[derive(Clone, Default)]
 struct Receiver {
-    /// What it answers, one after the other; then 204.
+    /// Status codes of its responses, in order; then 204.
     answers: Arc<Mutex<Vec<StatusCode>>>,
     messages: Arc<Mutex<Vec<Message>>>,
 }
 
-/// A receiver on this machine: its address, what it gets, and its task.
+/// A receiver on this machine: its address, the messages it receives, and its task.
 async fn receive(answers: &[u16]) -> (String, Receiver, JoinHandle<()>) {
     let answers = answers.iter().rev().map(|status| StatusCode::from_u16(*status).expect("a status")).collect();
     let receiver = Receiver { answers: Arc::new(Mutex::new(answers)), messages: Arc::default() };
@@ -78,7 +79,7 @@ async fn submit(farm: &Farm, query: &str, seed: u32) -> JobId {
     read::<proto::job::JobView>(response, StatusCode::CREATED).await.id
 }
 
-/// The deliveries of a job once this holds of them; time passes by hand meanwhile.
+/// Waits until the condition is true of a job's deliveries, while the manual clock advances.
 async fn deliveries(
     farm: &Farm,
     job: JobId,
@@ -112,7 +113,7 @@ async fn a_webhook_is_sent_once_signed_with_the_event() {
     let told = deliveries(&farm, job, Duration::ZERO, is_over).await;
     assert_eq!((told.len(), told[0].state, told[0].attempts), (1, DeliveryState::Delivered, 1));
     assert_eq!((told[0].event.as_str(), told[0].status), ("job.succeeded", Some(204)));
-    assert_eq!(format!("{}/hook", told[0].receiver), address, "a path may hold a secret");
+    assert_eq!(format!("{}/hook", told[0].receiver), address, "a path may contain a secret");
     let messages = receiver.messages.lock().expect("no panic").clone();
     assert_eq!(messages.len(), 1);
     let message = &messages[0];
@@ -128,7 +129,7 @@ async fn a_webhook_is_sent_once_signed_with_the_event() {
     farm.stop().await;
 }
 
-/// The signature as a receiver works it out, here by another library's means: Python's.
+/// The signature as a receiver computes it, here with another implementation: Python's.
 fn signature(message: &Message) -> String {
     const VERIFIER: &str = "import base64, hashlib, hmac, sys
 key = base64.b64decode(sys.argv[1].removeprefix('whsec_'))
@@ -142,12 +143,12 @@ print('v1,' + base64.b64encode(hmac.new(key, sys.argv[2].encode(), hashlib.sha25
     if let Ok(output) = std::process::Command::new("python3").args(["-c", VERIFIER, SECRET, &signed]).output() {
         return String::from_utf8_lossy(&output.stdout).trim().to_owned();
     }
-    skip("python3", "checking the signature by another program, for there is no python3");
+    skip("python3", "checking the signature with another program: python3 is not installed");
     message.header("webhook-signature").to_owned()
 }
 
 #[tokio::test]
-async fn a_message_that_is_not_taken_is_sent_again_as_it_was() {
+async fn a_rejected_message_is_retried_unchanged() {
     let (address, receiver, task) = receive(&[500, 301, 429]).await;
     let farm = farm().await;
     let job = submit(&farm, &format!("webhook={address}"), 1).await;
@@ -170,7 +171,7 @@ async fn a_message_that_is_not_taken_is_sent_again_as_it_was() {
 }
 
 #[tokio::test]
-async fn a_receiver_that_is_gone_is_left_alone_and_a_dead_one_given_up_in_the_end() {
+async fn deliveries_fail_after_410_or_the_last_attempt() {
     let (address, receiver, task) = receive(&[410]).await;
     let farm = farm().await;
     let job = submit(&farm, &format!("webhook={address}"), 1).await;
@@ -190,11 +191,11 @@ async fn a_receiver_that_is_gone_is_left_alone_and_a_dead_one_given_up_in_the_en
 }
 
 #[tokio::test]
-async fn events_are_chosen_and_what_was_not_sent_is_sent_by_the_next_server() {
+async fn chosen_events_are_delivered_after_a_restart() {
     let (address, receiver, task) = receive(&[]).await;
     let folder = tempfile::tempdir().expect("a temporary folder");
     let farm = Farm::start_in(folder, |config| config.webhook_secret = Some(Secret::from(SECRET.to_owned()))).await;
-    // This server may not go there, which is judged anew at each attempt.
+    // This server may not connect there; each attempt checks that again.
     refused(farm.post(&format!("/v1/jobs?webhook={address}"), small_job(1).to_string()).await, 422, "wrong_webhook")
         .await;
     farm.stop().await;
@@ -211,14 +212,14 @@ async fn events_are_chosen_and_what_was_not_sent_is_sent_by_the_next_server() {
     let told = deliveries(&farm, job, Duration::from_mins(1), is_over).await;
     assert_eq!(told.iter().map(|told| told.event.as_str()).collect::<Vec<_>>(), ["job.running", "frame.stored"]);
     let messages = receiver.messages.lock().expect("no panic").clone();
-    let stored = messages.iter().map(Message::json).find(|body| body["type"] == "frame.stored").expect("told");
+    let stored = messages.iter().map(Message::json).find(|body| body["type"] == "frame.stored").expect("a message");
     assert_eq!(stored["data"]["image"], format!("/v1/jobs/{job}/frames/0/image"));
     task.abort();
     farm.stop().await;
 }
 
 #[tokio::test]
-async fn webhooks_that_may_not_be_are_rejected() {
+async fn invalid_webhooks_are_rejected() {
     let farm = Farm::start().await;
     for (query, code) in [
         ("webhook=http://farm.example/", "wrong_webhook"),

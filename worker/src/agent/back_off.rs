@@ -3,7 +3,7 @@
 use std::hash::{BuildHasher, RandomState};
 use std::time::Duration;
 
-/// Pauses that double from a first to a longest, each cut by a random part.
+/// Delays that double from the first to the longest, each shortened by a random part.
 #[derive(Debug)]
 pub(super) struct BackOff {
     first: Duration,
@@ -16,12 +16,12 @@ impl BackOff {
         Self { first, longest, next: first }
     }
 
-    /// Starts again from the first pause.
+    /// Resets to the first delay.
     pub(super) fn reset(&mut self) {
         self.next = self.first;
     }
 
-    /// The next pause: between half of it and all of it.
+    /// The next delay: between half of the current one and all of it.
     pub(super) fn next(&mut self) -> Duration {
         let pause = self.next;
         self.next = (pause * 2).min(self.longest);

@@ -1,5 +1,5 @@
-//! Executes batches one after another on the device, and encodes and delivers at the same time. It knows
-//! leases only as handles that may be dropped.
+//! Executes batches one after another on the device, while earlier ones are encoded and delivered. Leases are
+//! known here only as handles that may be dropped.
 
 use std::any::Any;
 use std::path::PathBuf;
@@ -22,7 +22,7 @@ use super::store_access::StoreAccess;
 use crate::image::Encoders;
 use crate::renderer::{CancelFlag, Renderer};
 
-/// The most runs, or tiles of a run, that are delivered at a time.
+/// Maximum number of batches, or tiles of a batch, that are delivered concurrently.
 const MAX_CONCURRENT_UPLOADS: usize = 8;
 /// Maximum memory of pixels being rendered or delivered, in KiB.
 pub(super) const MEMORY_KIB: u32 = 1 << 20;
@@ -30,7 +30,7 @@ pub(super) const MEMORY_KIB: u32 = 1 << 20;
 /// Event from a batch to its session.
 #[derive(Debug)]
 pub(super) enum BatchEvent {
-    /// Leases are finished with, together.
+    /// These leases finished together, with their outcomes.
     Finished(Vec<LeaseReport>),
     /// A batch no longer needs the device; it used it for this long, if at all.
     Rendered(Option<Duration>),
@@ -49,9 +49,9 @@ pub(super) enum BatchEvent {
 /// A worker's side of a lease.
 #[derive(Clone, Debug)]
 pub(super) struct LeaseHandle {
-    /// Which one.
+    /// Lease id.
     pub(super) lease: LeaseId,
-    /// The tile's index in its frame; none of a stitch.
+    /// Index of the tile in its frame; `None` for a stitch.
     pub(super) tile: Option<u32>,
     /// Cancelled when its result is no longer wanted.
     pub(super) dropped: CancellationToken,
@@ -84,18 +84,18 @@ impl Drop for CancelOnDrop {
     }
 }
 
-/// A frame that is worked on.
+/// Frame being rendered or stitched.
 #[derive(Clone, Debug)]
 pub(super) struct FrameTask {
     /// Its job's id.
     pub(super) id: JobId,
     /// Its job.
     pub(super) job: Arc<Job>,
-    /// Its number in the job.
+    /// Number of the frame in its job.
     pub(super) number: u32,
 }
 
-/// The leases of a run and the indices of their tiles, in its order.
+/// Leases of a batch and the indices of their tiles, in the batch's order.
 pub(super) fn leases(run: &Batch) -> impl Iterator<Item = (LeaseId, Option<u32>)> {
     let leases: Vec<(LeaseId, Option<u32>)> = match &run.work {
         BatchWork::Render { tiles, .. } => tiles.iter().map(|tile| (tile.lease, Some(tile.index))).collect(),
@@ -104,7 +104,7 @@ pub(super) fn leases(run: &Batch) -> impl Iterator<Item = (LeaseId, Option<u32>)
     leases.into_iter()
 }
 
-/// A device, and the way to the server.
+/// Device and server of the worker.
 pub(super) struct BatchExecutor {
     pub(super) link: Arc<ServerClient>,
     pub(super) store: StoreAccess,
@@ -112,7 +112,7 @@ pub(super) struct BatchExecutor {
     pub(super) renderer: Arc<dyn Renderer>,
     pub(super) encoders: Encoders,
     pub(super) device: Semaphore,
-    /// Permits for KiB of pixels.
+    /// Permits, each for one KiB of pixels.
     pub(super) memory: Semaphore,
     jobs: JobCache,
     events: UnboundedSender<BatchEvent>,
@@ -164,7 +164,7 @@ impl BatchExecutor {
         }
     }
 
-    /// A job, as soon as the server is there to give it.
+    /// Loads a job; waits while the server is unreachable.
     async fn job(&self, id: JobId) -> Result<Arc<Job>, JobFetchError> {
         let mut back_off = BackOff::new(Duration::from_millis(50), Duration::from_secs(2));
         loop {
@@ -180,13 +180,13 @@ impl BatchExecutor {
         self.events.send(event).unwrap_or_default();
     }
 
-    /// Ends leases with the same outcome, all at once.
+    /// Reports the same outcome for several leases at once.
     pub(super) fn finish<'a>(&self, holds: impl IntoIterator<Item = &'a LeaseHandle>, outcome: &LeaseOutcome) {
         self.send(BatchEvent::Finished(holds.into_iter().map(|hold| hold.report(outcome.clone())).collect()));
     }
 
     fn fail_all(&self, holds: &[LeaseHandle], error: &JobFetchError) {
-        tracing::warn!(%error, "could not start a run");
+        tracing::warn!(%error, "could not start a batch");
         match error {
             JobFetchError::Server(_) => {
                 self.send(BatchEvent::NotStored);
@@ -199,7 +199,7 @@ impl BatchExecutor {
     }
 }
 
-/// An error and what caused it, in one line.
+/// Joins an error and its causes in one line.
 pub(super) fn chain(error: &dyn std::error::Error) -> String {
     let mut line = error.to_string();
     let mut cause = error.source();

@@ -1,4 +1,4 @@
-//! Job files: each fetched and parsed once, while it is among the last few used.
+//! Caches the job files used last, each fetched and parsed once.
 
 use std::collections::VecDeque;
 use std::sync::Arc;
@@ -12,7 +12,7 @@ use super::server_client::{ServerClient, ServerError};
 /// Number of cached jobs.
 const MAX_CACHED_JOBS: usize = 8;
 
-/// The last jobs used, the latest first.
+/// The jobs used last, the newest first.
 #[derive(Debug, Default)]
 pub(super) struct JobCache(Mutex<VecDeque<(JobId, Arc<Job>)>>);
 
@@ -43,8 +43,8 @@ pub(super) enum JobFetchError {
     /// It could not be fetched.
     #[error("could not fetch the job: {0}")]
     Server(#[from] ServerError),
-    /// The server took what this worker does not.
-    #[error("this worker can't read the job: {0}")]
+    /// The server accepted a job that this worker cannot parse.
+    #[error("this worker cannot parse the job: {0}")]
     Refused(#[from] scene::ParseError),
     /// The parser panicked.
     #[error("reading the job panicked")]

@@ -12,7 +12,7 @@ use tokio_util::task::AbortOnDropHandle;
 
 /// Interval between readings of a GPU's memory.
 const MEMORY_INTERVAL: Duration = Duration::from_secs(15);
-/// Timeout of a reading.
+/// Timeout of a memory reading.
 const MEMORY_TIMEOUT: Duration = Duration::from_secs(5);
 const MIB: u64 = 1 << 20;
 
@@ -50,13 +50,13 @@ impl MetricsBuffer {
     }
 }
 
-/// Name that nvidia-smi uses for a GPU of this number: CUDA counts only the visible ones.
+/// Id that nvidia-smi uses for a GPU of this ordinal: CUDA counts only the visible GPUs.
 fn nvidia_smi_id(number: usize, visible: Option<&str>) -> String {
     let named = visible.and_then(|visible| visible.split(',').nth(number));
     named.map(str::trim).filter(|name| !name.is_empty()).map_or_else(|| number.to_string(), ToOwned::to_owned)
 }
 
-/// Reads a GPU's memory until the measurements are dropped.
+/// Reads a GPU's memory periodically until the measurements are dropped.
 async fn watch_memory(gpu: String, memory: Arc<Mutex<Option<DeviceMemory>>>) {
     loop {
         let asked = Command::new("nvidia-smi")
@@ -72,10 +72,10 @@ async fn watch_memory(gpu: String, memory: Arc<Mutex<Option<DeviceMemory>>>) {
                 }
             }
             Ok(Err(error)) => {
-                tracing::debug!(%error, "there is no nvidia-smi here to tell a GPU's memory");
+                tracing::debug!(%error, "no nvidia-smi: GPU memory is not measured");
                 return;
             }
-            Err(_) => tracing::debug!("nvidia-smi did not answer"),
+            Err(_) => tracing::debug!("nvidia-smi did not respond"),
         }
         tokio::time::sleep(MEMORY_INTERVAL).await;
     }
@@ -93,7 +93,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_memory_of_a_gpu_is_read_in_mebibytes() {
+    fn gpu_memory_is_parsed_as_mebibytes() {
         let memory = read_memory("1024, 143771\n").expect("two numbers");
         assert_eq!(memory, DeviceMemory { used_bytes: 1 << 30, total_bytes: 143_771 << 20 });
         for odd in ["", "[N/A], [N/A]", "No devices were found", "12"] {
@@ -102,7 +102,7 @@ mod tests {
     }
 
     #[test]
-    fn the_driver_is_asked_for_the_gpu_that_cuda_sees() {
+    fn nvidia_smi_reads_the_gpu_that_cuda_sees() {
         assert_eq!(nvidia_smi_id(1, None), "1");
         assert_eq!(nvidia_smi_id(1, Some("3,5")), "5");
         assert_eq!(nvidia_smi_id(0, Some("GPU-8f3e")), "GPU-8f3e");
@@ -110,7 +110,7 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn what_was_reported_is_not_reported_again() {
+    async fn reported_measurements_are_not_reported_again() {
         let mut measurements = MetricsBuffer::new("cpu");
         for _ in 0..2 * MAX_TIMINGS {
             measurements.add(Phase::Render, Duration::from_millis(5), 7);

@@ -1,5 +1,5 @@
-//! Render runs: tiles through the device, as many at a time as it likes, and on to be
-//! delivered while the next ones render. It knows the server only as a place for results.
+//! Renders batches: sends tiles to the device, as many at a time as the renderer prefers, and delivers finished
+//! ones while the next render. Leases and the server are known here only as receivers of results.
 
 use std::sync::Arc;
 use std::time::{Duration, Instant};
@@ -16,15 +16,15 @@ use super::executor::{
 };
 use crate::renderer::{RenderError, TilePixels, TileRequest, chunk_length};
 
-/// Maximum memory of one batch of tiles, rendered and not yet delivered.
+/// Maximum memory of the tiles of one batch that are rendered and not yet delivered.
 const MAX_BATCH_KIB: u64 = 512 << 10;
 
-/// A tile to render, and for whom.
+/// Tile to render, with its lease.
 #[derive(Clone, Debug)]
 pub(super) struct TileTask {
     /// Its pixels.
     pub(super) rect: Rect,
-    /// The hold on it.
+    /// Lease of the tile.
     pub(super) hold: LeaseHandle,
 }
 
@@ -33,14 +33,14 @@ pub(super) struct TileTask {
 pub(super) struct Rendered {
     /// Its pixels.
     pub(super) pixels: TilePixels,
-    /// The hold on it.
+    /// Lease of the tile.
     pub(super) hold: LeaseHandle,
 }
 
 /// Outcome of giving tiles to the device.
 enum RenderOutcome {
     Pixels(Vec<TilePixels>),
-    /// Their leases were dropped.
+    /// All leases of the tiles were dropped.
     Dropped,
     /// The device failed.
     Refused(String),
@@ -71,7 +71,7 @@ impl BatchExecutor {
         let render_ms = milliseconds(start.elapsed());
         while deliveries.join_next().await.is_some() {}
         let total_ms = milliseconds(start.elapsed());
-        tracing::debug!(job = %frame.id, frame = frame.number, tiles = places.len(), render_ms, total_ms, "tiles are done");
+        tracing::debug!(job = %frame.id, frame = frame.number, tiles = places.len(), render_ms, total_ms, "tiles rendered");
         drop(memory);
     }
 
@@ -130,14 +130,14 @@ impl BatchExecutor {
         }
         let [TileTask { hold, .. }] = &wanted[..] else {
             // Rendering each tile alone shows which one causes the error.
-            tracing::debug!(message, tiles = wanted.len(), "tiles could not be rendered together");
+            tracing::debug!(message, tiles = wanted.len(), "could not render tiles together; rendering each alone");
             let mut rendered = Vec::with_capacity(wanted.len());
             for place in &wanted {
                 rendered.extend(Box::pin(self.render_chunk(frame, std::slice::from_ref(place))).await);
             }
             return rendered;
         };
-        tracing::warn!(message, tile = hold.tile, lease = %hold.lease, "a tile could not be rendered");
+        tracing::warn!(message, tile = hold.tile, lease = %hold.lease, "could not render a tile");
         self.finish([hold], &LeaseOutcome::Failed { message });
         Vec::new()
     }
@@ -185,7 +185,7 @@ impl BatchExecutor {
     }
 }
 
-/// A time as logs give it.
+/// Milliseconds of a duration, for logs.
 pub(super) fn milliseconds(time: Duration) -> f64 {
     (time.as_secs_f64() * 1e4).round() / 10.0
 }

@@ -1,4 +1,4 @@
-//! The calls of a worker to its server, one function each. Nothing here retries or decides.
+//! A worker's requests to its server, one function each. Nothing here retries or decides.
 
 use std::fs::File;
 use std::io::{self, Seek};
@@ -14,17 +14,17 @@ use tokio_util::io::ReaderStream;
 
 use super::AgentError;
 
-/// Timeout for a response that the server does not delay.
+/// Timeout for responses that the server sends at once.
 const SHORT_TIMEOUT: Duration = Duration::from_secs(10);
-/// For bytes, however slow the wire.
+/// Timeout for transfers of bytes, also over a slow connection.
 const TRANSFER_TIMEOUT: Duration = Duration::from_mins(10);
 
-/// The bytes of a picture.
+/// Bytes of a picture.
 #[derive(Debug)]
 pub(super) enum PictureBytes {
     /// In memory.
     Memory(Bytes),
-    /// In a nameless file.
+    /// In an unnamed file.
     File(File),
 }
 
@@ -38,7 +38,7 @@ impl PictureBytes {
     }
 }
 
-/// A server to call.
+/// Client of one server.
 #[derive(Debug)]
 pub(super) struct ServerClient {
     client: Client,
@@ -71,7 +71,7 @@ impl ServerClient {
         send(request.body(bytes)).await.map(drop)
     }
 
-    /// Fetches a blob, or `None` where there are no more bytes than `size_bytes` but other ones.
+    /// Fetches a blob; `None` if the server's blob is not longer than `size_bytes` but has other bytes.
     pub(super) async fn blob(&self, hash: &str, size_bytes: u64) -> Result<Option<Vec<u8>>, ServerError> {
         let mut response = send(self.request(Method::GET, &worker_protocol::blob_path(hash), TRANSFER_TIMEOUT)).await?;
         let mut bytes = Vec::new();
@@ -132,10 +132,10 @@ async fn send(request: RequestBuilder) -> Result<Response, ServerError> {
 /// Error of a call.
 #[derive(Debug, thiserror::Error)]
 pub(super) enum ServerError {
-    /// No answer.
-    #[error("the server can't be reached: {0}")]
+    /// No response.
+    #[error("the server cannot be reached: {0}")]
     Unreachable(#[from] reqwest::Error),
-    /// Another answer than the one hoped for.
+    /// An error response.
     #[error("{detail}")]
     Status {
         /// The status.
@@ -144,13 +144,13 @@ pub(super) enum ServerError {
         detail: String,
     },
     /// The response is not valid.
-    #[error("the server's answer can't be read: {0}")]
+    #[error("the server's response cannot be read: {0}")]
     InvalidResponse(#[source] serde_json::Error),
     /// The file to send can't be read.
-    #[error("the file to send can't be read: {0}")]
+    #[error("the file to send cannot be read: {0}")]
     File(#[from] io::Error),
     /// The server's own folders can't be written to or read.
-    #[error("the server's folders can't be used: {0}")]
+    #[error("the server's folders cannot be used: {0}")]
     Store(#[source] io::Error),
 }
 
@@ -167,7 +167,7 @@ impl ServerError {
         }
     }
 
-    /// Whether the server is away or coming up, rather than unwilling.
+    /// Whether the server is unreachable or starting, rather than rejecting the call.
     pub(super) fn is_unavailable(&self) -> bool {
         match self {
             Self::Unreachable(_) => true,
@@ -178,12 +178,12 @@ impl ServerError {
         }
     }
 
-    /// Whether the server does not know the requested item, or the worker.
+    /// Whether the server does not know the requested item or the worker.
     pub(super) fn is_not_found(&self) -> bool {
         matches!(self, Self::Status { status, .. } if [StatusCode::NOT_FOUND, StatusCode::GONE].contains(status))
     }
 
-    /// Whether the server has moved on: what this is about is no longer ours.
+    /// Whether the server's state has changed so that the call's lease or batch is no longer this worker's.
     pub(super) fn is_conflict(&self) -> bool {
         matches!(self, Self::Status { status, .. } if *status == StatusCode::CONFLICT)
     }

@@ -24,14 +24,15 @@ use super::store_access::StoreAccess;
 use crate::image::Encoders;
 use crate::renderer::Renderer;
 
-/// A batch that used the device for at most this long is short: the next one is requested while one renders,
-/// so that the device does not wait for the server. Longer ones are not requested ahead.
+/// A batch that used the device for at most this long is short: the next one is requested while it renders, so
+/// that the device does not wait for the server. After longer batches nothing is requested ahead.
 const SHORT_BATCH: Duration = Duration::from_millis(50);
 /// How long a call may take beyond the wait requested of the server.
 const TIMEOUT_MARGIN: Duration = Duration::from_secs(10);
-/// The least time from one waiting call to the next.
+/// Minimum time between the starts of two waiting calls.
 const MIN_SYNC_INTERVAL: Duration = Duration::from_millis(50);
-/// While a batch is unfinished, its reports are held back for up to 200 ms and sent together, because each call costs the server a commit.
+/// While a batch is unfinished, its reports are held back for up to 200 ms and sent together, because each call
+/// costs the server a commit.
 const REPORT_DELAY: Duration = Duration::from_millis(200);
 /// Timeout of the last call of a session.
 const FINAL_SYNC_TIMEOUT: Duration = Duration::from_secs(2);
@@ -47,7 +48,7 @@ pub(super) enum SessionEnd {
     DeviceLost(String),
 }
 
-/// The state of the talk.
+/// State of a session.
 pub(super) struct Session {
     link: Arc<ServerClient>,
     registration: RegisterResponse,
@@ -55,37 +56,37 @@ pub(super) struct Session {
     grace: Duration,
     workbench: Arc<BatchExecutor>,
     events: UnboundedReceiver<BatchEvent>,
-    /// Kept so that `events` never closes.
+    /// Stored so that `events` never closes.
     _events: UnboundedSender<BatchEvent>,
     runs: JoinSet<()>,
     /// Number of batches still rendering.
     rendering: usize,
-    /// The last run was short.
+    /// Whether the last batch was short.
     last_batch_was_short: bool,
-    /// Why the device is lost, if it is.
+    /// Reason why the device is lost, if it is.
     device_lost: Option<String>,
     holds: HashMap<LeaseId, LeaseHandle>,
     pending_reports: Vec<LeaseReport>,
     speed: ThroughputEstimate,
     measurements: MetricsBuffer,
     draining: bool,
-    /// No work was ready: ask again when something has changed here.
+    /// No work was ready: the next request for work waits until something changes here.
     awaits_change: bool,
     /// Start of the last call that the server responded to.
     last_renewal: Instant,
-    /// No heartbeat is due before.
+    /// Earliest time of the next heartbeat.
     heartbeat_at: Instant,
-    /// Results wait for company until then, as long as something else is held.
+    /// Until then, reports wait to be sent together, if some lease is unfinished.
     report_after: Instant,
     /// Earliest time of the next call after a failed one.
     retry_at: Instant,
     call_back_off: BackOff,
-    /// No work is wanted before: the server could not store the last.
+    /// Earliest time of the next request for work, after the server could not store a result.
     claim_after: Instant,
     store_back_off: BackOff,
 }
 
-/// Rays and the time they took, of which the older counts less and less.
+/// Rendered rays and their time; older measurements have less weight.
 #[derive(Clone, Copy, Debug, Default)]
 struct ThroughputEstimate {
     rays: f64,
@@ -93,7 +94,7 @@ struct ThroughputEstimate {
 }
 
 impl ThroughputEstimate {
-    /// Measurements older than about this long hardly count.
+    /// Measurements older than about this have almost no weight.
     const DECAY_SECONDS: f64 = 4.0;
     /// Added to the measured time, so that one very short first batch does not produce a huge speed estimate.
     const PRIOR_SECONDS: f64 = 0.05;
@@ -115,7 +116,7 @@ struct PendingSync {
 }
 
 impl PendingSync {
-    /// Whether the call may be dropped: it reports nothing, and nothing can be lost with its response.
+    /// Whether the call may be dropped: it reports nothing, and its response cannot grant anything.
     fn is_heartbeat(&self) -> bool {
         self.request.reports.is_empty() && !self.request.wants_work
     }
@@ -196,7 +197,7 @@ impl Session {
                 Some(ended) = self.runs.join_next() => self.on_batch_end(ended),
                 () = sleep_until(next_at), if is_quiet => {}
                 () = sleep_until(give_up_at), if holding => {
-                    tracing::warn!(leases = self.holds.len(), "could not renew the leases in time; stopping their work");
+                    tracing::warn!(leases = self.holds.len(), "leases not renewed in time; stopping their work");
                     self.take_back_reports(call.take());
                     self.release_leases();
                 }
@@ -226,7 +227,7 @@ impl Session {
         self.draining && self.holds.is_empty() && self.pending_reports.is_empty() && self.runs.is_empty()
     }
 
-    /// Whether there is something to report that must not wait for an open heartbeat.
+    /// Whether a report must be sent before an open heartbeat returns.
     fn must_sync(&self, now: Instant) -> bool {
         now >= self.retry_at
             && (self.wants_work(now) || !(self.pending_reports.is_empty() || self.is_batching_reports(now)))
@@ -236,7 +237,7 @@ impl Session {
         self.has_room() && (self.holds.is_empty() || !self.awaits_change) && !self.draining && now >= self.claim_after
     }
 
-    /// Whether results wait for those of what is still held.
+    /// Whether reports wait for those of unfinished leases.
     fn is_batching_reports(&self, now: Instant) -> bool {
         !self.holds.is_empty() && now < self.report_after
     }
@@ -252,11 +253,11 @@ impl Session {
             holding.extend(self.pending_reports.iter().map(|report| report.lease));
         } else {
             results = std::mem::take(&mut self.pending_reports);
-            // Reports may make work ready: the last tile of a frame readies its stitch.
+            // Reports may make work ready: the last tile of a frame creates its stitch.
             self.awaits_change &= results.is_empty();
         }
         let wants_work = self.wants_work(now);
-        // Results are answered at once, so that their loss is noticed.
+        // The server responds to results at once, so that a lost call is noticed.
         let wait = match (results.is_empty(), wants_work) {
             (true, true) if self.holds.is_empty() => self.lease / 3,
             (true, false) if now < self.claim_after => (self.lease / 6).min(self.claim_after - now),
@@ -276,12 +277,12 @@ impl Session {
             shutting_down: false,
             metrics: self.measurements.take(),
         };
-        // A waiting call is opened only after a pause in other calls.
+        // A waiting call starts only after a pause since the previous one.
         self.heartbeat_at = now + wait.max(MIN_SYNC_INTERVAL);
         Some(self.call(request, wait + TIMEOUT_MARGIN))
     }
 
-    /// Whether one more run would be worked off soon.
+    /// Whether another batch would start rendering soon.
     fn has_room(&self) -> bool {
         let rendering = if self.last_batch_was_short { 2 } else { 1 };
         let delivering = self.runs.len().saturating_sub(self.rendering);
@@ -293,7 +294,7 @@ impl Session {
         PendingSync { request, start: Instant::now(), answer: Box::pin(async move { link.sync(&sent, timeout).await }) }
     }
 
-    /// When the next call may become due on its own.
+    /// Time of the next call without a new event.
     fn next_instant(&self, has_heartbeat: bool) -> Instant {
         let now = Instant::now();
         let heartbeat = (!has_heartbeat).then_some(self.heartbeat_at);
@@ -304,7 +305,7 @@ impl Session {
         first.unwrap_or(now + self.lease).max(self.retry_at)
     }
 
-    /// When the held leases can no longer be trusted.
+    /// Time from which the leases count as lost, because they have not been renewed.
     fn leases_expire_at(&self) -> Instant {
         self.last_renewal + self.lease * 2 / 3
     }
@@ -318,11 +319,11 @@ impl Session {
         if !reply.revoked_leases.is_empty() {
             self.heartbeat_at = Instant::now();
         } else if reply.batch.is_none() && call.request.wait_ms > 0 {
-            // A server that does not wait is not to be asked without pause.
+            // If the server responds without waiting, calls must still be paced.
             self.retry_at = call.start + MIN_SYNC_INTERVAL;
         }
         if self.pending_reports.iter().any(|report| reply.revoked_leases.contains(&report.lease)) {
-            // It was late, and the server still compares it with the first result.
+            // The report was late; the server still compares it with the first result.
             self.report_after = Instant::now();
         }
         for lease in &reply.revoked_leases {
@@ -332,25 +333,25 @@ impl Session {
             }
         }
         if reply.drain && !self.draining {
-            tracing::info!("told to drain");
+            tracing::info!("the server drains this worker");
             self.draining = true;
         }
         self.awaits_change = call.request.wants_work && reply.batch.is_none();
         if let Some(run) = reply.batch {
-            // From soon on a waiting call is open, through which its loss would be heard of.
+            // Soon a waiting call will be open, and its response would name revoked leases.
             self.heartbeat_at = self.heartbeat_at.min(Instant::now() + MIN_SYNC_INTERVAL);
             self.accept_batch(run, reply.trace);
         }
     }
 
     fn on_failure(&mut self, call: PendingSync, error: &ServerError) {
-        tracing::debug!(%error, "a sync failed");
+        tracing::debug!(%error, "sync failed");
         self.take_back_reports(Some(call));
         self.retry_at = Instant::now() + self.call_back_off.next();
         self.heartbeat_at = self.retry_at;
     }
 
-    /// Takes back the reports of a call that the server may not have received.
+    /// Restores the reports of a call that the server may not have received.
     fn take_back_reports(&mut self, call: Option<PendingSync>) {
         if let Some(call) = call {
             self.pending_reports.splice(..0, call.request.reports);
@@ -373,7 +374,7 @@ impl Session {
     }
 
     fn on_event(&mut self, event: BatchEvent) {
-        // An event that frees no memory makes no work possible.
+        // Only an event that frees memory can make room for another batch.
         self.awaits_change &=
             !matches!(event, BatchEvent::Rendered(_) | BatchEvent::DeviceLost(_) | BatchEvent::NotStored);
         match event {
@@ -397,16 +398,16 @@ impl Session {
     fn on_batch_end(&mut self, ended: Result<(), JoinError>) {
         self.awaits_change = false;
         if let Err(error) = ended {
-            tracing::error!(%error, "a run ended in a panic");
+            tracing::error!(%error, "a batch panicked");
         }
         if self.runs.is_empty() {
-            // Leases still held then have no work in progress.
+            // No work is in progress for leases that are still held then.
             self.release_leases();
             self.rendering = 0;
         }
     }
 
-    /// Stops all work and gives back what is held.
+    /// Stops all work and releases all leases.
     fn release_leases(&mut self) {
         while let Ok(event) = self.events.try_recv() {
             self.on_event(event);
@@ -417,7 +418,7 @@ impl Session {
         }
     }
 
-    /// The last call: sends the remaining reports. The server may be gone as well.
+    /// Sends the remaining reports in a last call. The server may have exited as well.
     async fn final_sync(&mut self) {
         let request = SyncRequest {
             worker: self.registration.worker,
@@ -430,12 +431,12 @@ impl Session {
             metrics: self.measurements.take(),
         };
         if let Err(error) = self.link.sync(&request, FINAL_SYNC_TIMEOUT).await {
-            tracing::debug!(%error, "the last sync failed; what was held will be leased again");
+            tracing::debug!(%error, "the last sync failed; the released tiles will be leased again");
         }
     }
 }
 
-/// Waits for a call's response; forever if there is no call.
+/// Waits for a call's response; never returns if there is no call.
 async fn response_of(call: &mut Option<PendingSync>) -> (PendingSync, Result<SyncResponse, ServerError>) {
     match call {
         Some(open) => {

@@ -20,7 +20,7 @@ use super::upload::{UploadTimes, encode};
 use crate::blob;
 use crate::stitch::BlobRows;
 
-/// Blobs fetched and checked at a time.
+/// Number of blobs fetched and checked concurrently.
 const MAX_CONCURRENT_FETCHES: usize = 4;
 
 impl BatchExecutor {
@@ -56,7 +56,7 @@ impl BatchExecutor {
         let delivered = self.upload_picture(encoded, std::slice::from_ref(hold)).await;
         if let Some(UploadTimes { encode_ms, put_ms, size_bytes }) = delivered {
             let (job, tiles) = (frame.id, parts.len());
-            tracing::debug!(%job, frame = number, tiles, size_bytes, fetch_ms, encode_ms, put_ms, "a picture is put");
+            tracing::debug!(%job, frame = number, tiles, size_bytes, fetch_ms, encode_ms, put_ms, "picture stored");
         }
     }
 
@@ -73,7 +73,7 @@ impl BatchExecutor {
         let mut fetched = stream::iter(fetches).buffered(MAX_CONCURRENT_FETCHES);
         for part in parts {
             let Some(bytes) = fetched.next().await.transpose()?.flatten() else {
-                tracing::warn!(tile = part.index, hash = part.hash, "a blob is missing or damaged");
+                tracing::warn!(tile = part.index, hash = part.hash, "blob missing or damaged");
                 bad.push(part.index);
                 continue;
             };

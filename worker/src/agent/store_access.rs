@@ -1,4 +1,4 @@
-//! Access to stored bytes: through the server or, on its own machine, in its folders.
+//! Access to stored bytes: through the server, or in its folders on the same machine.
 
 use std::fs::{File, Permissions};
 use std::io::{self, Read, Seek, Write};
@@ -13,17 +13,17 @@ use tokio::task::spawn_blocking;
 
 use super::server_client::{PictureBytes, ServerClient, ServerError};
 
-/// A place for tile blobs and pictures.
+/// Store of tile blobs and pictures.
 #[derive(Clone, Debug)]
 pub(super) enum StoreAccess {
     /// Through the server over HTTP; it verifies every byte.
     Server(Arc<ServerClient>),
-    /// Directly in the server's folders: it trusts its children, and no copy is made.
+    /// Directly in the server's folders: the server trusts pool workers, and no copy is made.
     Folders(ContentFolders),
 }
 
 impl StoreAccess {
-    /// Stores a blob, which may be lost in a power failure.
+    /// Stores a blob; a power failure may lose it.
     pub(super) async fn put_blob(&self, hash: &str, bytes: Bytes) -> Result<(), ServerError> {
         match self {
             Self::Server(link) => link.put_blob(hash, bytes).await,
@@ -31,7 +31,7 @@ impl StoreAccess {
         }
     }
 
-    /// Stores a picture; it is on the disk when this returns.
+    /// Stores a picture; it has been fsynced when this returns.
     pub(super) async fn put_picture(
         &self,
         hash: &str,
@@ -70,7 +70,7 @@ async fn run_blocking<T: Send + 'static>(
     spawn_blocking(work).await.map_err(io::Error::other).flatten().map_err(ServerError::Store)
 }
 
-/// The file is there under its name whole, or not at all.
+/// Writes a file atomically: it has its final name only when it is complete.
 fn write(folder: &Path, name: &str, content: PictureBytes, durable: bool) -> io::Result<()> {
     fail_point::trigger(FailPoint::StorePut).map_err(io::Error::other)?;
     let mut file = tempfile::Builder::new()
@@ -119,7 +119,7 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn bytes_are_there_whole_or_not_at_all() {
+    async fn writes_are_atomic() {
         let (blobs, pictures) = (tempfile::tempdir().expect("a folder"), tempfile::tempdir().expect("a folder"));
         let text = |folder: &tempfile::TempDir| folder.path().to_str().expect("plain").to_owned();
         let store = StoreAccess::Folders(ContentFolders { blobs: text(&blobs), pictures: text(&pictures) });
@@ -129,7 +129,7 @@ mod tests {
         }
         assert_eq!(store.blob("name", 5).await.expect("reads").as_deref(), Some(&b"bytes"[..]));
         assert_eq!(store.blob("name", 4).await.expect("reads"), None, "another size");
-        assert_eq!(names(blobs.path()), ["name"], "nothing half-done stays");
+        assert_eq!(names(blobs.path()), ["name"], "no partial file remains");
         let mut file = tempfile::tempfile().expect("a file");
         file.write_all(b"picture").expect("writes");
         for content in [PictureBytes::File(file), PictureBytes::Memory(Bytes::from_static(b"picture"))] {

@@ -1,5 +1,5 @@
-//! Delivers blobs and pictures. Waits for an unreachable server as long as the result is still wanted, and
-//! backs off from one that cannot store.
+//! Delivers blobs and pictures. Waits for an unreachable server while the result's lease is live, and backs off
+//! if the server cannot store.
 
 use std::io::{BufWriter, Read, Seek};
 use std::path::Path;
@@ -28,7 +28,7 @@ use crate::stitch::{RowSource, TileRows};
 /// A picture larger than this is encoded to a file.
 const MAX_IN_MEMORY_BYTES: usize = 32 << 20;
 
-/// A picture's file, in memory or without a name.
+/// File of a picture, in memory or unnamed on disk.
 pub(super) struct Encoded {
     content: PictureBytes,
     hash: String,
@@ -36,7 +36,7 @@ pub(super) struct Encoded {
     took: Duration,
 }
 
-/// Result of encoding a picture on a thread of its own.
+/// Result of encoding a picture on its own thread.
 pub(super) type EncodeResult = Result<Result<Encoded, ImageError>, JoinError>;
 
 /// Durations of delivering a picture.
@@ -46,7 +46,7 @@ pub(super) struct UploadTimes {
     pub(super) size_bytes: u64,
 }
 
-/// Encodes a picture, into a nameless file in `scratch` if it is large.
+/// Encodes a picture, into an unnamed file in `scratch` if it is large.
 pub(super) fn encode(
     job: &Job,
     frame: u32,
@@ -134,18 +134,18 @@ impl BatchExecutor {
         };
         if let Some(UploadTimes { encode_ms, put_ms, size_bytes }) = self.upload_picture(encoded, &holds).await {
             let (job, tiles, render_ms) = (frame.id, holds.len(), milliseconds(render));
-            tracing::debug!(%job, frame = number, tiles, size_bytes, render_ms, encode_ms, put_ms, "a picture is put");
+            tracing::debug!(%job, frame = number, tiles, size_bytes, render_ms, encode_ms, put_ms, "picture stored");
         }
     }
 
-    /// Delivers a picture for the leases that it settles; `None` if that failed, which is reported.
+    /// Delivers a picture for its leases; `None` if that failed, which has been reported.
     pub(super) async fn upload_picture(&self, encoded: EncodeResult, holds: &[LeaseHandle]) -> Option<UploadTimes> {
         let encoded = encoded.map_err(|panic| panic_message("the encoder", panic));
         let failed = match encoded {
             Ok(Ok(picture)) => return self.put(picture, holds).await,
             Ok(Err(ImageError::Cancelled)) => return None,
             Ok(Err(ImageError::Io(error))) => {
-                // A full or broken scratch disk is no error of the tile.
+                // A full or broken scratch disk is not an error of the tile.
                 tracing::warn!(%error, "could not write a picture to the scratch folder");
                 self.send(BatchEvent::NotStored);
                 LeaseOutcome::Released
@@ -199,7 +199,7 @@ impl BatchExecutor {
             let is_disk = matches!(error, ServerError::File(_) | ServerError::Store(_));
             let is_elsewhere = error.is_conflict() || error.is_not_found() || is_disk;
             if !error.is_transient() && !is_elsewhere {
-                let message = format!("the server refused the result: {error}");
+                let message = format!("the server rejected the result: {error}");
                 return Err(LeaseOutcome::Failed { message });
             }
             self.send(BatchEvent::NotStored);

@@ -22,7 +22,7 @@ struct PacketRows<'a, 'b> {
 }
 
 impl Packets {
-    /// Packets by these instructions, if this CPU has them.
+    /// Packets with these instructions, if this CPU has them.
     pub(crate) fn new(simd: Simd) -> Result<Self, RenderError> {
         simd.level().map(Self)
     }
@@ -156,7 +156,7 @@ impl PacketRows<'_, '_> {
         ((column + lane % columns).min(self.width - 1), (lane / columns).min(rows - 1))
     }
 
-    /// Writes the numbers of a packet that starts in `column` of the band.
+    /// Writes the values of a packet that starts in `column` of the band.
     #[inline(always)]
     fn store<S: Token, const N: usize>(&mut self, plane: usize, column: usize, numbers: Lanes<S, N>) {
         let mut buffer = [0.0; 64];

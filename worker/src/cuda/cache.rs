@@ -1,5 +1,5 @@
-//! Machine code kept on disk, by hash of program, options and compiler: a scene's shape is
-//! compiled once. A file that is damaged, or can't be read or written, is as good as none.
+//! Cache of machine code on disk, keyed by the hash of source, options and compiler, so that each kernel is
+//! compiled once. A file that is damaged, or that cannot be read or written, counts as missing.
 
 use std::io::Write;
 use std::path::{Path, PathBuf};
@@ -23,39 +23,39 @@ pub(super) struct Cache {
 #[derive(Clone, Debug)]
 pub(super) struct CachedKernel {
     pub(super) code: Vec<u8>,
-    /// Fastest block shape found.
+    /// Fastest block dimensions found.
     pub(super) shape: BlockDim,
 }
 
-/// Bytes before the code: its hash, and the shape's columns and rows.
+/// Header size: the hash of the code, and the block's columns and rows.
 const HEAD_BYTES: usize = 32 + 4 + 4;
 
 impl Cache {
-    /// Cache in this folder, which is created; a cache without storage if that fails.
+    /// Cache in this folder, which is created if missing; without storage if that fails.
     pub(super) fn new(folder: Option<&Path>) -> Self {
         let made = folder.filter(|folder| match std::fs::create_dir_all(folder) {
             Ok(()) => true,
             Err(error) => {
-                tracing::warn!(%error, folder = %folder.display(), "could not make the folder for compiled scenes; each start compiles them again");
+                tracing::warn!(%error, folder = %folder.display(), "could not create the kernel cache's folder; each start compiles kernels again");
                 false
             }
         });
         Self { folder: made.map(Path::to_owned) }
     }
 
-    /// The folder.
+    /// Folder of the cache.
     pub(super) fn folder(&self) -> Option<&Path> {
         self.folder.as_deref()
     }
 
-    /// The name of a program: of all that the compiler is given, and of the compiler.
+    /// Key of a kernel: the hash of all input of the compiler, and of its version.
     pub(super) fn entry_name(text: &str, options: &[String], compiler: &str) -> blake3::Hash {
         let mut hasher = blake3::Hasher::new();
         hasher.update(format!("nvrtc {compiler} {}\n", options.join(" ")).as_bytes()).update(text.as_bytes());
         hasher.finalize()
     }
 
-    /// Entry under this name.
+    /// Entry with this key.
     pub(super) fn get(&self, key: blake3::Hash) -> Option<CachedKernel> {
         let file = std::fs::read(self.path(key)?).ok()?;
         let (head, code) = file.split_at_checked(HEAD_BYTES)?;
@@ -66,7 +66,7 @@ impl Cache {
         Some(CachedKernel { code: code.to_vec(), shape: BlockDim { columns: word(32)?, rows: word(36)? } })
     }
 
-    /// Keeps a program, whole or not at all.
+    /// Stores a kernel, atomically.
     pub(super) fn put(&self, key: blake3::Hash, kept: &CachedKernel) {
         let Some(path) = self.path(key) else { return };
         let put = || {
@@ -79,7 +79,7 @@ impl Cache {
             file.persist(&path).map_err(|error| error.error).map(drop)
         };
         if let Err(error) = put() {
-            tracing::debug!(%error, path = %path.display(), "could not keep a compiled scene");
+            tracing::debug!(%error, path = %path.display(), "could not store a compiled kernel");
         }
     }
 
@@ -94,7 +94,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn whatever_the_compiler_is_given_changes_the_name() {
+    fn each_compiler_input_changes_the_key() {
         let key = Cache::entry_name("a", &options(90), "13.0");
         assert_ne!(key, Cache::entry_name("b", &options(90), "13.0"));
         assert_ne!(key, Cache::entry_name("a", &options(90), "13.1"));
@@ -107,7 +107,7 @@ mod tests {
     }
 
     #[test]
-    fn what_was_kept_comes_back_and_what_was_damaged_does_not() {
+    fn stored_entries_are_found_and_damaged_ones_are_not() {
         let folder = tempfile::tempdir().expect("a scratch folder");
         let cache = Cache::new(Some(&folder.path().join("new")));
         let options = options(90);
@@ -115,7 +115,7 @@ mod tests {
         assert!(cache.get(key).is_none());
         let shape = BlockDim { columns: 16, rows: 8 };
         cache.put(key, &CachedKernel { code: vec![1, 2, 3], shape });
-        let kept = cache.get(key).expect("it was kept");
+        let kept = cache.get(key).expect("it was stored");
         assert_eq!((kept.code, kept.shape), (vec![1, 2, 3], shape));
         let path = cache.path(key).expect("there is a folder");
         let mut bytes = std::fs::read(&path).expect("it can be read");
@@ -129,7 +129,7 @@ mod tests {
     }
 
     #[test]
-    fn without_a_folder_nothing_is_kept() {
+    fn without_a_folder_nothing_is_stored() {
         let folder = tempfile::NamedTempFile::new().expect("a scratch file");
         let cache = Cache::new(Some(&folder.path().join("below-a-file")));
         assert!(cache.folder().is_none());

@@ -1,4 +1,4 @@
-//! CUDA's run-time compiler: text in, machine code for one architecture out. Needs no GPU.
+//! CUDA's run-time compiler: compiles source to machine code for one architecture. Needs no GPU.
 //!
 //! cudarc panics if a library or one of its functions is missing, so both are checked first.
 
@@ -31,7 +31,7 @@ const FUNCTIONS: [&str; 11] = [
 /// No contraction, flushing or approximation except where the source asks for it.
 const OPTIONS: [&str; 3] = ["--fmad=false", "--std=c++17", "--diag-suppress=177"];
 
-/// The compiler of this machine.
+/// NVRTC, as found on this machine.
 #[derive(Clone, Debug)]
 pub struct Compiler {
     /// Its version: 13.0.
@@ -68,12 +68,12 @@ impl Compiler {
         Ok(Self { version: format!("{major}.{minor}"), architectures })
     }
 
-    /// Compiles a program for an architecture: 90 for compute capability 9.0.
+    /// Compiles a kernel for an architecture: 90 for compute capability 9.0.
     pub fn compile(&self, text: &str, architecture: u32) -> Result<Vec<u8>, CudaError> {
         if !self.architectures.contains(&architecture) {
             return Err(CudaError::UnknownArchitecture { version: self.version.clone(), architecture });
         }
-        let text = CString::new(text).expect("a program has no byte 0 in it");
+        let text = CString::new(text).expect("a kernel's source has no byte 0");
         let program = NvrtcProgram(result::create_program(&text, Some(c"scene.cu")).map_err(refused)?);
         let options = options(architecture);
         // SAFETY: the program was created above and is destroyed only when it is dropped.
@@ -84,17 +84,17 @@ impl Compiler {
     }
 }
 
-/// All that the compiler is told beside the text: what is compiled depends on nothing else.
+/// Options of the compiler: the machine code depends on nothing else but the source.
 pub(super) fn options(architecture: u32) -> Vec<String> {
     std::iter::once(format!("--gpu-architecture=sm_{architecture}")).chain(OPTIONS.map(str::to_owned)).collect()
 }
 
-/// A program of the compiler's.
+/// Program object of NVRTC.
 struct NvrtcProgram(sys::nvrtcProgram);
 
 impl Drop for NvrtcProgram {
     fn drop(&mut self) {
-        // SAFETY: the compiler created it, and nothing uses it any more. A failure cannot be handled.
+        // SAFETY: NVRTC created it, and nothing uses it any more. A failure cannot be handled.
         unsafe { result::destroy_program(self.0) }.unwrap_or_default();
     }
 }

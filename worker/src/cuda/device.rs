@@ -1,4 +1,4 @@
-//! One GPU: memory, programs and launches, as safe functions.
+//! One GPU: memory, kernels and launches, as safe functions.
 //!
 //! cudarc panics if a library or one of its functions is missing, so both are checked first.
 
@@ -16,7 +16,7 @@ use cudarc::nvrtc::Ptx;
 use super::error::CudaError;
 use super::launches::{BLOCK_GROUP, LaunchLayout};
 
-/// Every function of the driver that is called, by cudarc for us.
+/// Every driver function that is called through cudarc.
 const FUNCTIONS: [&str; 38] = [
     "cuInit",
     "cuDriverGetVersion",
@@ -58,7 +58,7 @@ const FUNCTIONS: [&str; 38] = [
     "cuMemGetInfo_v2",
 ];
 
-/// Shapes of blocks that are tried for each program.
+/// Block dimensions that are tried for each kernel.
 pub const BLOCK_DIMS: [BlockDim; 5] = [
     BlockDim { columns: 8, rows: 8 },
     BlockDim { columns: 16, rows: 8 },
@@ -70,15 +70,15 @@ pub const BLOCK_DIMS: [BlockDim; 5] = [
 /// Threads of a block: columns and rows.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct BlockDim {
-    /// Threads side by side.
+    /// Threads in the horizontal direction.
     pub columns: u32,
-    /// Threads one below the other.
+    /// Threads in the vertical direction.
     pub rows: u32,
 }
 
-/// Text that is no shape of blocks.
+/// Error returned when a text is not block dimensions.
 #[derive(Debug, thiserror::Error)]
-#[error("say columns x rows of threads, such as 16x8, at most 1024 in all")]
+#[error("write block dimensions as columns x rows of threads, such as 16x8, at most 1024 threads")]
 pub struct ParseBlockDimError;
 
 impl std::str::FromStr for BlockDim {
@@ -106,7 +106,7 @@ impl BlockDim {
     }
 }
 
-/// A rectangle of pixels, as `kernel.cu` has it.
+/// Rectangle of pixels, as declared in `kernel.cu`.
 #[derive(Clone, Copy, Debug)]
 #[repr(C)]
 pub(super) struct DeviceTile {
@@ -119,7 +119,7 @@ pub(super) struct DeviceTile {
     pub(super) start: u64,
 }
 
-// SAFETY: it is plain integers in the order and with the padding that C gives them.
+// SAFETY: it is plain integers, in C's order and with C's padding.
 unsafe impl DeviceRepr for DeviceTile {}
 
 /// Order in which launches process blocks; matches `kernel.cu`.
@@ -135,7 +135,7 @@ struct BlockOrder {
 // SAFETY: as above.
 unsafe impl DeviceRepr for BlockOrder {}
 
-/// A layout whose tiles are on the GPU.
+/// Layout whose tiles have been copied to the GPU.
 #[derive(Debug)]
 pub(super) struct UploadedLayout {
     tiles: CudaSlice<DeviceTile>,
@@ -143,7 +143,7 @@ pub(super) struct UploadedLayout {
     groups: u32,
 }
 
-/// A GPU.
+/// One GPU.
 #[derive(Debug)]
 pub(super) struct Device {
     context: Arc<CudaContext>,
@@ -157,7 +157,7 @@ pub(super) struct Device {
     pub(super) clock_khz: u32,
 }
 
-/// A scene's program on a GPU.
+/// Kernel of a scene, loaded on a GPU.
 #[derive(Debug)]
 pub(super) struct LoadedModule {
     module: Arc<CudaModule>,
@@ -170,20 +170,20 @@ pub(super) struct LoadedModule {
 pub struct Resources {
     /// Registers a thread.
     pub registers: u32,
-    /// Bytes a thread keeps in memory for want of registers.
+    /// Bytes per thread of spilled registers in local memory.
     pub local_bytes: u32,
     /// Occupancy for blocks of a given shape: resident fraction of a multiprocessor's threads.
     pub occupancy: f64,
 }
 
-/// Pixels on the GPU, and where they are copied to.
+/// Pixels on the GPU, and the host memory they are copied to.
 #[derive(Debug)]
 pub(super) struct Buffer {
     device: CudaSlice<f32>,
     host: PinnedHostSlice<f32>,
 }
 
-/// Blocks and samples of one launch.
+/// Blocks and samples of a launch.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct LaunchRange {
     pub(super) first_block: u32,
@@ -193,7 +193,7 @@ pub(super) struct LaunchRange {
     pub(super) is_last: bool,
 }
 
-/// A launch under way.
+/// Launch in progress.
 #[derive(Debug)]
 pub(super) struct PendingLaunch {
     start: CudaEvent,
@@ -232,14 +232,14 @@ pub(super) fn count() -> Result<usize, CudaError> {
 /// CUDA version of the driver, which any driver reports.
 fn version() -> String {
     let mut version = 0;
-    // SAFETY: the library is there, and every release of it has this function, which writes one integer.
+    // SAFETY: the library is loaded, and every release of it has this function, which writes one integer.
     let known = unsafe { sys::culib().get::<*const ()>(b"cuDriverGetVersion") }.is_ok()
         && unsafe { sys::cuDriverGetVersion(&raw mut version) } == sys::CUresult::CUDA_SUCCESS;
     if known { format!("{}.{}", version / 1000, version % 1000 / 10) } else { "of an unknown version".to_owned() }
 }
 
 impl Device {
-    /// Takes the GPU of this number.
+    /// Opens the GPU with this ordinal.
     pub(super) fn open(ordinal: usize) -> Result<Self, CudaError> {
         let count = count()?;
         if count == 0 {
@@ -265,27 +265,27 @@ impl Device {
         open().map_err(CudaError::driver_error("open the GPU"))
     }
 
-    /// Loads machine code, of a program that has layers or has none.
+    /// Loads machine code, of a kernel with or without layers.
     pub(super) fn load(&self, code: &[u8], has_layers: bool) -> Result<LoadedModule, CudaError> {
         let load = || {
             let module = self.context.load_module(Ptx::from_binary(code.to_vec()))?;
             let render = module.load_function("render")?;
             Ok(LoadedModule { render, layers: has_layers.then(|| module.load_function("layers")).transpose()?, module })
         };
-        load().map_err(CudaError::driver_error("load the scene's program"))
+        load().map_err(CudaError::driver_error("load the scene's kernel"))
     }
 
     /// Allocates this many numbers on host and device.
     pub(super) fn buffer(&self, numbers: usize) -> Result<Buffer, CudaError> {
-        // SAFETY: both are memory without a value yet; the device's is written by a kernel before it
-        // is copied, and of the host's only the part that was copied to is read.
+        // SAFETY: neither memory has a value yet. A kernel writes the device's before it is copied, and only
+        // the copied part of the host's is read.
         let allocate = || unsafe {
             let host = self.context.alloc_pinned_with_flags(numbers, 0)?;
             Ok(Buffer { device: self.compute.alloc(numbers)?, host })
         };
         allocate().map_err(|error: cudarc::driver::DriverError| match error.0 {
             sys::CUresult::CUDA_ERROR_OUT_OF_MEMORY => CudaError::OutOfMemory { bytes: numbers * size_of::<f32>() },
-            _ => CudaError::driver_error("find memory on the GPU")(error),
+            _ => CudaError::driver_error("allocate memory on the GPU")(error),
         })
     }
 
@@ -299,17 +299,17 @@ impl Device {
         if bits.is_empty() {
             Ok(())
         } else {
-            set().map_err(CudaError::driver_error("give the scene's numbers to the GPU"))
+            set().map_err(CudaError::driver_error("copy the scene's numbers to the GPU"))
         }
     }
 
-    /// Puts the tiles of a layout on the GPU.
+    /// Copies the tiles of a layout to the GPU.
     pub(super) fn lay_out(&self, layout: &LaunchLayout) -> Result<UploadedLayout, CudaError> {
-        let tiles = self.compute.clone_htod(&layout.tiles).map_err(CudaError::driver_error("give tiles to the GPU"))?;
+        let tiles = self.compute.clone_htod(&layout.tiles).map_err(CudaError::driver_error("copy tiles to the GPU"))?;
         Ok(UploadedLayout { tiles, stride: layout.stride, groups: layout.groups })
     }
 
-    /// Starts a part of a render; all pixels of the layout fit into the buffer.
+    /// Starts one launch of a render; all pixels of the layout must fit into the buffer.
     pub(super) fn launch(
         &self,
         program: &LoadedModule,
@@ -337,8 +337,8 @@ impl Device {
             let mut render = self.compute.launch_builder(&program.render);
             render.arg(tiles).arg(&count).arg(&order);
             render.arg(&first).arg(&end).arg(&is_last).arg(&mut out.device);
-            // SAFETY: the arguments are those of `render` in kernel.cu, in number, order and type. It
-            // writes only pixels of the tiles, whose places the caller laid out inside the buffer.
+            // SAFETY: the arguments match those of `render` in kernel.cu in number, order and type. It writes
+            // only pixels of the tiles, which the caller placed inside the buffer.
             unsafe { render.launch(config) }?;
             if let Some(layers) = program.layers.as_ref().filter(|_| part.is_last) {
                 let mut render = self.compute.launch_builder(layers);
@@ -351,7 +351,7 @@ impl Device {
         launch().map_err(CudaError::driver_error("start a render on the GPU"))
     }
 
-    /// Starts to copy the first numbers of a buffer back, once all that was launched has written them.
+    /// Starts copying the first numbers of a buffer back, after all launches so far have finished.
     pub(super) fn start_copy(&self, buffer: &mut Buffer, numbers: usize) -> Result<(), CudaError> {
         let mut fetch = || {
             let source = buffer.device.slice(..numbers);
@@ -360,7 +360,7 @@ impl Device {
         fetch().map_err(CudaError::driver_error("copy pixels from the GPU"))
     }
 
-    /// Waits for copies; the numbers of a buffer.
+    /// Waits for copies; returns the numbers of a buffer.
     pub(super) fn wait_copy<'a>(&self, buffer: &'a Buffer) -> Result<&'a [f32], CudaError> {
         let wait = || {
             self.copies.synchronize()?;
@@ -382,7 +382,7 @@ impl Device {
                 occupancy: f64::from(blocks * threads) / f64::from(most.max(1)),
             })
         };
-        look().map_err(CudaError::driver_error("ask the GPU about the scene's program"))
+        look().map_err(CudaError::driver_error("query the scene's kernel on the GPU"))
     }
 }
 

@@ -1,4 +1,4 @@
-//! Errors of a GPU, and their fixes.
+//! Errors of CUDA devices, with their fixes.
 
 use std::path::PathBuf;
 
@@ -11,21 +11,23 @@ pub enum CudaError {
     /// No driver is installed.
     #[error("no NVIDIA driver is installed here (libcuda is missing): install one, or render with --device cpu")]
     NoDriver,
-    /// The driver lacks something.
-    #[error("the NVIDIA driver is too old: it speaks CUDA {version} and lacks {missing}; install driver 570 or newer")]
+    /// The driver lacks a function.
+    #[error(
+        "the NVIDIA driver is too old: it supports CUDA {version} and lacks {missing}; install driver 570 or newer"
+    )]
     OldDriver {
-        /// The CUDA version it speaks: 12.4.
+        /// CUDA version that the driver supports: 12.4.
         version: String,
-        /// The function that it does not have.
+        /// Missing function.
         missing: &'static str,
     },
-    /// The driver is there, and no GPU.
-    #[error("the NVIDIA driver finds no GPU here: see what nvidia-smi says, or render with --device cpu")]
+    /// A driver is installed, but finds no GPU.
+    #[error("the NVIDIA driver finds no GPU here: check the output of nvidia-smi, or render with --device cpu")]
     NoDevice,
-    /// There are GPUs, and not this one.
+    /// There are GPUs, but not the requested one.
     #[error("there is no GPU {ordinal} here: there are {count}, counted from 0")]
     NoSuchDevice {
-        /// The one asked for.
+        /// Requested ordinal.
         ordinal: usize,
         /// Number of GPUs.
         count: usize,
@@ -35,15 +37,15 @@ pub enum CudaError {
         "CUDA's run-time compiler is missing (libnvrtc): install the package cuda-nvrtc, or put its folder on LD_LIBRARY_PATH"
     )]
     NoCompiler,
-    /// The compiler lacks something.
+    /// The compiler lacks a function.
     #[error("CUDA's run-time compiler is too old: it lacks {missing}; install cuda-nvrtc 12 or newer")]
     OldCompiler {
-        /// The function that it does not have.
+        /// Missing function.
         missing: &'static str,
     },
-    /// The compiler does not know this GPU.
+    /// The compiler does not support this GPU.
     #[error(
-        "CUDA's run-time compiler {version} can't compile for this GPU (sm_{architecture}): install a newer cuda-nvrtc"
+        "CUDA's run-time compiler {version} cannot compile for this GPU (sm_{architecture}): install a newer cuda-nvrtc"
     )]
     UnknownArchitecture {
         /// The compiler's version: 12.4.
@@ -51,41 +53,41 @@ pub enum CudaError {
         /// Major and minor compute capability: 90.
         architecture: u32,
     },
-    /// The compiler did not take the program.
-    #[error("the scene's program could not be compiled{}: {log}", kept.as_ref().map(|path| format!(" (kept as {})", path.display())).unwrap_or_default())]
+    /// The compiler rejected the source.
+    #[error("the scene's kernel could not be compiled{}: {log}", kept.as_ref().map(|path| format!(" (saved as {})", path.display())).unwrap_or_default())]
     Compile {
         /// The compiler's log.
         log: String,
-        /// Where the rejected source was written.
+        /// File with the rejected source.
         kept: Option<PathBuf>,
     },
     /// The scene is too large for straight-line code.
     #[error("the scene has {nodes} nodes, and a GPU takes at most {most}: render it with --device cpu")]
     TooLarge {
-        /// Its nodes.
+        /// Number of nodes.
         nodes: u32,
-        /// Limit of the GPU.
+        /// Maximum on the GPU.
         most: u32,
     },
-    /// The GPU has not enough memory.
+    /// The GPU is out of memory.
     #[error(
-        "the GPU is out of memory for {bytes} bytes of pixels: close what else uses it, or render smaller tiles (--tile)"
+        "the GPU is out of memory for {bytes} bytes of pixels: close other programs that use it, or render smaller tiles (--tile)"
     )]
     OutOfMemory {
         /// Requested size.
         bytes: usize,
     },
-    /// The GPU renders, but not the expected bits.
+    /// The self-test's result differs from the expected bits.
     #[error(
-        "the GPU renders wrong bits: {differing} of {values} values of the self-test differ; let it render for no farm"
+        "the GPU's results are wrong: {differing} of {values} values of the self-test differ; do not use it for a farm"
     )]
     SelfTestFailed {
-        /// Values that differ.
+        /// Number of differing values.
         differing: usize,
-        /// All values.
+        /// Number of values.
         values: usize,
     },
-    /// Any other answer of the driver.
+    /// Any other error of the driver.
     #[error("could not {action}: {name} ({text})")]
     Driver {
         /// Attempted action.
@@ -94,13 +96,13 @@ pub enum CudaError {
         name: String,
         /// The driver's message.
         text: String,
-        /// Whether the GPU will not work for this process again.
+        /// Whether this process can no longer use the GPU.
         is_lost: bool,
     },
     /// The job is invalid at this frame.
-    #[error("the job can't be rendered in this frame")]
+    #[error("the job is invalid in this frame")]
     InvalidFrame(#[from] scene::FrameError),
-    /// The render was asked to stop.
+    /// The render was cancelled.
     #[error("the render was cancelled")]
     Cancelled,
 }
@@ -117,13 +119,13 @@ impl CudaError {
         }
     }
 
-    /// Whether the GPU will not work for this process again.
+    /// Whether this process can no longer use the GPU.
     pub fn is_lost(&self) -> bool {
         matches!(self, Self::Driver { is_lost: true, .. } | Self::SelfTestFailed { .. })
     }
 }
 
-/// Errors after which every later call fails too: only a new process can help, if anything can.
+/// Errors after which every later call fails too: only a new process may be able to use the GPU.
 fn is_lost(code: CUresult) -> bool {
     !matches!(
         code,

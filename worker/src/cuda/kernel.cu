@@ -1,7 +1,7 @@
-// What stands around the steps of a picture: arithmetic that is exact to the bit, and the way from
-// a thread to its pixel. No formula of a picture is written here.
+// Code around the generated steps of a picture: exact arithmetic, and the mapping from a thread to its pixel.
+// It has no formula of a picture.
 //
-// The host's compiler takes the same text; its arithmetic is the C library's, which is exact too.
+// The host's compiler takes the same source; there the arithmetic is the C library's, which is exact too.
 
 #ifdef __CUDACC_RTC__
 
@@ -29,8 +29,8 @@ INLINE_FN float sqrt_rn(float x) {
     return x < 1e-28f ? 0.0f : fma_rn(fma_rn(-g, g, x), h, g);
 }
 
-// Correctly rounded where the divisor's size is from 2^-100 to 2^100 and neither the quotient nor
-// a/2^24 is below 2^-126, or a is 0; in the same way.
+// Correctly rounded by the same method, if the divisor's magnitude is from 2^-100 to 2^100 and neither the
+// quotient nor a/2^24 is below 2^-126, or if a is 0.
 INLINE_FN float div_rn(float a, float b) {
     float r;
     asm("rcp.approx.ftz.f32 %0, %1;" : "=f"(r) : "f"(b));
@@ -72,24 +72,24 @@ INLINE_FN float floor_f(float x) { return floorf(x); }
 
 // ---- the picture ----
 
-// A rectangle of pixels, its blocks of threads and its place in the result.
+// Rectangle of pixels, with its blocks of threads and its offset in the result.
 struct Tile {
     unsigned x, y, width, height;
-    // Blocks of all tiles before it; blocks in a row of its own.
+    // Number of blocks of all earlier tiles; blocks per row of this tile.
     unsigned first_block, columns;
-    // Its first number in the result; its planes follow one another.
+    // Index of its first number in the result; its planes follow one another.
     unsigned long long start;
 };
 
 struct Pixel {
     float x, y;
-    // Its place in the result, and from one plane to the next.
+    // Index in the result, and distance from one plane to the next.
     unsigned long long offset, stride;
     bool is_inside;
 };
 
-// Each launch takes groups of blocks from all over the picture, so that all launches are about as
-// dear; the blocks of a group are neighbors, and do much the same.
+// Each launch takes groups of blocks from all parts of the picture, so that launches cost about the same;
+// blocks of a group are neighbors and take similar branches.
 struct BlockOrder {
     unsigned first, stride, groups, group_size;
 };
@@ -119,7 +119,7 @@ INLINE_FN Pixel pixel_of(const Tile* tiles, unsigned tile_count, BlockOrder orde
     return pixel;
 }
 
-// Adds the samples from `first` until before `end` to what `out` holds (nothing, if `first` is 0).
+// Adds the samples from `first` until before `end` to the sums in `out` (0 if `first` is 0).
 extern "C" __global__ void render(const Tile* __restrict__ tiles, unsigned tile_count, BlockOrder order, float first,
                                   float end, unsigned is_last, float* __restrict__ out) {
     const Pixel pixel = pixel_of(tiles, tile_count, order);
@@ -140,7 +140,7 @@ extern "C" __global__ void render(const Tile* __restrict__ tiles, unsigned tile_
         return;
     }
     const mean_result mean = step_mean(sum.f0, sum.f1, sum.f2, sum.f3);
-    // A file must not tell zeros apart by their sign.
+    // A file must not distinguish zeros by their sign.
     *red = mean.f0 + 0.0f;
     *green = mean.f1 + 0.0f;
     *blue = mean.f2 + 0.0f;
@@ -148,7 +148,7 @@ extern "C" __global__ void render(const Tile* __restrict__ tiles, unsigned tile_
 }
 
 #ifdef AOV_PLANES
-// Writes the planes behind the color's.
+// Writes the layers' planes, after the color's.
 extern "C" __global__ void layers(const Tile* __restrict__ tiles, unsigned tile_count, BlockOrder order,
                                   float* __restrict__ out) {
     const Pixel pixel = pixel_of(tiles, tile_count, order);

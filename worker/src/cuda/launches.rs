@@ -1,31 +1,31 @@
-//! Splits a render into launches: each short enough to be cancelled after, and long enough to keep a GPU
-//! busy. Pure arithmetic.
+//! Splits a render into launches: short enough that a cancel takes effect soon, and long enough to keep a GPU
+//! busy. Arithmetic only.
 
 use super::device::{BlockDim, DeviceTile, LaunchRange};
 use proto::Rect;
 
 /// Target duration of a launch, in milliseconds; two are in flight at a time.
 const LAUNCH_MS: f64 = 12.0;
-/// Maximum growth from one launch to the next while little is known about the cost.
+/// Maximum growth from one launch to the next while the cost is not well known.
 const MAX_GROWTH: f64 = 6.0;
-/// Blocks side by side that are launched together.
+/// Number of neighboring blocks that are launched together.
 pub(super) const BLOCK_GROUP: u32 = 64;
-/// Samples of the first launch of all.
+/// Samples of a kernel's first launch.
 const FIRST_SAMPLES: u32 = 4;
 
-/// Tiles laid out for blocks of some shape, their pixels one behind the other.
+/// Tiles divided into blocks, with their pixels stored consecutively.
 #[derive(Clone, Debug)]
 pub(super) struct LaunchLayout {
     pub(super) tiles: Vec<DeviceTile>,
     /// Number of blocks, rounded up to whole groups.
     pub(super) blocks: u32,
     pub(super) groups: u32,
-    /// From one group to the next that is launched, counted around: they are far apart, so that no
-    /// launch is dearer than another because of what is to be seen there.
+    /// Stride between groups that are launched together, wrapping around. The groups are far apart, so that no
+    /// launch costs much more than another because of the part of the picture it renders.
     pub(super) stride: u32,
 }
 
-/// Lays out tiles.
+/// Divides tiles into blocks.
 pub(super) fn lay_out(rects: &[Rect], planes: usize, shape: BlockDim) -> LaunchLayout {
     let (mut first_block, mut start) = (0, 0);
     let tiles = rects
@@ -51,7 +51,7 @@ pub(super) fn lay_out(rects: &[Rect], planes: usize, shape: BlockDim) -> LaunchL
 }
 
 impl LaunchLayout {
-    /// Orders rows for a single launch, so that similar blocks run together.
+    /// Ordering for a single launch, in which similar blocks run together.
     pub(super) fn ordered(self, cost: &CostModel, samples: u32) -> Self {
         if cost.is_one_launch(self.blocks, samples) { self.row_major() } else { self }
     }
@@ -62,7 +62,7 @@ impl LaunchLayout {
     }
 }
 
-/// A number near the golden section of `groups` that has no factor in common with it.
+/// Number near the golden section of `groups` that is coprime to it.
 fn stride(groups: u32) -> u32 {
     const GOLDEN_SECTION: f64 = 0.618_034;
     let common = |a: u32, b: u32| {
@@ -86,7 +86,7 @@ pub(super) struct CostModel {
 }
 
 impl CostModel {
-    /// Learns what a launch took.
+    /// Updates the estimate with a measured launch.
     pub(super) fn observe(&mut self, part: LaunchRange, ms: f64) {
         let units = part.block_samples();
         let now = ms / units;
@@ -95,7 +95,7 @@ impl CostModel {
         self.largest = self.largest.max(units);
     }
 
-    /// Whether this many blocks are known to fit in one launch.
+    /// Whether this many blocks are known to fit into one launch.
     fn is_one_launch(&self, blocks: u32, samples: u32) -> bool {
         let units = f64::from(blocks) * f64::from(samples);
         self.block_sample_ms.is_some_and(|ms| units * ms <= LAUNCH_MS && units <= MAX_GROWTH * self.largest)
@@ -111,9 +111,9 @@ impl CostModel {
 /// Time that launches took, in milliseconds.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct KernelTimes {
-    /// All together.
+    /// Total.
     pub total_ms: f64,
-    /// The longest.
+    /// Longest launch.
     pub longest_ms: f64,
 }
 
@@ -124,14 +124,14 @@ impl KernelTimes {
     }
 }
 
-/// The launches of a render, one after another.
+/// Launches of a render, in order.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Launches {
     blocks: u32,
     samples: u32,
     /// Blocks that fill the GPU once.
     resident_blocks: u32,
-    /// The blocks in progress, and the sample reached.
+    /// Blocks in progress, and the sample they have reached.
     first_block: u32,
     end_block: u32,
     sample: u32,
@@ -148,13 +148,13 @@ impl Launches {
         Self { blocks, samples, resident_blocks: wave.max(1), first_block: 0, end_block: 0, sample: 0 }
     }
 
-    /// The next launch, if any is left.
+    /// Next launch, if any is left.
     pub(super) fn next(&mut self, cost: &CostModel) -> Option<LaunchRange> {
         if self.sample == 0 {
             if self.first_block == self.blocks {
                 return None;
             }
-            // All samples of some blocks, at least as many as fill the GPU.
+            // Otherwise all samples of some blocks, at least as many as fill the GPU.
             let fitting = (cost.next_size(self.resident_blocks) / f64::from(self.samples)) as u32;
             self.end_block = self.first_block.saturating_add(fitting.max(self.resident_blocks)).min(self.blocks);
         }
@@ -176,7 +176,7 @@ impl Launches {
 mod tests {
     use super::*;
 
-    /// Runs all launches of a GPU on which a sample of a block takes `ms`; the longest launch.
+    /// Simulates all launches on a GPU that takes `ms` for a sample of a block; returns the longest launch.
     fn longest_launch(blocks: u32, samples: u32, ms: impl Fn(u32) -> f64) -> f64 {
         let blocks = blocks.next_multiple_of(BLOCK_GROUP);
         let (groups, stride) = (u64::from(blocks / BLOCK_GROUP), u64::from(stride(blocks / BLOCK_GROUP)));
@@ -189,7 +189,7 @@ mod tests {
         while let Some(part) = launches.next(&cost) {
             let mut took = 0.0;
             for block in (part.first_block..part.first_block + part.blocks).map(order) {
-                assert_eq!(rendered[block as usize], part.first_sample, "samples come in order");
+                assert_eq!(rendered[block as usize], part.first_sample, "samples are rendered in order");
                 rendered[block as usize] = part.end_sample;
                 took += ms(block) * f64::from(part.end_sample - part.first_sample);
             }
@@ -209,13 +209,13 @@ mod tests {
     }
 
     #[test]
-    fn a_picture_that_is_dear_in_one_place_is_cut_evenly() {
+    fn a_picture_with_an_expensive_part_is_split_evenly() {
         let sky_then_fractal = |block: u32| if block < 30_000 { 2e-6 } else { 4e-5 };
         assert!(longest_launch(60_000, 256, sky_then_fractal) <= 50.0);
     }
 
     #[test]
-    fn a_known_program_is_launched_whole() {
+    fn a_kernel_of_known_cost_needs_one_launch() {
         let mut cost = CostModel::default();
         cost.observe(LaunchRange { first_block: 0, blocks: 8_100, first_sample: 0, end_sample: 4, is_last: true }, 1.0);
         let part = Launches::new(8_100, 4, 1056).next(&cost).expect("there is work");
@@ -223,7 +223,7 @@ mod tests {
     }
 
     #[test]
-    fn tiles_follow_one_another_in_blocks_and_numbers() {
+    fn tiles_are_consecutive_in_blocks_and_numbers() {
         let rects = [Rect { x: 0, y: 0, width: 33, height: 9 }, Rect { x: 64, y: 32, width: 32, height: 32 }];
         let LaunchLayout { tiles, blocks, .. } = lay_out(&rects, 5, BlockDim { columns: 16, rows: 8 });
         assert_eq!((tiles[0].columns, tiles[1].first_block, tiles[1].start), (3, 6, 33 * 9 * 5));

@@ -1,4 +1,4 @@
-//! A picture's program as text: its steps, recorded and printed, inside `kernel.cu`.
+//! Kernel source of a picture: its recorded steps, generated as code inside `kernel.cu`.
 
 use std::fmt::Write;
 
@@ -14,18 +14,18 @@ const INSERTION_POINT: &str = "// ---- the picture ----\n";
 /// Input of a GPU render of a frame.
 #[derive(Clone, Debug)]
 pub struct KernelSource {
-    /// Kernel source; the same for all frames and all numbers of a scene's structure.
+    /// Kernel source; the same for all frames, and for all values of a scene's numbers.
     pub text: String,
-    /// The frame's numbers, which the program calls `uniforms`, by their bits.
+    /// Values of the scene's numbers at the frame, which the kernel calls `uniforms`, as bits.
     pub parameters: Vec<u32>,
     /// Number of statements of the integrator's steps.
     pub statements: usize,
-    /// Operations on numbers for one distance of the scene, where that is a fixed number.
+    /// Operations on numbers for one evaluation of the scene's distance; `None` if that varies.
     pub distance_operations: Option<u64>,
 }
 
 impl KernelSource {
-    /// The program of a frame of a job.
+    /// Kernel source of a job's frame.
     pub fn new(still: &JobAtFrame<'_>) -> Self {
         let image = still.image();
         let tape = record_tape(&Integrator::new(still), image);
@@ -60,7 +60,7 @@ fn record_tape(program: &Integrator<'_>, image: &Image) -> Tape {
     })
 }
 
-/// The numbers of a layer, one a channel.
+/// Values of a layer, one per channel.
 fn aov_values(met: &Aovs<Expr>, layer: Layer) -> Vec<Expr> {
     match layer {
         Layer::Depth => vec![met.depth],
@@ -72,7 +72,8 @@ fn aov_values(met: &Aovs<Expr>, layer: Layer) -> Vec<Expr> {
     }
 }
 
-/// Text before and behind the steps, where the job asks for layers: that it does, and how they are written.
+/// Source before and after the steps if the job requests layers: the define that enables them, and the function
+/// that writes them.
 fn layers(image: &Image) -> (String, String) {
     let count: usize = image.layers.iter().map(|layer| layer.channels().len()).sum();
     if count == 0 {

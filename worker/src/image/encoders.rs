@@ -1,5 +1,5 @@
-//! Thread pool for encoding pictures, as large as the renderer's, so that a worker limited to some threads
-//! keeps to them.
+//! Thread pool for encoding pictures. It is as large as the renderer's, so that a worker that is limited to
+//! some threads uses no more.
 
 use std::sync::Arc;
 
@@ -21,7 +21,7 @@ impl Encoders {
         self.0.current_num_threads()
     }
 
-    /// Does something with these threads and no others.
+    /// Runs a function on these threads and no others.
     pub fn run<T: Send>(&self, work: impl FnOnce() -> T + Send) -> T {
         self.0.install(work)
     }

@@ -1,7 +1,7 @@
 //! EXR: scene-linear, premultiplied, half or float, layers always float; scan lines in blocks of 16, each
 //! compressed separately (ZIP).
 //!
-//! Written block by block through the crate's low-level API; the picture is never in memory as a whole. No
+//! Written block by block through the crate's low-level API, so that the whole picture is never in memory. No
 //! -0.0 and no NaN reaches a file.
 
 use std::io::{Seek, Write};
@@ -24,16 +24,16 @@ use super::{ImageError, PictureSpec};
 use crate::renderer::CancelFlag;
 use crate::stitch::{RowBand, RowSource};
 
-/// Rows compressed together.
+/// Rows compressed together, by the format.
 const BLOCK_ROWS: u32 = 16;
-/// A band has fewer blocks if it would take more memory than this.
+/// Memory limit of a band: a band has fewer blocks if it would take more.
 const BAND_BYTES: u64 = 32 << 20;
 
-/// The primaries and the white of the scene's light, those of sRGB: ITU-R BT.709, table 1.
+/// Primaries and white point of the scene's light, those of sRGB: ITU-R BT.709, table 1.
 const REC_709: Chromaticities =
     Chromaticities { red: Vec2(0.64, 0.33), green: Vec2(0.3, 0.6), blue: Vec2(0.15, 0.06), white: Vec2(0.3127, 0.329) };
 
-/// Rows pulled at a time: two blocks for each thread, if memory allows.
+/// Rows read at a time: two blocks for each thread, if memory allows.
 pub fn band_rows(picture: &PictureSpec) -> u32 {
     let row_bytes = u64::from(picture.width) * picture.channels.len() as u64 * size_of::<f32>() as u64;
     let fits = (BAND_BYTES / row_bytes) as u32 / BLOCK_ROWS * BLOCK_ROWS;
@@ -87,7 +87,7 @@ fn pull(
     Ok(source.read(rows, band)?)
 }
 
-/// The planes in the order of the file: by name.
+/// Planes in the order of the file: by name.
 struct Channels(Vec<Channel>);
 
 struct Channel {
@@ -115,7 +115,7 @@ impl Channels {
         let channels =
             self.0.iter().map(|channel| ChannelDescription::new(text(channel.name), channel.sample, false)).collect();
         let mut attributes = LayerAttributes::default();
-        // The only one in a table without order: more would be written in a random one.
+        // The only attribute in a hash map: a second one would be written in random order.
         attributes.other.insert(text(KEYWORD), AttributeValue::Text(text(&picture.provenance.json())));
         let metadata = picture.metadata;
         attributes.frames_per_second = Some(metadata.frames_per_second);
@@ -164,7 +164,7 @@ fn append(row: &[f32], sample: SampleType, halves: &mut Vec<f16>, bytes: &mut Ve
     }
 }
 
-/// Without -0.0, and with 0 for what is no number.
+/// Replaces -0.0 and NaN by 0.
 fn canonical_float(value: f32) -> f32 {
     if value.is_nan() { 0.0 } else { value + 0.0 }
 }

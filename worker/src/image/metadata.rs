@@ -1,6 +1,6 @@
 //! Standard attributes of an EXR: its camera's matrices, and its frame rate.
 //!
-//! A picture's cache key covers all of them: the camera as a part of the scene, the rate on its own.
+//! A picture's cache key covers all of them: the camera as a part of the scene, the frame rate separately.
 
 use scene::JobAtFrame;
 use scene::camera::Matrix;
@@ -8,9 +8,9 @@ use scene::camera::Matrix;
 /// OpenEXR's standard attributes about the camera and the time.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Metadata {
-    /// From the scene to the camera's axes.
+    /// Matrix from the scene to the camera's axes.
     pub world_to_camera: Matrix,
-    /// From the scene to the picture, from (0, 0) at its top left to (1, 1); none for a panorama.
+    /// Matrix from the scene to the picture, from (0, 0) at its top left to (1, 1); `None` for a panorama.
     pub world_to_ndc: Option<Matrix>,
     /// Frames a second, as a fraction.
     pub frames_per_second: (i32, u32),
@@ -29,8 +29,8 @@ impl Metadata {
     }
 }
 
-/// The fraction that is this number from 0.001 to 1000, as far as an `f32` tells: a whole number over 1.001, as
-/// the rates of NTSC are, or else the simplest.
+/// Fraction that equals this number from 0.001 to 1000, to the precision of an `f32`: an integer over 1.001, as
+/// in the rates of NTSC, or otherwise the simplest fraction.
 fn fraction(number: f32) -> (i32, u32) {
     let whole = (f64::from(number) * 1.001).round();
     if number.fract() != 0.0 && (whole / 1.001) as f32 == number {
@@ -38,8 +38,8 @@ fn fraction(number: f32) -> (i32, u32) {
     }
     let half = |other: f32| 0.5 * (f64::from(number) + f64::from(other));
     let (low, high) = (half(number.next_down()), half(number.next_up()));
-    // Along the Stern–Brocot tree, by whole runs in one direction, the first fraction between low and high is the
-    // simplest: Knuth, Graham, Patashnik, "Concrete Mathematics", section 4.5.
+    // On the Stern–Brocot tree, followed by runs of steps in one direction, the first fraction between low and
+    // high is the simplest: Knuth, Graham, Patashnik, "Concrete Mathematics", section 4.5.
     let (mut left, mut right) = ((0_u32, 1_u32), (1_u32, 0_u32));
     loop {
         let middle = (left.0 + right.0, left.1 + right.1);
@@ -56,7 +56,7 @@ fn fraction(number: f32) -> (i32, u32) {
     }
 }
 
-/// How many times `by` may be added to `from` before it passes `end`; at least once.
+/// Number of times that `by` may be added to `from` before it passes `end`; at least once.
 fn steps(end: f64, by: (u32, u32), from: (u32, u32)) -> u32 {
     let [by, from] = [by, from].map(|(over, under)| (f64::from(over), f64::from(under)));
     let run = (end * from.1 - from.0) / (by.0 - end * by.1);
@@ -68,7 +68,7 @@ mod tests {
     use super::fraction;
 
     #[test]
-    fn rates_are_the_fractions_that_people_mean() {
+    fn frame_rates_become_their_usual_fractions() {
         for (rate, wanted) in [
             (24.0, (24, 1)),
             (29.97, (2997, 100)),

@@ -5,9 +5,9 @@
 //! Rows are converted in parallel, a band at a time, while the previous band is compressed in order:
 //! compression takes 3 to 5 ms for 1920×1080, the conversion 10 ms on all threads together.
 //!
-//! Compression is fdeflate's, chosen by name: it depends on no other crate's features,
-//! as flate2's levels do. Every row is filtered by Paeth, 3 ms for 1920×1080; the
-//! adaptive choice takes 12 and saves a hundredth.
+//! Compression is fdeflate's, chosen by name because that depends on no other crate's features, as flate2's
+//! levels do. Every row is filtered by Paeth, which takes 3 ms for 1920×1080; the adaptive choice takes 12 ms
+//! and makes files 1% smaller.
 
 use std::io::Write;
 use std::ops::Range;
@@ -23,7 +23,7 @@ use super::{ImageError, PictureSpec};
 use crate::renderer::CancelFlag;
 use crate::stitch::{RowBand, RowSource, StitchError};
 
-/// Rows pulled at a time.
+/// Number of rows read at a time.
 pub const BAND_ROWS: u32 = 64;
 
 /// Writes a picture, reading this many rows at a time.
@@ -71,7 +71,7 @@ fn bands(height: u32, band_rows: u32) -> impl Iterator<Item = Range<u32>> + Send
     (0..height).step_by(band_rows as usize).map(move |top| top..top.saturating_add(band_rows).min(height))
 }
 
-/// A picture's rows on their way to bytes.
+/// Converts a picture's rows to bytes.
 struct Rows<'a> {
     layout: PixelLayout,
     source: &'a mut dyn RowSource,
@@ -96,10 +96,10 @@ impl Rows<'_> {
     }
 }
 
-/// Bytes of compressed data in a chunk.
+/// Bytes of compressed data per chunk.
 const CHUNK_BYTES: usize = 1 << 16;
 
-/// Values of a row that are rounded at a time.
+/// Number of values of a row that are rounded at a time.
 const BLOCK: usize = 256;
 
 #[derive(Clone, Copy)]
@@ -149,7 +149,7 @@ impl PixelLayout {
         }
     }
 
-    /// Rounds colors differently from pixel to pixel, but by the pixel's place in the picture alone; alpha evenly.
+    /// Dithers colors by the pixel's position in the picture; rounds alpha to the nearest level.
     fn choose_levels(self, samples: &mut [f32], y: u32) {
         let (colors, alpha) = samples.split_at_mut(3 * self.width);
         let (red, others) = colors.split_at_mut(self.width);
@@ -169,7 +169,7 @@ impl PixelLayout {
         let stride = self.channels() * N;
         let mut quantized = [[0; N]; BLOCK];
         for (channel, plane) in planes.chunks_exact(self.width).enumerate() {
-            // A separate rounding loop is vectorized; storing to every third position is not.
+            // A separate rounding loop is vectorized; a loop that stores to every third position is not.
             for (values, pixels) in plane.chunks(BLOCK).zip(bytes.chunks_mut(BLOCK * stride)) {
                 for (to, &value) in quantized.iter_mut().zip(values) {
                     *to = quantize(value);
@@ -182,17 +182,17 @@ impl PixelLayout {
     }
 }
 
-/// Light; what is no number is none.
+/// A light value; NaN becomes 0.
 fn finite_or_zero(value: f32) -> f32 {
     if value.is_nan() { 0.0 } else { value }
 }
 
-/// Within 0 and 1; what is no number is 0.
+/// Clamps to 0 and 1; NaN becomes 0.
 fn clamp_unit(value: f32) -> f32 {
     if value.is_nan() { 0.0 } else { value.clamp(0.0, 1.0) }
 }
 
-/// The whole part of a number of 0 to 2²², in the low 22 bits: as a cast gives it, but in vectors.
+/// Integer part of a number from 0 to 2²², in the low 22 bits: like a cast, but vectorizable.
 fn truncate(value: f32) -> u32 {
     const SHIFT: f32 = 8_388_608.0;
     let nearest = value + SHIFT;
@@ -231,7 +231,7 @@ mod tests {
     }
 
     #[test]
-    fn between_two_levels_pixels_share_out_and_their_mean_is_the_color() {
+    fn dithered_pixels_have_the_color_as_their_mean() {
         for wanted in [0.25, 3.5, 100.3, 254.8] {
             let [red, green, blue] = levels(wanted / 255.0);
             for levels in [&red, &green, &blue] {
@@ -244,7 +244,7 @@ mod tests {
     }
 
     #[test]
-    fn an_even_color_that_is_a_level_stays_even() {
+    fn a_color_on_a_level_has_no_dither() {
         for level in 0..=255_u16 {
             let srgb = f32::from(level) / 255.0;
             for near in [srgb.next_down().max(0.0), srgb, srgb.next_up().min(1.0)] {
@@ -254,7 +254,7 @@ mod tests {
     }
 
     #[test]
-    fn whole_parts_are_those_of_a_cast() {
+    fn integer_parts_equal_a_cast() {
         for bits in (0..256.0_f32.to_bits()).step_by(97) {
             let value = f32::from_bits(bits);
             assert_eq!(truncate(value) as u8, value as u8, "{value}");

@@ -1,11 +1,11 @@
 //! Provenance of a picture: everything needed to render it again.
 //!
-//! No times, no names, no machines: they would make equal pictures differ.
+//! It has no times, names or machines, because they would make equal pictures differ.
 
 use scene::JobAtFrame;
 use serde::{Deserialize, Serialize};
 
-/// The name of the PNG chunk and of the EXR attribute.
+/// Name of the PNG chunk and of the EXR attribute.
 pub const KEYWORD: &str = "sdfarm";
 
 /// Provenance of a picture.
@@ -14,16 +14,16 @@ pub const KEYWORD: &str = "sdfarm";
 pub struct Provenance {
     /// BLAKE3 of the canonical scene, in hex.
     pub scene: String,
-    /// The definition of a picture that it was rendered by.
+    /// Picture version that it was rendered with.
     pub picture_version: u32,
     /// The frame, from 0.
     pub frame: u32,
-    /// The seed of its samples.
+    /// Seed of the samples.
     pub seed: u32,
 }
 
 impl Provenance {
-    /// The provenance of a job's frame.
+    /// Provenance of a job's frame.
     pub fn new(still: &JobAtFrame<'_>) -> Self {
         Self {
             scene: still.scene_hash().to_hex().to_string(),
@@ -33,7 +33,7 @@ impl Provenance {
         }
     }
 
-    /// Serialized as the JSON that is written.
+    /// Provenance as JSON, as it is written to files.
     pub fn json(&self) -> String {
         serde_json::to_string(self).expect("strings and numbers are JSON")
     }

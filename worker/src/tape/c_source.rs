@@ -1,5 +1,5 @@
 //! Generates C source from a tape: the same source for CUDA's compiler and for the host's; only the preamble
-//! differs (`cuda/kernel.cu`). Operations with a defined rounding are functions there.
+//! differs (`cuda/kernel.cu`). Operations with a defined rounding are functions in the preamble.
 
 use std::collections::HashMap;
 use std::fmt::Write;
@@ -9,20 +9,20 @@ use scene::nodes::snake_case;
 use super::liveness::Liveness;
 use super::{Function, Instruction, Operation, Statement, Tape, ValueId, ValueType};
 
-/// A step that would add this many statements by inlining stays a function.
+/// Inlining limit: a step that would add more statements stays a function.
 const MAX_INLINED_STATEMENTS: usize = 2500;
 
-/// C text of a tape.
+/// C source of a tape.
 #[derive(Clone, Debug)]
 pub struct CSource {
-    /// The functions: `step_NAME` for each name recorded, giving a `NAME_result` with parts f0, f1 …
+    /// Functions: `step_NAME` for each recorded name, returning a `NAME_result` with parts f0, f1 …
     pub code: String,
     /// Number of statements.
     pub statements: usize,
 }
 
 impl Tape {
-    /// The tape as C.
+    /// Generates C source.
     pub fn to_c(&self) -> CSource {
         let live = Liveness::new(self);
         let calls = self.call_counts(&live);
@@ -71,23 +71,23 @@ impl Tape {
     }
 }
 
-/// Prints one function.
+/// Generates one function.
 struct Printer<'a> {
     tape: &'a Tape,
     live: &'a Liveness,
     names: HashMap<ValueId, String>,
     code: String,
     statements: usize,
-    /// Statements that each earlier function adds where it is called.
+    /// Number of statements that each earlier function adds where it is called.
     inline_costs: &'a [usize],
-    /// Statements of functions that are written out here.
+    /// Number of statements of functions that are inlined here.
     inlined_statements: usize,
-    /// The node whose formula follows, if anything does.
+    /// Node whose formula follows, to be written as a comment before the next statement.
     note: Option<&'static str>,
 }
 
 impl Printer<'_> {
-    /// Prints a function; how many statements it adds where it is called.
+    /// Generates a function; returns the number of statements it adds where it is called.
     fn function(&mut self, function: &Function, calls: usize) -> usize {
         let is_entry = function.is_entry;
         let arguments = function.arguments.iter().filter(|&&id| is_entry || self.live.is_live(id));
@@ -201,7 +201,7 @@ impl Printer<'_> {
         self.line(depth, &format!("const {0}_result {result} = step_{0}({1});", callee.name, actual.join(", ")));
     }
 
-    /// The variables that are needed, each with its first and its later value.
+    /// Variables that are used, each with its initial and its next value.
     fn live_assignments(
         &self,
         variables: &[ValueId],
@@ -220,7 +220,7 @@ impl Printer<'_> {
         }
     }
 
-    /// Assigns to all variables at once: none sees another's new value.
+    /// Assigns to all variables at once, so that no assignment reads another's new value.
     fn assign(&mut self, depth: usize, variables: &[(ValueId, ValueId, ValueId)]) {
         let ids: Vec<ValueId> = variables.iter().map(|&(id, ..)| id).collect();
         let changed: Vec<_> = variables.iter().filter(|(id, _, later)| id != later).collect();
@@ -231,7 +231,7 @@ impl Printer<'_> {
         }
     }
 
-    /// A value's text that stays right while `variables` change.
+    /// Expression of a value that remains valid while `variables` change.
     fn copied_operand(&mut self, depth: usize, id: ValueId, variables: &[ValueId]) -> String {
         let value = self.operand(id);
         if !variables.contains(&id) {
@@ -288,11 +288,11 @@ impl Printer<'_> {
     }
 }
 
-/// A number as C reads it back to the bit.
+/// C literal of a number, exact to the bit.
 fn number(value: f32) -> String {
     if value.is_infinite() {
         return format!("float_from_bits({:#010x}u)", value.to_bits());
     }
-    // The shortest digits that lead back to this number.
+    // The shortest digits that parse to this number.
     if value.is_sign_negative() { format!("({value:?}f)") } else { format!("{value:?}f") }
 }

@@ -1,4 +1,4 @@
-//! Symbols: the arithmetic that writes itself down.
+//! Symbolic numbers: arithmetic that records itself.
 
 use std::ops::{Add, BitAnd, BitOr, BitXor, Div, Mul, Neg, Not, Shl, Shr, Sub};
 
@@ -15,7 +15,7 @@ pub struct Expr(pub(super) ValueId);
 #[derive(Clone, Copy, Debug)]
 pub struct BoolExpr(pub(super) ValueId);
 
-/// A word of the tape.
+/// An unsigned integer of the tape.
 #[derive(Clone, Copy, Debug)]
 pub struct U32Expr(pub(super) ValueId);
 

@@ -1,22 +1,22 @@
-//! Which values of a tape something depends on; the others are not printed.
+//! Liveness: the values of a tape that its results depend on; no code is generated for the others.
 
 use super::{Function, Statement, Tape, ValueId};
 
-/// Values of a tape that results depend on.
+/// Values of a tape that its results depend on.
 pub(super) struct Liveness {
     values: Vec<bool>,
 }
 
 impl Liveness {
-    /// Finds what the tape's entries depend on.
+    /// Finds the values that the tape's entries depend on.
     pub(super) fn new(tape: &Tape) -> Self {
         let all = |function: &Function| function.results.clone();
-        // The arguments that each function needs, callees first, as if all its results were used.
+        // Arguments that each function needs, callees first, as if all its results were used.
         let mut needs = Self { values: vec![false; tape.instructions.len()] };
         for function in &tape.functions {
             needs.mark(tape, function, all(function), &|id, needs| needs.is_live(id));
         }
-        // The values that are used, callers first.
+        // Values that are used, callers first.
         let mut live = Self { values: vec![false; tape.instructions.len()] };
         for (index, function) in tape.functions.iter().enumerate().rev() {
             let wanted = if function.is_entry { all(function) } else { live.live_results(tape, index) };
@@ -25,12 +25,12 @@ impl Liveness {
         live
     }
 
-    /// Whether the value is needed.
+    /// Whether the value is used.
     pub(super) fn is_live(&self, id: ValueId) -> bool {
         self.values[id.0 as usize]
     }
 
-    /// Results of a function that some call of it needs.
+    /// Results of a function that some call uses.
     fn live_results(&self, tape: &Tape, callee: usize) -> Vec<ValueId> {
         let results = &tape.functions[callee].results;
         let mut wanted = vec![false; results.len()];
@@ -46,7 +46,7 @@ impl Liveness {
         results.iter().zip(wanted).filter_map(|(id, wanted)| wanted.then_some(*id)).collect()
     }
 
-    /// Marks the values that `wanted` values of a function depend on. `needs` tells whether a callee uses
+    /// Marks the values that the `wanted` values of a function depend on. `needs` returns whether a callee uses
     /// an argument.
     fn mark(&mut self, tape: &Tape, function: &Function, wanted: Vec<ValueId>, needs: &dyn Fn(ValueId, &Self) -> bool) {
         let sources = self.dependencies(tape, function, needs);
@@ -62,7 +62,7 @@ impl Liveness {
         }
     }
 
-    /// Values that variables and returned values of a function come from, sorted.
+    /// Sources of the variables and returned values of a function, sorted.
     fn dependencies(
         &self,
         tape: &Tape,
@@ -94,7 +94,7 @@ impl Liveness {
     }
 }
 
-/// Shows every statement, also those in inner blocks.
+/// Visits every statement, also those in inner blocks.
 fn for_each_statement<'a>(block: &'a [Statement], see: &mut impl FnMut(&'a Statement)) {
     for statement in block {
         see(statement);

@@ -1,7 +1,7 @@
-//! Builds a tape while a formula runs on symbols.
+//! Records a tape while a formula runs on symbolic numbers.
 //!
-//! Numbers are handles of four bytes that operators consume, so the tape under construction
-//! belongs to the thread, and not to the numbers.
+//! Numbers are handles of four bytes that operators consume, so the tape under construction is in a
+//! thread-local variable.
 
 use std::any::Any;
 use std::cell::RefCell;
@@ -33,25 +33,25 @@ struct FunctionBuilder {
     blocks: Vec<BlockBuilder>,
 }
 
-/// Statements, and which value each definition already has in them.
+/// Statements, and the value of each operation already among them.
 #[derive(Default)]
 struct BlockBuilder {
     statements: Vec<Statement>,
     value_numbers: HashMap<Instruction, ValueId>,
 }
 
-/// A function to call again.
+/// Recorded function that later calls reuse.
 struct RecordedFunction {
     function: usize,
-    /// A bundle of the type that it gives.
+    /// Example of the bundle that it returns.
     example: Box<dyn Any>,
 }
 
-/// Proof that a recording is under way on this thread.
+/// Guard that shows that a recording is in progress on this thread.
 #[derive(Debug)]
 pub struct Recording(());
 
-/// Records what `formulas` asks for.
+/// Records the formulas that `formulas` evaluates.
 pub fn record(formulas: impl FnOnce(&Recording)) -> Tape {
     let outer = RECORDER.replace(Some(Recorder::default()));
     formulas(&Recording(()));
@@ -60,7 +60,7 @@ pub fn record(formulas: impl FnOnce(&Recording)) -> Tape {
 }
 
 impl Recording {
-    /// Records a function that the text's reader calls.
+    /// Records a function that the surrounding source calls.
     pub fn entry<const N: usize>(&self, name: &'static str, formula: impl FnOnce([Expr; N]) -> Vec<Expr>) {
         begin();
         let arguments = std::array::from_fn(|_| Expr(argument(ValueType::F32)));
@@ -90,17 +90,17 @@ impl Recorder {
         id
     }
 
-    /// Stops a formula that uses a value of another function than the one being recorded.
+    /// Panics if a formula uses a value of another function than the one being recorded.
     fn check(&mut self, id: ValueId) {
         let is_own = self.defining_function[id.0 as usize] == self.function().number;
         assert!(
             is_own || self.tape.definition(id).operation.is_constant(),
-            "a shared step used a number that it was not given"
+            "a shared step used a number that is not one of its arguments"
         );
     }
 }
 
-/// Value of an operation: an existing one if it is the same.
+/// Value of an operation; equal operations share one value.
 pub(super) fn emit(kind: ValueType, operation: Operation, operands: &[ValueId]) -> ValueId {
     with(|recorder| {
         let mut all = [None; 3];
@@ -125,7 +125,7 @@ pub(super) fn emit(kind: ValueType, operation: Operation, operands: &[ValueId]) 
     })
 }
 
-/// A number of the scene, by its bits.
+/// Uniform of the scene, by its bits.
 pub(super) fn uniform(kind: ValueType, bits: u32) -> ValueId {
     with(|recorder| {
         let place = recorder.tape.uniforms.len() as u32;

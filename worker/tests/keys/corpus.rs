@@ -1,4 +1,4 @@
-//! Jobs that together use every field of the job language, each where it changes pixels.
+//! Jobs that together use every field of the job language, each in a way that affects pixels.
 
 use scene::materials::{Material, Texture};
 use scene::nodes::Node;
@@ -6,7 +6,7 @@ use serde::Serialize;
 use serde::de::DeserializeOwned;
 use serde_json::{Value, json};
 
-/// A job of a scene: everything that may be written about its image and frames is.
+/// A job with this scene; its image and frames have every field.
 fn job(scene: &Value) -> Value {
     json!({
         "name": "keys", "priority": 0, "scene": scene, "frames": { "count": 3, "fps": 1 },
@@ -19,7 +19,7 @@ fn camera() -> Value {
     json!({ "position": [1.5, 1.4, 3.2], "look_at": [0, 0, 0], "up": [0, 1, 0], "fov": 45 })
 }
 
-/// A scene of one object over a floor, with all that is around it as given.
+/// A scene of one object over a floor, with these surroundings.
 fn scene(shape: &Value, material: &Value, lights: &Value, background: &Value) -> Value {
     json!({ "camera": camera(), "background": background, "lights": lights, "materials": {},
         "march": { "max_distance": 40.0, "max_steps": 300, "max_bounces": 3 },
@@ -45,14 +45,14 @@ fn sun() -> Value {
     json!([{ "directional": { "direction": [0.6, 0.7, 0.5], "color": [1, 1, 1], "angle": 4, "shadow": true } }])
 }
 
-/// A job in which nothing moves, with a material that is in use and one that is not.
+/// A job without animation, with one material that is used and one that is not.
 pub(crate) fn plain() -> Value {
     let mut scene = scene(&ball(), &json!("used"), &sun(), &gradient());
     scene["materials"] = json!({ "used": { "flat": { "color": [0.7, 0.1, 0] } }, "unused": { "normals": {} } });
     job(&scene)
 }
 
-/// The same as a PNG.
+/// The job above as a PNG.
 pub(crate) fn png() -> Value {
     let mut job = plain();
     job["image"] = json!({ "width": 8, "height": 8, "samples": 2, "seed": 1, "format": "png", "bits": 8,
@@ -60,7 +60,7 @@ pub(crate) fn png() -> Value {
     job
 }
 
-/// An example with all that its author left out.
+/// An example with all optional fields added.
 fn written<T: Serialize + DeserializeOwned>(json: &str) -> Value {
     serde_json::to_value(serde_json::from_str::<T>(json).unwrap()).unwrap()
 }
@@ -90,7 +90,7 @@ fn graded() -> Value {
     job
 }
 
-/// A PNG that might as well be an EXR.
+/// A PNG with fields that matter for EXR only.
 fn ungraded() -> Value {
     let mut job = png();
     job["image"]["exposure"] = json!(0);
@@ -146,7 +146,7 @@ fn surroundings() -> Vec<Value> {
     scenes
 }
 
-/// Materials whose parameters are textures, and numbers that textures vary.
+/// Materials with textures as parameters, and numbers that textures vary.
 fn materials() -> Vec<Value> {
     let texture = json!({ "checker": { "cell": 0.3, "colors": [[0.1, 0.2, 0.3], [0.9, 0.8, 0.2]] } });
     let varied = |low: f64, high: f64| json!({ "low": low, "high": high, "by": texture });
@@ -159,13 +159,13 @@ fn materials() -> Vec<Value> {
     ]
 }
 
-/// Shapes with parameters that no example of theirs has.
+/// Shapes with parameters that none of their examples has.
 fn shapes() -> Vec<Value> {
     let bumps =
         |by: Value| json!({ "displace": { "by": by, "amplitude": 0.2, "child": { "sphere": { "radius": 1 } } } });
     let octaves = |kind: &str| json!({ "noise": { kind: { "octaves": 3, "gain": 0.5, "lacunarity": 2.1 } } });
     vec![
-        // In the frame that is rendered, each way from key to key has come to another number.
+        // In the rendered frame, each interpolation between keyframes has a different value.
         json!({ "sphere": { "radius": { "keys": [[0, 0.5], [3, 1.5]], "ease": "smooth" } } }),
         bumps(json!({ "sine": { "frequency": 7 } })),
         bumps(octaves("cellular")),

@@ -1,5 +1,5 @@
-//! Every field that the schema of job files has: changed in a job that uses it, it changes the picture's cache key
-//! exactly where it changes the picture's bytes. A field that no job here shows fails the test.
+//! Cache keys: if a field of the job schema is changed in a job that uses it, the picture's cache key changes
+//! exactly if the picture's bytes change. A field that no job here covers fails the test.
 
 mod corpus;
 mod schema;
@@ -16,12 +16,12 @@ use worker::{CancelFlag, CpuRenderer, Renderer, Simd, TileRequest};
 
 use schema::{Position, Schema};
 
-/// The frame that is rendered: neither the first, where a track is at its start, nor the last.
+/// Rendered frame: neither the first, where a track is at its start, nor the last.
 const FRAME: u32 = 1;
 
-/// What a job's frame looks like, and what it is known by.
+/// Pixels and keys of a job's frame.
 struct Shot {
-    /// Bits of every plane, and which planes they are.
+    /// Bits of every plane, and the names of the planes.
     pixels: (Vec<&'static str>, Vec<u32>),
     bytes: Vec<u8>,
     key: String,
@@ -29,7 +29,7 @@ struct Shot {
     scene_hash: String,
 }
 
-/// The shot of a job; `None` where the job is wrong.
+/// Renders a job; `None` if the job is invalid.
 fn shot(renderer: &CpuRenderer, job: &Value) -> Option<Shot> {
     let job = scene::parse(job.to_string().as_bytes()).ok()?;
     let still = job.at(FRAME).ok()?;
@@ -47,11 +47,11 @@ fn shot(renderer: &CpuRenderer, job: &Value) -> Option<Shot> {
     })
 }
 
-/// Fields that change no byte of any picture. Nothing else may be left uncovered.
+/// Fields that change no byte of any picture. Every other field must be covered.
 const WITHOUT_EFFECT: [&str; 2] = ["#/properties/name", "#/properties/priority"];
 
 #[test]
-fn every_field_of_the_schema_changes_the_key_exactly_where_it_changes_the_bytes() {
+fn a_field_changes_the_key_exactly_if_it_changes_bytes() {
     let schema = Schema::new(scene::schema());
     let jobs = corpus::jobs();
     let mut pools = BTreeMap::new();
@@ -67,10 +67,10 @@ fn every_field_of_the_schema_changes_the_key_exactly_where_it_changes_the_bytes(
     }
     let points = schema.points();
     let uncovered: Vec<&String> = points.difference(&covered).collect();
-    assert_eq!(uncovered, WITHOUT_EFFECT, "uncovered: show each in a job of corpus.rs that it changes the pixels of");
+    assert_eq!(uncovered, WITHOUT_EFFECT, "uncovered: add each to a job of corpus.rs whose pixels it changes");
 }
 
-/// Changes one place of a job in every way that is not covered yet.
+/// Changes one value of a job in every way that is not covered yet.
 fn change(
     schema: &Schema,
     renderer: &CpuRenderer,
@@ -95,7 +95,7 @@ fn change(
             let in_scene = position.pointer.starts_with("/scene") && before.scene_hash == after.scene_hash;
             assert!(!in_scene, "provenance does not differ: {place}");
         }
-        // A scene's hash stands in its picture, so only its pixels show whether a field of it is in use.
+        // A scene's hash is in its picture, so only the pixels show whether a field is used.
         let has_effect = before.pixels != after.pixels || position.pointer.starts_with("/image");
         if has_effect && before.bytes != after.bytes {
             covered.extend(points.into_iter().cloned());
@@ -104,7 +104,7 @@ fn change(
 }
 
 #[test]
-fn what_no_byte_depends_on_changes_no_key() {
+fn fields_without_effect_on_bytes_change_no_key() {
     let renderer = CpuRenderer::new(Some(1), Simd::Auto).unwrap();
     for (job, pointer, value) in [
         (corpus::plain(), "/name", json!("another")),
@@ -128,9 +128,10 @@ fn what_no_byte_depends_on_changes_no_key() {
     assert!(before.bytes == after.bytes && before.key == after.key);
 }
 
-/// A kernel is kept by the hash of its text, architecture and compiler: all that a scene may change of it is text.
+/// Kernels are cached by the hash of their source, architecture and compiler: only the source depends on the
+/// scene.
 #[test]
-fn jobs_that_differ_in_shape_differ_in_the_text_of_their_kernels_or_in_its_numbers() {
+fn different_pictures_have_different_kernels_or_uniforms() {
     let source = |job: &Value| KernelSource::new(&scene::parse(job.to_string().as_bytes()).unwrap().at(FRAME).unwrap());
     let jobs = corpus::jobs();
     let mut seen: BTreeMap<(String, Vec<u32>), (&Value, Vec<u32>)> = BTreeMap::new();
@@ -140,7 +141,7 @@ fn jobs_that_differ_in_shape_differ_in_the_text_of_their_kernels_or_in_its_numbe
         let numbers = program.parameters;
         let pixels = shot(&renderer, job).unwrap().pixels.1;
         if let Some((other, others)) = seen.insert((program.text, numbers), (job, pixels.clone())) {
-            assert_eq!(pixels, others, "one kernel with the same numbers, and two pictures: {job} and {other}");
+            assert_eq!(pixels, others, "one kernel with the same uniforms, and two pictures: {job} and {other}");
         }
     }
 }

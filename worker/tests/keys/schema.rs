@@ -1,31 +1,31 @@
-//! A walk over a job together with its schema: which of the schema's points a value stands for, and what else could
-//! stand there.
+//! Walks a job together with its schema: finds the schema's points that each value covers, and other values
+//! that would be valid there.
 
 use std::collections::{BTreeMap, BTreeSet};
 
 use serde_json::{Map, Value, json};
 
-/// Values of one kind that are kept to be put in place of others.
+/// Maximum number of values of one type that are stored as replacements for others.
 const KEPT: usize = 3;
-/// Lists of alternatives.
+/// Keywords with lists of alternatives.
 const ALTERNATIVES: [&str; 2] = ["anyOf", "oneOf"];
 
-/// The schema of job files.
+/// Schema of job files.
 pub(crate) struct Schema(Value);
 
-/// A value in a job.
+/// Value in a job.
 pub(crate) struct Position<'a> {
     /// Its JSON pointer in the job.
     pub(crate) pointer: String,
-    /// The points of the schema on the way to it: properties, alternatives, values of enumerations.
+    /// Points of the schema that the value covers: properties, alternatives, values of enumerations.
     pub(crate) path: Vec<String>,
-    /// The schemas that it meets, outermost first.
+    /// Schemas on the path to the value, outermost first.
     schemas: Vec<String>,
     pub(crate) value: &'a Value,
 }
 
 impl Position<'_> {
-    /// Keeps the value under each schema that it meets.
+    /// Stores the value under each schema on its path.
     pub(crate) fn pool_into(&self, pools: &mut BTreeMap<String, Vec<Value>>) {
         for schema in &self.schemas {
             let pool = pools.entry(schema.clone()).or_default();
@@ -42,11 +42,11 @@ impl Schema {
     }
 
     fn at(&self, pointer: &str) -> &Value {
-        self.0.pointer(&pointer[1..]).unwrap_or_else(|| panic!("the schema has no {pointer}"))
+        self.0.pointer(&pointer[1..]).unwrap_or_else(|| panic!("no {pointer} in the schema"))
     }
 
     fn object(&self, pointer: &str) -> &Map<String, Value> {
-        self.at(pointer).as_object().unwrap_or_else(|| panic!("{pointer} is no schema"))
+        self.at(pointer).as_object().unwrap_or_else(|| panic!("{pointer} is not a schema"))
     }
 
     /// A schema and those that it refers to, one after another.
@@ -58,7 +58,7 @@ impl Schema {
         all
     }
 
-    /// Everything that a job may say: properties, alternatives and values of enumerations, by their places.
+    /// Every point of the schema: properties, alternatives and values of enumerations, by their pointers.
     pub(crate) fn points(&self) -> BTreeSet<String> {
         let mut points = BTreeSet::new();
         self.reach("#", &mut points, &mut BTreeSet::new());
@@ -94,7 +94,7 @@ impl Schema {
                 ("enum", Value::Array(values)) => points.extend(values.iter().map(|v| format!("{pointer}={v}"))),
                 ("type", Value::Array(types)) => points.extend(types.iter().map(|t| format!("{pointer}={t}"))),
                 ("allOf" | "if" | "dependentSchemas" | "patternProperties", _) => {
-                    panic!("{pointer} says {keyword}, which this walk does not know")
+                    panic!("{pointer} has {keyword}, which this walk does not support")
                 }
                 _ => {}
             }
@@ -145,7 +145,7 @@ impl Schema {
         }
     }
 
-    /// Follows references and the alternatives that the value is.
+    /// Follows references, and the alternatives that match the value.
     fn meet(&self, schema: &str, position: &mut Position<'_>) {
         for schema in self.referred(schema) {
             let keywords = self.object(&schema);
@@ -167,7 +167,7 @@ impl Schema {
         }
     }
 
-    /// The property of a schema that has one and demands it: the name of what is inside.
+    /// Property that a schema requires as its only one: the name of its variant.
     fn only_property(&self, schema: &str) -> Option<String> {
         let keywords = self.object(schema);
         let (properties, required) = (keywords.get("properties")?.as_object()?, keywords.get("required")?.as_array()?);
@@ -183,7 +183,7 @@ impl Schema {
             .collect()
     }
 
-    /// Whether a value has the form of a schema: its type, its keys, its alternatives.
+    /// Whether a value matches a schema: its type, its members, its alternatives.
     fn is_met(&self, schema: &str, value: &Value) -> bool {
         self.referred(schema).iter().all(|schema| {
             let keywords = self.object(schema);
@@ -211,7 +211,7 @@ impl Schema {
         })
     }
 
-    /// What else could stand in a place, each with the points of the schema that it would show.
+    /// Values that could replace this one, each with the points of the schema that it would cover.
     pub(crate) fn candidates(
         &self,
         position: &Position<'_>,
@@ -257,7 +257,7 @@ fn type_of(value: &Value) -> &'static str {
     }
 }
 
-/// Values of the same type that may do as well.
+/// Values of the same type that may be valid too.
 fn others(value: &Value) -> Vec<Value> {
     match value {
         Value::Bool(value) => vec![json!(!value)],
@@ -280,7 +280,7 @@ fn near(number: f64) -> Vec<Value> {
         .to_vec()
 }
 
-/// Tracks that a number may have in its place.
+/// Tracks that could replace a number.
 fn tracks(value: &Value) -> Vec<Value> {
     let Some(from) = value.as_f64() else { return Vec::new() };
     near(from).into_iter().map(|to| json!({ "keys": [[0, from], [3, to]], "ease": "linear" })).collect()

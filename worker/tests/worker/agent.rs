@@ -1,4 +1,4 @@
-//! An agent against a server that plays the protocol.
+//! Tests of the agent against a fake server.
 
 mod delivery;
 mod leases;
@@ -17,7 +17,7 @@ use worker::{CancelFlag, RenderError, Renderer, TilePixels, TileRequest};
 use crate::fake_renderer::{FakeRenderer, job_text};
 use crate::fake_server::FakeServer;
 
-/// An agent in a thread of its own.
+/// An agent on its own thread.
 struct Agent {
     thread: Option<std::thread::JoinHandle<Result<(), AgentError>>>,
     shutdown: CancellationToken,
@@ -42,7 +42,7 @@ impl Agent {
         Self { thread: Some(thread), shutdown, _scratch: scratch }
     }
 
-    /// Waits until it has ended by itself.
+    /// Waits until it has exited without being stopped.
     fn ended(&mut self) -> Result<(), AgentError> {
         self.thread.take().expect("it is waited for once").join().expect("the agent does not panic")
     }
@@ -59,7 +59,7 @@ impl Drop for Agent {
     }
 }
 
-/// Does something before it renders, or instead.
+/// Runs a function before it renders, or instead.
 struct Acting<F>(F);
 
 impl<F> Renderer for Acting<F>
@@ -81,7 +81,7 @@ where
     }
 }
 
-/// Goes on until it is cancelled, which it looks for as often as a renderer should.
+/// Continues until it is cancelled, which it checks as often as a renderer should.
 fn until_cancelled(cancel: &CancelFlag) -> RenderError {
     while !cancel.is_cancelled() {
         std::thread::park_timeout(Duration::from_millis(1));
@@ -89,7 +89,7 @@ fn until_cancelled(cancel: &CancelFlag) -> RenderError {
     RenderError::Cancelled
 }
 
-/// Something that happens once, and can be waited for.
+/// Event that happens once, and that tests can wait for.
 #[derive(Clone, Default)]
 struct Happening(Arc<(Mutex<bool>, Condvar)>);
 
@@ -107,7 +107,7 @@ impl Happening {
     }
 }
 
-/// A renderer that says when it has begun, and waits for `go`.
+/// Renderer that signals when it has started, and then waits for `go`.
 fn gated(begun: &Happening, go: &Happening) -> impl Renderer + use<> {
     let (begun, go) = (begun.clone(), go.clone());
     Acting(move |_: &TileRequest<'_>, cancel: &CancelFlag| {

@@ -1,4 +1,5 @@
-//! Jobs that move: one program for all frames, and in each frame the picture of a job that stands still so.
+//! Animated jobs: one kernel source for all frames, and each frame equals the picture of a job with those
+//! constants.
 
 use proto::Rect;
 use scene::backgrounds::Background;
@@ -23,7 +24,7 @@ fn scene_of(shape: &Value) -> Value {
                     { "shape": { "plane": { "normal": [0, 1, 0], "offset": -1.5 } } }] })
 }
 
-/// Gives every number a track from its value to one a little away, from second 0 to 2.
+/// Gives every number a track from its value to a slightly different one, from second 0 to 2.
 fn set_moving(value: &mut Value) {
     match value {
         Value::Number(number) => {
@@ -36,7 +37,8 @@ fn set_moving(value: &mut Value) {
     }
 }
 
-/// The scene with all numbers moving but counts, which refuse to, and those that may not move so.
+/// The scene with all numbers animated except counts, which cannot be, and those for which this track is
+/// invalid.
 fn moving(scene: &Value) -> Value {
     let mut moving = scene.clone();
     set_moving(&mut moving);
@@ -55,18 +57,21 @@ fn moving(scene: &Value) -> Value {
 }
 
 #[test]
-fn all_frames_of_a_job_share_one_program() {
+fn all_frames_of_a_job_share_one_kernel_source() {
     for NodeExample { kind, index: number, node } in Node::examples() {
         let shape: Value = serde_json::from_str(&node).unwrap();
         let job = job(&moving(&scene_of(&shape)), 3);
         assert!(job.is_animated(), "{kind} {number} has numbers");
         let [first, second, third] = [0, 1, 2].map(|frame| KernelSource::new(&job.at(frame).unwrap()));
-        assert!(first.text == second.text && first.text == third.text, "{kind} {number}: frames differ in their text");
+        assert!(
+            first.text == second.text && first.text == third.text,
+            "{kind} {number}: frames differ in their source"
+        );
         assert_ne!(first.parameters, second.parameters, "{kind} {number} moves");
     }
 }
 
-/// A scene for each example of each family that is no part of an object.
+/// A scene for each example of each family that is not part of an object.
 fn scenes_around_objects() -> Vec<(String, Value)> {
     let ball = json!({ "sphere": { "radius": 1 } });
     let with = |examples: Vec<scene::kinds::Example>, keys: fn(Value) -> Value| {
@@ -94,17 +99,17 @@ fn scenes_around_objects() -> Vec<(String, Value)> {
 }
 
 #[test]
-fn all_frames_share_one_program_whatever_light_background_projection_or_effect_moves() {
+fn frames_share_one_source_for_any_animated_part() {
     for (name, scene) in scenes_around_objects() {
         let job = job(&moving(&scene), 3);
         let [first, second, third] = [0, 1, 2].map(|frame| KernelSource::new(&job.at(frame).unwrap()));
-        assert!(first.text == second.text && first.text == third.text, "{name}: frames differ in their text");
+        assert!(first.text == second.text && first.text == third.text, "{name}: frames differ in their source");
         assert_ne!(first.parameters, second.parameters, "{name} moves");
     }
 }
 
 #[test]
-fn numbers_that_pass_through_a_special_value_share_one_program_too() {
+fn numbers_that_pass_a_special_value_share_one_source() {
     let through = |low: f64, middle: f64, high: f64| json!({ "keys": [[0, low], [1, middle], [2, high]] });
     let many = |shape: Value| Value::Array(vec![shape; 12]);
     let tilted = json!({ "rotate": { "degrees": [0, 0, through(-20.0, 0.0, 20.0)],
@@ -123,12 +128,12 @@ fn numbers_that_pass_through_a_special_value_share_one_program_too() {
         scene["objects"][0]["material"]["diffuse"]["ks"] = json!([through(0.5, 0.0, 0.5), 0, 0]);
         let job = job(&scene, 3);
         let [first, second, third] = [0, 1, 2].map(|frame| KernelSource::new(&job.at(frame).unwrap()));
-        assert!(first.text == second.text && first.text == third.text, "{shape}: frames differ in their text");
+        assert!(first.text == second.text && first.text == third.text, "{shape}: frames differ in their source");
     }
 }
 
 #[test]
-fn a_frame_is_the_picture_of_a_scene_that_stands_still_so() {
+fn a_frame_equals_the_picture_of_a_constant_scene() {
     let through = |low: f64, middle: f64| json!({ "keys": [[0, low], [1, middle], [2, 3]] });
     let scene = |offset: Value, smooth: Value, red: Value| {
         let mut scene = scene_of(&json!({ "union": { "smooth": smooth, "of": [

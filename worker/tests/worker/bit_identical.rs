@@ -1,7 +1,7 @@
-//! Same bits everywhere, in one process: every shipped job, as a PNG and as a float EXR with all layers, has the bytes
-//! of scalar code with all vector instructions, tiles and numbers of threads, and from run to run.
+//! Bit-identical output in one process: every shipped job, as a PNG and as a float EXR with all layers, has the
+//! same bytes as from scalar code for all vector instructions, tiles, numbers of threads, and runs.
 //!
-//! `tests/bit_identical.rs` goes the whole way, by `render` and by farms, for a few of them.
+//! `tests/bit_identical.rs` tests a few of them end to end, with `render` and with farms.
 
 use std::io::Cursor;
 
@@ -15,16 +15,16 @@ use crate::shipped::{Shipped, shipped};
 /// Wider than any picture.
 const WHOLE: u32 = 65535;
 const SAMPLES: u32 = 2;
-/// What every run of the tests renders.
+/// Size of the pictures in every run of the tests.
 const SMALL_PX: u32 = 64;
-/// What the long tests render.
+/// Size of the pictures in the long tests.
 const LARGE_PX: u32 = 128;
 
-/// A way to render, which must not show in the picture.
+/// Way to render, which must not affect the picture.
 struct Way {
     name: String,
     renderer: CpuRenderer,
-    /// Edge of its tiles; as a server would cut them, if `None`.
+    /// Edge of its tiles; `None` means as a server would cut them.
     tile_px: Option<u32>,
 }
 
@@ -51,7 +51,7 @@ impl Way {
     }
 }
 
-/// Compares every shipped job, in the form that `form` gives it, over all ways.
+/// Compares every shipped job, converted by `form`, over all ways.
 fn assert_same(form: impl Fn(&Shipped) -> Job) {
     let reference = Way::new(Simd::Scalar, 1, Some(WHOLE));
     let vectors = levels().filter(|&level| level != Simd::Scalar).map(|level| Way::new(level, 1, Some(WHOLE)));
@@ -65,27 +65,27 @@ fn assert_same(form: impl Fn(&Shipped) -> Job) {
         let different = ways.iter().filter(|way| way.picture(&job) != want);
         wrong.extend(different.map(|way| format!("{} by {}", shipped.name, way.name)));
     }
-    assert!(wrong.is_empty(), "other bytes than by scalar code:\n{}", wrong.join("\n"));
+    assert!(wrong.is_empty(), "bytes differ from scalar code:\n{}", wrong.join("\n"));
 }
 
 #[test]
-fn every_small_png_has_the_bytes_of_scalar_code() {
+fn small_pngs_are_bit_identical_to_scalar_code() {
     assert_same(|shipped| shipped.png(SMALL_PX, SAMPLES));
 }
 
 #[test]
-fn every_small_exr_has_the_bytes_of_scalar_code() {
+fn small_exrs_are_bit_identical_to_scalar_code() {
     assert_same(|shipped| shipped.exr(SMALL_PX, SAMPLES));
 }
 
 #[test]
-#[ignore = "long: every shipped scene, larger, in all ways; two minutes"]
-fn every_larger_png_has_the_bytes_of_scalar_code() {
+#[ignore = "long: every shipped scene, larger, in all ways; 2 minutes"]
+fn larger_pngs_are_bit_identical_to_scalar_code() {
     assert_same(|shipped| shipped.png(LARGE_PX, SAMPLES));
 }
 
 #[test]
-#[ignore = "long: every shipped scene, larger, in all ways; two minutes"]
-fn every_larger_exr_has_the_bytes_of_scalar_code() {
+#[ignore = "long: every shipped scene, larger, in all ways; 2 minutes"]
+fn larger_exrs_are_bit_identical_to_scalar_code() {
     assert_same(|shipped| shipped.exr(LARGE_PX, SAMPLES));
 }

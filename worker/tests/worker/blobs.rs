@@ -1,4 +1,4 @@
-//! Blobs hold tiles exactly, and damaged ones are refused, never obeyed.
+//! Tile blobs: they have exactly the pixels of their tile, and damaged ones are rejected.
 
 use std::io::Cursor;
 
@@ -15,7 +15,7 @@ fn tile() -> worker::TilePixels {
 }
 
 #[test]
-fn a_blob_gives_back_its_tile() {
+fn a_blob_decodes_to_its_tile() {
     let tile = tile();
     let bytes = blob::encode(&tile);
     assert_eq!(bytes.len() as u64, blob::size_bytes(tile.rect, tile.planes.len()));
@@ -36,7 +36,7 @@ fn the_format_is_fixed() {
 }
 
 #[test]
-fn rows_are_read_without_the_rest() {
+fn rows_are_read_without_other_rows() {
     let tile = tile();
     let mut file = b"xyz".to_vec();
     file.extend(blob::encode(&tile));

@@ -1,5 +1,5 @@
-//! What a GPU is given to compile, tested on machines without one: the host's compiler makes a
-//! program of the same text, which must render the reference's bits, and NVRTC must take it.
+//! Kernel source, tested on machines without a GPU: the host's compiler builds a program from it, which must
+//! render the reference's bits, and NVRTC must compile it.
 
 use std::io::Write;
 use std::path::{Path, PathBuf};
@@ -21,11 +21,11 @@ use worker::{CancelFlag, CpuRenderer, Renderer, Simd, TilePixels, TileRequest};
 use crate::shipped::{LAYERS, Shipped, shipped};
 use crate::skip::skip;
 
-/// What is compiled in every run of the tests; the long ones compile all.
+/// Scenes compiled in every run of the tests; the long tests compile all.
 const FEW: [&str; 6] = ["csg", "dice", "mandelbulb", "paper/clouds", "turntable", "vitrine"];
 
-/// Runs the kernels on the host, a thread after another: reads `uniforms`, the planes, a tile and the
-/// samples; renders in two parts, so that sums are taken up again; writes the planes.
+/// Runs the kernels on the host, one thread after another: reads `uniforms`, the planes, a tile and the
+/// samples; renders in two parts, so that sums are continued; writes the planes.
 const HOST_MAIN: &str = r"
 #include <stdio.h>
 #include <stdlib.h>
@@ -51,7 +51,7 @@ int main() {
 }
 ";
 
-/// The job in a size that takes a moment, with every layer.
+/// The job in a small size, with every layer.
 fn small(shipped: &Shipped) -> Job {
     let job = shipped.job();
     let image = Image { width: 60, height: 40, samples: 3, layers: LAYERS.to_vec(), ..job.image.clone() };
@@ -72,7 +72,7 @@ fn compile_text(source: &str, folder: &Path) -> PathBuf {
 }
 
 fn render_on_host(job: &Job, folder: &Path) -> TilePixels {
-    let source = KernelSource::new(&job.at(0).expect("a shipped scene is right"));
+    let source = KernelSource::new(&job.at(0).expect("a shipped scene is valid"));
     let program = compile_text(&format!("{}{HOST_MAIN}", source.text), folder);
     let planes = job.image.channels().len();
     let Image { width, height, samples, .. } = job.image;
@@ -82,7 +82,7 @@ fn render_on_host(job: &Job, folder: &Path) -> TilePixels {
     }
     let mut child =
         Command::new(program).stdin(Stdio::piped()).stdout(Stdio::piped()).spawn().expect("the program starts");
-    child.stdin.take().expect("it was asked for").write_all(&input).expect("the program reads");
+    child.stdin.take().expect("standard input is piped").write_all(&input).expect("the program reads");
     let output = child.wait_with_output().expect("the program ends");
     assert!(output.status.success());
     let numbers: Vec<f32> =
@@ -94,10 +94,10 @@ fn render_on_host(job: &Job, folder: &Path) -> TilePixels {
 fn render_on_cpu(job: &Job) -> TilePixels {
     let renderer = CpuRenderer::new(None, Simd::Auto).expect("this machine has a CPU");
     let rect = Rect::full(job.image.width, job.image.height);
-    renderer.render(&TileRequest { job, frame: 0, rect }, &CancelFlag::new(), &|_| {}).expect("nobody cancels it")
+    renderer.render(&TileRequest { job, frame: 0, rect }, &CancelFlag::new(), &|_| {}).expect("it is not cancelled")
 }
 
-/// Compares what the host's compiler makes of these jobs with the CPU's pixels, several at a time.
+/// Compares the host program's pixels of these jobs with the CPU renderer's, several jobs at a time.
 fn assert_same_on_host(jobs: &[(String, Job)]) {
     let compare = |(name, job): &(String, Job)| {
         let folder = tempfile::tempdir().expect("a scratch folder");
@@ -120,14 +120,14 @@ fn in_small(scenes: &[Shipped]) -> Vec<(String, Job)> {
     scenes.iter().map(|shipped| (shipped.name.clone(), small(shipped))).collect()
 }
 
-/// Compiles these scenes as a GPU's worker would.
+/// Compiles these scenes as a GPU worker would.
 fn assert_compiled(scenes: &[Shipped]) {
     let compiler = match Compiler::find() {
         Ok(compiler) => compiler,
         Err(missing) => return skip("nvrtc", format_args!("no scene was compiled for a GPU: {missing}")),
     };
     for shipped in scenes {
-        let source = KernelSource::new(&shipped.job().at(0).expect("a shipped scene is right"));
+        let source = KernelSource::new(&shipped.job().at(0).expect("a shipped scene is valid"));
         for architecture in [75, 90] {
             let code = compiler.compile(&source.text, architecture);
             let code = code.unwrap_or_else(|trouble| panic!("{} for sm_{architecture}: {trouble}", shipped.name));
@@ -141,7 +141,7 @@ fn values(examples: Vec<Example>) -> Vec<Value> {
     examples.into_iter().map(|example| serde_json::from_str(&example.json).expect("an example is JSON")).collect()
 }
 
-/// A job for each background, with all lights that may shine before it; the projections and effects take turns.
+/// A job for each background, with all lights that can be used with it; projections and effects alternate.
 fn jobs_of_all_kinds() -> Vec<Job> {
     let (projections, effects) = (values(Projection::examples()), values(effects::examples()));
     let backgrounds = values(Background::examples());
@@ -161,19 +161,19 @@ fn jobs_of_all_kinds() -> Vec<Job> {
         let lights: Vec<Value> = values(Light::examples());
         let shining: Vec<Value> =
             lights.into_iter().filter(|light| with(index, std::slice::from_ref(light)).is_ok()).collect();
-        with(index, &shining).expect("each light alone is right")
+        with(index, &shining).expect("each light alone is valid")
     };
     (0..jobs).map(job).collect()
 }
 
 #[test]
-fn the_text_of_every_light_background_projection_and_effect_renders_identical_bits() {
+fn source_of_every_scene_part_is_bit_identical() {
     let jobs = jobs_of_all_kinds().into_iter().enumerate();
     let jobs: Vec<(String, Job)> = jobs.map(|(index, job)| (format!("job {index} of all kinds"), job)).collect();
     assert_same_on_host(&jobs);
 }
 
-/// Scenes that together have lights, materials, media, textures, a camera and fractals of every sort.
+/// Scenes that together have every sort of light, material, medium, texture, camera and fractal.
 fn few() -> Vec<Shipped> {
     let mut scenes = shipped();
     scenes.retain(|shipped| FEW.contains(&shipped.name.as_str()));
@@ -182,32 +182,32 @@ fn few() -> Vec<Shipped> {
 }
 
 #[test]
-fn the_text_compiled_by_the_host_renders_identical_bits() {
+fn source_compiled_by_the_host_is_bit_identical() {
     assert_same_on_host(&in_small(&few()));
 }
 
 #[test]
-#[ignore = "long: the text of every shipped scene compiled by the host's compiler; two minutes"]
-fn the_text_of_every_scene_compiled_by_the_host_renders_identical_bits() {
+#[ignore = "long: compiles the source of every shipped scene with the host's compiler; 2 minutes"]
+fn every_scene_compiled_by_the_host_is_bit_identical() {
     assert_same_on_host(&in_small(&shipped()));
 }
 
 #[test]
-fn the_run_time_compiler_takes_a_few_scenes() {
+fn nvrtc_compiles_a_few_scenes() {
     assert_compiled(&few());
 }
 
 #[test]
-#[ignore = "long: every shipped scene compiled for two architectures; a minute"]
-fn the_run_time_compiler_takes_every_scene() {
+#[ignore = "long: compiles every shipped scene for two architectures; 1 minute"]
+fn nvrtc_compiles_every_scene() {
     assert_compiled(&shipped());
 }
 
 #[test]
-fn a_program_that_is_none_is_rejected_with_the_compilers_words() {
+fn invalid_source_is_rejected_with_the_compilers_message() {
     let compiler = match Compiler::find() {
         Ok(compiler) => compiler,
-        Err(missing) => return skip("nvrtc", format_args!("nothing could be refused: {missing}")),
+        Err(missing) => return skip("nvrtc", format_args!("no source could be rejected: {missing}")),
     };
     let refusal = compiler.compile("this is no program", 90).expect_err("it is none").to_string();
     assert!(refusal.contains("error") && refusal.contains("scene.cu"), "{refusal}");
@@ -215,11 +215,11 @@ fn a_program_that_is_none_is_rejected_with_the_compilers_words() {
     assert!(unknown.contains("sm_12") && unknown.contains("newer"), "{unknown}");
 }
 
-/// Every number of a JSON value that is no count, made a little larger.
+/// Every number of a JSON value that is not a count, slightly increased.
 fn nudge(value: &mut Value) {
     match value {
         Value::Number(number) => {
-            // Whole powers, counts of iterations and the like are structure; so is nothing at all.
+            // Integer powers, iteration counts and similar numbers are structure; so is 0.
             if let Some(number) = number.as_f64().filter(|number| number.fract() != 0.0) {
                 *value = (number * 1.015_625).into();
             }
@@ -231,21 +231,21 @@ fn nudge(value: &mut Value) {
 }
 
 #[test]
-fn no_number_of_a_scene_is_in_its_text() {
+fn kernel_source_does_not_depend_on_a_scenes_numbers() {
     for Shipped { name, text } in shipped() {
         let mut changed: Value = serde_json::from_slice(&text).expect("a scene is JSON");
         nudge(&mut changed["scene"]);
-        let before = scene::parse(&text).expect("a shipped scene is right");
-        let before = KernelSource::new(&before.at(0).expect("nothing moves in it"));
+        let before = scene::parse(&text).expect("a shipped scene is valid");
+        let before = KernelSource::new(&before.at(0).expect("it is not animated"));
         let after = scene::parse(changed.to_string().as_bytes()).expect("a little larger is in range");
-        let after = KernelSource::new(&after.at(3).expect("nothing moves in it"));
-        assert_ne!(before.parameters, after.parameters, "{name} has other numbers now");
-        assert!(before.text == after.text, "numbers of {name} are in its text");
+        let after = KernelSource::new(&after.at(3).expect("it is not animated"));
+        assert_ne!(before.parameters, after.parameters, "{name} has other uniforms");
+        assert!(before.text == after.text, "numbers of {name} are in its source");
     }
 }
 
 #[test]
-fn loop_states_change_together_and_unused_values_are_not_printed() {
+fn loop_variables_change_together_and_unused_values_are_omitted() {
     let tape = record(|recording| {
         recording.entry("swap", |[a, b, count]: [Expr; 3]| {
             let zero = a.constant(0.0);

@@ -1,6 +1,6 @@
-//! The pages of nodes, materials, lights, camera and sky, and shipped scenes with their pictures, made from the code
-//! and the scenes. A stale page fails here;
-//! `SDFARM_WRITE_DOCS=1 cargo test -p worker --test worker docs` writes it anew.
+//! Checks that the generated pages and pictures (nodes, materials, lights, camera and sky, and the gallery)
+//! match the code and the scenes. If a page is stale, `SDFARM_WRITE_DOCS=1 cargo test -p worker --test worker
+//! docs` rewrites it.
 
 mod camera_and_sky;
 mod gallery;
@@ -14,32 +14,32 @@ use std::path::Path;
 
 use scene::Job;
 
-/// The text of a page and the pictures on it.
+/// Text of a page, with its pictures.
 struct Page {
-    /// The page's place under docs/.
+    /// Path of the page in docs/.
     name: &'static str,
     text: String,
     pictures: Vec<Picture>,
 }
 
-/// A picture to render.
+/// Picture to render.
 struct Picture {
-    /// Its place under docs/.
+    /// Path of the picture in docs/.
     file: String,
-    /// What it is rendered of.
+    /// Job that it shows.
     job: Job,
 }
 
-/// What is compared of a page's pictures.
+/// How a page's pictures are compared.
 #[derive(Clone, Copy, PartialEq, Eq)]
 enum Compared {
-    /// What they say that they were made of.
+    /// By the provenance in them.
     Provenance,
-    /// Every byte.
+    /// By every byte.
     Bytes,
 }
 
-/// Writes the page's files where that is asked for; fails on one that is not as it should be.
+/// Writes the page's files if requested; otherwise fails if one is stale.
 fn assert_fresh(page: &Page, compared: Compared) {
     let docs = Path::new(env!("CARGO_MANIFEST_DIR")).join("../docs");
     if std::env::var_os("SDFARM_WRITE_DOCS").is_some() {
@@ -74,7 +74,7 @@ fn write(page: &Page, docs: &Path) {
     }
 }
 
-/// Where a picture lies, by the name of what it shows and its place among the examples of it.
+/// Path of a picture, by the name of its subject and its index among the examples.
 fn file(folder: &str, name: &str, number: usize) -> String {
     match number {
         0 => format!("pictures/{folder}/{name}.png"),
@@ -82,40 +82,40 @@ fn file(folder: &str, name: &str, number: usize) -> String {
     }
 }
 
-/// A picture above its JSON.
+/// Markdown of a picture, with its JSON below.
 fn shown(name: &str, file: &str, json: &str) -> String {
     let value: serde_json::Value = serde_json::from_str(json).expect("an example is JSON");
     format!("\n![{name}]({file})\n\n```json\n{value}\n```\n")
 }
 
 #[test]
-fn the_page_of_nodes_is_what_the_nodes_say() {
+fn the_page_of_nodes_is_current() {
     assert_fresh(&nodes::page(), Compared::Provenance);
 }
 
 #[test]
-fn the_page_of_materials_is_what_materials_and_textures_say() {
+fn the_page_of_materials_is_current() {
     assert_fresh(&materials::page(), Compared::Provenance);
 }
 
 #[test]
-fn the_page_of_lights_is_what_the_lights_say() {
+fn the_page_of_lights_is_current() {
     assert_fresh(&lights::page(), Compared::Provenance);
 }
 
 #[test]
-fn the_page_of_camera_and_sky_is_what_projections_backgrounds_and_effects_say() {
+fn the_page_of_camera_and_sky_is_current() {
     assert_fresh(&camera_and_sky::page(), Compared::Provenance);
 }
 
 #[test]
-fn the_gallery_is_what_the_shipped_scenes_look_like() {
+fn the_gallery_is_current() {
     assert_fresh(&gallery::page(), Compared::Provenance);
 }
 
 #[test]
-#[ignore = "long: every picture of the generated pages, rendered again; a minute"]
-fn pictures_of_the_pages_have_the_bytes_that_they_render_to() {
+#[ignore = "long: renders every picture of the generated pages; 1 minute"]
+fn page_pictures_match_a_new_render() {
     assert_fresh(&nodes::page(), Compared::Bytes);
     assert_fresh(&materials::page(), Compared::Bytes);
     assert_fresh(&lights::page(), Compared::Bytes);
@@ -123,7 +123,7 @@ fn pictures_of_the_pages_have_the_bytes_that_they_render_to() {
 }
 
 #[test]
-#[ignore = "long: every picture of the gallery, rendered anew; a minute"]
-fn pictures_of_the_gallery_have_the_bytes_that_they_render_to() {
+#[ignore = "long: renders every picture of the gallery; 1 minute"]
+fn gallery_pictures_match_a_new_render() {
     assert_fresh(&gallery::page(), Compared::Bytes);
 }

@@ -1,14 +1,13 @@
-//! A renderer of cheap pixels that are a pure function of job, frame and place, and
-//! jobs for it.
+//! Fake renderer of cheap pixels that are a pure function of job, frame and position, and jobs for it.
 
 use proto::Rect;
 use scene::Job;
 use worker::{CancelFlag, RenderError, Renderer, TilePixels, TileRequest};
 
-/// Every layer, in an order that is not the file's.
+/// Every layer, in another order than the file's.
 pub(crate) const ALL_LAYERS: &str = r#"["steps", "depth", "normal", "position", "albedo", "object"]"#;
 
-/// A job whose scene hardly matters. `image` is members of its image, after the size.
+/// A job whose scene hardly matters. `image` has members of the image, after the size.
 pub(crate) fn job_text(width: u32, height: u32, image: &str, scene: &str) -> String {
     let comma = |members: &str| if members.is_empty() { String::new() } else { format!(", {members}") };
     format!(
@@ -21,15 +20,15 @@ pub(crate) fn job_text(width: u32, height: u32, image: &str, scene: &str) -> Str
 }
 
 pub(crate) fn job(width: u32, height: u32, image: &str) -> Job {
-    scene::parse(job_text(width, height, image, "").as_bytes()).expect("the job is sound")
+    scene::parse(job_text(width, height, image, "").as_bytes()).expect("the job is valid")
 }
 
 pub(crate) fn transparent_job(width: u32, height: u32, image: &str) -> Job {
     let text = job_text(width, height, image, r#""background": "transparent""#);
-    scene::parse(text.as_bytes()).expect("the job is sound")
+    scene::parse(text.as_bytes()).expect("the job is valid")
 }
 
-/// Smooth in places, noisy in others, within 0 and 1.2, and below alpha.
+/// Smooth in some areas, noisy in others, from 0 to 1.2, and below alpha.
 pub(crate) fn sample(plane: usize, x: u32, y: u32, frame: u32) -> f32 {
     let mut hash = (x / 5 + 7919 * (y / 3) + 104_729 * plane as u32).wrapping_mul(0x9E37_79B9) ^ frame;
     hash = (hash ^ (hash >> 15)).wrapping_mul(0x85EB_CA6B);
@@ -38,7 +37,7 @@ pub(crate) fn sample(plane: usize, x: u32, y: u32, frame: u32) -> f32 {
     (slope + noise * 0.25).min(1.2)
 }
 
-/// Whether the fake scene is hit: rays beside it have no depth.
+/// Whether the fake scene is hit: rays that miss have no depth.
 fn is_hit(x: u32, y: u32) -> bool {
     !(x / 16 + y / 16).is_multiple_of(3)
 }
@@ -89,7 +88,7 @@ impl Renderer for FakeRenderer {
     }
 }
 
-/// Cuts a picture into tiles of this size, whatever the grid.
+/// Cuts a picture into tiles of this size, regardless of the grid.
 pub(crate) fn cut(width: u32, height: u32, tile_width: u32, tile_height: u32) -> Vec<Rect> {
     let mut rects = Vec::new();
     for y in (0..height).step_by(tile_height as usize) {

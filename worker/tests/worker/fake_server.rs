@@ -1,5 +1,5 @@
-//! A server that plays the workers' protocol from memory, and can be stopped like a
-//! killed process and started again at the same address.
+//! Fake server that implements the workers' protocol in memory, and can be stopped like a killed process and
+//! restarted at the same address.
 
 use std::collections::{HashMap, HashSet, VecDeque};
 use std::net::{SocketAddr, TcpListener};
@@ -20,10 +20,10 @@ use proto::{JobId, LeaseId, Rect, WorkerId};
 use tokio::runtime::Runtime;
 use tokio::sync::Notify;
 
-/// Long enough for the slowest machine; a test that waits so long has failed.
+/// Timeout, sufficient on the slowest machine; a test that reaches it has failed.
 const DEADLINE: Duration = Duration::from_secs(20);
 
-/// What the server knows and has seen.
+/// State of the server, and what it has received.
 #[derive(Default)]
 pub(crate) struct Farm {
     pub(crate) lease_ms: u64,
@@ -31,13 +31,13 @@ pub(crate) struct Farm {
     pub(crate) queue: VecDeque<Batch>,
     pub(crate) live: HashSet<LeaseId>,
     pub(crate) drain: bool,
-    /// Status and body to answer registrations with.
+    /// Status and body of responses to registrations.
     pub(crate) refusal: Option<(StatusCode, String)>,
-    /// Status to answer so many PUTs with.
+    /// Status of the response to the next PUTs, and the number of PUTs left.
     pub(crate) put_refusals: VecDeque<StatusCode>,
-    /// PUTs of pictures wait while this is set.
+    /// While this is set, PUTs of pictures wait.
     pub(crate) hold_puts: bool,
-    /// Pictures that wait.
+    /// Number of waiting PUTs of pictures.
     pub(crate) putting: usize,
     pub(crate) hellos: Vec<RegisterRequest>,
     pub(crate) workers: HashSet<WorkerId>,
@@ -50,7 +50,7 @@ pub(crate) struct Farm {
 }
 
 impl Farm {
-    /// Queues a run; answers its leases.
+    /// Queues a batch; returns its leases.
     pub(crate) fn give(&mut self, job: JobId, rects: &[Rect], whole_frame: bool) -> Vec<LeaseId> {
         let tiles: Vec<LeasedTile> =
             (0..).zip(rects).map(|(index, &rect)| LeasedTile { lease: LeaseId::new(), index, rect }).collect();
@@ -65,7 +65,7 @@ impl Farm {
         id
     }
 
-    /// What became of a lease, if it is known.
+    /// Outcome of a lease, if it was reported.
     pub(crate) fn outcome(&self, lease: LeaseId) -> Option<&LeaseOutcome> {
         self.reports.iter().find(|report| report.lease == lease).map(|report| &report.outcome)
     }
@@ -86,7 +86,7 @@ impl Shared {
         self.farm.0.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Changes the farm, and tells everyone.
+    /// Changes the state, and wakes all waiters.
     fn change<T>(&self, change: impl FnOnce(&mut Farm) -> T) -> T {
         let changed = change(&mut self.farm());
         self.farm.1.notify_all();
@@ -95,7 +95,7 @@ impl Shared {
     }
 }
 
-/// The server.
+/// The fake server.
 pub(crate) struct FakeServer {
     shared: Shared,
     address: SocketAddr,
@@ -103,7 +103,7 @@ pub(crate) struct FakeServer {
 }
 
 impl FakeServer {
-    /// A server that is not there yet, but whose address is known.
+    /// A server that is not running yet, but whose address is known.
     pub(crate) fn down(lease_ms: u64) -> Self {
         let shared = Shared::default();
         shared.farm().lease_ms = lease_ms;
@@ -125,7 +125,7 @@ impl FakeServer {
         self.runtime = Some(runtime);
     }
 
-    /// Like a killed process: every connection is cut.
+    /// Stops like a killed process: every connection is closed.
     pub(crate) fn kill(&mut self) {
         if let Some(runtime) = self.runtime.take() {
             runtime.shutdown_timeout(DEADLINE);
@@ -140,7 +140,7 @@ impl FakeServer {
         self.shared.change(change)
     }
 
-    /// Waits until the farm is as wanted, and answers what the condition finds.
+    /// Waits until the state is as wanted, and returns what the condition finds.
     pub(crate) fn until<T>(&self, what: &str, mut condition: impl FnMut(&mut Farm) -> Option<T>) -> T {
         let end = Instant::now() + DEADLINE;
         let mut farm = self.shared.farm();
@@ -149,12 +149,12 @@ impl FakeServer {
                 return found;
             }
             let left = end.saturating_duration_since(Instant::now());
-            assert!(!left.is_zero(), "waited in vain until {what}; reports: {:?}", farm.reports);
+            assert!(!left.is_zero(), "timed out waiting until {what}; reports: {:?}", farm.reports);
             farm = self.shared.farm.1.wait_timeout(farm, left).unwrap().0;
         }
     }
 
-    /// Waits until all these leases are reported, and answers how.
+    /// Waits until all these leases are reported, and returns the outcomes.
     pub(crate) fn outcomes(&self, leases: &[LeaseId]) -> Vec<LeaseOutcome> {
         self.until("all leases are reported", |farm| leases.iter().map(|&lease| farm.outcome(lease).cloned()).collect())
     }
@@ -212,7 +212,7 @@ async fn sync(State(shared): State<Shared>, Json(sync): Json<SyncRequest>) -> Re
         if let Some(reply) = answer(&shared, &sync) {
             return Json(reply).into_response();
         }
-        // Told to the test alone: the bell would wake this very call.
+        // Wakes the test only: the other signal would wake this call itself.
         shared.farm().waiting += 1;
         shared.farm.1.notify_all();
         if tokio::time::timeout_at(end, rung).await.is_err() {
@@ -222,7 +222,7 @@ async fn sync(State(shared): State<Shared>, Json(sync): Json<SyncRequest>) -> Re
     }
 }
 
-/// What there is to say at once.
+/// Response that is available at once.
 fn answer(shared: &Shared, sync: &SyncRequest) -> Option<SyncResponse> {
     let mut farm = shared.farm();
     let lost = farm.lost(sync);

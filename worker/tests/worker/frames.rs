@@ -1,4 +1,4 @@
-//! One frame from job to file.
+//! Rendering one frame of a job to a file.
 
 use std::io::Cursor;
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -21,7 +21,7 @@ fn render(job: &Job, tile_px: Option<u32>, cancel: &CancelFlag, rays: &AtomicU64
 }
 
 #[test]
-fn a_frame_is_the_same_file_whatever_its_tiles() {
+fn a_frames_file_does_not_depend_on_its_tiles() {
     for job in jobs() {
         let whole = tiles(&job, &[Rect::full(job.image.width, job.image.height)]);
         let expected = encode(&job, &mut TileRows(&whole), 64).unwrap();
@@ -36,7 +36,7 @@ fn a_frame_is_the_same_file_whatever_its_tiles() {
 }
 
 #[test]
-fn a_cancelled_frame_says_so() {
+fn a_cancelled_frame_returns_an_error() {
     let cancel = CancelFlag::new();
     cancel.cancel();
     let error = render(&jobs()[0], None, &cancel, &AtomicU64::new(0)).unwrap_err();

@@ -1,5 +1,6 @@
-//! Every vector width gives the bits of the scalar reference: for each node, material, texture, light, background,
-//! projection and effect, and for whole pixels of scenes that use everything. Nothing here names one.
+//! Every vector width is bit-identical to the scalar reference: for each node, material, texture, light,
+//! background, projection and effect, and for complete pixels of scenes that use everything. Nothing is listed
+//! by name here.
 
 use proto::Rect;
 use scene::backgrounds::Background;
@@ -14,7 +15,7 @@ use worker::{CancelFlag, CpuRenderer, Renderer, Simd, TileRequest};
 
 use crate::skip::skip;
 
-/// Each level that this CPU has; says aloud which it has not.
+/// Each level that this CPU has; prints a `skipped:` line for the others.
 pub(crate) fn levels() -> impl Iterator<Item = Simd> {
     Simd::LEVELS.into_iter().filter(|level| {
         let available = level.is_available();
@@ -46,7 +47,7 @@ fn job_of(object: &str) -> Job {
     scene::parse(text.as_bytes()).unwrap()
 }
 
-/// The pixel by plain `f32`, channel by channel.
+/// The pixel computed with plain `f32`, channel by channel.
 fn reference(program: &Integrator<'_>, image: &Image, x: u32, y: u32) -> Vec<f32> {
     let seen = program.pixel(x as f32, y as f32);
     let met = program.aovs(x as f32, y as f32);
@@ -77,7 +78,7 @@ fn compare(name: &str, job: &Job) {
             let want = reference(&program, &job.image, x, y);
             for (plane, want) in pixels.planes.iter().zip(want) {
                 let got = plane[(y * rect.width + x) as usize];
-                assert!(!got.is_nan(), "{name} by {simd} at ({x}, {y}) is no number");
+                assert!(!got.is_nan(), "{name} by {simd} at ({x}, {y}) is NaN");
                 assert_eq!(got.to_bits(), (want + 0.0).to_bits(), "{name} by {simd} at ({x}, {y}): {got} for {want}");
             }
         }
@@ -91,7 +92,7 @@ fn every_width_gives_the_reference_bits_for_every_node() {
     }
 }
 
-/// A material on a turned ball that melts into a box.
+/// A material on a rotated ball blended smoothly with a box.
 fn melting(material: &str) -> String {
     format!(
         r#"{{ "union": {{ "smooth": 0.4, "of": [
@@ -105,7 +106,7 @@ fn melting(material: &str) -> String {
 fn every_width_gives_the_reference_bits_for_every_material() {
     for example in Material::examples() {
         let material: Material = serde_json::from_str(&example.json).unwrap();
-        // What fills a shape fills a whole object.
+        // A medium belongs to a complete object.
         let job = if material.is_medium() {
             job_of(&format!(r#"{{ "material": {}, "shape": {{ "sphere": {{ "radius": 1 }} }} }}"#, example.json))
         } else {
@@ -123,12 +124,12 @@ fn every_width_gives_the_reference_bits_for_every_texture() {
     }
 }
 
-/// A ball on a floor, and these keys of the scene.
+/// A ball on a floor, with these members of the scene.
 fn scene_with(keys: &Value) -> Value {
     let mut scene = json!({ "camera": { "position": [1.5, 1.4, 3.2], "look_at": [0, 0.6, 0] }, "objects": [
         { "shape": { "sphere": { "radius": 1 } }, "material": { "diffuse": { "ks": [0.4, 0.4, 0.4] } } },
         { "shape": { "plane": { "normal": [0, 1, 0], "offset": -1.5 } }, "material": { "diffuse": {} } } ] });
-    for (key, value) in keys.as_object().expect("keys of a scene") {
+    for (key, value) in keys.as_object().expect("members of a scene") {
         scene[key] = value.clone();
     }
     scene
@@ -172,7 +173,7 @@ fn every_width_gives_the_reference_bits_for_every_effect() {
 }
 
 #[test]
-fn a_tile_has_the_bits_of_its_part_of_the_picture() {
+fn a_tile_equals_its_part_of_the_picture() {
     let example = Node::examples().swap_remove(0);
     let job = job(&example.node);
     let renderer = CpuRenderer::new(Some(2), Simd::Auto).unwrap();
@@ -192,7 +193,7 @@ fn a_tile_has_the_bits_of_its_part_of_the_picture() {
 }
 
 #[test]
-fn a_raised_flag_stops_a_render() {
+fn a_set_cancel_flag_stops_a_render() {
     let job = job(&Node::examples().swap_remove(0).node);
     let renderer = CpuRenderer::new(Some(1), Simd::Auto).unwrap();
     let cancel = CancelFlag::new();

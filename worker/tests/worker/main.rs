@@ -1,4 +1,4 @@
-//! The worker by what the crate offers: pictures, blobs, frames, the agent, every arithmetic, the generated pages.
+//! Tests of the worker crate: pictures, blobs, frames, the agent, every arithmetic, the generated pages.
 
 mod agent;
 mod animation;

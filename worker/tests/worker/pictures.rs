@@ -1,4 +1,4 @@
-//! A picture's bytes depend on its pixels alone.
+//! Encoded pictures: the bytes depend on the pixels alone.
 
 use std::io::Cursor;
 
@@ -11,7 +11,7 @@ use worker::{CancelFlag, TilePixels};
 
 use crate::fake_renderer::{ALL_LAYERS, cut, job, pixels, transparent_job};
 
-/// One of every kind of file.
+/// One picture of every file format.
 pub(crate) fn jobs() -> Vec<Job> {
     let layers = format!(r#""format": "exr", "precision": "float", "seed": 7, "layers": {ALL_LAYERS}"#);
     vec![
@@ -41,7 +41,7 @@ pub(crate) fn encode(job: &Job, source: &mut dyn RowSource, band_rows: u32) -> R
 }
 
 #[test]
-fn no_tiling_and_no_band_changes_a_byte() {
+fn the_bytes_do_not_depend_on_tiles_or_bands() {
     for job in jobs() {
         let (width, height) = (job.image.width, job.image.height);
         let whole = tiles(&job, &[Rect::full(width, height)]);
@@ -60,7 +60,7 @@ fn no_tiling_and_no_band_changes_a_byte() {
 }
 
 #[test]
-fn no_number_of_threads_changes_a_byte() {
+fn the_bytes_do_not_depend_on_the_number_of_threads() {
     let pool = rayon::ThreadPoolBuilder::new().num_threads(3).build().unwrap();
     for job in jobs() {
         let tiles = tiles(&job, &[Rect::full(job.image.width, job.image.height)]);
@@ -74,7 +74,7 @@ fn no_number_of_threads_changes_a_byte() {
 }
 
 #[test]
-fn a_missing_tile_is_reported_and_not_painted_over() {
+fn a_missing_tile_is_an_error() {
     for job in jobs() {
         let mut tiles = tiles(&job, &cut(job.image.width, job.image.height, 32, 32));
         tiles.pop();
@@ -86,7 +86,7 @@ fn a_missing_tile_is_reported_and_not_painted_over() {
 }
 
 #[test]
-fn a_truncated_blob_is_reported() {
+fn a_truncated_blob_is_an_error() {
     let job = job(64, 64, "");
     let tile = pixels(&job, 3, Rect::full(64, 64));
     let mut bytes = blob::encode(&tile);
@@ -96,7 +96,7 @@ fn a_truncated_blob_is_reported() {
 }
 
 #[test]
-fn a_raised_flag_ends_the_writing() {
+fn a_set_cancel_flag_stops_encoding() {
     let cancel = CancelFlag::new();
     cancel.cancel();
     for job in jobs() {
@@ -117,7 +117,7 @@ fn in_blobs(tiles: &[TilePixels]) -> BlobRows<Cursor<Vec<u8>>> {
     BlobRows::new(Cursor::new(file), places)
 }
 
-/// The compressors are other people's code: a new version of theirs must not change pictures unseen.
+/// The compressors are dependencies: a new version must not change pictures unnoticed.
 #[test]
 fn the_bytes_of_a_picture_are_pinned() {
     let pinned = [

@@ -1,4 +1,4 @@
-//! What other readers find in our files.
+//! Pictures as other programs read them.
 
 use std::io::{Cursor, Write};
 use std::process::{Command, Stdio};
@@ -42,13 +42,13 @@ fn decode_png(bytes: &[u8]) -> DecodedPng {
     DecodedPng { info: reader.info().clone(), bytes: pixels }
 }
 
-/// The IEC 61966-2-1 curve, in double.
-#[expect(clippy::disallowed_methods, reason = "what is tested is not to be tested by itself")]
+/// The IEC 61966-2-1 curve, in double precision.
+#[expect(clippy::disallowed_methods, reason = "the reference must not use the code under test")]
 fn srgb(linear: f64) -> f64 {
     if linear <= 0.003_130_8 { 12.92 * linear } else { 1.055 * linear.powf(1.0 / 2.4) - 0.055 }
 }
 
-/// A graded PNG of each kind: two stops brighter and filmic, or half a stop darker alone.
+/// A PNG of each kind with a display transform: two stops brighter and filmic, or half a stop darker alone.
 fn graded() -> impl Iterator<Item = Job> {
     pngs().flat_map(|job| {
         let filmic =
@@ -58,8 +58,8 @@ fn graded() -> impl Iterator<Item = Job> {
     })
 }
 
-/// What an image shows for linear light, in double.
-#[expect(clippy::disallowed_methods, reason = "what is tested is not to be tested by itself")]
+/// Displayed value of linear light, in double precision.
+#[expect(clippy::disallowed_methods, reason = "the reference must not use the code under test")]
 fn shown(image: &Image, linear: f64) -> f64 {
     let x = linear * f64::from(image.exposure.get()).exp2();
     match image.tone_map {
@@ -69,7 +69,7 @@ fn shown(image: &Image, linear: f64) -> f64 {
 }
 
 #[test]
-fn a_png_holds_the_srgb_of_its_pixels_as_they_are_to_be_shown() {
+fn a_png_has_the_srgb_values_of_its_displayed_pixels() {
     for job in pngs().chain(graded()) {
         let pixels = whole(&job);
         let decoded = decode_png(&file(&job, &pixels));
@@ -94,8 +94,8 @@ fn a_png_holds_the_srgb_of_its_pixels_as_they_are_to_be_shown() {
             for (value, plane) in pixel[..3].iter().zip(&pixels.planes) {
                 let linear = shown(&job.image, f64::from(plane[index]) / alpha);
                 let exact = srgb(linear.clamp(0.0, 1.0)) * top;
-                // Half a step of rounding, or one of the two levels around it where there is dither; and single
-                // precision before it.
+                // Half a step of rounding, or one of the two levels around it if there is dither; plus the
+                // error of single precision before it.
                 let step = match job.image.bits {
                     Bits::Eight => 1.0,
                     Bits::Sixteen => 0.5,
@@ -110,7 +110,7 @@ fn a_png_holds_the_srgb_of_its_pixels_as_they_are_to_be_shown() {
 }
 
 #[test]
-fn a_png_is_tagged_srgb_and_says_what_made_it() {
+fn a_png_is_tagged_srgb_and_has_its_provenance() {
     for job in pngs() {
         let info = decode_png(&file(&job, &whole(&job))).info;
         assert!(info.srgb.is_some());
@@ -128,7 +128,7 @@ fn expected_provenance(job: &Job) -> String {
 }
 
 #[test]
-fn an_independent_reader_sees_the_same_png() {
+fn an_independent_reader_decodes_the_same_png() {
     let python = Command::new("python3").arg("--version").stdout(Stdio::null()).status();
     if !python.is_ok_and(|status| status.success()) {
         eprintln!("python3 is missing: the independent PNG reader was NOT run");
@@ -163,7 +163,7 @@ fn decode_exr(bytes: &[u8]) -> exr::image::FlatImage {
 }
 
 #[test]
-fn an_exr_holds_exactly_its_pixels() {
+fn an_exr_has_exactly_its_pixels() {
     for job in exrs() {
         let pixels = whole(&job);
         let image = decode_exr(&file(&job, &pixels));
@@ -190,7 +190,7 @@ fn an_exr_holds_exactly_its_pixels() {
 }
 
 #[test]
-fn an_exr_says_what_made_it_and_nothing_else() {
+fn an_exr_has_its_provenance_and_nothing_else() {
     for job in exrs() {
         let image = decode_exr(&file(&job, &whole(&job)));
         let attributes = &image.layer_data[0].attributes;
@@ -201,7 +201,7 @@ fn an_exr_says_what_made_it_and_nothing_else() {
 }
 
 #[test]
-fn an_exr_says_its_colors_its_camera_and_its_rate() {
+fn an_exr_has_its_primaries_camera_and_frame_rate() {
     for job in exrs() {
         let image = decode_exr(&file(&job, &whole(&job)));
         let attributes = &image.layer_data[0].attributes;
@@ -215,15 +215,15 @@ fn an_exr_says_its_colors_its_camera_and_its_rate() {
 }
 
 #[test]
-fn an_exr_is_the_same_bytes_each_time() {
+fn an_exr_has_the_same_bytes_each_time() {
     let job = exrs().next().unwrap();
     let pixels = whole(&job);
     let first = file(&job, &pixels);
-    assert!((0..50).all(|_| file(&job, &pixels) == first), "a header's attributes change places");
+    assert!((0..50).all(|_| file(&job, &pixels) == first), "the order of the header's attributes changes");
 }
 
 #[test]
-fn an_exr_holds_no_negative_zero_and_no_nan() {
+fn an_exr_has_no_negative_zero_and_no_nan() {
     let layers = format!(r#""format": "exr", "precision": "float", "layers": {ALL_LAYERS}"#);
     for job in [transparent_job(4, 1, &layers), transparent_job(4, 1, r#""format": "exr""#)] {
         let planes = vec![vec![-0.0, f32::NAN, -1e-12, 1e9]; job.image.channels().len()];

@@ -1,4 +1,4 @@
-//! The job files in scenes/, for tests that go over all of them.
+//! Job files in scenes/, for tests that run all of them.
 
 use std::path::Path;
 
@@ -12,7 +12,7 @@ pub(crate) const LAYERS: [Layer; 6] =
 pub(crate) struct Shipped {
     /// Its path in scenes/, without `.json`.
     pub(crate) name: String,
-    /// Its text.
+    /// Content of the file.
     pub(crate) text: Vec<u8>,
 }
 
@@ -37,7 +37,7 @@ impl Shipped {
     }
 }
 
-/// The job at another size, of the same shape.
+/// The job in another size, with the same aspect ratio.
 fn sized(job: Job, width: u32, samples: u32) -> Job {
     let height = (job.image.height * width / job.image.width).max(1);
     let image = Image { width, height, samples, ..job.image.clone() };

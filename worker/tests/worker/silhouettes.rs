@@ -1,6 +1,6 @@
-//! The paper's figures against the paper's own march, written here once more in double precision: the same
-//! geometry gives the same silhouettes, to half a pixel.
-#![expect(clippy::disallowed_methods, reason = "this is the paper's arithmetic, and makes no picture")]
+//! The paper's figures against the paper's own march, reimplemented here in double precision: the same geometry
+//! gives the same silhouettes, to half a pixel.
+#![expect(clippy::disallowed_methods, reason = "this is the paper's arithmetic, and renders no picture")]
 
 use std::path::Path;
 
@@ -11,15 +11,15 @@ use worker::{CancelFlag, CpuRenderer, Renderer, Simd, TileRequest};
 
 /// Pixels along an edge.
 const SIZE: usize = 256;
-/// The paper's least step.
+/// Minimum step of the paper.
 const MIN_STEP: f64 = 0.001;
-/// What is near zero: the paper does not say.
+/// Hit tolerance, which the paper does not give.
 const NEAR: f64 = 1e-4;
-/// Where its rays end.
+/// Maximum distance of its rays.
 const FAR: f64 = 1000.0;
 
 type Point = [f64; 3];
-/// A figure's name, its field of view if not its own, and its distance.
+/// Name of a figure, its field of view if it is not the default, and its distance function.
 type Figure = (&'static str, Option<f64>, fn(Point) -> f64);
 
 fn less(a: Point, b: Point) -> Point {
@@ -70,7 +70,7 @@ fn mandelbulb(p: Point) -> f64 {
     0.5 * r.ln() * r / growth
 }
 
-/// The five shapes of the first figure. The lattice of Perlin's noise is random, so it is sdfarm's.
+/// The five shapes of the first figure. The lattice of Perlin's noise is random, so sdfarm's is used.
 fn teaser(p: Point) -> f64 {
     let noise: scene::noise::Noise = serde_json::from_value(json!({ "perlin": { "scale": 5 } })).expect("a noise");
     let rough = sphere(p, [-2.7, 0.0, -8.0], 1.25);
@@ -104,10 +104,10 @@ fn is_hit(start: Point, direction: Point, distance: fn(Point) -> f64) -> bool {
     false
 }
 
-/// The paper's renderer before a figure.
+/// The paper's renderer, pointed at a figure.
 struct Paper {
     position: Point,
-    /// Ahead, and half a picture to the right and up.
+    /// Forward vector, and the vectors to half a picture to the right and up.
     axes: [Point; 3],
     distance: fn(Point) -> f64,
 }
@@ -126,7 +126,7 @@ impl Paper {
         Self { position, axes, distance }
     }
 
-    /// Whether the ray so many pixels from the left and the top hits.
+    /// Whether the ray this many pixels from the left and the top hits.
     fn hits(&self, x: f64, y: f64) -> bool {
         let [forward, right, up] = self.axes;
         let place = |pixels: f64| pixels / SIZE as f64 * 2.0 - 1.0;
@@ -134,7 +134,7 @@ impl Paper {
         is_hit(self.position, scaled(direction, 1.0 / length(direction)), self.distance)
     }
 
-    /// Whether a ray no more than half a pixel from the middle of this one meets what was `got` there.
+    /// Whether a ray at most half a pixel from the middle of this pixel has the outcome `got`.
     fn allows(&self, index: usize, got: bool) -> bool {
         let (x, y) = ((index % SIZE) as f64, (index / SIZE) as f64);
         let mut places = (0..=8).flat_map(|row| (0..=8).map(move |column| (column, row)));
@@ -142,16 +142,16 @@ impl Paper {
     }
 }
 
-/// What sdfarm hits: everything flat, before nothing, one ray a pixel.
+/// Pixels that sdfarm hits: flat colors on no background, one ray per pixel.
 fn rendered(job: &Value) -> Vec<bool> {
-    let job = scene::parse(job.to_string().as_bytes()).expect("it is right");
+    let job = scene::parse(job.to_string().as_bytes()).expect("the job is valid");
     let renderer = CpuRenderer::new(None, Simd::Auto).expect("there is a CPU");
     let run = TileRequest { job: &job, frame: 0, rect: Rect::full(SIZE as u32, SIZE as u32) };
     let pixels = renderer.render(&run, &CancelFlag::new(), &|_| ()).expect("it renders");
     pixels.planes[3].iter().map(|&alpha| alpha > 0.5).collect()
 }
 
-/// A figure as silhouettes, at a square's field of view.
+/// A figure rendered as a silhouette, with a square's field of view.
 fn figure(name: &str, fov: Option<f64>) -> Value {
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join(format!("../scenes/paper/{name}.json"));
     let mut job: Value = serde_json::from_slice(&std::fs::read(path).expect("it is shipped")).expect("JSON");
@@ -167,7 +167,7 @@ fn figure(name: &str, fov: Option<f64>) -> Value {
 }
 
 #[test]
-fn silhouettes_are_those_of_the_papers_march_to_half_a_pixel() {
+fn silhouettes_match_the_papers_march_to_half_a_pixel() {
     let figures: [Figure; 3] =
         [("teaser", Some(90.0), teaser), ("clouds", None, clouds), ("mandelbulb", None, mandelbulb)];
     for (name, fov, distance) in figures {

@@ -1,19 +1,19 @@
-//! What generators of clients need of the document beside schemas: bodies that are required, files that are bytes,
-//! parameters that are left out instead of being null, and an example.
+//! Completes the `OpenAPI` document for client generators: required bodies, files as bytes, parameters that are
+//! omitted instead of null, and an example.
 
 use serde_json::{Map, Value, json};
 
-/// Operations whose request may have no body.
+/// Operations whose request body is optional.
 const WITHOUT_BODY: [&str; 1] = ["resubmit_job"];
 
-/// Parameters that are words, and the schemas that list those.
+/// Parameters with enumerated values, and the schemas that list them.
 const WORDS: [(&str, &str); 2] = [("state", "JobState"), ("content", "LinkContent")];
 
-/// The schemas that belong to no type: what a route may answer under one status.
+/// Schemas without a Rust type: the alternatives of one status.
 pub(super) fn schemas() -> Map<String, Value> {
     let answer = json!({
         "title": "SubmitAnswer",
-        "description": "What a dry run found; or the job that was accepted before under the same Idempotency-Key.",
+        "description": "Result of a dry run, or the job that was accepted before with the same Idempotency-Key.",
         "anyOf": [{ "$ref": "#/components/schemas/JobView" }, { "$ref": "#/components/schemas/DryRun" }],
     });
     let changes = json!({
@@ -54,7 +54,7 @@ pub(super) fn rewrite(document: &mut Value) {
     }
 }
 
-/// Says of what is no JSON that it is bytes or text.
+/// Sets the schema of content that is not JSON to bytes or text.
 fn content_of(media_type: &str, content: &mut Value) {
     let schema = if media_type.starts_with("image/") || media_type == "application/zip" {
         json!({ "type": "string", "format": "binary" })
@@ -85,7 +85,7 @@ mod tests {
             if operation["requestBody"].is_object() {
                 assert_eq!(operation["requestBody"]["required"], id != "resubmit_job", "{id}");
             }
-            for (status, answer) in operation["responses"].as_object().expect("answers") {
+            for (status, answer) in operation["responses"].as_object().expect("responses") {
                 let Some(content) = answer["content"].as_object() else { continue };
                 assert_eq!(content.len(), 1, "{id} has several types for {status}");
                 for (media_type, content) in content {
@@ -103,7 +103,7 @@ mod tests {
     }
 
     #[test]
-    fn every_operation_has_an_id_of_its_own() {
+    fn operation_ids_are_unique() {
         let document = super::super::super::document();
         let mut ids: Vec<&str> =
             operations(document.value()).filter_map(|(_, it)| it["operationId"].as_str()).collect();

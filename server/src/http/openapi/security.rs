@@ -1,11 +1,12 @@
-//! Adds security to the description of every route: the key it requires, and the responses without one.
+//! Adds security to the description of every route: the permission that it requires, and the responses without
+//! it.
 
 use axum::http::Method;
 use serde_json::{Value, json};
 
 use crate::http::permissions::{Permission, required_permission};
 
-/// The scheme's name in the document.
+/// Name of the security scheme in the document.
 const SCHEME: &str = "key";
 
 /// Adds security schemes, and the responses for missing keys, exceeded rates and timeouts.
@@ -14,7 +15,7 @@ pub(super) fn describe(document: &mut Value) {
         SCHEME: {
             "type": "http",
             "scheme": "bearer",
-            "description": "A key made by `sdfarm key new`; a farm without keys asks for none.",
+            "description": "A key created by `sdfarm key new`; not required if the farm has no keys.",
         }
     });
     let Some(paths) = document["paths"].as_object_mut() else { return };
@@ -24,25 +25,25 @@ pub(super) fn describe(document: &mut Value) {
             let (Ok(method), true) = (method.to_uppercase().parse::<Method>(), operation.is_object()) else { continue };
             let what = match required_permission(&method, path) {
                 Permission::Public => {
-                    add(operation, "503", "The answer took too long, or the server is ending");
+                    add(operation, "503", "The response timed out, or the server is shutting down; see Retry-After");
                     continue;
                 }
-                Permission::Scope(scope) => format!("The key has not the scope {}", scope.name()),
+                Permission::Scope(scope) => format!("The key lacks scope {}", scope.name()),
                 Permission::OwnJob(scope) => {
                     format!("The key lacks scope {} and did not submit this job", scope.name())
                 }
             };
             operation["security"] = json!([{}, { SCHEME: [] }]);
-            add(operation, "401", "No key, or one that is unknown, expired or revoked");
+            add(operation, "401", "The key is missing, unknown, expired or revoked");
             add(operation, "403", &what);
-            add(operation, "408", "The body came too slowly");
-            add(operation, "429", "Requests come too fast: see Retry-After");
-            add(operation, "503", "The answer took too long, or the server is ending");
+            add(operation, "408", "The body arrived too slowly");
+            add(operation, "429", "Too many requests: see Retry-After");
+            add(operation, "503", "The response timed out, or the server is shutting down; see Retry-After");
         }
     }
 }
 
-/// Adds an answer, unless its route describes it.
+/// Adds a response, unless its route describes it.
 fn add(operation: &mut Value, status: &str, description: &str) {
     let answers = &mut operation["responses"];
     if answers[status].is_null() {

@@ -9,10 +9,10 @@ use super::{Fixture, leases, new_job, turn};
 use crate::queue::{NewJob, NextWork, SyncInput};
 use crate::tile_plan::TilePlan;
 
-/// A worker's speed, of which a tile of `large` takes a second.
+/// Speed of a worker, at which a tile of `large` takes 1 s.
 const RAYS_PER_SECOND: f64 = 1024.0;
 
-/// A job of this many tiles, of one second each.
+/// A job with this many tiles, which take 1 s each.
 fn job_of(submitter: &str, tiles: u32, priority: i32) -> NewJob {
     let plan =
         TilePlan { width_px: 32 * tiles, height_px: 32, samples: 1, pixel_bytes: 16, edge_px: Some(32), frames: 1 };
@@ -33,7 +33,7 @@ async fn claim(bench: &Fixture, worker: WorkerId) -> Option<Batch> {
     }
 }
 
-/// Finishes a run and lets the time pass that it takes.
+/// Finishes a batch and advances the clock by its duration.
 async fn finish(bench: &Fixture, worker: WorkerId, run: &Batch) {
     let count = leases(run).count() as u32;
     for _ in 0..count {
@@ -50,7 +50,7 @@ async fn finish(bench: &Fixture, worker: WorkerId, run: &Batch) {
 }
 
 #[tokio::test]
-async fn a_hundred_thousand_tiles_delay_anothers_tile_by_two_leases_at_most() {
+async fn many_tiles_delay_another_submitter_by_at_most_two_leases() {
     let bench = Fixture::new().await;
     let worker = bench.worker(None).await;
     for _ in 0..100 {
@@ -77,7 +77,7 @@ async fn a_hundred_thousand_tiles_delay_anothers_tile_by_two_leases_at_most() {
 }
 
 #[tokio::test]
-async fn submitters_are_served_by_turns_whatever_they_queue() {
+async fn submitters_alternate_regardless_of_their_queue_lengths() {
     let bench = Fixture::new().await;
     let worker = bench.worker(None).await;
     let mut of = std::collections::HashMap::new();
@@ -96,7 +96,7 @@ async fn submitters_are_served_by_turns_whatever_they_queue() {
 }
 
 #[tokio::test]
-async fn priority_goes_before_fairness() {
+async fn priority_precedes_fair_share() {
     let bench = Fixture::new().await;
     let worker = bench.worker(None).await;
     submit(&bench, job_of("few", 1, 0)).await;
@@ -109,7 +109,7 @@ async fn priority_goes_before_fairness() {
 }
 
 #[tokio::test]
-async fn a_job_that_was_paused_saves_up_no_credit() {
+async fn a_paused_job_gains_no_credit() {
     let bench = Fixture::new().await;
     let worker = bench.worker(None).await;
     let other = submit(&bench, job_of("steady", 1000, 0)).await;

@@ -1,5 +1,5 @@
-//! Model of the queue in memory: jobs, frames, tiles and leases as the rules say, without a database. It
-//! predicts what a worker receives and what a user sees, and knows which grants are legal.
+//! Model of the queue in memory: jobs, frames, tiles and leases by the rules, without a database. It predicts
+//! responses to workers and users, and checks that grants are legal.
 
 use std::collections::BTreeMap;
 
@@ -12,9 +12,9 @@ use crate::queue::LeaseEnd;
 
 /// Tiles of a frame of the jobs in these tests.
 pub(super) const TILES: u32 = 12;
-/// Stands for the stitch of a frame.
+/// Index of the stitch of a frame.
 const STITCH: i64 = -1;
-/// No tile straggles before.
+/// Minimum age of a straggler's lease.
 const MIN_STRAGGLER_MS: i64 = 500;
 
 type TileKey = (JobId, u32, i64);
@@ -61,7 +61,7 @@ pub(super) struct Job {
     frames: BTreeMap<u32, Frame>,
 }
 
-/// The whole of it.
+/// Complete state of the model.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Model {
     pub(super) now_ms: i64,
@@ -77,7 +77,7 @@ impl Model {
         self.jobs.insert(id, job);
     }
 
-    /// Takes note of a run, which must have been legal to grant.
+    /// Records a granted batch, after checking that the grant was legal.
     pub(super) fn grant(&mut self, worker: WorkerId, takes_large: bool, run: &Batch) {
         assert!(!self.farm_paused, "the farm is paused: {run:?}");
         let job = self.jobs.get_mut(&run.job).expect("the job is there");
@@ -99,7 +99,7 @@ impl Model {
                 vec![(STITCH, *lease)]
             }
             BatchWork::Render { tiles, whole_frame } => {
-                assert!(takes_large || !large, "too large a scene: {run:?}");
+                assert!(takes_large || !large, "the scene is too large: {run:?}");
                 assert_eq!(*whole_frame, tiles.len() as u32 == TILES);
                 assert_eq!(frame.state, FrameState::Open);
                 assert!(tiles.iter().all(|tile| !frame.tiles[&i64::from(tile.index)].done), "done before: {run:?}");
@@ -111,8 +111,8 @@ impl Model {
             let live: Vec<&Lease> = self.live(tile).map(|id| &self.leases[&id]).collect();
             assert!(live.len() < 2, "a third lease: {run:?}");
             for other in live {
-                assert!(other.worker != worker, "twice the same worker: {run:?}");
-                assert!(self.now_ms - other.granted_ms >= MIN_STRAGGLER_MS, "that is no straggler: {run:?}");
+                assert!(other.worker != worker, "both leases belong to one worker: {run:?}");
+                assert!(self.now_ms - other.granted_ms >= MIN_STRAGGLER_MS, "the tile is not a straggler: {run:?}");
             }
             let (granted_ms, expires_ms) = (self.now_ms, self.now_ms + LEASE_MS);
             self.leases.insert(lease, Lease { worker, tile, granted_ms, expires_ms, live: true });
@@ -133,7 +133,7 @@ impl Model {
         self.jobs.get_mut(&tile.0).expect("the job").frames.get_mut(&tile.1).expect("the frame")
     }
 
-    /// A worker's results and what it still holds; answers the leases it must hear are lost.
+    /// Records a worker's results and its remaining leases; returns the leases that the response must revoke.
     pub(super) fn report(&mut self, worker: WorkerId, results: &[LeaseReport], holding: &[LeaseId]) -> Vec<LeaseId> {
         let mut lost = Vec::new();
         let mut pictures: BTreeMap<&str, Vec<LeaseId>> = BTreeMap::new();
@@ -208,7 +208,7 @@ impl Model {
                 if frame.tiles.values().all(|tile| tile.done) {
                     frame.state = FrameState::Stitching;
                     frame.tiles.entry(STITCH).or_default();
-                    // The stitch is not one of the frame's pixels.
+                    // The stitch does not count toward the frame's pixels.
                     frame.tiles.get_mut(&STITCH).expect("the stitch").done = true;
                 }
             }
@@ -287,14 +287,14 @@ impl Model {
         }
     }
 
-    /// Time passes and overdue leases expire.
+    /// Advances the clock and expires overdue leases.
     pub(super) fn pass(&mut self, ms: i64) {
         self.now_ms += ms;
         let now_ms = self.now_ms;
         self.give_up_where(LeaseEnd::Lost, |lease| lease.expires_ms <= now_ms);
     }
 
-    /// A worker's process has ended.
+    /// Records the exit of a worker's process.
     pub(super) fn reap(&mut self, worker: WorkerId, cause: LeaseEnd) {
         self.give_up_where(cause, |lease| lease.worker == worker);
     }
@@ -310,8 +310,7 @@ impl Model {
         }
     }
 
-    /// The server has started again: leases of its old pool end, the others last for one more lease
-    /// length.
+    /// Restarts the server: leases of its old pool end, the others last for one more lease length.
     pub(super) fn restart(&mut self, pool: &[WorkerId]) {
         self.now_ms = 0;
         self.end_where(|lease| pool.contains(&lease.worker));
@@ -320,7 +319,7 @@ impl Model {
         }
     }
 
-    /// Whether a user sees what is.
+    /// Checks that a user's view matches the model.
     pub(super) fn compare(&self, id: JobId, view: Option<&JobView>) {
         let (Some(view), Some(job)) = (view, self.jobs.get(&id)) else {
             assert!(view.is_none() && !self.jobs.contains_key(&id), "{view:?}");

@@ -1,5 +1,5 @@
-//! Every statement that the queue runs finds its rows by an index. The statements are not listed here: they
-//! are recorded while random sequences run, and what users and operators ask is asked as well.
+//! Every statement of the queue uses an index. The statements are not listed here: they are recorded while
+//! random sequences and the queries of users and operators run.
 
 use std::collections::BTreeSet;
 use std::fmt;
@@ -18,11 +18,11 @@ use super::sequences::{Pair, sequence};
 use super::{Fixture, new_job};
 use crate::database::Database;
 
-/// Sequences that are recorded.
+/// Number of recorded sequences.
 const SEQUENCES: usize = 40;
 /// Tables that may be scanned: they have one row for each meta value, worker, or submitter.
 const SMALL: [&str; 4] = ["meta", "worker", "share", "strike"];
-/// Indexes that hold only what is under way, or are read in their order up to the first match.
+/// Indexes that contain only unfinished work, or are read in order up to the first match.
 const SHORT: [&str; 8] = [
     "tile_stitch",
     "tile_waiting",
@@ -36,7 +36,7 @@ const SHORT: [&str; 8] = [
 
 static SEEN: Mutex<BTreeSet<String>> = Mutex::new(BTreeSet::new());
 
-/// Notes the statements of databases that log theirs; only this test's does.
+/// Records the statements of databases that emit them; only this test's does.
 struct Recorder;
 
 struct Statement(String);
@@ -45,7 +45,7 @@ impl Visit for Statement {
     fn record_debug(&mut self, _: &Field, _: &dyn fmt::Debug) {}
 
     fn record_str(&mut self, field: &Field, value: &str) {
-        // The summary comes first, and is the whole statement if that is short.
+        // The summary comes first, and is the complete statement if that is short.
         if field.name() == "summary" || (field.name() == "db.statement" && !value.is_empty()) {
             value.trim().clone_into(&mut self.0);
         }
@@ -76,7 +76,7 @@ impl Subscriber for Recorder {
     fn exit(&self, _: &Id) {}
 }
 
-/// Statements that the sequences do not run.
+/// Runs the statements that the sequences do not.
 async fn ask(bench: &Fixture) {
     let queue = &bench.queue;
     let new = new_job(2);
@@ -98,11 +98,11 @@ async fn ask(bench: &Fixture) {
     queue.has_picture("no key").await.expect("reads");
     queue.is_paused().await.expect("reads");
     queue.delete_preview(id).await.expect("reads");
-    queue.check().await.expect("answers");
-    queue.fail_unreadable(number, "no".to_owned()).await.expect("refuses");
+    queue.check().await.expect("responds");
+    queue.fail_unreadable(number, "no".to_owned()).await.expect("fails the job");
 }
 
-/// A step that reads more than it needs.
+/// Whether a step of a plan reads more than it needs.
 fn is_wasteful(step: &str) -> bool {
     let Some(scanned) = step.strip_prefix("SCAN ") else { return false };
     let table = scanned.split(' ').next().unwrap_or_default();
@@ -119,8 +119,8 @@ async fn plan(readers: &SqlitePool, statement: &str) -> Vec<String> {
 }
 
 #[tokio::test]
-async fn every_statement_finds_its_rows_by_an_index() {
-    tracing::subscriber::set_global_default(Recorder).expect("no other test listens");
+async fn every_statement_uses_an_index() {
+    tracing::subscriber::set_global_default(Recorder).expect("no other test sets a subscriber");
     let mut runner = TestRunner::deterministic();
     for _ in 0..SEQUENCES {
         let folder = tempfile::tempdir().expect("a temporary folder");
@@ -146,12 +146,12 @@ async fn every_statement_finds_its_rows_by_an_index() {
             plan.iter().filter(|step| is_wasteful(step)).map(|step| format!("{step}\n  in {plan:?}\n  of {statement}")),
         );
     }
-    assert!(explained >= 60, "only {explained} statements were seen: {seen:?}");
+    assert!(explained >= 60, "only {explained} statements were recorded: {seen:?}");
     assert!(wasteful.is_empty(), "{}", wasteful.join("\n"));
 }
 
 #[tokio::test]
-async fn a_claim_sorts_nothing() {
+async fn a_claim_needs_no_sort() {
     let bench = Fixture::new().await;
     for statement in [include_str!("../next_job.sql"), include_str!("../next_tile.sql")] {
         let plan = plan(bench.queue.readers(), statement).await;

@@ -13,13 +13,13 @@ use super::model::{Model, TILES};
 use super::{Fixture, leases, new_job, turn};
 use crate::queue::{DeleteOutcome, FrameOpening, LeaseEnd, NewJob, NextWork, SyncInput};
 
-/// Sequences in every run of the tests.
+/// Number of sequences in every run of the tests.
 const SEQUENCES: u32 = 100;
-/// Sequences in the long ones.
+/// Number of sequences in the long tests.
 const MANY_SEQUENCES: u32 = 500;
-/// Operations in a sequence, at most.
+/// Maximum number of operations in a sequence.
 const OPERATIONS: usize = 40;
-/// Scenes of more nodes are large.
+/// Scenes with more nodes count as large.
 const SMALL_NODES: u32 = 500;
 
 #[derive(Clone, Debug)]
@@ -48,7 +48,7 @@ pub(super) enum Operation {
     Retry(usize),
     Move(usize, i32),
     Delete(usize),
-    /// Of the pool workers, which are the last two.
+    /// Index among the pool workers, which are the last two.
     Reap {
         worker: usize,
         crashed: bool,
@@ -80,7 +80,7 @@ fn operation() -> impl Strategy<Value = Operation> {
     ]
 }
 
-/// A worker of the sequence: what it is registered as, and the runs it was given.
+/// Worker of a sequence: its registration, and the batches it was granted.
 struct Worker {
     id: WorkerId,
     takes_large: bool,
@@ -94,7 +94,7 @@ impl Worker {
     }
 }
 
-/// The queue and the model of it.
+/// Queue under test with its model.
 pub(super) struct Pair {
     pub(super) bench: Fixture,
     model: Model,
@@ -136,7 +136,7 @@ impl Pair {
         };
         let mut lost = Vec::new();
         let run = loop {
-            let Some(turned) = self.bench.queue.turn(said.clone()).await.expect("a turn") else {
+            let Some(turned) = self.bench.queue.turn(said.clone()).await.expect("a sync") else {
                 let (takes_large, pool) = (worker.takes_large, worker.pool);
                 let id = self.register(takes_large, pool).await;
                 self.workers[index].id = id;
@@ -154,13 +154,13 @@ impl Pair {
         lost.sort();
         lost.dedup();
         expected.sort();
-        assert_eq!(lost, expected, "what worker {index} lost");
+        assert_eq!(lost, expected, "leases revoked from worker {index}");
         let worker = &mut self.workers[index];
         if let Some(run) = &run {
             self.model.grant(id, worker.takes_large, run);
             worker.runs.push(run.clone());
         }
-        // Half of the workers drop revoked leases; the others report results for them all the same.
+        // Half of the workers drop revoked leases; the others report results for them anyway.
         if index == 0 {
             worker.runs.retain(|run| !leases(run).all(|lease| lost.contains(&lease)));
         }
@@ -187,7 +187,7 @@ impl Pair {
             _ if stitch || whole => LeaseOutcome::Picture { hash, size_bytes: 1 },
             _ => LeaseOutcome::Blob { hash, size_bytes: 1 },
         };
-        // Some report only part of their results.
+        // Some workers report only part of their results.
         let skipped = usize::from(die >= 200);
         let results = leases(&run).skip(skipped).map(|lease| LeaseReport { lease, outcome: outcome.clone() }).collect();
         self.call(index, results, None).await;
@@ -223,7 +223,7 @@ impl Pair {
     }
 
     async fn delete(&mut self, id: JobId) {
-        let deleted = self.bench.queue.delete(id).await.expect("an answer");
+        let deleted = self.bench.queue.delete(id).await.expect("a response");
         if let DeleteOutcome::Done { .. } = deleted {
             assert_ne!(self.model.jobs.get(&id).expect("known").state, proto::job::JobState::Running);
             self.model.jobs.remove(&id);
@@ -240,7 +240,7 @@ impl Pair {
                 self.submit(new, large).await;
             }
             Operation::Claim { worker, fast } => {
-                // A slow worker takes tiles, a fast one the frame.
+                // A slow worker takes tiles, a fast one the complete frame.
                 self.call(worker, Vec::new(), Some(if fast { 1e9 } else { 3000.0 })).await;
             }
             Operation::Report { worker, run, outcome } => self.report(worker, run, outcome).await,
@@ -251,7 +251,7 @@ impl Pair {
             Operation::Restart => self.restart().await,
             Operation::Tidy => queue.prune().await.expect("tidies"),
             Operation::PauseFarm(paused) => {
-                queue.pause_all(paused).await.expect("an answer");
+                queue.pause_all(paused).await.expect("a response");
                 self.model.farm_paused = paused;
             }
             Operation::Cancel(job)
@@ -262,16 +262,16 @@ impl Pair {
                 let Some(id) = self.job(job) else { return };
                 match *operation {
                     Operation::Cancel(_) => {
-                        queue.cancel(id).await.expect("an answer");
+                        queue.cancel(id).await.expect("a response");
                         self.model.cancel(id);
                     }
                     Operation::Pause(_, paused) => self.pause(id, paused).await,
                     Operation::Retry(_) => {
-                        queue.retry(id).await.expect("an answer");
+                        queue.retry(id).await.expect("a response");
                         self.model.retry(id);
                     }
                     Operation::Move(_, priority) => {
-                        queue.patch(id, JobPatch { priority: Some(priority) }).await.expect("an answer");
+                        queue.patch(id, JobPatch { priority: Some(priority) }).await.expect("a response");
                     }
                     _ => self.delete(id).await,
                 }
@@ -280,7 +280,7 @@ impl Pair {
     }
 
     async fn pause(&mut self, id: JobId, paused: bool) {
-        self.bench.queue.pause(id, paused).await.expect("an answer");
+        self.bench.queue.pause(id, paused).await.expect("a response");
         let job = self.model.jobs.get_mut(&id).expect("known");
         if !job.state.is_final() {
             job.paused = paused;
@@ -300,7 +300,7 @@ impl Pair {
         for id in self.jobs.clone() {
             self.pause(id, false).await;
         }
-        // The pool workers end, so that nothing waits for them.
+        // The pool workers exit, so that no work waits for them.
         for index in 1..self.workers.len() {
             self.reap(index, LeaseEnd::Lost).await;
         }
@@ -309,7 +309,7 @@ impl Pair {
             if self.model.jobs.values().all(|job| job.state.is_final()) {
                 return;
             }
-            // One that was away for long registers first.
+            // A worker that was away for a long time registers first.
             let mut run = self.call(0, Vec::new(), Some(1e9)).await;
             if run.is_none() {
                 run = self.call(0, Vec::new(), Some(1e9)).await;
@@ -321,7 +321,7 @@ impl Pair {
             }
         }
         let open = self.model.jobs.values().filter(|job| !job.state.is_final()).count();
-        panic!("{open} jobs are never done");
+        panic!("{open} jobs do not finish");
     }
 }
 
@@ -341,13 +341,13 @@ pub(super) fn sequence() -> impl Strategy<Value = Vec<Operation>> {
 }
 
 #[test]
-fn the_queue_does_what_its_model_says() {
+fn the_queue_matches_its_model() {
     assert_as_its_model(SEQUENCES);
 }
 
 #[test]
-#[ignore = "long: five times as many random sequences of operations; half a minute"]
-fn the_queue_does_what_its_model_says_over_many_sequences() {
+#[ignore = "long: five times as many random sequences of operations; 30 s"]
+fn the_queue_matches_its_model_over_many_sequences() {
     assert_as_its_model(MANY_SEQUENCES);
 }
 
@@ -355,7 +355,7 @@ fn assert_as_its_model(cases: u32) {
     let config = Config { cases, failure_persistence: None, max_shrink_time: 60_000, ..Config::default() };
     let seed = std::env::var("SDFARM_SEED").ok().and_then(|seed| seed.parse().ok());
     let seed: u64 = seed.unwrap_or_else(|| uuid::Uuid::new_v4().as_u64_pair().0);
-    eprintln!("SDFARM_SEED={seed} runs these sequences again");
+    eprintln!("SDFARM_SEED={seed} repeats these sequences");
     let bytes: Vec<u8> = seed.to_le_bytes().repeat(4);
     let mut runner = TestRunner::new_with_rng(config, TestRng::from_seed(RngAlgorithm::ChaCha, &bytes));
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().expect("a runtime");

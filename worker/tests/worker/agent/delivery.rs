@@ -1,4 +1,4 @@
-//! What a worker makes, and brings back.
+//! Delivery of results: blobs, pictures and errors.
 
 use proto::Rect;
 use proto::worker_protocol::{Batch, BatchWork, LeaseOutcome, StitchInput};
@@ -19,7 +19,7 @@ fn expected(job: &Job) -> Vec<u8> {
 }
 
 #[test]
-fn a_whole_frame_comes_back_as_its_picture() {
+fn a_complete_frame_is_delivered_as_a_picture() {
     let server = FakeServer::start(30_000);
     let mut agent = Agent::start(&server, FakeRenderer);
     for image in ["", r#""format": "exr""#] {
@@ -32,13 +32,13 @@ fn a_whole_frame_comes_back_as_its_picture() {
             assert_eq!(picture, expected(&job));
         }
         let together = server.change(|farm| farm.syncs.iter().any(|sync| sync.reports.len() == leases.len()));
-        assert!(together, "the leases of one picture are settled in one call");
+        assert!(together, "the leases of one picture are reported in one call");
     }
     agent.stop().unwrap();
 }
 
 #[test]
-fn tiles_come_back_as_blobs_and_are_stitched() {
+fn tiles_are_delivered_as_blobs_and_stitched() {
     let server = FakeServer::start(30_000);
     let mut agent = Agent::start(&server, FakeRenderer);
     let image = format!(r#""format": "exr", "layers": {ALL_LAYERS}"#);
@@ -72,7 +72,7 @@ fn stitch(server: &FakeServer, job: JobId, parts: Vec<StitchInput>) -> LeaseOutc
 }
 
 #[test]
-fn damaged_and_missing_blobs_are_named() {
+fn damaged_and_missing_blobs_are_reported() {
     let server = FakeServer::start(30_000);
     let mut agent = Agent::start(&server, FakeRenderer);
     let (id, job) = add_job(&server, 90, 70, "");
@@ -91,7 +91,7 @@ fn damaged_and_missing_blobs_are_named() {
 }
 
 #[test]
-fn a_failing_tile_is_reported_in_its_words_and_spares_the_others() {
+fn a_failing_tile_is_reported_with_its_message_alone() {
     let server = FakeServer::start(30_000);
     let renderer = Acting(|run: &worker::TileRequest<'_>, _: &worker::CancelFlag| {
         assert!(run.rect.x != 64, "no good at {}", run.rect.x);
@@ -116,7 +116,7 @@ fn a_failing_tile_is_reported_in_its_words_and_spares_the_others() {
 }
 
 #[test]
-fn a_full_server_gets_the_lease_back_and_a_rest() {
+fn a_full_server_makes_the_worker_release_and_back_off() {
     let server = FakeServer::start(30_000);
     let mut agent = Agent::start(&server, FakeRenderer);
     let (id, _) = add_job(&server, 32, 32, "");
@@ -136,7 +136,7 @@ fn a_full_server_gets_the_lease_back_and_a_rest() {
 }
 
 #[test]
-fn a_job_that_can_not_be_read_fails_and_one_that_is_gone_is_handed_back() {
+fn an_invalid_job_fails_and_a_deleted_job_is_released() {
     let server = FakeServer::start(30_000);
     let mut agent = Agent::start(&server, FakeRenderer);
     let broken = server.change(|farm| farm.add_job("{".to_owned()));

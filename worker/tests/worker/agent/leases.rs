@@ -1,4 +1,4 @@
-//! Leases: renewed while work goes on, let go when they are lost.
+//! Leases: renewed while work continues, dropped when they are revoked.
 
 use std::time::Duration;
 
@@ -12,7 +12,7 @@ use crate::fake_server::FakeServer;
 
 const TILE: Rect = Rect { x: 0, y: 0, width: 32, height: 32 };
 
-/// Hangs in tiles that do not start at the left edge.
+/// Blocks in tiles that do not start at the left edge.
 fn hangs_beside_the_edge(run: &TileRequest<'_>, cancel: &CancelFlag) -> Result<(), worker::RenderError> {
     if run.rect.x == 0 { Ok(()) } else { Err(until_cancelled(cancel)) }
 }
@@ -34,7 +34,7 @@ fn leases_are_renewed_while_a_tile_renders() {
 }
 
 #[test]
-fn a_lost_lease_cancels_its_render_and_no_other() {
+fn a_revoked_lease_cancels_only_its_own_render() {
     let server = FakeServer::start(30_000);
     let mut agent = Agent::start(&server, Acting(hangs_beside_the_edge));
     let (id, _) = add_job(&server, 64, 64, "");
@@ -50,13 +50,13 @@ fn a_lost_lease_cancels_its_render_and_no_other() {
         assert!(matches!(server.outcomes(&next)[..], [LeaseOutcome::Blob { .. }]));
         let silent = server
             .change(|farm| farm.syncs.iter().flat_map(|sync| &sync.reports).all(|report| report.lease != leases[1]));
-        assert!(silent, "nothing is said of a lease that is lost");
+        assert!(silent, "nothing is reported for a revoked lease");
     }
     agent.stop().unwrap();
 }
 
 #[test]
-fn a_worker_that_is_cut_off_stops_by_itself() {
+fn a_worker_without_a_connection_stops_rendering() {
     let mut server = FakeServer::start(900);
     let (begun, cancelled) = (Happening::default(), Happening::default());
     let (begins, ends) = (begun.clone(), cancelled.clone());
@@ -78,7 +78,7 @@ fn a_worker_that_is_cut_off_stops_by_itself() {
 }
 
 #[test]
-fn a_restart_of_the_server_costs_no_result() {
+fn no_result_is_lost_when_the_server_restarts() {
     for whole_frame in [false, true] {
         let mut server = FakeServer::start(30_000);
         let (begun, go) = (Happening::default(), Happening::default());
@@ -98,7 +98,7 @@ fn a_restart_of_the_server_costs_no_result() {
 }
 
 #[test]
-fn a_drained_worker_finishes_what_it_holds_and_ends() {
+fn a_drained_worker_finishes_its_leases_and_exits() {
     let server = FakeServer::start(30_000);
     let (begun, go) = (Happening::default(), Happening::default());
     let mut agent = Agent::start(&server, gated(&begun, &go));
@@ -112,7 +112,7 @@ fn a_drained_worker_finishes_what_it_holds_and_ends() {
 }
 
 #[test]
-fn a_worker_that_is_shut_down_hands_back_what_would_take_too_long() {
+fn a_worker_releases_unfinished_leases_after_its_grace_period() {
     let server = FakeServer::start(30_000);
     let mut agent = Agent::with_grace(&server, Acting(hangs_beside_the_edge), Duration::ZERO);
     let (id, _) = add_job(&server, 96, 32, "");
@@ -124,7 +124,7 @@ fn a_worker_that_is_shut_down_hands_back_what_would_take_too_long() {
 }
 
 #[test]
-fn a_worker_that_is_shut_down_finishes_what_ends_in_time() {
+fn a_worker_finishes_leases_within_its_grace_period() {
     let server = FakeServer::start(30_000);
     let (begun, go) = (Happening::default(), Happening::default());
     let mut agent = Agent::start(&server, gated(&begun, &go));
@@ -138,7 +138,7 @@ fn a_worker_that_is_shut_down_finishes_what_ends_in_time() {
 }
 
 #[test]
-fn an_idle_worker_ends_at_once() {
+fn an_idle_worker_exits_at_once() {
     let server = FakeServer::start(30_000);
     let mut agent = Agent::start(&server, FakeRenderer);
     server.until("the worker waits for work", |farm| (farm.waiting > 0).then_some(()));

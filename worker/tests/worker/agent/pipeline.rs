@@ -1,5 +1,5 @@
-//! Several tiles at a time on the device, several pictures at a time on their way, and a
-//! device that is lost.
+//! Concurrency in a worker: several tiles on the device, several pictures being delivered, and a device that is
+//! lost.
 
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex};
@@ -17,7 +17,7 @@ const TILE: Rect = Rect { x: 0, y: 0, width: 32, height: 32 };
 const BATCH: usize = 4;
 const ENCODERS: usize = 4;
 
-/// Does something before it renders tiles together, or instead.
+/// Runs a function before it renders tiles together, or instead.
 struct Together<F>(F);
 
 impl<F> Renderer for Together<F>
@@ -29,7 +29,7 @@ where
     }
 
     fn render(&self, _: &TileRequest<'_>, _: &CancelFlag, _: &(dyn Fn(u64) + Sync)) -> Result<TilePixels, RenderError> {
-        panic!("it renders together")
+        panic!("tiles must be rendered together")
     }
 
     fn render_tiles(
@@ -55,7 +55,7 @@ where
     }
 }
 
-/// Fails as a lost card does, from the first tile at or beside x = 32 on.
+/// Fails like a lost card, from the first tile with x ≥ 32 on.
 #[derive(Default)]
 struct Failing {
     is_lost: AtomicBool,
@@ -93,7 +93,7 @@ fn is_picture(outcome: &LeaseOutcome) -> bool {
 }
 
 #[test]
-fn tiles_are_rendered_together_and_a_lost_one_stops_no_other() {
+fn a_revoked_tile_does_not_stop_tiles_rendered_with_it() {
     let server = FakeServer::start(30_000);
     let (begun, go, counts) = (Happening::default(), Happening::default(), Arc::new(Mutex::new(Vec::new())));
     let (begins, goes, seen) = (begun.clone(), go.clone(), counts.clone());
@@ -103,7 +103,7 @@ fn tiles_are_rendered_together_and_a_lost_one_stops_no_other() {
             seen.lock().unwrap().push(runs.len());
             begins.happen();
             goes.wait();
-            assert!(!cancel.is_cancelled(), "somebody waits for a tile of this chunk");
+            assert!(!cancel.is_cancelled(), "a tile of this chunk is still leased");
             Ok(())
         }),
     );
@@ -114,7 +114,7 @@ fn tiles_are_rendered_together_and_a_lost_one_stops_no_other() {
         farm.live.remove(&leases[1]);
         farm.live.remove(&leases[4]);
     });
-    server.until("the worker knows what is lost", |farm| {
+    server.until("the worker knows the revoked leases", |farm| {
         farm.syncs.last().is_some_and(|sync| sync.held_leases.len() == 7).then_some(())
     });
     go.happen();
@@ -127,7 +127,7 @@ fn tiles_are_rendered_together_and_a_lost_one_stops_no_other() {
 }
 
 #[test]
-fn tiles_that_nobody_waits_for_are_cancelled_together() {
+fn tiles_without_live_leases_are_cancelled_together() {
     let server = FakeServer::start(30_000);
     let hangs = |runs: &[TileRequest<'_>], cancel: &CancelFlag| {
         if runs.len() > 1 { Err(until_cancelled(cancel)) } else { Ok(()) }
@@ -147,7 +147,7 @@ fn tiles_that_nobody_waits_for_are_cancelled_together() {
 }
 
 #[test]
-fn a_tile_that_fails_among_others_fails_alone() {
+fn only_the_failing_tile_of_a_batch_is_reported() {
     let server = FakeServer::start(30_000);
     let fails = |runs: &[TileRequest<'_>], _: &CancelFlag| {
         let is_bad = runs.iter().any(|run| run.rect.x == 32);
@@ -169,19 +169,19 @@ fn a_tile_that_fails_among_others_fails_alone() {
 }
 
 #[test]
-fn a_worker_whose_device_is_lost_hands_everything_back_and_ends() {
+fn a_worker_with_a_lost_device_releases_everything_and_exits() {
     for whole_frame in [false, true] {
         let server = FakeServer::start(30_000);
         server.change(|farm| farm.hold_puts = true);
         let mut agent = Agent::start(&server, Failing::default());
         let ((id, _), (small, _)) = (add_job(&server, 96, 32, ""), add_job(&server, 32, 32, ""));
         let delivered = give(&server, small);
-        server.until("a picture is on its way", |farm| (farm.putting == 1).then_some(()));
+        server.until("a picture is being delivered", |farm| (farm.putting == 1).then_some(()));
         let leases = server.change(|farm| farm.give(id, &cut(96, 32, 32, 32), whole_frame));
         let error = agent.ended().unwrap_err();
         assert!(matches!(&error, AgentError::DeviceLost { reason } if reason == "it fell off the bus"), "{error:?}");
         let outcomes = server.outcomes(&[delivered, leases].concat());
-        // The first tile of the second run may have arrived before the second one was tried.
+        // The first tile of the second batch may have been delivered before the second tile was tried.
         let is_harmless = |outcome| matches!(outcome, &(LeaseOutcome::Released | LeaseOutcome::Blob { .. }));
         assert!(outcomes.iter().all(is_harmless), "{outcomes:?}");
         assert!(matches!(outcomes[2..], [LeaseOutcome::Released, LeaseOutcome::Released]), "{outcomes:?}");
@@ -189,7 +189,7 @@ fn a_worker_whose_device_is_lost_hands_everything_back_and_ends() {
 }
 
 #[test]
-fn one_short_run_is_asked_for_ahead_and_no_more() {
+fn one_short_batch_is_requested_ahead() {
     let server = FakeServer::start(30_000);
     let (begun, go, count) = (Happening::default(), Happening::default(), Arc::new(Mutex::new(0)));
     let (begins, goes) = (begun.clone(), go.clone());
@@ -209,7 +209,7 @@ fn one_short_run_is_asked_for_ahead_and_no_more() {
     assert!(server.outcomes(&give(&server, id)).iter().all(is_picture));
     let leases = [give(&server, id), give(&server, id), give(&server, id)].concat();
     begun.wait();
-    server.until("the worker holds two runs, and wants no third", |farm| {
+    server.until("the worker has two batches and requests no third", |farm| {
         let sync = farm.syncs.last()?;
         (sync.held_leases.len() == 2 && !sync.wants_work).then_some(())
     });
@@ -220,14 +220,14 @@ fn one_short_run_is_asked_for_ahead_and_no_more() {
 }
 
 #[test]
-fn nothing_is_asked_for_ahead_before_runs_are_known_to_be_short() {
+fn nothing_is_requested_ahead_before_a_batch_was_short() {
     let server = FakeServer::start(30_000);
     let (begun, go) = (Happening::default(), Happening::default());
     let mut agent = Agent::start(&server, gated(&begun, &go));
     let (id, _) = add_job(&server, 32, 32, "");
     let leases = [give(&server, id), give(&server, id)].concat();
     begun.wait();
-    server.until("the worker renews its lease, and wants no more", |farm| {
+    server.until("the worker renews its lease and requests no more", |farm| {
         let sync = farm.syncs.last()?;
         (sync.held_leases.len() == 1 && !sync.wants_work).then_some(())
     });
@@ -238,18 +238,21 @@ fn nothing_is_asked_for_ahead_before_runs_are_known_to_be_short() {
 }
 
 #[test]
-fn pictures_are_on_their_way_while_others_render() {
+fn pictures_are_delivered_while_others_render() {
     let server = FakeServer::start(30_000);
     server.change(|farm| farm.hold_puts = true);
     let mut agent = Agent::start(&server, Together(|_: &[TileRequest<'_>], _: &CancelFlag| Ok(())));
     let (id, _) = add_job(&server, 32, 32, "");
     let leases: Vec<LeaseId> = (0..20).flat_map(|_| give(&server, id)).collect();
-    server.until("one picture for each encoder is on its way, and no more is wanted", |farm| {
+    server.until("one picture per encoder is being delivered, and no more work is requested", |farm| {
         let sync = farm.syncs.last()?;
         (farm.putting >= ENCODERS && sync.held_leases.len() == farm.putting && !sync.wants_work).then_some(())
     });
     let (putting, waiting) = server.change(|farm| (farm.putting, farm.queue.len()));
-    assert!(putting <= ENCODERS + 1 && putting + waiting == leases.len(), "{putting} on their way, {waiting} wait");
+    assert!(
+        putting <= ENCODERS + 1 && putting + waiting == leases.len(),
+        "{putting} are being delivered, {waiting} wait"
+    );
     server.change(|farm| farm.hold_puts = false);
     assert!(server.outcomes(&leases).iter().all(is_picture));
     agent.stop().unwrap();

@@ -1,4 +1,4 @@
-//! How a worker and its server meet.
+//! Registration of a worker with its server.
 
 use axum::http::StatusCode;
 use proto::Rect;
@@ -11,7 +11,7 @@ use crate::fake_renderer::FakeRenderer;
 use crate::fake_server::FakeServer;
 
 #[test]
-fn a_server_that_is_not_there_yet_is_waited_for() {
+fn a_worker_waits_for_a_server_that_starts_later() {
     let mut server = FakeServer::down(30_000);
     let mut agent = Agent::start(&server, FakeRenderer);
     server.up();
@@ -23,7 +23,7 @@ fn a_server_that_is_not_there_yet_is_waited_for() {
 }
 
 #[test]
-fn a_refusal_ends_the_worker_in_the_servers_words() {
+fn a_rejected_worker_exits_with_the_servers_message() {
     let server = FakeServer::start(30_000);
     let problem =
         r#"{"type": "/docs#x", "title": "x", "status": 409, "code": "x", "detail": "the picture version is 2"}"#;
@@ -33,13 +33,13 @@ fn a_refusal_ends_the_worker_in_the_servers_words() {
     ] {
         server.change(|farm| farm.refusal = Some((status, body.to_owned())));
         let error = Agent::start(&server, FakeRenderer).ended().unwrap_err();
-        let expected = format!("the server {} refused this worker: {said}", server.url());
+        let expected = format!("the server {} rejected this worker: {said}", server.url());
         assert_eq!(error.to_string(), expected);
     }
 }
 
 #[test]
-fn a_worker_that_the_server_forgot_registers_again() {
+fn a_worker_unknown_to_the_server_registers_again() {
     let server = FakeServer::start(30_000);
     let mut agent = Agent::start(&server, FakeRenderer);
     server.until("the worker waits for work", |farm| (farm.waiting > 0).then_some(()));
@@ -56,7 +56,7 @@ fn a_worker_that_the_server_forgot_registers_again() {
 }
 
 #[tokio::test]
-async fn an_address_that_is_none_is_rejected() {
+async fn an_invalid_address_is_rejected() {
     for server in ["", "farm", "ftp://farm", "http://", "file:///tmp"] {
         let ended =
             run(AgentConfig::new(server, "x"), std::sync::Arc::new(FakeRenderer), CancellationToken::default()).await;

@@ -1,4 +1,4 @@
-//! The page of projections, backgrounds and effects.
+//! Generates the page of projections, backgrounds and effects.
 
 use scene::backgrounds::{Backdrop, Background};
 use scene::camera::{Project, Projection};
@@ -35,7 +35,7 @@ Keys of a scene that may be absent. This is the scene of the pictures without an
 ![without effects](pictures/effects/none.png)
 ";
 
-/// Two rows of columns on a floor of squares, with a ball between them.
+/// Two rows of columns on a checkered floor, with a ball between them.
 const COLUMNS: &str = r##"
     { "shape": { "repeat": { "cell": [2.4, null, 2.4], "count": [2, null, 10],
         "child": { "cylinder": { "radius": 0.32, "height": 2.4 } } } },

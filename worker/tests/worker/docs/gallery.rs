@@ -1,4 +1,4 @@
-//! The page of shipped scenes.
+//! Generates the page of shipped scenes.
 
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
@@ -24,12 +24,12 @@ fn jobs(folder: &Path) -> Vec<(String, Job)> {
     let job = |file: PathBuf| {
         let name = file.file_stem().expect("a file has a name").to_string_lossy().into_owned();
         let text = std::fs::read(&file).expect("a scene can be read");
-        (name, scene::parse(&text).expect("a shipped scene is right"))
+        (name, scene::parse(&text).expect("a shipped scene is valid"))
     };
     files.into_iter().map(job).collect()
 }
 
-/// The job as the page shows it.
+/// The job in the form that the page shows.
 fn small(job: Job) -> Job {
     let height = (WIDTH * job.image.height).div_ceil(job.image.width);
     let samples = job.image.samples.min(MAX_SAMPLES);

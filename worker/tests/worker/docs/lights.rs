@@ -1,4 +1,4 @@
-//! The page of lights.
+//! Generates the page of lights.
 
 use scene::lights::Light;
 
@@ -14,7 +14,7 @@ noise. This page is made from the code:
 `SDFARM_WRITE_DOCS=1 cargo test -p worker --test worker docs`.
 ";
 
-/// What stands in the light: a ball, a column and a thin pole on a floor before a wall.
+/// Objects in the light: a ball, a column and a thin pole on a floor in front of a wall.
 const OBJECTS: &str = r#"
     { "shape": { "translate": { "by": [-0.55, -0.62, 0.5], "child": { "sphere": { "radius": 0.63 } } } }, "material": "grey" },
     { "shape": { "translate": { "by": [0.75, -0.35, -0.35],

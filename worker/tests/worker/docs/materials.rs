@@ -1,4 +1,4 @@
-//! The page of materials and textures.
+//! Generates the page of materials and textures.
 
 use scene::materials::{Example, Material, Texture};
 use serde_json::Value;
@@ -36,7 +36,7 @@ fn ball_and_box(material: &str) -> String {
     )
 }
 
-/// Adds sections and pictures of some examples, each shown as `material` makes it one.
+/// Adds sections with pictures of some examples, each converted to a material by `material`.
 fn add(page: &mut Page, schema: &Value, folder: &str, examples: &[Example], material: impl Fn(&str) -> String) {
     for example in examples {
         let file = file(folder, &example.name, example.index);

@@ -1,4 +1,4 @@
-//! The page of nodes.
+//! Generates the page of nodes.
 
 use scene::bounds::Bounds;
 use scene::nodes::{Exactness, Node, NodeExample, snake_case};
@@ -17,7 +17,7 @@ This page is made from the code:
 `SDFARM_WRITE_DOCS=1 cargo test -p worker --test worker docs`.
 ";
 
-/// The shape to draw: of one that goes on all around the camera, what is in a ball.
+/// The shape to draw; a shape that surrounds the camera is cut to a ball.
 fn in_view(node: &str) -> String {
     let shape: Node = serde_json::from_str(node).expect("an example is a node");
     let mut above = (0..4_096).map(|place| {
@@ -31,7 +31,7 @@ fn in_view(node: &str) -> String {
     }
 }
 
-/// What the node's value is worth, and its Lipschitz factor.
+/// Exactness of the node's value, and its Lipschitz factor.
 fn worth(example: &NodeExample) -> String {
     let node: Node = serde_json::from_str(&example.node).expect("an example is a node");
     let worth = match node.exactness() {

@@ -1,4 +1,4 @@
-//! How the pictures of the pages are taken.
+//! Renders the pictures of the generated pages.
 
 use std::io::Cursor;
 
@@ -17,10 +17,10 @@ pub(crate) fn on_a_floor(objects: &str) -> Job {
                            "material": {{ "diffuse": {{ "kd": [0.42, 0.45, 0.5] }} }} }}] }},
           "image": {{ "width": 240, "height": 180, "samples": 16 }} }}"#
     );
-    scene::parse(text.as_bytes()).expect("an example makes a job")
+    scene::parse(text.as_bytes()).expect("an example gives a valid job")
 }
 
-/// A job of a scene's keys, as JSON, with as many samples as soft light takes.
+/// A job with these members of a scene, as JSON, and enough samples for soft light.
 pub(crate) fn stage(keys: &str, [width, height]: [u32; 2]) -> Job {
     let text =
         format!(r#"{{ "scene": {{ {keys} }}, "image": {{ "width": {width}, "height": {height}, "samples": 96 }} }}"#);
@@ -37,7 +37,7 @@ pub(crate) fn render(job: &Job) -> Vec<u8> {
     file.into_inner()
 }
 
-/// Whether a PNG says that it was made of this job's first frame, by this definition of a picture, in its size.
+/// Whether a PNG's provenance names this job's first frame, this picture version, and its size.
 pub(crate) fn says_it_shows(png: &[u8], job: &Job) -> bool {
     let Ok(reader) = png::Decoder::new(Cursor::new(png)).read_info() else { return false };
     let info = reader.info();

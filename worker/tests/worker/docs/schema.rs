@@ -1,4 +1,4 @@
-//! What the schema says, as a reader would say it.
+//! Renders descriptions of the JSON Schema as Markdown.
 
 use std::fmt::Write as _;
 
@@ -24,7 +24,7 @@ fn kind(schema: &Value, property: &Value) -> String {
     if resolved["type"] == "array" && name.is_none() && resolved["items"].is_object() {
         return format!("array of {}", kind(schema, &resolved["items"]));
     }
-    // Of a number or a track, the range is the number's.
+    // For a number or a track, the range is the number's.
     let number =
         resolved["anyOf"].as_array().and_then(|choices| choices.iter().find(|choice| choice["minimum"].is_number()));
     let ranged = number.unwrap_or(resolved);
@@ -36,12 +36,12 @@ fn kind(schema: &Value, property: &Value) -> String {
     format!("{name}{range}")
 }
 
-/// What the schema says of a type.
+/// Description of a type.
 pub(crate) fn description<'a>(schema: &'a Value, name: &str) -> &'a str {
     schema["$defs"][name]["description"].as_str().unwrap_or_else(|| panic!("{name} is not described"))
 }
 
-/// The keys of a type, a row each; nothing if it has none.
+/// Table of a type's members, a row each; empty if it has none.
 pub(crate) fn table(schema: &Value, definition: &Value) -> String {
     if definition["properties"].as_object().is_none_or(serde_json::Map::is_empty) {
         return String::new();
@@ -59,7 +59,7 @@ pub(crate) fn table(schema: &Value, definition: &Value) -> String {
     text
 }
 
-/// The section of a kind's example: what the schema says of the kind before the first, and each one's picture and JSON.
+/// Section of one variant: its description before the first example, and each example's picture and JSON.
 pub(crate) fn kind_section(schema: &Value, family: &str, example: &Example, file: &str) -> String {
     let shown = shown(&example.name, file, &example.json);
     if example.index > 0 {
@@ -74,13 +74,13 @@ pub(crate) fn kind_section(schema: &Value, family: &str, example: &Example, file
     format!("\n## {name}\n\n{}\n{shown}", word(words, name))
 }
 
-/// What a list of words, one an item, says of one of them.
+/// Description of one value in a list of enumerated values, one per item.
 fn word<'a>(words: &'a str, name: &str) -> &'a str {
     let mut items = words.split("- `\"").filter_map(|item| item.split_once("\"`: "));
     items.find(|(word, _)| *word == name).expect("the schema has the word").1.trim_end()
 }
 
-/// A section on a type that others are made of: its choices, or its keys.
+/// Section about a type that others refer to: its variants, or its members.
 pub(crate) fn part(schema: &Value, name: &str) -> String {
     let definition = &schema["$defs"][name];
     let mut text = format!("\n## {name}\n\n{}\n\n", description(schema, name));
@@ -88,15 +88,15 @@ pub(crate) fn part(schema: &Value, name: &str) -> String {
         return text + &table(schema, definition);
     };
     for choice in choices {
-        // Each choice is a definition of its own.
+        // Each variant is a definition of its own.
         let choice = referred(choice).map_or(choice, |name| &schema["$defs"][name]);
         let meaning = choice["description"].as_str().unwrap_or_default();
-        // The description of words tells them apart, one a line.
+        // The description of enumerated values has one line for each.
         if choice["enum"].is_array() {
             writeln!(text, "{meaning}").expect("a String takes all");
         }
         for (key, value) in choice["properties"].as_object().into_iter().flatten() {
-            // What was written in place has the choice in its name; a choice that is a type of its own is described there.
+            // A variant defined in place has the name of its choice; one with its own type is described there.
             let in_place = referred(value)
                 .filter(|inner| inner.to_lowercase() == format!("{}{name}", key.replace('_', "")).to_lowercase());
             let keys: Vec<String> = in_place
