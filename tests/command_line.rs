@@ -48,7 +48,7 @@ fn extension_decides_the_format_of_a_rendered_picture() {
     assert_eq!(names_in(folder.path()), ["a.exr", "a.png", "job.json"], "nothing else is left");
     assert_misuse(&run_in(folder.path(), &["render", "job.json", "-o", "a.jpg"]), ".png or .exr");
     assert_misuse(&run_in(folder.path(), &["render", "job.json", "-o", "a.png", "--frame", "1"]), "no frame 1");
-    assert_misuse(&run_in(folder.path(), &["render", "job.json", "-o", "absent/a.png"]), "make it first");
+    assert_misuse(&run_in(folder.path(), &["render", "job.json", "-o", "absent/a.png"]), "create it first");
     assert_misuse(&run_in(folder.path(), &["render", "absent.json", "-o", "a.png"]), "absent.json");
     assert_misuse(&run_in(folder.path(), &["render", "job.json", "-o", "a.png", "--device", "gpu"]), "cuda:N");
 }
@@ -97,7 +97,7 @@ fn interrupted_render_leaves_no_file_and_keeps_the_old_one() {
 #[test]
 fn check_tells_a_valid_job_from_a_bad_one() {
     let folder = folder_with(&jobs::quick());
-    assert!(succeed(&["check", folder.path().join("job.json").to_str().expect("plain")]).contains("sound"));
+    assert!(succeed(&["check", folder.path().join("job.json").to_str().expect("plain")]).contains(": valid"));
     fs::write(folder.path().join("bad.json"), "{\n  \"scene\": 7 }").expect("written");
     let bad = run_in(folder.path(), &["check", "bad.json"]);
     assert_misuse(&bad, "bad.json:2:");

@@ -75,7 +75,7 @@ fn pause_shows_wherever_a_user_looks() {
     assert!(remarks.contains("the farm is paused: `sdfarm resume`"), "{remarks}");
     let screen = on_farm(&["status"]);
     assert!(screen.contains("ready, paused") || screen.contains("degraded, paused"), "{screen}");
-    assert!(screen.contains("alert    the farm is paused: `sdfarm resume` lets it go on"), "{screen}");
+    assert!(screen.contains("alert    the farm is paused: `sdfarm resume` continues it"), "{screen}");
     let told: Value = serde_json::from_str(&on_farm(&["status", "--json"])).expect("JSON");
     assert_eq!(told["paused"], true);
     assert_eq!(
@@ -125,7 +125,7 @@ fn an_output_that_can_not_be_written_is_reported_before_anything_is_submitted() 
     let folder = folder_with_frames(2);
     fs::write(folder.path().join("file"), "").expect("written");
     for (output, says) in
-        [("absent/a.png", "make it first"), ("file/", "could not make the folder"), ("a.jpg", ".png or .exr")]
+        [("absent/a.png", "create it first"), ("file/", "could not create the folder"), ("a.jpg", ".png or .exr")]
     {
         let refused = run_in(folder.path(), &["submit", "job.json", "--wait", "-o", output, "--server", &farm.address]);
         assert_eq!(refused.status.code(), Some(2), "{output}: {}", text(&refused.stderr));
@@ -141,8 +141,8 @@ fn messages_name_the_place_and_the_cure() {
     let absent = "01890a5d-ac96-774b-bcce-b302099a8057";
     let on_farm = ["--server", &farm.address];
     for (arguments, code, says) in [
-        (&["submit", "nowhere.json"][..], 2, &["nowhere.json", "name one that is there"][..]),
-        (&["check", "nowhere.json"], 2, &["nowhere.json", "name one that is there"]),
+        (&["submit", "nowhere.json"][..], 2, &["nowhere.json", "give an existing file"][..]),
+        (&["check", "nowhere.json"], 2, &["nowhere.json", "give an existing file"]),
         (&["submit", "job.json", "--server", "http://127.0.0.1:1"], 1, &["http://127.0.0.1:1", "`sdfarm serve`"]),
         (&["submit", "job.json", "--server", "nowhere"], 2, &["\"nowhere\"", "http://HOST:PORT"]),
         (&["watch", absent, on_farm[0], on_farm[1]], 1, &[absent, "`sdfarm jobs`"]),

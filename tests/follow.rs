@@ -115,7 +115,7 @@ fn all_frames_of_an_animation_are_saved_as_files_and_as_an_archive() {
         Err(_) => skip("unzip", "testing the archive with unzip, which is not there"),
     }
     let told = good(&on(&farm, folder.path(), &["delete", &id, "--dry-run"]));
-    assert!(told.starts_with("would remove 3 pictures"), "{told}");
+    assert!(told.starts_with("would delete 3 pictures"), "{told}");
     good(&on(&farm, folder.path(), &["delete", &id]));
     assert_eq!(farm.get(&format!("/v1/jobs/{id}")).status, 404);
 }

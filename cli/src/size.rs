@@ -1,4 +1,4 @@
-//! Sizes as people write them: `500MB`, `20GiB`.
+//! Parses sizes as users write them: `500MB`, `20GiB`.
 
 use std::str::FromStr;
 
@@ -10,7 +10,7 @@ impl FromStr for Size {
     type Err = String;
 
     fn from_str(text: &str) -> Result<Self, String> {
-        let wrong = || format!("{text:?} is no size: write a number and a unit, such as 500MB or 20GiB");
+        let wrong = || format!("{text:?} is not a size: write a number and a unit, such as 500MB or 20GiB");
         let digits = text.bytes().take_while(u8::is_ascii_digit).count();
         let unit: u64 = match text[digits..].trim_start() {
             "" | "B" => 1,

@@ -51,7 +51,7 @@ fn a_farm_is_backed_up_while_it_runs_and_restored_with_every_picture() {
     farm.succeeded(&first);
     fs::write(data.join("secret"), "of a webhook").expect("writes");
     let told = succeed(&["backup", word(&copy), "--data", word(&data)]);
-    assert!(told.starts_with("3 pictures are in ") && told.contains(": 3 taken now"), "{told}");
+    assert!(told.starts_with("3 pictures are in ") && told.contains(": 3 copied now"), "{told}");
 
     // Only what is new is taken, and what no job has any more is dropped.
     let second = farm.accept(&job(2, 2));
@@ -59,15 +59,15 @@ fn a_farm_is_backed_up_while_it_runs_and_restored_with_every_picture() {
     let dropped = farm.accept(&job(3, 1));
     farm.succeeded(&dropped);
     let told = succeed(&["backup", word(&copy), "--data", word(&data)]);
-    assert!(told.starts_with("6 pictures") && told.contains(": 3 taken now"), "{told}");
+    assert!(told.starts_with("6 pictures") && told.contains(": 3 copied now"), "{told}");
     assert_eq!(farm.send("DELETE", &format!("/v1/jobs/{dropped}"), &[], Vec::new()).status, 204);
     let told = succeed(&["backup", word(&copy), "--data", word(&data)]);
-    assert!(told.starts_with("5 pictures") && told.contains("0 taken now (0 bytes), 1 dropped"), "{told}");
+    assert!(told.starts_with("5 pictures") && told.contains("0 copied now (0 bytes), 1 dropped"), "{told}");
     let wanted: Vec<Vec<u8>> = (0..3).map(|number| frame(&farm, &first, number)).collect();
     drop(farm);
 
     let told = succeed(&["restore", word(&copy), "--data", word(&new)]);
-    assert!(told.contains("5 pictures are whole"), "{told}");
+    assert!(told.contains("5 pictures are intact"), "{told}");
     assert_eq!(fs::read_to_string(new.join("secret")).expect("restored"), "of a webhook");
     let again = run(&["restore", word(&copy), "--data", word(&new)]);
     assert_eq!(again.status.code(), Some(1));

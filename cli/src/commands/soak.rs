@@ -73,7 +73,7 @@ impl Arguments {
 /// Soaks, and fails if anything was amiss.
 pub(crate) async fn run(arguments: Arguments) -> anyhow::Result<()> {
     let mut signals = Signals::install()?;
-    let temporary = tempfile::tempdir().context("could not make a folder for the farm: free some space there")?;
+    let temporary = tempfile::tempdir().context("could not create a folder for the farm: free some space there")?;
     let data = arguments.data.clone().unwrap_or_else(|| temporary.path().join("data"));
     std::fs::create_dir_all(&data).with_context(|| format!("could not make {}", data.display()))?;
     print_note("rendering what the pictures must be");

@@ -1,4 +1,4 @@
-//! `sdfarm top`: a farm, live in a terminal.
+//! `sdfarm top`: shows a farm live in the terminal.
 
 use std::io::IsTerminal;
 use std::time::Duration;
@@ -16,7 +16,7 @@ use crate::arguments::ServerArguments;
 use crate::error::UsageError;
 use crate::overview::{Overview, duration, fetch, scaled};
 
-/// Speeds that are remembered: the width of a wide terminal.
+/// Number of speeds kept for the chart: the width of a wide terminal.
 const HISTORY: usize = 400;
 /// Interval between checks for keystrokes.
 const KEYS_EVERY: Duration = Duration::from_millis(50);
@@ -126,7 +126,7 @@ fn titled(title: String) -> Block<'static> {
 fn header(overview: &Overview) -> Vec<Line<'static>> {
     let queue = &overview.queue;
     let health = if overview.is_healthy() { overview.health.clone().green() } else { overview.health.clone().red() };
-    let work = queue.work_seconds.map_or_else(|| "nobody to do it".to_owned(), duration);
+    let work = queue.work_seconds.map_or_else(|| "an unknown time".to_owned(), duration);
     let pool = overview.pool;
     let paused = if overview.paused { "  PAUSED".yellow() } else { "".into() };
     vec![
@@ -145,7 +145,7 @@ fn header(overview: &Overview) -> Vec<Line<'static>> {
         .into(),
         format!("tiles  {} ready, {} leased; work for {work}", queue.tiles_ready, queue.tiles_leased).into(),
         format!(
-            "pool   {} of {} ready; {} held back, {} fenced",
+            "pool   {} of {} ready; {} rate limited, {} fenced",
             pool.ready, pool.workers, overview.totals.rate_limited, overview.totals.fenced
         )
         .into(),

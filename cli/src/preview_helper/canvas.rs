@@ -1,5 +1,5 @@
 //! A small picture that a larger one is averaged into, pixel by pixel in any order, so that the large one is
-//! never in memory. What is left bare shows what lies below.
+//! never in memory. Uncovered areas show the picture below.
 //!
 //! All values are display values, 0 to 1, premultiplied by alpha; sRGB is applied last.
 
@@ -9,13 +9,13 @@ use image::{ExtendedColorType, ImageEncoder, Rgba32FImage};
 use scene::color::{DisplayTransform, level_of_256, srgb_from_linear};
 use scene::sampling::thresholds;
 
-/// Shown light, premultiplied, and alpha.
+/// Displayed color, premultiplied, and alpha.
 pub(super) type DisplayPixel = [f32; 4];
 
 /// Maximum number of rows: pictures may be far higher than wide.
 const MAX_ROWS: u64 = 4096;
 
-/// Shown where nothing is known: a middle gray.
+/// Color of unknown areas: a middle gray.
 const NO_DATA: DisplayPixel = [0.2, 0.2, 0.2, 1.0];
 
 /// Small picture made from a larger one.
@@ -23,7 +23,7 @@ const NO_DATA: DisplayPixel = [0.2, 0.2, 0.2, 1.0];
 pub(super) struct Canvas {
     from: [u64; 2],
     size: [u64; 2],
-    /// Light, and the covered fraction of the pixel.
+    /// Color, and the covered fraction of the pixel.
     sums: Vec<([f32; 4], f32)>,
 }
 
@@ -38,7 +38,7 @@ impl Canvas {
         Self { from, size: [columns, rows], sums: vec![([0.0; 4], 0.0); length] }
     }
 
-    /// Its columns and rows.
+    /// Number of columns and rows.
     pub(super) fn size(&self) -> [u32; 2] {
         self.size.map(|count| count as u32)
     }
@@ -132,7 +132,7 @@ mod tests {
     use scene::color::linear_from_srgb;
 
     fn decoded(png: &[u8]) -> image::DynamicImage {
-        image::load_from_memory_with_format(png, image::ImageFormat::Png).expect("a sound PNG")
+        image::load_from_memory_with_format(png, image::ImageFormat::Png).expect("a valid PNG")
     }
 
     #[test]

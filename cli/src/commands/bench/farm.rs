@@ -37,7 +37,7 @@ pub(crate) struct FarmReport {
 
 /// Starts a farm in a fresh folder, and submits a job many times, then once with many frames.
 pub(crate) async fn measure(text: &[u8], devices: Vec<String>, jobs: usize, frames: u32) -> anyhow::Result<FarmReport> {
-    let data = tempfile::tempdir().context("could not make a folder for the farm: free some space there")?;
+    let data = tempfile::tempdir().context("could not create a folder for the farm: free some space there")?;
     let config = Config {
         listen: ([127, 0, 0, 1], 0).into(),
         data: data.path().to_owned(),
@@ -51,7 +51,7 @@ pub(crate) async fn measure(text: &[u8], devices: Vec<String>, jobs: usize, fram
     let serving = tokio::spawn(server.run(shutdown.clone()));
     let measured = farm(&client, text, jobs.max(1), frames).await;
     shutdown.cancel();
-    serving.await.context("the farm stopped in disorder")??;
+    serving.await.context("the farm did not shut down gracefully")??;
     measured
 }
 

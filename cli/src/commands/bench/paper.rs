@@ -158,7 +158,7 @@ impl<'a> Gpu<'a> {
         let ordinal = ordinal.unwrap_or(0);
         let name = arguments.renderer.cuda.renderer(ordinal)?.gpu().to_owned();
         let counter = CpuRenderer::new(None, Simd::Auto)?;
-        let folder = tempfile::tempdir().context("could not make a folder for profiles: free some space there")?;
+        let folder = tempfile::tempdir().context("could not create a folder for profiles: free some space there")?;
         Ok(Some(Self { arguments, ordinal, name, counter, profiled: Some(folder) }))
     }
 

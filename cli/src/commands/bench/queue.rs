@@ -86,7 +86,7 @@ pub(super) struct BenchFarm {
 
 impl BenchFarm {
     pub(super) async fn start(workers: u32, tile_px: Option<u32>) -> anyhow::Result<Self> {
-        let data = tempfile::tempdir().context("could not make a folder for the farm: free some space there")?;
+        let data = tempfile::tempdir().context("could not create a folder for the farm: free some space there")?;
         let config = Config {
             listen: ([127, 0, 0, 1], 0).into(),
             data: data.path().to_owned(),
@@ -105,7 +105,7 @@ impl BenchFarm {
 
     pub(super) async fn stop(self) -> anyhow::Result<()> {
         self.shutdown.cancel();
-        Ok(self.serving.await.context("the farm stopped in disorder")??)
+        Ok(self.serving.await.context("the farm did not shut down gracefully")??)
     }
 }
 
