@@ -13,7 +13,7 @@ fn assert_soaked(worker_kills: &str, server_kills: &str) {
     let (table, told) = (text(&output.stdout), text(&output.stderr));
     assert!(output.status.success(), "{table}\n{told}");
     eprintln!("{table}");
-    for row in ["workers killed", "server killed", "breaches"] {
+    for row in ["workers killed", "server killed", "violations"] {
         assert!(table.lines().any(|line| line.starts_with(row)), "{table}");
     }
 }

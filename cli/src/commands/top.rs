@@ -58,7 +58,7 @@ pub(crate) async fn run(arguments: Arguments) -> anyhow::Result<()> {
     let client = arguments.server.client()?;
     let mut screen = Screen::default();
     screen.show(fetch(&client).await?);
-    let mut terminal = ratatui::try_init().context("could not take over the terminal")?;
+    let mut terminal = ratatui::try_init().context("could not switch the terminal to full screen")?;
     let done = async {
         let mut ticks = tokio::time::interval(Duration::from_secs(arguments.every));
         let mut keys = tokio::time::interval(KEYS_EVERY);

@@ -1,4 +1,4 @@
-//! Test tile that a worker renders before it asks for work: a machine with wrong results does not join the
+//! Test tile that a worker renders before it asks for work: a machine with incorrect results does not join the
 //! farm.
 //!
 //! It is small, so that a worker still starts quickly; `sdfarm selftest` compares far more.
