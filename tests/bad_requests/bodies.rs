@@ -1,4 +1,4 @@
-//! Wrong bodies and content types of the users' routes.
+//! Invalid bodies and content types of the routes for users.
 
 use super::raw::Request;
 
@@ -6,7 +6,7 @@ const SUBMIT: &str = "POST /v1/jobs";
 const RESIZE: &str = "PUT /v1/pool";
 const JSON: &str = "content-type: application/json";
 
-/// Bodies that neither route takes.
+/// Bodies that both routes reject.
 const BODIES: [(&str, &[u8]); 22] = [
     ("no body", b""),
     ("blanks", b"  \n "),
@@ -40,7 +40,7 @@ fn body(route: &str, name: &str, body: impl Into<Vec<u8>>) -> Request {
     Request::new(format!("{route}: {name}"), format!("{route}\n{JSON}")).with(body)
 }
 
-/// The table.
+/// Invalid requests of this file.
 pub(super) fn requests() -> Vec<Request> {
     let mut all = Vec::new();
     for route in [SUBMIT, RESIZE] {

@@ -1,10 +1,9 @@
-//! What is wrong with the HTTP itself: lines, headers, hosts, origins, lengths, encodings.
-//!
-//! Some of it the HTTP library refuses by itself, without a problem; that it does, and how, is kept as well.
+//! Invalid HTTP: request lines, headers, hosts, origins, lengths, and encodings.
+//! The HTTP library rejects some requests itself, without a problem body; those responses are recorded as well.
 
 use super::raw::Request;
 
-/// The table.
+/// Invalid requests of this file.
 pub(super) fn requests() -> Vec<Request> {
     let mut all = hosts();
     all.extend(lengths());

@@ -1,8 +1,8 @@
-//! Wrong paths, methods, ids, frames and queries.
+//! Invalid paths, methods, ids, frames, and queries.
 
 use super::raw::Request;
 
-/// Routes, and methods that they do not take.
+/// Routes, and methods that they do not support.
 const METHODS: [(&str, &[&str]); 13] = [
     ("/v1/jobs", &["PUT", "DELETE"]),
     ("/v1/jobs/{job}/cancel", &["GET", "PUT", "DELETE"]),
@@ -19,7 +19,7 @@ const METHODS: [(&str, &[&str]); 13] = [
     ("/v1/worker/sync", &["GET", "DELETE"]),
 ];
 
-/// What is no job's id.
+/// Invalid or unknown job ids.
 const IDS: [(&str, &str); 12] = [
     ("a word", "nonsense"),
     ("a number", "1"),
@@ -35,7 +35,7 @@ const IDS: [(&str, &str); 12] = [
     ("letters of another script", "%d1%84%d0%b0%d0%b9%d0%bb"),
 ];
 
-/// Where a job's id stands.
+/// Routes with a job id: the method, and the path before and after the id.
 const OF_A_JOB: [(&str, &str, &str); 5] = [
     ("GET", "/v1/jobs/", ""),
     ("DELETE", "/v1/jobs/", ""),
@@ -46,7 +46,7 @@ const OF_A_JOB: [(&str, &str, &str); 5] = [
 
 const FRAMES: [&str; 9] = ["1", "-1", "x", "1.5", "4294967295", "4294967296", "99999999999999999999", "%30x", "+-0"];
 
-/// Queries that the list of jobs does not take.
+/// Queries that the list of jobs rejects.
 const QUERIES: [&str; 22] = [
     "limit=0",
     "limit=1001",
@@ -72,7 +72,7 @@ const QUERIES: [&str; 22] = [
     "limit=5&order=name",
 ];
 
-/// The table.
+/// Invalid requests of this file.
 pub(super) fn requests() -> Vec<Request> {
     let mut all = Vec::new();
     for path in [

@@ -1,4 +1,4 @@
-//! What a worker must not say: another version, unknown ids, stale leases, wrong sizes and hashes, too much.
+//! Invalid requests of workers: another version, unknown ids, stale leases, wrong sizes and hashes, oversized bodies.
 
 use super::raw::Request;
 
@@ -10,7 +10,7 @@ const SAID: &str =
     r#"{"worker":"{worker}","rays_per_second":null,"held_leases":[],"reports":[],"wants_work":false,"wait_ms":0}"#;
 const OTHER_HASH: &str = "0000000000000000000000000000000000000000000000000000000000000000";
 
-/// A message with one thing replaced.
+/// Replaces one part of a message.
 fn changed(route: &str, name: &str, message: &str, from: &str, to: &str) -> Request {
     assert!(message.contains(from), "{name}: {from:?} must be in the message");
     let head = format!("{route}\n{JSON}");
@@ -61,7 +61,7 @@ fn sync() -> Vec<Request> {
     .collect()
 }
 
-/// Results without effect: they are answered, and named lost.
+/// Results without effect: the response lists them as lost.
 fn stale() -> Vec<Request> {
     let result = |name: &str, lease: &str, outcome: &str| {
         let results = format!("\"reports\":[{{\"lease\":\"{lease}\",\"outcome\":{outcome}}}]");
@@ -121,7 +121,7 @@ fn bytes() -> Vec<Request> {
     all
 }
 
-/// The table.
+/// Invalid requests of this file.
 pub(super) fn requests() -> Vec<Request> {
     [hello(), sync(), stale(), bytes()].concat()
 }

@@ -78,8 +78,9 @@ pub(crate) async fn run(arguments: Arguments) -> anyhow::Result<()> {
     std::fs::create_dir_all(&data).with_context(|| format!("could not create {}", data.display()))?;
     print_note("rendering the expected pictures");
     let (seed, plan) = (arguments.seed, arguments.plan());
-    let tasks =
-        tokio::task::spawn_blocking(move || workload::reference_jobs(seed, None)).await.context("a render panicked")??;
+    let tasks = tokio::task::spawn_blocking(move || workload::reference_jobs(seed, None))
+        .await
+        .context("rendering panicked")??;
     let soaked = async {
         if arguments.overload {
             let report = overload::overload(&tasks, &data, arguments.time()).await?;
