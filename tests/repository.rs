@@ -1,4 +1,4 @@
-//! The tree itself: sizes, openings, and what must not be in it.
+//! Tests the repository itself: file sizes, opening lines, required files, and forbidden text.
 
 use std::path::{Path, PathBuf};
 use std::{fs, io};
@@ -8,7 +8,7 @@ use crate::support::root;
 const MAX_LINES: usize = 500;
 const CODE: [&str; 7] = ["scene", "proto", "server", "worker", "cli", "tests", "docs"];
 
-/// Every file under some folders, by extension.
+/// All files in some folders with these extensions, with their text.
 fn files(folders: &[&str], extensions: &[&str]) -> Vec<(PathBuf, String)> {
     let mut found = Vec::new();
     for folder in folders {
@@ -48,7 +48,7 @@ fn no_source_file_is_longer_than_five_hundred_lines() {
 }
 
 #[test]
-fn every_source_file_opens_with_what_it_is_for() {
+fn every_source_file_opens_with_its_purpose() {
     let silent = files(&CODE, &["rs"])
         .into_iter()
         .filter(|(_, text)| !text.starts_with("//! ") || text.lines().next().is_some_and(|line| line.len() < 20))
@@ -58,8 +58,8 @@ fn every_source_file_opens_with_what_it_is_for() {
 }
 
 #[test]
-fn no_unfinished_business_is_left_in_the_code() {
-    // Put together here, so that this file does not find itself.
+fn no_unfinished_code_is_left() {
+    // Assembled here, so that this file does not match.
     let marks = [concat!("TO", "DO"), concat!("FIX", "ME"), concat!("XX", "X")].map(str::to_owned);
     let macros = ["todo", "unimplemented", "dbg"].map(|name| format!("{name}!("));
     let mut left = Vec::new();
@@ -74,7 +74,7 @@ fn no_unfinished_business_is_left_in_the_code() {
 }
 
 #[test]
-fn no_file_names_a_place_on_somebodys_machine() {
+fn no_file_contains_a_path_of_a_users_machine() {
     let home = ["home", "root", "work", "Users"].map(|folder| format!("/{folder}/"));
     let mut found = Vec::new();
     let tree = [CODE.as_slice(), &["scenes", "migrations", "docker", ".ci"]].concat();
@@ -111,7 +111,7 @@ fn required_files_exist() {
 }
 
 #[test]
-fn changelog_has_a_place_for_what_is_next() {
+fn changelog_has_an_unreleased_section() {
     let changelog = fs::read_to_string(root().join("CHANGELOG.md")).expect("there");
     assert!(changelog.contains("## Unreleased"));
 }

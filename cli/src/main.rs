@@ -89,7 +89,7 @@ mod tests {
     }
 
     #[test]
-    fn every_flag_doubles_as_a_variable() {
+    fn every_flag_has_a_variable() {
         for command in super::Sdfarm::command().get_subcommands() {
             for argument in command.get_arguments().filter(|argument| argument.get_long().is_some()) {
                 let long = argument.get_long().expect("filtered above");

@@ -189,7 +189,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn file_appears_whole_and_an_abandoned_one_leaves_nothing() {
+    fn file_appears_complete_and_an_abandoned_one_leaves_nothing() {
         let folder = tempfile::tempdir().expect("a folder");
         let path = folder.path().join("a.png");
         let name = path.to_str().expect("a plain name");
@@ -218,7 +218,7 @@ mod tests {
     }
 
     #[test]
-    fn device_is_written_to_and_not_replaced() {
+    fn device_is_written_but_not_replaced() {
         let mut file = OutputFile::create("/dev/null").expect("created");
         file.file().write_all(b"gone").expect("written");
         file.commit().expect("committed");

@@ -265,7 +265,7 @@ pub(crate) mod tests {
     }
 
     #[test]
-    fn what_should_be_evaluated_is_said() {
+    fn overview_lists_its_warnings() {
         let overview = unhealthy();
         assert_eq!(
             overview.warnings,
@@ -283,7 +283,7 @@ pub(crate) mod tests {
     }
 
     #[test]
-    fn times_and_numbers_are_short() {
+    fn durations_and_numbers_are_abbreviated() {
         let times = [(0.25, "0.2 s"), (42.0, "42 s"), (75.0, "1 min 15 s"), (3700.0, "1 h 1 min"), (2e5, "2 d 7 h")];
         for (seconds, text) in times {
             assert_eq!(duration(seconds), text);

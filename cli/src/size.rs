@@ -34,7 +34,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn sizes_are_read_in_thousands_and_in_powers_of_two() {
+    fn sizes_are_parsed_with_decimal_and_binary_units() {
         for (text, bytes) in [("0", 0), ("12", 12), ("500MB", 500_000_000), ("20 GiB", 20 << 30), ("1TiB", 1 << 40)] {
             assert_eq!(text.parse(), Ok(Size(bytes)), "{text}");
         }

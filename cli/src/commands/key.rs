@@ -184,7 +184,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn lives_are_read_with_their_unit() {
+    fn key_lifetimes_are_parsed_with_their_unit() {
         for (text, hours) in [("12h", 12), ("90d", 90 * 24), ("2w", 14 * 24), ("120m", 2)] {
             assert_eq!(text.parse(), Ok(KeyLifetime(Duration::from_hours(hours))), "{text}");
         }

@@ -246,7 +246,7 @@ mod tests {
     }
 
     #[test]
-    fn an_unreachable_server_is_reported_and_the_last_values_stay() {
+    fn unreachable_server_is_reported_with_the_last_values() {
         let mut screen = Screen::default();
         screen.show(crate::overview::tests::unhealthy());
         screen.trouble = Some("no server answers".to_owned());
@@ -255,7 +255,7 @@ mod tests {
     }
 
     #[test]
-    fn a_terminal_of_any_size_is_drawn_on() {
+    fn every_terminal_size_can_be_drawn() {
         let mut screen = Screen::default();
         screen.show(crate::overview::tests::unhealthy());
         for (width, height) in [(1, 1), (20, 5), (300, 100)] {

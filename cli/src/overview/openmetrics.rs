@@ -81,7 +81,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn numbers_are_read_with_their_labels() {
+    fn samples_are_parsed_with_their_labels() {
         let samples = Metrics::read(
             "# TYPE a counter\na_total 3\na_total{x=\"1\",y=\"a \\\"b\\\" } c\"} 4.5 1700000000\nb inf\nodd\nodd{x=} 1\n# EOF",
         );

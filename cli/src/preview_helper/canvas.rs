@@ -136,7 +136,7 @@ mod tests {
     }
 
     #[test]
-    fn a_picture_of_one_light_stays_of_one_light_at_every_size() {
+    fn uniform_picture_stays_uniform_at_every_size() {
         for (width, height, width_px) in
             [(7, 5, 7), (7, 5, 3), (1, 9, 4), (640, 3, 100), (3, 640, 2), (10, 10, 1), (3, 9000, 3)]
         {
@@ -155,7 +155,7 @@ mod tests {
     }
 
     #[test]
-    fn a_picture_of_the_same_size_is_the_same_picture() {
+    fn picture_of_the_same_size_is_unchanged() {
         let mut canvas = Canvas::new(16, 2, 500);
         let light = |x: u32, y: u32| [x as f32 / 16.0, y as f32 / 2.0, 0.5, 1.0];
         for y in [1, 0] {
@@ -170,7 +170,7 @@ mod tests {
     }
 
     #[test]
-    fn half_a_pixel_of_a_tile_shows_half_of_what_lies_below() {
+    fn half_covered_pixel_blends_with_the_picture_below() {
         let mut canvas = Canvas::new(4, 1, 2);
         canvas.add(0, 0, [[1.0, 1.0, 1.0, 1.0]; 3].into_iter());
         let below = Rgba32FImage::from_pixel(2, 1, image::Rgba([0.0, 0.0, 0.0, 1.0]));
@@ -180,7 +180,7 @@ mod tests {
     }
 
     #[test]
-    fn light_behind_nothing_keeps_its_color_and_its_alpha() {
+    fn uncovered_color_keeps_its_alpha() {
         let mut canvas = Canvas::new(2, 1, 1);
         let grade = DisplayTransform::new(&serde_json::from_str(r#"{ "width": 2, "height": 1 }"#).expect("an image"));
         let pixels = [[0.5, 0.0, 0.0, 0.5], [f32::NAN, 0.0, 0.0, 0.0]];

@@ -212,7 +212,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn blocks_lie_within_the_picture_and_are_a_sixteenth_of_a_large_one() {
+    fn blocks_cover_a_sixteenth_of_a_large_picture() {
         for (width, height) in [(1, 1), (7, 300), (16, 16), (64, 64), (100, 65), (1920, 1080)] {
             let rects = blocks(width, height);
             assert!(!rects.is_empty());

@@ -166,7 +166,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_measured_job_is_as_large_as_asked_for_and_moves() {
+    fn measured_job_has_the_requested_size_and_is_animated() {
         for kib in [1, 30] {
             let text = job_file(kib * 1024);
             assert!(text.len() >= kib * 1024 && text.len() < (kib + 2) * 1024, "{}", text.len());

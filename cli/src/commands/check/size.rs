@@ -205,16 +205,16 @@ mod tests {
     use super::*;
 
     #[test]
-    fn numbers_are_reported_as_people_say_them() {
+    fn numbers_are_formatted_for_users() {
         assert_eq!(count(1, "frame"), "1 frame");
         assert_eq!(count(1_234_567, "ray"), "1,234,567 rays");
-        let told = [0.0, 0.0123, 0.5, 2.345, 61.0, 400.0, 9000.0, 1e6].map(duration);
-        assert_eq!(told, ["less than 1 ms", "12 ms", "500 ms", "2.3 s", "61 s", "7 min", "2 h 30 min", "12 days"]);
+        let formatted = [0.0, 0.0123, 0.5, 2.345, 61.0, 400.0, 9000.0, 1e6].map(duration);
+        assert_eq!(formatted, ["less than 1 ms", "12 ms", "500 ms", "2.3 s", "61 s", "7 min", "2 h 30 min", "12 days"]);
         assert_eq!([1_000, 33_177_600, 5_000_000_000].map(bytes), ["0.001 MB", "33 MB", "5.0 GB"]);
     }
 
     #[test]
-    fn size_is_counted_and_time_is_judged() {
+    fn size_is_counted_and_time_is_estimated() {
         let job = scene::parse(
             br#"{ "scene": { "camera": { "position": [0, 0, 5], "look_at": [0, 0, 0] },
                 "objects": [{ "shape": { "sphere": { "radius": 1 } } }] },

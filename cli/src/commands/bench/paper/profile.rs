@@ -115,7 +115,7 @@ mod tests {
     }
 
     #[test]
-    fn nothing_is_read_from_a_log_without_figures_or_of_other_blocks() {
+    fn log_without_figures_or_of_other_blocks_gives_none() {
         assert_eq!(read("==ERROR== ERR_NVGPUCTRPERM", BlockDim { columns: 8, rows: 8 }), StepProfile::default());
         assert_eq!(read(LOG, BlockDim { columns: 16, rows: 16 }), StepProfile::default());
     }
