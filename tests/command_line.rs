@@ -140,7 +140,7 @@ fn client_commands_submit_follow_and_fetch_a_job() {
     // Ids created within a minute have the same first characters, so the candidates are listed.
     let several = run_in(folder.path(), &["cancel", &queued[..8], "--server", &farm.address]);
     assert_misuse(&several, &queued[28..]);
-    let none = run_in(folder.path(), &["cancel", "nobody", "--server", &farm.address]);
+    let none = run_in(folder.path(), &["cancel", "unknown", "--server", &farm.address]);
     assert_misuse(&none, "sdfarm jobs");
     assert!(on_farm(&["cancel", &queued]).contains("cancelled"));
     let watched = run_in(folder.path(), &["watch", &queued, "--server", &farm.address]);

@@ -43,7 +43,7 @@ fn starts(folder: &Path, point: &str, pass: u64) -> bool {
     let data = folder.join("probe");
     let mut probe = command(point, pass);
     probe.args(["--listen", "127.0.0.1:0", "--data"]).arg(&data).args(["--workers", "0"]);
-    // The server is killed as soon as it serves.
+    // Without logs, standard error has only the error message.
     probe.env("SDFARM_LOG", "off");
     let mut child = probe
         .stdin(std::process::Stdio::null())
