@@ -321,7 +321,7 @@ fn rejected_program_is_saved_for_inspection() {
         fs::read_to_string(path).expect("the program's text")
     };
     // First the self-test's program is rejected, then a scene's, with the self-test's cached from a successful run.
-    let told = render(with_cache("refuse"), &jobs::quick()).expect_err("it is rejected");
+    let told = render(with_cache("refuse"), &jobs::quick()).expect_err("it is refused");
     assert!(
         told.contains("--device cuda:0: the scene's program could not be compiled")
             && told.contains("as the test asks for"),
@@ -329,7 +329,7 @@ fn rejected_program_is_saved_for_inspection() {
     );
     assert!(kept(&told).contains("void render("));
     render(with_cache(""), &jobs::as_png(&small("dice"))).expect("the compiler takes it");
-    let told = render(with_cache("refuse"), &jobs::quick()).expect_err("it is rejected");
+    let told = render(with_cache("refuse"), &jobs::quick()).expect_err("it is refused");
     assert!(told.contains("cuda:0 could not render: the scene's program could not be compiled"), "{told}");
     assert!(kept(&told).ends_with("// scene.cu(1): error: refused, as the test asks for\n"));
 }
