@@ -137,8 +137,8 @@ fn resubmitted_job_takes_its_picture_from_the_store() {
     farm.succeeded(&again);
     assert!(farm.picture(&first) == farm.picture(&again));
     let headers = [("content-type", "application/json"), ("cache-control", "no-cache")];
-    let again = farm.send("POST", "/v1/jobs", &headers, job.into_bytes());
-    assert_eq!((again.status, &again.json()["state"]), (201, &Value::from("queued")));
+    let uncached = farm.send("POST", "/v1/jobs", &headers, job.into_bytes());
+    assert_eq!((uncached.status, &uncached.json()["state"]), (201, &Value::from("queued")));
 }
 
 #[test]
