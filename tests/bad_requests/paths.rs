@@ -27,12 +27,12 @@ const IDS: [(&str, &str); 12] = [
     ("an unknown id", "{nobody}"),
     ("an id cut short", "01900000-0000-7000-8000-00000000000"),
     ("an id with a letter too many", "{nobody}0"),
-    ("an id of no hex digits", "0190000g-0000-7000-8000-000000000000"),
+    ("an id with an invalid hex digit", "0190000g-0000-7000-8000-000000000000"),
     ("NUL", "%00"),
-    ("bytes that are no UTF-8", "%ff%fe"),
-    ("a way up", "%2e%2e%2f%2e%2e"),
-    ("a quote of SQL", "'%20OR%201=1%20--"),
-    ("letters of another script", "%d1%84%d0%b0%d0%b9%d0%bb"),
+    ("bytes that are not UTF-8", "%ff%fe"),
+    ("a path traversal", "%2e%2e%2f%2e%2e"),
+    ("an SQL injection", "'%20OR%201=1%20--"),
+    ("letters of a non-Latin script", "%d1%84%d0%b0%d0%b9%d0%bb"),
 ];
 
 /// Routes with a job id: the method, and the path before and after the id.
@@ -110,7 +110,7 @@ pub(super) fn requests() -> Vec<Request> {
         let path = format!("/v1/jobs/{{done}}/frames/{frame}/image");
         all.push(Request::new(format!("no frame: {frame}"), format!("GET {path}")));
     }
-    all.push(Request::new("frame of nobody's job", "GET /v1/jobs/{nobody}/frames/x/image"));
+    all.push(Request::new("frame of an unknown job", "GET /v1/jobs/{nobody}/frames/x/image"));
     all.push(Request::new("picture of a job that waits", "GET /v1/jobs/{job}/image"));
     all.push(Request::new("picture of a frame that waits", "GET /v1/jobs/{job}/frames/0/image"));
     all.push(Request::new("cancel of a job that has ended", "POST /v1/jobs/{done}/cancel"));
