@@ -50,7 +50,7 @@ impl Drop for Worker {
 }
 
 #[test]
-fn keys_work_on_a_running_server_and_stay_out_of_logs() {
+fn keys_work_on_a_running_server_and_are_never_logged() {
     let folder = tempfile::tempdir().expect("a folder");
     let data = folder.path().join("data");
     let admin = new_key(&data, "ops", "admin");
@@ -201,13 +201,13 @@ fn farm_serves_with_hundreds_of_idle_connections() {
 }
 
 #[test]
-#[ignore = "long: thousands of idle connections; some seconds"]
+#[ignore = "long: thousands of idle connections; a few seconds"]
 fn farm_serves_with_thousands_of_idle_connections() {
     assert_served_among(if granted() >= MANY_IDLE + 2000 { MANY_IDLE } else { IDLE });
 }
 
 #[test]
-#[ignore = "long: as long as the server's patience with a head; half a minute"]
+#[ignore = "long: waits for the server's timeout of request headers; 30 s"]
 fn client_that_sends_headers_too_slowly_is_disconnected() {
     let farm = Farm::start(&["--workers", "0"]);
     let mut slow = TcpStream::connect(address(&farm)).expect("connects");

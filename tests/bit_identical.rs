@@ -151,7 +151,7 @@ fn farms_and_render_write_the_same_bytes_for_few_scenes() {
 }
 
 #[test]
-#[ignore = "long: every shipped scene by five farms; three minutes"]
+#[ignore = "long: every shipped scene by five farms; 3 min"]
 fn farms_and_render_write_the_same_bytes_for_every_scene() {
     assert_farms_same(all());
 }
@@ -206,7 +206,7 @@ fn two_exr_readers_agree_on_a_few_pictures() {
 }
 
 #[test]
-#[ignore = "long: every shipped scene as an EXR, read by two readers; a minute"]
+#[ignore = "long: every shipped scene as an EXR, read by two readers; 60 s"]
 fn two_exr_readers_agree_on_every_picture() {
     assert_read_alike(all());
 }
@@ -222,7 +222,7 @@ fn full_size_scene_has_its_recorded_hash() {
 }
 
 #[test]
-#[ignore = "long: every shipped scene at full size; three minutes"]
+#[ignore = "long: every shipped scene at full size; 3 min"]
 fn every_full_size_scene_has_its_recorded_hash() {
     for (name, _) in jobs::shipped() {
         assert_hash_is_kept(&name);
@@ -240,7 +240,7 @@ fn selftest_passes_at_every_level() {
 }
 
 #[test]
-#[ignore = "long: every shipped scene at every level by selftest; two minutes"]
+#[ignore = "long: every shipped scene at every level by selftest; 2 min"]
 fn selftest_passes_for_every_scene_at_every_level() {
     let jobs = jobs::shipped();
     assert_levels_equal(&jobs.iter().map(|(name, _)| name.as_str()).collect::<Vec<_>>());

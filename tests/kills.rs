@@ -25,7 +25,7 @@ fn soak_with_a_few_kills_finds_no_violation() {
 }
 
 #[test]
-#[ignore = "long: 100 kills of workers and 30 of servers; two minutes"]
+#[ignore = "long: 100 kills of workers and 30 of servers; 2 min"]
 fn soak_with_130_kills_finds_no_violation() {
     assert_soaked("100", "30");
 }

@@ -82,7 +82,7 @@ fn gpu_and_cpu_share_a_frame_without_seams() {
 }
 
 #[test]
-fn gpu_lost_during_a_job_retires_its_worker_without_losing_tiles() {
+fn lost_gpu_retires_its_worker_and_costs_no_tile() {
     let folder = tempfile::tempdir().expect("a folder");
     // No lease expires: the worker releases its leases, also those granted while it retires.
     let farm = Farm::start_on(folder.path(), &[&FARM[..], &["--lease-seconds", "3600"]].concat());

@@ -136,27 +136,27 @@ fn failed_database_write_is_recovered() {
 }
 
 #[test]
-#[ignore = "long: every write to the store fails once; a minute"]
+#[ignore = "long: every write to the store fails once; 60 s"]
 fn every_failed_store_write_is_recovered() {
     sweep("store_put", &jobs::many_rays(), By::Pool);
     sweep("store_put", &jobs::many_rays(), By::Remotes);
 }
 
 #[test]
-#[ignore = "long: every read of the store fails once; a minute"]
+#[ignore = "long: every read of the store fails once; 60 s"]
 fn every_failed_store_read_is_recovered() {
     sweep("store_get", &jobs::many_rays(), By::Pool);
     sweep("store_get", &jobs::many_rays(), By::Remotes);
 }
 
 #[test]
-#[ignore = "long: every write to the database fails once; a minute"]
+#[ignore = "long: every write to the database fails once; 60 s"]
 fn every_failed_database_write_is_recovered() {
     sweep("database_write", &jobs::quick(), By::Pool);
 }
 
 #[test]
-#[ignore = "long: every commit of the database fails once; a minute"]
+#[ignore = "long: every commit of the database fails once; 60 s"]
 fn every_failed_database_commit_is_recovered() {
     sweep("database_commit", &jobs::quick(), By::Pool);
 }

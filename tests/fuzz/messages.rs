@@ -35,7 +35,7 @@ fn fuzzed_job_files_are_accepted_or_rejected() {
 }
 
 #[test]
-#[ignore = "long: fuzzing for a minute"]
+#[ignore = "long: fuzzing for 60 s"]
 fn long_fuzzed_job_files_are_accepted_or_rejected() {
     try_job_files(Effort::Long);
 }
@@ -86,7 +86,7 @@ fn fuzzed_worker_messages_are_parsed_or_rejected() {
 }
 
 #[test]
-#[ignore = "long: fuzzing for a minute"]
+#[ignore = "long: fuzzing for 60 s"]
 fn long_fuzzed_worker_messages_are_parsed_or_rejected() {
     try_messages(Effort::Long);
 }

@@ -46,7 +46,7 @@ fn fuzzed_blobs_are_decoded_or_rejected() {
 }
 
 #[test]
-#[ignore = "long: fuzzing for a minute"]
+#[ignore = "long: fuzzing for 60 s"]
 fn long_fuzzed_blobs_are_decoded_or_rejected() {
     try_blobs(Effort::Long);
 }
@@ -106,7 +106,7 @@ fn fuzzed_samples_are_written_as_png_and_read_back() {
 }
 
 #[test]
-#[ignore = "long: fuzzing for a minute"]
+#[ignore = "long: fuzzing for 60 s"]
 fn long_fuzzed_samples_are_written_as_png_and_read_back() {
     try_png(Effort::Long);
 }
@@ -142,7 +142,7 @@ fn fuzzed_samples_are_written_as_exr_and_read_back() {
 }
 
 #[test]
-#[ignore = "long: fuzzing for a minute"]
+#[ignore = "long: fuzzing for 60 s"]
 fn long_fuzzed_samples_are_written_as_exr_and_read_back() {
     try_exr(Effort::Long);
 }

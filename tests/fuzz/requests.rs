@@ -56,7 +56,7 @@ fn fuzzed_requests_get_responses_without_server_errors() {
 }
 
 #[test]
-#[ignore = "long: fuzzing for a minute"]
+#[ignore = "long: fuzzing for 60 s"]
 fn long_fuzzed_requests_get_responses_without_server_errors() {
     try_requests(Effort::Long);
 }

@@ -73,7 +73,7 @@ fn fuzzed_stored_pictures_are_drawn_or_rejected() {
 }
 
 #[test]
-#[ignore = "long: fuzzing for a minute"]
+#[ignore = "long: fuzzing for 60 s"]
 fn long_fuzzed_stored_pictures_are_drawn_or_rejected() {
     try_stored_pictures(Effort::Long);
 }
